@@ -1,0 +1,45 @@
+"""A rollout: what one episode of a policy looked like, as plain arrays."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Rollout:
+    """One episode of T control steps on a quadruped with 12 joints.
+
+    Row k of a (T, ...) array belongs to control step k; rows of the (T + 1, ...) arrays are the
+    states before the first step and after each step. Joint columns are in the order of
+    `Quadruped.joints`, foot columns in the order of `Quadruped.feet`. World frame: z up, x ahead.
+    """
+
+    control_dt: float  # s, one control step
+    seed: int
+    episode: int  # index of this episode in its evaluation
+    end: str  # "time limit", or why it fell: "tipped", "low", "touched" (body on floor), "nan"
+    qpos: np.ndarray  # (T + 1, 19) world position m, quaternion wxyz, joint positions rad
+    qvel: np.ndarray  # (T + 1, 18) world linear m/s, body angular rad/s, joint rad/s
+    action: np.ndarray  # (T, 12) in [-1, 1]
+    target: np.ndarray  # (T, 12) joint position targets, rad
+    torque: np.ndarray  # (T, 12) mean over the control step, Nm
+    energy: np.ndarray  # (T,) mechanical energy spent in the step, sum of max(tau * qd, 0) dt, J
+    observation: np.ndarray  # (T, n) what the policy saw before the step
+    observation_names: tuple[str, ...]  # n names
+    contact: np.ndarray  # (T, 4) bool, foot on the ground at the end of the step
+    foot_force: np.ndarray  # (T, 4) vertical ground reaction force, N
+    reward_terms: dict[str, np.ndarray]  # name -> (T,) raw terms, before scales
+    reward: np.ndarray  # (T,) scaled total
+
+    @property
+    def steps(self) -> int:
+        return len(self.action)
+
+    @property
+    def time(self) -> np.ndarray:
+        """(T + 1,) simulated seconds of the states."""
+        return np.arange(self.steps + 1) * self.control_dt
+
+    @property
+    def fell(self) -> bool:
+        return self.end != "time limit"
