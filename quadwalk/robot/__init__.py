@@ -1,0 +1,1 @@
+"""From URDF to MuJoCo: strict reading, conversion to MJCF, and what training needs to know."""

@@ -1,0 +1,142 @@
+"""A quadruped as the environments see it: names, limits, standing pose, and its two models."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from quadwalk.paths import ALIENGO_URDF
+from quadwalk.robot.legs import find_legs, joint_range
+from quadwalk.robot.mjcf import HOME, build_spec
+from quadwalk.robot.tree import build_tree
+from quadwalk.robot.urdf import Urdf, UrdfError, read_urdf
+
+
+@dataclass(frozen=True, eq=False)
+class Quadruped:
+    """A quadruped read from a URDF.
+
+    Joints are ordered leg by leg (FR, FL, RR, RL), hip, thigh, calf, whatever the file's order:
+    `joints[i]` is qpos[7 + i], qvel[6 + i] and actuator i of both models.
+
+    Attributes:
+        name: the URDF's robot name.
+        urdf: the URDF's text, as read.
+        legs: ("FR", "FL", "RR", "RL").
+        joints: (12) joint names; each joint's actuator has the same name.
+        feet: (4) names that both the foot's frame (a site) and its collision geom (a sphere) have.
+        trunk: name of the floating body, the URDF's root link.
+        lower, upper: (12,) rad, position limits; -pi .. pi for a continuous joint.
+        effort: (12,) N m, largest torque.
+        velocity: (12,) rad/s, largest speed.
+        friction: (12,) N m, Coulomb friction of the joints. The models have none: it belongs to
+            the motor model, so that both engines apply the same.
+        home: (19,) qpos standing: x y z (m), quaternion wxyz, joints (rad), feet just at height 0.
+    """
+
+    name: str
+    urdf: str
+    legs: tuple[str, ...]
+    joints: tuple[str, ...]
+    feet: tuple[str, ...]
+    trunk: str
+    lower: np.ndarray
+    upper: np.ndarray
+    effort: np.ndarray
+    velocity: np.ndarray
+    friction: np.ndarray
+    home: np.ndarray
+    spec: mujoco.MjSpec = field(repr=False)
+
+    def training_model(
+        self, timestep: float, iterations: int = 1, ls_iterations: int = 5
+    ) -> mujoco.MjModel:
+        """The model to train in, made for MJX: only the feet and the floor collide.
+
+        Body, joint, actuator and collision geom names are those of `full_model`; the other
+        collision shapes are there to be measured, but touch nothing. No visuals, no sensors.
+
+        Args:
+            timestep: s.
+            iterations: of the Newton solver. One keeps a loop that, batched, runs as long as the
+                slowest environment's out of the step.
+            ls_iterations: of its line search, each at a fixed cost.
+        """
+        spec = self.spec.copy()
+        for sensor in list(spec.sensors):
+            spec.delete(sensor)
+        for exclude in list(spec.excludes):
+            spec.delete(exclude)
+        for geom in list(spec.geoms):
+            if geom.classname.name == "visual":
+                spec.delete(geom)
+            else:
+                # Only floor against foot passes MuJoCo's test, contype of one & conaffinity of
+                # the other; feet do not meet each other.
+                geom.contype = geom.name == "floor"
+                geom.conaffinity = geom.name in self.feet
+        option = spec.option
+        option.cone = mujoco.mjtCone.mjCONE_PYRAMIDAL
+        # Implicit joint damping costs a second factorisation of the mass matrix each step.
+        option.disableflags |= mujoco.mjtDisableBit.mjDSBL_EULERDAMP
+        return self._compile(spec, timestep, iterations, ls_iterations, frictionloss=False)
+
+    def full_model(self, timestep: float = 0.002, frictionloss: bool = False) -> mujoco.MjModel:
+        """The model to judge in: every collision shape, a solver that has converged.
+
+        Args:
+            timestep: s.
+            frictionloss: let the joints have the URDF's friction, for a user without the motor
+                model that otherwise applies it.
+        """
+        return self._compile(self.spec.copy(), timestep, 100, 50, frictionloss)
+
+    def _compile(self, spec, timestep, iterations, ls_iterations, frictionloss) -> mujoco.MjModel:
+        spec.option.timestep = timestep
+        spec.option.solver = mujoco.mjtSolver.mjSOL_NEWTON
+        spec.option.iterations = iterations
+        spec.option.ls_iterations = ls_iterations
+        spec.option.tolerance = 1e-8
+        if not frictionloss:
+            for joint in spec.joints:
+                joint.frictionloss = 0
+        return spec.compile()
+
+
+def load_quadruped(urdf: Path = ALIENGO_URDF) -> Quadruped:
+    """Read a quadruped's URDF; raise `UrdfError` where it is not valid or not a quadruped."""
+    return quadruped_from(read_urdf(urdf))
+
+
+def quadruped_from(urdf: Urdf) -> Quadruped:
+    """The quadruped that a checked URDF describes; `UrdfError` says what it is instead."""
+    tree = build_tree(urdf.robot)
+    legs = find_legs(tree, urdf.source)
+    joints = [tree.joint_above[link] for leg in legs for link in leg.links]
+    for joint in joints:
+        limit = joint.limit
+        if limit is None or not limit.effort or not limit.velocity:
+            raise UrdfError(
+                f"{urdf.source}: joint '{joint.name}' has no effort or velocity limit; expected "
+                '<limit effort="..." velocity="..."> above 0, for its motor'
+            )
+    spec = build_spec(urdf, legs)
+    ranges = np.array([joint_range(joint) for joint in joints])
+    return Quadruped(
+        name=urdf.robot.name,
+        urdf=urdf.text,
+        legs=tuple(leg.name for leg in legs),
+        joints=tuple(joint.name for joint in joints),
+        feet=tuple(leg.foot for leg in legs),
+        trunk=tree.root,
+        lower=ranges[:, 0],
+        upper=ranges[:, 1],
+        effort=np.array([joint.limit.effort for joint in joints]),
+        velocity=np.array([joint.limit.velocity for joint in joints]),
+        friction=np.array(
+            [float(joint.dynamics.friction or 0) if joint.dynamics else 0.0 for joint in joints]
+        ),
+        home=np.array(spec.key(HOME).qpos),
+        spec=spec,
+    )

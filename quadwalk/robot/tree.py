@@ -1,0 +1,102 @@
+"""The tree of links: which links move, and which are fixed to another and fused with it."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import yourdfpy
+
+
+@dataclass(frozen=True)
+class Tree:
+    """The kinematic tree of a valid URDF.
+
+    A moving link (or the root) carries the links that fixed joints attach to it: they are one
+    rigid body, named after the moving link.
+
+    Attributes:
+        root: name of the link that no joint moves.
+        links: link by name, in the file's order.
+        joint_above: the joint whose child is that link; the root has none.
+        joints_below: the joints whose parent is that link, in the file's order.
+        body_of: name of the moving link (or root) that each link is rigidly part of.
+        placement: (4, 4) frame of each link in the frame of the link `body_of` names.
+        bodies: names of the moving links, root first, parents before children.
+    """
+
+    root: str
+    links: dict[str, yourdfpy.Link]
+    joint_above: dict[str, yourdfpy.Joint]
+    joints_below: dict[str, tuple[yourdfpy.Joint, ...]]
+    body_of: dict[str, str]
+    placement: dict[str, np.ndarray]
+    bodies: tuple[str, ...]
+
+    @cached_property
+    def parts(self) -> dict[str, tuple[str, ...]]:
+        """Names of the links that each body is made of, the moving link itself first."""
+        parts: dict[str, list[str]] = {body: [] for body in self.bodies}
+        for link, body in self.body_of.items():
+            parts[body].append(link)
+        return {body: tuple(links) for body, links in parts.items()}
+
+    def moving_joints(self, body: str) -> list[yourdfpy.Joint]:
+        """The joints that move other bodies against this one, in the order of the parts."""
+        return [
+            joint
+            for link in self.parts[body]
+            for joint in self.joints_below[link]
+            if joint.type != "fixed"
+        ]
+
+    def frame_of(self, joint: yourdfpy.Joint) -> np.ndarray:
+        """(4, 4) frame of the joint's child, at joint position 0, in the body above it."""
+        return self.placement[joint.parent] @ matrix(joint.origin)
+
+
+def build_tree(robot: yourdfpy.Robot) -> Tree:
+    """The tree of a robot that has been checked: one root, no cycle, no unknown names."""
+    links = {link.name: link for link in robot.links}
+    joint_above = {joint.child: joint for joint in robot.joints}
+    below: dict[str, list[yourdfpy.Joint]] = {name: [] for name in links}
+    for joint in robot.joints:
+        below[joint.parent].append(joint)
+    (root,) = (name for name in links if name not in joint_above)
+    body_of, placement, bodies = {root: root}, {root: np.eye(4)}, [root]
+    pending = [root]
+    while pending:
+        link = pending.pop()
+        for joint in reversed(below[link]):
+            pending.append(joint.child)
+        joint = joint_above.get(link)
+        if joint is None:
+            continue
+        if joint.type == "fixed":
+            body_of[link] = body_of[joint.parent]
+            placement[link] = placement[joint.parent] @ matrix(joint.origin)
+        else:
+            body_of[link], placement[link] = link, np.eye(4)
+            bodies.append(link)
+    return Tree(
+        root=root,
+        links=links,
+        joint_above=joint_above,
+        joints_below={name: tuple(joints) for name, joints in below.items()},
+        body_of=body_of,
+        placement=placement,
+        bodies=tuple(bodies),
+    )
+
+
+def matrix(origin: np.ndarray | None) -> np.ndarray:
+    """(4, 4) of a URDF origin, which may be left out."""
+    return np.eye(4) if origin is None else np.asarray(origin, dtype=np.float64)
+
+
+def rotation(axis: np.ndarray, angle: float) -> np.ndarray:
+    """(4, 4) rotation by `angle` rad about the unit `axis` (3,) (Rodrigues' formula)."""
+    x, y, z = axis
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    out = np.eye(4)
+    out[:3, :3] += np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
+    return out
