@@ -10,7 +10,7 @@ import yourdfpy
 
 from quadwalk.robot import inertia
 from quadwalk.robot.legs import Leg, joint_range, standing_pose, unit
-from quadwalk.robot.scene import FRICTION, add_scene
+from quadwalk.robot.scene import FRICTION, add_scene, add_sun
 from quadwalk.robot.tree import Tree, build_tree, matrix
 from quadwalk.robot.urdf import Urdf
 
@@ -86,6 +86,7 @@ class _Builder:
         joint = tree.joint_above.get(name)
         if joint is None:
             body.add_freejoint(name=FREE_JOINT)
+            add_sun(body)
         else:
             body.pos, body.quat = _pose(tree.frame_of(joint))
             self._add_joint(body, joint)

@@ -66,8 +66,8 @@ class Quadruped:
         spec = self.spec.copy()
         for sensor in list(spec.sensors):
             spec.delete(sensor)
-        for exclude in list(spec.excludes):
-            spec.delete(exclude)
+        for element in [*spec.excludes, *spec.lights]:
+            spec.delete(element)
         for geom in list(spec.geoms):
             if geom.classname.name == "visual":
                 spec.delete(geom)

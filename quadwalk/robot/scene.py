@@ -1,6 +1,7 @@
 """What surrounds a robot in its MJCF: sky, light, a floor on which motion can be seen."""
 
 import mujoco
+import numpy as np
 
 # Rubber feet on asphalt or carpet slide at .6 to 1.0 of the load; MuJoCo takes the larger of two
 # shapes' friction, so that floor and robot both state it.
@@ -8,14 +9,17 @@ FRICTION = 0.8
 
 
 def add_scene(spec: mujoco.MjSpec) -> None:
-    """Add the sky, the light, and the plane named `floor` at height 0 to `spec`."""
+    """Add the sky, ambient light, and the plane named `floor` at height 0 to `spec`."""
     spec.visual.headlight.ambient = [0.35, 0.35, 0.35]
     spec.visual.headlight.diffuse = [0.45, 0.45, 0.45]
     spec.visual.headlight.specular = [0.1, 0.1, 0.1]
     spec.visual.rgba.haze = [0.75, 0.82, 0.9, 1]
     spec.visual.global_.offwidth = 1920
     spec.visual.global_.offheight = 1080
+    # A small shadow map around the robot, lit from nearly overhead: a wide or slanted one speckles
+    # the floor with its own shadow.
     spec.visual.quality.shadowsize = 4096
+    spec.visual.map.shadowclip = 0.6
     spec.add_texture(
         name="sky",
         type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
@@ -38,19 +42,25 @@ def add_scene(spec: mujoco.MjSpec) -> None:
     )
     floor = spec.add_material(name="floor", texuniform=True, texrepeat=[2, 2], reflectance=0.08)
     floor.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "checker"
-    spec.worldbody.add_light(
-        name="sun",
-        type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
-        pos=[0, 0, 4],
-        dir=[0.35, 0.3, -1],
-        diffuse=[0.65, 0.63, 0.6],
-        specular=[0.2, 0.2, 0.2],
-        castshadow=True,
-    )
     spec.worldbody.add_geom(
         name="floor",
         type=mujoco.mjtGeom.mjGEOM_PLANE,
         size=[0, 0, 0.05],
         material="floor",
         friction=[FRICTION, 0.005, 0.0001],
+    )
+
+
+def add_sun(body: mujoco.MjsBody) -> None:
+    """Add a light that travels with `body`, so that its shadow is drawn wherever it goes."""
+    direction = np.array([0.05, 0.08, -1.0])
+    body.add_light(
+        name="sun",
+        type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
+        mode=mujoco.mjtCamLight.mjCAMLIGHT_TRACKCOM,
+        pos=-3 * direction,
+        dir=direction,
+        diffuse=[0.65, 0.63, 0.6],
+        specular=[0.2, 0.2, 0.2],
+        castshadow=True,
     )
