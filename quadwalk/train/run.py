@@ -1,13 +1,13 @@
 """The run directory: where one training keeps what is needed to replay it or go on with it.
 
-    runs/NAME/
-      config.json          every setting
-      metrics.jsonl        one line per iteration, the same for the same seed
-      timing.jsonl         how long each took, which never is
-      tensorboard/         the same numbers for TensorBoard
-      checkpoints/         step_000001000000.npz ...: the whole state of training
-      policy.npz           the result
-      learning_curve.png
+runs/NAME/
+  config.json          every setting
+  metrics.jsonl        one line per iteration, the same for the same seed
+  timing.jsonl         how long each took, which never is
+  tensorboard/         the same numbers for TensorBoard
+  checkpoints/         step_000001000000.npz ...: the whole state of training
+  policy.npz           the result
+  learning_curve.png
 """
 
 import contextlib

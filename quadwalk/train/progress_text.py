@@ -1,0 +1,76 @@
+"""Numbers as short text, for people who watch a training."""
+
+import itertools
+import math
+from collections.abc import Sequence
+
+_BARS = "▁▂▃▄▅▆▇█"
+
+
+def sparkline(values: Sequence[float], width: int) -> str:
+    """The course of `values` in at most `width` characters; from zero, or the least if below.
+
+    Several values share a character by their mean; a character without a finite one is blank.
+    """
+    if not values or width < 1:
+        return ""
+    width = min(width, len(values))
+    edges = [round(index * len(values) / width) for index in range(width + 1)]
+    means = [_mean(values[start:end]) for start, end in itertools.pairwise(edges)]
+    finite = [mean for mean in means if math.isfinite(mean)]
+    low = min([0.0, *finite])
+    # A line of nothing but zeros lies at the bottom.
+    span = max([0.0, *finite]) - low or 1.0
+    return "".join(
+        _BARS[min(7, int(8 * (mean - low) / span))] if math.isfinite(mean) else " "
+        for mean in means
+    )
+
+
+def number(value: float) -> str:
+    """Three figures or so: "12.4", "-0.031"; "-" if there is none."""
+    if not math.isfinite(value):
+        return "-"
+    if value != 0 and (abs(value) < 1e-3 or abs(value) >= 1e6):
+        return f"{value:.0e}"
+    digits = 3 if abs(value) < 0.1 else 2 if abs(value) < 10 else 1 if abs(value) < 1000 else 0
+    return f"{value:.{digits}f}"
+
+
+def percent(value: float, unit: bool = True) -> str:
+    """A share of 1 as "3.1 %"; "-" if there is none."""
+    if not math.isfinite(value):
+        return "-"
+    return f"{100 * value:.1f}" + (" %" if unit else "")
+
+
+def quantity(value: float) -> str:
+    """A count to three figures: "950", "52.1k", "4.1M"; "-" if there is none."""
+    if not math.isfinite(value):
+        return "-"
+    for unit, size in (("G", 1e9), ("M", 1e6), ("k", 1e3)):
+        if abs(value) >= 0.9995 * size:
+            scaled = value / size
+            return f"{scaled:.0f}{unit}" if abs(scaled) >= 99.95 else f"{scaled:.1f}{unit}"
+    return f"{value:.0f}"
+
+
+def spent(seconds: float) -> str:
+    """Time that a phase took: "0.4 s", "31 s", "2:05"."""
+    if seconds < 9.95:
+        return f"{seconds:.1f} s"
+    return f"{seconds:.0f} s" if seconds < 59.5 else duration(seconds)
+
+
+def duration(seconds: float) -> str:
+    """ "0:07", "12:31", "1:02:03"; "-" if it is not known."""
+    if not math.isfinite(seconds):
+        return "-"
+    minutes, second = divmod(max(0, round(seconds)), 60)
+    hours, minute = divmod(minutes, 60)
+    return f"{hours}:{minute:02}:{second:02}" if hours else f"{minute}:{second:02}"
+
+
+def _mean(values: Sequence[float]) -> float:
+    finite = [value for value in values if math.isfinite(value)]
+    return sum(finite) / len(finite) if finite else math.nan
