@@ -36,14 +36,13 @@ def plot_learning_curve(metrics: Sequence[Row], path: Path | str) -> None:
 
     rows = sorted(metrics, key=lambda row: row["steps"])
     terms = list(dict.fromkeys(key for row in rows for key in row if key.startswith(_TERM)))
-    heights = [_LARGE_HEIGHT, _SMALL_HEIGHT * math.ceil(len(terms) / _COLUMNS)]
+    small_rows = math.ceil(len(terms) / _COLUMNS)
+    heights = [_LARGE_HEIGHT] + [_SMALL_HEIGHT * small_rows] * bool(terms)
     figure = Figure(figsize=(12, sum(heights)), dpi=110, layout="constrained")
+    parts = figure.subfigures(len(heights), 1, height_ratios=heights, squeeze=False).flat
+    _draw_figures(parts[0].subplots(1, 3), rows)
     if terms:
-        large, small = figure.subfigures(2, 1, height_ratios=heights)
-        _draw_terms(small.subplots(math.ceil(len(terms) / _COLUMNS), _COLUMNS).flat, rows, terms)
-    else:
-        large = figure
-    _draw_figures(large.subplots(1, 3), rows)
+        _draw_terms(parts[1].subplots(small_rows, _COLUMNS).flat, rows, terms)
     with replacing(path) as file:
         # matplotlib would sign with its version: the same metrics shall give the same picture.
         figure.savefig(file, format="png", metadata={"Software": None})

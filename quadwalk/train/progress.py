@@ -8,12 +8,13 @@ Importing this module must stay fast, for it gives the first sign of life: no ja
 """
 
 import contextlib
+import io
 import math
 import sys
 import threading
 import time
 from collections.abc import Mapping
-from typing import Any, TextIO
+from typing import Any, TextIO, cast
 
 from rich.console import Console, Group, RenderableType
 from rich.live import Live
@@ -44,16 +45,16 @@ class Progress:
         stream: TextIO | None = None,
     ) -> None:
         """`start_steps` were done before, in a training that this one goes on with."""
-        stream = stream or sys.stdout
+        output = cast(TextIO, _Forgiving(stream or sys.stdout))
         state = State(total_steps, start_steps)
         self._state = state
         self._view: _Quiet | _Plain | _Screen
         if quiet:
-            self._view = _Quiet(stream)
-        elif _is_screen(stream):
-            self._view = _Screen(stream, state)
+            self._view = _Quiet(output)
+        elif _is_screen(output):
+            self._view = _Screen(output, state)
         else:
-            self._view = _Plain(stream, state)
+            self._view = _Plain(output, state)
 
     def __enter__(self) -> "Progress":
         self._view.start()
@@ -90,6 +91,35 @@ class Progress:
         self._view.last_word(text)
 
 
+class _Forgiving(io.TextIOBase):
+    """Passes text on to a stream and ignores that it has gone.
+
+    One place for all writers: print, rich, and the thread in which rich redraws.
+    """
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+
+    def write(self, text: str) -> int:
+        with contextlib.suppress(OSError, ValueError):  # ValueError: it was closed
+            self._stream.write(text)
+        return len(text)
+
+    def flush(self) -> None:
+        with contextlib.suppress(OSError, ValueError):
+            self._stream.flush()
+
+    def isatty(self) -> bool:
+        try:
+            return self._stream.isatty()
+        except (OSError, ValueError):
+            return False
+
+    @property
+    def encoding(self) -> str:  # type: ignore[override]
+        return self._stream.encoding or "ascii"
+
+
 class _Quiet:
     """Nothing but the last word."""
 
@@ -107,8 +137,7 @@ class _Quiet:
         self._print(text)
 
     def _print(self, text: str) -> None:
-        with contextlib.suppress(OSError, ValueError):  # ValueError: the stream is closed
-            print(text, file=self._stream, flush=True)
+        print(text, file=self._stream, flush=True)
 
 
 class _Plain(_Quiet):
@@ -191,13 +220,11 @@ class _Screen(_Quiet):
         )
 
     def start(self) -> None:
-        with contextlib.suppress(OSError):
-            self._live.start(refresh=True)
+        self._live.start(refresh=True)
 
     def stop(self, stopped: bool) -> None:
         self._over = "stopped" if stopped else "done"
-        with contextlib.suppress(OSError, ValueError):
-            self._live.stop()
+        self._live.stop()
 
     def phase_ended(self) -> None:
         state = self._state
@@ -205,28 +232,20 @@ class _Screen(_Quiet):
         if state.phase and not state.trained:
             tick = Text.assemble(("✓ ", "green"), state.phase)
             tick.append(f"  {spent(state.in_phase)}", style="dim")
-            self._print_above(tick)
+            self._console.print(tick)
 
     def phase_began(self) -> None:
-        self._refresh()
+        self._live.refresh()
 
     def updated(self) -> None:
-        self._refresh()
+        self._live.refresh()
 
     def line(self, text: str) -> None:
-        self._print_above(Text(text))
+        self._console.print(Text(text))
 
     def last_word(self, text: str) -> None:
         # Plain and unwrapped, so that paths and commands in it can be copied.
         self._print(text)
-
-    def _print_above(self, text: Text) -> None:
-        with contextlib.suppress(OSError, ValueError):
-            self._console.print(text)
-
-    def _refresh(self) -> None:
-        with contextlib.suppress(OSError, ValueError):
-            self._live.refresh()
 
     def _render(self) -> RenderableType:
         state, width = self._state, self._console.width
@@ -253,10 +272,10 @@ class _Screen(_Quiet):
 
 def _is_screen(stream: TextIO) -> bool:
     """Whether the stream is a terminal that can redraw, and shows more than ASCII."""
+    if not stream.isatty() or Console(file=stream).is_dumb_terminal:
+        return False
     try:
-        if not stream.isatty() or Console(file=stream).is_dumb_terminal:
-            return False
-        "━✓■▁".encode(stream.encoding or "ascii")
-    except (OSError, ValueError, LookupError):
+        "━✓■▁".encode(stream.encoding)
+    except (UnicodeError, LookupError):
         return False
     return True

@@ -17,13 +17,15 @@ def sparkline(values: Sequence[float], width: int) -> str:
     width = min(width, len(values))
     edges = [round(index * len(values) / width) for index in range(width + 1)]
     means = [_mean(values[start:end]) for start, end in itertools.pairwise(edges)]
-    finite = [mean for mean in means if math.isfinite(mean)]
+    # Shares of the largest, so that nothing overflows when a training has gone wild.
+    largest = max((abs(mean) for mean in means if math.isfinite(mean)), default=0.0) or 1.0
+    shares = [mean / largest for mean in means]
+    finite = [share for share in shares if math.isfinite(share)]
     low = min([0.0, *finite])
-    # A line of nothing but zeros lies at the bottom.
-    span = max([0.0, *finite]) - low or 1.0
+    span = max([0.0, *finite]) - low or 1.0  # a line of nothing but zeros lies at the bottom
     return "".join(
-        _BARS[min(7, int(8 * (mean - low) / span))] if math.isfinite(mean) else " "
-        for mean in means
+        _BARS[min(7, int(8 * (share - low) / span))] if math.isfinite(share) else " "
+        for share in shares
     )
 
 

@@ -1,0 +1,52 @@
+import errno
+import os
+
+import pytest
+
+from quadwalk.errors import UserError
+from quadwalk.files import replacing
+
+
+def test_the_file_appears_when_the_block_ends(tmp_path):
+    path = tmp_path / "a"
+    with replacing(path) as file:
+        file.write(b"new")
+        assert not path.exists()
+    assert path.read_bytes() == b"new"
+    assert os.listdir(tmp_path) == ["a"]
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, ValueError])
+def test_what_breaks_the_block_leaves_the_old_file(tmp_path, error):
+    path = tmp_path / "a"
+    path.write_bytes(b"old")
+
+    def break_off(file):
+        file.write(b"half")
+        raise error
+
+    with pytest.raises(error), replacing(path) as file:
+        break_off(file)
+    assert path.read_bytes() == b"old"
+    assert os.listdir(tmp_path) == ["a"]
+
+
+@pytest.mark.parametrize("call", ["fsync", "replace"])
+def test_what_the_system_refuses_is_one_line(tmp_path, monkeypatch, call):
+    def full(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    path = tmp_path / "a"
+    path.write_bytes(b"old")
+    monkeypatch.setattr(os, call, full)
+    with pytest.raises(UserError) as caught, replacing(path) as file:
+        file.write(b"new")
+    monkeypatch.undo()
+    assert str(caught.value) == f"cannot write {path}: No space left on device"
+    assert path.read_bytes() == b"old"
+    assert os.listdir(tmp_path) == ["a"]
+
+
+def test_a_folder_that_is_not_there_is_named(tmp_path):
+    with pytest.raises(UserError, match=r"none/a: No such file or directory"):
+        replacing(tmp_path / "none" / "a").__enter__()

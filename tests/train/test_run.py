@@ -1,0 +1,174 @@
+import os
+
+import pytest
+
+from quadwalk.errors import UsageError, UserError
+from quadwalk.train import checkpoint, run
+
+
+def test_a_new_run_has_its_folders(tmp_path):
+    made = run.create_run(tmp_path / "runs", "first")
+    assert made.path == tmp_path / "runs" / "first"
+    assert made.name == "first"
+    assert sorted(os.listdir(made.path)) == ["checkpoints", "tensorboard"]
+
+
+def test_an_existing_name_is_refused_and_left_alone(tmp_path):
+    made = run.create_run(tmp_path, "a")
+    made.policy.write_bytes(b"precious")
+    with pytest.raises(UsageError, match=r"run 'a' exists in .*: choose another name"):
+        run.create_run(tmp_path, "a")
+    assert made.policy.read_bytes() == b"precious"
+
+
+def test_runs_without_a_name_do_not_collide(tmp_path):
+    names = {run.create_run(tmp_path, label="walk").name for _ in range(3)}
+    assert len(names) == 3
+    assert all("-walk" in name for name in names)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "",
+        ".",
+        "..",
+        ".a",
+        "-a",
+        "a/b",
+        "/a",
+        "../a",
+        "a\\b",
+        "a b",
+        "a\n",
+        "a\0",
+        "latest",
+        "x" * 101,
+    ],
+)
+def test_names_that_cannot_be_are_refused(tmp_path, name):
+    with pytest.raises(UsageError) as caught:
+        run.create_run(tmp_path, name)
+    assert "\n" not in str(caught.value)
+    assert os.listdir(tmp_path) == []
+
+
+@pytest.mark.parametrize("name", ["a", "run_2", "2026-11-21_0815-run", "läufer", "v1.2+fast"])
+def test_ordinary_names_are_taken(tmp_path, name):
+    assert run.create_run(tmp_path, name).path.name == name
+
+
+def test_a_root_that_is_a_file_is_named(tmp_path):
+    (tmp_path / "file").write_text("")
+    for root in (tmp_path / "file", tmp_path / "file" / "below"):
+        with pytest.raises(UserError, match=r"cannot make the folder for runs, .*file") as caught:
+            run.create_run(root, "a")
+        assert caught.value.exit_status == 1
+
+
+def test_nothing_is_left_of_a_run_that_could_not_be_made(tmp_path, monkeypatch):
+    real = os.mkdir
+
+    def full(path, *rest):
+        if str(path).endswith("tensorboard"):
+            raise OSError(28, "No space left on device")
+        real(path, *rest)
+
+    monkeypatch.setattr(os, "mkdir", full)
+    with pytest.raises(UserError, match=r"cannot write in .*/a: No space left on device"):
+        run.create_run(tmp_path, "a")
+    assert os.listdir(tmp_path) == []
+
+
+def make_runs(root, *names):
+    """Runs, each last written to a second after the one before."""
+    for second, name in enumerate(names):
+        made = run.create_run(root, name)
+        made.config.write_text("{}")
+        for path in (made.path, made.config):
+            os.utime(path, (1000 + second,) * 2)
+
+
+def test_runs_are_found_by_name_path_and_age(tmp_path, monkeypatch):
+    make_runs(tmp_path / "runs", "b", "c", "a")
+    monkeypatch.chdir(tmp_path)
+    assert run.find_run("runs", "latest").name == "a"
+    for which in ("b", "runs/b", "runs/b/", str(tmp_path / "runs" / "b")):
+        assert run.find_run("runs", which).name == "b"
+    run.Run(tmp_path / "runs" / "b").metrics.write_text("")  # it goes on
+    assert run.find_run("runs", "latest").name == "b"
+
+
+@pytest.mark.parametrize("which", ["x", "", " ", "..", "x/y", "x\0y", "y" * 5000])
+def test_an_unknown_run_names_those_there_are(tmp_path, which):
+    make_runs(tmp_path, *"abcdefgh")
+    with pytest.raises(UsageError, match="h, g, f, e, d and 3 older") as caught:
+        run.find_run(tmp_path, which)
+    assert caught.value.exit_status == 2
+
+
+def test_a_folder_or_file_that_is_no_run_is_refused(tmp_path):
+    (tmp_path / "runs" / "empty").mkdir(parents=True)
+    (tmp_path / "runs" / "file").write_text("")
+    for which in ("empty", "file", "latest", str(tmp_path)):
+        with pytest.raises(UsageError, match="yet"):
+            run.find_run(tmp_path / "runs", which)
+    with pytest.raises(UsageError, match="yet"):
+        run.find_run(tmp_path / "nowhere", "latest")
+
+
+def test_json_is_strict_and_replaces(tmp_path):
+    path = tmp_path / "a.json"
+    run.write_json_atomic(path, {"b": [1, 2.5], "ä": None})
+    before = path.read_bytes()
+    with pytest.raises(ValueError, match="JSON"):
+        run.write_json_atomic(path, {"b": float("nan")})
+    assert path.read_bytes() == before
+    assert os.listdir(tmp_path) == ["a.json"]
+
+
+def save(made, *steps):
+    for count in steps:
+        checkpoint.save(made.checkpoint(count), {}, {"kind": "checkpoint", "steps": count})
+
+
+def test_the_latest_checkpoint_is_by_steps_not_by_name_or_age(tmp_path):
+    made = run.create_run(tmp_path, "a")
+    save(made, 2_000, 10_000, 900)
+    (made.checkpoints / "step_5e9.npz").write_text("not one of ours")
+    (made.checkpoints / "step_000000099999.npz.part").write_text("half")
+    assert run.latest_checkpoint(made) == made.checkpoint(10_000)
+
+
+def test_a_damaged_newest_checkpoint_is_skipped_with_a_warning(tmp_path, capsys):
+    made = run.create_run(tmp_path, "a")
+    save(made, 1, 2, 3)
+    content = made.checkpoint(3).read_bytes()
+    made.checkpoint(3).write_bytes(content[: len(content) // 2])
+    warnings = []
+    assert run.latest_checkpoint(made, warnings.append) == made.checkpoint(2)
+    assert len(warnings) == 1
+    assert "step_000000000003.npz is damaged" in warnings[0]
+    run.latest_checkpoint(made)
+    assert capsys.readouterr().err.startswith("warning: ")
+
+
+def test_no_checkpoint_left_is_an_error(tmp_path):
+    made = run.create_run(tmp_path, "a")
+    with pytest.raises(UserError, match="no checkpoint that can be read"):
+        run.latest_checkpoint(made)
+    made.checkpoint(1).write_bytes(b"")
+    with pytest.raises(UserError, match="no checkpoint that can be read"):
+        run.latest_checkpoint(made, lambda _: None)
+
+
+def test_the_last_few_are_kept(tmp_path):
+    made = run.create_run(tmp_path, "a")
+    save(made, *range(5))
+    (made.checkpoints / "step_000000000009.npz.part").write_text("half")
+    (made.checkpoints / "best.npz").write_text("kept")
+    run.keep_last(made, 2)
+    assert run.list_checkpoints(made) == [made.checkpoint(3), made.checkpoint(4)]
+    assert len(os.listdir(made.checkpoints)) == 3
+    with pytest.raises(ValueError, match="at least one"):
+        run.keep_last(made, 0)
