@@ -153,7 +153,7 @@ def test_a_file_cut_short_anywhere_is_refused(tmp_path):
         assert not load_or_refuse(path), size
 
 
-@settings(quick, max_examples=400)
+@settings(quick, max_examples=200)
 @given(data=st.data())
 def test_flipped_bits_never_give_wrong_data(tmp_path, data):
     content = bytearray(sample_bytes(tmp_path))
