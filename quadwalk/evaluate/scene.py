@@ -1,0 +1,119 @@
+"""What a 3D view shows around the robot: ground, path so far, velocity and foot forces.
+
+Every message is complete in itself, because a viewer that jumps in time is given only the newest
+message of a topic. It stays small because the ground is one grid that follows the robot in whole
+metres, and the path is thinned to a bounded number of points: nearly every byte repeats, and
+compresses away.
+"""
+
+import math
+
+import numpy as np
+from foxglove_schemas_protobuf.LinePrimitive_pb2 import LinePrimitive
+from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
+from google.protobuf.timestamp_pb2 import Timestamp
+
+SCENE_PERIOD = 0.04  # s: 25 pictures a second are enough for arrows
+PATH_POINTS = 64  # at most, whatever the episode's length
+GRID_HALF_WIDTH = 8  # m around the robot
+
+_VELOCITY_ARROW = 0.25  # m of arrow for 1 m/s
+_FORCE_ARROW = 0.3  # m of arrow for the robot's weight on one foot
+_HALF = math.sqrt(0.5)
+
+
+class SceneWriter:
+    """Fills one `SceneUpdate` again and again; `world` is the frame everything is drawn in."""
+
+    def __init__(self, path: np.ndarray, weight: float, world: str = "world") -> None:
+        """`path` (T + 1, 3) base positions in m, `weight` in N."""
+        self._path = [[_drawn(value) for value in point] for point in path.tolist()]
+        self._weight = weight
+        self._message = SceneUpdate()
+        ground, track, velocity, self._forces = (
+            self._message.entities.add(frame_id=world, id=name)
+            for name in ("ground", "path", "velocity", "foot_forces")
+        )
+        self._grid = ground.lines.add(type=LinePrimitive.LINE_LIST, thickness=1.0)
+        self._grid.scale_invariant = True
+        _colour(self._grid.color, 0.55, 0.55, 0.6, 0.7)
+        self._grid.pose.orientation.w = 1.0
+        for x in range(-GRID_HALF_WIDTH, GRID_HALF_WIDTH + 1):
+            for y in (-GRID_HALF_WIDTH, GRID_HALF_WIDTH):
+                self._grid.points.add(x=x, y=y)
+            for y in (-GRID_HALF_WIDTH, GRID_HALF_WIDTH):
+                self._grid.points.add(x=y, y=x)
+        self._line = track.lines.add(type=LinePrimitive.LINE_STRIP, thickness=0.02)
+        self._line.pose.orientation.w = 1.0
+        _colour(self._line.color, 0.1, 0.45, 0.9, 1.0)
+        self._arrow = velocity.arrows.add(shaft_diameter=0.025, head_diameter=0.05)
+        self._arrow.head_length = 0.06
+        _colour(self._arrow.color, 0.95, 0.55, 0.1, 1.0)
+
+    def serialised(
+        self,
+        row: int,
+        stamp: Timestamp,
+        velocity: np.ndarray,
+        feet: np.ndarray,
+        forces: np.ndarray,
+    ) -> bytes:
+        """The scene at state `row`.
+
+        `velocity` (3,) of the base in m/s; `feet` (4, 3) in m; `forces` (4,) in N, zero for a foot
+        in the air.
+        """
+        for entity in self._message.entities:
+            entity.timestamp.CopyFrom(stamp)
+        x, y, z = self._path[row]
+        self._grid.pose.position.x, self._grid.pose.position.y = float(round(x)), float(round(y))
+        self._draw_path(row)
+        self._draw_velocity((x, y, z), velocity)
+        self._draw_forces(feet, forces)
+        return self._message.SerializeToString()
+
+    def _draw_path(self, row: int) -> None:
+        # A power of two keeps earlier points where they were when the path is thinned further.
+        stride = 1
+        while row // stride >= PATH_POINTS - 1:
+            stride *= 2
+        del self._line.points[:]
+        for k in (*range(0, row, stride), row):
+            x, y, _ = self._path[k]
+            self._line.points.add(x=x, y=y, z=0.01)  # just above the ground, to be seen
+
+    def _draw_velocity(self, start: tuple[float, float, float], velocity: np.ndarray) -> None:
+        vx, vy, vz = (float(component) for component in velocity)
+        yaw, pitch = math.atan2(vy, vx), -math.atan2(vz, math.hypot(vx, vy))
+        sy, cy = math.sin(yaw / 2), math.cos(yaw / 2)
+        sp, cp = math.sin(pitch / 2), math.cos(pitch / 2)
+        pose = self._arrow.pose
+        pose.position.x, pose.position.y, pose.position.z = start[0], start[1], start[2] + 0.25
+        turn = pose.orientation  # Rz(yaw) Ry(pitch) lays the arrow's x axis along the velocity
+        turn.w, turn.x, turn.y, turn.z = (
+            _drawn(value) for value in (cy * cp, -sy * sp, cy * sp, sy * cp)
+        )
+        self._arrow.shaft_length = _drawn(_VELOCITY_ARROW * math.hypot(vx, vy, vz))
+
+    def _draw_forces(self, feet: np.ndarray, forces: np.ndarray) -> None:
+        del self._forces.arrows[:]
+        for (x, y, z), force in zip(feet.tolist(), forces.tolist(), strict=True):
+            if not force > 0.0:
+                continue
+            arrow = self._forces.arrows.add(
+                shaft_diameter=0.015, head_diameter=0.03, head_length=0.03
+            )
+            arrow.shaft_length = _drawn(_FORCE_ARROW * force / self._weight)
+            position, turn = arrow.pose.position, arrow.pose.orientation
+            position.x, position.y, position.z = _drawn(x), _drawn(y), _drawn(z)
+            turn.w, turn.y = _HALF, -_HALF  # the arrow's x axis points up
+            _colour(arrow.color, 0.85, 0.15, 0.2, 1.0)
+
+
+def _drawn(value: float) -> float:
+    """`value` to the next 2^-10: fine enough to draw, and short numbers compress."""
+    return round(float(value) * 1024) / 1024
+
+
+def _colour(colour, r: float, g: float, b: float, a: float) -> None:
+    colour.r, colour.g, colour.b, colour.a = r, g, b, a

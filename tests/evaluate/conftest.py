@@ -1,0 +1,112 @@
+"""Rollouts to test on: simulated in MuJoCo C, or drawn to order."""
+
+from collections.abc import Callable
+
+import mujoco
+import numpy as np
+import pytest
+
+from quadwalk.evaluate.rollout import Rollout
+from quadwalk.robot.quadruped import Quadruped, load_quadruped
+
+CONTROL_DT, SUBSTEPS = 0.02, 5
+KP, KD = 80.0, 2.0
+
+
+@pytest.fixture(scope="session")
+def quadruped() -> Quadruped:
+    return load_quadruped()
+
+
+@pytest.fixture(scope="session")
+def simulate(quadruped: Quadruped) -> Callable[..., Rollout]:
+    """simulate(steps, offsets, ...): legs swinging at set phases under PD control."""
+
+    def run(
+        steps: int,
+        offsets: tuple[float, ...] = (0.0, 0.5, 0.5, 0.0),
+        frequency: float = 2.0,  # Hz
+        sweep: float = 0.25,  # rad, of the thighs
+        lift: float = 0.45,  # rad, of the calves
+        seed: int = 0,
+    ) -> Rollout:
+        model = quadruped.training_model(CONTROL_DT / SUBSTEPS, iterations=5)
+        data = mujoco.MjData(model)
+        data.qpos[:] = quadruped.home
+        mujoco.mj_forward(model, data)
+        feet = [model.geom(name).id for name in quadruped.feet]
+        rng = np.random.default_rng(seed)
+        qpos, qvel = [data.qpos.copy()], [data.qvel.copy()]
+        rows: dict[str, list] = {name: [] for name in ("target", "torque", "energy", "force")}
+        phase_of = 2 * np.pi * np.array(offsets)
+        for k in range(steps):
+            phase = 2 * np.pi * frequency * k * CONTROL_DT + phase_of
+            target = quadruped.home[7:].reshape(4, 3).copy()
+            target[:, 1] += sweep * np.cos(phase)
+            target[:, 2] -= lift * np.maximum(-np.sin(phase), 0.0)
+            target = target.ravel() + 0.01 * rng.standard_normal(12)
+            torques, energy = [], 0.0
+            for _ in range(SUBSTEPS):
+                torque = KP * (target - data.qpos[7:]) - KD * data.qvel[6:]
+                data.ctrl[:] = np.clip(torque, -quadruped.effort, quadruped.effort)
+                torques.append(data.ctrl.copy())
+                power = np.maximum(data.ctrl * data.qvel[6:], 0.0).sum()
+                energy += power * model.opt.timestep
+                mujoco.mj_step(model, data)
+            qpos.append(data.qpos.copy())
+            qvel.append(data.qvel.copy())
+            rows["target"].append(target)
+            rows["torque"].append(np.mean(torques, axis=0))
+            rows["energy"].append(energy)
+            rows["force"].append(_foot_forces(model, data, feet))
+        arrays = {name: np.array(values, dtype=np.float32) for name, values in rows.items()}
+        states, rates = np.array(qpos, dtype=np.float32), np.array(qvel, dtype=np.float32)
+        actions = ((arrays["target"] - quadruped.home[7:]) / 0.6).astype(np.float32)
+        seen = np.concatenate([rates[:-1, :6], states[:-1, 3:] - quadruped.home[3:]], axis=1)
+        seen = np.concatenate([seen, rates[:-1, 6:], np.roll(actions, 1, axis=0)], axis=1)
+        terms = {
+            "forward": rates[1:, 0],
+            "alive": np.ones(steps, dtype=np.float32),
+            "energy": arrays["energy"],
+            "lateral": np.abs(rates[1:, 1]),
+            "vertical": rates[1:, 2] ** 2,
+            "turning": np.abs(rates[1:, 3:5]).sum(axis=1),
+            "action_rate": (np.diff(actions, axis=0, prepend=actions[:1]) ** 2).mean(axis=1),
+        }
+        return Rollout(
+            control_dt=CONTROL_DT,
+            seed=seed,
+            episode=0,
+            end="time limit",
+            qpos=states,
+            qvel=rates,
+            action=actions,
+            target=arrays["target"],
+            torque=arrays["torque"],
+            energy=arrays["energy"],
+            observation=seen,
+            observation_names=tuple(f"seen {k}" for k in range(seen.shape[1])),
+            contact=arrays["force"] > 0,
+            foot_force=arrays["force"],
+            reward_terms=terms,
+            reward=terms["forward"] + 0.5,
+        )
+
+    return run
+
+
+def _foot_forces(model: mujoco.MjModel, data: mujoco.MjData, feet: list[int]) -> np.ndarray:
+    """(4,) N, vertical."""
+    forces, force = np.zeros(4), np.zeros(6)
+    for index, contact in enumerate(data.contact[: data.ncon]):
+        foot = set(feet) & {int(contact.geom1), int(contact.geom2)}
+        if foot:
+            mujoco.mj_contactForce(model, data, index, force)
+            forces[feet.index(foot.pop())] += force[0]  # the floor's normal is vertical
+    return forces
+
+
+@pytest.fixture(scope="session")
+def trot(simulate) -> Rollout:
+    """2 s of diagonal legs swinging together."""
+    return simulate(100)
