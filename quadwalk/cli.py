@@ -1,0 +1,34 @@
+"""The command line, generated from configuration dataclasses by tyro."""
+
+import contextlib
+import io
+import re
+from collections.abc import Sequence
+from typing import TypeVar
+
+from quadwalk.errors import UsageError
+
+T = TypeVar("T")
+
+
+def parse(cls: type[T], args: Sequence[str], prog: str, default: T | None = None) -> T:
+    """Parse `args` into `cls`, every field a flag; a bad one is a `UsageError` in one line."""
+    import tyro
+
+    errors = io.StringIO()
+    try:
+        with contextlib.redirect_stderr(errors):
+            return tyro.cli(cls, prog=prog, default=default, args=list(args))
+    except SystemExit as stop:
+        if not stop.code:  # --help
+            raise
+        raise UsageError(f"{_one_line(errors.getvalue())} ({prog} --help lists all)") from None
+
+
+def _one_line(framed: str) -> str:
+    """The message of tyro's framed error, and the flag it suggests."""
+    lines = [re.sub(r"\x1b\[[0-9;]*m", "", line).strip("│ ") for line in framed.splitlines()]
+    lines = [line for line in lines if not line.startswith(("╭", "╰"))]
+    sections = [" ".join(s.split()) for s in re.split(r"\n─+\n", "\n".join(lines))]
+    suggestion = re.search(r"Perhaps you meant:\s*(--\S+)", " ".join(sections[1:]))
+    return sections[0] + (f"; did you mean {suggestion[1]}?" if suggestion else "")

@@ -1,0 +1,96 @@
+"""Configuration of the environment: frozen dataclasses, one per concern, units in the comments."""
+
+from dataclasses import dataclass, field
+
+from quadwalk.errors import UsageError
+
+
+@dataclass(frozen=True)
+class ActuationConfig:
+    """How an action in [-1, 1] becomes joint torque."""
+
+    kp: float = 80.0  # Nm/rad, position gain of the joint controller
+    kd: float = 2.0  # Nm s/rad, its velocity gain
+    hip_range: float = 0.3  # rad, how far action 1 moves a hip's target from the home pose
+    thigh_range: float = 0.6  # rad, the same for a thigh
+    calf_range: float = 0.6  # rad, the same for a calf
+    speed_limit: bool = True  # torque falls to zero at the motor's speed limit
+    joint_friction: bool = True  # Coulomb friction of the joints
+
+
+@dataclass(frozen=True)
+class RewardConfig:
+    """Scale of each reward term; a term with scale 0 is not computed."""
+
+    forward: float = 1.0  # per m/s along world x, up to max_speed
+    fall: float = -10.0  # once, when an episode ends by a fall
+    yaw: float = -0.6  # per rad of heading away from world x, up to 1
+    energy: float = -0.02  # per m/s of mechanical power over weight
+    alive: float = 0.5  # per step
+    lateral: float = -0.3  # per m/s sideways (world y), up to 1
+    offset: float = -0.3  # per m away from the line y = 0, up to 1
+    vertical: float = -0.3  # per (m/s)^2 up or down, up to 1
+    tilt: float = -0.5  # per squared sine of the trunk's tilt
+    turning: float = -0.1  # per rad/s of roll and pitch rate, up to 4
+    action_rate: float = -0.1  # per mean squared change of the action
+    max_speed: float = 7.0  # m/s, where forward reward ends
+
+
+@dataclass(frozen=True)
+class TerminationConfig:
+    """When an episode ends by a fall."""
+
+    tilt: float = 1.0  # rad, angle between the trunk's and the world's z axis
+    height: float = 0.45  # of the home height: the trunk's origin lower than this is a fall
+    clearance: float = 0.0  # m, any shape but a foot lower than this touches the floor
+
+
+@dataclass(frozen=True)
+class ResetConfig:
+    """How much a fresh start differs from the home pose: each drawn uniformly from +-value."""
+
+    yaw: float = 0.3  # rad
+    tilt: float = 0.1  # rad, roll and pitch
+    offset: float = 0.3  # m, along y
+    joints: float = 0.2  # rad
+    velocity: float = 0.5  # m/s and rad/s, trunk
+    joint_velocity: float = 0.5  # rad/s
+    forward: float = 0.0  # m/s, forward speed drawn from 0 to this
+
+
+@dataclass(frozen=True)
+class EnvConfig:
+    """The task: a quadruped runs along world x as fast as it can."""
+
+    physics_dt: float = 0.004  # s, one physics step
+    substeps: int = 5  # physics steps in a control step
+    episode_seconds: float = 20.0  # s, the time limit
+    solver_iterations: int = 1  # Newton iterations of the contact solver
+    line_search_iterations: int = 5
+    actuation: ActuationConfig = field(default_factory=ActuationConfig)
+    reward: RewardConfig = field(default_factory=RewardConfig)
+    termination: TerminationConfig = field(default_factory=TerminationConfig)
+    reset: ResetConfig = field(default_factory=ResetConfig)
+
+    def __post_init__(self) -> None:
+        if not 1e-4 <= self.physics_dt <= 0.02:
+            raise UsageError(f"env.physics-dt is {self.physics_dt}; expected 0.0001 to 0.02 s")
+        if self.substeps < 1:
+            raise UsageError(f"env.substeps is {self.substeps}; expected 1 or more")
+        if self.solver_iterations < 1 or self.line_search_iterations < 1:
+            raise UsageError("env.solver-iterations and env.line-search-iterations: 1 or more")
+        if self.episode_steps < 1:
+            raise UsageError(
+                f"env.episode-seconds is {self.episode_seconds}; expected at least one control "
+                f"step ({self.control_dt:g} s)"
+            )
+
+    @property
+    def control_dt(self) -> float:
+        """Seconds of one control step."""
+        return self.physics_dt * self.substeps
+
+    @property
+    def episode_steps(self) -> int:
+        """Control steps in a full episode."""
+        return round(self.episode_seconds / self.control_dt)

@@ -1,0 +1,46 @@
+"""What the policy sees."""
+
+import jax
+import jax.numpy as jnp
+
+from quadwalk.env.robot import RobotArrays
+from quadwalk.env.rotation import rotate_inverse, yaw
+
+OFFSET_RANGE = 1.0  # m: how far from its line the robot can tell its distance to it
+_XYZ = ("x", "y", "z")
+
+
+def observe(robot: RobotArrays, qpos: jax.Array, qvel: jax.Array, action: jax.Array) -> jax.Array:
+    """The observation (48,), float32; its parts, in order, are named by `observation_names`.
+
+    Trunk velocity (body frame, m/s), angular velocity (body frame, rad/s), the direction of
+    gravity (body frame, unit), heading (rad), offset from the line y = 0 (m, clipped), joint
+    positions from home (rad), joint velocities (rad/s), the last action.
+    """
+    quat = qpos[3:7]
+    return jnp.concatenate(
+        [
+            rotate_inverse(quat, qvel[:3]),
+            qvel[3:6],
+            rotate_inverse(quat, jnp.array([0.0, 0.0, -1.0])),
+            yaw(quat)[None],
+            jnp.clip(qpos[1], -OFFSET_RANGE, OFFSET_RANGE)[None],
+            qpos[7:] - robot.home_joints,
+            qvel[6:],
+            action,
+        ]
+    )
+
+
+def observation_names(joints: tuple[str, ...]) -> tuple[str, ...]:
+    """One name for each number of the observation, of a robot with these 12 joints."""
+    return (
+        *(f"velocity_{i}" for i in _XYZ),
+        *(f"angular_velocity_{i}" for i in _XYZ),
+        *(f"gravity_{i}" for i in _XYZ),
+        "heading",
+        "offset",
+        *(f"position_{name}" for name in joints),
+        *(f"speed_{name}" for name in joints),
+        *(f"last_action_{name}" for name in joints),
+    )

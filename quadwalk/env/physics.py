@@ -1,0 +1,68 @@
+"""Physics steps in MJX. The state carried is what physics needs and no more.
+
+An `mjx.Data` holds some hundred arrays, most of them results. Carrying only positions, velocities
+and the solver's warm start lets XLA drop every result that nothing reads, keeps memory small, and
+makes a reset a copy of three arrays.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from mujoco import mjx
+
+from quadwalk.env.actuation import friction_torque, motor_torque
+from quadwalk.env.config import EnvConfig
+from quadwalk.env.robot import RobotArrays
+
+
+class Physics(NamedTuple):
+    """The state of one robot."""
+
+    qpos: jax.Array  # (19,)
+    qvel: jax.Array  # (18,)
+    warmstart: jax.Array  # (18,) acceleration that the contact solver starts from
+
+
+class Effort(NamedTuple):
+    """What the motors did in a control step."""
+
+    torque: jax.Array  # (12,) Nm, mean
+    energy: jax.Array  # () J, positive mechanical work: none is given back to the battery
+
+
+def simulate(
+    model: mjx.Model, robot: RobotArrays, config: EnvConfig, physics: Physics, target: jax.Array
+) -> tuple[Physics, Effort]:
+    """One control step: `substeps` physics steps with the joint controller run in each."""
+    blank = mjx.make_data(model)
+
+    def substep(carry: tuple[Physics, Effort], _: None) -> tuple[tuple[Physics, Effort], None]:
+        state, effort = carry
+        q, qd = state.qpos[7:], state.qvel[6:]
+        torque = motor_torque(robot, config.actuation, target, q, qd)
+        friction = friction_torque(robot, config.actuation, qd)
+        data = blank.replace(
+            qpos=state.qpos,
+            qvel=state.qvel,
+            qacc_warmstart=state.warmstart,
+            ctrl=torque,
+            qfrc_applied=blank.qfrc_applied.at[6:].set(friction),
+        )
+        data = mjx.step(model, data)
+        work = jnp.sum(jnp.maximum(torque * qd, 0.0)) * config.physics_dt
+        effort = Effort(effort.torque + torque / config.substeps, effort.energy + work)
+        return (Physics(data.qpos, data.qvel, data.qacc_warmstart), effort), None
+
+    start = (physics, Effort(jnp.zeros(12), jnp.zeros(())))
+    (physics, effort), _ = jax.lax.scan(substep, start, None, length=config.substeps)
+    return physics, effort
+
+
+def place_geoms(model: mjx.Model, qpos: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """World position (ngeom, 3) and rotation (ngeom, 3, 3) of every geom at `qpos`.
+
+    Computed afresh, because after a physics step MuJoCo's own lag one step behind `qpos`.
+    """
+    data = mjx.kinematics(model, mjx.make_data(model).replace(qpos=qpos))
+    return data.geom_xpos, data.geom_xmat.reshape(-1, 3, 3)

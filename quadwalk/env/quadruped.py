@@ -1,0 +1,179 @@
+"""The environment: pure functions of (model, robot, config, state), and the Brax `Env` of them."""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import mujoco
+from brax.envs.base import Env, State
+from mujoco import mjx
+
+from quadwalk.env.actuation import joint_target
+from quadwalk.env.config import EnvConfig
+from quadwalk.env.observation import observation_names, observe
+from quadwalk.env.physics import Effort, Physics, place_geoms, simulate
+from quadwalk.env.reset import fresh_start
+from quadwalk.env.reward import Step, active_terms, mean_velocity, reward_terms, total_reward
+from quadwalk.env.robot import RobotArrays, robot_arrays
+from quadwalk.env.termination import REASONS, fall_reasons, lowest_points
+from quadwalk.robot.quadruped import Quadruped
+
+CONTACT_GAP = 1e-3  # m: a foot closer to the floor than this counts as touching it
+MAX_SPEED = 1e3  # m/s or rad/s: no sound state of a robot is faster, so physics has diverged
+
+# How an episode can end, by the number in `State.info["end"]`.
+ENDS = ("running", "time limit", *REASONS, "nan")
+_TIME_LIMIT, _FIRST_REASON, _NAN = 1, 2, 2 + len(REASONS)
+
+
+class EnvState(NamedTuple):
+    """What one environment carries from step to step."""
+
+    physics: Physics
+    last_action: jax.Array  # (12,)
+    steps: jax.Array  # () int32, control steps since the episode's start
+
+
+def reset(model: mjx.Model, robot: RobotArrays, config: EnvConfig, key: jax.Array) -> State:
+    """A fresh episode; `key` is a JAX random key."""
+    physics = fresh_start(model, robot, config.reset, key)
+    state = EnvState(physics, jnp.zeros(12), jnp.zeros((), jnp.int32))
+    zero = jnp.zeros(())
+    return State(
+        pipeline_state=state,
+        obs=observe(robot, physics.qpos, physics.qvel, state.last_action),
+        reward=zero,
+        done=zero,
+        metrics={
+            "speed": zero,
+            "fell": zero,
+            "nan": zero,
+            **{f"reward/{name}": zero for name in active_terms(config.reward)},
+        },
+        info=_info(jnp.zeros((), jnp.int32), Effort(jnp.zeros(12), zero), jnp.zeros(4, bool)),
+    )
+
+
+def step(
+    model: mjx.Model, robot: RobotArrays, config: EnvConfig, state: State, action: jax.Array
+) -> State:
+    """One control step with `action` (12,) in [-1, 1], in MJX."""
+    before: EnvState = state.pipeline_state
+    target = joint_target(robot, config.actuation, action)
+    physics, effort = simulate(model, robot, config, before.physics, target)
+    return conclude(model, robot, config, before, action, physics, effort)
+
+
+def conclude(
+    model: mjx.Model,
+    robot: RobotArrays,
+    config: EnvConfig,
+    before: EnvState,
+    action: jax.Array,
+    physics: Physics,
+    effort: Effort,
+) -> State:
+    """The state after a control step, whichever engine stepped the physics.
+
+    A state that is not finite ends its episode with reward 0, and the home pose stands in its
+    place, so that nothing downstream ever sees it.
+    """
+    numbers = jnp.concatenate([physics.qpos, physics.qvel, effort.torque, effort.energy[None]])
+    sane = jnp.all(jnp.isfinite(numbers)) & jnp.all(jnp.abs(physics.qvel) < MAX_SPEED)
+    # A NaN action gives NaN torque, so `sane` covers it; the observation must not carry it on.
+    action = jnp.where(sane, action, 0.0)
+    home = Physics(jnp.asarray(robot.home, jnp.float32), jnp.zeros(model.nv), jnp.zeros(model.nv))
+    physics = jax.tree.map(lambda x, safe: jnp.where(sane, x, safe), physics, home)
+    effort = jax.tree.map(lambda x: jnp.where(sane, x, 0.0), effort)
+
+    position, rotation = place_geoms(model, physics.qpos)
+    shell = robot.shell_geoms
+    lowest = lowest_points(robot, position[shell], rotation[shell])
+    reasons = fall_reasons(robot, config.termination, physics.qpos, lowest)
+    fell = jnp.any(reasons) & sane
+    steps = before.steps + 1
+    end = jnp.where(steps >= config.episode_steps, _TIME_LIMIT, 0)
+    end = jnp.where(fell, _FIRST_REASON + jnp.argmax(reasons), end)
+    end = jnp.where(sane, end, _NAN).astype(jnp.int32)
+
+    record = Step(
+        dt=config.control_dt,
+        start=jnp.where(sane, before.physics.qpos, physics.qpos),
+        qpos=physics.qpos,
+        qvel=physics.qvel,
+        action=action,
+        last_action=before.last_action,
+        power=effort.energy / config.control_dt,
+        fell=fell,
+    )
+    terms = {
+        name: jnp.where(sane, value, 0.0)
+        for name, value in reward_terms(robot, config.reward, record).items()
+    }
+    contact = position[robot.foot_geoms, 2] - robot.foot_radius < CONTACT_GAP
+    return State(
+        pipeline_state=EnvState(physics, action, steps),
+        obs=observe(robot, physics.qpos, physics.qvel, action),
+        reward=total_reward(config.reward, terms),
+        done=(end > 0).astype(jnp.float32),
+        metrics={
+            "speed": mean_velocity(record)[0],
+            "fell": fell.astype(jnp.float32),
+            "nan": 1.0 - sane.astype(jnp.float32),
+            **{f"reward/{name}": value for name, value in terms.items()},
+        },
+        info=_info(end, effort, contact),
+    )
+
+
+def _info(end: jax.Array, effort: Effort, contact: jax.Array) -> dict[str, Any]:
+    return {
+        "end": end,  # index into ENDS
+        "truncation": (end == _TIME_LIMIT).astype(jnp.float32),
+        "torque": effort.torque,
+        "energy": effort.energy,
+        "contact": contact,
+    }
+
+
+class QuadrupedEnv(Env):
+    """`reset` and `step` of one quadruped as a `brax.envs.base.Env`; vmap them for a batch.
+
+    It does not reset itself: a step past the end of an episode goes on from where it was. Use
+    `quadwalk.train.ppo`, which starts a fresh episode after each, for training.
+    """
+
+    def __init__(self, quadruped: Quadruped, config: EnvConfig | None = None) -> None:
+        self.quadruped = quadruped
+        self.config = config or EnvConfig()
+        self.mj_model: mujoco.MjModel = quadruped.training_model(
+            self.config.physics_dt,
+            self.config.solver_iterations,
+            self.config.line_search_iterations,
+        )
+        self.model = mjx.put_model(self.mj_model)
+        self.robot = robot_arrays(quadruped, self.mj_model)
+
+    def reset(self, rng: jax.Array) -> State:
+        """A fresh episode."""
+        return reset(self.model, self.robot, self.config, rng)
+
+    def step(self, state: State, action: jax.Array) -> State:
+        """One control step with `action` (12,) in [-1, 1]."""
+        return step(self.model, self.robot, self.config, state, action)
+
+    @property
+    def observation_size(self) -> int:
+        return len(self.observation_names)
+
+    @property
+    def observation_names(self) -> tuple[str, ...]:
+        return observation_names(self.quadruped.joints)
+
+    @property
+    def action_size(self) -> int:
+        return 12
+
+    @property
+    def backend(self) -> str:
+        return "mjx"

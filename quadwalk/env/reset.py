@@ -1,0 +1,36 @@
+"""Fresh, varied starts."""
+
+import jax
+import jax.numpy as jnp
+from mujoco import mjx
+
+from quadwalk.env.config import ResetConfig
+from quadwalk.env.physics import Physics, place_geoms
+from quadwalk.env.robot import RobotArrays
+from quadwalk.env.rotation import from_euler
+
+
+def fresh_start(
+    model: mjx.Model, robot: RobotArrays, config: ResetConfig, key: jax.Array
+) -> Physics:
+    """A start near the home pose, its lowest foot just on the floor."""
+    keys = jax.random.split(key, 4)
+    pose = jax.random.uniform(keys[0], (4,), minval=-1.0, maxval=1.0)
+    joints = jax.random.uniform(keys[1], (12,), minval=-1.0, maxval=1.0)
+    velocity = jax.random.uniform(keys[2], (6,), minval=-1.0, maxval=1.0)
+    speed = jax.random.uniform(keys[3], (13,), minval=-1.0, maxval=1.0)
+
+    qpos = jnp.asarray(robot.home, jnp.float32)
+    qpos = qpos.at[1].set(config.offset * pose[0])
+    quat = from_euler(config.tilt * pose[1], config.tilt * pose[2], config.yaw * pose[3])
+    qpos = qpos.at[3:7].set(quat)
+    angles = jnp.clip(robot.home_joints + config.joints * joints, robot.lower, robot.upper)
+    qpos = qpos.at[7:].set(angles)
+    position, _ = place_geoms(model, qpos)
+    gap = jnp.min(position[robot.foot_geoms, 2] - robot.foot_radius)
+    qpos = qpos.at[2].add(-gap)
+
+    qvel = jnp.zeros(model.nv).at[:6].set(config.velocity * velocity)
+    qvel = qvel.at[0].add(config.forward * (speed[12] + 1.0) / 2.0)
+    qvel = qvel.at[6:].set(config.joint_velocity * speed[:12])
+    return Physics(qpos, qvel, jnp.zeros(model.nv))

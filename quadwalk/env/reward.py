@@ -1,0 +1,118 @@
+"""The reward: named terms, each a small pure function of one control step.
+
+Terms are raw, in physical units, and bounded; `RewardConfig` holds one scale for each. To add a
+term, write its function, name it in `TERMS`, and give `RewardConfig` a field of that name.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from quadwalk.env.config import RewardConfig
+from quadwalk.env.robot import RobotArrays
+from quadwalk.env.rotation import rotate_inverse, yaw
+
+
+class Step(NamedTuple):
+    """One control step, as the reward sees it."""
+
+    dt: float  # s
+    start: jax.Array  # (nq,) qpos before the step
+    qpos: jax.Array  # (nq,) after it
+    qvel: jax.Array  # (nv,) after it; trunk: world linear m/s, body angular rad/s
+    action: jax.Array  # (12,)
+    last_action: jax.Array  # (12,)
+    power: jax.Array  # () W, mean mechanical power that the motors gave in the step
+    fell: jax.Array  # () bool
+
+
+def mean_velocity(step: Step) -> jax.Array:
+    """Mean velocity (2,) of the trunk over the step along world x and y, m/s."""
+    return (step.qpos[:2] - step.start[:2]) / step.dt
+
+
+def forward(robot: RobotArrays, config: RewardConfig, step: Step) -> jax.Array:
+    """Speed along world x, m/s, up to `max_speed`."""
+    return jnp.clip(mean_velocity(step)[0], -1.0, config.max_speed)
+
+
+def fall(robot: RobotArrays, config: RewardConfig, step: Step) -> jax.Array:
+    """1 in the step that ends an episode by a fall."""
+    return step.fell.astype(jnp.float32)
+
+
+def yaw_error(robot: RobotArrays, config: RewardConfig, step: Step) -> jax.Array:
+    """Angle between the heading and world x, rad, up to 1."""
+    return jnp.minimum(jnp.abs(yaw(step.qpos[3:7])), 1.0)
+
+
+def energy(robot: RobotArrays, config: RewardConfig, step: Step) -> jax.Array:
+    """Mechanical power over weight, m/s, up to 20: cost of transport times speed."""
+    return jnp.minimum(step.power / robot.weight, 20.0)
+
+
+def alive(robot: RobotArrays, config: RewardConfig, step: Step) -> jax.Array:
+    """1 in every step that does not end in a fall."""
+    return 1.0 - step.fell.astype(jnp.float32)
+
+
+def lateral(robot: RobotArrays, config: RewardConfig, step: Step) -> jax.Array:
+    """Speed along world y, m/s, up to 1."""
+    return jnp.minimum(jnp.abs(mean_velocity(step)[1]), 1.0)
+
+
+def offset(robot: RobotArrays, config: RewardConfig, step: Step) -> jax.Array:
+    """Distance from the line y = 0, m, up to 1."""
+    return jnp.minimum(jnp.abs(step.qpos[1]), 1.0)
+
+
+def vertical(robot: RobotArrays, config: RewardConfig, step: Step) -> jax.Array:
+    """Squared vertical speed of the trunk, (m/s)^2, up to 1."""
+    return jnp.minimum(jnp.square(step.qvel[2]), 1.0)
+
+
+def tilt(robot: RobotArrays, config: RewardConfig, step: Step) -> jax.Array:
+    """Squared sine of the angle between the trunk's and the world's z axis."""
+    gravity = rotate_inverse(step.qpos[3:7], jnp.array([0.0, 0.0, -1.0]))
+    return jnp.sum(jnp.square(gravity[:2]))
+
+
+def turning(robot: RobotArrays, config: RewardConfig, step: Step) -> jax.Array:
+    """Roll and pitch rate of the trunk, rad/s, up to 4."""
+    return jnp.minimum(jnp.linalg.norm(step.qvel[3:5] + 1e-8), 4.0)
+
+
+def action_rate(robot: RobotArrays, config: RewardConfig, step: Step) -> jax.Array:
+    """Mean squared change of the action since the last step."""
+    return jnp.mean(jnp.square(step.action - step.last_action))
+
+
+TERMS = {
+    "forward": forward,
+    "fall": fall,
+    "yaw": yaw_error,
+    "energy": energy,
+    "alive": alive,
+    "lateral": lateral,
+    "offset": offset,
+    "vertical": vertical,
+    "tilt": tilt,
+    "turning": turning,
+    "action_rate": action_rate,
+}
+
+
+def active_terms(config: RewardConfig) -> tuple[str, ...]:
+    """Names of the terms whose scale is not 0."""
+    return tuple(name for name in TERMS if getattr(config, name) != 0.0)
+
+
+def reward_terms(robot: RobotArrays, config: RewardConfig, step: Step) -> dict[str, jax.Array]:
+    """The raw value of every active term, each a scalar."""
+    return {name: TERMS[name](robot, config, step) for name in active_terms(config)}
+
+
+def total_reward(config: RewardConfig, terms: dict[str, jax.Array]) -> jax.Array:
+    """The scaled sum of the terms."""
+    return sum((getattr(config, name) * value for name, value in terms.items()), jnp.zeros(()))

@@ -1,0 +1,66 @@
+"""What the environment's functions need to know of a robot, as arrays."""
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from quadwalk.robot.quadruped import Quadruped
+
+
+@dataclass(frozen=True)
+class RobotArrays:
+    """Constants of a quadruped; joints and feet are in the order of `Quadruped`'s.
+
+    Joint i is qpos[7 + i], qvel[6 + i] and ctrl[i].
+    """
+
+    home: np.ndarray  # (19,) qpos of the standing pose
+    lower: np.ndarray  # (12,) rad
+    upper: np.ndarray  # (12,) rad
+    effort: np.ndarray  # (12,) Nm
+    velocity: np.ndarray  # (12,) rad/s
+    friction: np.ndarray  # (12,) Nm, Coulomb
+    weight: float  # N
+    foot_geoms: np.ndarray  # (4,) geom indices
+    foot_radius: np.ndarray  # (4,) m
+    shell_geoms: np.ndarray  # (n,) every collision shape of the robot but its feet
+    shell_kind: np.ndarray  # (n,) mjtGeom
+    shell_size: np.ndarray  # (n, 3)
+
+    @property
+    def home_joints(self) -> np.ndarray:
+        """(12,) joint angles of the standing pose, rad."""
+        return self.home[7:]
+
+    @property
+    def home_height(self) -> float:
+        """Height of the trunk's origin in the standing pose, m."""
+        return float(self.home[2])
+
+
+def robot_arrays(quadruped: Quadruped, model: mujoco.MjModel) -> RobotArrays:
+    """Look up a quadruped's names in a model built from it."""
+    feet = np.array([model.geom(name).id for name in quadruped.feet])
+    shell = np.array(
+        [
+            i
+            for i in range(model.ngeom)
+            if model.geom_bodyid[i] != 0 and model.geom_group[i] == 3 and i not in feet
+        ],
+        dtype=int,
+    )
+    return RobotArrays(
+        home=quadruped.home,
+        lower=quadruped.lower,
+        upper=quadruped.upper,
+        effort=quadruped.effort,
+        velocity=quadruped.velocity,
+        friction=quadruped.friction,
+        weight=float(model.body_subtreemass[0] * -model.opt.gravity[2]),
+        foot_geoms=feet,
+        foot_radius=model.geom_size[feet, 0],
+        shell_geoms=shell,
+        shell_kind=model.geom_type[shell],
+        shell_size=model.geom_size[shell],
+    )

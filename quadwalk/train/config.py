@@ -1,0 +1,127 @@
+"""Configuration of a training run: what the command line sets and `config.json` keeps."""
+
+import dataclasses
+import types
+import typing
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from quadwalk.env.config import EnvConfig
+from quadwalk.errors import UsageError
+from quadwalk.paths import ALIENGO_URDF
+
+
+@dataclass(frozen=True)
+class RobotConfig:
+    """The robot to train."""
+
+    urdf: Path = ALIENGO_URDF  # its description
+
+
+@dataclass(frozen=True)
+class PPOConfig:
+    """The learner: proximal policy optimisation (Schulman et al. 2017, arXiv:1707.06347)."""
+
+    unroll: int = 24  # control steps of each environment in an iteration
+    minibatches: int = 4  # the iteration's data is cut into so many
+    epochs: int = 5  # passes over the data
+    learning_rate: float = 1e-3  # Adam's, at the start
+    desired_kl: float = 0.01  # the learning rate adapts to keep the policy's change near this
+    min_learning_rate: float = 1e-5
+    max_learning_rate: float = 1e-2
+    discount: float = 0.97
+    gae_lambda: float = 0.95  # of generalised advantage estimation
+    clip: float = 0.2  # of the probability ratio
+    entropy: float = 0.005  # weight of the entropy bonus
+    value: float = 1.0  # weight of the value loss
+    max_grad_norm: float = 1.0
+    reward_scale: float = 0.1  # rewards are multiplied by this before learning
+    hidden: tuple[int, ...] = (128, 128, 128)  # hidden layers of policy and value network
+    activation: str = "swish"
+
+    def __post_init__(self) -> None:
+        for name in ("unroll", "minibatches", "epochs"):
+            if getattr(self, name) < 1:
+                raise UsageError(f"ppo.{name} is {getattr(self, name)}; expected 1 or more")
+        if not 0.0 <= self.discount < 1.0:
+            raise UsageError(f"ppo.discount is {self.discount}; expected 0 to less than 1")
+        if self.learning_rate <= 0.0:
+            raise UsageError(f"ppo.learning-rate is {self.learning_rate}; expected more than 0")
+        if not self.hidden or min(self.hidden) < 1:
+            raise UsageError(f"ppo.hidden is {self.hidden}; expected positive layer sizes")
+
+
+@dataclass(frozen=True)
+class TrainConfig:
+    """Teach a quadruped to run. Results go to runs/NAME/."""
+
+    preset: str = "run"  # the task to start from; every other flag changes it
+    name: str | None = None  # of the run; by default, date, time and preset
+    runs: Path = Path("runs")  # the folder that holds all runs
+    steps: int = 10_000_000  # control steps, of all environments together
+    seed: int = 0  # the same seed on the same machine gives the same numbers
+    envs: int = 2048  # environments stepped at once
+    devices: int | None = None  # XLA devices to share them; by default, one per CPU core
+    checkpoint_steps: int = 2_000_000  # control steps between checkpoints
+    quiet: bool = False  # print the result only
+    robot: RobotConfig = field(default_factory=RobotConfig)
+    env: EnvConfig = field(default_factory=EnvConfig)
+    ppo: PPOConfig = field(default_factory=PPOConfig)
+
+    def __post_init__(self) -> None:
+        for name in ("steps", "envs", "checkpoint_steps"):
+            if getattr(self, name) < 1:
+                flag = name.replace("_", "-")
+                raise UsageError(f"--{flag} is {getattr(self, name)}; expected 1 or more")
+        if self.devices is not None and self.devices < 1:
+            raise UsageError(f"--devices is {self.devices}; expected 1 or more")
+        if not 0 <= self.seed < 2**32:
+            raise UsageError(f"--seed is {self.seed}; expected 0 to {2**32 - 1}")
+
+
+PRESETS = {"run": TrainConfig()}
+
+
+def to_dict(config: Any) -> dict[str, Any]:
+    """A configuration as JSON data."""
+
+    def plain(value: Any) -> Any:
+        if isinstance(value, dict):
+            return {key: plain(item) for key, item in value.items()}
+        if isinstance(value, tuple):
+            return [plain(item) for item in value]
+        return str(value) if isinstance(value, Path) else value
+
+    return plain(dataclasses.asdict(config))
+
+
+def from_dict(cls: type, data: Any, where: str = "config") -> Any:
+    """The configuration that `to_dict` wrote; `UsageError` names what does not fit."""
+    if not isinstance(data, dict):
+        raise UsageError(f"{where} is {data!r}; expected a group of settings")
+    hints = typing.get_type_hints(cls)
+    for key in data:
+        if key not in hints:
+            raise UsageError(f"{where}.{key} is not a setting of this version")
+    values = {key: _restore(hints[key], value, f"{where}.{key}") for key, value in data.items()}
+    return cls(**values)
+
+
+def _restore(hint: Any, value: Any, where: str) -> Any:
+    if dataclasses.is_dataclass(hint):
+        return from_dict(hint, value, where)  # type: ignore[arg-type]
+    if isinstance(hint, types.UnionType):
+        if value is None and type(None) in hint.__args__:
+            return None
+        hint = next(option for option in hint.__args__ if option is not type(None))
+    origin = typing.get_origin(hint) or hint
+    if origin is tuple and isinstance(value, list):
+        return tuple(_restore(hint.__args__[0], item, where) for item in value)
+    if origin is Path and isinstance(value, str):
+        return Path(value)
+    if origin is float and isinstance(value, int) and not isinstance(value, bool):
+        return float(value)
+    if not isinstance(value, origin) or (isinstance(value, bool) and origin is not bool):
+        raise UsageError(f"{where} is {value!r}; expected {getattr(hint, '__name__', hint)}")
+    return value

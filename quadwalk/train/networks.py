@@ -1,0 +1,42 @@
+"""The policy and value networks, and the policy as a function of its parameters."""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+from brax.training.acme import running_statistics
+from brax.training.agents.ppo import networks as brax_networks
+from brax.training.networks import ACTIVATION
+
+from quadwalk.errors import UsageError
+from quadwalk.train.config import PPOConfig
+
+
+def make_networks(
+    config: PPOConfig, observation_size: int, action_size: int
+) -> brax_networks.PPONetworks:
+    """Two multilayer perceptrons on normalised observations; a tanh-squashed normal policy."""
+    if config.activation not in ACTIVATION:
+        raise UsageError(
+            f"ppo.activation is {config.activation!r}; expected one of {', '.join(ACTIVATION)}"
+        )
+    return brax_networks.make_ppo_networks(
+        observation_size,
+        action_size,
+        preprocess_observations_fn=running_statistics.normalize,
+        policy_hidden_layer_sizes=config.hidden,
+        value_hidden_layer_sizes=config.hidden,
+        activation=ACTIVATION[config.activation],
+    )
+
+
+def mean_policy(
+    networks: brax_networks.PPONetworks, normalizer: Any, params: Any
+) -> Callable[[jax.Array], jax.Array]:
+    """The deterministic policy: observation (..., n) to action (..., 12) in [-1, 1]."""
+
+    def policy(observation: jax.Array) -> jax.Array:
+        logits = networks.policy_network.apply(normalizer, params, observation)
+        return networks.parametric_action_distribution.mode(logits)
+
+    return policy

@@ -1,0 +1,270 @@
+"""PPO as one jitted program: collect, then epochs of minibatches, on every device at once.
+
+The parts are Brax's maintained ones (networks, action distribution, loss with generalised
+advantage estimation, running statistics); the loop is here. Each device of the mesh steps its own
+share of the environments; gradients and statistics are averaged over devices, so every device
+holds the same learner. The learning rate follows the policy's change (KL divergence), as in
+Schulman et al. 2017, section 4, and Rudin et al. 2022, arXiv:2109.11978.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+from brax.envs.base import Env, State
+from brax.training.acme import running_statistics, specs
+from brax.training.agents.ppo import losses
+from brax.training.agents.ppo.networks import PPONetworks
+from brax.training.agents.ppo.optimizer import adaptive_kl_learning_rate
+from brax.training.types import Transition
+from jax.sharding import Mesh, NamedSharding
+from jax.sharding import PartitionSpec as P
+
+from quadwalk.train.config import PPOConfig
+
+AXIS = "devices"
+Metrics = dict[str, jax.Array]
+
+
+class Learner(NamedTuple):
+    """What learning changes; the same on every device."""
+
+    params: losses.PPONetworkParams
+    optimizer: optax.OptState
+    normalizer: running_statistics.RunningStatisticsState
+
+
+class Workers(NamedTuple):
+    """What collecting changes; leading axis: environments, or devices for `key`."""
+
+    envs: State
+    key: jax.Array  # (devices, 2) uint32
+
+
+class TrainState(NamedTuple):
+    """Everything that an iteration of training reads and writes."""
+
+    learner: Learner
+    workers: Workers
+
+
+def make_mesh(devices: list[jax.Device] | None = None) -> Mesh:
+    """A one-dimensional mesh over `devices`, by default all."""
+    return Mesh(np.array(devices or jax.devices()), (AXIS,))
+
+
+def make_optimizer(config: PPOConfig) -> optax.GradientTransformation:
+    """Adam with a learning rate that is part of its state, after clipping by global norm."""
+    return optax.chain(
+        optax.clip_by_global_norm(config.max_grad_norm),
+        optax.inject_hyperparams(optax.adam)(learning_rate=config.learning_rate),
+    )
+
+
+def reset_envs(env: Env, keys: jax.Array) -> State:
+    """A batch of fresh episodes, `keys` (n, 2), out of phase: each starts at a random step.
+
+    In phase, every episode would reach its time limit in the same iteration.
+    """
+    state = jax.vmap(env.reset)(keys)
+    phase = jax.vmap(lambda key: jax.random.randint(key, (), 0, env.config.episode_steps))(keys)
+    return state.replace(pipeline_state=state.pipeline_state._replace(steps=phase))
+
+
+def init_state(
+    env: Env, networks: PPONetworks, config: PPOConfig, mesh: Mesh, num_envs: int, seed: int
+) -> TrainState:
+    """The state before the first iteration."""
+    key_policy, key_value, key_envs, key_workers = jax.random.split(jax.random.PRNGKey(seed), 4)
+    params = losses.PPONetworkParams(
+        policy=networks.policy_network.init(key_policy),
+        value=networks.value_network.init(key_value),
+    )
+    learner = Learner(
+        params=params,
+        optimizer=make_optimizer(config).init(params),
+        normalizer=running_statistics.init_state(
+            specs.Array((env.observation_size,), jnp.dtype("float32"))
+        ),
+    )
+    split = NamedSharding(mesh, P(AXIS))
+    keys = jax.device_put(jax.random.split(key_envs, num_envs), split)
+    envs = jax.jit(
+        jax.shard_map(
+            lambda k: reset_envs(env, k),
+            mesh=mesh,
+            in_specs=P(AXIS),
+            out_specs=P(AXIS),
+            check_vma=False,
+        )
+    )(keys)
+    workers = Workers(
+        envs=envs, key=jax.device_put(jax.random.split(key_workers, mesh.size), split)
+    )
+    return TrainState(jax.device_put(learner, NamedSharding(mesh, P())), workers)
+
+
+def collect(
+    env: Env, networks: PPONetworks, config: PPOConfig, learner: Learner, workers: Workers
+) -> tuple[Workers, Transition, Metrics]:
+    """Step every environment `unroll` times with sampled actions.
+
+    Returns transitions of shape (envs, unroll, ...) and mean metrics. A finished episode is
+    followed by a fresh one. A step that meets the time limit is not a failure: what the value
+    network expects after it is added to its reward, and the step then ends the episode, which
+    equals bootstrapping through the limit.
+    """
+    policy_params, value_params = learner.params.policy, learner.params.value
+    distribution = networks.parametric_action_distribution
+
+    def one_step(envs: State, key: jax.Array) -> tuple[State, tuple[Transition, Metrics]]:
+        key_action, key_reset = jax.random.split(key)
+        logits = networks.policy_network.apply(learner.normalizer, policy_params, envs.obs)
+        raw_action = distribution.sample_no_postprocessing(logits, key_action)
+        action = distribution.postprocess(raw_action)
+        after = jax.vmap(env.step)(envs, action)
+
+        value_after = networks.value_network.apply(learner.normalizer, value_params, after.obs)
+        reward = config.reward_scale * after.reward
+        reward += config.discount * after.info["truncation"] * value_after
+        transition = Transition(
+            observation=envs.obs,
+            action=action,
+            reward=reward,
+            discount=1.0 - after.done,
+            next_observation=None,
+            extras={
+                "state_extras": {"truncation": jnp.zeros_like(after.done)},
+                "policy_extras": {
+                    "log_prob": distribution.log_prob(logits, raw_action),
+                    "raw_action": raw_action,
+                    "distribution_params": logits,
+                },
+            },
+        )
+        metrics = {
+            "reward": jnp.mean(after.reward),
+            "ended": jnp.sum(after.done),
+            "fell": jnp.sum(after.metrics["fell"]),
+            "nan": jnp.sum(after.metrics["nan"]),
+            **{
+                name: jnp.mean(value)
+                for name, value in after.metrics.items()
+                if name not in ("fell", "nan")
+            },
+        }
+        fresh = jax.vmap(env.reset)(jax.random.split(key_reset, len(after.done)))
+        return _replace_where(after.done, after, fresh), (transition, metrics)
+
+    key, key_steps = jax.random.split(workers.key[0])
+    envs, (transitions, metrics) = jax.lax.scan(
+        one_step, workers.envs, jax.random.split(key_steps, config.unroll)
+    )
+    transitions = jax.tree.map(lambda x: jnp.swapaxes(x, 0, 1), transitions)
+    # The loss needs an observation after the last step only, to bootstrap from.
+    transitions = transitions._replace(next_observation=envs.obs[:, None])
+    counts = {name: jnp.sum(metrics.pop(name)) for name in ("ended", "fell", "nan")}
+    means = {name: jnp.mean(value) for name, value in metrics.items()}
+    return (
+        Workers(envs, key[None]),
+        transitions,
+        {
+            **jax.lax.psum(counts, AXIS),
+            **jax.lax.pmean(means, AXIS),
+        },
+    )
+
+
+def _replace_where(done: jax.Array, state: State, fresh: State) -> State:
+    """`fresh` where `done`, in all that the next step reads; reward and the like stay."""
+
+    def choose(new: jax.Array, old: jax.Array) -> jax.Array:
+        return jnp.where(done.reshape(-1, *[1] * (new.ndim - 1)) > 0, new, old)
+
+    return state.replace(
+        pipeline_state=jax.tree.map(choose, fresh.pipeline_state, state.pipeline_state),
+        obs=choose(fresh.obs, state.obs),
+    )
+
+
+def learn(
+    networks: PPONetworks, config: PPOConfig, learner: Learner, data: Transition, key: jax.Array
+) -> tuple[Learner, Metrics]:
+    """Epochs of minibatch updates on `data` (envs, unroll, ...)."""
+    optimizer = make_optimizer(config)
+
+    def loss(params: losses.PPONetworkParams, batch: Transition, key: jax.Array) -> Any:
+        return losses.compute_ppo_loss(
+            params,
+            learner.normalizer,
+            batch,
+            key,
+            networks,
+            entropy_cost=config.entropy,
+            discounting=config.discount,
+            gae_lambda=config.gae_lambda,
+            clipping_epsilon=config.clip,
+            vf_coefficient=config.value,
+        )
+
+    def update(carry: tuple[Any, Any], xs: tuple[Transition, jax.Array]) -> Any:
+        params, state = carry
+        batch, key = xs
+        (_, metrics), grads = jax.value_and_grad(loss, has_aux=True)(params, batch, key)
+        grads = jax.lax.pmean(grads, AXIS)
+        metrics = jax.lax.pmean(metrics, AXIS)
+        state, rate = adaptive_kl_learning_rate(
+            state,
+            metrics["kl_mean"],
+            config.desired_kl,
+            config.min_learning_rate,
+            config.max_learning_rate,
+        )
+        updates, state = optimizer.update(grads, state, params)
+        return (optax.apply_updates(params, updates), state), {**metrics, "learning_rate": rate}
+
+    def epoch(carry: tuple[Any, Any], key: jax.Array) -> Any:
+        key_order, key_loss = jax.random.split(key)
+        order = jax.random.permutation(key_order, data.reward.shape[0])
+        batches = jax.tree.map(
+            lambda x: x[order].reshape(config.minibatches, -1, *x.shape[1:]), data
+        )
+        keys = jax.random.split(key_loss, config.minibatches)
+        return jax.lax.scan(update, carry, (batches, keys))
+
+    (params, state), metrics = jax.lax.scan(
+        epoch, (learner.params, learner.optimizer), jax.random.split(key, config.epochs)
+    )
+    # After learning: the divergence from the collecting policy is then a matter of weights alone.
+    normalizer = running_statistics.update(
+        learner.normalizer, data.observation, pmap_axis_name=AXIS
+    )
+    return Learner(params, state, normalizer), {
+        "loss/policy": jnp.mean(metrics["policy_loss"]),
+        "loss/value": jnp.mean(metrics["v_loss"]),
+        "loss/kl": jnp.mean(metrics["kl_mean"]),
+        "policy/std": metrics["policy_dist_mean_std"][-1, -1],
+        "learning_rate": metrics["learning_rate"][-1, -1],
+    }
+
+
+def make_iteration(
+    env: Env, networks: PPONetworks, config: PPOConfig, mesh: Mesh
+) -> Callable[[TrainState], tuple[TrainState, Metrics]]:
+    """One iteration of training, jitted; the state passed in is given up to the new one."""
+
+    def iterate(state: TrainState) -> tuple[TrainState, Metrics]:
+        workers, data, collected = collect(env, networks, config, state.learner, state.workers)
+        key, key_learn = jax.random.split(workers.key[0])
+        workers = workers._replace(key=key[None])
+        learner, learned = learn(networks, config, state.learner, data, key_learn)
+        return TrainState(learner, workers), {**collected, **learned}
+
+    spec = TrainState(P(), P(AXIS))
+    return jax.jit(
+        jax.shard_map(iterate, mesh=mesh, in_specs=(spec,), out_specs=(spec, P()), check_vma=False),
+        donate_argnums=0,
+    )
