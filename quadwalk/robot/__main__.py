@@ -1,37 +1,129 @@
-"""`python -m quadwalk.robot URDF [-o OUT]`: convert a URDF to MJCF."""
+"""`python -m quadwalk.robot URDF [-o OUT] [--render PNG]`: convert a URDF to MJCF, or draw it."""
 
 import argparse
+import os
 import sys
+from fnmatch import fnmatchcase
 from pathlib import Path
 
-from quadwalk.errors import UsageError, run_command
-from quadwalk.robot.legs import find_legs
-from quadwalk.robot.mjcf import build_spec, write_xml
-from quadwalk.robot.tree import build_tree
-from quadwalk.robot.urdf import UrdfError, read_urdf
+from quadwalk.errors import UsageError, UserError, run_command
+from quadwalk.robot.render import choose_backend
+
+
+def parse_arguments() -> argparse.Namespace:
+    """The command line's arguments."""
+    parser = argparse.ArgumentParser(
+        prog="python -m quadwalk.robot",
+        description="Convert a URDF to MJCF (MuJoCo XML). Any tree of links converts.",
+    )
+    add = parser.add_argument
+    add("urdf", type=Path, metavar="URDF", help="the robot's description")
+    add("-o", "--out", type=Path, metavar="XML", help="file to write (default: standard output)")
+    add("--render", type=Path, metavar="PNG", help="draw the robot in its home pose")
+    add(
+        "--mesh-dir",
+        type=Path,
+        action="append",
+        default=[],
+        metavar="DIR",
+        help="a folder that mesh files may be in, besides the URDF's; can be repeated",
+    )
+    add("--no-meshes", action="store_true", help="leave mesh shapes out")
+    add(
+        "--repair-inertia",
+        action="store_true",
+        help="replace an inertia that no body can have by the nearest valid one",
+    )
+    base = parser.add_mutually_exclusive_group()
+    base.add_argument("--floating-base", action="store_true", help="let the root link float")
+    base.add_argument("--fixed-base", action="store_true", help="fix the root link to the ground")
+    add(
+        "--rotor",
+        action="append",
+        default=[],
+        metavar="JOINTS=INERTIA,GEAR",
+        help="armature of the joints that a pattern names: rotor inertia (kg m^2) times gear^2",
+    )
+    add("-q", "--quiet", action="store_true", help="no report of what was fused, dropped, assumed")
+    add("-v", "--verbose", action="store_true", help="the report in full")
+    return parser.parse_args()
 
 
 def main() -> None:
-    """Read the arguments, convert, write."""
-    parser = argparse.ArgumentParser(
-        prog="python -m quadwalk.robot", description="Convert a URDF to MJCF (MuJoCo XML)."
+    """Read the arguments, convert, write, draw, report."""
+    arguments = parse_arguments()
+    if arguments.render is not None:
+        choose_backend()
+    # After that choice, because MuJoCo makes its own when it is imported.
+    from quadwalk.robot.legs import find_legs
+    from quadwalk.robot.mjcf import Options, convert, write_xml
+    from quadwalk.robot.render import png_bytes, render_home
+    from quadwalk.robot.urdf import UrdfError, read_urdf
+
+    for folder in arguments.mesh_dir:
+        if not folder.is_dir():
+            raise UsageError(f"--mesh-dir {folder}: is no folder; expected one")
+    urdf = read_urdf(arguments.urdf, arguments.repair_inertia)
+    joints = [joint.name for joint in urdf.robot.joints if joint.type != "fixed"]
+    options = Options(
+        floating=arguments.floating_base or (False if arguments.fixed_base else None),
+        meshes=not arguments.no_meshes,
+        mesh_folders=tuple(arguments.mesh_dir),
+        armature=armatures(arguments.rotor, joints),
     )
-    parser.add_argument("urdf", type=Path, metavar="URDF", help="the robot's description")
-    parser.add_argument("-o", "--out", type=Path, help="file to write; without it, standard output")
-    arguments = parser.parse_args()
-    urdf = read_urdf(arguments.urdf)
-    try:
-        legs = find_legs(build_tree(urdf.robot), urdf.source)
-    except UrdfError:
-        legs = None  # any tree of links converts; only training asks for a quadruped
-    xml = write_xml(build_spec(urdf, legs))
-    if arguments.out is None:
+    legs = ()
+    if not arguments.fixed_base:
+        try:
+            legs = find_legs(urdf.tree, urdf.source)
+        except UrdfError as error:
+            reason = str(error).removeprefix(f"{urdf.source}: ")
+            urdf.report.add("assumed", f"no quadruped: {reason}")
+    conversion = convert(urdf, legs, options)
+    xml = write_xml(conversion.spec)
+    if arguments.out is not None:
+        write(arguments.out, xml.encode())
+    elif arguments.render is None:
         sys.stdout.write(xml)
-        return
+    if arguments.render is not None:
+        write(arguments.render, png_bytes(render_home(conversion.spec.compile())))
+    if not arguments.quiet:
+        for line in conversion.report.lines(sys.maxsize if arguments.verbose else 4):
+            print(line, file=sys.stderr)
+
+
+def armatures(rotors: list[str], joints: list[str]) -> dict[str, float]:
+    """Armature (kg m^2) by joint from `JOINTS=INERTIA,GEAR` options, INERTIA * GEAR^2."""
+    found: dict[str, float] = {}
+    for rotor in rotors:
+        pattern, _, values = rotor.partition("=")
+        try:
+            inertia, gear = map(float, values.split(","))
+        except ValueError:
+            inertia = gear = -1.0
+        if not (0 <= inertia < 1e3 and 0 < gear < 1e4):
+            raise UsageError(
+                f"--rotor {rotor}: expected JOINTS=INERTIA,GEAR, as in '*_hip_joint=1.4e-4,8'"
+            )
+        names = [name for name in joints if fnmatchcase(name, pattern)]
+        if not names:
+            there = ", ".join(joints) or "none"
+            raise UsageError(f"--rotor {rotor}: names no moving joint; there are {there}")
+        found.update(dict.fromkeys(names, inertia * gear**2))
+    return found
+
+
+def write(path: Path, data: bytes) -> None:
+    """Write a file whole or not at all."""
+    part = path.with_name(path.name + ".part")
     try:
-        arguments.out.write_text(xml)
+        with part.open("wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        part.replace(path)
     except OSError as error:
-        raise UsageError(f"{arguments.out}: cannot be written ({error.strerror})") from None
+        part.unlink(missing_ok=True)
+        raise UserError(f"{path}: cannot be written ({error.strerror})") from None
 
 
 if __name__ == "__main__":

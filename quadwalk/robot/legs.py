@@ -96,12 +96,18 @@ def _leg(tree: Tree, name: str, chain: list[yourdfpy.Joint], source: str) -> Leg
         name=name,
         joints=tuple(joint.name for joint in chain),
         links=tuple(joint.child for joint in chain),
-        foot=link if link != calf else f"{calf}_foot",
+        foot=link if link != calf else _free_name(f"{calf}_foot", tree),
         foot_link=link,
         foot_shape=index,
         centre=centre,
         radius=radius,
     )
+
+
+def _free_name(name: str, tree: Tree) -> str:
+    while name in tree.links:
+        name += "_"
+    return name
 
 
 def joint_range(joint: yourdfpy.Joint) -> tuple[float, float]:

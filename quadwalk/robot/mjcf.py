@@ -4,21 +4,26 @@ Links that move become bodies; links that fixed joints attach are fused with the
 composed exactly and their frames kept as sites of the same name.
 """
 
+from dataclasses import dataclass, field
+from pathlib import Path
+
 import mujoco
 import numpy as np
 import yourdfpy
 
-from quadwalk.robot import inertia
+from quadwalk.robot.home import add_home, exclude_overlaps
+from quadwalk.robot.inertia import SMALLEST, body_inertia, principal, printable
 from quadwalk.robot.legs import Leg, joint_range, standing_pose, unit
-from quadwalk.robot.scene import FRICTION, add_scene, add_sun
-from quadwalk.robot.tree import Tree, build_tree, matrix
+from quadwalk.robot.report import Report
+from quadwalk.robot.scene import add_scene, add_sun
+from quadwalk.robot.shapes import Shapes, add_geom_classes, pose, unique
+from quadwalk.robot.tree import Tree
 from quadwalk.robot.urdf import Urdf
+from quadwalk.robot.validate import UrdfError
 
-VISUAL, COLLISION, FRAMES = 2, 3, 4  # geom and site groups; MuJoCo's viewer hides 3 and above
-HOME = "home"
+FRAMES = 4  # the group of the sites that mark frames; MuJoCo's viewer hides 3 and above
 FREE_JOINT = "floating_base"
 
-_Type = mujoco.mjtGeom
 _JOINT_TYPES = {
     "revolute": mujoco.mjtJoint.mjJNT_HINGE,
     "continuous": mujoco.mjtJoint.mjJNT_HINGE,
@@ -26,91 +31,193 @@ _JOINT_TYPES = {
 }
 
 
-def build_spec(urdf: Urdf, legs: tuple[Leg, ...] | None = None) -> mujoco.MjSpec:
-    """The robot on a floating base above a floor, with its `home` keyframe.
+@dataclass(frozen=True)
+class Options:
+    """What a URDF leaves to whoever converts it.
+
+    Attributes:
+        floating: whether the root link floats; None: it does, unless it is named `world`, or has
+            no `<inertial>` and the robot is no quadruped.
+        meshes: whether mesh files are read; without them, their shapes are left out.
+        mesh_folders: where they may be, besides the URDF's folder.
+        armature: kg m^2 by joint name, over what the URDF says.
+    """
+
+    floating: bool | None = None
+    meshes: bool = True
+    mesh_folders: tuple[Path, ...] = ()
+    armature: dict[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Conversion:
+    """A robot's spec, and what is to be said about how it came about."""
+
+    spec: mujoco.MjSpec
+    report: Report
+
+
+def convert(urdf: Urdf, legs: tuple[Leg, ...] = (), options: Options | None = None) -> Conversion:
+    """The robot above a floor, with its `home` keyframe; `UrdfError` where that cannot be.
 
     Args:
         urdf: what `read_urdf` returned.
         legs: for a quadruped, its legs in the order that the model's joints and actuators shall
             have; without them, joints keep the file's order and home is joint position 0.
+        options: what the URDF leaves open.
     """
-    tree = build_tree(urdf.robot)
+    options = options or Options()
+    report = urdf.report.copy()
     spec = mujoco.MjSpec()
-    spec.modelname = urdf.robot.name or "robot"
+    spec.modelname = urdf.robot.name
     spec.compiler.degree = False
     spec.compiler.autolimits = True
     # All mass is the links' <inertial>: a link without one gets none invented from its shapes.
     spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_FALSE
     spec.option.timestep = 0.002
     add_scene(spec)
-    _add_defaults(spec)
-    _add_materials(spec, urdf.robot)
-    order = {leg.links[0]: rank for rank, leg in enumerate(legs or ())}
-    builder = _Builder(spec, tree, urdf, legs or ())
-    pending = [(tree.root, spec.worldbody)]
-    while pending:
-        name, parent = pending.pop()
-        body = builder.add_body(parent, name)
-        below = sorted(tree.moving_joints(name), key=lambda joint: order.get(joint.child, -1))
-        pending.extend((joint.child, body) for joint in reversed(below))
-    builder.add_actuators()
-    builder.add_sensors()
-    _exclude_neighbours(spec, tree)
-    pose = standing_pose(tree, legs, urdf.source) if legs else None
-    _add_home(spec, pose, [leg.foot for leg in legs or ()])
-    _exclude_overlaps(spec)
-    return spec
+    add_geom_classes(spec)
+    robot = _Robot(spec, urdf, legs, options, report)
+    try:
+        robot.add_bodies()
+        robot.add_motors()
+        robot.add_sensors()
+        pose = standing_pose(urdf.tree, legs, urdf.source) if legs else None
+        add_home(spec, pose, [leg.foot for leg in legs])
+        overlaps = exclude_overlaps(spec)
+    except ValueError as error:  # MuJoCo's compiler: a flat mesh, say
+        reason = " ".join(str(error).split())
+        raise UrdfError(f"{urdf.source}: MuJoCo does not take this robot: {reason}") from None
+    for pair in overlaps:
+        report.add("assumed", "never touch, for they overlap in the home pose", pair)
+    return Conversion(spec, report)
 
 
 def write_xml(spec: mujoco.MjSpec) -> str:
-    """The MJCF text of `spec`; the same spec gives the same text."""
+    """The MJCF text of `spec`; the same spec gives the same text.
+
+    It has 6 significant digits, hence a relative error of some 1e-6 against the spec.
+    """
+    spec = spec.copy()
+    for body in spec.bodies:
+        if body.mass > 0:
+            body.inertia = printable(body.inertia)
     spec.compile()
     return spec.to_xml()
 
 
-class _Builder:
-    """The spec under construction, and what its parts need to know of each other."""
+class _Robot:
+    """The robot under construction in a spec."""
 
-    def __init__(self, spec: mujoco.MjSpec, tree: Tree, urdf: Urdf, legs: tuple[Leg, ...]):
-        self.spec, self.tree, self.urdf = spec, tree, urdf
-        self.feet = {(leg.foot_link, leg.foot_shape): leg for leg in legs}
-        self.legs = legs
-        self.materials = {m.name for m in urdf.robot.materials if m.name}
-        self.geom_names: set[str] = {leg.foot for leg in legs} | {"floor"}
+    def __init__(
+        self,
+        spec: mujoco.MjSpec,
+        urdf: Urdf,
+        legs: tuple[Leg, ...],
+        options: Options,
+        report: Report,
+    ):
+        self.spec, self.urdf, self.legs, self.options, self.report = (
+            spec, urdf, legs, options, report,
+        )  # fmt: skip
+        self.tree: Tree = urdf.tree
+        self.floating = self._is_floating()
+        folders = [folder for folder in (urdf.folder, *options.mesh_folders) if folder]
+        self.shapes = Shapes(
+            spec, urdf.robot, legs, folders if options.meshes else None, urdf.source, report
+        )
         self.joints: list[yourdfpy.Joint] = []
 
-    def add_body(self, parent: mujoco.MjsBody, name: str) -> mujoco.MjsBody:
+    def _is_floating(self) -> bool:
+        root = self.tree.root
+        whole = body_inertia(self.tree, root)
+        if root == "world" and self.options.floating is not True:
+            return False
+        floating = self.options.floating
+        if floating is None:
+            bare = all(self.tree.links[part].inertial is None for part in self.tree.parts[root])
+            floating = bool(self.legs) or not bare
+            if not floating:
+                self.report.add("assumed", "fixed to the ground, for it has no mass", root)
+        if floating and (root == "world" or whole is None or whole.mass < SMALLEST):
+            raise UrdfError(
+                f"{self.urdf.source}: link '{root}' is to float and has no mass; expected "
+                "<inertial> with a mass above 0, or a fixed base"
+            )
+        if floating and principal(whole.about_com)[0][2] < SMALLEST:
+            raise UrdfError(
+                f"{self.urdf.source}: link '{root}' floats, and its <inertia> is not positive "
+                "definite; expected principal moments above 0"
+            )
+        return floating
+
+    def add_bodies(self) -> None:
+        """Add a body per moving link, the root's first, parents before children."""
+        # A quadruped's legs in their own order, anything else in the file's.
+        rank = {leg.links[0]: i for i, leg in enumerate(self.legs)}
+        pending = [(self.tree.root, self.spec.worldbody)]
+        while pending:
+            name, parent = pending.pop()
+            body = self._add_body(parent, name)
+            below = sorted(self.tree.moving_joints(name), key=lambda j: rank.get(j.child, -1))
+            pending.extend((joint.child, body) for joint in reversed(below))
+        equalities = [joint for joint in self.joints if joint.mimic is not None]
+        for joint in equalities:
+            mimic = joint.mimic
+            follow = self.spec.add_equality(
+                name=joint.name,
+                type=mujoco.mjtEq.mjEQ_JOINT,
+                objtype=mujoco.mjtObj.mjOBJ_JOINT,
+                name1=joint.name,
+                name2=mimic.joint,
+            )
+            factor = 1.0 if mimic.multiplier is None else mimic.multiplier
+            follow.data[:2] = [mimic.offset or 0.0, factor]
+        for name in self.tree.bodies[1:]:
+            # No contact between bodies that share a joint: their shapes meet at it by design.
+            above = self.tree.body_of[self.tree.joint_above[name].parent]
+            self.spec.add_exclude(name=f"{above}-{name}", bodyname1=above, bodyname2=name)
+
+    def _add_body(self, parent: mujoco.MjsBody, name: str) -> mujoco.MjsBody:
         """Add the body of moving link (or root) `name`, with all that is fused with it."""
         tree = self.tree
-        body = parent.add_body(name=name)
+        body = parent if name == "world" else parent.add_body(name=name)
         joint = tree.joint_above.get(name)
-        if joint is None:
-            body.add_freejoint(name=FREE_JOINT)
+        if joint is not None:
+            body.pos, body.quat = pose(tree.frame_of(joint))
+            self._add_joint(body, joint)
+        elif self.floating:
+            joints = {joint.name for joint in self.urdf.robot.joints if joint.type != "fixed"}
+            body.add_freejoint(name=unique(FREE_JOINT, joints))
             add_sun(body)
         else:
-            body.pos, body.quat = _pose(tree.frame_of(joint))
-            self._add_joint(body, joint)
-        links = [(tree.links[link], tree.placement[link]) for link in tree.parts[name]]
-        parts = [inertia.link_inertia(link, placement) for link, placement in links]
-        whole = inertia.compose([part for part in parts if part is not None])
-        if whole is not None:
+            add_sun(self.spec.worldbody)
+        whole = body_inertia(tree, name)
+        if whole is not None and (joint is not None or self.floating):
             body.explicitinertial = True
             body.mass, body.ipos = whole.mass, whole.com
-            body.inertia, body.iquat = inertia.principal(whole.about_com)
-        for link, placement in links:
-            for visual in link.visuals:
-                self._add_visual(body, visual, placement)
-            for index, collision in enumerate(link.collisions):
-                self._add_collision(body, link, index, collision, placement)
-            if link.name != name:
-                pos, quat = _pose(placement)
-                leg = next((leg for leg in self.legs if leg.foot_link == link.name), None)
-                body.add_site(name=link.name, pos=pos, quat=quat, **_site_look(leg))
+            body.inertia, body.iquat = principal(whole.about_com)
+        for part in tree.parts[name]:
+            self.shapes.add_link(body, tree, part)
+            if part != name:
+                self.report.add("fused", "by fixed joints", f"{part} with {name}")
+                self._add_site(body, part, tree.placement[part])
         for leg in self.legs:
-            # A foot that is no link of its own still has its frame: the sphere's centre.
             if leg.links[2] == name == leg.foot_link:
-                body.add_site(name=leg.foot, pos=leg.centre, **_site_look(leg))
+                # A foot that is no link of its own still has its frame, in the sphere's centre.
+                frame = np.eye(4)
+                frame[:3, 3] = leg.centre
+                self._add_site(body, leg.foot, frame)
         return body
+
+    def _add_site(self, body: mujoco.MjsBody, name: str, frame: np.ndarray) -> None:
+        """Mark a frame; a foot's site encloses its sphere, as its touch sensor needs."""
+        leg = next((leg for leg in self.legs if leg.foot == name), None)
+        radius = 0.01
+        if leg is not None:
+            radius = 1.1 * leg.radius + float(np.linalg.norm(leg.centre - frame[:3, 3]))
+        pos, quat = pose(frame)
+        body.add_site(name=name, pos=pos, quat=quat, group=FRAMES, size=[radius] * 3)
 
     def _add_joint(self, body: mujoco.MjsBody, joint: yourdfpy.Joint) -> None:
         added = body.add_joint(
@@ -118,192 +225,50 @@ class _Builder:
         )
         if joint.type != "continuous":
             added.range = joint_range(joint)
-        if joint.limit is not None and joint.limit.effort is not None:
+        if joint.limit is not None and joint.limit.effort:
             added.actfrcrange = [-joint.limit.effort, joint.limit.effort]
         if joint.dynamics is not None:
             added.damping[0] = float(joint.dynamics.damping or 0)
             added.frictionloss = float(joint.dynamics.friction or 0)
-        added.armature = self.urdf.armature.get(joint.name, 0.0)
+        armature = {**self.urdf.armature, **self.options.armature}
+        added.armature = armature.get(joint.name, 0.0)
         self.joints.append(joint)
 
-    def _add_visual(self, body, visual, placement) -> None:
-        shape = _shape(visual.geometry)
-        if shape is None:
-            return
-        pos, quat = _pose(placement @ matrix(visual.origin))
-        geom = body.add_geom(
-            self.spec.find_default("visual"), type=shape[0], size=shape[1], pos=pos, quat=quat
-        )
-        material = visual.material
-        if material is not None and material.name in self.materials:
-            geom.material = material.name
-        elif material is not None and material.color is not None:
-            geom.rgba = material.color.rgba
-
-    def _add_collision(self, body, link, index, collision, placement) -> None:
-        shape = _shape(collision.geometry)
-        if shape is None:
-            return
-        leg = self.feet.get((link.name, index))
-        pos, quat = _pose(placement @ matrix(collision.origin))
-        body.add_geom(
-            self.spec.find_default("collision" if leg is None else "foot"),
-            name=leg.foot if leg else self._geom_name(link.name),
-            type=shape[0],
-            size=shape[1],
-            pos=pos,
-            quat=quat,
-        )
-
-    def _geom_name(self, link: str) -> str:
-        name, count = link, 1
-        while name in self.geom_names:
-            count += 1
-            name = f"{link}_{count}"
-        self.geom_names.add(name)
-        return name
-
-    def add_actuators(self) -> None:
-        """One torque motor per joint, within the effort limit, named after its joint."""
+    def add_motors(self) -> None:
+        """One motor per joint, named after it, of gear 1 and within the effort limit."""
         for joint in self.joints:
-            actuator = self.spec.add_actuator(
+            if joint.mimic is not None:
+                continue
+            if joint.limit is not None and joint.limit.effort == 0:
+                self.report.add("assumed", "no motor, for the effort is 0", joint.name)
+                continue
+            motor = self.spec.add_actuator(
                 name=joint.name, target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT
             )
-            actuator.set_to_motor()
-            if joint.limit is not None and joint.limit.effort is not None:
-                actuator.ctrlrange = [-joint.limit.effort, joint.limit.effort]
+            motor.set_to_motor()
+            if joint.limit is None:
+                self.report.add("assumed", "any effort, for there is no <limit>", joint.name)
+            else:
+                motor.ctrlrange = [-joint.limit.effort, joint.limit.effort]
 
     def add_sensors(self) -> None:
-        """An IMU (gyro, accelerometer, orientation) and a touch sensor per foot."""
-        site = next(
-            (n for n in self.tree.links if "imu" in n.lower() and n != self.tree.root), None
-        )
-        if site is None:
-            site = "imu"
-            self.spec.body(self.tree.root).add_site(name=site, **_site_look(None))
+        """For a floating robot an IMU: gyro, accelerometer, orientation; touch sensors in feet."""
         kinds = mujoco.mjtSensor
-        for name, kind in (
-            ("imu_gyro", kinds.mjSENS_GYRO),
-            ("imu_accelerometer", kinds.mjSENS_ACCELEROMETER),
-            ("imu_orientation", kinds.mjSENS_FRAMEQUAT),
-        ):
-            self.spec.add_sensor(
-                name=name, type=kind, objtype=mujoco.mjtObj.mjOBJ_SITE, objname=site
-            )
+        if self.floating:
+            root = self.tree.root
+            site = next((name for name in self.tree.parts[root][1:] if "imu" in name.lower()), None)
+            if site is None:
+                site = unique("imu", set(self.tree.links))
+                self._add_site(self.spec.body(root), site, np.eye(4))
+                self.report.add("assumed", "the IMU's frame, for no link is named so", root)
+            for name, kind in (
+                ("imu_gyro", kinds.mjSENS_GYRO),
+                ("imu_accelerometer", kinds.mjSENS_ACCELEROMETER),
+                ("imu_orientation", kinds.mjSENS_FRAMEQUAT),
+            ):
+                self._add_sensor(name, kind, site)
         for leg in self.legs:
-            self.spec.add_sensor(
-                name=f"{leg.foot}_touch",
-                type=kinds.mjSENS_TOUCH,
-                objtype=mujoco.mjtObj.mjOBJ_SITE,
-                objname=leg.foot,
-            )
+            self._add_sensor(f"{leg.foot}_touch", kinds.mjSENS_TOUCH, leg.foot)
 
-
-def _add_defaults(spec: mujoco.MjSpec) -> None:
-    visual = spec.add_default("visual", spec.default)
-    visual.geom.contype = visual.geom.conaffinity = 0
-    visual.geom.group = VISUAL
-    collision = spec.add_default("collision", spec.default)
-    collision.geom.group = COLLISION
-    collision.geom.friction = [FRICTION, 0.005, 0.0001]
-    collision.geom.rgba = [0.9, 0.3, 0.3, 0.5]
-    foot = spec.add_default("foot", collision)
-    # Sliding friction only: a small hard foot has next to no torsional or rolling friction.
-    foot.geom.condim = 3
-
-
-def _add_materials(spec: mujoco.MjSpec, robot: yourdfpy.Robot) -> None:
-    for material in robot.materials:
-        if material.name and material.color is not None:
-            spec.add_material(
-                name=material.name, rgba=material.color.rgba, specular=0.3, shininess=0.4
-            )
-
-
-def _shape(geometry: yourdfpy.urdf.Geometry) -> tuple[mujoco.mjtGeom, list[float]] | None:
-    """MuJoCo's geom type and size (m) of a primitive; None for a mesh."""
-    if geometry.box is not None:
-        return _Type.mjGEOM_BOX, [side / 2 for side in geometry.box.size]
-    if geometry.sphere is not None:
-        return _Type.mjGEOM_SPHERE, [geometry.sphere.radius, 0, 0]
-    if geometry.cylinder is not None:
-        return _Type.mjGEOM_CYLINDER, [geometry.cylinder.radius, geometry.cylinder.length / 2, 0]
-    return None
-
-
-def _site_look(leg: Leg | None) -> dict:
-    """A foot's site encloses its sphere, as touch sensors need; the others only mark a frame."""
-    radius = 1.1 * leg.radius if leg else 0.01
-    return {"group": FRAMES, "size": [radius] * 3}
-
-
-def _pose(frame: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Position (3,) and quaternion wxyz (4,) of a (4, 4) frame."""
-    quat = np.zeros(4)
-    mujoco.mju_mat2Quat(quat, frame[:3, :3].ravel())
-    return frame[:3, 3], quat
-
-
-def _exclude_neighbours(spec: mujoco.MjSpec, tree: Tree) -> None:
-    """No contact between bodies that share a joint: their shapes meet at it by design."""
-    for body in tree.bodies[1:]:
-        parent = tree.body_of[tree.joint_above[body].parent]
-        spec.add_exclude(name=f"{parent}-{body}", bodyname1=parent, bodyname2=body)
-
-
-def _exclude_overlaps(spec: mujoco.MjSpec) -> None:
-    """No contact between other bodies that already overlap in the home pose."""
-    model = spec.compile()
-    data = mujoco.MjData(model)
-    mujoco.mj_resetDataKeyframe(model, data, 0)
-    mujoco.mj_forward(model, data)
-    overlapping = {
-        tuple(sorted(model.geom_bodyid[contact.geom]))
-        for contact in data.contact
-        if contact.dist < 0 and model.geom_bodyid[contact.geom].all()
-    }
-    for first, second in sorted(overlapping):
-        first, second = model.body(first).name, model.body(second).name
-        spec.add_exclude(name=f"{first}-{second}", bodyname1=first, bodyname2=second)
-
-
-def _add_home(spec: mujoco.MjSpec, pose: np.ndarray | None, feet: list[str]) -> None:
-    """The keyframe `home`: the joints at `pose` and the lowest foot (or shape) just at height 0."""
-    model = spec.compile()
-    qpos = model.qpos0.copy()
-    if pose is not None:
-        qpos[7:] = pose
-    else:
-        limited = model.jnt_limited.astype(bool)
-        qpos[model.jnt_qposadr[limited]] = np.clip(0, *model.jnt_range[limited].T)
-    data = mujoco.MjData(model)
-    data.qpos[:] = qpos
-    mujoco.mj_kinematics(model, data)
-    shapes = [model.geom(foot).id for foot in feet] or [
-        geom for geom in range(model.ngeom) if model.geom_bodyid[geom] > 0
-    ]
-    if shapes:
-        qpos[2] -= min(lowest_point(model, data, geom) for geom in shapes)
-    spec.add_key(name=HOME, qpos=qpos)
-
-
-def lowest_point(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> float:
-    """Height (m, world z) of the lowest point of a geom, from `data`'s current kinematics."""
-    size = model.geom_size[geom]
-    # The direction `down` in the geom's own axes: its extent along it is the shape's support.
-    down = -data.geom_xmat[geom].reshape(3, 3)[2]
-    kind = model.geom_type[geom]
-    if kind == _Type.mjGEOM_SPHERE:
-        extent = size[0]
-    elif kind == _Type.mjGEOM_BOX:
-        extent = np.abs(down) @ size
-    elif kind == _Type.mjGEOM_CYLINDER:
-        extent = size[0] * np.hypot(down[0], down[1]) + size[1] * abs(down[2])
-    elif kind == _Type.mjGEOM_MESH:
-        mesh = model.geom_dataid[geom]
-        first = model.mesh_vertadr[mesh]
-        vertices = model.mesh_vert[first : first + model.mesh_vertnum[mesh]]
-        extent = np.max(vertices @ down)
-    else:
-        raise AssertionError(f"no URDF shape becomes a geom of type {kind}")
-    return float(data.geom_xpos[geom, 2] - extent)
+    def _add_sensor(self, name: str, kind: mujoco.mjtSensor, site: str) -> None:
+        self.spec.add_sensor(name=name, type=kind, objtype=mujoco.mjtObj.mjOBJ_SITE, objname=site)

@@ -1,16 +1,17 @@
 """A quadruped as the environments see it: names, limits, standing pose, and its two models."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import mujoco
 import numpy as np
 
 from quadwalk.paths import ALIENGO_URDF
+from quadwalk.robot.home import HOME
 from quadwalk.robot.legs import find_legs, joint_range
-from quadwalk.robot.mjcf import HOME, build_spec
-from quadwalk.robot.tree import build_tree
-from quadwalk.robot.urdf import Urdf, UrdfError, read_urdf
+from quadwalk.robot.mjcf import Options, convert
+from quadwalk.robot.urdf import Urdf, read_urdf
+from quadwalk.robot.validate import UrdfError
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,10 +73,14 @@ class Quadruped:
             if geom.classname.name == "visual":
                 spec.delete(geom)
             else:
+                if geom.type == mujoco.mjtGeom.mjGEOM_MESH:
+                    # A box around it is enough to tell whether it is under the floor.
+                    geom.type = mujoco.mjtGeom.mjGEOM_BOX
                 # Only floor against foot passes MuJoCo's test, contype of one & conaffinity of
                 # the other; feet do not meet each other.
                 geom.contype = geom.name == "floor"
                 geom.conaffinity = geom.name in self.feet
+        spec.compiler.fitaabb = True
         option = spec.option
         option.cone = mujoco.mjtCone.mjCONE_PYRAMIDAL
         # Implicit joint damping costs a second factorisation of the mass matrix each step.
@@ -104,24 +109,29 @@ class Quadruped:
         return spec.compile()
 
 
-def load_quadruped(urdf: Path = ALIENGO_URDF) -> Quadruped:
+def load_quadruped(urdf: Path = ALIENGO_URDF, options: Options | None = None) -> Quadruped:
     """Read a quadruped's URDF; raise `UrdfError` where it is not valid or not a quadruped."""
-    return quadruped_from(read_urdf(urdf))
+    return quadruped_from(read_urdf(urdf), options)
 
 
-def quadruped_from(urdf: Urdf) -> Quadruped:
+def quadruped_from(urdf: Urdf, options: Options | None = None) -> Quadruped:
     """The quadruped that a checked URDF describes; `UrdfError` says what it is instead."""
-    tree = build_tree(urdf.robot)
+    tree = urdf.tree
     legs = find_legs(tree, urdf.source)
     joints = [tree.joint_above[link] for leg in legs for link in leg.links]
     for joint in joints:
         limit = joint.limit
+        if joint.mimic is not None:
+            raise UrdfError(
+                f"{urdf.source}: joint '{joint.name}' of a leg follows another; expected a motor"
+            )
         if limit is None or not limit.effort or not limit.velocity:
             raise UrdfError(
                 f"{urdf.source}: joint '{joint.name}' has no effort or velocity limit; expected "
                 '<limit effort="..." velocity="..."> above 0, for its motor'
             )
-    spec = build_spec(urdf, legs)
+    options = options or Options()
+    spec = convert(urdf, legs, replace(options, floating=True)).spec
     ranges = np.array([joint_range(joint) for joint in joints])
     return Quadruped(
         name=urdf.robot.name,

@@ -5,7 +5,6 @@ import os
 import struct
 import sys
 import zlib
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from quadwalk.errors import UserError
@@ -59,7 +58,7 @@ def render_home(
     high = (data.geom_xpos[shapes] + reach).max(axis=0)
     camera = mujoco.MjvCamera()
     camera.lookat = (low + high) / 2
-    camera.distance = scale * 1.15 * float(np.linalg.norm(high - low))
+    camera.distance = scale * float(np.linalg.norm(high - low))
     camera.azimuth, camera.elevation = azimuth, elevation
     try:
         renderer = mujoco.Renderer(model, height, width)
@@ -79,9 +78,8 @@ def png_bytes(pixels: "np.ndarray") -> bytes:
     rows = b"".join(b"\0" + row.tobytes() for row in pixels)
 
     def chunk(kind: bytes, body: bytes) -> bytes:
-        return (
-            struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
-        )
+        checksum = zlib.crc32(kind + body)
+        return struct.pack(">I", len(body)) + kind + body + struct.pack(">I", checksum)
 
     header = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
     return b"".join(
@@ -92,8 +90,3 @@ def png_bytes(pixels: "np.ndarray") -> bytes:
             chunk(b"IEND", b""),
         ]
     )
-
-
-def write_png(path: Path, pixels: "np.ndarray") -> None:
-    """Write `pixels` (height, width, 3) uint8 as a PNG."""
-    path.write_bytes(png_bytes(pixels))

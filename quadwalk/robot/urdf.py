@@ -5,13 +5,17 @@ duplicates, NaN masses and reversed limits without a word. What reaches it here 
 """
 
 import io
+import re
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import yourdfpy
 from lxml import etree
 
-from quadwalk.errors import UserError
+from quadwalk.robot.inertia import check_inertias
+from quadwalk.robot.report import Report
+from quadwalk.robot.tree import Tree, build_tree
 from quadwalk.robot.validate import UrdfError, check_robot
 
 __all__ = ["MAX_BYTES", "Urdf", "UrdfError", "parse_urdf", "read_urdf"]
@@ -31,6 +35,7 @@ class Urdf:
         robot: yourdfpy's model of it (lengths m, angles rad, masses kg).
         armature: kg m^2 by joint name, from `<dynamics armature="...">`, an extension that other
             readers ignore. Joints without it are left out.
+        report: what reading left out or repaired.
     """
 
     source: str
@@ -38,28 +43,46 @@ class Urdf:
     text: str
     robot: yourdfpy.Robot
     armature: dict[str, float]
+    report: Report
+
+    @cached_property
+    def tree(self) -> Tree:
+        """The tree of its links."""
+        return build_tree(self.robot)
 
 
-def read_urdf(path: Path) -> Urdf:
-    """Read and check the URDF file at `path`; `UrdfError` if it is not valid."""
+def read_urdf(path: Path, repair_inertia: bool = False) -> Urdf:
+    """Read and check the URDF file at `path`; `UrdfError` if it is not valid.
+
+    With `repair_inertia`, an inertia that no body can have is replaced by the nearest valid one,
+    and the report says by how much it changed.
+    """
     path = Path(path)
     try:
         if path.is_dir():
             raise UrdfError(f"{path}: is a folder; expected a URDF file")
         with path.open("rb") as file:
             data = file.read(MAX_BYTES + 1)
-    except OSError as error:
-        raise UrdfError(
-            f"{path}: cannot be read ({error.strerror}); expected a URDF file"
-        ) from None
-    return parse_urdf(data, source=str(path), folder=path.resolve().parent)
+    except (OSError, ValueError) as error:  # ValueError: a name with a NUL in it
+        reason = getattr(error, "strerror", None) or error
+        raise UrdfError(f"{path}: cannot be read ({reason}); expected a URDF file") from None
+    return parse_urdf(data, str(path), path.resolve().parent, repair_inertia)
 
 
-def parse_urdf(data: bytes | str, source: str = "URDF", folder: Path | None = None) -> Urdf:
+def parse_urdf(
+    data: bytes | str,
+    source: str = "URDF",
+    folder: Path | None = None,
+    repair_inertia: bool = False,
+) -> Urdf:
     """Check and parse a URDF's text; `source` is what error messages call it."""
-    data = data.encode() if isinstance(data, str) else data
-    root = _parse_xml(data, source)
-    check_robot(root, source)
+    if isinstance(data, str):
+        # Text has no encoding any more, whatever its declaration says.
+        data = re.sub(r"^\s*<\?xml[^>]*\?>", "", data).encode()
+    root, text = _parse_xml(data, source)
+    report = Report()
+    for what in check_robot(root, source):
+        report.add("dropped", "extensions of other tools", what)
     model = yourdfpy.URDF.load(
         io.BytesIO(etree.tostring(root)), load_meshes=False, build_scene_graph=False
     )
@@ -68,12 +91,13 @@ def parse_urdf(data: bytes | str, source: str = "URDF", folder: Path | None = No
         for joint in root.iterfind("joint")
         if (dynamics := joint.find("dynamics")) is not None and dynamics.get("armature")
     }
-    text = data.decode(root.getroottree().docinfo.encoding or "utf-8")
-    return Urdf(source, folder, text, model.robot, armature)
+    urdf = Urdf(source, folder, text, model.robot, armature, report)
+    check_inertias(urdf.tree, source, repair_inertia, report)
+    return urdf
 
 
-def _parse_xml(data: bytes, source: str) -> etree._Element:
-    """The root element, or a `UrdfError` for anything that is not plain, complete, finite XML."""
+def _parse_xml(data: bytes, source: str) -> tuple[etree._Element, str]:
+    """The root element and the text; `UrdfError` for what is not plain, complete XML."""
     if not data.strip():
         raise UrdfError(f"{source}: is empty; expected a URDF <robot>")
     if len(data) > MAX_BYTES:
@@ -90,12 +114,11 @@ def _parse_xml(data: bytes, source: str) -> etree._Element:
     )
     try:
         root = etree.fromstring(data, parser)
-    except (etree.XMLSyntaxError, ValueError) as error:
-        reason = " ".join(str(error).split())
-        raise UrdfError(f"{source}: is not well-formed XML: {reason}") from None
-    if root.getroottree().docinfo.doctype:
+        info = root.getroottree().docinfo
+        text = data.decode(info.encoding or "utf-8")
+    except (etree.XMLSyntaxError, ValueError, LookupError) as error:
+        reason = " ".join(str(error).replace("(<string>, ", "(").split())
+        raise UrdfError(f"{source}: is not well-formed XML: {reason}; expected a URDF") from None
+    if info.doctype:
         raise UrdfError(f"{source}: has a DOCTYPE; expected a URDF without one (no entities)")
-    return root
-
-
-assert issubclass(UrdfError, UserError)
+    return root, text

@@ -1,0 +1,194 @@
+"""The shapes of a robot in its MjSpec: visual and collision geoms, their materials and meshes."""
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import yourdfpy
+
+from quadwalk.robot.legs import Leg
+from quadwalk.robot.meshes import MissingMeshError, find_mesh, load_mesh
+from quadwalk.robot.report import Report
+from quadwalk.robot.scene import FRICTION
+from quadwalk.robot.tree import Tree, matrix
+
+VISUAL, COLLISION = 2, 3  # geom groups; MuJoCo's viewer hides 3 and above
+_Type = mujoco.mjtGeom
+# Attributes of a geom (lengths in m), and the colour (4,) that comes with it, if any.
+_Piece = tuple[dict, np.ndarray | None]
+
+
+def add_geom_classes(spec: mujoco.MjSpec) -> None:
+    """Add the default classes `visual`, `collision`, and within that `foot`."""
+    visual = spec.add_default("visual", spec.default)
+    visual.geom.contype = visual.geom.conaffinity = 0
+    visual.geom.group = VISUAL
+    collision = spec.add_default("collision", spec.default)
+    collision.geom.group = COLLISION
+    collision.geom.friction = [FRICTION, 0.005, 0.0001]
+    collision.geom.rgba = [0.9, 0.3, 0.3, 0.5]
+    foot = spec.add_default("foot", collision)
+    # Sliding friction only: a small hard foot has next to no torsional or rolling friction.
+    foot.geom.condim = 3
+
+
+class Shapes:
+    """Adds the geoms of links; holds the names, materials and meshes that are already there.
+
+    Args:
+        spec: has its scene and its default classes.
+        robot: the URDF.
+        legs: of a quadruped: their feet's geoms are of class `foot`, and named like the foot.
+        folders: where mesh files may be; None leaves meshes out.
+        source: what error messages call the URDF.
+        report: takes what was left out or assumed.
+    """
+
+    def __init__(
+        self,
+        spec: mujoco.MjSpec,
+        robot: yourdfpy.Robot,
+        legs: tuple[Leg, ...],
+        folders: list[Path] | None,
+        source: str,
+        report: Report,
+    ):
+        self.spec, self.folders, self.source, self.report = spec, folders, source, report
+        self.feet = {(leg.foot_link, leg.foot_shape): leg.foot for leg in legs}
+        self.geom_names = set(self.feet.values()) | {"floor"}
+        self.mesh_names: dict[tuple, list[tuple[str, np.ndarray | None]]] = {}
+        self.materials: dict[str, str] = {}
+        self.rgba: dict[str, tuple] = {}
+        inline = [v.material for link in robot.links for v in link.visuals if v.material]
+        for material in [*robot.materials, *inline]:
+            self._add_material(material)
+        # Invisible as a whole, a robot shows its collision shapes.
+        self.invisible = not any(link.visuals for link in robot.links)
+
+    def add_link(self, body: mujoco.MjsBody, tree: Tree, name: str) -> None:
+        """Add the geoms of link `name` to the body that carries it."""
+        link, placement = tree.links[name], tree.placement[name]
+        shown = [self._add_visual(body, name, visual, placement) for visual in link.visuals]
+        stand_in = link.collisions and not any(shown) and (self.invisible or link.visuals)
+        if stand_in:
+            self.report.add("assumed", "shown by their collision shapes", name)
+        for index, collision in enumerate(link.collisions):
+            foot = self.feet.get((name, index))
+            pieces = self._pieces(name, collision.geometry, collision=True)
+            for shape, _ in pieces:
+                frame = placement @ matrix(collision.origin)
+                geom = self._add(body, "foot" if foot else "collision", shape, frame)
+                geom.name = foot or self._geom_name(name)
+                if stand_in:
+                    twin = self._add(body, "visual", shape, frame)
+                    self._paint(twin, link.visuals[0].material if link.visuals else None, None)
+
+    def _add_visual(self, body, name: str, visual, placement: np.ndarray) -> bool:
+        """Add a visual shape; False if there is nothing of it to show."""
+        pieces = self._pieces(name, visual.geometry, collision=False)
+        for shape, rgba in pieces:
+            geom = self._add(body, "visual", shape, placement @ matrix(visual.origin))
+            self._paint(geom, visual.material, rgba)
+        return bool(pieces)
+
+    def _add(self, body, kind: str, shape: dict, frame: np.ndarray) -> mujoco.MjsGeom:
+        pos, quat = pose(frame)
+        return body.add_geom(self.spec.find_default(kind), pos=pos, quat=quat, **shape)
+
+    def _pieces(self, name: str, geometry, collision: bool) -> list[_Piece]:
+        """The geoms that make up a shape; a mesh may be several."""
+        if geometry.box is not None:
+            size, kind = geometry.box.size / 2, _Type.mjGEOM_BOX
+        elif geometry.sphere is not None:
+            size, kind = [geometry.sphere.radius, 0, 0], _Type.mjGEOM_SPHERE
+        elif geometry.cylinder is not None:
+            cylinder = geometry.cylinder
+            size, kind = [cylinder.radius, cylinder.length / 2, 0], _Type.mjGEOM_CYLINDER
+        else:
+            return self._mesh_pieces(name, geometry.mesh, collision)
+        if not collision and min(np.trim_zeros(size, "b"), default=0) <= 0:
+            self.report.add("dropped", "visual shapes of size 0", name)
+            return []
+        return [({"type": kind, "size": size}, None)]
+
+    def _mesh_pieces(self, name: str, mesh, collision: bool) -> list[_Piece]:
+        kind = "collision" if collision else "visual"
+        if self.folders is None:
+            self.report.add("dropped", f"{kind} meshes", mesh.filename)
+            return []
+        try:
+            file = find_mesh(mesh.filename, self.folders, self.source)
+        except MissingMeshError:
+            if collision:  # without its shapes a robot falls through the floor
+                raise
+            self.report.add("dropped", "visual meshes that were not found", mesh.filename)
+            return []
+        scale = np.ones(3) * (1.0 if mesh.scale is None else mesh.scale)
+        if collision:
+            self.report.add("assumed", "meshes collide as their convex hulls", name)
+        pieces = self._load(file, scale)
+        return [({"type": _Type.mjGEOM_MESH, "meshname": mesh}, rgba) for mesh, rgba in pieces]
+
+    def _load(self, file: Path, scale: np.ndarray) -> list[tuple[str, np.ndarray | None]]:
+        """The names of the meshes that a file holds, added on first use with their data inline."""
+        key = (file, tuple(scale))
+        if key not in self.mesh_names:
+            self.mesh_names[key] = []
+            taken = {mesh.name for mesh in self.spec.meshes}
+            for part in load_mesh(file, scale, self.source):
+                name = unique(file.stem, taken)
+                taken.add(name)
+                self.spec.add_mesh(
+                    name=name,
+                    uservert=part.vertices.ravel(),
+                    userface=part.faces.ravel(),
+                    # No mass comes from meshes; this one needs no closed surface.
+                    inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
+                )
+                self.mesh_names[key].append((name, part.rgba))
+        return self.mesh_names[key]
+
+    def _add_material(self, material: yourdfpy.Material) -> None:
+        if material.texture is not None:
+            self.report.add("dropped", "textures", material.texture.filename)
+        if not material.name or material.color is None or material.name in self.materials:
+            return
+        name = unique(material.name, {"floor"} | set(self.materials.values()))
+        self.spec.add_material(name=name, rgba=material.color.rgba, specular=0.3, shininess=0.4)
+        self.materials[material.name] = name
+        self.rgba[material.name] = tuple(material.color.rgba)
+
+    def _paint(self, geom, material, rgba: np.ndarray | None) -> None:
+        """Give a geom the URDF's material, or else the colour `rgba` that came with its mesh."""
+        if material is not None and material.name in self.materials:
+            same = material.color is None or tuple(material.color.rgba) == self.rgba[material.name]
+            if same:
+                geom.material = self.materials[material.name]
+                return
+        if material is not None and material.color is not None:
+            geom.rgba = material.color.rgba
+        elif rgba is not None:
+            geom.rgba = rgba
+        elif material is not None and material.name:
+            self.report.add("assumed", "materials that are not defined are grey", material.name)
+
+    def _geom_name(self, link: str) -> str:
+        name = unique(link, self.geom_names)
+        self.geom_names.add(name)
+        return name
+
+
+def unique(name: str, taken: set[str]) -> str:
+    """`name`, or with the first number from 2 that makes it new."""
+    candidate, count = name, 1
+    while candidate in taken:
+        count += 1
+        candidate = f"{name}_{count}"
+    return candidate
+
+
+def pose(frame: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Position (3,) and quaternion wxyz (4,) of a (4, 4) frame."""
+    quat = np.zeros(4)
+    mujoco.mju_mat2Quat(quat, frame[:3, :3].ravel())
+    return frame[:3, 3], quat
