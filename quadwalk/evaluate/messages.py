@@ -7,7 +7,7 @@ at its start. The `foxglove.*` messages: https://docs.foxglove.dev/docs/sdk/sche
 Numbers are written to within a millionth of their value (`precision.compact`).
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,6 +20,7 @@ from google.protobuf.message import Message
 from google.protobuf.timestamp_pb2 import Timestamp
 
 from quadwalk.evaluate import kinematics
+from quadwalk.evaluate.kinematics import GRAVITY
 from quadwalk.evaluate.precision import compact
 from quadwalk.evaluate.rollout import Rollout
 from quadwalk.evaluate.scene import SCENE_PERIOD, SceneWriter
@@ -27,7 +28,6 @@ from quadwalk.evaluate.typed import field_names, message_type
 from quadwalk.robot.quadruped import Quadruped
 
 WORLD = "world"
-GRAVITY = 9.81  # m/s^2, for the accelerometer and for the scale of the force arrows
 
 _BLOCK = 256  # rows turned into messages at a time, so memory does not grow with the episode
 
@@ -58,10 +58,10 @@ class _Typed:
         return self.message.SerializeToString()
 
 
-def _typed(name: str, numbers: list[str], flags: list[str] | None = None) -> _Typed:
-    names = field_names([*numbers, *(flags or ())])
-    numbers, flags = names[: len(numbers)], names[len(numbers) :]
-    return _Typed(message_type(name, numbers, flags)(), numbers, flags)
+def _typed(name: str, numbers: Sequence[str], flags: Sequence[str] = ()) -> _Typed:
+    names = field_names([*numbers, *flags])
+    first, rest = names[: len(numbers)], names[len(numbers) :]
+    return _Typed(message_type(name, first, rest)(), first, rest)
 
 
 class EpisodeMessages:

@@ -24,7 +24,7 @@ from quadwalk.evaluate import mcap as writing
 from quadwalk.evaluate.kinematics import foot_positions, read_tree, world_poses
 from quadwalk.evaluate.mcap import LAYOUT, verify_mcap, write_mcap
 from quadwalk.evaluate.precision import RELATIVE_ERROR
-from quadwalk.evaluate.rollout import Rollout
+from quadwalk.evaluate.trim import first_steps
 
 METADATA = {"version": "1.2.3", "config": '{"seed": 7}'}
 CLOSE = {"rtol": 1.01 * RELATIVE_ERROR, "atol": 1e-12}
@@ -57,17 +57,6 @@ def read(path: Path) -> dict[str, list]:
                     for _, _, message, decoded in reader.iter_decoded_messages(topics=[topic])
                 ]
     return result
-
-
-def truncated(rollout: Rollout, steps: int, **changes) -> Rollout:
-    """The first `steps` steps of a rollout."""
-    cut = {
-        field.name: getattr(rollout, field.name)[: steps + field.name.startswith("q")]
-        for field in dataclasses.fields(rollout)
-        if isinstance(getattr(rollout, field.name), np.ndarray)
-    }
-    terms = {name: values[:steps] for name, values in rollout.reward_terms.items()}
-    return dataclasses.replace(rollout, **cut, reward_terms=terms, **changes)
 
 
 # What the file says
@@ -273,7 +262,7 @@ def test_the_layout_shows_only_what_is_in_the_file(messages):
 )
 def test_the_log_tells_how_it_ended(trot, quadruped, tmp_path, end, level, text):
     path = tmp_path / "a.mcap"
-    write_mcap(path, truncated(trot, 10, end=end, episode=4), quadruped, {})
+    write_mcap(path, dataclasses.replace(first_steps(trot, 10), end=end, episode=4), quadruped, {})
     (start, reset), (stop, final) = read(path)["/log"]
     assert (start, reset.message) == (0, "reset: episode 4, seed 0")
     assert (stop, final.message) == (200_000_000, text)
@@ -298,7 +287,7 @@ def test_a_state_that_is_not_finite_ends_the_recording(trot, quadruped, tmp_path
 
 
 def test_no_step_at_all(trot, quadruped, tmp_path):
-    write_mcap(tmp_path / "a.mcap", truncated(trot, 0), quadruped, {})
+    write_mcap(tmp_path / "a.mcap", first_steps(trot, 0), quadruped, {})
     found = read(tmp_path / "a.mcap")
     assert {topic: len(of) for topic, of in found.items()} == {
         "/robot_description": 1,
