@@ -7,6 +7,7 @@ asymmetrical gaits", J. Mammalogy 58, 1977; Alexander, "The gaits of bipedal and
 animals", Int. J. Robotics Research 3, 1984).
 """
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -62,7 +63,7 @@ def without_chatter(contact: np.ndarray, dt: float) -> np.ndarray:
     for foot in cleaned.T:
         for state in (False, True):
             edges = np.flatnonzero(foot[1:] != foot[:-1]) + 1
-            for start, end in zip(edges[:-1], edges[1:], strict=True):
+            for start, end in itertools.pairwise(edges):
                 if foot[start] == state and end - start <= longest:
                     foot[start:end] = not state
     return cleaned
