@@ -62,8 +62,12 @@ def simulate(quadruped: Quadruped) -> Callable[..., Rollout]:
         arrays = {name: np.array(values, dtype=np.float32) for name, values in rows.items()}
         states, rates = np.array(qpos, dtype=np.float32), np.array(qvel, dtype=np.float32)
         actions = ((arrays["target"] - quadruped.home[7:]) / 0.6).astype(np.float32)
-        seen = np.concatenate([rates[:-1, :6], states[:-1, 3:] - quadruped.home[3:]], axis=1)
-        seen = np.concatenate([seen, rates[:-1, 6:], np.roll(actions, 1, axis=0)], axis=1)
+        heading = 2 * np.arctan2(states[:, 6:7], states[:, 3:4])
+        joints = states[:-1, 7:] - quadruped.home[7:]
+        last = np.roll(actions, 1, axis=0)
+        # As many numbers, and as noisy, as a policy sees.
+        seen = [rates[:-1, :6], states[:-1, 3:6], heading[:-1], states[:-1, 1:2]]
+        seen = np.concatenate([*seen, joints, rates[:-1, 6:], last], axis=1).astype(np.float32)
         terms = {
             "forward": rates[1:, 0],
             "alive": np.ones(steps, dtype=np.float32),
@@ -71,6 +75,10 @@ def simulate(quadruped: Quadruped) -> Callable[..., Rollout]:
             "lateral": np.abs(rates[1:, 1]),
             "vertical": rates[1:, 2] ** 2,
             "turning": np.abs(rates[1:, 3:5]).sum(axis=1),
+            "yaw": np.abs(heading[1:, 0]),
+            "offset": np.abs(states[1:, 1]),
+            "tilt": (states[1:, 4:6] ** 2).sum(axis=1),
+            "fall": np.zeros(steps, dtype=np.float32),
             "action_rate": (np.diff(actions, axis=0, prepend=actions[:1]) ** 2).mean(axis=1),
         }
         return Rollout(
