@@ -23,6 +23,7 @@ class RobotConfig:
 class PPOConfig:
     """The learner: proximal policy optimisation (Schulman et al. 2017, arXiv:1707.06347)."""
 
+    judges: int = 64  # environments beside the others that act without noise: how good it is
     unroll: int = 24  # control steps of each environment in an iteration
     minibatches: int = 4  # the iteration's data is cut into so many
     epochs: int = 5  # passes over the data
@@ -33,6 +34,7 @@ class PPOConfig:
     discount: float = 0.97
     gae_lambda: float = 0.95  # of generalised advantage estimation
     clip: float = 0.2  # of the probability ratio
+    noise: float = 0.35  # standard deviation of actions at the start, before the tanh
     entropy: float = 0.005  # weight of the entropy bonus
     value: float = 1.0  # weight of the value loss
     max_grad_norm: float = 1.0
@@ -41,7 +43,7 @@ class PPOConfig:
     activation: str = "swish"
 
     def __post_init__(self) -> None:
-        for name in ("unroll", "minibatches", "epochs"):
+        for name in ("judges", "unroll", "minibatches", "epochs"):
             if getattr(self, name) < 1:
                 raise UsageError(f"ppo.{name} is {getattr(self, name)}; expected 1 or more")
         if not 0.0 <= self.discount < 1.0:

@@ -17,6 +17,9 @@ def set_up_devices(count: int | None) -> int:
 
     MJX on one XLA device leaves most of a second core idle. Must run before JAX computes anything.
     """
+    # XLA kills a process whose devices wait long for each other, as they do when a laptop sleeps.
+    patience = "--xla_cpu_collective_call_terminate_timeout_seconds=86400"
+    os.environ["XLA_FLAGS"] = f"{patience} {os.environ.get('XLA_FLAGS', '')}".strip()
     import jax
 
     jax.config.update("jax_num_cpu_devices", count or cpu_cores())

@@ -4,8 +4,10 @@ from collections.abc import Callable
 from typing import Any
 
 import jax
+import numpy as np
 from brax.training.acme import running_statistics
 from brax.training.agents.ppo import networks as brax_networks
+from brax.training.distribution import NormalTanhDistribution
 from brax.training.networks import ACTIVATION
 
 from quadwalk.errors import UsageError
@@ -20,7 +22,7 @@ def make_networks(
         raise UsageError(
             f"ppo.activation is {config.activation!r}; expected one of {', '.join(ACTIVATION)}"
         )
-    return brax_networks.make_ppo_networks(
+    networks = brax_networks.make_ppo_networks(
         observation_size,
         action_size,
         preprocess_observations_fn=running_statistics.normalize,
@@ -28,6 +30,9 @@ def make_networks(
         value_hidden_layer_sizes=config.hidden,
         activation=ACTIVATION[config.activation],
     )
+    # Brax starts with a standard deviation of softplus(0) = 0.69 before the squashing.
+    distribution = NormalTanhDistribution(action_size, var_scale=config.noise / np.log(2.0))
+    return networks.replace(parametric_action_distribution=distribution)
 
 
 def mean_policy(

@@ -21,6 +21,7 @@ class Policy:
     act: Callable[[jax.Array], jax.Array]  # observation (..., n) to action (..., 12)
     config: TrainConfig
     joints: tuple[str, ...]  # of the robot it was trained on
+    observation_size: int
     steps: int  # control steps of training behind it
 
 
@@ -58,4 +59,5 @@ def load_policy(path: Path) -> Policy:
         "policy": jax.eval_shape(networks.policy_network.init, jax.random.PRNGKey(0)),
     }
     tree, _ = checkpoint.load(path, "policy", like)
-    return Policy(mean_policy(networks, tree["normalizer"], tree["policy"]), config, joints, steps)
+    act = mean_policy(networks, tree["normalizer"], tree["policy"])
+    return Policy(act, config, joints, size, steps)

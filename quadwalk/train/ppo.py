@@ -35,6 +35,7 @@ class Learner(NamedTuple):
     params: losses.PPONetworkParams
     optimizer: optax.OptState
     normalizer: running_statistics.RunningStatisticsState
+    iterations: jax.Array  # () int32, done so far
 
 
 class Workers(NamedTuple):
@@ -77,7 +78,7 @@ def reset_envs(env: Env, keys: jax.Array) -> State:
 def init_state(
     env: Env, networks: PPONetworks, config: PPOConfig, mesh: Mesh, num_envs: int, seed: int
 ) -> TrainState:
-    """The state before the first iteration."""
+    """The state before the first iteration; `num_envs` learn from, and the judges beside them."""
     key_policy, key_value, key_envs, key_workers = jax.random.split(jax.random.PRNGKey(seed), 4)
     params = losses.PPONetworkParams(
         policy=networks.policy_network.init(key_policy),
@@ -89,9 +90,10 @@ def init_state(
         normalizer=running_statistics.init_state(
             specs.Array((env.observation_size,), jnp.dtype("float32"))
         ),
+        iterations=jnp.zeros((), jnp.int32),
     )
     split = NamedSharding(mesh, P(AXIS))
-    keys = jax.device_put(jax.random.split(key_envs, num_envs), split)
+    keys = jax.device_put(jax.random.split(key_envs, num_envs + config.judges), split)
     envs = jax.jit(
         jax.shard_map(
             lambda k: reset_envs(env, k),
@@ -110,21 +112,25 @@ def init_state(
 def collect(
     env: Env, networks: PPONetworks, config: PPOConfig, learner: Learner, workers: Workers
 ) -> tuple[Workers, Transition, Metrics]:
-    """Step every environment `unroll` times with sampled actions.
+    """Step every environment `unroll` times, with sampled actions or, the judges, with the mean.
 
-    Returns transitions of shape (envs, unroll, ...) and mean metrics. A finished episode is
-    followed by a fresh one. A step that meets the time limit is not a failure: what the value
+    Returns the transitions (envs, unroll, ...) of those that sample, and metrics: means per step,
+    and counts of episodes; the judges' are named "judge/...". A finished episode is followed by a
+    fresh one. A step that meets the time limit is not a failure: what the value
     network expects after it is added to its reward, and the step then ends the episode, which
     equals bootstrapping through the limit.
     """
     policy_params, value_params = learner.params.policy, learner.params.value
     distribution = networks.parametric_action_distribution
+    judges = config.judges // jax.lax.axis_size(AXIS)
+    learners = len(workers.envs.done) - judges
+    judging = jnp.arange(learners + judges)[:, None] >= learners
 
     def one_step(envs: State, key: jax.Array) -> tuple[State, tuple[Transition, Metrics]]:
         key_action, key_reset = jax.random.split(key)
         logits = networks.policy_network.apply(learner.normalizer, policy_params, envs.obs)
         raw_action = distribution.sample_no_postprocessing(logits, key_action)
-        action = distribution.postprocess(raw_action)
+        action = jnp.where(judging, distribution.mode(logits), distribution.postprocess(raw_action))
         after = jax.vmap(env.step)(envs, action)
 
         value_after = networks.value_network.apply(learner.normalizer, value_params, after.obs)
@@ -146,16 +152,16 @@ def collect(
             },
         )
         metrics = {
-            "reward": jnp.mean(after.reward),
-            "ended": jnp.sum(after.done),
-            "fell": jnp.sum(after.metrics["fell"]),
-            "nan": jnp.sum(after.metrics["nan"]),
-            **{
-                name: jnp.mean(value)
-                for name, value in after.metrics.items()
-                if name not in ("fell", "nan")
-            },
+            "reward": jnp.mean(after.reward[:learners]),
+            **{name: jnp.mean(value[:learners]) for name, value in after.metrics.items()},
+            "judge/speed": jnp.mean(after.metrics["speed"][learners:]),
+            "count/ended": jnp.sum(after.done[:learners]),
+            "count/fell": jnp.sum(after.metrics["fell"][:learners]),
+            "count/nan": jnp.sum(after.metrics["nan"]),
+            "judge/count/ended": jnp.sum(after.done[learners:]),
+            "judge/count/fell": jnp.sum(after.metrics["fell"][learners:]),
         }
+        transition = jax.tree.map(lambda x: x[:learners], transition)
         fresh = jax.vmap(env.reset)(jax.random.split(key_reset, len(after.done)))
         return _replace_where(after.done, after, fresh), (transition, metrics)
 
@@ -165,9 +171,9 @@ def collect(
     )
     transitions = jax.tree.map(lambda x: jnp.swapaxes(x, 0, 1), transitions)
     # The loss needs an observation after the last step only, to bootstrap from.
-    transitions = transitions._replace(next_observation=envs.obs[:, None])
-    counts = {name: jnp.sum(metrics.pop(name)) for name in ("ended", "fell", "nan")}
-    means = {name: jnp.mean(value) for name, value in metrics.items()}
+    transitions = transitions._replace(next_observation=envs.obs[:learners, None])
+    counts = {name: jnp.sum(value) for name, value in metrics.items() if "count/" in name}
+    means = {name: jnp.mean(value) for name, value in metrics.items() if name not in counts}
     return (
         Workers(envs, key[None]),
         transitions,
@@ -193,7 +199,11 @@ def _replace_where(done: jax.Array, state: State, fresh: State) -> State:
 def learn(
     networks: PPONetworks, config: PPOConfig, learner: Learner, data: Transition, key: jax.Array
 ) -> tuple[Learner, Metrics]:
-    """Epochs of minibatch updates on `data` (envs, unroll, ...)."""
+    """Epochs of minibatch updates on `data` (envs, unroll, ...).
+
+    The first call measures the observations and no more: a policy that had learnt on raw ones
+    would change beyond recognition when they are normalised.
+    """
     optimizer = make_optimizer(config)
 
     def loss(params: losses.PPONetworkParams, batch: Transition, key: jax.Array) -> Any:
@@ -238,11 +248,17 @@ def learn(
     (params, state), metrics = jax.lax.scan(
         epoch, (learner.params, learner.optimizer), jax.random.split(key, config.epochs)
     )
+    first = learner.iterations == 0
+    params, state = jax.tree.map(
+        lambda old, new: jnp.where(first, old, new),
+        (learner.params, learner.optimizer),
+        (params, state),
+    )
     # After learning: the divergence from the collecting policy is then a matter of weights alone.
     normalizer = running_statistics.update(
         learner.normalizer, data.observation, pmap_axis_name=AXIS
     )
-    return Learner(params, state, normalizer), {
+    return Learner(params, state, normalizer, learner.iterations + 1), {
         "loss/policy": jnp.mean(metrics["policy_loss"]),
         "loss/value": jnp.mean(metrics["v_loss"]),
         "loss/kl": jnp.mean(metrics["kl_mean"]),

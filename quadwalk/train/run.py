@@ -45,6 +45,10 @@ class Run:
         return self.path / "config.json"
 
     @property
+    def urdf(self) -> Path:
+        return self.path / "robot.urdf"
+
+    @property
     def metrics(self) -> Path:
         return self.path / "metrics.jsonl"
 

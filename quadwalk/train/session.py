@@ -1,6 +1,5 @@
 """A training from start to end: set up, iterate, keep what is learnt, show how it goes."""
 
-import collections
 import contextlib
 import signal
 import threading
@@ -11,14 +10,16 @@ from types import FrameType
 from typing import Any
 
 from quadwalk.errors import UsageError
+from quadwalk.files import replacing
 from quadwalk.train.config import TrainConfig, to_dict
 from quadwalk.train.log import MetricsLog, read_history
+from quadwalk.train.metrics import TrainingMetrics
 from quadwalk.train.progress import Progress
 from quadwalk.train.run import Run, create_run, keep_last, write_json_atomic
+from quadwalk.train.versions import versions
 
 KEPT_CHECKPOINTS = 3
 CURVE_SECONDS = 30.0  # the learning curve is drawn anew this often
-FALL_EPISODES = 512  # the share of falls is over about this many of the last episodes
 
 
 def train(config: TrainConfig) -> Run:
@@ -42,6 +43,9 @@ def train(config: TrainConfig) -> Run:
         env = QuadrupedEnv(quadruped, config.env)
         networks = make_networks(config.ppo, env.observation_size, env.action_size)
         run = create_run(config.runs, config.name, label=config.preset)
+        # The run keeps its own copy: what it learnt stays true to it when the original changes.
+        with replacing(run.urdf) as file:
+            file.write(quadruped.urdf.encode())
         write_json_atomic(run.config, {"config": to_dict(config), "versions": versions()})
         progress.message(
             f"{quadruped.name}: {config.envs} environments on {devices} devices, into {run.path}"
@@ -64,12 +68,12 @@ def train(config: TrainConfig) -> Run:
         steps, saved = 0, 0
         began = time.monotonic()
         drawn = began
-        falls = FallRate(FALL_EPISODES)
+        metrics = TrainingMetrics(config.env.reward)
         with MetricsLog(run) as log:
             while steps < config.steps and not stop.is_set():
                 state, numbers = iterate(state)
                 steps += batch
-                row = training_row(steps, numbers, falls)
+                row = metrics.row(steps, numbers)
                 elapsed = time.monotonic() - began
                 log.append(row, {"time/elapsed": elapsed, "time/steps_per_second": steps / elapsed})
                 progress.update(steps, row, elapsed)
@@ -90,49 +94,11 @@ def train(config: TrainConfig) -> Run:
     return run
 
 
-class FallRate:
-    """The share of falls among the last episodes that ended."""
-
-    def __init__(self, episodes: int) -> None:
-        self._episodes = episodes
-        self._counts: collections.deque[tuple[float, float]] = collections.deque()
-
-    def add(self, fell: float, ended: float) -> float:
-        """Count one iteration's episodes; return the share, NaN before any has ended."""
-        self._counts.append((fell, ended))
-        while sum(ended for _, ended in self._counts) - self._counts[0][1] >= self._episodes:
-            self._counts.popleft()
-        total = sum(ended for _, ended in self._counts)
-        return sum(fell for fell, _ in self._counts) / total if total else float("nan")
-
-
-def training_row(steps: int, numbers: Any, falls: FallRate) -> dict[str, float]:
-    """One line of metrics from what an iteration returned."""
-    values = {name: float(value) for name, value in numbers.items()}
-    return {
-        "steps": steps,
-        "train/reward": values.pop("reward"),
-        "train/speed": values.pop("speed"),
-        "train/fall_rate": falls.add(values.pop("fell"), values.pop("ended")),
-        "train/nan": values.pop("nan"),
-        **{
-            (f"train/{name}" if name.startswith("reward/") else name): value
-            for name, value in values.items()
-        },
-    }
-
-
-def versions() -> dict[str, str]:
-    """Versions of what a run's numbers depend on."""
-    import importlib.metadata
-    import platform
-
-    packages = ("quadwalk", "mujoco", "mujoco-mjx", "jax", "jaxlib", "brax", "flax", "optax")
-    found = {name: importlib.metadata.version(name) for name in packages}
-    return {"python": platform.python_version(), **found}
-
-
 def _check_split(config: TrainConfig, devices: int) -> None:
+    if config.ppo.judges % devices:
+        raise UsageError(
+            f"--ppo.judges is {config.ppo.judges}; expected a multiple of {devices}, the devices"
+        )
     share = devices * config.ppo.minibatches
     if config.envs % share:
         raise UsageError(

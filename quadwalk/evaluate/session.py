@@ -1,0 +1,97 @@
+"""An evaluation from start to end: load, roll out, measure, write."""
+
+import dataclasses
+import datetime
+import json
+import time
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from quadwalk.errors import UserError
+from quadwalk.evaluate.__main__ import EvalConfig
+from quadwalk.files import why
+from quadwalk.train.run import Run, find_run, write_json_atomic
+
+
+def evaluate(config: EvalConfig) -> dict[str, Any]:
+    """Evaluate as `config` says; return what metrics.json holds."""
+    run = find_run(config.runs, config.run)
+    out = _make_output(config, run)
+    # On stderr: what is printed on stdout is the result alone.
+    console = Console(stderr=True, highlight=False)
+    console.print(f"evaluating {run.path}, {config.episodes} episodes in {config.engine}")
+
+    from quadwalk.env.quadruped import QuadrupedEnv
+    from quadwalk.evaluate.mcap import write_mcap
+    from quadwalk.evaluate.simulate import simulate_episodes
+    from quadwalk.evaluate.summary import episode_figures, print_table, summarise
+    from quadwalk.robot.quadruped import load_quadruped
+    from quadwalk.train import checkpoint
+    from quadwalk.train.config import to_dict
+    from quadwalk.train.devices import set_up_devices
+    from quadwalk.train.policy import load_policy
+    from quadwalk.train.versions import versions
+
+    set_up_devices(None)
+    policy = load_policy(run.policy)
+    quadruped = load_quadruped(run.urdf)
+    env_config = dataclasses.replace(policy.config.env, episode_seconds=config.seconds)
+    env = QuadrupedEnv(quadruped, env_config)
+    if quadruped.joints != policy.joints or env.observation_size != policy.observation_size:
+        raise UserError(
+            f"{run.policy} was trained on another robot than {run.urdf}: it has joints "
+            f"{', '.join(policy.joints)} and {policy.observation_size} observations"
+        )
+
+    began = time.monotonic()
+    with console.status("simulating"):
+        rollouts = simulate_episodes(
+            env,
+            policy.act,
+            config.episodes,
+            config.seed,
+            config.engine,  # type: ignore[arg-type]
+        )
+    episodes = [episode_figures(rollout, env_config.reward) for rollout in rollouts]
+    summary = summarise(episodes)
+    simulated = sum(rollout.steps for rollout in rollouts) * env_config.control_dt
+    console.print(f"{simulated:,.0f} s simulated in {time.monotonic() - began:.1f} s")
+    print_table(summary, f"{run.name}, {policy.steps:,} steps of training, engine {config.engine}")
+
+    provenance = {
+        "run": run.name,
+        "engine": config.engine,
+        "seed": config.seed,
+        "seconds": config.seconds,
+        "training_steps": policy.steps,
+        "policy_sha256": checkpoint.sha256(run.policy),
+        "versions": versions(),
+    }
+    results = {**provenance, "summary": summary, "episodes": episodes}
+    write_json_atomic(out / "metrics.json", results)
+    metadata = {
+        name: value if isinstance(value, str) else json.dumps(value)
+        for name, value in provenance.items()
+    }
+    metadata["config"] = json.dumps(to_dict(policy.config))
+    with console.status("writing"):
+        for rollout in rollouts[: config.mcap]:
+            path = out / f"episode_{rollout.episode:03d}.mcap"
+            write_mcap(path, rollout, quadruped, metadata)
+    console.print(f"written to {out}: metrics.json, {len(rollouts[: config.mcap])} MCAP files")
+    if rollouts[: config.mcap]:
+        console.print(f"see it with: rerun {out / 'episode_000.mcap'}, or open it in Foxglove")
+    return results
+
+
+def _make_output(config: EvalConfig, run: Run) -> Path:
+    """The folder for the results, made."""
+    name = f"{datetime.datetime.now():%Y-%m-%d_%H%M%S}-{config.engine}"
+    out = config.out or run.path / "eval" / name
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UserError(f"cannot make the folder for results, {out}: {why(error)}") from error
+    return out

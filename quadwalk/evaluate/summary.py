@@ -1,0 +1,104 @@
+"""Figures of many episodes: each one's, and over all of them the mean with its uncertainty."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from quadwalk.env.config import RewardConfig
+from quadwalk.evaluate.rollout import Rollout
+
+# name in metrics.json, heading in the table, unit
+FIGURES = (
+    ("speed", "speed along x", "m/s"),
+    ("distance", "distance along x", "m"),
+    ("sideways", "sideways drift", "m"),
+    ("heading", "mean heading error", "deg"),
+    ("duration", "episode length", "s"),
+    ("energy_per_metre", "energy per metre", "J/m"),
+    ("reward", "reward per step", ""),
+)
+
+
+def episode_figures(rollout: Rollout, scales: RewardConfig) -> dict[str, Any]:
+    """Figures of one episode.
+
+    speed: distance along world x over duration, m/s, from a standing start. sideways: |y| gained,
+    m. heading: mean |yaw|, deg. energy_per_metre: positive mechanical work of the motors over
+    distance, J/m. reward/NAME: mean per step of a scaled term.
+    """
+    duration = rollout.steps * rollout.control_dt
+    distance, sideways = rollout.qpos[-1, :2] - rollout.qpos[0, :2]
+    w, x, y, z = rollout.qpos[:, 3:7].T
+    yaw = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+    terms = {
+        f"reward/{name}": float(getattr(scales, name) * values.mean())
+        for name, values in rollout.reward_terms.items()
+    }
+    return {
+        "episode": rollout.episode,
+        "end": rollout.end,
+        "fell": rollout.fell,
+        "speed": distance / duration,
+        "distance": float(distance),
+        "sideways": float(abs(sideways)),
+        "heading": float(np.degrees(np.abs(yaw).mean())),
+        "duration": duration,
+        # Over less than a metre, a cost per metre says nothing.
+        "energy_per_metre": float(rollout.energy.sum() / distance) if distance > 1.0 else None,
+        "reward": float(rollout.reward.mean()),
+        **terms,
+    }
+
+
+def summarise(episodes: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """Over all episodes: falls, and of each figure mean, median, worst and the mean's uncertainty.
+
+    `ci95` is half the width of the 95 % confidence interval of the mean, 1.96 standard errors.
+    `worst` is the least favourable episode's: the lowest of speed, distance, duration and rewards,
+    the highest of the others.
+    """
+    summary: dict[str, Any] = {
+        "episodes": len(episodes),
+        "fall_rate": float(np.mean([episode["fell"] for episode in episodes])),
+    }
+    names = [name for name, _, _ in FIGURES]
+    names += [name for name in episodes[0] if name.startswith("reward/")]
+    for name in names:
+        values = np.array([e[name] for e in episodes if e[name] is not None], float)
+        if not len(values):
+            summary[name] = None
+            continue
+        high_is_bad = name in ("sideways", "heading", "energy_per_metre")
+        error = values.std(ddof=1) / np.sqrt(len(values)) if len(values) > 1 else float("nan")
+        summary[name] = {
+            "mean": float(values.mean()),
+            "median": float(np.median(values)),
+            "worst": float(values.max() if high_is_bad else values.min()),
+            "ci95": float(1.96 * error) if np.isfinite(error) else None,
+        }
+    return summary
+
+
+def print_table(summary: dict[str, Any], title: str) -> None:
+    """The summary as a table on standard output."""
+    table = Table(title=title, title_justify="left")
+    for heading in ("", "mean", "± 95 %", "median", "worst", "unit"):
+        table.add_column(heading, justify="left" if heading in ("", "unit") else "right")
+    falls = summary["fall_rate"] * summary["episodes"]
+    table.add_row(
+        "falls", f"{100 * summary['fall_rate']:.1f}", "", "", "", f"% ({falls:.0f} episodes)"
+    )
+    rows = list(FIGURES)
+    rows += [(n, f"  {n.partition('/')[2]}", "") for n in summary if n.startswith("reward/")]
+    for name, heading, unit in rows:
+        figure = summary[name]
+        if figure is None:
+            table.add_row(heading, "-", "", "", "", unit)
+            continue
+        ci = "" if figure["ci95"] is None else f"{figure['ci95']:.3f}"
+        values = [f"{figure[key]:.3f}" for key in ("mean", "median", "worst")]
+        table.add_row(heading, values[0], ci, *values[1:], unit)
+    Console().print(table)

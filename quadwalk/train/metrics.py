@@ -1,0 +1,69 @@
+"""What a training iteration is summed up as."""
+
+import collections
+from collections.abc import Mapping
+from typing import Any
+
+from quadwalk.env.config import RewardConfig
+
+EPISODES = 64  # the share of falls is over about this many of the last episodes
+
+
+class TrainingMetrics:
+    """Makes one row of metrics from what each iteration returns.
+
+    train/speed, train/fall_rate: of the judges, which act without noise: how good the policy is.
+    noisy/speed, noisy/fall_rate: of the environments learnt from. train/reward and
+    train/reward/NAME: of those too, per step and scaled, so that the terms add up to the reward.
+    train/nan: episodes that a state that was not finite has ended so far.
+    """
+
+    def __init__(self, scales: RewardConfig) -> None:
+        self._scales = scales
+        self._judged = FallRate(EPISODES)
+        self._noisy = FallRate(EPISODES)
+        self._nan = 0.0
+
+    def row(self, steps: int, numbers: Mapping[str, Any]) -> dict[str, float]:
+        """The row after `steps` control steps."""
+        values = {name: float(value) for name, value in numbers.items()}
+        self._nan += values["count/nan"]
+        terms = {
+            f"train/{name}": getattr(self._scales, name.partition("/")[2]) * value
+            for name, value in values.items()
+            if name.startswith("reward/")
+        }
+        learning = {
+            name: value
+            for name, value in values.items()
+            if name.startswith(("loss/", "policy/", "learning_rate"))
+        }
+        return {
+            "steps": steps,
+            "train/speed": values["judge/speed"],
+            "train/fall_rate": self._judged.add(
+                values["judge/count/fell"], values["judge/count/ended"]
+            ),
+            "train/reward": values["reward"],
+            "train/nan": self._nan,
+            "noisy/speed": values["speed"],
+            "noisy/fall_rate": self._noisy.add(values["count/fell"], values["count/ended"]),
+            **terms,
+            **learning,
+        }
+
+
+class FallRate:
+    """The share of falls among the last episodes that ended."""
+
+    def __init__(self, episodes: int) -> None:
+        self._episodes = episodes
+        self._counts: collections.deque[tuple[float, float]] = collections.deque()
+
+    def add(self, fell: float, ended: float) -> float:
+        """Count one iteration's episodes; return the share, NaN before any has ended."""
+        self._counts.append((fell, ended))
+        while sum(ended for _, ended in self._counts) - self._counts[0][1] >= self._episodes:
+            self._counts.popleft()
+        total = sum(ended for _, ended in self._counts)
+        return sum(fell for fell, _ in self._counts) / total if total else float("nan")

@@ -1,0 +1,97 @@
+import dataclasses
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from quadwalk.env.config import RewardConfig
+from quadwalk.env.reward import TERMS, Step, active_terms, reward_terms, total_reward
+from quadwalk.env.rotation import from_euler
+
+ALL = RewardConfig(**{f.name: 1.0 for f in dataclasses.fields(RewardConfig)})
+
+
+def a_step(**changes) -> Step:
+    """Standing still, upright, at the origin; `changes` make it something else."""
+    rest = jnp.zeros(19).at[2].set(0.375).at[3].set(1.0)
+    fields = {
+        "dt": 0.02,
+        "start": rest,
+        "qpos": rest,
+        "qvel": jnp.zeros(18),
+        "action": jnp.zeros(12),
+        "last_action": jnp.zeros(12),
+        "power": jnp.zeros(()),
+        "fell": jnp.zeros((), bool),
+    }
+    return Step(**{**fields, **changes})
+
+
+def turned(roll=0.0, pitch=0.0, yaw=0.0):
+    return a_step().qpos.at[3:7].set(from_euler(roll, pitch, yaw))
+
+
+CASES = {
+    "forward": (a_step(qpos=a_step().qpos.at[0].set(0.01)), 0.5),
+    "fall": (a_step(fell=jnp.ones((), bool)), 1.0),
+    "yaw": (a_step(qpos=turned(yaw=-0.4)), 0.4),
+    "energy": (a_step(power=jnp.asarray(500.0)), None),  # over weight: below
+    "alive": (a_step(), 1.0),
+    "lateral": (a_step(qpos=a_step().qpos.at[1].set(-0.01)), 0.5),
+    "offset": (a_step(qpos=a_step().qpos.at[1].set(-0.25)), 0.25),
+    "vertical": (a_step(qvel=jnp.zeros(18).at[2].set(-0.5)), 0.25),
+    "tilt": (a_step(qpos=turned(pitch=0.3)), np.sin(0.3) ** 2),
+    "turning": (a_step(qvel=jnp.zeros(18).at[3:5].set(jnp.array([3.0, 4.0]) / 2)), 2.5),
+    "action_rate": (a_step(action=jnp.full(12, 0.5), last_action=jnp.full(12, -0.5)), 1.0),
+}
+LIMITS = {
+    "forward": (a_step(qpos=a_step().qpos.at[0].set(9.0)), 1.0),  # max_speed of ALL
+    "yaw": (a_step(qpos=turned(yaw=3.0)), 1.0),
+    "energy": (a_step(power=jnp.asarray(1e9)), 20.0),
+    "lateral": (a_step(qpos=a_step().qpos.at[1].set(5.0)), 1.0),
+    "offset": (a_step(qpos=a_step().qpos.at[1].set(50.0)), 1.0),
+    "vertical": (a_step(qvel=jnp.zeros(18).at[2].set(9.0)), 1.0),
+    "turning": (a_step(qvel=jnp.full(18, 90.0)), 4.0),
+}
+
+
+def test_every_term_has_a_scale_and_a_case():
+    scales = {field.name for field in dataclasses.fields(RewardConfig)} - {"max_speed"}
+    assert scales == set(TERMS) == set(CASES)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_a_term_is_what_it_says(env, name):
+    step, expected = CASES[name]
+    if name == "energy":
+        expected = 500.0 / env.robot.weight
+    assert float(TERMS[name](env.robot, ALL, step)) == pytest.approx(expected, abs=1e-5)
+
+
+@pytest.mark.parametrize("name", LIMITS)
+def test_a_term_is_bounded(env, name):
+    step, expected = LIMITS[name]
+    assert float(TERMS[name](env.robot, ALL, step)) == pytest.approx(expected, abs=1e-5)
+
+
+def test_standing_still_costs_nothing(env):
+    terms = reward_terms(env.robot, ALL, a_step())
+    assert terms.pop("alive") == 1.0
+    assert {name: float(value) for name, value in terms.items()} == pytest.approx(
+        dict.fromkeys(terms, 0.0), abs=1e-6
+    )
+
+
+def test_the_total_is_the_scaled_sum_and_a_scale_of_zero_drops_its_term(env):
+    config = dataclasses.replace(ALL, forward=2.0, offset=-3.0, energy=0.0)
+    qpos = a_step().qpos.at[0].set(0.01).at[1].set(0.1)
+    terms = reward_terms(env.robot, config, a_step(qpos=qpos, start=qpos.at[0].set(0.0)))
+    assert "energy" not in terms
+    assert "energy" not in active_terms(config)
+    # forward 0.5 m/s, offset 0.1 m, alive 1; nothing else moves.
+    assert float(total_reward(config, terms)) == pytest.approx(2 * 0.5 - 3 * 0.1 + 1, abs=1e-4)
+
+
+def test_the_robots_weight_is_its_mass_times_gravity(env):
+    assert env.robot.weight == pytest.approx(env.mj_model.body_mass.sum() * 9.81)
+    assert 21.0 < env.robot.weight / 9.81 < 24.0

@@ -1,0 +1,200 @@
+"""The training loop, on an environment whose every number is known."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from brax.envs.base import Env, State
+from jax.sharding import PartitionSpec as P
+
+from quadwalk.env.config import EnvConfig
+from quadwalk.train import ppo
+from quadwalk.train.config import PPOConfig
+from quadwalk.train.networks import make_networks, mean_policy
+
+CONFIG = PPOConfig(
+    judges=4, unroll=6, minibatches=2, epochs=2, hidden=(16,), discount=0.9, reward_scale=0.5
+)
+ENVS = 8
+GOAL = 0.5
+
+
+class Count(NamedTuple):
+    steps: jax.Array
+    origin: jax.Array  # drawn at each reset
+
+
+class Counter(Env):
+    """Counts its steps; the reward is best where the action is `GOAL`.
+
+    Episodes last 4 steps: those with a positive origin then meet the time limit, the others fall.
+    """
+
+    config = EnvConfig(episode_seconds=4 * EnvConfig().control_dt)
+
+    def reset(self, rng: jax.Array) -> State:
+        count = Count(jnp.zeros((), jnp.int32), jax.random.uniform(rng, (), minval=-1.0))
+        zero = jnp.zeros(())
+        metrics = {"speed": zero, "fell": zero, "nan": zero}
+        return State(count, self._observe(count), zero, zero, metrics, {"truncation": zero})
+
+    def step(self, state: State, action: jax.Array) -> State:
+        count = state.pipeline_state._replace(steps=state.pipeline_state.steps + 1)
+        done = (count.steps >= self.config.episode_steps).astype(jnp.float32)
+        limit = done * (count.origin > 0)
+        return State(
+            count,
+            self._observe(count),
+            1.0 - jnp.sum(jnp.square(action - GOAL)),
+            done,
+            {"speed": action[0], "fell": done - limit, "nan": jnp.zeros(())},
+            {"truncation": limit},
+        )
+
+    def _observe(self, count: Count) -> jax.Array:
+        return jnp.stack([count.steps.astype(jnp.float32), count.origin])
+
+    observation_size = 2
+    action_size = 2
+    backend = "none"
+
+
+@pytest.fixture(scope="module")
+def networks():
+    return make_networks(CONFIG, 2, 2)
+
+
+@pytest.fixture(scope="module")
+def iterate(networks):
+    return ppo.make_iteration(Counter(), networks, CONFIG, ppo.make_mesh())
+
+
+def start(networks, seed: int = 0) -> ppo.TrainState:
+    return ppo.init_state(Counter(), networks, CONFIG, ppo.make_mesh(), ENVS, seed)
+
+
+@pytest.fixture(scope="module")
+def collected(networks):
+    """What one collection saw, gathered from both devices, and the learner that did it."""
+    state = start(networks)
+    gather = jax.jit(
+        jax.shard_map(
+            lambda learner, workers: ppo.collect(Counter(), networks, CONFIG, learner, workers),
+            mesh=ppo.make_mesh(),
+            in_specs=(P(), P(ppo.AXIS)),
+            out_specs=(P(ppo.AXIS), P(ppo.AXIS), P()),
+            check_vma=False,
+        )
+    )
+    workers, data, metrics = jax.device_get(gather(*state))
+    return state.learner, workers, data, metrics
+
+
+def test_episodes_start_out_of_phase(networks):
+    steps = np.asarray(start(networks).workers.envs.pipeline_state.steps)
+    assert set(steps) <= set(range(4))
+    assert len(set(steps)) > 1
+
+
+def test_only_the_sampling_environments_are_learnt_from(collected):
+    _, workers, data, _ = collected
+    assert data.reward.shape == (ENVS, CONFIG.unroll)
+    assert data.observation.shape == (ENVS, CONFIG.unroll, 2)
+    assert len(workers.envs.done) == ENVS + CONFIG.judges
+
+
+def test_an_episode_runs_its_course_and_a_fresh_one_follows(collected):
+    _, _, data, _ = collected
+    for observation, discount in zip(data.observation, data.discount, strict=True):
+        # The first row was observed before its episode was put out of phase.
+        for t in range(1, CONFIG.unroll - 1):
+            steps, origin = observation[t]
+            assert discount[t] == (0.0 if steps == 3 else 1.0)
+            if steps == 3:
+                assert observation[t + 1, 0] == 0.0
+                assert observation[t + 1, 1] != origin
+            else:
+                assert observation[t + 1].tolist() == [steps + 1, origin]
+
+
+def test_the_time_limit_is_bootstrapped_through_and_a_fall_is_not(collected, networks):
+    learner, _, data, _ = collected
+    value = networks.value_network.apply
+    raw = CONFIG.reward_scale * (1.0 - np.square(data.action - GOAL).sum(-1))
+    after = np.stack([np.full(data.reward.shape, 4.0), data.observation[..., 1]], axis=-1)
+    bootstrap = CONFIG.discount * value(learner.normalizer, learner.params.value, after)
+    ended = data.discount == 0.0
+    limit = ended & (data.observation[..., 1] > 0)
+    assert limit.any()
+    assert (ended & ~limit).any()
+    np.testing.assert_allclose(data.reward, raw + np.where(limit, bootstrap, 0.0), rtol=1e-4)
+    assert not data.extras["state_extras"]["truncation"].any()
+
+
+def test_judges_act_without_noise(collected, networks):
+    learner, _, data, metrics = collected
+    mean = mean_policy(networks, learner.normalizer, learner.params.policy)
+    # The judges' origins differ, but an untrained policy on few inputs is nearly flat.
+    typical = float(np.mean(mean(data.observation)[..., 0]))
+    assert metrics["judge/speed"] == pytest.approx(typical, abs=0.2)
+    noise = data.action - np.asarray(mean(data.observation))
+    assert noise.std() == pytest.approx(CONFIG.noise, rel=0.35)
+
+
+def test_the_metrics_count_every_episode(collected):
+    _, _, data, metrics = collected
+    ended = data.discount == 0.0
+    assert metrics["count/ended"] == ended.sum()
+    assert metrics["count/fell"] == (ended & (data.observation[..., 1] <= 0)).sum()
+    assert metrics["judge/count/ended"] >= CONFIG.judges  # 6 steps of episodes of 4
+    expected = (1.0 - np.square(data.action - GOAL).sum(-1)).mean()
+    assert metrics["reward"] == pytest.approx(expected, rel=1e-5)
+
+
+def test_the_first_iteration_only_measures_the_observations(networks, iterate):
+    before = jax.device_get(start(networks).learner)
+    state, _ = iterate(start(networks))
+    after = jax.device_get(state.learner)
+    for a, b in zip(jax.tree.leaves(before.params), jax.tree.leaves(after.params), strict=True):
+        np.testing.assert_array_equal(a, b)
+    assert after.normalizer.mean[0] == pytest.approx(1.5, abs=0.5)  # of 0, 1, 2, 3
+    state, _ = iterate(state)
+    learnt = jax.device_get(state.learner.params)
+    assert any(
+        (a != b).any()
+        for a, b in zip(jax.tree.leaves(after.params), jax.tree.leaves(learnt), strict=True)
+    )
+
+
+def test_the_same_seed_gives_the_same_numbers_and_another_does_not(networks, iterate):
+    def train(seed: int):
+        state = start(networks, seed)
+        for _ in range(3):
+            state, metrics = iterate(state)
+        return jax.device_get((state, metrics))
+
+    first, again, other = train(0), train(0), train(1)
+    for a, b in zip(jax.tree.leaves(first), jax.tree.leaves(again), strict=True):
+        np.testing.assert_array_equal(a, b)
+    assert first[1]["reward"] != other[1]["reward"]
+
+
+def test_every_device_holds_the_same_learner(networks, iterate):
+    state, _ = iterate(start(networks))
+    state, _ = iterate(state)
+    for leaf in jax.tree.leaves(state.learner):
+        shards = [np.asarray(shard.data) for shard in leaf.addressable_shards]
+        assert len(shards) == 2
+        np.testing.assert_array_equal(*shards)
+
+
+def test_it_learns(networks, iterate):
+    state = start(networks)
+    for _ in range(150):
+        # Waited for: programs queued up on devices that wait for each other can lock up.
+        state, _ = jax.block_until_ready(iterate(state))
+    learner = jax.device_get(state.learner)
+    policy = mean_policy(networks, learner.normalizer, learner.params.policy)
+    np.testing.assert_allclose(policy(jnp.array([[1.0, 0.3], [2.0, -0.3]])), GOAL, atol=0.15)
