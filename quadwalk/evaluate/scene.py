@@ -27,7 +27,7 @@ class SceneWriter:
 
     def __init__(self, path: np.ndarray, weight: float, world: str = "world") -> None:
         """`path` (T + 1, 3) base positions in m, `weight` in N."""
-        self._path = [[_drawn(value) for value in point] for point in path.tolist()]
+        self._path = path
         self._weight = weight
         self._message = SceneUpdate()
         ground, track, velocity, self._forces = (
@@ -65,7 +65,7 @@ class SceneWriter:
         """
         for entity in self._message.entities:
             entity.timestamp.CopyFrom(stamp)
-        x, y, z = self._path[row]
+        x, y, z = (_drawn(value) for value in self._path[row])
         self._grid.pose.position.x, self._grid.pose.position.y = float(round(x)), float(round(y))
         self._draw_path(row)
         self._draw_velocity((x, y, z), velocity)
@@ -78,9 +78,9 @@ class SceneWriter:
         while row // stride >= PATH_POINTS - 1:
             stride *= 2
         del self._line.points[:]
-        for k in (*range(0, row, stride), row):
-            x, y, _ = self._path[k]
-            self._line.points.add(x=x, y=y, z=0.01)  # just above the ground, to be seen
+        for x, y, _ in self._path[[*range(0, row, stride), row]].tolist():
+            # Just above the ground, to be seen.
+            self._line.points.add(x=_drawn(x), y=_drawn(y), z=0.01)
 
     def _draw_velocity(self, start: tuple[float, float, float], velocity: np.ndarray) -> None:
         vx, vy, vz = (float(component) for component in velocity)
