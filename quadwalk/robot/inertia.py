@@ -35,9 +35,10 @@ def check_inertias(tree: Tree, source: str, repair: bool, report: Report) -> Non
     principal moment exceeds the sum of the others. A link that is fused with another may be a
     point (moments 0) or have no mass; a body that moves may not.
     """
+    root = body_inertia(tree, tree.root)
     for name, link in tree.links.items():
-        if link.inertial is None:
-            continue
+        if link.inertial is None or (root is None and tree.body_of[name] == tree.root):
+            continue  # a root without any mass stands still, whatever its inertia
         mass, tensor = link.inertial.mass, link.inertial.inertia
         moves = name == tree.body_of[name] != tree.root
         where = f"{source}: link '{name}'"
@@ -159,5 +160,7 @@ def printable(moments: np.ndarray) -> np.ndarray:
     """Principal moments (3,), largest first, as 6 digits hold them, still valid to the last bit."""
     first, second, third = (float(f"{moment:.6g}") for moment in moments)
     while first > second + third:
-        first = float(f"{first * (1 - 2e-6):.6g}")
+        # One unit less in the last digit.
+        unit = 10.0 ** (np.floor(np.log10(first)) - 5)
+        first = float(f"{first - unit:.6g}")
     return np.array([first, second, third])

@@ -37,7 +37,7 @@ class Options:
 
     Attributes:
         floating: whether the root link floats; None: it does, unless it is named `world`, or has
-            no `<inertial>` and the robot is no quadruped.
+            no mass and the robot is no quadruped.
         meshes: whether mesh files are read; without them, their shapes are left out.
         mesh_folders: where they may be, besides the URDF's folder.
         armature: kg m^2 by joint name, over what the URDF says.
@@ -75,6 +75,7 @@ def convert(urdf: Urdf, legs: tuple[Leg, ...] = (), options: Options | None = No
     # All mass is the links' <inertial>: a link without one gets none invented from its shapes.
     spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_FALSE
     spec.option.timestep = 0.002
+    spec.nuser_jnt = 1
     add_scene(spec)
     add_geom_classes(spec)
     robot = _Robot(spec, urdf, legs, options, report)
@@ -135,8 +136,7 @@ class _Robot:
             return False
         floating = self.options.floating
         if floating is None:
-            bare = all(self.tree.links[part].inertial is None for part in self.tree.parts[root])
-            floating = bool(self.legs) or not bare
+            floating = bool(self.legs) or whole is not None
             if not floating:
                 self.report.add("assumed", "fixed to the ground, for it has no mass", root)
         if floating and (root == "world" or whole is None or whole.mass < SMALLEST):
@@ -227,6 +227,9 @@ class _Robot:
             added.range = joint_range(joint)
         if joint.limit is not None and joint.limit.effort:
             added.actfrcrange = [-joint.limit.effort, joint.limit.effort]
+        if joint.limit is not None:
+            # MuJoCo knows no largest speed: it is kept as the joint's user datum.
+            added.userdata = [joint.limit.velocity]
         if joint.dynamics is not None:
             added.damping[0] = float(joint.dynamics.damping or 0)
             added.frictionloss = float(joint.dynamics.friction or 0)

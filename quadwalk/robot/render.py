@@ -58,7 +58,9 @@ def render_home(
     high = (data.geom_xpos[shapes] + reach).max(axis=0)
     camera = mujoco.MjvCamera()
     camera.lookat = (low + high) / 2
-    camera.distance = scale * float(np.linalg.norm(high - low))
+    # The whole robot fits across the picture, and within its 45 degrees of height.
+    size = high - low
+    camera.distance = scale * float(max(np.linalg.norm(size), 1.6 * size[2]))
     camera.azimuth, camera.elevation = azimuth, elevation
     try:
         renderer = mujoco.Renderer(model, height, width)

@@ -1,0 +1,157 @@
+"""What the robot tests share: reference files, and Pinocchio as an independent reader of URDF."""
+
+import importlib.util
+import os
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from quadwalk.robot.urdf import Urdf
+
+
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    """Run a test with a `reference_urdf` or `pybullet_urdf` once for each that there is."""
+    for name, files, missing in (
+        ("reference_urdf", reference_urdfs(), "QUADWALK_REFERENCE_URDFS names no folder of URDFs"),
+        ("pybullet_urdf", pybullet_urdfs(), "pybullet is not installed"),
+    ):
+        if name in metafunc.fixturenames:
+            none = pytest.param(None, marks=pytest.mark.skip(reason=missing))
+            metafunc.parametrize(name, files or [none], ids=lambda file: file and file.stem)
+
+
+def reference_urdfs() -> list[Path]:
+    """URDFs of other quadrupeds, in a folder that the environment names."""
+    folder = os.environ.get("QUADWALK_REFERENCE_URDFS")
+    return sorted(Path(folder).glob("*.urdf")) if folder else []
+
+
+def pybullet_urdfs() -> list[Path]:
+    """The quadrupeds of PyPI's pybullet_data whose XML and physics are valid."""
+    if importlib.util.find_spec("pybullet_data") is None:
+        return []
+    import pybullet_data
+
+    folder = Path(pybullet_data.getDataPath())
+    names = (
+        "a1/a1", "aliengo/aliengo", "laikago/laikago_toes_zup", "quadruped/vision60",
+        "quadruped/spirit40",
+    )  # fmt: skip
+    return [folder / f"{name}.urdf" for name in names]
+
+
+class Pinocchio:
+    """The same URDF in Pinocchio, which has a parser and dynamics algorithms of its own.
+
+    Velocities are MuJoCo's: the base's linear one in world axes, its angular one in body axes;
+    Pinocchio's free flyer has both in body axes.
+    """
+
+    def __init__(self, urdf: Urdf, model: mujoco.MjModel):
+        self.pin = pytest.importorskip("pinocchio")
+        self.mj = model
+        self.floating = model.jnt_type[0] == mujoco.mjtJoint.mjJNT_FREE
+        root = (self.pin.JointModelFreeFlyer(),) if self.floating else ()
+        self.model = self.pin.buildModelFromXML(urdf.text, *root)
+        self.model.gravity.linear = model.opt.gravity.copy()
+        self.data = self.model.createData()
+        first = 1 if self.floating else 0
+        self.joints = [
+            (model.joint(i), self.model.joints[self.model.getJointId(model.joint(i).name)])
+            for i in range(first, model.njnt)
+        ]
+        assert self.model.nv == model.nv
+
+    def configuration(self, qpos: np.ndarray) -> np.ndarray:
+        """Pinocchio's q for MuJoCo's qpos."""
+        q = np.zeros(self.model.nq)
+        if self.floating:
+            q[:7] = qpos[[0, 1, 2, 4, 5, 6, 3]]
+        for mine, theirs in self.joints:
+            angle = qpos[mine.qposadr[0]]
+            two = theirs.nq == 2  # continuous: cosine and sine
+            q[theirs.idx_q : theirs.idx_q + theirs.nq] = (
+                [np.cos(angle), np.sin(angle)] if two else [angle]
+            )
+        return q
+
+    def velocity_map(self, qpos: np.ndarray, qvel: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """G with v_pinocchio = G qvel, and what G's change adds to the acceleration."""
+        nv = self.model.nv
+        g, drift = np.zeros((nv, nv)), np.zeros(nv)
+        if self.floating:
+            turn = np.zeros(9)
+            mujoco.mju_quat2Mat(turn, qpos[3:7])
+            turn = turn.reshape(3, 3)
+            g[:3, :3], g[3:6, 3:6] = turn.T, np.eye(3)
+            drift[:3] = -np.cross(qvel[3:6], turn.T @ qvel[:3])
+        for mine, theirs in self.joints:
+            g[theirs.idx_v, mine.dofadr[0]] = 1
+        return g, drift
+
+    def errors(self, states: int, seed: int = 0) -> dict[str, float]:
+        """By quantity: the largest difference over random states, relative to its size."""
+        pin, mj, rng = self.pin, self.mj, np.random.default_rng(seed)
+        mj.dof_armature[:] = 0  # no part of a URDF that Pinocchio reads
+        data = mujoco.MjData(mj)
+        off: dict[str, float] = {}
+        size: dict[str, float] = {}
+        for _ in range(states):
+            for i in range(mj.njnt):
+                at, kind = mj.jnt_qposadr[i], mj.jnt_type[i]
+                if kind == mujoco.mjtJoint.mjJNT_FREE:
+                    data.qpos[at : at + 3] = rng.normal(size=3)
+                    quat = rng.normal(size=4)
+                    data.qpos[at + 3 : at + 7] = quat / np.linalg.norm(quat)
+                elif mj.jnt_limited[i]:
+                    data.qpos[at] = rng.uniform(*mj.jnt_range[i])
+                else:
+                    data.qpos[at] = rng.uniform(-np.pi, np.pi)
+            data.qvel[:] = rng.normal(size=mj.nv)
+            acceleration = rng.normal(size=mj.nv)
+            mujoco.mj_forward(mj, data)
+            data.qacc[:] = acceleration
+            torque = np.zeros(mj.nv)
+            mujoco.mj_rne(mj, data, 1, torque)
+            mass_matrix = np.zeros((mj.nv, mj.nv))
+            mujoco.mj_fullM(mj, data, mass_matrix)
+
+            q = self.configuration(data.qpos)
+            g, drift = self.velocity_map(data.qpos, data.qvel)
+            v = g @ data.qvel
+            pin.framesForwardKinematics(self.model, self.data, q)
+            centre = pin.centerOfMass(self.model, self.data, q)
+            upper = np.triu(pin.crba(self.model, self.data, q))
+            full = upper + np.triu(upper, 1).T
+            bias = g.T @ (pin.nonLinearEffects(self.model, self.data, q, v) + full @ drift)
+            inverse = g.T @ pin.rnea(self.model, self.data, q, v, g @ acceleration + drift)
+            total = pin.computeTotalMass(self.model)
+            moving = np.flatnonzero(mj.body_weldid != 0)
+            mine = mj.body_mass[moving]
+            found = {
+                "mass": (mine.sum(), total) if self.floating else (0.0, 0.0),
+                "centre of mass": (mine @ data.xipos[moving] / mine.sum(), centre),
+                "mass matrix": (mass_matrix, g.T @ full @ g),
+                "bias forces": (data.qfrc_bias, bias),
+                "inverse dynamics": (torque, inverse),
+            }
+            for i in range(mj.nsite):
+                frame = self.model.getFrameId(mj.site(i).name)
+                if frame < self.model.nframes:
+                    name, placed = mj.site(i).name, self.data.oMf[frame]
+                    rotation = data.site_xmat[i].reshape(3, 3)
+                    found[f"position of {name}"] = (data.site_xpos[i], placed.translation)
+                    found[f"rotation of {name}"] = (rotation, placed.rotation)
+            for name, (got, expected) in found.items():
+                off[name] = max(off.get(name, 0.0), float(np.abs(got - expected).max()))
+                size[name] = max(size.get(name, 1e-9), float(np.abs(expected).max()))
+        return {name: off[name] / size[name] for name in off}
+
+
+@pytest.fixture
+def pinocchio():
+    """`pinocchio(urdf, model)`: the URDF in Pinocchio, to compare a MuJoCo model with."""
+    pytest.importorskip("pinocchio", reason="pin is not installed")
+    return Pinocchio

@@ -1,0 +1,198 @@
+"""The MJCF that the command writes: complete, deterministic, quick; and its command line."""
+
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from quadwalk.errors import run_command
+from quadwalk.paths import ALIENGO_URDF, ASSETS
+from quadwalk.robot.__main__ import main
+from quadwalk.robot.legs import find_legs
+from quadwalk.robot.mjcf import convert, write_xml
+from quadwalk.robot.urdf import parse_urdf, read_urdf
+
+XML = ASSETS / "aliengo.xml"
+
+
+def command(monkeypatch, *arguments) -> None:
+    """`python -m quadwalk.robot ARGUMENTS`, in this process."""
+    monkeypatch.setattr(sys, "argv", ["quadwalk.robot", *map(str, arguments)])
+    run_command(main)
+
+
+def test_regenerating_the_asset_is_byte_identical(monkeypatch, tmp_path, capsys):
+    out = tmp_path / "aliengo.xml"
+    command(monkeypatch, ALIENGO_URDF, "-o", out)
+    assert out.read_bytes() == XML.read_bytes()
+    assert "fused: by fixed joints: imu_link with trunk" in capsys.readouterr().err
+    assert [file.name for file in tmp_path.iterdir()] == ["aliengo.xml"]
+    command(monkeypatch, ALIENGO_URDF, "--quiet")
+    captured = capsys.readouterr()
+    assert captured.out == XML.read_text()
+    assert captured.err == ""
+
+
+def test_the_asset_is_complete():
+    model = mujoco.MjModel.from_xml_path(str(XML))
+    links = [link.name for link in read_urdf(ALIENGO_URDF).robot.links]
+    bodies = {model.body(i).name for i in range(model.nbody)}
+    sites = {model.site(i).name for i in range(model.nsite)}
+    assert bodies | sites == set(links) | {"world"}
+    assert sites == {"imu_link", "FR_foot", "FL_foot", "RR_foot", "RL_foot"}
+    assert set(model.geom_group) == {0, 2, 3}
+    visual, collision = model.geom_group == 2, model.geom_group == 3
+    assert not model.geom_contype[visual].any()
+    assert model.geom_contype[collision].all()
+    assert (model.geom_matid[visual] >= 0).all()
+    assert all(model.geom(i).name for i in np.flatnonzero(collision))
+    sensors = {model.sensor(i).name for i in range(model.nsensor)}
+    assert sensors == {"imu_gyro", "imu_accelerometer", "imu_orientation"} | {
+        f"{leg}_foot_touch" for leg in ("FR", "FL", "RR", "RL")
+    }
+    for i in range(model.nu):
+        name = model.actuator(i).name
+        limit = 44.4 if "calf" in name else 35.278
+        np.testing.assert_allclose(model.actuator_ctrlrange[i], [-limit, limit])
+        np.testing.assert_allclose(model.jnt_actfrcrange[model.joint(name).id], [-limit, limit])
+        np.testing.assert_allclose(
+            model.jnt_user[model.joint(name).id], 15.89 if "calf" in name else 20
+        )
+    assert (model.jnt_type[0], model.joint(0).name) == (0, "floating_base")
+    assert model.body(1).name == "trunk"
+    assert model.nexclude == 12
+    assert model.key("home").qpos[2] == pytest.approx(0.374853)
+    assert model.geom("floor").type == mujoco.mjtGeom.mjGEOM_PLANE
+
+
+def test_touch_sensors_and_imu_feel_the_robot_stand():
+    model = mujoco.MjModel.from_xml_path(str(XML))
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    home = data.qpos[7:].copy()
+    while data.time < 2:
+        data.ctrl = 200 * (home - data.qpos[7:]) - 5 * data.qvel[6:]
+        mujoco.mj_step(model, data)
+    touch = sum(data.sensor(f"{leg}_foot_touch").data[0] for leg in ("FR", "FL", "RR", "RL"))
+    assert touch == pytest.approx(23.24 * 9.81, rel=0.01)
+    assert np.linalg.norm(data.sensor("imu_accelerometer").data) == pytest.approx(9.81, rel=0.01)
+    assert np.linalg.norm(data.sensor("imu_gyro").data) < 0.01
+
+
+def test_aliengo_converts_within_half_a_second():
+    def once() -> float:
+        start = time.perf_counter()
+        urdf = read_urdf(ALIENGO_URDF)
+        write_xml(convert(urdf, find_legs(urdf.tree, urdf.source)).spec)
+        return time.perf_counter() - start
+
+    assert min(once() for _ in range(3)) < 0.5
+
+
+def test_no_mass_is_invented():
+    shape = "<collision><geometry><box size='1 1 1'/></geometry></collision>"
+    inertia = "<inertia ixx='1' ixy='0' ixz='0' iyy='1' iyz='0' izz='1'/>"
+    text = (
+        f"<robot name='r'><link name='a'><inertial><mass value='2'/>{inertia}</inertial></link>"
+        f"<link name='b'>{shape}</link><joint name='j' type='fixed'><parent link='a'/>"
+        "<child link='b'/></joint></robot>"
+    )
+    model = convert(parse_urdf(text)).spec.compile()
+    assert model.body_mass.sum() == 2
+    assert model.body("a").inertia == pytest.approx([1, 1, 1])
+
+
+def test_a_joint_that_follows_another():
+    link = (
+        "<link name='{}'><inertial><mass value='1'/><inertia ixx='1' ixy='0' ixz='0' iyy='1' "
+        "iyz='0' izz='1'/></inertial></link>"
+    )
+    joint = (
+        "<joint name='{0}' type='revolute'><parent link='base'/><child link='{1}'/>"
+        "<limit lower='-1' upper='1' effort='9' velocity='1'/>{2}</joint>"
+    )
+    text = (
+        "<robot name='gripper'><link name='base'/>"
+        + link.format("left") + link.format("right")
+        + joint.format("lead", "left", "")
+        + joint.format("follow", "right", "<mimic joint='lead' multiplier='-2' offset='0.3'/>")
+        + "</robot>"
+    )  # fmt: skip
+    model = convert(parse_urdf(text)).spec.compile()
+    assert model.nu == 1
+    np.testing.assert_array_equal(model.key("home").qpos, [0, 0.3])
+    data = mujoco.MjData(model)
+    model.opt.gravity[:] = 0
+    while data.time < 2:
+        data.ctrl = 5 * (0.4 - data.qpos[0]) - 5 * data.qvel[0]
+        mujoco.mj_step(model, data)
+    assert data.qpos[1] == pytest.approx(0.3 - 2 * data.qpos[0], abs=1e-3)
+
+
+def test_armature_from_rotor_and_gear(monkeypatch, tmp_path):
+    out = tmp_path / "a.xml"
+    command(monkeypatch, ALIENGO_URDF, "-o", out, "-q", "--rotor", "*_hip_joint=1.387e-4,8")
+    model = mujoco.MjModel.from_xml_path(str(out))
+    assert model.joint("RL_hip_joint").armature == pytest.approx(1.387e-4 * 64, rel=1e-5)
+    assert model.joint("RL_calf_joint").armature == pytest.approx(0.022)
+
+
+def test_base_can_be_fixed(monkeypatch, tmp_path):
+    out = tmp_path / "a.xml"
+    command(monkeypatch, ALIENGO_URDF, "-o", out, "-q", "--fixed-base")
+    model = mujoco.MjModel.from_xml_path(str(out))
+    assert (model.nv, model.nq) == (12, 12)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status", "says"),
+    [
+        (["none.urdf"], 1, "none.urdf: cannot be read (No such file or directory)"),
+        ([ALIENGO_URDF, "-o", "/none/a.xml"], 1, "/none/a.xml: cannot be written"),
+        ([ALIENGO_URDF, "--rotor", "hip"], 2, "expected JOINTS=INERTIA,GEAR"),
+        ([ALIENGO_URDF, "--rotor", "tail*=1,1"], 2, "names no moving joint"),
+        ([ALIENGO_URDF, "--mesh-dir", "none"], 2, "--mesh-dir none: is no folder"),
+        ([XML], 1, "root element is <mujoco>; expected <robot>"),
+    ],
+)
+def test_bad_use_is_one_line(monkeypatch, capsys, arguments, status, says):
+    with pytest.raises(SystemExit) as stop:
+        command(monkeypatch, *arguments)
+    assert stop.value.code == status
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err.startswith("error: ")
+    assert says in captured.err
+    assert captured.err.count("\n") == 1
+
+
+def test_the_command_runs_and_draws(tmp_path: Path):
+    run = [sys.executable, "-m", "quadwalk.robot", str(ALIENGO_URDF), "--render"]
+    done = subprocess.run([*run, "out.png"], cwd=tmp_path, capture_output=True, text=True)
+    if "libosmesa6" in done.stderr:
+        pytest.skip("OSMesa is not installed")
+    assert done.returncode == 0, done.stderr
+    data = (tmp_path / "out.png").read_bytes()
+    assert data.startswith(b"\x89PNG")
+    from matplotlib.image import imread
+
+    picture = imread(tmp_path / "out.png")
+    assert picture.shape[2] == 3
+    orange = (picture[..., 0] > 0.8) & (picture[..., 1] < 0.6) & (picture[..., 2] < 0.3)
+    assert 0.005 < orange.mean() < 0.3  # the robot is in the picture, and does not fill it
+    assert picture.mean() > 0.3  # in daylight
+
+
+def test_without_osmesa_one_line_says_what_is_needed(monkeypatch, tmp_path, capsys):
+    for name in ("MUJOCO_GL", "DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr("ctypes.util.find_library", lambda name: None)
+    with pytest.raises(SystemExit):
+        command(monkeypatch, ALIENGO_URDF, "--render", tmp_path / "a.png")
+    assert capsys.readouterr().err == (
+        "error: drawing without a display needs OSMesa: apt-get install libosmesa6\n"
+    )

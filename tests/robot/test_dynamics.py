@@ -1,0 +1,86 @@
+"""The converted robot has the dynamics that Pinocchio computes from the same URDF."""
+
+from pathlib import Path
+
+import mujoco
+
+from quadwalk.paths import ALIENGO_URDF
+from quadwalk.robot.legs import find_legs
+from quadwalk.robot.mjcf import Options, convert, write_xml
+from quadwalk.robot.urdf import parse_urdf, read_urdf
+
+STATES = 50
+
+
+def check(pinocchio, file: Path, meshes: bool = True) -> None:
+    """Compare masses, frames, mass matrix, bias and inverse dynamics, in memory and as XML."""
+    urdf = read_urdf(file)
+    legs = find_legs(urdf.tree, urdf.source)
+    spec = convert(urdf, legs, Options(meshes=meshes)).spec
+    in_memory = pinocchio(urdf, spec.compile()).errors(STATES)
+    assert {f"position of {leg.foot}" for leg in legs} < in_memory.keys()
+    assert max(in_memory.values()) < 1e-10, in_memory
+    from_xml = mujoco.MjModel.from_xml_string(write_xml(spec))
+    through_xml = pinocchio(urdf, from_xml).errors(STATES)
+    assert max(through_xml.values()) < 1e-5, through_xml
+
+
+def test_aliengo(pinocchio):
+    check(pinocchio, ALIENGO_URDF)
+
+
+def test_reference_quadrupeds(pinocchio, reference_urdf):
+    check(pinocchio, reference_urdf)
+
+
+def test_pybullet_quadrupeds(pinocchio, pybullet_urdf):
+    check(pinocchio, pybullet_urdf, meshes=False)
+
+
+def inertial(mass: float, moments: str, xyz: str = "0 0 0", rpy: str = "0 0 0") -> str:
+    ixx, iyy, izz = moments.split()
+    return (
+        f'<inertial><origin xyz="{xyz}" rpy="{rpy}"/><mass value="{mass}"/><inertia ixx="{ixx}" '
+        f'ixy="0" ixz="0" iyy="{iyy}" iyz="0" izz="{izz}"/></inertial>'
+    )
+
+
+# A fixed base, a slide, a slanted axis, fused links on both sides of a joint, a fused point mass,
+# a thin plate (whose largest moment is the sum of the others), and links without mass.
+ARM = f"""<robot name="arm"><link name="world"/><link name="base"/>
+<link name="slide">{inertial(2, "0.1 0.2 0.15", "0.1 0 0", "0.3 -0.2 0.1")}</link>
+<link name="bracket">{inertial(0.5, "0 0 0", "0.05 0.02 0")}</link>
+<link name="plate">{inertial(0.3, "0.01 0.02 0.03", "0 0 0.4", "0.5 0.6 0.7")}</link>
+<link name="tool"/>
+<joint name="weld" type="fixed"><origin xyz="1 2 3" rpy="0 0.4 0"/><parent link="world"/>
+  <child link="base"/></joint>
+<joint name="rail" type="prismatic"><origin xyz="0 0 1" rpy="1 2 3"/><parent link="base"/>
+  <child link="slide"/><axis xyz="1 2 3"/><limit lower="-1" upper="1" effort="5" velocity="1"/>
+</joint>
+<joint name="bolt" type="fixed"><origin xyz="0 0.1 0" rpy="0 0 1"/><parent link="slide"/>
+  <child link="bracket"/></joint>
+<joint name="turn" type="continuous"><origin xyz="0.2 0 0" rpy="0 1 0"/><parent link="bracket"/>
+  <child link="plate"/><axis xyz="0 1 1"/></joint>
+<joint name="tip" type="fixed"><origin xyz="0 0 0.8"/><parent link="plate"/><child link="tool"/>
+</joint></robot>"""
+
+
+def test_an_arm_on_a_fixed_base(pinocchio):
+    urdf = parse_urdf(ARM)
+    spec = convert(urdf).spec
+    model = spec.compile()
+    assert (model.nv, model.nbody) == (2, 3)
+    errors = pinocchio(urdf, model).errors(STATES)
+    assert "position of tool" in errors
+    assert max(errors.values()) < 1e-10, errors
+    from_xml = mujoco.MjModel.from_xml_string(write_xml(spec))
+    assert max(pinocchio(urdf, from_xml).errors(STATES).values()) < 1e-5
+
+
+def test_an_arm_afloat(pinocchio):
+    text = ARM.replace('"world"', '"root"').replace(
+        '<link name="base"/>', f'<link name="base">{inertial(3, "0.1 0.1 0.1")}</link>'
+    )
+    urdf = parse_urdf(text)
+    errors = pinocchio(urdf, convert(urdf).spec.compile()).errors(STATES)
+    assert max(errors.values()) < 1e-10, errors

@@ -1,0 +1,174 @@
+"""Mesh files: names that stay inside the allowed folders, units, colours, a whole result."""
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+import trimesh
+
+from quadwalk.robot.meshes import find_mesh, load_mesh
+from quadwalk.robot.mjcf import Options, convert, write_xml
+from quadwalk.robot.urdf import UrdfError, parse_urdf, read_urdf
+
+ONE = np.ones(3)
+
+
+def robot(visual: str = "", collision: str = "") -> str:
+    shape = '<{0}><origin xyz="0 0 1"/><geometry><mesh filename="{1}"/></geometry></{0}>'
+    shapes = (shape.format("visual", visual) if visual else "") + (
+        shape.format("collision", collision) if collision else ""
+    )
+    return (
+        '<robot name="r"><link name="a"><inertial><mass value="1"/><inertia ixx="1" ixy="0" '
+        f'ixz="0" iyy="1" iyz="0" izz="1"/></inertial>{shapes}</link></robot>'
+    )
+
+
+@pytest.fixture
+def package(tmp_path: Path) -> Path:
+    """A package as in ROS: pack/urdf/robot.urdf beside pack/meshes/box.*, 20 x 40 x 60 cm."""
+    folder = tmp_path / "pack"
+    (folder / "urdf").mkdir(parents=True)
+    (folder / "meshes").mkdir()
+    box = trimesh.creation.box((0.2, 0.4, 0.6))
+    for kind in ("stl", "obj"):
+        box.export(folder / "meshes" / f"box.{kind}")
+    (folder / "meshes" / "box.dae").write_text(COLLADA)
+    (tmp_path / "secret.stl").write_bytes((folder / "meshes" / "box.stl").read_bytes())
+    return folder
+
+
+# The same box with a corner at the origin, in centimetres, red.
+COLLADA = """<?xml version="1.0"?>
+<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1">
+<asset><unit name="centimeter" meter="0.01"/><up_axis>Z_UP</up_axis></asset>
+<library_effects><effect id="e"><profile_COMMON><technique sid="t"><phong><diffuse>
+<color>1 0 0 1</color></diffuse></phong></technique></profile_COMMON></effect></library_effects>
+<library_materials><material id="m"><instance_effect url="#e"/></material></library_materials>
+<library_geometries><geometry id="g"><mesh><source id="p">
+<float_array id="pa" count="12">0 0 0 20 0 0 0 40 0 0 0 60</float_array><technique_common>
+<accessor source="#pa" count="4" stride="3"><param name="X" type="float"/>
+<param name="Y" type="float"/><param name="Z" type="float"/></accessor></technique_common></source>
+<vertices id="v"><input semantic="POSITION" source="#p"/></vertices>
+<triangles material="m" count="4"><input semantic="VERTEX" source="#v" offset="0"/>
+<p>0 2 1 0 1 3 0 3 2 1 2 3</p></triangles></mesh></geometry></library_geometries>
+<library_visual_scenes><visual_scene id="s"><node id="n"><instance_geometry url="#g">
+<bind_material><technique_common><instance_material symbol="m" target="#m"/></technique_common>
+</bind_material></instance_geometry></node></visual_scene></library_visual_scenes>
+<scene><instance_visual_scene url="#s"/></scene></COLLADA>"""
+
+
+def test_finds_names_of_every_kind_inside_the_folders(package):
+    meshes = package / "meshes"
+    for name, folder in (
+        ("box.stl", meshes),
+        ("meshes/box.stl", package),
+        ("meshes/../meshes/box.stl", package),
+        (str(meshes / "box.stl"), package),
+        (f"file://{meshes}/box.stl", package),
+        ("package://pack/meshes/box.stl", package.parent),
+        ("package://pack/meshes/box.stl", package),
+        ("model://pack/meshes/box.stl", package),
+    ):
+        assert find_mesh(name, [folder], "r") == (meshes / "box.stl").resolve(), name
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "../secret.stl",
+        "../pack/../secret.stl",
+        "package://../secret.stl",
+        "package://pack/../../secret.stl",
+        "package://pack/%2e%2e/%2e%2e/secret.stl",
+        "{tmp}/secret.stl",
+        "file://{tmp}/secret.stl",
+        "link.stl",
+        "/etc/passwd",
+    ],
+)
+def test_refuses_names_that_leave_the_folders(package, name):
+    (package / "link.stl").symlink_to(package.parent / "secret.stl")
+    name = name.format(tmp=package.parent)
+    with pytest.raises(UrdfError, match=r"lies outside .* expected inside, or pass --mesh-dir"):
+        find_mesh(name, [package], "r")
+
+
+@pytest.mark.parametrize("name", ["http://example.org/box.stl", "none.stl", "x" * 5000, ""])
+def test_refuses_what_is_no_file(package, name):
+    with pytest.raises(UrdfError, match="expected"):
+        find_mesh(name, [package], "r")
+
+
+@pytest.mark.parametrize("kind", ["stl", "obj", "dae"])
+def test_shapes_are_in_metres_whatever_the_format(package, kind):
+    (part,) = load_mesh(package / "meshes" / f"box.{kind}", ONE, "r")
+    np.testing.assert_allclose(np.ptp(part.vertices, axis=0), [0.2, 0.4, 0.6], atol=1e-6)
+    assert (part.rgba is None) == (kind != "dae")
+
+
+def test_collada_colours_are_kept(package):
+    (part,) = load_mesh(package / "meshes" / "box.dae", ONE, "r")
+    np.testing.assert_array_equal(part.rgba, [1, 0, 0, 1])
+
+
+def test_a_mirrored_mesh_is_not_inside_out(package):
+    (part,) = load_mesh(package / "meshes" / "box.stl", np.array([1.0, -1, 2]), "r")
+    mirrored = trimesh.Trimesh(part.vertices, part.faces)
+    assert mirrored.volume == pytest.approx(2 * 0.2 * 0.4 * 0.6)
+
+
+@pytest.mark.parametrize(
+    ("name", "data"),
+    [
+        ("a.stl", b"nonsense"),
+        ("a.obj", b"v 1 2\nf 1 2 3\n"),
+        ("a.obj", b"v nan 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"),
+        ("a.dae", b"<COLLADA>"),
+        ("a.dae", b'<!DOCTYPE x [<!ENTITY a "b">]>' + COLLADA.split("?>", 1)[1].encode()),
+        ("a.ply", b"ply"),
+        ("a.stl", b""),
+    ],
+)
+def test_refuses_broken_files_in_one_line(tmp_path, name, data):
+    (tmp_path / name).write_bytes(data)
+    with pytest.raises(UrdfError) as raised:
+        load_mesh(tmp_path / name, ONE, "r.urdf")
+    assert str(raised.value).startswith("r.urdf: mesh file")
+    assert "\n" not in str(raised.value)
+
+
+def test_the_result_stands_alone(package):
+    file = package / "urdf" / "robot.urdf"
+    file.write_text(robot("package://pack/meshes/box.dae", "package://pack/meshes/box.stl"))
+    options = Options(mesh_folders=(package,))
+    xml = write_xml(convert(read_urdf(file), options=options).spec)
+    model = mujoco.MjModel.from_xml_string(xml)  # in memory: it has no file to look at
+    assert model.nmesh == 2
+    assert "collision meshes" not in xml
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    geom = model.geom("a").id
+    np.testing.assert_allclose(data.geom_xpos[geom], [0, 0, 1], atol=1e-6)
+    red = [i for i in range(model.ngeom) if tuple(model.geom_rgba[i]) == (1, 0, 0, 1)]
+    assert len(red) == 1
+    assert model.key("home").qpos[2] == pytest.approx(-0.7, abs=1e-6)  # the box stands on z = 0
+
+
+def test_a_missing_visual_is_shown_by_its_collision_shape(package):
+    file = package / "robot.urdf"
+    file.write_text(robot("package://other/none.dae", "meshes/box.stl"))
+    conversion = convert(read_urdf(file))
+    model = conversion.spec.compile()
+    assert sorted(model.geom_group[1:]) == [2, 3]
+    assert any("not found: package://other/none.dae" in line for line in conversion.report.lines())
+
+
+def test_a_missing_collision_shape_is_refused_or_left_out_on_request(package):
+    urdf = parse_urdf(robot(collision="none.stl"), "r.urdf", package)
+    with pytest.raises(UrdfError, match=r"r\.urdf: mesh 'none\.stl' is not in"):
+        convert(urdf)
+    conversion = convert(urdf, options=Options(meshes=False))
+    assert conversion.spec.compile().ngeom == 1
+    assert "dropped: collision meshes: none.stl" in conversion.report.lines()

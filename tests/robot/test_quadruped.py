@@ -1,0 +1,281 @@
+"""What environments are given: names, limits, the standing pose, and the two models."""
+
+import re
+
+import mujoco
+import numpy as np
+import pytest
+
+from quadwalk.paths import ALIENGO_URDF
+from quadwalk.robot.home import lowest_point
+from quadwalk.robot.mjcf import Options
+from quadwalk.robot.quadruped import Quadruped, load_quadruped, quadruped_from
+from quadwalk.robot.urdf import UrdfError, parse_urdf
+
+TEXT = ALIENGO_URDF.read_text()
+NO_MESHES = Options(meshes=False)
+
+
+@pytest.fixture(scope="module")
+def aliengo() -> Quadruped:
+    return load_quadruped()
+
+
+def test_aliengo_has_unitrees_figures(aliengo):
+    model = aliengo.full_model()
+    assert aliengo.name == "aliengo"
+    assert aliengo.trunk == "trunk"
+    assert aliengo.legs == ("FR", "FL", "RR", "RL")
+    assert aliengo.feet == ("FR_foot", "FL_foot", "RR_foot", "RL_foot")
+    assert aliengo.joints[:4] == ("FR_hip_joint", "FR_thigh_joint", "FR_calf_joint", "FL_hip_joint")
+    assert model.body_mass.sum() == pytest.approx(11.644 + 4 * (1.993 + 0.639 + 0.207 + 0.06))
+    np.testing.assert_allclose(aliengo.effort, [35.278, 35.278, 44.4] * 4)
+    np.testing.assert_allclose(aliengo.velocity, [20, 20, 15.89] * 4)
+    np.testing.assert_allclose(np.degrees(aliengo.lower[:3]), [-70, -120, -159], atol=0.01)
+    np.testing.assert_allclose(np.degrees(aliengo.upper[:3]), [70, 240, -37], atol=0.01)
+    np.testing.assert_allclose(model.dof_armature[6:], [0.009, 0.015, 0.022] * 4)
+    np.testing.assert_allclose(aliengo.friction, 0.425)
+    assert model.nbody == 1 + 13
+    assert model.nu == 12
+
+
+def test_left_and_right_mirror_each_other(aliengo):
+    model = aliengo.full_model()
+    flip = np.array([1, -1, 1])
+    for right, left in (("FR", "FL"), ("RR", "RL")):
+        for part in ("hip", "thigh", "calf"):
+            a, b = model.body(f"{right}_{part}"), model.body(f"{left}_{part}")
+            np.testing.assert_allclose(a.pos * flip, b.pos, atol=1e-12)
+            np.testing.assert_allclose(a.inertia, b.inertia, rtol=1e-9)
+            if part != "calf":  # whose centre of mass Unitree does not mirror, by 0.1 mm
+                np.testing.assert_allclose(a.ipos * flip, b.ipos, atol=1e-12)
+
+
+def test_home_stands_with_its_feet_just_on_the_floor(aliengo):
+    # 2 * .25 m * cos .8 from hip to foot centre, and the foot's radius below it.
+    assert aliengo.home[2] == pytest.approx(0.5 * np.cos(0.8) + 0.0265)
+    np.testing.assert_array_equal(aliengo.home[7:], [0, 0.8, -1.6] * 4)
+    model = aliengo.full_model()
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, model.key("home").id)
+    mujoco.mj_forward(model, data)
+    heights = [lowest_point(model, data, model.geom(foot).id) for foot in aliengo.feet]
+    np.testing.assert_allclose(heights, 0, atol=1e-12)
+    assert all(contact.dist > -1e-12 for contact in data.contact)  # and nothing overlaps
+    for leg, foot in zip(aliengo.legs, aliengo.feet, strict=True):
+        under = data.xpos[model.body(f"{leg}_thigh").id] - data.site_xpos[model.site(foot).id]
+        np.testing.assert_allclose(under[:2], 0, atol=1e-12)
+
+
+def hold(quadruped: Quadruped, seconds: float, feedforward: bool) -> np.ndarray:
+    """(n, 7) base poses under PD control (80 N m/rad, 2 N m s/rad) of the home pose."""
+    model = quadruped.full_model()
+    data = mujoco.MjData(model)
+    data.qpos[:] = quadruped.home
+    # What holds the robot up: J^T of a quarter of its weight at each foot, give or take the
+    # place of its centre of mass, found by least squares over the six equations of the base.
+    mujoco.mj_forward(model, data)
+    jacobians = []
+    for foot in quadruped.feet:
+        jacobian = np.zeros((3, model.nv))
+        mujoco.mj_jacSite(model, data, jacobian, None, model.site(foot).id)
+        jacobians.append(jacobian)
+    stacked = np.concatenate(jacobians).T
+    force = np.linalg.lstsq(stacked[:6], data.qfrc_bias[:6], rcond=None)[0]
+    static = (data.qfrc_bias - stacked @ force)[6:] * feedforward
+    poses = []
+    while data.time < seconds:
+        data.ctrl = static + 80 * (quadruped.home[7:] - data.qpos[7:]) - 2 * data.qvel[6:]
+        mujoco.mj_step(model, data)
+        poses.append(data.qpos[:7].copy())
+    return np.array(poses)
+
+
+def test_pd_holds_the_home_pose(aliengo):
+    poses = hold(aliengo, 10, feedforward=True)
+    assert np.abs(poses[:, :2]).max() < 0.02
+    assert np.abs(poses[:, 2] - aliengo.home[2]).max() < 0.02
+    assert poses[:, 3].min() > np.cos(np.radians(2) / 2)
+
+
+def stands(quadruped: Quadruped) -> None:
+    """Without any feedforward the springs give way, but then the robot stands still, upright."""
+    poses = hold(quadruped, 5, feedforward=False)
+    settled = poses[len(poses) // 2 :]
+    assert np.abs(settled[:, :2] - settled[0, :2]).max() < 0.02
+    assert settled[-1, 2] > 0.8 * quadruped.home[2]
+    assert settled[:, 3].min() > np.cos(np.radians(10) / 2)
+
+
+def test_plain_pd_stands(aliengo):
+    stands(aliengo)
+
+
+def trainable(quadruped: Quadruped) -> None:
+    """MJX takes the training model, and only feet and floor can touch in it."""
+    mjx = pytest.importorskip("mujoco.mjx")
+    model = quadruped.training_model(0.004)
+    assert mjx.put_model(model).nv == 18
+    touching = {
+        frozenset((model.geom(a).name, model.geom(b).name))
+        for a in range(model.ngeom)
+        for b in range(a)
+        if model.geom_contype[a] & model.geom_conaffinity[b]
+        or model.geom_contype[b] & model.geom_conaffinity[a]
+    }
+    assert touching == {frozenset(("floor", foot)) for foot in quadruped.feet}
+
+
+def test_mjx_takes_the_training_model(aliengo):
+    trainable(aliengo)
+
+
+def test_other_quadrupeds_stand_and_train(reference_urdf):
+    quadruped = load_quadruped(reference_urdf)
+    stands(quadruped)
+    trainable(quadruped)
+
+
+def test_pybullets_quadrupeds_stand_and_train(pybullet_urdf):
+    quadruped = load_quadruped(pybullet_urdf, NO_MESHES)
+    if pybullet_urdf.stem in ("aliengo", "a1", "spirit40"):
+        stands(quadruped)
+    trainable(quadruped)
+
+
+def test_both_models_are_of_one_robot(aliengo):
+    full, training = aliengo.full_model(), aliengo.training_model(0.002)
+    for kind in ("body", "jnt", "actuator"):
+        names = [
+            [getattr(m, kind.replace("jnt", "joint"))(i).name for i in range(n)]
+            for m, n in ((full, getattr(full, f"n{kind}", full.nu)),
+                         (training, getattr(training, f"n{kind}", training.nu)))
+        ]  # fmt: skip
+        assert names[0] == names[1]
+    same = (
+        "body_mass body_inertia body_ipos body_iquat jnt_range jnt_actfrcrange dof_armature "
+        "dof_damping actuator_ctrlrange"
+    )
+    for name in same.split():
+        np.testing.assert_array_equal(getattr(full, name), getattr(training, name))
+    collision = [full.geom(i).name for i in range(full.ngeom) if full.geom(i).name]
+    assert collision == [training.geom(i).name for i in range(training.ngeom)]
+    assert len(collision) == 1 + 1 + 4 * 4
+    assert training.nsensor == 0
+    assert training.nlight == 0
+    assert not training.dof_frictionloss.any()
+    assert not full.dof_frictionloss.any()
+    np.testing.assert_array_equal(
+        aliengo.full_model(frictionloss=True).dof_frictionloss[6:], aliengo.friction
+    )
+    for model, iterations in ((training, (1, 5)), (full, (100, 50))):
+        assert model.opt.solver == mujoco.mjtSolver.mjSOL_NEWTON
+        assert (model.opt.iterations, model.opt.ls_iterations) == iterations
+    assert training.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_EULERDAMP
+
+
+def test_qpos_qvel_and_ctrl_are_in_the_order_of_the_joints(aliengo):
+    model = aliengo.training_model(0.002)
+    for i, name in enumerate(aliengo.joints):
+        joint = model.joint(name)
+        assert (joint.qposadr[0], joint.dofadr[0]) == (7 + i, 6 + i)
+        assert model.actuator(i).name == name
+        assert model.actuator(i).trnid[0] == joint.id
+
+
+def test_legs_are_found_by_place_whatever_their_names_and_order():
+    # Legs in another order of the file, under other names.
+    swapped = TEXT.replace('"FR_', '"zz_').replace('"RL_', '"FR_').replace('"zz_', '"RL_')
+    quadruped = quadruped_from(parse_urdf(swapped))
+    assert quadruped.legs == ("FR", "FL", "RR", "RL")
+    assert quadruped.joints[0] == "RL_hip_joint"  # the one that stands ahead on the right
+    model = quadruped.full_model()
+    assert model.joint("RL_hip_joint").qposadr[0] == 7
+    assert model.body("RL_hip").pos == pytest.approx([0.2407, -0.051, 0])
+
+
+def test_a_continuous_thigh_and_a_reversed_axis():
+    text = TEXT.replace('<axis xyz="0 1 0"/>', '<axis xyz="0 -1 0"/>')
+    calf = 'lower="{}" upper="{}"'
+    text = text.replace(
+        calf.format("-2.775073510670984", "-0.6457718232379019"),
+        calf.format("0.6457718232379019", "2.775073510670984"),
+    )
+    text = text.replace('<limit lower="-2.0944" upper="4.1888"', "<limit")
+    text = re.sub(r'(_thigh_joint" type=)"revolute"', r'\1"continuous"', text)
+    quadruped = quadruped_from(parse_urdf(text))
+    np.testing.assert_array_equal(quadruped.home[7:], [0, -0.8, 1.6] * 4)
+    np.testing.assert_allclose(quadruped.lower[:3], [-1.22173, -np.pi, 0.64577], atol=1e-5)
+    assert quadruped.home[2] == pytest.approx(0.5 * np.cos(0.8) + 0.0265)
+
+
+def test_a_foot_that_is_no_link_of_its_own():
+    urdf = parse_urdf(
+        '<robot name="r">'
+        + box_link("trunk", "0.4 0.2 0.1", 5)
+        + "".join(
+            spider_leg(name, x, y)
+            for name, x, y in (
+                ("a", 0.2, 0.1),
+                ("b", 0.2, -0.1),
+                ("c", -0.2, 0.1),
+                ("d", -0.2, -0.1),
+            )
+        )
+        + "</robot>"
+    )
+    quadruped = quadruped_from(urdf)
+    assert quadruped.feet == ("b3_foot", "a3_foot", "d3_foot", "c3_foot")
+    model = quadruped.full_model()
+    assert model.site("b3_foot").pos == pytest.approx([0, 0, -0.2])
+    assert model.geom("b3_foot").size[0] == 0.02
+    # Thigh .3 m, calf .2 m: the foot is below the thigh joint, at cos(.8) of .5 m.
+    data = mujoco.MjData(model)
+    data.qpos[:] = quadruped.home
+    mujoco.mj_forward(model, data)
+    down = data.site("b3_foot").xpos - data.body("b2").xpos
+    np.testing.assert_allclose(down, [0, 0, -0.5 * np.cos(0.8)], atol=1e-4)
+    assert data.body("b3").xpos[0] < data.body("b2").xpos[0]  # the knee points backwards
+
+
+def box_link(name: str, size: str, mass: float, extra: str = "") -> str:
+    return (
+        f'<link name="{name}"><inertial><mass value="{mass}"/><inertia ixx="0.01" ixy="0" ixz="0" '
+        f'iyy="0.01" iyz="0" izz="0.01"/></inertial><collision><geometry><box size="{size}"/>'
+        f"</geometry></collision>{extra}</link>"
+    )
+
+
+def spider_leg(name: str, x: float, y: float) -> str:
+    sphere = '<geometry><sphere radius="0.02"/></geometry>'
+    foot = f'<collision><origin xyz="0 0 -0.2"/>{sphere}</collision>'
+    out, parent, at = "", "trunk", (f"{x} {y} 0", "0 0 0", "0 0 -0.3")
+    for i, axis in enumerate(("1 0 0", "0 1 0", "0 1 0"), start=1):
+        out += box_link(f"{name}{i}", "0.02 0.02 0.02", 0.5, foot if i == 3 else "")
+        out += (
+            f'<joint name="{name}j{i}" type="revolute"><origin xyz="{at[i - 1]}"/>'
+            f'<parent link="{parent}"/><child link="{name}{i}"/><axis xyz="{axis}"/>'
+            '<limit lower="-3" upper="3" effort="20" velocity="10"/></joint>'
+        )
+        parent = f"{name}{i}"
+    return out
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ('<joint name="FR_calf_joint" type="revolute"', '<joint name="FR_calf_joint" type="fixed"',
+         "FR_hip_joint (2), FL_hip_joint (3)"),
+        ('xyz="-0.2407 0.051 0"', 'xyz="0.2407 0.051 0"', "expected one ahead and one behind"),
+        ('<sphere radius="0.0265"/>', '<box size="0.01 0.01 0.01"/>',
+         "'FR_calf' and what is fixed to it have no collision sphere"),
+        ('effort="44.4"', 'effort="0"', "'FR_calf_joint' has no effort or velocity limit"),
+        ('velocity="15.89"', 'velocity="0"', "'FR_calf_joint' has no effort or velocity limit"),
+    ],
+)  # fmt: skip
+def test_what_is_no_quadruped_is_said(old, new, says):
+    assert old in TEXT
+    with pytest.raises(UrdfError) as raised:
+        quadruped_from(parse_urdf(TEXT.replace(old, new, 1)))
+    assert says in str(raised.value)
+    assert "\n" not in str(raised.value)

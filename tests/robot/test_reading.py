@@ -1,0 +1,219 @@
+"""A URDF that is not valid is refused with one line: file, element, and what is expected."""
+
+import re
+import time
+from pathlib import Path
+
+import pytest
+
+from quadwalk.paths import ALIENGO_URDF
+from quadwalk.robot.legs import find_legs
+from quadwalk.robot.mjcf import Options, convert
+from quadwalk.robot.urdf import UrdfError, parse_urdf, read_urdf
+
+TEXT = ALIENGO_URDF.read_text()
+HIP_LIMIT = 'lower="-1.2217304763960306" upper="1.2217304763960306" effort="35.278"'
+TRUNK_INERTIA = 'ixx="0.051944892"'
+BOMB = '<!DOCTYPE robot [<!ENTITY a "ha"><!ENTITY b "&a;&a;&a;">]>'
+EXTERNAL = '<!DOCTYPE robot [<!ENTITY a SYSTEM "file:///etc/passwd">]>'
+
+
+def changed(old: str, new: str) -> str:
+    """AlienGo's URDF with the first `old` replaced."""
+    assert old in TEXT
+    return TEXT.replace(old, new, 1)
+
+
+def load(text: str | bytes) -> None:
+    """All that stands between a text and a model: reading, checking, converting."""
+    urdf = parse_urdf(text, "robot.urdf")
+    convert(urdf, find_legs(urdf.tree, urdf.source))
+
+
+EXTRA_LINK = '<link name="extra"/></robot>'
+EXTRA_JOINT = (
+    '<link name="extra"/><joint name="extra" type="fixed"><parent link="{}"/>'
+    '<child link="{}"/></joint></robot>'
+)
+MIMIC = '<dynamics damping="0.22" friction="0.425" armature="0.009"/>'
+
+# What is wrong, the text, and what the message must name.
+BAD = {
+    "empty": ("", "is empty"),
+    "blank": (" \n ", "is empty"),
+    "not XML": ("hello", "not well-formed"),
+    "binary": (b"\x00\xff\xfe\x01", "not well-formed"),
+    "truncated": (TEXT[: len(TEXT) // 2], "not well-formed"),
+    "unclosed": (TEXT.replace("</robot>", ""), "not well-formed"),
+    "two documents": (TEXT + "<robot/>", "not well-formed"),
+    "entity bomb": (TEXT.replace("<robot", BOMB + "<robot").replace("orange", "&b;"), "DOCTYPE"),
+    "external entity": (TEXT.replace("<robot", EXTERNAL + "<robot"), "DOCTYPE"),
+    "undefined entity": (changed("orange", "&who;"), "not well-formed"),
+    "wrong root": ('<mujoco model="x"/>', "<mujoco>; expected <robot>"),
+    "no links": ('<robot name="x"/>', "no <link>"),
+    "no robot name": (changed(' name="aliengo"', ""), "<robot> has no name"),
+    "no link name": (changed('<link name="trunk"', "<link"), "<link> has no 'name'"),
+    "empty link name": (changed('<link name="trunk"', '<link name=" "'), "empty 'name'"),
+    "no joint name": (changed('<joint name="imu_joint"', "<joint"), "<joint> has no 'name'"),
+    "duplicate link": (changed('<link name="FL_foot"', '<link name="FR_foot"'), "'FR_foot' app"),
+    "duplicate joint": (
+        changed('<joint name="FL_hip_joint"', '<joint name="FR_hip_joint"'),
+        "joint 'FR_hip_joint' appears twice",
+    ),
+    "unknown parent": (changed('<parent link="trunk"', '<parent link="tronk"'), "parent 'tronk'"),
+    "unknown child": (changed('<child link="FR_hip"', '<child link="hip"'), "child 'hip'"),
+    "no parent": (changed('<parent link="trunk"/>', ""), "has no <parent>"),
+    "two parents": (changed("</robot>", EXTRA_JOINT.format("extra", "FR_hip")), "second parent"),
+    "two roots": (changed("</robot>", EXTRA_LINK), "2 links have no parent ('trunk', 'extra')"),
+    "cycle": (changed('<child link="imu_link"/>', '<child link="trunk"/>'), "expected"),
+    "joint to itself": (
+        changed('<parent link="trunk"/>\n    <child link="imu_link"/>',
+                '<parent link="imu_link"/>\n    <child link="imu_link"/>'),
+        "joint 'imu_joint' joins link 'imu_link' to itself",
+    ),
+    "missing value": (changed('<mass value="11.644"/>', "<mass/>"), "<mass> has no 'value'"),
+    "missing moment": (changed(TRUNK_INERTIA, ""), "<inertia> has no 'ixx'"),
+    "missing inertia": (changed("<mass", "<!--").replace("<inertia ", "--><!-- ", 1)
+                        .replace("/>\n    </inertial>", "-->\n    </inertial>", 1), "has no <"),
+    "not a number": (changed('value="11.644"', 'value="heavy"'), 'value="heavy"'),
+    "python number": (changed('value="11.644"', 'value="1_1"'), 'value="1_1"'),
+    "two numbers": (changed('value="11.644"', 'value="11 644"'), "expected one number"),
+    "short vector": (changed('xyz="0.2407 -0.051 0"', 'xyz="0.2407 -0.051"'), "expected 3"),
+    "NaN mass": (changed('value="11.644"', 'value="nan"'), 'value="nan"'),
+    "infinite effort": (changed('effort="35.278"', 'effort="inf"'), 'effort="inf"'),
+    "overflow": (changed('value="11.644"', 'value="1e999"'), "finite"),
+    "enormous": (changed('value="11.644"', 'value="1e12"'), "at most"),
+    "NaN in an extension": (
+        changed("<dynamics d", '<safety_controller k_position="nan"/><dynamics d'),
+        'k_position="nan"',
+    ),
+    "zero axis": (changed('<axis xyz="1 0 0"', '<axis xyz="0 0 0"'), "'FR_hip_joint': <axis>"),
+    "unknown type": (changed('type="revolute"', 'type="hinge"'), "of type 'hinge'"),
+    "floating joint": (changed('type="revolute"', 'type="floating"'), "of type 'floating'"),
+    "no limits": (changed("<limit " + HIP_LIMIT + ' velocity="20"/>', ""), "is revolute; exp"),
+    "no lower": (changed('lower="-1.2217304763960306"', ""), "is revolute; expected <limit"),
+    "no effort": (changed(' effort="35.278"', ""), "<limit> has no 'effort'"),
+    "reversed": (changed('lower="-1.2217304763960306"', 'lower="2"'), "lower 2 and upper 1.22"),
+    "negative effort": (changed('effort="35.278"', 'effort="-1"'), 'effort="-1"'),
+    "negative mass": (changed('value="1.993"', 'value="-1.993"'), "link 'FR_hip': <mass>"),
+    "zero mass": (changed('value="1.993"', 'value="0"'), "link 'FR_hip' moves"),
+    "massless trunk": (changed('value="11.644"', 'value="0"'), "link 'trunk'"),
+    "negative moment": (changed(TRUNK_INERTIA, 'ixx="-0.05"'), "link 'trunk': <inertia>"),
+    "not definite": (changed('ixy="0.001703617"', 'ixy="0.2"'), "expected positive"),
+    "triangle": (changed(TRUNK_INERTIA, 'ixx="5"'), "above the sum of the others"),
+    "no inertial": (
+        re.sub(r'(<link name="FR_thigh">\s*)<inertial>.*?</inertial>', r"\1", TEXT, flags=re.S),
+        "link 'FR_thigh' moves (joint 'FR_thigh_joint')",
+    ),
+    "mimic of none": (changed(MIMIC, MIMIC + '<mimic joint="tail"/>'), "follows joint 'tail'"),
+    "mimic of itself": (
+        changed(MIMIC, MIMIC + '<mimic joint="FR_hip_joint"/>'), "'FR_hip_joint' in a circle"
+    ),
+    "negative radius": (changed('radius="0.046"', 'radius="-0.046"'), 'radius="-0.046"'),
+    "negative size": (changed('size="0.647 0.15', 'size="0.647 -0.15'), "<box>"),
+    "zero size": (changed('<cylinder radius="0.046"', '<cylinder radius="0"'), "above 0"),
+    "negative damping": (changed('damping="0.22"', 'damping="-1"'), 'damping="-1"'),
+    "misspelt attribute": (changed('<axis xyz="1 0 0"', '<axis xzy="1 0 0"'), "attribute 'xzy'"),
+    "misspelt element": (
+        changed("<origin xyz=\"0.2407", "<orgin xyz=\"0.2407"), "has a <orgin> in it"
+    ),
+    "twice": (changed('<axis xyz="1 0 0"/>', '<axis xyz="1 0 0"/><axis xyz="0 1 0"/>'), "2 <axis>"),
+    "two shapes": (
+        changed('<box size="0.647 0.15 0.112"/>',
+                '<box size="0.647 0.15 0.112"/><sphere radius="1"/>'),
+        "holds 2 shapes",
+    ),
+    "no shape": (changed('<box size="0.647 0.15 0.112"/>', ""), "holds 0 shapes"),
+    "unknown shape": (changed('<box size="0.647 0.15 0.112"/>', "<capsule/>"), "<capsule>"),
+    "bad colour": (changed('rgba="1.0 0.42 0.04 1"', 'rgba="255 0 0 1"'), "expected 0 .. 1"),
+    "second colour": (changed('name="graphite"', 'name="orange"'), "a second color"),
+    "link named world": (TEXT.replace('"FR_foot"', '"world"'), "'world' is not the root"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_refuses(case):
+    text, named = BAD[case]
+    with pytest.raises(UrdfError) as raised:
+        load(text)
+    message = str(raised.value)
+    assert message.startswith("robot.urdf")
+    assert named in message
+    assert "expected" in message
+    assert "\n" not in message
+
+
+def test_a_cycle_beside_the_root_is_named():
+    loop = (
+        '<link name="a"/><link name="b"/>'
+        '<joint name="ab" type="fixed"><parent link="a"/><child link="b"/></joint>'
+        '<joint name="ba" type="fixed"><parent link="b"/><child link="a"/></joint></robot>'
+    )
+    with pytest.raises(UrdfError, match="'a' is its own ancestor; expected a tree"):
+        load(TEXT.replace("</robot>", loop))
+
+
+def test_refuses_what_is_no_file(tmp_path: Path):
+    with pytest.raises(UrdfError, match=r"is a folder; expected a URDF"):
+        read_urdf(tmp_path)
+    with pytest.raises(UrdfError, match=r"none\.urdf: cannot be read \(No such file"):
+        read_urdf(tmp_path / "none.urdf")
+    with pytest.raises(UrdfError, match="cannot be read"):
+        read_urdf(Path("a\0b"))
+    if Path("/dev/zero").exists():
+        with pytest.raises(UrdfError, match="larger than 16 MB"):
+            read_urdf(Path("/dev/zero"))
+
+
+def test_refuses_100_000_links_in_bounded_time():
+    links = "".join(f'<link name="l{i}"/>' for i in range(100_000))
+    joints = "".join(
+        f'<joint name="j{i}" type="fixed"><parent link="l{i}"/><child link="l{i + 1}"/></joint>'
+        for i in range(99_999)
+    )
+    start = time.perf_counter()
+    with pytest.raises(UrdfError, match="100000 links or joints; expected at most 2000"):
+        load(f'<robot name="long">{links}{joints}</robot>')
+    assert time.perf_counter() - start < 5
+
+
+def test_as_many_links_as_are_allowed_convert():
+    links = "".join(f'<link name="l{i}"/>' for i in range(1, 2000))
+    joints = "".join(
+        f'<joint name="j{i}" type="fixed"><parent link="l{i}"/><child link="l{i + 1}"/></joint>'
+        for i in range(1999)
+    )
+    first = (
+        '<link name="l0"><inertial><mass value="1"/>'
+        '<inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial></link>'
+    )
+    urdf = parse_urdf(f'<robot name="long">{first}{links}{joints}</robot>')
+    assert convert(urdf).spec.compile().nsite == 2000  # one per fused link, one for the IMU
+
+
+def test_reads_what_the_file_says_in_any_encoding():
+    text = TEXT.replace('name="aliengo"', 'name="Älien"').replace(
+        '<?xml version="1.0"?>', '<?xml version="1.0" encoding="iso-8859-1"?>'
+    )
+    assert parse_urdf(text.encode("latin-1")).robot.name == "Älien"
+    assert parse_urdf(text).robot.name == "Älien"  # text, whatever it declares
+
+
+def test_an_axis_need_not_be_normalised_or_given():
+    urdf = parse_urdf(changed('<axis xyz="0 1 0"', '<axis xyz="0 7 0"'))
+    model = convert(urdf, find_legs(urdf.tree, "")).spec.compile()
+    assert model.joint("FR_thigh_joint").axis == pytest.approx([0, 1, 0])
+    urdf = parse_urdf(changed('<axis xyz="1 0 0"/>', ""))
+    model = convert(urdf, find_legs(urdf.tree, "")).spec.compile()
+    assert model.joint("FR_hip_joint").axis == pytest.approx([1, 0, 0])
+
+
+def test_what_is_left_out_is_reported():
+    urdf = parse_urdf(TEXT.replace("</robot>", "<gazebo/><gazebo/></robot>"))
+    assert "dropped: extensions of other tools: <gazebo> (2)" in urdf.report.lines()
+
+
+def test_a_base_without_mass_cannot_float():
+    arm = '<robot name="r"><link name="a"/></robot>'
+    with pytest.raises(UrdfError, match="'a' is to float and has no mass"):
+        convert(parse_urdf(arm), options=Options(floating=True))
