@@ -20,13 +20,22 @@ def evaluate(config: EvalConfig) -> dict[str, Any]:
     run = find_run(config.runs, config.run)
     out = _make_output(config, run)
     # On stderr: what is printed on stdout is the result alone.
-    console = Console(stderr=True, highlight=False)
+    console = Console(stderr=True, highlight=False, soft_wrap=True)
     console.print(f"evaluating {run.path}, {config.episodes} episodes in {config.engine}")
 
     from quadwalk.env.quadruped import QuadrupedEnv
+    from quadwalk.evaluate.gait import gait_metrics, measure_gait
     from quadwalk.evaluate.mcap import write_mcap
+    from quadwalk.evaluate.plots import plot_report
+    from quadwalk.evaluate.render import render_film_strip
     from quadwalk.evaluate.simulate import simulate_episodes
-    from quadwalk.evaluate.summary import episode_figures, print_table, summarise
+    from quadwalk.evaluate.summary import (
+        describe_gait,
+        episode_figures,
+        print_table,
+        summarise,
+        typical_episode,
+    )
     from quadwalk.robot.quadruped import load_quadruped
     from quadwalk.train import checkpoint
     from quadwalk.train.config import to_dict
@@ -56,9 +65,12 @@ def evaluate(config: EvalConfig) -> dict[str, Any]:
         )
     episodes = [episode_figures(rollout, env_config.reward) for rollout in rollouts]
     summary = summarise(episodes)
+    typical = typical_episode(episodes)
+    gait = measure_gait(rollouts[typical], quadruped)
     simulated = sum(rollout.steps for rollout in rollouts) * env_config.control_dt
     console.print(f"{simulated:,.0f} s simulated in {time.monotonic() - began:.1f} s")
     print_table(summary, f"{run.name}, {policy.steps:,} steps of training, engine {config.engine}")
+    print(describe_gait(gait, typical))
 
     provenance = {
         "run": run.name,
@@ -70,18 +82,26 @@ def evaluate(config: EvalConfig) -> dict[str, Any]:
         "versions": versions(),
     }
     results = {**provenance, "summary": summary, "episodes": episodes}
+    results["typical_episode"] = {"episode": typical, **gait_metrics(gait, quadruped)}
     write_json_atomic(out / "metrics.json", results)
     metadata = {
         name: value if isinstance(value, str) else json.dumps(value)
         for name, value in provenance.items()
     }
     metadata["config"] = json.dumps(to_dict(policy.config))
+    attachments = {"config.json": run.config.read_bytes()} if run.config.exists() else {}
+    recorded = rollouts[: config.mcap]
     with console.status("writing"):
-        for rollout in rollouts[: config.mcap]:
+        for rollout in recorded:
             path = out / f"episode_{rollout.episode:03d}.mcap"
-            write_mcap(path, rollout, quadruped, metadata)
-    console.print(f"written to {out}: metrics.json, {len(rollouts[: config.mcap])} MCAP files")
-    if rollouts[: config.mcap]:
+            write_mcap(path, rollout, quadruped, metadata, attachments)
+        plot_report(rollouts[typical], quadruped, out / "report.png", run.name)
+        try:
+            render_film_strip(rollouts[typical], quadruped, out / "film_strip.png")
+        except UserError as error:  # most likely no GL library: everything else still works
+            console.print(f"no film strip: {error}")
+    console.print(f"written to {out}: metrics.json, report.png, {len(recorded)} MCAP files")
+    if recorded:
         console.print(f"see it with: rerun {out / 'episode_000.mcap'}, or open it in Foxglove")
     return results
 

@@ -8,6 +8,7 @@ from rich.console import Console
 from rich.table import Table
 
 from quadwalk.env.config import RewardConfig
+from quadwalk.evaluate.gait import Gait
 from quadwalk.evaluate.rollout import Rollout
 
 # name in metrics.json, heading in the table, unit
@@ -80,6 +81,24 @@ def summarise(episodes: Sequence[dict[str, Any]]) -> dict[str, Any]:
             "ci95": float(1.96 * error) if np.isfinite(error) else None,
         }
     return summary
+
+
+def typical_episode(episodes: Sequence[dict[str, Any]]) -> int:
+    """Index of the episode of median speed: the one to look at."""
+    order = np.argsort([episode["speed"] for episode in episodes], kind="stable")
+    return int(order[len(order) // 2])
+
+
+def describe_gait(gait: Gait, episode: int) -> str:
+    """The gait of one episode in a line or two."""
+    return (
+        f"gait of episode {episode}: {gait.gait}, {gait.stride_frequency:.2f} strides/s of "
+        f"{gait.stride_length:.2f} m, duty factor {np.mean(gait.duty_factor):.2f}, "
+        f"swing height {100 * np.min(gait.swing_height):.1f} cm or more, "
+        f"cost of transport {gait.cost_of_transport:.2f}\n"
+        f"of their limits, at most: torque {100 * np.max(gait.torque_peak):.0f} %, "
+        f"joint speed {100 * np.max(gait.joint_speed_peak):.0f} %"
+    )
 
 
 def print_table(summary: dict[str, Any], title: str) -> None:

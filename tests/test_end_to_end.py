@@ -1,0 +1,145 @@
+"""The two commands as a user runs them: train, stop with Ctrl-C, evaluate in both engines."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from quadwalk.evaluate.mcap import verify_mcap
+
+ROOT = Path(__file__).parents[1]
+TINY = [
+    "--envs=16",
+    "--ppo.judges=2",
+    "--ppo.unroll=4",
+    "--ppo.epochs=1",
+    "--ppo.minibatches=2",
+    "--ppo.hidden=16",
+    "--devices=2",
+]
+
+
+def run(*args: str | Path, timeout: float = 240) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, *map(str, args)]
+    return subprocess.run(command, capture_output=True, text=True, cwd=ROOT, timeout=timeout)
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory) -> Path:
+    return tmp_path_factory.mktemp("runs")
+
+
+@pytest.fixture(scope="module")
+def stopped(runs) -> tuple[Path, str, float]:
+    """A training that Ctrl-C ended: its folder, what it printed, seconds to its first line."""
+    command = [sys.executable, "train.py", f"--runs={runs}", "--name=tiny", *TINY]
+    began = time.monotonic()
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=ROOT) as process:
+        assert process.stdout is not None
+        first = process.stdout.readline()
+        seconds = time.monotonic() - began
+        metrics = runs / "tiny" / "metrics.jsonl"
+        while not (metrics.exists() and metrics.stat().st_size):
+            assert process.poll() is None, "training ended before its first iteration"
+            time.sleep(0.2)
+        process.send_signal(signal.SIGINT)
+        rest = process.stdout.read()
+        assert process.wait(timeout=60) == 0
+    return runs / "tiny", first + rest, seconds
+
+
+def test_training_says_at_once_what_it_does(stopped):
+    _, output, seconds = stopped
+    assert "loading" in output.splitlines()[0]
+    assert seconds < 5.0
+    assert "compiling" in output
+
+
+def test_a_stopped_training_leaves_everything(stopped):
+    folder, output, _ = stopped
+    assert "stopped after" in output
+    names = {path.name for path in folder.iterdir()}
+    assert names >= {"config.json", "metrics.jsonl", "tensorboard", "checkpoints", "policy.npz"}
+    assert names >= {"learning_curve.png", "robot.urdf"}
+    assert not list(folder.rglob("*.part"))
+    assert json.loads((folder / "config.json").read_text())["config"]["envs"] == 16
+    rows = [json.loads(line) for line in (folder / "metrics.jsonl").read_text().splitlines()]
+    assert [row["steps"] for row in rows] == [64 * (i + 1) for i in range(len(rows))]
+    total = sum(value for name, value in rows[0].items() if name.startswith("train/reward/"))
+    assert total == pytest.approx(rows[0]["train/reward"], abs=1e-4)
+
+
+def test_a_run_is_never_overwritten(stopped, runs):
+    before = {path: path.stat().st_mtime_ns for path in runs.rglob("*")}
+    done = run("train.py", f"--runs={runs}", "--name=tiny", *TINY)
+    assert done.returncode == 2
+    assert "tiny" in done.stderr
+    assert done.stderr.count("\n") == 1
+    assert {path: path.stat().st_mtime_ns for path in runs.rglob("*")} == before
+
+
+@pytest.mark.parametrize("engine", ["mjx", "mujoco"])
+def test_evaluation_measures_and_writes_every_episode(stopped, runs, tmp_path, engine):
+    flags = ["--episodes=2", "--seconds=1", f"--engine={engine}", f"--out={tmp_path}"]
+    done = run("eval.py", "tiny", f"--runs={runs}", *flags)
+    assert done.returncode == 0, done.stderr
+    assert "speed along x" in done.stdout
+    results = json.loads((tmp_path / "metrics.json").read_text())
+    assert results["engine"] == engine
+    assert results["summary"]["episodes"] == len(results["episodes"]) == 2
+    for episode in results["episodes"]:
+        assert episode["distance"] == pytest.approx(episode["speed"] * episode["duration"])
+        terms = [value for name, value in episode.items() if name.startswith("reward/")]
+        assert sum(terms) == pytest.approx(episode["reward"], abs=1e-4)
+    files = sorted(tmp_path.glob("*.mcap"))
+    assert [file.name for file in files] == ["episode_000.mcap", "episode_001.mcap"]
+    assert all(verify_mcap(file) > 100 for file in files)
+
+
+def fails(*args: str | Path) -> str:
+    done = run(*args)
+    assert done.returncode in (1, 2), done.stderr
+    lines = [line for line in done.stderr.splitlines() if not line.startswith("evaluating ")]
+    assert len(lines) == 1, done.stderr
+    assert lines[0].startswith("error: ")
+    return lines[0]
+
+
+def test_an_unknown_run_is_named_with_those_there_are(stopped, runs):
+    line = fails("eval.py", "nobody", f"--runs={runs}")
+    assert "nobody" in line
+    assert "tiny" in line
+
+
+@pytest.mark.parametrize(
+    "content", [b"", b"not a policy", b"PK\x03\x04 half an archive"], ids=["empty", "text", "zip"]
+)
+def test_a_policy_that_is_none_is_named(stopped, tmp_path, content):
+    broken = tmp_path / "broken"
+    broken.mkdir()
+    for name in ("config.json", "robot.urdf", "metrics.jsonl"):
+        (broken / name).write_bytes((stopped[0] / name).read_bytes())
+    (broken / "policy.npz").write_bytes(content)
+    assert "policy.npz" in fails("eval.py", broken)
+
+
+@pytest.mark.parametrize("content", [None, b"", b"<robot name='x'><link"])
+def test_a_urdf_that_is_none_is_named_and_makes_no_run(tmp_path, content):
+    urdf = tmp_path / "dog.urdf"
+    if content is not None:
+        urdf.write_bytes(content)
+    assert "dog.urdf" in fails("train.py", f"--runs={tmp_path / 'runs'}", f"--robot.urdf={urdf}")
+    assert not (tmp_path / "runs").exists()
+
+
+@pytest.mark.skipif(os.name != "posix", reason="needs a file where a folder should be")
+def test_a_folder_that_cannot_be_written_is_named(stopped, runs, tmp_path):
+    blocked = tmp_path / "file"
+    blocked.write_text("")
+    assert "file" in fails("train.py", f"--runs={blocked / 'runs'}", *TINY)
+    assert "file" in fails("eval.py", "tiny", f"--runs={runs}", f"--out={blocked / 'out'}")

@@ -1,0 +1,106 @@
+import dataclasses
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from quadwalk.env.config import EnvConfig, RewardConfig
+from quadwalk.errors import UsageError
+from quadwalk.train.__main__ import parse_config
+from quadwalk.train.config import PPOConfig, TrainConfig, from_dict, to_dict
+
+ROOT = Path(__file__).parents[2]
+
+
+def test_every_field_can_be_set_from_the_command_line():
+    flags = ["--name", "x", "--steps", "5", "--seed", "3", "--envs", "64"]
+    flags += ["--env.reward.forward", "2.5", "--env.actuation.no-speed-limit"]
+    flags += ["--ppo.hidden", "32", "16", "--robot.urdf", "a/b.urdf"]
+    config = parse_config(flags)
+    assert (config.name, config.steps, config.seed, config.envs) == ("x", 5, 3, 64)
+    assert config.env.reward.forward == 2.5
+    assert config.env.actuation.speed_limit is False
+    assert config.ppo.hidden == (32, 16)
+    assert config.robot.urdf == Path("a/b.urdf")
+    assert config.env.reward.fall == RewardConfig().fall
+
+
+def test_the_defaults_are_the_run_preset():
+    assert parse_config([]) == parse_config(["--preset", "run"]) == TrainConfig()
+
+
+finite = st.floats(allow_nan=False, allow_infinity=False)
+
+
+@given(finite, st.integers(1, 9), st.lists(st.integers(1, 512), min_size=1).map(tuple))
+def test_a_configuration_comes_back_from_json_as_it_was(forward, substeps, hidden):
+    config = TrainConfig(
+        name=None,
+        env=EnvConfig(reward=RewardConfig(forward=forward), substeps=substeps),
+        ppo=PPOConfig(hidden=hidden),
+    )
+    assert from_dict(TrainConfig, json.loads(json.dumps(to_dict(config)))) == config
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        ({"colour": 1}, "config.colour"),
+        ({"steps": "many"}, "config.steps"),
+        ({"steps": True}, "config.steps"),
+        ({"env": {"substeps": 1.5}}, "config.env.substeps"),
+        ({"env": 3}, "config.env"),
+        ({"ppo": {"hidden": ["a"]}}, "config.ppo.hidden"),
+        ({"env": {"reward": {"speed": 1.0}}}, "config.env.reward.speed"),
+    ],
+)
+def test_a_foreign_configuration_is_refused_by_name(change, named):
+    with pytest.raises(UsageError, match=named.replace(".", r"\.")):
+        from_dict(TrainConfig, change)
+
+
+@pytest.mark.parametrize(
+    ("flags", "named"),
+    [
+        (["--foo", "1"], "--foo"),
+        (["--steps", "many"], "--steps"),
+        (["--steps", "0"], "--steps"),
+        (["--envs", "-4"], "--envs"),
+        (["--seed", "-1"], "--seed"),
+        (["--preset", "fly"], "--preset"),
+        (["--preset"], "--preset"),
+        (["--env.reward.forwad", "2"], "--env.reward.forward"),
+        (["--ppo.discount", "1.5"], "discount"),
+        (["--ppo.hidden", "0"], "hidden"),
+        (["--env.physics-dt", "1"], "physics-dt"),
+    ],
+)
+def test_a_bad_flag_is_one_line_that_names_it(flags, named):
+    with pytest.raises(UsageError) as caught:
+        parse_config(flags)
+    assert named in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("script", ["train.py", "eval.py"])
+def test_the_scripts_end_a_usage_error_with_status_2_and_one_line(script):
+    done = subprocess.run(
+        [sys.executable, script, "--nonsense"], capture_output=True, text=True, cwd=ROOT
+    )
+    assert done.returncode == 2
+    assert done.stderr.startswith("error: ")
+    assert done.stderr.count("\n") == 1
+    assert done.stdout == ""
+
+
+def test_help_names_every_setting():
+    done = subprocess.run(
+        [sys.executable, "train.py", "--help"], capture_output=True, text=True, cwd=ROOT
+    )
+    assert done.returncode == 0
+    for name in [field.name for field in dataclasses.fields(RewardConfig)]:
+        assert f"--env.reward.{name.replace('_', '-')} " in done.stdout
