@@ -40,9 +40,10 @@ def check_inertias(tree: Tree, source: str, repair: bool, report: Report) -> Non
         if link.inertial is None or (root is None and tree.body_of[name] == tree.root):
             continue  # a root without any mass stands still, whatever its inertia
         mass, tensor = link.inertial.mass, link.inertial.inertia
-        moves = name == tree.body_of[name] != tree.root
+        # Whether the root moves is decided later; where it is asked for, it is made fit to.
+        moves = name == tree.body_of[name] and (name != tree.root or repair)
         where = f"{source}: link '{name}'"
-        if moves and mass == 0:
+        if moves and mass == 0 and name != tree.root:
             raise UrdfError(f"{where} moves, and its <mass> is 0; expected a mass above 0")
         problem = _problem(mass, tensor, moves)
         if problem is None:

@@ -124,7 +124,9 @@ def standing_pose(tree: Tree, legs: tuple[Leg, ...], source: str) -> np.ndarray:
     as the limits allow. Rounded to 1e-4 rad: a choice, not a measurement.
     """
     pose = np.concatenate([_stand(tree, leg, source) for leg in legs])
-    return np.round(pose, 4) + 0.0
+    joints = [tree.joint_above[link] for leg in legs for link in leg.links]
+    # Adding 0 turns -0 into 0.
+    return np.clip(np.round(pose, 4), *np.transpose([joint_range(j) for j in joints])) + 0.0
 
 
 def _stand(tree: Tree, leg: Leg, source: str) -> np.ndarray:

@@ -70,6 +70,8 @@ def convert(urdf: Urdf, legs: tuple[Leg, ...] = (), options: Options | None = No
     report = urdf.report.copy()
     spec = mujoco.MjSpec()
     spec.modelname = urdf.robot.name
+    origin = Path(urdf.source).name.replace("--", "-")
+    spec.comment = f"Converted from {origin} by quadwalk.robot: change that, and convert again."
     spec.compiler.degree = False
     spec.compiler.autolimits = True
     # All mass is the links' <inertial>: a link without one gets none invented from its shapes.
@@ -86,7 +88,7 @@ def convert(urdf: Urdf, legs: tuple[Leg, ...] = (), options: Options | None = No
         pose = standing_pose(urdf.tree, legs, urdf.source) if legs else None
         add_home(spec, pose, [leg.foot for leg in legs])
         overlaps = exclude_overlaps(spec)
-    except ValueError as error:  # MuJoCo's compiler: a flat mesh, say
+    except (ValueError, mujoco.FatalError) as error:  # of MuJoCo's compiler: a flat mesh, say
         reason = " ".join(str(error).split())
         raise UrdfError(f"{urdf.source}: MuJoCo does not take this robot: {reason}") from None
     for pair in overlaps:
@@ -147,7 +149,7 @@ class _Robot:
         if floating and principal(whole.about_com)[0][2] < SMALLEST:
             raise UrdfError(
                 f"{self.urdf.source}: link '{root}' floats, and its <inertia> is not positive "
-                "definite; expected principal moments above 0"
+                "definite; expected principal moments above 0 (or pass --repair-inertia)"
             )
         return floating
 

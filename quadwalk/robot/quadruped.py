@@ -109,9 +109,11 @@ class Quadruped:
         return spec.compile()
 
 
-def load_quadruped(urdf: Path = ALIENGO_URDF, options: Options | None = None) -> Quadruped:
+def load_quadruped(
+    urdf: Path = ALIENGO_URDF, options: Options | None = None, repair_inertia: bool = False
+) -> Quadruped:
     """Read a quadruped's URDF; raise `UrdfError` where it is not valid or not a quadruped."""
-    return quadruped_from(read_urdf(urdf), options)
+    return quadruped_from(read_urdf(urdf, repair_inertia), options)
 
 
 def quadruped_from(urdf: Urdf, options: Options | None = None) -> Quadruped:

@@ -22,6 +22,7 @@ __all__ = ["MAX_BYTES", "Urdf", "UrdfError", "parse_urdf", "read_urdf"]
 
 # The largest quadruped descriptions are some 100 kB; a thousand links with meshes are about 1 MB.
 MAX_BYTES = 16 * 2**20
+_VERSION_0 = re.compile(rb"(<\?xml\s+version\s*=\s*[\"'])0\.0(?=[\"'])")
 
 
 @dataclass(frozen=True)
@@ -79,8 +80,8 @@ def parse_urdf(
     if isinstance(data, str):
         # Text has no encoding any more, whatever its declaration says.
         data = re.sub(r"^\s*<\?xml[^>]*\?>", "", data).encode()
-    root, text = _parse_xml(data, source)
     report = Report()
+    root, text = _parse_xml(data, source, report)
     for what in check_robot(root, source):
         report.add("dropped", "extensions of other tools", what)
     model = yourdfpy.URDF.load(
@@ -96,7 +97,7 @@ def parse_urdf(
     return urdf
 
 
-def _parse_xml(data: bytes, source: str) -> tuple[etree._Element, str]:
+def _parse_xml(data: bytes, source: str, report: Report) -> tuple[etree._Element, str]:
     """The root element and the text; `UrdfError` for what is not plain, complete XML."""
     if not data.strip():
         raise UrdfError(f"{source}: is empty; expected a URDF <robot>")
@@ -112,6 +113,10 @@ def _parse_xml(data: bytes, source: str) -> tuple[etree._Element, str]:
         remove_pis=True,
         remove_blank_text=True,
     )
+    if _VERSION_0.match(data):
+        # PyBullet's own exports say so, and there is no XML but 1.0 that they could be.
+        data = _VERSION_0.sub(rb"\g<1>1.0", data)
+        report.add("assumed", "XML 1.0, for the file says 0.0")
     try:
         root = etree.fromstring(data, parser)
         info = root.getroottree().docinfo

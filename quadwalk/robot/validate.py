@@ -16,6 +16,8 @@ from quadwalk.errors import UserError
 
 # Quadrupeds have some 50 links, humanoids with hands some 100.
 MAX_LINKS = 2000
+# Bodies may be nested to a depth of 1023 in MuJoCo, and its effort grows with depth.
+MAX_MOVING = 500
 # MuJoCo takes a coordinate beyond 1e10 for a simulation that has exploded.
 MAX_NUMBER = 1e9
 
@@ -256,6 +258,9 @@ def check_robot(root: etree._Element, source: str) -> list[str]:
     if max(len(links), len(joints)) > MAX_LINKS:
         count = max(len(links), len(joints))
         raise UrdfError(f"{source}: has {count} links or joints; expected at most {MAX_LINKS}")
+    moving = sum(joint.get("type") != "fixed" for joint in joints)
+    if moving > MAX_MOVING:
+        raise UrdfError(f"{source}: has {moving} joints that move; expected at most {MAX_MOVING}")
     for element in root:
         if element.tag in ("link", "joint", "material"):
             check.element(element)

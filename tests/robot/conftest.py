@@ -37,7 +37,9 @@ def pybullet_urdfs() -> list[Path]:
     folder = Path(pybullet_data.getDataPath())
     names = (
         "a1/a1", "aliengo/aliengo", "laikago/laikago_toes_zup", "quadruped/vision60",
-        "quadruped/spirit40",
+        "quadruped/spirit40", "quadruped/minitaur_derpy", "quadruped/minitaur_fixed_knees",
+        "quadruped/minitaur_rainbow_dash", "quadruped/minitaur_rainbow_dash_v1",
+        "quadruped/minitaur_v1",
     )  # fmt: skip
     return [folder / f"{name}.urdf" for name in names]
 
@@ -138,7 +140,7 @@ class Pinocchio:
                 "inverse dynamics": (torque, inverse),
             }
             for i in range(mj.nsite):
-                frame = self.model.getFrameId(mj.site(i).name)
+                frame = self.model.getFrameId(mj.site(i).name, pin.FrameType.BODY)
                 if frame < self.model.nframes:
                     name, placed = mj.site(i).name, self.data.oMf[frame]
                     rotation = data.site_xmat[i].reshape(3, 3)

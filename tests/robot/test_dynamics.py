@@ -7,7 +7,7 @@ import mujoco
 from quadwalk.paths import ALIENGO_URDF
 from quadwalk.robot.legs import find_legs
 from quadwalk.robot.mjcf import Options, convert, write_xml
-from quadwalk.robot.urdf import parse_urdf, read_urdf
+from quadwalk.robot.urdf import UrdfError, parse_urdf, read_urdf
 
 STATES = 50
 
@@ -15,10 +15,13 @@ STATES = 50
 def check(pinocchio, file: Path, meshes: bool = True) -> None:
     """Compare masses, frames, mass matrix, bias and inverse dynamics, in memory and as XML."""
     urdf = read_urdf(file)
-    legs = find_legs(urdf.tree, urdf.source)
+    try:
+        legs = find_legs(urdf.tree, urdf.source)
+    except UrdfError:  # Minitaur's legs are of two motors each
+        legs = ()
     spec = convert(urdf, legs, Options(meshes=meshes)).spec
     in_memory = pinocchio(urdf, spec.compile()).errors(STATES)
-    assert {f"position of {leg.foot}" for leg in legs} < in_memory.keys()
+    assert {f"position of {leg.foot}" for leg in legs} <= in_memory.keys()
     assert max(in_memory.values()) < 1e-10, in_memory
     from_xml = mujoco.MjModel.from_xml_string(write_xml(spec))
     through_xml = pinocchio(urdf, from_xml).errors(STATES)

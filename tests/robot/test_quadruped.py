@@ -137,6 +137,8 @@ def test_other_quadrupeds_stand_and_train(reference_urdf):
 
 
 def test_pybullets_quadrupeds_stand_and_train(pybullet_urdf):
+    if pybullet_urdf.stem.startswith("minitaur"):
+        pytest.skip("Minitaur's legs are not of three motors each")
     quadruped = load_quadruped(pybullet_urdf, NO_MESHES)
     if pybullet_urdf.stem in ("aliengo", "a1", "spirit40"):
         stands(quadruped)

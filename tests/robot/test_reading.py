@@ -191,6 +191,33 @@ def test_as_many_links_as_are_allowed_convert():
     assert convert(urdf).spec.compile().nsite == 2000  # one per fused link, one for the IMU
 
 
+def test_as_many_joints_as_are_allowed_convert():
+    inertial = (
+        '<inertial><mass value="1"/>'
+        '<inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial>'
+    )
+
+    def chain(length: int) -> str:
+        links = "".join(f'<link name="l{i}">{inertial}</link>' for i in range(length + 1))
+        joints = "".join(
+            f'<joint name="j{i}" type="continuous"><origin xyz="0 0 1"/><parent link="l{i}"/>'
+            f'<child link="l{i + 1}"/></joint>'
+            for i in range(length)
+        )
+        return f'<robot name="chain">{links}{joints}</robot>'
+
+    assert convert(parse_urdf(chain(500))).spec.compile().nv == 506
+    with pytest.raises(UrdfError, match="501 joints that move; expected at most 500"):
+        parse_urdf(chain(501))
+
+
+def test_pybullets_xml_version_is_taken_for_1_0():
+    urdf = parse_urdf(changed('version="1.0"', 'version="0.0"').encode())
+    assert urdf.report.lines() == ["assumed: XML 1.0, for the file says 0.0"]
+    with pytest.raises(UrdfError, match="not well-formed"):
+        parse_urdf(changed('version="1.0"', 'version="7"').encode())
+
+
 def test_reads_what_the_file_says_in_any_encoding():
     text = TEXT.replace('name="aliengo"', 'name="Älien"').replace(
         '<?xml version="1.0"?>', '<?xml version="1.0" encoding="iso-8859-1"?>'
