@@ -55,7 +55,7 @@ def main() -> None:
     if arguments.render is not None:
         choose_backend()
     # After that choice, because MuJoCo makes its own when it is imported.
-    from quadwalk.robot.legs import find_legs
+    from quadwalk.robot.legs import Leg, find_legs
     from quadwalk.robot.mjcf import Options, convert, write_xml
     from quadwalk.robot.render import png_bytes, render_home
     from quadwalk.robot.urdf import UrdfError, read_urdf
@@ -71,7 +71,7 @@ def main() -> None:
         mesh_folders=tuple(arguments.mesh_dir),
         armature=armatures(arguments.rotor, joints),
     )
-    legs = ()
+    legs: tuple[Leg, ...] = ()
     if not arguments.fixed_base:
         try:
             legs = find_legs(urdf.tree, urdf.source)

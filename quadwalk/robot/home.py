@@ -33,7 +33,7 @@ def add_home(spec: mujoco.MjSpec, pose: np.ndarray | None, feet: list[str]) -> N
         data.qpos[:] = qpos
         mujoco.mj_kinematics(model, data)
         shapes = [model.geom(foot).id for foot in feet] or np.flatnonzero(model.geom_bodyid > 0)
-        qpos[2] -= min((lowest_point(model, data, geom) for geom in shapes), default=0.0)
+        qpos[2] -= min((lowest_point(model, data, int(geom)) for geom in shapes), default=0.0)
     spec.add_key(name=HOME, qpos=qpos)
 
 

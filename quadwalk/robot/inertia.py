@@ -51,7 +51,7 @@ def check_inertias(tree: Tree, source: str, repair: bool, report: Report) -> Non
         if not repair:
             raise UrdfError(f"{where}: <inertia> {problem} (or pass --repair-inertia)")
         valid = nearest_valid(mass, tensor)
-        change = np.linalg.norm(valid - tensor) / max(np.linalg.norm(tensor), SMALLEST)
+        change = np.linalg.norm(valid - tensor) / max(float(np.linalg.norm(tensor)), SMALLEST)
         link.inertial.inertia = valid
         report.add(
             "repaired",
@@ -139,7 +139,7 @@ def compose(parts: list[Inertia]) -> Inertia | None:
         return None
     if len(parts) == 1:
         return parts[0]
-    com = sum(part.mass * part.com for part in parts) / mass
+    com = np.sum([part.mass * part.com for part in parts], axis=0) / mass
     about_com = np.zeros((3, 3))
     for part in parts:
         arm = part.com - com

@@ -164,7 +164,7 @@ def _stand(tree: Tree, leg: Leg, source: str) -> np.ndarray:
         raise UrdfError(f"{source}: leg {leg.name} has a thigh or calf without length")
     reach = STANDING_LENGTH * (l1 + l2)
     bend = np.arccos(np.clip((reach**2 - l1**2 - l2**2) / (2 * l1 * l2), -1, 1))
-    best = None
+    poses: list[tuple[float, np.ndarray]] = []
     # The knee behind the thigh joint first (x ahead): thigh .8, calf -1.6 on Unitree's robots.
     backwards = 1 if side @ np.array([1.0, 0, 0]) < 0 else -1
     for turn in (backwards, -backwards):
@@ -174,9 +174,9 @@ def _stand(tree: Tree, leg: Leg, source: str) -> np.ndarray:
         foot = a1 + np.arctan2(l2 * np.sin(relative), l1 + l2 * np.cos(relative))
         angle = _into(-foot, joint_range(thigh))
         miss = abs(_wrap(angle + foot)) + abs(_wrap(relative + turn * bend))
-        if best is None or miss < best[0] - 1e-3:
-            best = (miss, np.array([hip_angle, angle, knee]))
-    return best[1]
+        poses.append((miss, np.array([hip_angle, angle, knee])))
+    preferred, other = poses
+    return (other if other[0] < preferred[0] - 1e-3 else preferred)[1]
 
 
 def unit(axis: np.ndarray) -> np.ndarray:

@@ -120,9 +120,8 @@ class _Robot:
         options: Options,
         report: Report,
     ):
-        self.spec, self.urdf, self.legs, self.options, self.report = (
-            spec, urdf, legs, options, report,
-        )  # fmt: skip
+        self.spec, self.urdf, self.legs = spec, urdf, legs
+        self.options, self.report = options, report
         self.tree: Tree = urdf.tree
         self.floating = self._is_floating()
         folders = [folder for folder in (urdf.folder, *options.mesh_folders) if folder]
@@ -141,17 +140,19 @@ class _Robot:
             floating = bool(self.legs) or whole is not None
             if not floating:
                 self.report.add("assumed", "fixed to the ground, for it has no mass", root)
-        if floating and (root == "world" or whole is None or whole.mass < SMALLEST):
+        if not floating:
+            return False
+        if root == "world" or whole is None or whole.mass < SMALLEST:
             raise UrdfError(
                 f"{self.urdf.source}: link '{root}' is to float and has no mass; expected "
                 "<inertial> with a mass above 0, or a fixed base"
             )
-        if floating and principal(whole.about_com)[0][2] < SMALLEST:
+        if principal(whole.about_com)[0][2] < SMALLEST:
             raise UrdfError(
                 f"{self.urdf.source}: link '{root}' floats, and its <inertia> is not positive "
                 "definite; expected principal moments above 0 (or pass --repair-inertia)"
             )
-        return floating
+        return True
 
     def add_bodies(self) -> None:
         """Add a body per moving link, the root's first, parents before children."""

@@ -26,7 +26,12 @@ SHAPES = ("box", "sphere", "cylinder", "mesh")
 
 
 class UrdfError(UserError):
-    """A URDF that cannot be read, or describes no robot that can exist."""
+    """A URDF that cannot be read, or describes no robot that can exist, in one line."""
+
+    def __init__(self, message: str):
+        # The names and values in it are the file's, which may hold line breaks or be endless.
+        line = re.sub(r"[\x00-\x1f\x7f-\x9f]+", " ", message)
+        super().__init__(line if len(line) <= 800 else line[:500] + " ... " + line[-250:])
 
 
 @dataclass(frozen=True)
@@ -107,14 +112,12 @@ class _Check:
     def fail(self, element: etree._Element, message: str) -> UrdfError:
         """The error for `element`, with its line and the link or joint that it is part of."""
         where = f"{self.source}, line {element.sourceline}: "
-        owner = next(
-            (e for e in [element, *element.iterancestors()] if e.tag in ("link", "joint")), None
-        )
-        if owner is not None and owner is not element:
-            where += f"{owner.tag} '{owner.get('name', '')}': "
         name = element.get("name")
-        what = f"{element.tag} '{name}'" if owner is element and name else f"<{element.tag}>"
-        return UrdfError(where + f"{what} {message}")
+        if element.tag in ("link", "joint") and name:
+            return UrdfError(f"{where}{element.tag} '{name}' {message}")
+        for owner in element.iterancestors("link", "joint"):
+            where += f"{owner.tag} '{owner.get('name', '')}': "
+        return UrdfError(f"{where}<{element.tag}> {message}")
 
     def element(self, element: etree._Element) -> None:
         """Check an element and all within: what it holds, and that every number is one."""

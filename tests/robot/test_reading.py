@@ -143,6 +143,14 @@ def test_refuses(case):
     assert "\n" not in message
 
 
+def test_a_name_with_line_breaks_or_without_end_makes_one_line():
+    for name in ("tr&#10;onk&#13;", "tronk" * 10_000):
+        with pytest.raises(UrdfError, match="parent") as raised:
+            load(changed('<parent link="trunk"', f'<parent link="{name}"'))
+        assert len(str(raised.value).splitlines()) == 1
+        assert len(str(raised.value)) <= 800
+
+
 def test_a_cycle_beside_the_root_is_named():
     loop = (
         '<link name="a"/><link name="b"/>'
