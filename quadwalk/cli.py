@@ -4,7 +4,7 @@ import contextlib
 import io
 import re
 from collections.abc import Sequence
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from quadwalk.errors import UsageError
 
@@ -18,7 +18,8 @@ def parse(cls: type[T], args: Sequence[str], prog: str, default: T | None = None
     errors = io.StringIO()
     try:
         with contextlib.redirect_stderr(errors):
-            return tyro.cli(cls, prog=prog, default=default, args=list(args))
+            settings: Any = tyro.cli(cls, prog=prog, default=default, args=list(args))
+            return settings
     except SystemExit as stop:
         if not stop.code:  # --help
             raise

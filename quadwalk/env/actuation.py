@@ -3,6 +3,7 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike
 
 from quadwalk.env.config import ActuationConfig
 from quadwalk.env.robot import RobotArrays
@@ -12,30 +13,31 @@ from quadwalk.env.robot import RobotArrays
 FRICTION_SPEED = 0.1
 
 
-def joint_target(robot: RobotArrays, config: ActuationConfig, action: jax.Array) -> jax.Array:
+def joint_target(robot: RobotArrays, config: ActuationConfig, action: ArrayLike) -> jax.Array:
     """Joint position targets (12,), rad: `action` (12,) in [-1, 1] about the home pose."""
     reach = np.tile([config.hip_range, config.thigh_range, config.calf_range], 4)
-    return jnp.clip(robot.home_joints + reach * action, robot.lower, robot.upper)
+    return jnp.clip(robot.home_joints + reach * jnp.asarray(action), robot.lower, robot.upper)
 
 
 def motor_torque(
-    robot: RobotArrays, config: ActuationConfig, target: jax.Array, q: jax.Array, qd: jax.Array
+    robot: RobotArrays, config: ActuationConfig, target: ArrayLike, q: ArrayLike, qd: ArrayLike
 ) -> jax.Array:
     """Torque (12,), Nm, of the joint controller within the motors' limits.
 
     A motor that drives its joint loses torque in proportion to speed, effort * (1 - qd / limit):
     the line between stall torque and no-load speed of a DC motor. One that brakes has all of it.
     """
+    target, q, qd = jnp.asarray(target), jnp.asarray(q), jnp.asarray(qd)
     torque = config.kp * (target - q) - config.kd * qd
     if not config.speed_limit:
-        return jnp.clip(torque, -robot.effort, robot.effort)
+        return jnp.clip(torque, jnp.asarray(-robot.effort), jnp.asarray(robot.effort))
     upper = robot.effort * jnp.clip(1.0 - qd / robot.velocity, 0.0, 1.0)
     lower = -robot.effort * jnp.clip(1.0 + qd / robot.velocity, 0.0, 1.0)
     return jnp.clip(torque, lower, upper)
 
 
-def friction_torque(robot: RobotArrays, config: ActuationConfig, qd: jax.Array) -> jax.Array:
+def friction_torque(robot: RobotArrays, config: ActuationConfig, qd: ArrayLike) -> jax.Array:
     """Torque (12,), Nm, by which joint friction opposes joint speeds `qd` (12,), rad/s."""
     if not config.joint_friction:
         return jnp.zeros_like(qd)
-    return -robot.friction * jnp.tanh(qd / FRICTION_SPEED)
+    return -robot.friction * jnp.tanh(jnp.asarray(qd) / FRICTION_SPEED)

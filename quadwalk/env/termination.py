@@ -22,7 +22,7 @@ def lowest_points(robot: RobotArrays, position: jax.Array, rotation: jax.Array) 
     disc = jnp.sqrt(jnp.maximum(1.0 - jnp.square(down[:, 2]), 0.0))
     cylinder = size[:, 0] * disc + size[:, 1] * down[:, 2]
     capsule = size[:, 0] + size[:, 1] * down[:, 2]
-    reach = np.where(kind == mjtGeom.mjGEOM_SPHERE, size[:, 0], 0.0)
+    reach = jnp.where(kind == mjtGeom.mjGEOM_SPHERE, size[:, 0], 0.0)
     reach = jnp.where(kind == mjtGeom.mjGEOM_BOX, box, reach)
     reach = jnp.where(kind == mjtGeom.mjGEOM_CYLINDER, cylinder, reach)
     reach = jnp.where(kind == mjtGeom.mjGEOM_CAPSULE, capsule, reach)

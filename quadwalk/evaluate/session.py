@@ -23,6 +23,10 @@ def evaluate(config: EvalConfig) -> dict[str, Any]:
     console = Console(stderr=True, highlight=False, soft_wrap=True)
     console.print(f"evaluating {run.path}, {config.episodes} episodes in {config.engine}")
 
+    # Before anything imports JAX; and all of these late, since they take seconds.
+    from quadwalk.train.devices import set_up_devices
+
+    set_up_devices()
     from quadwalk.env.quadruped import QuadrupedEnv
     from quadwalk.evaluate.gait import gait_metrics, measure_gait
     from quadwalk.evaluate.mcap import write_mcap
@@ -39,11 +43,9 @@ def evaluate(config: EvalConfig) -> dict[str, Any]:
     from quadwalk.robot.quadruped import load_quadruped
     from quadwalk.train import checkpoint
     from quadwalk.train.config import to_dict
-    from quadwalk.train.devices import set_up_devices
     from quadwalk.train.policy import load_policy
     from quadwalk.train.versions import versions
 
-    set_up_devices(None)
     policy = load_policy(run.policy)
     quadruped = load_quadruped(run.urdf)
     env_config = dataclasses.replace(policy.config.env, episode_seconds=config.seconds)

@@ -29,18 +29,18 @@ CHUNK = 50  # control steps between looks at whether every episode has ended
 
 
 class Frame(NamedTuple):
-    """One control step of a batch of episodes, as recorded."""
+    """Control steps of a batch of episodes, as recorded: JAX arrays, on the host NumPy's."""
 
-    observation: jax.Array
-    action: jax.Array
-    qpos: jax.Array
-    qvel: jax.Array
-    torque: jax.Array
-    energy: jax.Array
-    contact: jax.Array
-    reward: jax.Array
-    terms: dict[str, jax.Array]
-    end: jax.Array
+    observation: Any
+    action: Any
+    qpos: Any
+    qvel: Any
+    torque: Any
+    energy: Any
+    contact: Any
+    reward: Any
+    terms: dict[str, Any]
+    end: Any
 
 
 def simulate_episodes(

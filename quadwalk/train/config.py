@@ -24,11 +24,11 @@ class PPOConfig:
     """The learner: proximal policy optimisation (Schulman et al. 2017, arXiv:1707.06347)."""
 
     judges: int = 64  # environments beside the others that act without noise: how good it is
-    unroll: int = 24  # control steps of each environment in an iteration
+    unroll: int = 12  # control steps of each environment in an iteration
     minibatches: int = 4  # the iteration's data is cut into so many
     epochs: int = 5  # passes over the data
     learning_rate: float = 1e-3  # Adam's, at the start
-    desired_kl: float = 0.01  # the learning rate adapts to keep the policy's change near this
+    desired_kl: float = 0.03  # the learning rate adapts to keep the policy's change near this
     min_learning_rate: float = 1e-5
     max_learning_rate: float = 1e-2
     discount: float = 0.97

@@ -7,7 +7,6 @@ holds the same learner. The learning rate follows the policy's change (KL diverg
 Schulman et al. 2017, section 4, and Rudin et al. 2022, arXiv:2109.11978.
 """
 
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -269,7 +268,7 @@ def learn(
 
 def make_iteration(
     env: Env, networks: PPONetworks, config: PPOConfig, mesh: Mesh
-) -> Callable[[TrainState], tuple[TrainState, Metrics]]:
+) -> jax.stages.Wrapped:
     """One iteration of training, jitted; the state passed in is given up to the new one."""
 
     def iterate(state: TrainState) -> tuple[TrainState, Metrics]:
@@ -279,7 +278,7 @@ def make_iteration(
         learner, learned = learn(networks, config, state.learner, data, key_learn)
         return TrainState(learner, workers), {**collected, **learned}
 
-    spec = TrainState(P(), P(AXIS))
+    spec: Any = TrainState(P(), P(AXIS))  # type: ignore[arg-type]
     return jax.jit(
         jax.shard_map(iterate, mesh=mesh, in_specs=(spec,), out_specs=(spec, P()), check_vma=False),
         donate_argnums=0,

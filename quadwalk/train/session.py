@@ -30,15 +30,16 @@ def train(config: TrainConfig) -> Run:
     with Progress(config.steps, quiet=config.quiet) as progress, _stop_on_signal() as stop:
         progress.phase("loading")
         # Imported here, after the first sign of life: these take seconds.
+        from quadwalk.train.devices import set_up_devices
+
+        devices = set_up_devices(config.devices)
         from quadwalk.env.quadruped import QuadrupedEnv
         from quadwalk.robot.quadruped import load_quadruped
         from quadwalk.train import checkpoint, ppo
-        from quadwalk.train.devices import set_up_devices
         from quadwalk.train.networks import make_networks
         from quadwalk.train.policy import save_policy
 
         quadruped = load_quadruped(config.robot.urdf)
-        devices = set_up_devices(config.devices)
         _check_split(config, devices)
         env = QuadrupedEnv(quadruped, config.env)
         networks = make_networks(config.ppo, env.observation_size, env.action_size)
