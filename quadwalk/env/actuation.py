@@ -40,4 +40,4 @@ def friction_torque(robot: RobotArrays, config: ActuationConfig, qd: ArrayLike) 
     """Torque (12,), Nm, by which joint friction opposes joint speeds `qd` (12,), rad/s."""
     if not config.joint_friction:
         return jnp.zeros_like(qd)
-    return -robot.friction * jnp.tanh(jnp.asarray(qd) / FRICTION_SPEED)
+    return -jnp.asarray(robot.friction) * jnp.tanh(jnp.asarray(qd) / FRICTION_SPEED)

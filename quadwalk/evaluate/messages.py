@@ -10,6 +10,7 @@ Numbers are written to within a millionth of their value (`precision.compact`).
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
+import lxml.etree
 import numpy as np
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
@@ -33,6 +34,19 @@ _BLOCK = 256  # rows turned into messages at a time, so memory does not grow wit
 
 # For the rows start .. stop: the (topic, bytes) of each.
 _RowWriter = Callable[[int, int], Iterator[list[tuple[str, bytes]]]]
+
+
+def drawn_urdf(urdf: str) -> str:
+    """The URDF for a viewer: without the collision shapes of links that have visual ones.
+
+    Rerun draws both, one through the other. A link without visuals keeps its collision shapes.
+    """
+    root = lxml.etree.fromstring(urdf.encode())
+    for link in root.iter("link"):
+        if link.find("visual") is not None:
+            for collision in link.findall("collision"):
+                link.remove(collision)
+    return lxml.etree.tostring(root, encoding="unicode")
 
 
 def cdr_string(text: str) -> bytes:
@@ -105,7 +119,7 @@ class EpisodeMessages:
 
     def __iter__(self) -> Iterator[tuple[str, int, bytes]]:
         rollout = self.rollout
-        yield "/robot_description", 0, cdr_string(self.quadruped.urdf)
+        yield "/robot_description", 0, cdr_string(drawn_urdf(self.quadruped.urdf))
         yield self._log(0, Log.INFO, f"reset: episode {rollout.episode}, seed {rollout.seed}")
         states, steps, scene = self._state_writer(), self._step_writer(), self._scene_writer()
         for start in range(0, self.rows, _BLOCK):

@@ -12,6 +12,7 @@ import sys
 import time
 import tracemalloc
 from pathlib import Path
+from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
@@ -23,6 +24,7 @@ from quadwalk.errors import UserError
 from quadwalk.evaluate import mcap as writing
 from quadwalk.evaluate.kinematics import foot_positions, read_tree, world_poses
 from quadwalk.evaluate.mcap import LAYOUT, verify_mcap, write_mcap
+from quadwalk.evaluate.messages import drawn_urdf
 from quadwalk.evaluate.precision import RELATIVE_ERROR
 from quadwalk.evaluate.trim import first_steps
 
@@ -104,11 +106,24 @@ def test_embedded_times_are_the_log_times(messages):
             assert {stamp.ToNanoseconds() for stamp in stamps} == {when}
 
 
-def test_the_robot_description_is_the_urdf(messages, quadruped):
+def test_the_robot_description_is_the_urdf_that_is_drawn(messages, quadruped):
     ((when, data),) = messages["/robot_description"]
-    text = quadruped.urdf.encode()
+    text = data[8:-1]
     assert when == 0
     assert data == b"\x00\x01\x00\x00" + (len(text) + 1).to_bytes(4, "little") + text + b"\x00"
+    drawn, whole = ElementTree.fromstring(text), ElementTree.fromstring(quadruped.urdf)
+    assert whole.findall("link/collision")
+    assert not drawn.findall("link/collision")
+    for kept in ("joint", "link/visual", "link/inertial", "material"):
+        found, expected = drawn.findall(kept), whole.findall(kept)
+        assert [ElementTree.tostring(e).strip() for e in found] == [
+            ElementTree.tostring(e).strip() for e in expected
+        ]
+
+
+def test_a_link_without_visuals_is_drawn_by_its_collision_shapes():
+    urdf = "<robot name='r'><link name='a'><collision/></link></robot>"
+    assert "<collision/>" in drawn_urdf(urdf)
 
 
 def test_transforms_compose_to_the_simulators_poses(messages, trot, quadruped):
@@ -609,7 +624,7 @@ def test_foxgloves_own_reader_decodes_every_channel(written, messages, trot, qua
     assert {topic: of["count"] for topic, of in topics.items()} == {
         topic: len(of) for topic, of in messages.items()
     }
-    assert topics["/robot_description"]["last"]["data"] == quadruped.urdf
+    assert topics["/robot_description"]["last"]["data"] == drawn_urdf(quadruped.urdf)
     assert topics["/tf"]["time"] == str(trot.steps * 20_000_000)
     joints = topics["/joint_states"]["last"]["joints"]
     np.testing.assert_allclose([j["position"] for j in joints], trot.qpos[-1, 7:], **CLOSE)
