@@ -2,12 +2,14 @@
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from quadwalk.evaluate.mcap import verify_mcap
@@ -101,6 +103,29 @@ def test_evaluation_measures_and_writes_every_episode(stopped, runs, tmp_path, e
     assert all(verify_mcap(file) > 100 for file in files)
 
 
+def arrays(path: Path) -> dict[str, np.ndarray]:
+    with np.load(path) as archive:
+        return {name: archive[name] for name in archive.files if "metadata" not in name.lower()}
+
+
+def test_a_resumed_training_equals_one_that_was_never_stopped(stopped, runs):
+    resumed, whole = runs / "resumed", runs / "whole"
+    shutil.copytree(stopped[0], resumed)
+    iterations = len((resumed / "metrics.jsonl").read_text().splitlines())
+    steps = f"--steps={64 * (iterations + 3)}"
+    done = run("train.py", f"--runs={runs}", "--resume=resumed", steps, "--devices=2")
+    assert done.returncode == 0, done.stderr
+    done = run("train.py", f"--runs={runs}", "--name=whole", steps, *TINY)
+    assert done.returncode == 0, done.stderr
+    assert (resumed / "metrics.jsonl").read_bytes() == (whole / "metrics.jsonl").read_bytes()
+    checkpoint = f"checkpoints/step_{64 * (iterations + 3):012d}.npz"
+    for file in ("policy.npz", checkpoint):
+        found, expected = arrays(resumed / file), arrays(whole / file)
+        assert found.keys() == expected.keys()
+        for name, array in expected.items():
+            np.testing.assert_array_equal(found[name], array, err_msg=name)
+
+
 def fails(*args: str | Path) -> str:
     done = run(*args)
     assert done.returncode in (1, 2), done.stderr
@@ -126,6 +151,21 @@ def test_a_policy_that_is_none_is_named(stopped, tmp_path, content):
         (broken / name).write_bytes((stopped[0] / name).read_bytes())
     (broken / "policy.npz").write_bytes(content)
     assert "policy.npz" in fails("eval.py", broken)
+
+
+@pytest.mark.parametrize(
+    ("flags", "named"),
+    [
+        (["--resume=nobody"], "nobody"),
+        (["--resume=tiny", "--ppo.hidden=32"], "ppo.hidden"),
+        (["--resume=tiny", "--seed=5"], "seed"),
+        (["--resume=tiny", "--name=other"], "--name"),
+    ],
+)
+def test_what_cannot_be_resumed_is_said(stopped, runs, flags, named):
+    before = (stopped[0] / "config.json").read_bytes()
+    assert named in fails("train.py", f"--runs={runs}", *flags, "--devices=2")
+    assert (stopped[0] / "config.json").read_bytes() == before
 
 
 @pytest.mark.parametrize("content", [None, b"", b"<robot name='x'><link"])

@@ -6,19 +6,33 @@ from collections.abc import Sequence
 from quadwalk.cli import parse
 from quadwalk.errors import UsageError, run_command
 from quadwalk.train.config import PRESETS, TrainConfig
+from quadwalk.train.resume import resumed_config
 
 
 def parse_config(args: Sequence[str], prog: str = "train.py") -> TrainConfig:
     """The configuration that a command line asks for; `UsageError` for one that cannot be."""
-    preset = "run"
-    for flag, value in zip(args, [*args[1:], ""], strict=False):
-        if flag == "--preset":
-            preset = value
-        elif flag.startswith("--preset="):
-            preset = flag.partition("=")[2]
+    # The flags that choose what all others change are looked at first.
+    resume = _value(args, "--resume")
+    if resume is not None:
+        default = resumed_config(_value(args, "--runs") or TrainConfig.runs, resume)
+        for flag in ("--preset", "--name", "--robot.urdf"):
+            if _value(args, flag) is not None:
+                raise UsageError(f"{flag} cannot be given with --resume: the run has its own")
+        return parse(TrainConfig, args, prog, default=default)
+    preset = _value(args, "--preset") or "run"
     if preset not in PRESETS:
         raise UsageError(f"--preset is {preset!r}; expected one of: {', '.join(PRESETS)}")
     return parse(TrainConfig, args, prog, default=PRESETS[preset])
+
+
+def _value(args: Sequence[str], flag: str) -> str | None:
+    """The value of `flag` among `args`, None if it is not there."""
+    for arg, following in zip(args, [*args[1:], ""], strict=False):
+        if arg == flag:
+            return following
+        if arg.startswith(f"{flag}="):
+            return arg.partition("=")[2]
+    return None
 
 
 def main() -> None:

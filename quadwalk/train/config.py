@@ -60,8 +60,10 @@ class TrainConfig:
 
     preset: str = "run"  # the task to start from; every other flag changes it
     name: str | None = None  # of the run; by default, date, time and preset
+    resume: str | None = None  # go on with this run, by its name or path, or with the "latest"
     runs: Path = Path("runs")  # the folder that holds all runs
     steps: int = 10_000_000  # control steps, of all environments together
+    minutes: float | None = None  # end after so long, with the policy saved
     seed: int = 0  # the same seed on the same machine gives the same numbers
     envs: int = 2048  # environments stepped at once
     devices: int | None = None  # XLA devices to share them; by default, one per CPU core
@@ -78,6 +80,8 @@ class TrainConfig:
                 raise UsageError(f"--{flag} is {getattr(self, name)}; expected 1 or more")
         if self.devices is not None and self.devices < 1:
             raise UsageError(f"--devices is {self.devices}; expected 1 or more")
+        if self.minutes is not None and self.minutes <= 0:
+            raise UsageError(f"--minutes is {self.minutes}; expected more than 0")
         if not 0 <= self.seed < 2**32:
             raise UsageError(f"--seed is {self.seed}; expected 0 to {2**32 - 1}")
 

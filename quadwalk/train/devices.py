@@ -17,6 +17,18 @@ def cpu_cores() -> int:
     return os.cpu_count() or 1
 
 
+def device_count(envs: int, minibatches: int, judges: int) -> int:
+    """As many devices as there are cores, or the most below that which share the work evenly.
+
+    Each gets the same number of environments for every minibatch, and of judges.
+    """
+    return max(
+        count
+        for count in range(1, cpu_cores() + 1)
+        if count == 1 or (envs % (count * minibatches) == 0 and judges % count == 0)
+    )
+
+
 def set_up_devices(count: int | None = None) -> int:
     """Make JAX offer `count` CPU devices, by default one per core; return how many there are.
 

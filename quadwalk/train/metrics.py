@@ -1,7 +1,7 @@
 """What a training iteration is summed up as."""
 
 import collections
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 from quadwalk.env.config import RewardConfig
@@ -23,6 +23,16 @@ class TrainingMetrics:
         self._judged = FallRate(EPISODES)
         self._noisy = FallRate(EPISODES)
         self._nan = 0.0
+
+    def state(self) -> dict[str, Any]:
+        """What a resumed training needs to go on counting, as JSON data."""
+        return {"judged": self._judged.counts, "noisy": self._noisy.counts, "nan": self._nan}
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Go on from where `state` was taken."""
+        self._judged = FallRate(EPISODES, state["judged"])
+        self._noisy = FallRate(EPISODES, state["noisy"])
+        self._nan = state["nan"]
 
     def row(self, steps: int, numbers: Mapping[str, Any]) -> dict[str, float]:
         """The row after `steps` control steps."""
@@ -56,9 +66,14 @@ class TrainingMetrics:
 class FallRate:
     """The share of falls among the last episodes that ended."""
 
-    def __init__(self, episodes: int) -> None:
+    def __init__(self, episodes: int, counts: Iterable[tuple[float, float]] = ()) -> None:
         self._episodes = episodes
-        self._counts: collections.deque[tuple[float, float]] = collections.deque()
+        self._counts = collections.deque((fell, ended) for fell, ended in counts)
+
+    @property
+    def counts(self) -> list[tuple[float, float]]:
+        """Falls and episodes of each iteration that still counts, oldest first."""
+        return list(self._counts)
 
     def add(self, fell: float, ended: float) -> float:
         """Count one iteration's episodes; return the share, NaN before any has ended."""

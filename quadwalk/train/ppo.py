@@ -105,7 +105,14 @@ def init_state(
     workers = Workers(
         envs=envs, key=jax.device_put(jax.random.split(key_workers, mesh.size), split)
     )
+    # Through NumPy, so that these are the same kind of arrays as those read from a file.
+    learner = jax.tree.map(np.asarray, learner)
     return TrainState(jax.device_put(learner, NamedSharding(mesh, P())), workers)
+
+
+def placed_like(saved: TrainState, state: TrainState) -> TrainState:
+    """`saved`, of NumPy arrays, on the devices that hold `state`."""
+    return jax.tree.map(lambda new, old: jax.device_put(new, old.sharding), saved, state)
 
 
 def collect(

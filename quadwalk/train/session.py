@@ -1,13 +1,13 @@
 """A training from start to end: set up, iterate, keep what is learnt, show how it goes."""
 
 import contextlib
+import math
 import signal
 import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
 from types import FrameType
-from typing import Any
 
 from quadwalk.errors import UsageError
 from quadwalk.files import replacing
@@ -15,7 +15,15 @@ from quadwalk.train.config import TrainConfig, to_dict
 from quadwalk.train.log import MetricsLog, read_history
 from quadwalk.train.metrics import TrainingMetrics
 from quadwalk.train.progress import Progress
-from quadwalk.train.run import Run, create_run, keep_last, write_json_atomic
+from quadwalk.train.resume import changed_settings, read_config
+from quadwalk.train.run import (
+    Run,
+    create_run,
+    find_run,
+    keep_last,
+    latest_checkpoint,
+    write_json_atomic,
+)
 from quadwalk.train.versions import versions
 
 KEPT_CHECKPOINTS = 3
@@ -25,74 +33,110 @@ CURVE_SECONDS = 30.0  # the learning curve is drawn anew this often
 def train(config: TrainConfig) -> Run:
     """Train as `config` says; return the run, whose directory holds everything.
 
-    Ctrl-C ends training after the iteration at hand, with the policy saved.
+    Ctrl-C, SIGTERM or the time limit end training after the iteration at hand, with everything
+    saved; `config.resume` goes on from there.
     """
+    started = time.monotonic()
     with Progress(config.steps, quiet=config.quiet) as progress, _stop_on_signal() as stop:
         progress.phase("loading")
         # Imported here, after the first sign of life: these take seconds.
-        from quadwalk.train.devices import set_up_devices
+        from quadwalk.train.devices import device_count, set_up_devices
 
-        devices = set_up_devices(config.devices)
+        devices = config.devices or device_count(
+            config.envs, config.ppo.minibatches, config.ppo.judges
+        )
+        set_up_devices(devices)
         from quadwalk.env.quadruped import QuadrupedEnv
         from quadwalk.robot.quadruped import load_quadruped
         from quadwalk.train import checkpoint, ppo
         from quadwalk.train.networks import make_networks
         from quadwalk.train.policy import save_policy
 
-        quadruped = load_quadruped(config.robot.urdf)
         _check_split(config, devices)
+        quadruped = load_quadruped(config.robot.urdf)
         env = QuadrupedEnv(quadruped, config.env)
         networks = make_networks(config.ppo, env.observation_size, env.action_size)
-        run = create_run(config.runs, config.name, label=config.preset)
-        # The run keeps its own copy: what it learnt stays true to it when the original changes.
-        with replacing(run.urdf) as file:
-            file.write(quadruped.urdf.encode())
-        write_json_atomic(run.config, {"config": to_dict(config), "versions": versions()})
+        run, changes = _open_run(config, quadruped.urdf)
         progress.message(
             f"{quadruped.name}: {config.envs} environments on {devices} devices, into {run.path}"
         )
+        for change in changes:
+            progress.message(f"changed {change}")
 
-        def save(state: Any, steps: int) -> None:
-            metadata = {"kind": "checkpoint", "config": to_dict(config), "steps": steps}
+        metrics = TrainingMetrics(config.env.reward)
+        steps, seconds = 0, 0.0
+        mesh = ppo.make_mesh()
+        progress.phase("compiling the reset", 5.0)
+        state = ppo.init_state(env, networks, config.ppo, mesh, config.envs, config.seed)
+        if config.resume is not None:
+            path = latest_checkpoint(run)
+            saved_state, metadata = checkpoint.load(path, "checkpoint", like=state)
+            state = ppo.placed_like(saved_state, state)
+            steps, seconds = metadata["steps"], metadata["seconds"]
+            metrics.restore(metadata["metrics"])
+            progress.message(f"going on from {path}, after {steps:,} steps")
+        progress.phase("compiling the training step", 25.0)
+        iterate = ppo.make_iteration(env, networks, config.ppo, mesh).lower(state).compile()
+
+        def save() -> None:
+            log.sync()  # a checkpoint counts on the rows before it
+            metadata = {
+                "kind": "checkpoint",
+                "config": to_dict(config),
+                "steps": steps,
+                "seconds": seconds,
+                "metrics": metrics.state(),
+            }
             checkpoint.save(run.checkpoint(steps), state, metadata)
             keep_last(run, KEPT_CHECKPOINTS)
             save_policy(run.policy, state.learner, config, quadruped.joints, steps)
 
-        progress.phase("compiling the reset", 5.0)
-        mesh = ppo.make_mesh()
-        state = ppo.init_state(env, networks, config.ppo, mesh, config.envs, config.seed)
-        progress.phase("compiling the training step", 25.0)
-        iterate = ppo.make_iteration(env, networks, config.ppo, mesh).lower(state).compile()
-
         progress.phase("training")
         batch = config.envs * config.ppo.unroll
-        steps, saved = 0, 0
-        began = time.monotonic()
-        drawn = began
-        metrics = TrainingMetrics(config.env.reward)
-        with MetricsLog(run) as log:
-            while steps < config.steps and not stop.is_set():
+        saved = steps
+        began = time.monotonic() - seconds
+        drawn = time.monotonic()
+        limit = math.inf if config.minutes is None else started + 60.0 * config.minutes
+        with MetricsLog(run, resume_at=steps if config.resume is not None else None) as log:
+            while steps < config.steps and time.monotonic() < limit and not stop.is_set():
                 state, numbers = iterate(state)
                 steps += batch
                 row = metrics.row(steps, numbers)
-                elapsed = time.monotonic() - began
-                log.append(row, {"time/elapsed": elapsed, "time/steps_per_second": steps / elapsed})
-                progress.update(steps, row, elapsed)
+                seconds = time.monotonic() - began
+                log.append(row, {"time/elapsed": seconds, "time/steps_per_second": steps / seconds})
+                progress.update(steps, row, seconds)
                 if steps - saved >= config.checkpoint_steps:
-                    save(state, steps)
+                    save()
                     saved = steps
                 if time.monotonic() - drawn > CURVE_SECONDS:
                     _draw_curve(run)
                     drawn = time.monotonic()
-        progress.phase("saving")
-        save(state, steps)
+            progress.phase("saving")
+            save()
         _draw_curve(run)
-    if stop.is_set():
+    if steps < config.steps:
         progress.end(f"stopped after {steps:,} of {config.steps:,} steps; the policy is saved")
+        progress.end(f"go on with      python train.py --resume {_run_argument(run)}")
     progress.end(f"policy          {run.policy}")
     progress.end(f"learning curve  {run.learning_curve}")
     progress.end(f"evaluate with   python eval.py {_run_argument(run)}")
     return run
+
+
+def _open_run(config: TrainConfig, urdf: str) -> tuple[Run, list[str]]:
+    """The run to train, made or found, and which settings have changed in it."""
+    settings = {"config": to_dict(config), "versions": versions()}
+    if config.resume is not None:
+        run = find_run(config.runs, config.resume)
+        changes = changed_settings(read_config(run), config)
+        write_json_atomic(run.config, settings)
+        return run, changes
+    run = create_run(config.runs, config.name, label=config.preset)
+    # The run keeps its own copy: what it learnt stays true to it when the original changes.
+    with replacing(run.urdf) as file:
+        file.write(urdf.encode())
+    write_json_atomic(run.config, settings)
+    return run, []
 
 
 def _check_split(config: TrainConfig, devices: int) -> None:

@@ -9,9 +9,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from quadwalk.env.config import EnvConfig, RewardConfig
-from quadwalk.errors import UsageError
+from quadwalk.errors import UsageError, UserError
+from quadwalk.train import devices
 from quadwalk.train.__main__ import parse_config
 from quadwalk.train.config import PPOConfig, TrainConfig, from_dict, to_dict
+from quadwalk.train.resume import changed_settings
 
 ROOT = Path(__file__).parents[2]
 
@@ -104,3 +106,34 @@ def test_help_names_every_setting():
     assert done.returncode == 0
     for name in [field.name for field in dataclasses.fields(RewardConfig)]:
         assert f"--env.reward.{name.replace('_', '-')} " in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("cores", "envs", "expected"),
+    [(1, 2048, 1), (2, 2048, 2), (6, 2048, 4), (12, 2048, 8), (3, 96, 2), (4, 7, 1)],
+)
+def test_devices_are_the_most_that_share_the_work_evenly(monkeypatch, cores, envs, expected):
+    monkeypatch.setattr(devices, "cpu_cores", lambda: cores)
+    assert devices.device_count(envs, minibatches=4, judges=64) == expected
+
+
+def test_a_resumed_configuration_is_the_runs_with_the_flags_given(tmp_path):
+    run = tmp_path / "dog"
+    run.mkdir()
+    config = TrainConfig(name="dog", env=EnvConfig(substeps=3), seed=7)
+    (run / "config.json").write_text(json.dumps({"config": to_dict(config)}))
+    resumed = parse_config(["--runs", str(tmp_path), "--resume", "dog", "--ppo.entropy", "0.5"])
+    assert (resumed.seed, resumed.env.substeps, resumed.ppo.entropy) == (7, 3, 0.5)
+    assert resumed.robot.urdf == run / "robot.urdf"
+    assert changed_settings(config, resumed) == ["ppo.entropy: 0.005 -> 0.5"]
+    with pytest.raises(UsageError, match="--seed"):
+        changed_settings(config, dataclasses.replace(resumed, seed=8))
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", '{"config": {"steps": "x"}}', "{}"])
+def test_a_damaged_configuration_is_one_line_that_names_the_file(tmp_path, text):
+    (tmp_path / "dog").mkdir()
+    (tmp_path / "dog" / "config.json").write_text(text)
+    with pytest.raises(UserError, match=r"config\.json") as caught:
+        parse_config(["--runs", str(tmp_path), "--resume", "dog"])
+    assert "\n" not in str(caught.value)

@@ -1,0 +1,55 @@
+import json
+import math
+
+import pytest
+
+from quadwalk.env.config import RewardConfig
+from quadwalk.train.metrics import FallRate, TrainingMetrics
+
+
+def test_the_share_of_falls_is_over_the_last_episodes():
+    falls = FallRate(10)
+    assert math.isnan(falls.add(0, 0))
+    assert falls.add(4, 4) == 1.0
+    assert falls.add(0, 4) == 0.5
+    assert falls.add(0, 5) == pytest.approx(4 / 13)  # without the first four, nine: too few
+    assert falls.add(0, 4) == 0.0  # 4 + 5 + 4 are enough
+
+
+def numbers(**changes):
+    found = {
+        "reward": 1.5,
+        "reward/forward": 2.0,
+        "reward/yaw": 0.5,
+        "speed": 1.0,
+        "judge/speed": 3.0,
+        "count/ended": 8,
+        "count/fell": 6,
+        "count/nan": 1,
+        "judge/count/ended": 4,
+        "judge/count/fell": 1,
+        "loss/kl": 0.01,
+    }
+    return found | changes
+
+
+def test_a_row_tells_judges_from_learners_and_scales_the_terms():
+    metrics = TrainingMetrics(RewardConfig(forward=2.0, yaw=-3.0))
+    metrics.row(100, numbers())
+    row = metrics.row(200, numbers())
+    assert row["steps"] == 200
+    assert (row["train/speed"], row["noisy/speed"]) == (3.0, 1.0)
+    assert (row["train/fall_rate"], row["noisy/fall_rate"]) == (0.25, 0.75)
+    assert (row["train/reward/forward"], row["train/reward/yaw"]) == (4.0, -1.5)
+    assert row["train/nan"] == 2.0
+    assert row["loss/kl"] == 0.01
+
+
+def test_counting_goes_on_from_a_saved_state():
+    whole, first, second = (TrainingMetrics(RewardConfig()) for _ in range(3))
+    rows = [numbers(**{"judge/count/fell": k % 3, "count/nan": k}) for k in range(40)]
+    expected = [whole.row(k, row) for k, row in enumerate(rows)]
+    for k, row in enumerate(rows[:25]):
+        first.row(k, row)
+    second.restore(json.loads(json.dumps(first.state())))
+    assert [second.row(k, row) for k, row in enumerate(rows[25:], 25)] == expected[25:]
