@@ -62,7 +62,7 @@ class TrainConfig:
     name: str | None = None  # of the run; by default, date, time and preset
     resume: str | None = None  # go on with this run, by its name or path, or with the "latest"
     runs: Path = Path("runs")  # the folder that holds all runs
-    steps: int = 10_000_000  # control steps, of all environments together
+    steps: int = 8_000_000  # control steps, of all environments together
     minutes: float | None = None  # end after so long, with the policy saved
     seed: int = 0  # the same seed on the same machine gives the same numbers
     envs: int = 2048  # environments stepped at once
