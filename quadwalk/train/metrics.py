@@ -6,7 +6,7 @@ from typing import Any
 
 from quadwalk.env.config import RewardConfig
 
-EPISODES = 64  # the share of falls is over about this many of the last episodes
+EPISODES = 32  # the share of falls is over about this many of the last episodes
 
 
 class TrainingMetrics:

@@ -168,7 +168,10 @@ def collect(
             "judge/count/fell": jnp.sum(after.metrics["fell"][learners:]),
         }
         transition = jax.tree.map(lambda x: x[:learners], transition)
-        fresh = jax.vmap(env.reset)(jax.random.split(key_reset, len(after.done)))
+        fresh = reset_envs(env, jax.random.split(key_reset, len(after.done)))
+        # Only after a fall at a random step: those that fell together must not end together.
+        late = fresh.pipeline_state.steps * after.metrics["fell"].astype(jnp.int32)
+        fresh = fresh.replace(pipeline_state=fresh.pipeline_state._replace(steps=late))
         return _replace_where(after.done, after, fresh), (transition, metrics)
 
     key, key_steps = jax.random.split(workers.key[0])

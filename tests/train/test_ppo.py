@@ -108,15 +108,26 @@ def test_only_the_sampling_environments_are_learnt_from(collected):
 def test_an_episode_runs_its_course_and_a_fresh_one_follows(collected):
     _, _, data, _ = collected
     for observation, discount in zip(data.observation, data.discount, strict=True):
-        # The first row was observed before its episode was put out of phase.
-        for t in range(1, CONFIG.unroll - 1):
-            steps, origin = observation[t]
-            assert discount[t] == (0.0 if steps == 3 else 1.0)
-            if steps == 3:
-                assert observation[t + 1, 0] == 0.0
-                assert observation[t + 1, 1] != origin
-            else:
-                assert observation[t + 1].tolist() == [steps + 1, origin]
+        # An episode's first row was observed before the episode was put out of phase.
+        first = True
+        for t in range(CONFIG.unroll - 1):
+            (steps, origin), (next_steps, next_origin) = observation[t : t + 2]
+            assert (discount[t] == 0.0) == (origin != next_origin)
+            if not first:
+                assert (discount[t] == 0.0) == (steps == 3)
+                assert next_steps == (0 if steps == 3 else steps + 1)
+            first = discount[t] == 0.0
+
+
+def test_after_the_time_limit_an_episode_starts_at_its_beginning(collected):
+    _, _, data, _ = collected
+    limits = 0
+    for observation, discount in zip(data.observation, data.discount, strict=True):
+        for t in range(CONFIG.unroll - 4):
+            if discount[t] == 0.0 and observation[t, 1] > 0:
+                assert observation[t + 1 : t + 4, 0].tolist() == [0, 1, 2]
+                limits += 1
+    assert limits > 0
 
 
 def test_the_time_limit_is_bootstrapped_through_and_a_fall_is_not(collected, networks):
