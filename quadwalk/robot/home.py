@@ -45,7 +45,9 @@ def exclude_overlaps(spec: mujoco.MjSpec) -> list[str]:
     model = spec.compile()
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, 0)
-    mujoco.mj_forward(model, data)
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
+    mujoco.mj_collision(model, data)
     floating = model.njnt > 0 and model.jnt_type[0] == mujoco.mjtJoint.mjJNT_FREE
     overlapping = {
         tuple(sorted(model.geom_bodyid[contact.geom]))

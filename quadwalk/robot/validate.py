@@ -20,6 +20,9 @@ MAX_LINKS = 2000
 MAX_MOVING = 500
 # MuJoCo takes a coordinate beyond 1e10 for a simulation that has exploded.
 MAX_NUMBER = 1e9
+# Below that, products of a few numbers leave the range of floating point.
+MIN_NUMBER = 1e-50
+MIN_SIZE = 1e-9  # m; atoms are 1e-10
 
 JOINT_TYPES = ("revolute", "continuous", "prismatic", "fixed")
 SHAPES = ("box", "sphere", "cylinder", "mesh")
@@ -175,6 +178,9 @@ class _Check:
         for word in words:
             if not _NUMBER.fullmatch(word) or not math.isfinite(float(word)):
                 raise self.fail(element, f'has {name}="{shown}"; expected finite numbers')
+            if 0 < abs(float(word)) < MIN_NUMBER:
+                given = f'{name}="{shown}"'
+                raise self.fail(element, f"has {given}; expected 0 or at least {MIN_NUMBER:g}")
             if abs(float(word)) > MAX_NUMBER:
                 raise self.fail(element, f'has {name}="{shown}"; expected at most {MAX_NUMBER:g}')
 
@@ -183,8 +189,9 @@ class _Check:
         visual = any(parent.tag == "visual" for parent in element.iterancestors())
         for name in names:
             for value in map(float, element.get(name).split()):
-                if value < 0 or (value == 0 and not visual):
-                    raise self.fail(element, f'has {name}="{element.get(name)}"; expected above 0')
+                if value < MIN_SIZE and not (visual and value == 0):
+                    given = f'{name}="{element.get(name)}"'
+                    raise self.fail(element, f"has {given}; expected above {MIN_SIZE:g} m")
 
     def not_negative(self, element: etree._Element, *names: str) -> None:
         for name in names:

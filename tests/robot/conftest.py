@@ -2,6 +2,8 @@
 
 import importlib.util
 import os
+import re
+import xml.etree.ElementTree as ET
 from pathlib import Path
 
 import mujoco
@@ -65,6 +67,18 @@ class Pinocchio:
             for i in range(first, model.njnt)
         ]
         assert self.model.nv == model.nv
+        # Links with one collision shape that is no mesh: the geom of that name, and its origin.
+        self.shapes = []
+        for link in ET.fromstring(re.sub(r"^\s*<\?xml.*?\?>", "", urdf.text)).findall("link"):
+            shapes = link.findall("collision")
+            if len(shapes) == 1 and shapes[0].find("geometry/mesh") is None:
+                given = shapes[0].find("origin")
+                origin = {} if given is None else given.attrib
+                xyz, rpy = (
+                    np.array(origin.get(name, "0 0 0").split(), float) for name in ("xyz", "rpy")
+                )
+                placement = self.pin.SE3(self.pin.rpy.rpyToMatrix(*rpy), xyz)
+                self.shapes.append((link.get("name"), placement))
 
     def configuration(self, qpos: np.ndarray) -> np.ndarray:
         """Pinocchio's q for MuJoCo's qpos."""
@@ -146,6 +160,12 @@ class Pinocchio:
                     rotation = data.site_xmat[i].reshape(3, 3)
                     found[f"position of {name}"] = (data.site_xpos[i], placed.translation)
                     found[f"rotation of {name}"] = (rotation, placed.rotation)
+            for link, placement in self.shapes:
+                placed = self.data.oMf[self.model.getFrameId(link, pin.FrameType.BODY)] * placement
+                geom = mj.geom(link).id
+                rotation = data.geom_xmat[geom].reshape(3, 3)
+                found[f"position of shape of {link}"] = (data.geom_xpos[geom], placed.translation)
+                found[f"rotation of shape of {link}"] = (rotation, placed.rotation)
             for name, (got, expected) in found.items():
                 off[name] = max(off.get(name, 0.0), float(np.abs(got - expected).max()))
                 size[name] = max(size.get(name, 1e-9), float(np.abs(expected).max()))

@@ -111,7 +111,8 @@ BAD = {
     ),
     "negative radius": (changed('radius="0.046"', 'radius="-0.046"'), 'radius="-0.046"'),
     "negative size": (changed('size="0.647 0.15', 'size="0.647 -0.15'), "<box>"),
-    "zero size": (changed('<cylinder radius="0.046"', '<cylinder radius="0"'), "above 0"),
+    "zero size": (changed('<cylinder radius="0.046"', '<cylinder radius="0"'), "above 1e-09 m"),
+    "denormal": (changed('value="11.644"', 'value="1e-320"'), "0 or at least"),
     "negative damping": (changed('damping="0.22"', 'damping="-1"'), 'damping="-1"'),
     "misspelt attribute": (changed('<axis xyz="1 0 0"', '<axis xzy="1 0 0"'), "attribute 'xzy'"),
     "misspelt element": (
