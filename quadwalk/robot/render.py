@@ -57,10 +57,11 @@ def render_home(
     low = (data.geom_xpos[shapes] - reach).min(axis=0)
     high = (data.geom_xpos[shapes] + reach).max(axis=0)
     camera = mujoco.MjvCamera()
-    camera.lookat = (low + high) / 2
-    # The whole robot fits across the picture, and within its 45 degrees of height.
+    # The whole robot fits across the picture, and within its 45 degrees of height; what is near,
+    # its feet, takes more room than what is far.
     size = high - low
-    camera.distance = scale * float(max(np.linalg.norm(size), 1.6 * size[2]))
+    camera.lookat = (low + high) / 2 - [0, 0, 0.12 * size[2]]
+    camera.distance = scale * float(max(1.1 * np.linalg.norm(size), 1.6 * size[2]))
     camera.azimuth, camera.elevation = azimuth, elevation
     try:
         renderer = mujoco.Renderer(model, height, width)
