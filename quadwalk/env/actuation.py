@@ -19,6 +19,13 @@ def joint_target(robot: RobotArrays, config: ActuationConfig, action: ArrayLike)
     return jnp.clip(robot.home_joints + reach * jnp.asarray(action), robot.lower, robot.upper)
 
 
+def gains(robot: RobotArrays, config: ActuationConfig) -> tuple[float, float]:
+    """Position gain, Nm/rad, and velocity gain, Nm s/rad, of the joint controller."""
+    kp = 0.936 * robot.weight * robot.home_height if config.kp is None else config.kp
+    kd = 0.025 * kp if config.kd is None else config.kd
+    return kp, kd
+
+
 def motor_torque(
     robot: RobotArrays, config: ActuationConfig, target: ArrayLike, q: ArrayLike, qd: ArrayLike
 ) -> jax.Array:
@@ -28,7 +35,8 @@ def motor_torque(
     the line between stall torque and no-load speed of a DC motor. One that brakes has all of it.
     """
     target, q, qd = jnp.asarray(target), jnp.asarray(q), jnp.asarray(qd)
-    torque = config.kp * (target - q) - config.kd * qd
+    kp, kd = gains(robot, config)
+    torque = kp * (target - q) - kd * qd
     if not config.speed_limit:
         return jnp.clip(torque, jnp.asarray(-robot.effort), jnp.asarray(robot.effort))
     upper = robot.effort * jnp.clip(1.0 - qd / robot.velocity, 0.0, 1.0)

@@ -9,8 +9,10 @@ from quadwalk.errors import UsageError
 class ActuationConfig:
     """How an action in [-1, 1] becomes joint torque."""
 
-    kp: float = 80.0  # Nm/rad, position gain of the joint controller
-    kd: float = 2.0  # Nm s/rad, its velocity gain
+    # The joint controller's gains. By default they follow from the robot, so that a light one is
+    # held as firmly as a heavy one: 80 Nm/rad and 2 Nm s/rad for the AlienGo.
+    kp: float | None = None  # Nm/rad, position gain; by default weight * home height * 0.936
+    kd: float | None = None  # Nm s/rad, velocity gain; by default kp * 0.025 s
     hip_range: float = 0.3  # rad, how far action 1 moves a hip's target from the home pose
     thigh_range: float = 0.6  # rad, the same for a thigh
     calf_range: float = 0.6  # rad, the same for a calf

@@ -1,10 +1,12 @@
+import dataclasses
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from quadwalk.env.actuation import friction_torque, joint_target, motor_torque
+from quadwalk.env.actuation import friction_torque, gains, joint_target, motor_torque
 from quadwalk.env.config import ActuationConfig
 
 CONFIG = ActuationConfig(kp=100.0, kd=0.0)
@@ -19,6 +21,14 @@ def torque(env, error: float, speed: float, config: ActuationConfig = CONFIG) ->
 def test_within_the_limits_the_controller_is_proportional_and_derivative(env):
     config = ActuationConfig(kp=100.0, kd=3.0)
     np.testing.assert_allclose(torque(env, 0.1, 1.0, config), 100 * 0.1 - 3 * 1.0, rtol=1e-6)
+
+
+def test_gains_follow_from_the_robot_unless_set(env):
+    assert gains(env.robot, ActuationConfig()) == pytest.approx((80.0, 2.0), rel=0.01)
+    light = dataclasses.replace(env.robot, weight=env.robot.weight / 2)
+    assert gains(light, ActuationConfig()) == pytest.approx((40.0, 1.0), rel=0.01)
+    assert gains(env.robot, ActuationConfig(kp=30.0)) == pytest.approx((30.0, 0.75))
+    assert gains(env.robot, ActuationConfig(kp=30.0, kd=0.0)) == (30.0, 0.0)
 
 
 @pytest.mark.parametrize(

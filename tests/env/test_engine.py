@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from mujoco import mjx
 
+from quadwalk.env.actuation import gains
 from quadwalk.env.config import EnvConfig
 from quadwalk.env.physics import Physics, place_geoms, simulate
 from quadwalk.env.quadruped import QuadrupedEnv
@@ -79,7 +80,8 @@ def test_a_control_step_is_its_physics_steps_one_by_one(env):
     energy, mean = 0.0, np.zeros(12)
     for _ in range(config.substeps):
         qd = data.qvel[6:].copy()
-        torque = config.actuation.kp * (target - data.qpos[7:]) - config.actuation.kd * qd
+        kp, kd = gains(robot, config.actuation)
+        torque = kp * (target - data.qpos[7:]) - kd * qd
         line = robot.effort * np.clip(1 - np.sign(torque) * qd / robot.velocity, 0, 1)
         data.ctrl[:] = np.clip(torque, -line, line)
         data.qfrc_applied[6:] = -robot.friction * np.tanh(qd / 0.1)
