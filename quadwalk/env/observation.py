@@ -11,7 +11,7 @@ _XYZ = ("x", "y", "z")
 
 
 def observe(robot: RobotArrays, qpos: jax.Array, qvel: jax.Array, action: jax.Array) -> jax.Array:
-    """The observation (48,), float32; its parts, in order, are named by `observation_names`.
+    """The observation (47,), float32; its parts, in order, are named by `observation_names`.
 
     Trunk velocity (body frame, m/s), angular velocity (body frame, rad/s), the direction of
     gravity (body frame, unit), heading (rad), offset from the line y = 0 (m, clipped), joint

@@ -75,12 +75,13 @@ def conclude(
 ) -> State:
     """The state after a control step, whichever engine stepped the physics.
 
-    A state that is not finite ends its episode with reward 0, and the home pose stands in its
+    A state or action that is not finite ends its episode with reward 0, and the home pose stands in its
     place, so that nothing downstream ever sees it.
     """
-    numbers = jnp.concatenate([physics.qpos, physics.qvel, effort.torque, effort.energy[None]])
+    numbers = jnp.concatenate(
+        [physics.qpos, physics.qvel, action, effort.torque, effort.energy[None]]
+    )
     sane = jnp.all(jnp.isfinite(numbers)) & jnp.all(jnp.abs(physics.qvel) < MAX_SPEED)
-    # A NaN action gives NaN torque, so `sane` covers it; the observation must not carry it on.
     action = jnp.where(sane, action, 0.0)
     home = Physics(jnp.asarray(robot.home, jnp.float32), jnp.zeros(model.nv), jnp.zeros(model.nv))
     physics = jax.tree.map(lambda x, safe: jnp.where(sane, x, safe), physics, home)

@@ -18,7 +18,7 @@ def physics_of(state):
 
 
 def with_qpos(state, qpos):
-    physics = physics_of(state)._replace(qpos=qpos)
+    physics = physics_of(state)._replace(qpos=qpos, qvel=jnp.zeros((4, 18)))
     return state.replace(pipeline_state=state.pipeline_state._replace(physics=physics))
 
 
@@ -28,9 +28,9 @@ def ends(state) -> list[str]:
 
 def test_it_is_a_brax_environment(env, reset):
     assert isinstance(env, brax.envs.base.Env)
-    assert reset(0).obs.shape == (4, env.observation_size) == (4, 48)
+    assert reset(0).obs.shape == (4, env.observation_size) == (4, 47)
     assert env.action_size == 12
-    assert len(set(env.observation_names)) == 48
+    assert len(set(env.observation_names)) == 47
 
 
 def test_starts_differ_and_the_same_key_gives_the_same_start(reset):
@@ -88,7 +88,7 @@ def test_the_time_limit_truncates_and_is_not_a_fall(reset, step):
     ("reason", "change"),
     [
         ("tipped", lambda q: q.at[:, 2].set(1.0).at[:, 3:7].set(jnp.array([0.6, 0.8, 0, 0]))),
-        ("low", lambda q: q.at[:, 2].set(0.16).at[:, 8::3].set(1.5).at[:, 9::3].set(-2.7)),
+        ("low", lambda q: q.at[:, 2].set(0.14).at[:, 8::3].set(1.9).at[:, 9::3].set(-2.7)),
         # Deep knees, trunk still high: thighs laid back, calves ahead and down through the floor.
         ("touched", lambda q: q.at[:, 2].set(0.22).at[:, 8::3].set(0.3).at[:, 9::3].set(-2.6)),
     ],
@@ -112,12 +112,10 @@ def test_a_state_that_is_not_finite_ends_its_episode_and_goes_no_further(reset, 
     state = state.replace(pipeline_state=state.pipeline_state._replace(physics=physics))
     after = step(state, STILL.at[3].set(poison if not np.isfinite(poison) else 0.0))
     broken = [False, True, True, not np.isfinite(poison)]
-    if poison == np.inf:
-        broken[3] = False  # an infinite action is a target at the joint's limit
     assert [end == "nan" for end in ends(after)] == broken
     assert np.asarray(after.metrics["nan"]).tolist() == broken
     assert not after.metrics["fell"][np.array(broken)].any()
-    for leaf in jax.tree.leaves(after._replace(info={}) if hasattr(after, "_replace") else after):
+    for leaf in jax.tree.leaves(after):
         assert np.isfinite(np.asarray(leaf, float)).all()
 
 
