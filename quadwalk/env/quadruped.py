@@ -75,8 +75,8 @@ def conclude(
 ) -> State:
     """The state after a control step, whichever engine stepped the physics.
 
-    A state or action that is not finite ends its episode with reward 0, and the home pose stands in its
-    place, so that nothing downstream ever sees it.
+    A state or action that is not finite ends its episode with reward 0, and the home pose stands
+    in its place, so that nothing downstream ever sees it.
     """
     numbers = jnp.concatenate(
         [physics.qpos, physics.qvel, action, effort.torque, effort.energy[None]]

@@ -40,7 +40,7 @@ class EvalConfig:
 def main() -> None:
     """Parse the command line and evaluate."""
     config = parse(EvalConfig, sys.argv[1:], "eval.py")
-    from quadwalk.evaluate.session import evaluate
+    from quadwalk.evaluate.evaluation import evaluate
 
     evaluate(config)
 

@@ -1,12 +1,12 @@
 """`python -m quadwalk.robot URDF [-o OUT] [--render PNG]`: convert a URDF to MJCF, or draw it."""
 
 import argparse
-import os
 import sys
 from fnmatch import fnmatchcase
 from pathlib import Path
 
-from quadwalk.errors import UsageError, UserError, run_command
+from quadwalk.errors import UsageError, run_command
+from quadwalk.files import replacing
 from quadwalk.robot.render import choose_backend
 
 
@@ -81,11 +81,14 @@ def main() -> None:
     conversion = convert(urdf, legs, options)
     xml = write_xml(conversion.spec)
     if arguments.out is not None:
-        write(arguments.out, xml.encode())
+        with replacing(arguments.out) as file:
+            file.write(xml.encode())
     elif arguments.render is None:
         sys.stdout.write(xml)
     if arguments.render is not None:
-        write(arguments.render, png_bytes(render_home(conversion.spec.compile())))
+        picture = png_bytes(render_home(conversion.spec.compile()))
+        with replacing(arguments.render) as file:
+            file.write(picture)
     if not arguments.quiet:
         for line in conversion.report.lines(sys.maxsize if arguments.verbose else 4):
             print(line, file=sys.stderr)
@@ -110,20 +113,6 @@ def armatures(rotors: list[str], joints: list[str]) -> dict[str, float]:
             raise UsageError(f"--rotor {rotor}: names no moving joint; there are {there}")
         found.update(dict.fromkeys(names, inertia * gear**2))
     return found
-
-
-def write(path: Path, data: bytes) -> None:
-    """Write a file whole or not at all."""
-    part = path.with_name(path.name + ".part")
-    try:
-        with part.open("wb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        part.replace(path)
-    except OSError as error:
-        part.unlink(missing_ok=True)
-        raise UserError(f"{path}: cannot be written ({error.strerror})") from None
 
 
 if __name__ == "__main__":

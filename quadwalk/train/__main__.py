@@ -39,7 +39,7 @@ def main() -> None:
     """Parse the command line and train."""
     config = parse_config(sys.argv[1:])
     # Imported late: bad flags are told, and the first sign of progress is shown, without JAX.
-    from quadwalk.train.session import train
+    from quadwalk.train.loop import train
 
     train(config)
 

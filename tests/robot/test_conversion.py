@@ -152,7 +152,7 @@ def test_base_can_be_fixed(monkeypatch, tmp_path):
     ("arguments", "status", "says"),
     [
         (["none.urdf"], 1, "none.urdf: cannot be read (No such file or directory)"),
-        ([ALIENGO_URDF, "-o", "/none/a.xml"], 1, "/none/a.xml: cannot be written"),
+        ([ALIENGO_URDF, "-o", "/none/a.xml"], 1, "cannot write /none/a.xml"),
         ([ALIENGO_URDF, "--rotor", "hip"], 2, "expected JOINTS=INERTIA,GEAR"),
         ([ALIENGO_URDF, "--rotor", "tail*=1,1"], 2, "names no moving joint"),
         ([ALIENGO_URDF, "--mesh-dir", "none"], 2, "--mesh-dir none: is no folder"),
