@@ -76,7 +76,11 @@ def train(config: TrainConfig) -> Run:
             metrics.restore(metadata["metrics"])
             progress.message(f"going on from {path}, after {steps:,} steps")
         progress.phase("compiling the training step", 25.0)
-        iterate = ppo.make_iteration(env, networks, config.ppo, mesh).lower(state).compile()
+        batch = config.envs * config.ppo.unroll
+        program = ppo.make_iteration(
+            env, networks, config.ppo, mesh, iterations=math.ceil(config.steps / batch)
+        )
+        iterate = program.lower(state).compile()
 
         def save() -> None:
             log.sync()  # a checkpoint counts on the rows before it
@@ -92,7 +96,6 @@ def train(config: TrainConfig) -> Run:
             save_policy(run.policy, state.learner, config, quadruped.joints, steps)
 
         progress.phase("training")
-        batch = config.envs * config.ppo.unroll
         saved = steps
         began = time.monotonic() - seconds
         drawn = time.monotonic()

@@ -205,15 +205,27 @@ def _replace_where(done: jax.Array, state: State, fresh: State) -> State:
     )
 
 
+def desired_change(config: PPOConfig, progress: jax.Array) -> jax.Array:
+    """The divergence to aim for in an update, `progress` from 0 to 1 through the training."""
+    settling = jnp.clip((progress - 0.6) / 0.4, 0.0, 1.0)
+    return config.desired_kl + settling * (config.final_kl - config.desired_kl)
+
+
 def learn(
-    networks: PPONetworks, config: PPOConfig, learner: Learner, data: Transition, key: jax.Array
+    networks: PPONetworks,
+    config: PPOConfig,
+    learner: Learner,
+    data: Transition,
+    key: jax.Array,
+    iterations: int,
 ) -> tuple[Learner, Metrics]:
-    """Epochs of minibatch updates on `data` (envs, unroll, ...).
+    """Epochs of minibatch updates on `data` (envs, unroll, ...), one of `iterations` in all.
 
     The first call measures the observations and no more: a policy that had learnt on raw ones
     would change beyond recognition when they are normalised.
     """
     optimizer = make_optimizer(config)
+    desired_kl = desired_change(config, learner.iterations / iterations)
 
     def loss(params: losses.PPONetworkParams, batch: Transition, key: jax.Array) -> Any:
         return losses.compute_ppo_loss(
@@ -238,7 +250,7 @@ def learn(
         state, rate = adaptive_kl_learning_rate(
             state,
             metrics["kl_mean"],
-            config.desired_kl,
+            desired_kl,
             config.min_learning_rate,
             config.max_learning_rate,
         )
@@ -277,15 +289,15 @@ def learn(
 
 
 def make_iteration(
-    env: Env, networks: PPONetworks, config: PPOConfig, mesh: Mesh
+    env: Env, networks: PPONetworks, config: PPOConfig, mesh: Mesh, iterations: int
 ) -> jax.stages.Wrapped:
-    """One iteration of training, jitted; the state passed in is given up to the new one."""
+    """One of `iterations` of training, jitted; the state passed in is given up to the new one."""
 
     def iterate(state: TrainState) -> tuple[TrainState, Metrics]:
         workers, data, collected = collect(env, networks, config, state.learner, state.workers)
         key, key_learn = jax.random.split(workers.key[0])
         workers = workers._replace(key=key[None])
-        learner, learned = learn(networks, config, state.learner, data, key_learn)
+        learner, learned = learn(networks, config, state.learner, data, key_learn, iterations)
         return TrainState(learner, workers), {**collected, **learned}
 
     spec: Any = TrainState(P(), P(AXIS))  # type: ignore[arg-type]

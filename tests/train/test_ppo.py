@@ -68,7 +68,7 @@ def networks():
 
 @pytest.fixture(scope="module")
 def iterate(networks):
-    return ppo.make_iteration(Counter(), networks, CONFIG, ppo.make_mesh())
+    return ppo.make_iteration(Counter(), networks, CONFIG, ppo.make_mesh(), iterations=150)
 
 
 def start(networks, seed: int = 0) -> ppo.TrainState:
@@ -209,3 +209,11 @@ def test_it_learns(networks, iterate):
     learner = jax.device_get(state.learner)
     policy = mean_policy(networks, learner.normalizer, learner.params.policy)
     np.testing.assert_allclose(policy(jnp.array([[1.0, 0.3], [2.0, -0.3]])), GOAL, atol=0.15)
+
+
+@pytest.mark.parametrize(
+    ("progress", "expected"), [(0.0, 0.03), (0.6, 0.03), (0.8, 0.02), (1.0, 0.01), (1.5, 0.01)]
+)
+def test_the_policy_settles_towards_the_end(progress, expected):
+    config = PPOConfig(desired_kl=0.03, final_kl=0.01)
+    assert float(ppo.desired_change(config, jnp.asarray(progress))) == pytest.approx(expected)
