@@ -40,14 +40,14 @@ def evaluate(config: EvalConfig) -> dict[str, Any]:
         summarise,
         typical_episode,
     )
-    from quadwalk.robot.quadruped import load_quadruped
     from quadwalk.train import checkpoint
     from quadwalk.train.config import to_dict
     from quadwalk.train.policy import load_policy
+    from quadwalk.train.robot import load_run_robot
     from quadwalk.train.versions import versions
 
     policy = load_policy(run.policy)
-    quadruped = load_quadruped(run.urdf)
+    quadruped = load_run_robot(run, policy.config.robot)
     env_config = dataclasses.replace(policy.config.env, episode_seconds=config.seconds)
     env = QuadrupedEnv(quadruped, env_config)
     if quadruped.joints != policy.joints or env.observation_size != policy.observation_size:

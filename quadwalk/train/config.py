@@ -17,6 +17,7 @@ class RobotConfig:
     """The robot to train."""
 
     urdf: Path = ALIENGO_URDF  # its description
+    mesh_dirs: tuple[Path, ...] = ()  # folders of its mesh files, besides the URDF's
 
 
 @dataclass(frozen=True)

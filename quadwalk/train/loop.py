@@ -1,6 +1,7 @@
 """A training from start to end: set up, iterate, keep what is learnt, show how it goes."""
 
 import contextlib
+import dataclasses
 import math
 import signal
 import threading
@@ -11,7 +12,7 @@ from types import FrameType
 
 from quadwalk.errors import UsageError
 from quadwalk.files import replacing
-from quadwalk.train.config import TrainConfig, to_dict
+from quadwalk.train.config import RobotConfig, TrainConfig, to_dict
 from quadwalk.train.log import MetricsLog, read_history
 from quadwalk.train.metrics import TrainingMetrics
 from quadwalk.train.progress import Progress
@@ -37,6 +38,10 @@ def train(config: TrainConfig) -> Run:
     saved; `config.resume` goes on from there.
     """
     started = time.monotonic()
+    # Absolute, so that mesh files are found from wherever the run is used.
+    folders = tuple(folder.resolve() for folder in config.robot.mesh_dirs)
+    robot = RobotConfig(config.robot.urdf.resolve(), folders)
+    config = dataclasses.replace(config, robot=robot)
     with Progress(config.steps, quiet=config.quiet) as progress, _stop_on_signal() as stop:
         progress.phase("loading")
         # Imported here, after the first sign of life: these take seconds.
@@ -47,13 +52,16 @@ def train(config: TrainConfig) -> Run:
         )
         set_up_devices(devices)
         from quadwalk.env.quadruped import QuadrupedEnv
-        from quadwalk.robot.quadruped import load_quadruped
         from quadwalk.train import checkpoint, ppo
         from quadwalk.train.networks import make_networks
         from quadwalk.train.policy import save_policy
+        from quadwalk.train.robot import load_robot, load_run_robot
 
         _check_split(config, devices)
-        quadruped = load_quadruped(config.robot.urdf)
+        if config.resume is None:
+            quadruped = load_robot(config.robot)
+        else:
+            quadruped = load_run_robot(find_run(config.runs, config.resume), config.robot)
         env = QuadrupedEnv(quadruped, config.env)
         networks = make_networks(config.ppo, env.observation_size, env.action_size)
         run, changes = _open_run(config, quadruped.urdf)

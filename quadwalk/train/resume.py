@@ -13,7 +13,7 @@ from quadwalk.train.run import Run, find_run
 # The saved state has the shape of these, or was drawn from them once and for all.
 _FIXED = ("seed", "envs", "ppo.judges", "ppo.hidden", "ppo.activation")
 # How a run is driven, not what it computes.
-_FREE = ("name", "runs", "resume", "steps", "minutes", "checkpoint_steps", "devices", "quiet")
+_FREE = ("name", "runs", "resume", "minutes", "checkpoint_steps", "devices", "quiet")
 
 
 def read_config(run: Run) -> TrainConfig:
@@ -38,7 +38,6 @@ def resumed_config(runs: Path | str, which: str) -> TrainConfig:
         runs=Path(runs),
         minutes=None,
         quiet=False,
-        robot=dataclasses.replace(config.robot, urdf=run.urdf),
     )
 
 
@@ -46,7 +45,6 @@ def changed_settings(before: TrainConfig, now: TrainConfig) -> list[str]:
     """What differs, as "name: old -> new"; `UsageError` for what cannot change in a run."""
     old, new = _flatten(before), _flatten(now)
     names = [name for name in old if old[name] != new[name] and name not in _FREE]
-    names = [name for name in names if name != "robot.urdf"]  # the run's own copy is used
     for name in names:
         if name in _FIXED:
             flag = name.replace("_", "-")

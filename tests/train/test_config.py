@@ -124,8 +124,8 @@ def test_a_resumed_configuration_is_the_runs_with_the_flags_given(tmp_path):
     (run / "config.json").write_text(json.dumps({"config": to_dict(config)}))
     resumed = parse_config(["--runs", str(tmp_path), "--resume", "dog", "--ppo.entropy", "0.5"])
     assert (resumed.seed, resumed.env.substeps, resumed.ppo.entropy) == (7, 3, 0.5)
-    assert resumed.robot.urdf == run / "robot.urdf"
-    assert changed_settings(config, resumed) == ["ppo.entropy: 0.005 -> 0.5"]
+    assert resumed.robot == config.robot
+    assert changed_settings(config, resumed) == [f"ppo.entropy: {PPOConfig().entropy} -> 0.5"]
     with pytest.raises(UsageError, match="--seed"):
         changed_settings(config, dataclasses.replace(resumed, seed=8))
 
