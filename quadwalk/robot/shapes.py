@@ -9,7 +9,7 @@ import yourdfpy
 from quadwalk.robot.legs import Leg
 from quadwalk.robot.meshes import MissingMeshError, find_mesh, load_mesh
 from quadwalk.robot.report import Report
-from quadwalk.robot.scene import FRICTION
+from quadwalk.robot.scene import CONTACT_TIME, FRICTION
 from quadwalk.robot.tree import Tree, matrix
 
 VISUAL, COLLISION = 2, 3  # geom groups; MuJoCo's viewer hides 3 and above
@@ -26,6 +26,7 @@ def add_geom_classes(spec: mujoco.MjSpec) -> None:
     collision = spec.add_default("collision", spec.default)
     collision.geom.group = COLLISION
     collision.geom.friction = [FRICTION, 0.005, 0.0001]
+    collision.geom.solref[:] = [CONTACT_TIME, 1.0]
     collision.geom.rgba = [0.9, 0.3, 0.3, 0.5]
     foot = spec.add_default("foot", collision)
     # Sliding friction only: a small hard foot has next to no torsional or rolling friction.

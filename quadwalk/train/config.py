@@ -30,14 +30,14 @@ class PPOConfig:
     epochs: int = 5  # passes over the data
     learning_rate: float = 1e-3  # Adam's, at the start
     desired_kl: float = 0.03  # the learning rate adapts to keep the policy's change near this
-    final_kl: float = 0.003  # over the last 40 % of the steps that falls to this: it settles
+    final_kl: float = 0.01  # over the last 40 % of the steps that falls to this: it settles
     min_learning_rate: float = 1e-5
     max_learning_rate: float = 1e-2
     discount: float = 0.97
     gae_lambda: float = 0.95  # of generalised advantage estimation
     clip: float = 0.2  # of the probability ratio
     noise: float = 0.35  # standard deviation of actions at the start, before the tanh
-    entropy: float = 0.001  # weight of the entropy bonus
+    entropy: float = 0.003  # weight of the entropy bonus
     value: float = 1.0  # weight of the value loss
     max_grad_norm: float = 1.0
     reward_scale: float = 0.1  # rewards are multiplied by this before learning
