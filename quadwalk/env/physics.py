@@ -9,10 +9,10 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from mujoco import mjx
 
 from quadwalk.env.actuation import friction_torque, motor_torque
 from quadwalk.env.config import EnvConfig
+from quadwalk.env.quiet_mjx import mjx
 from quadwalk.env.robot import RobotArrays
 
 

@@ -6,12 +6,12 @@ import jax
 import jax.numpy as jnp
 import mujoco
 from brax.envs.base import Env, State
-from mujoco import mjx
 
 from quadwalk.env.actuation import joint_target
 from quadwalk.env.config import EnvConfig
 from quadwalk.env.observation import observation_names, observe
 from quadwalk.env.physics import Effort, Physics, place_geoms, simulate
+from quadwalk.env.quiet_mjx import mjx
 from quadwalk.env.reset import fresh_start
 from quadwalk.env.reward import Step, active_terms, mean_velocity, reward_terms, total_reward
 from quadwalk.env.robot import RobotArrays, robot_arrays

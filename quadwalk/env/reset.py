@@ -2,10 +2,10 @@
 
 import jax
 import jax.numpy as jnp
-from mujoco import mjx
 
 from quadwalk.env.config import ResetConfig
 from quadwalk.env.physics import Physics, place_geoms
+from quadwalk.env.quiet_mjx import mjx
 from quadwalk.env.robot import RobotArrays
 from quadwalk.env.rotation import from_euler
 

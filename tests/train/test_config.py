@@ -137,3 +137,13 @@ def test_a_damaged_configuration_is_one_line_that_names_the_file(tmp_path, text)
     with pytest.raises(UserError, match=r"config\.json") as caught:
         parse_config(["--runs", str(tmp_path), "--resume", "dog"])
     assert "\n" not in str(caught.value)
+
+
+def test_the_command_line_starts_without_jax():
+    """Bad flags are told, and the first sign of progress is shown, before the slow imports."""
+    code = (
+        "import sys, quadwalk.train.loop, quadwalk.evaluate.evaluation;"
+        "from quadwalk.train.__main__ import parse_config; parse_config([]);"
+        "sys.exit(any(name in sys.modules for name in ('jax', 'mujoco', 'brax', 'matplotlib')))"
+    )
+    assert subprocess.run([sys.executable, "-c", code], cwd=ROOT).returncode == 0
