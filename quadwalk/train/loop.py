@@ -99,9 +99,10 @@ def train(config: TrainConfig) -> Run:
                 "seconds": seconds,
                 "metrics": metrics.state(),
             }
+            # The policy first: should the disk be full, it is the smaller and the dearer.
+            save_policy(run.policy, state.learner, config, quadruped.joints, steps)
             checkpoint.save(run.checkpoint(steps), state, metadata)
             keep_last(run, KEPT_CHECKPOINTS)
-            save_policy(run.policy, state.learner, config, quadruped.joints, steps)
 
         progress.phase("training")
         saved = steps
