@@ -9,6 +9,7 @@ from rich.table import Table
 
 from quadwalk.env.config import RewardConfig
 from quadwalk.evaluate.gait import Gait
+from quadwalk.evaluate.kinematics import rpy_from_quat
 from quadwalk.evaluate.rollout import Rollout
 
 # name in metrics.json, heading in the table, unit
@@ -32,8 +33,7 @@ def episode_figures(rollout: Rollout, scales: RewardConfig) -> dict[str, Any]:
     """
     duration = rollout.steps * rollout.control_dt
     distance, sideways = rollout.qpos[-1, :2] - rollout.qpos[0, :2]
-    w, x, y, z = rollout.qpos[:, 3:7].T
-    yaw = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+    yaw = rpy_from_quat(rollout.qpos[:, 3:7])[:, 2]
     terms = {
         f"reward/{name}": float(getattr(scales, name) * values.mean())
         for name, values in rollout.reward_terms.items()
