@@ -55,6 +55,7 @@ def main() -> None:
     if arguments.render is not None:
         choose_backend()
     # After that choice, because MuJoCo makes its own when it is imported.
+    from quadwalk.robot.joints import SINGLE
     from quadwalk.robot.legs import Leg, find_legs
     from quadwalk.robot.mjcf import Options, convert, write_xml
     from quadwalk.robot.render import png_bytes, render_home
@@ -64,7 +65,7 @@ def main() -> None:
         if not folder.is_dir():
             raise UsageError(f"--mesh-dir {folder}: is no folder; expected one")
     urdf = read_urdf(arguments.urdf, arguments.repair_inertia)
-    joints = [joint.name for joint in urdf.robot.joints if joint.type != "fixed"]
+    joints = [joint.name for joint in urdf.robot.joints if joint.type in SINGLE]
     options = Options(
         floating=arguments.floating_base or (False if arguments.fixed_base else None),
         meshes=not arguments.no_meshes,

@@ -53,6 +53,11 @@ def find_legs(tree: Tree, source: str) -> tuple[Leg, ...]:
             f"{source}: chains of moving joints from link '{tree.root}': {found}; "
             "a quadruped has four of three joints each"
         )
+    for joint in (joint for chain in chains for joint in chain):
+        if joint.type not in ("revolute", "continuous"):
+            raise UrdfError(
+                f"{source}: joint '{joint.name}' of a leg is {joint.type}; expected one that turns"
+            )
     hips = np.array([tree.frame_of(chain[0])[:3, 3] for chain in chains])
     ahead, left = ((hips - hips.mean(axis=0))[:, :2] > 0).T
     names = [LEGS[2 * (not x) + y] for x, y in zip(ahead, left, strict=True)]

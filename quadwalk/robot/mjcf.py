@@ -13,7 +13,8 @@ import yourdfpy
 
 from quadwalk.robot.home import add_home, exclude_overlaps
 from quadwalk.robot.inertia import SMALLEST, body_inertia, principal, printable
-from quadwalk.robot.legs import Leg, joint_range, standing_pose, unit
+from quadwalk.robot.joints import SINGLE, add_several, add_single
+from quadwalk.robot.legs import Leg, standing_pose
 from quadwalk.robot.report import Report
 from quadwalk.robot.scene import add_scene, add_sun
 from quadwalk.robot.shapes import Shapes, add_geom_classes, pose, unique
@@ -23,12 +24,6 @@ from quadwalk.robot.validate import UrdfError
 
 FRAMES = 4  # the group of the sites that mark frames; MuJoCo's viewer hides 3 and above
 FREE_JOINT = "floating_base"
-
-_JOINT_TYPES = {
-    "revolute": mujoco.mjtJoint.mjJNT_HINGE,
-    "continuous": mujoco.mjtJoint.mjJNT_HINGE,
-    "prismatic": mujoco.mjtJoint.mjJNT_SLIDE,
-}
 
 
 @dataclass(frozen=True)
@@ -128,7 +123,8 @@ class _Robot:
         self.shapes = Shapes(
             spec, urdf.robot, legs, folders if options.meshes else None, urdf.source, report
         )
-        self.joints: list[yourdfpy.Joint] = []
+        self.joints: list[yourdfpy.Joint] = []  # of one direction each
+        self.joint_names = {joint.name for joint in urdf.robot.joints if joint.type != "fixed"}
 
     def _is_floating(self) -> bool:
         root = self.tree.root
@@ -190,8 +186,7 @@ class _Robot:
             body.pos, body.quat = pose(tree.frame_of(joint))
             self._add_joint(body, joint)
         elif self.floating:
-            joints = {joint.name for joint in self.urdf.robot.joints if joint.type != "fixed"}
-            body.add_freejoint(name=unique(FREE_JOINT, joints))
+            body.add_freejoint(name=unique(FREE_JOINT, self.joint_names))
             add_sun(body)
         else:
             add_sun(self.spec.worldbody)
@@ -223,22 +218,15 @@ class _Robot:
         body.add_site(name=name, pos=pos, quat=quat, group=FRAMES, size=[radius] * 3)
 
     def _add_joint(self, body: mujoco.MjsBody, joint: yourdfpy.Joint) -> None:
-        added = body.add_joint(
-            name=joint.name, type=_JOINT_TYPES[joint.type], axis=unit(joint.axis)
-        )
-        if joint.type != "continuous":
-            added.range = joint_range(joint)
-        if joint.limit is not None and joint.limit.effort:
-            added.actfrcrange = [-joint.limit.effort, joint.limit.effort]
-        if joint.limit is not None:
-            # MuJoCo knows no largest speed: it is kept as the joint's user datum.
-            added.userdata = [joint.limit.velocity]
-        if joint.dynamics is not None:
-            added.damping[0] = float(joint.dynamics.damping or 0)
-            added.frictionloss = float(joint.dynamics.friction or 0)
-        armature = {**self.urdf.armature, **self.options.armature}
-        added.armature = armature.get(joint.name, 0.0)
-        self.joints.append(joint)
+        if joint.type in SINGLE:
+            armature = {**self.urdf.armature, **self.options.armature}
+            add_single(body, joint, armature.get(joint.name, 0.0))
+            self.joints.append(joint)
+            return
+        add_several(body, joint, self.joint_names)
+        self.report.add("assumed", f"no motor, for it is {joint.type}", joint.name)
+        if joint.dynamics is not None or joint.limit is not None:
+            self.report.add("dropped", "limits and dynamics of several directions", joint.name)
 
     def add_motors(self) -> None:
         """One motor per joint, named after it, of gear 1 and within the effort limit."""

@@ -84,6 +84,8 @@ def parse_urdf(
     root, text = _parse_xml(data, source, report)
     for what in check_robot(root, source):
         report.add("dropped", "extensions of other tools", what)
+    if _drop_ground(root, report):
+        text = etree.tostring(root, encoding="unicode")
     model = yourdfpy.URDF.load(
         io.BytesIO(etree.tostring(root)), load_meshes=False, build_scene_graph=False
     )
@@ -95,6 +97,23 @@ def parse_urdf(
     urdf = Urdf(source, folder, text, model.robot, armature, report)
     check_inertias(urdf.tree, source, repair_inertia, report)
     return urdf
+
+
+def _drop_ground(root: etree._Element, report: Report) -> bool:
+    """Remove a bare root link that only a floating joint leads from: it is the ground's frame.
+
+    What floats on it is then the root link, which floats in any case.
+    """
+    joints = root.findall("joint")
+    children = {joint.find("child").get("link") for joint in joints}
+    (ground,) = (link for link in root.findall("link") if link.get("name") not in children)
+    below = [j for j in joints if j.find("parent").get("link") == ground.get("name")]
+    if len(ground) or [joint.get("type") for joint in below] != ["floating"]:
+        return False
+    report.add("dropped", "the ground's link and its floating joint", ground.get("name"))
+    for element in (ground, *below):
+        root.remove(element)
+    return True
 
 
 def _parse_xml(data: bytes, source: str, report: Report) -> tuple[etree._Element, str]:

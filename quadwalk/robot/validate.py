@@ -24,7 +24,7 @@ MAX_NUMBER = 1e9
 MIN_NUMBER = 1e-50
 MIN_SIZE = 1e-9  # m; atoms are 1e-10
 
-JOINT_TYPES = ("revolute", "continuous", "prismatic", "fixed")
+JOINT_TYPES = ("revolute", "continuous", "prismatic", "planar", "floating", "fixed")
 SHAPES = ("box", "sphere", "cylinder", "mesh")
 
 
@@ -231,7 +231,7 @@ class _Check:
 
     def check_axis(self, element: etree._Element) -> None:
         length = math.hypot(*map(float, element.get("xyz").split()))
-        if length < 1e-6 and element.getparent().get("type") != "fixed":
+        if length < 1e-6 and element.getparent().get("type") not in ("fixed", "floating"):
             raise self.fail(element, f'has xyz="{element.get("xyz")}"; expected a direction')
 
     def check_joint(self, element: etree._Element) -> None:
@@ -351,9 +351,11 @@ def _check_mimic(check: _Check, joints: list[etree._Element]) -> None:
         if name not in leader_of:
             continue
         leader = leader_of[name]
-        if kinds.get(leader, "fixed") == "fixed" or kinds[name] == "fixed":
+        one_way = ("revolute", "continuous", "prismatic")
+        if kinds.get(leader) not in one_way or kinds[name] not in one_way:
             raise check.fail(
-                joint.find("mimic"), f"follows joint '{leader}'; expected a joint that moves"
+                joint.find("mimic"),
+                f"follows joint '{leader}'; expected joints that move in one direction",
             )
         path = {name}
         while leader in leader_of:

@@ -25,11 +25,18 @@ class Pinocchio:
         self.model = self.pin.buildModelFromXML(urdf.text, *root)
         self.model.gravity.linear = model.opt.gravity.copy()
         self.data = self.model.createData()
-        first = 1 if self.floating else 0
-        self.joints = [
-            (model.joint(i), self.model.joints[self.model.getJointId(model.joint(i).name)])
-            for i in range(first, model.njnt)
-        ]
+        self.joints, self.planes, self.floats = [], [], []
+        for name, theirs in list(zip(self.model.names, self.model.joints, strict=True))[1:]:
+            if self.floating and name == "root_joint":
+                continue
+            if theirs.shortname() == "JointModelPlanar":
+                self.planes.append(
+                    ([model.joint(f"{name}_{s}") for s in ("x", "y", "turn")], theirs)
+                )
+            elif theirs.shortname() == "JointModelFreeFlyer":
+                self.floats.append(([model.joint(f"{name}_{s}") for s in ("x", "ball")], theirs))
+            else:
+                self.joints.append((model.joint(name), theirs))
         assert self.model.nv == model.nv
         # Links with one collision shape that is no mesh: the geom of that name, and its origin.
         self.shapes = []
@@ -55,6 +62,18 @@ class Pinocchio:
             q[theirs.idx_q : theirs.idx_q + theirs.nq] = (
                 [np.cos(angle), np.sin(angle)] if two else [angle]
             )
+        for (x, y, turn), theirs in self.planes:
+            angle = qpos[turn.qposadr[0]]
+            q[theirs.idx_q : theirs.idx_q + 4] = [
+                qpos[x.qposadr[0]],
+                qpos[y.qposadr[0]],
+                np.cos(angle),
+                np.sin(angle),
+            ]
+        for (x, ball), theirs in self.floats:
+            first, at = x.qposadr[0], ball.qposadr[0]
+            wxyz = qpos[at : at + 4]
+            q[theirs.idx_q : theirs.idx_q + 7] = [*qpos[first : first + 3], *wxyz[1:], wxyz[0]]
         return q
 
     def velocity_map(self, qpos: np.ndarray, qvel: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -69,6 +88,20 @@ class Pinocchio:
             drift[:3] = -np.cross(qvel[3:6], turn.T @ qvel[:3])
         for mine, theirs in self.joints:
             g[theirs.idx_v, mine.dofadr[0]] = 1
+        for (x, _, turn), theirs in self.planes:
+            mine, at = x.dofadr[0], theirs.idx_v
+            cos, sin = np.cos(qpos[turn.qposadr[0]]), np.sin(qpos[turn.qposadr[0]])
+            back, rate = np.array([[cos, sin], [-sin, cos]]), qvel[turn.dofadr[0]]
+            g[at : at + 2, mine : mine + 2], g[at + 2, turn.dofadr[0]] = back, 1
+            across = back @ qvel[mine : mine + 2]
+            drift[at : at + 2] = -rate * np.array([-across[1], across[0]])
+        for (x, ball), theirs in self.floats:
+            mine, at, spin = x.dofadr[0], theirs.idx_v, ball.dofadr[0]
+            turn = np.zeros(9)
+            mujoco.mju_quat2Mat(turn, qpos[ball.qposadr[0] : ball.qposadr[0] + 4])
+            back = turn.reshape(3, 3).T
+            g[at : at + 3, mine : mine + 3], g[at + 3 : at + 6, spin : spin + 3] = back, np.eye(3)
+            drift[at : at + 3] = -np.cross(qvel[spin : spin + 3], back @ qvel[mine : mine + 3])
         return g, drift
 
     def errors(self, states: int, seed: int = 0) -> dict[str, float]:
@@ -85,6 +118,9 @@ class Pinocchio:
                     data.qpos[at : at + 3] = rng.normal(size=3)
                     quat = rng.normal(size=4)
                     data.qpos[at + 3 : at + 7] = quat / np.linalg.norm(quat)
+                elif kind == mujoco.mjtJoint.mjJNT_BALL:
+                    quat = rng.normal(size=4)
+                    data.qpos[at : at + 4] = quat / np.linalg.norm(quat)
                 elif mj.jnt_limited[i]:
                     data.qpos[at] = rng.uniform(*mj.jnt_range[i])
                 else:

@@ -1,8 +1,10 @@
 """The converted robot has the dynamics that Pinocchio computes from the same URDF."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import mujoco
+import pytest
 
 from quadwalk.paths import ALIENGO_URDF
 from quadwalk.robot.legs import find_legs
@@ -87,3 +89,58 @@ def test_an_arm_afloat(pinocchio):
     urdf = parse_urdf(text)
     errors = pinocchio(urdf, convert(urdf).spec.compile()).errors(STATES)
     assert max(errors.values()) < 1e-10, errors
+
+
+@pytest.mark.parametrize("kind", ["planar", "floating"])
+@pytest.mark.parametrize("afloat", [False, True])
+def test_a_joint_of_several_directions(pinocchio, kind, afloat):
+    text = ARM.replace('name="rail" type="prismatic"', f'name="rail" type="{kind}"')
+    # Pinocchio takes the plane across z, whatever the axis.
+    text = text.replace('<axis xyz="1 2 3"/>', '<axis xyz="0 0 2"/>')
+    if afloat:
+        text = text.replace('"world"', '"root"').replace(
+            '<link name="base"/>', f'<link name="base">{inertial(3, "0.1 0.1 0.1")}</link>'
+        )
+    urdf = parse_urdf(text)
+    spec = convert(urdf).spec
+    model = spec.compile()
+    assert model.nv == {"planar": 4, "floating": 7}[kind] + 6 * afloat
+    assert [model.actuator(i).name for i in range(model.nu)] == ["turn"]
+    errors = pinocchio(urdf, model).errors(STATES)
+    assert "position of tool" in errors
+    assert max(errors.values()) < 1e-10, errors
+    from_xml = mujoco.MjModel.from_xml_string(write_xml(spec))
+    assert max(pinocchio(urdf, from_xml).errors(STATES).values()) < 1e-5
+
+
+def test_a_plane_is_across_its_axis(pinocchio):
+    body = f"<link name='puck'>{inertial(2, '0.1 0.2 0.15', '0.1 0.2 0.3')}</link>"
+    frame = '<origin xyz="0 1 2" rpy="0.1 0.2 0.3"/><parent link="world"/>'
+    planar = (
+        f'<robot name="r"><link name="world"/>{body}<joint name="j" type="planar">{frame}'
+        '<child link="puck"/><axis xyz="0 3 0"/></joint></robot>'
+    )
+    # z turns onto y about -x by a quarter: x stays, y becomes -z.
+    limit = '<limit lower="-9" upper="9" effort="1" velocity="1"/>'
+    chain = (
+        f'<robot name="r"><link name="world"/><link name="a"/><link name="b"/>{body}'
+        f'<joint name="j_x" type="prismatic">{frame}<child link="a"/><axis xyz="1 0 0"/>{limit}'
+        '</joint><joint name="j_y" type="prismatic"><parent link="a"/><child link="b"/>'
+        f'<axis xyz="0 0 -1"/>{limit}</joint><joint name="j_turn" type="continuous">'
+        '<parent link="b"/><child link="puck"/><axis xyz="0 1 0"/></joint></robot>'
+    )
+    spec = convert(parse_urdf(planar)).spec
+    errors = pinocchio(SimpleNamespace(text=chain), spec.compile()).errors(STATES)
+    assert max(errors.values()) < 1e-10, errors
+
+
+def test_a_floating_joint_from_the_ground_is_the_floating_base():
+    text = ALIENGO_URDF.read_text()
+    ground = (
+        '<link name="world"/><joint name="base" type="floating"><parent link="world"/>'
+        f'<child link="{parse_urdf(text).tree.root}"/></joint></robot>'
+    )
+    urdf = parse_urdf(text.replace("</robot>", ground))
+    expected = write_xml(convert(parse_urdf(text), find_legs(parse_urdf(text).tree, "")).spec)
+    assert write_xml(convert(urdf, find_legs(urdf.tree, "")).spec) == expected
+    assert "dropped: the ground's link and its floating joint: world" in urdf.report.lines()

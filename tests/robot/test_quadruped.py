@@ -258,6 +258,8 @@ def spider_leg(name: str, x: float, y: float) -> str:
     [
         ('<joint name="FR_calf_joint" type="revolute"', '<joint name="FR_calf_joint" type="fixed"',
          "FR_hip_joint (2), FL_hip_joint (3)"),
+        ('<joint name="FR_calf_joint" type="revolute"', '<joint name="FR_calf_joint" type="planar"',
+         "joint 'FR_calf_joint' of a leg is planar"),
         ('xyz="-0.2407 0.051 0"', 'xyz="0.2407 0.051 0"', "expected one ahead and one behind"),
         ('<sphere radius="0.0265"/>', '<box size="0.01 0.01 0.01"/>',
          "'FR_calf' and what is fixed to it have no collision sphere"),

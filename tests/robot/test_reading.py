@@ -89,7 +89,6 @@ BAD = {
     ),
     "zero axis": (changed('<axis xyz="1 0 0"', '<axis xyz="0 0 0"'), "'FR_hip_joint': <axis>"),
     "unknown type": (changed('type="revolute"', 'type="hinge"'), "of type 'hinge'"),
-    "floating joint": (changed('type="revolute"', 'type="floating"'), "of type 'floating'"),
     "no limits": (changed("<limit " + HIP_LIMIT + ' velocity="20"/>', ""), "is revolute; exp"),
     "no lower": (changed('lower="-1.2217304763960306"', ""), "is revolute; expected <limit"),
     "no effort": (changed(' effort="35.278"', ""), "<limit> has no 'effort'"),
