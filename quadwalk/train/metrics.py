@@ -36,7 +36,7 @@ class TrainingMetrics:
 
     def row(self, steps: int, numbers: Mapping[str, Any]) -> dict[str, float]:
         """The row after `steps` control steps."""
-        values = {name: float(value) for name, value in numbers.items()}
+        values = {name: float(value) for name, value in numbers.items() if name != "suspect"}
         self._nan += values["count/nan"]
         terms = {
             f"train/{name}": getattr(self._scales, name.partition("/")[2]) * value

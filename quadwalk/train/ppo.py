@@ -25,7 +25,7 @@ from jax.sharding import PartitionSpec as P
 from quadwalk.train.config import PPOConfig
 
 AXIS = "devices"
-Metrics = dict[str, jax.Array]
+Metrics = dict[str, Any]
 
 
 class Learner(NamedTuple):
@@ -49,6 +49,14 @@ class TrainState(NamedTuple):
 
     learner: Learner
     workers: Workers
+
+
+class Suspect(NamedTuple):
+    """The first step of an iteration after which numbers were not finite, for replay."""
+
+    found: jax.Array  # () float32, more than 0 if there was one; else the rest means nothing
+    before: Any  # the environment's `pipeline_state` before the step
+    action: jax.Array  # (12,) what it was stepped with
 
 
 def make_mesh(devices: list[jax.Device] | None = None) -> Mesh:
@@ -121,10 +129,10 @@ def collect(
     """Step every environment `unroll` times, with sampled actions or, the judges, with the mean.
 
     Returns the transitions (envs, unroll, ...) of those that sample, and metrics: means per step,
-    and counts of episodes; the judges' are named "judge/...". A finished episode is followed by a
-    fresh one. A step that meets the time limit is not a failure: what the value
-    network expects after it is added to its reward, and the step then ends the episode, which
-    equals bootstrapping through the limit.
+    and counts of episodes; the judges' are named "judge/...", "suspect" is a `Suspect`. A finished
+    episode is followed by a fresh one. A step that meets the time limit is not a failure: what the
+    value network expects after it is added to its reward, and the step then ends the episode,
+    which equals bootstrapping through the limit.
     """
     policy_params, value_params = learner.params.policy, learner.params.value
     distribution = networks.parametric_action_distribution
@@ -132,12 +140,16 @@ def collect(
     learners = len(workers.envs.done) - judges
     judging = jnp.arange(learners + judges)[:, None] >= learners
 
-    def one_step(envs: State, key: jax.Array) -> tuple[State, tuple[Transition, Metrics]]:
+    def one_step(
+        carry: tuple[State, Suspect], key: jax.Array
+    ) -> tuple[tuple[State, Suspect], tuple[Transition, Metrics]]:
+        envs, suspect = carry
         key_action, key_reset = jax.random.split(key)
         logits = networks.policy_network.apply(learner.normalizer, policy_params, envs.obs)
         raw_action = distribution.sample_no_postprocessing(logits, key_action)
         action = jnp.where(judging, distribution.mode(logits), distribution.postprocess(raw_action))
         after = jax.vmap(env.step)(envs, action)
+        suspect = _first(suspect, after.metrics["nan"], envs.pipeline_state, action)
 
         value_after = networks.value_network.apply(learner.normalizer, value_params, after.obs)
         reward = config.reward_scale * after.reward
@@ -172,12 +184,15 @@ def collect(
         # Only after a fall at a random step: those that fell together must not end together.
         late = fresh.pipeline_state.steps * after.metrics["fell"].astype(jnp.int32)
         fresh = fresh.replace(pipeline_state=fresh.pipeline_state._replace(steps=late))
-        return _replace_where(after.done, after, fresh), (transition, metrics)
+        return (_replace_where(after.done, after, fresh), suspect), (transition, metrics)
 
     key, key_steps = jax.random.split(workers.key[0])
-    envs, (transitions, metrics) = jax.lax.scan(
-        one_step, workers.envs, jax.random.split(key_steps, config.unroll)
+    nobody = jax.tree.map(lambda x: jnp.zeros_like(x[0]), workers.envs.pipeline_state)
+    suspect = Suspect(jnp.zeros(()), nobody, jnp.zeros(env.action_size))
+    (envs, suspect), (transitions, metrics) = jax.lax.scan(
+        one_step, (workers.envs, suspect), jax.random.split(key_steps, config.unroll)
     )
+    suspects = jax.lax.all_gather(suspect, AXIS)
     transitions = jax.tree.map(lambda x: jnp.swapaxes(x, 0, 1), transitions)
     # The loss needs an observation after the last step only, to bootstrap from.
     transitions = transitions._replace(next_observation=envs.obs[:learners, None])
@@ -189,8 +204,16 @@ def collect(
         {
             **jax.lax.psum(counts, AXIS),
             **jax.lax.pmean(means, AXIS),
+            "suspect": jax.tree.map(lambda x: x[jnp.argmax(suspects.found > 0)], suspects),
         },
     )
+
+
+def _first(known: Suspect, nan: jax.Array, before: Any, action: jax.Array) -> Suspect:
+    """`known` if it was found, else the first environment of a step whose `nan` (n,) is set."""
+    index = jnp.argmax(nan)
+    new = Suspect(nan[index], *jax.tree.map(lambda x: x[index], (before, action)))
+    return jax.tree.map(lambda old, new: jnp.where(known.found > 0, old, new), known, new)
 
 
 def _replace_where(done: jax.Array, state: State, fresh: State) -> State:
@@ -298,7 +321,10 @@ def make_iteration(
         key, key_learn = jax.random.split(workers.key[0])
         workers = workers._replace(key=key[None])
         learner, learned = learn(networks, config, state.learner, data, key_learn, iterations)
-        return TrainState(learner, workers), {**collected, **learned}
+        floats = [x for x in jax.tree.leaves(learner) if jnp.issubdtype(x.dtype, jnp.floating)]
+        finite = jnp.all(jnp.stack([jnp.all(jnp.isfinite(x)) for x in floats]))
+        numbers = {**collected, **learned, "learner/finite": finite}
+        return TrainState(learner, workers), numbers
 
     spec: Any = TrainState(P(), P(AXIS))  # type: ignore[arg-type]
     return jax.jit(

@@ -30,6 +30,7 @@ class Counter(Env):
     """Counts its steps; the reward is best where the action is `GOAL`.
 
     Episodes last 4 steps: those with a positive origin then meet the time limit, the others fall.
+    An origin above 1 is never drawn; it stands for a state whose step is not a number.
     """
 
     config = EnvConfig(episode_seconds=4 * EnvConfig().control_dt)
@@ -42,14 +43,15 @@ class Counter(Env):
 
     def step(self, state: State, action: jax.Array) -> State:
         count = state.pipeline_state._replace(steps=state.pipeline_state.steps + 1)
-        done = (count.steps >= self.config.episode_steps).astype(jnp.float32)
-        limit = done * (count.origin > 0)
+        over = (count.steps >= self.config.episode_steps).astype(jnp.float32)
+        limit = over * (count.origin > 0)
+        nan = (count.origin > 1).astype(jnp.float32)
         return State(
             count,
             self._observe(count),
             1.0 - jnp.sum(jnp.square(action - GOAL)),
-            done,
-            {"speed": action[0], "fell": done - limit, "nan": jnp.zeros(())},
+            jnp.maximum(over, nan),
+            {"speed": action[0], "fell": over - limit, "nan": nan},
             {"truncation": limit},
         )
 
@@ -76,10 +78,9 @@ def start(networks, seed: int = 0) -> ppo.TrainState:
 
 
 @pytest.fixture(scope="module")
-def collected(networks):
-    """What one collection saw, gathered from both devices, and the learner that did it."""
-    state = start(networks)
-    gather = jax.jit(
+def gather(networks):
+    """One collection, the data of both devices together."""
+    return jax.jit(
         jax.shard_map(
             lambda learner, workers: ppo.collect(Counter(), networks, CONFIG, learner, workers),
             mesh=ppo.make_mesh(),
@@ -88,6 +89,12 @@ def collected(networks):
             check_vma=False,
         )
     )
+
+
+@pytest.fixture(scope="module")
+def collected(networks, gather):
+    """What one collection saw, and the learner that did it."""
+    state = start(networks)
     workers, data, metrics = jax.device_get(gather(*state))
     return state.learner, workers, data, metrics
 
@@ -162,6 +169,35 @@ def test_the_metrics_count_every_episode(collected):
     assert metrics["judge/count/ended"] >= CONFIG.judges  # 6 steps of episodes of 4
     expected = (1.0 - np.square(data.action - GOAL).sum(-1)).mean()
     assert metrics["reward"] == pytest.approx(expected, rel=1e-5)
+
+
+@pytest.mark.parametrize("poisoned", [[], [2], [8], [3, 8]], ids=str)
+def test_the_first_step_that_gave_no_number_is_kept(networks, gather, poisoned):
+    state = start(networks)
+    envs = state.workers.envs
+    count = envs.pipeline_state
+    origin = count.origin.at[np.array(poisoned, int)].set(2.0)
+    envs = envs.replace(pipeline_state=count._replace(origin=origin))
+    _, data, metrics = jax.device_get(gather(state.learner, state.workers._replace(envs=envs)))
+    suspect = metrics["suspect"]
+    assert metrics["count/nan"] == len(poisoned)
+    assert (suspect.found > 0) == bool(poisoned)
+    if poisoned:
+        # Each device has six environments, of which the last two are judges.
+        first = poisoned[0]
+        assert suspect.before.origin == 2.0
+        assert suspect.before.steps == count.steps[first]
+        np.testing.assert_array_equal(suspect.action, data.action[first - 2 * (first // 6), 0])
+
+
+def test_a_learner_that_is_no_longer_finite_is_told(networks, iterate):
+    state = start(networks)
+    _, metrics = iterate(state)
+    assert metrics["learner/finite"]
+    state = start(networks)
+    broken = jax.tree.map(lambda x: x.at[:1].set(jnp.inf), state.learner.params)
+    _, metrics = iterate(state._replace(learner=state.learner._replace(params=broken)))
+    assert not metrics["learner/finite"]
 
 
 def test_the_first_iteration_only_measures_the_observations(networks, iterate):
