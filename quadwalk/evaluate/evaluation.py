@@ -1,119 +1,93 @@
-"""An evaluation from start to end: load, roll out, measure, write."""
+"""An evaluation from start to end: find the runs, judge each, compare them."""
 
-import dataclasses
 import datetime
-import json
-import time
+import tempfile
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 
-from quadwalk.errors import UserError
-from quadwalk.evaluate.__main__ import EvalConfig
+from quadwalk.errors import UsageError, UserError
+from quadwalk.evaluate.config import EvalConfig
 from quadwalk.files import why
-from quadwalk.train.run import Run, find_run, write_json_atomic
+from quadwalk.train.run import Run, find_run
 
 
 def evaluate(config: EvalConfig) -> dict[str, Any]:
-    """Evaluate as `config` says; return what metrics.json holds."""
-    run = find_run(config.runs, config.run)
-    out = _make_output(config, run)
+    """Evaluate as `config` says; return what metrics.json, sweep.json or comparison.json holds."""
+    runs = _find_runs(config)
+    what = "sweep" if config.sweep else config.engine
+    outs, together = _make_outputs(
+        config, runs, f"{datetime.datetime.now():%Y-%m-%d_%H%M%S}-{what}"
+    )
     # On stderr: what is printed on stdout is the result alone.
     console = Console(stderr=True, highlight=False, soft_wrap=True)
-    console.print(f"evaluating {run.path}, {config.episodes} episodes in {config.engine}")
+    console.print(f"evaluating {', '.join(str(run.path) for run in runs)}")
 
     # Before anything imports JAX; and all of these late, since they take seconds.
     from quadwalk.train.devices import set_up_devices
 
     set_up_devices()
-    from quadwalk.env.quadruped import QuadrupedEnv
-    from quadwalk.evaluate.gait import gait_metrics, measure_gait
-    from quadwalk.evaluate.mcap import write_mcap
-    from quadwalk.evaluate.plots import plot_report
-    from quadwalk.evaluate.render import render_film_strip
-    from quadwalk.evaluate.simulate import simulate_episodes
-    from quadwalk.evaluate.summary import (
-        describe_gait,
-        episode_figures,
-        print_table,
-        summarise,
-        typical_episode,
-    )
-    from quadwalk.train import checkpoint
-    from quadwalk.train.config import to_dict
-    from quadwalk.train.policy import load_policy
-    from quadwalk.train.robot import load_run_robot
-    from quadwalk.train.versions import versions
+    import quadwalk.env.quiet_mjx  # noqa: F401  before brax imports MJX aloud
+    from quadwalk.evaluate.comparison import compare
+    from quadwalk.evaluate.judge import judge
+    from quadwalk.evaluate.subject import load_subject
+    from quadwalk.evaluate.sweep import sweep
+    from quadwalk.evaluate.view import check_screen
 
-    policy = load_policy(run.policy)
-    quadruped = load_run_robot(run, policy.config.robot)
-    env_config = dataclasses.replace(policy.config.env, episode_seconds=config.seconds)
-    env = QuadrupedEnv(quadruped, env_config)
-    if quadruped.joints != policy.joints or env.observation_size != policy.observation_size:
-        raise UserError(
-            f"{run.policy} was trained on another robot than {run.urdf}: it has joints "
-            f"{', '.join(policy.joints)} and {policy.observation_size} observations"
-        )
-
-    began = time.monotonic()
-    with console.status("simulating"):
-        rollouts = simulate_episodes(
-            env,
-            policy.act,
-            config.episodes,
-            config.seed,
-            config.engine,  # type: ignore[arg-type]
-        )
-    episodes = [episode_figures(rollout, env_config.reward) for rollout in rollouts]
-    summary = summarise(episodes)
-    typical = typical_episode(episodes)
-    gait = measure_gait(rollouts[typical], quadruped)
-    simulated = sum(rollout.steps for rollout in rollouts) * env_config.control_dt
-    console.print(f"{simulated:,.0f} s simulated in {time.monotonic() - began:.1f} s")
-    print_table(summary, f"{run.name}, {policy.steps:,} steps of training, engine {config.engine}")
-    print(describe_gait(gait, typical))
-
-    provenance = {
-        "run": run.name,
-        "engine": config.engine,
-        "seed": config.seed,
-        "seconds": config.seconds,
-        "training_steps": policy.steps,
-        "policy_sha256": checkpoint.sha256(run.policy),
-        "versions": versions(),
-    }
-    results = {**provenance, "summary": summary, "episodes": episodes}
-    results["typical_episode"] = {"episode": typical, **gait_metrics(gait, quadruped)}
-    write_json_atomic(out / "metrics.json", results)
-    metadata = {
-        name: value if isinstance(value, str) else json.dumps(value)
-        for name, value in provenance.items()
-    }
-    metadata["config"] = json.dumps(to_dict(policy.config))
-    attachments = {"config.json": run.config.read_bytes()} if run.config.exists() else {}
-    recorded = rollouts[: config.mcap]
-    with console.status("writing"):
-        for rollout in recorded:
-            path = out / f"episode_{rollout.episode:03d}.mcap"
-            write_mcap(path, rollout, quadruped, metadata, attachments)
-        plot_report(rollouts[typical], quadruped, out / "report.png", run.name)
-        try:
-            render_film_strip(rollouts[typical], quadruped, out / "film_strip.png")
-        except UserError as error:  # most likely no GL library: everything else still works
-            console.print(f"no film strip: {error}")
-    console.print(f"written to {out}: metrics.json, report.png, {len(recorded)} MCAP files")
-    if recorded:
-        console.print(f"see it with: rerun {out / 'episode_000.mcap'}, or open it in Foxglove")
-    return results
+    if config.view:
+        check_screen()  # now, not after a minute of simulation
+    # All of them before the first is simulated, so that a bad one is told at once.
+    subjects = [load_subject(run, config.seconds) for run in runs]
+    if config.sweep:
+        return sweep(subjects[0], config, outs[0], console)
+    results = [
+        judge(subject, config, out, console) for subject, out in zip(subjects, outs, strict=True)
+    ]
+    if together is None:
+        return results[0]
+    return compare(_labels(runs), outs, results, together, console)
 
 
-def _make_output(config: EvalConfig, run: Run) -> Path:
-    """The folder for the results, made."""
-    name = f"{datetime.datetime.now():%Y-%m-%d_%H%M%S}-{config.engine}"
-    out = config.out or run.path / "eval" / name
+def _find_runs(config: EvalConfig) -> list[Run]:
+    """The runs that are named; `UsageError` for one that is not there, or named twice."""
+    runs: list[Run] = []
+    for which in config.run:
+        run = find_run(config.runs, which)
+        for other, called in zip(runs, config.run, strict=False):
+            if other.path.resolve() == run.path.resolve():
+                raise UsageError(
+                    f"{called!r} and {which!r} are the same run, {run.path}; expected others to "
+                    "compare it with"
+                )
+        runs.append(run)
+    return runs
+
+
+def _labels(runs: list[Run]) -> list[str]:
+    """What each run is called in a comparison: its name, or its path where names meet."""
+    names = [run.name for run in runs]
+    return [run.name if names.count(run.name) == 1 else str(run.path) for run in runs]
+
+
+def _make_outputs(config: EvalConfig, runs: list[Run], name: str) -> tuple[list[Path], Path | None]:
+    """Folders, made, for each run's results, and for those of a comparison."""
+    if len(runs) == 1:
+        return [_make_folder(config.out or runs[0].path / "eval" / name)], None
+    together = _make_folder(config.out or config.runs / "comparisons" / name)
+    if config.out is None:
+        return [_make_folder(run.path / "eval" / name) for run in runs], together
+    labels = [label.strip("/").replace("/", "_") for label in _labels(runs)]
+    return [_make_folder(together / label) for label in labels], together
+
+
+def _make_folder(folder: Path) -> Path:
     try:
-        out.mkdir(parents=True, exist_ok=True)
+        folder.mkdir(parents=True, exist_ok=True)
+        # What is written is read back, to verify it; that this is possible is better known now
+        # than after the simulation.
+        with tempfile.NamedTemporaryFile(dir=folder, suffix=".part") as probe:
+            open(probe.name, "rb").close()
     except OSError as error:
-        raise UserError(f"cannot make the folder for results, {out}: {why(error)}") from error
-    return out
+        raise UserError(f"cannot write results to the folder {folder}: {why(error)}") from error
+    return folder

@@ -82,7 +82,10 @@ class EpisodeMessages:
     """A rollout as (topic, time in ns, bytes), in order of time; `topics` gives their types."""
 
     def __init__(self, rollout: Rollout, quadruped: Quadruped) -> None:
+        if rollout.foot_force is None:
+            raise ValueError("a rollout to be written needs its foot forces (with_foot_forces)")
         self.rollout = rollout
+        self.foot_force = rollout.foot_force
         self.quadruped = quadruped
         self.tree = kinematics.read_tree(quadruped.urdf, tuple(quadruped.joints))
         finite = np.isfinite(rollout.qpos).all(axis=1) & np.isfinite(rollout.qvel).all(axis=1)
@@ -168,7 +171,6 @@ class EpisodeMessages:
         for name in names:
             joint_states.joints.add(name=name)
         velocity, imu = self.typed["/base_velocity"], self.typed["/imu"]
-        change = np.diff(rollout.qvel[: self.rows, :3], axis=0)
 
         def write(start: int, stop: int) -> Iterator[list[tuple[str, bytes]]]:
             qpos, qvel = rollout.qpos[start:stop], rollout.qvel[start:stop]
@@ -185,7 +187,9 @@ class EpisodeMessages:
             velocities = compact(velocities).tolist()
             # An accelerometer at the base's origin feels the mean acceleration of the step that
             # ended here, less gravity. Before the first step there is none: it stands at rest.
-            felt = _of_ended(change, start, stop) / rollout.control_dt + [0.0, 0.0, GRAVITY]
+            before = rollout.qvel[max(start - 1, 0) : stop - 1, :3]
+            before = before if start else np.concatenate([qvel[:1, :3], before])
+            felt = (qvel[:, :3] - before) / rollout.control_dt + [0.0, 0.0, GRAVITY]
             felt = kinematics.rotate(inverse, felt)
             imus = np.concatenate([kinematics.rpy_from_quat(quat), qvel[:, 3:6], felt], axis=1)
             imus = compact(imus).tolist()
@@ -227,7 +231,7 @@ class EpisodeMessages:
         terms = [rollout.reward, *rollout.reward_terms.values()]
 
         def write(start: int, stop: int) -> Iterator[list[tuple[str, bytes]]]:
-            forces = compact(_of_ended(rollout.foot_force, start, stop)).tolist()
+            forces = compact(_of_ended(self.foot_force, start, stop)).tolist()
             touching = _of_ended(rollout.contact, start, stop).tolist()
             rewards = [_of_ended(term, start, stop) for term in terms]
             rewards = compact(np.stack(rewards, axis=1)).tolist()
@@ -261,13 +265,13 @@ class EpisodeMessages:
         rollout = self.rollout
         every = max(1, round(SCENE_PERIOD / rollout.control_dt))
         path = rollout.qpos[: self.rows, :3]
-        carried = rollout.foot_force * rollout.contact
         scene = SceneWriter(path, weight=self.tree.mass * GRAVITY, world=WORLD)
 
         def write(start: int, stop: int) -> Iterator[list[tuple[str, bytes]]]:
             poses = kinematics.world_poses(self.tree, rollout.qpos[start:stop])
             feet = kinematics.foot_positions(self.tree, poses)
-            forces = _of_ended(carried, start, stop)
+            carried = _of_ended(self.foot_force, start, stop)
+            forces = carried * _of_ended(rollout.contact, start, stop)
             for row in range(start, stop):
                 if row % every and row != self.rows - 1:
                     yield []

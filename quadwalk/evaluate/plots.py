@@ -20,8 +20,8 @@ WINDOW = 3.0  # s shown of what repeats with each stride
 SMOOTHING = 0.5  # s, over which reward terms are averaged, to show their course
 DPI = 100
 
-_LEG_COLOURS = ("#d1495b", "#00798c", "#edae49", "#30638e")  # FR, FL, RR, RL
-_INK, _FAINT = "#22262b", "#9aa3ad"
+LEG_COLOURS = ("#d1495b", "#00798c", "#edae49", "#30638e")  # FR, FL, RR, RL
+INK, _FAINT = "#22262b", "#9aa3ad"
 _PARTS = ("hip", "thigh", "calf")
 
 
@@ -32,9 +32,13 @@ def plot_report(rollout: Rollout, quadruped: Quadruped, path: str | Path, title:
     torques over the last `WINDOW` seconds, where strides can be told apart. Raises `UserError`
     where the file cannot be written.
     """
-    figure = draw_report(rollout, quadruped, title)
+    save_figure(draw_report(rollout, quadruped, title), path)
+
+
+def save_figure(figure: Figure, path: str | Path) -> None:
+    """Write a figure as PNG; the same figure gives the same bytes."""
     with replacing(path) as file:
-        # Without the software's version the same episode gives the same bytes for longer.
+        # Without the software's version, for longer.
         figure.savefig(file, format="png", dpi=DPI, metadata={"Software": None})
 
 
@@ -100,7 +104,7 @@ def _footfalls(axes: Axes, rollout: Rollout, quadruped: Quadruped) -> None:
         edges = np.flatnonzero(np.diff(np.concatenate([[0], contact[:, foot], [0]]).astype(int)))
         # A row's contact is known at its step's end, and drawn over that step.
         bars = [((start + a) * dt, (b - a) * dt) for a, b in edges.reshape(-1, 2)]
-        axes.broken_barh(bars, (line - 0.36, 0.72), color=_LEG_COLOURS[foot])
+        axes.broken_barh(bars, (line - 0.36, 0.72), color=LEG_COLOURS[foot])
     feet = footfalls_of(rollout)
     duty, phase = _percent(feet.duty_factor), _percent(feet.phase)
     labels = [f"{quadruped.legs[k]}   duty {duty[k]}, phase {phase[k]}" for k in reversed(order)]
@@ -116,20 +120,20 @@ def _percent(values: np.ndarray) -> list[str]:
 
 
 def _speed(axes: Axes, rollout: Rollout) -> None:
-    for column, label, colour in ((0, "ahead", _LEG_COLOURS[3]), (1, "left", _LEG_COLOURS[2])):
+    for column, label, colour in ((0, "ahead", LEG_COLOURS[3]), (1, "left", LEG_COLOURS[2])):
         axes.plot(rollout.time, rollout.qvel[:, column], color=colour, label=label, linewidth=1.2)
     mean = rollout.qvel[:, 0].mean()
-    axes.axhline(mean, color=_INK, linewidth=0.9, linestyle="--", label=f"mean {mean:.2f}")
+    axes.axhline(mean, color=INK, linewidth=0.9, linestyle="--", label=f"mean {mean:.2f}")
     axes.margins(y=0.15)
     _finish(axes, "Speed of the base in the world, m/s", rollout.time)
 
 
 def _posture(axes: Axes, rollout: Rollout) -> None:
-    axes.plot(rollout.time, rollout.qpos[:, 2], color=_INK, linewidth=1.4, label="height, m")
+    axes.plot(rollout.time, rollout.qpos[:, 2], color=INK, linewidth=1.4, label="height, m")
     angles = kinematics.rpy_from_quat(kinematics.quat_normalised(rollout.qpos[:, 3:7]))
     for column, name in enumerate(("roll", "pitch", "yaw")):
         values = np.unwrap(angles[:, column]) if name == "yaw" else angles[:, column]
-        colour = _LEG_COLOURS[column]
+        colour = LEG_COLOURS[column]
         axes.plot(rollout.time, values, color=colour, linewidth=0.9, label=f"{name}, rad")
     axes.margins(y=0.15)
     _finish(axes, "Height and attitude of the base", rollout.time)
@@ -140,10 +144,10 @@ def _angles(axes: Axes, rollout: Rollout, quadruped: Quadruped, part: int) -> No
     time = rollout.time[start:]
     for leg, name in enumerate(quadruped.legs):
         column = 3 * leg + part
-        axes.plot(time, rollout.qpos[start:, 7 + column], color=_LEG_COLOURS[leg], label=name)
+        axes.plot(time, rollout.qpos[start:, 7 + column], color=LEG_COLOURS[leg], label=name)
         if rollout.steps:
             target = rollout.target[start:, column]
-            axes.plot(time[:-1], target, color=_LEG_COLOURS[leg], linewidth=0.6, alpha=0.6)
+            axes.plot(time[:-1], target, color=LEG_COLOURS[leg], linewidth=0.6, alpha=0.6)
     _limits(axes, quadruped.lower[part::3].max(), quadruped.upper[part::3].min())
     _finish(axes, f"{_PARTS[part].capitalize()} angles (thin: targets) and limits, rad", time)
 
@@ -156,7 +160,7 @@ def _torques(axes: Axes, rollout: Rollout, quadruped: Quadruped, part: int) -> N
     for leg, name in enumerate(quadruped.legs):
         column = 3 * leg + part
         torque = rollout.torque[:, column]
-        axes.step(time[1:], torque[start:], color=_LEG_COLOURS[leg], label=name, linewidth=1.0)
+        axes.step(time[1:], torque[start:], color=LEG_COLOURS[leg], label=name, linewidth=1.0)
         if len(torque):
             peaks.append(np.abs(torque).max() / quadruped.effort[column])
     _limits(axes, -effort, effort)
@@ -164,7 +168,7 @@ def _torques(axes: Axes, rollout: Rollout, quadruped: Quadruped, part: int) -> N
     _finish(axes, f"{_PARTS[part].capitalize()} torques and limits, Nm", time)
     if peaks:
         most = f"peak torque {100 * max(peaks):.0f} %, speed {100 * rates:.0f} % of the limit"
-        axes.text(0.01, 0.08, most, transform=axes.transAxes, fontsize=8, color=_INK)
+        axes.text(0.01, 0.08, most, transform=axes.transAxes, fontsize=8, color=INK)
 
 
 def _limits(axes: Axes, low: float, high: float) -> None:
@@ -180,7 +184,7 @@ def _rewards(axes: Axes, rollout: Rollout) -> None:
     time = rollout.time[1:]
     for index, (name, values) in enumerate(series.items()):
         style = (
-            {"color": _INK, "linewidth": 2.0}
+            {"color": INK, "linewidth": 2.0}
             if name == "total"
             else {"color": f"C{(index - 1) % 10}", "linestyle": "-" if index <= 10 else "--"}
         )
@@ -204,9 +208,9 @@ def _smooth(values: np.ndarray, width: int) -> np.ndarray:
 def _path(axes: Axes, rollout: Rollout) -> None:
     x, y = rollout.qpos[:, 0], rollout.qpos[:, 1]
     axes.axhline(0.0, color=_FAINT, linewidth=0.8, linestyle="--")
-    axes.plot(x, y, color=_LEG_COLOURS[3], linewidth=1.6)
+    axes.plot(x, y, color=LEG_COLOURS[3], linewidth=1.6)
     seconds = np.arange(0, rollout.steps + 1, max(round(1 / rollout.control_dt), 1))
-    axes.plot(x[seconds], y[seconds], "o", color=_LEG_COLOURS[3], markersize=3, label="each second")
+    axes.plot(x[seconds], y[seconds], "o", color=LEG_COLOURS[3], markersize=3, label="each second")
     axes.plot(x[0], y[0], "o", color="#2a9d5c", markersize=8, label="start")
     axes.plot(x[-1], y[-1], "X", color="#b00020", markersize=9, label="end")
     # Equal scales, so that a drift looks as large as it is. The box is about twice as wide as high.

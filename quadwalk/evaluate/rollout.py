@@ -27,9 +27,10 @@ class Rollout:
     observation: np.ndarray  # (T, n) what the policy saw before the step
     observation_names: tuple[str, ...]  # n names
     contact: np.ndarray  # (T, 4) bool, foot on the ground at the end of the step
-    foot_force: np.ndarray  # (T, 4) vertical ground reaction force, N
     reward_terms: dict[str, np.ndarray]  # name -> (T,) raw terms, before scales
     reward: np.ndarray  # (T,) scaled total
+    # (T, 4) the floor's push along its normal, N; None where `with_foot_forces` has not been asked
+    foot_force: np.ndarray | None = None
 
     @property
     def steps(self) -> int:

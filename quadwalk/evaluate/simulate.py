@@ -6,7 +6,8 @@ C steps the full model: every collision shape, 2 ms steps, a converged solver.
 """
 
 from collections.abc import Callable
-from typing import Any, Literal, NamedTuple
+from functools import partial
+from typing import Any, Literal, NamedTuple, Protocol, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -22,10 +23,24 @@ from quadwalk.train.devices import cpu_cores
 from quadwalk.train.ppo import AXIS, make_mesh
 
 Engine = Literal["mjx", "mujoco"]
+# Observations (..., n) to actions (..., 12); a pytree (`jax.tree_util.Partial`), so that it can be
+# an argument of what is compiled: once for all policies of one shape.
 Policy = Callable[[jax.Array], jax.Array]
+Report = Callable[[int], None]  # is told how many control steps of the episodes are done
 
 FULL_TIMESTEP = 0.002  # s, the physics step in MuJoCo C
 CHUNK = 50  # control steps between looks at whether every episode has ended
+
+
+class Ending(Protocol):
+    """What is recorded of control steps, among it how the step ended the episode."""
+
+    @property
+    def end(self) -> Any:
+        """(steps, episodes) index into `ENDS`."""
+
+
+Frames = TypeVar("Frames", bound=Ending)
 
 
 class Frame(NamedTuple):
@@ -44,15 +59,52 @@ class Frame(NamedTuple):
 
 
 def simulate_episodes(
-    env: QuadrupedEnv, policy: Policy, episodes: int, seed: int, engine: Engine = "mjx"
+    env: QuadrupedEnv,
+    policy: Policy,
+    episodes: int,
+    seed: int,
+    engine: Engine = "mjx",
+    report: Report | None = None,
 ) -> list[Rollout]:
-    """Roll `policy` out from `episodes` fresh starts, until each falls or meets the time limit."""
-    keys = jax.random.split(jax.random.PRNGKey(seed), episodes)
-    first = jax.jit(jax.vmap(env.reset))(keys)
+    """Roll `policy` out from `episodes` fresh starts, until each falls or meets the time limit.
+
+    All of them at once. The rollouts are without foot forces.
+    """
+    first = fresh_starts(env, episodes, seed)
     initial = jax.device_get(first.pipeline_state.physics)
-    frames = _in_mjx(env, policy, first) if engine == "mjx" else _in_mujoco(env, policy, first)
-    model = env.mj_model if engine == "mjx" else env.quadruped.full_model(FULL_TIMESTEP)
-    return [_rollout(env, model, initial, frames, seed, i) for i in range(episodes)]
+    run = _in_mjx if engine == "mjx" else _in_mujoco
+    frames = run(env, policy, first, report)
+    return [_rollout(env, initial, frames, seed, i) for i in range(episodes)]
+
+
+def fresh_starts(env: QuadrupedEnv, episodes: int, seed: int) -> Any:
+    """The batched `State` of `episodes` fresh episodes; the same for the same seed."""
+    keys = jax.random.split(jax.random.PRNGKey(seed), episodes)
+    return jax.jit(jax.vmap(env.reset))(keys)
+
+
+def engine_model(env: QuadrupedEnv, engine: Engine) -> mujoco.MjModel:
+    """The model that `engine` steps."""
+    if engine == "mjx":
+        return env.mj_model
+    model = env.quadruped.full_model(FULL_TIMESTEP)
+    # A whole number of physics steps makes a control step.
+    model.opt.timestep = env.config.control_dt / max(
+        1, round(env.config.control_dt / FULL_TIMESTEP)
+    )
+    return model
+
+
+def over_devices(batch: Any, episodes: int) -> Any:
+    """`batch`, whose arrays begin with the axis of `episodes`, shared out between the devices.
+
+    Episodes do not meet, so the compiler can give each device its share of them.
+    """
+    mesh = make_mesh()
+    if episodes % mesh.size:
+        return batch
+    split = jax.sharding.NamedSharding(mesh, jax.sharding.PartitionSpec(AXIS))
+    return jax.device_put(batch, split)
 
 
 def _frame(observation: jax.Array, action: jax.Array, state: Any) -> Frame:
@@ -75,32 +127,35 @@ def _frame(observation: jax.Array, action: jax.Array, state: Any) -> Frame:
     )
 
 
-def _in_mjx(env: QuadrupedEnv, policy: Policy, state: Any) -> Frame:
+def _in_mjx(env: QuadrupedEnv, policy: Policy, state: Any, report: Report | None) -> Frame:
     """Frames of shape (steps, episodes, ...), on the host."""
 
-    def one_step(state: Any, _: None) -> tuple[Any, Frame]:
-        action = policy(state.obs)
-        after = jax.vmap(env.step)(state, action)
-        return after, _frame(state.obs, action, after)
+    @jax.jit
+    def chunk(policy: Policy, state: Any) -> tuple[Any, Frame]:
+        def one_step(state: Any, _: None) -> tuple[Any, Frame]:
+            action = policy(state.obs)
+            after = jax.vmap(env.step)(state, action)
+            return after, _frame(state.obs, action, after)
 
-    mesh = make_mesh()
-    if len(state.done) % mesh.size == 0:
-        # Episodes do not meet, so the compiler can give each device its share of them.
-        split = jax.sharding.NamedSharding(mesh, jax.sharding.PartitionSpec(AXIS))
-        state = jax.device_put(state, split)
-    chunk = jax.jit(lambda state: jax.lax.scan(one_step, state, None, length=CHUNK))
-    return _until_all_ended(env, state, chunk)
+        return jax.lax.scan(one_step, state, None, length=CHUNK)
+
+    state = over_devices(state, len(state.done))
+    return until_all_ended(partial(chunk, policy), state, report)
 
 
-def _in_mujoco(env: QuadrupedEnv, policy: Policy, state: Any) -> Frame:
+def _in_mujoco(env: QuadrupedEnv, policy: Policy, state: Any, report: Report | None) -> Frame:
     """Frames of shape (steps, episodes, ...), physics by `mujoco.rollout` on all cores."""
-    model = env.quadruped.full_model(FULL_TIMESTEP)
-    substeps = max(1, round(env.config.control_dt / FULL_TIMESTEP))
-    model.opt.timestep = dt = env.config.control_dt / substeps
+    model = engine_model(env, "mujoco")
+    dt = model.opt.timestep
+    substeps = round(env.config.control_dt / dt)
     robot, actuation = env.robot, env.config.actuation
     n = len(state.done)
 
-    decide = jax.jit(lambda obs: (action := policy(obs), joint_target(robot, actuation, action)))
+    @jax.jit
+    def decide(policy: Policy, obs: jax.Array) -> tuple[jax.Array, jax.Array]:
+        action = policy(obs)
+        return action, joint_target(robot, actuation, action)
+
     apply = jax.jit(
         lambda target, q, qd: (
             motor_torque(robot, actuation, target, q, qd),
@@ -122,7 +177,7 @@ def _in_mujoco(env: QuadrupedEnv, policy: Policy, state: Any) -> Frame:
         def chunk(state: Any) -> tuple[Any, Frame]:
             frames = []
             for _ in range(CHUNK):
-                action, target = decide(state.obs)
+                action, target = decide(policy, state.obs)
                 before: EnvState = state.pipeline_state
                 physical = np.concatenate(
                     [np.zeros((n, 1)), before.physics.qpos, before.physics.qvel], axis=1
@@ -149,22 +204,28 @@ def _in_mujoco(env: QuadrupedEnv, policy: Policy, state: Any) -> Frame:
                 state = after
             return state, jax.tree.map(lambda *rows: np.stack(rows), *frames)
 
-        return _until_all_ended(env, state, chunk)
+        return until_all_ended(chunk, state, report)
 
 
-def _until_all_ended(env: QuadrupedEnv, state: Any, chunk: Callable[[Any], Any]) -> Frame:
-    chunks: list[Frame] = []
-    ended = np.zeros(len(state.done), bool)
-    while not ended.all():
+def until_all_ended(
+    chunk: Callable[[Any], tuple[Any, Frames]], state: Any, report: Report | None = None
+) -> Frames:
+    """Repeat `chunk`, state to (state, frames of `CHUNK` steps), until each episode has ended.
+
+    Returns the frames one after another, on the host. `report` hears after each chunk.
+    """
+    chunks: list[Frames] = []
+    ended = False
+    while not np.all(ended):
         state, frames = chunk(state)
         chunks.append(jax.device_get(frames))
         ended |= (chunks[-1].end > 0).any(axis=0)
+        if report is not None:
+            report(CHUNK * len(chunks))
     return jax.tree.map(lambda *parts: np.concatenate(parts), *chunks)
 
 
-def _rollout(
-    env: QuadrupedEnv, model: mujoco.MjModel, initial: Physics, frames: Frame, seed: int, i: int
-) -> Rollout:
+def _rollout(env: QuadrupedEnv, initial: Physics, frames: Frame, seed: int, i: int) -> Rollout:
     """Episode `i` of a batch, cut at its end."""
     steps = int(np.argmax(frames.end[:, i] > 0)) + 1
     one: Frame = jax.tree.map(lambda x: x[:steps, i], frames)
@@ -185,32 +246,6 @@ def _rollout(
         observation=one.observation,
         observation_names=env.observation_names,
         contact=one.contact,
-        foot_force=_foot_forces(env, model, qpos[1:], qvel[1:], target),
         reward_terms=one.terms,
         reward=one.reward,
     )
-
-
-def _foot_forces(
-    env: QuadrupedEnv, model: mujoco.MjModel, qpos: np.ndarray, qvel: np.ndarray, target: np.ndarray
-) -> np.ndarray:
-    """Vertical ground reaction (T, 4), N, in each state, with the torques of that moment."""
-    actuation = env.config.actuation
-    torque = np.asarray(motor_torque(env.robot, actuation, target, qpos[:, 7:], qvel[:, 6:]))
-    friction = np.asarray(friction_torque(env.robot, actuation, qvel[:, 6:]))
-    data = mujoco.MjData(model)
-    column = {model.geom(name).id: k for k, name in enumerate(env.quadruped.feet)}
-    floor = model.geom("floor").id
-    forces = np.zeros((len(qpos), 4))
-    contact = np.zeros(6)
-    for row in range(len(qpos)):
-        data.qpos, data.qvel = qpos[row], qvel[row]
-        data.ctrl, data.qfrc_applied[6:] = torque[row], friction[row]
-        mujoco.mj_forward(model, data)
-        for i, (a, b) in enumerate(data.contact.geom[: data.ncon]):
-            foot = column.get(int(b) if a == floor else int(a))
-            if foot is not None and floor in (a, b):
-                # The contact frame's x axis is the floor's normal, up or down.
-                mujoco.mj_contactForce(model, data, i, contact)
-                forces[row, foot] += contact[0]
-    return forces

@@ -11,6 +11,7 @@ from quadwalk.env.config import RewardConfig
 from quadwalk.evaluate.gait import Gait
 from quadwalk.evaluate.kinematics import rpy_from_quat
 from quadwalk.evaluate.rollout import Rollout
+from quadwalk.evaluate.statistics import mean_interval, share_interval
 
 # name in metrics.json, heading in the table, unit
 FIGURES = (
@@ -57,13 +58,15 @@ def episode_figures(rollout: Rollout, scales: RewardConfig) -> dict[str, Any]:
 def summarise(episodes: Sequence[dict[str, Any]]) -> dict[str, Any]:
     """Over all episodes: falls, and of each figure mean, median, worst and the mean's uncertainty.
 
-    `ci95` is half the width of the 95 % confidence interval of the mean, 1.96 standard errors.
-    `worst` is the least favourable episode's: the lowest of speed, distance, duration and rewards,
-    the highest of the others.
+    `ci95` is half the width of the 95 % confidence interval of the mean, `fall_rate_ci95` the ends
+    of that of the share of falls. `worst` is the least favourable episode's: the lowest of speed,
+    distance, duration and rewards, the highest of the others.
     """
+    falls = sum(episode["fell"] for episode in episodes)
     summary: dict[str, Any] = {
         "episodes": len(episodes),
-        "fall_rate": float(np.mean([episode["fell"] for episode in episodes])),
+        "fall_rate": falls / len(episodes),
+        "fall_rate_ci95": list(share_interval(falls, len(episodes))),
     }
     names = [name for name, _, _ in FIGURES]
     names += [name for name in episodes[0] if name.startswith("reward/")]
@@ -73,12 +76,12 @@ def summarise(episodes: Sequence[dict[str, Any]]) -> dict[str, Any]:
             summary[name] = None
             continue
         high_is_bad = name in ("sideways", "heading", "energy_per_metre")
-        error = values.std(ddof=1) / np.sqrt(len(values)) if len(values) > 1 else float("nan")
+        mean, half_width = mean_interval(values)
         summary[name] = {
-            "mean": float(values.mean()),
+            "mean": mean,
             "median": float(np.median(values)),
             "worst": float(values.max() if high_is_bad else values.min()),
-            "ci95": float(1.96 * error) if np.isfinite(error) else None,
+            "ci95": half_width,
         }
     return summary
 
@@ -107,8 +110,14 @@ def print_table(summary: dict[str, Any], title: str) -> None:
     for heading in ("", "mean", "± 95 %", "median", "worst", "unit"):
         table.add_column(heading, justify="left" if heading in ("", "unit") else "right")
     falls = summary["fall_rate"] * summary["episodes"]
+    low, high = summary["fall_rate_ci95"]
     table.add_row(
-        "falls", f"{100 * summary['fall_rate']:.1f}", "", "", "", f"% ({falls:.0f} episodes)"
+        "falls",
+        f"{100 * summary['fall_rate']:.1f}",
+        f"{100 * low:.0f} to {100 * high:.0f}",
+        "",
+        "",
+        f"% ({falls:.0f} episodes)",
     )
     rows = list(FIGURES)
     rows += [(n, f"  {n.partition('/')[2]}", "") for n in summary if n.startswith("reward/")]
@@ -121,3 +130,16 @@ def print_table(summary: dict[str, Any], title: str) -> None:
         values = [f"{figure[key]:.3f}" for key in ("mean", "median", "worst")]
         table.add_row(heading, values[0], ci, *values[1:], unit)
     Console().print(table)
+
+
+def figure_text(figure: dict[str, Any] | None) -> str:
+    """A figure of a summary as "mean ± half its 95 % interval"; "-" where there is none."""
+    if figure is None:
+        return "-"
+    return f"{figure['mean']:.3f}" + ("" if figure["ci95"] is None else f" ± {figure['ci95']:.3f}")
+
+
+def falls_text(summary: dict[str, Any]) -> str:
+    """The share of falls in percent, and its 95 % interval."""
+    low, high = (100 * end for end in summary["fall_rate_ci95"])
+    return f"{100 * summary['fall_rate']:.1f} ({low:.0f} to {high:.0f})"

@@ -25,7 +25,8 @@ def finite_part(rollout: Rollout) -> Rollout:
     """`rollout` up to its last step with finite states, torque, energy and forces."""
     finite = np.isfinite(rollout.qpos).all(axis=1) & np.isfinite(rollout.qvel).all(axis=1)
     finite[1:] &= np.isfinite(rollout.torque).all(axis=1) & np.isfinite(rollout.energy)
-    finite[1:] &= np.isfinite(rollout.foot_force).all(axis=1)
+    if rollout.foot_force is not None:
+        finite[1:] &= np.isfinite(rollout.foot_force).all(axis=1)
     if finite.all():
         return rollout
     return first_steps(rollout, max(int(np.argmin(finite)) - 1, 0))

@@ -38,10 +38,14 @@ def make_networks(
 def mean_policy(
     networks: brax_networks.PPONetworks, normalizer: Any, params: Any
 ) -> Callable[[jax.Array], jax.Array]:
-    """The deterministic policy: observation (..., n) to action (..., 12) in [-1, 1]."""
+    """The deterministic policy: observation (..., n) to action (..., 12) in [-1, 1].
 
-    def policy(observation: jax.Array) -> jax.Array:
+    It is a pytree of its weights, so that a jitted function can take it as an argument, and what
+    was compiled for one policy serves for the next.
+    """
+
+    def policy(normalizer: Any, params: Any, observation: jax.Array) -> jax.Array:
         logits = networks.policy_network.apply(normalizer, params, observation)
         return networks.parametric_action_distribution.mode(logits)
 
-    return policy
+    return jax.tree_util.Partial(policy, normalizer, params)

@@ -1,0 +1,68 @@
+"""What `eval.py` can be asked for."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from quadwalk.errors import UsageError
+
+
+@dataclass(frozen=True)
+class EvalConfig:
+    """Roll a trained policy out, measure it, and write its episodes as MCAP files.
+
+    Several runs are judged from the same starts and compared.
+    """
+
+    # names or paths of runs, or "latest"
+    run: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[RUN ...]")] = (
+        "latest",
+    )
+    episodes: int = 16  # how many, each from another start; in a sweep, for each of its points
+    seconds: float = 20.0  # s, the time limit of an episode
+    # "mjx", or "mujoco": MuJoCo C, every shape colliding, converged solver, and how far MJX is off
+    engine: str = "mjx"
+    seed: int = 0  # of the starts; the same seed gives the same episodes
+    out: Path | None = None  # folder for the results; by default, a new one in the run's
+    mcap: int | None = None  # write only so many episodes as MCAP; by default, all
+    video: Literal["none", "gif", "mp4"] = "none"  # 3 s of it running; mp4 needs ffmpeg
+    # instead of all that: which share of episodes succeeds as friction, mass, motor strength,
+    # control delay, pushes and sensor noise vary
+    sweep: bool = False
+    view: bool = False  # when done, play the typical episode in MuJoCo's viewer
+    runs: Path = Path("runs")  # the folder that holds all runs
+
+    def __post_init__(self) -> None:
+        if not self.run:
+            raise UsageError("no run is named; expected names or paths of runs, or nothing")
+        if self.episodes < 1:
+            raise UsageError(f"--episodes is {self.episodes}; expected 1 or more")
+        if not 0.0 < self.seconds <= 3600.0:
+            raise UsageError(f"--seconds is {self.seconds}; expected more than 0, up to 3600")
+        if self.engine not in ("mjx", "mujoco"):
+            raise UsageError(f"--engine is {self.engine!r}; expected mjx or mujoco")
+        if not 0 <= self.seed < 2**32:
+            raise UsageError(f"--seed is {self.seed}; expected 0 to {2**32 - 1}")
+        if self.mcap is not None and self.mcap < 0:
+            raise UsageError(f"--mcap is {self.mcap}; expected 0 or more")
+        if self.view and len(self.run) > 1:
+            raise UsageError(f"--view shows one run; {len(self.run)} are named")
+        if self.sweep:
+            self._check_sweep()
+
+    def _check_sweep(self) -> None:
+        if len(self.run) > 1:
+            raise UsageError(f"--sweep takes one run; {len(self.run)} are named")
+        asked = {
+            "--engine mujoco": self.engine != "mjx",
+            "--mcap": self.mcap is not None,
+            "--video": self.video != "none",
+            "--view": self.view,
+        }
+        for flag, given in asked.items():
+            if given:
+                raise UsageError(
+                    f"{flag} cannot be given with --sweep, which measures in MJX and records none"
+                )

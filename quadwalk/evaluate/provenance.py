@@ -1,0 +1,69 @@
+"""Where an evaluation's numbers come from: code, policy, versions, robot."""
+
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import quadwalk
+from quadwalk.evaluate.config import EvalConfig
+from quadwalk.evaluate.subject import Subject
+from quadwalk.robot.mjcf import write_xml
+from quadwalk.train import checkpoint
+from quadwalk.train.versions import versions
+
+_SOURCE = Path(quadwalk.__file__).resolve().parents[1]
+
+
+def provenance(subject: Subject, config: EvalConfig, engine: str) -> dict[str, Any]:
+    """Plain values for JSON that say what was evaluated, and by what."""
+    return {
+        "run": subject.run.name,
+        "engine": engine,
+        "seed": config.seed,
+        "seconds": config.seconds,
+        "training_steps": subject.policy.steps,
+        "policy_sha256": checkpoint.sha256(subject.run.policy),
+        "revision": revision(),
+        "versions": versions(),
+    }
+
+
+def revision(source: Path = _SOURCE) -> str:
+    """The git commit that `source` has checked out, "-dirty" after it where files differ from it.
+
+    The package's version where `source` is no checkout or there is no git.
+    """
+    # An installed package may lie inside some other project's checkout, whose commit is not its.
+    if (source / ".git").exists():
+        command = [
+            "git",
+            "--no-optional-locks",
+            "-C",
+            str(source),
+            "describe",
+            "--always",
+            "--dirty",
+            "--abbrev=40",
+        ]
+        try:
+            done = subprocess.run(
+                [*command, "--exclude=*"], capture_output=True, text=True, timeout=10
+            )
+        except (OSError, subprocess.SubprocessError):
+            pass
+        else:
+            if done.returncode == 0 and done.stdout.strip():
+                return f"git {done.stdout.strip()}"
+    return f"quadwalk {versions()['quadwalk']}"
+
+
+def attachments(subject: Subject) -> dict[str, bytes]:
+    """Files to go with every recording: the run's configuration, and the robot as MJCF.
+
+    The MJCF is what `python -m quadwalk.robot` writes: every shape, and the joints' friction.
+    """
+    quadruped, config = subject.env.quadruped, subject.run.config
+    files = {f"{quadruped.name}.xml": write_xml(quadruped.spec).encode()}
+    if config.exists():
+        files["config.json"] = config.read_bytes()
+    return files

@@ -1,0 +1,35 @@
+"""What is judged: a run's policy, on the robot and in the environment it was trained for."""
+
+import dataclasses
+from dataclasses import dataclass
+
+from quadwalk.env.quadruped import QuadrupedEnv
+from quadwalk.errors import UserError
+from quadwalk.train.policy import Policy, load_policy
+from quadwalk.train.robot import load_run_robot
+from quadwalk.train.run import Run
+
+
+@dataclass(frozen=True)
+class Subject:
+    """A run, loaded."""
+
+    run: Run
+    policy: Policy
+    env: QuadrupedEnv
+
+
+def load_subject(run: Run, seconds: float) -> Subject:
+    """Load `run` for episodes of up to `seconds`.
+
+    Raises `UserError` where its policy or robot cannot be read, or do not belong together.
+    """
+    policy = load_policy(run.policy)
+    quadruped = load_run_robot(run, policy.config.robot)
+    env = QuadrupedEnv(quadruped, dataclasses.replace(policy.config.env, episode_seconds=seconds))
+    if quadruped.joints != policy.joints or env.observation_size != policy.observation_size:
+        raise UserError(
+            f"{run.policy} was trained on another robot than {run.urdf}: it has joints "
+            f"{', '.join(policy.joints)} and {policy.observation_size} observations"
+        )
+    return Subject(run, policy, env)
