@@ -25,7 +25,7 @@ from quadwalk.files import replacing, why
 
 FORMAT = "quadwalk"
 VERSION = 1
-KINDS = ("policy", "checkpoint")
+KINDS = ("policy", "checkpoint", "nan")
 
 _METADATA = "metadata.json"
 

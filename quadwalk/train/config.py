@@ -57,6 +57,32 @@ class PPOConfig:
 
 
 @dataclass(frozen=True)
+class DistributedConfig:
+    """One training shared by several processes, as a rule one on each machine."""
+
+    coordinator: str | None = None  # HOST:PORT at which process 0 waits for the others
+    processes: int = 1  # how many there are; the same command starts each, but for its number
+    process: int = 0  # the number of this one; 0 writes the files and shows the progress
+
+    def __post_init__(self) -> None:
+        if self.coordinator is None:
+            if self.processes != 1 or self.process != 0:
+                raise UsageError("--distributed.coordinator is missing; expected HOST:PORT")
+            return
+        host, _, port = self.coordinator.rpartition(":")
+        if not host or not port.isdecimal() or not 0 < int(port) < 65536:
+            raise UsageError(
+                f"--distributed.coordinator is {self.coordinator!r}; expected HOST:PORT"
+            )
+        if self.processes < 1:
+            raise UsageError(f"--distributed.processes is {self.processes}; expected 1 or more")
+        if not 0 <= self.process < self.processes:
+            raise UsageError(
+                f"--distributed.process is {self.process}; expected 0 to {self.processes - 1}"
+            )
+
+
+@dataclass(frozen=True)
 class TrainConfig:
     """Teach a quadruped to run. Results go to runs/NAME/."""
 
@@ -67,21 +93,20 @@ class TrainConfig:
     steps: int = 8_000_000  # control steps, of all environments together
     minutes: float | None = None  # end after so long, with the policy saved
     seed: int = 0  # the same seed on the same machine gives the same numbers
-    envs: int = 2048  # environments stepped at once
-    devices: int | None = None  # XLA devices to share them; by default, one per CPU core
+    envs: int | None = None  # stepped at once; by default 2048, or 8192 on an accelerator
+    devices: int | None = None  # to share them; by default all accelerators, or one per CPU core
     checkpoint_steps: int = 2_000_000  # control steps between checkpoints
     quiet: bool = False  # print the result only
     robot: RobotConfig = field(default_factory=RobotConfig)
     env: EnvConfig = field(default_factory=EnvConfig)
     ppo: PPOConfig = field(default_factory=PPOConfig)
+    distributed: DistributedConfig = field(default_factory=DistributedConfig)
 
     def __post_init__(self) -> None:
-        for name in ("steps", "envs", "checkpoint_steps"):
-            if getattr(self, name) < 1:
-                flag = name.replace("_", "-")
-                raise UsageError(f"--{flag} is {getattr(self, name)}; expected 1 or more")
-        if self.devices is not None and self.devices < 1:
-            raise UsageError(f"--devices is {self.devices}; expected 1 or more")
+        for name in ("steps", "envs", "devices", "checkpoint_steps"):
+            value = getattr(self, name)
+            if value is not None and value < 1:
+                raise UsageError(f"--{name.replace('_', '-')} is {value}; expected 1 or more")
         if self.minutes is not None and self.minutes <= 0:
             raise UsageError(f"--minutes is {self.minutes}; expected more than 0")
         if not 0 <= self.seed < 2**32:

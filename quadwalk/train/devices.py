@@ -1,13 +1,23 @@
-"""XLA devices, one for each CPU core, and the cache of what was compiled for them."""
+"""XLA devices to train on: accelerators, or one for each CPU core; and the compilation cache."""
 
+import dataclasses
 import hashlib
 import os
 import platform
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import platformdirs
 
 from quadwalk.errors import UsageError
+from quadwalk.train.config import TrainConfig
+from quadwalk.train.distributed import join
+
+if TYPE_CHECKING:
+    import jax
+
+CPU_ENVS = 2048  # what the learner's defaults are tuned for
+ACCELERATOR_ENVS = 8192  # a guess: enough to fill one, and few enough to learn from
 
 
 def cpu_cores() -> int:
@@ -17,16 +27,64 @@ def cpu_cores() -> int:
     return os.cpu_count() or 1
 
 
-def device_count(envs: int, minibatches: int, judges: int) -> int:
-    """As many devices as there are cores, or the most below that which share the work evenly.
+def device_count(
+    envs: int, minibatches: int, judges: int, most: int | None = None, processes: int = 1
+) -> int:
+    """The most devices, up to `most` (by default, one per core of each process), to share evenly.
 
-    Each gets the same number of environments for every minibatch, and of judges.
+    Each gets the same number of environments for every minibatch, and of judges; each process
+    has the same number of devices.
     """
+    most = processes * cpu_cores() if most is None else most
     return max(
         count
-        for count in range(1, cpu_cores() + 1)
-        if count == 1 or (envs % (count * minibatches) == 0 and judges % count == 0)
+        for count in range(processes, max(most, processes) + 1, processes)
+        if count == processes or (envs % (count * minibatches) == 0 and judges % count == 0)
     )
+
+
+def choose_devices(config: TrainConfig) -> tuple[TrainConfig, list["jax.Device"]]:
+    """Set JAX up; `config` with the numbers of devices and environments filled in, and the devices.
+
+    Where JAX has accelerators they are used, otherwise CPU cores. Meets the other processes, if
+    there are any. Raises `UsageError` for numbers that do not divide evenly.
+    """
+    processes = config.distributed.processes
+    if config.devices is not None and config.devices % processes:
+        raise UsageError(
+            f"--devices is {config.devices}; expected a multiple of {processes}, the processes"
+        )
+    ppo = config.ppo
+    envs = config.envs or CPU_ENVS
+    count = config.devices or device_count(envs, ppo.minibatches, ppo.judges, None, processes)
+    _prepare(count // processes)
+    join(config.distributed)
+    import jax
+
+    available = len(jax.devices())
+    if jax.default_backend() != "cpu":
+        envs = config.envs or ACCELERATOR_ENVS
+        count = config.devices or device_count(
+            envs, ppo.minibatches, ppo.judges, available, processes
+        )
+    if count > available:
+        raise UsageError(f"--devices is {count}; expected at most the {available} there are")
+    _check_split(envs, count, config)
+    share = count // processes
+    devices = [d for index in range(processes) for d in jax.local_devices(index)[:share]]
+    return dataclasses.replace(config, envs=envs, devices=count), devices
+
+
+def _check_split(envs: int, devices: int, config: TrainConfig) -> None:
+    judges, minibatches = config.ppo.judges, config.ppo.minibatches
+    if judges % devices:
+        raise UsageError(f"--ppo.judges is {judges}; expected a multiple of {devices}, the devices")
+    share = devices * minibatches
+    if envs % share:
+        raise UsageError(
+            f"--envs is {envs}; expected a multiple of {share} "
+            f"({devices} devices times {minibatches} minibatches)"
+        )
 
 
 def set_up_devices(count: int | None = None) -> int:
@@ -35,21 +93,30 @@ def set_up_devices(count: int | None = None) -> int:
     MJX on one XLA device leaves most of a second core idle. Must run before JAX computes anything.
     What is compiled is kept in the user's cache folder: the second start takes seconds.
     """
+    _prepare(count or cpu_cores())
+    import jax
+
+    available = len(jax.devices())
+    if count is not None and count > available:
+        raise UsageError(f"--devices is {count}; expected at most the {available} there are")
+    return available
+
+
+def _prepare(cpu_devices: int) -> None:
+    """All that must be said to JAX before it looks for devices."""
     # XLA kills a process whose devices wait long for each other, as they do when a laptop sleeps.
     patience = "--xla_cpu_collective_call_terminate_timeout_seconds=86400"
-    os.environ["XLA_FLAGS"] = f"{patience} {os.environ.get('XLA_FLAGS', '')}".strip()
+    flags = os.environ.get("XLA_FLAGS", "")
+    if patience not in flags:
+        os.environ["XLA_FLAGS"] = f"{patience} {flags}".strip()
     # On each cache hit XLA prints a page on "features" that are its own tuning hints. Errors that
     # matter reach Python as exceptions.
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
     import jax
 
-    jax.config.update("jax_num_cpu_devices", count or cpu_cores())
+    jax.config.update("jax_num_cpu_devices", cpu_devices)
     if jax.config.jax_compilation_cache_dir is None:  # type: ignore[attr-defined]
         jax.config.update("jax_compilation_cache_dir", str(compilation_cache()))
-    available = len(jax.devices())
-    if count is not None and count > available:
-        raise UsageError(f"--devices is {count}; expected at most the {available} there are")
-    return available
 
 
 def compilation_cache() -> Path:

@@ -5,6 +5,7 @@ the same machine gives the same file, bit for bit, and a file comparison shows w
 were the same. What the clock says differs each time; it goes to `timing.jsonl`.
 """
 
+import contextlib
 import json
 import math
 import os
@@ -29,7 +30,8 @@ class MetricsLog:
 
     With `resume_at`, rows beyond that many steps are dropped first: the training goes on from a
     checkpoint and will write them again. All methods raise `UserError` when the system refuses (no
-    space); every complete row stays readable then.
+    space); every complete row stays readable then, and what was refused is written as soon as
+    there is room. TensorBoard events are a copy, and those that were refused are left out.
     """
 
     def __init__(self, run: Run, resume_at: int | None = None) -> None:
@@ -43,18 +45,21 @@ class MetricsLog:
         Values are numbers or arrays of one number. NaN and infinity become null.
         """
         steps = int(metrics["steps"])
-        self._metrics.append(_row(steps, metrics))
-        if timing:
-            self._timing.append(_row(steps, timing))
-        self._events.append(steps, {**metrics, **(timing or {})})
+        with contextlib.ExitStack() as each:  # whatever becomes of the others
+            each.callback(self._events.append, steps, {**metrics, **(timing or {})})
+            if timing:
+                each.callback(self._timing.append, _row(steps, timing))
+            each.callback(self._metrics.append, _row(steps, metrics))
 
     def sync(self) -> None:
-        """Put what was written on the disk for good: before the checkpoint that relies on it."""
+        """Put all rows on the disk for good: before the checkpoint that relies on them."""
         self._metrics.sync()
         self._timing.sync()
-        self._events.flush()
+        with contextlib.suppress(UserError):
+            self._events.flush()
 
     def close(self) -> None:
+        """Give the files back; `sync` first."""
         self._metrics.close()
         self._timing.close()
         self._events.close()
@@ -129,6 +134,7 @@ class _Lines:
             if resume_at is None or row["steps"] <= resume_at
         ]
         self._size = kept[-1] if kept else 0
+        self._waiting: list[bytes] = []  # for room on the disk
         try:
             self._file = os.open(path, os.O_WRONLY | os.O_CREAT, 0o666)
             # Also cuts off the torn line that a crash may have left.
@@ -138,19 +144,25 @@ class _Lines:
             raise self._refused(error) from error
 
     def append(self, row: Mapping[str, Any]) -> None:
-        line = json.dumps(row, allow_nan=False).encode() + b"\n"
-        try:
-            rest = line
-            while rest:
-                rest = rest[os.write(self._file, rest) :]
-        except OSError as error:
-            # The disk took a part of the line: take it back, or the next row would be glued to it.
-            os.ftruncate(self._file, self._size)
-            os.lseek(self._file, 0, os.SEEK_END)
-            raise self._refused(error) from error
-        self._size += len(line)
+        self._waiting.append(json.dumps(row, allow_nan=False).encode() + b"\n")
+        self._write()
+
+    def _write(self) -> None:
+        while self._waiting:
+            rest = line = self._waiting[0]
+            try:
+                while rest:
+                    rest = rest[os.write(self._file, rest) :]
+            except OSError as error:
+                # The disk took a part of the line: take it back, or the next would be glued to it.
+                os.ftruncate(self._file, self._size)
+                os.lseek(self._file, 0, os.SEEK_END)
+                raise self._refused(error) from error
+            self._size += len(line)
+            del self._waiting[0]
 
     def sync(self) -> None:
+        self._write()
         try:
             os.fsync(self._file)
         except OSError as error:
@@ -207,13 +219,10 @@ class _Events:
         self._flushed = time.monotonic()
 
     def close(self) -> None:
-        try:
-            if self._writer is not None:
-                self._writer.close()
-        except OSError as error:
-            raise self._refused(error) from error
-        finally:
-            self._writer = None
+        writer, self._writer = self._writer, None
+        if writer is not None:
+            with contextlib.suppress(OSError):
+                writer.close()
 
     def _open(self) -> Any:
         # Here, not at the top: a third of a second that a first sign of life should not wait for.
@@ -235,4 +244,6 @@ class _Events:
         return writer
 
     def _refused(self, error: OSError) -> UserError:
+        # Half an event may have been written, after which none would be read: a new file is begun.
+        self.close()
         return UserError(f"cannot write TensorBoard events in {self._folder}: {why(error)}")

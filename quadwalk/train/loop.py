@@ -1,194 +1,124 @@
 """A training from start to end: set up, iterate, keep what is learnt, show how it goes."""
 
 import contextlib
-import dataclasses
+import io
 import math
-import signal
-import threading
 import time
-from collections.abc import Iterator
 from pathlib import Path
-from types import FrameType
+from typing import TYPE_CHECKING
 
-from quadwalk.errors import UsageError
-from quadwalk.files import replacing
-from quadwalk.train.config import RobotConfig, TrainConfig, to_dict
-from quadwalk.train.log import MetricsLog, read_history
-from quadwalk.train.metrics import TrainingMetrics
+from quadwalk.errors import UserError
+from quadwalk.train.config import TrainConfig
 from quadwalk.train.progress import Progress
-from quadwalk.train.resume import changed_settings, read_config
-from quadwalk.train.run import (
-    Run,
-    create_run,
-    find_run,
-    keep_last,
-    latest_checkpoint,
-    write_json_atomic,
-)
-from quadwalk.train.versions import versions
+from quadwalk.train.run import Run
+from quadwalk.train.stopping import stop_on_signal
 
-KEPT_CHECKPOINTS = 3
+if TYPE_CHECKING:
+    from quadwalk.train.saving import Keeper
+
 CURVE_SECONDS = 30.0  # the learning curve is drawn anew this often
 
 
-def train(config: TrainConfig) -> Run:
+def train(config: TrainConfig) -> Run | None:
     """Train as `config` says; return the run, whose directory holds everything.
 
     Ctrl-C, SIGTERM or the time limit end training after the iteration at hand, with everything
-    saved; `config.resume` goes on from there.
+    saved; `config.resume` goes on from there. A disk that is full does not end it; only if the
+    state at the end could not be saved is that a `UserError`. So are weights that are no longer
+    finite: nothing is saved then, and what was saved before stays. Of several processes, all but
+    the first return None.
     """
     started = time.monotonic()
-    # Absolute, so that mesh files are found from wherever the run is used.
-    folders = tuple(folder.resolve() for folder in config.robot.mesh_dirs)
-    robot = RobotConfig(config.robot.urdf.resolve(), folders)
-    config = dataclasses.replace(config, robot=robot)
-    with Progress(config.steps, quiet=config.quiet) as progress, _stop_on_signal() as stop:
+    limit = math.inf if config.minutes is None else started + 60.0 * config.minutes
+    stream = None if config.distributed.process == 0 else io.StringIO()
+    with (
+        Progress(config.steps, quiet=config.quiet, stream=stream, ends=limit) as progress,
+        stop_on_signal() as stop,
+        contextlib.ExitStack() as stack,
+    ):
         progress.phase("loading")
-        # Imported here, after the first sign of life: these take seconds.
-        from quadwalk.train.devices import device_count, set_up_devices
+        from quadwalk.train import distributed
+        from quadwalk.train.setup import prepare
 
-        devices = config.devices or device_count(
-            config.envs, config.ppo.minibatches, config.ppo.judges
-        )
-        set_up_devices(devices)
-        from quadwalk.env.quadruped import QuadrupedEnv
-        from quadwalk.train import checkpoint, ppo
-        from quadwalk.train.networks import make_networks
-        from quadwalk.train.policy import save_policy
-        from quadwalk.train.robot import load_robot, load_run_robot
+        training = prepare(config, progress)
+        from quadwalk.train.saving import Keeper
 
-        _check_split(config, devices)
-        if config.resume is None:
-            quadruped = load_robot(config.robot)
-        else:
-            quadruped = load_run_robot(find_run(config.runs, config.resume), config.robot)
-        env = QuadrupedEnv(quadruped, config.env)
-        networks = make_networks(config.ppo, env.observation_size, env.action_size)
-        run, changes = _open_run(config, quadruped.urdf)
-        progress.message(
-            f"{quadruped.name}: {config.envs} environments on {devices} devices, into {run.path}"
-        )
-        for change in changes:
-            progress.message(f"changed {change}")
-
-        metrics = TrainingMetrics(config.env.reward)
-        steps, seconds = 0, 0.0
-        mesh = ppo.make_mesh()
-        progress.phase("compiling the reset", 5.0)
-        state = ppo.init_state(env, networks, config.ppo, mesh, config.envs, config.seed)
-        if config.resume is not None:
-            path = latest_checkpoint(run)
-            saved_state, metadata = checkpoint.load(path, "checkpoint", like=state)
-            state = ppo.placed_like(saved_state, state)
-            steps, seconds = metadata["steps"], metadata["seconds"]
-            metrics.restore(metadata["metrics"])
-            progress.message(f"going on from {path}, after {steps:,} steps")
-        progress.phase("compiling the training step", 25.0)
-        batch = config.envs * config.ppo.unroll
-        program = ppo.make_iteration(
-            env, networks, config.ppo, mesh, iterations=math.ceil(config.steps / batch)
-        )
-        iterate = program.lower(state).compile()
+        keeper = None
+        if training.run is not None:
+            keeper = stack.enter_context(Keeper(training, training.run, progress.message))
+        state, steps, seconds = training.state, training.steps, training.seconds
+        saved, well = steps, True
 
         def save() -> None:
-            log.sync()  # a checkpoint counts on the rows before it
-            metadata = {
-                "kind": "checkpoint",
-                "config": to_dict(config),
-                "steps": steps,
-                "seconds": seconds,
-                "metrics": metrics.state(),
-            }
-            # The policy first: should the disk be full, it is the smaller and the dearer.
-            save_policy(run.policy, state.learner, config, quadruped.joints, steps)
-            checkpoint.save(run.checkpoint(steps), state, metadata)
-            keep_last(run, KEPT_CHECKPOINTS)
+            nonlocal saved, well
+            progress.phase("saving")
+            whole = distributed.gathered(state)
+            well = keeper.save(whole, steps, seconds) if keeper else True
+            saved = steps
+            progress.phase("training")
 
         progress.phase("training")
-        saved = steps
         began = time.monotonic() - seconds
         drawn = time.monotonic()
-        limit = math.inf if config.minutes is None else started + 60.0 * config.minutes
-        with MetricsLog(run, resume_at=steps if config.resume is not None else None) as log:
-            while steps < config.steps and time.monotonic() < limit and not stop.is_set():
-                state, numbers = iterate(state)
-                steps += batch
-                row = metrics.row(steps, numbers)
-                seconds = time.monotonic() - began
-                log.append(row, {"time/elapsed": seconds, "time/steps_per_second": steps / seconds})
-                progress.update(steps, row, seconds)
-                if steps - saved >= config.checkpoint_steps:
-                    save()
-                    saved = steps
-                if time.monotonic() - drawn > CURVE_SECONDS:
-                    _draw_curve(run)
-                    drawn = time.monotonic()
-            progress.phase("saving")
-            save()
-        _draw_curve(run)
+        while steps < config.steps:
+            if distributed.any_process(stop.is_set() or time.monotonic() >= limit):
+                break
+            state, numbers = training.iterate(state)
+            steps += training.batch
+            row = training.metrics.row(steps, numbers)
+            seconds = time.monotonic() - began
+            progress.update(steps, row, seconds)
+            if keeper:
+                keeper.row(row, {"time/elapsed": seconds, "time/steps_per_second": steps / seconds})
+                keeper.suspect(numbers["suspect"], steps)
+            if not numbers["learner/finite"]:
+                raise UserError(_lost(keeper, steps))
+            if steps - saved >= config.checkpoint_steps:
+                save()
+            if keeper and time.monotonic() - drawn > CURVE_SECONDS:
+                keeper.draw()
+                drawn = time.monotonic()
+        save()
+        if keeper:
+            keeper.draw()
+    if keeper is None:
+        return None
+    _tell(progress, keeper, config, steps, well)
+    if not well:
+        raise UserError(f"not everything could be saved: {keeper.trouble}; {_last(keeper)}")
+    return keeper.run
+
+
+def _tell(
+    progress: Progress, keeper: "Keeper", config: TrainConfig, steps: int, well: bool
+) -> None:
+    """Where everything is, and what can be done with it; `well` if all of it was saved."""
+    run = keeper.run
     if steps < config.steps:
-        progress.end(f"stopped after {steps:,} of {config.steps:,} steps; the policy is saved")
+        saved = "; the policy is saved" if well else ""
+        progress.end(f"stopped after {steps:,} of {config.steps:,} steps{saved}")
         progress.end(f"go on with      python train.py --resume {_run_argument(run)}")
     progress.end(f"policy          {run.policy}")
+    if keeper.best is not None:
+        which = "the same" if keeper.best[0] == steps else f"after {keeper.best[0]:,} steps"
+        progress.end(f"best policy     {run.best} ({which})")
     progress.end(f"learning curve  {run.learning_curve}")
     progress.end(f"evaluate with   python eval.py {_run_argument(run)}")
-    return run
 
 
-def _open_run(config: TrainConfig, urdf: str) -> tuple[Run, list[str]]:
-    """The run to train, made or found, and which settings have changed in it."""
-    settings = {"config": to_dict(config), "versions": versions()}
-    if config.resume is not None:
-        run = find_run(config.runs, config.resume)
-        changes = changed_settings(read_config(run), config)
-        write_json_atomic(run.config, settings)
-        return run, changes
-    run = create_run(config.runs, config.name, label=config.preset)
-    # The run keeps its own copy: what it learnt stays true to it when the original changes.
-    with replacing(run.urdf) as file:
-        file.write(urdf.encode())
-    write_json_atomic(run.config, settings)
-    return run, []
+def _lost(keeper: "Keeper | None", steps: int) -> str:
+    """What to say when the learner's weights are not finite."""
+    what = f"the networks' weights are no longer finite numbers after {steps:,} steps"
+    if keeper is None:
+        return what
+    again = f"python train.py --resume {_run_argument(keeper.run)} --ppo.max-learning-rate 1e-3"
+    return f"{what}; {_last(keeper)}; go on from there with smaller changes, such as {again}"
 
 
-def _check_split(config: TrainConfig, devices: int) -> None:
-    if config.ppo.judges % devices:
-        raise UsageError(
-            f"--ppo.judges is {config.ppo.judges}; expected a multiple of {devices}, the devices"
-        )
-    share = devices * config.ppo.minibatches
-    if config.envs % share:
-        raise UsageError(
-            f"--envs is {config.envs}; expected a multiple of {share} "
-            f"({devices} devices times {config.ppo.minibatches} minibatches)"
-        )
-
-
-@contextlib.contextmanager
-def _stop_on_signal() -> Iterator[threading.Event]:
-    """An event that Ctrl-C or SIGTERM sets; a second Ctrl-C interrupts at once."""
-    stop = threading.Event()
-    if threading.current_thread() is not threading.main_thread():
-        yield stop
-        return
-
-    def handle(number: int, frame: FrameType | None) -> None:
-        if stop.is_set():
-            raise KeyboardInterrupt
-        stop.set()
-
-    before = {number: signal.signal(number, handle) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield stop
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-
-
-def _draw_curve(run: Run) -> None:
-    from quadwalk.train.curves import plot_learning_curve
-
-    plot_learning_curve(read_history(run), run.learning_curve)
+def _last(keeper: "Keeper") -> str:
+    if keeper.saved is None:
+        return f"{keeper.run.path} has no checkpoint yet"
+    return f"the last good checkpoint is {keeper.run.checkpoint(keeper.saved)}"
 
 
 def _run_argument(run: Run) -> str:

@@ -26,9 +26,14 @@ class Policy:
 
 
 def save_policy(
-    path: Path, learner: Learner, config: TrainConfig, joints: tuple[str, ...], steps: int
+    path: Path,
+    learner: Learner,
+    config: TrainConfig,
+    joints: tuple[str, ...],
+    steps: int,
+    score: float,
 ) -> None:
-    """Write the learner's policy to `path`, whole or not at all."""
+    """Write the learner's policy to `path`, whole or not at all; `score` is how good it was."""
     mean_std = NestedMeanStd(learner.normalizer.mean, learner.normalizer.std)
     metadata = {
         "kind": "policy",
@@ -36,8 +41,18 @@ def save_policy(
         "joints": list(joints),
         "observation_size": int(mean_std.mean.shape[0]),
         "steps": steps,
+        "score": score,
     }
     checkpoint.save(path, {"normalizer": mean_std, "policy": learner.params.policy}, metadata)
+
+
+def load_score(path: Path) -> tuple[int, float]:
+    """Control steps and score of the policy at `path`; `UserError` if it has none to tell."""
+    _, metadata = checkpoint.load(path, "policy")
+    try:
+        return int(metadata["steps"]), float(metadata["score"])
+    except (KeyError, TypeError, ValueError):
+        raise UserError(f"{path} does not say how good its policy was") from None
 
 
 def load_policy(path: Path) -> Policy:

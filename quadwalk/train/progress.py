@@ -43,10 +43,14 @@ class Progress:
         quiet: bool = False,
         start_steps: int = 0,
         stream: TextIO | None = None,
+        ends: float = math.inf,
     ) -> None:
-        """`start_steps` were done before, in a training that this one goes on with."""
+        """`start_steps` were done before, in a training that this one goes on with.
+
+        It ends when `total_steps` are done or when `time.monotonic()` is `ends`.
+        """
         output = cast(TextIO, _Forgiving(stream or sys.stdout))
-        state = State(total_steps, start_steps)
+        state = State(total_steps, start_steps, ends)
         self._state = state
         self._view: _Quiet | _Plain | _Screen
         if quiet:

@@ -13,8 +13,9 @@ _TERM = "train/reward/"
 class State:
     """What there is to show. One thread writes it, the screen's thread only reads."""
 
-    def __init__(self, total_steps: int, start_steps: int) -> None:
+    def __init__(self, total_steps: int, start_steps: int, ends: float = math.inf) -> None:
         self.total_steps = total_steps
+        self.ends = ends  # in time.monotonic()
         self.started = time.monotonic()
         self.phase = ""
         self.phase_started = self.started
@@ -46,6 +47,10 @@ class State:
 
     @property
     def fraction(self) -> float:
+        """How much is done, from 0 to 1, of whichever ends it first: the steps or the time."""
+        if self._timed:
+            now = time.monotonic()
+            return min(1.0, (now - self.started) / max(self.ends - self.started, 1e-9))
         return min(1.0, self.steps / self.total_steps) if self.total_steps > 0 else 0.0
 
     @property
@@ -57,6 +62,18 @@ class State:
     @property
     def seconds_left(self) -> float:
         """Counts down between updates too; NaN if not known."""
+        if self._timed:
+            return max(0.0, self.ends - time.monotonic())
+        return self._seconds_of_steps
+
+    @property
+    def _timed(self) -> bool:
+        """Whether the time is up before the steps are done."""
+        left = self._seconds_of_steps
+        return self.ends - time.monotonic() < (math.inf if math.isnan(left) else left)
+
+    @property
+    def _seconds_of_steps(self) -> float:
         rate = self.rate
         if not rate > 0:
             return math.nan

@@ -30,8 +30,8 @@ def bar(state: State, width: int) -> RenderableType:
     row = Table.grid()
     row.add_row(
         ProgressBar(
-            total=max(1, state.total_steps),
-            completed=state.steps,
+            total=1.0,
+            completed=state.fraction,
             width=length,
             complete_style="cyan",
             finished_style="green",

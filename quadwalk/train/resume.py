@@ -1,19 +1,27 @@
-"""Going on with a run: its configuration, and what may change in it."""
+"""Going on with a run: its configuration, what may change in it, and its saved state."""
 
 import dataclasses
 import json
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from quadwalk.errors import UsageError, UserError
 from quadwalk.files import why
-from quadwalk.train.config import TrainConfig, from_dict
+from quadwalk.train import checkpoint
+from quadwalk.train.config import DistributedConfig, TrainConfig, from_dict
+from quadwalk.train.metrics import TrainingMetrics
 from quadwalk.train.run import Run, find_run
+
+if TYPE_CHECKING:
+    from quadwalk.train.ppo import TrainState
 
 # The saved state has the shape of these, or was drawn from them once and for all.
 _FIXED = ("seed", "envs", "ppo.judges", "ppo.hidden", "ppo.activation")
 # How a run is driven, not what it computes.
-_FREE = ("name", "runs", "resume", "minutes", "checkpoint_steps", "devices", "quiet")
+_FREE = (
+    *("name", "runs", "resume", "minutes", "checkpoint_steps", "quiet"),
+    *("distributed.coordinator", "distributed.processes", "distributed.process"),
+)
 
 
 def read_config(run: Run) -> TrainConfig:
@@ -33,11 +41,13 @@ def resumed_config(runs: Path | str, which: str) -> TrainConfig:
     config = read_config(run)
     return dataclasses.replace(
         config,
-        resume=which,
+        # By its name, lest another run has become the latest when it is looked up again.
+        resume=run.name if which == "latest" else which,
         name=None,
         runs=Path(runs),
         minutes=None,
         quiet=False,
+        distributed=DistributedConfig(),
     )
 
 
@@ -50,6 +60,35 @@ def changed_settings(before: TrainConfig, now: TrainConfig) -> list[str]:
             flag = name.replace("_", "-")
             raise UsageError(f"--{flag} cannot change in a run that goes on: it is {old[name]}")
     return [f"{name}: {old[name]} -> {new[name]}" for name in names]
+
+
+def restore(
+    path: Path, state: "TrainState", metrics: TrainingMetrics
+) -> tuple["TrainState", int, float]:
+    """The state in checkpoint `path`, placed as `state` is; its control steps and seconds.
+
+    `metrics` go on counting from there. On another number of devices than before, each draws from
+    a random key of its own anew; all else goes on as it was. Raises `UserError` in one line.
+    """
+    import jax
+
+    from quadwalk.train.ppo import placed_like
+
+    leaves, metadata = checkpoint.load(path, "checkpoint")
+    keys, devices = leaves.get("workers/key"), len(state.workers.key)
+    like = state
+    if keys is not None and keys.ndim == 2 and len(keys) != devices:
+        like = state._replace(workers=state.workers._replace(key=keys))
+    saved, _ = checkpoint.load(path, "checkpoint", like=like)
+    if like is not state:
+        split = jax.device_get(jax.random.split(saved.workers.key[0], devices))
+        saved = saved._replace(workers=saved.workers._replace(key=split))
+    try:
+        metrics.restore(metadata["metrics"])
+        steps, seconds = int(metadata["steps"]), float(metadata["seconds"])
+    except (KeyError, TypeError, ValueError):
+        raise UserError(f"{path} does not say where its training was: expected another") from None
+    return placed_like(saved, state), steps, seconds
 
 
 def _flatten(config: Any, prefix: str = "") -> dict[str, Any]:

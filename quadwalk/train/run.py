@@ -6,17 +6,19 @@ runs/NAME/
   timing.jsonl         how long each took, which never is
   tensorboard/         the same numbers for TensorBoard
   checkpoints/         step_000001000000.npz ...: the whole state of training
-  policy.npz           the result
+  policy.npz           the policy as it was last
+  best.npz             the policy as it was at the best of the checkpoints
+  nan/                 steps that gave numbers that are not finite, if there were any
   learning_curve.png
 """
 
 import contextlib
 import datetime
 import json
+import os
 import re
 import shutil
-import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -69,6 +71,14 @@ class Run:
         return self.path / "policy.npz"
 
     @property
+    def best(self) -> Path:
+        return self.path / "best.npz"
+
+    @property
+    def nan(self) -> Path:
+        return self.path / "nan"
+
+    @property
     def learning_curve(self) -> Path:
         return self.path / "learning_curve.png"
 
@@ -78,9 +88,15 @@ class Run:
         return self.checkpoints / f"step_{steps:012d}.npz"
 
 
-def create_run(root: Path | str, name: str | None = None, label: str = "run") -> Run:
+def create_run(
+    root: Path | str,
+    name: str | None = None,
+    label: str = "run",
+    files: Mapping[str, bytes] | None = None,
+) -> Run:
     """Make the directory of a new run in `root`; without a name, call it by date, time and label.
 
+    `files` are its first, from name to content: the directory appears with them, or not at all.
     Raises `UsageError` for a name that exists or cannot be one, `UserError` if `root` cannot be
     written. Nothing is left behind then.
     """
@@ -91,17 +107,23 @@ def create_run(root: Path | str, name: str | None = None, label: str = "run") ->
         root.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise UserError(f"cannot make the folder for runs, {root}: {why(error)}") from error
-    path = _make_first_free(root, label) if name is None else _make(root / name)
+    # Filled under another name: a run without its configuration could not be gone on with.
+    part = Run(root / f".{name or label}-{os.getpid()}.part")
+    try:
+        part.path.mkdir()
+        part.checkpoints.mkdir()
+        part.tensorboard.mkdir()
+        for file, content in (files or {}).items():
+            with replacing(part.path / file) as stream:
+                stream.write(content)
+        path = _name_first_free(part.path, label) if name is None else _name(part.path, name)
+    except OSError as error:
+        raise UserError(f"cannot write in {root / (name or '')}: {why(error)}") from error
+    finally:
+        shutil.rmtree(part.path, ignore_errors=True)
     if path is None:
         raise UsageError(f"run {name!r} exists in {root}: choose another name")
-    run = Run(path)
-    try:
-        run.checkpoints.mkdir()
-        run.tensorboard.mkdir()
-    except OSError as error:
-        shutil.rmtree(path, ignore_errors=True)
-        raise UserError(f"cannot write in {path}: {why(error)}") from error
-    return run
+    return Run(path)
 
 
 def find_run(root: Path | str, which: str) -> Run:
@@ -131,11 +153,16 @@ def list_runs(root: Path | str) -> list[Run]:
     return sorted(runs, key=_last_written, reverse=True)
 
 
+def as_json(value: Any) -> bytes:
+    """`value` as readable, strict JSON."""
+    return json.dumps(value, indent=2, allow_nan=False, ensure_ascii=False).encode() + b"\n"
+
+
 def write_json_atomic(path: Path | str, value: Any) -> None:
     """Write `value` as readable, strict JSON, whole or not at all."""
-    text = json.dumps(value, indent=2, allow_nan=False, ensure_ascii=False)
+    content = as_json(value)
     with replacing(path) as file:
-        file.write(text.encode() + b"\n")
+        file.write(content)
 
 
 def list_checkpoints(run: Run) -> list[Path]:
@@ -147,29 +174,39 @@ def list_checkpoints(run: Run) -> list[Path]:
     return [path for _, path in sorted((int(match[1]), path) for match, path in found if match)]
 
 
-def latest_checkpoint(run: Run, warn: Callable[[str], None] | None = None) -> Path:
-    """The newest checkpoint that can be read whole.
+def latest_checkpoint(run: Run, warn: Callable[[str], None]) -> Path | None:
+    """The newest checkpoint that can be read whole; None if there are none at all.
 
-    A damaged one is skipped, and `warn` (by default, stderr) is told. Raises `UserError` if none
-    is left.
+    A damaged one is skipped, and `warn` is told. Raises `UserError` if all are damaged.
     """
-    warn = warn or (lambda text: print(f"warning: {text}", file=sys.stderr))
-    for path in reversed(list_checkpoints(run)):
+    found = list_checkpoints(run)
+    for path in reversed(found):
         try:
             checkpoint.load(path, "checkpoint")
         except UserError as error:
             warn(f"{error}; trying the one before")
             continue
         return path
-    raise UserError(f"{run.path} has no checkpoint that can be read")
+    if found:
+        raise UserError(f"{run.path} has no checkpoint that can be read")
+    return None
 
 
-def keep_last(run: Run, count: int) -> None:
-    """Delete all but the newest `count` checkpoints, and what an interrupted save left."""
+def keep_last(run: Run, count: int, also: Path | None = None) -> None:
+    """Delete all but the newest `count` checkpoints and `also`."""
     if count < 1:
         raise ValueError("at least one checkpoint is kept")
-    outdated = list_checkpoints(run)[:-count]
-    for path in [*outdated, *run.checkpoints.glob("*.part")]:
+    _delete(path for path in list_checkpoints(run)[:-count] if path != also)
+
+
+def clean(run: Run) -> None:
+    """Delete what saves that were interrupted left."""
+    # Not below: an evaluation may be writing there.
+    _delete(path for place in (run.path, run.checkpoints, run.nan) for path in place.glob("*.part"))
+
+
+def _delete(paths: Iterable[Path]) -> None:
+    for path in paths:
         # A file that cannot be deleted costs space, not the training.
         with contextlib.suppress(OSError):
             path.unlink()
@@ -185,30 +222,33 @@ def _check_name(name: str) -> None:
         )
 
 
-def _make(path: Path) -> Path | None:
-    """Make a directory; None if the name is taken."""
+def _name(folder: Path, name: str) -> Path | None:
+    """Give a folder its name; None if it is taken, even by a run begun at the same moment."""
+    path = folder.with_name(name)
     try:
-        path.mkdir()
-    except FileExistsError:
-        return None
-    except OSError as error:
-        raise UserError(f"cannot make the run's folder {path}: {why(error)}") from error
+        # The system refuses to put it in the place of a file, or of a folder that is not empty.
+        folder.rename(path)
+    except OSError:
+        if path.exists() or path.is_symlink():
+            return None
+        raise
     return path
 
 
-def _make_first_free(root: Path, label: str) -> Path:
-    # Taking the name by making the directory leaves no gap for a run started at the same moment.
+def _name_first_free(folder: Path, label: str) -> Path:
     name = f"{datetime.datetime.now():%Y-%m-%d_%H%M}-{label}"
     _check_name(name)
     number = 1
     while True:
-        path = _make(root / (name if number == 1 else f"{name}-{number}"))
+        path = _name(folder, name if number == 1 else f"{name}-{number}")
         if path is not None:
             return path
         number += 1
 
 
 def _is_run(path: Path) -> bool:
+    if path.name.startswith(".") and path.name.endswith(".part"):
+        return False
     try:
         return any((path / part).exists() for part in ("config.json", "policy.npz", "checkpoints"))
     except (OSError, ValueError):  # a name that no file could have

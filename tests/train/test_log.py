@@ -177,9 +177,34 @@ def test_no_room_keeps_every_whole_row(run, monkeypatch):
         metrics.append({"steps": 2, "train/speed": 2.0})
     room = 1000  # someone tidied up
     metrics.append({"steps": 3, "train/speed": 3.0})
+    assert [row["steps"] for row in log.read_metrics(run)] == [1, 2, 3]
+    room = 0
+    with pytest.raises(UserError, match="No space left"):
+        metrics.append({"steps": 4, "train/speed": 4.0})
+    with pytest.raises(UserError, match="No space left"):
+        metrics.sync()  # or a checkpoint would count on a row that is not there
+    room = 1000
+    metrics.sync()
     metrics.close()
-    assert [row["steps"] for row in log.read_metrics(run)] == [1, 3]
-    assert run.metrics.read_bytes().count(b"\n") == 2
+    assert [row["steps"] for row in log.read_metrics(run)] == [1, 2, 3, 4]
+    assert run.metrics.read_bytes().count(b"\n") == 4
+
+
+def test_tensorboard_begins_anew_when_there_is_room_again(run, monkeypatch):
+    metrics = log.MetricsLog(run)
+    metrics.append({"steps": 1, "x": 1.0})
+    with monkeypatch.context() as patch:
+
+        def full(_):
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+        patch.setattr(metrics._events._writer, "write", full)
+        with pytest.raises(UserError, match="cannot write TensorBoard events"):
+            metrics.append({"steps": 2, "x": 2.0})
+    metrics.append({"steps": 3, "x": 3.0})
+    metrics.close()
+    assert [step for step, _ in scalars(run)["x"]] == [1, 3]
+    assert [row["steps"] for row in log.read_metrics(run)] == [1, 2, 3]
 
 
 def test_a_folder_that_went_away_is_named(run):

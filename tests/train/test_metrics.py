@@ -45,6 +45,17 @@ def test_a_row_tells_judges_from_learners_and_scales_the_terms():
     assert row["loss/kl"] == 0.01
 
 
+def test_the_score_is_the_judges_speed_less_their_falls():
+    metrics = TrainingMetrics(RewardConfig())
+    assert metrics.score == 0.0
+    for speed in (9.0, *[3.0] * 10, *[5.0] * 10):  # the last twenty count
+        none = {"judge/count/ended": 0, "judge/count/fell": 0}
+        metrics.row(0, numbers(**{"judge/speed": speed, **none}))
+    assert metrics.score == pytest.approx(4.0)
+    metrics.row(0, numbers(**{"judge/speed": 3.0}))
+    assert metrics.score == pytest.approx(4.0 * 0.75)
+
+
 def test_counting_goes_on_from_a_saved_state():
     whole, first, second = (TrainingMetrics(RewardConfig()) for _ in range(3))
     rows = [numbers(**{"judge/count/fell": k % 3, "count/nan": k}) for k in range(40)]
@@ -53,3 +64,4 @@ def test_counting_goes_on_from_a_saved_state():
         first.row(k, row)
     second.restore(json.loads(json.dumps(first.state())))
     assert [second.row(k, row) for k, row in enumerate(rows[25:], 25)] == expected[25:]
+    assert second.score == whole.score

@@ -1,0 +1,89 @@
+"""One training in several processes (`jax.distributed`), which all run the same program.
+
+Each process holds its own devices and their share of the environments, and every process holds the
+same learner. Process 0 alone writes files and shows progress. With one process, nothing here does
+anything.
+"""
+
+import hashlib
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+import numpy as np
+
+from quadwalk.errors import UserError
+from quadwalk.train.config import DistributedConfig
+
+T = TypeVar("T")
+_PATIENCE = 120  # seconds that the processes may start apart from each other
+
+
+def join(config: DistributedConfig) -> None:
+    """Meet the other processes; before JAX computes anything."""
+    if config.coordinator is None:
+        return
+    import jax
+
+    jax.config.update("jax_cpu_collectives_implementation", "gloo")
+    try:
+        jax.distributed.initialize(
+            config.coordinator,
+            config.processes,
+            config.process,
+            initialization_timeout=_PATIENCE,
+        )
+    except (RuntimeError, ValueError) as error:
+        reason = str(error).splitlines()[0]
+        raise UserError(
+            f"the {config.processes} processes did not meet at {config.coordinator}: {reason}"
+        ) from error
+
+
+def any_process(flag: bool) -> bool:
+    """Whether `flag` is set in any process: the same answer in all, so that all act as one."""
+    import jax
+
+    return flag if jax.process_count() == 1 else bool(_gather(np.array(flag)).any())
+
+
+def together(action: Callable[[], T]) -> T:
+    """What `action` returns; if it raises a `UserError` in any process, all raise one."""
+    trouble = None
+    try:
+        result = action()
+    except UserError as error:
+        trouble = error
+    if any_process(trouble is not None):
+        raise trouble or UserError("another process could not begin: see what it says")
+    return result
+
+
+def check_same(text: str) -> None:
+    """`UserError` in every process unless `text` is the same in all: else they would hang."""
+    import jax
+
+    if jax.process_count() > 1:
+        digests = _gather(np.frombuffer(hashlib.sha256(text.encode()).digest(), np.uint8))
+        if (digests != digests[0]).any():
+            raise UserError("the processes have different settings or robots: expected the same")
+
+
+def gathered(tree: Any) -> Any:
+    """`tree` with every process's part of its arrays, as NumPy arrays; called by all of them."""
+    import jax
+
+    if jax.process_count() == 1:
+        return tree
+    from jax.experimental.multihost_utils import process_allgather
+
+    return jax.tree.map(
+        lambda x: np.asarray(x) if x.is_fully_replicated else process_allgather(x, tiled=True),
+        tree,
+    )
+
+
+def _gather(array: np.ndarray) -> np.ndarray:
+    """Every process's `array`, along a new first axis."""
+    from jax.experimental.multihost_utils import process_allgather
+
+    return np.asarray(process_allgather(array))

@@ -1,0 +1,124 @@
+"""What must be ready before a training can iterate."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+from quadwalk.robot.quadruped import Quadruped
+from quadwalk.train import distributed
+from quadwalk.train.config import DistributedConfig, RobotConfig, TrainConfig, to_dict
+from quadwalk.train.devices import choose_devices
+from quadwalk.train.metrics import TrainingMetrics
+from quadwalk.train.progress import Progress
+from quadwalk.train.resume import changed_settings, read_config, restore
+from quadwalk.train.robot import load_robot, load_run_robot
+from quadwalk.train.run import (
+    Run,
+    as_json,
+    clean,
+    create_run,
+    find_run,
+    latest_checkpoint,
+    write_json_atomic,
+)
+from quadwalk.train.versions import versions
+
+if TYPE_CHECKING:
+    import mujoco
+
+    from quadwalk.train.ppo import TrainState
+
+
+@dataclass
+class Training:
+    """A training ready to iterate."""
+
+    config: TrainConfig  # with the numbers of devices and environments filled in
+    run: Run | None  # None in all processes but the first
+    resumed: bool
+    quadruped: Quadruped
+    model: "mujoco.MjModel"  # that is stepped
+    metrics: TrainingMetrics
+    state: "TrainState"
+    steps: int  # control steps behind it
+    seconds: float  # of training behind it
+    batch: int  # control steps in an iteration
+    iterate: Callable[["TrainState"], tuple["TrainState", dict[str, Any]]]
+
+
+def prepare(config: TrainConfig, progress: Progress) -> Training:
+    """Everything up to the compiled iteration, in every process; raises `UserError`."""
+    # Absolute, so that mesh files are found from wherever the run is used.
+    folders = tuple(folder.resolve() for folder in config.robot.mesh_dirs)
+    config = replace(config, robot=RobotConfig(config.robot.urdf.resolve(), folders))
+    previous = None if config.resume is None else find_run(config.runs, config.resume)
+    config, devices = choose_devices(config)
+    assert config.envs is not None
+    # Imported here, for it must not be before JAX is set up. MJX first, by the way that leaves out
+    # what it prints.
+    import quadwalk.env.quiet_mjx  # noqa: F401
+    from quadwalk.env.quadruped import QuadrupedEnv
+    from quadwalk.train import ppo
+    from quadwalk.train.networks import make_networks
+
+    quadruped = (
+        load_robot(config.robot) if previous is None else load_run_robot(previous, config.robot)
+    )
+    _check_processes(config, quadruped)
+    env = QuadrupedEnv(quadruped, config.env)
+    networks = make_networks(config.ppo, env.observation_size, env.action_size)
+    mesh = ppo.make_mesh(devices)
+    main = config.distributed.process == 0
+    run = distributed.together(
+        lambda: _open_run(config, previous, quadruped, progress) if main else None
+    )
+    progress.message(
+        f"{quadruped.name}: {config.envs} environments on {len(devices)} "
+        f"{devices[0].platform.upper()} devices, into {run.path if run else 'process 0'}"
+    )
+
+    progress.phase("compiling the reset", 5.0)
+    state = ppo.init_state(env, networks, config.ppo, mesh, config.envs, config.seed)
+    metrics = TrainingMetrics(config.env.reward)
+    steps, seconds = 0, 0.0
+    if previous is not None:
+        path = latest_checkpoint(previous, lambda text: progress.message(f"warning: {text}"))
+        if path is None:
+            progress.message(f"{previous.path} has no checkpoint yet: it starts at its beginning")
+        else:
+            state, steps, seconds = restore(path, state, metrics)
+            progress.message(f"going on from {path}, after {steps:,} steps")
+    progress.phase("compiling the training step", 25.0)
+    batch = config.envs * config.ppo.unroll
+    program = ppo.make_iteration(
+        env, networks, config.ppo, mesh, iterations=math.ceil(config.steps / batch)
+    )
+    iterate = program.lower(state).compile()
+    return Training(
+        config, run, previous is not None, quadruped, env.mj_model,
+        metrics, state, steps, seconds, batch, iterate,
+    )  # fmt: skip
+
+
+def _check_processes(config: TrainConfig, quadruped: Quadruped) -> None:
+    """All processes must run the same program on the same robot."""
+    shared = replace(config, distributed=DistributedConfig(), runs=TrainConfig.runs, quiet=False)
+    distributed.check_same(f"{to_dict(shared)} {quadruped.urdf}")
+
+
+def _open_run(
+    config: TrainConfig, previous: Run | None, quadruped: Quadruped, progress: Progress
+) -> Run:
+    """The run to train, made or gone on with."""
+    settings = {"config": to_dict(config), "versions": versions()}
+    if previous is None:
+        # The run keeps its own copy: what it learnt stays true to it when the original changes.
+        files = {"robot.urdf": quadruped.urdf.encode(), "config.json": as_json(settings)}
+        return create_run(config.runs, config.name, label=config.preset, files=files)
+    changes = changed_settings(read_config(previous), config)
+    clean(previous)
+    write_json_atomic(previous.config, settings)
+    for change in changes:
+        progress.message(f"changed {change}")
+    return previous

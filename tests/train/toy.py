@@ -1,0 +1,90 @@
+"""Training on an environment that costs nothing, in place of the quadruped: `train.py` in seconds.
+
+What is tested with it is everything about a training but the environment.
+"""
+
+import os
+import sys
+from pathlib import Path
+from typing import Any
+
+# Before JAX is imported, for this module is what a process begins with.
+os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
+
+import quadwalk.env.quiet_mjx  # noqa: I001 - first, for the others would let it print
+import jax
+import jax.numpy as jnp
+import mujoco
+from brax.envs.base import Env, State
+
+import quadwalk.env.quadruped
+import quadwalk.train.curves
+import quadwalk.train.saving
+import quadwalk.train.setup
+from quadwalk.env.config import EnvConfig
+from quadwalk.env.physics import Physics
+from quadwalk.env.quadruped import EnvState
+from quadwalk.errors import run_command
+from quadwalk.train.__main__ import main
+
+GOAL = 0.5
+
+
+class Toy(Env):
+    """A point that its actions push; the reward is best where they are `GOAL`.
+
+    A step is not a number where `qpos[1]`, drawn between 0 and 1 at each reset, is more than
+    `env.termination.tilt`, which is 1 unless a test lowers it.
+    """
+
+    observation_size = 3
+    action_size = 12
+    backend = "none"
+
+    def __init__(self, quadruped: Any = None, config: EnvConfig | None = None) -> None:
+        self.config = config or EnvConfig()
+        self.mj_model = mujoco.MjModel.from_xml_string("<mujoco/>")
+
+    def reset(self, rng: jax.Array) -> State:
+        drawn = jax.random.uniform(rng, (2,))
+        physics = Physics(jnp.zeros(19).at[:2].set(drawn), jnp.zeros(18), jnp.zeros(18))
+        state = EnvState(physics, jnp.zeros(12), jnp.zeros((), jnp.int32))
+        zero = jnp.zeros(())
+        metrics = {"speed": zero, "fell": zero, "nan": zero, "reward/forward": zero}
+        return State(state, self._observe(physics), zero, zero, metrics, {"truncation": zero})
+
+    def step(self, state: State, action: jax.Array) -> State:
+        before = state.pipeline_state
+        speed = before.physics.qvel.at[0].set(jnp.mean(action))
+        position = before.physics.qpos.at[0].add(speed[0] * self.config.control_dt)
+        physics = Physics(position, speed, before.physics.warmstart)
+        steps = before.steps + 1
+        nan = (before.physics.qpos[1] > self.config.termination.tilt).astype(jnp.float32)
+        limit = (steps >= self.config.episode_steps).astype(jnp.float32) * (1.0 - nan)
+        reward = 1.0 - jnp.mean(jnp.square(action - GOAL))
+        return State(
+            EnvState(physics, action, steps),
+            self._observe(physics),
+            reward,
+            jnp.maximum(limit, nan),
+            {"speed": speed[0], "fell": jnp.zeros(()), "nan": nan, "reward/forward": reward},
+            {"truncation": limit},
+        )
+
+    def _observe(self, physics: Physics) -> jax.Array:
+        return jnp.array([physics.qpos[0], physics.qpos[1], physics.qvel[0]])
+
+
+def command(output: Path, *flags: str) -> None:
+    """Be `train.py` with `flags` on the toy, in a process of its own; all it says to `output`."""
+    quadwalk.env.quadruped.QuadrupedEnv = Toy
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+    descriptor = os.open(output, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
+    for stream in (1, 2):
+        os.dup2(descriptor, stream)
+    sys.argv = ["train.py", *flags]
+    run_command(main)
+
+
+if __name__ == "__main__":
+    command(Path("/dev/stdout"), *sys.argv[1:])
