@@ -1,0 +1,298 @@
+"""Our training loop against Brax's own `ppo.train`, on the same environment and settings.
+
+Both draw random numbers in an order of their own. Where they are to agree number by number, the
+noise of an action is therefore a function of the policy's output, minibatches are cut without
+shuffling, and starts are the same; then parameters must agree after whole iterations. Where they
+run as they are, learning curves must agree as far as seeds do.
+"""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+import pytest
+from brax.envs import training as brax_wrappers
+from brax.envs.base import Env, State, Wrapper
+from brax.training import distribution, gradients
+from jax.sharding import NamedSharding
+from jax.sharding import PartitionSpec as P
+
+from benchmarks.against_brax import compare, learning_curves, params_of, train_with_brax
+from quadwalk.env.config import EnvConfig
+from quadwalk.train import ppo
+from quadwalk.train.config import PPOConfig
+from quadwalk.train.networks import make_networks
+
+ENVS = 32
+SETTINGS = {"judges": 2, "unroll": 10, "hidden": (16, 16), "discount": 0.9, "entropy": 0.01}
+
+
+class Motion(NamedTuple):
+    position: jax.Array
+    velocity: jax.Array
+    steps: jax.Array
+
+
+class Point(Env):
+    """A mass on a line, pushed by the action, best at rest at 0; beyond 2 it has fallen."""
+
+    observation_size = 2
+    action_size = 1
+    backend = "none"
+
+    def __init__(self, episode_steps: int, dt: float = 0.1, spread: float = 0.0) -> None:
+        self.config = EnvConfig(episode_seconds=episode_steps * EnvConfig().control_dt)
+        self.dt = dt  # s; with 0, nothing moves
+        self.spread = spread  # fresh starts are at random up to this far from 0
+
+    def reset(self, rng: jax.Array) -> State:
+        position = jax.random.uniform(rng, (), minval=-1.0, maxval=1.0) * self.spread
+        zero = jnp.zeros(())
+        motion = Motion(position, zero, jnp.zeros((), jnp.int32))
+        metrics = {"speed": zero, "fell": zero, "nan": zero}
+        return State(motion, observe(motion), zero, zero, metrics, {"truncation": zero})
+
+    def step(self, state: State, action: jax.Array) -> State:
+        before = state.pipeline_state
+        velocity = before.velocity + self.dt * 3.0 * action[0]
+        motion = Motion(before.position + self.dt * velocity, velocity, before.steps + 1)
+        fell = (jnp.abs(motion.position) > 2.0).astype(jnp.float32)
+        over = (motion.steps >= self.config.episode_steps).astype(jnp.float32)
+        return state.replace(
+            pipeline_state=motion,
+            obs=observe(motion),
+            reward=rewarded(motion.position, action[0], fell),
+            done=jnp.maximum(fell, over),
+            metrics={"speed": motion.velocity, "fell": fell, "nan": jnp.zeros(())},
+            info={"truncation": over * (1.0 - fell)},
+        )
+
+
+def observe(motion: Motion) -> jax.Array:
+    return jnp.stack([motion.position, motion.velocity])
+
+
+def rewarded(position: Any, push: Any, fell: Any) -> Any:
+    return 1.0 - position**2 - 0.1 * push**2 - 5.0 * fell
+
+
+class Keyless(distribution.NormalTanhDistribution):
+    """Actions whose noise follows from the policy's output, whatever the random key."""
+
+    def create_dist(self, parameters: jax.Array) -> Any:
+        normal = super().create_dist(parameters)
+        normal.sample = lambda seed: normal.loc + normal.scale * 1.5 * jnp.sin(20.0 * normal.loc)
+        return normal
+
+
+class Scattered(Wrapper):
+    """First episodes that start anywhere, on top of a wrapper that remembers the usual start."""
+
+    def reset(self, rng: jax.Array) -> State:
+        state = self.env.reset(rng)
+        draw = jax.vmap(lambda key: jax.random.uniform(key, (2,), minval=-1.5, maxval=1.5))(rng)
+        motion = jax.vmap(scattered)(draw)
+        return state.replace(pipeline_state=motion, obs=draw)
+
+
+def scattered(observation: jax.Array) -> Motion:
+    """A state, its clock too, that follows from its observation."""
+    position, velocity = observation
+    return Motion(position, velocity, (jnp.abs(position) * 100).astype(jnp.int32) % 4)
+
+
+def wrap_scattered(env: Env, **settings: Any) -> Wrapper:
+    return Scattered(brax_wrappers.wrap(env, **settings))
+
+
+def same_networks(config: PPOConfig) -> Any:
+    networks = make_networks(config, Point.observation_size, Point.action_size)
+    own = networks.parametric_action_distribution
+    return networks.replace(
+        parametric_action_distribution=Keyless(Point.action_size, var_scale=own._var_scale)
+    )
+
+
+class Both(NamedTuple):
+    """What `ppo.train` and our loop made of the same start."""
+
+    brax: list[Any]  # (normaliser, policy, value) after each iteration, the start first
+    ours: list[Any]
+    brax_gradients: Any  # of the first update
+    learner: ppo.Learner  # ours, after the first iteration
+    brax_losses: dict[str, Any]  # of the first iteration
+    losses: dict[str, Any]
+
+
+@pytest.fixture
+def train_both(monkeypatch):
+    """Train with both, from the same scattered starts, for some iterations."""
+    seen = []
+    real = gradients.loss_and_pgrad
+
+    def recording(*args: Any, **kwargs: Any) -> Any:
+        function = real(*args, **kwargs)
+
+        def call(params: Any, normalizer: Any, data: Any, key: jax.Array) -> Any:
+            result, grads = function(params, normalizer, data, key)
+            device = jax.lax.axis_index(kwargs["pmap_axis_name"])
+            jax.debug.callback(lambda *found: seen.append(found), device, data.observation, grads)
+            return result, grads
+
+        return call
+
+    monkeypatch.setattr(gradients, "loss_and_pgrad", recording)
+    monkeypatch.setattr(
+        jax.random, "permutation", lambda key, x: jnp.arange(x) if isinstance(x, int) else x
+    )
+
+    def train(env: Point, config: PPOConfig, iterations: int) -> Both:
+        mesh = ppo.make_mesh()
+        networks = same_networks(config)
+        # Learning begins at once: the first iteration of all would measure observations only.
+        state = ppo.init_state(env, networks, config, mesh, ENVS, seed=0)
+        learner = state.learner._replace(iterations=jnp.ones((), jnp.int32))
+        reported: list[dict[str, Any]] = []
+        brax = train_with_brax(
+            env, networks, config, ENVS, jax.device_get(learner), iterations, iterations, seed=0,
+            wrap_env_fn=wrap_scattered, progress_fn=lambda steps, metrics: reported.append(metrics),
+        )  # fmt: skip
+        jax.effects_barrier()
+
+        # The first rows that Brax's loss saw, on each device, tell its starts.
+        per_device = [[first[1] for first in seen if first[0] == d] for d in range(mesh.size)]
+        observations = [
+            np.concatenate([data[:, 0] for data in found[: config.minibatches]])
+            for found in per_device
+        ]
+        # Behind each device's share of environments that learn stands a judge.
+        begin = np.concatenate([np.concatenate([part, part[:1]]) for part in observations])
+        envs = jax.vmap(env.reset)(jax.random.split(jax.random.PRNGKey(0), len(begin)))
+        envs = envs.replace(pipeline_state=jax.vmap(scattered)(begin), obs=begin)
+        envs = jax.device_put(envs, NamedSharding(mesh, P(ppo.AXIS)))
+        learner = jax.device_put(learner, NamedSharding(mesh, P()))
+        state = ppo.TrainState(learner, state.workers._replace(envs=envs))
+
+        iterate = ppo.make_iteration(env, networks, config, mesh, iterations)
+        ours, first, losses = [params_of(state.learner)], None, None
+        for _ in range(iterations):
+            state, metrics = jax.block_until_ready(iterate(state))
+            ours.append(params_of(state.learner))
+            first, losses = first or jax.device_get(state.learner), losses or metrics
+        return Both(brax, ours, seen[0][2], first, reported[0], losses)
+
+    return train
+
+
+def assert_trees_close(ours: Any, brax: Any, **tolerance: float) -> None:
+    pairs = zip(jax.tree.leaves(ours), jax.tree.leaves(brax), strict=True)
+    for a, b in pairs:
+        np.testing.assert_allclose(a, b, **tolerance)
+
+
+def assert_same_gradients(both: Both) -> None:
+    """Adam's first mean is a tenth of the first gradient, which clipping has left alone."""
+    gradient = jax.tree.map(
+        lambda m: 10.0 * m, optax.tree_utils.tree_get(both.learner.optimizer, "mu")
+    )
+    scale = float(optax.tree_utils.tree_norm(both.brax_gradients))
+    assert scale > 1e-2
+    assert_trees_close(gradient, both.brax_gradients, rtol=1e-4, atol=1e-5 * scale)
+
+
+def assert_same_losses(both: Both, **tolerance: float) -> None:
+    for ours, brax in (("loss/policy", "policy_loss"), ("loss/value", "v_loss")):
+        assert float(both.losses[ours]) == pytest.approx(
+            float(both.brax_losses[f"training/{brax}"]), **tolerance
+        )
+
+
+def test_one_update_has_the_loss_and_gradients_of_brax(train_both):
+    config = PPOConfig(**SETTINGS, minibatches=1, epochs=1, max_grad_norm=1e6)
+    both = train_both(Point(10**6), config, iterations=1)
+    assert_same_losses(both, rel=1e-5, abs=1e-6)
+    assert_same_gradients(both)
+
+
+def test_iterations_leave_the_parameters_of_brax(train_both):
+    """Falls, epochs, minibatches, clipping, Adam, learning rate and normaliser: all of it."""
+    config = PPOConfig(**SETTINGS, minibatches=2, epochs=3, desired_kl=0.01, final_kl=0.01)
+    both = train_both(Point(10**6), config, iterations=4)
+    assert len(both.ours) == len(both.brax) == 5
+    assert_trees_close(both.ours[0], both.brax[0], rtol=0)
+    for ours, brax in zip(both.ours[1:], both.brax[1:], strict=True):
+        assert_trees_close(ours[1:], brax[1:], rtol=1e-3, atol=1e-4)
+        assert_trees_close(ours[0].mean, brax[0].mean, rtol=1e-3, atol=1e-4)
+        assert_trees_close(ours[0].std, brax[0].std, rtol=1e-3, atol=1e-4)
+
+
+def test_a_time_limit_is_what_brax_makes_of_it_where_nothing_moves(train_both):
+    """Brax bootstraps from the state before the limit and we from the one after: here the same."""
+    config = PPOConfig(
+        **SETTINGS, minibatches=1, epochs=1, max_grad_norm=1e6, reward_scale=1.0
+    )  # Brax's scale also shrinks what it bootstraps from
+    both = train_both(Point(4, dt=0.0), config, iterations=1)
+    assert_same_losses(both, rel=1e-5, abs=1e-6)
+    assert_same_gradients(both)
+
+
+def test_a_moving_body_is_bootstrapped_from_the_state_after_its_time_limit():
+    """The value loss, against advantages written out in NumPy from what the environment does."""
+    config = PPOConfig(**SETTINGS, minibatches=1, epochs=1)
+    env = Point(4, dt=0.3, spread=1.9)
+    mesh = ppo.make_mesh()
+    networks = make_networks(config, env.observation_size, env.action_size)
+    state = ppo.init_state(env, networks, config, mesh, ENVS, seed=0)
+
+    def one_iteration(learner: ppo.Learner, workers: ppo.Workers) -> Any:
+        _, data, _ = ppo.collect(env, networks, config, learner, workers)
+        _, metrics = ppo.learn(networks, config, learner, data, workers.key[0], 10)
+        return data, metrics["loss/value"]
+
+    shared = jax.shard_map(
+        one_iteration,
+        mesh=mesh,
+        in_specs=(P(), P(ppo.AXIS)),
+        out_specs=(P(ppo.AXIS), P()),
+        check_vma=False,
+    )
+    data, loss = jax.device_get(jax.jit(shared)(*state))
+
+    push = data.action[..., 0]
+    velocity = data.observation[..., 1] + env.dt * 3.0 * push
+    position = data.observation[..., 0] + env.dt * velocity
+    fell, ended = np.abs(position) > 2.0, data.discount == 0.0
+    assert fell.any()
+    assert (ended & ~fell).any()
+    value = lambda x: np.asarray(  # noqa: E731
+        networks.value_network.apply(state.learner.normalizer, state.learner.params.value, x)
+    )
+    now, after = value(data.observation), value(np.stack([position, velocity], axis=-1))
+    reward = config.reward_scale * rewarded(position, push, fell)
+    surprise = reward + config.discount * np.where(fell, 0.0, after) - now
+    advantage, following = np.zeros_like(now), np.zeros(ENVS)
+    for t in reversed(range(config.unroll)):
+        decay = config.discount * config.gae_lambda
+        following = surprise[:, t] + decay * np.where(ended[:, t], 0.0, following)
+        advantage[:, t] = following
+    assert loss == pytest.approx(0.5 * config.value * np.mean(advantage**2), rel=1e-4)
+
+
+def test_learning_curves_agree_over_three_seeds():
+    """As `benchmarks/against_brax.py` says, and to a tenth of what learning gains.
+
+    An iteration is an episode long, so that it matters little that Brax's episodes are in phase.
+    """
+    config = PPOConfig(
+        judges=2, unroll=25, minibatches=4, hidden=(32, 32), discount=0.95, reward_scale=1.0,
+        learning_rate=1e-3, min_learning_rate=1e-3, max_learning_rate=1e-3,
+    )  # fmt: skip
+    ours, brax = learning_curves(
+        Point(25, spread=1.5), config, envs=256, iterations=30, points=5, seeds=3, episodes=128
+    )
+    found = compare(ours[..., 0], brax[..., 0])
+    assert found.gain > 0.5
+    assert found.holds
+    assert abs(found.difference) < 0.1 * found.gain
