@@ -111,7 +111,7 @@ def _falls(axes: Axes, results: list[dict[str, Any]]) -> None:
         low, high = (100 * end for end in summary["fall_rate_ci95"])
         axes.bar(place, share, width=0.5, color=_colour(place), alpha=0.5)
         error = [[max(share - low, 0.0)], [max(high - share, 0.0)]]
-        axes.errorbar(place, share, yerror=error, color=INK, capsize=6, fmt="none", linewidth=1.6)
+        axes.errorbar(place, share, yerr=error, color=INK, capsize=6, fmt="none", linewidth=1.6)
         axes.text(place + 0.06, share, f" {share:.1f}", va="bottom", fontsize=10, color=INK)
     axes.set_ylim(0, 105)
     axes.set_title("Episodes that end by a fall, %", loc="left", fontsize=11)
@@ -126,7 +126,7 @@ def _figure(axes: Axes, place: int, result: dict[str, Any], name: str) -> None:
     across = place + np.linspace(-_SPREAD, _SPREAD, len(values)) if len(values) > 1 else [place]
     axes.plot(across, values, "o", color=_colour(place), markersize=4, alpha=0.5, markeredgewidth=0)
     error = summary["ci95"] or 0.0
-    axes.errorbar(place, summary["mean"], yerror=error, color=INK, capsize=6, fmt="D", markersize=5)
+    axes.errorbar(place, summary["mean"], yerr=error, color=INK, capsize=6, fmt="D", markersize=5)
     label = f" {summary['mean']:.3g}"
     axes.annotate(label, (place + _SPREAD, summary["mean"]), va="center", fontsize=10, color=INK)
 

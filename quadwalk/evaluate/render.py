@@ -7,7 +7,6 @@ choice in the environment variable MUJOCO_GL (egl, osmesa, glfw).
 import os
 import shutil
 import subprocess
-import sys
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -23,7 +22,7 @@ from quadwalk.evaluate.rollout import Rollout
 from quadwalk.evaluate.trim import finite_part
 from quadwalk.files import replacing
 from quadwalk.robot.quadruped import Quadruped
-from quadwalk.robot.render import NEEDS
+from quadwalk.robot.render import NEEDS, choose_backend
 
 FPS = 25  # a GIF counts in hundredths of a second: 4 of them
 CAMERA = {"distance": 1.45, "azimuth": 118.0, "elevation": -14.0}  # m, degrees, degrees
@@ -195,6 +194,8 @@ class _Canvas:
                 self._model, mujoco.mjtFontScale.mjFONTSCALE_100.value
             )
             mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._resources)
+        except UserError:
+            raise
         except Exception as error:  # a GL library fails as it likes: ImportError, FatalError, ...
             self.__exit__(None, None, None)
             reason = " ".join(str(error).split())
@@ -234,9 +235,8 @@ class _Canvas:
 
 def _context_class() -> type:
     """The class of GL contexts to draw in, by MUJOCO_GL, else by what the machine has."""
+    choose_backend()
     chosen = os.environ.get("MUJOCO_GL", "").strip().lower()
-    if sys.platform == "linux" and not chosen and not os.environ.get("DISPLAY"):
-        os.environ["MUJOCO_GL"] = chosen = "osmesa"  # MuJoCo's C library reads it as well
     if chosen == "osmesa":
         from mujoco.osmesa import GLContext
     elif chosen == "egl":

@@ -136,7 +136,10 @@ def figure_text(figure: dict[str, Any] | None) -> str:
     """A figure of a summary as "mean ± half its 95 % interval"; "-" where there is none."""
     if figure is None:
         return "-"
-    return f"{figure['mean']:.3f}" + ("" if figure["ci95"] is None else f" ± {figure['ci95']:.3f}")
+    # As many decimals as leave the mean four digits, up to three.
+    decimals = 3 - min(len(f"{abs(figure['mean']):.0f}") - 1, 3)
+    text = f"{figure['mean']:.{decimals}f}"
+    return text if figure["ci95"] is None else f"{text} ± {figure['ci95']:.{decimals}f}"
 
 
 def falls_text(summary: dict[str, Any]) -> str:

@@ -50,7 +50,7 @@ class Point:
 
     friction: float | None = None  # sliding friction of feet and floor; None: the model's
     mass: float = 0.0  # kg, added to the trunk
-    strength: float = 1.0  # of the motors' torque
+    strength: float = 100.0  # % of the motors' torque
     delay: float = 0.0  # ms, rounded to physics steps
     push: float = 0.0  # m/s, sideways
     noise: float = 0.0  # level of the sensor noise
@@ -60,8 +60,8 @@ class Point:
 SWEEPS: dict[str, tuple[str, str, tuple[float, ...]]] = {
     "friction": ("friction", "", (0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 1.0, 1.2)),
     "mass": ("added trunk mass", "kg", (-2.0, -1.0, 0.0, 1.0, 2.0, 3.0, 4.0, 5.0)),
-    "strength": ("motor strength", "", (0.8, 0.85, 0.9, 0.95, 1.0, 1.05, 1.1)),
-    "delay": ("control delay", "ms", (0.0, 8.0, 16.0, 24.0, 32.0, 40.0)),
+    "strength": ("motor strength", "%", (80.0, 85.0, 90.0, 95.0, 100.0, 105.0, 110.0)),
+    "delay": ("control delay", "ms", (0.0, 4.0, 8.0, 12.0, 16.0, 24.0, 32.0, 40.0)),
     "push": ("pushes", "m/s", (0.0, 0.25, 0.5, 0.75, 1.0, 1.25, 1.5)),
     "noise": ("sensor noise", "level", (0.0, 0.25, 0.5, 1.0, 1.5, 2.0)),
 }
@@ -203,7 +203,7 @@ def _perturbations(points: list[Point], dt: float, episodes: int) -> tuple[Pertu
     """What each episode suffers, and the longest delay, in physics steps."""
     delay = np.array([round(point.delay / 1000 / dt) for point in points])
     columns = Perturbation(
-        strength=np.array([point.strength for point in points], np.float32),
+        strength=np.array([point.strength / 100 for point in points], np.float32),
         delay=delay.astype(np.int32),
         push=np.array([point.push for point in points], np.float32),
         noise=np.array([point.noise for point in points], np.float32),

@@ -17,8 +17,8 @@ _SUCCESS, _SPEED = LEG_COLOURS[3], LEG_COLOURS[0]
 def print_sweep(results: dict[str, Any]) -> None:
     """The sweep as a table on standard output; a star marks what training had."""
     table = Table(
-        title=f"{results['run']}: {results['episodes']} episodes of up to {results['seconds']:g} s "
-        "at each point, mean ± 95 % (* as in training)",
+        title=f"{results['run']}: {results['episodes']} episodes at each point, mean ± 95 %, "
+        "* as in training",
         title_justify="left",
     )
     for heading in ("", "value", "success, %", "speed, m/s"):
@@ -74,7 +74,7 @@ def _panel(axes: Axes, sweep: dict[str, Any], top: float) -> None:
     speed.errorbar(
         values,
         means,
-        yerror=errors,
+        yerr=errors,
         fmt="s--",
         color=_SPEED,
         linewidth=1.4,

@@ -1,9 +1,9 @@
 """An episode in MuJoCo's viewer, on a screen."""
 
+import contextlib
 import os
 import sys
 import time
-import warnings
 
 from rich.console import Console
 
@@ -26,13 +26,21 @@ def check_screen() -> None:
     if os.environ.get("MUJOCO_GL", "").lower() in ("osmesa", "egl"):
         chosen = os.environ["MUJOCO_GL"]
         raise UserError(f"cannot --view: MUJOCO_GL is {chosen}, which has no window; {elsewhere}")
-    with warnings.catch_warnings(record=True) as complaints:
-        warnings.simplefilter("always")
-        import glfw
+    import glfw
 
-        if not glfw.init():
-            said = " ".join(str(complaint.message) for complaint in complaints[:1])
-            raise UserError(f"cannot --view: {said or 'GLFW does not start'}; {elsewhere}")
+    said: list[str] = []
+    glfw.set_error_callback(lambda _, text: said.append(os.fsdecode(text)))
+    window = None
+    if glfw.init():
+        # The viewer opens its window in a thread, and would be waited for in vain without one.
+        glfw.window_hint(glfw.VISIBLE, glfw.FALSE)
+        window = glfw.create_window(64, 64, "quadwalk", None, None)
+        glfw.default_window_hints()
+    glfw.set_error_callback(None)  # type: ignore[arg-type]
+    if not window:
+        reason = " ".join(" ".join(said).split()) or "GLFW opens no window"
+        raise UserError(f"cannot --view: {reason}; {elsewhere}")
+    glfw.destroy_window(window)
 
 
 def view(rollout: Rollout, quadruped: Quadruped, console: Console) -> None:
@@ -51,7 +59,7 @@ def view(rollout: Rollout, quadruped: Quadruped, console: Console) -> None:
         f"playing episode {rollout.episode}, {length:.1f} s, in MuJoCo's viewer: close its window "
         "or press Ctrl-C to end"
     )
-    with handle as window:
+    with contextlib.suppress(KeyboardInterrupt), handle as window:
         window.cam.type = mujoco.mjtCamera.mjCAMERA_TRACKING
         window.cam.trackbodyid = model.body(quadruped.trunk).id
         window.cam.distance, window.cam.azimuth, window.cam.elevation = 2.0, 118.0, -14.0

@@ -19,9 +19,12 @@ NEEDS = "drawing without a display needs OSMesa: apt-get install libosmesa6"
 def choose_backend() -> None:
     """Without a display or a choice in `MUJOCO_GL`, draw with OSMesa.
 
-    MuJoCo reads the variable when it is first imported: call this before that.
+    `mujoco.Renderer` goes by what the variable was when mujoco was first imported: who draws with
+    that calls this before.
     """
-    if sys.platform != "linux" or os.environ.get("MUJOCO_GL") or os.environ.get("DISPLAY"):
+    if sys.platform != "linux" or any(
+        os.environ.get(name) for name in ("MUJOCO_GL", "DISPLAY", "WAYLAND_DISPLAY")
+    ):
         return
     if ctypes.util.find_library("OSMesa") is None:
         raise UserError(NEEDS)
