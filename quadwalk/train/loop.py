@@ -102,7 +102,8 @@ def _tell(
     if keeper.best is not None:
         which = "the same" if keeper.best[0] == steps else f"after {keeper.best[0]:,} steps"
         progress.end(f"best policy     {run.best} ({which})")
-    progress.end(f"learning curve  {run.learning_curve}")
+    if run.learning_curve.exists():
+        progress.end(f"learning curve  {run.learning_curve}")
     progress.end(f"evaluate with   python eval.py {_run_argument(run)}")
 
 

@@ -114,8 +114,10 @@ def create_run(
         part.checkpoints.mkdir()
         part.tensorboard.mkdir()
         for file, content in (files or {}).items():
-            with replacing(part.path / file) as stream:
+            with open(part.path / file, "wb") as stream:
                 stream.write(content)
+                stream.flush()
+                os.fsync(stream.fileno())
         path = _name_first_free(part.path, label) if name is None else _name(part.path, name)
     except OSError as error:
         raise UserError(f"cannot write in {root / (name or '')}: {why(error)}") from error

@@ -106,9 +106,9 @@ class Keeper:
         try:
             action()
         except UserError as error:
-            if self._refused.get(what) != str(error):
-                self._refused[what] = str(error)
+            if what not in self._refused:
                 self._warn(f"warning: {error}; training goes on and will try again")
+            self._refused[what] = str(error)
             return False
         if self._refused.pop(what, None):
             self._warn(f"{what}: written again")

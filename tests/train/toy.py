@@ -4,6 +4,7 @@ What is tested with it is everything about a training but the environment.
 """
 
 import os
+import resource
 import sys
 from pathlib import Path
 from typing import Any
@@ -84,6 +85,12 @@ def command(output: Path, *flags: str) -> None:
         os.dup2(descriptor, stream)
     sys.argv = ["train.py", *flags]
     run_command(main)
+
+
+def limited_command(output: Path, *flags: str) -> None:
+    """`command`, and no file may grow beyond 40 kB: a checkpoint does not fit, a policy does."""
+    resource.setrlimit(resource.RLIMIT_FSIZE, (40_000, resource.RLIM_INFINITY))
+    command(output, *flags)
 
 
 if __name__ == "__main__":

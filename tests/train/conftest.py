@@ -1,0 +1,82 @@
+"""Trainings on the toy, in this process or in their own; `toy` can be imported."""
+
+import multiprocessing
+import os
+import sys
+from collections.abc import Callable
+from multiprocessing import forkserver
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+HERE = str(Path(__file__).parent)
+sys.path.insert(0, HERE)
+
+import toy  # noqa: E402
+
+BATCH = 64  # control steps in an iteration of `flags`
+
+
+@pytest.fixture(scope="session")
+def processes() -> multiprocessing.context.BaseContext:
+    """Processes that begin at once, for they are forked where everything is imported."""
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(["toy"])
+    with pytest.MonkeyPatch.context() as patch:
+        # Not every Python tells it where to find what it should import.
+        patch.setenv("PYTHONPATH", HERE, prepend=os.pathsep)
+        forkserver.ensure_running()
+    return context
+
+
+@pytest.fixture(scope="session")
+def flags() -> Callable[..., list[str]]:
+    """Flags of a tiny training in folder `runs`, of so many iterations."""
+
+    def make(runs: Path, name: str | None, iterations: int, *more: str) -> list[str]:
+        tiny = "--envs=16 --ppo.judges=2 --ppo.unroll=4 --ppo.epochs=1 --ppo.minibatches=2"
+        given = f"--devices=2 --ppo.hidden=8 --steps={BATCH * iterations} --runs={runs} {tiny}"
+        return [*given.split(), *([f"--name={name}"] if name else []), *more]
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def start(processes) -> Callable[..., multiprocessing.Process]:
+    """Begin a training with flags in a process of its own; what it says goes to `output`."""
+
+    def begin(output: Path, *flags: str) -> multiprocessing.Process:
+        process = processes.Process(target=toy.command, args=(output, *flags))
+        process.start()
+        return process
+
+    return begin
+
+
+@pytest.fixture
+def train(monkeypatch) -> Callable[..., None]:
+    """Train on the toy with flags, here."""
+    from quadwalk.train.__main__ import parse_config
+    from quadwalk.train.loop import train
+
+    monkeypatch.setattr("quadwalk.env.quadruped.QuadrupedEnv", toy.Toy)
+    return lambda *flags: train(parse_config(flags))
+
+
+@pytest.fixture(scope="session")
+def same_result() -> Callable[[Path, Path], None]:
+    """Assert that two runs, as folders, ended in the same state by the same way."""
+
+    def arrays(path: Path) -> dict[str, bytes]:
+        with np.load(path) as archive:
+            return {name: archive[name].tobytes() for name in archive.files if "." not in name}
+
+    def compare(run: Path, expected: Path) -> None:
+        assert (run / "metrics.jsonl").read_bytes() == (expected / "metrics.jsonl").read_bytes()
+        last = max(path.name for path in (expected / "checkpoints").iterdir())
+        for file in ("policy.npz", "best.npz", f"checkpoints/{last}"):
+            assert arrays(run / file) == arrays(expected / file), file
+        assert not list(run.rglob("*.part"))
+
+    return compare

@@ -1,0 +1,207 @@
+"""What befalls a training, and what is left of it: nothing may be lost."""
+
+import contextlib
+import json
+import random
+import shutil
+import subprocess
+import time
+from pathlib import Path
+
+import pytest
+import toy
+
+from quadwalk.errors import UserError
+from quadwalk.train import checkpoint
+from quadwalk.train.config import PPOConfig
+from quadwalk.train.log import read_metrics
+from quadwalk.train.policy import load_policy
+from quadwalk.train.run import Run, latest_checkpoint, list_checkpoints
+
+ITERATIONS = 60
+OFTEN = "--checkpoint-steps=128"  # after every second iteration
+
+
+@pytest.fixture(scope="session")
+def whole(tmp_path_factory, flags, start) -> Path:
+    """The folder of a training that nothing befell."""
+    runs = tmp_path_factory.mktemp("whole")
+    process = start(runs / "output", *flags(runs, "whole", ITERATIONS, OFTEN))
+    process.join(200)
+    assert process.exitcode == 0, (runs / "output").read_text()
+    return runs / "whole"
+
+
+def test_the_same_seed_gives_the_same_files(whole, tmp_path, flags, train, same_result):
+    train(*flags(tmp_path, "again", ITERATIONS, OFTEN))
+    same_result(tmp_path / "again", whole)
+
+
+def rows(run: Path) -> int:
+    with contextlib.suppress(FileNotFoundError):
+        return (run / "metrics.jsonl").read_bytes().count(b"\n")
+    return 0
+
+
+def test_a_run_killed_again_and_again_ends_as_if_it_never_was(
+    whole, tmp_path, flags, start, same_result
+):
+    chance = random.Random(5)
+    run, output = tmp_path / "killed", tmp_path / "output"
+    arguments = flags(tmp_path, "killed", ITERATIONS, OFTEN)
+    kills = 0
+    for attempt in range(20):
+        process = start(output, *arguments)
+        before, goal = rows(run), 0 if attempt == 0 else chance.randint(1, 18)
+        while process.is_alive() and (
+            # First before there is any checkpoint, later at any moment of training and saving.
+            not (run / "config.json").exists() if attempt == 0 else rows(run) < before + goal
+        ):
+            time.sleep(0.001)
+        time.sleep(0.02 * chance.random())
+        process.kill()
+        process.join(60)
+        if process.exitcode == 0:
+            break
+        assert process.exitcode == -9, output.read_text()
+        kills += 1
+        arguments = [f"--runs={tmp_path}", "--resume=killed"]
+    assert kills >= 4
+    same_result(run, whole)
+
+
+def test_the_checkpoint_before_a_truncated_one_is_gone_on_from(
+    whole, tmp_path, train, same_result, capsys
+):
+    shutil.copytree(whole, tmp_path / "cut")
+    last = list_checkpoints(Run(tmp_path / "cut"))[-1]
+    last.write_bytes(last.read_bytes()[:-1000])
+    train(f"--runs={tmp_path}", "--resume=cut")
+    said = capsys.readouterr().out
+    assert f"{last} is damaged or foreign" in said
+    assert f"after {64 * (ITERATIONS - 2):,} steps" in said
+    same_result(tmp_path / "cut", whole)
+
+
+def test_of_nothing_but_truncated_ones_none_is_gone_on_from(whole, tmp_path, train):
+    shutil.copytree(whole, tmp_path / "cut")
+    for path in list_checkpoints(Run(tmp_path / "cut")):
+        path.write_bytes(path.read_bytes()[:-1000])
+    before = (tmp_path / "cut" / "metrics.jsonl").read_bytes()
+    with pytest.raises(UserError, match="cut has no checkpoint that can be read"):
+        train(f"--runs={tmp_path}", "--resume=cut")
+    assert (tmp_path / "cut" / "metrics.jsonl").read_bytes() == before
+
+
+def test_it_goes_on_with_another_number_of_devices(whole, tmp_path, start):
+    shutil.copytree(whole, tmp_path / "one")
+    output = tmp_path / "output"
+    process = start(output, f"--runs={tmp_path}", "--resume=one", "--devices=1", "--steps=4160")
+    process.join(200)
+    assert process.exitcode == 0, output.read_text()
+    assert "changed devices: 2 -> 1" in output.read_text()
+    assert read_metrics(Run(tmp_path / "one"))[-1]["steps"] == 4160
+    config = json.loads((tmp_path / "one" / "config.json").read_text())["config"]
+    assert (config["devices"], config["steps"]) == (1, 4160)
+
+
+@pytest.fixture
+def small_disk(tmp_path):
+    """A folder on a disk of its own, of 700 kB, and functions that fill and empty it."""
+    folder = tmp_path / "disk"
+    folder.mkdir()
+    command = ["mount", "-t", "tmpfs", "-o", "size=700k", "tmpfs", str(folder)]
+    if shutil.which("mount") is None or subprocess.run(command, capture_output=True).returncode:
+        pytest.skip("mounting a small disk is not permitted")
+    ballast = folder / "ballast"
+
+    def fill():
+        with contextlib.suppress(OSError), open(ballast, "wb", buffering=0) as file:
+            while True:
+                file.write(bytes(512))
+
+    yield folder, fill, lambda: ballast.unlink(missing_ok=True)
+    subprocess.run(["umount", "--lazy", str(folder)], check=True)
+
+
+@pytest.mark.parametrize("freed", [40, None], ids=["for a time", "for good"])
+def test_a_full_disk_ends_no_training(
+    whole, tmp_path, small_disk, flags, train, same_result, capsys, monkeypatch, freed
+):
+    from quadwalk.train.saving import Keeper
+
+    folder, fill, empty = small_disk
+    append = Keeper.row
+
+    def row(self, metrics, timing):
+        steps = metrics["steps"]
+        if steps == 64 * 20:
+            fill()
+        if freed and steps == 64 * freed:
+            empty()
+        append(self, metrics, timing)
+
+    monkeypatch.setattr(Keeper, "row", row)
+    run = folder / "full"
+    arguments = flags(folder, "full", ITERATIONS, OFTEN)
+    if freed:
+        train(*arguments)
+        said = capsys.readouterr().out
+        assert "metrics: written again" in said
+        assert "checkpoint: written again" in said
+    else:
+        with pytest.raises(UserError, match="No space left on device") as caught:
+            train(*arguments)
+        assert "\n" not in str(caught.value)
+        assert "the last good checkpoint is" in str(caught.value)
+        assert caught.value.exit_status == 1
+        said = capsys.readouterr().out
+        last = latest_checkpoint(Run(run), pytest.fail)
+        assert checkpoint.load(last, "checkpoint")[1]["steps"] >= 64 * 18
+        assert load_policy(run / "policy.npz").steps >= 64 * 18
+        assert len(read_metrics(Run(run))) >= 18
+        empty()
+        monkeypatch.setattr(Keeper, "row", append)
+        train(f"--runs={folder}", "--resume=full")
+    warnings = [line for line in said.splitlines() if "No space left on device" in line]
+    assert 1 <= len(warnings) <= 8
+    assert all("training goes on and will try again" in line for line in warnings)
+    same_result(run, whole)
+
+
+def test_a_limit_on_file_sizes_is_said_in_one_line(tmp_path, flags, processes):
+    output = tmp_path / "output"
+    arguments = flags(tmp_path, "limited", 32, OFTEN, "--envs=128")
+    process = processes.Process(target=toy.limited_command, args=(output, *arguments))
+    process.start()
+    process.join(200)
+    said = output.read_text()
+    assert process.exitcode == 1, said
+    assert "Traceback" not in said
+    errors = [line for line in said.splitlines() if line.startswith("error: ")]
+    assert len(errors) == 1
+    assert "File too large" in errors[0]
+    assert "step_" in errors[0]
+    assert "no checkpoint yet" in errors[0]
+    assert load_policy(tmp_path / "limited" / "policy.npz").steps == 32 * 64
+
+
+def test_a_learner_that_is_lost_leaves_what_was_good(tmp_path, flags, train):
+    run = Run(tmp_path / "lost")
+    train(*flags(tmp_path, "lost", 4))
+    good = {path: path.read_bytes() for path in (run.policy, run.best, run.checkpoint(256))}
+    rates = [f"--ppo.{which}learning-rate=1e38" for which in ("min-", "max-")]
+    rates.append("--ppo.desired-kl=1e-12")  # so that the rate is pinned to its least at once
+    arguments = [f"--runs={tmp_path}", "--resume=lost", "--steps=1280", OFTEN]
+    with pytest.raises(UserError, match="no longer finite") as caught:
+        train(*arguments, *rates)
+    assert "\n" not in str(caught.value)
+    assert str(run.checkpoint(256)) in str(caught.value)
+    assert caught.value.exit_status == 1
+    assert {path: path.read_bytes() for path in good} == good
+    assert list_checkpoints(run) == [run.checkpoint(256)]
+    normal = PPOConfig()
+    rates = [f"--ppo.min-learning-rate={normal.min_learning_rate}"]
+    rates += ["--ppo.max-learning-rate=1e-3", f"--ppo.desired-kl={normal.desired_kl}"]
+    train(*arguments, *rates)
+    assert read_metrics(run)[-1]["steps"] == 1280
