@@ -94,21 +94,26 @@ def perturbed_step(
     """One control step of `policy`, in MJX; `noise` is `noise_scale` of the observations."""
     before: EnvState = episode.state.pipeline_state
     sensors, pushes = jax.random.split(episode.key)
-    seen = jax.random.normal(jax.random.fold_in(sensors, before.steps), episode.state.obs.shape)
-    action = policy(episode.state.obs + perturbation.noise * noise * seen)
+    seen = sensed(episode.state.obs, perturbation.noise * noise, sensors, before.steps)
+    action = policy(seen)
     target = joint_target(robot, config.actuation, action)
     targets = jnp.concatenate([target[None], episode.targets[:-1]])
 
-    kick = perturbation.push * _kick(pushes, before.steps, config)
+    kick = perturbation.push * side_of_push(pushes, before.steps, config.control_dt)
     physics = before.physics._replace(qvel=before.physics.qvel.at[1].add(kick))
     physics, effort = _delayed(model, robot, config, perturbation, physics, targets)
     state = conclude(model, robot, config, before, action, physics, effort)
     return Perturbed(state, targets, episode.key)
 
 
-def _kick(key: jax.Array, step: jax.Array, config: EnvConfig) -> jax.Array:
+def sensed(obs: jax.Array, std: jax.Array, key: jax.Array, step: jax.Array) -> jax.Array:
+    """`obs` (n,) with Gaussian noise of `std` (n,), the same for the same key and step."""
+    return obs + std * jax.random.normal(jax.random.fold_in(key, step), obs.shape)
+
+
+def side_of_push(key: jax.Array, step: jax.Array, control_dt: float) -> jax.Array:
     """1 or -1 in the control step of a push to the left or right, else 0."""
-    period = max(round(PUSH_PERIOD / config.control_dt), 1)
+    period = max(round(PUSH_PERIOD / control_dt), 1)
     when, side = jax.random.split(jax.random.fold_in(key, step // period))
     now = step % period == jax.random.randint(when, (), 0, period)
     return jnp.where(now, jax.random.rademacher(side, (), jnp.float32), 0.0)

@@ -2,6 +2,8 @@
 
 from collections.abc import Callable
 
+import jax
+import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
@@ -118,3 +120,10 @@ def _foot_forces(model: mujoco.MjModel, data: mujoco.MjData, feet: list[int]) ->
 def trot(simulate) -> Rollout:
     """2 s of diagonal legs swinging together."""
     return simulate(100)
+
+
+@pytest.fixture(scope="session")
+def swaying() -> Callable[[jax.Array], jax.Array]:
+    """A policy that moves the legs by what it sees, and soon falls."""
+    weights = 0.1 * jax.random.normal(jax.random.PRNGKey(1), (47, 12))
+    return jax.tree_util.Partial(lambda w, seen: jnp.tanh(seen @ w), weights)
