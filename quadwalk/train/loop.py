@@ -47,15 +47,12 @@ def train(config: TrainConfig) -> Run | None:
         if training.run is not None:
             keeper = stack.enter_context(Keeper(training, training.run, progress.message))
         state, steps, seconds = training.state, training.steps, training.seconds
-        saved, well = steps, True
+        tried = steps  # when it was last tried to save
 
-        def save() -> None:
-            nonlocal saved, well
+        def save() -> bool:
             progress.phase("saving")
             whole = distributed.gathered(state)
-            well = keeper.save(whole, steps, seconds) if keeper else True
-            saved = steps
-            progress.phase("training")
+            return keeper.save(whole, steps, seconds) if keeper else True
 
         progress.phase("training")
         began = time.monotonic() - seconds
@@ -72,13 +69,17 @@ def train(config: TrainConfig) -> Run | None:
                 keeper.row(row, {"time/elapsed": seconds, "time/steps_per_second": steps / seconds})
                 keeper.suspect(numbers["suspect"], steps)
             if not numbers["learner/finite"]:
+                if keeper:
+                    keeper.draw()
                 raise UserError(_lost(keeper, steps))
-            if steps - saved >= config.checkpoint_steps:
+            if steps - tried >= config.checkpoint_steps and steps < config.steps:
                 save()
+                tried = steps
+                progress.phase("training")
             if keeper and time.monotonic() - drawn > CURVE_SECONDS:
                 keeper.draw()
                 drawn = time.monotonic()
-        save()
+        well = save()
         if keeper:
             keeper.draw()
     if keeper is None:
