@@ -1,6 +1,5 @@
 """Steps that gave no number: kept in the run, and replayed."""
 
-
 import mujoco
 import numpy as np
 import pytest

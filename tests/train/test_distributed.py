@@ -1,0 +1,116 @@
+"""Several processes that share a training, on this machine."""
+
+import os
+import signal
+import socket
+import time
+
+import pytest
+
+from quadwalk.errors import UsageError
+from quadwalk.train.__main__ import parse_config
+from quadwalk.train.log import read_metrics
+from quadwalk.train.run import Run, list_checkpoints
+
+ITERATIONS = 24
+
+
+def shared(number: int, count: int, port: int) -> list[str]:
+    """Flags of process `number` of `count`."""
+    values = {"coordinator": f"127.0.0.1:{port}", "processes": count, "process": number}
+    return [f"--distributed.{name}={value}" for name, value in values.items()]
+
+
+@pytest.fixture
+def port() -> int:
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        return free.getsockname()[1]
+
+
+@pytest.fixture
+def pair(start, tmp_path, port):
+    """Two processes with the same flags, and what they say, in order."""
+
+    def begin(*flags: str):
+        outputs = [tmp_path / f"output{number}" for number in (0, 1)]
+        return [
+            start(output, *flags, *shared(number, 2, port)) for number, output in enumerate(outputs)
+        ], outputs
+
+    return begin
+
+
+def join(processes, outputs) -> None:
+    for process, output in zip(processes, outputs, strict=True):
+        process.join(200)
+        assert process.exitcode == 0, output.read_text()
+
+
+def test_two_processes_learn_what_one_with_two_devices_does(
+    pair, tmp_path, flags, same_result, train
+):
+    # Bit for bit: a mean over two devices is one addition, which does not care for the order.
+    now_and_then = "--checkpoint-steps=640"
+    train(*flags(tmp_path, "alone", ITERATIONS, now_and_then))
+    processes, outputs = pair(*flags(tmp_path, "shared", ITERATIONS, now_and_then))
+    join(processes, outputs)
+    same_result(tmp_path / "shared", tmp_path / "alone")
+    assert "policy" in outputs[0].read_text()
+    assert "policy" not in outputs[1].read_text()
+    # As if they had been killed after the checkpoint before.
+    list_checkpoints(Run(tmp_path / "shared"))[-1].unlink()
+    processes, outputs = pair(f"--runs={tmp_path}", "--resume=shared")
+    join(processes, outputs)
+    assert "going on from" in outputs[0].read_text()
+    same_result(tmp_path / "shared", tmp_path / "alone")
+
+
+def test_one_that_is_told_to_stop_stops_both(pair, tmp_path, flags):
+    processes, outputs = pair(*flags(tmp_path, "long", 1_000_000))
+    metrics = tmp_path / "long" / "metrics.jsonl"
+    while not (metrics.exists() and metrics.stat().st_size):
+        assert processes[0].is_alive(), outputs[0].read_text()
+        time.sleep(0.05)
+    os.kill(processes[1].pid, signal.SIGINT)
+    join(processes, outputs)
+    steps = read_metrics(Run(metrics.parent))[-1]["steps"]
+    assert f"stopped after {steps:,} of" in outputs[0].read_text()
+    assert Run(metrics.parent).checkpoint(steps).exists()
+
+
+def test_processes_that_differ_or_cannot_begin_all_say_so(start, tmp_path, flags, port):
+    (tmp_path / "taken").mkdir()
+    (tmp_path / "taken" / "file").write_text("")
+    for name, seeds, expected in (
+        ("a", (0, 1), ("different settings", "different settings")),
+        ("taken", (0, 0), ("run 'taken' exists", "another process could not begin")),
+    ):
+        outputs = [tmp_path / f"{name}{number}" for number in (0, 1)]
+        processes = [
+            start(output, *flags(tmp_path, name, 5, f"--seed={seed}"), *shared(number, 2, port))
+            for number, (output, seed) in enumerate(zip(outputs, seeds, strict=True))
+        ]
+        for process, output, part in zip(processes, outputs, expected, strict=True):
+            process.join(100)
+            errors = [line for line in output.read_text().splitlines() if "error" in line]
+            assert len(errors) == 1, output.read_text()
+            assert part in errors[0]
+            assert process.exitcode in (1, 2)
+
+
+@pytest.mark.parametrize(
+    ("flags", "named"),
+    [
+        (["--distributed.processes=2"], "--distributed.coordinator"),
+        (["--distributed.process=1"], "--distributed.coordinator"),
+        (["--distributed.coordinator=here", "--distributed.processes=2"], "HOST:PORT"),
+        (["--distributed.coordinator=here:0", "--distributed.processes=2"], "HOST:PORT"),
+        (["--distributed.coordinator=a:1", "--distributed.processes=0"], "--distributed.processes"),
+        (["--distributed.coordinator=a:1", "--distributed.process=1"], "--distributed.process"),
+    ],
+)
+def test_flags_that_make_no_sense_are_named(flags, named):
+    with pytest.raises(UsageError) as caught:
+        parse_config(flags)
+    assert named in str(caught.value)
