@@ -394,7 +394,7 @@ def test_memory_does_not_grow_with_the_episode(trot, quadruped, tmp_path):
             tracemalloc.stop()
 
     # Both are longer than a block of rows and a chunk of the file.
-    assert peak(12) < 1.25 * peak(4)
+    assert peak(30) < 1.25 * peak(3)
 
 
 # Whole or absent

@@ -132,8 +132,8 @@ def model_of(env, quadruped, friction, mass) -> mujoco.MjModel:
     return model
 
 
-# m/s and rad/s after one control step, as between the engines in tests/env.
-TOLERANCE = 2e-2
+# m/s and rad/s after one control step: single precision (measured: 7e-5 at most).
+TOLERANCE = 1e-3
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -157,7 +157,7 @@ def test_mujoco_agrees_on_each_perturbation(name, recorded, env, quadruped):
         pushed = np.reshape(sides, (-1, PERIOD)) > 0
         assert pushed.sum(axis=1).tolist() == [1] * (STEPS // PERIOD)
     # And each perturbation is more than what the engines differ by.
-    assert (max(without) > 5 * TOLERANCE) == (name != "none")
+    assert (max(without) > 100 * TOLERANCE) == (name != "none")
 
 
 def test_a_varied_model_is_what_mujoco_derives(env, quadruped):

@@ -1,0 +1,150 @@
+"""What is asked for on the command line and cannot be: one line each, before anything is done."""
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from quadwalk.cli import parse
+from quadwalk.errors import UsageError, UserError
+from quadwalk.evaluate.config import EvalConfig
+from quadwalk.evaluate.evaluation import evaluate
+from quadwalk.evaluate.provenance import revision
+from quadwalk.evaluate.view import check_screen
+
+
+@pytest.fixture
+def runs(tmp_path) -> Path:
+    """A folder of two runs that hold nothing yet."""
+    for name in ("first", "second"):
+        (tmp_path / name / "checkpoints").mkdir(parents=True)
+    return tmp_path
+
+
+def said(runs: Path, *args: str) -> str:
+    """The error of these arguments."""
+    with pytest.raises(UserError) as caught:
+        evaluate(parse(EvalConfig, [*args, f"--runs={runs}"], "eval.py"))
+    assert "\n" not in str(caught.value)
+    assert (caught.type, caught.value.exit_status) in ((UsageError, 2), (UserError, 1))
+    return f"{caught.value.exit_status}: {caught.value}"
+
+
+@pytest.mark.parametrize(
+    ("args", "expected"),
+    [
+        (["nobody"], "2: no run 'nobody': expected 'latest', a path, or one in "),
+        (["first", "nobody"], "2: no run 'nobody'"),
+        (["first", "first"], "2: 'first' and 'first' are the same run, "),
+        (["second", "first", "latest"], "are the same run, "),
+        (["--episodes=0"], "2: --episodes is 0; expected 1 or more"),
+        (["--episodes=many"], "2: Error parsing --episodes"),
+        (["--seconds=0"], "2: --seconds is 0.0; expected more than 0, up to 3600"),
+        (["--seconds=nan"], "2: --seconds is nan"),
+        (["--engine=ode"], "2: --engine is 'ode'; expected mjx or mujoco"),
+        (["--mcap=-1"], "2: --mcap is -1; expected 0 or more"),
+        (["--seed=-1"], "2: --seed is -1; expected 0 to "),
+        (["--video=avi"], "2: invalid choice 'avi' for argument '--video'"),
+        (["first", "second", "--sweep"], "2: --sweep takes one run; 2 are named"),
+        (["first", "second", "--view"], "2: --view shows one run; 2 are named"),
+        (["--sweep", "--engine=mujoco"], "2: --engine mujoco cannot be given with --sweep"),
+        (["--sweep", "--mcap=1"], "2: --mcap cannot be given with --sweep"),
+        (["--sweep", "--video=gif"], "2: --video cannot be given with --sweep"),
+        (["--sweep", "--view"], "2: --view cannot be given with --sweep"),
+        (["--swep"], "2: Unrecognized options: --swep"),
+    ],
+)
+def test_what_cannot_be_asked_is_one_line(runs, args, expected):
+    assert expected in said(runs, *args)
+
+
+def test_a_run_by_its_path_and_by_its_name_is_one_run(runs):
+    assert "are the same run" in said(runs, "first", str(runs / "second" / ".." / "first"))
+
+
+def test_no_run_at_all(tmp_path):
+    assert said(tmp_path / "none") == f"2: no run in {tmp_path / 'none'} yet: train one first"
+
+
+@pytest.mark.parametrize("args", [[], ["--sweep"], ["second"]])
+def test_a_folder_that_cannot_be_written_is_told_before_the_simulation(runs, args):
+    (runs / "file").write_text("")
+    line = said(runs, "first", *args, f"--out={runs / 'file' / 'out'}")
+    assert line == f"1: cannot write results to the folder {runs / 'file' / 'out'}: Not a directory"
+
+
+def test_a_folder_that_takes_no_file(runs, monkeypatch):
+    def full(*_, **__):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("tempfile.NamedTemporaryFile", full)
+    line = said(runs, "first", f"--out={runs / 'out'}")
+    assert line == f"1: cannot write results to the folder {runs / 'out'}: No space left on device"
+
+
+def test_the_command_ends_with_the_errors_status(runs):
+    command = [sys.executable, "-m", "quadwalk.evaluate", "nobody", f"--runs={runs}"]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.startswith("error: no run 'nobody'")
+    assert done.stderr.count("\n") == 1
+
+
+# A screen
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere there is always a screen")
+@pytest.mark.parametrize(
+    ("variables", "reason"),
+    [
+        ({}, "neither DISPLAY nor WAYLAND_DISPLAY is set"),
+        ({"DISPLAY": ":0", "MUJOCO_GL": "osmesa"}, "MUJOCO_GL is osmesa, which has no window"),
+        ({"DISPLAY": ":4567"}, "display :4567"),
+    ],
+)
+def test_without_a_screen_one_line_says_so(monkeypatch, variables, reason):
+    for name in ("DISPLAY", "WAYLAND_DISPLAY", "MUJOCO_GL"):
+        monkeypatch.delenv(name, raising=False)
+    for name, value in variables.items():
+        monkeypatch.setenv(name, value)
+    with pytest.raises(UserError) as caught:
+        check_screen()
+    line = str(caught.value)
+    assert line.startswith("cannot --view: ")
+    assert reason in line
+    assert "\n" not in line
+
+
+# The revision
+
+
+def git(folder: Path, *args: str) -> str:
+    command = ["git", "-C", str(folder), "-c", "user.name=a", "-c", "user.email=b", *args]
+    return subprocess.run(command, check=True, capture_output=True, text=True).stdout.strip()
+
+
+@pytest.mark.skipif(shutil.which("git") is None, reason="needs git")
+def test_the_revision_is_the_checkouts_commit(tmp_path):
+    git(tmp_path, "init", "-q")
+    assert revision(tmp_path).startswith("quadwalk ")  # nothing committed yet
+    (tmp_path / "a").write_text("1")
+    git(tmp_path, "add", "a")
+    git(tmp_path, "commit", "-q", "-m", "first")
+    commit = git(tmp_path, "rev-parse", "HEAD")
+    assert revision(tmp_path) == f"git {commit}"
+    git(tmp_path, "tag", "v1")
+    assert revision(tmp_path) == f"git {commit}"
+    (tmp_path / "a").write_text("2")
+    assert revision(tmp_path) == f"git {commit}-dirty"
+
+
+def test_without_git_or_a_checkout_the_version_stands_for_it(tmp_path, monkeypatch):
+    inside = tmp_path / "package"  # of another project's checkout
+    inside.mkdir()
+    (tmp_path / ".git").mkdir()
+    assert revision(inside).startswith("quadwalk ")
+    assert revision(tmp_path).startswith("quadwalk ")  # not a valid one
+    monkeypatch.setenv("PATH", str(inside))
+    assert revision().startswith("quadwalk ")

@@ -1,0 +1,248 @@
+"""Runs judged, compared, judged by two engines, and swept, with a policy of a few numbers."""
+
+import dataclasses
+import gzip
+import io
+import json
+
+import jax
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from PIL import Image
+from rich.console import Console
+
+from quadwalk.env.config import EnvConfig
+from quadwalk.env.quadruped import QuadrupedEnv
+from quadwalk.errors import UserError
+from quadwalk.evaluate import subject as loading
+from quadwalk.evaluate import sweep as sweeping
+from quadwalk.evaluate.comparison import compare
+from quadwalk.evaluate.config import EvalConfig
+from quadwalk.evaluate.engines import engine_differences
+from quadwalk.evaluate.foot_force import with_foot_forces
+from quadwalk.evaluate.judge import judge
+from quadwalk.evaluate.simulate import simulate_episodes
+from quadwalk.evaluate.statistics import mean_interval
+from quadwalk.evaluate.subject import Subject, load_subject
+from quadwalk.evaluate.summary import episode_figures, summarise
+from quadwalk.evaluate.sweep import SWEEPS, Point, measure_points, sweep
+from quadwalk.robot.mjcf import write_xml
+from quadwalk.train.config import TrainConfig
+from quadwalk.train.policy import Policy
+from quadwalk.train.run import Run
+
+EPISODES, SECONDS = 4, 0.5
+
+
+@pytest.fixture(scope="module")
+def subject(quadruped, swaying, tmp_path_factory) -> Subject:
+    folder = tmp_path_factory.mktemp("runs") / "swaying"
+    folder.mkdir()
+    (folder / "policy.npz").write_bytes(b"weights")
+    (folder / "config.json").write_bytes(b'{"seed": 0}')
+    (folder / "robot.urdf").write_text(quadruped.urdf)
+    # With a solver that converges, programs compiled apart stay close to each other.
+    short = EnvConfig(episode_seconds=SECONDS, solver_iterations=10)
+    config, env = TrainConfig(), QuadrupedEnv(quadruped, short)
+    policy = Policy(swaying, config, quadruped.joints, env.observation_size, 1000)
+    return Subject(Run(folder), policy, env)
+
+
+@pytest.fixture(scope="module")
+def rollouts(subject):
+    """Ordinary episodes, in MJX."""
+    return simulate_episodes(subject.env, subject.policy.act, EPISODES, seed=1)
+
+
+@pytest.fixture(scope="module")
+def judged(subject, tmp_path_factory):
+    """Of the second engine: what was returned, the folder, and what was said."""
+    out, said = tmp_path_factory.mktemp("judged"), io.StringIO()
+    config = EvalConfig(
+        episodes=EPISODES, seconds=SECONDS, engine="mujoco", seed=1, mcap=1, video="none"
+    )
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("COLUMNS", "120")
+        results = judge(subject, config, out, Console(file=said, width=200))
+    return results, out, said.getvalue()
+
+
+def test_both_engines_are_judged_from_the_same_starts(judged, rollouts, subject):
+    results, out, _ = judged
+    assert json.loads((out / "metrics.json").read_text()) == results
+    assert (results["engine"], results["seed"]) == ("mujoco", 1)
+    # The same seed has given the same episodes, bit for bit.
+    scales = subject.env.config.reward
+    first = [episode_figures(rollout, scales) for rollout in rollouts]
+    assert results["mjx_summary"] == summarise(first)
+    assert results["summary"] != results["mjx_summary"]
+    speeds = [[episode["speed"] for episode in of] for of in (first, results["episodes"])]
+    np.testing.assert_allclose(*speeds, atol=0.1)  # m/s: half a second after the same start
+    change = np.mean(speeds[1]) - np.mean(speeds[0])
+    difference = results["difference_to_mjx"]["speed"]
+    assert difference["difference"] == pytest.approx(change)
+    assert difference["percent"] == pytest.approx(100 * change / abs(np.mean(speeds[0])))
+
+
+def test_differences_of_what_is_not_there_or_zero():
+    figure = {"mean": 2.0}
+    names = ("speed", "distance", "sideways", "heading", "duration", "energy_per_metre", "reward")
+    mjx = {**dict.fromkeys(names, figure), "fall_rate": 0.0, "energy_per_metre": None}
+    mujoco = {**{name: {"mean": 1.5} for name in names}, "fall_rate": 0.25}
+    found = engine_differences(mjx, mujoco)
+    assert found["fall_rate"] == {"difference": 0.25, "percent": None}
+    assert found["energy_per_metre"] == {"difference": None, "percent": None}
+    assert found["speed"] == {"difference": -0.5, "percent": -25.0}
+
+
+def test_only_what_is_asked_for_is_recorded(judged, subject, quadruped):
+    results, out, said = judged
+    names = {path.name for path in out.iterdir()}
+    assert names - {"film_strip.png"} == {"metrics.json", "report.png", "episode_000.mcap"}
+    assert "1 MCAP files" in said
+    with open(out / "episode_000.mcap", "rb") as stream:
+        reader = make_reader(stream, validate_crcs=True)
+        record = next(m.metadata for m in reader.iter_metadata() if m.name == "quadwalk")
+        attached = {a.name: a.data for a in reader.iter_attachments()}
+    for name in ("run", "engine", "policy_sha256", "revision"):
+        assert record[name] == results[name]
+    assert json.loads(record["versions"])["mujoco"]
+    assert json.loads(record["config"])["seed"] == 0
+    assert attached["config.json"] == b'{"seed": 0}'
+    assert {"aliengo.urdf.gz", "aliengo.xml.gz", "foxglove_layout.json"} <= attached.keys()
+    assert gzip.decompress(attached["aliengo.xml.gz"]).decode() == write_xml(quadruped.spec)
+
+
+def test_feet_carry_the_robot(rollouts, subject):
+    with_forces = with_foot_forces(rollouts[0], subject.env, "mjx")
+    assert rollouts[0].foot_force is None
+    force = with_forces.foot_force
+    # A foot that does not touch the floor carries nothing, and over time they carry the weight.
+    np.testing.assert_array_equal(force[~rollouts[0].contact.astype(bool)] < 1.0, True)
+    assert force.sum(axis=1).mean() == pytest.approx(subject.env.robot.weight, rel=0.35)
+
+
+# Comparing
+
+
+def test_runs_side_by_side(judged, tmp_path, monkeypatch, capsys):
+    results, _, _ = judged
+    other = json.loads(json.dumps(results))
+    for episode in other["episodes"]:
+        episode["speed"] += 1.0
+        episode["fell"] = False
+    del other["episodes"][0]["reward/yaw"]  # trained without that term
+    for episode in other["episodes"]:
+        episode.pop("reward/yaw", None)
+    other["summary"] = summarise(other["episodes"])
+    monkeypatch.setenv("COLUMNS", "120")
+    folders = [tmp_path / "first", tmp_path / "second"]
+    comparison = compare(["first", "second"], folders, [results, other], tmp_path, Console())
+    assert json.loads((tmp_path / "comparison.json").read_text()) == comparison
+    means = [run["summary"]["speed"]["mean"] for run in comparison["runs"]]
+    assert means[1] == pytest.approx(means[0] + 1.0)
+    table = capsys.readouterr().out
+    (line,) = [line for line in table.splitlines() if "speed along x" in line]
+    assert [f"{mean:.3f} ±" in line for mean in means] == [True, True]
+    (line,) = [line for line in table.splitlines() if "  yaw" in line]
+    assert "│ - │" in " ".join(line.split())
+    picture = np.asarray(Image.open(tmp_path / "comparison.png").convert("L"))
+    assert picture.shape == (900, 1500)
+    assert picture.std() > 10
+
+
+# Sweeping
+
+
+def test_without_perturbation_a_sweep_measures_what_an_evaluation_does(
+    rollouts, subject, monkeypatch
+):
+    points = [Point(), Point(strength=80.0), Point(delay=40.0)]
+    outcome, start = sweeping._simulate(subject, points, EPISODES, 1, None)
+    x = np.asarray(outcome.x)
+    for k, rollout in enumerate(rollouts):
+        assert start[k] == rollout.qpos[0, 0]
+        assert np.argmax(outcome.end[:, k] > 0) + 1 == rollout.steps
+        np.testing.assert_allclose(x[: rollout.steps, k], rollout.qpos[1:, 0], atol=1e-4)
+    plain, weak, late = (x[:25, k * EPISODES : (k + 1) * EPISODES] for k in range(3))
+    assert np.abs(weak - plain).max() > 1e-2
+    assert np.abs(late - plain).max() > 1e-2
+
+    monkeypatch.setattr(sweeping, "_simulate", lambda *_: (outcome, start))
+    measured = measure_points(subject, points, EPISODES, 1)[0]
+    fell = np.mean([rollout.fell for rollout in rollouts])
+    assert measured["success"] == 1 - fell
+    speeds = [
+        (rollout.qpos[-1, 0] - rollout.qpos[0, 0]) / (rollout.steps * 0.02) for rollout in rollouts
+    ]
+    mean, half_width = mean_interval(speeds)
+    assert measured["speed"]["mean"] == pytest.approx(mean, abs=2e-4)
+    assert measured["speed"]["ci95"] == pytest.approx(half_width, abs=1e-3)
+
+
+@pytest.fixture(scope="module")
+def swept(subject, tmp_path_factory):
+    """A whole sweep, its episodes made up: success and speed of each point by its values."""
+
+    def made_up(_, points, episodes, *rest):
+        return [
+            {
+                "success": max(0.0, 1 - 0.5 * point.push - 0.02 * point.delay),
+                "success_ci95": [0.0, 1.0],
+                "speed": {"mean": 3.0 - point.push + (point.friction or 0), "ci95": 0.1},
+            }
+            for point in points
+        ]
+
+    out, said = tmp_path_factory.mktemp("swept"), io.StringIO()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sweeping, "measure_points", made_up)
+        config = EvalConfig(sweep=True, seconds=SECONDS)
+        return sweep(subject, config, out, Console(file=said)), out
+
+
+def test_a_sweep_is_a_table_of_one_thing_at_a_time(swept):
+    results, out = swept
+    assert json.loads((out / "sweep.json").read_text()) == results
+    assert list(results["sweeps"]) == list(SWEEPS)
+    for name, sweep_of in results["sweeps"].items():
+        values = [point["value"] for point in sweep_of["points"]]
+        assert values == sorted(values) == list(SWEEPS[name][2])
+        assert sweep_of["nominal"] in values
+        (nominal,) = [p for p in sweep_of["points"] if p["value"] == sweep_of["nominal"]]
+        assert {k: v for k, v in nominal.items() if k != "value"} == results["nominal"]
+    pushes = results["sweeps"]["push"]["points"]
+    assert [p["speed"]["mean"] for p in pushes] == [3.8 - p["value"] for p in pushes]
+    spans = {name: (of[2][0], of[2][-1]) for name, of in SWEEPS.items()}
+    assert spans == {
+        "friction": (0.3, 1.2),
+        "mass": (-2.0, 5.0),
+        "strength": (80.0, 110.0),
+        "delay": (0.0, 40.0),
+        "push": (0.0, 1.5),
+        "noise": (0.0, 2.0),
+    }
+
+
+def test_a_sweep_is_a_picture(swept):
+    picture = np.asarray(Image.open(swept[1] / "sweep.png").convert("L"))
+    assert picture.shape == (900, 1600)
+    assert picture.std() > 10
+
+
+# What cannot be
+
+
+def test_a_policy_of_another_robot_is_one_line(subject, monkeypatch):
+    joints = tuple(f"{name}_of_another" for name in subject.policy.joints)
+    policies = [
+        dataclasses.replace(subject.policy, joints=joints),
+        dataclasses.replace(subject.policy, observation_size=48),
+    ]
+    for policy in policies:
+        monkeypatch.setattr(loading, "load_policy", lambda path, policy=policy: policy)
+        with pytest.raises(UserError, match="was trained on another robot than") as caught:
+            load_subject(subject.run, SECONDS)
+        assert "\n" not in str(caught.value)
+    assert jax.tree.leaves(subject.policy.act)  # its weights are arguments, not constants
