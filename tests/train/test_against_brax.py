@@ -19,7 +19,7 @@ from brax.training import distribution, gradients
 from jax.sharding import NamedSharding
 from jax.sharding import PartitionSpec as P
 
-from benchmarks.against_brax import compare, learning_curves, params_of, train_with_brax
+from benchmarks.brax_training import compare, learning_curves, params_of, train_with_brax
 from quadwalk.env.config import EnvConfig
 from quadwalk.train import ppo
 from quadwalk.train.config import PPOConfig

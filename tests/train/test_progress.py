@@ -289,3 +289,23 @@ def test_every_number_has_a_short_text(value):
     for show in (text.number, text.percent, text.quantity):
         assert show(value)
     assert len(text.number(value)) <= 7
+
+
+def test_the_bar_and_the_time_left_follow_whichever_ends_first(monkeypatch):
+    clock = 100.0
+    monkeypatch.setattr(time, "monotonic", lambda: clock)
+    state = State(10_000, 0, ends=160.0)
+    state.begin("loading", None)
+    clock = 110.0
+    assert state.seconds_left == pytest.approx(50.0)  # the steps' rate is not known yet
+    state.begin("training", None)
+    state.update(1000, {}, 5.0)  # 200 steps/s: 45 s more
+    assert state.seconds_left == pytest.approx(45.0)
+    assert state.fraction == pytest.approx(0.1)
+    clock = 130.0
+    state.update(2000, {}, 25.0)  # 80 steps/s: 100 s more, and 30 s to the limit
+    assert state.seconds_left == pytest.approx(30.0)
+    assert state.fraction == pytest.approx(0.5)
+    clock = 170.0
+    assert state.seconds_left == 0.0
+    assert state.fraction == 1.0

@@ -8,6 +8,7 @@ import subprocess
 import time
 from pathlib import Path
 
+import crash
 import pytest
 import toy
 
@@ -16,7 +17,13 @@ from quadwalk.train import checkpoint
 from quadwalk.train.config import PPOConfig
 from quadwalk.train.log import read_metrics
 from quadwalk.train.policy import load_policy
-from quadwalk.train.run import Run, latest_checkpoint, list_checkpoints
+from quadwalk.train.run import (
+    Run,
+    clean,
+    create_run,
+    latest_checkpoint,
+    list_checkpoints,
+)
 
 ITERATIONS = 60
 OFTEN = "--checkpoint-steps=128"  # after every second iteration
@@ -68,6 +75,35 @@ def test_a_run_killed_again_and_again_ends_as_if_it_never_was(
         arguments = [f"--runs={tmp_path}", "--resume=killed"]
     assert kills >= 4
     same_result(run, whole)
+
+
+def test_a_death_at_any_moment_of_saving_leaves_what_was_saved(tmp_path, processes):
+    sound = create_run(tmp_path, "sound")
+    crash.save(sound.path, 0, 30)
+    for moment in range(1, 200):
+        run = Run(tmp_path / f"died-{moment}")
+        shutil.copytree(sound.path, run.path)
+        process = processes.Process(target=crash.save, args=(run.path, 30, 40, moment))
+        process.start()
+        process.join(60)
+        last = latest_checkpoint(run, pytest.fail)  # none is damaged
+        leaves, metadata = checkpoint.load(last, "checkpoint")
+        steps = metadata["steps"]
+        assert steps in (30, 40)
+        assert set(leaves["workers"]) == {steps}
+        rows = [row for row in read_metrics(run) if row["steps"] <= steps]
+        assert [row["x"] for row in rows] == list(range(10, steps + 1, 10))
+        for policy in (run.policy, run.best):
+            arrays, metadata = checkpoint.load(policy, "policy")
+            assert set(arrays["policy/w"]) == {metadata["steps"]}
+            assert metadata["steps"] in (steps, 40)
+        clean(run)
+        assert not list(run.path.rglob("*.part"))
+        if process.exitcode == 0:
+            break
+        assert process.exitcode == -9
+    assert moment > 25
+    assert steps == 40
 
 
 def test_the_checkpoint_before_a_truncated_one_is_gone_on_from(

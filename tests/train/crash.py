@@ -1,0 +1,68 @@
+"""Saving a training, and dying at the n-th thing that it asks the system for."""
+
+import os
+import signal
+import zipfile
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import optax
+from brax.training.acme import running_statistics
+from brax.training.agents.ppo import losses
+
+from quadwalk.train.config import TrainConfig
+from quadwalk.train.ppo import Learner, TrainState
+from quadwalk.train.run import Run
+from quadwalk.train.saving import Keeper
+
+
+def save(folder: Path, first: int, last: int, die_at: int | None = None) -> None:
+    """Go on with the run in `folder` after `first` steps, and save at each of ten up to `last`.
+
+    Each is the best so far, and all of its numbers are those of its steps.
+    """
+    if die_at is not None:
+        _make_mortal(die_at)
+    metrics = SimpleNamespace(score=0.0, state=dict)
+    training = SimpleNamespace(
+        config=TrainConfig(),
+        quadruped=SimpleNamespace(joints=("joint",)),
+        metrics=metrics,
+        steps=first,
+        resumed=first > 0,
+    )
+    with Keeper(training, Run(folder), print) as keeper:
+        for steps in range(first + 10, last + 1, 10):
+            metrics.score = float(steps)
+            keeper.row({"steps": steps, "x": float(steps)}, {"time/elapsed": 1.0})
+            assert keeper.save(_state(steps), steps, 1.0)
+
+
+def _state(steps: int) -> TrainState:
+    value = np.full(3000, steps, np.float32)
+    normalizer = running_statistics.RunningStatisticsState(
+        mean=value, std=value, count=np.zeros(()), summed_variance=value
+    )
+    params = losses.PPONetworkParams(policy={"w": value}, value={"w": value})
+    return TrainState(Learner(params, optax.EmptyState(), normalizer, np.int32(steps)), value)
+
+
+def _make_mortal(die_at: int) -> None:
+    calls = 0
+
+    def mortal(function):
+        def call(*args, **kwargs):
+            nonlocal calls
+            calls += 1
+            if calls == die_at:
+                os.kill(os.getpid(), signal.SIGKILL)
+            return function(*args, **kwargs)
+
+        return call
+
+    for owner, name in (
+        *((os, name) for name in ("fsync", "replace", "write", "ftruncate", "unlink")),
+        (zipfile.ZipFile, "writestr"),
+    ):
+        setattr(owner, name, mortal(getattr(owner, name)))

@@ -1,0 +1,78 @@
+"""Which devices are trained on, and what follows from them."""
+
+import dataclasses
+from types import SimpleNamespace
+
+import pytest
+
+from quadwalk.errors import UsageError
+from quadwalk.train import devices
+from quadwalk.train.config import DistributedConfig, PPOConfig, TrainConfig
+
+
+@pytest.fixture
+def machine(monkeypatch):
+    """Make JAX see other devices than there are."""
+    import jax
+
+    def be(platform: str, count: int, processes: int = 1, cores: int = 4):
+        found = [SimpleNamespace(id=k, process=k * processes // count) for k in range(count)]
+        monkeypatch.setattr(devices, "_prepare", lambda count: None)
+        monkeypatch.setattr(devices, "join", lambda config: None)
+        monkeypatch.setattr(devices, "cpu_cores", lambda: cores)
+        monkeypatch.setattr(jax, "devices", lambda: found)
+        monkeypatch.setattr(
+            jax, "local_devices", lambda process: [d for d in found if d.process == process]
+        )
+        monkeypatch.setattr(jax, "default_backend", lambda: platform)
+
+    return be
+
+
+def test_a_cpu_gets_a_device_for_each_core(machine):
+    machine("cpu", 4)
+    config, found = devices.choose_devices(TrainConfig())
+    assert (config.envs, config.devices, len(found)) == (2048, 4, 4)
+
+
+@pytest.mark.parametrize(("count", "used"), [(1, 1), (2, 2), (3, 2), (8, 8)])
+def test_accelerators_are_all_used_that_can_share_evenly(machine, count, used):
+    machine("gpu", count, cores=64)
+    config, found = devices.choose_devices(TrainConfig())
+    assert (config.envs, config.devices, len(found)) == (8192, used, used)
+
+
+def test_what_is_asked_for_is_what_is_used(machine):
+    machine("gpu", 8)
+    config, found = devices.choose_devices(TrainConfig(envs=512, devices=2))
+    assert (config.envs, config.devices, [d.id for d in found]) == (512, 2, [0, 1])
+
+
+def test_each_process_brings_as_many_devices(machine):
+    machine("gpu", 8, processes=2)
+    pair = DistributedConfig(coordinator="a:1", processes=2)
+    config, found = devices.choose_devices(TrainConfig(devices=4, distributed=pair))
+    assert config.devices == 4
+    assert [(d.process, d.id) for d in found] == [(0, 0), (0, 1), (1, 4), (1, 5)]
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        ({"devices": 16}, "--devices is 16; expected at most the 8 there are"),
+        ({"devices": 3}, "--ppo.judges is 64; expected a multiple of 3, the devices"),
+        ({"envs": 100, "devices": 8}, "--envs is 100; expected a multiple of 32"),
+    ],
+)
+def test_what_cannot_be_shared_is_named(machine, change, named):
+    machine("gpu", 8)
+    with pytest.raises(UsageError) as caught:
+        devices.choose_devices(dataclasses.replace(TrainConfig(ppo=PPOConfig()), **change))
+    assert named in str(caught.value)
+
+
+def test_devices_that_the_processes_cannot_share_are_named(machine):
+    machine("cpu", 4, processes=2)
+    pair = DistributedConfig(coordinator="a:1", processes=2)
+    with pytest.raises(UsageError, match="--devices is 3; expected a multiple of 2"):
+        devices.choose_devices(TrainConfig(devices=3, distributed=pair))
