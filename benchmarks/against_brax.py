@@ -3,10 +3,8 @@
     python benchmarks/against_brax.py [--steps 1500000] [--seeds 3] [--out against_brax.png]
 
 Both start from the same networks and the same measure of the observations, learn with the same
-settings, and are judged alike: the mean action, fresh starts, what each episode brings until it
-ends. What is left to differ is what the loops do: ours bootstraps through a time limit from the
-state after it (Brax's `bootstrap_on_timeout`: from the one before, and scales that too), draws a
-fresh start for each episode (Brax restores the first one), and spreads the episodes' phases.
+settings (`brax_training.py` says what is left to differ), and are judged alike: the mean action,
+fresh starts, what each episode brings until it ends.
 
 Agreement: per seed, the mean over the curve's points (the start apart) is one number; the 99 %
 interval of the difference, ours less Brax's (Student's t, paired, since a seed's start is the same
@@ -14,205 +12,12 @@ for both), holds zero. Its width is printed, since a wide one proves nothing.
 """
 
 import argparse
-import functools
-import time
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING
 
-from quadwalk.env.quiet_mjx import mjx  # noqa: F401  # isort: skip  # else Brax imports it, loudly
+from quadwalk.train.devices import set_up_devices
 
-import jax
-import jax.numpy as jnp
-import numpy as np
-from brax.envs.base import Env, State, Wrapper
-from brax.training.agents.ppo import train as brax_ppo
-from brax.training.agents.ppo.networks import PPONetworks
-
-from quadwalk.train import ppo
-from quadwalk.train.config import PPOConfig
-from quadwalk.train.networks import make_networks, mean_policy
-
-Params = tuple[Any, Any, Any]  # normaliser, policy, value
-
-
-class ForBrax(Wrapper):
-    """An environment of ours under Brax's wrappers, which keep entries of their own in `info`."""
-
-    def reset(self, rng: jax.Array) -> State:
-        state = self.env.reset(rng)
-        return state.replace(info={**state.info, "time_out": jnp.zeros(())})
-
-    def step(self, state: State, action: jax.Array) -> State:
-        after = self.env.step(state, action)
-        time_out = after.info["truncation"]
-        return after.replace(info={**state.info, **after.info, "time_out": time_out})
-
-
-def brax_arguments(config: PPOConfig, envs: int) -> dict[str, Any]:
-    """The arguments of `ppo.train` that mean what `config` does, for `envs` environments."""
-    return {
-        "num_envs": envs,
-        "batch_size": envs // config.minibatches,
-        "num_minibatches": config.minibatches,
-        "num_updates_per_batch": config.epochs,
-        "unroll_length": config.unroll,
-        "learning_rate": config.learning_rate,
-        "learning_rate_schedule": "ADAPTIVE_KL",
-        "learning_rate_schedule_min_lr": config.min_learning_rate,
-        "learning_rate_schedule_max_lr": config.max_learning_rate,
-        "desired_kl": config.desired_kl,
-        "discounting": config.discount,
-        "gae_lambda": config.gae_lambda,
-        "clipping_epsilon": config.clip,
-        "entropy_cost": config.entropy,
-        "vf_loss_coefficient": config.value,
-        "max_grad_norm": config.max_grad_norm,
-        "reward_scaling": config.reward_scale,
-        "normalize_observations": True,
-        "bootstrap_on_timeout": True,
-        "episode_length": 10**6,  # the environment ends its own episodes
-        "run_evals": False,
-        "num_eval_envs": 2,
-    }
-
-
-def train_with_brax(
-    env: Env,
-    networks: PPONetworks,
-    config: PPOConfig,
-    envs: int,
-    start: ppo.Learner,
-    iterations: int,
-    points: int,
-    seed: int,
-    **others: Any,
-) -> list[Params]:
-    """Parameters at the start and after each of `points` equal parts of `iterations`."""
-    kept: list[Params] = []
-    brax_ppo.train(
-        ForBrax(env),
-        num_timesteps=iterations * envs * config.unroll,
-        num_evals=points + 1,
-        network_factory=lambda *args, **kwargs: networks,
-        restore_params=(start.normalizer, start.params.policy, start.params.value),
-        policy_params_fn=lambda steps, make, params: kept.append(jax.device_get(params)),
-        seed=seed,
-        **brax_arguments(config, envs),
-        **others,
-    )
-    return kept
-
-
-def train_with_ours(
-    iterate: Callable[[ppo.TrainState], Any],
-    state: ppo.TrainState,
-    iterations: int,
-    points: int,
-) -> list[Params]:
-    """The same of our loop, `iterate` being one iteration of it."""
-    kept = [params_of(state.learner)]
-    for i in range(1, iterations + 1):
-        state, _ = jax.block_until_ready(iterate(state))
-        if i % (iterations // points) == 0:
-            kept.append(params_of(state.learner))
-    return kept
-
-
-def params_of(learner: ppo.Learner) -> Params:
-    """A learner's normaliser, policy and value parameters, on the host."""
-    return jax.device_get((learner.normalizer, learner.params.policy, learner.params.value))
-
-
-def make_judge(env: Env, networks: PPONetworks, episodes: int) -> Callable[[Params], Any]:
-    """Judges parameters by `episodes` with the mean action.
-
-    Returns reward and speed, summed until an episode ends, over its full length; and the share of
-    episodes that ended by a fall.
-    """
-    steps = env.config.episode_steps
-
-    @jax.jit
-    def judge(params: Params) -> tuple[jax.Array, jax.Array, jax.Array]:
-        policy = mean_policy(networks, params[0], params[1])
-
-        def one_step(carry: Any, _: None) -> Any:
-            state, running = carry
-            after = jax.vmap(env.step)(state, policy(state.obs))
-            gains = jnp.stack([after.reward, after.metrics["speed"], after.metrics["fell"]])
-            return (after, running * (1.0 - after.done)), gains * running
-
-        keys = jax.random.split(jax.random.PRNGKey(12345), episodes)
-        state = jax.vmap(env.reset)(keys)
-        _, gains = jax.lax.scan(one_step, (state, jnp.ones(episodes)), None, length=steps)
-        reward, speed, fell = gains.sum(0).mean(-1)
-        return reward / steps, speed / steps, fell
-
-    return judge
-
-
-class Agreement(NamedTuple):
-    """How two sets of learning curves compare."""
-
-    difference: float  # mean over curve and seeds, ours less Brax's
-    margin: float  # half the width of its 99 % interval
-    largest: float  # difference of the seeds' means at any point, its size
-    gain: float  # of Brax's mean curve from its start to its end, to compare with
-
-    @property
-    def holds(self) -> bool:
-        return abs(self.difference) <= self.margin
-
-
-def compare(ours: np.ndarray, brax: np.ndarray) -> Agreement:
-    """Compare curves (seeds, 1 + points), the first point being the common start."""
-    from scipy import stats
-
-    gaps = (ours - brax)[:, 1:].astype(float)
-    interval = stats.ttest_1samp(gaps.mean(axis=1), 0.0).confidence_interval(0.99)
-    return Agreement(
-        difference=float(gaps.mean()),
-        margin=float(interval.high - interval.low) / 2.0,
-        largest=float(np.abs(gaps.mean(axis=0)).max()),
-        gain=float(brax[:, -1].mean() - brax[:, 0].mean()),
-    )
-
-
-def learning_curves(
-    env: Env,
-    config: PPOConfig,
-    envs: int,
-    iterations: int,
-    points: int,
-    seeds: int,
-    episodes: int,
-    say: Callable[[str], None] = lambda text: None,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Ours and Brax's curves (seeds, 1 + points, 3): reward, speed, falls as `make_judge` tells."""
-    networks = make_networks(config, env.observation_size, env.action_size)
-    mesh = ppo.make_mesh()
-    iterate = ppo.make_iteration(env, networks, config, mesh, iterations)
-    judge = make_judge(env, networks, episodes)
-    curves: tuple[list[Any], list[Any]] = ([], [])
-    for seed in range(seeds):
-        state = ppo.init_state(env, networks, config, mesh, envs, seed)
-        state, _ = jax.block_until_ready(iterate(state))  # measures the observations only
-        start = jax.device_get(state.learner)
-        runs = (
-            functools.partial(train_with_ours, iterate, state, iterations, points),
-            functools.partial(
-                train_with_brax, env, networks, config, envs, start, iterations, points, seed
-            ),
-        )
-        for name, run, curve in zip(("ours", "Brax"), runs, curves, strict=True):
-            began = time.perf_counter()
-            curve.append([np.array(judge(params)) for params in run()])
-            reward, speed, fell = curve[-1][-1]
-            took = time.perf_counter() - began
-            say(
-                f"seed {seed} {name}: in the end {reward:.3f} a step, {speed:.2f} m/s, "
-                f"{fell:.0%} fell; {took:.0f} s"
-            )
-    return np.array(curves[0]), np.array(curves[1])
+if TYPE_CHECKING:
+    import numpy as np
 
 
 def main() -> None:
@@ -223,12 +28,14 @@ def main() -> None:
     parser.add_argument("--points", type=int, default=6, help="points of a curve")
     parser.add_argument("--out", default="against_brax.png")
     options = parser.parse_args()
-    from quadwalk.train.devices import set_up_devices
-
     set_up_devices()
+    import numpy as np
+    from brax_training import compare, learning_curves
+
     from quadwalk.env.config import EnvConfig
     from quadwalk.env.quadruped import QuadrupedEnv
     from quadwalk.robot.quadruped import load_quadruped
+    from quadwalk.train.config import PPOConfig
 
     env = QuadrupedEnv(load_quadruped(), EnvConfig(episode_seconds=10.0))
     config = PPOConfig(final_kl=PPOConfig.desired_kl)  # Brax's stays the same throughout
@@ -259,7 +66,7 @@ def main() -> None:
     print(f"written to {options.out}")
 
 
-def _plot(steps: np.ndarray, ours: np.ndarray, brax: np.ndarray, path: str) -> None:
+def _plot(steps: "np.ndarray", ours: "np.ndarray", brax: "np.ndarray", path: str) -> None:
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(9, 3.5), layout="constrained")
