@@ -1,0 +1,52 @@
+"""The training that `python train.py` does by default, without the run around it."""
+
+import time
+from typing import NamedTuple
+
+from quadwalk.train.config import PPOConfig, TrainConfig
+from quadwalk.train.devices import cpu_cores, device_count, set_up_devices
+
+SUBSTEPS = TrainConfig().env.substeps  # physics steps in a control step
+CONTROL_DT = TrainConfig().env.control_dt  # s
+
+
+class Timed(NamedTuple):
+    """What a stretch of training took."""
+
+    steps: int  # control steps of the environments that are learnt from
+    seconds: float
+
+
+class DefaultTraining:
+    """`envs` environments that learn on all cores this process may use; ready when made."""
+
+    def __init__(self, envs: int, config: PPOConfig | None = None, seed: int = 0) -> None:
+        config = config or PPOConfig()
+        self.devices = device_count(envs, config.minibatches, config.judges, cpu_cores())
+        set_up_devices(self.devices)
+        import quadwalk.env.quiet_mjx  # noqa: F401 - first, else others import MJX, loudly
+        from quadwalk.env.quadruped import QuadrupedEnv
+        from quadwalk.robot.quadruped import load_quadruped
+        from quadwalk.train import ppo
+        from quadwalk.train.networks import make_networks
+
+        env = QuadrupedEnv(load_quadruped(), TrainConfig().env)
+        networks = make_networks(config, env.observation_size, env.action_size)
+        mesh = ppo.make_mesh()
+        self._state = ppo.init_state(env, networks, config, mesh, envs, seed)
+        # Of how many only tells the learning rate's schedule when to settle.
+        self._iterate = ppo.make_iteration(env, networks, config, mesh, iterations=1000)
+        self._batch = envs * config.unroll
+        self.run(0.0)  # compiles, and measures the observations
+        self.run(0.0)
+
+    def run(self, seconds: float) -> Timed:
+        """Train for so long, at least one iteration."""
+        import jax
+
+        began = time.perf_counter()
+        iterations = 0
+        while not iterations or time.perf_counter() - began < seconds:
+            self._state, _ = jax.block_until_ready(self._iterate(self._state))
+            iterations += 1
+        return Timed(iterations * self._batch, time.perf_counter() - began)

@@ -1,0 +1,87 @@
+"""The task of the blog post that quadwalk started from, in PyBullet, as a Gymnasium environment.
+
+Its AlienGo is that of `pybullet_data`; a control step is one physics step of 1/240 s.
+"""
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pybullet
+import pybullet_data
+from pybullet_utils.bullet_client import BulletClient
+
+DT = 1.0 / 240.0  # s, PyBullet's default step
+EPISODE_STEPS = 1000
+START = (0.0, 0.0, 0.4)  # m
+START_POSE = np.tile([0.0, np.pi / 4.0, -np.pi / 2.0], 4)  # rad: hip, thigh, calf
+LOWER = np.tile([-1.2217, -1.0, -2.77507], 4)  # rad, target at action -1
+UPPER = np.tile([1.2217, 1.0, -0.645772], 4)  # rad, target at action 1
+REACH = 0.5  # rad, how far from its joint a target may be
+TORQUE = 44.4  # Nm
+
+
+class PyBulletTask(gymnasium.Env):
+    """Observes base pose and velocity and joint angles and speeds; is rewarded for moving along x.
+
+    The post clears its memory of the joints' last positions only when it is made; here each
+    episode starts with those of its start.
+    """
+
+    observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (37,), np.float32)
+    action_space = gymnasium.spaces.Box(-1.0, 1.0, (12,), np.float32)
+
+    def __init__(self) -> None:
+        self._bullet = BulletClient(pybullet.DIRECT)
+        self._bullet.setAdditionalSearchPath(pybullet_data.getDataPath())
+        self._bullet.setGravity(0.0, 0.0, -9.8)
+        self._bullet.loadURDF("plane.urdf")
+        self._robot = self._bullet.loadURDF("aliengo/aliengo.urdf", START)
+        infos = [
+            self._bullet.getJointInfo(self._robot, i)
+            for i in range(self._bullet.getNumJoints(self._robot))
+        ]
+        self._joints = [info[0] for info in infos if info[2] == pybullet.JOINT_REVOLUTE]
+        assert len(self._joints) == 12
+
+    def reset(self, *, seed: int | None = None, options: Any = None) -> tuple[np.ndarray, dict]:
+        super().reset(seed=seed)
+        self._bullet.resetBasePositionAndOrientation(self._robot, START, (0.0, 0.0, 0.0, 1.0))
+        self._bullet.resetBaseVelocity(self._robot, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+        for joint, angle in zip(self._joints, START_POSE, strict=True):
+            self._bullet.resetJointState(self._robot, joint, angle, 0.0)
+        self._x, self._angles, self._steps = 0.0, START_POSE, 0
+        return self._observe(), {}
+
+    def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict]:
+        target = LOWER + (np.asarray(action, float) + 1.0) / 2.0 * (UPPER - LOWER)
+        target = np.clip(target, self._angles - REACH, self._angles + REACH)
+        self._bullet.setJointMotorControlArray(
+            self._robot,
+            self._joints,
+            pybullet.POSITION_CONTROL,
+            targetPositions=target,
+            forces=[TORQUE] * 12,
+        )
+        self._bullet.stepSimulation()
+        self._steps += 1
+        before_x, before_angles = self._x, self._angles
+        observation = self._observe()
+        self._x, self._angles = float(observation[0]), observation[13:25].astype(float)
+        roll, pitch, yaw = self._bullet.getEulerFromQuaternion(observation[3:7])
+        tilt = max(abs(roll), abs(pitch))
+        reward = (
+            50.0 * (self._x - before_x)
+            - 10.0 * (tilt > np.pi / 4.0)
+            - 0.01 * abs(yaw)
+            - 0.01 * float(np.abs(self._angles - before_angles).sum())
+        )
+        fell = bool(tilt > np.pi / 2.0 or observation[2] < 0.05)
+        return observation, reward, fell, self._steps >= EPISODE_STEPS, {}
+
+    def _observe(self) -> np.ndarray:
+        position, quaternion = self._bullet.getBasePositionAndOrientation(self._robot)
+        linear, angular = self._bullet.getBaseVelocity(self._robot)
+        states = self._bullet.getJointStates(self._robot, self._joints)
+        angles, speeds = [state[0] for state in states], [state[1] for state in states]
+        return np.array([*position, *quaternion, *linear, *angular, *angles, *speeds], np.float32)

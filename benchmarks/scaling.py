@@ -1,0 +1,88 @@
+"""Training rate and peak memory by the number of environments and of CPU cores, as a table.
+
+    python benchmarks/scaling.py [--envs 256 512 ... 8192] [--cores 1 2] [--rounds 3]
+
+Each configuration trains in a process of its own, restricted to its cores, in each round; rounds
+run through them forwards and backwards in turn, so that a machine that drifts does so for all.
+Rates are medians of the rounds, ratios medians of the rounds' ratios. Peak memory is the process's
+largest resident set in any round, compilation included.
+"""
+
+import argparse
+import itertools
+import multiprocessing
+import os
+import resource
+import statistics
+import sys
+from concurrent.futures import ProcessPoolExecutor
+from typing import NamedTuple
+
+from default_training import SUBSTEPS, DefaultTraining
+
+from quadwalk.train.devices import cpu_cores
+
+
+class Result(NamedTuple):
+    rate: float  # control steps per second
+    memory: float  # MB, peak
+    devices: int
+
+
+def measure(envs: int, cores: int, seconds: float) -> Result:
+    """Train with `envs` environments on `cores` cores; must have a process of its own."""
+    if hasattr(os, "sched_setaffinity"):
+        os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[:cores])
+    training = DefaultTraining(envs)
+    took = training.run(seconds)
+    unit = 1 if sys.platform == "darwin" else 1024  # bytes in what getrusage counts in
+    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit / 1e6
+    return Result(took.steps / took.seconds, memory, training.devices)
+
+
+def in_own_process(envs: int, cores: int, seconds: float) -> Result:
+    # Spawned, not forked: nothing of this process's memory counts in the other's.
+    spawn = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(1, mp_context=spawn) as pool:
+        return pool.submit(measure, envs, cores, seconds).result()
+
+
+def main() -> None:
+    everything = cpu_cores()
+    doubling = [2**k for k in range(everything.bit_length()) if 2**k < everything]
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--envs", type=int, nargs="+", default=[2**k for k in range(8, 14)])
+    parser.add_argument("--cores", type=int, nargs="+", default=[*doubling, everything])
+    parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--seconds", type=float, default=15.0, help="of training in a round")
+    options = parser.parse_args()
+
+    grid = list(itertools.product(options.envs, options.cores))
+    results: dict[tuple[int, int], list[Result]] = {key: [] for key in grid}
+    for turn in range(options.rounds):
+        for envs, cores in grid if turn % 2 == 0 else reversed(grid):
+            found = in_own_process(envs, cores, options.seconds)
+            results[envs, cores].append(found)
+            print(
+                f"round {turn + 1}: {envs} environments, {cores} cores: {found.rate:,.0f} steps/s",
+                file=sys.stderr,
+            )
+
+    fewest = options.cores[0]
+    print(
+        f"{'environments':>12} {'cores':>6} {'devices':>8} {'control steps/s':>16} "
+        f"{'physics steps/s':>16} {'peak MB':>9} {f'x {fewest} core':>9}"
+    )
+    for (envs, cores), rounds in results.items():
+        rate = statistics.median(r.rate for r in rounds)
+        memory = max(r.memory for r in rounds)
+        base = results[envs, fewest]
+        ratio = statistics.median(r.rate / b.rate for r, b in zip(rounds, base, strict=True))
+        print(
+            f"{envs:12,} {cores:6} {rounds[0].devices:8} {rate:16,.0f} {rate * SUBSTEPS:16,.0f} "
+            f"{memory:9,.0f} {ratio:9.2f}"
+        )
+
+
+if __name__ == "__main__":
+    main()
