@@ -44,7 +44,8 @@ def train(config: TrainConfig) -> Run | None:
         from quadwalk.train.saving import Keeper
 
         keeper = None
-        if training.run is not None:
+        if training.run is not None and training.claim is not None:
+            stack.enter_context(training.claim)
             keeper = stack.enter_context(Keeper(training, training.run, progress.message))
         state, steps, seconds = training.state, training.steps, training.seconds
         tried = steps  # when it was last tried to save

@@ -21,7 +21,7 @@ import shutil
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 from quadwalk.errors import UsageError, UserError
 from quadwalk.files import replacing, why
@@ -199,6 +199,27 @@ def keep_last(run: Run, count: int, also: Path | None = None) -> None:
     if count < 1:
         raise ValueError("at least one checkpoint is kept")
     _delete(path for path in list_checkpoints(run)[:-count] if path != also)
+
+
+def claim(run: Run) -> BinaryIO:
+    """Take a run for as long as the file returned is open; the system closes it if we are killed.
+
+    Raises `UserError` if another training has it: two would write over each other.
+    """
+    try:
+        file = open(run.metrics, "ab")  # noqa: SIM115 - for the caller to close
+    except OSError as error:
+        raise UserError(f"cannot write {run.metrics}: {why(error)}") from error
+    # Some systems (Windows) and some network file systems know no such claims.
+    with contextlib.suppress(ImportError, OSError):
+        import fcntl
+
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            file.close()
+            raise UserError(f"{run.path} is being trained by another process") from None
+    return file
 
 
 def clean(run: Run) -> None:

@@ -32,6 +32,7 @@ class Keeper:
         self._training = training
         self._warn = warn
         self._refused: dict[str, str] = {}
+        self._told = False  # of steps that gave no finite numbers
         self._log = MetricsLog(run, resume_at=training.steps if training.resumed else None)
         if run.best.exists():
             self._attempt("best", self._read_best)
@@ -48,10 +49,19 @@ class Keeper:
 
     def suspect(self, suspect: Any, steps: int) -> None:
         """Keep a step that gave no number, if the iteration had one."""
-        if suspect.found > 0:
-            training = self._training
-            found = suspect.before, suspect.action, training.model, training.config, steps
-            self._attempt("nan", lambda: nan.keep(self.run, *found))
+        if not suspect.found > 0:
+            return
+        training = self._training
+
+        def keep() -> None:
+            path = nan.keep(
+                self.run, suspect.before, suspect.action, training.model, training.config, steps
+            )
+            if path is not None and not self._told:
+                self._warn(f"a step gave no finite numbers: its episode ended, and {path} keeps it")
+                self._told = True
+
+        self._attempt("nan", keep)
 
     def draw(self) -> None:
         """Draw the learning curve."""

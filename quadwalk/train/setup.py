@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 from quadwalk.robot.quadruped import Quadruped
 from quadwalk.train import distributed
@@ -16,6 +16,7 @@ from quadwalk.train.robot import load_robot, load_run_robot
 from quadwalk.train.run import (
     Run,
     as_json,
+    claim,
     clean,
     create_run,
     find_run,
@@ -36,6 +37,7 @@ class Training:
 
     config: TrainConfig  # with the numbers of devices and environments filled in
     run: Run | None  # None in all processes but the first
+    claim: BinaryIO | None  # holds the run; to be closed at the end
     resumed: bool
     quadruped: Quadruped
     model: "mujoco.MjModel"  # that is stepped
@@ -70,8 +72,8 @@ def prepare(config: TrainConfig, progress: Progress) -> Training:
     networks = make_networks(config.ppo, env.observation_size, env.action_size)
     mesh = ppo.make_mesh(devices)
     main = config.distributed.process == 0
-    run = distributed.together(
-        lambda: _open_run(config, previous, quadruped, progress) if main else None
+    run, claimed = distributed.together(
+        lambda: _open_run(config, previous, quadruped, progress) if main else (None, None)
     )
     progress.message(
         f"{quadruped.name}: {config.envs} environments on {len(devices)} "
@@ -96,7 +98,7 @@ def prepare(config: TrainConfig, progress: Progress) -> Training:
     )
     iterate = program.lower(state).compile()
     return Training(
-        config, run, previous is not None, quadruped, env.mj_model,
+        config, run, claimed, previous is not None, quadruped, env.mj_model,
         metrics, state, steps, seconds, batch, iterate,
     )  # fmt: skip
 
@@ -109,16 +111,18 @@ def _check_processes(config: TrainConfig, quadruped: Quadruped) -> None:
 
 def _open_run(
     config: TrainConfig, previous: Run | None, quadruped: Quadruped, progress: Progress
-) -> Run:
-    """The run to train, made or gone on with."""
+) -> tuple[Run, BinaryIO]:
+    """The run to train, made or gone on with, and the claim to it."""
     settings = {"config": to_dict(config), "versions": versions()}
     if previous is None:
         # The run keeps its own copy: what it learnt stays true to it when the original changes.
         files = {"robot.urdf": quadruped.urdf.encode(), "config.json": as_json(settings)}
-        return create_run(config.runs, config.name, label=config.preset, files=files)
+        run = create_run(config.runs, config.name, label=config.preset, files=files)
+        return run, claim(run)
+    claimed = claim(previous)
     changes = changed_settings(read_config(previous), config)
     clean(previous)
     write_json_atomic(previous.config, settings)
     for change in changes:
         progress.message(f"changed {change}")
-    return previous
+    return previous, claimed

@@ -184,6 +184,14 @@ def test_what_interrupted_saves_left_is_deleted_and_what_an_evaluation_writes_is
     assert run.list_checkpoints(made) == [made.checkpoint(1)]
 
 
+def test_a_run_is_trained_by_one_at_a_time(tmp_path):
+    made = run.create_run(tmp_path, "a")
+    with run.claim(made), pytest.raises(UserError, match="a is being trained by another process"):
+        run.claim(made)
+    run.claim(made).close()
+    assert made.metrics.read_bytes() == b""
+
+
 def test_a_run_appears_with_its_files_or_not_at_all(tmp_path):
     seen = run.create_run(tmp_path, "a", files={"config.json": b"{}", "robot.urdf": b"<robot/>"})
     assert seen.config.read_bytes() == b"{}"
