@@ -1,8 +1,7 @@
-"""Physics steps in MJX. The state carried is what physics needs and no more.
+"""Physics steps in MJX: of any model, and an opinion on those of `legged_physics`.
 
-An `mjx.Data` holds some hundred arrays, most of them results. Carrying only positions, velocities
-and the solver's warm start lets XLA drop every result that nothing reads, keeps memory small, and
-makes a reset a copy of three arrays.
+The state carried is what physics needs and no more. An `mjx.Data` holds some hundred arrays, most
+of them results: XLA drops every one that nothing reads, and a reset is a copy of three arrays.
 """
 
 from typing import NamedTuple
@@ -57,12 +56,3 @@ def simulate(
     start = (physics, Effort(jnp.zeros(12), jnp.zeros(())))
     (physics, effort), _ = jax.lax.scan(substep, start, None, length=config.substeps)
     return physics, effort
-
-
-def place_geoms(model: mjx.Model, qpos: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """World position (ngeom, 3) and rotation (ngeom, 3, 3) of every geom at `qpos`.
-
-    Computed afresh, because after a physics step MuJoCo's own lag one step behind `qpos`.
-    """
-    data = mjx.kinematics(model, mjx.make_data(model).replace(qpos=qpos))
-    return data.geom_xpos, data.geom_xmat.reshape(-1, 3, 3)

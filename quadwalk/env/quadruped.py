@@ -1,4 +1,4 @@
-"""The environment: pure functions of (model, robot, config, state), and the Brax `Env` of them."""
+"""The environment: pure functions of (legged, robot, config, state), and the Brax `Env` of them."""
 
 from typing import Any, NamedTuple
 
@@ -9,13 +9,16 @@ from brax.envs.base import Env, State
 
 from quadwalk.env.actuation import joint_target
 from quadwalk.env.config import EnvConfig
+from quadwalk.env.legged import Legged, legged
+from quadwalk.env.legged_physics import heights, simulate
 from quadwalk.env.observation import observation_names, observe
-from quadwalk.env.physics import Effort, Physics, place_geoms, simulate
+from quadwalk.env.physics import Effort, Physics
+from quadwalk.env.physics import simulate as simulate_in_mjx
 from quadwalk.env.quiet_mjx import mjx
 from quadwalk.env.reset import fresh_start
 from quadwalk.env.reward import Step, active_terms, mean_velocity, reward_terms, total_reward
 from quadwalk.env.robot import RobotArrays, robot_arrays
-from quadwalk.env.termination import REASONS, fall_reasons, lowest_points
+from quadwalk.env.termination import REASONS, fall_reasons
 from quadwalk.robot.quadruped import Quadruped
 
 CONTACT_GAP = 1e-3  # m: a foot closer to the floor than this counts as touching it
@@ -34,9 +37,9 @@ class EnvState(NamedTuple):
     steps: jax.Array  # () int32, control steps since the episode's start
 
 
-def reset(model: mjx.Model, robot: RobotArrays, config: EnvConfig, key: jax.Array) -> State:
+def reset(legged: Legged, robot: RobotArrays, config: EnvConfig, key: jax.Array) -> State:
     """A fresh episode; `key` is a JAX random key."""
-    physics = fresh_start(model, robot, config.reset, key)
+    physics = fresh_start(legged, robot, config.reset, key)
     state = EnvState(physics, jnp.zeros(12), jnp.zeros((), jnp.int32))
     zero = jnp.zeros(())
     return State(
@@ -55,17 +58,17 @@ def reset(model: mjx.Model, robot: RobotArrays, config: EnvConfig, key: jax.Arra
 
 
 def step(
-    model: mjx.Model, robot: RobotArrays, config: EnvConfig, state: State, action: jax.Array
+    legged: Legged, robot: RobotArrays, config: EnvConfig, state: State, action: jax.Array
 ) -> State:
-    """One control step with `action` (12,) in [-1, 1], in MJX."""
+    """One control step with `action` (12,) in [-1, 1]."""
     before: EnvState = state.pipeline_state
     target = joint_target(robot, config.actuation, action)
-    physics, effort = simulate(model, robot, config, before.physics, target)
-    return conclude(model, robot, config, before, action, physics, effort)
+    physics, effort = simulate(legged, robot, config, before.physics, target)
+    return conclude(legged, robot, config, before, action, physics, effort)
 
 
 def conclude(
-    model: mjx.Model,
+    legged: Legged,
     robot: RobotArrays,
     config: EnvConfig,
     before: EnvState,
@@ -83,13 +86,11 @@ def conclude(
     )
     sane = jnp.all(jnp.isfinite(numbers)) & jnp.all(jnp.abs(physics.qvel) < MAX_SPEED)
     action = jnp.where(sane, action, 0.0)
-    home = Physics(jnp.asarray(robot.home, jnp.float32), jnp.zeros(model.nv), jnp.zeros(model.nv))
+    home = Physics(jnp.asarray(robot.home, jnp.float32), jnp.zeros(18), jnp.zeros(18))
     physics = jax.tree.map(lambda x, safe: jnp.where(sane, x, safe), physics, home)
     effort = jax.tree.map(lambda x: jnp.where(sane, x, 0.0), effort)
 
-    position, rotation = place_geoms(model, physics.qpos)
-    shell = robot.shell_geoms
-    lowest = lowest_points(robot, position[shell], rotation[shell])
+    feet, lowest = heights(legged, physics.qpos)
     reasons = fall_reasons(robot, config.termination, physics.qpos, lowest)
     fell = jnp.any(reasons) & sane
     steps = before.steps + 1
@@ -111,7 +112,6 @@ def conclude(
         name: jnp.where(sane, value, 0.0)
         for name, value in reward_terms(robot, config.reward, record).items()
     }
-    contact = position[robot.foot_geoms, 2] - robot.foot_radius < CONTACT_GAP
     return State(
         pipeline_state=EnvState(physics, action, steps),
         obs=observe(robot, physics.qpos, physics.qvel, action),
@@ -123,7 +123,7 @@ def conclude(
             "nan": 1.0 - sane.astype(jnp.float32),
             **{f"reward/{name}": value for name, value in terms.items()},
         },
-        info=_info(end, effort, contact),
+        info=_info(end, effort, feet < CONTACT_GAP),
     )
 
 
@@ -154,14 +154,24 @@ class QuadrupedEnv(Env):
         )
         self.model = mjx.put_model(self.mj_model)
         self.robot = robot_arrays(quadruped, self.mj_model)
+        self.legged = legged(self.mj_model, self.robot)
 
     def reset(self, rng: jax.Array) -> State:
         """A fresh episode."""
-        return reset(self.model, self.robot, self.config, rng)
+        return reset(self.legged, self.robot, self.config, rng)
 
     def step(self, state: State, action: jax.Array) -> State:
         """One control step with `action` (12,) in [-1, 1]."""
-        return step(self.model, self.robot, self.config, state, action)
+        return step(self.legged, self.robot, self.config, state, action)
+
+    def step_in_mjx(self, state: State, action: jax.Array) -> State:
+        """The same control step with the physics left to MJX: slower, to judge and to check by."""
+        before: EnvState = state.pipeline_state
+        target = joint_target(self.robot, self.config.actuation, action)
+        physics, effort = simulate_in_mjx(
+            self.model, self.robot, self.config, before.physics, target
+        )
+        return conclude(self.legged, self.robot, self.config, before, action, physics, effort)
 
     @property
     def observation_size(self) -> int:

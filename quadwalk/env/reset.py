@@ -4,15 +4,14 @@ import jax
 import jax.numpy as jnp
 
 from quadwalk.env.config import ResetConfig
-from quadwalk.env.physics import Physics, place_geoms
-from quadwalk.env.quiet_mjx import mjx
+from quadwalk.env.legged import Legged
+from quadwalk.env.legged_physics import heights
+from quadwalk.env.physics import Physics
 from quadwalk.env.robot import RobotArrays
 from quadwalk.env.rotation import from_euler
 
 
-def fresh_start(
-    model: mjx.Model, robot: RobotArrays, config: ResetConfig, key: jax.Array
-) -> Physics:
+def fresh_start(legged: Legged, robot: RobotArrays, config: ResetConfig, key: jax.Array) -> Physics:
     """A start near the home pose, its lowest foot just on the floor."""
     keys = jax.random.split(key, 4)
     pose = jax.random.uniform(keys[0], (4,), minval=-1.0, maxval=1.0)
@@ -26,11 +25,10 @@ def fresh_start(
     qpos = qpos.at[3:7].set(quat)
     angles = jnp.clip(robot.home_joints + config.joints * joints, robot.lower, robot.upper)
     qpos = qpos.at[7:].set(angles)
-    position, _ = place_geoms(model, qpos)
-    gap = jnp.min(position[robot.foot_geoms, 2] - robot.foot_radius)
-    qpos = qpos.at[2].add(-gap)
+    feet, _ = heights(legged, qpos)
+    qpos = qpos.at[2].add(-jnp.min(feet))
 
-    qvel = jnp.zeros(model.nv).at[:6].set(config.velocity * velocity)
+    qvel = jnp.zeros(18).at[:6].set(config.velocity * velocity)
     qvel = qvel.at[0].add(config.forward * (speed[12] + 1.0) / 2.0)
     qvel = qvel.at[6:].set(config.joint_velocity * speed[:12])
-    return Physics(qpos, qvel, jnp.zeros(model.nv))
+    return Physics(qpos, qvel, jnp.zeros(18))

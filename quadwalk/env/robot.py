@@ -25,8 +25,6 @@ class RobotArrays:
     foot_geoms: np.ndarray  # (4,) geom indices
     foot_radius: np.ndarray  # (4,) m
     shell_geoms: np.ndarray  # (n,) every collision shape of the robot but its feet
-    shell_kind: np.ndarray  # (n,) mjtGeom
-    shell_size: np.ndarray  # (n, 3)
 
     @property
     def home_joints(self) -> np.ndarray:
@@ -61,6 +59,4 @@ def robot_arrays(quadruped: Quadruped, model: mujoco.MjModel) -> RobotArrays:
         foot_geoms=feet,
         foot_radius=model.geom_size[feet, 0],
         shell_geoms=shell,
-        shell_kind=model.geom_type[shell],
-        shell_size=model.geom_size[shell],
     )

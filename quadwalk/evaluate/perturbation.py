@@ -16,6 +16,7 @@ from brax.envs.base import State
 
 from quadwalk.env.actuation import gains, joint_target
 from quadwalk.env.config import EnvConfig
+from quadwalk.env.legged import Legged
 from quadwalk.env.physics import Effort, Physics, simulate
 from quadwalk.env.quadruped import EnvState, conclude
 from quadwalk.env.quiet_mjx import mjx
@@ -84,6 +85,7 @@ def begin(robot: RobotArrays, state: State, key: jax.Array, kept: int) -> Pertur
 
 def perturbed_step(
     model: mjx.Model,
+    legged: Legged,
     robot: RobotArrays,
     config: EnvConfig,
     noise: np.ndarray,
@@ -102,7 +104,7 @@ def perturbed_step(
     kick = perturbation.push * side_of_push(pushes, before.steps, config.control_dt)
     physics = before.physics._replace(qvel=before.physics.qvel.at[1].add(kick))
     physics, effort = _delayed(model, robot, config, perturbation, physics, targets)
-    state = conclude(model, robot, config, before, action, physics, effort)
+    state = conclude(legged, robot, config, before, action, physics, effort)
     return Perturbed(state, targets, episode.key)
 
 

@@ -134,7 +134,7 @@ def _in_mjx(env: QuadrupedEnv, policy: Policy, state: Any, report: Report | None
     def chunk(policy: Policy, state: Any) -> tuple[Any, Frame]:
         def one_step(state: Any, _: None) -> tuple[Any, Frame]:
             action = policy(state.obs)
-            after = jax.vmap(env.step)(state, action)
+            after = jax.vmap(env.step_in_mjx)(state, action)
             return after, _frame(state.obs, action, after)
 
         return jax.lax.scan(one_step, state, None, length=CHUNK)
@@ -165,7 +165,7 @@ def _in_mujoco(env: QuadrupedEnv, policy: Policy, state: Any, report: Report | N
     finish = jax.jit(
         jax.vmap(
             lambda before, action, physics, effort: conclude(
-                env.model, robot, env.config, before, action, physics, effort
+                env.legged, robot, env.config, before, action, physics, effort
             )
         )
     )

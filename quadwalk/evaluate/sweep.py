@@ -167,7 +167,7 @@ def _simulate(
 
     def one_step(leaves: Any, policy: Policy, suffered: Perturbation, episode: Perturbed) -> Any:
         model = jax.tree.unflatten(structure, leaves)
-        return perturbed_step(model, robot, config, noise, policy, suffered, episode)
+        return perturbed_step(model, env.legged, robot, config, noise, policy, suffered, episode)
 
     batched = jax.vmap(one_step, in_axes=(axes, None, 0, 0))
 

@@ -104,11 +104,15 @@ def set_up_devices(count: int | None = None) -> int:
 
 def _prepare(cpu_devices: int) -> None:
     """All that must be said to JAX before it looks for devices."""
-    # XLA kills a process whose devices wait long for each other, as they do when a laptop sleeps.
-    patience = "--xla_cpu_collective_call_terminate_timeout_seconds=86400"
+    wanted = (
+        # XLA kills a process whose devices wait long for each other, as when a laptop sleeps.
+        "--xla_cpu_collective_call_terminate_timeout_seconds=86400",
+        # Its older code generator makes faster loops of our physics (benchmarks/physics.py).
+        "--xla_cpu_use_fusion_emitters=false",
+    )
     flags = os.environ.get("XLA_FLAGS", "")
-    if patience not in flags:
-        os.environ["XLA_FLAGS"] = f"{patience} {flags}".strip()
+    missing = [flag for flag in wanted if flag.partition("=")[0] not in flags]
+    os.environ["XLA_FLAGS"] = " ".join([*missing, flags]).strip()
     # On each cache hit XLA prints a page on "features" that are its own tuning hints. Errors that
     # matter reach Python as exceptions.
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")

@@ -62,8 +62,9 @@ def replay(path: Path | str) -> tuple[np.ndarray, np.ndarray]:
     import jax.numpy as jnp
 
     from quadwalk.env.actuation import joint_target
-    from quadwalk.env.physics import Physics, simulate
-    from quadwalk.env.quiet_mjx import mjx
+    from quadwalk.env.legged import legged
+    from quadwalk.env.legged_physics import simulate
+    from quadwalk.env.physics import Physics
     from quadwalk.env.robot import robot_arrays
     from quadwalk.train.robot import load_run_robot
 
@@ -81,8 +82,8 @@ def replay(path: Path | str) -> tuple[np.ndarray, np.ndarray]:
     target = joint_target(robot, config.env.actuation, action)
     # The target holds for the whole control step, so its physics steps can be taken one by one.
     once = dataclasses.replace(config.env, substeps=1)
-    mjx_model = mjx.put_model(model)
-    step = jax.jit(lambda physics: simulate(mjx_model, robot, once, physics, target)[0])
+    constants = legged(model, robot)
+    step = jax.jit(lambda physics: simulate(constants, robot, once, physics, target)[0])
     course = [physics]
     for _ in range(config.env.substeps):
         course.append(step(course[-1]))

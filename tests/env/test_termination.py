@@ -7,9 +7,9 @@ from mujoco import mjtGeom
 from scipy.spatial.transform import Rotation
 
 from quadwalk.env.config import TerminationConfig
-from quadwalk.env.robot import RobotArrays
+from quadwalk.env.legged import Shell
 from quadwalk.env.rotation import from_euler
-from quadwalk.env.termination import REASONS, fall_reasons, lowest_points
+from quadwalk.env.termination import REASONS, fall_reasons
 
 KINDS = (
     mjtGeom.mjGEOM_SPHERE,
@@ -36,28 +36,22 @@ def surface(kind: mjtGeom, size: np.ndarray, rng: np.random.Generator) -> np.nda
     return signs * size
 
 
-def shell(env, kind, size) -> RobotArrays:
-    """A robot whose only shell shape is this."""
-    fields = {**vars(env.robot)}
-    fields.update(
-        shell_kind=np.array([int(kind)]), shell_size=np.array([size]), shell_geoms=np.array([0])
-    )
-    return RobotArrays(**fields)
-
-
 @settings(max_examples=40, deadline=None)
-@given(st.sampled_from(KINDS), st.integers(0, 2**32 - 1))
-def test_lowest_points_are_those_of_the_surface(env, kind, seed):
+@given(kind=st.sampled_from(KINDS), seed=st.integers(0, 2**32 - 1))
+def test_the_lowest_point_is_that_of_the_surface(kind, seed):
     rng = np.random.default_rng(seed)
     size = rng.uniform(0.02, 0.3, 3)
-    position, rotation = rng.normal(size=3), Rotation.random(rng=rng).as_matrix()
-    world = surface(kind, size, rng) @ rotation.T + position
-    found = lowest_points(shell(env, kind, size), position[None], rotation[None])
-    assert float(found[0]) == pytest.approx(world[:, 2].min(), abs=2e-3)
+    centre, turn = rng.normal(size=3), Rotation.random(rng=rng).as_matrix()
+    up = Rotation.random(rng=rng).as_matrix()[2]  # the world's vertical in the link's frame
+    points = surface(kind, size, rng) @ turn.T + centre
+    shape = Shell(
+        link=None, kind=int(kind), centre=tuple(centre), axes=tuple(map(tuple, turn.T)), size=size
+    )
+    assert float(shape.bottom(tuple(up))) == pytest.approx((points @ up).min(), abs=2e-3)
 
 
 def reasons(env, qpos, lowest=1.0) -> dict[str, bool]:
-    flags = fall_reasons(env.robot, TerminationConfig(), qpos, jnp.array([1.0, lowest]))
+    flags = fall_reasons(env.robot, TerminationConfig(), qpos, jnp.array(lowest))
     return dict(zip(REASONS, np.asarray(flags).tolist(), strict=True))
 
 

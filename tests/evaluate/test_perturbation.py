@@ -70,7 +70,9 @@ def recorded(env, quadruped, swaying):
         model = jax.tree.unflatten(structure, leaves)
 
         def one_step(episode, _):
-            after = perturbed_step(model, env.robot, env.config, noise, swaying, suffered, episode)
+            after = perturbed_step(
+                model, env.legged, env.robot, env.config, noise, swaying, suffered, episode
+            )
             carried = after.state.pipeline_state
             return after, (carried.physics.qpos, carried.physics.qvel, carried.last_action)
 

@@ -1,0 +1,68 @@
+"""Vectors and 3x3 matrices as tuples of their components, each an array over legs and robots.
+
+XLA compiles arithmetic on such components to long loops over robots, with the processor's vector
+instructions; arrays whose last axis is a vector's three components leave most of these idle.
+"""
+
+from typing import Any
+
+Vector = tuple[Any, Any, Any]
+Matrix = tuple[Vector, Vector, Vector]  # rows
+
+
+def add(*vectors: Vector) -> Vector:
+    """The sum of vectors."""
+    x, y, z = (sum(parts[1:], start=parts[0]) for parts in zip(*vectors, strict=True))
+    return x, y, z
+
+
+def subtract(a: Vector, b: Vector) -> Vector:
+    """a - b."""
+    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
+
+
+def scale(factor: Any, a: Vector) -> Vector:
+    """factor * a."""
+    return factor * a[0], factor * a[1], factor * a[2]
+
+
+def dot(a: Vector, b: Vector) -> Any:
+    """The inner product."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def cross(a: Vector, b: Vector) -> Vector:
+    """The cross product."""
+    return (
+        a[1] * b[2] - a[2] * b[1],
+        a[2] * b[0] - a[0] * b[2],
+        a[0] * b[1] - a[1] * b[0],
+    )
+
+
+def transpose(m: Matrix) -> Matrix:
+    """Rows from columns."""
+    x, y, z = zip(*m, strict=True)
+    return x, y, z
+
+
+def apply(m: Matrix, a: Vector) -> Vector:
+    """m a."""
+    return dot(m[0], a), dot(m[1], a), dot(m[2], a)
+
+
+def apply_transposed(m: Matrix, a: Vector) -> Vector:
+    """m^T a."""
+    return apply(transpose(m), a)
+
+
+def multiply(a: Matrix, b: Matrix) -> Matrix:
+    """a b."""
+    columns = transpose(b)
+    x, y, z = (tuple(dot(row, column) for column in columns) for row in a)
+    return x, y, z  # type: ignore[return-value]
+
+
+def legs_sum(a: Any) -> Any:
+    """The sum over legs, the first axis."""
+    return a[0] + a[1] + a[2] + a[3]
