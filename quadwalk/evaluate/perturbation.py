@@ -2,7 +2,7 @@
 
 The step is put together from the environment's own functions: observation, motors, physics,
 termination and reward are those of training. Without perturbation it computes what
-`QuadrupedEnv.step` does.
+`QuadrupedEnv.step_in_mjx` does.
 """
 
 import dataclasses
