@@ -152,7 +152,8 @@ class QuadrupedEnv(Env):
             self.config.solver_iterations,
             self.config.line_search_iterations,
         )
-        self.model = mjx.put_model(self.mj_model)
+        # By default MJX takes the first of all devices, which may be another process's.
+        self.model = mjx.put_model(self.mj_model, device=jax.local_devices()[0])
         self.robot = robot_arrays(quadruped, self.mj_model)
         self.legged = legged(self.mj_model, self.robot)
 

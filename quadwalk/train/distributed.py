@@ -16,6 +16,7 @@ from quadwalk.train.config import DistributedConfig
 
 T = TypeVar("T")
 _PATIENCE = 120  # seconds that the processes may start apart from each other
+_FAREWELL = 30  # seconds that they may end apart: one that failed need not wait for the others long
 
 
 def join(config: DistributedConfig) -> None:
@@ -31,6 +32,7 @@ def join(config: DistributedConfig) -> None:
             config.processes,
             config.process,
             initialization_timeout=_PATIENCE,
+            shutdown_timeout_seconds=_FAREWELL,
         )
     except (RuntimeError, ValueError) as error:
         reason = str(error).splitlines()[0]
