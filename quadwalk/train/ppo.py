@@ -7,6 +7,8 @@ holds the same learner. The learning rate follows the policy's change (KL diverg
 Schulman et al. 2017, section 4, and Rudin et al. 2022, arXiv:2109.11978.
 """
 
+import math
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -143,29 +145,28 @@ def collect(
     judges = config.judges // jax.lax.axis_size(AXIS)
     learners = len(workers.envs.done) - judges
     judging = jnp.arange(learners + judges)[:, None] >= learners
+    key, key_steps, key_reset = jax.random.split(workers.key[0], 3)
+    # As many fresh starts as there are environments, dealt out anew in each step.
+    fresh = reset_envs(env, jax.random.split(key_reset, learners + judges))
 
     def one_step(
-        carry: tuple[State, Suspect], key: jax.Array
-    ) -> tuple[tuple[State, Suspect], tuple[Transition, Metrics]]:
+        carry: tuple[State, Suspect], xs: tuple[jax.Array, jax.Array]
+    ) -> tuple[tuple[State, Suspect], tuple[Transition, jax.Array, Metrics]]:
         envs, suspect = carry
-        key_action, key_reset = jax.random.split(key)
+        key, number = xs
         logits = networks.policy_network.apply(learner.normalizer, policy_params, envs.obs)
-        raw_action = distribution.sample_no_postprocessing(logits, key_action)
+        raw_action = distribution.sample_no_postprocessing(logits, key)
         action = jnp.where(judging, distribution.mode(logits), distribution.postprocess(raw_action))
         after = jax.vmap(env.step)(envs, action)
         suspect = _first(suspect, after.metrics["nan"], envs.pipeline_state, action)
-
-        value_after = networks.value_network.apply(learner.normalizer, value_params, after.obs)
-        reward = config.reward_scale * after.reward
-        reward += config.discount * after.info["truncation"] * value_after
         transition = Transition(
             observation=envs.obs,
             action=action,
-            reward=reward,
+            reward=config.reward_scale * after.reward,
             discount=1.0 - after.done,
             next_observation=None,
             extras={
-                "state_extras": {"truncation": jnp.zeros_like(after.done)},
+                "state_extras": {"truncation": after.info["truncation"]},
                 "policy_extras": {
                     "log_prob": distribution.log_prob(logits, raw_action),
                     "raw_action": raw_action,
@@ -184,19 +185,27 @@ def collect(
             "judge/count/fell": jnp.sum(after.metrics["fell"][learners:]),
         }
         transition = jax.tree.map(lambda x: x[:learners], transition)
-        fresh = reset_envs(env, jax.random.split(key_reset, len(after.done)))
         # Only after a fall at a random step: those that fell together must not end together.
-        late = fresh.pipeline_state.steps * after.metrics["fell"].astype(jnp.int32)
-        fresh = fresh.replace(pipeline_state=fresh.pipeline_state._replace(steps=late))
-        return (_replace_where(after.done, after, fresh), suspect), (transition, metrics)
+        start = jax.tree.map(lambda x: jnp.roll(x, number, axis=0), fresh)
+        late = start.pipeline_state.steps * after.metrics["fell"].astype(jnp.int32)
+        start = start.replace(pipeline_state=start.pipeline_state._replace(steps=late))
+        envs = _replace_where(after.done, after, start)
+        return (envs, suspect), (transition, after.obs[:learners], metrics)
 
-    key, key_steps = jax.random.split(workers.key[0])
     nobody = jax.tree.map(lambda x: jnp.zeros_like(x[0]), workers.envs.pipeline_state)
     suspect = Suspect(jnp.zeros(()), nobody, jnp.zeros(env.action_size))
-    (envs, suspect), (transitions, metrics) = jax.lax.scan(
-        one_step, (workers.envs, suspect), jax.random.split(key_steps, config.unroll)
+    (envs, suspect), (transitions, seen, metrics) = jax.lax.scan(
+        one_step,
+        (workers.envs, suspect),
+        (jax.random.split(key_steps, config.unroll), jnp.arange(config.unroll)),
     )
     suspects = jax.lax.all_gather(suspect, AXIS)
+
+    def value(observation: jax.Array) -> jax.Array:
+        return networks.value_network.apply(learner.normalizer, value_params, observation)
+
+    most = math.ceil(config.unroll / env.config.episode_steps)
+    transitions = _through_time_limits(config, transitions, seen, value, most)
     transitions = jax.tree.map(lambda x: jnp.swapaxes(x, 0, 1), transitions)
     # The loss needs an observation after the last step only, to bootstrap from.
     transitions = transitions._replace(next_observation=envs.obs[:learners, None])
@@ -211,6 +220,30 @@ def collect(
             "suspect": jax.tree.map(lambda x: x[jnp.argmax(suspects.found > 0)], suspects),
         },
     )
+
+
+def _through_time_limits(
+    config: PPOConfig,
+    transitions: Transition,
+    seen: jax.Array,
+    value: Callable[..., jax.Array],
+    most: int,
+) -> Transition:
+    """`transitions` (unroll, envs, ...) with time limits made part of the reward.
+
+    `seen` (unroll, envs, n) is the observation after each step, before any fresh start. An
+    environment meets `most` time limits in an iteration, mostly one, so `value` is asked for as
+    many observations of each and not for all.
+    """
+    truncation = transitions.extras["state_extras"]["truncation"]
+    reward, limits = transitions.reward, jnp.cumsum(truncation, axis=0)
+    for number in range(most):
+        here = truncation * (limits == number + 1)
+        step = jnp.argmax(here, axis=0)
+        expected = value(jnp.take_along_axis(seen, step[None, :, None], axis=0)[0])
+        reward += config.discount * here * expected
+    extras = {**transitions.extras, "state_extras": {"truncation": jnp.zeros_like(truncation)}}
+    return transitions._replace(reward=reward, extras=extras)
 
 
 def _first(known: Suspect, nan: jax.Array, before: Any, action: jax.Array) -> Suspect:
