@@ -24,6 +24,7 @@ class EvalConfig:
     seconds: float = 20.0  # s, the time limit of an episode
     # "mjx", or "mujoco": MuJoCo C, every shape colliding, converged solver, and how far MJX is off
     engine: str = "mjx"
+    policy: Literal["last", "best"] = "last"  # the run's last, or that of its best checkpoint
     seed: int = 0  # of the starts; the same seed gives the same episodes
     out: Path | None = None  # folder for the results; by default, a new one in the run's
     mcap: int | None = None  # write only so many episodes as MCAP; by default, all

@@ -38,7 +38,7 @@ def evaluate(config: EvalConfig) -> dict[str, Any]:
     if config.view:
         check_screen()  # now, not after a minute of simulation
     # All of them before the first is simulated, so that a bad one is told at once.
-    subjects = [load_subject(run, config.seconds) for run in runs]
+    subjects = [load_subject(run, config.seconds, config.policy) for run in runs]
     if config.sweep:
         return sweep(subjects[0], config, outs[0], console)
     results = [

@@ -22,7 +22,7 @@ def provenance(subject: Subject, config: EvalConfig, engine: str) -> dict[str, A
         "seed": config.seed,
         "seconds": config.seconds,
         "training_steps": subject.policy.steps,
-        "policy_sha256": checkpoint.sha256(subject.run.policy),
+        "policy_sha256": checkpoint.sha256(subject.file),
         "revision": revision(),
         "versions": versions(),
     }

@@ -2,6 +2,7 @@
 
 import dataclasses
 from dataclasses import dataclass
+from pathlib import Path
 
 from quadwalk.env.quadruped import QuadrupedEnv
 from quadwalk.errors import UserError
@@ -15,21 +16,23 @@ class Subject:
     """A run, loaded."""
 
     run: Run
+    file: Path  # that the policy was read from
     policy: Policy
     env: QuadrupedEnv
 
 
-def load_subject(run: Run, seconds: float) -> Subject:
-    """Load `run` for episodes of up to `seconds`.
+def load_subject(run: Run, seconds: float, which: str = "last") -> Subject:
+    """Load the "last" or "best" policy of `run` for episodes of up to `seconds`.
 
     Raises `UserError` where its policy or robot cannot be read, or do not belong together.
     """
-    policy = load_policy(run.policy)
+    file = run.best if which == "best" else run.policy
+    policy = load_policy(file)
     quadruped = load_run_robot(run, policy.config.robot)
     env = QuadrupedEnv(quadruped, dataclasses.replace(policy.config.env, episode_seconds=seconds))
     if quadruped.joints != policy.joints or env.observation_size != policy.observation_size:
         raise UserError(
-            f"{run.policy} was trained on another robot than {run.urdf}: it has joints "
+            f"{file} was trained on another robot than {run.urdf}: it has joints "
             f"{', '.join(policy.joints)} and {policy.observation_size} observations"
         )
-    return Subject(run, policy, env)
+    return Subject(run, file, policy, env)

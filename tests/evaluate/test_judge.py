@@ -47,7 +47,7 @@ def subject(quadruped, swaying, tmp_path_factory) -> Subject:
     short = EnvConfig(episode_seconds=SECONDS, solver_iterations=10)
     config, env = TrainConfig(), QuadrupedEnv(quadruped, short)
     policy = Policy(swaying, config, quadruped.joints, env.observation_size, 1000)
-    return Subject(Run(folder), policy, env)
+    return Subject(Run(folder), Run(folder).policy, policy, env)
 
 
 @pytest.fixture(scope="module")
@@ -235,6 +235,12 @@ def test_a_sweep_is_a_picture(swept):
 
 
 # What cannot be
+
+
+def test_the_last_policy_is_judged_or_the_best(subject, monkeypatch):
+    monkeypatch.setattr(loading, "load_policy", lambda path: subject.policy)
+    for which, file in [("last", subject.run.policy), ("best", subject.run.best)]:
+        assert load_subject(subject.run, SECONDS, which).file == file
 
 
 def test_a_policy_of_another_robot_is_one_line(subject, monkeypatch):
