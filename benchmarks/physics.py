@@ -1,10 +1,13 @@
-"""Physics steps per second: MJX on all cores against MuJoCo C on as many threads.
+"""Physics steps per second: ours, MJX and MuJoCo C on all cores, and what each is worth.
 
-    python benchmarks/physics.py [--envs 2048] [--rounds 5]
+    python benchmarks/physics.py [--envs 2048] [--rounds 5] [--variants]
+    python benchmarks/accuracy.py
 
-Both step the training model from the same states with the same torques, in turn, in one run; what
-counts is the median of the ratios, since a machine's speed drifts. MuJoCo C is `mujoco.rollout`
-with the training model's own solver settings, one thread per core.
+The rates: all three step the training model from the same states with the same torques, in turn,
+in one run; what counts is the median of the ratios, since a machine's speed drifts. MuJoCo C is
+`mujoco.rollout` with one thread per core and the training model's own solver settings.
+
+`--variants` adds what ours would be without each of its measures. RESULTS
 """
 
 import argparse
@@ -20,67 +23,121 @@ def main() -> None:
     parser.add_argument("--envs", type=int, default=2048)
     parser.add_argument("--steps", type=int, default=50, help="physics steps in a round")
     parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--variants", action="store_true")
     options = parser.parse_args()
     set_up_devices()
+    print_rates(options.envs, options.steps, options.rounds, options.variants)
+
+
+def print_rates(envs: int, steps: int, rounds: int, variants: bool) -> None:
+    """Print the median rate of each engine and its ratio to MuJoCo C's."""
     import jax
     import jax.numpy as jnp
     import mujoco
     import mujoco.rollout
-    from mujoco import mjx
 
+    from quadwalk.env import batches, contact, legged_physics
+    from quadwalk.env.batches import robots_last
     from quadwalk.env.config import EnvConfig
+    from quadwalk.env.legged_physics import acceleration, integrate
+    from quadwalk.env.physics import Physics
     from quadwalk.env.quadruped import QuadrupedEnv
+    from quadwalk.env.quiet_mjx import mjx
     from quadwalk.robot.quadruped import load_quadruped
     from quadwalk.train.ppo import AXIS, make_mesh
 
     env = QuadrupedEnv(load_quadruped(), EnvConfig())
-    start = jax.jit(jax.vmap(env.reset))(jax.random.split(jax.random.PRNGKey(0), options.envs))
+    config = env.config
+    start = jax.jit(jax.vmap(env.reset))(jax.random.split(jax.random.PRNGKey(0), envs))
     physics = jax.device_get(start.pipeline_state.physics)
     rng = np.random.default_rng(0)
-    torques = rng.normal(0, 5, (options.envs, options.steps, 12)).astype(np.float32)
+    torques = rng.normal(0, 5, (envs, steps, 12)).astype(np.float32)
 
-    def trajectory(qpos: jax.Array, qvel: jax.Array, torques: jax.Array) -> jax.Array:
+    def ours(iterations: int = config.solver_iterations):
+        def of_many(state: Physics, torques: jax.Array) -> jax.Array:
+            def step(state: Physics, torque: jax.Array) -> tuple[Physics, None]:
+                searched = config.line_search_iterations
+                found = acceleration(env.legged, state, torque, iterations, searched)
+                return integrate(state, found, config.physics_dt), None
+
+            return jax.lax.scan(step, state, torques)[0].qpos
+
+        return robots_last(of_many)
+
+    def in_mjx(state: Physics, torques: jax.Array) -> jax.Array:
         blank = mjx.make_data(env.model)
 
-        def step(state, torque):
-            data = blank.replace(qpos=state[0], qvel=state[1], qacc_warmstart=state[2], ctrl=torque)
-            data = mjx.step(env.model, data)
-            return (data.qpos, data.qvel, data.qacc_warmstart), None
+        def step(state: Physics, torque: jax.Array) -> tuple[Physics, None]:
+            data = blank.replace(qpos=state.qpos, qvel=state.qvel, qacc_warmstart=state.warmstart)
+            data = mjx.step(env.model, data.replace(ctrl=torque))
+            return Physics(data.qpos, data.qvel, data.qacc_warmstart), None
 
-        (qpos, _, _), _ = jax.lax.scan(step, (qpos, qvel, jnp.zeros(18)), torques)
-        return qpos
+        return jax.lax.scan(step, state, torques)[0].qpos
 
     split = jax.sharding.PartitionSpec(AXIS)
-    program = jax.jit(
-        jax.shard_map(
-            jax.vmap(trajectory), mesh=make_mesh(), in_specs=split, out_specs=split, check_vma=False
-        )
-    )
 
-    def in_mjx() -> float:
-        began = time.perf_counter()
-        jax.block_until_ready(program(physics.qpos, physics.qvel, torques))
-        return options.envs * options.steps / (time.perf_counter() - began)
+    def rate(function):
+        program = jax.jit(
+            jax.shard_map(
+                jax.vmap(function),
+                mesh=make_mesh(),
+                in_specs=split,
+                out_specs=split,
+                check_vma=False,
+            )
+        )
+
+        def measure() -> float:
+            began = time.perf_counter()
+            jax.block_until_ready(program(physics, jnp.asarray(torques)))
+            return envs * steps / (time.perf_counter() - began)
+
+        return measure
 
     model = env.mj_model
     data = [mujoco.MjData(model) for _ in range(cpu_cores())]
-    states = np.concatenate([np.zeros((options.envs, 1)), physics.qpos, physics.qvel], axis=1)
+    states = np.concatenate([np.zeros((envs, 1)), physics.qpos, physics.qvel], axis=1)
 
     with mujoco.rollout.Rollout(nthread=len(data)) as pool:
 
         def in_mujoco() -> float:
             began = time.perf_counter()
             pool.rollout(model, data, states, torques)
-            return options.envs * options.steps / (time.perf_counter() - began)
+            return envs * steps / (time.perf_counter() - began)
 
-        in_mjx(), in_mujoco()  # compile, warm up
-        rounds = np.array([(in_mjx(), in_mujoco()) for _ in range(options.rounds)])
+        def with_other(values: dict[tuple[object, str], object], measure):
+            """`measure`, compiled while modules have other values."""
+            kept = {(module, name): getattr(module, name) for module, name in values}
+            for (module, name), value in values.items():
+                setattr(module, name, value)
+            measure()
+            for (module, name), value in kept.items():
+                setattr(module, name, value)
+            return measure
 
-    mjx_rate, native_rate = np.median(rounds, axis=0)
-    print(f"{options.envs} environments, {cpu_cores()} cores, medians of {options.rounds} rounds")
-    print(f"MJX       {mjx_rate:12,.0f} steps/s")
-    print(f"MuJoCo C  {native_rate:12,.0f} steps/s")
-    print(f"ratio     {np.median(rounds[:, 0] / rounds[:, 1]):12.2f}")
+        engines = {"ours": rate(ours())}
+        if variants:
+            plain = {(module, "stage"): _plain for module in (contact, legged_physics)}
+            engines |= {
+                "2 iterations": rate(ours(2)),
+                "3 iterations": rate(ours(3)),
+                "no batches": with_other({(batches, "BATCH"): envs}, rate(ours())),
+                "no stages": with_other(plain, rate(ours())),
+            }
+        engines |= {"MJX": rate(in_mjx), "MuJoCo C": in_mujoco}
+        for measure in engines.values():
+            measure()  # compile, warm up
+        found = np.array([[measure() for measure in engines.values()] for _ in range(rounds)])
+
+    print(f"{envs} environments, {cpu_cores()} cores, medians of {rounds} rounds")
+    for name, column in zip(engines, found.T, strict=True):
+        ratio = np.median(column / found[:, -1])
+        print(f"{name:14}{np.median(column):12,.0f} steps/s{ratio:8.2f} x MuJoCo C")
+
+
+def _plain(running, function, *arguments):
+    """`stage`, without what it is for."""
+    return function(*arguments)
 
 
 if __name__ == "__main__":

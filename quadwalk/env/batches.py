@@ -27,10 +27,9 @@ def robots_last(function: Callable[..., Any]) -> Callable[..., Any]:
 
     @of_one.def_vmap
     def of_many(size: int, batched: Any, *arguments: Any) -> Any:
-        number = -(-size // BATCH)
-        length = -(-size // (number * LANES)) * LANES
-        if number == 1:
-            length = size
+        # An accelerator is to be filled at once.
+        number = -(-size // BATCH) if jax.default_backend() == "cpu" else 1
+        length = size if number == 1 else -(-size // (number * LANES)) * LANES
 
         def arrange(x: jax.Array, is_batched: bool) -> jax.Array:
             if not is_batched:

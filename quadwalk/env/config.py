@@ -14,8 +14,8 @@ class ActuationConfig:
     kp: float | None = None  # Nm/rad, position gain; by default weight * home height * 0.936
     kd: float | None = None  # Nm s/rad, velocity gain; by default kp * 0.025 s
     hip_range: float = 0.3  # rad, how far action 1 moves a hip's target from the home pose
-    thigh_range: float = 0.6  # rad, the same for a thigh
-    calf_range: float = 0.6  # rad, the same for a calf
+    thigh_range: float = 0.9  # rad, the same for a thigh
+    calf_range: float = 0.9  # rad, the same for a calf
     speed_limit: bool = True  # torque falls to zero at the motor's speed limit
     joint_friction: bool = True  # Coulomb friction of the joints
 
@@ -67,8 +67,8 @@ class EnvConfig:
     physics_dt: float = 0.004  # s, one physics step
     substeps: int = 5  # physics steps in a control step
     episode_seconds: float = 20.0  # s, the time limit
-    solver_iterations: int = 1  # Newton iterations of the contact solver
-    line_search_iterations: int = 5
+    solver_iterations: int = 2  # Newton iterations of the contact solver (benchmarks/accuracy.py)
+    line_search_iterations: int = 3
     actuation: ActuationConfig = field(default_factory=ActuationConfig)
     reward: RewardConfig = field(default_factory=RewardConfig)
     termination: TerminationConfig = field(default_factory=TerminationConfig)

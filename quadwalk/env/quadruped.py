@@ -2,6 +2,9 @@
 
 from typing import Any, NamedTuple
 
+from quadwalk.env.quiet_mjx import mjx  # first: Brax imports it too, but not as quietly
+
+# isort: split
 import jax
 import jax.numpy as jnp
 import mujoco
@@ -14,7 +17,6 @@ from quadwalk.env.legged_physics import heights, simulate
 from quadwalk.env.observation import observation_names, observe
 from quadwalk.env.physics import Effort, Physics
 from quadwalk.env.physics import simulate as simulate_in_mjx
-from quadwalk.env.quiet_mjx import mjx
 from quadwalk.env.reset import fresh_start
 from quadwalk.env.reward import Step, active_terms, mean_velocity, reward_terms, total_reward
 from quadwalk.env.robot import RobotArrays, robot_arrays

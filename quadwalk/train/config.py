@@ -27,7 +27,7 @@ class PPOConfig:
     judges: int = 64  # environments beside the others that act without noise: how good it is
     unroll: int = 12  # control steps of each environment in an iteration
     minibatches: int = 4  # the iteration's data is cut into so many
-    epochs: int = 5  # passes over the data
+    epochs: int = 2  # passes over the data
     learning_rate: float = 1e-3  # Adam's, at the start
     desired_kl: float = 0.03  # the learning rate adapts to keep the policy's change near this
     final_kl: float = 0.01  # over the last 40 % of the steps that falls to this: it settles
@@ -37,7 +37,7 @@ class PPOConfig:
     gae_lambda: float = 0.95  # of generalised advantage estimation
     clip: float = 0.2  # of the probability ratio
     noise: float = 0.35  # standard deviation of actions at the start, before the tanh
-    entropy: float = 0.003  # weight of the entropy bonus
+    entropy: float = 0.01  # weight of the entropy bonus
     value: float = 1.0  # weight of the value loss
     max_grad_norm: float = 1.0
     reward_scale: float = 0.1  # rewards are multiplied by this before learning
@@ -90,7 +90,7 @@ class TrainConfig:
     name: str | None = None  # of the run; by default, date, time and preset
     resume: str | None = None  # go on with this run, by its name or path, or with the "latest"
     runs: Path = Path("runs")  # the folder that holds all runs
-    steps: int = 8_000_000  # control steps, of all environments together
+    steps: int = 21_000_000  # control steps, of all environments together
     minutes: float | None = None  # end after so long, with the policy saved
     seed: int = 0  # the same seed on the same machine gives the same numbers
     envs: int | None = None  # stepped at once; by default 2048, or 8192 on an accelerator

@@ -1,0 +1,121 @@
+"""What cutting physics short costs: errors after a second of trotting, by solver setting.
+
+    python benchmarks/accuracy.py
+
+The reference is MuJoCo C at 1 ms, its solver run until it has converged. From the same 16 starts
+and with the same joint targets each setting trots for a second; printed are the distance between
+the trunk's positions at the end, the mean distance between its velocities, and how deep feet sank.
+Part of the error at 4 ms is the step's, whatever the solver: the row of MuJoCo C at 4 ms.
+"""
+
+import dataclasses
+from collections.abc import Iterator
+
+import mujoco
+import numpy as np
+
+from quadwalk.train.devices import set_up_devices
+
+ROBOTS = 16
+SECONDS = 1.0
+CONTROL = 0.02  # s, joint targets hold so long
+STRIDES = 2.5  # per second
+
+
+def targets(home: np.ndarray) -> np.ndarray:
+    """(steps, 12) rad, joint targets of a trot on the spot: diagonal feet lifted in turn."""
+    times = np.arange(0, SECONDS, CONTROL)[:, None]
+    lift = np.maximum(np.sin(2 * np.pi * STRIDES * times + np.pi * np.array([0, 1, 1, 0])), 0.0)
+    # A thigh forward and a calf folded by twice that lift the foot straight up.
+    joints = np.stack([np.zeros_like(lift), 0.3 * lift, -0.6 * lift], axis=2)
+    return home + joints.reshape(len(times), 12)
+
+
+def print_accuracy() -> None:
+    """Print a line for each setting."""
+    import jax
+    import jax.numpy as jnp
+
+    from quadwalk.env import legged_physics, physics
+    from quadwalk.env.config import EnvConfig
+    from quadwalk.env.physics import Physics
+    from quadwalk.env.quadruped import QuadrupedEnv
+    from quadwalk.robot.quadruped import load_quadruped
+
+    quadruped = load_quadruped()
+    config = EnvConfig()
+    env = QuadrupedEnv(quadruped, config)
+    keys = jax.random.split(jax.random.PRNGKey(0), ROBOTS)
+    starts = jax.device_get(jax.jit(jax.vmap(env.reset))(keys)).pipeline_state.physics
+    wanted = targets(env.robot.home_joints)
+
+    def in_mujoco(dt: float) -> np.ndarray:
+        model = quadruped.training_model(dt, iterations=100, ls_iterations=50)
+        model.opt.tolerance = 1e-12
+        return np.array([list(_trot(env, model, q, v, wanted)) for q, v in zip(*starts[:2])])  # noqa: B905
+
+    def by(simulate, config: EnvConfig) -> np.ndarray:
+        def step(state: Physics, target: jax.Array) -> tuple[Physics, jax.Array]:
+            after, _ = simulate(config, state, target)
+            feet, _ = legged_physics.heights(env.legged, after.qpos)
+            return after, jnp.concatenate([after.qpos[:3], after.qvel[:3], feet])
+
+        course = jax.vmap(lambda s: jax.lax.scan(step, s, jnp.asarray(wanted, jnp.float32))[1])
+        return np.asarray(jax.jit(course)(starts))
+
+    def ours(iterations: int, line_search: int, substeps: int = 5) -> np.ndarray:
+        changed = dataclasses.replace(
+            config,
+            solver_iterations=iterations,
+            line_search_iterations=line_search,
+            substeps=substeps,
+            physics_dt=CONTROL / substeps,
+        )
+        # The model's contact stiffness depends on the step.
+        legged = QuadrupedEnv(quadruped, changed).legged
+        return by(lambda c, s, t: legged_physics.simulate(legged, env.robot, c, s, t), changed)
+
+    rows = {
+        "MuJoCo C, 4 ms, converged": lambda: in_mujoco(0.004),
+        "MJX, 4 ms, 1 iteration": lambda: by(
+            lambda c, s, t: physics.simulate(env.model, env.robot, c, s, t), config
+        ),
+        **{
+            f"ours, {20 / n:g} ms, {i} iteration{'s' * (i > 1)}, line search {k}": (
+                lambda i=i, k=k, n=n: ours(i, k, n)
+            )
+            for i, k, n in [(1, 5, 5), (1, 3, 5), (2, 3, 5), (3, 3, 5), (8, 8, 5), (2, 3, 4)]
+        },
+    }
+    expected = in_mujoco(0.001)
+    print(f"after {SECONDS:g} s of trotting, against MuJoCo C at 1 ms; means of {ROBOTS} starts")
+    print(f"{'':42}{'position':>10}{'velocity':>10}{'deepest foot':>14}")
+    for name, run in {"MuJoCo C, 1 ms, converged": lambda: expected, **rows}.items():
+        found = run()
+        position = np.linalg.norm(found[:, -1, :3] - expected[:, -1, :3], axis=1).mean()
+        velocity = np.linalg.norm(found[..., 3:6] - expected[..., 3:6], axis=2).mean()
+        depth = -found[..., 6:].min(axis=(1, 2)).mean()
+        print(f"{name:42}{1e3 * position:7.1f} mm{velocity:6.3f} m/s{1e3 * depth:11.1f} mm")
+
+
+def _trot(env, model, qpos, qvel, wanted) -> Iterator[np.ndarray]:
+    """Per control step: the trunk's position and velocity, and heights of the feet, m, m/s."""
+    from quadwalk.env.actuation import friction_torque, motor_torque
+
+    data = mujoco.MjData(model)
+    data.qpos[:], data.qvel[:] = qpos, qvel
+    robot, actuation = env.robot, env.config.actuation
+    for target in wanted:
+        for _ in range(round(CONTROL / model.opt.timestep)):
+            q, qd = data.qpos[7:], data.qvel[6:]
+            data.ctrl[:] = motor_torque(robot, actuation, target, q, qd)
+            data.qfrc_applied[6:] = friction_torque(robot, actuation, qd)
+            mujoco.mj_step(model, data)
+        mujoco.mj_kinematics(model, data)
+        feet = data.geom_xpos[robot.foot_geoms, 2] - robot.foot_radius
+        yield np.r_[data.qpos[:3], data.qvel[:3], feet]
+
+
+if __name__ == "__main__":
+    set_up_devices()
+    print_accuracy()
