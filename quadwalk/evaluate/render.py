@@ -154,11 +154,15 @@ def _pictures(
     with _Canvas(model, width, height) as canvas:
         for row in rows:
             data.qpos[:] = rollout.qpos[row]
+            # Whole metres back to the origin, which the floor's pattern does not show: far from
+            # there MuJoCo draws the endless floor with gaps.
+            metres = np.append(np.floor(focus[row, :2]), 0.0)
+            data.qpos[:3] -= metres
             # Only qpos is known of a state: what is drawn follows from it.
             mujoco.mj_kinematics(model, data)
             mujoco.mj_comPos(model, data)
             mujoco.mj_camlight(model, data)
-            picture = Image.fromarray(canvas.draw(data, focus[row]))
+            picture = Image.fromarray(canvas.draw(data, focus[row] - metres))
             text = f"{row * rollout.control_dt:.2f} s   {rollout.qvel[row, 0]:.1f} m/s"
             ImageDraw.Draw(picture).text((8, 6), text, fill=(30, 34, 40), font=font)
             yield picture

@@ -88,7 +88,7 @@ def test_the_command_wants_one_file(monkeypatch):
 
 
 def test_a_training_keeps_them_counts_them_and_goes_on(tmp_path, flags, train, capsys):
-    train(*flags(tmp_path, "nan", 30, "--env.termination.tilt=0.9"))
+    train(*flags(tmp_path, "nan", 30, "--env.termination.tilt=0.5"))
     run = Run(tmp_path / "nan")
     rows = read_metrics(run)
     assert len(rows) == 30
@@ -99,7 +99,7 @@ def test_a_training_keeps_them_counts_them_and_goes_on(tmp_path, flags, train, c
     assert [int(path.stem[5:]) for path in kept] == with_nan[: nan.KEPT]
     for path in kept:
         arrays, metadata = checkpoint.load(path, "nan")
-        assert arrays["qpos"][1] > 0.9  # which is when the toy gives no number
-        assert metadata["config"]["env"]["termination"]["tilt"] == 0.9
+        assert arrays["qpos"][1] > 0.5  # which is when the toy gives no number
+        assert metadata["config"]["env"]["termination"]["tilt"] == 0.5
     assert "NaN states" in capsys.readouterr().out
     assert all(np.isfinite(row["loss/value"]) for row in rows)
