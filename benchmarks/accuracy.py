@@ -64,7 +64,8 @@ def print_accuracy() -> None:
     def in_mujoco(dt: float) -> np.ndarray:
         model = quadruped.training_model(dt, iterations=100, ls_iterations=50)
         model.opt.tolerance = 1e-12
-        return np.array([list(_trot(env, model, q, v, wanted)) for q, v in zip(*starts[:2])])  # noqa: B905
+        pairs = zip(starts.qpos, starts.qvel, strict=True)
+        return np.array([list(_trot(env, model, q, v, wanted)) for q, v in pairs])
 
     def by(simulate, config: EnvConfig) -> np.ndarray:
         def step(state: Physics, target: jax.Array) -> tuple[Physics, jax.Array]:

@@ -24,7 +24,6 @@ class DefaultTraining:
         config = config or PPOConfig()
         self.devices = device_count(envs, config.minibatches, config.judges, cpu_cores())
         set_up_devices(self.devices)
-        import quadwalk.env.quiet_mjx  # noqa: F401 - first, else others import MJX, loudly
         from quadwalk.env.quadruped import QuadrupedEnv
         from quadwalk.robot.quadruped import load_quadruped
         from quadwalk.train import ppo

@@ -131,8 +131,6 @@ def main() -> None:
                     train(run, cache, seed, options.minutes, options.checkpoint_steps),
                 )
         set_up_devices()
-        import quadwalk.env.quiet_mjx  # noqa: F401 - first, else others import MJX, loudly
-
         print(f"{'seed':>4} {'cache':>6} {'seconds':>8} {'steps':>10} {'m/s':>6} {'fell':>5}")
         for (seed, kind), (run, policies) in trained.items():
             walks = first_that_walks(run, policies)

@@ -54,6 +54,7 @@ def stage(running: Any, function: Callable[..., Any], *arguments: Any) -> Any:
     XLA fuses arithmetic by repeating what several results share, here a fivefold of it. It does
     not look into a conditional whose condition it cannot know: `running`, a scalar that is True.
     """
-    shapes = jax.eval_shape(function, *arguments)
+    traced = jax.jit(function)  # once, for its shapes and for itself
+    shapes = jax.eval_shape(traced, *arguments)
     zeros = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes)
-    return jax.lax.cond(running, lambda: function(*arguments), lambda: zeros)
+    return jax.lax.cond(running, lambda: traced(*arguments), lambda: zeros)

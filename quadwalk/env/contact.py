@@ -71,6 +71,11 @@ def impedance(soft: Softness, depth: Any) -> tuple[Any, Any]:
     return value, value / ((1 - value) * soft.inverse_inertia)
 
 
+def foot_centres(feet: Feet, pose: Pose) -> Vector:
+    """Where the feet's spheres are, relative to the trunk's origin, m."""
+    return v.add(pose.origins[-1], v.apply(pose.rotations[-1], feet.centre))
+
+
 def find_constraints(
     feet: Feet,
     limits: tuple[Limits, ...],
@@ -80,7 +85,7 @@ def find_constraints(
     velocity: Motion,
 ) -> Constraints:
     """The constraints with the trunk's origin at `height` (robots,), m."""
-    centre = v.add(pose.origins[-1], v.apply(pose.rotations[-1], feet.centre))
+    centre = foot_centres(feet, pose)
     gap = height + centre[2] - feet.radius
     point = (centre[0], centre[1], centre[2] - feet.radius - 0.5 * gap)
     columns = tuple(
@@ -90,8 +95,7 @@ def find_constraints(
     soft = feet.softness
     share, weight = impedance(soft, gap)
     touching = gap < 0
-    found = Constraints(point, columns, feet.friction, angles, (), ())
-    foot_rates = edges(found, point_motion(found, velocity))
+    foot_rates = edges(feet.friction, point_motion(point, columns, velocity))
     reference = [
         jnp.where(touching, -soft.damping * rate - soft.stiffness * share * gap, 0.0)
         for rate in foot_rates
@@ -109,29 +113,29 @@ def find_constraints(
         signs.append(sign)
         reference.append(jnp.where(beyond, asked, 0.0))
         weights.append(jnp.where(beyond, weight, 0.0))
-    return found._replace(signs=tuple(signs), reference=tuple(reference), weight=tuple(weights))
+    x, y, z = signs
+    return Constraints(point, columns, feet.friction, (x, y, z), tuple(reference), tuple(weights))
 
 
-def point_motion(found: Constraints, motion: Motion) -> Vector:
+def point_motion(point: Vector, columns: tuple[Vector, ...], motion: Motion) -> Vector:
     """What `motion` is at the points of contact."""
-    at_trunk = v.add(motion.linear, v.cross(motion.angular, found.point))
-    by_joints = (
-        v.scale(rate, column) for rate, column in zip(motion.joints, found.columns, strict=True)
-    )
+    at_trunk = v.add(motion.linear, v.cross(motion.angular, point))
+    by_joints = (v.scale(rate, column) for rate, column in zip(motion.joints, columns, strict=True))
     return v.add(at_trunk, *by_joints)
 
 
-def edges(found: Constraints, at_point: Vector) -> Rows:
+def edges(friction: Any, at_point: Vector) -> Rows:
     """A vector at the points of contact along the four edges of the friction pyramids."""
     x, y, z = at_point
-    x, y = found.friction * x, found.friction * y
+    x, y = friction * x, friction * y
     return z + y, z - y, z - x, z + x
 
 
 def rows(found: Constraints, motion: Motion) -> Rows:
     """J motion."""
     at_limits = (sign * rate for sign, rate in zip(found.signs, motion.joints, strict=True))
-    return (*edges(found, point_motion(found, motion)), *at_limits)
+    at_feet = edges(found.friction, point_motion(found.point, found.columns, motion))
+    return (*at_feet, *at_limits)
 
 
 def force_of(found: Constraints, strength: Rows) -> Motion:

@@ -11,10 +11,9 @@ import jax
 import jax.numpy as jnp
 
 from quadwalk.env import vectors as v
-from quadwalk.env.actuation import friction_torque, motor_torque
 from quadwalk.env.batches import robots_last, stage
 from quadwalk.env.config import EnvConfig
-from quadwalk.env.contact import find_constraints, newton
+from quadwalk.env.contact import find_constraints, foot_centres, newton
 from quadwalk.env.dynamics import (
     LINKS,
     Motion,
@@ -26,7 +25,7 @@ from quadwalk.env.dynamics import (
     rotation_of,
 )
 from quadwalk.env.legged import Legged
-from quadwalk.env.physics import Effort, Physics
+from quadwalk.env.physics import Effort, Physics, control_step
 from quadwalk.env.robot import RobotArrays
 from quadwalk.env.vectors import Vector
 
@@ -34,38 +33,23 @@ from quadwalk.env.vectors import Vector
 def simulate(
     legged: Legged, robot: RobotArrays, config: EnvConfig, physics: Physics, target: jax.Array
 ) -> tuple[Physics, Effort]:
-    """One control step: `substeps` physics steps with the joint controller run in each.
-
-    `target` (12,) rad. To be vmapped over robots.
-    """
+    """One control step; `target` (12,) rad. To be vmapped over robots."""
     columns = dataclasses.replace(
         robot,
         effort=robot.effort[:, None],
         velocity=robot.velocity[:, None],
         friction=robot.friction[:, None],
     )
+    iterations = config.solver_iterations, config.line_search_iterations
 
-    def control_step(physics: Physics, target: jax.Array) -> tuple[Physics, Effort]:
-        def substep(carry: tuple[Physics, Effort], _: None) -> tuple[tuple[Physics, Effort], None]:
-            state, effort = carry
-            q, qd = state.qpos[7:], state.qvel[6:]
-            torque = motor_torque(columns, config.actuation, target, q, qd)
-            applied = torque + friction_torque(columns, config.actuation, qd)
-            found = acceleration(
-                legged,
-                state,
-                applied,
-                config.solver_iterations,
-                config.line_search_iterations,
-            )
-            work = jnp.sum(jnp.maximum(torque * qd, 0.0), axis=0) * config.physics_dt
-            effort = Effort(effort.torque + torque / config.substeps, effort.energy + work)
-            return (integrate(state, found, config.physics_dt), effort), None
+    def advance(state: Physics, torque: jax.Array, friction: jax.Array) -> Physics:
+        found = acceleration(legged, state, torque + friction, *iterations)
+        return integrate(state, found, config.physics_dt)
 
-        start = (physics, Effort(jnp.zeros_like(target), jnp.zeros_like(target[0])))
-        return jax.lax.scan(substep, start, None, length=config.substeps)[0]
+    def of_many(physics: Physics, target: jax.Array) -> tuple[Physics, Effort]:
+        return control_step(columns, config, physics, target, advance)
 
-    return robots_last(control_step)(physics, target)
+    return robots_last(of_many)(physics, target)
 
 
 def acceleration(
@@ -144,7 +128,7 @@ def heights(legged: Legged, qpos: jax.Array) -> tuple[jax.Array, jax.Array]:
     def of_many(qpos: jax.Array) -> tuple[jax.Array, jax.Array]:
         pose = pose_of(legged.links, rotation_of(tuple(qpos[3:7])), _by_link(qpos[7:]))
         height = qpos[2]
-        foot = v.add(pose.origins[-1], v.apply(pose.rotations[-1], legged.feet.centre))[2]
+        foot = foot_centres(legged.feet, pose)[2]
         lowest = jnp.full_like(height, jnp.inf)
         for shell in legged.shells:
             if shell.link is None:

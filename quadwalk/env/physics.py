@@ -4,6 +4,7 @@ The state carried is what physics needs and no more. An `mjx.Data` holds some hu
 of them results: XLA drops every one that nothing reads, and a reset is a copy of three arrays.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -30,17 +31,40 @@ class Effort(NamedTuple):
     energy: jax.Array  # () J, positive mechanical work: none is given back to the battery
 
 
-def simulate(
-    model: mjx.Model, robot: RobotArrays, config: EnvConfig, physics: Physics, target: jax.Array
+def control_step(
+    robot: RobotArrays,
+    config: EnvConfig,
+    physics: Physics,
+    target: jax.Array,
+    advance: Callable[[Physics, jax.Array, jax.Array], Physics],
 ) -> tuple[Physics, Effort]:
-    """One control step: `substeps` physics steps with the joint controller run in each."""
-    blank = mjx.make_data(model)
+    """`substeps` physics steps with the joint controller run in each, whichever engine steps.
+
+    `target` (12,) rad; `advance` steps a state with the joints' motor torques and friction (12,),
+    Nm. All arrays may have further axes behind, if the robot's are columns.
+    """
 
     def substep(carry: tuple[Physics, Effort], _: None) -> tuple[tuple[Physics, Effort], None]:
         state, effort = carry
         q, qd = state.qpos[7:], state.qvel[6:]
         torque = motor_torque(robot, config.actuation, target, q, qd)
         friction = friction_torque(robot, config.actuation, qd)
+        work = jnp.sum(jnp.maximum(torque * qd, 0.0), axis=0) * config.physics_dt
+        effort = Effort(effort.torque + torque / config.substeps, effort.energy + work)
+        return (advance(state, torque, friction), effort), None
+
+    nothing = jnp.zeros_like(physics.qpos[7:])
+    start = (physics, Effort(nothing, nothing[0]))
+    return jax.lax.scan(substep, start, None, length=config.substeps)[0]
+
+
+def simulate(
+    model: mjx.Model, robot: RobotArrays, config: EnvConfig, physics: Physics, target: jax.Array
+) -> tuple[Physics, Effort]:
+    """One control step in MJX."""
+    blank = mjx.make_data(model)
+
+    def advance(state: Physics, torque: jax.Array, friction: jax.Array) -> Physics:
         data = blank.replace(
             qpos=state.qpos,
             qvel=state.qvel,
@@ -49,10 +73,6 @@ def simulate(
             qfrc_applied=blank.qfrc_applied.at[6:].set(friction),
         )
         data = mjx.step(model, data)
-        work = jnp.sum(jnp.maximum(torque * qd, 0.0)) * config.physics_dt
-        effort = Effort(effort.torque + torque / config.substeps, effort.energy + work)
-        return (Physics(data.qpos, data.qvel, data.qacc_warmstart), effort), None
+        return Physics(data.qpos, data.qvel, data.qacc_warmstart)
 
-    start = (physics, Effort(jnp.zeros(12), jnp.zeros(())))
-    (physics, effort), _ = jax.lax.scan(substep, start, None, length=config.substeps)
-    return physics, effort
+    return control_step(robot, config, physics, target, advance)

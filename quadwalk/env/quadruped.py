@@ -1,5 +1,7 @@
 """The environment: pure functions of (legged, robot, config, state), and the Brax `Env` of them."""
 
+from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 from quadwalk.env.quiet_mjx import mjx  # first: Brax imports it too, but not as quietly
@@ -60,12 +62,20 @@ def reset(legged: Legged, robot: RobotArrays, config: EnvConfig, key: jax.Array)
 
 
 def step(
-    legged: Legged, robot: RobotArrays, config: EnvConfig, state: State, action: jax.Array
+    legged: Legged,
+    robot: RobotArrays,
+    config: EnvConfig,
+    simulate: Callable[[Physics, jax.Array], tuple[Physics, Effort]],
+    state: State,
+    action: jax.Array,
 ) -> State:
-    """One control step with `action` (12,) in [-1, 1]."""
+    """One control step with `action` (12,) in [-1, 1].
+
+    `simulate` steps the physics, from a state and joint targets (12,), rad.
+    """
     before: EnvState = state.pipeline_state
     target = joint_target(robot, config.actuation, action)
-    physics, effort = simulate(legged, robot, config, before.physics, target)
+    physics, effort = simulate(before.physics, target)
     return conclude(legged, robot, config, before, action, physics, effort)
 
 
@@ -165,16 +175,13 @@ class QuadrupedEnv(Env):
 
     def step(self, state: State, action: jax.Array) -> State:
         """One control step with `action` (12,) in [-1, 1]."""
-        return step(self.legged, self.robot, self.config, state, action)
+        physics = partial(simulate, self.legged, self.robot, self.config)
+        return step(self.legged, self.robot, self.config, physics, state, action)
 
     def step_in_mjx(self, state: State, action: jax.Array) -> State:
         """The same control step with the physics left to MJX: slower, to judge and to check by."""
-        before: EnvState = state.pipeline_state
-        target = joint_target(self.robot, self.config.actuation, action)
-        physics, effort = simulate_in_mjx(
-            self.model, self.robot, self.config, before.physics, target
-        )
-        return conclude(self.legged, self.robot, self.config, before, action, physics, effort)
+        physics = partial(simulate_in_mjx, self.model, self.robot, self.config)
+        return step(self.legged, self.robot, self.config, physics, state, action)
 
     @property
     def observation_size(self) -> int:

@@ -28,7 +28,6 @@ def evaluate(config: EvalConfig) -> dict[str, Any]:
     from quadwalk.train.devices import set_up_devices
 
     set_up_devices()
-    import quadwalk.env.quiet_mjx  # noqa: F401  before brax imports MJX aloud
     from quadwalk.evaluate.comparison import compare
     from quadwalk.evaluate.judge import judge
     from quadwalk.evaluate.subject import load_subject

@@ -57,9 +57,7 @@ def prepare(config: TrainConfig, progress: Progress) -> Training:
     previous = None if config.resume is None else find_run(config.runs, config.resume)
     config, devices = choose_devices(config)
     assert config.envs is not None
-    # Imported here, for it must not be before JAX is set up. MJX first, by the way that leaves out
-    # what it prints.
-    import quadwalk.env.quiet_mjx  # noqa: F401
+    # Imported here, for it must not be before JAX is set up.
     from quadwalk.env.quadruped import QuadrupedEnv
     from quadwalk.train import ppo
     from quadwalk.train.networks import make_networks
