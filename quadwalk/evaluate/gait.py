@@ -38,6 +38,7 @@ class Gait:
     regularity: np.ndarray  # (4,) in [0, 1], how alike the phases are from stride to stride
     swing_height: np.ndarray  # (4,) m, mean over swings of the sole's greatest height
     slip: np.ndarray  # (4,) m/s, mean horizontal speed of the point that touches the ground
+    slip_share: np.ndarray  # (4,) how far that point slides on the ground, of the distance
     body_height: np.ndarray  # (3,) m, mean, least, greatest height of the base's origin
     roll_range: float  # rad, greatest less least roll
     pitch_range: float  # rad, the same for pitch
@@ -47,6 +48,7 @@ class Gait:
     torque_peak: np.ndarray  # (12,) greatest |torque| / effort limit
     joint_speed_mean: np.ndarray  # (12,) mean of |joint velocity| / velocity limit
     joint_speed_peak: np.ndarray  # (12,) greatest |joint velocity| / velocity limit
+    action_rate: float  # 1/s, root mean square rate of the actions, which are in [-1, 1]
 
 
 def measure_gait(rollout: Rollout, quadruped: Quadruped) -> Gait:
@@ -77,6 +79,8 @@ def measure_gait(rollout: Rollout, quadruped: Quadruped) -> Gait:
     centres = kinematics.foot_positions(tree, poses)
     weight = tree.mass * GRAVITY
     energy = float(np.sum(rollout.energy))
+    slip, slid = _slips(rollout, tree, poses, centres)
+    changes = np.diff(rollout.action.astype(float), axis=0) / rollout.control_dt
     height = rollout.qpos[:, 2]
     torque = np.abs(rollout.torque) / quadruped.effort
     rate = np.abs(rollout.qvel[:, 6:]) / quadruped.velocity
@@ -95,7 +99,8 @@ def measure_gait(rollout: Rollout, quadruped: Quadruped) -> Gait:
         phase=feet.phase,
         regularity=feet.regularity,
         swing_height=_swing_heights(rollout, tree, centres),
-        slip=_slips(rollout, tree, poses, centres),
+        slip=slip,
+        slip_share=slid / dx if dx > LEAST_DISTANCE else np.full(4, np.nan),
         body_height=np.array([height.mean(), height.min(), height.max()])
         if len(height)
         else np.full(3, np.nan),
@@ -107,6 +112,7 @@ def measure_gait(rollout: Rollout, quadruped: Quadruped) -> Gait:
         torque_peak=_over_rows(np.max, torque),
         joint_speed_mean=_over_rows(np.mean, rate),
         joint_speed_peak=_over_rows(np.max, rate),
+        action_rate=float(np.sqrt(np.mean(np.square(changes)))) if len(changes) else np.nan,
     )
 
 
@@ -155,9 +161,9 @@ def _slips(
     tree: kinematics.LinkTree,
     poses: dict[str, tuple[np.ndarray, np.ndarray]],
     centres: np.ndarray,
-) -> np.ndarray:
-    """(4,) m/s: over the time a foot is on the ground at both ends of a step."""
-    slips = np.full(4, np.nan)
+) -> tuple[np.ndarray, np.ndarray]:
+    """(4,) m/s and (4,) m: over the time a foot is on the ground at both ends of a step."""
+    slips, slid = np.full(4, np.nan), np.zeros(4)
     for k, foot in enumerate(tree.feet):
         stays = rollout.contact[:-1, k] & rollout.contact[1:, k]
         if not stays.any():
@@ -167,8 +173,9 @@ def _slips(
             kinematics.quat_mul(turns[1:], kinematics.quat_conjugate(turns[:-1]))
         )
         moved = np.diff(centres[1:, k], axis=0) + np.cross(turned, [0.0, 0.0, -foot.radius])
-        slips[k] = np.linalg.norm(moved[stays, :2], axis=1).mean() / rollout.control_dt
-    return slips
+        moved = np.linalg.norm(moved[stays, :2], axis=1)
+        slips[k], slid[k] = moved.mean() / rollout.control_dt, moved.sum()
+    return slips, slid
 
 
 def _rotation_vector(quat: np.ndarray) -> np.ndarray:

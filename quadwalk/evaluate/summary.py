@@ -98,9 +98,11 @@ def describe_gait(gait: Gait, episode: int) -> str:
         f"gait of episode {episode}: {gait.gait}, {gait.stride_frequency:.2f} strides/s of "
         f"{gait.stride_length:.2f} m, duty factor {np.mean(gait.duty_factor):.2f}, "
         f"swing height {100 * np.min(gait.swing_height):.1f} cm or more, "
+        f"slip up to {100 * np.max(gait.slip_share):.1f} % of the distance, "
         f"cost of transport {gait.cost_of_transport:.2f}\n"
         f"of their limits, at most: torque {100 * np.max(gait.torque_peak):.0f} %, "
-        f"joint speed {100 * np.max(gait.joint_speed_peak):.0f} %"
+        f"joint speed {100 * np.max(gait.joint_speed_peak):.0f} %; "
+        f"actions change at {gait.action_rate:.1f}/s (root mean square; they are in [-1, 1])"
     )
 
 

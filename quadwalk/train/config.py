@@ -38,6 +38,7 @@ class PPOConfig:
     clip: float = 0.2  # of the probability ratio
     noise: float = 0.35  # standard deviation of actions at the start, before the tanh
     entropy: float = 0.01  # weight of the entropy bonus
+    final_entropy: float = 0.001  # over the last 40 % of the steps that falls to this
     value: float = 1.0  # weight of the value loss
     max_grad_norm: float = 1.0
     reward_scale: float = 0.1  # rewards are multiplied by this before learning

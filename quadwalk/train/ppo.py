@@ -265,10 +265,9 @@ def _replace_where(done: jax.Array, state: State, fresh: State) -> State:
     )
 
 
-def desired_change(config: PPOConfig, progress: jax.Array) -> jax.Array:
-    """The divergence to aim for in an update, `progress` from 0 to 1 through the training."""
-    settling = jnp.clip((progress - 0.6) / 0.4, 0.0, 1.0)
-    return config.desired_kl + settling * (config.final_kl - config.desired_kl)
+def settled(start: float, end: float, progress: jax.Array) -> jax.Array:
+    """`start`, falling to `end` over the last 40 % of the training; `progress` from 0 to 1."""
+    return start + jnp.clip((progress - 0.6) / 0.4, 0.0, 1.0) * (end - start)
 
 
 def learn(
@@ -285,7 +284,9 @@ def learn(
     would change beyond recognition when they are normalised.
     """
     optimizer = make_optimizer(config)
-    desired_kl = desired_change(config, learner.iterations / iterations)
+    progress = learner.iterations / iterations
+    desired_kl = settled(config.desired_kl, config.final_kl, progress)
+    entropy = settled(config.entropy, config.final_entropy, progress)
 
     def loss(params: losses.PPONetworkParams, batch: Transition, key: jax.Array) -> Any:
         return losses.compute_ppo_loss(
@@ -294,7 +295,7 @@ def learn(
             batch,
             key,
             networks,
-            entropy_cost=config.entropy,
+            entropy_cost=entropy,
             discounting=config.discount,
             gae_lambda=config.gae_lambda,
             clipping_epsilon=config.clip,

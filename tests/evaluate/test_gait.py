@@ -265,7 +265,16 @@ def test_limits_are_fractions_of_the_motors(drawn, quadruped):
 def test_slip_is_the_speed_of_a_dragged_foot(drawn, quadruped):
     gait = measure_gait(drawn(velocity=(0.3, 0.4), contact=np.ones((300, 4), bool)), quadruped)
     np.testing.assert_allclose(gait.slip, 0.5, rtol=1e-6)
+    # 299 steps lie between two moments on the ground; the way along x is .3 m/s of the .5.
+    np.testing.assert_allclose(gait.slip_share, 299 / 300 * 0.5 / 0.3, rtol=1e-6)
     assert np.isnan(gait.swing_height).all()
+
+
+def test_action_rate_is_the_root_mean_square(drawn, quadruped):
+    action = np.zeros((300, 12))
+    action[1::2, 3] = 0.6  # one of twelve joints goes to and fro, .02 s a step
+    gait = measure_gait(drawn(action=action), quadruped)
+    assert gait.action_rate == pytest.approx(0.6 / 0.02 / np.sqrt(12))
 
 
 def test_a_foot_that_rolls_does_not_slip(drawn, quadruped):

@@ -251,5 +251,4 @@ def test_it_learns(networks, iterate):
     ("progress", "expected"), [(0.0, 0.03), (0.6, 0.03), (0.8, 0.02), (1.0, 0.01), (1.5, 0.01)]
 )
 def test_the_policy_settles_towards_the_end(progress, expected):
-    config = PPOConfig(desired_kl=0.03, final_kl=0.01)
-    assert float(ppo.desired_change(config, jnp.asarray(progress))) == pytest.approx(expected)
+    assert float(ppo.settled(0.03, 0.01, jnp.asarray(progress))) == pytest.approx(expected)
