@@ -1,11 +1,12 @@
 """What a change of settings gives: train each over several seeds and judge it in both engines.
 
-    python benchmarks/recipe.py "" "--ppo.entropy 0.003" "--ppo.epochs 3" [--steps 4000000] [--seeds 3]
+    python benchmarks/recipe.py "" "--ppo.entropy 0.003" "--ppo.epochs 3" [--steps 4000000]
 
-Each argument holds the flags of one variant, "" the defaults. Runs are kept in `--runs` and named by
+Each argument holds the flags of one variant, "" the defaults. Runs are kept in `--runs`, named by
 flags, steps and seed: one that is there already is not trained again, so a stopped benchmark goes
-on where it was. The rows printed are Markdown, for `benchmarks/recipe.md`. An episode that moves
-less than half as fast as the median is counted as slow: such a robot stands, or limps.
+on where it was. The rows printed are Markdown, for `benchmarks/recipe.md`; the gait's are those of
+each run's typical episode in MuJoCo C. An episode less than half as fast as the median is counted
+as slow: such a robot stands, or limps.
 """
 
 import argparse
