@@ -9,6 +9,9 @@ fresh starts, what each episode brings until it ends.
 Agreement: per seed, the mean over the curve's points (the start apart) is one number; the 99 %
 interval of the difference, ours less Brax's (Student's t, paired, since a seed's start is the same
 for both), holds zero. Its width is printed, since a wide one proves nothing.
+
+Found, three seeds of 1.5 million steps: in the end 3.55 m/s (3.38 to 3.66) against Brax's 3.64
+(3.58 to 3.71); over the curve -0.12 +- 1.11 m/s of 3.65 gained, at most 0.37 at a point.
 """
 
 import argparse
