@@ -21,7 +21,7 @@ def joint_target(robot: RobotArrays, config: ActuationConfig, action: ArrayLike)
 
 def gains(robot: RobotArrays, config: ActuationConfig) -> tuple[float, float]:
     """Position gain, Nm/rad, and velocity gain, Nm s/rad, of the joint controller."""
-    kp = 0.936 * robot.weight * robot.home_height if config.kp is None else config.kp
+    kp = 1.4 * robot.weight * robot.home_height if config.kp is None else config.kp
     kd = 0.025 * kp if config.kd is None else config.kd
     return kp, kd
 

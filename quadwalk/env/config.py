@@ -10,8 +10,8 @@ class ActuationConfig:
     """How an action in [-1, 1] becomes joint torque."""
 
     # The joint controller's gains. By default they follow from the robot, so that a light one is
-    # held as firmly as a heavy one: 80 Nm/rad and 2 Nm s/rad for the AlienGo.
-    kp: float | None = None  # Nm/rad, position gain; by default weight * home height * 0.936
+    # held as firmly as a heavy one: 120 Nm/rad and 3 Nm s/rad for the AlienGo.
+    kp: float | None = None  # Nm/rad, position gain; by default weight * home height * 1.4
     kd: float | None = None  # Nm s/rad, velocity gain; by default kp * 0.025 s
     hip_range: float = 0.3  # rad, how far action 1 moves a hip's target from the home pose
     thigh_range: float = 0.9  # rad, the same for a thigh
