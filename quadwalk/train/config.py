@@ -149,6 +149,10 @@ def _restore(hint: Any, value: Any, where: str) -> Any:
             return None
         hint = next(option for option in hint.__args__ if option is not type(None))
     origin = typing.get_origin(hint) or hint
+    if origin is typing.Literal:
+        if value not in hint.__args__:
+            raise UsageError(f"{where} is {value!r}; expected one of: {', '.join(hint.__args__)}")
+        return value
     if origin is tuple and isinstance(value, list):
         return tuple(_restore(hint.__args__[0], item, where) for item in value)
     if origin is Path and isinstance(value, str):
