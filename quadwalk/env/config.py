@@ -28,6 +28,8 @@ class ActuationConfig:
     joint_friction: bool = True  # Coulomb friction of the joints
 
     def __post_init__(self) -> None:
+        if self.targets not in ("home", "range"):
+            raise UsageError(f"env.actuation.targets is {self.targets!r}; expected home or range")
         for name in ("hip_bounds", "thigh_bounds", "calf_bounds"):
             bounds = getattr(self, name)
             if len(bounds) != 2 or not bounds[0] < bounds[1]:
@@ -100,8 +102,7 @@ class EnvConfig:
     episode_seconds: float = 20.0  # s, the time limit
     solver_iterations: int = 2  # Newton iterations of the contact solver (benchmarks/accuracy.py)
     line_search_iterations: int = 3
-    # What the policy sees, in the trunk's frame or in the world's: see env/observation.py.
-    observation: Literal["body", "world"] = "body"
+    observation: Literal["body", "world"] = "body"  # what the policy sees, and in which frame
     actuation: ActuationConfig = field(default_factory=ActuationConfig)
     reward: RewardConfig = field(default_factory=RewardConfig)
     termination: TerminationConfig = field(default_factory=TerminationConfig)
@@ -116,6 +117,8 @@ class EnvConfig:
             raise UsageError(f"env.substeps is {self.substeps}; expected 1 or more")
         if self.solver_iterations < 1 or self.line_search_iterations < 1:
             raise UsageError("env.solver-iterations and env.line-search-iterations: 1 or more")
+        if self.observation not in ("body", "world"):
+            raise UsageError(f"env.observation is {self.observation!r}; expected body or world")
         if self.episode_steps < 1:
             raise UsageError(
                 f"env.episode-seconds is {self.episode_seconds}; expected at least one control "

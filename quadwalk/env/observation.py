@@ -1,22 +1,20 @@
 """What the policy sees."""
 
-from typing import Literal
-
 import jax
 import jax.numpy as jnp
 
+from quadwalk.env.config import EnvConfig
 from quadwalk.env.robot import RobotArrays
 from quadwalk.env.rotation import rotate, rotate_inverse, yaw
 
 OFFSET_RANGE = 1.0  # m: how far from its line the robot can tell its distance to it
 _XYZ = ("x", "y", "z")
-Frame = Literal["body", "world"]
 
 
 def observe(
-    robot: RobotArrays, frame: Frame, qpos: jax.Array, qvel: jax.Array, action: jax.Array
+    robot: RobotArrays, config: EnvConfig, qpos: jax.Array, qvel: jax.Array, action: jax.Array
 ) -> jax.Array:
-    """The observation, float32; its parts, in order, are named by `observation_names`.
+    """The observation (n,), float32; its parts, in order, are named by `observation_names`.
 
     "body", (47,): trunk velocity (body frame, m/s), angular velocity (body frame, rad/s), the
     direction of gravity (body frame, unit), heading (rad), offset from the line y = 0 (m, clipped),
@@ -27,7 +25,7 @@ def observe(
     velocities (rad/s).
     """
     quat = qpos[3:7]
-    if frame == "world":
+    if config.observation == "world":
         return jnp.concatenate(
             [
                 qpos[:3],
@@ -52,9 +50,9 @@ def observe(
     )
 
 
-def observation_names(frame: Frame, joints: tuple[str, ...]) -> tuple[str, ...]:
+def observation_names(config: EnvConfig, joints: tuple[str, ...]) -> tuple[str, ...]:
     """One name for each number of the observation, of a robot with these 12 joints."""
-    if frame == "world":
+    if config.observation == "world":
         return (
             *(f"world_position_{i}" for i in _XYZ),
             *(f"world_orientation_{i}" for i in (*_XYZ, "w")),

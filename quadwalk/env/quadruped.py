@@ -48,7 +48,7 @@ def reset(legged: Legged, robot: RobotArrays, config: EnvConfig, key: jax.Array)
     zero = jnp.zeros(())
     return State(
         pipeline_state=state,
-        obs=observe(robot, config.observation, physics.qpos, physics.qvel, state.last_action),
+        obs=observe(robot, config, physics.qpos, physics.qvel, state.last_action),
         reward=zero,
         done=zero,
         metrics={
@@ -126,7 +126,7 @@ def conclude(
     }
     return State(
         pipeline_state=EnvState(physics, action, steps),
-        obs=observe(robot, config.observation, physics.qpos, physics.qvel, action),
+        obs=observe(robot, config, physics.qpos, physics.qvel, action),
         reward=total_reward(config.reward, terms),
         done=(end > 0).astype(jnp.float32),
         metrics={
@@ -189,7 +189,7 @@ class QuadrupedEnv(Env):
 
     @property
     def observation_names(self) -> tuple[str, ...]:
-        return observation_names(self.config.observation, self.quadruped.joints)
+        return observation_names(self.config, self.quadruped.joints)
 
     @property
     def action_size(self) -> int:
