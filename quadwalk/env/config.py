@@ -96,19 +96,21 @@ class ResetConfig:
 class EnvConfig:
     """The task: a quadruped runs along world x as fast as it can."""
 
+    observation: Literal["body", "world"] = "body"  # what the policy sees, and in which frame
     gravity: float = 9.81  # m/s^2
     physics_dt: float = 0.004  # s, one physics step
     substeps: int = 5  # physics steps in a control step
     episode_seconds: float = 20.0  # s, the time limit
     solver_iterations: int = 2  # Newton iterations of the contact solver (benchmarks/accuracy.py)
     line_search_iterations: int = 3
-    observation: Literal["body", "world"] = "body"  # what the policy sees, and in which frame
     actuation: ActuationConfig = field(default_factory=ActuationConfig)
     reward: RewardConfig = field(default_factory=RewardConfig)
     termination: TerminationConfig = field(default_factory=TerminationConfig)
     reset: ResetConfig = field(default_factory=ResetConfig)
 
     def __post_init__(self) -> None:
+        if self.observation not in ("body", "world"):
+            raise UsageError(f"env.observation is {self.observation!r}; expected body or world")
         if self.gravity <= 0.0:
             raise UsageError(f"env.gravity is {self.gravity}; expected more than 0 m/s^2")
         if not 1e-4 <= self.physics_dt <= 0.02:
@@ -117,8 +119,6 @@ class EnvConfig:
             raise UsageError(f"env.substeps is {self.substeps}; expected 1 or more")
         if self.solver_iterations < 1 or self.line_search_iterations < 1:
             raise UsageError("env.solver-iterations and env.line-search-iterations: 1 or more")
-        if self.observation not in ("body", "world"):
-            raise UsageError(f"env.observation is {self.observation!r}; expected body or world")
         if self.episode_steps < 1:
             raise UsageError(
                 f"env.episode-seconds is {self.episode_seconds}; expected at least one control "
