@@ -13,10 +13,26 @@ from quadwalk.env.robot import RobotArrays
 FRICTION_SPEED = 0.1
 
 
-def joint_target(robot: RobotArrays, config: ActuationConfig, action: ArrayLike) -> jax.Array:
-    """Joint position targets (12,), rad: `action` (12,) in [-1, 1] about the home pose."""
-    reach = np.tile([config.hip_range, config.thigh_range, config.calf_range], 4)
-    return jnp.clip(robot.home_joints + reach * jnp.asarray(action), robot.lower, robot.upper)
+def joint_target(
+    robot: RobotArrays, config: ActuationConfig, action: ArrayLike, q: ArrayLike
+) -> jax.Array:
+    """Joint position targets (12,), rad, of `action` (12,) in [-1, 1] with the joints at `q` (12,).
+
+    About the home pose and within the joints' limits, or between the bounds that `config` gives;
+    then, where there is a step limit, at most that far from `q`.
+    """
+    action = jnp.asarray(action)
+    if config.targets == "home":
+        reach = np.tile([config.hip_range, config.thigh_range, config.calf_range], 4)
+        target = jnp.clip(robot.home_joints + reach * action, robot.lower, robot.upper)
+    else:
+        bounds = np.tile([config.hip_bounds, config.thigh_bounds, config.calf_bounds], (4, 1))
+        lower, upper = bounds.T
+        target = lower + (action + 1.0) / 2.0 * (upper - lower)
+    if config.step_limit is None:
+        return target
+    q = jnp.asarray(q)
+    return jnp.clip(target, q - config.step_limit, q + config.step_limit)
 
 
 def gains(robot: RobotArrays, config: ActuationConfig) -> tuple[float, float]:

@@ -1,6 +1,7 @@
 """Configuration of the environment: frozen dataclasses, one per concern, units in the comments."""
 
 from dataclasses import dataclass, field
+from typing import Literal
 
 from quadwalk.errors import UsageError
 
@@ -13,11 +14,32 @@ class ActuationConfig:
     # held as firmly as a heavy one: 120 Nm/rad and 3 Nm s/rad for the AlienGo.
     kp: float | None = None  # Nm/rad, position gain; by default weight * home height * 1.4
     kd: float | None = None  # Nm s/rad, velocity gain; by default kp * 0.025 s
+    # Joint targets lie about the home pose, or between bounds ("range") with action 0 halfway.
+    targets: Literal["home", "range"] = "home"
     hip_range: float = 0.3  # rad, how far action 1 moves a hip's target from the home pose
     thigh_range: float = 0.9  # rad, the same for a thigh
     calf_range: float = 0.9  # rad, the same for a calf
+    hip_bounds: tuple[float, float] = (-1.2217, 1.2217)  # rad, a hip's target at action -1 and 1
+    thigh_bounds: tuple[float, float] = (-1.0, 1.0)  # rad, a thigh's
+    calf_bounds: tuple[float, float] = (-2.77507, -0.645772)  # rad, a calf's
+    step_limit: float | None = None  # rad, how far from its joint a control step's target may be
+    effort: float | None = None  # Nm, every motor's largest torque; by default the robot's own
     speed_limit: bool = True  # torque falls to zero at the motor's speed limit
     joint_friction: bool = True  # Coulomb friction of the joints
+
+    def __post_init__(self) -> None:
+        if self.targets not in ("home", "range"):
+            raise UsageError(f"env.actuation.targets is {self.targets!r}; expected home or range")
+        for name in ("hip_bounds", "thigh_bounds", "calf_bounds"):
+            bounds = getattr(self, name)
+            if len(bounds) != 2 or not bounds[0] < bounds[1]:
+                flag = f"env.actuation.{name.replace('_', '-')}"
+                raise UsageError(f"{flag} is {bounds}; expected the lower and the upper bound, rad")
+        for name in ("step_limit", "effort"):
+            value = getattr(self, name)
+            if value is not None and value <= 0.0:
+                flag = f"env.actuation.{name.replace('_', '-')}"
+                raise UsageError(f"{flag} is {value}; expected more than 0, or None")
 
 
 @dataclass(frozen=True)
@@ -36,21 +58,31 @@ class RewardConfig:
     turning: float = -0.1  # per rad/s of roll and pitch rate, up to 4
     action_rate: float = -0.1  # per mean squared change of the action
     max_speed: float = 7.0  # m/s, where forward reward ends
+    # The blog post's task has these four and no others.
+    progress: float = 0.0  # per m along world x in the step
+    inclined: float = 0.0  # per step with roll or pitch beyond 45 degrees
+    heading: float = 0.0  # per rad of heading away from world x, without bound
+    movement: float = 0.0  # per rad that joints moved in the step, all together
 
 
 @dataclass(frozen=True)
 class TerminationConfig:
-    """When an episode ends by a fall."""
+    """When an episode ends by a fall; what is None ends none."""
 
-    tilt: float = 1.0  # rad, angle between the trunk's and the world's z axis
-    height: float = 0.45  # of the home height: the trunk's origin lower than this is a fall
-    clearance: float = 0.0  # m, any shape but a foot lower than this touches the floor
+    tilt: float | None = 1.0  # rad, angle between the trunk's and the world's z axis
+    roll_pitch: float | None = None  # rad, the same of roll and of pitch, each for itself
+    height: float | None = 0.45  # of the home height: the trunk's origin lower than this is a fall
+    base_height: float | None = None  # m, the same
+    clearance: float | None = 0.0  # m, any shape but a foot lower than this touches the floor
 
 
 @dataclass(frozen=True)
 class ResetConfig:
     """How much a fresh start differs from the home pose: each drawn uniformly from +-value."""
 
+    # In place of the home pose and of the lowest foot just on the floor:
+    pose: tuple[float, float, float] | None = None  # rad, every leg's hip, thigh and calf
+    height: float | None = None  # m, of the trunk's origin
     yaw: float = 0.3  # rad
     tilt: float = 0.1  # rad, roll and pitch
     offset: float = 0.3  # m, along y
@@ -64,6 +96,8 @@ class ResetConfig:
 class EnvConfig:
     """The task: a quadruped runs along world x as fast as it can."""
 
+    observation: Literal["body", "world"] = "body"  # what the policy sees, and in which frame
+    gravity: float = 9.81  # m/s^2
     physics_dt: float = 0.004  # s, one physics step
     substeps: int = 5  # physics steps in a control step
     episode_seconds: float = 20.0  # s, the time limit
@@ -75,6 +109,10 @@ class EnvConfig:
     reset: ResetConfig = field(default_factory=ResetConfig)
 
     def __post_init__(self) -> None:
+        if self.observation not in ("body", "world"):
+            raise UsageError(f"env.observation is {self.observation!r}; expected body or world")
+        if self.gravity <= 0.0:
+            raise UsageError(f"env.gravity is {self.gravity}; expected more than 0 m/s^2")
         if not 1e-4 <= self.physics_dt <= 0.02:
             raise UsageError(f"env.physics-dt is {self.physics_dt}; expected 0.0001 to 0.02 s")
         if self.substeps < 1:

@@ -3,21 +3,39 @@
 import jax
 import jax.numpy as jnp
 
+from quadwalk.env.config import EnvConfig
 from quadwalk.env.robot import RobotArrays
-from quadwalk.env.rotation import rotate_inverse, yaw
+from quadwalk.env.rotation import rotate, rotate_inverse, yaw
 
 OFFSET_RANGE = 1.0  # m: how far from its line the robot can tell its distance to it
 _XYZ = ("x", "y", "z")
 
 
-def observe(robot: RobotArrays, qpos: jax.Array, qvel: jax.Array, action: jax.Array) -> jax.Array:
-    """The observation (47,), float32; its parts, in order, are named by `observation_names`.
+def observe(
+    robot: RobotArrays, config: EnvConfig, qpos: jax.Array, qvel: jax.Array, action: jax.Array
+) -> jax.Array:
+    """The observation (n,), float32; its parts, in order, are named by `observation_names`.
 
-    Trunk velocity (body frame, m/s), angular velocity (body frame, rad/s), the direction of
-    gravity (body frame, unit), heading (rad), offset from the line y = 0 (m, clipped), joint
-    positions from home (rad), joint velocities (rad/s), the last action.
+    "body", (47,): trunk velocity (body frame, m/s), angular velocity (body frame, rad/s), the
+    direction of gravity (body frame, unit), heading (rad), offset from the line y = 0 (m, clipped),
+    joint positions from home (rad), joint velocities (rad/s), the last action.
+
+    "world", (37,), the blog post's: trunk position (m), orientation (quaternion xyzw), velocity
+    (world frame, m/s), angular velocity (world frame, rad/s), joint positions (rad), joint
+    velocities (rad/s).
     """
     quat = qpos[3:7]
+    if config.observation == "world":
+        return jnp.concatenate(
+            [
+                qpos[:3],
+                quat[jnp.array([1, 2, 3, 0])],
+                qvel[:3],
+                rotate(quat, qvel[3:6]),
+                qpos[7:],
+                qvel[6:],
+            ]
+        )
     return jnp.concatenate(
         [
             rotate_inverse(quat, qvel[:3]),
@@ -32,8 +50,17 @@ def observe(robot: RobotArrays, qpos: jax.Array, qvel: jax.Array, action: jax.Ar
     )
 
 
-def observation_names(joints: tuple[str, ...]) -> tuple[str, ...]:
+def observation_names(config: EnvConfig, joints: tuple[str, ...]) -> tuple[str, ...]:
     """One name for each number of the observation, of a robot with these 12 joints."""
+    if config.observation == "world":
+        return (
+            *(f"world_position_{i}" for i in _XYZ),
+            *(f"world_orientation_{i}" for i in (*_XYZ, "w")),
+            *(f"world_velocity_{i}" for i in _XYZ),
+            *(f"world_angular_velocity_{i}" for i in _XYZ),
+            *(f"position_{name}" for name in joints),
+            *(f"speed_{name}" for name in joints),
+        )
     return (
         *(f"velocity_{i}" for i in _XYZ),
         *(f"angular_velocity_{i}" for i in _XYZ),

@@ -21,7 +21,7 @@ from quadwalk.env.physics import Effort, Physics
 from quadwalk.env.physics import simulate as simulate_in_mjx
 from quadwalk.env.reset import fresh_start
 from quadwalk.env.reward import Step, active_terms, mean_velocity, reward_terms, total_reward
-from quadwalk.env.robot import RobotArrays, robot_arrays
+from quadwalk.env.robot import RobotArrays, robot_arrays, task_robot
 from quadwalk.env.termination import REASONS, fall_reasons
 from quadwalk.robot.quadruped import Quadruped
 
@@ -48,7 +48,7 @@ def reset(legged: Legged, robot: RobotArrays, config: EnvConfig, key: jax.Array)
     zero = jnp.zeros(())
     return State(
         pipeline_state=state,
-        obs=observe(robot, physics.qpos, physics.qvel, state.last_action),
+        obs=observe(robot, config, physics.qpos, physics.qvel, state.last_action),
         reward=zero,
         done=zero,
         metrics={
@@ -74,7 +74,7 @@ def step(
     `simulate` steps the physics, from a state and joint targets (12,), rad.
     """
     before: EnvState = state.pipeline_state
-    target = joint_target(robot, config.actuation, action)
+    target = joint_target(robot, config.actuation, action, before.physics.qpos[7:])
     physics, effort = simulate(before.physics, target)
     return conclude(legged, robot, config, before, action, physics, effort)
 
@@ -126,7 +126,7 @@ def conclude(
     }
     return State(
         pipeline_state=EnvState(physics, action, steps),
-        obs=observe(robot, physics.qpos, physics.qvel, action),
+        obs=observe(robot, config, physics.qpos, physics.qvel, action),
         reward=total_reward(config.reward, terms),
         done=(end > 0).astype(jnp.float32),
         metrics={
@@ -157,16 +157,16 @@ class QuadrupedEnv(Env):
     """
 
     def __init__(self, quadruped: Quadruped, config: EnvConfig | None = None) -> None:
-        self.quadruped = quadruped
         self.config = config or EnvConfig()
-        self.mj_model: mujoco.MjModel = quadruped.training_model(
+        self.quadruped = task_robot(quadruped, self.config)
+        self.mj_model: mujoco.MjModel = self.quadruped.training_model(
             self.config.physics_dt,
             self.config.solver_iterations,
             self.config.line_search_iterations,
         )
         # By default MJX takes the first of all devices, which may be another process's.
         self.model = mjx.put_model(self.mj_model, device=jax.local_devices()[0])
-        self.robot = robot_arrays(quadruped, self.mj_model)
+        self.robot = robot_arrays(self.quadruped, self.mj_model)
         self.legged = legged(self.mj_model, self.robot)
 
     def reset(self, rng: jax.Array) -> State:
@@ -189,7 +189,7 @@ class QuadrupedEnv(Env):
 
     @property
     def observation_names(self) -> tuple[str, ...]:
-        return observation_names(self.quadruped.joints)
+        return observation_names(self.config, self.quadruped.joints)
 
     @property
     def action_size(self) -> int:

@@ -1,7 +1,8 @@
 """The reward: named terms, each a small pure function of one control step.
 
-Terms are raw, in physical units, and bounded; `RewardConfig` holds one scale for each. To add a
-term, write its function, name it in `TERMS`, and give `RewardConfig` a field of that name.
+Terms are raw, in physical units, and bounded, but for the blog post's, which are as it has them;
+`RewardConfig` holds one scale for each. To add a term, write its function, name it in `TERMS`, and
+give `RewardConfig` a field of that name.
 """
 
 from typing import NamedTuple
@@ -11,7 +12,7 @@ import jax.numpy as jnp
 
 from quadwalk.env.config import RewardConfig
 from quadwalk.env.robot import RobotArrays
-from quadwalk.env.rotation import rotate_inverse, yaw
+from quadwalk.env.rotation import euler, rotate_inverse, yaw
 
 
 class Step(NamedTuple):
@@ -88,6 +89,31 @@ def action_rate(robot: RobotArrays, config: RewardConfig, step: Step) -> jax.Arr
     return jnp.mean(jnp.square(step.action - step.last_action))
 
 
+def progress(robot: RobotArrays, config: RewardConfig, step: Step) -> jax.Array:
+    """Distance along world x in the step, m."""
+    return step.qpos[0] - step.start[0]
+
+
+def inclined(robot: RobotArrays, config: RewardConfig, step: Step) -> jax.Array:
+    """1 while roll or pitch is beyond 45 degrees."""
+    roll_and_pitch = euler(step.qpos[3:7])[:2]
+    return (jnp.max(jnp.abs(roll_and_pitch)) > jnp.pi / 4).astype(jnp.float32)
+
+
+def heading(robot: RobotArrays, config: RewardConfig, step: Step) -> jax.Array:
+    """Angle between the heading and world x, rad."""
+    return jnp.abs(euler(step.qpos[3:7])[2])
+
+
+def movement(robot: RobotArrays, config: RewardConfig, step: Step) -> jax.Array:
+    """How far the joints moved in the step, all together, rad.
+
+    From where the reset put them in an episode's first step. The post's code remembers the joints
+    of the last episode's end there: it clears its memory only when it is made.
+    """
+    return jnp.sum(jnp.abs(step.qpos[7:] - step.start[7:]))
+
+
 TERMS = {
     "forward": forward,
     "fall": fall,
@@ -100,6 +126,10 @@ TERMS = {
     "tilt": tilt,
     "turning": turning,
     "action_rate": action_rate,
+    "progress": progress,
+    "inclined": inclined,
+    "heading": heading,
+    "movement": movement,
 }
 
 

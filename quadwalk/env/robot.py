@@ -1,10 +1,11 @@
-"""What the environment's functions need to know of a robot, as arrays."""
+"""The robot of a task, and what the environment's functions need to know of it, as arrays."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
 
+from quadwalk.env.config import EnvConfig
 from quadwalk.robot.quadruped import Quadruped
 
 
@@ -35,6 +36,18 @@ class RobotArrays:
     def home_height(self) -> float:
         """Height of the trunk's origin in the standing pose, m."""
         return float(self.home[2])
+
+
+def task_robot(quadruped: Quadruped, config: EnvConfig) -> Quadruped:
+    """The robot under the task's gravity, with the motors that the task gives it."""
+    spec, effort = quadruped.spec.copy(), quadruped.effort
+    spec.option.gravity[2] = -config.gravity
+    if config.actuation.effort is not None:
+        effort = np.full(12, config.actuation.effort)
+        for name, most in zip(quadruped.joints, effort, strict=True):
+            # The models have a motor's limit twice, for its control and for its joint.
+            spec.actuator(name).ctrlrange = spec.joint(name).actfrcrange = [-most, most]
+    return replace(quadruped, effort=effort, spec=spec)
 
 
 def robot_arrays(quadruped: Quadruped, model: mujoco.MjModel) -> RobotArrays:

@@ -21,6 +21,26 @@ def yaw(quat: jax.Array) -> jax.Array:
     return jnp.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
 
 
+def euler(quat: jax.Array) -> jax.Array:
+    """Roll, pitch and yaw (3,), rad, of which `quat` (4,) is Rz(yaw) Ry(pitch) Rx(roll).
+
+    Those of PyBullet's getEulerFromQuaternion: pitch from -pi/2 to pi/2; within 0.26 degrees of
+    either end, where only roll and yaw together are determined, roll 0 and a yaw within +-2 pi.
+    """
+    w, x, y, z = quat
+    sine = 2.0 * (w * y - x * z)
+    general = jnp.stack(
+        [
+            jnp.arctan2(2.0 * (y * z + w * x), w * w - x * x - y * y + z * z),
+            jnp.arcsin(jnp.clip(sine, -1.0, 1.0)),
+            jnp.arctan2(2.0 * (x * y + w * z), w * w + x * x - y * y - z * z),
+        ]
+    )
+    up = jnp.sign(sine)
+    vertical = jnp.stack([0.0 * w, up * (jnp.pi / 2), 2.0 * jnp.arctan2(-up * x, up * y)])
+    return jnp.where(jnp.abs(sine) < 0.99999, general, vertical)
+
+
 def from_euler(roll: jax.Array, pitch: jax.Array, yaw: jax.Array) -> jax.Array:
     """Quaternion (4,) of Rz(yaw) Ry(pitch) Rx(roll), angles in rad."""
     cr, sr = jnp.cos(roll / 2), jnp.sin(roll / 2)

@@ -6,6 +6,7 @@ import numpy as np
 
 from quadwalk.env.config import TerminationConfig
 from quadwalk.env.robot import RobotArrays
+from quadwalk.env.rotation import euler
 
 REASONS = ("tipped", "low", "touched")
 
@@ -18,12 +19,17 @@ def fall_reasons(
     Tipped over; the trunk too low; a shape other than a foot on the floor. `qpos` (19,), `lowest`
     () m, of all shapes but the feet.
     """
-    _, x, y, _ = qpos[3:7]
-    upright = 1.0 - 2.0 * (x * x + y * y)  # cosine of the angle between trunk z and world z
-    return jnp.stack(
-        [
-            upright < np.cos(config.tilt),
-            qpos[2] < config.height * robot.home_height,
-            lowest < config.clearance,
-        ]
-    )
+    tipped = low = touched = jnp.zeros((), bool)
+    if config.tilt is not None:
+        _, x, y, _ = qpos[3:7]
+        upright = 1.0 - 2.0 * (x * x + y * y)  # cosine of the angle between trunk z and world z
+        tipped |= upright < np.cos(config.tilt)
+    if config.roll_pitch is not None:
+        tipped |= jnp.max(jnp.abs(euler(qpos[3:7])[:2])) > config.roll_pitch
+    if config.height is not None:
+        low |= qpos[2] < config.height * robot.home_height
+    if config.base_height is not None:
+        low |= qpos[2] < config.base_height
+    if config.clearance is not None:
+        touched |= lowest < config.clearance
+    return jnp.stack([tipped, low, touched])

@@ -10,7 +10,6 @@ import numpy as np
 
 from quadwalk.evaluate import kinematics
 from quadwalk.evaluate.footfalls import Footfalls, analyse_footfalls, without_chatter
-from quadwalk.evaluate.kinematics import GRAVITY
 from quadwalk.evaluate.rollout import Rollout
 from quadwalk.evaluate.trim import finite_part
 from quadwalk.robot.quadruped import Quadruped
@@ -77,7 +76,7 @@ def measure_gait(rollout: Rollout, quadruped: Quadruped) -> Gait:
     home = kinematics.world_poses(tree, quadruped.home[None])
     hip_height = float(np.mean([home[thigh][0][0, 2] for thigh in tree.thighs]))
     centres = kinematics.foot_positions(tree, poses)
-    weight = tree.mass * GRAVITY
+    weight = tree.mass * quadruped.gravity
     energy = float(np.sum(rollout.energy))
     slip, slid = _slips(rollout, tree, poses, centres)
     changes = np.diff(rollout.action.astype(float), axis=0) / rollout.control_dt
@@ -107,7 +106,7 @@ def measure_gait(rollout: Rollout, quadruped: Quadruped) -> Gait:
         roll_range=_spread(rpy[:, 0]),
         pitch_range=_spread(rpy[:, 1]),
         cost_of_transport=energy / (weight * dx) if dx > LEAST_DISTANCE else np.nan,
-        froude=speed**2 / (GRAVITY * hip_height),
+        froude=speed**2 / (quadruped.gravity * hip_height),
         torque_mean=_over_rows(np.mean, torque),
         torque_peak=_over_rows(np.max, torque),
         joint_speed_mean=_over_rows(np.mean, rate),

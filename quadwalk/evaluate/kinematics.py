@@ -15,8 +15,6 @@ from quadwalk.robot.legs import find_legs
 from quadwalk.robot.tree import build_tree, matrix
 from quadwalk.robot.urdf import parse_urdf
 
-GRAVITY = 9.81  # m/s^2, MuJoCo's default
-
 
 @dataclass(frozen=True)
 class Joint:

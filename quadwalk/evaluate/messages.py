@@ -21,7 +21,6 @@ from google.protobuf.message import Message
 from google.protobuf.timestamp_pb2 import Timestamp
 
 from quadwalk.evaluate import kinematics
-from quadwalk.evaluate.kinematics import GRAVITY
 from quadwalk.evaluate.precision import compact
 from quadwalk.evaluate.rollout import Rollout
 from quadwalk.evaluate.scene import SCENE_PERIOD, SceneWriter
@@ -162,7 +161,7 @@ class EpisodeMessages:
     def _state_writer(self) -> _RowWriter:
         """Messages of the states themselves: transforms, joints, pose, velocity, IMU."""
         rollout, tree = self.rollout, self.tree
-        names = self.quadruped.joints
+        names, gravity = self.quadruped.joints, self.quadruped.gravity
         transforms = FrameTransforms()
         transforms.transforms.add(parent_frame_id=WORLD, child_frame_id=tree.root)
         for joint in tree.joints:
@@ -189,7 +188,7 @@ class EpisodeMessages:
             # ended here, less gravity. Before the first step there is none: it stands at rest.
             before = rollout.qvel[max(start - 1, 0) : stop - 1, :3]
             before = before if start else np.concatenate([qvel[:1, :3], before])
-            felt = (qvel[:, :3] - before) / rollout.control_dt + [0.0, 0.0, GRAVITY]
+            felt = (qvel[:, :3] - before) / rollout.control_dt + [0.0, 0.0, gravity]
             felt = kinematics.rotate(inverse, felt)
             imus = np.concatenate([kinematics.rpy_from_quat(quat), qvel[:, 3:6], felt], axis=1)
             imus = compact(imus).tolist()
@@ -265,7 +264,7 @@ class EpisodeMessages:
         rollout = self.rollout
         every = max(1, round(SCENE_PERIOD / rollout.control_dt))
         path = rollout.qpos[: self.rows, :3]
-        scene = SceneWriter(path, weight=self.tree.mass * GRAVITY, world=WORLD)
+        scene = SceneWriter(path, weight=self.tree.mass * self.quadruped.gravity, world=WORLD)
 
         def write(start: int, stop: int) -> Iterator[list[tuple[str, bytes]]]:
             poses = kinematics.world_poses(self.tree, rollout.qpos[start:stop])

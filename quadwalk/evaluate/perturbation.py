@@ -28,8 +28,13 @@ PUSH_PERIOD = 5.0  # s: one push in each
 
 # Standard deviation of the sensor noise at level 1, of the observations whose names begin so. The
 # numbers are those of legged_gym (Rudin et al., "Learning to walk in minutes", CoRL 2021), where
-# they bound uniform noise; heading and offset, which it has not, are an IMU's and a camera's guess.
+# they bound uniform noise; what it has not, heading, offset, and the world's position and
+# orientation (a quaternion's parts change by half an angle), are an IMU's and a camera's guess.
 NOISE = {
+    "world_position_": 0.05,  # m
+    "world_orientation_": 0.025,
+    "world_velocity_": 0.1,  # m/s
+    "world_angular_velocity_": 0.2,  # rad/s
     "velocity_": 0.1,  # m/s
     "angular_velocity_": 0.2,  # rad/s
     "gravity_": 0.05,
@@ -98,7 +103,7 @@ def perturbed_step(
     sensors, pushes = jax.random.split(episode.key)
     seen = sensed(episode.state.obs, perturbation.noise * noise, sensors, before.steps)
     action = policy(seen)
-    target = joint_target(robot, config.actuation, action)
+    target = joint_target(robot, config.actuation, action, before.physics.qpos[7:])
     targets = jnp.concatenate([target[None], episode.targets[:-1]])
 
     kick = perturbation.push * side_of_push(pushes, before.steps, config.control_dt)

@@ -152,9 +152,10 @@ def _in_mujoco(env: QuadrupedEnv, policy: Policy, state: Any, report: Report | N
     n = len(state.done)
 
     @jax.jit
-    def decide(policy: Policy, obs: jax.Array) -> tuple[jax.Array, jax.Array]:
-        action = policy(obs)
-        return action, joint_target(robot, actuation, action)
+    def decide(policy: Policy, state: Any) -> tuple[jax.Array, jax.Array]:
+        action = policy(state.obs)
+        q = state.pipeline_state.physics.qpos[:, 7:]
+        return action, joint_target(robot, actuation, action, q)
 
     apply = jax.jit(
         lambda target, q, qd: (
@@ -177,7 +178,7 @@ def _in_mujoco(env: QuadrupedEnv, policy: Policy, state: Any, report: Report | N
         def chunk(state: Any) -> tuple[Any, Frame]:
             frames = []
             for _ in range(CHUNK):
-                action, target = decide(policy, state.obs)
+                action, target = decide(policy, state)
                 before: EnvState = state.pipeline_state
                 physical = np.concatenate(
                     [np.zeros((n, 1)), before.physics.qpos, before.physics.qvel], axis=1
@@ -231,7 +232,7 @@ def _rollout(env: QuadrupedEnv, initial: Physics, frames: Frame, seed: int, i: i
     one: Frame = jax.tree.map(lambda x: x[:steps, i], frames)
     qpos = np.concatenate([initial.qpos[None, i], one.qpos]).astype(float)
     qvel = np.concatenate([initial.qvel[None, i], one.qvel]).astype(float)
-    target = np.asarray(joint_target(env.robot, env.config.actuation, one.action))
+    target = joint_target(env.robot, env.config.actuation, one.action, qpos[:-1, 7:])
     return Rollout(
         control_dt=env.config.control_dt,
         seed=seed,
@@ -240,7 +241,7 @@ def _rollout(env: QuadrupedEnv, initial: Physics, frames: Frame, seed: int, i: i
         qpos=qpos,
         qvel=qvel,
         action=one.action,
-        target=target,
+        target=np.asarray(target),
         torque=one.torque,
         energy=one.energy,
         observation=one.observation,

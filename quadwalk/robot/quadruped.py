@@ -50,6 +50,11 @@ class Quadruped:
     home: np.ndarray
     spec: mujoco.MjSpec = field(repr=False)
 
+    @property
+    def gravity(self) -> float:
+        """m/s^2, downwards, in both models."""
+        return float(-self.spec.option.gravity[2])
+
     def training_model(
         self, timestep: float, iterations: int = 1, ls_iterations: int = 5
     ) -> mujoco.MjModel:

@@ -65,7 +65,7 @@ def replay(path: Path | str) -> tuple[np.ndarray, np.ndarray]:
     from quadwalk.env.legged import legged
     from quadwalk.env.legged_physics import simulate
     from quadwalk.env.physics import Physics
-    from quadwalk.env.robot import robot_arrays
+    from quadwalk.env.robot import robot_arrays, task_robot
     from quadwalk.train.robot import load_run_robot
 
     path = Path(path)
@@ -77,9 +77,9 @@ def replay(path: Path | str) -> tuple[np.ndarray, np.ndarray]:
         action = jnp.asarray(arrays["action"])
     except (KeyError, ValueError, UserError) as error:
         raise UserError(f"{path} holds a step that cannot be used: {error}") from None
-    quadruped = load_run_robot(Run(path.parent.parent), config.robot)
+    quadruped = task_robot(load_run_robot(Run(path.parent.parent), config.robot), config.env)
     robot = robot_arrays(quadruped, model)
-    target = joint_target(robot, config.env.actuation, action)
+    target = joint_target(robot, config.env.actuation, action, physics.qpos[7:])
     # The target holds for the whole control step, so its physics steps can be taken one by one.
     once = dataclasses.replace(config.env, substeps=1)
     constants = legged(model, robot)

@@ -66,11 +66,34 @@ def test_no_motor_ever_leaves_its_limits(env, error, speed, kp, kd):
 
 def test_targets_lie_about_the_home_pose_and_within_the_joints_limits(env):
     robot = env.robot
-    still = joint_target(robot, CONFIG, jnp.zeros(12))
+    q = jnp.zeros(12)  # does not matter
+    still = joint_target(robot, CONFIG, jnp.zeros(12), q)
     np.testing.assert_allclose(still, robot.home_joints, rtol=1e-6)
     wide = ActuationConfig(hip_range=5.0, thigh_range=5.0, calf_range=5.0)
-    np.testing.assert_allclose(joint_target(robot, wide, jnp.ones(12)), robot.upper, rtol=1e-6)
-    np.testing.assert_allclose(joint_target(robot, wide, -jnp.ones(12)), robot.lower, rtol=1e-6)
+    np.testing.assert_allclose(joint_target(robot, wide, jnp.ones(12), q), robot.upper, rtol=1e-6)
+    np.testing.assert_allclose(joint_target(robot, wide, -jnp.ones(12), q), robot.lower, rtol=1e-6)
+
+
+def test_targets_over_a_range_and_near_the_joint(env):
+    config = ActuationConfig(
+        targets="range", hip_bounds=(-1, 1), thigh_bounds=(0, 2), calf_bounds=(-2, -1)
+    )
+    for action, expected in [
+        (-1, (-1, 0, -2)),
+        (0, (0, 1, -1.5)),
+        (1, (1, 2, -1)),
+        (0.5, (0.5, 1.5, -1.25)),
+    ]:
+        found = joint_target(env.robot, config, jnp.full(12, action), jnp.zeros(12))
+        np.testing.assert_allclose(found, np.tile(expected, 4), rtol=1e-6)
+    for targets, wanted in [("range", (1, 2, -1)), ("home", (0.3, 1.7, -0.7))]:
+        near = dataclasses.replace(config, targets=targets, step_limit=0.1)
+        for q, side in [(-5.0, 0.1), (5.0, -0.1)]:
+            found = joint_target(env.robot, near, jnp.ones(12), jnp.full(12, q))
+            np.testing.assert_allclose(found, q + side, rtol=1e-6)
+        q = jnp.tile(jnp.array(wanted), 4) + 0.05
+        found = joint_target(env.robot, near, jnp.ones(12), q)
+        np.testing.assert_allclose(found, np.tile(wanted, 4), atol=2e-3)
 
 
 def test_friction_opposes_motion_up_to_its_coulomb_value(env):

@@ -43,6 +43,13 @@ CASES = {
     "tilt": (a_step(qpos=turned(pitch=0.3)), np.sin(0.3) ** 2),
     "turning": (a_step(qvel=jnp.zeros(18).at[3:5].set(jnp.array([3.0, 4.0]) / 2)), 2.5),
     "action_rate": (a_step(action=jnp.full(12, 0.5), last_action=jnp.full(12, -0.5)), 1.0),
+    "progress": (a_step(qpos=a_step().qpos.at[0].set(-0.01)), -0.01),
+    "inclined": (a_step(qpos=turned(pitch=-0.8)), 1.0),
+    "heading": (a_step(qpos=turned(yaw=-3.0)), 3.0),
+    "movement": (
+        a_step(qpos=a_step().qpos.at[7:].add(jnp.tile(jnp.array([1, -1]), 6) / 100)),
+        0.12,
+    ),
 }
 LIMITS = {
     "forward": (a_step(qpos=a_step().qpos.at[0].set(9.0)), 1.0),  # max_speed of ALL
@@ -88,8 +95,9 @@ def test_the_total_is_the_scaled_sum_and_a_scale_of_zero_drops_its_term(env):
     terms = reward_terms(env.robot, config, a_step(qpos=qpos, start=qpos.at[0].set(0.0)))
     assert "energy" not in terms
     assert "energy" not in active_terms(config)
-    # forward 0.5 m/s, offset 0.1 m, alive 1; nothing else moves.
-    assert float(total_reward(config, terms)) == pytest.approx(2 * 0.5 - 3 * 0.1 + 1, abs=1e-4)
+    # forward 0.5 m/s, which is 0.01 m of progress, offset 0.1 m, alive 1; nothing else moves.
+    expected = 2 * 0.5 + 0.01 - 3 * 0.1 + 1
+    assert float(total_reward(config, terms)) == pytest.approx(expected, abs=1e-4)
 
 
 def test_the_robots_weight_is_its_mass_times_gravity(env):

@@ -50,8 +50,11 @@ def test_the_lowest_point_is_that_of_the_surface(kind, seed):
     assert float(shape.bottom(tuple(up))) == pytest.approx((points @ up).min(), abs=2e-3)
 
 
-def reasons(env, qpos, lowest=1.0) -> dict[str, bool]:
-    flags = fall_reasons(env.robot, TerminationConfig(), qpos, jnp.array(lowest))
+DEFAULT = TerminationConfig()
+
+
+def reasons(env, qpos, lowest=1.0, config=DEFAULT) -> dict[str, bool]:
+    flags = fall_reasons(env.robot, config, qpos, jnp.array(lowest))
     return dict(zip(REASONS, np.asarray(flags).tolist(), strict=True))
 
 
@@ -64,3 +67,23 @@ def test_each_reason_stands_for_itself(env):
     for roll, pitch, tipped in [(0.9, 0, False), (1.1, 0, True), (0, -1.1, True), (0.8, 0.8, True)]:
         qpos = home.at[3:7].set(from_euler(roll, pitch, 2.0))
         assert reasons(env, qpos) == {**none, "tipped": tipped}
+
+
+def test_roll_and_pitch_and_height_in_metres_end_an_episode_too(env):
+    home = jnp.asarray(env.robot.home)
+    config = TerminationConfig(
+        tilt=None, roll_pitch=0.9, height=None, base_height=0.1, clearance=None
+    )
+    none = {"tipped": False, "low": False, "touched": False}
+    # Each angle for itself: of both together the trunk tilts further.
+    for roll, pitch, tipped in [(0.8, 0.8, False), (1.0, 0, True), (0, -1.0, True)]:
+        qpos = home.at[3:7].set(from_euler(roll, pitch, 2.0))
+        assert reasons(env, qpos, config=config) == {**none, "tipped": tipped}
+    assert reasons(env, home.at[2].set(0.11), config=config) == none
+    assert reasons(env, home.at[2].set(0.09), config=config) == {**none, "low": True}
+
+
+def test_what_is_switched_off_ends_nothing(env):
+    off = TerminationConfig(tilt=None, height=None, clearance=None)
+    upside_down = jnp.asarray(env.robot.home).at[2].set(-9.0).at[3:7].set(jnp.eye(4)[1])
+    assert not any(reasons(env, upside_down, lowest=-9.0, config=off).values())

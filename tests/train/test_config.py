@@ -12,7 +12,7 @@ from quadwalk.env.config import EnvConfig, RewardConfig
 from quadwalk.errors import UsageError, UserError
 from quadwalk.train import devices
 from quadwalk.train.__main__ import parse_config
-from quadwalk.train.config import PPOConfig, TrainConfig, from_dict, to_dict
+from quadwalk.train.config import PRESETS, PPOConfig, TrainConfig, from_dict, to_dict
 from quadwalk.train.resume import changed_settings
 
 ROOT = Path(__file__).parents[2]
@@ -33,6 +33,38 @@ def test_every_field_can_be_set_from_the_command_line():
 
 def test_the_defaults_are_the_run_preset():
     assert parse_config([]) == parse_config(["--preset", "run"]) == TrainConfig()
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_a_preset_is_where_the_flags_start_and_comes_back_from_json(name):
+    preset = PRESETS[name]
+    assert preset.preset == name
+    assert parse_config(["--preset", name]) == preset
+    assert from_dict(TrainConfig, json.loads(json.dumps(to_dict(preset)))) == preset
+
+
+@pytest.mark.parametrize(
+    ("flags", "changed"),
+    [
+        ("--env.substeps 5", lambda env: env.substeps == 5 and env.episode_steps == 200),
+        ("--env.episode-seconds 20", lambda env: env.episode_steps == 4800),
+        ("--env.actuation.targets home", lambda env: env.actuation.targets == "home"),
+        ("--env.actuation.step-limit None", lambda env: env.actuation.step_limit is None),
+        ("--env.actuation.kp None", lambda env: env.actuation.kp is None),
+        (
+            "--env.actuation.thigh-bounds -0.5 1.5",
+            lambda env: env.actuation.thigh_bounds == (-0.5, 1.5),
+        ),
+        ("--env.reward.movement 0", lambda env: env.reward.movement == 0.0),
+        ("--env.observation body", lambda env: env.observation == "body"),
+        ("--env.reset.pose 0 0.8 -1.6", lambda env: env.reset.pose == (0.0, 0.8, -1.6)),
+    ],
+)
+def test_one_flag_changes_one_thing_of_a_preset(flags, changed):
+    before, now = PRESETS["blog"], parse_config(["--preset", "blog", *flags.split()])
+    assert changed(now.env)
+    assert not changed(before.env)
+    assert len(changed_settings(before, now)) == 1
 
 
 finite = st.floats(allow_nan=False, allow_infinity=False)
@@ -58,6 +90,10 @@ def test_a_configuration_comes_back_from_json_as_it_was(forward, substeps, hidde
         ({"env": 3}, "config.env"),
         ({"ppo": {"hidden": ["a"]}}, "config.ppo.hidden"),
         ({"env": {"reward": {"speed": 1.0}}}, "config.env.reward.speed"),
+        ({"env": {"observation": 1}}, "config.env.observation"),
+        ({"env": {"observation": "eyes"}}, "env.observation"),
+        ({"env": {"actuation": {"targets": "all"}}}, "env.actuation.targets"),
+        ({"env": {"actuation": {"hip_bounds": [1.0]}}}, "env.actuation.hip-bounds"),
     ],
 )
 def test_a_foreign_configuration_is_refused_by_name(change, named):
@@ -75,6 +111,13 @@ def test_a_foreign_configuration_is_refused_by_name(change, named):
         (["--seed", "-1"], "--seed"),
         (["--preset", "fly"], "--preset"),
         (["--preset"], "--preset"),
+        (["--env.gravity", "0"], "gravity"),
+        (["--env.observation", "eyes"], "observation"),
+        (["--env.actuation.targets", "all"], "targets"),
+        (["--env.actuation.step-limit", "0"], "step-limit"),
+        (["--env.actuation.effort", "-1"], "effort"),
+        (["--env.actuation.calf-bounds", "1", "-1"], "calf-bounds"),
+        (["--env.actuation.calf-bounds", "1"], "calf-bounds"),
         (["--env.reward.forwad", "2"], "--env.reward.forward"),
         (["--ppo.discount", "1.5"], "discount"),
         (["--ppo.hidden", "0"], "hidden"),

@@ -1,5 +1,8 @@
 """Steps that gave no number: kept in the run, and replayed."""
 
+from dataclasses import replace
+
+import jax
 import mujoco
 import numpy as np
 import pytest
@@ -9,7 +12,7 @@ from quadwalk.env.quadruped import MAX_SPEED, EnvState, QuadrupedEnv
 from quadwalk.errors import UsageError, UserError
 from quadwalk.paths import ALIENGO_URDF
 from quadwalk.train import checkpoint, nan
-from quadwalk.train.config import RobotConfig, TrainConfig
+from quadwalk.train.config import PRESETS, RobotConfig, TrainConfig
 from quadwalk.train.log import read_metrics
 from quadwalk.train.robot import load_robot
 from quadwalk.train.run import Run, create_run
@@ -50,6 +53,19 @@ def test_a_step_is_kept_and_goes_wrong_again(run, env, roll_rate):
         assert not np.array_equal(qpos[1], qpos[0])
     else:
         assert not np.isfinite(qvel[-1]).all()
+
+
+def test_a_step_of_another_task_is_replayed_as_it_was(run, env):
+    # Its targets depend on where the joints are, its motors and gravity are not the robot's own.
+    config = replace(PRESETS["blog"], robot=CONFIG.robot)
+    task = QuadrupedEnv(env.quadruped, config.env)
+    state = jax.jit(task.reset)(jax.random.PRNGKey(0))
+    action = np.full(12, -1.0, np.float32)
+    path = nan.keep(run, state.pipeline_state, action, task.mj_model, config, 64)
+    qpos, qvel = nan.replay(path)
+    after = jax.jit(task.step)(state, action).pipeline_state.physics
+    np.testing.assert_allclose(qpos[-1], after.qpos, atol=1e-6)
+    np.testing.assert_allclose(qvel[-1], after.qvel, atol=1e-4)
 
 
 def test_what_is_kept_can_be_read_without_this_package(run, env):

@@ -1,0 +1,73 @@
+"""Episodes of the blog post's task: 37 numbers seen, targets near the joints, 240 steps in 1 s."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from mcap_protobuf.decoder import DecoderFactory
+
+from quadwalk.env.quadruped import QuadrupedEnv
+from quadwalk.evaluate.foot_force import with_foot_forces
+from quadwalk.evaluate.gait import measure_gait
+from quadwalk.evaluate.mcap import write_mcap
+from quadwalk.evaluate.perturbation import noise_scale
+from quadwalk.evaluate.simulate import simulate_episodes
+from quadwalk.train.config import PRESETS
+
+STEPS = 50
+LOWER = np.tile([-1.2217, -1.0, -2.77507], 4)
+UPPER = np.tile([1.2217, 1.0, -0.645772], 4)
+
+
+@pytest.fixture(scope="module")
+def env(quadruped) -> QuadrupedEnv:
+    config = dataclasses.replace(PRESETS["blog"].env, episode_seconds=STEPS / 240)
+    return QuadrupedEnv(quadruped, config)
+
+
+@pytest.fixture(scope="module")
+def rollout(env):
+    """In MuJoCo C, of a policy that throws the legs about."""
+    weights = jax.random.normal(jax.random.PRNGKey(1), (37, 12))
+    policy = jax.tree_util.Partial(lambda w, seen: jnp.tanh(seen @ w), weights)
+    (rollout,) = simulate_episodes(env, policy, 1, seed=0, engine="mujoco")
+    return rollout
+
+
+def test_a_rollout_has_the_targets_that_were_obeyed(rollout):
+    assert (rollout.steps, rollout.end) == (STEPS, "time limit")
+    q = rollout.qpos[:-1, 7:]
+    wanted = LOWER + (rollout.action + 1) / 2 * (UPPER - LOWER)
+    expected = np.clip(wanted, q - 0.5, q + 0.5)
+    assert 0.1 < (expected != wanted).mean() < 1.0
+    np.testing.assert_allclose(rollout.target, expected, atol=1e-5)
+    np.testing.assert_allclose(rollout.observation[:, 13:25], q, atol=1e-6)
+    assert np.abs(rollout.torque).max() == pytest.approx(44.4, rel=1e-4)
+
+
+def test_it_is_measured_and_recorded(rollout, env, tmp_path):
+    gait = measure_gait(rollout, env.quadruped)
+    assert gait.duration == pytest.approx(STEPS / 240)
+    assert np.max(gait.torque_peak) == pytest.approx(1.0, rel=1e-4)  # of 44.4 Nm
+    path = tmp_path / "episode.mcap"
+    write_mcap(path, with_foot_forces(rollout, env, "mujoco"), env.quadruped, {})
+    with open(path, "rb") as stream:
+        reader = make_reader(stream, decoder_factories=[DecoderFactory()])
+        seen = [found.decoded_message for found in reader.iter_decoded_messages(["/observation"])]
+    assert len(seen) == STEPS
+    assert seen[7].world_position_z == pytest.approx(rollout.qpos[7, 2])
+    assert seen[7].world_orientation_w == pytest.approx(rollout.qpos[7, 3])
+
+
+def test_noise_for_every_number_that_is_seen(env):
+    by_name = dict(zip(env.observation_names, noise_scale(env.observation_names), strict=True))
+    assert by_name["world_position_x"] == 0.05
+    assert by_name["world_orientation_w"] == 0.025
+    assert by_name["world_velocity_y"] == 0.1
+    assert by_name["world_angular_velocity_z"] == 0.2
+    joints = env.quadruped.joints
+    assert {by_name[f"position_{joint}"] for joint in joints} == {0.01}
+    assert {by_name[f"speed_{joint}"] for joint in joints} == {1.5}
