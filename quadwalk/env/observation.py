@@ -3,6 +3,7 @@
 import jax
 import jax.numpy as jnp
 
+from quadwalk.env.config import EnvConfig
 from quadwalk.env.robot import RobotArrays
 from quadwalk.env.rotation import rotate_inverse, yaw
 
@@ -10,21 +11,29 @@ OFFSET_RANGE = 1.0  # m: how far from its line the robot can tell its distance t
 _XYZ = ("x", "y", "z")
 
 
-def observe(robot: RobotArrays, qpos: jax.Array, qvel: jax.Array, action: jax.Array) -> jax.Array:
-    """The observation (47,), float32; its parts, in order, are named by `observation_names`.
+def observe(
+    robot: RobotArrays,
+    config: EnvConfig,
+    qpos: jax.Array,
+    qvel: jax.Array,
+    action: jax.Array,
+    command: jax.Array,
+) -> jax.Array:
+    """The observation (n,), float32; its parts, in order, are named by `observation_names`.
 
     Trunk velocity (body frame, m/s), angular velocity (body frame, rad/s), the direction of
-    gravity (body frame, unit), heading (rad), offset from the line y = 0 (m, clipped), joint
-    positions from home (rad), joint velocities (rad/s), the last action.
+    gravity (body frame, unit), heading (rad) and offset from the line y = 0 (m, clipped) or, in
+    place of these two, the command (3,), joint positions from home (rad), joint velocities
+    (rad/s), the last action.
     """
     quat = qpos[3:7]
+    line = (yaw(quat)[None], jnp.clip(qpos[1], -OFFSET_RANGE, OFFSET_RANGE)[None])
     return jnp.concatenate(
         [
             rotate_inverse(quat, qvel[:3]),
             qvel[3:6],
             rotate_inverse(quat, jnp.array([0.0, 0.0, -1.0])),
-            yaw(quat)[None],
-            jnp.clip(qpos[1], -OFFSET_RANGE, OFFSET_RANGE)[None],
+            *((command,) if config.command.given else line),
             qpos[7:] - robot.home_joints,
             qvel[6:],
             action,
@@ -32,14 +41,14 @@ def observe(robot: RobotArrays, qpos: jax.Array, qvel: jax.Array, action: jax.Ar
     )
 
 
-def observation_names(joints: tuple[str, ...]) -> tuple[str, ...]:
+def observation_names(config: EnvConfig, joints: tuple[str, ...]) -> tuple[str, ...]:
     """One name for each number of the observation, of a robot with these 12 joints."""
+    commands = ("command_forward", "command_sideways", "command_turning")
     return (
         *(f"velocity_{i}" for i in _XYZ),
         *(f"angular_velocity_{i}" for i in _XYZ),
         *(f"gravity_{i}" for i in _XYZ),
-        "heading",
-        "offset",
+        *(commands if config.command.given else ("heading", "offset")),
         *(f"position_{name}" for name in joints),
         *(f"speed_{name}" for name in joints),
         *(f"last_action_{name}" for name in joints),

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from quadwalk.env.config import EnvConfig
+from quadwalk.env.config import CommandConfig, EnvConfig, RewardConfig
 from quadwalk.errors import UsageError
 from quadwalk.paths import ALIENGO_URDF
 
@@ -113,7 +113,31 @@ class TrainConfig:
             raise UsageError(f"--seed is {self.seed}; expected 0 to {2**32 - 1}")
 
 
-PRESETS = {"run": TrainConfig()}
+_WALK = TrainConfig(
+    preset="walk",
+    steps=12_000_000,
+    env=EnvConfig(
+        command=CommandConfig(forward=(-0.5, 1.5), sideways=(-0.5, 0.5), turning=(-1.0, 1.0)),
+        reward=RewardConfig(
+            follow=1.0,
+            follow_turning=0.5,
+            drag=-0.3,
+            diagonal=0.3,
+            energy=-0.1,
+            fall=-10.0,
+            vertical=-0.5,
+            tilt=-0.5,
+            turning=-0.05,
+            action_rate=-0.1,
+            forward=0.0,
+            yaw=0.0,
+            alive=0.0,
+            lateral=0.0,
+            offset=0.0,
+        ),
+    ),
+)
+PRESETS = {"run": TrainConfig(), "walk": _WALK}
 
 
 def to_dict(config: Any) -> dict[str, Any]:

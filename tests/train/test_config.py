@@ -12,7 +12,7 @@ from quadwalk.env.config import EnvConfig, RewardConfig
 from quadwalk.errors import UsageError, UserError
 from quadwalk.train import devices
 from quadwalk.train.__main__ import parse_config
-from quadwalk.train.config import PPOConfig, TrainConfig, from_dict, to_dict
+from quadwalk.train.config import PRESETS, PPOConfig, TrainConfig, from_dict, to_dict
 from quadwalk.train.resume import changed_settings
 
 ROOT = Path(__file__).parents[2]
@@ -33,6 +33,20 @@ def test_every_field_can_be_set_from_the_command_line():
 
 def test_the_defaults_are_the_run_preset():
     assert parse_config([]) == parse_config(["--preset", "run"]) == TrainConfig()
+
+
+def test_the_walk_preset_is_the_same_task_with_commands():
+    walk = parse_config(["--preset", "walk"])
+    assert walk == PRESETS["walk"]
+    assert (walk.preset, walk.env.command.given, TrainConfig().env.command.given) == (
+        "walk",
+        True,
+        False,
+    )
+    changed = parse_config(["--preset", "walk", "--env.command.turning", "-0.25", "2"])
+    assert changed.env.command.turning == (-0.25, 2.0)
+    assert changed.env.reward == walk.env.reward
+    assert from_dict(TrainConfig, json.loads(json.dumps(to_dict(changed)))) == changed
 
 
 finite = st.floats(allow_nan=False, allow_infinity=False)
@@ -58,6 +72,7 @@ def test_a_configuration_comes_back_from_json_as_it_was(forward, substeps, hidde
         ({"env": 3}, "config.env"),
         ({"ppo": {"hidden": ["a"]}}, "config.ppo.hidden"),
         ({"env": {"reward": {"speed": 1.0}}}, "config.env.reward.speed"),
+        ({"env": {"command": {"forward": [1.0]}}}, "env.command.forward"),
     ],
 )
 def test_a_foreign_configuration_is_refused_by_name(change, named):
@@ -79,6 +94,10 @@ def test_a_foreign_configuration_is_refused_by_name(change, named):
         (["--ppo.discount", "1.5"], "discount"),
         (["--ppo.hidden", "0"], "hidden"),
         (["--env.physics-dt", "1"], "physics-dt"),
+        (["--env.command.forward", "1", "0"], "--env.command.forward"),
+        (["--env.command.turning", "nan", "0"], "--env.command.turning"),
+        (["--env.command.seconds", "0"], "--env.command.seconds"),
+        (["--env.command.standing", "2"], "--env.command.standing"),
     ],
 )
 def test_a_bad_flag_is_one_line_that_names_it(flags, named):
