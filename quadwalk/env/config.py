@@ -38,7 +38,7 @@ class RewardConfig:
     follow: float = 0.0  # of 1 where the trunk's velocity is as commanded
     follow_turning: float = 0.0  # of 1 where it turns as fast as commanded
     drag: float = 0.0  # per m/s at which feet move along the floor or too close above it, up to 2
-    diagonal: float = 0.0  # of 1 where diagonal feet are both on the floor, or both off it
+    trot: float = 0.0  # of 1 where diagonal feet are together on the floor or off it, but not all
     max_speed: float = 7.0  # m/s, where forward reward ends
     follow_width: float = 0.5  # m/s and rad/s, an error that leaves 1/e of the reward to follow
     swing_height: float = 0.06  # m, from which on a moving foot is high enough

@@ -133,9 +133,13 @@ def drag(robot: RobotArrays, config: RewardConfig, step: Step) -> jax.Array:
     return jnp.mean(speed * low)
 
 
-def diagonal(robot: RobotArrays, config: RewardConfig, step: Step) -> jax.Array:
-    """The share of the two diagonal pairs whose feet are both on the floor, or both off it."""
-    return jnp.mean(step.contact[:2] == step.contact[:1:-1])
+def trot(robot: RobotArrays, config: RewardConfig, step: Step) -> jax.Array:
+    """The share of the two diagonal pairs whose feet are both on the floor, or both off it.
+
+    0 where all four are off it: a trot at ease has a pair on the floor at any time.
+    """
+    fore, hind = step.contact[:2], step.contact[:1:-1]  # FR and FL, and RL and RR across from them
+    return jnp.mean(fore == hind) * jnp.any(step.contact)
 
 
 TERMS = {
@@ -153,7 +157,7 @@ TERMS = {
     "follow": follow,
     "follow_turning": follow_turning,
     "drag": drag,
-    "diagonal": diagonal,
+    "trot": trot,
 }
 
 

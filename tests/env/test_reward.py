@@ -66,7 +66,7 @@ CASES = {
     "follow_turning": (moving(-np.pi + 0.01, 0.03, (9.0, 9.0), (9.0, 9.0, 3.5)), np.exp(-4.0)),
     # Half as high as a swing should be, on the floor, on the floor at rest, high enough.
     "drag": (stepping([0.5, 0.0, 0.0, 1.5], [1.0, -0.6, 0.0, 1.0]), (0.5 + 0.6) / 4),
-    "diagonal": (a_step(contact=jnp.array([True, False, True, True])), 0.5),
+    "trot": (a_step(contact=jnp.array([True, False, True, True])), 0.5),
 }
 LIMITS = {
     "forward": (a_step(qpos=a_step().qpos.at[0].set(9.0)), 1.0),  # max_speed of ALL
@@ -79,6 +79,7 @@ LIMITS = {
     "follow": (moving(0.0, 0.0, (1e6, 0.0), (0.0, 0.0, 0.0)), 0.0),
     "follow_turning": (moving(0.0, 3.1, (0.0, 0.0), (0.0, 0.0, 0.0)), 0.0),
     "drag": (stepping([0.0] * 4, [1e6] * 4), 2.0),
+    "trot": (a_step(contact=jnp.zeros(4, bool)), 0.0),
 }
 
 
@@ -104,7 +105,7 @@ def test_a_term_is_bounded(env, name):
 
 def test_standing_still_costs_nothing(env):
     terms = reward_terms(env.robot, ALL, a_step())
-    for name in ("alive", "follow", "follow_turning", "diagonal"):
+    for name in ("alive", "follow", "follow_turning", "trot"):
         assert terms.pop(name) == 1.0
     assert {name: float(value) for name, value in terms.items()} == pytest.approx(
         dict.fromkeys(terms, 0.0), abs=1e-6

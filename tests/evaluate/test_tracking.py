@@ -1,16 +1,23 @@
 """How far an episode was from its commands, on courses drawn with a known error."""
 
 import dataclasses
+from pathlib import Path
 
+import jax
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from quadwalk.env.config import RewardConfig
+from quadwalk.env.config import CommandConfig, EnvConfig, RewardConfig
+from quadwalk.evaluate import subject
 from quadwalk.evaluate.gait import measure_gait
+from quadwalk.evaluate.simulate import simulate_episodes
 from quadwalk.evaluate.summary import episode_figures, summarise, typical_episode
 from quadwalk.evaluate.tracking import heading_velocity, path_length, tracking_errors
 from quadwalk.evaluate.trim import first_steps
+from quadwalk.train.config import TrainConfig
+from quadwalk.train.policy import Policy
+from quadwalk.train.run import Run
 
 DT, STEPS = 0.02, 200
 WEIGHT = 200.0  # N
@@ -96,6 +103,24 @@ def test_figures_of_an_episode_with_commands(glide, quadruped):
     gait = measure_gait(rollout, quadruped)
     assert gait.speed == pytest.approx(length / 4, rel=1e-3)
     assert gait.stride_length * gait.stride_frequency == pytest.approx(1.0)
+
+
+def test_an_episode_has_one_command_which_its_policy_sees(quadruped, monkeypatch):
+    told = CommandConfig(forward=(0.5, 1.0), turning=(-1.0, 0.0), standing=0.0, seconds=0.04)
+    act = jax.tree_util.Partial(lambda seen: 0.0 * seen[..., :12])
+    config = TrainConfig(env=EnvConfig(command=told))
+    policy = Policy(act, config, quadruped.joints, 48, 0)
+    monkeypatch.setattr(subject, "load_policy", lambda path: policy)
+    monkeypatch.setattr(subject, "load_run_robot", lambda *_: quadruped)
+    env = subject.load_subject(Run(Path("walker")), 0.2).env
+    rollouts = simulate_episodes(env, act, 2, seed=0, engine="mujoco")
+    for rollout in rollouts:
+        assert rollout.command.shape == (10, 3)
+        assert (rollout.command == rollout.command[0]).all()
+        assert 0.5 <= rollout.command[0, 0] <= 1.0
+        first = rollout.observation_names.index("command_forward")
+        np.testing.assert_array_equal(rollout.observation[:, first : first + 3], rollout.command)
+    assert (rollouts[0].command[0] != rollouts[1].command[0]).any()
 
 
 def test_the_typical_episode_is_the_one_of_median_speed_along_its_path(glide):

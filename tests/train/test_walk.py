@@ -48,7 +48,7 @@ def test_all_numbers_are_finite_and_the_command_is_rewarded(course):
     for row in rows:
         assert row["learner/finite"]
         assert row["count/nan"] == 0
-        for name in ("follow", "follow_turning", "diagonal"):
+        for name in ("follow", "follow_turning", "trot"):
             assert 0 < row[f"reward/{name}"] <= 1
         assert row["reward/drag"] >= 0
 
