@@ -99,7 +99,8 @@ def first_that_walks(run: Path, policies: list[Written]) -> Walks | None:
         config = dataclasses.replace(policy.config.env, episode_seconds=SECONDS)
         env = QuadrupedEnv(load_run_robot(Run(run), policy.config.robot), config)
         rollouts = simulate_episodes(env, policy.act, EPISODES, seed=0)
-        summary = summarise([episode_figures(rollout, config.reward) for rollout in rollouts])
+        scales, weight = config.reward, env.robot.weight
+        summary = summarise([episode_figures(rollout, scales, weight) for rollout in rollouts])
         speed, falls = summary["speed"]["mean"], summary["fall_rate"]
         print(
             f"  {seconds:6.1f} s, {policy.steps:9,} steps: {speed:.2f} m/s, {falls:.0%} fell",

@@ -57,12 +57,18 @@ class RewardConfig:
     tilt: float = -0.5  # per squared sine of the trunk's tilt
     turning: float = -0.1  # per rad/s of roll and pitch rate, up to 4
     action_rate: float = -0.1  # per mean squared change of the action
-    max_speed: float = 7.0  # m/s, where forward reward ends
+    follow: float = 0.0  # of 1 where the trunk's velocity is as commanded
+    follow_turning: float = 0.0  # of 1 where it turns as fast as commanded
+    drag: float = 0.0  # per m/s at which feet move along the floor or too close above it, up to 2
+    trot: float = 0.0  # of 1 where diagonal feet are together on the floor or off it, but not all
     # The blog post's task has these four and no others.
     progress: float = 0.0  # per m along world x in the step
     inclined: float = 0.0  # per step with roll or pitch beyond 45 degrees
     heading: float = 0.0  # per rad of heading away from world x, without bound
     movement: float = 0.0  # per rad that joints moved in the step, all together
+    max_speed: float = 7.0  # m/s, where forward reward ends
+    follow_width: float = 0.5  # m/s and rad/s, an error that leaves 1/e of the reward to follow
+    swing_height: float = 0.06  # m, from which on a moving foot is high enough
 
 
 @dataclass(frozen=True)
@@ -93,8 +99,37 @@ class ResetConfig:
 
 
 @dataclass(frozen=True)
+class CommandConfig:
+    """The velocity that the robot is told to have, drawn uniformly from these (low, high).
+
+    In the frame of its heading. By default it is told nothing, and runs along world x.
+    """
+
+    forward: tuple[float, float] = (0.0, 0.0)  # m/s
+    sideways: tuple[float, float] = (0.0, 0.0)  # m/s, to the left
+    turning: tuple[float, float] = (0.0, 0.0)  # rad/s, to the left
+    standing: float = 0.1  # share of commands that are to stand still
+    seconds: float = 5.0  # s, after which another command is drawn
+
+    def __post_init__(self) -> None:
+        for name in ("forward", "sideways", "turning"):
+            value = getattr(self, name)
+            if len(value) != 2 or not value[0] <= value[1]:
+                raise UsageError(f"--env.command.{name} is {value}; expected a low and a high end")
+        if not 0.0 <= self.standing <= 1.0:
+            raise UsageError(f"--env.command.standing is {self.standing}; expected 0 to 1")
+        if not self.seconds > 0.0:
+            raise UsageError(f"--env.command.seconds is {self.seconds}; expected more than 0")
+
+    @property
+    def given(self) -> bool:
+        """Whether the robot is told anything at all."""
+        return any((*self.forward, *self.sideways, *self.turning))
+
+
+@dataclass(frozen=True)
 class EnvConfig:
-    """The task: a quadruped runs along world x as fast as it can."""
+    """The task: a quadruped runs along world x as fast as it can, or moves as it is told."""
 
     observation: Literal["body", "world"] = "body"  # what the policy sees, and in which frame
     gravity: float = 9.81  # m/s^2
@@ -107,10 +142,13 @@ class EnvConfig:
     reward: RewardConfig = field(default_factory=RewardConfig)
     termination: TerminationConfig = field(default_factory=TerminationConfig)
     reset: ResetConfig = field(default_factory=ResetConfig)
+    command: CommandConfig = field(default_factory=CommandConfig)
 
     def __post_init__(self) -> None:
         if self.observation not in ("body", "world"):
             raise UsageError(f"env.observation is {self.observation!r}; expected body or world")
+        if self.observation == "world" and self.command.given:
+            raise UsageError("env.observation is world, which tells of no command; expected body")
         if self.gravity <= 0.0:
             raise UsageError(f"env.gravity is {self.gravity}; expected more than 0 m/s^2")
         if not 1e-4 <= self.physics_dt <= 0.02:
@@ -134,3 +172,8 @@ class EnvConfig:
     def episode_steps(self) -> int:
         """Control steps in a full episode."""
         return round(self.episode_seconds / self.control_dt)
+
+    @property
+    def command_steps(self) -> int:
+        """Control steps that a command stays."""
+        return max(round(self.command.seconds / self.control_dt), 1)

@@ -142,6 +142,17 @@ def heights(legged: Legged, qpos: jax.Array) -> tuple[jax.Array, jax.Array]:
     return robots_last(of_many)(qpos)
 
 
+def soles(legged: Legged, qpos: jax.Array) -> jax.Array:
+    """The lowest points (4, 3) of the feet in the world, m. `qpos` (19,); to be vmapped."""
+
+    def of_many(qpos: jax.Array) -> jax.Array:
+        pose = pose_of(legged.links, rotation_of(tuple(qpos[3:7])), _by_link(qpos[7:]))
+        x, y, z = foot_centres(legged.feet, pose)
+        return jnp.stack([x, y, z - legged.feet.radius], axis=1) + qpos[:3]
+
+    return robots_last(of_many)(qpos)
+
+
 def _by_link(joints: jax.Array) -> Vector:
     """(12, robots) as hip, thigh and calf joints, (4, robots) each."""
     legs = joints.reshape(4, LINKS, -1)

@@ -12,13 +12,19 @@ _XYZ = ("x", "y", "z")
 
 
 def observe(
-    robot: RobotArrays, config: EnvConfig, qpos: jax.Array, qvel: jax.Array, action: jax.Array
+    robot: RobotArrays,
+    config: EnvConfig,
+    qpos: jax.Array,
+    qvel: jax.Array,
+    action: jax.Array,
+    command: jax.Array,
 ) -> jax.Array:
     """The observation (n,), float32; its parts, in order, are named by `observation_names`.
 
-    "body", (47,): trunk velocity (body frame, m/s), angular velocity (body frame, rad/s), the
-    direction of gravity (body frame, unit), heading (rad), offset from the line y = 0 (m, clipped),
-    joint positions from home (rad), joint velocities (rad/s), the last action.
+    "body", (47,) or (48,): trunk velocity (body frame, m/s), angular velocity (body frame, rad/s),
+    the direction of gravity (body frame, unit), heading (rad) and offset from the line y = 0 (m,
+    clipped) or, in place of these two, the command (3,), joint positions from home (rad), joint
+    velocities (rad/s), the last action.
 
     "world", (37,), the blog post's: trunk position (m), orientation (quaternion xyzw), velocity
     (world frame, m/s), angular velocity (world frame, rad/s), joint positions (rad), joint
@@ -36,13 +42,13 @@ def observe(
                 qvel[6:],
             ]
         )
+    line = (yaw(quat)[None], jnp.clip(qpos[1], -OFFSET_RANGE, OFFSET_RANGE)[None])
     return jnp.concatenate(
         [
             rotate_inverse(quat, qvel[:3]),
             qvel[3:6],
             rotate_inverse(quat, jnp.array([0.0, 0.0, -1.0])),
-            yaw(quat)[None],
-            jnp.clip(qpos[1], -OFFSET_RANGE, OFFSET_RANGE)[None],
+            *((command,) if config.command.given else line),
             qpos[7:] - robot.home_joints,
             qvel[6:],
             action,
@@ -61,12 +67,12 @@ def observation_names(config: EnvConfig, joints: tuple[str, ...]) -> tuple[str, 
             *(f"position_{name}" for name in joints),
             *(f"speed_{name}" for name in joints),
         )
+    commands = ("command_forward", "command_sideways", "command_turning")
     return (
         *(f"velocity_{i}" for i in _XYZ),
         *(f"angular_velocity_{i}" for i in _XYZ),
         *(f"gravity_{i}" for i in _XYZ),
-        "heading",
-        "offset",
+        *(commands if config.command.given else ("heading", "offset")),
         *(f"position_{name}" for name in joints),
         *(f"speed_{name}" for name in joints),
         *(f"last_action_{name}" for name in joints),

@@ -13,14 +13,22 @@ import mujoco
 from brax.envs.base import Env, State
 
 from quadwalk.env.actuation import joint_target
+from quadwalk.env.command import Command, first_command, next_command, velocity_of
 from quadwalk.env.config import EnvConfig
 from quadwalk.env.legged import Legged, legged
-from quadwalk.env.legged_physics import heights, simulate
+from quadwalk.env.legged_physics import heights, simulate, soles
 from quadwalk.env.observation import observation_names, observe
 from quadwalk.env.physics import Effort, Physics
 from quadwalk.env.physics import simulate as simulate_in_mjx
 from quadwalk.env.reset import fresh_start
-from quadwalk.env.reward import Step, active_terms, mean_velocity, reward_terms, total_reward
+from quadwalk.env.reward import (
+    Step,
+    active_terms,
+    commanded_speed,
+    mean_velocity,
+    reward_terms,
+    total_reward,
+)
 from quadwalk.env.robot import RobotArrays, robot_arrays, task_robot
 from quadwalk.env.termination import REASONS, fall_reasons
 from quadwalk.robot.quadruped import Quadruped
@@ -39,16 +47,20 @@ class EnvState(NamedTuple):
     physics: Physics
     last_action: jax.Array  # (12,)
     steps: jax.Array  # () int32, control steps since the episode's start
+    command: Command | None = None  # None where the robot is told nothing
 
 
 def reset(legged: Legged, robot: RobotArrays, config: EnvConfig, key: jax.Array) -> State:
     """A fresh episode; `key` is a JAX random key."""
     physics = fresh_start(legged, robot, config.reset, key)
-    state = EnvState(physics, jnp.zeros(12), jnp.zeros((), jnp.int32))
+    command = first_command(config.command, key) if config.command.given else None
+    state = EnvState(physics, jnp.zeros(12), jnp.zeros((), jnp.int32), command)
     zero = jnp.zeros(())
     return State(
         pipeline_state=state,
-        obs=observe(robot, config, physics.qpos, physics.qvel, state.last_action),
+        obs=observe(
+            robot, config, physics.qpos, physics.qvel, state.last_action, velocity_of(command)
+        ),
         reward=zero,
         done=zero,
         metrics={
@@ -110,32 +122,41 @@ def conclude(
     end = jnp.where(fell, _FIRST_REASON + jnp.argmax(reasons), end)
     end = jnp.where(sane, end, _NAN).astype(jnp.int32)
 
+    command = before.command
+    if command is not None:
+        command = next_command(config.command, command, steps, config.command_steps)
+    start = jnp.where(sane, before.physics.qpos, physics.qpos)
+    contact = feet < CONTACT_GAP
     record = Step(
         dt=config.control_dt,
-        start=jnp.where(sane, before.physics.qpos, physics.qpos),
+        start=start,
         qpos=physics.qpos,
         qvel=physics.qvel,
         action=action,
         last_action=before.last_action,
         power=effort.energy / config.control_dt,
         fell=fell,
+        command=velocity_of(before.command),
+        start_soles=soles(legged, start),
+        soles=soles(legged, physics.qpos),
+        contact=contact,
     )
     terms = {
         name: jnp.where(sane, value, 0.0)
         for name, value in reward_terms(robot, config.reward, record).items()
     }
     return State(
-        pipeline_state=EnvState(physics, action, steps),
-        obs=observe(robot, config, physics.qpos, physics.qvel, action),
+        pipeline_state=EnvState(physics, action, steps, command),
+        obs=observe(robot, config, physics.qpos, physics.qvel, action, velocity_of(command)),
         reward=total_reward(config.reward, terms),
         done=(end > 0).astype(jnp.float32),
         metrics={
-            "speed": mean_velocity(record)[0],
+            "speed": commanded_speed(record) if config.command.given else mean_velocity(record)[0],
             "fell": fell.astype(jnp.float32),
             "nan": 1.0 - sane.astype(jnp.float32),
             **{f"reward/{name}": value for name, value in terms.items()},
         },
-        info=_info(end, effort, feet < CONTACT_GAP),
+        info=_info(end, effort, contact),
     )
 
 

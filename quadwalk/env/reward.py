@@ -26,11 +26,35 @@ class Step(NamedTuple):
     last_action: jax.Array  # (12,)
     power: jax.Array  # () W, mean mechanical power that the motors gave in the step
     fell: jax.Array  # () bool
+    command: jax.Array  # (3,) as in `Command`; zero where there is none
+    start_soles: jax.Array  # (4, 3) m, the lowest points of the feet before the step
+    soles: jax.Array  # (4, 3) after it
+    contact: jax.Array  # (4,) bool, feet on the floor after it
 
 
 def mean_velocity(step: Step) -> jax.Array:
     """Mean velocity (2,) of the trunk over the step along world x and y, m/s."""
     return (step.qpos[:2] - step.start[:2]) / step.dt
+
+
+def velocity_error(step: Step) -> jax.Array:
+    """How far that is (2,) from the command in the frame of the heading after the step, m/s."""
+    heading = yaw(step.qpos[3:7])
+    cos, sin = jnp.cos(heading), jnp.sin(heading)
+    x, y = mean_velocity(step)
+    return jnp.stack([cos * x + sin * y, cos * y - sin * x]) - step.command[:2]
+
+
+def commanded_speed(step: Step) -> jax.Array:
+    """How much of the commanded speed there is, m/s: its size less that of the error."""
+    return jnp.linalg.norm(step.command[:2]) - jnp.linalg.norm(velocity_error(step))
+
+
+def turning_error(step: Step) -> jax.Array:
+    """How far the mean rate of the heading over the step is from the command, rad/s."""
+    turned = yaw(step.qpos[3:7]) - yaw(step.start[3:7])
+    turned = jnp.arctan2(jnp.sin(turned), jnp.cos(turned))  # the short way round
+    return turned / step.dt - step.command[2]
 
 
 def forward(robot: RobotArrays, config: RewardConfig, step: Step) -> jax.Array:
@@ -114,6 +138,36 @@ def movement(robot: RobotArrays, config: RewardConfig, step: Step) -> jax.Array:
     return jnp.sum(jnp.abs(step.qpos[7:] - step.start[7:]))
 
 
+def follow(robot: RobotArrays, config: RewardConfig, step: Step) -> jax.Array:
+    """1 where the trunk's velocity is as commanded, and exp(-1) where it is `follow_width` off."""
+    return jnp.exp(-jnp.sum(jnp.square(velocity_error(step) / config.follow_width)))
+
+
+def follow_turning(robot: RobotArrays, config: RewardConfig, step: Step) -> jax.Array:
+    """The same for the rate of turning."""
+    return jnp.exp(-jnp.square(turning_error(step) / config.follow_width))
+
+
+def drag(robot: RobotArrays, config: RewardConfig, step: Step) -> jax.Array:
+    """Mean horizontal speed of the soles, m/s, up to 2, each by how low it is.
+
+    On the floor all of a sole's speed counts, at `swing_height` and above none of it.
+    """
+    moved = step.soles[:, :2] - step.start_soles[:, :2]
+    speed = jnp.minimum(jnp.linalg.norm(moved, axis=1) / step.dt, 2.0)
+    low = jnp.clip(1.0 - step.soles[:, 2] / config.swing_height, 0.0, 1.0)
+    return jnp.mean(speed * low)
+
+
+def trot(robot: RobotArrays, config: RewardConfig, step: Step) -> jax.Array:
+    """The share of the two diagonal pairs whose feet are both on the floor, or both off it.
+
+    0 where all four are off it: a trot at ease has a pair on the floor at any time.
+    """
+    fore, hind = step.contact[:2], step.contact[:1:-1]  # FR and FL, and RL and RR across from them
+    return jnp.mean(fore == hind) * jnp.any(step.contact)
+
+
 TERMS = {
     "forward": forward,
     "fall": fall,
@@ -130,6 +184,10 @@ TERMS = {
     "inclined": inclined,
     "heading": heading,
     "movement": movement,
+    "follow": follow,
+    "follow_turning": follow_turning,
+    "drag": drag,
+    "trot": trot,
 }
 
 

@@ -1,5 +1,6 @@
 """Several runs, judged from the same starts, side by side."""
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from quadwalk.evaluate.plots import INK, LEG_COLOURS, save_figure
 from quadwalk.evaluate.summary import FIGURES, falls_text, figure_text
 from quadwalk.train.run import write_json_atomic
 
+_COLUMNS = 3  # panels in a row
 _SPREAD = 0.28  # of the distance between two runs, over which their episodes are drawn
 
 
@@ -62,7 +64,7 @@ def print_comparison(comparison: dict[str, Any]) -> None:
     table.add_column("unit")
     table.add_row("training", *(f"{run['training_steps']:,}" for run in runs), "steps")
     table.add_row("falls", *map(falls_text, summaries), "%")
-    rows = list(FIGURES)
+    rows = [row for row in FIGURES if any(row[0] in summary for summary in summaries)]
     # A run may have been trained without some of the terms.
     terms = dict.fromkeys(n for s in summaries for n in s if n.startswith("reward/"))
     rows += [(name, f"  {name.partition('/')[2]}", "") for name in terms]
@@ -73,8 +75,15 @@ def print_comparison(comparison: dict[str, Any]) -> None:
 
 
 def draw_comparison(labels: list[str], results: list[dict[str, Any]]) -> Figure:
-    """Six figures as panels: each run's episodes as dots, their mean and its 95 % interval."""
-    figure = Figure(figsize=(15, 9), layout="constrained")
+    """The figures as panels: each run's episodes as dots, their mean and its 95 % interval."""
+    shown = [
+        row
+        for row in FIGURES
+        if row[0] not in ("distance", "path", "cost_of_transport", "reward")
+        and any(row[0] in result["summary"] for result in results)
+    ]
+    lines = math.ceil((1 + len(shown)) / _COLUMNS)
+    figure = Figure(figsize=(15, 4.5 * lines), layout="constrained")
     FigureCanvasAgg(figure)
     first = results[0]
     figure.suptitle(
@@ -84,8 +93,7 @@ def draw_comparison(labels: list[str], results: list[dict[str, Any]]) -> Figure:
         ha="left",
         fontsize=13,
     )
-    shown = [row for row in FIGURES if row[0] not in ("distance", "reward")]
-    panels: Any = figure.subplots(2, 3).ravel()
+    panels: Any = figure.subplots(lines, _COLUMNS).ravel()
     _falls(panels[0], results)
     for axes, (name, heading, unit) in zip(panels[1:], shown, strict=True):
         for place, result in enumerate(results):
@@ -118,7 +126,7 @@ def _falls(axes: Axes, results: list[dict[str, Any]]) -> None:
 
 
 def _figure(axes: Axes, place: int, result: dict[str, Any], name: str) -> None:
-    summary = result["summary"][name]
+    summary = result["summary"].get(name)
     if summary is None:
         axes.text(place, 0.5, "none", ha="center", transform=axes.get_xaxis_transform())
         return

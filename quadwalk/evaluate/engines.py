@@ -14,7 +14,7 @@ def engine_differences(mjx: dict[str, Any], mujoco: dict[str, Any]) -> dict[str,
     `difference` in the figure's own unit (of `fall_rate`, a share), `percent` of the size of MJX's;
     None where one of the two has no figure, or MJX's is 0.
     """
-    means = {name: (_mean(mjx[name]), _mean(mujoco[name])) for name, _, _ in FIGURES}
+    means = {name: (_mean(mjx[name]), _mean(mujoco[name])) for name, _, _ in FIGURES if name in mjx}
     return {
         name: _difference(first, second)
         for name, (first, second) in {
@@ -33,6 +33,8 @@ def print_engines(mjx: dict[str, Any], mujoco: dict[str, Any]) -> None:
     change = f"{100 * differences['fall_rate']['difference']:+.1f}"
     table.add_row("falls", falls_text(mjx), falls_text(mujoco), change, "", "%")
     for name, heading, unit in FIGURES:
+        if name not in differences:
+            continue
         found = differences[name]
         change = "-" if found["difference"] is None else f"{found['difference']:+.3f}"
         percent = "-" if found["percent"] is None else f"{found['percent']:+.1f} %"

@@ -1,6 +1,7 @@
 """How well and in what manner it ran: figures of one episode, each with its definition.
 
-World frame: z up, x ahead, the floor at z = 0. What cannot be measured (the stride of a foot that
+World frame: z up, x ahead, the floor at z = 0. An episode with commands goes where it is told, so
+that its distance is that along its path. What cannot be measured (the stride of a foot that
 never lands) is NaN.
 """
 
@@ -11,6 +12,7 @@ import numpy as np
 from quadwalk.evaluate import kinematics
 from quadwalk.evaluate.footfalls import Footfalls, analyse_footfalls, without_chatter
 from quadwalk.evaluate.rollout import Rollout
+from quadwalk.evaluate.tracking import heading_velocity, path_length
 from quadwalk.evaluate.trim import finite_part
 from quadwalk.robot.quadruped import Quadruped
 
@@ -25,7 +27,7 @@ class Gait:
     fell: bool
     end: str  # how it ended, as in the rollout
     duration: float  # s, up to the end or the first state that is not finite
-    distance: float  # m, displacement along world x
+    distance: float  # m, displacement along world x; with commands, length of the path
     speed: float  # m/s, distance / duration
     lateral_drift: float  # m, displacement along world y
     heading_drift: float  # rad, change of yaw, whole turns included
@@ -67,12 +69,13 @@ def measure_gait(rollout: Rollout, quadruped: Quadruped) -> Gait:
     poses = kinematics.world_poses(tree, rollout.qpos)
     duration = rollout.steps * rollout.control_dt
     dx, dy = (rollout.qpos[-1, :2] - rollout.qpos[0, :2]).astype(float)
+    distance = dx if rollout.command is None else path_length(rollout)
     rpy = kinematics.rpy_from_quat(kinematics.quat_normalised(rollout.qpos[:, 3:7]))
     yaw = np.unwrap(rpy[:, 2])
-    speed = _ratio(dx, duration)
+    speed = _ratio(distance, duration)
     settled = _settled(rollout)
     feet = analyse_footfalls(rollout.contact[settled:], rollout.control_dt)
-    cruise = float(np.linalg.norm(rollout.qvel[settled:, :2].mean(axis=0))) if duration else np.nan
+    cruise = _cruise(rollout, settled) if duration else np.nan
     home = kinematics.world_poses(tree, quadruped.home[None])
     hip_height = float(np.mean([home[thigh][0][0, 2] for thigh in tree.thighs]))
     centres = kinematics.foot_positions(tree, poses)
@@ -87,7 +90,7 @@ def measure_gait(rollout: Rollout, quadruped: Quadruped) -> Gait:
         fell=rollout.fell,
         end=rollout.end,
         duration=duration,
-        distance=float(dx),
+        distance=float(distance),
         speed=speed,
         lateral_drift=float(dy),
         heading_drift=float(yaw[-1] - yaw[0]) if len(yaw) else 0.0,
@@ -99,13 +102,13 @@ def measure_gait(rollout: Rollout, quadruped: Quadruped) -> Gait:
         regularity=feet.regularity,
         swing_height=_swing_heights(rollout, tree, centres),
         slip=slip,
-        slip_share=slid / dx if dx > LEAST_DISTANCE else np.full(4, np.nan),
+        slip_share=slid / distance if distance > LEAST_DISTANCE else np.full(4, np.nan),
         body_height=np.array([height.mean(), height.min(), height.max()])
         if len(height)
         else np.full(3, np.nan),
         roll_range=_spread(rpy[:, 0]),
         pitch_range=_spread(rpy[:, 1]),
-        cost_of_transport=energy / (weight * dx) if dx > LEAST_DISTANCE else np.nan,
+        cost_of_transport=energy / (weight * distance) if distance > LEAST_DISTANCE else np.nan,
         froude=speed**2 / (quadruped.gravity * hip_height),
         torque_mean=_over_rows(np.mean, torque),
         torque_peak=_over_rows(np.max, torque),
@@ -139,6 +142,12 @@ def _settled(rollout: Rollout) -> int:
     """The step from which strides are measured; an episode too short for that is taken whole."""
     settling = round(SETTLING / rollout.control_dt)
     return settling if rollout.steps >= 3 * settling else 0
+
+
+def _cruise(rollout: Rollout, settled: int) -> float:
+    """Horizontal speed once settled, m/s; with commands, which may turn it, in its own frame."""
+    velocity = rollout.qvel[:, :2] if rollout.command is None else heading_velocity(rollout)[:, :2]
+    return float(np.linalg.norm(velocity[settled:].mean(axis=0)))
 
 
 def _swing_heights(rollout: Rollout, tree: kinematics.LinkTree, centres: np.ndarray) -> np.ndarray:

@@ -81,7 +81,8 @@ def _roll_out(
     simulated = sum(rollout.steps for rollout in rollouts) * env.config.control_dt
     took = time.monotonic() - began
     console.print(f"{subject.run.name}: {simulated:,.0f} s simulated in {engine} in {took:.1f} s")
-    return rollouts, [episode_figures(rollout, env.config.reward) for rollout in rollouts]
+    scales, weight = env.config.reward, env.robot.weight
+    return rollouts, [episode_figures(rollout, scales, weight) for rollout in rollouts]
 
 
 def _write_recordings(

@@ -107,6 +107,8 @@ class EpisodeMessages:
             "/observation": _typed("Observation", list(rollout.observation_names)),
             "/reward": _typed("Reward", ["total", *rollout.reward_terms]),
         }
+        if rollout.command is not None:
+            self.typed["/command"] = _typed("Command", ["forward", "sideways", "turning"])
         self.topics: dict[str, type[Message]] = {
             "/tf": FrameTransforms,
             "/joint_states": JointStates,
@@ -224,7 +226,9 @@ class EpisodeMessages:
         commands = JointStates()
         for name in self.quadruped.joints:
             commands.joints.add(name=name)
-        action, observation = self.typed["/action"], self.typed["/observation"]
+        begins = {"/observation": rollout.observation, "/action": rollout.action}
+        if rollout.command is not None:
+            begins["/command"] = rollout.command
         contacts, reward = self.typed["/contacts"], self.typed["/reward"]
 
         terms = [rollout.reward, *rollout.reward_terms.values()]
@@ -236,8 +240,7 @@ class EpisodeMessages:
             rewards = compact(np.stack(rewards, axis=1)).tolist()
             begun = slice(start, min(stop, rollout.steps))
             targets = compact(rollout.target[begun]).tolist()
-            seen = compact(rollout.observation[begun]).tolist()
-            wanted = compact(rollout.action[begun]).tolist()
+            begin = {topic: compact(array[begun]).tolist() for topic, array in begins.items()}
             for k, row in enumerate(range(start, stop)):
                 time = self.nanoseconds(row)
                 messages = []
@@ -251,10 +254,10 @@ class EpisodeMessages:
                     for joint, target in zip(commands.joints, targets[k], strict=True):
                         joint.position = target
                     messages += [
-                        ("/observation", observation.serialised(time, seen[k])),
-                        ("/action", action.serialised(time, wanted[k])),
-                        ("/joint_cmd", commands.SerializeToString()),
+                        (topic, self.typed[topic].serialised(time, rows[k]))
+                        for topic, rows in begin.items()
                     ]
+                    messages.append(("/joint_cmd", commands.SerializeToString()))
                 yield messages
 
         return write

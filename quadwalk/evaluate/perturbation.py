@@ -43,6 +43,7 @@ NOISE = {
     "position_": 0.01,  # rad
     "speed_": 1.5,  # rad/s
     "last_action_": 0.0,  # known exactly
+    "command_": 0.0,
 }
 
 

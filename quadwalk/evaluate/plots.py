@@ -12,6 +12,7 @@ from quadwalk.evaluate import kinematics
 from quadwalk.evaluate.footfalls import without_chatter
 from quadwalk.evaluate.gait import footfalls_of, measure_gait
 from quadwalk.evaluate.rollout import Rollout
+from quadwalk.evaluate.tracking import heading_velocity
 from quadwalk.evaluate.trim import finite_part
 from quadwalk.files import replacing
 from quadwalk.robot.quadruped import Quadruped
@@ -52,7 +53,8 @@ def draw_report(rollout: Rollout, quadruped: Quadruped, title: str = "") -> Figu
     rows: Any = figure.subfigures(5, 1, height_ratios=(0.85, 1.2, 1.2, 1.2, 1.6))
     _footfalls(rows[0].subplots(), shown, quadruped)
     speed, posture = rows[1].subplots(1, 2)
-    _speed(speed, shown)
+    draw_speed = _speed if shown.command is None else _following
+    draw_speed(speed, shown)
     _posture(posture, shown)
     for part, (angles, torques) in enumerate(
         zip(rows[2].subplots(1, 3), rows[3].subplots(1, 3), strict=True)
@@ -126,6 +128,19 @@ def _speed(axes: Axes, rollout: Rollout) -> None:
     axes.axhline(mean, color=INK, linewidth=0.9, linestyle="--", label=f"mean {mean:.2f}")
     axes.margins(y=0.15)
     _finish(axes, "Speed of the base in the world, m/s", rollout.time)
+
+
+def _following(axes: Axes, rollout: Rollout) -> None:
+    assert rollout.command is not None
+    velocity, time = heading_velocity(rollout), rollout.time[1:]
+    for column, label in enumerate(("ahead", "left", "turning, rad/s")):
+        colour = LEG_COLOURS[3 - column]
+        axes.plot(time, velocity[:, column], color=colour, label=label, linewidth=0.9, alpha=0.7)
+        axes.plot(time, rollout.command[:, column], color=colour, linewidth=1.6, linestyle="--")
+    axes.margins(y=0.15)
+    _finish(
+        axes, "Velocity in the frame of the heading and, dashed, its command, m/s", rollout.time
+    )
 
 
 def _posture(axes: Axes, rollout: Rollout) -> None:

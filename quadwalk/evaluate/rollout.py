@@ -29,6 +29,9 @@ class Rollout:
     contact: np.ndarray  # (T, 4) bool, foot on the ground at the end of the step
     reward_terms: dict[str, np.ndarray]  # name -> (T,) raw terms, before scales
     reward: np.ndarray  # (T,) scaled total
+    # (T, 3) what it was told in the step: velocity forward and to the left in the frame of the
+    # heading, m/s, and turning to the left, rad/s; None where it ran along x
+    command: np.ndarray | None = None
     # (T, 4) the floor's push along its normal, N; None where `with_foot_forces` has not been asked
     foot_force: np.ndarray | None = None
 

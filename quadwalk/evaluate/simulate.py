@@ -16,6 +16,7 @@ import mujoco.rollout
 import numpy as np
 
 from quadwalk.env.actuation import friction_torque, joint_target, motor_torque
+from quadwalk.env.command import Command
 from quadwalk.env.physics import Effort, Physics
 from quadwalk.env.quadruped import ENDS, EnvState, QuadrupedEnv, conclude
 from quadwalk.evaluate.rollout import Rollout
@@ -55,6 +56,7 @@ class Frame(NamedTuple):
     contact: Any
     reward: Any
     terms: dict[str, Any]
+    command: Any  # None where there is none
     end: Any
 
 
@@ -107,10 +109,11 @@ def over_devices(batch: Any, episodes: int) -> Any:
     return jax.device_put(batch, split)
 
 
-def _frame(observation: jax.Array, action: jax.Array, state: Any) -> Frame:
+def _frame(before: Any, action: jax.Array, state: Any) -> Frame:
     prefix = "reward/"
+    command: Command | None = before.pipeline_state.command
     return Frame(
-        observation=observation,
+        observation=before.obs,
         action=action,
         qpos=state.pipeline_state.physics.qpos,
         qvel=state.pipeline_state.physics.qvel,
@@ -123,6 +126,7 @@ def _frame(observation: jax.Array, action: jax.Array, state: Any) -> Frame:
             for name, value in state.metrics.items()
             if name.startswith(prefix)
         },
+        command=None if command is None else command.velocity,
         end=state.info["end"],
     )
 
@@ -135,7 +139,7 @@ def _in_mjx(env: QuadrupedEnv, policy: Policy, state: Any, report: Report | None
         def one_step(state: Any, _: None) -> tuple[Any, Frame]:
             action = policy(state.obs)
             after = jax.vmap(env.step_in_mjx)(state, action)
-            return after, _frame(state.obs, action, after)
+            return after, _frame(state, action, after)
 
         return jax.lax.scan(one_step, state, None, length=CHUNK)
 
@@ -201,7 +205,7 @@ def _in_mujoco(env: QuadrupedEnv, policy: Policy, state: Any, report: Report | N
                 )
                 effort = Effort(jnp.asarray(torques, jnp.float32), jnp.asarray(energy, jnp.float32))
                 after = finish(before, action, physics, effort)
-                frames.append(_frame(state.obs, action, after))
+                frames.append(_frame(state, action, after))
                 state = after
             return state, jax.tree.map(lambda *rows: np.stack(rows), *frames)
 
@@ -249,4 +253,5 @@ def _rollout(env: QuadrupedEnv, initial: Physics, frames: Frame, seed: int, i: i
         contact=one.contact,
         reward_terms=one.terms,
         reward=one.reward,
+        command=one.command,
     )

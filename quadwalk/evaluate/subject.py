@@ -24,12 +24,16 @@ class Subject:
 def load_subject(run: Run, seconds: float, which: str = "last") -> Subject:
     """Load the "last" or "best" policy of `run` for episodes of up to `seconds`.
 
+    A command, if there are any, stays for a whole episode, so that each has one gait to look at.
     Raises `UserError` where its policy or robot cannot be read, or do not belong together.
     """
     file = run.best if which == "best" else run.policy
     policy = load_policy(file)
     quadruped = load_run_robot(run, policy.config.robot)
-    env = QuadrupedEnv(quadruped, dataclasses.replace(policy.config.env, episode_seconds=seconds))
+    trained = policy.config.env
+    command = dataclasses.replace(trained.command, seconds=seconds)
+    config = dataclasses.replace(trained, episode_seconds=seconds, command=command)
+    env = QuadrupedEnv(quadruped, config)
     if quadruped.joints != policy.joints or env.observation_size != policy.observation_size:
         raise UserError(
             f"{file} was trained on another robot than {run.urdf}: it has joints "

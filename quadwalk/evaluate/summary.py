@@ -12,6 +12,7 @@ from quadwalk.evaluate.gait import Gait
 from quadwalk.evaluate.kinematics import rpy_from_quat
 from quadwalk.evaluate.rollout import Rollout
 from quadwalk.evaluate.statistics import mean_interval, share_interval
+from quadwalk.evaluate.tracking import path_length, tracking_errors
 
 # name in metrics.json, heading in the table, unit
 FIGURES = (
@@ -19,22 +20,54 @@ FIGURES = (
     ("distance", "distance along x", "m"),
     ("sideways", "sideways drift", "m"),
     ("heading", "mean heading error", "deg"),
+    ("velocity_error", "velocity error", "m/s"),
+    ("turning_error", "turning error", "rad/s"),
+    ("path_speed", "speed along path", "m/s"),
+    ("path", "path length", "m"),
     ("duration", "episode length", "s"),
     ("energy_per_metre", "energy per metre", "J/m"),
+    ("cost_of_transport", "cost of transport", ""),
     ("reward", "reward per step", ""),
+)
+HIGH_IS_BAD = (
+    *("sideways", "heading", "velocity_error", "turning_error"),
+    *("energy_per_metre", "cost_of_transport"),
 )
 
 
-def episode_figures(rollout: Rollout, scales: RewardConfig) -> dict[str, Any]:
-    """Figures of one episode.
+def episode_figures(rollout: Rollout, scales: RewardConfig, weight: float) -> dict[str, Any]:
+    """Figures of one episode of a robot of so many N.
 
     speed: distance along world x over duration, m/s, from a standing start. sideways: |y| gained,
-    m. heading: mean |yaw|, deg. energy_per_metre: positive mechanical work of the motors over
-    distance, J/m. reward/NAME: mean per step of a scaled term.
+    m. heading: mean |yaw|, deg. With commands, in place of these: velocity_error, m/s, and
+    turning_error, rad/s, as in `tracking_errors`; path, m, as in `path_length`; path_speed: path
+    over duration, m/s; command: the first. energy_per_metre: positive mechanical work of the
+    motors over distance or path, J/m; cost_of_transport: the same over weight. reward/NAME: mean
+    per step of a scaled term.
     """
     duration = rollout.steps * rollout.control_dt
-    distance, sideways = rollout.qpos[-1, :2] - rollout.qpos[0, :2]
-    yaw = rpy_from_quat(rollout.qpos[:, 3:7])[:, 2]
+    course: dict[str, Any]
+    if rollout.command is None:
+        distance, sideways = rollout.qpos[-1, :2] - rollout.qpos[0, :2]
+        yaw = rpy_from_quat(rollout.qpos[:, 3:7])[:, 2]
+        course = {
+            "speed": distance / duration,
+            "distance": float(distance),
+            "sideways": float(abs(sideways)),
+            "heading": float(np.degrees(np.abs(yaw).mean())),
+        }
+    else:
+        distance = path_length(rollout)
+        velocity_error, turning_error = tracking_errors(rollout) or (None, None)
+        course = {
+            "velocity_error": velocity_error,
+            "turning_error": turning_error,
+            "path_speed": distance / duration,
+            "path": distance,
+            "command": np.asarray(rollout.command[0], float).tolist(),
+        }
+    # Over less than a metre, a cost per metre says nothing.
+    energy = float(rollout.energy.sum() / distance) if distance > 1.0 else None
     terms = {
         f"reward/{name}": float(getattr(scales, name) * values.mean())
         for name, values in rollout.reward_terms.items()
@@ -43,13 +76,10 @@ def episode_figures(rollout: Rollout, scales: RewardConfig) -> dict[str, Any]:
         "episode": rollout.episode,
         "end": rollout.end,
         "fell": rollout.fell,
-        "speed": distance / duration,
-        "distance": float(distance),
-        "sideways": float(abs(sideways)),
-        "heading": float(np.degrees(np.abs(yaw).mean())),
+        **course,
         "duration": duration,
-        # Over less than a metre, a cost per metre says nothing.
-        "energy_per_metre": float(rollout.energy.sum() / distance) if distance > 1.0 else None,
+        "energy_per_metre": energy,
+        "cost_of_transport": None if energy is None else energy / weight,
         "reward": float(rollout.reward.mean()),
         **terms,
     }
@@ -59,8 +89,8 @@ def summarise(episodes: Sequence[dict[str, Any]]) -> dict[str, Any]:
     """Over all episodes: falls, and of each figure mean, median, worst and the mean's uncertainty.
 
     `ci95` is half the width of the 95 % confidence interval of the mean, `fall_rate_ci95` the ends
-    of that of the share of falls. `worst` is the least favourable episode's: the lowest of speed,
-    distance, duration and rewards, the highest of the others.
+    of that of the share of falls. `worst` is the least favourable episode's: the highest of
+    `HIGH_IS_BAD`, the lowest of the others.
     """
     falls = sum(episode["fell"] for episode in episodes)
     summary: dict[str, Any] = {
@@ -68,14 +98,14 @@ def summarise(episodes: Sequence[dict[str, Any]]) -> dict[str, Any]:
         "fall_rate": falls / len(episodes),
         "fall_rate_ci95": list(share_interval(falls, len(episodes))),
     }
-    names = [name for name, _, _ in FIGURES]
+    names = [name for name, _, _ in FIGURES if name in episodes[0]]
     names += [name for name in episodes[0] if name.startswith("reward/")]
     for name in names:
         values = np.array([e[name] for e in episodes if e[name] is not None], float)
         if not len(values):
             summary[name] = None
             continue
-        high_is_bad = name in ("sideways", "heading", "energy_per_metre")
+        high_is_bad = name in HIGH_IS_BAD
         mean, half_width = mean_interval(values)
         summary[name] = {
             "mean": mean,
@@ -88,7 +118,8 @@ def summarise(episodes: Sequence[dict[str, Any]]) -> dict[str, Any]:
 
 def typical_episode(episodes: Sequence[dict[str, Any]]) -> int:
     """Index of the episode of median speed: the one to look at."""
-    order = np.argsort([episode["speed"] for episode in episodes], kind="stable")
+    speed = "speed" if "speed" in episodes[0] else "path_speed"
+    order = np.argsort([episode[speed] for episode in episodes], kind="stable")
     return int(order[len(order) // 2])
 
 
@@ -121,7 +152,7 @@ def print_table(summary: dict[str, Any], title: str) -> None:
         "",
         f"% ({falls:.0f} episodes)",
     )
-    rows = list(FIGURES)
+    rows = [row for row in FIGURES if row[0] in summary]
     rows += [(n, f"  {n.partition('/')[2]}", "") for n in summary if n.startswith("reward/")]
     for name, heading, unit in rows:
         figure = summary[name]

@@ -10,6 +10,7 @@ from typing import Any
 
 from quadwalk.env.config import (
     ActuationConfig,
+    CommandConfig,
     EnvConfig,
     ResetConfig,
     RewardConfig,
@@ -184,7 +185,31 @@ _BLOG = TrainConfig(
     ppo=PPOConfig(discount=0.99),
 )
 
-PRESETS = {"run": TrainConfig(), "blog": _BLOG}
+_WALK = TrainConfig(
+    preset="walk",
+    steps=12_000_000,
+    env=EnvConfig(
+        command=CommandConfig(forward=(-0.5, 1.5), sideways=(-0.5, 0.5), turning=(-1.0, 1.0)),
+        reward=RewardConfig(
+            follow=1.0,
+            follow_turning=0.5,
+            drag=-0.3,
+            trot=0.5,
+            energy=-0.3,
+            fall=-10.0,
+            vertical=-0.5,
+            tilt=-0.5,
+            turning=-0.05,
+            action_rate=-0.1,
+            forward=0.0,
+            yaw=0.0,
+            alive=0.0,
+            lateral=0.0,
+            offset=0.0,
+        ),
+    ),
+)
+PRESETS = {"run": TrainConfig(), "walk": _WALK, "blog": _BLOG}
 
 
 def to_dict(config: Any) -> dict[str, Any]:

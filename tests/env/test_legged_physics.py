@@ -9,7 +9,7 @@ import pytest
 from quadwalk.env.batches import BATCH, robots_last
 from quadwalk.env.config import EnvConfig
 from quadwalk.env.legged import legged
-from quadwalk.env.legged_physics import acceleration, heights, integrate, simulate
+from quadwalk.env.legged_physics import acceleration, heights, integrate, simulate, soles
 from quadwalk.env.physics import Physics
 from quadwalk.env.robot import robot_arrays
 from quadwalk.robot.home import lowest_point
@@ -97,15 +97,17 @@ def test_heights_are_those_of_the_placed_shapes(env):
     model, robot = env.mj_model, env.robot
     data = mujoco.MjData(model)
     rng = np.random.default_rng(2)
-    compiled = jax.jit(lambda q: heights(env.legged, q))
+    compiled = jax.jit(lambda q: (*heights(env.legged, q), soles(env.legged, q)))
     for _ in range(5):
         data.qpos[:] = robot.home + rng.uniform(-0.3, 0.3, 19)
         data.qpos[3:7] /= np.linalg.norm(data.qpos[3:7])
         mujoco.mj_kinematics(model, data)
-        feet, lowest = compiled(jnp.asarray(data.qpos, jnp.float32))
+        feet, lowest, points = compiled(jnp.asarray(data.qpos, jnp.float32))
         np.testing.assert_allclose(
             feet, data.geom_xpos[robot.foot_geoms, 2] - robot.foot_radius, atol=1e-6
         )
+        touching = data.geom_xpos[robot.foot_geoms] - robot.foot_radius[:, None] * [0, 0, 1]
+        np.testing.assert_allclose(points, touching, atol=1e-6)
         expected = min(lowest_point(model, data, int(geom)) for geom in robot.shell_geoms)
         assert float(lowest) == pytest.approx(expected, abs=1e-6)
 

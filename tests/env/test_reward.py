@@ -23,8 +23,25 @@ def a_step(**changes) -> Step:
         "last_action": jnp.zeros(12),
         "power": jnp.zeros(()),
         "fell": jnp.zeros((), bool),
+        "command": jnp.zeros(3),
+        "start_soles": jnp.zeros((4, 3)),
+        "soles": jnp.zeros((4, 3)),
+        "contact": jnp.ones(4, bool),
     }
     return Step(**{**fields, **changes})
+
+
+def moving(yaw: float, turn: float, velocity, command) -> Step:
+    """A step in which the trunk moves with `velocity` (2,), m/s, and turns by `turn` to `yaw`."""
+    start = a_step().qpos.at[3:7].set(from_euler(0.1, -0.2, yaw - turn))
+    qpos = start.at[:2].add(0.02 * jnp.array(velocity)).at[3:7].set(from_euler(-0.1, 0.2, yaw))
+    return a_step(start=start, qpos=qpos, command=jnp.array(command))
+
+
+def stepping(heights, velocities) -> Step:
+    """A step after which the soles are so high, m, and over which they move at m/s along y."""
+    soles = jnp.zeros((4, 3)).at[:, 2].set(jnp.array(heights))
+    return a_step(start_soles=soles.at[:, 1].add(-0.02 * jnp.array(velocities)), soles=soles)
 
 
 def turned(roll=0.0, pitch=0.0, yaw=0.0):
@@ -50,6 +67,13 @@ CASES = {
         a_step(qpos=a_step().qpos.at[7:].add(jnp.tile(jnp.array([1, -1]), 6) / 100)),
         0.12,
     ),
+    # It heads along world y, and so moves to its right; the command is 0.6 and 0.8 m/s off.
+    "follow": (moving(np.pi / 2, 0.0, (0.5, 0.25), (-0.35, 0.3, 9.0)), np.exp(-1.0)),
+    # Past the half turn: 0.03 rad in 0.02 s are 1.5 rad/s, and twice the width of 1 off.
+    "follow_turning": (moving(-np.pi + 0.01, 0.03, (9.0, 9.0), (9.0, 9.0, 3.5)), np.exp(-4.0)),
+    # Half as high as a swing should be, on the floor, on the floor at rest, high enough.
+    "drag": (stepping([0.5, 0.0, 0.0, 1.5], [1.0, -0.6, 0.0, 1.0]), (0.5 + 0.6) / 4),
+    "trot": (a_step(contact=jnp.array([True, False, True, True])), 0.5),
 }
 LIMITS = {
     "forward": (a_step(qpos=a_step().qpos.at[0].set(9.0)), 1.0),  # max_speed of ALL
@@ -59,11 +83,16 @@ LIMITS = {
     "offset": (a_step(qpos=a_step().qpos.at[1].set(50.0)), 1.0),
     "vertical": (a_step(qvel=jnp.zeros(18).at[2].set(9.0)), 1.0),
     "turning": (a_step(qvel=jnp.full(18, 90.0)), 4.0),
+    "follow": (moving(0.0, 0.0, (1e6, 0.0), (0.0, 0.0, 0.0)), 0.0),
+    "follow_turning": (moving(0.0, 3.1, (0.0, 0.0), (0.0, 0.0, 0.0)), 0.0),
+    "drag": (stepping([0.0] * 4, [1e6] * 4), 2.0),
+    "trot": (a_step(contact=jnp.zeros(4, bool)), 0.0),
 }
 
 
 def test_every_term_has_a_scale_and_a_case():
-    scales = {field.name for field in dataclasses.fields(RewardConfig)} - {"max_speed"}
+    shapes = {"max_speed", "follow_width", "swing_height"}
+    scales = {field.name for field in dataclasses.fields(RewardConfig)} - shapes
     assert scales == set(TERMS) == set(CASES)
 
 
@@ -83,7 +112,8 @@ def test_a_term_is_bounded(env, name):
 
 def test_standing_still_costs_nothing(env):
     terms = reward_terms(env.robot, ALL, a_step())
-    assert terms.pop("alive") == 1.0
+    for name in ("alive", "follow", "follow_turning", "trot"):
+        assert terms.pop(name) == 1.0
     assert {name: float(value) for name, value in terms.items()} == pytest.approx(
         dict.fromkeys(terms, 0.0), abs=1e-6
     )
@@ -96,7 +126,9 @@ def test_the_total_is_the_scaled_sum_and_a_scale_of_zero_drops_its_term(env):
     assert "energy" not in terms
     assert "energy" not in active_terms(config)
     # forward 0.5 m/s, which is 0.01 m of progress, offset 0.1 m, alive 1; nothing else moves.
-    expected = 2 * 0.5 + 0.01 - 3 * 0.1 + 1
+    # Told to stand, it is 0.5 m/s off.
+    followed = np.exp(-(0.5**2)) + 1 + 1
+    expected = 2 * 0.5 + 0.01 - 3 * 0.1 + 1 + followed
     assert float(total_reward(config, terms)) == pytest.approx(expected, abs=1e-4)
 
 

@@ -317,6 +317,16 @@ def test_no_step_at_all(trot, quadruped, tmp_path):
     }
 
 
+def test_a_command_has_its_channel(trot, quadruped, tmp_path):
+    told = np.random.default_rng(0).normal(size=(trot.steps, 3))
+    rollout = dataclasses.replace(trot, command=told)
+    write_mcap(tmp_path / "told.mcap", rollout, quadruped, METADATA)
+    found = read(tmp_path / "told.mcap")
+    assert [when for when, _ in found["/command"]] == [k * 20_000_000 for k in range(trot.steps)]
+    values = [(m.forward, m.sideways, m.turning) for _, m in found["/command"]]
+    np.testing.assert_allclose(values, told, **CLOSE)
+
+
 def test_any_observation_names_become_fields(trot, quadruped, tmp_path):
     names = ["timestamp", "a b", "a-b", "", "3rd", "é", *(f"n{k}" for k in range(41))]
     rollout = dataclasses.replace(trot, observation_names=tuple(names))

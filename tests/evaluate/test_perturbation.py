@@ -201,6 +201,7 @@ def test_noise_has_its_scale_and_is_new_in_each_step(env):
     assert by_name["angular_velocity_z"] == NOISE["angular_velocity_"]
     assert by_name["offset"] == NOISE["offset"]
     assert {std for name, std in by_name.items() if name.startswith("last_action")} == {0.0}
+    assert noise_scale(("velocity_x", "command_turning")).tolist() == [NOISE["velocity_"], 0.0]
     still = draw(jnp.ones(len(names)), jnp.zeros(len(names)), key, jnp.arange(3))
     np.testing.assert_array_equal(still, 1.0)
 

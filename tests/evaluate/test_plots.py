@@ -50,9 +50,19 @@ def test_the_report_says_what_is_in_it(trot, quadruped):
     assert names == ["total", *trot.reward_terms]
 
 
+def test_commands_are_drawn_beside_what_became_of_them(trot, quadruped):
+    told = np.tile([0.5, -0.25, 1.0], (trot.steps, 1))
+    figure = draw_report(dataclasses.replace(trot, command=told), quadruped)
+    axes = next(axes for axes in figure.axes if "command" in axes.get_title(loc="left"))
+    dashed = [line.get_ydata() for line in axes.lines if line.get_linestyle() == "--"]
+    np.testing.assert_array_equal(np.transpose(dashed), told)
+
+
+@pytest.mark.parametrize("told", [False, True])
 @pytest.mark.parametrize("steps", [0, 1, 2])
-def test_a_fall_at_once(trot, quadruped, tmp_path, steps):
-    rollout = dataclasses.replace(first_steps(trot, steps), end="tipped")
+def test_a_fall_at_once(trot, quadruped, tmp_path, steps, told):
+    command = np.zeros((trot.steps, 3)) if told else None
+    rollout = first_steps(dataclasses.replace(trot, command=command, end="tipped"), steps)
     plot_report(rollout, quadruped, tmp_path / "report.png")
 
 

@@ -67,6 +67,20 @@ def test_one_flag_changes_one_thing_of_a_preset(flags, changed):
     assert len(changed_settings(before, now)) == 1
 
 
+def test_the_walk_preset_is_the_same_task_with_commands():
+    walk = parse_config(["--preset", "walk"])
+    assert walk == PRESETS["walk"]
+    assert (walk.preset, walk.env.command.given, TrainConfig().env.command.given) == (
+        "walk",
+        True,
+        False,
+    )
+    changed = parse_config(["--preset", "walk", "--env.command.turning", "-0.25", "2"])
+    assert changed.env.command.turning == (-0.25, 2.0)
+    assert changed.env.reward == walk.env.reward
+    assert from_dict(TrainConfig, json.loads(json.dumps(to_dict(changed)))) == changed
+
+
 finite = st.floats(allow_nan=False, allow_infinity=False)
 
 
@@ -94,6 +108,11 @@ def test_a_configuration_comes_back_from_json_as_it_was(forward, substeps, hidde
         ({"env": {"observation": "eyes"}}, "env.observation"),
         ({"env": {"actuation": {"targets": "all"}}}, "env.actuation.targets"),
         ({"env": {"actuation": {"hip_bounds": [1.0]}}}, "env.actuation.hip-bounds"),
+        ({"env": {"command": {"forward": [1.0]}}}, "env.command.forward"),
+        (
+            {"env": {"observation": "world", "command": {"forward": [0.0, 1.0]}}},
+            "tells of no command",
+        ),
     ],
 )
 def test_a_foreign_configuration_is_refused_by_name(change, named):
@@ -122,6 +141,10 @@ def test_a_foreign_configuration_is_refused_by_name(change, named):
         (["--ppo.discount", "1.5"], "discount"),
         (["--ppo.hidden", "0"], "hidden"),
         (["--env.physics-dt", "1"], "physics-dt"),
+        (["--env.command.forward", "1", "0"], "--env.command.forward"),
+        (["--env.command.turning", "nan", "0"], "--env.command.turning"),
+        (["--env.command.seconds", "0"], "--env.command.seconds"),
+        (["--env.command.standing", "2"], "--env.command.standing"),
     ],
 )
 def test_a_bad_flag_is_one_line_that_names_it(flags, named):

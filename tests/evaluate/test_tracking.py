@@ -1,0 +1,134 @@
+"""How far an episode was from its commands, on courses drawn with a known error."""
+
+import dataclasses
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from quadwalk.env.config import CommandConfig, EnvConfig, RewardConfig
+from quadwalk.evaluate import subject
+from quadwalk.evaluate.gait import measure_gait
+from quadwalk.evaluate.simulate import simulate_episodes
+from quadwalk.evaluate.summary import episode_figures, summarise, typical_episode
+from quadwalk.evaluate.tracking import heading_velocity, path_length, tracking_errors
+from quadwalk.evaluate.trim import first_steps
+from quadwalk.train.config import TrainConfig
+from quadwalk.train.policy import Policy
+from quadwalk.train.run import Run
+
+DT, STEPS = 0.02, 200
+WEIGHT = 200.0  # N
+
+
+@pytest.fixture(scope="module")
+def glide(simulate):
+    """glide(velocity, command): a trunk that moves so, (T, 3) in the frame of its heading."""
+    base = simulate(STEPS)
+
+    def draw(velocity, command, yaw=2.5, tilt=(0.1, -0.2)):
+        velocity = np.broadcast_to(np.asarray(velocity, float), (STEPS, 3))
+        command = np.broadcast_to(np.asarray(command, float), (STEPS, 3))
+        heading = yaw + np.concatenate([[0.0], np.cumsum(velocity[:, 2]) * DT])
+        qpos = np.array(base.qpos, float)
+        turn = Rotation.from_euler("ZYX", np.c_[heading, np.tile(tilt, (STEPS + 1, 1))])
+        qpos[:, 3:7] = turn.as_quat()[:, [3, 0, 1, 2]]
+        planar = np.c_[velocity[:, :2], np.zeros(STEPS)]
+        moved = Rotation.from_euler("z", heading[1:, None]).apply(planar) * DT
+        qpos[:, :2] = np.concatenate([np.zeros((1, 2)), np.cumsum(moved[:, :2], axis=0)])
+        return dataclasses.replace(base, qpos=qpos, command=command)
+
+    return draw
+
+
+def test_velocity_in_the_frame_of_the_heading(glide):
+    velocity = np.random.default_rng(0).uniform(-3, 3, (STEPS, 3))
+    np.testing.assert_allclose(heading_velocity(glide(velocity, 0.0)), velocity, atol=1e-9)
+
+
+def test_a_constant_error_is_found(glide):
+    found = tracking_errors(glide((1.3, -0.4, 0.75), (1.0, 0.0, 1.0)))
+    assert found == pytest.approx((0.5, 0.25))
+
+
+def test_swaying_within_a_stride_is_no_error(glide):
+    sway = np.sin(2 * np.pi * np.arange(STEPS) / 25)[:, None]  # a period of half a second
+    found = tracking_errors(glide([0.5, 0.2, -0.3] + 0.4 * sway, (0.5, 0.2, -0.3)))
+    assert found == pytest.approx((0.0, 0.0), abs=1e-9)
+
+
+def test_a_second_to_obey_is_given_at_the_start_and_after_a_change(glide):
+    command = np.where(np.arange(STEPS)[:, None] < 100, [1.0, 0.0, 0.0], [0.0, 0.5, -1.0])
+    late = np.concatenate([np.zeros((50, 3)), command[:-50]])  # 1 s behind
+    assert tracking_errors(glide(late, command)) == pytest.approx((0.0, 0.0), abs=1e-9)
+    later = np.concatenate([np.zeros((75, 3)), command[:-75]])  # 1.5 s behind
+    assert tracking_errors(glide(later, command)) > (0.2, 0.1)
+    # Of each command the windows that begin 1 s after it: 26 of 0.5 s, of which the first is off.
+    ramp = np.linspace(1, 0, 26)[:, None]
+    sizes = np.array([1.0, np.hypot(1.0, 0.5)]) * ramp
+    assert tracking_errors(glide(later, command))[0] == pytest.approx(sizes.mean())
+
+
+def test_an_episode_too_short_has_no_error(glide):
+    rollout = glide((1.0, 0.0, 0.0), (1.0, 0.0, 0.0))
+    assert tracking_errors(first_steps(rollout, 74)) is None
+    assert tracking_errors(first_steps(rollout, 75)) == pytest.approx((0.0, 0.0), abs=1e-9)
+
+
+def test_the_path_is_as_long_as_the_way_it_went(glide):
+    assert path_length(glide((0.6, 0.8, 0.0), 0.0)) == pytest.approx(4.0)
+    # A circle, as chords of half a second.
+    chords = 8 * 2 * np.sin(0.25)
+    assert path_length(glide((1.0, 0.0, 1.0), 0.0)) == pytest.approx(chords, rel=1e-3)
+    sway = np.zeros((STEPS, 3))
+    sway[:, 1] = np.sin(2 * np.pi * (np.arange(STEPS) + 0.5) / 25)
+    assert path_length(glide(sway, 0.0)) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_figures_of_an_episode_with_commands(glide, quadruped):
+    rollout = glide((1.0, 0.0, 1.0), (1.0, 0.3, 0.5))
+    rollout = dataclasses.replace(rollout, energy=np.full(STEPS, 2.0))
+    figures = episode_figures(rollout, RewardConfig(), WEIGHT)
+    length = 8 * 2 * np.sin(0.25)
+    assert figures["velocity_error"] == pytest.approx(0.3)
+    assert figures["turning_error"] == pytest.approx(0.5)
+    assert figures["path"] == pytest.approx(length, rel=1e-3)
+    assert figures["path_speed"] == pytest.approx(length / 4, rel=1e-3)
+    assert figures["energy_per_metre"] == pytest.approx(400 / length, rel=1e-3)
+    assert figures["cost_of_transport"] == pytest.approx(400 / length / WEIGHT, rel=1e-3)
+    assert figures["command"] == [1.0, 0.3, 0.5]
+    assert not {"speed", "distance", "sideways", "heading"} & figures.keys()
+    gait = measure_gait(rollout, quadruped)
+    assert gait.speed == pytest.approx(length / 4, rel=1e-3)
+    assert gait.stride_length * gait.stride_frequency == pytest.approx(1.0)
+
+
+def test_an_episode_has_one_command_which_its_policy_sees(quadruped, monkeypatch):
+    told = CommandConfig(forward=(0.5, 1.0), turning=(-1.0, 0.0), standing=0.0, seconds=0.04)
+    act = jax.tree_util.Partial(lambda seen: 0.0 * seen[..., :12])
+    config = TrainConfig(env=EnvConfig(command=told))
+    policy = Policy(act, config, quadruped.joints, 48, 0)
+    monkeypatch.setattr(subject, "load_policy", lambda path: policy)
+    monkeypatch.setattr(subject, "load_run_robot", lambda *_: quadruped)
+    env = subject.load_subject(Run(Path("walker")), 0.2).env
+    rollouts = simulate_episodes(env, act, 2, seed=0, engine="mujoco")
+    for rollout in rollouts:
+        assert rollout.command.shape == (10, 3)
+        assert (rollout.command == rollout.command[0]).all()
+        assert 0.5 <= rollout.command[0, 0] <= 1.0
+        first = rollout.observation_names.index("command_forward")
+        np.testing.assert_array_equal(rollout.observation[:, first : first + 3], rollout.command)
+    assert (rollouts[0].command[0] != rollouts[1].command[0]).any()
+
+
+def test_the_typical_episode_is_the_one_of_median_speed_along_its_path(glide):
+    rollouts = [glide((speed, 0.0, 0.5), 0.0) for speed in (1.0, 0.0, 0.4)]
+    episodes = [episode_figures(rollout, RewardConfig(), WEIGHT) for rollout in rollouts]
+    assert typical_episode(episodes) == 2
+    summary = summarise(episodes)
+    assert summary["velocity_error"]["mean"] == pytest.approx(1.4 / 3)
+    assert summary["velocity_error"]["worst"] == pytest.approx(1.0)
+    assert summary["path_speed"]["worst"] == pytest.approx(0.0, abs=1e-6)
+    assert "speed" not in summary
