@@ -24,9 +24,9 @@ def test_within_the_limits_the_controller_is_proportional_and_derivative(env):
 
 
 def test_gains_follow_from_the_robot_unless_set(env):
-    assert gains(env.robot, ActuationConfig()) == pytest.approx((80.0, 2.0), rel=0.01)
+    assert gains(env.robot, ActuationConfig()) == pytest.approx((120.0, 3.0), rel=0.01)
     light = dataclasses.replace(env.robot, weight=env.robot.weight / 2)
-    assert gains(light, ActuationConfig()) == pytest.approx((40.0, 1.0), rel=0.01)
+    assert gains(light, ActuationConfig()) == pytest.approx((60.0, 1.5), rel=0.01)
     assert gains(env.robot, ActuationConfig(kp=30.0)) == pytest.approx((30.0, 0.75))
     assert gains(env.robot, ActuationConfig(kp=30.0, kd=0.0)) == (30.0, 0.0)
 
