@@ -329,7 +329,7 @@ def newton(
 
         def narrow(_: int, bracket: tuple[Any, Any, Any]) -> tuple[Any, Any, Any]:
             alpha, low, high = bracket
-            first, second = evaluate(alpha)
+            first, second = stage(running, evaluate, alpha)
             low = jnp.where(first < 0, alpha, low)
             high = jnp.where(first < 0, high, alpha)
             guess = alpha - first / second
