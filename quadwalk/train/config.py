@@ -149,6 +149,8 @@ def _restore(hint: Any, value: Any, where: str) -> Any:
             return None
         hint = next(option for option in hint.__args__ if option is not type(None))
     origin = typing.get_origin(hint) or hint
+    if origin is typing.Literal:  # of strings: the class itself checks which
+        origin = hint = str
     if origin is tuple and isinstance(value, list):
         return tuple(_restore(hint.__args__[0], item, where) for item in value)
     if origin is Path and isinstance(value, str):
