@@ -51,6 +51,7 @@ def print_rates(envs: int, steps: int, rounds: int, variants: bool) -> None:
     from quadwalk.env import batches, contact, legged_physics
     from quadwalk.env.batches import robots_last
     from quadwalk.env.config import EnvConfig
+    from quadwalk.env.legged import Legged
     from quadwalk.env.legged_physics import acceleration, integrate
     from quadwalk.env.physics import Physics
     from quadwalk.env.quadruped import QuadrupedEnv
@@ -59,17 +60,18 @@ def print_rates(envs: int, steps: int, rounds: int, variants: bool) -> None:
     from quadwalk.train.ppo import AXIS, make_mesh
 
     env = QuadrupedEnv(load_quadruped(), EnvConfig())
+    whole = QuadrupedEnv(load_quadruped(), EnvConfig(contacts="body"))
     config = env.config
     start = jax.jit(jax.vmap(env.reset))(jax.random.split(jax.random.PRNGKey(0), envs))
     physics = jax.device_get(start.pipeline_state.physics)
     rng = np.random.default_rng(0)
     torques = rng.normal(0, 5, (envs, steps, 12)).astype(np.float32)
 
-    def ours(iterations: int = config.solver_iterations):
+    def ours(iterations: int = config.solver_iterations, legged: Legged = env.legged):
         def of_many(state: Physics, torques: jax.Array) -> jax.Array:
             def step(state: Physics, torque: jax.Array) -> tuple[Physics, None]:
                 searched = config.line_search_iterations
-                found = acceleration(env.legged, state, torque, iterations, searched)
+                found = acceleration(legged, state, torque, iterations, searched)
                 return integrate(state, found, config.physics_dt), None
 
             return jax.lax.scan(step, state, torques)[0].qpos
@@ -133,6 +135,7 @@ def print_rates(envs: int, steps: int, rounds: int, variants: bool) -> None:
             engines |= {
                 "1 iteration": rate(ours(1)),
                 "3 iterations": rate(ours(3)),
+                "body": rate(ours(legged=whole.legged)),
                 "no batches": with_other({(batches, "BATCH"): envs}, rate(ours())),
                 "no stages": with_other(plain, rate(ours())),
             }

@@ -138,6 +138,7 @@ class EnvConfig:
     episode_seconds: float = 20.0  # s, the time limit
     solver_iterations: int = 2  # Newton iterations of the contact solver (benchmarks/accuracy.py)
     line_search_iterations: int = 3
+    contacts: Literal["feet", "body"] = "feet"  # what touches the floor; body: also knees, trunk
     actuation: ActuationConfig = field(default_factory=ActuationConfig)
     reward: RewardConfig = field(default_factory=RewardConfig)
     termination: TerminationConfig = field(default_factory=TerminationConfig)
@@ -157,6 +158,8 @@ class EnvConfig:
             raise UsageError(f"env.substeps is {self.substeps}; expected 1 or more")
         if self.solver_iterations < 1 or self.line_search_iterations < 1:
             raise UsageError("env.solver-iterations and env.line-search-iterations: 1 or more")
+        if self.contacts not in ("feet", "body"):
+            raise UsageError(f"env.contacts is {self.contacts!r}; expected feet or body")
         if self.episode_steps < 1:
             raise UsageError(
                 f"env.episode-seconds is {self.episode_seconds}; expected at least one control "

@@ -1,9 +1,10 @@
-"""Feet on the floor and joint limits: MuJoCo's soft constraints, solved by Newton's method.
+"""Contacts with the floor and joint limits: MuJoCo's soft constraints, by Newton's method.
 
 The convex problem is MuJoCo's (https://mujoco.readthedocs.io/en/stable/computation, "Constraint
-model"): pyramidal friction cones, four edges to a foot, and one row for a joint beyond its limit.
-A foot touches the trunk's and its own leg's joints only, so the Hessian has the mass matrix's
-arrow shape and is factored in a tenth of the operations of a dense one.
+model"): pyramidal friction cones, four edges to a contact, and one row for a joint beyond its
+limit. What touches the floor are spheres, of each kind one to a leg: feet, or also knees and the
+trunk's corners. The trunk and its own leg's joints alone move one, so the Hessian has the mass
+matrix's arrow shape and is factored in a tenth of the operations of a dense one.
 """
 
 from typing import Any, NamedTuple
@@ -16,7 +17,8 @@ from quadwalk.env.batches import stage
 from quadwalk.env.dynamics import LINKS, MassMatrix, Motion, Pose
 from quadwalk.env.vectors import Vector
 
-Rows = tuple[Any, ...]  # of the constraints: four edges of a foot, three limits, arrays (4, robots)
+# Of the constraints, arrays (4, robots): four edges of each kind of contact, three limits.
+Rows = tuple[Any, ...]
 EDGES = 4
 
 
@@ -33,10 +35,11 @@ class Softness(NamedTuple):
     inverse_inertia: Any  # MuJoCo's estimate of a constraint row's, 1/kg or 1/(kg m^2)
 
 
-class Feet(NamedTuple):
-    """Constants of the feet, arrays (4, 1)."""
+class Contact(NamedTuple):
+    """Constants of one kind of sphere that may touch the floor, arrays (4, 1)."""
 
-    centre: Vector  # of the sphere, calf frame, m
+    link: int | None  # that carries it; None: the trunk
+    centre: Vector  # of the sphere, in that link's frame, m
     radius: Any  # m
     friction: Any
     softness: Softness
@@ -50,12 +53,18 @@ class Limits(NamedTuple):
     softness: Softness
 
 
+class Touch(NamedTuple):
+    """Where one kind of sphere touches the floor, or is nearest to it."""
+
+    point: Vector  # relative to the trunk's origin, m
+    columns: tuple[Vector, ...]  # velocity of that point by each of the leg's joints that move it
+    friction: Any
+
+
 class Constraints(NamedTuple):
     """The constraints at one state; a row that is not in force has weight 0."""
 
-    point: Vector  # of contact, relative to the trunk's origin, m
-    columns: tuple[Vector, ...]  # velocity of that point by each of the leg's joints
-    friction: Any
+    touches: tuple[Touch, ...]
     signs: Vector  # direction of each joint limit, +1 at the lower one
     reference: Rows  # acceleration that the constraint asks for
     weight: Rows  # MuJoCo's D
@@ -71,13 +80,16 @@ def impedance(soft: Softness, depth: Any) -> tuple[Any, Any]:
     return value, value / ((1 - value) * soft.inverse_inertia)
 
 
-def foot_centres(feet: Feet, pose: Pose) -> Vector:
-    """Where the feet's spheres are, relative to the trunk's origin, m."""
-    return v.add(pose.origins[-1], v.apply(pose.rotations[-1], feet.centre))
+def centres(contact: Contact, pose: Pose) -> Vector:
+    """Where the spheres are, relative to the trunk's origin, m."""
+    if contact.link is None:
+        return v.apply(pose.trunk, contact.centre)
+    rotation, origin = pose.rotations[contact.link], pose.origins[contact.link]
+    return v.add(origin, v.apply(rotation, contact.centre))
 
 
 def find_constraints(
-    feet: Feet,
+    contacts: tuple[Contact, ...],
     limits: tuple[Limits, ...],
     pose: Pose,
     height: Any,
@@ -85,22 +97,28 @@ def find_constraints(
     velocity: Motion,
 ) -> Constraints:
     """The constraints with the trunk's origin at `height` (robots,), m."""
-    centre = foot_centres(feet, pose)
-    gap = height + centre[2] - feet.radius
-    point = (centre[0], centre[1], centre[2] - feet.radius - 0.5 * gap)
-    columns = tuple(
-        v.cross(axis, v.subtract(point, origin))
-        for axis, origin in zip(pose.axes, pose.origins, strict=True)
-    )
-    soft = feet.softness
-    share, weight = impedance(soft, gap)
-    touching = gap < 0
-    foot_rates = edges(feet.friction, point_motion(point, columns, velocity))
-    reference = [
-        jnp.where(touching, -soft.damping * rate - soft.stiffness * share * gap, 0.0)
-        for rate in foot_rates
-    ]
-    weights = [jnp.where(touching, weight, 0.0)] * EDGES
+    touches: list[Touch] = []
+    reference: list[Any] = []
+    weights: list[Any] = []
+    for contact in contacts:
+        centre = centres(contact, pose)
+        gap = height + centre[2] - contact.radius
+        point = (centre[0], centre[1], centre[2] - contact.radius - 0.5 * gap)
+        moving = 0 if contact.link is None else contact.link + 1
+        columns = tuple(
+            v.cross(axis, v.subtract(point, origin))
+            for axis, origin in zip(pose.axes[:moving], pose.origins[:moving], strict=True)
+        )
+        touch = Touch(point, columns, contact.friction)
+        soft = contact.softness
+        share, weight = impedance(soft, gap)
+        touching = gap < 0
+        reference += [
+            jnp.where(touching, -soft.damping * rate - soft.stiffness * share * gap, 0.0)
+            for rate in along_edges(touch, velocity)
+        ]
+        weights += [jnp.where(touching, weight, 0.0)] * EDGES
+        touches.append(touch)
     signs: list[Any] = []
     for limit, angle, rate in zip(limits, angles, velocity.joints, strict=True):
         from_lower, from_upper = angle - limit.lower, limit.upper - angle
@@ -114,81 +132,85 @@ def find_constraints(
         reference.append(jnp.where(beyond, asked, 0.0))
         weights.append(jnp.where(beyond, weight, 0.0))
     x, y, z = signs
-    return Constraints(point, columns, feet.friction, (x, y, z), tuple(reference), tuple(weights))
+    return Constraints(tuple(touches), (x, y, z), tuple(reference), tuple(weights))
 
 
-def point_motion(point: Vector, columns: tuple[Vector, ...], motion: Motion) -> Vector:
-    """What `motion` is at the points of contact."""
-    at_trunk = v.add(motion.linear, v.cross(motion.angular, point))
-    by_joints = (v.scale(rate, column) for rate, column in zip(motion.joints, columns, strict=True))
-    return v.add(at_trunk, *by_joints)
-
-
-def edges(friction: Any, at_point: Vector) -> Rows:
-    """A vector at the points of contact along the four edges of the friction pyramids."""
-    x, y, z = at_point
-    x, y = friction * x, friction * y
+def along_edges(touch: Touch, motion: Motion) -> Rows:
+    """`motion` at the points of contact, along the four edges of the friction pyramids."""
+    at_trunk = v.add(motion.linear, v.cross(motion.angular, touch.point))
+    by_joints = (v.scale(motion.joints[i], column) for i, column in enumerate(touch.columns))
+    x, y, z = v.add(at_trunk, *by_joints)
+    x, y = touch.friction * x, touch.friction * y
     return z + y, z - y, z - x, z + x
 
 
 def rows(found: Constraints, motion: Motion) -> Rows:
     """J motion."""
     at_limits = (sign * rate for sign, rate in zip(found.signs, motion.joints, strict=True))
-    at_feet = edges(found.friction, point_motion(found.point, found.columns, motion))
-    return (*at_feet, *at_limits)
+    at_floor = (row for touch in found.touches for row in along_edges(touch, motion))
+    return (*at_floor, *at_limits)
+
+
+def by_touch(values: Rows) -> list[Rows]:
+    """Of values for all rows, the four edges of each kind of contact."""
+    return [values[i : i + EDGES] for i in range(0, len(values) - LINKS, EDGES)]
 
 
 def force_of(found: Constraints, strength: Rows) -> Motion:
     """J^T strength."""
-    a, b, c, d = strength[:EDGES]
-    push = (found.friction * (d - c), found.friction * (a - b), a + b + c + d)
-    joints = tuple(
-        v.dot(column, push) + sign * limit
-        for column, sign, limit in zip(found.columns, found.signs, strength[EDGES:], strict=True)
-    )
+    pushes: list[Vector] = [
+        (touch.friction * (d - c), touch.friction * (a - b), a + b + c + d)
+        for touch, (a, b, c, d) in zip(found.touches, by_touch(strength), strict=True)
+    ]
+    turns = [v.cross(t.point, push) for t, push in zip(found.touches, pushes, strict=True)]
+    joints = [sign * limit for sign, limit in zip(found.signs, strength[-LINKS:], strict=True)]
+    for touch, push in zip(found.touches, pushes, strict=True):
+        for i, column in enumerate(touch.columns):
+            joints[i] = v.dot(column, push) + joints[i]
     return Motion(
-        tuple(v.legs_sum(x) for x in push),  # type: ignore[arg-type]
-        tuple(v.legs_sum(x) for x in v.cross(found.point, push)),  # type: ignore[arg-type]
-        joints,  # type: ignore[arg-type]
+        tuple(v.legs_sum(x) for x in v.add(*pushes)),  # type: ignore[arg-type]
+        tuple(v.legs_sum(x) for x in v.add(*turns)),  # type: ignore[arg-type]
+        tuple(joints),  # type: ignore[arg-type]
     )
 
 
 def hessian(mass: MassMatrix, found: Constraints, weight: Rows) -> MassMatrix:
     """M + J^T diag(weight) J."""
-    a, b, c, d = weight[:EDGES]
-    mu = found.friction
+    matrix = mass
+    for touch, at_edges in zip(found.touches, by_touch(weight), strict=True):
+        matrix = stiffened(matrix, touch, at_edges)
+    legs = [list(row) for row in matrix.legs]
+    for i, at_limit in enumerate(weight[-LINKS:]):
+        legs[i][i] = legs[i][i] + at_limit
+    return matrix._replace(legs=tuple(map(tuple, legs)))
+
+
+def stiffened(matrix: MassMatrix, touch: Touch, weight: Rows) -> MassMatrix:
+    """`matrix` + J^T diag(weight) J of one kind of contact."""
+    a, b, c, d = weight
+    mu = touch.friction
     xx, yy, zz = mu * mu * (c + d), mu * mu * (a + b), a + b + c + d
     xz, yz = mu * (d - c), mu * (a - b)
 
     def stiff(u: Vector) -> Vector:
         return xx * u[0] + xz * u[2], yy * u[1] + yz * u[2], xz * u[0] + yz * u[1] + zz * u[2]
 
-    px, py, pz = found.point
+    px, py, pz = touch.point
     o = jnp.zeros_like(px)
     units = ((o + 1.0, o, o), (o, o + 1.0, o), (o, o, o + 1.0))
     turns = ((o, -pz, py), (pz, o, -px), (-py, px, o))  # axis x point
     trunk = [stiff(u) for u in (*units, *turns)]
-    columns = [force + v.cross(found.point, force) for force in trunk]
-    legs = [stiff(column) for column in found.columns]
-    crossed = [force + v.cross(found.point, force) for force in legs]
-    return MassMatrix(
-        tuple(
-            tuple(mass.base[i][j] + v.legs_sum(columns[j][i]) for j in range(6)) for i in range(6)
-        ),
-        tuple(
-            tuple(m + x for m, x in zip(mass.cross[k], crossed[k], strict=True))
-            for k in range(LINKS)
-        ),
-        tuple(
-            tuple(
-                mass.legs[i][j]
-                + v.dot(found.columns[i], legs[j])
-                + (weight[EDGES + i] if i == j else 0.0)
-                for j in range(LINKS)
-            )
-            for i in range(LINKS)
-        ),
+    columns = [force + v.cross(touch.point, force) for force in trunk]
+    base = tuple(
+        tuple(matrix.base[i][j] + v.legs_sum(columns[j][i]) for j in range(6)) for i in range(6)
     )
+    cross, legs = list(matrix.cross), [list(row) for row in matrix.legs]
+    for j, force in enumerate(stiff(column) for column in touch.columns):
+        crossed = force + v.cross(touch.point, force)
+        cross[j] = tuple(m + x for m, x in zip(cross[j], crossed, strict=True))
+        for i, column in enumerate(touch.columns):
+            legs[i][j] = legs[i][j] + v.dot(column, force)
+    return MassMatrix(base, tuple(cross), tuple(map(tuple, legs)))
 
 
 def cholesky(a: Any, n: int) -> list[list[Any]]:
@@ -329,7 +351,7 @@ def newton(
 
         def narrow(_: int, bracket: tuple[Any, Any, Any]) -> tuple[Any, Any, Any]:
             alpha, low, high = bracket
-            first, second = evaluate(alpha)
+            first, second = stage(running, evaluate, alpha)
             low = jnp.where(first < 0, alpha, low)
             high = jnp.where(first < 0, high, alpha)
             guess = alpha - first / second

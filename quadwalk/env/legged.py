@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 
 from quadwalk.env import vectors as v
-from quadwalk.env.contact import Feet, Limits, Softness
+from quadwalk.env.contact import Contact, Limits, Softness
 from quadwalk.env.dynamics import LINKS, Link, Trunk
 from quadwalk.env.robot import RobotArrays
 from quadwalk.env.vectors import Matrix, Vector
@@ -50,7 +50,7 @@ class Legged(NamedTuple):
 
     trunk: Trunk
     links: tuple[Link, ...]
-    feet: Feet
+    contacts: tuple[Contact, ...]  # the feet first
     limits: tuple[Limits, ...]
     shells: tuple[Shell, ...]
     gravity: Vector
@@ -73,7 +73,7 @@ def legged(model: mujoco.MjModel, robot: RobotArrays) -> Legged:
             inertia=_scalars(_inertia(model, trunk)),
         ),
         links=links,
-        feet=_feet(model, robot.foot_geoms, bodies[:, -1]),
+        contacts=tuple(_contact(model, geoms, bodies) for geoms in robot.contact_geoms),
         limits=limits,
         shells=_shells(model, robot.shell_geoms, trunk, bodies),
         gravity=_vector(model.opt.gravity),
@@ -170,19 +170,24 @@ def _limits(model: mujoco.MjModel, joints: np.ndarray) -> Limits:
     )
 
 
-def _feet(model: mujoco.MjModel, geoms: np.ndarray, calves: np.ndarray) -> Feet:
-    """MuJoCo is asked what it makes of a foot in the floor: it mixes the two's parameters."""
+def _contact(model: mujoco.MjModel, geoms: np.ndarray, bodies: np.ndarray) -> Contact:
+    """MuJoCo is asked what it makes of spheres in the floor: it mixes the two's parameters.
+
+    `geoms` (4,) are on the same link of each leg, which are `bodies` (4, 3), or on the trunk.
+    """
+    own = model.geom_bodyid[geoms]
     data = mujoco.MjData(model)
     friction, solref, solimp = np.zeros(4), np.zeros((4, 2)), np.zeros((4, 5))
     mujoco.mj_kinematics(model, data)
     data.qpos[2] -= data.geom_xpos[geoms, 2].max()
     mujoco.mj_forward(model, data)
     for contact in data.contact:
-        (leg,) = np.flatnonzero(np.isin(geoms, contact.geom))
-        friction[leg] = contact.friction[0]
-        solref[leg], solimp[leg] = contact.solref, contact.solimp
-    edge = model.body_invweight0[calves, 0] * (1 + friction**2) * 2 * friction**2
-    return Feet(
+        for leg in np.flatnonzero(np.isin(geoms, contact.geom)):
+            friction[leg] = contact.friction[0]
+            solref[leg], solimp[leg] = contact.solref, contact.solimp
+    edge = model.body_invweight0[own, 0] * (1 + friction**2) * 2 * friction**2
+    return Contact(
+        link=next((i for i in range(LINKS) if np.array_equal(bodies[:, i], own)), None),
         centre=_columns(model.geom_pos[geoms]),  # type: ignore[arg-type]
         radius=_column(model.geom_size[geoms, 0]),
         friction=_column(friction),

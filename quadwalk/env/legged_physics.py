@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from quadwalk.env import vectors as v
 from quadwalk.env.batches import robots_last, stage
 from quadwalk.env.config import EnvConfig
-from quadwalk.env.contact import find_constraints, foot_centres, newton
+from quadwalk.env.contact import centres, find_constraints, newton
 from quadwalk.env.dynamics import (
     LINKS,
     Motion,
@@ -81,7 +81,7 @@ def acceleration(
     force = Motion(v.scale(-1.0, bias.linear), v.scale(-1.0, bias.angular), joints)  # type: ignore[arg-type]
     found = stage(
         running,
-        lambda *a: find_constraints(legged.feet, legged.limits, *a),
+        lambda *a: find_constraints(legged.contacts, legged.limits, *a),
         pose,
         qpos[2],
         angles,
@@ -121,14 +121,15 @@ def integrate(state: Physics, acceleration: jax.Array, dt: float) -> Physics:
 def heights(legged: Legged, qpos: jax.Array) -> tuple[jax.Array, jax.Array]:
     """How far the feet (4,) and the lowest point of all other shapes () are above the floor, m.
 
-    `qpos` (19,). To be vmapped over robots. Training lets only feet touch the floor, so this is
-    how it knows that a knee or the trunk would have.
+    `qpos` (19,). To be vmapped over robots. Not all shapes touch the floor in training, so this is
+    how it knows that one would have.
     """
 
     def of_many(qpos: jax.Array) -> tuple[jax.Array, jax.Array]:
         pose = pose_of(legged.links, rotation_of(tuple(qpos[3:7])), _by_link(qpos[7:]))
         height = qpos[2]
-        foot = foot_centres(legged.feet, pose)[2]
+        feet = legged.contacts[0]
+        soles = height + centres(feet, pose)[2] - feet.radius
         lowest = jnp.full_like(height, jnp.inf)
         for shell in legged.shells:
             if shell.link is None:
@@ -137,7 +138,7 @@ def heights(legged: Legged, qpos: jax.Array) -> tuple[jax.Array, jax.Array]:
                 rotation, origin = pose.rotations[shell.link], pose.origins[shell.link][2]
             bottom = origin + shell.bottom(rotation[2])
             lowest = jnp.minimum(lowest, jnp.min(jnp.atleast_2d(bottom), axis=0))
-        return height + foot - legged.feet.radius, height + lowest
+        return soles, height + lowest
 
     return robots_last(of_many)(qpos)
 
@@ -147,8 +148,9 @@ def soles(legged: Legged, qpos: jax.Array) -> jax.Array:
 
     def of_many(qpos: jax.Array) -> jax.Array:
         pose = pose_of(legged.links, rotation_of(tuple(qpos[3:7])), _by_link(qpos[7:]))
-        x, y, z = foot_centres(legged.feet, pose)
-        return jnp.stack([x, y, z - legged.feet.radius], axis=1) + qpos[:3]
+        feet = legged.contacts[0]
+        x, y, z = centres(feet, pose)
+        return jnp.stack([x, y, z - feet.radius], axis=1) + qpos[:3]
 
     return robots_last(of_many)(qpos)
 

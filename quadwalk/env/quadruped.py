@@ -184,6 +184,7 @@ class QuadrupedEnv(Env):
             self.config.physics_dt,
             self.config.solver_iterations,
             self.config.line_search_iterations,
+            self.config.contacts,
         )
         # By default MJX takes the first of all devices, which may be another process's.
         self.model = mjx.put_model(self.mj_model, device=jax.local_devices()[0])

@@ -7,6 +7,7 @@ import numpy as np
 
 from quadwalk.env.config import EnvConfig
 from quadwalk.robot.quadruped import Quadruped
+from quadwalk.robot.spheres import CORNERS, KNEES
 
 
 @dataclass(frozen=True)
@@ -25,6 +26,7 @@ class RobotArrays:
     weight: float  # N
     foot_geoms: np.ndarray  # (4,) geom indices
     foot_radius: np.ndarray  # (4,) m
+    contact_geoms: tuple[np.ndarray, ...]  # (4,) of each kind of sphere that touches the floor
     shell_geoms: np.ndarray  # (n,) every collision shape of the robot but its feet
 
     @property
@@ -53,6 +55,12 @@ def task_robot(quadruped: Quadruped, config: EnvConfig) -> Quadruped:
 def robot_arrays(quadruped: Quadruped, model: mujoco.MjModel) -> RobotArrays:
     """Look up a quadruped's names in a model built from it."""
     feet = np.array([model.geom(name).id for name in quadruped.feet])
+    names = [model.geom(i).name for i in range(model.ngeom)]
+    contacts = [
+        np.array([names.index(name) for name in spheres])
+        for spheres in (quadruped.feet, KNEES, CORNERS)
+        if set(spheres) <= set(names)
+    ]
     shell = np.array(
         [
             i
@@ -71,5 +79,6 @@ def robot_arrays(quadruped: Quadruped, model: mujoco.MjModel) -> RobotArrays:
         weight=float(model.body_subtreemass[0] * -model.opt.gravity[2]),
         foot_geoms=feet,
         foot_radius=model.geom_size[feet, 0],
+        contact_geoms=tuple(contacts),
         shell_geoms=shell,
     )

@@ -1,8 +1,8 @@
 """Episodes of a policy, in MJX or in MuJoCo C: the second is the judge of the first.
 
 Both engines share the observation, the action and motor model, the reward and the termination;
-only what steps the physics differs. MJX steps the training model: feet only, a fast solver. MuJoCo
-C steps the full model: every collision shape, 2 ms steps, a converged solver.
+only what steps the physics differs. MJX steps the training model: spheres against the floor only, a
+fast solver. MuJoCo C steps the full model: every collision shape, 2 ms steps, a converged solver.
 """
 
 from collections.abc import Callable

@@ -219,7 +219,10 @@ def _models(
     models = [
         mjx.put_model(
             varied_quadruped(quadruped, friction, mass).training_model(
-                config.physics_dt, config.solver_iterations, config.line_search_iterations
+                config.physics_dt,
+                config.solver_iterations,
+                config.line_search_iterations,
+                config.contacts,
             )
         )
         for friction, mass in kinds

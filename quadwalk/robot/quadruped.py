@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Literal
 
 import mujoco
 import numpy as np
@@ -10,6 +11,7 @@ from quadwalk.paths import ALIENGO_URDF
 from quadwalk.robot.home import HOME
 from quadwalk.robot.legs import find_legs, joint_range
 from quadwalk.robot.mjcf import Options, convert
+from quadwalk.robot.spheres import add_spheres
 from quadwalk.robot.urdf import Urdf, read_urdf
 from quadwalk.robot.validate import UrdfError
 
@@ -56,9 +58,13 @@ class Quadruped:
         return float(-self.spec.option.gravity[2])
 
     def training_model(
-        self, timestep: float, iterations: int = 1, ls_iterations: int = 5
+        self,
+        timestep: float,
+        iterations: int = 1,
+        ls_iterations: int = 5,
+        contacts: Literal["feet", "body"] = "feet",
     ) -> mujoco.MjModel:
-        """The model to train in, made for MJX: only the feet and the floor collide.
+        """The model to train in, made for MJX: only spheres and the floor collide.
 
         Body, joint, actuator and collision geom names are those of `full_model`; the other
         collision shapes are there to be measured, but touch nothing. No visuals, no sensors.
@@ -68,6 +74,7 @@ class Quadruped:
             iterations: of the Newton solver. One keeps a loop that, batched, runs as long as the
                 slowest environment's out of the step.
             ls_iterations: of its line search, each at a fixed cost.
+            contacts: what the floor meets, the feet or also `spheres` at knees and trunk.
         """
         spec = self.spec.copy()
         for sensor in list(spec.sensors):
@@ -86,6 +93,8 @@ class Quadruped:
                 geom.contype = geom.name == "floor"
                 geom.conaffinity = geom.name in self.feet
         spec.compiler.fitaabb = True
+        if contacts == "body":
+            add_spheres(spec, self.trunk, self.feet, calf_joints=self.joints[2::3])
         option = spec.option
         option.cone = mujoco.mjtCone.mjCONE_PYRAMIDAL
         # Implicit joint damping costs a second factorisation of the mass matrix each step.

@@ -10,6 +10,7 @@ from quadwalk.robot.legs import Leg
 from quadwalk.robot.meshes import MissingMeshError, find_mesh, load_mesh
 from quadwalk.robot.report import Report
 from quadwalk.robot.scene import CONTACT_TIME, FRICTION
+from quadwalk.robot.spheres import CORNERS, KNEES
 from quadwalk.robot.tree import Tree, matrix
 
 VISUAL, COLLISION = 2, 3  # geom groups; MuJoCo's viewer hides 3 and above
@@ -56,7 +57,7 @@ class Shapes:
     ):
         self.spec, self.folders, self.source, self.report = spec, folders, source, report
         self.feet = {(leg.foot_link, leg.foot_shape): leg.foot for leg in legs}
-        self.geom_names = set(self.feet.values()) | {"floor"}
+        self.geom_names = {*self.feet.values(), "floor", *KNEES, *CORNERS}
         self.mesh_names: dict[tuple, list[tuple[str, np.ndarray | None]]] = {}
         self.materials: dict[str, str] = {}
         self.rgba: dict[str, tuple] = {}

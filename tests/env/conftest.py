@@ -1,5 +1,7 @@
 """One small environment, compiled once for all tests of this folder."""
 
+import dataclasses
+
 import jax
 import mujoco
 import numpy as np
@@ -16,6 +18,12 @@ STEPS = 200
 @pytest.fixture(scope="session")
 def env() -> QuadrupedEnv:
     return QuadrupedEnv(load_quadruped(), EnvConfig(episode_seconds=0.1))
+
+
+@pytest.fixture(scope="session")
+def body_env(env) -> QuadrupedEnv:
+    """The same, but that knees and trunk touch the floor too."""
+    return QuadrupedEnv(env.quadruped, dataclasses.replace(env.config, contacts="body"))
 
 
 @pytest.fixture(scope="session")

@@ -47,16 +47,22 @@ def test_mjx_and_mujoco_agree_for_200_steps(
     assert error[:, 19:].max() < speed
 
 
-@pytest.mark.parametrize("engine", ["ours", "mjx"])
-def test_a_control_step_is_its_physics_steps_one_by_one(env, engine):
+@pytest.mark.parametrize(
+    ("engine", "contacts"), [("ours", "feet"), ("mjx", "feet"), ("mjx", "body")]
+)
+def test_a_control_step_is_its_physics_steps_one_by_one(env, engine, contacts):
     """`simulate` carries little from step to step; MuJoCo C, which carries all, must agree."""
-    config = EnvConfig(solver_iterations=8, line_search_iterations=10)  # solved to the end
+    # Solved to the end.
+    config = EnvConfig(solver_iterations=8, line_search_iterations=10, contacts=contacts)
     env = QuadrupedEnv(env.quadruped, config)
-    robot, model = env.robot, env.quadruped.training_model(config.physics_dt, 100, 50)
+    robot, model = env.robot, env.quadruped.training_model(config.physics_dt, 100, 50, contacts)
     target = robot.home_joints - 0.05
     data = mujoco.MjData(model)
     data.qpos[:] = robot.home
     data.qpos[7:] += 0.1
+    if contacts == "body":  # on its belly, its front knees, and its hind feet
+        data.qpos[2] = 0.055
+        data.qpos[7:] = np.repeat([[0.0, -1.43, -2.7], [0.0, 2.5, -2.75]], 2, axis=0).flat
     data.qvel[:] = np.random.default_rng(1).uniform(-1, 1, 18)
     start = Physics(*(jnp.asarray(x, jnp.float32) for x in (data.qpos, data.qvel, np.zeros(18))))
     simulate = {
@@ -65,7 +71,7 @@ def test_a_control_step_is_its_physics_steps_one_by_one(env, engine):
     }[engine]
     after, effort = jax.jit(simulate)(start)
 
-    energy, mean = 0.0, np.zeros(12)
+    energy, mean, touched = 0.0, np.zeros(12), set()
     for _ in range(config.substeps):
         qd = data.qvel[6:].copy()
         kp, kd = gains(robot, config.actuation)
@@ -76,6 +82,8 @@ def test_a_control_step_is_its_physics_steps_one_by_one(env, engine):
         energy += np.maximum(data.ctrl * qd, 0).sum() * config.physics_dt
         mean += data.ctrl / config.substeps
         mujoco.mj_step(model, data)
+        touched |= set(data.contact.geom.flat)
+    assert all(touched & set(spheres) for spheres in robot.contact_geoms)
     np.testing.assert_allclose(after.qpos, data.qpos, atol=1e-4)
     np.testing.assert_allclose(after.qvel, data.qvel, atol=2e-2)
     np.testing.assert_allclose(effort.torque, mean, atol=2e-2)

@@ -14,6 +14,7 @@ from quadwalk.robot.urdf import UrdfError, parse_urdf
 
 TEXT = ALIENGO_URDF.read_text()
 NO_MESHES = Options(meshes=False)
+BODY = tuple(f"{kind}_{leg}" for kind in ("knee", "corner") for leg in ("FR", "FL", "RR", "RL"))
 
 
 @pytest.fixture(scope="module")
@@ -101,10 +102,10 @@ def test_plain_pd_stands(aliengo):
     stands(aliengo)
 
 
-def trainable(quadruped: Quadruped) -> None:
-    """MJX takes the training model, and only feet and floor can touch in it."""
+def trainable(quadruped: Quadruped, contacts="feet", names: tuple[str, ...] = ()) -> None:
+    """MJX takes the training model, and only feet, `names` and floor can touch in it."""
     mjx = pytest.importorskip("mujoco.mjx")
-    model = quadruped.training_model(0.004)
+    model = quadruped.training_model(0.004, contacts=contacts)
     assert mjx.put_model(model).nv == 18
     touching = {
         frozenset((model.geom(a).name, model.geom(b).name))
@@ -113,17 +114,60 @@ def trainable(quadruped: Quadruped) -> None:
         if model.geom_contype[a] & model.geom_conaffinity[b]
         or model.geom_contype[b] & model.geom_conaffinity[a]
     }
-    assert touching == {frozenset(("floor", foot)) for foot in quadruped.feet}
+    assert touching == {frozenset(("floor", name)) for name in (*quadruped.feet, *names)}
 
 
 def test_mjx_takes_the_training_model(aliengo):
     trainable(aliengo)
+    trainable(aliengo, "body", BODY)
 
 
 def test_other_quadrupeds_stand_and_train(reference_urdf):
     quadruped = load_quadruped(reference_urdf)
     stands(quadruped)
     trainable(quadruped)
+    trainable(quadruped, "body", BODY)
+    model = quadruped.training_model(0.004, contacts="body")
+    for leg, foot in zip(quadruped.legs, quadruped.feet, strict=True):
+        # Unitree's thighs are bars whose thickness is a little less than the feet's.
+        assert 0.8 < model.geom(f"knee_{leg}").size[0] / model.geom(foot).size[0] <= 1
+
+
+def test_knees_and_corners_are_where_the_shapes_meet_the_floor(aliengo):
+    model = aliengo.training_model(0.004, contacts="body")
+    data = mujoco.MjData(model)
+    data.qpos[:] = aliengo.home
+    data.qpos[7:] = np.tile([0.0, np.pi / 2, -np.pi / 2], 4)  # thighs level, calves upright
+    data.qpos[2] = 1.0
+    mujoco.mj_kinematics(model, data)
+    for leg in aliengo.legs:
+        x, y = (1 if leg[0] == "F" else -1), (1 if leg[1] == "L" else -1)
+        knee, thigh = (model.geom(name).id for name in (f"knee_{leg}", f"{leg}_thigh"))
+        np.testing.assert_allclose(
+            data.geom_xpos[knee], [x * 0.2407 - 0.25, y * (0.051 + 0.0868), 1.0], atol=1e-9
+        )
+        np.testing.assert_allclose(
+            lowest_point(model, data, knee), lowest_point(model, data, thigh), atol=1e-9
+        )
+        corner = model.geom(f"corner_{leg}")
+        half = np.array([x * 0.3235, y * 0.075, -0.056])
+        np.testing.assert_allclose(corner.pos + np.sign(half) * corner.size[0], half)
+        assert model.geom_bodyid[knee] == model.body(f"{leg}_thigh").id
+        assert corner.bodyid == model.body("trunk").id
+
+
+def test_a_link_may_have_the_name_of_a_knee():
+    quadruped = quadruped_from(parse_urdf(TEXT.replace('"FL_thigh"', '"knee_FR"')))
+    assert quadruped.training_model(0.004, contacts="body").geom("knee_FR").size[0] == 0.0215
+
+
+def test_a_trunk_without_shapes_cannot_touch_the_floor():
+    trunk = re.search(r'<link name="trunk">.*?</link>', TEXT, re.DOTALL)[0]
+    bare = re.sub(r"<collision>.*?</collision>", "", trunk, flags=re.DOTALL)
+    quadruped = quadruped_from(parse_urdf(TEXT.replace(trunk, bare)))
+    quadruped.training_model(0.004)
+    with pytest.raises(UrdfError, match="'trunk' has no collision shape"):
+        quadruped.training_model(0.004, contacts="body")
 
 
 def test_pybullets_quadrupeds_stand_and_train(pybullet_urdf):

@@ -84,11 +84,16 @@ def test_the_walk_preset_is_the_same_task_with_commands():
 finite = st.floats(allow_nan=False, allow_infinity=False)
 
 
-@given(finite, st.integers(1, 9), st.lists(st.integers(1, 512), min_size=1).map(tuple))
-def test_a_configuration_comes_back_from_json_as_it_was(forward, substeps, hidden):
+@given(
+    finite,
+    st.integers(1, 9),
+    st.lists(st.integers(1, 512), min_size=1).map(tuple),
+    st.sampled_from(["feet", "body"]),
+)
+def test_a_configuration_comes_back_from_json_as_it_was(forward, substeps, hidden, contacts):
     config = TrainConfig(
         name=None,
-        env=EnvConfig(reward=RewardConfig(forward=forward), substeps=substeps),
+        env=EnvConfig(reward=RewardConfig(forward=forward), substeps=substeps, contacts=contacts),
         ppo=PPOConfig(hidden=hidden),
     )
     assert from_dict(TrainConfig, json.loads(json.dumps(to_dict(config)))) == config
@@ -101,6 +106,8 @@ def test_a_configuration_comes_back_from_json_as_it_was(forward, substeps, hidde
         ({"steps": "many"}, "config.steps"),
         ({"steps": True}, "config.steps"),
         ({"env": {"substeps": 1.5}}, "config.env.substeps"),
+        ({"env": {"contacts": 1}}, "config.env.contacts"),
+        ({"env": {"contacts": "hands"}}, "env.contacts"),
         ({"env": 3}, "config.env"),
         ({"ppo": {"hidden": ["a"]}}, "config.ppo.hidden"),
         ({"env": {"reward": {"speed": 1.0}}}, "config.env.reward.speed"),
@@ -145,6 +152,7 @@ def test_a_foreign_configuration_is_refused_by_name(change, named):
         (["--env.command.turning", "nan", "0"], "--env.command.turning"),
         (["--env.command.seconds", "0"], "--env.command.seconds"),
         (["--env.command.standing", "2"], "--env.command.standing"),
+        (["--env.contacts", "hands"], "env.contacts"),
     ],
 )
 def test_a_bad_flag_is_one_line_that_names_it(flags, named):
