@@ -3,7 +3,7 @@ VENV ?= .venv
 RUN := $(VENV)/bin/python
 PIP := $(RUN) -m pip --disable-pip-version-check --quiet
 
-.PHONY: train test lint lock clean
+.PHONY: train test lint notebooks lock clean
 
 train: $(VENV)/.ready  ## train with the defaults
 	$(RUN) train.py
@@ -15,6 +15,9 @@ lint: $(VENV)/.ready-dev  ## formatter, linter, type checker
 	$(RUN) -m ruff format --check .
 	$(RUN) -m ruff check .
 	$(RUN) -m mypy
+
+notebooks: $(VENV)/.ready-dev  ## run the notebooks and keep what they show
+	$(RUN) notebooks/execute.py
 
 # The environment: exact versions from a lock, brought up to date when the lock changes.
 $(VENV)/.ready: requirements.lock pyproject.toml

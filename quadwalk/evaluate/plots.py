@@ -51,10 +51,9 @@ def draw_report(rollout: Rollout, quadruped: Quadruped, title: str = "") -> Figu
     figure.suptitle(_headline(rollout, quadruped, title), fontsize=15, x=0.01, ha="left")
     # Each row lays out its own panels, so that one's long labels do not squeeze the others.
     rows: Any = figure.subfigures(5, 1, height_ratios=(0.85, 1.2, 1.2, 1.2, 1.6))
-    _footfalls(rows[0].subplots(), shown, quadruped)
+    draw_footfalls(rows[0].subplots(), shown, quadruped)
     speed, posture = rows[1].subplots(1, 2)
-    draw_speed = _speed if shown.command is None else _following
-    draw_speed(speed, shown)
+    (draw_speed if shown.command is None else _draw_following)(speed, shown)
     _posture(posture, shown)
     for part, (angles, torques) in enumerate(
         zip(rows[2].subplots(1, 3), rows[3].subplots(1, 3), strict=True)
@@ -98,7 +97,8 @@ def _window(rollout: Rollout) -> int:
     return max(rollout.steps - round(WINDOW / rollout.control_dt), 0)
 
 
-def _footfalls(axes: Axes, rollout: Rollout, quadruped: Quadruped) -> None:
+def draw_footfalls(axes: Axes, rollout: Rollout, quadruped: Quadruped) -> None:
+    """The gait diagram: when each foot was on the ground, over the last `WINDOW` seconds."""
     start, dt = _window(rollout), rollout.control_dt
     contact = without_chatter(rollout.contact, dt)[start:]
     order = (1, 0, 3, 2)  # left above right, fore above hind, as one draws footfalls
@@ -121,7 +121,8 @@ def _percent(values: np.ndarray) -> list[str]:
     return [f"{100 * value:.0f} %" if np.isfinite(value) else "none" for value in values]
 
 
-def _speed(axes: Axes, rollout: Rollout) -> None:
+def draw_speed(axes: Axes, rollout: Rollout) -> None:
+    """Speed of the base in the world, ahead and to the left, from beginning to end."""
     for column, label, colour in ((0, "ahead", LEG_COLOURS[3]), (1, "left", LEG_COLOURS[2])):
         axes.plot(rollout.time, rollout.qvel[:, column], color=colour, label=label, linewidth=1.2)
     mean = rollout.qvel[:, 0].mean()
@@ -130,7 +131,7 @@ def _speed(axes: Axes, rollout: Rollout) -> None:
     _finish(axes, "Speed of the base in the world, m/s", rollout.time)
 
 
-def _following(axes: Axes, rollout: Rollout) -> None:
+def _draw_following(axes: Axes, rollout: Rollout) -> None:
     assert rollout.command is not None
     velocity, time = heading_velocity(rollout), rollout.time[1:]
     for column, label in enumerate(("ahead", "left", "turning, rad/s")):

@@ -1,5 +1,6 @@
 """XLA devices to train on: accelerators, or one for each CPU core; and the compilation cache."""
 
+import contextlib
 import dataclasses
 import hashlib
 import os
@@ -64,9 +65,7 @@ def choose_devices(config: TrainConfig) -> tuple[TrainConfig, list["jax.Device"]
     available = len(jax.devices())
     if jax.default_backend() != "cpu":
         envs = config.envs or ACCELERATOR_ENVS
-        count = config.devices or device_count(
-            envs, ppo.minibatches, ppo.judges, available, processes
-        )
+    count = config.devices or device_count(envs, ppo.minibatches, ppo.judges, available, processes)
     if count > available:
         raise UsageError(f"--devices is {count}; expected at most the {available} there are")
     _check_split(envs, count, config)
@@ -90,7 +89,8 @@ def _check_split(envs: int, devices: int, config: TrainConfig) -> None:
 def set_up_devices(count: int | None = None) -> int:
     """Make JAX offer `count` CPU devices, by default one per core; return how many there are.
 
-    MJX on one XLA device leaves most of a second core idle. Must run before JAX computes anything.
+    MJX on one XLA device leaves most of a second core idle. To be called before JAX computes
+    anything: after that its devices stay what they are.
     What is compiled is kept in the user's cache folder: the second start takes seconds.
     """
     _prepare(count or cpu_cores())
@@ -118,7 +118,9 @@ def _prepare(cpu_devices: int) -> None:
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
     import jax
 
-    jax.config.update("jax_num_cpu_devices", cpu_devices)
+    # A process that has computed keeps the devices it has, as a notebook that trains twice does.
+    with contextlib.suppress(RuntimeError):
+        jax.config.update("jax_num_cpu_devices", cpu_devices)
     if jax.config.jax_compilation_cache_dir is None:  # type: ignore[attr-defined]
         jax.config.update("jax_compilation_cache_dir", str(compilation_cache()))
 

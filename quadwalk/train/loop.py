@@ -4,6 +4,7 @@ import contextlib
 import io
 import math
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -19,8 +20,12 @@ if TYPE_CHECKING:
 CURVE_SECONDS = 30.0  # the learning curve is drawn anew this often
 
 
-def train(config: TrainConfig) -> Run | None:
+def train(
+    config: TrainConfig, watch: Callable[[dict[str, float]], object] | None = None
+) -> Run | None:
     """Train as `config` says; return the run, whose directory holds everything.
+
+    `watch` is called with each iteration's row of metrics, to show it in another way.
 
     Ctrl-C, SIGTERM or the time limit end training after the iteration at hand, with everything
     saved; `config.resume` goes on from there. A disk that is full does not end it; only if the
@@ -69,6 +74,8 @@ def train(config: TrainConfig) -> Run | None:
             if keeper:
                 keeper.row(row, {"time/elapsed": seconds, "time/steps_per_second": steps / seconds})
                 keeper.suspect(numbers["suspect"], steps)
+            if watch:
+                watch(row)
             if not numbers["learner/finite"]:
                 if keeper:
                     keeper.draw()

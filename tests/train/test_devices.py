@@ -35,6 +35,23 @@ def test_a_cpu_gets_a_device_for_each_core(machine):
     assert (config.envs, config.devices, len(found)) == (2048, 4, 4)
 
 
+@pytest.mark.parametrize(("count", "used"), [(1, 1), (3, 2), (6, 4)])
+def test_a_process_that_has_computed_trains_on_the_devices_it_has(machine, count, used):
+    machine("cpu", count, cores=8)
+    config, found = devices.choose_devices(TrainConfig())
+    assert (config.envs, config.devices, len(found)) == (2048, used, used)
+
+
+def test_devices_stay_what_they_are_once_jax_has_computed():
+    import jax
+
+    before = len(jax.devices())
+    assert before == 2  # as the tests are set up
+    assert devices.set_up_devices(1) == before
+    with pytest.raises(UsageError, match=f"--devices is {before + 1}; expected at most"):
+        devices.set_up_devices(before + 1)
+
+
 @pytest.mark.parametrize(("count", "used"), [(1, 1), (2, 2), (3, 2), (8, 8)])
 def test_accelerators_are_all_used_that_can_share_evenly(machine, count, used):
     machine("gpu", count, cores=64)

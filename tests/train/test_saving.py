@@ -11,10 +11,11 @@ from brax.training.acme import running_statistics, specs
 
 from quadwalk.errors import UserError
 from quadwalk.train.config import PPOConfig, TrainConfig
+from quadwalk.train.log import read_metrics
 from quadwalk.train.networks import make_networks
 from quadwalk.train.policy import load_policy, load_score
 from quadwalk.train.ppo import Learner, TrainState
-from quadwalk.train.run import create_run, list_checkpoints
+from quadwalk.train.run import Run, create_run, list_checkpoints
 from quadwalk.train.saving import KEPT_CHECKPOINTS, Keeper
 
 CONFIG = TrainConfig(ppo=PPOConfig(hidden=(4,)))
@@ -127,3 +128,16 @@ def test_the_end_says_which_policy_is_the_best(tmp_path, flags, train, capsys):
     assert score == pytest.approx(saved[steps])
     said = capsys.readouterr().out
     assert f"best.npz ({'the same' if steps == 768 else f'after {steps} steps'})" in said
+
+
+def test_who_watches_is_told_each_row_once_it_is_written(tmp_path, flags, train):
+    watched, written = [], []
+
+    def watch(row):
+        watched.append(row)
+        written.append(read_metrics(Run(tmp_path / "a"))[-1])
+
+    train(*flags(tmp_path, "a", 5), watch=watch)
+    assert [row["steps"] for row in watched] == [64, 128, 192, 256, 320]
+    for row, same in zip(watched, written, strict=True):
+        np.testing.assert_equal({**row}, same)

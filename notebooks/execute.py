@@ -1,0 +1,61 @@
+"""Run the notebooks, each from a clean kernel, and keep what they show: `make notebooks`."""
+
+import json
+import sys
+import tempfile
+from pathlib import Path
+
+import nbformat
+from jupyter_client.kernelspec import KernelSpecManager
+from jupyter_client.manager import AsyncKernelManager
+from nbclient import NotebookClient
+
+HERE = Path(__file__).resolve().parent
+
+
+def execute(path: Path, folder: Path) -> nbformat.NotebookNode:
+    """The notebook at `path` with the outputs of its cells, run by this Python in `folder`.
+
+    Raises `nbclient.exceptions.CellExecutionError` for a cell that fails.
+    """
+    notebook = nbformat.read(path, as_version=4)
+    metadata = notebook.metadata.copy()
+    # Among no folders of kernels, what is left is this interpreter's own.
+    kernels = KernelSpecManager(kernel_dirs=[])
+    NotebookClient(
+        notebook,
+        km=AsyncKernelManager(kernel_spec_manager=kernels),
+        timeout=None,
+        record_timing=False,
+        coalesce_streams=True,
+        resources={"metadata": {"path": str(folder)}},
+    ).execute(cleanup_kc=True)  # the kernel ends with it
+    notebook.metadata = metadata  # without what differs from one machine to the next
+    return notebook
+
+
+def folders_named(notebook: nbformat.NotebookNode) -> list[str]:
+    """Folders of this machine that the outputs name; what is published should name none."""
+    outputs = [output for cell in notebook.cells for output in cell.get("outputs", [])]
+    for_readers = [
+        {kind: data for kind, data in output.get("data", output).items() if kind != "image/png"}
+        for output in outputs
+    ]
+    text = json.dumps(for_readers)
+    folders = (HERE.parent, sys.prefix, Path.home(), tempfile.gettempdir())
+    return [str(folder) for folder in folders if str(folder) in text]
+
+
+def main() -> None:
+    """Run those that are named, or all."""
+    for path in [Path(name) for name in sys.argv[1:]] or sorted(HERE.glob("*.ipynb")):
+        print(path.name, flush=True)
+        with tempfile.TemporaryDirectory() as folder:
+            notebook = execute(path, Path(folder))
+        if named := folders_named(notebook):
+            sys.exit(f"{path.name} is left as it was, for its outputs name {', '.join(named)}")
+        nbformat.write(notebook, path)
+
+
+if __name__ == "__main__":
+    main()

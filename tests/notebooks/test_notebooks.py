@@ -1,0 +1,200 @@
+"""The notebooks, each from a clean kernel in an empty folder: every cell runs, and shows what it
+should.
+"""
+
+import base64
+import io
+import json
+import re
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import nbformat
+import numpy as np
+import pytest
+from PIL import Image
+
+from notebooks.execute import HERE, execute, folders_named
+from quadwalk.evaluate.mcap import verify_mcap
+
+STEPS = 49_152  # two iterations
+NAMES = ("01_robot", "02_train", "03_evaluate")
+
+
+class Executed:
+    """A notebook with its outputs, and the folder that it ran in."""
+
+    def __init__(self, path: Path, folder: Path) -> None:
+        self.folder = folder
+        self.notebook = execute(path, folder)
+
+    def outputs(self, code: str) -> list[nbformat.NotebookNode]:
+        """What the one cell shows that has `code` in it."""
+        cells = [cell for cell in self.notebook.cells if cell.cell_type == "code"]
+        (found,) = (cell for cell in cells if code in cell.source)
+        return found.outputs
+
+    def text(self, code: str) -> str:
+        """What that cell prints."""
+        return "".join(out.get("text") or out.data["text/plain"] for out in self.outputs(code))
+
+    def picture(self, code: str) -> np.ndarray:
+        """The one picture (height, width, 3) that the cell shows."""
+        (png,) = (
+            output.data["image/png"]
+            for output in self.outputs(code)
+            if "image/png" in output.get("data", {})
+        )
+        return np.asarray(Image.open(io.BytesIO(base64.b64decode(png))).convert("RGB"))
+
+
+@pytest.fixture(scope="module")
+def executed(tmp_path_factory) -> Callable[[str], Executed]:
+    """executed(name): that notebook, executed once."""
+    done: dict[str, Executed] = {}
+
+    def run(name: str) -> Executed:
+        if name not in done:
+            folder = tmp_path_factory.mktemp(name) / "work"
+            folder.mkdir()
+            done[name] = Executed(HERE / f"{name}.ipynb", folder)
+        return done[name]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("QUADWALK_STEPS", str(STEPS))
+        patch.setenv("QUADWALK_SECONDS", "2")
+        patch.setenv("QUADWALK_ROBOTS", "64")
+        yield run
+
+
+def orange(picture: np.ndarray) -> np.ndarray:
+    """Where a picture (height, width, 3) has the robot's colour."""
+    red, green, blue = (picture[..., k].astype(int) for k in range(3))
+    return (red > 150) & (green > 0.3 * red) & (green < 0.7 * red) & (blue < 0.3 * red)
+
+
+def curves(picture: np.ndarray) -> int:
+    """How many colours, each of some 100 pixels or more, a plot is drawn in, without greys."""
+    coloured = picture[np.ptp(picture.astype(int), axis=2) > 60]
+    _, counts = np.unique(coloured // 16, axis=0, return_counts=True)
+    return int((counts >= 100).sum())
+
+
+def test_all_are_tested():
+    assert {path.stem for path in HERE.glob("*.ipynb")} == set(NAMES)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_nothing_is_shown_of_the_machine_it_ran_on(executed, name):
+    done = executed(name)
+    outputs = [output for cell in done.notebook.cells for output in cell.get("outputs", [])]
+    assert folders_named(done.notebook) == []
+    assert str(done.folder) not in json.dumps([o.get("text", "") for o in outputs])
+    assert [output.text for output in outputs if output.get("name") == "stderr"] == []
+    assert len(json.dumps(outputs)) < 1.5e6
+
+
+@pytest.mark.parametrize(
+    ("output", "named"),
+    [
+        (nbformat.v4.new_output("stream", text=f"in {sys.prefix}/lib"), True),
+        (nbformat.v4.new_output("display_data", {"text/plain": f"{Path.home()}/a"}), True),
+        # What looks like one by chance, in the letters that a picture is written in.
+        (nbformat.v4.new_output("display_data", {"image/png": f"{Path.home()}/a"}), False),
+        (nbformat.v4.new_output("stream", text="in runs/a"), False),
+    ],
+)
+def test_folders_in_outputs_are_found(output, named):
+    cell = nbformat.v4.new_code_cell(outputs=[output])
+    assert bool(folders_named(nbformat.v4.new_notebook(cells=[cell]))) == named
+
+
+def test_the_robot_is_drawn_and_its_joints_moved(executed):
+    done = executed("01_robot")
+    assert 'name="FR_thigh_joint"' in done.text("urdf.text.index")
+    assert '<joint name="FR_thigh_joint"' in done.text("xml.index")
+    assert 0.01 < orange(done.picture("render_home(")).mean() < 0.3
+    strip = orange(done.picture("np.linspace(robot.lower"))
+    height, width = strip.shape
+    panels = [
+        strip[round(a * height) : round((a + 1 / 3) * height)][:, round(b * width) :][
+            :, : width // 5
+        ]
+        for a in (0, 1 / 3, 2 / 3)
+        for b in np.arange(5) / 5
+    ]
+    assert min(panel.mean() for panel in panels) > 0.005
+
+
+def test_a_dropped_robot_lies_without_motors_and_stands_with_them(executed):
+    done = executed("01_robot")
+    off, on = map(int, re.findall(r"rests at (\d+) cm", done.text("rests at")))
+    assert 3 < off < 15  # half of the trunk, 11 cm high, and what lies under it
+    assert 30 < on < 40  # the standing height is 38 cm
+    assert orange(done.picture("rests at")).mean() > 0.01
+    assert curves(done.picture("standing height")) >= 2
+
+
+def test_both_physics_let_a_crowd_fall_alike(executed):
+    done = executed("01_robot")
+    assert "64 robots fell for 1.2 s" in done.text('measure("MJX"')
+    assert "64 robots fell for 1.2 s" in done.text('measure("quadwalk"')
+    half, most = map(float, re.findall(r"less than ([\d.]+) mm", done.text("apart =")))
+    assert half < 0.1
+    assert most < 20.0
+    assert curves(done.picture("dropped in MJX")) >= 1
+    assert curves(done.picture("apart =")) >= 2
+
+
+def test_two_trainings_differ_by_one_reward_and_are_compared(executed):
+    done = executed("02_train")
+    configs, rows = [], []
+    for run in sorted((done.folder / "runs").iterdir()):
+        configs.append(json.loads((run / "config.json").read_text())["config"])
+        rows.append([json.loads(line) for line in (run / "metrics.jsonl").read_text().splitlines()])
+    scales = [config.pop("env")["reward"] for config in configs]
+    assert configs[0] == configs[1]
+    assert {name for name in scales[0] if scales[0][name] != scales[1][name]} == {"energy"}
+    assert [[row["steps"] for row in each] for each in rows] == [[STEPS // 2, STEPS]] * 2
+    for code in ("first = train", "second = train", "histories =", "FIGURES ="):
+        assert curves(done.picture(code)) >= 1, code
+    assert curves(done.picture("histories =")) >= 2
+    assert re.findall(r"falls: \d of 8", done.text("Counter(")) != []
+
+
+def test_an_evaluation_trains_if_there_is_no_run_and_shows_it_from_all_sides(executed):
+    done = executed("03_evaluate")
+    assert "there is no run" in done.text("list_runs(")
+    assert len(list((done.folder / "runs").glob("*/policy.npz"))) == 1
+    assert done.text("metres").count("episode") == 8
+    strip = done.picture("render_film_strip(")
+    assert strip.shape == (2 * 225 + 4, 4 * 360 + 3 * 4, 3)
+    assert orange(strip).mean() > 0.01
+    assert curves(done.picture("draw_speed(axes")) >= 2
+    assert curves(done.picture("draw_footfalls(axes")) >= 1
+    assert "gait of episode" in done.text("describe_gait(gait")
+    table = done.text("print_engines(")
+    assert "MJX" in table
+    assert "MuJoCo C" in table
+    assert curves(done.picture("in_c, ")) >= 2
+
+
+def test_the_recording_is_whole_and_read_back(executed):
+    done = executed("03_evaluate")
+    assert verify_mcap(done.folder / "episode.mcap") > 100
+    listed = done.text("get_summary()")
+    assert "/contacts" in listed
+    assert "foxglove.FrameTransforms" in listed
+    assert curves(done.picture("iter_decoded_messages(")) >= 2
+
+
+def test_an_evaluation_opens_the_latest_run(executed, tmp_path):
+    folder = executed("02_train").folder
+    notebook = nbformat.read(HERE / "03_evaluate.ipynb", as_version=4)
+    opening = next(k for k, cell in enumerate(notebook.cells) if "list_runs(" in cell.source)
+    notebook.cells = notebook.cells[: opening + 1]
+    nbformat.write(notebook, tmp_path / "beginning.ipynb")
+    latest = max((folder / "runs").iterdir(), key=lambda run: run.stat().st_mtime)
+    done = Executed(tmp_path / "beginning.ipynb", folder)
+    assert done.text("list_runs(") == f"opened runs/{latest.name}\n"
