@@ -157,6 +157,31 @@ def test_runs_side_by_side(judged, tmp_path, monkeypatch, capsys):
     assert picture.std() > 10
 
 
+def test_a_run_with_commands_beside_one_without(judged, tmp_path, monkeypatch, capsys):
+    results, *_ = judged
+    told = json.loads(json.dumps(results))
+    for number, episode in enumerate(told["episodes"]):
+        for name in ("speed", "distance", "sideways", "heading"):
+            del episode[name]
+        figures = {"velocity_error": 0.1 * number, "turning_error": None}
+        episode |= {**figures, "path_speed": 1.0, "path": SECONDS}
+    told["summary"] = summarise(told["episodes"])
+    monkeypatch.setenv("COLUMNS", "120")
+    folders = [tmp_path / "first", tmp_path / "second"]
+    compare(["first", "second"], folders, [results, told], tmp_path, Console())
+    lines = [" ".join(line.split()) for line in capsys.readouterr().out.splitlines()]
+    for row, first, second in (
+        ("speed along x", f"{results['summary']['speed']['mean']:.3f} ±", "- │ m/s"),
+        ("velocity error", "- │", "0.150 ±"),
+        ("turning error", "- │", "- │ rad/s"),
+    ):
+        (line,) = [line for line in lines if f"│ {row} │" in line]
+        assert line.startswith(f"│ {row} │ {first}")
+        assert f" │ {second}" in line
+    picture = np.asarray(Image.open(tmp_path / "comparison.png").convert("L"))
+    assert picture.shape == (1350, 1500)  # one more row of panels
+
+
 # Sweeping
 
 
