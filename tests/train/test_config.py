@@ -94,10 +94,12 @@ def test_a_foreign_configuration_is_refused_by_name(change, named):
         (["--ppo.discount", "1.5"], "discount"),
         (["--ppo.hidden", "0"], "hidden"),
         (["--env.physics-dt", "1"], "physics-dt"),
-        (["--env.command.forward", "1", "0"], "--env.command.forward"),
-        (["--env.command.turning", "nan", "0"], "--env.command.turning"),
-        (["--env.command.seconds", "0"], "--env.command.seconds"),
-        (["--env.command.standing", "2"], "--env.command.standing"),
+        (["--env.command.forward", "1", "0"], "env.command.forward is (1.0, 0.0)"),
+        (["--env.command.turning", "nan", "0"], "env.command.turning"),
+        (["--env.command.seconds", "0"], "env.command.seconds"),
+        (["--env.command.standing", "2"], "env.command.standing"),
+        (["--env.command.sideways", "0", "inf"], "env.command.sideways"),
+        (["--env.reward.follow-width", "0"], "env.reward.follow-width"),
     ],
 )
 def test_a_bad_flag_is_one_line_that_names_it(flags, named):
