@@ -1,5 +1,6 @@
 """Configuration of the environment: frozen dataclasses, one per concern, units in the comments."""
 
+import math
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -70,6 +71,14 @@ class RewardConfig:
     follow_width: float = 0.5  # m/s and rad/s, an error that leaves 1/e of the reward to follow
     swing_height: float = 0.06  # m, from which on a moving foot is high enough
 
+    def __post_init__(self) -> None:
+        for name in ("follow_width", "swing_height"):
+            if not getattr(self, name) > 0.0:
+                flag = name.replace("_", "-")
+                raise UsageError(
+                    f"env.reward.{flag} is {getattr(self, name)}; expected more than 0"
+                )
+
 
 @dataclass(frozen=True)
 class TerminationConfig:
@@ -114,12 +123,12 @@ class CommandConfig:
     def __post_init__(self) -> None:
         for name in ("forward", "sideways", "turning"):
             value = getattr(self, name)
-            if len(value) != 2 or not value[0] <= value[1]:
-                raise UsageError(f"--env.command.{name} is {value}; expected a low and a high end")
+            if len(value) != 2 or not -math.inf < value[0] <= value[1] < math.inf:
+                raise UsageError(f"env.command.{name} is {value}; expected a low and a high end")
         if not 0.0 <= self.standing <= 1.0:
-            raise UsageError(f"--env.command.standing is {self.standing}; expected 0 to 1")
-        if not self.seconds > 0.0:
-            raise UsageError(f"--env.command.seconds is {self.seconds}; expected more than 0")
+            raise UsageError(f"env.command.standing is {self.standing}; expected 0 to 1")
+        if not 0.0 < self.seconds < math.inf:
+            raise UsageError(f"env.command.seconds is {self.seconds}; expected more than 0")
 
     @property
     def given(self) -> bool:

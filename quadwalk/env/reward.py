@@ -38,7 +38,7 @@ def mean_velocity(step: Step) -> jax.Array:
 
 
 def velocity_error(step: Step) -> jax.Array:
-    """How far that is (2,) from the command in the frame of the heading after the step, m/s."""
+    """That in the frame of the heading after the step, forward and left, less the command (2,)."""
     heading = yaw(step.qpos[3:7])
     cos, sin = jnp.cos(heading), jnp.sin(heading)
     x, y = mean_velocity(step)
@@ -51,7 +51,7 @@ def commanded_speed(step: Step) -> jax.Array:
 
 
 def turning_error(step: Step) -> jax.Array:
-    """How far the mean rate of the heading over the step is from the command, rad/s."""
+    """Mean rate of the heading over the step, less the command, rad/s."""
     turned = yaw(step.qpos[3:7]) - yaw(step.start[3:7])
     turned = jnp.arctan2(jnp.sin(turned), jnp.cos(turned))  # the short way round
     return turned / step.dt - step.command[2]
