@@ -140,9 +140,9 @@ def test_both_physics_let_a_crowd_fall_alike(executed):
     done = executed("01_robot")
     assert "64 robots fell for 1.2 s" in done.text('measure("MJX"')
     assert "64 robots fell for 1.2 s" in done.text('measure("quadwalk"')
-    half, most = map(float, re.findall(r"less than ([\d.]+) mm", done.text("apart =")))
-    assert half < 0.1
-    assert most < 20.0
+    half, most = map(float, re.findall(r"less than ([\d.]+) µm", done.text("apart =")))
+    assert half < 1.0
+    assert most < 1000.0
     assert curves(done.picture("dropped in MJX")) >= 1
     assert curves(done.picture("apart =")) >= 2
 
