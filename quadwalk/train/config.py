@@ -142,6 +142,7 @@ _BLOG = TrainConfig(
         substeps=1,
         episode_seconds=1000.0 / 240.0,
         observation="world",
+        contacts="body",
         actuation=ActuationConfig(
             kp=144.0,
             kd=6.0,
@@ -184,7 +185,7 @@ _BLOG = TrainConfig(
     ),
     envs=1024,
     # At 240 steps a second what an action brings shows many steps later.
-    ppo=PPOConfig(unroll=32, discount=0.99, gae_lambda=0.98, entropy=0.0),
+    ppo=PPOConfig(unroll=32, discount=0.99, gae_lambda=0.98, entropy=0.0, final_entropy=0.0),
 )
 
 _WALK = TrainConfig(
