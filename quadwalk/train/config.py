@@ -190,7 +190,8 @@ _BLOG = TrainConfig(
 
 _WALK = TrainConfig(
     preset="walk",
-    steps=12_000_000,
+    steps=6_000_000,
+    checkpoint_steps=1_000_000,
     env=EnvConfig(
         command=CommandConfig(forward=(-0.5, 1.5), sideways=(-0.5, 0.5), turning=(-1.0, 1.0)),
         reward=RewardConfig(
@@ -203,7 +204,7 @@ _WALK = TrainConfig(
             vertical=-0.5,
             tilt=-0.5,
             turning=-0.05,
-            action_rate=-0.1,
+            action_rate=-0.3,
             forward=0.0,
             yaw=0.0,
             alive=0.0,
@@ -212,6 +213,7 @@ _WALK = TrainConfig(
         ),
     ),
 )
+
 PRESETS = {"run": TrainConfig(), "walk": _WALK, "blog": _BLOG}
 
 
