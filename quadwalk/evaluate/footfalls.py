@@ -15,7 +15,7 @@ import numpy as np
 GAITS = ("walk", "trot", "pace", "bound", "gallop", "pronk", "irregular")
 
 SHORTEST = 0.03  # s: a foot that leaves the ground for less has chattered, and one that touches
-# it for less has brushed it in its swing
+# it for less, and less than half as long as it does in its strides, has brushed it in its swing
 TOLERANCE = 1 / 8  # of a stride: half the distance between neighbouring ideal gaits
 REGULAR = 0.7  # least mean resultant length of a foot's phases: they scatter by 0.13 of a stride
 FEWEST_STRIDES = 2  # of the reference foot, to speak of a gait
@@ -54,19 +54,30 @@ def analyse_footfalls(contact: np.ndarray, dt: float) -> Footfalls:
 
 
 def without_chatter(contact: np.ndarray, dt: float) -> np.ndarray:
-    """`contact` (T, 4) without each foot's gaps, then contacts, that are shorter than `SHORTEST`.
+    """`contact` (T, 4) without each foot's gaps, then brushes, that are shorter than `SHORTEST`.
 
-    What touches the first or last row stays: its other part may be outside.
+    At a gallop of six strides a second every contact is short: a brush is short beside those that
+    hold most of the foot's time on the ground. What touches the first or last row stays: its other
+    part may be outside.
     """
     cleaned = np.array(contact, dtype=bool)
     longest = int(np.ceil(SHORTEST / dt - 1e-9)) - 1
     for foot in cleaned.T:
         for state in (False, True):
             edges = np.flatnonzero(foot[1:] != foot[:-1]) + 1
-            for start, end in itertools.pairwise(edges):
-                if foot[start] == state and end - start <= longest:
+            inner = [(a, b) for a, b in itertools.pairwise(edges) if foot[a] == state]
+            usual = _usual_length([b - a for a, b in inner]) if state else np.inf
+            for start, end in inner:
+                if end - start <= longest and end - start < usual / 2:
                     foot[start:end] = not state
     return cleaned
+
+
+def _usual_length(lengths: list[int]) -> float:
+    """The length that half of their sum lies below: their median, each counted by its length."""
+    ordered = np.sort(lengths)
+    held = np.cumsum(ordered)
+    return float(ordered[np.searchsorted(held, held[-1] / 2)]) if len(ordered) else np.inf
 
 
 def touchdowns(foot: np.ndarray) -> np.ndarray:

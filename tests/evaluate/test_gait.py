@@ -158,6 +158,18 @@ def test_a_brush_in_the_swing_is_not_a_touchdown():
     np.testing.assert_array_equal(without_chatter(brushing, DT), contact)
 
 
+def test_short_contacts_of_every_stride_are_no_brushes():
+    # A gallop of 6.25 strides a second, 8 rows each, with feet down for one or two of them.
+    stride = np.zeros((8, 4), dtype=bool)
+    for foot, rows in enumerate([(0, 1), (7,), (4, 5), (5, 6)]):
+        stride[rows, foot] = True
+    contact = np.tile(stride, (30, 1))
+    np.testing.assert_array_equal(without_chatter(contact, DT), contact)
+    feet = analyse_footfalls(contact, DT)
+    assert (feet.gait, feet.stride_frequency) == ("gallop", pytest.approx(6.25))
+    np.testing.assert_allclose(feet.duty_factor, np.array([2, 1, 2, 2]) / 8)
+
+
 def test_a_fine_clock_closes_longer_gaps():
     foot = np.array([1, 1, 0, 0, 0, 0, 1, 1, 0, 0, 0, 0, 0, 0, 0, 0, 1], dtype=bool)
     cleaned = without_chatter(np.tile(foot[:, None], 4), 0.004)
