@@ -36,7 +36,14 @@ def joint_target(
 
 
 def gains(robot: RobotArrays, config: ActuationConfig) -> tuple[float, float]:
-    """Position gain, Nm/rad, and velocity gain, Nm s/rad, of the joint controller."""
+    """Position gain, Nm/rad, and velocity gain, Nm s/rad, of the joint controller.
+
+    PyBullet's position control gives a joint, within one of its steps of 1/240 s, the speed that
+    takes it a tenth of the way to its target in a step, 24/s times the error, with all the torque
+    that this takes up to a limit. Gains kp = 24 kd draw a joint to the same speed, and the closer
+    the larger kd is. What remains of a difference: under a load that PyBullet's joint does not
+    notice, this one is slower by load / kd and comes to rest load / kp off its target.
+    """
     kp = 1.4 * robot.weight * robot.home_height if config.kp is None else config.kp
     kd = 0.025 * kp if config.kd is None else config.kd
     return kp, kd

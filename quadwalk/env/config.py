@@ -87,7 +87,7 @@ class TerminationConfig:
     tilt: float | None = 1.0  # rad, angle between the trunk's and the world's z axis
     roll_pitch: float | None = None  # rad, the same of roll and of pitch, each for itself
     height: float | None = 0.45  # of the home height: the trunk's origin lower than this is a fall
-    base_height: float | None = None  # m, the same
+    base_height: float | None = None  # m, in place of that share or beside it
     clearance: float | None = 0.0  # m, any shape but a foot lower than this touches the floor
 
 

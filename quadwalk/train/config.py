@@ -125,13 +125,10 @@ class TrainConfig:
 # The task of the blog post that this project started from, as PyBullet had it: 1000 control steps
 # of one physics step each, from the same start, rewarded for the way made along x.
 #
-# PyBullet drives a joint at up to 44.4 Nm, such that within the step it has the speed that would
-# take it a tenth of the way to its target in a step: 24/s times the error. A controller of gains
-# kp = 24 kd is drawn to the same speed, the closer the larger kd is; the torques that its explicit
-# step of 1/240 s commands grow without bound from kd 7 on (random targets, no limit of torque; from
-# 6.9 on by the AlienGo's inertia with its legs in the air). What remains: where PyBullet's joint
-# holds its speed against any load up to 44.4 Nm, this one yields 1 rad/s to every 6 Nm, or, held in
-# place, 1 rad to 144 Nm.
+# kp and kd stand for PyBullet's position control (see `gains` in env/actuation.py), with the
+# largest whole kd that is stable: on random targets and without a limit of torque the joints'
+# speeds are bounded up to kd 6.5, and no longer at 7.5. By the inertia that a joint of the
+# AlienGo's has with its legs in the air, 6.9 is the end.
 _BLOG = TrainConfig(
     preset="blog",
     steps=10_000_000,
