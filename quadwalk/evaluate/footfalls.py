@@ -73,7 +73,7 @@ def without_chatter(contact: np.ndarray, dt: float) -> np.ndarray:
     return cleaned
 
 
-def _usual_length(lengths: list[int]) -> float:
+def _usual_length(lengths: list[np.signedinteger]) -> float:
     """The length that half of their sum lies below: their median, each counted by its length."""
     ordered = np.sort(lengths)
     held = np.cumsum(ordered)
