@@ -41,7 +41,8 @@ def main() -> None:
     from quadwalk.train.config import PPOConfig
 
     env = QuadrupedEnv(load_quadruped(), EnvConfig(episode_seconds=10.0))
-    config = PPOConfig(final_kl=PPOConfig.desired_kl)  # Brax's stays the same throughout
+    # Brax's stay the same throughout.
+    config = PPOConfig(final_kl=PPOConfig.desired_kl, final_entropy=PPOConfig.entropy)
     batch = options.envs * config.unroll
     iterations = max(1, options.steps // batch // options.points) * options.points
     ours, brax = learning_curves(

@@ -8,20 +8,19 @@ in one run; what counts is the median of the ratios, since a machine's speed dri
 `mujoco.rollout` with one thread per core and the training model's own solver settings.
 
 `--variants` adds what ours would be without each of its measures. On 2 cores of an AMD EPYC, with
-two iterations of the solver in all of them (MuJoCo C 206 thousand steps/s), relative to MuJoCo C:
+two iterations of the solver in all of them (MuJoCo C 208 thousand steps/s), relative to MuJoCo C:
 
-    ours                        3.9
-    one, three iterations       5.1, 3.2 (benchmarks/accuracy.py says what they are worth)
-    no batches of cache size    1.6
-    no stages                   1.6 (XLA then repeats what results share)
+    ours                        4.6
+    one, three iterations       5.6, 3.6 (benchmarks/accuracy.py says what they are worth)
+    knees and trunk touch too   3.1 (EnvConfig.contacts)
+    no batches of cache size    3.0
+    no stages                   1.4 (XLA then repeats what results share)
     MJX                         0.5
 
-and 3.0 instead of 4.3, with one iteration, by XLA's newer code generator
+and, with an earlier line search and one iteration, 3.0 instead of 4.3 by XLA's newer code generator
 (XLA_FLAGS=--xla_cpu_use_fusion_emitters=true). The rest of the difference to MJX is the layout,
 robots innermost, and the matrices: MJX factors dense ones of 18 x 18 through LAPACK, ours are
 arrows of four 3 x 3 blocks and one of 6 x 6.
-
-`body` is ours where knees and trunk touch the floor too (EnvConfig.contacts): 0.7 times the steps.
 """
 
 import argparse

@@ -26,7 +26,14 @@ from quadwalk.train.config import PPOConfig
 from quadwalk.train.networks import make_networks
 
 ENVS = 32
-SETTINGS = {"judges": 2, "unroll": 10, "hidden": (16, 16), "discount": 0.9, "entropy": 0.01}
+SETTINGS = {
+    "judges": 2,
+    "unroll": 10,
+    "hidden": (16, 16),
+    "discount": 0.9,
+    "entropy": 0.01,
+    "final_entropy": 0.01,  # Brax's stays the same throughout
+}
 
 
 class Motion(NamedTuple):
