@@ -1,0 +1,132 @@
+"""How a run of the gecko study moves: figures of its gait, and what a picture of it needs."""
+
+import dataclasses
+from collections import Counter
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from quadwalk.evaluate.footfalls import without_chatter
+from quadwalk.evaluate.gait import Gait, measure_gait
+from quadwalk.evaluate.kinematics import rpy_from_quat
+from quadwalk.evaluate.rollout import Rollout
+from quadwalk.evaluate.simulate import simulate_episodes
+from quadwalk.evaluate.subject import load_subject
+from quadwalk.evaluate.summary import typical_episode
+from quadwalk.evaluate.trim import finite_part
+from quadwalk.robot.quadruped import Quadruped
+from quadwalk.train.log import read_metrics
+from quadwalk.train.run import Run
+
+SECONDS = 1000 / 240  # s, the post's episode: that of all variants here
+EPISODES = 8
+STARTS = 0.05  # rad, the least by which their joints differ, for the post's starts are all alike
+FRAMES, PICTURED = 6, 0.5  # states kept for pictures, over so many s in the middle
+SHOWN = 2.0  # s of footfalls kept, at the end
+
+
+def measure(run: Run) -> dict[str, Any]:
+    """What notebooks/04_gecko.ipynb shows of `run`, as JSON data.
+
+    figures: means over episodes in MuJoCo C, as in `figures_of`; training_speed: the last that
+    training measured, in its own physics, m/s; falls: how many of the episodes; gaits: how many
+    of each; frames: (FRAMES, 19) qpos of the typical episode, rounded; footfalls: of each foot
+    [touchdown, liftoff] of its contacts in the last `SHOWN` s, in s from their beginning.
+    """
+    subject = load_subject(run, SECONDS)
+    config = subject.env.config
+    starts = dataclasses.replace(config.reset, joints=max(config.reset.joints, STARTS))
+    env = type(subject.env)(subject.env.quadruped, dataclasses.replace(config, reset=starts))
+    simulated = simulate_episodes(env, subject.policy.act, EPISODES, seed=0, engine="mujoco")
+    rollouts = [finite_part(rollout) for rollout in simulated]
+    gaits = [measure_gait(rollout, env.quadruped) for rollout in rollouts]
+    figures = [
+        figures_of(gait, rollout, env.quadruped)
+        for gait, rollout in zip(gaits, rollouts, strict=True)
+    ]
+    typical = rollouts[typical_episode(figures)]
+    return {
+        "training_speed": _rounded(read_metrics(run)[-1]["train/speed"]),
+        "falls": sum(gait.fell for gait in gaits),
+        "gaits": dict(Counter(gait.gait for gait in gaits)),
+        "figures": {name: _mean([each[name] for each in figures]) for name in figures[0]},
+        "frames": frames_of(typical),
+        "footfalls": footfalls_of(typical),
+    }
+
+
+def figures_of(gait: Gait, rollout: Rollout, quadruped: Quadruped) -> dict[str, float]:
+    """Figures of one episode that tell a gecko from a cheetah.
+
+    speed, m/s; heading, deg, mean |yaw|; height: of the trunk, as a share of the standing height;
+    pitching, deg: from the lowest to the highest nose; sprawl, deg: mean |hip angle|; body_contact:
+    share of the time that anything but a foot is on the floor; flight: share of it that nothing
+    is; strides, 1/s; stride_length, m; duty_factor; swing_height, m, of the foot that lifts least;
+    slip: share of the way, of the foot that slips most; cost_of_transport; action_rate, 1/s.
+    """
+    body = body_contact(rollout, quadruped)
+    yaw = rpy_from_quat(rollout.qpos[:, 3:7])[:, 2]
+    return {
+        "speed": gait.speed,
+        "heading": float(np.degrees(np.abs(yaw).mean())),
+        "height": float(gait.body_height[0] / quadruped.home[2]),
+        "pitching": float(np.degrees(gait.pitch_range)),
+        "sprawl": float(np.degrees(np.abs(rollout.qpos[1:, 7::3]).mean())),
+        "body_contact": float(body.mean()),
+        "flight": float((~body & ~rollout.contact.any(axis=1)).mean()),
+        "strides": gait.stride_frequency,
+        "stride_length": gait.stride_length,
+        "duty_factor": float(gait.duty_factor.mean()),
+        "swing_height": float(gait.swing_height.min()),
+        "slip": float(gait.slip_share.max()),
+        "cost_of_transport": gait.cost_of_transport,
+        "action_rate": gait.action_rate,
+    }
+
+
+def body_contact(rollout: Rollout, quadruped: Quadruped) -> np.ndarray:
+    """(T,) bool: whether, at the end of each step, anything but a foot is on the floor."""
+    model = quadruped.full_model()
+    data = mujoco.MjData(model)
+    floor = model.geom("floor").id
+    feet = [model.geom(foot).id for foot in quadruped.feet]
+    found = np.zeros(rollout.steps, bool)
+    for k, qpos in enumerate(rollout.qpos[1:]):
+        data.qpos[:] = qpos
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        mujoco.mj_collision(model, data)
+        pairs = data.contact.geom
+        on_floor = (pairs == floor).any(axis=1)
+        found[k] = (on_floor & ~np.isin(pairs, feet).any(axis=1)).any()
+    return found
+
+
+def frames_of(rollout: Rollout) -> list[list[float]]:
+    """`FRAMES` states, (19,) each, over `PICTURED` s about the middle."""
+    half = PICTURED / rollout.control_dt / 2
+    rows = np.linspace(rollout.steps / 2 - half, rollout.steps / 2 + half, FRAMES)
+    rows = np.clip(rows.round().astype(int), 0, rollout.steps)
+    return rollout.qpos[rows].astype(float).round(4).tolist()
+
+
+def footfalls_of(rollout: Rollout) -> list[list[list[float]]]:
+    """Of each foot, FR, FL, RR, RL, when it was on the ground in the last `SHOWN` s."""
+    dt = rollout.control_dt
+    contact = without_chatter(rollout.contact, dt)[-round(SHOWN / dt) :]
+    found = []
+    for foot in contact.T:
+        edges = np.flatnonzero(np.diff(np.concatenate([[0], foot, [0]]).astype(int)))
+        found.append((edges.reshape(-1, 2) * dt).round(4).tolist())
+    return found
+
+
+def _mean(values: list[float]) -> float | None:
+    """Over the episodes in which it could be measured."""
+    known = [value for value in values if np.isfinite(value)]
+    return _rounded(np.mean(known)) if known else None
+
+
+def _rounded(value: float) -> float:
+    return float(f"{value:.4g}")
