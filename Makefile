@@ -9,7 +9,7 @@ train: $(VENV)/.ready  ## train with the defaults
 	$(RUN) train.py
 
 test: $(VENV)/.ready-dev  ## run the tests
-	$(RUN) -m pytest
+	$(RUN) -m pytest -n 2 --dist loadfile
 
 lint: $(VENV)/.ready-dev  ## formatter, linter, type checker
 	$(RUN) -m ruff format --check .
