@@ -1,6 +1,7 @@
 """Run the notebooks, each from a clean kernel, and keep what they show: `make notebooks`."""
 
 import json
+import shutil
 import sys
 import tempfile
 from pathlib import Path
@@ -16,9 +17,12 @@ HERE = Path(__file__).resolve().parent
 def execute(path: Path, folder: Path) -> nbformat.NotebookNode:
     """The notebook at `path` with the outputs of its cells, run by this Python in `folder`.
 
-    Raises `nbclient.exceptions.CellExecutionError` for a cell that fails.
+    The data files that lie beside it are copied there. Raises
+    `nbclient.exceptions.CellExecutionError` for a cell that fails.
     """
     notebook = nbformat.read(path, as_version=4)
+    for data in path.parent.glob("*.json"):
+        shutil.copy(data, folder)
     metadata = notebook.metadata.copy()
     # Among no folders of kernels, what is left is this interpreter's own.
     kernels = KernelSpecManager(kernel_dirs=[])

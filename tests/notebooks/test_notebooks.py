@@ -19,7 +19,7 @@ from notebooks.execute import HERE, execute, folders_named
 from quadwalk.evaluate.mcap import verify_mcap
 
 STEPS = 49_152  # two iterations
-NAMES = ("01_robot", "02_train", "03_evaluate")
+NAMES = ("01_robot", "02_train", "03_evaluate", "04_gecko")
 
 
 class Executed:
@@ -164,7 +164,7 @@ def test_two_trainings_differ_by_one_reward_and_are_compared(executed):
 
 
 def test_an_evaluation_trains_if_there_is_no_run_and_shows_it_from_all_sides(executed):
-    done = executed("03_evaluate")
+    done = executed("03_evaluate", "04_gecko")
     assert "there is no run" in done.text("list_runs(")
     assert len(list((done.folder / "runs").glob("*/policy.npz"))) == 1
     assert done.text("metres").count("episode") == 8
@@ -181,7 +181,7 @@ def test_an_evaluation_trains_if_there_is_no_run_and_shows_it_from_all_sides(exe
 
 
 def test_the_recording_is_whole_and_read_back(executed):
-    done = executed("03_evaluate")
+    done = executed("03_evaluate", "04_gecko")
     assert verify_mcap(done.folder / "episode.mcap") > 100
     listed = done.text("get_summary()")
     assert "/contacts" in listed
@@ -198,3 +198,18 @@ def test_an_evaluation_opens_the_latest_run(executed, tmp_path):
     latest = max((folder / "runs").iterdir(), key=lambda run: run.stat().st_mtime)
     done = Executed(tmp_path / "beginning.ipynb", folder)
     assert done.text("list_runs(") == f"opened runs/{latest.name}\n"
+
+
+def test_the_gecko_is_told_from_the_cheetah(executed):
+    done = executed("04_gecko")
+    for code in ('film(["blog"', "film(of_post)", "film(of_ours)"):
+        assert orange(done.picture(code)).mean() > 0.01, code
+    for code in ('footfalls(["blog"', "dots(of_post)", "dots(of_ours)"):
+        assert curves(done.picture(code)) >= 2, code
+    rows = done.text('table(["blog"').splitlines()
+    gecko, cheetah = (dict(zip(rows[0].split(), row.split()[1:], strict=False)) for row in rows[1:])
+    assert float(gecko["speed"]) < float(cheetah["speed"])
+    assert float(gecko["body_contact"]) > 0.1
+    assert float(cheetah["body_contact"]) == 0.0
+    assert gecko["gaits"] == "irregular"
+    assert cheetah["gaits"].startswith("gallop")

@@ -1,0 +1,115 @@
+"""The study behind the fourth notebook: what its variants exchange, and what it measures."""
+
+import dataclasses
+import json
+
+import mujoco
+import numpy as np
+import pytest
+
+from benchmarks.gecko import CAUSES, variants
+from benchmarks.gecko_gait import body_contact, figures_of, footfalls_of, frames_of
+from notebooks.execute import HERE
+from quadwalk.evaluate.gait import measure_gait
+from quadwalk.evaluate.rollout import Rollout
+from quadwalk.robot.quadruped import load_quadruped
+from quadwalk.train.config import PRESETS, to_dict
+
+
+@pytest.fixture(scope="module")
+def quadruped():
+    return load_quadruped()
+
+
+def flat(data, above="") -> dict:
+    if not isinstance(data, dict):
+        return {above: data}
+    return {k: v for name, part in data.items() for k, v in flat(part, f"{above}.{name}").items()}
+
+
+@pytest.mark.parametrize("preset", ["blog", "run"])
+def test_each_variant_takes_one_thing_from_the_other_preset(preset):
+    own, other = (
+        flat(to_dict(PRESETS[name])) for name in (preset, {"blog": "run"}.get(preset, "blog"))
+    )
+    taken = set()
+    for cause, settings in CAUSES.items():
+        found = flat(to_dict(variants()[f"{preset}, {cause}"]))
+        changed = {name for name in found if found[name] != own[name]}
+        assert changed
+        assert all(found[name] == other[name] for name in changed)
+        assert all(any(f"{name}.".startswith(f".{s}.") for s in settings) for name in changed)
+        assert not changed & taken  # no two causes share a setting
+        taken |= changed
+    everything = flat(to_dict(variants()[f"{preset}, all of them"]))
+    assert {name for name in everything if everything[name] != own[name]} == taken
+
+
+def test_action_0_alone_is_moved_to_the_standing_pose():
+    own, found = PRESETS["blog"], variants()["blog, action 0"]
+    own_flat, found_flat = flat(to_dict(own)), flat(to_dict(found))
+    changed = {name for name in found_flat if found_flat[name] != own_flat[name]}
+    bounds = [getattr(found.env.actuation, f"{part}_bounds") for part in ("hip", "thigh", "calf")]
+    assert changed == {".env.actuation.thigh_bounds", ".env.actuation.calf_bounds"}
+    np.testing.assert_allclose(np.mean(bounds, axis=1), load_quadruped().home[7:10], atol=1e-6)
+    assert np.ptp(found.env.actuation.thigh_bounds) == np.ptp(own.env.actuation.thigh_bounds)
+
+
+def still(quadruped, qpos, contact) -> Rollout:
+    """As many steps as `contact` (T, 4) has, in one pose."""
+    steps = len(contact)
+    return Rollout(
+        control_dt=0.02, seed=0, episode=0, end="time limit",
+        qpos=np.tile(qpos, (steps + 1, 1)), qvel=np.zeros((steps + 1, 18)),
+        action=np.zeros((steps, 12)), target=np.zeros((steps, 12)), torque=np.zeros((steps, 12)),
+        energy=np.zeros(steps), observation=np.zeros((steps, 1)), observation_names=("nothing",),
+        contact=np.asarray(contact, bool), reward_terms={}, reward=np.zeros(steps),
+    )  # fmt: skip
+
+
+def test_what_lies_on_the_floor_is_told_from_what_stands(quadruped):
+    standing, lying, flying = (quadruped.home.copy() for _ in range(3))
+    standing[2] -= 0.001
+    lying[2], lying[7:] = 0.056, np.tile([0.0, 1.5, -2.7], 4)  # half the trunk's height
+    flying[2] += 0.2
+    down, up = np.ones((5, 4)), np.zeros((5, 4))
+    for qpos, contact, body, flight in (
+        (standing, down, 0.0, 0.0), (lying, up, 1.0, 0.0), (flying, up, 0.0, 1.0),
+    ):  # fmt: skip
+        rollout = still(quadruped, qpos, contact)
+        assert body_contact(rollout, quadruped).mean() == body
+        figures = figures_of(measure_gait(rollout, quadruped), rollout, quadruped)
+        assert figures["body_contact"] == body
+        assert figures["flight"] == flight
+        assert figures["height"] == pytest.approx(qpos[2] / quadruped.home[2])
+
+
+def test_sprawl_and_heading_are_angles_in_degrees(quadruped):
+    qpos = quadruped.home.copy()
+    qpos[7::3] += np.radians([20.0, -20.0, 40.0, 0.0]) - quadruped.home[7::3]
+    mujoco.mju_axisAngle2Quat(qpos[3:7], np.array([0.0, 0.0, 1.0]), np.radians(-30.0))
+    rollout = still(quadruped, qpos, np.ones((5, 4)))
+    figures = figures_of(measure_gait(rollout, quadruped), rollout, quadruped)
+    assert figures["sprawl"] == pytest.approx(20.0)
+    assert figures["heading"] == pytest.approx(30.0)
+
+
+def test_frames_and_footfalls_are_those_of_the_rollout(quadruped):
+    contact = np.zeros((150, 4), bool)
+    contact[60:90, 1] = True  # of the last 100 steps the 11th to the 40th
+    contact[140:, 3] = True
+    rollout = still(quadruped, quadruped.home, contact)
+    rollout = dataclasses.replace(rollout, qpos=rollout.qpos + np.arange(151)[:, None])
+    frames = np.array(frames_of(rollout))
+    rows = frames[:, 0] - quadruped.home[0]
+    np.testing.assert_allclose(rows, [62, 68, 72, 78, 82, 88], atol=1.01)  # 25 steps about 75
+    np.testing.assert_allclose(footfalls_of(rollout)[1], [[0.2, 0.8]])
+    np.testing.assert_allclose(footfalls_of(rollout)[3], [[1.8, 2.0]])
+    assert footfalls_of(rollout)[0] == []
+
+
+def test_the_results_are_of_the_variants_there_are():
+    results = json.loads((HERE / "gecko.json").read_text())
+    named = {(result["variant"], result["seed"]) for result in results}
+    assert len(named) == len(results)
+    assert {variant for variant, _ in named} == set(variants())
