@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any
 
 from quadwalk.errors import UserError, run_command
+from quadwalk.files import replacing
 from quadwalk.train.config import PRESETS, TrainConfig
 from quadwalk.train.devices import cpu_cores, set_up_devices
 
@@ -134,12 +135,17 @@ def main() -> None:
             for seed in range(options.seeds)
         ]
         for job in as_completed(jobs):
-            found = job.result()
+            try:
+                found = job.result()
+            except BaseException:
+                pool.shutdown(cancel_futures=True)  # else all others are trained first
+                raise
             results = [each for each in results if key(each) != key(found)]
             results = sorted([*results, found], key=key)
             # One line for each, so that a change shows which.
             lines = ",\n".join(json.dumps(each) for each in results)
-            options.out.write_text(f"[\n{lines}\n]\n")
+            with replacing(options.out) as file:
+                file.write(f"[\n{lines}\n]\n".encode())
             print(f"{found['variant']}, seed {found['seed']}: {found['figures']}", flush=True)
 
 

@@ -7,9 +7,10 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from quadwalk.evaluate.footfalls import without_chatter
+from quadwalk.evaluate.footfalls import contact_spans, without_chatter
 from quadwalk.evaluate.gait import Gait, measure_gait
 from quadwalk.evaluate.kinematics import rpy_from_quat
+from quadwalk.evaluate.render import middle_rows
 from quadwalk.evaluate.rollout import Rollout
 from quadwalk.evaluate.simulate import simulate_episodes
 from quadwalk.evaluate.subject import load_subject
@@ -52,7 +53,7 @@ def measure(run: Run) -> dict[str, Any]:
         "gaits": dict(Counter(gait.gait for gait in gaits)),
         "figures": {name: _mean([each[name] for each in figures]) for name in figures[0]},
         "frames": frames_of(typical),
-        "footfalls": footfalls_of(typical),
+        "footfalls": contacts_of(typical),
     }
 
 
@@ -105,21 +106,15 @@ def body_contact(rollout: Rollout, quadruped: Quadruped) -> np.ndarray:
 
 def frames_of(rollout: Rollout) -> list[list[float]]:
     """`FRAMES` states, (19,) each, over `PICTURED` s about the middle."""
-    half = PICTURED / rollout.control_dt / 2
-    rows = np.linspace(rollout.steps / 2 - half, rollout.steps / 2 + half, FRAMES)
-    rows = np.clip(rows.round().astype(int), 0, rollout.steps)
+    rows = middle_rows(rollout, FRAMES, PICTURED)
     return rollout.qpos[rows].astype(float).round(4).tolist()
 
 
-def footfalls_of(rollout: Rollout) -> list[list[list[float]]]:
+def contacts_of(rollout: Rollout) -> list[list[list[float]]]:
     """Of each foot, FR, FL, RR, RL, when it was on the ground in the last `SHOWN` s."""
     dt = rollout.control_dt
     contact = without_chatter(rollout.contact, dt)[-round(SHOWN / dt) :]
-    found = []
-    for foot in contact.T:
-        edges = np.flatnonzero(np.diff(np.concatenate([[0], foot, [0]]).astype(int)))
-        found.append((edges.reshape(-1, 2) * dt).round(4).tolist())
-    return found
+    return [(contact_spans(foot) * dt).round(4).tolist() for foot in contact.T]
 
 
 def _mean(values: list[float]) -> float | None:

@@ -85,6 +85,12 @@ def touchdowns(foot: np.ndarray) -> np.ndarray:
     return np.flatnonzero(~foot[:-1] & foot[1:]) + 1
 
 
+def contact_spans(foot: np.ndarray) -> np.ndarray:
+    """(n, 2) of `foot` (T,), bool: the first row of each contact, and the first after it."""
+    padded = np.concatenate([[0], foot, [0]]).astype(int)
+    return np.flatnonzero(np.diff(padded)).reshape(-1, 2)
+
+
 def name_gait(phase: np.ndarray) -> str:
     """The gait whose touchdowns have these phases (4,), of FR, FL, RR, RL, in strides.
 

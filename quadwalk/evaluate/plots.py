@@ -9,7 +9,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from quadwalk.evaluate import kinematics
-from quadwalk.evaluate.footfalls import without_chatter
+from quadwalk.evaluate.footfalls import contact_spans, without_chatter
 from quadwalk.evaluate.gait import footfalls_of, measure_gait
 from quadwalk.evaluate.rollout import Rollout
 from quadwalk.evaluate.tracking import heading_velocity
@@ -103,9 +103,8 @@ def draw_footfalls(axes: Axes, rollout: Rollout, quadruped: Quadruped) -> None:
     contact = without_chatter(rollout.contact, dt)[start:]
     order = (1, 0, 3, 2)  # left above right, fore above hind, as one draws footfalls
     for line, foot in enumerate(reversed(order)):
-        edges = np.flatnonzero(np.diff(np.concatenate([[0], contact[:, foot], [0]]).astype(int)))
         # A row's contact is known at its step's end, and drawn over that step.
-        bars = [((start + a) * dt, (b - a) * dt) for a, b in edges.reshape(-1, 2)]
+        bars = [((start + a) * dt, (b - a) * dt) for a, b in contact_spans(contact[:, foot])]
         axes.broken_barh(bars, (line - 0.36, 0.72), color=LEG_COLOURS[foot])
     feet = footfalls_of(rollout)
     duty, phase = _percent(feet.duty_factor), _percent(feet.phase)

@@ -46,9 +46,7 @@ def render_film_strip(
     rollout = finite_part(rollout)
     across, down = _STRIP
     count = across * down
-    middle, half = rollout.steps / 2, seconds / rollout.control_dt / 2
-    rows = np.linspace(middle - half, middle + half, count).round().astype(int)
-    rows = np.clip(rows, 0, rollout.steps)
+    rows = middle_rows(rollout, count, seconds)
     gap = 4
     size = (across * (width + gap) - gap, down * (height + gap) - gap)
     strip = Image.new("RGB", size, "white")
@@ -57,6 +55,13 @@ def render_film_strip(
         strip.paste(picture, place)
     with replacing(path) as file:
         strip.save(file, format="PNG", optimize=True)
+
+
+def middle_rows(rollout: Rollout, count: int, seconds: float) -> np.ndarray:
+    """Rows (count,) of states, evenly spaced over the `seconds` about the episode's middle."""
+    middle, half = rollout.steps / 2, seconds / rollout.control_dt / 2
+    rows = np.linspace(middle - half, middle + half, count).round().astype(int)
+    return np.clip(rows, 0, rollout.steps)
 
 
 def render_gif(

@@ -7,8 +7,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from benchmarks.gecko import CAUSES, variants
-from benchmarks.gecko_gait import body_contact, figures_of, footfalls_of, frames_of
+from benchmarks.gecko import CAUSES, OTHER, variants
+from benchmarks.gecko_gait import body_contact, contacts_of, figures_of, frames_of
 from notebooks.execute import HERE
 from quadwalk.evaluate.gait import measure_gait
 from quadwalk.evaluate.rollout import Rollout
@@ -29,9 +29,7 @@ def flat(data, above="") -> dict:
 
 @pytest.mark.parametrize("preset", ["blog", "run"])
 def test_each_variant_takes_one_thing_from_the_other_preset(preset):
-    own, other = (
-        flat(to_dict(PRESETS[name])) for name in (preset, {"blog": "run"}.get(preset, "blog"))
-    )
+    own, other = (flat(to_dict(PRESETS[name])) for name in (preset, OTHER[preset]))
     taken = set()
     for cause, settings in CAUSES.items():
         found = flat(to_dict(variants()[f"{preset}, {cause}"]))
@@ -103,9 +101,9 @@ def test_frames_and_footfalls_are_those_of_the_rollout(quadruped):
     frames = np.array(frames_of(rollout))
     rows = frames[:, 0] - quadruped.home[0]
     np.testing.assert_allclose(rows, [62, 68, 72, 78, 82, 88], atol=1.01)  # 25 steps about 75
-    np.testing.assert_allclose(footfalls_of(rollout)[1], [[0.2, 0.8]])
-    np.testing.assert_allclose(footfalls_of(rollout)[3], [[1.8, 2.0]])
-    assert footfalls_of(rollout)[0] == []
+    np.testing.assert_allclose(contacts_of(rollout)[1], [[0.2, 0.8]])
+    np.testing.assert_allclose(contacts_of(rollout)[3], [[1.8, 2.0]])
+    assert contacts_of(rollout)[0] == []
 
 
 def test_the_results_are_of_the_variants_there_are():
