@@ -14,6 +14,7 @@ import json
 import re
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -42,7 +43,7 @@ def name_of(flags: str, steps: int | None, seed: int) -> str:
     return f"{words}_{steps or 'full'}_s{seed}"
 
 
-def train(flags: str, steps: int | None, seed: int, runs: Path) -> Path:
+def train(flags: str, steps: int | None, seed: int, runs: Path, devices: int | None) -> Path:
     """The run of these flags and seed, trained if it has not been."""
     run = runs / name_of(flags, steps, seed)
     if (run / "policy.npz").exists():
@@ -50,6 +51,7 @@ def train(flags: str, steps: int | None, seed: int, runs: Path) -> Path:
     else:
         arguments = ["--name", run.name, "--seed", str(seed), *flags.split()]
         arguments += ["--steps", str(steps)] if steps else []
+        arguments += ["--devices", str(devices)] if devices else []
     script(["train.py", "--runs", str(runs), "--quiet", *arguments])
     return run
 
@@ -103,15 +105,22 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--episodes", type=int, default=64)
     parser.add_argument("--runs", type=Path, default=Path("runs/recipe"))
+    parser.add_argument("--at-once", type=int, default=1, help="runs; if several, one core each")
     options = parser.parse_args()
 
     print("| flags | " + " | ".join(COLUMNS) + " |")
     print("|" + "---|" * (len(COLUMNS) + 1))
-    for flags in options.variants:
-        for seed in range(options.seeds):
-            run = train(flags, options.steps, seed, options.runs.resolve())
-            cells = row(seed, judge(run, options.episodes))
-            print(f"| `{flags or 'defaults'}` | " + " | ".join(cells) + " |", flush=True)
+
+    def one(flags: str, seed: int) -> str:
+        devices = 1 if options.at_once > 1 else None
+        run = train(flags, options.steps, seed, options.runs.resolve(), devices)
+        cells = row(seed, judge(run, options.episodes))
+        return f"| `{flags or 'defaults'}` | " + " | ".join(cells) + " |"
+
+    with ThreadPoolExecutor(options.at_once) as pool:
+        pairs = [(flags, seed) for flags in options.variants for seed in range(options.seeds)]
+        for line in pool.map(one, *zip(*pairs, strict=True)):
+            print(line, flush=True)
 
 
 if __name__ == "__main__":
