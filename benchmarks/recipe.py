@@ -10,6 +10,7 @@ as slow: such a robot stands, or limps.
 """
 
 import argparse
+import itertools
 import json
 import re
 import subprocess
@@ -111,16 +112,16 @@ def main() -> None:
     print("| flags | " + " | ".join(COLUMNS) + " |")
     print("|" + "---|" * (len(COLUMNS) + 1))
 
-    def one(flags: str, seed: int) -> str:
+    def line(variant: tuple[str, int]) -> str:
+        flags, seed = variant
         devices = 1 if options.at_once > 1 else None
         run = train(flags, options.steps, seed, options.runs.resolve(), devices)
         cells = row(seed, judge(run, options.episodes))
         return f"| `{flags or 'defaults'}` | " + " | ".join(cells) + " |"
 
     with ThreadPoolExecutor(options.at_once) as pool:
-        pairs = [(flags, seed) for flags in options.variants for seed in range(options.seeds)]
-        for line in pool.map(one, *zip(*pairs, strict=True)):
-            print(line, flush=True)
+        for found in pool.map(line, itertools.product(options.variants, range(options.seeds))):
+            print(found, flush=True)
 
 
 if __name__ == "__main__":

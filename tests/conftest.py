@@ -1,4 +1,4 @@
-"""Two XLA devices for all tests, and the URDFs of other robots, where there are any."""
+"""Two XLA devices for all tests, the AlienGo, and URDFs of other robots, where there are any."""
 
 import importlib.util
 import os
@@ -6,10 +6,17 @@ from pathlib import Path
 
 import pytest
 
+from quadwalk.robot.quadruped import Quadruped, load_quadruped
 from quadwalk.train.devices import set_up_devices
 
 # So that what is shared between devices is tested as such.
 set_up_devices(2)
+
+
+@pytest.fixture(scope="session")
+def quadruped() -> Quadruped:
+    """The AlienGo."""
+    return load_quadruped()
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:

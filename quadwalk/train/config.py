@@ -227,6 +227,18 @@ def to_dict(config: Any) -> dict[str, Any]:
     return plain(dataclasses.asdict(config))
 
 
+def flatten(config: Any, prefix: str = "") -> dict[str, Any]:
+    """Every setting of a configuration, by its name with dots: "env.actuation.kp"."""
+    flat: dict[str, Any] = {}
+    for each in dataclasses.fields(config):
+        value = getattr(config, each.name)
+        if dataclasses.is_dataclass(value):
+            flat |= flatten(value, f"{prefix}{each.name}.")
+        else:
+            flat[prefix + each.name] = value
+    return flat
+
+
 def from_dict(cls: type, data: Any, where: str = "config") -> Any:
     """The configuration that `to_dict` wrote; `UsageError` names what does not fit."""
     if not isinstance(data, dict):

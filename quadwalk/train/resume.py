@@ -3,12 +3,12 @@
 import dataclasses
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from quadwalk.errors import UsageError, UserError
 from quadwalk.files import why
 from quadwalk.train import checkpoint
-from quadwalk.train.config import DistributedConfig, TrainConfig, from_dict
+from quadwalk.train.config import DistributedConfig, TrainConfig, flatten, from_dict
 from quadwalk.train.metrics import TrainingMetrics
 from quadwalk.train.run import Run, find_run
 
@@ -53,7 +53,7 @@ def resumed_config(runs: Path | str, which: str) -> TrainConfig:
 
 def changed_settings(before: TrainConfig, now: TrainConfig) -> list[str]:
     """What differs, as "name: old -> new"; `UsageError` for what cannot change in a run."""
-    old, new = _flatten(before), _flatten(now)
+    old, new = flatten(before), flatten(now)
     names = [name for name in old if old[name] != new[name] and name not in _FREE]
     for name in names:
         if name in _FIXED:
@@ -89,14 +89,3 @@ def restore(
     except (KeyError, TypeError, ValueError):
         raise UserError(f"{path} does not say where its training was: expected another") from None
     return placed_like(saved, state), steps, seconds
-
-
-def _flatten(config: Any, prefix: str = "") -> dict[str, Any]:
-    flat: dict[str, Any] = {}
-    for field in dataclasses.fields(config):
-        value = getattr(config, field.name)
-        if dataclasses.is_dataclass(value):
-            flat |= _flatten(value, f"{prefix}{field.name}.")
-        else:
-            flat[prefix + field.name] = value
-    return flat

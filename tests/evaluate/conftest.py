@@ -9,15 +9,10 @@ import numpy as np
 import pytest
 
 from quadwalk.evaluate.rollout import Rollout
-from quadwalk.robot.quadruped import Quadruped, load_quadruped
+from quadwalk.robot.quadruped import Quadruped
 
 CONTROL_DT, SUBSTEPS = 0.02, 5
 KP, KD = 160.0, 4.0  # stiff enough for legs that only follow the clock
-
-
-@pytest.fixture(scope="session")
-def quadruped() -> Quadruped:
-    return load_quadruped()
 
 
 @pytest.fixture(scope="session")

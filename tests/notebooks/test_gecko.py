@@ -12,44 +12,32 @@ from benchmarks.gecko_gait import body_contact, contacts_of, figures_of, frames_
 from notebooks.execute import HERE
 from quadwalk.evaluate.gait import measure_gait
 from quadwalk.evaluate.rollout import Rollout
-from quadwalk.robot.quadruped import load_quadruped
-from quadwalk.train.config import PRESETS, to_dict
-
-
-@pytest.fixture(scope="module")
-def quadruped():
-    return load_quadruped()
-
-
-def flat(data, above="") -> dict:
-    if not isinstance(data, dict):
-        return {above: data}
-    return {k: v for name, part in data.items() for k, v in flat(part, f"{above}.{name}").items()}
+from quadwalk.train.config import PRESETS, flatten
 
 
 @pytest.mark.parametrize("preset", ["blog", "run"])
 def test_each_variant_takes_one_thing_from_the_other_preset(preset):
-    own, other = (flat(to_dict(PRESETS[name])) for name in (preset, OTHER[preset]))
+    own, other = (flatten(PRESETS[name]) for name in (preset, OTHER[preset]))
     taken = set()
     for cause, settings in CAUSES.items():
-        found = flat(to_dict(variants()[f"{preset}, {cause}"]))
+        found = flatten(variants()[f"{preset}, {cause}"])
         changed = {name for name in found if found[name] != own[name]}
         assert changed
         assert all(found[name] == other[name] for name in changed)
-        assert all(any(f"{name}.".startswith(f".{s}.") for s in settings) for name in changed)
+        assert all(any(f"{name}.".startswith(f"{s}.") for s in settings) for name in changed)
         assert not changed & taken  # no two causes share a setting
         taken |= changed
-    everything = flat(to_dict(variants()[f"{preset}, all of them"]))
+    everything = flatten(variants()[f"{preset}, all of them"])
     assert {name for name in everything if everything[name] != own[name]} == taken
 
 
-def test_action_0_alone_is_moved_to_the_standing_pose():
+def test_action_0_alone_is_moved_to_the_standing_pose(quadruped):
     own, found = PRESETS["blog"], variants()["blog, action 0"]
-    own_flat, found_flat = flat(to_dict(own)), flat(to_dict(found))
+    own_flat, found_flat = flatten(own), flatten(found)
     changed = {name for name in found_flat if found_flat[name] != own_flat[name]}
     bounds = [getattr(found.env.actuation, f"{part}_bounds") for part in ("hip", "thigh", "calf")]
-    assert changed == {".env.actuation.thigh_bounds", ".env.actuation.calf_bounds"}
-    np.testing.assert_allclose(np.mean(bounds, axis=1), load_quadruped().home[7:10], atol=1e-6)
+    assert changed == {"env.actuation.thigh_bounds", "env.actuation.calf_bounds"}
+    np.testing.assert_allclose(np.mean(bounds, axis=1), quadruped.home[7:10], atol=1e-6)
     assert np.ptp(found.env.actuation.thigh_bounds) == np.ptp(own.env.actuation.thigh_bounds)
 
 
