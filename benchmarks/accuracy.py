@@ -25,6 +25,7 @@ from collections.abc import Iterator
 import mujoco
 import numpy as np
 
+from quadwalk.physics import fast, mjx_engine
 from quadwalk.train.devices import set_up_devices
 
 ROBOTS = 16
@@ -47,11 +48,10 @@ def print_accuracy() -> None:
     import jax
     import jax.numpy as jnp
 
-    from quadwalk.env import legged_physics, physics
-    from quadwalk.env.config import EnvConfig
-    from quadwalk.env.physics import Physics
-    from quadwalk.env.quadruped import QuadrupedEnv
+    from quadwalk.physics.mjx_engine import Physics
     from quadwalk.robot.quadruped import load_quadruped
+    from quadwalk.task.config import EnvConfig
+    from quadwalk.task.env import QuadrupedEnv
 
     quadruped = load_quadruped()
     config = EnvConfig()
@@ -70,7 +70,7 @@ def print_accuracy() -> None:
     def by(simulate, config: EnvConfig) -> np.ndarray:
         def step(state: Physics, target: jax.Array) -> tuple[Physics, jax.Array]:
             after, _ = simulate(config, state, target)
-            feet, _ = legged_physics.heights(env.legged, after.qpos)
+            feet, _ = fast.heights(env.legged, after.qpos)
             return after, jnp.concatenate([after.qpos[:3], after.qvel[:3], feet])
 
         course = jax.vmap(lambda s: jax.lax.scan(step, s, jnp.asarray(wanted, jnp.float32))[1])
@@ -86,12 +86,12 @@ def print_accuracy() -> None:
         )
         # The model's contact stiffness depends on the step.
         legged = QuadrupedEnv(quadruped, changed).legged
-        return by(lambda c, s, t: legged_physics.simulate(legged, env.robot, c, s, t), changed)
+        return by(lambda c, s, t: fast.simulate(legged, env.robot, c, s, t), changed)
 
     rows = {
         "MuJoCo C, 4 ms, converged": lambda: in_mujoco(0.004),
         "MJX, 4 ms, 1 iteration": lambda: by(
-            lambda c, s, t: physics.simulate(once.model, env.robot, c, s, t), config
+            lambda c, s, t: mjx_engine.simulate(once.model, env.robot, c, s, t), config
         ),
         **{
             f"ours, {20 / n:g} ms, {i} iteration{'s' * (i > 1)}, line search {k}": (
@@ -113,7 +113,7 @@ def print_accuracy() -> None:
 
 def _trot(env, model, qpos, qvel, wanted) -> Iterator[np.ndarray]:
     """Per control step: the trunk's position and velocity, and heights of the feet, m, m/s."""
-    from quadwalk.env.actuation import friction_torque, motor_torque
+    from quadwalk.physics.motor import friction_torque, motor_torque
 
     data = mujoco.MjData(model)
     data.qpos[:], data.qvel[:] = qpos, qvel

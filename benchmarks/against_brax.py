@@ -35,10 +35,10 @@ def main() -> None:
     import numpy as np
     from brax_training import compare, learning_curves
 
-    from quadwalk.env.config import EnvConfig
-    from quadwalk.env.quadruped import QuadrupedEnv
     from quadwalk.robot.quadruped import load_quadruped
-    from quadwalk.train.config import PPOConfig
+    from quadwalk.task.config import EnvConfig
+    from quadwalk.task.env import QuadrupedEnv
+    from quadwalk.train.settings import PPOConfig
 
     env = QuadrupedEnv(load_quadruped(), EnvConfig(episode_seconds=10.0))
     # Brax's stay the same throughout.

@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from quadwalk.env.quiet_mjx import mjx  # noqa: F401  # isort: skip  # else Brax imports it, loudly
+from quadwalk.physics.quiet_mjx import mjx  # noqa: F401  # isort: skip  # else Brax imports it, loudly
 
 import jax
 import jax.numpy as jnp
@@ -20,8 +20,8 @@ from brax.training.agents.ppo import train as brax_ppo
 from brax.training.agents.ppo.networks import PPONetworks
 
 from quadwalk.train import ppo
-from quadwalk.train.config import PPOConfig
 from quadwalk.train.networks import make_networks, mean_policy
+from quadwalk.train.settings import PPOConfig
 
 Params = tuple[Any, Any, Any]  # normaliser, policy, value
 

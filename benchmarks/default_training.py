@@ -3,8 +3,8 @@
 import time
 from typing import NamedTuple
 
-from quadwalk.train.config import PPOConfig, TrainConfig
 from quadwalk.train.devices import cpu_cores, device_count, set_up_devices
+from quadwalk.train.settings import PPOConfig, TrainConfig
 
 SUBSTEPS = TrainConfig().env.substeps  # physics steps in a control step
 CONTROL_DT = TrainConfig().env.control_dt  # s
@@ -24,8 +24,8 @@ class DefaultTraining:
         config = config or PPOConfig()
         self.devices = device_count(envs, config.minibatches, config.judges, cpu_cores())
         set_up_devices(self.devices)
-        from quadwalk.env.quadruped import QuadrupedEnv
         from quadwalk.robot.quadruped import load_quadruped
+        from quadwalk.task.env import QuadrupedEnv
         from quadwalk.train import ppo
         from quadwalk.train.networks import make_networks
 

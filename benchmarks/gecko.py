@@ -22,9 +22,9 @@ from pathlib import Path
 from typing import Any
 
 from quadwalk.errors import UserError, run_command
-from quadwalk.files import replacing
-from quadwalk.train.config import PRESETS, TrainConfig
+from quadwalk.files import atomic_write
 from quadwalk.train.devices import cpu_cores, set_up_devices
+from quadwalk.train.settings import PRESETS, TrainConfig
 
 ROOT = Path(__file__).resolve().parent.parent
 # Settings of a TrainConfig that are exchanged together. The learner's that count steps go with the
@@ -90,9 +90,9 @@ def judge(name: str, seed: int, steps: int, runs: Path) -> dict[str, Any]:
     from gecko_gait import measure
 
     from quadwalk.train.loop import train
-    from quadwalk.train.policy import load_policy
-    from quadwalk.train.resume import resumed_config
-    from quadwalk.train.run import Run
+    from quadwalk.train.runs.directory import Run
+    from quadwalk.train.runs.policy import load_policy
+    from quadwalk.train.runs.resume import resumed_config
 
     words = re.sub(r"\W+", "-", name)
     config = dataclasses.replace(
@@ -144,7 +144,7 @@ def main() -> None:
             results = sorted([*results, found], key=key)
             # One line for each, so that a change shows which.
             lines = ",\n".join(json.dumps(each) for each in results)
-            with replacing(options.out) as file:
+            with atomic_write(options.out) as file:
                 file.write(f"[\n{lines}\n]\n".encode())
             print(f"{found['variant']}, seed {found['seed']}: {found['figures']}", flush=True)
 

@@ -17,8 +17,8 @@ from quadwalk.evaluate.subject import load_subject
 from quadwalk.evaluate.summary import typical_episode
 from quadwalk.evaluate.trim import finite_part
 from quadwalk.robot.quadruped import Quadruped
-from quadwalk.train.log import read_metrics
-from quadwalk.train.run import Run
+from quadwalk.train.runs.directory import Run
+from quadwalk.train.runs.log import read_metrics
 
 SECONDS = 1000 / 240  # s, the post's episode: that of all variants here
 EPISODES = 8

@@ -28,6 +28,7 @@ import time
 
 import numpy as np
 
+from quadwalk.physics import batching, contact, fast
 from quadwalk.train.devices import cpu_cores, set_up_devices
 
 
@@ -49,15 +50,14 @@ def print_rates(envs: int, steps: int, rounds: int, variants: bool) -> None:
     import mujoco
     import mujoco.rollout
 
-    from quadwalk.env import batches, contact, legged_physics
-    from quadwalk.env.batches import robots_last
-    from quadwalk.env.config import EnvConfig
-    from quadwalk.env.legged import Legged
-    from quadwalk.env.legged_physics import acceleration, integrate
-    from quadwalk.env.physics import Physics
-    from quadwalk.env.quadruped import QuadrupedEnv
-    from quadwalk.env.quiet_mjx import mjx
+    from quadwalk.physics.batching import robots_last
+    from quadwalk.physics.fast import acceleration, integrate
+    from quadwalk.physics.mjx_engine import Physics
+    from quadwalk.physics.model import Legged
+    from quadwalk.physics.quiet_mjx import mjx
     from quadwalk.robot.quadruped import load_quadruped
+    from quadwalk.task.config import EnvConfig
+    from quadwalk.task.env import QuadrupedEnv
     from quadwalk.train.ppo import AXIS, make_mesh
 
     env = QuadrupedEnv(load_quadruped(), EnvConfig())
@@ -132,12 +132,12 @@ def print_rates(envs: int, steps: int, rounds: int, variants: bool) -> None:
 
         engines = {"ours": rate(ours())}
         if variants:
-            plain = {(module, "stage"): _plain for module in (contact, legged_physics)}
+            plain = {(module, "stage"): _plain for module in (contact, fast)}
             engines |= {
                 "1 iteration": rate(ours(1)),
                 "3 iterations": rate(ours(3)),
                 "body": rate(ours(legged=whole.legged)),
-                "no batches": with_other({(batches, "BATCH"): envs}, rate(ours())),
+                "no batches": with_other({(batching, "BATCH"): envs}, rate(ours())),
                 "no stages": with_other(plain, rate(ours())),
             }
         engines |= {"MJX": rate(in_mjx), "MuJoCo C": in_mujoco}

@@ -87,12 +87,12 @@ def train(
 
 def first_that_walks(run: Path, policies: list[Written]) -> Walks | None:
     """Judge `policies` of `run` in turn."""
-    from quadwalk.env.quadruped import QuadrupedEnv
     from quadwalk.evaluate.simulate import simulate_episodes
     from quadwalk.evaluate.summary import episode_figures, summarise
-    from quadwalk.train.policy import load_policy
+    from quadwalk.task.env import QuadrupedEnv
     from quadwalk.train.robot import load_run_robot
-    from quadwalk.train.run import Run
+    from quadwalk.train.runs.directory import Run
+    from quadwalk.train.runs.policy import load_policy
 
     for path, seconds in policies:
         policy = load_policy(path)

@@ -10,7 +10,7 @@ from quadwalk.errors import UserError
 
 
 @contextlib.contextmanager
-def replacing(path: Path | str) -> Iterator[BinaryIO]:
+def atomic_write(path: Path | str) -> Iterator[BinaryIO]:
     """Open `path` + ".part" for writing bytes; it takes the place of `path` when the block ends.
 
     Whatever goes wrong (no space, no permission, Ctrl-C), the part file is removed and an older
@@ -29,12 +29,12 @@ def replacing(path: Path | str) -> Iterator[BinaryIO]:
         with contextlib.suppress(OSError):
             part.unlink(missing_ok=True)
         if isinstance(error, OSError):
-            raise UserError(f"cannot write {path}: {why(error)}") from error
+            raise UserError(f"cannot write {path}: {os_reason(error)}") from error
         raise
     _sync_folder(path.parent)
 
 
-def why(error: OSError) -> str:
+def os_reason(error: OSError) -> str:
     """The system's reason alone ("No space left on device"), without numbers or paths."""
     return error.strerror or str(error) or type(error).__name__
 

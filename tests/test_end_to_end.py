@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from quadwalk.evaluate.mcap import verify_mcap
+from quadwalk.evaluate.recording.mcap import verify_mcap
 
 ROOT = Path(__file__).parents[1]
 ITERATIONS = 150

@@ -4,12 +4,12 @@ import os
 import pytest
 
 from quadwalk.errors import UserError
-from quadwalk.files import replacing
+from quadwalk.files import atomic_write
 
 
 def test_the_file_appears_when_the_block_ends(tmp_path):
     path = tmp_path / "a"
-    with replacing(path) as file:
+    with atomic_write(path) as file:
         file.write(b"new")
         assert not path.exists()
     assert path.read_bytes() == b"new"
@@ -25,7 +25,7 @@ def test_what_breaks_the_block_leaves_the_old_file(tmp_path, error):
         file.write(b"half")
         raise error
 
-    with pytest.raises(error), replacing(path) as file:
+    with pytest.raises(error), atomic_write(path) as file:
         break_off(file)
     assert path.read_bytes() == b"old"
     assert os.listdir(tmp_path) == ["a"]
@@ -39,7 +39,7 @@ def test_what_the_system_refuses_is_one_line(tmp_path, monkeypatch, call):
     path = tmp_path / "a"
     path.write_bytes(b"old")
     monkeypatch.setattr(os, call, full)
-    with pytest.raises(UserError) as caught, replacing(path) as file:
+    with pytest.raises(UserError) as caught, atomic_write(path) as file:
         file.write(b"new")
     monkeypatch.undo()
     assert str(caught.value) == f"cannot write {path}: No space left on device"
@@ -49,4 +49,4 @@ def test_what_the_system_refuses_is_one_line(tmp_path, monkeypatch, call):
 
 def test_a_folder_that_is_not_there_is_named(tmp_path):
     with pytest.raises(UserError, match=r"none/a: No such file or directory"):
-        replacing(tmp_path / "none" / "a").__enter__()
+        atomic_write(tmp_path / "none" / "a").__enter__()

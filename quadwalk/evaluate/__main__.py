@@ -4,7 +4,7 @@ import sys
 
 from quadwalk.cli import parse
 from quadwalk.errors import run_command
-from quadwalk.evaluate.config import EvalConfig
+from quadwalk.evaluate.options import EvalConfig
 
 
 def main() -> None:

@@ -8,9 +8,9 @@ from typing import Any
 from rich.console import Console
 
 from quadwalk.errors import UsageError, UserError
-from quadwalk.evaluate.config import EvalConfig
-from quadwalk.files import why
-from quadwalk.train.run import Run, find_run
+from quadwalk.evaluate.options import EvalConfig
+from quadwalk.files import os_reason
+from quadwalk.train.runs.directory import Run, find_run
 
 
 def evaluate(config: EvalConfig) -> dict[str, Any]:
@@ -28,8 +28,8 @@ def evaluate(config: EvalConfig) -> dict[str, Any]:
     from quadwalk.train.devices import set_up_devices
 
     set_up_devices()
-    from quadwalk.evaluate.comparison import compare
     from quadwalk.evaluate.judge import judge
+    from quadwalk.evaluate.report.comparison import compare
     from quadwalk.evaluate.subject import load_subject
     from quadwalk.evaluate.sweep import sweep
     from quadwalk.evaluate.view import check_screen
@@ -88,5 +88,7 @@ def _make_folder(folder: Path) -> Path:
         with tempfile.NamedTemporaryFile(dir=folder, suffix=".part") as probe:
             open(probe.name, "rb").close()
     except OSError as error:
-        raise UserError(f"cannot write results to the folder {folder}: {why(error)}") from error
+        raise UserError(
+            f"cannot write results to the folder {folder}: {os_reason(error)}"
+        ) from error
     return folder

@@ -5,10 +5,10 @@ import dataclasses
 import mujoco
 import numpy as np
 
-from quadwalk.env.actuation import friction_torque, motor_torque
-from quadwalk.env.quadruped import QuadrupedEnv
 from quadwalk.evaluate.rollout import Rollout
 from quadwalk.evaluate.simulate import Engine, engine_model
+from quadwalk.physics.motor import friction_torque, motor_torque
+from quadwalk.task.env import QuadrupedEnv
 
 
 def with_foot_forces(rollout: Rollout, env: QuadrupedEnv, engine: Engine) -> Rollout:

@@ -8,17 +8,17 @@ from typing import Any
 from rich.console import Console
 
 from quadwalk.errors import UserError
-from quadwalk.evaluate.config import EvalConfig
 from quadwalk.evaluate.engines import engine_differences, print_engines
 from quadwalk.evaluate.foot_force import with_foot_forces
 from quadwalk.evaluate.gait import gait_metrics, measure_gait
-from quadwalk.evaluate.mcap import write_mcap
-from quadwalk.evaluate.plots import plot_report
-from quadwalk.evaluate.progress import simulating
+from quadwalk.evaluate.options import EvalConfig
 from quadwalk.evaluate.provenance import attachments, provenance
+from quadwalk.evaluate.recording.mcap import write_mcap
 from quadwalk.evaluate.render import render_film_strip, render_gif
+from quadwalk.evaluate.report.plots import plot_report
 from quadwalk.evaluate.rollout import Rollout
 from quadwalk.evaluate.simulate import Engine, simulate_episodes
+from quadwalk.evaluate.simulating import simulating
 from quadwalk.evaluate.subject import Subject
 from quadwalk.evaluate.summary import (
     describe_gait,
@@ -28,8 +28,8 @@ from quadwalk.evaluate.summary import (
     typical_episode,
 )
 from quadwalk.evaluate.view import view
-from quadwalk.train.config import to_dict
-from quadwalk.train.run import write_json_atomic
+from quadwalk.train.runs.directory import write_json_atomic
+from quadwalk.train.settings import to_dict
 
 
 def judge(subject: Subject, config: EvalConfig, out: Path, console: Console) -> dict[str, Any]:

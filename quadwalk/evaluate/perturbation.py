@@ -14,15 +14,15 @@ import jax.numpy as jnp
 import numpy as np
 from brax.envs.base import State
 
-from quadwalk.env.actuation import gains, joint_target
-from quadwalk.env.config import EnvConfig
-from quadwalk.env.legged import Legged
-from quadwalk.env.physics import Effort, Physics, simulate
-from quadwalk.env.quadruped import EnvState, conclude
-from quadwalk.env.quiet_mjx import mjx
-from quadwalk.env.robot import RobotArrays
 from quadwalk.evaluate.simulate import Policy
+from quadwalk.physics.mjx_engine import Effort, Physics, simulate
+from quadwalk.physics.model import Legged
+from quadwalk.physics.motor import gains, joint_target
+from quadwalk.physics.quiet_mjx import mjx
+from quadwalk.physics.robot_arrays import RobotArrays
 from quadwalk.robot.quadruped import Quadruped
+from quadwalk.task.config import EnvConfig
+from quadwalk.task.env import EnvState, conclude
 
 PUSH_PERIOD = 5.0  # s: one push in each
 

@@ -5,10 +5,10 @@ from pathlib import Path
 from typing import Any
 
 import quadwalk
-from quadwalk.evaluate.config import EvalConfig
+from quadwalk.evaluate.options import EvalConfig
 from quadwalk.evaluate.subject import Subject
 from quadwalk.robot.mjcf import write_xml
-from quadwalk.train import checkpoint
+from quadwalk.train.runs import checkpoint
 from quadwalk.train.versions import versions
 
 _SOURCE = Path(quadwalk.__file__).resolve().parents[1]

@@ -20,7 +20,7 @@ from PIL import Image, ImageDraw, ImageFont
 from quadwalk.errors import UserError
 from quadwalk.evaluate.rollout import Rollout
 from quadwalk.evaluate.trim import finite_part
-from quadwalk.files import replacing
+from quadwalk.files import atomic_write
 from quadwalk.robot.quadruped import Quadruped
 from quadwalk.robot.render import NEEDS, choose_backend
 
@@ -53,7 +53,7 @@ def render_film_strip(
     for index, picture in enumerate(_pictures(rollout, quadruped, rows, width, height)):
         place = (index % across * (width + gap), index // across * (height + gap))
         strip.paste(picture, place)
-    with replacing(path) as file:
+    with atomic_write(path) as file:
         strip.save(file, format="PNG", optimize=True)
 
 
@@ -97,7 +97,7 @@ def _write_gif(pictures: Iterator[Image.Image], path: str | Path) -> None:
     def reduced(picture: Image.Image) -> Image.Image:
         return picture.quantize(palette=palette, dither=Image.Dither.NONE)
 
-    with replacing(path) as file:
+    with atomic_write(path) as file:
         reduced(first).save(
             file,
             format="GIF",
@@ -110,7 +110,7 @@ def _write_gif(pictures: Iterator[Image.Image], path: str | Path) -> None:
 
 def _write_mp4(pictures: Iterator[Image.Image], path: str | Path, width: int, height: int) -> None:
     program = _ffmpeg()
-    with tempfile.TemporaryDirectory() as folder, replacing(path) as file:
+    with tempfile.TemporaryDirectory() as folder, atomic_write(path) as file:
         # H.264 in MP4 is not written front to back, so it cannot go straight to `file`.
         output = Path(folder) / "episode.mp4"
         command = [program, "-loglevel", "error", "-f", "rawvideo", "-pix_fmt", "rgb24"]

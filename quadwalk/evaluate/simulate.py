@@ -15,11 +15,11 @@ import mujoco
 import mujoco.rollout
 import numpy as np
 
-from quadwalk.env.actuation import friction_torque, joint_target, motor_torque
-from quadwalk.env.command import Command
-from quadwalk.env.physics import Effort, Physics
-from quadwalk.env.quadruped import ENDS, EnvState, QuadrupedEnv, conclude
 from quadwalk.evaluate.rollout import Rollout
+from quadwalk.physics.mjx_engine import Effort, Physics
+from quadwalk.physics.motor import friction_torque, joint_target, motor_torque
+from quadwalk.task.command import Command
+from quadwalk.task.env import ENDS, EnvState, QuadrupedEnv, conclude
 from quadwalk.train.devices import cpu_cores
 from quadwalk.train.ppo import AXIS, make_mesh
 

@@ -4,11 +4,11 @@ import dataclasses
 from dataclasses import dataclass
 from pathlib import Path
 
-from quadwalk.env.quadruped import QuadrupedEnv
 from quadwalk.errors import UserError
-from quadwalk.train.policy import Policy, load_policy
+from quadwalk.task.env import QuadrupedEnv
 from quadwalk.train.robot import load_run_robot
-from quadwalk.train.run import Run
+from quadwalk.train.runs.directory import Run
+from quadwalk.train.runs.policy import Policy, load_policy
 
 
 @dataclass(frozen=True)

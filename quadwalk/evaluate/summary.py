@@ -7,12 +7,12 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from quadwalk.env.config import RewardConfig
 from quadwalk.evaluate.gait import Gait
 from quadwalk.evaluate.kinematics import rpy_from_quat
 from quadwalk.evaluate.rollout import Rollout
 from quadwalk.evaluate.statistics import mean_interval, share_interval
 from quadwalk.evaluate.tracking import path_length, tracking_errors
+from quadwalk.task.config import RewardConfig
 
 # name in metrics.json, heading in the table, unit
 FIGURES = (

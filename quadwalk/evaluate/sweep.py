@@ -14,9 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from rich.console import Console
 
-from quadwalk.env.quadruped import ENDS
-from quadwalk.env.quiet_mjx import mjx
-from quadwalk.evaluate.config import EvalConfig
+from quadwalk.evaluate.options import EvalConfig
 from quadwalk.evaluate.perturbation import (
     Perturbation,
     Perturbed,
@@ -27,9 +25,9 @@ from quadwalk.evaluate.perturbation import (
     stack_models,
     varied_quadruped,
 )
-from quadwalk.evaluate.plots import save_figure
-from quadwalk.evaluate.progress import simulating
 from quadwalk.evaluate.provenance import provenance
+from quadwalk.evaluate.report.plots import save_figure
+from quadwalk.evaluate.report.sweep_report import draw_sweep, print_sweep
 from quadwalk.evaluate.simulate import (
     CHUNK,
     Policy,
@@ -38,10 +36,12 @@ from quadwalk.evaluate.simulate import (
     over_devices,
     until_all_ended,
 )
+from quadwalk.evaluate.simulating import simulating
 from quadwalk.evaluate.statistics import mean_interval, share_interval
 from quadwalk.evaluate.subject import Subject
-from quadwalk.evaluate.sweep_report import draw_sweep, print_sweep
-from quadwalk.train.run import write_json_atomic
+from quadwalk.physics.quiet_mjx import mjx
+from quadwalk.task.env import ENDS
+from quadwalk.train.runs.directory import write_json_atomic
 
 
 @dataclass(frozen=True)

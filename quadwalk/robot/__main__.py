@@ -6,7 +6,7 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 
 from quadwalk.errors import UsageError, run_command
-from quadwalk.files import replacing
+from quadwalk.files import atomic_write
 from quadwalk.robot.render import choose_backend
 
 
@@ -82,13 +82,13 @@ def main() -> None:
     conversion = convert(urdf, legs, options)
     xml = write_xml(conversion.spec)
     if arguments.out is not None:
-        with replacing(arguments.out) as file:
+        with atomic_write(arguments.out) as file:
             file.write(xml.encode())
     elif arguments.render is None:
         sys.stdout.write(xml)
     if arguments.render is not None:
         picture = png_bytes(render_home(conversion.spec.compile()))
-        with replacing(arguments.render) as file:
+        with atomic_write(arguments.render) as file:
             file.write(picture)
     if not arguments.quiet:
         for line in conversion.report.lines(sys.maxsize if arguments.verbose else 4):

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 
 from quadwalk.cli import parse
 from quadwalk.errors import UsageError, run_command
-from quadwalk.train.config import PRESETS, TrainConfig
-from quadwalk.train.resume import resumed_config
+from quadwalk.train.runs.resume import resumed_config
+from quadwalk.train.settings import PRESETS, TrainConfig
 
 
 def parse_config(args: Sequence[str], prog: str = "train.py") -> TrainConfig:

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 import platformdirs
 
 from quadwalk.errors import UsageError
-from quadwalk.train.config import TrainConfig
 from quadwalk.train.distributed import join
+from quadwalk.train.settings import TrainConfig
 
 if TYPE_CHECKING:
     import jax

@@ -9,13 +9,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from quadwalk.errors import UserError
-from quadwalk.train.config import TrainConfig
-from quadwalk.train.progress import Progress
-from quadwalk.train.run import Run
+from quadwalk.train.progress.display import Progress
+from quadwalk.train.runs.directory import Run
+from quadwalk.train.settings import TrainConfig
 from quadwalk.train.stopping import stop_on_signal
 
 if TYPE_CHECKING:
-    from quadwalk.train.saving import Keeper
+    from quadwalk.train.runs.writer import Keeper
 
 CURVE_SECONDS = 30.0  # the learning curve is drawn anew this often
 
@@ -46,7 +46,7 @@ def train(
         from quadwalk.train.setup import prepare
 
         training = prepare(config, progress)
-        from quadwalk.train.saving import Keeper
+        from quadwalk.train.runs.writer import Keeper
 
         keeper = None
         if training.run is not None and training.claim is not None:

@@ -5,7 +5,7 @@ import math
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from quadwalk.env.config import RewardConfig
+from quadwalk.task.config import RewardConfig
 
 EPISODES = 32  # the share of falls is over about this many of the last episodes
 SCORED = 20  # iterations of the judges' speed that tell how good a policy is

@@ -16,10 +16,10 @@ import mujoco
 import numpy as np
 
 from quadwalk.errors import UsageError, UserError, run_command
-from quadwalk.files import why
-from quadwalk.train import checkpoint
-from quadwalk.train.config import TrainConfig, from_dict, to_dict
-from quadwalk.train.run import Run
+from quadwalk.files import os_reason
+from quadwalk.train.runs import checkpoint
+from quadwalk.train.runs.directory import Run
+from quadwalk.train.settings import TrainConfig, from_dict, to_dict
 
 KEPT = 20  # files of a run: enough to see what they have in common
 _MODEL = "model.mjb"
@@ -37,7 +37,7 @@ def keep(
         if sum(1 for _ in run.nan.glob("*.npz")) >= KEPT:
             return None
     except OSError as error:
-        raise UserError(f"cannot write {run.nan}: {why(error)}") from error
+        raise UserError(f"cannot write {run.nan}: {os_reason(error)}") from error
     content = np.empty(mujoco.mj_sizeModel(model), np.uint8)
     mujoco.mj_saveModel(model, None, content)
     arrays = {
@@ -61,11 +61,11 @@ def replay(path: Path | str) -> tuple[np.ndarray, np.ndarray]:
     import jax
     import jax.numpy as jnp
 
-    from quadwalk.env.actuation import joint_target
-    from quadwalk.env.legged import legged
-    from quadwalk.env.legged_physics import simulate
-    from quadwalk.env.physics import Physics
-    from quadwalk.env.robot import robot_arrays, task_robot
+    from quadwalk.physics.fast import simulate
+    from quadwalk.physics.mjx_engine import Physics
+    from quadwalk.physics.model import legged
+    from quadwalk.physics.motor import joint_target
+    from quadwalk.physics.robot_arrays import robot_arrays, task_robot
     from quadwalk.train.robot import load_run_robot
 
     path = Path(path)

@@ -11,7 +11,7 @@ from brax.training.distribution import NormalTanhDistribution
 from brax.training.networks import ACTIVATION
 
 from quadwalk.errors import UsageError
-from quadwalk.train.config import PPOConfig
+from quadwalk.train.settings import PPOConfig
 
 
 def make_networks(

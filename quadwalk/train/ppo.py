@@ -24,7 +24,7 @@ from brax.training.types import Transition
 from jax.sharding import Mesh, NamedSharding
 from jax.sharding import PartitionSpec as P
 
-from quadwalk.train.config import PPOConfig
+from quadwalk.train.settings import PPOConfig
 
 AXIS = "devices"
 Metrics = dict[str, Any]

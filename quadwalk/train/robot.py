@@ -2,8 +2,8 @@
 
 from quadwalk.robot.mjcf import Options
 from quadwalk.robot.quadruped import Quadruped, load_quadruped
-from quadwalk.train.config import RobotConfig
-from quadwalk.train.run import Run
+from quadwalk.train.runs.directory import Run
+from quadwalk.train.settings import RobotConfig
 
 
 def load_robot(config: RobotConfig) -> Quadruped:

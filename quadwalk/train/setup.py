@@ -7,13 +7,11 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 
 from quadwalk.robot.quadruped import Quadruped
 from quadwalk.train import distributed
-from quadwalk.train.config import DistributedConfig, RobotConfig, TrainConfig, to_dict
 from quadwalk.train.devices import choose_devices
 from quadwalk.train.metrics import TrainingMetrics
-from quadwalk.train.progress import Progress
-from quadwalk.train.resume import changed_settings, read_config, restore
+from quadwalk.train.progress.display import Progress
 from quadwalk.train.robot import load_robot, load_run_robot
-from quadwalk.train.run import (
+from quadwalk.train.runs.directory import (
     Run,
     as_json,
     claim,
@@ -23,6 +21,8 @@ from quadwalk.train.run import (
     latest_checkpoint,
     write_json_atomic,
 )
+from quadwalk.train.runs.resume import changed_settings, read_config, restore
+from quadwalk.train.settings import DistributedConfig, RobotConfig, TrainConfig, to_dict
 from quadwalk.train.versions import versions
 
 if TYPE_CHECKING:
@@ -58,7 +58,7 @@ def prepare(config: TrainConfig, progress: Progress) -> Training:
     config, devices = choose_devices(config)
     assert config.envs is not None
     # Imported here, for it must not be before JAX is set up.
-    from quadwalk.env.quadruped import QuadrupedEnv
+    from quadwalk.task.env import QuadrupedEnv
     from quadwalk.train import ppo
     from quadwalk.train.networks import make_networks
 

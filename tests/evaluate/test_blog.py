@@ -9,13 +9,13 @@ import pytest
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
-from quadwalk.env.quadruped import QuadrupedEnv
 from quadwalk.evaluate.foot_force import with_foot_forces
 from quadwalk.evaluate.gait import measure_gait
-from quadwalk.evaluate.mcap import write_mcap
 from quadwalk.evaluate.perturbation import noise_scale
+from quadwalk.evaluate.recording.mcap import write_mcap
 from quadwalk.evaluate.simulate import simulate_episodes
-from quadwalk.train.config import PRESETS
+from quadwalk.task.env import QuadrupedEnv
+from quadwalk.train.settings import PRESETS
 
 STEPS = 50
 LOWER = np.tile([-1.2217, -1.0, -2.77507], 4)

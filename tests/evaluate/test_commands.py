@@ -9,8 +9,8 @@ import pytest
 
 from quadwalk.cli import parse
 from quadwalk.errors import UsageError, UserError
-from quadwalk.evaluate.config import EvalConfig
 from quadwalk.evaluate.evaluation import evaluate
+from quadwalk.evaluate.options import EvalConfig
 from quadwalk.evaluate.provenance import revision
 from quadwalk.evaluate.view import check_screen
 

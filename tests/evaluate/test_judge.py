@@ -12,26 +12,26 @@ from mcap.reader import make_reader
 from PIL import Image
 from rich.console import Console
 
-from quadwalk.env.config import ActuationConfig, EnvConfig
-from quadwalk.env.quadruped import QuadrupedEnv
 from quadwalk.errors import UserError
 from quadwalk.evaluate import judge as judging
 from quadwalk.evaluate import subject as loading
 from quadwalk.evaluate import sweep as sweeping
-from quadwalk.evaluate.comparison import compare
-from quadwalk.evaluate.config import EvalConfig
 from quadwalk.evaluate.engines import engine_differences
 from quadwalk.evaluate.foot_force import with_foot_forces
 from quadwalk.evaluate.judge import judge
+from quadwalk.evaluate.options import EvalConfig
+from quadwalk.evaluate.report.comparison import compare
 from quadwalk.evaluate.simulate import simulate_episodes
 from quadwalk.evaluate.statistics import mean_interval
 from quadwalk.evaluate.subject import Subject, load_subject
 from quadwalk.evaluate.summary import episode_figures, summarise
 from quadwalk.evaluate.sweep import SWEEPS, Point, measure_points, sweep
 from quadwalk.robot.mjcf import write_xml
-from quadwalk.train.config import TrainConfig
-from quadwalk.train.policy import Policy
-from quadwalk.train.run import Run
+from quadwalk.task.config import ActuationConfig, EnvConfig
+from quadwalk.task.env import QuadrupedEnv
+from quadwalk.train.runs.directory import Run
+from quadwalk.train.runs.policy import Policy
+from quadwalk.train.settings import TrainConfig
 
 EPISODES, SECONDS = 4, 0.5
 

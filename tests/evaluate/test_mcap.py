@@ -21,11 +21,11 @@ from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
 from quadwalk.errors import UserError
-from quadwalk.evaluate import mcap as writing
 from quadwalk.evaluate.kinematics import foot_positions, read_tree, world_poses
-from quadwalk.evaluate.mcap import LAYOUT, verify_mcap, write_mcap
-from quadwalk.evaluate.messages import drawn_urdf
-from quadwalk.evaluate.precision import RELATIVE_ERROR
+from quadwalk.evaluate.recording import mcap as writing
+from quadwalk.evaluate.recording.mcap import LAYOUT, verify_mcap, write_mcap
+from quadwalk.evaluate.recording.messages import drawn_urdf
+from quadwalk.evaluate.recording.precision import RELATIVE_ERROR
 from quadwalk.evaluate.trim import first_steps
 
 METADATA = {"version": "1.2.3", "config": '{"seed": 7}'}
@@ -357,7 +357,7 @@ def test_another_process_writes_the_same_bytes(written, trot, quadruped, tmp_pat
     np.savez(source, **arrays, **{f"term_{name}": v for name, v in trot.reward_terms.items()})
     script = f"""
 import numpy as np
-from quadwalk.evaluate.mcap import write_mcap
+from quadwalk.evaluate.recording.mcap import write_mcap
 from quadwalk.evaluate.rollout import Rollout
 from quadwalk.robot.quadruped import load_quadruped
 data = np.load({str(source)!r})

@@ -6,10 +6,6 @@ import mujoco
 import numpy as np
 import pytest
 
-from quadwalk.env.actuation import gains
-from quadwalk.env.config import EnvConfig
-from quadwalk.env.quadruped import QuadrupedEnv
-from quadwalk.env.quiet_mjx import mjx
 from quadwalk.evaluate import perturbation as perturbing
 from quadwalk.evaluate.perturbation import (
     NOISE,
@@ -23,6 +19,10 @@ from quadwalk.evaluate.perturbation import (
     stack_models,
     varied_quadruped,
 )
+from quadwalk.physics.motor import gains
+from quadwalk.physics.quiet_mjx import mjx
+from quadwalk.task.config import EnvConfig
+from quadwalk.task.env import QuadrupedEnv
 
 STEPS, PERIOD = 12, 6  # control steps, and those between pushes
 PUSH = 0.8  # m/s

@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 from quadwalk.errors import UserError
-from quadwalk.evaluate.plots import draw_report, plot_report
+from quadwalk.evaluate.report.plots import draw_report, plot_report
 from quadwalk.evaluate.trim import first_steps
 
 

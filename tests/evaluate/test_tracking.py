@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from quadwalk.env.config import CommandConfig, EnvConfig, RewardConfig
 from quadwalk.evaluate import subject
 from quadwalk.evaluate.gait import measure_gait
 from quadwalk.evaluate.simulate import simulate_episodes
 from quadwalk.evaluate.summary import episode_figures, summarise, typical_episode
 from quadwalk.evaluate.tracking import heading_velocity, path_length, tracking_errors
 from quadwalk.evaluate.trim import first_steps
-from quadwalk.train.config import TrainConfig
-from quadwalk.train.policy import Policy
-from quadwalk.train.run import Run
+from quadwalk.task.config import CommandConfig, EnvConfig, RewardConfig
+from quadwalk.train.runs.directory import Run
+from quadwalk.train.runs.policy import Policy
+from quadwalk.train.settings import TrainConfig
 
 DT, STEPS = 0.02, 200
 WEIGHT = 200.0  # N

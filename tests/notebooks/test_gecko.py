@@ -12,7 +12,7 @@ from benchmarks.gecko_gait import body_contact, contacts_of, figures_of, frames_
 from notebooks.execute import HERE
 from quadwalk.evaluate.gait import measure_gait
 from quadwalk.evaluate.rollout import Rollout
-from quadwalk.train.config import PRESETS, flatten
+from quadwalk.train.settings import PRESETS, flatten
 
 
 @pytest.mark.parametrize("preset", ["blog", "run"])

@@ -16,7 +16,7 @@ import pytest
 from PIL import Image
 
 from notebooks.execute import HERE, execute, folders_named
-from quadwalk.evaluate.mcap import verify_mcap
+from quadwalk.evaluate.recording.mcap import verify_mcap
 
 STEPS = 49_152  # two iterations
 NAMES = ("01_robot", "02_train", "03_evaluate", "04_gecko")

@@ -64,7 +64,7 @@ def train(monkeypatch) -> Callable[..., None]:
     from quadwalk.train.__main__ import parse_config
     from quadwalk.train.loop import train
 
-    monkeypatch.setattr("quadwalk.env.quadruped.QuadrupedEnv", toy.Toy)
+    monkeypatch.setattr("quadwalk.task.env.QuadrupedEnv", toy.Toy)
     return lambda *flags, watch=None: train(parse_config(flags), watch)
 
 

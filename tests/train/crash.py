@@ -11,10 +11,10 @@ import optax
 from brax.training.acme import running_statistics
 from brax.training.agents.ppo import losses
 
-from quadwalk.train.config import TrainConfig
 from quadwalk.train.ppo import Learner, TrainState
-from quadwalk.train.run import Run
-from quadwalk.train.saving import Keeper
+from quadwalk.train.runs.directory import Run
+from quadwalk.train.runs.writer import Keeper
+from quadwalk.train.settings import TrainConfig
 
 
 def save(folder: Path, first: int, last: int, die_at: int | None = None) -> None:

@@ -20,10 +20,10 @@ from jax.sharding import NamedSharding
 from jax.sharding import PartitionSpec as P
 
 from benchmarks.brax_training import compare, learning_curves, params_of, train_with_brax
-from quadwalk.env.config import EnvConfig
+from quadwalk.task.config import EnvConfig
 from quadwalk.train import ppo
-from quadwalk.train.config import PPOConfig
 from quadwalk.train.networks import make_networks
+from quadwalk.train.settings import PPOConfig
 
 ENVS = 32
 SETTINGS = {

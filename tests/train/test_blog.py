@@ -6,12 +6,12 @@ import jax
 import numpy as np
 import pytest
 
-from quadwalk.env.quadruped import QuadrupedEnv
 from quadwalk.robot.quadruped import load_quadruped
+from quadwalk.task.env import QuadrupedEnv
 from quadwalk.train import ppo
-from quadwalk.train.config import PRESETS
 from quadwalk.train.metrics import TrainingMetrics
 from quadwalk.train.networks import make_networks
+from quadwalk.train.settings import PRESETS
 
 ITERATIONS, ENVS = 4, 8
 

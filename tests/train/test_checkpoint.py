@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from quadwalk.errors import UserError
-from quadwalk.train import checkpoint
+from quadwalk.train.runs import checkpoint
 
 POLICY = {"kind": "policy"}
 

@@ -8,12 +8,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from quadwalk.env.config import EnvConfig, RewardConfig
 from quadwalk.errors import UsageError, UserError
+from quadwalk.task.config import EnvConfig, RewardConfig
 from quadwalk.train import devices
 from quadwalk.train.__main__ import parse_config
-from quadwalk.train.config import PRESETS, PPOConfig, TrainConfig, from_dict, to_dict
-from quadwalk.train.resume import changed_settings
+from quadwalk.train.runs.resume import changed_settings
+from quadwalk.train.settings import PRESETS, PPOConfig, TrainConfig, from_dict, to_dict
 
 ROOT = Path(__file__).parents[2]
 

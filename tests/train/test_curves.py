@@ -8,7 +8,7 @@ import pytest
 from matplotlib import image
 
 from quadwalk.errors import UserError
-from quadwalk.train.curves import plot_learning_curve
+from quadwalk.train.progress.curves import plot_learning_curve
 
 
 def rows(count, *keys, **fixed):
@@ -78,5 +78,5 @@ def test_an_old_picture_survives_a_failure(tmp_path):
 
 
 def test_matplotlib_waits_until_it_is_needed():
-    program = "import sys, quadwalk.train.curves; sys.exit('matplotlib' in sys.modules)"
+    program = "import sys, quadwalk.train.progress.curves; sys.exit('matplotlib' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0

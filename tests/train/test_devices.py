@@ -7,7 +7,7 @@ import pytest
 
 from quadwalk.errors import UsageError
 from quadwalk.train import devices
-from quadwalk.train.config import DistributedConfig, PPOConfig, TrainConfig
+from quadwalk.train.settings import DistributedConfig, PPOConfig, TrainConfig
 
 
 @pytest.fixture

@@ -9,8 +9,8 @@ import pytest
 
 from quadwalk.errors import UsageError
 from quadwalk.train.__main__ import parse_config
-from quadwalk.train.log import read_metrics
-from quadwalk.train.run import Run
+from quadwalk.train.runs.directory import Run
+from quadwalk.train.runs.log import read_metrics
 
 ITERATIONS = 300
 

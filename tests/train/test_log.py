@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from quadwalk.errors import UserError
-from quadwalk.train import log
-from quadwalk.train.run import create_run
+from quadwalk.train.runs import log
+from quadwalk.train.runs.directory import create_run
 
 
 @pytest.fixture

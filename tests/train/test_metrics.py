@@ -3,7 +3,7 @@ import math
 
 import pytest
 
-from quadwalk.env.config import RewardConfig
+from quadwalk.task.config import RewardConfig
 from quadwalk.train.metrics import FallRate, TrainingMetrics
 
 

@@ -7,15 +7,16 @@ import mujoco
 import numpy as np
 import pytest
 
-from quadwalk.env.physics import Physics
-from quadwalk.env.quadruped import MAX_SPEED, EnvState, QuadrupedEnv
 from quadwalk.errors import UsageError, UserError
 from quadwalk.paths import ALIENGO_URDF
-from quadwalk.train import checkpoint, nan
-from quadwalk.train.config import PRESETS, RobotConfig, TrainConfig
-from quadwalk.train.log import read_metrics
+from quadwalk.physics.mjx_engine import Physics
+from quadwalk.task.env import MAX_SPEED, EnvState, QuadrupedEnv
+from quadwalk.train import nan
 from quadwalk.train.robot import load_robot
-from quadwalk.train.run import Run, create_run
+from quadwalk.train.runs import checkpoint
+from quadwalk.train.runs.directory import Run, create_run
+from quadwalk.train.runs.log import read_metrics
+from quadwalk.train.settings import PRESETS, RobotConfig, TrainConfig
 
 CONFIG = TrainConfig(robot=RobotConfig(ALIENGO_URDF))
 

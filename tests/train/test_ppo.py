@@ -9,10 +9,10 @@ import pytest
 from brax.envs.base import Env, State
 from jax.sharding import PartitionSpec as P
 
-from quadwalk.env.config import EnvConfig
+from quadwalk.task.config import EnvConfig
 from quadwalk.train import ppo
-from quadwalk.train.config import PPOConfig
 from quadwalk.train.networks import make_networks, mean_policy
+from quadwalk.train.settings import PPOConfig
 
 CONFIG = PPOConfig(
     judges=4, unroll=6, minibatches=2, epochs=2, hidden=(16,), discount=0.9, reward_scale=0.5

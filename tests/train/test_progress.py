@@ -14,11 +14,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
-from quadwalk.train import progress as module
-from quadwalk.train import progress_text as text
-from quadwalk.train import progress_view as view
-from quadwalk.train.progress import Progress
-from quadwalk.train.progress_state import State
+from quadwalk.train.progress import display as module
+from quadwalk.train.progress import text, view
+from quadwalk.train.progress.display import Progress
+from quadwalk.train.progress.state import State
 
 FIGURES = {
     "train/speed": 2.5,
@@ -213,7 +212,7 @@ def test_a_simple_terminal_gets_plain_lines(monkeypatch, encoding, term):
 
 def test_it_shows_at_once_on_a_real_terminal():
     program = (
-        "from quadwalk.train.progress import Progress\n"
+        "from quadwalk.train.progress.display import Progress\n"
         "import time\n"
         "with Progress(10) as p:\n"
         "    p.phase('loading'); time.sleep(30)\n"
@@ -235,7 +234,7 @@ def test_it_shows_at_once_on_a_real_terminal():
 
 def test_the_import_brings_in_nothing_heavy():
     program = (
-        "import sys, quadwalk.train.progress; "
+        "import sys, quadwalk.train.progress.display; "
         "sys.exit(bool({'jax', 'numpy', 'matplotlib'} & set(sys.modules)))"
     )
     assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0

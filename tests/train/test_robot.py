@@ -5,9 +5,9 @@ import trimesh
 
 from quadwalk.paths import ALIENGO_URDF
 from quadwalk.robot.urdf import UrdfError
-from quadwalk.train.config import RobotConfig
 from quadwalk.train.robot import load_robot, load_run_robot
-from quadwalk.train.run import Run
+from quadwalk.train.runs.directory import Run
+from quadwalk.train.settings import RobotConfig
 
 BOX = '<box size="0.647 0.15 0.112"/>'
 

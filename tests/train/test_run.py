@@ -3,7 +3,8 @@ import os
 import pytest
 
 from quadwalk.errors import UsageError, UserError
-from quadwalk.train import checkpoint, run
+from quadwalk.train.runs import checkpoint
+from quadwalk.train.runs import directory as run
 
 
 def test_a_new_run_has_its_folders(tmp_path):

@@ -10,13 +10,13 @@ import pytest
 from brax.training.acme import running_statistics, specs
 
 from quadwalk.errors import UserError
-from quadwalk.train.config import PPOConfig, TrainConfig
-from quadwalk.train.log import read_metrics
 from quadwalk.train.networks import make_networks
-from quadwalk.train.policy import load_policy, load_score
 from quadwalk.train.ppo import Learner, TrainState
-from quadwalk.train.run import Run, create_run, list_checkpoints
-from quadwalk.train.saving import KEPT_CHECKPOINTS, Keeper
+from quadwalk.train.runs.directory import Run, create_run, list_checkpoints
+from quadwalk.train.runs.log import read_metrics
+from quadwalk.train.runs.policy import load_policy, load_score
+from quadwalk.train.runs.writer import KEPT_CHECKPOINTS, Keeper
+from quadwalk.train.settings import PPOConfig, TrainConfig
 
 CONFIG = TrainConfig(ppo=PPOConfig(hidden=(4,)))
 JOINTS = tuple(f"joint_{index}" for index in range(12))
@@ -66,7 +66,7 @@ def save(keeper, training, state, *scores):
 
 @pytest.fixture(autouse=True)
 def _small_checkpoints(monkeypatch):
-    from quadwalk.train import checkpoint
+    from quadwalk.train.runs import checkpoint
 
     whole = checkpoint.save
 
@@ -110,7 +110,7 @@ def test_a_best_policy_that_is_damaged_is_told_and_replaced(run, training, state
 
 
 def test_a_policy_that_tells_no_score_is_named(tmp_path):
-    from quadwalk.train import checkpoint
+    from quadwalk.train.runs import checkpoint
 
     checkpoint.save(tmp_path / "old.npz", {"a": np.zeros(1)}, {"kind": "policy", "steps": 3})
     with pytest.raises(UserError, match=r"old\.npz does not say how good"):

@@ -13,17 +13,17 @@ import pytest
 import toy
 
 from quadwalk.errors import UserError
-from quadwalk.train import checkpoint
-from quadwalk.train.config import PPOConfig
-from quadwalk.train.log import read_metrics
-from quadwalk.train.policy import load_policy
-from quadwalk.train.run import (
+from quadwalk.train.runs import checkpoint
+from quadwalk.train.runs.directory import (
     Run,
     clean,
     create_run,
     latest_checkpoint,
     list_checkpoints,
 )
+from quadwalk.train.runs.log import read_metrics
+from quadwalk.train.runs.policy import load_policy
+from quadwalk.train.settings import PPOConfig
 
 ITERATIONS = 60
 OFTEN = "--checkpoint-steps=128"  # after every second iteration
@@ -164,7 +164,7 @@ def small_disk(tmp_path):
 def test_a_full_disk_ends_no_training(
     whole, tmp_path, small_disk, flags, train, same_result, capsys, monkeypatch, freed
 ):
-    from quadwalk.train.saving import Keeper
+    from quadwalk.train.runs.writer import Keeper
 
     folder, fill, empty = small_disk
     append = Keeper.row

@@ -6,11 +6,12 @@ import jax
 import numpy as np
 import pytest
 
-from quadwalk.env.quadruped import QuadrupedEnv
 from quadwalk.robot.quadruped import load_quadruped
-from quadwalk.train import checkpoint, ppo
-from quadwalk.train.config import PRESETS
+from quadwalk.task.env import QuadrupedEnv
+from quadwalk.train import ppo
 from quadwalk.train.networks import make_networks
+from quadwalk.train.runs import checkpoint
+from quadwalk.train.settings import PRESETS
 
 ENVS = 16
 

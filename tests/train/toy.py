@@ -12,19 +12,19 @@ from typing import Any
 # Before JAX is imported, for this module is what a process begins with.
 os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
 
-import quadwalk.env.quiet_mjx  # noqa: I001 - first, for the others would let it print
+import quadwalk.physics.quiet_mjx  # noqa: I001 - first, for the others would let it print
 import jax
 import jax.numpy as jnp
 import mujoco
 from brax.envs.base import Env, State
 
-import quadwalk.env.quadruped
-import quadwalk.train.curves
-import quadwalk.train.saving
+import quadwalk.task.env
+import quadwalk.train.progress.curves
+import quadwalk.train.runs.writer
 import quadwalk.train.setup
-from quadwalk.env.config import EnvConfig
-from quadwalk.env.physics import Physics
-from quadwalk.env.quadruped import EnvState
+from quadwalk.task.config import EnvConfig
+from quadwalk.physics.mjx_engine import Physics
+from quadwalk.task.env import EnvState
 from quadwalk.errors import run_command
 from quadwalk.train.__main__ import main
 
@@ -78,7 +78,7 @@ class Toy(Env):
 
 def command(output: Path, *flags: str) -> None:
     """Be `train.py` with `flags` on the toy, in a process of its own; all it says to `output`."""
-    quadwalk.env.quadruped.QuadrupedEnv = Toy
+    quadwalk.task.env.QuadrupedEnv = Toy
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     descriptor = os.open(output, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
     for stream in (1, 2):

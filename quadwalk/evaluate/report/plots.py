@@ -1,0 +1,248 @@
+"""One picture of an episode: its steps, its speed, what its joints did, and where it ran."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from quadwalk.evaluate import kinematics
+from quadwalk.evaluate.footfalls import contact_spans, without_chatter
+from quadwalk.evaluate.gait import footfalls_of, measure_gait
+from quadwalk.evaluate.rollout import Rollout
+from quadwalk.evaluate.tracking import heading_velocity
+from quadwalk.evaluate.trim import finite_part
+from quadwalk.files import atomic_write
+from quadwalk.robot.quadruped import Quadruped
+
+WINDOW = 3.0  # s shown of what repeats with each stride
+SMOOTHING = 0.5  # s, over which reward terms are averaged, to show their course
+DPI = 100
+
+LEG_COLOURS = ("#d1495b", "#00798c", "#edae49", "#30638e")  # FR, FL, RR, RL
+INK, _FAINT = "#22262b", "#9aa3ad"
+_PARTS = ("hip", "thigh", "calf")
+
+
+def plot_report(rollout: Rollout, quadruped: Quadruped, path: str | Path, title: str = "") -> None:
+    """Write the report of one episode to `path` as PNG; `title` goes before its own headline.
+
+    Speed, posture, rewards and the path are shown from beginning to end; footfalls, angles and
+    torques over the last `WINDOW` seconds, where strides can be told apart. Raises `UserError`
+    where the file cannot be written.
+    """
+    save_figure(draw_report(rollout, quadruped, title), path)
+
+
+def save_figure(figure: Figure, path: str | Path) -> None:
+    """Write a figure as PNG; the same figure gives the same bytes."""
+    with atomic_write(path) as file:
+        # Without the software's version, for longer.
+        figure.savefig(file, format="png", dpi=DPI, metadata={"Software": None})
+
+
+def draw_report(rollout: Rollout, quadruped: Quadruped, title: str = "") -> Figure:
+    """The report as a figure, 16 by 18 inches."""
+    shown = finite_part(rollout)
+    figure = Figure(figsize=(16, 18), layout="constrained")
+    FigureCanvasAgg(figure)
+    figure.suptitle(_headline(rollout, quadruped, title), fontsize=15, x=0.01, ha="left")
+    # Each row lays out its own panels, so that one's long labels do not squeeze the others.
+    rows: Any = figure.subfigures(5, 1, height_ratios=(0.85, 1.2, 1.2, 1.2, 1.6))
+    draw_footfalls(rows[0].subplots(), shown, quadruped)
+    speed, posture = rows[1].subplots(1, 2)
+    (draw_speed if shown.command is None else _draw_following)(speed, shown)
+    _posture(posture, shown)
+    for part, (angles, torques) in enumerate(
+        zip(rows[2].subplots(1, 3), rows[3].subplots(1, 3), strict=True)
+    ):
+        _angles(angles, shown, quadruped, part)
+        _torques(torques, shown, quadruped, part)
+    rewards, path = rows[4].subplots(1, 2, width_ratios=(8, 7))
+    _rewards(rewards, shown)
+    _path(path, shown)
+    for axes in figure.axes:
+        axes.spines[["top", "right"]].set_visible(False)
+        axes.tick_params(labelsize=9)
+        axes.grid(alpha=0.25, linewidth=0.6)
+        axes.set_axisbelow(True)
+    return figure
+
+
+def _headline(rollout: Rollout, quadruped: Quadruped, title: str) -> str:
+    gait = measure_gait(rollout, quadruped)
+    ended = (
+        f"fell ({gait.end}) after {gait.duration:.1f} s" if gait.fell else f"{gait.duration:.1f} s"
+    )
+    figures = [
+        f"{quadruped.name}, episode {rollout.episode}, seed {rollout.seed}",
+        ended,
+        f"{gait.speed:.2f} m/s" if np.isfinite(gait.speed) else "",
+        gait.gait,
+        f"{gait.stride_frequency:.1f} strides/s of {gait.stride_length:.2f} m"
+        if np.isfinite(gait.stride_length)
+        else "",
+        f"cost of transport {gait.cost_of_transport:.2f}"
+        if np.isfinite(gait.cost_of_transport)
+        else "",
+    ]
+    line = "  ·  ".join(figure for figure in figures if figure)
+    return f"{title}\n{line}" if title else line
+
+
+def _window(rollout: Rollout) -> int:
+    """The first step of the last `WINDOW` seconds."""
+    return max(rollout.steps - round(WINDOW / rollout.control_dt), 0)
+
+
+def draw_footfalls(axes: Axes, rollout: Rollout, quadruped: Quadruped) -> None:
+    """The gait diagram: when each foot was on the ground, over the last `WINDOW` seconds."""
+    start, dt = _window(rollout), rollout.control_dt
+    contact = without_chatter(rollout.contact, dt)[start:]
+    order = (1, 0, 3, 2)  # left above right, fore above hind, as one draws footfalls
+    for line, foot in enumerate(reversed(order)):
+        # A row's contact is known at its step's end, and drawn over that step.
+        bars = [((start + a) * dt, (b - a) * dt) for a, b in contact_spans(contact[:, foot])]
+        axes.broken_barh(bars, (line - 0.36, 0.72), color=LEG_COLOURS[foot])
+    feet = footfalls_of(rollout)
+    duty, phase = _percent(feet.duty_factor), _percent(feet.phase)
+    labels = [f"{quadruped.legs[k]}   duty {duty[k]}, phase {phase[k]}" for k in reversed(order)]
+    axes.set_yticks(range(4), labels)
+    axes.set_ylim(-0.6, 3.6)
+    axes.set_xlim(start * dt, max(rollout.steps, start + 1) * dt)
+    axes.set_title("Feet on the ground (gait diagram)", loc="left", fontsize=11)
+    axes.set_xlabel("time, s", fontsize=9)
+
+
+def _percent(values: np.ndarray) -> list[str]:
+    return [f"{100 * value:.0f} %" if np.isfinite(value) else "none" for value in values]
+
+
+def draw_speed(axes: Axes, rollout: Rollout) -> None:
+    """Speed of the base in the world, ahead and to the left, from beginning to end."""
+    for column, label, colour in ((0, "ahead", LEG_COLOURS[3]), (1, "left", LEG_COLOURS[2])):
+        axes.plot(rollout.time, rollout.qvel[:, column], color=colour, label=label, linewidth=1.2)
+    mean = rollout.qvel[:, 0].mean()
+    axes.axhline(mean, color=INK, linewidth=0.9, linestyle="--", label=f"mean {mean:.2f}")
+    axes.margins(y=0.15)
+    _finish(axes, "Speed of the base in the world, m/s", rollout.time)
+
+
+def _draw_following(axes: Axes, rollout: Rollout) -> None:
+    assert rollout.command is not None
+    velocity, time = heading_velocity(rollout), rollout.time[1:]
+    for column, label in enumerate(("ahead", "left", "turning, rad/s")):
+        colour = LEG_COLOURS[3 - column]
+        axes.plot(time, velocity[:, column], color=colour, label=label, linewidth=0.9, alpha=0.7)
+        axes.plot(time, rollout.command[:, column], color=colour, linewidth=1.6, linestyle="--")
+    axes.margins(y=0.15)
+    _finish(
+        axes, "Velocity in the frame of the heading and, dashed, its command, m/s", rollout.time
+    )
+
+
+def _posture(axes: Axes, rollout: Rollout) -> None:
+    axes.plot(rollout.time, rollout.qpos[:, 2], color=INK, linewidth=1.4, label="height, m")
+    angles = kinematics.rpy_from_quat(kinematics.quat_normalised(rollout.qpos[:, 3:7]))
+    for column, name in enumerate(("roll", "pitch", "yaw")):
+        values = np.unwrap(angles[:, column]) if name == "yaw" else angles[:, column]
+        colour = LEG_COLOURS[column]
+        axes.plot(rollout.time, values, color=colour, linewidth=0.9, label=f"{name}, rad")
+    axes.margins(y=0.15)
+    _finish(axes, "Height and attitude of the base", rollout.time)
+
+
+def _angles(axes: Axes, rollout: Rollout, quadruped: Quadruped, part: int) -> None:
+    start = _window(rollout)
+    time = rollout.time[start:]
+    for leg, name in enumerate(quadruped.legs):
+        column = 3 * leg + part
+        axes.plot(time, rollout.qpos[start:, 7 + column], color=LEG_COLOURS[leg], label=name)
+        if rollout.steps:
+            target = rollout.target[start:, column]
+            axes.plot(time[:-1], target, color=LEG_COLOURS[leg], linewidth=0.6, alpha=0.6)
+    _limits(axes, quadruped.lower[part::3].max(), quadruped.upper[part::3].min())
+    _finish(axes, f"{_PARTS[part].capitalize()} angles (thin: targets) and limits, rad", time)
+
+
+def _torques(axes: Axes, rollout: Rollout, quadruped: Quadruped, part: int) -> None:
+    start = _window(rollout)
+    time = rollout.time[start:]
+    effort = float(quadruped.effort[part::3].min())
+    peaks = []
+    for leg, name in enumerate(quadruped.legs):
+        column = 3 * leg + part
+        torque = rollout.torque[:, column]
+        axes.step(time[1:], torque[start:], color=LEG_COLOURS[leg], label=name, linewidth=1.0)
+        if len(torque):
+            peaks.append(np.abs(torque).max() / quadruped.effort[column])
+    _limits(axes, -effort, effort)
+    rates = np.abs(rollout.qvel[:, 6 + part :: 3]).max() / quadruped.velocity[part::3].min()
+    _finish(axes, f"{_PARTS[part].capitalize()} torques and limits, Nm", time)
+    if peaks:
+        most = f"peak torque {100 * max(peaks):.0f} %, speed {100 * rates:.0f} % of the limit"
+        axes.text(0.01, 0.08, most, transform=axes.transAxes, fontsize=8, color=INK)
+
+
+def _limits(axes: Axes, low: float, high: float) -> None:
+    for value in (low, high):
+        axes.axhline(value, color="#b00020", linewidth=1.2, linestyle=(0, (6, 3)))
+    span = high - low
+    axes.set_ylim(low - 0.06 * span, high + 0.22 * span)  # room for the legend
+
+
+def _rewards(axes: Axes, rollout: Rollout) -> None:
+    series = {"total": rollout.reward, **rollout.reward_terms}
+    width = max(round(SMOOTHING / rollout.control_dt), 1)
+    time = rollout.time[1:]
+    for index, (name, values) in enumerate(series.items()):
+        style = (
+            {"color": INK, "linewidth": 2.0}
+            if name == "total"
+            else {"color": f"C{(index - 1) % 10}", "linestyle": "-" if index <= 10 else "--"}
+        )
+        values = np.nan_to_num(np.asarray(values, dtype=float))
+        mean = f"{values.mean():.3g}" if len(values) else "-"
+        axes.plot(time, _smooth(values, width), label=f"{name}  {mean}", **style)
+    title = f"Reward and its raw terms, mean of {SMOOTHING:g} s (in the legend: of all)"
+    _finish(axes, title, rollout.time, outside=True)
+    axes.set_yscale("symlog", linthresh=0.1)  # raw terms differ in size by orders
+    axes.yaxis.set_major_formatter("{x:g}")
+
+
+def _smooth(values: np.ndarray, width: int) -> np.ndarray:
+    """Mean of the last `width` values (of as many as there are, in the beginning)."""
+    sums = np.concatenate([[0.0], np.cumsum(values)])
+    ends = np.arange(1, len(values) + 1)
+    starts = np.maximum(ends - width, 0)
+    return (sums[ends] - sums[starts]) / (ends - starts)
+
+
+def _path(axes: Axes, rollout: Rollout) -> None:
+    x, y = rollout.qpos[:, 0], rollout.qpos[:, 1]
+    axes.axhline(0.0, color=_FAINT, linewidth=0.8, linestyle="--")
+    axes.plot(x, y, color=LEG_COLOURS[3], linewidth=1.6)
+    seconds = np.arange(0, rollout.steps + 1, max(round(1 / rollout.control_dt), 1))
+    axes.plot(x[seconds], y[seconds], "o", color=LEG_COLOURS[3], markersize=3, label="each second")
+    axes.plot(x[0], y[0], "o", color="#2a9d5c", markersize=8, label="start")
+    axes.plot(x[-1], y[-1], "X", color="#b00020", markersize=9, label="end")
+    # Equal scales, so that a drift looks as large as it is. The box is about twice as wide as high.
+    half = max(np.ptp(x) / 2, np.ptp(y), 1.0) * 1.1
+    middle = (x.max() + x.min()) / 2, (y.max() + y.min()) / 2
+    axes.set_xlim(middle[0] - half, middle[0] + half)
+    axes.set_ylim(middle[1] - half / 2, middle[1] + half / 2)
+    axes.set_aspect("equal", adjustable="box")
+    axes.set_title("Path from above, m (x ahead, y to the left)", loc="left", fontsize=11)
+    axes.legend(fontsize=8, frameon=False, loc="upper left")
+
+
+def _finish(axes: Axes, title: str, time: np.ndarray, outside: bool = False) -> None:
+    axes.set_title(title, loc="left", fontsize=11)
+    axes.set_xlim(time[0], time[-1] if len(time) > 1 else time[0] + 0.02)
+    axes.set_xlabel("time, s", fontsize=9)
+    if outside:
+        axes.legend(fontsize=8, frameon=False, loc="upper left", bbox_to_anchor=(1.0, 1.02))
+    else:
+        axes.legend(fontsize=8, frameon=False, ncols=4, loc="upper right")

@@ -1,0 +1,267 @@
+"""Rigid-body dynamics of a floating trunk with four legs of three hinges each.
+
+The equations are those of MuJoCo (composite rigid bodies for the mass matrix, recursive
+Newton-Euler for the bias forces: Featherstone 2008, Rigid Body Dynamics Algorithms), with what all
+quadrupeds share taken for granted, so that four legs and thousands of robots are computed
+side by side: an array is (4, robots) for a quantity of a leg, (robots,) for one of the trunk.
+
+Everything is in the world's axes about the trunk's origin. A generalised vector is `Motion`: the
+trunk's linear and angular part, then the joints'. MuJoCo's own has the angular part in trunk axes.
+"""
+
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+
+from quadwalk.physics import vectors as v
+from quadwalk.physics.vectors import Matrix, Vector
+
+LINKS = 3  # of a leg: hip, thigh, calf
+
+
+class Link(NamedTuple):
+    """Constants of one link of each leg; arrays (4, 1), frames of the link and its parent."""
+
+    offset: Vector  # of the link's origin from its parent's, parent frame, m
+    axis: Vector  # of its joint, parent frame
+    turn: tuple[Matrix, Matrix, Matrix]  # its rotation in the parent is [0] + cos [1] + sin [2]
+    mass: Any  # kg
+    centre: Vector  # of mass, link frame, m
+    inertia: tuple[Any, ...]  # about the centre, link frame, kg m^2: xx yy zz xy xz yz
+    armature: Any  # kg m^2
+    damping: Any  # N m s/rad
+
+
+class Trunk(NamedTuple):
+    """Constants of the trunk, scalars."""
+
+    mass: Any
+    centre: Vector
+    inertia: tuple[Any, ...]
+
+
+class Motion(NamedTuple):
+    """A velocity, acceleration or force of the whole robot."""
+
+    linear: Vector  # of the trunk's origin, arrays (robots,)
+    angular: Vector  # of the trunk, world axes
+    joints: Vector  # hip, thigh, calf, arrays (4, robots)
+
+
+class Pose(NamedTuple):
+    """Where everything is, relative to the trunk's origin."""
+
+    trunk: Matrix  # rotation
+    rotations: tuple[Matrix, ...]  # of the links
+    origins: tuple[Vector, ...]  # of the links: their joints are there
+    axes: tuple[Vector, ...]  # of the joints
+
+
+class Composite(NamedTuple):
+    """Mass, first and second moments of mass about the trunk's origin."""
+
+    mass: Any
+    moment: Vector  # mass * centre
+    inertia: tuple[Any, ...]  # xx yy zz xy xz yz
+
+
+class MassMatrix(NamedTuple):
+    """The symmetric joint-space inertia: an arrow, as legs only meet at the trunk."""
+
+    base: tuple[tuple[Any, ...], ...]  # 6 x 6, arrays (robots,)
+    cross: tuple[tuple[Any, ...], ...]  # a column of 6 for each joint, arrays (4, robots)
+    legs: tuple[tuple[Any, ...], ...]  # 3 x 3, arrays (4, robots)
+
+
+def rotation_of(quat: tuple[Any, ...]) -> Matrix:
+    """The matrix of a quaternion wxyz, which need not have length 1."""
+    w, x, y, z = quat
+    n = 2.0 / (w * w + x * x + y * y + z * z)
+    return (
+        (1 - n * (y * y + z * z), n * (x * y - w * z), n * (x * z + w * y)),
+        (n * (x * y + w * z), 1 - n * (x * x + z * z), n * (y * z - w * x)),
+        (n * (x * z - w * y), n * (y * z + w * x), 1 - n * (x * x + y * y)),
+    )
+
+
+def pose_of(links: tuple[Link, ...], trunk: Matrix, angles: Vector) -> Pose:
+    """Forward kinematics, from the trunk's rotation and the joint angles (4, robots), rad."""
+    rotation, origin = trunk, None
+    rotations, origins, axes = [], [], []
+    for link, angle in zip(links, angles, strict=True):
+        cos, sin = jnp.cos(angle), jnp.sin(angle)
+        fixed, with_cos, with_sin = link.turn
+        x, y, z = (
+            tuple(fixed[i][j] + cos * with_cos[i][j] + sin * with_sin[i][j] for j in range(3))
+            for i in range(3)
+        )
+        step = v.apply(rotation, link.offset)
+        origin = step if origin is None else v.add(origin, step)
+        axes.append(v.apply(rotation, link.axis))
+        rotation = v.multiply(rotation, (x, y, z))  # type: ignore[arg-type]
+        rotations.append(rotation)
+        origins.append(origin)
+    return Pose(trunk, tuple(rotations), tuple(origins), tuple(axes))
+
+
+def world_inertia(rotation: Matrix, inertia: tuple[Any, ...]) -> tuple[Any, ...]:
+    """R I R^T as xx yy zz xy xz yz."""
+    xx, yy, zz, xy, xz, yz = inertia
+    half = v.multiply(rotation, ((xx, xy, xz), (xy, yy, yz), (xz, yz, zz)))
+    pairs = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+    return tuple(v.dot(half[i], rotation[j]) for i, j in pairs)
+
+
+def composite(mass: Any, centre: Vector, inertia: tuple[Any, ...]) -> Composite:
+    """A body's, from its centre of mass relative to the trunk's origin and inertia about it."""
+    moment = v.scale(mass, centre)
+    (x, y, z), (mx, my, mz) = centre, moment
+    shift = (y * my + z * mz, x * mx + z * mz, x * mx + y * my, -x * my, -x * mz, -y * mz)
+    return Composite(mass, moment, tuple(a + b for a, b in zip(inertia, shift, strict=True)))
+
+
+def combine(a: Composite, b: Composite) -> Composite:
+    """Two bodies that move as one."""
+    return Composite(
+        a.mass + b.mass,
+        v.add(a.moment, b.moment),
+        tuple(x + y for x, y in zip(a.inertia, b.inertia, strict=True)),
+    )
+
+
+def turn_by(inertia: tuple[Any, ...], a: Vector) -> Vector:
+    """I a, of a symmetric matrix."""
+    xx, yy, zz, xy, xz, yz = inertia
+    return (
+        xx * a[0] + xy * a[1] + xz * a[2],
+        xy * a[0] + yy * a[1] + yz * a[2],
+        xz * a[0] + yz * a[1] + zz * a[2],
+    )
+
+
+class Bodies(NamedTuple):
+    """Centres of mass and inertias in world axes, the centres relative to the trunk's origin."""
+
+    centres: tuple[Vector, ...]  # links
+    inertias: tuple[tuple[Any, ...], ...]  # links, about their centres
+    trunk_centre: Vector
+    trunk_inertia: tuple[Any, ...]
+
+
+def place_bodies(trunk: Trunk, links: tuple[Link, ...], pose: Pose) -> Bodies:
+    """Centres and inertias at a pose."""
+    return Bodies(
+        tuple(
+            v.add(origin, v.apply(rotation, link.centre))
+            for link, rotation, origin in zip(links, pose.rotations, pose.origins, strict=True)
+        ),
+        tuple(
+            world_inertia(rotation, link.inertia)
+            for link, rotation in zip(links, pose.rotations, strict=True)
+        ),
+        v.apply(pose.trunk, trunk.centre),
+        world_inertia(pose.trunk, trunk.inertia),
+    )
+
+
+def mass_matrix(trunk: Trunk, links: tuple[Link, ...], pose: Pose, bodies: Bodies) -> MassMatrix:
+    """The composite-rigid-body algorithm."""
+    below: Composite | None = None
+    columns: list[tuple[Any, ...]] = []  # hip, thigh, calf: force then torque on the trunk
+    legs: list[list[Any]] = [[None] * LINKS for _ in range(LINKS)]
+    for i in reversed(range(LINKS)):
+        link = links[i]
+        own = composite(link.mass, bodies.centres[i], bodies.inertias[i])
+        below = own if below is None else combine(own, below)
+        axis, origin = pose.axes[i], pose.origins[i]
+        # Turning at unit speed about the joint, as motion of the trunk's origin.
+        sweep = v.cross(origin, axis)
+        force = v.add(v.scale(below.mass, sweep), v.cross(axis, below.moment))
+        torque = v.add(turn_by(below.inertia, axis), v.cross(below.moment, sweep))
+        columns.insert(0, force + torque)
+        for j in range(i + 1):
+            outer, at = pose.axes[j], pose.origins[j]
+            legs[i][j] = legs[j][i] = v.dot(outer, v.subtract(torque, v.cross(at, force)))
+        legs[i][i] = legs[i][i] + link.armature
+    assert below is not None
+    whole = composite(trunk.mass, bodies.trunk_centre, bodies.trunk_inertia)
+    leg_sum = Composite(
+        v.legs_sum(below.mass),
+        tuple(v.legs_sum(x) for x in below.moment),  # type: ignore[arg-type]
+        tuple(v.legs_sum(x) for x in below.inertia),
+    )
+    mass, (x, y, z), (xx, yy, zz, xy, xz, yz) = combine(whole, leg_sum)
+    o = jnp.zeros_like(x)
+    mass = mass + o
+    base = (
+        (mass, o, o, o, z, -y),
+        (o, mass, o, -z, o, x),
+        (o, o, mass, y, -x, o),
+        (o, -z, y, xx, xy, xz),
+        (z, o, -x, xy, yy, yz),
+        (-y, x, o, xz, yz, zz),
+    )
+    return MassMatrix(base, tuple(columns), tuple(tuple(row) for row in legs))
+
+
+def bias_force(
+    trunk: Trunk,
+    links: tuple[Link, ...],
+    pose: Pose,
+    bodies: Bodies,
+    velocity: Motion,
+    gravity: Vector,
+) -> Motion:
+    """Coriolis, centrifugal and gravitational forces: what holds the acceleration at 0."""
+    spin = velocity.angular
+
+    def newton_euler(
+        mass: Any,
+        centre: Vector,
+        inertia: tuple[Any, ...],
+        w: Vector,
+        turning: Vector,
+        at: Vector,
+        acceleration: Vector,
+    ) -> tuple[Vector, Vector]:
+        """Force, and torque about the trunk's origin, that a body's motion takes."""
+        arm = v.subtract(centre, at)
+        centre_acceleration = v.add(
+            acceleration, v.cross(turning, arm), v.cross(w, v.cross(w, arm))
+        )
+        force = v.scale(mass, v.subtract(centre_acceleration, gravity))
+        torque = v.add(turn_by(inertia, turning), v.cross(w, turn_by(inertia, w)))
+        return force, v.add(torque, v.cross(centre, force))
+
+    w, turning, at, acceleration = spin, None, None, None
+    forces: list[tuple[Vector, Vector]] = []
+    for i, link in enumerate(links):
+        origin, axis = pose.origins[i], pose.axes[i]
+        arm = origin if at is None else v.subtract(origin, at)
+        moved = v.cross(w, v.cross(w, arm))
+        if turning is not None and acceleration is not None:
+            moved = v.add(acceleration, v.cross(turning, arm), moved)
+        rate = v.scale(velocity.joints[i], axis)
+        change = v.cross(w, rate)
+        turning = change if turning is None else v.add(turning, change)
+        w, at, acceleration = v.add(w, rate), origin, moved
+        forces.append(
+            newton_euler(
+                link.mass, bodies.centres[i], bodies.inertias[i], w, turning, at, acceleration
+            )
+        )
+    joints: list[Any] = []
+    force, torque = forces[-1]
+    for i in reversed(range(LINKS)):
+        if i < LINKS - 1:
+            force, torque = v.add(force, forces[i][0]), v.add(torque, forces[i][1])
+        about = v.subtract(torque, v.cross(pose.origins[i], force))
+        joints.insert(0, v.dot(pose.axes[i], about))
+    centre, inertia = bodies.trunk_centre, bodies.trunk_inertia
+    trunk_force = v.scale(trunk.mass, v.subtract(v.cross(spin, v.cross(spin, centre)), gravity))
+    trunk_torque = v.add(v.cross(spin, turn_by(inertia, spin)), v.cross(centre, trunk_force))
+    return Motion(
+        v.add(trunk_force, tuple(v.legs_sum(x) for x in force)),  # type: ignore[arg-type]
+        v.add(trunk_torque, tuple(v.legs_sum(x) for x in torque)),  # type: ignore[arg-type]
+        tuple(joints),  # type: ignore[arg-type]
+    )

@@ -1,0 +1,39 @@
+"""Fresh, varied starts."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from quadwalk.physics.fast import heights
+from quadwalk.physics.mjx_engine import Physics
+from quadwalk.physics.model import Legged
+from quadwalk.physics.robot_arrays import RobotArrays
+from quadwalk.physics.rotation import from_euler
+from quadwalk.task.config import ResetConfig
+
+
+def fresh_start(legged: Legged, robot: RobotArrays, config: ResetConfig, key: jax.Array) -> Physics:
+    """A start near the home pose, its lowest foot just on the floor, or near the given pose."""
+    keys = jax.random.split(key, 4)
+    pose = jax.random.uniform(keys[0], (4,), minval=-1.0, maxval=1.0)
+    joints = jax.random.uniform(keys[1], (12,), minval=-1.0, maxval=1.0)
+    velocity = jax.random.uniform(keys[2], (6,), minval=-1.0, maxval=1.0)
+    speed = jax.random.uniform(keys[3], (13,), minval=-1.0, maxval=1.0)
+
+    qpos = jnp.asarray(robot.home, jnp.float32)
+    qpos = qpos.at[1].set(config.offset * pose[0])
+    quat = from_euler(config.tilt * pose[1], config.tilt * pose[2], config.yaw * pose[3])
+    qpos = qpos.at[3:7].set(quat)
+    middle = robot.home_joints if config.pose is None else np.tile(config.pose, 4)
+    angles = jnp.clip(middle + config.joints * joints, robot.lower, robot.upper)
+    qpos = qpos.at[7:].set(angles)
+    if config.height is None:
+        feet, _ = heights(legged, qpos)
+        qpos = qpos.at[2].add(-jnp.min(feet))
+    else:
+        qpos = qpos.at[2].set(config.height)
+
+    qvel = jnp.zeros(18).at[:6].set(config.velocity * velocity)
+    qvel = qvel.at[0].add(config.forward * (speed[12] + 1.0) / 2.0)
+    qvel = qvel.at[6:].set(config.joint_velocity * speed[:12])
+    return Physics(qpos, qvel, jnp.zeros(18))

@@ -1,0 +1,145 @@
+"""The learning curve as a picture."""
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from quadwalk.files import atomic_write
+from quadwalk.train.progress.text import quantity
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+_TERM = "train/reward/"
+_ELAPSED = "time/elapsed"
+_COLUMNS = 4  # small panels in a row
+_LARGE_HEIGHT, _SMALL_HEIGHT = 3.6, 1.7  # inches
+_NICE = [1, 2, 2.5, 5, 10]  # what the first figure of a tick's distance may be
+_BLUE, _RED, _GREEN, _GREY = "#2a6fbb", "#c44536", "#2e8b57", "#5f6b7a"
+
+Row = Mapping[str, Any]
+
+
+def plot_learning_curve(metrics: Sequence[Row], path: Path | str) -> None:
+    """Draw speed, falls, total reward and every reward term over environment steps, as a PNG.
+
+    Evaluations are marks on the first two. If rows have "time/elapsed" (s), as those of
+    `read_history` may, minutes are a second axis. What was never recorded leaves its panel empty,
+    NaN and None leave a gap. The picture appears whole or not at all (`UserError`).
+    """
+    # The object interface: pyplot would keep the figure in a global list and look for a display.
+    # Imported here, because it takes time that most callers of this package never need.
+    from matplotlib.figure import Figure
+
+    rows = sorted(metrics, key=lambda row: row["steps"])
+    terms = list(dict.fromkeys(key for row in rows for key in row if key.startswith(_TERM)))
+    small_rows = math.ceil(len(terms) / _COLUMNS)
+    heights = [_LARGE_HEIGHT] + [_SMALL_HEIGHT * small_rows] * bool(terms)
+    figure = Figure(figsize=(12, sum(heights)), dpi=110, layout="constrained")
+    parts = figure.subfigures(len(heights), 1, height_ratios=heights, squeeze=False).flat
+    _draw_figures(parts[0].subplots(1, 3), rows)
+    if terms:
+        _draw_terms(parts[1].subplots(small_rows, _COLUMNS).flat, rows, terms)
+    with atomic_write(path) as file:
+        # matplotlib would sign with its version: the same metrics shall give the same picture.
+        figure.savefig(file, format="png", metadata={"Software": None})
+
+
+def _draw_figures(panels: Sequence["Axes"], rows: Sequence[Row]) -> None:
+    speed, falls, reward = panels
+    _title(speed, "forward speed, m/s")
+    _draw(speed, rows, "train/speed", _BLUE)
+    _draw_evaluations(speed, rows, "eval/speed")
+    _title(falls, "episodes that fell, %")
+    _draw(falls, rows, "train/fall_rate", _RED, factor=100.0)
+    _draw_evaluations(falls, rows, "eval/fall_rate", factor=100.0)
+    # At least five: a few falls in a thousand should not fill the panel.
+    falls.set_ylim(0.0, max(5.0, falls.get_ylim()[1]))
+    _title(reward, "reward")
+    _draw(reward, rows, "train/reward", _GREEN)
+    for axes in panels:
+        _finish(axes, rows)
+        axes.set_xlabel("environment steps")
+        _add_minutes(axes, rows)
+
+
+def _draw_terms(panels: Sequence["Axes"], rows: Sequence[Row], terms: Sequence[str]) -> None:
+    panels = list(panels)
+    for axes, term in zip(panels, terms, strict=False):
+        _title(axes, term.removeprefix(_TERM).replace("_", " "), size=9)
+        _draw(axes, rows, term, _GREY)
+        _finish(axes, rows, ticks=4)
+    for axes in panels[len(terms) :]:
+        axes.set_visible(False)
+
+
+def _draw(axes: "Axes", rows: Sequence[Row], key: str, color: str, factor: float = 1.0) -> None:
+    values = [factor * _value(row, key) for row in rows]
+    # The mark lets a single point, or one between gaps, be seen.
+    mark = "." if sum(map(math.isfinite, values)) < 3 else None
+    axes.plot([row["steps"] for row in rows], values, color=color, linewidth=1.6, marker=mark)
+
+
+def _draw_evaluations(axes: "Axes", rows: Sequence[Row], key: str, factor: float = 1.0) -> None:
+    tested = [row for row in rows if math.isfinite(_value(row, key))]
+    if tested:
+        steps = [row["steps"] for row in tested]
+        values = [factor * _value(row, key) for row in tested]
+        axes.plot(steps, values, "o", color="#222222", markersize=4, label="evaluation")
+        axes.legend(frameon=False, fontsize=8, handletextpad=0.2)
+
+
+def _title(axes: "Axes", text: str, size: float = 11) -> None:
+    axes.set_title(text, fontsize=size, loc="left")
+
+
+def _finish(axes: "Axes", rows: Sequence[Row], ticks: int = 6) -> None:
+    from matplotlib.ticker import MaxNLocator
+
+    axes.set_xlim(0, 1.02 * max([1, *(row["steps"] for row in rows)]))
+    # Zero is always in view: without it noise around a constant looks like a course.
+    low, high = axes.get_ylim()
+    axes.set_ylim(min(low, 0.0), max(high, 0.0))
+    axes.xaxis.set_major_locator(MaxNLocator(ticks, steps=_NICE))
+    axes.xaxis.set_major_formatter(lambda steps, _: quantity(steps).replace(".0", ""))
+    axes.yaxis.set_major_locator(MaxNLocator(ticks - 1, steps=_NICE))
+    axes.tick_params(labelsize=8)
+    axes.grid(color="#e4e7eb", linewidth=0.8)
+    axes.set_axisbelow(True)
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(False)
+
+
+def _add_minutes(axes: "Axes", rows: Sequence[Row]) -> None:
+    """Minutes since the start along the top, where steps and time were both recorded."""
+    from matplotlib.ticker import MaxNLocator
+
+    timed = [row for row in rows if math.isfinite(_value(row, _ELAPSED))]
+    if len(timed) < 2:
+        return
+    minutes = np.maximum.accumulate([_value(row, _ELAPSED) / 60.0 for row in timed])
+    places = [
+        minute
+        for minute in MaxNLocator(6, steps=_NICE).tick_values(minutes[0], minutes[-1])
+        if minutes[0] <= minute <= minutes[-1]
+    ]
+    top = axes.twiny()
+    top.set_xlim(axes.get_xlim())
+    # Training does not go at one pace (compilation, evaluations), so the ticks need not be even.
+    top.set_xticks(
+        np.interp(places, minutes, [row["steps"] for row in timed]),
+        [f"{minute:g}" for minute in places],
+    )
+    top.set_xlabel("minutes", fontsize=8, loc="right", color=_GREY)
+    top.tick_params(labelsize=8, colors=_GREY, length=3)
+    for side in ("right", "left"):
+        top.spines[side].set_visible(False)
+    top.spines["top"].set_color(_GREY)
+
+
+def _value(row: Row, key: str) -> float:
+    value = row.get(key)
+    return math.nan if value is None else float(value)

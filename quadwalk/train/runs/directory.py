@@ -1,0 +1,297 @@
+"""The run directory: where one training keeps what is needed to replay it or go on with it.
+
+runs/NAME/
+  config.json          every setting
+  metrics.jsonl        one line per iteration, the same for the same seed
+  timing.jsonl         how long each took, which never is
+  tensorboard/         the same numbers for TensorBoard
+  checkpoints/         step_000001000000.npz ...: the whole state of training
+  policy.npz           the policy as it was last
+  best.npz             the policy as it was at the best of the checkpoints
+  nan/                 steps that gave numbers that are not finite, if there were any
+  learning_curve.png
+"""
+
+import contextlib
+import datetime
+import json
+import os
+import re
+import shutil
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, BinaryIO
+
+from quadwalk.errors import UsageError, UserError
+from quadwalk.files import atomic_write, os_reason
+from quadwalk.train.runs import checkpoint
+
+_NAME = re.compile(r"\w[\w.+=@,-]*")
+_CHECKPOINT = re.compile(r"step_(\d+)\.npz")
+_LISTED = 5  # runs named in a message: enough to recognise one, few enough for a line
+
+
+@dataclass(frozen=True)
+class Run:
+    """A run's directory and the places in it."""
+
+    path: Path
+
+    @property
+    def name(self) -> str:
+        return self.path.resolve().name
+
+    @property
+    def config(self) -> Path:
+        return self.path / "config.json"
+
+    @property
+    def urdf(self) -> Path:
+        return self.path / "robot.urdf"
+
+    @property
+    def metrics(self) -> Path:
+        return self.path / "metrics.jsonl"
+
+    @property
+    def timing(self) -> Path:
+        return self.path / "timing.jsonl"
+
+    @property
+    def tensorboard(self) -> Path:
+        return self.path / "tensorboard"
+
+    @property
+    def checkpoints(self) -> Path:
+        return self.path / "checkpoints"
+
+    @property
+    def policy(self) -> Path:
+        return self.path / "policy.npz"
+
+    @property
+    def best(self) -> Path:
+        return self.path / "best.npz"
+
+    @property
+    def nan(self) -> Path:
+        return self.path / "nan"
+
+    @property
+    def learning_curve(self) -> Path:
+        return self.path / "learning_curve.png"
+
+    def checkpoint(self, steps: int) -> Path:
+        """Where the checkpoint after this many environment steps goes."""
+        # Twelve digits, so that a plain listing is in the order of training.
+        return self.checkpoints / f"step_{steps:012d}.npz"
+
+
+def create_run(
+    root: Path | str,
+    name: str | None = None,
+    label: str = "run",
+    files: Mapping[str, bytes] | None = None,
+) -> Run:
+    """Make the directory of a new run in `root`; without a name, call it by date, time and label.
+
+    `files` are its first, from name to content: the directory appears with them, or not at all.
+    Raises `UsageError` for a name that exists or cannot be one, `UserError` if `root` cannot be
+    written. Nothing is left behind then.
+    """
+    root = Path(root)
+    if name is not None:
+        _check_name(name)
+    try:
+        root.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UserError(f"cannot make the folder for runs, {root}: {os_reason(error)}") from error
+    # Filled under another name: a run without its configuration could not be gone on with.
+    part = Run(root / f".{name or label}-{os.getpid()}.part")
+    try:
+        part.path.mkdir()
+        part.checkpoints.mkdir()
+        part.tensorboard.mkdir()
+        for file, content in (files or {}).items():
+            with open(part.path / file, "wb") as stream:
+                stream.write(content)
+                stream.flush()
+                os.fsync(stream.fileno())
+        path = _name_first_free(part.path, label) if name is None else _name(part.path, name)
+    except OSError as error:
+        raise UserError(f"cannot write in {root / (name or '')}: {os_reason(error)}") from error
+    finally:
+        shutil.rmtree(part.path, ignore_errors=True)
+    if path is None:
+        raise UsageError(f"run {name!r} exists in {root}: choose another name")
+    return Run(path)
+
+
+def find_run(root: Path | str, which: str) -> Run:
+    """Find a run by its name in `root`, by its path, or as "latest", the one last written to.
+
+    Raises `UsageError` that lists some of the runs there are.
+    """
+    root = Path(root)
+    if which == "latest":
+        runs = list_runs(root)
+        if not runs:
+            raise UsageError(f"no run in {root} yet: train one first")
+        return runs[0]
+    if which.strip():
+        for path in (root / which, Path(which)):
+            if _is_run(path):
+                return Run(path)
+    raise UsageError(f"no run {which!r}: {_known_runs(root)}")
+
+
+def list_runs(root: Path | str) -> list[Run]:
+    """The runs in `root`, the one last written to first; none if there is no such folder."""
+    try:
+        runs = [Run(path) for path in sorted(Path(root).iterdir()) if _is_run(path)]
+    except OSError:
+        return []
+    return sorted(runs, key=_last_written, reverse=True)
+
+
+def as_json(value: Any) -> bytes:
+    """`value` as readable, strict JSON."""
+    return json.dumps(value, indent=2, allow_nan=False, ensure_ascii=False).encode() + b"\n"
+
+
+def write_json_atomic(path: Path | str, value: Any) -> None:
+    """Write `value` as readable, strict JSON, whole or not at all."""
+    content = as_json(value)
+    with atomic_write(path) as file:
+        file.write(content)
+
+
+def list_checkpoints(run: Run) -> list[Path]:
+    """The run's checkpoints, oldest first."""
+    try:
+        found = [(_CHECKPOINT.fullmatch(path.name), path) for path in run.checkpoints.iterdir()]
+    except OSError:
+        return []
+    return [path for _, path in sorted((int(match[1]), path) for match, path in found if match)]
+
+
+def latest_checkpoint(run: Run, warn: Callable[[str], None]) -> Path | None:
+    """The newest checkpoint that can be read whole; None if there are none at all.
+
+    A damaged one is skipped, and `warn` is told. Raises `UserError` if all are damaged.
+    """
+    found = list_checkpoints(run)
+    for path in reversed(found):
+        try:
+            checkpoint.load(path, "checkpoint")
+        except UserError as error:
+            warn(f"{error}; trying the one before")
+            continue
+        return path
+    if found:
+        raise UserError(f"{run.path} has no checkpoint that can be read")
+    return None
+
+
+def keep_last(run: Run, count: int, also: Path | None = None) -> None:
+    """Delete all but the newest `count` checkpoints and `also`."""
+    if count < 1:
+        raise ValueError("at least one checkpoint is kept")
+    _delete(path for path in list_checkpoints(run)[:-count] if path != also)
+
+
+def claim(run: Run) -> BinaryIO:
+    """Take a run for as long as the file returned is open; the system closes it if we are killed.
+
+    Raises `UserError` if another training has it: two would write over each other.
+    """
+    try:
+        file = open(run.metrics, "ab")  # noqa: SIM115 - for the caller to close
+    except OSError as error:
+        raise UserError(f"cannot write {run.metrics}: {os_reason(error)}") from error
+    # Some systems (Windows) and some network file systems know no such claims.
+    with contextlib.suppress(ImportError, OSError):
+        import fcntl
+
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            file.close()
+            raise UserError(f"{run.path} is being trained by another process") from None
+    return file
+
+
+def clean(run: Run) -> None:
+    """Delete what saves that were interrupted left."""
+    # Not below: an evaluation may be writing there.
+    _delete(path for place in (run.path, run.checkpoints, run.nan) for path in place.glob("*.part"))
+
+
+def _delete(paths: Iterable[Path]) -> None:
+    for path in paths:
+        # A file that cannot be deleted costs space, not the training.
+        with contextlib.suppress(OSError):
+            path.unlink()
+
+
+def _check_name(name: str) -> None:
+    if name == "latest":
+        raise UsageError("a run cannot be called 'latest': that means the newest one")
+    if len(name) > 100 or not _NAME.fullmatch(name):
+        raise UsageError(
+            f"a run cannot be called {name!r}: expected at most 100 letters, digits and any of "
+            "- _ . + = @ , beginning with a letter or digit"
+        )
+
+
+def _name(folder: Path, name: str) -> Path | None:
+    """Give a folder its name; None if it is taken, even by a run begun at the same moment."""
+    path = folder.with_name(name)
+    try:
+        # The system refuses to put it in the place of a file, or of a folder that is not empty.
+        folder.rename(path)
+    except OSError:
+        if path.exists() or path.is_symlink():
+            return None
+        raise
+    return path
+
+
+def _name_first_free(folder: Path, label: str) -> Path:
+    name = f"{datetime.datetime.now():%Y-%m-%d_%H%M}-{label}"
+    _check_name(name)
+    number = 1
+    while True:
+        path = _name(folder, name if number == 1 else f"{name}-{number}")
+        if path is not None:
+            return path
+        number += 1
+
+
+def _is_run(path: Path) -> bool:
+    if path.name.startswith(".") and path.name.endswith(".part"):
+        return False
+    try:
+        return any((path / part).exists() for part in ("config.json", "policy.npz", "checkpoints"))
+    except (OSError, ValueError):  # a name that no file could have
+        return False
+
+
+def _last_written(run: Run) -> float:
+    def written(path: Path) -> float:
+        try:
+            return path.stat().st_mtime
+        except OSError:
+            return 0.0
+
+    return max(map(written, (run.path, run.config, run.metrics, run.policy)))
+
+
+def _known_runs(root: Path) -> str:
+    runs = list_runs(root)
+    if not runs:
+        return f"there is none in {root} yet"
+    names = ", ".join(run.name for run in runs[:_LISTED])
+    more = f" and {len(runs) - _LISTED} older" if len(runs) > _LISTED else ""
+    return f"expected 'latest', a path, or one in {root}: {names}{more}"

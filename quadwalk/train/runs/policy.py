@@ -1,0 +1,78 @@
+"""A trained policy as a file: its weights, and the configuration it was trained with."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import jax
+from brax.training.acme.running_statistics import NestedMeanStd
+
+from quadwalk.errors import UserError
+from quadwalk.train.networks import make_networks, mean_policy
+from quadwalk.train.ppo import Learner
+from quadwalk.train.runs import checkpoint
+from quadwalk.train.settings import TrainConfig, from_dict, to_dict
+
+
+@dataclass(frozen=True)
+class Policy:
+    """A deterministic policy and what it belongs to."""
+
+    act: Callable[[jax.Array], jax.Array]  # observation (..., n) to action (..., 12)
+    config: TrainConfig
+    joints: tuple[str, ...]  # of the robot it was trained on
+    observation_size: int
+    steps: int  # control steps of training behind it
+
+
+def save_policy(
+    path: Path,
+    learner: Learner,
+    config: TrainConfig,
+    joints: tuple[str, ...],
+    steps: int,
+    score: float,
+) -> None:
+    """Write the learner's policy to `path`, whole or not at all; `score` is how good it was."""
+    mean_std = NestedMeanStd(learner.normalizer.mean, learner.normalizer.std)
+    metadata = {
+        "kind": "policy",
+        "config": to_dict(config),
+        "joints": list(joints),
+        "observation_size": int(mean_std.mean.shape[0]),
+        "steps": steps,
+        "score": score,
+    }
+    checkpoint.save(path, {"normalizer": mean_std, "policy": learner.params.policy}, metadata)
+
+
+def load_score(path: Path) -> tuple[int, float]:
+    """Control steps and score of the policy at `path`; `UserError` if it has none to tell."""
+    _, metadata = checkpoint.load(path, "policy")
+    try:
+        return int(metadata["steps"]), float(metadata["score"])
+    except (KeyError, TypeError, ValueError):
+        raise UserError(f"{path} does not say how good its policy was") from None
+
+
+def load_policy(path: Path) -> Policy:
+    """Read a policy; `UserError` in one line names a file that is missing, damaged or foreign."""
+    # First without a structure, for the metadata that says what the structure is.
+    _, metadata = checkpoint.load(path, "policy")
+    try:
+        config = from_dict(TrainConfig, metadata["config"])
+        size = int(metadata["observation_size"])
+        joints = tuple(map(str, metadata["joints"]))
+        steps = int(metadata["steps"])
+    except (KeyError, TypeError, ValueError, UserError) as error:
+        raise UserError(f"{path} holds a configuration that cannot be used: {error}") from None
+    networks = make_networks(config.ppo, size, len(joints))
+    like = {
+        "normalizer": jax.eval_shape(
+            lambda: NestedMeanStd(jax.numpy.zeros(size), jax.numpy.ones(size))
+        ),
+        "policy": jax.eval_shape(networks.policy_network.init, jax.random.PRNGKey(0)),
+    }
+    tree, _ = checkpoint.load(path, "policy", like)
+    act = mean_policy(networks, tree["normalizer"], tree["policy"])
+    return Policy(act, config, joints, size, steps)

@@ -1,0 +1,126 @@
+"""Writing down what a training yields, whatever the disk says."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from quadwalk.errors import UserError
+from quadwalk.train import nan
+from quadwalk.train.runs import checkpoint
+from quadwalk.train.runs.directory import Run, keep_last
+from quadwalk.train.runs.log import MetricsLog, read_history
+from quadwalk.train.runs.policy import load_score, save_policy
+from quadwalk.train.settings import to_dict
+
+if TYPE_CHECKING:
+    from quadwalk.train.setup import Training
+
+KEPT_CHECKPOINTS = 3
+
+
+class Keeper:
+    """Writes a run's files while it trains; a context manager.
+
+    What the disk refuses is said, once, through `warn`. Training goes on, what was there stays as
+    it was, and the next call tries again.
+    """
+
+    def __init__(self, training: "Training", run: Run, warn: Callable[[str], None]) -> None:
+        """Rows of metrics beyond the state that `training` begins with are dropped."""
+        self.run = run
+        self.saved: int | None = training.steps or None  # steps behind the last checkpoint
+        self.best: tuple[int, float] | None = None  # steps and score of the best policy
+        self._training = training
+        self._warn = warn
+        self._refused: dict[str, str] = {}
+        self._told = False  # of steps that gave no finite numbers
+        self._log = MetricsLog(run, resume_at=training.steps if training.resumed else None)
+        if run.best.exists():
+            self._attempt("best", self._read_best)
+
+    def __enter__(self) -> "Keeper":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._log.close()
+
+    def row(self, metrics: dict[str, float], timing: dict[str, float]) -> None:
+        """Log an iteration."""
+        self._attempt("metrics", lambda: self._log.append(metrics, timing))
+
+    def suspect(self, suspect: Any, steps: int) -> None:
+        """Keep a step that gave no number, if the iteration had one."""
+        if not suspect.found > 0:
+            return
+        training = self._training
+
+        def keep() -> None:
+            path = nan.keep(
+                self.run, suspect.before, suspect.action, training.model, training.config, steps
+            )
+            if path is not None and not self._told:
+                self._warn(f"a step gave no finite numbers: its episode ended, and {path} keeps it")
+                self._told = True
+
+        self._attempt("nan", keep)
+
+    def draw(self) -> None:
+        """Draw the learning curve."""
+        from quadwalk.train.progress.curves import plot_learning_curve
+
+        history = read_history(self.run)
+        self._attempt("curve", lambda: plot_learning_curve(history, self.run.learning_curve))
+
+    def save(self, state: Any, steps: int, seconds: float) -> bool:
+        """Save the policy, as the best too if it is, and a checkpoint; whether all went well."""
+        training, score = self._training, self._training.metrics.score
+        metadata = {
+            "kind": "checkpoint",
+            "config": to_dict(training.config),
+            "steps": steps,
+            "seconds": seconds,
+            "metrics": training.metrics.state(),
+        }
+
+        def save_as(path: Path) -> None:
+            joints = training.quadruped.joints
+            save_policy(path, state.learner, training.config, joints, steps, score)
+
+        def save_checkpoint() -> None:
+            self._log.sync()  # a checkpoint counts on the rows before it
+            checkpoint.save(self.run.checkpoint(steps), state, metadata)
+
+        # The policies first: should the disk be full, they are the smaller and the dearer.
+        well = self._attempt("policy", lambda: save_as(self.run.policy))
+        if self.best is None or score > self.best[1]:
+            if self._attempt("best", lambda: save_as(self.run.best)):
+                self.best = steps, score
+            else:
+                well = False
+        if self._attempt("checkpoint", save_checkpoint):
+            self.saved = steps
+            best = self.run.checkpoint(self.best[0]) if self.best else None
+            keep_last(self.run, KEPT_CHECKPOINTS, also=best)
+        else:
+            well = False
+        return well
+
+    @property
+    def trouble(self) -> str:
+        """What the disk has refused, and not taken since."""
+        return next(iter(self._refused.values()), "")
+
+    def _read_best(self) -> None:
+        self.best = load_score(self.run.best)
+
+    def _attempt(self, what: str, action: Callable[[], Any]) -> bool:
+        try:
+            action()
+        except UserError as error:
+            if what not in self._refused:
+                self._warn(f"warning: {error}; training goes on and will try again")
+            self._refused[what] = str(error)
+            return False
+        if self._refused.pop(what, None):
+            self._warn(f"{what}: written again")
+        return True

@@ -1,0 +1,104 @@
+"""What the robot is told: drawn, renewed, seen, and what it is rewarded for."""
+
+import dataclasses
+import itertools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from quadwalk.task.command import Command, draw, first_command, next_command
+from quadwalk.task.config import CommandConfig, EnvConfig, RewardConfig
+from quadwalk.task.env import QuadrupedEnv
+
+TOLD = CommandConfig(forward=(-0.5, 1.5), sideways=(0.25, 0.25), turning=(-1.0, 0.0), standing=0.2)
+PERIOD = 3  # control steps
+
+
+@pytest.fixture(scope="module")
+def told(env) -> QuadrupedEnv:
+    """The robot of the other tests, told anew every three control steps."""
+    command = dataclasses.replace(TOLD, seconds=PERIOD * 0.02)
+    return QuadrupedEnv(env.quadruped, EnvConfig(command=command, reward=RewardConfig(follow=1.0)))
+
+
+@pytest.fixture(scope="module")
+def course(told):
+    """States of two episodes before and after each of eight steps."""
+    step = jax.jit(jax.vmap(told.step))
+    states = [jax.jit(jax.vmap(told.reset))(jax.random.split(jax.random.PRNGKey(1), 2))]
+    for _ in range(8):
+        states.append(step(states[-1], jnp.full((2, 12), 0.1)))
+    return states
+
+
+def test_commands_fill_their_ranges_and_some_are_to_stand():
+    keys = jax.random.split(jax.random.PRNGKey(0), 4000)
+    drawn = np.asarray(jax.vmap(lambda key: draw(TOLD, key))(keys))
+    standing = ~drawn.any(axis=1)
+    assert 0.17 < standing.mean() < 0.23
+    moving = drawn[~standing]
+    for column, (low, high) in enumerate([TOLD.forward, TOLD.sideways, TOLD.turning]):
+        assert moving[:, column].min() == pytest.approx(low, abs=0.01)
+        assert moving[:, column].max() == pytest.approx(high, abs=0.01)
+        assert moving[:, column].mean() == pytest.approx((low + high) / 2, abs=0.05)
+    assert abs(np.corrcoef(moving[:, 0], moving[:, 2])[0, 1]) < 0.1
+
+
+def test_a_command_stays_for_its_time_and_no_longer():
+    command = first_command(TOLD, jax.random.PRNGKey(3))
+    course = []
+    for steps in range(1, 12):
+        command = next_command(TOLD, command, jnp.asarray(steps), 4)
+        course.append(np.asarray(command.velocity))
+    changed = [bool((a != b).any()) for a, b in itertools.pairwise(course)]
+    assert [steps for steps, new in enumerate(changed, 2) if new] == [4, 8]
+
+
+def test_an_episode_is_told_anew_on_time(course):
+    told = np.array([state.pipeline_state.command.velocity for state in course])
+    assert told.shape == (9, 2, 3)
+    np.testing.assert_array_equal(told[:, :, 1] * ~(told == 0).all(axis=2), told[:, :, 1])
+    new = (np.diff(told, axis=0) != 0).any(axis=2)
+    # After the third and the sixth step, unless it is to stand again.
+    assert set(np.flatnonzero(new.any(axis=1)) + 1) == {3, 6}
+    assert not np.array_equal(told[:, 0], told[:, 1])
+
+
+def test_the_command_is_seen_in_place_of_the_line(told, course):
+    names = told.observation_names
+    assert told.observation_size == len(set(names)) == 48
+    assert not {"heading", "offset"} & set(names)
+    for state in course:
+        assert state.obs.shape == (2, 48)
+        seen = dict(zip(names, np.asarray(state.obs).T, strict=True))
+        found = [seen[f"command_{part}"] for part in ("forward", "sideways", "turning")]
+        np.testing.assert_array_equal(np.transpose(found), state.pipeline_state.command.velocity)
+        joints = np.asarray(state.pipeline_state.physics.qpos[:, 7])
+        first = f"position_{told.quadruped.joints[0]}"
+        np.testing.assert_allclose(seen[first], joints - told.robot.home[7], atol=1e-6)
+
+
+def test_a_step_is_rewarded_for_the_command_it_was_given(told, course):
+    before, after = course[2], course[3]  # the command changes at the end of this step
+    qpos = np.asarray(after.pipeline_state.physics.qpos, float)
+    velocity = (qpos - np.asarray(before.pipeline_state.physics.qpos))[:, :3] / 0.02
+    heading = Rotation.from_quat(qpos[:, [4, 5, 6, 3]]).as_euler("ZYX")[:, :1]
+    own = Rotation.from_euler("z", heading).inv().apply(velocity)[:, :2]
+    asked = np.asarray(before.pipeline_state.command.velocity)[:, :2]
+    error = np.linalg.norm(own - asked, axis=1)
+    expected = np.exp(-np.square(error / RewardConfig.follow_width))
+    np.testing.assert_allclose(after.metrics["reward/follow"], expected, rtol=1e-3)
+    expected = np.linalg.norm(asked, axis=1) - error
+    np.testing.assert_allclose(after.metrics["speed"], expected, atol=1e-3)
+
+
+def test_starts_do_not_depend_on_being_told(env, told):
+    key = jax.random.PRNGKey(5)
+    plain, with_command = env.reset(key), told.reset(key)
+    assert plain.pipeline_state.command is None
+    assert isinstance(with_command.pipeline_state.command, Command)
+    for a, b in zip(plain.pipeline_state.physics, with_command.pipeline_state.physics, strict=True):
+        np.testing.assert_array_equal(a, b)

@@ -1,0 +1,148 @@
+import brax.envs.base
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from quadwalk.errors import UsageError
+from quadwalk.task.config import EnvConfig
+from quadwalk.task.env import ENDS
+
+STILL = jnp.zeros((4, 12))
+
+
+def physics_of(state):
+    return state.pipeline_state.physics
+
+
+def with_qpos(state, qpos):
+    physics = physics_of(state)._replace(qpos=qpos, qvel=jnp.zeros((4, 18)))
+    return state.replace(pipeline_state=state.pipeline_state._replace(physics=physics))
+
+
+def ends(state) -> list[str]:
+    return [ENDS[i] for i in np.asarray(state.info["end"])]
+
+
+def test_it_is_a_brax_environment(env, reset):
+    assert isinstance(env, brax.envs.base.Env)
+    assert reset(0).obs.shape == (4, env.observation_size) == (4, 47)
+    assert env.action_size == 12
+    assert len(set(env.observation_names)) == 47
+
+
+def test_starts_differ_and_the_same_key_gives_the_same_start(reset):
+    a, b, c = (np.asarray(physics_of(reset(seed)).qpos) for seed in (0, 1, 0))
+    assert len(np.unique(np.concatenate([a, b]), axis=0)) == 8
+    np.testing.assert_array_equal(a, c)
+
+
+def test_a_start_stands_with_its_lowest_foot_on_the_floor(env, reset):
+    for qpos in np.asarray(physics_of(reset(3)).qpos):
+        data = mujoco.MjData(env.mj_model)
+        data.qpos[:] = qpos
+        mujoco.mj_kinematics(env.mj_model, data)
+        soles = data.geom_xpos[env.robot.foot_geoms, 2] - env.robot.foot_radius
+        assert soles.min() == pytest.approx(0.0, abs=1e-5)
+        assert np.linalg.norm(qpos[3:7]) == pytest.approx(1.0, abs=1e-5)
+
+
+def test_the_observation_is_what_its_names_say(env, reset, step):
+    state = step(reset(5), jnp.full((4, 12), 0.25))
+    names = env.observation_names
+    qpos, qvel = (np.asarray(x, float)[0] for x in physics_of(state)[:2])
+    turn = Rotation.from_quat(qpos[[4, 5, 6, 3]])
+    expected = {
+        "velocity": turn.inv().apply(qvel[:3]),
+        "angular_velocity": qvel[3:6],
+        "gravity": turn.inv().apply([0, 0, -1]),
+    }
+    obs = dict(zip(names, np.asarray(state.obs[0]), strict=True))
+    for name, vector in expected.items():
+        found = [obs[f"{name}_{axis}"] for axis in "xyz"]
+        np.testing.assert_allclose(found, vector, atol=1e-5)
+    assert obs["heading"] == pytest.approx(turn.as_euler("ZYX")[0], abs=1e-5)
+    assert obs["offset"] == pytest.approx(qpos[1], abs=1e-6)
+    for i, joint in enumerate(env.quadruped.joints):
+        assert obs[f"position_{joint}"] == pytest.approx(
+            qpos[7 + i] - env.robot.home[7 + i], abs=1e-5
+        )
+        assert obs[f"speed_{joint}"] == pytest.approx(qvel[6 + i], abs=1e-5)
+        assert obs[f"last_action_{joint}"] == 0.25
+
+
+def test_the_time_limit_truncates_and_is_not_a_fall(reset, step):
+    state = reset(0)
+    for k in range(5):  # 0.1 s of 0.02 s steps
+        assert not state.done.any(), k
+        state = step(state, STILL)
+    assert ends(state) == ["time limit"] * 4
+    assert state.done.all()
+    assert state.info["truncation"].all()
+    assert not state.metrics["fell"].any()
+
+
+@pytest.mark.parametrize(
+    ("reason", "change"),
+    [
+        ("tipped", lambda q: q.at[:, 2].set(1.0).at[:, 3:7].set(jnp.array([0.6, 0.8, 0, 0]))),
+        ("low", lambda q: q.at[:, 2].set(0.14).at[:, 8::3].set(1.9).at[:, 9::3].set(-2.7)),
+        # Deep knees, trunk still high: thighs laid back, calves ahead and down through the floor.
+        ("touched", lambda q: q.at[:, 2].set(0.22).at[:, 8::3].set(0.3).at[:, 9::3].set(-2.6)),
+    ],
+)
+def test_a_fall_ends_the_episode_and_says_why(reset, step, reason, change):
+    state = reset(0)
+    home = jnp.tile(jnp.array([0, 0, 0.375, 1, 0, 0, 0, *[0, 0.8, -1.6] * 4]), (4, 1))
+    state = step(with_qpos(state, change(home)), STILL)
+    assert ends(state) == [reason] * 4
+    assert state.metrics["fell"].all()
+    assert not state.info["truncation"].any()
+    assert (state.reward < -5).all()
+
+
+@pytest.mark.parametrize("poison", [np.nan, np.inf, 1e30])
+def test_a_state_that_is_not_finite_ends_its_episode_and_goes_no_further(reset, step, poison):
+    state = reset(0)
+    qpos = physics_of(state).qpos.at[1, 9].set(poison)
+    velocity = physics_of(state).qvel.at[2, 3].set(poison)
+    physics = physics_of(state)._replace(qpos=qpos, qvel=velocity)
+    state = state.replace(pipeline_state=state.pipeline_state._replace(physics=physics))
+    after = step(state, STILL.at[3].set(poison if not np.isfinite(poison) else 0.0))
+    broken = [False, True, True, not np.isfinite(poison)]
+    assert [end == "nan" for end in ends(after)] == broken
+    assert np.asarray(after.metrics["nan"]).tolist() == broken
+    assert not after.metrics["fell"][np.array(broken)].any()
+    for leaf in jax.tree.leaves(after):
+        assert np.isfinite(np.asarray(leaf, float)).all()
+
+
+def test_a_step_leaves_what_it_was_given_alone_and_repeats_itself(reset, step):
+    state = reset(7)
+    before = jax.device_get(state)
+    first, second = step(state, STILL), step(state, STILL)
+    for a, b in zip(jax.tree.leaves(before), jax.tree.leaves(state), strict=True):
+        np.testing.assert_array_equal(a, b)
+    for a, b in zip(jax.tree.leaves(first), jax.tree.leaves(second), strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+def test_reward_is_the_scaled_sum_of_the_metrics(env, reset, step):
+    state = step(reset(2), jnp.full((4, 12), 0.1))
+    total = sum(
+        getattr(env.config.reward, name.partition("/")[2]) * value
+        for name, value in state.metrics.items()
+        if name.startswith("reward/")
+    )
+    np.testing.assert_allclose(state.reward, total, rtol=1e-5)
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [{"physics_dt": 0.0}, {"substeps": 0}, {"episode_seconds": 0.0}, {"solver_iterations": 0}],
+)
+def test_a_setting_out_of_range_is_refused(bad):
+    with pytest.raises(UsageError, match=r"expected|or more"):
+        EnvConfig(**bad)

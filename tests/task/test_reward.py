@@ -1,0 +1,137 @@
+import dataclasses
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from quadwalk.physics.rotation import from_euler
+from quadwalk.task.config import RewardConfig
+from quadwalk.task.reward import TERMS, Step, active_terms, reward_terms, total_reward
+
+ALL = RewardConfig(**{f.name: 1.0 for f in dataclasses.fields(RewardConfig)})
+
+
+def a_step(**changes) -> Step:
+    """Standing still, upright, at the origin; `changes` make it something else."""
+    rest = jnp.zeros(19).at[2].set(0.375).at[3].set(1.0)
+    fields = {
+        "dt": 0.02,
+        "start": rest,
+        "qpos": rest,
+        "qvel": jnp.zeros(18),
+        "action": jnp.zeros(12),
+        "last_action": jnp.zeros(12),
+        "power": jnp.zeros(()),
+        "fell": jnp.zeros((), bool),
+        "command": jnp.zeros(3),
+        "start_soles": jnp.zeros((4, 3)),
+        "soles": jnp.zeros((4, 3)),
+        "contact": jnp.ones(4, bool),
+    }
+    return Step(**{**fields, **changes})
+
+
+def moving(yaw: float, turn: float, velocity, command) -> Step:
+    """A step in which the trunk moves with `velocity` (2,), m/s, and turns by `turn` to `yaw`."""
+    start = a_step().qpos.at[3:7].set(from_euler(0.1, -0.2, yaw - turn))
+    qpos = start.at[:2].add(0.02 * jnp.array(velocity)).at[3:7].set(from_euler(-0.1, 0.2, yaw))
+    return a_step(start=start, qpos=qpos, command=jnp.array(command))
+
+
+def stepping(heights, velocities) -> Step:
+    """A step after which the soles are so high, m, and over which they move at m/s along y."""
+    soles = jnp.zeros((4, 3)).at[:, 2].set(jnp.array(heights))
+    return a_step(start_soles=soles.at[:, 1].add(-0.02 * jnp.array(velocities)), soles=soles)
+
+
+def turned(roll=0.0, pitch=0.0, yaw=0.0):
+    return a_step().qpos.at[3:7].set(from_euler(roll, pitch, yaw))
+
+
+CASES = {
+    "forward": (a_step(qpos=a_step().qpos.at[0].set(0.01)), 0.5),
+    "fall": (a_step(fell=jnp.ones((), bool)), 1.0),
+    "yaw": (a_step(qpos=turned(yaw=-0.4)), 0.4),
+    "energy": (a_step(power=jnp.asarray(500.0)), None),  # over weight: below
+    "alive": (a_step(), 1.0),
+    "lateral": (a_step(qpos=a_step().qpos.at[1].set(-0.01)), 0.5),
+    "offset": (a_step(qpos=a_step().qpos.at[1].set(-0.25)), 0.25),
+    "vertical": (a_step(qvel=jnp.zeros(18).at[2].set(-0.5)), 0.25),
+    "tilt": (a_step(qpos=turned(pitch=0.3)), np.sin(0.3) ** 2),
+    "turning": (a_step(qvel=jnp.zeros(18).at[3:5].set(jnp.array([3.0, 4.0]) / 2)), 2.5),
+    "action_rate": (a_step(action=jnp.full(12, 0.5), last_action=jnp.full(12, -0.5)), 1.0),
+    "progress": (a_step(qpos=a_step().qpos.at[0].set(-0.01)), -0.01),
+    "inclined": (a_step(qpos=turned(pitch=-0.8)), 1.0),
+    "heading": (a_step(qpos=turned(yaw=-3.0)), 3.0),
+    "movement": (
+        a_step(qpos=a_step().qpos.at[7:].add(jnp.tile(jnp.array([1, -1]), 6) / 100)),
+        0.12,
+    ),
+    # It heads along world y, and so moves to its right; the command is 0.6 and 0.8 m/s off.
+    "follow": (moving(np.pi / 2, 0.0, (0.5, 0.25), (-0.35, 0.3, 9.0)), np.exp(-1.0)),
+    # Past the half turn: 0.03 rad in 0.02 s are 1.5 rad/s, and twice the width of 1 off.
+    "follow_turning": (moving(-np.pi + 0.01, 0.03, (9.0, 9.0), (9.0, 9.0, 3.5)), np.exp(-4.0)),
+    # Half as high as a swing should be, on the floor, on the floor at rest, high enough.
+    "drag": (stepping([0.5, 0.0, 0.0, 1.5], [1.0, -0.6, 0.0, 1.0]), (0.5 + 0.6) / 4),
+    "trot": (a_step(contact=jnp.array([True, False, True, True])), 0.5),
+}
+LIMITS = {
+    "forward": (a_step(qpos=a_step().qpos.at[0].set(9.0)), 1.0),  # max_speed of ALL
+    "yaw": (a_step(qpos=turned(yaw=3.0)), 1.0),
+    "energy": (a_step(power=jnp.asarray(1e9)), 20.0),
+    "lateral": (a_step(qpos=a_step().qpos.at[1].set(5.0)), 1.0),
+    "offset": (a_step(qpos=a_step().qpos.at[1].set(50.0)), 1.0),
+    "vertical": (a_step(qvel=jnp.zeros(18).at[2].set(9.0)), 1.0),
+    "turning": (a_step(qvel=jnp.full(18, 90.0)), 4.0),
+    "follow": (moving(0.0, 0.0, (1e6, 0.0), (0.0, 0.0, 0.0)), 0.0),
+    "follow_turning": (moving(0.0, 3.1, (0.0, 0.0), (0.0, 0.0, 0.0)), 0.0),
+    "drag": (stepping([0.0] * 4, [1e6] * 4), 2.0),
+    "trot": (a_step(contact=jnp.zeros(4, bool)), 0.0),
+}
+
+
+def test_every_term_has_a_scale_and_a_case():
+    shapes = {"max_speed", "follow_width", "swing_height"}
+    scales = {field.name for field in dataclasses.fields(RewardConfig)} - shapes
+    assert scales == set(TERMS) == set(CASES)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_a_term_is_what_it_says(env, name):
+    step, expected = CASES[name]
+    if name == "energy":
+        expected = 500.0 / env.robot.weight
+    assert float(TERMS[name](env.robot, ALL, step)) == pytest.approx(expected, abs=1e-5)
+
+
+@pytest.mark.parametrize("name", LIMITS)
+def test_a_term_is_bounded(env, name):
+    step, expected = LIMITS[name]
+    assert float(TERMS[name](env.robot, ALL, step)) == pytest.approx(expected, abs=1e-5)
+
+
+def test_standing_still_costs_nothing(env):
+    terms = reward_terms(env.robot, ALL, a_step())
+    for name in ("alive", "follow", "follow_turning", "trot"):
+        assert terms.pop(name) == 1.0
+    assert {name: float(value) for name, value in terms.items()} == pytest.approx(
+        dict.fromkeys(terms, 0.0), abs=1e-6
+    )
+
+
+def test_the_total_is_the_scaled_sum_and_a_scale_of_zero_drops_its_term(env):
+    config = dataclasses.replace(ALL, forward=2.0, offset=-3.0, energy=0.0)
+    qpos = a_step().qpos.at[0].set(0.01).at[1].set(0.1)
+    terms = reward_terms(env.robot, config, a_step(qpos=qpos, start=qpos.at[0].set(0.0)))
+    assert "energy" not in terms
+    assert "energy" not in active_terms(config)
+    # forward 0.5 m/s, which is 0.01 m of progress, offset 0.1 m, alive 1; nothing else moves.
+    # Told to stand, it is 0.5 m/s off.
+    followed = np.exp(-(0.5**2)) + 1 + 1
+    expected = 2 * 0.5 + 0.01 - 3 * 0.1 + 1 + followed
+    assert float(total_reward(config, terms)) == pytest.approx(expected, abs=1e-4)
+
+
+def test_the_robots_weight_is_its_mass_times_gravity(env):
+    assert env.robot.weight == pytest.approx(env.mj_model.body_mass.sum() * 9.81)
+    assert 21.0 < env.robot.weight / 9.81 < 24.0
