@@ -1,3 +1,25 @@
-"""quadwalk: teach a quadruped to run, on an ordinary CPU, in minutes."""
+"""quadwalk: teach a quadruped to run, on an ordinary CPU, in minutes.
 
-__version__ = "0.1.0"
+    import quadwalk
+
+    env = quadwalk.make("walk", robot="go1.urdf")
+    run = quadwalk.train("run", steps=4_000_000, overrides={"env.reward.energy": -0.5})
+    result = quadwalk.evaluate(run, episodes=64, engine="mujoco")
+"""
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from quadwalk.api import evaluate, load_policy, make, train
+
+__version__ = "0.2.0"
+__all__ = ["evaluate", "load_policy", "make", "train"]
+
+
+def __getattr__(name: str) -> Any:
+    """Import what a notebook needs when it is first used: JAX takes a second."""
+    if name in __all__:
+        from quadwalk import api
+
+        return getattr(api, name)
+    raise AttributeError(f"module 'quadwalk' has no attribute {name!r}")

@@ -1,7 +1,8 @@
-"""The two commands as a user runs them: train, stop with Ctrl-C, evaluate in both engines."""
+"""The two commands as a user runs them on a task of their own: train, stop, judge, go on."""
 
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -19,7 +20,7 @@ ITERATIONS = 150
 TINY = [
     f"--steps={64 * ITERATIONS}",
     "--envs=16",
-    "--ppo.judges=2",
+    "--ppo.eval-envs=2",
     "--ppo.unroll=4",
     "--ppo.epochs=1",
     "--ppo.minibatches=2",
@@ -39,9 +40,21 @@ def runs(tmp_path_factory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def stopped(runs) -> tuple[Path, str]:
+def task(tmp_path_factory) -> Path:
+    """The task's file that docs/extend.md shows, with a reward, observation and termination."""
+    (content,) = re.findall(
+        r"```python\n(# my_task.py\n.*?)```", (ROOT / "docs/extend.md").read_text(), re.DOTALL
+    )
+    file = tmp_path_factory.mktemp("task") / "my_task.py"
+    file.write_text(content)
+    return file
+
+
+@pytest.fixture(scope="module")
+def stopped(runs, task) -> tuple[Path, str]:
     """A training that Ctrl-C ended: its folder, and what it printed."""
-    command = [sys.executable, "train.py", f"--runs={runs}", "--name=tiny", *TINY]
+    own = [f"--preset={task}", f"--runs={runs}", "--name=tiny"]
+    command = [sys.executable, "train.py", *own, *TINY]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=ROOT) as process:
         assert process.stdout is not None
         first = process.stdout.readline()
@@ -68,9 +81,14 @@ def test_a_stopped_training_leaves_everything(stopped):
     assert names >= {"config.json", "metrics.jsonl", "tensorboard", "checkpoints", "policy.npz"}
     assert names >= {"learning_curve.png", "robot.urdf"}
     assert not list(folder.rglob("*.part"))
-    assert json.loads((folder / "config.json").read_text())["config"]["envs"] == 16
+    config = json.loads((folder / "config.json").read_text())["config"]
+    assert config["envs"] == 16
+    assert config["env"]["reward"]["bounce"] == {
+        "function": "task.py:bounce", "params": {"most": 2.0}, "scale": 0.3,
+    }  # fmt: skip
     rows = [json.loads(line) for line in (folder / "metrics.jsonl").read_text().splitlines()]
     assert [row["steps"] for row in rows] == [64 * (i + 1) for i in range(len(rows))]
+    assert rows[0]["train/reward/bounce"] > 0
     total = sum(value for name, value in rows[0].items() if name.startswith("train/reward/"))
     assert total == pytest.approx(rows[0]["train/reward"], abs=1e-4)
 
@@ -107,13 +125,13 @@ def arrays(path: Path) -> dict[str, np.ndarray]:
         return {name: archive[name] for name in archive.files if "metadata" not in name.lower()}
 
 
-def test_a_resumed_training_equals_one_that_was_never_stopped(stopped, runs):
+def test_a_resumed_training_equals_one_that_was_never_stopped(stopped, runs, task):
     resumed, whole = runs / "resumed", runs / "whole"
     shutil.copytree(stopped[0], resumed)
     assert len((resumed / "metrics.jsonl").read_text().splitlines()) < ITERATIONS
     done = run("train.py", f"--runs={runs}", "--resume=resumed", "--devices=2")
     assert done.returncode == 0, done.stderr
-    done = run("train.py", f"--runs={runs}", "--name=whole", *TINY)
+    done = run("train.py", f"--preset={task}", f"--runs={runs}", "--name=whole", *TINY)
     assert done.returncode == 0, done.stderr
     assert (resumed / "metrics.jsonl").read_bytes() == (whole / "metrics.jsonl").read_bytes()
     checkpoint = f"checkpoints/step_{64 * ITERATIONS:012d}.npz"

@@ -27,11 +27,10 @@ from quadwalk.physics.rigid_body import (
 )
 from quadwalk.physics.robot_arrays import RobotArrays
 from quadwalk.physics.vectors import Vector
-from quadwalk.task.config import EnvConfig
 
 
 def simulate(
-    legged: Legged, robot: RobotArrays, config: EnvConfig, physics: Physics, target: jax.Array
+    legged: Legged, robot: RobotArrays, config: Any, physics: Physics, target: jax.Array
 ) -> tuple[Physics, Effort]:
     """One control step; `target` (12,) rad. To be vmapped over robots."""
     columns = dataclasses.replace(

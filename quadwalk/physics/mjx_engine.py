@@ -5,7 +5,7 @@ of them results: XLA drops every one that nothing reads, and a reset is a copy o
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -13,7 +13,6 @@ import jax.numpy as jnp
 from quadwalk.physics.motor import friction_torque, motor_torque
 from quadwalk.physics.quiet_mjx import mjx
 from quadwalk.physics.robot_arrays import RobotArrays
-from quadwalk.task.config import EnvConfig
 
 
 class Physics(NamedTuple):
@@ -33,7 +32,7 @@ class Effort(NamedTuple):
 
 def control_step(
     robot: RobotArrays,
-    config: EnvConfig,
+    config: Any,
     physics: Physics,
     target: jax.Array,
     advance: Callable[[Physics, jax.Array, jax.Array], Physics],
@@ -47,8 +46,8 @@ def control_step(
     def substep(carry: tuple[Physics, Effort], _: None) -> tuple[tuple[Physics, Effort], None]:
         state, effort = carry
         q, qd = state.qpos[7:], state.qvel[6:]
-        torque = motor_torque(robot, config.actuation, target, q, qd)
-        friction = friction_torque(robot, config.actuation, qd)
+        torque = motor_torque(robot, config.motor, target, q, qd)
+        friction = friction_torque(robot, config.motor, qd)
         work = jnp.sum(jnp.maximum(torque * qd, 0.0), axis=0) * config.physics_dt
         effort = Effort(effort.torque + torque / config.substeps, effort.energy + work)
         return (advance(state, torque, friction), effort), None
@@ -59,7 +58,7 @@ def control_step(
 
 
 def simulate(
-    model: mjx.Model, robot: RobotArrays, config: EnvConfig, physics: Physics, target: jax.Array
+    model: mjx.Model, robot: RobotArrays, config: Any, physics: Physics, target: jax.Array
 ) -> tuple[Physics, Effort]:
     """One control step in MJX."""
     blank = mjx.make_data(model)

@@ -1,41 +1,35 @@
-"""From action to torque: joint targets, the joint controller, the motor's limits, friction."""
+"""From joint targets to torque: the joint controller, the motor's limits, friction."""
+
+from dataclasses import dataclass
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax.typing import ArrayLike
 
+from quadwalk.errors import UsageError
 from quadwalk.physics.robot_arrays import RobotArrays
-from quadwalk.task.config import ActuationConfig
 
 # Coulomb friction passes through zero over this joint speed, rad/s: steep enough to hold a resting
 # joint nearly still, gentle enough for an explicit step (friction / speed * dt << joint inertia).
 FRICTION_SPEED = 0.1
 
 
-def joint_target(
-    robot: RobotArrays, config: ActuationConfig, action: ArrayLike, q: ArrayLike
-) -> jax.Array:
-    """Joint position targets (12,), rad, of `action` (12,) in [-1, 1] with the joints at `q` (12,).
+@dataclass(frozen=True)
+class MotorConfig:
+    """The joint controller and the motors."""
 
-    About the home pose and within the joints' limits, or between the bounds that `config` gives;
-    then, where there is a step limit, at most that far from `q`.
-    """
-    action = jnp.asarray(action)
-    if config.targets == "home":
-        reach = np.tile([config.hip_range, config.thigh_range, config.calf_range], 4)
-        target = jnp.clip(robot.home_joints + reach * action, robot.lower, robot.upper)
-    else:
-        bounds = np.tile([config.hip_bounds, config.thigh_bounds, config.calf_bounds], (4, 1))
-        lower, upper = bounds.T
-        target = lower + (action + 1.0) / 2.0 * (upper - lower)
-    if config.step_limit is None:
-        return target
-    q = jnp.asarray(q)
-    return jnp.clip(target, q - config.step_limit, q + config.step_limit)
+    kp: float | None  # Nm/rad, position gain; None: weight * home height * 1.4
+    kd: float | None  # Nm s/rad, velocity gain; None: kp * 0.025 s
+    effort: float | None  # Nm, every motor's largest torque; None: the robot's own
+    speed_limit: bool  # torque falls to zero at the motor's speed limit
+    joint_friction: bool  # Coulomb friction of the joints
+
+    def __post_init__(self) -> None:
+        if self.effort is not None and self.effort <= 0.0:
+            raise UsageError(f"env.motor.effort is {self.effort}; expected more than 0, or None")
 
 
-def gains(robot: RobotArrays, config: ActuationConfig) -> tuple[float, float]:
+def gains(robot: RobotArrays, config: MotorConfig) -> tuple[float, float]:
     """Position gain, Nm/rad, and velocity gain, Nm s/rad, of the joint controller.
 
     PyBullet's position control gives a joint, within one of its steps of 1/240 s, the speed that
@@ -50,7 +44,7 @@ def gains(robot: RobotArrays, config: ActuationConfig) -> tuple[float, float]:
 
 
 def motor_torque(
-    robot: RobotArrays, config: ActuationConfig, target: ArrayLike, q: ArrayLike, qd: ArrayLike
+    robot: RobotArrays, config: MotorConfig, target: ArrayLike, q: ArrayLike, qd: ArrayLike
 ) -> jax.Array:
     """Torque (12,), Nm, of the joint controller within the motors' limits.
 
@@ -67,7 +61,7 @@ def motor_torque(
     return jnp.clip(torque, lower, upper)
 
 
-def friction_torque(robot: RobotArrays, config: ActuationConfig, qd: ArrayLike) -> jax.Array:
+def friction_torque(robot: RobotArrays, config: MotorConfig, qd: ArrayLike) -> jax.Array:
     """Torque (12,), Nm, by which joint friction opposes joint speeds `qd` (12,), rad/s."""
     if not config.joint_friction:
         return jnp.zeros_like(qd)

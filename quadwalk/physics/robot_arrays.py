@@ -1,13 +1,13 @@
 """The robot of a task, and what the environment's functions need to know of it, as arrays."""
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import mujoco
 import numpy as np
 
 from quadwalk.robot.quadruped import Quadruped
 from quadwalk.robot.spheres import CORNERS, KNEES
-from quadwalk.task.config import EnvConfig
 
 
 @dataclass(frozen=True)
@@ -40,12 +40,12 @@ class RobotArrays:
         return float(self.home[2])
 
 
-def task_robot(quadruped: Quadruped, config: EnvConfig) -> Quadruped:
+def task_robot(quadruped: Quadruped, config: Any) -> Quadruped:
     """The robot under the task's gravity, with the motors that the task gives it."""
     spec, effort = quadruped.spec.copy(), quadruped.effort
     spec.option.gravity[2] = -config.gravity
-    if config.actuation.effort is not None:
-        effort = np.full(12, config.actuation.effort)
+    if config.motor.effort is not None:
+        effort = np.full(12, config.motor.effort)
         for name, most in zip(quadruped.joints, effort, strict=True):
             # The models have a motor's limit twice, for its control and for its joint.
             spec.actuator(name).ctrlrange = spec.joint(name).actfrcrange = [-most, most]

@@ -1,4 +1,4 @@
-"""The velocity that the robot is told to have."""
+"""The velocity command: what an episode is told, and when it changes."""
 
 from typing import NamedTuple
 
@@ -13,15 +13,14 @@ _COMMANDS = 0x636D64
 
 
 class Command(NamedTuple):
-    """What one episode is told."""
+    """The velocity command of one episode."""
 
-    # (3,) m/s forward and to the left, in the frame of the heading; rad/s of turning to the left
-    velocity: jax.Array
+    velocity: jax.Array  # (3,) forward and lateral m/s, in the frame of the heading; yaw rate rad/s
     key: jax.Array  # of all commands of the episode
 
 
 def first_command(config: CommandConfig, key: jax.Array) -> Command:
-    """What an episode begun with `key` is told first."""
+    """The first command of an episode begun with `key`."""
     own = jax.random.fold_in(key, _COMMANDS)
     return Command(draw(config, own), own)
 
@@ -35,10 +34,5 @@ def next_command(config: CommandConfig, before: Command, steps: jax.Array, perio
 def draw(config: CommandConfig, key: jax.Array) -> jax.Array:
     """A command (3,): uniform in its ranges, or, for `config.standing` of all keys, zero."""
     drawn = jax.random.uniform(key, (4,))
-    low, high = np.array([config.forward, config.sideways, config.turning], np.float32).T
+    low, high = np.array([config.forward, config.lateral, config.yaw_rate], np.float32).T
     return jnp.where(drawn[3] < config.standing, 0.0, low + drawn[:3] * (high - low))
-
-
-def velocity_of(command: Command | None) -> jax.Array:
-    """The velocity commanded (3,), zero where nothing is."""
-    return jnp.zeros(3) if command is None else command.velocity

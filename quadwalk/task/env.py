@@ -1,8 +1,7 @@
-"""The environment: pure functions of (legged, robot, config, state), and the Brax `Env` of them."""
+"""The environment: a task for one quadruped, as the pure functions `reset` and `step`."""
 
-from collections.abc import Callable
-from functools import partial
-from typing import Any, NamedTuple
+from functools import cached_property, partial
+from typing import Any
 
 from quadwalk.physics.quiet_mjx import mjx  # first: Brax imports it too, but not as quietly
 
@@ -10,208 +9,200 @@ from quadwalk.physics.quiet_mjx import mjx  # first: Brax imports it too, but no
 import jax
 import jax.numpy as jnp
 import mujoco
+import numpy as np
 from brax.envs.base import Env, State
 
 from quadwalk.physics.fast import heights, simulate, soles
 from quadwalk.physics.mjx_engine import Effort, Physics
 from quadwalk.physics.mjx_engine import simulate as simulate_in_mjx
-from quadwalk.physics.model import Legged, legged
-from quadwalk.physics.motor import joint_target
-from quadwalk.physics.robot_arrays import RobotArrays, robot_arrays, task_robot
+from quadwalk.physics.model import legged
+from quadwalk.physics.robot_arrays import robot_arrays, task_robot
 from quadwalk.robot.quadruped import Quadruped
-from quadwalk.task.command import Command, first_command, next_command, velocity_of
+from quadwalk.task.command import first_command, next_command
+from quadwalk.task.conditions import delayed, pushed, sensed
 from quadwalk.task.config import EnvConfig
-from quadwalk.task.observation import observation_names, observe
+from quadwalk.task.observation import observe
 from quadwalk.task.reset import fresh_start
-from quadwalk.task.reward import (
-    Step,
-    active_terms,
-    commanded_speed,
-    mean_velocity,
-    reward_terms,
-    total_reward,
-)
-from quadwalk.task.termination import REASONS, fall_reasons
+from quadwalk.task.reward import reward_terms, total_reward
+from quadwalk.task.state import EnvState, Step, commanded_speed, mean_velocity
+from quadwalk.task.termination import terminations
 
 CONTACT_GAP = 1e-3  # m: a foot closer to the floor than this counts as touching it
 MAX_SPEED = 1e3  # m/s or rad/s: no sound state of a robot is faster, so physics has diverged
 
-# How an episode can end, by the number in `State.info["end"]`.
-ENDS = ("running", "time limit", *REASONS, "nan")
-_TIME_LIMIT, _FIRST_REASON, _NAN = 1, 2, 2 + len(REASONS)
+_RUNNING, _TIME_LIMIT, _FIRST_FALL = 0, 1, 2
 
 
-class EnvState(NamedTuple):
-    """What one environment carries from step to step."""
-
-    physics: Physics
-    last_action: jax.Array  # (12,)
-    steps: jax.Array  # () int32, control steps since the episode's start
-    command: Command | None = None  # None where the robot is told nothing
-
-
-def reset(legged: Legged, robot: RobotArrays, config: EnvConfig, key: jax.Array) -> State:
-    """A fresh episode; `key` is a JAX random key."""
-    physics = fresh_start(legged, robot, config.reset, key)
-    command = first_command(config.command, key) if config.command.given else None
-    state = EnvState(physics, jnp.zeros(12), jnp.zeros((), jnp.int32), command)
-    zero = jnp.zeros(())
-    return State(
-        pipeline_state=state,
-        obs=observe(
-            robot, config, physics.qpos, physics.qvel, state.last_action, velocity_of(command)
-        ),
-        reward=zero,
-        done=zero,
-        metrics={
-            "speed": zero,
-            "fell": zero,
-            "nan": zero,
-            **{f"reward/{name}": zero for name in active_terms(config.reward)},
-        },
-        info=_info(jnp.zeros((), jnp.int32), Effort(jnp.zeros(12), zero), jnp.zeros(4, bool)),
-    )
-
-
-def step(
-    legged: Legged,
-    robot: RobotArrays,
-    config: EnvConfig,
-    simulate: Callable[[Physics, jax.Array], tuple[Physics, Effort]],
-    state: State,
-    action: jax.Array,
-) -> State:
-    """One control step with `action` (12,) in [-1, 1].
-
-    `simulate` steps the physics, from a state and joint targets (12,), rad.
-    """
-    before: EnvState = state.pipeline_state
-    target = joint_target(robot, config.actuation, action, before.physics.qpos[7:])
-    physics, effort = simulate(before.physics, target)
-    return conclude(legged, robot, config, before, action, physics, effort)
-
-
-def conclude(
-    legged: Legged,
-    robot: RobotArrays,
-    config: EnvConfig,
-    before: EnvState,
-    action: jax.Array,
-    physics: Physics,
-    effort: Effort,
-) -> State:
-    """The state after a control step, whichever engine stepped the physics.
-
-    A state or action that is not finite ends its episode with reward 0, and the home pose stands
-    in its place, so that nothing downstream ever sees it.
-    """
-    numbers = jnp.concatenate(
-        [physics.qpos, physics.qvel, action, effort.torque, effort.energy[None]]
-    )
-    sane = jnp.all(jnp.isfinite(numbers)) & jnp.all(jnp.abs(physics.qvel) < MAX_SPEED)
-    action = jnp.where(sane, action, 0.0)
-    home = Physics(jnp.asarray(robot.home, jnp.float32), jnp.zeros(18), jnp.zeros(18))
-    physics = jax.tree.map(lambda x, safe: jnp.where(sane, x, safe), physics, home)
-    effort = jax.tree.map(lambda x: jnp.where(sane, x, 0.0), effort)
-
-    feet, lowest = heights(legged, physics.qpos)
-    reasons = fall_reasons(robot, config.termination, physics.qpos, lowest)
-    fell = jnp.any(reasons) & sane
-    steps = before.steps + 1
-    end = jnp.where(steps >= config.episode_steps, _TIME_LIMIT, 0)
-    end = jnp.where(fell, _FIRST_REASON + jnp.argmax(reasons), end)
-    end = jnp.where(sane, end, _NAN).astype(jnp.int32)
-
-    command = before.command
-    if command is not None:
-        command = next_command(config.command, command, steps, config.command_steps)
-    start = jnp.where(sane, before.physics.qpos, physics.qpos)
-    contact = feet < CONTACT_GAP
-    record = Step(
-        dt=config.control_dt,
-        start=start,
-        qpos=physics.qpos,
-        qvel=physics.qvel,
-        action=action,
-        last_action=before.last_action,
-        power=effort.energy / config.control_dt,
-        fell=fell,
-        command=velocity_of(before.command),
-        start_soles=soles(legged, start),
-        soles=soles(legged, physics.qpos),
-        contact=contact,
-    )
-    terms = {
-        name: jnp.where(sane, value, 0.0)
-        for name, value in reward_terms(robot, config.reward, record).items()
-    }
-    return State(
-        pipeline_state=EnvState(physics, action, steps, command),
-        obs=observe(robot, config, physics.qpos, physics.qvel, action, velocity_of(command)),
-        reward=total_reward(config.reward, terms),
-        done=(end > 0).astype(jnp.float32),
-        metrics={
-            "speed": commanded_speed(record) if config.command.given else mean_velocity(record)[0],
-            "fell": fell.astype(jnp.float32),
-            "nan": 1.0 - sane.astype(jnp.float32),
-            **{f"reward/{name}": value for name, value in terms.items()},
-        },
-        info=_info(end, effort, contact),
-    )
-
-
-def _info(end: jax.Array, effort: Effort, contact: jax.Array) -> dict[str, Any]:
-    return {
-        "end": end,  # index into ENDS
-        "truncation": (end == _TIME_LIMIT).astype(jnp.float32),
-        "torque": effort.torque,
-        "energy": effort.energy,
-        "contact": contact,
-    }
+def ends(config: EnvConfig) -> tuple[str, ...]:
+    """How an episode can end, by the number in `State.info["end"]`."""
+    return ("running", "time limit", *config.termination, "nan")
 
 
 class QuadrupedEnv(Env):
-    """`reset` and `step` of one quadruped as a `brax.envs.base.Env`; vmap them for a batch.
+    """A task for one quadruped as a `brax.envs.base.Env`; vmap `reset` and `step` for a batch.
 
     It does not reset itself: a step past the end of an episode goes on from where it was. Use
     `quadwalk.train.ppo`, which starts a fresh episode after each, for training.
     """
 
-    def __init__(self, quadruped: Quadruped, config: EnvConfig | None = None) -> None:
-        self.config = config or EnvConfig()
-        self.quadruped = task_robot(quadruped, self.config)
+    def __init__(self, quadruped: Quadruped, config: EnvConfig) -> None:
+        self.config = config
+        self.quadruped = task_robot(quadruped, config)
         self.mj_model: mujoco.MjModel = self.quadruped.training_model(
-            self.config.physics_dt,
-            self.config.solver_iterations,
-            self.config.line_search_iterations,
-            self.config.contacts,
+            config.physics_dt,
+            config.solver_iterations,
+            config.line_search_iterations,
+            config.contacts,
         )
-        # By default MJX takes the first of all devices, which may be another process's.
-        self.model = mjx.put_model(self.mj_model, device=jax.local_devices()[0])
         self.robot = robot_arrays(self.quadruped, self.mj_model)
         self.legged = legged(self.mj_model, self.robot)
+        self.ends = ends(config)
+        if config.engine == "fast":
+            self.model, self.simulate = self.legged, simulate
+        else:
+            # By default MJX takes the first of all devices, which may be another process's.
+            self.model = mjx.put_model(self.mj_model, device=jax.local_devices()[0])
+            self.simulate = simulate_in_mjx
 
     def reset(self, rng: jax.Array) -> State:
-        """A fresh episode."""
-        return reset(self.legged, self.robot, self.config, rng)
+        """A fresh episode; `rng` is a JAX random key."""
+        config = self.config
+        physics = fresh_start(self.legged, self.robot, config.reset, rng)
+        command = first_command(config.command, rng) if config.command.given else None
+        state = EnvState(physics, jnp.zeros(12), jnp.zeros((), jnp.int32), command)
+        zero = jnp.zeros(())
+        terms = {name: zero for name, term in config.reward.items() if term.scale != 0.0}
+        return State(
+            pipeline_state=state,
+            obs=self.observe(state),
+            reward=zero,
+            done=zero,
+            metrics=_metrics(zero, zero, zero, terms),
+            info=_info(jnp.zeros((), jnp.int32), Effort(jnp.zeros(12), zero), jnp.zeros(4, bool)),
+        )
 
     def step(self, state: State, action: jax.Array) -> State:
         """One control step with `action` (12,) in [-1, 1]."""
-        physics = partial(simulate, self.legged, self.robot, self.config)
-        return step(self.legged, self.robot, self.config, physics, state, action)
+        return self.step_with(self.model, state, action)
 
-    def step_in_mjx(self, state: State, action: jax.Array) -> State:
-        """The same control step with the physics left to MJX: slower, to judge and to check by."""
-        physics = partial(simulate_in_mjx, self.model, self.robot, self.config)
-        return step(self.legged, self.robot, self.config, physics, state, action)
+    def step_with(self, model: Any, state: State, action: jax.Array) -> State:
+        """`step` of a robot whose constants are `model`, of which any may differ from `self.model`.
+
+        A state or action that is not finite ends its episode with reward 0, and the home pose
+        stands in its place, so that nothing downstream ever sees it.
+        """
+        before: EnvState = state.pipeline_state
+        conditions, physics = before.conditions, before.physics
+        target = self.config.action(self.robot, action, physics.qpos[7:])
+        if conditions is not None:
+            physics = pushed(conditions, physics, before.steps, self.config.control_dt)
+            conditions, target = delayed(conditions, target, self.config.substeps)
+        physics, effort = self.simulate(model, self.robot, self.config, physics, target)
+        sane, physics, effort, action = self._kept_sane(physics, effort, action)
+        command, steps = before.command, before.steps + 1
+        if command is not None:
+            command = next_command(self.config.command, command, steps, self.config.command_steps)
+        after = EnvState(physics, action, steps, command, conditions)
+        return self.finish_step(before, after, effort, sane)
+
+    def observe(self, state: EnvState) -> jax.Array:
+        """The observation (n,), float32, with the noise that the episode's conditions give it."""
+        seen = observe(self.config.observation, self.robot, state)
+        if state.conditions is None:
+            return seen
+        return sensed(state.conditions, seen, self.noise_scale, state.steps)
+
+    def _kept_sane(
+        self, physics: Physics, effort: Effort, action: jax.Array
+    ) -> tuple[jax.Array, Physics, Effort, jax.Array]:
+        """Whether all numbers are finite and no speed absurd, and the three, harmless if not."""
+        numbers = jnp.concatenate(
+            [physics.qpos, physics.qvel, action, effort.torque, effort.energy[None]]
+        )
+        sane = jnp.all(jnp.isfinite(numbers)) & jnp.all(jnp.abs(physics.qvel) < MAX_SPEED)
+        action = jnp.where(sane, action, 0.0)
+        home = Physics(jnp.asarray(self.robot.home, jnp.float32), jnp.zeros(18), jnp.zeros(18))
+        physics = jax.tree.map(lambda x, safe: jnp.where(sane, x, safe), physics, home)
+        effort = jax.tree.map(lambda x: jnp.where(sane, x, 0.0), effort)
+        return sane, physics, effort, action
+
+    def finish_step(self, before: EnvState, after: EnvState, effort: Effort, sane: jax.Array) -> State:
+        """The state that a control step led to, with its reward and whether the episode ended."""
+        config, robot = self.config, self.robot
+        feet, lowest = heights(self.legged, after.qpos)
+        start = jnp.where(sane, before.qpos, after.qpos)
+        contact = feet < CONTACT_GAP
+        step = Step(
+            dt=config.control_dt,
+            start=start,
+            qpos=after.qpos,
+            qvel=after.qvel,
+            action=after.last_action,
+            last_action=before.last_action,
+            power=effort.energy / config.control_dt,
+            fell=jnp.zeros((), bool),
+            command=before.velocity_command,
+            start_soles=soles(self.legged, start),
+            soles=soles(self.legged, after.qpos),
+            contact=contact,
+            lowest=lowest,
+        )
+        falls = terminations(config.termination, robot, step)
+        fell = jnp.any(falls) & sane
+        end = jnp.where(after.steps >= config.episode_steps, _TIME_LIMIT, _RUNNING)
+        end = jnp.where(fell, _FIRST_FALL + jnp.argmax(falls), end)
+        end = jnp.where(sane, end, len(self.ends) - 1).astype(jnp.int32)
+        step = step._replace(fell=fell)
+        terms = {
+            name: jnp.where(sane, value, 0.0)
+            for name, value in reward_terms(config.reward, robot, step).items()
+        }
+        speed = commanded_speed(step) if config.command.given else mean_velocity(step)[0]
+        return State(
+            pipeline_state=after,
+            obs=self.observe(after),
+            reward=total_reward(config.reward, terms),
+            done=(end > 0).astype(jnp.float32),
+            metrics=_metrics(
+                speed, fell.astype(jnp.float32), 1.0 - sane.astype(jnp.float32), terms
+            ),
+            info=_info(end, effort, contact),
+        )
+
+    @cached_property
+    def _observation_parts(self) -> dict[str, tuple[str, ...]]:
+        """Names of the numbers of each part of the observation."""
+        robot = self.robot
+        state = EnvState(
+            Physics(jnp.asarray(robot.home, jnp.float32), jnp.zeros(18), jnp.zeros(18)),
+            jnp.zeros(12),
+            jnp.zeros((), jnp.int32),
+        )
+        sizes = {
+            name: jax.eval_shape(partial(part, robot), state).size
+            for name, part in self.config.observation.items()
+        }
+        parts = self.config.observation
+        return {
+            name: parts[name].names(name, size, self.quadruped.joints)
+            for name, size in sizes.items()
+        }
+
+    @property
+    def observation_names(self) -> tuple[str, ...]:
+        """A name for each number of the observation."""
+        return tuple(name for names in self._observation_parts.values() for name in names)
+
+    @cached_property
+    def noise_scale(self) -> np.ndarray:
+        """(n,) standard deviation of each number of the observation at noise level 1."""
+        parts = self._observation_parts.items()
+        scales = [np.full(len(n), self.config.observation[part].noise) for part, n in parts]
+        return np.concatenate(scales).astype(np.float32)
 
     @property
     def observation_size(self) -> int:
         return len(self.observation_names)
-
-    @property
-    def observation_names(self) -> tuple[str, ...]:
-        return observation_names(self.config, self.quadruped.joints)
 
     @property
     def action_size(self) -> int:
@@ -219,4 +210,21 @@ class QuadrupedEnv(Env):
 
     @property
     def backend(self) -> str:
-        return "mjx"
+        return self.config.engine
+
+
+def _metrics(
+    speed: jax.Array, fell: jax.Array, nan: jax.Array, terms: dict[str, jax.Array]
+) -> dict[str, jax.Array]:
+    rewards = {f"reward/{name}": value for name, value in terms.items()}
+    return {"speed": speed, "fell": fell, "nan": nan, **rewards}
+
+
+def _info(end: jax.Array, effort: Effort, contact: jax.Array) -> dict[str, Any]:
+    return {
+        "end": end,  # index into `QuadrupedEnv.ends`
+        "truncation": (end == _TIME_LIMIT).astype(jnp.float32),
+        "torque": effort.torque,
+        "energy": effort.energy,
+        "contact": contact,
+    }

@@ -1,35 +1,35 @@
-"""When an episode ends by a fall."""
+"""Terminations: how an episode ends by a fall, each a pure function of one control step.
+
+To add one, write such a function, here or in a file of your own, and name it in a task:
+`"tipped": Termination(tipped, {"angle": 1.0})`.
+"""
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from quadwalk.physics.robot_arrays import RobotArrays
-from quadwalk.physics.rotation import euler
-from quadwalk.task.config import TerminationConfig
-
-REASONS = ("tipped", "low", "touched")
+from quadwalk.task.state import Step
+from quadwalk.task.terms import Termination
 
 
-def fall_reasons(
-    robot: RobotArrays, config: TerminationConfig, qpos: jax.Array, lowest: jax.Array
-) -> jax.Array:
-    """Whether each of `REASONS` holds, (3,) bool.
+def tipped(robot: RobotArrays, step: Step, *, angle: float) -> jax.Array:
+    """The trunk's z axis is more than `angle`, rad, from the world's."""
+    _, x, y, _ = step.qpos[3:7]
+    upright = 1.0 - 2.0 * (x * x + y * y)  # cosine of that angle
+    return upright < np.cos(angle)
 
-    Tipped over; the trunk too low; a shape other than a foot on the floor. `qpos` (19,), `lowest`
-    () m, of all shapes but the feet.
-    """
-    tipped = low = touched = jnp.zeros((), bool)
-    if config.tilt is not None:
-        _, x, y, _ = qpos[3:7]
-        upright = 1.0 - 2.0 * (x * x + y * y)  # cosine of the angle between trunk z and world z
-        tipped |= upright < np.cos(config.tilt)
-    if config.roll_pitch is not None:
-        tipped |= jnp.max(jnp.abs(euler(qpos[3:7])[:2])) > config.roll_pitch
-    if config.height is not None:
-        low |= qpos[2] < config.height * robot.home_height
-    if config.base_height is not None:
-        low |= qpos[2] < config.base_height
-    if config.clearance is not None:
-        touched |= lowest < config.clearance
-    return jnp.stack([tipped, low, touched])
+
+def low(robot: RobotArrays, step: Step, *, share: float) -> jax.Array:
+    """The trunk's origin is lower than `share` of its height in the home pose."""
+    return step.qpos[2] < share * robot.home_height
+
+
+def touched(robot: RobotArrays, step: Step, *, clearance: float) -> jax.Array:
+    """A part other than a foot is lower than `clearance`, m, above the floor."""
+    return step.lowest < clearance
+
+
+def terminations(ways: dict[str, Termination], robot: RobotArrays, step: Step) -> jax.Array:
+    """Whether each of the ways to fall holds, (n,) bool."""
+    return jnp.stack([jnp.zeros((), bool), *(way(robot, step) for way in ways.values())])[1:]

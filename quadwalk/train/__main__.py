@@ -1,47 +1,62 @@
-"""`python -m quadwalk.train`, which is also `train.py`: teach a quadruped to run."""
+"""`python -m quadwalk.train`, which is also `train.py`: teach a quadruped a task."""
 
+import dataclasses
 import sys
 from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
 
-from quadwalk.cli import parse
+from quadwalk.cli import parse, value_of
 from quadwalk.errors import UsageError, run_command
-from quadwalk.train.runs.resume import resumed_config
-from quadwalk.train.settings import PRESETS, TrainConfig
+from quadwalk.train.runs.directory import Run, find_run
+from quadwalk.train.settings import TrainConfig
 
 
-def parse_config(args: Sequence[str], prog: str = "train.py") -> TrainConfig:
-    """The configuration that a command line asks for; `UsageError` for one that cannot be."""
+@dataclass(frozen=True, kw_only=True)
+class TrainFlags(TrainConfig):
+    """Teach a quadruped a task. Results go to runs/NAME/."""
+
+    # task to start from, which the other flags change: a name, or the path of a .py file of yours
+    preset: str = "run"
+    resume: str | None = None  # name or path of a run to go on with, or "latest"
+
+
+def parse_config(args: Sequence[str], prog: str = "train.py") -> tuple[TrainConfig, Run | None]:
+    """The configuration that a command line asks for, and the run to go on with, if any.
+
+    `UsageError` for one that cannot be.
+    """
+    from quadwalk.task.files import load_task, task_list
+    from quadwalk.train.runs.resume import resumed_config
+
     # The flags that choose what all others change are looked at first.
-    resume = _value(args, "--resume")
-    if resume is not None:
-        default = resumed_config(_value(args, "--runs") or TrainConfig.runs, resume)
+    which = value_of(args, "--resume")
+    previous = None
+    if which is not None:
         for flag in ("--preset", "--name", "--robot.urdf"):
-            if _value(args, flag) is not None:
+            if value_of(args, flag) is not None:
                 raise UsageError(f"{flag} cannot be given with --resume: the run has its own")
-        return parse(TrainConfig, args, prog, default=default)
-    preset = _value(args, "--preset") or "run"
-    if preset not in PRESETS:
-        raise UsageError(f"--preset is {preset!r}; expected one of: {', '.join(PRESETS)}")
-    return parse(TrainConfig, args, prog, default=PRESETS[preset])
+        previous = find_run(value_of(args, "--runs") or TrainConfig.runs, which)
+        default = resumed_config(previous)
+        start = {"preset": default.task, "resume": which}
+    else:
+        preset = value_of(args, "--preset") or "run"
+        default = load_task(preset)
+        start = {"preset": preset}
+    shared: dict[str, Any] = {
+        f.name: getattr(default, f.name) for f in dataclasses.fields(TrainConfig)
+    }
+    description = f"{TrainFlags.__doc__}\n\n{task_list()}"
+    flags = parse(TrainFlags, args, prog, TrainFlags(**shared, **start), description)
+    return TrainConfig(**{name: getattr(flags, name) for name in shared}), previous
 
 
-def _value(args: Sequence[str], flag: str) -> str | None:
-    """The value of `flag` among `args`, None if it is not there."""
-    for arg, following in zip(args, [*args[1:], ""], strict=False):
-        if arg == flag:
-            return following
-        if arg.startswith(f"{flag}="):
-            return arg.partition("=")[2]
-    return None
-
-
-def main() -> None:
+def main(args: Sequence[str] | None = None, prog: str = "train.py") -> None:
     """Parse the command line and train."""
-    config = parse_config(sys.argv[1:])
-    # Imported late: bad flags are told, and the first sign of progress is shown, without JAX.
+    config, previous = parse_config(sys.argv[1:] if args is None else args, prog)
     from quadwalk.train.loop import train
 
-    train(config)
+    train(config, previous)
 
 
 if __name__ == "__main__":

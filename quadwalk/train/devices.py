@@ -57,7 +57,7 @@ def choose_devices(config: TrainConfig) -> tuple[TrainConfig, list["jax.Device"]
         )
     ppo = config.ppo
     envs = config.envs or CPU_ENVS
-    count = config.devices or device_count(envs, ppo.minibatches, ppo.judges, None, processes)
+    count = config.devices or device_count(envs, ppo.minibatches, ppo.eval_envs, None, processes)
     _prepare(count // processes)
     join(config.distributed)
     import jax
@@ -65,7 +65,9 @@ def choose_devices(config: TrainConfig) -> tuple[TrainConfig, list["jax.Device"]
     available = len(jax.devices())
     if jax.default_backend() != "cpu":
         envs = config.envs or ACCELERATOR_ENVS
-    count = config.devices or device_count(envs, ppo.minibatches, ppo.judges, available, processes)
+    count = config.devices or device_count(
+        envs, ppo.minibatches, ppo.eval_envs, available, processes
+    )
     if count > available:
         raise UsageError(f"--devices is {count}; expected at most the {available} there are")
     _check_split(envs, count, config)
@@ -75,9 +77,11 @@ def choose_devices(config: TrainConfig) -> tuple[TrainConfig, list["jax.Device"]
 
 
 def _check_split(envs: int, devices: int, config: TrainConfig) -> None:
-    judges, minibatches = config.ppo.judges, config.ppo.minibatches
+    judges, minibatches = config.ppo.eval_envs, config.ppo.minibatches
     if judges % devices:
-        raise UsageError(f"--ppo.judges is {judges}; expected a multiple of {devices}, the devices")
+        raise UsageError(
+            f"--ppo.eval_envs is {judges}; expected a multiple of {devices}, the devices"
+        )
     share = devices * minibatches
     if envs % share:
         raise UsageError(

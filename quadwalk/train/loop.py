@@ -21,14 +21,17 @@ CURVE_SECONDS = 30.0  # the learning curve is drawn anew this often
 
 
 def train(
-    config: TrainConfig, watch: Callable[[dict[str, float]], object] | None = None
+    config: TrainConfig,
+    previous: Run | None = None,
+    watch: Callable[[dict[str, float]], object] | None = None,
 ) -> Run | None:
     """Train as `config` says; return the run, whose directory holds everything.
 
+    With `previous`, a run, it goes on with that one, whose settings `resumed_config` gives.
     `watch` is called with each iteration's row of metrics, to show it in another way.
 
     Ctrl-C, SIGTERM or the time limit end training after the iteration at hand, with everything
-    saved; `config.resume` goes on from there. A disk that is full does not end it; only if the
+    saved, to be gone on with. A disk that is full does not end it; only if the
     state at the end could not be saved is that a `UserError`. So are weights that are no longer
     finite: nothing is saved then, and what was saved before stays. Of several processes, all but
     the first return None.
@@ -45,7 +48,7 @@ def train(
         from quadwalk.train import distributed
         from quadwalk.train.setup import prepare
 
-        training = prepare(config, progress)
+        training = prepare(config, previous, progress)
         from quadwalk.train.runs.writer import Keeper
 
         keeper = None

@@ -5,7 +5,7 @@ import math
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from quadwalk.task.config import RewardConfig
+from quadwalk.task.terms import Reward
 
 EPISODES = 32  # the share of falls is over about this many of the last episodes
 SCORED = 20  # iterations of the judges' speed that tell how good a policy is
@@ -20,8 +20,8 @@ class TrainingMetrics:
     train/nan: episodes that a state that was not finite has ended so far.
     """
 
-    def __init__(self, scales: RewardConfig) -> None:
-        self._scales = scales
+    def __init__(self, rewards: Mapping[str, Reward]) -> None:
+        self._rewards = rewards
         self._judged = FallRate(EPISODES)
         self._noisy = FallRate(EPISODES)
         self._speeds: collections.deque[float] = collections.deque(maxlen=SCORED)
@@ -60,7 +60,7 @@ class TrainingMetrics:
         self._nan += values["count/nan"]
         self._speeds.append(values["judge/speed"])
         terms = {
-            f"train/{name}": getattr(self._scales, name.partition("/")[2]) * value
+            f"train/{name}": self._rewards[name.partition("/")[2]].scale * value
             for name, value in values.items()
             if name.startswith("reward/")
         }

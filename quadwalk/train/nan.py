@@ -19,7 +19,8 @@ from quadwalk.errors import UsageError, UserError, run_command
 from quadwalk.files import os_reason
 from quadwalk.train.runs import checkpoint
 from quadwalk.train.runs.directory import Run
-from quadwalk.train.settings import TrainConfig, from_dict, to_dict
+from quadwalk.train.serialise import from_dict, to_dict
+from quadwalk.train.settings import TrainConfig
 
 KEPT = 20  # files of a run: enough to see what they have in common
 _MODEL = "model.mjb"
@@ -64,14 +65,13 @@ def replay(path: Path | str) -> tuple[np.ndarray, np.ndarray]:
     from quadwalk.physics.fast import simulate
     from quadwalk.physics.mjx_engine import Physics
     from quadwalk.physics.model import legged
-    from quadwalk.physics.motor import joint_target
     from quadwalk.physics.robot_arrays import robot_arrays, task_robot
     from quadwalk.train.robot import load_run_robot
 
     path = Path(path)
     arrays, metadata = checkpoint.load(path, "nan")
     try:
-        config = from_dict(TrainConfig, metadata["config"])
+        config = from_dict(TrainConfig, metadata["config"], path.parent.parent)
         model = mujoco.MjModel.from_binary_path(_MODEL, {_MODEL: arrays["model"].tobytes()})
         physics = Physics(*(jnp.asarray(arrays[name]) for name in Physics._fields))
         action = jnp.asarray(arrays["action"])
@@ -79,7 +79,7 @@ def replay(path: Path | str) -> tuple[np.ndarray, np.ndarray]:
         raise UserError(f"{path} holds a step that cannot be used: {error}") from None
     quadruped = task_robot(load_run_robot(Run(path.parent.parent), config.robot), config.env)
     robot = robot_arrays(quadruped, model)
-    target = joint_target(robot, config.env.actuation, action, physics.qpos[7:])
+    target = config.env.action(robot, action, physics.qpos[7:])
     # The target holds for the whole control step, so its physics steps can be taken one by one.
     once = dataclasses.replace(config.env, substeps=1)
     constants = legged(model, robot)

@@ -102,7 +102,7 @@ def init_state(
         iterations=jnp.zeros((), jnp.int32),
     )
     split = NamedSharding(mesh, P(AXIS))
-    keys = jax.device_put(jax.random.split(key_envs, num_envs + config.judges), split)
+    keys = jax.device_put(jax.random.split(key_envs, num_envs + config.eval_envs), split)
     envs = jax.jit(
         jax.shard_map(
             lambda k: reset_envs(env, k),
@@ -142,7 +142,7 @@ def collect(
     """
     policy_params, value_params = learner.params.policy, learner.params.value
     distribution = networks.parametric_action_distribution
-    judges = config.judges // jax.lax.axis_size(AXIS)
+    judges = config.eval_envs // jax.lax.axis_size(AXIS)
     learners = len(workers.envs.done) - judges
     judging = jnp.arange(learners + judges)[:, None] >= learners
     key, key_steps, key_reset = jax.random.split(workers.key[0], 3)

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 from quadwalk.robot.quadruped import Quadruped
+from quadwalk.task.files import OWN
 from quadwalk.train import distributed
 from quadwalk.train.devices import choose_devices
 from quadwalk.train.metrics import TrainingMetrics
@@ -17,12 +18,12 @@ from quadwalk.train.runs.directory import (
     claim,
     clean,
     create_run,
-    find_run,
     latest_checkpoint,
     write_json_atomic,
 )
 from quadwalk.train.runs.resume import changed_settings, read_config, restore
-from quadwalk.train.settings import DistributedConfig, RobotConfig, TrainConfig, to_dict
+from quadwalk.train.serialise import task_source, to_dict
+from quadwalk.train.settings import DistributedConfig, RobotConfig, TrainConfig
 from quadwalk.train.versions import versions
 
 if TYPE_CHECKING:
@@ -49,12 +50,11 @@ class Training:
     iterate: Callable[["TrainState"], tuple["TrainState", dict[str, Any]]]
 
 
-def prepare(config: TrainConfig, progress: Progress) -> Training:
+def prepare(config: TrainConfig, previous: Run | None, progress: Progress) -> Training:
     """Everything up to the compiled iteration, in every process; raises `UserError`."""
     # Absolute, so that mesh files are found from wherever the run is used.
     folders = tuple(folder.resolve() for folder in config.robot.mesh_dirs)
     config = replace(config, robot=RobotConfig(config.robot.urdf.resolve(), folders))
-    previous = None if config.resume is None else find_run(config.runs, config.resume)
     config, devices = choose_devices(config)
     assert config.envs is not None
     # Imported here, for it must not be before JAX is set up.
@@ -115,7 +115,10 @@ def _open_run(
     if previous is None:
         # The run keeps its own copy: what it learnt stays true to it when the original changes.
         files = {"robot.urdf": quadruped.urdf.encode(), "config.json": as_json(settings)}
-        run = create_run(config.runs, config.name, label=config.preset, files=files)
+        source = task_source(config)
+        if source is not None:
+            files[OWN] = source
+        run = create_run(config.runs, config.name, label=config.task, files=files)
         return run, claim(run)
     claimed = claim(previous)
     changes = changed_settings(read_config(previous), config)

@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 
 from quadwalk.physics.mjx_engine import Effort, Physics
-from quadwalk.physics.motor import gains, joint_target, motor_torque
+from quadwalk.physics.motor import gains, motor_torque
 from quadwalk.robot.quadruped import load_quadruped
-from quadwalk.task.env import ENDS, EnvState, QuadrupedEnv, conclude
-from quadwalk.train.settings import PRESETS
+from quadwalk.task.env import QuadrupedEnv
+from quadwalk.task.state import EnvState
+from quadwalk.tasks import blog
 
 STATES = 2000
 LOWER = np.tile([-1.2217, -1.0, -2.77507], 4)
@@ -20,7 +21,7 @@ START = np.tile([0.0, np.pi / 4, -np.pi / 2], 4)
 
 @pytest.fixture(scope="module")
 def env() -> QuadrupedEnv:
-    return QuadrupedEnv(load_quadruped(), PRESETS["blog"].env)
+    return QuadrupedEnv(load_quadruped(), blog.TASK.env)
 
 
 @pytest.fixture(scope="module")
@@ -86,8 +87,8 @@ def concluded(env, drawn):
     def one(before, qpos, qvel):
         state = EnvState(Physics(before, qvel, qvel), jnp.zeros(12), jnp.int32(10))
         nothing = Effort(jnp.zeros(12), jnp.zeros(()))
-        after = Physics(qpos, qvel, qvel)
-        return conclude(env.legged, env.robot, env.config, state, jnp.zeros(12), after, nothing)
+        after = EnvState(Physics(qpos, qvel, qvel), jnp.zeros(12), jnp.int32(11))
+        return env.finish_step(state, after, nothing, jnp.ones((), bool))
 
     return jax.jit(jax.vmap(one))(*drawn)
 
@@ -132,7 +133,7 @@ def test_each_reward_and_their_sum(drawn, concluded):
     np.testing.assert_allclose(concluded.reward, sum(expected.values()), atol=1e-4)
 
 
-def test_an_episode_ends_where_the_post_ends_it(drawn, concluded):
+def test_an_episode_ends_where_the_post_ends_it(env, drawn, concluded):
     qpos = drawn[1].astype(float)
     angles = np.abs(roll_pitch_yaw(qpos[:, 3:7]))
     tipped = (angles[:, :2] > np.pi / 2).any(axis=1)
@@ -140,7 +141,7 @@ def test_an_episode_ends_where_the_post_ends_it(drawn, concluded):
     expected = np.where(tipped, "tipped", np.where(low, "low", "running"))
     # Whatever else is so: most of them have knees or the trunk under the floor.
     assert min((expected == end).mean() for end in ("tipped", "low", "running")) > 0.05
-    assert [ENDS[i] for i in np.asarray(concluded.info["end"])] == expected.tolist()
+    assert [env.ends[i] for i in np.asarray(concluded.info["end"])] == expected.tolist()
     np.testing.assert_array_equal(concluded.done, tipped | low)
 
 
@@ -149,7 +150,7 @@ def test_an_action_is_a_place_in_the_joints_range_not_far_from_the_joint(env, dr
     action = rng.uniform(-1, 1, (len(drawn[1]), 12)).astype(np.float32)
     action[:2] = [[-1.0], [1.0]]
     q = drawn[1][:, 7:]
-    found = jax.vmap(lambda a, q: joint_target(env.robot, env.config.actuation, a, q))(action, q)
+    found = jax.vmap(lambda a, q: env.config.action(env.robot, a, q))(action, q)
     wanted = LOWER + (action.astype(float) + 1) / 2 * (UPPER - LOWER)
     q = q.astype(float)
     expected = np.where(wanted > q + 0.5, q + 0.5, np.where(wanted < q - 0.5, q - 0.5, wanted))
@@ -162,8 +163,8 @@ def test_motors_draw_a_joint_to_the_posts_speed_within_its_torque(env):
     rng = np.random.default_rng(2)
     q, qd = rng.uniform(-1, 1, (2, 500, 12))
     target = q + rng.uniform(-0.5, 0.5, (500, 12))
-    found = jax.vmap(lambda *a: motor_torque(env.robot, env.config.actuation, *a))(target, q, qd)
-    _, kd = gains(env.robot, env.config.actuation)
+    found = jax.vmap(lambda *a: motor_torque(env.robot, env.config.motor, *a))(target, q, qd)
+    _, kd = gains(env.robot, env.config.motor)
     wanted = 0.1 * (target - q) * 240  # a tenth of the way, in a step of 1/240 s
     expected = np.clip(kd * (wanted - qd), -44.4, 44.4)
     assert 0.1 < (np.abs(expected) == 44.4).mean() < 0.9
@@ -212,7 +213,7 @@ def test_an_episode_has_1000_steps_of_one_physics_step(env, first):
 
     state, (done, qvel) = jax.jit(lambda s: jax.lax.scan(run, s, None, length=1000))(first)
     assert np.flatnonzero(done).tolist() == [999]
-    assert ENDS[int(state.info["end"])] == "time limit"
+    assert env.ends[int(state.info["end"])] == "time limit"
     assert state.info["truncation"] == 1.0
     # It stands still after the drop: the controller's gains are none that it cannot hold.
     assert np.abs(qvel[500:]).max() < 0.05

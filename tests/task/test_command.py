@@ -10,10 +10,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from quadwalk.task.command import Command, draw, first_command, next_command
-from quadwalk.task.config import CommandConfig, EnvConfig, RewardConfig
+from quadwalk.task.config import CommandConfig
 from quadwalk.task.env import QuadrupedEnv
+from quadwalk.tasks import walk
 
-TOLD = CommandConfig(forward=(-0.5, 1.5), sideways=(0.25, 0.25), turning=(-1.0, 0.0), standing=0.2)
+TOLD = CommandConfig(
+    forward=(-0.5, 1.5), lateral=(0.25, 0.25), yaw_rate=(-1.0, 0.0), standing=0.2, seconds=5.0
+)
 PERIOD = 3  # control steps
 
 
@@ -21,7 +24,7 @@ PERIOD = 3  # control steps
 def told(env) -> QuadrupedEnv:
     """The robot of the other tests, told anew every three control steps."""
     command = dataclasses.replace(TOLD, seconds=PERIOD * 0.02)
-    return QuadrupedEnv(env.quadruped, EnvConfig(command=command, reward=RewardConfig(follow=1.0)))
+    return QuadrupedEnv(env.quadruped, dataclasses.replace(walk.TASK.env, command=command))
 
 
 @pytest.fixture(scope="module")
@@ -40,7 +43,7 @@ def test_commands_fill_their_ranges_and_some_are_to_stand():
     standing = ~drawn.any(axis=1)
     assert 0.17 < standing.mean() < 0.23
     moving = drawn[~standing]
-    for column, (low, high) in enumerate([TOLD.forward, TOLD.sideways, TOLD.turning]):
+    for column, (low, high) in enumerate([TOLD.forward, TOLD.lateral, TOLD.yaw_rate]):
         assert moving[:, column].min() == pytest.approx(low, abs=0.01)
         assert moving[:, column].max() == pytest.approx(high, abs=0.01)
         assert moving[:, column].mean() == pytest.approx((low + high) / 2, abs=0.05)
@@ -74,7 +77,7 @@ def test_the_command_is_seen_in_place_of_the_line(told, course):
     for state in course:
         assert state.obs.shape == (2, 48)
         seen = dict(zip(names, np.asarray(state.obs).T, strict=True))
-        found = [seen[f"command_{part}"] for part in ("forward", "sideways", "turning")]
+        found = [seen[f"command_{part}"] for part in ("forward", "lateral", "yaw_rate")]
         np.testing.assert_array_equal(np.transpose(found), state.pipeline_state.command.velocity)
         joints = np.asarray(state.pipeline_state.physics.qpos[:, 7])
         first = f"position_{told.quadruped.joints[0]}"
@@ -89,7 +92,7 @@ def test_a_step_is_rewarded_for_the_command_it_was_given(told, course):
     own = Rotation.from_euler("z", heading).inv().apply(velocity)[:, :2]
     asked = np.asarray(before.pipeline_state.command.velocity)[:, :2]
     error = np.linalg.norm(own - asked, axis=1)
-    expected = np.exp(-np.square(error / RewardConfig.follow_width))
+    expected = np.exp(-np.square(error / walk.TASK.env.reward["follow"].params["width"]))
     np.testing.assert_allclose(after.metrics["reward/follow"], expected, rtol=1e-3)
     expected = np.linalg.norm(asked, axis=1) - error
     np.testing.assert_allclose(after.metrics["speed"], expected, atol=1e-3)

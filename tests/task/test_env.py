@@ -1,3 +1,5 @@
+import dataclasses
+
 import brax.envs.base
 import jax
 import jax.numpy as jnp
@@ -7,8 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from quadwalk.errors import UsageError
-from quadwalk.task.config import EnvConfig
-from quadwalk.task.env import ENDS
+from quadwalk.tasks import run
 
 STILL = jnp.zeros((4, 12))
 
@@ -22,8 +23,10 @@ def with_qpos(state, qpos):
     return state.replace(pipeline_state=state.pipeline_state._replace(physics=physics))
 
 
-def ends(state) -> list[str]:
-    return [ENDS[i] for i in np.asarray(state.info["end"])]
+@pytest.fixture(scope="module")
+def ends(env):
+    """State -> how each episode ended."""
+    return lambda state: [env.ends[i] for i in np.asarray(state.info["end"])]
 
 
 def test_it_is_a_brax_environment(env, reset):
@@ -73,7 +76,7 @@ def test_the_observation_is_what_its_names_say(env, reset, step):
         assert obs[f"last_action_{joint}"] == 0.25
 
 
-def test_the_time_limit_truncates_and_is_not_a_fall(reset, step):
+def test_the_time_limit_truncates_and_is_not_a_fall(reset, step, ends):
     state = reset(0)
     for k in range(5):  # 0.1 s of 0.02 s steps
         assert not state.done.any(), k
@@ -93,7 +96,7 @@ def test_the_time_limit_truncates_and_is_not_a_fall(reset, step):
         ("touched", lambda q: q.at[:, 2].set(0.22).at[:, 8::3].set(0.3).at[:, 9::3].set(-2.6)),
     ],
 )
-def test_a_fall_ends_the_episode_and_says_why(reset, step, reason, change):
+def test_a_fall_ends_the_episode_and_says_why(reset, step, ends, reason, change):
     state = reset(0)
     home = jnp.tile(jnp.array([0, 0, 0.375, 1, 0, 0, 0, *[0, 0.8, -1.6] * 4]), (4, 1))
     state = step(with_qpos(state, change(home)), STILL)
@@ -104,7 +107,7 @@ def test_a_fall_ends_the_episode_and_says_why(reset, step, reason, change):
 
 
 @pytest.mark.parametrize("poison", [np.nan, np.inf, 1e30])
-def test_a_state_that_is_not_finite_ends_its_episode_and_goes_no_further(reset, step, poison):
+def test_a_state_that_is_not_finite_ends_its_episode_and_goes_no_further(reset, step, ends, poison):
     state = reset(0)
     qpos = physics_of(state).qpos.at[1, 9].set(poison)
     velocity = physics_of(state).qvel.at[2, 3].set(poison)
@@ -132,7 +135,7 @@ def test_a_step_leaves_what_it_was_given_alone_and_repeats_itself(reset, step):
 def test_reward_is_the_scaled_sum_of_the_metrics(env, reset, step):
     state = step(reset(2), jnp.full((4, 12), 0.1))
     total = sum(
-        getattr(env.config.reward, name.partition("/")[2]) * value
+        env.config.reward[name.partition("/")[2]].scale * value
         for name, value in state.metrics.items()
         if name.startswith("reward/")
     )
@@ -145,4 +148,4 @@ def test_reward_is_the_scaled_sum_of_the_metrics(env, reset, step):
 )
 def test_a_setting_out_of_range_is_refused(bad):
     with pytest.raises(UsageError, match=r"expected|or more"):
-        EnvConfig(**bad)
+        dataclasses.replace(run.TASK.env, **bad)

@@ -1,5 +1,7 @@
 """The environment of other quadrupeds: all that differs follows from the robot."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -8,15 +10,19 @@ import pytest
 from quadwalk.physics.motor import gains
 from quadwalk.robot.mjcf import Options
 from quadwalk.robot.quadruped import load_quadruped
-from quadwalk.task.config import EnvConfig, ResetConfig
-from quadwalk.task.env import ENDS, QuadrupedEnv
+from quadwalk.task.env import QuadrupedEnv
+from quadwalk.tasks import run
 
-NO_VARIETY = ResetConfig(yaw=0, tilt=0, offset=0, joints=0, velocity=0, joint_velocity=0)
+NO_VARIETY = dataclasses.replace(
+    run.TASK.env.reset, yaw=0, tilt=0, offset=0, joints=0, velocity=0, joint_velocity=0
+)
 
 
 def stands_for_a_second(urdf, options: Options | None = None) -> None:
     """At rest in its home pose, with the action that asks for it, a robot stays up."""
-    env = QuadrupedEnv(load_quadruped(urdf, options), EnvConfig(reset=NO_VARIETY))
+    env = QuadrupedEnv(
+        load_quadruped(urdf, options), dataclasses.replace(run.TASK.env, reset=NO_VARIETY)
+    )
     state = jax.jit(env.reset)(jax.random.PRNGKey(0))
 
     def step(state, _):
@@ -24,11 +30,11 @@ def stands_for_a_second(urdf, options: Options | None = None) -> None:
         return state, (state.info["end"], state.pipeline_state.physics.qpos, state.info["torque"])
 
     _, (ends, qpos, torque) = jax.jit(lambda s: jax.lax.scan(step, s, None, length=50))(state)
-    assert {ENDS[end] for end in np.asarray(ends)} == {"running"}
+    assert {env.ends[end] for end in np.asarray(ends)} == {"running"}
     assert np.asarray(qpos)[-1, 2] > 0.75 * env.robot.home_height
     assert (np.abs(torque) <= env.robot.effort * (1 + 1e-5)).all()
     # The gains hold every robot alike: its weight sags the legs by the same small share.
-    assert gains(env.robot, env.config.actuation)[0] == pytest.approx(
+    assert gains(env.robot, env.config.motor)[0] == pytest.approx(
         1.4 * env.robot.weight * env.robot.home[2]
     )
 

@@ -8,8 +8,10 @@ from scipy.spatial.transform import Rotation
 
 from quadwalk.physics.model import Shell
 from quadwalk.physics.rotation import from_euler
-from quadwalk.task.config import TerminationConfig
-from quadwalk.task.termination import REASONS, fall_reasons
+from quadwalk.task.state import Step
+from quadwalk.task.termination import terminations
+from quadwalk.task.terms import Termination
+from quadwalk.tasks import blog, run
 
 KINDS = (
     mjtGeom.mjGEOM_SPHERE,
@@ -50,40 +52,38 @@ def test_the_lowest_point_is_that_of_the_surface(kind, seed):
     assert float(shape.bottom(tuple(up))) == pytest.approx((points @ up).min(), abs=2e-3)
 
 
-DEFAULT = TerminationConfig()
+def falls(env, qpos, lowest=1.0, ways=run.TASK.env.termination) -> dict[str, bool]:
+    nothing = jnp.zeros(())
+    step = Step(**dict.fromkeys(Step._fields, nothing) | {"qpos": qpos, "lowest": lowest})
+    return dict(zip(ways, np.asarray(terminations(ways, env.robot, step)).tolist(), strict=True))
 
 
-def reasons(env, qpos, lowest=1.0, config=DEFAULT) -> dict[str, bool]:
-    flags = fall_reasons(env.robot, config, qpos, jnp.array(lowest))
-    return dict(zip(REASONS, np.asarray(flags).tolist(), strict=True))
-
-
-def test_each_reason_stands_for_itself(env):
+def test_each_way_to_fall_stands_for_itself(env):
     home = jnp.asarray(env.robot.home)
     none = {"tipped": False, "low": False, "touched": False}
-    assert reasons(env, home) == none
-    assert reasons(env, home, lowest=-0.001) == {**none, "touched": True}
-    assert reasons(env, home.at[2].set(0.1)) == {**none, "low": True}
+    assert falls(env, home) == none
+    assert falls(env, home, lowest=-0.001) == {**none, "touched": True}
+    assert falls(env, home.at[2].set(0.1)) == {**none, "low": True}
     for roll, pitch, tipped in [(0.9, 0, False), (1.1, 0, True), (0, -1.1, True), (0.8, 0.8, True)]:
         qpos = home.at[3:7].set(from_euler(roll, pitch, 2.0))
-        assert reasons(env, qpos) == {**none, "tipped": tipped}
+        assert falls(env, qpos) == {**none, "tipped": tipped}
 
 
-def test_roll_and_pitch_and_height_in_metres_end_an_episode_too(env):
+def test_the_posts_ways_are_each_angle_for_itself_and_height_in_metres(env):
+    ways = {
+        "tipped": Termination(blog.rolled_or_pitched, {"angle": 0.9}),
+        "low": Termination(blog.below, {"height": 0.1}),
+    }
     home = jnp.asarray(env.robot.home)
-    config = TerminationConfig(
-        tilt=None, roll_pitch=0.9, height=None, base_height=0.1, clearance=None
-    )
-    none = {"tipped": False, "low": False, "touched": False}
-    # Each angle for itself: of both together the trunk tilts further.
+    none = {"tipped": False, "low": False}
+    # Of both together the trunk tilts further.
     for roll, pitch, tipped in [(0.8, 0.8, False), (1.0, 0, True), (0, -1.0, True)]:
         qpos = home.at[3:7].set(from_euler(roll, pitch, 2.0))
-        assert reasons(env, qpos, config=config) == {**none, "tipped": tipped}
-    assert reasons(env, home.at[2].set(0.11), config=config) == none
-    assert reasons(env, home.at[2].set(0.09), config=config) == {**none, "low": True}
+        assert falls(env, qpos, ways=ways) == {**none, "tipped": tipped}
+    assert falls(env, home.at[2].set(0.11), ways=ways) == none
+    assert falls(env, home.at[2].set(0.09), ways=ways) == {**none, "low": True}
 
 
-def test_what_is_switched_off_ends_nothing(env):
-    off = TerminationConfig(tilt=None, height=None, clearance=None)
+def test_without_ways_to_fall_nothing_is_one(env):
     upside_down = jnp.asarray(env.robot.home).at[2].set(-9.0).at[3:7].set(jnp.eye(4)[1])
-    assert not any(reasons(env, upside_down, lowest=-9.0, config=off).values())
+    assert falls(env, upside_down, lowest=-9.0, ways={}) == {}

@@ -11,7 +11,10 @@ from quadwalk.errors import UserError
 from quadwalk.train.networks import make_networks, mean_policy
 from quadwalk.train.ppo import Learner
 from quadwalk.train.runs import checkpoint
-from quadwalk.train.settings import TrainConfig, from_dict, to_dict
+from quadwalk.train.runs.directory import Run
+from quadwalk.train.runs.resume import config_of
+from quadwalk.train.serialise import to_dict
+from quadwalk.train.settings import TrainConfig
 
 
 @dataclass(frozen=True)
@@ -60,7 +63,7 @@ def load_policy(path: Path) -> Policy:
     # First without a structure, for the metadata that says what the structure is.
     _, metadata = checkpoint.load(path, "policy")
     try:
-        config = from_dict(TrainConfig, metadata["config"])
+        config = config_of(metadata["config"], Run(path.parent), str(path), "0.1")
         size = int(metadata["observation_size"])
         joints = tuple(map(str, metadata["joints"]))
         steps = int(metadata["steps"])

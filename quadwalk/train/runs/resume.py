@@ -3,23 +3,24 @@
 import dataclasses
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from quadwalk.errors import UsageError, UserError
 from quadwalk.files import os_reason
 from quadwalk.train.metrics import TrainingMetrics
 from quadwalk.train.runs import checkpoint
-from quadwalk.train.runs.directory import Run, find_run
-from quadwalk.train.settings import DistributedConfig, TrainConfig, flatten, from_dict
+from quadwalk.train.runs.directory import Run
+from quadwalk.train.serialise import flatten, from_dict
+from quadwalk.train.settings import DistributedConfig, TrainConfig
 
 if TYPE_CHECKING:
     from quadwalk.train.ppo import TrainState
 
 # The saved state has the shape of these, or was drawn from them once and for all.
-_FIXED = ("seed", "envs", "ppo.judges", "ppo.hidden", "ppo.activation")
+_FIXED = ("seed", "envs", "ppo.eval_envs", "ppo.hidden", "ppo.activation")
 # How a run is driven, not what it computes.
 _FREE = (
-    *("name", "runs", "resume", "minutes", "checkpoint_steps", "quiet"),
+    *("task", "name", "runs", "minutes", "checkpoint_steps", "quiet"),
     *("distributed.coordinator", "distributed.processes", "distributed.process"),
 )
 
@@ -27,24 +28,31 @@ _FREE = (
 def read_config(run: Run) -> TrainConfig:
     """The configuration in a run's config.json."""
     try:
-        data = json.loads(run.config.read_text())["config"]
+        content = json.loads(run.config.read_text())
+        data, version = content["config"], content["versions"]["quadwalk"]
     except OSError as error:
         raise UserError(f"cannot read {run.config}: {os_reason(error)}") from None
     except (ValueError, KeyError, TypeError):
         raise UserError(f"{run.config} is damaged: expected JSON with a 'config'") from None
-    return from_dict(TrainConfig, data, where=f"{run.config}: config")
+    return config_of(data, run, f"{run.config}: config", version)
 
 
-def resumed_config(runs: Path | str, which: str) -> TrainConfig:
-    """The configuration to go on with run `which` of folder `runs`, before further flags."""
-    run = find_run(runs, which)
-    config = read_config(run)
+def config_of(data: Any, run: Run, where: str, version: str) -> TrainConfig:
+    """The configuration in `data`, of `run`, which quadwalk `version` wrote in the file `where`."""
+    if isinstance(data, dict) and "task" not in data:
+        raise UserError(
+            f"{where} is of quadwalk {version} or before: this version reads no run of it; judge "
+            "it with that version, or train it again"
+        )
+    return from_dict(TrainConfig, data, run.path, where)
+
+
+def resumed_config(run: Run) -> TrainConfig:
+    """The configuration to go on with a run, before any changes."""
     return dataclasses.replace(
-        config,
-        # By its name, lest another run has become the latest when it is looked up again.
-        resume=run.name if which == "latest" else which,
+        read_config(run),
         name=None,
-        runs=Path(runs),
+        runs=run.path.parent,
         minutes=None,
         quiet=False,
         distributed=DistributedConfig(),
@@ -54,12 +62,12 @@ def resumed_config(runs: Path | str, which: str) -> TrainConfig:
 def changed_settings(before: TrainConfig, now: TrainConfig) -> list[str]:
     """What differs, as "name: old -> new"; `UsageError` for what cannot change in a run."""
     old, new = flatten(before), flatten(now)
-    names = [name for name in old if old[name] != new[name] and name not in _FREE]
+    names = [n for n in {**old, **new} if old.get(n) != new.get(n) and n not in _FREE]
     for name in names:
         if name in _FIXED:
             flag = name.replace("_", "-")
             raise UsageError(f"--{flag} cannot change in a run that goes on: it is {old[name]}")
-    return [f"{name}: {old[name]} -> {new[name]}" for name in names]
+    return [f"{name}: {old.get(name)} -> {new.get(name)}" for name in names]
 
 
 def restore(

@@ -10,7 +10,7 @@ from quadwalk.train.runs import checkpoint
 from quadwalk.train.runs.directory import Run, keep_last
 from quadwalk.train.runs.log import MetricsLog, read_history
 from quadwalk.train.runs.policy import load_score, save_policy
-from quadwalk.train.settings import to_dict
+from quadwalk.train.serialise import to_dict
 
 if TYPE_CHECKING:
     from quadwalk.train.setup import Training

@@ -1,0 +1,34 @@
+"""The console command `quadwalk`: train, eval and robot, as train.py, eval.py and quadwalk.robot."""
+
+import importlib
+import sys
+
+from quadwalk.errors import UsageError, run_command
+
+_COMMANDS = {
+    "train": ("quadwalk.train.__main__", "teach a quadruped a task"),
+    "eval": ("quadwalk.evaluate.__main__", "judge a trained policy"),
+    "robot": ("quadwalk.robot.__main__", "convert a URDF to MJCF, or draw it"),
+}
+
+
+def command() -> None:
+    """Run the command that the first argument names with the others."""
+    given = sys.argv[1] if len(sys.argv) > 1 else "--help"
+    if given in ("-h", "--help"):
+        print("usage: quadwalk COMMAND [OPTIONS]; quadwalk COMMAND --help lists the options\n")
+        for name, (_, what) in _COMMANDS.items():
+            print(f"  {name:<7} {what}")
+        return
+    if given not in _COMMANDS:
+        raise UsageError(f"no command {given!r}; expected one of: {', '.join(_COMMANDS)}")
+    importlib.import_module(_COMMANDS[given][0]).main(sys.argv[2:], f"quadwalk {given}")
+
+
+def main() -> None:
+    """The entry point of the installed package."""
+    run_command(command)
+
+
+if __name__ == "__main__":
+    main()

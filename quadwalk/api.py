@@ -1,0 +1,138 @@
+"""The package from Python, as a notebook uses it: make, train, evaluate, load_policy."""
+
+import dataclasses
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from quadwalk.errors import UsageError
+from quadwalk.paths import ALIENGO_URDF
+from quadwalk.task.files import load_task
+from quadwalk.train.runs.directory import Run, find_run
+from quadwalk.train.serialise import with_settings
+from quadwalk.train.settings import RobotConfig, TrainConfig
+
+if TYPE_CHECKING:
+    from quadwalk.evaluate.evaluation import Evaluation
+    from quadwalk.task.env import QuadrupedEnv
+    from quadwalk.train.runs.policy import Policy
+
+Overrides = Mapping[str, Any]
+
+
+def make(
+    task: str | Path | TrainConfig = "run",
+    robot: str | Path = ALIENGO_URDF,
+    overrides: Overrides | None = None,
+) -> "QuadrupedEnv":
+    """The environment of a task, a Brax `Env`: `reset` and `step` are pure, vmap them for a batch.
+
+    Args:
+        task: the name of one of quadwalk's, the path of a file of your own, or a `TrainConfig`.
+        robot: the URDF of a quadruped.
+        overrides: settings by the names of their flags, {"env.reward.energy": -0.5}.
+    """
+    from quadwalk.train.devices import set_up_devices
+    from quadwalk.train.robot import load_robot
+
+    config = _config(task, robot, overrides)
+    set_up_devices()
+    from quadwalk.task.env import QuadrupedEnv
+
+    return QuadrupedEnv(load_robot(config.robot), config.env)
+
+
+def train(
+    task: str | Path | TrainConfig | None = None,
+    *,
+    robot: str | Path | None = None,
+    resume: str | Path | Run | None = None,
+    runs: str | Path | None = None,
+    overrides: Overrides | None = None,
+    watch: Callable[[dict[str, float]], object] | None = None,
+    **settings: Any,
+) -> Run:
+    """Train, show how it goes, and return the run, whose folder holds everything.
+
+    Args:
+        task: as for `make`; "run" unless another is given.
+        robot: the URDF of a quadruped, in place of the AlienGo.
+        resume: a run, its name or path, or "latest", to go on with, in place of a task.
+        runs: the folder of all runs, "runs" unless another is given.
+        overrides: settings by the names of their flags, {"env.reward.energy": -0.5}.
+        watch: called with the metrics of each iteration.
+        settings: those of `TrainConfig` itself, such as steps, minutes, seed, name, quiet.
+    """
+    from quadwalk.train.loop import train as run_training
+    from quadwalk.train.runs.resume import resumed_config
+
+    changes = {**settings, **(overrides or {})}
+    previous = None
+    if resume is None:
+        if runs is not None:
+            changes["runs"] = Path(runs)
+        config = _config(task or "run", robot, changes)
+    else:
+        if task is not None or robot is not None:
+            raise UsageError("resume goes on with the task and robot of its run: give neither")
+        previous = _run(resume, runs)
+        config = with_settings(resumed_config(previous), changes)
+    run = run_training(config, previous, watch)
+    assert run is not None  # one process
+    return run
+
+
+def evaluate(
+    run: str | Path | Run = "latest",
+    *,
+    episodes: int = 16,
+    seconds: float = 20.0,
+    engine: Literal["mjx", "mujoco", "fast"] = "mjx",
+    seed: int = 0,
+    policy: Literal["last", "best"] = "last",
+    runs: str | Path | None = None,
+) -> "Evaluation":
+    """Roll a run's policy out from fresh starts, without noise, and measure its episodes.
+
+    Args:
+        run: a run, its name or path, or "latest".
+        episodes: how many, each from another start.
+        seconds: the time limit of an episode.
+        engine: MJX, or MuJoCo C with every shape colliding ("mujoco"), or the one trained in.
+        seed: of the starts; the same seed gives the same episodes.
+        policy: the run's last, or that of its best checkpoint.
+        runs: the folder of all runs, "runs" unless another is given.
+    """
+    from quadwalk.train.devices import set_up_devices
+
+    found = _run(run, runs)
+    set_up_devices()
+    from quadwalk.evaluate.evaluation import measure
+    from quadwalk.evaluate.subject import load_subject
+
+    return measure(load_subject(found, seconds, policy, engine), episodes, seed)
+
+
+def load_policy(run: str | Path | Run = "latest") -> "Policy":
+    """The last policy of a run, or of a policy file: `policy.act(observation)` is its action."""
+    from quadwalk.train.devices import set_up_devices
+
+    set_up_devices()
+    from quadwalk.train.runs.policy import load_policy as load
+
+    if isinstance(run, str | Path) and Path(run).suffix == ".npz":
+        return load(Path(run))
+    return load(_run(run, None).policy)
+
+
+def _config(
+    task: str | Path | TrainConfig, robot: str | Path | None, overrides: Overrides | None
+) -> TrainConfig:
+    config = task if isinstance(task, TrainConfig) else load_task(task)
+    if robot is not None:
+        config = dataclasses.replace(config, robot=RobotConfig(Path(robot)))
+    return with_settings(config, overrides or {})
+
+
+def _run(run: str | Path | Run, runs: str | Path | None) -> Run:
+    return run if isinstance(run, Run) else find_run(runs or TrainConfig.runs, str(run))

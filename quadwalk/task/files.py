@@ -1,0 +1,135 @@
+"""Finding tasks: those of the package by name, a user's own by the path of its file.
+
+A task file is Python that defines `TASK`, a `TrainConfig`, and any functions that its terms need.
+A run keeps a copy of it as `task.py`, and names functions in `config.json` by where they are
+found: "quadwalk.task.reward:energy", or "task.py:my_term" for one of the file's own.
+"""
+
+import hashlib
+import importlib
+import importlib.util
+import pkgutil
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType
+from typing import TYPE_CHECKING, Any
+
+from quadwalk.errors import UsageError, UserError
+from quadwalk.files import os_reason
+
+if TYPE_CHECKING:
+    from quadwalk.train.settings import TrainConfig
+
+OWN = "task.py"  # the copy of its task's file that a run keeps
+_PACKAGE = "quadwalk.tasks"
+_OWN_MODULE = "quadwalk_task_file_"
+
+
+def task_names() -> tuple[str, ...]:
+    """The names of the package's tasks."""
+    package = importlib.import_module(_PACKAGE)
+    return tuple(module.name for module in pkgutil.iter_modules(package.__path__))
+
+
+def task_list() -> str:
+    """A line for each of the package's tasks: the first of its file's docstring."""
+    modules = [importlib.import_module(f"{_PACKAGE}.{name}") for name in task_names()]
+    return "\n\n".join((module.__doc__ or "").partition("\n")[0] for module in modules)
+
+
+def load_task(which: str | Path) -> "TrainConfig":
+    """The task of this name or in this file; `UsageError` says what is wrong with it."""
+    if str(which) in task_names():
+        return importlib.import_module(f"{_PACKAGE}.{which}").TASK
+    if Path(which).suffix != ".py":
+        raise UsageError(
+            f"no task {str(which)!r}; expected one of: {', '.join(task_names())}, or the path of "
+            "a .py file that defines TASK"
+        )
+    from quadwalk.train.settings import TrainConfig
+
+    task = getattr(_import(Path(which)), "TASK", None)
+    if not isinstance(task, TrainConfig):
+        raise UsageError(f"{which} does not define TASK; expected a quadwalk TrainConfig")
+    return task
+
+
+def reference(function: Callable[..., Any]) -> str:
+    """Where a term's function is found again; `UsageError` where it could not be."""
+    module, name = function.__module__, function.__qualname__
+    if module.startswith(_OWN_MODULE) and name.isidentifier():
+        return f"{OWN}:{name}"
+    if module.partition(".")[0] == "quadwalk" and name.isidentifier():
+        return f"{module}:{name}"
+    raise UsageError(
+        f"the function {name} of a term is defined in {module}; expected it in quadwalk or, by a "
+        "name of its own, in a task's file, so that the run can be judged and gone on with"
+    )
+
+
+def resolve(where: str, folder: Path) -> Callable[..., Any]:
+    """The function that `reference` named; `folder` is the run's, which has the task's file."""
+    module, _, name = where.partition(":")
+    if module == OWN:
+        found = _import(folder / OWN)
+    elif module.partition(".")[0] == "quadwalk":
+        try:
+            found = importlib.import_module(module)
+        except ImportError:
+            raise UserError(f"{module} is not part of this version of quadwalk") from None
+    else:
+        raise UserError(f"{where!r} is no function of quadwalk's or of {OWN}")
+    function = getattr(found, name, None)
+    if not callable(function):
+        raise UserError(f"{module} has no function {name!r} (any more)")
+    return function
+
+
+def own_file(functions: list[Callable[..., Any]]) -> bytes | None:
+    """The file that holds those of the functions that are a user's own; None if none is."""
+    modules = {f.__module__ for f in functions if f.__module__.startswith(_OWN_MODULE)}
+    if len(modules) > 1:
+        files = ", ".join(str(sys.modules[module].__file__) for module in sorted(modules))
+        raise UsageError(f"the task has functions of several files, {files}; expected one")
+    return sys.modules[modules.pop()].__source__ if modules else None  # type: ignore[attr-defined]
+
+
+def _import(path: Path) -> ModuleType:
+    """Run a task's file as a module; the same content from the same place is run once."""
+    path = path.resolve()
+    try:
+        source = path.read_bytes()
+    except OSError as error:
+        raise UsageError(f"cannot read the task {path}: {os_reason(error)}") from None
+    name = _OWN_MODULE + hashlib.sha256(bytes(path) + source).hexdigest()[:12]
+    if name in sys.modules:
+        return sys.modules[name]
+    spec = importlib.util.spec_from_file_location(name, path)
+    assert spec is not None
+    module = importlib.util.module_from_spec(spec)
+    module.__source__ = source  # type: ignore[attr-defined]
+    sys.modules[name] = module
+    try:
+        exec(compile(source, path, "exec"), module.__dict__)
+    except UserError as error:
+        del sys.modules[name]
+        raise UsageError(f"{path}: {error}") from None
+    except Exception as error:
+        del sys.modules[name]
+        raise UsageError(
+            f"{path}{_line_of(error, path)}: {type(error).__name__}: {error}"
+        ) from None
+    return module
+
+
+def _line_of(error: BaseException, path: Path) -> str:
+    """Where in the file an error came from, as ", line 3"; empty if it cannot be told."""
+    if isinstance(error, SyntaxError):
+        return f", line {error.lineno}"
+    number, trace = None, error.__traceback__
+    while trace is not None:
+        if trace.tb_frame.f_code.co_filename == str(path):
+            number = trace.tb_lineno
+        trace = trace.tb_next
+    return f", line {number}" if number else ""

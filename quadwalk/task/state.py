@@ -1,0 +1,78 @@
+"""What a task's functions read: the state of an environment, and one control step of it."""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from quadwalk.physics.mjx_engine import Physics
+from quadwalk.physics.rotation import yaw
+from quadwalk.task.command import Command
+
+
+class EnvState(NamedTuple):
+    """What one environment carries from step to step."""
+
+    physics: Physics
+    last_action: jax.Array  # (12,)
+    steps: jax.Array  # () int32, control steps since the episode's start
+    command: Command | None = None  # None where there is none
+    conditions: Any = None  # `Conditions` where the episode has some of its own
+
+    @property
+    def qpos(self) -> jax.Array:
+        """(19,) position m, quaternion wxyz, joints rad."""
+        return self.physics.qpos
+
+    @property
+    def qvel(self) -> jax.Array:
+        """(18,) trunk: world linear m/s, body angular rad/s; joints rad/s."""
+        return self.physics.qvel
+
+    @property
+    def velocity_command(self) -> jax.Array:
+        """(3,) forward and lateral m/s, yaw rate rad/s; zero where there is none."""
+        return jnp.zeros(3) if self.command is None else self.command.velocity
+
+
+class Step(NamedTuple):
+    """One control step, as rewards and terminations see it."""
+
+    dt: float  # s
+    start: jax.Array  # (19,) qpos before the step
+    qpos: jax.Array  # (19,) after it
+    qvel: jax.Array  # (18,) after it; trunk: world linear m/s, body angular rad/s
+    action: jax.Array  # (12,)
+    last_action: jax.Array  # (12,)
+    power: jax.Array  # () W, mean mechanical power that the motors gave in the step
+    fell: jax.Array  # () bool, whether any termination holds; terminations see False
+    command: jax.Array  # (3,) velocity command; zero where there is none
+    start_soles: jax.Array  # (4, 3) m, the lowest points of the feet before the step
+    soles: jax.Array  # (4, 3) after it
+    contact: jax.Array  # (4,) bool, feet on the floor after it
+    lowest: jax.Array  # () m, height above the floor of the lowest point of all but the feet
+
+
+def mean_velocity(step: Step) -> jax.Array:
+    """Mean velocity (2,) of the trunk over the step along world x and y, m/s."""
+    return (step.qpos[:2] - step.start[:2]) / step.dt
+
+
+def velocity_error(step: Step) -> jax.Array:
+    """That in the frame of the heading after the step, forward and left, less the command (2,)."""
+    heading = yaw(step.qpos[3:7])
+    cos, sin = jnp.cos(heading), jnp.sin(heading)
+    x, y = mean_velocity(step)
+    return jnp.stack([cos * x + sin * y, cos * y - sin * x]) - step.command[:2]
+
+
+def commanded_speed(step: Step) -> jax.Array:
+    """How much of the commanded speed there is, m/s: its size less that of the error."""
+    return jnp.linalg.norm(step.command[:2]) - jnp.linalg.norm(velocity_error(step))
+
+
+def yaw_rate_error(step: Step) -> jax.Array:
+    """Mean rate of the heading over the step, less the command, rad/s."""
+    turned = yaw(step.qpos[3:7]) - yaw(step.start[3:7])
+    turned = jnp.arctan2(jnp.sin(turned), jnp.cos(turned))  # the short way round
+    return turned / step.dt - step.command[2]

@@ -1,0 +1,80 @@
+"""Terms: a function with its numbers, of which rewards, observations and terminations are made."""
+
+import inspect
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Annotated, Any
+
+import tyro
+
+from quadwalk.errors import UsageError
+
+# On the command line a term's parameters are named after the term, without a word between them;
+# where there are none there is no flag, which is why the type is not narrower.
+Params = Annotated[Any, tyro.conf.arg(name="")]
+
+
+@dataclass(frozen=True)
+class Term:
+    """A pure function of the task, and the numbers it is called with beside its inputs."""
+
+    function: tyro.conf.Suppress[Callable[..., Any]]
+    params: Params = None  # keyword arguments of the function: a dict of numbers, or None
+
+    def __post_init__(self) -> None:
+        expected = {
+            name
+            for name, parameter in inspect.signature(self.function).parameters.items()
+            if parameter.kind is inspect.Parameter.KEYWORD_ONLY
+        }
+        given = set(self.params or ())
+        if given != expected:
+            raise UsageError(
+                f"the term {self.function.__name__} has parameters {sorted(given)}; "
+                f"expected {sorted(expected)}"
+            )
+
+    def __call__(self, *inputs: Any) -> Any:
+        """The function's value for its inputs."""
+        return self.function(*inputs, **(self.params or {}))
+
+
+@dataclass(frozen=True)
+class Reward(Term):
+    """A term of the reward: `function(robot, step)` in physical units, times a scale."""
+
+    # reward per unit of the term; 0 leaves it out
+    scale: Annotated[float, tyro.conf.arg(name="")] = field(kw_only=True)
+
+
+@dataclass(frozen=True)
+class Observation(Term):
+    """A part of the observation: `function(robot, state)`, a number or a vector."""
+
+    # names of its numbers; by default none for one, x y z for three, joints for twelve
+    labels: tyro.conf.Suppress[tuple[str, ...]] = field(default=(), kw_only=True)
+    # standard deviation of the sensor noise at level 1, in the observation's unit
+    noise: float = field(default=0.0, kw_only=True)
+
+    def names(self, name: str, size: int, joints: tuple[str, ...]) -> tuple[str, ...]:
+        """A name for each of its `size` numbers, of a robot with these 12 joints."""
+        if size == 1 and not self.labels:
+            return (name,)
+        usual = {3: ("x", "y", "z"), len(joints): joints}
+        labels = self.labels or usual.get(size, tuple(map(str, range(size))))
+        if len(labels) != size:
+            raise UsageError(
+                f"the observation {name} has {size} numbers and {len(labels)} labels; "
+                "expected one for each"
+            )
+        return tuple(f"{name}_{label}" for label in labels)
+
+
+@dataclass(frozen=True)
+class Termination(Term):
+    """A way to fall: `function(robot, step)`, true in the step that ends the episode by it."""
+
+
+@dataclass(frozen=True)
+class ActionMap(Term):
+    """What an action means: `function(robot, action, joints)`, joint targets (12,) in rad."""

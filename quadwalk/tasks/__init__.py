@@ -1,0 +1,1 @@
+"""The tasks: one file is one task, with all of its numbers."""
