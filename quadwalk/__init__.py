@@ -1,10 +1,10 @@
 """quadwalk: teach a quadruped to run, on an ordinary CPU, in minutes.
 
-    import quadwalk
+import quadwalk
 
-    env = quadwalk.make("walk", robot="go1.urdf")
-    run = quadwalk.train("run", steps=4_000_000, overrides={"env.reward.energy": -0.5})
-    result = quadwalk.evaluate(run, episodes=64, engine="mujoco")
+env = quadwalk.make("walk", robot="go1.urdf")
+run = quadwalk.train("run", steps=4_000_000, overrides={"env.reward.energy": -0.5})
+result = quadwalk.evaluate(run, episodes=64, engine="mujoco")
 """
 
 from typing import TYPE_CHECKING, Any

@@ -1,16 +1,17 @@
 """`python -m quadwalk.evaluate`, which is also `eval.py`: judge a policy and write it down."""
 
 import sys
+from collections.abc import Sequence
 
 from quadwalk.cli import parse
 from quadwalk.errors import run_command
 from quadwalk.evaluate.options import EvalConfig
 
 
-def main() -> None:
+def main(args: Sequence[str] | None = None, prog: str = "eval.py") -> None:
     """Parse the command line and evaluate."""
-    config = parse(EvalConfig, sys.argv[1:], "eval.py")
-    from quadwalk.evaluate.evaluation import evaluate
+    config = parse(EvalConfig, sys.argv[1:] if args is None else args, prog)
+    from quadwalk.evaluate.judge import evaluate
 
     evaluate(config)
 

@@ -1,94 +1,99 @@
-"""An evaluation from start to end: find the runs, judge each, compare them."""
+"""A run's policy rolled out and measured: what the command writes down, and a notebook looks at."""
 
-import datetime
-import tempfile
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from rich.console import Console
+from quadwalk.evaluate.gait import Gait, gait_metrics, measure_gait
+from quadwalk.evaluate.provenance import attachments, provenance
+from quadwalk.evaluate.recording.mcap import write_mcap
+from quadwalk.evaluate.rollout import Rollout
+from quadwalk.evaluate.simulate import Report, simulate_episodes, with_foot_forces
+from quadwalk.evaluate.subject import Subject
+from quadwalk.evaluate.summary import episode_figures, summarise, typical_episode
+from quadwalk.train.serialise import to_dict
 
-from quadwalk.errors import UsageError, UserError
-from quadwalk.evaluate.options import EvalConfig
-from quadwalk.files import os_reason
-from quadwalk.train.runs.directory import Run, find_run
-
-
-def evaluate(config: EvalConfig) -> dict[str, Any]:
-    """Evaluate as `config` says; return what metrics.json, sweep.json or comparison.json holds."""
-    runs = _find_runs(config)
-    what = "sweep" if config.sweep else config.engine
-    outs, together = _make_outputs(
-        config, runs, f"{datetime.datetime.now():%Y-%m-%d_%H%M%S}-{what}"
-    )
-    # On stderr: what is printed on stdout is the result alone.
-    console = Console(stderr=True, highlight=False, soft_wrap=True)
-    console.print(f"evaluating {', '.join(str(run.path) for run in runs)}")
-
-    # Before anything imports JAX; and all of these late, since they take seconds.
-    from quadwalk.train.devices import set_up_devices
-
-    set_up_devices()
-    from quadwalk.evaluate.judge import judge
-    from quadwalk.evaluate.report.comparison import compare
-    from quadwalk.evaluate.subject import load_subject
-    from quadwalk.evaluate.sweep import sweep
-    from quadwalk.evaluate.view import check_screen
-
-    if config.view:
-        check_screen()  # now, not after a minute of simulation
-    # All of them before the first is simulated, so that a bad one is told at once.
-    subjects = [load_subject(run, config.seconds, config.policy) for run in runs]
-    if config.sweep:
-        return sweep(subjects[0], config, outs[0], console)
-    results = [
-        judge(subject, config, out, console) for subject, out in zip(subjects, outs, strict=True)
-    ]
-    if together is None:
-        return results[0]
-    return compare(_labels(runs), outs, results, together, console)
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from PIL.Image import Image
 
 
-def _find_runs(config: EvalConfig) -> list[Run]:
-    """The runs that are named; `UsageError` for one that is not there, or named twice."""
-    runs: list[Run] = []
-    for which in config.run:
-        run = find_run(config.runs, which)
-        for other, called in zip(runs, config.run, strict=False):
-            if other.path.resolve() == run.path.resolve():
-                raise UsageError(
-                    f"{called!r} and {which!r} are the same run, {run.path}; expected others to "
-                    "compare it with"
-                )
-        runs.append(run)
-    return runs
+@dataclass(frozen=True, eq=False)
+class Evaluation:
+    """Episodes of one policy in one engine, and their figures."""
 
+    subject: Subject
+    seed: int
+    rollouts: list[Rollout]
+    episodes: list[dict[str, Any]]  # the figures of each, as `episode_figures` defines them
 
-def _labels(runs: list[Run]) -> list[str]:
-    """What each run is called in a comparison: its name, or its path where names meet."""
-    names = [run.name for run in runs]
-    return [run.name if names.count(run.name) == 1 else str(run.path) for run in runs]
+    @cached_property
+    def summary(self) -> dict[str, Any]:
+        """Of each figure the mean over the episodes, its uncertainty, median and worst."""
+        return summarise(self.episodes)
 
+    @cached_property
+    def typical(self) -> Rollout:
+        """The episode of median speed: the one to look at."""
+        return self.rollouts[typical_episode(self.episodes)]
 
-def _make_outputs(config: EvalConfig, runs: list[Run], name: str) -> tuple[list[Path], Path | None]:
-    """Folders, made, for each run's results, and for those of a comparison."""
-    if len(runs) == 1:
-        return [_make_folder(config.out or runs[0].path / "eval" / name)], None
-    together = _make_folder(config.out or config.runs / "comparisons" / name)
-    if config.out is None:
-        return [_make_folder(run.path / "eval" / name) for run in runs], together
-    labels = [label.strip("/").replace("/", "_") for label in _labels(runs)]
-    return [_make_folder(together / label) for label in labels], together
+    @cached_property
+    def gait(self) -> Gait:
+        """How that episode ran."""
+        return measure_gait(self.typical, self.subject.env.quadruped)
 
+    @cached_property
+    def results(self) -> dict[str, Any]:
+        """All figures as plain values for JSON, and where they come from."""
+        gait = gait_metrics(self.gait, self.subject.env.quadruped)
+        return {
+            **provenance(self.subject, self.seed),
+            "summary": self.summary,
+            "episodes": self.episodes,
+            "typical_episode": {"episode": self.typical.episode, **gait},
+        }
 
-def _make_folder(folder: Path) -> Path:
-    try:
+    def film_strip(self) -> "Image":
+        """Pictures of two strides of the typical episode, side by side."""
+        from quadwalk.evaluate.report.pictures import film_strip
+
+        return film_strip(self.typical, self.subject.env.quadruped)
+
+    def report(self) -> "Figure":
+        """The typical episode as plots: footfalls, speed, joints, torques, rewards, path."""
+        from quadwalk.evaluate.report.plots import draw_report
+
+        return draw_report(self.typical, self.subject.env.quadruped, self.subject.run.name)
+
+    def save_mcap(self, folder: str | Path, episodes: int | None = None) -> list[Path]:
+        """Write the first `episodes`, by default all, as MCAP files for Rerun or Foxglove."""
+        folder = Path(folder)
         folder.mkdir(parents=True, exist_ok=True)
-        # What is written is read back, to verify it; that this is possible is better known now
-        # than after the simulation.
-        with tempfile.NamedTemporaryFile(dir=folder, suffix=".part") as probe:
-            open(probe.name, "rb").close()
-    except OSError as error:
-        raise UserError(
-            f"cannot write results to the folder {folder}: {os_reason(error)}"
-        ) from error
-    return folder
+        metadata = _as_text(provenance(self.subject, self.seed))
+        metadata["config"] = json.dumps(to_dict(self.subject.policy.config))
+        attached = attachments(self.subject)
+        written = []
+        for rollout in self.rollouts[:episodes]:
+            written.append(folder / f"episode_{rollout.episode:03d}.mcap")
+            complete = with_foot_forces(rollout, self.subject.env)
+            write_mcap(written[-1], complete, self.subject.env.quadruped, metadata, attached)
+        return written
+
+
+def measure(subject: Subject, episodes: int, seed: int, report: Report | None = None) -> Evaluation:
+    """Roll the policy out from `episodes` fresh starts and measure each.
+
+    `report` is told the control steps done.
+    """
+    env = subject.env
+    rollouts = simulate_episodes(env, subject.policy.act, episodes, seed, report)
+    rewards, weight = env.config.reward, env.robot.weight
+    figures = [episode_figures(rollout, rewards, weight) for rollout in rollouts]
+    return Evaluation(subject, seed, rollouts, figures)
+
+
+def _as_text(values: Mapping[str, Any]) -> dict[str, str]:
+    return {k: v if isinstance(v, str) else json.dumps(v) for k, v in values.items()}

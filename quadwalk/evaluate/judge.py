@@ -1,122 +1,163 @@
-"""One run judged: rolled out, measured, and written down."""
+"""The evaluation command: find the runs, judge each, compare them, write it all down."""
 
-import json
+import datetime
+import tempfile
 import time
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 
-from quadwalk.errors import UserError
-from quadwalk.evaluate.engines import engine_differences, print_engines
-from quadwalk.evaluate.foot_force import with_foot_forces
-from quadwalk.evaluate.gait import gait_metrics, measure_gait
-from quadwalk.evaluate.options import EvalConfig
-from quadwalk.evaluate.provenance import attachments, provenance
-from quadwalk.evaluate.recording.mcap import write_mcap
-from quadwalk.evaluate.render import render_film_strip, render_gif
-from quadwalk.evaluate.report.plots import plot_report
-from quadwalk.evaluate.rollout import Rollout
-from quadwalk.evaluate.simulate import Engine, simulate_episodes
-from quadwalk.evaluate.simulating import simulating
-from quadwalk.evaluate.subject import Subject
-from quadwalk.evaluate.summary import (
-    describe_gait,
-    episode_figures,
-    print_table,
-    summarise,
-    typical_episode,
-)
-from quadwalk.evaluate.view import view
-from quadwalk.train.runs.directory import write_json_atomic
-from quadwalk.train.settings import to_dict
+from quadwalk.errors import UsageError, UserError
+from quadwalk.evaluate.options import Engine, EvalConfig
+from quadwalk.files import os_reason
+from quadwalk.train.runs.directory import Run, find_run, write_json_atomic
+
+if TYPE_CHECKING:
+    from quadwalk.evaluate.evaluation import Evaluation
+    from quadwalk.evaluate.subject import Subject
 
 
-def judge(subject: Subject, config: EvalConfig, out: Path, console: Console) -> dict[str, Any]:
+def evaluate(config: EvalConfig) -> dict[str, Any]:
+    """Evaluate as `config` says; return what metrics.json, sweep.json or comparison.json holds."""
+    runs = _find_runs(config)
+    what = "sweep" if config.sweep else config.engine
+    outs, together = _make_outputs(
+        config, runs, f"{datetime.datetime.now():%Y-%m-%d_%H%M%S}-{what}"
+    )
+    # On stderr: what is printed on stdout is the result alone.
+    console = Console(stderr=True, highlight=False, soft_wrap=True)
+    console.print(f"evaluating {', '.join(str(run.path) for run in runs)}")
+
+    # All of these late, since they take seconds.
+    from quadwalk.train.devices import set_up_devices
+
+    set_up_devices()
+    from quadwalk.evaluate.report.comparison import compare
+    from quadwalk.evaluate.subject import load_subject
+    from quadwalk.evaluate.sweep import sweep
+    from quadwalk.evaluate.view import check_screen
+
+    if config.view:
+        check_screen()  # now, not after a minute of simulation
+    # All of them before the first is simulated, so that a bad one is told at once.
+    subjects = [load_subject(run, config.seconds, config.policy, config.engine) for run in runs]
+    if config.sweep:
+        return sweep(subjects[0], config, outs[0], console)
+    results = [
+        judge(subject, config, out, console) for subject, out in zip(subjects, outs, strict=True)
+    ]
+    if together is None:
+        return results[0]
+    return compare(_labels(runs), outs, results, together, console)
+
+
+def judge(subject: "Subject", config: EvalConfig, out: Path, console: Console) -> dict[str, Any]:
     """Evaluate one run into the folder `out`; return what its metrics.json holds.
 
     The result is printed on standard output, what is being done on `console`.
     """
-    engine: Engine = "mjx" if config.engine == "mjx" else "mujoco"
+    from quadwalk.evaluate.engines import engine_differences, print_engines
+    from quadwalk.evaluate.report.plots import save_figure
+    from quadwalk.evaluate.summary import describe_gait, print_table
+    from quadwalk.evaluate.view import view
+
     name, env = subject.run.name, subject.env
-    rollouts, episodes = _roll_out(subject, config, engine, console)
-    summary = summarise(episodes)
-    typical = typical_episode(episodes)
-    gait = measure_gait(rollouts[typical], env.quadruped)
-    origin = provenance(subject, config, engine)
-    print_table(summary, f"{name}, {subject.policy.steps:,} steps of training, engine {engine}")
-    results = {**origin, "summary": summary, "episodes": episodes}
-    results["typical_episode"] = {"episode": typical, **gait_metrics(gait, env.quadruped)}
-    if engine == "mujoco":
-        results["mjx_summary"] = summarise(_roll_out(subject, config, "mjx", console)[1])
-        results["difference_to_mjx"] = engine_differences(results["mjx_summary"], summary)
-        print_engines(results["mjx_summary"], summary)
-    print(describe_gait(gait, typical))
+    found = _roll_out(subject, config, console)
+    steps = f"{subject.policy.steps:,} steps of training"
+    print_table(found.summary, f"{name}, {steps}, engine {config.engine}")
+    results = dict(found.results)
+    if config.engine == "mujoco":
+        other = _roll_out(subject.in_engine("mjx"), config, console).summary
+        results["mjx_summary"] = other
+        results["difference_to_mjx"] = engine_differences(other, found.summary)
+        print_engines(other, found.summary)
+    print(describe_gait(found.gait, found.typical.episode))
     write_json_atomic(out / "metrics.json", results)
 
     with console.status("writing"):
-        _write_recordings(subject, config, engine, rollouts, origin, out)
-        plot_report(rollouts[typical], env.quadruped, out / "report.png", name)
-        pictures = _draw(config, rollouts[typical], subject, out, console)
-    recorded = len(rollouts[: config.mcap])
+        recorded = len(found.save_mcap(out, config.mcap))
+        save_figure(found.report(), out / "report.png")
+        pictures = _draw(config, found, out)
     written = ["metrics.json", "report.png", *pictures, f"{recorded} MCAP files"]
     console.print(f"written to {out}: {', '.join(written)}")
     if recorded:
         console.print(f"see it with: rerun {out / 'episode_000.mcap'}, or open it in Foxglove")
     if config.view:
-        view(rollouts[typical], env.quadruped, console)
+        view(found.typical, env.quadruped, console)
     return results
 
 
-def _roll_out(
-    subject: Subject, config: EvalConfig, engine: Engine, console: Console
-) -> tuple[list[Rollout], list[dict[str, Any]]]:
-    """The episodes in `engine`, and the figures of each."""
+def _roll_out(subject: "Subject", config: EvalConfig, console: Console) -> "Evaluation":
+    """The episodes of `subject`, with a line that says how far they are."""
+    from quadwalk.evaluate.evaluation import measure
+    from quadwalk.evaluate.simulating import simulating
+
     env, began = subject.env, time.monotonic()
-    what = f"simulating {config.episodes} episodes in {engine}"
+    what = f"simulating {config.episodes} episodes in {env.engine}"
     with simulating(console, what, env.config.episode_steps, env.config.control_dt) as report:
-        rollouts = simulate_episodes(
-            env, subject.policy.act, config.episodes, config.seed, engine, report
-        )
-    simulated = sum(rollout.steps for rollout in rollouts) * env.config.control_dt
+        found = measure(subject, config.episodes, config.seed, report)
+    simulated = sum(rollout.steps for rollout in found.rollouts) * env.config.control_dt
     took = time.monotonic() - began
-    console.print(f"{subject.run.name}: {simulated:,.0f} s simulated in {engine} in {took:.1f} s")
-    scales, weight = env.config.reward, env.robot.weight
-    return rollouts, [episode_figures(rollout, scales, weight) for rollout in rollouts]
+    console.print(
+        f"{subject.run.name}: {simulated:,.0f} s simulated in {env.engine} in {took:.1f} s"
+    )
+    return found
 
 
-def _write_recordings(
-    subject: Subject,
-    config: EvalConfig,
-    engine: Engine,
-    rollouts: list[Rollout],
-    origin: dict[str, Any],
-    out: Path,
-) -> None:
-    metadata = {
-        name: value if isinstance(value, str) else json.dumps(value)
-        for name, value in origin.items()
-    }
-    metadata["config"] = json.dumps(to_dict(subject.policy.config))
-    attached = attachments(subject)
-    for rollout in rollouts[: config.mcap]:
-        path = out / f"episode_{rollout.episode:03d}.mcap"
-        complete = with_foot_forces(rollout, subject.env, engine)
-        write_mcap(path, complete, subject.env.quadruped, metadata, attached)
+def _draw(config: EvalConfig, found: "Evaluation", out: Path) -> list[str]:
+    """Draw the film strip and the video that is asked for; the names of the files."""
+    from quadwalk.evaluate.report.pictures import write_video
+
+    found.film_strip().save(out / "film_strip.png")
+    if config.video == "none":
+        return ["film_strip.png"]
+    video = f"episode.{config.video}"
+    write_video(found.typical, found.subject.env.quadruped, out / video)
+    return ["film_strip.png", video]
 
 
-def _draw(
-    config: EvalConfig, rollout: Rollout, subject: Subject, out: Path, console: Console
-) -> list[str]:
-    """Draw the film strip and the video that is asked for; names of the files there are."""
-    files = {"film_strip.png": render_film_strip}
-    if config.video != "none":
-        files[f"episode.{config.video}"] = render_gif
-    drawn = []
-    for name, render in files.items():
-        try:
-            render(rollout, subject.env.quadruped, out / name)
-            drawn.append(name)
-        except UserError as error:  # most likely no GL library: everything else still works
-            console.print(f"no {name}: {error}")
-    return drawn
+def _find_runs(config: EvalConfig) -> list[Run]:
+    """The runs that are named; `UsageError` for one that is not there, or named twice."""
+    runs: list[Run] = []
+    for which in config.run:
+        run = find_run(config.runs, which)
+        for other, called in zip(runs, config.run, strict=False):
+            if other.path.resolve() == run.path.resolve():
+                raise UsageError(
+                    f"{called!r} and {which!r} are the same run, {run.path}; expected others to "
+                    "compare it with"
+                )
+        runs.append(run)
+    return runs
+
+
+def _labels(runs: list[Run]) -> list[str]:
+    """What each run is called in a comparison: its name, or its path where names meet."""
+    names = [run.name for run in runs]
+    return [run.name if names.count(run.name) == 1 else str(run.path) for run in runs]
+
+
+def _make_outputs(config: EvalConfig, runs: list[Run], name: str) -> tuple[list[Path], Path | None]:
+    """Folders, made, for each run's results, and for those of a comparison."""
+    if len(runs) == 1:
+        return [_make_folder(config.out or runs[0].path / "eval" / name)], None
+    together = _make_folder(config.out or config.runs / "comparisons" / name)
+    if config.out is None:
+        return [_make_folder(run.path / "eval" / name) for run in runs], together
+    labels = [label.strip("/").replace("/", "_") for label in _labels(runs)]
+    return [_make_folder(together / label) for label in labels], together
+
+
+def _make_folder(folder: Path) -> Path:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        # What is written is read back, to verify it; that this is possible is better known now
+        # than after the simulation.
+        with tempfile.NamedTemporaryFile(dir=folder, suffix=".part") as probe:
+            open(probe.name, "rb").close()
+    except OSError as error:
+        raise UserError(
+            f"cannot write results to the folder {folder}: {os_reason(error)}"
+        ) from error
+    return folder

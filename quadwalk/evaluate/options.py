@@ -8,6 +8,8 @@ import tyro
 
 from quadwalk.errors import UsageError
 
+Engine = Literal["fast", "mjx", "mujoco"]
+
 
 @dataclass(frozen=True)
 class EvalConfig:
@@ -22,18 +24,19 @@ class EvalConfig:
     )
     episodes: int = 16  # how many, each from another start; in a sweep, for each of its points
     seconds: float = 20.0  # s, the time limit of an episode
-    # "mjx", or "mujoco": MuJoCo C, every shape colliding, converged solver, and how far MJX is off
-    engine: str = "mjx"
+    # what steps the physics: mjx; mujoco, MuJoCo C with every shape colliding and a converged
+    # solver, compared with mjx; or fast, the engine trained in
+    engine: Engine = "mjx"
     policy: Literal["last", "best"] = "last"  # the run's last, or that of its best checkpoint
     seed: int = 0  # of the starts; the same seed gives the same episodes
-    out: Path | None = None  # folder for the results; by default, a new one in the run's
-    mcap: int | None = None  # write only so many episodes as MCAP; by default, all
+    out: Path | None = None  # folder for the results; None: a new one in the run's
+    mcap: int | None = None  # number of episodes to write as MCAP; None: all
     video: Literal["none", "gif", "mp4"] = "none"  # 3 s of it running; mp4 needs ffmpeg
-    # instead of all that: which share of episodes succeeds as friction, mass, motor strength,
+    # in place of all that: the share of episodes without a fall as friction, mass, motor strength,
     # control delay, pushes and sensor noise vary
     sweep: bool = False
     view: bool = False  # when done, play the typical episode in MuJoCo's viewer
-    runs: Path = Path("runs")  # the folder that holds all runs
+    runs: Path = Path("runs")  # folder that holds all runs
 
     def __post_init__(self) -> None:
         if not self.run:
@@ -42,8 +45,8 @@ class EvalConfig:
             raise UsageError(f"--episodes is {self.episodes}; expected 1 or more")
         if not 0.0 < self.seconds <= 3600.0:
             raise UsageError(f"--seconds is {self.seconds}; expected more than 0, up to 3600")
-        if self.engine not in ("mjx", "mujoco"):
-            raise UsageError(f"--engine is {self.engine!r}; expected mjx or mujoco")
+        if self.engine not in ("fast", "mjx", "mujoco"):
+            raise UsageError(f"--engine is {self.engine!r}; expected fast, mjx or mujoco")
         if not 0 <= self.seed < 2**32:
             raise UsageError(f"--seed is {self.seed}; expected 0 to {2**32 - 1}")
         if self.mcap is not None and self.mcap < 0:
@@ -57,7 +60,7 @@ class EvalConfig:
         if len(self.run) > 1:
             raise UsageError(f"--sweep takes one run; {len(self.run)} are named")
         asked = {
-            "--engine mujoco": self.engine != "mjx",
+            "--engine mujoco": self.engine == "mujoco",
             "--mcap": self.mcap is not None,
             "--video": self.video != "none",
             "--view": self.view,
@@ -65,5 +68,5 @@ class EvalConfig:
         for flag, given in asked.items():
             if given:
                 raise UsageError(
-                    f"{flag} cannot be given with --sweep, which measures in MJX and records none"
+                    f"{flag} cannot be given with --sweep, which measures in fast or mjx and records none"
                 )

@@ -1,35 +1,30 @@
-"""Episodes of a policy, in MJX or in MuJoCo C: the second is the judge of the first.
+"""Episodes of a policy, stepped as training steps them, in any engine: one judges the other.
 
-Both engines share the observation, the action and motor model, the reward and the termination;
-only what steps the physics differs. MJX steps the training model: spheres against the floor only, a
-fast solver. MuJoCo C steps the full model: every collision shape, 2 ms steps, a converged solver.
+An environment differs from that of training in its engine alone. MJX and the engine trained in
+step the training model: spheres against the floor only, a fast solver. MuJoCo C steps the full
+model: every collision shape, 2 ms steps, a converged solver.
 """
 
+import dataclasses
 from collections.abc import Callable
 from functools import partial
-from typing import Any, Literal, NamedTuple, Protocol, TypeVar
+from typing import Any, NamedTuple, Protocol, TypeVar
 
 import jax
-import jax.numpy as jnp
 import mujoco
-import mujoco.rollout
 import numpy as np
+from brax.envs.base import State
 
 from quadwalk.evaluate.rollout import Rollout
-from quadwalk.physics.mjx_engine import Effort, Physics
-from quadwalk.physics.motor import friction_torque, joint_target, motor_torque
-from quadwalk.task.command import Command
-from quadwalk.task.env import ENDS, EnvState, QuadrupedEnv, conclude
-from quadwalk.train.devices import cpu_cores
-from quadwalk.train.ppo import AXIS, make_mesh
+from quadwalk.physics.engines import Physics
+from quadwalk.physics.motor import friction_torque, motor_torque
+from quadwalk.task.env import QuadrupedEnv
 
-Engine = Literal["mjx", "mujoco"]
 # Observations (..., n) to actions (..., 12); a pytree (`jax.tree_util.Partial`), so that it can be
 # an argument of what is compiled: once for all policies of one shape.
 Policy = Callable[[jax.Array], jax.Array]
 Report = Callable[[int], None]  # is told how many control steps of the episodes are done
 
-FULL_TIMESTEP = 0.002  # s, the physics step in MuJoCo C
 CHUNK = 50  # control steps between looks at whether every episode has ended
 
 
@@ -38,7 +33,7 @@ class Ending(Protocol):
 
     @property
     def end(self) -> Any:
-        """(steps, episodes) index into `ENDS`."""
+        """(steps, episodes) index into `QuadrupedEnv.ends`."""
 
 
 Frames = TypeVar("Frames", bound=Ending)
@@ -61,62 +56,56 @@ class Frame(NamedTuple):
 
 
 def simulate_episodes(
-    env: QuadrupedEnv,
-    policy: Policy,
-    episodes: int,
-    seed: int,
-    engine: Engine = "mjx",
-    report: Report | None = None,
+    env: QuadrupedEnv, policy: Policy, episodes: int, seed: int, report: Report | None = None
 ) -> list[Rollout]:
     """Roll `policy` out from `episodes` fresh starts, until each falls or meets the time limit.
 
     All of them at once. The rollouts are without foot forces.
     """
+
+    @jax.jit
+    def chunk(policy: Policy, state: State) -> tuple[State, Frame]:
+        def one_step(state: State, _: None) -> tuple[State, Frame]:
+            action = policy(state.obs)
+            after = jax.vmap(env.step)(state, action)
+            return after, _frame(state, action, after)
+
+        return jax.lax.scan(one_step, state, None, length=CHUNK)
+
     first = fresh_starts(env, episodes, seed)
     initial = jax.device_get(first.pipeline_state.physics)
-    run = _in_mjx if engine == "mjx" else _in_mujoco
-    frames = run(env, policy, first, report)
+    frames = until_all_ended(partial(chunk, policy), over_devices(env, first), report)
     return [_rollout(env, initial, frames, seed, i) for i in range(episodes)]
 
 
-def fresh_starts(env: QuadrupedEnv, episodes: int, seed: int) -> Any:
+def fresh_starts(env: QuadrupedEnv, episodes: int, seed: int) -> State:
     """The batched `State` of `episodes` fresh episodes; the same for the same seed."""
     keys = jax.random.split(jax.random.PRNGKey(seed), episodes)
     return jax.jit(jax.vmap(env.reset))(keys)
 
 
-def engine_model(env: QuadrupedEnv, engine: Engine) -> mujoco.MjModel:
-    """The model that `engine` steps."""
-    if engine == "mjx":
-        return env.mj_model
-    model = env.quadruped.full_model(FULL_TIMESTEP)
-    # A whole number of physics steps makes a control step.
-    model.opt.timestep = env.config.control_dt / max(
-        1, round(env.config.control_dt / FULL_TIMESTEP)
-    )
-    return model
+def over_devices(env: QuadrupedEnv, batch: Any) -> Any:
+    """`batch`, whose arrays begin with the axis of episodes, shared out between the devices.
 
-
-def over_devices(batch: Any, episodes: int) -> Any:
-    """`batch`, whose arrays begin with the axis of `episodes`, shared out between the devices.
-
-    Episodes do not meet, so the compiler can give each device its share of them.
+    Episodes do not meet, so the compiler can give each device its share of them. MuJoCo C has
+    threads of its own.
     """
-    mesh = make_mesh()
-    if episodes % mesh.size:
+    devices = jax.devices()
+    if env.engine == "mujoco" or len(jax.tree.leaves(batch)[0]) % len(devices):
         return batch
-    split = jax.sharding.NamedSharding(mesh, jax.sharding.PartitionSpec(AXIS))
-    return jax.device_put(batch, split)
+    mesh = jax.sharding.Mesh(np.array(devices), ("episodes",))
+    spec = jax.sharding.PartitionSpec("episodes")
+    return jax.device_put(batch, jax.sharding.NamedSharding(mesh, spec))
 
 
-def _frame(before: Any, action: jax.Array, state: Any) -> Frame:
+def _frame(before: State, action: jax.Array, state: State) -> Frame:
     prefix = "reward/"
-    command: Command | None = before.pipeline_state.command
+    command = before.pipeline_state.command
     return Frame(
         observation=before.obs,
         action=action,
-        qpos=state.pipeline_state.physics.qpos,
-        qvel=state.pipeline_state.physics.qvel,
+        qpos=state.pipeline_state.qpos,
+        qvel=state.pipeline_state.qvel,
         torque=state.info["torque"],
         energy=state.info["energy"],
         contact=state.info["contact"],
@@ -129,87 +118,6 @@ def _frame(before: Any, action: jax.Array, state: Any) -> Frame:
         command=None if command is None else command.velocity,
         end=state.info["end"],
     )
-
-
-def _in_mjx(env: QuadrupedEnv, policy: Policy, state: Any, report: Report | None) -> Frame:
-    """Frames of shape (steps, episodes, ...), on the host."""
-
-    @jax.jit
-    def chunk(policy: Policy, state: Any) -> tuple[Any, Frame]:
-        def one_step(state: Any, _: None) -> tuple[Any, Frame]:
-            action = policy(state.obs)
-            after = jax.vmap(env.step_in_mjx)(state, action)
-            return after, _frame(state, action, after)
-
-        return jax.lax.scan(one_step, state, None, length=CHUNK)
-
-    state = over_devices(state, len(state.done))
-    return until_all_ended(partial(chunk, policy), state, report)
-
-
-def _in_mujoco(env: QuadrupedEnv, policy: Policy, state: Any, report: Report | None) -> Frame:
-    """Frames of shape (steps, episodes, ...), physics by `mujoco.rollout` on all cores."""
-    model = engine_model(env, "mujoco")
-    dt = model.opt.timestep
-    substeps = round(env.config.control_dt / dt)
-    robot, actuation = env.robot, env.config.actuation
-    n = len(state.done)
-
-    @jax.jit
-    def decide(policy: Policy, state: Any) -> tuple[jax.Array, jax.Array]:
-        action = policy(state.obs)
-        q = state.pipeline_state.physics.qpos[:, 7:]
-        return action, joint_target(robot, actuation, action, q)
-
-    apply = jax.jit(
-        lambda target, q, qd: (
-            motor_torque(robot, actuation, target, q, qd),
-            friction_torque(robot, actuation, qd),
-        )
-    )
-    finish = jax.jit(
-        jax.vmap(
-            lambda before, action, physics, effort: conclude(
-                env.legged, robot, env.config, before, action, physics, effort
-            )
-        )
-    )
-    spec = int(mujoco.mjtState.mjSTATE_CTRL | mujoco.mjtState.mjSTATE_QFRC_APPLIED)
-    data = [mujoco.MjData(model) for _ in range(cpu_cores())]
-
-    with mujoco.rollout.Rollout(nthread=len(data)) as engine:
-
-        def chunk(state: Any) -> tuple[Any, Frame]:
-            frames = []
-            for _ in range(CHUNK):
-                action, target = decide(policy, state)
-                before: EnvState = state.pipeline_state
-                physical = np.concatenate(
-                    [np.zeros((n, 1)), before.physics.qpos, before.physics.qvel], axis=1
-                )
-                torques, energy = np.zeros((n, 12)), np.zeros(n)
-                for _ in range(substeps):
-                    q, qd = physical[:, 8:20], physical[:, 26:38]
-                    torque, friction = (np.asarray(x, float) for x in apply(target, q, qd))
-                    applied = np.concatenate([torque, np.zeros((n, 6)), friction], axis=1)
-                    torques += torque / substeps
-                    energy += np.maximum(torque * qd, 0.0).sum(axis=1) * dt
-                    states, _ = engine.rollout(
-                        model, data, physical, applied[:, None], control_spec=spec
-                    )
-                    physical = states[:, 0]
-                physics = Physics(
-                    jnp.asarray(physical[:, 1:20], jnp.float32),
-                    jnp.asarray(physical[:, 20:38], jnp.float32),
-                    before.physics.warmstart,
-                )
-                effort = Effort(jnp.asarray(torques, jnp.float32), jnp.asarray(energy, jnp.float32))
-                after = finish(before, action, physics, effort)
-                frames.append(_frame(state, action, after))
-                state = after
-            return state, jax.tree.map(lambda *rows: np.stack(rows), *frames)
-
-        return until_all_ended(chunk, state, report)
 
 
 def until_all_ended(
@@ -236,16 +144,16 @@ def _rollout(env: QuadrupedEnv, initial: Physics, frames: Frame, seed: int, i: i
     one: Frame = jax.tree.map(lambda x: x[:steps, i], frames)
     qpos = np.concatenate([initial.qpos[None, i], one.qpos]).astype(float)
     qvel = np.concatenate([initial.qvel[None, i], one.qvel]).astype(float)
-    target = joint_target(env.robot, env.config.actuation, one.action, qpos[:-1, 7:])
+    targets = jax.vmap(partial(env.config.action, env.robot))(one.action, qpos[:-1, 7:])
     return Rollout(
         control_dt=env.config.control_dt,
         seed=seed,
         episode=i,
-        end=ENDS[int(one.end[-1])],
+        end=env.ends[int(one.end[-1])],
         qpos=qpos,
         qvel=qvel,
         action=one.action,
-        target=np.asarray(target),
+        target=np.asarray(targets),
         torque=one.torque,
         energy=one.energy,
         observation=one.observation,
@@ -255,3 +163,32 @@ def _rollout(env: QuadrupedEnv, initial: Physics, frames: Frame, seed: int, i: i
         reward=one.reward,
         command=one.command,
     )
+
+
+def with_foot_forces(rollout: Rollout, env: QuadrupedEnv) -> Rollout:
+    """`rollout` with its `foot_force`, N: the floor's push on each foot, normal to the floor.
+
+    Those of each state, with the motors' torques at that moment, in MuJoCo C on the model that the
+    engine stepped. Some 0.2 s for 20 s of running, so it is left to the rollouts that are shown.
+    """
+    qpos, qvel = rollout.qpos[1:], rollout.qvel[1:]
+    motor, joint_speed = env.motor, qvel[:, 6:]
+    torque = np.asarray(motor_torque(motor, rollout.target, qpos[:, 7:], joint_speed))
+    friction = np.asarray(friction_torque(motor, joint_speed))
+    model = env.mj_model
+    data = mujoco.MjData(model)
+    column = {model.geom(name).id: k for k, name in enumerate(env.quadruped.feet)}
+    floor = model.geom("floor").id
+    forces = np.zeros((rollout.steps, 4))
+    contact = np.zeros(6)
+    for row in range(rollout.steps):
+        data.qpos, data.qvel = qpos[row], qvel[row]
+        data.ctrl, data.qfrc_applied[6:] = torque[row], friction[row]
+        mujoco.mj_forward(model, data)
+        for i, (a, b) in enumerate(data.contact.geom[: data.ncon]):
+            foot = column.get(int(b) if a == floor else int(a))
+            if foot is not None and floor in (a, b):
+                # The contact frame's x axis is the floor's normal, up or down.
+                mujoco.mj_contactForce(model, data, i, contact)
+                forces[row, foot] += contact[0]
+    return dataclasses.replace(rollout, foot_force=forces)

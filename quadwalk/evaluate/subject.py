@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from quadwalk.errors import UserError
+from quadwalk.evaluate.options import Engine
 from quadwalk.task.env import QuadrupedEnv
 from quadwalk.train.robot import load_run_robot
 from quadwalk.train.runs.directory import Run
@@ -20,9 +21,14 @@ class Subject:
     policy: Policy
     env: QuadrupedEnv
 
+    def in_engine(self, engine: Engine) -> "Subject":
+        """The same in another engine."""
+        env = QuadrupedEnv(self.env.quadruped, self.env.config, engine)
+        return dataclasses.replace(self, env=env)
 
-def load_subject(run: Run, seconds: float, which: str = "last") -> Subject:
-    """Load the "last" or "best" policy of `run` for episodes of up to `seconds`.
+
+def load_subject(run: Run, seconds: float, which: str = "last", engine: Engine = "mjx") -> Subject:
+    """Load the "last" or "best" policy of `run` for episodes of up to `seconds` in `engine`.
 
     A command, if there are any, stays for a whole episode, so that each has one gait to look at.
     Raises `UserError` where its policy or robot cannot be read, or do not belong together.
@@ -33,7 +39,7 @@ def load_subject(run: Run, seconds: float, which: str = "last") -> Subject:
     trained = policy.config.env
     command = dataclasses.replace(trained.command, seconds=seconds)
     config = dataclasses.replace(trained, episode_seconds=seconds, command=command)
-    env = QuadrupedEnv(quadruped, config)
+    env = QuadrupedEnv(quadruped, config, engine)
     if quadruped.joints != policy.joints or env.observation_size != policy.observation_size:
         raise UserError(
             f"{file} was trained on another robot than {run.urdf}: it has joints "

@@ -1,9 +1,10 @@
 """What a policy can take: success and speed as one thing after another departs from training.
 
-All points of all sweeps are one batch in MJX, and so one compilation. How each perturbation is
-applied is said in `perturbation`: `Perturbation` and `varied_quadruped`.
+All points of all sweeps are one batch, and so one compilation. `quadwalk.task.conditions` says how
+delays, pushes and noise are applied, `varied_quadruped` how friction and mass are.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -12,21 +13,12 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from brax.envs.base import State
 from rich.console import Console
 
 from quadwalk.evaluate.options import EvalConfig
-from quadwalk.evaluate.perturbation import (
-    Perturbation,
-    Perturbed,
-    begin,
-    history,
-    noise_scale,
-    perturbed_step,
-    stack_models,
-    varied_quadruped,
-)
-from quadwalk.evaluate.provenance import provenance
 from quadwalk.evaluate.report.plots import save_figure
+from quadwalk.evaluate.provenance import provenance
 from quadwalk.evaluate.report.sweep_report import draw_sweep, print_sweep
 from quadwalk.evaluate.simulate import (
     CHUNK,
@@ -39,8 +31,9 @@ from quadwalk.evaluate.simulate import (
 from quadwalk.evaluate.simulating import simulating
 from quadwalk.evaluate.statistics import mean_interval, share_interval
 from quadwalk.evaluate.subject import Subject
-from quadwalk.physics.quiet_mjx import mjx
-from quadwalk.task.env import ENDS
+from quadwalk.robot.quadruped import Quadruped
+from quadwalk.task.conditions import first_conditions, targets_needed
+from quadwalk.task.env import QuadrupedEnv
 from quadwalk.train.runs.directory import write_json_atomic
 
 
@@ -70,7 +63,7 @@ SWEEPS: dict[str, tuple[str, str, tuple[float, ...]]] = {
 class Outcome(NamedTuple):
     """Control steps of a batch of episodes."""
 
-    end: Any  # (steps, episodes) index into ENDS
+    end: Any  # (steps, episodes) index into `QuadrupedEnv.ends`
     speed: Any  # (steps, episodes) m/s, mean over the step, as training counts it
 
 
@@ -78,7 +71,7 @@ def sweep(subject: Subject, config: EvalConfig, out: Path, console: Console) -> 
     """Sweep, print the table, write sweep.json and sweep.png to `out`; return the former."""
     env = subject.env
     points, nominal = sweep_points(subject)
-    what = f"simulating {len(points)} x {config.episodes} episodes in mjx"
+    what = f"simulating {len(points)} x {config.episodes} episodes in {env.engine}"
     with simulating(console, what, env.config.episode_steps, env.config.control_dt) as report:
         measured = measure_points(subject, points, config.episodes, config.seed, report)
     found = dict(zip(points, measured, strict=True))
@@ -92,7 +85,7 @@ def sweep(subject: Subject, config: EvalConfig, out: Path, console: Console) -> 
         for name, (heading, unit, values) in SWEEPS.items()
     }
     results = {
-        **provenance(subject, config, "mjx"),
+        **provenance(subject, config.seed),
         "episodes": config.episodes,
         "nominal": found[nominal],
         "sweeps": sweeps,
@@ -106,9 +99,8 @@ def sweep(subject: Subject, config: EvalConfig, out: Path, console: Console) -> 
 
 def sweep_points(subject: Subject) -> tuple[list[Point], Point]:
     """Every distinct point of all sweeps, and the one without any perturbation."""
-    feet = subject.env.robot.foot_geoms
-    floor = subject.env.mj_model.geom("floor").friction[0]
-    friction = float(max(floor, subject.env.mj_model.geom_friction[feet, 0].max()))
+    geoms = ("floor", *subject.env.quadruped.feet)
+    friction = float(max(subject.env.mj_model.geom(name).friction[0] for name in geoms))
     nominal = Point(friction=round(friction, 6))
     points = [
         _point(nominal, name, value) for name, (_, _, values) in SWEEPS.items() for value in values
@@ -133,9 +125,10 @@ def measure_points(
     distance along world x over the episode's duration, of every episode, fallen or not, m/s; with
     commands, the size of the commanded velocity less that of the error, on average.
     """
-    outcome = _simulate(subject, points, episodes, seed, report)
+    env = subject.env
+    outcome = _simulate(env, subject.policy.act, points, episodes, seed, report)
     last = np.argmax(outcome.end > 0, axis=0)
-    success = outcome.end[last, np.arange(len(last))] == ENDS.index("time limit")
+    success = outcome.end[last, np.arange(len(last))] == env.ends.index("time limit")
     lasted = np.arange(len(outcome.end))[:, None] <= last
     speed = np.mean(outcome.speed, axis=0, where=lasted)
     measured = []
@@ -154,81 +147,111 @@ def measure_points(
 
 
 def _simulate(
-    subject: Subject, points: list[Point], episodes: int, seed: int, report: Report | None
+    env: QuadrupedEnv,
+    policy: Policy,
+    points: list[Point],
+    episodes: int,
+    seed: int,
+    report: Report | None,
 ) -> Outcome:
     """The outcome of len(points) * episodes episodes, point by point."""
-    env = subject.env
-    robot, config = env.robot, env.config
-    total = len(points) * episodes
-    perturbation, delay = _perturbations(points, config.physics_dt, episodes)
-    leaves, axes = _models(subject, points, episodes)
+    leaves, axes = _models(env, points, episodes)
     structure = jax.tree.structure(env.model)
-    noise = noise_scale(env.observation_names)
 
-    def one_step(leaves: Any, policy: Policy, suffered: Perturbation, episode: Perturbed) -> Any:
+    def one_step(leaves: Any, policy: Policy, state: State) -> State:
         model = jax.tree.unflatten(structure, leaves)
-        return perturbed_step(model, env.legged, robot, config, noise, policy, suffered, episode)
+        return env.step_with(model, state, policy(state.obs))
 
-    batched = jax.vmap(one_step, in_axes=(axes, None, 0, 0))
+    batched = jax.vmap(one_step, in_axes=(axes, None, 0))
 
     @jax.jit
-    def chunk(
-        leaves: Any, policy: Policy, suffered: Perturbation, batch: Perturbed
-    ) -> tuple[Perturbed, Outcome]:
-        def step(batch: Perturbed, _: None) -> tuple[Perturbed, Outcome]:
-            batch = batched(leaves, policy, suffered, batch)
-            state = batch.state
-            return batch, Outcome(state.info["end"], state.metrics["speed"])
+    def chunk(leaves: Any, policy: Policy, states: State) -> tuple[State, Outcome]:
+        def step(states: State, _: None) -> tuple[State, Outcome]:
+            states = batched(leaves, policy, states)
+            return states, Outcome(states.info["end"], states.metrics["speed"])
 
-        return jax.lax.scan(step, batch, None, length=CHUNK)
+        return jax.lax.scan(step, states, None, length=CHUNK)
 
-    starts = fresh_starts(env, episodes, seed)
-    keys = jax.random.split(jax.random.fold_in(jax.random.PRNGKey(seed), 1), episodes)
-    kept = history(delay, config.substeps)
-    first = jax.vmap(lambda state, key: begin(robot, state, key, kept))(starts, keys)
-    # Each point has the same starts, and the same noise and pushes but for their size.
-    first = jax.tree.map(lambda x: jnp.tile(x, (len(points),) + (1,) * (x.ndim - 1)), first)
-    first, perturbation = over_devices((first, perturbation), total)
+    first = over_devices(env, _starts(env, points, episodes, seed))
     leaves = [
-        leaf if axis is None else over_devices(leaf, total)
+        leaf if axis is None else over_devices(env, leaf)
         for leaf, axis in zip(leaves, axes, strict=True)
     ]
-    run = partial(chunk, leaves, subject.policy.act, perturbation)
-    return until_all_ended(run, first, report)
+    return until_all_ended(partial(chunk, leaves, policy), first, report)
 
 
-def _perturbations(points: list[Point], dt: float, episodes: int) -> tuple[Perturbation, int]:
-    """What each episode suffers, and the longest delay, in physics steps."""
-    delay = np.array([round(point.delay / 1000 / dt) for point in points])
-    columns = Perturbation(
-        strength=np.array([point.strength / 100 for point in points], np.float32),
-        delay=delay.astype(np.int32),
-        push=np.array([point.push for point in points], np.float32),
-        noise=np.array([point.noise for point in points], np.float32),
+def _starts(env: QuadrupedEnv, points: list[Point], episodes: int, seed: int) -> State:
+    """The first states of all episodes, under the conditions of their points.
+
+    Each point has the same starts, and the same noise and pushes but for their size.
+    """
+    dt, count = env.config.physics_dt, len(points)
+    delays = np.array([round(point.delay / 1000 / dt) for point in points], np.int32)
+    kept = targets_needed(int(delays.max()), env.config.substeps)
+    home = jnp.asarray(env.robot.home_joints, jnp.float32)
+    keys = jax.random.split(jax.random.fold_in(jax.random.PRNGKey(seed), 1), episodes)
+    states, keys = jax.tree.map(
+        lambda x: jnp.tile(x, (count,) + (1,) * (x.ndim - 1)),
+        (fresh_starts(env, episodes, seed), keys),
     )
-    repeated = jax.tree.map(lambda column: jnp.repeat(column, episodes), columns)
-    return repeated, int(delay.max())
+    delay, push, noise = (
+        jnp.repeat(column, episodes)
+        for column in (
+            delays,
+            np.array([point.push for point in points], np.float32),
+            np.array([point.noise for point in points], np.float32),
+        )
+    )
+    conditions = jax.vmap(partial(first_conditions, home, kept=kept))(delay, push, noise, keys)
+    return jax.jit(jax.vmap(env.with_conditions))(states, conditions)
 
 
 def _models(
-    subject: Subject, points: list[Point], episodes: int
+    env: QuadrupedEnv, points: list[Point], episodes: int
 ) -> tuple[list[Any], list[int | None]]:
     """The arrays of every episode's model, and the axes that `vmap` maps."""
-    config, quadruped = subject.env.config, subject.env.quadruped
-    kinds = list(dict.fromkeys((point.friction, point.mass) for point in points))
+    kinds = list(dict.fromkeys((p.friction, p.mass, p.strength) for p in points))
     models = [
-        mjx.put_model(
-            varied_quadruped(quadruped, friction, mass).training_model(
-                config.physics_dt,
-                config.solver_iterations,
-                config.line_search_iterations,
-                config.contacts,
-            )
-        )
-        for friction, mass in kinds
+        env.model_of(varied_quadruped(env.quadruped, friction, mass), strength / 100)
+        for friction, mass, strength in kinds
     ]
     stacked, axes = stack_models(models)
-    kind = np.repeat([kinds.index((point.friction, point.mass)) for point in points], episodes)
+    kind = np.repeat([kinds.index((p.friction, p.mass, p.strength)) for p in points], episodes)
     return [
         leaf if axis is None else leaf[kind] for leaf, axis in zip(stacked, axes, strict=True)
     ], axes
+
+
+def varied_quadruped(
+    quadruped: Quadruped, friction: float | None = None, added_mass: float = 0.0
+) -> Quadruped:
+    """The robot on another floor, carrying a load.
+
+    `friction` is the sliding friction between feet and floor; None leaves it. (MuJoCo takes the
+    greater of the two geoms', so both get it.) `added_mass`, kg, is a point mass in the trunk's
+    centre of mass, which leaves that point and the inertia about it as they are; the compiler
+    derives subtree masses, inverse weights and mean inertia anew.
+    """
+    spec = quadruped.spec.copy()
+    if friction is not None:
+        for name in ("floor", *quadruped.feet):
+            spec.geom(name).friction[0] = friction
+    spec.body(quadruped.trunk).mass += added_mass
+    return replace(quadruped, spec=spec)
+
+
+def stack_models(models: Sequence[Any]) -> tuple[list[Any], list[int | None]]:
+    """The arrays of models of one structure, and along which axis `vmap` maps each.
+
+    Those that differ are stacked, with the models along axis 0; the others are as in the first,
+    with None for an axis. `jax.tree.unflatten` makes a model of them again.
+    """
+    stacked: list[Any] = []
+    axes: list[int | None] = []
+    for leaves in zip(*map(jax.tree.leaves, models), strict=True):
+        # On the host: MJX ties its arrays to one device, and the episodes are on all of them.
+        arrays = [np.asarray(leaf) for leaf in leaves]
+        same = all(np.array_equal(arrays[0], array) for array in arrays[1:])
+        stacked.append(leaves[0] if same else np.stack(arrays))
+        axes.append(None if same else 0)
+    return stacked, axes

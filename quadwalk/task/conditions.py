@@ -28,6 +28,13 @@ class Conditions(NamedTuple):
     key: jax.Array  # of the episode's noise and pushes
 
 
+def first_conditions(
+    home: jax.Array, delay: jax.Array, push: jax.Array, noise: jax.Array, key: jax.Array, kept: int
+) -> Conditions:
+    """Those of an episode's start, holding the joints at `home` (12,), with `kept` targets."""
+    return Conditions(delay, push, noise, jnp.tile(home, (kept, 1)), key)
+
+
 def targets_needed(delay: int, substeps: int) -> int:
     """How many joint targets, the newest included, a delay of so many physics steps needs."""
     return 1 + -(-delay // substeps)

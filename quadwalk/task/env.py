@@ -19,7 +19,7 @@ from quadwalk.physics.model import legged
 from quadwalk.physics.robot_arrays import robot_arrays, task_robot
 from quadwalk.robot.quadruped import Quadruped
 from quadwalk.task.command import first_command, next_command
-from quadwalk.task.conditions import delayed, pushed, sensed
+from quadwalk.task.conditions import Conditions, delayed, pushed, sensed
 from quadwalk.task.config import EnvConfig
 from quadwalk.task.observation import observe
 from quadwalk.task.reset import fresh_start
@@ -105,6 +105,11 @@ class QuadrupedEnv(Env):
         after = EnvState(physics, action, steps, command, conditions)
         return self.finish_step(before, after, effort, sane)
 
+    def with_conditions(self, state: State, conditions: Conditions) -> State:
+        """`state`, of an episode's start, under conditions that last for the episode."""
+        begun = state.pipeline_state._replace(conditions=conditions)
+        return state.replace(pipeline_state=begun, obs=self.observe(begun))
+
     def observe(self, state: EnvState) -> jax.Array:
         """The observation (n,), float32, with the noise that the episode's conditions give it."""
         seen = observe(self.config.observation, self.robot, state)
@@ -126,7 +131,9 @@ class QuadrupedEnv(Env):
         effort = jax.tree.map(lambda x: jnp.where(sane, x, 0.0), effort)
         return sane, physics, effort, action
 
-    def finish_step(self, before: EnvState, after: EnvState, effort: Effort, sane: jax.Array) -> State:
+    def finish_step(
+        self, before: EnvState, after: EnvState, effort: Effort, sane: jax.Array
+    ) -> State:
         """The state that a control step led to, with its reward and whether the episode ended."""
         config, robot = self.config, self.robot
         feet, lowest = heights(self.legged, after.qpos)

@@ -1,6 +1,6 @@
 """What a task's functions read: the state of an environment, and one control step of it."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from quadwalk.physics.mjx_engine import Physics
 from quadwalk.physics.rotation import yaw
 from quadwalk.task.command import Command
+from quadwalk.task.conditions import Conditions
 
 
 class EnvState(NamedTuple):
@@ -17,7 +18,7 @@ class EnvState(NamedTuple):
     last_action: jax.Array  # (12,)
     steps: jax.Array  # () int32, control steps since the episode's start
     command: Command | None = None  # None where there is none
-    conditions: Any = None  # `Conditions` where the episode has some of its own
+    conditions: Conditions | None = None  # None where they are those of the simulator
 
     @property
     def qpos(self) -> jax.Array:

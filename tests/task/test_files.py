@@ -1,0 +1,108 @@
+"""Tasks of the package and of a user's own file, and what is wrong with one that is none."""
+
+import dataclasses
+
+import pytest
+
+from quadwalk.errors import UsageError, UserError
+from quadwalk.task import reward
+from quadwalk.task.files import OWN, load_task, own_file, reference, resolve, task_names
+from quadwalk.task.terms import Observation, Reward
+
+OWN_TASK = """
+import dataclasses
+from quadwalk.task.terms import Reward
+from quadwalk.tasks import run
+
+def still(robot, step):
+    return 1.0
+
+TASK = dataclasses.replace(run.TASK, task="still", env=dataclasses.replace(
+    run.TASK.env, reward={"still": Reward(still, scale=2.0)}))
+"""
+
+
+@pytest.mark.parametrize("name", ["blog", "run", "walk"])
+def test_a_task_of_the_package_is_found_by_its_name(name):
+    assert name in task_names()
+    assert load_task(name).task == name
+
+
+def test_a_function_of_the_package_is_found_again_where_it_is():
+    where = reference(reward.energy)
+    assert where == "quadwalk.task.reward:energy"
+    assert resolve(where, folder=None) is reward.energy
+
+
+def test_a_function_of_a_users_file_is_found_again_in_the_runs_copy(tmp_path):
+    (tmp_path / "mine.py").write_text(OWN_TASK)
+    task = load_task(tmp_path / "mine.py")
+    function = task.env.reward["still"].function
+    assert (task.task, function(None, None), reference(function)) == ("still", 1.0, "task.py:still")
+    source = own_file([reward.energy, function])
+    assert source == OWN_TASK.encode()
+    (tmp_path / OWN).write_bytes(source)
+    assert resolve("task.py:still", tmp_path)(None, None) == 1.0
+    assert own_file([reward.energy]) is None
+
+
+@pytest.mark.parametrize(
+    ("content", "named"),
+    [
+        (None, "cannot read"),
+        ("x = 1", "TASK"),
+        ("TASK = 3", "TASK"),
+        ("\n\nTASK = (", "line 3"),
+        ("import nothing_of_that_name", "line 1: ModuleNotFoundError"),
+        ("\n1 / 0", "line 2: ZeroDivisionError"),
+    ],
+)
+def test_a_file_that_is_no_task_is_named_in_one_line(tmp_path, content, named):
+    file = tmp_path / "mine.py"
+    if content is not None:
+        file.write_text(content)
+    with pytest.raises(UsageError, match=named) as error:
+        load_task(file)
+    assert str(file) in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_a_name_that_is_no_task_is_told_those_there_are():
+    with pytest.raises(UsageError, match=r"'rum'.*run.*walk"):
+        load_task("rum")
+
+
+@pytest.mark.parametrize(
+    "where", ["os:system", "task.py:system", "quadwalk.nowhere:f", "quadwalk.paths:f"]
+)
+def test_what_is_no_function_of_a_task_is_refused(tmp_path, where):
+    (tmp_path / OWN).write_text(OWN_TASK)
+    with pytest.raises(UserError, match=where.partition(":")[0]):
+        resolve(where, tmp_path)
+
+
+def test_a_function_that_cannot_be_found_again_is_refused():
+    with pytest.raises(UsageError, match="lambda"):
+        reference(lambda robot, step: 0.0)
+    with pytest.raises(UsageError, match="json"):
+        reference(__import__("json").dumps)
+
+
+def test_a_term_with_other_parameters_than_its_functions_is_refused():
+    with pytest.raises(UsageError, match=r"forward.*\['speed'\].*\['max_speed'\]"):
+        Reward(reward.forward, {"speed": 1.0}, scale=1.0)
+    with pytest.raises(UsageError, match="max_speed"):
+        Reward(reward.forward, scale=1.0)
+
+
+def test_an_observation_names_its_numbers_by_their_count_or_as_told():
+    part = Observation(reward.energy)
+    joints = tuple(f"joint{i}" for i in range(12))
+    assert part.names("height", 1, joints) == ("height",)
+    assert part.names("speed", 3, joints) == ("speed_x", "speed_y", "speed_z")
+    assert part.names("angle", 12, joints)[11] == "angle_joint11"
+    assert part.names("scan", 2, joints) == ("scan_0", "scan_1")
+    told = dataclasses.replace(part, labels=("left", "right"))
+    assert told.names("scan", 2, joints) == ("scan_left", "scan_right")
+    with pytest.raises(UsageError, match="scan has 3 numbers and 2 labels"):
+        told.names("scan", 3, joints)

@@ -1,0 +1,97 @@
+"""Settings to JSON and back, by name, and changed by name."""
+
+import dataclasses
+import json
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from quadwalk.errors import UsageError, UserError
+from quadwalk.task import reward
+from quadwalk.task.files import load_task, task_names
+from quadwalk.task.terms import Reward
+from quadwalk.tasks import run
+from quadwalk.train.serialise import flatten, from_dict, to_dict, with_settings
+from quadwalk.train.settings import TrainConfig
+
+
+@pytest.mark.parametrize("name", task_names())
+def test_a_task_comes_back_from_json(name):
+    task = load_task(name)
+    assert from_dict(TrainConfig, json.loads(json.dumps(to_dict(task))), Path()) == task
+
+
+@pytest.mark.parametrize("name", task_names())
+def test_every_setting_can_be_changed_by_the_name_that_it_has(name):
+    task = load_task(name)
+    for setting, value in flatten(task).items():
+        if setting == "task" or setting.endswith(("function", "labels")):
+            continue
+        assert with_settings(task, {setting: value}) == task, setting
+
+
+@given(scale=st.floats(-10, 10), speed=st.integers(1, 9))
+def test_a_scale_and_a_parameter_of_a_term_are_changed_and_nothing_else(scale, speed):
+    changes = {"env.reward.energy": scale, "env.reward.forward.max_speed": speed}
+    found = with_settings(run.TASK, changes)
+    assert found.env.reward["energy"].scale == scale
+    assert found.env.reward["forward"].params == {"max_speed": float(speed)}
+    before, after = flatten(run.TASK), flatten(found)
+    assert {name for name in before if before[name] != after[name]} <= set(changes)
+    assert list(after) == list(before)  # and in the same order, in which rewards are summed
+
+
+def test_a_term_can_be_put_in_place_of_another_or_added():
+    term = Reward(reward.alive, scale=3.0)
+    found = with_settings(run.TASK, {"env.reward.fall": term, "env.reward.mine": term})
+    assert found.env.reward["fall"] is found.env.reward["mine"] is term
+
+
+@pytest.mark.parametrize(
+    ("changes", "named"),
+    [
+        ({"env.reward.enrgy": 1.0}, "did you mean 'energy'"),
+        ({"env.rewards.energy": 1.0}, "did you mean 'reward'"),
+        ({"step": 1}, "did you mean 'steps'"),
+        ({"env.reward.energy": "much"}, "env.reward.energy is 'much'; expected float"),
+        ({"steps": "many"}, "steps is 'many'; expected int"),
+        ({"steps": True}, "steps is True; expected int"),
+        ({"steps": 0}, "--steps is 0; expected 1 or more"),
+        ({"steps.energy": 1.0}, "steps.energy"),
+        ({"env.engine": "bullet"}, "env.engine is 'bullet'; expected fast or mjx"),
+        ({"env.physics_dt": 1.0}, "env.physics-dt"),
+    ],
+)
+def test_a_change_that_cannot_be_is_said_in_one_line(changes, named):
+    with pytest.raises(UserError, match=named) as error:
+        with_settings(run.TASK, changes)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        (lambda data: data.pop("ppo"), "ppo"),
+        (lambda data: data.update(new=1), "config.new is not a setting of this version"),
+        (lambda data: data.update(env=3), "config.env is 3; expected a group of settings"),
+        (lambda data: data["env"].update(gravity="down"), "config.env.gravity is 'down'"),
+        (
+            lambda data: data["env"]["reward"]["energy"].update(function="os:system"),
+            "os:system",
+        ),
+    ],
+)
+def test_json_that_does_not_fit_is_named(change, named):
+    data = to_dict(run.TASK)
+    change(data)
+    with pytest.raises(UserError, match=named):
+        from_dict(TrainConfig, data, Path())
+
+
+def test_a_notebooks_function_cannot_be_kept():
+    term = Reward(lambda robot, step: 1.0, scale=1.0)
+    env = dataclasses.replace(run.TASK.env, reward={"mine": term})
+    with pytest.raises(UsageError, match="task's file"):
+        to_dict(dataclasses.replace(run.TASK, env=env))
