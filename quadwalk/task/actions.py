@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from quadwalk.physics.robot_arrays import RobotArrays
+from quadwalk.task.robot_arrays import RobotArrays
 
 
 def about_home(

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from quadwalk.physics.mjx_engine import Physics
+from quadwalk.physics.motor import Physics
 
 PUSH_PERIOD = 5.0  # s: one push in each
 

@@ -3,7 +3,7 @@
 from functools import cached_property, partial
 from typing import Any
 
-from quadwalk.physics.quiet_mjx import mjx  # first: Brax imports it too, but not as quietly
+from quadwalk.physics import ENGINES, EngineName, fast, mujoco_c  # first: Brax imports MJX loudly
 
 # isort: split
 import jax
@@ -12,11 +12,7 @@ import mujoco
 import numpy as np
 from brax.envs.base import Env, State
 
-from quadwalk.physics.fast import heights, simulate, soles
-from quadwalk.physics.mjx_engine import Effort, Physics
-from quadwalk.physics.mjx_engine import simulate as simulate_in_mjx
-from quadwalk.physics.model import legged
-from quadwalk.physics.robot_arrays import robot_arrays, task_robot
+from quadwalk.physics.motor import Effort, Physics, Stepping, make_motor
 from quadwalk.robot.quadruped import Quadruped
 from quadwalk.task.command import first_command, next_command
 from quadwalk.task.conditions import Conditions, delayed, pushed, sensed
@@ -24,6 +20,7 @@ from quadwalk.task.config import EnvConfig
 from quadwalk.task.observation import observe
 from quadwalk.task.reset import fresh_start
 from quadwalk.task.reward import reward_terms, total_reward
+from quadwalk.task.robot_arrays import robot_arrays, task_robot
 from quadwalk.task.state import EnvState, Step, commanded_speed, mean_velocity
 from quadwalk.task.termination import terminations
 
@@ -33,41 +30,65 @@ MAX_SPEED = 1e3  # m/s or rad/s: no sound state of a robot is faster, so physics
 _RUNNING, _TIME_LIMIT, _FIRST_FALL = 0, 1, 2
 
 
-def ends(config: EnvConfig) -> tuple[str, ...]:
-    """How an episode can end, by the number in `State.info["end"]`."""
-    return ("running", "time limit", *config.termination, "nan")
-
-
 class QuadrupedEnv(Env):
     """A task for one quadruped as a `brax.envs.base.Env`; vmap `reset` and `step` for a batch.
 
     It does not reset itself: a step past the end of an episode goes on from where it was. Use
     `quadwalk.train.ppo`, which starts a fresh episode after each, for training.
+
+    `engine` steps its physics, by default that of `config`. MuJoCo C ("mujoco") steps the full
+    model, in which every shape collides and the solver converges.
     """
 
-    def __init__(self, quadruped: Quadruped, config: EnvConfig) -> None:
+    def __init__(
+        self, quadruped: Quadruped, config: EnvConfig, engine: EngineName | None = None
+    ) -> None:
         self.config = config
+        self.engine: EngineName = engine or config.engine
         self.quadruped = task_robot(quadruped, config)
-        self.mj_model: mujoco.MjModel = self.quadruped.training_model(
+        self.stepping = Stepping(
+            config.physics_dt,
+            config.substeps,
+            config.solver_iterations,
+            config.line_search_iterations,
+        )
+        self.mj_model = self._training_model(self.quadruped)
+        self.robot = robot_arrays(self.quadruped, self.mj_model)
+        self.motor = make_motor(self.mj_model, self.quadruped, config.motor)
+        self.geometry = fast.make_model(self.mj_model, self.quadruped, self.motor)
+        if self.engine == "mujoco":
+            self.stepping = self.stepping.with_dt(mujoco_c.TIMESTEP)
+        self.model = self.geometry if self.engine == "fast" else self.model_of(self.quadruped)
+        self.ends = ("running", "time limit", *config.termination, "nan")
+
+    def _training_model(self, quadruped: Quadruped) -> mujoco.MjModel:
+        config = self.config
+        return quadruped.training_model(
             config.physics_dt,
             config.solver_iterations,
             config.line_search_iterations,
             config.contacts,
         )
-        self.robot = robot_arrays(self.quadruped, self.mj_model)
-        self.legged = legged(self.mj_model, self.robot)
-        self.ends = ends(config)
-        if config.engine == "fast":
-            self.model, self.simulate = self.legged, simulate
-        else:
-            # By default MJX takes the first of all devices, which may be another process's.
-            self.model = mjx.put_model(self.mj_model, device=jax.local_devices()[0])
-            self.simulate = simulate_in_mjx
+
+    def mj_model_of(self, quadruped: Quadruped) -> mujoco.MjModel:
+        """The MuJoCo model of a robot that the engine steps."""
+        if self.engine == "mujoco":
+            return quadruped.full_model(self.stepping.dt)
+        return self._training_model(quadruped)
+
+    def model_of(self, quadruped: Quadruped) -> Any:
+        """The engine's constants of `quadruped`, with the motors of the environment's own robot."""
+        model = self.mj_model_of(quadruped)
+        return ENGINES[self.engine].make_model(model, quadruped, self.motor)
+
+    def in_engine(self, engine: EngineName) -> "QuadrupedEnv":
+        """The same environment with its physics stepped by `engine`."""
+        return self if engine == self.engine else QuadrupedEnv(self.quadruped, self.config, engine)
 
     def reset(self, rng: jax.Array) -> State:
         """A fresh episode; `rng` is a JAX random key."""
         config = self.config
-        physics = fresh_start(self.legged, self.robot, config.reset, rng)
+        physics = fresh_start(self.geometry, self.robot, config.reset, rng)
         command = first_command(config.command, rng) if config.command.given else None
         state = EnvState(physics, jnp.zeros(12), jnp.zeros((), jnp.int32), command)
         zero = jnp.zeros(())
@@ -96,8 +117,8 @@ class QuadrupedEnv(Env):
         target = self.config.action(self.robot, action, physics.qpos[7:])
         if conditions is not None:
             physics = pushed(conditions, physics, before.steps, self.config.control_dt)
-            conditions, target = delayed(conditions, target, self.config.substeps)
-        physics, effort = self.simulate(model, self.robot, self.config, physics, target)
+            conditions, target = delayed(conditions, target, self.stepping.substeps)
+        physics, effort = ENGINES[self.engine].control_step(model, self.stepping, physics, target)
         sane, physics, effort, action = self._kept_sane(physics, effort, action)
         command, steps = before.command, before.steps + 1
         if command is not None:
@@ -136,7 +157,7 @@ class QuadrupedEnv(Env):
     ) -> State:
         """The state that a control step led to, with its reward and whether the episode ended."""
         config, robot = self.config, self.robot
-        feet, lowest = heights(self.legged, after.qpos)
+        feet, lowest = fast.heights(self.geometry, after.qpos)
         start = jnp.where(sane, before.qpos, after.qpos)
         contact = feet < CONTACT_GAP
         step = Step(
@@ -149,8 +170,8 @@ class QuadrupedEnv(Env):
             power=effort.energy / config.control_dt,
             fell=jnp.zeros((), bool),
             command=before.velocity_command,
-            start_soles=soles(self.legged, start),
-            soles=soles(self.legged, after.qpos),
+            start_soles=fast.soles(self.geometry, start),
+            soles=fast.soles(self.geometry, after.qpos),
             contact=contact,
             lowest=lowest,
         )
@@ -217,7 +238,7 @@ class QuadrupedEnv(Env):
 
     @property
     def backend(self) -> str:
-        return self.config.engine
+        return self.engine
 
 
 def _metrics(

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from quadwalk.physics.mjx_engine import Physics
+from quadwalk.physics.motor import Physics
 from quadwalk.physics.rotation import yaw
 from quadwalk.task.command import Command
 from quadwalk.task.conditions import Conditions

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from quadwalk.physics.robot_arrays import RobotArrays
+from quadwalk.task.robot_arrays import RobotArrays
 from quadwalk.task.state import Step
 from quadwalk.task.terms import Termination
 

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from quadwalk.physics.motor import MotorConfig
-from quadwalk.physics.robot_arrays import RobotArrays
+from quadwalk.task.robot_arrays import RobotArrays
 from quadwalk.physics.rotation import euler, rotate
 from quadwalk.task import observation
 from quadwalk.task.config import NO_COMMAND, EnvConfig, ResetConfig
