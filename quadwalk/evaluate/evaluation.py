@@ -28,8 +28,8 @@ def evaluate(config: EvalConfig) -> dict[str, Any]:
     from quadwalk.train.devices import set_up_devices
 
     set_up_devices()
+    from quadwalk.evaluate.comparison import compare
     from quadwalk.evaluate.judge import judge
-    from quadwalk.evaluate.report.comparison import compare
     from quadwalk.evaluate.subject import load_subject
     from quadwalk.evaluate.sweep import sweep
     from quadwalk.evaluate.view import check_screen

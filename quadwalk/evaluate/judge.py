@@ -8,22 +8,25 @@ from typing import Any
 from rich.console import Console
 
 from quadwalk.errors import UserError
-from quadwalk.evaluate.engines import engine_differences, print_engines
 from quadwalk.evaluate.foot_force import with_foot_forces
 from quadwalk.evaluate.gait import gait_metrics, measure_gait
 from quadwalk.evaluate.options import EvalConfig
-from quadwalk.evaluate.provenance import attachments, provenance
 from quadwalk.evaluate.recording.mcap import write_mcap
+from quadwalk.evaluate.recording.provenance import attachments, provenance
 from quadwalk.evaluate.render import render_film_strip, render_gif
+from quadwalk.evaluate.report.console import (
+    describe_gait,
+    print_engines,
+    print_summary,
+    simulating,
+)
 from quadwalk.evaluate.report.plots import plot_report
 from quadwalk.evaluate.rollout import Rollout
 from quadwalk.evaluate.simulate import Engine, simulate_episodes
-from quadwalk.evaluate.simulating import simulating
 from quadwalk.evaluate.subject import Subject
 from quadwalk.evaluate.summary import (
-    describe_gait,
+    engine_differences,
     episode_figures,
-    print_table,
     summarise,
     typical_episode,
 )
@@ -44,7 +47,7 @@ def judge(subject: Subject, config: EvalConfig, out: Path, console: Console) -> 
     typical = typical_episode(episodes)
     gait = measure_gait(rollouts[typical], env.quadruped)
     origin = provenance(subject, config, engine)
-    print_table(summary, f"{name}, {subject.policy.steps:,} steps of training, engine {engine}")
+    print_summary(summary, f"{name}, {subject.policy.steps:,} steps of training, engine {engine}")
     results = {**origin, "summary": summary, "episodes": episodes}
     results["typical_episode"] = {"episode": typical, **gait_metrics(gait, env.quadruped)}
     if engine == "mujoco":

@@ -25,9 +25,10 @@ from quadwalk.evaluate.perturbation import (
     stack_models,
     varied_quadruped,
 )
-from quadwalk.evaluate.provenance import provenance
+from quadwalk.evaluate.recording.provenance import provenance
+from quadwalk.evaluate.report.console import print_sweep, simulating
+from quadwalk.evaluate.report.panels import draw_sweep
 from quadwalk.evaluate.report.plots import save_figure
-from quadwalk.evaluate.report.sweep_report import draw_sweep, print_sweep
 from quadwalk.evaluate.simulate import (
     CHUNK,
     Policy,
@@ -36,9 +37,8 @@ from quadwalk.evaluate.simulate import (
     over_devices,
     until_all_ended,
 )
-from quadwalk.evaluate.simulating import simulating
-from quadwalk.evaluate.statistics import mean_interval, share_interval
 from quadwalk.evaluate.subject import Subject
+from quadwalk.evaluate.summary import mean_interval, share_interval
 from quadwalk.physics.quiet_mjx import mjx
 from quadwalk.task.env import ENDS
 from quadwalk.train.runs.directory import write_json_atomic

@@ -16,15 +16,18 @@ from quadwalk.errors import UserError
 from quadwalk.evaluate import judge as judging
 from quadwalk.evaluate import subject as loading
 from quadwalk.evaluate import sweep as sweeping
-from quadwalk.evaluate.engines import engine_differences
+from quadwalk.evaluate.comparison import compare
 from quadwalk.evaluate.foot_force import with_foot_forces
 from quadwalk.evaluate.judge import judge
 from quadwalk.evaluate.options import EvalConfig
-from quadwalk.evaluate.report.comparison import compare
 from quadwalk.evaluate.simulate import simulate_episodes
-from quadwalk.evaluate.statistics import mean_interval
 from quadwalk.evaluate.subject import Subject, load_subject
-from quadwalk.evaluate.summary import episode_figures, summarise
+from quadwalk.evaluate.summary import (
+    engine_differences,
+    episode_figures,
+    mean_interval,
+    summarise,
+)
 from quadwalk.evaluate.sweep import SWEEPS, Point, measure_points, sweep
 from quadwalk.robot.mjcf import write_xml
 from quadwalk.task.config import ActuationConfig, EnvConfig
@@ -92,7 +95,15 @@ def test_both_engines_are_judged_from_the_same_starts(judged, rollouts, subject)
 
 def test_differences_of_what_is_not_there_or_zero():
     figure = {"mean": 2.0}
-    names = ("speed", "distance", "sideways", "heading", "duration", "energy_per_metre", "reward")
+    names = (
+        "speed",
+        "distance",
+        "lateral_drift",
+        "heading_error",
+        "duration",
+        "energy_per_metre",
+        "reward",
+    )
     mjx = {**dict.fromkeys(names, figure), "fall_rate": 0.0, "energy_per_metre": None}
     mujoco = {**{name: {"mean": 1.5} for name in names}, "fall_rate": 0.25}
     found = engine_differences(mjx, mujoco)
@@ -161,9 +172,9 @@ def test_a_run_with_commands_beside_one_without(judged, tmp_path, monkeypatch, c
     results, *_ = judged
     told = json.loads(json.dumps(results))
     for number, episode in enumerate(told["episodes"]):
-        for name in ("speed", "distance", "sideways", "heading"):
+        for name in ("speed", "distance", "lateral_drift", "heading_error"):
             del episode[name]
-        figures = {"velocity_error": 0.1 * number, "turning_error": None}
+        figures = {"velocity_error": 0.1 * number, "yaw_rate_error": None}
         episode |= {**figures, "path_speed": 1.0, "path": SECONDS}
     told["summary"] = summarise(told["episodes"])
     monkeypatch.setenv("COLUMNS", "120")
@@ -173,7 +184,7 @@ def test_a_run_with_commands_beside_one_without(judged, tmp_path, monkeypatch, c
     for row, first, second in (
         ("speed along x", f"{results['summary']['speed']['mean']:.3f} ±", "- │ m/s"),
         ("velocity error", "- │", "0.150 ±"),
-        ("turning error", "- │", "- │ rad/s"),
+        ("yaw rate error", "- │", "- │ rad/s"),
     ):
         (line,) = [line for line in lines if f"│ {row} │" in line]
         assert line.startswith(f"│ {row} │ {first}")

@@ -10,7 +10,7 @@ from PIL import Image
 
 from quadwalk.errors import UserError
 from quadwalk.evaluate.report.plots import draw_report, plot_report
-from quadwalk.evaluate.trim import first_steps
+from quadwalk.evaluate.rollout import first_steps
 
 
 @pytest.fixture(autouse=True)

@@ -35,19 +35,13 @@ def revision(source: Path = _SOURCE) -> str:
     """
     # An installed package may lie inside some other project's checkout, whose commit is not its.
     if (source / ".git").exists():
-        command = [
-            "git",
-            "--no-optional-locks",
-            "-C",
-            str(source),
-            "describe",
-            "--always",
-            "--dirty",
-            "--abbrev=40",
-        ]
+        command = ["git", "--no-optional-locks", "-C", str(source), "describe", "--always"]
         try:
             done = subprocess.run(
-                [*command, "--exclude=*"], capture_output=True, text=True, timeout=10
+                [*command, "--dirty", "--abbrev=40", "--exclude=*"],
+                capture_output=True,
+                text=True,
+                timeout=10,
             )
         except (OSError, subprocess.SubprocessError):
             pass
