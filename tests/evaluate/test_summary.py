@@ -7,8 +7,8 @@ import pytest
 
 from quadwalk.evaluate.summary import mean_interval, number, share_interval
 
-# Two-sided 95 % points of Student's t by degrees of freedom, from printed tables (Student, Biometrika
-# 6, 1908; Fisher, "Statistical Methods for Research Workers", 1925, table IV).
+# Two-sided 95 % points of Student's t by degrees of freedom, as tables print them (Fisher,
+# "Statistical Methods for Research Workers", 1925, table IV).
 STUDENT = {1: 12.706, 2: 4.303, 3: 3.182, 7: 2.365, 15: 2.131, 29: 2.045}
 NORMAL = 1.959964
 
