@@ -9,13 +9,12 @@ import numpy as np
 
 from quadwalk.evaluate.footfalls import contact_spans, without_chatter
 from quadwalk.evaluate.gait import Gait, measure_gait
-from quadwalk.evaluate.kinematics import rpy_from_quat
+from quadwalk.evaluate.kinematics import roll_pitch_yaw
 from quadwalk.evaluate.render import middle_rows
-from quadwalk.evaluate.rollout import Rollout
+from quadwalk.evaluate.rollout import Rollout, finite_part
 from quadwalk.evaluate.simulate import simulate_episodes
 from quadwalk.evaluate.subject import load_subject
 from quadwalk.evaluate.summary import typical_episode
-from quadwalk.evaluate.trim import finite_part
 from quadwalk.robot.quadruped import Quadruped
 from quadwalk.train.runs.directory import Run
 from quadwalk.train.runs.log import read_metrics
@@ -67,7 +66,7 @@ def figures_of(gait: Gait, rollout: Rollout, quadruped: Quadruped) -> dict[str, 
     slip: share of the way, of the foot that slips most; cost_of_transport; action_rate, 1/s.
     """
     body = body_contact(rollout, quadruped)
-    yaw = rpy_from_quat(rollout.qpos[:, 3:7])[:, 2]
+    yaw = roll_pitch_yaw(rollout.qpos[:, 3:7])[:, 2]
     return {
         "speed": gait.speed,
         "heading": float(np.degrees(np.abs(yaw).mean())),

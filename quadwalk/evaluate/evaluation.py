@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from quadwalk.evaluate.gait import Gait, gait_metrics, measure_gait
-from quadwalk.evaluate.provenance import attachments, provenance
 from quadwalk.evaluate.recording.mcap import write_mcap
+from quadwalk.evaluate.recording.provenance import attachments, provenance
 from quadwalk.evaluate.rollout import Rollout
 from quadwalk.evaluate.simulate import Report, simulate_episodes, with_foot_forces
 from quadwalk.evaluate.subject import Subject

@@ -1,23 +1,30 @@
 """How well and in what manner it ran: figures of one episode, each with its definition.
 
-World frame: z up, x ahead, the floor at z = 0. An episode with commands goes where it is told, so
-that its distance is that along its path. What cannot be measured (the stride of a foot that
+World frame: z up, x ahead, the floor at z = 0. What cannot be measured (the stride of a foot that
 never lands) is NaN.
 """
 
 from dataclasses import dataclass, fields
 
+import mujoco
 import numpy as np
 
-from quadwalk.evaluate import kinematics
-from quadwalk.evaluate.footfalls import Footfalls, analyse_footfalls, without_chatter
-from quadwalk.evaluate.rollout import Rollout
-from quadwalk.evaluate.tracking import heading_velocity, path_length
-from quadwalk.evaluate.trim import finite_part
+from quadwalk.evaluate.footfalls import (
+    Footfalls,
+    analyse_footfalls,
+    touchdowns,
+    without_chatter,
+)
+from quadwalk.evaluate.kinematics import foot_poses, roll_pitch_yaw, rotations
+from quadwalk.evaluate.rollout import Rollout, finite_part
+from quadwalk.evaluate.summary import (
+    LEAST_DISTANCE,
+    SETTLING,
+    heading_velocity,
+    measure_course,
+    number,
+)
 from quadwalk.robot.quadruped import Quadruped
-
-SETTLING = 1.0  # s left out of the footfalls and strides, while it gets going
-LEAST_DISTANCE = 0.1  # m: under this a cost per metre means nothing
 
 
 @dataclass(frozen=True)
@@ -26,10 +33,11 @@ class Gait:
 
     fell: bool
     end: str  # how it ended, as in the rollout
-    duration: float  # s, up to the end or the first state that is not finite
-    distance: float  # m, displacement along world x; with commands, length of the path
-    speed: float  # m/s, distance / duration
-    lateral_drift: float  # m, displacement along world y
+    # as in `Course`, up to the end or the first state that is not finite
+    duration: float  # s
+    distance: float  # m
+    speed: float  # m/s
+    lateral_drift: float  # m
     heading_drift: float  # rad, change of yaw, whole turns included
     gait: str  # walk, trot, pace, bound, gallop, pronk or irregular
     stride_frequency: float  # Hz
@@ -43,7 +51,7 @@ class Gait:
     body_height: np.ndarray  # (3,) m, mean, least, greatest height of the base's origin
     roll_range: float  # rad, greatest less least roll
     pitch_range: float  # rad, the same for pitch
-    cost_of_transport: float  # energy / (weight * distance)
+    cost_of_transport: float  # energy per metre / weight
     froude: float  # speed^2 / (g * hip height)
     torque_mean: np.ndarray  # (12,) mean of |torque| / effort limit
     torque_peak: np.ndarray  # (12,) greatest |torque| / effort limit
@@ -65,55 +73,44 @@ def measure_gait(rollout: Rollout, quadruped: Quadruped) -> Gait:
     - Torques are means over a control step, so their peaks are those of 20 ms, not of an instant.
     """
     rollout = finite_part(rollout)
-    tree = kinematics.read_tree(quadruped.urdf, quadruped.joints)
-    poses = kinematics.world_poses(tree, rollout.qpos)
-    duration = rollout.steps * rollout.control_dt
-    dx, dy = (rollout.qpos[-1, :2] - rollout.qpos[0, :2]).astype(float)
-    distance = dx if rollout.command is None else path_length(rollout)
-    rpy = kinematics.rpy_from_quat(kinematics.quat_normalised(rollout.qpos[:, 3:7]))
-    yaw = np.unwrap(rpy[:, 2])
-    speed = _ratio(distance, duration)
-    settled = _settled(rollout)
-    feet = analyse_footfalls(rollout.contact[settled:], rollout.control_dt)
-    cruise = _cruise(rollout, settled) if duration else np.nan
-    home = kinematics.world_poses(tree, quadruped.home[None])
-    hip_height = float(np.mean([home[thigh][0][0, 2] for thigh in tree.thighs]))
-    centres = kinematics.foot_positions(tree, poses)
-    weight = tree.mass * quadruped.gravity
-    energy = float(np.sum(rollout.energy))
-    slip, slid = _slips(rollout, tree, poses, centres)
-    changes = np.diff(rollout.action.astype(float), axis=0) / rollout.control_dt
-    height = rollout.qpos[:, 2]
+    course, footfalls = measure_course(rollout), footfalls_of(rollout)
+    model = quadruped.full_model()
+    centres, turns = foot_poses(model, quadruped.feet, rollout.qpos)
+    radii = np.array([model.geom(foot).size[0] for foot in quadruped.feet])
+    slip, slid = _slips(rollout, centres, turns, radii)
+    rpy = roll_pitch_yaw(rollout.qpos[:, 3:7])
+    yaw, height = np.unwrap(rpy[:, 2]), rollout.qpos[:, 2]
     torque = np.abs(rollout.torque) / quadruped.effort
+    torque = torque if rollout.steps else np.full((1, 12), np.nan)
     rate = np.abs(rollout.qvel[:, 6:]) / quadruped.velocity
+    changes = np.diff(rollout.action.astype(float), axis=0) / rollout.control_dt
+    weight = float(model.body_mass.sum()) * quadruped.gravity
     return Gait(
         fell=rollout.fell,
         end=rollout.end,
-        duration=duration,
-        distance=float(distance),
-        speed=speed,
-        lateral_drift=float(dy),
-        heading_drift=float(yaw[-1] - yaw[0]) if len(yaw) else 0.0,
-        gait=feet.gait,
-        stride_frequency=feet.stride_frequency,
-        stride_length=_ratio(cruise, feet.stride_frequency),
-        duty_factor=feet.duty_factor,
-        phase=feet.phase,
-        regularity=feet.regularity,
-        swing_height=_swing_heights(rollout, tree, centres),
+        duration=course.duration,
+        distance=course.distance,
+        speed=course.speed,
+        lateral_drift=course.lateral_drift,
+        heading_drift=float(yaw[-1] - yaw[0]),
+        gait=footfalls.gait,
+        stride_frequency=footfalls.stride_frequency,
+        stride_length=_stride_length(rollout, footfalls.stride_frequency),
+        duty_factor=footfalls.duty_factor,
+        phase=footfalls.phase,
+        regularity=footfalls.regularity,
+        swing_height=_swing_heights(rollout, centres[:, :, 2] - radii),
         slip=slip,
-        slip_share=slid / distance if distance > LEAST_DISTANCE else np.full(4, np.nan),
-        body_height=np.array([height.mean(), height.min(), height.max()])
-        if len(height)
-        else np.full(3, np.nan),
-        roll_range=_spread(rpy[:, 0]),
-        pitch_range=_spread(rpy[:, 1]),
-        cost_of_transport=energy / (weight * distance) if distance > LEAST_DISTANCE else np.nan,
-        froude=speed**2 / (quadruped.gravity * hip_height),
-        torque_mean=_over_rows(np.mean, torque),
-        torque_peak=_over_rows(np.max, torque),
-        joint_speed_mean=_over_rows(np.mean, rate),
-        joint_speed_peak=_over_rows(np.max, rate),
+        slip_share=slid / (course.distance if course.distance > LEAST_DISTANCE else np.nan),
+        body_height=np.array([height.mean(), height.min(), height.max()]),
+        roll_range=float(np.ptp(rpy[:, 0])),
+        pitch_range=float(np.ptp(rpy[:, 1])),
+        cost_of_transport=course.energy_per_metre / weight,
+        froude=course.speed**2 / (quadruped.gravity * _hip_height(model, quadruped)),
+        torque_mean=torque.mean(axis=0),
+        torque_peak=torque.max(axis=0),
+        joint_speed_mean=rate.mean(axis=0),
+        joint_speed_peak=rate.max(axis=0),
         action_rate=float(np.sqrt(np.mean(np.square(changes)))) if len(changes) else np.nan,
     )
 
@@ -125,10 +122,10 @@ def gait_metrics(gait: Gait, quadruped: Quadruped) -> dict[str, float | str | bo
     for field in fields(gait):
         value = getattr(gait, field.name)
         if isinstance(value, np.ndarray):
-            for label, number in zip(labels[len(value)], value, strict=True):
-                metrics[f"{field.name}.{label}"] = _plain(number)
+            for label, one in zip(labels[len(value)], value, strict=True):
+                metrics[f"{field.name}.{label}"] = number(one)
         else:
-            metrics[field.name] = value if isinstance(value, bool | str) else _plain(value)
+            metrics[field.name] = value if isinstance(value, bool | str) else number(value)
     return metrics
 
 
@@ -144,20 +141,30 @@ def _settled(rollout: Rollout) -> int:
     return settling if rollout.steps >= 3 * settling else 0
 
 
-def _cruise(rollout: Rollout, settled: int) -> float:
-    """Horizontal speed once settled, m/s; with commands, which may turn it, in its own frame."""
+def _stride_length(rollout: Rollout, frequency: float) -> float:
+    """m: horizontal speed, with commands in the turning frame of the heading, over `frequency`."""
+    if not frequency > 0:
+        return np.nan
     velocity = rollout.qvel[:, :2] if rollout.command is None else heading_velocity(rollout)[:, :2]
-    return float(np.linalg.norm(velocity[settled:].mean(axis=0)))
+    return float(np.linalg.norm(velocity[_settled(rollout) :].mean(axis=0)) / frequency)
 
 
-def _swing_heights(rollout: Rollout, tree: kinematics.LinkTree, centres: np.ndarray) -> np.ndarray:
-    """(4,) m: for each swing between two contacts, the sole's greatest height; their mean."""
+def _hip_height(model: mujoco.MjModel, quadruped: Quadruped) -> float:
+    """Mean height of the thigh joints, m, in the home pose."""
+    data = mujoco.MjData(model)
+    data.qpos = quadruped.home
+    mujoco.mj_kinematics(model, data)
+    return float(np.mean([data.joint(thigh).xanchor[2] for thigh in quadruped.joints[1::3]]))
+
+
+def _swing_heights(rollout: Rollout, soles: np.ndarray) -> np.ndarray:
+    """(4,) m: the greatest height (T + 1, 4) of each swing between two contacts; their mean."""
     contact = without_chatter(rollout.contact, rollout.control_dt)
     heights = np.full(4, np.nan)
-    for k, foot in enumerate(tree.feet):
-        sole = centres[1:, k, 2] - foot.radius  # contact is known at the ends of steps
+    for k in range(4):
+        sole = soles[1:, k]  # contact is known at the ends of steps
         lifts = np.flatnonzero(contact[:-1, k] & ~contact[1:, k]) + 1
-        lands = np.flatnonzero(~contact[:-1, k] & contact[1:, k]) + 1
+        lands = touchdowns(contact[:, k])
         peaks = [sole[a : lands[lands > a][0]].max() for a in lifts if np.any(lands > a)]
         if peaks:
             heights[k] = np.mean(peaks)
@@ -165,46 +172,16 @@ def _swing_heights(rollout: Rollout, tree: kinematics.LinkTree, centres: np.ndar
 
 
 def _slips(
-    rollout: Rollout,
-    tree: kinematics.LinkTree,
-    poses: dict[str, tuple[np.ndarray, np.ndarray]],
-    centres: np.ndarray,
+    rollout: Rollout, centres: np.ndarray, turns: np.ndarray, radii: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """(4,) m/s and (4,) m: over the time a foot is on the ground at both ends of a step."""
     slips, slid = np.full(4, np.nan), np.zeros(4)
-    for k, foot in enumerate(tree.feet):
+    for k, radius in enumerate(radii):
         stays = rollout.contact[:-1, k] & rollout.contact[1:, k]
         if not stays.any():
             continue
-        turns = poses[foot.link][1][1:]
-        turned = _rotation_vector(
-            kinematics.quat_mul(turns[1:], kinematics.quat_conjugate(turns[:-1]))
-        )
-        moved = np.diff(centres[1:, k], axis=0) + np.cross(turned, [0.0, 0.0, -foot.radius])
+        turned = rotations(turns[2:, k]) * rotations(turns[1:-1, k]).inv()
+        moved = np.diff(centres[1:, k], axis=0) + np.cross(turned.as_rotvec(), [0, 0, -radius])
         moved = np.linalg.norm(moved[stays, :2], axis=1)
         slips[k], slid[k] = moved.mean() / rollout.control_dt, moved.sum()
     return slips, slid
-
-
-def _rotation_vector(quat: np.ndarray) -> np.ndarray:
-    """(T, 3) axis times angle in rad of (T, 4) unit quaternions, the short way round."""
-    quat = np.where(quat[:, :1] < 0, -quat, quat)
-    sine = np.linalg.norm(quat[:, 1:], axis=1, keepdims=True)
-    angle = 2 * np.arctan2(sine, quat[:, :1])
-    return quat[:, 1:] * np.where(sine > 1e-12, angle / np.maximum(sine, 1e-12), 2.0)
-
-
-def _over_rows(reduce, array: np.ndarray) -> np.ndarray:
-    return reduce(array, axis=0) if len(array) else np.full(array.shape[1], np.nan)
-
-
-def _spread(values: np.ndarray) -> float:
-    return float(values.max() - values.min()) if len(values) else np.nan
-
-
-def _ratio(a: float, b: float) -> float:
-    return float(a / b) if np.isfinite(b) and b > 0 else np.nan
-
-
-def _plain(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None

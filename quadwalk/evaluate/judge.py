@@ -33,7 +33,7 @@ def evaluate(config: EvalConfig) -> dict[str, Any]:
     from quadwalk.train.devices import set_up_devices
 
     set_up_devices()
-    from quadwalk.evaluate.report.comparison import compare
+    from quadwalk.evaluate.comparison import compare
     from quadwalk.evaluate.subject import load_subject
     from quadwalk.evaluate.sweep import sweep
     from quadwalk.evaluate.view import check_screen
@@ -57,15 +57,15 @@ def judge(subject: "Subject", config: EvalConfig, out: Path, console: Console) -
 
     The result is printed on standard output, what is being done on `console`.
     """
-    from quadwalk.evaluate.engines import engine_differences, print_engines
+    from quadwalk.evaluate.report.console import describe_gait, print_engines, print_summary
     from quadwalk.evaluate.report.plots import save_figure
-    from quadwalk.evaluate.summary import describe_gait, print_table
+    from quadwalk.evaluate.summary import engine_differences
     from quadwalk.evaluate.view import view
 
     name, env = subject.run.name, subject.env
     found = _roll_out(subject, config, console)
     steps = f"{subject.policy.steps:,} steps of training"
-    print_table(found.summary, f"{name}, {steps}, engine {config.engine}")
+    print_summary(found.summary, f"{name}, {steps}, engine {config.engine}")
     results = dict(found.results)
     if config.engine == "mujoco":
         other = _roll_out(subject.in_engine("mjx"), config, console).summary
@@ -91,7 +91,7 @@ def judge(subject: "Subject", config: EvalConfig, out: Path, console: Console) -
 def _roll_out(subject: "Subject", config: EvalConfig, console: Console) -> "Evaluation":
     """The episodes of `subject`, with a line that says how far they are."""
     from quadwalk.evaluate.evaluation import measure
-    from quadwalk.evaluate.simulating import simulating
+    from quadwalk.evaluate.report.console import simulating
 
     env, began = subject.env, time.monotonic()
     what = f"simulating {config.episodes} episodes in {env.engine}"

@@ -18,8 +18,7 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from quadwalk.errors import UserError
-from quadwalk.evaluate.rollout import Rollout
-from quadwalk.evaluate.trim import finite_part
+from quadwalk.evaluate.rollout import Rollout, finite_part
 from quadwalk.files import atomic_write
 from quadwalk.robot.quadruped import Quadruped
 from quadwalk.robot.render import NEEDS, choose_backend

@@ -1,6 +1,6 @@
 """A rollout: what one episode of a policy looked like, as plain arrays."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -29,8 +29,8 @@ class Rollout:
     contact: np.ndarray  # (T, 4) bool, foot on the ground at the end of the step
     reward_terms: dict[str, np.ndarray]  # name -> (T,) raw terms, before scales
     reward: np.ndarray  # (T,) scaled total
-    # (T, 3) what it was told in the step: velocity forward and to the left in the frame of the
-    # heading, m/s, and turning to the left, rad/s; None where it ran along x
+    # (T, 3) the velocity command of the step: forward and lateral velocity in the frame of the
+    # heading, m/s, lateral to the left, and yaw rate, rad/s; None where it ran along x
     command: np.ndarray | None = None
     # (T, 4) the floor's push along its normal, N; None where `with_foot_forces` has not been asked
     foot_force: np.ndarray | None = None
@@ -47,3 +47,37 @@ class Rollout:
     @property
     def fell(self) -> bool:
         return self.end != "time limit"
+
+
+def first_steps(rollout: Rollout, steps: int) -> Rollout:
+    """The first `steps` control steps of `rollout`, with the states around them."""
+    rows = {
+        field.name: steps + (field.name in ("qpos", "qvel"))
+        for field in fields(rollout)
+        if isinstance(getattr(rollout, field.name), np.ndarray)
+    }
+    return replace(
+        rollout,
+        **{name: getattr(rollout, name)[:count] for name, count in rows.items()},
+        reward_terms={name: term[:steps] for name, term in rollout.reward_terms.items()},
+    )
+
+
+def finite_states(rollout: Rollout) -> int:
+    """How many states there are before the first that is not finite."""
+    finite = np.isfinite(rollout.qpos).all(axis=1) & np.isfinite(rollout.qvel).all(axis=1)
+    return _true_ahead(finite)
+
+
+def finite_part(rollout: Rollout) -> Rollout:
+    """`rollout` up to its last step with finite states, torque, energy and forces."""
+    finite = np.isfinite(rollout.torque).all(axis=1) & np.isfinite(rollout.energy)
+    if rollout.foot_force is not None:
+        finite &= np.isfinite(rollout.foot_force).all(axis=1)
+    steps = min(max(finite_states(rollout) - 1, 0), _true_ahead(finite))
+    return rollout if steps == rollout.steps else first_steps(rollout, steps)
+
+
+def _true_ahead(flags: np.ndarray) -> int:
+    """How many of `flags` (n,) are true before the first that is not."""
+    return len(flags) if flags.all() else int(np.argmin(flags))

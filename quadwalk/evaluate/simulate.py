@@ -16,8 +16,7 @@ import numpy as np
 from brax.envs.base import State
 
 from quadwalk.evaluate.rollout import Rollout
-from quadwalk.physics.engines import Physics
-from quadwalk.physics.motor import friction_torque, motor_torque
+from quadwalk.physics.motor import Physics, friction_torque, motor_torque
 from quadwalk.task.env import QuadrupedEnv
 
 # Observations (..., n) to actions (..., 12); a pytree (`jax.tree_util.Partial`), so that it can be
@@ -175,7 +174,7 @@ def with_foot_forces(rollout: Rollout, env: QuadrupedEnv) -> Rollout:
     motor, joint_speed = env.motor, qvel[:, 6:]
     torque = np.asarray(motor_torque(motor, rollout.target, qpos[:, 7:], joint_speed))
     friction = np.asarray(friction_torque(motor, joint_speed))
-    model = env.mj_model
+    model = env.mj_model_of(env.quadruped)
     data = mujoco.MjData(model)
     column = {model.geom(name).id: k for k, name in enumerate(env.quadruped.feet)}
     floor = model.geom("floor").id

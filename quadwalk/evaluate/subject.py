@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from quadwalk.errors import UserError
-from quadwalk.evaluate.options import Engine
+from quadwalk.physics import EngineName
 from quadwalk.task.env import QuadrupedEnv
 from quadwalk.train.robot import load_run_robot
 from quadwalk.train.runs.directory import Run
@@ -21,13 +21,12 @@ class Subject:
     policy: Policy
     env: QuadrupedEnv
 
-    def in_engine(self, engine: Engine) -> "Subject":
+    def in_engine(self, engine: EngineName) -> "Subject":
         """The same in another engine."""
-        env = QuadrupedEnv(self.env.quadruped, self.env.config, engine)
-        return dataclasses.replace(self, env=env)
+        return dataclasses.replace(self, env=self.env.in_engine(engine))
 
 
-def load_subject(run: Run, seconds: float, which: str = "last", engine: Engine = "mjx") -> Subject:
+def load_subject(run: Run, seconds: float, which: str = "last", engine: EngineName = "mjx") -> Subject:
     """Load the "last" or "best" policy of `run` for episodes of up to `seconds` in `engine`.
 
     A command, if there are any, stays for a whole episode, so that each has one gait to look at.

@@ -1,27 +1,32 @@
-"""Figures of many episodes: each one's, and over all of them the mean with its uncertainty."""
+"""Figures of episodes: each one's, and over all of them the mean with its uncertainty.
 
+An episode runs along world x, or, with velocity commands, where it is told, so that its distance is
+then that along its path. In what is written as JSON, None stands for what cannot be measured.
+"""
+
+import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 
-from quadwalk.evaluate.gait import Gait
-from quadwalk.evaluate.kinematics import rpy_from_quat
+from quadwalk.evaluate.kinematics import roll_pitch_yaw
 from quadwalk.evaluate.rollout import Rollout
-from quadwalk.evaluate.statistics import mean_interval, share_interval
-from quadwalk.evaluate.tracking import path_length, tracking_errors
-from quadwalk.task.config import RewardConfig
+from quadwalk.task.terms import Reward
+
+LEAST_DISTANCE = 1.0  # m: over less, what is per metre says nothing
+WINDOW = 0.5  # s, a stride or more: over it velocities are averaged, and a path is straight
+SETTLING = 1.0  # s after the start and after each change of the command, not judged
 
 # name in metrics.json, heading in the table, unit
 FIGURES = (
     ("speed", "speed along x", "m/s"),
     ("distance", "distance along x", "m"),
-    ("sideways", "sideways drift", "m"),
-    ("heading", "mean heading error", "deg"),
+    ("lateral_drift", "lateral drift", "m"),
+    ("heading_error", "mean heading error", "deg"),
     ("velocity_error", "velocity error", "m/s"),
-    ("turning_error", "turning error", "rad/s"),
+    ("yaw_rate_error", "yaw rate error", "rad/s"),
     ("path_speed", "speed along path", "m/s"),
     ("path", "path length", "m"),
     ("duration", "episode length", "s"),
@@ -30,59 +35,131 @@ FIGURES = (
     ("reward", "reward per step", ""),
 )
 HIGH_IS_BAD = (
-    *("sideways", "heading", "velocity_error", "turning_error"),
+    *("lateral_drift", "heading_error", "velocity_error", "yaw_rate_error"),
     *("energy_per_metre", "cost_of_transport"),
 )
 
 
-def episode_figures(rollout: Rollout, scales: RewardConfig, weight: float) -> dict[str, Any]:
-    """Figures of one episode of a robot of so many N.
+@dataclass(frozen=True)
+class Course:
+    """How far an episode went and what that took; NaN where it cannot be measured."""
 
-    speed: distance along world x over duration, m/s, from a standing start. sideways: |y| gained,
-    m. heading: mean |yaw|, deg. With commands, in place of these: velocity_error, m/s, and
-    turning_error, rad/s, as in `tracking_errors`; path, m, as in `path_length`; path_speed: path
-    over duration, m/s; command: the first. energy_per_metre: positive mechanical work of the
-    motors over distance or path, J/m; cost_of_transport: the same over weight. reward/NAME: mean
-    per step of a scaled term.
-    """
+    duration: float  # s
+    distance: float  # m, displacement along world x; with commands, length of the path
+    speed: float  # m/s, distance / duration
+    lateral_drift: float  # m, size of the displacement along world y
+    energy_per_metre: float  # J/m, positive mechanical work of the motors / distance
+
+
+def measure_course(rollout: Rollout) -> Course:
+    """The course of an episode of finite states."""
     duration = rollout.steps * rollout.control_dt
-    course: dict[str, Any]
+    along, across = (rollout.qpos[-1, :2] - rollout.qpos[0, :2]).astype(float)
+    distance = float(along if rollout.command is None else path_length(rollout))
+    return Course(
+        duration=duration,
+        distance=distance,
+        speed=distance / duration if duration else math.nan,
+        lateral_drift=float(abs(across)),
+        energy_per_metre=float(rollout.energy.sum() / distance)
+        if distance > LEAST_DISTANCE
+        else math.nan,
+    )
+
+
+def heading_velocity(rollout: Rollout) -> np.ndarray:
+    """(T, 3): what a velocity command is of, in each step.
+
+    Forward and lateral velocity of the trunk, m/s, in the frame of the heading at the step's end,
+    and yaw rate, rad/s: means over the step.
+    """
+    yaw = np.unwrap(roll_pitch_yaw(rollout.qpos[:, 3:7])[:, 2])
+    x, y = np.diff(rollout.qpos[:, :2], axis=0).T / rollout.control_dt
+    cos, sin = np.cos(yaw[1:]), np.sin(yaw[1:])
+    rate = np.diff(yaw) / rollout.control_dt
+    return np.stack([cos * x + sin * y, cos * y - sin * x, rate], axis=1)
+
+
+def tracking_errors(rollout: Rollout) -> tuple[float, float]:
+    """How far velocity (m/s) and yaw rate (rad/s) were from the commands; NaN where too short.
+
+    The length of the difference, and its absolute value, between what `heading_velocity` is on
+    average over a `WINDOW` and the command: the mean over all windows in which one command holds
+    and which begin `SETTLING` after it was given, or later.
+    """
+    assert rollout.command is not None
+    settling, window = (round(s / rollout.control_dt) for s in (SETTLING, WINDOW))
+    errors = heading_velocity(rollout) - rollout.command
+    changes = np.flatnonzero(np.any(np.diff(rollout.command, axis=0), axis=1)) + 1
+    found = []
+    for part in np.split(errors, changes):
+        judged = part[settling:]
+        if len(judged) >= window:
+            sums = np.cumsum(np.concatenate([np.zeros((1, 3)), judged]), axis=0)
+            found.append((sums[window:] - sums[:-window]) / window)
+    if not found:
+        return math.nan, math.nan
+    means = np.concatenate(found)
+    return float(np.linalg.norm(means[:, :2], axis=1).mean()), float(np.abs(means[:, 2]).mean())
+
+
+def path_length(rollout: Rollout) -> float:
+    """Length of the trunk's path on the floor, m, as straight lines of `WINDOW` each.
+
+    So that swaying from step to step does not count.
+    """
+    every = max(round(WINDOW / rollout.control_dt), 1)
+    points = np.concatenate([rollout.qpos[:-1:every, :2], rollout.qpos[-1:, :2]])
+    return float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
+
+
+def episode_figures(rollout: Rollout, rewards: Mapping[str, Reward], weight: float) -> dict[str, Any]:
+    """Figures of one episode of a robot of so many N, as plain values for JSON.
+
+    speed, distance, lateral_drift, duration, energy_per_metre: as in `Course`; heading_error: mean
+    |yaw|, deg; cost_of_transport: energy per metre over weight; reward/NAME: mean per step of a
+    scaled term. With velocity commands there are, in place of the first three and the heading
+    error: path_speed, m/s, and path, m, which are the `Course`'s speed and distance;
+    velocity_error, m/s, and yaw_rate_error, rad/s, as in `tracking_errors`; command: the first.
+    """
+    course = measure_course(rollout)
+    figures: dict[str, Any]
     if rollout.command is None:
-        distance, sideways = rollout.qpos[-1, :2] - rollout.qpos[0, :2]
-        yaw = rpy_from_quat(rollout.qpos[:, 3:7])[:, 2]
-        course = {
-            "speed": distance / duration,
-            "distance": float(distance),
-            "sideways": float(abs(sideways)),
-            "heading": float(np.degrees(np.abs(yaw).mean())),
+        yaw = roll_pitch_yaw(rollout.qpos[:, 3:7])[:, 2]
+        figures = {
+            "speed": course.speed,
+            "distance": course.distance,
+            "lateral_drift": course.lateral_drift,
+            "heading_error": float(np.degrees(np.abs(yaw).mean())),
         }
     else:
-        distance = path_length(rollout)
-        velocity_error, turning_error = tracking_errors(rollout) or (None, None)
-        course = {
-            "velocity_error": velocity_error,
-            "turning_error": turning_error,
-            "path_speed": distance / duration,
-            "path": distance,
+        velocity_error, yaw_rate_error = tracking_errors(rollout)
+        figures = {
+            "velocity_error": number(velocity_error),
+            "yaw_rate_error": number(yaw_rate_error),
+            "path_speed": course.speed,
+            "path": course.distance,
             "command": np.asarray(rollout.command[0], float).tolist(),
         }
-    # Over less than a metre, a cost per metre says nothing.
-    energy = float(rollout.energy.sum() / distance) if distance > 1.0 else None
-    terms = {
-        f"reward/{name}": float(getattr(scales, name) * values.mean())
-        for name, values in rollout.reward_terms.items()
-    }
     return {
         "episode": rollout.episode,
         "end": rollout.end,
         "fell": rollout.fell,
-        **course,
-        "duration": duration,
-        "energy_per_metre": energy,
-        "cost_of_transport": None if energy is None else energy / weight,
+        **figures,
+        "duration": course.duration,
+        "energy_per_metre": number(course.energy_per_metre),
+        "cost_of_transport": number(course.energy_per_metre / weight),
         "reward": float(rollout.reward.mean()),
-        **terms,
+        **{
+            f"reward/{name}": float(rewards[name].scale * values.mean())
+            for name, values in rollout.reward_terms.items()
+        },
     }
+
+
+def number(value: float) -> float | None:
+    """`value` for JSON, which knows no NaN."""
+    return float(value) if math.isfinite(value) else None
 
 
 def summarise(episodes: Sequence[dict[str, Any]]) -> dict[str, Any]:
@@ -105,15 +182,60 @@ def summarise(episodes: Sequence[dict[str, Any]]) -> dict[str, Any]:
         if not len(values):
             summary[name] = None
             continue
-        high_is_bad = name in HIGH_IS_BAD
         mean, half_width = mean_interval(values)
         summary[name] = {
             "mean": mean,
             "median": float(np.median(values)),
-            "worst": float(values.max() if high_is_bad else values.min()),
+            "worst": float(values.max() if name in HIGH_IS_BAD else values.min()),
             "ci95": half_width,
         }
     return summary
+
+
+def mean_interval(values: Sequence[float] | np.ndarray) -> tuple[float, float | None]:
+    """The mean, and half the width of its 95 % confidence interval by Student's t.
+
+    None in its place for a single value. Values must be there and finite.
+    """
+    from scipy import stats  # half a second, which those that measure nothing need not wait
+
+    mean, freedom = float(np.mean(values)), len(values) - 1
+    if not freedom:
+        return mean, None
+    return mean, float(stats.t.ppf(0.975, freedom) * stats.sem(values))
+
+
+def share_interval(count: int, total: int) -> tuple[float, float]:
+    """The 95 % confidence interval of a share, `count` of `total`.
+
+    Wilson's (J. American Statistical Association 22, 1927), which does not claim certainty where
+    none or all of a few succeeded.
+    """
+    from scipy import stats
+
+    interval = stats.binomtest(count, total).proportion_ci(method="wilson")
+    return float(interval.low), float(interval.high)
+
+
+def engine_differences(mjx: dict[str, Any], mujoco: dict[str, Any]) -> dict[str, Any]:
+    """Of falls and each figure's mean in two summaries, MuJoCo C's less MJX's.
+
+    `difference` in the figure's own unit (of `fall_rate`, a share), `percent` of the size of MJX's;
+    None where one of the two has no figure, or MJX's is 0.
+    """
+    means = {name: (_mean(mjx[name]), _mean(mujoco[name])) for name, _, _ in FIGURES if name in mjx}
+    means = {"fall_rate": (mjx["fall_rate"], mujoco["fall_rate"]), **means}
+    return {
+        name: {
+            "difference": number(second - first),
+            "percent": number(100 * (second - first) / abs(first)) if first else None,
+        }
+        for name, (first, second) in means.items()
+    }
+
+
+def _mean(figure: dict[str, Any] | None) -> float:
+    return math.nan if figure is None else figure["mean"]
 
 
 def typical_episode(episodes: Sequence[dict[str, Any]]) -> int:
@@ -121,61 +243,3 @@ def typical_episode(episodes: Sequence[dict[str, Any]]) -> int:
     speed = "speed" if "speed" in episodes[0] else "path_speed"
     order = np.argsort([episode[speed] for episode in episodes], kind="stable")
     return int(order[len(order) // 2])
-
-
-def describe_gait(gait: Gait, episode: int) -> str:
-    """The gait of one episode in a line or two."""
-    return (
-        f"gait of episode {episode}: {gait.gait}, {gait.stride_frequency:.2f} strides/s of "
-        f"{gait.stride_length:.2f} m, duty factor {np.mean(gait.duty_factor):.2f}, "
-        f"swing height {100 * np.min(gait.swing_height):.1f} cm or more, "
-        f"slip up to {100 * np.max(gait.slip_share):.1f} % of the distance, "
-        f"cost of transport {gait.cost_of_transport:.2f}\n"
-        f"of their limits, at most: torque {100 * np.max(gait.torque_peak):.0f} %, "
-        f"joint speed {100 * np.max(gait.joint_speed_peak):.0f} %; "
-        f"actions change at {gait.action_rate:.1f}/s (root mean square; they are in [-1, 1])"
-    )
-
-
-def print_table(summary: dict[str, Any], title: str) -> None:
-    """The summary as a table on standard output."""
-    table = Table(title=title, title_justify="left")
-    for heading in ("", "mean", "± 95 %", "median", "worst", "unit"):
-        table.add_column(heading, justify="left" if heading in ("", "unit") else "right")
-    falls = summary["fall_rate"] * summary["episodes"]
-    low, high = summary["fall_rate_ci95"]
-    table.add_row(
-        "falls",
-        f"{100 * summary['fall_rate']:.1f}",
-        f"{100 * low:.0f} to {100 * high:.0f}",
-        "",
-        "",
-        f"% ({falls:.0f} episodes)",
-    )
-    rows = [row for row in FIGURES if row[0] in summary]
-    rows += [(n, f"  {n.partition('/')[2]}", "") for n in summary if n.startswith("reward/")]
-    for name, heading, unit in rows:
-        figure = summary[name]
-        if figure is None:
-            table.add_row(heading, "-", "", "", "", unit)
-            continue
-        ci = "" if figure["ci95"] is None else f"{figure['ci95']:.3f}"
-        values = [f"{figure[key]:.3f}" for key in ("mean", "median", "worst")]
-        table.add_row(heading, values[0], ci, *values[1:], unit)
-    Console().print(table)
-
-
-def figure_text(figure: dict[str, Any] | None) -> str:
-    """A figure of a summary as "mean ± half its 95 % interval"; "-" where there is none."""
-    if figure is None:
-        return "-"
-    # As many decimals as leave the mean four digits, up to three.
-    decimals = 3 - min(len(f"{abs(figure['mean']):.0f}") - 1, 3)
-    text = f"{figure['mean']:.{decimals}f}"
-    return text if figure["ci95"] is None else f"{text} ± {figure['ci95']:.{decimals}f}"
-
-
-def falls_text(summary: dict[str, Any]) -> str:
-    """The share of falls in percent, and its 95 % interval."""
-    low, high = (100 * end for end in summary["fall_rate_ci95"])
-    return f"{100 * summary['fall_rate']:.1f} ({low:.0f} to {high:.0f})"

@@ -17,9 +17,10 @@ from brax.envs.base import State
 from rich.console import Console
 
 from quadwalk.evaluate.options import EvalConfig
+from quadwalk.evaluate.recording.provenance import provenance
+from quadwalk.evaluate.report.console import print_sweep, simulating
+from quadwalk.evaluate.report.panels import draw_sweep
 from quadwalk.evaluate.report.plots import save_figure
-from quadwalk.evaluate.provenance import provenance
-from quadwalk.evaluate.report.sweep_report import draw_sweep, print_sweep
 from quadwalk.evaluate.simulate import (
     CHUNK,
     Policy,
@@ -28,9 +29,8 @@ from quadwalk.evaluate.simulate import (
     over_devices,
     until_all_ended,
 )
-from quadwalk.evaluate.simulating import simulating
-from quadwalk.evaluate.statistics import mean_interval, share_interval
 from quadwalk.evaluate.subject import Subject
+from quadwalk.evaluate.summary import mean_interval, share_interval
 from quadwalk.robot.quadruped import Quadruped
 from quadwalk.task.conditions import first_conditions, targets_needed
 from quadwalk.task.env import QuadrupedEnv
@@ -185,9 +185,9 @@ def _starts(env: QuadrupedEnv, points: list[Point], episodes: int, seed: int) ->
 
     Each point has the same starts, and the same noise and pushes but for their size.
     """
-    dt, count = env.config.physics_dt, len(points)
+    dt, count = env.stepping.dt, len(points)
     delays = np.array([round(point.delay / 1000 / dt) for point in points], np.int32)
-    kept = targets_needed(int(delays.max()), env.config.substeps)
+    kept = targets_needed(int(delays.max()), env.stepping.substeps)
     home = jnp.asarray(env.robot.home_joints, jnp.float32)
     keys = jax.random.split(jax.random.fold_in(jax.random.PRNGKey(seed), 1), episodes)
     states, keys = jax.tree.map(
@@ -211,10 +211,15 @@ def _models(
 ) -> tuple[list[Any], list[int | None]]:
     """The arrays of every episode's model, and the axes that `vmap` maps."""
     kinds = list(dict.fromkeys((p.friction, p.mass, p.strength) for p in points))
-    models = [
-        env.model_of(varied_quadruped(env.quadruped, friction, mass), strength / 100)
-        for friction, mass, strength in kinds
-    ]
+    robots = {
+        kind: env.model_of(varied_quadruped(env.quadruped, *kind))
+        for kind in dict.fromkeys((friction, mass) for friction, mass, _ in kinds)
+    }
+    models = []
+    for friction, mass, strength in kinds:
+        model = robots[friction, mass]
+        motor = model.motor._replace(strength=np.full(12, strength / 100))
+        models.append(model._replace(motor=motor))
     stacked, axes = stack_models(models)
     kind = np.repeat([kinds.index((p.friction, p.mass, p.strength)) for p in points], episodes)
     return [

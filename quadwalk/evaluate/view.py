@@ -8,8 +8,7 @@ import time
 from rich.console import Console
 
 from quadwalk.errors import UserError
-from quadwalk.evaluate.rollout import Rollout
-from quadwalk.evaluate.trim import finite_part
+from quadwalk.evaluate.rollout import Rollout, finite_part
 from quadwalk.robot.quadruped import Quadruped
 
 _FPS = 60

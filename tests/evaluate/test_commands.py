@@ -11,7 +11,7 @@ from quadwalk.cli import parse
 from quadwalk.errors import UsageError, UserError
 from quadwalk.evaluate.evaluation import evaluate
 from quadwalk.evaluate.options import EvalConfig
-from quadwalk.evaluate.provenance import revision
+from quadwalk.evaluate.recording.provenance import revision
 from quadwalk.evaluate.view import check_screen
 
 

@@ -9,22 +9,24 @@ import jax
 import numpy as np
 import pytest
 from mcap.reader import make_reader
-from PIL import Image
 from rich.console import Console
 
 from quadwalk.errors import UserError
 from quadwalk.evaluate import judge as judging
 from quadwalk.evaluate import subject as loading
 from quadwalk.evaluate import sweep as sweeping
-from quadwalk.evaluate.engines import engine_differences
+from quadwalk.evaluate.comparison import compare
 from quadwalk.evaluate.foot_force import with_foot_forces
 from quadwalk.evaluate.judge import judge
 from quadwalk.evaluate.options import EvalConfig
-from quadwalk.evaluate.report.comparison import compare
 from quadwalk.evaluate.simulate import simulate_episodes
-from quadwalk.evaluate.statistics import mean_interval
 from quadwalk.evaluate.subject import Subject, load_subject
-from quadwalk.evaluate.summary import episode_figures, summarise
+from quadwalk.evaluate.summary import (
+    engine_differences,
+    episode_figures,
+    mean_interval,
+    summarise,
+)
 from quadwalk.evaluate.sweep import SWEEPS, Point, measure_points, sweep
 from quadwalk.robot.mjcf import write_xml
 from quadwalk.task.config import ActuationConfig, EnvConfig
@@ -92,7 +94,15 @@ def test_both_engines_are_judged_from_the_same_starts(judged, rollouts, subject)
 
 def test_differences_of_what_is_not_there_or_zero():
     figure = {"mean": 2.0}
-    names = ("speed", "distance", "sideways", "heading", "duration", "energy_per_metre", "reward")
+    names = (
+        "speed",
+        "distance",
+        "lateral_drift",
+        "heading_error",
+        "duration",
+        "energy_per_metre",
+        "reward",
+    )
     mjx = {**dict.fromkeys(names, figure), "fall_rate": 0.0, "energy_per_metre": None}
     mujoco = {**{name: {"mean": 1.5} for name in names}, "fall_rate": 0.25}
     found = engine_differences(mjx, mujoco)
@@ -152,18 +162,16 @@ def test_runs_side_by_side(judged, tmp_path, monkeypatch, capsys):
     assert [f"{mean:.3f} ±" in line for mean in means] == [True, True]
     (line,) = [line for line in table.splitlines() if "  yaw" in line]
     assert "│ - │" in " ".join(line.split())
-    picture = np.asarray(Image.open(tmp_path / "comparison.png").convert("L"))
-    assert picture.shape == (900, 1500)
-    assert picture.std() > 10
+    assert {path.name for path in tmp_path.iterdir()} == {"comparison.json", "comparison.png"}
 
 
 def test_a_run_with_commands_beside_one_without(judged, tmp_path, monkeypatch, capsys):
     results, *_ = judged
     told = json.loads(json.dumps(results))
     for number, episode in enumerate(told["episodes"]):
-        for name in ("speed", "distance", "sideways", "heading"):
+        for name in ("speed", "distance", "lateral_drift", "heading_error"):
             del episode[name]
-        figures = {"velocity_error": 0.1 * number, "turning_error": None}
+        figures = {"velocity_error": 0.1 * number, "yaw_rate_error": None}
         episode |= {**figures, "path_speed": 1.0, "path": SECONDS}
     told["summary"] = summarise(told["episodes"])
     monkeypatch.setenv("COLUMNS", "120")
@@ -173,13 +181,11 @@ def test_a_run_with_commands_beside_one_without(judged, tmp_path, monkeypatch, c
     for row, first, second in (
         ("speed along x", f"{results['summary']['speed']['mean']:.3f} ±", "- │ m/s"),
         ("velocity error", "- │", "0.150 ±"),
-        ("turning error", "- │", "- │ rad/s"),
+        ("yaw rate error", "- │", "- │ rad/s"),
     ):
         (line,) = [line for line in lines if f"│ {row} │" in line]
         assert line.startswith(f"│ {row} │ {first}")
         assert f" │ {second}" in line
-    picture = np.asarray(Image.open(tmp_path / "comparison.png").convert("L"))
-    assert picture.shape == (1350, 1500)  # one more row of panels
 
 
 # Sweeping
@@ -235,6 +241,7 @@ def swept(subject, tmp_path_factory):
 def test_a_sweep_is_a_table_of_one_thing_at_a_time(swept):
     results, out = swept
     assert json.loads((out / "sweep.json").read_text()) == results
+    assert (out / "sweep.png").exists()
     assert list(results["sweeps"]) == list(SWEEPS)
     for name, sweep_of in results["sweeps"].items():
         values = [point["value"] for point in sweep_of["points"]]
@@ -253,12 +260,6 @@ def test_a_sweep_is_a_table_of_one_thing_at_a_time(swept):
         "push": (0.0, 1.5),
         "noise": (0.0, 2.0),
     }
-
-
-def test_a_sweep_is_a_picture(swept):
-    picture = np.asarray(Image.open(swept[1] / "sweep.png").convert("L"))
-    assert picture.shape == (900, 1600)
-    assert picture.std() > 10
 
 
 # What cannot be

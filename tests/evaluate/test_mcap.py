@@ -21,16 +21,14 @@ from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
 from quadwalk.errors import UserError
-from quadwalk.evaluate.kinematics import foot_positions, read_tree, world_poses
 from quadwalk.evaluate.recording import mcap as writing
 from quadwalk.evaluate.recording.mcap import LAYOUT, verify_mcap, write_mcap
 from quadwalk.evaluate.recording.messages import drawn_urdf
-from quadwalk.evaluate.recording.precision import RELATIVE_ERROR
-from quadwalk.evaluate.trim import first_steps
+from quadwalk.evaluate.rollout import first_steps
 
 METADATA = {"version": "1.2.3", "config": '{"seed": 7}'}
 SCENE_ROWS = [*range(0, 100, 3), 100]  # of 100 steps: each third state, and the last
-CLOSE = {"rtol": 1.01 * RELATIVE_ERROR, "atol": 1e-12}
+CLOSE = {"rtol": 1e-6, "atol": 1e-12}
 
 
 @pytest.fixture(scope="module")
@@ -149,9 +147,20 @@ def test_transforms_compose_to_the_simulators_poses(messages, trot, quadruped):
 
 
 def test_every_link_of_the_urdf_has_its_transform_in_each_message(messages, quadruped):
-    tree = read_tree(quadruped.urdf, quadruped.joints)
+    urdf = ElementTree.fromstring(quadruped.urdf)
+    joints = urdf.findall("joint")
+    expected = {("world", quadruped.trunk)}
+    expected |= {(j.find("parent").get("link"), j.find("child").get("link")) for j in joints}
+    assert len(expected) == len(urdf.findall("link"))
     for _, message in messages["/tf"]:
-        assert [transform.child_frame_id for transform in message.transforms] == list(tree.links)
+        found = [(each.parent_frame_id, each.child_frame_id) for each in message.transforms]
+        assert len(found) == len(expected)
+        assert set(found) == expected
+        # A reader that goes through them once finds each parent before its children.
+        placed = {"world"}
+        for parent, child in found:
+            assert parent in placed
+            placed.add(child)
 
 
 def test_joint_states_and_commands(messages, trot, quadruped):
@@ -213,8 +222,8 @@ def test_body_velocity_is_turned_into_the_bodys_frame(trot, quadruped, tmp_path)
 
 
 def test_the_scene_is_complete_in_each_message(messages, trot, quadruped):
-    tree = read_tree(quadruped.urdf, quadruped.joints)
-    feet = foot_positions(tree, world_poses(tree, trot.qpos))
+    model = quadruped.full_model()
+    data = mujoco.MjData(model)
     for index, (_, message) in enumerate(messages["/scene"]):
         row = SCENE_ROWS[index]
         ground, path, velocity, forces = message.entities
@@ -225,12 +234,19 @@ def test_the_scene_is_complete_in_each_message(messages, trot, quadruped):
         last = path.lines[0].points[-1]
         assert (last.x, last.y) == pytest.approx(trot.qpos[row, :2], abs=1e-3)
         assert len(path.lines[0].points) <= 64
-        assert len(velocity.arrows) == 1
+        (arrow,) = velocity.arrows
+        turn, matrix = arrow.pose.orientation, np.empty(9)
+        mujoco.mju_quat2Mat(matrix, np.array([turn.w, turn.x, turn.y, turn.z]))
+        drawn = arrow.shaft_length * matrix.reshape(3, 3)[:, 0]  # an arrow points along x
+        np.testing.assert_allclose(drawn, 0.25 * trot.qvel[row, :3], atol=2e-3)
         touching = np.flatnonzero(trot.contact[row - 1]) if row else []
         tails = [[getattr(arrow.pose.position, a) for a in "xyz"] for arrow in forces.arrows]
         assert len(tails) == len(touching)
         if tails:
-            np.testing.assert_allclose(tails, feet[row][touching], atol=1e-3)
+            data.qpos[:] = trot.qpos[row]
+            mujoco.mj_kinematics(model, data)
+            feet = [data.site(quadruped.feet[foot]).xpos for foot in touching]
+            np.testing.assert_allclose(tails, feet, atol=1e-3)
 
 
 def test_metadata_and_attachments(written, quadruped):
@@ -323,7 +339,7 @@ def test_a_command_has_its_channel(trot, quadruped, tmp_path):
     write_mcap(tmp_path / "told.mcap", rollout, quadruped, METADATA)
     found = read(tmp_path / "told.mcap")
     assert [when for when, _ in found["/command"]] == [k * 20_000_000 for k in range(trot.steps)]
-    values = [(m.forward, m.sideways, m.turning) for _, m in found["/command"]]
+    values = [(m.forward, m.lateral, m.yaw_rate) for _, m in found["/command"]]
     np.testing.assert_allclose(values, told, **CLOSE)
 
 
@@ -382,7 +398,7 @@ def test_twenty_seconds_are_small_and_quick(simulate, quadruped, tmp_path):
         write_mcap(path, rollout, quadruped, METADATA)
         seconds.append(time.process_time() - start)
     assert path.stat().st_size < 1_000_000
-    assert min(seconds) < 0.5
+    assert min(seconds) < 1.0  # 0.3 on a quiet machine
 
 
 def test_memory_does_not_grow_with_the_episode(trot, quadruped, tmp_path):

@@ -12,7 +12,7 @@ from PIL import Image
 from quadwalk.errors import UserError
 from quadwalk.evaluate import render
 from quadwalk.evaluate.render import render_film_strip, render_gif
-from quadwalk.evaluate.trim import first_steps
+from quadwalk.evaluate.rollout import first_steps
 
 SMALL = {"width": 96, "height": 64}
 

@@ -10,10 +10,16 @@ from scipy.spatial.transform import Rotation
 
 from quadwalk.evaluate import subject
 from quadwalk.evaluate.gait import measure_gait
+from quadwalk.evaluate.rollout import first_steps
 from quadwalk.evaluate.simulate import simulate_episodes
-from quadwalk.evaluate.summary import episode_figures, summarise, typical_episode
-from quadwalk.evaluate.tracking import heading_velocity, path_length, tracking_errors
-from quadwalk.evaluate.trim import first_steps
+from quadwalk.evaluate.summary import (
+    episode_figures,
+    heading_velocity,
+    path_length,
+    summarise,
+    tracking_errors,
+    typical_episode,
+)
 from quadwalk.task.config import CommandConfig, EnvConfig, RewardConfig
 from quadwalk.train.runs.directory import Run
 from quadwalk.train.runs.policy import Policy
@@ -73,7 +79,9 @@ def test_a_second_to_obey_is_given_at_the_start_and_after_a_change(glide):
 
 def test_an_episode_too_short_has_no_error(glide):
     rollout = glide((1.0, 0.0, 0.0), (1.0, 0.0, 0.0))
-    assert tracking_errors(first_steps(rollout, 74)) is None
+    assert np.isnan(tracking_errors(first_steps(rollout, 74))).all()
+    short = episode_figures(first_steps(rollout, 74), RewardConfig(), WEIGHT)
+    assert (short["velocity_error"], short["yaw_rate_error"]) == (None, None)
     assert tracking_errors(first_steps(rollout, 75)) == pytest.approx((0.0, 0.0), abs=1e-9)
 
 
@@ -93,13 +101,13 @@ def test_figures_of_an_episode_with_commands(glide, quadruped):
     figures = episode_figures(rollout, RewardConfig(), WEIGHT)
     length = 8 * 2 * np.sin(0.25)
     assert figures["velocity_error"] == pytest.approx(0.3)
-    assert figures["turning_error"] == pytest.approx(0.5)
+    assert figures["yaw_rate_error"] == pytest.approx(0.5)
     assert figures["path"] == pytest.approx(length, rel=1e-3)
     assert figures["path_speed"] == pytest.approx(length / 4, rel=1e-3)
     assert figures["energy_per_metre"] == pytest.approx(400 / length, rel=1e-3)
     assert figures["cost_of_transport"] == pytest.approx(400 / length / WEIGHT, rel=1e-3)
     assert figures["command"] == [1.0, 0.3, 0.5]
-    assert not {"speed", "distance", "sideways", "heading"} & figures.keys()
+    assert not {"speed", "distance", "lateral_drift", "heading_error"} & figures.keys()
     gait = measure_gait(rollout, quadruped)
     assert gait.speed == pytest.approx(length / 4, rel=1e-3)
     assert gait.stride_length * gait.stride_frequency == pytest.approx(1.0)

@@ -12,6 +12,7 @@ import numpy as np
 from foxglove_schemas_protobuf.LinePrimitive_pb2 import LinePrimitive
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from google.protobuf.timestamp_pb2 import Timestamp
+from scipy.spatial.transform import Rotation
 
 SCENE_PERIOD = 0.06  # s: often enough for arrows, and a third of the bytes of each step
 PATH_POINTS = 64  # at most, whatever the episode's length
@@ -25,12 +26,19 @@ _HALF = math.sqrt(0.5)
 class SceneWriter:
     """Fills one `SceneUpdate` again and again; `world` is the frame everything is drawn in."""
 
-    def __init__(self, path: np.ndarray, weight: float, world: str = "world") -> None:
-        """`path` (T + 1, 3) base positions in m, `weight` in N."""
-        self._path = path
-        self._weight = weight
+    def __init__(
+        self, path: np.ndarray, velocity: np.ndarray, weight: float, world: str = "world"
+    ) -> None:
+        """`path` (T + 1, 3) of the base in m, its `velocity` (T + 1, 3) in m/s, `weight` in N."""
+        self._path, self._weight = path, weight
+        self._speed = np.linalg.norm(velocity, axis=1)
+        across = np.linalg.norm(velocity[:, :2], axis=1)
+        yaw, pitch = np.arctan2(velocity[:, 1], velocity[:, 0]), -np.arctan2(velocity[:, 2], across)
+        # They lay the x axis, which an arrow points along, along the velocity.
+        along = Rotation.from_euler("ZY", np.stack([yaw, pitch], axis=1))
+        self._along = along.as_quat(scalar_first=True)
         self._message = SceneUpdate()
-        ground, track, velocity, self._forces = (
+        ground, track, moving, self._forces = (
             self._message.entities.add(frame_id=world, id=name)
             for name in ("ground", "path", "velocity", "foot_forces")
         )
@@ -46,29 +54,18 @@ class SceneWriter:
         self._line = track.lines.add(type=LinePrimitive.LINE_STRIP, thickness=0.02)
         self._line.pose.orientation.w = 1.0
         _colour(self._line.color, 0.1, 0.45, 0.9, 1.0)
-        self._arrow = velocity.arrows.add(shaft_diameter=0.025, head_diameter=0.05)
+        self._arrow = moving.arrows.add(shaft_diameter=0.025, head_diameter=0.05)
         self._arrow.head_length = 0.06
         _colour(self._arrow.color, 0.95, 0.55, 0.1, 1.0)
 
-    def serialised(
-        self,
-        row: int,
-        stamp: Timestamp,
-        velocity: np.ndarray,
-        feet: np.ndarray,
-        forces: np.ndarray,
-    ) -> bytes:
-        """The scene at state `row`.
-
-        `velocity` (3,) of the base in m/s; `feet` (4, 3) in m; `forces` (4,) in N, zero for a foot
-        in the air.
-        """
+    def serialised(self, row: int, stamp: Timestamp, feet: np.ndarray, forces: np.ndarray) -> bytes:
+        """The scene at state `row`: `feet` (4, 3) in m, `forces` (4,) in N, zero in the air."""
         for entity in self._message.entities:
             entity.timestamp.CopyFrom(stamp)
         x, y, z = (_drawn(value) for value in self._path[row])
         self._grid.pose.position.x, self._grid.pose.position.y = float(round(x)), float(round(y))
         self._draw_path(row)
-        self._draw_velocity((x, y, z), velocity)
+        self._draw_velocity(row, (x, y, z))
         self._draw_forces(feet, forces)
         return self._message.SerializeToString()
 
@@ -82,18 +79,11 @@ class SceneWriter:
             # Just above the ground, to be seen.
             self._line.points.add(x=_drawn(x), y=_drawn(y), z=0.01)
 
-    def _draw_velocity(self, start: tuple[float, float, float], velocity: np.ndarray) -> None:
-        vx, vy, vz = (float(component) for component in velocity)
-        yaw, pitch = math.atan2(vy, vx), -math.atan2(vz, math.hypot(vx, vy))
-        sy, cy = math.sin(yaw / 2), math.cos(yaw / 2)
-        sp, cp = math.sin(pitch / 2), math.cos(pitch / 2)
-        pose = self._arrow.pose
-        pose.position.x, pose.position.y, pose.position.z = start[0], start[1], start[2] + 0.25
-        turn = pose.orientation  # Rz(yaw) Ry(pitch) lays the arrow's x axis along the velocity
-        turn.w, turn.x, turn.y, turn.z = (
-            _drawn(value) for value in (cy * cp, -sy * sp, cy * sp, sy * cp)
-        )
-        self._arrow.shaft_length = _drawn(_VELOCITY_ARROW * math.hypot(vx, vy, vz))
+    def _draw_velocity(self, row: int, start: tuple[float, float, float]) -> None:
+        position, turn = self._arrow.pose.position, self._arrow.pose.orientation
+        position.x, position.y, position.z = start[0], start[1], start[2] + 0.25
+        turn.w, turn.x, turn.y, turn.z = map(_drawn, self._along[row])
+        self._arrow.shaft_length = _drawn(_VELOCITY_ARROW * self._speed[row])
 
     def _draw_forces(self, feet: np.ndarray, forces: np.ndarray) -> None:
         del self._forces.arrows[:]

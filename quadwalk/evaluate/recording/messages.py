@@ -4,11 +4,10 @@ Times are simulated nanoseconds. A state is stamped with its own time; what a st
 (torque, contact, reward) with the time at its end; what the policy saw and asked for with the time
 at its start. The `foxglove.*` messages: https://docs.foxglove.dev/docs/sdk/schemas.
 
-Numbers are written to within a millionth of their value (`precision.compact`).
+Numbers are written to within a millionth of their value (`encoding.compact`).
 """
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
 
 import lxml.etree
 import numpy as np
@@ -20,11 +19,10 @@ from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from google.protobuf.message import Message
 from google.protobuf.timestamp_pb2 import Timestamp
 
-from quadwalk.evaluate import kinematics
+from quadwalk.evaluate.kinematics import foot_poses, link_frames, rotations
+from quadwalk.evaluate.recording.encoding import Scalars, cdr_string, compact
 from quadwalk.evaluate.recording.markers import SCENE_PERIOD, SceneWriter
-from quadwalk.evaluate.recording.precision import compact
-from quadwalk.evaluate.recording.typed import field_names, message_type
-from quadwalk.evaluate.rollout import Rollout
+from quadwalk.evaluate.rollout import Rollout, finite_states
 from quadwalk.robot.quadruped import Quadruped
 
 WORLD = "world"
@@ -48,35 +46,6 @@ def drawn_urdf(urdf: str) -> str:
     return lxml.etree.tostring(root, encoding="unicode")
 
 
-def cdr_string(text: str) -> bytes:
-    """A ROS 2 `std_msgs/msg/String`: CDR header (little-endian), length with its NUL, text."""
-    data = text.encode() + b"\0"
-    return b"\x00\x01\x00\x00" + len(data).to_bytes(4, "little") + data
-
-
-@dataclass(frozen=True)
-class _Typed:
-    """A channel of named scalars: the message that is filled again and again."""
-
-    message: Message
-    numbers: tuple[str, ...]
-    flags: tuple[str, ...] = ()
-
-    def serialised(self, time: int, numbers: list[float], flags: list[bool] | None = None) -> bytes:
-        self.message.timestamp.FromNanoseconds(time)
-        for name, value in zip(self.numbers, numbers, strict=True):
-            setattr(self.message, name, value)
-        for name, flag in zip(self.flags, flags or (), strict=True):
-            setattr(self.message, name, flag)
-        return self.message.SerializeToString()
-
-
-def _typed(name: str, numbers: Sequence[str], flags: Sequence[str] = ()) -> _Typed:
-    names = field_names([*numbers, *flags])
-    first, rest = names[: len(numbers)], names[len(numbers) :]
-    return _Typed(message_type(name, first, rest)(), first, rest)
-
-
 class EpisodeMessages:
     """A rollout as (topic, time in ns, bytes), in order of time; `topics` gives their types."""
 
@@ -86,29 +55,24 @@ class EpisodeMessages:
         self.rollout = rollout
         self.foot_force = rollout.foot_force
         self.quadruped = quadruped
-        self.tree = kinematics.read_tree(quadruped.urdf, tuple(quadruped.joints))
-        finite = np.isfinite(rollout.qpos).all(axis=1) & np.isfinite(rollout.qvel).all(axis=1)
-        self.rows = len(finite) if finite.all() else int(np.argmin(finite))
-        legs = list(quadruped.legs)
-        axes = "xyz"
-        self.typed = {
-            "/base_velocity": _typed(
-                "BaseVelocity",
-                [f"world_{a}" for a in axes] + [f"body_{a}" for a in axes],
+        self.rows = finite_states(rollout)
+        legs = quadruped.legs
+        self.scalars = {
+            "/base_velocity": Scalars(
+                "BaseVelocity", [f"{frame}_{a}" for frame in ("world", "body") for a in "xyz"]
             ),
-            "/imu": _typed(
+            "/imu": Scalars(
                 "Imu",
                 ["roll", "pitch", "yaw"]
-                + [f"gyroscope_{a}" for a in axes]
-                + [f"accelerometer_{a}" for a in axes],
+                + [f"{sensor}_{a}" for sensor in ("gyroscope", "accelerometer") for a in "xyz"],
             ),
-            "/contacts": _typed("Contacts", [f"{leg}_force" for leg in legs], legs),
-            "/action": _typed("Action", list(quadruped.joints)),
-            "/observation": _typed("Observation", list(rollout.observation_names)),
-            "/reward": _typed("Reward", ["total", *rollout.reward_terms]),
+            "/contacts": Scalars("Contacts", [f"{leg}_force" for leg in legs], legs),
+            "/action": Scalars("Action", quadruped.joints),
+            "/observation": Scalars("Observation", rollout.observation_names),
+            "/reward": Scalars("Reward", ["total", *rollout.reward_terms]),
         }
         if rollout.command is not None:
-            self.typed["/command"] = _typed("Command", ["forward", "sideways", "turning"])
+            self.scalars["/command"] = Scalars("Command", ["forward", "lateral", "yaw_rate"])
         self.topics: dict[str, type[Message]] = {
             "/tf": FrameTransforms,
             "/joint_states": JointStates,
@@ -116,7 +80,7 @@ class EpisodeMessages:
             "/pose": PoseInFrame,
             "/scene": SceneUpdate,
             "/log": Log,
-        } | {topic: type(typed.message) for topic, typed in self.typed.items()}
+        } | {topic: type(scalars.message) for topic, scalars in self.scalars.items()}
 
     def nanoseconds(self, row: int) -> int:
         return round(row * self.rollout.control_dt * 1e9)
@@ -162,38 +126,26 @@ class EpisodeMessages:
 
     def _state_writer(self) -> _RowWriter:
         """Messages of the states themselves: transforms, joints, pose, velocity, IMU."""
-        rollout, tree = self.rollout, self.tree
-        names, gravity = self.quadruped.joints, self.quadruped.gravity
+        rollout, links = self.rollout, link_frames(self.quadruped)
         transforms = FrameTransforms()
-        transforms.transforms.add(parent_frame_id=WORLD, child_frame_id=tree.root)
-        for joint in tree.joints:
-            transforms.transforms.add(parent_frame_id=joint.parent, child_frame_id=joint.child)
+        transforms.transforms.add(parent_frame_id=WORLD, child_frame_id=self.quadruped.trunk)
+        for parent, link in zip(links.parents, links.links, strict=True):
+            transforms.transforms.add(parent_frame_id=parent, child_frame_id=link)
         joint_states, pose = JointStates(), PoseInFrame(frame_id=WORLD)
-        for name in names:
+        for name in self.quadruped.joints:
             joint_states.joints.add(name=name)
-        velocity, imu = self.typed["/base_velocity"], self.typed["/imu"]
+        velocity, imu = self.scalars["/base_velocity"], self.scalars["/imu"]
 
         def write(start: int, stop: int) -> Iterator[list[tuple[str, bytes]]]:
             qpos, qvel = rollout.qpos[start:stop], rollout.qvel[start:stop]
-            quat = kinematics.quat_normalised(qpos[:, 3:7])
-            inverse = kinematics.quat_conjugate(quat)
-            base = np.concatenate([qpos[:, :3], quat], axis=1)
-            links = np.concatenate(kinematics.local_poses(tree, qpos[:, 7:]), axis=2)
-            poses = compact(np.concatenate([base[:, None], links], axis=1)).tolist()
+            base, velocities, imus = self._trunk(start, stop)
+            moved = np.broadcast_to(links.translation, (len(qpos), *links.translation.shape))
+            local = np.concatenate([moved, links.rotations(qpos[:, 7:])], axis=2)
+            poses = compact(np.concatenate([base[:, None], local], axis=1)).tolist()
             # The torque of the step that ended in this state; none before the first.
             torque = _of_ended(rollout.torque, start, stop)
             joints = compact(np.stack([qpos[:, 7:], qvel[:, 6:], torque], axis=2)).tolist()
-            body_velocity = kinematics.rotate(inverse, qvel[:, :3])
-            velocities = np.concatenate([qvel[:, :3], body_velocity], axis=1)
-            velocities = compact(velocities).tolist()
-            # An accelerometer at the base's origin feels the mean acceleration of the step that
-            # ended here, less gravity. Before the first step there is none: it stands at rest.
-            before = rollout.qvel[max(start - 1, 0) : stop - 1, :3]
-            before = before if start else np.concatenate([qvel[:1, :3], before])
-            felt = (qvel[:, :3] - before) / rollout.control_dt + [0.0, 0.0, gravity]
-            felt = kinematics.rotate(inverse, felt)
-            imus = np.concatenate([kinematics.rpy_from_quat(quat), qvel[:, 3:6], felt], axis=1)
-            imus = compact(imus).tolist()
+            velocities, imus = compact(velocities).tolist(), compact(imus).tolist()
             for k, row in enumerate(range(start, stop)):
                 time = self.nanoseconds(row)
                 stamp = Timestamp()
@@ -220,6 +172,23 @@ class EpisodeMessages:
 
         return write
 
+    def _trunk(self, start: int, stop: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Pose (n, 7), `/base_velocity` (n, 6) and `/imu` (n, 9) of the states start .. stop."""
+        qpos, qvel = self.rollout.qpos[start:stop], self.rollout.qvel[start:stop]
+        base = rotations(qpos[:, 3:7])
+        into_body = base.inv()
+        # An accelerometer at the base's origin feels the mean acceleration of the step that ended
+        # here, less gravity. Before the first step there is none: it stands at rest.
+        before = self.rollout.qvel[max(start - 1, 0) : stop - 1, :3]
+        before = before if start else np.concatenate([qvel[:1, :3], before])
+        felt = (qvel[:, :3] - before) / self.rollout.control_dt + [0, 0, self.quadruped.gravity]
+        attitude = base.as_euler("xyz", suppress_warnings=True)
+        return (
+            np.concatenate([qpos[:, :3], base.as_quat(scalar_first=True)], axis=1),
+            np.concatenate([qvel[:, :3], into_body.apply(qvel[:, :3])], axis=1),
+            np.concatenate([attitude, qvel[:, 3:6], into_body.apply(felt)], axis=1),
+        )
+
     def _step_writer(self) -> _RowWriter:
         """Messages of the step that ended in a state, then of the step that begins there."""
         rollout = self.rollout
@@ -229,7 +198,7 @@ class EpisodeMessages:
         begins = {"/observation": rollout.observation, "/action": rollout.action}
         if rollout.command is not None:
             begins["/command"] = rollout.command
-        contacts, reward = self.typed["/contacts"], self.typed["/reward"]
+        contacts, reward = self.scalars["/contacts"], self.scalars["/reward"]
 
         terms = [rollout.reward, *rollout.reward_terms.values()]
 
@@ -246,7 +215,7 @@ class EpisodeMessages:
                 messages = []
                 if row > 0:
                     messages += [
-                        ("/contacts", contacts.serialised(time, forces[k], touching[k])),
+                        ("/contacts", contacts.serialised(time, forces[k] + touching[k])),
                         ("/reward", reward.serialised(time, rewards[k])),
                     ]
                 if row < rollout.steps:
@@ -254,7 +223,7 @@ class EpisodeMessages:
                     for joint, target in zip(commands.joints, targets[k], strict=True):
                         joint.position = target
                     messages += [
-                        (topic, self.typed[topic].serialised(time, rows[k]))
+                        (topic, self.scalars[topic].serialised(time, rows[k]))
                         for topic, rows in begin.items()
                     ]
                     messages.append(("/joint_cmd", commands.SerializeToString()))
@@ -266,12 +235,13 @@ class EpisodeMessages:
         """`/scene` every `SCENE_PERIOD`, and at the last state."""
         rollout = self.rollout
         every = max(1, round(SCENE_PERIOD / rollout.control_dt))
-        path = rollout.qpos[: self.rows, :3]
-        scene = SceneWriter(path, weight=self.tree.mass * self.quadruped.gravity, world=WORLD)
+        path, velocity = rollout.qpos[: self.rows, :3], rollout.qvel[: self.rows, :3]
+        model, names = self.quadruped.full_model(), self.quadruped.feet
+        weight = float(model.body_mass.sum()) * self.quadruped.gravity
+        scene = SceneWriter(path, velocity, weight, WORLD)
 
         def write(start: int, stop: int) -> Iterator[list[tuple[str, bytes]]]:
-            poses = kinematics.world_poses(self.tree, rollout.qpos[start:stop])
-            feet = kinematics.foot_positions(self.tree, poses)
+            feet, _ = foot_poses(model, names, rollout.qpos[start:stop])
             carried = _of_ended(self.foot_force, start, stop)
             forces = carried * _of_ended(rollout.contact, start, stop)
             for row in range(start, stop):
@@ -281,7 +251,7 @@ class EpisodeMessages:
                 stamp = Timestamp()
                 stamp.FromNanoseconds(self.nanoseconds(row))
                 k = row - start
-                data = scene.serialised(row, stamp, rollout.qvel[row, :3], feet[k], forces[k])
+                data = scene.serialised(row, stamp, feet[k], forces[k])
                 yield [("/scene", data)]
 
         return write

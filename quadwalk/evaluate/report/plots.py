@@ -5,15 +5,13 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from quadwalk.evaluate import kinematics
 from quadwalk.evaluate.footfalls import contact_spans, without_chatter
 from quadwalk.evaluate.gait import footfalls_of, measure_gait
-from quadwalk.evaluate.rollout import Rollout
-from quadwalk.evaluate.tracking import heading_velocity
-from quadwalk.evaluate.trim import finite_part
+from quadwalk.evaluate.kinematics import roll_pitch_yaw
+from quadwalk.evaluate.rollout import Rollout, finite_part
+from quadwalk.evaluate.summary import heading_velocity
 from quadwalk.files import atomic_write
 from quadwalk.robot.quadruped import Quadruped
 
@@ -43,17 +41,31 @@ def save_figure(figure: Figure, path: str | Path) -> None:
         figure.savefig(file, format="png", dpi=DPI, metadata={"Software": None})
 
 
+def new_figure(size: tuple[float, float], title: str, fontsize: int = 13) -> Figure:
+    """An empty figure, `size` in inches, with its title at the upper left."""
+    figure = Figure(figsize=size, layout="constrained")
+    figure.suptitle(title, fontsize=fontsize, x=0.01, ha="left")
+    return figure
+
+
+def tidy(axes: Axes, title: str, unit: str = "") -> None:
+    """Give a panel its title, and the looks that all panels share."""
+    title = title[0].upper() + title[1:] + (f", {unit}" if unit else "")
+    axes.set_title(title, loc="left", fontsize=11)
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.grid(alpha=0.25, linewidth=0.6)
+    axes.set_axisbelow(True)
+
+
 def draw_report(rollout: Rollout, quadruped: Quadruped, title: str = "") -> Figure:
     """The report as a figure, 16 by 18 inches."""
     shown = finite_part(rollout)
-    figure = Figure(figsize=(16, 18), layout="constrained")
-    FigureCanvasAgg(figure)
-    figure.suptitle(_headline(rollout, quadruped, title), fontsize=15, x=0.01, ha="left")
+    figure = new_figure((16, 18), _headline(rollout, quadruped, title), fontsize=15)
     # Each row lays out its own panels, so that one's long labels do not squeeze the others.
     rows: Any = figure.subfigures(5, 1, height_ratios=(0.85, 1.2, 1.2, 1.2, 1.6))
     draw_footfalls(rows[0].subplots(), shown, quadruped)
     speed, posture = rows[1].subplots(1, 2)
-    (draw_speed if shown.command is None else _draw_following)(speed, shown)
+    (draw_speed if shown.command is None else _tracking)(speed, shown)
     _posture(posture, shown)
     for part, (angles, torques) in enumerate(
         zip(rows[2].subplots(1, 3), rows[3].subplots(1, 3), strict=True)
@@ -64,10 +76,7 @@ def draw_report(rollout: Rollout, quadruped: Quadruped, title: str = "") -> Figu
     _rewards(rewards, shown)
     _path(path, shown)
     for axes in figure.axes:
-        axes.spines[["top", "right"]].set_visible(False)
         axes.tick_params(labelsize=9)
-        axes.grid(alpha=0.25, linewidth=0.6)
-        axes.set_axisbelow(True)
     return figure
 
 
@@ -76,19 +85,18 @@ def _headline(rollout: Rollout, quadruped: Quadruped, title: str) -> str:
     ended = (
         f"fell ({gait.end}) after {gait.duration:.1f} s" if gait.fell else f"{gait.duration:.1f} s"
     )
-    figures = [
-        f"{quadruped.name}, episode {rollout.episode}, seed {rollout.seed}",
-        ended,
-        f"{gait.speed:.2f} m/s" if np.isfinite(gait.speed) else "",
-        gait.gait,
-        f"{gait.stride_frequency:.1f} strides/s of {gait.stride_length:.2f} m"
-        if np.isfinite(gait.stride_length)
-        else "",
-        f"cost of transport {gait.cost_of_transport:.2f}"
-        if np.isfinite(gait.cost_of_transport)
-        else "",
+    parts = [
+        (f"{quadruped.name}, episode {rollout.episode}, seed {rollout.seed}", 0.0),
+        (ended, 0.0),
+        (f"{gait.speed:.2f} m/s", gait.speed),
+        (gait.gait, 0.0),
+        (
+            f"{gait.stride_frequency:.1f} strides/s of {gait.stride_length:.2f} m",
+            gait.stride_length,
+        ),
+        (f"cost of transport {gait.cost_of_transport:.2f}", gait.cost_of_transport),
     ]
-    line = "  ·  ".join(figure for figure in figures if figure)
+    line = "  ·  ".join(text for text, value in parts if np.isfinite(value))
     return f"{title}\n{line}" if title else line
 
 
@@ -112,7 +120,7 @@ def draw_footfalls(axes: Axes, rollout: Rollout, quadruped: Quadruped) -> None:
     axes.set_yticks(range(4), labels)
     axes.set_ylim(-0.6, 3.6)
     axes.set_xlim(start * dt, max(rollout.steps, start + 1) * dt)
-    axes.set_title("Feet on the ground (gait diagram)", loc="left", fontsize=11)
+    tidy(axes, "Feet on the ground (gait diagram)")
     axes.set_xlabel("time, s", fontsize=9)
 
 
@@ -130,22 +138,21 @@ def draw_speed(axes: Axes, rollout: Rollout) -> None:
     _finish(axes, "Speed of the base in the world, m/s", rollout.time)
 
 
-def _draw_following(axes: Axes, rollout: Rollout) -> None:
+def _tracking(axes: Axes, rollout: Rollout) -> None:
     assert rollout.command is not None
     velocity, time = heading_velocity(rollout), rollout.time[1:]
-    for column, label in enumerate(("ahead", "left", "turning, rad/s")):
+    for column, label in enumerate(("forward", "lateral", "yaw rate, rad/s")):
         colour = LEG_COLOURS[3 - column]
         axes.plot(time, velocity[:, column], color=colour, label=label, linewidth=0.9, alpha=0.7)
         axes.plot(time, rollout.command[:, column], color=colour, linewidth=1.6, linestyle="--")
     axes.margins(y=0.15)
-    _finish(
-        axes, "Velocity in the frame of the heading and, dashed, its command, m/s", rollout.time
-    )
+    title = "Velocity in the frame of the heading and, dashed, the velocity command, m/s"
+    _finish(axes, title, rollout.time)
 
 
 def _posture(axes: Axes, rollout: Rollout) -> None:
     axes.plot(rollout.time, rollout.qpos[:, 2], color=INK, linewidth=1.4, label="height, m")
-    angles = kinematics.rpy_from_quat(kinematics.quat_normalised(rollout.qpos[:, 3:7]))
+    angles = roll_pitch_yaw(rollout.qpos[:, 3:7])
     for column, name in enumerate(("roll", "pitch", "yaw")):
         values = np.unwrap(angles[:, column]) if name == "yaw" else angles[:, column]
         colour = LEG_COLOURS[column]
@@ -234,12 +241,12 @@ def _path(axes: Axes, rollout: Rollout) -> None:
     axes.set_xlim(middle[0] - half, middle[0] + half)
     axes.set_ylim(middle[1] - half / 2, middle[1] + half / 2)
     axes.set_aspect("equal", adjustable="box")
-    axes.set_title("Path from above, m (x ahead, y to the left)", loc="left", fontsize=11)
+    tidy(axes, "Path from above, m (x ahead, y to the left)")
     axes.legend(fontsize=8, frameon=False, loc="upper left")
 
 
 def _finish(axes: Axes, title: str, time: np.ndarray, outside: bool = False) -> None:
-    axes.set_title(title, loc="left", fontsize=11)
+    tidy(axes, title)
     axes.set_xlim(time[0], time[-1] if len(time) > 1 else time[0] + 0.02)
     axes.set_xlabel("time, s", fontsize=9)
     if outside:

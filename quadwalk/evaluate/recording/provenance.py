@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Any
 
 import quadwalk
-from quadwalk.evaluate.options import EvalConfig
 from quadwalk.evaluate.subject import Subject
 from quadwalk.robot.mjcf import write_xml
 from quadwalk.train.runs import checkpoint
@@ -14,13 +13,13 @@ from quadwalk.train.versions import versions
 _SOURCE = Path(quadwalk.__file__).resolve().parents[1]
 
 
-def provenance(subject: Subject, config: EvalConfig, engine: str) -> dict[str, Any]:
-    """Plain values for JSON that say what was evaluated, and by what."""
+def provenance(subject: Subject, seed: int) -> dict[str, Any]:
+    """Plain values for JSON that say what was evaluated, from starts by `seed`, and by what."""
     return {
         "run": subject.run.name,
-        "engine": engine,
-        "seed": config.seed,
-        "seconds": config.seconds,
+        "engine": subject.env.engine,
+        "seed": seed,
+        "seconds": subject.env.config.episode_seconds,
         "training_steps": subject.policy.steps,
         "policy_sha256": checkpoint.sha256(subject.file),
         "revision": revision(),
@@ -35,19 +34,13 @@ def revision(source: Path = _SOURCE) -> str:
     """
     # An installed package may lie inside some other project's checkout, whose commit is not its.
     if (source / ".git").exists():
-        command = [
-            "git",
-            "--no-optional-locks",
-            "-C",
-            str(source),
-            "describe",
-            "--always",
-            "--dirty",
-            "--abbrev=40",
-        ]
+        command = ["git", "--no-optional-locks", "-C", str(source), "describe", "--always"]
         try:
             done = subprocess.run(
-                [*command, "--exclude=*"], capture_output=True, text=True, timeout=10
+                [*command, "--dirty", "--abbrev=40", "--exclude=*"],
+                capture_output=True,
+                text=True,
+                timeout=10,
             )
         except (OSError, subprocess.SubprocessError):
             pass

@@ -1,0 +1,101 @@
+"""How numbers, names and texts become the bytes of messages.
+
+Viewers plot a field by its name (`/reward.forward`, `/observation.FR_hip_joint_position`), so each
+channel of scalars gets a protobuf type of its own, made at run time, instead of an anonymous array.
+"""
+
+import re
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+from google.protobuf import descriptor_pb2, descriptor_pool, message_factory, timestamp_pb2
+from google.protobuf.message import Message
+
+_FIELD = descriptor_pb2.FieldDescriptorProto
+_STAMP = "timestamp"
+
+MANTISSA_BITS = 19  # kept, of a double's 52: numbers are written to within a millionth
+_DROPPED = 52 - MANTISSA_BITS
+_HALF = np.uint64(1 << (_DROPPED - 1))
+_KEPT = np.uint64((1 << 64) - (1 << _DROPPED))
+
+
+def compact(array: np.ndarray) -> np.ndarray:
+    """`array` as doubles rounded to `MANTISSA_BITS`.
+
+    Their lower four bytes are zero, which costs next to nothing in a compressed file, where the
+    full mantissa of a simulated number is noise that no compressor can shorten.
+    """
+    bits = np.array(array, dtype=np.float64, order="C").view(np.uint64)
+    return ((bits + _HALF) & _KEPT).view(np.float64)
+
+
+def cdr_string(text: str) -> bytes:
+    """A ROS 2 `std_msgs/msg/String`: CDR header (little-endian), length with its NUL, text."""
+    data = text.encode() + b"\0"
+    return b"\x00\x01\x00\x00" + len(data).to_bytes(4, "little") + data
+
+
+class Scalars:
+    """A channel of named numbers, and flags after them: one message, filled again and again."""
+
+    def __init__(self, name: str, numbers: Sequence[str], flags: Sequence[str] = ()) -> None:
+        self.names = field_names([*numbers, *flags])
+        self.message = message_type(name, self.names, len(flags))()
+
+    def serialised(self, time: int, values: Sequence[float | bool]) -> bytes:
+        """The message at `time` in ns with these numbers, then flags."""
+        self.message.timestamp.FromNanoseconds(time)
+        for name, value in zip(self.names, values, strict=True):
+            setattr(self.message, name, value)
+        return self.message.SerializeToString()
+
+
+def field_names(names: Iterable[str]) -> tuple[str, ...]:
+    """Distinct protobuf identifiers for any distinct or repeated texts, in the same order.
+
+    >>> field_names(["FR hip", "FR-hip", "2nd", "timestamp"])
+    ('FR_hip', 'FR_hip_2', '_2nd', 'timestamp_2')
+    """
+    taken = {_STAMP}
+    result = []
+    for name in names:
+        stem = re.sub(r"[^0-9A-Za-z_]+", "_", name).strip("_") or "value"
+        if stem[0].isdigit():
+            stem = "_" + stem
+        chosen, count = stem, 1
+        while chosen.lower() in taken:  # readers may map names to one case
+            count += 1
+            chosen = f"{stem}_{count}"
+        taken.add(chosen.lower())
+        result.append(chosen)
+    return tuple(result)
+
+
+def message_type(name: str, fields: Sequence[str], flags: int = 0) -> type[Message]:
+    """The class of `quadwalk.<name>`: a `timestamp`, then doubles, of which the last are bools.
+
+    `fields` must be identifiers (`field_names`). A private pool holds the type, so two robots with
+    other observations can be written by one process.
+    """
+    file = descriptor_pb2.FileDescriptorProto(
+        name=f"quadwalk/{name}.proto",
+        package="quadwalk",
+        syntax="proto3",
+        dependency=[timestamp_pb2.DESCRIPTOR.name],
+    )
+    message = file.message_type.add(name=name)
+    message.field.add(
+        name=_STAMP,
+        number=1,
+        type=_FIELD.TYPE_MESSAGE,
+        type_name=".google.protobuf.Timestamp",
+        label=_FIELD.LABEL_OPTIONAL,
+    )
+    kinds = [_FIELD.TYPE_DOUBLE] * (len(fields) - flags) + [_FIELD.TYPE_BOOL] * flags
+    for tag, (field, kind) in enumerate(zip(fields, kinds, strict=True), start=2):
+        message.field.add(name=field, number=tag, type=kind, label=_FIELD.LABEL_OPTIONAL)
+    pool = descriptor_pool.DescriptorPool()
+    pool.AddSerializedFile(timestamp_pb2.DESCRIPTOR.serialized_pb)
+    pool.Add(file)
+    return message_factory.GetMessageClass(pool.FindMessageTypeByName(f"quadwalk.{name}"))

@@ -1,0 +1,162 @@
+"""What an evaluation prints: tables and the gait on standard output, how far it is meanwhile."""
+
+import contextlib
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from quadwalk.evaluate.gait import Gait
+from quadwalk.evaluate.summary import FIGURES, engine_differences
+
+_NONE = "-"
+
+
+def print_summary(summary: dict[str, Any], title: str) -> None:
+    """Falls and figures of one run's episodes."""
+    falls = summary["fall_rate"] * summary["episodes"]
+    share, interval = _falls(summary)
+    rows: list[Sequence[str]] = [("falls", share, interval, "", "", f"% ({falls:.0f} episodes)")]
+    for name, heading, unit in _figures(summary):
+        figure = summary[name]
+        texts = [_text(figure and figure[key]) for key in ("mean", "ci95", "median", "worst")]
+        rows.append((heading, *texts, unit))
+    _print_table(title, ("", "mean", "± 95 %", "median", "worst", "unit"), rows)
+
+
+def print_engines(mjx: dict[str, Any], mujoco: dict[str, Any]) -> None:
+    """Two engines' summaries side by side, and their `engine_differences`."""
+    differences = engine_differences(mjx, mujoco)
+    falls = 100 * differences["fall_rate"]["difference"]
+    rows = [("falls", _falls_text(mjx), _falls_text(mujoco), f"{falls:+.1f}", "", "%")]
+    for name, heading, unit in FIGURES:
+        if name in differences:
+            texts = (figure_text(mjx[name]), figure_text(mujoco[name]))
+            change = _text(differences[name]["difference"], "+.3f")
+            percent = _text(differences[name]["percent"], "+.1f", " %")
+            rows.append((heading, *texts, change, percent, unit))
+    headings = ("", "MJX", "MuJoCo C", "difference", "of MJX's", "unit")
+    _print_table("MuJoCo C against MJX, the same starts", headings, rows)
+
+
+def print_comparison(comparison: dict[str, Any]) -> None:
+    """Runs from the same starts side by side, one column each."""
+    runs = comparison["runs"]
+    summaries = [run["summary"] for run in runs]
+    rows = [
+        ("training", *(f"{run['training_steps']:,}" for run in runs), "steps"),
+        ("falls", *map(_falls_text, summaries), "%"),
+    ]
+    for name, heading, unit in _figures(*summaries):
+        # A run may have been trained without some of the terms.
+        rows.append((heading, *(figure_text(each.get(name)) for each in summaries), unit))
+    rows.append(("gait", *(run["typical_episode"]["gait"] for run in runs), ""))
+    title = (
+        f"{summaries[0]['episodes']} episodes each from the same starts, engine "
+        f"{comparison['engine']}, mean ± 95 %"
+    )
+    _print_table(title, ("", *(run["name"] for run in runs), "unit"), rows)
+
+
+def print_sweep(results: dict[str, Any]) -> None:
+    """Success and speed at each point of each sweep; a star marks what training had."""
+    rows: list[Sequence[str] | None] = []
+    for sweep in results["sweeps"].values():
+        heading = sweep["heading"] + (f", {sweep['unit']}" if sweep["unit"] else "")
+        for number, point in enumerate(sweep["points"]):
+            low, high = (100 * end for end in point["success_ci95"])
+            star = "*" if point["value"] == sweep["nominal"] else " "
+            success = f"{100 * point['success']:.0f} ({low:.0f} to {high:.0f})"
+            name = "" if number else heading
+            rows.append((name, f"{point['value']:g}{star}", success, figure_text(point["speed"])))
+        rows.append(None)
+    title = f"{results['run']}: {results['episodes']} episodes at each point, mean ± 95 %, "
+    _print_table(f"{title}* as in training", ("", "value", "success, %", "speed, m/s"), rows)
+
+
+def describe_gait(gait: Gait, episode: int) -> str:
+    """The gait of one episode in a line or two."""
+    return (
+        f"gait of episode {episode}: {gait.gait}, {gait.stride_frequency:.2f} strides/s of "
+        f"{gait.stride_length:.2f} m, duty factor {np.mean(gait.duty_factor):.2f}, "
+        f"swing height {100 * np.min(gait.swing_height):.1f} cm or more, "
+        f"slip up to {100 * np.max(gait.slip_share):.1f} % of the distance, "
+        f"cost of transport {gait.cost_of_transport:.2f}\n"
+        f"of their limits, at most: torque {100 * np.max(gait.torque_peak):.0f} %, "
+        f"joint speed {100 * np.max(gait.joint_speed_peak):.0f} %; "
+        f"actions change at {gait.action_rate:.1f}/s (root mean square; they are in [-1, 1])"
+    )
+
+
+def figure_text(figure: dict[str, Any] | None) -> str:
+    """A figure of a summary as "mean ± half its 95 % interval"; "-" where there is none."""
+    if figure is None:
+        return _NONE
+    # As many decimals as leave the mean four digits, up to three.
+    decimals = 3 - min(len(f"{abs(figure['mean']):.0f}") - 1, 3)
+    text = f"{figure['mean']:.{decimals}f}"
+    return text if figure["ci95"] is None else f"{text} ± {figure['ci95']:.{decimals}f}"
+
+
+@contextlib.contextmanager
+def simulating(
+    console: Console, what: str, steps: int, dt: float
+) -> Iterator[Callable[[int], None]]:
+    """Show a line about `what`, episodes of up to `steps` control steps of `dt` s, while it runs.
+
+    Yields the function that is told the steps done; when all episodes end early, that is the end.
+    """
+    with console.status(f"{what}: compiling (up to half a minute, the first time)") as status:
+        first: tuple[float, int] | None = None
+
+        def report(done: int) -> None:
+            nonlocal first
+            now = time.monotonic()
+            if first is None:  # what came before was compilation
+                first = (now, done)
+                left = ""
+            else:
+                pace = (now - first[0]) / (done - first[1])
+                left = f", {pace * max(steps - done, 0):.0f} s left"
+            status.update(f"{what}: {min(done, steps) * dt:.0f} of {steps * dt:g} s{left}")
+
+        yield report
+
+
+def _figures(*summaries: dict[str, Any]) -> list[tuple[str, str, str]]:
+    """Name, heading and unit of the figures in any of the summaries, then of the reward's terms."""
+    names = dict.fromkeys(name for summary in summaries for name in summary)
+    terms = [name for name in names if name.startswith("reward/")]
+    rows = [row for row in FIGURES if row[0] in names]
+    return [*rows, *((name, f"  {name.partition('/')[2]}", "") for name in terms)]
+
+
+def _falls(summary: dict[str, Any]) -> tuple[str, str]:
+    """The share of falls in percent, and its 95 % interval."""
+    low, high = (100 * end for end in summary["fall_rate_ci95"])
+    return f"{100 * summary['fall_rate']:.1f}", f"{low:.0f} to {high:.0f}"
+
+
+def _falls_text(summary: dict[str, Any]) -> str:
+    return "{} ({})".format(*_falls(summary))
+
+
+def _text(value: float | None, form: str = ".3f", unit: str = "") -> str:
+    return _NONE if value is None else f"{value:{form}}{unit}"
+
+
+def _print_table(title: str, headings: Sequence[str], rows: Iterable[Sequence[str] | None]) -> None:
+    """A table on standard output, its names and units to the left; None draws a line."""
+    table = Table(title=title, title_justify="left")
+    for heading in headings:
+        left = heading in ("", "unit")
+        table.add_column(heading, justify="left" if left else "right", overflow="fold")
+    for row in rows:
+        if row is None:
+            table.add_section()
+        else:
+            table.add_row(*row)
+    Console().print(table)

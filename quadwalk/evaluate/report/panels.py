@@ -1,0 +1,115 @@
+"""Pictures of many panels: the sweeps of a policy, and several runs side by side."""
+
+import math
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from quadwalk.evaluate.report.plots import INK, LEG_COLOURS, new_figure, tidy
+from quadwalk.evaluate.summary import FIGURES
+
+_COLUMNS = 3  # panels of a comparison in a row
+_SPREAD = 0.28  # of the distance between two runs, over which their episodes are drawn
+_SUCCESS, _SPEED = LEG_COLOURS[3], LEG_COLOURS[0]
+
+
+def draw_sweep(results: dict[str, Any]) -> Figure:
+    """One panel for each sweep: success to the left, speed to the right, with 95 % intervals."""
+    figure = new_figure(
+        (16, 9),
+        f"{results['run']}: share of episodes that reach {results['seconds']:g} s without a fall, "
+        f"and speed, {results['episodes']} episodes at each point (bands: 95 %, dotted: training)",
+    )
+    top = max(
+        point["speed"]["mean"] for sweep in results["sweeps"].values() for point in sweep["points"]
+    )
+    panels: Any = figure.subplots(2, 3).ravel()
+    for axes, sweep in zip(panels, results["sweeps"].values(), strict=True):
+        _sweep(axes, sweep, max(top, 0.1))
+    return figure
+
+
+def _sweep(axes: Axes, sweep: dict[str, Any], top: float) -> None:
+    points = sweep["points"]
+    values = [point["value"] for point in points]
+    low, high = zip(*(point["success_ci95"] for point in points), strict=True)
+    axes.fill_between(
+        values, [100 * e for e in low], [100 * e for e in high], color=_SUCCESS, alpha=0.15, lw=0
+    )
+    axes.plot(values, [100 * p["success"] for p in points], "o-", color=_SUCCESS, linewidth=2)
+    axes.set_ylim(-3, 106)
+    axes.set_ylabel("success, %", color=_SUCCESS)
+    axes.axvline(sweep["nominal"], color=INK, linewidth=1, linestyle=":")
+    speed = axes.twinx()
+    means = [point["speed"]["mean"] for point in points]
+    errors = [point["speed"]["ci95"] or 0.0 for point in points]
+    speed.errorbar(values, means, yerr=errors, fmt="s--", color=_SPEED, markersize=5, capsize=4)
+    # The same scale in every panel, and as high as that of success: 100 % is the top speed.
+    lowest = min(0.0, *(mean - error for mean, error in zip(means, errors, strict=True)))
+    speed.set_ylim(min(-0.03 * top, 1.05 * lowest), 1.06 * top)
+    speed.set_ylabel("speed, m/s", color=_SPEED)
+    tidy(axes, sweep["heading"], sweep["unit"])
+    speed.spines["top"].set_visible(False)
+
+
+def draw_comparison(labels: list[str], results: list[dict[str, Any]]) -> Figure:
+    """The figures as panels: each run's episodes as dots, their mean and its 95 % interval."""
+    shown = [
+        row
+        for row in FIGURES
+        if row[0] not in ("distance", "path", "cost_of_transport", "reward")
+        and any(row[0] in result["summary"] for result in results)
+    ]
+    lines = math.ceil((1 + len(shown)) / _COLUMNS)
+    first = results[0]
+    figure = new_figure(
+        (15, 4.5 * lines),
+        f"{first['summary']['episodes']} episodes of up to {first['seconds']:g} s each, from the "
+        f"same starts, engine {first['engine']}: mean, its 95 % interval, and every episode",
+    )
+    panels: Any = figure.subplots(lines, _COLUMNS).ravel()
+    tidy(panels[0], "episodes that end by a fall", "%")
+    for place, result in enumerate(results):
+        _falls(panels[0], place, result["summary"])
+    for axes, (name, heading, unit) in zip(panels[1:], shown, strict=True):
+        tidy(axes, heading, unit)
+        for place, result in enumerate(results):
+            _figure(axes, place, result, name)
+        axes.margins(y=0.12)
+    for axes in panels:
+        axes.set_xticks(range(len(labels)), labels)
+        if sum(map(len, labels)) > 40:
+            axes.tick_params(axis="x", labelrotation=25)
+        axes.set_xlim(-0.6, len(labels) - 0.4)
+        axes.grid(visible=False, axis="x")
+    return figure
+
+
+def _falls(axes: Axes, place: int, summary: dict[str, Any]) -> None:
+    share = 100 * summary["fall_rate"]
+    low, high = (100 * end for end in summary["fall_rate_ci95"])
+    axes.bar(place, share, width=0.5, color=_colour(place), alpha=0.5)
+    error = [[max(share - low, 0.0)], [max(high - share, 0.0)]]
+    axes.errorbar(place, share, yerr=error, color=INK, capsize=6, fmt="none", linewidth=1.6)
+    axes.text(place + 0.06, share, f" {share:.1f}", va="bottom", fontsize=10, color=INK)
+    axes.set_ylim(0, 105)
+
+
+def _figure(axes: Axes, place: int, result: dict[str, Any], name: str) -> None:
+    summary = result["summary"].get(name)
+    if summary is None:
+        axes.text(place, 0.5, "none", ha="center", transform=axes.get_xaxis_transform())
+        return
+    values = np.array([e[name] for e in result["episodes"] if e[name] is not None], dtype=float)
+    across = place + np.linspace(-_SPREAD, _SPREAD, len(values)) if len(values) > 1 else [place]
+    axes.plot(across, values, "o", color=_colour(place), markersize=4, alpha=0.5, markeredgewidth=0)
+    error = summary["ci95"] or 0.0
+    axes.errorbar(place, summary["mean"], yerr=error, color=INK, capsize=6, fmt="D", markersize=5)
+    label = f" {summary['mean']:.3g}"
+    axes.annotate(label, (place + _SPREAD, summary["mean"]), va="center", fontsize=10, color=INK)
+
+
+def _colour(place: int) -> str:
+    return (*LEG_COLOURS, "#6a4c93", "#8d99ae")[place % 6]
