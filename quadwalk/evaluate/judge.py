@@ -14,7 +14,7 @@ from quadwalk.evaluate.gait import gait_metrics, measure_gait
 from quadwalk.evaluate.options import EvalConfig
 from quadwalk.evaluate.provenance import attachments, provenance
 from quadwalk.evaluate.recording.mcap import write_mcap
-from quadwalk.evaluate.render import render_film_strip, render_gif
+from quadwalk.evaluate.report.pictures import render_film_strip, render_video
 from quadwalk.evaluate.report.plots import plot_report
 from quadwalk.evaluate.rollout import Rollout
 from quadwalk.evaluate.simulate import Engine, simulate_episodes
@@ -111,12 +111,12 @@ def _draw(
     """Draw the film strip and the video that is asked for; names of the files there are."""
     files = {"film_strip.png": render_film_strip}
     if config.video != "none":
-        files[f"episode.{config.video}"] = render_gif
+        files[f"episode.{config.video}"] = render_video
     drawn = []
     for name, render in files.items():
         try:
             render(rollout, subject.env.quadruped, out / name)
             drawn.append(name)
-        except UserError as error:  # most likely no GL library: everything else still works
+        except UserError as error:  # no ffmpeg, say: everything else still works
             console.print(f"no {name}: {error}")
     return drawn

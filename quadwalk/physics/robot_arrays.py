@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 
 from quadwalk.robot.quadruped import Quadruped
-from quadwalk.robot.spheres import CORNERS, KNEES
+from quadwalk.robot.scene import CORNERS, KNEES
 from quadwalk.task.config import EnvConfig
 
 

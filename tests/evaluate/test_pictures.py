@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
+from quadwalk.evaluate.render import render_film_strip, render_gif
 
 from quadwalk.errors import UserError
 from quadwalk.evaluate import render
-from quadwalk.evaluate.render import render_film_strip, render_gif
 from quadwalk.evaluate.trim import first_steps
 
 SMALL = {"width": 96, "height": 64}
