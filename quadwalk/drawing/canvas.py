@@ -29,8 +29,7 @@ class Camera:
 class Canvas:
     """Draws poses of `model` as pictures of `width` by `height` pixels, with its visual shapes.
 
-    `library` names what draws them: "osmesa", "egl" or "window" are GL libraries, found as
-    `working_library` tells; without any it is "rays", slower than a GPU, and nothing else is amiss.
+    `library` names what draws: a GL library, if `working_library` finds one, or else "rays".
     """
 
     def __init__(self, model: mujoco.MjModel, width: int, height: int) -> None:

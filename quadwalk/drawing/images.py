@@ -1,5 +1,7 @@
 """Pictures as files: PNG, a film strip, GIF, MP4."""
 
+import contextlib
+import itertools
 import shutil
 import subprocess
 import tempfile
@@ -80,14 +82,12 @@ def _save_mp4(pictures: Iterator[np.ndarray], path: str | Path) -> None:
         # yuv420p is what browsers play; +bitexact leaves out versions and dates.
         command += ["-c:v", "libx264", "-pix_fmt", "yuv420p", "-fflags", "+bitexact", str(output)]
         with tempfile.TemporaryFile() as complaints:
-            with subprocess.Popen(command, stdin=subprocess.PIPE, stderr=complaints) as encoder:
+            encoder = subprocess.Popen(command, stdin=subprocess.PIPE, stderr=complaints)
+            # A broken pipe: it has given up; what it says about that is read below.
+            with contextlib.suppress(BrokenPipeError), encoder:
                 assert encoder.stdin is not None
-                try:
-                    encoder.stdin.write(first.tobytes())
-                    for picture in pictures:
-                        encoder.stdin.write(picture.tobytes())
-                except BrokenPipeError:
-                    pass  # it has given up; what it says about that is read below
+                for picture in itertools.chain([first], pictures):
+                    encoder.stdin.write(picture.tobytes())
             if encoder.returncode:
                 complaints.seek(0)
                 reason = " ".join(complaints.read().decode(errors="replace").split())

@@ -11,16 +11,10 @@ import numpy as np
 from PIL import Image
 
 _RGB = mujoco.mjtTextureRole.mjTEXROLE_RGB
-# OpenGL's faces of a cube: for +x, -x, +y, -y, +z, -z the axes along which its columns and rows
-# run, and their senses.
-_CUBE = (
-    ((2, -1), (1, -1)),
-    ((2, 1), (1, -1)),
-    ((0, 1), (2, 1)),
-    ((0, 1), (2, -1)),
-    ((0, 1), (1, -1)),
-    ((0, -1), (1, -1)),
-)
+# On OpenGL's faces of a cube, towards +x, -x, +y, -y, +z, -z: the axis and the sense in which their
+# columns run, and their rows.
+_ACROSS = np.array([(2, -1), (2, 1), (0, 1), (0, 1), (0, 1), (0, -1)])
+_DOWN = np.array([(1, -1), (1, -1), (2, 1), (2, -1), (1, -1), (1, -1)])
 
 
 @dataclass(frozen=True)
@@ -96,15 +90,16 @@ class Shader:
 
     def __init__(self, model: mujoco.MjModel) -> None:
         self._model = model
-        texture = np.where(model.geom_matid < 0, -1, model.mat_texid[model.geom_matid, _RGB])
-        flat = model.tex_type[texture] == mujoco.mjtTexture.mjTEXTURE_2D
-        self._texture_of = np.where(flat & (texture >= 0), texture, -1)  # of each geom
+        made = np.flatnonzero(model.geom_matid >= 0)
+        self._texture_of = np.full(model.ngeom, -1)
+        self._texture_of[made] = model.mat_texid[model.geom_matid[made], _RGB]
         self._textures = {
             int(index): Texture(_pixels(model, index))
             for index in np.unique(self._texture_of[self._texture_of >= 0])
+            if model.tex_type[index] == mujoco.mjtTexture.mjTEXTURE_2D
         }
         skies = np.flatnonzero(model.tex_type == mujoco.mjtTexture.mjTEXTURE_SKYBOX)
-        self._sky = _pixels(model, skies[0]) if len(skies) else None
+        self._sky = _pixels(model, skies[0]) if len(skies) else np.zeros((6, 1, 3))
 
     def colour(
         self,
@@ -150,7 +145,7 @@ class Shader:
             slant = np.maximum(-hits.normal @ light.dir, 0.0)
             halfway = -light.dir - hits.ray
             glance = np.einsum("ij,ij->i", hits.normal, halfway)
-            glance /= np.sqrt(np.einsum("ij,ij->i", halfway, halfway))
+            glance /= np.sqrt(np.maximum(np.einsum("ij,ij->i", halfway, halfway), 1e-9))
             glance = np.maximum(glance, 0.0) ** exponent
             reaches = lit.get(index, np.ones(1))[:, None]
             amount += reaches * (light.ambient + slant[:, None] * light.diffuse)
@@ -174,21 +169,19 @@ class Shader:
 
     def _sky_colour(self, ray: np.ndarray) -> np.ndarray:
         """Colours (n, 3) of the sky in the directions `ray` (n, 3)."""
-        if self._sky is None:
-            return np.zeros(ray.shape)
-        cube = np.stack([ray[:, 0], ray[:, 2], -ray[:, 1]], axis=1)
+        # Its y points up.
+        cube, rows = np.stack([ray[:, 0], ray[:, 2], -ray[:, 1]], axis=1), np.arange(len(ray))
         axis = np.abs(cube).argmax(axis=1)
-        depth = np.take_along_axis(cube, axis[:, None], axis=1)[:, 0]
+        depth = cube[rows, axis]
         face = 2 * axis + (depth < 0)
         side = self._sky.shape[1]
-        column, row = (
-            np.take_along_axis(cube, which[:, None], axis=1)[:, 0] * sense / np.abs(depth)
-            for which, sense in np.moveaxis(np.array(_CUBE)[face], 1, 0).swapaxes(1, 2)
-        )
-        column, row = (
-            np.clip((side * (place + 1) / 2).astype(int), 0, side - 1) for place in (column, row)
-        )
-        return self._sky[face * side + row, column] / 255
+
+        def texel(table: np.ndarray) -> np.ndarray:
+            along, sense = table[face].T
+            place = (sense * cube[rows, along] / np.abs(depth) + 1) / 2
+            return np.clip((side * place).astype(int), 0, side - 1)
+
+        return self._sky[side * face + texel(_DOWN), texel(_ACROSS)] / 255
 
     def _add_haze(
         self, data: mujoco.MjData, scene: mujoco.MjvScene, hits: Hits, colour: np.ndarray
@@ -207,8 +200,8 @@ class Shader:
             span = model.vis.map.haze
             along = hits.ray[on] - np.outer(hits.ray[on] @ normal, normal)
             away = hits.distance[on] * np.linalg.norm(along, axis=1) / reach
-            height = np.maximum(1 - 1 / (away + span), 0.0)  # on the cone, 1 is that of the eye
-            peak = span / (1 + span)
+            height = 1 - 1 / np.maximum(away + span, 1.0)  # on the cone, 1 is that of the eye
+            peak = max(span / (1 + span), mujoco.mjMINVAL)
             share = np.where(height < peak, height / peak, (1 - height) / (1 - peak))[:, None]
             beyond = height >= peak
             colour[on[beyond]] = self._sky_colour(hits.ray[on[beyond]])

@@ -16,8 +16,8 @@ FRICTION = 0.8
 # sink 2 cm into the floor at each landing. It must be at least two physics steps.
 CONTACT_TIME = 0.01
 
-# The physics of training lets one sphere of each kind of each leg touch the floor. Besides the feet,
-# these stand for what else meets it as a robot goes down: its knees and the trunk's lower corners.
+# The physics of training lets one sphere of each kind of each leg touch the floor. Besides the
+# feet, these stand for what else meets it when a robot falls: its knees, the trunk's lower corners.
 KNEES, CORNERS = (tuple(f"{kind}_{leg}" for leg in LEGS) for kind in ("knee", "corner"))
 SPHERES = 4  # the group of these geoms; those of group 3 are the collision shapes, to be measured
 CORNER_RADIUS = 0.01  # m
