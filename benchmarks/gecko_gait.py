@@ -10,7 +10,7 @@ import numpy as np
 from quadwalk.evaluate.footfalls import contact_spans, without_chatter
 from quadwalk.evaluate.gait import Gait, measure_gait
 from quadwalk.evaluate.kinematics import roll_pitch_yaw
-from quadwalk.evaluate.render import middle_rows
+from quadwalk.evaluate.report.pictures import middle_rows
 from quadwalk.evaluate.rollout import Rollout, finite_part
 from quadwalk.evaluate.simulate import simulate_episodes
 from quadwalk.evaluate.subject import load_subject

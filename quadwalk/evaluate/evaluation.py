@@ -58,9 +58,11 @@ class Evaluation:
 
     def film_strip(self) -> "Image":
         """Pictures of two strides of the typical episode, side by side."""
-        from quadwalk.evaluate.report.pictures import film_strip
+        from PIL import Image
 
-        return film_strip(self.typical, self.subject.env.quadruped)
+        from quadwalk.evaluate.report.pictures import draw_film_strip
+
+        return Image.fromarray(draw_film_strip(self.typical, self.subject.env.quadruped))
 
     def report(self) -> "Figure":
         """The typical episode as plots: footfalls, speed, joints, torques, rewards, path."""

@@ -107,13 +107,15 @@ def _roll_out(subject: "Subject", config: EvalConfig, console: Console) -> "Eval
 
 def _draw(config: EvalConfig, found: "Evaluation", out: Path) -> list[str]:
     """Draw the film strip and the video that is asked for; the names of the files."""
-    from quadwalk.evaluate.report.pictures import write_video
+    from quadwalk.drawing.images import save_png
+    from quadwalk.evaluate.report.pictures import draw_film_strip, render_video
 
-    found.film_strip().save(out / "film_strip.png")
+    quadruped = found.subject.env.quadruped
+    save_png(draw_film_strip(found.typical, quadruped), out / "film_strip.png")
     if config.video == "none":
         return ["film_strip.png"]
     video = f"episode.{config.video}"
-    write_video(found.typical, found.subject.env.quadruped, out / video)
+    render_video(found.typical, quadruped, out / video)
     return ["film_strip.png", video]
 
 

@@ -1,13 +1,12 @@
 """The robot of a task, and what the environment's functions need to know of it, as arrays."""
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import mujoco
 import numpy as np
 
 from quadwalk.robot.quadruped import Quadruped
-from quadwalk.robot.spheres import CORNERS, KNEES
+from quadwalk.robot.scene import CORNERS, KNEES
 
 
 @dataclass(frozen=True)

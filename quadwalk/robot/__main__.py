@@ -5,15 +5,20 @@ import sys
 from fnmatch import fnmatchcase
 from pathlib import Path
 
+from quadwalk.drawing.canvas import render_home
+from quadwalk.drawing.images import save_png
 from quadwalk.errors import UsageError, run_command
 from quadwalk.files import atomic_write
-from quadwalk.robot.render import choose_backend
+from quadwalk.robot.elements import SINGLE
+from quadwalk.robot.legs import Leg, find_legs
+from quadwalk.robot.mjcf import Options, convert, write_xml
+from quadwalk.robot.urdf import UrdfError, read_urdf
 
 
-def parse_arguments() -> argparse.Namespace:
+def parse_arguments(argv: list[str] | None, prog: str) -> argparse.Namespace:
     """The command line's arguments."""
     parser = argparse.ArgumentParser(
-        prog="python -m quadwalk.robot",
+        prog=prog,
         description="Convert a URDF to MJCF (MuJoCo XML). Any tree of links converts.",
     )
     add = parser.add_argument
@@ -46,21 +51,15 @@ def parse_arguments() -> argparse.Namespace:
     )
     add("-q", "--quiet", action="store_true", help="no report of what was fused, dropped, assumed")
     add("-v", "--verbose", action="store_true", help="the report in full")
-    return parser.parse_args()
+    return parser.parse_args(argv)
 
 
-def main() -> None:
-    """Read the arguments, convert, write, draw, report."""
-    arguments = parse_arguments()
-    if arguments.render is not None:
-        choose_backend()
-    # After that choice, because MuJoCo makes its own when it is imported.
-    from quadwalk.robot.joints import SINGLE
-    from quadwalk.robot.legs import Leg, find_legs
-    from quadwalk.robot.mjcf import Options, convert, write_xml
-    from quadwalk.robot.render import png_bytes, render_home
-    from quadwalk.robot.urdf import UrdfError, read_urdf
+def main(argv: list[str] | None = None, prog: str = "python -m quadwalk.robot") -> None:
+    """Convert, write, draw and report as `argv` (default: the process's arguments) says.
 
+    `prog` is what the help calls the command.
+    """
+    arguments = parse_arguments(argv, prog)
     for folder in arguments.mesh_dir:
         if not folder.is_dir():
             raise UsageError(f"--mesh-dir {folder}: is no folder; expected one")
@@ -87,9 +86,7 @@ def main() -> None:
     elif arguments.render is None:
         sys.stdout.write(xml)
     if arguments.render is not None:
-        picture = png_bytes(render_home(conversion.spec.compile()))
-        with atomic_write(arguments.render) as file:
-            file.write(picture)
+        save_png(render_home(conversion.spec.compile()), arguments.render)
     if not arguments.quiet:
         for line in conversion.report.lines(sys.maxsize if arguments.verbose else 4):
             print(line, file=sys.stderr)

@@ -7,12 +7,8 @@ import mujoco
 import numpy as np
 import yourdfpy
 
-from quadwalk.robot.report import Report
 from quadwalk.robot.tree import Tree, matrix
-from quadwalk.robot.validate import UrdfError
 
-# Room for rounding when principal moments are compared, relative to the largest.
-ROUNDING = 1e-10
 # MuJoCo takes a smaller mass (kg) or moment (kg m^2) of a moving body for none (mjMINVAL).
 SMALLEST = 1e-15
 # A repaired body extends at least this far (m, root mean square) along each principal axis.
@@ -26,68 +22,6 @@ class Inertia:
     mass: float
     com: np.ndarray
     about_com: np.ndarray
-
-
-def check_inertias(tree: Tree, source: str, repair: bool, report: Report) -> None:
-    """Refuse what no rigid body can have; with `repair`, put the nearest valid inertia instead.
-
-    A moment of inertia is a sum of squares over the mass: the tensor is positive definite, and no
-    principal moment exceeds the sum of the others. A link that is fused with another may be a
-    point (moments 0) or have no mass; a body that moves may not.
-    """
-    root = body_inertia(tree, tree.root)
-    for name, link in tree.links.items():
-        if link.inertial is None or (root is None and tree.body_of[name] == tree.root):
-            continue  # a root without any mass stands still, whatever its inertia
-        mass, tensor = link.inertial.mass, link.inertial.inertia
-        # Whether the root moves is decided later; where it is asked for, it is made fit to.
-        moves = name == tree.body_of[name] and (name != tree.root or repair)
-        where = f"{source}: link '{name}'"
-        if moves and mass == 0 and name != tree.root:
-            raise UrdfError(f"{where} moves, and its <mass> is 0; expected a mass above 0")
-        problem = _problem(mass, tensor, moves)
-        if problem is None:
-            continue
-        if not repair:
-            raise UrdfError(f"{where}: <inertia> {problem} (or pass --repair-inertia)")
-        valid = nearest_valid(mass, tensor)
-        change = np.linalg.norm(valid - tensor) / max(float(np.linalg.norm(tensor)), SMALLEST)
-        link.inertial.inertia = valid
-        report.add(
-            "repaired",
-            f"inertia of '{name}', principal moments {_moments(tensor)} -> {_moments(valid)} "
-            f"kg m^2, a change by {change:.2g} of its norm",
-        )
-    for body in tree.bodies[1:]:
-        whole = body_inertia(tree, body)
-        if whole is None or whole.mass < SMALLEST:
-            raise UrdfError(
-                f"{source}: link '{body}' moves (joint '{tree.joint_above[body].name}') and has "
-                "no mass; expected <inertial> with a mass above 0"
-            )
-        if principal(whole.about_com)[0][2] < SMALLEST:
-            raise UrdfError(
-                f"{source}: link '{body}' moves, and its <inertia> is too small for MuJoCo; "
-                f"expected principal moments above {SMALLEST:g} kg m^2"
-            )
-
-
-def _problem(mass: float, tensor: np.ndarray, moves: bool) -> str | None:
-    """What is wrong with a link's inertia (3, 3), and what is expected; None if it is valid."""
-    if mass == 0:
-        return None if not tensor.any() else "is not 0 and the mass is; expected both or neither"
-    smallest, middle, largest = np.linalg.eigvalsh(tensor)
-    room = ROUNDING * abs(largest)
-    shown = _moments(tensor)
-    if smallest < -room or (moves and smallest <= 0):
-        return f"has principal moments {shown}; expected positive ones"
-    if smallest + middle < largest - room:
-        return f"has principal moments {shown}; expected none above the sum of the others"
-    return None
-
-
-def _moments(tensor: np.ndarray) -> str:
-    return "(" + ", ".join(f"{moment:.4g}" for moment in np.linalg.eigvalsh(tensor)) + ")"
 
 
 def nearest_valid(mass: float, tensor: np.ndarray) -> np.ndarray:

@@ -11,15 +11,20 @@ import mujoco
 import numpy as np
 import yourdfpy
 
-from quadwalk.robot.home import add_home, exclude_overlaps
+from quadwalk.robot.elements import (
+    SINGLE,
+    Shapes,
+    add_geom_classes,
+    add_several,
+    add_single,
+    pose,
+    unique,
+)
 from quadwalk.robot.inertia import SMALLEST, body_inertia, principal, printable
-from quadwalk.robot.joints import SINGLE, add_several, add_single
 from quadwalk.robot.legs import Leg, standing_pose
-from quadwalk.robot.report import Report
-from quadwalk.robot.scene import add_scene, add_sun
-from quadwalk.robot.shapes import Shapes, add_geom_classes, pose, unique
+from quadwalk.robot.scene import add_home, add_scene, add_sun, exclude_overlaps
 from quadwalk.robot.tree import Tree
-from quadwalk.robot.urdf import Urdf
+from quadwalk.robot.urdf import Report, Urdf
 from quadwalk.robot.validate import UrdfError
 
 FRAMES = 4  # the group of the sites that mark frames; MuJoCo's viewer hides 3 and above

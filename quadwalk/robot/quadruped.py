@@ -8,10 +8,9 @@ import mujoco
 import numpy as np
 
 from quadwalk.paths import ALIENGO_URDF
-from quadwalk.robot.home import HOME
 from quadwalk.robot.legs import find_legs, joint_range
 from quadwalk.robot.mjcf import Options, convert
-from quadwalk.robot.spheres import add_spheres
+from quadwalk.robot.scene import HOME, add_spheres
 from quadwalk.robot.urdf import Urdf, read_urdf
 from quadwalk.robot.validate import UrdfError
 
@@ -71,10 +70,10 @@ class Quadruped:
 
         Args:
             timestep: s.
-            iterations: of the Newton solver. One keeps a loop that, batched, runs as long as the
-                slowest environment's out of the step.
+            iterations: of the Newton solver. `EnvConfig` has those of training; with one alone MJX
+                needs no loop that runs as long as the slowest robot of a batch.
             ls_iterations: of its line search, each at a fixed cost.
-            contacts: what the floor meets, the feet or also `spheres` at knees and trunk.
+            contacts: what the floor meets, the feet or also spheres at knees and trunk.
         """
         spec = self.spec.copy()
         for sensor in list(spec.sensors):

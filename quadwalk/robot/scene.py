@@ -1,7 +1,12 @@
-"""What surrounds a robot in its MJCF: sky, light, a floor on which motion can be seen."""
+"""What a model has besides a robot's links: sky, light, floor, home pose, spheres for training."""
 
 import mujoco
 import numpy as np
+
+from quadwalk.robot.legs import LEGS
+from quadwalk.robot.validate import UrdfError
+
+HOME = "home"  # the keyframe: joints in the standing pose, the lowest point just on the ground
 
 # Rubber feet on asphalt or carpet slide at .6 to 1.0 of the load; MuJoCo takes the larger of two
 # shapes' friction, so that floor and robot both state it.
@@ -10,6 +15,12 @@ FRICTION = 0.8
 # Contacts settle within this, s, half of MuJoCo's default, under which the feet of a robot at 4 m/s
 # sink 2 cm into the floor at each landing. It must be at least two physics steps.
 CONTACT_TIME = 0.01
+
+# The physics of training lets one sphere of each kind of each leg touch the floor. Besides the
+# feet, these stand for what else meets it when a robot falls: its knees, the trunk's lower corners.
+KNEES, CORNERS = (tuple(f"{kind}_{leg}" for leg in LEGS) for kind in ("knee", "corner"))
+SPHERES = 4  # the group of these geoms; those of group 3 are the collision shapes, to be measured
+CORNER_RADIUS = 0.01  # m
 
 
 def add_scene(spec: mujoco.MjSpec) -> None:
@@ -69,3 +80,148 @@ def add_sun(body: mujoco.MjsBody) -> None:
         specular=[0.2, 0.2, 0.2],
         castshadow=True,
     )
+
+
+def add_home(spec: mujoco.MjSpec, pose: np.ndarray | None, feet: list[str]) -> None:
+    """Add the keyframe `home`.
+
+    Args:
+        spec: with all bodies, and collision geoms that are named.
+        pose: joint positions in the model's order, rad; None for 0 or the limit nearest to it.
+        feet: names of the geoms to stand on; without any, the lowest shape is.
+    """
+    model = spec.compile()
+    floating = model.njnt > 0 and model.jnt_type[0] == mujoco.mjtJoint.mjJNT_FREE
+    qpos = model.qpos0.copy()
+    if pose is not None:
+        qpos[7:] = pose
+    else:
+        limited = model.jnt_limited.astype(bool)
+        qpos[model.jnt_qposadr[limited]] = np.clip(0, *model.jnt_range[limited].T)
+    for row in range(model.neq):  # a joint that follows another
+        follower, leader = model.eq_obj1id[row], model.eq_obj2id[row]
+        offset, factor = model.eq_data[row, :2]
+        at = model.jnt_qposadr
+        qpos[at[follower]] = offset + factor * qpos[at[leader]]
+    if floating:
+        data = mujoco.MjData(model)
+        data.qpos[:] = qpos
+        mujoco.mj_kinematics(model, data)
+        shapes = [model.geom(foot).id for foot in feet] or np.flatnonzero(model.geom_bodyid > 0)
+        qpos[2] -= min((lowest_point(model, data, int(geom)) for geom in shapes), default=0.0)
+    spec.add_key(name=HOME, qpos=qpos)
+
+
+def exclude_overlaps(spec: mujoco.MjSpec) -> list[str]:
+    """Let no contact happen between bodies that already overlap in the home pose.
+
+    Returns the pairs, for the report. A floating robot's contact with the floor stays.
+    """
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
+    mujoco.mj_collision(model, data)
+    floating = model.njnt > 0 and model.jnt_type[0] == mujoco.mjtJoint.mjJNT_FREE
+    overlapping = {
+        tuple(sorted(model.geom_bodyid[contact.geom]))
+        for contact in data.contact
+        if contact.dist < 0 and (not floating or model.geom_bodyid[contact.geom].all())
+    }
+    pairs = [(model.body(a).name, model.body(b).name) for a, b in sorted(overlapping)]
+    for first, second in pairs:
+        spec.add_exclude(name=f"{first}-{second}", bodyname1=first, bodyname2=second)
+    return [f"'{first}' and '{second}'" for first, second in pairs]
+
+
+def lowest_point(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> float:
+    """Height (m, world z) of the lowest point of a geom, from `data`'s current kinematics."""
+    size = model.geom_size[geom]
+    # The direction `down` in the geom's own axes: the shape's extent along it is its support.
+    down = -data.geom_xmat[geom].reshape(3, 3)[2]
+    kind = model.geom_type[geom]
+    if kind == mujoco.mjtGeom.mjGEOM_SPHERE:
+        extent = size[0]
+    elif kind == mujoco.mjtGeom.mjGEOM_BOX:
+        extent = np.abs(down) @ size
+    elif kind == mujoco.mjtGeom.mjGEOM_CYLINDER:
+        extent = size[0] * np.hypot(down[0], down[1]) + size[1] * abs(down[2])
+    elif kind == mujoco.mjtGeom.mjGEOM_MESH:
+        mesh = model.geom_dataid[geom]
+        first = model.mesh_vertadr[mesh]
+        vertices = model.mesh_vert[first : first + model.mesh_vertnum[mesh]]
+        extent = np.max(vertices @ down)
+    else:
+        raise AssertionError(f"no URDF shape becomes a geom of type {kind}")
+    return float(data.geom_xpos[geom, 2] - extent)
+
+
+def add_spheres(
+    spec: mujoco.MjSpec, trunk: str, feet: tuple[str, ...], calf_joints: tuple[str, ...]
+) -> None:
+    """Add `KNEES` and `CORNERS`, which meet the floor as the leg's foot does.
+
+    A knee is centred on the calf's joint and carried by the thigh, as thick as that is there. A
+    corner touches from within the box around the trunk's collision shapes, at its bottom.
+    `spec` has no other geoms than collision shapes.
+    """
+    model = spec.compile()
+    low, high = _box_around(model, model.body(trunk).id)
+    for i, leg in enumerate(LEGS):
+        foot = spec.geom(feet[i])
+        calf = model.joint(calf_joints[i]).bodyid[0]
+        thigh, knee = model.body_parentid[calf], model.body_pos[calf]
+        radius = min(_thickness(model, thigh, knee), foot.size[0])
+        _add_sphere(spec, model.body(thigh).name, KNEES[i], knee, radius, foot)
+        ahead, left = leg[0] == "F", leg[1] == "L"
+        corner = np.where([ahead, left, False], high - CORNER_RADIUS, low + CORNER_RADIUS)
+        _add_sphere(spec, trunk, CORNERS[i], corner, CORNER_RADIUS, foot)
+
+
+def _add_sphere(spec, body, name, centre, radius, foot) -> None:
+    spec.body(body).add_geom(
+        foot.classname,
+        name=name,
+        type=mujoco.mjtGeom.mjGEOM_SPHERE,
+        pos=centre,
+        size=[radius, 0, 0],
+        group=SPHERES,
+        contype=foot.contype,
+        conaffinity=foot.conaffinity,
+        friction=foot.friction,
+    )
+
+
+def _box_around(model: mujoco.MjModel, body: int) -> tuple[np.ndarray, np.ndarray]:
+    """Lower and upper corner (3,), m, of the box around a body's shapes, in its frame."""
+    boxes = _boxes(model, body)
+    if not boxes:
+        raise UrdfError(
+            f"link '{model.body(body).name}' has no collision shape; contacts 'body' expect one, "
+            "for it is to touch the floor"
+        )
+    reaches = [(centre, np.abs(rotation) @ half) for centre, rotation, half in boxes]
+    low = np.min([centre - reach for centre, reach in reaches], axis=0)
+    return low, np.max([centre + reach for centre, reach in reaches], axis=0)
+
+
+def _thickness(model: mujoco.MjModel, thigh: int, knee: np.ndarray) -> float:
+    """Half the thickness, m, of the thigh's shape that is nearest to `knee` (3,); inf for none."""
+    found = [(0.0, np.inf)]
+    for centre, rotation, half in _boxes(model, thigh):
+        beyond = np.maximum(np.abs((knee - centre) @ rotation) - half, 0)
+        found.append((float(np.linalg.norm(beyond)), float(np.sort(half)[1])))
+    return min(found)[1]
+
+
+def _boxes(model: mujoco.MjModel, body: int) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """Of each of a body's shapes the box around it: centre, axes as columns, half its sides, m."""
+    boxes = []
+    for geom in np.flatnonzero(model.geom_bodyid == body):
+        entries = np.zeros(9)
+        mujoco.mju_quat2Mat(entries, model.geom_quat[geom])
+        rotation = entries.reshape(3, 3)
+        centre, half = np.split(model.geom_aabb[geom], 2)
+        boxes.append((model.geom_pos[geom] + rotation @ centre, rotation, half))
+    return boxes

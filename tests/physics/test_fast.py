@@ -11,9 +11,9 @@ from quadwalk.physics.fast import acceleration, heights, integrate, simulate, so
 from quadwalk.physics.mjx_engine import Physics
 from quadwalk.physics.model import legged
 from quadwalk.physics.robot_arrays import robot_arrays
-from quadwalk.robot.home import lowest_point
 from quadwalk.robot.mjcf import Options
 from quadwalk.robot.quadruped import load_quadruped
+from quadwalk.robot.scene import lowest_point
 from quadwalk.robot.validate import UrdfError
 from quadwalk.task.config import EnvConfig
 

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from quadwalk.paths import ALIENGO_URDF
-from quadwalk.robot.home import lowest_point
 from quadwalk.robot.mjcf import Options
 from quadwalk.robot.quadruped import Quadruped, load_quadruped, quadruped_from
+from quadwalk.robot.scene import lowest_point
 from quadwalk.robot.urdf import UrdfError, parse_urdf
 
 TEXT = ALIENGO_URDF.read_text()

@@ -1,0 +1,149 @@
+"""Pictures by MuJoCo's OpenGL renderer, where the machine has a GL library that works."""
+
+import contextlib
+import ctypes.util
+import functools
+import io
+import os
+import sys
+import warnings
+from collections.abc import Iterator
+from typing import Any
+
+import mujoco
+import numpy as np
+
+_OFF = ("disable", "disabled", "off", "false", "0")  # what MuJoCo takes for no in MUJOCO_GL
+_TRIAL = """
+<mujoco><worldbody><light pos="0 0 3"/><geom type="plane" size="1 1 1"/></worldbody></mujoco>
+"""
+
+
+@functools.cache
+def working_library() -> str | None:
+    """The GL library to draw with, "osmesa", "egl" or "window"; None if none is found that works.
+
+    `MUJOCO_GL` decides, if it is set: `osmesa`, `egl`, `glfw` (a window system), `disable`. Else a
+    display does, then OSMesa, then EGL, whichever is there. What is chosen is tried once.
+    """
+    chosen = _chosen_library()
+    if chosen is None:
+        return None
+    model = mujoco.MjModel.from_xml_string(_TRIAL)
+    data, scene = mujoco.MjData(model), mujoco.MjvScene(model, maxgeom=10)
+    mujoco.mj_forward(model, data)
+    everything = mujoco.mjtCatBit.mjCAT_ALL
+    camera = mujoco.MjvCamera()
+    mujoco.mjv_updateScene(model, data, mujoco.MjvOption(), None, camera, everything, scene)
+    # The libraries fail as they like: ImportError, AttributeError, RuntimeError, FatalError.
+    with _silence(), contextlib.suppress(Exception):
+        painter = GlPainter(model, 16, 16, chosen)
+        try:
+            return chosen if painter.paint(data, scene).any() else None
+        finally:
+            painter.close()
+    return None
+
+
+def _chosen_library() -> str | None:
+    wanted = os.environ.get("MUJOCO_GL", "").strip().lower()
+    if wanted in _OFF:
+        return None
+    if wanted in ("osmesa", "egl"):
+        return wanted
+    screen = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+    if wanted or screen or sys.platform != "linux":
+        return "window"
+    for library, name in (("OSMesa", "osmesa"), ("EGL", "egl")):
+        if ctypes.util.find_library(library):
+            return name
+    return None
+
+
+@contextlib.contextmanager
+def _silence() -> Iterator[None]:
+    """Let nothing reach stderr, not from C libraries or destructors either."""
+    kept = os.dup(2)
+    try:
+        with (
+            open(os.devnull, "w") as nowhere,
+            warnings.catch_warnings(action="ignore"),
+            contextlib.redirect_stderr(io.StringIO()),
+        ):
+            os.dup2(nowhere.fileno(), 2)
+            yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+
+
+class GlPainter:
+    """Paints scenes of one model, `width` by `height` pixels, with one of the GL libraries.
+
+    Used instead of `mujoco.Renderer`, whose library is settled when mujoco is first imported,
+    which may be long before anyone asks for a picture. To be closed: contexts that are left to the
+    interpreter's end complain there.
+    """
+
+    def __init__(self, model: mujoco.MjModel, width: int, height: int, library: str) -> None:
+        self._size = width, height
+        self._resources: mujoco.MjrContext | None = None
+        self._context: Any = _context_class(library)(width, height)
+        try:
+            self._context.make_current()
+            scale = mujoco.mjtFontScale.mjFONTSCALE_100.value
+            self._resources = mujoco.MjrContext(model, scale)
+            mujoco.mjr_resizeOffscreen(width, height, self._resources)
+            mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._resources)
+        except BaseException:
+            self.close()
+            raise
+
+    def paint(self, data: mujoco.MjData, scene: mujoco.MjvScene) -> np.ndarray:
+        """(height, width, 3) uint8 of a scene that `mjv_updateScene` has made from `data`."""
+        _bring_near(scene)
+        width, height = self._size
+        frame = mujoco.MjrRect(0, 0, width, height)
+        pixels = np.empty((height, width, 3), dtype=np.uint8)
+        self._context.make_current()
+        mujoco.mjr_render(frame, scene, self._resources)
+        mujoco.mjr_readPixels(pixels, None, frame, self._resources)
+        return pixels[::-1].copy()  # OpenGL's first row is the lowest
+
+    def close(self) -> None:
+        """Give back what the library holds; it may be called again."""
+        if self._resources is not None:
+            self._context.make_current()
+            self._resources.free()
+        if self._context is not None:
+            self._context.free()
+        self._context = self._resources = None
+
+
+def _context_class(library: str) -> type:
+    if library == "osmesa":
+        from mujoco.osmesa import GLContext
+    elif library == "egl":
+        from mujoco.egl import GLContext
+    else:
+        from mujoco import GLContext
+    return GLContext
+
+
+def _bring_near(scene: mujoco.MjvScene) -> None:
+    """Move the scene and its eye to the origin, and endless planes below the eye.
+
+    MuJoCo's own floor follows the eye only half of the way, so that some 100 m away there is none;
+    and OpenGL's single precision speckles everything with shadow there. Planes go by whole repeats
+    of their texture.
+    """
+    eye = (scene.camera[0].pos + scene.camera[1].pos) / 2
+    offset = np.floor(eye)
+    for item in (*scene.geoms[: scene.ngeom], *scene.lights[: scene.nlight], *scene.camera):
+        item.pos = item.pos - offset
+    for geom in scene.geoms[: scene.ngeom]:
+        if geom.type == mujoco.mjtGeom.mjGEOM_PLANE and not geom.size[:2].any():
+            axes = geom.mat.reshape(3, 3)[:, :2]
+            repeat = 2 / np.where(geom.texrepeat > 0, geom.texrepeat, 2)  # m
+            steps = np.round((eye - offset - geom.pos) @ axes / repeat)
+            geom.pos = geom.pos + axes @ (steps * repeat)

@@ -1,0 +1,85 @@
+"""Pictures of an episode: a film strip, a video."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from PIL import Image, ImageDraw, ImageFont
+
+from quadwalk.drawing.canvas import Camera, Canvas
+from quadwalk.drawing.images import FPS, film_strip, save_video
+from quadwalk.evaluate.rollout import Rollout, finite_part
+from quadwalk.robot.quadruped import Quadruped
+
+_SMOOTHING = 0.8  # s: the camera follows the mean of this much of the path, not each step's sway
+_STRIP = (4, 2)  # pictures across and down
+
+
+def draw_film_strip(
+    rollout: Rollout,
+    quadruped: Quadruped,
+    seconds: float = 0.7,
+    width: int = 480,
+    height: int = 300,
+) -> np.ndarray:
+    """Eight pictures, evenly spaced over the `seconds` about the episode's middle, as pixels.
+
+    0.7 s are some two strides of a run. `width` and `height` in pixels are those of one picture.
+    """
+    rollout = finite_part(rollout)
+    across, down = _STRIP
+    rows = middle_rows(rollout, across * down, seconds)
+    return film_strip(list(_pictures(rollout, quadruped, rows, width, height)), across)
+
+
+def middle_rows(rollout: Rollout, count: int, seconds: float) -> np.ndarray:
+    """Rows (count,) of states, evenly spaced over the `seconds` about the episode's middle."""
+    middle, half = rollout.steps / 2, seconds / rollout.control_dt / 2
+    rows = np.linspace(middle - half, middle + half, count).round().astype(int)
+    return np.clip(rows, 0, rollout.steps)
+
+
+def render_video(
+    rollout: Rollout,
+    quadruped: Quadruped,
+    path: str | Path,
+    seconds: float = 3.0,
+    width: int = 480,
+    height: int = 300,
+) -> None:
+    """Write up to `seconds` from the episode's middle in real time; MP4 if `path` ends so, or GIF.
+
+    An MP4 needs ffmpeg on the PATH or the package imageio-ffmpeg. Raises `UserError` where that is
+    missing or the file cannot be written.
+    """
+    rollout = finite_part(rollout)
+    wanted = min(seconds, rollout.steps * rollout.control_dt)
+    start = (rollout.steps * rollout.control_dt - wanted) / 2
+    times = start + np.arange(max(round(wanted * FPS), 1)) / FPS
+    rows = np.clip((times / rollout.control_dt).round().astype(int), 0, rollout.steps)
+    save_video(_pictures(rollout, quadruped, rows, width, height), path)
+
+
+def _pictures(
+    rollout: Rollout, quadruped: Quadruped, rows: np.ndarray, width: int, height: int
+) -> Iterator[np.ndarray]:
+    """The states `rows` of an episode, each with its time and speed written on it."""
+    canvas = Canvas(quadruped.full_model(), width, height)
+    focus = _camera_path(rollout)
+    font = ImageFont.load_default(size=max(height // 20, 10))
+    for row in rows:
+        camera = Camera(focus[row], distance=1.45, azimuth=118.0, elevation=-14.0)
+        picture = Image.fromarray(canvas.draw(rollout.qpos[row], camera))
+        text = f"{row * rollout.control_dt:.2f} s   {rollout.qvel[row, 0]:.1f} m/s"
+        ImageDraw.Draw(picture).text((8, 6), text, fill=(30, 34, 40), font=font)
+        yield np.asarray(picture)
+
+
+def _camera_path(rollout: Rollout) -> np.ndarray:
+    """(T + 1, 3) m: where the camera looks, the smoothed path of the base at a steady height."""
+    width = max(round(_SMOOTHING / rollout.control_dt) // 2 * 2 + 1, 1)
+    padded = np.pad(rollout.qpos[:, :2].astype(float), ((width // 2, width // 2), (0, 0)), "edge")
+    sums = np.cumsum(np.concatenate([np.zeros((1, 2)), padded]), axis=0)
+    smooth = (sums[width:] - sums[:-width]) / width
+    height = np.full((len(smooth), 1), 0.75 * np.median(rollout.qpos[:, 2]))
+    return np.concatenate([smooth, height], axis=1)
