@@ -15,7 +15,7 @@ from quadwalk.train.settings import TrainConfig
 from quadwalk.train.stopping import stop_on_signal
 
 if TYPE_CHECKING:
-    from quadwalk.train.runs.writer import Keeper
+    from quadwalk.train.runs.writer import RunWriter
 
 CURVE_SECONDS = 30.0  # the learning curve is drawn anew this often
 
@@ -46,19 +46,19 @@ def train(
         from quadwalk.train.setup import prepare
 
         training = prepare(config, progress)
-        from quadwalk.train.runs.writer import Keeper
+        from quadwalk.train.runs.writer import RunWriter
 
-        keeper = None
+        writer = None
         if training.run is not None and training.claim is not None:
             stack.enter_context(training.claim)
-            keeper = stack.enter_context(Keeper(training, training.run, progress.message))
+            writer = stack.enter_context(RunWriter(training, training.run, progress.message))
         state, steps, seconds = training.state, training.steps, training.seconds
         tried = steps  # when it was last tried to save
 
         def save() -> bool:
             progress.phase("saving")
             whole = distributed.gathered(state)
-            return keeper.save(whole, steps, seconds) if keeper else True
+            return writer.save(whole, steps, seconds) if writer else True
 
         progress.phase("training")
         began = time.monotonic() - seconds
@@ -71,64 +71,64 @@ def train(
             row = training.metrics.row(steps, numbers)
             seconds = time.monotonic() - began
             progress.update(steps, row, seconds)
-            if keeper:
-                keeper.row(row, {"time/elapsed": seconds, "time/steps_per_second": steps / seconds})
-                keeper.suspect(numbers["suspect"], steps)
+            if writer:
+                writer.row(row, {"time/elapsed": seconds, "time/steps_per_second": steps / seconds})
+                writer.nan_step(numbers["nan_step"], steps)
             if watch:
                 watch(row)
             if not numbers["learner/finite"]:
-                if keeper:
-                    keeper.draw()
-                raise UserError(_lost(keeper, steps))
+                if writer:
+                    writer.draw()
+                raise UserError(_lost(writer, steps))
             if steps - tried >= config.checkpoint_steps and steps < config.steps:
                 save()
                 tried = steps
                 progress.phase("training")
-            if keeper and time.monotonic() - drawn > CURVE_SECONDS:
-                keeper.draw()
+            if writer and time.monotonic() - drawn > CURVE_SECONDS:
+                writer.draw()
                 drawn = time.monotonic()
         well = save()
-        if keeper:
-            keeper.draw()
-    if keeper is None:
+        if writer:
+            writer.draw()
+    if writer is None:
         return None
-    _tell(progress, keeper, config, steps, well)
+    _tell(progress, writer, config, steps, well)
     if not well:
-        raise UserError(f"not everything could be saved: {keeper.trouble}; {_last(keeper)}")
-    return keeper.run
+        raise UserError(f"not everything could be saved: {writer.trouble}; {_last(writer)}")
+    return writer.run
 
 
 def _tell(
-    progress: Progress, keeper: "Keeper", config: TrainConfig, steps: int, well: bool
+    progress: Progress, writer: "RunWriter", config: TrainConfig, steps: int, well: bool
 ) -> None:
     """Where everything is, and what can be done with it; `well` if all of it was saved."""
-    run = keeper.run
+    run = writer.run
     if steps < config.steps:
         saved = "; the policy is saved" if well else ""
         progress.end(f"stopped after {steps:,} of {config.steps:,} steps{saved}")
         progress.end(f"go on with      python train.py --resume {_run_argument(run)}")
     progress.end(f"policy          {run.policy}")
-    if keeper.best is not None:
-        which = "the same" if keeper.best[0] == steps else f"after {keeper.best[0]:,} steps"
+    if writer.best is not None:
+        which = "the same" if writer.best[0] == steps else f"after {writer.best[0]:,} steps"
         progress.end(f"best policy     {run.best} ({which})")
     if run.learning_curve.exists():
         progress.end(f"learning curve  {run.learning_curve}")
     progress.end(f"evaluate with   python eval.py {_run_argument(run)}")
 
 
-def _lost(keeper: "Keeper | None", steps: int) -> str:
+def _lost(writer: "RunWriter | None", steps: int) -> str:
     """What to say when the learner's weights are not finite."""
     what = f"the networks' weights are no longer finite numbers after {steps:,} steps"
-    if keeper is None:
+    if writer is None:
         return what
-    again = f"python train.py --resume {_run_argument(keeper.run)} --ppo.max-learning-rate 1e-3"
-    return f"{what}; {_last(keeper)}; go on from there with smaller changes, such as {again}"
+    again = f"python train.py --resume {_run_argument(writer.run)} --ppo.max-learning-rate 1e-3"
+    return f"{what}; {_last(writer)}; go on from there with smaller changes, such as {again}"
 
 
-def _last(keeper: "Keeper") -> str:
-    if keeper.saved is None:
-        return f"{keeper.run.path} has no checkpoint yet"
-    return f"the last good checkpoint is {keeper.run.checkpoint(keeper.saved)}"
+def _last(writer: "RunWriter") -> str:
+    if writer.saved is None:
+        return f"{writer.run.path} has no checkpoint yet"
+    return f"the last good checkpoint is {writer.run.checkpoint(writer.saved)}"
 
 
 def _run_argument(run: Run) -> str:

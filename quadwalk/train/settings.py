@@ -32,7 +32,7 @@ class RobotConfig:
 class PPOConfig:
     """The learner: proximal policy optimisation (Schulman et al. 2017, arXiv:1707.06347)."""
 
-    judges: int = 64  # environments beside the others that act without noise: how good it is
+    eval_envs: int = 64  # evaluation environments beside the others, without action noise
     unroll: int = 12  # control steps of each environment in an iteration
     minibatches: int = 4  # the iteration's data is cut into so many
     epochs: int = 2  # passes over the data
@@ -54,7 +54,7 @@ class PPOConfig:
     activation: str = "swish"
 
     def __post_init__(self) -> None:
-        for name in ("judges", "unroll", "minibatches", "epochs"):
+        for name in ("eval_envs", "unroll", "minibatches", "epochs"):
             if getattr(self, name) < 1:
                 raise UsageError(f"ppo.{name} is {getattr(self, name)}; expected 1 or more")
         if not 0.0 <= self.discount < 1.0:

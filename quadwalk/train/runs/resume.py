@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from quadwalk.train.ppo import TrainState
 
 # The saved state has the shape of these, or was drawn from them once and for all.
-_FIXED = ("seed", "envs", "ppo.judges", "ppo.hidden", "ppo.activation")
+_FIXED = ("seed", "envs", "ppo.eval_envs", "ppo.hidden", "ppo.activation")
 # How a run is driven, not what it computes.
 _FREE = (
     *("name", "runs", "resume", "minutes", "checkpoint_steps", "quiet"),

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 KEPT_CHECKPOINTS = 3
 
 
-class Keeper:
+class RunWriter:
     """Writes a run's files while it trains; a context manager.
 
     What the disk refuses is said, once, through `warn`. Training goes on, what was there stays as
@@ -38,7 +38,7 @@ class Keeper:
         if run.best.exists():
             self._attempt("best", self._read_best)
 
-    def __enter__(self) -> "Keeper":
+    def __enter__(self) -> "RunWriter":
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -48,15 +48,15 @@ class Keeper:
         """Log an iteration."""
         self._attempt("metrics", lambda: self._log.append(metrics, timing))
 
-    def suspect(self, suspect: Any, steps: int) -> None:
+    def nan_step(self, nan_step: Any, steps: int) -> None:
         """Keep a step that gave no number, if the iteration had one."""
-        if not suspect.found > 0:
+        if not nan_step.found > 0:
             return
         training = self._training
 
         def keep() -> None:
             path = nan.keep(
-                self.run, suspect.before, suspect.action, training.model, training.config, steps
+                self.run, nan_step.before, nan_step.action, training.model, training.config, steps
             )
             if path is not None and not self._told:
                 self._warn(f"a step gave no finite numbers: its episode ended, and {path} keeps it")
