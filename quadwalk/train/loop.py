@@ -16,8 +16,7 @@ from quadwalk.train.stopping import stop_on_signal
 
 if TYPE_CHECKING:
     from quadwalk.train.runs.writer import RunWriter
-
-CURVE_SECONDS = 30.0  # the learning curve is drawn anew this often
+    from quadwalk.train.setup import Training
 
 
 def train(
@@ -33,8 +32,7 @@ def train(
     finite: nothing is saved then, and what was saved before stays. Of several processes, all but
     the first return None.
     """
-    started = time.monotonic()
-    limit = math.inf if config.minutes is None else started + 60.0 * config.minutes
+    limit = math.inf if config.minutes is None else time.monotonic() + 60.0 * config.minutes
     stream = None if config.distributed.process == 0 else io.StringIO()
     with (
         Progress(config.steps, quiet=config.quiet, stream=stream, ends=limit) as progress,
@@ -42,7 +40,6 @@ def train(
         contextlib.ExitStack() as stack,
     ):
         progress.phase("loading")
-        from quadwalk.train import distributed
         from quadwalk.train.setup import prepare
 
         training = prepare(config, progress)
@@ -52,50 +49,60 @@ def train(
         if training.run is not None and training.claim is not None:
             stack.enter_context(training.claim)
             writer = stack.enter_context(RunWriter(training, training.run, progress.message))
-        state, steps, seconds = training.state, training.steps, training.seconds
-        tried = steps  # when it was last tried to save
-
-        def save() -> bool:
-            progress.phase("saving")
-            whole = distributed.gathered(state)
-            return writer.save(whole, steps, seconds) if writer else True
-
-        progress.phase("training")
-        began = time.monotonic() - seconds
-        drawn = time.monotonic()
-        while steps < config.steps:
-            if distributed.any_process(stop.is_set() or time.monotonic() >= limit):
-                break
-            state, numbers = training.iterate(state)
-            steps += training.batch
-            row = training.metrics.row(steps, numbers)
-            seconds = time.monotonic() - began
-            progress.update(steps, row, seconds)
-            if writer:
-                writer.row(row, {"time/elapsed": seconds, "time/steps_per_second": steps / seconds})
-                writer.nan_step(numbers["nan_step"], steps)
-            if watch:
-                watch(row)
-            if not numbers["learner/finite"]:
-                if writer:
-                    writer.draw()
-                raise UserError(_lost(writer, steps))
-            if steps - tried >= config.checkpoint_steps and steps < config.steps:
-                save()
-                tried = steps
-                progress.phase("training")
-            if writer and time.monotonic() - drawn > CURVE_SECONDS:
-                writer.draw()
-                drawn = time.monotonic()
-        well = save()
-        if writer:
-            writer.draw()
+        steps, well = _iterate(
+            training, writer, progress, lambda: stop.is_set() or time.monotonic() >= limit, watch
+        )
     if writer is None:
         return None
     _tell(progress, writer, config, steps, well)
     if not well:
         raise UserError(f"not everything could be saved: {writer.trouble}; {_last(writer)}")
     return writer.run
+
+
+def _iterate(
+    training: "Training",
+    writer: "RunWriter | None",
+    progress: Progress,
+    over: Callable[[], bool],
+    watch: Callable[[dict[str, float]], object] | None,
+) -> tuple[int, bool]:
+    """Iterate until the steps are done or it is `over`; the steps, and whether all is saved."""
+    from quadwalk.train import distributed
+
+    config, state = training.config, training.state
+    steps, seconds = training.steps, training.seconds
+    tried = steps  # when it was last tried to save
+
+    def save() -> bool:
+        progress.phase("saving")
+        whole = distributed.gathered(state)
+        return writer.save(whole, steps, seconds) if writer else True
+
+    progress.phase("training")
+    began = time.monotonic() - seconds
+    while steps < config.steps and not distributed.any_process(over()):
+        state, numbers = training.iterate(state)
+        steps += training.batch
+        row = training.metrics.row(steps, numbers)
+        seconds = time.monotonic() - began
+        progress.update(steps, row)
+        if writer:
+            writer.iteration(row, numbers["nan_step"], seconds)
+        if watch:
+            watch(row)
+        if not numbers["learner/finite"]:
+            if writer:
+                writer.draw()
+            raise UserError(_lost(writer, steps))
+        if steps - tried >= config.checkpoint_steps and steps < config.steps:
+            save()
+            tried = steps
+            progress.phase("training")
+    well = save()
+    if writer:
+        writer.draw()
+    return steps, well
 
 
 def _tell(

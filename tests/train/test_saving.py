@@ -121,7 +121,7 @@ def test_the_end_says_which_policy_is_the_best(tmp_path, flags, train, capsys):
     train(*flags(tmp_path, "a", 12, "--checkpoint-steps=256"))
     steps, score = load_score(tmp_path / "a" / "best.npz")
     rows = [json.loads(line) for line in (tmp_path / "a" / "metrics.jsonl").open()]
-    scores = {row["steps"]: np.mean([r["train/speed"] for r in rows[: k + 1]])
+    scores = {row["steps"]: np.mean([r["eval/speed"] for r in rows[: k + 1]])
               for k, row in enumerate(rows)}  # fmt: skip
     saved = {steps: scores[steps] for steps in (256, 512, 768)}
     assert saved[steps] == max(saved.values())
