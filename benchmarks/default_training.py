@@ -22,7 +22,7 @@ class DefaultTraining:
 
     def __init__(self, envs: int, config: PPOConfig | None = None, seed: int = 0) -> None:
         config = config or PPOConfig()
-        self.devices = device_count(envs, config.minibatches, config.judges, cpu_cores())
+        self.devices = device_count(envs, config.minibatches, config.eval_envs, cpu_cores())
         set_up_devices(self.devices)
         from quadwalk.robot.quadruped import load_quadruped
         from quadwalk.task.env import QuadrupedEnv

@@ -47,7 +47,7 @@ def measure(run: Run) -> dict[str, Any]:
     ]
     typical = rollouts[typical_episode(figures)]
     return {
-        "training_speed": _rounded(read_metrics(run)[-1]["train/speed"]),
+        "training_speed": _rounded(read_metrics(run)[-1]["eval/speed"]),
         "falls": sum(gait.fell for gait in gaits),
         "gaits": dict(Counter(gait.gait for gait in gaits)),
         "figures": {name: _mean([each[name] for each in figures]) for name in figures[0]},

@@ -29,18 +29,18 @@ def cpu_cores() -> int:
 
 
 def device_count(
-    envs: int, minibatches: int, judges: int, most: int | None = None, processes: int = 1
+    envs: int, minibatches: int, eval_envs: int, most: int | None = None, processes: int = 1
 ) -> int:
     """The most devices, up to `most` (by default, one per core of each process), to share evenly.
 
-    Each gets the same number of environments for every minibatch, and of judges; each process
-    has the same number of devices.
+    Each gets the same number of environments for every minibatch, and of evaluation environments;
+    each process has the same number of devices.
     """
     most = processes * cpu_cores() if most is None else most
     return max(
         count
         for count in range(processes, max(most, processes) + 1, processes)
-        if count == processes or (envs % (count * minibatches) == 0 and judges % count == 0)
+        if count == processes or (envs % (count * minibatches) == 0 and eval_envs % count == 0)
     )
 
 
@@ -77,10 +77,10 @@ def choose_devices(config: TrainConfig) -> tuple[TrainConfig, list["jax.Device"]
 
 
 def _check_split(envs: int, devices: int, config: TrainConfig) -> None:
-    judges, minibatches = config.ppo.eval_envs, config.ppo.minibatches
-    if judges % devices:
+    eval_envs, minibatches = config.ppo.eval_envs, config.ppo.minibatches
+    if eval_envs % devices:
         raise UsageError(
-            f"--ppo.eval_envs is {judges}; expected a multiple of {devices}, the devices"
+            f"--ppo.eval-envs is {eval_envs}; expected a multiple of {devices}, the devices"
         )
     share = devices * minibatches
     if envs % share:
@@ -93,7 +93,7 @@ def _check_split(envs: int, devices: int, config: TrainConfig) -> None:
 def set_up_devices(count: int | None = None) -> int:
     """Make JAX offer `count` CPU devices, by default one per core; return how many there are.
 
-    MJX on one XLA device leaves most of a second core idle. To be called before JAX computes
+    A program on one XLA device leaves much of a second core idle. To be called before JAX computes
     anything: after that its devices stay what they are.
     What is compiled is kept in the user's cache folder: the second start takes seconds.
     """

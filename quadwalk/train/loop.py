@@ -15,9 +15,8 @@ from quadwalk.train.settings import TrainConfig
 from quadwalk.train.stopping import stop_on_signal
 
 if TYPE_CHECKING:
-    from quadwalk.train.runs.writer import Keeper
-
-CURVE_SECONDS = 30.0  # the learning curve is drawn anew this often
+    from quadwalk.train.runs.writer import RunWriter
+    from quadwalk.train.setup import Training
 
 
 def train(
@@ -36,8 +35,7 @@ def train(
     finite: nothing is saved then, and what was saved before stays. Of several processes, all but
     the first return None.
     """
-    started = time.monotonic()
-    limit = math.inf if config.minutes is None else started + 60.0 * config.minutes
+    limit = math.inf if config.minutes is None else time.monotonic() + 60.0 * config.minutes
     stream = None if config.distributed.process == 0 else io.StringIO()
     with (
         Progress(config.steps, quiet=config.quiet, stream=stream, ends=limit) as progress,
@@ -45,93 +43,102 @@ def train(
         contextlib.ExitStack() as stack,
     ):
         progress.phase("loading")
-        from quadwalk.train import distributed
         from quadwalk.train.setup import prepare
 
         training = prepare(config, previous, progress)
-        from quadwalk.train.runs.writer import Keeper
+        from quadwalk.train.runs.writer import RunWriter
 
-        keeper = None
+        writer = None
         if training.run is not None and training.claim is not None:
             stack.enter_context(training.claim)
-            keeper = stack.enter_context(Keeper(training, training.run, progress.message))
-        state, steps, seconds = training.state, training.steps, training.seconds
-        tried = steps  # when it was last tried to save
-
-        def save() -> bool:
-            progress.phase("saving")
-            whole = distributed.gathered(state)
-            return keeper.save(whole, steps, seconds) if keeper else True
-
-        progress.phase("training")
-        began = time.monotonic() - seconds
-        drawn = time.monotonic()
-        while steps < config.steps:
-            if distributed.any_process(stop.is_set() or time.monotonic() >= limit):
-                break
-            state, numbers = training.iterate(state)
-            steps += training.batch
-            row = training.metrics.row(steps, numbers)
-            seconds = time.monotonic() - began
-            progress.update(steps, row, seconds)
-            if keeper:
-                keeper.row(row, {"time/elapsed": seconds, "time/steps_per_second": steps / seconds})
-                keeper.suspect(numbers["suspect"], steps)
-            if watch:
-                watch(row)
-            if not numbers["learner/finite"]:
-                if keeper:
-                    keeper.draw()
-                raise UserError(_lost(keeper, steps))
-            if steps - tried >= config.checkpoint_steps and steps < config.steps:
-                save()
-                tried = steps
-                progress.phase("training")
-            if keeper and time.monotonic() - drawn > CURVE_SECONDS:
-                keeper.draw()
-                drawn = time.monotonic()
-        well = save()
-        if keeper:
-            keeper.draw()
-    if keeper is None:
+            writer = stack.enter_context(RunWriter(training, training.run, progress.message))
+        steps, well = _iterate(
+            training, writer, progress, lambda: stop.is_set() or time.monotonic() >= limit, watch
+        )
+    if writer is None:
         return None
-    _tell(progress, keeper, config, steps, well)
+    _tell(progress, writer, config, steps, well)
     if not well:
-        raise UserError(f"not everything could be saved: {keeper.trouble}; {_last(keeper)}")
-    return keeper.run
+        raise UserError(f"not everything could be saved: {writer.trouble}; {_last(writer)}")
+    return writer.run
+
+
+def _iterate(
+    training: "Training",
+    writer: "RunWriter | None",
+    progress: Progress,
+    over: Callable[[], bool],
+    watch: Callable[[dict[str, float]], object] | None,
+) -> tuple[int, bool]:
+    """Iterate until the steps are done or it is `over`; the steps, and whether all is saved."""
+    from quadwalk.train import distributed
+
+    config, state = training.config, training.state
+    steps, seconds = training.steps, training.seconds
+    tried = steps  # when it was last tried to save
+
+    def save() -> bool:
+        progress.phase("saving")
+        whole = distributed.gathered(state)
+        return writer.save(whole, steps, seconds) if writer else True
+
+    progress.phase("training")
+    began = time.monotonic() - seconds
+    while steps < config.steps and not distributed.any_process(over()):
+        state, numbers = training.iterate(state)
+        steps += training.batch
+        row = training.metrics.row(steps, numbers)
+        seconds = time.monotonic() - began
+        progress.update(steps, row)
+        if writer:
+            writer.iteration(row, numbers["nan_step"], seconds)
+        if watch:
+            watch(row)
+        if not numbers["learner/finite"]:
+            if writer:
+                writer.draw()
+            raise UserError(_lost(writer, steps))
+        if steps - tried >= config.checkpoint_steps and steps < config.steps:
+            save()
+            tried = steps
+            progress.phase("training")
+    well = save()
+    if writer:
+        writer.draw()
+    return steps, well
 
 
 def _tell(
-    progress: Progress, keeper: "Keeper", config: TrainConfig, steps: int, well: bool
+    progress: Progress, writer: "RunWriter", config: TrainConfig, steps: int, well: bool
 ) -> None:
     """Where everything is, and what can be done with it; `well` if all of it was saved."""
-    run = keeper.run
+    run = writer.run
     if steps < config.steps:
         saved = "; the policy is saved" if well else ""
         progress.end(f"stopped after {steps:,} of {config.steps:,} steps{saved}")
         progress.end(f"go on with      python train.py --resume {_run_argument(run)}")
     progress.end(f"policy          {run.policy}")
-    if keeper.best is not None:
-        which = "the same" if keeper.best[0] == steps else f"after {keeper.best[0]:,} steps"
+    if writer.best is not None:
+        which = "the same" if writer.best[0] == steps else f"after {writer.best[0]:,} steps"
         progress.end(f"best policy     {run.best} ({which})")
     if run.learning_curve.exists():
         progress.end(f"learning curve  {run.learning_curve}")
     progress.end(f"evaluate with   python eval.py {_run_argument(run)}")
 
 
-def _lost(keeper: "Keeper | None", steps: int) -> str:
+def _lost(writer: "RunWriter | None", steps: int) -> str:
     """What to say when the learner's weights are not finite."""
     what = f"the networks' weights are no longer finite numbers after {steps:,} steps"
-    if keeper is None:
+    if writer is None:
         return what
-    again = f"python train.py --resume {_run_argument(keeper.run)} --ppo.max-learning-rate 1e-3"
-    return f"{what}; {_last(keeper)}; go on from there with smaller changes, such as {again}"
+    again = f"python train.py --resume {_run_argument(writer.run)} --ppo.max-learning-rate 1e-3"
+    return f"{what}; {_last(writer)}; go on from there with smaller changes, such as {again}"
 
 
-def _last(keeper: "Keeper") -> str:
-    if keeper.saved is None:
-        return f"{keeper.run.path} has no checkpoint yet"
-    return f"the last good checkpoint is {keeper.run.checkpoint(keeper.saved)}"
+def _last(writer: "RunWriter") -> str:
+    if writer.saved is None:
+        return f"{writer.run.path} has no checkpoint yet"
+    return f"the last good checkpoint is {writer.run.checkpoint(writer.saved)}"
 
 
 def _run_argument(run: Run) -> str:

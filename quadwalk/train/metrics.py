@@ -8,57 +8,57 @@ from typing import Any
 from quadwalk.task.terms import Reward
 
 EPISODES = 32  # the share of falls is over about this many of the last episodes
-SCORED = 20  # iterations of the judges' speed that tell how good a policy is
+SCORED = 20  # iterations of "eval/speed" that tell how good a policy is
 
 
 class TrainingMetrics:
     """Makes one row of metrics from what each iteration returns.
 
-    train/speed, train/fall_rate: of the judges, which act without noise: how good the policy is.
-    noisy/speed, noisy/fall_rate: of the environments learnt from. train/reward and
-    train/reward/NAME: of those too, per step and scaled, so that the terms add up to the reward.
-    train/nan: episodes that a state that was not finite has ended so far.
+    train/speed, train/fall_rate, train/reward, train/reward/NAME: of the environments learnt from;
+    rewards are per step and scaled, so that the terms add up to the reward. train/nan: episodes
+    that a state with NaN has ended so far. eval/speed, eval/fall_rate: of the evaluation
+    environments, where the policy acts without noise. Speeds in m/s, falls as a share of episodes.
     """
 
     def __init__(self, rewards: Mapping[str, Reward]) -> None:
         self._rewards = rewards
-        self._judged = FallRate(EPISODES)
-        self._noisy = FallRate(EPISODES)
+        self._train_falls = FallRate(EPISODES)
+        self._eval_falls = FallRate(EPISODES)
         self._speeds: collections.deque[float] = collections.deque(maxlen=SCORED)
         self._nan = 0.0
 
     def state(self) -> dict[str, Any]:
         """What a resumed training needs to go on counting, as JSON data."""
         return {
-            "judged": self._judged.counts,
-            "noisy": self._noisy.counts,
+            "train_falls": self._train_falls.counts,
+            "eval_falls": self._eval_falls.counts,
             "speeds": list(self._speeds),
             "nan": self._nan,
         }
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Go on from where `state` was taken."""
-        self._judged = FallRate(EPISODES, state["judged"])
-        self._noisy = FallRate(EPISODES, state["noisy"])
-        self._speeds.extend(state.get("speeds", ()))
+        self._train_falls = FallRate(EPISODES, state["train_falls"])
+        self._eval_falls = FallRate(EPISODES, state["eval_falls"])
+        self._speeds.extend(state["speeds"])
         self._nan = state["nan"]
 
     @property
     def score(self) -> float:
-        """How good the policy is of late: the judges' speed, m/s, times the share not falling.
+        """How good the policy is of late: the evaluation speed, m/s, times the share not falling.
 
-        Speed is the mean over the last `SCORED` iterations, in which 64 judges together run for
-        some minutes; falls are those of "train/fall_rate", none before an episode has ended.
+        Speed is the mean over the last `SCORED` iterations, in which 64 evaluation environments
+        together run for some minutes; no falls are counted before an episode has ended.
         """
         speed = sum(self._speeds) / len(self._speeds) if self._speeds else 0.0
-        falls = self._judged.share
+        falls = self._eval_falls.share
         return speed * (1.0 - (0.0 if math.isnan(falls) else falls))
 
     def row(self, steps: int, numbers: Mapping[str, Any]) -> dict[str, float]:
-        """The row after `steps` control steps."""
-        values = {name: float(value) for name, value in numbers.items() if name != "suspect"}
+        """The row after `steps` control steps, from what `quadwalk.train.ppo` gives."""
+        values = {name: float(value) for name, value in numbers.items() if name != "nan_step"}
         self._nan += values["count/nan"]
-        self._speeds.append(values["judge/speed"])
+        self._speeds.append(values["eval/speed"])
         terms = {
             f"train/{name}": self._rewards[name.partition("/")[2]].scale * value
             for name, value in values.items()
@@ -71,14 +71,14 @@ class TrainingMetrics:
         }
         return {
             "steps": steps,
-            "train/speed": values["judge/speed"],
-            "train/fall_rate": self._judged.add(
-                values["judge/count/fell"], values["judge/count/ended"]
-            ),
+            "train/speed": values["speed"],
+            "train/fall_rate": self._train_falls.add(values["count/fell"], values["count/ended"]),
             "train/reward": values["reward"],
             "train/nan": self._nan,
-            "noisy/speed": values["speed"],
-            "noisy/fall_rate": self._noisy.add(values["count/fell"], values["count/ended"]),
+            "eval/speed": values["eval/speed"],
+            "eval/fall_rate": self._eval_falls.add(
+                values["eval/count/fell"], values["eval/count/ended"]
+            ),
             **terms,
             **learning,
         }

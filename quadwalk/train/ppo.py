@@ -53,7 +53,7 @@ class TrainState(NamedTuple):
     workers: Workers
 
 
-class Suspect(NamedTuple):
+class NanStep(NamedTuple):
     """The first step of an iteration after which numbers were not finite, for replay."""
 
     found: jax.Array  # () float32, more than 0 if there was one; else the rest means nothing
@@ -87,7 +87,7 @@ def reset_envs(env: Env, keys: jax.Array) -> State:
 def init_state(
     env: Env, networks: PPONetworks, config: PPOConfig, mesh: Mesh, num_envs: int, seed: int
 ) -> TrainState:
-    """The state before the first iteration; `num_envs` learn from, and the judges beside them."""
+    """The state before the first iteration; `num_envs` to learn from, and to evaluate."""
     key_policy, key_value, key_envs, key_workers = jax.random.split(jax.random.PRNGKey(seed), 4)
     params = losses.PPONetworkParams(
         policy=networks.policy_network.init(key_policy),
@@ -132,93 +132,123 @@ def placed_like(saved: TrainState, state: TrainState) -> TrainState:
 def collect(
     env: Env, networks: PPONetworks, config: PPOConfig, learner: Learner, workers: Workers
 ) -> tuple[Workers, Transition, Metrics]:
-    """Step every environment `unroll` times, with sampled actions or, the judges, with the mean.
+    """Step every environment `unroll` times; the last of them, for evaluation, without noise.
 
-    Returns the transitions (envs, unroll, ...) of those that sample, and metrics: means per step,
-    and counts of episodes; the judges' are named "judge/...", "suspect" is a `Suspect`. A finished
-    episode is followed by a fresh one. A step that meets the time limit is not a failure: what the
-    value network expects after it is added to its reward, and the step then ends the episode,
-    which equals bootstrapping through the limit.
+    Returns the transitions (envs, unroll, ...) of those learnt from, and metrics: means per step,
+    and counts of episodes; those of the evaluation environments are named "eval/...", "nan_step"
+    is a `NanStep`. A finished episode is followed by a fresh one. A step that meets the time limit
+    is not a failure: what the value network expects after it is added to its reward, and the step
+    then ends the episode, which equals bootstrapping through the limit.
     """
-    policy_params, value_params = learner.params.policy, learner.params.value
-    distribution = networks.parametric_action_distribution
-    judges = config.eval_envs // jax.lax.axis_size(AXIS)
-    learners = len(workers.envs.done) - judges
-    judging = jnp.arange(learners + judges)[:, None] >= learners
+    envs = len(workers.envs.done)
+    learnt_from = envs - config.eval_envs // jax.lax.axis_size(AXIS)
+    noiseless = jnp.arange(envs)[:, None] >= learnt_from
     key, key_steps, key_reset = jax.random.split(workers.key[0], 3)
     # As many fresh starts as there are environments, dealt out anew in each step.
-    fresh = reset_envs(env, jax.random.split(key_reset, learners + judges))
+    fresh = reset_envs(env, jax.random.split(key_reset, envs))
 
     def one_step(
-        carry: tuple[State, Suspect], xs: tuple[jax.Array, jax.Array]
-    ) -> tuple[tuple[State, Suspect], tuple[Transition, jax.Array, Metrics]]:
-        envs, suspect = carry
+        carry: tuple[State, NanStep], xs: tuple[jax.Array, jax.Array]
+    ) -> tuple[tuple[State, NanStep], tuple[Transition, jax.Array, Metrics]]:
+        before, nan_step = carry
         key, number = xs
-        logits = networks.policy_network.apply(learner.normalizer, policy_params, envs.obs)
-        raw_action = distribution.sample_no_postprocessing(logits, key)
-        action = jnp.where(judging, distribution.mode(logits), distribution.postprocess(raw_action))
-        after = jax.vmap(env.step)(envs, action)
-        suspect = _first(suspect, after.metrics["nan"], envs.pipeline_state, action)
+        action, policy_extras = _act(networks, learner, before.obs, noiseless, key)
+        after = jax.vmap(env.step)(before, action)
+        nan_step = _first(nan_step, after.metrics["nan"], before.pipeline_state, action)
         transition = Transition(
-            observation=envs.obs,
+            observation=before.obs,
             action=action,
             reward=config.reward_scale * after.reward,
             discount=1.0 - after.done,
             next_observation=None,
             extras={
                 "state_extras": {"truncation": after.info["truncation"]},
-                "policy_extras": {
-                    "log_prob": distribution.log_prob(logits, raw_action),
-                    "raw_action": raw_action,
-                    "distribution_params": logits,
-                },
+                "policy_extras": policy_extras,
             },
         )
-        metrics = {
-            "reward": jnp.mean(after.reward[:learners]),
-            **{name: jnp.mean(value[:learners]) for name, value in after.metrics.items()},
-            "judge/speed": jnp.mean(after.metrics["speed"][learners:]),
-            "count/ended": jnp.sum(after.done[:learners]),
-            "count/fell": jnp.sum(after.metrics["fell"][:learners]),
-            "count/nan": jnp.sum(after.metrics["nan"]),
-            "judge/count/ended": jnp.sum(after.done[learners:]),
-            "judge/count/fell": jnp.sum(after.metrics["fell"][learners:]),
-        }
-        transition = jax.tree.map(lambda x: x[:learners], transition)
-        # Only after a fall at a random step: those that fell together must not end together.
+        transition, seen = jax.tree.map(lambda x: x[:learnt_from], (transition, after.obs))
         start = jax.tree.map(lambda x: jnp.roll(x, number, axis=0), fresh)
-        late = start.pipeline_state.steps * after.metrics["fell"].astype(jnp.int32)
-        start = start.replace(pipeline_state=start.pipeline_state._replace(steps=late))
-        envs = _replace_where(after.done, after, start)
-        return (envs, suspect), (transition, after.obs[:learners], metrics)
+        return (
+            (_start_anew(after, start), nan_step),
+            (transition, seen, _step_metrics(after, learnt_from)),
+        )
 
-    nobody = jax.tree.map(lambda x: jnp.zeros_like(x[0]), workers.envs.pipeline_state)
-    suspect = Suspect(jnp.zeros(()), nobody, jnp.zeros(env.action_size))
-    (envs, suspect), (transitions, seen, metrics) = jax.lax.scan(
+    nowhere = jax.tree.map(lambda x: jnp.zeros_like(x[0]), workers.envs.pipeline_state)
+    nan_step = NanStep(jnp.zeros(()), nowhere, jnp.zeros(env.action_size))
+    (after, nan_step), (transitions, seen, metrics) = jax.lax.scan(
         one_step,
-        (workers.envs, suspect),
+        (workers.envs, nan_step),
         (jax.random.split(key_steps, config.unroll), jnp.arange(config.unroll)),
     )
-    suspects = jax.lax.all_gather(suspect, AXIS)
 
     def value(observation: jax.Array) -> jax.Array:
-        return networks.value_network.apply(learner.normalizer, value_params, observation)
+        return networks.value_network.apply(learner.normalizer, learner.params.value, observation)
 
     most = math.ceil(config.unroll / env.config.episode_steps)
     transitions = _through_time_limits(config, transitions, seen, value, most)
     transitions = jax.tree.map(lambda x: jnp.swapaxes(x, 0, 1), transitions)
     # The loss needs an observation after the last step only, to bootstrap from.
-    transitions = transitions._replace(next_observation=envs.obs[:learners, None])
+    transitions = transitions._replace(next_observation=after.obs[:learnt_from, None])
+    return Workers(after, key[None]), transitions, _over_devices(metrics, nan_step)
+
+
+def _act(
+    networks: PPONetworks,
+    learner: Learner,
+    observation: jax.Array,
+    noiseless: jax.Array,
+    key: jax.Array,
+) -> tuple[jax.Array, dict[str, jax.Array]]:
+    """Actions (n, 12), sampled or, where `noiseless` (n, 1), the mode; and what the loss needs."""
+    distribution = networks.parametric_action_distribution
+    logits = networks.policy_network.apply(learner.normalizer, learner.params.policy, observation)
+    raw_action = distribution.sample_no_postprocessing(logits, key)
+    action = jnp.where(noiseless, distribution.mode(logits), distribution.postprocess(raw_action))
+    return action, {
+        "log_prob": distribution.log_prob(logits, raw_action),
+        "raw_action": raw_action,
+        "distribution_params": logits,
+    }
+
+
+def _step_metrics(after: State, learnt_from: int) -> Metrics:
+    """A step's means and counts, of the environments learnt from and of those that evaluate."""
+    return {
+        "reward": jnp.mean(after.reward[:learnt_from]),
+        **{name: jnp.mean(value[:learnt_from]) for name, value in after.metrics.items()},
+        "eval/speed": jnp.mean(after.metrics["speed"][learnt_from:]),
+        "count/ended": jnp.sum(after.done[:learnt_from]),
+        "count/fell": jnp.sum(after.metrics["fell"][:learnt_from]),
+        "count/nan": jnp.sum(after.metrics["nan"]),
+        "eval/count/ended": jnp.sum(after.done[learnt_from:]),
+        "eval/count/fell": jnp.sum(after.metrics["fell"][learnt_from:]),
+    }
+
+
+def _over_devices(metrics: Metrics, nan_step: NanStep) -> Metrics:
+    """The `metrics` of every step and device as one; the first `NanStep` found is among them."""
+    nan_steps = jax.lax.all_gather(nan_step, AXIS)
     counts = {name: jnp.sum(value) for name, value in metrics.items() if "count/" in name}
     means = {name: jnp.mean(value) for name, value in metrics.items() if name not in counts}
-    return (
-        Workers(envs, key[None]),
-        transitions,
-        {
-            **jax.lax.psum(counts, AXIS),
-            **jax.lax.pmean(means, AXIS),
-            "suspect": jax.tree.map(lambda x: x[jnp.argmax(suspects.found > 0)], suspects),
-        },
+    return {
+        **jax.lax.psum(counts, AXIS),
+        **jax.lax.pmean(means, AXIS),
+        "nan_step": jax.tree.map(lambda x: x[jnp.argmax(nan_steps.found > 0)], nan_steps),
+    }
+
+
+def _start_anew(after: State, start: State) -> State:
+    """`after`, in finished episodes replaced by `start`; the reward and the like stay."""
+    # Only after a fall at a random step: those that fell together must not end together.
+    late = start.pipeline_state.steps * after.metrics["fell"].astype(jnp.int32)
+    start = start.replace(pipeline_state=start.pipeline_state._replace(steps=late))
+
+    def choose(new: jax.Array, old: jax.Array) -> jax.Array:
+        return jnp.where(after.done.reshape(-1, *[1] * (new.ndim - 1)) > 0, new, old)
+
+    return after.replace(
+        pipeline_state=jax.tree.map(choose, start.pipeline_state, after.pipeline_state),
+        obs=choose(start.obs, after.obs),
     )
 
 
@@ -246,23 +276,11 @@ def _through_time_limits(
     return transitions._replace(reward=reward, extras=extras)
 
 
-def _first(known: Suspect, nan: jax.Array, before: Any, action: jax.Array) -> Suspect:
+def _first(known: NanStep, nan: jax.Array, before: Any, action: jax.Array) -> NanStep:
     """`known` if it was found, else the first environment of a step whose `nan` (n,) is set."""
     index = jnp.argmax(nan)
-    new = Suspect(nan[index], *jax.tree.map(lambda x: x[index], (before, action)))
+    new = NanStep(nan[index], *jax.tree.map(lambda x: x[index], (before, action)))
     return jax.tree.map(lambda old, new: jnp.where(known.found > 0, old, new), known, new)
-
-
-def _replace_where(done: jax.Array, state: State, fresh: State) -> State:
-    """`fresh` where `done`, in all that the next step reads; reward and the like stay."""
-
-    def choose(new: jax.Array, old: jax.Array) -> jax.Array:
-        return jnp.where(done.reshape(-1, *[1] * (new.ndim - 1)) > 0, new, old)
-
-    return state.replace(
-        pipeline_state=jax.tree.map(choose, fresh.pipeline_state, state.pipeline_state),
-        obs=choose(fresh.obs, state.obs),
-    )
 
 
 def settled(start: float, end: float, progress: jax.Array) -> jax.Array:
@@ -283,42 +301,14 @@ def learn(
     The first call measures the observations and no more: a policy that had learnt on raw ones
     would change beyond recognition when they are normalised.
     """
-    optimizer = make_optimizer(config)
     progress = learner.iterations / iterations
     desired_kl = settled(config.desired_kl, config.final_kl, progress)
     entropy = settled(config.entropy, config.final_entropy, progress)
 
-    def loss(params: losses.PPONetworkParams, batch: Transition, key: jax.Array) -> Any:
-        return losses.compute_ppo_loss(
-            params,
-            learner.normalizer,
-            batch,
-            key,
-            networks,
-            entropy_cost=entropy,
-            discounting=config.discount,
-            gae_lambda=config.gae_lambda,
-            clipping_epsilon=config.clip,
-            vf_coefficient=config.value,
-        )
+    def update(carry: Any, xs: tuple[Transition, jax.Array]) -> Any:
+        return _update(networks, config, learner.normalizer, desired_kl, entropy, carry, *xs)
 
-    def update(carry: tuple[Any, Any], xs: tuple[Transition, jax.Array]) -> Any:
-        params, state = carry
-        batch, key = xs
-        (_, metrics), grads = jax.value_and_grad(loss, has_aux=True)(params, batch, key)
-        grads = jax.lax.pmean(grads, AXIS)
-        metrics = jax.lax.pmean(metrics, AXIS)
-        state, rate = adaptive_kl_learning_rate(
-            state,
-            metrics["kl_mean"],
-            desired_kl,
-            config.min_learning_rate,
-            config.max_learning_rate,
-        )
-        updates, state = optimizer.update(grads, state, params)
-        return (optax.apply_updates(params, updates), state), {**metrics, "learning_rate": rate}
-
-    def epoch(carry: tuple[Any, Any], key: jax.Array) -> Any:
+    def epoch(carry: Any, key: jax.Array) -> Any:
         key_order, key_loss = jax.random.split(key)
         order = jax.random.permutation(key_order, data.reward.shape[0])
         batches = jax.tree.map(
@@ -327,15 +317,10 @@ def learn(
         keys = jax.random.split(key_loss, config.minibatches)
         return jax.lax.scan(update, carry, (batches, keys))
 
-    (params, state), metrics = jax.lax.scan(
-        epoch, (learner.params, learner.optimizer), jax.random.split(key, config.epochs)
-    )
+    before = learner.params, learner.optimizer
+    after, metrics = jax.lax.scan(epoch, before, jax.random.split(key, config.epochs))
     first = learner.iterations == 0
-    params, state = jax.tree.map(
-        lambda old, new: jnp.where(first, old, new),
-        (learner.params, learner.optimizer),
-        (params, state),
-    )
+    params, state = jax.tree.map(lambda old, new: jnp.where(first, old, new), before, after)
     # After learning: the divergence from the collecting policy is then a matter of weights alone.
     normalizer = running_statistics.update(
         learner.normalizer, data.observation, pmap_axis_name=AXIS
@@ -347,6 +332,43 @@ def learn(
         "policy/std": metrics["policy_dist_mean_std"][-1, -1],
         "learning_rate": metrics["learning_rate"][-1, -1],
     }
+
+
+def _update(
+    networks: PPONetworks,
+    config: PPOConfig,
+    normalizer: running_statistics.RunningStatisticsState,
+    desired_kl: jax.Array,
+    entropy: jax.Array,
+    carry: tuple[losses.PPONetworkParams, optax.OptState],
+    batch: Transition,
+    key: jax.Array,
+) -> tuple[tuple[losses.PPONetworkParams, optax.OptState], Metrics]:
+    """One gradient step on `batch`; `carry` is parameters and optimizer state."""
+    params, state = carry
+
+    def loss(params: losses.PPONetworkParams) -> Any:
+        return losses.compute_ppo_loss(
+            params,
+            normalizer,
+            batch,
+            key,
+            networks,
+            entropy_cost=entropy,
+            discounting=config.discount,
+            gae_lambda=config.gae_lambda,
+            clipping_epsilon=config.clip,
+            vf_coefficient=config.value,
+        )
+
+    (_, metrics), grads = jax.value_and_grad(loss, has_aux=True)(params)
+    grads = jax.lax.pmean(grads, AXIS)
+    metrics = jax.lax.pmean(metrics, AXIS)
+    state, rate = adaptive_kl_learning_rate(
+        state, metrics["kl_mean"], desired_kl, config.min_learning_rate, config.max_learning_rate
+    )
+    updates, state = make_optimizer(config).update(grads, state, params)
+    return (optax.apply_updates(params, updates), state), {**metrics, "learning_rate": rate}
 
 
 def make_iteration(

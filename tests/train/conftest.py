@@ -39,7 +39,7 @@ def flags() -> Callable[..., list[str]]:
     """Flags of a tiny training in folder `runs`, of so many iterations."""
 
     def make(runs: Path, name: str | None, iterations: int, *more: str) -> list[str]:
-        tiny = "--envs=16 --ppo.judges=2 --ppo.unroll=4 --ppo.epochs=1 --ppo.minibatches=2"
+        tiny = "--envs=16 --ppo.eval-envs=2 --ppo.unroll=4 --ppo.epochs=1 --ppo.minibatches=2"
         given = f"--devices=2 --ppo.hidden=8 --steps={BATCH * iterations} --runs={runs} {tiny}"
         return [*given.split(), *([f"--name={name}"] if name else []), *more]
 

@@ -27,7 +27,7 @@ from quadwalk.train.settings import PPOConfig
 
 ENVS = 32
 SETTINGS = {
-    "judges": 2,
+    "eval_envs": 2,
     "unroll": 10,
     "hidden": (16, 16),
     "discount": 0.9,
@@ -293,7 +293,7 @@ def test_learning_curves_agree_over_three_seeds():
     An iteration is an episode long, so that it matters little that Brax's episodes are in phase.
     """
     config = PPOConfig(
-        judges=2, unroll=25, minibatches=4, hidden=(32, 32), discount=0.95, reward_scale=1.0,
+        eval_envs=2, unroll=25, minibatches=4, hidden=(32, 32), discount=0.95, reward_scale=1.0,
         learning_rate=1e-3, min_learning_rate=1e-3, max_learning_rate=1e-3,
     )  # fmt: skip
     ours, brax = learning_curves(

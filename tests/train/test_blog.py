@@ -18,7 +18,7 @@ ITERATIONS, ENVS = 4, 8
 
 def test_it_learns_from_numbers_that_are_finite():
     preset = PRESETS["blog"]
-    config = replace(preset.ppo, judges=2, unroll=8, minibatches=2, hidden=(16,))
+    config = replace(preset.ppo, eval_envs=2, unroll=8, minibatches=2, hidden=(16,))
     env = QuadrupedEnv(load_quadruped(), preset.env)
     networks, mesh = make_networks(config, env.observation_size, env.action_size), ppo.make_mesh()
     state = ppo.init_state(env, networks, config, mesh, ENVS, seed=0)

@@ -22,12 +22,12 @@ def numbers(**changes):
         "reward/forward": 2.0,
         "reward/yaw": 0.5,
         "speed": 1.0,
-        "judge/speed": 3.0,
+        "eval/speed": 3.0,
         "count/ended": 8,
         "count/fell": 6,
         "count/nan": 1,
-        "judge/count/ended": 4,
-        "judge/count/fell": 1,
+        "eval/count/ended": 4,
+        "eval/count/fell": 1,
         "loss/kl": 0.01,
     }
     return found | changes
@@ -49,16 +49,16 @@ def test_the_score_is_the_judges_speed_less_their_falls():
     metrics = TrainingMetrics(RewardConfig())
     assert metrics.score == 0.0
     for speed in (9.0, *[3.0] * 10, *[5.0] * 10):  # the last twenty count
-        none = {"judge/count/ended": 0, "judge/count/fell": 0}
-        metrics.row(0, numbers(**{"judge/speed": speed, **none}))
+        none = {"eval/count/ended": 0, "eval/count/fell": 0}
+        metrics.row(0, numbers(**{"eval/speed": speed, **none}))
     assert metrics.score == pytest.approx(4.0)
-    metrics.row(0, numbers(**{"judge/speed": 3.0}))
+    metrics.row(0, numbers(**{"eval/speed": 3.0}))
     assert metrics.score == pytest.approx(4.0 * 0.75)
 
 
 def test_counting_goes_on_from_a_saved_state():
     whole, first, second = (TrainingMetrics(RewardConfig()) for _ in range(3))
-    rows = [numbers(**{"judge/count/fell": k % 3, "count/nan": k}) for k in range(40)]
+    rows = [numbers(**{"eval/count/fell": k % 3, "count/nan": k}) for k in range(40)]
     expected = [whole.row(k, row) for k, row in enumerate(rows)]
     for k, row in enumerate(rows[:25]):
         first.row(k, row)

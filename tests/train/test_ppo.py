@@ -15,7 +15,7 @@ from quadwalk.train.networks import make_networks, mean_policy
 from quadwalk.train.settings import PPOConfig
 
 CONFIG = PPOConfig(
-    judges=4, unroll=6, minibatches=2, epochs=2, hidden=(16,), discount=0.9, reward_scale=0.5
+    eval_envs=4, unroll=6, minibatches=2, epochs=2, hidden=(16,), discount=0.9, reward_scale=0.5
 )
 ENVS = 8
 GOAL = 0.5
@@ -109,7 +109,7 @@ def test_only_the_sampling_environments_are_learnt_from(collected):
     _, workers, data, _ = collected
     assert data.reward.shape == (ENVS, CONFIG.unroll)
     assert data.observation.shape == (ENVS, CONFIG.unroll, 2)
-    assert len(workers.envs.done) == ENVS + CONFIG.judges
+    assert len(workers.envs.done) == ENVS + CONFIG.eval_envs
 
 
 def test_an_episode_runs_its_course_and_a_fresh_one_follows(collected):
@@ -154,9 +154,9 @@ def test_the_time_limit_is_bootstrapped_through_and_a_fall_is_not(collected, net
 def test_judges_act_without_noise(collected, networks):
     learner, _, data, metrics = collected
     mean = mean_policy(networks, learner.normalizer, learner.params.policy)
-    # The judges' origins differ, but an untrained policy on few inputs is nearly flat.
+    # The eval_envs' origins differ, but an untrained policy on few inputs is nearly flat.
     typical = float(np.mean(mean(data.observation)[..., 0]))
-    assert metrics["judge/speed"] == pytest.approx(typical, abs=0.2)
+    assert metrics["eval/speed"] == pytest.approx(typical, abs=0.2)
     noise = data.action - np.asarray(mean(data.observation))
     assert noise.std() == pytest.approx(CONFIG.noise, rel=0.35)
 
@@ -166,7 +166,7 @@ def test_the_metrics_count_every_episode(collected):
     ended = data.discount == 0.0
     assert metrics["count/ended"] == ended.sum()
     assert metrics["count/fell"] == (ended & (data.observation[..., 1] <= 0)).sum()
-    assert metrics["judge/count/ended"] >= CONFIG.judges  # 6 steps of episodes of 4
+    assert metrics["eval/count/ended"] >= CONFIG.eval_envs  # 6 steps of episodes of 4
     expected = (1.0 - np.square(data.action - GOAL).sum(-1)).mean()
     assert metrics["reward"] == pytest.approx(expected, rel=1e-5)
 
@@ -179,15 +179,15 @@ def test_the_first_step_that_gave_no_number_is_kept(networks, gather, poisoned):
     origin = count.origin.at[np.array(poisoned, int)].set(2.0)
     envs = envs.replace(pipeline_state=count._replace(origin=origin))
     _, data, metrics = jax.device_get(gather(state.learner, state.workers._replace(envs=envs)))
-    suspect = metrics["suspect"]
+    nan_step = metrics["nan_step"]
     assert metrics["count/nan"] == len(poisoned)
-    assert (suspect.found > 0) == bool(poisoned)
+    assert (nan_step.found > 0) == bool(poisoned)
     if poisoned:
-        # Each device has six environments, of which the last two are judges.
+        # Each device has six environments, of which the last two are eval_envs.
         first = poisoned[0]
-        assert suspect.before.origin == 2.0
-        assert suspect.before.steps == count.steps[first]
-        np.testing.assert_array_equal(suspect.action, data.action[first - 2 * (first // 6), 0])
+        assert nan_step.before.origin == 2.0
+        assert nan_step.before.steps == count.steps[first]
+        np.testing.assert_array_equal(nan_step.action, data.action[first - 2 * (first // 6), 0])
 
 
 def test_a_learner_that_is_no_longer_finite_is_told(networks, iterate):

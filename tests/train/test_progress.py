@@ -12,16 +12,14 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from rich.console import Console
 
 from quadwalk.train.progress import display as module
-from quadwalk.train.progress import text, view
+from quadwalk.train.progress import text
 from quadwalk.train.progress.display import Progress
-from quadwalk.train.progress.state import State
 
 FIGURES = {
-    "train/speed": 2.5,
-    "train/fall_rate": 0.031,
+    "eval/speed": 2.5,
+    "eval/fall_rate": 0.031,
     "train/reward": 12.0,
     "train/reward/forward": 8.0,
     "train/reward/energy": -0.5,
@@ -42,12 +40,22 @@ def _a_capable_terminal(monkeypatch):
     monkeypatch.delenv("NO_COLOR", raising=False)
 
 
-def train(stream, quiet=False, updates=3, **figures):
+@pytest.fixture
+def clock(monkeypatch):
+    """A list whose one element is the time, in s."""
+    now = [100.0]
+    monkeypatch.setattr(time, "monotonic", lambda: now[0])
+    return now
+
+
+def train(stream, quiet=False, clock=None, **figures):
     with Progress(3000, quiet=quiet, stream=stream) as progress:
         progress.phase("compiling", 30)
         progress.phase("training")
-        for index in range(1, updates + 1):
-            progress.update(1000 * index, FIGURES | figures, 2.0 * index)
+        for steps in (1000, 2000, 3000):
+            progress.update(steps, FIGURES | figures)
+            if clock:
+                clock[0] += 2.0
         progress.message("something [odd] happened")
         progress.phase("saving")
     progress.end("see runs/a")
@@ -58,26 +66,28 @@ def visible(output):
     return re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", output)
 
 
-def test_plain_lines_are_ascii_and_say_everything():
-    lines = train(io.StringIO()).splitlines()
-    assert lines[0] == "[ 0:00] compiling (about 30 s)"
-    assert lines[1] == "[ 0:00] training"
-    assert "33 %  1.0k/3.0k steps  500 steps/s  0:04 left" in lines[2]
-    assert "reward 12.0  speed 2.50 m/s  falls 3.1 %" in lines[2]
-    assert "100 %" in lines[3]  # the second came too soon, the last is always shown
-    assert lines[4] == "[ 0:00] something [odd] happened"
-    assert lines[-1] == "see runs/a"
+def test_plain_lines_are_ascii_and_say_everything(clock):
+    lines = train(io.StringIO(), clock=clock).splitlines()
+    assert lines[:2] == ["[ 0:00] compiling (about 30 s)", "[ 0:00] training"]
+    figures = "reward 12.0  speed 2.50 m/s  falls 3.1 %"
+    # The pace is not known yet, the second comes too soon, and the last is always shown.
+    assert lines[2] == f"[ 0:00]  33 %  1.0k/3.0k steps  - steps/s  - left  {figures}"
+    assert lines[3] == f"[ 0:04] 100 %  3.0k/3.0k steps  500 steps/s  0:00 left  {figures}"
+    assert lines[4:] == ["[ 0:06] something [odd] happened", "[ 0:06] saving", "see runs/a"]
     assert "\n".join(lines).isascii()
 
 
-def test_plain_lines_show_an_evaluation_when_it_comes():
+def test_plain_lines_of_figures_come_every_few_seconds(clock):
     stream = io.StringIO()
-    with Progress(10_000, stream=stream) as progress:
-        progress.update(1000, FIGURES, 1.0)
-        progress.update(2000, FIGURES | {"eval/speed": 3.05, "eval/fall_rate": 0.0}, 2.0)
-        progress.update(3000, FIGURES, 3.0)
-    assert len(stream.getvalue().splitlines()) == 2
-    assert "tested 3.05 m/s, 0.0 % falls" in stream.getvalue()
+    with Progress(10**9, stream=stream) as progress:
+        for step in range(20):
+            progress.phase("training")
+            progress.update(step, FIGURES)
+            progress.phase("saving")
+            clock[0] += 1.0
+    lines = [line for line in stream.getvalue().splitlines() if " left " in line]
+    assert [line[:7] for line in lines] == ["[ 0:00]", "[ 0:05]", "[ 0:10]", "[ 0:15]"]
+    assert stream.getvalue().count("training") == 1
 
 
 def test_a_long_phase_gives_a_sign_of_life(monkeypatch):
@@ -96,7 +106,7 @@ def test_quiet_is_quiet_until_the_end():
 
 def test_the_live_view_shows_everything():
     output = visible(train(Terminal()))
-    for part in ("compiling (about 30 s)", "✓ compiling", "training", "100 %", "3.0k of 3.0k"):
+    for part in ("compiling (about 30 s)", "✓ compiling", "training", "100%", "3.0k/3.0k"):
         assert part in output
     for part in ("2.50 m/s", "3.1 % of episodes", "12.0", "forward", "8.00 ■■■■■■■■", "-0.50 ■ "):
         assert part in output
@@ -143,37 +153,61 @@ def test_nan_states_are_shown_when_there_are_any():
 def test_missing_figures_are_no_error():
     for stream in (io.StringIO(), Terminal()):
         with Progress(0, stream=stream) as progress:
-            progress.update(0, {}, 0.0)
-            progress.update(5, {}, 0.0)
+            progress.update(0, {})
+            progress.update(5, {})
         assert "nan" not in stream.getvalue()
 
 
-@pytest.mark.parametrize("width", [1, 10, 24, 40, 80, 200])
-def test_no_line_is_wider_than_the_terminal(width):
-    state = State(10_000_000, 0)
-    state.begin("training", None)
+@pytest.mark.parametrize("width", [2, 10, 24, 40, 80, 200])
+def test_no_line_is_wider_than_the_terminal(monkeypatch, width):
+    monkeypatch.setenv("COLUMNS", str(width))
+    stream = Terminal()
     many = {f"train/reward/a_rather_long_name_{index}": -index for index in range(9)}
-    state.update(
-        5_000_000, {**FIGURES, **many, "train/nan": 5, "eval/speed": 1.0, "eval/fall_rate": 0.5}, 60
-    )
+    with Progress(10_000_000, stream=stream) as progress:
+        progress.phase("compiling the training step", 25)
+        progress.phase("training")
+        for steps in range(0, 9_000_000, 1_000_000):
+            progress.update(steps, {**FIGURES, **many, "train/nan": 5})
+    lines = re.split(r"[\r\n]+", visible(stream.getvalue()))
+    assert len(lines) > 20
+    assert max(map(len, lines)) <= width
+
+
+def last_figures(stream):
+    """Percentage, rate and time left of the last plain line of figures."""
+    line = [line for line in stream.getvalue().splitlines() if " left " in line][-1]
+    found = re.search(r"(\d+) %.* (\S+) steps/s  (\S+) left", line)
+    return found.groups()
+
+
+def test_rate_and_time_left_are_recent_and_from_the_start_of_this_process(clock):
     stream = io.StringIO()
-    console = Console(file=stream, width=width)
-    for part in (view.figures(state, width), view.terms(state.terms(), width)):
-        console.print(part)
-    if width >= 24:
-        console.print(view.bar(state, width))
-    assert max(len(line) for line in stream.getvalue().splitlines()) <= width
+    with Progress(100_000, stream=stream) as progress:
+        progress.phase("training")
+        for seconds, steps in ((10, 51_000), (10, 52_000), (10, 53_000)):  # 50,000 were there
+            clock[0] += seconds
+            progress.update(steps, {})
+        assert last_figures(stream) == ("53", "100", "7:50")
+        for _ in range(40):
+            clock[0] += 1
+            progress.update(steps := steps + 1000, {})
+    assert last_figures(stream) == ("93", "1.0k", "0:07")
 
 
-def test_rate_and_time_left_are_recent_and_from_the_start_of_this_process():
-    state = State(100_000, 50_000)
-    assert math.isnan(state.rate)
-    state.update(51_000, {}, 10.0)
-    assert state.rate == pytest.approx(100)
-    for index in range(1, 21):
-        state.update(51_000 + 1000 * index, {}, 10.0 + index)
-    assert state.rate == pytest.approx(1000)
-    assert state.seconds_left == pytest.approx(29.0)
+def test_the_bar_and_the_time_left_follow_whichever_ends_first(clock):
+    stream = io.StringIO()
+    with Progress(100_000, stream=stream, ends=clock[0] + 60) as progress:
+        progress.phase("training")
+        for seconds, steps in ((0, 20_000), (5, 40_000), (5, 60_000)):  # 4000 a second: 10 s more
+            clock[0] += seconds
+            progress.update(steps, {})
+        assert last_figures(stream) == ("60", "4.0k", "0:10")
+        for _ in range(40):  # 400 a second: 100,000 would take 60 s more, and there are 10
+            clock[0] += 1
+            progress.update(steps := steps + 400, {})
+    percentage, rate, left = last_figures(stream)
+    assert (rate, left) == ("400", "0:10")
+    assert int(percentage) == pytest.approx(100 * 76_000 / 80_000, abs=1)
 
 
 class Broken(io.StringIO):
@@ -288,23 +322,3 @@ def test_every_number_has_a_short_text(value):
     for show in (text.number, text.percent, text.quantity):
         assert show(value)
     assert len(text.number(value)) <= 7
-
-
-def test_the_bar_and_the_time_left_follow_whichever_ends_first(monkeypatch):
-    clock = 100.0
-    monkeypatch.setattr(time, "monotonic", lambda: clock)
-    state = State(10_000, 0, ends=160.0)
-    state.begin("loading", None)
-    clock = 110.0
-    assert state.seconds_left == pytest.approx(50.0)  # the steps' rate is not known yet
-    state.begin("training", None)
-    state.update(1000, {}, 5.0)  # 200 steps/s: 45 s more
-    assert state.seconds_left == pytest.approx(45.0)
-    assert state.fraction == pytest.approx(0.1)
-    clock = 130.0
-    state.update(2000, {}, 25.0)  # 80 steps/s: 100 s more, and 30 s to the limit
-    assert state.seconds_left == pytest.approx(30.0)
-    assert state.fraction == pytest.approx(0.5)
-    clock = 170.0
-    assert state.seconds_left == 0.0
-    assert state.fraction == 1.0

@@ -15,7 +15,7 @@ from quadwalk.train.ppo import Learner, TrainState
 from quadwalk.train.runs.directory import Run, create_run, list_checkpoints
 from quadwalk.train.runs.log import read_metrics
 from quadwalk.train.runs.policy import load_policy, load_score
-from quadwalk.train.runs.writer import KEPT_CHECKPOINTS, Keeper
+from quadwalk.train.runs.writer import KEPT_CHECKPOINTS, RunWriter
 from quadwalk.train.settings import PPOConfig, TrainConfig
 
 CONFIG = TrainConfig(ppo=PPOConfig(hidden=(4,)))
@@ -55,13 +55,13 @@ def run(tmp_path):
     return create_run(tmp_path, "a")
 
 
-def save(keeper, training, state, *scores):
+def save(writer, training, state, *scores):
     """A checkpoint for each score, after 10, 20, ... steps more."""
     for score in scores:
         training.metrics.score = score
         training.steps += 10
         # What a checkpoint holds does not matter here, and an empty state is quickly written.
-        assert keeper.save(state, training.steps, 1.0)
+        assert writer.save(state, training.steps, 1.0)
 
 
 @pytest.fixture(autouse=True)
@@ -77,8 +77,8 @@ def _small_checkpoints(monkeypatch):
 
 
 def test_the_best_policy_and_its_checkpoint_outlive_later_ones(run, training, state):
-    with Keeper(training, run, pytest.fail) as keeper:
-        save(keeper, training, state, 1.0, 3.0, 3.0, 2.0, 1.0, 2.5, 0.0)
+    with RunWriter(training, run, pytest.fail) as writer:
+        save(writer, training, state, 1.0, 3.0, 3.0, 2.0, 1.0, 2.5, 0.0)
     assert load_score(run.best) == (20, 3.0)
     assert load_policy(run.best).steps == 20
     assert load_score(run.policy) == (70, 0.0)
@@ -88,14 +88,14 @@ def test_the_best_policy_and_its_checkpoint_outlive_later_ones(run, training, st
 
 
 def test_a_run_that_goes_on_remembers_the_best(run, training, state):
-    with Keeper(training, run, pytest.fail) as keeper:
-        save(keeper, training, state, 1.0, 3.0)
-    with Keeper(training, run, pytest.fail) as keeper:
-        assert keeper.best == (20, 3.0)
-        save(keeper, training, state, 2.0, 2.0, 2.0, 2.0)
+    with RunWriter(training, run, pytest.fail) as writer:
+        save(writer, training, state, 1.0, 3.0)
+    with RunWriter(training, run, pytest.fail) as writer:
+        assert writer.best == (20, 3.0)
+        save(writer, training, state, 2.0, 2.0, 2.0, 2.0)
         assert load_score(run.best) == (20, 3.0)
         assert run.checkpoint(20).exists()
-        save(keeper, training, state, 3.5, 1.0)
+        save(writer, training, state, 3.5, 1.0)
     assert load_score(run.best) == (70, 3.5)
     assert list_checkpoints(run) == [run.checkpoint(steps) for steps in (60, 70, 80)]
 
@@ -103,8 +103,8 @@ def test_a_run_that_goes_on_remembers_the_best(run, training, state):
 def test_a_best_policy_that_is_damaged_is_told_and_replaced(run, training, state):
     run.best.write_bytes(b"half")
     said = []
-    with Keeper(training, run, said.append) as keeper:
-        save(keeper, training, state, 1.0)
+    with RunWriter(training, run, said.append) as writer:
+        save(writer, training, state, 1.0)
     assert "best.npz is damaged" in said[0]
     assert load_score(run.best) == (10, 1.0)
 
@@ -121,7 +121,7 @@ def test_the_end_says_which_policy_is_the_best(tmp_path, flags, train, capsys):
     train(*flags(tmp_path, "a", 12, "--checkpoint-steps=256"))
     steps, score = load_score(tmp_path / "a" / "best.npz")
     rows = [json.loads(line) for line in (tmp_path / "a" / "metrics.jsonl").open()]
-    scores = {row["steps"]: np.mean([r["train/speed"] for r in rows[: k + 1]])
+    scores = {row["steps"]: np.mean([r["eval/speed"] for r in rows[: k + 1]])
               for k, row in enumerate(rows)}  # fmt: skip
     saved = {steps: scores[steps] for steps in (256, 512, 768)}
     assert saved[steps] == max(saved.values())

@@ -164,20 +164,20 @@ def small_disk(tmp_path):
 def test_a_full_disk_ends_no_training(
     whole, tmp_path, small_disk, flags, train, same_result, capsys, monkeypatch, freed
 ):
-    from quadwalk.train.runs.writer import Keeper
+    from quadwalk.train.runs.writer import RunWriter
 
     folder, fill, empty = small_disk
-    append = Keeper.row
+    log = RunWriter.iteration
 
-    def row(self, metrics, timing):
-        steps = metrics["steps"]
+    def iteration(self, row, *more):
+        steps = row["steps"]
         if steps == 64 * 20:
             fill()
         if freed and steps == 64 * freed:
             empty()
-        append(self, metrics, timing)
+        log(self, row, *more)
 
-    monkeypatch.setattr(Keeper, "row", row)
+    monkeypatch.setattr(RunWriter, "iteration", iteration)
     run = folder / "full"
     arguments = flags(folder, "full", ITERATIONS, OFTEN)
     if freed:
@@ -197,7 +197,7 @@ def test_a_full_disk_ends_no_training(
         assert load_policy(run / "policy.npz").steps >= 64 * 18
         assert len(read_metrics(Run(run))) >= 18
         empty()
-        monkeypatch.setattr(Keeper, "row", append)
+        monkeypatch.setattr(RunWriter, "iteration", log)
         train(f"--runs={folder}", "--resume=full")
     warnings = [line for line in said.splitlines() if "No space left on device" in line]
     assert 1 <= len(warnings) <= 8

@@ -20,7 +20,7 @@ ENVS = 16
 def training():
     """An environment, the state before training, and the compiled iteration."""
     preset = PRESETS["walk"]
-    config = dataclasses.replace(preset.ppo, judges=2, unroll=4, minibatches=2, hidden=(16,))
+    config = dataclasses.replace(preset.ppo, eval_envs=2, unroll=4, minibatches=2, hidden=(16,))
     # A command stays for two steps: each environment is told anew in every iteration.
     command = dataclasses.replace(preset.env.command, seconds=2 * preset.env.control_dt)
     env = QuadrupedEnv(load_quadruped(), dataclasses.replace(preset.env, command=command))

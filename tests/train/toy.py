@@ -9,8 +9,9 @@ import sys
 from pathlib import Path
 from typing import Any
 
-# Before JAX is imported, for this module is what a process begins with.
-os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
+# Before JAX is imported, for this module is what a process begins with. Not only by default: JAX
+# says 1 to the processes that one with JAX starts, and XLA then fills what a test reads.
+os.environ["TF_CPP_MIN_LOG_LEVEL"] = "3"
 
 import quadwalk.physics.quiet_mjx  # noqa: I001 - first, for the others would let it print
 import jax

@@ -12,6 +12,7 @@ from quadwalk.train.progress.text import quantity
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 _TERM = "train/reward/"
 _ELAPSED = "time/elapsed"
@@ -24,11 +25,18 @@ Row = Mapping[str, Any]
 
 
 def plot_learning_curve(metrics: Sequence[Row], path: Path | str) -> None:
-    """Draw speed, falls, total reward and every reward term over environment steps, as a PNG.
+    """Write `learning_curve` as a PNG; it appears whole or not at all (`UserError`)."""
+    with atomic_write(path) as file:
+        # matplotlib would sign with its version: the same metrics shall give the same picture.
+        learning_curve(metrics).savefig(file, format="png", metadata={"Software": None})
 
-    Evaluations are marks on the first two. If rows have "time/elapsed" (s), as those of
+
+def learning_curve(metrics: Sequence[Row]) -> "Figure":
+    """Speed and falls of the evaluation environments, total reward and every reward term.
+
+    They are drawn over environment steps. If rows have "time/elapsed" (s), as those of
     `read_history` may, minutes are a second axis. What was never recorded leaves its panel empty,
-    NaN and None leave a gap. The picture appears whole or not at all (`UserError`).
+    NaN and None leave a gap.
     """
     # The object interface: pyplot would keep the figure in a global list and look for a display.
     # Imported here, because it takes time that most callers of this package never need.
@@ -43,19 +51,15 @@ def plot_learning_curve(metrics: Sequence[Row], path: Path | str) -> None:
     _draw_figures(parts[0].subplots(1, 3), rows)
     if terms:
         _draw_terms(parts[1].subplots(small_rows, _COLUMNS).flat, rows, terms)
-    with atomic_write(path) as file:
-        # matplotlib would sign with its version: the same metrics shall give the same picture.
-        figure.savefig(file, format="png", metadata={"Software": None})
+    return figure
 
 
 def _draw_figures(panels: Sequence["Axes"], rows: Sequence[Row]) -> None:
     speed, falls, reward = panels
     _title(speed, "forward speed, m/s")
-    _draw(speed, rows, "train/speed", _BLUE)
-    _draw_evaluations(speed, rows, "eval/speed")
+    _draw(speed, rows, "eval/speed", _BLUE)
     _title(falls, "episodes that fell, %")
-    _draw(falls, rows, "train/fall_rate", _RED, factor=100.0)
-    _draw_evaluations(falls, rows, "eval/fall_rate", factor=100.0)
+    _draw(falls, rows, "eval/fall_rate", _RED, factor=100.0)
     # At least five: a few falls in a thousand should not fill the panel.
     falls.set_ylim(0.0, max(5.0, falls.get_ylim()[1]))
     _title(reward, "reward")
@@ -81,15 +85,6 @@ def _draw(axes: "Axes", rows: Sequence[Row], key: str, color: str, factor: float
     # The mark lets a single point, or one between gaps, be seen.
     mark = "." if sum(map(math.isfinite, values)) < 3 else None
     axes.plot([row["steps"] for row in rows], values, color=color, linewidth=1.6, marker=mark)
-
-
-def _draw_evaluations(axes: "Axes", rows: Sequence[Row], key: str, factor: float = 1.0) -> None:
-    tested = [row for row in rows if math.isfinite(_value(row, key))]
-    if tested:
-        steps = [row["steps"] for row in tested]
-        values = [factor * _value(row, key) for row in tested]
-        axes.plot(steps, values, "o", color="#222222", markersize=4, label="evaluation")
-        axes.legend(frameon=False, fontsize=8, handletextpad=0.2)
 
 
 def _title(axes: "Axes", text: str, size: float = 11) -> None:

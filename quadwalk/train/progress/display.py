@@ -13,21 +13,28 @@ import math
 import sys
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, TextIO, cast
 
-from rich.console import Console, Group, RenderableType
-from rich.live import Live
-from rich.spinner import Spinner
+import rich.progress
+from rich.columns import Columns
+from rich.console import Console, RenderableType
+from rich.progress import (
+    BarColumn,
+    SpinnerColumn,
+    TaskProgressColumn,
+    TextColumn,
+    TimeElapsedColumn,
+)
 from rich.text import Text
 
-from quadwalk.train.progress import view
-from quadwalk.train.progress.state import State
-from quadwalk.train.progress.text import duration, number, percent, quantity, spent
+from quadwalk.train.progress.text import duration, number, percent, quantity, sparkline, spent
 
 _PLAIN_SECONDS = 5.0  # between plain lines of figures
 _HEARTBEAT_SECONDS = 15.0  # between plain lines that only say that a phase goes on
 _FRAMES_PER_SECOND = 4  # enough for a spinner; every frame takes time from the training
+_TERM = "train/reward/"
+_SHARE = 8  # characters of the bar beside a reward term
 
 
 class Progress:
@@ -41,58 +48,185 @@ class Progress:
         self,
         total_steps: int,
         quiet: bool = False,
-        start_steps: int = 0,
         stream: TextIO | None = None,
         ends: float = math.inf,
     ) -> None:
-        """`start_steps` were done before, in a training that this one goes on with.
-
-        It ends when `total_steps` are done or when `time.monotonic()` is `ends`.
-        """
-        output = cast(TextIO, _Forgiving(stream or sys.stdout))
-        state = State(total_steps, start_steps, ends)
-        self._state = state
-        self._view: _Quiet | _Plain | _Screen
-        if quiet:
-            self._view = _Quiet(output)
-        elif _is_screen(output):
-            self._view = _Screen(output, state)
-        else:
-            self._view = _Plain(output, state)
+        """Training ends when `total_steps` are done or when `time.monotonic()` is `ends`."""
+        self._stream = cast(TextIO, _Forgiving(stream or sys.stdout))
+        self._total, self._ends, self._quiet = total_steps, ends, quiet
+        self._started = self._spoke = time.monotonic()
+        self._shown = -math.inf  # when figures were last a plain line
+        self._phase = ""
+        self._trained = False
+        self._screen = not quiet and _is_screen(self._stream)
+        self._view = _View(self._stream, disable=not self._screen)
+        self._over = threading.Event()
+        self._heartbeat = threading.Thread(target=self._beat, daemon=True)
 
     def __enter__(self) -> "Progress":
-        self._view.start()
+        if self._screen:
+            self._view.start()
+        elif not self._quiet:
+            self._heartbeat.start()
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        self._view.stop(stopped=kind is not None)
+        self._over.set()
+        if self._screen:
+            self._view.finish(stopped=kind is not None)
+        elif kind is not None:
+            self.message(f"{self._phase or 'work'} stopped")
+        if self._heartbeat.is_alive():
+            self._heartbeat.join()
 
     def phase(self, text: str, expected_seconds: float | None = None) -> None:
-        """Say what begins now: "loading", "compiling", "training", "evaluating", "saving"."""
-        if text != self._state.phase:
-            self._view.phase_ended()
-            self._state.begin(text, expected_seconds)
-            self._view.phase_began()
+        """Say what begins now: "loading", "compiling", "training", "saving"."""
+        if text == self._phase:
+            return
+        view, training = self._view, text == "training"
+        about = f" (about {expected_seconds:.0f} s)" if expected_seconds else ""
+        if self._trained:  # phases come round again and again now
+            view.update(view.task.id, description=text)
+        else:
+            if self._phase and self._screen:
+                took = (f"  {spent(view.task.elapsed or 0.0)}", "dim")
+                view.print(Text.assemble(("✓ ", "green"), self._phase, took))
+            total = float(self._total) if training else None
+            view.reset(view.task.id, description=text + about, total=total)
+        # Once there are figures, they themselves show that it is training again.
+        if not self._screen and not (training and self._trained):
+            self.message(text + about)
+        self._phase, self._trained = text, self._trained or training
+        view.refresh()
 
-    def update(self, steps: int, metrics: Mapping[str, Any], seconds_training: float) -> None:
+    def update(self, steps: int, metrics: Mapping[str, Any]) -> None:
         """Show the figures after `steps` environment steps in all.
 
-        `seconds_training` is what this process has spent on training so far; it gives the rate.
-
-        Reads "train/speed" (m/s), "train/fall_rate" (0 to 1), "train/reward", "train/reward/NAME",
-        "train/nan" (a count, shown if there is any), "eval/speed" and "eval/fall_rate" (which stay
-        until there are newer ones). What is missing, NaN or infinite is shown as "-".
+        Reads "eval/speed" (m/s), "eval/fall_rate" (0 to 1), "train/reward", "train/reward/NAME"
+        and "train/nan" (a count, shown if there is any). What is missing, NaN or infinite is shown
+        as "-".
         """
-        self._state.update(steps, metrics, seconds_training)
-        self._view.updated()
+        view, task, now = self._view, self._view.task, time.monotonic()
+        view.metrics = {key: _to_float(value) for key, value in metrics.items()}
+        view.speeds.append(view.get("eval/speed"))
+        view.update(task.id, completed=steps)
+        # The bar is full when the steps are done or, if that comes first, when the time is up.
+        in_time = steps + (task.speed or math.inf) * max(0.0, self._ends - now)
+        task.total = min(self._total, in_time)
+        left = math.nan if task.time_remaining is None else task.time_remaining
+        rate = quantity(task.finished_speed or task.speed or math.nan)
+        done = f"{quantity(steps)}/{quantity(self._total)}"
+        view.pace = f"{done} steps  {rate} steps/s  {duration(left)} left"
+        view.refresh()
+        if not self._screen and (steps >= self._total or now - self._shown >= _PLAIN_SECONDS):
+            self._shown = now
+            self.message("  ".join([f"{task.percentage:3.0f} %", view.pace, *self._figures()]))
 
     def message(self, text: str) -> None:
         """A line that stays, above the live view."""
-        self._view.line(text)
+        self._spoke = time.monotonic()
+        if self._screen:
+            self._view.print(Text(text))
+        elif not self._quiet:
+            self.end(f"[{duration(self._spoke - self._started):>5}] {text}")
 
     def end(self, text: str) -> None:
         """The last word, for after the context: shown even when quiet."""
-        self._view.last_word(text)
+        # Plain and unwrapped, so that paths and commands in it can be copied.
+        print(text, file=self._stream, flush=True)
+
+    def _figures(self) -> Iterator[str]:
+        get = self._view.get
+        yield f"reward {number(get('train/reward'))}"
+        yield f"speed {number(get('eval/speed'))} m/s"
+        yield f"falls {percent(get('eval/fall_rate'))}"
+        if get("train/nan") > 0:
+            yield f"NaN states {quantity(get('train/nan'))}"
+
+    def _beat(self) -> None:
+        """Say now and then that a long phase goes on."""
+        while not self._over.wait(min(1.0, _HEARTBEAT_SECONDS)):
+            if self._phase and time.monotonic() - self._spoke >= _HEARTBEAT_SECONDS:
+                self.message(f"{self._phase} goes on, {self._view.task.elapsed:.0f} s so far")
+
+
+class _View(rich.progress.Progress):
+    """The live view: a bar, which also measures the pace, the figures and the reward terms."""
+
+    def __init__(self, stream: TextIO, disable: bool) -> None:
+        self.metrics: dict[str, float] = {}
+        self.speeds: list[float] = []
+        self.pace = ""
+        self._mark = SpinnerColumn()
+        super().__init__(
+            self._mark,
+            TextColumn("[bold]{task.description}"),
+            BarColumn(),
+            TaskProgressColumn(),
+            TimeElapsedColumn(),
+            console=Console(file=stream, highlight=False),
+            refresh_per_second=_FRAMES_PER_SECOND,
+            get_time=time.monotonic,
+            disable=disable,
+        )
+        self.add_task("starting", total=None)
+
+    @property
+    def task(self) -> rich.progress.Task:
+        return self.tasks[0]
+
+    def get(self, key: str) -> float:
+        return self.metrics.get(key, math.nan)
+
+    def finish(self, stopped: bool) -> None:
+        """Leave the last view behind, with a mark in the place of the spinner."""
+        self._mark.finished_text = Text("■", "yellow") if stopped else Text("✓", "green")
+        self.task.finished_time = self.task.elapsed
+        self.update(self.task.id, description="stopped" if stopped else "done")
+        self.stop()
+
+    def get_renderables(self) -> Iterator[RenderableType]:
+        yield self.make_tasks_table(self.tasks)
+        if not self.pace:
+            return
+        room = min(40, self.console.width - 22)
+        course = (sparkline(self.speeds, room), "cyan")
+        yield _line((f"  {self.pace}", "dim"))
+        yield ""
+        yield _figure("speed", number(self.get("eval/speed")), " m/s  ", course)
+        yield _figure("falls", percent(self.get("eval/fall_rate"), unit=False), " % of episodes")
+        yield _figure("reward", number(self.get("train/reward")))
+        if self.get("train/nan") > 0:
+            yield _figure("NaN", quantity(self.get("train/nan")), " states, episodes ended")
+        names = [key for key in self.metrics if key.startswith(_TERM)]
+        if names:
+            yield ""
+            yield _terms({name.removeprefix(_TERM): self.metrics[name] for name in names})
+
+
+def _line(*parts: tuple[str, str] | str) -> Text:
+    """One line, cut off with an ellipsis where the terminal ends."""
+    return Text.assemble(*parts, no_wrap=True, overflow="ellipsis")
+
+
+def _figure(name: str, value: str, unit: str = "", *more: tuple[str, str]) -> Text:
+    return _line((f"{name:<8}", "dim"), (f"{value:>7}", "bold"), (unit, "dim"), *more)
+
+
+def _terms(terms: Mapping[str, float]) -> Columns:
+    """The reward's terms in as many columns as fit, each with a bar of its share."""
+    longest = max(map(len, terms))
+    largest = max((abs(value) for value in terms.values() if math.isfinite(value)), default=0.0)
+
+    def cell(name: str, value: float) -> Text:
+        share = abs(value) / largest if math.isfinite(value) and largest > 0 else 0.0
+        bar = f"{'■' * math.ceil(share * _SHARE):<{_SHARE}}"
+        color = "green" if value > 0 else "red"
+        return _line((f"{name:<{longest}} ", "dim"), f"{number(value):>7} ", (bar, color))
+
+    cells: Sequence[Text] = [cell(name, value) for name, value in terms.items()]
+    # Down, then across: neighbours stay neighbours.
+    return Columns(cells, padding=(0, 3), column_first=True)
 
 
 class _Forgiving(io.TextIOBase):
@@ -124,156 +258,6 @@ class _Forgiving(io.TextIOBase):
         return self._stream.encoding or "ascii"
 
 
-class _Quiet:
-    """Nothing but the last word."""
-
-    def __init__(self, stream: TextIO) -> None:
-        self._stream = stream
-
-    def start(self) -> None: ...
-    def stop(self, stopped: bool) -> None: ...
-    def phase_ended(self) -> None: ...
-    def phase_began(self) -> None: ...
-    def updated(self) -> None: ...
-    def line(self, text: str) -> None: ...
-
-    def last_word(self, text: str) -> None:
-        self._print(text)
-
-    def _print(self, text: str) -> None:
-        print(text, file=self._stream, flush=True)
-
-
-class _Plain(_Quiet):
-    """Lines in ASCII, each with the minutes since the start."""
-
-    def __init__(self, stream: TextIO, state: State) -> None:
-        super().__init__(stream)
-        self._state = state
-        self._printed = -math.inf
-        self._heartbeat = threading.Thread(target=self._beat, daemon=True)
-        self._over = threading.Event()
-
-    def start(self) -> None:
-        self._heartbeat.start()
-
-    def stop(self, stopped: bool) -> None:
-        self._over.set()
-        if self._heartbeat.is_alive():
-            self._heartbeat.join()
-        if stopped:
-            self.line(f"{self._state.phase or 'work'} stopped")
-
-    def phase_began(self) -> None:
-        # Between evaluations the figures themselves show that it is training again.
-        if not (self._state.phase.startswith("training") and self._state.speeds):
-            self.line(self._state.phase_text())
-
-    def updated(self) -> None:
-        now = time.monotonic()
-        done = self._state.steps >= self._state.total_steps
-        if done or self._state.tested or now - self._printed >= _PLAIN_SECONDS:
-            self._printed = now
-            self.line(self._figures())
-
-    def line(self, text: str) -> None:
-        self._print(f"[{duration(time.monotonic() - self._state.started):>5}] {text}")
-
-    def _figures(self) -> str:
-        state = self._state
-        parts = [
-            f"{100 * state.fraction:3.0f} %",
-            f"{quantity(state.steps)}/{quantity(state.total_steps)} steps",
-            f"{quantity(state.rate)} steps/s",
-            f"{duration(state.seconds_left)} left",
-            f"reward {number(state.get('train/reward'))}",
-            f"speed {number(state.get('train/speed'))} m/s",
-            f"falls {percent(state.get('train/fall_rate'))}",
-        ]
-        if state.tested:
-            falls = percent(state.get("eval/fall_rate"))
-            parts.append(f"tested {number(state.get('eval/speed'))} m/s, {falls} falls")
-        if state.get("train/nan") > 0:
-            parts.append(f"NaN states {quantity(state.get('train/nan'))}")
-        return "  ".join(parts)
-
-    def _beat(self) -> None:
-        """Say now and then that a long phase goes on."""
-        said = time.monotonic()
-        while not self._over.wait(1.0):
-            state, now = self._state, time.monotonic()
-            said = max(said, state.phase_started, self._printed)
-            if state.phase and now - said >= _HEARTBEAT_SECONDS:
-                said = now
-                self.line(f"{state.phase} goes on, {state.in_phase:.0f} s so far")
-
-
-class _Screen(_Quiet):
-    """A live view at the bottom of the terminal, finished phases and messages above it."""
-
-    def __init__(self, stream: TextIO, state: State) -> None:
-        super().__init__(stream)
-        self._state = state
-        self._console = Console(file=stream, highlight=False)
-        self._spinner = Spinner("dots", style="cyan")
-        self._over = ""
-        self._live = Live(
-            console=self._console,
-            get_renderable=self._render,
-            refresh_per_second=_FRAMES_PER_SECOND,
-        )
-
-    def start(self) -> None:
-        self._live.start(refresh=True)
-
-    def stop(self, stopped: bool) -> None:
-        self._over = "stopped" if stopped else "done"
-        self._live.stop()
-
-    def phase_ended(self) -> None:
-        state = self._state
-        # Once training, phases come round again and again: only the live view tells of them.
-        if state.phase and not state.trained:
-            tick = Text.assemble(("✓ ", "green"), state.phase)
-            tick.append(f"  {spent(state.in_phase)}", style="dim")
-            self._console.print(tick)
-
-    def phase_began(self) -> None:
-        self._live.refresh()
-
-    def updated(self) -> None:
-        self._live.refresh()
-
-    def line(self, text: str) -> None:
-        self._console.print(Text(text))
-
-    def last_word(self, text: str) -> None:
-        # Plain and unwrapped, so that paths and commands in it can be copied.
-        self._print(text)
-
-    def _render(self) -> RenderableType:
-        state, width = self._state, self._console.width
-        parts: list[RenderableType] = [self._phase_line()]
-        if state.trained:
-            parts += [view.bar(state, width), "", view.figures(state, width)]
-            if state.terms():
-                parts += ["", view.terms(state.terms(), width)]
-        return Group(*parts)
-
-    def _phase_line(self) -> RenderableType:
-        state = self._state
-        if self._over:
-            mark = ("✓ ", "green") if self._over == "done" else ("■ ", "yellow")
-            took = f"  {spent(time.monotonic() - state.started)}"
-            return view.line(mark, (self._over, "bold"), (took, "dim"))
-        text = Text.assemble((state.phase_text() or "starting", "bold"), no_wrap=True)
-        # While training, the time left says more than the time spent.
-        if not state.phase.startswith("training"):
-            text.append(f"  {state.in_phase:.0f} s", style="dim")
-        self._spinner.update(text=text)
-        return self._spinner
-
-
 def _is_screen(stream: TextIO) -> bool:
     """Whether the stream is a terminal that can redraw, and shows more than ASCII."""
     if not stream.isatty() or Console(file=stream).is_dumb_terminal:
@@ -283,3 +267,10 @@ def _is_screen(stream: TextIO) -> bool:
     except (UnicodeError, LookupError):
         return False
     return True
+
+
+def _to_float(value: Any) -> float:
+    try:
+        return float(value)
+    except (TypeError, ValueError):
+        return math.nan

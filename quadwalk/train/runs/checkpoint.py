@@ -67,13 +67,12 @@ def save(path: Path | str, tree: Any, metadata: dict[str, Any]) -> None:
     }
     text = json.dumps(header, indent=1, sort_keys=True)
     with atomic_write(path) as file, zipfile.ZipFile(file, "w", zipfile.ZIP_STORED) as archive:
-        # One member at a time: a checkpoint holds every environment, and memory is scarce.
+        # A bare ZipInfo is dated 1980: the time of writing must not change the bytes.
         archive.writestr(zipfile.ZipInfo(_METADATA), text)
         for name, leaf in leaves.items():
-            buffer = io.BytesIO()
-            np.lib.format.write_array(buffer, leaf, allow_pickle=False)
-            # A bare ZipInfo is dated 1980: the time of writing must not change the bytes.
-            archive.writestr(zipfile.ZipInfo(name + ".npy"), buffer.getbuffer())
+            large = leaf.nbytes > 2**30  # with room to the 2 GiB from which zip needs to know
+            with archive.open(zipfile.ZipInfo(name + ".npy"), "w", force_zip64=large) as member:
+                np.lib.format.write_array(member, leaf, allow_pickle=False)
 
 
 def load(path: Path | str, kind: str, like: Any = None) -> tuple[Any, dict[str, Any]]:

@@ -1,5 +1,6 @@
 """Writing down what a training yields, whatever the disk says."""
 
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,9 +17,10 @@ if TYPE_CHECKING:
     from quadwalk.train.setup import Training
 
 KEPT_CHECKPOINTS = 3
+CURVE_SECONDS = 30.0  # the learning curve is drawn anew this often
 
 
-class Keeper:
+class RunWriter:
     """Writes a run's files while it trains; a context manager.
 
     What the disk refuses is said, once, through `warn`. Training goes on, what was there stays as
@@ -33,41 +35,43 @@ class Keeper:
         self._training = training
         self._warn = warn
         self._refused: dict[str, str] = {}
-        self._told = False  # of steps that gave no finite numbers
+        self._told = False  # of steps with NaN
+        self._drawn = time.monotonic()
         self._log = MetricsLog(run, resume_at=training.steps if training.resumed else None)
         if run.best.exists():
             self._attempt("best", self._read_best)
 
-    def __enter__(self) -> "Keeper":
+    def __enter__(self) -> "RunWriter":
         return self
 
     def __exit__(self, *_: object) -> None:
         self._log.close()
 
-    def row(self, metrics: dict[str, float], timing: dict[str, float]) -> None:
-        """Log an iteration."""
-        self._attempt("metrics", lambda: self._log.append(metrics, timing))
+    def iteration(self, row: dict[str, float], nan_step: Any, seconds: float) -> None:
+        """Log an iteration's `row`, after `seconds` of training; keep its `NanStep`, if any.
 
-    def suspect(self, suspect: Any, steps: int) -> None:
-        """Keep a step that gave no number, if the iteration had one."""
-        if not suspect.found > 0:
-            return
-        training = self._training
+        Now and then the learning curve is drawn.
+        """
+        pace = row["steps"] / seconds
+        timing = {"time/elapsed": seconds, "time/steps_per_second": pace}
+        self._attempt("metrics", lambda: self._log.append(row, timing))
+        if nan_step.found > 0:
+            self._attempt("nan", lambda: self._keep(nan_step, int(row["steps"])))
+        if time.monotonic() - self._drawn > CURVE_SECONDS:
+            self.draw()
 
-        def keep() -> None:
-            path = nan.keep(
-                self.run, suspect.before, suspect.action, training.model, training.config, steps
-            )
-            if path is not None and not self._told:
-                self._warn(f"a step gave no finite numbers: its episode ended, and {path} keeps it")
-                self._told = True
-
-        self._attempt("nan", keep)
+    def _keep(self, nan_step: Any, steps: int) -> None:
+        model, config = self._training.model, self._training.config
+        path = nan.keep(self.run, nan_step.before, nan_step.action, model, config, steps)
+        if path is not None and not self._told:
+            self._warn(f"a step gave NaN: its episode ended, and {path} keeps it")
+            self._told = True
 
     def draw(self) -> None:
         """Draw the learning curve."""
         from quadwalk.train.progress.curves import plot_learning_curve
 
+        self._drawn = time.monotonic()
         history = read_history(self.run)
         self._attempt("curve", lambda: plot_learning_curve(history, self.run.learning_curve))
 
