@@ -1,4 +1,4 @@
-"""The console command `quadwalk`: train, eval and robot, as train.py, eval.py and quadwalk.robot."""
+"""The console command `quadwalk`: what train.py, eval.py and `python -m quadwalk.robot` do."""
 
 import importlib
 import sys

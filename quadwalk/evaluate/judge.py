@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from rich.console import Console
 
 from quadwalk.errors import UsageError, UserError
-from quadwalk.evaluate.options import Engine, EvalConfig
+from quadwalk.evaluate.options import EvalConfig
 from quadwalk.files import os_reason
 from quadwalk.train.runs.directory import Run, find_run, write_json_atomic
 

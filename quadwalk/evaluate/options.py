@@ -68,5 +68,5 @@ class EvalConfig:
         for flag, given in asked.items():
             if given:
                 raise UsageError(
-                    f"{flag} cannot be given with --sweep, which measures in fast or mjx and records none"
+                    f"{flag} cannot be given with --sweep: it is for fast and mjx, and records none"
                 )

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from quadwalk.errors import UserError
-from quadwalk.physics import EngineName
+from quadwalk.physics.engines import EngineName
 from quadwalk.task.env import QuadrupedEnv
 from quadwalk.train.robot import load_run_robot
 from quadwalk.train.runs.directory import Run
@@ -26,7 +26,9 @@ class Subject:
         return dataclasses.replace(self, env=self.env.in_engine(engine))
 
 
-def load_subject(run: Run, seconds: float, which: str = "last", engine: EngineName = "mjx") -> Subject:
+def load_subject(
+    run: Run, seconds: float, which: str = "last", engine: EngineName = "mjx"
+) -> Subject:
     """Load the "last" or "best" policy of `run` for episodes of up to `seconds` in `engine`.
 
     A command, if there are any, stays for a whole episode, so that each has one gait to look at.

@@ -5,7 +5,7 @@ then that along its path. In what is written as JSON, None stands for what canno
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -113,7 +113,9 @@ def path_length(rollout: Rollout) -> float:
     return float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
 
 
-def episode_figures(rollout: Rollout, rewards: Mapping[str, Reward], weight: float) -> dict[str, Any]:
+def episode_figures(
+    rollout: Rollout, rewards: Mapping[str, Reward], weight: float
+) -> dict[str, Any]:
     """Figures of one episode of a robot of so many N, as plain values for JSON.
 
     speed, distance, lateral_drift, duration, energy_per_metre: as in `Course`; heading_error: mean

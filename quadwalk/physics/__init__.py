@@ -1,0 +1,1 @@
+"""Physics of quadrupeds, which knows nothing of tasks; docs/physics.md describes it."""

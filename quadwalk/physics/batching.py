@@ -3,30 +3,55 @@
 Measured on two cores with `benchmarks/physics.py`; see there for what each of these gives.
 """
 
-from collections.abc import Callable
-from typing import Any
+import itertools
+from collections.abc import Callable, Sequence
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 BATCH = 128  # robots side by side: what they hold at a time then stays in a core's cache
 LANES = 8  # floats in a vector register
+
+Tree = TypeVar("Tree")
 
 
 def robots_last(function: Callable[..., Any]) -> Callable[..., Any]:
     """Let `vmap` run a function of one robot that takes arrays (..., robots) at once.
 
-    `function` maps arrays with the robots along the last axis to such arrays. What is returned
-    takes and gives one robot's, without that axis; under `jax.vmap`, batches of them are computed.
+    `function` maps pytrees of arrays with the robots along the last axis to such pytrees. What is
+    returned takes and gives one robot's, without that axis; under `jax.vmap`, batches of them are
+    computed.
+
+    Leaves of the arguments that are no JAX arrays but NumPy's or numbers are the same for all
+    robots. They get a last axis of length 1 and are constants of the compiled program, which folds
+    them: zeros vanish from it.
     """
 
+    def of_any(*arguments: Any) -> Any:
+        places = [isinstance(leaf, jax.Array) for leaf in jax.tree.leaves(arguments)]
+        varying, assemble = _split(arguments, places)
+        return _batched(lambda *arrays: function(*assemble(arrays, column)))(*varying)
+
+    return of_any
+
+
+def column(constant: Any) -> Any:
+    """A constant array with a last axis of length 1, for the robots; a number as it is."""
+    return np.asarray(constant)[..., None] if np.ndim(constant) else constant
+
+
+def _batched(function: Callable[..., Any]) -> Callable[..., Any]:
+    """`function` of arrays (..., robots) as one of a single robot's, to be vmapped."""
+
     @jax.custom_batching.custom_vmap
-    def of_one(*arguments: Any) -> Any:
-        several = jax.tree.map(lambda x: jnp.asarray(x)[..., None], arguments)
+    def of_one(*arguments: jax.Array) -> Any:
+        several = [x[..., None] for x in arguments]
         return jax.tree.map(lambda x: x[..., 0], function(*several))
 
     @of_one.def_vmap
-    def of_many(size: int, batched: Any, *arguments: Any) -> Any:
+    def of_many(size: int, batched: Any, *arguments: jax.Array) -> Any:
         # An accelerator is to be filled at once.
         number = -(-size // BATCH) if jax.default_backend() == "cpu" else 1
         length = size if number == 1 else -(-size // (number * LANES)) * LANES
@@ -48,7 +73,41 @@ def robots_last(function: Callable[..., Any]) -> Callable[..., Any]:
     return of_one
 
 
-def stage(running: Any, function: Callable[..., Any], *arguments: Any) -> Any:
+def stack_models(
+    models: Sequence[Tree],
+) -> tuple[list[np.ndarray], Callable[[Sequence[Any]], Tree]]:
+    """What differs between models of one structure, any engine's; and how to make one of it.
+
+    Returns the leaves that differ, with the models along axis 0, and a function that takes one
+    robot's of these, as within `jax.vmap`, and returns its model: all other leaves are the first's.
+    """
+    # On the host: MJX ties its arrays to one device, and the robots may be on several.
+    rows = [
+        list(map(np.asarray, leaves)) for leaves in zip(*map(jax.tree.leaves, models), strict=True)
+    ]
+    differ = [not all(np.array_equal(row[0], leaf) for leaf in row) for row in rows]
+    _, assemble = _split(models[0], differ)
+    return [np.stack(row) for row in itertools.compress(rows, differ)], assemble
+
+
+def _split(tree: Tree, places: Sequence[bool]) -> tuple[list[Any], Callable[..., Tree]]:
+    """The leaves of a pytree at `places`, and the function that puts it together again.
+
+    That takes these leaves, or others in their place, and optionally a function for the rest.
+    """
+    leaves, structure = jax.tree.flatten(tree)
+
+    def assemble(given: Sequence[Any], change: Callable[[Any], Any] = lambda leaf: leaf) -> Tree:
+        rest = iter(given)
+        pairs = zip(places, leaves, strict=True)
+        return jax.tree.unflatten(
+            structure, [next(rest) if place else change(leaf) for place, leaf in pairs]
+        )
+
+    return list(itertools.compress(leaves, places)), assemble
+
+
+def materialize(running: Any, function: Callable[..., Any], *arguments: Any) -> Any:
     """function(*arguments), computed once and kept in memory.
 
     XLA fuses arithmetic by repeating what several results share, here a fivefold of it. It does

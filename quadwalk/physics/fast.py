@@ -1,20 +1,19 @@
-"""Physics steps as training takes them: MuJoCo's equations, laid out for many quadrupeds.
+"""The fast engine: MuJoCo's equations laid out for many quadrupeds at once.
 
-The equations, the solver's problem and the integrator are those of `physics`, which lets MJX step
-the same model; tests hold each against the other and against MuJoCo C.
+The equations, the solver's problem and the integrator are MuJoCo's; tests hold it against MuJoCo C
+and MJX. docs/physics.md tells the whole.
 """
-
-import dataclasses
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 
+from quadwalk.physics import motor
 from quadwalk.physics import vectors as v
-from quadwalk.physics.batching import robots_last, stage
-from quadwalk.physics.contact import centres, find_constraints, newton
-from quadwalk.physics.mjx_engine import Effort, Physics, control_step
-from quadwalk.physics.model import Legged
+from quadwalk.physics.batching import materialize, robots_last
+from quadwalk.physics.contact import centres, find_constraints
+from quadwalk.physics.model import Model
+from quadwalk.physics.model import make_model as make_model
+from quadwalk.physics.motor import Effort, Physics, Stepping
 from quadwalk.physics.rigid_body import (
     LINKS,
     Motion,
@@ -25,62 +24,59 @@ from quadwalk.physics.rigid_body import (
     pose_of,
     rotation_of,
 )
-from quadwalk.physics.robot_arrays import RobotArrays
+from quadwalk.physics.solver import newton
 from quadwalk.physics.vectors import Vector
 
 
-def simulate(
-    legged: Legged, robot: RobotArrays, config: Any, physics: Physics, target: jax.Array
+def control_step(
+    model: Model, stepping: Stepping, physics: Physics, target: jax.Array
 ) -> tuple[Physics, Effort]:
-    """One control step; `target` (12,) rad. To be vmapped over robots."""
-    columns = dataclasses.replace(
-        robot,
-        effort=robot.effort[:, None],
-        velocity=robot.velocity[:, None],
-        friction=robot.friction[:, None],
-    )
-    iterations = config.solver_iterations, config.line_search_iterations
+    """One control step; `target` (12,) or (substeps, 12), rad. To be vmapped over robots."""
+    # Not constants, even where a caller has no JAX arrays.
+    physics, target = jax.tree.map(jnp.asarray, (physics, target))
 
-    def advance(state: Physics, torque: jax.Array, friction: jax.Array) -> Physics:
-        found = acceleration(legged, state, torque + friction, *iterations)
-        return integrate(state, found, config.physics_dt)
+    def of_many(model: Model, physics: Physics, target: jax.Array) -> tuple[Physics, Effort]:
+        def advance(state: Physics, torque: jax.Array) -> Physics:
+            found = acceleration(model, state, torque, stepping.iterations, stepping.line_search)
+            return integrate(state, found, stepping.dt)
 
-    def of_many(physics: Physics, target: jax.Array) -> tuple[Physics, Effort]:
-        return control_step(columns, config, physics, target, advance)
+        return motor.control_step(model.motor, stepping, physics, target, advance)
 
-    return robots_last(of_many)(physics, target)
+    return robots_last(of_many)(model, physics, target)
 
 
 def acceleration(
-    legged: Legged, state: Physics, torque: jax.Array, iterations: int, line_search: int
+    model: Model, state: Physics, torque: jax.Array, iterations: int, line_search: int
 ) -> jax.Array:
-    """MuJoCo's qacc (18, robots) with joint torques (12, robots), arrays with robots last."""
+    """MuJoCo's qacc (18, robots) with joint torques (12, robots); see `robots_last`."""
     qpos, qvel, warmstart = state
     # Always so: states beyond are not let into the next control step.
     running = ~(qpos[2, 0] > 1e30)
-    rotation = stage(running, lambda quat: rotation_of(tuple(quat)), qpos[3:7])
+    rotation = materialize(running, lambda quat: rotation_of(tuple(quat)), qpos[3:7])
     angles = _by_link(qpos[7:])
-    pose = stage(running, lambda r, a: pose_of(legged.links, r, a), rotation, angles)
-    bodies = stage(running, lambda p: place_bodies(legged.trunk, legged.links, p), pose)
+    pose = materialize(running, lambda r, a: pose_of(model.links, r, a), rotation, angles)
+    bodies = materialize(running, lambda p: place_bodies(model.trunk, model.links, p), pose)
     velocity = _motion(pose, qvel)
-    mass = stage(running, lambda p, b: mass_matrix(legged.trunk, legged.links, p, b), pose, bodies)
-    bias = stage(
+    mass = materialize(
+        running, lambda p, b: mass_matrix(model.trunk, model.links, p, b), pose, bodies
+    )
+    bias = materialize(
         running,
-        lambda p, b, u: bias_force(legged.trunk, legged.links, p, b, u, legged.gravity),
+        lambda p, b, u: bias_force(model.trunk, model.links, p, b, u, model.gravity),
         pose,
         bodies,
         velocity,
     )
-    joints = tuple(
+    joints = v.vector(
         t - link.damping * rate - b
         for t, link, rate, b in zip(
-            _by_link(torque), legged.links, velocity.joints, bias.joints, strict=True
+            _by_link(torque), model.links, velocity.joints, bias.joints, strict=True
         )
     )
-    force = Motion(v.scale(-1.0, bias.linear), v.scale(-1.0, bias.angular), joints)  # type: ignore[arg-type]
-    found = stage(
+    force = Motion(v.scale(-1.0, bias.linear), v.scale(-1.0, bias.angular), joints)
+    found = materialize(
         running,
-        lambda *a: find_constraints(legged.contacts, legged.limits, *a),
+        lambda *a: find_constraints(model.contacts, model.limits, *a),
         pose,
         qpos[2],
         angles,
@@ -117,41 +113,41 @@ def integrate(state: Physics, acceleration: jax.Array, dt: float) -> Physics:
     return Physics(qpos, qvel, acceleration)
 
 
-def heights(legged: Legged, qpos: jax.Array) -> tuple[jax.Array, jax.Array]:
+def heights(model: Model, qpos: jax.Array) -> tuple[jax.Array, jax.Array]:
     """How far the feet (4,) and the lowest point of all other shapes () are above the floor, m.
 
-    `qpos` (19,). To be vmapped over robots. Not all shapes touch the floor in training, so this is
+    `qpos` (19,); to be vmapped over robots. Not all shapes touch the floor in training, so this is
     how it knows that one would have.
     """
 
-    def of_many(qpos: jax.Array) -> tuple[jax.Array, jax.Array]:
-        pose = pose_of(legged.links, rotation_of(tuple(qpos[3:7])), _by_link(qpos[7:]))
+    def of_many(model: Model, qpos: jax.Array) -> tuple[jax.Array, jax.Array]:
+        pose = pose_of(model.links, rotation_of(tuple(qpos[3:7])), _by_link(qpos[7:]))
         height = qpos[2]
-        feet = legged.contacts[0]
+        feet = model.contacts[0]
         soles = height + centres(feet, pose)[2] - feet.radius
         lowest = jnp.full_like(height, jnp.inf)
-        for shell in legged.shells:
+        for shell in model.shells:
             if shell.link is None:
-                rotation, origin = pose.trunk, jnp.zeros_like(height)
+                bottom = shell.bottom(pose.trunk[2])
             else:
-                rotation, origin = pose.rotations[shell.link], pose.origins[shell.link][2]
-            bottom = origin + shell.bottom(rotation[2])
+                rotation, origin = pose.rotations[shell.link], pose.origins[shell.link]
+                bottom = origin[2] + shell.bottom(rotation[2])
             lowest = jnp.minimum(lowest, jnp.min(jnp.atleast_2d(bottom), axis=0))
         return soles, height + lowest
 
-    return robots_last(of_many)(qpos)
+    return robots_last(of_many)(model, jnp.asarray(qpos))
 
 
-def soles(legged: Legged, qpos: jax.Array) -> jax.Array:
+def soles(model: Model, qpos: jax.Array) -> jax.Array:
     """The lowest points (4, 3) of the feet in the world, m. `qpos` (19,); to be vmapped."""
 
-    def of_many(qpos: jax.Array) -> jax.Array:
-        pose = pose_of(legged.links, rotation_of(tuple(qpos[3:7])), _by_link(qpos[7:]))
-        feet = legged.contacts[0]
+    def of_many(model: Model, qpos: jax.Array) -> jax.Array:
+        pose = pose_of(model.links, rotation_of(tuple(qpos[3:7])), _by_link(qpos[7:]))
+        feet = model.contacts[0]
         x, y, z = centres(feet, pose)
         return jnp.stack([x, y, z - feet.radius], axis=1) + qpos[:3]
 
-    return robots_last(of_many)(qpos)
+    return robots_last(of_many)(model, jnp.asarray(qpos))
 
 
 def _by_link(joints: jax.Array) -> Vector:
@@ -162,5 +158,5 @@ def _by_link(joints: jax.Array) -> Vector:
 
 def _motion(pose: Pose, values: jax.Array) -> Motion:
     """MuJoCo's velocity or acceleration (18, robots); its angular part is in trunk axes."""
-    angular: Any = tuple(values[3:6])
-    return Motion(tuple(values[:3]), v.apply(pose.trunk, angular), _by_link(values[6:]))  # type: ignore[arg-type]
+    turning = v.apply(pose.trunk, v.vector(values[3:6]))
+    return Motion(v.vector(values[:3]), turning, _by_link(values[6:]))

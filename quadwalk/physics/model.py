@@ -1,28 +1,37 @@
-"""The constants of a quadruped that its dynamics need, read from a MuJoCo model."""
+"""The constants of a quadruped that its equations of motion need, read from a MuJoCo model."""
 
-from typing import Any, NamedTuple
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
 
 from quadwalk.physics import vectors as v
-from quadwalk.physics.contact import Contact, Limits, Softness
+from quadwalk.physics.batching import column
+from quadwalk.physics.contact import Contact, Limits, SolverParams
+from quadwalk.physics.motor import Motor
 from quadwalk.physics.rigid_body import LINKS, Link, Trunk
-from quadwalk.physics.robot_arrays import RobotArrays
-from quadwalk.physics.vectors import Matrix, Vector
+from quadwalk.physics.vectors import Array, Matrix, Vector
+from quadwalk.robot.quadruped import Quadruped
+from quadwalk.robot.scene import CORNERS, KNEES
 
 
-class Shell(NamedTuple):
-    """A collision shape of the trunk, scalars, or of one link of each leg, arrays (4, 1)."""
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Shell:
+    """A collision shape of the trunk, scalars, or of one link of each leg, (4,) over legs."""
 
-    link: int | None  # None: the trunk
-    kind: Any  # mjtGeom
+    link: int | None = field(metadata={"static": True})  # None: the trunk
+    # mjtGeom; of four legs, -1 where one has fewer shapes than another: that has no lowest point.
+    kind: int | tuple[int, ...] = field(metadata={"static": True})
     centre: Vector  # link frame, m
     axes: tuple[Vector, Vector, Vector]  # the shape's x, y and z in the link's frame
     size: Vector  # MuJoCo's
 
-    def bottom(self, up: Vector) -> Any:
+    def bottom(self, up: Vector) -> Array:
         """Height, m, of the shape's lowest point above the link's origin.
 
         `up` is the world's vertical in the link's frame.
@@ -36,71 +45,85 @@ class Shell(NamedTuple):
             mujoco.mjtGeom.mjGEOM_CYLINDER: a * disc + b * z,
             mujoco.mjtGeom.mjGEOM_CAPSULE: a + b * z,
         }
-        reach: Any = -jnp.inf
+        reach: Array = -jnp.inf
         for kind, value in reaches.items():
             # As a number: NumPy compares no array with an enumeration's member.
-            of_kind = self.kind == int(kind)
+            of_kind = column(np.equal(self.kind, int(kind)))
             if np.any(of_kind):
                 reach = jnp.where(of_kind, value, reach)
         return v.dot(up, self.centre) - reach
 
 
-class Legged(NamedTuple):
-    """A quadruped in numbers; the leaves are of one robot, (4, 1) over legs, or scalars."""
+class Model(NamedTuple):
+    """A quadruped in numbers: one robot's, scalars or (4,) over legs, of the motors (12,).
+
+    Any leaf may be a JAX array, and under `jax.vmap` differ from robot to robot; all others are
+    constants of the compiled program (see `batching.robots_last`).
+    """
 
     trunk: Trunk
     links: tuple[Link, ...]
     contacts: tuple[Contact, ...]  # the feet first
     limits: tuple[Limits, ...]
     shells: tuple[Shell, ...]
-    gravity: Vector
+    gravity: Vector  # m/s^2
+    motor: Motor
 
 
-def legged(model: mujoco.MjModel, robot: RobotArrays) -> Legged:
-    """Read `model`, whose joint 1 + 3 * leg + i is the i-th of a leg's, from the trunk outwards."""
+def make_model(model: mujoco.MjModel, quadruped: Quadruped, motor: Motor) -> Model:
+    """Read `model`, made from `quadruped`, for the equations; its leaves are constants.
+
+    Its joint 1 + 3 * leg + i is the i-th of a leg's, from the trunk outwards.
+    """
+    feet = quadruped.feet
     joints = 1 + np.arange(12).reshape(4, LINKS)
     bodies = model.jnt_bodyid[joints]
     trunk = int(model.jnt_bodyid[0])
     parents = np.c_[np.full(4, trunk), bodies[:, :-1]]
     assert np.array_equal(model.body_parentid[bodies], parents)
     assert np.all(model.jnt_pos == 0)
-    links = tuple(_link(model, bodies[:, i], joints[:, i]) for i in range(LINKS))
-    limits = tuple(_limits(model, joints[:, i]) for i in range(LINKS))
-    return Legged(
+    return Model(
         trunk=Trunk(
             mass=float(model.body_mass[trunk]),
             centre=_vector(model.body_ipos[trunk]),
-            inertia=_scalars(_inertia(model, trunk)),
+            inertia=tuple(float(x) for x in _inertia(model, trunk)),
         ),
-        links=links,
-        contacts=tuple(_contact(model, geoms, bodies) for geoms in robot.contact_geoms),
-        limits=limits,
-        shells=_shells(model, robot.shell_geoms, trunk, bodies),
+        links=tuple(_link(model, bodies[:, i], joints[:, i]) for i in range(LINKS)),
+        contacts=tuple(_contact(model, geoms, bodies) for geoms in contact_geoms(model, feet)),
+        limits=tuple(_limits(model, joints[:, i]) for i in range(LINKS)),
+        shells=_shells(model, shell_geoms(model, feet), trunk, bodies),
         gravity=_vector(model.opt.gravity),
+        motor=motor,
     )
 
 
-def _column(values: Any) -> np.ndarray:
-    """(4, 1) of one number per leg."""
-    return np.asarray(values, np.float64).reshape(4, 1)
+def contact_geoms(model: mujoco.MjModel, feet: tuple[str, ...]) -> list[np.ndarray]:
+    """(4,) geoms of each kind of sphere that may touch the floor, the feet first."""
+    names = [model.geom(i).name for i in range(model.ngeom)]
+    kinds = [kind for kind in (feet, KNEES, CORNERS) if set(kind) <= set(names)]
+    return [np.array([names.index(name) for name in kind]) for kind in kinds]
 
 
-def _vector(values: Any) -> Vector:
-    return tuple(float(x) for x in values)  # type: ignore[return-value]
+def shell_geoms(model: mujoco.MjModel, feet: tuple[str, ...]) -> np.ndarray:
+    """Every collision shape (n,) of the robot but its feet."""
+    collision = (model.geom_bodyid != 0) & (model.geom_group == 3)
+    collision[[model.geom(name).id for name in feet]] = False
+    return np.flatnonzero(collision)
 
 
-def _scalars(values: Any) -> tuple[Any, ...]:
-    return tuple(float(x) for x in values)
+def _vector(values: Iterable[float]) -> Vector:
+    return v.vector(float(x) for x in values)
 
 
-def _columns(values: np.ndarray) -> tuple[np.ndarray, ...]:
-    """A column for each of the second axis of `values` (4, n)."""
-    return tuple(_column(x) for x in np.asarray(values).T)
+def _over_legs(values: np.ndarray) -> Vector:
+    """A vector (4, 3) of each leg."""
+    return v.vector(np.asarray(values, np.float64).T)
 
 
 def _matrix(values: np.ndarray) -> Matrix:
-    """`values` (4, 3, 3)."""
-    return tuple(_columns(values[:, i]) for i in range(3))  # type: ignore[return-value]
+    """A matrix (4, 3, 3) of each leg."""
+    x, y, z = (_over_legs(values[:, i]) for i in range(3))
+    return x, y, z
 
 
 def _rotation(quat: np.ndarray) -> np.ndarray:
@@ -110,7 +133,7 @@ def _rotation(quat: np.ndarray) -> np.ndarray:
 
 
 def _inertia(model: mujoco.MjModel, body: int) -> np.ndarray:
-    """(6,) xx yy zz xy xz yz about the centre of mass, in the body's axes."""
+    """(6,) as in `Inertia`, about the centre of mass, in the body's axes."""
     turn = _rotation(model.body_iquat[body])
     full = turn @ np.diag(model.body_inertia[body]) @ turn.T
     return full[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
@@ -123,45 +146,45 @@ def _link(model: mujoco.MjModel, bodies: np.ndarray, joints: np.ndarray) -> Link
     x, y, z = axes.T
     o = np.zeros(4)
     skew = np.array([[o, -z, y], [z, o, -x], [-y, x, o]]).transpose(2, 0, 1)
-    turn = (frames @ outer, frames @ (np.eye(3) - outer), frames @ skew)
+    fixed, with_cos, with_sin = frames @ outer, frames @ (np.eye(3) - outer), frames @ skew
     dofs = model.jnt_dofadr[joints]
     return Link(
-        offset=_columns(model.body_pos[bodies]),  # type: ignore[arg-type]
-        axis=_columns(np.einsum("lij,lj->li", frames, axes)),  # type: ignore[arg-type]
-        turn=tuple(_matrix(part) for part in turn),  # type: ignore[arg-type]
-        mass=_column(model.body_mass[bodies]),
-        centre=_columns(model.body_ipos[bodies]),  # type: ignore[arg-type]
-        inertia=_columns(np.array([_inertia(model, body) for body in bodies])),
-        armature=_column(model.dof_armature[dofs]),
-        damping=_column(np.reshape(model.dof_damping[dofs], (4, -1))[:, 0]),
+        offset=_over_legs(model.body_pos[bodies]),
+        axis=_over_legs(np.einsum("lij,lj->li", frames, axes)),
+        turn=(_matrix(fixed), _matrix(with_cos), _matrix(with_sin)),
+        mass=model.body_mass[bodies],
+        centre=_over_legs(model.body_ipos[bodies]),
+        inertia=tuple(np.array([_inertia(model, body) for body in bodies]).T),
+        armature=model.dof_armature[dofs],
+        damping=np.reshape(model.dof_damping[dofs], (4, -1))[:, 0],
     )
 
 
-def _softness(
+def _solver_params(
     model: mujoco.MjModel, solref: np.ndarray, solimp: np.ndarray, inverse_inertia: np.ndarray
-) -> Softness:
+) -> SolverParams:
     """Of `solref` (4, 2), in MuJoCo's time constant and damping ratio, and `solimp` (4, 5)."""
     assert np.all(solref > 0)
     low, high = np.clip(solimp[:, :2], mujoco.mjMINIMP, mujoco.mjMAXIMP).T
     time = np.maximum(solref[:, 0], 2 * model.opt.timestep)
-    return Softness(
-        stiffness=_column(1 / (high * time * solref[:, 1]) ** 2),
-        damping=_column(2 / (high * time)),
-        low=_column(low),
-        high=_column(high),
-        width=_column(solimp[:, 2]),
-        middle=_column(np.clip(solimp[:, 3], mujoco.mjMINIMP, mujoco.mjMAXIMP)),
-        power=_column(np.maximum(solimp[:, 4], 1)),
-        inverse_inertia=_column(inverse_inertia),
+    return SolverParams(
+        stiffness=1 / (high * time * solref[:, 1]) ** 2,
+        damping=2 / (high * time),
+        low=low,
+        high=high,
+        width=solimp[:, 2],
+        middle=np.clip(solimp[:, 3], mujoco.mjMINIMP, mujoco.mjMAXIMP),
+        power=np.maximum(solimp[:, 4], 1),
+        inverse_inertia=inverse_inertia,
     )
 
 
 def _limits(model: mujoco.MjModel, joints: np.ndarray) -> Limits:
     limited = model.jnt_limited[joints].astype(bool)
     return Limits(
-        lower=_column(np.where(limited, model.jnt_range[joints, 0], -np.inf)),
-        upper=_column(np.where(limited, model.jnt_range[joints, 1], np.inf)),
-        softness=_softness(
+        lower=np.where(limited, model.jnt_range[joints, 0], -np.inf),
+        upper=np.where(limited, model.jnt_range[joints, 1], np.inf),
+        params=_solver_params(
             model,
             model.jnt_solref[joints],
             model.jnt_solimp[joints],
@@ -185,13 +208,13 @@ def _contact(model: mujoco.MjModel, geoms: np.ndarray, bodies: np.ndarray) -> Co
         for leg in np.flatnonzero(np.isin(geoms, contact.geom)):
             friction[leg] = contact.friction[0]
             solref[leg], solimp[leg] = contact.solref, contact.solimp
-    edge = model.body_invweight0[own, 0] * (1 + friction**2) * 2 * friction**2
+    inverse_mass = model.body_invweight0[own, 0]
     return Contact(
         link=next((i for i in range(LINKS) if np.array_equal(bodies[:, i], own)), None),
-        centre=_columns(model.geom_pos[geoms]),  # type: ignore[arg-type]
-        radius=_column(model.geom_size[geoms, 0]),
-        friction=_column(friction),
-        softness=_softness(model, solref, solimp, edge / model.opt.impratio),
+        centre=_over_legs(model.geom_pos[geoms]),
+        radius=model.geom_size[geoms, 0],
+        friction=friction,
+        params=_solver_params(model, solref, solimp, inverse_mass / model.opt.impratio),
     )
 
 
@@ -208,26 +231,25 @@ def _shells(
         shells.append(
             Shell(
                 link=None,
-                kind=model.geom_type[geom],
+                kind=int(model.geom_type[geom]),
                 centre=_vector(model.geom_pos[geom]),
-                axes=tuple(_vector(axis) for axis in rotation.T),  # type: ignore[arg-type]
+                axes=(_vector(rotation[:, 0]), _vector(rotation[:, 1]), _vector(rotation[:, 2])),
                 size=_vector(model.geom_size[geom]),
             )
         )
     for link in range(LINKS):
         own = [of_body[body] for body in bodies[:, link]]
         for i in range(max(map(len, own))):
-            # Where a leg has fewer shapes than another, kind -1 has no lowest point.
             there = np.array([i < len(shapes) for shapes in own])
             picked = np.array([shapes[i] if i < len(shapes) else 0 for shapes in own])
             axes = np.array([_rotation(quat).T for quat in model.geom_quat[picked]])
             shells.append(
                 Shell(
                     link=link,
-                    kind=_column(np.where(there, model.geom_type[picked], -1)),
-                    centre=_columns(model.geom_pos[picked]),  # type: ignore[arg-type]
-                    axes=tuple(_columns(axes[:, i]) for i in range(3)),  # type: ignore[arg-type]
-                    size=_columns(model.geom_size[picked]),  # type: ignore[arg-type]
+                    kind=tuple(np.where(there, model.geom_type[picked], -1).tolist()),
+                    centre=_over_legs(model.geom_pos[picked]),
+                    axes=_matrix(axes),
+                    size=_over_legs(model.geom_size[picked]),
                 )
             )
     return tuple(shells)

@@ -1,13 +1,23 @@
-"""From joint targets to torque: the joint controller, the motor's limits, friction."""
+"""The control step that all engines share: physics steps with motors and joint controllers.
 
-from dataclasses import dataclass
+Arrays are JAX's, of one robot or with the robots along the last axis, or NumPy's.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from types import ModuleType
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jax.typing import ArrayLike
+import mujoco
+import numpy as np
 
 from quadwalk.errors import UsageError
-from quadwalk.physics.robot_arrays import RobotArrays
+from quadwalk.physics.vectors import Array
+
+if TYPE_CHECKING:  # it takes a second to import, and settings need none of it
+    from quadwalk.robot.quadruped import Quadruped
 
 # Coulomb friction passes through zero over this joint speed, rad/s: steep enough to hold a resting
 # joint nearly still, gentle enough for an explicit step (friction / speed * dt << joint inertia).
@@ -16,7 +26,7 @@ FRICTION_SPEED = 0.1
 
 @dataclass(frozen=True)
 class MotorConfig:
-    """The joint controller and the motors."""
+    """The motors and their joint controllers."""
 
     kp: float | None  # Nm/rad, position gain; None: weight * home height * 1.4
     kd: float | None  # Nm s/rad, velocity gain; None: kp * 0.025 s
@@ -29,40 +39,131 @@ class MotorConfig:
             raise UsageError(f"env.motor.effort is {self.effort}; expected more than 0, or None")
 
 
-def gains(robot: RobotArrays, config: MotorConfig) -> tuple[float, float]:
-    """Position gain, Nm/rad, and velocity gain, Nm s/rad, of the joint controller.
+class Motor(NamedTuple):
+    """Constants of the motors, (12,) each."""
 
-    PyBullet's position control gives a joint, within one of its steps of 1/240 s, the speed that
-    takes it a tenth of the way to its target in a step, 24/s times the error, with all the torque
-    that this takes up to a limit. Gains kp = 24 kd draw a joint to the same speed, and the closer
-    the larger kd is. What remains of a difference: under a load that PyBullet's joint does not
-    notice, this one is slower by load / kd and comes to rest load / kp off its target.
+    kp: Array  # Nm/rad
+    kd: Array  # Nm s/rad
+    strength: Array  # how many times the torque that the controller believes it gives
+    effort: Array  # Nm, the largest at strength 1
+    velocity: Array | None  # rad/s, where torque has fallen to zero; None: it never does
+    friction: Array | None  # Nm, Coulomb friction of the joints; None: none
+
+
+@dataclass(frozen=True)
+class Stepping:
+    """The physics steps of a control step, and how far the contact solver goes in each.
+
+    MJX and MuJoCo C take `dt` and the solver's settings from their models, which must agree.
     """
-    kp = 1.4 * robot.weight * robot.home_height if config.kp is None else config.kp
+
+    dt: float  # s, one physics step
+    substeps: int  # physics steps in a control step
+    iterations: int  # Newton's, of the contact solver
+    line_search: int  # evaluations in each iteration
+
+    @property
+    def control_dt(self) -> float:
+        """Seconds of one control step."""
+        return self.dt * self.substeps
+
+    def with_dt(self, dt: float) -> "Stepping":
+        """The same control step in a whole number of physics steps of about `dt` s."""
+        substeps = max(1, round(self.control_dt / dt))
+        return replace(self, dt=self.control_dt / substeps, substeps=substeps)
+
+
+class Physics(NamedTuple):
+    """The state of one robot."""
+
+    qpos: jax.Array  # (19,)
+    qvel: jax.Array  # (18,)
+    warmstart: jax.Array  # (18,) acceleration that the contact solver starts from
+
+
+class Effort(NamedTuple):
+    """What the motors did in a control step."""
+
+    torque: jax.Array  # (12,) Nm, mean
+    energy: jax.Array  # () J, positive mechanical work: none is given back to the battery
+
+
+def make_motor(model: mujoco.MjModel, quadruped: "Quadruped", config: MotorConfig) -> Motor:
+    """The motors of `quadruped`, of which `model` is made.
+
+    By default a light robot is held as firmly as a heavy one: 120 Nm/rad and 3 Nm s/rad for the
+    AlienGo.
+    """
+    weight = float(model.body_subtreemass[0] * -model.opt.gravity[2])
+    kp = 1.4 * weight * float(quadruped.home[2]) if config.kp is None else config.kp
     kd = 0.025 * kp if config.kd is None else config.kd
-    return kp, kd
+    return Motor(
+        kp=np.full(12, kp),
+        kd=np.full(12, kd),
+        strength=np.ones(12),
+        effort=quadruped.effort if config.effort is None else np.full(12, config.effort),
+        velocity=quadruped.velocity if config.speed_limit else None,
+        friction=quadruped.friction if config.joint_friction else None,
+    )
 
 
-def motor_torque(
-    robot: RobotArrays, config: MotorConfig, target: ArrayLike, q: ArrayLike, qd: ArrayLike
-) -> jax.Array:
+def motor_torque(motor: Motor, target: Any, q: Any, qd: Any) -> Any:
     """Torque (12,), Nm, of the joint controller within the motors' limits.
 
-    A motor that drives its joint loses torque in proportion to speed, effort * (1 - qd / limit):
-    the line between stall torque and no-load speed of a DC motor. One that brakes has all of it.
+    Of joints at `q`, rad, turning at `qd`, rad/s, that are to go to `target`, rad. A motor that
+    drives its joint loses torque in proportion to speed, effort * (1 - qd / velocity): the line
+    between stall torque and no-load speed of a DC motor. One that brakes has all of it.
     """
-    target, q, qd = jnp.asarray(target), jnp.asarray(q), jnp.asarray(qd)
-    kp, kd = gains(robot, config)
-    torque = kp * (target - q) - kd * qd
-    if not config.speed_limit:
-        return jnp.clip(torque, jnp.asarray(-robot.effort), jnp.asarray(robot.effort))
-    upper = robot.effort * jnp.clip(1.0 - qd / robot.velocity, 0.0, 1.0)
-    lower = -robot.effort * jnp.clip(1.0 + qd / robot.velocity, 0.0, 1.0)
-    return jnp.clip(torque, lower, upper)
+    xp = _namespace(q)
+    torque = motor.kp * (target - q) - motor.kd * qd
+    if motor.velocity is None:
+        return motor.strength * xp.clip(torque, -motor.effort, motor.effort)
+    upper = motor.effort * xp.clip(1.0 - qd / motor.velocity, 0.0, 1.0)
+    lower = -motor.effort * xp.clip(1.0 + qd / motor.velocity, 0.0, 1.0)
+    return motor.strength * xp.clip(torque, lower, upper)
 
 
-def friction_torque(robot: RobotArrays, config: MotorConfig, qd: ArrayLike) -> jax.Array:
+def friction_torque(motor: Motor, qd: Any) -> Any:
     """Torque (12,), Nm, by which joint friction opposes joint speeds `qd` (12,), rad/s."""
-    if not config.joint_friction:
-        return jnp.zeros_like(qd)
-    return -jnp.asarray(robot.friction) * jnp.tanh(jnp.asarray(qd) / FRICTION_SPEED)
+    xp = _namespace(qd)
+    if motor.friction is None:
+        return xp.zeros_like(qd)
+    return -motor.friction * xp.tanh(qd / FRICTION_SPEED)
+
+
+def control_step(
+    motor: Motor,
+    stepping: Stepping,
+    physics: Physics,
+    target: Any,
+    advance: Callable[[Physics, Any], Physics],
+) -> tuple[Physics, Effort]:
+    """`substeps` physics steps with the joint controller run in each, whichever engine steps.
+
+    `target` is (12,) rad, or (substeps, 12), one for each physics step. `advance` steps a state
+    with the joints' torques (12,), Nm: the motors' and friction's.
+    """
+    each = target.ndim > physics.qpos.ndim
+
+    def substep(carry: tuple[Physics, Effort], own: Any) -> tuple[tuple[Physics, Effort], None]:
+        state, effort = carry
+        q, qd = state.qpos[7:], state.qvel[6:]
+        torque = motor_torque(motor, own if each else target, q, qd)
+        friction = friction_torque(motor, qd)
+        work = xp.sum(xp.maximum(torque * qd, 0.0), axis=0) * stepping.dt
+        effort = Effort(effort.torque + torque / stepping.substeps, effort.energy + work)
+        return (advance(state, torque + friction), effort), None
+
+    xp = _namespace(physics.qpos)
+    nothing = xp.zeros_like(physics.qpos[7:])
+    carry = (physics, Effort(nothing, nothing[0]))
+    if xp is np:
+        for k in range(stepping.substeps):
+            carry, _ = substep(carry, target[k] if each else None)
+        return carry
+    return jax.lax.scan(substep, carry, target if each else None, length=stepping.substeps)[0]
+
+
+def _namespace(array: Any) -> ModuleType:
+    """NumPy for its arrays, JAX's for all others."""
+    return np if isinstance(array, np.ndarray) else jnp

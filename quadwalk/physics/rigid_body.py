@@ -9,35 +9,37 @@ Everything is in the world's axes about the trunk's origin. A generalised vector
 trunk's linear and angular part, then the joints'. MuJoCo's own has the angular part in trunk axes.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import jax.numpy as jnp
 
 from quadwalk.physics import vectors as v
-from quadwalk.physics.vectors import Matrix, Vector
+from quadwalk.physics.vectors import Array, Matrix, Vector
 
 LINKS = 3  # of a leg: hip, thigh, calf
 
+Inertia: TypeAlias = tuple[Array, ...]  # a symmetric 3x3 matrix: xx yy zz xy xz yz
+
 
 class Link(NamedTuple):
-    """Constants of one link of each leg; arrays (4, 1), frames of the link and its parent."""
+    """Constants of one link of each leg, (4,) over legs; frames of the link and its parent."""
 
     offset: Vector  # of the link's origin from its parent's, parent frame, m
     axis: Vector  # of its joint, parent frame
     turn: tuple[Matrix, Matrix, Matrix]  # its rotation in the parent is [0] + cos [1] + sin [2]
-    mass: Any  # kg
+    mass: Array  # kg
     centre: Vector  # of mass, link frame, m
-    inertia: tuple[Any, ...]  # about the centre, link frame, kg m^2: xx yy zz xy xz yz
-    armature: Any  # kg m^2
-    damping: Any  # N m s/rad
+    inertia: Inertia  # about the centre, link frame, kg m^2
+    armature: Array  # kg m^2
+    damping: Array  # N m s/rad
 
 
 class Trunk(NamedTuple):
-    """Constants of the trunk, scalars."""
+    """Constants of the trunk, scalars, in its frame, as a link's."""
 
-    mass: Any
+    mass: Array
     centre: Vector
-    inertia: tuple[Any, ...]
+    inertia: Inertia
 
 
 class Motion(NamedTuple):
@@ -60,20 +62,20 @@ class Pose(NamedTuple):
 class Composite(NamedTuple):
     """Mass, first and second moments of mass about the trunk's origin."""
 
-    mass: Any
+    mass: Array
     moment: Vector  # mass * centre
-    inertia: tuple[Any, ...]  # xx yy zz xy xz yz
+    inertia: Inertia
 
 
 class MassMatrix(NamedTuple):
     """The symmetric joint-space inertia: an arrow, as legs only meet at the trunk."""
 
-    base: tuple[tuple[Any, ...], ...]  # 6 x 6, arrays (robots,)
-    cross: tuple[tuple[Any, ...], ...]  # a column of 6 for each joint, arrays (4, robots)
-    legs: tuple[tuple[Any, ...], ...]  # 3 x 3, arrays (4, robots)
+    base: tuple[tuple[Array, ...], ...]  # 6 x 6, arrays (robots,)
+    cross: tuple[tuple[Array, ...], ...]  # a column of 6 for each joint, arrays (4, robots)
+    legs: tuple[tuple[Array, ...], ...]  # 3 x 3, arrays (4, robots)
 
 
-def rotation_of(quat: tuple[Any, ...]) -> Matrix:
+def rotation_of(quat: tuple[Array, ...]) -> Matrix:
     """The matrix of a quaternion wxyz, which need not have length 1."""
     w, x, y, z = quat
     n = 2.0 / (w * w + x * x + y * y + z * z)
@@ -92,27 +94,27 @@ def pose_of(links: tuple[Link, ...], trunk: Matrix, angles: Vector) -> Pose:
         cos, sin = jnp.cos(angle), jnp.sin(angle)
         fixed, with_cos, with_sin = link.turn
         x, y, z = (
-            tuple(fixed[i][j] + cos * with_cos[i][j] + sin * with_sin[i][j] for j in range(3))
+            v.vector(fixed[i][j] + cos * with_cos[i][j] + sin * with_sin[i][j] for j in range(3))
             for i in range(3)
         )
         step = v.apply(rotation, link.offset)
         origin = step if origin is None else v.add(origin, step)
         axes.append(v.apply(rotation, link.axis))
-        rotation = v.multiply(rotation, (x, y, z))  # type: ignore[arg-type]
+        rotation = v.multiply(rotation, (x, y, z))
         rotations.append(rotation)
         origins.append(origin)
     return Pose(trunk, tuple(rotations), tuple(origins), tuple(axes))
 
 
-def world_inertia(rotation: Matrix, inertia: tuple[Any, ...]) -> tuple[Any, ...]:
-    """R I R^T as xx yy zz xy xz yz."""
+def world_inertia(rotation: Matrix, inertia: Inertia) -> Inertia:
+    """R I R^T."""
     xx, yy, zz, xy, xz, yz = inertia
     half = v.multiply(rotation, ((xx, xy, xz), (xy, yy, yz), (xz, yz, zz)))
     pairs = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
     return tuple(v.dot(half[i], rotation[j]) for i, j in pairs)
 
 
-def composite(mass: Any, centre: Vector, inertia: tuple[Any, ...]) -> Composite:
+def composite(mass: Array, centre: Vector, inertia: Inertia) -> Composite:
     """A body's, from its centre of mass relative to the trunk's origin and inertia about it."""
     moment = v.scale(mass, centre)
     (x, y, z), (mx, my, mz) = centre, moment
@@ -129,7 +131,7 @@ def combine(a: Composite, b: Composite) -> Composite:
     )
 
 
-def turn_by(inertia: tuple[Any, ...], a: Vector) -> Vector:
+def turn_by(inertia: Inertia, a: Vector) -> Vector:
     """I a, of a symmetric matrix."""
     xx, yy, zz, xy, xz, yz = inertia
     return (
@@ -143,9 +145,9 @@ class Bodies(NamedTuple):
     """Centres of mass and inertias in world axes, the centres relative to the trunk's origin."""
 
     centres: tuple[Vector, ...]  # links
-    inertias: tuple[tuple[Any, ...], ...]  # links, about their centres
+    inertias: tuple[Inertia, ...]  # links, about their centres
     trunk_centre: Vector
-    trunk_inertia: tuple[Any, ...]
+    trunk_inertia: Inertia
 
 
 def place_bodies(trunk: Trunk, links: tuple[Link, ...], pose: Pose) -> Bodies:
@@ -167,8 +169,8 @@ def place_bodies(trunk: Trunk, links: tuple[Link, ...], pose: Pose) -> Bodies:
 def mass_matrix(trunk: Trunk, links: tuple[Link, ...], pose: Pose, bodies: Bodies) -> MassMatrix:
     """The composite-rigid-body algorithm."""
     below: Composite | None = None
-    columns: list[tuple[Any, ...]] = []  # hip, thigh, calf: force then torque on the trunk
-    legs: list[list[Any]] = [[None] * LINKS for _ in range(LINKS)]
+    columns: list[tuple[Array, ...]] = []  # hip, thigh, calf: force then torque on the trunk
+    legs: list[list[Array]] = [[0.0] * LINKS for _ in range(LINKS)]
     for i in reversed(range(LINKS)):
         link = links[i]
         own = composite(link.mass, bodies.centres[i], bodies.inertias[i])
@@ -187,7 +189,7 @@ def mass_matrix(trunk: Trunk, links: tuple[Link, ...], pose: Pose, bodies: Bodie
     whole = composite(trunk.mass, bodies.trunk_centre, bodies.trunk_inertia)
     leg_sum = Composite(
         v.legs_sum(below.mass),
-        tuple(v.legs_sum(x) for x in below.moment),  # type: ignore[arg-type]
+        v.vector(v.legs_sum(x) for x in below.moment),
         tuple(v.legs_sum(x) for x in below.inertia),
     )
     mass, (x, y, z), (xx, yy, zz, xy, xz, yz) = combine(whole, leg_sum)
@@ -216,9 +218,9 @@ def bias_force(
     spin = velocity.angular
 
     def newton_euler(
-        mass: Any,
+        mass: Array,
         centre: Vector,
-        inertia: tuple[Any, ...],
+        inertia: Inertia,
         w: Vector,
         turning: Vector,
         at: Vector,
@@ -250,7 +252,7 @@ def bias_force(
                 link.mass, bodies.centres[i], bodies.inertias[i], w, turning, at, acceleration
             )
         )
-    joints: list[Any] = []
+    joints: list[Array] = []
     force, torque = forces[-1]
     for i in reversed(range(LINKS)):
         if i < LINKS - 1:
@@ -261,7 +263,7 @@ def bias_force(
     trunk_force = v.scale(trunk.mass, v.subtract(v.cross(spin, v.cross(spin, centre)), gravity))
     trunk_torque = v.add(v.cross(spin, turn_by(inertia, spin)), v.cross(centre, trunk_force))
     return Motion(
-        v.add(trunk_force, tuple(v.legs_sum(x) for x in force)),  # type: ignore[arg-type]
-        v.add(trunk_torque, tuple(v.legs_sum(x) for x in torque)),  # type: ignore[arg-type]
-        tuple(joints),  # type: ignore[arg-type]
+        v.add(trunk_force, v.vector(v.legs_sum(x) for x in force)),
+        v.add(trunk_torque, v.vector(v.legs_sum(x) for x in torque)),
+        v.vector(joints),
     )

@@ -4,16 +4,27 @@ XLA compiles arithmetic on such components to long loops over robots, with the p
 instructions; arrays whose last axis is a vector's three components leave most of these idle.
 """
 
-from typing import Any
+from collections.abc import Iterable
+from typing import TypeAlias
 
-Vector = tuple[Any, Any, Any]
-Matrix = tuple[Vector, Vector, Vector]  # rows
+import jax
+import numpy as np
+
+# (4, robots) of legs' quantities, (robots,) of the trunk's; of constants, NumPy's or a number.
+Array: TypeAlias = jax.Array | np.ndarray | float
+Vector: TypeAlias = tuple[Array, Array, Array]
+Matrix: TypeAlias = tuple[Vector, Vector, Vector]  # rows
+
+
+def vector(components: Iterable[Array]) -> Vector:
+    """A vector of three components."""
+    x, y, z = components
+    return x, y, z
 
 
 def add(*vectors: Vector) -> Vector:
     """The sum of vectors."""
-    x, y, z = (sum(parts[1:], start=parts[0]) for parts in zip(*vectors, strict=True))
-    return x, y, z
+    return vector(sum(parts[1:], start=parts[0]) for parts in zip(*vectors, strict=True))
 
 
 def subtract(a: Vector, b: Vector) -> Vector:
@@ -21,12 +32,12 @@ def subtract(a: Vector, b: Vector) -> Vector:
     return a[0] - b[0], a[1] - b[1], a[2] - b[2]
 
 
-def scale(factor: Any, a: Vector) -> Vector:
+def scale(factor: Array, a: Vector) -> Vector:
     """factor * a."""
     return factor * a[0], factor * a[1], factor * a[2]
 
 
-def dot(a: Vector, b: Vector) -> Any:
+def dot(a: Vector, b: Vector) -> Array:
     """The inner product."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
@@ -59,10 +70,11 @@ def apply_transposed(m: Matrix, a: Vector) -> Vector:
 def multiply(a: Matrix, b: Matrix) -> Matrix:
     """a b."""
     columns = transpose(b)
-    x, y, z = (tuple(dot(row, column) for column in columns) for row in a)
-    return x, y, z  # type: ignore[return-value]
+    x, y, z = (vector(dot(row, column) for column in columns) for row in a)
+    return x, y, z
 
 
-def legs_sum(a: Any) -> Any:
+def legs_sum(a: Array) -> Array:
     """The sum over legs, the first axis."""
+    assert not isinstance(a, float)
     return a[0] + a[1] + a[2] + a[3]

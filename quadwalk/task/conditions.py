@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jax.typing import ArrayLike
 
 from quadwalk.physics.motor import Physics
 
@@ -66,7 +67,7 @@ def side_of_push(key: jax.Array, steps: jax.Array, dt: float) -> jax.Array:
 
 
 def sensed(
-    conditions: Conditions, seen: jax.Array, scale: jax.Array, steps: jax.Array
+    conditions: Conditions, seen: jax.Array, scale: ArrayLike, steps: jax.Array
 ) -> jax.Array:
     """`seen` (n,) with the noise of control step `steps`, `scale` (n,) being level 1."""
     key, _ = jax.random.split(conditions.key)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from quadwalk.errors import UsageError
-from quadwalk.physics.motor import MotorConfig
+from quadwalk.physics.motor import MotorConfig, Stepping
 from quadwalk.task.terms import ActionMap, Observation, Reward, Termination
 
 
@@ -100,6 +100,13 @@ class EnvConfig:
                 f"env.episode-seconds is {self.episode_seconds}; expected at least one control "
                 f"step ({self.control_dt:g} s)"
             )
+
+    @property
+    def stepping(self) -> Stepping:
+        """The physics steps of a control step."""
+        return Stepping(
+            self.physics_dt, self.substeps, self.solver_iterations, self.line_search_iterations
+        )
 
     @property
     def control_dt(self) -> float:

@@ -3,7 +3,7 @@
 from functools import cached_property, partial
 from typing import Any
 
-from quadwalk.physics import ENGINES, EngineName, fast, mujoco_c  # first: Brax imports MJX loudly
+from quadwalk.physics.engines import ENGINES, EngineName, fast, mujoco_c  # before Brax's MJX
 
 # isort: split
 import jax
@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 from brax.envs.base import Env, State
 
-from quadwalk.physics.motor import Effort, Physics, Stepping, make_motor
+from quadwalk.physics.motor import Effort, Physics, make_motor
 from quadwalk.robot.quadruped import Quadruped
 from quadwalk.task.command import first_command, next_command
 from quadwalk.task.conditions import Conditions, delayed, pushed, sensed
@@ -46,12 +46,7 @@ class QuadrupedEnv(Env):
         self.config = config
         self.engine: EngineName = engine or config.engine
         self.quadruped = task_robot(quadruped, config)
-        self.stepping = Stepping(
-            config.physics_dt,
-            config.substeps,
-            config.solver_iterations,
-            config.line_search_iterations,
-        )
+        self.stepping = config.stepping
         self.mj_model = self._training_model(self.quadruped)
         self.robot = robot_arrays(self.quadruped, self.mj_model)
         self.motor = make_motor(self.mj_model, self.quadruped, config.motor)

@@ -7,8 +7,8 @@ To add one, write such a function, here or in a file of your own, and name it in
 import jax
 import jax.numpy as jnp
 
-from quadwalk.task.robot_arrays import RobotArrays
 from quadwalk.physics.rotation import rotate_inverse, yaw
+from quadwalk.task.robot_arrays import RobotArrays
 from quadwalk.task.state import EnvState
 from quadwalk.task.terms import Observation
 

@@ -5,14 +5,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from quadwalk.physics.fast import heights
-from quadwalk.physics.mjx_engine import Physics
-from quadwalk.physics.model import Legged
-from quadwalk.physics.robot_arrays import RobotArrays
+from quadwalk.physics.model import Model
+from quadwalk.physics.motor import Physics
 from quadwalk.physics.rotation import from_euler
 from quadwalk.task.config import ResetConfig
+from quadwalk.task.robot_arrays import RobotArrays
 
 
-def fresh_start(legged: Legged, robot: RobotArrays, config: ResetConfig, key: jax.Array) -> Physics:
+def fresh_start(model: Model, robot: RobotArrays, config: ResetConfig, key: jax.Array) -> Physics:
     """A start near the home pose, its lowest foot just on the floor, or near the given pose."""
     keys = jax.random.split(key, 4)
     pose = jax.random.uniform(keys[0], (4,), minval=-1.0, maxval=1.0)
@@ -28,7 +28,7 @@ def fresh_start(legged: Legged, robot: RobotArrays, config: ResetConfig, key: ja
     angles = jnp.clip(middle + config.joints * joints, robot.lower, robot.upper)
     qpos = qpos.at[7:].set(angles)
     if config.height is None:
-        feet, _ = heights(legged, qpos)
+        feet, _ = heights(model, qpos)
         qpos = qpos.at[2].add(-jnp.min(feet))
     else:
         qpos = qpos.at[2].set(config.height)

@@ -7,8 +7,8 @@ To add one, write such a function, here or in a file of your own, and name it in
 import jax
 import jax.numpy as jnp
 
-from quadwalk.task.robot_arrays import RobotArrays
 from quadwalk.physics.rotation import rotate_inverse, yaw
+from quadwalk.task.robot_arrays import RobotArrays
 from quadwalk.task.state import Step, mean_velocity, velocity_error, yaw_rate_error
 from quadwalk.task.terms import Reward
 

@@ -11,10 +11,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from quadwalk.physics.motor import MotorConfig
-from quadwalk.task.robot_arrays import RobotArrays
 from quadwalk.physics.rotation import euler, rotate
 from quadwalk.task import observation
 from quadwalk.task.config import NO_COMMAND, EnvConfig, ResetConfig
+from quadwalk.task.robot_arrays import RobotArrays
 from quadwalk.task.state import EnvState, Step
 from quadwalk.task.terms import ActionMap, Observation, Reward, Termination
 from quadwalk.train.settings import PPOConfig, TrainConfig

@@ -38,7 +38,7 @@ def parse_config(args: Sequence[str], prog: str = "train.py") -> tuple[TrainConf
                 raise UsageError(f"{flag} cannot be given with --resume: the run has its own")
         previous = find_run(value_of(args, "--runs") or TrainConfig.runs, which)
         default = resumed_config(previous)
-        start = {"preset": default.task, "resume": which}
+        start: dict[str, Any] = {"preset": default.task, "resume": which}
     else:
         preset = value_of(args, "--preset") or "run"
         default = load_task(preset)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import platformdirs
 
+from quadwalk.cores import cpu_cores
 from quadwalk.errors import UsageError
 from quadwalk.train.distributed import join
 from quadwalk.train.settings import TrainConfig
@@ -19,13 +20,6 @@ if TYPE_CHECKING:
 
 CPU_ENVS = 2048  # what the learner's defaults are tuned for
 ACCELERATOR_ENVS = 8192  # a guess: enough to fill one, and few enough to learn from
-
-
-def cpu_cores() -> int:
-    """How many cores this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 def device_count(
@@ -117,9 +111,6 @@ def _prepare(cpu_devices: int) -> None:
     flags = os.environ.get("XLA_FLAGS", "")
     missing = [flag for flag in wanted if flag.partition("=")[0] not in flags]
     os.environ["XLA_FLAGS"] = " ".join([*missing, flags]).strip()
-    # On each cache hit XLA prints a page on "features" that are its own tuning hints. Errors that
-    # matter reach Python as exceptions.
-    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
     import jax
 
     # A process that has computed keeps the devices it has, as a notebook that trains twice does.

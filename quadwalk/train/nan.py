@@ -62,10 +62,9 @@ def replay(path: Path | str) -> tuple[np.ndarray, np.ndarray]:
     import jax
     import jax.numpy as jnp
 
-    from quadwalk.physics.fast import simulate
-    from quadwalk.physics.mjx_engine import Physics
-    from quadwalk.physics.model import legged
-    from quadwalk.physics.robot_arrays import robot_arrays, task_robot
+    from quadwalk.physics.engines import ENGINES
+    from quadwalk.physics.motor import Physics, make_motor
+    from quadwalk.task.robot_arrays import robot_arrays, task_robot
     from quadwalk.train.robot import load_run_robot
 
     path = Path(path)
@@ -77,15 +76,17 @@ def replay(path: Path | str) -> tuple[np.ndarray, np.ndarray]:
         action = jnp.asarray(arrays["action"])
     except (KeyError, ValueError, UserError) as error:
         raise UserError(f"{path} holds a step that cannot be used: {error}") from None
-    quadruped = task_robot(load_run_robot(Run(path.parent.parent), config.robot), config.env)
-    robot = robot_arrays(quadruped, model)
-    target = config.env.action(robot, action, physics.qpos[7:])
+    env = config.env
+    quadruped = task_robot(load_run_robot(Run(path.parent.parent), config.robot), env)
+    target = env.action(robot_arrays(quadruped, model), action, physics.qpos[7:])
     # The target holds for the whole control step, so its physics steps can be taken one by one.
-    once = dataclasses.replace(config.env, substeps=1)
-    constants = legged(model, robot)
-    step = jax.jit(lambda physics: simulate(constants, robot, once, physics, target)[0])
+    once = dataclasses.replace(env.stepping, substeps=1)
+    engine = ENGINES[env.engine]
+    motor = make_motor(model, quadruped, env.motor)
+    constants = engine.make_model(model, quadruped, motor)
+    step = jax.jit(lambda physics: engine.control_step(constants, once, physics, target)[0])
     course = [physics]
-    for _ in range(config.env.substeps):
+    for _ in range(env.substeps):
         course.append(step(course[-1]))
     return np.stack([p.qpos for p in course]), np.stack([p.qvel for p in course])
 

@@ -1,0 +1,32 @@
+"""The engines: three ways to step a robot, behind one interface.
+
+An engine is a module with `make_model`, which reads a MuJoCo model into a pytree of constants, and
+`control_step`, a pure function of it to be jitted and vmapped.
+"""
+
+from collections.abc import Mapping
+from typing import Any, Literal, Protocol
+
+import jax
+import mujoco
+
+from quadwalk.physics import fast, mjx, mujoco_c
+from quadwalk.physics.motor import Effort, Motor, Physics, Stepping
+from quadwalk.robot.quadruped import Quadruped
+
+EngineName = Literal["fast", "mjx", "mujoco"]
+
+
+class Engine(Protocol):
+    """What each engine's module has. A model has a leaf `motor`, the `Motor`."""
+
+    def make_model(self, model: mujoco.MjModel, quadruped: Quadruped, motor: Motor) -> Any:
+        """The constants of the robot that `model`, made from `quadruped`, describes."""
+
+    def control_step(
+        self, model: Any, stepping: Stepping, physics: Physics, target: jax.Array
+    ) -> tuple[Physics, Effort]:
+        """One control step; `target` (12,) or (substeps, 12), rad, one for each physics step."""
+
+
+ENGINES: Mapping[EngineName, Engine] = {"fast": fast, "mjx": mjx, "mujoco": mujoco_c}

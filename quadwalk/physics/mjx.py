@@ -1,0 +1,55 @@
+"""MJX: MuJoCo's own physics in JAX, of any model; slower, to judge and to check by.
+
+The state carried is what physics needs and no more. An `mjx.Data` holds some hundred arrays, most
+of them results: XLA drops every one that nothing reads, and a reset is a copy of three arrays.
+"""
+
+import contextlib
+import io
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import mujoco
+
+# It prints two lines about an optional back end; Brax imports it too, so this must come before.
+with contextlib.redirect_stdout(io.StringIO()):
+    from mujoco import mjx
+
+from quadwalk.physics import motor
+from quadwalk.physics.motor import Effort, Motor, Physics, Stepping
+from quadwalk.robot.quadruped import Quadruped
+
+
+class MjxModel(NamedTuple):
+    """A robot's constants; under `jax.vmap`, any leaf may differ from robot to robot."""
+
+    mjx: mjx.Model
+    motor: Motor
+
+
+def make_model(model: mujoco.MjModel, quadruped: Quadruped, motor: Motor) -> MjxModel:
+    """`model`, made from `quadruped`, on this process's first device."""
+    # By default MJX takes the first of all devices, which may be another process's.
+    return MjxModel(mjx.put_model(model, device=jax.local_devices()[0]), motor)
+
+
+def control_step(
+    model: MjxModel, stepping: Stepping, physics: Physics, target: jax.Array
+) -> tuple[Physics, Effort]:
+    """One control step; `target` (12,) or (substeps, 12), rad. To be vmapped over robots."""
+    physics, target = jax.tree.map(jnp.asarray, (physics, target))
+    blank = mjx.make_data(model.mjx)
+
+    def advance(state: Physics, torque: jax.Array) -> Physics:
+        data = blank.replace(
+            qpos=state.qpos,
+            qvel=state.qvel,
+            qacc_warmstart=state.warmstart,
+            # Not by the actuators, for these have limits of their own.
+            qfrc_applied=blank.qfrc_applied.at[6:].set(torque),
+        )
+        data = mjx.step(model.mjx, data)
+        return Physics(data.qpos, data.qvel, data.qacc_warmstart)
+
+    return motor.control_step(model.motor, stepping, physics, target, advance)

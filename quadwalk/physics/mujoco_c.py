@@ -1,0 +1,116 @@
+"""MuJoCo C, on all cores: an independent judge of what was learnt in JAX.
+
+It steps the model that it is given, usually the full one, in which every shape collides and the
+solver converges. A jitted and vmapped control step hands a whole batch of robots to the host.
+"""
+
+import threading
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import mujoco.rollout
+import numpy as np
+from jax.experimental.buffer_callback import buffer_callback
+
+from quadwalk.cores import cpu_cores
+from quadwalk.physics import motor
+from quadwalk.physics.motor import Effort, Motor, Physics, Stepping
+from quadwalk.robot.quadruped import Quadruped
+
+TIMESTEP = 0.002  # s, a physics step of the full model
+# MuJoCo's pool of threads is one of the process; devices may call at the same time.
+_POOL = threading.Lock()
+_CONTROLS = int(mujoco.mjtState.mjSTATE_QFRC_APPLIED)
+
+
+@jax.tree_util.register_static
+class Stepper:
+    """A MuJoCo model, and a place to compute in for each thread."""
+
+    def __init__(self, model: mujoco.MjModel) -> None:
+        self.model = model
+        self.data = [mujoco.MjData(model) for _ in range(cpu_cores())]
+
+    def step(self, states: np.ndarray, torque: np.ndarray) -> np.ndarray:
+        """`states` (n, 38), time, qpos and qvel, after a step with joint torques (n, 12), Nm."""
+        applied = np.pad(torque, [(0, 0), (6, 0)])[:, None]
+        with _POOL:
+            after, _ = mujoco.rollout.rollout(
+                self.model,
+                self.data,
+                states,
+                applied,
+                control_spec=_CONTROLS,
+                persistent_pool=True,
+            )
+        return after[:, 0]
+
+
+class MujocoModel(NamedTuple):
+    """The motors' constants, which may differ from robot to robot, and the model of all robots."""
+
+    motor: Motor
+    stepper: Stepper
+
+
+def make_model(model: mujoco.MjModel, quadruped: Quadruped, motor: Motor) -> MujocoModel:
+    """`model`, made from `quadruped`, to be stepped as it is."""
+    return MujocoModel(motor, Stepper(model))
+
+
+def control_step(
+    model: MujocoModel, stepping: Stepping, physics: Physics, target: jax.Array
+) -> tuple[Physics, Effort]:
+    """One control step; `target` (12,) or (substeps, 12), rad. To be vmapped over robots.
+
+    In double precision from its beginning to its end. A batch that is split between devices is
+    gathered and computed once for each of them: leave it on one.
+    """
+    assert np.isclose(model.stepper.model.opt.timestep, stepping.dt)
+    each = jnp.ndim(target) > jnp.ndim(physics.qpos)
+
+    def advance(state: Physics, torque: Any) -> Physics:
+        rows = np.concatenate([np.zeros_like(state.qpos[:1]), state.qpos, state.qvel]).T
+        after: Any = model.stepper.step(rows, torque.T).T
+        return state._replace(qpos=after[1:20], qvel=after[20:38])
+
+    def step(*leaves: Any) -> list[np.ndarray]:
+        # Each (..., its own shape), where ... are the axes vmapped over; then with robots last.
+        batch = leaves[-1].shape[: leaves[-1].ndim - (2 if each else 1)]
+        several = [x.reshape(-1, *x.shape[len(batch) :]).astype(float) for x in leaves]
+        motors, state, targets = jax.tree.unflatten(
+            structure, [np.moveaxis(x, 0, -1) for x in several]
+        )
+        after, effort = motor.control_step(motors, stepping, state, targets, advance)
+        results: Any = (after.qpos, after.qvel, *effort)
+        return [np.moveaxis(x, -1, 0).reshape(*batch, *x.shape[:-1]) for x in results]
+
+    arguments, structure = jax.tree.flatten((model.motor, physics, target))
+    arguments = [jnp.asarray(x, jnp.float32) for x in arguments]
+    shapes = [jax.ShapeDtypeStruct(shape, jnp.float32) for shape in ((19,), (18,), (12,), ())]
+    qpos, qvel, torque, energy = _on_host(step, shapes, arguments)
+    return Physics(qpos, qvel, jnp.asarray(physics.warmstart)), Effort(torque, energy)
+
+
+def _on_host(
+    function: Callable[..., list[np.ndarray]], shapes: list[Any], arguments: list[jax.Array]
+) -> Any:
+    """`function` of NumPy arrays, called once for a whole batch of what is vmapped over."""
+    if jax.default_backend() != "cpu":
+        return jax.pure_callback(
+            lambda *given: [np.float32(x) for x in function(*map(np.asarray, given))],
+            shapes,
+            *arguments,
+            vmap_method="broadcast_all",
+        )
+
+    # On a CPU `pure_callback` copies arguments of more than 100 kB by the threads that wait for the
+    # callback to end, and so may hang (measured with jax 0.9.2). This one copies none.
+    def fill(_: Any, results: Any, *given: Any) -> None:
+        for result, value in zip(results, function(*map(np.asarray, given)), strict=True):
+            np.asarray(result)[...] = value
+
+    return buffer_callback(fill, shapes, vmap_method="broadcast_all")(*arguments)
