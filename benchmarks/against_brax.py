@@ -15,8 +15,10 @@ Found, three seeds of 1.5 million steps: in the end 3.55 m/s (3.38 to 3.66) agai
 """
 
 import argparse
+import dataclasses
 from typing import TYPE_CHECKING
 
+from quadwalk.tasks import run
 from quadwalk.train.devices import set_up_devices
 
 if TYPE_CHECKING:
@@ -36,13 +38,13 @@ def main() -> None:
     from brax_training import compare, learning_curves
 
     from quadwalk.robot.quadruped import load_quadruped
-    from quadwalk.task.config import EnvConfig
     from quadwalk.task.env import QuadrupedEnv
-    from quadwalk.train.settings import PPOConfig
 
-    env = QuadrupedEnv(load_quadruped(), EnvConfig(episode_seconds=10.0))
+    env = QuadrupedEnv(load_quadruped(), dataclasses.replace(run.TASK.env, episode_seconds=10.0))
     # Brax's stay the same throughout.
-    config = PPOConfig(final_kl=PPOConfig.desired_kl, final_entropy=PPOConfig.entropy)
+    config = dataclasses.replace(
+        run.TASK.ppo, final_kl=run.TASK.ppo.desired_kl, final_entropy=run.TASK.ppo.entropy
+    )
     batch = options.envs * config.unroll
     iterations = max(1, options.steps // batch // options.points) * options.points
     ours, brax = learning_curves(

@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from quadwalk.physics.quiet_mjx import mjx  # noqa: F401  # isort: skip  # else Brax imports it, loudly
+from quadwalk.physics.mjx import mjx  # noqa: F401  # isort: skip  # else Brax imports it, loudly
 
 import jax
 import jax.numpy as jnp

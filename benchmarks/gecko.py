@@ -11,6 +11,7 @@ each training, and judged in MuJoCo C, every shape colliding (`gecko_gait.py`). 
 notebooks/04_gecko.ipynb shows them.
 """
 
+from quadwalk.task.files import load_task
 import argparse
 import dataclasses
 import itertools
@@ -24,7 +25,7 @@ from typing import Any
 from quadwalk.errors import UserError, run_command
 from quadwalk.files import atomic_write
 from quadwalk.train.devices import cpu_cores, set_up_devices
-from quadwalk.train.settings import PRESETS, TrainConfig
+from quadwalk.train.settings import TrainConfig
 
 ROOT = Path(__file__).resolve().parent.parent
 # Settings of a TrainConfig that are exchanged together. The learner's that count steps go with the
@@ -32,10 +33,10 @@ ROOT = Path(__file__).resolve().parent.parent
 CAUSES = {
     "episode length": ("env.episode_seconds",),
     "control rate": ("env.substeps", "ppo.unroll", "ppo.discount", "ppo.gae_lambda"),
-    "action mapping": ("env.actuation.targets", "env.actuation.step_limit"),
+    "action mapping": ("env.motor.targets", "env.motor.step_limit"),
     "rewards": ("env.reward",),
     "motors": tuple(
-        f"env.actuation.{name}" for name in ("kp", "kd", "effort", "speed_limit", "joint_friction")
+        f"env.motor.{name}" for name in ("kp", "kd", "effort", "speed_limit", "joint_friction")
     ),
     # Without knees and trunk to rest on, a robot that may lie down sinks into the floor.
     "falls": ("env.termination", "env.contacts"),
@@ -68,9 +69,9 @@ def variants() -> dict[str, TrainConfig]:
         settings = tuple(itertools.chain.from_iterable(CAUSES[cause] for cause in causes))
         changed = "all of them" if len(causes) > 1 else ", ".join(causes)
         name = f"{preset}, {changed}" if changed else preset
-        found[name] = exchange(PRESETS[preset], PRESETS[OTHER[preset]], settings)
-    post, ours = PRESETS["blog"], PRESETS["run"]
-    actuation = dataclasses.replace(post.env.actuation, **ABOUT_STANDING)
+        found[name] = exchange(load_task(preset), load_task(OTHER[preset]), settings)
+    post, ours = load_task("blog"), load_task("run")
+    actuation = dataclasses.replace(post.env.motor, **ABOUT_STANDING)
     found["blog, action 0"] = dataclasses.replace(
         post, env=dataclasses.replace(post.env, actuation=actuation)
     )

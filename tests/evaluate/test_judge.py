@@ -9,6 +9,7 @@ import jax
 import numpy as np
 import pytest
 from mcap.reader import make_reader
+from quadwalk.evaluate.foot_force import with_foot_forces
 from rich.console import Console
 
 from quadwalk.errors import UserError
@@ -16,7 +17,6 @@ from quadwalk.evaluate import judge as judging
 from quadwalk.evaluate import subject as loading
 from quadwalk.evaluate import sweep as sweeping
 from quadwalk.evaluate.comparison import compare
-from quadwalk.evaluate.foot_force import with_foot_forces
 from quadwalk.evaluate.judge import judge
 from quadwalk.evaluate.options import EvalConfig
 from quadwalk.evaluate.simulate import simulate_episodes
@@ -29,11 +29,11 @@ from quadwalk.evaluate.summary import (
 )
 from quadwalk.evaluate.sweep import SWEEPS, Point, measure_points, sweep
 from quadwalk.robot.mjcf import write_xml
-from quadwalk.task.config import ActuationConfig, EnvConfig
+from quadwalk.task.config import ActuationConfig
 from quadwalk.task.env import QuadrupedEnv
+from quadwalk.tasks import run
 from quadwalk.train.runs.directory import Run
 from quadwalk.train.runs.policy import Policy
-from quadwalk.train.settings import TrainConfig
 
 EPISODES, SECONDS = 4, 0.5
 
@@ -48,8 +48,10 @@ def subject(quadruped, swaying, tmp_path_factory) -> Subject:
     # With a solver that converges, programs compiled apart stay close to each other.
     # The swaying is gentle enough for both engines to see the same.
     gentle = ActuationConfig(thigh_range=0.6, calf_range=0.6)
-    short = EnvConfig(episode_seconds=SECONDS, solver_iterations=10, actuation=gentle)
-    config, env = TrainConfig(), QuadrupedEnv(quadruped, short)
+    short = dataclasses.replace(
+        run.TASK.env, episode_seconds=SECONDS, solver_iterations=10, actuation=gentle
+    )
+    config, env = run.TASK, QuadrupedEnv(quadruped, short)
     policy = Policy(swaying, config, quadruped.joints, env.observation_size, 1000)
     return Subject(Run(folder), Run(folder).policy, policy, env)
 

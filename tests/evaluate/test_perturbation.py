@@ -1,12 +1,12 @@
 """Perturbed steps against MuJoCo C, which is told what the perturbation should come to."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
-
-from quadwalk.evaluate import perturbation as perturbing
 from quadwalk.evaluate.perturbation import (
     NOISE,
     Perturbation,
@@ -19,10 +19,12 @@ from quadwalk.evaluate.perturbation import (
     stack_models,
     varied_quadruped,
 )
+
+from quadwalk.evaluate import perturbation as perturbing
+from quadwalk.physics.mjx import mjx
 from quadwalk.physics.motor import gains
-from quadwalk.physics.quiet_mjx import mjx
-from quadwalk.task.config import EnvConfig
 from quadwalk.task.env import QuadrupedEnv
+from quadwalk.tasks import run
 
 STEPS, PERIOD = 12, 6  # control steps, and those between pushes
 PUSH = 0.8  # m/s
@@ -44,7 +46,7 @@ CASES = {
 @pytest.fixture(scope="module")
 def env(quadruped) -> QuadrupedEnv:
     # With a solver that converges the engines agree; training cuts it short.
-    return QuadrupedEnv(quadruped, EnvConfig(solver_iterations=ITERATIONS))
+    return QuadrupedEnv(quadruped, dataclasses.replace(run.TASK.env, solver_iterations=ITERATIONS))
 
 
 @pytest.fixture(scope="module")

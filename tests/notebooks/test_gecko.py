@@ -12,12 +12,13 @@ from benchmarks.gecko_gait import body_contact, contacts_of, figures_of, frames_
 from notebooks.execute import HERE
 from quadwalk.evaluate.gait import measure_gait
 from quadwalk.evaluate.rollout import Rollout
-from quadwalk.train.settings import PRESETS, flatten
+from quadwalk.task.files import load_task
+from quadwalk.train.serialise import flatten
 
 
 @pytest.mark.parametrize("preset", ["blog", "run"])
 def test_each_variant_takes_one_thing_from_the_other_preset(preset):
-    own, other = (flatten(PRESETS[name]) for name in (preset, OTHER[preset]))
+    own, other = (flatten(load_task(name)) for name in (preset, OTHER[preset]))
     taken = set()
     for cause, settings in CAUSES.items():
         found = flatten(variants()[f"{preset}, {cause}"])
@@ -32,13 +33,13 @@ def test_each_variant_takes_one_thing_from_the_other_preset(preset):
 
 
 def test_action_0_alone_is_moved_to_the_standing_pose(quadruped):
-    own, found = PRESETS["blog"], variants()["blog, action 0"]
+    own, found = load_task("blog"), variants()["blog, action 0"]
     own_flat, found_flat = flatten(own), flatten(found)
     changed = {name for name in found_flat if found_flat[name] != own_flat[name]}
-    bounds = [getattr(found.env.actuation, f"{part}_bounds") for part in ("hip", "thigh", "calf")]
-    assert changed == {"env.actuation.thigh_bounds", "env.actuation.calf_bounds"}
+    bounds = [getattr(found.env.motor, f"{part}_bounds") for part in ("hip", "thigh", "calf")]
+    assert changed == {"env.motor.thigh_bounds", "env.motor.calf_bounds"}
     np.testing.assert_allclose(np.mean(bounds, axis=1), quadruped.home[7:10], atol=1e-6)
-    assert np.ptp(found.env.actuation.thigh_bounds) == np.ptp(own.env.actuation.thigh_bounds)
+    assert np.ptp(found.env.motor.thigh_bounds) == np.ptp(own.env.motor.thigh_bounds)
 
 
 def still(quadruped, qpos, contact) -> Rollout:

@@ -5,12 +5,12 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
+from quadwalk.physics.mjx_engine import Physics
+from quadwalk.physics.robot_arrays import robot_arrays
 
 from quadwalk.physics.batching import BATCH, robots_last
 from quadwalk.physics.fast import acceleration, heights, integrate, simulate, soles
-from quadwalk.physics.mjx_engine import Physics
 from quadwalk.physics.model import legged
-from quadwalk.physics.robot_arrays import robot_arrays
 from quadwalk.robot.mjcf import Options
 from quadwalk.robot.quadruped import load_quadruped
 from quadwalk.robot.scene import lowest_point

@@ -11,10 +11,10 @@ import optax
 from brax.training.acme import running_statistics
 from brax.training.agents.ppo import losses
 
+from quadwalk.tasks import run
 from quadwalk.train.ppo import Learner, TrainState
 from quadwalk.train.runs.directory import Run
 from quadwalk.train.runs.writer import RunWriter
-from quadwalk.train.settings import TrainConfig
 
 
 def save(folder: Path, first: int, last: int, die_at: int | None = None) -> None:
@@ -26,7 +26,7 @@ def save(folder: Path, first: int, last: int, die_at: int | None = None) -> None
         _make_mortal(die_at)
     metrics = SimpleNamespace(score=0.0, state=dict)
     training = SimpleNamespace(
-        config=TrainConfig(),
+        config=run.TASK,
         quadruped=SimpleNamespace(joints=("joint",)),
         metrics=metrics,
         steps=first,

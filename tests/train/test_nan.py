@@ -9,16 +9,18 @@ import pytest
 
 from quadwalk.errors import UsageError, UserError
 from quadwalk.paths import ALIENGO_URDF
-from quadwalk.physics.mjx_engine import Physics
+from quadwalk.physics.motor import Physics
 from quadwalk.task.env import MAX_SPEED, EnvState, QuadrupedEnv
+from quadwalk.task.files import load_task
+from quadwalk.tasks import run
 from quadwalk.train import nan
 from quadwalk.train.robot import load_robot
 from quadwalk.train.runs import checkpoint
 from quadwalk.train.runs.directory import Run, create_run
 from quadwalk.train.runs.log import read_metrics
-from quadwalk.train.settings import PRESETS, RobotConfig, TrainConfig
+from quadwalk.train.settings import RobotConfig
 
-CONFIG = TrainConfig(robot=RobotConfig(ALIENGO_URDF))
+CONFIG = replace(run.TASK, robot=RobotConfig(ALIENGO_URDF))
 
 
 @pytest.fixture(scope="module")
@@ -58,7 +60,7 @@ def test_a_step_is_kept_and_goes_wrong_again(run, env, roll_rate):
 
 def test_a_step_of_another_task_is_replayed_as_it_was(run, env):
     # Its targets depend on where the joints are, its motors and gravity are not the robot's own.
-    config = replace(PRESETS["blog"], robot=CONFIG.robot)
+    config = replace(load_task("blog"), robot=CONFIG.robot)
     task = QuadrupedEnv(env.quadruped, config.env)
     state = jax.jit(task.reset)(jax.random.PRNGKey(0))
     action = np.full(12, -1.0, np.float32)

@@ -1,5 +1,6 @@
 """Which policy is the best, and what is kept of it."""
 
+import dataclasses
 import json
 from types import SimpleNamespace
 
@@ -10,15 +11,15 @@ import pytest
 from brax.training.acme import running_statistics, specs
 
 from quadwalk.errors import UserError
+from quadwalk.tasks import run
 from quadwalk.train.networks import make_networks
 from quadwalk.train.ppo import Learner, TrainState
 from quadwalk.train.runs.directory import Run, create_run, list_checkpoints
 from quadwalk.train.runs.log import read_metrics
 from quadwalk.train.runs.policy import load_policy, load_score
 from quadwalk.train.runs.writer import KEPT_CHECKPOINTS, RunWriter
-from quadwalk.train.settings import PPOConfig, TrainConfig
 
-CONFIG = TrainConfig(ppo=PPOConfig(hidden=(4,)))
+CONFIG = dataclasses.replace(run.TASK, ppo=dataclasses.replace(run.TASK.ppo, hidden=(4,)))
 JOINTS = tuple(f"joint_{index}" for index in range(12))
 
 

@@ -23,7 +23,6 @@ from quadwalk.train.runs.directory import (
 )
 from quadwalk.train.runs.log import read_metrics
 from quadwalk.train.runs.policy import load_policy
-from quadwalk.train.settings import PPOConfig
 
 ITERATIONS = 60
 OFTEN = "--checkpoint-steps=128"  # after every second iteration
@@ -236,7 +235,7 @@ def test_a_learner_that_is_lost_leaves_what_was_good(tmp_path, flags, train):
     assert caught.value.exit_status == 1
     assert {path: path.read_bytes() for path in good} == good
     assert list_checkpoints(run) == [run.checkpoint(256)]
-    normal = PPOConfig()
+    normal = run.TASK.ppo
     rates = [f"--ppo.min-learning-rate={normal.min_learning_rate}"]
     rates += ["--ppo.max-learning-rate=1e-3", f"--ppo.desired-kl={normal.desired_kl}"]
     train(*arguments, *rates)

@@ -8,10 +8,10 @@ import pytest
 
 from quadwalk.robot.quadruped import load_quadruped
 from quadwalk.task.env import QuadrupedEnv
+from quadwalk.task.files import load_task
 from quadwalk.train import ppo
 from quadwalk.train.networks import make_networks
 from quadwalk.train.runs import checkpoint
-from quadwalk.train.settings import PRESETS
 
 ENVS = 16
 
@@ -19,7 +19,7 @@ ENVS = 16
 @pytest.fixture(scope="module")
 def training():
     """An environment, the state before training, and the compiled iteration."""
-    preset = PRESETS["walk"]
+    preset = load_task("walk")
     config = dataclasses.replace(preset.ppo, eval_envs=2, unroll=4, minibatches=2, hidden=(16,))
     # A command stays for two steps: each environment is told anew in every iteration.
     command = dataclasses.replace(preset.env.command, seconds=2 * preset.env.control_dt)

@@ -9,11 +9,13 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from quadwalk.tasks import run
+
 # Before JAX is imported, for this module is what a process begins with. Not only by default: JAX
 # says 1 to the processes that one with JAX starts, and XLA then fills what a test reads.
 os.environ["TF_CPP_MIN_LOG_LEVEL"] = "3"
 
-import quadwalk.physics.quiet_mjx  # noqa: I001 - first, for the others would let it print
+import quadwalk.physics.mjx  # noqa: I001 - first, for the others would let it print
 import jax
 import jax.numpy as jnp
 import mujoco
@@ -24,7 +26,7 @@ import quadwalk.train.progress.curves
 import quadwalk.train.runs.writer
 import quadwalk.train.setup
 from quadwalk.task.config import EnvConfig
-from quadwalk.physics.mjx_engine import Physics
+from quadwalk.physics.motor import Physics
 from quadwalk.task.env import EnvState
 from quadwalk.errors import run_command
 from quadwalk.train.__main__ import main
@@ -44,7 +46,7 @@ class Toy(Env):
     backend = "none"
 
     def __init__(self, quadruped: Any = None, config: EnvConfig | None = None) -> None:
-        self.config = config or EnvConfig()
+        self.config = config or run.TASK.env
         self.mj_model = mujoco.MjModel.from_xml_string("<mujoco/>")
 
     def reset(self, rng: jax.Array) -> State:
