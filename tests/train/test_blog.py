@@ -28,7 +28,7 @@ def test_it_learns_from_numbers_that_are_finite():
     for number in range(ITERATIONS):
         state, numbers = iterate(state)
         row = metrics.row(number, numbers)
-        falls = ("train/fall_rate", "noisy/fall_rate")  # none before an episode has ended
+        falls = ("train/fall_rate", "eval/fall_rate")  # none before an episode has ended
         assert np.isfinite([value for name, value in row.items() if name not in falls]).all()
         terms = {name: value for name, value in row.items() if name.startswith("train/reward/")}
         assert {name.rpartition("/")[2] for name in terms} == {

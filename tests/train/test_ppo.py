@@ -151,10 +151,10 @@ def test_the_time_limit_is_bootstrapped_through_and_a_fall_is_not(collected, net
     assert not data.extras["state_extras"]["truncation"].any()
 
 
-def test_judges_act_without_noise(collected, networks):
+def test_evaluation_environments_act_without_noise(collected, networks):
     learner, _, data, metrics = collected
     mean = mean_policy(networks, learner.normalizer, learner.params.policy)
-    # The eval_envs' origins differ, but an untrained policy on few inputs is nearly flat.
+    # Their origins differ, but an untrained policy on few inputs is nearly flat.
     typical = float(np.mean(mean(data.observation)[..., 0]))
     assert metrics["eval/speed"] == pytest.approx(typical, abs=0.2)
     noise = data.action - np.asarray(mean(data.observation))
@@ -183,7 +183,7 @@ def test_the_first_step_that_gave_no_number_is_kept(networks, gather, poisoned):
     assert metrics["count/nan"] == len(poisoned)
     assert (nan_step.found > 0) == bool(poisoned)
     if poisoned:
-        # Each device has six environments, of which the last two are eval_envs.
+        # Each device has six environments, of which the last two are for evaluation.
         first = poisoned[0]
         assert nan_step.before.origin == 2.0
         assert nan_step.before.steps == count.steps[first]
