@@ -24,9 +24,26 @@ def parse(
     """
     import tyro
 
-    errors = io.StringIO()
+    # Not public yet, so pyproject.toml names an exact version of tyro.
+    from tyro._errors import ParseErrorEvent, UnrecognizedArgs, on_parse_error
+
+    unknown: list[str] = []
+    see = f"({prog} --help lists all)"
+
+    def refuse(event: ParseErrorEvent) -> None:
+        if isinstance(event, UnrecognizedArgs):
+            unknown.extend(event.tokens)  # and tyro goes on to say which flags are like it
+            return
+        argument = getattr(event, "argument", None)
+        if argument is None:
+            problem = " ".join(str(getattr(event, "message", type(event).__name__)).split())
+            raise UsageError(f"{problem} {see}")
+        flag, expected = argument.lowered.name_or_flags[-1], argument.lowered.metavar
+        raise UsageError(f"bad value for {flag}; expected {expected} {see}")
+
+    printed = io.StringIO()
     try:
-        with contextlib.redirect_stderr(errors):
+        with on_parse_error(refuse), contextlib.redirect_stderr(printed):
             settings: Any = tyro.cli(
                 cls,
                 prog=prog,
@@ -37,10 +54,13 @@ def parse(
                 config=(tyro.conf.SuppressFixed,),
             )
             return settings
-    except SystemExit as stop:
-        if not stop.code:  # --help
+    except SystemExit:
+        if not unknown:  # --help
             raise
-        raise UsageError(f"{_one_line(errors.getvalue())} ({prog} --help lists all)") from None
+        names = [token for token in unknown if token.startswith("-")] or unknown
+        like = re.search(r"Perhaps you meant:\W*(--[\w.-]+)", printed.getvalue())
+        hint = f"; did you mean {like[1]}?" if like else ""
+        raise UsageError(f"unknown option {', '.join(names)}{hint} {see}") from None
 
 
 def value_of(args: Sequence[str], flag: str) -> str | None:
@@ -51,12 +71,3 @@ def value_of(args: Sequence[str], flag: str) -> str | None:
         if arg.startswith(f"{flag}="):
             return arg.partition("=")[2]
     return None
-
-
-def _one_line(framed: str) -> str:
-    """The message of tyro's framed error, and the flag it suggests."""
-    lines = [re.sub(r"\x1b\[[0-9;]*m", "", line).strip("│ ") for line in framed.splitlines()]
-    lines = [line for line in lines if not line.startswith(("╭", "╰"))]
-    sections = [" ".join(s.split()) for s in re.split(r"\n─+\n", "\n".join(lines))]
-    suggestion = re.search(r"Perhaps you meant:\s*(--\S+)", " ".join(sections[1:]))
-    return sections[0] + (f"; did you mean {suggestion[1]}?" if suggestion else "")

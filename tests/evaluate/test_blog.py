@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
-
 from quadwalk.evaluate.foot_force import with_foot_forces
-from quadwalk.evaluate.gait import measure_gait
 from quadwalk.evaluate.perturbation import noise_scale
+
+from quadwalk.evaluate.gait import measure_gait
 from quadwalk.evaluate.recording.mcap import write_mcap
 from quadwalk.evaluate.simulate import simulate_episodes
 from quadwalk.task.env import QuadrupedEnv
-from quadwalk.train.settings import PRESETS
+from quadwalk.task.files import load_task
 
 STEPS = 50
 LOWER = np.tile([-1.2217, -1.0, -2.77507], 4)
@@ -24,7 +24,7 @@ UPPER = np.tile([1.2217, 1.0, -0.645772], 4)
 
 @pytest.fixture(scope="module")
 def env(quadruped) -> QuadrupedEnv:
-    config = dataclasses.replace(PRESETS["blog"].env, episode_seconds=STEPS / 240)
+    config = dataclasses.replace(load_task("blog").env, episode_seconds=STEPS / 240)
     return QuadrupedEnv(quadruped, config)
 
 

@@ -177,7 +177,7 @@ def train_both(monkeypatch):
             np.concatenate([data[:, 0] for data in found[: config.minibatches]])
             for found in per_device
         ]
-        # Behind each device's share of environments that learn stands a judge.
+        # Behind each device's share of environments learnt from stands one for evaluation.
         begin = np.concatenate([np.concatenate([part, part[:1]]) for part in observations])
         envs = jax.vmap(env.reset)(jax.random.split(jax.random.PRNGKey(0), len(begin)))
         envs = envs.replace(pipeline_state=jax.vmap(scattered)(begin), obs=begin)

@@ -8,16 +8,16 @@ import pytest
 
 from quadwalk.robot.quadruped import load_quadruped
 from quadwalk.task.env import QuadrupedEnv
+from quadwalk.task.files import load_task
 from quadwalk.train import ppo
 from quadwalk.train.metrics import TrainingMetrics
 from quadwalk.train.networks import make_networks
-from quadwalk.train.settings import PRESETS
 
 ITERATIONS, ENVS = 4, 8
 
 
 def test_it_learns_from_numbers_that_are_finite():
-    preset = PRESETS["blog"]
+    preset = load_task("blog")
     config = replace(preset.ppo, eval_envs=2, unroll=8, minibatches=2, hidden=(16,))
     env = QuadrupedEnv(load_quadruped(), preset.env)
     networks, mesh = make_networks(config, env.observation_size, env.action_size), ppo.make_mesh()
@@ -28,7 +28,7 @@ def test_it_learns_from_numbers_that_are_finite():
     for number in range(ITERATIONS):
         state, numbers = iterate(state)
         row = metrics.row(number, numbers)
-        falls = ("train/fall_rate", "noisy/fall_rate")  # none before an episode has ended
+        falls = ("train/fall_rate", "eval/fall_rate")  # none before an episode has ended
         assert np.isfinite([value for name, value in row.items() if name not in falls]).all()
         terms = {name: value for name, value in row.items() if name.startswith("train/reward/")}
         assert {name.rpartition("/")[2] for name in terms} == {

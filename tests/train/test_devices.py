@@ -80,7 +80,7 @@ def test_each_process_brings_as_many_devices(machine):
     ("change", "named"),
     [
         ({"devices": 16}, "--devices is 16; expected at most the 8 there are"),
-        ({"devices": 3}, "--ppo.eval_envs is 64; expected a multiple of 3, the devices"),
+        ({"devices": 3}, "--ppo.eval-envs is 64; expected a multiple of 3, the devices"),
         ({"envs": 100, "devices": 8}, "--envs is 100; expected a multiple of 32"),
     ],
 )

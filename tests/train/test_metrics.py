@@ -4,6 +4,7 @@ import math
 import pytest
 
 from quadwalk.task.config import RewardConfig
+from quadwalk.tasks import run
 from quadwalk.train.metrics import FallRate, TrainingMetrics
 
 
@@ -33,20 +34,20 @@ def numbers(**changes):
     return found | changes
 
 
-def test_a_row_tells_judges_from_learners_and_scales_the_terms():
+def test_a_row_tells_training_from_evaluation_and_scales_the_terms():
     metrics = TrainingMetrics(RewardConfig(forward=2.0, yaw=-3.0))
     metrics.row(100, numbers())
     row = metrics.row(200, numbers())
     assert row["steps"] == 200
-    assert (row["train/speed"], row["noisy/speed"]) == (3.0, 1.0)
-    assert (row["train/fall_rate"], row["noisy/fall_rate"]) == (0.25, 0.75)
+    assert (row["train/speed"], row["eval/speed"]) == (1.0, 3.0)
+    assert (row["train/fall_rate"], row["eval/fall_rate"]) == (0.75, 0.25)
     assert (row["train/reward/forward"], row["train/reward/yaw"]) == (4.0, -1.5)
     assert row["train/nan"] == 2.0
     assert row["loss/kl"] == 0.01
 
 
-def test_the_score_is_the_judges_speed_less_their_falls():
-    metrics = TrainingMetrics(RewardConfig())
+def test_the_score_is_the_evaluation_speed_less_the_falls():
+    metrics = TrainingMetrics(run.TASK.env.reward)
     assert metrics.score == 0.0
     for speed in (9.0, *[3.0] * 10, *[5.0] * 10):  # the last twenty count
         none = {"eval/count/ended": 0, "eval/count/fell": 0}
@@ -57,7 +58,7 @@ def test_the_score_is_the_judges_speed_less_their_falls():
 
 
 def test_counting_goes_on_from_a_saved_state():
-    whole, first, second = (TrainingMetrics(RewardConfig()) for _ in range(3))
+    whole, first, second = (TrainingMetrics(run.TASK.env.reward) for _ in range(3))
     rows = [numbers(**{"eval/count/fell": k % 3, "count/nan": k}) for k in range(40)]
     expected = [whole.row(k, row) for k, row in enumerate(rows)]
     for k, row in enumerate(rows[:25]):

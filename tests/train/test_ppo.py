@@ -1,5 +1,6 @@
 """The training loop, on an environment whose every number is known."""
 
+import dataclasses
 from typing import NamedTuple
 
 import jax
@@ -9,13 +10,19 @@ import pytest
 from brax.envs.base import Env, State
 from jax.sharding import PartitionSpec as P
 
-from quadwalk.task.config import EnvConfig
+from quadwalk.tasks import run
 from quadwalk.train import ppo
 from quadwalk.train.networks import make_networks, mean_policy
-from quadwalk.train.settings import PPOConfig
 
-CONFIG = PPOConfig(
-    eval_envs=4, unroll=6, minibatches=2, epochs=2, hidden=(16,), discount=0.9, reward_scale=0.5
+CONFIG = dataclasses.replace(
+    run.TASK.ppo,
+    eval_envs=4,
+    unroll=6,
+    minibatches=2,
+    epochs=2,
+    hidden=(16,),
+    discount=0.9,
+    reward_scale=0.5,
 )
 ENVS = 8
 GOAL = 0.5
@@ -33,7 +40,7 @@ class Counter(Env):
     An origin above 1 is never drawn; it stands for a state whose step is not a number.
     """
 
-    config = EnvConfig(episode_seconds=4 * EnvConfig().control_dt)
+    config = dataclasses.replace(run.TASK.env, episode_seconds=4 * run.TASK.env.control_dt)
 
     def reset(self, rng: jax.Array) -> State:
         count = Count(jnp.zeros((), jnp.int32), jax.random.uniform(rng, (), minval=-1.0))
@@ -151,10 +158,10 @@ def test_the_time_limit_is_bootstrapped_through_and_a_fall_is_not(collected, net
     assert not data.extras["state_extras"]["truncation"].any()
 
 
-def test_judges_act_without_noise(collected, networks):
+def test_evaluation_environments_act_without_noise(collected, networks):
     learner, _, data, metrics = collected
     mean = mean_policy(networks, learner.normalizer, learner.params.policy)
-    # The eval_envs' origins differ, but an untrained policy on few inputs is nearly flat.
+    # Their origins differ, but an untrained policy on few inputs is nearly flat.
     typical = float(np.mean(mean(data.observation)[..., 0]))
     assert metrics["eval/speed"] == pytest.approx(typical, abs=0.2)
     noise = data.action - np.asarray(mean(data.observation))
@@ -183,7 +190,7 @@ def test_the_first_step_that_gave_no_number_is_kept(networks, gather, poisoned):
     assert metrics["count/nan"] == len(poisoned)
     assert (nan_step.found > 0) == bool(poisoned)
     if poisoned:
-        # Each device has six environments, of which the last two are eval_envs.
+        # Each device has six environments, of which the last two are for evaluation.
         first = poisoned[0]
         assert nan_step.before.origin == 2.0
         assert nan_step.before.steps == count.steps[first]

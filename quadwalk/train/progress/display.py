@@ -111,8 +111,8 @@ class Progress:
         view.speeds.append(view.get("eval/speed"))
         view.update(task.id, completed=steps)
         # The bar is full when the steps are done or, if that comes first, when the time is up.
-        in_time = steps + (task.speed or math.inf) * max(0.0, self._ends - now)
-        task.total = min(self._total, in_time)
+        if task.speed:
+            task.total = min(self._total, steps + task.speed * max(0.0, self._ends - now))
         left = math.nan if task.time_remaining is None else task.time_remaining
         rate = quantity(task.finished_speed or task.speed or math.nan)
         done = f"{quantity(steps)}/{quantity(self._total)}"
