@@ -142,7 +142,7 @@ def _settled(rollout: Rollout) -> int:
 
 
 def _stride_length(rollout: Rollout, frequency: float) -> float:
-    """m: horizontal speed, with commands in the turning frame of the heading, over `frequency`."""
+    """m: horizontal speed, with commands in the frame of the heading, over `frequency` in Hz."""
     if not frequency > 0:
         return np.nan
     velocity = rollout.qvel[:, :2] if rollout.command is None else heading_velocity(rollout)[:, :2]

@@ -6,6 +6,7 @@ are wxyz.
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import mujoco
 import numpy as np
@@ -51,6 +52,7 @@ class LinkFrames:
         return whole.as_quat(scalar_first=True).reshape(*turn.shape[:2], 4)
 
 
+@lru_cache(maxsize=1)  # an evaluation asks for one robot's with every recording
 def link_frames(quadruped: Quadruped) -> LinkFrames:
     """The frames of a quadruped's URDF; no joint but those of the legs moves, and these turn."""
     tree = build_tree(parse_urdf(quadruped.urdf).robot)
