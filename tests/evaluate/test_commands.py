@@ -9,7 +9,7 @@ import pytest
 
 from quadwalk.cli import parse
 from quadwalk.errors import UsageError, UserError
-from quadwalk.evaluate.evaluation import evaluate
+from quadwalk.evaluate.judge import evaluate
 from quadwalk.evaluate.options import EvalConfig
 from quadwalk.evaluate.recording.provenance import revision
 from quadwalk.evaluate.view import check_screen
@@ -40,20 +40,20 @@ def said(runs: Path, *args: str) -> str:
         (["first", "first"], "2: 'first' and 'first' are the same run, "),
         (["second", "first", "latest"], "are the same run, "),
         (["--episodes=0"], "2: --episodes is 0; expected 1 or more"),
-        (["--episodes=many"], "2: Error parsing --episodes"),
+        (["--episodes=many"], "2: bad value for --episodes; expected INT"),
         (["--seconds=0"], "2: --seconds is 0.0; expected more than 0, up to 3600"),
         (["--seconds=nan"], "2: --seconds is nan"),
-        (["--engine=ode"], "2: --engine is 'ode'; expected mjx or mujoco"),
+        (["--engine=ode"], "2: bad value for --engine; expected {fast,mjx,mujoco}"),
         (["--mcap=-1"], "2: --mcap is -1; expected 0 or more"),
         (["--seed=-1"], "2: --seed is -1; expected 0 to "),
-        (["--video=avi"], "2: invalid choice 'avi' for argument '--video'"),
+        (["--video=avi"], "2: bad value for --video; expected {none,gif,mp4}"),
         (["first", "second", "--sweep"], "2: --sweep takes one run; 2 are named"),
         (["first", "second", "--view"], "2: --view shows one run; 2 are named"),
         (["--sweep", "--engine=mujoco"], "2: --engine mujoco cannot be given with --sweep"),
         (["--sweep", "--mcap=1"], "2: --mcap cannot be given with --sweep"),
         (["--sweep", "--video=gif"], "2: --video cannot be given with --sweep"),
         (["--sweep", "--view"], "2: --view cannot be given with --sweep"),
-        (["--swep"], "2: Unrecognized options: --swep"),
+        (["--swep"], "2: unknown option --swep; did you mean --sweep?"),
     ],
 )
 def test_what_cannot_be_asked_is_one_line(runs, args, expected):

@@ -9,17 +9,16 @@ import jax
 import numpy as np
 import pytest
 from mcap.reader import make_reader
-from quadwalk.evaluate.foot_force import with_foot_forces
 from rich.console import Console
 
 from quadwalk.errors import UserError
-from quadwalk.evaluate import judge as judging
+from quadwalk.evaluate import evaluation as measuring
 from quadwalk.evaluate import subject as loading
 from quadwalk.evaluate import sweep as sweeping
 from quadwalk.evaluate.comparison import compare
 from quadwalk.evaluate.judge import judge
 from quadwalk.evaluate.options import EvalConfig
-from quadwalk.evaluate.simulate import simulate_episodes
+from quadwalk.evaluate.simulate import simulate_episodes, with_foot_forces
 from quadwalk.evaluate.subject import Subject, load_subject
 from quadwalk.evaluate.summary import (
     engine_differences,
@@ -29,8 +28,9 @@ from quadwalk.evaluate.summary import (
 )
 from quadwalk.evaluate.sweep import SWEEPS, Point, measure_points, sweep
 from quadwalk.robot.mjcf import write_xml
-from quadwalk.task.config import ActuationConfig
+from quadwalk.task.actions import about_home
 from quadwalk.task.env import QuadrupedEnv
+from quadwalk.task.terms import ActionMap
 from quadwalk.tasks import run
 from quadwalk.train.runs.directory import Run
 from quadwalk.train.runs.policy import Policy
@@ -47,11 +47,11 @@ def subject(quadruped, swaying, tmp_path_factory) -> Subject:
     (folder / "robot.urdf").write_text(quadruped.urdf)
     # With a solver that converges, programs compiled apart stay close to each other.
     # The swaying is gentle enough for both engines to see the same.
-    gentle = ActuationConfig(thigh_range=0.6, calf_range=0.6)
+    gentle = ActionMap(about_home, {"hip": 0.3, "thigh": 0.6, "calf": 0.6})
     short = dataclasses.replace(
-        run.TASK.env, episode_seconds=SECONDS, solver_iterations=10, actuation=gentle
+        run.TASK.env, episode_seconds=SECONDS, solver_iterations=10, action=gentle
     )
-    config, env = run.TASK, QuadrupedEnv(quadruped, short)
+    config, env = run.TASK, QuadrupedEnv(quadruped, short, "mjx")
     policy = Policy(swaying, config, quadruped.joints, env.observation_size, 1000)
     return Subject(Run(folder), Run(folder).policy, policy, env)
 
@@ -61,15 +61,15 @@ def judged(subject, tmp_path_factory):
     """By both engines: what was returned, the folder, what was said, and MJX's episodes."""
     out, said, kept = tmp_path_factory.mktemp("judged"), io.StringIO(), {}
 
-    def keeping(env, policy, episodes, seed, engine, report):
-        kept[engine] = simulate_episodes(env, policy, episodes, seed, engine, report)
-        return kept[engine]
+    def keeping(env, *rest):
+        kept[env.engine] = simulate_episodes(env, *rest)
+        return kept[env.engine]
 
     config = EvalConfig(episodes=EPISODES, seconds=SECONDS, engine="mujoco", seed=1, mcap=1)
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("COLUMNS", "120")
-        patch.setattr(judging, "simulate_episodes", keeping)
-        results = judge(subject, config, out, Console(file=said, width=200))
+        patch.setattr(measuring, "simulate_episodes", keeping)
+        results = judge(subject.in_engine("mujoco"), config, out, Console(file=said, width=200))
     return results, out, said.getvalue(), kept["mjx"]
 
 
@@ -116,7 +116,7 @@ def test_differences_of_what_is_not_there_or_zero():
 def test_only_what_is_asked_for_is_recorded(judged, subject, quadruped):
     results, out, said, _ = judged
     names = {path.name for path in out.iterdir()}
-    assert names - {"film_strip.png"} == {"metrics.json", "report.png", "episode_000.mcap"}
+    assert names == {"metrics.json", "report.png", "film_strip.png", "episode_000.mcap"}
     assert "1 MCAP files" in said
     with open(out / "episode_000.mcap", "rb") as stream:
         reader = make_reader(stream, validate_crcs=True)
@@ -132,7 +132,7 @@ def test_only_what_is_asked_for_is_recorded(judged, subject, quadruped):
 
 
 def test_feet_carry_the_robot(rollouts, subject):
-    with_forces = with_foot_forces(rollouts[0], subject.env, "mjx")
+    with_forces = with_foot_forces(rollouts[0], subject.env)
     assert rollouts[0].foot_force is None
     force = with_forces.foot_force
     # A foot that does not touch the floor carries nothing, and over time they carry the weight.
@@ -197,7 +197,7 @@ def test_without_perturbation_a_sweep_measures_what_an_evaluation_does(
     rollouts, subject, monkeypatch
 ):
     points = [Point(), Point(strength=80.0), Point(delay=40.0)]
-    outcome = sweeping._simulate(subject, points, EPISODES, 1, None)
+    outcome = sweeping._simulate(subject.env, subject.policy.act, points, EPISODES, 1, None)
     x = np.cumsum(outcome.speed, axis=0) * 0.02  # m gained
     for k, rollout in enumerate(rollouts):
         assert np.argmax(outcome.end[:, k] > 0) + 1 == rollout.steps

@@ -21,7 +21,7 @@ from quadwalk.evaluate.summary import (
     typical_episode,
 )
 from quadwalk.task.config import CommandConfig
-from quadwalk.tasks import run
+from quadwalk.tasks import run, walk
 from quadwalk.train.runs.directory import Run
 from quadwalk.train.runs.policy import Policy
 
@@ -114,14 +114,16 @@ def test_figures_of_an_episode_with_commands(glide, quadruped):
 
 
 def test_an_episode_has_one_command_which_its_policy_sees(quadruped, monkeypatch):
-    told = CommandConfig(forward=(0.5, 1.0), turning=(-1.0, 0.0), standing=0.0, seconds=0.04)
+    told = CommandConfig(
+        forward=(0.5, 1.0), lateral=(0.0, 0.0), yaw_rate=(-1.0, 0.0), standing=0.0, seconds=0.04
+    )
     act = jax.tree_util.Partial(lambda seen: 0.0 * seen[..., :12])
-    config = dataclasses.replace(run.TASK, env=dataclasses.replace(run.TASK.env, command=told))
+    config = dataclasses.replace(walk.TASK, env=dataclasses.replace(walk.TASK.env, command=told))
     policy = Policy(act, config, quadruped.joints, 48, 0)
     monkeypatch.setattr(subject, "load_policy", lambda path: policy)
     monkeypatch.setattr(subject, "load_run_robot", lambda *_: quadruped)
-    env = subject.load_subject(Run(Path("walker")), 0.2).env
-    rollouts = simulate_episodes(env, act, 2, seed=0, engine="mujoco")
+    env = subject.load_subject(Run(Path("walker")), 0.2, engine="mujoco").env
+    rollouts = simulate_episodes(env, act, 2, seed=0)
     for rollout in rollouts:
         assert rollout.command.shape == (10, 3)
         assert (rollout.command == rollout.command[0]).all()

@@ -1,4 +1,4 @@
-"""Perturbed steps against MuJoCo C, which is told what the perturbation should come to."""
+"""Episodes of a sweep against MuJoCo C, which is told what the perturbation should come to."""
 
 import dataclasses
 
@@ -7,22 +7,10 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
-from quadwalk.evaluate.perturbation import (
-    NOISE,
-    Perturbation,
-    begin,
-    history,
-    noise_scale,
-    perturbed_step,
-    sensed,
-    side_of_push,
-    stack_models,
-    varied_quadruped,
-)
 
-from quadwalk.evaluate import perturbation as perturbing
-from quadwalk.physics.mjx import mjx
-from quadwalk.physics.motor import gains
+from quadwalk.evaluate.sweep import stack_models, varied_quadruped
+from quadwalk.task import conditions
+from quadwalk.task.conditions import first_conditions, sensed, side_of_push, targets_needed
 from quadwalk.task.env import QuadrupedEnv
 from quadwalk.tasks import run
 
@@ -43,42 +31,37 @@ CASES = {
 }
 
 
-@pytest.fixture(scope="module")
-def env(quadruped) -> QuadrupedEnv:
+@pytest.fixture(scope="module", params=["mjx", "fast"])
+def env(quadruped, request) -> QuadrupedEnv:
     # With a solver that converges the engines agree; training cuts it short.
-    return QuadrupedEnv(quadruped, dataclasses.replace(run.TASK.env, solver_iterations=ITERATIONS))
+    config = dataclasses.replace(run.TASK.env, solver_iterations=ITERATIONS)
+    return QuadrupedEnv(quadruped, config, request.param)
 
 
 @pytest.fixture(scope="module")
-def recorded(env, quadruped, swaying):
+def recorded(env, swaying):
     """Of each case: qpos and qvel before and after each control step, and the actions."""
-    columns = list(zip(*CASES.values(), strict=True))
-    models = [
-        mjx.put_model(varied_quadruped(quadruped, friction, mass).training_model(0.004, ITERATIONS))
-        for friction, mass in zip(columns[0], columns[1], strict=True)
-    ]
+    friction, mass, strength, delay, push = zip(*CASES.values(), strict=True)
+    models = []
+    for k, changes in enumerate(zip(friction, mass, strict=True)):
+        model = env.model_of(varied_quadruped(env.quadruped, *changes))
+        motor = model.motor._replace(strength=np.full(12, strength[k]))
+        models.append(model._replace(motor=motor))
     leaves, axes = stack_models(models)
     structure = jax.tree.structure(env.model)
-    suffered = Perturbation(
-        strength=jnp.array(columns[2], jnp.float32),
-        delay=jnp.array(columns[3]),
-        push=jnp.array(columns[4], jnp.float32),
-        noise=jnp.zeros(len(CASES)),
-    )
-    noise = noise_scale(env.observation_names)
-    kept = history(max(columns[3]), env.config.substeps)
+    kept = targets_needed(max(delay), env.config.substeps)
 
-    def run(leaves, suffered, state, key):
+    def episode(leaves, delay, push, state, key):
         model = jax.tree.unflatten(structure, leaves)
+        home = jnp.asarray(env.robot.home_joints, jnp.float32)
+        suffered = first_conditions(home, delay, push, jnp.zeros(()), key, kept)
 
-        def one_step(episode, _):
-            after = perturbed_step(
-                model, env.legged, env.robot, env.config, noise, swaying, suffered, episode
-            )
-            carried = after.state.pipeline_state
-            return after, (carried.physics.qpos, carried.physics.qvel, carried.last_action)
+        def one_step(state, _):
+            after = env.step_with(model, state, swaying(state.obs))
+            carried = after.pipeline_state
+            return after, (carried.qpos, carried.qvel, carried.last_action)
 
-        first = begin(env.robot, state, key, kept)
+        first = env.with_conditions(state, suffered)
         return jax.lax.scan(one_step, first, None, length=STEPS)[1]
 
     state = jax.jit(env.reset)(jax.random.PRNGKey(3))
@@ -86,9 +69,10 @@ def recorded(env, quadruped, swaying):
     physics = physics._replace(qvel=physics.qvel.at[:2].set(jnp.array([2.0, 0.5])))  # it slides
     state = state.replace(pipeline_state=state.pipeline_state._replace(physics=physics))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(perturbing, "PUSH_PERIOD", PERIOD * env.config.control_dt)
-        batched = jax.vmap(run, in_axes=(axes, 0, None, None))
-        found = jax.jit(batched)(leaves, suffered, state, jax.random.PRNGKey(5))
+        patch.setattr(conditions, "PUSH_PERIOD", PERIOD * env.config.control_dt)
+        batched = jax.jit(jax.vmap(episode, in_axes=(axes, 0, 0, None, None)))
+        suffered = jnp.array(delay), jnp.array(push, jnp.float32)
+        found = batched(leaves, *suffered, state, jax.random.PRNGKey(5))
     qpos, qvel, actions = map(np.asarray, found)
     before = (np.asarray(physics.qpos), np.asarray(physics.qvel))
     return {
@@ -104,21 +88,21 @@ def recorded(env, quadruped, swaying):
 def replay_step(env, model, strength, delay, case, step, kick) -> np.ndarray:
     """The velocity that MuJoCo C finds after control step `step`, begun as it was in MJX."""
     qpos, qvel, actions = case
-    config, robot = env.config, env.robot
+    config, robot, dog = env.config, env.robot, env.quadruped
     data = mujoco.MjData(model)
     data.qpos[:], data.qvel[:] = qpos[step], qvel[step]
     data.qvel[1] += kick
-    kp, kd = gains(robot, config.actuation)
-    reach = np.tile([config.actuation.hip_range, *[config.actuation.thigh_range] * 2], 4)
+    kp, kd = 1.4 * robot.weight * robot.home_height, 0.035 * robot.weight * robot.home_height
+    reach = np.tile([0.3, 0.9, 0.9], 4)
     for number in range(config.substeps):
         obeyed = (step * config.substeps + number - delay) // config.substeps
         wanted = actions[obeyed] if obeyed >= 0 else np.zeros(12)
         target = np.clip(robot.home_joints + reach * wanted, robot.lower, robot.upper)
         qd = data.qvel[6:].copy()
         torque = kp * (target - data.qpos[7:]) - kd * qd
-        line = robot.effort * np.clip(1 - np.sign(torque) * qd / robot.velocity, 0, 1)
+        line = dog.effort * np.clip(1 - np.sign(torque) * qd / dog.velocity, 0, 1)
         data.ctrl[:] = strength * np.clip(torque, -line, line)
-        data.qfrc_applied[6:] = -robot.friction * np.tanh(qd / 0.1)
+        data.qfrc_applied[6:] = -dog.friction * np.tanh(qd / 0.1)
         mujoco.mj_step(model, data)
     return data.qvel.copy()
 
@@ -176,14 +160,10 @@ def test_a_varied_model_is_what_mujoco_derives(env, quadruped):
     np.testing.assert_array_equal(unchanged.body_mass, env.mj_model.body_mass)
 
 
-def test_only_what_differs_between_models_is_batched(env, quadruped):
-    models = [
-        mjx.put_model(varied_quadruped(quadruped, friction).training_model(0.004, ITERATIONS))
-        for friction in (0.3, 0.9)
-    ]
+def test_only_what_differs_between_models_is_batched(env):
+    models = [env.model_of(varied_quadruped(env.quadruped, friction)) for friction in (0.3, 0.9)]
     leaves, axes = stack_models(models)
-    batched = [leaf for leaf, axis in zip(leaves, axes, strict=True) if axis == 0]
-    assert [leaf.shape for leaf in batched] == [(2, env.model.ngeom, 3)]
+    assert 0 < axes.count(0) < len(axes) / 2
     for k, model in enumerate(models):
         one = [leaf if axis is None else leaf[k] for leaf, axis in zip(leaves, axes, strict=True)]
         for leaf, expected in zip(one, jax.tree.leaves(model), strict=True):
@@ -191,20 +171,24 @@ def test_only_what_differs_between_models_is_batched(env, quadruped):
 
 
 def test_noise_has_its_scale_and_is_new_in_each_step(env):
-    names = env.observation_names
-    scale = noise_scale(names)
-    draw = jax.jit(jax.vmap(sensed, in_axes=(None, None, None, 0)))
-    key = jax.random.PRNGKey(0)
-    found = np.asarray(draw(jnp.zeros(len(names)), jnp.asarray(scale), key, jnp.arange(4000)))
-    np.testing.assert_allclose(found.std(axis=0), scale, rtol=0.06)
-    np.testing.assert_allclose(found.mean(axis=0), 0, atol=0.06 * scale.max())
+    names, scale = env.observation_names, env.noise_scale
+    home = jnp.asarray(env.robot.home_joints, jnp.float32)
+
+    def draw(seen, level, steps):
+        suffered = first_conditions(home, 0, 0.0, level, jax.random.PRNGKey(0), 1)
+        return sensed(suffered, seen, scale, steps)
+
+    drawn = jax.jit(jax.vmap(draw, in_axes=(None, None, 0)))
+    found = np.asarray(drawn(jnp.zeros(len(names)), 2.0, jnp.arange(4000)))
+    np.testing.assert_allclose(found.std(axis=0), 2 * scale, rtol=0.06)
+    np.testing.assert_allclose(found.mean(axis=0), 0, atol=0.12 * scale.max())
     by_name = dict(zip(names, scale, strict=True))
-    assert by_name["velocity_x"] == NOISE["velocity_"]
-    assert by_name["angular_velocity_z"] == NOISE["angular_velocity_"]
-    assert by_name["offset"] == NOISE["offset"]
+    parts = env.config.observation
+    assert by_name["velocity_x"] == np.float32(parts["velocity"].noise)
+    assert by_name["angular_velocity_z"] == np.float32(parts["angular_velocity"].noise)
+    assert by_name["offset"] == np.float32(parts["offset"].noise)
     assert {std for name, std in by_name.items() if name.startswith("last_action")} == {0.0}
-    assert noise_scale(("velocity_x", "command_turning")).tolist() == [NOISE["velocity_"], 0.0]
-    still = draw(jnp.ones(len(names)), jnp.zeros(len(names)), key, jnp.arange(3))
+    still = drawn(jnp.ones(len(names)), 0.0, jnp.arange(3))
     np.testing.assert_array_equal(still, 1.0)
 
 
@@ -221,4 +205,4 @@ def test_one_push_in_every_five_seconds():
 
 @pytest.mark.parametrize(("delay", "kept"), [(0, 1), (1, 2), (5, 2), (6, 3), (10, 3)])
 def test_as_many_targets_are_kept_as_a_delay_reaches_back(delay, kept):
-    assert history(delay, 5) == kept
+    assert targets_needed(delay, 5) == kept
