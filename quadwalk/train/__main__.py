@@ -1,61 +1,22 @@
 """`python -m quadwalk.train`, which is also `train.py`: teach a quadruped a task."""
 
-import dataclasses
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
 
-from quadwalk.cli import parse, value_of
-from quadwalk.errors import UsageError, run_command
-from quadwalk.train.runs.directory import Run, find_run
-from quadwalk.train.settings import TrainConfig
-
-
-@dataclass(frozen=True, kw_only=True)
-class TrainFlags(TrainConfig):
-    """Teach a quadruped a task. Results go to runs/NAME/."""
-
-    # task to start from, which the other flags change: a name, or the path of a .py file of yours
-    preset: str = "run"
-    resume: str | None = None  # name or path of a run to go on with, or "latest"
-
-
-def parse_config(args: Sequence[str], prog: str = "train.py") -> tuple[TrainConfig, Run | None]:
-    """The configuration that a command line asks for, and the run to go on with, if any.
-
-    `UsageError` for one that cannot be.
-    """
-    from quadwalk.task.files import load_task, task_list
-    from quadwalk.train.runs.resume import resumed_config
-
-    # The flags that choose what all others change are looked at first.
-    which = value_of(args, "--resume")
-    previous = None
-    if which is not None:
-        for flag in ("--preset", "--name", "--robot.urdf"):
-            if value_of(args, flag) is not None:
-                raise UsageError(f"{flag} cannot be given with --resume: the run has its own")
-        previous = find_run(value_of(args, "--runs") or TrainConfig.runs, which)
-        default = resumed_config(previous)
-        start: dict[str, Any] = {"preset": default.task, "resume": which}
-    else:
-        preset = value_of(args, "--preset") or "run"
-        default = load_task(preset)
-        start = {"preset": preset}
-    shared: dict[str, Any] = {
-        f.name: getattr(default, f.name) for f in dataclasses.fields(TrainConfig)
-    }
-    description = f"{TrainFlags.__doc__}\n\n{task_list()}"
-    flags = parse(TrainFlags, args, prog, TrainFlags(**shared, **start), description)
-    return TrainConfig(**{name: getattr(flags, name) for name in shared}), previous
+from quadwalk.errors import run_command
 
 
 def main(args: Sequence[str] | None = None, prog: str = "train.py") -> None:
     """Parse the command line and train."""
-    config, previous = parse_config(sys.argv[1:] if args is None else args, prog)
-    from quadwalk.train.loop import train
+    from rich.console import Console
 
+    # Tasks are functions of JAX, which takes a second to import: a terminal shows at once that
+    # something goes on.
+    with Console(stderr=True).status("loading"):
+        from quadwalk.train.command import parse_config
+        from quadwalk.train.loop import train
+
+        config, previous = parse_config(sys.argv[1:] if args is None else args, prog)
     train(config, previous)
 
 

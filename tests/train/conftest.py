@@ -61,11 +61,11 @@ def start(processes) -> Callable[..., multiprocessing.Process]:
 @pytest.fixture
 def train(monkeypatch) -> Callable[..., None]:
     """Train on the toy with flags, here; `watch` is as for `quadwalk.train.loop.train`."""
-    from quadwalk.train.__main__ import parse_config
+    from quadwalk.train.command import parse_config
     from quadwalk.train.loop import train
 
     monkeypatch.setattr("quadwalk.task.env.QuadrupedEnv", toy.Toy)
-    return lambda *flags, watch=None: train(parse_config(flags), watch)
+    return lambda *flags, watch=None: train(*parse_config(flags), watch)
 
 
 @pytest.fixture(scope="session")
