@@ -5,6 +5,9 @@ import importlib.util
 import os
 from pathlib import Path
 
+# Before JAX is imported, which sets it otherwise: XLA's messages would fill the output.
+os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
+
 import jax
 import mujoco
 import numpy as np

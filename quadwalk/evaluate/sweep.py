@@ -158,26 +158,29 @@ def _simulate(
     leaves, axes = _models(env, points, episodes)
     structure = jax.tree.structure(env.model)
 
-    def one_step(leaves: Any, policy: Policy, state: State) -> State:
-        model = jax.tree.unflatten(structure, leaves)
-        return env.step_with(model, state, policy(state.obs))
+    def one_step(varied: list[Any], policy: Policy, state: State) -> State:
+        own = iter(varied)
+        every = [
+            # MJX tells by the kind of an array whether it is a constant of the program.
+            next(own) if axis == 0 else jnp.asarray(leaf) if isinstance(like, jax.Array) else leaf
+            for leaf, axis, like in zip(leaves, axes, jax.tree.leaves(env.model), strict=True)
+        ]
+        return env.step_with(jax.tree.unflatten(structure, every), state, policy(state.obs))
 
-    batched = jax.vmap(one_step, in_axes=(axes, None, 0))
+    batched = jax.vmap(one_step, in_axes=(0, None, 0))
 
     @jax.jit
-    def chunk(leaves: Any, policy: Policy, states: State) -> tuple[State, Outcome]:
+    def chunk(varied: list[Any], policy: Policy, states: State) -> tuple[State, Outcome]:
         def step(states: State, _: None) -> tuple[State, Outcome]:
-            states = batched(leaves, policy, states)
+            states = batched(varied, policy, states)
             return states, Outcome(states.info["end"], states.metrics["speed"])
 
         return jax.lax.scan(step, states, None, length=CHUNK)
 
     first = over_devices(env, _starts(env, points, episodes, seed))
-    leaves = [
-        leaf if axis is None else over_devices(env, leaf)
-        for leaf, axis in zip(leaves, axes, strict=True)
-    ]
-    return until_all_ended(partial(chunk, leaves, policy), first, report)
+    varied = [leaf for leaf, axis in zip(leaves, axes, strict=True) if axis == 0]
+    varied = over_devices(env, varied) if varied else []
+    return until_all_ended(partial(chunk, varied, policy), first, report)
 
 
 def _starts(env: QuadrupedEnv, points: list[Point], episodes: int, seed: int) -> State:
@@ -257,6 +260,6 @@ def stack_models(models: Sequence[Any]) -> tuple[list[Any], list[int | None]]:
         # On the host: MJX ties its arrays to one device, and the episodes are on all of them.
         arrays = [np.asarray(leaf) for leaf in leaves]
         same = all(np.array_equal(arrays[0], array) for array in arrays[1:])
-        stacked.append(leaves[0] if same else np.stack(arrays))
+        stacked.append(arrays[0] if same else np.stack(arrays))
         axes.append(None if same else 0)
     return stacked, axes

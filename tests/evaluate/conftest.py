@@ -71,7 +71,7 @@ def simulate(quadruped: Quadruped) -> Callable[..., Rollout]:
             "energy": arrays["energy"],
             "lateral": np.abs(rates[1:, 1]),
             "vertical": rates[1:, 2] ** 2,
-            "turning": np.abs(rates[1:, 3:5]).sum(axis=1),
+            "roll_pitch_rate": np.abs(rates[1:, 3:5]).sum(axis=1),
             "yaw": np.abs(heading[1:, 0]),
             "offset": np.abs(states[1:, 1]),
             "tilt": (states[1:, 4:6] ** 2).sum(axis=1),

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 from PIL import Image
-from quadwalk.evaluate.trim import first_steps
 
 from quadwalk.evaluate.report.pictures import draw_film_strip, render_video
+from quadwalk.evaluate.rollout import first_steps
 
 SMALL = {"width": 96, "height": 64}
 
