@@ -3,9 +3,9 @@ import math
 
 import pytest
 
-from quadwalk.task.config import RewardConfig
 from quadwalk.tasks import run
 from quadwalk.train.metrics import FallRate, TrainingMetrics
+from quadwalk.train.serialise import with_settings
 
 
 def test_the_share_of_falls_is_over_the_last_episodes():
@@ -35,7 +35,8 @@ def numbers(**changes):
 
 
 def test_a_row_tells_training_from_evaluation_and_scales_the_terms():
-    metrics = TrainingMetrics(RewardConfig(forward=2.0, yaw=-3.0))
+    scales = {"env.reward.forward": 2.0, "env.reward.yaw": -3.0}
+    metrics = TrainingMetrics(with_settings(run.TASK, scales).env.reward)
     metrics.row(100, numbers())
     row = metrics.row(200, numbers())
     assert row["steps"] == 200

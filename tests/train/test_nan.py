@@ -107,7 +107,7 @@ def test_the_command_wants_one_file(monkeypatch):
 
 
 def test_a_training_keeps_them_counts_them_and_goes_on(tmp_path, flags, train, capsys):
-    train(*flags(tmp_path, "nan", 30, "--env.termination.tilt=0.5"))
+    train(*flags(tmp_path, "nan", 30, "--env.termination.tipped.angle=0.5"))
     run = Run(tmp_path / "nan")
     rows = read_metrics(run)
     assert len(rows) == 30

@@ -13,6 +13,7 @@ import pytest
 import toy
 
 from quadwalk.errors import UserError
+from quadwalk.tasks.run import TASK
 from quadwalk.train.runs import checkpoint
 from quadwalk.train.runs.directory import (
     Run,
@@ -235,7 +236,7 @@ def test_a_learner_that_is_lost_leaves_what_was_good(tmp_path, flags, train):
     assert caught.value.exit_status == 1
     assert {path: path.read_bytes() for path in good} == good
     assert list_checkpoints(run) == [run.checkpoint(256)]
-    normal = run.TASK.ppo
+    normal = TASK.ppo
     rates = [f"--ppo.min-learning-rate={normal.min_learning_rate}"]
     rates += ["--ppo.max-learning-rate=1e-3", f"--ppo.desired-kl={normal.desired_kl}"]
     train(*arguments, *rates)

@@ -49,7 +49,7 @@ def test_all_numbers_are_finite_and_the_command_is_rewarded(course):
     for row in rows:
         assert row["learner/finite"]
         assert row["count/nan"] == 0
-        for name in ("follow", "follow_turning", "trot"):
+        for name in ("follow", "follow_yaw_rate", "trot"):
             assert 0 < row[f"reward/{name}"] <= 1
         assert row["reward/drag"] >= 0
 
@@ -59,7 +59,7 @@ def test_commands_change_as_it_trains_and_stay_in_their_ranges(training, course)
     told = np.array([state.workers.envs.pipeline_state.command.velocity for state in course[0]])
     moving = told.any(axis=2)
     assert told.shape == (4, ENVS + 2, 3)
-    for column, (low, high) in enumerate((command.forward, command.sideways, command.turning)):
+    for column, (low, high) in enumerate((command.forward, command.lateral, command.yaw_rate)):
         values = told[moving][:, column]
         assert low <= values.min() < values.max() <= high
     changed = (np.diff(told, axis=0) != 0).any(axis=2)

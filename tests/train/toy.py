@@ -38,7 +38,7 @@ class Toy(Env):
     """A point that its actions push; the reward is best where they are `GOAL`.
 
     A step is not a number where `qpos[1]`, drawn between 0 and 1 at each reset, is more than
-    `env.termination.tilt`, which is 1 unless a test lowers it.
+    `env.termination.tipped.angle`, which is 1 unless a test lowers it.
     """
 
     observation_size = 3
@@ -63,7 +63,9 @@ class Toy(Env):
         position = before.physics.qpos.at[0].add(speed[0] * self.config.control_dt)
         physics = Physics(position, speed, before.physics.warmstart)
         steps = before.steps + 1
-        nan = (before.physics.qpos[1] > self.config.termination.tilt).astype(jnp.float32)
+        nan = (before.physics.qpos[1] > self.config.termination["tipped"].params["angle"]).astype(
+            jnp.float32
+        )
         limit = (steps >= self.config.episode_steps).astype(jnp.float32) * (1.0 - nan)
         reward = 1.0 - jnp.mean(jnp.square(action - GOAL))
         return State(
