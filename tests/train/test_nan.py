@@ -119,6 +119,7 @@ def test_a_training_keeps_them_counts_them_and_goes_on(tmp_path, flags, train, c
     for path in kept:
         arrays, metadata = checkpoint.load(path, "nan")
         assert arrays["qpos"][1] > 0.5  # which is when the toy gives no number
-        assert metadata["config"]["env"]["termination"]["tilt"] == 0.5
+        tipped = metadata["config"]["env"]["termination"]["tipped"]
+        assert tipped["params"] == {"angle": 0.5}
     assert "NaN states" in capsys.readouterr().out
     assert all(np.isfinite(row["loss/value"]) for row in rows)
