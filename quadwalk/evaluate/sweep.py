@@ -4,7 +4,7 @@ All points of all sweeps are one batch, and so one compilation. `quadwalk.task.c
 delays, pushes and noise are applied, `varied_quadruped` how friction and mass are.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -31,6 +31,7 @@ from quadwalk.evaluate.simulate import (
 )
 from quadwalk.evaluate.subject import Subject
 from quadwalk.evaluate.summary import mean_interval, share_interval
+from quadwalk.physics.batching import stack_models
 from quadwalk.robot.quadruped import Quadruped
 from quadwalk.task.conditions import first_conditions, targets_needed
 from quadwalk.task.env import QuadrupedEnv
@@ -155,17 +156,10 @@ def _simulate(
     report: Report | None,
 ) -> Outcome:
     """The outcome of len(points) * episodes episodes, point by point."""
-    leaves, axes = _models(env, points, episodes)
-    structure = jax.tree.structure(env.model)
+    varied, assemble = _models(env, points, episodes)
 
     def one_step(varied: list[Any], policy: Policy, state: State) -> State:
-        own = iter(varied)
-        every = [
-            # MJX tells by the kind of an array whether it is a constant of the program.
-            next(own) if axis == 0 else jnp.asarray(leaf) if isinstance(like, jax.Array) else leaf
-            for leaf, axis, like in zip(leaves, axes, jax.tree.leaves(env.model), strict=True)
-        ]
-        return env.step_with(jax.tree.unflatten(structure, every), state, policy(state.obs))
+        return env.step_with(assemble(varied), state, policy(state.obs))
 
     batched = jax.vmap(one_step, in_axes=(0, None, 0))
 
@@ -178,7 +172,6 @@ def _simulate(
         return jax.lax.scan(step, states, None, length=CHUNK)
 
     first = over_devices(env, _starts(env, points, episodes, seed))
-    varied = [leaf for leaf, axis in zip(leaves, axes, strict=True) if axis == 0]
     varied = over_devices(env, varied) if varied else []
     return until_all_ended(partial(chunk, varied, policy), first, report)
 
@@ -211,8 +204,8 @@ def _starts(env: QuadrupedEnv, points: list[Point], episodes: int, seed: int) ->
 
 def _models(
     env: QuadrupedEnv, points: list[Point], episodes: int
-) -> tuple[list[Any], list[int | None]]:
-    """The arrays of every episode's model, and the axes that `vmap` maps."""
+) -> tuple[list[Any], Callable[[list[Any]], Any]]:
+    """What differs between the episodes' models, as arrays, and how to make a model of it."""
     kinds = list(dict.fromkeys((p.friction, p.mass, p.strength) for p in points))
     robots = {
         kind: env.model_of(varied_quadruped(env.quadruped, *kind))
@@ -223,11 +216,9 @@ def _models(
         model = robots[friction, mass]
         motor = model.motor._replace(strength=np.full(12, strength / 100))
         models.append(model._replace(motor=motor))
-    stacked, axes = stack_models(models)
+    stacked, assemble = stack_models(models)
     kind = np.repeat([kinds.index((p.friction, p.mass, p.strength)) for p in points], episodes)
-    return [
-        leaf if axis is None else leaf[kind] for leaf, axis in zip(stacked, axes, strict=True)
-    ], axes
+    return [leaf[kind] for leaf in stacked], assemble
 
 
 def varied_quadruped(
@@ -246,20 +237,3 @@ def varied_quadruped(
             spec.geom(name).friction[0] = friction
     spec.body(quadruped.trunk).mass += added_mass
     return replace(quadruped, spec=spec)
-
-
-def stack_models(models: Sequence[Any]) -> tuple[list[Any], list[int | None]]:
-    """The arrays of models of one structure, and along which axis `vmap` maps each.
-
-    Those that differ are stacked, with the models along axis 0; the others are as in the first,
-    with None for an axis. `jax.tree.unflatten` makes a model of them again.
-    """
-    stacked: list[Any] = []
-    axes: list[int | None] = []
-    for leaves in zip(*map(jax.tree.leaves, models), strict=True):
-        # On the host: MJX ties its arrays to one device, and the episodes are on all of them.
-        arrays = [np.asarray(leaf) for leaf in leaves]
-        same = all(np.array_equal(arrays[0], array) for array in arrays[1:])
-        stacked.append(arrays[0] if same else np.stack(arrays))
-        axes.append(None if same else 0)
-    return stacked, axes

@@ -39,7 +39,7 @@ def robots_last(function: Callable[..., Any]) -> Callable[..., Any]:
 
 def column(constant: Any) -> Any:
     """A constant array with a last axis of length 1, for the robots; a number as it is."""
-    return np.asarray(constant)[..., None] if np.ndim(constant) else constant
+    return np.reshape(constant, (*np.shape(constant), 1)) if np.ndim(constant) else constant
 
 
 def _batched(function: Callable[..., Any]) -> Callable[..., Any]:

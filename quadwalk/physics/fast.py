@@ -25,7 +25,7 @@ from quadwalk.physics.rigid_body import (
     rotation_of,
 )
 from quadwalk.physics.solver import newton
-from quadwalk.physics.vectors import Vector
+from quadwalk.physics.vectors import Array, Vector
 
 
 def control_step(
@@ -127,11 +127,11 @@ def heights(model: Model, qpos: jax.Array) -> tuple[jax.Array, jax.Array]:
         soles = height + centres(feet, pose)[2] - feet.radius
         lowest = jnp.full_like(height, jnp.inf)
         for shell in model.shells:
-            if shell.link is None:
-                bottom = shell.bottom(pose.trunk[2])
-            else:
-                rotation, origin = pose.rotations[shell.link], pose.origins[shell.link]
-                bottom = origin[2] + shell.bottom(rotation[2])
+            rotation = pose.trunk
+            above: Array = jnp.zeros_like(height)
+            if shell.link is not None:
+                rotation, above = pose.rotations[shell.link], pose.origins[shell.link][2]
+            bottom = above + shell.bottom(rotation[2])
             lowest = jnp.minimum(lowest, jnp.min(jnp.atleast_2d(bottom), axis=0))
         return soles, height + lowest
 
@@ -158,5 +158,5 @@ def _by_link(joints: jax.Array) -> Vector:
 
 def _motion(pose: Pose, values: jax.Array) -> Motion:
     """MuJoCo's velocity or acceleration (18, robots); its angular part is in trunk axes."""
-    turning = v.apply(pose.trunk, v.vector(values[3:6]))
-    return Motion(v.vector(values[:3]), turning, _by_link(values[6:]))
+    angular = v.vector(values[3:6])
+    return Motion(v.vector(values[:3]), v.apply(pose.trunk, angular), _by_link(values[6:]))

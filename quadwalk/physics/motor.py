@@ -26,13 +26,13 @@ FRICTION_SPEED = 0.1
 
 @dataclass(frozen=True)
 class MotorConfig:
-    """The motors and their joint controllers."""
+    """The motors and their joint controllers; by default those of the robot's description."""
 
-    kp: float | None  # Nm/rad, position gain; None: weight * home height * 1.4
-    kd: float | None  # Nm s/rad, velocity gain; None: kp * 0.025 s
-    effort: float | None  # Nm, every motor's largest torque; None: the robot's own
-    speed_limit: bool  # torque falls to zero at the motor's speed limit
-    joint_friction: bool  # Coulomb friction of the joints
+    kp: float | None = None  # Nm/rad, position gain; None: weight * home height * 1.4
+    kd: float | None = None  # Nm s/rad, velocity gain; None: kp * 0.025 s
+    effort: float | None = None  # Nm, every motor's largest torque; None: the robot's own
+    speed_limit: bool = True  # torque falls to zero at the motor's speed limit
+    joint_friction: bool = True  # Coulomb friction of the joints
 
     def __post_init__(self) -> None:
         if self.effort is not None and self.effort <= 0.0:
@@ -40,7 +40,7 @@ class MotorConfig:
 
 
 class Motor(NamedTuple):
-    """Constants of the motors, (12,) each."""
+    """Constants of the motors: (12,), or a number for all of them."""
 
     kp: Array  # Nm/rad
     kd: Array  # Nm s/rad
@@ -98,9 +98,9 @@ def make_motor(model: mujoco.MjModel, quadruped: "Quadruped", config: MotorConfi
     kp = 1.4 * weight * float(quadruped.home[2]) if config.kp is None else config.kp
     kd = 0.025 * kp if config.kd is None else config.kd
     return Motor(
-        kp=np.full(12, kp),
-        kd=np.full(12, kd),
-        strength=np.ones(12),
+        kp=kp,
+        kd=kd,
+        strength=1.0,
         effort=quadruped.effort if config.effort is None else np.full(12, config.effort),
         velocity=quadruped.velocity if config.speed_limit else None,
         friction=quadruped.friction if config.joint_friction else None,
@@ -128,7 +128,7 @@ def friction_torque(motor: Motor, qd: Any) -> Any:
     xp = _namespace(qd)
     if motor.friction is None:
         return xp.zeros_like(qd)
-    return -motor.friction * xp.tanh(qd / FRICTION_SPEED)
+    return -xp.asarray(motor.friction) * xp.tanh(qd / FRICTION_SPEED)
 
 
 def control_step(

@@ -86,7 +86,7 @@ def control_step(
         )
         after, effort = motor.control_step(motors, stepping, state, targets, advance)
         results: Any = (after.qpos, after.qvel, *effort)
-        return [np.moveaxis(x, -1, 0).reshape(*batch, *x.shape[:-1]) for x in results]
+        return [np.moveaxis(x, -1, 0).reshape((*batch, *x.shape[:-1])) for x in results]
 
     arguments, structure = jax.tree.flatten((model.motor, physics, target))
     arguments = [jnp.asarray(x, jnp.float32) for x in arguments]

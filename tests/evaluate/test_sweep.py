@@ -8,7 +8,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from quadwalk.evaluate.sweep import stack_models, varied_quadruped
+from quadwalk.evaluate.sweep import varied_quadruped
+from quadwalk.physics.batching import stack_models
 from quadwalk.task import conditions
 from quadwalk.task.conditions import first_conditions, sensed, side_of_push, targets_needed
 from quadwalk.task.env import QuadrupedEnv
@@ -49,12 +50,11 @@ def recorded(env, swaying):
         model = env.model_of(varied_quadruped(env.quadruped, *changes))
         motor = model.motor._replace(strength=np.full(12, strength[k]))
         models.append(model._replace(motor=motor))
-    leaves, axes = stack_models(models)
-    structure = jax.tree.structure(env.model)
+    leaves, assemble = stack_models(models)
     kept = targets_needed(max(delay), env.config.substeps)
 
     def episode(leaves, delay, push, state, key):
-        model = jax.tree.unflatten(structure, leaves)
+        model = assemble(leaves)
         home = jnp.asarray(env.robot.home_joints, jnp.float32)
         suffered = first_conditions(home, delay, push, jnp.zeros(()), key, kept)
 
@@ -76,7 +76,7 @@ def recorded(env, swaying):
     state = state.replace(pipeline_state=state.pipeline_state._replace(physics=physics))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(conditions, "PUSH_PERIOD", PERIOD * env.config.control_dt)
-        batched = jax.jit(jax.vmap(episode, in_axes=(axes, 0, 0, None, None)))
+        batched = jax.jit(jax.vmap(episode, in_axes=(0, 0, 0, None, None)))
         suffered = jnp.array(delay), jnp.array(push, jnp.float32)
         found = batched(leaves, *suffered, state, jax.random.PRNGKey(5))
     qpos, qvel, actions = map(np.asarray, found)
@@ -168,11 +168,11 @@ def test_a_varied_model_is_what_mujoco_derives(env, quadruped):
 
 def test_only_what_differs_between_models_is_batched(env):
     models = [env.model_of(varied_quadruped(env.quadruped, friction)) for friction in (0.3, 0.9)]
-    leaves, axes = stack_models(models)
-    assert 0 < axes.count(0) < len(axes) / 2
+    varied, assemble = stack_models(models)
+    assert 0 < len(varied) < len(jax.tree.leaves(env.model)) / 2
     for k, model in enumerate(models):
-        one = [leaf if axis is None else leaf[k] for leaf, axis in zip(leaves, axes, strict=True)]
-        for leaf, expected in zip(one, jax.tree.leaves(model), strict=True):
+        found = assemble([leaf[k] for leaf in varied])
+        for leaf, expected in zip(*map(jax.tree.leaves, (found, model)), strict=True):
             np.testing.assert_array_equal(leaf, expected)
 
 

@@ -1,21 +1,29 @@
 """Training's own physics against MuJoCo C, the same problem solved by other code."""
 
+import copy
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
-from quadwalk.physics.mjx_engine import Physics
-from quadwalk.physics.robot_arrays import robot_arrays
 
-from quadwalk.physics.batching import BATCH, robots_last
-from quadwalk.physics.fast import acceleration, heights, integrate, simulate, soles
-from quadwalk.physics.model import legged
+from quadwalk.physics.batching import BATCH, robots_last, stack_models
+from quadwalk.physics.fast import (
+    acceleration,
+    control_step,
+    heights,
+    integrate,
+    make_model,
+    soles,
+)
+from quadwalk.physics.model import contact_geoms, shell_geoms
+from quadwalk.physics.motor import MotorConfig, Physics, make_motor
 from quadwalk.robot.mjcf import Options
 from quadwalk.robot.quadruped import load_quadruped
 from quadwalk.robot.scene import lowest_point
 from quadwalk.robot.validate import UrdfError
-from quadwalk.task.config import EnvConfig
 
 STATES = 40
 
@@ -36,7 +44,7 @@ def lying_states(quadruped, model, rng) -> tuple[np.ndarray, np.ndarray, np.ndar
     qpos[:, 3:7] += 0.3 * rng.normal(size=(STATES, 4))
     qpos[:, 3:7] /= np.linalg.norm(qpos[:, 3:7], axis=1, keepdims=True)
     qpos[:, 7:] += 0.8 * rng.normal(size=(STATES, 12))
-    spheres = np.concatenate(robot_arrays(quadruped, model).contact_geoms)
+    spheres = np.concatenate(contact_geoms(model, quadruped.feet))
     data = mujoco.MjData(model)
     for q in qpos:
         data.qpos[:] = q
@@ -46,13 +54,31 @@ def lying_states(quadruped, model, rng) -> tuple[np.ndarray, np.ndarray, np.ndar
     return qpos, qvel, torque
 
 
+def constants_of(quadruped, model):
+    return make_model(model, quadruped, make_motor(model, quadruped, MotorConfig()))
+
+
+@robots_last
+def solved(constants, qpos, qvel, torque) -> jax.Array:
+    """Accelerations with the contact solver run until it has converged."""
+    state = Physics(qpos, qvel, jnp.zeros_like(qvel))
+    return acceleration(constants, state, torque, 30, 20)
+
+
+def check_errors(found, expected) -> None:
+    """Of accelerations (robots, 18), relative to each robot's greatest."""
+    expected = np.array(expected)
+    error = np.abs(np.asarray(found) - expected).max(axis=1) / np.abs(expected).max(axis=1)
+    assert error.max() < 1e-9, error
+
+
 def check_accelerations(quadruped, contacts="feet", states=random_states) -> None:
     """In double precision, solved to the end: the same accelerations."""
     model = quadruped.training_model(0.004, 100, 50, contacts)
     model.opt.tolerance = 1e-14
     qpos, qvel, torque = states(quadruped, model, np.random.default_rng(0))
     data = mujoco.MjData(model)
-    kinds = robot_arrays(quadruped, model).contact_geoms
+    kinds = contact_geoms(model, quadruped.feet)
     expected, rows, limits, together = [], [], [], set()
     for q, v, t in zip(qpos, qvel, torque, strict=True):
         mujoco.mj_resetData(model, data)
@@ -67,12 +93,9 @@ def check_accelerations(quadruped, contacts="feet", states=random_states) -> Non
     assert len(together) == 2 ** len(kinds)  # foot, knee and corner of a leg, in all combinations
     assert min(rows) == 0 or np.ptp(rows) > 8  # from few constraints to many
     with jax.enable_x64(True):
-        constants = legged(model, robot_arrays(quadruped, model))
-        state = Physics(*(jnp.asarray(x.T) for x in (qpos, qvel, np.zeros((STATES, 18)))))
-        found = jax.jit(lambda s, t: acceleration(constants, s, t, 30, 20))(state, torque.T)
-    expected = np.array(expected)
-    error = np.abs(np.asarray(found).T - expected).max(axis=1) / np.abs(expected).max(axis=1)
-    assert error.max() < 1e-9, error
+        constants = constants_of(quadruped, model)
+        found = jax.jit(jax.vmap(lambda *state: solved(constants, *state)))(qpos, qvel, torque)
+    check_errors(found, expected)
 
 
 def test_accelerations_are_those_of_mujoco():
@@ -96,16 +119,94 @@ def test_accelerations_of_pybullets_quadrupeds(pybullet_urdf):
     check_accelerations(quadruped)
 
 
+def changed(base: mujoco.MjModel, rng: np.random.Generator) -> mujoco.MjModel:
+    """Another robot on another planet."""
+    model = copy.copy(base)
+    for name in ("body_mass", "body_inertia", "geom_size", "body_pos", "geom_pos"):
+        values = getattr(model, name)
+        values *= rng.uniform(0.8, 1.3, (len(values),) + (1,) * (values.ndim - 1))
+    model.geom_size[0] = base.geom_size[0]  # the floor
+    model.body_ipos[1:] += rng.uniform(-0.02, 0.02, (model.nbody - 1, 3))
+    model.dof_armature[6:] += rng.uniform(0.0, 0.05, 12)
+    model.dof_damping[6:] = rng.uniform(0.0, 1.0, model.dof_damping[6:].shape)
+    model.jnt_range[1:] += rng.uniform(-0.2, 0.2, (12, 2))
+    model.geom_friction[:, 0] = rng.uniform(0.2, 1.5)
+    model.geom_solref[:, 0] *= rng.uniform(0.8, 2.0)
+    model.opt.gravity[:] += rng.uniform(-3, 3, 3)
+    mujoco.mj_setConst(model, mujoco.MjData(model))  # inverse weights, which contacts depend on
+    return model
+
+
+def test_accelerations_of_a_batch_in_which_no_two_robots_are_alike():
+    quadruped = load_quadruped()
+    base = quadruped.training_model(0.004, 100, 50, "body")
+    base.opt.tolerance = 1e-14
+    rng = np.random.default_rng(4)
+    models = [changed(base, rng) for _ in range(STATES)]
+    qpos, qvel, torque = lying_states(quadruped, base, rng)
+    expected, touched = [], set()
+    for model, q, v, t in zip(models, qpos, qvel, torque, strict=True):
+        data = mujoco.MjData(model)
+        data.qpos[:], data.qvel[:], data.qfrc_applied[6:] = q, v, t
+        mujoco.mj_forward(model, data)
+        expected.append(data.qacc.copy())
+        touched |= set(data.contact.geom.flat)
+    assert all(touched & set(kind) for kind in contact_geoms(base, quadruped.feet))
+    leaves, assemble = stack_models([constants_of(quadruped, model) for model in models])
+    assert len(leaves) > 100
+    with jax.enable_x64(True):
+        batched = jax.vmap(lambda own, *state: solved(assemble(own), *state))
+        found = jax.jit(batched)(leaves, qpos, qvel, torque)
+    check_errors(found, expected)
+
+
+def test_vmap_maps_the_leaves_of_a_model_that_are_given_an_axis(quadruped):
+    """Those that no other constant depends on, changed one by one; the others stay constants."""
+    base = quadruped.training_model(0.004, 100, 50)
+    base.opt.tolerance = 1e-14
+    rng = np.random.default_rng(5)
+    qpos, qvel, torque = random_states(quadruped, base, rng)
+    gravity, friction = rng.uniform(5, 15, STATES), rng.uniform(0.2, 1.2, STATES)
+    damping = rng.uniform(0, 1, (STATES, 4))
+    constants = constants_of(quadruped, base)
+    feet, calf = constants.contacts[0], constants.links[2]
+
+    def with_leaves(down, friction, damping):
+        return constants._replace(
+            gravity=(*constants.gravity[:2], down),
+            contacts=(dataclasses.replace(feet, friction=friction),),
+            links=(*constants.links[:2], calf._replace(damping=damping)),
+        )
+
+    axes = with_leaves(0, 0, 0)
+    axes = jax.tree.map(lambda leaf: 0 if isinstance(leaf, int) else None, axes)
+    batch = with_leaves(-gravity, friction, damping)
+    with jax.enable_x64(True):
+        batched = jax.vmap(solved, in_axes=(axes, 0, 0, 0))
+        found = jax.jit(lambda *state: batched(batch, *state))(qpos, qvel, torque)
+    expected = []
+    for i in range(STATES):
+        model = copy.copy(base)
+        model.opt.gravity[2], model.geom_friction[:, 0] = -gravity[i], friction[i]
+        model.dof_damping[8::3, 0] = damping[i]
+        data = mujoco.MjData(model)
+        data.qpos[:], data.qvel[:], data.qfrc_applied[6:] = qpos[i], qvel[i], torque[i]
+        mujoco.mj_forward(model, data)
+        expected.append(data.qacc.copy())
+    check_errors(found, expected)
+
+
 def check_course(env, torques: np.ndarray, expected: np.ndarray) -> None:
     """Single precision: the states `expected` (n + 1, 37) that torques (n, 12) lead through."""
-    start = Physics(
-        *(jnp.asarray(x)[:, None] for x in (*np.split(expected[0], [19]), np.zeros(18)))
-    )
+    start = Physics(*(jnp.asarray(x) for x in (*np.split(expected[0], [19]), np.zeros(18))))
+
+    @robots_last
+    def advance(model, state: Physics, torque: jax.Array) -> Physics:
+        return integrate(state, acceleration(model, state, torque, 10, 10), env.stepping.dt)
 
     def step(state: Physics, torque: jax.Array) -> tuple[Physics, jax.Array]:
-        found = acceleration(env.legged, state, torque[:, None], 10, 10)
-        state = integrate(state, found, env.config.physics_dt)
-        return state, jnp.concatenate([state.qpos[:, 0], state.qvel[:, 0]])
+        state = advance(env.model, state, torque)
+        return state, jnp.concatenate([state.qpos, state.qvel])
 
     start = jax.tree.map(lambda x: x.astype(jnp.float32), start)
     _, found = jax.jit(lambda s, t: jax.lax.scan(step, s, t))(start, jnp.asarray(torques))
@@ -142,7 +243,7 @@ def drop(env, model: mujoco.MjModel) -> tuple[np.ndarray, set[int]]:
 def test_a_limp_robot_drops_to_its_belly_as_in_mujoco(body_env):
     model = body_env.quadruped.training_model(0.004, 100, 50, "body")
     states, touched = drop(body_env, model)
-    for spheres in body_env.robot.contact_geoms:
+    for spheres in contact_geoms(model, body_env.quadruped.feet):
         assert touched & set(spheres)
     assert np.abs(states[-1, 19:25]).max() < 1e-2  # the trunk is at rest
     check_course(body_env, np.zeros((200, 12)), states)
@@ -159,26 +260,25 @@ def test_a_belly_rests_where_that_of_the_full_model_does(body_env):
 
 def test_knees_and_corners_are_not_measured_as_shapes(env, body_env):
     qpos = jnp.asarray(env.robot.home).at[2].set(0.1)
-    for ours, theirs in zip(heights(env.legged, qpos), heights(body_env.legged, qpos), strict=True):
+    for ours, theirs in zip(heights(env.model, qpos), heights(body_env.model, qpos), strict=True):
         np.testing.assert_array_equal(ours, theirs)
 
 
 def test_heights_are_those_of_the_placed_shapes(env):
-    model, robot = env.mj_model, env.robot
+    model, feet = env.mj_model, env.quadruped.feet
+    geoms, shells = contact_geoms(model, feet)[0], shell_geoms(model, feet)
     data = mujoco.MjData(model)
     rng = np.random.default_rng(2)
-    compiled = jax.jit(lambda q: (*heights(env.legged, q), soles(env.legged, q)))
+    compiled = jax.jit(lambda q: (*heights(env.model, q), soles(env.model, q)))
     for _ in range(5):
-        data.qpos[:] = robot.home + rng.uniform(-0.3, 0.3, 19)
+        data.qpos[:] = env.robot.home + rng.uniform(-0.3, 0.3, 19)
         data.qpos[3:7] /= np.linalg.norm(data.qpos[3:7])
         mujoco.mj_kinematics(model, data)
-        feet, lowest, points = compiled(jnp.asarray(data.qpos, jnp.float32))
-        np.testing.assert_allclose(
-            feet, data.geom_xpos[robot.foot_geoms, 2] - robot.foot_radius, atol=1e-6
-        )
-        touching = data.geom_xpos[robot.foot_geoms] - robot.foot_radius[:, None] * [0, 0, 1]
+        above, lowest, points = compiled(jnp.asarray(data.qpos, jnp.float32))
+        touching = data.geom_xpos[geoms] - model.geom_size[geoms, :1] * [0, 0, 1]
         np.testing.assert_allclose(points, touching, atol=1e-6)
-        expected = min(lowest_point(model, data, int(geom)) for geom in robot.shell_geoms)
+        np.testing.assert_allclose(above, touching[:, 2], atol=1e-6)
+        expected = min(lowest_point(model, data, int(geom)) for geom in shells)
         assert float(lowest) == pytest.approx(expected, abs=1e-6)
 
 
@@ -198,9 +298,7 @@ def test_a_robot_that_is_not_finite_leaves_the_others_alone(env):
     home = Physics(*(jnp.asarray(x, jnp.float32) for x in (env.robot.home, *np.zeros((2, 18)))))
     batch = jax.tree.map(lambda x: jnp.tile(x, (3, 1)), home)
     target = jnp.tile(jnp.asarray(env.robot.home_joints, jnp.float32), (3, 1))
-    control = jax.jit(
-        jax.vmap(lambda p, t: simulate(env.legged, env.robot, EnvConfig(), p, t)[0].qpos)
-    )
+    control = jax.jit(jax.vmap(lambda p, t: control_step(env.model, env.stepping, p, t)[0].qpos))
     sound = control(batch, target)
     for first in (jnp.nan, jnp.inf):
         ill = batch._replace(qpos=batch.qpos.at[0, 7].set(first).at[1, 2].set(first))

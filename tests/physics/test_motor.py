@@ -1,34 +1,56 @@
-import dataclasses
+"""Torques of the motors, in JAX and in NumPy."""
+
+import copy
 
 import jax.numpy as jnp
+import mujoco
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from quadwalk.physics.motor import friction_torque, gains, joint_target, motor_torque
-from quadwalk.task.config import ActuationConfig
+from quadwalk.physics.motor import Motor, MotorConfig, friction_torque, make_motor, motor_torque
 
-CONFIG = ActuationConfig(kp=100.0, kd=0.0)
+PROPORTIONAL = MotorConfig(kp=100.0, kd=0.0)
 
 
-def torque(env, error: float, speed: float, config: ActuationConfig = CONFIG) -> np.ndarray:
+@pytest.fixture(scope="module")
+def model(quadruped) -> mujoco.MjModel:
+    return quadruped.training_model(0.004)
+
+
+@pytest.fixture(scope="module")
+def motors(quadruped, model):
+    """MotorConfig -> Motor, of the AlienGo."""
+    return lambda config=PROPORTIONAL: make_motor(model, quadruped, config)
+
+
+def torque(motor: Motor, error: float, speed: float) -> np.ndarray:
     """Torque of all 12 motors for one position error and joint speed."""
-    q = jnp.zeros(12)
-    return np.asarray(motor_torque(env.robot, config, q + error, q, q + speed))
+    q = np.zeros(12)
+    found = motor_torque(motor, q + error, q, q + speed)
+    assert isinstance(found, np.ndarray)
+    in_jax = motor_torque(motor, jnp.asarray(q + error), jnp.asarray(q), jnp.asarray(q + speed))
+    np.testing.assert_allclose(in_jax, found, rtol=1e-5, atol=1e-3)
+    return found
 
 
-def test_within_the_limits_the_controller_is_proportional_and_derivative(env):
-    config = ActuationConfig(kp=100.0, kd=3.0)
-    np.testing.assert_allclose(torque(env, 0.1, 1.0, config), 100 * 0.1 - 3 * 1.0, rtol=1e-6)
+def test_within_the_limits_the_controller_is_proportional_and_derivative(motors):
+    config = MotorConfig(kp=100.0, kd=3.0)
+    np.testing.assert_allclose(torque(motors(config), 0.1, 1.0), 100 * 0.1 - 3 * 1.0, rtol=1e-6)
 
 
-def test_gains_follow_from_the_robot_unless_set(env):
-    assert gains(env.robot, ActuationConfig()) == pytest.approx((120.0, 3.0), rel=0.01)
-    light = dataclasses.replace(env.robot, weight=env.robot.weight / 2)
-    assert gains(light, ActuationConfig()) == pytest.approx((60.0, 1.5), rel=0.01)
-    assert gains(env.robot, ActuationConfig(kp=30.0)) == pytest.approx((30.0, 0.75))
-    assert gains(env.robot, ActuationConfig(kp=30.0, kd=0.0)) == (30.0, 0.0)
+def test_gains_follow_from_the_robot_unless_set(quadruped, model, motors):
+    def gains(config: MotorConfig, model: mujoco.MjModel = model) -> tuple:
+        return make_motor(model, quadruped, config)[:2]
+
+    assert gains(MotorConfig()) == pytest.approx((120.0, 3.0), rel=0.01)
+    light = copy.copy(model)
+    light.body_mass[:] /= 2
+    mujoco.mj_setConst(light, mujoco.MjData(light))
+    assert gains(MotorConfig(), light) == pytest.approx((60.0, 1.5), rel=0.01)
+    assert gains(MotorConfig(kp=30.0)) == pytest.approx((30.0, 0.75))
+    assert gains(MotorConfig(kp=30.0, kd=0.0)) == (30.0, 0.0)
 
 
 @pytest.mark.parametrize(
@@ -43,64 +65,44 @@ def test_gains_follow_from_the_robot_unless_set(env):
         (10.0, -25.0, 35.278, 44.4),
     ],
 )
-def test_motors_follow_their_torque_speed_line(env, error, speed, hip, calf):
+def test_motors_follow_their_torque_speed_line(motors, error, speed, hip, calf):
     expected = np.tile([hip, hip, calf], 4)
-    np.testing.assert_allclose(torque(env, error, speed), expected, rtol=1e-5, atol=1e-5)
+    np.testing.assert_allclose(torque(motors(), error, speed), expected, rtol=1e-5, atol=1e-5)
 
 
-def test_without_the_speed_limit_only_the_effort_holds(env):
-    config = ActuationConfig(kp=100.0, kd=0.0, speed_limit=False)
-    np.testing.assert_allclose(torque(env, 10.0, 30.0, config), env.robot.effort, rtol=1e-6)
+def test_without_the_speed_limit_only_the_effort_holds(quadruped, motors):
+    motor = motors(MotorConfig(kp=100.0, kd=0.0, speed_limit=False))
+    np.testing.assert_allclose(torque(motor, 10.0, 30.0), quadruped.effort, rtol=1e-6)
+
+
+def test_effort_may_be_that_of_other_motors(motors):
+    motor = motors(MotorConfig(kp=100.0, kd=0.0, effort=7.0))
+    np.testing.assert_allclose(torque(motor, 10.0, 0.0), 7.0)
+
+
+def test_weak_motors_give_a_share_of_every_torque_and_limit(motors):
+    weak = motors()._replace(strength=np.linspace(0.5, 1.0, 12))
+    for error, speed in [(0.1, 0.0), (10.0, 0.0), (-10.0, -10.0), (10.0, -25.0)]:
+        expected = torque(motors(), error, speed) * np.linspace(0.5, 1.0, 12)
+        np.testing.assert_allclose(torque(weak, error, speed), expected)
 
 
 @settings(deadline=None)
 @given(st.floats(-5, 5), st.floats(-60, 60), st.floats(0, 500), st.floats(0, 20))
-def test_no_motor_ever_leaves_its_limits(env, error, speed, kp, kd):
-    result = torque(env, error, speed, ActuationConfig(kp=kp, kd=kd))
-    share = np.abs(result) / env.robot.effort
+def test_no_motor_ever_leaves_its_limits(quadruped, motors, error, speed, kp, kd):
+    result = torque(motors(MotorConfig(kp, kd)), error, speed)
+    share = np.abs(result) / quadruped.effort
     assert (share <= 1 + 1e-5).all()
     driving = result * speed > 0
-    allowed = np.clip(1 - abs(speed) / env.robot.velocity, 0, 1)
+    allowed = np.clip(1 - abs(speed) / quadruped.velocity, 0, 1)
     assert (share[driving] <= allowed[driving] + 1e-5).all()
 
 
-def test_targets_lie_about_the_home_pose_and_within_the_joints_limits(env):
-    robot = env.robot
-    q = jnp.zeros(12)  # does not matter
-    still = joint_target(robot, CONFIG, jnp.zeros(12), q)
-    np.testing.assert_allclose(still, robot.home_joints, rtol=1e-6)
-    wide = ActuationConfig(hip_range=5.0, thigh_range=5.0, calf_range=5.0)
-    np.testing.assert_allclose(joint_target(robot, wide, jnp.ones(12), q), robot.upper, rtol=1e-6)
-    np.testing.assert_allclose(joint_target(robot, wide, -jnp.ones(12), q), robot.lower, rtol=1e-6)
-
-
-def test_targets_over_a_range_and_near_the_joint(env):
-    config = ActuationConfig(
-        targets="range", hip_bounds=(-1, 1), thigh_bounds=(0, 2), calf_bounds=(-2, -1)
-    )
-    for action, expected in [
-        (-1, (-1, 0, -2)),
-        (0, (0, 1, -1.5)),
-        (1, (1, 2, -1)),
-        (0.5, (0.5, 1.5, -1.25)),
-    ]:
-        found = joint_target(env.robot, config, jnp.full(12, action), jnp.zeros(12))
-        np.testing.assert_allclose(found, np.tile(expected, 4), rtol=1e-6)
-    for targets, wanted in [("range", (1, 2, -1)), ("home", (0.3, 1.7, -0.7))]:
-        near = dataclasses.replace(config, targets=targets, step_limit=0.1)
-        for q, side in [(-5.0, 0.1), (5.0, -0.1)]:
-            found = joint_target(env.robot, near, jnp.ones(12), jnp.full(12, q))
-            np.testing.assert_allclose(found, q + side, rtol=1e-6)
-        q = jnp.tile(jnp.array(wanted), 4) + 0.05
-        found = joint_target(env.robot, near, jnp.ones(12), q)
-        np.testing.assert_allclose(found, np.tile(wanted, 4), atol=2e-3)
-
-
-def test_friction_opposes_motion_up_to_its_coulomb_value(env):
-    fast = np.asarray(friction_torque(env.robot, CONFIG, jnp.full(12, 5.0)))
-    np.testing.assert_allclose(fast, -env.robot.friction, rtol=1e-6)
-    assert (env.robot.friction > 0).all()
-    back = np.asarray(friction_torque(env.robot, CONFIG, jnp.full(12, -5.0)))
-    np.testing.assert_allclose(back, -fast)
-    off = ActuationConfig(joint_friction=False)
-    assert not np.asarray(friction_torque(env.robot, off, jnp.full(12, 5.0))).any()
+def test_friction_opposes_motion_up_to_its_coulomb_value(quadruped, motors):
+    fast = friction_torque(motors(), np.full(12, 5.0))
+    np.testing.assert_allclose(fast, -quadruped.friction, rtol=1e-6)
+    assert (quadruped.friction > 0).all()
+    back = friction_torque(motors(), jnp.full(12, -5.0))
+    np.testing.assert_allclose(back, -fast, rtol=1e-6)
+    off = motors(MotorConfig(joint_friction=False))
+    assert not friction_torque(off, np.full(12, 5.0)).any()

@@ -1,0 +1,210 @@
+"""The control step of each engine against physics steps in MuJoCo C, taken here one by one."""
+
+import copy
+import functools
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+
+from quadwalk.physics.batching import stack_models
+from quadwalk.physics.engines import ENGINES
+from quadwalk.physics.motor import Motor, MotorConfig, Physics, Stepping, make_motor
+
+STEPPING = Stepping(0.004, 5, 8, 10)  # solved to the end
+ROBOTS = 6
+
+
+class After(NamedTuple):
+    """What a control step comes to."""
+
+    qpos: np.ndarray
+    qvel: np.ndarray
+    torque: np.ndarray
+    energy: np.ndarray
+
+
+def reference(model, motor: Motor, qpos, qvel, targets) -> tuple[After, set[int]]:
+    """In MuJoCo C, with a joint target for each physics step; and which geoms touched."""
+    data = mujoco.MjData(model)
+    data.qpos[:], data.qvel[:] = qpos, qvel
+    energy, mean, touched = 0.0, np.zeros(12), set()
+    for target in targets:
+        qd = data.qvel[6:].copy()
+        torque = motor.kp * (target - data.qpos[7:]) - motor.kd * qd
+        line = motor.effort * np.clip(1 - np.sign(torque) * qd / motor.velocity, 0, 1)
+        torque = motor.strength * np.clip(torque, -line, line)
+        data.qfrc_applied[6:] = torque - motor.friction * np.tanh(qd / 0.1)
+        energy += np.maximum(torque * qd, 0).sum() * model.opt.timestep
+        mean += torque / len(targets)
+        mujoco.mj_step(model, data)
+        touched |= set(data.contact.geom.flat)
+    return After(data.qpos, data.qvel, mean, np.array(energy)), touched
+
+
+def check(found: tuple, expected: After) -> None:
+    """Within single precision."""
+    (qpos, qvel, _), (torque, energy) = found
+    np.testing.assert_allclose(qpos, expected.qpos, atol=1e-4)
+    np.testing.assert_allclose(qvel, expected.qvel, atol=2e-2)
+    np.testing.assert_allclose(torque, expected.torque, atol=2e-2)
+    np.testing.assert_allclose(energy, expected.energy, rtol=1e-3, atol=1e-5)
+
+
+def converged(quadruped, contacts: str = "feet") -> mujoco.MjModel:
+    return quadruped.training_model(STEPPING.dt, 100, 50, contacts)
+
+
+@functools.cache
+def model_for(quadruped, engine: str, contacts: str = "feet") -> mujoco.MjModel:
+    if engine == "mujoco":
+        return converged(quadruped, contacts)
+    return quadruped.training_model(
+        STEPPING.dt, STEPPING.iterations, STEPPING.line_search, contacts
+    )
+
+
+def states(quadruped) -> tuple[np.ndarray, np.ndarray]:
+    """qpos and qvel of robots that slide and drop onto their feet."""
+    rng = np.random.default_rng(1)
+    qpos = np.tile(quadruped.home, (ROBOTS, 1))
+    qpos[:, 2] -= 0.003
+    qpos[:, 7:] += rng.uniform(-0.02, 0.02, (ROBOTS, 12))
+    qvel = rng.uniform(-1, 1, (ROBOTS, 18))
+    qvel[:, 0] += 1.5
+    return qpos, qvel
+
+
+def physics_of(qpos, qvel) -> Physics:
+    return Physics(*(jnp.asarray(x, jnp.float32) for x in (qpos, qvel, np.zeros_like(qvel))))
+
+
+@pytest.mark.parametrize(
+    ("engine", "contacts"),
+    [("fast", "feet"), ("mjx", "feet"), ("mjx", "body"), ("mujoco", "feet"), ("mujoco", "body")],
+)
+def test_a_control_step_is_its_physics_steps_one_by_one(quadruped, engine, contacts):
+    """It carries little from step to step; MuJoCo C, which carries all, must agree."""
+    model = model_for(quadruped, engine, contacts)
+    motor = make_motor(model, quadruped, MotorConfig())
+    target = quadruped.home[7:] - 0.05
+    qpos, qvel = quadruped.home.copy(), np.random.default_rng(1).uniform(-1, 1, 18)
+    qpos[7:] += 0.1
+    spheres = [quadruped.feet]
+    if contacts == "body":  # on its belly, its front knees, and its hind feet
+        qpos[2] = 0.055
+        qpos[7:] = np.repeat([[0.0, -1.43, -2.7], [0.0, 2.5, -2.75]], 2, axis=0).flat
+        spheres += [[f"{kind}_{leg}" for leg in quadruped.legs] for kind in ("knee", "corner")]
+    constants = ENGINES[engine].make_model(model, quadruped, motor)
+    step = jax.jit(lambda p: ENGINES[engine].control_step(constants, STEPPING, p, target))
+    expected, touched = reference(
+        converged(quadruped, contacts), motor, qpos, qvel, [target] * STEPPING.substeps
+    )
+    assert all(touched & {model.geom(name).id for name in kind} for kind in spheres)
+    check(step(physics_of(qpos, qvel)), expected)
+
+
+def varied(quadruped, base: mujoco.MjModel) -> list[tuple[mujoco.MjModel, Motor]]:
+    """Robots and motors of which no two have a mass, friction, gain or limit in common."""
+    rng = np.random.default_rng(2)
+    plain = make_motor(base, quadruped, MotorConfig())
+    robots = []
+    for _ in range(ROBOTS):
+        model = copy.copy(base)
+        model.body_mass[:] *= rng.uniform(0.7, 1.4, model.nbody)
+        model.body_inertia[:] *= rng.uniform(0.7, 1.4, (model.nbody, 1))
+        model.body_ipos[1] += rng.uniform(-0.03, 0.03, 3)
+        model.dof_armature[6:] += rng.uniform(0.0, 0.05, 12)
+        model.dof_damping[6:] = rng.uniform(0.0, 0.5, model.dof_damping[6:].shape)
+        model.geom_friction[:, 0] = rng.uniform(0.3, 1.2)
+        mujoco.mj_setConst(model, mujoco.MjData(model))
+        motor = Motor(*(value * rng.uniform(0.5, 1.3, 12) for value in plain))
+        robots.append((model, motor))
+    return robots
+
+
+def different_targets(quadruped) -> np.ndarray:
+    """(robots, substeps, 12) rad."""
+    rng = np.random.default_rng(3)
+    offsets = rng.uniform(-0.2, 0.2, (ROBOTS, STEPPING.substeps, 12))
+    return quadruped.home[7:] + offsets
+
+
+@pytest.mark.parametrize("engine", ["fast", "mjx"])
+def test_each_robot_of_a_batch_may_have_constants_of_its_own(quadruped, engine):
+    robots = varied(quadruped, model_for(quadruped, engine))
+    make = ENGINES[engine].make_model
+    leaves, assemble = stack_models([make(model, quadruped, motor) for model, motor in robots])
+    assert len(leaves) > 15
+
+    def step(leaves, physics, target):
+        return ENGINES[engine].control_step(assemble(leaves), STEPPING, physics, target)
+
+    qpos, qvel = states(quadruped)
+    targets = different_targets(quadruped)
+    found = jax.jit(jax.vmap(step))(leaves, physics_of(qpos, qvel), targets)
+    for i, (model, motor) in enumerate(robots):
+        model.opt.iterations, model.opt.ls_iterations = 100, 50
+        expected, touched = reference(model, motor, qpos[i], qvel[i], targets[i])
+        assert touched
+        check(jax.tree.map(lambda x, i=i: x[i], found), expected)
+
+
+def test_each_robot_of_a_batch_may_have_motors_of_its_own_in_mujoco(quadruped):
+    base = converged(quadruped)
+    motors = [motor for _, motor in varied(quadruped, base)]
+    qpos, qvel = states(quadruped)
+    targets = different_targets(quadruped)
+    model = ENGINES["mujoco"].make_model(base, quadruped, motors[0])
+
+    def step(motor, physics, target):
+        own = model._replace(motor=motor)
+        return ENGINES["mujoco"].control_step(own, STEPPING, physics, target)
+
+    stacked = jax.tree.map(lambda *rows: np.stack(rows), *motors)
+    found = jax.jit(jax.vmap(step))(stacked, physics_of(qpos, qvel), targets)
+    for i, motor in enumerate(motors):
+        expected, _ = reference(base, motor, qpos[i], qvel[i], targets[i])
+        check(jax.tree.map(lambda x, i=i: x[i], found), expected)
+
+
+@pytest.mark.parametrize("devices", [1, 2])
+def test_large_batches_of_mujoco_pass_through_a_compiled_loop(quadruped, devices):
+    """Arguments of more than 100 kB made JAX's own callback wait for itself for ever."""
+    base, target = converged(quadruped), quadruped.home[7:]
+    motor = make_motor(base, quadruped, MotorConfig())
+    engine = ENGINES["mujoco"]
+    model = engine.make_model(base, quadruped, motor)
+    batch = 1600
+    mesh = jax.sharding.Mesh(np.array(jax.devices()[:devices]), ("robots",))
+    split = jax.sharding.NamedSharding(mesh, jax.sharding.PartitionSpec("robots"))
+    home = quadruped.home.copy()
+    home[2] += 0.05  # whether feet just touch the floor is beyond single precision
+    one = physics_of(home, np.zeros(18))
+    start = jax.device_put(jax.tree.map(lambda x: jnp.tile(x, (batch, 1)), one), split)
+    once = Stepping(STEPPING.dt, 1, STEPPING.iterations, STEPPING.line_search)
+
+    @jax.jit
+    def run(physics):
+        def step(physics, _):
+            return jax.vmap(lambda p: engine.control_step(model, once, p, target)[0])(physics), None
+
+        return jax.lax.scan(step, physics, None, length=5)[0]
+
+    qpos = np.asarray(run(start).qpos)
+    assert qpos.shape == (batch, 19)
+    np.testing.assert_array_equal(qpos, np.tile(qpos[:1], (batch, 1)))
+    expected, _ = reference(base, motor, home, np.zeros(18), [target] * 5)
+    np.testing.assert_allclose(qpos[0], expected.qpos, atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("dt", "substeps", "expected"), [(0.002, 10, 0.002), (0.003, 7, 0.02 / 7), (0.1, 1, 0.02)]
+)
+def test_a_control_step_is_cut_into_whole_physics_steps(dt, substeps, expected):
+    found = STEPPING.with_dt(dt)
+    assert (found.substeps, found.dt) == (substeps, pytest.approx(expected))
+    assert found.control_dt == pytest.approx(0.02)

@@ -1,0 +1,34 @@
+import jax.numpy as jnp
+import numpy as np
+
+from quadwalk.task.actions import about_home
+from quadwalk.tasks import blog
+
+
+def test_targets_lie_about_the_home_pose_and_within_the_joints_limits(env):
+    robot, anywhere = env.robot, jnp.full(12, 9.0)
+    for hip, thigh, calf, action, expected in [
+        (0.3, 0.9, 0.9, 0.0, robot.home_joints),
+        (0.1, 0.2, 0.3, -1.0, robot.home_joints - np.tile([0.1, 0.2, 0.3], 4)),
+        (5.0, 5.0, 5.0, 1.0, robot.upper),
+        (5.0, 5.0, 5.0, -1.0, robot.lower),
+    ]:
+        reach = {"hip": hip, "thigh": thigh, "calf": calf}
+        found = about_home(robot, jnp.full(12, action), anywhere, **reach)
+        np.testing.assert_allclose(found, expected, rtol=1e-6)
+
+
+def test_targets_between_bounds_and_near_the_joint(env):
+    lows, highs = (-1.0, 0.0, -2.0), (1.0, 2.0, -1.0)
+    names = ("hip", "thigh", "calf")
+    bounds = {f"{name}_low": low for name, low in zip(names, lows, strict=True)}
+    bounds |= {f"{name}_high": high for name, high in zip(names, highs, strict=True)}
+
+    def targets(action, joints, step_limit):
+        action, joints = jnp.full(12, action), jnp.full(12, joints)
+        return blog.between_bounds(env.robot, action, joints, **bounds, step_limit=step_limit)
+
+    for action, expected in [(-1, lows), (0, (0, 1, -1.5)), (1, highs), (0.5, (0.5, 1.5, -1.25))]:
+        np.testing.assert_allclose(targets(action, 0.0, 9.0), np.tile(expected, 4), rtol=1e-6)
+    for joints, expected in [(-5.0, -4.9), (5.0, 4.9)]:
+        np.testing.assert_allclose(targets(1.0, joints, 0.1), expected, rtol=1e-6)
