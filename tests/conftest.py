@@ -70,7 +70,7 @@ def step_in_place(
         lift = np.maximum(np.sin(2 * np.pi * 2.5 * k * model.opt.timestep + phase), 0.0)
         target = env.robot.home_joints.reshape(4, 3) + np.stack([0 * lift, lift, -2 * lift], 1) / 8
         torque = 80 * (target.ravel() - data.qpos[7:]) - 2 * data.qvel[6:]
-        data.ctrl[:] = torque = np.clip(torque, -env.robot.effort, env.robot.effort)
+        data.ctrl[:] = torque = np.clip(torque, -env.quadruped.effort, env.quadruped.effort)
         mujoco.mj_step(model, data)
         torques.append(torque)
         states.append(np.r_[data.qpos, data.qvel])

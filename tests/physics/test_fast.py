@@ -20,9 +20,9 @@ from quadwalk.physics.fast import (
 )
 from quadwalk.physics.model import contact_geoms, shell_geoms
 from quadwalk.physics.motor import MotorConfig, Physics, make_motor
+from quadwalk.robot.scene import lowest_point
 from quadwalk.robot.mjcf import Options
 from quadwalk.robot.quadruped import load_quadruped
-from quadwalk.robot.scene import lowest_point
 from quadwalk.robot.validate import UrdfError
 
 STATES = 40
@@ -153,7 +153,7 @@ def test_accelerations_of_a_batch_in_which_no_two_robots_are_alike():
         touched |= set(data.contact.geom.flat)
     assert all(touched & set(kind) for kind in contact_geoms(base, quadruped.feet))
     leaves, assemble = stack_models([constants_of(quadruped, model) for model in models])
-    assert len(leaves) > 100
+    assert len(leaves) > 80
     with jax.enable_x64(True):
         batched = jax.vmap(lambda own, *state: solved(assemble(own), *state))
         found = jax.jit(batched)(leaves, qpos, qvel, torque)
@@ -188,7 +188,7 @@ def test_vmap_maps_the_leaves_of_a_model_that_are_given_an_axis(quadruped):
     for i in range(STATES):
         model = copy.copy(base)
         model.opt.gravity[2], model.geom_friction[:, 0] = -gravity[i], friction[i]
-        model.dof_damping[8::3, 0] = damping[i]
+        model.dof_damping[8::3] = damping[i]
         data = mujoco.MjData(model)
         data.qpos[:], data.qvel[:], data.qfrc_applied[6:] = qpos[i], qvel[i], torque[i]
         mujoco.mj_forward(model, data)
