@@ -5,7 +5,9 @@
 Each configuration trains in a process of its own, restricted to its cores, in each round; rounds
 run through them forwards and backwards in turn, so that a machine that drifts does so for all.
 Rates are medians of the rounds, ratios medians of the rounds' ratios. Peak memory is the process's
-largest resident set in any round, compilation included.
+largest resident set in any round, compilation included. To see that it works:
+
+    python benchmarks/scaling.py --envs 256 --cores 1 --rounds 1 --seconds 1
 """
 
 import argparse
@@ -40,13 +42,6 @@ def measure(envs: int, cores: int, seconds: float) -> Result:
     return Result(took.steps / took.seconds, memory, training.devices)
 
 
-def in_own_process(envs: int, cores: int, seconds: float) -> Result:
-    # Spawned, not forked: nothing of this process's memory counts in the other's.
-    spawn = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(1, mp_context=spawn) as pool:
-        return pool.submit(measure, envs, cores, seconds).result()
-
-
 def main() -> None:
     everything = cpu_cores()
     doubling = [2**k for k in range(everything.bit_length()) if 2**k < everything]
@@ -59,27 +54,27 @@ def main() -> None:
 
     grid = list(itertools.product(options.envs, options.cores))
     results: dict[tuple[int, int], list[Result]] = {key: [] for key in grid}
-    for turn in range(options.rounds):
-        for envs, cores in grid if turn % 2 == 0 else reversed(grid):
-            found = in_own_process(envs, cores, options.seconds)
+    rounds = [key for turn in range(options.rounds) for key in grid[:: (-1) ** turn]]
+    # Spawned, not forked: nothing of this process's memory counts in the others'.
+    spawn = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(1, mp_context=spawn, max_tasks_per_child=1) as pool:
+        measured = pool.map(measure, *zip(*rounds, strict=True), itertools.repeat(options.seconds))
+        for (envs, cores), found in zip(rounds, measured, strict=True):
             results[envs, cores].append(found)
-            print(
-                f"round {turn + 1}: {envs} environments, {cores} cores: {found.rate:,.0f} steps/s",
-                file=sys.stderr,
-            )
+            print(f"{envs} environments, {cores} cores: {found.rate:,.0f} steps/s", file=sys.stderr)
 
     fewest = options.cores[0]
     print(
         f"{'environments':>12} {'cores':>6} {'devices':>8} {'control steps/s':>16} "
         f"{'physics steps/s':>16} {'peak MB':>9} {f'x {fewest} core':>9}"
     )
-    for (envs, cores), rounds in results.items():
-        rate = statistics.median(r.rate for r in rounds)
-        memory = max(r.memory for r in rounds)
+    for (envs, cores), runs in results.items():
+        rate = statistics.median(r.rate for r in runs)
+        memory = max(r.memory for r in runs)
         base = results[envs, fewest]
-        ratio = statistics.median(r.rate / b.rate for r, b in zip(rounds, base, strict=True))
+        ratio = statistics.median(r.rate / b.rate for r, b in zip(runs, base, strict=True))
         print(
-            f"{envs:12,} {cores:6} {rounds[0].devices:8} {rate:16,.0f} {rate * SUBSTEPS:16,.0f} "
+            f"{envs:12,} {cores:6} {runs[0].devices:8} {rate:16,.0f} {rate * SUBSTEPS:16,.0f} "
             f"{memory:9,.0f} {ratio:9.2f}"
         )
 

@@ -6,11 +6,12 @@ Each seed trains twice with the defaults but for frequent checkpoints: with an e
 cache, and with what that has left. Every policy is kept with the time at which it was written,
 counted from the start of the process. Afterwards they are judged in turn, as `eval.py` does it
 (MJX, mean action, episodes of up to 20 s), until one walks. So the times are resolved no finer than
-the checkpoints are apart, and hold what these cost.
+the checkpoints are apart, and hold what these cost. To see that it works:
+
+    python benchmarks/time_to_walk.py --seeds 1 --minutes 0.1
 """
 
 import argparse
-import dataclasses
 import os
 import statistics
 import subprocess
@@ -20,8 +21,6 @@ import time
 from pathlib import Path
 from typing import NamedTuple
 
-from quadwalk.train.devices import set_up_devices
-
 TRAIN = Path(__file__).resolve().parent.parent / "train.py"
 SPEED = 1.0  # m/s, at least
 FALLS = 0.05  # at most
@@ -30,9 +29,9 @@ SECONDS = 20.0  # an episode's time limit
 
 
 class Written(NamedTuple):
-    """A policy, when it was written."""
+    """A policy, and when it was written."""
 
-    path: Path
+    path: Path  # of a run that has it as its last
     seconds: float  # since the start of the process
 
 
@@ -71,9 +70,11 @@ def train(
                     written = None
                 if written != last:
                     # The next one takes its name, but a second name keeps it.
-                    kept = run / f"kept_{len(found):03d}.npz"
-                    os.link(run / "policy.npz", kept)
-                    last = kept.stat().st_mtime_ns
+                    kept = run / f"kept_{len(found):03d}"
+                    kept.mkdir()
+                    for file in ("robot.urdf", "policy.npz"):
+                        os.link(run / file, kept / file)
+                    last = (kept / "policy.npz").stat().st_mtime_ns
                     found.append(Written(kept, last / 1e9 - began))
                 time.sleep(0.1)
         finally:
@@ -85,29 +86,20 @@ def train(
     return found
 
 
-def first_that_walks(run: Path, policies: list[Written]) -> Walks | None:
-    """Judge `policies` of `run` in turn."""
-    from quadwalk.evaluate.simulate import simulate_episodes
-    from quadwalk.evaluate.summary import episode_figures, summarise
-    from quadwalk.task.env import QuadrupedEnv
-    from quadwalk.train.robot import load_run_robot
-    from quadwalk.train.runs.directory import Run
-    from quadwalk.train.runs.policy import load_policy
+def first_that_walks(policies: list[Written]) -> Walks | None:
+    """Judge policies in turn."""
+    from quadwalk.api import evaluate
 
-    for path, seconds in policies:
-        policy = load_policy(path)
-        config = dataclasses.replace(policy.config.env, episode_seconds=SECONDS)
-        env = QuadrupedEnv(load_run_robot(Run(run), policy.config.robot), config)
-        rollouts = simulate_episodes(env, policy.act, EPISODES, seed=0)
-        scales, weight = config.reward, env.robot.weight
-        summary = summarise([episode_figures(rollout, scales, weight) for rollout in rollouts])
-        speed, falls = summary["speed"]["mean"], summary["fall_rate"]
+    for kept, seconds in policies:
+        judged = evaluate(kept, episodes=EPISODES, seconds=SECONDS)
+        steps = judged.subject.policy.steps
+        speed, falls = judged.summary["speed"]["mean"], judged.summary["fall_rate"]
         print(
-            f"  {seconds:6.1f} s, {policy.steps:9,} steps: {speed:.2f} m/s, {falls:.0%} fell",
+            f"  {seconds:6.1f} s, {steps:9,} steps: {speed:.2f} m/s, {falls:.0%} fell",
             file=sys.stderr,
         )
         if speed >= SPEED and falls <= FALLS:
-            return Walks(seconds, policy.steps, speed, falls)
+            return Walks(seconds, steps, speed, falls)
     return None
 
 
@@ -127,14 +119,12 @@ def main() -> None:
             for kind in kinds:
                 print(f"training, seed {seed}, {kind} cache", file=sys.stderr)
                 run = Path(folder) / f"seed_{seed}_{kind}"
-                trained[seed, kind] = (
-                    run,
-                    train(run, cache, seed, options.minutes, options.checkpoint_steps),
+                trained[seed, kind] = train(
+                    run, cache, seed, options.minutes, options.checkpoint_steps
                 )
-        set_up_devices()
         print(f"{'seed':>4} {'cache':>6} {'seconds':>8} {'steps':>10} {'m/s':>6} {'fell':>5}")
-        for (seed, kind), (run, policies) in trained.items():
-            walks = first_that_walks(run, policies)
+        for (seed, kind), policies in trained.items():
+            walks = first_that_walks(policies)
             times[kind].append(walks.seconds if walks else float("inf"))
             cells = (
                 f"{walks.seconds:8.1f} {walks.steps:10,} {walks.speed:6.2f} {walks.falls:5.0%}"

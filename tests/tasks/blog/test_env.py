@@ -6,8 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from quadwalk.physics.mjx_engine import Effort, Physics
-from quadwalk.physics.motor import gains, motor_torque
+from quadwalk.physics.motor import Effort, Physics, motor_torque
 from quadwalk.robot.quadruped import load_quadruped
 from quadwalk.task.env import QuadrupedEnv
 from quadwalk.task.state import EnvState
@@ -163,8 +162,8 @@ def test_motors_draw_a_joint_to_the_posts_speed_within_its_torque(env):
     rng = np.random.default_rng(2)
     q, qd = rng.uniform(-1, 1, (2, 500, 12))
     target = q + rng.uniform(-0.5, 0.5, (500, 12))
-    found = jax.vmap(lambda *a: motor_torque(env.robot, env.config.motor, *a))(target, q, qd)
-    _, kd = gains(env.robot, env.config.motor)
+    found = motor_torque(env.motor, target, q, qd)
+    kd = env.motor.kd
     wanted = 0.1 * (target - q) * 240  # a tenth of the way, in a step of 1/240 s
     expected = np.clip(kd * (wanted - qd), -44.4, 44.4)
     assert 0.1 < (np.abs(expected) == 44.4).mean() < 0.9

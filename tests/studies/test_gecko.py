@@ -1,4 +1,4 @@
-"""The study behind the fourth notebook: what its variants exchange, and what it measures."""
+"""The study of the gecko: what its variants exchange, and what it measures."""
 
 import dataclasses
 import json
@@ -7,39 +7,46 @@ import mujoco
 import numpy as np
 import pytest
 
-from benchmarks.gecko import CAUSES, OTHER, variants
-from benchmarks.gecko_gait import body_contact, contacts_of, figures_of, frames_of
-from notebooks.execute import HERE
 from quadwalk.evaluate.gait import measure_gait
 from quadwalk.evaluate.rollout import Rollout
 from quadwalk.task.files import load_task
 from quadwalk.train.serialise import flatten
+from studies.gecko.gait import body_contact, contacts_of, figures_of, frames_of
+from studies.gecko.study import CAUSES, OTHER, RESULTS, variants
 
 
-@pytest.mark.parametrize("preset", ["blog", "run"])
-def test_each_variant_takes_one_thing_from_the_other_preset(preset):
-    own, other = (flatten(load_task(name)) for name in (preset, OTHER[preset]))
+def changed(found, own) -> set[str]:
+    """Names of the settings that one of two flat configurations has, or has otherwise."""
+    return {name for name in {**found, **own} if found.get(name) != own.get(name)}
+
+
+@pytest.mark.parametrize("task", ["blog", "run"])
+def test_each_variant_takes_one_thing_from_the_other_task(task):
+    own, other = (flatten(load_task(name)) for name in (task, OTHER[task]))
     taken = set()
     for cause, settings in CAUSES.items():
-        found = flatten(variants()[f"{preset}, {cause}"])
-        changed = {name for name in found if found[name] != own[name]}
-        assert changed
-        assert all(found[name] == other[name] for name in changed)
-        assert all(any(f"{name}.".startswith(f"{s}.") for s in settings) for name in changed)
-        assert not changed & taken  # no two causes share a setting
-        taken |= changed
-    everything = flatten(variants()[f"{preset}, all of them"])
-    assert {name for name in everything if everything[name] != own[name]} == taken
+        found = flatten(variants()[f"{task}, {cause}"])
+        names = changed(found, own)
+        assert names
+        assert not names & changed(found, other)
+        assert all(any(f"{name}.".startswith(f"{s}.") for s in settings) for name in names)
+        assert not names & taken  # no two causes share a setting
+        taken |= names
+    assert changed(flatten(variants()[f"{task}, all of them"]), own) == taken
 
 
 def test_action_0_alone_is_moved_to_the_standing_pose(quadruped):
     own, found = load_task("blog"), variants()["blog, action 0"]
-    own_flat, found_flat = flatten(own), flatten(found)
-    changed = {name for name in found_flat if found_flat[name] != own_flat[name]}
-    bounds = [getattr(found.env.motor, f"{part}_bounds") for part in ("hip", "thigh", "calf")]
-    assert changed == {"env.motor.thigh_bounds", "env.motor.calf_bounds"}
-    np.testing.assert_allclose(np.mean(bounds, axis=1), quadruped.home[7:10], atol=1e-6)
-    assert np.ptp(found.env.motor.thigh_bounds) == np.ptp(own.env.motor.thigh_bounds)
+    bounds = [f"env.action.{part}_{end}" for part in ("thigh", "calf") for end in ("low", "high")]
+    assert changed(flatten(found), flatten(own)) == set(bounds)
+    # A joint is where action 0 puts it, so that the limit of a step does not matter.
+    standing = found.env.action(None, np.zeros(12), quadruped.home[7:])
+    np.testing.assert_allclose(standing, quadruped.home[7:], atol=1e-6)
+
+    def reach(config):
+        return config.env.action.params["thigh_high"] - config.env.action.params["thigh_low"]
+
+    assert reach(found) == pytest.approx(reach(own))
 
 
 def still(quadruped, qpos, contact) -> Rollout:
@@ -96,7 +103,7 @@ def test_frames_and_footfalls_are_those_of_the_rollout(quadruped):
 
 
 def test_the_results_are_of_the_variants_there_are():
-    results = json.loads((HERE / "gecko.json").read_text())
+    results = json.loads(RESULTS.read_text())
     named = {(result["variant"], result["seed"]) for result in results}
     assert len(named) == len(results)
     assert {variant for variant, _ in named} == set(variants())

@@ -1,7 +1,9 @@
 """How a run of the gecko study moves: figures of its gait, and what a picture of it needs."""
 
-import dataclasses
+import quadwalk.physics.mjx  # noqa: F401  # isort: skip  # else Brax imports it, loudly
+
 from collections import Counter
+from dataclasses import replace
 from typing import Any
 
 import mujoco
@@ -16,6 +18,7 @@ from quadwalk.evaluate.simulate import simulate_episodes
 from quadwalk.evaluate.subject import load_subject
 from quadwalk.evaluate.summary import typical_episode
 from quadwalk.robot.quadruped import Quadruped
+from quadwalk.task.env import QuadrupedEnv
 from quadwalk.train.runs.directory import Run
 from quadwalk.train.runs.log import read_metrics
 
@@ -36,9 +39,9 @@ def measure(run: Run) -> dict[str, Any]:
     """
     subject = load_subject(run, SECONDS)
     config = subject.env.config
-    starts = dataclasses.replace(config.reset, joints=max(config.reset.joints, STARTS))
-    env = type(subject.env)(subject.env.quadruped, dataclasses.replace(config, reset=starts))
-    simulated = simulate_episodes(env, subject.policy.act, EPISODES, seed=0, engine="mujoco")
+    starts = replace(config.reset, joints=max(config.reset.joints, STARTS))
+    env = QuadrupedEnv(subject.env.quadruped, replace(config, reset=starts), "mujoco")
+    simulated = simulate_episodes(env, subject.policy.act, EPISODES, seed=0)
     rollouts = [finite_part(rollout) for rollout in simulated]
     gaits = [measure_gait(rollout, env.quadruped) for rollout in rollouts]
     figures = [

@@ -1,0 +1,55 @@
+"""What the studies share: runs that are trained once, and jobs with a process each."""
+
+import quadwalk.physics.mjx  # noqa: F401  # isort: skip  # else Brax imports it, loudly
+
+import contextlib
+import multiprocessing
+import sys
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from typing import Any, TypeVar
+
+from quadwalk.api import train
+from quadwalk.errors import UserError
+from quadwalk.train.devices import set_up_devices
+from quadwalk.train.runs.directory import Run
+from quadwalk.train.runs.policy import load_score
+from quadwalk.train.runs.resume import read_config
+from quadwalk.train.settings import TrainConfig
+
+T = TypeVar("T")
+
+
+def trained(config: TrainConfig) -> Run:
+    """The run called `config.name`: trained, gone on with if it was stopped, or as it is.
+
+    What training prints goes to stderr. Raises `UserError` if the run there has other settings.
+    """
+    run = Run(config.runs / str(config.name))
+    with contextlib.redirect_stdout(sys.stderr):
+        if not run.path.exists():
+            return train(config)
+        kept = read_config(run)
+        if (kept.env, kept.ppo) != (config.env, config.ppo):
+            raise UserError(f"{run.path} has other settings; remove it to train it anew")
+        if not run.policy.exists() or load_score(run.policy)[0] < config.steps:
+            train(resume=run, quiet=config.quiet)
+    return run
+
+
+def in_processes(
+    job: Callable[..., T], cases: Iterable[tuple[Any, ...]], at_once: int, devices: int | None
+) -> Iterator[T]:
+    """What `job` returns for the arguments of each case, in order.
+
+    Each has a process of its own with so many devices, by default one per core: JAX is set up once
+    in a process. Ends with the first that raises.
+    """
+    with ProcessPoolExecutor(
+        at_once,
+        mp_context=multiprocessing.get_context("spawn"),
+        initializer=set_up_devices,
+        initargs=(devices,),
+        max_tasks_per_child=1,
+    ) as pool:
+        yield from pool.map(job, *zip(*cases, strict=True))
