@@ -11,21 +11,22 @@ Part of the error at 4 ms is the step's, whatever the solver: the row of MuJoCo 
     MuJoCo C, 1 ms, converged                   0.0 mm 0.000 m/s        6.9 mm
     MuJoCo C, 4 ms, converged                   5.9 mm 0.011 m/s        5.5 mm
     MJX, 4 ms, 1 iteration                     43.8 mm 0.067 m/s        5.8 mm
-    ours, 4 ms, 1 iteration                    47.3 mm 0.071 m/s        5.7 mm
-    ours, 4 ms, 2 iterations                   11.0 mm 0.018 m/s        5.4 mm
-    ours, 4 ms, 3 iterations                    7.4 mm 0.013 m/s        5.6 mm
-    ours, 5 ms, 2 iterations                   12.9 mm 0.022 m/s        5.5 mm
+    fast, 4 ms, 1 iteration                    47.3 mm 0.071 m/s        5.7 mm
+    fast, 4 ms, 2 iterations                   11.0 mm 0.018 m/s        5.4 mm
+    fast, 4 ms, 3 iterations                    7.4 mm 0.013 m/s        5.6 mm
+    fast, 5 ms, 2 iterations                   12.9 mm 0.022 m/s        5.5 mm
 
 Two iterations were chosen; three evaluations of the line search serve as well as five.
 """
 
 import dataclasses
+import functools
 from collections.abc import Iterator
 
 import mujoco
 import numpy as np
 
-from quadwalk.physics import fast, mjx_engine
+from quadwalk.physics.engines import ENGINES
 from quadwalk.train.devices import set_up_devices
 
 ROBOTS = 16
@@ -48,18 +49,18 @@ def print_accuracy() -> None:
     import jax
     import jax.numpy as jnp
 
-    from quadwalk.physics.mjx_engine import Physics
+    from quadwalk.physics.fast import heights
+    from quadwalk.physics.motor import Physics
     from quadwalk.robot.quadruped import load_quadruped
-    from quadwalk.task.config import EnvConfig
     from quadwalk.task.env import QuadrupedEnv
+    from quadwalk.tasks.run import TASK
 
     quadruped = load_quadruped()
-    config = EnvConfig()
+    config = TASK.env
     env = QuadrupedEnv(quadruped, config)
     keys = jax.random.split(jax.random.PRNGKey(0), ROBOTS)
     starts = jax.device_get(jax.jit(jax.vmap(env.reset))(keys)).pipeline_state.physics
     wanted = targets(env.robot.home_joints)
-    once = QuadrupedEnv(quadruped, dataclasses.replace(config, solver_iterations=1))
 
     def in_mujoco(dt: float) -> np.ndarray:
         model = quadruped.training_model(dt, iterations=100, ls_iterations=50)
@@ -67,16 +68,8 @@ def print_accuracy() -> None:
         pairs = zip(starts.qpos, starts.qvel, strict=True)
         return np.array([list(_trot(env, model, q, v, wanted)) for q, v in pairs])
 
-    def by(simulate, config: EnvConfig) -> np.ndarray:
-        def step(state: Physics, target: jax.Array) -> tuple[Physics, jax.Array]:
-            after, _ = simulate(config, state, target)
-            feet, _ = fast.heights(env.legged, after.qpos)
-            return after, jnp.concatenate([after.qpos[:3], after.qvel[:3], feet])
-
-        course = jax.vmap(lambda s: jax.lax.scan(step, s, jnp.asarray(wanted, jnp.float32))[1])
-        return np.asarray(jax.jit(course)(starts))
-
-    def ours(iterations: int, line_search: int, substeps: int = 5) -> np.ndarray:
+    def by(engine: str, iterations: int, line_search: int, substeps: int = 5) -> np.ndarray:
+        # The model's contact stiffness depends on the step.
         changed = dataclasses.replace(
             config,
             solver_iterations=iterations,
@@ -84,18 +77,25 @@ def print_accuracy() -> None:
             substeps=substeps,
             physics_dt=CONTROL / substeps,
         )
-        # The model's contact stiffness depends on the step.
-        legged = QuadrupedEnv(quadruped, changed).legged
-        return by(lambda c, s, t: fast.simulate(legged, env.robot, c, s, t), changed)
+        stepped = QuadrupedEnv(quadruped, changed, engine)
+        step_in = functools.partial(
+            ENGINES[engine].control_step, stepped.engine_model, stepped.stepping
+        )
+
+        def step(state: Physics, target: jax.Array) -> tuple[Physics, jax.Array]:
+            after, _ = step_in(state, target)
+            feet, _ = heights(env.model, after.qpos)
+            return after, jnp.concatenate([after.qpos[:3], after.qvel[:3], feet])
+
+        course = jax.vmap(lambda s: jax.lax.scan(step, s, jnp.asarray(wanted, jnp.float32))[1])
+        return np.asarray(jax.jit(course)(starts))
 
     rows = {
         "MuJoCo C, 4 ms, converged": lambda: in_mujoco(0.004),
-        "MJX, 4 ms, 1 iteration": lambda: by(
-            lambda c, s, t: mjx_engine.simulate(once.model, env.robot, c, s, t), config
-        ),
+        "MJX, 4 ms, 1 iteration, line search 3": lambda: by("mjx", 1, 3),
         **{
-            f"ours, {20 / n:g} ms, {i} iteration{'s' * (i > 1)}, line search {k}": (
-                lambda i=i, k=k, n=n: ours(i, k, n)
+            f"fast, {20 / n:g} ms, {i} iteration{'s' * (i > 1)}, line search {k}": (
+                lambda i=i, k=k, n=n: by("fast", i, k, n)
             )
             for i, k, n in [(1, 5, 5), (1, 3, 5), (2, 3, 5), (3, 3, 5), (8, 8, 5), (2, 3, 4)]
         },
@@ -117,15 +117,15 @@ def _trot(env, model, qpos, qvel, wanted) -> Iterator[np.ndarray]:
 
     data = mujoco.MjData(model)
     data.qpos[:], data.qvel[:] = qpos, qvel
-    robot, actuation = env.robot, env.config.actuation
+    geoms = [model.geom(name).id for name in env.quadruped.feet]
     for target in wanted:
         for _ in range(round(CONTROL / model.opt.timestep)):
             q, qd = data.qpos[7:], data.qvel[6:]
-            data.ctrl[:] = motor_torque(robot, actuation, target, q, qd)
-            data.qfrc_applied[6:] = friction_torque(robot, actuation, qd)
+            torque = motor_torque(env.motor, target, q, qd) + friction_torque(env.motor, qd)
+            data.qfrc_applied[6:] = torque
             mujoco.mj_step(model, data)
         mujoco.mj_kinematics(model, data)
-        feet = data.geom_xpos[robot.foot_geoms, 2] - robot.foot_radius
+        feet = data.geom_xpos[geoms, 2] - model.geom_size[geoms, 0]
         yield np.r_[data.qpos[:3], data.qvel[:3], feet]
 
 

@@ -1,4 +1,4 @@
-"""Physics steps per second: ours, MJX and MuJoCo C on all cores, and what each is worth.
+"""Physics steps per second: the fast engine, MJX and MuJoCo C on all cores.
 
     python benchmarks/physics.py [--envs 2048] [--rounds 5] [--variants]
     python benchmarks/accuracy.py
@@ -7,29 +7,32 @@ The rates: all three step the training model from the same states with the same 
 in one run; what counts is the median of the ratios, since a machine's speed drifts. MuJoCo C is
 `mujoco.rollout` with one thread per core and the training model's own solver settings.
 
-`--variants` adds what ours would be without each of its measures. On 2 cores of an AMD EPYC, with
-two iterations of the solver in all of them (MuJoCo C 208 thousand steps/s), relative to MuJoCo C:
+`--variants` adds what the fast engine would be without each of its measures. On 2 cores of an AMD
+EPYC, with two iterations of the solver in all of them (MuJoCo C 208 thousand steps/s), relative to
+MuJoCo C:
 
-    ours                        4.6
+    fast                        4.6
     one, three iterations       5.6, 3.6 (benchmarks/accuracy.py says what they are worth)
     knees and trunk touch too   3.1 (EnvConfig.contacts)
     no batches of cache size    3.0
-    no stages                   1.4 (XLA then repeats what results share)
+    not materialized            1.4 (XLA then repeats what results share)
     MJX                         0.5
 
 and, with an earlier line search and one iteration, 3.0 instead of 4.3 by XLA's newer code generator
 (XLA_FLAGS=--xla_cpu_use_fusion_emitters=true). The rest of the difference to MJX is the layout,
-robots innermost, and the matrices: MJX factors dense ones of 18 x 18 through LAPACK, ours are
+robots innermost, and the matrices: MJX factors dense ones of 18 x 18 through LAPACK, here they are
 arrows of four 3 x 3 blocks and one of 6 x 6.
 """
 
 import argparse
+import dataclasses
 import time
 
 import numpy as np
 
-from quadwalk.physics import batching, contact, fast
-from quadwalk.train.devices import cpu_cores, set_up_devices
+from quadwalk.cores import cpu_cores
+from quadwalk.physics import batching, fast, solver
+from quadwalk.train.devices import set_up_devices
 
 
 def main() -> None:
@@ -52,39 +55,40 @@ def print_rates(envs: int, steps: int, rounds: int, variants: bool) -> None:
 
     from quadwalk.physics.batching import robots_last
     from quadwalk.physics.fast import acceleration, integrate
-    from quadwalk.physics.mjx_engine import Physics
-    from quadwalk.physics.model import Legged
-    from quadwalk.physics.quiet_mjx import mjx
+    from quadwalk.physics.mjx import mjx
+    from quadwalk.physics.model import Model
+    from quadwalk.physics.motor import Physics
     from quadwalk.robot.quadruped import load_quadruped
-    from quadwalk.task.config import EnvConfig
     from quadwalk.task.env import QuadrupedEnv
+    from quadwalk.tasks.run import TASK
     from quadwalk.train.ppo import AXIS, make_mesh
 
-    env = QuadrupedEnv(load_quadruped(), EnvConfig())
-    whole = QuadrupedEnv(load_quadruped(), EnvConfig(contacts="body"))
-    config = env.config
+    env = QuadrupedEnv(load_quadruped(), TASK.env)
+    whole = QuadrupedEnv(load_quadruped(), dataclasses.replace(TASK.env, contacts="body"))
     start = jax.jit(jax.vmap(env.reset))(jax.random.split(jax.random.PRNGKey(0), envs))
     physics = jax.device_get(start.pipeline_state.physics)
     rng = np.random.default_rng(0)
     torques = rng.normal(0, 5, (envs, steps, 12)).astype(np.float32)
 
-    def ours(iterations: int = config.solver_iterations, legged: Legged = env.legged):
-        def of_many(state: Physics, torques: jax.Array) -> jax.Array:
+    mjx_model = mjx.put_model(env.mj_model)
+
+    def in_fast(iterations: int = env.stepping.iterations, model: Model = env.model):
+        def of_many(model: Model, state: Physics, torques: jax.Array) -> jax.Array:
             def step(state: Physics, torque: jax.Array) -> tuple[Physics, None]:
-                searched = config.line_search_iterations
-                found = acceleration(legged, state, torque, iterations, searched)
-                return integrate(state, found, config.physics_dt), None
+                searched = env.stepping.line_search
+                found = acceleration(model, state, torque, iterations, searched)
+                return integrate(state, found, env.stepping.dt), None
 
             return jax.lax.scan(step, state, torques)[0].qpos
 
-        return robots_last(of_many)
+        return lambda *arguments: robots_last(of_many)(model, *arguments)
 
     def in_mjx(state: Physics, torques: jax.Array) -> jax.Array:
-        blank = mjx.make_data(env.model)
+        blank = mjx.make_data(mjx_model)
 
         def step(state: Physics, torque: jax.Array) -> tuple[Physics, None]:
             data = blank.replace(qpos=state.qpos, qvel=state.qvel, qacc_warmstart=state.warmstart)
-            data = mjx.step(env.model, data.replace(ctrl=torque))
+            data = mjx.step(mjx_model, data.replace(ctrl=torque))
             return Physics(data.qpos, data.qvel, data.qacc_warmstart), None
 
         return jax.lax.scan(step, state, torques)[0].qpos
@@ -130,15 +134,15 @@ def print_rates(envs: int, steps: int, rounds: int, variants: bool) -> None:
                 setattr(module, name, value)
             return measure
 
-        engines = {"ours": rate(ours())}
+        engines = {"fast": rate(in_fast())}
         if variants:
-            plain = {(module, "stage"): _plain for module in (contact, fast)}
+            plain = {(module, "materialize"): _plain for module in (solver, fast)}
             engines |= {
-                "1 iteration": rate(ours(1)),
-                "3 iterations": rate(ours(3)),
-                "body": rate(ours(legged=whole.legged)),
-                "no batches": with_other({(batching, "BATCH"): envs}, rate(ours())),
-                "no stages": with_other(plain, rate(ours())),
+                "1 iteration": rate(in_fast(1)),
+                "3 iterations": rate(in_fast(3)),
+                "body": rate(in_fast(model=whole.model)),
+                "no batches": with_other({(batching, "BATCH"): envs}, rate(in_fast())),
+                "not materialized": with_other(plain, rate(in_fast())),
             }
         engines |= {"MJX": rate(in_mjx), "MuJoCo C": in_mujoco}
         for measure in engines.values():
@@ -148,11 +152,11 @@ def print_rates(envs: int, steps: int, rounds: int, variants: bool) -> None:
     print(f"{envs} environments, {cpu_cores()} cores, medians of {rounds} rounds")
     for name, column in zip(engines, found.T, strict=True):
         ratio = np.median(column / found[:, -1])
-        print(f"{name:14}{np.median(column):12,.0f} steps/s{ratio:8.2f} x MuJoCo C")
+        print(f"{name:18}{np.median(column):12,.0f} steps/s{ratio:8.2f} x MuJoCo C")
 
 
 def _plain(running, function, *arguments):
-    """`stage`, without what it is for."""
+    """`materialize`, without what it is for."""
     return function(*arguments)
 
 

@@ -10,8 +10,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from quadwalk.physics.engines import ENGINES
 from quadwalk.physics.batching import stack_models
+from quadwalk.physics.engines import ENGINES
 from quadwalk.physics.motor import Motor, MotorConfig, Physics, Stepping, make_motor
 
 STEPPING = Stepping(0.004, 5, 8, 10)  # solved to the end

@@ -20,9 +20,9 @@ from quadwalk.physics.fast import (
 )
 from quadwalk.physics.model import contact_geoms, shell_geoms
 from quadwalk.physics.motor import MotorConfig, Physics, make_motor
-from quadwalk.robot.scene import lowest_point
 from quadwalk.robot.mjcf import Options
 from quadwalk.robot.quadruped import load_quadruped
+from quadwalk.robot.scene import lowest_point
 from quadwalk.robot.validate import UrdfError
 
 STATES = 40
