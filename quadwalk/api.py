@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from quadwalk.errors import UsageError
 from quadwalk.paths import ALIENGO_URDF
-from quadwalk.task.files import load_task
+from quadwalk.task_files import load_task
 from quadwalk.train.runs.directory import Run, find_run
 from quadwalk.train.serialise import with_settings
 from quadwalk.train.settings import RobotConfig, TrainConfig

@@ -33,7 +33,6 @@ def evaluate(config: EvalConfig) -> dict[str, Any]:
     from quadwalk.train.devices import set_up_devices
 
     set_up_devices()
-    from quadwalk.evaluate.comparison import compare
     from quadwalk.evaluate.subject import load_subject
     from quadwalk.evaluate.sweep import sweep
     from quadwalk.evaluate.view import check_screen
@@ -86,6 +85,39 @@ def judge(subject: "Subject", config: EvalConfig, out: Path, console: Console) -
     if config.view:
         view(found.typical, env.quadruped, console)
     return results
+
+
+def compare(
+    labels: list[str],
+    folders: list[Path],
+    results: list[dict[str, Any]],
+    out: Path,
+    console: Console,
+) -> dict[str, Any]:
+    """Print and write the comparison of runs called `labels`; return what comparison.json holds.
+
+    `results` are their metrics, as `judge` returns them, which it has written to `folders`.
+    """
+    from quadwalk.evaluate.report.console import print_comparison
+    from quadwalk.evaluate.report.panels import draw_comparison
+    from quadwalk.evaluate.report.plots import save_figure
+
+    common = {name: results[0][name] for name in ("engine", "seed", "seconds", "revision")}
+    runs = [
+        {
+            "name": label,
+            "folder": str(folder),
+            **{name: result[name] for name in ("training_steps", "policy_sha256", "summary")},
+            "typical_episode": result["typical_episode"],
+        }
+        for label, folder, result in zip(labels, folders, results, strict=True)
+    ]
+    comparison = {**common, "runs": runs}
+    print_comparison(comparison)
+    write_json_atomic(out / "comparison.json", comparison)
+    save_figure(draw_comparison(labels, results), out / "comparison.png")
+    console.print(f"written to {out}: comparison.json, comparison.png")
+    return comparison
 
 
 def _roll_out(subject: "Subject", config: EvalConfig, console: Console) -> "Evaluation":

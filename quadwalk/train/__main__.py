@@ -13,7 +13,7 @@ def main(args: Sequence[str] | None = None, prog: str = "train.py") -> None:
     # Tasks are functions of JAX, which takes a second to import: a terminal shows at once that
     # something goes on.
     with Console(stderr=True).status("loading"):
-        from quadwalk.train.command import parse_config
+        from quadwalk.train.flags import parse_config
         from quadwalk.train.loop import train
 
         config, previous = parse_config(sys.argv[1:] if args is None else args, prog)

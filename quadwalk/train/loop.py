@@ -3,16 +3,18 @@
 import contextlib
 import io
 import math
+import signal
+import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import FrameType
 from typing import TYPE_CHECKING
 
 from quadwalk.errors import UserError
 from quadwalk.train.progress.display import Progress
 from quadwalk.train.runs.directory import Run
 from quadwalk.train.settings import TrainConfig
-from quadwalk.train.stopping import stop_on_signal
 
 if TYPE_CHECKING:
     from quadwalk.train.runs.writer import RunWriter
@@ -143,3 +145,24 @@ def _last(writer: "RunWriter") -> str:
 
 def _run_argument(run: Run) -> str:
     return run.name if run.path.parent == Path("runs") else str(run.path)
+
+
+@contextlib.contextmanager
+def stop_on_signal() -> Iterator[threading.Event]:
+    """An event that Ctrl-C or SIGTERM sets; a second Ctrl-C interrupts at once."""
+    stop = threading.Event()
+    if threading.current_thread() is not threading.main_thread():
+        yield stop
+        return
+
+    def handle(number: int, frame: FrameType | None) -> None:
+        if stop.is_set():
+            raise KeyboardInterrupt
+        stop.set()
+
+    before = {number: signal.signal(number, handle) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield stop
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

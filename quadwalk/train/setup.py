@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 from quadwalk.robot.quadruped import Quadruped
-from quadwalk.task.files import OWN
+from quadwalk.task_files import OWN
 from quadwalk.train import distributed
 from quadwalk.train.devices import choose_devices
 from quadwalk.train.metrics import TrainingMetrics
@@ -19,12 +19,12 @@ from quadwalk.train.runs.directory import (
     clean,
     create_run,
     latest_checkpoint,
+    versions,
     write_json_atomic,
 )
 from quadwalk.train.runs.resume import changed_settings, read_config, restore
 from quadwalk.train.serialise import task_source, to_dict
 from quadwalk.train.settings import DistributedConfig, RobotConfig, TrainConfig
-from quadwalk.train.versions import versions
 
 if TYPE_CHECKING:
     import mujoco

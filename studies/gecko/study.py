@@ -24,7 +24,7 @@ from typing import Any
 from quadwalk.cores import cpu_cores
 from quadwalk.errors import run_command
 from quadwalk.files import atomic_write
-from quadwalk.task.files import load_task
+from quadwalk.task_files import load_task
 from quadwalk.train.serialise import with_settings
 from quadwalk.train.settings import TrainConfig
 from studies.gecko.gait import measure

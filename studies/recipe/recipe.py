@@ -21,7 +21,7 @@ import numpy as np
 
 from quadwalk.api import evaluate
 from quadwalk.errors import run_command
-from quadwalk.train.command import parse_config
+from quadwalk.train.flags import parse_config
 from studies.runs import in_processes, trained
 
 COLUMNS = (

@@ -9,7 +9,7 @@ import pytest
 
 from quadwalk.evaluate.gait import measure_gait
 from quadwalk.evaluate.rollout import Rollout
-from quadwalk.task.files import load_task
+from quadwalk.task_files import load_task
 from quadwalk.train.serialise import flatten
 from studies.gecko.gait import body_contact, contacts_of, figures_of, frames_of
 from studies.gecko.study import CAUSES, OTHER, RESULTS, variants

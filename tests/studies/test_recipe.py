@@ -3,7 +3,7 @@
 import re
 from pathlib import Path
 
-from quadwalk.train.command import parse_config
+from quadwalk.train.flags import parse_config
 from studies.recipe import recipe
 
 

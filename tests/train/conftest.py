@@ -61,7 +61,7 @@ def start(processes) -> Callable[..., multiprocessing.Process]:
 @pytest.fixture
 def train(monkeypatch) -> Callable[..., None]:
     """Train on the toy with flags, here; `watch` is as for `quadwalk.train.loop.train`."""
-    from quadwalk.train.command import parse_config
+    from quadwalk.train.flags import parse_config
     from quadwalk.train.loop import train
 
     monkeypatch.setattr("quadwalk.task.env.QuadrupedEnv", toy.Toy)

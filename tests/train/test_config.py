@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 
 from quadwalk.errors import UsageError, UserError
-from quadwalk.task.files import load_task, task_names
+from quadwalk.task_files import load_task, task_names
 from quadwalk.tasks import run, walk
 from quadwalk.train import devices
-from quadwalk.train.command import parse_config
+from quadwalk.train.flags import parse_config
 from quadwalk.train.runs.resume import changed_settings
 from quadwalk.train.serialise import to_dict, with_settings
 from quadwalk.train.settings import TrainConfig

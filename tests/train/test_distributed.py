@@ -8,7 +8,7 @@ import time
 import pytest
 
 from quadwalk.errors import UsageError
-from quadwalk.train.command import parse_config
+from quadwalk.train.flags import parse_config
 from quadwalk.train.runs.directory import Run
 from quadwalk.train.runs.log import read_metrics
 

@@ -11,7 +11,7 @@ from quadwalk.errors import UsageError, UserError
 from quadwalk.paths import ALIENGO_URDF
 from quadwalk.physics.motor import Physics
 from quadwalk.task.env import MAX_SPEED, EnvState, QuadrupedEnv
-from quadwalk.task.files import load_task
+from quadwalk.task_files import load_task
 from quadwalk.tasks import run
 from quadwalk.train import nan
 from quadwalk.train.robot import load_robot

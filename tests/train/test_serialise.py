@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from quadwalk.errors import UsageError, UserError
 from quadwalk.task import reward
-from quadwalk.task.files import load_task, task_names
 from quadwalk.task.terms import Reward
+from quadwalk.task_files import load_task, task_names
 from quadwalk.tasks import run
 from quadwalk.train.serialise import flatten, from_dict, to_dict, with_settings
 from quadwalk.train.settings import TrainConfig

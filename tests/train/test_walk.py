@@ -8,7 +8,7 @@ import pytest
 
 from quadwalk.robot.quadruped import load_quadruped
 from quadwalk.task.env import QuadrupedEnv
-from quadwalk.task.files import load_task
+from quadwalk.task_files import load_task
 from quadwalk.train import ppo
 from quadwalk.train.networks import make_networks
 from quadwalk.train.runs import checkpoint

@@ -8,7 +8,7 @@ import quadwalk
 from quadwalk.evaluate.subject import Subject
 from quadwalk.robot.mjcf import write_xml
 from quadwalk.train.runs import checkpoint
-from quadwalk.train.versions import versions
+from quadwalk.train.runs.directory import versions
 
 _SOURCE = Path(quadwalk.__file__).resolve().parents[1]
 

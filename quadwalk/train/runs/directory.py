@@ -14,8 +14,10 @@ runs/NAME/
 
 import contextlib
 import datetime
+import importlib.metadata
 import json
 import os
+import platform
 import re
 import shutil
 from collections.abc import Callable, Iterable, Mapping
@@ -153,6 +155,13 @@ def list_runs(root: Path | str) -> list[Run]:
     except OSError:
         return []
     return sorted(runs, key=_last_written, reverse=True)
+
+
+def versions() -> dict[str, str]:
+    """Package name to version, of Python and the packages that compute."""
+    packages = ("quadwalk", "mujoco", "mujoco-mjx", "jax", "jaxlib", "brax", "flax", "optax")
+    found = {name: importlib.metadata.version(name) for name in packages}
+    return {"python": platform.python_version(), **found}
 
 
 def as_json(value: Any) -> bytes:

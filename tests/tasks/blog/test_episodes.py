@@ -13,7 +13,7 @@ from quadwalk.evaluate.gait import measure_gait
 from quadwalk.evaluate.recording.mcap import write_mcap
 from quadwalk.evaluate.simulate import simulate_episodes, with_foot_forces
 from quadwalk.task.env import QuadrupedEnv
-from quadwalk.task.files import load_task
+from quadwalk.task_files import load_task
 
 STEPS = 50
 LOWER = np.tile([-1.2217, -1.0, -2.77507], 4)

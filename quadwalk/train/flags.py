@@ -7,7 +7,7 @@ from typing import Any
 
 from quadwalk.cli import parse, value_of
 from quadwalk.errors import UsageError
-from quadwalk.task.files import load_task, task_list
+from quadwalk.task_files import load_task, task_list
 from quadwalk.train.runs.directory import Run, find_run
 from quadwalk.train.runs.resume import resumed_config
 from quadwalk.train.settings import TrainConfig

@@ -6,8 +6,8 @@ import pytest
 
 from quadwalk.errors import UsageError, UserError
 from quadwalk.task import reward
-from quadwalk.task.files import OWN, load_task, own_file, reference, resolve, task_names
 from quadwalk.task.terms import Observation, Reward
+from quadwalk.task_files import OWN, load_task, own_file, reference, resolve, task_names
 
 OWN_TASK = """
 import dataclasses
