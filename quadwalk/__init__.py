@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING, Any
 os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
 
 if TYPE_CHECKING:
-    from quadwalk.api import evaluate, load_policy, make, train
+    from quadwalk.api import compare, evaluate, load_policy, make, train
 
 __version__ = "0.2.0"
-__all__ = ["evaluate", "load_policy", "make", "train"]
+__all__ = ["compare", "evaluate", "load_policy", "make", "train"]
 
 
 def __getattr__(name: str) -> Any:

@@ -1,4 +1,4 @@
-"""The package from Python, as a notebook uses it: make, train, evaluate, load_policy."""
+"""The package from Python, as a notebook uses it: make, train, evaluate, compare, load_policy."""
 
 import dataclasses
 from collections.abc import Callable, Mapping
@@ -13,6 +13,8 @@ from quadwalk.train.serialise import with_settings
 from quadwalk.train.settings import RobotConfig, TrainConfig
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from quadwalk.evaluate.evaluation import Evaluation
     from quadwalk.task.env import QuadrupedEnv
     from quadwalk.train.runs.policy import Policy
@@ -111,6 +113,30 @@ def evaluate(
     from quadwalk.evaluate.subject import load_subject
 
     return measure(load_subject(found, seconds, policy, engine), episodes, seed)
+
+
+def compare(results: Mapping[str, "Evaluation"]) -> "Figure":
+    """Print evaluations side by side, each under its name, and return their figures as plots.
+
+    `UsageError` unless they are of the same episodes: by number, time limit and seed.
+    """
+    from quadwalk.evaluate.report.console import print_comparison
+    from quadwalk.evaluate.report.panels import draw_comparison
+
+    found = [result.results for result in results.values()]
+    starts = {(each["summary"]["episodes"], each["seconds"], each["seed"]) for each in found}
+    if len(starts) != 1:
+        raise UsageError(
+            "compare was given evaluations of other episodes, seconds or seeds; "
+            "expected one or more that agree in these"
+        )
+    engines = " and ".join(dict.fromkeys(each["engine"] for each in found))
+    named = [
+        {**each, "name": name, "engine": engines}
+        for name, each in zip(results, found, strict=True)
+    ]
+    print_comparison({"engine": engines, "runs": named})
+    return draw_comparison(list(results), named)
 
 
 def load_policy(run: str | Path | Run = "latest") -> "Policy":

@@ -56,13 +56,15 @@ class Evaluation:
             "typical_episode": {"episode": self.typical.episode, **gait},
         }
 
-    def film_strip(self) -> "Image":
-        """Pictures of two strides of the typical episode, side by side."""
+    def film_strip(self, width: int = 480, height: int = 300) -> "Image":
+        """Eight pictures of two strides of the typical episode, each of so many pixels."""
         from PIL import Image
 
         from quadwalk.evaluate.report.pictures import draw_film_strip
 
-        return Image.fromarray(draw_film_strip(self.typical, self.subject.env.quadruped))
+        quadruped = self.subject.env.quadruped
+        strip = draw_film_strip(self.typical, quadruped, width=width, height=height)
+        return Image.fromarray(strip)
 
     def report(self) -> "Figure":
         """The typical episode as plots: footfalls, speed, joints, torques, rewards, path."""

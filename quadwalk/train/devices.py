@@ -1,10 +1,10 @@
 """XLA devices to train on: accelerators, or one for each CPU core; and the compilation cache."""
 
-import contextlib
 import dataclasses
 import hashlib
 import os
 import platform
+import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -88,7 +88,7 @@ def set_up_devices(count: int | None = None) -> int:
     """Make JAX offer `count` CPU devices, by default one per core; return how many there are.
 
     A program on one XLA device leaves much of a second core idle. To be called before JAX computes
-    anything: after that its devices stay what they are.
+    anything: after that its devices stay what they are, and a warning says so if they are fewer.
     What is compiled is kept in the user's cache folder: the second start takes seconds.
     """
     _prepare(count or cpu_cores())
@@ -113,11 +113,27 @@ def _prepare(cpu_devices: int) -> None:
     os.environ["XLA_FLAGS"] = " ".join([*missing, flags]).strip()
     import jax
 
-    # A process that has computed keeps the devices it has, as a notebook that trains twice does.
-    with contextlib.suppress(RuntimeError):
+    try:
         jax.config.update("jax_num_cpu_devices", cpu_devices)
+    except RuntimeError:
+        # A process that has computed keeps the devices it has, as a notebook that trains twice.
+        _warn_of_fewer(cpu_devices)
     if jax.config.jax_compilation_cache_dir is None:  # type: ignore[attr-defined]
         jax.config.update("jax_compilation_cache_dir", str(compilation_cache()))
+
+
+def _warn_of_fewer(cpu_devices: int) -> None:
+    """Say so, once, if JAX computes on fewer CPU devices than are wanted."""
+    import jax
+
+    available = jax.local_device_count()
+    if jax.default_backend() == "cpu" and available < cpu_devices:
+        warnings.warn(
+            f"JAX has already computed: quadwalk uses {available} CPU "
+            f"device{'s' if available > 1 else ''} instead of {cpu_devices}; "
+            "restart Python and call quadwalk before anything computes with JAX",
+            stacklevel=2,
+        )
 
 
 def compilation_cache() -> Path:
