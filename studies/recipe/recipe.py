@@ -66,9 +66,9 @@ def row(flags: str, seed: int, steps: int | None, episodes: int, runs: Path) -> 
         f"{c['fall_rate']:.1%}",
         gait.gait,
         f"{100 * np.nan_to_num(gait.swing_height).min():.1f}",
-        f"{np.nanmax(gait.slip_share):.1%}",
-        f"{np.nanmax(gait.torque_peak):.0%}",
-        f"{np.nanmax(gait.joint_speed_peak):.0%}",
+        f"{np.fmax.reduce(gait.slip_share):.1%}",
+        f"{np.fmax.reduce(gait.torque_peak):.0%}",
+        f"{np.fmax.reduce(gait.joint_speed_peak):.0%}",
         f"{gait.action_rate:.1f}",
     )
     return line(cells)
