@@ -107,6 +107,12 @@ def evaluate(
     """
     from quadwalk.train.devices import set_up_devices
 
+    if engine not in ("mjx", "mujoco", "fast"):
+        raise UsageError(f"engine is {engine!r}; expected mjx, mujoco or fast")
+    if policy not in ("last", "best"):
+        raise UsageError(f"policy is {policy!r}; expected last or best")
+    if episodes < 1 or seconds <= 0.0:
+        raise UsageError(f"episodes is {episodes} and seconds {seconds}; expected more than 0")
     found = _run(run, runs)
     set_up_devices()
     from quadwalk.evaluate.evaluation import measure
@@ -132,8 +138,7 @@ def compare(results: Mapping[str, "Evaluation"]) -> "Figure":
         )
     engines = " and ".join(dict.fromkeys(each["engine"] for each in found))
     named = [
-        {**each, "name": name, "engine": engines}
-        for name, each in zip(results, found, strict=True)
+        {**each, "name": name, "engine": engines} for name, each in zip(results, found, strict=True)
     ]
     print_comparison({"engine": engines, "runs": named})
     return draw_comparison(list(results), named)

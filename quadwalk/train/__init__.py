@@ -1,0 +1,7 @@
+"""Training: a learner, its runs, and how it goes. Called, it is `quadwalk.api.train`."""
+
+import sys
+
+from quadwalk.callable import CallablePackage
+
+sys.modules[__name__].__class__ = CallablePackage

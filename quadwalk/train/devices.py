@@ -1,6 +1,7 @@
 """XLA devices to train on: accelerators, or one for each CPU core; and the compilation cache."""
 
 import dataclasses
+import functools
 import hashlib
 import os
 import platform
@@ -122,6 +123,7 @@ def _prepare(cpu_devices: int) -> None:
         jax.config.update("jax_compilation_cache_dir", str(compilation_cache()))
 
 
+@functools.cache
 def _warn_of_fewer(cpu_devices: int) -> None:
     """Say so, once, if JAX computes on fewer CPU devices than are wanted."""
     import jax
