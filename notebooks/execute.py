@@ -17,12 +17,14 @@ HERE = Path(__file__).resolve().parent
 def execute(path: Path, folder: Path) -> nbformat.NotebookNode:
     """The notebook at `path` with the outputs of its cells, run by this Python in `folder`.
 
-    The data files that lie beside it are copied there. Raises
+    The studies' results are copied to where the notebook looks for them, beside `folder`. Raises
     `nbclient.exceptions.CellExecutionError` for a cell that fails.
     """
     notebook = nbformat.read(path, as_version=4)
-    for data in path.parent.glob("*.json"):
-        shutil.copy(data, folder)
+    for data in (HERE.parent / "studies").glob("*/results.json"):
+        place = folder.parent / data.relative_to(HERE.parent)
+        place.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(data, place)
     metadata = notebook.metadata.copy()
     # Among no folders of kernels, what is left is this interpreter's own.
     kernels = KernelSpecManager(kernel_dirs=[])
@@ -54,8 +56,10 @@ def main() -> None:
     """Run those that are named, or all."""
     for path in [Path(name) for name in sys.argv[1:]] or sorted(HERE.glob("*.ipynb")):
         print(path.name, flush=True)
-        with tempfile.TemporaryDirectory() as folder:
-            notebook = execute(path, Path(folder))
+        with tempfile.TemporaryDirectory() as parent:
+            folder = Path(parent) / "notebooks"
+            folder.mkdir()
+            notebook = execute(path, folder)
         if named := folders_named(notebook):
             sys.exit(f"{path.name} is left as it was, for its outputs name {', '.join(named)}")
         nbformat.write(notebook, path)

@@ -10,6 +10,9 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple, Protocol, TypeVar
 
+import quadwalk.physics.mjx  # noqa: F401  # before Brax, which imports MJX less quietly
+
+# isort: split
 import jax
 import mujoco
 import numpy as np

@@ -3,6 +3,9 @@
 from collections.abc import Callable
 from typing import Any
 
+import quadwalk.physics.mjx  # noqa: F401  # before Brax, which imports MJX less quietly
+
+# isort: split
 import jax
 import numpy as np
 from brax.training.acme import running_statistics

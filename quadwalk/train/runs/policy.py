@@ -4,6 +4,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+import quadwalk.physics.mjx  # noqa: F401  # before Brax, which imports MJX less quietly
+
+# isort: split
 import jax
 from brax.training.acme.running_statistics import NestedMeanStd
 
