@@ -1,5 +1,6 @@
 """The package as a notebook uses it: each function, and what is said where one is misused."""
 
+import io
 import os
 import re
 import shutil
@@ -170,6 +171,13 @@ def test_evaluations_are_compared_in_a_table_and_as_plots(results, capsys):
     dots = [line.get_ydata() for line in panel.lines if len(line.get_xdata()) == EPISODES]
     for result, drawn in zip(results.values(), dots, strict=True):
         np.testing.assert_allclose(drawn, [figures["speed"] for figures in result.episodes])
+
+
+def test_a_report_is_shown_by_a_notebook_that_has_not_set_up_pyplot(results):
+    from IPython.core.formatters import DisplayFormatter
+
+    data, _ = DisplayFormatter().format(results["mjx"].report())
+    assert Image.open(io.BytesIO(data["image/png"])).size == (1600, 1800)
 
 
 def test_other_episodes_are_not_compared(trained, results):

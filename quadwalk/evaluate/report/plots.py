@@ -1,5 +1,6 @@
 """One picture of an episode: its steps, its speed, what its joints did, and where it ran."""
 
+import io
 from pathlib import Path
 from typing import Any
 
@@ -41,9 +42,18 @@ def save_figure(figure: Figure, path: str | Path) -> None:
         figure.savefig(file, format="png", dpi=DPI, metadata={"Software": None})
 
 
+class ShownFigure(Figure):
+    """A figure that a notebook shows whether pyplot has been set up in it or not."""
+
+    def _repr_png_(self) -> bytes:
+        file = io.BytesIO()
+        self.savefig(file, format="png", dpi=DPI)
+        return file.getvalue()
+
+
 def new_figure(size: tuple[float, float], title: str, fontsize: int = 13) -> Figure:
     """An empty figure, `size` in inches, with its title at the upper left."""
-    figure = Figure(figsize=size, layout="constrained")
+    figure = ShownFigure(figsize=size, layout="constrained")
     figure.suptitle(title, fontsize=fontsize, x=0.01, ha="left")
     return figure
 
