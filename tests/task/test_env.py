@@ -47,8 +47,9 @@ def test_a_start_stands_with_its_lowest_foot_on_the_floor(env, reset):
         data = mujoco.MjData(env.mj_model)
         data.qpos[:] = qpos
         mujoco.mj_kinematics(env.mj_model, data)
-        soles = data.geom_xpos[env.robot.foot_geoms, 2] - env.robot.foot_radius
-        assert soles.min() == pytest.approx(0.0, abs=1e-5)
+        feet = [env.mj_model.geom(name) for name in env.quadruped.feet]
+        soles = [data.geom_xpos[foot.id, 2] - foot.size[0] for foot in feet]
+        assert min(soles) == pytest.approx(0.0, abs=1e-5)
         assert np.linalg.norm(qpos[3:7]) == pytest.approx(1.0, abs=1e-5)
 
 

@@ -7,7 +7,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from quadwalk.physics.motor import gains
 from quadwalk.robot.mjcf import Options
 from quadwalk.robot.quadruped import load_quadruped
 from quadwalk.task.env import QuadrupedEnv
@@ -32,11 +31,10 @@ def stands_for_a_second(urdf, options: Options | None = None) -> None:
     _, (ends, qpos, torque) = jax.jit(lambda s: jax.lax.scan(step, s, None, length=50))(state)
     assert {env.ends[end] for end in np.asarray(ends)} == {"running"}
     assert np.asarray(qpos)[-1, 2] > 0.75 * env.robot.home_height
-    assert (np.abs(torque) <= env.robot.effort * (1 + 1e-5)).all()
+    assert (np.abs(torque) <= env.quadruped.effort * (1 + 1e-5)).all()
     # The gains hold every robot alike: its weight sags the legs by the same small share.
-    assert gains(env.robot, env.config.motor)[0] == pytest.approx(
-        1.4 * env.robot.weight * env.robot.home[2]
-    )
+    weight = env.mj_model.body_mass.sum() * 9.81
+    np.testing.assert_allclose(env.motor.kp, 1.4 * weight * env.robot.home[2], rtol=1e-6)
 
 
 def test_other_quadrupeds_stand_in_the_environment(reference_urdf):
