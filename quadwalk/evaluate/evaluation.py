@@ -46,11 +46,16 @@ class Evaluation:
         return measure_gait(self.typical, self.subject.env.quadruped)
 
     @cached_property
+    def origin(self) -> dict[str, Any]:
+        """Where the figures come from: run, policy, code, versions, engine and seed."""
+        return provenance(self.subject, self.seed)
+
+    @cached_property
     def results(self) -> dict[str, Any]:
         """All figures as plain values for JSON, and where they come from."""
         gait = gait_metrics(self.gait, self.subject.env.quadruped)
         return {
-            **provenance(self.subject, self.seed),
+            **self.origin,
             "summary": self.summary,
             "episodes": self.episodes,
             "typical_episode": {"episode": self.typical.episode, **gait},
@@ -76,7 +81,7 @@ class Evaluation:
         """Write the first `episodes`, by default all, as MCAP files for Rerun or Foxglove."""
         folder = Path(folder)
         folder.mkdir(parents=True, exist_ok=True)
-        metadata = _as_text(provenance(self.subject, self.seed))
+        metadata = _as_text(self.origin)
         metadata["config"] = json.dumps(to_dict(self.subject.policy.config))
         attached = attachments(self.subject)
         written = []
