@@ -181,7 +181,7 @@ def learning_curves(
     """Ours and Brax's curves (seeds, 1 + points, 3): reward, speed, falls as `make_judge` tells."""
     networks = make_networks(config, env.observation_size, env.action_size)
     mesh = ppo.make_mesh()
-    iterate = ppo.make_iteration(env, networks, config, mesh, iterations)
+    iterate = ppo.Iteration(env, networks, config, mesh, iterations)
     judge = make_judge(env, networks, episodes)
     curves: tuple[list[Any], list[Any]] = ([], [])
     for seed in range(seeds):

@@ -35,7 +35,7 @@ class DefaultTraining:
         mesh = ppo.make_mesh()
         self._state = ppo.init_state(env, networks, config, mesh, envs, seed)
         # Of how many only tells the learning rate's schedule when to settle.
-        self._iterate = ppo.make_iteration(env, networks, config, mesh, iterations=1000)
+        self._iterate = ppo.Iteration(env, networks, config, mesh, iterations=1000)
         self._batch = envs * config.unroll
         self.run(0.0)  # compiles, and measures the observations
         self.run(0.0)

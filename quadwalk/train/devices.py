@@ -1,5 +1,6 @@
 """XLA devices to train on: accelerators, or one for each CPU core; and the compilation cache."""
 
+import ctypes
 import dataclasses
 import functools
 import hashlib
@@ -108,7 +109,9 @@ def _prepare(cpu_devices: int) -> None:
         "--xla_cpu_collective_call_terminate_timeout_seconds=86400",
         # Its older code generator makes faster loops of our physics (benchmarks/physics.py).
         "--xla_cpu_use_fusion_emitters=false",
+        *(("--xla_cpu_prefer_vector_width=512",) if "avx512f" in _instructions() else ()),
     )
+    _keep_freed_memory()
     flags = os.environ.get("XLA_FLAGS", "")
     missing = [flag for flag in wanted if flag.partition("=")[0] not in flags]
     os.environ["XLA_FLAGS"] = " ".join([*missing, flags]).strip()
@@ -121,6 +124,35 @@ def _prepare(cpu_devices: int) -> None:
         _warn_of_fewer(cpu_devices)
     if jax.config.jax_compilation_cache_dir is None:  # type: ignore[attr-defined]
         jax.config.update("jax_compilation_cache_dir", str(compilation_cache()))
+
+
+def _keep_freed_memory() -> None:
+    """Have glibc's malloc keep what XLA frees: each iteration asks for the same again.
+
+    Given back and asked for again, it is cleared page by page (benchmarks/learning.py).
+    """
+    # <malloc.h>; another C library has no mallopt, or ignores it.
+    trim_threshold, top_pad, mmap_max = -1, -2, -4
+    try:
+        mallopt = ctypes.CDLL(None).mallopt
+    except (OSError, TypeError, AttributeError):
+        return
+    mallopt(mmap_max, 0)
+    mallopt(trim_threshold, 2**31 - 1)
+    mallopt(top_pad, 2**26)
+
+
+def learner_options(platform: str) -> dict[str, bool | int]:
+    """XLA's options for the networks' gradients: its newer code generator is the faster there."""
+    return {"xla_cpu_use_fusion_emitters": True} if platform == "cpu" else {}
+
+
+@functools.cache
+def _instructions() -> str:
+    """The processor's instruction sets, as Linux lists them; else nothing."""
+    cpuinfo = Path("/proc/cpuinfo")
+    lines = cpuinfo.read_text(errors="replace").splitlines() if cpuinfo.exists() else []
+    return next((line for line in lines if line.startswith(("flags", "Features"))), "")
 
 
 @functools.cache
@@ -143,10 +175,6 @@ def compilation_cache() -> Path:
 
     A home folder may be shared by machines that cannot run each other's instructions.
     """
-    processor = platform.processor() or platform.machine()
-    cpuinfo = Path("/proc/cpuinfo")
-    if cpuinfo.exists():
-        lines = cpuinfo.read_text(errors="replace").splitlines()
-        processor += next((line for line in lines if line.startswith(("flags", "Features"))), "")
+    processor = (platform.processor() or platform.machine()) + _instructions()
     kind = hashlib.sha256(processor.encode()).hexdigest()[:12]
     return Path(platformdirs.user_cache_dir("quadwalk", appauthor=False)) / "xla" / kind

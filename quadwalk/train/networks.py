@@ -7,11 +7,12 @@ import quadwalk.physics.mjx  # noqa: F401  # before Brax, which imports MJX less
 
 # isort: split
 import jax
+import jax.numpy as jnp
 import numpy as np
 from brax.training.acme import running_statistics
 from brax.training.agents.ppo import networks as brax_networks
 from brax.training.distribution import NormalTanhDistribution
-from brax.training.networks import ACTIVATION
+from brax.training.networks import ACTIVATION, FeedForwardNetwork
 
 from quadwalk.errors import UsageError
 from quadwalk.train.settings import PPOConfig
@@ -34,8 +35,41 @@ def make_networks(
         activation=ACTIVATION[config.activation],
     )
     # Brax starts with a standard deviation of softplus(0) = 0.69 before the squashing.
-    distribution = NormalTanhDistribution(action_size, var_scale=config.noise / np.log(2.0))
-    return networks.replace(parametric_action_distribution=distribution)
+    distribution = NormalTanh(action_size, var_scale=config.noise / np.log(2.0))
+    return networks.replace(
+        policy_network=_on_rows(networks.policy_network),
+        value_network=_on_rows(networks.value_network),
+        parametric_action_distribution=distribution,
+    )
+
+
+def _on_rows(network: FeedForwardNetwork) -> FeedForwardNetwork:
+    """`network` with all axes of its input but the last made one.
+
+    XLA multiplies (rows, n) at nearly twice the speed of (envs, steps, n).
+    """
+
+    def apply(normalizer: Any, params: Any, observation: jax.Array) -> jax.Array:
+        *several, size = observation.shape
+        out = network.apply(normalizer, params, observation.reshape(-1, size))
+        return out.reshape(*several, *out.shape[1:])
+
+    return FeedForwardNetwork(init=network.init, apply=apply)
+
+
+class NormalTanh(NormalTanhDistribution):
+    """Brax's distribution, with its entropy in closed form in place of Brax's random sample.
+
+    The entropy is the normal's and the mean logarithm of the tanh's slope. That mean is expanded
+    about the normal's own: log(1 - tanh(x)^2) has the second derivative -2 (1 - tanh(x)^2).
+    """
+
+    def entropy(self, parameters: jax.Array, seed: jax.Array) -> jax.Array:
+        """(...) of the distributions with these parameters (..., 24); no use is made of `seed`."""
+        normal = self.create_dist(parameters)
+        slope = 1.0 - jnp.tanh(normal.loc) ** 2
+        squashing = self._postprocessor.forward_log_det_jacobian(normal.loc)
+        return jnp.sum(normal.entropy() + squashing - normal.scale**2 * slope, axis=-1)
 
 
 def mean_policy(

@@ -1,14 +1,16 @@
-"""PPO as one jitted program: collect, then epochs of minibatches, on every device at once.
+"""PPO as two jitted programs, to collect and to learn, each on every device at once.
 
-The parts are Brax's maintained ones (networks, action distribution, loss with generalised
-advantage estimation, running statistics); the loop is here. Each device of the mesh steps its own
-share of the environments; gradients and statistics are averaged over devices, so every device
-holds the same learner. The learning rate follows the policy's change (KL divergence), as in
-Schulman et al. 2017, section 4, and Rudin et al. 2022, arXiv:2109.11978.
+They are two because XLA's older code generator for CPUs makes the faster physics and its newer one
+the faster networks. The parts are Brax's maintained ones (networks, action distribution, loss with
+generalised advantage estimation, running statistics); the loop is here. Each device of the mesh
+steps its own share of the environments; gradients and statistics are averaged over devices, so
+every device holds the same learner. The learning rate follows the policy's change (KL divergence),
+as in Schulman et al. 2017, section 4, and Rudin et al. 2022, arXiv:2109.11978.
 """
 
 import math
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 
 import quadwalk.physics.mjx  # noqa: F401  # before Brax, which imports MJX less quietly
@@ -27,6 +29,7 @@ from brax.training.types import Transition
 from jax.sharding import Mesh, NamedSharding
 from jax.sharding import PartitionSpec as P
 
+from quadwalk.train.devices import learner_options
 from quadwalk.train.settings import PPOConfig
 
 AXIS = "devices"
@@ -374,23 +377,58 @@ def _update(
     return (optax.apply_updates(params, updates), state), {**metrics, "learning_rate": rate}
 
 
-def make_iteration(
-    env: Env, networks: PPONetworks, config: PPOConfig, mesh: Mesh, iterations: int
-) -> jax.stages.Wrapped:
-    """One of `iterations` of training, jitted; the state passed in is given up to the new one."""
+class Iteration:
+    """One iteration of training: `state, numbers = iteration(state)`; `state` is given up to it."""
 
-    def iterate(state: TrainState) -> tuple[TrainState, Metrics]:
-        workers, data, collected = collect(env, networks, config, state.learner, state.workers)
-        key, key_learn = jax.random.split(workers.key[0])
-        workers = workers._replace(key=key[None])
-        learner, learned = learn(networks, config, state.learner, data, key_learn, iterations)
-        floats = [x for x in jax.tree.leaves(learner) if jnp.issubdtype(x.dtype, jnp.floating)]
-        finite = jnp.all(jnp.stack([jnp.all(jnp.isfinite(x)) for x in floats]))
-        numbers = {**collected, **learned, "learner/finite": finite}
-        return TrainState(learner, workers), numbers
+    def __init__(
+        self, env: Env, networks: PPONetworks, config: PPOConfig, mesh: Mesh, iterations: int
+    ) -> None:
+        def collecting(learner: Learner, workers: Workers) -> tuple[Any, ...]:
+            workers, data, collected = collect(env, networks, config, learner, workers)
+            key, key_learn = jax.random.split(workers.key[0])
+            return workers._replace(key=key[None]), data, collected, key_learn[None]
 
-    spec: Any = TrainState(P(), P(AXIS))  # type: ignore[arg-type]
-    return jax.jit(
-        jax.shard_map(iterate, mesh=mesh, in_specs=(spec,), out_specs=(spec, P()), check_vma=False),
-        donate_argnums=0,
-    )
+        def learning(learner: Learner, data: Transition, key: jax.Array) -> tuple[Any, ...]:
+            learner, learned = learn(networks, config, learner, data, key[0], iterations)
+            floats = [x for x in jax.tree.leaves(learner) if jnp.issubdtype(x.dtype, jnp.floating)]
+            finite = jnp.all(jnp.stack([jnp.all(jnp.isfinite(x)) for x in floats]))
+            return learner, {**learned, "learner/finite": finite}
+
+        one: Any = P()
+        split: Any = P(AXIS)
+        self._split = NamedSharding(mesh, split)
+
+        def program(function: Callable[..., Any], inputs: Any, outputs: Any, **others: Any) -> Any:
+            shared = jax.shard_map(
+                function, mesh=mesh, in_specs=inputs, out_specs=outputs, check_vma=False
+            )
+            return jax.jit(shared, **others)
+
+        self.collect = program(
+            collecting, (one, split), (split, split, one, split), donate_argnums=1
+        )
+        self.learn = program(
+            learning,
+            (one, split, split),
+            (one, one),
+            donate_argnums=0,
+            compiler_options=learner_options(mesh.devices.flat[0].platform),
+        )
+
+    def compile(self, state: TrainState) -> None:
+        """Compile for states like this, both programs at once."""
+        collecting = self.collect.lower(*state)
+        _, data, _, key = collecting.out_info
+        data, key = jax.tree.map(
+            lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype, sharding=self._split), (data, key)
+        )
+        learning = self.learn.lower(state.learner, data, key)
+        with ThreadPoolExecutor() as pool:
+            self.collect, self.learn = pool.map(
+                lambda lowered: lowered.compile(), (collecting, learning)
+            )
+
+    def __call__(self, state: TrainState) -> tuple[TrainState, Metrics]:
+        workers, data, collected, key = self.collect(*state)
+        learner, learned = self.learn(state.learner, data, key)
+        return TrainState(learner, workers), {**collected, **learned}

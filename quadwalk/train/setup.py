@@ -91,10 +91,10 @@ def prepare(config: TrainConfig, previous: Run | None, progress: Progress) -> Tr
             progress.message(f"going on from {path}, after {steps:,} steps")
     progress.phase("compiling the training step", 25.0)
     batch = config.envs * config.ppo.unroll
-    program = ppo.make_iteration(
+    iterate = ppo.Iteration(
         env, networks, config.ppo, mesh, iterations=math.ceil(config.steps / batch)
     )
-    iterate = program.lower(state).compile()
+    iterate.compile(state)
     return Training(
         config, run, claimed, previous is not None, quadruped, env.mj_model,
         metrics, state, steps, seconds, batch, iterate,

@@ -185,7 +185,7 @@ def train_both(monkeypatch):
         learner = jax.device_put(learner, NamedSharding(mesh, P()))
         state = ppo.TrainState(learner, state.workers._replace(envs=envs))
 
-        iterate = ppo.make_iteration(env, networks, config, mesh, iterations)
+        iterate = ppo.Iteration(env, networks, config, mesh, iterations)
         ours, first, losses = [params_of(state.learner)], None, None
         for _ in range(iterations):
             state, metrics = jax.block_until_ready(iterate(state))

@@ -77,7 +77,7 @@ def networks():
 
 @pytest.fixture(scope="module")
 def iterate(networks):
-    return ppo.make_iteration(Counter(), networks, CONFIG, ppo.make_mesh(), iterations=150)
+    return ppo.Iteration(Counter(), networks, CONFIG, ppo.make_mesh(), iterations=150)
 
 
 def start(networks, seed: int = 0) -> ppo.TrainState:

@@ -27,7 +27,7 @@ def training():
     networks = make_networks(config, env.observation_size, env.action_size)
     mesh = ppo.make_mesh()
     state = ppo.init_state(env, networks, config, mesh, ENVS, seed=0)
-    return env, state, ppo.make_iteration(env, networks, config, mesh, iterations=10)
+    return env, state, ppo.Iteration(env, networks, config, mesh, iterations=10)
 
 
 @pytest.fixture(scope="module")

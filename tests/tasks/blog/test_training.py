@@ -23,7 +23,7 @@ def test_it_learns_from_numbers_that_are_finite():
     networks, mesh = make_networks(config, env.observation_size, env.action_size), ppo.make_mesh()
     state = ppo.init_state(env, networks, config, mesh, ENVS, seed=0)
     begun = jax.device_get(state.learner.params)
-    iterate = ppo.make_iteration(env, networks, config, mesh, ITERATIONS)
+    iterate = ppo.Iteration(env, networks, config, mesh, ITERATIONS)
     metrics = TrainingMetrics(preset.env.reward)
     for number in range(ITERATIONS):
         state, numbers = iterate(state)

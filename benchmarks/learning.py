@@ -1,0 +1,159 @@
+"""What a training step costs: collecting, learning, the rest; and beside another commit's.
+
+    python benchmarks/learning.py [--against COMMIT] [--rounds 5] [--envs 2048]
+
+Trains the default task in iterations, in turn with the other commit's code, in a process of its
+own each; what counts is the median of the ratios, since a machine's speed drifts. Costs are in
+microseconds of a core for one control step of one environment. Physics alone is the control steps
+of `collect` without policy, reward and fresh starts, from standing robots with random targets.
+"""
+
+import argparse
+import contextlib
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+ROOT = Path(__file__).resolve().parent.parent
+ITERATIONS = 8  # in a round
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--against", help="the commit to compare with")
+    parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--envs", type=int, default=2048)
+    parser.add_argument("--work", action="store_true", help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    if options.work:
+        work(options.envs)
+        return
+    with contextlib.ExitStack() as stack:
+        workers = {"this code": stack.enter_context(worker(ROOT, options.envs))}
+        if options.against:
+            checkout = stack.enter_context(checked_out(options.against))
+            workers[options.against] = stack.enter_context(worker(checkout, options.envs))
+        rounds = [
+            {name: ask(process) for name, process in workers.items()} for _ in range(options.rounds)
+        ]
+    cores = len(os.sched_getaffinity(0))
+    for name in workers:
+        columns = np.median([found[name] for found in rounds], axis=0)
+        parts = zip(("training", "collect", "learn", "physics alone"), columns, strict=False)
+        print(f"{name}: {cores * 1e6 / columns[0]:,.0f} training steps/s")
+        for part, cost in parts:
+            if cost:
+                print(f"  {part:14}{cost:7.1f} us per control step and core")
+    ours = np.array([found["this code"] for found in rounds])
+    print(f"physics alone / training    {np.median(ours[:, 3] / ours[:, 0]):.2f}")
+    if options.against:
+        theirs = np.array([found[options.against] for found in rounds])
+        ratio = np.median(theirs[:, 0] / ours[:, 0])
+        print(f"training steps/s            {ratio:.2f} x {options.against}")
+
+
+@contextlib.contextmanager
+def checked_out(commit: str) -> Iterator[Path]:
+    """A folder with the files of `commit`."""
+    with tempfile.TemporaryDirectory() as folder:
+        git = ["git", "-C", str(ROOT), "worktree"]
+        subprocess.run([*git, "add", "--detach", folder, commit], check=True, capture_output=True)
+        try:
+            yield Path(folder)
+        finally:
+            subprocess.run([*git, "remove", "--force", folder], check=True)
+
+
+@contextlib.contextmanager
+def worker(checkout: Path, envs: int) -> Iterator[subprocess.Popen[str]]:
+    """A process that trains with the code in `checkout`; it has compiled when it is given."""
+    command = [sys.executable, __file__, "--work", f"--envs={envs}"]
+    path = {**os.environ, "PYTHONPATH": str(checkout)}
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+    with subprocess.Popen(command, env=path, text=True, **pipes) as process:
+        ask(process)
+        yield process
+        process.stdin.close()
+
+
+def ask(process: subprocess.Popen[str]) -> list[float]:
+    """A round of the worker's: what `work` prints."""
+    process.stdin.write("\n")
+    process.stdin.flush()
+    return [float(x) for x in process.stdout.readline().split()]
+
+
+def work(envs: int) -> None:
+    """For each line read, train a round and print the costs, 0 of what cannot be told."""
+    import dataclasses
+
+    from quadwalk.tasks.run import TASK
+    from quadwalk.train.devices import choose_devices
+
+    config, devices = choose_devices(dataclasses.replace(TASK, envs=envs))
+    import jax
+
+    from quadwalk.robot.quadruped import load_quadruped
+    from quadwalk.task.env import QuadrupedEnv
+    from quadwalk.train import ppo
+    from quadwalk.train.networks import make_networks
+
+    env = QuadrupedEnv(load_quadruped(), config.env)
+    networks = make_networks(config.ppo, env.observation_size, env.action_size)
+    mesh = ppo.make_mesh(devices)
+    make = getattr(ppo, "Iteration", None) or ppo.make_iteration
+    state = ppo.init_state(env, networks, config.ppo, mesh, envs, 0)
+    iterate = make(env, networks, config.ppo, mesh, iterations=1000)
+    for _ in range(4):
+        state, _ = jax.block_until_ready(iterate(state))
+
+    split = jax.sharding.PartitionSpec(ppo.AXIS)
+    physics = state.workers.envs.pipeline_state.physics
+    target = env.robot.home_joints + np.random.default_rng(0).normal(
+        0.0, 0.1, (config.ppo.unroll, 12)
+    ).astype(np.float32)
+
+    def control_steps(physics):
+        from quadwalk.physics.engines import ENGINES
+
+        def one(physics, target):
+            step = ENGINES[env.engine].control_step
+            return jax.vmap(lambda p: step(env.model, env.stepping, p, target)[0])(physics), None
+
+        return jax.lax.scan(one, physics, target)[0]
+
+    alone = jax.jit(
+        jax.shard_map(control_steps, mesh=mesh, in_specs=split, out_specs=split, check_vma=False)
+    )
+    jax.block_until_ready(alone(physics))
+    share = len(devices) * 1e6 / (ITERATIONS * envs * config.ppo.unroll)
+    for _ in sys.stdin:
+        parts = [0.0, 0.0]
+        began = time.perf_counter()
+        for _ in range(ITERATIONS):
+            if hasattr(iterate, "collect"):
+                start = time.perf_counter()
+                workers, data, _, key = jax.block_until_ready(iterate.collect(*state))
+                middle = time.perf_counter()
+                learner, _ = jax.block_until_ready(iterate.learn(state.learner, data, key))
+                state = ppo.TrainState(learner, workers)
+                parts = [parts[0] + middle - start, parts[1] + time.perf_counter() - middle]
+            else:
+                state, _ = jax.block_until_ready(iterate(state))
+        whole = time.perf_counter() - began
+        physics = state.workers.envs.pipeline_state.physics
+        began = time.perf_counter()
+        for _ in range(ITERATIONS):
+            physics = jax.block_until_ready(alone(physics))
+        costs = [whole, *parts, time.perf_counter() - began]
+        print(*(cost * share for cost in costs), flush=True)
+
+
+if __name__ == "__main__":
+    main()
