@@ -21,7 +21,7 @@ import argparse
 import dataclasses
 from typing import TYPE_CHECKING
 
-from quadwalk.tasks import run
+from quadwalk.tasks import sprint
 from quadwalk.train.devices import set_up_devices
 
 if TYPE_CHECKING:
@@ -43,10 +43,10 @@ def main() -> None:
     from quadwalk.robot.quadruped import load_quadruped
     from quadwalk.task.env import QuadrupedEnv
 
-    env = QuadrupedEnv(load_quadruped(), dataclasses.replace(run.TASK.env, episode_seconds=10.0))
+    env = QuadrupedEnv(load_quadruped(), dataclasses.replace(sprint.TASK.env, episode_seconds=10.0))
     # Brax's stay the same throughout.
     config = dataclasses.replace(
-        run.TASK.ppo, final_kl=run.TASK.ppo.desired_kl, final_entropy=run.TASK.ppo.entropy
+        sprint.TASK.ppo, final_kl=sprint.TASK.ppo.desired_kl, final_entropy=sprint.TASK.ppo.entropy
     )
     batch = options.envs * config.unroll
     iterations = max(1, options.steps // batch // options.points) * options.points

@@ -3,12 +3,12 @@
 import time
 from typing import NamedTuple
 
-from quadwalk.tasks import run
+from quadwalk.tasks import sprint
 from quadwalk.train.devices import cpu_cores, device_count, set_up_devices
 from quadwalk.train.settings import PPOConfig
 
-SUBSTEPS = run.TASK.env.substeps  # physics steps in a control step
-CONTROL_DT = run.TASK.env.control_dt  # s
+SUBSTEPS = sprint.TASK.env.substeps  # physics steps in a control step
+CONTROL_DT = sprint.TASK.env.control_dt  # s
 
 
 class Timed(NamedTuple):
@@ -22,7 +22,7 @@ class DefaultTraining:
     """`envs` environments that learn on all cores this process may use; ready when made."""
 
     def __init__(self, envs: int, config: PPOConfig | None = None, seed: int = 0) -> None:
-        config = config or run.TASK.ppo
+        config = config or sprint.TASK.ppo
         self.devices = device_count(envs, config.minibatches, config.eval_envs, cpu_cores())
         set_up_devices(self.devices)
         from quadwalk.robot.quadruped import load_quadruped
@@ -30,7 +30,7 @@ class DefaultTraining:
         from quadwalk.train import ppo
         from quadwalk.train.networks import make_networks
 
-        env = QuadrupedEnv(load_quadruped(), run.TASK.env)
+        env = QuadrupedEnv(load_quadruped(), sprint.TASK.env)
         networks = make_networks(config, env.observation_size, env.action_size)
         mesh = ppo.make_mesh()
         self._state = ppo.init_state(env, networks, config, mesh, envs, seed)

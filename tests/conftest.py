@@ -15,7 +15,7 @@ import pytest
 
 from quadwalk.robot.quadruped import Quadruped, load_quadruped
 from quadwalk.task.env import QuadrupedEnv
-from quadwalk.tasks import run
+from quadwalk.tasks import sprint
 from quadwalk.train.devices import set_up_devices
 
 # So that what is shared between devices is tested as such.
@@ -33,7 +33,7 @@ def quadruped() -> Quadruped:
 
 @pytest.fixture(scope="session")
 def env(quadruped) -> QuadrupedEnv:
-    return QuadrupedEnv(quadruped, dataclasses.replace(run.TASK.env, episode_seconds=0.1))
+    return QuadrupedEnv(quadruped, dataclasses.replace(sprint.TASK.env, episode_seconds=0.1))
 
 
 @pytest.fixture(scope="session")

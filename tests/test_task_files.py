@@ -12,17 +12,17 @@ from quadwalk.task_files import OWN, load_task, own_file, reference, resolve, ta
 OWN_TASK = """
 import dataclasses
 from quadwalk.task.terms import Reward
-from quadwalk.tasks import run
+from quadwalk.tasks import sprint
 
 def still(robot, step):
     return 1.0
 
-TASK = dataclasses.replace(run.TASK, task="still", env=dataclasses.replace(
-    run.TASK.env, reward={"still": Reward(still, scale=2.0)}))
+TASK = dataclasses.replace(sprint.TASK, task="still", env=dataclasses.replace(
+    sprint.TASK.env, reward={"still": Reward(still, scale=2.0)}))
 """
 
 
-@pytest.mark.parametrize("name", ["blog", "run", "walk"])
+@pytest.mark.parametrize("name", ["blog", "run", "sprint", "walk"])
 def test_a_task_of_the_package_is_found_by_its_name(name):
     assert name in task_names()
     assert load_task(name).task == name

@@ -42,7 +42,11 @@ def evaluate(config: EvalConfig) -> dict[str, Any]:
     # All of them before the first is simulated, so that a bad one is told at once.
     subjects = [load_subject(run, config.seconds, config.policy, config.engine) for run in runs]
     if config.sweep:
-        return sweep(subjects[0], config, outs[0], console)
+        swept = [
+            sweep(subject, config, out, console)
+            for subject, out in zip(subjects, outs, strict=True)
+        ]
+        return swept[0] if together is None else _compare_sweeps(_labels(runs), swept, together)
     results = [
         judge(subject, config, out, console) for subject, out in zip(subjects, outs, strict=True)
     ]
@@ -118,6 +122,17 @@ def compare(
     save_figure(draw_comparison(labels, results), out / "comparison.png")
     console.print(f"written to {out}: comparison.json, comparison.png")
     return comparison
+
+
+def _compare_sweeps(labels: list[str], results: list[dict[str, Any]], out: Path) -> dict[str, Any]:
+    """Draw and write the sweeps of runs called `labels` together; what comparison.json holds."""
+    from quadwalk.evaluate.report.panels import draw_sweep
+    from quadwalk.evaluate.report.plots import save_figure
+
+    named = [{**result, "run": label} for label, result in zip(labels, results, strict=True)]
+    write_json_atomic(out / "comparison.json", {"runs": named})
+    save_figure(draw_sweep(named), out / "sweep.png")
+    return {"runs": named}
 
 
 def _roll_out(subject: "Subject", config: EvalConfig, console: Console) -> "Evaluation":

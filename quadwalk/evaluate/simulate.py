@@ -70,7 +70,7 @@ def simulate_episodes(
         def one_step(state: State, _: None) -> tuple[State, Frame]:
             action = policy(state.obs)
             after = jax.vmap(env.step)(state, action)
-            return after, _frame(state, action, after)
+            return after, _frame(env, state, action, after)
 
         return jax.lax.scan(one_step, state, None, length=CHUNK)
 
@@ -100,11 +100,11 @@ def over_devices(env: QuadrupedEnv, batch: Any) -> Any:
     return jax.device_put(batch, jax.sharding.NamedSharding(mesh, spec))
 
 
-def _frame(before: State, action: jax.Array, state: State) -> Frame:
+def _frame(env: QuadrupedEnv, before: State, action: jax.Array, state: State) -> Frame:
     prefix = "reward/"
     command = before.pipeline_state.command
     return Frame(
-        observation=before.obs,
+        observation=before.obs[..., : len(env.observation_names)],
         action=action,
         qpos=state.pipeline_state.qpos,
         qvel=state.pipeline_state.qvel,

@@ -31,7 +31,8 @@ def load_subject(
 ) -> Subject:
     """Load the "last" or "best" policy of `run` for episodes of up to `seconds` in `engine`.
 
-    A command, if there are any, stays for a whole episode, so that each has one gait to look at.
+    The robot is as its model says, and nothing disturbs it. A command, if there are any, stays for
+    a whole episode, so that each has one gait to look at.
     Raises `UserError` where its policy or robot cannot be read, or do not belong together.
     """
     file = run.best if which == "best" else run.policy
@@ -39,9 +40,12 @@ def load_subject(
     quadruped = load_run_robot(run, policy.config.robot)
     trained = policy.config.env
     command = dataclasses.replace(trained.command, seconds=seconds)
-    config = dataclasses.replace(trained, episode_seconds=seconds, command=command)
+    ideal = dataclasses.replace(trained.randomisation, enabled=False)
+    config = dataclasses.replace(
+        trained, episode_seconds=seconds, command=command, randomisation=ideal
+    )
     env = QuadrupedEnv(quadruped, config, engine)
-    if quadruped.joints != policy.joints or env.observation_size != policy.observation_size:
+    if quadruped.joints != policy.joints or env.policy_size != policy.observation_size:
         raise UserError(
             f"{file} was trained on another robot than {run.urdf}: it has joints "
             f"{', '.join(policy.joints)} and {policy.observation_size} observations"

@@ -1,10 +1,11 @@
 """What a policy can take: success and speed as one thing after another departs from training.
 
-All points of all sweeps are one batch, and so one compilation. `quadwalk.task.conditions` says how
-delays, pushes and noise are applied, `varied_quadruped` how friction and mass are.
+All points of all sweeps are one batch, and so one compilation. `quadwalk.task.conditions` says what
+each of them does to an episode.
 """
 
-from collections.abc import Callable
+import dataclasses
+import math
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -34,33 +35,48 @@ from quadwalk.evaluate.simulate import (
 )
 from quadwalk.evaluate.subject import Subject
 from quadwalk.evaluate.summary import mean_interval, share_interval
-from quadwalk.physics.batching import stack_models
-from quadwalk.robot.quadruped import Quadruped
-from quadwalk.task.conditions import first_conditions, targets_needed
+from quadwalk.task.conditions import Conditions, targets_needed
+from quadwalk.task.config import NO_RANDOMISATION, RandomisationConfig
 from quadwalk.task.env import QuadrupedEnv
+from quadwalk.task.randomisation import draw_conditions
+from quadwalk.tasks import run
 from quadwalk.train.runs.directory import write_json_atomic
 
 
 @dataclass(frozen=True)
 class Point:
-    """The conditions of some episodes: those of training, but for what is named."""
+    """The conditions of some episodes: those of the robot's model, but for what is named."""
 
     friction: float | None = None  # sliding friction of feet and floor; None: the model's
     mass: float = 0.0  # kg, added to the trunk
+    centre: float = 0.0  # m, by which the trunk's centre of mass is further ahead
     strength: float = 100.0  # % of the motors' torque
-    delay: float = 0.0  # ms, rounded to physics steps
-    push: float = 0.0  # m/s, sideways
+    kp: float = 100.0  # % of the position gain
+    kd: float = 100.0  # % of the velocity gain
+    delay: float = 0.0  # ms, of joint targets
+    sensor_delay: float = 0.0  # ms
     noise: float = 0.0  # level of the sensor noise
+    encoder: float = 0.0  # rad, offset of each joint angle's measurement, to either side
+    push: float = 0.0  # m/s, sideways, to either side
+    push_ahead: float = 0.0  # m/s, forth or back
+    everything: float = 0.0  # how far all that is drawn in training is from the model's; 1: as far
 
 
 # field of Point -> heading, unit, values
 SWEEPS: dict[str, tuple[str, str, tuple[float, ...]]] = {
-    "friction": ("friction", "", (0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 1.0, 1.2)),
+    "everything": ("everything at once", "x training", (0.0, 0.5, 1.0, 1.5)),
+    "friction": ("friction", "", (0.2, 0.3, 0.4, 0.5, 0.6, 0.8, 1.0, 1.25)),
     "mass": ("added trunk mass", "kg", (-2.0, -1.0, 0.0, 1.0, 2.0, 3.0, 4.0, 5.0)),
+    "centre": ("centre of mass ahead", "m", (-0.06, -0.03, 0.0, 0.03, 0.06)),
     "strength": ("motor strength", "%", (80.0, 85.0, 90.0, 95.0, 100.0, 105.0, 110.0)),
-    "delay": ("control delay", "ms", (0.0, 4.0, 8.0, 12.0, 16.0, 24.0, 32.0, 40.0)),
-    "push": ("pushes", "m/s", (0.0, 0.25, 0.5, 0.75, 1.0, 1.25, 1.5)),
+    "kp": ("position gain", "%", (80.0, 90.0, 100.0, 110.0, 120.0)),
+    "kd": ("velocity gain", "%", (80.0, 90.0, 100.0, 110.0, 120.0)),
+    "delay": ("control delay", "ms", (0.0, 4.0, 8.0, 12.0, 16.0, 20.0, 24.0, 32.0)),
+    "sensor_delay": ("sensor delay", "ms", (0.0, 5.0, 10.0, 20.0, 30.0)),
     "noise": ("sensor noise", "level", (0.0, 0.25, 0.5, 1.0, 1.5, 2.0)),
+    "encoder": ("encoder offset", "rad", (0.0, 0.01, 0.02, 0.03, 0.04)),
+    "push": ("pushes sideways", "m/s", (0.0, 0.25, 0.5, 0.75, 1.0, 1.25, 1.5)),
+    "push_ahead": ("pushes ahead or back", "m/s", (0.0, 0.5, 1.0, 1.5)),
 }
 
 
@@ -96,16 +112,14 @@ def sweep(subject: Subject, config: EvalConfig, out: Path, console: Console) -> 
     }
     print_sweep(results)
     write_json_atomic(out / "sweep.json", results)
-    save_figure(draw_sweep(results), out / "sweep.png")
+    save_figure(draw_sweep([results]), out / "sweep.png")
     console.print(f"written to {out}: sweep.json, sweep.png")
     return results
 
 
 def sweep_points(subject: Subject) -> tuple[list[Point], Point]:
     """Every distinct point of all sweeps, and the one without any perturbation."""
-    geoms = ("floor", *subject.env.quadruped.feet)
-    friction = float(max(subject.env.mj_model.geom(name).friction[0] for name in geoms))
-    nominal = Point(friction=round(friction, 6))
+    nominal = Point(friction=round(subject.env.friction, 6))
     points = [
         _point(nominal, name, value) for name, (_, _, values) in SWEEPS.items() for value in values
     ]
@@ -159,84 +173,88 @@ def _simulate(
     report: Report | None,
 ) -> Outcome:
     """The outcome of len(points) * episodes episodes, point by point."""
-    varied, assemble = _models(env, points, episodes)
-
-    def one_step(varied: list[Any], policy: Policy, state: State) -> State:
-        return env.step_with(assemble(varied), state, policy(state.obs))
-
-    batched = jax.vmap(one_step, in_axes=(0, None, 0))
 
     @jax.jit
-    def chunk(varied: list[Any], policy: Policy, states: State) -> tuple[State, Outcome]:
+    def chunk(policy: Policy, states: State) -> tuple[State, Outcome]:
         def step(states: State, _: None) -> tuple[State, Outcome]:
-            states = batched(varied, policy, states)
+            states = jax.vmap(env.step)(states, policy(states.obs))
             return states, Outcome(states.info["end"], states.metrics["speed"])
 
         return jax.lax.scan(step, states, None, length=CHUNK)
 
     first = over_devices(env, _starts(env, points, episodes, seed))
-    varied = over_devices(env, varied) if varied else []
-    return until_all_ended(partial(chunk, varied, policy), first, report)
+    return until_all_ended(partial(chunk, policy), first, report)
 
 
 def _starts(env: QuadrupedEnv, points: list[Point], episodes: int, seed: int) -> State:
     """The first states of all episodes, under the conditions of their points.
 
-    Each point has the same starts, and the same noise and pushes but for their size.
+    Each point has the same starts, and the same draws but for their size.
     """
-    dt, count = env.stepping.dt, len(points)
-    delays = np.array([round(point.delay / 1000 / dt) for point in points], np.int32)
-    kept = targets_needed(int(delays.max()), env.stepping.substeps)
-    home = jnp.asarray(env.robot.home_joints, jnp.float32)
+    latest_drawn = _latest_drawn(env)
+    late = max(max(p.delay / 1e3, p.everything * latest_drawn[0]) for p in points)
+    kept = targets_needed(math.ceil(late / env.stepping.dt), env.stepping.substeps)
+    sensors = max(max(p.sensor_delay / 1e3, p.everything * latest_drawn[1]) for p in points)
+    latest = math.floor(sensors / env.config.control_dt) + 1
+
     keys = jax.random.split(jax.random.fold_in(jax.random.PRNGKey(seed), 1), episodes)
-    states, keys = jax.tree.map(
-        lambda x: jnp.tile(x, (count,) + (1,) * (x.ndim - 1)),
-        (fresh_starts(env, episodes, seed), keys),
+    known = [p if p.friction is not None else _point(p, "friction", env.friction) for p in points]
+    rows = np.array([dataclasses.astuple(point) for point in known], np.float32)
+
+    def start(row: jax.Array, state: State, key: jax.Array) -> State:
+        conditions = conditions_at(env, Point(*row), key, kept)
+        return env.with_conditions(state, conditions, latest)
+
+    of_point = jax.vmap(start, in_axes=(None, 0, 0))
+    of_all = jax.jit(jax.vmap(of_point, in_axes=(0, None, None)))
+    states = of_all(jnp.asarray(rows), fresh_starts(env, episodes, seed), keys)
+    return jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), states)
+
+
+def _latest_drawn(env: QuadrupedEnv) -> tuple[float, float]:
+    """The longest latency of targets and of sensors that training draws, s."""
+    config = ranges(env)
+    return (config.latency or (0.0, 0.0))[1], (config.sensor_latency or (0.0, 0.0))[1]
+
+
+def ranges(env: QuadrupedEnv) -> RandomisationConfig:
+    """What "everything" means: the task's own ranges; of an ideal world, those of `run`."""
+    own = env.config.randomisation
+    return run.TASK.env.randomisation if own == NO_RANDOMISATION else own
+
+
+def conditions_at(env: QuadrupedEnv, point: Point, key: jax.Array, kept: int) -> Conditions:
+    """The conditions of one episode at `point`, whose numbers may be traced."""
+    robot, stepping = env.robot, env.stepping
+    ideal = dataclasses.replace(NO_RANDOMISATION, sensor_latency=(0.0, 0.0))
+    base = draw_conditions(ideal, robot, stepping, key, env.friction)
+    drawn = draw_conditions(ranges(env), robot, stepping, key, env.friction)
+    drawn = drawn._replace(
+        targets=base.targets,
+        sensor_delay=base.sensor_delay if drawn.sensor_delay is None else drawn.sensor_delay,
     )
-    delay, push, noise = (
-        jnp.repeat(column, episodes)
-        for column in (
-            delays,
-            np.array([point.push for point in points], np.float32),
-            np.array([point.noise for point in points], np.float32),
-        )
+    mixed = jax.tree.map(
+        lambda usual, own: usual + point.everything * (own - usual),
+        base._replace(key=jnp.zeros(())),
+        drawn._replace(key=jnp.zeros(())),
     )
-    conditions = jax.vmap(partial(first_conditions, home, kept=kept))(delay, push, noise, keys)
-    return jax.jit(jax.vmap(env.with_conditions))(states, conditions)
-
-
-def _models(
-    env: QuadrupedEnv, points: list[Point], episodes: int
-) -> tuple[list[Any], Callable[[list[Any]], Any]]:
-    """What differs between the episodes' models, as arrays, and how to make a model of it."""
-    kinds = list(dict.fromkeys((p.friction, p.mass, p.strength) for p in points))
-    robots = {
-        kind: env.model_of(varied_quadruped(env.quadruped, *kind))
-        for kind in dict.fromkeys((friction, mass) for friction, mass, _ in kinds)
-    }
-    models = []
-    for friction, mass, strength in kinds:
-        model = robots[friction, mass]
-        motor = model.motor._replace(strength=np.full(12, strength / 100))
-        models.append(model._replace(motor=motor))
-    stacked, assemble = stack_models(models)
-    kind = np.repeat([kinds.index((p.friction, p.mass, p.strength)) for p in points], episodes)
-    return [leaf[kind] for leaf in stacked], assemble
-
-
-def varied_quadruped(
-    quadruped: Quadruped, friction: float | None = None, added_mass: float = 0.0
-) -> Quadruped:
-    """The robot on another floor, carrying a load.
-
-    `friction` is the sliding friction between feet and floor; None leaves it. (MuJoCo takes the
-    greater of the two geoms', so both get it.) `added_mass`, kg, is a point mass in the trunk's
-    centre of mass, which leaves that point and the inertia about it as they are; the compiler
-    derives subtree masses, inverse weights and mean inertia anew.
-    """
-    spec = quadruped.spec.copy()
-    if friction is not None:
-        for name in ("floor", *quadruped.feet):
-            spec.geom(name).friction[0] = friction
-    spec.body(quadruped.trunk).mass += added_mass
-    return replace(quadruped, spec=spec)
+    usual = mixed.variation
+    assert usual is not None
+    sides = jax.random.rademacher(jax.random.fold_in(key, 1), (12,), jnp.float32)
+    return mixed._replace(
+        variation=usual._replace(
+            friction=usual.friction - env.friction + point.friction,
+            trunk_mass=usual.trunk_mass + point.mass,
+            trunk_centre=usual.trunk_centre + jnp.array([1.0, 0.0, 0.0]) * point.centre,
+            strength=usual.strength * point.strength / 100.0,
+            kp=usual.kp * point.kp / 100.0,
+            kd=usual.kd * point.kd / 100.0,
+        ),
+        delay=mixed.delay + jnp.round(point.delay / 1000.0 / stepping.dt),
+        sensor_delay=mixed.sensor_delay + point.sensor_delay / 1000.0 / stepping.control_dt,
+        push=mixed.push + jnp.stack([point.push_ahead, point.push]),
+        noise=mixed.noise + point.noise,
+        encoder=mixed.encoder + point.encoder * sides,
+        targets=jnp.tile(base.targets[:1], (kept, 1)),
+        key=base.key,
+    )

@@ -12,6 +12,7 @@ import mujoco
 
 from quadwalk.physics import fast, mjx, mujoco_c
 from quadwalk.physics.motor import Effort, Motor, Physics, Stepping
+from quadwalk.physics.variation import Variation
 from quadwalk.robot.quadruped import Quadruped
 
 EngineName = Literal["fast", "mjx", "mujoco"]
@@ -22,6 +23,9 @@ class Engine(Protocol):
 
     def make_model(self, model: mujoco.MjModel, quadruped: Quadruped, motor: Motor) -> Any:
         """The constants of the robot that `model`, made from `quadruped`, describes."""
+
+    def vary(self, model: Any, variation: Variation) -> Any:
+        """The constants of one robot that differs by `variation` from that of `model`."""
 
     def control_step(
         self, model: Any, stepping: Stepping, physics: Physics, target: jax.Array

@@ -4,6 +4,8 @@ The equations, the solver's problem and the integrator are MuJoCo's; tests hold 
 and MJX. docs/physics.md tells the whole.
 """
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 
@@ -25,6 +27,7 @@ from quadwalk.physics.rigid_body import (
     rotation_of,
 )
 from quadwalk.physics.solver import newton
+from quadwalk.physics.variation import Variation, vary_motor
 from quadwalk.physics.vectors import Array, Vector
 
 
@@ -43,6 +46,32 @@ def control_step(
         return motor.control_step(model.motor, stepping, physics, target, advance)
 
     return robots_last(of_many)(model, physics, target)
+
+
+def vary(model: Model, variation: Variation) -> Model:
+    """The constants of one robot that differs by `variation` from that of `model`."""
+    trunk, legs = model.trunk, variation.link_mass.reshape(4, LINKS)
+    links = tuple(
+        link._replace(
+            mass=link.mass * legs[:, i],
+            inertia=tuple(x * legs[:, i] for x in link.inertia),
+            damping=link.damping * variation.damping,
+            armature=link.armature * variation.armature,
+        )
+        for i, link in enumerate(model.links)
+    )
+    x, y, z = variation.trunk_centre
+    return model._replace(
+        trunk=trunk._replace(
+            mass=trunk.mass + variation.trunk_mass, centre=v.add(trunk.centre, (x, y, z))
+        ),
+        links=links,
+        contacts=tuple(
+            dataclasses.replace(contact, friction=variation.friction + 0.0 * contact.friction)
+            for contact in model.contacts
+        ),
+        motor=vary_motor(model.motor, variation),
+    )
 
 
 def acceleration(

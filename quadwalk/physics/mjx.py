@@ -18,6 +18,7 @@ with contextlib.redirect_stdout(io.StringIO()):
 
 from quadwalk.physics import motor
 from quadwalk.physics.motor import Effort, Motor, Physics, Stepping
+from quadwalk.physics.variation import Variation, vary_motor
 from quadwalk.robot.quadruped import Quadruped
 
 
@@ -32,6 +33,22 @@ def make_model(model: mujoco.MjModel, quadruped: Quadruped, motor: Motor) -> Mjx
     """`model`, made from `quadruped`, on this process's first device."""
     # By default MJX takes the first of all devices, which may be another process's.
     return MjxModel(mjx.put_model(model, device=jax.local_devices()[0]), motor)
+
+
+def vary(model: MjxModel, variation: Variation) -> MjxModel:
+    """The constants of one robot that differs by `variation` from that of `model`."""
+    old = model.mjx
+    trunk, legs = old.jnt_bodyid[0], old.jnt_bodyid[1:]
+    factor = variation.link_mass
+    new = old.replace(
+        geom_friction=old.geom_friction.at[:, 0].set(variation.friction),
+        body_mass=old.body_mass.at[trunk].add(variation.trunk_mass).at[legs].multiply(factor),
+        body_ipos=old.body_ipos.at[trunk].add(variation.trunk_centre),
+        body_inertia=old.body_inertia.at[legs].multiply(factor[:, None]),
+        dof_armature=old.dof_armature.at[6:].multiply(variation.armature),
+        dof_damping=old.dof_damping.at[6:].multiply(variation.damping),
+    )
+    return MjxModel(new, vary_motor(model.motor, variation))
 
 
 def control_step(

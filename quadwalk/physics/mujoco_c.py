@@ -4,8 +4,10 @@ It steps the model that it is given, usually the full one, in which every shape 
 solver converges. A jitted and vmapped control step hands a whole batch of robots to the host.
 """
 
+import copy
 import threading
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -18,6 +20,7 @@ from jax.experimental.buffer_callback import buffer_callback
 from quadwalk.cores import cpu_cores
 from quadwalk.physics import motor
 from quadwalk.physics.motor import Effort, Motor, Physics, Stepping
+from quadwalk.physics.variation import Variation, vary_motor
 from quadwalk.robot.quadruped import Quadruped
 
 TIMESTEP = 0.002  # s, a physics step of the full model
@@ -33,13 +36,26 @@ class Stepper:
     def __init__(self, model: mujoco.MjModel) -> None:
         self.model = model
         self.data = [mujoco.MjData(model) for _ in range(cpu_cores())]
+        self._varied: dict[bytes, mujoco.MjModel] = {}
 
-    def step(self, states: np.ndarray, torque: np.ndarray) -> np.ndarray:
-        """`states` (n, 38), time, qpos and qvel, after a step with joint torques (n, 12), Nm."""
+    def step(
+        self, states: np.ndarray, torque: np.ndarray, variations: Variation | None = None
+    ) -> np.ndarray:
+        """`states` (n, 38), time, qpos and qvel, after a step with joint torques (n, 12), Nm.
+
+        `variations` have arrays (n, ...).
+        """
         applied = np.pad(torque, [(0, 0), (6, 0)])[:, None]
+        models: Any = self.model
+        if variations is not None:
+            rows = np.concatenate([np.reshape(x, (len(x), -1)) for x in variations], axis=1)
+            models = [
+                self._varied_model(row, Variation(*(x[i] for x in variations)))
+                for i, row in enumerate(rows)
+            ]
         with _POOL:
             after, _ = mujoco.rollout.rollout(
-                self.model,
+                models,
                 self.data,
                 states,
                 applied,
@@ -48,17 +64,42 @@ class Stepper:
             )
         return after[:, 0]
 
+    def _varied_model(self, row: np.ndarray, variation: Variation) -> mujoco.MjModel:
+        """The model that differs by `variation`, whose numbers are `row`; made once."""
+        key = row.tobytes()
+        if key not in self._varied:
+            model = copy.copy(self.model)
+            trunk, legs = model.jnt_bodyid[0], model.jnt_bodyid[1:]
+            factor: Any = variation.link_mass
+            model.geom_friction[:, 0] = variation.friction
+            model.body_mass[trunk] += variation.trunk_mass
+            model.body_ipos[trunk] += variation.trunk_centre
+            model.body_mass[legs] *= factor
+            model.body_inertia[legs] *= factor[:, None]
+            model.dof_armature[6:] *= variation.armature
+            model.dof_damping[6:] *= variation.damping
+            # What follows from masses, such as inverse inertias at contacts.
+            mujoco.mj_setConst(model, mujoco.MjData(model))
+            self._varied[key] = model
+        return self._varied[key]
+
 
 class MujocoModel(NamedTuple):
     """The motors' constants, which may differ from robot to robot, and the model of all robots."""
 
     motor: Motor
     stepper: Stepper
+    variation: Variation | None = None
 
 
 def make_model(model: mujoco.MjModel, quadruped: Quadruped, motor: Motor) -> MujocoModel:
     """`model`, made from `quadruped`, to be stepped as it is."""
     return MujocoModel(motor, Stepper(model))
+
+
+def vary(model: MujocoModel, variation: Variation) -> MujocoModel:
+    """The constants of one robot that differs by `variation` from that of `model`."""
+    return MujocoModel(vary_motor(model.motor, variation), model.stepper, variation)
 
 
 def control_step(
@@ -72,23 +113,25 @@ def control_step(
     assert np.isclose(model.stepper.model.opt.timestep, stepping.dt)
     each = jnp.ndim(target) > jnp.ndim(physics.qpos)
 
-    def advance(state: Physics, torque: Any) -> Physics:
+    def advance(variations: Variation | None, state: Physics, torque: Any) -> Physics:
         rows = np.concatenate([np.zeros_like(state.qpos[:1]), state.qpos, state.qvel]).T
-        after: Any = model.stepper.step(rows, torque.T).T
+        after: Any = model.stepper.step(rows, torque.T, variations).T
         return state._replace(qpos=after[1:20], qvel=after[20:38])
 
     def step(*leaves: Any) -> list[np.ndarray]:
         # Each (..., its own shape), where ... are the axes vmapped over; then with robots last.
         batch = leaves[-1].shape[: leaves[-1].ndim - (2 if each else 1)]
         several = [x.reshape(-1, *x.shape[len(batch) :]).astype(float) for x in leaves]
-        motors, state, targets = jax.tree.unflatten(
+        _, variations, *_ = jax.tree.unflatten(structure, several)
+        motors, _, state, targets = jax.tree.unflatten(
             structure, [np.moveaxis(x, 0, -1) for x in several]
         )
-        after, effort = motor.control_step(motors, stepping, state, targets, advance)
+        own = partial(advance, variations)
+        after, effort = motor.control_step(motors, stepping, state, targets, own)
         results: Any = (after.qpos, after.qvel, *effort)
         return [np.moveaxis(x, -1, 0).reshape((*batch, *x.shape[:-1])) for x in results]
 
-    arguments, structure = jax.tree.flatten((model.motor, physics, target))
+    arguments, structure = jax.tree.flatten((model.motor, model.variation, physics, target))
     arguments = [jnp.asarray(x, jnp.float32) for x in arguments]
     shapes = [jax.ShapeDtypeStruct(shape, jnp.float32) for shape in ((19,), (18,), (12,), ())]
     qpos, qvel, torque, energy = _on_host(step, shapes, arguments)

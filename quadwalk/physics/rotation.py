@@ -15,6 +15,12 @@ def rotate_inverse(quat: jax.Array, vector: jax.Array) -> jax.Array:
     return rotate(quat * jnp.array([1.0, -1.0, -1.0, -1.0]), vector)
 
 
+def multiply(a: jax.Array, b: jax.Array) -> jax.Array:
+    """The quaternion (4,) of turning by `b` and then, in the world, by `a`."""
+    w, u = a[0] * b[0] - jnp.dot(a[1:], b[1:]), jnp.cross(a[1:], b[1:])
+    return jnp.concatenate([w[None], a[0] * b[1:] + b[0] * a[1:] + u])
+
+
 def yaw(quat: jax.Array) -> jax.Array:
     """Heading of the body's x axis about world z, rad in (-pi, pi]."""
     w, x, y, z = quat

@@ -1,4 +1,4 @@
-"""What an episode can suffer beside a changed robot: late targets, pushes, noisy sensors."""
+"""What an episode suffers: another robot and floor, late targets and sensors, pushes, noise."""
 
 from typing import NamedTuple
 
@@ -7,6 +7,8 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 
 from quadwalk.physics.motor import Physics
+from quadwalk.physics.rotation import multiply, rotate_inverse
+from quadwalk.physics.variation import Variation
 
 PUSH_PERIOD = 5.0  # s: one push in each
 
@@ -14,62 +16,97 @@ PUSH_PERIOD = 5.0  # s: one push in each
 class Conditions(NamedTuple):
     """The conditions of one episode.
 
+    - variation: how robot and floor differ from the model; None: not at all.
     - delay: a joint target is obeyed this many physics steps after the observation that it is the
-      answer to; until the first is, the home pose is held.
-    - push: m/s, by which the trunk's velocity along world y, sideways to the run, changes in an
-      instant, once in every `PUSH_PERIOD`, at a time and to a side that `key` draws.
+      answer to; until the first is, the home pose is held. Of a delay of 2.3 steps, 3 in three
+      control steps of ten and 2 in the others.
+    - sensor_delay: in control steps, by which sensors are late; between two readings, the line
+      through them. None: none are.
+    - push: m/s, by which the trunk's velocity along its heading and to its left changes in an
+      instant, forth or back, once in every `PUSH_PERIOD`, at a time that `key` draws.
     - noise: level of the Gaussian noise, independent in every step and number, that is added to
       the observation; the task says what level 1 is.
+    - encoder: rad, by which joint angles are measured too large, for policy and controller alike.
+    - tilt: (3,) rad, rotation vector by which the IMU is turned in the trunk.
     """
 
-    delay: jax.Array  # () int32
-    push: jax.Array  # ()
+    variation: Variation | None
+    delay: jax.Array  # ()
+    sensor_delay: jax.Array | None  # ()
+    push: jax.Array  # (2,)
     noise: jax.Array  # ()
+    encoder: jax.Array  # (12,)
+    tilt: jax.Array  # (3,)
     targets: jax.Array  # (n, 12) joint targets, the newest first, as many as the delay needs
-    key: jax.Array  # of the episode's noise and pushes
+    key: jax.Array  # of the episode's noise, pushes and jitter
 
 
-def first_conditions(
-    home: jax.Array, delay: jax.Array, push: jax.Array, noise: jax.Array, key: jax.Array, kept: int
-) -> Conditions:
-    """Those of an episode's start, holding the joints at `home` (12,), with `kept` targets."""
-    return Conditions(delay, push, noise, jnp.tile(home, (kept, 1)), key)
-
-
-def targets_needed(delay: int, substeps: int) -> int:
+def targets_needed(delay: float, substeps: int) -> int:
     """How many joint targets, the newest included, a delay of so many physics steps needs."""
-    return 1 + -(-delay // substeps)
+    return 1 + int(-(-delay // substeps))
 
 
 def delayed(
-    conditions: Conditions, target: jax.Array, substeps: int
+    conditions: Conditions, target: jax.Array, substeps: int, steps: jax.Array
 ) -> tuple[Conditions, jax.Array]:
     """The targets (substeps, 12) obeyed in each physics step, when `target` (12,) is the newest."""
     targets = jnp.concatenate([target[None], conditions.targets[:-1]])
+    jitter = jax.random.uniform(_key(conditions, steps, 2))
+    delay = jnp.floor(conditions.delay + jitter).astype(jnp.int32)
     # Of how many control steps ago: those begun within the last `delay` physics steps.
-    late = conditions.delay - jnp.arange(substeps) + substeps - 1
-    return conditions._replace(targets=targets), targets[jnp.maximum(late, 0) // substeps]
+    late = delay - jnp.arange(substeps) + substeps - 1
+    ago = jnp.minimum(jnp.maximum(late, 0) // substeps, len(targets) - 1)
+    obeyed = targets[ago] - conditions.encoder
+    return conditions._replace(targets=targets), obeyed
 
 
 def pushed(conditions: Conditions, physics: Physics, steps: jax.Array, dt: float) -> Physics:
     """`physics` after the push of control step `steps` of the episode, if it has one."""
-    _, key = jax.random.split(conditions.key)
-    kick = conditions.push * side_of_push(key, steps, dt)
-    return physics._replace(qvel=physics.qvel.at[1].add(kick))
+    forward, left = conditions.push * side_of_push(conditions, steps, dt)
+    w, x, y, z = physics.qpos[3:7]
+    ahead = jnp.stack([1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z)])
+    ahead /= jnp.maximum(jnp.linalg.norm(ahead), 1e-6)
+    across = jnp.stack([-ahead[1], ahead[0]])
+    return physics._replace(qvel=physics.qvel.at[:2].add(forward * ahead + left * across))
 
 
-def side_of_push(key: jax.Array, steps: jax.Array, dt: float) -> jax.Array:
-    """1 or -1 in the control step of a push to the left or right, else 0."""
+def side_of_push(conditions: Conditions, steps: jax.Array, dt: float) -> jax.Array:
+    """(2,) signs in the control step of a push, else 0."""
     period = max(round(PUSH_PERIOD / dt), 1)
-    when, side = jax.random.split(jax.random.fold_in(key, steps // period))
+    when, sides = jax.random.split(_key(conditions, steps // period, 1))
     now = steps % period == jax.random.randint(when, (), 0, period)
-    return jnp.where(now, jax.random.rademacher(side, (), jnp.float32), 0.0)
+    return jnp.where(now, jax.random.rademacher(sides, (2,), jnp.float32), 0.0)
+
+
+def measured(conditions: Conditions, physics: Physics) -> Physics:
+    """`physics` as encoders and IMU measure it that are out of place."""
+    turn = conditions.tilt
+    half = jnp.concatenate([jnp.ones(1), 0.5 * turn])
+    half /= jnp.linalg.norm(half)
+    quat = multiply(physics.qpos[3:7], half)
+    qpos = physics.qpos.at[3:7].set(quat).at[7:].add(conditions.encoder)
+    qvel = physics.qvel.at[3:6].set(rotate_inverse(half, physics.qvel[3:6]))
+    return physics._replace(qpos=qpos, qvel=qvel)
 
 
 def sensed(
     conditions: Conditions, seen: jax.Array, scale: ArrayLike, steps: jax.Array
 ) -> jax.Array:
     """`seen` (n,) with the noise of control step `steps`, `scale` (n,) being level 1."""
-    key, _ = jax.random.split(conditions.key)
-    noise = jax.random.normal(jax.random.fold_in(key, steps), seen.shape)
+    noise = jax.random.normal(_key(conditions, steps, 0), seen.shape)
     return seen + conditions.noise * scale * noise
+
+
+def reading(conditions: Conditions, frames: jax.Array, ago: int) -> jax.Array:
+    """What the sensors tell (n,) of `ago` control steps before; `frames` (m, n), newest first."""
+    if conditions.sensor_delay is None:
+        return frames[ago]
+    whole = jnp.floor(conditions.sensor_delay)
+    share = conditions.sensor_delay - whole
+    first = jnp.minimum(ago + whole.astype(jnp.int32), len(frames) - 2)
+    return (1.0 - share) * frames[first] + share * frames[first + 1]
+
+
+def _key(conditions: Conditions, number: jax.Array, use: int) -> jax.Array:
+    """A random key for each use and each `number`."""
+    return jax.random.fold_in(jax.random.split(conditions.key, 3)[use], number)

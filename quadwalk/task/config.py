@@ -4,12 +4,14 @@ None has defaults: what a task is made of stands in the task's own file (`quadwa
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Literal
 
 from quadwalk.errors import UsageError
 from quadwalk.physics.motor import MotorConfig, Stepping
 from quadwalk.task.terms import ActionMap, Observation, Reward, Termination
+
+Range = tuple[float, float] | None
 
 
 @dataclass(frozen=True)
@@ -62,6 +64,62 @@ NO_COMMAND = CommandConfig(
 
 
 @dataclass(frozen=True)
+class RandomisationConfig:
+    """What differs from episode to episode: drawn uniformly from (low, high); None: not at all."""
+
+    enabled: bool  # False: nothing does
+    friction: Range  # sliding friction of floor and feet
+    trunk_mass: Range  # added to the trunk, as a share of the robot's mass
+    trunk_centre: Range  # its centre of mass's shift along each axis, share of the home height
+    link_mass: Range  # factor, of each link of the legs
+    strength: Range  # factor of the motors' torque
+    kp: Range  # factor
+    kd: Range  # factor
+    joint_friction: Range  # factor
+    damping: Range  # factor, of the joints
+    armature: Range  # factor
+    encoder: Range  # rad, of each joint angle's measurement
+    imu_tilt: Range  # rad, of the IMU about each axis
+    latency: Range  # s, of joint targets
+    sensor_latency: Range  # s
+    noise: Range  # level; 1 is what the observations state
+    push: Range  # largest push, as a share of sqrt(gravity * home height)
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if field.name == "enabled" or value is None:
+                continue
+            flag = f"--env.randomisation.{field.name.replace('_', '-')}"
+            if len(value) != 2 or not -math.inf < value[0] <= value[1] < math.inf:
+                raise UsageError(f"{flag} is {value}; expected a low and a high end, or None")
+            if field.name in ("latency", "sensor_latency", "friction") and value[0] < 0.0:
+                raise UsageError(f"{flag} is {value}; expected no less than 0")
+
+
+# Of a task in an ideal world.
+NO_RANDOMISATION = RandomisationConfig(
+    enabled=False,
+    friction=None,
+    trunk_mass=None,
+    trunk_centre=None,
+    link_mass=None,
+    strength=None,
+    kp=None,
+    kd=None,
+    joint_friction=None,
+    damping=None,
+    armature=None,
+    encoder=None,
+    imu_tilt=None,
+    latency=None,
+    sensor_latency=None,
+    noise=None,
+    push=None,
+)
+
+
+@dataclass(frozen=True)
 class EnvConfig:
     """The environment: physics, motors, and the task in it."""
 
@@ -75,11 +133,13 @@ class EnvConfig:
     episode_seconds: float  # s, the time limit
     motor: MotorConfig
     action: ActionMap
-    observation: dict[str, Observation]
+    observation: dict[str, Observation]  # what the policy sees
+    critic: dict[str, Observation]  # what the value network sees besides, undisturbed
     reward: dict[str, Reward]
     termination: dict[str, Termination]
     reset: ResetConfig
     command: CommandConfig
+    randomisation: RandomisationConfig
 
     def __post_init__(self) -> None:
         if self.gravity <= 0.0:

@@ -1,5 +1,6 @@
 """The environment: a task for one quadruped, as the pure functions `reset` and `step`."""
 
+from collections.abc import Callable
 from functools import cached_property, partial
 from typing import Any
 
@@ -15,14 +16,16 @@ from brax.envs.base import Env, State
 from quadwalk.physics.motor import Effort, Physics, make_motor
 from quadwalk.robot.quadruped import Quadruped
 from quadwalk.task.command import first_command, next_command
-from quadwalk.task.conditions import Conditions, delayed, pushed, sensed
+from quadwalk.task.conditions import Conditions, delayed, measured, pushed, reading, sensed
 from quadwalk.task.config import EnvConfig
 from quadwalk.task.observation import observe
+from quadwalk.task.randomisation import draw_conditions, latest_reading
 from quadwalk.task.reset import fresh_start
 from quadwalk.task.reward import reward_terms, total_reward
 from quadwalk.task.robot_arrays import robot_arrays, task_robot
 from quadwalk.task.state import EnvState, Step, commanded_speed, mean_velocity
 from quadwalk.task.termination import terminations
+from quadwalk.task.terms import Observation
 
 CONTACT_GAP = 1e-3  # m: a foot closer to the floor than this counts as touching it
 MAX_SPEED = 1e3  # m/s or rad/s: no sound state of a robot is faster, so physics has diverged
@@ -54,6 +57,8 @@ class QuadrupedEnv(Env):
         if self.engine == "mujoco":
             self.stepping = self.stepping.with_dt(mujoco_c.TIMESTEP)
         self.model = self.geometry if self.engine == "fast" else self.model_of(self.quadruped)
+        geoms = ("floor", *self.quadruped.feet)
+        self.friction = float(max(self.mj_model.geom(name).friction[0] for name in geoms))
         self.ends = ("running", "time limit", *config.termination, "nan")
 
     def _training_model(self, quadruped: Quadruped) -> mujoco.MjModel:
@@ -85,12 +90,19 @@ class QuadrupedEnv(Env):
         config = self.config
         physics = fresh_start(self.geometry, self.robot, config.reset, rng)
         command = first_command(config.command, rng) if config.command.given else None
-        state = EnvState(physics, jnp.zeros(12), jnp.zeros((), jnp.int32), command)
+        conditions = None
+        if config.randomisation.enabled:
+            key = jax.random.fold_in(rng, 1)
+            conditions = draw_conditions(
+                config.randomisation, self.robot, self.stepping, key, self.friction
+            )
+        start = EnvState(physics, jnp.zeros(12), jnp.zeros((), jnp.int32), command, conditions)
+        state = self._begun(start, latest_reading(config.randomisation, config.control_dt))
         zero = jnp.zeros(())
         terms = {name: zero for name, term in config.reward.items() if term.scale != 0.0}
         return State(
             pipeline_state=state,
-            obs=self.observe(state),
+            obs=self._observation(state),
             reward=zero,
             done=zero,
             metrics=_metrics(zero, zero, zero, terms),
@@ -112,26 +124,58 @@ class QuadrupedEnv(Env):
         target = self.config.action(self.robot, action, physics.qpos[7:])
         if conditions is not None:
             physics = pushed(conditions, physics, before.steps, self.config.control_dt)
-            conditions, target = delayed(conditions, target, self.stepping.substeps)
+            substeps = self.stepping.substeps
+            conditions, target = delayed(conditions, target, substeps, before.steps)
+            if conditions.variation is not None:
+                model = ENGINES[self.engine].vary(model, conditions.variation)
         physics, effort = ENGINES[self.engine].control_step(model, self.stepping, physics, target)
         sane, physics, effort, action = self._kept_sane(physics, effort, action)
         command, steps = before.command, before.steps + 1
         if command is not None:
             command = next_command(self.config.command, command, steps, self.config.command_steps)
-        after = EnvState(physics, action, steps, command, conditions)
+        after = EnvState(physics, action, steps, command, conditions, before.frames)
         return self.finish_step(before, after, effort, sane)
 
-    def with_conditions(self, state: State, conditions: Conditions) -> State:
-        """`state`, of an episode's start, under conditions that last for the episode."""
-        begun = state.pipeline_state._replace(conditions=conditions)
-        return state.replace(pipeline_state=begun, obs=self.observe(begun))
+    def with_conditions(self, state: State, conditions: Conditions, latest: int = 0) -> State:
+        """`state`, of an episode's start, under conditions that last for the episode.
 
-    def observe(self, state: EnvState) -> jax.Array:
-        """The observation (n,), float32, with the noise that the episode's conditions give it."""
-        seen = observe(self.config.observation, self.robot, state)
-        if state.conditions is None:
-            return seen
-        return sensed(state.conditions, seen, self.noise_scale, state.steps)
+        Sensors may be late by `latest` control steps, at most.
+        """
+        begun = self._begun(state.pipeline_state._replace(conditions=conditions), latest)
+        return state.replace(pipeline_state=begun, obs=self._observation(begun))
+
+    def _begun(self, state: EnvState, latest: int) -> EnvState:
+        """`state`, of an episode's start, with what the observation needs of earlier steps."""
+        kept = 1 + latest + max(part.history for part in self.config.observation.values())
+        frames = jnp.tile(self._frame(state), (kept, 1)) if kept > 1 else None
+        return state._replace(
+            frames=frames, contact=jnp.zeros(4, bool) if self.config.critic else None
+        )
+
+    def _frame(self, state: EnvState) -> jax.Array:
+        """What is measured and known in one control step (n,), float32."""
+        parts, conditions = self.config.observation, state.conditions
+        if conditions is None:
+            return observe(parts, self.robot, state)
+        disturbed = state._replace(physics=measured(conditions, state.physics))
+        seen = observe(parts, self.robot, disturbed)
+        return sensed(conditions, seen, self.noise_scale, state.steps)
+
+    def _observation(self, state: EnvState) -> jax.Array:
+        """What the policy sees, then what the value network sees besides, float32."""
+        frames, conditions = state.frames, state.conditions
+        if frames is None:
+            seen = [self._frame(state)]
+        else:
+            seen = []
+            for ago in range(1 + max(self._history)):
+                known = frames[ago]
+                if conditions is not None and conditions.sensor_delay is not None:
+                    known = jnp.where(self._sensors, reading(conditions, frames, ago), known)
+                seen.append(known[np.flatnonzero(self._history >= ago)])
+        if self.config.critic:
+            seen.append(observe(self.config.critic, self.robot, state))
+        return jnp.concatenate(seen)
 
     def _kept_sane(
         self, physics: Physics, effort: Effort, action: jax.Array
@@ -176,6 +220,11 @@ class QuadrupedEnv(Env):
         end = jnp.where(fell, _FIRST_FALL + jnp.argmax(falls), end)
         end = jnp.where(sane, end, len(self.ends) - 1).astype(jnp.int32)
         step = step._replace(fell=fell)
+        if after.frames is not None:
+            newest = self._frame(after)[None]
+            after = after._replace(frames=jnp.concatenate([newest, after.frames[:-1]]))
+        if config.critic:
+            after = after._replace(contact=contact)
         terms = {
             name: jnp.where(sane, value, 0.0)
             for name, value in reward_terms(config.reward, robot, step).items()
@@ -183,7 +232,7 @@ class QuadrupedEnv(Env):
         speed = commanded_speed(step) if config.command.given else mean_velocity(step)[0]
         return State(
             pipeline_state=after,
-            obs=self.observe(after),
+            obs=self._observation(after),
             reward=total_reward(config.reward, terms),
             done=(end > 0).astype(jnp.float32),
             metrics=_metrics(
@@ -192,40 +241,78 @@ class QuadrupedEnv(Env):
             info=_info(end, effort, contact),
         )
 
-    @cached_property
-    def _observation_parts(self) -> dict[str, tuple[str, ...]]:
-        """Names of the numbers of each part of the observation."""
-        robot = self.robot
-        state = EnvState(
-            Physics(jnp.asarray(robot.home, jnp.float32), jnp.zeros(18), jnp.zeros(18)),
-            jnp.zeros(12),
-            jnp.zeros((), jnp.int32),
-        )
+    def _names(self, parts: dict[str, Observation]) -> dict[str, tuple[str, ...]]:
+        """Names of the numbers of each part of an observation, in one control step."""
+        state = jax.eval_shape(self._example)
         sizes = {
-            name: jax.eval_shape(partial(part, robot), state).size
-            for name, part in self.config.observation.items()
+            name: jax.eval_shape(partial(part, self.robot), state).size
+            for name, part in parts.items()
         }
-        parts = self.config.observation
         return {
             name: parts[name].names(name, size, self.quadruped.joints)
             for name, size in sizes.items()
         }
 
-    @property
-    def observation_names(self) -> tuple[str, ...]:
-        """A name for each number of the observation."""
-        return tuple(name for names in self._observation_parts.values() for name in names)
+    def _example(self) -> EnvState:
+        """A state, for the shapes of what is computed from it."""
+        config, key = self.config, jax.random.PRNGKey(0)
+        home = jnp.asarray(self.robot.home, jnp.float32)
+        return EnvState(
+            Physics(home, jnp.zeros(18), jnp.zeros(18)),
+            jnp.zeros(12),
+            jnp.zeros((), jnp.int32),
+            first_command(config.command, key) if config.command.given else None,
+            draw_conditions(config.randomisation, self.robot, self.stepping, key, self.friction),
+            contact=jnp.zeros(4, bool),
+        )
+
+    @cached_property
+    def _parts(self) -> dict[str, tuple[str, ...]]:
+        return self._names(self.config.observation)
+
+    def _of_parts(self, value: Callable[[Observation], Any]) -> np.ndarray:
+        """`value` of the part that each number of a control step belongs to."""
+        parts = self.config.observation
+        return np.array([value(parts[part]) for part, names in self._parts.items() for _ in names])
+
+    @cached_property
+    def _history(self) -> np.ndarray:
+        """(n,) how many earlier control steps are seen of each number of one."""
+        return self._of_parts(lambda part: part.history)
+
+    @cached_property
+    def _sensors(self) -> np.ndarray:
+        """(n,) whether each number of a control step is measured."""
+        return self._of_parts(lambda part: part.sensor)
 
     @cached_property
     def noise_scale(self) -> np.ndarray:
-        """(n,) standard deviation of each number of the observation at noise level 1."""
-        parts = self._observation_parts.items()
-        scales = [np.full(len(n), self.config.observation[part].noise) for part, n in parts]
-        return np.concatenate(scales).astype(np.float32)
+        """(n,) standard deviation of each number of a control step at noise level 1."""
+        return self._of_parts(lambda part: part.noise).astype(np.float32)
+
+    @cached_property
+    def observation_names(self) -> tuple[str, ...]:
+        """A name for each number that the policy sees; `gravity_x[-2]` is of two steps before."""
+        names = np.array([name for own in self._parts.values() for name in own])
+        return tuple(
+            f"{name}[-{ago}]" if ago else str(name)
+            for ago in range(1 + max(self._history))
+            for name in names[self._history >= ago]
+        )
+
+    @cached_property
+    def critic_names(self) -> tuple[str, ...]:
+        """A name for each number that the value network sees besides."""
+        return tuple(n for names in self._names(self.config.critic).values() for n in names)
+
+    @property
+    def policy_size(self) -> int:
+        """How many of the observation's first numbers the policy sees."""
+        return len(self.observation_names)
 
     @property
     def observation_size(self) -> int:
-        return len(self.observation_names)
+        return self.policy_size + len(self.critic_names)
 
     @property
     def action_size(self) -> int:

@@ -58,6 +58,31 @@ def last_action(robot: RobotArrays, state: EnvState) -> jax.Array:
     return state.last_action
 
 
+def height(robot: RobotArrays, state: EnvState) -> jax.Array:
+    """Height of the trunk's origin above the floor, m."""
+    return state.qpos[2]
+
+
+def contacts(robot: RobotArrays, state: EnvState) -> jax.Array:
+    """Which feet (4,) are on the floor, 1 or 0; for the value network only."""
+    assert state.contact is not None
+    return state.contact.astype(jnp.float32)
+
+
+def conditions(robot: RobotArrays, state: EnvState) -> jax.Array:
+    """What was drawn for the episode (n,); nothing in an ideal world. For the value network only.
+
+    Friction, added mass kg, shift of its centre m (3,), factors of links (12,) and motors, latency
+    in physics and control steps, pushes m/s (2,), noise, encoder offsets rad (12,).
+    """
+    drawn = state.conditions
+    if drawn is None:
+        return jnp.zeros(0)
+    late = jnp.zeros(()) if drawn.sensor_delay is None else drawn.sensor_delay
+    known = (*(drawn.variation or ()), drawn.delay, late, drawn.push, drawn.noise, drawn.encoder)
+    return jnp.concatenate([jnp.atleast_1d(jnp.asarray(x, jnp.float32)) for x in known])
+
+
 def observe(parts: dict[str, Observation], robot: RobotArrays, state: EnvState) -> jax.Array:
     """The observation (n,), float32: its parts one after another."""
     return jnp.concatenate([jnp.atleast_1d(part(robot, state)) for part in parts.values()])

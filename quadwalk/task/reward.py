@@ -99,6 +99,16 @@ def trot(robot: RobotArrays, step: Step) -> jax.Array:
     return jnp.mean(fore == hind) * jnp.any(step.contact)
 
 
+def stepping(robot: RobotArrays, step: Step) -> jax.Array:
+    """Told to stand still: the share of feet off the floor, plus the joints' mean speed, rad/s.
+
+    The latter up to 1. Under any other command, 0.
+    """
+    standing = jnp.all(step.command == 0.0)
+    restless = jnp.minimum(jnp.mean(jnp.abs(step.qvel[6:])), 1.0)
+    return jnp.where(standing, jnp.mean(~step.contact) + restless, 0.0)
+
+
 def reward_terms(
     rewards: dict[str, Reward], robot: RobotArrays, step: Step
 ) -> dict[str, jax.Array]:

@@ -19,7 +19,13 @@ class RobotArrays:
     home: np.ndarray  # (19,) qpos of the standing pose
     lower: np.ndarray  # (12,) rad
     upper: np.ndarray  # (12,) rad
-    weight: float  # N
+    mass: float  # kg
+    gravity: float  # m/s^2
+
+    @property
+    def weight(self) -> float:
+        """Of the whole robot, N."""
+        return self.mass * self.gravity
 
     @property
     def home_joints(self) -> np.ndarray:
@@ -50,5 +56,6 @@ def robot_arrays(quadruped: Quadruped, model: mujoco.MjModel) -> RobotArrays:
         home=quadruped.home,
         lower=quadruped.lower,
         upper=quadruped.upper,
-        weight=float(model.body_subtreemass[0] * -model.opt.gravity[2]),
+        mass=float(model.body_subtreemass[0]),
+        gravity=float(-model.opt.gravity[2]),
     )

@@ -19,6 +19,8 @@ class EnvState(NamedTuple):
     steps: jax.Array  # () int32, control steps since the episode's start
     command: Command | None = None  # None where there is none
     conditions: Conditions | None = None  # None where they are those of the simulator
+    frames: jax.Array | None = None  # (m, n) what was measured, newest first; None: only this step
+    contact: jax.Array | None = None  # (4,) bool, feet on the floor; None at an episode's start
 
     @property
     def qpos(self) -> jax.Array:

@@ -55,6 +55,13 @@ class Observation(Term):
     labels: tyro.conf.Suppress[tuple[str, ...]] = field(default=(), kw_only=True)
     # standard deviation of the sensor noise at level 1, in the observation's unit
     noise: float = field(default=0.0, kw_only=True)
+    # of so many earlier control steps too, the newest first
+    history: int = field(default=0, kw_only=True)
+
+    @property
+    def sensor(self) -> bool:
+        """Whether it is a sensor's reading, which may be late; commands and actions are known."""
+        return self.noise > 0.0
 
     def names(self, name: str, size: int, joints: tuple[str, ...]) -> tuple[str, ...]:
         """A name for each of its `size` numbers, of a robot with these 12 joints."""

@@ -13,7 +13,7 @@ import numpy as np
 from quadwalk.physics.motor import MotorConfig
 from quadwalk.physics.rotation import euler, rotate
 from quadwalk.task import observation
-from quadwalk.task.config import NO_COMMAND, EnvConfig, ResetConfig
+from quadwalk.task.config import NO_COMMAND, NO_RANDOMISATION, EnvConfig, ResetConfig
 from quadwalk.task.robot_arrays import RobotArrays
 from quadwalk.task.state import EnvState, Step
 from quadwalk.task.terms import ActionMap, Observation, Reward, Termination
@@ -146,6 +146,7 @@ TASK = TrainConfig(
             "position": Observation(joint_angles, noise=0.01),
             "speed": Observation(observation.joint_velocities, noise=1.5),
         },
+        critic={},
         reward={
             "progress": Reward(progress, scale=50.0),
             "inclined": Reward(inclined, scale=-10.0),
@@ -168,6 +169,7 @@ TASK = TrainConfig(
             forward=0.0,
         ),
         command=NO_COMMAND,
+        randomisation=NO_RANDOMISATION,
     ),
     # At 240 steps a second what an action brings shows many steps later.
     ppo=PPOConfig(

@@ -1,9 +1,9 @@
-"""run: run along world x as fast as possible."""
+"""run: run along world x as fast as possible, with what a real robot knows and suffers."""
 
 from quadwalk.physics.motor import MotorConfig
 from quadwalk.task import observation, reward, termination
 from quadwalk.task.actions import about_home
-from quadwalk.task.config import NO_COMMAND, EnvConfig, ResetConfig
+from quadwalk.task.config import NO_COMMAND, EnvConfig, RandomisationConfig, ResetConfig
 from quadwalk.task.terms import ActionMap, Observation, Reward, Termination
 from quadwalk.train.settings import PPOConfig, TrainConfig
 
@@ -23,14 +23,23 @@ TASK = TrainConfig(
         motor=MotorConfig(kp=None, kd=None, effort=None, speed_limit=True, joint_friction=True),
         action=ActionMap(about_home, {"hip": 0.3, "thigh": 0.9, "calf": 0.9}),
         observation={
-            "velocity": Observation(observation.velocity, noise=0.1),
-            "angular_velocity": Observation(observation.angular_velocity, noise=0.2),
-            "gravity": Observation(observation.gravity, noise=0.05),
             "heading": Observation(observation.heading, noise=0.05),
-            "offset": Observation(observation.offset, {"reach": 1.0}, noise=0.05),
-            "position": Observation(observation.joint_positions, noise=0.01),
-            "speed": Observation(observation.joint_velocities, noise=1.5),
-            "last_action": Observation(observation.last_action),
+            "angular_velocity": Observation(observation.angular_velocity, noise=0.2, history=4),
+            "gravity": Observation(observation.gravity, noise=0.05, history=4),
+            "position": Observation(observation.joint_positions, noise=0.01, history=4),
+            "speed": Observation(observation.joint_velocities, noise=1.5, history=4),
+            "last_action": Observation(observation.last_action, history=4),
+        },
+        critic={
+            "velocity": Observation(observation.velocity),
+            "angular_velocity": Observation(observation.angular_velocity),
+            "gravity": Observation(observation.gravity),
+            "height": Observation(observation.height),
+            "heading": Observation(observation.heading),
+            "position": Observation(observation.joint_positions),
+            "speed": Observation(observation.joint_velocities),
+            "contacts": Observation(observation.contacts),
+            "conditions": Observation(observation.conditions),
         },
         reward={
             "forward": Reward(reward.forward, {"max_speed": 7.0}, scale=1.0),
@@ -39,7 +48,6 @@ TASK = TrainConfig(
             "energy": Reward(reward.energy, scale=-0.02),
             "alive": Reward(reward.alive, scale=0.5),
             "lateral": Reward(reward.lateral, scale=-0.3),
-            "offset": Reward(reward.offset, scale=-0.3),
             "vertical": Reward(reward.vertical, scale=-0.3),
             "tilt": Reward(reward.tilt, scale=-0.5),
             "roll_pitch_rate": Reward(reward.roll_pitch_rate, scale=-0.1),
@@ -62,6 +70,25 @@ TASK = TrainConfig(
             forward=0.0,
         ),
         command=NO_COMMAND,
+        randomisation=RandomisationConfig(
+            enabled=True,
+            friction=(0.3, 1.25),
+            trunk_mass=(-0.1, 0.25),
+            trunk_centre=(-0.08, 0.08),
+            link_mass=(0.9, 1.1),
+            strength=(0.8, 1.1),
+            kp=(0.8, 1.2),
+            kd=(0.8, 1.2),
+            joint_friction=(0.5, 1.5),
+            damping=(0.5, 1.5),
+            armature=(0.8, 1.2),
+            encoder=(-0.02, 0.02),
+            imu_tilt=(-0.02, 0.02),
+            latency=(0.0, 0.02),
+            sensor_latency=(0.0, 0.01),
+            noise=(0.0, 1.0),
+            push=(0.0, 0.5),
+        ),
     ),
     ppo=PPOConfig(
         eval_envs=64,
@@ -77,7 +104,7 @@ TASK = TrainConfig(
         gae_lambda=0.95,
         clip=0.2,
         noise=0.35,
-        entropy=0.01,
+        entropy=0.005,
         final_entropy=0.001,
         value=1.0,
         max_grad_norm=1.0,

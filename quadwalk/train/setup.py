@@ -67,7 +67,7 @@ def prepare(config: TrainConfig, previous: Run | None, progress: Progress) -> Tr
     )
     _check_processes(config, quadruped)
     env = QuadrupedEnv(quadruped, config.env)
-    networks = make_networks(config.ppo, env.observation_size, env.action_size)
+    networks = make_networks(config.ppo, env.policy_size, env.action_size, len(env.critic_names))
     mesh = ppo.make_mesh(devices)
     main = config.distributed.process == 0
     run, claimed = distributed.together(

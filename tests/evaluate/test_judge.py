@@ -30,7 +30,7 @@ from quadwalk.robot.mjcf import write_xml
 from quadwalk.task.actions import about_home
 from quadwalk.task.env import QuadrupedEnv
 from quadwalk.task.terms import ActionMap
-from quadwalk.tasks import run
+from quadwalk.tasks import sprint
 from quadwalk.train.runs.directory import Run
 from quadwalk.train.runs.policy import Policy
 
@@ -48,9 +48,9 @@ def subject(quadruped, swaying, tmp_path_factory) -> Subject:
     # The swaying is gentle enough for both engines to see the same.
     gentle = ActionMap(about_home, {"hip": 0.3, "thigh": 0.6, "calf": 0.6})
     short = dataclasses.replace(
-        run.TASK.env, episode_seconds=SECONDS, solver_iterations=10, action=gentle
+        sprint.TASK.env, episode_seconds=SECONDS, solver_iterations=10, action=gentle
     )
-    config, env = run.TASK, QuadrupedEnv(quadruped, short, "mjx")
+    config, env = sprint.TASK, QuadrupedEnv(quadruped, short, "mjx")
     policy = Policy(swaying, config, quadruped.joints, env.observation_size, 1000)
     return Subject(Run(folder), Run(folder).policy, policy, env)
 
@@ -254,12 +254,19 @@ def test_a_sweep_is_a_table_of_one_thing_at_a_time(swept):
     assert [p["speed"]["mean"] for p in pushes] == [3.8 - p["value"] for p in pushes]
     spans = {name: (of[2][0], of[2][-1]) for name, of in SWEEPS.items()}
     assert spans == {
-        "friction": (0.3, 1.2),
+        "everything": (0.0, 1.5),
+        "friction": (0.2, 1.25),
         "mass": (-2.0, 5.0),
+        "centre": (-0.06, 0.06),
         "strength": (80.0, 110.0),
-        "delay": (0.0, 40.0),
-        "push": (0.0, 1.5),
+        "kp": (80.0, 120.0),
+        "kd": (80.0, 120.0),
+        "delay": (0.0, 32.0),
+        "sensor_delay": (0.0, 30.0),
         "noise": (0.0, 2.0),
+        "encoder": (0.0, 0.04),
+        "push": (0.0, 1.5),
+        "push_ahead": (0.0, 1.5),
     }
 
 

@@ -142,10 +142,10 @@ def test_a_sweep_is_drawn_point_by_point():
     ]
     sweep = {"heading": "pushes", "unit": "m/s", "nominal": 1.0, "points": points}
     sweeps = {str(number): sweep for number in range(6)}
-    figure = draw_sweep({"run": "one", "seconds": 20.0, "episodes": 8, "sweeps": sweeps})
+    figure = draw_sweep([{"run": "one", "seconds": 20.0, "episodes": 8, "sweeps": sweeps}])
     assert "one: share of episodes that reach 20 s" in figure.get_suptitle()
     assert [axes.get_title(loc="left") for axes in figure.axes[:6]] == ["Pushes, m/s"] * 6
-    axes, speed = figure.axes[0], figure.axes[6]
+    axes, speed = figure.axes[0], figure.axes[10]
     success, nominal = axes.lines
     np.testing.assert_allclose(success.get_xydata(), [(0, 100), (1, 80), (2, 60), (3, 40)])
     assert list(nominal.get_xdata()) == [1.0, 1.0]

@@ -1,4 +1,4 @@
-"""Episodes of a sweep against MuJoCo C, which is told what the perturbation should come to."""
+"""Episodes under other conditions against MuJoCo C, which is told what these should come to."""
 
 import dataclasses
 
@@ -8,35 +8,73 @@ import mujoco
 import numpy as np
 import pytest
 
-from quadwalk.evaluate.sweep import varied_quadruped
-from quadwalk.physics.batching import stack_models
 from quadwalk.task import conditions
-from quadwalk.task.conditions import first_conditions, sensed, side_of_push, targets_needed
+from quadwalk.task.conditions import (
+    Conditions,
+    delayed,
+    measured,
+    reading,
+    sensed,
+    side_of_push,
+    targets_needed,
+)
+from quadwalk.task.config import NO_RANDOMISATION
 from quadwalk.task.env import QuadrupedEnv
-from quadwalk.tasks import run
+from quadwalk.task.randomisation import draw_conditions
+from quadwalk.tasks import run, sprint
 
 STEPS, PERIOD = 12, 6  # control steps, and those between pushes
 PUSH = 0.8  # m/s
 ITERATIONS = 10  # of the contact solver
 
-# name: friction, added mass, strength, delay, push
+
+@dataclasses.dataclass(frozen=True)
+class Case:
+    """What differs from the model: numbers added, or factors, as `Variation` and `Conditions`."""
+
+    friction: float | None = None
+    mass: float = 0.0
+    centre: float = 0.0  # m, ahead
+    links: float = 1.0
+    strength: float = 1.0
+    kp: float = 1.0
+    kd: float = 1.0
+    joint_friction: float = 1.0
+    damping: float = 1.0
+    armature: float = 1.0
+    delay: int = 0
+    push: float = 0.0
+    encoder: float = 0.0
+
+
+ALL = Case(0.2, 5.0, 0.05, 1.2, 0.7, 0.8, 1.2, 2.0, 3.0, 2.0, 7, PUSH, 0.05)
 CASES = {
-    "none": (None, 0.0, 1.0, 0, 0.0),
-    "friction": (0.2, 0.0, 1.0, 0, 0.0),
-    "mass": (None, 5.0, 1.0, 0, 0.0),
-    "strength": (None, 0.0, 0.7, 0, 0.0),
-    "delay within a control step": (None, 0.0, 1.0, 3, 0.0),
-    "delay beyond a control step": (None, 0.0, 1.0, 7, 0.0),
-    "push": (None, 0.0, 1.0, 0, PUSH),
-    "all": (0.2, 5.0, 0.7, 7, PUSH),
+    "none": Case(),
+    "friction": Case(friction=0.2),
+    "mass": Case(mass=5.0),
+    "centre": Case(centre=0.05),
+    "links": Case(links=1.3),
+    "strength": Case(strength=0.7),
+    "gains": Case(kp=0.8, kd=1.3),
+    "joints": Case(joint_friction=2.0, damping=4.0, armature=3.0),
+    "delay within a control step": Case(delay=3),
+    "delay beyond a control step": Case(delay=7),
+    "encoder": Case(encoder=0.05),
+    "push": Case(push=PUSH),
+    "all": ALL,
 }
+
+
+def nominal(env: QuadrupedEnv, key: jax.Array) -> Conditions:
+    """Nothing differs from the model."""
+    return draw_conditions(NO_RANDOMISATION, env.robot, env.stepping, key, env.friction)
 
 
 @pytest.fixture(scope="module", params=["mjx", "fast"])
 def env(quadruped, request) -> QuadrupedEnv:
     # With a solver that converges the engines agree; training cuts it short.
     config = dataclasses.replace(
-        run.TASK.env, solver_iterations=ITERATIONS, line_search_iterations=ITERATIONS
+        sprint.TASK.env, solver_iterations=ITERATIONS, line_search_iterations=ITERATIONS
     )
     return QuadrupedEnv(quadruped, config, request.param)
 
@@ -44,22 +82,37 @@ def env(quadruped, request) -> QuadrupedEnv:
 @pytest.fixture(scope="module")
 def recorded(env, swaying):
     """Of each case: qpos and qvel before and after each control step, and the actions."""
-    friction, mass, strength, delay, push = zip(*CASES.values(), strict=True)
-    models = []
-    for k, changes in enumerate(zip(friction, mass, strict=True)):
-        model = env.model_of(varied_quadruped(env.quadruped, *changes))
-        motor = model.motor._replace(strength=np.full(12, strength[k]))
-        models.append(model._replace(motor=motor))
-    leaves, assemble = stack_models(models)
-    kept = targets_needed(max(delay), env.config.substeps)
+    kept = targets_needed(max(case.delay for case in CASES.values()), env.config.substeps)
+    rows = {
+        field.name: jnp.array(
+            [getattr(case, field.name) or 0.0 for case in CASES.values()], jnp.float32
+        )
+        for field in dataclasses.fields(Case)
+    }
+    rows["friction"] = jnp.array(
+        [env.friction if c.friction is None else c.friction for c in CASES.values()]
+    )
 
-    def episode(leaves, delay, push, state, key):
-        model = assemble(leaves)
-        home = jnp.asarray(env.robot.home_joints, jnp.float32)
-        suffered = first_conditions(home, delay, push, jnp.zeros(()), key, kept)
+    def episode(row, state, key):
+        usual = nominal(env, key)
+        variation = usual.variation._replace(
+            friction=row["friction"],
+            trunk_mass=row["mass"],
+            trunk_centre=row["centre"] * jnp.array([1.0, 0.0, 0.0]),
+            link_mass=jnp.full(12, row["links"]),
+            **{k: row[k] for k in ("strength", "kp", "kd", "joint_friction", "damping")},
+            armature=row["armature"],
+        )
+        suffered = usual._replace(
+            variation=variation,
+            delay=row["delay"],
+            push=jnp.array([0.0, 1.0]) * row["push"],
+            encoder=jnp.full(12, row["encoder"]),
+            targets=jnp.tile(usual.targets, (kept, 1)),
+        )
 
         def one_step(state, _):
-            after = env.step_with(model, state, swaying(state.obs))
+            after = env.step(state, swaying(state.obs))
             carried = after.pipeline_state
             return after, (carried.qpos, carried.qvel, carried.last_action)
 
@@ -76,9 +129,8 @@ def recorded(env, swaying):
     state = state.replace(pipeline_state=state.pipeline_state._replace(physics=physics))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(conditions, "PUSH_PERIOD", PERIOD * env.config.control_dt)
-        batched = jax.jit(jax.vmap(episode, in_axes=(0, 0, 0, None, None)))
-        suffered = jnp.array(delay), jnp.array(push, jnp.float32)
-        found = batched(leaves, *suffered, state, jax.random.PRNGKey(5))
+        batched = jax.jit(jax.vmap(episode, in_axes=(0, None, None)))
+        found = batched(rows, state, jax.random.PRNGKey(5))
     qpos, qvel, actions = map(np.asarray, found)
     before = (np.asarray(physics.qpos), np.asarray(physics.qvel))
     return {
@@ -91,38 +143,45 @@ def recorded(env, swaying):
     }
 
 
-def replay_step(env, model, strength, delay, case, step, kick) -> np.ndarray:
+def replay_step(env, model, case, states, step, side) -> np.ndarray:
     """The velocity that MuJoCo C finds after control step `step`, begun as it was in MJX."""
-    qpos, qvel, actions = case
+    qpos, qvel, actions = states
     config, robot, dog = env.config, env.robot, env.quadruped
     data = mujoco.MjData(model)
     data.qpos[:], data.qvel[:] = qpos[step], qvel[step]
-    data.qvel[1] += kick
-    kp, kd = 1.4 * robot.weight * robot.home_height, 0.035 * robot.weight * robot.home_height
+    turn = np.zeros(9)
+    mujoco.mju_quat2Mat(turn, data.qpos[3:7])
+    heading = np.arctan2(turn[3], turn[0])
+    data.qvel[:2] += side * case.push * np.array([-np.sin(heading), np.cos(heading)])
+    stiff = 1.4 * robot.weight * robot.home_height
+    kp, kd = case.kp * stiff, case.kd * 0.025 * stiff
     reach = np.tile([0.3, 0.9, 0.9], 4)
     for number in range(config.substeps):
-        obeyed = (step * config.substeps + number - delay) // config.substeps
+        obeyed = (step * config.substeps + number - case.delay) // config.substeps
         wanted = actions[obeyed] if obeyed >= 0 else np.zeros(12)
         target = np.clip(robot.home_joints + reach * wanted, robot.lower, robot.upper)
         qd = data.qvel[6:].copy()
-        torque = kp * (target - data.qpos[7:]) - kd * qd
+        torque = kp * (target - (data.qpos[7:] + case.encoder)) - kd * qd
         line = dog.effort * np.clip(1 - np.sign(torque) * qd / dog.velocity, 0, 1)
-        data.ctrl[:] = strength * np.clip(torque, -line, line)
-        data.qfrc_applied[6:] = -dog.friction * np.tanh(qd / 0.1)
+        data.ctrl[:] = case.strength * np.clip(torque, -line, line)
+        data.qfrc_applied[6:] = -case.joint_friction * dog.friction * np.tanh(qd / 0.1)
         mujoco.mj_step(model, data)
     return data.qvel.copy()
 
 
-def model_of(env, quadruped, friction, mass) -> mujoco.MjModel:
-    """Changed after compilation, where the code under test changes what is compiled."""
+def model_of(env, quadruped, case) -> mujoco.MjModel:
+    """The compiled model, changed as the case says."""
     model = quadruped.training_model(env.config.physics_dt, ITERATIONS)
-    if friction is not None:
-        model.geom_friction[:, 0] = friction
-    model.body_mass[model.body(quadruped.trunk).id] += mass
-    mujoco.mj_setConst(model, mujoco.MjData(model))
-    # Only the load's weight has moved: not the inertia, nor where the centre of mass is.
-    np.testing.assert_array_equal(model.body_inertia, env.mj_model.body_inertia)
-    np.testing.assert_array_equal(model.body_ipos, env.mj_model.body_ipos)
+    if case.friction is not None:
+        model.geom_friction[:, 0] = case.friction
+    trunk = model.body(quadruped.trunk).id
+    model.body_mass[trunk] += case.mass
+    model.body_ipos[trunk, 0] += case.centre
+    for body in range(trunk + 1, model.nbody):
+        model.body_mass[body] *= case.links
+        model.body_inertia[body] *= case.links
+    model.dof_damping[6:] *= case.damping
+    model.dof_armature[6:] *= case.armature
     return model
 
 
@@ -132,56 +191,32 @@ TOLERANCE = 1e-3
 
 @pytest.mark.parametrize("name", CASES)
 def test_mujoco_agrees_on_each_perturbation(name, recorded, env, quadruped):
-    friction, mass, strength, delay, push = CASES[name]
-    model = model_of(env, quadruped, friction, mass)
-    plain = model_of(env, quadruped, None, 0.0)
-    case = recorded[name]
+    case, states = CASES[name], recorded[name]
+    model, plain = model_of(env, quadruped, case), model_of(env, quadruped, Case())
     error, without, sides = [], [], []
     for step in range(STEPS):
-        after = case[1][step + 1]
+        after = states[1][step + 1]
         options = [
-            np.abs(replay_step(env, model, strength, delay, case, step, kick) - after).max()
-            for kick in ((0.0, push, -push) if push else (0.0,))
+            np.abs(replay_step(env, model, case, states, step, side) - after).max()
+            for side in ((0.0, 1.0, -1.0) if case.push else (0.0,))
         ]
         sides.append(int(np.argmin(options)))
         error.append(min(options))
-        without.append(np.abs(replay_step(env, plain, 1.0, 0, case, step, 0.0) - after).max())
+        usual = replay_step(env, plain, Case(), states, step, 0.0)
+        without.append(np.abs(usual - after).max())
     assert max(error) < TOLERANCE
-    if push:
+    if case.push:
         pushed = np.reshape(sides, (-1, PERIOD)) > 0
         assert pushed.sum(axis=1).tolist() == [1] * (STEPS // PERIOD)
     # And each perturbation is more than what the engines differ by.
-    assert (max(without) > 100 * TOLERANCE) == (name != "none")
-
-
-def test_a_varied_model_is_what_mujoco_derives(env, quadruped):
-    found = varied_quadruped(quadruped, 0.5, 3.0).training_model(env.config.physics_dt, ITERATIONS)
-    expected = model_of(env, quadruped, None, 3.0)
-    for name in ("floor", *quadruped.feet):
-        assert found.geom(name).friction.tolist() == [0.5, *env.mj_model.geom(name).friction[1:]]
-    for field in ("body_mass", "body_subtreemass", "body_inertia", "body_ipos", "body_invweight0"):
-        np.testing.assert_allclose(getattr(found, field), getattr(expected, field), rtol=1e-9)
-    np.testing.assert_allclose(found.dof_invweight0, expected.dof_invweight0, rtol=1e-9)
-    unchanged = quadruped.training_model(env.config.physics_dt, ITERATIONS)
-    np.testing.assert_array_equal(unchanged.body_mass, env.mj_model.body_mass)
-
-
-def test_only_what_differs_between_models_is_batched(env):
-    models = [env.model_of(varied_quadruped(env.quadruped, friction)) for friction in (0.3, 0.9)]
-    varied, assemble = stack_models(models)
-    assert 0 < len(varied) < len(jax.tree.leaves(env.model)) / 2
-    for k, model in enumerate(models):
-        found = assemble([leaf[k] for leaf in varied])
-        for leaf, expected in zip(*map(jax.tree.leaves, (found, model)), strict=True):
-            np.testing.assert_array_equal(leaf, expected)
+    assert (max(without) > 50 * TOLERANCE) == (name != "none")
 
 
 def test_noise_has_its_scale_and_is_new_in_each_step(env):
     names, scale = env.observation_names, env.noise_scale
-    home = jnp.asarray(env.robot.home_joints, jnp.float32)
 
     def draw(seen, level, steps):
-        suffered = first_conditions(home, 0, 0.0, level, jax.random.PRNGKey(0), 1)
+        suffered = nominal(env, jax.random.PRNGKey(0))._replace(noise=level)
         return sensed(suffered, seen, scale, steps)
 
     drawn = jax.jit(jax.vmap(draw, in_axes=(None, None, 0)))
@@ -198,17 +233,94 @@ def test_noise_has_its_scale_and_is_new_in_each_step(env):
     np.testing.assert_array_equal(still, 1.0)
 
 
-def test_one_push_in_every_five_seconds():
-    sides = jax.vmap(side_of_push, in_axes=(None, 0, None))
-    left = 0
-    for seed in range(20):
-        found = np.asarray(sides(jax.random.PRNGKey(seed), jnp.arange(1000), 0.02))
-        assert set(found) <= {-1.0, 0.0, 1.0}
-        assert np.abs(found).reshape(4, 250).sum(axis=1).tolist() == [1, 1, 1, 1]
-        left += (found > 0).sum()
-    assert 25 < left < 55
+def test_one_push_in_every_five_seconds(env):
+    def side(key, steps):
+        return side_of_push(nominal(env, key), steps, 0.02)
+
+    sides = jax.jit(jax.vmap(jax.vmap(side, in_axes=(None, 0)), in_axes=(0, None)))
+    found = np.asarray(sides(jax.random.split(jax.random.PRNGKey(0), 20), jnp.arange(1000)))
+    assert set(found.ravel().tolist()) == {-1.0, 0.0, 1.0}
+    assert (np.abs(found).reshape(20, 4, 250, 2).sum(axis=2) == 1).all()
+    assert ((found > 0).sum(axis=(0, 1)) > 25).all()
+    assert ((found > 0).sum(axis=(0, 1)) < 55).all()
 
 
 @pytest.mark.parametrize(("delay", "kept"), [(0, 1), (1, 2), (5, 2), (6, 3), (10, 3)])
 def test_as_many_targets_are_kept_as_a_delay_reaches_back(delay, kept):
     assert targets_needed(delay, 5) == kept
+
+
+def test_a_delay_between_two_physics_steps_is_one_or_the_other(env):
+    late = nominal(env, jax.random.PRNGKey(1))._replace(
+        delay=jnp.float32(2.3), targets=jnp.zeros((2, 12))
+    )
+    new = jax.vmap(lambda k: delayed(late, jnp.ones(12), 5, k)[1][:, 0])(jnp.arange(4000))
+    waited = 5 - np.asarray(new).sum(axis=1)  # physics steps until the new target is obeyed
+    assert set(waited) == {2.0, 3.0}
+    assert waited.mean() == pytest.approx(2.3, abs=0.03)
+
+
+def test_a_late_sensor_tells_what_was_on_the_line_between_two_readings(env):
+    frames = jnp.array([[5.0], [4.0], [2.0], [1.0]])
+    late = nominal(env, jax.random.PRNGKey(1))._replace(sensor_delay=jnp.float32(1.25))
+    assert reading(late, frames, 0) == pytest.approx(0.75 * 4.0 + 0.25 * 2.0)
+    assert reading(late, frames, 1) == pytest.approx(0.75 * 2.0 + 0.25 * 1.0)
+
+
+def test_a_tilted_imu_sees_the_world_turned(env):
+    tilt = np.array([0.03, -0.05, 0.0])
+    state = jax.jit(env.reset)(jax.random.PRNGKey(2)).pipeline_state
+    suffered = nominal(env, jax.random.PRNGKey(1))._replace(
+        tilt=jnp.asarray(tilt, jnp.float32), encoder=jnp.full(12, 0.01)
+    )
+    found = measured(suffered, state.physics)
+    turn, own, expected = np.zeros(4), np.asarray(state.qpos[3:7], float), np.zeros(4)
+    angle = np.linalg.norm(tilt)
+    mujoco.mju_axisAngle2Quat(turn, tilt / angle, angle)
+    mujoco.mju_mulQuat(expected, own, turn)
+    np.testing.assert_allclose(found.qpos[3:7], expected, atol=1e-4)
+    back, spin = turn * [1, -1, -1, -1], np.zeros(3)
+    mujoco.mju_rotVecQuat(spin, np.asarray(state.qvel[3:6], float), back)
+    np.testing.assert_allclose(found.qvel[3:6], spin, atol=1e-4)
+    np.testing.assert_allclose(found.qpos[7:], state.qpos[7:] + 0.01, atol=1e-6)
+
+
+def test_every_episode_draws_its_own_within_the_ranges(quadruped):
+    env = QuadrupedEnv(quadruped, run.TASK.env)
+    ranges = run.TASK.env.randomisation
+    keys = jax.random.split(jax.random.PRNGKey(0), 500)
+    drawn = jax.jit(jax.vmap(env.reset))(keys).pipeline_state.conditions
+    kg, m = env.robot.mass, env.robot.home_height
+    speed = np.sqrt(9.81 * m)
+    expected = {
+        "friction": (drawn.variation.friction, ranges.friction, 1.0),
+        "trunk mass": (drawn.variation.trunk_mass, ranges.trunk_mass, kg),
+        "centre": (drawn.variation.trunk_centre, ranges.trunk_centre, m),
+        "links": (drawn.variation.link_mass, ranges.link_mass, 1.0),
+        "strength": (drawn.variation.strength, ranges.strength, 1.0),
+        "kp": (drawn.variation.kp, ranges.kp, 1.0),
+        "kd": (drawn.variation.kd, ranges.kd, 1.0),
+        "latency": (drawn.delay, ranges.latency, 1 / 0.004),
+        "sensors": (drawn.sensor_delay, ranges.sensor_latency, 1 / 0.02),
+        "push": (drawn.push, ranges.push, speed),
+        "noise": (drawn.noise, ranges.noise, 1.0),
+        "encoder": (drawn.encoder, ranges.encoder, 1.0),
+        "tilt": (drawn.tilt, ranges.imu_tilt, 1.0),
+    }
+    for name, (values, (low, high), unit) in expected.items():
+        low, high, width = low * unit, high * unit, (high - low) * unit
+        assert low - 1e-5 <= values.min() < low + 0.05 * width, name
+        assert high - 0.05 * width < values.max() <= high + 1e-5, name
+        assert np.mean(values) == pytest.approx((low + high) / 2, abs=0.1 * width), name
+
+
+def test_what_is_off_is_as_the_model(quadruped):
+    one = dataclasses.replace(run.TASK.env.randomisation, push=None, friction=None, latency=None)
+    env = QuadrupedEnv(quadruped, dataclasses.replace(run.TASK.env, randomisation=one))
+    drawn = jax.jit(env.reset)(jax.random.PRNGKey(0)).pipeline_state.conditions
+    assert drawn.variation.friction == pytest.approx(env.friction)
+    assert not np.any(drawn.push)
+    assert drawn.delay == 0.0
+    none = dataclasses.replace(run.TASK.env.randomisation, enabled=False)
+    env = QuadrupedEnv(quadruped, dataclasses.replace(run.TASK.env, randomisation=none))
+    assert jax.eval_shape(env.reset, jax.random.PRNGKey(0)).pipeline_state.conditions is None

@@ -72,11 +72,18 @@ def test_an_episode_is_told_anew_on_time(course):
 
 def test_the_command_is_seen_in_place_of_the_line(told, course):
     names = told.observation_names
-    assert told.observation_size == len(set(names)) == 48
-    assert not {"heading", "offset"} & set(names)
+    assert told.policy_size == len(set(names)) == 213  # 45, four earlier 42 each
+    assert not {"heading", "offset", "velocity_x"} & set(names)
+    assert told.observation_size == 213 + len(told.critic_names)
+    before = None
     for state in course:
-        assert state.obs.shape == (2, 48)
-        seen = dict(zip(names, np.asarray(state.obs).T, strict=True))
+        assert state.obs.shape == (2, told.observation_size)
+        seen = dict(zip(names, np.asarray(state.obs)[:, :213].T, strict=True))
+        if before is not None:
+            for name in ("gravity_x", f"speed_{told.quadruped.joints[3]}"):
+                np.testing.assert_array_equal(seen[f"{name}[-1]"], before[name])
+                np.testing.assert_array_equal(seen[f"{name}[-4]"], before[f"{name}[-3]"])
+        before = seen
         found = [seen[f"command_{part}"] for part in ("forward", "lateral", "yaw_rate")]
         np.testing.assert_array_equal(np.transpose(found), state.pipeline_state.command.velocity)
         joints = np.asarray(state.pipeline_state.physics.qpos[:, 7])

@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from quadwalk.errors import UsageError
-from quadwalk.tasks import run
+from quadwalk.tasks import sprint
 
 STILL = jnp.zeros((4, 12))
 
@@ -149,4 +149,4 @@ def test_reward_is_the_scaled_sum_of_the_metrics(env, reset, step):
 )
 def test_a_setting_out_of_range_is_refused(bad):
     with pytest.raises(UsageError, match=r"expected|or more"):
-        dataclasses.replace(run.TASK.env, **bad)
+        dataclasses.replace(sprint.TASK.env, **bad)

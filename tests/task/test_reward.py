@@ -85,6 +85,11 @@ CASES = {
     # Half as high as a swing should be, on the floor, on the floor at rest, high enough.
     "drag": (stepping([0.5, 0.0, 0.0, 1.5], [1.0, -0.6, 0.0, 1.0]), (0.5 + 0.6) / 4),
     "trot": (a_step(contact=jnp.array([True, False, True, True])), 0.5),
+    # Told to stand, one foot is in the air, and joints turn at half a radian per second.
+    "stepping": (
+        a_step(contact=jnp.array([True, False, True, True]), qvel=jnp.zeros(18).at[6:].set(-0.5)),
+        0.75,
+    ),
 }
 LIMITS = {
     "forward": (a_step(qpos=a_step().qpos.at[0].set(9.0)), 1.0),  # max_speed of PARAMS
@@ -98,6 +103,7 @@ LIMITS = {
     "follow_yaw_rate": (moving(0.0, 3.1, (0.0, 0.0), (0.0, 0.0, 0.0)), 0.0),
     "drag": (stepping([0.0] * 4, [1e6] * 4), 2.0),
     "trot": (a_step(contact=jnp.zeros(4, bool)), 0.0),
+    "stepping": (a_step(command=jnp.array([0.0, 0.0, 0.1])), 0.0),
 }
 
 

@@ -10,17 +10,17 @@ import pytest
 from quadwalk.robot.mjcf import Options
 from quadwalk.robot.quadruped import load_quadruped
 from quadwalk.task.env import QuadrupedEnv
-from quadwalk.tasks import run
+from quadwalk.tasks import sprint
 
 NO_VARIETY = dataclasses.replace(
-    run.TASK.env.reset, yaw=0, tilt=0, offset=0, joints=0, velocity=0, joint_velocity=0
+    sprint.TASK.env.reset, yaw=0, tilt=0, offset=0, joints=0, velocity=0, joint_velocity=0
 )
 
 
 def stands_for_a_second(urdf, options: Options | None = None) -> None:
     """At rest in its home pose, with the action that asks for it, a robot stays up."""
     env = QuadrupedEnv(
-        load_quadruped(urdf, options), dataclasses.replace(run.TASK.env, reset=NO_VARIETY)
+        load_quadruped(urdf, options), dataclasses.replace(sprint.TASK.env, reset=NO_VARIETY)
     )
     state = jax.jit(env.reset)(jax.random.PRNGKey(0))
 

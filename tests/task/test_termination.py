@@ -11,7 +11,7 @@ from quadwalk.physics.rotation import from_euler
 from quadwalk.task.state import Step
 from quadwalk.task.termination import terminations
 from quadwalk.task.terms import Termination
-from quadwalk.tasks import blog, run
+from quadwalk.tasks import blog, sprint
 
 KINDS = (
     mjtGeom.mjGEOM_SPHERE,
@@ -52,7 +52,7 @@ def test_the_lowest_point_is_that_of_the_surface(kind, seed):
     assert float(shape.bottom(tuple(up))) == pytest.approx((points @ up).min(), abs=2e-3)
 
 
-def falls(env, qpos, lowest=1.0, ways=run.TASK.env.termination) -> dict[str, bool]:
+def falls(env, qpos, lowest=1.0, ways=sprint.TASK.env.termination) -> dict[str, bool]:
     nothing = jnp.zeros(())
     step = Step(**dict.fromkeys(Step._fields, nothing) | {"qpos": qpos, "lowest": lowest})
     return dict(zip(ways, np.asarray(terminations(ways, env.robot, step)).tolist(), strict=True))

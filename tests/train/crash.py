@@ -11,7 +11,7 @@ import optax
 from brax.training.acme import running_statistics
 from brax.training.agents.ppo import losses
 
-from quadwalk.tasks import run
+from quadwalk.tasks import sprint
 from quadwalk.train.ppo import Learner, TrainState
 from quadwalk.train.runs.directory import Run
 from quadwalk.train.runs.writer import RunWriter
@@ -26,7 +26,7 @@ def save(folder: Path, first: int, last: int, die_at: int | None = None) -> None
         _make_mortal(die_at)
     metrics = SimpleNamespace(score=0.0, state=dict)
     training = SimpleNamespace(
-        config=run.TASK,
+        config=sprint.TASK,
         quadruped=SimpleNamespace(joints=("joint",)),
         metrics=metrics,
         steps=first,

@@ -21,7 +21,7 @@ from jax.sharding import NamedSharding
 from jax.sharding import PartitionSpec as P
 
 from benchmarks.brax_training import compare, learning_curves, params_of, train_with_brax
-from quadwalk.tasks import run
+from quadwalk.tasks import sprint
 from quadwalk.train import ppo
 from quadwalk.train.networks import make_networks
 from quadwalk.train.settings import PPOConfig
@@ -52,7 +52,7 @@ class Point(Env):
 
     def __init__(self, episode_steps: int, dt: float = 0.1, spread: float = 0.0) -> None:
         self.config = dataclasses.replace(
-            run.TASK.env, episode_seconds=episode_steps * run.TASK.env.control_dt
+            sprint.TASK.env, episode_seconds=episode_steps * sprint.TASK.env.control_dt
         )
         self.dt = dt  # s; with 0, nothing moves
         self.spread = spread  # fresh starts are at random up to this far from 0
@@ -221,7 +221,7 @@ def assert_same_losses(both: Both, **tolerance: float) -> None:
 
 def test_one_update_has_the_loss_and_gradients_of_brax(train_both):
     config = dataclasses.replace(
-        run.TASK.ppo, **SETTINGS, minibatches=1, epochs=1, max_grad_norm=1e6
+        sprint.TASK.ppo, **SETTINGS, minibatches=1, epochs=1, max_grad_norm=1e6
     )
     both = train_both(Point(10**6), config, iterations=1)
     assert_same_losses(both, rel=1e-5, abs=1e-6)
@@ -231,7 +231,7 @@ def test_one_update_has_the_loss_and_gradients_of_brax(train_both):
 def test_iterations_leave_the_parameters_of_brax(train_both):
     """Falls, epochs, minibatches, clipping, Adam, learning rate and normaliser: all of it."""
     config = dataclasses.replace(
-        run.TASK.ppo, **SETTINGS, minibatches=2, epochs=3, desired_kl=0.01, final_kl=0.01
+        sprint.TASK.ppo, **SETTINGS, minibatches=2, epochs=3, desired_kl=0.01, final_kl=0.01
     )
     both = train_both(Point(10**6), config, iterations=4)
     assert len(both.ours) == len(both.brax) == 5
@@ -245,7 +245,7 @@ def test_iterations_leave_the_parameters_of_brax(train_both):
 def test_a_time_limit_is_what_brax_makes_of_it_where_nothing_moves(train_both):
     """Brax bootstraps from the state before the limit and we from the one after: here the same."""
     config = dataclasses.replace(
-        run.TASK.ppo, **SETTINGS, minibatches=1, epochs=1, max_grad_norm=1e6, reward_scale=1.0
+        sprint.TASK.ppo, **SETTINGS, minibatches=1, epochs=1, max_grad_norm=1e6, reward_scale=1.0
     )  # Brax's scale also shrinks what it bootstraps from
     both = train_both(Point(4, dt=0.0), config, iterations=1)
     assert_same_losses(both, rel=1e-5, abs=1e-6)
@@ -254,7 +254,7 @@ def test_a_time_limit_is_what_brax_makes_of_it_where_nothing_moves(train_both):
 
 def test_a_moving_body_is_bootstrapped_from_the_state_after_its_time_limit():
     """The value loss, against advantages written out in NumPy from what the environment does."""
-    config = dataclasses.replace(run.TASK.ppo, **SETTINGS, minibatches=1, epochs=1)
+    config = dataclasses.replace(sprint.TASK.ppo, **SETTINGS, minibatches=1, epochs=1)
     env = Point(4, dt=0.3, spread=1.9)
     mesh = ppo.make_mesh()
     networks = make_networks(config, env.observation_size, env.action_size)
@@ -299,7 +299,7 @@ def test_learning_curves_agree_over_three_seeds():
 
     An iteration is an episode long, so that it matters little that Brax's episodes are in phase.
     """
-    config = dataclasses.replace(run.TASK.ppo,
+    config = dataclasses.replace(sprint.TASK.ppo,
         eval_envs=2, unroll=25, minibatches=4, hidden=(32, 32), discount=0.95, reward_scale=1.0,
         learning_rate=1e-3, min_learning_rate=1e-3, max_learning_rate=1e-3,
     )  # fmt: skip

@@ -10,7 +10,7 @@ import pytest
 
 from quadwalk.errors import UsageError, UserError
 from quadwalk.task_files import load_task, task_names
-from quadwalk.tasks import run, walk
+from quadwalk.tasks import sprint, walk
 from quadwalk.train import devices
 from quadwalk.train.flags import parse_config
 from quadwalk.train.runs.resume import changed_settings
@@ -37,11 +37,11 @@ def test_every_field_can_be_set_from_the_command_line():
     assert config.env.action.params == {"hip": 0.3, "thigh": 0.5, "calf": 0.9}
     assert config.ppo.hidden == (32, 16)
     assert config.robot.urdf == Path("a/b.urdf")
-    assert config.env.reward["fall"] == run.TASK.env.reward["fall"]
+    assert config.env.reward["fall"] == sprint.TASK.env.reward["fall"]
 
 
 def test_the_default_task_is_run():
-    assert parsed() == parsed("--preset", "run") == run.TASK
+    assert parsed() == parsed("--preset", "run") == load_task("run")
 
 
 @pytest.mark.parametrize("name", task_names())
@@ -155,7 +155,7 @@ def write_run(folder: Path, config: TrainConfig) -> None:
 
 
 def test_a_resumed_configuration_is_the_runs_with_the_flags_given(tmp_path):
-    config = with_settings(run.TASK, {"name": "dog", "env.substeps": 3, "seed": 7})
+    config = with_settings(sprint.TASK, {"name": "dog", "env.substeps": 3, "seed": 7})
     write_run(tmp_path / "dog", config)
     flags = ["--runs", str(tmp_path), "--resume", "dog", "--ppo.entropy", "0.5"]
     resumed, previous = parse_config(flags)

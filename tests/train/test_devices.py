@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import pytest
 
 from quadwalk.errors import UsageError
-from quadwalk.tasks import run
+from quadwalk.tasks import sprint
 from quadwalk.train import devices
 from quadwalk.train.settings import DistributedConfig
 
@@ -32,14 +32,14 @@ def machine(monkeypatch):
 
 def test_a_cpu_gets_a_device_for_each_core(machine):
     machine("cpu", 4)
-    config, found = devices.choose_devices(run.TASK)
+    config, found = devices.choose_devices(sprint.TASK)
     assert (config.envs, config.devices, len(found)) == (2048, 4, 4)
 
 
 @pytest.mark.parametrize(("count", "used"), [(1, 1), (3, 2), (6, 4)])
 def test_a_process_that_has_computed_trains_on_the_devices_it_has(machine, count, used):
     machine("cpu", count, cores=8)
-    config, found = devices.choose_devices(run.TASK)
+    config, found = devices.choose_devices(sprint.TASK)
     assert (config.envs, config.devices, len(found)) == (2048, used, used)
 
 
@@ -56,13 +56,13 @@ def test_devices_stay_what_they_are_once_jax_has_computed():
 @pytest.mark.parametrize(("count", "used"), [(1, 1), (2, 2), (3, 2), (8, 8)])
 def test_accelerators_are_all_used_that_can_share_evenly(machine, count, used):
     machine("gpu", count, cores=64)
-    config, found = devices.choose_devices(run.TASK)
+    config, found = devices.choose_devices(sprint.TASK)
     assert (config.envs, config.devices, len(found)) == (8192, used, used)
 
 
 def test_what_is_asked_for_is_what_is_used(machine):
     machine("gpu", 8)
-    config, found = devices.choose_devices(dataclasses.replace(run.TASK, envs=512, devices=2))
+    config, found = devices.choose_devices(dataclasses.replace(sprint.TASK, envs=512, devices=2))
     assert (config.envs, config.devices, [d.id for d in found]) == (512, 2, [0, 1])
 
 
@@ -70,7 +70,7 @@ def test_each_process_brings_as_many_devices(machine):
     machine("gpu", 8, processes=2)
     pair = DistributedConfig(coordinator="a:1", processes=2)
     config, found = devices.choose_devices(
-        dataclasses.replace(run.TASK, devices=4, distributed=pair)
+        dataclasses.replace(sprint.TASK, devices=4, distributed=pair)
     )
     assert config.devices == 4
     assert [(d.process, d.id) for d in found] == [(0, 0), (0, 1), (1, 4), (1, 5)]
@@ -88,7 +88,7 @@ def test_what_cannot_be_shared_is_named(machine, change, named):
     machine("gpu", 8)
     with pytest.raises(UsageError) as caught:
         devices.choose_devices(
-            dataclasses.replace(dataclasses.replace(run.TASK, ppo=run.TASK.ppo), **change)
+            dataclasses.replace(dataclasses.replace(sprint.TASK, ppo=sprint.TASK.ppo), **change)
         )
     assert named in str(caught.value)
 
@@ -97,4 +97,4 @@ def test_devices_that_the_processes_cannot_share_are_named(machine):
     machine("cpu", 4, processes=2)
     pair = DistributedConfig(coordinator="a:1", processes=2)
     with pytest.raises(UsageError, match="--devices is 3; expected a multiple of 2"):
-        devices.choose_devices(dataclasses.replace(run.TASK, devices=3, distributed=pair))
+        devices.choose_devices(dataclasses.replace(sprint.TASK, devices=3, distributed=pair))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from quadwalk.errors import UsageError
-from quadwalk.tasks import run
+from quadwalk.tasks import sprint
 from quadwalk.train.flags import parse_config
 from quadwalk.train.loop import train
 from quadwalk.train.runs.directory import Run
@@ -59,4 +59,4 @@ def test_what_is_learnt_from_stays_alike(trained):
 
 def test_an_engine_that_training_has_not_is_refused():
     with pytest.raises(UsageError, match=r"env\.engine is 'mujoco'; expected fast or mjx"):
-        dataclasses.replace(run.TASK.env, engine="mujoco")
+        dataclasses.replace(sprint.TASK.env, engine="mujoco")

@@ -3,7 +3,7 @@ import math
 
 import pytest
 
-from quadwalk.tasks import run
+from quadwalk.tasks import sprint
 from quadwalk.train.metrics import FallRate, TrainingMetrics
 from quadwalk.train.serialise import with_settings
 
@@ -36,7 +36,7 @@ def numbers(**changes):
 
 def test_a_row_tells_training_from_evaluation_and_scales_the_terms():
     scales = {"env.reward.forward": 2.0, "env.reward.yaw": -3.0}
-    metrics = TrainingMetrics(with_settings(run.TASK, scales).env.reward)
+    metrics = TrainingMetrics(with_settings(sprint.TASK, scales).env.reward)
     metrics.row(100, numbers())
     row = metrics.row(200, numbers())
     assert row["steps"] == 200
@@ -48,7 +48,7 @@ def test_a_row_tells_training_from_evaluation_and_scales_the_terms():
 
 
 def test_the_score_is_the_evaluation_speed_less_the_falls():
-    metrics = TrainingMetrics(run.TASK.env.reward)
+    metrics = TrainingMetrics(sprint.TASK.env.reward)
     assert metrics.score == 0.0
     for speed in (9.0, *[3.0] * 10, *[5.0] * 10):  # the last twenty count
         none = {"eval/count/ended": 0, "eval/count/fell": 0}
@@ -59,7 +59,7 @@ def test_the_score_is_the_evaluation_speed_less_the_falls():
 
 
 def test_counting_goes_on_from_a_saved_state():
-    whole, first, second = (TrainingMetrics(run.TASK.env.reward) for _ in range(3))
+    whole, first, second = (TrainingMetrics(sprint.TASK.env.reward) for _ in range(3))
     rows = [numbers(**{"eval/count/fell": k % 3, "count/nan": k}) for k in range(40)]
     expected = [whole.row(k, row) for k, row in enumerate(rows)]
     for k, row in enumerate(rows[:25]):

@@ -12,7 +12,7 @@ from quadwalk.paths import ALIENGO_URDF
 from quadwalk.physics.motor import Physics
 from quadwalk.task.env import MAX_SPEED, EnvState, QuadrupedEnv
 from quadwalk.task_files import load_task
-from quadwalk.tasks import run
+from quadwalk.tasks import sprint
 from quadwalk.train import nan
 from quadwalk.train.robot import load_robot
 from quadwalk.train.runs import checkpoint
@@ -20,7 +20,7 @@ from quadwalk.train.runs.directory import Run, create_run
 from quadwalk.train.runs.log import read_metrics
 from quadwalk.train.settings import RobotConfig
 
-CONFIG = replace(run.TASK, robot=RobotConfig(ALIENGO_URDF))
+CONFIG = replace(sprint.TASK, robot=RobotConfig(ALIENGO_URDF))
 
 
 @pytest.fixture(scope="module")

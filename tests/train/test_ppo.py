@@ -10,12 +10,12 @@ import pytest
 from brax.envs.base import Env, State
 from jax.sharding import PartitionSpec as P
 
-from quadwalk.tasks import run
+from quadwalk.tasks import sprint
 from quadwalk.train import ppo
 from quadwalk.train.networks import make_networks, mean_policy
 
 CONFIG = dataclasses.replace(
-    run.TASK.ppo,
+    sprint.TASK.ppo,
     eval_envs=4,
     unroll=6,
     minibatches=2,
@@ -40,7 +40,7 @@ class Counter(Env):
     An origin above 1 is never drawn; it stands for a state whose step is not a number.
     """
 
-    config = dataclasses.replace(run.TASK.env, episode_seconds=4 * run.TASK.env.control_dt)
+    config = dataclasses.replace(sprint.TASK.env, episode_seconds=4 * sprint.TASK.env.control_dt)
 
     def reset(self, rng: jax.Array) -> State:
         count = Count(jnp.zeros((), jnp.int32), jax.random.uniform(rng, (), minval=-1.0))

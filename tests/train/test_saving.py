@@ -11,7 +11,7 @@ import pytest
 from brax.training.acme import running_statistics, specs
 
 from quadwalk.errors import UserError
-from quadwalk.tasks import run
+from quadwalk.tasks import sprint
 from quadwalk.train.networks import make_networks
 from quadwalk.train.ppo import Learner, TrainState
 from quadwalk.train.runs.directory import Run, create_run, list_checkpoints
@@ -19,7 +19,7 @@ from quadwalk.train.runs.log import read_metrics
 from quadwalk.train.runs.policy import load_policy, load_score
 from quadwalk.train.runs.writer import KEPT_CHECKPOINTS, RunWriter
 
-CONFIG = dataclasses.replace(run.TASK, ppo=dataclasses.replace(run.TASK.ppo, hidden=(4,)))
+CONFIG = dataclasses.replace(sprint.TASK, ppo=dataclasses.replace(sprint.TASK.ppo, hidden=(4,)))
 JOINTS = tuple(f"joint_{index}" for index in range(12))
 
 
@@ -108,6 +108,16 @@ def test_a_best_policy_that_is_damaged_is_told_and_replaced(run, training, state
         save(writer, training, state, 1.0)
     assert "best.npz is damaged" in said[0]
     assert load_score(run.best) == (10, 1.0)
+
+
+def test_a_policy_remembers_in_what_order_it_sees(run, training, state):
+    # Alphabetical order would give each weight another number of the observation.
+    with RunWriter(training, run, pytest.fail) as writer:
+        save(writer, training, state, 1.0)
+    found = load_policy(run.policy).config.env
+    assert list(found.observation) == list(training.config.env.observation)
+    assert list(found.observation) != sorted(found.observation)
+    assert list(found.critic) == list(training.config.env.critic)
 
 
 def test_a_policy_that_tells_no_score_is_named(tmp_path):

@@ -12,7 +12,7 @@ from quadwalk.errors import UsageError, UserError
 from quadwalk.task import reward
 from quadwalk.task.terms import Reward
 from quadwalk.task_files import load_task, task_names
-from quadwalk.tasks import run
+from quadwalk.tasks import sprint
 from quadwalk.train.serialise import flatten, from_dict, to_dict, with_settings
 from quadwalk.train.settings import TrainConfig
 
@@ -35,17 +35,17 @@ def test_every_setting_can_be_changed_by_the_name_that_it_has(name):
 @given(scale=st.floats(-10, 10), speed=st.integers(1, 9))
 def test_a_scale_and_a_parameter_of_a_term_are_changed_and_nothing_else(scale, speed):
     changes = {"env.reward.energy": scale, "env.reward.forward.max_speed": speed}
-    found = with_settings(run.TASK, changes)
+    found = with_settings(sprint.TASK, changes)
     assert found.env.reward["energy"].scale == scale
     assert found.env.reward["forward"].params == {"max_speed": float(speed)}
-    before, after = flatten(run.TASK), flatten(found)
+    before, after = flatten(sprint.TASK), flatten(found)
     assert {name for name in before if before[name] != after[name]} <= set(changes)
     assert list(after) == list(before)  # and in the same order, in which rewards are summed
 
 
 def test_a_term_can_be_put_in_place_of_another_or_added():
     term = Reward(reward.alive, scale=3.0)
-    found = with_settings(run.TASK, {"env.reward.fall": term, "env.reward.mine": term})
+    found = with_settings(sprint.TASK, {"env.reward.fall": term, "env.reward.mine": term})
     assert found.env.reward["fall"] is found.env.reward["mine"] is term
 
 
@@ -66,7 +66,7 @@ def test_a_term_can_be_put_in_place_of_another_or_added():
 )
 def test_a_change_that_cannot_be_is_said_in_one_line(changes, named):
     with pytest.raises(UserError, match=named) as error:
-        with_settings(run.TASK, changes)
+        with_settings(sprint.TASK, changes)
     assert "\n" not in str(error.value)
 
 
@@ -84,7 +84,7 @@ def test_a_change_that_cannot_be_is_said_in_one_line(changes, named):
     ],
 )
 def test_json_that_does_not_fit_is_named(change, named):
-    data = to_dict(run.TASK)
+    data = to_dict(sprint.TASK)
     change(data)
     with pytest.raises(UserError, match=named):
         from_dict(TrainConfig, data, Path())
@@ -92,6 +92,6 @@ def test_json_that_does_not_fit_is_named(change, named):
 
 def test_a_notebooks_function_cannot_be_kept():
     term = Reward(lambda robot, step: 1.0, scale=1.0)
-    env = dataclasses.replace(run.TASK.env, reward={"mine": term})
+    env = dataclasses.replace(sprint.TASK.env, reward={"mine": term})
     with pytest.raises(UsageError, match="task's file"):
-        to_dict(dataclasses.replace(run.TASK, env=env))
+        to_dict(dataclasses.replace(sprint.TASK, env=env))

@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from quadwalk.tasks import run
+from quadwalk.tasks import sprint
 
 # Before JAX is imported, for this module is what a process begins with. Not only by default: JAX
 # says 1 to the processes that one with JAX starts, and XLA then fills what a test reads.
@@ -41,12 +41,13 @@ class Toy(Env):
     `env.termination.tipped.angle`, which is 1 unless a test lowers it.
     """
 
-    observation_size = 3
+    observation_size = policy_size = 3
+    critic_names = ()
     action_size = 12
     backend = "none"
 
     def __init__(self, quadruped: Any = None, config: EnvConfig | None = None) -> None:
-        self.config = config or run.TASK.env
+        self.config = config or sprint.TASK.env
         self.mj_model = mujoco.MjModel.from_xml_string("<mujoco/>")
 
     def reset(self, rng: jax.Array) -> State:

@@ -74,7 +74,7 @@ def print_sweep(results: dict[str, Any]) -> None:
             rows.append((name, f"{point['value']:g}{star}", success, figure_text(point["speed"])))
         rows.append(None)
     title = f"{results['run']}: {results['episodes']} episodes at each point, mean ± 95 %, "
-    _print_table(f"{title}* as in training", ("", "value", "success, %", "speed, m/s"), rows)
+    _print_table(f"{title}* the model's", ("", "value", "success, %", "speed, m/s"), rows)
 
 
 def describe_gait(gait: Gait, episode: int) -> str:

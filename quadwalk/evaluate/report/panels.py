@@ -1,5 +1,6 @@
 """Pictures of many panels: the sweeps of a policy, and several runs side by side."""
 
+import itertools
 import math
 from typing import Any
 
@@ -10,48 +11,70 @@ from matplotlib.figure import Figure
 from quadwalk.evaluate.report.plots import INK, LEG_COLOURS, new_figure, tidy
 from quadwalk.evaluate.summary import FIGURES
 
+_SWEEP_COLUMNS = 5
 _COLUMNS = 3  # panels of a comparison in a row
 _SPREAD = 0.28  # of the distance between two runs, over which their episodes are drawn
 _SUCCESS, _SPEED = LEG_COLOURS[3], LEG_COLOURS[0]
 
 
-def draw_sweep(results: dict[str, Any]) -> Figure:
-    """One panel for each sweep: success to the left, speed to the right, with 95 % intervals."""
+def draw_sweep(results: list[dict[str, Any]]) -> Figure:
+    """One panel for each sweep: success to the left, speed to the right, with 95 % intervals.
+
+    `results` are those of one run or several, at the same points.
+    """
+    sweeps, first = results[0]["sweeps"], results[0]
+    rows = math.ceil(len(sweeps) / _SWEEP_COLUMNS)
     figure = new_figure(
-        (16, 9),
-        f"{results['run']}: share of episodes that reach {results['seconds']:g} s without a fall, "
-        f"and speed, {results['episodes']} episodes at each point (bands: 95 %, dotted: training)",
+        (20, 3.8 * rows),
+        f"{', '.join(result['run'] for result in results)}: share of episodes that reach "
+        f"{first['seconds']:g} s without a fall (line), and speed (dashed), "
+        f"{first['episodes']} episodes at each point (bands: 95 %, dotted: the robot's model)",
     )
     top = max(
-        point["speed"]["mean"] for sweep in results["sweeps"].values() for point in sweep["points"]
+        point["speed"]["mean"]
+        for result in results
+        for sweep in result["sweeps"].values()
+        for point in sweep["points"]
     )
-    panels: Any = figure.subplots(2, 3).ravel()
-    for axes, sweep in zip(panels, results["sweeps"].values(), strict=True):
-        _sweep(axes, sweep, max(top, 0.1))
+    colours = [(_SUCCESS, _SPEED)] if len(results) == 1 else [(c, c) for c in LEG_COLOURS]
+    panels: Any = figure.subplots(rows, _SWEEP_COLUMNS).ravel()
+    for axes, name in zip(panels, sweeps, strict=False):
+        tidy(axes, sweeps[name]["heading"], sweeps[name]["unit"])
+        axes.set_ylim(-3, 106)
+        axes.set_ylabel("success, %", color=colours[0][0])
+        axes.axvline(sweeps[name]["nominal"], color=INK, linewidth=1, linestyle=":")
+        speed = axes.twinx()
+        speed.set_ylabel("speed, m/s", color=colours[0][1])
+        speed.spines["top"].set_visible(False)
+        lowest = min(
+            _sweep(axes, speed, result, name, *pair)
+            for result, pair in zip(results, itertools.cycle(colours), strict=False)
+        )
+        # The same scale in every panel, and as high as that of success: 100 % is the top speed.
+        speed.set_ylim(min(-0.03 * max(top, 0.1), 1.05 * lowest), 1.06 * max(top, 0.1))
+    for axes in panels[len(sweeps) :]:
+        axes.set_axis_off()
+    if len(results) > 1:
+        panels[0].legend(loc="lower left", frameon=False)
     return figure
 
 
-def _sweep(axes: Axes, sweep: dict[str, Any], top: float) -> None:
-    points = sweep["points"]
+def _sweep(
+    axes: Axes, speed: Axes, result: dict[str, Any], name: str, success: str, colour: str
+) -> float:
+    """Draw one run's sweep; the lowest speed drawn."""
+    points = result["sweeps"][name]["points"]
     values = [point["value"] for point in points]
     low, high = zip(*(point["success_ci95"] for point in points), strict=True)
     axes.fill_between(
-        values, [100 * e for e in low], [100 * e for e in high], color=_SUCCESS, alpha=0.15, lw=0
+        values, [100 * e for e in low], [100 * e for e in high], color=success, alpha=0.15, lw=0
     )
-    axes.plot(values, [100 * p["success"] for p in points], "o-", color=_SUCCESS, linewidth=2)
-    axes.set_ylim(-3, 106)
-    axes.set_ylabel("success, %", color=_SUCCESS)
-    axes.axvline(sweep["nominal"], color=INK, linewidth=1, linestyle=":")
-    speed = axes.twinx()
+    shares = [100 * point["success"] for point in points]
+    axes.plot(values, shares, "o-", color=success, linewidth=2, label=result["run"])
     means = [point["speed"]["mean"] for point in points]
     errors = [point["speed"]["ci95"] or 0.0 for point in points]
-    speed.errorbar(values, means, yerr=errors, fmt="s--", color=_SPEED, markersize=5, capsize=4)
-    # The same scale in every panel, and as high as that of success: 100 % is the top speed.
-    lowest = min(0.0, *(mean - error for mean, error in zip(means, errors, strict=True)))
-    speed.set_ylim(min(-0.03 * top, 1.05 * lowest), 1.06 * top)
-    speed.set_ylabel("speed, m/s", color=_SPEED)
-    tidy(axes, sweep["heading"], sweep["unit"])
-    speed.spines["top"].set_visible(False)
+    speed.errorbar(values, means, yerr=errors, fmt="s--", color=colour, markersize=5, capsize=4)
+    return min(0.0, *(mean - error for mean, error in zip(means, errors, strict=True)))
 
 
 def draw_comparison(labels: list[str], results: list[dict[str, Any]]) -> Figure:

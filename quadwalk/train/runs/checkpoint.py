@@ -65,7 +65,7 @@ def save(path: Path | str, tree: Any, metadata: dict[str, Any]) -> None:
         "arrays": list(leaves),
         "metadata": metadata,
     }
-    text = json.dumps(header, indent=1, sort_keys=True)
+    text = json.dumps(header, indent=1)
     with atomic_write(path) as file, zipfile.ZipFile(file, "w", zipfile.ZIP_STORED) as archive:
         # A bare ZipInfo is dated 1980: the time of writing must not change the bytes.
         archive.writestr(zipfile.ZipInfo(_METADATA), text)

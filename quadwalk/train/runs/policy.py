@@ -40,12 +40,14 @@ def save_policy(
     score: float,
 ) -> None:
     """Write the learner's policy to `path`, whole or not at all; `score` is how good it was."""
-    mean_std = NestedMeanStd(learner.normalizer.mean, learner.normalizer.std)
+    # Of the observation's statistics those of what the policy sees.
+    size = learner.params.policy["params"]["hidden_0"]["kernel"].shape[0]
+    mean_std = NestedMeanStd(learner.normalizer.mean[:size], learner.normalizer.std[:size])
     metadata = {
         "kind": "policy",
         "config": to_dict(config),
         "joints": list(joints),
-        "observation_size": int(mean_std.mean.shape[0]),
+        "observation_size": size,
         "steps": steps,
         "score": score,
     }
