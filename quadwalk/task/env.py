@@ -90,13 +90,8 @@ class QuadrupedEnv(Env):
         config = self.config
         physics = fresh_start(self.geometry, self.robot, config.reset, rng)
         command = first_command(config.command, rng) if config.command.given else None
-        conditions = None
-        if config.randomisation.enabled:
-            key = jax.random.fold_in(rng, 1)
-            conditions = draw_conditions(
-                config.randomisation, self.robot, self.stepping, key, self.friction
-            )
-        start = EnvState(physics, jnp.zeros(12), jnp.zeros((), jnp.int32), command, conditions)
+        drawn = self._drawn(jax.random.fold_in(rng, 1))
+        start = EnvState(physics, jnp.zeros(12), jnp.zeros((), jnp.int32), command, drawn)
         state = self._begun(start, latest_reading(config.randomisation, config.control_dt))
         zero = jnp.zeros(())
         terms = {name: zero for name, term in config.reward.items() if term.scale != 0.0}
@@ -143,6 +138,13 @@ class QuadrupedEnv(Env):
         """
         begun = self._begun(state.pipeline_state._replace(conditions=conditions), latest)
         return state.replace(pipeline_state=begun, obs=self._observation(begun))
+
+    def _drawn(self, key: jax.Array) -> Conditions | None:
+        """The conditions of an episode; None in an ideal world."""
+        ranges = self.config.randomisation
+        if not ranges.enabled:
+            return None
+        return draw_conditions(ranges, self.robot, self.stepping, key, self.friction)
 
     def _begun(self, state: EnvState, latest: int) -> EnvState:
         """`state`, of an episode's start, with what the observation needs of earlier steps."""
@@ -262,7 +264,7 @@ class QuadrupedEnv(Env):
             jnp.zeros(12),
             jnp.zeros((), jnp.int32),
             first_command(config.command, key) if config.command.given else None,
-            draw_conditions(config.randomisation, self.robot, self.stepping, key, self.friction),
+            self._drawn(key),
             contact=jnp.zeros(4, bool),
         )
 

@@ -41,6 +41,7 @@ class Training:
     claim: BinaryIO | None  # holds the run; to be closed at the end
     resumed: bool
     quadruped: Quadruped
+    policy_size: int  # how many numbers the policy sees
     model: "mujoco.MjModel"  # that is stepped
     metrics: TrainingMetrics
     state: "TrainState"
@@ -96,7 +97,7 @@ def prepare(config: TrainConfig, previous: Run | None, progress: Progress) -> Tr
     )
     iterate.compile(state)
     return Training(
-        config, run, claimed, previous is not None, quadruped, env.mj_model,
+        config, run, claimed, previous is not None, quadruped, env.policy_size, env.mj_model,
         metrics, state, steps, seconds, batch, iterate,
     )  # fmt: skip
 

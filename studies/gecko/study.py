@@ -74,7 +74,7 @@ def variants() -> dict[str, TrainConfig]:
         found[task] = own
         found |= {f"{task}, {cause}": exchange(own, others, cause) for cause in CAUSES}
         found[f"{task}, all of them"] = exchange(own, others, *CAUSES)
-    post, ours = load_task("blog"), load_task("run")
+    post, ours = load_task("blog"), load_task("sprint")
     found["blog, action 0"] = with_settings(post, ABOUT_STANDING)
     found["run, action mapping and falls"] = exchange(ours, post, "action mapping", "falls")
     return found

@@ -51,7 +51,7 @@ def subject(quadruped, swaying, tmp_path_factory) -> Subject:
         sprint.TASK.env, episode_seconds=SECONDS, solver_iterations=10, action=gentle
     )
     config, env = sprint.TASK, QuadrupedEnv(quadruped, short, "mjx")
-    policy = Policy(swaying, config, quadruped.joints, env.observation_size, 1000)
+    policy = Policy(swaying, config, quadruped.joints, env.policy_size, 1000)
     return Subject(Run(folder), Run(folder).policy, policy, env)
 
 

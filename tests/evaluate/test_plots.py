@@ -146,7 +146,7 @@ def test_a_sweep_is_drawn_point_by_point():
     assert "one: share of episodes that reach 20 s" in figure.get_suptitle()
     assert [axes.get_title(loc="left") for axes in figure.axes[:6]] == ["Pushes, m/s"] * 6
     axes, speed = figure.axes[0], figure.axes[10]
-    success, nominal = axes.lines
+    nominal, success = axes.lines
     np.testing.assert_allclose(success.get_xydata(), [(0, 100), (1, 80), (2, 60), (3, 40)])
     assert list(nominal.get_xdata()) == [1.0, 1.0]
     band = axes.collections[0].get_paths()[0].vertices
@@ -156,6 +156,24 @@ def test_a_sweep_is_drawn_point_by_point():
     np.testing.assert_allclose(means.get_xydata(), [(0, 3), (1, 2), (2, 1), (3, 0)])
     ends = np.array([segment[:, 1] for segment in bars.get_segments()])
     np.testing.assert_allclose(ends, [(2.75, 3.25), (2, 2), (1, 1), (0, 0)])
+
+
+def test_the_sweeps_of_two_runs_are_drawn_together():
+    def result(run, success):
+        points = [
+            {"value": value, "success": success, "success_ci95": [0.1, 0.9],
+             "speed": {"mean": 1.0 + success, "ci95": 0.1}}
+            for value in (0.0, 1.0)
+        ]  # fmt: skip
+        sweep = {"heading": "noise", "unit": "", "nominal": 0.0, "points": points}
+        return {"run": run, "seconds": 20.0, "episodes": 8, "sweeps": {"noise": sweep}}
+
+    figure = draw_sweep([result("real", 0.8), result("ideal", 0.2)])
+    axes = figure.axes[0]
+    _, real, ideal = axes.lines
+    assert (list(real.get_ydata()), list(ideal.get_ydata())) == ([80, 80], [20, 20])
+    assert real.get_color() != ideal.get_color()
+    assert [text.get_text() for text in axes.get_legend().get_texts()] == ["real", "ideal"]
 
 
 def test_each_episode_of_a_comparison_is_a_dot():

@@ -28,6 +28,7 @@ def save(folder: Path, first: int, last: int, die_at: int | None = None) -> None
     training = SimpleNamespace(
         config=sprint.TASK,
         quadruped=SimpleNamespace(joints=("joint",)),
+        policy_size=3000,
         metrics=metrics,
         steps=first,
         resumed=first > 0,

@@ -45,6 +45,7 @@ def training():
     return SimpleNamespace(
         config=CONFIG,
         quadruped=SimpleNamespace(joints=JOINTS),
+        policy_size=3,
         metrics=Scores(),
         steps=0,
         resumed=False,

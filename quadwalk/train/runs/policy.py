@@ -36,12 +36,14 @@ def save_policy(
     learner: Learner,
     config: TrainConfig,
     joints: tuple[str, ...],
+    size: int,
     steps: int,
     score: float,
 ) -> None:
-    """Write the learner's policy to `path`, whole or not at all; `score` is how good it was."""
-    # Of the observation's statistics those of what the policy sees.
-    size = learner.params.policy["params"]["hidden_0"]["kernel"].shape[0]
+    """Write the learner's policy to `path`, whole or not at all; `score` is how good it was.
+
+    It sees the first `size` numbers of the observation.
+    """
     mean_std = NestedMeanStd(learner.normalizer.mean[:size], learner.normalizer.std[:size])
     metadata = {
         "kind": "policy",

@@ -87,8 +87,8 @@ class RunWriter:
         }
 
         def save_as(path: Path) -> None:
-            joints = training.quadruped.joints
-            save_policy(path, state.learner, training.config, joints, steps, score)
+            joints, size = training.quadruped.joints, training.policy_size
+            save_policy(path, state.learner, training.config, joints, size, steps, score)
 
         def save_checkpoint() -> None:
             self._log.sync()  # a checkpoint counts on the rows before it

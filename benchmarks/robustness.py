@@ -1,0 +1,48 @@
+"""What a policy of the real world takes and one of an ideal world does not, as a picture.
+
+    python benchmarks/robustness.py [--episodes 128] [--steps 16000000] [--runs runs/robustness]
+
+Trains `run` and `sprint`, each for so many control steps from one seed, unless the folder has them,
+and sweeps both in the fast engine: one thing at a time, and everything at once. The sweeps' results
+go to the folder `sweep` beside the runs, their picture also to docs/robustness.png.
+"""
+
+import argparse
+import shutil
+from pathlib import Path
+
+from quadwalk.evaluate.judge import evaluate
+from quadwalk.evaluate.options import EvalConfig
+from quadwalk.train.flags import parse_config
+from quadwalk.train.loop import train
+
+PICTURE = Path(__file__).parent.parent / "docs" / "robustness.png"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--episodes", type=int, default=128, help="at each point")
+    parser.add_argument("--steps", type=int, default=16_000_000, help="of each training")
+    parser.add_argument("--runs", type=Path, default=Path("runs/robustness"))
+    options = parser.parse_args()
+    names = ("run", "sprint")
+    for name in names:
+        if not (options.runs / name / "policy.npz").exists():
+            flags = ["--preset", name, "--name", name, "--runs", str(options.runs)]
+            config, _ = parse_config([*flags, "--steps", str(options.steps)])
+            train(config)
+    out = options.runs / "sweep"
+    evaluate(
+        EvalConfig(
+            run=tuple(str(options.runs / name) for name in names),
+            episodes=options.episodes,
+            engine="fast",
+            sweep=True,
+            out=out,
+        )
+    )
+    shutil.copyfile(out / "sweep.png", PICTURE)
+
+
+if __name__ == "__main__":
+    main()
