@@ -53,7 +53,7 @@ def print_accuracy() -> None:
     from quadwalk.physics.motor import Physics
     from quadwalk.robot.quadruped import load_quadruped
     from quadwalk.task.env import QuadrupedEnv
-    from quadwalk.tasks.run import TASK
+    from quadwalk.tasks.sprint import TASK
 
     quadruped = load_quadruped()
     config = TASK.env

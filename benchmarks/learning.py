@@ -2,7 +2,7 @@
 
     python benchmarks/learning.py [--against COMMIT] [--rounds 5] [--envs 2048]
 
-Trains the default task in iterations, in turn with the other commit's code, in a process of its
+Trains the ideal-world task in iterations, in turn with the other commit's code, in a process of its
 own each; what counts is the median of the ratios, since a machine's speed drifts. Costs are in
 microseconds of a core for one control step of one environment. Physics alone is the control steps
 of `collect` without policy, reward and fresh starts, from standing robots with random targets.
@@ -93,9 +93,12 @@ def work(envs: int) -> None:
     """For each line read, train a round and print the costs, 0 of what cannot be told."""
     import dataclasses
 
-    from quadwalk.tasks.run import TASK
     from quadwalk.train.devices import choose_devices
 
+    try:
+        from quadwalk.tasks.sprint import TASK
+    except ImportError:  # a commit that has it by its earlier name
+        from quadwalk.tasks.run import TASK
     config, devices = choose_devices(dataclasses.replace(TASK, envs=envs))
     import jax
 

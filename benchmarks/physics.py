@@ -60,7 +60,7 @@ def print_rates(envs: int, steps: int, rounds: int, variants: bool) -> None:
     from quadwalk.physics.motor import Physics
     from quadwalk.robot.quadruped import load_quadruped
     from quadwalk.task.env import QuadrupedEnv
-    from quadwalk.tasks.run import TASK
+    from quadwalk.tasks.sprint import TASK
     from quadwalk.train.ppo import AXIS, make_mesh
 
     env = QuadrupedEnv(load_quadruped(), TASK.env)
