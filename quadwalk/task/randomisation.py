@@ -4,7 +4,6 @@ What depends on a robot's size is relative to it.
 """
 
 import math
-from dataclasses import fields
 
 import jax
 import jax.numpy as jnp
@@ -15,6 +14,8 @@ from quadwalk.task.conditions import Conditions, targets_needed
 from quadwalk.task.config import RandomisationConfig, Range
 from quadwalk.task.robot_arrays import RobotArrays
 
+_DRAWN = 43  # eleven numbers, and vectors of 3, 12, 2, 12 and 3
+
 
 def draw_conditions(
     config: RandomisationConfig,
@@ -24,13 +25,18 @@ def draw_conditions(
     friction: float,
 ) -> Conditions:
     """The conditions of one episode; `friction` is the model's own, for where none is drawn."""
-    keys = iter(jax.random.split(key, len(fields(config))))
+    key, key_episode = jax.random.split(key)
+    # All numbers at once: XLA takes a second or more to compile each call of a generator.
+    shares, taken = jax.random.uniform(key, (_DRAWN,)), 0
 
     def draw(between: Range, usual: float, shape: tuple[int, ...] = ()) -> jax.Array:
-        own = next(keys)
+        nonlocal taken
+        own = slice(taken, taken + math.prod(shape))
+        taken = own.stop
         if between is None:
             return jnp.full(shape, usual)
-        return jax.random.uniform(own, shape, minval=between[0], maxval=between[1])
+        low, high = between
+        return low + (high - low) * shares[own].reshape(shape)
 
     variation = Variation(
         friction=draw(config.friction, friction),
@@ -48,7 +54,7 @@ def draw_conditions(
     kept = targets_needed(math.ceil(latest), stepping.substeps)
     late = draw(config.sensor_latency, 0.0) / stepping.control_dt
     froude = math.sqrt(robot.gravity * robot.home_height)  # m/s
-    return Conditions(
+    drawn = Conditions(
         variation=variation,
         delay=draw(config.latency, 0.0) / stepping.dt,
         sensor_delay=None if config.sensor_latency is None else late,
@@ -57,8 +63,10 @@ def draw_conditions(
         encoder=draw(config.encoder, 0.0, (12,)),
         tilt=draw(config.imu_tilt, 0.0, (3,)),
         targets=jnp.tile(jnp.asarray(robot.home_joints, jnp.float32), (kept, 1)),
-        key=next(keys),
+        key=key_episode,
     )
+    assert taken == _DRAWN
+    return drawn
 
 
 def latest_reading(config: RandomisationConfig, control_dt: float) -> int:
