@@ -1,9 +1,9 @@
-"""walk: follow a velocity command, at a trot, with what a real robot knows and suffers."""
+"""walk: follow a velocity command, at a trot, in an ideal world."""
 
 from quadwalk.physics.motor import MotorConfig
 from quadwalk.task import observation, reward, termination
 from quadwalk.task.actions import about_home
-from quadwalk.task.config import CommandConfig, EnvConfig, RandomisationConfig, ResetConfig
+from quadwalk.task.config import NO_RANDOMISATION, CommandConfig, EnvConfig, ResetConfig
 from quadwalk.task.terms import ActionMap, Observation, Reward, Termination
 from quadwalk.train.settings import PPOConfig, TrainConfig
 
@@ -23,23 +23,15 @@ TASK = TrainConfig(
         motor=MotorConfig(kp=None, kd=None, effort=None, speed_limit=True, joint_friction=True),
         action=ActionMap(about_home, {"hip": 0.3, "thigh": 0.9, "calf": 0.9}),
         observation={
+            "velocity": Observation(observation.velocity, noise=0.1),
+            "angular_velocity": Observation(observation.angular_velocity, noise=0.2),
+            "gravity": Observation(observation.gravity, noise=0.05),
             "command": Observation(observation.command, labels=("forward", "lateral", "yaw_rate")),
-            "angular_velocity": Observation(observation.angular_velocity, noise=0.2, history=4),
-            "gravity": Observation(observation.gravity, noise=0.05, history=4),
-            "position": Observation(observation.joint_positions, noise=0.01, history=4),
-            "speed": Observation(observation.joint_velocities, noise=1.5, history=4),
-            "last_action": Observation(observation.last_action, history=4),
+            "position": Observation(observation.joint_positions, noise=0.01),
+            "speed": Observation(observation.joint_velocities, noise=1.5),
+            "last_action": Observation(observation.last_action),
         },
-        critic={
-            "velocity": Observation(observation.velocity),
-            "angular_velocity": Observation(observation.angular_velocity),
-            "gravity": Observation(observation.gravity),
-            "height": Observation(observation.height),
-            "position": Observation(observation.joint_positions),
-            "speed": Observation(observation.joint_velocities),
-            "contacts": Observation(observation.contacts),
-            "conditions": Observation(observation.conditions),
-        },
+        critic={},
         reward={
             "fall": Reward(reward.fall, scale=-10.0),
             "energy": Reward(reward.energy, scale=-0.3),
@@ -51,7 +43,6 @@ TASK = TrainConfig(
             "follow_yaw_rate": Reward(reward.follow_yaw_rate, {"width": 0.5}, scale=0.5),
             "drag": Reward(reward.drag, {"height": 0.06}, scale=-0.3),
             "trot": Reward(reward.trot, scale=0.5),
-            "stepping": Reward(reward.stepping, scale=-0.5),
         },
         termination={
             "tipped": Termination(termination.tipped, {"angle": 1.0}),
@@ -76,25 +67,7 @@ TASK = TrainConfig(
             standing=0.1,
             seconds=5.0,
         ),
-        randomisation=RandomisationConfig(
-            enabled=True,
-            friction=(0.3, 1.25),
-            trunk_mass=(-0.1, 0.25),
-            trunk_centre=(-0.08, 0.08),
-            link_mass=(0.9, 1.1),
-            strength=(0.8, 1.1),
-            kp=(0.8, 1.2),
-            kd=(0.8, 1.2),
-            joint_friction=(0.5, 1.5),
-            damping=(0.5, 1.5),
-            armature=(0.8, 1.2),
-            encoder=(-0.02, 0.02),
-            imu_tilt=(-0.02, 0.02),
-            latency=(0.0, 0.02),
-            sensor_latency=(0.0, 0.01),
-            noise=(0.0, 1.0),
-            push=(0.0, 0.5),
-        ),
+        randomisation=NO_RANDOMISATION,
     ),
     ppo=PPOConfig(
         eval_envs=64,

@@ -119,7 +119,7 @@ def test_an_episode_has_one_command_which_its_policy_sees(quadruped, monkeypatch
     )
     act = jax.tree_util.Partial(lambda seen: 0.0 * seen[..., :12])
     config = dataclasses.replace(walk.TASK, env=dataclasses.replace(walk.TASK.env, command=told))
-    policy = Policy(act, config, quadruped.joints, 213, 0)
+    policy = Policy(act, config, quadruped.joints, 48, 0)
     monkeypatch.setattr(subject, "load_policy", lambda path: policy)
     monkeypatch.setattr(subject, "load_run_robot", lambda *_: quadruped)
     env = subject.load_subject(Run(Path("walker")), 0.2, engine="mujoco").env

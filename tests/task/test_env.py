@@ -9,7 +9,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from quadwalk.errors import UsageError
-from quadwalk.tasks import sprint
+from quadwalk.task.env import QuadrupedEnv
+from quadwalk.tasks import run, sprint
 
 STILL = jnp.zeros((4, 12))
 
@@ -150,3 +151,29 @@ def test_reward_is_the_scaled_sum_of_the_metrics(env, reset, step):
 def test_a_setting_out_of_range_is_refused(bad):
     with pytest.raises(UsageError, match=r"expected|or more"):
         dataclasses.replace(sprint.TASK.env, **bad)
+
+
+def test_the_policy_sees_what_was_seen_before_and_the_critic_the_truth(quadruped):
+    world = dataclasses.replace(run.TASK.env.randomisation, enabled=False)
+    env = QuadrupedEnv(quadruped, dataclasses.replace(run.TASK.env, randomisation=world))
+    names = (*env.observation_names, *(f"critic_{name}" for name in env.critic_names))
+    assert len(names) == len(set(names)) == env.observation_size
+    assert env.policy_size == 43 + 4 * 42  # all but the heading four times more
+    step = jax.jit(env.step)
+    state = jax.jit(env.reset)(jax.random.PRNGKey(1))
+    seen = []
+    for k in range(6):
+        seen.append(dict(zip(names, np.asarray(state.obs), strict=True)))
+        state = step(state, jnp.full(12, 0.1 * k))
+    joint = quadruped.joints[4]
+    for name in ("gravity_x", f"speed_{joint}", f"last_action_{joint}"):
+        for ago in range(1, 5):
+            assert seen[5][f"{name}[-{ago}]"] == seen[5 - ago][name]
+    assert seen[0]["gravity_x[-4]"] == seen[0]["gravity_x"]
+    assert "heading[-1]" not in names
+    assert not {"velocity_x", "height"} & set(names)
+    qpos = state.pipeline_state.qpos
+    last = dict(zip(names, np.asarray(state.obs), strict=True))
+    assert last["critic_height"] == qpos[2]
+    touching = [last[f"critic_contacts_{foot}"] for foot in range(4)]
+    np.testing.assert_array_equal(touching, np.asarray(state.info["contact"]))
