@@ -45,7 +45,9 @@ def main() -> None:
     cores = len(os.sched_getaffinity(0))
     for name in workers:
         columns = np.median([found[name] for found in rounds], axis=0)
-        parts = zip(("training", "collect", "learn", "physics alone"), columns, strict=False)
+        rest = columns[0] - columns[1] - columns[2] if columns[1] else 0.0
+        labels = ("training", "collect", "learn", "physics alone", "rest")
+        parts = zip(labels, [*columns, rest], strict=True)
         print(f"{name}: {cores * 1e6 / columns[0]:,.0f} training steps/s")
         for part, cost in parts:
             if cost:

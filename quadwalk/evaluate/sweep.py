@@ -35,10 +35,9 @@ from quadwalk.evaluate.simulate import (
 )
 from quadwalk.evaluate.subject import Subject
 from quadwalk.evaluate.summary import mean_interval, share_interval
-from quadwalk.task.conditions import Conditions, targets_needed
+from quadwalk.task.conditions import Conditions, draw_conditions, readings_needed, targets_needed
 from quadwalk.task.config import NO_RANDOMISATION, RandomisationConfig
 from quadwalk.task.env import QuadrupedEnv
-from quadwalk.task.randomisation import draw_conditions
 from quadwalk.tasks import run
 from quadwalk.train.runs.directory import write_json_atomic
 
@@ -195,7 +194,7 @@ def _starts(env: QuadrupedEnv, points: list[Point], episodes: int, seed: int) ->
     late = max(max(p.delay / 1e3, p.everything * latest_drawn[0]) for p in points)
     kept = targets_needed(math.ceil(late / env.stepping.dt), env.stepping.substeps)
     sensors = max(max(p.sensor_delay / 1e3, p.everything * latest_drawn[1]) for p in points)
-    latest = math.floor(sensors / env.config.control_dt) + 1
+    latest = readings_needed(sensors, env.config.control_dt)
 
     keys = jax.random.split(jax.random.fold_in(jax.random.PRNGKey(seed), 1), episodes)
     known = [p if p.friction is not None else _point(p, "friction", env.friction) for p in points]

@@ -73,23 +73,6 @@ def _batched(function: Callable[..., Any]) -> Callable[..., Any]:
     return of_one
 
 
-def stack_models(
-    models: Sequence[Tree],
-) -> tuple[list[np.ndarray], Callable[[Sequence[Any]], Tree]]:
-    """What differs between models of one structure, any engine's; and how to make one of it.
-
-    Returns the leaves that differ, with the models along axis 0, and a function that takes one
-    robot's of these, as within `jax.vmap`, and returns its model: all other leaves are the first's.
-    """
-    # On the host: MJX ties its arrays to one device, and the robots may be on several.
-    rows = [
-        list(map(np.asarray, leaves)) for leaves in zip(*map(jax.tree.leaves, models), strict=True)
-    ]
-    differ = [not all(np.array_equal(row[0], leaf) for leaf in row) for row in rows]
-    _, assemble = _split(models[0], differ)
-    return [np.stack(row) for row in itertools.compress(rows, differ)], assemble
-
-
 def _split(tree: Tree, places: Sequence[bool]) -> tuple[list[Any], Callable[..., Tree]]:
     """The leaves of a pytree at `places`, and the function that puts it together again.
 

@@ -11,8 +11,8 @@ import jax
 import mujoco
 
 from quadwalk.physics import fast, mjx, mujoco_c
+from quadwalk.physics.model import Variation
 from quadwalk.physics.motor import Effort, Motor, Physics, Stepping
-from quadwalk.physics.variation import Variation
 from quadwalk.robot.quadruped import Quadruped
 
 EngineName = Literal["fast", "mjx", "mujoco"]

@@ -13,7 +13,7 @@ from quadwalk.physics import motor
 from quadwalk.physics import vectors as v
 from quadwalk.physics.batching import materialize, robots_last
 from quadwalk.physics.contact import centres, find_constraints
-from quadwalk.physics.model import Model
+from quadwalk.physics.model import Model, Variation, vary_motor
 from quadwalk.physics.model import make_model as make_model
 from quadwalk.physics.motor import Effort, Physics, Stepping
 from quadwalk.physics.rigid_body import (
@@ -27,7 +27,6 @@ from quadwalk.physics.rigid_body import (
     rotation_of,
 )
 from quadwalk.physics.solver import newton
-from quadwalk.physics.variation import Variation, vary_motor
 from quadwalk.physics.vectors import Array, Vector
 
 
@@ -67,7 +66,7 @@ def vary(model: Model, variation: Variation) -> Model:
         ),
         links=links,
         contacts=tuple(
-            dataclasses.replace(contact, friction=variation.friction + 0.0 * contact.friction)
+            dataclasses.replace(contact, friction=jnp.broadcast_to(variation.friction, 4))
             for contact in model.contacts
         ),
         motor=vary_motor(model.motor, variation),

@@ -17,8 +17,8 @@ with contextlib.redirect_stdout(io.StringIO()):
     from mujoco import mjx
 
 from quadwalk.physics import motor
+from quadwalk.physics.model import Variation, vary_motor
 from quadwalk.physics.motor import Effort, Motor, Physics, Stepping
-from quadwalk.physics.variation import Variation, vary_motor
 from quadwalk.robot.quadruped import Quadruped
 
 

@@ -54,6 +54,25 @@ class Shell:
         return v.dot(up, self.centre) - reach
 
 
+class Variation(NamedTuple):
+    """What a robot's constants are changed to, or by; numbers, or as given.
+
+    The constraint solver's estimate of inverse inertia (MuJoCo's invweight0), which sets how soft
+    contacts are, stays that of the unchanged robot.
+    """
+
+    friction: jax.Array | np.ndarray  # sliding friction of floor and robot
+    trunk_mass: jax.Array | np.ndarray  # kg, added to the trunk in its centre of mass
+    trunk_centre: jax.Array | np.ndarray  # (3,) m, by which that centre is shifted, trunk frame
+    link_mass: jax.Array | np.ndarray  # (12,) factors of legs' masses and inertias, joints' order
+    strength: jax.Array | np.ndarray  # factor of the motors' torque
+    kp: jax.Array | np.ndarray  # factor of the joint controller's position gain
+    kd: jax.Array | np.ndarray  # factor of its velocity gain
+    joint_friction: jax.Array | np.ndarray  # factor
+    damping: jax.Array | np.ndarray  # factor
+    armature: jax.Array | np.ndarray  # factor
+
+
 class Model(NamedTuple):
     """A quadruped in numbers: one robot's, scalars or (4,) over legs, of the motors (12,).
 
@@ -68,6 +87,17 @@ class Model(NamedTuple):
     shells: tuple[Shell, ...]
     gravity: Vector  # m/s^2
     motor: Motor
+
+
+def vary_motor(motor: Motor, variation: Variation) -> Motor:
+    """`motor` of a robot that differs by `variation`."""
+    friction = motor.friction
+    return motor._replace(
+        kp=motor.kp * variation.kp,
+        kd=motor.kd * variation.kd,
+        strength=motor.strength * variation.strength,
+        friction=None if friction is None else friction * variation.joint_friction,
+    )
 
 
 def make_model(model: mujoco.MjModel, quadruped: Quadruped, motor: Motor) -> Model:

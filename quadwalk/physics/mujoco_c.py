@@ -19,8 +19,8 @@ from jax.experimental.buffer_callback import buffer_callback
 
 from quadwalk.cores import cpu_cores
 from quadwalk.physics import motor
+from quadwalk.physics.model import Variation, vary_motor
 from quadwalk.physics.motor import Effort, Motor, Physics, Stepping
-from quadwalk.physics.variation import Variation, vary_motor
 from quadwalk.robot.quadruped import Quadruped
 
 TIMESTEP = 0.002  # s, a physics step of the full model

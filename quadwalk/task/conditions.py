@@ -1,16 +1,20 @@
 """What an episode suffers: another robot and floor, late targets and sensors, pushes, noise."""
 
+import math
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax.typing import ArrayLike
 
-from quadwalk.physics.motor import Physics
-from quadwalk.physics.rotation import multiply, rotate_inverse
-from quadwalk.physics.variation import Variation
+from quadwalk.physics.model import Variation
+from quadwalk.physics.motor import Physics, Stepping
+from quadwalk.physics.rotation import multiply, rotate_inverse, yaw
+from quadwalk.task.config import RandomisationConfig, Range
+from quadwalk.task.robot_arrays import RobotArrays
 
 PUSH_PERIOD = 5.0  # s: one push in each
+_DRAWN = 43  # eleven numbers, and vectors of 3, 12, 2, 12 and 3
 
 
 class Conditions(NamedTuple):
@@ -41,6 +45,67 @@ class Conditions(NamedTuple):
     key: jax.Array  # of the episode's noise, pushes and jitter
 
 
+def draw_conditions(
+    config: RandomisationConfig,
+    robot: RobotArrays,
+    stepping: Stepping,
+    key: jax.Array,
+    friction: float,
+) -> Conditions:
+    """The conditions of one episode, drawn anew at its start: domain randomisation.
+
+    What depends on a robot's size is relative to it. `friction` is the model's own, for where none
+    is drawn.
+    """
+    key, key_episode = jax.random.split(key)
+    # All numbers at once: XLA takes a second or more to compile each call of a generator.
+    shares, taken = jax.random.uniform(key, (_DRAWN,)), 0
+
+    def draw(between: Range, usual: float, shape: tuple[int, ...] = ()) -> jax.Array:
+        nonlocal taken
+        own = slice(taken, taken + math.prod(shape))
+        taken = own.stop
+        if between is None:
+            return jnp.full(shape, usual)
+        low, high = between
+        return low + (high - low) * shares[own].reshape(shape)
+
+    variation = Variation(
+        friction=draw(config.friction, friction),
+        trunk_mass=robot.mass * draw(config.trunk_mass, 0.0),
+        trunk_centre=robot.home_height * draw(config.trunk_centre, 0.0, (3,)),
+        link_mass=draw(config.link_mass, 1.0, (12,)),
+        strength=draw(config.strength, 1.0),
+        kp=draw(config.kp, 1.0),
+        kd=draw(config.kd, 1.0),
+        joint_friction=draw(config.joint_friction, 1.0),
+        damping=draw(config.damping, 1.0),
+        armature=draw(config.armature, 1.0),
+    )
+    latest = 0.0 if config.latency is None else config.latency[1] / stepping.dt
+    kept = targets_needed(math.ceil(latest), stepping.substeps)
+    late = draw(config.sensor_latency, 0.0) / stepping.control_dt
+    froude = math.sqrt(robot.gravity * robot.home_height)  # m/s
+    drawn = Conditions(
+        variation=variation,
+        delay=draw(config.latency, 0.0) / stepping.dt,
+        sensor_delay=None if config.sensor_latency is None else late,
+        push=froude * draw(config.push, 0.0, (2,)),
+        noise=draw(config.noise, 0.0),
+        encoder=draw(config.encoder, 0.0, (12,)),
+        tilt=draw(config.imu_tilt, 0.0, (3,)),
+        targets=jnp.tile(jnp.asarray(robot.home_joints, jnp.float32), (kept, 1)),
+        key=key_episode,
+    )
+    assert taken == _DRAWN
+    return drawn
+
+
+def readings_needed(delay: float, control_dt: float) -> int:
+    """How many control steps before the newest a reading late by up to `delay` s reaches back."""
+    return math.floor(delay / control_dt) + 1
+
+
 def targets_needed(delay: float, substeps: int) -> int:
     """How many joint targets, the newest included, a delay of so many physics steps needs."""
     return 1 + int(-(-delay // substeps))
@@ -63,11 +128,10 @@ def delayed(
 def pushed(conditions: Conditions, physics: Physics, steps: jax.Array, dt: float) -> Physics:
     """`physics` after the push of control step `steps` of the episode, if it has one."""
     forward, left = conditions.push * side_of_push(conditions, steps, dt)
-    w, x, y, z = physics.qpos[3:7]
-    ahead = jnp.stack([1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z)])
-    ahead /= jnp.maximum(jnp.linalg.norm(ahead), 1e-6)
-    across = jnp.stack([-ahead[1], ahead[0]])
-    return physics._replace(qvel=physics.qvel.at[:2].add(forward * ahead + left * across))
+    heading = yaw(physics.qpos[3:7])
+    cos, sin = jnp.cos(heading), jnp.sin(heading)
+    kick = jnp.stack([forward * cos - left * sin, forward * sin + left * cos])
+    return physics._replace(qvel=physics.qvel.at[:2].add(kick))
 
 
 def side_of_push(conditions: Conditions, steps: jax.Array, dt: float) -> jax.Array:

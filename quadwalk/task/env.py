@@ -16,10 +16,18 @@ from brax.envs.base import Env, State
 from quadwalk.physics.motor import Effort, Physics, make_motor
 from quadwalk.robot.quadruped import Quadruped
 from quadwalk.task.command import first_command, next_command
-from quadwalk.task.conditions import Conditions, delayed, measured, pushed, reading, sensed
+from quadwalk.task.conditions import (
+    Conditions,
+    delayed,
+    draw_conditions,
+    measured,
+    pushed,
+    reading,
+    readings_needed,
+    sensed,
+)
 from quadwalk.task.config import EnvConfig
 from quadwalk.task.observation import observe
-from quadwalk.task.randomisation import draw_conditions, latest_reading
 from quadwalk.task.reset import fresh_start
 from quadwalk.task.reward import reward_terms, total_reward
 from quadwalk.task.robot_arrays import robot_arrays, task_robot
@@ -56,7 +64,10 @@ class QuadrupedEnv(Env):
         self.geometry = fast.make_model(self.mj_model, self.quadruped, self.motor)
         if self.engine == "mujoco":
             self.stepping = self.stepping.with_dt(mujoco_c.TIMESTEP)
-        self.model = self.geometry if self.engine == "fast" else self.model_of(self.quadruped)
+        self.model = self.geometry
+        if self.engine != "fast":
+            stepped = self.mj_model_of(self.quadruped)
+            self.model = ENGINES[self.engine].make_model(stepped, self.quadruped, self.motor)
         geoms = ("floor", *self.quadruped.feet)
         self.friction = float(max(self.mj_model.geom(name).friction[0] for name in geoms))
         self.ends = ("running", "time limit", *config.termination, "nan")
@@ -76,11 +87,6 @@ class QuadrupedEnv(Env):
             return quadruped.full_model(self.stepping.dt)
         return self._training_model(quadruped)
 
-    def model_of(self, quadruped: Quadruped) -> Any:
-        """The engine's constants of `quadruped`, with the motors of the environment's own robot."""
-        model = self.mj_model_of(quadruped)
-        return ENGINES[self.engine].make_model(model, quadruped, self.motor)
-
     def in_engine(self, engine: EngineName) -> "QuadrupedEnv":
         """The same environment with its physics stepped by `engine`."""
         return self if engine == self.engine else QuadrupedEnv(self.quadruped, self.config, engine)
@@ -92,7 +98,8 @@ class QuadrupedEnv(Env):
         command = first_command(config.command, rng) if config.command.given else None
         drawn = self._drawn(jax.random.fold_in(rng, 1))
         start = EnvState(physics, jnp.zeros(12), jnp.zeros((), jnp.int32), command, drawn)
-        state = self._begun(start, latest_reading(config.randomisation, config.control_dt))
+        late = config.randomisation.sensor_latency if drawn else None
+        state = self._begun(start, readings_needed(late[1], config.control_dt) if late else 0)
         zero = jnp.zeros(())
         terms = {name: zero for name, term in config.reward.items() if term.scale != 0.0}
         return State(
@@ -105,17 +112,13 @@ class QuadrupedEnv(Env):
         )
 
     def step(self, state: State, action: jax.Array) -> State:
-        """One control step with `action` (12,) in [-1, 1]."""
-        return self.step_with(self.model, state, action)
-
-    def step_with(self, model: Any, state: State, action: jax.Array) -> State:
-        """`step` of a robot whose constants are `model`, of which any may differ from `self.model`.
+        """One control step with `action` (12,) in [-1, 1].
 
         A state or action that is not finite ends its episode with reward 0, and the home pose
         stands in its place, so that nothing downstream ever sees it.
         """
         before: EnvState = state.pipeline_state
-        conditions, physics = before.conditions, before.physics
+        model, conditions, physics = self.model, before.conditions, before.physics
         target = self.config.action(self.robot, action, physics.qpos[7:])
         if conditions is not None:
             physics = pushed(conditions, physics, before.steps, self.config.control_dt)

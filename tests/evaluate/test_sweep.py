@@ -12,6 +12,7 @@ from quadwalk.task import conditions
 from quadwalk.task.conditions import (
     Conditions,
     delayed,
+    draw_conditions,
     measured,
     reading,
     sensed,
@@ -20,7 +21,6 @@ from quadwalk.task.conditions import (
 )
 from quadwalk.task.config import NO_RANDOMISATION
 from quadwalk.task.env import QuadrupedEnv
-from quadwalk.task.randomisation import draw_conditions
 from quadwalk.tasks import run, sprint
 
 STEPS, PERIOD = 12, 6  # control steps, and those between pushes

@@ -10,9 +10,9 @@ import mujoco
 import numpy as np
 import pytest
 
-from quadwalk.physics.batching import stack_models
 from quadwalk.physics.engines import ENGINES
 from quadwalk.physics.motor import Motor, MotorConfig, Physics, Stepping, make_motor
+from tests.physics.stacking import stack_models
 
 STEPPING = Stepping(0.004, 5, 8, 10)  # solved to the end
 ROBOTS = 6

@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from quadwalk.physics.batching import BATCH, robots_last, stack_models
+from quadwalk.physics.batching import BATCH, robots_last
 from quadwalk.physics.fast import (
     acceleration,
     control_step,
@@ -24,6 +24,7 @@ from quadwalk.robot.mjcf import Options
 from quadwalk.robot.quadruped import load_quadruped
 from quadwalk.robot.scene import lowest_point
 from quadwalk.robot.validate import UrdfError
+from tests.physics.stacking import stack_models
 
 STATES = 40
 

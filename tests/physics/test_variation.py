@@ -8,8 +8,8 @@ import mujoco
 import numpy as np
 
 from quadwalk.physics import mujoco_c
+from quadwalk.physics.model import Variation
 from quadwalk.physics.motor import Stepping
-from quadwalk.physics.variation import Variation
 from quadwalk.task.env import QuadrupedEnv
 
 
