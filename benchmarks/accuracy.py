@@ -49,7 +49,7 @@ def print_accuracy() -> None:
     import jax
     import jax.numpy as jnp
 
-    from quadwalk.physics.fast import heights
+    from quadwalk.physics.fast import lowest_points
     from quadwalk.physics.motor import Physics
     from quadwalk.robot.quadruped import load_quadruped
     from quadwalk.task.env import QuadrupedEnv
@@ -78,14 +78,12 @@ def print_accuracy() -> None:
             physics_dt=CONTROL / substeps,
         )
         stepped = QuadrupedEnv(quadruped, changed, engine)
-        step_in = functools.partial(
-            ENGINES[engine].control_step, stepped.engine_model, stepped.stepping
-        )
+        step_in = functools.partial(ENGINES[engine].control_step, stepped.model, stepped.stepping)
 
         def step(state: Physics, target: jax.Array) -> tuple[Physics, jax.Array]:
             after, _ = step_in(state, target)
-            feet, _ = heights(env.model, after.qpos)
-            return after, jnp.concatenate([after.qpos[:3], after.qvel[:3], feet])
+            soles, _ = lowest_points(env.model, after.qpos)
+            return after, jnp.concatenate([after.qpos[:3], after.qvel[:3], soles[:, 2]])
 
         course = jax.vmap(lambda s: jax.lax.scan(step, s, jnp.asarray(wanted, jnp.float32))[1])
         return np.asarray(jax.jit(course)(starts))
@@ -112,7 +110,7 @@ def print_accuracy() -> None:
 
 
 def _trot(env, model, qpos, qvel, wanted) -> Iterator[np.ndarray]:
-    """Per control step: the trunk's position and velocity, and heights of the feet, m, m/s."""
+    """Per control step: the trunk's position and velocity, and heights of the soles, m, m/s."""
     from quadwalk.physics.motor import friction_torque, motor_torque
 
     data = mujoco.MjData(model)

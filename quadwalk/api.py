@@ -92,6 +92,7 @@ def evaluate(
     engine: Literal["mjx", "mujoco", "fast"] = "mjx",
     seed: int = 0,
     policy: Literal["last", "best"] = "last",
+    randomised: bool = False,
     runs: str | Path | None = None,
 ) -> "Evaluation":
     """Roll a run's policy out from fresh starts, without noise, and measure its episodes.
@@ -103,6 +104,7 @@ def evaluate(
         engine: MJX, or MuJoCo C with every shape colliding ("mujoco"), or the one trained in.
         seed: of the starts; the same seed gives the same episodes.
         policy: the run's last, or that of its best checkpoint.
+        randomised: each episode under conditions drawn as in training.
         runs: the folder of all runs, "runs" unless another is given.
     """
     from quadwalk.train.devices import set_up_devices
@@ -118,7 +120,7 @@ def evaluate(
     from quadwalk.evaluate.evaluation import measure
     from quadwalk.evaluate.subject import load_subject
 
-    return measure(load_subject(found, seconds, policy, engine), episodes, seed)
+    return measure(load_subject(found, seconds, policy, engine, randomised), episodes, seed)
 
 
 def compare(results: Mapping[str, "Evaluation"]) -> "Figure":

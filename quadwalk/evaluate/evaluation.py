@@ -7,6 +7,8 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from quadwalk.evaluate.gait import Gait, gait_metrics, measure_gait
 from quadwalk.evaluate.recording.mcap import write_mcap
 from quadwalk.evaluate.recording.provenance import attachments, provenance
@@ -14,6 +16,7 @@ from quadwalk.evaluate.rollout import Rollout
 from quadwalk.evaluate.simulate import Report, simulate_episodes, with_foot_forces
 from quadwalk.evaluate.subject import Subject
 from quadwalk.evaluate.summary import episode_figures, summarise, typical_episode
+from quadwalk.task.conditions import as_values
 from quadwalk.train.serialise import to_dict
 
 if TYPE_CHECKING:
@@ -88,7 +91,9 @@ class Evaluation:
         for rollout in self.rollouts[:episodes]:
             written.append(folder / f"episode_{rollout.episode:03d}.mcap")
             complete = with_foot_forces(rollout, self.subject.env)
-            write_mcap(written[-1], complete, self.subject.env.quadruped, metadata, attached)
+            drawn = self.episodes[rollout.episode].get("conditions")
+            own = {} if drawn is None else {"conditions": json.dumps(drawn)}
+            write_mcap(written[-1], complete, self.subject.env.quadruped, metadata | own, attached)
         return written
 
 
@@ -100,7 +105,11 @@ def measure(subject: Subject, episodes: int, seed: int, report: Report | None = 
     env = subject.env
     rollouts = simulate_episodes(env, subject.policy.act, episodes, seed, report)
     rewards, weight = env.config.reward, env.robot.weight
-    figures = [episode_figures(rollout, rewards, weight) for rollout in rollouts]
+    effort = np.asarray(env.motor.effort)
+    figures = [episode_figures(rollout, rewards, weight, effort) for rollout in rollouts]
+    for own, rollout in zip(figures, rollouts, strict=True):
+        if rollout.conditions is not None:
+            own["conditions"] = as_values(rollout.conditions, env.stepping)
     return Evaluation(subject, seed, rollouts, figures)
 
 

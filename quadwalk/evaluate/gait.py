@@ -20,6 +20,7 @@ from quadwalk.evaluate.rollout import Rollout, finite_part
 from quadwalk.evaluate.summary import (
     LEAST_DISTANCE,
     SETTLING,
+    action_rate,
     heading_velocity,
     measure_course,
     number,
@@ -83,7 +84,6 @@ def measure_gait(rollout: Rollout, quadruped: Quadruped) -> Gait:
     torque = np.abs(rollout.torque) / quadruped.effort
     torque = torque if rollout.steps else np.full((1, 12), np.nan)
     rate = np.abs(rollout.qvel[:, 6:]) / quadruped.velocity
-    changes = np.diff(rollout.action.astype(float), axis=0) / rollout.control_dt
     weight = float(model.body_mass.sum()) * quadruped.gravity
     return Gait(
         fell=rollout.fell,
@@ -111,7 +111,7 @@ def measure_gait(rollout: Rollout, quadruped: Quadruped) -> Gait:
         torque_peak=torque.max(axis=0),
         joint_speed_mean=rate.mean(axis=0),
         joint_speed_peak=rate.max(axis=0),
-        action_rate=float(np.sqrt(np.mean(np.square(changes)))) if len(changes) else np.nan,
+        action_rate=action_rate(rollout),
     )
 
 

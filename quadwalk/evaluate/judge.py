@@ -40,7 +40,10 @@ def evaluate(config: EvalConfig) -> dict[str, Any]:
     if config.view:
         check_screen()  # now, not after a minute of simulation
     # All of them before the first is simulated, so that a bad one is told at once.
-    subjects = [load_subject(run, config.seconds, config.policy, config.engine) for run in runs]
+    subjects = [
+        load_subject(run, config.seconds, config.policy, config.engine, config.randomised)
+        for run in runs
+    ]
     if config.sweep:
         swept = [
             sweep(subject, config, out, console)

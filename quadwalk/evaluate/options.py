@@ -27,6 +27,9 @@ class EvalConfig:
     # what steps the physics: mjx; mujoco, MuJoCo C with every shape colliding and a converged
     # solver, compared with mjx; or fast, the engine trained in
     engine: Engine = "mjx"
+    # each episode under conditions drawn as in training: friction, loads, motors, delays, noise,
+    # pushes; otherwise the robot is as its model says and nothing disturbs it
+    randomised: bool = False
     policy: Literal["last", "best"] = "last"  # the run's last, or that of its best checkpoint
     seed: int = 0  # of the starts; the same seed gives the same episodes
     out: Path | None = None  # folder for the results; None: a new one in the run's
@@ -61,7 +64,11 @@ class EvalConfig:
             "--mcap": self.mcap is not None,
             "--video": self.video != "none",
             "--view": self.view,
+            "--randomised": self.randomised,
         }
         for flag, given in asked.items():
             if given:
-                raise UsageError(f"{flag} cannot be given with --sweep, which records no episodes")
+                raise UsageError(
+                    f"{flag} cannot be given with --sweep, which records no episodes "
+                    "and has conditions of its own"
+                )

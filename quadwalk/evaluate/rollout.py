@@ -1,8 +1,12 @@
 """A rollout: what one episode of a policy looked like, as plain arrays."""
 
 from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
+
+if TYPE_CHECKING:
+    from quadwalk.task.conditions import Conditions
 
 
 @dataclass(frozen=True)
@@ -34,6 +38,12 @@ class Rollout:
     command: np.ndarray | None = None
     # (T, 4) the floor's push along its normal, N; None where `with_foot_forces` has not been asked
     foot_force: np.ndarray | None = None
+    # the episode's, of NumPy arrays; None in an ideal world, as are the next two
+    conditions: "Conditions | None" = None
+    # (T, 12) the joint position targets that the motors obeyed at the end of the step, rad
+    obeyed: np.ndarray | None = None
+    # (T, m) what the first m numbers of `observation` would be without delay, noise and offsets
+    truth: np.ndarray | None = None
 
     @property
     def steps(self) -> int:

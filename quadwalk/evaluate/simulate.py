@@ -19,8 +19,11 @@ import numpy as np
 from brax.envs.base import State
 
 from quadwalk.evaluate.rollout import Rollout
-from quadwalk.physics.motor import Physics, friction_torque, motor_torque
+from quadwalk.physics import mujoco_c
+from quadwalk.physics.model import vary_motor
+from quadwalk.physics.motor import friction_torque, motor_torque
 from quadwalk.task.env import QuadrupedEnv
+from quadwalk.task.state import EnvState
 
 # Observations (..., n) to actions (..., 12); a pytree (`jax.tree_util.Partial`), so that it can be
 # an argument of what is compiled: once for all policies of one shape.
@@ -54,6 +57,8 @@ class Frame(NamedTuple):
     reward: Any
     terms: dict[str, Any]
     command: Any  # None where there is none
+    obeyed: Any  # None in an ideal world
+    truth: Any  # None in an ideal world
     end: Any
 
 
@@ -75,7 +80,7 @@ def simulate_episodes(
         return jax.lax.scan(one_step, state, None, length=CHUNK)
 
     first = fresh_starts(env, episodes, seed)
-    initial = jax.device_get(first.pipeline_state.physics)
+    initial = jax.device_get(first.pipeline_state)
     frames = until_all_ended(partial(chunk, policy), over_devices(env, first), report)
     return [_rollout(env, initial, frames, seed, i) for i in range(episodes)]
 
@@ -102,7 +107,8 @@ def over_devices(env: QuadrupedEnv, batch: Any) -> Any:
 
 def _frame(env: QuadrupedEnv, before: State, action: jax.Array, state: State) -> Frame:
     prefix = "reward/"
-    command = before.pipeline_state.command
+    begun: EnvState = before.pipeline_state
+    command, ideal = begun.command, begun.conditions is None
     return Frame(
         observation=before.obs[..., : len(env.observation_names)],
         action=action,
@@ -118,6 +124,8 @@ def _frame(env: QuadrupedEnv, before: State, action: jax.Array, state: State) ->
             if name.startswith(prefix)
         },
         command=None if command is None else command.velocity,
+        obeyed=None if ideal else jax.vmap(env.obeyed)(begun, action),
+        truth=None if ideal else jax.vmap(env.truth)(begun),
         end=state.info["end"],
     )
 
@@ -140,7 +148,7 @@ def until_all_ended(
     return jax.tree.map(lambda *parts: np.concatenate(parts), *chunks)
 
 
-def _rollout(env: QuadrupedEnv, initial: Physics, frames: Frame, seed: int, i: int) -> Rollout:
+def _rollout(env: QuadrupedEnv, initial: EnvState, frames: Frame, seed: int, i: int) -> Rollout:
     """Episode `i` of a batch, cut at its end."""
     steps = int(np.argmax(frames.end[:, i] > 0)) + 1
     one: Frame = jax.tree.map(lambda x: x[:steps, i], frames)
@@ -164,6 +172,9 @@ def _rollout(env: QuadrupedEnv, initial: Physics, frames: Frame, seed: int, i: i
         reward_terms=one.terms,
         reward=one.reward,
         command=one.command,
+        conditions=jax.tree.map(lambda x: x[i], initial.conditions),
+        obeyed=one.obeyed,
+        truth=one.truth,
     )
 
 
@@ -174,10 +185,13 @@ def with_foot_forces(rollout: Rollout, env: QuadrupedEnv) -> Rollout:
     engine stepped. Some 0.2 s for 20 s of running, so it is left to the rollouts that are shown.
     """
     qpos, qvel = rollout.qpos[1:], rollout.qvel[1:]
-    motor, joint_speed = env.motor, qvel[:, 6:]
-    torque = np.asarray(motor_torque(motor, rollout.target, qpos[:, 7:], joint_speed))
+    motor, joint_speed, model = env.motor, qvel[:, 6:], env.mj_model_of(env.quadruped)
+    if rollout.conditions is not None and rollout.conditions.variation is not None:
+        motor = vary_motor(motor, rollout.conditions.variation)
+        model = mujoco_c.varied_model(model, rollout.conditions.variation)
+    target = rollout.target if rollout.obeyed is None else rollout.obeyed
+    torque = np.asarray(motor_torque(motor, target, qpos[:, 7:], joint_speed))
     friction = np.asarray(friction_torque(motor, joint_speed))
-    model = env.mj_model_of(env.quadruped)
     data = mujoco.MjData(model)
     column = {model.geom(name).id: k for k, name in enumerate(env.quadruped.feet)}
     floor = model.geom("floor").id

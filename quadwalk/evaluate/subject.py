@@ -6,7 +6,9 @@ from pathlib import Path
 
 from quadwalk.errors import UserError
 from quadwalk.physics.engines import EngineName
+from quadwalk.task.config import NO_RANDOMISATION, EnvConfig, RandomisationConfig
 from quadwalk.task.env import QuadrupedEnv
+from quadwalk.tasks import run as run_task
 from quadwalk.train.robot import load_run_robot
 from quadwalk.train.runs.directory import Run
 from quadwalk.train.runs.policy import Policy, load_policy
@@ -26,13 +28,27 @@ class Subject:
         return dataclasses.replace(self, env=self.env.in_engine(engine))
 
 
+def training_ranges(config: EnvConfig) -> RandomisationConfig:
+    """The ranges that a task draws the conditions of its episodes from.
+
+    Of a task in an ideal world, those of `run`.
+    """
+    own = config.randomisation
+    return run_task.TASK.env.randomisation if own == NO_RANDOMISATION else own
+
+
 def load_subject(
-    run: Run, seconds: float, which: str = "last", engine: EngineName = "mjx"
+    run: Run,
+    seconds: float,
+    which: str = "last",
+    engine: EngineName = "mjx",
+    randomised: bool = False,
 ) -> Subject:
     """Load the "last" or "best" policy of `run` for episodes of up to `seconds` in `engine`.
 
-    The robot is as its model says, and nothing disturbs it. A command, if there are any, stays for
-    a whole episode, so that each has one gait to look at.
+    The robot is as its model says, and nothing disturbs it, unless the episodes are `randomised`:
+    then each has conditions of its own, from the `training_ranges`. A command, if there are any,
+    stays for a whole episode, so that each has one gait to look at.
     Raises `UserError` where its policy or robot cannot be read, or do not belong together.
     """
     file = run.best if which == "best" else run.policy
@@ -40,9 +56,9 @@ def load_subject(
     quadruped = load_run_robot(run, policy.config.robot)
     trained = policy.config.env
     command = dataclasses.replace(trained.command, seconds=seconds)
-    ideal = dataclasses.replace(trained.randomisation, enabled=False)
+    ranges = dataclasses.replace(training_ranges(trained), enabled=randomised)
     config = dataclasses.replace(
-        trained, episode_seconds=seconds, command=command, randomisation=ideal
+        trained, episode_seconds=seconds, command=command, randomisation=ranges
     )
     env = QuadrupedEnv(quadruped, config, engine)
     if quadruped.joints != policy.joints or env.policy_size != policy.observation_size:

@@ -32,12 +32,18 @@ FIGURES = (
     ("duration", "episode length", "s"),
     ("energy_per_metre", "energy per metre", "J/m"),
     ("cost_of_transport", "cost of transport", ""),
+    ("power", "mean mechanical power", "W"),
+    ("peak_power", "peak mechanical power", "W"),
+    ("torque_limit", "time at a torque limit", "%"),
+    ("action_rate", "action rate", "1/s"),
     ("reward", "reward per step", ""),
 )
 HIGH_IS_BAD = (
     *("lateral_drift", "heading_error", "velocity_error", "yaw_rate_error"),
-    *("energy_per_metre", "cost_of_transport"),
+    *("energy_per_metre", "cost_of_transport", "power", "peak_power"),
+    *("torque_limit", "action_rate"),
 )
+AT_LIMIT = 0.95  # of a motor's torque limit, as the mean over a control step, counts as at it
 
 
 @dataclass(frozen=True)
@@ -114,17 +120,21 @@ def path_length(rollout: Rollout) -> float:
 
 
 def episode_figures(
-    rollout: Rollout, rewards: Mapping[str, Reward], weight: float
+    rollout: Rollout, rewards: Mapping[str, Reward], weight: float, effort: np.ndarray
 ) -> dict[str, Any]:
-    """Figures of one episode of a robot of so many N, as plain values for JSON.
+    """Figures of one episode of a robot of so many N and motors of `effort` (12,) Nm, for JSON.
 
     speed, distance, lateral_drift, duration, energy_per_metre: as in `Course`; heading_error: mean
-    |yaw|, deg; cost_of_transport: energy per metre over weight; reward/NAME: mean per step of a
-    scaled term. With velocity commands there are, in place of the first three and the heading
-    error: path_speed, m/s, and path, m, which are the `Course`'s speed and distance;
-    velocity_error, m/s, and yaw_rate_error, rad/s, as in `tracking_errors`; command: the first.
+    |yaw|, deg; cost_of_transport: energy per metre over weight; power, peak_power: positive
+    mechanical power of all motors, W, mean and highest of a control step; torque_limit: % of steps
+    in which a motor was at its limit; action_rate: root mean square of the actions' rate, which are
+    in [-1, 1], 1/s; reward/NAME: mean per step of a scaled term. With velocity commands there are,
+    in place of the first three and the heading error: path_speed, m/s, and path, m, which are the
+    `Course`'s speed and distance; velocity_error, m/s, and yaw_rate_error, rad/s, as in
+    `tracking_errors`; command: the first.
     """
     course = measure_course(rollout)
+    loaded = np.abs(rollout.torque) / effort
     figures: dict[str, Any]
     if rollout.command is None:
         yaw = roll_pitch_yaw(rollout.qpos[:, 3:7])[:, 2]
@@ -151,12 +161,22 @@ def episode_figures(
         "duration": course.duration,
         "energy_per_metre": number(course.energy_per_metre),
         "cost_of_transport": number(course.energy_per_metre / weight),
+        "power": float(rollout.energy.mean() / rollout.control_dt),
+        "peak_power": float(rollout.energy.max() / rollout.control_dt),
+        "torque_limit": float(100.0 * np.any(loaded >= AT_LIMIT, axis=1).mean()),
+        "action_rate": number(action_rate(rollout)),
         "reward": float(rollout.reward.mean()),
         **{
             f"reward/{name}": float(rewards[name].scale * values.mean())
             for name, values in rollout.reward_terms.items()
         },
     }
+
+
+def action_rate(rollout: Rollout) -> float:
+    """Root mean square rate of the actions, which are in [-1, 1], 1/s; NaN for a single step."""
+    changes = np.diff(rollout.action.astype(float), axis=0) / rollout.control_dt
+    return float(np.sqrt(np.mean(np.square(changes)))) if len(changes) else math.nan
 
 
 def number(value: float) -> float | None:

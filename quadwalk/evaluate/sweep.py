@@ -33,12 +33,11 @@ from quadwalk.evaluate.simulate import (
     over_devices,
     until_all_ended,
 )
-from quadwalk.evaluate.subject import Subject
+from quadwalk.evaluate.subject import Subject, training_ranges
 from quadwalk.evaluate.summary import mean_interval, share_interval
 from quadwalk.task.conditions import Conditions, draw_conditions, readings_needed, targets_needed
-from quadwalk.task.config import NO_RANDOMISATION, RandomisationConfig
+from quadwalk.task.config import NO_RANDOMISATION
 from quadwalk.task.env import QuadrupedEnv
-from quadwalk.tasks import run
 from quadwalk.train.runs.directory import write_json_atomic
 
 
@@ -212,14 +211,8 @@ def _starts(env: QuadrupedEnv, points: list[Point], episodes: int, seed: int) ->
 
 def _latest_drawn(env: QuadrupedEnv) -> tuple[float, float]:
     """The longest latency of targets and of sensors that training draws, s."""
-    config = ranges(env)
+    config = training_ranges(env.config)
     return (config.latency or (0.0, 0.0))[1], (config.sensor_latency or (0.0, 0.0))[1]
-
-
-def ranges(env: QuadrupedEnv) -> RandomisationConfig:
-    """What "everything" means: the task's own ranges; of an ideal world, those of `run`."""
-    own = env.config.randomisation
-    return run.TASK.env.randomisation if own == NO_RANDOMISATION else own
 
 
 def conditions_at(env: QuadrupedEnv, point: Point, key: jax.Array, kept: int) -> Conditions:
@@ -227,7 +220,7 @@ def conditions_at(env: QuadrupedEnv, point: Point, key: jax.Array, kept: int) ->
     robot, stepping = env.robot, env.stepping
     ideal = dataclasses.replace(NO_RANDOMISATION, sensor_latency=(0.0, 0.0))
     base = draw_conditions(ideal, robot, stepping, key, env.friction)
-    drawn = draw_conditions(ranges(env), robot, stepping, key, env.friction)
+    drawn = draw_conditions(training_ranges(env.config), robot, stepping, key, env.friction)
     drawn = drawn._replace(
         targets=base.targets,
         sensor_delay=base.sensor_delay if drawn.sensor_delay is None else drawn.sensor_delay,

@@ -141,18 +141,20 @@ def integrate(state: Physics, acceleration: jax.Array, dt: float) -> Physics:
     return Physics(qpos, qvel, acceleration)
 
 
-def heights(model: Model, qpos: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """How far the feet (4,) and the lowest point of all other shapes () are above the floor, m.
+def lowest_points(model: Model, qpos: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Where the feet's soles (4, 3) are in the world, and how high the lowest of all else (), m.
 
     `qpos` (19,); to be vmapped over robots. Not all shapes touch the floor in training, so this is
     how it knows that one would have.
     """
 
     def of_many(model: Model, qpos: jax.Array) -> tuple[jax.Array, jax.Array]:
-        pose = pose_of(model.links, rotation_of(tuple(qpos[3:7])), _by_link(qpos[7:]))
-        height = qpos[2]
-        feet = model.contacts[0]
-        soles = height + centres(feet, pose)[2] - feet.radius
+        running = ~(qpos[2, 0] > 1e30)  # as in `acceleration`
+        rotation = materialize(running, lambda quat: rotation_of(tuple(quat)), qpos[3:7])
+        angles = _by_link(qpos[7:])
+        pose = materialize(running, lambda r, a: pose_of(model.links, r, a), rotation, angles)
+        feet, height = model.contacts[0], qpos[2]
+        x, y, z = centres(feet, pose)
         lowest = jnp.full_like(height, jnp.inf)
         for shell in model.shells:
             rotation = pose.trunk
@@ -161,19 +163,7 @@ def heights(model: Model, qpos: jax.Array) -> tuple[jax.Array, jax.Array]:
                 rotation, above = pose.rotations[shell.link], pose.origins[shell.link][2]
             bottom = above + shell.bottom(rotation[2])
             lowest = jnp.minimum(lowest, jnp.min(jnp.atleast_2d(bottom), axis=0))
-        return soles, height + lowest
-
-    return robots_last(of_many)(model, jnp.asarray(qpos))
-
-
-def soles(model: Model, qpos: jax.Array) -> jax.Array:
-    """The lowest points (4, 3) of the feet in the world, m. `qpos` (19,); to be vmapped."""
-
-    def of_many(model: Model, qpos: jax.Array) -> jax.Array:
-        pose = pose_of(model.links, rotation_of(tuple(qpos[3:7])), _by_link(qpos[7:]))
-        feet = model.contacts[0]
-        x, y, z = centres(feet, pose)
-        return jnp.stack([x, y, z - feet.radius], axis=1) + qpos[:3]
+        return jnp.stack([x, y, z - feet.radius], axis=1) + qpos[:3], height + lowest
 
     return robots_last(of_many)(model, jnp.asarray(qpos))
 

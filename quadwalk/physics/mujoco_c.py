@@ -68,20 +68,25 @@ class Stepper:
         """The model that differs by `variation`, whose numbers are `row`; made once."""
         key = row.tobytes()
         if key not in self._varied:
-            model = copy.copy(self.model)
-            trunk, legs = model.jnt_bodyid[0], model.jnt_bodyid[1:]
-            factor: Any = variation.link_mass
-            model.geom_friction[:, 0] = variation.friction
-            model.body_mass[trunk] += variation.trunk_mass
-            model.body_ipos[trunk] += variation.trunk_centre
-            model.body_mass[legs] *= factor
-            model.body_inertia[legs] *= factor[:, None]
-            model.dof_armature[6:] *= variation.armature
-            model.dof_damping[6:] *= variation.damping
-            # What follows from masses, such as inverse inertias at contacts.
-            mujoco.mj_setConst(model, mujoco.MjData(model))
-            self._varied[key] = model
+            self._varied[key] = varied_model(self.model, variation)
         return self._varied[key]
+
+
+def varied_model(model: mujoco.MjModel, variation: Variation) -> mujoco.MjModel:
+    """A copy of a quadruped's `model` that differs by `variation`, but for its motors."""
+    model = copy.copy(model)
+    trunk, legs = model.jnt_bodyid[0], model.jnt_bodyid[1:]
+    factor: Any = variation.link_mass
+    model.geom_friction[:, 0] = variation.friction
+    model.body_mass[trunk] += variation.trunk_mass
+    model.body_ipos[trunk] += variation.trunk_centre
+    model.body_mass[legs] *= factor
+    model.body_inertia[legs] *= factor[:, None]
+    model.dof_armature[6:] *= variation.armature
+    model.dof_damping[6:] *= variation.damping
+    # What follows from masses, such as inverse inertias at contacts.
+    mujoco.mj_setConst(model, mujoco.MjData(model))
+    return model
 
 
 class MujocoModel(NamedTuple):

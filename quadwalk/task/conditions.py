@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.typing import ArrayLike
 
 from quadwalk.physics.model import Variation
@@ -101,6 +102,24 @@ def draw_conditions(
     return drawn
 
 
+def as_values(conditions: Conditions, stepping: Stepping) -> dict[str, float | list[float]]:
+    """What was drawn for one episode, named and in units as in `RandomisationConfig`.
+
+    But for masses in kg, centres of mass in m and pushes in m/s.
+    """
+    own = {} if conditions.variation is None else conditions.variation._asdict()
+    late = 0.0 if conditions.sensor_delay is None else conditions.sensor_delay
+    own |= {
+        "encoder": conditions.encoder,
+        "imu_tilt": conditions.tilt,
+        "latency": conditions.delay * stepping.dt,
+        "sensor_latency": late * stepping.control_dt,
+        "noise": conditions.noise,
+        "push": conditions.push,
+    }
+    return {name: np.asarray(value, float).tolist() for name, value in own.items()}
+
+
 def readings_needed(delay: float, control_dt: float) -> int:
     """How many control steps before the newest a reading late by up to `delay` s reaches back."""
     return math.floor(delay / control_dt) + 1
@@ -137,9 +156,9 @@ def pushed(conditions: Conditions, physics: Physics, steps: jax.Array, dt: float
 def side_of_push(conditions: Conditions, steps: jax.Array, dt: float) -> jax.Array:
     """(2,) signs in the control step of a push, else 0."""
     period = max(round(PUSH_PERIOD / dt), 1)
-    when, sides = jax.random.split(_key(conditions, steps // period, 1))
-    now = steps % period == jax.random.randint(when, (), 0, period)
-    return jnp.where(now, jax.random.rademacher(sides, (2,), jnp.float32), 0.0)
+    drawn = jax.random.uniform(_key(conditions, steps // period, 1), (3,))
+    now = steps % period == jnp.floor(drawn[2] * period).astype(jnp.int32)
+    return jnp.where(now, jnp.where(drawn[:2] < 0.5, -1.0, 1.0), 0.0)
 
 
 def measured(conditions: Conditions, physics: Physics) -> Physics:
@@ -172,5 +191,5 @@ def reading(conditions: Conditions, frames: jax.Array, ago: int) -> jax.Array:
 
 
 def _key(conditions: Conditions, number: jax.Array, use: int) -> jax.Array:
-    """A random key for each use and each `number`."""
-    return jax.random.fold_in(jax.random.split(conditions.key, 3)[use], number)
+    """A random key for each of three uses and each `number`."""
+    return jax.random.fold_in(conditions.key, 3 * number + use)

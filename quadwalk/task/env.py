@@ -142,6 +142,17 @@ class QuadrupedEnv(Env):
         begun = self._begun(state.pipeline_state._replace(conditions=conditions), latest)
         return state.replace(pipeline_state=begun, obs=self._observation(begun))
 
+    def obeyed(self, state: EnvState, action: jax.Array) -> jax.Array:
+        """The joint angles (12,), rad, that motors go to at the end of a step with `action`."""
+        target = self.config.action(self.robot, action, state.qpos[7:])
+        if state.conditions is None:
+            return target
+        return delayed(state.conditions, target, self.stepping.substeps, state.steps)[1][-1]
+
+    def truth(self, state: EnvState) -> jax.Array:
+        """What the observation's first numbers (n,) are without delay, noise and offsets."""
+        return observe(self.config.observation, self.robot, state)
+
     def _drawn(self, key: jax.Array) -> Conditions | None:
         """The conditions of an episode; None in an ideal world."""
         ranges = self.config.randomisation
@@ -201,11 +212,12 @@ class QuadrupedEnv(Env):
     ) -> State:
         """The state that a control step led to, with its reward and whether the episode ended."""
         config, robot = self.config, self.robot
-        feet, lowest = fast.heights(self.geometry, after.qpos)
+        soles, lowest = fast.lowest_points(self.geometry, after.qpos)
         start = jnp.where(sane, before.qpos, after.qpos)
-        contact = feet < CONTACT_GAP
+        contact = soles[:, 2] < CONTACT_GAP
         step = Step(
             dt=config.control_dt,
+            steps=after.steps,
             start=start,
             qpos=after.qpos,
             qvel=after.qvel,
@@ -214,8 +226,8 @@ class QuadrupedEnv(Env):
             power=effort.energy / config.control_dt,
             fell=jnp.zeros((), bool),
             command=before.velocity_command,
-            start_soles=fast.soles(self.geometry, start),
-            soles=fast.soles(self.geometry, after.qpos),
+            start_soles=fast.lowest_points(self.geometry, start)[0],
+            soles=soles,
             contact=contact,
             lowest=lowest,
         )

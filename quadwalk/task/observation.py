@@ -4,12 +4,14 @@ To add one, write such a function, here or in a file of your own, and name it in
 `"heading": Observation(heading, noise=0.05)`.
 """
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 
 from quadwalk.physics.rotation import rotate_inverse, yaw
 from quadwalk.task.robot_arrays import RobotArrays
-from quadwalk.task.state import EnvState
+from quadwalk.task.state import EnvState, trot_swing
 from quadwalk.task.terms import Observation
 
 
@@ -41,6 +43,15 @@ def offset(robot: RobotArrays, state: EnvState, *, reach: float) -> jax.Array:
 def command(robot: RobotArrays, state: EnvState) -> jax.Array:
     """The velocity command (3,): forward and lateral m/s, yaw rate rad/s."""
     return state.velocity_command
+
+
+def trot_clock(robot: RobotArrays, state: EnvState, *, stride: float) -> jax.Array:
+    """Sine and cosine (2,) of a trot's phase, for `reward.trot`; 0 at the command to stand still.
+
+    `stride` is in control steps.
+    """
+    swing = partial(trot_swing, command=state.velocity_command, stride=stride)
+    return jnp.stack([swing(state.steps)[0], swing(state.steps + stride / 4)[0]])
 
 
 def joint_positions(robot: RobotArrays, state: EnvState) -> jax.Array:

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from quadwalk.physics.fast import heights
+from quadwalk.physics.fast import lowest_points
 from quadwalk.physics.model import Model
 from quadwalk.physics.motor import Physics
 from quadwalk.physics.rotation import from_euler
@@ -14,11 +14,8 @@ from quadwalk.task.robot_arrays import RobotArrays
 
 def fresh_start(model: Model, robot: RobotArrays, config: ResetConfig, key: jax.Array) -> Physics:
     """A start near the home pose, its lowest foot just on the floor, or near the given pose."""
-    keys = jax.random.split(key, 4)
-    pose = jax.random.uniform(keys[0], (4,), minval=-1.0, maxval=1.0)
-    joints = jax.random.uniform(keys[1], (12,), minval=-1.0, maxval=1.0)
-    velocity = jax.random.uniform(keys[2], (6,), minval=-1.0, maxval=1.0)
-    speed = jax.random.uniform(keys[3], (13,), minval=-1.0, maxval=1.0)
+    drawn = jax.random.uniform(key, (35,), minval=-1.0, maxval=1.0)
+    pose, joints, velocity, speed = jnp.split(drawn, [4, 16, 22])
 
     qpos = jnp.asarray(robot.home, jnp.float32)
     qpos = qpos.at[1].set(config.offset * pose[0])
@@ -28,8 +25,8 @@ def fresh_start(model: Model, robot: RobotArrays, config: ResetConfig, key: jax.
     angles = jnp.clip(middle + config.joints * joints, robot.lower, robot.upper)
     qpos = qpos.at[7:].set(angles)
     if config.height is None:
-        feet, _ = heights(model, qpos)
-        qpos = qpos.at[2].add(-jnp.min(feet))
+        soles, _ = lowest_points(model, qpos)
+        qpos = qpos.at[2].add(-jnp.min(soles[:, 2]))
     else:
         qpos = qpos.at[2].set(config.height)
 

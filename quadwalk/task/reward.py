@@ -9,7 +9,7 @@ import jax.numpy as jnp
 
 from quadwalk.physics.rotation import rotate_inverse, yaw
 from quadwalk.task.robot_arrays import RobotArrays
-from quadwalk.task.state import Step, mean_velocity, velocity_error, yaw_rate_error
+from quadwalk.task.state import Step, mean_velocity, trot_swing, velocity_error, yaw_rate_error
 from quadwalk.task.terms import Reward
 
 
@@ -90,23 +90,18 @@ def drag(robot: RobotArrays, step: Step, *, height: float) -> jax.Array:
     return jnp.mean(speed * low)
 
 
-def trot(robot: RobotArrays, step: Step) -> jax.Array:
-    """The share of the two diagonal pairs whose feet are both on the floor, or both off it.
+def trot(
+    robot: RobotArrays, step: Step, *, stride: float, height: float, width: float
+) -> jax.Array:
+    """1 with all soles at the heights of a trot in time, 1/e for a sole `width`, m, off its own.
 
-    0 where all four are off it: a trot at ease has a pair on the floor at any time.
+    Diagonal pairs swing in turn, up to `height`, m, one `stride` (control steps) after the other;
+    the policy sees the time by `observation.trot_clock`. At the command to stand still all four
+    belong on the floor.
     """
-    fore, hind = step.contact[:2], step.contact[:1:-1]  # FR and FL, and RL and RR across from them
-    return jnp.mean(fore == hind) * jnp.any(step.contact)
-
-
-def stepping(robot: RobotArrays, step: Step) -> jax.Array:
-    """Told to stand still: the share of feet off the floor, plus the joints' mean speed, rad/s.
-
-    The latter up to 1. Under any other command, 0.
-    """
-    standing = jnp.all(step.command == 0.0)
-    restless = jnp.minimum(jnp.mean(jnp.abs(step.qvel[6:])), 1.0)
-    return jnp.where(standing, jnp.mean(~step.contact) + restless, 0.0)
+    swing = trot_swing(step.steps, step.command, stride)
+    goal = height * jnp.maximum(swing, 0.0)[jnp.array([0, 1, 1, 0])]
+    return jnp.mean(jnp.exp(-jnp.square((step.soles[:, 2] - goal) / width)))
 
 
 def reward_terms(

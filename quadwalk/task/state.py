@@ -42,6 +42,7 @@ class Step(NamedTuple):
     """One control step, as rewards and terminations see it."""
 
     dt: float  # s
+    steps: jax.Array  # () int32, control steps since the episode's start
     start: jax.Array  # (19,) qpos before the step
     qpos: jax.Array  # (19,) after it
     qvel: jax.Array  # (18,) after it; trunk: world linear m/s, body angular rad/s
@@ -54,6 +55,16 @@ class Step(NamedTuple):
     soles: jax.Array  # (4, 3) after it
     contact: jax.Array  # (4,) bool, feet on the floor after it
     lowest: jax.Array  # () m, height above the floor of the lowest point of all but the feet
+
+
+def trot_swing(steps: jax.Array, command: jax.Array, stride: float) -> jax.Array:
+    """How far the feet of a trot are into their swing (2,), from -1 to 1, above 0 off the floor.
+
+    First of FR and RL, then of FL and RR. `stride` is in control steps. Both are 0 at the
+    command to stand still.
+    """
+    swing = jnp.sin(2.0 * jnp.pi * steps / stride)
+    return jnp.stack([swing, -swing]) * jnp.any(command != 0.0)
 
 
 def mean_velocity(step: Step) -> jax.Array:

@@ -1,9 +1,9 @@
-"""walk: follow a velocity command, at a trot, in an ideal world."""
+"""walk: follow a velocity command, at a trot, with what a real robot knows and suffers."""
 
 from quadwalk.physics.motor import MotorConfig
 from quadwalk.task import observation, reward, termination
 from quadwalk.task.actions import about_home
-from quadwalk.task.config import NO_RANDOMISATION, CommandConfig, EnvConfig, ResetConfig
+from quadwalk.task.config import CommandConfig, EnvConfig, RandomisationConfig, ResetConfig
 from quadwalk.task.terms import ActionMap, Observation, Reward, Termination
 from quadwalk.train.settings import PPOConfig, TrainConfig
 
@@ -23,26 +23,37 @@ TASK = TrainConfig(
         motor=MotorConfig(kp=None, kd=None, effort=None, speed_limit=True, joint_friction=True),
         action=ActionMap(about_home, {"hip": 0.3, "thigh": 0.9, "calf": 0.9}),
         observation={
-            "velocity": Observation(observation.velocity, noise=0.1),
-            "angular_velocity": Observation(observation.angular_velocity, noise=0.2),
-            "gravity": Observation(observation.gravity, noise=0.05),
             "command": Observation(observation.command, labels=("forward", "lateral", "yaw_rate")),
-            "position": Observation(observation.joint_positions, noise=0.01),
-            "speed": Observation(observation.joint_velocities, noise=1.5),
-            "last_action": Observation(observation.last_action),
+            "clock": Observation(
+                observation.trot_clock, {"stride": 20.0}, labels=("sine", "cosine")
+            ),
+            "angular_velocity": Observation(observation.angular_velocity, noise=0.2, history=4),
+            "gravity": Observation(observation.gravity, noise=0.05, history=4),
+            "position": Observation(observation.joint_positions, noise=0.01, history=4),
+            "speed": Observation(observation.joint_velocities, noise=1.5, history=4),
+            "last_action": Observation(observation.last_action, history=4),
         },
-        critic={},
+        critic={
+            "velocity": Observation(observation.velocity),
+            "angular_velocity": Observation(observation.angular_velocity),
+            "gravity": Observation(observation.gravity),
+            "height": Observation(observation.height),
+            "position": Observation(observation.joint_positions),
+            "speed": Observation(observation.joint_velocities),
+            "contacts": Observation(observation.contacts),
+            "conditions": Observation(observation.conditions),
+        },
         reward={
             "fall": Reward(reward.fall, scale=-10.0),
-            "energy": Reward(reward.energy, scale=-0.3),
+            "energy": Reward(reward.energy, scale=-0.2),
             "vertical": Reward(reward.vertical, scale=-0.5),
             "tilt": Reward(reward.tilt, scale=-0.5),
             "roll_pitch_rate": Reward(reward.roll_pitch_rate, scale=-0.05),
-            "action_rate": Reward(reward.action_rate, scale=-0.3),
+            "action_rate": Reward(reward.action_rate, scale=-0.1),
             "follow": Reward(reward.follow, {"width": 0.5}, scale=1.0),
             "follow_yaw_rate": Reward(reward.follow_yaw_rate, {"width": 0.5}, scale=0.5),
-            "drag": Reward(reward.drag, {"height": 0.06}, scale=-0.3),
-            "trot": Reward(reward.trot, scale=0.5),
+            "drag": Reward(reward.drag, {"height": 0.02}, scale=-0.3),
+            "trot": Reward(reward.trot, {"stride": 20.0, "height": 0.08, "width": 0.04}, scale=0.5),
         },
         termination={
             "tipped": Termination(termination.tipped, {"angle": 1.0}),
@@ -67,7 +78,25 @@ TASK = TrainConfig(
             standing=0.1,
             seconds=5.0,
         ),
-        randomisation=NO_RANDOMISATION,
+        randomisation=RandomisationConfig(
+            enabled=True,
+            friction=(0.3, 1.25),
+            trunk_mass=(-0.1, 0.25),
+            trunk_centre=(-0.08, 0.08),
+            link_mass=(0.9, 1.1),
+            strength=(0.8, 1.1),
+            kp=(0.8, 1.2),
+            kd=(0.8, 1.2),
+            joint_friction=(0.5, 1.5),
+            damping=(0.5, 1.5),
+            armature=(0.8, 1.2),
+            encoder=(-0.02, 0.02),
+            imu_tilt=(-0.02, 0.02),
+            latency=(0.0, 0.02),
+            sensor_latency=(0.0, 0.01),
+            noise=(0.0, 1.0),
+            push=(0.0, 0.5),
+        ),
     ),
     ppo=PPOConfig(
         eval_envs=64,
@@ -83,7 +112,7 @@ TASK = TrainConfig(
         gae_lambda=0.95,
         clip=0.2,
         noise=0.35,
-        entropy=0.01,
+        entropy=0.005,
         final_entropy=0.001,
         value=1.0,
         max_grad_norm=1.0,

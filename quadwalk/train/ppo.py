@@ -93,8 +93,8 @@ def reset_envs(env: Env, keys: jax.Array) -> State:
 def init_state(
     env: Env, networks: PPONetworks, config: PPOConfig, mesh: Mesh, num_envs: int, seed: int
 ) -> TrainState:
-    """The state before the first iteration; `num_envs` to learn from, and to evaluate."""
-    key_policy, key_value, key_envs, key_workers = jax.random.split(jax.random.PRNGKey(seed), 4)
+    """The state before the first iteration, in which `num_envs` environments will start."""
+    key_policy, key_value, key_workers = jax.random.split(jax.random.PRNGKey(seed), 3)
     params = losses.PPONetworkParams(
         policy=networks.policy_network.init(key_policy),
         value=networks.value_network.init(key_value),
@@ -108,18 +108,14 @@ def init_state(
         iterations=jnp.zeros((), jnp.int32),
     )
     split = NamedSharding(mesh, P(AXIS))
-    keys = jax.device_put(jax.random.split(key_envs, num_envs + config.eval_envs), split)
-    envs = jax.jit(
-        jax.shard_map(
-            lambda k: reset_envs(env, k),
-            mesh=mesh,
-            in_specs=P(AXIS),
-            out_specs=P(AXIS),
-            check_vma=False,
-        )
-    )(keys)
+    # Only their shapes: the first `collect` starts them, and a program for that alone would take
+    # as long to compile as a good part of `collect`.
+    keys = jax.ShapeDtypeStruct((num_envs + config.eval_envs, 2), np.uint32)
+    shapes = jax.eval_shape(lambda keys: reset_envs(env, keys), keys)
+    envs = jax.tree.map(lambda x: np.zeros(x.shape, x.dtype), shapes)
     workers = Workers(
-        envs=envs, key=jax.device_put(jax.random.split(key_workers, mesh.size), split)
+        envs=jax.device_put(envs, split),
+        key=jax.device_put(jax.random.split(key_workers, mesh.size), split),
     )
     # Through NumPy, so that these are the same kind of arrays as those read from a file.
     learner = jax.tree.map(np.asarray, learner)
@@ -152,6 +148,8 @@ def collect(
     key, key_steps, key_reset = jax.random.split(workers.key[0], 3)
     # As many fresh starts as there are environments, dealt out anew in each step.
     fresh = reset_envs(env, jax.random.split(key_reset, envs))
+    first = learner.iterations == 0
+    begun = jax.tree.map(lambda new, old: jnp.where(first, new, old), fresh, workers.envs)
 
     def one_step(
         carry: tuple[State, NanStep], xs: tuple[jax.Array, jax.Array]
@@ -183,7 +181,7 @@ def collect(
     nan_step = NanStep(jnp.zeros(()), nowhere, jnp.zeros(env.action_size))
     (after, nan_step), (transitions, seen, metrics) = jax.lax.scan(
         one_step,
-        (workers.envs, nan_step),
+        (begun, nan_step),
         (jax.random.split(key_steps, config.unroll), jnp.arange(config.unroll)),
     )
 

@@ -79,7 +79,7 @@ def prepare(config: TrainConfig, previous: Run | None, progress: Progress) -> Tr
         f"{devices[0].platform.upper()} devices, into {run.path if run else 'process 0'}"
     )
 
-    progress.phase("compiling the reset", 5.0)
+    progress.phase("compiling", 25.0)
     state = ppo.init_state(env, networks, config.ppo, mesh, config.envs, config.seed)
     metrics = TrainingMetrics(config.env.reward)
     steps, seconds = 0, 0.0
@@ -90,7 +90,6 @@ def prepare(config: TrainConfig, previous: Run | None, progress: Progress) -> Tr
         else:
             state, steps, seconds = restore(path, state, metrics)
             progress.message(f"going on from {path}, after {steps:,} steps")
-    progress.phase("compiling the training step", 25.0)
     batch = config.envs * config.ppo.unroll
     iterate = ppo.Iteration(
         env, networks, config.ppo, mesh, iterations=math.ceil(config.steps / batch)

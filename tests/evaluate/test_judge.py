@@ -83,7 +83,8 @@ def test_both_engines_are_judged_from_the_same_starts(judged, rollouts, subject)
     assert json.loads((out / "metrics.json").read_text()) == results
     assert (results["engine"], results["seed"]) == ("mujoco", 1)
     scales, weight = subject.env.config.reward, subject.env.robot.weight
-    first = [episode_figures(rollout, scales, weight) for rollout in rollouts]
+    effort = np.asarray(subject.env.motor.effort)
+    first = [episode_figures(rollout, scales, weight, effort) for rollout in rollouts]
     assert results["mjx_summary"] == summarise(first)
     speeds = [[episode["speed"] for episode in of] for of in (first, results["episodes"])]
     np.testing.assert_allclose(*speeds, atol=0.1)  # m/s: half a second after the same start

@@ -27,6 +27,7 @@ from quadwalk.train.runs.policy import Policy
 
 DT, STEPS = 0.02, 200
 WEIGHT = 200.0  # N
+EFFORT = np.full(12, 44.0)  # Nm
 
 
 @pytest.fixture(scope="module")
@@ -80,7 +81,7 @@ def test_a_second_to_obey_is_given_at_the_start_and_after_a_change(glide):
 def test_an_episode_too_short_has_no_error(glide):
     rollout = glide((1.0, 0.0, 0.0), (1.0, 0.0, 0.0))
     assert np.isnan(tracking_errors(first_steps(rollout, 74))).all()
-    short = episode_figures(first_steps(rollout, 74), sprint.TASK.env.reward, WEIGHT)
+    short = episode_figures(first_steps(rollout, 74), sprint.TASK.env.reward, WEIGHT, EFFORT)
     assert (short["velocity_error"], short["yaw_rate_error"]) == (None, None)
     assert tracking_errors(first_steps(rollout, 75)) == pytest.approx((0.0, 0.0), abs=1e-9)
 
@@ -98,7 +99,7 @@ def test_the_path_is_as_long_as_the_way_it_went(glide):
 def test_figures_of_an_episode_with_commands(glide, quadruped):
     rollout = glide((1.0, 0.0, 1.0), (1.0, 0.3, 0.5))
     rollout = dataclasses.replace(rollout, energy=np.full(STEPS, 2.0))
-    figures = episode_figures(rollout, sprint.TASK.env.reward, WEIGHT)
+    figures = episode_figures(rollout, sprint.TASK.env.reward, WEIGHT, EFFORT)
     length = 8 * 2 * np.sin(0.25)
     assert figures["velocity_error"] == pytest.approx(0.3)
     assert figures["yaw_rate_error"] == pytest.approx(0.5)
@@ -135,7 +136,9 @@ def test_an_episode_has_one_command_which_its_policy_sees(quadruped, monkeypatch
 
 def test_the_typical_episode_is_the_one_of_median_speed_along_its_path(glide):
     rollouts = [glide((speed, 0.0, 0.5), 0.0) for speed in (1.0, 0.0, 0.4)]
-    episodes = [episode_figures(rollout, sprint.TASK.env.reward, WEIGHT) for rollout in rollouts]
+    episodes = [
+        episode_figures(rollout, sprint.TASK.env.reward, WEIGHT, EFFORT) for rollout in rollouts
+    ]
     assert typical_episode(episodes) == 2
     summary = summarise(episodes)
     assert summary["velocity_error"]["mean"] == pytest.approx(1.4 / 3)

@@ -13,10 +13,9 @@ from quadwalk.physics.batching import BATCH, robots_last
 from quadwalk.physics.fast import (
     acceleration,
     control_step,
-    heights,
     integrate,
+    lowest_points,
     make_model,
-    soles,
 )
 from quadwalk.physics.model import contact_geoms, shell_geoms
 from quadwalk.physics.motor import MotorConfig, Physics, make_motor
@@ -261,24 +260,24 @@ def test_a_belly_rests_where_that_of_the_full_model_does(body_env):
 
 def test_knees_and_corners_are_not_measured_as_shapes(env, body_env):
     qpos = jnp.asarray(env.robot.home).at[2].set(0.1)
-    for ours, theirs in zip(heights(env.model, qpos), heights(body_env.model, qpos), strict=True):
-        np.testing.assert_array_equal(ours, theirs)
+    ours, theirs = lowest_points(env.model, qpos), lowest_points(body_env.model, qpos)
+    for one, other in zip(ours, theirs, strict=True):
+        np.testing.assert_array_equal(one, other)
 
 
-def test_heights_are_those_of_the_placed_shapes(env):
+def test_lowest_points_are_those_of_the_placed_shapes(env):
     model, feet = env.mj_model, env.quadruped.feet
     geoms, shells = contact_geoms(model, feet)[0], shell_geoms(model, feet)
     data = mujoco.MjData(model)
     rng = np.random.default_rng(2)
-    compiled = jax.jit(lambda q: (*heights(env.model, q), soles(env.model, q)))
+    compiled = jax.jit(lambda q: lowest_points(env.model, q))
     for _ in range(5):
         data.qpos[:] = env.robot.home + rng.uniform(-0.3, 0.3, 19)
         data.qpos[3:7] /= np.linalg.norm(data.qpos[3:7])
         mujoco.mj_kinematics(model, data)
-        above, lowest, points = compiled(jnp.asarray(data.qpos, jnp.float32))
+        points, lowest = compiled(jnp.asarray(data.qpos, jnp.float32))
         touching = data.geom_xpos[geoms] - model.geom_size[geoms, :1] * [0, 0, 1]
         np.testing.assert_allclose(points, touching, atol=1e-6)
-        np.testing.assert_allclose(above, touching[:, 2], atol=1e-6)
         expected = min(lowest_point(model, data, int(geom)) for geom in shells)
         assert float(lowest) == pytest.approx(expected, abs=1e-6)
 

@@ -17,6 +17,7 @@ PARAMS = {
     "follow": {"width": 1.0},
     "follow_yaw_rate": {"width": 1.0},
     "drag": {"height": 1.0},
+    "trot": {"stride": 20.0, "height": 0.06, "width": 0.04},
 }
 BLOG = ("progress", "inclined", "heading", "movement")
 
@@ -26,6 +27,7 @@ def a_step(**changes) -> Step:
     rest = jnp.zeros(19).at[2].set(0.375).at[3].set(1.0)
     fields = {
         "dt": 0.02,
+        "steps": jnp.zeros((), jnp.int32),
         "start": rest,
         "qpos": rest,
         "qvel": jnp.zeros(18),
@@ -53,6 +55,13 @@ def stepping(heights, velocities) -> Step:
     """A step after which the soles are so high, m, and over which they move at m/s along y."""
     soles = jnp.zeros((4, 3)).at[:, 2].set(jnp.array(heights))
     return a_step(start_soles=soles.at[:, 1].add(-0.02 * jnp.array(velocities)), soles=soles)
+
+
+def swinging(steps, heights, command) -> Step:
+    """A step after which the soles are so high, m, at that step of the episode."""
+    return stepping(heights, [0.0] * 4)._replace(
+        steps=jnp.asarray(steps), command=jnp.array(command)
+    )
 
 
 def turned(roll=0.0, pitch=0.0, yaw=0.0):
@@ -84,11 +93,11 @@ CASES = {
     "follow_yaw_rate": (moving(-np.pi + 0.01, 0.03, (9.0, 9.0), (9.0, 9.0, 3.5)), np.exp(-4.0)),
     # Half as high as a swing should be, on the floor, on the floor at rest, high enough.
     "drag": (stepping([0.5, 0.0, 0.0, 1.5], [1.0, -0.6, 0.0, 1.0]), (0.5 + 0.6) / 4),
-    "trot": (a_step(contact=jnp.array([True, False, True, True])), 0.5),
-    # Told to stand, one foot is in the air, and joints turn at half a radian per second.
-    "stepping": (
-        a_step(contact=jnp.array([True, False, True, True]), qvel=jnp.zeros(18).at[6:].set(-0.5)),
-        0.75,
+    # A quarter of a stride in, FR and RL (the first and last of the four) are to be highest: one
+    # is, one is half a width too high, and of those that belong on the floor one is a width off.
+    "trot": (
+        swinging(5, [0.06, 0.04, 0.0, 0.08], (0.5, 0.0, 0.0)),
+        (np.exp(-0.25) + np.exp(-1.0) + 2.0) / 4,
     ),
 }
 LIMITS = {
@@ -102,8 +111,8 @@ LIMITS = {
     "follow": (moving(0.0, 0.0, (1e6, 0.0), (0.0, 0.0, 0.0)), 0.0),
     "follow_yaw_rate": (moving(0.0, 3.1, (0.0, 0.0), (0.0, 0.0, 0.0)), 0.0),
     "drag": (stepping([0.0] * 4, [1e6] * 4), 2.0),
-    "trot": (a_step(contact=jnp.zeros(4, bool)), 0.0),
-    "stepping": (a_step(command=jnp.array([0.0, 0.0, 0.1])), 0.0),
+    # Half a stride later it is the others' turn; at the command to stand, nobody's.
+    "trot": (swinging(15, [9.0, 0.06, 0.06, 9.0], (0.0, 0.0, 0.1)), 0.5),
 }
 
 

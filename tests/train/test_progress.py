@@ -164,7 +164,7 @@ def test_no_line_is_wider_than_the_terminal(monkeypatch, width):
     stream = Terminal()
     many = {f"train/reward/a_rather_long_name_{index}": -index for index in range(9)}
     with Progress(10_000_000, stream=stream) as progress:
-        progress.phase("compiling the training step", 25)
+        progress.phase("compiling", 25)
         progress.phase("training")
         for steps in range(0, 9_000_000, 1_000_000):
             progress.update(steps, {**FIGURES, **many, "train/nan": 5})

@@ -71,6 +71,9 @@ class EpisodeMessages:
             "/observation": Scalars("Observation", rollout.observation_names),
             "/reward": Scalars("Reward", ["total", *rollout.reward_terms]),
         }
+        if rollout.truth is not None:
+            known = rollout.observation_names[: rollout.truth.shape[1]]
+            self.scalars["/truth"] = Scalars("Truth", known)
         if rollout.command is not None:
             self.scalars["/command"] = Scalars("Command", ["forward", "lateral", "yaw_rate"])
         self.topics: dict[str, type[Message]] = {
@@ -80,7 +83,10 @@ class EpisodeMessages:
             "/pose": PoseInFrame,
             "/scene": SceneUpdate,
             "/log": Log,
-        } | {topic: type(scalars.message) for topic, scalars in self.scalars.items()}
+        }
+        if rollout.obeyed is not None:
+            self.topics["/joint_obeyed"] = JointStates
+        self.topics |= {topic: type(scalars.message) for topic, scalars in self.scalars.items()}
 
     def nanoseconds(self, row: int) -> int:
         return round(row * self.rollout.control_dt * 1e9)
@@ -195,7 +201,12 @@ class EpisodeMessages:
         commands = JointStates()
         for name in self.quadruped.joints:
             commands.joints.add(name=name)
+        targets = {"/joint_cmd": rollout.target}
+        if rollout.obeyed is not None:
+            targets["/joint_obeyed"] = rollout.obeyed
         begins = {"/observation": rollout.observation, "/action": rollout.action}
+        if rollout.truth is not None:
+            begins["/truth"] = rollout.truth
         if rollout.command is not None:
             begins["/command"] = rollout.command
         contacts, reward = self.scalars["/contacts"], self.scalars["/reward"]
@@ -208,7 +219,7 @@ class EpisodeMessages:
             rewards = [_of_ended(term, start, stop) for term in terms]
             rewards = compact(np.stack(rewards, axis=1)).tolist()
             begun = slice(start, min(stop, rollout.steps))
-            targets = compact(rollout.target[begun]).tolist()
+            angles = {topic: compact(array[begun]).tolist() for topic, array in targets.items()}
             begin = {topic: compact(array[begun]).tolist() for topic, array in begins.items()}
             for k, row in enumerate(range(start, stop)):
                 time = self.nanoseconds(row)
@@ -220,13 +231,14 @@ class EpisodeMessages:
                     ]
                 if row < rollout.steps:
                     commands.timestamp.FromNanoseconds(time)
-                    for joint, target in zip(commands.joints, targets[k], strict=True):
-                        joint.position = target
                     messages += [
                         (topic, self.scalars[topic].serialised(time, rows[k]))
                         for topic, rows in begin.items()
                     ]
-                    messages.append(("/joint_cmd", commands.SerializeToString()))
+                    for topic, rows in angles.items():
+                        for joint, angle in zip(commands.joints, rows[k], strict=True):
+                            joint.position = angle
+                        messages.append((topic, commands.SerializeToString()))
                 yield messages
 
         return write

@@ -20,6 +20,7 @@ def provenance(subject: Subject, seed: int) -> dict[str, Any]:
         "engine": subject.env.engine,
         "seed": seed,
         "seconds": subject.env.config.episode_seconds,
+        "randomised": subject.env.config.randomisation.enabled,
         "training_steps": subject.policy.steps,
         "policy_sha256": checkpoint.sha256(subject.file),
         "revision": revision(),

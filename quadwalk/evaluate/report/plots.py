@@ -22,6 +22,7 @@ DPI = 100
 
 LEG_COLOURS = ("#d1495b", "#00798c", "#edae49", "#30638e")  # FR, FL, RR, RL
 INK, _FAINT = "#22262b", "#9aa3ad"
+_SENSORS = 3  # panels
 _PARTS = ("hip", "thigh", "calf")
 
 
@@ -68,11 +69,14 @@ def tidy(axes: Axes, title: str, unit: str = "") -> None:
 
 
 def draw_report(rollout: Rollout, quadruped: Quadruped, title: str = "") -> Figure:
-    """The report as a figure, 16 by 18 inches."""
+    """The report as a figure, 16 by 18 inches; 21 with the sensors, where they are not ideal."""
     shown = finite_part(rollout)
-    figure = new_figure((16, 18), _headline(rollout, quadruped, title), fontsize=15)
+    heights, height = [0.85, 1.2, 1.2, 1.2, 1.6], 18
+    if shown.truth is not None:
+        heights, height = [*heights, 1.0], 21
+    figure = new_figure((16, height), _headline(rollout, quadruped, title), fontsize=15)
     # Each row lays out its own panels, so that one's long labels do not squeeze the others.
-    rows: Any = figure.subfigures(5, 1, height_ratios=(0.85, 1.2, 1.2, 1.2, 1.6))
+    rows: Any = figure.subfigures(len(heights), 1, height_ratios=heights)
     draw_footfalls(rows[0].subplots(), shown, quadruped)
     speed, posture = rows[1].subplots(1, 2)
     (draw_speed if shown.command is None else _tracking)(speed, shown)
@@ -85,6 +89,8 @@ def draw_report(rollout: Rollout, quadruped: Quadruped, title: str = "") -> Figu
     rewards, path = rows[4].subplots(1, 2, width_ratios=(8, 7))
     _rewards(rewards, shown)
     _path(path, shown)
+    if shown.truth is not None:
+        _sensors(rows[5].subplots(1, _SENSORS), shown, shown.truth)
     for axes in figure.axes:
         axes.tick_params(labelsize=9)
     return figure
@@ -171,6 +177,22 @@ def _posture(axes: Axes, rollout: Rollout) -> None:
     _finish(axes, "Height and attitude of the base", rollout.time)
 
 
+def _sensors(panels: Any, rollout: Rollout, truth: np.ndarray) -> None:
+    """Some of what the policy saw beside what was so: from each end and between."""
+    start, time = _window(rollout), rollout.time[:-1]
+    seen = rollout.observation[:, : truth.shape[1]]
+    wrong = np.flatnonzero(np.any(seen != truth, axis=0))
+    if not len(wrong):
+        wrong = np.arange(truth.shape[1])
+    some = wrong[np.linspace(0, len(wrong) - 1, _SENSORS).astype(int)]
+    for axes, column in zip(panels, some, strict=True):
+        name = rollout.observation_names[column]
+        axes.plot(time[start:], seen[start:, column], color=LEG_COLOURS[0], lw=0.8, label="seen")
+        axes.plot(time[start:], truth[start:, column], color=INK, lw=1.4, label="true")
+        axes.margins(y=0.2)
+        _finish(axes, f"{name}: what the policy saw, and the truth", rollout.time[start:])
+
+
 def _angles(axes: Axes, rollout: Rollout, quadruped: Quadruped, part: int) -> None:
     start = _window(rollout)
     time = rollout.time[start:]
@@ -180,8 +202,13 @@ def _angles(axes: Axes, rollout: Rollout, quadruped: Quadruped, part: int) -> No
         if rollout.steps:
             target = rollout.target[start:, column]
             axes.plot(time[:-1], target, color=LEG_COLOURS[leg], linewidth=0.6, alpha=0.6)
+            if rollout.obeyed is not None:
+                obeyed = rollout.obeyed[start:, column]
+                axes.plot(time[1:], obeyed, color=LEG_COLOURS[leg], lw=0.6, alpha=0.6, ls=":")
     _limits(axes, quadruped.lower[part::3].max(), quadruped.upper[part::3].min())
-    _finish(axes, f"{_PARTS[part].capitalize()} angles (thin: targets) and limits, rad", time)
+    late = "" if rollout.obeyed is None else ", dotted: obeyed"
+    title = f"{_PARTS[part].capitalize()} angles (thin: targets{late}) and limits, rad"
+    _finish(axes, title, time)
 
 
 def _torques(axes: Axes, rollout: Rollout, quadruped: Quadruped, part: int) -> None:

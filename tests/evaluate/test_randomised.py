@@ -1,0 +1,127 @@
+"""Episodes under drawn conditions: what is recorded of them, and what is measured."""
+
+import dataclasses
+import json
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+
+from quadwalk.evaluate.gait import measure_gait
+from quadwalk.evaluate.recording.mcap import write_mcap
+from quadwalk.evaluate.report.plots import draw_report
+from quadwalk.evaluate.simulate import simulate_episodes, with_foot_forces
+from quadwalk.evaluate.summary import AT_LIMIT, episode_figures
+from quadwalk.task.conditions import as_values
+from quadwalk.task.config import NO_RANDOMISATION
+from quadwalk.task.env import QuadrupedEnv
+from quadwalk.tasks import sprint
+
+EPISODES, ADDED = 3, 0.3
+RANGES = dataclasses.replace(
+    NO_RANDOMISATION,
+    enabled=True,
+    trunk_mass=(ADDED, ADDED),
+    strength=(0.8, 1.0),
+    latency=(0.02, 0.02),
+    noise=(1.0, 1.0),
+)
+
+
+@pytest.fixture(scope="module")
+def env(quadruped) -> QuadrupedEnv:
+    return QuadrupedEnv(
+        quadruped,
+        dataclasses.replace(sprint.TASK.env, episode_seconds=1.0, randomisation=RANGES),
+    )
+
+
+@pytest.fixture(scope="module")
+def rollouts(env):
+    """Of a policy that stands with legs that tremble a little."""
+    tremble = jax.tree_util.Partial(lambda w, seen: 0.01 * jnp.tanh(seen @ w), jnp.eye(47, 12))
+    return simulate_episodes(env, tremble, EPISODES, seed=0)
+
+
+def test_each_episode_has_what_was_drawn_for_it(env, rollouts):
+    drawn = [as_values(rollout.conditions, env.stepping) for rollout in rollouts]
+    strengths = {values["strength"] for values in drawn}
+    assert len(strengths) == EPISODES
+    assert all(0.8 <= strength <= 1.0 for strength in strengths)
+    for values in drawn:
+        assert values["latency"] == pytest.approx(0.02)
+        assert values["trunk_mass"] == pytest.approx(ADDED * env.robot.mass, rel=1e-5)
+        assert values["encoder"] == [0.0] * 12
+        assert set(vars(env.config.randomisation)) - {"enabled"} == set(values)
+
+
+def test_motors_obey_the_target_of_a_control_step_before(env, rollouts):
+    for rollout in rollouts:
+        late = np.concatenate([[env.robot.home_joints], rollout.target[:-1]])
+        np.testing.assert_allclose(rollout.obeyed, late, atol=1e-6)
+        assert np.abs(np.diff(rollout.target, axis=0)).max() > 1e-4
+
+
+def test_what_is_seen_is_the_truth_and_noise_of_level_1(env, rollouts):
+    noisy = env.noise_scale > 0
+    names = np.array(env.observation_names)
+    for rollout in rollouts:
+        off = rollout.observation - rollout.truth
+        np.testing.assert_allclose(off[:, ~noisy], 0.0, atol=1e-6)
+        assert np.std(off[:, noisy] / env.noise_scale[noisy]) == pytest.approx(1.0, abs=0.05)
+        joints = np.char.startswith(names, "position_")
+        home = rollout.qpos[:-1, 7:] - env.robot.home_joints
+        np.testing.assert_allclose(rollout.truth[:, joints], home, atol=1e-6)
+
+
+def test_the_floor_carries_what_was_added(env, rollouts):
+    whole = with_foot_forces(rollouts[0], env)
+    carried = whole.foot_force[25:].sum(axis=1).mean()
+    # It sways a little, so that the floor now carries more, now less.
+    assert carried == pytest.approx((1.0 + ADDED) * env.robot.weight, rel=0.05)
+
+
+def test_power_and_limits_are_those_of_the_motors(env, rollouts):
+    rollout = dataclasses.replace(
+        rollouts[0],
+        energy=np.full(rollouts[0].steps, 2.0),
+        torque=np.zeros_like(rollouts[0].torque),
+        action=np.cumsum(np.full_like(rollouts[0].action, 0.001), axis=0),
+    )
+    rollout.energy[7] = 10.0
+    effort = np.asarray(env.motor.effort)
+    rollout.torque[:10, 4] = -effort[4]
+    rollout.torque[10:20, 5] = 0.9 * AT_LIMIT * effort[5]
+    figures = episode_figures(rollout, env.config.reward, env.robot.weight, effort)
+    assert figures["peak_power"] == pytest.approx(10.0 / 0.02)
+    assert figures["power"] == pytest.approx((2.0 + 8.0 / rollout.steps) / 0.02)
+    assert figures["torque_limit"] == pytest.approx(100.0 * 10 / rollout.steps)
+    assert figures["action_rate"] == pytest.approx(0.001 / 0.02, rel=1e-4)
+    assert measure_gait(rollout, env.quadruped).action_rate == figures["action_rate"]
+
+
+def test_a_recording_holds_the_truth_and_the_obeyed_targets(env, rollouts, tmp_path):
+    rollout, path = with_foot_forces(rollouts[1], env), tmp_path / "episode.mcap"
+    values = as_values(rollout.conditions, env.stepping)
+    write_mcap(path, rollout, env.quadruped, {"conditions": json.dumps(values)})
+    with path.open("rb") as stream:
+        reader = make_reader(stream)
+        topics = [channel.topic for _, channel, _ in reader.iter_messages()]
+        records = {record.name: record.metadata for record in reader.iter_metadata()}
+    for topic in ("/truth", "/joint_obeyed", "/observation", "/joint_cmd"):
+        assert topics.count(topic) == rollout.steps
+    assert json.loads(records["quadwalk"]["conditions"]) == values
+
+
+def test_the_report_shows_what_was_seen_beside_the_truth(env, rollouts):
+    panels = draw_report(rollouts[0], env.quadruped).axes
+    shown = [axes for axes in panels if "the truth" in axes.get_title(loc="left")]
+    assert len(shown) == 3
+    for axes in shown:
+        name = axes.get_title(loc="left").partition(":")[0].lower()
+        column = [n.lower() for n in env.observation_names].index(name)
+        seen, true = (line.get_ydata() for line in axes.get_lines())
+        np.testing.assert_array_equal(seen, rollouts[0].observation[-len(seen) :, column])
+        np.testing.assert_array_equal(true, rollouts[0].truth[-len(true) :, column])
