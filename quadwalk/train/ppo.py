@@ -171,7 +171,7 @@ def collect(
             },
         )
         transition, seen = jax.tree.map(lambda x: x[:learnt_from], (transition, after.obs))
-        start = jax.tree.map(lambda x: jnp.roll(x, number, axis=0), fresh)
+        start = jax.tree.map(lambda x: jnp.roll(x, number + 1, axis=0), fresh)
         return (
             (_start_anew(after, start), nan_step),
             (transition, seen, _step_metrics(after, learnt_from)),

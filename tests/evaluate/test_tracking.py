@@ -21,6 +21,7 @@ from quadwalk.evaluate.summary import (
     typical_episode,
 )
 from quadwalk.task.config import CommandConfig
+from quadwalk.task.env import QuadrupedEnv
 from quadwalk.tasks import sprint, walk
 from quadwalk.train.runs.directory import Run
 from quadwalk.train.runs.policy import Policy
@@ -120,7 +121,8 @@ def test_an_episode_has_one_command_which_its_policy_sees(quadruped, monkeypatch
     )
     act = jax.tree_util.Partial(lambda seen: 0.0 * seen[..., :12])
     config = dataclasses.replace(walk.TASK, env=dataclasses.replace(walk.TASK.env, command=told))
-    policy = Policy(act, config, quadruped.joints, 48, 0)
+    size = QuadrupedEnv(quadruped, config.env).policy_size
+    policy = Policy(act, config, quadruped.joints, size, 0)
     monkeypatch.setattr(subject, "load_policy", lambda path: policy)
     monkeypatch.setattr(subject, "load_run_robot", lambda *_: quadruped)
     env = subject.load_subject(Run(Path("walker")), 0.2, engine="mujoco").env

@@ -182,11 +182,12 @@ def test_the_metrics_count_every_episode(collected):
 @pytest.mark.parametrize("poisoned", [[], [2], [8], [3, 8]], ids=str)
 def test_the_first_step_that_gave_no_number_is_kept(networks, gather, poisoned):
     state = start(networks)
-    envs = state.workers.envs
+    learner = state.learner._replace(iterations=jnp.ones((), jnp.int32))  # the first starts anew
+    envs = ppo.reset_envs(Counter(), jax.random.split(jax.random.PRNGKey(0), 12))
     count = envs.pipeline_state
     origin = count.origin.at[np.array(poisoned, int)].set(2.0)
     envs = envs.replace(pipeline_state=count._replace(origin=origin))
-    _, data, metrics = jax.device_get(gather(state.learner, state.workers._replace(envs=envs)))
+    _, data, metrics = jax.device_get(gather(learner, state.workers._replace(envs=envs)))
     nan_step = metrics["nan_step"]
     assert metrics["count/nan"] == len(poisoned)
     assert (nan_step.found > 0) == bool(poisoned)
@@ -246,13 +247,17 @@ def test_every_device_holds_the_same_learner(networks, iterate):
 
 
 def test_it_learns(networks, iterate):
-    state = start(networks)
-    for _ in range(150):
-        # Waited for: programs queued up on devices that wait for each other can lock up.
-        state, _ = jax.block_until_ready(iterate(state))
-    learner = jax.device_get(state.learner)
-    policy = mean_policy(networks, learner.normalizer, learner.params.policy)
-    np.testing.assert_allclose(policy(jnp.array([[1.0, 0.3], [2.0, -0.3]])), GOAL, atol=0.15)
+    actions = []
+    for seed in range(3):
+        state = start(networks, seed)
+        for _ in range(150):
+            # Waited for: programs queued up on devices that wait for each other can lock up.
+            state, _ = jax.block_until_ready(iterate(state))
+        learner = jax.device_get(state.learner)
+        policy = mean_policy(networks, learner.normalizer, learner.params.policy)
+        actions.append(policy(jnp.array([[1.0, 0.3], [2.0, -0.3]])))
+    # Each is still random by as much as the few environments leave; on average they are there.
+    np.testing.assert_allclose(np.mean(actions, axis=0), GOAL, atol=0.1)
 
 
 @pytest.mark.parametrize(
