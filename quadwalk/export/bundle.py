@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import onnx
 import onnxruntime
@@ -74,9 +75,9 @@ def largest_difference(model: onnx.ModelProto, subject: Subject, targets: JointT
     rng = np.random.default_rng(0)
     size = env.policy_size
     wide = np.asarray(normalizer.std) * rng.standard_normal((_ROWS, size))
-    seen = np.float32(np.asarray(normalizer.mean) + wide)
-    joints = np.float32(rng.uniform(env.robot.lower, env.robot.upper, (_ROWS, 12)))
-    actions = subject.policy.act(seen)
+    seen = (np.asarray(normalizer.mean) + wide).astype(np.float32)
+    joints = rng.uniform(env.robot.lower, env.robot.upper, (_ROWS, 12)).astype(np.float32)
+    actions = subject.policy.act(jnp.asarray(seen))
     expected = jax.vmap(lambda a, q: env.config.action(env.robot, a, q))(actions, joints)
     session = onnxruntime.InferenceSession(
         model.SerializeToString(), providers=["CPUExecutionProvider"]

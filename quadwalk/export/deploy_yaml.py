@@ -14,7 +14,7 @@ from quadwalk.task.env import QuadrupedEnv
 from quadwalk.task_files import reference
 
 SDK_LEGS = ("FR", "FL", "RR", "RL")  # of unitree_sdk2's motors, hip thigh calf in each
-# What that runtime calls our observations. Those of `known` it has; others must be added to it.
+# What that runtime calls the observations that it has (deploy/.../envs/mdp/observations.h).
 _NAMES = {
     "quadwalk.task.observation:angular_velocity": "base_ang_vel",
     "quadwalk.task.observation:gravity": "projected_gravity",
@@ -81,7 +81,7 @@ def missing_terms(env: QuadrupedEnv) -> list[str]:
 
 
 def as_yaml(config: Mapping[str, Any]) -> str:
-    """`config` as YAML: groups as indented blocks, lists and values as JSON, which YAML contains."""
+    """`config` as YAML: indented groups, with lists and values as JSON, which is YAML too."""
     return "".join(f"{line}\n" for line in _lines(config, ""))
 
 

@@ -69,8 +69,16 @@ def describe(subject: Subject, targets: JointTargets) -> dict[str, str]:
 def nominal_start(env: QuadrupedEnv) -> np.ndarray:
     """qpos (19,) of an episode's start without its random part."""
     reset = env.config.reset
-    random = ("yaw", "tilt", "offset", "joints", "velocity", "joint_velocity", "forward")
-    still = dataclasses.replace(reset, **dict.fromkeys(random, 0.0))
+    still = dataclasses.replace(
+        reset,
+        yaw=0.0,
+        tilt=0.0,
+        offset=0.0,
+        joints=0.0,
+        velocity=0.0,
+        joint_velocity=0.0,
+        forward=0.0,
+    )
     return np.asarray(fresh_start(env.geometry, env.robot, still, jax.random.PRNGKey(0)).qpos)
 
 

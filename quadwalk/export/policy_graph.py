@@ -144,7 +144,10 @@ class _Graph:
         self, inputs: dict[str, int], outputs: dict[str, int], metadata: Mapping[str, str]
     ) -> onnx.ModelProto:
         described = [
-            [helper.make_tensor_value_info(n, TensorProto.FLOAT, [1, size]) for n, size in x.items()]
+            [
+                helper.make_tensor_value_info(n, TensorProto.FLOAT, [1, size])
+                for n, size in x.items()
+            ]
             for x in (inputs, outputs)
         ]
         graph = helper.make_graph(self.nodes, "policy", *described, initializer=self.constants)

@@ -18,7 +18,7 @@ TIMESTEP = 0.002  # s, about that of a physics step
 FRICTION_SPEED = 0.1  # rad/s, over which joint friction passes through zero
 # What the policy sees, by the function it was trained with. R turns the trunk's frame into the
 # world's; q, v are qpos, qvel; home and last action are (12,), command (3,).
-OBSERVATIONS = {
+OBSERVATIONS: dict = {
     "task.observation:velocity": lambda R, q, v, home, last, command: R.T @ v[:3],
     "task.observation:angular_velocity": lambda R, q, v, home, last, command: v[3:6],
     "task.observation:gravity": lambda R, q, v, home, last, command: -R[2],
@@ -54,7 +54,7 @@ functions = about["observation_functions"].replace("quadwalk.", "").split(",")
 if unknown := sorted(set(functions) - set(OBSERVATIONS)):
     sys.exit(f"error: add {', '.join(unknown)} to OBSERVATIONS in {__file__}")
 params = json.loads(about["observation_params"]).values()
-past = [deque(maxlen=1 + int(n)) for n in about["observation_history"].split(",")]
+past: list = [deque(maxlen=1 + int(n)) for n in about["observation_history"].split(",")]
 ranges = list(json.loads(about["command_ranges"]).values())
 command = np.clip(options.command, *np.transpose(ranges)) if ranges else np.zeros(3)
 
@@ -78,7 +78,7 @@ while data.time < options.seconds - 1e-6 and not fell and (not viewer or viewer.
         seen = np.atleast_1d(OBSERVATIONS[function](R, q, v, home, last, command, **extra)).copy()
         kept.extend([seen] * (1 if kept else kept.maxlen))
     given = {"obs": np.concatenate([seen for kept in past for seen in kept]), "joint_pos": q[7:]}
-    given = {x.name: np.float32(given[x.name])[None] for x in session.get_inputs()}
+    given = {x.name: given[x.name].astype(np.float32)[None] for x in session.get_inputs()}
     (last,), (target,) = session.run(["actions", "joint_targets"], given)
     saved.append((data.time, q.copy(), v.copy(), target))
     for _ in range(substeps):  # the joint controller, within the motors' torque-speed lines
@@ -95,5 +95,5 @@ x, y = q[:2] - start[:2]
 print(f"{about['robot']}, {about['task']}: {x / data.time:.3f} m/s along x for {data.time:.2f} s, "
       f"{y:.2f} m to the left, {'fell' if fell else 'no fall'}")  # fmt: skip
 if options.save:
-    columns = [np.array(column) for column in zip(*saved, strict=True)]
-    np.savez(options.save, **dict(zip(("time", "qpos", "qvel", "target"), columns, strict=True)))
+    when, qpos, qvel, targets = map(np.array, zip(*saved, strict=True))
+    np.savez(options.save, time=when, qpos=qpos, qvel=qvel, target=targets)
