@@ -279,7 +279,9 @@ class QuadrupedEnv(Env):
     def _of_parts(self, value: Callable[[Observation], Any]) -> np.ndarray:
         """`value` of the part that each number of a control step belongs to."""
         parts = self.config.observation
-        return np.array([value(parts[part]) for part, names in self.part_names.items() for _ in names])
+        return np.array(
+            [value(parts[part]) for part, names in self.part_names.items() for _ in names]
+        )
 
     @cached_property
     def _history(self) -> np.ndarray:
