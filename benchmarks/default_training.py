@@ -50,3 +50,23 @@ class DefaultTraining:
             self._state, _ = jax.block_until_ready(self._iterate(self._state))
             iterations += 1
         return Timed(iterations * self._batch, time.perf_counter() - began)
+
+    def run_parts(self, seconds: float) -> tuple[Timed, Timed]:
+        """The same, with collecting and learning timed apart."""
+        import jax
+
+        from quadwalk.train.ppo import TrainState
+
+        began, iterations = time.perf_counter(), 0
+        collecting = learning = 0.0
+        while not iterations or time.perf_counter() - began < seconds:
+            start = time.perf_counter()
+            workers, data, _, key = jax.block_until_ready(self._iterate.collect(*self._state))
+            middle = time.perf_counter()
+            learner, _ = jax.block_until_ready(self._iterate.learn(self._state.learner, data, key))
+            self._state = TrainState(learner, workers)
+            collecting += middle - start
+            learning += time.perf_counter() - middle
+            iterations += 1
+        steps = iterations * self._batch
+        return Timed(steps, collecting), Timed(steps, learning)

@@ -1,4 +1,4 @@
-"""The console command `quadwalk`: what train.py, eval.py and `python -m quadwalk.robot` do."""
+"""The console command `quadwalk`: train, eval, export and robot, which modules do as well."""
 
 import importlib
 import sys
@@ -8,6 +8,7 @@ from quadwalk.errors import UsageError, run_command
 _COMMANDS = {
     "train": ("quadwalk.train.__main__", "teach a quadruped a task"),
     "eval": ("quadwalk.evaluate.__main__", "judge a trained policy"),
+    "export": ("quadwalk.export.__main__", "write a policy as ONNX, to be used elsewhere"),
     "robot": ("quadwalk.robot.__main__", "convert a URDF to MJCF, or draw it"),
 }
 

@@ -3,8 +3,10 @@
 import contextlib
 import io
 import re
+import sys
 from collections.abc import Sequence
-from typing import Any, TypeVar
+from pathlib import Path
+from typing import Any, Literal, TypeVar
 
 from quadwalk.errors import UsageError
 
@@ -71,3 +73,9 @@ def value_of(args: Sequence[str], flag: str) -> str | None:
         if arg.startswith(f"{flag}="):
             return arg.partition("=")[2]
     return None
+
+
+def as_typed(command: Literal["train", "eval"]) -> str:
+    """How to call another command: as `quadwalk` if this one was, else by its script."""
+    installed = Path(sys.argv[0]).stem == "quadwalk"
+    return f"quadwalk {command}" if installed else f"python {command}.py"

@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 import pytest
 import tyro
 
-from quadwalk.cli import parse
+from quadwalk.cli import as_typed, parse
 from quadwalk.errors import UsageError
 
 
@@ -73,3 +73,10 @@ def test_help_is_printed_and_ends_the_program(capsys):
         parse(Config, ["--help"], "prog")
     assert stop.value.code == 0
     assert "how many" in capsys.readouterr().out
+
+
+def test_other_commands_are_named_as_this_one_was_called(monkeypatch):
+    monkeypatch.setattr("sys.argv", ["/usr/local/bin/quadwalk", "train"])
+    assert as_typed("eval") == "quadwalk eval"
+    monkeypatch.setattr("sys.argv", ["train.py"])
+    assert as_typed("eval") == "python eval.py"

@@ -1,5 +1,6 @@
 """What is shipped: a wheel with its assets."""
 
+import os
 import subprocess
 import sys
 import zipfile
@@ -10,12 +11,18 @@ import pytest
 ROOT = Path(__file__).parents[1]
 
 
-def test_the_wheel_carries_package_assets_and_licences(tmp_path):
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory) -> Path:
     pytest.importorskip("build")
-    command = [sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", tmp_path]
+    folder = tmp_path_factory.mktemp("wheel")
+    command = [sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", folder]
     done = subprocess.run([*command, ROOT], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-    (wheel,) = tmp_path.glob("*.whl")
+    (built,) = folder.glob("*.whl")
+    return built
+
+
+def test_the_wheel_carries_package_assets_and_licences(wheel):
     with zipfile.ZipFile(wheel) as archive:
         names = set(archive.namelist())
         for asset in (ROOT / "assets").iterdir():
@@ -23,3 +30,29 @@ def test_the_wheel_carries_package_assets_and_licences(tmp_path):
     modules = {path.relative_to(ROOT).as_posix() for path in (ROOT / "quadwalk").rglob("*.py")}
     assert modules <= names
     assert {"LICENSE", "NOTICE"} <= {Path(name).name for name in names}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ("", "train eval export robot"),
+        ("train --help", "run: sprint: walk: blog: --env.physics-dt"),
+        ("eval --help", "--episodes"),
+        ("export --help", "--policy"),
+        ("robot {assets}/aliengo.urdf -q", '<mujoco model="aliengo">'),
+    ],
+)
+def test_its_commands_work_away_from_the_checkout(wheel, tmp_path, arguments, said):
+    site = tmp_path / "site"
+    with zipfile.ZipFile(wheel) as archive:
+        archive.extractall(site)
+    given = arguments.format(assets=site / "quadwalk/assets").split()
+    done = subprocess.run(
+        [sys.executable, "-m", "quadwalk", *given],
+        capture_output=True,
+        text=True,
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(site)},
+    )
+    assert done.returncode == 0, done.stderr
+    assert all(word in done.stdout for word in said.split())

@@ -284,13 +284,16 @@ class QuadrupedEnv(Env):
         )
 
     @cached_property
-    def _parts(self) -> dict[str, tuple[str, ...]]:
+    def part_names(self) -> dict[str, tuple[str, ...]]:
+        """Names of the numbers of each part that the policy sees, in one control step."""
         return self._names(self.config.observation)
 
     def _of_parts(self, value: Callable[[Observation], Any]) -> np.ndarray:
         """`value` of the part that each number of a control step belongs to."""
         parts = self.config.observation
-        return np.array([value(parts[part]) for part, names in self._parts.items() for _ in names])
+        return np.array(
+            [value(parts[part]) for part, names in self.part_names.items() for _ in names]
+        )
 
     @cached_property
     def _history(self) -> np.ndarray:
@@ -310,7 +313,7 @@ class QuadrupedEnv(Env):
     @cached_property
     def observation_names(self) -> tuple[str, ...]:
         """A name for each number that the policy sees; `gravity_x[-2]` is of two steps before."""
-        names = np.array([name for own in self._parts.values() for name in own])
+        names = np.array([name for own in self.part_names.values() for name in own])
         return tuple(
             f"{name}[-{ago}]" if ago else str(name)
             for ago in range(1 + max(self._history))

@@ -11,6 +11,7 @@ from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING
 
+from quadwalk.cli import as_typed
 from quadwalk.errors import UserError
 from quadwalk.train.progress.display import Progress
 from quadwalk.train.runs.directory import Run
@@ -118,14 +119,14 @@ def _tell(
     if steps < config.steps:
         saved = "; the policy is saved" if well else ""
         progress.end(f"stopped after {steps:,} of {config.steps:,} steps{saved}")
-        progress.end(f"go on with      python train.py --resume {_run_argument(run)}")
+        progress.end(f"go on with      {as_typed('train')} --resume {_run_argument(run)}")
     progress.end(f"policy          {run.policy}")
     if writer.best is not None:
         which = "the same" if writer.best[0] == steps else f"after {writer.best[0]:,} steps"
         progress.end(f"best policy     {run.best} ({which})")
     if run.learning_curve.exists():
         progress.end(f"learning curve  {run.learning_curve}")
-    progress.end(f"evaluate with   python eval.py {_run_argument(run)}")
+    progress.end(f"evaluate with   {as_typed('eval')} {_run_argument(run)}")
 
 
 def _lost(writer: "RunWriter | None", steps: int) -> str:
@@ -133,7 +134,8 @@ def _lost(writer: "RunWriter | None", steps: int) -> str:
     what = f"the networks' weights are no longer finite numbers after {steps:,} steps"
     if writer is None:
         return what
-    again = f"python train.py --resume {_run_argument(writer.run)} --ppo.max-learning-rate 1e-3"
+    resume = f"{as_typed('train')} --resume {_run_argument(writer.run)}"
+    again = f"{resume} --ppo.max-learning-rate 1e-3"
     return f"{what}; {_last(writer)}; go on from there with smaller changes, such as {again}"
 
 

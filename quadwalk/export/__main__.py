@@ -1,0 +1,54 @@
+"""`python -m quadwalk.export`: write a policy as ONNX, with all that is needed to use it."""
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+from rich.console import Console
+
+from quadwalk.cli import parse
+from quadwalk.errors import UserError, run_command
+from quadwalk.train.runs.directory import find_run
+
+
+@dataclass(frozen=True)
+class ExportConfig:
+    """Write a policy as ONNX, with deploy.yaml, MJCF, URDF and a script that runs it in MuJoCo."""
+
+    # name or path of a run, or "latest"
+    run: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="[RUN]")] = "latest"
+    # folder for the files; None: export/ in the run's
+    out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
+    policy: Literal["last", "best"] = "last"  # the run's last, or that of its best checkpoint
+    runs: Path = Path("runs")  # folder that holds all runs
+
+
+def main(args: Sequence[str] | None = None, prog: str = "python -m quadwalk.export") -> None:
+    """Parse the command line and export."""
+    config = parse(ExportConfig, sys.argv[1:] if args is None else args, prog)
+    run = find_run(config.runs, config.run)
+    console = Console(stderr=True, highlight=False, soft_wrap=True)
+    console.print(f"exporting {run.path}")
+    from quadwalk.train.devices import set_up_devices
+
+    set_up_devices()
+    try:
+        from quadwalk.export.bundle import export_run
+    except ModuleNotFoundError as error:
+        if error.name not in ("onnx", "onnxruntime"):
+            raise
+        raise UserError(
+            f"{error.name} is not installed; export needs: pip install 'quadwalk[export]'"
+        ) from None
+    out = config.out or run.path / "export"
+    written = export_run(run, config.policy, out, console)
+    for path in written:
+        print(path)
+    console.print(f"see it run with: python {out / 'run_policy.py'}")
+
+
+if __name__ == "__main__":
+    run_command(main)

@@ -1,0 +1,95 @@
+"""All files of an exported policy, written to a folder."""
+
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import onnx
+import onnxruntime
+from rich.console import Console
+
+from quadwalk.errors import UserError
+from quadwalk.evaluate.subject import Subject, load_subject
+from quadwalk.export import run_policy_path
+from quadwalk.export.deploy_yaml import as_yaml, deploy_config, missing_terms
+from quadwalk.export.description import describe
+from quadwalk.export.joint_targets import JointTargets, find_targets
+from quadwalk.export.policy_graph import Weights, build_model, input_order
+from quadwalk.files import atomic_write, os_reason
+from quadwalk.robot.mjcf import write_xml
+from quadwalk.train.runs.directory import Run
+
+TOLERANCE = 1e-5  # of actions and, in rad, of joint targets
+_ROWS = 64
+_YAML_HEAD = """\
+# For unitree_rl_lab: policy.onnx belongs in exported/, this file in params/.
+# Observations that its runtime does not have: {missing}.
+"""
+
+
+def export_run(run: Run, which: str, out: Path, console: Console) -> list[Path]:
+    """Write the "last" or "best" policy of `run` to the folder `out`; return the files.
+
+    What it does is said on `console`. Raises `UserError` where the policy cannot be read or
+    exported, or `out` not written.
+    """
+    subject = load_subject(run, 20.0, which, "mujoco")
+    env = subject.env
+    targets = find_targets(env.config.action, env.robot)
+    weights = Weights.of(subject.policy.act, subject.policy.config.ppo.activation)
+    model = build_model(weights, input_order(env), targets, describe(subject, targets))
+    off = largest_difference(model, subject, targets)
+    if off > TOLERANCE:
+        raise UserError(f"the exported policy is {off:.1e} off; expected less than {TOLERANCE}")
+    console.print(f"ONNX and JAX agree to {off:.1e} on {_ROWS} random observations")
+    files = {
+        "policy.onnx": model.SerializeToString(),
+        "robot.xml": write_xml(env.quadruped.spec).encode(),
+        "robot.urdf": env.quadruped.urdf.encode(),
+        "run_policy.py": run_policy_path().read_bytes(),
+    }
+    missing = ", ".join(missing_terms(env)) or "none"
+    if targets.reach is None:
+        head = _YAML_HEAD.format(missing=missing)
+        files["deploy.yaml"] = (head + as_yaml(deploy_config(env, targets))).encode()
+    else:
+        console.print("no deploy.yaml: its format has no targets that depend on the joints' angles")
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UserError(f"cannot make the folder {out}: {os_reason(error)}") from error
+    for name, content in files.items():
+        with atomic_write(out / name) as file:
+            file.write(content)
+    return [out / name for name in files]
+
+
+def largest_difference(model: onnx.ModelProto, subject: Subject, targets: JointTargets) -> float:
+    """Between the model in ONNX Runtime and the policy and action map in JAX.
+
+    Of actions, and of joint targets in rad, on random observations as wide as those of training.
+    """
+    env = subject.env
+    normalizer, _ = subject.policy.act.args  # type: ignore[attr-defined]
+    rng = np.random.default_rng(0)
+    size = env.policy_size
+    wide = np.asarray(normalizer.std) * rng.standard_normal((_ROWS, size))
+    seen = (np.asarray(normalizer.mean) + wide).astype(np.float32)
+    joints = rng.uniform(env.robot.lower, env.robot.upper, (_ROWS, 12)).astype(np.float32)
+    actions = subject.policy.act(jnp.asarray(seen))
+    expected = jax.vmap(lambda a, q: env.config.action(env.robot, a, q))(actions, joints)
+    session = onnxruntime.InferenceSession(
+        model.SerializeToString(), providers=["CPUExecutionProvider"]
+    )
+    obs = np.empty_like(seen)
+    obs[:, input_order(env)] = seen
+    off = 0.0
+    for row in range(_ROWS):
+        given = {"obs": obs[row : row + 1]}
+        if targets.reach is not None:
+            given["joint_pos"] = joints[row : row + 1]
+        found = session.run(None, given)
+        for mine, theirs in zip(found, (actions, expected), strict=True):
+            off = max(off, float(np.max(np.abs(mine[0] - np.asarray(theirs[row])))))
+    return off

@@ -1,0 +1,103 @@
+"""What a user of an exported policy must know, as ONNX metadata: names, units, gains, limits."""
+
+import dataclasses
+import json
+from collections.abc import Iterable
+from importlib.metadata import version
+from typing import Any
+
+import jax
+import numpy as np
+
+from quadwalk.evaluate.subject import Subject
+from quadwalk.export.joint_targets import JointTargets
+from quadwalk.task.env import QuadrupedEnv
+from quadwalk.task.reset import fresh_start
+from quadwalk.task_files import reference
+
+UNITS = (
+    "m, s, rad, m/s, rad/s, Nm; stiffness Nm/rad, damping Nm s/rad; "
+    "x ahead, y left, z up; quaternions wxyz"
+)
+
+
+def describe(subject: Subject, targets: JointTargets) -> dict[str, str]:
+    """The metadata of a policy: lists as comma-separated strings, as mjlab writes them.
+
+    The first eight keys are mjlab's (mjlab/rl/exporter_utils.py), the others quadwalk's own:
+    all that `run_policy.py` needs.
+    """
+    env, policy = subject.env, subject.policy
+    config, motor = env.config, env.motor
+    parts = config.observation
+    return {
+        "run_path": subject.run.name,
+        "joint_names": _listed(env.quadruped.joints),
+        "joint_stiffness": _joints(motor.kp),
+        "joint_damping": _joints(motor.kd),
+        "default_joint_pos": _joints(env.robot.home_joints),
+        "command_names": "velocity" if config.command.given else "",
+        "observation_names": _listed(parts),
+        "action_scale": _joints(targets.scale),
+        "action_offset": _joints(targets.offset),
+        "joint_target_lower": _joints(targets.lower),
+        "joint_target_upper": _joints(targets.upper),
+        "joint_target_reach": _joints(np.inf if targets.reach is None else targets.reach),
+        "observation_sizes": _listed(len(labels) for labels in env.part_names.values()),
+        "observation_history": _listed(part.history for part in parts.values()),
+        "observation_functions": _listed(reference(part.function) for part in parts.values()),
+        "observation_params": json.dumps({name: part.params or {} for name, part in parts.items()}),
+        "observation_meaning": json.dumps(
+            {name: _first_line(part.function) for name, part in parts.items()}
+        ),
+        "observation_layout": "one part after another, each from its oldest step to its newest; "
+        "at the start all of a part's history is its first reading",
+        "command_ranges": json.dumps(_command_ranges(env)),
+        "units": UNITS,
+        "control_period": f"{config.control_dt:.9g}",
+        "robot": env.quadruped.name,
+        "start_qpos": _listed(nominal_start(env)),
+        "effort_limit": _joints(motor.effort),
+        "velocity_limit": _joints(np.inf if motor.velocity is None else motor.velocity),
+        "joint_friction": _joints(0.0 if motor.friction is None else motor.friction),
+        "training_steps": str(policy.steps),
+        "task": policy.config.task,
+        "quadwalk_version": version("quadwalk"),
+    }
+
+
+def nominal_start(env: QuadrupedEnv) -> np.ndarray:
+    """qpos (19,) of an episode's start without its random part."""
+    reset = env.config.reset
+    still = dataclasses.replace(
+        reset,
+        yaw=0.0,
+        tilt=0.0,
+        offset=0.0,
+        joints=0.0,
+        velocity=0.0,
+        joint_velocity=0.0,
+        forward=0.0,
+    )
+    return np.asarray(fresh_start(env.geometry, env.robot, still, jax.random.PRNGKey(0)).qpos)
+
+
+def _command_ranges(env: QuadrupedEnv) -> dict[str, Any]:
+    """Low and high end of each number of the velocity command; none where there is no command."""
+    command = env.config.command
+    if not command.given:
+        return {}
+    return {name: list(getattr(command, name)) for name in ("forward", "lateral", "yaw_rate")}
+
+
+def _joints(value: Any) -> str:
+    """One number for each joint, of twelve or of one for all."""
+    return _listed(np.broadcast_to(value, 12))
+
+
+def _listed(values: Iterable[Any]) -> str:
+    return ",".join(v if isinstance(v, str) else f"{float(v):.9g}" for v in values)
+
+
+def _first_line(function: Any) -> str:
+    return (function.__doc__ or "").partition("\n")[0]

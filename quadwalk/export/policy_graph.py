@@ -1,0 +1,162 @@
+"""A policy as an ONNX graph: normaliser, network and action map, from `obs` to joint targets.
+
+The input is laid out as Isaac Lab, mjlab and unitree_rl_lab do: one part of the observation after
+another, each with its history from the oldest step to the newest. The graph puts it in the order
+that the policy was trained on. The batch is one, which unitree_rl_lab's runtime expects, and
+`actions` is the first output, the one that it reads.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import onnx
+from onnx import TensorProto, helper, numpy_helper
+
+from quadwalk.errors import UserError
+from quadwalk.export.joint_targets import JointTargets
+from quadwalk.task.env import QuadrupedEnv
+
+OPSET = 17
+IR_VERSION = 8  # that of the opset, so that older runtimes read it: ONNX Runtime 1.12 and later
+
+# Activations by their names in Brax, as ONNX operators one after another; `x *` is a product with
+# the activation's input.
+ACTIVATIONS = {
+    "linear": (),
+    "relu": ("Relu",),
+    "tanh": ("Tanh",),
+    "sigmoid": ("Sigmoid",),
+    "elu": ("Elu",),
+    "celu": ("Celu",),
+    "selu": ("Selu",),
+    "softplus": ("Softplus",),
+    "swish": ("Sigmoid", "x *"),
+    "silu": ("Sigmoid", "x *"),
+}
+
+
+@dataclass(frozen=True)
+class Weights:
+    """What a policy learnt: its normaliser and its layers."""
+
+    mean: np.ndarray  # (n,)
+    std: np.ndarray  # (n,)
+    layers: list[tuple[np.ndarray, np.ndarray]]  # kernel (in, out) and bias (out,) of each
+    activation: str  # of all layers but the last
+
+    @classmethod
+    def of(cls, act: Any, activation: str) -> "Weights":
+        """Those of `Policy.act`; the last layer gives the 12 means of the actions alone."""
+        normalizer, params = act.args
+        layers = [
+            (np.asarray(layer["kernel"]), np.asarray(layer["bias"]))
+            for _, layer in sorted(params["params"].items(), key=lambda item: _number(item[0]))
+        ]
+        kernel, bias = layers[-1]
+        layers[-1] = kernel[:, : len(bias) // 2], bias[: len(bias) // 2]
+        return cls(np.asarray(normalizer.mean), np.asarray(normalizer.std), layers, activation)
+
+
+def _number(layer: str) -> int:
+    """Of a layer called hidden_3, 3."""
+    return int(layer.rpartition("_")[2])
+
+
+def input_labels(env: QuadrupedEnv) -> list[str]:
+    """A name for each number of the input `obs`; `gravity_x[-2]` is of two steps before."""
+    return [
+        f"{label}[-{ago}]" if ago else label
+        for name, labels in env.part_names.items()
+        for ago in range(env.config.observation[name].history, -1, -1)
+        for label in labels
+    ]
+
+
+def input_order(env: QuadrupedEnv) -> np.ndarray:
+    """(n,) where in the input `obs` each number stands of the observation trained on."""
+    place = {label: index for index, label in enumerate(input_labels(env))}
+    return np.array([place[label] for label in env.observation_names], np.int64)
+
+
+def build_model(
+    weights: Weights, order: np.ndarray, targets: JointTargets, metadata: Mapping[str, str]
+) -> onnx.ModelProto:
+    """The policy as an ONNX model.
+
+    Inputs: `obs` (1, n), and, where targets depend on them, `joint_pos` (1, 12), rad. Outputs:
+    `actions` (1, 12) in [-1, 1] and `joint_targets` (1, 12), rad. All are float32.
+    """
+    if weights.activation not in ACTIVATIONS:
+        raise UserError(
+            f"the activation {weights.activation!r} cannot be exported; expected one of "
+            f"{', '.join(ACTIVATIONS)}"
+        )
+    graph = _Graph()
+    x = graph.add("Gather", "obs", graph.constant("order", order), axis=1)
+    x = graph.add("Sub", x, graph.constant("mean", weights.mean))
+    x = graph.add("Div", x, graph.constant("std", weights.std))
+    for index, (kernel, bias) in enumerate(weights.layers):
+        if index:
+            x = graph.activation(weights.activation, x)
+        names = [graph.constant(f"{kind}_{index}", v) for kind, v in (("w", kernel), ("b", bias))]
+        x = graph.add("Gemm", x, *names)
+    actions = graph.add("Tanh", x, name="actions")
+    x = graph.add("Mul", actions, graph.constant("scale", targets.scale))
+    x = graph.add("Add", x, graph.constant("offset", targets.offset))
+    x = graph.add("Max", x, graph.constant("lower", targets.lower))
+    last = "joint_targets" if targets.reach is None else ""
+    x = graph.add("Min", x, graph.constant("upper", targets.upper), name=last)
+    inputs = {"obs": len(order)}
+    if targets.reach is not None:
+        inputs["joint_pos"] = 12
+        reach = graph.constant("reach", targets.reach)
+        x = graph.add("Max", x, graph.add("Sub", "joint_pos", reach))
+        graph.add("Min", x, graph.add("Add", "joint_pos", reach), name="joint_targets")
+    return graph.model(inputs, {"actions": 12, "joint_targets": 12}, metadata)
+
+
+class _Graph:
+    """Nodes and constants, collected."""
+
+    def __init__(self) -> None:
+        self.nodes: list[onnx.NodeProto] = []
+        self.constants: list[onnx.TensorProto] = []
+
+    def constant(self, name: str, value: np.ndarray) -> str:
+        kind = np.int64 if value.dtype == np.int64 else np.float32
+        self.constants.append(numpy_helper.from_array(np.ascontiguousarray(value, kind), name))
+        return name
+
+    def add(self, operator: str, *inputs: str, name: str = "", **attributes: Any) -> str:
+        name = name or f"{operator.lower()}_{len(self.nodes)}"
+        self.nodes.append(helper.make_node(operator, list(inputs), [name], name, **attributes))
+        return name
+
+    def activation(self, name: str, x: str) -> str:
+        y = x
+        for operator in ACTIVATIONS[name]:
+            y = self.add("Mul", x, y) if operator == "x *" else self.add(operator, y)
+        return y
+
+    def model(
+        self, inputs: dict[str, int], outputs: dict[str, int], metadata: Mapping[str, str]
+    ) -> onnx.ModelProto:
+        described = [
+            [
+                helper.make_tensor_value_info(n, TensorProto.FLOAT, [1, size])
+                for n, size in x.items()
+            ]
+            for x in (inputs, outputs)
+        ]
+        graph = helper.make_graph(self.nodes, "policy", *described, initializer=self.constants)
+        model = helper.make_model(
+            graph,
+            opset_imports=[helper.make_opsetid("", OPSET)],
+            ir_version=IR_VERSION,
+            producer_name="quadwalk",
+        )
+        helper.set_model_props(model, dict(metadata))
+        onnx.checker.check_model(model, full_check=True)
+        return model

@@ -1,0 +1,211 @@
+"""The tasks as Gymnasium environments, "quadwalk/Run-v0" and so on, stepped by the fast engine.
+
+    import gymnasium
+    import quadwalk.gym  # registers them
+
+    env = gymnasium.make("quadwalk/Run-v0")
+    envs = gymnasium.make_vec("quadwalk/Run-v0", num_envs=1024)
+
+Both take `task`, `robot` and `overrides` as `quadwalk.make` does. An observation is what the policy
+sees; what the value network sees besides is left out.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+try:
+    import gymnasium
+except ModuleNotFoundError as error:
+    raise ImportError("quadwalk.gym needs Gymnasium: pip install 'quadwalk[gym]'") from error
+import numpy as np
+from gymnasium import spaces
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+
+from quadwalk.api import make
+from quadwalk.errors import UsageError
+from quadwalk.paths import ALIENGO_URDF
+from quadwalk.task_files import task_names
+
+
+class QuadrupedGymEnv(gymnasium.Env[np.ndarray, np.ndarray]):
+    """One robot. `info["end"]` is "running", "time limit", or how it fell."""
+
+    metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012 - as Gymnasium has it
+
+    def __init__(
+        self,
+        task: str | Path,
+        robot: str | Path = ALIENGO_URDF,
+        overrides: Mapping[str, Any] | None = None,
+        render_mode: None = None,
+    ) -> None:
+        env = make(task, robot, overrides)
+        import jax
+
+        self.render_mode = render_mode
+        self.observation_space, self.action_space = _spaces(env)
+        self._ends, self._size = env.ends, env.policy_size
+        self._reset, self._step = jax.jit(env.reset), jax.jit(env.step, donate_argnums=0)
+        self._state: Any = None
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[np.ndarray, dict[str, Any]]:
+        """Begin an episode; the same seed gives the same."""
+        super().reset(seed=seed, options=options)
+        self._state = self._reset(_key(self.np_random))
+        return self._observation(), {"end": self._ends[0]}
+
+    def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
+        """One control step with `action` (12,) in [-1, 1]."""
+        self._state = state = self._step(self._state, np.asarray(action, np.float32))
+        truncated = bool(state.info["truncation"])
+        terminated = bool(state.done) and not truncated
+        info = {"end": self._ends[int(state.info["end"])]}
+        return self._observation(), float(state.reward), terminated, truncated, info
+
+    def _observation(self) -> np.ndarray:
+        return np.array(self._state.obs[: self._size])
+
+
+class QuadrupedGymVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
+    """Many robots, shared out between the cores.
+
+    An episode that ends is followed by the next in the same step: the observation is the first of
+    the new one, `infos["final_obs"]` and `infos["final_info"]` are of the old one's last step.
+    """
+
+    metadata: dict[str, Any] = {  # noqa: RUF012 - as Gymnasium has it
+        "render_modes": [],
+        "autoreset_mode": AutoresetMode.SAME_STEP,
+    }
+
+    def __init__(
+        self,
+        num_envs: int,
+        task: str | Path,
+        robot: str | Path = ALIENGO_URDF,
+        overrides: Mapping[str, Any] | None = None,
+    ) -> None:
+        if num_envs < 1:
+            raise UsageError(f"num_envs is {num_envs}; expected 1 or more")
+        env = make(task, robot, overrides)
+        self.num_envs = num_envs
+        self.single_observation_space, self.single_action_space = _spaces(env)
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self._ends = np.array(env.ends, object)
+        self._start, self._step, self._renew = _programs(env, num_envs)
+        self._state: Any = None
+        self._keys: Any = None
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[np.ndarray, dict[str, Any]]:
+        """Begin an episode in each environment; the same seed gives the same ones, for ever."""
+        super().reset(seed=seed, options=options)
+        import jax
+
+        self._keys = jax.random.split(_key(self.np_random), self.num_envs)
+        self._state, self._keys, seen = self._start(self._keys)
+        return np.array(seen), {}
+
+    def step(
+        self, actions: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
+        """One control step with `actions` (num_envs, 12) in [-1, 1]."""
+        given = np.asarray(actions, np.float32)
+        self._state, seen, reward, end = self._step(self._state, given)
+        end = np.asarray(end)
+        done, truncated = end > 0, self._ends[end] == "time limit"
+        infos: dict[str, Any] = {}
+        if done.any():
+            infos = self._final(np.array(seen), end, done)
+            fresh, later, _ = self._start(self._keys)
+            self._state, self._keys, seen = self._renew(
+                done, (fresh, later), (self._state, self._keys)
+            )
+        return np.array(seen), np.array(reward), done & ~truncated, truncated, infos
+
+    def _final(self, seen: np.ndarray, end: np.ndarray, done: np.ndarray) -> dict[str, Any]:
+        """What Gymnasium wants to be told of the episodes that ended."""
+        last = np.full(self.num_envs, None, object)
+        for index in np.flatnonzero(done):
+            last[index] = seen[index]
+        ends = np.where(done, self._ends[end], None)
+        return {
+            "final_obs": last,
+            "_final_obs": done,
+            "final_info": {"end": ends, "_end": done},
+            "_final_info": done,
+        }
+
+
+def _programs(env: Any, num_envs: int) -> tuple[Any, Any, Any]:
+    """Compiled programs of all environments, on as many devices as share them evenly.
+
+    They start episodes, step them, and put fresh starts in the place of those that ended.
+    """
+    import jax
+    import jax.numpy as jnp
+    from jax.sharding import Mesh
+    from jax.sharding import PartitionSpec as P
+
+    size = env.policy_size
+
+    def start(keys: Any) -> Any:
+        own, later = jnp.moveaxis(jax.vmap(jax.random.split)(keys), 1, 0)
+        state = jax.vmap(env.reset)(own)
+        return state, later, state.obs[:, :size]
+
+    def step(state: Any, actions: Any) -> Any:
+        after = jax.vmap(env.step)(state, actions)
+        return after, after.obs[:, :size], after.reward, after.info["end"]
+
+    def renew(done: Any, fresh: Any, old: Any) -> Any:
+        def choose(new: Any, old: Any) -> Any:
+            return jnp.where(done.reshape(-1, *[1] * (new.ndim - 1)), new, old)
+
+        state, keys = jax.tree.map(choose, fresh, old)
+        return state, keys, state.obs[:, :size]
+
+    count = max(n for n in range(1, len(jax.devices()) + 1) if num_envs % n == 0)
+    mesh = Mesh(np.array(jax.devices()[:count]), ("envs",))
+
+    def program(function: Any, **options: Any) -> Any:
+        split = P("envs")
+        shared = jax.shard_map(
+            function, mesh=mesh, in_specs=split, out_specs=split, check_vma=False
+        )
+        return jax.jit(shared, **options)
+
+    return program(start), program(step, donate_argnums=0), program(renew, donate_argnums=(1, 2))
+
+
+def _spaces(env: Any) -> tuple[spaces.Box, spaces.Box]:
+    """Of one robot's observations and actions."""
+    seen = spaces.Box(-np.inf, np.inf, (env.policy_size,), np.float32)
+    return seen, spaces.Box(-1.0, 1.0, (env.action_size,), np.float32)
+
+
+def _key(random: np.random.Generator) -> Any:
+    """A JAX random key, drawn from `random`."""
+    import jax
+
+    return jax.random.PRNGKey(random.integers(2**32, dtype=np.uint32))
+
+
+def register() -> None:
+    """Make every task known to Gymnasium, as quadwalk/NAME-v0; once, when this is imported."""
+    for name in task_names():
+        gymnasium.register(
+            f"quadwalk/{name.capitalize()}-v0",
+            entry_point="quadwalk.gym:QuadrupedGymEnv",
+            vector_entry_point="quadwalk.gym:QuadrupedGymVectorEnv",
+            kwargs={"task": name},
+        )
+
+
+register()

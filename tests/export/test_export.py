@@ -1,0 +1,241 @@
+"""Exported policies: files that agree with JAX, and a script that drives as our engine does."""
+
+import ast
+import dataclasses
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import onnx
+import onnxruntime
+import pytest
+import yaml
+from brax.training.networks import ACTIVATION
+
+from quadwalk.errors import UserError
+from quadwalk.evaluate.rollout import Rollout
+from quadwalk.evaluate.simulate import simulate_episodes
+from quadwalk.evaluate.subject import Subject, load_subject
+from quadwalk.export import run_policy_path
+from quadwalk.export.__main__ import main
+from quadwalk.export.joint_targets import JointTargets, find_targets
+from quadwalk.export.policy_graph import ACTIVATIONS, Weights, build_model, input_labels
+from quadwalk.task.env import QuadrupedEnv
+from quadwalk.task.terms import ActionMap
+from quadwalk.task_files import load_task
+from quadwalk.train.networks import make_networks
+from quadwalk.train.runs.directory import Run
+from quadwalk.train.runs.policy import save_policy
+
+SECONDS = 0.5
+
+
+class Exported(NamedTuple):
+    """An exported policy, and one of its episodes as our MuJoCo C engine steps it."""
+
+    folder: Path
+    subject: Subject
+    rollout: Rollout
+
+    @property
+    def metadata(self) -> dict[str, str]:
+        model = onnx.load(self.folder / "policy.onnx")
+        return {entry.key: entry.value for entry in model.metadata_props}
+
+
+def untrained_run(path: Path, task: str, quadruped) -> Run:
+    """A run as a training would leave it whose policy has learnt nothing."""
+    config = load_task(task)
+    env = QuadrupedEnv(quadruped, config.env)
+    networks = make_networks(config.ppo, env.policy_size, 12)
+    rng = np.random.default_rng(0)
+    learner = SimpleNamespace(
+        normalizer=SimpleNamespace(
+            mean=np.float32(rng.normal(0, 0.1, env.policy_size)),
+            std=np.float32(rng.uniform(1, 3, env.policy_size)),
+        ),
+        params=SimpleNamespace(policy=networks.policy_network.init(jax.random.PRNGKey(0))),
+    )
+    path.mkdir()
+    run = Run(path)
+    run.urdf.write_text(quadruped.urdf)
+    save_policy(run.policy, learner, config, quadruped.joints, env.policy_size, 0, 0.0)
+    return run
+
+
+@pytest.fixture(scope="module", params=["run", "walk", "blog"])
+def exported(request, quadruped, tmp_path_factory) -> Exported:
+    root = tmp_path_factory.mktemp("export")
+    run = untrained_run(root / request.param, request.param, quadruped)
+    main([str(run.path), "-o", str(root / "out")])
+    subject = load_subject(run, SECONDS, "last", "mujoco")
+    config = subject.env.config
+    random = {f.name for f in dataclasses.fields(config.reset)} - {"pose", "height"}
+    reset = dataclasses.replace(config.reset, **dict.fromkeys(random, 0.0))
+    env = QuadrupedEnv(quadruped, dataclasses.replace(config, reset=reset), "mujoco")
+    (rollout,) = simulate_episodes(env, subject.policy.act, 1, seed=0)
+    assert rollout.steps > 10
+    return Exported(root / "out", subject, rollout)
+
+
+def test_onnx_and_jax_agree_on_an_episode(exported):
+    env, rollout = exported.subject.env, exported.rollout
+    session = onnxruntime.InferenceSession(exported.folder / "policy.onnx")
+    place = [rollout.observation_names.index(label) for label in input_labels(env)]
+    assert sorted(place) == list(range(env.policy_size))
+    for k in range(rollout.steps):
+        given = {"obs": rollout.observation[k, place][None], "joint_pos": rollout.qpos[k, None, 7:]}
+        actions, targets = session.run(
+            ["actions", "joint_targets"],
+            {x.name: np.float32(given[x.name]) for x in session.get_inputs()},
+        )
+        np.testing.assert_allclose(actions[0], rollout.action[k], atol=1e-5)
+        np.testing.assert_allclose(targets[0], rollout.target[k], atol=1e-5)
+
+
+def test_the_script_alone_drives_the_robot_as_our_engine_does(exported, tmp_path):
+    """From another folder, in an environment without this package's path."""
+    env, rollout = exported.subject.env, exported.rollout
+    folder = tmp_path / "elsewhere"
+    shutil.copytree(exported.folder, folder)
+    command = [sys.executable, folder / "run_policy.py", f"--seconds={SECONDS}", "--save=out.npz"]
+    if rollout.command is not None:
+        command += ["--command", *map(str, rollout.command[0])]
+    environment = {k: v for k, v in os.environ.items() if k != "PYTHONPATH"}
+    done = subprocess.run(
+        command, capture_output=True, text=True, cwd=tmp_path, env=environment, timeout=60
+    )
+    assert done.returncode == 0, done.stderr
+    with np.load(tmp_path / "out.npz") as saved:
+        time, qpos, target = saved["time"], saved["qpos"], saved["target"]
+    steps = min(rollout.steps, len(time))
+    np.testing.assert_allclose(time[:steps], rollout.time[:steps], atol=1e-9)
+    # Robots part in the end, for robot.xml has six digits and contacts amplify what is left.
+    early = min(steps, round(0.2 / env.config.control_dt))
+    np.testing.assert_allclose(qpos[:early], rollout.qpos[:early], atol=1e-3)
+    np.testing.assert_allclose(target[:early], rollout.target[:early], atol=1e-2)
+    said = re.search(r"(-?[\d.]+) m/s along x for ([\d.]+) s", done.stdout)
+    assert said is not None
+    if len(time) == rollout.steps:
+        speed = (rollout.qpos[-1, 0] - rollout.qpos[0, 0]) / rollout.time[-1]
+        assert float(said[1]) == pytest.approx(speed, abs=0.02)
+
+
+def test_the_script_is_short_and_needs_three_packages():
+    source = run_policy_path().read_text()
+    assert source.count("\n") <= 100
+    roots = set()
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            roots |= {alias.name.partition(".")[0] for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            roots.add(str(node.module).partition(".")[0])
+    assert roots - set(sys.stdlib_module_names) == {"numpy", "mujoco", "onnxruntime"}
+
+
+def test_the_metadata_says_what_mjlab_says(exported):
+    env, about = exported.subject.env, exported.metadata
+
+    def numbers(key: str) -> np.ndarray:
+        return np.array(about[key].split(","), float)
+
+    assert about["joint_names"].split(",") == list(env.quadruped.joints)
+    assert about["observation_names"].split(",") == list(env.config.observation)
+    assert about["command_names"] == ("velocity" if env.config.command.given else "")
+    np.testing.assert_allclose(numbers("default_joint_pos"), env.robot.home[7:], rtol=1e-6)
+    np.testing.assert_allclose(numbers("joint_stiffness"), env.motor.kp, rtol=1e-6)
+    np.testing.assert_allclose(numbers("joint_damping"), env.motor.kd, rtol=1e-6)
+    sizes, history = numbers("observation_sizes"), numbers("observation_history")
+    assert sizes @ (1 + history) == env.policy_size
+    assert float(about["control_period"]) == pytest.approx(env.config.control_dt)
+    model = onnx.load(exported.folder / "policy.onnx")
+    assert [(o.domain, o.version) for o in model.opset_import] == [("", 17)]
+    assert model.graph.output[0].name == "actions"  # the one that unitree_rl_lab's runtime reads
+
+
+def test_deploy_yaml_gives_the_observations_and_targets_that_were_trained_with(exported):
+    """Read by another reader, and put together as unitree_rl_lab's runtime does."""
+    env, rollout = exported.subject.env, exported.rollout
+    file = exported.folder / "deploy.yaml"
+    if exported.subject.policy.config.task == "blog":
+        assert not file.exists()  # its targets depend on the joints' angles
+        return
+    config = yaml.safe_load(file.read_text())
+    action = config["actions"]["JointPositionAction"]
+    targets = np.clip(
+        rollout.action * action["scale"] + action["offset"], *np.transpose(action["clip"])
+    )
+    np.testing.assert_allclose(targets, rollout.target, atol=1e-5)
+    assert config["joint_ids_map"] == list(range(12))
+    assert config["step_dt"] == env.config.control_dt
+    terms = config["observations"]
+    sizes = [len(term["scale"]) for term in terms.values()]
+    lengths = [term["history_length"] for term in terms.values()]
+    # It keeps each term's readings, the oldest first, and lines the terms up.
+    k, labels = rollout.steps - 1, input_labels(env)
+    obs = dict(zip(rollout.observation_names, rollout.observation[k], strict=True))
+    at = 0
+    for name, size, length in zip(terms, sizes, lengths, strict=True):
+        part = labels[at : at + size * length]
+        at += size * length
+        if name == "joint_vel_rel":
+            kept = rollout.qvel[k - length + 1 : k + 1, 6:].ravel()
+            np.testing.assert_allclose([obs[label] for label in part], kept, atol=1e-5)
+    assert at == len(labels)
+    if env.config.command.given:
+        ranges = config["commands"]["base_velocity"]["ranges"]
+        assert tuple(ranges["lin_vel_x"]) == env.config.command.forward
+
+
+@pytest.mark.parametrize("name", ACTIVATIONS)
+def test_every_activation_is_that_of_brax(name):
+    rng = np.random.default_rng(0)
+    layers = [
+        (np.float32(rng.normal(size=shape)), np.float32(rng.normal(size=shape[1])))
+        for shape in ((5, 7), (7, 12))
+    ]
+    weights = Weights(np.zeros(5), np.ones(5), layers, name)
+    one = np.ones(12)
+    model = build_model(
+        weights, np.arange(5), JointTargets(one, 0 * one, -np.inf * one, np.inf * one, None), {}
+    )
+    session = onnxruntime.InferenceSession(model.SerializeToString())
+    x = np.float32(rng.normal(size=(1, 5)))
+    hidden = ACTIVATION[name](jnp.asarray(x @ layers[0][0] + layers[0][1]))
+    expected = jnp.tanh(hidden @ layers[1][0] + layers[1][1])
+    actions, targets = session.run(None, {"obs": x})
+    np.testing.assert_allclose(actions, expected, atol=1e-5)
+    np.testing.assert_allclose(targets, actions)
+
+
+def bent(robot, action, joints, *, bend):
+    return robot.home_joints + 0.2 * action + bend * action**3
+
+
+def test_an_action_map_that_no_format_can_state_is_named(env):
+    with pytest.raises(UserError, match=r"^the action map bent cannot be exported; expected"):
+        find_targets(ActionMap(bent, {"bend": 0.1}), env.robot)
+    straight = find_targets(ActionMap(bent, {"bend": 0.0}), env.robot)
+    np.testing.assert_allclose(straight.scale, 0.2, rtol=1e-6)
+    assert straight.reach is None
+
+
+@pytest.mark.parametrize("missing", ["onnx", "onnxruntime"])
+def test_without_the_extra_one_line_says_so(missing, quadruped, tmp_path, monkeypatch):
+    run = untrained_run(tmp_path / "run", "walk", quadruped)
+    monkeypatch.setitem(sys.modules, missing, None)
+    for name in [name for name in sys.modules if name.startswith("quadwalk.export.")]:
+        monkeypatch.delitem(sys.modules, name)
+    with pytest.raises(UserError) as caught:
+        main([str(run.path)])
+    expected = f"{missing} is not installed; export needs: pip install 'quadwalk[export]'"
+    assert str(caught.value) == expected
+    assert not (run.path / "export").exists()

@@ -1,0 +1,113 @@
+"""The tasks as Gymnasium environments: its own checks, and what happens between two episodes."""
+
+import subprocess
+import sys
+import warnings
+
+import gymnasium
+import jax
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from gymnasium.vector import AutoresetMode
+
+import quadwalk.gym
+from quadwalk.errors import UsageError
+from quadwalk.task_files import task_names
+
+STEPS = 5  # control steps of an episode
+ENVS = 4
+SHORT = {"env.episode_seconds": STEPS * 0.02}  # as the fixture `env` has it
+
+
+@pytest.fixture(scope="module")
+def envs():
+    made = gymnasium.make_vec("quadwalk/Sprint-v0", num_envs=ENVS, overrides=SHORT)
+    yield made
+    made.close()
+
+
+def actions(seed: int = 0) -> np.ndarray:
+    return np.random.default_rng(seed).uniform(-1, 1, (2 * STEPS, ENVS, 12)).astype(np.float32)
+
+
+def test_every_task_is_registered():
+    for name in task_names():
+        spec = gymnasium.spec(f"quadwalk/{name.capitalize()}-v0")
+        assert spec.kwargs == {"task": name}
+        assert spec.vector_entry_point is not None
+
+
+def test_one_robot_passes_the_checker_of_gymnasium():
+    env = gymnasium.make("quadwalk/Sprint-v0", overrides=SHORT)
+    with warnings.catch_warnings(record=True) as said:
+        check_env(env.unwrapped)
+    # An observation has no bounds.
+    assert [str(w.message) for w in said if "infinity" not in str(w.message)] == []
+    env.reset(seed=1)
+    for step in range(STEPS):
+        *_, terminated, truncated, info = env.step(np.zeros(12, np.float32))
+        assert not terminated
+        assert truncated == (step == STEPS - 1)
+    assert info == {"end": "time limit"}
+
+
+def test_many_robots_are_stepped_as_the_environment_steps_them(envs, env, step):
+    """Against the environment itself, stepped without Gymnasium from the same starts."""
+    assert envs.metadata["autoreset_mode"] == AutoresetMode.SAME_STEP
+    seen, infos = envs.reset(seed=3)
+    assert infos == {}
+    assert seen in envs.observation_space
+    reset = jax.jit(jax.vmap(env.reset))
+    given = np.random.default_rng(3).integers(2**32, dtype=np.uint32)
+    keys = jax.vmap(jax.random.split)(jax.random.split(jax.random.PRNGKey(given), ENVS))
+    state = reset(keys[:, 0])
+    np.testing.assert_array_equal(seen, state.obs)
+    fresh = reset(jax.vmap(jax.random.split)(keys[:, 1])[:, 0]).obs
+    for number, action in enumerate(actions()[:STEPS]):
+        seen, reward, terminated, truncated, infos = envs.step(action)
+        state = step(state, action)
+        np.testing.assert_allclose(reward, state.reward, atol=1e-4)
+        ended = number == STEPS - 1
+        assert truncated.all() == ended
+        assert not terminated.any()
+        assert bool(infos) == ended
+        last = np.stack(infos["final_obs"]) if ended else seen
+        np.testing.assert_allclose(last, state.obs, atol=1e-3)
+    np.testing.assert_allclose(seen, fresh, atol=1e-5)
+    assert list(infos["final_info"]["end"]) == ["time limit"] * ENVS
+
+
+def test_the_same_seed_gives_the_same_episodes(envs):
+    def play(seed: int | None) -> np.ndarray:
+        seen = [envs.reset(seed=seed)[0]]
+        seen += [envs.step(action)[0] for action in actions()]
+        return np.stack(seen)
+
+    first = play(5)
+    np.testing.assert_array_equal(first, play(5))
+    assert not np.array_equal(first, play(None))
+    # Robots differ, and so do the episodes of one.
+    assert len(np.unique(first[0], axis=0)) == ENVS
+    assert not np.array_equal(first[0], first[STEPS])
+
+
+def test_what_is_returned_is_the_callers(envs):
+    seen, _ = envs.reset(seed=0)
+    kept = seen.copy()
+    envs.step(actions()[0])
+    np.testing.assert_array_equal(seen, kept)
+    seen[:] = 0.0
+
+
+def test_a_wrong_number_of_robots_is_said():
+    with pytest.raises(UsageError, match=r"^num_envs is 0; expected 1 or more$"):
+        quadwalk.gym.QuadrupedGymVectorEnv(0, "walk")
+
+
+def test_without_gymnasium_one_line_says_how_to_get_it():
+    code = "import sys; sys.modules['gymnasium'] = None; import quadwalk.gym"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == 1
+    last = done.stderr.strip().splitlines()[-1]
+    assert last == "ImportError: quadwalk.gym needs Gymnasium: pip install 'quadwalk[gym]'"
