@@ -6,13 +6,17 @@ from typing import Literal
 
 import mujoco
 import numpy as np
+import yourdfpy
 
 from quadwalk.paths import ALIENGO_URDF
-from quadwalk.robot.legs import find_legs, joint_range
-from quadwalk.robot.mjcf import Options, convert
+from quadwalk.robot.checks.validate import UrdfError
+from quadwalk.robot.home import standing_pose
+from quadwalk.robot.legs import Leg, find_legs
+from quadwalk.robot.mjcf import Options, convert, open_meshes
+from quadwalk.robot.report import Report
 from quadwalk.robot.scene import HOME, add_spheres
+from quadwalk.robot.tree import joint_range
 from quadwalk.robot.urdf import Urdf, read_urdf
-from quadwalk.robot.validate import UrdfError
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,23 +133,59 @@ def load_quadruped(
     return quadruped_from(read_urdf(urdf, repair_inertia), options)
 
 
-def quadruped_from(urdf: Urdf, options: Options | None = None) -> Quadruped:
-    """The quadruped that a checked URDF describes; `UrdfError` says what it is instead."""
+def legs_of(urdf: Urdf, options: Options) -> tuple[Leg, ...]:
+    """The legs of a quadruped that can stand; `UrdfError` says what it is instead."""
+    # What meshes are left out is for the conversion to say.
+    legs = find_legs(urdf.tree, urdf.source, open_meshes(urdf, options, Report()))
+    standing_pose(urdf.tree, legs, urdf.source)
+    return legs
+
+
+def with_motors(urdf: Urdf, legs: tuple[Leg, ...], options: Options) -> Urdf:
+    """`urdf` with the motors that `options` give to the legs' joints that have none.
+
+    `UrdfError` where motors are still missing.
+    """
     tree = urdf.tree
-    legs = find_legs(tree, urdf.source)
-    joints = [tree.joint_above[link] for leg in legs for link in leg.links]
-    for joint in joints:
-        limit = joint.limit
+    changed: dict[str, yourdfpy.Joint] = {}
+    lacking: dict[str, list[str]] = {"effort": [], "speed": []}
+    for joint in (tree.joint_above[link] for leg in legs for link in leg.links):
         if joint.mimic is not None:
             raise UrdfError(
                 f"{urdf.source}: joint '{joint.name}' of a leg follows another; expected a motor"
             )
-        if limit is None or not limit.effort or not limit.velocity:
-            raise UrdfError(
-                f"{urdf.source}: joint '{joint.name}' has no effort or velocity limit; expected "
-                '<limit effort="..." velocity="..."> above 0, for its motor'
-            )
+        limit = joint.limit or yourdfpy.Limit()
+        given = {"effort": limit.effort, "speed": limit.velocity}
+        for name, value in given.items():
+            if not value or value == np.inf:
+                given[name] = getattr(options, name)
+                if given[name] is None:
+                    lacking[name].append(joint.name)
+        new = replace(limit, effort=given["effort"], velocity=given["speed"])
+        changed[joint.name] = replace(joint, limit=new)
+    if any(lacking.values()):
+        flags = {"effort": "--robot.effort NM", "speed": "--robot.speed RAD_PER_S"}
+        found = [
+            f"no {name} limit at {len(joints)} of the legs' joints ('{joints[0]}' ...)"
+            for name, joints in lacking.items()
+            if joints
+        ]
+        expected = " ".join(flags[name] for name, joints in lacking.items() if joints)
+        raise UrdfError(
+            f"{urdf.source}: has {' and '.join(found)}; expected <limit effort=... velocity=...> "
+            f"above 0 and finite, or pass {expected}"
+        )
+    joints = [changed.get(joint.name, joint) for joint in urdf.robot.joints]
+    return replace(urdf, robot=replace(urdf.robot, joints=joints))
+
+
+def quadruped_from(urdf: Urdf, options: Options | None = None) -> Quadruped:
+    """The quadruped that a checked URDF describes; `UrdfError` says what it is instead."""
     options = options or Options()
+    legs = legs_of(urdf, options)
+    urdf = with_motors(urdf, legs, options)
+    tree = urdf.tree
+    joints = [tree.joint_above[link] for leg in legs for link in leg.links]
     spec = convert(urdf, legs, replace(options, floating=True)).spec
     ranges = np.array([joint_range(joint) for joint in joints])
     return Quadruped(

@@ -4,7 +4,6 @@ import mujoco
 import numpy as np
 
 from quadwalk.robot.legs import LEGS
-from quadwalk.robot.validate import UrdfError
 
 HOME = "home"  # the keyframe: joints in the standing pose, the lowest point just on the ground
 
@@ -102,7 +101,8 @@ def add_home(spec: mujoco.MjSpec, pose: np.ndarray | None, feet: list[str]) -> N
         follower, leader = model.eq_obj1id[row], model.eq_obj2id[row]
         offset, factor = model.eq_data[row, :2]
         at = model.jnt_qposadr
-        qpos[at[follower]] = offset + factor * qpos[at[leader]]
+        led = qpos[at[leader]] if leader >= 0 else 0.0  # by a joint that is fixed
+        qpos[at[follower]] = offset + factor * led
     if floating:
         data = mujoco.MjData(model)
         data.qpos[:] = qpos
@@ -194,13 +194,14 @@ def _add_sphere(spec, body, name, centre, radius, foot) -> None:
 
 
 def _box_around(model: mujoco.MjModel, body: int) -> tuple[np.ndarray, np.ndarray]:
-    """Lower and upper corner (3,), m, of the box around a body's shapes, in its frame."""
+    """Lower and upper corner (3,), m, of the box around a body's shapes, in its frame.
+
+    Without shapes, around the joints below it: a trunk has the hips at its corners.
+    """
     boxes = _boxes(model, body)
     if not boxes:
-        raise UrdfError(
-            f"link '{model.body(body).name}' has no collision shape; contacts 'body' expect one, "
-            "for it is to touch the floor"
-        )
+        hips = model.body_pos[model.body_parentid == body]
+        return hips.min(axis=0), hips.max(axis=0)
     reaches = [(centre, np.abs(rotation) @ half) for centre, rotation, half in boxes]
     low = np.min([centre - reach for centre, reach in reaches], axis=0)
     return low, np.max([centre + reach for centre, reach in reaches], axis=0)

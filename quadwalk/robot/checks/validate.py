@@ -1,18 +1,20 @@
-"""What a URDF document must fulfil before it is converted: elements, numbers, names, topology.
+"""What the elements of a URDF document must be: names, numbers, and what each may hold.
 
 Every finding is one line: the file, the line, the element, what is wrong and what is expected.
-An element or attribute that is not known is refused where it could be a misspelt one that matters;
-known extensions of other tools, and what stands beside links and joints, are left out and reported.
+An element or attribute that URDF does not know is left out and reported, as every other reader
+passes it over; it is refused where it is nearly the name of one that is missing there.
 """
 
 import math
 import re
 from collections import Counter
+from collections.abc import MutableMapping
 from dataclasses import dataclass, field
 
 from lxml import etree
 
 from quadwalk.errors import UserError
+from quadwalk.robot.report import Report
 
 # Quadrupeds have some 50 links, humanoids with hands some 100.
 MAX_LINKS = 2000
@@ -44,7 +46,8 @@ class _Form:
     Attributes:
         need, may: attributes that must or may be there.
         one, most_one, many: child elements that must be there once, may be, may be repeated.
-        ignored: child elements and attributes of other tools, left out with a note.
+        first: those of `many` of which only the first counts.
+        ignored: child elements of other tools whose numbers must be numbers nevertheless.
     """
 
     need: tuple[str, ...] = ()
@@ -52,6 +55,7 @@ class _Form:
     one: tuple[str, ...] = ()
     most_one: tuple[str, ...] = ()
     many: tuple[str, ...] = ()
+    first: tuple[str, ...] = ()
     ignored: tuple[str, ...] = ()
 
 
@@ -61,7 +65,7 @@ _FORMS = {
         need=("name",),
         most_one=("inertial",),
         many=("visual", "collision"),
-        ignored=("contact", "audio_source", "self_collision_checking", "concave", "type", "gazebo"),
+        ignored=("contact", "audio_source", "self_collision_checking", "concave", "gazebo"),
     ),
     "joint": _Form(
         need=("name", "type"),
@@ -70,7 +74,13 @@ _FORMS = {
         ignored=("joint_properties", "safety_controller", "calibration", "gazebo"),
     ),
     "inertial": _Form(one=("mass", "inertia"), most_one=("origin",)),
-    "visual": _Form(may=("name",), one=("geometry",), most_one=("origin", "material")),
+    "visual": _Form(
+        may=("name",),
+        one=("geometry",),
+        most_one=("origin",),
+        many=("material",),
+        first=("material",),
+    ),
     "collision": _Form(
         may=("name",),
         one=("geometry",),
@@ -83,11 +93,9 @@ _FORMS = {
     "inertia": _Form(need=("ixx", "ixy", "ixz", "iyy", "iyz", "izz")),
     "parent": _Form(need=("link",)),
     "child": _Form(need=("link",)),
-    "axis": _Form(need=("xyz",), ignored=("rpy",)),
-    "limit": _Form(need=("effort", "velocity"), may=("lower", "upper"), ignored=("twist",)),
-    "dynamics": _Form(
-        may=("damping", "friction", "armature"), ignored=("spring_stiffness", "spring_reference")
-    ),
+    "axis": _Form(need=("xyz",)),
+    "limit": _Form(need=("effort", "velocity"), may=("lower", "upper")),
+    "dynamics": _Form(may=("damping", "friction", "armature")),
     "mimic": _Form(need=("joint",), may=("multiplier", "offset")),
     "box": _Form(need=("size",)),
     "sphere": _Form(need=("radius",)),
@@ -97,7 +105,7 @@ _FORMS = {
         may=("name",), most_one=("color", "texture"), ignored=("specular", "ambient", "emissive")
     ),
     "color": _Form(need=("rgba",)),
-    "texture": _Form(need=("filename",)),
+    "texture": _Form(may=("filename",)),
 }
 _TEXT_ATTRIBUTES = frozenset({"name", "type", "link", "joint", "filename"})
 _LENGTHS = {"xyz": 3, "rpy": 3, "size": 3, "rgba": 4, "scale": 3}
@@ -106,10 +114,11 @@ _NOT_FINITE = re.compile(r"[+-]?(nan|inf|infinity|1\.#\w+)", re.IGNORECASE)
 
 
 @dataclass
-class _Check:
-    """The checks of one document, and what they left out of it."""
+class Check:
+    """The checks of one document, what they left out of it, and what they took for granted."""
 
     source: str
+    report: Report
     left_out: Counter = field(default_factory=Counter)
 
     def fail(self, element: etree._Element, message: str) -> UrdfError:
@@ -123,31 +132,28 @@ class _Check:
         return UrdfError(f"{where}<{element.tag}> {message}")
 
     def element(self, element: etree._Element) -> None:
-        """Check an element and all within: what it holds, and that every number is one."""
+        """Check an element and all within: what it holds, and that every number is one.
+
+        What URDF does not know is taken out of it, so that no later reader stumbles over it.
+        """
         form = _FORMS[element.tag]
-        for name, value in element.attrib.items():
-            if name in form.ignored or name.startswith("{"):
-                self.left_out[f"{element.tag} {name}"] += 1
-            elif name not in form.need and name not in form.may:
-                expected = ", ".join(form.need + form.may) or "none"
-                raise self.fail(element, f"has attribute '{name}'; expected {expected}")
-            elif name not in _TEXT_ATTRIBUTES:
-                self.numbers(element, name, value)
-        for name in form.need:
-            if element.get(name) is None:
-                raise self.fail(element, f"has no '{name}'; expected {name}=\"...\"")
-            if name in _TEXT_ATTRIBUTES and not element.get(name).strip():
-                raise self.fail(element, f"has an empty '{name}'; expected {name}=\"...\"")
+        self.attributes(element, form)
         known = form.one + form.most_one + form.many
-        for child in element:
-            if child.tag in form.ignored or child.tag.startswith("{"):
-                self.left_out[f"<{child.tag}> of a {element.tag}"] += 1
-                self.ignored(child)
-            elif child.tag not in known:
-                expected = ", ".join(f"<{tag}>" for tag in known) or "nothing in it"
+        for child in list(element):
+            if child.tag in known:
+                self.element(child)
+            elif element.tag == "geometry" and not any(c.tag in known for c in element):
+                expected = ", ".join(f"<{tag}>" for tag in SHAPES)
                 raise self.fail(element, f"has a <{child.tag}> in it; expected {expected}")
             else:
-                self.element(child)
+                there = {c.tag for c in element} - set(form.many)
+                self.not_misspelt(child.tag, known, there, element, "has a <{}> in it", "<{}>")
+                if child.tag in form.ignored:
+                    self.ignored(child)
+                self.take_out(child, f"<{child.tag}> of a {element.tag}")
+        for tag in form.first:
+            for child in element.findall(tag)[1:]:
+                self.take_out(child, f"<{tag}> of a {element.tag} beside another")
         counts = Counter(child.tag for child in element)
         for tag in form.one + form.most_one:
             if counts[tag] > 1:
@@ -158,6 +164,43 @@ class _Check:
         check = getattr(self, f"check_{element.tag}", None)
         if check is not None:
             check(element)
+
+    def attributes(self, element: etree._Element, form: _Form) -> None:
+        """Check an element's attributes; those that URDF does not know are taken out."""
+        known = form.need + form.may
+        for name, value in list(element.attrib.items()):
+            if name not in known:
+                there = set(element.attrib)
+                self.not_misspelt(name, known, there, element, "has attribute '{}'", "{}")
+                self.left_out[f"{element.tag} {name}"] += 1
+                del element.attrib[name]
+            elif name not in _TEXT_ATTRIBUTES:
+                self.numbers(element, name, value)
+        for name in form.need:
+            if element.get(name) is None:
+                raise self.fail(element, f"has no '{name}'; expected {name}=\"...\"")
+            if name in _TEXT_ATTRIBUTES and not element.get(name).strip():
+                raise self.fail(element, f"has an empty '{name}'; expected {name}=\"...\"")
+
+    def not_misspelt(
+        self,
+        name: str,
+        known: tuple[str, ...],
+        there: set[str],
+        element: etree._Element,
+        found: str,
+        expected: str,
+    ) -> None:
+        """Refuse a name that is nearly a known one which is not there."""
+        for other in known:
+            if other not in there and nearly(name.lower(), other):
+                message = f"{found.format(name)}; expected {expected.format(other)}"
+                raise self.fail(element, message)
+
+    def take_out(self, element: etree._Element, what: str) -> None:
+        """Remove an element that is passed over, and note it by kind."""
+        self.left_out[what] += 1
+        element.getparent().remove(element)
 
     def ignored(self, element: etree._Element) -> None:
         """Even what is left out must not hold a number that is none."""
@@ -178,10 +221,12 @@ class _Check:
         for word in words:
             if not _NUMBER.fullmatch(word) or not math.isfinite(float(word)):
                 raise self.fail(element, f'has {name}="{shown}"; expected finite numbers')
-            if 0 < abs(float(word)) < MIN_NUMBER:
+            if 0 < abs(float(word)) < MIN_NUMBER and element.tag == "origin":
+                element.set(name, element.get(name).replace(word, "0"))
+            elif 0 < abs(float(word)) < MIN_NUMBER:
                 given = f'{name}="{shown}"'
                 raise self.fail(element, f"has {given}; expected 0 or at least {MIN_NUMBER:g}")
-            if abs(float(word)) > MAX_NUMBER:
+            if abs(float(word)) > MAX_NUMBER and element.tag != "limit":
                 raise self.fail(element, f'has {name}="{shown}"; expected at most {MAX_NUMBER:g}')
 
     def positive(self, element: etree._Element, *names: str) -> None:
@@ -226,8 +271,17 @@ class _Check:
     def check_dynamics(self, element: etree._Element) -> None:
         self.not_negative(element, "damping", "friction", "armature")
 
+    def check_texture(self, element: etree._Element) -> None:
+        if not (element.get("filename") or "").strip():
+            self.take_out(element, "<texture> without a file")
+
     def check_limit(self, element: etree._Element) -> None:
         self.not_negative(element, "effort", "velocity")
+        for name in ("effort", "velocity"):
+            if float(element.get(name)) > MAX_NUMBER:
+                element.set(name, "inf")
+                joint = element.getparent().get("name")
+                self.report.add("assumed", f"any {name}, for the limit is beyond 1e9", joint)
 
     def check_axis(self, element: etree._Element) -> None:
         length = math.hypot(*map(float, element.get("xyz").split()))
@@ -241,48 +295,90 @@ class _Check:
                 element, f"is of type '{kind}'; expected one of {', '.join(JOINT_TYPES)}"
             )
         limit = element.find("limit")
-        if kind not in ("revolute", "prismatic"):
-            return
-        if limit is None or limit.get("lower") is None or limit.get("upper") is None:
-            raise self.fail(element, f'is {kind}; expected <limit lower="..." upper="..."/>')
-        lower, upper = float(limit.get("lower")), float(limit.get("upper"))
-        if lower >= upper:
+        if kind in ("revolute", "prismatic"):
+            self.check_range(element, {} if limit is None else limit.attrib)
+
+    def check_range(self, joint: etree._Element, limit: MutableMapping[str, str]) -> None:
+        """Position limits: both or neither; none are left where they are no limits."""
+        given = [name for name in ("lower", "upper") if name in limit]
+        if len(given) == 1:
+            kind = joint.get("type")
+            raise self.fail(joint, f'is {kind}; expected <limit lower="..." upper="..."/>')
+        lower, upper = (float(limit[name]) for name in given) if given else (0.0, 0.0)
+        reason = "" if given else "there are none"
+        if given and lower == upper == 0:  # what exporters write that were told none
+            reason = "both are 0"
+        elif lower < -MAX_NUMBER and upper > MAX_NUMBER:
+            reason = "they are beyond 1e9"
+        elif given and lower >= upper:
             raise self.fail(
-                limit, f"has lower {lower:g} and upper {upper:g}; expected lower below upper"
+                joint.find("limit"),
+                f"has lower {lower:g} and upper {upper:g}; expected lower below upper",
+            )
+        if reason:
+            for name in given:
+                del limit[name]
+            self.report.add("assumed", f"no position limits, for {reason}", joint.get("name"))
+        elif max(abs(lower), abs(upper)) > MAX_NUMBER:
+            limit["lower"], limit["upper"] = (
+                repr(min(max(bound, -MAX_NUMBER), MAX_NUMBER)) for bound in (lower, upper)
             )
 
 
-def check_robot(root: etree._Element, source: str) -> list[str]:
-    """Check a URDF document; raise `UrdfError` for the first thing in it that is not valid.
+def nearly(name: str, other: str) -> bool:
+    """Whether one slip, or two in a long word, makes `name` of `other`.
 
-    Returns what other tools' extensions were left out, for the report.
+    A slip is a letter too many, too few or wrong, or two neighbours exchanged (the
+    Damerau-Levenshtein distance).
     """
-    check = _Check(source)
+    slips = 1 if len(other) < 6 else 2
+    if abs(len(name) - len(other)) > slips:
+        return False
+    before: list[int] = []
+    row = list(range(len(other) + 1))
+    for i, a in enumerate(name, start=1):
+        before, above, row = row, before, [i]
+        for j, b in enumerate(other, start=1):
+            step = min(before[j] + 1, row[j - 1] + 1, before[j - 1] + (a != b))
+            if i > 1 and j > 1 and (a, name[i - 2]) == (other[j - 2], b):
+                step = min(step, above[j - 2] + 1)
+            row.append(step)
+    return row[-1] <= slips
+
+
+def check_elements(check: Check, root: etree._Element) -> None:
+    """Check each element of a URDF document; raise `UrdfError` for the first that is not valid.
+
+    What is not URDF's is taken out of `root`, and named in the report by kind.
+    """
     if root.tag != "robot":
-        raise UrdfError(f"{source}: root element is <{root.tag}>; expected <robot>")
-    if not root.get("name", "").strip():
-        raise check.fail(root, 'has no name; expected <robot name="...">')
+        raise UrdfError(f"{check.source}: root element is <{root.tag}>; expected <robot>")
     links, joints = root.findall("link"), root.findall("joint")
     if not links:
-        raise UrdfError(f"{source}: has no <link>; expected at least one")
+        raise UrdfError(f"{check.source}: has no <link>; expected at least one")
     if max(len(links), len(joints)) > MAX_LINKS:
         count = max(len(links), len(joints))
-        raise UrdfError(f"{source}: has {count} links or joints; expected at most {MAX_LINKS}")
+        raise UrdfError(
+            f"{check.source}: has {count} links or joints; expected at most {MAX_LINKS}"
+        )
     moving = sum(joint.get("type") != "fixed" for joint in joints)
     if moving > MAX_MOVING:
-        raise UrdfError(f"{source}: has {moving} joints that move; expected at most {MAX_MOVING}")
-    for element in root:
-        if element.tag in ("link", "joint", "material"):
+        raise UrdfError(
+            f"{check.source}: has {moving} joints that move; expected at most {MAX_MOVING}"
+        )
+    known = ("link", "joint", "material")
+    for element in list(root):
+        if element.tag in known:
             check.element(element)
         else:
-            check.left_out[f"<{element.tag}>"] += 1
+            check.not_misspelt(element.tag, known, set(), root, "has a <{}> in it", "<{}>")
+            check.take_out(element, f"<{element.tag}>")
     _check_materials(check, root)
-    _check_topology(check, links, joints)
-    _check_mimic(check, joints)
-    return [f"{what} ({count})" for what, count in check.left_out.items()]
+    for what, count in check.left_out.items():
+        check.report.add("dropped", "extensions of other tools", f"{what} ({count})")
 
 
-def _check_materials(check: _Check, root: etree._Element) -> None:
+def _check_materials(check: Check, root: etree._Element) -> None:
     colors: dict[str, str] = {}
     for material in root.findall("material"):
         name, color = material.get("name"), material.find("color")
@@ -290,78 +386,3 @@ def _check_materials(check: _Check, root: etree._Element) -> None:
             raise check.fail(material, 'has no name; expected <material name="...">')
         if color is not None and colors.setdefault(name, color.get("rgba")) != color.get("rgba"):
             raise check.fail(material, f"gives '{name}' a second color; expected one")
-
-
-def _check_topology(
-    check: _Check, links: list[etree._Element], joints: list[etree._Element]
-) -> None:
-    """One tree: unique names, one root, one parent each, no cycle."""
-    for elements in (links, joints):
-        seen: set[str] = set()
-        for element in elements:
-            if element.get("name") in seen:
-                raise check.fail(element, "appears twice; expected unique names")
-            seen.add(element.get("name"))
-    names = [link.get("name") for link in links]
-    parent_of: dict[str, str] = {}
-    for joint in joints:
-        parent, child = joint.find("parent").get("link"), joint.find("child").get("link")
-        for end, name in (("parent", parent), ("child", child)):
-            if name not in names:
-                raise check.fail(joint, f"has {end} '{name}'; expected the name of a link")
-        if parent == child:
-            raise check.fail(joint, f"joins link '{child}' to itself; expected two links")
-        if child in parent_of:
-            raise check.fail(joint, f"gives link '{child}' a second parent; expected one")
-        parent_of[child] = parent
-    roots = [name for name in names if name not in parent_of]
-    if len(roots) > 1:
-        shown = ", ".join(f"'{name}'" for name in roots[:4]) + (", ..." if roots[4:] else "")
-        raise UrdfError(
-            f"{check.source}: {len(roots)} links have no parent ({shown}); expected one root link"
-        )
-    # With one parent each, a link that never leads up to the root leads into a cycle.
-    sound = set(roots)
-    for name in names:
-        path = []
-        while name not in sound:
-            if name in path:
-                raise UrdfError(
-                    f"{check.source}: link '{name}' is its own ancestor; expected a tree of links"
-                )
-            path.append(name)
-            name = parent_of[name]
-        sound.update(path)
-    if "world" in names and roots != ["world"]:
-        raise UrdfError(
-            f"{check.source}: link 'world' is not the root; expected another name, for that one "
-            "is the ground's"
-        )
-
-
-def _check_mimic(check: _Check, joints: list[etree._Element]) -> None:
-    leader_of = {
-        joint.get("name"): joint.find("mimic").get("joint")
-        for joint in joints
-        if joint.find("mimic") is not None
-    }
-    kinds = {joint.get("name"): joint.get("type") for joint in joints}
-    for joint in joints:
-        name = joint.get("name")
-        if name not in leader_of:
-            continue
-        leader = leader_of[name]
-        one_way = ("revolute", "continuous", "prismatic")
-        if kinds.get(leader) not in one_way or kinds[name] not in one_way:
-            raise check.fail(
-                joint.find("mimic"),
-                f"follows joint '{leader}'; expected joints that move in one direction",
-            )
-        path = {name}
-        while leader in leader_of:
-            if leader in path:
-                raise check.fail(
-                    joint.find("mimic"), f"follows '{leader}' in a circle; expected a free joint"
-                )
-            path.add(leader)
-            leader = leader_of[leader]
