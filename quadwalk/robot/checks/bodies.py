@@ -13,7 +13,7 @@ from lxml import etree
 from quadwalk.robot.checks.validate import UrdfError
 from quadwalk.robot.inertia import SMALLEST, body_inertia, nearest_valid, principal
 from quadwalk.robot.report import Report
-from quadwalk.robot.tree import Tree
+from quadwalk.robot.tree import Tree, matrix
 
 # Room for rounding when principal moments are compared, relative to the largest.
 _ROUNDING = 1e-10
@@ -25,9 +25,9 @@ _MOST_ROUNDING = 0.02
 _NEGLIGIBLE = 1e-2
 # kg, of what moves without mass, when asked to repair it: Unitree's own for a frame.
 _LEAST_MASS = 1e-6
-# A rounded inertia that is flat in one direction is given this share of its largest moment there:
-# less than the 1e-5 at which conversions are compared.
-_FLAT = 1e-6
+# m, how thick a point or a rod that moves is made (root mean square), for MuJoCo divides by its
+# moments: too little to be seen at the 1e-5 at which conversions are compared.
+_THIN = 1e-5
 
 
 @dataclass(frozen=True)
@@ -94,21 +94,27 @@ def check_bodies(
     """
     for body in tree.bodies:
         parts = [name for name in tree.parts[body] if tree.links[name].inertial is not None]
+        massive = [name for name in parts if tree.links[name].inertial.mass > 0]
         whole = body_inertia(tree, body)
         if body == tree.root and whole is None:
             continue  # a root without any mass stands still, whatever its inertia
         passed: list[tuple[str, _Finding]] = []
         for name in parts:
-            finding = _look_at(tree, name, alone=len(parts) == 1, repair=repair, source=source)
+            finding = _look_at(tree, name)
             if finding is None:
                 continue
+            mass = tree.links[name].inertial.mass
+            if mass == 0 and not massive:
+                continue  # what moves has no mass at all, which is looked at below
             if _negligible(finding, tree, body, name):
                 passed.append((name, finding))
-            elif finding.change <= _explained(finding, resolution.get(name, 0.0)):
+                continue
+            rounding = _MOST_ROUNDING * float(np.linalg.norm(finding.tensor))
+            rounding = max(min(rounding, resolution.get(name, 0.0)), mass * _THIN**2)
+            if finding.change <= rounding:
                 tree.links[name].inertial.inertia = finding.valid
                 report.add("repaired", f"inertia of '{name}' by rounding, {finding.shown()}")
             elif repair:
-                mass = tree.links[name].inertial.mass
                 finding = _Finding(finding.tensor, nearest_valid(mass, finding.tensor))
                 tree.links[name].inertial.inertia = finding.valid
                 report.add("repaired", f"inertia of '{name}', {finding.shown()}")
@@ -118,45 +124,17 @@ def check_bodies(
                     "(or pass --repair-inertia)"
                 )
         _settle(tree, body, passed, report)
+        _thicken(tree, body, massive, report)
         if body != tree.root:
             _check_moving(tree, body, source, repair, report)
 
 
-def _look_at(tree: Tree, name: str, alone: bool, repair: bool, source: str) -> _Finding | None:
-    """What is wrong with a link's inertia; None if a body can have it.
-
-    `alone` says that no other part of its body has an `<inertial>`.
-    """
-    inertial = tree.links[name].inertial
-    mass, tensor = inertial.mass, inertial.inertia
-    body = tree.body_of[name]
-    if mass == 0 and not tensor.any():
-        return None
-    if mass == 0 and (alone or name == body != tree.root):
-        if repair:
-            return None  # its body is given a mass
-        raise UrdfError(
-            f"{source}: link '{name}' moves, and its <mass> is 0; expected a mass above 0 "
-            "(or pass --repair-inertia)"
-        )
-    moments = np.linalg.eigvalsh(tensor)
-    size = float(np.linalg.norm(tensor))
-    valid = nearest_valid(mass, tensor, thinnest=0.0)
-    sound = np.linalg.norm(valid - tensor) <= _ROUNDING * size
-    # Whether the root moves is decided later; where it is asked for, it is made fit to.
-    moves = alone and (body != tree.root or repair)
-    if sound and (moments[0] > 0 or not moves):
-        return None
-    if alone:
-        # So thin that its second moment of mass is `_FLAT` of the largest moment.
-        thinnest = float(np.sqrt(_FLAT * moments[-1] / mass)) if moments[-1] > 0 else 0.0
-        valid = nearest_valid(mass, tensor, thinnest)
-    return _Finding(tensor, valid)
-
-
-def _explained(finding: _Finding, resolution: float) -> float:
-    """How large a change, kg m^2, the file's digits explain."""
-    return min(resolution, _MOST_ROUNDING * float(np.linalg.norm(finding.tensor)))
+def _look_at(tree: Tree, name: str) -> _Finding | None:
+    """What is wrong with a link's inertia; None if a body can have it."""
+    tensor = tree.links[name].inertial.inertia
+    valid = nearest_valid(1.0, tensor, thinnest=0.0)
+    sound = np.linalg.norm(valid - tensor) <= _ROUNDING * np.linalg.norm(tensor)
+    return None if sound else _Finding(tensor, valid)
 
 
 def _negligible(finding: _Finding, tree: Tree, body: str, name: str) -> bool:
@@ -184,6 +162,19 @@ def _settle(tree: Tree, body: str, passed: list[tuple[str, _Finding]], report: R
         else:
             tree.links[name].inertial.inertia = finding.valid
             report.add("repaired", f"inertia of '{name}', {finding.shown()}")
+
+
+def _thicken(tree: Tree, body: str, massive: list[str], report: Report) -> None:
+    """Give a body that is a point or a rod, as a whole, a little thickness, in its first part."""
+    whole = body_inertia(tree, body)
+    if whole is None or np.linalg.eigvalsh(whole.about_com)[0] > whole.mass * _THIN**2:
+        return
+    valid = nearest_valid(whole.mass, whole.about_com, _THIN)
+    inertial = tree.links[massive[0]].inertial
+    turn = (tree.placement[massive[0]] @ matrix(inertial.origin))[:3, :3]
+    inertial.inertia = inertial.inertia + turn.T @ (valid - whole.about_com) @ turn
+    finding = _Finding(whole.about_com, valid)
+    report.add("repaired", f"body '{body}' is as thick as {_THIN:g} m, {finding.shown()}")
 
 
 def _check_moving(tree: Tree, body: str, source: str, repair: bool, report: Report) -> None:
