@@ -190,7 +190,7 @@ class Meshes:
                 parts = []
             solid = [part for part in parts if _has_volume(part.vertices)]
             if len(solid) < len(parts):
-                self.report.add("dropped", f"{kind} meshes without volume", file.name)
+                self.report.add("dropped", f"flat parts of {kind} meshes", file.name)
             self._parts[key] = solid
         return (file, self._parts[key]) if self._parts[key] else None
 
@@ -203,7 +203,7 @@ def _has_volume(vertices: np.ndarray) -> bool:
 
 def _collada_unit(data: bytes) -> float:
     """Metres per unit of a COLLADA file; refuses a DOCTYPE, before another parser expands it."""
-    parser = etree.XMLParser(resolve_entities=False, no_network=True, load_dtd=False)
+    parser = etree.XMLParser(resolve_entities=False, no_network=True, huge_tree=True)
     root = etree.fromstring(data, parser)
     if root.getroottree().docinfo.doctype:
         raise ValueError("has a DOCTYPE")

@@ -14,7 +14,7 @@ from quadwalk.robot.home import standing_pose
 from quadwalk.robot.legs import Leg, find_legs
 from quadwalk.robot.mjcf import Options, convert, open_meshes
 from quadwalk.robot.report import Report
-from quadwalk.robot.scene import HOME, add_spheres
+from quadwalk.robot.scene import HOME, add_spheres, box_meshes
 from quadwalk.robot.tree import joint_range
 from quadwalk.robot.urdf import Urdf, read_urdf
 
@@ -88,14 +88,11 @@ class Quadruped:
             if geom.classname.name == "visual":
                 spec.delete(geom)
             else:
-                if geom.type == mujoco.mjtGeom.mjGEOM_MESH:
-                    # A box around it is enough to tell whether it is under the floor.
-                    geom.type = mujoco.mjtGeom.mjGEOM_BOX
                 # Only floor against foot passes MuJoCo's test, contype of one & conaffinity of
                 # the other; feet do not meet each other.
                 geom.contype = geom.name == "floor"
                 geom.conaffinity = geom.name in self.feet
-        spec.compiler.fitaabb = True
+        box_meshes(spec, self.feet)
         if contacts == "body":
             add_spheres(spec, self.trunk, self.feet, calf_joints=self.joints[2::3])
         option = spec.option

@@ -157,6 +157,32 @@ def lowest_point(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> float
     return float(data.geom_xpos[geom, 2] - extent)
 
 
+def box_meshes(spec: mujoco.MjSpec, feet: tuple[str, ...]) -> None:
+    """Put boxes around meshes in their place: enough to tell whether they are under the floor.
+
+    The box of a calf ends at the centre of its foot, as its mesh is thinner there and the foot's
+    own sphere says more.
+    """
+    if not any(geom.type == mujoco.mjtGeom.mjGEOM_MESH for geom in spec.geoms):
+        return
+    model = spec.compile()
+    foot_of = {model.geom_bodyid[model.geom(foot).id]: model.geom(foot).pos for foot in feet}
+    for geom in spec.geoms:
+        if geom.type != mujoco.mjtGeom.mjGEOM_MESH:
+            continue
+        centre, axes, half = _box(model, geom.id)
+        foot = foot_of.get(model.geom_bodyid[geom.id])
+        if foot is not None:
+            along = int(np.argmax(np.abs(foot @ axes)))
+            out = axes[:, along] * np.sign(foot @ axes[:, along])
+            beyond = max((centre - foot) @ out + half[along], 0.0)
+            half[along] = max(half[along] - beyond / 2, CORNER_RADIUS)
+            centre = centre - out * beyond / 2
+        geom.type, geom.meshname = mujoco.mjtGeom.mjGEOM_BOX, ""
+        geom.pos, geom.size = centre, half
+        mujoco.mju_mat2Quat(geom.quat, axes.ravel())
+
+
 def add_spheres(
     spec: mujoco.MjSpec, trunk: str, feet: tuple[str, ...], calf_joints: tuple[str, ...]
 ) -> None:
@@ -217,12 +243,14 @@ def _thickness(model: mujoco.MjModel, thigh: int, knee: np.ndarray) -> float:
 
 
 def _boxes(model: mujoco.MjModel, body: int) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Of each of a body's shapes the box around it: centre, axes as columns, half its sides, m."""
-    boxes = []
-    for geom in np.flatnonzero(model.geom_bodyid == body):
-        entries = np.zeros(9)
-        mujoco.mju_quat2Mat(entries, model.geom_quat[geom])
-        rotation = entries.reshape(3, 3)
-        centre, half = np.split(model.geom_aabb[geom], 2)
-        boxes.append((model.geom_pos[geom] + rotation @ centre, rotation, half))
-    return boxes
+    """Of each of a body's shapes the box around it."""
+    return [_box(model, int(geom)) for geom in np.flatnonzero(model.geom_bodyid == body)]
+
+
+def _box(model: mujoco.MjModel, geom: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The box around a shape, in its body's frame: centre, axes as columns, half its sides, m."""
+    entries = np.zeros(9)
+    mujoco.mju_quat2Mat(entries, model.geom_quat[geom])
+    rotation = entries.reshape(3, 3)
+    centre, half = np.split(model.geom_aabb[geom].copy(), 2)
+    return model.geom_pos[geom] + rotation @ centre, rotation, half
