@@ -174,8 +174,7 @@ class Meshes:
         try:
             file = find_mesh(mesh.filename, self.folders, self.source)
         except MissingMeshError:
-            what = f"{kind} meshes that were not found (--mesh-dir says where they are)"
-            self.report.add("dropped", what, mesh.filename)
+            self.report.add("dropped", f"{kind} meshes that were not found", mesh.filename)
             return None
         scale = np.ones(3) * (1.0 if mesh.scale is None else mesh.scale)
         key = (file, tuple(scale), kind)

@@ -39,6 +39,7 @@ class Quadruped:
         friction: (12,) N m, Coulomb friction of the joints. The models have none: it belongs to
             the motor model, so that both engines apply the same.
         home: (19,) qpos standing: x y z (m), quaternion wxyz, joints (rad), feet just at height 0.
+        notes: what was repaired, dropped or assumed when it was converted, in lines of text.
     """
 
     name: str
@@ -53,6 +54,7 @@ class Quadruped:
     velocity: np.ndarray
     friction: np.ndarray
     home: np.ndarray
+    notes: tuple[str, ...]
     spec: mujoco.MjSpec = field(repr=False)
 
     @property
@@ -160,20 +162,22 @@ def with_motors(urdf: Urdf, legs: tuple[Leg, ...], options: Options) -> Urdf:
                     lacking[name].append(joint.name)
         new = replace(limit, effort=given["effort"], velocity=given["speed"])
         changed[joint.name] = replace(joint, limit=new)
-    if any(lacking.values()):
-        flags = {"effort": "--robot.effort NM", "speed": "--robot.speed RAD_PER_S"}
-        found = [
-            f"no {name} limit at {len(joints)} of the legs' joints ('{joints[0]}' ...)"
-            for name, joints in lacking.items()
-            if joints
-        ]
-        expected = " ".join(flags[name] for name, joints in lacking.items() if joints)
+    flags = {"effort": "--robot.effort NM", "speed": "--robot.speed RAD_PER_S"}
+    found = {name: joints for name, joints in lacking.items() if joints}
+    if found:
+        missing = ", ".join(f"no {name} limit for {_some(found[name])}" for name in found)
         raise UrdfError(
-            f"{urdf.source}: has {' and '.join(found)}; expected <limit effort=... velocity=...> "
-            f"above 0 and finite, or pass {expected}"
+            f"{urdf.source}: has {missing}; expected <limit effort=... velocity=...> above 0, "
+            f"or pass {' '.join(flags[name] for name in found)}"
         )
     joints = [changed.get(joint.name, joint) for joint in urdf.robot.joints]
     return replace(urdf, robot=replace(urdf.robot, joints=joints))
+
+
+def _some(names: list[str]) -> str:
+    """Two of the names, and how many more there are."""
+    shown = " and ".join(f"'{name}'" for name in names[:2])
+    return shown + (f" and {len(names) - 2} more" if names[2:] else "")
 
 
 def quadruped_from(urdf: Urdf, options: Options | None = None) -> Quadruped:
@@ -183,7 +187,8 @@ def quadruped_from(urdf: Urdf, options: Options | None = None) -> Quadruped:
     urdf = with_motors(urdf, legs, options)
     tree = urdf.tree
     joints = [tree.joint_above[link] for leg in legs for link in leg.links]
-    spec = convert(urdf, legs, replace(options, floating=True)).spec
+    conversion = convert(urdf, legs, replace(options, floating=True))
+    spec, notes = conversion.spec, conversion.report.lines()
     ranges = np.array([joint_range(joint) for joint in joints])
     return Quadruped(
         name=urdf.robot.name,
@@ -200,5 +205,6 @@ def quadruped_from(urdf: Urdf, options: Options | None = None) -> Quadruped:
             [float(joint.dynamics.friction or 0) if joint.dynamics else 0.0 for joint in joints]
         ),
         home=np.array(spec.key(HOME).qpos),
+        notes=tuple(note for note in notes if not note.startswith("fused")),
         spec=spec,
     )

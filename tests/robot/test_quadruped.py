@@ -305,10 +305,10 @@ def spider_leg(name: str, x: float, y: float) -> str:
         ('<joint name="FR_calf_joint" type="revolute"', '<joint name="FR_calf_joint" type="planar"',
          "joint 'FR_calf_joint' of a leg is planar"),
         ('xyz="-0.2407 0.051 0"', 'xyz="0.2407 0.051 0"', "expected one ahead and one behind"),
-        ('<sphere radius="0.0265"/>', '<box size="0.01 0.01 0.01"/>',
-         "'FR_calf' and what is fixed to it have no collision sphere"),
-        ('effort="44.4"', 'effort="0"', "'FR_calf_joint' has no effort or velocity limit"),
-        ('velocity="15.89"', 'velocity="0"', "'FR_calf_joint' has no effort or velocity limit"),
+        ('effort="44.4"', 'effort="0"',
+         "no effort limit for 'FR_calf_joint'; expected <limit effort=... velocity=...> above 0, "
+         "or pass --robot.effort NM"),
+        ('velocity="15.89"', 'velocity="1e10"', "or pass --robot.speed RAD_PER_S"),
     ],
 )  # fmt: skip
 def test_what_is_no_quadruped_is_said(old, new, says):
