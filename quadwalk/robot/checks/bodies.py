@@ -49,24 +49,22 @@ class _Finding:
         return f"principal moments {moments} kg m^2, a change by {share:.2g} of its norm"
 
 
-def resolutions(root: etree._Element) -> dict[str, float]:
-    """By link, how far its inertia may be from what was meant, kg m^2, for it is written rounded.
+def resolutions(root: etree._Element) -> dict[str, np.ndarray]:
+    """By link, how far the entries (3, 3) of its inertia may be from what was meant, kg m^2.
 
-    The Frobenius norm of half a unit in the last digit of each entry; an entry of 0 is taken to be
-    as fine as the finest of the others.
+    Half a unit in the last digit that each is written with; an entry of 0 is taken to be as fine
+    as the finest of the others.
     """
     found = {}
     for link in root.iterfind("link"):
         inertia = link.find("inertial/inertia")
         if inertia is None:
             continue
-        names = ("ixx", "iyy", "izz", "ixy", "ixy", "ixz", "ixz", "iyz", "iyz")  # each as it occurs
-        entries = [inertia.get(name) for name in names]
-        units = [_last_digit(entry) if float(entry) else np.inf for entry in entries]
-        finest = min(units)
-        if np.isfinite(finest):
-            steps = [unit if np.isfinite(unit) else finest for unit in units]
-            found[link.get("name")] = float(np.linalg.norm(steps)) / 2
+        given = {name: inertia.get(name) for name in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")}
+        units = {name: _last_digit(value) for name, value in given.items() if float(value)}
+        finest = min(units.values(), default=0.0)
+        xx, xy, xz, yy, yz, zz = (units.get(name, finest) / 2 for name in given)
+        found[link.get("name")] = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     return found
 
 
@@ -77,7 +75,7 @@ def _last_digit(number: str) -> float:
 
 
 def check_bodies(
-    tree: Tree, resolution: dict[str, float], source: str, repair: bool, report: Report
+    tree: Tree, resolution: dict[str, np.ndarray], source: str, repair: bool, report: Report
 ) -> None:
     """Refuse what no rigid body can have; with `repair`, put the nearest valid inertia instead.
 
@@ -109,9 +107,7 @@ def check_bodies(
             if _negligible(finding, tree, body, name):
                 passed.append((name, finding))
                 continue
-            rounding = _MOST_ROUNDING * float(np.linalg.norm(finding.tensor))
-            rounding = max(min(rounding, resolution.get(name, 0.0)), mass * _THIN**2)
-            if finding.change <= rounding:
+            if _is_rounding(finding, mass, resolution[name]):
                 tree.links[name].inertial.inertia = finding.valid
                 report.add("repaired", f"inertia of '{name}' by rounding, {finding.shown()}")
             elif repair:
@@ -135,6 +131,13 @@ def _look_at(tree: Tree, name: str) -> _Finding | None:
     valid = nearest_valid(1.0, tensor, thinnest=0.0)
     sound = np.linalg.norm(valid - tensor) <= _ROUNDING * np.linalg.norm(tensor)
     return None if sound else _Finding(tensor, valid)
+
+
+def _is_rounding(finding: _Finding, mass: float, resolution: np.ndarray) -> bool:
+    """Whether the digits of each entry explain its change, or that is nothing for a body of `mass`."""
+    explained = np.abs(finding.valid - finding.tensor) <= resolution
+    few = finding.change <= _MOST_ROUNDING * float(np.linalg.norm(finding.tensor))
+    return bool(few and explained.all()) or finding.change <= mass * _THIN**2
 
 
 def _negligible(finding: _Finding, tree: Tree, body: str, name: str) -> bool:
