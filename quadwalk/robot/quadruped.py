@@ -14,7 +14,7 @@ from quadwalk.robot.home import standing_pose
 from quadwalk.robot.legs import Leg, find_legs
 from quadwalk.robot.mjcf import Options, convert, open_meshes
 from quadwalk.robot.report import Report
-from quadwalk.robot.scene import HOME, add_spheres, box_meshes
+from quadwalk.robot.scene import HOME, add_spheres, simplify
 from quadwalk.robot.tree import joint_range
 from quadwalk.robot.urdf import Urdf, read_urdf
 
@@ -94,7 +94,7 @@ class Quadruped:
                 # the other; feet do not meet each other.
                 geom.contype = geom.name == "floor"
                 geom.conaffinity = geom.name in self.feet
-        box_meshes(spec, self.feet)
+        simplify(spec, self.feet)
         if contacts == "body":
             add_spheres(spec, self.trunk, self.feet, calf_joints=self.joints[2::3])
         option = spec.option

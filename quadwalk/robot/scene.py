@@ -157,30 +157,42 @@ def lowest_point(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> float
     return float(data.geom_xpos[geom, 2] - extent)
 
 
-def box_meshes(spec: mujoco.MjSpec, feet: tuple[str, ...]) -> None:
-    """Put boxes around meshes in their place: enough to tell whether they are under the floor.
+def simplify(spec: mujoco.MjSpec, feet: tuple[str, ...]) -> None:
+    """Make of a robot's shapes those that training measures: is one of them under the floor?
 
-    The box of a calf ends at the centre of its foot, as its mesh is thinner there and the foot's
-    own sphere says more.
+    Meshes become the boxes around them. What is beyond the centre of a foot is the foot's, whose
+    sphere stands for it: the calves' shapes end there.
     """
-    if not any(geom.type == mujoco.mjtGeom.mjGEOM_MESH for geom in spec.geoms):
-        return
     model = spec.compile()
     foot_of = {model.geom_bodyid[model.geom(foot).id]: model.geom(foot).pos for foot in feet}
     for geom in spec.geoms:
-        if geom.type != mujoco.mjtGeom.mjGEOM_MESH:
-            continue
-        centre, axes, half = _box(model, geom.id)
         foot = foot_of.get(model.geom_bodyid[geom.id])
-        if foot is not None:
-            along = int(np.argmax(np.abs(foot @ axes)))
-            out = axes[:, along] * np.sign(foot @ axes[:, along])
-            beyond = max((centre - foot) @ out + half[along], 0.0)
-            half[along] = max(half[along] - beyond / 2, CORNER_RADIUS)
-            centre = centre - out * beyond / 2
-        geom.type, geom.meshname = mujoco.mjtGeom.mjGEOM_BOX, ""
-        geom.pos, geom.size = centre, half
-        mujoco.mju_mat2Quat(geom.quat, axes.ravel())
+        if geom.type == mujoco.mjtGeom.mjGEOM_MESH:
+            centre, axes, half = _box(model, geom.id)
+            geom.type, geom.meshname = mujoco.mjtGeom.mjGEOM_BOX, ""
+            geom.pos, geom.size = centre, half
+            mujoco.mju_mat2Quat(geom.quat, axes.ravel())
+        if foot is not None and geom.name not in feet:
+            _shorten(geom, foot)
+
+
+def _shorten(geom: mujoco.MjsGeom, foot: np.ndarray) -> None:
+    """Let a box, or a cylinder along the calf, end at the centre of the `foot` (3,), body frame."""
+    entries = np.zeros(9)
+    mujoco.mju_quat2Mat(entries, geom.quat)
+    axes = entries.reshape(3, 3)
+    along = int(np.argmax(np.abs(foot @ axes)))
+    if geom.type == mujoco.mjtGeom.mjGEOM_BOX:
+        side = along
+    elif geom.type == mujoco.mjtGeom.mjGEOM_CYLINDER and along == 2:
+        side = 1  # half the length; a cylinder's axis is z
+    else:
+        return
+    out = axes[:, along] * np.sign(foot @ axes[:, along])
+    beyond = (geom.pos - foot) @ out + geom.size[side]
+    if 1e-6 < beyond < 2 * geom.size[side]:
+        geom.size[side] -= beyond / 2
+        geom.pos -= out * beyond / 2
 
 
 def add_spheres(

@@ -134,7 +134,7 @@ def _look_at(tree: Tree, name: str) -> _Finding | None:
 
 
 def _is_rounding(finding: _Finding, mass: float, resolution: np.ndarray) -> bool:
-    """Whether the digits of each entry explain its change, or that is nothing for a body of `mass`."""
+    """Whether each entry's digits explain its change, or that is nothing for a body of `mass`."""
     explained = np.abs(finding.valid - finding.tensor) <= resolution
     few = finding.change <= _MOST_ROUNDING * float(np.linalg.norm(finding.tensor))
     return bool(few and explained.all()) or finding.change <= mass * _THIN**2
