@@ -128,9 +128,16 @@ def check_bodies(
 def _look_at(tree: Tree, name: str) -> _Finding | None:
     """What is wrong with a link's inertia; None if a body can have it."""
     tensor = tree.links[name].inertial.inertia
-    valid = nearest_valid(1.0, tensor, thinnest=0.0)
-    sound = np.linalg.norm(valid - tensor) <= _ROUNDING * np.linalg.norm(tensor)
-    return None if sound else _Finding(tensor, valid)
+    if _is_sound(tensor):
+        return None
+    return _Finding(tensor, nearest_valid(1.0, tensor, thinnest=0.0))
+
+
+def _is_sound(tensor: np.ndarray) -> bool:
+    """Whether a body can have an inertia (3, 3), but for the last bits."""
+    smallest, middle, largest = np.linalg.eigvalsh(tensor)
+    room = _ROUNDING * abs(largest)
+    return bool(smallest >= -room and smallest + middle >= largest - room)
 
 
 def _is_rounding(finding: _Finding, mass: float, resolution: np.ndarray) -> bool:
@@ -156,8 +163,7 @@ def _settle(tree: Tree, body: str, passed: list[tuple[str, _Finding]], report: R
         return
     whole = body_inertia(tree, body)
     assert whole is not None
-    nearest = nearest_valid(whole.mass, whole.about_com, thinnest=0.0)
-    exact = np.linalg.norm(nearest - whole.about_com) <= _ROUNDING * np.linalg.norm(nearest)
+    exact = _is_sound(whole.about_com)
     for name, finding in passed:
         if exact:
             what = f"an inertia that no body can have, next to nothing in '{body}', as it is"
