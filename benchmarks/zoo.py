@@ -17,6 +17,7 @@ Both need the packages of the extra `zoo`. Tables go to standard output, or to F
 import argparse
 import importlib.util
 import json
+import os
 import subprocess
 import sys
 import sysconfig
@@ -62,7 +63,12 @@ class Converted:
 
 
 def example_robot_data() -> Path | None:
-    """The folder of example-robot-data's robots; None where it is not installed."""
+    """The folder of example-robot-data's robots; None where it is not installed.
+
+    That, or the folder that QUADWALK_EXAMPLE_ROBOTS names.
+    """
+    if named := os.environ.get("QUADWALK_EXAMPLE_ROBOTS"):
+        return Path(named)
     for name in ("purelib", "platlib"):
         folder = Path(sysconfig.get_path(name))
         robots = folder / "cmeel.prefix/share/example-robot-data/robots"
