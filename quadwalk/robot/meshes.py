@@ -60,7 +60,8 @@ def find_mesh(name: str, folders: list[Path], source: str) -> Path:
     where = f"{source}: mesh '{name}'"
     allowed = [*folders, *filter(None, map(_package_around, folders))]
     if place.scheme in ("package", "model"):
-        package, rest = unquote(place.netloc), unquote(place.path).lstrip("/")
+        # Some write package:///PACKAGE/rest.
+        package, _, rest = unquote(place.netloc + place.path).lstrip("/").partition("/")
         own = [root for folder in folders if (root := _package_called(package, folder))]
         allowed += own
         candidates = [root / rest for root in own]

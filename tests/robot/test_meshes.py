@@ -221,6 +221,7 @@ def test_the_usual_layouts_need_no_flag(package, declared):
         ("../meshes/box.stl", package / "urdf"),
         ("package://pack/meshes/box.stl", package / "urdf"),
         ("package://pack/meshes/box.stl", deep),
+        ("package:///pack/meshes/box.stl", deep),
     ):
         assert find_mesh(name, [folder], "r") == mesh.resolve(), name
     for name in ("package://other/meshes/box.stl", "../../meshes/box.stl"):
