@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 from lxml import etree
 
 from quadwalk.errors import UserError
+from quadwalk.robot.checks.forms import FORMS, JOINT_TYPES, LENGTHS, SHAPES, TEXT_ATTRIBUTES, Form
 from quadwalk.robot.report import Report
 
 # Quadrupeds have some 50 links, humanoids with hands some 100.
@@ -26,9 +27,6 @@ MAX_NUMBER = 1e9
 MIN_NUMBER = 1e-50
 MIN_SIZE = 1e-9  # m; atoms are 1e-10
 
-JOINT_TYPES = ("revolute", "continuous", "prismatic", "planar", "floating", "fixed")
-SHAPES = ("box", "sphere", "cylinder", "mesh")
-
 
 class UrdfError(UserError):
     """A URDF that cannot be read, or describes no robot that can exist, in one line."""
@@ -39,76 +37,6 @@ class UrdfError(UserError):
         super().__init__(line if len(line) <= 800 else line[:500] + " ... " + line[-250:])
 
 
-@dataclass(frozen=True)
-class _Form:
-    """What an element may hold.
-
-    Attributes:
-        need, may: attributes that must or may be there.
-        one, most_one, many: child elements that must be there once, may be, may be repeated.
-        first: those of `many` of which only the first counts.
-        ignored: child elements of other tools whose numbers must be numbers nevertheless.
-    """
-
-    need: tuple[str, ...] = ()
-    may: tuple[str, ...] = ()
-    one: tuple[str, ...] = ()
-    most_one: tuple[str, ...] = ()
-    many: tuple[str, ...] = ()
-    first: tuple[str, ...] = ()
-    ignored: tuple[str, ...] = ()
-
-
-# http://wiki.ros.org/urdf/XML; `ignored` is what PyBullet, Gazebo and older ROS files add.
-_FORMS = {
-    "link": _Form(
-        need=("name",),
-        most_one=("inertial",),
-        many=("visual", "collision"),
-        ignored=("contact", "audio_source", "self_collision_checking", "concave", "gazebo"),
-    ),
-    "joint": _Form(
-        need=("name", "type"),
-        one=("parent", "child"),
-        most_one=("origin", "axis", "limit", "dynamics", "mimic"),
-        ignored=("joint_properties", "safety_controller", "calibration", "gazebo"),
-    ),
-    "inertial": _Form(one=("mass", "inertia"), most_one=("origin",)),
-    "visual": _Form(
-        may=("name",),
-        one=("geometry",),
-        most_one=("origin",),
-        many=("material",),
-        first=("material",),
-    ),
-    "collision": _Form(
-        may=("name",),
-        one=("geometry",),
-        most_one=("origin",),
-        ignored=("material", "group", "mask", "concave", "verbose", "contact_coefficients"),
-    ),
-    "geometry": _Form(most_one=SHAPES),
-    "origin": _Form(may=("xyz", "rpy")),
-    "mass": _Form(need=("value",)),
-    "inertia": _Form(need=("ixx", "ixy", "ixz", "iyy", "iyz", "izz")),
-    "parent": _Form(need=("link",)),
-    "child": _Form(need=("link",)),
-    "axis": _Form(need=("xyz",)),
-    "limit": _Form(need=("effort", "velocity"), may=("lower", "upper")),
-    "dynamics": _Form(may=("damping", "friction", "armature")),
-    "mimic": _Form(need=("joint",), may=("multiplier", "offset")),
-    "box": _Form(need=("size",)),
-    "sphere": _Form(need=("radius",)),
-    "cylinder": _Form(need=("radius", "length")),
-    "mesh": _Form(need=("filename",), may=("scale",)),
-    "material": _Form(
-        may=("name",), most_one=("color", "texture"), ignored=("specular", "ambient", "emissive")
-    ),
-    "color": _Form(need=("rgba",)),
-    "texture": _Form(may=("filename",)),
-}
-_TEXT_ATTRIBUTES = frozenset({"name", "type", "link", "joint", "filename"})
-_LENGTHS = {"xyz": 3, "rpy": 3, "size": 3, "rgba": 4, "scale": 3}
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 _NOT_FINITE = re.compile(r"[+-]?(nan|inf|infinity|1\.#\w+)", re.IGNORECASE)
 
@@ -136,7 +64,7 @@ class Check:
 
         What URDF does not know is taken out of it, so that no later reader stumbles over it.
         """
-        form = _FORMS[element.tag]
+        form = FORMS[element.tag]
         self.attributes(element, form)
         known = form.one + form.most_one + form.many
         for child in list(element):
@@ -165,7 +93,7 @@ class Check:
         if check is not None:
             check(element)
 
-    def attributes(self, element: etree._Element, form: _Form) -> None:
+    def attributes(self, element: etree._Element, form: Form) -> None:
         """Check an element's attributes; those that URDF does not know are taken out."""
         known = form.need + form.may
         for name, value in list(element.attrib.items()):
@@ -174,12 +102,12 @@ class Check:
                 self.not_misspelt(name, known, there, element, "has attribute '{}'", "{}")
                 self.left_out[f"{element.tag} {name}"] += 1
                 del element.attrib[name]
-            elif name not in _TEXT_ATTRIBUTES:
+            elif name not in TEXT_ATTRIBUTES:
                 self.numbers(element, name, value)
         for name in form.need:
             if element.get(name) is None:
                 raise self.fail(element, f"has no '{name}'; expected {name}=\"...\"")
-            if name in _TEXT_ATTRIBUTES and not element.get(name).strip():
+            if name in TEXT_ATTRIBUTES and not element.get(name).strip():
                 raise self.fail(element, f"has an empty '{name}'; expected {name}=\"...\"")
 
     def not_misspelt(
@@ -206,13 +134,13 @@ class Check:
         """Even what is left out must not hold a number that is none."""
         for part in element.iter():
             for name, value in part.attrib.items():
-                if name not in _TEXT_ATTRIBUTES and _NOT_FINITE.fullmatch(value.strip()):
+                if name not in TEXT_ATTRIBUTES and _NOT_FINITE.fullmatch(value.strip()):
                     raise self.fail(part, f'has {name}="{value}"; expected a finite number')
 
     def numbers(self, element: etree._Element, name: str, value: str) -> None:
         """Check that the attribute is one number, or as many as its name asks for."""
         words = value.split()
-        length = _LENGTHS.get(name, 1)
+        length = LENGTHS.get(name, 1)
         allowed = (1, 3) if name == "scale" else (length,)
         shown = value if len(value) <= 40 else value[:37] + "..."
         if len(words) not in allowed:
