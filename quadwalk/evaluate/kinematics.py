@@ -55,7 +55,7 @@ class LinkFrames:
 @lru_cache(maxsize=1)  # an evaluation asks for one robot's with every recording
 def link_frames(quadruped: Quadruped) -> LinkFrames:
     """The frames of a quadruped's URDF; no joint but those of the legs moves, and these turn."""
-    tree = build_tree(parse_urdf(quadruped.urdf).robot)
+    tree = build_tree(parse_urdf(quadruped.urdf, repair_inertia=True).robot)
     joints: list[yourdfpy.Joint] = []
     pending = [tree.root]
     while pending:

@@ -10,9 +10,10 @@ from quadwalk.drawing.images import save_png
 from quadwalk.errors import UsageError, run_command
 from quadwalk.files import atomic_write
 from quadwalk.robot.elements import SINGLE
-from quadwalk.robot.legs import Leg, find_legs
+from quadwalk.robot.legs import Leg
 from quadwalk.robot.mjcf import Options, convert, write_xml
-from quadwalk.robot.urdf import UrdfError, read_urdf
+from quadwalk.robot.quadruped import legs_of, with_motors
+from quadwalk.robot.urdf import Urdf, UrdfError, read_urdf
 
 
 def parse_arguments(argv: list[str] | None, prog: str) -> argparse.Namespace:
@@ -71,13 +72,7 @@ def main(argv: list[str] | None = None, prog: str = "python -m quadwalk.robot") 
         mesh_folders=tuple(arguments.mesh_dir),
         armature=armatures(arguments.rotor, joints),
     )
-    legs: tuple[Leg, ...] = ()
-    if not arguments.fixed_base:
-        try:
-            legs = find_legs(urdf.tree, urdf.source)
-        except UrdfError as error:
-            reason = str(error).removeprefix(f"{urdf.source}: ")
-            urdf.report.add("assumed", f"no quadruped: {reason}")
+    legs, verdict = recognise(urdf, options)
     conversion = convert(urdf, legs, options)
     xml = write_xml(conversion.spec)
     if arguments.out is not None:
@@ -90,6 +85,20 @@ def main(argv: list[str] | None = None, prog: str = "python -m quadwalk.robot") 
     if not arguments.quiet:
         for line in conversion.report.lines(sys.maxsize if arguments.verbose else 4):
             print(line, file=sys.stderr)
+        print(f"trains as a quadruped: {verdict}", file=sys.stderr)
+
+
+def recognise(urdf: Urdf, options: Options) -> tuple[tuple[Leg, ...], str]:
+    """The legs of a quadruped, and "yes", or why it cannot be trained as one."""
+    legs: tuple[Leg, ...] = ()
+    if options.floating is False:
+        return legs, "no, for its base is fixed to the ground"
+    try:
+        legs = legs_of(urdf, options)
+        with_motors(urdf, legs, options)
+    except UrdfError as error:
+        return legs, "no: " + str(error).removeprefix(f"{urdf.source}: ")
+    return legs, "yes"
 
 
 def armatures(rotors: list[str], joints: list[str]) -> dict[str, float]:

@@ -1,16 +1,14 @@
 """Elements of an MjSpec from those of a URDF: joints, shapes, their materials and meshes."""
 
-from pathlib import Path
-
 import mujoco
 import numpy as np
 import yourdfpy
 
-from quadwalk.robot.legs import Leg, joint_range, unit
-from quadwalk.robot.meshes import MissingMeshError, find_mesh, load_mesh
+from quadwalk.robot.legs import Leg
+from quadwalk.robot.meshes import Meshes, MeshPart
+from quadwalk.robot.report import Report
 from quadwalk.robot.scene import CONTACT_TIME, CORNERS, FRICTION, KNEES
-from quadwalk.robot.tree import Tree, matrix
-from quadwalk.robot.urdf import Report
+from quadwalk.robot.tree import Tree, is_limited, joint_range, matrix, unit
 
 SINGLE = {
     "revolute": mujoco.mjtJoint.mjJNT_HINGE,
@@ -23,20 +21,24 @@ _Type = mujoco.mjtGeom
 _Piece = tuple[dict, np.ndarray | None]
 
 
-def add_single(body: mujoco.MjsBody, joint: yourdfpy.Joint, armature: float) -> None:
+def add_single(
+    body: mujoco.MjsBody, joint: yourdfpy.Joint, armature: float, frame: np.ndarray
+) -> None:
     """Add a joint with one direction of motion, with its limits, damping and friction.
 
     Args:
         body: what it moves.
         joint: of one of the types in `SINGLE`.
         armature: kg m^2, or kg of a slide.
+        frame: (4, 4) of the joint in the body's frame, where all joints are at 0.
     """
-    added = body.add_joint(name=joint.name, type=SINGLE[joint.type], axis=unit(joint.axis))
-    if joint.type != "continuous":
+    axis = frame[:3, :3] @ unit(joint.axis)
+    added = body.add_joint(name=joint.name, type=SINGLE[joint.type], axis=axis, pos=frame[:3, 3])
+    if is_limited(joint):
         added.range = joint_range(joint)
-    if joint.limit is not None and joint.limit.effort:
+    if joint.limit is not None and 0 < joint.limit.effort < np.inf:
         added.actfrcrange = [-joint.limit.effort, joint.limit.effort]
-    if joint.limit is not None:
+    if joint.limit is not None and joint.limit.velocity < np.inf:
         # MuJoCo knows no largest speed: it is kept as the joint's user datum.
         added.userdata = [joint.limit.velocity]
     if joint.dynamics is not None:
@@ -107,8 +109,7 @@ class Shapes:
         spec: has its scene and its default classes.
         robot: the URDF.
         legs: of a quadruped: their feet's geoms are of class `foot`, and named like the foot.
-        folders: where mesh files may be; None leaves meshes out.
-        source: what error messages call the URDF.
+        meshes: its mesh files.
         report: takes what was left out or assumed.
     """
 
@@ -117,14 +118,13 @@ class Shapes:
         spec: mujoco.MjSpec,
         robot: yourdfpy.Robot,
         legs: tuple[Leg, ...],
-        folders: list[Path] | None,
-        source: str,
+        meshes: Meshes,
         report: Report,
     ):
-        self.spec, self.folders, self.source, self.report = spec, folders, source, report
-        self.feet = {(leg.foot_link, leg.foot_shape): leg.foot for leg in legs}
-        self.geom_names = {*self.feet.values(), "floor", *KNEES, *CORNERS}
-        self.mesh_names: dict[tuple, list[tuple[str, np.ndarray | None]]] = {}
+        self.spec, self.meshes, self.report = spec, meshes, report
+        self.legs = {leg.foot_link: leg for leg in legs}
+        self.geom_names = {*(leg.foot for leg in legs), "floor", *KNEES, *CORNERS}
+        self.mesh_names: dict[tuple, list[str]] = {}
         self.materials: dict[str, str] = {}
         self.rgba: dict[str, tuple] = {}
         inline = [v.material for link in robot.links for v in link.visuals if v.material]
@@ -140,8 +140,11 @@ class Shapes:
         stand_in = link.collisions and not any(shown) and (self.invisible or link.visuals)
         if stand_in:
             self.report.add("assumed", "shown by their collision shapes", name)
+        leg = self.legs.get(name)
         for index, collision in enumerate(link.collisions):
-            foot = self.feet.get((name, index))
+            if leg is not None and index in leg.replaced:
+                continue
+            foot = leg.foot if leg is not None and index == leg.foot_shape else None
             pieces = self._pieces(name, collision.geometry, collision=True)
             for shape, _ in pieces:
                 frame = placement @ matrix(collision.origin)
@@ -150,6 +153,13 @@ class Shapes:
                 if stand_in:
                     twin = self._add(body, "visual", shape, frame)
                     self._paint(twin, link.visuals[0].material if link.visuals else None, None)
+        if leg is not None and leg.foot_shape is None:
+            sphere = {"type": _Type.mjGEOM_SPHERE, "size": [leg.radius, 0, 0]}
+            frame = np.eye(4)
+            frame[:3, 3] = leg.centre
+            self._add(body, "foot", sphere, frame).name = leg.foot
+            what = f"the feet are spheres of {leg.radius * 1000:.3g} mm"
+            self.report.add("assumed", f"{what} {leg.reason}", leg.foot)
 
     def _add_visual(self, body, name: str, visual, placement: np.ndarray) -> bool:
         """Add a visual shape; False if there is nothing of it to show."""
@@ -180,41 +190,31 @@ class Shapes:
         return [({"type": kind, "size": size}, None)]
 
     def _mesh_pieces(self, name: str, mesh, collision: bool) -> list[_Piece]:
-        kind = "collision" if collision else "visual"
-        if self.folders is None:
-            self.report.add("dropped", f"{kind} meshes", mesh.filename)
+        """The geoms of a mesh; on its first use it is added to the spec with its data inline."""
+        loaded = self.meshes.load(mesh, "collision" if collision else "visual")
+        if loaded is None:
             return []
-        try:
-            file = find_mesh(mesh.filename, self.folders, self.source)
-        except MissingMeshError:
-            if collision:  # without its shapes a robot falls through the floor
-                raise
-            self.report.add("dropped", "visual meshes that were not found", mesh.filename)
-            return []
-        scale = np.ones(3) * (1.0 if mesh.scale is None else mesh.scale)
         if collision:
             self.report.add("assumed", "meshes collide as their convex hulls", name)
-        pieces = self._load(file, scale)
-        return [({"type": _Type.mjGEOM_MESH, "meshname": mesh}, rgba) for mesh, rgba in pieces]
-
-    def _load(self, file: Path, scale: np.ndarray) -> list[tuple[str, np.ndarray | None]]:
-        """The names of the meshes that a file holds, added on first use with their data inline."""
-        key = (file, tuple(scale))
+        file, parts = loaded
+        key = (file, None if mesh.scale is None else tuple(np.ravel(mesh.scale)))
         if key not in self.mesh_names:
-            self.mesh_names[key] = []
-            taken = {mesh.name for mesh in self.spec.meshes}
-            for part in load_mesh(file, scale, self.source):
-                name = unique(file.stem, taken)
-                taken.add(name)
-                self.spec.add_mesh(
-                    name=name,
-                    uservert=part.vertices.ravel(),
-                    userface=part.faces.ravel(),
-                    # No mass comes from meshes; this one needs no closed surface.
-                    inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
-                )
-                self.mesh_names[key].append((name, part.rgba))
-        return self.mesh_names[key]
+            self.mesh_names[key] = [self._add_mesh(file.stem, part) for part in parts]
+        return [
+            ({"type": _Type.mjGEOM_MESH, "meshname": added}, part.rgba)
+            for added, part in zip(self.mesh_names[key], parts, strict=True)
+        ]
+
+    def _add_mesh(self, stem: str, part: MeshPart) -> str:
+        name = unique(stem, {mesh.name for mesh in self.spec.meshes})
+        self.spec.add_mesh(
+            name=name,
+            uservert=part.vertices.ravel(),
+            userface=part.faces.ravel(),
+            # No mass comes from meshes; this one needs no closed surface.
+            inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
+        )
+        return name
 
     def _add_material(self, material: yourdfpy.Material) -> None:
         if material.texture is not None:

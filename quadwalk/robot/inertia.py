@@ -1,5 +1,6 @@
 """Rigid-body inertia: what is physical, the nearest that is, and composing links to bodies."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
 
@@ -24,16 +25,16 @@ class Inertia:
     about_com: np.ndarray
 
 
-def nearest_valid(mass: float, tensor: np.ndarray) -> np.ndarray:
+def nearest_valid(mass: float, tensor: np.ndarray, thinnest: float = THINNEST) -> np.ndarray:
     """The (3, 3) inertia nearest to `tensor` (Frobenius norm) that a body of `mass` kg can have.
 
     Principal axes stay. Moments are sums of second moments of mass, I = (s2+s3, s1+s3, s1+s2) with
     s >= 0, so that the valid ones are a cone; the nearest point of it is found on each of its
-    faces. s is kept at `mass * THINNEST**2` or more, so that the result is positive definite.
+    faces. s is kept at `mass * thinnest**2` or more: above 0 the result is positive definite.
     """
     moments, axes = np.linalg.eigh((tensor + tensor.T) / 2)
     spread = 1.0 - np.eye(3)
-    floor = mass * THINNEST**2
+    floor = mass * thinnest**2
     target = moments - spread @ np.full(3, floor)
     best = np.zeros(3)
     for free in product((False, True), repeat=3):
@@ -59,9 +60,13 @@ def link_inertia(link: yourdfpy.Link, placement: np.ndarray) -> Inertia | None:
     return Inertia(link.inertial.mass, frame[:3, 3], turn @ link.inertial.inertia @ turn.T)
 
 
-def body_inertia(tree: Tree, body: str) -> Inertia | None:
-    """The inertia of a moving link and what is fused with it, in its frame; None without mass."""
-    links = [(tree.links[name], tree.placement[name]) for name in tree.parts[body]]
+def body_inertia(tree: Tree, body: str, parts_of_it: Sequence[str] | None = None) -> Inertia | None:
+    """The inertia of a moving link and what is fused with it, in its frame; None without mass.
+
+    With `parts_of_it`, of these links alone.
+    """
+    names = tree.parts[body] if parts_of_it is None else parts_of_it
+    links = [(tree.links[name], tree.placement[name]) for name in names]
     parts = [link_inertia(link, placement) for link, placement in links]
     return compose([part for part in parts if part is not None])
 

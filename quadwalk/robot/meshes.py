@@ -11,12 +11,18 @@ from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
 import numpy as np
+import yourdfpy
 from lxml import etree
 
-from quadwalk.robot.validate import UrdfError
+from quadwalk.robot.checks.validate import UrdfError
+from quadwalk.robot.report import Report
 
 KINDS = (".dae", ".obj", ".stl")
 MAX_BYTES = 64 * 2**20
+MAX_PACKAGE_BYTES = 2**20
+FLATTEST = 1e-5  # thinnest over longest extent of a mesh; thinner ones are flat for MuJoCo's hulls
+# Beside the meshes' folder in a package, by ROS's custom; a package need not have a package.xml.
+URDF_FOLDERS = ("urdf", "urdfs", "robots", "xacro")
 
 
 class MissingMeshError(UrdfError):
@@ -41,40 +47,79 @@ class MeshPart:
 def find_mesh(name: str, folders: list[Path], source: str) -> Path:
     """The file that a URDF's mesh name means: relative, absolute, `file://` or `package://`.
 
-    `package://PACKAGE/rest` is looked up in each folder as PACKAGE/rest and as rest.
+    `package://PACKAGE/rest` is rest in the nearest folder that is called PACKAGE, or has its
+    package.xml, at or above one of `folders`; or it is PACKAGE/rest or rest in one of them. A
+    relative name may lead, over `..`, through the package that a folder is in, and no further.
+
+    Args:
+        name: the URDF's.
+        folders: where to look, the URDF's own first.
+        source: what error messages call the URDF.
     """
     place = urlsplit(name)
     where = f"{source}: mesh '{name}'"
+    allowed = [*folders, *filter(None, map(_package_around, folders))]
     if place.scheme in ("package", "model"):
-        rest = unquote(place.path).lstrip("/")
-        names = [f"{unquote(place.netloc)}/{rest}", rest]
-    elif place.scheme == "file":
-        names = [unquote(place.path)]
-    elif "://" in name:
-        raise UrdfError(f"{where} is not a file; expected a path, file:// or package://")
+        # Some write package:///PACKAGE/rest.
+        package, _, rest = unquote(place.netloc + place.path).lstrip("/").partition("/")
+        own = [root for folder in folders if (root := _package_called(package, folder))]
+        allowed += own
+        candidates = [root / rest for root in own]
+        candidates += [folder / n for folder in folders for n in (f"{package}/{rest}", rest)]
+    elif "://" in name and place.scheme != "file":
+        raise MissingMeshError(f"{where} is not a file; expected a path, file:// or package://")
     else:
-        names = [name]
+        path = unquote(place.path) if place.scheme == "file" else name
+        candidates = [folder / path for folder in folders]
     shown = ", ".join(f"'{folder}'" for folder in folders) or "no folder"
     outside = False
-    for folder in folders:
-        for candidate in (folder / n for n in names):
-            try:
-                file = candidate.resolve()
-                if not any(file.is_relative_to(allowed.resolve()) for allowed in folders):
-                    outside = True
-                elif file.is_file():
-                    return file
-            except (OSError, ValueError):  # a name that no file can have
-                continue
+    for candidate in candidates:
+        try:
+            file = candidate.resolve()
+            if not any(file.is_relative_to(folder.resolve()) for folder in allowed):
+                outside = True
+            elif file.is_file():
+                return file
+        except (OSError, ValueError):  # a name that no file can have
+            continue
     if outside:
         raise UrdfError(f"{where} lies outside {shown}; expected inside, or pass --mesh-dir")
     raise MissingMeshError(f"{where} is not in {shown}; expected a file, or pass --mesh-dir")
 
 
+def _package_called(name: str, folder: Path) -> Path | None:
+    """The nearest folder, `folder` or above it, that is the package `name`."""
+    for place in (folder.resolve(), *folder.resolve().parents):
+        if name and (place.name == name or _declared(place) == name):
+            return place
+    return None
+
+
+def _package_around(folder: Path) -> Path | None:
+    """The package that `folder` is in: with a package.xml, or above a folder for URDFs."""
+    folder = folder.resolve()
+    for place in (folder, *folder.parents):
+        if _declared(place) is not None:
+            return place
+    return folder.parent if folder.name in URDF_FOLDERS else None
+
+
+def _declared(folder: Path) -> str | None:
+    """The name in a folder's package.xml; None where there is none to be read."""
+    try:
+        with (folder / "package.xml").open("rb") as file:
+            data = file.read(MAX_PACKAGE_BYTES)
+        root = etree.fromstring(data, etree.XMLParser(resolve_entities=False, no_network=True))
+    except (OSError, etree.XMLSyntaxError):
+        return None
+    return root.findtext("name", "").strip() or None
+
+
 def load_mesh(file: Path, scale: np.ndarray, source: str) -> list[MeshPart]:
     """The triangles of a .dae, .obj or .stl file, times `scale` (3,), in metres.
 
-    A COLLADA file's unit is respected; its up axis is not, as in RViz.
+    A COLLADA file's unit is respected; its up axis is not, as in RViz. `UrdfError` for a file
+    that is no mesh.
     """
     import trimesh
 
@@ -103,9 +148,62 @@ def load_mesh(file: Path, scale: np.ndarray, source: str) -> list[MeshPart]:
     return parts
 
 
+class Meshes:
+    """The mesh files of one URDF, each read once.
+
+    What cannot be found or read is left out, with a note: it never keeps a robot from training.
+
+    Args:
+        folders: where the files may be; None leaves all meshes out.
+        source: what error messages call the URDF.
+        report: takes what was left out.
+    """
+
+    def __init__(self, folders: list[Path] | None, source: str, report: Report):
+        self.folders, self.source, self.report = folders, source, report
+        self._parts: dict[tuple, list[MeshPart]] = {}
+
+    def load(self, mesh: yourdfpy.Mesh, kind: str) -> tuple[Path, list[MeshPart]] | None:
+        """The file and its parts, scaled, in metres; None if there are none.
+
+        `kind` is what the shape is for, `visual` or `collision`. `UrdfError` for a name that leads
+        out of the folders.
+        """
+        if self.folders is None:
+            self.report.add("dropped", f"{kind} meshes", mesh.filename)
+            return None
+        try:
+            file = find_mesh(mesh.filename, self.folders, self.source)
+        except MissingMeshError:
+            self.report.add("dropped", f"{kind} meshes that were not found", mesh.filename)
+            return None
+        scale = np.ones(3) * (1.0 if mesh.scale is None else mesh.scale)
+        key = (file, tuple(scale), kind)
+        if key not in self._parts:
+            try:
+                parts = load_mesh(file, scale, self.source)
+            except UrdfError as error:
+                reason = str(error).partition(f"'{file}' ")[2]
+                self.report.add(
+                    "dropped", f"{kind} meshes that are broken", f"{file.name} {reason}"
+                )
+                parts = []
+            solid = [part for part in parts if _has_volume(part.vertices)]
+            if len(solid) < len(parts):
+                self.report.add("dropped", f"flat parts of {kind} meshes", file.name)
+            self._parts[key] = solid
+        return (file, self._parts[key]) if self._parts[key] else None
+
+
+def _has_volume(vertices: np.ndarray) -> bool:
+    """Whether points (n, 3) span three dimensions, as MuJoCo's convex hulls must."""
+    spread = np.linalg.svd(vertices - vertices.mean(axis=0), compute_uv=False)
+    return len(spread) == 3 and bool(spread[2] > FLATTEST * spread[0])
+
+
 def _collada_unit(data: bytes) -> float:
     """Metres per unit of a COLLADA file; refuses a DOCTYPE, before another parser expands it."""
-    parser = etree.XMLParser(resolve_entities=False, no_network=True, load_dtd=False)
+    parser = etree.XMLParser(resolve_entities=False, no_network=True, huge_tree=True)
     root = etree.fromstring(data, parser)
     if root.getroottree().docinfo.doctype:
         raise ValueError("has a DOCTYPE")

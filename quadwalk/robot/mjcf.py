@@ -5,12 +5,14 @@ composed exactly and their frames kept as sites of the same name.
 """
 
 from dataclasses import dataclass, field
+from functools import reduce
 from pathlib import Path
 
 import mujoco
 import numpy as np
 import yourdfpy
 
+from quadwalk.robot.checks.validate import UrdfError
 from quadwalk.robot.elements import (
     SINGLE,
     Shapes,
@@ -20,12 +22,14 @@ from quadwalk.robot.elements import (
     pose,
     unique,
 )
+from quadwalk.robot.home import standing_pose
 from quadwalk.robot.inertia import SMALLEST, body_inertia, principal, printable
-from quadwalk.robot.legs import Leg, standing_pose
+from quadwalk.robot.legs import Leg
+from quadwalk.robot.meshes import Meshes
+from quadwalk.robot.report import Report
 from quadwalk.robot.scene import add_home, add_scene, add_sun, exclude_overlaps
 from quadwalk.robot.tree import Tree
-from quadwalk.robot.urdf import Report, Urdf
-from quadwalk.robot.validate import UrdfError
+from quadwalk.robot.urdf import Urdf
 
 FRAMES = 4  # the group of the sites that mark frames; MuJoCo's viewer hides 3 and above
 FREE_JOINT = "floating_base"
@@ -41,12 +45,16 @@ class Options:
         meshes: whether mesh files are read; without them, their shapes are left out.
         mesh_folders: where they may be, besides the URDF's folder.
         armature: kg m^2 by joint name, over what the URDF says.
+        effort: N m, of those of a quadruped's motors that the URDF gives none.
+        speed: rad/s, the same.
     """
 
     floating: bool | None = None
     meshes: bool = True
     mesh_folders: tuple[Path, ...] = ()
     armature: dict[str, float] = field(default_factory=dict)
+    effort: float | None = None
+    speed: float | None = None
 
 
 @dataclass(frozen=True)
@@ -55,6 +63,12 @@ class Conversion:
 
     spec: mujoco.MjSpec
     report: Report
+
+
+def open_meshes(urdf: Urdf, options: Options, report: Report) -> Meshes:
+    """The URDF's mesh files, where `options` let them be; `report` hears what is left out."""
+    folders = [folder for folder in (urdf.folder, *options.mesh_folders) if folder]
+    return Meshes(folders if options.meshes else None, urdf.source, report)
 
 
 def convert(urdf: Urdf, legs: tuple[Leg, ...] = (), options: Options | None = None) -> Conversion:
@@ -124,10 +138,7 @@ class _Robot:
         self.options, self.report = options, report
         self.tree: Tree = urdf.tree
         self.floating = self._is_floating()
-        folders = [folder for folder in (urdf.folder, *options.mesh_folders) if folder]
-        self.shapes = Shapes(
-            spec, urdf.robot, legs, folders if options.meshes else None, urdf.source, report
-        )
+        self.shapes = Shapes(spec, urdf.robot, legs, open_meshes(urdf, options, report), report)
         self.joints: list[yourdfpy.Joint] = []  # of one direction each
         self.joint_names = {joint.name for joint in urdf.robot.joints if joint.type != "fixed"}
 
@@ -164,39 +175,52 @@ class _Robot:
             name, parent = pending.pop()
             body = self._add_body(parent, name)
             below = sorted(self.tree.moving_joints(name), key=lambda j: rank.get(j.child, -1))
-            pending.extend((joint.child, body) for joint in reversed(below))
-        equalities = [joint for joint in self.joints if joint.mimic is not None]
-        for joint in equalities:
+            # Past links without mass, whose joints their bodies have as well.
+            ends = [self.tree.chain_from(joint)[-1].child for joint in below]
+            pending.extend((end, body) for end in reversed(ends))
+        moving = {joint.name for joint in self.joints}
+        for joint in self.joints:
             mimic = joint.mimic
+            if mimic is None:
+                continue
             follow = self.spec.add_equality(
                 name=joint.name,
                 type=mujoco.mjtEq.mjEQ_JOINT,
                 objtype=mujoco.mjtObj.mjOBJ_JOINT,
                 name1=joint.name,
-                name2=mimic.joint,
+                # One that is fixed stays at 0.
+                name2=mimic.joint if mimic.joint in moving else "",
             )
             factor = 1.0 if mimic.multiplier is None else mimic.multiplier
             follow.data[:2] = [mimic.offset or 0.0, factor]
         for name in self.tree.bodies[1:]:
+            if self.tree.passes_on(name):
+                continue
             # No contact between bodies that share a joint: their shapes meet at it by design.
-            above = self.tree.body_of[self.tree.joint_above[name].parent]
+            above = self.tree.body_of[self.tree.joints_to(name)[0].parent]
             self.spec.add_exclude(name=f"{above}-{name}", bodyname1=above, bodyname2=name)
 
     def _add_body(self, parent: mujoco.MjsBody, name: str) -> mujoco.MjsBody:
         """Add the body of moving link (or root) `name`, with all that is fused with it."""
         tree = self.tree
         body = parent if name == "world" else parent.add_body(name=name)
-        joint = tree.joint_above.get(name)
-        if joint is not None:
-            body.pos, body.quat = pose(tree.frame_of(joint))
-            self._add_joint(body, joint)
+        joints = tree.joints_to(name)
+        if joints:
+            frames = [tree.frame_of(joint) for joint in joints]
+            body.pos, body.quat = pose(reduce(np.matmul, frames))
+            for i, joint in enumerate(joints):
+                # From the joint on to the body, all later joints at 0.
+                onwards = reduce(np.matmul, frames[i + 1 :], np.eye(4))
+                self._add_joint(body, joint, np.linalg.inv(onwards))
+                if joint.child != name:
+                    self._pass_on(joint, name)
         elif self.floating:
             body.add_freejoint(name=unique(FREE_JOINT, self.joint_names))
             add_sun(body)
         else:
             add_sun(self.spec.worldbody)
         whole = body_inertia(tree, name)
-        if whole is not None and (joint is not None or self.floating):
+        if whole is not None and (joints or self.floating):
             body.explicitinertial = True
             body.mass, body.ipos = whole.mass, whole.com
             body.inertia, body.iquat = principal(whole.about_com)
@@ -222,10 +246,17 @@ class _Robot:
         pos, quat = pose(frame)
         body.add_site(name=name, pos=pos, quat=quat, group=FRAMES, size=[radius] * 3)
 
-    def _add_joint(self, body: mujoco.MjsBody, joint: yourdfpy.Joint) -> None:
+    def _pass_on(self, joint: yourdfpy.Joint, name: str) -> None:
+        """Note that a joint moves body `name` over a link without mass, which is no body."""
+        self.report.add("fused", "joints over links without mass", f"{joint.name} with {name}")
+        for part in self.tree.parts[joint.child]:
+            if self.tree.links[part].visuals:
+                self.report.add("dropped", "visual shapes of links without mass", part)
+
+    def _add_joint(self, body: mujoco.MjsBody, joint: yourdfpy.Joint, frame: np.ndarray) -> None:
         if joint.type in SINGLE:
             armature = {**self.urdf.armature, **self.options.armature}
-            add_single(body, joint, armature.get(joint.name, 0.0))
+            add_single(body, joint, armature.get(joint.name, 0.0), frame)
             self.joints.append(joint)
             return
         add_several(body, joint, self.joint_names)
@@ -247,7 +278,7 @@ class _Robot:
             motor.set_to_motor()
             if joint.limit is None:
                 self.report.add("assumed", "any effort, for there is no <limit>", joint.name)
-            else:
+            elif joint.limit.effort < np.inf:
                 motor.ctrlrange = [-joint.limit.effort, joint.limit.effort]
 
     def add_sensors(self) -> None:

@@ -6,13 +6,17 @@ from typing import Literal
 
 import mujoco
 import numpy as np
+import yourdfpy
 
 from quadwalk.paths import ALIENGO_URDF
-from quadwalk.robot.legs import find_legs, joint_range
-from quadwalk.robot.mjcf import Options, convert
-from quadwalk.robot.scene import HOME, add_spheres
+from quadwalk.robot.checks.validate import UrdfError
+from quadwalk.robot.home import standing_pose
+from quadwalk.robot.legs import Leg, find_legs
+from quadwalk.robot.mjcf import Options, convert, open_meshes
+from quadwalk.robot.report import Report
+from quadwalk.robot.scene import HOME, add_spheres, simplify
+from quadwalk.robot.tree import joint_range
 from quadwalk.robot.urdf import Urdf, read_urdf
-from quadwalk.robot.validate import UrdfError
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,6 +39,7 @@ class Quadruped:
         friction: (12,) N m, Coulomb friction of the joints. The models have none: it belongs to
             the motor model, so that both engines apply the same.
         home: (19,) qpos standing: x y z (m), quaternion wxyz, joints (rad), feet just at height 0.
+        notes: what was repaired, dropped or assumed when it was converted, in lines of text.
     """
 
     name: str
@@ -49,6 +54,7 @@ class Quadruped:
     velocity: np.ndarray
     friction: np.ndarray
     home: np.ndarray
+    notes: tuple[str, ...]
     spec: mujoco.MjSpec = field(repr=False)
 
     @property
@@ -84,14 +90,11 @@ class Quadruped:
             if geom.classname.name == "visual":
                 spec.delete(geom)
             else:
-                if geom.type == mujoco.mjtGeom.mjGEOM_MESH:
-                    # A box around it is enough to tell whether it is under the floor.
-                    geom.type = mujoco.mjtGeom.mjGEOM_BOX
                 # Only floor against foot passes MuJoCo's test, contype of one & conaffinity of
                 # the other; feet do not meet each other.
                 geom.contype = geom.name == "floor"
                 geom.conaffinity = geom.name in self.feet
-        spec.compiler.fitaabb = True
+        simplify(spec, self.feet)
         if contacts == "body":
             add_spheres(spec, self.trunk, self.feet, calf_joints=self.joints[2::3])
         option = spec.option
@@ -129,24 +132,63 @@ def load_quadruped(
     return quadruped_from(read_urdf(urdf, repair_inertia), options)
 
 
-def quadruped_from(urdf: Urdf, options: Options | None = None) -> Quadruped:
-    """The quadruped that a checked URDF describes; `UrdfError` says what it is instead."""
+def legs_of(urdf: Urdf, options: Options) -> tuple[Leg, ...]:
+    """The legs of a quadruped that can stand; `UrdfError` says what it is instead."""
+    # What meshes are left out is for the conversion to say.
+    legs = find_legs(urdf.tree, urdf.source, open_meshes(urdf, options, Report()))
+    standing_pose(urdf.tree, legs, urdf.source)
+    return legs
+
+
+def with_motors(urdf: Urdf, legs: tuple[Leg, ...], options: Options) -> Urdf:
+    """`urdf` with the motors that `options` give to the legs' joints that have none.
+
+    `UrdfError` where motors are still missing.
+    """
     tree = urdf.tree
-    legs = find_legs(tree, urdf.source)
-    joints = [tree.joint_above[link] for leg in legs for link in leg.links]
-    for joint in joints:
-        limit = joint.limit
+    changed: dict[str, yourdfpy.Joint] = {}
+    lacking: dict[str, list[str]] = {"effort": [], "speed": []}
+    for joint in (tree.joint_above[link] for leg in legs for link in leg.links):
         if joint.mimic is not None:
             raise UrdfError(
                 f"{urdf.source}: joint '{joint.name}' of a leg follows another; expected a motor"
             )
-        if limit is None or not limit.effort or not limit.velocity:
-            raise UrdfError(
-                f"{urdf.source}: joint '{joint.name}' has no effort or velocity limit; expected "
-                '<limit effort="..." velocity="..."> above 0, for its motor'
-            )
+        limit = joint.limit or yourdfpy.Limit()
+        given = {"effort": limit.effort, "speed": limit.velocity}
+        for name, value in given.items():
+            if not value or value == np.inf:
+                given[name] = getattr(options, name)
+                if given[name] is None:
+                    lacking[name].append(joint.name)
+        new = replace(limit, effort=given["effort"], velocity=given["speed"])
+        changed[joint.name] = replace(joint, limit=new)
+    flags = {"effort": "--robot.effort NM", "speed": "--robot.speed RAD_PER_S"}
+    found = {name: joints for name, joints in lacking.items() if joints}
+    if found:
+        missing = ", ".join(f"no {name} limit for {_some(found[name])}" for name in found)
+        raise UrdfError(
+            f"{urdf.source}: has {missing}; expected <limit effort=... velocity=...> above 0, "
+            f"or pass {' '.join(flags[name] for name in found)}"
+        )
+    joints = [changed.get(joint.name, joint) for joint in urdf.robot.joints]
+    return replace(urdf, robot=replace(urdf.robot, joints=joints))
+
+
+def _some(names: list[str]) -> str:
+    """Two of the names, and how many more there are."""
+    shown = " and ".join(f"'{name}'" for name in names[:2])
+    return shown + (f" and {len(names) - 2} more" if names[2:] else "")
+
+
+def quadruped_from(urdf: Urdf, options: Options | None = None) -> Quadruped:
+    """The quadruped that a checked URDF describes; `UrdfError` says what it is instead."""
     options = options or Options()
-    spec = convert(urdf, legs, replace(options, floating=True)).spec
+    legs = legs_of(urdf, options)
+    urdf = with_motors(urdf, legs, options)
+    tree = urdf.tree
+    joints = [tree.joint_above[link] for leg in legs for link in leg.links]
+    conversion = convert(urdf, legs, replace(options, floating=True))
+    spec, notes = conversion.spec, conversion.report.lines()
     ranges = np.array([joint_range(joint) for joint in joints])
     return Quadruped(
         name=urdf.robot.name,
@@ -163,5 +205,6 @@ def quadruped_from(urdf: Urdf, options: Options | None = None) -> Quadruped:
             [float(joint.dynamics.friction or 0) if joint.dynamics else 0.0 for joint in joints]
         ),
         home=np.array(spec.key(HOME).qpos),
+        notes=tuple(note for note in notes if not note.startswith("fused")),
         spec=spec,
     )

@@ -4,7 +4,6 @@ import mujoco
 import numpy as np
 
 from quadwalk.robot.legs import LEGS
-from quadwalk.robot.validate import UrdfError
 
 HOME = "home"  # the keyframe: joints in the standing pose, the lowest point just on the ground
 
@@ -102,7 +101,8 @@ def add_home(spec: mujoco.MjSpec, pose: np.ndarray | None, feet: list[str]) -> N
         follower, leader = model.eq_obj1id[row], model.eq_obj2id[row]
         offset, factor = model.eq_data[row, :2]
         at = model.jnt_qposadr
-        qpos[at[follower]] = offset + factor * qpos[at[leader]]
+        led = qpos[at[leader]] if leader >= 0 else 0.0  # by a joint that is fixed
+        qpos[at[follower]] = offset + factor * led
     if floating:
         data = mujoco.MjData(model)
         data.qpos[:] = qpos
@@ -157,6 +157,44 @@ def lowest_point(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> float
     return float(data.geom_xpos[geom, 2] - extent)
 
 
+def simplify(spec: mujoco.MjSpec, feet: tuple[str, ...]) -> None:
+    """Make of a robot's shapes those that training measures: is one of them under the floor?
+
+    Meshes become the boxes around them. What is beyond the centre of a foot is the foot's, whose
+    sphere stands for it: the calves' shapes end there.
+    """
+    model = spec.compile()
+    foot_of = {model.geom_bodyid[model.geom(foot).id]: model.geom(foot).pos for foot in feet}
+    for geom in spec.geoms:
+        foot = foot_of.get(model.geom_bodyid[geom.id])
+        if geom.type == mujoco.mjtGeom.mjGEOM_MESH:
+            centre, axes, half = _box(model, geom.id)
+            geom.type, geom.meshname = mujoco.mjtGeom.mjGEOM_BOX, ""
+            geom.pos, geom.size = centre, half
+            mujoco.mju_mat2Quat(geom.quat, axes.ravel())
+        if foot is not None and geom.name not in feet:
+            _shorten(geom, foot)
+
+
+def _shorten(geom: mujoco.MjsGeom, foot: np.ndarray) -> None:
+    """Let a box, or a cylinder along the calf, end at the centre of the `foot` (3,), body frame."""
+    entries = np.zeros(9)
+    mujoco.mju_quat2Mat(entries, geom.quat)
+    axes = entries.reshape(3, 3)
+    along = int(np.argmax(np.abs(foot @ axes)))
+    if geom.type == mujoco.mjtGeom.mjGEOM_BOX:
+        side = along
+    elif geom.type == mujoco.mjtGeom.mjGEOM_CYLINDER and along == 2:
+        side = 1  # half the length; a cylinder's axis is z
+    else:
+        return
+    out = axes[:, along] * np.sign(foot @ axes[:, along])
+    beyond = (geom.pos - foot) @ out + geom.size[side]
+    if 1e-6 < beyond < 2 * geom.size[side]:
+        geom.size[side] -= beyond / 2
+        geom.pos -= out * beyond / 2
+
+
 def add_spheres(
     spec: mujoco.MjSpec, trunk: str, feet: tuple[str, ...], calf_joints: tuple[str, ...]
 ) -> None:
@@ -194,13 +232,14 @@ def _add_sphere(spec, body, name, centre, radius, foot) -> None:
 
 
 def _box_around(model: mujoco.MjModel, body: int) -> tuple[np.ndarray, np.ndarray]:
-    """Lower and upper corner (3,), m, of the box around a body's shapes, in its frame."""
+    """Lower and upper corner (3,), m, of the box around a body's shapes, in its frame.
+
+    Without shapes, around the joints below it: a trunk has the hips at its corners.
+    """
     boxes = _boxes(model, body)
     if not boxes:
-        raise UrdfError(
-            f"link '{model.body(body).name}' has no collision shape; contacts 'body' expect one, "
-            "for it is to touch the floor"
-        )
+        hips = model.body_pos[model.body_parentid == body]
+        return hips.min(axis=0), hips.max(axis=0)
     reaches = [(centre, np.abs(rotation) @ half) for centre, rotation, half in boxes]
     low = np.min([centre - reach for centre, reach in reaches], axis=0)
     return low, np.max([centre + reach for centre, reach in reaches], axis=0)
@@ -216,12 +255,14 @@ def _thickness(model: mujoco.MjModel, thigh: int, knee: np.ndarray) -> float:
 
 
 def _boxes(model: mujoco.MjModel, body: int) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Of each of a body's shapes the box around it: centre, axes as columns, half its sides, m."""
-    boxes = []
-    for geom in np.flatnonzero(model.geom_bodyid == body):
-        entries = np.zeros(9)
-        mujoco.mju_quat2Mat(entries, model.geom_quat[geom])
-        rotation = entries.reshape(3, 3)
-        centre, half = np.split(model.geom_aabb[geom], 2)
-        boxes.append((model.geom_pos[geom] + rotation @ centre, rotation, half))
-    return boxes
+    """Of each of a body's shapes the box around it."""
+    return [_box(model, int(geom)) for geom in np.flatnonzero(model.geom_bodyid == body)]
+
+
+def _box(model: mujoco.MjModel, geom: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The box around a shape, in its body's frame: centre, axes as columns, half its sides, m."""
+    entries = np.zeros(9)
+    mujoco.mju_quat2Mat(entries, model.geom_quat[geom])
+    rotation = entries.reshape(3, 3)
+    centre, half = np.split(model.geom_aabb[geom].copy(), 2)
+    return model.geom_pos[geom] + rotation @ centre, rotation, half

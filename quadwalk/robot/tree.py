@@ -6,6 +6,8 @@ from functools import cached_property
 import numpy as np
 import yourdfpy
 
+ONE_WAY = ("revolute", "continuous", "prismatic")  # joints of one direction of motion
+
 
 @dataclass(frozen=True)
 class Tree:
@@ -48,6 +50,34 @@ class Tree:
             for joint in self.joints_below[link]
             if joint.type != "fixed"
         ]
+
+    def passes_on(self, body: str) -> bool:
+        """Whether a moving link without mass only leads from its joint on to the next.
+
+        A ball joint written as three hinges has two such links. Nothing that could touch or weigh
+        anything is fixed to them, and each has one joint below it.
+        """
+        parts = [self.links[name] for name in self.parts[body]]
+        if any(link.collisions or (link.inertial and link.inertial.mass) for link in parts):
+            return False
+        below = self.moving_joints(body)
+        joints = [self.joint_above.get(body), *below]
+        return len(below) == 1 and all(j is not None and j.type in ONE_WAY for j in joints)
+
+    def chain_from(self, joint: yourdfpy.Joint) -> list[yourdfpy.Joint]:
+        """`joint` and those after it, through links without mass, up to a body that has some."""
+        chain = [joint]
+        while self.passes_on(chain[-1].child):
+            chain += self.moving_joints(chain[-1].child)
+        return chain
+
+    def joints_to(self, body: str) -> list[yourdfpy.Joint]:
+        """The joints that move `body` against the one above it that has mass; the root has none."""
+        joint = self.joint_above.get(body)
+        if joint is None:
+            return []
+        above = self.body_of[joint.parent]
+        return [*(self.joints_to(above) if self.passes_on(above) else []), joint]
 
     def frame_of(self, joint: yourdfpy.Joint) -> np.ndarray:
         """(4, 4) frame of the joint's child, at joint position 0, in the body above it."""
@@ -100,3 +130,18 @@ def rotation(axis: np.ndarray, angle: float) -> np.ndarray:
     out = np.eye(4)
     out[:3, :3] += np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
     return out
+
+
+def is_limited(joint: yourdfpy.Joint) -> bool:
+    """Whether a joint of one direction has position limits."""
+    return joint.type != "continuous" and joint.limit is not None and joint.limit.lower is not None
+
+
+def joint_range(joint: yourdfpy.Joint) -> tuple[float, float]:
+    """(lower, upper) position limits in rad or m; one without turns once, -pi .. pi."""
+    return (joint.limit.lower, joint.limit.upper) if is_limited(joint) else (-np.pi, np.pi)
+
+
+def unit(axis: np.ndarray) -> np.ndarray:
+    """`axis` (3,) with length 1: URDF does not ask for normalised axes."""
+    return np.asarray(axis, dtype=np.float64) / np.linalg.norm(axis)

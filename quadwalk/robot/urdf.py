@@ -10,54 +10,20 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
-import numpy as np
 import yourdfpy
 from lxml import etree
 
-from quadwalk.robot.inertia import SMALLEST, body_inertia, nearest_valid, principal
+from quadwalk.robot.checks.bodies import check_bodies, resolutions
+from quadwalk.robot.checks.topology import check_mimic, check_topology
+from quadwalk.robot.checks.validate import Check, UrdfError, check_elements
+from quadwalk.robot.report import Report
 from quadwalk.robot.tree import Tree, build_tree
-from quadwalk.robot.validate import UrdfError, check_robot
 
 __all__ = ["MAX_BYTES", "Report", "Urdf", "UrdfError", "parse_urdf", "read_urdf"]
 
 # The largest quadruped descriptions are some 100 kB; a thousand links with meshes are about 1 MB.
 MAX_BYTES = 16 * 2**20
 _VERSION_0 = re.compile(rb"(<\?xml\s+version\s*=\s*[\"'])0\.0(?=[\"'])")
-_KINDS = ("fused", "repaired", "dropped", "assumed")  # of notes in a report
-# Room for rounding when principal moments are compared, relative to the largest.
-_ROUNDING = 1e-10
-
-
-class Report:
-    """What is not plain in the result of a conversion: what was fused, repaired, dropped,
-    assumed, in the URDF's order.
-    """
-
-    def __init__(self) -> None:
-        self.found: dict[str, dict[str, list[str]]] = {kind: {} for kind in _KINDS}
-
-    def add(self, kind: str, what: str, name: str = "") -> None:
-        """Note `what` happened, to the element `name`; notes of one `what` become one line."""
-        names = self.found[kind].setdefault(what, [])
-        if name and name not in names:
-            names.append(name)
-
-    def copy(self) -> "Report":
-        """A report that starts with what this one holds."""
-        other = Report()
-        for kind, found in self.found.items():
-            other.found[kind] = {what: list(names) for what, names in found.items()}
-        return other
-
-    def lines(self, most: int = 4) -> list[str]:
-        """The report as lines of text, with at most `most` names in each."""
-        lines = []
-        for kind, found in self.found.items():
-            for what, names in found.items():
-                shown = ", ".join(names[:most])
-                more = f" and {len(names) - most} more" if len(names) > most else ""
-                lines.append(f"{kind}: {what}" + (f": {shown}{more}" if names else ""))
-        return lines
 
 
 @dataclass(frozen=True)
@@ -117,8 +83,12 @@ def parse_urdf(
         data = re.sub(r"^\s*<\?xml[^>]*\?>", "", data).encode()
     report = Report()
     root, text = _parse_xml(data, source, report)
-    for what in check_robot(root, source):
-        report.add("dropped", "extensions of other tools", what)
+    if root.tag == "robot" and not root.get("name", "").strip():
+        text = _name_robot(root, Path(source).stem, report)
+    check = Check(source, report)
+    check_elements(check, root)
+    check_topology(check, root)
+    check_mimic(check, root.findall("joint"))
     if _drop_ground(root, report):
         text = etree.tostring(root, encoding="unicode")
     model = yourdfpy.URDF.load(
@@ -130,8 +100,15 @@ def parse_urdf(
         if (dynamics := joint.find("dynamics")) is not None and dynamics.get("armature")
     }
     urdf = Urdf(source, folder, text, model.robot, armature, report)
-    _check_inertias(urdf.tree, source, repair_inertia, report)
+    check_bodies(urdf.tree, resolutions(root), source, repair_inertia, report)
     return urdf
+
+
+def _name_robot(root: etree._Element, name: str, report: Report) -> str:
+    """Give a robot without a name the one of its file; the text that says so."""
+    root.set("name", name)
+    report.add("assumed", "the robot's name, for it has none", name)
+    return etree.tostring(root, encoding="unicode")
 
 
 def _drop_ground(root: etree._Element, report: Report) -> bool:
@@ -181,65 +158,3 @@ def _parse_xml(data: bytes, source: str, report: Report) -> tuple[etree._Element
     if info.doctype:
         raise UrdfError(f"{source}: has a DOCTYPE; expected a URDF without one (no entities)")
     return root, text
-
-
-def _check_inertias(tree: Tree, source: str, repair: bool, report: Report) -> None:
-    """Refuse what no rigid body can have; with `repair`, put the nearest valid inertia instead.
-
-    A moment of inertia is a sum of squares over the mass: the tensor is positive definite, and no
-    principal moment exceeds the sum of the others. A link that is fused with another may be a
-    point (moments 0) or have no mass; a body that moves may not.
-    """
-    root = body_inertia(tree, tree.root)
-    for name, link in tree.links.items():
-        if link.inertial is None or (root is None and tree.body_of[name] == tree.root):
-            continue  # a root without any mass stands still, whatever its inertia
-        mass, tensor = link.inertial.mass, link.inertial.inertia
-        # Whether the root moves is decided later; where it is asked for, it is made fit to.
-        moves = name == tree.body_of[name] and (name != tree.root or repair)
-        where = f"{source}: link '{name}'"
-        if moves and mass == 0 and name != tree.root:
-            raise UrdfError(f"{where} moves, and its <mass> is 0; expected a mass above 0")
-        problem = _problem(mass, tensor, moves)
-        if problem is None:
-            continue
-        if not repair:
-            raise UrdfError(f"{where}: <inertia> {problem} (or pass --repair-inertia)")
-        valid = nearest_valid(mass, tensor)
-        change = np.linalg.norm(valid - tensor) / max(float(np.linalg.norm(tensor)), SMALLEST)
-        link.inertial.inertia = valid
-        report.add(
-            "repaired",
-            f"inertia of '{name}', principal moments {_moments(tensor)} -> {_moments(valid)} "
-            f"kg m^2, a change by {change:.2g} of its norm",
-        )
-    for body in tree.bodies[1:]:
-        whole = body_inertia(tree, body)
-        if whole is None or whole.mass < SMALLEST:
-            raise UrdfError(
-                f"{source}: link '{body}' moves (joint '{tree.joint_above[body].name}') and has "
-                "no mass; expected <inertial> with a mass above 0"
-            )
-        if principal(whole.about_com)[0][2] < SMALLEST:
-            raise UrdfError(
-                f"{source}: link '{body}' moves, and its <inertia> is too small for MuJoCo; "
-                f"expected principal moments above {SMALLEST:g} kg m^2"
-            )
-
-
-def _problem(mass: float, tensor: np.ndarray, moves: bool) -> str | None:
-    """What is wrong with a link's inertia (3, 3), and what is expected; None if it is valid."""
-    if mass == 0:
-        return None if not tensor.any() else "is not 0 and the mass is; expected both or neither"
-    smallest, middle, largest = np.linalg.eigvalsh(tensor)
-    room = _ROUNDING * abs(largest)
-    shown = _moments(tensor)
-    if smallest < -room or (moves and smallest <= 0):
-        return f"has principal moments {shown}; expected positive ones"
-    if smallest + middle < largest - room:
-        return f"has principal moments {shown}; expected none above the sum of the others"
-    return None
-
-
-def _moments(tensor: np.ndarray) -> str:
-    return "(" + ", ".join(f"{moment:.4g}" for moment in np.linalg.eigvalsh(tensor)) + ")"

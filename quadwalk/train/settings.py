@@ -16,6 +16,15 @@ class RobotConfig:
 
     urdf: Path = ALIENGO_URDF  # its description
     mesh_dirs: tuple[Path, ...] = ()  # folders of its mesh files, besides the URDF's
+    effort: float | None = None  # Nm, of motors that the URDF gives no effort limit
+    speed: float | None = None  # rad/s, of motors that the URDF gives no velocity limit
+    repair_inertia: bool = False  # replace an inertia that no body can have by the nearest valid
+
+    def __post_init__(self) -> None:
+        for name in ("effort", "speed"):
+            value = getattr(self, name)
+            if value is not None and not value > 0.0:
+                raise UsageError(f"--robot.{name} is {value}; expected more than 0")
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ from quadwalk.train.runs.directory import (
 )
 from quadwalk.train.runs.resume import changed_settings, read_config, restore
 from quadwalk.train.serialise import task_source, to_dict
-from quadwalk.train.settings import DistributedConfig, RobotConfig, TrainConfig
+from quadwalk.train.settings import DistributedConfig, TrainConfig
 
 if TYPE_CHECKING:
     import mujoco
@@ -55,7 +55,8 @@ def prepare(config: TrainConfig, previous: Run | None, progress: Progress) -> Tr
     """Everything up to the compiled iteration, in every process; raises `UserError`."""
     # Absolute, so that mesh files are found from wherever the run is used.
     folders = tuple(folder.resolve() for folder in config.robot.mesh_dirs)
-    config = replace(config, robot=RobotConfig(config.robot.urdf.resolve(), folders))
+    robot = replace(config.robot, urdf=config.robot.urdf.resolve(), mesh_dirs=folders)
+    config = replace(config, robot=robot)
     config, devices = choose_devices(config)
     assert config.envs is not None
     # Imported here, for it must not be before JAX is set up.
@@ -66,6 +67,8 @@ def prepare(config: TrainConfig, previous: Run | None, progress: Progress) -> Tr
     quadruped = (
         load_robot(config.robot) if previous is None else load_run_robot(previous, config.robot)
     )
+    for note in quadruped.notes:
+        progress.message(note)
     _check_processes(config, quadruped)
     env = QuadrupedEnv(quadruped, config.env)
     networks = make_networks(config.ppo, env.policy_size, env.action_size, len(env.critic_names))

@@ -19,10 +19,10 @@ from quadwalk.physics.fast import (
 )
 from quadwalk.physics.model import contact_geoms, shell_geoms
 from quadwalk.physics.motor import MotorConfig, Physics, make_motor
+from quadwalk.robot.checks.validate import UrdfError
 from quadwalk.robot.mjcf import Options
 from quadwalk.robot.quadruped import load_quadruped
 from quadwalk.robot.scene import lowest_point
-from quadwalk.robot.validate import UrdfError
 from tests.physics.stacking import stack_models
 
 STATES = 40

@@ -1,179 +1,32 @@
-"""What the robot tests share: reference files, and Pinocchio as an independent reader of URDF."""
+"""What the robot tests share: Pinocchio as an independent reader, and the robots of others."""
 
-import re
-import xml.etree.ElementTree as ET
-
-import mujoco
-import numpy as np
 import pytest
 
-from quadwalk.robot.urdf import Urdf
-
-
-class Pinocchio:
-    """The same URDF in Pinocchio, which has a parser and dynamics algorithms of its own.
-
-    Velocities are MuJoCo's: the base's linear one in world axes, its angular one in body axes;
-    Pinocchio's free flyer has both in body axes.
-    """
-
-    def __init__(self, urdf: Urdf, model: mujoco.MjModel):
-        self.pin = pytest.importorskip("pinocchio")
-        self.mj = model
-        self.floating = model.jnt_type[0] == mujoco.mjtJoint.mjJNT_FREE
-        root = (self.pin.JointModelFreeFlyer(),) if self.floating else ()
-        self.model = self.pin.buildModelFromXML(urdf.text, *root)
-        self.model.gravity.linear = model.opt.gravity.copy()
-        self.data = self.model.createData()
-        self.joints, self.planes, self.floats = [], [], []
-        for name, theirs in list(zip(self.model.names, self.model.joints, strict=True))[1:]:
-            if self.floating and name == "root_joint":
-                continue
-            if theirs.shortname() == "JointModelPlanar":
-                self.planes.append(
-                    ([model.joint(f"{name}_{s}") for s in ("x", "y", "turn")], theirs)
-                )
-            elif theirs.shortname() == "JointModelFreeFlyer":
-                self.floats.append(([model.joint(f"{name}_{s}") for s in ("x", "ball")], theirs))
-            else:
-                self.joints.append((model.joint(name), theirs))
-        assert self.model.nv == model.nv
-        # Links with one collision shape that is no mesh: the geom of that name, and its origin.
-        self.shapes = []
-        for link in ET.fromstring(re.sub(r"^\s*<\?xml.*?\?>", "", urdf.text)).findall("link"):
-            shapes = link.findall("collision")
-            if len(shapes) == 1 and shapes[0].find("geometry/mesh") is None:
-                given = shapes[0].find("origin")
-                origin = {} if given is None else given.attrib
-                xyz, rpy = (
-                    np.array(origin.get(name, "0 0 0").split(), float) for name in ("xyz", "rpy")
-                )
-                placement = self.pin.SE3(self.pin.rpy.rpyToMatrix(*rpy), xyz)
-                self.shapes.append((link.get("name"), placement))
-
-    def configuration(self, qpos: np.ndarray) -> np.ndarray:
-        """Pinocchio's q for MuJoCo's qpos."""
-        q = np.zeros(self.model.nq)
-        if self.floating:
-            q[:7] = qpos[[0, 1, 2, 4, 5, 6, 3]]
-        for mine, theirs in self.joints:
-            angle = qpos[mine.qposadr[0]]
-            two = theirs.nq == 2  # continuous: cosine and sine
-            q[theirs.idx_q : theirs.idx_q + theirs.nq] = (
-                [np.cos(angle), np.sin(angle)] if two else [angle]
-            )
-        for (x, y, turn), theirs in self.planes:
-            angle = qpos[turn.qposadr[0]]
-            q[theirs.idx_q : theirs.idx_q + 4] = [
-                qpos[x.qposadr[0]],
-                qpos[y.qposadr[0]],
-                np.cos(angle),
-                np.sin(angle),
-            ]
-        for (x, ball), theirs in self.floats:
-            first, at = x.qposadr[0], ball.qposadr[0]
-            wxyz = qpos[at : at + 4]
-            q[theirs.idx_q : theirs.idx_q + 7] = [*qpos[first : first + 3], *wxyz[1:], wxyz[0]]
-        return q
-
-    def velocity_map(self, qpos: np.ndarray, qvel: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """G with v_pinocchio = G qvel, and what G's change adds to the acceleration."""
-        nv = self.model.nv
-        g, drift = np.zeros((nv, nv)), np.zeros(nv)
-        if self.floating:
-            turn = np.zeros(9)
-            mujoco.mju_quat2Mat(turn, qpos[3:7])
-            turn = turn.reshape(3, 3)
-            g[:3, :3], g[3:6, 3:6] = turn.T, np.eye(3)
-            drift[:3] = -np.cross(qvel[3:6], turn.T @ qvel[:3])
-        for mine, theirs in self.joints:
-            g[theirs.idx_v, mine.dofadr[0]] = 1
-        for (x, _, turn), theirs in self.planes:
-            mine, at = x.dofadr[0], theirs.idx_v
-            cos, sin = np.cos(qpos[turn.qposadr[0]]), np.sin(qpos[turn.qposadr[0]])
-            back, rate = np.array([[cos, sin], [-sin, cos]]), qvel[turn.dofadr[0]]
-            g[at : at + 2, mine : mine + 2], g[at + 2, turn.dofadr[0]] = back, 1
-            across = back @ qvel[mine : mine + 2]
-            drift[at : at + 2] = -rate * np.array([-across[1], across[0]])
-        for (x, ball), theirs in self.floats:
-            mine, at, spin = x.dofadr[0], theirs.idx_v, ball.dofadr[0]
-            turn = np.zeros(9)
-            mujoco.mju_quat2Mat(turn, qpos[ball.qposadr[0] : ball.qposadr[0] + 4])
-            back = turn.reshape(3, 3).T
-            g[at : at + 3, mine : mine + 3], g[at + 3 : at + 6, spin : spin + 3] = back, np.eye(3)
-            drift[at : at + 3] = -np.cross(qvel[spin : spin + 3], back @ qvel[mine : mine + 3])
-        return g, drift
-
-    def errors(self, states: int, seed: int = 0) -> dict[str, float]:
-        """By quantity: the largest difference over random states, relative to its size."""
-        pin, mj, rng = self.pin, self.mj, np.random.default_rng(seed)
-        mj.dof_armature[:] = 0  # no part of a URDF that Pinocchio reads
-        data = mujoco.MjData(mj)
-        off: dict[str, float] = {}
-        size: dict[str, float] = {}
-        for _ in range(states):
-            for i in range(mj.njnt):
-                at, kind = mj.jnt_qposadr[i], mj.jnt_type[i]
-                if kind == mujoco.mjtJoint.mjJNT_FREE:
-                    data.qpos[at : at + 3] = rng.normal(size=3)
-                    quat = rng.normal(size=4)
-                    data.qpos[at + 3 : at + 7] = quat / np.linalg.norm(quat)
-                elif kind == mujoco.mjtJoint.mjJNT_BALL:
-                    quat = rng.normal(size=4)
-                    data.qpos[at : at + 4] = quat / np.linalg.norm(quat)
-                elif mj.jnt_limited[i]:
-                    data.qpos[at] = rng.uniform(*mj.jnt_range[i])
-                else:
-                    data.qpos[at] = rng.uniform(-np.pi, np.pi)
-            data.qvel[:] = rng.normal(size=mj.nv)
-            acceleration = rng.normal(size=mj.nv)
-            mujoco.mj_forward(mj, data)
-            data.qacc[:] = acceleration
-            torque = np.zeros(mj.nv)
-            mujoco.mj_rne(mj, data, 1, torque)
-            mass_matrix = np.zeros((mj.nv, mj.nv))
-            mujoco.mj_fullM(mj, data, mass_matrix)
-
-            q = self.configuration(data.qpos)
-            g, drift = self.velocity_map(data.qpos, data.qvel)
-            v = g @ data.qvel
-            pin.framesForwardKinematics(self.model, self.data, q)
-            centre = pin.centerOfMass(self.model, self.data, q)
-            upper = np.triu(pin.crba(self.model, self.data, q))
-            full = upper + np.triu(upper, 1).T
-            bias = g.T @ (pin.nonLinearEffects(self.model, self.data, q, v) + full @ drift)
-            inverse = g.T @ pin.rnea(self.model, self.data, q, v, g @ acceleration + drift)
-            total = pin.computeTotalMass(self.model)
-            moving = np.flatnonzero(mj.body_weldid != 0)
-            mine = mj.body_mass[moving]
-            found = {
-                "mass": (mine.sum(), total) if self.floating else (0.0, 0.0),
-                "centre of mass": (mine @ data.xipos[moving] / mine.sum(), centre),
-                "mass matrix": (mass_matrix, g.T @ full @ g),
-                "bias forces": (data.qfrc_bias, bias),
-                "inverse dynamics": (torque, inverse),
-            }
-            for i in range(mj.nsite):
-                frame = self.model.getFrameId(mj.site(i).name, pin.FrameType.BODY)
-                if frame < self.model.nframes:
-                    name, placed = mj.site(i).name, self.data.oMf[frame]
-                    rotation = data.site_xmat[i].reshape(3, 3)
-                    found[f"position of {name}"] = (data.site_xpos[i], placed.translation)
-                    found[f"rotation of {name}"] = (rotation, placed.rotation)
-            for link, placement in self.shapes:
-                placed = self.data.oMf[self.model.getFrameId(link, pin.FrameType.BODY)] * placement
-                geom = mj.geom(link).id
-                rotation = data.geom_xmat[geom].reshape(3, 3)
-                found[f"position of shape of {link}"] = (data.geom_xpos[geom], placed.translation)
-                found[f"rotation of shape of {link}"] = (rotation, placed.rotation)
-            for name, (got, expected) in found.items():
-                off[name] = max(off.get(name, 0.0), float(np.abs(got - expected).max()))
-                size[name] = max(size.get(name, 1e-9), float(np.abs(expected).max()))
-        return {name: off[name] / size[name] for name in off}
+from benchmarks.zoo import example_robot_data
 
 
 @pytest.fixture
 def pinocchio():
     """`pinocchio(urdf, model)`: the URDF in Pinocchio, to compare a MuJoCo model with."""
     pytest.importorskip("pinocchio", reason="pin is not installed")
+    from benchmarks.pinocchio_oracle import Pinocchio
+
     return Pinocchio
+
+
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    """Run a test with a `zoo_urdf` once for each file of example-robot-data, where there is one."""
+    if "zoo_urdf" not in metafunc.fixturenames:
+        return
+    folder = example_robot_data()
+    if folder is None:
+        none = pytest.param(
+            None,
+            marks=pytest.mark.skip(
+                reason="neither example-robot-data nor QUADWALK_EXAMPLE_ROBOTS is there"
+            ),
+        )
+        metafunc.parametrize("zoo_urdf", [none], ids=["example-robot-data"])
+    else:
+        files = sorted(folder.rglob("*.urdf"))
+        metafunc.parametrize("zoo_urdf", files, ids=[str(f.relative_to(folder)) for f in files])

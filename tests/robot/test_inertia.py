@@ -7,7 +7,9 @@ from hypothesis import strategies as st
 
 from quadwalk.paths import ALIENGO_URDF
 from quadwalk.robot.inertia import Inertia, compose, nearest_valid, principal, printable
-from quadwalk.robot.urdf import parse_urdf
+from quadwalk.robot.mjcf import convert
+from quadwalk.robot.urdf import UrdfError, parse_urdf
+from tests.robot.robots import inertial, joint, link, robot
 
 MOMENTS = st.tuples(*[st.floats(-1, 3)] * 3).map(np.array)
 
@@ -71,3 +73,73 @@ def test_a_plate_survives_six_digits(a, b):
     first, second, third = printable(moments)
     assert first <= second + third
     assert first == pytest.approx(a + b, rel=2e-5)
+
+
+def moving(moments: str, mass: str = "1", more: str = "") -> str:
+    """An arm of one link of these moments, or the six entries of its inertia."""
+    return robot(link("world"), link("a", inertial(mass, moments)), more, joint("j", "world", "a"))
+
+
+@pytest.mark.parametrize(
+    "moments",
+    [
+        "0.001 0.002 0.0031",  # 0.1e-3 too much, of which the digits explain half a unit each
+        "0.01 0.02 0.0301",
+        "0 0.00012 0.00012",
+        "0 0 0",
+        "-5.4e-20 -5.4e-20 0",
+    ],
+)
+def test_what_digits_explain_is_mended_and_reported(moments):
+    urdf = parse_urdf(moving(moments))
+    lines = [line for line in urdf.report.lines() if line.startswith("repaired: ")]
+    assert lines
+    assert all("a change by" in line for line in lines)
+    model = convert(urdf).spec.compile()
+    given = sorted(map(float, moments.split()))
+    np.testing.assert_allclose(sorted(model.body("a").inertia), given, atol=0.02 * given[-1] + 1e-9)
+    assert is_valid(np.diag(model.body("a").inertia))
+
+
+@pytest.mark.parametrize(
+    "moments", ["0.0010 0.0020 0.0033", "0.1000 0.2000 0.3100", "-0.0001 0.0100 0.0100", "1 2 9"]
+)
+def test_more_than_digits_explain_is_refused_with_the_flag_that_mends_it(moments):
+    with pytest.raises(UrdfError, match=r"link 'a': <inertia> .* \(or pass --repair-inertia\)"):
+        parse_urdf(moving(moments))
+    urdf = parse_urdf(moving(moments), repair_inertia=True)
+    assert is_valid(np.diag(convert(urdf).spec.compile().body("a").inertia))
+
+
+def test_a_frame_of_next_to_no_mass_is_as_the_file_has_it(pinocchio):
+    base = inertial("1e-6", "1e-6 1e-6 1e-6 1e-6 1e-6 1e-6")  # Unitree's
+    text = robot(
+        link("base", base), link("trunk", inertial(5, "0.02 0.03 0.04")), link("arm", inertial(1)),
+        joint("bolt", "base", "trunk", xyz="0.1 0 0", kind="fixed"), joint("j", "trunk", "arm"),
+    )  # fmt: skip
+    urdf = parse_urdf(text)
+    errors = pinocchio(urdf, convert(urdf).spec.compile()).errors(10)
+    assert max(errors.values()) < 1e-10, errors
+    assert any(
+        "next to nothing in 'base', as it is: base (" in line for line in urdf.report.lines()
+    )
+    heavy = text.replace('"1e-6"', '"0.01"')
+    with pytest.raises(UrdfError, match="link 'base': <inertia> has principal moments"):
+        parse_urdf(heavy)
+
+
+def test_inertia_without_mass_counts_in_the_body_that_has_some(pinocchio):
+    foot = link("foot", inertial(0, "1e-4 2e-4 1.5e-4"))
+    bolt = joint("bolt", "a", "foot", xyz="0.1 0 0", kind="fixed")
+    urdf = parse_urdf(moving("0.01 0.01 0.01", more=foot + bolt))
+    errors = pinocchio(urdf, convert(urdf).spec.compile()).errors(10)
+    assert max(errors.values()) < 1e-10, errors
+
+
+def test_what_moves_without_mass_is_given_some_when_asked():
+    text = robot(link("world"), link("a"), joint("j", "world", "a"))
+    with pytest.raises(UrdfError, match=r"'a' moves .* \(or pass --repair-inertia\)"):
+        parse_urdf(text)
+    urdf = parse_urdf(text, repair_inertia=True)
+    assert convert(urdf).spec.compile().body("a").mass == pytest.approx(1e-6)
+    assert "repaired: a mass of 1e-06 kg for what moves without any: a" in urdf.report.lines()

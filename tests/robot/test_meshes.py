@@ -165,10 +165,97 @@ def test_a_missing_visual_is_shown_by_its_collision_shape(package):
     assert any("not found: package://other/none.dae" in line for line in conversion.report.lines())
 
 
-def test_a_missing_collision_shape_is_refused_or_left_out_on_request(package):
+FLAT = "solid\n" + "".join(
+    "facet normal 0 0 1\nouter loop\n" + "".join(f"vertex {x} {y} 0\n" for x, y in corners)
+    + "endloop\nendfacet\n"
+    for corners in (((0, 0), (1, 0), (0, 1)), ((1, 0), (1, 1), (0, 1)))
+) + "endsolid\n"  # fmt: skip
+POINT = "solid\nfacet normal 0 0 1\nouter loop\n" + 3 * "vertex 1 1 1\n"
+POINT += "endloop\nendfacet\nendsolid\n"
+
+
+@pytest.mark.parametrize(
+    ("name", "data", "says"),
+    [
+        ("none.stl", None, "dropped: collision meshes that were not found: none.stl"),
+        ("http://a.org/b.stl", None, "dropped: collision meshes that were not found: http://a.org"),
+        (
+            "a.obj",
+            "v 1\nf 1 2 3\n",
+            "dropped: collision meshes that are broken: a.obj is not valid",
+        ),
+        ("a.ply", "ply", "dropped: collision meshes that are broken: a.ply is of kind '.ply'"),
+        ("a.stl", FLAT, "dropped: flat parts of collision meshes: a.stl"),
+        ("a.stl", POINT, "dropped: "),
+    ],
+)
+def test_a_mesh_that_is_missing_broken_or_flat_is_left_out(package, name, data, says):
+    if data is not None:
+        (package / name).write_text(data)
+    conversion = convert(parse_urdf(robot(collision=name), "r.urdf", package))
+    assert conversion.spec.compile().ngeom == 1  # the floor
+    (line,) = [line for line in conversion.report.lines() if line.startswith("dropped")]
+    assert line.startswith(says)
+
+
+def test_meshes_can_be_left_out(package):
     urdf = parse_urdf(robot(collision="none.stl"), "r.urdf", package)
-    with pytest.raises(UrdfError, match=r"r\.urdf: mesh 'none\.stl' is not in"):
-        convert(urdf)
     conversion = convert(urdf, options=Options(meshes=False))
     assert conversion.spec.compile().ngeom == 1
     assert "dropped: collision meshes: none.stl" in conversion.report.lines()
+
+
+def test_a_name_that_leaves_the_folders_stops_the_conversion(package):
+    with pytest.raises(UrdfError, match="lies outside"):
+        convert(parse_urdf(robot("../secret.stl"), "r.urdf", package))
+
+
+@pytest.mark.parametrize("declared", [False, True])
+def test_the_usual_layouts_need_no_flag(package, declared):
+    mesh = package / "meshes" / "box.stl"
+    deep = package / "urdf" / "versions"
+    deep.mkdir()
+    if declared:  # under another name than its folder's
+        (package / "package.xml").write_text("<package><name>other</name></package>")
+    for name, folder in (
+        ("../meshes/box.stl", package / "urdf"),
+        ("package://pack/meshes/box.stl", package / "urdf"),
+        ("package://pack/meshes/box.stl", deep),
+        ("package:///pack/meshes/box.stl", deep),
+    ):
+        assert find_mesh(name, [folder], "r") == mesh.resolve(), name
+    for name in ("package://other/meshes/box.stl", "../../meshes/box.stl"):
+        if declared:
+            assert find_mesh(name, [deep], "r") == mesh.resolve()
+        else:
+            with pytest.raises(UrdfError):
+                find_mesh(name, [deep], "r")
+    for name in (
+        "../../secret.stl",
+        "package://pack/../secret.stl",
+        "package://other/../secret.stl",
+    ):
+        with pytest.raises(UrdfError):
+            find_mesh(name, [package / "urdf"], "r")
+
+
+def test_the_nearest_package_of_a_name_counts(package):
+    inner = package / "a" / "pack" / "urdf"
+    inner.mkdir(parents=True)
+    (inner.parent / "meshes").mkdir()
+    (inner.parent / "meshes" / "box.stl").write_bytes((package / "meshes" / "box.stl").read_bytes())
+    found = find_mesh("package://pack/meshes/box.stl", [inner], "r")
+    assert found == (inner.parent / "meshes" / "box.stl").resolve()
+    found = find_mesh("package://pack/meshes/box.obj", [inner, package], "r")
+    assert found == (package / "meshes" / "box.obj").resolve()
+
+
+def test_a_package_xml_that_is_none_declares_nothing(package):
+    for text in (
+        "",
+        "<package>",
+        '<!DOCTYPE p [<!ENTITY a "pack2">]><package><name>&a;</name></package>',
+    ):
+        (package / "package.xml").write_text(text)
+        with pytest.raises(UrdfError):
+            find_mesh("package://pack2/meshes/box.stl", [package / "urdf"], "r")

@@ -11,6 +11,8 @@ from quadwalk.robot.mjcf import Options
 from quadwalk.robot.quadruped import Quadruped, load_quadruped, quadruped_from
 from quadwalk.robot.scene import lowest_point
 from quadwalk.robot.urdf import UrdfError, parse_urdf
+from tests.robot.robots import ball_calf
+from tests.robot.robots import quadruped as made_quadruped
 
 TEXT = ALIENGO_URDF.read_text()
 NO_MESHES = Options(meshes=False)
@@ -161,13 +163,14 @@ def test_a_link_may_have_the_name_of_a_knee():
     assert quadruped.training_model(0.004, contacts="body").geom("knee_FR").size[0] == 0.0215
 
 
-def test_a_trunk_without_shapes_cannot_touch_the_floor():
+def test_a_trunk_without_shapes_has_its_corners_at_the_hips():
     trunk = re.search(r'<link name="trunk">.*?</link>', TEXT, re.DOTALL)[0]
     bare = re.sub(r"<collision>.*?</collision>", "", trunk, flags=re.DOTALL)
     quadruped = quadruped_from(parse_urdf(TEXT.replace(trunk, bare)))
-    quadruped.training_model(0.004)
-    with pytest.raises(UrdfError, match="'trunk' has no collision shape"):
-        quadruped.training_model(0.004, contacts="body")
+    model = quadruped.training_model(0.004, contacts="body")
+    corner = model.geom("corner_FR")
+    outwards = np.array([1, -1, -1]) * corner.size[0]
+    np.testing.assert_allclose(corner.pos + outwards, [0.2407, -0.051, 0], atol=1e-12)
 
 
 def test_pybullets_quadrupeds_stand_and_train(pybullet_urdf):
@@ -246,20 +249,7 @@ def test_a_continuous_thigh_and_a_reversed_axis():
 
 
 def test_a_foot_that_is_no_link_of_its_own():
-    urdf = parse_urdf(
-        '<robot name="r">'
-        + box_link("trunk", "0.4 0.2 0.1", 5)
-        + "".join(
-            spider_leg(name, x, y)
-            for name, x, y in (
-                ("a", 0.2, 0.1),
-                ("b", 0.2, -0.1),
-                ("c", -0.2, 0.1),
-                ("d", -0.2, -0.1),
-            )
-        )
-        + "</robot>"
-    )
+    urdf = parse_urdf(made_quadruped(ball_calf))
     quadruped = quadruped_from(urdf)
     assert quadruped.feet == ("b3_foot", "a3_foot", "d3_foot", "c3_foot")
     model = quadruped.full_model()
@@ -274,29 +264,6 @@ def test_a_foot_that_is_no_link_of_its_own():
     assert data.body("b3").xpos[0] < data.body("b2").xpos[0]  # the knee points backwards
 
 
-def box_link(name: str, size: str, mass: float, extra: str = "") -> str:
-    return (
-        f'<link name="{name}"><inertial><mass value="{mass}"/><inertia ixx="0.01" ixy="0" ixz="0" '
-        f'iyy="0.01" iyz="0" izz="0.01"/></inertial><collision><geometry><box size="{size}"/>'
-        f"</geometry></collision>{extra}</link>"
-    )
-
-
-def spider_leg(name: str, x: float, y: float) -> str:
-    sphere = '<geometry><sphere radius="0.02"/></geometry>'
-    foot = f'<collision><origin xyz="0 0 -0.2"/>{sphere}</collision>'
-    out, parent, at = "", "trunk", (f"{x} {y} 0", "0 0 0", "0 0 -0.3")
-    for i, axis in enumerate(("1 0 0", "0 1 0", "0 1 0"), start=1):
-        out += box_link(f"{name}{i}", "0.02 0.02 0.02", 0.5, foot if i == 3 else "")
-        out += (
-            f'<joint name="{name}j{i}" type="revolute"><origin xyz="{at[i - 1]}"/>'
-            f'<parent link="{parent}"/><child link="{name}{i}"/><axis xyz="{axis}"/>'
-            '<limit lower="-3" upper="3" effort="20" velocity="10"/></joint>'
-        )
-        parent = f"{name}{i}"
-    return out
-
-
 @pytest.mark.parametrize(
     ("old", "new", "says"),
     [
@@ -305,10 +272,10 @@ def spider_leg(name: str, x: float, y: float) -> str:
         ('<joint name="FR_calf_joint" type="revolute"', '<joint name="FR_calf_joint" type="planar"',
          "joint 'FR_calf_joint' of a leg is planar"),
         ('xyz="-0.2407 0.051 0"', 'xyz="0.2407 0.051 0"', "expected one ahead and one behind"),
-        ('<sphere radius="0.0265"/>', '<box size="0.01 0.01 0.01"/>',
-         "'FR_calf' and what is fixed to it have no collision sphere"),
-        ('effort="44.4"', 'effort="0"', "'FR_calf_joint' has no effort or velocity limit"),
-        ('velocity="15.89"', 'velocity="0"', "'FR_calf_joint' has no effort or velocity limit"),
+        ('effort="44.4"', 'effort="0"',
+         "no effort limit for 'FR_calf_joint'; expected <limit effort=... velocity=...> above 0, "
+         "or pass --robot.effort NM"),
+        ('velocity="15.89"', 'velocity="1e10"', "or pass --robot.speed RAD_PER_S"),
     ],
 )  # fmt: skip
 def test_what_is_no_quadruped_is_said(old, new, says):

@@ -3,6 +3,7 @@ import shutil
 import pytest
 import trimesh
 
+from quadwalk.errors import UsageError
 from quadwalk.paths import ALIENGO_URDF
 from quadwalk.robot.urdf import UrdfError
 from quadwalk.train.robot import load_robot, load_run_robot
@@ -27,7 +28,30 @@ def test_a_run_finds_the_mesh_files_of_its_robot(tmp_path):
     copy = load_run_robot(run, config)
     for robot in (original, copy):
         assert robot.full_model().nmesh == 1
-    with pytest.raises(UrdfError, match=r"trunk\.stl"):
-        load_robot(RobotConfig(urdf=run.urdf))
+    without = load_robot(RobotConfig(urdf=run.urdf))
+    assert without.full_model().nmesh == 0
+    missing = "meshes that were not found: meshes/trunk.stl"
+    assert without.notes[0] == f"dropped: collision {missing}"
     elsewhere = RobotConfig(urdf=run.urdf, mesh_dirs=(home,))
     assert load_robot(elsewhere).full_model().nmesh == 1
+
+
+def test_a_run_keeps_what_its_robot_was_given(tmp_path):
+    """Motors that the URDF has none of, and leave to repair an inertia."""
+    run = Run(tmp_path)
+    text = ALIENGO_URDF.read_text().replace('effort="44.4"', 'effort="0"')
+    run.urdf.write_text(text.replace('ixx="0.051944892"', 'ixx="0.5519"'))
+    with pytest.raises(UrdfError, match="repair-inertia"):
+        load_robot(RobotConfig(urdf=run.urdf, effort=30))
+    with pytest.raises(UrdfError, match=r"pass --robot\.effort NM$"):
+        load_robot(RobotConfig(urdf=run.urdf, repair_inertia=True))
+    config = RobotConfig(urdf=run.urdf, effort=30, repair_inertia=True)
+    for robot in (load_robot(config), load_run_robot(run, config)):
+        assert list(robot.effort[:3]) == [35.278, 35.278, 30]
+        assert any(note.startswith("repaired: inertia of 'trunk'") for note in robot.notes)
+
+
+@pytest.mark.parametrize("name", ["effort", "speed"])
+def test_a_motor_has_some_effort_and_speed(name):
+    with pytest.raises(UsageError, match=f"--robot.{name} is 0"):
+        RobotConfig(**{name: 0})

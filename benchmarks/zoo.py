@@ -1,0 +1,244 @@
+"""The URDFs that people have: each converts exactly, or is refused for a reason; quadrupeds run.
+
+    python benchmarks/zoo.py [--folder DIR] [--markdown FILE]
+    python benchmarks/zoo.py --train [--minutes 3] [--only a1 go2] [--markdown FILE]
+
+The first converts every URDF of PyPI's example-robot-data, or of DIR, without its meshes, and
+compares masses, frames, mass matrix, bias forces and inverse dynamics with Pinocchio's, in 20
+random states, through MJCF's six digits. A file that is refused is tried with --repair-inertia.
+
+The second takes the quadrupeds among them and in pybullet_data, lets each stand for 10 s in MuJoCo
+C on PD control of its home pose, trains it with the default task and no other flag, and judges the
+policy in MuJoCo C with every collision shape. To see that it works: --minutes 0.1 --only a1.
+
+Both need the packages of the extra `zoo`. Tables go to standard output, or to FILE as Markdown.
+"""
+
+import argparse
+import importlib.util
+import json
+import os
+import subprocess
+import sys
+import sysconfig
+import tempfile
+import time
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from quadwalk.robot.mjcf import Options, convert, write_xml
+from quadwalk.robot.quadruped import Quadruped, legs_of, load_quadruped, with_motors
+from quadwalk.robot.urdf import Urdf, UrdfError, read_urdf
+
+EXACT = 1e-5  # largest relative error, of six digits
+STATES = 20
+EPISODES = 64
+STANDS = 0.8  # of the home height, after 10 s
+PYBULLET = (
+    "a1/a1", "aliengo/aliengo", "laikago/laikago_toes_zup", "mini_cheetah/mini_cheetah",
+    "quadruped/vision60", "quadruped/spirit40",
+)  # fmt: skip
+NO_MESHES = Options(meshes=False)
+
+
+@dataclass(frozen=True)
+class Converted:
+    """What became of a file."""
+
+    file: Path
+    refused: str  # why, or ""
+    error: float  # relative to Pinocchio's figures; NaN where refused
+    repaired: bool  # whether it converts with --repair-inertia
+    seconds: float  # of reading and converting, on one core
+    verdict: str  # of training: "yes", or why not
+
+    @property
+    def exact(self) -> bool:
+        """Whether it converts without a flag, to what Pinocchio reads."""
+        return not self.refused and self.error < EXACT
+
+
+def example_robot_data() -> Path | None:
+    """The folder of example-robot-data's robots; None where it is not installed.
+
+    That, or the folder that QUADWALK_EXAMPLE_ROBOTS names.
+    """
+    if named := os.environ.get("QUADWALK_EXAMPLE_ROBOTS"):
+        return Path(named)
+    for name in ("purelib", "platlib"):
+        folder = Path(sysconfig.get_path(name))
+        robots = folder / "cmeel.prefix/share/example-robot-data/robots"
+        if robots.is_dir():
+            return robots
+    return None
+
+
+def pybullet_quadrupeds() -> list[Path]:
+    """pybullet_data's robots of four legs with three motors each, of which one is y-up."""
+    if importlib.util.find_spec("pybullet_data") is None:
+        return []
+    import pybullet_data
+
+    return [Path(pybullet_data.getDataPath()) / f"{name}.urdf" for name in PYBULLET]
+
+
+def try_conversion(file: Path) -> Converted:
+    """Read, convert and compare one file."""
+    began = time.process_time()
+    try:
+        urdf = read_urdf(file)
+    except UrdfError as error:
+        reason = str(error).removeprefix(str(file)).lstrip(":, ")
+        return Converted(file, reason, np.nan, _converts_repaired(file), np.nan, "")
+    legs, verdict = (), "yes"
+    try:
+        legs = legs_of(urdf, NO_MESHES)
+        with_motors(urdf, legs, NO_MESHES)
+    except UrdfError as error:
+        verdict = str(error).removeprefix(f"{urdf.source}: ")
+    spec = convert(urdf, legs, NO_MESHES).spec
+    xml = write_xml(spec)
+    seconds = time.process_time() - began
+    return Converted(file, "", error_of(urdf, xml), True, seconds, verdict)
+
+
+def _converts_repaired(file: Path) -> bool:
+    try:
+        convert(read_urdf(file, repair_inertia=True), options=NO_MESHES)
+    except UrdfError:
+        return False
+    return True
+
+
+def error_of(urdf: Urdf, xml: str) -> float:
+    """Largest error of an MJCF against Pinocchio's reading of the URDF."""
+    from pinocchio_oracle import Pinocchio  # beside this file
+
+    return max(Pinocchio(urdf, mujoco.MjModel.from_xml_string(xml)).errors(STATES).values())
+
+
+def conversions(files: Iterable[Path], folder: Path) -> str:
+    """A table of what became of each file, and how many there are of each kind."""
+    found = [try_conversion(file) for file in files]
+    exact, repaired = sum(f.exact for f in found), sum(f.repaired for f in found)
+    slowest = max(found, key=lambda f: 0.0 if np.isnan(f.seconds) else f.seconds)
+    worst = max((f.error for f in found if f.exact), default=np.nan)
+    lines = [
+        f"{len(found)} files: {exact} convert exactly (worst relative error {worst:.1g}), "
+        f"{len(found) - exact} are refused or differ; with --repair-inertia {repaired} convert. "
+        f"Slowest conversion without meshes: {slowest.seconds:.2f} s ({slowest.file.name}).",
+        "",
+        "| refused | reason | with `--repair-inertia` |",
+        "|---|---|---|",
+    ]
+    for f in found:
+        if not f.exact:
+            reason = f.refused or f"differs from Pinocchio by {f.error:.1g}"
+            repair = "converts" if f.repaired else "refused"
+            lines.append(f"| {f.file.relative_to(folder)} | {reason} | {repair} |")
+    lines += ["", "| quadruped | error | seconds |", "|---|---|---|"]
+    for f in found:
+        if f.verdict == "yes":
+            lines.append(f"| {f.file.relative_to(folder)} | {f.error:.1g} | {f.seconds:.2f} |")
+    return "\n".join(lines)
+
+
+def quadrupeds(files: Iterable[Path]) -> list[Path]:
+    """Those of the files that train as a quadruped as they are."""
+    found = []
+    for file in files:
+        try:
+            urdf = read_urdf(file)
+            with_motors(urdf, legs_of(urdf, Options()), Options())
+        except UrdfError:
+            continue
+        found.append(file)
+    return found
+
+
+def stands(quadruped: Quadruped) -> bool:
+    """Whether PD control of the home pose, with the gains of training, keeps it up for 10 s."""
+    model = quadruped.full_model()
+    data = mujoco.MjData(model)
+    data.qpos[:] = quadruped.home
+    stiffness = 1.4 * model.body_subtreemass[0] * quadruped.gravity * quadruped.home[2]
+    while data.time < 10:
+        torque = stiffness * (quadruped.home[7:] - data.qpos[7:] - 0.025 * data.qvel[6:])
+        data.ctrl = np.clip(torque, -quadruped.effort, quadruped.effort)
+        mujoco.mj_step(model, data)
+    return bool(data.qpos[2] > STANDS * quadruped.home[2])
+
+
+def run(file: Path, minutes: float, runs: Path) -> str:
+    """Train and judge one quadruped, in processes of their own; its row of the table."""
+    quadruped = load_quadruped(file)
+    model = quadruped.full_model()
+    name = f"{file.parents[1].name}-{file.stem}"
+    label = f"{name} | {model.body_subtreemass[0]:.1f} | {'yes' if stands(quadruped) else 'no'}"
+    quadwalk = [sys.executable, "-m", "quadwalk"]
+    where = ["--runs", str(runs)]
+    train = ["train", "--robot.urdf", str(file), "--minutes", str(minutes), "--name", name]
+    judge = ["eval", name, "--engine", "mujoco", "--episodes", str(EPISODES), "--mcap", "0"]
+    for command in (train, [*judge, "--out", str(runs / name / "judged")]):
+        done = subprocess.run([*quadwalk, *command, *where], capture_output=True, text=True)
+        if done.returncode:
+            reason = (done.stderr.strip().splitlines() or ["no word"])[-1]
+            return f"| {label} | {command[0]} failed: {reason} | | | | |"
+    metrics = json.loads((runs / name / "judged" / "metrics.json").read_text())
+    summary, typical = metrics["summary"], metrics["typical_episode"]
+    speed = summary["speed"]["mean"]
+    # A foot goes round the thigh's joint no faster than the thigh's motor does.
+    allowed = float(quadruped.home[2] * quadruped.velocity[1::3].min())
+    return (
+        f"| {label} | {speed:.2f} | {typical['froude']:.2f} | {summary['fall_rate']:.0%} | "
+        f"{typical['gait']} | {speed / allowed:.2f} |"
+    )
+
+
+def trainings(files: list[Path], minutes: float, runs: Path) -> str:
+    """The table of every quadruped, trained and judged."""
+    lines = [
+        "| robot | kg | stands | m/s | Froude | falls | gait | of the thigh motors' speed |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for file in files:
+        lines.append(run(file, minutes, runs))
+        print(lines[-1], flush=True)
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Convert, or train, and print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    add = parser.add_argument
+    add("--folder", type=Path, help="of URDFs (default: example-robot-data's)")
+    add("--train", action="store_true", help="train and judge the quadrupeds")
+    add("--minutes", type=float, default=3.0, help="of training, each")
+    add("--only", nargs="+", default=[], metavar="NAME", help="robots whose path has a NAME in it")
+    add("--runs", type=Path, help="folder of the runs (default: a temporary one)")
+    add("--markdown", type=Path, metavar="FILE", help="where the table goes")
+    arguments = parser.parse_args()
+    folder = arguments.folder or example_robot_data()
+    if folder is None:
+        sys.exit("error: example-robot-data is not installed; expected it, or --folder DIR")
+    files = sorted(folder.rglob("*.urdf"))
+    if arguments.train:
+        files = quadrupeds([*files, *([] if arguments.folder else pybullet_quadrupeds())])
+    if arguments.only:
+        files = [file for file in files if any(name in str(file) for name in arguments.only)]
+    if arguments.train:
+        with tempfile.TemporaryDirectory() as temporary:
+            table = trainings(files, arguments.minutes, arguments.runs or Path(temporary))
+    else:
+        table = conversions(files, folder)
+        print(table)
+    if arguments.markdown:
+        arguments.markdown.write_text(table + "\n")
+
+
+if __name__ == "__main__":
+    main()

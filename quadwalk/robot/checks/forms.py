@@ -1,0 +1,78 @@
+"""What each element of a URDF may hold."""
+
+from dataclasses import dataclass
+
+JOINT_TYPES = ("revolute", "continuous", "prismatic", "planar", "floating", "fixed")
+SHAPES = ("box", "sphere", "cylinder", "mesh")
+
+
+@dataclass(frozen=True)
+class Form:
+    """What an element may hold.
+
+    Attributes:
+        need, may: attributes that must or may be there.
+        one, most_one, many: child elements that must be there once, may be, may be repeated.
+        first: those of `many` of which only the first counts.
+        ignored: child elements of other tools whose numbers must be numbers nevertheless.
+    """
+
+    need: tuple[str, ...] = ()
+    may: tuple[str, ...] = ()
+    one: tuple[str, ...] = ()
+    most_one: tuple[str, ...] = ()
+    many: tuple[str, ...] = ()
+    first: tuple[str, ...] = ()
+    ignored: tuple[str, ...] = ()
+
+
+# http://wiki.ros.org/urdf/XML; `ignored` is what PyBullet, Gazebo and older ROS files add.
+FORMS = {
+    "link": Form(
+        need=("name",),
+        most_one=("inertial",),
+        many=("visual", "collision"),
+        ignored=("contact", "audio_source", "self_collision_checking", "concave", "gazebo"),
+    ),
+    "joint": Form(
+        need=("name", "type"),
+        one=("parent", "child"),
+        most_one=("origin", "axis", "limit", "dynamics", "mimic"),
+        ignored=("joint_properties", "safety_controller", "calibration", "gazebo"),
+    ),
+    "inertial": Form(one=("mass", "inertia"), most_one=("origin",)),
+    "visual": Form(
+        may=("name",),
+        one=("geometry",),
+        most_one=("origin",),
+        many=("material",),
+        first=("material",),
+    ),
+    "collision": Form(
+        may=("name",),
+        one=("geometry",),
+        most_one=("origin",),
+        ignored=("material", "group", "mask", "concave", "verbose", "contact_coefficients"),
+    ),
+    "geometry": Form(most_one=SHAPES),
+    "origin": Form(may=("xyz", "rpy")),
+    "mass": Form(need=("value",)),
+    "inertia": Form(need=("ixx", "ixy", "ixz", "iyy", "iyz", "izz")),
+    "parent": Form(need=("link",)),
+    "child": Form(need=("link",)),
+    "axis": Form(need=("xyz",)),
+    "limit": Form(need=("effort", "velocity"), may=("lower", "upper")),
+    "dynamics": Form(may=("damping", "friction", "armature")),
+    "mimic": Form(need=("joint",), may=("multiplier", "offset")),
+    "box": Form(need=("size",)),
+    "sphere": Form(need=("radius",)),
+    "cylinder": Form(need=("radius", "length")),
+    "mesh": Form(need=("filename",), may=("scale",)),
+    "material": Form(
+        may=("name",), most_one=("color", "texture"), ignored=("specular", "ambient", "emissive")
+    ),
+    "color": Form(need=("rgba",)),
+    "texture": Form(may=("filename",)),
+}
+TEXT_ATTRIBUTES = frozenset({"name", "type", "link", "joint", "filename"})
+LENGTHS = {"xyz": 3, "rpy": 3, "size": 3, "rgba": 4, "scale": 3}

@@ -1,0 +1,138 @@
+"""A leg's foot: the sphere at its end, or one that stands in for another shape there."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+import yourdfpy
+
+from quadwalk.robot.meshes import Meshes
+from quadwalk.robot.tree import Tree, matrix, unit
+
+# Share of the distance from calf joint to foot that the tip of a shape is taken from, and the
+# least and the assumed radius of a foot.
+TIP, LEAST, ASSUMED = 0.15, 0.01, 0.08
+# A shape of the calf's own link that reaches over less than this share of that is the foot's.
+SHORT = 0.4
+
+
+@dataclass(frozen=True)
+class Foot:
+    """A foot's sphere; the attributes are those of `Leg`."""
+
+    link: str
+    shape: int | None
+    centre: np.ndarray
+    radius: float
+    replaced: tuple[int, ...] = ()
+    reason: str = ""
+
+
+@dataclass(frozen=True)
+class _Shape:
+    """A shape of a leg's last body: its link, index, and points (n, 3), m, in the calf's frame."""
+
+    link: str
+    index: int
+    points: np.ndarray
+
+
+def find_foot(tree: Tree, calf: str, meshes: Meshes | None) -> Foot | None:
+    """The foot of the leg whose last moving link is `calf`; None if nothing is at its end.
+
+    The collision sphere farthest from the calf's joint is the foot. Without one, a sphere takes
+    the place of the shape that reaches farthest: it has the shape's lowest point, along the leg,
+    and its width there, in the plane that the calf swings in. Without any shape, there is a small
+    sphere at the farthest frame.
+    """
+    return _sphere(tree, calf) or _stand_in(tree, calf, meshes) or _at_frame(tree, calf)
+
+
+def _sphere(tree: Tree, calf: str) -> Foot | None:
+    spheres = [
+        Foot(link, index, centre, shape.geometry.sphere.radius)
+        for link in tree.parts[calf]
+        for index, shape in enumerate(tree.links[link].collisions)
+        if shape.geometry.sphere is not None
+        for centre in [(tree.placement[link] @ matrix(shape.origin))[:3, 3]]
+    ]
+    # One nearer to the joint than half a thigh's length is a knee.
+    thigh = float(np.linalg.norm(matrix(tree.joint_above[calf].origin)[:3, 3]))
+    ends = [foot for foot in spheres if np.linalg.norm(foot.centre) > thigh / 2]
+    return max(ends, key=lambda foot: float(np.linalg.norm(foot.centre)), default=None)
+
+
+def _stand_in(tree: Tree, calf: str, meshes: Meshes | None) -> Foot | None:
+    shapes = list(_shapes(tree, calf, meshes, "collision"))
+    of_collision = bool(shapes)
+    shapes = shapes or list(_shapes(tree, calf, meshes, "visual"))
+    if not shapes:
+        return None
+    points = np.concatenate([shape.points for shape in shapes])
+    distance = np.linalg.norm(points, axis=1)
+    axis = unit(tree.joint_above[calf].axis)
+    along = points[distance > 0.8 * distance.max()].mean(axis=0)
+    along -= axis * (axis @ along)
+    if np.linalg.norm(along) < 1e-6:
+        return None
+    along /= np.linalg.norm(along)
+    across = np.cross(axis, along)
+    lowest = max(shapes, key=lambda shape: float((shape.points @ along).max()))
+    own = [s for s in shapes if s.link == lowest.link] if lowest.link != calf else [lowest]
+    points = np.concatenate([shape.points for shape in own])
+    reach = float((points @ along).max())
+    tip = points[points @ along >= (1 - TIP) * reach]
+    length = np.ptp(points @ along)
+    radius = max(min(np.ptp(tip @ across), length) / 2, LEAST * reach)
+    centre = along * (reach - radius)
+    for direction in (across, axis):
+        centre = centre + direction * ((tip @ direction).max() + (tip @ direction).min()) / 2
+    taken = of_collision and (lowest.link != calf or length < SHORT * reach)
+    return Foot(
+        link=lowest.link,
+        shape=None,
+        centre=centre,
+        radius=float(radius),
+        replaced=tuple(shape.index for shape in own) if taken else (),
+        reason="in place of other shapes" if taken else "at the ends of the calves' shapes",
+    )
+
+
+def _at_frame(tree: Tree, calf: str) -> Foot | None:
+    frames = [(tree.placement[link][:3, 3], link) for link in tree.parts[calf][1:]]
+    if not frames:
+        return None
+    centre, link = max(frames, key=lambda frame: float(np.linalg.norm(frame[0])))
+    reach = float(np.linalg.norm(centre))
+    if reach < 1e-3:
+        return None
+    return Foot(link, None, centre, ASSUMED * reach, reason="at frames, for there are no shapes")
+
+
+def _shapes(tree: Tree, calf: str, meshes: Meshes | None, kind: str) -> Iterator[_Shape]:
+    for link in tree.parts[calf]:
+        shapes = tree.links[link].collisions if kind == "collision" else tree.links[link].visuals
+        for index, shape in enumerate(shapes):
+            points = _points(shape.geometry, meshes, kind)
+            if len(points):
+                frame = tree.placement[link] @ matrix(shape.origin)
+                yield _Shape(link, index, points @ frame[:3, :3].T + frame[:3, 3])
+
+
+def _points(geometry: yourdfpy.Geometry, meshes: Meshes | None, kind: str) -> np.ndarray:
+    """Points (n, 3), m, on the outline of a shape, in its own frame."""
+    if geometry.box is not None:
+        return np.array(list(product((-0.5, 0.5), repeat=3))) * geometry.box.size
+    if geometry.cylinder is not None:
+        turns = np.linspace(0, 2 * np.pi, 32, endpoint=False)
+        radius, half = geometry.cylinder.radius, geometry.cylinder.length / 2
+        ring = np.stack([radius * np.cos(turns), radius * np.sin(turns), 0 * turns], axis=1)
+        up = np.array([0, 0, half])
+        return np.concatenate([ring + up, ring - up])
+    if geometry.sphere is not None:
+        return geometry.sphere.radius * np.concatenate([np.eye(3), -np.eye(3)])
+    loaded = None if meshes is None else meshes.load(geometry.mesh, kind)
+    if loaded is None:
+        return np.zeros((0, 3))
+    return np.concatenate([part.vertices for part in loaded[1]])

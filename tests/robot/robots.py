@@ -1,0 +1,77 @@
+"""URDFs of robots made for a test: links, joints, and a quadruped of any legs."""
+
+from collections.abc import Callable
+
+SOLID = "0.01 0.01 0.01"
+LIMIT = '<limit lower="-3" upper="3" effort="20" velocity="10"/>'
+CORNERS = {"a": (0.2, 0.1), "b": (0.2, -0.1), "c": (-0.2, 0.1), "d": (-0.2, -0.1)}
+
+
+def inertial(mass: float | str, moments: str = SOLID, xyz: str = "0 0 0", rpy: str = "0 0 0"):
+    """`<inertial>` of principal moments, kg m^2, as text or of six entries from ixx to izz."""
+    entries = moments.split()
+    if len(entries) == 3:
+        entries = [entries[0], "0", "0", entries[1], "0", entries[2]]
+    names = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+    pairs = " ".join(f'{name}="{value}"' for name, value in zip(names, entries, strict=True))
+    return (
+        f'<inertial><origin xyz="{xyz}" rpy="{rpy}"/><mass value="{mass}"/>'
+        f"<inertia {pairs}/></inertial>"
+    )
+
+
+def shape(geometry: str, xyz: str = "0 0 0", kind: str = "collision", rpy: str = "0 0 0") -> str:
+    """A shape of a link, as `box size="1 2 3"` says."""
+    return f'<{kind}><origin xyz="{xyz}" rpy="{rpy}"/><geometry><{geometry}/></geometry></{kind}>'
+
+
+def link(name: str, *parts: str) -> str:
+    return f'<link name="{name}">{"".join(parts)}</link>'
+
+
+def joint(
+    name: str,
+    parent: str,
+    child: str,
+    axis: str = "0 0 1",
+    xyz: str = "0 0 0",
+    rpy: str = "0 0 0",
+    kind: str = "revolute",
+    extra: str = LIMIT,
+) -> str:
+    return (
+        f'<joint name="{name}" type="{kind}"><origin xyz="{xyz}" rpy="{rpy}"/>'
+        f'<parent link="{parent}"/><child link="{child}"/><axis xyz="{axis}"/>{extra}</joint>'
+    )
+
+
+def robot(*parts: str, name: str = 'name="r"') -> str:
+    return f"<robot {name}>{''.join(parts)}</robot>"
+
+
+def quadruped(calf: Callable[[str], str], leg: Callable[[str, float, float], str] | None = None):
+    """A trunk and legs `a` (front left), `b`, `c`, `d`, thighs .3 m.
+
+    `calf(name)` is what the calf's link holds besides its inertial, and what follows that link.
+    """
+    trunk = link("trunk", inertial(5), shape('box size="0.4 0.2 0.1"'))
+    legs = [(leg or plain_leg)(name, x, y) + calf(name) for name, (x, y) in CORNERS.items()]
+    return robot(trunk, *legs)
+
+
+def plain_leg(
+    name: str, x: float, y: float, thigh: str = "0 0 0", hip_rpy: str = "0 0 0", knee: str = LIMIT
+) -> str:
+    """Joints NAMEj1 .. 3 about x, y and y, and the links of hip and thigh, NAME1 and NAME2."""
+    return (
+        link(f"{name}1", inertial(0.5), shape('box size="0.02 0.02 0.02"'))
+        + link(f"{name}2", inertial(0.5), shape('box size="0.02 0.02 0.02"'))
+        + joint(f"{name}j1", "trunk", f"{name}1", "1 0 0", f"{x} {y} 0", hip_rpy)
+        + joint(f"{name}j2", f"{name}1", f"{name}2", "0 1 0", thigh)
+        + joint(f"{name}j3", f"{name}2", f"{name}3", "0 1 0", "0 0 -0.3", extra=knee)
+    )
+
+
+def ball_calf(name: str) -> str:
+    """A calf of .2 m with a foot of 2 cm."""
+    return link(f"{name}3", inertial(0.5), shape('sphere radius="0.02"', "0 0 -0.2"))

@@ -1,0 +1,245 @@
+"""Feet of any shape, knees of any kind, hips of any zero: all from the legs' structure."""
+
+from functools import partial
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+import trimesh
+
+from quadwalk.robot.checks.validate import UrdfError
+from quadwalk.robot.mjcf import Options
+from quadwalk.robot.quadruped import Quadruped, quadruped_from
+from quadwalk.robot.scene import lowest_point
+from quadwalk.robot.urdf import parse_urdf
+from tests.robot import robots
+from tests.robot.robots import ball_calf, inertial, joint, link, plain_leg, shape
+
+
+def at_home(quadruped: Quadruped, model: mujoco.MjModel) -> mujoco.MjData:
+    data = mujoco.MjData(model)
+    data.qpos[:] = quadruped.home
+    mujoco.mj_forward(model, data)
+    return data
+
+
+def stands(quadruped: Quadruped) -> None:
+    """On its feet alone, and PD control keeps it up.
+
+    A foot's sphere fits into the end of a calf whose edges reach further, but in training they end
+    at its centre.
+    """
+    for model, deepest in (
+        (quadruped.full_model(), 1 - np.sqrt(2)),  # a square edge at 45 degrees
+        (quadruped.training_model(0.002, contacts="body"), 0),
+    ):
+        data = at_home(quadruped, model)
+        heights = {
+            model.geom(geom).name: lowest_point(model, data, geom)
+            for geom in range(model.ngeom)
+            if model.geom_bodyid[geom] and model.geom_group[geom] == 3
+        }
+        feet = [heights.pop(foot) for foot in quadruped.feet]
+        np.testing.assert_allclose(feet, 0, atol=1e-6)
+        radius = model.geom(quadruped.feet[0]).size[0]
+        assert min(heights.values()) >= deepest * radius, heights
+    model = quadruped.full_model()
+    data = at_home(quadruped, model)
+    stiffness = 1.4 * model.body_subtreemass[0] * 9.81 * quadruped.home[2]
+    while data.time < 3:
+        away = quadruped.home[7:] - data.qpos[7:]
+        data.ctrl = np.clip(
+            stiffness * (away - 0.025 * data.qvel[6:]), -quadruped.effort, quadruped.effort
+        )
+        mujoco.mj_step(model, data)
+    assert data.qpos[2] > 0.8 * quadruped.home[2]
+    assert data.qpos[3] > np.cos(np.radians(5) / 2)
+
+
+def foot_link(name: str, geometry: str, kind: str = "collision") -> str:
+    """A thin calf of .2 m, and a foot's link bolted to its end."""
+    return (
+        link(f"{name}3", inertial(0.5), shape('cylinder radius="0.005" length="0.18"', "0 0 -0.09"))
+        + link(f"{name}_foot", inertial(0.01, "1e-5 1e-5 1e-5"), shape(geometry, kind=kind))
+        + joint(f"{name}_bolt", f"{name}3", f"{name}_foot", xyz="0 0 -0.2", kind="fixed")
+    )
+
+
+def one_shape(name: str, geometry: str, rpy: str = "0 0 0") -> str:
+    """A calf of .2 m that is all one shape."""
+    return link(f"{name}3", inertial(0.5), shape(geometry, "0 0 -0.1", rpy=rpy))
+
+
+@pytest.fixture
+def meshes(tmp_path: Path) -> Path:
+    """A ball of 3 cm that is centred 1 cm off, a wheel of 2 cm about y, and a spindly calf."""
+    ball = trimesh.creation.icosphere(3, 0.03)
+    ball.apply_translation([0.01, 0, 0])
+    ball.export(tmp_path / "ball.stl")
+    wheel = trimesh.creation.cylinder(0.02, 0.01, sections=64)
+    wheel.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, [1, 0, 0]))
+    wheel.export(tmp_path / "wheel.stl")
+    trimesh.creation.box((0.02, 0.02, 0.2)).export(tmp_path / "calf.stl")
+    return tmp_path
+
+
+# What the calf is, the foot's radius and the height of its centre below the calf's joint, m.
+FEET = {
+    "a ball's mesh": (partial(foot_link, geometry='mesh filename="ball.stl"'), 0.03, 0.2),
+    "a wheel's mesh": (partial(foot_link, geometry='mesh filename="wheel.stl"'), 0.02, 0.2),
+    "a box": (partial(foot_link, geometry='box size="0.03 0.03 0.03"'), 0.015, 0.2),
+    "a flat box": (partial(foot_link, geometry='box size="0.05 0.05 0.02"'), 0.01, 0.2),
+    "a cylinder": (partial(one_shape, geometry='cylinder radius="0.01" length="0.2"'), 0.01, 0.19),
+    "a whole calf's mesh": (partial(one_shape, geometry='mesh filename="calf.stl"'), 0.01, 0.19),
+    "only seen": (
+        lambda name: link(
+            f"{name}3", inertial(0.5), shape('sphere radius="0.02"', "0 0 -0.18", "visual")
+        ),
+        0.02,
+        0.18,
+    ),
+    "only a frame": (
+        lambda name: (
+            link(f"{name}3", inertial(0.5))
+            + link(f"{name}tip")
+            + joint(f"{name}bolt", f"{name}3", f"{name}tip", xyz="0 0 -0.2", kind="fixed")
+        ),
+        0.016,
+        0.2,
+    ),
+}
+
+
+@pytest.mark.parametrize("case", FEET)
+def test_a_foot_of_any_shape_is_a_sphere_at_the_end_of_the_leg(meshes, case):
+    calf, radius, reach = FEET[case]
+    quadruped = quadruped_from(parse_urdf(robots.quadruped(calf), "r.urdf", meshes))
+    model = quadruped.full_model()
+    for foot in quadruped.feet:
+        assert model.geom(foot).type == mujoco.mjtGeom.mjGEOM_SPHERE
+        assert model.geom(foot).size[0] == pytest.approx(radius, rel=0.03)
+        x, y, z = model.geom(foot).pos
+        assert z == pytest.approx(-reach, abs=2e-3)
+        assert x == pytest.approx(0.01 if "ball" in case else 0, abs=2e-3)
+        assert y == pytest.approx(0, abs=1e-6)
+    (note,) = [note for note in quadruped.notes if "the feet are spheres of" in note]
+    assert f"{model.geom(quadruped.feet[0]).size[0] * 1000:.3g} mm" in note
+    stands(quadruped)
+
+
+def test_a_foot_whose_mesh_is_missing_is_at_its_frame():
+    calf = partial(foot_link, geometry='mesh filename="none.stl"')
+    urdf = parse_urdf(
+        robots.quadruped(calf).replace(
+            'radius="0.005" length="0.18"', 'radius="0.005" length="0.1"'
+        )
+    )
+    quadruped = quadruped_from(urdf, Options(meshes=False))
+    # What is left of the calf reaches .14 m.
+    assert quadruped.full_model().geom(quadruped.feet[0]).size[0] == pytest.approx(0.005, rel=0.05)
+
+
+def test_a_sphere_at_the_knee_is_no_foot(meshes):
+    def calf(name: str) -> str:
+        knee = shape('sphere radius="0.03"')
+        return foot_link(name, 'mesh filename="ball.stl"').replace(
+            "<collision>", knee + "<collision>", 1
+        )
+
+    quadruped = quadruped_from(parse_urdf(robots.quadruped(calf), "r.urdf", meshes))
+    assert quadruped.feet == ("b_foot", "a_foot", "d_foot", "c_foot")
+
+
+def test_a_leg_that_ends_in_nothing_is_no_leg():
+    with pytest.raises(UrdfError, match="'a3' and what is fixed to it have no shape and no frame"):
+        quadruped_from(parse_urdf(robots.quadruped(lambda name: link(f"{name}3", inertial(1)))))
+
+
+def test_calves_end_at_their_feet(meshes):
+    quadruped = quadruped_from(
+        parse_urdf(robots.quadruped(FEET["a whole calf's mesh"][0]), "r.urdf", meshes)
+    )
+    model = quadruped.training_model(0.004)
+    box, foot = model.geom("b3"), model.geom(quadruped.feet[0])
+    assert box.type == mujoco.mjtGeom.mjGEOM_BOX
+    data = at_home(quadruped, model)
+    turn = data.xmat[box.bodyid[0]].reshape(3, 3).T @ data.geom_xmat[box.id].reshape(3, 3)
+    low = box.pos - np.abs(turn) @ box.size
+    high = box.pos + np.abs(turn) @ box.size
+    np.testing.assert_allclose(low, [-0.01, -0.01, foot.pos[2]], atol=1e-6)
+    np.testing.assert_allclose(high, [0.01, 0.01, 0], atol=1e-6)
+
+
+def knees(quadruped: Quadruped) -> dict[str, float]:
+    """By leg, how far ahead of the thigh joint the knee is, m."""
+    model = quadruped.full_model()
+    data = at_home(quadruped, model)
+    found = {}
+    for i, leg in enumerate(quadruped.legs):
+        thigh, calf = (
+            model.joint(name).bodyid[0] for name in quadruped.joints[3 * i + 1 : 3 * i + 3]
+        )
+        found[leg] = float(data.xpos[calf, 0] - data.xpos[thigh, 0])
+    return found
+
+
+def test_knees_bend_backwards_where_they_may():
+    assert max(knees(quadruped_from(parse_urdf(robots.quadruped(ball_calf)))).values()) < -0.1
+
+
+def test_knees_bend_as_their_limits_say():
+    def leg(name: str, x: float, y: float) -> str:
+        knee = robots.LIMIT
+        if x < 0:  # behind, as HyQ's
+            knee = knee.replace('lower="-3"', 'lower="0.3"')
+        return plain_leg(name, x, y, knee=knee)
+
+    quadruped = quadruped_from(parse_urdf(robots.quadruped(ball_calf, leg)))
+    bent = knees(quadruped)
+    assert max(bent["FL"], bent["FR"]) < -0.1
+    assert min(bent["RL"], bent["RR"]) > 0.1
+    stands(quadruped)
+
+
+def test_knees_of_legs_that_are_turned_about_point_inwards():
+    def leg(name: str, x: float, y: float) -> str:  # as ANYmal's
+        return plain_leg(name, x, y, thigh="0.06 0 0" if x > 0 else "-0.06 0 0")
+
+    bent = knees(quadruped_from(parse_urdf(robots.quadruped(ball_calf, leg))))
+    assert max(bent["FL"], bent["FR"]) < -0.1
+    assert min(bent["RL"], bent["RR"]) > 0.1
+
+
+@pytest.mark.parametrize("angle", [0.4, -0.9])
+def test_hips_turn_until_the_legs_are_upright(angle):
+    def leg(name: str, x: float, y: float) -> str:
+        return plain_leg(name, x, y, hip_rpy=f"{angle} 0 0")
+
+    quadruped = quadruped_from(parse_urdf(robots.quadruped(ball_calf, leg)))
+    np.testing.assert_allclose(quadruped.home[7::3], -angle, atol=1e-4)
+    stands(quadruped)
+
+
+def test_motors_that_the_urdf_does_not_give():
+    text = robots.quadruped(ball_calf).replace(robots.LIMIT, "")
+    with pytest.raises(
+        UrdfError, match=r"pass --robot.effort NM --robot.speed RAD_PER_S"
+    ) as raised:
+        quadruped_from(parse_urdf(text))
+    assert "no effort limit for 'bj1' and 'bj2' and 10 more, no speed limit" in str(raised.value)
+    quadruped = quadruped_from(parse_urdf(text), Options(effort=30, speed=12))
+    np.testing.assert_array_equal(quadruped.effort, 30)
+    np.testing.assert_array_equal(quadruped.velocity, 12)
+    np.testing.assert_array_equal(quadruped.full_model().actuator_ctrlrange, [[-30, 30]] * 12)
+    np.testing.assert_array_equal(quadruped.upper, np.pi)
+    given = quadruped_from(parse_urdf(robots.quadruped(ball_calf)), Options(effort=30, speed=12))
+    np.testing.assert_array_equal(given.effort, 20)  # the URDF's own
+
+
+def test_a_leg_with_a_link_without_mass_is_said():
+    text = robots.quadruped(ball_calf).replace(
+        link("a1", inertial(0.5), shape('box size="0.02 0.02 0.02"')), link("a1")
+    )
+    with pytest.raises(UrdfError, match="link 'a1' of leg FL has no mass"):
+        quadruped_from(parse_urdf(text))

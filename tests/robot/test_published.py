@@ -1,0 +1,227 @@
+"""URDFs as their makers publish them: what every reader passes over is passed over, and said."""
+
+import string
+
+import mujoco
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from quadwalk.paths import ALIENGO_URDF
+from quadwalk.robot.checks.validate import UrdfError, nearly
+from quadwalk.robot.legs import find_legs
+from quadwalk.robot.mjcf import convert, write_xml
+from quadwalk.robot.urdf import parse_urdf, read_urdf
+from tests.robot.robots import inertial, joint, link, robot, shape
+
+TEXT = ALIENGO_URDF.read_text()
+
+
+def xml(text: str) -> str:
+    """The MJCF of a quadruped's URDF."""
+    urdf = parse_urdf(text)
+    return write_xml(convert(urdf, find_legs(urdf.tree, urdf.source)).spec)
+
+
+# What makers write beside URDF: the AlienGo's text, what it becomes, and the kind in the report.
+EXTENSIONS = {
+    "joint attribute": ('type="fixed"', 'type="fixed" dont_collapse="true"', "joint dont_collapse"),
+    "limit attribute": ("effort=", 'command_effort="4" effort=', "limit command_effort"),
+    "dynamics attribute": ("<dynamics ", '<dynamics D="1" ', "dynamics D"),
+    "geometry name": ("<geometry>", '<geometry name="g">', "geometry name"),
+    "element of a link": ("</link>", "<self_filter/></link>", "<self_filter> of a link"),
+    "with elements": ("</link>", "<kinematic><a b='nan'/></kinematic></link>", "<kinematic> of a"),
+    "a stray origin": ("</link>", '<origin xyz="1 2 3"/></link>', "<origin> of a link"),
+    "a stray gravity": ("</link>", "<gravity>0</gravity></link>", "<gravity> of a link"),
+    "collision's material": ("</collision>", "<material/></collision>", "<material> of a coll"),
+    "second material": (
+        '<material name="graphite"/></visual>',
+        '<material name="graphite"/><material name="orange"/></visual>',
+        "<material> of a visual beside another",
+    ),
+    "texture without a file": ("<color ", "<texture/><color ", "<texture> without a file"),
+    "plugin": ("</robot>", "<transmission><joint name='x'/></transmission></robot>", "<transmis"),
+}
+
+
+@pytest.mark.parametrize("case", EXTENSIONS)
+def test_extensions_change_nothing_and_are_reported_by_kind(case):
+    text = TEXT.replace("\n", "").replace("/>  ", "/>")
+    text = " ".join(text.split()).replace("> <", "><")
+    old, new, kind = EXTENSIONS[case]
+    assert old in text
+    extended = text.replace(old, new)
+    assert xml(extended) == xml(text)
+    (line,) = [line for line in parse_urdf(extended).report.lines() if line.startswith("dropped")]
+    assert line.startswith(f"dropped: extensions of other tools: {kind}")
+    assert line.endswith(f"({text.count(old)})")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ("<inertial>", "<inertail>", "has a <inertail> in it; expected <inertial>"),
+        ("<inertial>", "<Inertial>", "expected <inertial>"),
+        ("<collision>", "<colision>", "expected <collision>"),
+        ("<dynamics ", "<dynamic ", "expected <dynamics>"),
+        ("lower=", "lowr=", "has attribute 'lowr'; expected lower"),
+        ("damping=", "dampning=", "expected damping"),
+        ("radius=", "radus=", "expected radius"),
+        ('<joint name="imu_joint"', '<jiont name="imu_joint"', "expected <joint>"),
+    ],
+)
+def test_a_name_that_is_nearly_one_that_is_missing_is_refused(old, new, says):
+    assert old in TEXT
+    text = TEXT.replace(old, new, 1)
+    if old.startswith("<"):
+        closing = old.replace("<", "</"), new.replace("<", "</")
+        at = text.index(new)
+        text = text[:at] + text[at:].replace(*closing, 1)
+        if "jiont" in new:
+            text = text[:at] + text[at:].replace("</joint>", "</jiont>", 1)
+    with pytest.raises(UrdfError, match="line ") as raised:
+        parse_urdf(text)
+    assert says in str(raised.value)
+
+
+WORDS = st.sampled_from(["inertial", "velocity", "lower", "mass", "xyz", "collision"])
+
+
+@settings(derandomize=True, deadline=None)
+@given(word=WORDS, at=st.integers(0, 8), letter=st.sampled_from(string.ascii_lowercase))
+def test_one_slip_is_near(word, at, letter):
+    at %= len(word)
+    assert nearly(word[:at] + word[at + 1 :], word)  # one too few
+    assert nearly(word[:at] + letter + word[at:], word)  # too many
+    assert nearly(word[:at] + letter + word[at + 1 :], word)  # wrong
+    assert nearly(word[:at] + word[at : at + 2][::-1] + word[at + 2 :], word)  # exchanged
+
+
+def test_other_words_are_not_near():
+    for name, known in (("kinematic", "inertial"), ("lower", "upper"), ("current", "velocity"),
+                        ("name", "axis"), ("foo", "xyz"), ("self_filter", "visual")):  # fmt: skip
+        assert not nearly(name, known)
+    assert nearly("efort", "effort")
+    assert nearly("velcoiy", "velocity")
+    assert not nearly("vlct", "velocity")
+
+
+def test_a_robot_without_a_name_has_its_files(tmp_path):
+    file = tmp_path / "walker.urdf"
+    file.write_text("<!-- <robot> -->" + TEXT.replace('<?xml version="1.0"?>', "").replace(
+        '<robot name="aliengo"', "<robot"))  # fmt: skip
+    urdf = read_urdf(file)
+    assert urdf.robot.name == "walker"
+    assert "assumed: the robot's name, for it has none: walker" in urdf.report.lines()
+    assert parse_urdf(urdf.text, "copy.urdf").robot.name == "walker"  # a run's copy as well
+
+
+def arm(limit: str, kind: str = "revolute") -> str:
+    body = link("a", inertial(1))
+    return robot(link("world"), body, joint("j", "world", "a", kind=kind, extra=limit))
+
+
+@pytest.mark.parametrize(
+    ("limit", "says"),
+    [
+        ("", "there are none"),
+        ('<limit effort="3" velocity="4"/>', "there are none"),
+        ('<limit lower="0" upper="0" effort="3" velocity="4"/>', "both are 0"),
+        ('<limit lower="-1e16" upper="1e16" effort="3" velocity="4"/>', "they are beyond 1e9"),
+    ],
+)
+@pytest.mark.parametrize("kind", ["revolute", "prismatic"])
+def test_no_position_limits_are_unlimited(limit, says, kind):
+    conversion = convert(parse_urdf(arm(limit, kind)))
+    model = conversion.spec.compile()
+    assert not model.jnt_limited[0]
+    assert f"assumed: no position limits, for {says}: j" in conversion.report.lines()
+
+
+def test_one_limit_beyond_all_bounds_leaves_the_other():
+    model = convert(parse_urdf(arm('<limit lower="-1e16" upper="0.5" effort="3" velocity="4"/>')))
+    found = model.spec.compile()
+    assert found.jnt_limited[0]
+    np.testing.assert_array_equal(found.jnt_range[0], [-1e9, 0.5])
+
+
+def test_effort_and_speed_beyond_all_bounds_are_unlimited():
+    conversion = convert(
+        parse_urdf(arm('<limit lower="-1" upper="1" effort="1e12" velocity="1e10"/>'))
+    )
+    model = mujoco.MjModel.from_xml_string(write_xml(conversion.spec))
+    assert not model.jnt_actfrclimited[0]
+    assert not model.actuator_ctrllimited[0]
+    lines = conversion.report.lines()
+    assert "assumed: any effort, for the limit is beyond 1e9: j" in lines
+    assert "assumed: any velocity, for the limit is beyond 1e9: j" in lines
+
+
+def follower(leader: str, kind: str = "revolute", own: str = "revolute") -> str:
+    mimic = '<limit lower="-1" upper="1" effort="9" velocity="1"/>'
+    return robot(
+        link("world"), link("a", inertial(1)), link("b", inertial(1)),
+        joint("lead", "world", "a", kind=kind),
+        joint("follow", "world", "b", kind=own,
+              extra=mimic + f'<mimic joint="{leader}" multiplier="2" offset="0.3"/>'),
+    )  # fmt: skip
+
+
+def test_what_follows_a_fixed_joint_is_held():
+    conversion = convert(parse_urdf(follower("lead", kind="fixed")))
+    model = conversion.spec.compile()
+    assert (model.nv, model.nu) == (1, 0)
+    data = mujoco.MjData(model)
+    data.qpos[:] = 0.1
+    while data.time < 2:
+        mujoco.mj_step(model, data)
+    assert data.qpos[0] == pytest.approx(0.3, abs=1e-3)
+    assert model.key("home").qpos[0] == 0.3
+    assert "assumed: held still, for they follow a fixed joint: follow" in conversion.report.lines()
+
+
+def test_a_fixed_joint_follows_nothing():
+    conversion = convert(parse_urdf(follower("lead", own="fixed")))
+    assert (conversion.spec.compile().nv, conversion.spec.compile().neq) == (1, 0)
+    assert "dropped: <mimic> of fixed joints: follow" in conversion.report.lines()
+
+
+def ball_joint(middle: str = "", base: str = "") -> str:
+    """An arm whose shoulder is three hinges and a slide, over links without mass."""
+    return robot(
+        link("base", base), link("m1"), link("m2", middle), link("m3"), link("frame"),
+        link("upper", inertial(2, "0.1 0.2 0.15", "0.1 0.2 0.3", "0.1 0.2 0.3")),
+        link("tip", inertial(1, "0.01 0.02 0.015", "0.3 0 0")),
+        joint("j1", "base", "m1", "1 2 3", "0.1 0.2 0.3", "0.3 0.2 0.1"),
+        joint("j2", "m1", "m2", "0 1 1", "0.4 0 0.1", "1 0 0.5"),
+        joint("bolt", "m2", "frame", xyz="0 0.1 0", rpy="0 0.7 0", kind="fixed"),
+        joint("j3", "frame", "m3", "1 0 0", "0 0 0.2", kind="prismatic"),
+        joint("j4", "m3", "upper", "0 0 1", "0 0 0", "0 1 0", kind="continuous", extra=""),
+        joint("j5", "upper", "tip", "0 1 0", "0.5 0 0"),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("base", ["", inertial(3, "0.1 0.1 0.1")])
+def test_joints_over_links_without_mass_are_those_of_one_body(pinocchio, base):
+    urdf = parse_urdf(ball_joint(base=base))
+    conversion = convert(urdf)
+    model = conversion.spec.compile()
+    upper = model.body("upper")
+    assert (upper.jntnum[0], model.nbody) == (4, 4)
+    errors = pinocchio(urdf, model).errors(50)
+    assert max(errors.values()) < 1e-10, errors
+    through_xml = mujoco.MjModel.from_xml_string(write_xml(conversion.spec))
+    assert max(pinocchio(urdf, through_xml).errors(50).values()) < 1e-5
+    fused = "fused: joints over links without mass: j1 with upper, j2 with upper, j3 with upper"
+    assert fused in conversion.report.lines()
+
+
+def test_a_link_without_mass_that_could_touch_something_is_refused():
+    with pytest.raises(UrdfError, match=r"'m2' moves \(joint 'j2'\) and has no mass"):
+        parse_urdf(ball_joint(shape('sphere radius="0.1"')))
+
+
+def test_numbers_of_an_origin_that_are_nothing_are_0():
+    text = arm("").replace('rpy="0 0 0"', 'rpy="1e-66 0 -5.8e-60"')
+    assert write_xml(convert(parse_urdf(text)).spec) == write_xml(convert(parse_urdf(arm(""))).spec)
