@@ -66,7 +66,7 @@ model.dof_frictionloss[:] = 0.0  # it is applied below, as in training
 data = mujoco.MjData(model)
 data.qpos[:] = start
 q, v, last, rotation = data.qpos, data.qvel, np.zeros(12), np.zeros(9)
-viewer, saved, began, fell = None, [], time.time(), False
+viewer, began, fell, saved = None, time.time(), False, list[tuple]()
 if options.view:
     import mujoco.viewer
 
@@ -95,5 +95,5 @@ x, y = q[:2] - start[:2]
 print(f"{about['robot']}, {about['task']}: {x / data.time:.3f} m/s along x for {data.time:.2f} s, "
       f"{y:.2f} m to the left, {'fell' if fell else 'no fall'}")  # fmt: skip
 if options.save:
-    arrays = map(np.array, zip(*saved, strict=True))
-    np.savez(options.save, **dict(zip(("time", "qpos", "qvel", "target"), arrays, strict=True)))
+    when, qpos, qvel, targets = map(np.array, zip(*saved, strict=True))
+    np.savez(options.save, time=when, qpos=qpos, qvel=qvel, target=targets)
