@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import quadwalk.physics.mjx  # noqa: F401  # before Brax, which imports MJX less quietly
 
@@ -18,6 +19,11 @@ from quadwalk.train.runs.directory import Run
 from quadwalk.train.runs.resume import config_of
 from quadwalk.train.serialise import to_dict
 from quadwalk.train.settings import TrainConfig
+
+
+# Where a checkpoint has the policy's layers and the observation's statistics.
+_LAYERS = "learner/params/policy/params/"
+_MEAN, _STD = "learner/normalizer/mean", "learner/normalizer/std"
 
 
 @dataclass(frozen=True)
@@ -63,6 +69,27 @@ def load_score(path: Path) -> tuple[int, float]:
         return int(metadata["steps"]), float(metadata["score"])
     except (KeyError, TypeError, ValueError):
         raise UserError(f"{path} does not say how good its policy was") from None
+
+
+def load_checkpoint_policy(path: Path, joints: tuple[str, ...]) -> Policy:
+    """The policy in a checkpoint, of a run whose robot has these `joints`; raises `UserError`."""
+    leaves, metadata = checkpoint.load(path, "checkpoint")
+    layers: dict[str, dict[str, Any]] = {}
+    for name, leaf in leaves.items():
+        if name.startswith(_LAYERS):
+            layer, kind = name.removeprefix(_LAYERS).split("/")
+            layers.setdefault(layer, {})[kind] = leaf
+    try:
+        config = config_of(metadata["config"], Run(path.parent.parent), str(path), "0.1")
+        steps, mean, std = int(metadata["steps"]), leaves[_MEAN], leaves[_STD]
+        size = len(layers["hidden_0"]["kernel"])
+    except (KeyError, TypeError, ValueError, UserError) as error:
+        raise UserError(f"{path} holds no policy that can be used: {error}") from None
+    networks = make_networks(config.ppo, size, len(joints))
+    normalizer = NestedMeanStd(mean[:size], std[:size])
+    return Policy(
+        mean_policy(networks, normalizer, {"params": layers}), config, joints, size, steps
+    )
 
 
 def load_policy(path: Path) -> Policy:

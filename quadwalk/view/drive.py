@@ -1,0 +1,74 @@
+"""Where a live robot is shown: in MuJoCo's window where there is a screen, or in a page."""
+
+import contextlib
+import importlib.util
+import os
+import sys
+import webbrowser
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+from rich.console import Console
+
+from quadwalk.errors import UsageError, UserError
+from quadwalk.train.runs.directory import find_run
+
+EXTRA = "pip install 'quadwalk[view]'"
+
+
+@dataclass(frozen=True)
+class ViewConfig:
+    """Drive a trained policy live, in MuJoCo C with every collision shape."""
+
+    # name or path of a run, or "latest"
+    run: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="[RUN]")] = "latest"
+    browser: bool = False  # in a page of the browser, even where there is a screen for a window
+    host: str = "127.0.0.1"  # address that the page is served at; the default: to this machine only
+    port: int = 8080  # of the page; if it is taken, the next that is free
+    runs: Path = Path("runs")  # folder that holds all runs
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.port < 65536:
+            raise UsageError(f"--port is {self.port}; expected 0 to 65535")
+
+
+def drive(config: ViewConfig) -> None:
+    """Show the run's newest policy live, until it is interrupted or the window closed."""
+    from quadwalk.view.window import no_window
+
+    run = find_run(config.runs, config.run)
+    console = Console(stderr=True, highlight=False, soft_wrap=True)
+    missing = no_window()
+    page = config.browser or missing is not None
+    if page and importlib.util.find_spec("mjviser") is None:
+        because = "" if missing is None else f"there is no window ({missing}), and "
+        raise UserError(f"{because}a page needs mjviser, which is not installed: {EXTRA}")
+    _prepare_jax()
+    with contextlib.suppress(KeyboardInterrupt):
+        if not page:
+            from quadwalk.view.window import drive_in_window
+
+            drive_in_window(run, console)
+            return
+        with console.status("loading"):
+            from quadwalk.view.page import start_server  # the rest of what it needs takes longer
+
+            server = start_server(config.host, config.port, console)
+            from quadwalk.view.page import Page
+        try:
+            if missing is None:
+                webbrowser.open(f"http://localhost:{server.get_port()}")
+            Page(server, run, config.runs).run_for()
+        finally:
+            server.stop()
+
+
+def _prepare_jax() -> None:
+    """One robot needs no accelerator, which takes long to set up, and no second device."""
+    if "jax" not in sys.modules:
+        os.environ.setdefault("JAX_PLATFORMS", "cpu")
+    from quadwalk.train.devices import set_up_devices
+
+    set_up_devices(1)

@@ -1,0 +1,90 @@
+"""The 3D picture of a live robot in a page: its shapes, its path, and arrows for what it feels."""
+
+import copy
+
+import mujoco
+import numpy as np
+import viser
+from mjviser import ViserMujocoScene
+
+from quadwalk.view.live import LiveRobot
+from quadwalk.view.traces import Traces
+
+_FORCE = 1.2  # m, the arrow of a push as large as the robot's weight
+_SPEED = 0.25  # s: the arrow of 1 m/s is as long, in m
+_COLLISION, _VISUAL = 3, 2  # groups of the robot's shapes
+_TOLD, _DOES, _PUSHED, _WENT = (60, 170, 80), (50, 110, 220), (230, 120, 40), (120, 120, 130)
+
+
+class Stage:
+    """Draws one live robot with mjviser; all that is fixed to the world moves as the view does."""
+
+    def __init__(self, server: viser.ViserServer, live: LiveRobot) -> None:
+        server.scene.reset()
+        server.scene.configure_default_lights(cast_shadow=True)
+        height = live.env.robot.home_height
+        server.initial_camera.look_at = (0.0, 0.0, 0.0)
+        server.initial_camera.position = tuple(height * np.array([-4.2, -4.4, 1.8]))
+        self.follow = True
+        self._server, self._height = server, height
+        self._focus = np.zeros(3)
+        self._scene = ViserMujocoScene(server, copy.copy(live.model), num_envs=1)
+        # It keeps the body that it tracks in the middle. We track a place that does not sway: it is
+        # handed over as the place of the world's own body, which has nothing to be drawn.
+        self._scene._tracked_body_id = 0
+        self.show_collision(False)
+        self._feet = [live.model.geom(name).id for name in live.env.quadruped.feet]
+        nothing = np.zeros((4, 2, 3))
+        size = {"shaft_radius": 0.012, "head_radius": 0.03, "head_length": 0.06}
+        self._forces = server.scene.add_arrows("/fixed_bodies/forces", nothing, _PUSHED, **size)
+        self._velocity = server.scene.add_arrows(
+            "/fixed_bodies/velocity", nothing[:2], np.array([_DOES, _TOLD]), **size
+        )
+        self._path = server.scene.add_line_segments(
+            "/fixed_bodies/path", nothing[:1], _WENT, thickness=0.02
+        )
+
+    def show_collision(self, shown: bool) -> None:
+        """Show the shapes that collide in place of those that are only seen."""
+        visible = self._scene.geom_groups_visible
+        visible[_COLLISION], visible[_VISUAL] = shown, not shown
+        self._scene._sync_visibilities()
+
+    def draw(self, live: LiveRobot, traces: Traces) -> None:
+        """Show how it is now."""
+        data = live.data
+        trunk = data.qpos[:3]
+        if self.follow:
+            self._focus = np.array([trunk[0], trunk[1], 0.7 * self._height])
+        places = data.xpos.copy()[None]
+        places[0, 0] = self._focus
+        with self._server.atomic():
+            self._scene.update_from_arrays(places, data.xmat.reshape(1, -1, 3, 3))
+            self._forces.points = force_arrows(live, data.geom_xpos[self._feet])
+            self._velocity.points = velocity_arrows(live)
+            self._path.points = np.float32(traces.path)
+
+
+def force_arrows(live: LiveRobot, feet: np.ndarray) -> np.ndarray:
+    """(4, 2, 3) m, world frame: from each of `feet` (4, 3) upwards, by the floor's push."""
+    length = _FORCE * live.foot_force / live.env.robot.weight
+    ends = feet + length[:, None] * [0.0, 0.0, 1.0]
+    # Of a foot in the air the arrow has no length; its head is hidden in the trunk.
+    hidden = np.broadcast_to(live.data.qpos[:3], (4, 3))
+    up = live.foot_force[:, None] > 0.0
+    return np.float32(np.stack([np.where(up, feet, hidden), np.where(up, ends, hidden)], axis=1))
+
+
+def velocity_arrows(live: LiveRobot) -> np.ndarray:
+    """(2, 2, 3) m, world frame: above the trunk, the velocity, and above that the command."""
+    cos, sin = np.cos(live.heading), np.sin(live.heading)
+    forward, left, _ = live.command
+    told = np.array([cos * forward - sin * left, sin * forward + cos * left, 0.0])
+    does = np.array([*live.data.qvel[:2], 0.0])
+    trunk, height = live.data.qpos[:3], live.env.robot.home_height
+    arrows = np.empty((2, 2, 3))
+    for row, (velocity, above) in enumerate(((does, 0.5), (told, 0.65))):
+        seen = np.linalg.norm(velocity) > 0.02
+        start = trunk + [0.0, 0.0, above * height] if seen else trunk
+        arrows[row] = start, start + _SPEED * velocity * seen
+    return np.float32(arrows)
