@@ -41,28 +41,28 @@ def drive(config: ViewConfig) -> None:
     run = find_run(config.runs, config.run)
     console = Console(stderr=True, highlight=False, soft_wrap=True)
     missing = no_window()
-    page = config.browser or missing is not None
-    if page and importlib.util.find_spec("mjviser") is None:
+    in_page = config.browser or missing is not None
+    if in_page and importlib.util.find_spec("mjviser") is None:
         because = "" if missing is None else f"there is no window ({missing}), and "
         raise UserError(f"{because}a page needs mjviser, which is not installed: {EXTRA}")
-    _prepare_jax()
     with contextlib.suppress(KeyboardInterrupt):
-        if not page:
+        if not in_page:
             from quadwalk.view.window import drive_in_window
 
+            _prepare_jax()
             drive_in_window(run, console)
             return
-        with console.status("loading"):
-            from quadwalk.view.page import start_server  # the rest of what it needs takes longer
+        from quadwalk.view.server import serving
 
-            server = start_server(config.host, config.port, console)
-            from quadwalk.view.page import Page
-        try:
+        with serving(config.host, config.port, console) as server:
             if missing is None:
                 webbrowser.open(f"http://localhost:{server.get_port()}")
-            Page(server, run, config.runs).run_for()
-        finally:
-            server.stop()
+            with console.status("loading"):
+                _prepare_jax()
+                from quadwalk.view.page import Page  # what it needs takes seconds
+
+                page = Page(server, run, config.runs)
+            page.run_for()
 
 
 def _prepare_jax() -> None:

@@ -1,19 +1,17 @@
 """A page of the browser in which a robot runs live, to be driven."""
 
-import contextlib
-import io
 import queue
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
 
 import viser
-from rich.console import Console
 
 from quadwalk.errors import UserError
 from quadwalk.evaluate.subject import Subject, load_subject
 from quadwalk.train.runs.directory import Run
-from quadwalk.train.runs.policy import load_checkpoint_policy, load_policy
+from quadwalk.train.runs.policy import Policy, load_checkpoint_policy, load_policy
 from quadwalk.view.choices import (
     NEWEST,
     choose_policy,
@@ -30,20 +28,6 @@ from quadwalk.view.traces import Traces
 
 _FRAME, _PLOT, _STATUS, _LOOK = 1 / 30, 1 / 6, 1 / 4, 1.0  # s between pictures, plots, ...
 _REST = 0.002  # s, of sleep between looks at the clock
-
-
-def start_server(host: str, port: int, console: Console) -> viser.ViserServer:
-    """A page that says that it loads; `port`, or the next that is free."""
-    with contextlib.redirect_stdout(io.StringIO()):  # it would print a box
-        try:
-            server = viser.ViserServer(host=host, port=port, label="quadwalk", verbose=False)
-        except OSError as error:
-            raise UserError(f"cannot listen on {host}:{port}: {error.strerror}") from error
-    server.gui.configure_theme(show_share_button=False, show_logo=False)
-    server.gui.add_markdown("loading")
-    shown = "localhost" if host == "127.0.0.1" else host
-    console.print(f"drive it at http://{shown}:{server.get_port()} (Ctrl-C ends)")
-    return server
 
 
 class Page:
@@ -85,6 +69,9 @@ class Page:
         self.run, self.label, self.file = run, label, subject.file
         self._loaded = written(subject.file)
         self.live = LiveRobot(subject)
+        # The step is compiled meanwhile.
+        ready = threading.Thread(target=self.live.step)
+        ready.start()
         dt = self.live.env.stepping.control_dt
         self.pace, self.traces = Pace(dt), Traces(dt)
         self.stage = Stage(self._server, self.live)
@@ -98,8 +85,7 @@ class Page:
             (self._policies, label),
         )
         self.live.command[:] = self.panel.told() if self.panel.command else 0.0
-        self.stage.draw(self.live, self.traces)
-        self.live.step()  # it is compiled now, not when time goes
+        ready.join()
         self.live.reset()
         self.pace.restart()
 
@@ -179,10 +165,11 @@ class Page:
             lines.append("paused")
         elif not pace.kept:
             lines.append(
-                f"**not in real time**: {pace.reached:.2f} s in a second, {pace.speed:g} asked for"
+                f"**not in real time**: {pace.reached:.2f} times as fast, not {pace.speed:g}"
             )
         else:
-            lines.append(f"{pace.speed:g} s in a second is kept; {pace.most:.0f} would be")
+            slowed = "" if pace.speed == 1.0 else f", slowed to {pace.speed:g}"
+            lines.append(f"real time{slowed}; {pace.most:.0f} times as fast is possible")
         return "  \n".join(lines)
 
     def _now(self, period: float) -> bool:
@@ -208,7 +195,7 @@ def open_subject(run: Run, label: str) -> Subject:
     return Subject(run, file, policy, subject.env)
 
 
-def read_policy(file: Path, joints: tuple[str, ...]):
+def read_policy(file: Path, joints: tuple[str, ...]) -> Policy:
     """The policy in `file`, a policy's or a checkpoint."""
     if file.name.startswith("step_"):
         return load_checkpoint_policy(file, joints)

@@ -147,21 +147,28 @@ class Panel:
 
     def _add_plots(self, live: LiveRobot) -> None:
         traces = Traces(live.env.stepping.control_dt)
+        command, legs = live.env.config.command, live.env.quadruped.legs
         series = [_line("s", _DARK), _line("forward, m/s", _BLUE), _line("command, m/s", _GREEN)]
-        count = 3 if live.env.config.command.given else 2
-        self._speed = self._gui.add_uplot(
-            traces.speed[:count], tuple(series[:count]), title="speed", height=170
-        )
-        legs = [_line(leg, _DARK) for leg in live.env.quadruped.legs]
-        self._footfalls = self._gui.add_uplot(
-            traces.footfalls,
-            (_line("s", _DARK), *legs),
-            title="footfalls: high while a foot stands; top to bottom FR FL RR RL",
-            scales={"y": uplot.Scale(auto=False, range=(-0.2, 4.0))},
-            axes=(uplot.Axis(), uplot.Axis(show=False)),
-            legend=uplot.Legend(show=False),
-            height=150,
-        )
+        count = 3 if command.given else 2
+        low, high = command.forward
+        window = self._gui.add_panel()
+        window.float(x=10, y=-10, width=380)
+        with window.add_tab("the last seconds"):
+            self._speed = self._gui.add_uplot(
+                traces.speed[:count],
+                tuple(series[:count]),
+                scales={"y": uplot.Scale(range=(low - 0.5, high + 0.5 if high else None))},
+                height=160,
+            )
+            self._footfalls = self._gui.add_uplot(
+                traces.footfalls,
+                (_line("s", _DARK), *(_line(leg, _DARK) for leg in legs)),
+                title=f"feet on the floor, from the top: {' '.join(legs)}",
+                scales={"y": uplot.Scale(range=(-0.2, 4.0))},
+                axes=(uplot.Axis(), uplot.Axis(show=False)),
+                legend=uplot.Legend(show=False),
+                height=140,
+            )
 
     def _add_keys(self, actions: Actions) -> None:
         def change(index: int, sign: int) -> None:

@@ -24,7 +24,7 @@ class Stage:
         server.scene.configure_default_lights(cast_shadow=True)
         height = live.env.robot.home_height
         server.initial_camera.look_at = (0.0, 0.0, 0.0)
-        server.initial_camera.position = tuple(height * np.array([-4.2, -4.4, 1.8]))
+        server.initial_camera.position = tuple(height * np.array([-2.6, -4.2, 1.7]))
         self.follow = True
         self._server, self._height = server, height
         self._focus = np.zeros(3)

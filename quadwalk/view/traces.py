@@ -45,7 +45,7 @@ class Traces:
     @property
     def path(self) -> np.ndarray:
         """(n, 2, 3) m, world frame: the pieces of the trunk's path, on the ground."""
-        places = np.array(self._places).reshape(-1, 2)[::5]
+        places = np.array(self._places).reshape(-1, 2)[::-5]  # the newest, and of the others some
         points = np.pad(places, [(0, 0), (0, 1)], constant_values=0.01)
         return np.stack([points[:-1], points[1:]], axis=1) if len(points) > 1 else _NOWHERE
 

@@ -1,24 +1,28 @@
 """A trained policy as a file: its weights, and the configuration it was trained with."""
 
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import quadwalk.physics.mjx  # noqa: F401  # before Brax, which imports MJX less quietly
 
 # isort: split
 import jax
+import numpy as np
 from brax.training.acme.running_statistics import NestedMeanStd
 
 from quadwalk.errors import UserError
 from quadwalk.train.networks import make_networks, mean_policy
-from quadwalk.train.ppo import Learner
 from quadwalk.train.runs import checkpoint
 from quadwalk.train.runs.directory import Run
 from quadwalk.train.runs.resume import config_of
 from quadwalk.train.serialise import to_dict
 from quadwalk.train.settings import TrainConfig
+
+if TYPE_CHECKING:  # Optax takes long to import, and no policy needs it
+    from quadwalk.train.ppo import Learner
 
 
 # Where a checkpoint has the policy's layers and the observation's statistics.
@@ -39,7 +43,7 @@ class Policy:
 
 def save_policy(
     path: Path,
-    learner: Learner,
+    learner: "Learner",
     config: TrainConfig,
     joints: tuple[str, ...],
     size: int,
@@ -104,11 +108,19 @@ def load_policy(path: Path) -> Policy:
     except (KeyError, TypeError, ValueError, UserError) as error:
         raise UserError(f"{path} holds a configuration that cannot be used: {error}") from None
     networks = make_networks(config.ppo, size, len(joints))
+    statistics = jax.ShapeDtypeStruct((size,), np.float32)
+    # Written out: to have Flax say it takes as long as all the rest.
+    sizes = (size, *config.ppo.hidden, networks.parametric_action_distribution.param_size)
+    layers = {
+        f"hidden_{i}": {
+            "bias": jax.ShapeDtypeStruct((wide,), np.float32),
+            "kernel": jax.ShapeDtypeStruct((before, wide), np.float32),
+        }
+        for i, (before, wide) in enumerate(itertools.pairwise(sizes))
+    }
     like = {
-        "normalizer": jax.eval_shape(
-            lambda: NestedMeanStd(jax.numpy.zeros(size), jax.numpy.ones(size))
-        ),
-        "policy": jax.eval_shape(networks.policy_network.init, jax.random.PRNGKey(0)),
+        "normalizer": NestedMeanStd(statistics, statistics),
+        "policy": {"params": layers},
     }
     tree, _ = checkpoint.load(path, "policy", like)
     act = mean_policy(networks, tree["normalizer"], tree["policy"])
