@@ -3,7 +3,9 @@
 from pathlib import Path
 
 from quadwalk.errors import UserError
+from quadwalk.evaluate.subject import Subject, load_subject
 from quadwalk.train.runs.directory import Run, list_checkpoints, list_runs
+from quadwalk.train.runs.policy import Policy, load_checkpoint_policy, load_policy
 
 NEWEST, BEST = "newest", "best"
 
@@ -42,3 +44,20 @@ def choose_policy(run: Run, label: str) -> Path:
     if label not in choices:
         raise UserError(f"{run.path} has no {label} policy yet; train it for longer")
     return choices[label]
+
+
+def open_subject(run: Run, label: str) -> Subject:
+    """`run` with the policy called `label`, for MuJoCo C; `UserError` where it has none yet."""
+    file = choose_policy(run, label)
+    subject = load_subject(run, 3600.0, "best" if label == BEST else "last", "mujoco")
+    if file == subject.file:
+        return subject
+    policy = read_policy(file, subject.env.quadruped.joints)
+    return Subject(run, file, policy, subject.env)
+
+
+def read_policy(file: Path, joints: tuple[str, ...]) -> Policy:
+    """The policy in `file`, a policy's or a checkpoint."""
+    if file.name.startswith("step_"):
+        return load_checkpoint_policy(file, joints)
+    return load_policy(file)

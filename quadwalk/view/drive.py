@@ -36,8 +36,6 @@ class ViewConfig:
 
 def drive(config: ViewConfig) -> None:
     """Show the run's newest policy live, until it is interrupted or the window closed."""
-    from quadwalk.view.window import no_window
-
     run = find_run(config.runs, config.run)
     console = Console(stderr=True, highlight=False, soft_wrap=True)
     missing = no_window()
@@ -47,9 +45,9 @@ def drive(config: ViewConfig) -> None:
         raise UserError(f"{because}a page needs mjviser, which is not installed: {EXTRA}")
     with contextlib.suppress(KeyboardInterrupt):
         if not in_page:
+            _prepare_jax()
             from quadwalk.view.window import drive_in_window
 
-            _prepare_jax()
             drive_in_window(run, console)
             return
         from quadwalk.view.server import serving
@@ -63,6 +61,32 @@ def drive(config: ViewConfig) -> None:
 
                 page = Page(server, run, config.runs)
             page.run_for()
+
+
+def no_window() -> str | None:
+    """Why no window can be opened here; None where one can."""
+    if sys.platform == "linux" and not (
+        os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+    ):
+        return "neither DISPLAY nor WAYLAND_DISPLAY is set"
+    chosen = os.environ.get("MUJOCO_GL", "").lower()
+    if chosen in ("osmesa", "egl"):
+        return f"MUJOCO_GL is {chosen}, which has no window"
+    import glfw
+
+    said: list[str] = []
+    glfw.set_error_callback(lambda _, text: said.append(os.fsdecode(text)))
+    window = None
+    if glfw.init():
+        # The viewer opens its window in a thread, and would be waited for in vain without one.
+        glfw.window_hint(glfw.VISIBLE, glfw.FALSE)
+        window = glfw.create_window(64, 64, "quadwalk", None, None)
+        glfw.default_window_hints()
+    glfw.set_error_callback(None)  # type: ignore[arg-type]
+    if not window:
+        return " ".join(" ".join(said).split()) or "GLFW opens no window"
+    glfw.destroy_window(window)
+    return None
 
 
 def _prepare_jax() -> None:

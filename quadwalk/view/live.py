@@ -18,8 +18,8 @@ from quadwalk.physics.model import Variation, vary_motor
 from quadwalk.physics.motor import Physics, control_step
 from quadwalk.physics.mujoco_c import varied_model
 from quadwalk.robot.scene import lowest_point
-from quadwalk.task.conditions import Conditions, delayed, targets_needed
 from quadwalk.task.command import Command
+from quadwalk.task.conditions import Conditions, delayed, targets_needed
 from quadwalk.task.env import MAX_SPEED, QuadrupedEnv
 from quadwalk.task.state import EnvState
 

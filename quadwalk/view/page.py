@@ -9,14 +9,14 @@ from pathlib import Path
 import viser
 
 from quadwalk.errors import UserError
-from quadwalk.evaluate.subject import Subject, load_subject
 from quadwalk.train.runs.directory import Run
-from quadwalk.train.runs.policy import Policy, load_checkpoint_policy, load_policy
 from quadwalk.view.choices import (
     NEWEST,
     choose_policy,
     label_of,
+    open_subject,
     policy_choices,
+    read_policy,
     run_choices,
     written,
 )
@@ -159,7 +159,8 @@ class Page:
         live, pace = self.live, self.pace
         lines = [
             f"**{self.run.name}**, {self.label}, {live.policy.steps:,} steps of training",
-            f"{live.time:.1f} s, {live.velocity[0]:.2f} m/s" + (", **fallen**" if live.fell else ""),
+            f"{live.time:.1f} s, {live.velocity[0]:.2f} m/s"
+            + (", **fallen**" if live.fell else ""),
         ]
         if not self.playing:
             lines.append("paused")
@@ -183,20 +184,3 @@ class Page:
     def _tell(self, text: str) -> None:
         for client in self._server.get_clients().values():
             client.add_notification("quadwalk", text, auto_close_seconds=10.0)
-
-
-def open_subject(run: Run, label: str) -> Subject:
-    """`run` with the policy called `label`, for MuJoCo C; `UserError` where it has none yet."""
-    file = choose_policy(run, label)
-    subject = load_subject(run, 3600.0, "best" if label == "best" else "last", "mujoco")
-    if file == subject.file:
-        return subject
-    policy = read_policy(file, subject.env.quadruped.joints)
-    return Subject(run, file, policy, subject.env)
-
-
-def read_policy(file: Path, joints: tuple[str, ...]) -> Policy:
-    """The policy in `file`, a policy's or a checkpoint."""
-    if file.name.startswith("step_"):
-        return load_checkpoint_policy(file, joints)
-    return load_policy(file)

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,15 @@ from quadwalk.view.traces import Traces
 SPEEDS = {"1": 1.0, "1/2": 0.5, "1/4": 0.25, "1/10": 0.1}
 _KEYS = (("W", "S"), ("A", "D"), ("Q", "E"))  # more and less of each number of a command
 _COMMAND = ("forward, m/s (W S)", "to the left, m/s (A D)", "turn left, rad/s (Q E)")
+# viser's keys for its camera are the same: it listens a floor above where its commands listen.
+_KEEP_CAMERA = """<img src="data:," hidden onerror="
+  const keys = ['KeyW', 'KeyA', 'KeyS', 'KeyD', 'KeyQ', 'KeyE'];
+  const root = document.documentElement;
+  if (!root.quadwalk) {
+    root.quadwalk = true;
+    root.addEventListener('keydown', event => keys.includes(event.code) && event.stopPropagation());
+  }
+">"""
 _PRESSES = 10  # of a key, from 0 to the end of a command's range
 _DARK, _BLUE, _GREEN = "#7d8590", "#326edc", "#3caa50"
 
@@ -58,6 +68,7 @@ class Panel:
             self.policies = self._choose("policy", policies, actions.policy)
         self._add_plots(live)
         self._add_keys(actions)
+        self._gui.add_html(_KEEP_CAMERA)
 
     def settings(self) -> dict[str, float]:
         """What its sliders say, by the names of `Settings`."""
@@ -151,20 +162,24 @@ class Panel:
         series = [_line("s", _DARK), _line("forward, m/s", _BLUE), _line("command, m/s", _GREEN)]
         count = 3 if command.given else 2
         low, high = command.forward
+        seconds = uplot.Scale(time=False)  # not of a day
         window = self._gui.add_panel()
         window.float(x=10, y=-10, width=380)
         with window.add_tab("the last seconds"):
             self._speed = self._gui.add_uplot(
                 traces.speed[:count],
                 tuple(series[:count]),
-                scales={"y": uplot.Scale(range=(low - 0.5, high + 0.5 if high else None))},
+                scales={
+                    "x": seconds,
+                    "y": uplot.Scale(range=(low - 0.5, high + 0.5 if high else None)),
+                },
                 height=160,
             )
             self._footfalls = self._gui.add_uplot(
                 traces.footfalls,
                 (_line("s", _DARK), *(_line(leg, _DARK) for leg in legs)),
                 title=f"feet on the floor, from the top: {' '.join(legs)}",
-                scales={"y": uplot.Scale(range=(-0.2, 4.0))},
+                scales={"x": seconds, "y": uplot.Scale(range=(-0.2, 4.0))},
                 axes=(uplot.Axis(), uplot.Axis(show=False)),
                 legend=uplot.Legend(show=False),
                 height=140,
@@ -174,7 +189,7 @@ class Panel:
         def change(index: int, sign: int) -> None:
             slider = self.command[index]
             end = slider.max if sign > 0 else -slider.min
-            values = self.told()
+            values = list(self.told())
             values[index] += sign * max(end, 0.1) / _PRESSES
             self._set_command(self.command, values)
 
@@ -182,7 +197,7 @@ class Panel:
             for key, sign in zip(_KEYS[index], (1, -1), strict=True):
                 name = _COMMAND[index].partition(",")[0]
                 label = f"{name}: {'more' if sign > 0 else 'less'}"
-                self._key(label, key, lambda i=index, s=sign: change(i, s))
+                self._key(label, key, partial(change, index, sign))
         self._key("play or pause", "space", actions.play)
         self._key("reset", "R", actions.reset)
         self._key("push to the left", "P", lambda: self._push("left"))

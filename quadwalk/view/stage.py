@@ -1,17 +1,15 @@
 """The 3D picture of a live robot in a page: its shapes, its path, and arrows for what it feels."""
 
 import copy
+from typing import Any
 
-import mujoco
 import numpy as np
 import viser
 from mjviser import ViserMujocoScene
 
 from quadwalk.view.live import LiveRobot
-from quadwalk.view.traces import Traces
+from quadwalk.view.traces import Traces, force_arrows, velocity_arrows
 
-_FORCE = 1.2  # m, the arrow of a push as large as the robot's weight
-_SPEED = 0.25  # s: the arrow of 1 m/s is as long, in m
 _COLLISION, _VISUAL = 3, 2  # groups of the robot's shapes
 _TOLD, _DOES, _PUSHED, _WENT = (60, 170, 80), (50, 110, 220), (230, 120, 40), (120, 120, 130)
 
@@ -35,7 +33,7 @@ class Stage:
         self.show_collision(False)
         self._feet = [live.model.geom(name).id for name in live.env.quadruped.feet]
         nothing = np.zeros((4, 2, 3))
-        size = {"shaft_radius": 0.012, "head_radius": 0.03, "head_length": 0.06}
+        size: dict[str, Any] = {"shaft_radius": 0.012, "head_radius": 0.03, "head_length": 0.06}
         self._forces = server.scene.add_arrows("/fixed_bodies/forces", nothing, _PUSHED, **size)
         self._velocity = server.scene.add_arrows(
             "/fixed_bodies/velocity", nothing[:2], np.array([_DOES, _TOLD]), **size
@@ -60,31 +58,10 @@ class Stage:
         places[0, 0] = self._focus
         with self._server.atomic():
             self._scene.update_from_arrays(places, data.xmat.reshape(1, -1, 3, 3))
-            self._forces.points = force_arrows(live, data.geom_xpos[self._feet])
-            self._velocity.points = velocity_arrows(live)
-            self._path.points = np.float32(traces.path)
+            self._forces.points = _single(force_arrows(live, data.geom_xpos[self._feet]))
+            self._velocity.points = _single(velocity_arrows(live))
+            self._path.points = _single(traces.path)
 
 
-def force_arrows(live: LiveRobot, feet: np.ndarray) -> np.ndarray:
-    """(4, 2, 3) m, world frame: from each of `feet` (4, 3) upwards, by the floor's push."""
-    length = _FORCE * live.foot_force / live.env.robot.weight
-    ends = feet + length[:, None] * [0.0, 0.0, 1.0]
-    # Of a foot in the air the arrow has no length; its head is hidden in the trunk.
-    hidden = np.broadcast_to(live.data.qpos[:3], (4, 3))
-    up = live.foot_force[:, None] > 0.0
-    return np.float32(np.stack([np.where(up, feet, hidden), np.where(up, ends, hidden)], axis=1))
-
-
-def velocity_arrows(live: LiveRobot) -> np.ndarray:
-    """(2, 2, 3) m, world frame: above the trunk, the velocity, and above that the command."""
-    cos, sin = np.cos(live.heading), np.sin(live.heading)
-    forward, left, _ = live.command
-    told = np.array([cos * forward - sin * left, sin * forward + cos * left, 0.0])
-    does = np.array([*live.data.qvel[:2], 0.0])
-    trunk, height = live.data.qpos[:3], live.env.robot.home_height
-    arrows = np.empty((2, 2, 3))
-    for row, (velocity, above) in enumerate(((does, 0.5), (told, 0.65))):
-        seen = np.linalg.norm(velocity) > 0.02
-        start = trunk + [0.0, 0.0, above * height] if seen else trunk
-        arrows[row] = start, start + _SPEED * velocity * seen
-    return np.float32(arrows)
+def _single(points: np.ndarray) -> np.ndarray:
+    return points.astype(np.float32)

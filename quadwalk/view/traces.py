@@ -1,4 +1,4 @@
-"""The last seconds of a live robot, for plots and for its path on the ground."""
+"""What is drawn of a live robot beside its shapes: its path, arrows, and the lines of plots."""
 
 from collections import deque
 
@@ -6,6 +6,9 @@ import numpy as np
 
 from quadwalk.view.live import LiveRobot
 
+_NOWHERE = np.zeros((1, 2, 3))
+_FORCE = 1.2  # m, the arrow of a push as large as the robot's weight
+_SPEED = 0.25  # s: the arrow of 1 m/s is as long, in m
 _STEP = 0.7  # how high a foot's line rises while it is on the ground, of the room that it has
 
 
@@ -57,4 +60,26 @@ class Traces:
         return np.array(self._rows)
 
 
-_NOWHERE = np.zeros((1, 2, 3))
+def force_arrows(live: LiveRobot, feet: np.ndarray) -> np.ndarray:
+    """(4, 2, 3) m, world frame: from each of `feet` (4, 3) upwards, by the floor's push."""
+    length = _FORCE * live.foot_force / live.env.robot.weight
+    ends = feet + length[:, None] * [0.0, 0.0, 1.0]
+    # Of a foot in the air the arrow has no length; its head is hidden in the trunk.
+    hidden = np.broadcast_to(live.data.qpos[:3], (4, 3))
+    up = live.foot_force[:, None] > 0.0
+    return np.stack([np.where(up, feet, hidden), np.where(up, ends, hidden)], axis=1)
+
+
+def velocity_arrows(live: LiveRobot) -> np.ndarray:
+    """(2, 2, 3) m, world frame: above the trunk, the velocity, and above that the command."""
+    cos, sin = np.cos(live.heading), np.sin(live.heading)
+    forward, left, _ = live.command
+    told = np.array([cos * forward - sin * left, sin * forward + cos * left, 0.0])
+    does = np.array([*live.data.qvel[:2], 0.0])
+    trunk, height = live.data.qpos[:3], live.env.robot.home_height
+    arrows = np.empty((2, 2, 3))
+    for row, (velocity, above) in enumerate(((does, 0.5), (told, 0.65))):
+        seen = float(np.linalg.norm(velocity) > 0.02)  # else hidden in the trunk
+        start = trunk + np.array([0.0, 0.0, above * height * seen])
+        arrows[row] = start, start + _SPEED * velocity * seen
+    return arrows
