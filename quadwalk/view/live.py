@@ -27,6 +27,11 @@ MAX_LATENCY = 0.06  # s, that joint targets can be late
 LYING = 2.0  # s on the ground after which a robot that fell stands up anew
 _TIPPED = 1.0  # rad from upright; from there and beyond it lies
 _LOW = 0.4  # of the standing height; lower than that it lies
+_DIVERGED = (
+    mujoco.mjtWarning.mjWARN_BADQPOS,
+    mujoco.mjtWarning.mjWARN_BADQVEL,
+    mujoco.mjtWarning.mjWARN_BADQACC,
+)
 # It steps one robot: how fast the program is matters less than how soon it is compiled.
 _OPTIONS: dict[str, bool | int | str] = {"xla_backend_optimization_level": 0}
 
@@ -124,9 +129,11 @@ class LiveRobot:
         )
         self.foot_force = foot_forces(self.model, data, self.env.quadruped.feet)
         self.steps += 1
-        sane = np.all(np.isfinite(data.qpos)) and np.all(np.abs(data.qvel) < MAX_SPEED)
+        diverged = np.abs(data.qvel).max() > MAX_SPEED or any(
+            data.warning[kind].number for kind in _DIVERGED  # MuJoCo has begun anew, elsewhere
+        )
         self._fallen = self._fallen + 1 if self.fell else 0
-        if not sane or self._fallen * self.env.stepping.control_dt > LYING:
+        if diverged or self._fallen * self.env.stepping.control_dt > LYING:
             self.reset()
 
     @property
