@@ -16,7 +16,7 @@ from typing import Any
 PROGRAM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser"))), None)
 _FLAGS = (
     "--headless=new --no-sandbox --use-gl=angle --use-angle=swiftshader --no-first-run "
-    "--enable-unsafe-swiftshader --remote-debugging-port=0 --window-size=1280,800"
+    "--enable-unsafe-swiftshader --remote-debugging-port=0"
 )
 
 
@@ -54,10 +54,16 @@ class Browser:
         return found
 
     def press(self, key: str) -> None:
-        """Press a letter's key, and let it go."""
-        names = {"key": key.lower(), "code": f"Key{key}", "windowsVirtualKeyCode": ord(key)}
+        """Press a letter's key, or the space bar, and let it go."""
+        code = "Space" if key == " " else f"Key{key}"
+        names = {"key": key.lower(), "code": code, "windowsVirtualKeyCode": ord(key)}
         for kind in ("keyDown", "keyUp"):
             self.ask("Input.dispatchKeyEvent", type=kind, **names)
+
+    def resize(self, width: int, height: int) -> None:
+        """Give the page so many pixels."""
+        size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
+        self.ask("Emulation.setDeviceMetricsOverride", **size)
 
     def screenshot(self) -> bytes:
         """A picture of the page, PNG."""
@@ -79,6 +85,7 @@ def browsing(url: str) -> Iterator[Browser]:
                 pages = [page for page in json.load(answer) if page["type"] == "page"]
             with connect(pages[0]["webSocketDebuggerUrl"], max_size=None) as socket:
                 browser = Browser(socket)
+                browser.resize(900, 600)  # drawn without a graphics card: few pixels
                 browser.ask("Page.navigate", url=url)
                 yield browser
         finally:

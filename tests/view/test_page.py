@@ -115,7 +115,8 @@ def test_the_page_says_when_time_is_not_kept(page):
     page.live.step = slower
     try:
         page.run_for(3.0)
-        assert "**not in real time**: 0.3" in page.status() or "0.2" in page.status()
+        assert "not in real time" in page.status()
+        assert 0.05 < page.pace.reached < 0.4  # 0.02 s in 0.05 and more
     finally:
         del page.live.step
 
