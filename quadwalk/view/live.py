@@ -130,7 +130,8 @@ class LiveRobot:
         self.foot_force = foot_forces(self.model, data, self.env.quadruped.feet)
         self.steps += 1
         diverged = np.abs(data.qvel).max() > MAX_SPEED or any(
-            data.warning[kind].number for kind in _DIVERGED  # MuJoCo has begun anew, elsewhere
+            data.warning[kind].number
+            for kind in _DIVERGED  # MuJoCo has begun anew, elsewhere
         )
         self._fallen = self._fallen + 1 if self.fell else 0
         if diverged or self._fallen * self.env.stepping.control_dt > LYING:

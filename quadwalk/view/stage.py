@@ -15,7 +15,7 @@ _TOLD, _DOES, _PUSHED, _WENT = (60, 170, 80), (50, 110, 220), (230, 120, 40), (1
 
 
 class Stage:
-    """Draws one live robot with mjviser; all that is fixed to the world moves as the view does."""
+    """Draws one live robot with mjviser, which moves the world so that the view can stay."""
 
     def __init__(self, server: viser.ViserServer, live: LiveRobot) -> None:
         server.scene.reset()
@@ -34,13 +34,11 @@ class Stage:
         self._feet = [live.model.geom(name).id for name in live.env.quadruped.feet]
         nothing = np.zeros((4, 2, 3))
         size: dict[str, Any] = {"shaft_radius": 0.012, "head_radius": 0.03, "head_length": 0.06}
-        self._forces = server.scene.add_arrows("/fixed_bodies/forces", nothing, _PUSHED, **size)
+        self._forces = server.scene.add_arrows("/forces", nothing, _PUSHED, **size)
         self._velocity = server.scene.add_arrows(
-            "/fixed_bodies/velocity", nothing[:2], np.array([_DOES, _TOLD]), **size
+            "/velocity", nothing[:2], np.array([_DOES, _TOLD]), **size
         )
-        self._path = server.scene.add_line_segments(
-            "/fixed_bodies/path", nothing[:1], _WENT, thickness=0.02
-        )
+        self._path = server.scene.add_line_segments("/path", nothing[:1], _WENT, thickness=0.02)
 
     def show_collision(self, shown: bool) -> None:
         """Show the shapes that collide in place of those that are only seen."""
@@ -58,10 +56,12 @@ class Stage:
         places[0, 0] = self._focus
         with self._server.atomic():
             self._scene.update_from_arrays(places, data.xmat.reshape(1, -1, 3, 3))
-            self._forces.points = _single(force_arrows(live, data.geom_xpos[self._feet]))
-            self._velocity.points = _single(velocity_arrows(live))
-            self._path.points = _single(traces.path)
+            # Arrows and path are placed as the view is: a slow browser draws them late, but there.
+            feet = data.geom_xpos[self._feet]
+            self._forces.points = self._seen(force_arrows(live, feet))
+            self._velocity.points = self._seen(velocity_arrows(live))
+            self._path.points = self._seen(traces.path)
 
-
-def _single(points: np.ndarray) -> np.ndarray:
-    return points.astype(np.float32)
+    def _seen(self, points: np.ndarray) -> np.ndarray:
+        """`points` (..., 3) m, world frame, from the middle of the view."""
+        return (points - self._focus).astype(np.float32)

@@ -7,7 +7,7 @@ import numpy as np
 from quadwalk.view.live import LiveRobot
 
 _NOWHERE = np.zeros((1, 2, 3))
-_FORCE = 1.2  # m, the arrow of a push as large as the robot's weight
+_FORCE = 0.5  # m, the arrow of a push as large as the robot's weight
 _SPEED = 0.25  # s: the arrow of 1 m/s is as long, in m
 _STEP = 0.7  # how high a foot's line rises while it is on the ground, of the room that it has
 

@@ -121,4 +121,5 @@ def test_take_the_picture_of_the_readme(page, browser):
         for _ in range(times):
             browser.press(key)
     time.sleep(8.0)
+    wait(lambda: "real time;" in browser.text(), 60.0)
     Path(str(SCREENSHOT)).write_bytes(browser.screenshot())
