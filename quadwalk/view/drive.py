@@ -96,3 +96,7 @@ def _prepare_jax() -> None:
     from quadwalk.train.devices import set_up_devices
 
     set_up_devices(1)
+    import jax
+
+    # A step is too short to be handed to another thread: that would take as long again.
+    jax.config.update("jax_cpu_enable_async_dispatch", False)

@@ -121,7 +121,7 @@ class LiveRobot:
     def step(self) -> None:
         """One control step. A robot that fell stands up anew after `LYING` seconds."""
         data = self.data
-        thought = self._think(self.policy.act, self._state())
+        thought = jax.device_get(self._think(self.policy.act, self._state()))
         self._frames, self._targets, self._action, obeyed = thought
         physics = Physics(data.qpos.copy(), data.qvel.copy(), None)  # type: ignore[arg-type]
         control_step(

@@ -166,7 +166,7 @@ class Page:
             lines.append("paused")
         elif not pace.kept:
             lines.append(
-                f"**not in real time**: {pace.reached:.2f} times as fast, not {pace.speed:g}"
+                f"**not in real time**: {pace.reached:.2f} s in a second, not {pace.speed:g}"
             )
         else:
             slowed = "" if pace.speed == 1.0 else f", slowed to {pace.speed:g}"
