@@ -4,6 +4,8 @@ import asyncio
 import socket
 import sys
 import time
+import urllib.error
+import urllib.request
 from collections.abc import Iterator
 
 import numpy as np
@@ -11,6 +13,7 @@ import pytest
 from rich.console import Console
 
 from quadwalk.train.runs.directory import Run
+from quadwalk.train.watch import watched
 from quadwalk.view.choices import NEWEST
 from tests.view.conftest import write_policy
 
@@ -168,3 +171,17 @@ def test_it_listens_on_this_machine_alone(page):
     socket.create_connection(("127.0.0.1", port), timeout=5.0).close()
     with pytest.raises(ConnectionRefusedError):
         socket.create_connection(("127.0.0.2", port), timeout=5.0)
+
+
+def test_a_training_shows_its_page_in_a_process_of_its_own(runs):
+    said: list[str] = []
+    with watched(Run(runs / "dog"), said.append):
+        end = time.monotonic() + 60.0
+        while not any("drive it at" in line for line in said) and time.monotonic() < end:
+            time.sleep(0.1)
+        (line,) = [line for line in said if "drive it at" in line]
+        url = line.partition("drive it at ")[2].split()[0]
+        with urllib.request.urlopen(url, timeout=30.0) as answer:
+            assert answer.status == 200
+    with pytest.raises(urllib.error.URLError):  # it ends with the training
+        urllib.request.urlopen(url, timeout=5.0)
