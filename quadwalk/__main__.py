@@ -9,6 +9,7 @@ _COMMANDS = {
     "train": ("quadwalk.train.__main__", "teach a quadruped a task"),
     "eval": ("quadwalk.evaluate.__main__", "judge a trained policy"),
     "export": ("quadwalk.export.__main__", "write a policy as ONNX, to be used elsewhere"),
+    "view": ("quadwalk.view.__main__", "drive a trained policy live"),
     "robot": ("quadwalk.robot.__main__", "convert a URDF to MJCF, or draw it"),
 }
 

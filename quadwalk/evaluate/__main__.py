@@ -1,4 +1,4 @@
-"""`python -m quadwalk.evaluate`, which is also `eval.py`: judge a policy and write it down."""
+"""`python -m quadwalk.evaluate`, which is also `eval.py`: judge a policy, or drive it."""
 
 import sys
 from collections.abc import Sequence
@@ -9,8 +9,13 @@ from quadwalk.evaluate.options import EvalConfig
 
 
 def main(args: Sequence[str] | None = None, prog: str = "eval.py") -> None:
-    """Parse the command line and evaluate."""
+    """Parse the command line, and evaluate or drive."""
     config = parse(EvalConfig, sys.argv[1:] if args is None else args, prog)
+    if config.live:
+        from quadwalk.view.drive import ViewConfig, drive
+
+        drive(ViewConfig(config.run[0], config.browser, config.host, config.port, config.runs))
+        return
     from quadwalk.evaluate.judge import evaluate
 
     evaluate(config)

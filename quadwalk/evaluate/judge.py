@@ -35,10 +35,7 @@ def evaluate(config: EvalConfig) -> dict[str, Any]:
     set_up_devices()
     from quadwalk.evaluate.subject import load_subject
     from quadwalk.evaluate.sweep import sweep
-    from quadwalk.evaluate.view import check_screen
 
-    if config.view:
-        check_screen()  # now, not after a minute of simulation
     # All of them before the first is simulated, so that a bad one is told at once.
     subjects = [
         load_subject(run, config.seconds, config.policy, config.engine, config.randomised)
@@ -66,9 +63,8 @@ def judge(subject: "Subject", config: EvalConfig, out: Path, console: Console) -
     from quadwalk.evaluate.report.console import describe_gait, print_engines, print_summary
     from quadwalk.evaluate.report.plots import save_figure
     from quadwalk.evaluate.summary import engine_differences
-    from quadwalk.evaluate.view import view
 
-    name, env = subject.run.name, subject.env
+    name = subject.run.name
     found = _roll_out(subject, config, console)
     steps = f"{subject.policy.steps:,} steps of training"
     print_summary(found.summary, f"{name}, {steps}, engine {config.engine}")
@@ -89,8 +85,6 @@ def judge(subject: "Subject", config: EvalConfig, out: Path, console: Console) -
     console.print(f"written to {out}: {', '.join(written)}")
     if recorded:
         console.print(f"see it with: rerun {out / 'episode_000.mcap'}, or open it in Foxglove")
-    if config.view:
-        view(found.typical, env.quadruped, console)
     return results
 
 

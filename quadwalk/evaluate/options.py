@@ -38,7 +38,11 @@ class EvalConfig:
     # in place of all that: the share of episodes without a fall as friction, mass, motors, gains,
     # delays, pushes and sensor noise vary, one by one and all at once
     sweep: bool = False
-    view: bool = False  # when done, play the typical episode in MuJoCo's viewer
+    # in place of all that: drive it live, in MuJoCo's window or, without a screen, in a page
+    view: bool = False
+    browser: bool = False  # drive it live in a page of the browser, whatever screen there is
+    host: str = "127.0.0.1"  # address that the page is served at: this machine alone
+    port: int = 8080  # of the page; if it is taken, the next that is free
     runs: Path = Path("runs")  # folder that holds all runs
 
     def __post_init__(self) -> None:
@@ -54,16 +58,23 @@ class EvalConfig:
             raise UsageError(f"--seed is {self.seed}; expected 0 to {2**32 - 1}")
         if self.mcap is not None and self.mcap < 0:
             raise UsageError(f"--mcap is {self.mcap}; expected 0 or more")
-        if self.view and len(self.run) > 1:
+        if self.live and len(self.run) > 1:
             raise UsageError(f"--view shows one run; {len(self.run)} are named")
+        if not 0 <= self.port < 65536:
+            raise UsageError(f"--port is {self.port}; expected 0 to 65535")
         if self.sweep:
             self._check_sweep()
+
+    @property
+    def live(self) -> bool:
+        """Whether it is to be driven, not judged."""
+        return self.view or self.browser
 
     def _check_sweep(self) -> None:
         asked = {
             "--mcap": self.mcap is not None,
             "--video": self.video != "none",
-            "--view": self.view,
+            "--view": self.live,
             "--randomised": self.randomised,
         }
         for flag, given in asked.items():

@@ -193,18 +193,24 @@ def with_foot_forces(rollout: Rollout, env: QuadrupedEnv) -> Rollout:
     torque = np.asarray(motor_torque(motor, target, qpos[:, 7:], joint_speed))
     friction = np.asarray(friction_torque(motor, joint_speed))
     data = mujoco.MjData(model)
-    column = {model.geom(name).id: k for k, name in enumerate(env.quadruped.feet)}
-    floor = model.geom("floor").id
     forces = np.zeros((rollout.steps, 4))
-    contact = np.zeros(6)
     for row in range(rollout.steps):
         data.qpos, data.qvel = qpos[row], qvel[row]
         data.ctrl, data.qfrc_applied[6:] = torque[row], friction[row]
         mujoco.mj_forward(model, data)
-        for i, (a, b) in enumerate(data.contact.geom[: data.ncon]):
-            foot = column.get(int(b) if a == floor else int(a))
-            if foot is not None and floor in (a, b):
-                # The contact frame's x axis is the floor's normal, up or down.
-                mujoco.mj_contactForce(model, data, i, contact)
-                forces[row, foot] += contact[0]
+        forces[row] = foot_forces(model, data, env.quadruped.feet)
     return dataclasses.replace(rollout, foot_force=forces)
+
+
+def foot_forces(model: mujoco.MjModel, data: mujoco.MjData, feet: tuple[str, ...]) -> np.ndarray:
+    """(4,) N, the floor's push on each of `feet` along its normal, from the contacts in `data`."""
+    column = {model.geom(name).id: k for k, name in enumerate(feet)}
+    floor = model.geom("floor").id
+    forces, contact = np.zeros(4), np.zeros(6)
+    for i, (a, b) in enumerate(data.contact.geom[: data.ncon]):
+        foot = column.get(int(b) if a == floor else int(a))
+        if foot is not None and floor in (a, b):
+            # The contact frame's x axis is the floor's normal, up or down.
+            mujoco.mj_contactForce(model, data, i, contact)
+            forces[foot] += contact[0]
+    return forces

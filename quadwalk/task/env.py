@@ -104,7 +104,7 @@ class QuadrupedEnv(Env):
         terms = {name: zero for name, term in config.reward.items() if term.scale != 0.0}
         return State(
             pipeline_state=state,
-            obs=self._observation(state),
+            obs=self.observation(state),
             reward=zero,
             done=zero,
             metrics=_metrics(zero, zero, zero, terms),
@@ -140,7 +140,7 @@ class QuadrupedEnv(Env):
         Sensors may be late by `latest` control steps, at most.
         """
         begun = self._begun(state.pipeline_state._replace(conditions=conditions), latest)
-        return state.replace(pipeline_state=begun, obs=self._observation(begun))
+        return state.replace(pipeline_state=begun, obs=self.observation(begun))
 
     def obeyed(self, state: EnvState, action: jax.Array) -> jax.Array:
         """The joint angles (12,), rad, that motors go to at the end of a step with `action`."""
@@ -177,7 +177,14 @@ class QuadrupedEnv(Env):
         seen = observe(parts, self.robot, disturbed)
         return sensed(conditions, seen, self.noise_scale, state.steps)
 
-    def _observation(self, state: EnvState) -> jax.Array:
+    def with_frame(self, state: EnvState) -> EnvState:
+        """`state` with what is measured in it as the newest of its frames, if it keeps any."""
+        if state.frames is None:
+            return state
+        newest = self._frame(state)[None]
+        return state._replace(frames=jnp.concatenate([newest, state.frames[:-1]]))
+
+    def observation(self, state: EnvState) -> jax.Array:
         """What the policy sees, then what the value network sees besides, float32."""
         frames, conditions = state.frames, state.conditions
         if frames is None:
@@ -237,9 +244,7 @@ class QuadrupedEnv(Env):
         end = jnp.where(fell, _FIRST_FALL + jnp.argmax(falls), end)
         end = jnp.where(sane, end, len(self.ends) - 1).astype(jnp.int32)
         step = step._replace(fell=fell)
-        if after.frames is not None:
-            newest = self._frame(after)[None]
-            after = after._replace(frames=jnp.concatenate([newest, after.frames[:-1]]))
+        after = self.with_frame(after)
         if config.critic:
             after = after._replace(contact=contact)
         terms = {
@@ -249,7 +254,7 @@ class QuadrupedEnv(Env):
         speed = commanded_speed(step) if config.command.given else mean_velocity(step)[0]
         return State(
             pipeline_state=after,
-            obs=self._observation(after),
+            obs=self.observation(after),
             reward=total_reward(config.reward, terms),
             done=(end > 0).astype(jnp.float32),
             metrics=_metrics(

@@ -16,6 +16,7 @@ from quadwalk.errors import UserError
 from quadwalk.train.progress.display import Progress
 from quadwalk.train.runs.directory import Run
 from quadwalk.train.settings import TrainConfig
+from quadwalk.train.watch import WATCHED, check_watch, watched
 
 if TYPE_CHECKING:
     from quadwalk.train.runs.writer import RunWriter
@@ -38,6 +39,8 @@ def train(
     finite: nothing is saved then, and what was saved before stays. Of several processes, all but
     the first return None.
     """
+    if config.watch:
+        check_watch()
     limit = math.inf if config.minutes is None else time.monotonic() + 60.0 * config.minutes
     stream = None if config.distributed.process == 0 else io.StringIO()
     with (
@@ -55,6 +58,9 @@ def train(
         if training.run is not None and training.claim is not None:
             stack.enter_context(training.claim)
             writer = stack.enter_context(RunWriter(training, training.run, progress.message))
+            if config.watch:
+                writer.publish(training.state, training.steps)
+                stack.enter_context(watched(training.run, progress.message))
         steps, well = _iterate(
             training, writer, progress, lambda: stop.is_set() or time.monotonic() >= limit, watch
         )
@@ -79,6 +85,7 @@ def _iterate(
     config, state = training.config, training.state
     steps, seconds = training.steps, training.seconds
     tried = steps  # when it was last tried to save
+    shown = steps  # when the policy was last saved for one who watches
 
     def save() -> bool:
         progress.phase("saving")
@@ -101,6 +108,11 @@ def _iterate(
             if writer:
                 writer.draw()
             raise UserError(_lost(writer, steps))
+        if config.watch and steps - shown >= config.checkpoint_steps // WATCHED:
+            whole = distributed.gathered(state)
+            if writer:
+                writer.publish(whole, steps)
+            shown = steps
         if steps - tried >= config.checkpoint_steps and steps < config.steps:
             save()
             tried = steps

@@ -106,6 +106,7 @@ class TrainConfig:
     devices: int | None = None  # devices that share them; None: all GPUs, or one per CPU core
     checkpoint_steps: int  # control steps between checkpoints
     quiet: bool = False  # print the result only
+    watch: bool = False  # show the newest policy live in a page of the browser meanwhile
     robot: RobotConfig = field(default_factory=RobotConfig)
     env: EnvConfig
     ppo: PPOConfig

@@ -12,7 +12,6 @@ from quadwalk.errors import UsageError, UserError
 from quadwalk.evaluate.judge import evaluate
 from quadwalk.evaluate.options import EvalConfig
 from quadwalk.evaluate.recording.provenance import revision
-from quadwalk.evaluate.view import check_screen
 
 
 @pytest.fixture
@@ -51,6 +50,7 @@ def said(runs: Path, *args: str) -> str:
         (["--sweep", "--mcap=1"], "2: --mcap cannot be given with --sweep"),
         (["--sweep", "--video=gif"], "2: --video cannot be given with --sweep"),
         (["--sweep", "--view"], "2: --view cannot be given with --sweep"),
+        (["first", "--view", "--port=99999"], "2: --port is 99999; expected 0 to 65535"),
         (["--swep"], "2: unknown option --swep; did you mean --sweep?"),
     ],
 )
@@ -91,28 +91,6 @@ def test_the_command_ends_with_the_errors_status(runs):
 
 
 # A screen
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere there is always a screen")
-@pytest.mark.parametrize(
-    ("variables", "reason"),
-    [
-        ({}, "neither DISPLAY nor WAYLAND_DISPLAY is set"),
-        ({"DISPLAY": ":0", "MUJOCO_GL": "osmesa"}, "MUJOCO_GL is osmesa, which has no window"),
-        ({"DISPLAY": ":4567"}, "display :4567"),
-    ],
-)
-def test_without_a_screen_one_line_says_so(monkeypatch, variables, reason):
-    for name in ("DISPLAY", "WAYLAND_DISPLAY", "MUJOCO_GL"):
-        monkeypatch.delenv(name, raising=False)
-    for name, value in variables.items():
-        monkeypatch.setenv(name, value)
-    with pytest.raises(UserError) as caught:
-        check_screen()
-    line = str(caught.value)
-    assert line.startswith("cannot --view: ")
-    assert reason in line
-    assert "\n" not in line
 
 
 # The revision

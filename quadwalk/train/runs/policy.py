@@ -1,23 +1,33 @@
 """A trained policy as a file: its weights, and the configuration it was trained with."""
 
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import quadwalk.physics.mjx  # noqa: F401  # before Brax, which imports MJX less quietly
 
 # isort: split
 import jax
+import numpy as np
 from brax.training.acme.running_statistics import NestedMeanStd
 
 from quadwalk.errors import UserError
 from quadwalk.train.networks import make_networks, mean_policy
-from quadwalk.train.ppo import Learner
 from quadwalk.train.runs import checkpoint
 from quadwalk.train.runs.directory import Run
 from quadwalk.train.runs.resume import config_of
 from quadwalk.train.serialise import to_dict
 from quadwalk.train.settings import TrainConfig
+
+if TYPE_CHECKING:  # Optax takes long to import, and no policy needs it
+    from quadwalk.train.ppo import Learner
+
+
+# Where a checkpoint has the policy's layers and the observation's statistics.
+_LAYERS = "learner/params/policy/params/"
+_MEAN, _STD = "learner/normalizer/mean", "learner/normalizer/std"
 
 
 @dataclass(frozen=True)
@@ -33,7 +43,7 @@ class Policy:
 
 def save_policy(
     path: Path,
-    learner: Learner,
+    learner: "Learner",
     config: TrainConfig,
     joints: tuple[str, ...],
     size: int,
@@ -65,6 +75,27 @@ def load_score(path: Path) -> tuple[int, float]:
         raise UserError(f"{path} does not say how good its policy was") from None
 
 
+def load_checkpoint_policy(path: Path, joints: tuple[str, ...]) -> Policy:
+    """The policy in a checkpoint, of a run whose robot has these `joints`; raises `UserError`."""
+    leaves, metadata = checkpoint.load(path, "checkpoint")
+    layers: dict[str, dict[str, Any]] = {}
+    for name, leaf in leaves.items():
+        if name.startswith(_LAYERS):
+            layer, kind = name.removeprefix(_LAYERS).split("/")
+            layers.setdefault(layer, {})[kind] = leaf
+    try:
+        config = config_of(metadata["config"], Run(path.parent.parent), str(path), "0.1")
+        steps, mean, std = int(metadata["steps"]), leaves[_MEAN], leaves[_STD]
+        size = len(layers["hidden_0"]["kernel"])
+    except (KeyError, TypeError, ValueError, UserError) as error:
+        raise UserError(f"{path} holds no policy that can be used: {error}") from None
+    networks = make_networks(config.ppo, size, len(joints))
+    normalizer = NestedMeanStd(mean[:size], std[:size])
+    return Policy(
+        mean_policy(networks, normalizer, {"params": layers}), config, joints, size, steps
+    )
+
+
 def load_policy(path: Path) -> Policy:
     """Read a policy; `UserError` in one line names a file that is missing, damaged or foreign."""
     # First without a structure, for the metadata that says what the structure is.
@@ -77,11 +108,19 @@ def load_policy(path: Path) -> Policy:
     except (KeyError, TypeError, ValueError, UserError) as error:
         raise UserError(f"{path} holds a configuration that cannot be used: {error}") from None
     networks = make_networks(config.ppo, size, len(joints))
+    statistics = jax.ShapeDtypeStruct((size,), np.float32)
+    # Written out: to have Flax say it takes as long as all the rest.
+    sizes = (size, *config.ppo.hidden, networks.parametric_action_distribution.param_size)
+    layers = {
+        f"hidden_{i}": {
+            "bias": jax.ShapeDtypeStruct((wide,), np.float32),
+            "kernel": jax.ShapeDtypeStruct((before, wide), np.float32),
+        }
+        for i, (before, wide) in enumerate(itertools.pairwise(sizes))
+    }
     like = {
-        "normalizer": jax.eval_shape(
-            lambda: NestedMeanStd(jax.numpy.zeros(size), jax.numpy.ones(size))
-        ),
-        "policy": jax.eval_shape(networks.policy_network.init, jax.random.PRNGKey(0)),
+        "normalizer": NestedMeanStd(statistics, statistics),
+        "policy": {"params": layers},
     }
     tree, _ = checkpoint.load(path, "policy", like)
     act = mean_policy(networks, tree["normalizer"], tree["policy"])

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 _FIXED = ("seed", "envs", "ppo.eval_envs", "ppo.hidden", "ppo.activation")
 # How a run is driven, not what it computes.
 _FREE = (
-    *("task", "name", "runs", "minutes", "checkpoint_steps", "quiet"),
+    *("task", "name", "runs", "minutes", "checkpoint_steps", "quiet", "watch"),
     *("distributed.coordinator", "distributed.processes", "distributed.process"),
 )
 
@@ -55,6 +55,7 @@ def resumed_config(run: Run) -> TrainConfig:
         runs=run.path.parent,
         minutes=None,
         quiet=False,
+        watch=False,
         distributed=DistributedConfig(),
     )
 

@@ -78,6 +78,10 @@ class RunWriter:
     def save(self, state: Any, steps: int, seconds: float) -> bool:
         """Save the policy, as the best too if it is, and a checkpoint; whether all went well."""
         training, score = self._training, self._training.metrics.score
+
+        def save_as(path: Path) -> None:
+            self._save_policy(path, state, steps)
+
         metadata = {
             "kind": "checkpoint",
             "config": to_dict(training.config),
@@ -85,10 +89,6 @@ class RunWriter:
             "seconds": seconds,
             "metrics": training.metrics.state(),
         }
-
-        def save_as(path: Path) -> None:
-            joints, size = training.quadruped.joints, training.policy_size
-            save_policy(path, state.learner, training.config, joints, size, steps, score)
 
         def save_checkpoint() -> None:
             self._log.sync()  # a checkpoint counts on the rows before it
@@ -109,10 +109,23 @@ class RunWriter:
             well = False
         return well
 
+    def publish(self, state: Any, steps: int) -> None:
+        """Save the newest policy alone, for one who watches."""
+        self._attempt("policy", lambda: self._save_policy(self.run.policy, state, steps))
+
     @property
     def trouble(self) -> str:
         """What the disk has refused, and not taken since."""
         return next(iter(self._refused.values()), "")
+
+    def _save_policy(self, path: Path, state: Any, steps: int) -> None:
+        training = self._training
+        joints, size, score = (
+            training.quadruped.joints,
+            training.policy_size,
+            training.metrics.score,
+        )
+        save_policy(path, state.learner, training.config, joints, size, steps, score)
 
     def _read_best(self) -> None:
         self.best = load_score(self.run.best)

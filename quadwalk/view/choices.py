@@ -1,0 +1,63 @@
+"""What can be driven: the runs there are, and each run's policies."""
+
+from pathlib import Path
+
+from quadwalk.errors import UserError
+from quadwalk.evaluate.subject import Subject, load_subject
+from quadwalk.train.runs.directory import Run, list_checkpoints, list_runs
+from quadwalk.train.runs.policy import Policy, load_checkpoint_policy, load_policy
+
+NEWEST, BEST = "newest", "best"
+
+
+def run_choices(root: Path, chosen: Run) -> dict[str, Run]:
+    """Label to run: those in `root`, the one last written to first, and `chosen`."""
+    runs = {run.name: run for run in list_runs(root)}
+    same = [name for name, run in runs.items() if run.path.resolve() == chosen.path.resolve()]
+    return runs if same else {label_of(root, chosen): chosen, **runs}
+
+
+def label_of(root: Path, run: Run) -> str:
+    """What `run` is called among those in `root`: its name, or the path of one from elsewhere."""
+    return run.name if run.path.resolve().parent == root.resolve() else str(run.path)
+
+
+def policy_choices(run: Run) -> dict[str, Path]:
+    """Label to file: the newest policy, the best, and those of the checkpoints, newest first."""
+    found = {NEWEST: run.policy, BEST: run.best}
+    for path in reversed(list_checkpoints(run)):
+        found[f"{int(path.stem.removeprefix('step_')):,} steps"] = path
+    return {label: path for label, path in found.items() if path.exists()}
+
+
+def written(path: Path) -> float:
+    """When `path` was last written, s; 0 where it is not there."""
+    try:
+        return path.stat().st_mtime
+    except OSError:
+        return 0.0
+
+
+def choose_policy(run: Run, label: str) -> Path:
+    """The file of a policy; `UserError` in one line where the run has none of that name."""
+    choices = policy_choices(run)
+    if label not in choices:
+        raise UserError(f"{run.path} has no {label} policy yet; train it for longer")
+    return choices[label]
+
+
+def open_subject(run: Run, label: str) -> Subject:
+    """`run` with the policy called `label`, for MuJoCo C; `UserError` where it has none yet."""
+    file = choose_policy(run, label)
+    subject = load_subject(run, 3600.0, "best" if label == BEST else "last", "mujoco")
+    if file == subject.file:
+        return subject
+    policy = read_policy(file, subject.env.quadruped.joints)
+    return Subject(run, file, policy, subject.env)
+
+
+def read_policy(file: Path, joints: tuple[str, ...]) -> Policy:
+    """The policy in `file`, a policy's or a checkpoint."""
+    if file.name.startswith("step_"):
+        return load_checkpoint_policy(file, joints)
+    return load_policy(file)

@@ -1,0 +1,102 @@
+"""Where a live robot is shown: in MuJoCo's window where there is a screen, or in a page."""
+
+import contextlib
+import importlib.util
+import os
+import sys
+import webbrowser
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+from rich.console import Console
+
+from quadwalk.errors import UsageError, UserError
+from quadwalk.train.runs.directory import find_run
+
+EXTRA = "pip install 'quadwalk[view]'"
+
+
+@dataclass(frozen=True)
+class ViewConfig:
+    """Drive a trained policy live, in MuJoCo C with every collision shape."""
+
+    # name or path of a run, or "latest"
+    run: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="[RUN]")] = "latest"
+    browser: bool = False  # in a page of the browser, even where there is a screen for a window
+    host: str = "127.0.0.1"  # address that the page is served at; the default: to this machine only
+    port: int = 8080  # of the page; if it is taken, the next that is free
+    runs: Path = Path("runs")  # folder that holds all runs
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.port < 65536:
+            raise UsageError(f"--port is {self.port}; expected 0 to 65535")
+
+
+def drive(config: ViewConfig) -> None:
+    """Show the run's newest policy live, until it is interrupted or the window closed."""
+    run = find_run(config.runs, config.run)
+    console = Console(stderr=True, highlight=False, soft_wrap=True)
+    missing = no_window()
+    in_page = config.browser or missing is not None
+    if in_page and importlib.util.find_spec("mjviser") is None:
+        because = "" if missing is None else f"there is no window ({missing}), and "
+        raise UserError(f"{because}a page needs mjviser, which is not installed: {EXTRA}")
+    with contextlib.suppress(KeyboardInterrupt):
+        if not in_page:
+            _prepare_jax()
+            from quadwalk.view.window import drive_in_window
+
+            drive_in_window(run, console)
+            return
+        from quadwalk.view.server import serving
+
+        with serving(config.host, config.port, console) as server:
+            if missing is None:
+                webbrowser.open(f"http://localhost:{server.get_port()}")
+            with console.status("loading"):
+                _prepare_jax()
+                from quadwalk.view.page import Page  # what it needs takes seconds
+
+                page = Page(server, run, config.runs)
+            page.run_for()
+
+
+def no_window() -> str | None:
+    """Why no window can be opened here; None where one can."""
+    if sys.platform == "linux" and not (
+        os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+    ):
+        return "neither DISPLAY nor WAYLAND_DISPLAY is set"
+    chosen = os.environ.get("MUJOCO_GL", "").lower()
+    if chosen in ("osmesa", "egl"):
+        return f"MUJOCO_GL is {chosen}, which has no window"
+    import glfw
+
+    said: list[str] = []
+    glfw.set_error_callback(lambda _, text: said.append(os.fsdecode(text)))
+    window = None
+    if glfw.init():
+        # The viewer opens its window in a thread, and would be waited for in vain without one.
+        glfw.window_hint(glfw.VISIBLE, glfw.FALSE)
+        window = glfw.create_window(64, 64, "quadwalk", None, None)
+        glfw.default_window_hints()
+    glfw.set_error_callback(None)  # type: ignore[arg-type]
+    if not window:
+        return " ".join(" ".join(said).split()) or "GLFW opens no window"
+    glfw.destroy_window(window)
+    return None
+
+
+def _prepare_jax() -> None:
+    """One robot needs no accelerator, which takes long to set up, and no second device."""
+    if "jax" not in sys.modules:
+        os.environ.setdefault("JAX_PLATFORMS", "cpu")
+    from quadwalk.train.devices import set_up_devices
+
+    set_up_devices(1)
+    import jax
+
+    # A step is too short to be handed to another thread: that would take as long again.
+    jax.config.update("jax_cpu_enable_async_dispatch", False)

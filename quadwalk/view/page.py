@@ -1,0 +1,186 @@
+"""A page of the browser in which a robot runs live, to be driven."""
+
+import queue
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import viser
+
+from quadwalk.errors import UserError
+from quadwalk.train.runs.directory import Run
+from quadwalk.view.choices import (
+    NEWEST,
+    choose_policy,
+    label_of,
+    open_subject,
+    policy_choices,
+    read_policy,
+    run_choices,
+    written,
+)
+from quadwalk.view.live import LiveRobot
+from quadwalk.view.pace import Pace
+from quadwalk.view.panel import Actions, Panel
+from quadwalk.view.stage import Stage
+from quadwalk.view.traces import Traces
+
+_FRAME, _PLOT, _STATUS, _LOOK = 1 / 30, 1 / 6, 1 / 4, 1.0  # s between pictures, plots, ...
+_REST = 0.002  # s, of sleep between looks at the clock
+
+
+class Page:
+    """A live robot in the pages of `server`, which `run_for` steps in real time.
+
+    What is asked for in a page, in threads of the server's, is done between two control steps.
+    """
+
+    def __init__(
+        self, server: viser.ViserServer, run: Run, root: Path, label: str = NEWEST
+    ) -> None:
+        """`root` holds the other runs to choose from; `label` names one of the run's policies."""
+        self._server, self._root, self._chosen = server, root, run
+        self._asked: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
+        self.playing = True
+        self._due = dict.fromkeys((_FRAME, _PLOT, _STATUS, _LOOK), 0.0)
+        self._open(run, label)
+
+    def run_for(self, seconds: float = float("inf")) -> None:
+        """Step, draw and answer for so many seconds on the wall."""
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            while not self._asked.empty():
+                try:
+                    self._asked.get()()
+                except UserError as error:
+                    self._tell(str(error))
+            for _ in range(self.pace.due() if self.playing else 0):
+                began = time.perf_counter()
+                self.live.step()
+                self.pace.done(time.perf_counter() - began)
+                self.traces.add(self.live)
+            self._show()
+            time.sleep(_REST)
+
+    def _open(self, run: Run, label: str) -> None:
+        """Show another run's robot, driven by the policy called `label`."""
+        subject = open_subject(run, label)
+        self.run, self.label, self.file = run, label, subject.file
+        self._loaded = written(subject.file)
+        self.live = LiveRobot(subject)
+        # The step is compiled meanwhile.
+        ready = threading.Thread(target=self.live.step)
+        ready.start()
+        dt = self.live.env.stepping.control_dt
+        self.pace, self.traces = Pace(dt), Traces(dt)
+        self.stage = Stage(self._server, self.live)
+        runs = run_choices(self._root, self._chosen)
+        self._policies = list(policy_choices(run))
+        self.panel = Panel(
+            self._server,
+            self.live,
+            self._actions(runs),
+            (list(runs), label_of(self._root, run)),
+            (self._policies, label),
+        )
+        self.live.command[:] = self.panel.told() if self.panel.command else 0.0
+        ready.join()
+        self.live.reset()
+        self.pace.restart()
+
+    def _actions(self, runs: dict[str, Run]) -> Actions:
+        """What the panel asks for, put off until the next control step."""
+
+        def later(action: Callable[..., None]) -> Callable[..., None]:
+            return lambda *values: self._asked.put(lambda: action(*values))
+
+        def play() -> None:
+            self.playing = not self.playing
+            self.pace.restart()
+
+        def speed(value: float) -> None:
+            self.pace.speed = value
+            self.pace.restart()
+
+        def reset() -> None:
+            self.live.reset()
+            self.traces.clear()
+
+        def command() -> None:
+            self.live.command[:] = self.panel.told()
+
+        return Actions(
+            command=later(command),
+            settings=later(lambda: self.live.change(**self.panel.settings())),
+            push=later(lambda forward, left: self.live.push(forward, left)),
+            play=later(play),
+            speed=later(speed),
+            reset=later(reset),
+            follow=later(lambda on: setattr(self.stage, "follow", on)),
+            collision=later(lambda on: self.stage.show_collision(on)),
+            run=later(lambda label: self._open(runs[label], NEWEST)),
+            policy=later(self._take),
+        )
+
+    def _take(self, label: str) -> None:
+        """Let another of the run's policies drive on."""
+        file = choose_policy(self.run, label)
+        when = written(file)
+        self.live.policy = read_policy(file, self.live.env.quadruped.joints)
+        self.label, self.file, self._loaded = label, file, when
+        self.pace.restart()
+
+    def _look(self) -> None:
+        """Take the policy anew if training has written it, and list new checkpoints."""
+        if written(self.file) != self._loaded and self.file.exists():
+            self._take(self.label)
+        policies = list(policy_choices(self.run))
+        if policies != self._policies:
+            self._policies = policies
+            self.panel.policies.options = policies
+
+    def _show(self) -> None:
+        """Whatever it is time for."""
+        if self._now(_FRAME):
+            self.stage.draw(self.live, self.traces)
+        if self._now(_PLOT) and self.playing:
+            self.panel.plot(self.traces)
+        if self._now(_STATUS):
+            self.panel.status.content = self.status()
+        if self._now(_LOOK):
+            try:
+                self._look()
+            except UserError as error:  # it may be gone, or half of it on another file system
+                self._tell(str(error))
+
+    def status(self) -> str:
+        """What the page says above all: who runs how fast, and whether time is kept."""
+        live, pace = self.live, self.pace
+        lines = [
+            f"**{self.run.name}**, {self.label}, {live.policy.steps:,} steps of training",
+            f"{live.time:.1f} s, {live.velocity[0]:.2f} m/s"
+            + (", **fallen**" if live.fell else ""),
+        ]
+        if not self.playing:
+            lines.append("paused")
+        elif not pace.kept:
+            lines.append(
+                f"**not in real time**: {pace.reached:.2f} s in a second, not {pace.speed:g}"
+            )
+        else:
+            slowed = "" if pace.speed == 1.0 else f", slowed to {pace.speed:g}"
+            lines.append(f"real time{slowed}; {pace.most:.0f} times as fast is possible")
+        return "  \n".join(lines)
+
+    def _now(self, period: float) -> bool:
+        """Whether `period` has gone since this was last true."""
+        now = time.monotonic()
+        if now < self._due[period]:
+            return False
+        self._due[period] = now + period
+        return True
+
+    def _tell(self, text: str) -> None:
+        for client in self._server.get_clients().values():
+            client.add_notification("quadwalk", text, auto_close_seconds=10.0)

@@ -1,0 +1,215 @@
+"""The panel of a page: what can be set, pressed and chosen, and the plots."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+import viser
+from viser import uplot
+
+from quadwalk.view.live import MAX_LATENCY, LiveRobot, Settings
+from quadwalk.view.traces import Traces
+
+SPEEDS = {"1": 1.0, "1/2": 0.5, "1/4": 0.25, "1/10": 0.1}
+_KEYS = (("W", "S"), ("A", "D"), ("Q", "E"))  # more and less of each number of a command
+_COMMAND = ("forward, m/s (W S)", "to the left, m/s (A D)", "turn left, rad/s (Q E)")
+# viser's keys for its camera are the same: it listens a floor above where its commands listen.
+_KEEP_CAMERA = """<img src="data:," hidden onerror="
+  const keys = ['KeyW', 'KeyA', 'KeyS', 'KeyD', 'KeyQ', 'KeyE'];
+  const root = document.documentElement;
+  if (!root.quadwalk) {
+    root.quadwalk = true;
+    root.addEventListener('keydown', event => keys.includes(event.code) && event.stopPropagation());
+  }
+">"""
+_PRESSES = 10  # of a key, from 0 to the end of a command's range
+_DARK, _BLUE, _GREEN = "#7d8590", "#326edc", "#3caa50"
+
+
+@dataclass(frozen=True)
+class Actions:
+    """What the panel asks for. Each is called in a thread of the server's."""
+
+    command: Callable[[], None]  # the sliders of the command have moved
+    settings: Callable[[], None]  # those of robot, floor and sensors have
+    push: Callable[[float, float], None]  # by m/s, ahead and to the left
+    play: Callable[[], None]  # play or pause
+    speed: Callable[[float], None]
+    reset: Callable[[], None]
+    follow: Callable[[bool], None]
+    collision: Callable[[bool], None]
+    run: Callable[[str], None]  # the label of a run
+    policy: Callable[[str], None]  # of a policy
+
+
+class Panel:
+    """The panel for one live robot; made anew for another."""
+
+    def __init__(
+        self,
+        server: viser.ViserServer,
+        live: LiveRobot,
+        actions: Actions,
+        runs: tuple[Sequence[str], str],
+        policies: tuple[Sequence[str], str],
+    ) -> None:
+        """`runs` and `policies` are the labels to choose from, and the one that is driven."""
+        server.gui.reset()
+        self._gui = server.gui
+        self.status = server.gui.add_markdown("")
+        self._add_buttons(actions)
+        self.command = self._add_command(live, actions)
+        self._add_push(actions)
+        self._settings = self._add_settings(live, actions)
+        with self._gui.add_folder("Policy"):
+            self._choose("run", runs, actions.run)
+            self.policies = self._choose("policy", policies, actions.policy)
+        self._add_plots(live)
+        self._add_keys(actions)
+        self._gui.add_html(_KEEP_CAMERA)
+
+    def settings(self) -> dict[str, float]:
+        """What its sliders say, by the names of `Settings`."""
+        percent = {"strength": 0.01, "latency": 0.001}
+        return {name: s.value * percent.get(name, 1.0) for name, s in self._settings.items()}
+
+    def told(self) -> np.ndarray:
+        """(3,) the command that its sliders say."""
+        return np.array([slider.value for slider in self.command])
+
+    def plot(self, traces: Traces) -> None:
+        """Show the last seconds."""
+        count = len(self._speed.data)
+        self._speed.data = traces.speed[:count]
+        self._footfalls.data = traces.footfalls
+
+    def _add_buttons(self, actions: Actions) -> None:
+        gui = self._gui
+        play = gui.add_button_group("Time", ("play or pause", "reset"))
+        chosen = {"play or pause": actions.play, "reset": actions.reset}
+        play.on_click(lambda event: chosen[event.target.value]())
+        speed = gui.add_button_group("Speed", tuple(SPEEDS))
+        speed.on_click(lambda event: actions.speed(SPEEDS[event.target.value]))
+        follow = gui.add_checkbox("camera follows", True)
+        follow.on_update(lambda event: actions.follow(event.target.value))
+        shapes = gui.add_checkbox("collision shapes", False)
+        shapes.on_update(lambda event: actions.collision(event.target.value))
+
+    def _add_command(self, live: LiveRobot, actions: Actions) -> list[Any]:
+        """A slider for each number of the command, over the range trained on."""
+        config = live.env.config.command
+        ranges = (config.forward, config.lateral, config.yaw_rate)
+        with self._gui.add_folder("Command"):
+            if not config.given:
+                self._gui.add_markdown("This policy takes none: it runs along x.")
+                return []
+            sliders = [
+                self._gui.add_slider(label, low, high, 0.01, 0.0)
+                if low <= 0.0 <= high and low < high
+                else self._gui.add_slider(label, low, max(high, low + 0.01), 0.01, low)
+                for label, (low, high) in zip(_COMMAND, ranges, strict=True)
+            ]
+            stop = self._gui.add_button("Stop (X)")
+        for slider in sliders:
+            slider.on_update(lambda _: actions.command())
+        stop.on_click(lambda _: self._set_command(sliders, [0.0, 0.0, 0.0]))
+        return sliders
+
+    def _set_command(self, sliders: list[Any], values: Sequence[float]) -> None:
+        for slider, value in zip(sliders, values, strict=True):
+            slider.value = round(float(np.clip(value, slider.min, slider.max)), 2)
+
+    def _add_push(self, actions: Actions) -> None:
+        ways = {"ahead": (1, 0), "back": (-1, 0), "left": (0, 1), "right": (0, -1)}
+        with self._gui.add_folder("Push"):
+            size = self._gui.add_slider("by, m/s", 0.1, 3.0, 0.1, 1.0)
+            buttons = self._gui.add_button_group("to", tuple(ways))
+
+        def push(way: str) -> None:
+            forward, left = ways[way]
+            actions.push(forward * size.value, left * size.value)
+
+        buttons.on_click(lambda event: push(event.target.value))
+        self._push = push
+
+    def _add_settings(self, live: LiveRobot, actions: Actions) -> dict[str, Any]:
+        usual = Settings(friction=round(live.env.friction, 2))
+        heaviest = float(round(0.4 * live.env.robot.mass))
+        with self._gui.add_folder("Robot and floor"):
+            add = self._gui.add_slider
+            sliders = {
+                "friction": add("friction", 0.1, 1.5, 0.05, usual.friction),
+                "payload": add("payload, kg", -0.25 * heaviest, heaviest, 0.25, 0.0),
+                "strength": add("motor strength, %", 50.0, 120.0, 1.0, 100.0),
+                "latency": add("latency, ms", 0.0, 1000.0 * MAX_LATENCY, 1.0, 0.0),
+                "noise": add("sensor noise, level", 0.0, 3.0, 0.1, 0.0),
+            }
+        for slider in sliders.values():
+            slider.on_update(lambda _: actions.settings())
+        return sliders
+
+    def _choose(self, label: str, choices: tuple[Sequence[str], str], chosen: Any) -> Any:
+        labels, first = choices
+        dropdown = self._gui.add_dropdown(label, tuple(labels), initial_value=first)
+        dropdown.on_update(lambda event: chosen(event.target.value))
+        return dropdown
+
+    def _add_plots(self, live: LiveRobot) -> None:
+        traces = Traces(live.env.stepping.control_dt)
+        command, legs = live.env.config.command, live.env.quadruped.legs
+        series = [_line("s", _DARK), _line("forward, m/s", _BLUE), _line("command, m/s", _GREEN)]
+        count = 3 if command.given else 2
+        low, high = command.forward
+        seconds = uplot.Scale(time=False)  # not of a day
+        window = self._gui.add_panel()
+        window.float(x=10, y=-10, width=380)
+        with window.add_tab("the last seconds"):
+            self._speed = self._gui.add_uplot(
+                traces.speed[:count],
+                tuple(series[:count]),
+                scales={
+                    "x": seconds,
+                    "y": uplot.Scale(range=(low - 0.5, high + 0.5 if high else None)),
+                },
+                height=160,
+            )
+            self._footfalls = self._gui.add_uplot(
+                traces.footfalls,
+                (_line("s", _DARK), *(_line(leg, _DARK) for leg in legs)),
+                title=f"feet on the floor, from the top: {' '.join(legs)}",
+                scales={"x": seconds, "y": uplot.Scale(range=(-0.2, 4.0))},
+                axes=(uplot.Axis(), uplot.Axis(show=False)),
+                legend=uplot.Legend(show=False),
+                height=140,
+            )
+
+    def _add_keys(self, actions: Actions) -> None:
+        def change(index: int, sign: int) -> None:
+            slider = self.command[index]
+            end = slider.max if sign > 0 else -slider.min
+            values = list(self.told())
+            values[index] += sign * max(end, 0.1) / _PRESSES
+            self._set_command(self.command, values)
+
+        for index in range(len(self.command)):
+            for key, sign in zip(_KEYS[index], (1, -1), strict=True):
+                name = _COMMAND[index].partition(",")[0]
+                label = f"{name}: {'more' if sign > 0 else 'less'}"
+                self._key(label, key, partial(change, index, sign))
+        self._key("play or pause", "space", actions.play)
+        self._key("reset", "R", actions.reset)
+        self._key("push to the left", "P", lambda: self._push("left"))
+        if self.command:
+            self._key("stop", "X", lambda: self._set_command(self.command, [0.0, 0.0, 0.0]))
+
+    def _key(self, label: str, key: Any, action: Callable[[], None]) -> None:
+        async def pressed(_: Any) -> None:  # in the server's own thread: in the order of the keys
+            action()
+
+        self._gui.add_command(label, hotkey=key).on_trigger(pressed)
+
+
+def _line(label: str, color: str) -> uplot.Series:
+    return uplot.Series(label=label, stroke=color, width=1.5)

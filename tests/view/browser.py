@@ -1,0 +1,102 @@
+"""A real browser without a screen: Debian's chromium, spoken to by the DevTools protocol."""
+
+import base64
+import contextlib
+import itertools
+import json
+import shutil
+import subprocess
+import tempfile
+import time
+import urllib.request
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+PROGRAM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser"))), None)
+_FLAGS = (
+    "--headless=new --no-sandbox --use-gl=angle --use-angle=swiftshader --no-first-run "
+    "--enable-unsafe-swiftshader --remote-debugging-port=0"
+)
+
+
+class Browser:
+    """One page."""
+
+    def __init__(self, socket: Any) -> None:
+        self._socket, self._numbers = socket, itertools.count(1)
+
+    def ask(self, method: str, **params: Any) -> dict[str, Any]:
+        """Call a method of the protocol; its result."""
+        number = next(self._numbers)
+        self._socket.send(json.dumps({"id": number, "method": method, "params": params}))
+        while True:
+            answer = json.loads(self._socket.recv(timeout=60))
+            if answer.get("id") == number:
+                assert "error" not in answer, answer
+                return answer["result"]
+
+    def evaluate(self, expression: str) -> Any:
+        """The value of a JavaScript expression in the page."""
+        answer = self.ask("Runtime.evaluate", expression=expression, returnByValue=True)
+        return answer["result"].get("value")
+
+    def text(self) -> str:
+        """What the page says."""
+        return self.evaluate("document.body.innerText") or ""
+
+    def wait_for(self, text: str, seconds: float = 60.0) -> str:
+        """Wait until the page says `text`; all that it says then."""
+        end = time.monotonic() + seconds
+        while text not in (found := self.text()):
+            assert time.monotonic() < end, f"no {text!r} in: {found}"
+            time.sleep(0.2)
+        return found
+
+    def press(self, key: str) -> None:
+        """Press a letter's key, or the space bar, and let it go."""
+        code = "Space" if key == " " else f"Key{key}"
+        names = {"key": key.lower(), "code": code, "windowsVirtualKeyCode": ord(key)}
+        for kind in ("keyDown", "keyUp"):
+            self.ask("Input.dispatchKeyEvent", type=kind, **names)
+
+    def resize(self, width: int, height: int) -> None:
+        """Give the page so many pixels."""
+        size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
+        self.ask("Emulation.setDeviceMetricsOverride", **size)
+
+    def screenshot(self) -> bytes:
+        """A picture of the page, PNG."""
+        return base64.b64decode(self.ask("Page.captureScreenshot", format="png")["data"])
+
+
+@contextlib.contextmanager
+def browsing(url: str) -> Iterator[Browser]:
+    """A browser that shows `url`."""
+    from websockets.sync.client import connect
+
+    assert PROGRAM is not None
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
+        command = [PROGRAM, *_FLAGS.split(), f"--user-data-dir={folder}", "about:blank"]
+        process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        try:
+            port = _port(Path(folder) / "DevToolsActivePort")
+            with urllib.request.urlopen(f"http://127.0.0.1:{port}/json") as answer:
+                pages = [page for page in json.load(answer) if page["type"] == "page"]
+            with connect(pages[0]["webSocketDebuggerUrl"], max_size=None) as socket:
+                browser = Browser(socket)
+                browser.resize(900, 600)  # drawn without a graphics card: few pixels
+                browser.ask("Page.navigate", url=url)
+                yield browser
+        finally:
+            process.kill()
+            process.wait()
+
+
+def _port(file: Path) -> int:
+    """The port that chromium writes to `file` when it listens."""
+    end = time.monotonic() + 60.0
+    while not file.exists() or "\n" not in file.read_text():
+        assert time.monotonic() < end, "chromium does not start"
+        time.sleep(0.1)
+    return int(file.read_text().split()[0])

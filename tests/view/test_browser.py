@@ -1,0 +1,125 @@
+"""The page in a real browser: it is driven by its keys, and the picture moves.
+
+`QUADWALK_RUN=runs/walk QUADWALK_SCREENSHOT=docs/view.png pytest tests/view/test_browser.py` does so
+with a policy that can walk, and leaves the picture.
+"""
+
+import io
+import os
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from rich.console import Console
+
+from quadwalk.train.runs.directory import Run
+from tests.view.browser import PROGRAM, Browser, browsing
+
+pytest.importorskip("mjviser", reason="mjviser is not installed: pip install 'quadwalk[view]'")
+if PROGRAM is None:
+    pytest.skip("there is no chromium: apt-get install chromium", allow_module_level=True)
+
+from quadwalk.view.page import Page
+from quadwalk.view.server import serving
+
+RUN, SCREENSHOT = os.environ.get("QUADWALK_RUN"), os.environ.get("QUADWALK_SCREENSHOT")
+
+
+@pytest.fixture(scope="module")
+def page(runs) -> Iterator[Page]:
+    """A page, with the robot running in it in a thread."""
+    run = Run(Path(RUN)) if RUN else Run(runs / "dog")
+    with serving("127.0.0.1", 8310, Console(quiet=True)) as server:
+        page = Page(server, run, run.path.parent)
+        over = threading.Event()
+
+        def play() -> None:
+            while not over.is_set():
+                page.run_for(0.2)
+
+        thread = threading.Thread(target=play)
+        thread.start()
+        yield page
+        over.set()
+        thread.join()
+
+
+@pytest.fixture(scope="module")
+def browser(page) -> Iterator[Browser]:
+    with browsing(f"http://localhost:{page._server.get_port()}") as browser:
+        browser.wait_for("steps of training")
+        # It complains that it has no graphics card.
+        close = "document.querySelector('.mantine-Notification-closeButton')"
+        wait(lambda: browser.evaluate(f"!!{close}") is True, 20.0)
+        browser.evaluate(f"{close}?.click()")
+        yield browser
+
+
+def wait(condition: Callable[[], bool], seconds: float = 30.0) -> bool:
+    """Whether `condition` comes true in time."""
+    end = time.monotonic() + seconds
+    while not condition() and time.monotonic() < end:
+        time.sleep(0.1)
+    return condition()
+
+
+def test_the_page_shows_who_runs_and_its_controls(page, browser):
+    text = browser.text()
+    for said in (page.run.name, "forward, m/s", "Push", "friction", "motor strength", "policy"):
+        assert said in text
+
+
+def test_keys_move_the_command_and_not_the_camera(page, browser):
+    (client,) = page._server.get_clients().values()
+    before = np.array(client.camera.position)
+    for _ in range(4):
+        browser.press("W")
+    browser.press("Q")
+    assert wait(lambda: np.allclose(page.live.command, [0.6, 0.0, 0.1]))
+    # The slider shows what the key did.
+    shown = "[...document.querySelectorAll('input')].map(x => x.value)"
+    assert wait(lambda: "0.6" in browser.evaluate(shown))
+    time.sleep(1.0)
+    assert np.array(client.camera.position) == pytest.approx(before, abs=1e-3)
+
+
+def test_the_robot_moves_and_the_picture_with_it(page, browser):
+    """It is pushed, and held where it is then."""
+    browser.press("R")
+    assert wait(lambda: page.live.time < 1.0)
+    browser.press(" ")
+    assert wait(lambda: "paused" in browser.text())
+    place, still = page.live.data.qpos.copy(), scene(browser)
+    assert np.abs(scene(browser) - still).mean() < 0.5
+    browser.press("P")
+    browser.press(" ")
+    assert wait(lambda: np.abs(page.live.data.qpos[:2] - place[:2]).max() > 0.05)
+    browser.press(" ")
+    assert wait(lambda: "paused" in browser.text())
+    moved = scene(browser)
+    assert np.abs(moved - still).mean() > 1.0
+    assert moved.std() > 5.0  # it is no blank
+    browser.press(" ")
+
+
+def scene(browser: Browser) -> np.ndarray:
+    """(h, w, 3) the middle of the page, where nothing but the robot and the floor is drawn."""
+    picture = np.asarray(Image.open(io.BytesIO(browser.screenshot())).convert("RGB"), float)
+    height, width, _ = picture.shape
+    return picture[: height // 2, width // 3 : int(0.6 * width)]
+
+
+@pytest.mark.skipif(SCREENSHOT is None, reason="QUADWALK_SCREENSHOT names no file to write")
+def test_take_the_picture_of_the_readme(page, browser):
+    browser.resize(1280, 800)
+    browser.press("X")
+    for key, times in (("W", 8), ("Q", 3)):
+        for _ in range(times):
+            browser.press(key)
+    time.sleep(8.0)
+    wait(lambda: "real time;" in browser.text(), 60.0)
+    Path(str(SCREENSHOT)).write_bytes(browser.screenshot())

@@ -1,0 +1,149 @@
+"""The robot behind the page: it moves as evaluations do, and what is changed takes effect."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from quadwalk.task.state import EnvState
+from quadwalk.view.live import LYING
+
+
+@pytest.mark.parametrize("which", ["live", "hare"])
+def test_it_moves_as_the_environment_does(which, request):
+    """Against `QuadrupedEnv.step` in MuJoCo C, which evaluations step; with late targets."""
+    robot = request.getfixturevalue(which)
+    robot.change(latency=0.013, strength=0.9, payload=3.0, friction=0.5)
+    robot.command[:] = 1.0, 0.2, -0.3
+    robot.reset()
+    robot.data.qpos[2] += 0.005  # not just on the floor, where a rounding error decides
+    env = robot.env
+    start: EnvState = jax.tree.map(jnp.asarray, robot._state())
+    state = jax.jit(env.reset)(jax.random.PRNGKey(0)).replace(pipeline_state=start)
+    state = env.with_conditions(state, start.conditions)
+    quickly = {"xla_backend_optimization_level": 0}  # compiled
+    step = jax.jit(lambda s: env.step(s, robot.policy.act(s.obs)), compiler_options=quickly)
+    for _ in range(10):
+        state = step(state)
+        robot.step()
+        assert robot.data.qpos == pytest.approx(np.asarray(state.pipeline_state.qpos), abs=5e-5)
+
+
+def test_it_stands_on_its_feet_at_first(fresh):
+    mujoco.mj_kinematics(fresh.model, fresh.data)
+    feet = [fresh.model.geom(name) for name in fresh.env.quadruped.feet]
+    low = min(fresh.data.geom_xpos[foot.id][2] - foot.size[0] for foot in feet)
+    assert low == pytest.approx(0.0, abs=1e-9)
+    assert not fresh.data.qvel.any()
+    assert (fresh.time, fresh.fell) == (0.0, False)
+
+
+def test_the_policy_sees_the_command(fresh):
+    """The next action is another."""
+    actions = []
+    for command in ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)):
+        fresh.reset()
+        fresh.command[:] = command
+        fresh.step()
+        actions.append(np.asarray(fresh._action))
+    for one, other in ((0, 1), (0, 2), (1, 2)):
+        assert np.abs(actions[one] - actions[other]).max() > 1e-4
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.floats(-2.0, 2.0), st.floats(-2.0, 2.0), st.floats(-3.1, 3.1))
+def test_a_push_changes_the_velocity_by_what_it_says(live, forward, left, heading):
+    live.reset()
+    live.data.qpos[3:7] = np.cos(heading / 2), 0.0, 0.0, np.sin(heading / 2)
+    live.data.qvel[:3] = 0.3, -0.2, 0.1
+    before, velocity = live.data.qvel.copy(), live.velocity
+    live.push(forward, left)
+    assert live.heading == pytest.approx(heading)
+    assert live.velocity - velocity == pytest.approx([forward, left, 0.0])
+    assert live.data.qvel[2:] == pytest.approx(before[2:])
+    assert np.linalg.norm(live.data.qvel[:2] - before[:2]) == pytest.approx(np.hypot(forward, left))
+
+
+def test_friction_and_payload_are_those_of_the_model(fresh):
+    usual = fresh.model
+    fresh.change(friction=0.3, payload=4.0)
+    trunk = fresh.model.body(fresh.env.quadruped.trunk).id
+    assert np.all(fresh.model.geom_friction[:, 0] == np.float32(0.3))
+    assert fresh.model.body_mass.sum() == pytest.approx(usual.body_mass.sum() + 4.0)
+    assert fresh.model.body_mass[trunk] == pytest.approx(usual.body_mass[trunk] + 4.0)
+    assert usual.geom_friction[0, 0] == pytest.approx(fresh.env.friction)  # another is changed
+
+
+def test_a_payload_presses_on_the_feet(fresh, monkeypatch):
+    """Standing for a second, the feet bear the weight, with 4 kg and without."""
+    home = np.tile(fresh.env.robot.home_joints, (fresh.env.stepping.substeps, 1))
+
+    def hold(_, state: EnvState):
+        return state.frames, state.conditions.targets, state.last_action, home
+
+    monkeypatch.setattr(fresh, "_think", hold)
+    weights = []
+    for payload in (0.0, 4.0):
+        fresh.change(payload=payload)
+        fresh.reset()
+        borne = []
+        for _ in range(60):
+            fresh.step()
+            borne.append(fresh.foot_force.sum())
+        weights.append(np.mean(borne[40:]))
+    assert weights[0] == pytest.approx(fresh.env.robot.weight, rel=0.02)
+    assert weights[1] - weights[0] == pytest.approx(4.0 * 9.81, rel=0.05)
+
+
+def test_strength_is_the_motors(fresh):
+    fresh.change(strength=0.7)
+    assert fresh._motor.strength == pytest.approx(0.7)
+
+
+def test_noise_is_what_the_task_states_and_new_in_every_step(hare):
+    """Of 40 steps, each in the same state, and so with the same true frame."""
+    scale = hare.env.noise_scale
+    hare.change(latency=0.0, noise=0.0)
+    hare.reset()
+    state = hare._state()
+    exact = np.asarray(hare._think(hare.policy.act, state)[0][0])
+    hare.change(noise=2.0)
+    conditions = hare._state().conditions
+    seen = [
+        hare._think(hare.policy.act, state._replace(conditions=conditions, steps=np.int32(k)))[0][0]
+        for k in range(40)
+    ]
+    error = np.array(seen) - exact
+    assert np.all(error[:, scale == 0.0] == 0.0)
+    level = error[:, scale > 0.0] / scale[scale > 0.0]
+    assert level.std() == pytest.approx(2.0, rel=0.1)
+    assert len(np.unique(level[:, 0])) == 40
+
+
+def test_one_that_fell_stands_up_anew(fresh):
+    fresh.data.qpos[3:7] = 0.0, 1.0, 0.0, 0.0  # on its back
+    assert fresh.fell
+    steps = round(LYING / fresh.env.stepping.control_dt)
+    for _ in range(steps + 2):
+        fresh.data.qpos[3:7] = 0.0, 1.0, 0.0, 0.0
+        fresh.step()
+        if not fresh.steps:
+            break
+    assert fresh.steps == 0
+    assert fresh.data.qpos == pytest.approx(fresh.env.robot.home)
+
+
+def test_what_diverged_begins_anew(fresh):
+    fresh.data.qvel[0] = 1e5
+    fresh.step()
+    assert fresh.data.qpos == pytest.approx(fresh.env.robot.home)
+
+
+def test_the_settings_are_of_the_names_that_the_panel_uses(fresh):
+    names = [field.name for field in dataclasses.fields(fresh.settings)]
+    assert names == ["friction", "payload", "strength", "latency", "noise"]
