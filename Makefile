@@ -35,7 +35,7 @@ $(VENV)/.ready-dev: requirements-dev.lock $(VENV)/.ready
 
 lock:  ## choose versions anew (needs uv)
 	uv pip compile --universal --python-version 3.11 --no-emit-index-url --no-header \
-		--no-annotate pyproject.toml -o requirements.lock
+		--no-annotate --extra view pyproject.toml -o requirements.lock
 	uv pip compile --universal --python-version 3.11 --no-emit-index-url --no-header \
 		--no-annotate --extra dev -c requirements.lock pyproject.toml -o requirements-dev.lock
 
