@@ -5,6 +5,7 @@ import importlib.util
 import sys
 
 import mujoco
+import numpy as np
 import pytest
 
 from quadwalk.errors import UsageError, UserError
@@ -84,7 +85,9 @@ def test_the_windows_overlay_is_path_velocity_and_command(fresh):
     arrows = [geom for geom in drawn if geom.type == mujoco.mjtGeom.mjGEOM_ARROW]
     assert len(arrows) == 2
     does, told = (geom.mat[:, 2] * geom.size[2] for geom in arrows)
-    assert does[0] == pytest.approx(2.0 * told[0], rel=0.2)
+    assert does == pytest.approx([2.0 * np.linalg.norm(told), 0.0, 0.0], abs=1e-5)
+    ahead = np.array([np.cos(fresh.heading), np.sin(fresh.heading), 0.0])
+    assert told == pytest.approx(ahead * np.linalg.norm(told), abs=1e-5)
     assert len(drawn) == 2 + len(traces.path)
 
 
