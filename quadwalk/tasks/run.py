@@ -9,7 +9,7 @@ from quadwalk.train.settings import PPOConfig, TrainConfig
 
 TASK = TrainConfig(
     task="run",
-    steps=16_000_000,
+    steps=24_000_000,
     checkpoint_steps=2_000_000,
     env=EnvConfig(
         engine="fast",

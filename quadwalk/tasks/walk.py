@@ -9,8 +9,8 @@ from quadwalk.train.settings import PPOConfig, TrainConfig
 
 TASK = TrainConfig(
     task="walk",
-    steps=6_000_000,
-    checkpoint_steps=1_000_000,
+    steps=12_000_000,
+    checkpoint_steps=2_000_000,
     env=EnvConfig(
         engine="fast",
         gravity=9.81,
@@ -50,10 +50,10 @@ TASK = TrainConfig(
             "tilt": Reward(reward.tilt, scale=-0.5),
             "roll_pitch_rate": Reward(reward.roll_pitch_rate, scale=-0.05),
             "action_rate": Reward(reward.action_rate, scale=-0.1),
-            "follow": Reward(reward.follow, {"width": 0.5}, scale=1.0),
-            "follow_yaw_rate": Reward(reward.follow_yaw_rate, {"width": 0.5}, scale=0.5),
+            "follow": Reward(reward.follow, {"width": 0.35}, scale=1.0),
+            "follow_yaw_rate": Reward(reward.follow_yaw_rate, {"width": 0.35}, scale=0.5),
             "drag": Reward(reward.drag, {"height": 0.02}, scale=-0.3),
-            "trot": Reward(reward.trot, {"stride": 20.0, "height": 0.08, "width": 0.04}, scale=0.5),
+            "trot": Reward(reward.trot, {"stride": 20.0, "height": 0.08, "width": 0.04}, scale=1.0),
         },
         termination={
             "tipped": Termination(termination.tipped, {"angle": 1.0}),

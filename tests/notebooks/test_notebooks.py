@@ -155,8 +155,8 @@ def test_three_trainings_differ_by_their_rewards_and_are_compared(executed):
         reward = {name: term["scale"] for name, term in config["env"]["reward"].items()}
         rewards[config["task"], reward["energy"]] = set(reward)
         rows.append([json.loads(line) for line in (run / "metrics.jsonl").read_text().splitlines()])
-    assert set(rewards) == {("run", -0.02), ("run", -0.5), ("high_steps", -0.02)}
-    assert rewards["high_steps", -0.02] - rewards["run", -0.02] == {"high_steps"}
+    assert set(rewards) == {("sprint", -0.02), ("sprint", -0.5), ("high_steps", -0.02)}
+    assert rewards["high_steps", -0.02] - rewards["sprint", -0.02] == {"high_steps"}
     assert [[row["steps"] for row in each] for each in rows] == [[STEPS // 2, STEPS]] * 3
     for number, code in enumerate(("usual = ", "thrifty = ", "proud = "), 1):
         assert curves(done.picture(code)) >= number, code
