@@ -143,14 +143,14 @@ class _Graph:
     def model(
         self, inputs: dict[str, int], outputs: dict[str, int], metadata: Mapping[str, str]
     ) -> onnx.ModelProto:
-        described = [
+        given, found = (
             [
                 helper.make_tensor_value_info(n, TensorProto.FLOAT, [1, size])
                 for n, size in x.items()
             ]
             for x in (inputs, outputs)
-        ]
-        graph = helper.make_graph(self.nodes, "policy", *described, initializer=self.constants)
+        )
+        graph = helper.make_graph(self.nodes, "policy", given, found, initializer=self.constants)
         model = helper.make_model(
             graph,
             opset_imports=[helper.make_opsetid("", OPSET)],
