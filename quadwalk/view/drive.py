@@ -13,7 +13,8 @@ import tyro
 from rich.console import Console
 
 from quadwalk.errors import UsageError, UserError
-from quadwalk.train.runs.directory import find_run
+from quadwalk.paths import PRETRAINED
+from quadwalk.train.runs.directory import Run, find_run
 
 EXTRA = "pip install 'quadwalk[view]'"
 
@@ -22,7 +23,7 @@ EXTRA = "pip install 'quadwalk[view]'"
 class ViewConfig:
     """Drive a trained policy live, in MuJoCo C with every collision shape."""
 
-    # name or path of a run, or "latest"
+    # name or path of a run, or "latest"; before any training: walk or run, which are trained
     run: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="[RUN]")] = "latest"
     browser: bool = False  # in a page of the browser, even where there is a screen for a window
     host: str = "127.0.0.1"  # address that the page is served at; the default: to this machine only
@@ -36,7 +37,7 @@ class ViewConfig:
 
 def drive(config: ViewConfig) -> None:
     """Show the run's newest policy live, until it is interrupted or the window closed."""
-    run = find_run(config.runs, config.run)
+    run = find_any_run(config.runs, config.run)
     console = Console(stderr=True, highlight=False, soft_wrap=True)
     missing = no_window()
     in_page = config.browser or missing is not None
@@ -61,6 +62,17 @@ def drive(config: ViewConfig) -> None:
 
                 page = Page(server, run, config.runs)
             page.run_for()
+
+
+def find_any_run(root: Path, which: str) -> Run:
+    """As `find_run`; where `root` has none, one of those that come with the package."""
+    try:
+        return find_run(root, which)
+    except UsageError:
+        name = "walk" if which == "latest" else which
+        if name in {folder.name for folder in PRETRAINED.iterdir()}:
+            return Run(PRETRAINED / name)
+        raise
 
 
 def no_window() -> str | None:

@@ -1,0 +1,62 @@
+"""The policies that come with the package, for `quadwalk view` before any training.
+
+    python benchmarks/pretrained.py [--runs runs/pretrained]
+
+Trains `run` and `walk` as `python train.py` does by default, unless the folder has them, and keeps
+each policy and its robot in assets/pretrained/NAME.
+"""
+
+import argparse
+import shutil
+from pathlib import Path
+from typing import Any
+
+from quadwalk.paths import PRETRAINED
+from quadwalk.train.flags import parse_config
+from quadwalk.train.loop import train
+from quadwalk.train.runs import checkpoint
+from quadwalk.train.runs.directory import Run
+from quadwalk.train.serialise import to_dict
+from quadwalk.train.settings import RobotConfig
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--runs", type=Path, default=Path("runs/pretrained"))
+    options = parser.parse_args()
+    for name in ("run", "walk"):
+        run = Run(options.runs / name)
+        if not run.policy.exists():
+            flags = ["--preset", name, "--name", name, "--runs", str(options.runs)]
+            train(parse_config(flags)[0])
+        keep(run, Run(PRETRAINED / name))
+        print(f"{name}: {(PRETRAINED / name / 'policy.npz').stat().st_size / 1e3:.0f} kB")
+
+
+def keep(run: Run, place: Run) -> None:
+    """Copy what driving the policy of `run` needs to `place`, without this machine's folders."""
+    place.path.mkdir(parents=True, exist_ok=True)
+    shutil.copyfile(run.urdf, place.urdf)
+    leaves, metadata = checkpoint.load(run.policy, "policy")
+    metadata["config"] |= {
+        "robot": to_dict(RobotConfig(Path("robot.urdf"))),
+        "runs": "runs",
+        "name": None,
+    }
+    checkpoint.save(place.policy, _nested(leaves), metadata)
+
+
+def _nested(leaves: dict[str, Any]) -> dict[str, Any]:
+    """A tree of the leaves that are named by their paths."""
+    tree: dict[str, Any] = {}
+    for path, leaf in leaves.items():
+        *groups, name = path.split("/")
+        place = tree
+        for group in groups:
+            place = place.setdefault(group, {})
+        place[name] = leaf
+    return tree
+
+
+if __name__ == "__main__":
+    main()

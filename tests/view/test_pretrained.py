@@ -1,0 +1,36 @@
+"""The policies that come with the package: found where there is no run yet, small, and able."""
+
+import numpy as np
+import pytest
+
+from quadwalk.errors import UsageError
+from quadwalk.evaluate.subject import load_subject
+from quadwalk.paths import PRETRAINED
+from quadwalk.train.runs.directory import Run
+from quadwalk.view.drive import find_any_run
+from quadwalk.view.live import LiveRobot
+
+
+def test_they_are_found_where_there_is_no_other(tmp_path):
+    assert find_any_run(tmp_path, "latest").path == PRETRAINED / "walk"
+    assert find_any_run(tmp_path, "run").path == PRETRAINED / "run"
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "policy.npz").touch()
+    assert find_any_run(tmp_path, "run").path == tmp_path / "run"
+    for name in ("fly", "", "..", "../pretrained"):
+        with pytest.raises(UsageError):
+            find_any_run(tmp_path, name)
+
+
+@pytest.mark.parametrize(("name", "least", "most"), [("walk", 0.6, 1.4), ("run", 3.0, 7.0)])
+def test_each_goes_where_it_is_told(name, least, most):
+    run = Run(PRETRAINED / name)
+    assert sum(file.stat().st_size for file in run.path.iterdir()) < 500_000
+    robot = LiveRobot(load_subject(run, 10.0, engine="mujoco"))
+    robot.command[:] = 1.0, 0.0, 0.0
+    speeds = []
+    for _ in range(200):
+        robot.step()
+        speeds.append(robot.velocity[0])
+        assert not robot.fell
+    assert least < np.mean(speeds[-50:]) < most
