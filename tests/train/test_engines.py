@@ -42,7 +42,9 @@ def test_the_first_iteration_earns_the_same_rewards_term_by_term(trained):
     assert len(terms) > 10
     for name in terms:
         fast, mjx = (trained[engine][name][0] for engine in ("fast", "mjx"))
-        assert fast == pytest.approx(mjx, rel=0.08), name
+        # A handful of falls: one of them may come a step later, in the next iteration.
+        one = 10.0 / (ENVS * UNROLL) if name.endswith("/fall") else 0.0
+        assert fast == pytest.approx(mjx, rel=0.08, abs=1.01 * one), name
 
 
 # Measured: 4 % at most; what falls and where it runs depends on much less.

@@ -96,7 +96,9 @@ def draw_comparison(labels: list[str], results: list[dict[str, Any]]) -> Figure:
     tidy(panels[0], "episodes that end by a fall", "%")
     for place, result in enumerate(results):
         _falls(panels[0], place, result["summary"])
-    for axes, (name, heading, unit) in zip(panels[1:], shown, strict=True):
+    for axes in panels[1 + len(shown) :]:
+        axes.set_axis_off()
+    for axes, (name, heading, unit) in zip(panels[1:], shown, strict=False):
         tidy(axes, heading, unit)
         for place, result in enumerate(results):
             _figure(axes, place, result, name)
