@@ -11,6 +11,7 @@ _COMMANDS = {
     "export": ("quadwalk.export.__main__", "write a policy as ONNX, to be used elsewhere"),
     "view": ("quadwalk.view.__main__", "drive a trained policy live"),
     "robot": ("quadwalk.robot.__main__", "convert a URDF to MJCF, or draw it"),
+    "ground": ("quadwalk.ground.__main__", "draw every kind of ground"),
 }
 
 

@@ -1,0 +1,40 @@
+"""`python -m quadwalk.ground -o PNG`: draw every kind of ground at several difficulties."""
+
+import argparse
+import dataclasses
+from pathlib import Path
+
+from quadwalk.errors import run_command
+from quadwalk.files import atomic_write
+from quadwalk.ground.terrain import FLAT, leg_length
+from quadwalk.ground.tiles import KINDS
+from quadwalk.paths import ALIENGO_URDF
+
+
+def main(argv: list[str] | None = None, prog: str = "python -m quadwalk.ground") -> None:
+    """Draw as `argv` (default: the process's arguments) says; `prog` is the command's name."""
+    parser = argparse.ArgumentParser(prog=prog, description="Draw every kind of ground.")
+    add = parser.add_argument
+    add("-o", "--out", type=Path, metavar="PNG", required=True, help="file to write")
+    add("--kinds", nargs="+", metavar="KIND", help=f"some of: {', '.join(KINDS)}")
+    add("--levels", type=int, default=3, help="difficulties, evenly from 0 to 1")
+    add("--seed", type=int, default=0, help="of all that is random")
+    add("--urdf", type=Path, default=ALIENGO_URDF, help="the robot whose legs set the sizes")
+    given = parser.parse_args(argv)
+    config = dataclasses.replace(
+        FLAT,
+        kinds=tuple(given.kinds or KINDS),
+        levels=given.levels,
+        seed=given.seed,
+    )
+    from quadwalk.ground.picture import draw_kinds
+    from quadwalk.robot.quadruped import load_quadruped
+
+    quadruped = load_quadruped(given.urdf)
+    figure = draw_kinds(config, leg_length(quadruped.full_model(), quadruped.feet[0]))
+    with atomic_write(given.out) as file:
+        figure.savefig(file, format="png", metadata={"Software": None})
+
+
+if __name__ == "__main__":
+    run_command(main)

@@ -1,0 +1,128 @@
+"""Heights on a grid: read from a file, measured anywhere, laid in place of a model's floor."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import mujoco
+import numpy as np
+from PIL import Image, UnidentifiedImageError
+
+from quadwalk.errors import UserError
+from quadwalk.files import os_reason
+
+FLOOR = "floor"  # the geom that robots stand on, in every model
+BASE = 1.0  # m, how far MuJoCo's heightfield goes down below its lowest point
+_DEPTHS = {"I;16": 65535.0, "I": 65535.0, "L": 255.0, "1": 1.0}  # white, by Pillow's mode
+
+
+@dataclass(frozen=True, eq=False)
+class Heightfield:
+    """Heights over a grid of square cells; between its nodes, MuJoCo's triangles.
+
+    Each cell is two triangles that share its diagonal from the node of least x and y to that of
+    most.
+    """
+
+    heights: np.ndarray  # (rows, columns) float32, m: rows along y, columns along x
+    cell: float  # m between nodes
+    origin: tuple[float, float]  # m, x and y of node [0, 0]
+
+    @property
+    def size(self) -> tuple[float, float]:
+        """Length along x and width along y, m."""
+        rows, columns = self.heights.shape
+        return (columns - 1) * self.cell, (rows - 1) * self.cell
+
+    def height_at(self, points: np.ndarray) -> np.ndarray:
+        """The height (...), m, at `points` (..., 2), m; beyond an edge, that of the edge."""
+        shape = np.array(self.heights.shape[::-1])
+        at = np.clip((np.asarray(points) - self.origin) / self.cell, 0, shape - 1)
+        corner = np.minimum(at.astype(int), shape - 2)
+        j, i = np.moveaxis(corner, -1, 0)
+        u, v = np.moveaxis(at - corner, -1, 0)
+        h = self.heights
+        third = np.where(u > v, h[i, j + 1], h[i + 1, j])
+        first, last = np.maximum(u, v), np.minimum(u, v)
+        return h[i, j] * (1 - first) + third * (first - last) + h[i + 1, j + 1] * last
+
+
+def centred(heights: np.ndarray, cell: float) -> Heightfield:
+    """A field with the middle of the grid at x = y = 0."""
+    rows, columns = heights.shape
+    origin = (-0.5 * (columns - 1) * cell, -0.5 * (rows - 1) * cell)
+    return Heightfield(np.asarray(heights, np.float32), cell, origin)
+
+
+def read_heights(path: Path, white: float) -> np.ndarray:
+    """Heights (rows, columns), m, of an .npy file of numbers in m or of a grey PNG.
+
+    In a picture black is 0 and white is `white` m; its top is the greatest y. Raises `UserError`
+    that names the file and what is expected.
+    """
+    path = Path(path)
+    expected = "a grey PNG, or an .npy file of a two-dimensional array of heights in m"
+    if path.suffix not in (".png", ".npy"):
+        raise UserError(f"the terrain {path} is of no known kind; expected {expected}")
+    try:
+        heights = np.load(path) if path.suffix == ".npy" else _read_picture(path, white)
+    except OSError as error:
+        if isinstance(error, UnidentifiedImageError) or error.errno is None:
+            raise UserError(f"the terrain {path} cannot be read; expected {expected}") from None
+        raise UserError(f"cannot read the terrain {path}: {os_reason(error)}") from None
+    except (ValueError, EOFError, SyntaxError, Image.DecompressionBombError):
+        raise UserError(f"the terrain {path} cannot be read; expected {expected}") from None
+    if not isinstance(heights, np.ndarray) or heights.dtype.kind not in "iuf":
+        raise UserError(
+            f"the terrain {path} does not hold an array of numbers; expected {expected}"
+        )
+    if heights.ndim != 2 or min(heights.shape) < 2:
+        raise UserError(
+            f"the terrain {path} has the shape {heights.shape}; expected two dimensions of at "
+            "least 2 nodes"
+        )
+    if not np.all(np.isfinite(heights)):
+        raise UserError(f"the terrain {path} has heights that are not finite; expected numbers")
+    return np.asarray(heights, np.float32)
+
+
+def _read_picture(path: Path, white: float) -> np.ndarray:
+    with Image.open(path, formats=["PNG"]) as picture:
+        # Without a palette: its numbers are no heights.
+        grey = picture if picture.mode in _DEPTHS else picture.convert("L")
+        return white * np.asarray(grey, np.float64)[::-1] / _DEPTHS[grey.mode]
+
+
+def lay(spec: mujoco.MjSpec, field: Heightfield) -> None:
+    """Put `field` in the place of the plane `floor` of `spec`, with all else that the plane has."""
+    low, high = float(field.heights.min()), float(field.heights.max())
+    height = max(high - low, 1e-3)  # MuJoCo wants one even for a level field
+    rows, columns = field.heights.shape
+    length, width = field.size
+    spec.add_hfield(
+        name=FLOOR,
+        nrow=rows,
+        ncol=columns,
+        size=[length / 2, width / 2, height, BASE],
+        # As shares of the height, the lowest 0: whatever is given, MuJoCo scales it to [0, 1].
+        userdata=((field.heights.astype(np.float64) - low) / height).ravel(),
+    )
+    floor = spec.geom(FLOOR)
+    x, y = field.origin
+    floor.type = mujoco.mjtGeom.mjGEOM_HFIELD
+    floor.hfieldname = FLOOR
+    floor.pos = [x + length / 2, y + width / 2, low]
+
+
+def field_of(model: mujoco.MjModel) -> Heightfield | None:
+    """The field that a model's floor is, as MuJoCo has its numbers; None where it is a plane."""
+    floor = model.geom(FLOOR)
+    if floor.type[0] != mujoco.mjtGeom.mjGEOM_HFIELD:
+        return None
+    which = int(floor.dataid[0])
+    rows, columns = int(model.hfield_nrow[which]), int(model.hfield_ncol[which])
+    first = int(model.hfield_adr[which])
+    shares = model.hfield_data[first : first + rows * columns].astype(np.float64)
+    half_length, half_width, height, _ = model.hfield_size[which]
+    heights = (floor.pos[2] + height * shares).astype(np.float32).reshape(rows, columns)
+    origin = (float(floor.pos[0] - half_length), float(floor.pos[1] - half_width))
+    return Heightfield(heights, float(2 * half_length / (columns - 1)), origin)

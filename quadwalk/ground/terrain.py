@@ -1,0 +1,215 @@
+"""One field for all robots: tiles of every kind and difficulty side by side, from a seed."""
+
+import dataclasses
+import math
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from quadwalk.errors import UsageError
+from quadwalk.ground.heightfield import Heightfield, centred, read_heights
+from quadwalk.ground.tiles import KINDS, OF_LEG, Patch, Sizes, make_tile
+
+FILE = "file"  # the kind of a field that was read
+UNSEEN = 1_000_000  # seeds from here on are for evaluation
+_MOST_NODES = 50_000_000
+
+
+@dataclass(frozen=True)
+class GroundConfig:
+    """The ground: a tile of each kind at each level of difficulty, or a field from a file."""
+
+    kinds: tuple[str, ...]  # of tiles, a row of them for each; none: a flat floor without end
+    levels: int  # tiles of each kind, ever more difficult
+    difficulty: tuple[float, float]  # of the first and the last level, 0 to 1
+    tile: tuple[float, float]  # m, length and width of a tile
+    border: float  # m, level ground around all tiles
+    cell: float  # m between heights
+    seed: int  # of all that is random; evaluation uses those from 1 000 000 on
+    step: float | None  # m, height of stairs at difficulty 1; None: .3 of a leg
+    tread: float | None  # m, depth of stairs; None: .6 of a leg
+    block: float | None  # m, height of blocks and logs at difficulty 1; None: .3 of a leg
+    roughness: float | None  # m, at difficulty 1 up and down; None: .16 of a leg
+    file: Path | None  # heights: a grey PNG, or an .npy file in m; in place of all tiles
+    white: float  # m, height of white in a PNG; black is 0
+
+    def __post_init__(self) -> None:
+        for kind in self.kinds:
+            if kind not in KINDS:
+                raise UsageError(
+                    f"--env.ground.kinds: no terrain {kind!r}; expected some of: {', '.join(KINDS)}"
+                )
+        low_high = self.difficulty
+        if len(low_high) != 2 or not 0.0 <= low_high[0] <= low_high[1] <= 1.0:
+            raise UsageError(
+                f"--env.ground.difficulty is {low_high}; expected two numbers from 0 to 1, the "
+                "lower first"
+            )
+        if self.levels < 1:
+            raise UsageError(f"--env.ground.levels is {self.levels}; expected 1 or more")
+        if self.seed < 0:
+            raise UsageError(f"--env.ground.seed is {self.seed}; expected 0 or more")
+        if not 0.005 <= self.cell <= 1.0:
+            raise UsageError(f"--env.ground.cell is {self.cell}; expected 0.005 to 1 m")
+        if len(self.tile) != 2 or not all(10 * self.cell <= side < math.inf for side in self.tile):
+            raise UsageError(
+                f"--env.ground.tile is {self.tile}; expected length and width of 10 cells or more, "
+                f"{10 * self.cell:g} m"
+            )
+        if not 0.0 <= self.border < math.inf:
+            raise UsageError(f"--env.ground.border is {self.border}; expected 0 or more")
+        for name in ("step", "tread", "block", "roughness", "white"):
+            value = getattr(self, name)
+            if value is not None and not 0.0 < value < math.inf:
+                raise UsageError(f"--env.ground.{name} is {value}; expected more than 0 m")
+
+    @property
+    def flat(self) -> bool:
+        """Whether there is nothing but a flat floor."""
+        return not self.kinds and self.file is None
+
+    @property
+    def difficulties(self) -> tuple[float, ...]:
+        """Of each level."""
+        return tuple(float(x) for x in np.linspace(*self.difficulty, self.levels))
+
+    def unseen(self, seed: int = 0) -> "GroundConfig":
+        """The same kinds of ground as training does not have them; `seed` draws one."""
+        return dataclasses.replace(self, seed=UNSEEN + seed)
+
+
+# Of a task on a flat floor; tiles and levels as in legged_gym (arXiv:2109.11978).
+FLAT = GroundConfig(
+    kinds=(),
+    levels=10,
+    difficulty=(0.0, 1.0),
+    tile=(8.0, 8.0),
+    border=4.0,
+    cell=0.05,
+    seed=0,
+    step=None,
+    tread=None,
+    block=None,
+    roughness=None,
+    file=None,
+    white=1.0,
+)
+
+
+@dataclass(frozen=True)
+class Place:
+    """One tile of a field."""
+
+    kind: str
+    level: int
+    difficulty: float
+    middle: tuple[float, float]  # m, x and y
+    size: tuple[float, float]  # m, length and width
+    start: tuple[float, float]  # m, where an episode starts, on average
+    spread: tuple[float, float]  # m, how far from there, along x and y, at most
+
+
+@dataclass(frozen=True, eq=False)
+class Terrain:
+    """A field of heights and what its tiles are: kind by kind, of each its levels in turn."""
+
+    field: Heightfield
+    tiles: tuple[Place, ...]
+
+    def tile(self, kind: str, level: int) -> Place:
+        """The first tile of this kind and level; `UsageError` where there is none."""
+        found = [tile for tile in self.tiles if tile.kind == kind]
+        if not found:
+            kinds = dict.fromkeys(tile.kind for tile in self.tiles)
+            raise UsageError(f"the terrain has no tile {kind!r}; it has: {', '.join(kinds)}")
+        for tile in found:
+            if tile.level == level:
+                return tile
+        raise UsageError(
+            f"the terrain has no tile {kind!r} of level {level}; expected 0 to "
+            f"{max(tile.level for tile in found)}"
+        )
+
+
+def leg_length(model: mujoco.MjModel, foot: str) -> float:
+    """From the thigh's joint to the foot's centre with the knee stretched, m."""
+    geom = model.geom(foot).id
+    calf = model.geom_bodyid[geom]
+    return float(np.linalg.norm(model.body_pos[calf]) + np.linalg.norm(model.geom_pos[geom]))
+
+
+def sizes_of(config: GroundConfig, leg: float) -> Sizes:
+    """What tiles of difficulty 1 are like, for a robot whose legs are `leg` m long."""
+    scaled = {
+        field.name: getattr(OF_LEG, field.name) * (1.0 if field.name == "slope" else leg)
+        for field in fields(Sizes)
+    }
+    given = {name: getattr(config, name) for name in ("step", "tread", "block", "roughness")}
+    return Sizes(**(scaled | {name: size for name, size in given.items() if size is not None}))
+
+
+def make_terrain(config: GroundConfig, leg: float) -> Terrain:
+    """The field of `config` for a robot whose legs are `leg` m long.
+
+    Levels follow one another along x, kinds along y; the middle of all is x = y = 0. The same
+    config gives the same numbers. A tile depends on nothing but its kind, its difficulty, its
+    place in the order and the seed.
+    """
+    assert not config.flat
+    if config.file is not None:
+        return _from_file(config, config.file)
+    sizes = sizes_of(config, leg)
+    cell, levels = config.cell, config.difficulties
+    columns, rows = (round(side / cell) for side in config.tile)
+    edge = round(config.border / cell)
+    shape = (len(config.kinds) * rows + 2 * edge + 1, len(levels) * columns + 2 * edge + 1)
+    if math.prod(shape) > _MOST_NODES:
+        raise UsageError(
+            f"the ground has {shape[0]} x {shape[1]} heights; expected fewer tiles, smaller ones, "
+            f"or a larger --env.ground.cell, for at most {_MOST_NODES}"
+        )
+    x, y = (cell * (np.arange(n + 1) - n / 2) for n in (columns, rows))
+    patch = Patch(x, y, cell)
+    field = centred(np.zeros(shape, np.float32), cell)
+    tiles = []
+    for k, kind in enumerate(config.kinds):
+        for level, difficulty in enumerate(levels):
+            rng = np.random.default_rng([config.seed, k, level])
+            top, left = edge + k * rows, edge + level * columns
+            # A tile's last nodes are the next one's first.
+            heights = make_tile(kind, patch, sizes, difficulty, rng)
+            field.heights[top : top + rows + 1, left : left + columns + 1] = heights
+            middle = (
+                field.origin[0] + cell * (left + columns / 2),
+                field.origin[1] + cell * (top + rows / 2),
+            )
+            tiles.append(_place(kind, level, difficulty, middle, patch, sizes))
+    return Terrain(field, tuple(tiles))
+
+
+def _place(
+    kind: str,
+    level: int,
+    difficulty: float,
+    middle: tuple[float, float],
+    patch: Patch,
+    sizes: Sizes,
+) -> Place:
+    size = (float(np.ptp(patch.x)), float(np.ptp(patch.y)))
+    start, spread = middle, (0.3 * sizes.middle, 0.3 * sizes.middle)
+    if kind == "course":  # from its near end, anywhere across
+        start = (middle[0] - size[0] / 2 + sizes.middle, middle[1])
+        spread = (spread[0], max(size[1] / 2 - sizes.middle, 0.0))
+    elif kind in ("flat", "rough", "waves"):  # no place is like another
+        spread = (size[0] / 4, size[1] / 4)
+    return Place(kind, level, difficulty, middle, size, start, spread)
+
+
+def _from_file(config: GroundConfig, path: Path) -> Terrain:
+    """The field that a file holds: one tile, on which episodes start anywhere near the middle."""
+    field = centred(read_heights(path, config.white), config.cell)
+    middle, size = (0.0, 0.0), field.size
+    spread = (size[0] / 4, size[1] / 4)
+    return Terrain(field, (Place(FILE, 0, 0.0, middle, size, middle, spread),))

@@ -1,0 +1,216 @@
+"""The kinds of tiles: heights of a piece of ground, from a difficulty and a random generator.
+
+Each kind is a pure function `(patch, sizes, difficulty, rng) -> heights`. At difficulty 0 a tile is
+flat or nearly so; at 1 it has the sizes of `Sizes`. Most kinds are the same in all directions
+around a level middle, where a robot starts, and end level with the tiles around them.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from quadwalk.errors import UsageError
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """What tiles of difficulty 1 are like, m but for the slope."""
+
+    slope: float  # rad
+    roughness: float  # highest and lowest are +- this
+    grain: float  # between independent heights of roughness
+    wave: float  # highest and lowest are +- this
+    wavelength: float
+    step: float  # height of a stair
+    tread: float  # its depth
+    block: float  # height of blocks and logs
+    block_length: float  # the middle of what blocks are long and wide
+    ditch: float  # width of a ditch
+    ditch_depth: float
+    middle: float  # half the side of the level square that a robot starts on
+
+
+# Of a robot with legs of 1 m: an AlienGo's, .5 m, meet stairs of 15 cm with treads of 30 cm, blocks
+# of 15 cm and roughness of +-8 cm, which are what its users train it for (DLSLab, Isaac Lab).
+OF_LEG = Sizes(
+    slope=float(np.radians(25.0)),
+    roughness=0.16,
+    grain=0.2,
+    wave=0.16,
+    wavelength=2.4,
+    step=0.3,
+    tread=0.6,
+    block=0.3,
+    block_length=1.0,
+    ditch=0.5,
+    ditch_depth=0.6,
+    middle=1.0,
+)
+
+
+@dataclass(frozen=True)
+class Patch:
+    """Where the nodes of a tile are, from its middle, m: x (columns,) and y (rows,)."""
+
+    x: np.ndarray
+    y: np.ndarray
+    cell: float
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns."""
+        return len(self.y), len(self.x)
+
+    @property
+    def inwards(self) -> np.ndarray:
+        """(rows, columns) how far each node is from the nearest edge, m."""
+        across = np.abs(self.y[0]) - np.abs(self.y)
+        along = np.abs(self.x[0]) - np.abs(self.x)
+        return np.minimum(across[:, None], along[None, :])
+
+
+def _reach(patch: Patch, sizes: Sizes) -> float:
+    """m from the edge to where the level middle begins."""
+    return max(float(patch.inwards.max()) - sizes.middle, patch.cell)
+
+
+def flat(patch: Patch, sizes: Sizes, difficulty: float, rng: np.random.Generator) -> np.ndarray:
+    """Level ground."""
+    return np.zeros(patch.shape)
+
+
+def slope_up(patch: Patch, sizes: Sizes, difficulty: float, rng: np.random.Generator) -> np.ndarray:
+    """A hollow: from its level middle the ground rises on all sides."""
+    steepness = np.tan(difficulty * sizes.slope)
+    return -steepness * np.minimum(patch.inwards, _reach(patch, sizes))
+
+
+def slope_down(
+    patch: Patch, sizes: Sizes, difficulty: float, rng: np.random.Generator
+) -> np.ndarray:
+    """A hill: from its level top the ground falls on all sides."""
+    return -slope_up(patch, sizes, difficulty, rng)
+
+
+def rough(patch: Patch, sizes: Sizes, difficulty: float, rng: np.random.Generator) -> np.ndarray:
+    """Independent heights on a coarser grid, and straight lines between them."""
+    return difficulty * sizes.roughness * _noise(patch, sizes.grain, rng)
+
+
+def waves(patch: Patch, sizes: Sizes, difficulty: float, rng: np.random.Generator) -> np.ndarray:
+    """Two trains of waves that cross."""
+    phases = rng.uniform(0.0, 2 * np.pi, 2)
+    x, y = (2 * np.pi / sizes.wavelength * axis for axis in (patch.x, patch.y))
+    both = np.sin(x + phases[0])[None, :] + np.sin(y + phases[1])[:, None]
+    return 0.5 * difficulty * sizes.wave * both
+
+
+def stairs_up(
+    patch: Patch, sizes: Sizes, difficulty: float, rng: np.random.Generator
+) -> np.ndarray:
+    """Stairs up from the level middle, on all sides."""
+    # A little more, so that rounding does not decide where a stair begins.
+    number = np.floor((_reach(patch, sizes) - patch.inwards) / sizes.tread + 1e-6)
+    top = np.floor(_reach(patch, sizes) / sizes.tread + 1e-6)
+    return difficulty * sizes.step * (np.clip(number + 1, 0, top) - top)
+
+
+def stairs_down(
+    patch: Patch, sizes: Sizes, difficulty: float, rng: np.random.Generator
+) -> np.ndarray:
+    """Stairs down from the level middle, on all sides."""
+    return -stairs_up(patch, sizes, difficulty, rng)
+
+
+def blocks(patch: Patch, sizes: Sizes, difficulty: float, rng: np.random.Generator) -> np.ndarray:
+    """Blocks of random sizes lie on half of the ground; two make no higher one."""
+    heights = np.zeros(patch.shape)
+    sides = np.array([np.ptp(patch.x), np.ptp(patch.y)])
+    for _ in range(round(0.7 * float(np.prod(sides)) / sizes.block_length**2)):
+        place = rng.uniform(-0.5, 0.5, 2) * sides
+        half = sizes.block_length * rng.uniform(0.25, 0.75, 2)
+        height = difficulty * sizes.block * rng.uniform(0.4, 1.0)
+        ahead = np.abs(patch.x - place[0]) < half[0]
+        left = np.abs(patch.y - place[1]) < half[1]
+        heights[np.ix_(left, ahead)] = height
+    heights[_around_middle(patch, sizes)] = 0.0
+    return heights
+
+
+def ditches(patch: Patch, sizes: Sizes, difficulty: float, rng: np.random.Generator) -> np.ndarray:
+    """Ditches all around the middle, one after the other."""
+    outwards = _reach(patch, sizes) - patch.inwards
+    period = sizes.ditch + sizes.middle
+    within = np.mod(outwards, period) - 0.5 * sizes.middle
+    width = difficulty * sizes.ditch
+    dug = (outwards > 0) & (patch.inwards > sizes.ditch) & (np.abs(within - width / 2) < width / 2)
+    return np.where(dug, -sizes.ditch_depth, 0.0)
+
+
+def course(patch: Patch, sizes: Sizes, difficulty: float, rng: np.random.Generator) -> np.ndarray:
+    """Blocks, logs and ditches across the way along x, in random order and at random distances."""
+    heights = np.zeros(patch.shape)
+    ahead, finish = float(patch.x[0]) + 2 * sizes.middle, float(patch.x[-1]) - sizes.middle
+    low, high = float(patch.y[0]), float(patch.y[-1])
+    while True:
+        ahead += sizes.middle * rng.uniform(1.0, 3.0)
+        if ahead > finish:
+            return heights
+        # Each leaves a way around it on one side, but logs and ditches of full width.
+        ends = np.sort(rng.uniform(low, high, 2)) if rng.random() < 0.5 else np.array([low, high])
+        across = (patch.y >= ends[0]) & (patch.y <= ends[1])
+        height = difficulty * sizes.block * rng.uniform(0.5, 1.0)
+        kind = rng.integers(3)
+        if kind == 0:
+            length = sizes.block_length * rng.uniform(0.3, 1.0)
+            profile = np.where(np.abs(patch.x - ahead - length / 2) < length / 2, height, 0.0)
+        elif kind == 1:  # half a round log
+            length = 2 * height + patch.cell
+            arc = height**2 - (patch.x - ahead - length / 2) ** 2
+            profile = np.sqrt(np.maximum(arc, 0.0))
+        else:
+            length = difficulty * sizes.ditch * rng.uniform(0.5, 1.0)
+            dug = np.abs(patch.x - ahead - length / 2) < length / 2
+            profile = np.where(dug, -sizes.ditch_depth, 0.0)
+        heights[across] += profile
+        ahead += length
+
+
+def _noise(patch: Patch, grain: float, rng: np.random.Generator) -> np.ndarray:
+    """(rows, columns) between -1 and 1: uniform at nodes `grain` apart, bilinear between them."""
+    heights = rng.uniform(-1.0, 1.0, [int(np.ptp(axis) / grain) + 2 for axis in (patch.y, patch.x)])
+    for axis, at in enumerate((patch.y, patch.x)):
+        place = (at - at[0]) / grain
+        first = place.astype(int)
+        share = np.expand_dims(place - first, 1 - axis)
+        before, after = (np.take(heights, first + k, axis) for k in (0, 1))
+        heights = (1 - share) * before + share * after
+    return heights
+
+
+def _around_middle(patch: Patch, sizes: Sizes) -> np.ndarray:
+    """(rows, columns) whether a node is in the level middle."""
+    left, ahead = (np.abs(axis) < sizes.middle for axis in (patch.y, patch.x))
+    return left[:, None] & ahead[None, :]
+
+
+Tile = Callable[[Patch, Sizes, float, np.random.Generator], np.ndarray]
+
+KINDS: Mapping[str, Tile] = {
+    function.__name__: function
+    for function in (
+        flat, slope_up, slope_down, rough, waves, stairs_up, stairs_down, blocks, ditches, course,
+    )
+}  # fmt: skip
+
+
+def make_tile(
+    kind: str, patch: Patch, sizes: Sizes, difficulty: float, rng: np.random.Generator
+) -> np.ndarray:
+    """Heights (rows, columns), m, of a tile; `UsageError` for a kind or difficulty there is not."""
+    if kind not in KINDS:
+        raise UsageError(f"no terrain {kind!r}; expected one of: {', '.join(KINDS)}")
+    if not 0.0 <= difficulty <= 1.0:
+        raise UsageError(f"the difficulty of terrain {kind!r} is {difficulty}; expected 0 to 1")
+    return KINDS[kind](patch, sizes, difficulty, rng)
