@@ -113,6 +113,11 @@ def lay(spec: mujoco.MjSpec, field: Heightfield) -> None:
     floor.pos = [x + length / 2, y + width / 2, low]
 
 
+def has_field(spec: mujoco.MjSpec) -> bool:
+    """Whether the floor of `spec` is a heightfield."""
+    return bool(spec.geom(FLOOR).type == mujoco.mjtGeom.mjGEOM_HFIELD)
+
+
 def field_of(model: mujoco.MjModel) -> Heightfield | None:
     """The field that a model's floor is, as MuJoCo has its numbers; None where it is a plane."""
     floor = model.geom(FLOOR)

@@ -1,4 +1,4 @@
-"""Contacts with the floor and joint limits: the rows of MuJoCo's soft constraints.
+"""Contacts with the ground and joint limits: the rows of MuJoCo's soft constraints.
 
 The constraints are MuJoCo's (https://mujoco.readthedocs.io/en/stable/computation, "Constraint
 model"): pyramidal friction cones, four edges to a contact, and one row for a joint beyond its
@@ -12,9 +12,11 @@ from typing import NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from quadwalk.physics import vectors as v
 from quadwalk.physics.rigid_body import LINKS, MassMatrix, Motion, Pose
+from quadwalk.physics.surface import Spot, Surface, normal_and_tangents
 from quadwalk.physics.vectors import Array, Vector
 
 # Of the constraints, arrays (4, robots): four edges of each kind of contact, three limits.
@@ -47,6 +49,9 @@ class Contact:
     radius: Array  # m
     friction: Array
     params: SolverParams
+    # Where the centres just touch the ground, with a grid for each leg; None: the ground is level.
+    surface: Surface | None = field(default=None, metadata={"static": True})
+    grids: tuple[int, ...] = field(default=(), metadata={"static": True})  # (4,) of each leg
 
 
 class Limits(NamedTuple):
@@ -63,6 +68,26 @@ class ContactPoint(NamedTuple):
     point: Vector  # relative to the trunk's origin, m
     columns: tuple[Vector, ...]  # velocity of that point by each of the leg's joints that move it
     friction: Array
+    # Of ground that is not level, the contact's Jacobian: velocity along its normal and along its
+    # tangents times friction. None: the normal is world z, the tangents y and -x.
+    jacobian: "tuple[Row, Row, Row] | None" = None
+
+
+class Row(NamedTuple):
+    """Velocity in one direction of a contact by each of what moves it."""
+
+    linear: Vector  # by the trunk's, that is: the direction
+    angular: Vector
+    joints: tuple[Array, ...]
+
+
+class Under(NamedTuple):
+    """What is under one kind of sphere, over legs."""
+
+    above: Array  # m, how far, straight down, the sphere is from touching the ground
+    normal: Vector
+    first: Vector  # tangent
+    second: Vector
 
 
 class Constraints(NamedTuple):
@@ -95,6 +120,26 @@ def centres(contact: Contact, pose: Pose) -> Vector:
     return v.add(origin, v.apply(rotation, contact.centre))
 
 
+def triangles_under(
+    contact: Contact, centre: Vector, place: tuple[Array, Array]
+) -> tuple[Spot, Vector]:
+    """Where spheres are over the surface that they may touch, and its heights around there.
+
+    `centre` is theirs from the trunk's origin, which is at `place` along world x and y, m.
+    """
+    assert contact.surface is not None
+    which = np.reshape(contact.grids, (4, 1)) if any(contact.grids) else 0
+    spot = contact.surface.locate(place[0] + centre[0], place[1] + centre[1], which)
+    return spot, contact.surface.read(spot)
+
+
+def look_under(contact: Contact, spot: Spot, heights: Vector, altitude: Array) -> Under:
+    """What is under spheres whose centres are at `altitude`, m, over such triangles."""
+    assert contact.surface is not None
+    level, along, across = contact.surface.interpolate(spot, heights)
+    return Under(altitude - level, *normal_and_tangents(along, across))
+
+
 def find_constraints(
     contacts: tuple[Contact, ...],
     limits: tuple[Limits, ...],
@@ -102,30 +147,36 @@ def find_constraints(
     height: Array,
     angles: Vector,
     velocity: Motion,
+    ground: tuple[Under, ...] | None = None,
 ) -> Constraints:
-    """The constraints with the trunk's origin at `height` (robots,), m."""
+    """The constraints with the trunk's origin at `height` (robots,), m.
+
+    `ground` is what is under each kind of sphere, where it is not level.
+    """
     points: list[ContactPoint] = []
     reference: list[Array] = []
     weights: list[Array] = []
-    for contact in contacts:
+    for index, contact in enumerate(contacts):
         centre = centres(contact, pose)
-        gap = height + centre[2] - contact.radius
-        point = (centre[0], centre[1], centre[2] - contact.radius - 0.5 * gap)
+        under = None if ground is None else ground[index]
+        gap, point = touching(contact, centre, height, under)
         moving = 0 if contact.link is None else contact.link + 1
         columns = tuple(
             v.cross(axis, v.subtract(point, origin))
             for axis, origin in zip(pose.axes[:moving], pose.origins[:moving], strict=True)
         )
         nearest = ContactPoint(point, columns, contact.friction)
+        if under is not None:
+            nearest = nearest._replace(jacobian=jacobian(nearest, under))
         params, mu = contact.params, contact.friction
         # Of an edge of MuJoCo's pyramid.
         share, weight = impedance(params, params.inverse_inertia * (1 + mu**2) * 2 * mu**2, gap)
-        touching = gap < 0
+        inside = gap < 0
         reference += [
-            jnp.where(touching, -params.damping * rate - params.stiffness * share * gap, 0.0)
+            jnp.where(inside, -params.damping * rate - params.stiffness * share * gap, 0.0)
             for rate in along_edges(nearest, velocity)
         ]
-        weights += [jnp.where(touching, weight, 0.0)] * EDGES
+        weights += [jnp.where(inside, weight, 0.0)] * EDGES
         points.append(nearest)
     signs: list[Array] = []
     for limit, angle, rate in zip(limits, angles, velocity.joints, strict=True):
@@ -142,13 +193,45 @@ def find_constraints(
     return Constraints(tuple(points), v.vector(signs), tuple(reference), tuple(weights))
 
 
+def touching(
+    contact: Contact, centre: Vector, height: Array, under: Under | None
+) -> tuple[Array, Vector]:
+    """How far spheres at `centre` are above the ground, m, and the contact's point."""
+    radius = contact.radius
+    if under is None:
+        gap = height + centre[2] - radius
+        return gap, (centre[0], centre[1], centre[2] - radius - 0.5 * gap)
+    gap = under.above * under.normal[2]
+    return gap, v.subtract(centre, v.scale(radius + 0.5 * gap, under.normal))
+
+
+def jacobian(at: ContactPoint, under: Under) -> tuple[Row, Row, Row]:
+    """Of a contact with ground that is not level."""
+
+    def row(axis: Vector) -> Row:
+        return Row(axis, v.cross(at.point, axis), tuple(v.dot(axis, c) for c in at.columns))
+
+    tangents = (v.scale(at.friction, tangent) for tangent in (under.first, under.second))
+    first, second = map(row, tangents)
+    return row(under.normal), first, second
+
+
 def along_edges(at: ContactPoint, motion: Motion) -> Rows:
     """`motion` at the points of contact, along the four edges of the friction pyramids."""
+    if at.jacobian is not None:
+        up, first, second = (along_row(row, motion) for row in at.jacobian)
+        return up + first, up - first, up + second, up - second
     at_trunk = v.add(motion.linear, v.cross(motion.angular, at.point))
     by_joints = (v.scale(motion.joints[i], column) for i, column in enumerate(at.columns))
     x, y, z = v.add(at_trunk, *by_joints)
     x, y = at.friction * x, at.friction * y
     return z + y, z - y, z - x, z + x
+
+
+def along_row(row: Row, motion: Motion) -> Array:
+    """`motion` in one direction of a contact."""
+    total = v.dot(row.linear, motion.linear) + v.dot(row.angular, motion.angular)
+    return sum((a * b for a, b in zip(row.joints, motion.joints, strict=False)), start=total)
 
 
 def rows(found: Constraints, motion: Motion) -> Rows:
@@ -165,20 +248,46 @@ def by_contact(values: Rows) -> list[Rows]:
 
 def force_of(found: Constraints, strength: Rows) -> Motion:
     """J^T strength."""
-    pushes: list[Vector] = [
-        (at.friction * (d - c), at.friction * (a - b), a + b + c + d)
-        for at, (a, b, c, d) in zip(found.points, by_contact(strength), strict=True)
+    at_contacts = list(zip(found.points, by_contact(strength), strict=True))
+    pushes = [push(at, along) for at, along in at_contacts]
+    turns = [
+        v.cross(at.point, force) if at.jacobian is None else turn(at.jacobian, along)
+        for (at, along), force in zip(at_contacts, pushes, strict=True)
     ]
-    turns = [v.cross(at.point, push) for at, push in zip(found.points, pushes, strict=True)]
     joints = [sign * limit for sign, limit in zip(found.signs, strength[-LINKS:], strict=True)]
-    for at, push in zip(found.points, pushes, strict=True):
+    for (at, along), force in zip(at_contacts, pushes, strict=True):
         for i, column in enumerate(at.columns):
-            joints[i] = v.dot(column, push) + joints[i]
+            if at.jacobian is None:
+                joints[i] = v.dot(column, force) + joints[i]
+            else:
+                by = v.vector(row.joints[i] for row in at.jacobian)
+                joints[i] = v.dot(by, combined(along)) + joints[i]
     return Motion(
         v.vector(v.legs_sum(x) for x in v.add(*pushes)),
         v.vector(v.legs_sum(x) for x in v.add(*turns)),
         v.vector(joints),
     )
+
+
+def combined(along: Rows) -> Vector:
+    """Of values along a contact's edges those along its normal and tangents."""
+    a, b, c, d = along
+    return a + b + c + d, a - b, c - d
+
+
+def push(at: ContactPoint, along: Rows) -> Vector:
+    """The force, in the world, of one kind of contact from those along its edges."""
+    if at.jacobian is not None:
+        first, second, third = (row.linear for row in at.jacobian)
+        return v.apply_transposed((first, second, third), combined(along))
+    a, b, c, d = along
+    return at.friction * (d - c), at.friction * (a - b), a + b + c + d
+
+
+def turn(jacobian: tuple[Row, Row, Row], along: Rows) -> Vector:
+    """The torque about the trunk's origin of one kind of contact from forces along its edges."""
+    first, second, third = (row.angular for row in jacobian)
+    return v.apply_transposed((first, second, third), combined(along))
 
 
 def hessian(mass: MassMatrix, found: Constraints, weight: Rows) -> MassMatrix:
@@ -194,6 +303,8 @@ def hessian(mass: MassMatrix, found: Constraints, weight: Rows) -> MassMatrix:
 
 def stiffened(matrix: MassMatrix, at: ContactPoint, weight: Rows) -> MassMatrix:
     """`matrix` + J^T diag(weight) J of one kind of contact."""
+    if at.jacobian is not None:
+        return stiffened_along(matrix, at.jacobian, weight)
     a, b, c, d = weight
     mu = at.friction
     xx, yy, zz = mu * mu * (c + d), mu * mu * (a + b), a + b + c + d
@@ -217,4 +328,29 @@ def stiffened(matrix: MassMatrix, at: ContactPoint, weight: Rows) -> MassMatrix:
         cross[j] = tuple(m + x for m, x in zip(cross[j], crossed, strict=True))
         for i, column in enumerate(at.columns):
             legs[i][j] = legs[i][j] + v.dot(column, force)
+    return MassMatrix(base, tuple(cross), tuple(map(tuple, legs)))
+
+
+def stiffened_along(matrix: MassMatrix, jacobian: tuple[Row, Row, Row], weight: Rows) -> MassMatrix:
+    """`stiffened` for ground that is not level."""
+    a, b, c, d = weight
+    # In the contact's frame: what normal and tangents do to each other.
+    pairs = ((a + b + c + d, a - b, c - d), (a - b, a + b, 0.0), (c - d, 0.0, c + d))
+    first, second, third = ((*row.linear, *row.angular, *row.joints) for row in jacobian)
+    columns = [v.vector(entries) for entries in zip(first, second, third, strict=True)]
+    weighted = [v.apply(pairs, column) for column in columns]
+
+    def entry(i: int, j: int) -> Array:
+        return v.dot(columns[i], weighted[j])
+
+    base = tuple(
+        tuple(matrix.base[i][j] + v.legs_sum(entry(max(i, j), min(i, j))) for j in range(6))
+        for i in range(6)
+    )
+    number = len(columns) - 6
+    cross, legs = list(matrix.cross), [list(row) for row in matrix.legs]
+    for j in range(number):
+        cross[j] = tuple(m + entry(i, 6 + j) for i, m in enumerate(cross[j]))
+        for i in range(number):
+            legs[i][j] = legs[i][j] + entry(6 + max(i, j), 6 + min(i, j))
     return MassMatrix(base, tuple(cross), tuple(map(tuple, legs)))

@@ -12,7 +12,13 @@ import jax.numpy as jnp
 from quadwalk.physics import motor
 from quadwalk.physics import vectors as v
 from quadwalk.physics.batching import materialize, robots_last
-from quadwalk.physics.contact import centres, find_constraints
+from quadwalk.physics.contact import (
+    Under,
+    centres,
+    find_constraints,
+    look_under,
+    triangles_under,
+)
 from quadwalk.physics.model import Model, Variation, vary_motor
 from quadwalk.physics.model import make_model as make_model
 from quadwalk.physics.motor import Effort, Physics, Stepping
@@ -27,6 +33,7 @@ from quadwalk.physics.rigid_body import (
     rotation_of,
 )
 from quadwalk.physics.solver import newton
+from quadwalk.physics.surface import Surface
 from quadwalk.physics.vectors import Array, Vector
 
 
@@ -109,6 +116,7 @@ def acceleration(
         qpos[2],
         angles,
         velocity,
+        None if model.ground is None else _look_under(model, running, pose, qpos),
     )
     solution = newton(
         mass, found, force, _motion(pose, warmstart), running, iterations, line_search
@@ -116,6 +124,35 @@ def acceleration(
     angular = v.apply_transposed(pose.trunk, solution.angular)
     legs = jnp.stack(solution.joints, axis=1).reshape(4 * LINKS, -1)
     return jnp.concatenate([jnp.stack([*solution.linear, *angular]), legs])
+
+
+def _look_under(model: Model, running: jax.Array, pose: Pose, qpos: jax.Array) -> tuple[Under, ...]:
+    """The ground under all spheres."""
+    x, y, height = qpos[:3]
+    at = tuple(centres(contact, pose) for contact in model.contacts)
+    # In two parts: XLA would read heights again wherever something that follows from them is used.
+    found = materialize(
+        running,
+        lambda at, x, y: tuple(
+            triangles_under(contact, centre, (x, y))
+            for contact, centre in zip(model.contacts, at, strict=True)
+        ),
+        at,
+        x,
+        y,
+    )
+    under: tuple[Under, ...] = materialize(
+        running,
+        lambda found, altitudes: tuple(
+            look_under(contact, spot, around, altitude)
+            for contact, (spot, around), altitude in zip(
+                model.contacts, found, altitudes, strict=True
+            )
+        ),
+        found,
+        tuple(height + centre[2] for centre in at),
+    )
+    return under
 
 
 def integrate(state: Physics, acceleration: jax.Array, dt: float) -> Physics:
@@ -142,10 +179,13 @@ def integrate(state: Physics, acceleration: jax.Array, dt: float) -> Physics:
 
 
 def lowest_points(model: Model, qpos: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Where the feet's soles (4, 3) are in the world, and how high the lowest of all else (), m.
+    """The feet's soles (4, 3), m, and how far the lowest of all else () is above the ground, m.
 
-    `qpos` (19,); to be vmapped over robots. Not all shapes touch the floor in training, so this is
-    how it knows that one would have.
+    Soles have x and y in the world, and z is above the ground straight below.
+
+    `qpos` (19,); to be vmapped over robots. Not all shapes touch the ground in training, so this is
+    how it knows that one would have. Of other shapes over ground that is not level, their ends and
+    corners are looked at.
     """
 
     def of_many(model: Model, qpos: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -153,6 +193,8 @@ def lowest_points(model: Model, qpos: jax.Array) -> tuple[jax.Array, jax.Array]:
         rotation = materialize(running, lambda quat: rotation_of(tuple(quat)), qpos[3:7])
         angles = _by_link(qpos[7:])
         pose = materialize(running, lambda r, a: pose_of(model.links, r, a), rotation, angles)
+        if model.ground is not None:
+            return _lowest_points_over(model, model.ground, running, pose, qpos)
         feet, height = model.contacts[0], qpos[2]
         x, y, z = centres(feet, pose)
         lowest = jnp.full_like(height, jnp.inf)
@@ -166,6 +208,26 @@ def lowest_points(model: Model, qpos: jax.Array) -> tuple[jax.Array, jax.Array]:
         return jnp.stack([x, y, z - feet.radius], axis=1) + qpos[:3], height + lowest
 
     return robots_last(of_many)(model, jnp.asarray(qpos))
+
+
+def _lowest_points_over(
+    model: Model, ground: Surface, running: jax.Array, pose: Pose, qpos: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    """`lowest_points` over ground that is not level."""
+    x, y, height = qpos[:3]
+    along, across, _ = centres(model.contacts[0], pose)
+    under = _look_under(model, running, pose, qpos)[0]
+    lowest = jnp.full_like(height, jnp.inf)
+    for shell in model.shells:
+        rotation = pose.trunk if shell.link is None else pose.rotations[shell.link]
+        for there, point in shell.low_points(rotation[2]):
+            place = v.apply(rotation, point)
+            if shell.link is not None:
+                place = v.add(place, pose.origins[shell.link])
+            level = ground.at(x + place[0], y + place[1])[0]
+            gap = jnp.where(there, height + place[2] - level, jnp.inf)
+            lowest = jnp.minimum(lowest, jnp.min(jnp.atleast_2d(gap), axis=0))
+    return jnp.stack([x + along, y + across, jnp.asarray(under.above)], axis=1), lowest
 
 
 def _by_link(joints: jax.Array) -> Vector:

@@ -1,7 +1,8 @@
 """The constants of a quadruped that its equations of motion need, read from a MuJoCo model."""
 
+import copy
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import jax
@@ -9,11 +10,13 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
+from quadwalk.ground.heightfield import FLOOR, Heightfield, field_of
 from quadwalk.physics import vectors as v
 from quadwalk.physics.batching import column
 from quadwalk.physics.contact import Contact, Limits, SolverParams
 from quadwalk.physics.motor import Motor
 from quadwalk.physics.rigid_body import LINKS, Link, Trunk
+from quadwalk.physics.surface import Surface, ground_surface, offset_surface
 from quadwalk.physics.vectors import Array, Matrix, Vector
 from quadwalk.robot.quadruped import Quadruped
 from quadwalk.robot.scene import CORNERS, KNEES
@@ -30,6 +33,8 @@ class Shell:
     centre: Vector  # link frame, m
     axes: tuple[Vector, Vector, Vector]  # the shape's x, y and z in the link's frame
     size: Vector  # MuJoCo's
+    # Of a box: the axes, longest first, at both ends of which `low_points` looks.
+    long: tuple[int, ...] = field(default=(), metadata={"static": True})
 
     def bottom(self, up: Vector) -> Array:
         """Height, m, of the shape's lowest point above the link's origin.
@@ -52,6 +57,35 @@ class Shell:
             if np.any(of_kind):
                 reach = jnp.where(of_kind, value, reach)
         return v.dot(up, self.centre) - reach
+
+    def low_points(self, up: Vector) -> list[tuple[Array, Vector]]:
+        """Points of the shape that may be the first to touch uneven ground, in the link's frame.
+
+        Each with whether the shape has it. At both ends of what is long, the lowest: `up` is the
+        world's vertical in the link's frame.
+        """
+        a, b, _ = self.size
+        end = self.axes[2]
+        downwards = v.subtract(v.scale(v.dot(up, end), end), up)  # across a cylinder's axis
+        rim = v.scale(a * jax.lax.rsqrt(jnp.maximum(v.dot(downwards, downwards), 1e-12)), downwards)
+        ends = [v.add(self.centre, v.scale(sign * b, end)) for sign in (-1.0, 1.0)]
+        corners = [self.centre]
+        for axis, (own, half) in enumerate(zip(self.axes, self.size, strict=True)):
+            lower = -half * jnp.sign(v.dot(up, own))
+            signed = (-half, half) if axis in self.long else (lower,)
+            corners = [v.add(corner, v.scale(sign, own)) for corner in corners for sign in signed]
+        points = {
+            mujoco.mjtGeom.mjGEOM_SPHERE: [v.subtract(self.centre, v.scale(a, up))],
+            mujoco.mjtGeom.mjGEOM_BOX: corners,
+            mujoco.mjtGeom.mjGEOM_CYLINDER: [v.add(point, rim) for point in ends],
+            mujoco.mjtGeom.mjGEOM_CAPSULE: [v.subtract(point, v.scale(a, up)) for point in ends],
+        }
+        return [
+            (column(np.equal(self.kind, int(kind))), point)
+            for kind, some in points.items()
+            if np.any(np.equal(self.kind, int(kind)))
+            for point in some
+        ]
 
 
 class Variation(NamedTuple):
@@ -87,6 +121,7 @@ class Model(NamedTuple):
     shells: tuple[Shell, ...]
     gravity: Vector  # m/s^2
     motor: Motor
+    ground: Surface | None = None  # None: level, at height 0, without end
 
 
 def vary_motor(motor: Motor, variation: Variation) -> Motor:
@@ -103,7 +138,8 @@ def vary_motor(motor: Motor, variation: Variation) -> Motor:
 def make_model(model: mujoco.MjModel, quadruped: Quadruped, motor: Motor) -> Model:
     """Read `model`, made from `quadruped`, for the equations; its leaves are constants.
 
-    Its joint 1 + 3 * leg + i is the i-th of a leg's, from the trunk outwards.
+    Its joint 1 + 3 * leg + i is the i-th of a leg's, from the trunk outwards. Where its floor is a
+    heightfield, that is the ground.
     """
     feet = quadruped.feet
     joints = 1 + np.arange(12).reshape(4, LINKS)
@@ -112,7 +148,7 @@ def make_model(model: mujoco.MjModel, quadruped: Quadruped, motor: Motor) -> Mod
     parents = np.c_[np.full(4, trunk), bodies[:, :-1]]
     assert np.array_equal(model.body_parentid[bodies], parents)
     assert np.all(model.jnt_pos == 0)
-    return Model(
+    found = Model(
         trunk=Trunk(
             mass=float(model.body_mass[trunk]),
             centre=_vector(model.body_ipos[trunk]),
@@ -125,6 +161,19 @@ def make_model(model: mujoco.MjModel, quadruped: Quadruped, motor: Motor) -> Mod
         gravity=_vector(model.opt.gravity),
         motor=motor,
     )
+    ground = field_of(model)
+    return found if ground is None else on_ground(found, ground)
+
+
+def on_ground(model: Model, ground: Heightfield) -> Model:
+    """`model` on ground that is not level."""
+    contacts = []
+    for contact in model.contacts:
+        radii = np.broadcast_to(np.asarray(contact.radius), 4)
+        different, grids = np.unique(radii, return_inverse=True)
+        surface = offset_surface(ground, tuple(map(float, different)))
+        contacts.append(replace(contact, surface=surface, grids=tuple(map(int, grids))))
+    return model._replace(contacts=tuple(contacts), ground=ground_surface(ground))
 
 
 def contact_geoms(model: mujoco.MjModel, feet: tuple[str, ...]) -> list[np.ndarray]:
@@ -229,6 +278,7 @@ def _contact(model: mujoco.MjModel, geoms: np.ndarray, bodies: np.ndarray) -> Co
     `geoms` (4,) are on the same link of each leg, which are `bodies` (4, 3), or on the trunk.
     """
     own = model.geom_bodyid[geoms]
+    model = _on_plane(model)
     data = mujoco.MjData(model)
     friction, solref, solimp = np.zeros(4), np.zeros((4, 2)), np.zeros((4, 5))
     mujoco.mj_kinematics(model, data)
@@ -248,6 +298,22 @@ def _contact(model: mujoco.MjModel, geoms: np.ndarray, bodies: np.ndarray) -> Co
     )
 
 
+def _on_plane(model: mujoco.MjModel) -> mujoco.MjModel:
+    """The model with its floor as a level plane, of the same friction and softness."""
+    floor = model.geom(FLOOR).id
+    if model.geom_type[floor] == mujoco.mjtGeom.mjGEOM_PLANE:
+        return model
+    model = copy.copy(model)
+    model.geom_type[floor], model.geom_dataid[floor] = mujoco.mjtGeom.mjGEOM_PLANE, -1
+    model.geom_pos[floor], model.geom_size[floor], model.geom_rbound[floor] = 0, 0, 0
+    return model
+
+
+def _longest(size: np.ndarray, number: int) -> tuple[int, ...]:
+    """The axes along which a box of `size` (3,) is longest."""
+    return tuple(int(axis) for axis in np.argsort(-size)[:number])
+
+
 def _shells(
     model: mujoco.MjModel, geoms: np.ndarray, trunk: int, bodies: np.ndarray
 ) -> tuple[Shell, ...]:
@@ -265,6 +331,7 @@ def _shells(
                 centre=_vector(model.geom_pos[geom]),
                 axes=(_vector(rotation[:, 0]), _vector(rotation[:, 1]), _vector(rotation[:, 2])),
                 size=_vector(model.geom_size[geom]),
+                long=_longest(model.geom_size[geom], 2),
             )
         )
     for link in range(LINKS):
@@ -280,6 +347,7 @@ def _shells(
                     centre=_over_legs(model.geom_pos[picked]),
                     axes=_matrix(axes),
                     size=_over_legs(model.geom_size[picked]),
+                    long=_longest(model.geom_size[picked].sum(axis=0), 1),
                 )
             )
     return tuple(shells)

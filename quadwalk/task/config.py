@@ -8,6 +8,7 @@ from dataclasses import dataclass, fields
 from typing import Literal
 
 from quadwalk.errors import UsageError
+from quadwalk.ground.terrain import GroundConfig
 from quadwalk.physics.motor import MotorConfig, Stepping
 from quadwalk.task.terms import ActionMap, Observation, Reward, Termination
 
@@ -130,6 +131,7 @@ class EnvConfig:
     solver_iterations: int  # Newton iterations of the contact solver (benchmarks/accuracy.py)
     line_search_iterations: int  # of each Newton iteration
     contacts: Literal["feet", "body"]  # what touches the floor; body: also knees and trunk
+    ground: GroundConfig
     episode_seconds: float  # s, the time limit
     motor: MotorConfig
     action: ActionMap

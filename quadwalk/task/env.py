@@ -13,6 +13,7 @@ import mujoco
 import numpy as np
 from brax.envs.base import Env, State
 
+from quadwalk.ground.terrain import Terrain, leg_length, make_terrain
 from quadwalk.physics.motor import Effort, Physics, make_motor
 from quadwalk.robot.quadruped import Quadruped
 from quadwalk.task.command import first_command, next_command
@@ -28,9 +29,9 @@ from quadwalk.task.conditions import (
 )
 from quadwalk.task.config import EnvConfig
 from quadwalk.task.observation import observe
-from quadwalk.task.reset import fresh_start
+from quadwalk.task.reset import fresh_start, on_tile
 from quadwalk.task.reward import reward_terms, total_reward
-from quadwalk.task.robot_arrays import robot_arrays, task_robot
+from quadwalk.task.robot_arrays import above_ground, robot_arrays, task_robot
 from quadwalk.task.state import EnvState, Step, commanded_speed, mean_velocity
 from quadwalk.task.termination import terminations
 from quadwalk.task.terms import Observation
@@ -56,12 +57,14 @@ class QuadrupedEnv(Env):
     ) -> None:
         self.config = config
         self.engine: EngineName = engine or config.engine
-        self.quadruped = task_robot(quadruped, config)
+        self.terrain = _terrain_of(quadruped, config)
+        field = None if self.terrain is None else self.terrain.field
+        self.quadruped = task_robot(quadruped, config, field)
         self.stepping = config.stepping
         self.mj_model = self._training_model(self.quadruped)
-        self.robot = robot_arrays(self.quadruped, self.mj_model)
         self.motor = make_motor(self.mj_model, self.quadruped, config.motor)
         self.geometry = fast.make_model(self.mj_model, self.quadruped, self.motor)
+        self.robot = robot_arrays(self.quadruped, self.mj_model, self.geometry.ground)
         if self.engine == "mujoco":
             self.stepping = self.stepping.with_dt(mujoco_c.TIMESTEP)
         self.model = self.geometry
@@ -91,13 +94,18 @@ class QuadrupedEnv(Env):
         """The same environment with its physics stepped by `engine`."""
         return self if engine == self.engine else QuadrupedEnv(self.quadruped, self.config, engine)
 
-    def reset(self, rng: jax.Array) -> State:
-        """A fresh episode; `rng` is a JAX random key."""
+    def reset(self, rng: jax.Array, tile: jax.Array | None = None) -> State:
+        """A fresh episode; `rng` is a JAX random key.
+
+        It begins on tile `tile`, () int32, an index into `terrain.tiles`; None: on any of them.
+        """
         config = self.config
-        physics = fresh_start(self.geometry, self.robot, config.reset, rng)
+        physics, tile = self._start(rng, tile)
         command = first_command(config.command, rng) if config.command.given else None
         drawn = self._drawn(jax.random.fold_in(rng, 1))
-        start = EnvState(physics, jnp.zeros(12), jnp.zeros((), jnp.int32), command, drawn)
+        start = EnvState(
+            physics, jnp.zeros(12), jnp.zeros((), jnp.int32), command, drawn, tile=tile
+        )
         late = config.randomisation.sensor_latency if drawn else None
         state = self._begun(start, readings_needed(late[1], config.control_dt) if late else 0)
         zero = jnp.zeros(())
@@ -110,6 +118,25 @@ class QuadrupedEnv(Env):
             metrics=_metrics(zero, zero, zero, terms),
             info=_info(jnp.zeros((), jnp.int32), Effort(jnp.zeros(12), zero), jnp.zeros(4, bool)),
         )
+
+    def _start(self, rng: jax.Array, tile: jax.Array | None) -> tuple[Physics, jax.Array | None]:
+        """A start, and the tile that it is on."""
+        # Drawn as on a flat floor, then put on the ground.
+        level = self.geometry._replace(ground=None)
+        physics = fresh_start(level, self.robot, self.config.reset, rng)
+        if self.terrain is None:
+            return physics, None
+        which, where = jax.random.split(jax.random.fold_in(rng, 2))
+        if tile is None:
+            tile = jax.random.randint(which, (), 0, len(self.terrain.tiles))
+        return on_tile(self.geometry, self.terrain, physics, tile, where), tile
+
+    def _outside(self, qpos: jax.Array) -> jax.Array:
+        """Whether the trunk has left the field, or half of the level ground around its tiles."""
+        assert self.terrain is not None
+        field, edge = self.terrain.field, self.config.ground.border / 2
+        low = np.array(field.origin) + edge
+        return jnp.any((qpos[:2] < low) | (qpos[:2] > low + np.array(field.size) - 2 * edge))
 
     def step(self, state: State, action: jax.Array) -> State:
         """One control step with `action` (12,) in [-1, 1].
@@ -131,7 +158,9 @@ class QuadrupedEnv(Env):
         command, steps = before.command, before.steps + 1
         if command is not None:
             command = next_command(self.config.command, command, steps, self.config.command_steps)
-        after = EnvState(physics, action, steps, command, conditions, before.frames)
+        after = EnvState(
+            physics, action, steps, command, conditions, before.frames, tile=before.tile
+        )
         return self.finish_step(before, after, effort, sane)
 
     def with_conditions(self, state: State, conditions: Conditions, latest: int = 0) -> State:
@@ -237,10 +266,15 @@ class QuadrupedEnv(Env):
             soles=soles,
             contact=contact,
             lowest=lowest,
+            ground=None
+            if self.terrain is None
+            else after.qpos[2] - above_ground(robot, after.qpos),
         )
         falls = terminations(config.termination, robot, step)
         fell = jnp.any(falls) & sane
         end = jnp.where(after.steps >= config.episode_steps, _TIME_LIMIT, _RUNNING)
+        if self.terrain is not None:  # no failure either
+            end = jnp.where(self._outside(after.qpos), _TIME_LIMIT, end)
         end = jnp.where(fell, _FIRST_FALL + jnp.argmax(falls), end)
         end = jnp.where(sane, end, len(self.ends) - 1).astype(jnp.int32)
         step = step._replace(fell=fell)
@@ -346,6 +380,14 @@ class QuadrupedEnv(Env):
     @property
     def backend(self) -> str:
         return self.engine
+
+
+def _terrain_of(quadruped: Quadruped, config: EnvConfig) -> Terrain | None:
+    """The ground of the task for this robot; None for a flat floor."""
+    if config.ground.flat:
+        return None
+    leg = leg_length(quadruped.full_model(), quadruped.feet[0])
+    return make_terrain(config.ground, leg)
 
 
 def _metrics(

@@ -8,9 +8,10 @@ from functools import partial
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from quadwalk.physics.rotation import rotate_inverse, yaw
-from quadwalk.task.robot_arrays import RobotArrays
+from quadwalk.task.robot_arrays import RobotArrays, above_ground
 from quadwalk.task.state import EnvState, trot_swing
 from quadwalk.task.terms import Observation
 
@@ -70,8 +71,34 @@ def last_action(robot: RobotArrays, state: EnvState) -> jax.Array:
 
 
 def height(robot: RobotArrays, state: EnvState) -> jax.Array:
-    """Height of the trunk's origin above the floor, m."""
-    return state.qpos[2]
+    """Height of the trunk's origin above the ground, m."""
+    return above_ground(robot, state.qpos)
+
+
+def height_scan(
+    robot: RobotArrays,
+    state: EnvState,
+    *,
+    length: float,
+    width: float,
+    spacing: float,
+    reach: float,
+) -> jax.Array:
+    """How far the ground is below where it is in the home pose, m (n,), from -`reach` to `reach`.
+
+    At points `spacing` m apart in a rectangle about the trunk's origin, turned with its heading:
+    rows from behind to ahead, in each from the right to the left.
+    """
+    ahead, left = (
+        spacing * (np.arange(round(side / spacing) + 1) - round(side / spacing) / 2)
+        for side in (length, width)
+    )
+    x, y = (axis.ravel() for axis in np.meshgrid(ahead, left, indexing="ij"))
+    heading = yaw(state.qpos[3:7])
+    cos, sin = jnp.cos(heading), jnp.sin(heading)
+    places = (state.qpos[0] + cos * x - sin * y, state.qpos[1] + sin * x + cos * y)
+    level = np.zeros(x.size) if robot.ground is None else robot.ground.at(*places)[0]
+    return jnp.clip(state.qpos[2] - robot.home_height - level, -reach, reach)
 
 
 def contacts(robot: RobotArrays, state: EnvState) -> jax.Array:

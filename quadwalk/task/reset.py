@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from quadwalk.ground.terrain import Terrain
 from quadwalk.physics.fast import lowest_points
 from quadwalk.physics.model import Model
 from quadwalk.physics.motor import Physics
@@ -34,3 +35,23 @@ def fresh_start(model: Model, robot: RobotArrays, config: ResetConfig, key: jax.
     qvel = qvel.at[0].add(config.forward * (speed[12] + 1.0) / 2.0)
     qvel = qvel.at[6:].set(config.joint_velocity * speed[:12])
     return Physics(qpos, qvel, jnp.zeros(18))
+
+
+def on_tile(
+    model: Model, terrain: Terrain, start: Physics, tile: jax.Array, key: jax.Array
+) -> Physics:
+    """A start from the flat floor, somewhere where episodes of tile `tile` () int32 start.
+
+    As high above the ground as it was above the floor, no part lower than its lowest foot was.
+    """
+    starts, spreads = (
+        jnp.asarray([getattr(place, name) for place in terrain.tiles], jnp.float32)
+        for name in ("start", "spread")
+    )
+    place = starts[tile] + spreads[tile] * jax.random.uniform(key, (2,), minval=-1.0, maxval=1.0)
+    level = model._replace(ground=None)
+    above = jnp.min(lowest_points(level, start.qpos)[0][:, 2])
+    qpos = start.qpos.at[:2].add(place)
+    soles, others = lowest_points(model, qpos)
+    lowest = jnp.minimum(jnp.min(soles[:, 2]), others)
+    return start._replace(qpos=qpos.at[2].add(above - lowest))

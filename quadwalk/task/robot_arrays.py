@@ -2,9 +2,12 @@
 
 from dataclasses import dataclass, replace
 
+import jax
 import mujoco
 import numpy as np
 
+from quadwalk.ground.heightfield import Heightfield, has_field, lay
+from quadwalk.physics.surface import Surface
 from quadwalk.robot.quadruped import Quadruped
 from quadwalk.task.config import EnvConfig
 
@@ -21,6 +24,7 @@ class RobotArrays:
     upper: np.ndarray  # (12,) rad
     mass: float  # kg
     gravity: float  # m/s^2
+    ground: Surface | None = None  # None: level, at height 0, without end
 
     @property
     def weight(self) -> float:
@@ -38,8 +42,15 @@ class RobotArrays:
         return float(self.home[2])
 
 
-def task_robot(quadruped: Quadruped, config: EnvConfig) -> Quadruped:
-    """The robot under the task's gravity, with the motors that the task gives it."""
+def above_ground(robot: RobotArrays, qpos: jax.Array) -> jax.Array:
+    """Height of the trunk's origin above the ground straight below, m; `qpos` is (19,)."""
+    return qpos[2] if robot.ground is None else qpos[2] - robot.ground.at(qpos[0], qpos[1])[0]
+
+
+def task_robot(
+    quadruped: Quadruped, config: EnvConfig, field: Heightfield | None = None
+) -> Quadruped:
+    """The robot under the task's gravity, with the motors that the task gives it, on its ground."""
     spec, effort = quadruped.spec.copy(), quadruped.effort
     spec.option.gravity[2] = -config.gravity
     if config.motor.effort is not None:
@@ -47,15 +58,20 @@ def task_robot(quadruped: Quadruped, config: EnvConfig) -> Quadruped:
         for name, most in zip(quadruped.joints, effort, strict=True):
             # The models have a motor's limit twice, for its control and for its joint.
             spec.actuator(name).ctrlrange = spec.joint(name).actfrcrange = [-most, most]
+    if field is not None and not has_field(spec):
+        lay(spec, field)
     return replace(quadruped, effort=effort, spec=spec)
 
 
-def robot_arrays(quadruped: Quadruped, model: mujoco.MjModel) -> RobotArrays:
-    """The constants of a quadruped and of a model built from it."""
+def robot_arrays(
+    quadruped: Quadruped, model: mujoco.MjModel, ground: Surface | None = None
+) -> RobotArrays:
+    """The constants of a quadruped, of a model built from it, and of the ground."""
     return RobotArrays(
         home=quadruped.home,
         lower=quadruped.lower,
         upper=quadruped.upper,
         mass=float(model.body_subtreemass[0]),
         gravity=float(-model.opt.gravity[2]),
+        ground=ground,
     )

@@ -21,6 +21,7 @@ class EnvState(NamedTuple):
     conditions: Conditions | None = None  # None where they are those of the simulator
     frames: jax.Array | None = None  # (m, n) what was measured, newest first; None: only this step
     contact: jax.Array | None = None  # (4,) bool, feet on the floor; None at an episode's start
+    tile: jax.Array | None = None  # () int32, of the terrain, where it began; None: a flat floor
 
     @property
     def qpos(self) -> jax.Array:
@@ -51,10 +52,16 @@ class Step(NamedTuple):
     power: jax.Array  # () W, mean mechanical power that the motors gave in the step
     fell: jax.Array  # () bool, whether any termination holds; terminations see False
     command: jax.Array  # (3,) velocity command; zero where there is none
-    start_soles: jax.Array  # (4, 3) m, the lowest points of the feet before the step
+    start_soles: jax.Array  # (4, 3) m, the feet's lowest points before it, z above the ground
     soles: jax.Array  # (4, 3) after it
     contact: jax.Array  # (4,) bool, feet on the floor after it
-    lowest: jax.Array  # () m, height above the floor of the lowest point of all but the feet
+    lowest: jax.Array  # () m, height above the ground of the lowest point of all but the feet
+    ground: jax.Array | None = None  # () m, of the ground under the trunk after it; None: 0
+
+    @property
+    def height(self) -> jax.Array:
+        """Of the trunk's origin above the ground straight below, m."""
+        return self.qpos[2] if self.ground is None else self.qpos[2] - self.ground
 
 
 def trot_swing(steps: jax.Array, command: jax.Array, stride: float) -> jax.Array:

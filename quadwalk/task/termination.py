@@ -21,12 +21,12 @@ def tipped(robot: RobotArrays, step: Step, *, angle: float) -> jax.Array:
 
 
 def low(robot: RobotArrays, step: Step, *, share: float) -> jax.Array:
-    """The trunk's origin is lower than `share` of its height in the home pose."""
-    return step.qpos[2] < share * robot.home_height
+    """The trunk's origin is lower above ground than `share` of its height in the home pose."""
+    return step.height < share * robot.home_height
 
 
 def touched(robot: RobotArrays, step: Step, *, clearance: float) -> jax.Array:
-    """A part other than a foot is lower than `clearance`, m, above the floor."""
+    """A part other than a foot is lower than `clearance`, m, above the ground."""
     return step.lowest < clearance
 
 

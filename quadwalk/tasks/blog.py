@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from quadwalk.ground.terrain import FLAT
 from quadwalk.physics.motor import MotorConfig
 from quadwalk.physics.rotation import euler, rotate
 from quadwalk.task import observation
@@ -123,6 +124,7 @@ TASK = TrainConfig(
         solver_iterations=2,
         line_search_iterations=3,
         contacts="body",
+        ground=FLAT,
         episode_seconds=1000.0 / 240.0,
         # PyBullet's position control gives a joint, within one of its steps of 1/240 s, the speed
         # that takes it a tenth of the way to its target in a step, 24/s times the error, with all

@@ -1,5 +1,6 @@
 """run: run along world x as fast as possible, with what a real robot knows and suffers."""
 
+from quadwalk.ground.terrain import FLAT
 from quadwalk.physics.motor import MotorConfig
 from quadwalk.task import observation, reward, termination
 from quadwalk.task.actions import about_home
@@ -19,6 +20,7 @@ TASK = TrainConfig(
         solver_iterations=2,
         line_search_iterations=3,
         contacts="feet",
+        ground=FLAT,
         episode_seconds=20.0,
         motor=MotorConfig(kp=None, kd=None, effort=None, speed_limit=True, joint_friction=True),
         action=ActionMap(about_home, {"hip": 0.3, "thigh": 0.9, "calf": 0.9}),

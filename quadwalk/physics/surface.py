@@ -1,0 +1,253 @@
+"""The ground under spheres: how far they are above it, and the direction in which it pushes.
+
+A sphere touches ground of triangles where its centre touches the ground's offset surface, which
+runs a radius above it: over slopes shifted, around edges round, over notches narrower than the
+sphere closed. It is found once for each radius, on a grid twice as fine as the ground's. A sphere
+then costs three reads of it, and what it meets at an edge of a stair is that edge, not the plane
+of whatever triangle is below its centre.
+"""
+
+import functools
+import itertools
+from concurrent.futures import ThreadPoolExecutor
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from scipy.ndimage import maximum_filter
+
+from quadwalk.cores import cpu_cores
+from quadwalk.ground.heightfield import Heightfield
+from quadwalk.physics.vectors import Array, Vector
+
+FINER = 2  # cells of an offset surface along one of the ground's
+_CHUNK = 16384  # nodes computed at a time: arrays of so many stay in a core's cache
+
+
+class Spot(NamedTuple):
+    """A place in a grid."""
+
+    corner: Array  # index of its cell's first node
+    u: Array  # how far beyond that along x, cells
+    v: Array  # along y
+
+
+@jax.tree_util.register_static
+class Surface:
+    """Heights on one or more grids of the same nodes; equal to itself alone."""
+
+    def __init__(self, grids: np.ndarray, cell: float, origin: tuple[float, float]) -> None:
+        self.grids = grids  # (k, rows, columns) m
+        self.cell = cell  # m
+        self.origin = origin  # m, x and y of node [0, 0]
+
+    def at(self, x: Array, y: Array, which: np.ndarray | int = 0) -> tuple[Array, Array, Array]:
+        """Height, m, and slopes along x and y of grid `which` at places (...), m.
+
+        Beyond an edge, those of the edge. Whatever x and y are, NaN too, no read is out of bounds.
+        """
+        spot = self.locate(x, y, which)
+        return self.interpolate(spot, self.read(spot))
+
+    def locate(self, x: Array, y: Array, which: np.ndarray | int = 0) -> "Spot":
+        """Where in which cell of grid `which` places (...) are."""
+        _, rows, columns = self.grids.shape
+        x = jnp.clip((x - self.origin[0]) / self.cell, 0, columns - 1)
+        y = jnp.clip((y - self.origin[1]) / self.cell, 0, rows - 1)
+        j = jnp.clip(x.astype(jnp.int32), 0, columns - 2)
+        i = jnp.clip(y.astype(jnp.int32), 0, rows - 2)
+        return Spot((which * rows + i) * columns + j, x - j, y - i)
+
+    def read(self, spot: "Spot") -> Vector:
+        """Heights of the corners of the triangle, m: the cell's first, the third, the last."""
+        columns = self.grids.shape[2]
+        grid = jnp.asarray(self.grids, jnp.result_type(spot.u)).reshape(-1)
+        third = jnp.where(spot.u > spot.v, 1, columns)
+        x, y, z = (
+            grid.at[spot.corner + step].get(mode="promise_in_bounds")
+            for step in (0, third, columns + 1)
+        )
+        return x, y, z
+
+    def interpolate(self, spot: "Spot", heights: Vector) -> tuple[Array, Array, Array]:
+        """Height, m, and slopes within a triangle."""
+        node, third, beyond = heights
+        right = spot.u > spot.v
+        before, after = third - node, beyond - third
+        along, across = jnp.where(right, before, after), jnp.where(right, after, before)
+        level = node + spot.u * along + spot.v * across
+        return level, along / self.cell, across / self.cell
+
+
+def ground_surface(field: Heightfield) -> Surface:
+    """The ground itself."""
+    return Surface(field.heights[None], field.cell, field.origin)
+
+
+def offset_surface(field: Heightfield, radii: tuple[float, ...]) -> Surface:
+    """Where the centres of spheres are that just touch the ground: a grid for each of `radii`, m.
+
+    Exact at the grid's nodes, and everywhere on a plane; in the precision of the field's heights.
+    """
+    fine = _refined(field.heights)
+    cell = field.cell / FINER
+    return Surface(np.stack([_offset(fine, cell, r) for r in radii]), cell, field.origin)
+
+
+def normal_and_tangents(along: Array, across: Array) -> tuple[Vector, Vector, Vector]:
+    """A contact's frame on a surface with slopes `along` x and `across`, as MuJoCo makes it.
+
+    Its first tangent is world y made perpendicular to the normal, or z where the normal is within
+    60 degrees of y (mju_makeFrame).
+    """
+    up = jax.lax.rsqrt(1.0 + along * along + across * across)
+    normal = (-along * up, -across * up, up)
+    usual = jnp.abs(normal[1]) < 0.5
+    y, z = jnp.where(usual, 1.0, 0.0), jnp.where(usual, 0.0, 1.0)
+    cosine = jnp.where(usual, normal[1], normal[2])
+    length = jax.lax.rsqrt(1.0 - cosine * cosine)
+    first = (
+        -normal[0] * cosine * length,
+        (y - normal[1] * cosine) * length,
+        (z - normal[2] * cosine) * length,
+    )
+    second = (
+        normal[1] * first[2] - normal[2] * first[1],
+        normal[2] * first[0] - normal[0] * first[2],
+        normal[0] * first[1] - normal[1] * first[0],
+    )
+    return normal, first, second
+
+
+def _refined(heights: np.ndarray) -> np.ndarray:
+    """The same triangles on a grid of `FINER` = 2 times as many cells each way."""
+    rows, columns = heights.shape
+    fine = np.empty((2 * rows - 1, 2 * columns - 1), heights.dtype)
+    fine[::2, ::2] = heights
+    fine[::2, 1::2] = (heights[:, 1:] + heights[:, :-1]) / 2
+    fine[1::2, ::2] = (heights[1:] + heights[:-1]) / 2
+    fine[1::2, 1::2] = (heights[1:, 1:] + heights[:-1, :-1]) / 2  # the middle of the diagonal
+    return fine
+
+
+def _offset(heights: np.ndarray, cell: float, radius: float) -> np.ndarray:
+    """The offset surface's heights at the nodes of `heights`, m."""
+    radius = radius / cell
+    reach = int(np.ceil(radius)) + 1
+    # In units of a cell: slopes are then differences of neighbours.
+    padded = np.pad(heights / cell, reach, mode="edge")
+    inner = padded[reach:-reach, reach:-reach]
+    along = padded[reach:-reach, reach + 1 : padded.shape[1] + 1 - reach] - inner
+    across = padded[reach + 1 : padded.shape[0] + 1 - reach, reach:-reach] - inner
+    # Of the plane that the ground around a node is, if it is one.
+    out = inner + radius * np.sqrt(1 + along * along + across * across)
+    places = np.flatnonzero(_bent(padded, reach))
+    rows, columns = np.divmod(places, heights.shape[1])
+    middle = (rows + reach) * padded.shape[1] + columns + reach
+
+    def fill(first: int) -> None:
+        part = slice(first, first + _CHUNK)
+
+        def node(i: int, j: int) -> np.ndarray:
+            return padded.take(middle[part] + i * padded.shape[1] + j)
+
+        span = range(-reach, reach + 1)
+        near = {(i, j): node(i, j) for i in span for j in span}
+        np.put(out, places[part], _held(near, reach, radius))
+
+    with ThreadPoolExecutor(cpu_cores()) as pool:
+        list(pool.map(fill, range(0, len(places), _CHUNK)))
+    return cell * out
+
+
+def _bent(padded: np.ndarray, reach: int) -> np.ndarray:
+    """Whether the ground within `reach` nodes of each is anything but a plane."""
+    h = padded
+    tolerance = 8 * np.finfo(h.dtype).eps * max(1.0, float(np.abs(h).max()))
+    bent = np.zeros(h.shape, np.uint8)
+    bent[:, 1:-1] |= np.abs(h[:, 2:] - 2 * h[:, 1:-1] + h[:, :-2]) > tolerance
+    bent[1:-1] |= np.abs(h[2:] - 2 * h[1:-1] + h[:-2]) > tolerance
+    bent[:-1, :-1] |= np.abs(h[1:, 1:] - h[1:, :-1] - h[:-1, 1:] + h[:-1, :-1]) > tolerance
+    return maximum_filter(bent, 2 * reach + 1)[reach:-reach, reach:-reach] > 0
+
+
+def _held(heights: dict[tuple[int, int], np.ndarray], reach: int, radius: float) -> np.ndarray:
+    """The highest that any triangle, edge or node around holds a sphere's centre over a node.
+
+    `heights` are those of the nodes so many rows and columns away; lengths are in cells.
+    """
+    best = heights[0, 0] + radius
+    for i, j in itertools.product(range(-reach, reach), repeat=2):  # cells, by their first nodes
+        node, ahead = heights[i, j], heights[i, j + 1]
+        left, beyond = heights[i + 1, j], heights[i + 1, j + 1]
+        if _distance(i, j, right=True) < radius:
+            slopes = (ahead - node, beyond - ahead)
+            _hold_by_triangle(best, ahead, slopes, (j + 1, i), (-1, 1), radius)
+        if _distance(i, j, right=False) < radius:
+            slopes = (beyond - left, left - node)
+            _hold_by_triangle(best, left, slopes, (j, i + 1), (1, -1), radius)
+        # The edges along x and y from the cell's first node, and its diagonal.
+        _hold_by_edge(best, node, ahead, (j, i), (1, 0), radius)
+        _hold_by_edge(best, node, left, (j, i), (0, 1), radius)
+        _hold_by_edge(best, node, beyond, (j, i), (1, 1), radius)
+    return best
+
+
+@functools.cache
+def _distance(i: int, j: int, right: bool) -> float:
+    """From node 0 to the triangle on the right or left of the diagonal of cell i, j, cells."""
+    third = (j + 1, i) if right else (j, i + 1)
+    a, b, c = np.array([(j, i), third, (j + 1, i + 1)], float)
+
+    def to_edge(a: np.ndarray, b: np.ndarray) -> float:
+        share = np.clip(-a @ (b - a) / ((b - a) @ (b - a)), 0, 1)
+        return float(np.linalg.norm(a + share * (b - a)))
+
+    return min(to_edge(a, b), to_edge(b, c), to_edge(c, a))
+
+
+def _hold_by_triangle(
+    best: np.ndarray,
+    height: np.ndarray,
+    slopes: tuple[np.ndarray, np.ndarray],
+    corner: tuple[int, int],
+    signs: tuple[int, int],
+    radius: float,
+) -> None:
+    """Raise `best` to where the triangle's inside holds the sphere, where it does.
+
+    From its right-angled `corner` (x, y) at `height` it extends to `signs` along x and y.
+    """
+    gx, gy = slopes
+    long = np.sqrt(1 + gx * gx + gy * gy)
+    share = radius / long
+    # Where the sphere touches the triangle's plane, from that corner.
+    u, v = signs[0] * (share * gx - corner[0]), signs[1] * (share * gy - corner[1])
+    value = height - corner[0] * gx - corner[1] * gy + radius * long
+    value[(u < 0) | (v < 0) | (u + v > 1)] = -np.inf
+    np.maximum(best, value, out=best)
+
+
+def _hold_by_edge(
+    best: np.ndarray,
+    first: np.ndarray,
+    last: np.ndarray,
+    start: tuple[int, int],
+    along: tuple[int, int],
+    radius: float,
+) -> None:
+    """Raise `best` to where the edge from `start` (x, y), with its ends, holds the sphere."""
+    length = float(np.hypot(*along))
+    ex, ey = along[0] / length, along[1] / length
+    foot = -(start[0] * ex + start[1] * ey)  # of the perpendicular, from the edge's start
+    aside = radius**2 - (start[0] + foot * ex) ** 2 - (start[1] + foot * ey) ** 2
+    if aside <= 0 or max(-foot, foot - length, 0.0) ** 2 >= aside:
+        return
+    slope = (last - first) / length
+    place = slope / np.sqrt(1 + slope * slope)
+    place *= np.sqrt(aside)
+    np.clip(place, -foot, length - foot, out=place)
+    value = first + slope * (foot + place)
+    value += np.sqrt(np.maximum(aside - place * place, 0.0))
+    np.maximum(best, value, out=best)

@@ -1,0 +1,107 @@
+"""Episodes on ground that is not level: where they start, what is above ground, where they end."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from quadwalk.ground.terrain import FLAT
+from quadwalk.physics.fast import lowest_points
+from quadwalk.physics.rotation import yaw
+from quadwalk.task.env import QuadrupedEnv
+from quadwalk.task.observation import height, height_scan
+from quadwalk.task.terms import Observation
+from quadwalk.tasks import sprint
+
+KINDS = ("stairs_up", "blocks", "slope_down")
+SCAN = {"length": 0.4, "width": 0.2, "spacing": 0.1, "reach": 0.5}
+EPISODES = 24
+
+
+@pytest.fixture(scope="module")
+def hilly(quadruped) -> QuadrupedEnv:
+    ground = dataclasses.replace(
+        FLAT, kinds=KINDS, levels=2, difficulty=(0.5, 1.0), tile=(6.0, 6.0), border=2.0
+    )
+    scan = Observation(height_scan, SCAN, noise=0.05)
+    config = dataclasses.replace(
+        sprint.TASK.env,
+        ground=ground,
+        observation={"scan": scan, "height": Observation(height)},
+    )
+    return QuadrupedEnv(quadruped, config)
+
+
+@pytest.fixture(scope="module")
+def starts(hilly):
+    return jax.jit(jax.vmap(hilly.reset))(jax.random.split(jax.random.PRNGKey(0), EPISODES))
+
+
+def test_episodes_start_on_the_ground_of_tiles_drawn_at_random(hilly, starts):
+    state = starts.pipeline_state
+    qpos, tiles = np.asarray(state.qpos), np.asarray(state.tile)
+    assert len(set(tiles)) > 3
+    assert len(np.unique(qpos[:, :2], axis=0)) == EPISODES
+    for place, tile in zip(qpos[:, :2], tiles, strict=True):
+        start, spread = hilly.terrain.tiles[tile].start, hilly.terrain.tiles[tile].spread
+        offset = sprint.TASK.env.reset.offset * np.array([0, 1])
+        assert np.all(np.abs(place - start) <= spread + offset + 1e-5)
+    soles, others = jax.vmap(lambda q: lowest_points(hilly.geometry, q))(state.qpos)
+    lowest = np.minimum(np.min(soles[:, :, 2], axis=1), others)
+    np.testing.assert_allclose(lowest, 0.0, atol=1e-4)
+
+
+def test_an_episode_starts_on_the_tile_that_is_asked_for(hilly):
+    keys = jax.random.split(jax.random.PRNGKey(1), 6)
+    states = jax.jit(jax.vmap(hilly.reset))(keys, jnp.arange(6))
+    np.testing.assert_array_equal(states.pipeline_state.tile, np.arange(6))
+    middles = np.array([tile.middle for tile in hilly.terrain.tiles])
+    assert np.abs(np.asarray(states.pipeline_state.qpos[:, :2]) - middles).max() < 0.6
+
+
+def test_the_scan_and_the_height_are_those_of_the_field(hilly, starts):
+    qpos = np.asarray(starts.pipeline_state.qpos)
+    names = hilly.observation_names
+    assert len(names) == 15 + 1
+    for q, seen in zip(qpos, np.asarray(starts.obs), strict=True):
+        heading = float(yaw(jnp.asarray(q[3:7])))
+        ahead, left = np.meshgrid(np.arange(-2, 3) / 10, np.arange(-1, 2) / 10, indexing="ij")
+        turn = np.array([[np.cos(heading), -np.sin(heading)], [np.sin(heading), np.cos(heading)]])
+        points = q[:2] + np.stack([ahead.ravel(), left.ravel()], axis=1) @ turn.T
+        below = q[2] - hilly.robot.home_height - hilly.terrain.field.height_at(points)
+        np.testing.assert_allclose(seen[:15], np.clip(below, -0.5, 0.5), atol=2e-4)
+        assert seen[15] == pytest.approx(q[2] - hilly.terrain.field.height_at(q[:2]), abs=1e-4)
+
+
+def test_falls_are_told_by_heights_above_ground_and_leaving_the_field_is_none(hilly, starts):
+    step = jax.jit(jax.vmap(hilly.step))
+    idle = jnp.zeros((EPISODES, 12))
+    state = starts.pipeline_state
+    assert not np.any(step(starts, idle).done)  # though trunks are 1.5 m under 0 in hollows
+    physics = state.physics
+
+    def moved(qpos):
+        return starts.replace(pipeline_state=state._replace(physics=physics._replace(qpos=qpos)))
+
+    sunk = step(moved(physics.qpos.at[:, 2].add(-0.25)), idle)
+    assert np.all(np.asarray(sunk.info["end"]) >= 2)
+    away = physics.qpos.at[:, 0].set(hilly.terrain.field.size[0] / 2 - 0.5).at[:, 2].set(0.4)
+    left = step(moved(away), idle)
+    assert np.all(np.asarray(left.info["end"]) == 1)
+    assert np.all(np.asarray(left.info["truncation"]) == 1.0)
+
+
+def test_other_engines_have_the_same_ground(hilly):
+    there = hilly.in_engine("mujoco")
+    np.testing.assert_array_equal(there.terrain.field.heights, hilly.terrain.field.heights)
+    floor = there.mj_model_of(there.quadruped).geom("floor")
+    assert floor.type[0] == hilly.mj_model.geom("floor").type[0] == 1  # a heightfield
+
+
+def test_a_scan_of_a_flat_floor_is_level(env):
+    qpos = jnp.asarray(env.robot.home).at[2].add(0.07)
+    state = env._example()
+    state = state._replace(physics=state.physics._replace(qpos=qpos))
+    np.testing.assert_allclose(height_scan(env.robot, state, **SCAN), 0.07, atol=1e-6)
