@@ -8,7 +8,7 @@ from dataclasses import dataclass, fields
 from typing import Literal
 
 from quadwalk.errors import UsageError
-from quadwalk.ground.terrain import GroundConfig
+from quadwalk.ground.terrain import FLAT, GroundConfig
 from quadwalk.physics.motor import MotorConfig, Stepping
 from quadwalk.task.terms import ActionMap, Observation, Reward, Termination
 
@@ -131,7 +131,6 @@ class EnvConfig:
     solver_iterations: int  # Newton iterations of the contact solver (benchmarks/accuracy.py)
     line_search_iterations: int  # of each Newton iteration
     contacts: Literal["feet", "body"]  # what touches the floor; body: also knees and trunk
-    ground: GroundConfig
     episode_seconds: float  # s, the time limit
     motor: MotorConfig
     action: ActionMap
@@ -142,6 +141,8 @@ class EnvConfig:
     reset: ResetConfig
     command: CommandConfig
     randomisation: RandomisationConfig
+    # A run from before there was any other ground does not state it.
+    ground: GroundConfig = FLAT
 
     def __post_init__(self) -> None:
         if self.gravity <= 0.0:

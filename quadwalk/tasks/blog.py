@@ -124,7 +124,6 @@ TASK = TrainConfig(
         solver_iterations=2,
         line_search_iterations=3,
         contacts="body",
-        ground=FLAT,
         episode_seconds=1000.0 / 240.0,
         # PyBullet's position control gives a joint, within one of its steps of 1/240 s, the speed
         # that takes it a tenth of the way to its target in a step, 24/s times the error, with all
@@ -172,6 +171,7 @@ TASK = TrainConfig(
         ),
         command=NO_COMMAND,
         randomisation=NO_RANDOMISATION,
+        ground=FLAT,
     ),
     # At 240 steps a second what an action brings shows many steps later.
     ppo=PPOConfig(

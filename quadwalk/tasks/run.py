@@ -20,7 +20,6 @@ TASK = TrainConfig(
         solver_iterations=2,
         line_search_iterations=3,
         contacts="feet",
-        ground=FLAT,
         episode_seconds=20.0,
         motor=MotorConfig(kp=None, kd=None, effort=None, speed_limit=True, joint_friction=True),
         action=ActionMap(about_home, {"hip": 0.3, "thigh": 0.9, "calf": 0.9}),
@@ -91,6 +90,7 @@ TASK = TrainConfig(
             noise=(0.0, 1.0),
             push=(0.0, 0.5),
         ),
+        ground=FLAT,
     ),
     ppo=PPOConfig(
         eval_envs=64,

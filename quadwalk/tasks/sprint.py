@@ -20,7 +20,6 @@ TASK = TrainConfig(
         solver_iterations=2,
         line_search_iterations=3,
         contacts="feet",
-        ground=FLAT,
         episode_seconds=20.0,
         motor=MotorConfig(kp=None, kd=None, effort=None, speed_limit=True, joint_friction=True),
         action=ActionMap(about_home, {"hip": 0.3, "thigh": 0.9, "calf": 0.9}),
@@ -66,6 +65,7 @@ TASK = TrainConfig(
         ),
         command=NO_COMMAND,
         randomisation=NO_RANDOMISATION,
+        ground=FLAT,
     ),
     ppo=PPOConfig(
         eval_envs=64,
