@@ -25,8 +25,10 @@ def wheel(tmp_path_factory) -> Path:
 def test_the_wheel_carries_package_assets_and_licences(wheel):
     with zipfile.ZipFile(wheel) as archive:
         names = set(archive.namelist())
-        for asset in (ROOT / "assets").iterdir():
-            assert archive.read(f"quadwalk/assets/{asset.name}") == asset.read_bytes()
+        assets = ROOT / "assets"
+        for asset in filter(Path.is_file, assets.rglob("*")):
+            name = asset.relative_to(assets).as_posix()
+            assert archive.read(f"quadwalk/assets/{name}") == asset.read_bytes()
     modules = {path.relative_to(ROOT).as_posix() for path in (ROOT / "quadwalk").rglob("*.py")}
     assert modules <= names
     assert {"LICENSE", "NOTICE"} <= {Path(name).name for name in names}
