@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from quadwalk.errors import UsageError
+from quadwalk.errors import UsageError, check_port
 
 Engine = Literal["fast", "mjx", "mujoco"]
 
@@ -60,8 +60,7 @@ class EvalConfig:
             raise UsageError(f"--mcap is {self.mcap}; expected 0 or more")
         if self.live and len(self.run) > 1:
             raise UsageError(f"--view shows one run; {len(self.run)} are named")
-        if not 0 <= self.port < 65536:
-            raise UsageError(f"--port is {self.port}; expected 0 to 65535")
+        check_port(self.port)
         if self.sweep:
             self._check_sweep()
 

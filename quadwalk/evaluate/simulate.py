@@ -193,19 +193,28 @@ def with_foot_forces(rollout: Rollout, env: QuadrupedEnv) -> Rollout:
     torque = np.asarray(motor_torque(motor, target, qpos[:, 7:], joint_speed))
     friction = np.asarray(friction_torque(motor, joint_speed))
     data = mujoco.MjData(model)
+    feet = geom_ids(model, env.quadruped.feet)
     forces = np.zeros((rollout.steps, 4))
     for row in range(rollout.steps):
         data.qpos, data.qvel = qpos[row], qvel[row]
         data.ctrl, data.qfrc_applied[6:] = torque[row], friction[row]
         mujoco.mj_forward(model, data)
-        forces[row] = foot_forces(model, data, env.quadruped.feet)
+        forces[row] = foot_forces(model, data, feet)
     return dataclasses.replace(rollout, foot_force=forces)
 
 
-def foot_forces(model: mujoco.MjModel, data: mujoco.MjData, feet: tuple[str, ...]) -> np.ndarray:
-    """(4,) N, the floor's push on each of `feet` along its normal, from the contacts in `data`."""
-    column = {model.geom(name).id: k for k, name in enumerate(feet)}
-    floor = model.geom("floor").id
+def geom_ids(model: mujoco.MjModel, feet: tuple[str, ...]) -> tuple[int, ...]:
+    """The floor's geom and those of `feet`."""
+    return tuple(int(model.geom(name).id) for name in ("floor", *feet))
+
+
+def foot_forces(model: mujoco.MjModel, data: mujoco.MjData, geoms: tuple[int, ...]) -> np.ndarray:
+    """(4,) N, the floor's push on each foot along its normal, from the contacts in `data`.
+
+    `geoms` are `geom_ids`.
+    """
+    floor, *feet = geoms
+    column = {foot: k for k, foot in enumerate(feet)}
     forces, contact = np.zeros(4), np.zeros(6)
     for i, (a, b) in enumerate(data.contact.geom[: data.ncon]):
         foot = column.get(int(b) if a == floor else int(a))

@@ -1,4 +1,4 @@
-"""What a policy can take: success and speed as one thing after another departs from training.
+"""What a policy can take: how it does as one thing after another departs from training.
 
 All points of all sweeps are one batch, and so one compilation. `quadwalk.task.conditions` says what
 each of them does to an episode.
@@ -31,10 +31,10 @@ from quadwalk.evaluate.simulate import (
     Report,
     fresh_starts,
     over_devices,
-    until_all_ended,
 )
 from quadwalk.evaluate.subject import Subject, training_ranges
-from quadwalk.evaluate.summary import mean_interval, share_interval
+from quadwalk.evaluate.summary import SETTLING, WINDOW, mean_interval, share_interval
+from quadwalk.physics.rotation import yaw
 from quadwalk.task.conditions import Conditions, draw_conditions, readings_needed, targets_needed
 from quadwalk.task.config import NO_RANDOMISATION
 from quadwalk.task.env import QuadrupedEnv
@@ -78,11 +78,16 @@ SWEEPS: dict[str, tuple[str, str, tuple[float, ...]]] = {
 }
 
 
-class Outcome(NamedTuple):
-    """Control steps of a batch of episodes."""
+class Tally(NamedTuple):
+    """What is known of a batch of episodes so far, each an array with the axis of episodes."""
 
-    end: Any  # (steps, episodes) index into `QuadrupedEnv.ends`
-    speed: Any  # (steps, episodes) m/s, mean over the step, as training counts it
+    end: Any  # () index into `QuadrupedEnv.ends`, 0 while it goes on
+    steps: Any  # () int32, control steps
+    speed: Any  # () m/s, sum over its steps of the mean over the step, as training counts it
+    heading: Any  # () rad, sum of the size of the yaw angle
+    drift: Any  # (3,) sum since the last window of velocity less command: m/s, m/s, rad/s
+    errors: Any  # (2,) sum over all judged windows of the size of their mean drift: m/s, rad/s
+    windows: Any  # () int32, judged
 
 
 def sweep(subject: Subject, config: EvalConfig, out: Path, console: Console) -> dict[str, Any]:
@@ -135,31 +140,44 @@ def measure_points(
     seed: int,
     report: Report | None = None,
 ) -> list[dict[str, Any]]:
-    """Success and speed at each point, of `episodes` from the same starts, all in one batch.
+    """Success, speed and tracking at each point, of `episodes` from the same starts, in one batch.
 
     success: the share that reaches the time limit without a fall. speed: as in an evaluation,
     distance along world x over the episode's duration, of every episode, fallen or not, m/s; with
-    commands, the size of the commanded velocity less that of the error, on average.
+    commands, the size of the commanded velocity less that of the error, on average. heading_error:
+    mean |yaw|, deg; with commands in its place velocity_error, m/s, and yaw_rate_error, rad/s, as
+    in an evaluation, but that the windows do not overlap.
     """
     env = subject.env
-    outcome = _simulate(env, subject.policy.act, points, episodes, seed, report)
-    last = np.argmax(outcome.end > 0, axis=0)
-    success = outcome.end[last, np.arange(len(last))] == env.ends.index("time limit")
-    lasted = np.arange(len(outcome.end))[:, None] <= last
-    speed = np.mean(outcome.speed, axis=0, where=lasted)
+    tally = _simulate(env, subject.policy.act, points, episodes, seed, report)
+    success = tally.end == env.ends.index("time limit")
+    figures = {"speed": tally.speed / tally.steps}
+    if env.config.command.given:
+        with np.errstate(invalid="ignore"):  # NaN where an episode was too short to be judged
+            errors = tally.errors / tally.windows[:, None]
+        figures |= {"velocity_error": errors[:, 0], "yaw_rate_error": errors[:, 1]}
+    else:
+        figures["heading_error"] = np.degrees(tally.heading / tally.steps)
     measured = []
     for k in range(len(points)):
         own = slice(k * episodes, (k + 1) * episodes)
         count = int(success[own].sum())
-        mean, half_width = mean_interval(speed[own])
         measured.append(
             {
                 "success": count / episodes,
                 "success_ci95": list(share_interval(count, episodes)),
-                "speed": {"mean": mean, "ci95": half_width},
+                **{name: _figure(values[own]) for name, values in figures.items()},
             }
         )
     return measured
+
+
+def _figure(values: np.ndarray) -> dict[str, float | None] | None:
+    values = values[np.isfinite(values)]
+    if not len(values):
+        return None
+    mean, half_width = mean_interval(values)
+    return {"mean": mean, "ci95": half_width}
 
 
 def _simulate(
@@ -169,19 +187,57 @@ def _simulate(
     episodes: int,
     seed: int,
     report: Report | None,
-) -> Outcome:
-    """The outcome of len(points) * episodes episodes, point by point."""
+) -> Tally:
+    """What len(points) * episodes episodes came to, point by point."""
 
     @jax.jit
-    def chunk(policy: Policy, states: State) -> tuple[State, Outcome]:
-        def step(states: State, _: None) -> tuple[State, Outcome]:
-            states = jax.vmap(env.step)(states, policy(states.obs))
-            return states, Outcome(states.info["end"], states.metrics["speed"])
+    def chunk(policy: Policy, states: State, tally: Tally) -> tuple[State, Tally]:
+        def step(carry: tuple[State, Tally], _: None) -> tuple[tuple[State, Tally], None]:
+            states, tally = carry
+            after = jax.vmap(env.step)(states, policy(states.obs))
+            return (after, jax.vmap(partial(_tallied, env))(tally, states, after)), None
 
-        return jax.lax.scan(step, states, None, length=CHUNK)
+        return jax.lax.scan(step, (states, tally), None, length=CHUNK)[0]
 
-    first = over_devices(env, _starts(env, points, episodes, seed))
-    return until_all_ended(partial(chunk, policy), first, report)
+    states = _starts(env, points, episodes, seed)
+    zero = np.zeros(len(points) * episodes, np.float32)
+    none, pair, triple = zero.astype(np.int32), np.stack([zero] * 2, 1), np.stack([zero] * 3, 1)
+    tally = over_devices(env, Tally(none, none, zero, zero, triple, pair, none))
+    states, simulated = over_devices(env, states), 0
+    while not np.all(tally.end):
+        states, tally = chunk(policy, states, tally)
+        simulated += CHUNK
+        if report is not None:
+            report(simulated)
+    return jax.device_get(tally)
+
+
+def _tallied(env: QuadrupedEnv, tally: Tally, before: State, after: State) -> Tally:
+    """The tally of an episode after one more step; what has ended stays as it is."""
+    dt = env.config.control_dt
+    settling, window = round(SETTLING / dt), round(WINDOW / dt)
+    begun, state = before.pipeline_state, after.pipeline_state
+    heading, steps = yaw(state.qpos[3:7]), tally.steps + 1
+    turned = heading - yaw(begun.qpos[3:7])
+    x, y = (state.qpos[:2] - begun.qpos[:2]) / dt
+    cos, sin = jnp.cos(heading), jnp.sin(heading)
+    turning = jnp.arctan2(jnp.sin(turned), jnp.cos(turned)) / dt
+    velocity = jnp.stack([cos * x + sin * y, cos * y - sin * x, turning])
+    drift = tally.drift + velocity - begun.velocity_command
+    full = (steps - settling) % window == 0
+    judged = full & (steps >= settling + window)
+    mean = drift / window
+    errors = jnp.stack([jnp.linalg.norm(mean[:2]), jnp.abs(mean[2])])
+    new = Tally(
+        end=after.info["end"],
+        steps=steps,
+        speed=tally.speed + after.metrics["speed"],
+        heading=tally.heading + jnp.abs(heading),
+        drift=jnp.where(full, 0.0, drift),
+        errors=tally.errors + jnp.where(judged, errors, 0.0),
+        windows=tally.windows + judged,
+    )
+    return jax.tree.map(lambda old, new: jnp.where(tally.end > 0, old, new), tally, new)
 
 
 def _starts(env: QuadrupedEnv, points: list[Point], episodes: int, seed: int) -> State:

@@ -1,18 +1,16 @@
 """What a user of an exported policy must know, as ONNX metadata: names, units, gains, limits."""
 
-import dataclasses
 import json
 from collections.abc import Iterable
 from importlib.metadata import version
 from typing import Any
 
-import jax
 import numpy as np
 
 from quadwalk.evaluate.subject import Subject
 from quadwalk.export.joint_targets import JointTargets
 from quadwalk.task.env import QuadrupedEnv
-from quadwalk.task.reset import fresh_start
+from quadwalk.task.reset import nominal_start
 from quadwalk.task_files import reference
 
 UNITS = (
@@ -56,7 +54,9 @@ def describe(subject: Subject, targets: JointTargets) -> dict[str, str]:
         "units": UNITS,
         "control_period": f"{config.control_dt:.9g}",
         "robot": env.quadruped.name,
-        "start_qpos": _listed(nominal_start(env)),
+        "start_qpos": _listed(
+            nominal_start(env.mj_model_of(env.quadruped), env.quadruped, config.reset)
+        ),
         "effort_limit": _joints(motor.effort),
         "velocity_limit": _joints(np.inf if motor.velocity is None else motor.velocity),
         "joint_friction": _joints(0.0 if motor.friction is None else motor.friction),
@@ -64,22 +64,6 @@ def describe(subject: Subject, targets: JointTargets) -> dict[str, str]:
         "task": policy.config.task,
         "quadwalk_version": version("quadwalk"),
     }
-
-
-def nominal_start(env: QuadrupedEnv) -> np.ndarray:
-    """qpos (19,) of an episode's start without its random part."""
-    reset = env.config.reset
-    still = dataclasses.replace(
-        reset,
-        yaw=0.0,
-        tilt=0.0,
-        offset=0.0,
-        joints=0.0,
-        velocity=0.0,
-        joint_velocity=0.0,
-        forward=0.0,
-    )
-    return np.asarray(fresh_start(env.geometry, env.robot, still, jax.random.PRNGKey(0)).qpos)
 
 
 def _command_ranges(env: QuadrupedEnv) -> dict[str, Any]:

@@ -122,8 +122,8 @@ class Shapes:
         report: Report,
     ):
         self.spec, self.meshes, self.report = spec, meshes, report
-        self.legs = {leg.foot_link: leg for leg in legs}
-        self.geom_names = {*(leg.foot for leg in legs), "floor", *KNEES, *CORNERS}
+        self.legs = {leg.foot.link: leg for leg in legs}
+        self.geom_names = {*(leg.foot_name for leg in legs), "floor", *KNEES, *CORNERS}
         self.mesh_names: dict[tuple, list[str]] = {}
         self.materials: dict[str, str] = {}
         self.rgba: dict[str, tuple] = {}
@@ -142,9 +142,9 @@ class Shapes:
             self.report.add("assumed", "shown by their collision shapes", name)
         leg = self.legs.get(name)
         for index, collision in enumerate(link.collisions):
-            if leg is not None and index in leg.replaced:
+            if leg is not None and index in leg.foot.replaced:
                 continue
-            foot = leg.foot if leg is not None and index == leg.foot_shape else None
+            foot = leg.foot_name if leg is not None and index == leg.foot.shape else None
             pieces = self._pieces(name, collision.geometry, collision=True)
             for shape, _ in pieces:
                 frame = placement @ matrix(collision.origin)
@@ -153,13 +153,13 @@ class Shapes:
                 if stand_in:
                     twin = self._add(body, "visual", shape, frame)
                     self._paint(twin, link.visuals[0].material if link.visuals else None, None)
-        if leg is not None and leg.foot_shape is None:
-            sphere = {"type": _Type.mjGEOM_SPHERE, "size": [leg.radius, 0, 0]}
+        if leg is not None and leg.foot.shape is None:
+            sphere = {"type": _Type.mjGEOM_SPHERE, "size": [leg.foot.radius, 0, 0]}
             frame = np.eye(4)
-            frame[:3, 3] = leg.centre
-            self._add(body, "foot", sphere, frame).name = leg.foot
-            what = f"the feet are spheres of {leg.radius * 1000:.3g} mm"
-            self.report.add("assumed", f"{what} {leg.reason}", leg.foot)
+            frame[:3, 3] = leg.foot.centre
+            self._add(body, "foot", sphere, frame).name = leg.foot_name
+            what = f"the feet are spheres of {leg.foot.radius * 1000:.3g} mm"
+            self.report.add("assumed", f"{what} {leg.foot.reason}", leg.foot_name)
 
     def _add_visual(self, body, name: str, visual, placement: np.ndarray) -> bool:
         """Add a visual shape; False if there is nothing of it to show."""

@@ -19,7 +19,17 @@ SHORT = 0.4
 
 @dataclass(frozen=True)
 class Foot:
-    """A foot's sphere; the attributes are those of `Leg`."""
+    """A foot: a sphere.
+
+    Attributes:
+        link: the link whose collision shape touches the ground.
+        shape: index of the sphere among the link's collision shapes; None if it is none of them,
+            but stands in for another shape.
+        centre: (3,) m, in the frame of the calf link.
+        radius: m.
+        replaced: indices of the link's collision shapes whose place the sphere takes.
+        reason: of a sphere that is none of the URDF's, what it is there for.
+    """
 
     link: str
     shape: int | None

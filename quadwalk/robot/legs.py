@@ -6,7 +6,7 @@ import numpy as np
 import yourdfpy
 
 from quadwalk.robot.checks.validate import UrdfError
-from quadwalk.robot.feet import find_foot
+from quadwalk.robot.feet import Foot, find_foot
 from quadwalk.robot.meshes import Meshes
 from quadwalk.robot.tree import Tree
 
@@ -15,32 +15,21 @@ LEGS = ("FR", "FL", "RR", "RL")
 
 @dataclass(frozen=True)
 class Leg:
-    """One leg: its joints and links from the trunk outwards, and its foot, a sphere.
+    """One leg: its joints and links from the trunk outwards, and its foot.
 
     Attributes:
         name: FR, FL, RR or RL.
         joints: the names of the hip, thigh and calf joint.
         links: the names of the links that these move.
-        foot: name that the foot's site and collision geom have in the model.
-        foot_link: the link whose collision shape touches the ground.
-        foot_shape: index of that sphere among the link's collision shapes; None if it is none of
-            them, but stands in for another shape.
-        centre: (3,) m, the sphere's centre in the frame of the calf link.
-        radius: m, of that sphere.
-        replaced: indices of the link's collision shapes whose place the sphere takes.
-        reason: of a sphere that is none of the URDF's, what it is there for.
+        foot: the sphere at its end.
+        foot_name: what the foot's site and collision geom are called in the model.
     """
 
     name: str
     joints: tuple[str, str, str]
     links: tuple[str, str, str]
-    foot: str
-    foot_link: str
-    foot_shape: int | None
-    centre: np.ndarray
-    radius: float
-    replaced: tuple[int, ...] = ()
-    reason: str = ""
+    foot: Foot
+    foot_name: str
 
 
 def find_legs(tree: Tree, source: str, meshes: Meshes | None = None) -> tuple[Leg, ...]:
@@ -106,13 +95,8 @@ def _leg(
         name=name,
         joints=tuple(joint.name for joint in chain),
         links=tuple(joint.child for joint in chain),
-        foot=foot.link if foot.link != calf else _free_name(f"{calf}_foot", tree),
-        foot_link=foot.link,
-        foot_shape=foot.shape,
-        centre=foot.centre,
-        radius=foot.radius,
-        replaced=foot.replaced,
-        reason=foot.reason,
+        foot=foot,
+        foot_name=foot.link if foot.link != calf else _free_name(f"{calf}_foot", tree),
     )
 
 

@@ -100,7 +100,7 @@ def convert(urdf: Urdf, legs: tuple[Leg, ...] = (), options: Options | None = No
         robot.add_motors()
         robot.add_sensors()
         pose = standing_pose(urdf.tree, legs, urdf.source) if legs else None
-        add_home(spec, pose, [leg.foot for leg in legs])
+        add_home(spec, pose, [leg.foot_name for leg in legs])
         overlaps = exclude_overlaps(spec)
     except (ValueError, mujoco.FatalError) as error:  # of MuJoCo's compiler: a flat mesh, say
         reason = " ".join(str(error).split())
@@ -230,19 +230,19 @@ class _Robot:
                 self.report.add("fused", "by fixed joints", f"{part} with {name}")
                 self._add_site(body, part, tree.placement[part])
         for leg in self.legs:
-            if leg.links[2] == name == leg.foot_link:
+            if leg.links[2] == name == leg.foot.link:
                 # A foot that is no link of its own still has its frame, in the sphere's centre.
                 frame = np.eye(4)
-                frame[:3, 3] = leg.centre
-                self._add_site(body, leg.foot, frame)
+                frame[:3, 3] = leg.foot.centre
+                self._add_site(body, leg.foot_name, frame)
         return body
 
     def _add_site(self, body: mujoco.MjsBody, name: str, frame: np.ndarray) -> None:
         """Mark a frame; a foot's site encloses its sphere, as its touch sensor needs."""
-        leg = next((leg for leg in self.legs if leg.foot == name), None)
+        leg = next((leg for leg in self.legs if leg.foot_name == name), None)
         radius = 0.01
         if leg is not None:
-            radius = 1.1 * leg.radius + float(np.linalg.norm(leg.centre - frame[:3, 3]))
+            radius = 1.1 * leg.foot.radius + float(np.linalg.norm(leg.foot.centre - frame[:3, 3]))
         pos, quat = pose(frame)
         body.add_site(name=name, pos=pos, quat=quat, group=FRAMES, size=[radius] * 3)
 
@@ -298,7 +298,7 @@ class _Robot:
             ):
                 self._add_sensor(name, kind, site)
         for leg in self.legs:
-            self._add_sensor(f"{leg.foot}_touch", kinds.mjSENS_TOUCH, leg.foot)
+            self._add_sensor(f"{leg.foot_name}_touch", kinds.mjSENS_TOUCH, leg.foot_name)
 
     def _add_sensor(self, name: str, kind: mujoco.mjtSensor, site: str) -> None:
         self.spec.add_sensor(name=name, type=kind, objtype=mujoco.mjtObj.mjOBJ_SITE, objname=site)

@@ -2,6 +2,7 @@
 
 import jax
 import jax.numpy as jnp
+import mujoco
 import numpy as np
 
 from quadwalk.ground.terrain import Terrain
@@ -9,6 +10,8 @@ from quadwalk.physics.fast import lowest_points
 from quadwalk.physics.model import Model
 from quadwalk.physics.motor import Physics
 from quadwalk.physics.rotation import from_euler
+from quadwalk.robot.quadruped import Quadruped
+from quadwalk.robot.scene import lowest_point
 from quadwalk.task.config import ResetConfig
 from quadwalk.task.robot_arrays import RobotArrays
 
@@ -35,6 +38,21 @@ def fresh_start(model: Model, robot: RobotArrays, config: ResetConfig, key: jax.
     qvel = qvel.at[0].add(config.forward * (speed[12] + 1.0) / 2.0)
     qvel = qvel.at[6:].set(config.joint_velocity * speed[:12])
     return Physics(qpos, qvel, jnp.zeros(18))
+
+
+def nominal_start(model: mujoco.MjModel, quadruped: Quadruped, config: ResetConfig) -> np.ndarray:
+    """qpos (19,) of a start without its random part: the pose that all are drawn around.
+
+    `model` is one of the quadruped. By MuJoCo, so that nothing has to be compiled.
+    """
+    data = mujoco.MjData(model)
+    data.qpos[:] = quadruped.home
+    if config.pose is not None:
+        data.qpos[7:] = np.clip(np.tile(config.pose, 4), quadruped.lower, quadruped.upper)
+    mujoco.mj_kinematics(model, data)
+    lowest = min(lowest_point(model, data, model.geom(name).id) for name in quadruped.feet)
+    data.qpos[2] = data.qpos[2] - lowest if config.height is None else config.height
+    return data.qpos.copy()
 
 
 def on_tile(

@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING
 from quadwalk.cli import as_typed
 from quadwalk.errors import UserError
 from quadwalk.train.progress.display import Progress
+from quadwalk.train.progress.watch import WATCHED, check_watch, watched
 from quadwalk.train.runs.directory import Run
 from quadwalk.train.settings import TrainConfig
-from quadwalk.train.watch import WATCHED, check_watch, watched
 
 if TYPE_CHECKING:
     from quadwalk.train.runs.writer import RunWriter

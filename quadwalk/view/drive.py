@@ -12,7 +12,7 @@ from typing import Annotated
 import tyro
 from rich.console import Console
 
-from quadwalk.errors import UsageError, UserError
+from quadwalk.errors import UsageError, UserError, check_port
 from quadwalk.paths import PRETRAINED
 from quadwalk.train.runs.directory import Run, find_run
 
@@ -31,8 +31,7 @@ class ViewConfig:
     runs: Path = Path("runs")  # folder that holds all runs
 
     def __post_init__(self) -> None:
-        if not 0 <= self.port < 65536:
-            raise UsageError(f"--port is {self.port}; expected 0 to 65535")
+        check_port(self.port)
 
 
 def drive(config: ViewConfig) -> None:

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
-from quadwalk.evaluate.simulate import Policy, foot_forces  # before Brax, for its MJX
+from quadwalk.evaluate.simulate import Policy, foot_forces, geom_ids  # before Brax, for its MJX
 from quadwalk.evaluate.subject import Subject
 
 # isort: split
@@ -17,10 +17,10 @@ import numpy as np
 from quadwalk.physics.model import Variation, vary_motor
 from quadwalk.physics.motor import Physics, control_step
 from quadwalk.physics.mujoco_c import varied_model
-from quadwalk.robot.scene import lowest_point
 from quadwalk.task.command import Command
 from quadwalk.task.conditions import Conditions, delayed, targets_needed
 from quadwalk.task.env import MAX_SPEED, QuadrupedEnv
+from quadwalk.task.reset import nominal_start
 from quadwalk.task.state import EnvState
 
 MAX_LATENCY = 0.06  # s, that joint targets can be late
@@ -84,20 +84,15 @@ class LiveRobot:
         self._key = np.array([0, seed], np.uint32)
         self._no_frames = _empty_frames(self.env)
         self._think = _compiled(self.env)
+        self._first_pose = nominal_start(self._base, self.env.quadruped, self.env.config.reset)
+        self._feet = geom_ids(self._base, self.env.quadruped.feet)
         self.reset()
 
     def reset(self) -> None:
         """Stand in the task's first pose, at rest, its lowest foot on the floor."""
         env, data = self.env, self.data
         mujoco.mj_resetData(self.model, data)
-        data.qpos[:] = env.robot.home
-        start = env.config.reset
-        if start.pose is not None:
-            data.qpos[7:] = np.tile(start.pose, 4)
-        mujoco.mj_kinematics(self.model, data)
-        feet = [self.model.geom(name).id for name in env.quadruped.feet]
-        lowest = min(lowest_point(self.model, data, foot) for foot in feet)
-        data.qpos[2] = data.qpos[2] - lowest if start.height is None else start.height
+        data.qpos[:] = self._first_pose
         mujoco.mj_forward(self.model, data)
         self.steps, self._fallen = 0, 0
         self.foot_force = np.zeros(4)
@@ -127,7 +122,7 @@ class LiveRobot:
         control_step(
             self._motor, self.env.stepping, physics, np.asarray(obeyed, float), self._advance
         )
-        self.foot_force = foot_forces(self.model, data, self.env.quadruped.feet)
+        self.foot_force = foot_forces(self.model, data, self._feet)
         self.steps += 1
         diverged = np.abs(data.qvel).max() > MAX_SPEED or any(
             data.warning[kind].number

@@ -16,6 +16,7 @@ from quadwalk.evaluate import evaluation as measuring
 from quadwalk.evaluate import subject as loading
 from quadwalk.evaluate import sweep as sweeping
 from quadwalk.evaluate.judge import compare, judge
+from quadwalk.evaluate.kinematics import roll_pitch_yaw
 from quadwalk.evaluate.options import EvalConfig
 from quadwalk.evaluate.simulate import simulate_episodes, with_foot_forces
 from quadwalk.evaluate.subject import Subject, load_subject
@@ -197,17 +198,16 @@ def test_without_perturbation_a_sweep_measures_what_an_evaluation_does(
     rollouts, subject, monkeypatch
 ):
     points = [Point(), Point(strength=80.0), Point(delay=40.0)]
-    outcome = sweeping._simulate(subject.env, subject.policy.act, points, EPISODES, 1, None)
-    x = np.cumsum(outcome.speed, axis=0) * 0.02  # m gained
+    tally = sweeping._simulate(subject.env, subject.policy.act, points, EPISODES, 1, None)
+    gained = tally.speed * 0.02  # m
     for k, rollout in enumerate(rollouts):
-        assert np.argmax(outcome.end[:, k] > 0) + 1 == rollout.steps
-        gained = rollout.qpos[1:, 0] - rollout.qpos[0, 0]
-        np.testing.assert_allclose(x[: rollout.steps, k], gained, atol=1e-4)
-    plain, weak, late = (x[:25, k * EPISODES : (k + 1) * EPISODES] for k in range(3))
+        assert tally.steps[k] == rollout.steps
+        assert gained[k] == pytest.approx(rollout.qpos[-1, 0] - rollout.qpos[0, 0], abs=1e-4)
+    plain, weak, late = gained.reshape(3, EPISODES)
     assert np.abs(weak - plain).max() > 1e-2
     assert np.abs(late - plain).max() > 1e-2
 
-    monkeypatch.setattr(sweeping, "_simulate", lambda *_: outcome)
+    monkeypatch.setattr(sweeping, "_simulate", lambda *_: tally)
     measured = measure_points(subject, points, EPISODES, 1)[0]
     fell = np.mean([rollout.fell for rollout in rollouts])
     assert measured["success"] == 1 - fell
@@ -217,6 +217,9 @@ def test_without_perturbation_a_sweep_measures_what_an_evaluation_does(
     mean, half_width = mean_interval(speeds)
     assert measured["speed"]["mean"] == pytest.approx(mean, abs=2e-4)
     assert measured["speed"]["ci95"] == pytest.approx(half_width, abs=1e-3)
+    headings = [np.abs(roll_pitch_yaw(rollout.qpos[1:, 3:7])[:, 2]).mean() for rollout in rollouts]
+    heading = np.degrees(np.mean(headings))
+    assert measured["heading_error"]["mean"] == pytest.approx(heading, rel=1e-3)
 
 
 @pytest.fixture(scope="module")

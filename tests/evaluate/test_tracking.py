@@ -2,8 +2,10 @@
 
 import dataclasses
 from pathlib import Path
+from types import SimpleNamespace
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -20,6 +22,7 @@ from quadwalk.evaluate.summary import (
     tracking_errors,
     typical_episode,
 )
+from quadwalk.evaluate.sweep import Tally, _tallied
 from quadwalk.task.config import CommandConfig
 from quadwalk.task.env import QuadrupedEnv
 from quadwalk.tasks import sprint, walk
@@ -85,6 +88,34 @@ def test_an_episode_too_short_has_no_error(glide):
     short = episode_figures(first_steps(rollout, 74), sprint.TASK.env.reward, WEIGHT, EFFORT)
     assert (short["velocity_error"], short["yaw_rate_error"]) == (None, None)
     assert tracking_errors(first_steps(rollout, 75)) == pytest.approx((0.0, 0.0), abs=1e-9)
+
+
+def test_a_sweep_tracks_as_an_evaluation_does(glide):
+    velocity = np.array([1.0, 0.2, 0.5]) + np.random.default_rng(0).uniform(-1, 1, (STEPS, 3))
+    command = np.array([1.0, 0.0, 0.3], np.float32)
+    rollout = glide(velocity, command)
+    env = SimpleNamespace(config=SimpleNamespace(control_dt=DT))
+    nothing = np.zeros((), np.float32)
+
+    def state(qpos, end):
+        return SimpleNamespace(
+            pipeline_state=SimpleNamespace(qpos=qpos, velocity_command=command),
+            metrics={"speed": nothing},
+            info={"end": end},
+        )
+
+    def step(tally, row):
+        before, after, end = row
+        return _tallied(env, tally, state(before, 0), state(after, end)), None
+
+    tally = Tally(np.int32(0), np.int32(0), nothing, nothing, np.zeros(3), np.zeros(2), np.int32(0))
+    ends = (np.arange(STEPS) >= STEPS - 21).astype(np.int32)  # the last whole window ends before
+    rows = jax.tree.map(jnp.asarray, (rollout.qpos[:-1], rollout.qpos[1:], ends))
+    tally = jax.jit(lambda tally: jax.lax.scan(step, tally, rows))(tally)[0]
+    assert (tally.end, tally.steps, tally.windows) == (1, STEPS - 20, 5)
+    means = (velocity - command)[50:175].reshape(5, 25, 3).mean(axis=1)
+    expected = [np.linalg.norm(means[:, :2], axis=1).mean(), np.abs(means[:, 2]).mean()]
+    np.testing.assert_allclose(tally.errors / 5, expected, rtol=1e-3)
 
 
 def test_the_path_is_as_long_as_the_way_it_went(glide):

@@ -22,7 +22,7 @@ def check(pinocchio, file: Path, meshes: bool = True) -> None:
     except UrdfError:  # Minitaur's legs are of two motors each
         legs = ()
     spec = convert(urdf, legs, Options(meshes=meshes)).spec
-    check_spec(pinocchio, urdf, spec, {f"position of {leg.foot}" for leg in legs})
+    check_spec(pinocchio, urdf, spec, {f"position of {leg.foot_name}" for leg in legs})
 
 
 def check_spec(pinocchio, urdf: Urdf, spec: mujoco.MjSpec, compared: set[str]) -> None:

@@ -2,9 +2,9 @@
 
 import contextlib
 
+from quadwalk.train.progress.watch import WATCHED
 from quadwalk.train.runs.directory import Run
 from quadwalk.train.runs.policy import load_score
-from quadwalk.train.watch import WATCHED
 
 
 def test_a_watched_training_saves_its_policy_often(train, flags, tmp_path, monkeypatch):

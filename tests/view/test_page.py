@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from quadwalk.train.progress.watch import watched
 from quadwalk.train.runs.directory import Run
-from quadwalk.train.watch import watched
 from quadwalk.view.choices import NEWEST
 from tests.view.conftest import write_policy
 

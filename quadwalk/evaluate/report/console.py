@@ -13,6 +13,13 @@ from quadwalk.evaluate.gait import Gait
 from quadwalk.evaluate.summary import FIGURES, engine_differences
 
 _NONE = "-"
+# What the table of a sweep shows beside success, of what there is.
+_SWEPT = {
+    "speed": "speed, m/s",
+    "heading_error": "heading error, deg",
+    "velocity_error": "velocity error, m/s",
+    "yaw_rate_error": "yaw rate error, rad/s",
+}
 
 
 def print_summary(summary: dict[str, Any], title: str) -> None:
@@ -62,7 +69,8 @@ def print_comparison(comparison: dict[str, Any]) -> None:
 
 
 def print_sweep(results: dict[str, Any]) -> None:
-    """Success and speed at each point of each sweep; a star marks what training had."""
+    """Success, speed and tracking at each point of each sweep; a star marks the model's value."""
+    shown = {name: heading for name, heading in _SWEPT.items() if name in results["nominal"]}
     rows: list[Sequence[str] | None] = []
     for sweep in results["sweeps"].values():
         heading = sweep["heading"] + (f", {sweep['unit']}" if sweep["unit"] else "")
@@ -71,10 +79,12 @@ def print_sweep(results: dict[str, Any]) -> None:
             star = "*" if point["value"] == sweep["nominal"] else " "
             success = f"{100 * point['success']:.0f} ({low:.0f} to {high:.0f})"
             name = "" if number else heading
-            rows.append((name, f"{point['value']:g}{star}", success, figure_text(point["speed"])))
+            figures = [figure_text(point[figure]) for figure in shown]
+            rows.append((name, f"{point['value']:g}{star}", success, *figures))
         rows.append(None)
     title = f"{results['run']}: {results['episodes']} episodes at each point, mean ± 95 %, "
-    _print_table(f"{title}* the model's", ("", "value", "success, %", "speed, m/s"), rows)
+    headings = ("", "value", "success, %", *shown.values())
+    _print_table(f"{title}* the model's", headings, rows)
 
 
 def describe_gait(gait: Gait, episode: int) -> str:
