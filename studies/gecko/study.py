@@ -2,7 +2,7 @@
 
     python -m studies.gecko.study [--seeds 2] [--only blog "blog, rewards"]
 
-The tasks `blog`, the post's, and `run`, ours, differ in the `CAUSES` below. Each of these is
+The tasks `blog`, the post's, and `sprint`, ours, differ in the `CAUSES` below. Each of these is
 exchanged by itself: in the post's task for what ours has, and in ours for what the post's has.
 
 Every variant is trained for as many control steps as its task, over several seeds, a core for each
@@ -50,8 +50,8 @@ ABOUT_STANDING = {
     "env.action.calf_low": -2.55,
     "env.action.calf_high": -0.65,
 }
-OTHER = {"blog": "run", "run": "blog"}
-STEPS = {"blog": 10_000_000, "run": 5_000_000}  # the post's; enough for ours to gallop
+OTHER = {"blog": "sprint", "sprint": "blog"}
+STEPS = {"blog": 10_000_000, "sprint": 5_000_000}  # the post's; enough for ours to gallop
 
 
 def exchange(config: TrainConfig, other: TrainConfig, *causes: str) -> TrainConfig:
@@ -76,7 +76,7 @@ def variants() -> dict[str, TrainConfig]:
         found[f"{task}, all of them"] = exchange(own, others, *CAUSES)
     post, ours = load_task("blog"), load_task("sprint")
     found["blog, action 0"] = with_settings(post, ABOUT_STANDING)
-    found["run, action mapping and falls"] = exchange(ours, post, "action mapping", "falls")
+    found["sprint, action mapping and falls"] = exchange(ours, post, "action mapping", "falls")
     return found
 
 

@@ -207,11 +207,11 @@ def test_an_evaluation_opens_the_latest_run(executed, tmp_path):
 
 def test_the_gecko_is_told_from_the_cheetah(executed):
     done = executed("04_gecko")
-    for code in ('film(["blog", "run"])', "film(of_post)", "film(of_ours)"):
+    for code in ('film(["blog", "sprint"])', "film(of_post)", "film(of_ours)"):
         assert orange(done.picture(code)).mean() > 0.01, code
     for code in ('footfalls(["blog"', "dots(of_post)", "dots(of_ours)"):
         assert curves(done.picture(code)) >= 2, code
-    rows = done.text('table(["blog", "run"])').splitlines()
+    rows = done.text('table(["blog", "sprint"])').splitlines()
     gecko, cheetah = (dict(zip(rows[0].split(), row.split()[1:], strict=False)) for row in rows[1:])
     assert float(gecko["speed"]) < float(cheetah["speed"])
     assert float(gecko["body_contact"]) > 0.1

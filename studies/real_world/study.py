@@ -1,0 +1,145 @@
+"""What each ingredient of a policy for the real world gives: trained without it, and judged.
+
+    python -m studies.real_world.study [--seeds 1] [--steps 6000000] [--only run "no critic"]
+
+`sprint` is the task of an ideal world, `run` that of the real one; the others are `run` without one
+of its ingredients. Each is trained over so many seeds, and judged under the same conditions in the
+fast engine: as its model says, with one thing after another different, and with everything at once
+as `run` draws it; and at its model's in MuJoCo C, every shape colliding. Runs are kept in `--runs`:
+one that is there is not trained again. Results go to `--out` as they come, and
+notebooks/05_real_world.ipynb shows them. To see that it works:
+
+    python -m studies.real_world.study --steps 1 --episodes 4 --only sprint --runs /tmp/runs --out \
+        /tmp/a.json
+"""
+
+import argparse
+import itertools
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from quadwalk.api import evaluate
+from quadwalk.errors import run_command
+from quadwalk.evaluate.subject import Subject, load_subject
+from quadwalk.evaluate.sweep import Point, measure_points
+from quadwalk.files import atomic_write
+from quadwalk.task.env import QuadrupedEnv
+from quadwalk.task_files import load_task
+from quadwalk.train.serialise import with_settings
+from quadwalk.train.settings import TrainConfig
+from studies.runs import in_processes, trained
+
+RESULTS = Path(__file__).parent / "results.json"
+SECONDS = 20.0
+POINTS = {
+    "nominal": Point(),
+    "everything at once": Point(everything=1.0),
+    "4 ms late": Point(delay=4.0),
+    "12 ms late": Point(delay=12.0),
+    "20 ms late": Point(delay=20.0),
+    "32 ms late": Point(delay=32.0),
+    "sensor noise": Point(noise=1.0),
+    "sensor noise x 2": Point(noise=2.0),
+    "5 kg more": Point(mass=5.0),
+    "motors at 80 %": Point(strength=80.0),
+    "friction 0.3": Point(friction=0.3),
+    "pushes of 1 m/s": Point(push=1.0),
+}
+
+
+def variants() -> dict[str, TrainConfig]:
+    """Name to configuration: the ideal world, the real one, and that without each ingredient."""
+    run = load_task("run")
+    drawn, parts = "env.randomisation", run.env.observation
+    without: dict[str, dict[str, Any]] = {
+        "no latency": {f"{drawn}.{name}": None for name in ("latency", "sensor_latency")},
+        "no noise": {f"{drawn}.{name}": None for name in ("noise", "encoder", "imu_tilt")},
+        "no pushes": {f"{drawn}.push": None},
+        "one robot, one floor": {
+            f"{drawn}.{name}": None
+            for name in (
+                *("friction", "trunk_mass", "trunk_centre", "link_mass", "strength"),
+                *("kp", "kd", "joint_friction", "damping", "armature"),
+            )
+        },
+        "no history": {f"env.observation.{name}.history": 0 for name in parts},
+        "no critic": {"env.critic": {}},
+    }
+    return {
+        "sprint": load_task("sprint"),
+        "run": run,
+        **{name: with_settings(run, changes) for name, changes in without.items()},
+    }
+
+
+def judge(name: str, seed: int, steps: int, episodes: int, runs: Path) -> dict[str, Any]:
+    """Train a variant, if it has not been, and measure it."""
+    words = re.sub(r"\W+", "-", name)
+    config = replace(
+        variants()[name],
+        name=f"{words}_{steps}_s{seed}",
+        runs=runs,
+        seed=seed,
+        steps=steps,
+        quiet=True,
+    )
+    run = trained(config)
+    subject = as_in_run(load_subject(run, SECONDS, engine="fast"))
+    measured = measure_points(subject, list(POINTS.values()), episodes, seed=0)
+    c = evaluate(run, episodes=16, seconds=SECONDS, engine="mujoco").summary
+    return {
+        "variant": name,
+        "seed": seed,
+        "steps": steps,
+        "episodes": episodes,
+        "points": dict(zip(POINTS, measured, strict=True)),
+        "mujoco": {name: c[name] for name in ("fall_rate", "speed", "heading_error")},
+    }
+
+
+def as_in_run(subject: Subject) -> Subject:
+    """`subject`, but that what is drawn is drawn from the ranges of `run`."""
+    ranges = replace(load_task("run").env.randomisation, enabled=False)
+    config = replace(subject.env.config, randomisation=ranges)
+    return replace(subject, env=QuadrupedEnv(subject.env.quadruped, config, subject.env.engine))
+
+
+def main() -> None:
+    names = list(variants())
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--seeds", type=int, default=1)
+    parser.add_argument("--steps", type=int, default=6_000_000, help="control steps of each run")
+    parser.add_argument("--episodes", type=int, default=256, help="at each point")
+    parser.add_argument("--only", nargs="+", choices=names, help="of the variants")
+    parser.add_argument("--runs", type=Path, default=Path("runs/real_world"))
+    parser.add_argument("--out", type=Path, default=RESULTS)
+    options = parser.parse_args()
+
+    def key(found: dict[str, Any]) -> tuple[int, int]:
+        """Where a result belongs among the others."""
+        return names.index(found["variant"]), found["seed"]
+
+    results = json.loads(options.out.read_text()) if options.out.exists() else []
+    by_key = {key(result): result for result in results}
+    cases = itertools.product(
+        options.only or names,
+        range(options.seeds),
+        [options.steps],
+        [options.episodes],
+        [options.runs.resolve()],
+    )
+    for found in in_processes(judge, cases, at_once=1, devices=None):
+        by_key[key(found)] = found
+        # One line for each, so that a change shows which.
+        lines = ",\n".join(json.dumps(by_key[each]) for each in sorted(by_key))
+        with atomic_write(options.out) as file:
+            file.write(f"[\n{lines}\n]\n".encode())
+        shares = {name: f"{100 * p['success']:.0f} %" for name, p in found["points"].items()}
+        print(f"{found['variant']}, seed {found['seed']}: {shares}", flush=True)
+
+
+if __name__ == "__main__":
+    run_command(main)
