@@ -1,4 +1,4 @@
-"""The console command `quadwalk`: train, eval, export and robot, which modules do as well."""
+"""The console command `quadwalk`: `quadwalk train`, `quadwalk eval` and the others."""
 
 import importlib
 import sys
@@ -9,6 +9,7 @@ _COMMANDS = {
     "train": ("quadwalk.train.__main__", "teach a quadruped a task"),
     "eval": ("quadwalk.evaluate.__main__", "judge a trained policy"),
     "export": ("quadwalk.export.__main__", "write a policy as ONNX, to be used elsewhere"),
+    "compare": ("quadwalk.variants.__main__", "train variants over seeds, and judge them"),
     "view": ("quadwalk.view.__main__", "drive a trained policy live"),
     "robot": ("quadwalk.robot.__main__", "convert a URDF to MJCF, or draw it"),
     "ground": ("quadwalk.ground.__main__", "draw every kind of ground"),

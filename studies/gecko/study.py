@@ -27,8 +27,8 @@ from quadwalk.files import atomic_write
 from quadwalk.task_files import load_task
 from quadwalk.train.serialise import with_settings
 from quadwalk.train.settings import TrainConfig
+from quadwalk.variants.trainings import in_processes, trained
 from studies.gecko.gait import measure
-from studies.runs import in_processes, trained
 
 RESULTS = Path(__file__).parent / "results.json"
 # Settings of a TrainConfig that are exchanged together. The learner's that count steps go with the

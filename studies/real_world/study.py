@@ -30,7 +30,7 @@ from quadwalk.task.env import QuadrupedEnv
 from quadwalk.task_files import load_task
 from quadwalk.train.serialise import with_settings
 from quadwalk.train.settings import TrainConfig
-from studies.runs import in_processes, trained
+from quadwalk.variants.trainings import in_processes, trained
 
 RESULTS = Path(__file__).parent / "results.json"
 SECONDS = 20.0

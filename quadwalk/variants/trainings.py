@@ -1,4 +1,4 @@
-"""What the studies share: runs that are trained once, and jobs with a process each."""
+"""Trainings of a study: each run trained once, and a process for each."""
 
 import quadwalk.physics.mjx  # noqa: F401  # isort: skip  # else Brax imports it, loudly
 

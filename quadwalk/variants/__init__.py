@@ -1,0 +1,1 @@
+"""`quadwalk compare`: what a change of settings gives, over several seeds."""

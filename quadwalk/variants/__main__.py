@@ -1,0 +1,67 @@
+"""`quadwalk compare`: train variants of the settings over several seeds, and judge them."""
+
+import dataclasses
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from quadwalk.cli import parse
+from quadwalk.errors import UsageError, run_command
+
+
+@dataclass(frozen=True)
+class CompareConfig:
+    """Train variants of a task's settings over several seeds, and judge each in both engines.
+
+    quadwalk compare "" "--env.reward.energy -0.1" "--preset walk" [OPTIONS]
+
+    Each argument holds the flags of `quadwalk train` of one variant, "" the defaults. A run that is
+    there already is not trained again, so that what was stopped goes on where it was. Rows are
+    printed as they come, as Markdown; the table, the figures and the learning curves, each with the
+    band of its seeds, are written to the folder of the runs.
+    """
+
+    steps: int | None = None  # control steps of each training; by default the task's
+    seeds: int = 3  # trainings of each variant: from seed 0 up
+    episodes: int = 64  # of each run, in each engine
+    at_once: int = 1  # trainings at a time; if several, on one core each
+    runs: Path = Path("runs/compare")  # folder of the runs and of what is written
+
+    def __post_init__(self) -> None:
+        for name in ("steps", "seeds", "episodes", "at_once"):
+            value = getattr(self, name)
+            if value is not None and value < 1:
+                raise UsageError(f"--{name.replace('_', '-')} is {value}; expected 1 or more")
+
+
+def split(args: Sequence[str]) -> tuple[list[str], list[str]]:
+    """The variants among `args`, and what is left: the command's own options with their values."""
+    own = {f"--{field.name.replace('_', '-')}" for field in dataclasses.fields(CompareConfig)}
+    variants, options, takes_value = [], [], False
+    for arg in args:
+        known = arg.partition("=")[0].replace("_", "-") in own
+        if takes_value or known or arg in ("-h", "--help"):
+            options.append(arg)
+            takes_value = not takes_value and known and "=" not in arg
+        else:
+            variants.append(arg)
+    return variants, options
+
+
+def main(args: Sequence[str] | None = None, prog: str = "quadwalk compare") -> None:
+    """Parse the command line and compare."""
+    variants, options = split(sys.argv[1:] if args is None else args)
+    config = parse(CompareConfig, options, prog)
+    if not variants:
+        raise UsageError(
+            "no variant is given; expected flags of training, those of a variant in one argument: "
+            f'{prog} "" "--env.reward.energy -0.1"'
+        )
+    from quadwalk.variants.table import compare_variants
+
+    compare_variants(variants, config)
+
+
+if __name__ == "__main__":
+    run_command(main)

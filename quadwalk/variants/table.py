@@ -1,0 +1,127 @@
+"""The table of variants: a row for each run, its figures in both engines."""
+
+from quadwalk.variants.trainings import in_processes, trained  # isort: skip  # before Brax
+
+import itertools
+import re
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from quadwalk.api import evaluate
+from quadwalk.evaluate.report.plots import save_figure
+from quadwalk.files import atomic_write
+from quadwalk.train.flags import parse_config
+from quadwalk.train.runs.directory import Run, write_json_atomic
+from quadwalk.train.runs.log import read_history
+from quadwalk.variants.bands import draw_bands
+
+if TYPE_CHECKING:
+    from quadwalk.variants.__main__ import CompareConfig
+
+# Heading of a column, unit or "" and how it is written. Of a task with commands, "off" and
+# "turning off" are in the place of speed, drift and heading.
+COLUMNS = {
+    "m/s": ".2f",
+    "falls": ".1%",
+    "slow": "d",
+    "drift": ".1%",
+    "heading, °": ".1f",
+    "off, m/s": ".3f",
+    "turning off, rad/s": ".3f",
+    "m/s in C": ".2f",
+    "falls in C": ".1%",
+    "off in C": ".3f",
+    "gait": "s",
+    "swing, cm": ".1f",
+    "slip": ".1%",
+    "torque": ".0%",
+    "joint speed": ".0%",
+    "action rate, 1/s": ".1f",
+}
+
+
+def compare_variants(variants: Sequence[str], config: "CompareConfig") -> None:
+    """Train and judge what has not been, print rows, and write them with their picture."""
+    for flags in variants:
+        parse_config(flags.split())  # a wrong one is told before the first is trained
+    cases = itertools.product(
+        variants,
+        range(config.seeds),
+        [config.steps],
+        [config.episodes],
+        [config.runs.resolve()],
+    )
+    lines = [_line(("flags", "seed", *COLUMNS)), "|" + "---|" * (2 + len(COLUMNS))]
+    print("\n".join(lines), flush=True)
+    results = []
+    devices = 1 if config.at_once > 1 else None
+    for found in in_processes(judged, cases, config.at_once, devices):
+        results.append(found)
+        lines.append(row(found))
+        print(lines[-1], flush=True)
+    histories = [
+        (found["flags"] or "defaults", read_history(Run(config.runs / found["run"])))
+        for found in results
+    ]
+    with atomic_write(config.runs / "compare.md") as file:
+        file.write(("\n".join(lines) + "\n").encode())
+    write_json_atomic(config.runs / "compare.json", results)
+    save_figure(draw_bands(histories), config.runs / "compare.png")
+    print(f"written to {config.runs}: compare.md, compare.json, compare.png")
+
+
+def judged(flags: str, seed: int, steps: int | None, episodes: int, runs: Path) -> dict[str, Any]:
+    """The figures of one run, which is trained if it has not been."""
+    words = re.sub(r"[^\w.]+", "-", flags).strip("-") or "default"
+    config, _ = parse_config(flags.split())
+    name = f"{words}_{steps or 'full'}_s{seed}"
+    config = replace(config, name=name, runs=runs, seed=seed, quiet=True)
+    run = trained(replace(config, steps=steps or config.steps))
+    mjx = evaluate(run, episodes=episodes).summary
+    c = evaluate(run, episodes=episodes, engine="mujoco")
+    gait = c.gait
+    told = "velocity_error" in mjx
+    speed = "path_speed" if told else "speed"
+    speeds = np.array([episode[speed] for episode in c.episodes])
+    figures: dict[str, Any] = {
+        "m/s": _mean(mjx, speed),
+        "falls": mjx["fall_rate"],
+        # Less than half as fast as the median: it stands, or limps.
+        "slow": None if told else int(np.sum(speeds < 0.5 * np.median(speeds))),
+        "drift": None if told else _mean(mjx, "lateral_drift") / _mean(mjx, "distance"),
+        "heading, °": None if told else _mean(mjx, "heading_error"),
+        "off, m/s": _mean(mjx, "velocity_error") if told else None,
+        "turning off, rad/s": _mean(mjx, "yaw_rate_error") if told else None,
+        "m/s in C": _mean(c.summary, speed),
+        "falls in C": c.summary["fall_rate"],
+        "off in C": _mean(c.summary, "velocity_error") if told else None,
+        "gait": gait.gait,
+        "swing, cm": 100 * float(np.nan_to_num(gait.swing_height).min()),
+        "slip": float(np.fmax.reduce(gait.slip_share)),
+        "torque": float(np.fmax.reduce(gait.torque_peak)),
+        "joint speed": float(np.fmax.reduce(gait.joint_speed_peak)),
+        "action rate, 1/s": gait.action_rate,
+    }
+    return {"flags": flags, "seed": seed, "run": name, "steps": steps, "figures": figures}
+
+
+def row(result: dict[str, Any]) -> str:
+    """A result as a row of the table."""
+    figures = result["figures"]
+    cells = [
+        "-" if figures[name] is None else f"{figures[name]:{form}}"
+        for name, form in COLUMNS.items()
+    ]
+    return _line((f"`{result['flags'] or 'defaults'}`", str(result["seed"]), *cells))
+
+
+def _mean(summary: dict[str, Any], name: str) -> float:
+    return float("nan") if summary[name] is None else summary[name]["mean"]
+
+
+def _line(cells: Sequence[str]) -> str:
+    return f"| {' | '.join(cells)} |"

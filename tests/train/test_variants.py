@@ -1,0 +1,132 @@
+"""`quadwalk compare`: what it takes for variants, its table and its curves."""
+
+import json
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from quadwalk.errors import UsageError
+from quadwalk.train.flags import parse_config
+from quadwalk.train.runs.directory import Run
+from quadwalk.variants import table
+from quadwalk.variants.__main__ import main, split
+from quadwalk.variants.bands import band, draw_bands
+
+ROWS = [{"steps": 10, "eval/speed": 1.0}, {"steps": 20, "eval/speed": 3.0}]
+
+
+def test_what_is_no_option_of_its_own_is_a_variant():
+    given = ["", "--ppo.entropy 0.003", "--preset=walk", "--seeds", "2", "--at-once=2", "--steps"]
+    variants, options = split([*given, "64"])
+    assert variants == ["", "--ppo.entropy 0.003", "--preset=walk"]
+    assert options == ["--seeds", "2", "--at-once=2", "--steps", "64"]
+
+
+@pytest.mark.parametrize(
+    ("args", "said"),
+    [
+        ([], "no variant is given"),
+        (["", "--seeds", "0"], "--seeds is 0; expected 1 or more"),
+        (["--ppo.entropi 1"], "unknown option --ppo.entropi"),
+        (["", "--episodes", "many"], "bad value for --episodes"),
+    ],
+)
+def test_what_cannot_be_compared_is_said_before_anything_is_trained(args, said, monkeypatch):
+    monkeypatch.setattr(table, "in_processes", pytest.fail)
+    with pytest.raises(UsageError) as caught:
+        main(args)
+    assert said in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_the_band_of_seeds_goes_as_far_as_all_of_them():
+    other = [{"steps": 12, "eval/speed": 5.0}, {"steps": 16, "eval/speed": 7.0}]
+    missing = {"steps": 14, "eval/speed": None}
+    steps, low, mean, high = band([ROWS, [*other[:1], missing, *other[1:]]], "eval/speed")
+    np.testing.assert_allclose(steps, [10, 12, 16])
+    np.testing.assert_allclose(low, [1.0, 1.4, 2.2])
+    np.testing.assert_allclose(high, [5.0, 5.0, 7.0])
+    np.testing.assert_allclose(mean, (low + high) / 2)
+    assert len(band([ROWS, []], "eval/speed")[0]) == 0
+
+
+def test_every_variant_has_a_curve():
+    figure = draw_bands([("a", ROWS), ("a", ROWS), ("b", ROWS)])
+    assert [len(axes.lines) for axes in figure.axes] == [2, 2, 2]
+
+
+@pytest.fixture
+def trainings(monkeypatch, tmp_path):
+    """Without processes; each training leaves metrics, each evaluation made-up figures."""
+
+    def trained(config):
+        run = Run(config.runs / config.name)
+        run.path.mkdir(parents=True)
+        run.metrics.write_text("".join(json.dumps(row) + "\n" for row in ROWS))
+        return run
+
+    def evaluate(run, episodes, engine="mjx"):
+        told = "walk" in run.name
+        seed = int(run.name[-1])
+        mean = {"mean": 2.0 + seed, "ci95": None}
+        names = ["path_speed", "velocity_error", "yaw_rate_error"]
+        names = names if told else ["speed", "distance", "lateral_drift", "heading_error"]
+        gait = SimpleNamespace(
+            gait="trot",
+            swing_height=np.array([0.05, 0.06, math.nan, 0.07]),
+            slip_share=np.array([0.01, 0.02]),
+            torque_peak=np.array([0.9, 1.0]),
+            joint_speed_peak=np.array([0.5]),
+            action_rate=20.0,
+        )
+        speeds = [{names[0]: speed} for speed in (2.0, 2.0, 0.1)]
+        summary = {"fall_rate": 0.25, **dict.fromkeys(names, mean)}
+        return SimpleNamespace(summary=summary, episodes=speeds, gait=gait)
+
+    monkeypatch.setattr(table, "trained", trained)
+    monkeypatch.setattr(table, "evaluate", evaluate)
+    monkeypatch.setattr(
+        table, "in_processes", lambda job, cases, *_: (job(*case) for case in cases)
+    )
+    return tmp_path / "runs"
+
+
+def test_a_row_for_each_run_a_file_for_all_and_a_picture(trainings, capsys):
+    main(["", "--preset walk", "--seeds", "2", "--steps", "64", "--runs", str(trainings)])
+    lines = capsys.readouterr().out.splitlines()
+    written = (trainings / "compare.md").read_text().splitlines()
+    assert written == lines[:6]
+    cells = [[cell.strip() for cell in line.strip("|").split("|")] for line in written]
+    heads, rows = cells[0], [dict(zip(cells[0], row, strict=True)) for row in cells[2:]]
+    assert heads[:2] == ["flags", "seed"]
+    assert [(row["flags"], row["seed"]) for row in rows] == [
+        ("`defaults`", "0"), ("`defaults`", "1"), ("`--preset walk`", "0"), ("`--preset walk`", "1")
+    ]  # fmt: skip
+    assert rows[1]["m/s"] == rows[1]["m/s in C"] == "3.00"
+    assert (rows[0]["falls"], rows[0]["slow"], rows[0]["off, m/s"]) == ("25.0%", "1", "-")
+    assert (rows[2]["off, m/s"], rows[2]["drift"], rows[2]["slow"]) == ("2.000", "-", "-")
+    assert rows[2]["swing, cm"] == "0.0"  # a foot that never left the floor
+    results = json.loads((trainings / "compare.json").read_text())
+    assert [result["run"] for result in results] == [
+        "default_64_s0", "default_64_s1", "preset-walk_64_s0", "preset-walk_64_s1"
+    ]  # fmt: skip
+    assert (trainings / "compare.png").stat().st_size > 1000
+
+
+def test_a_variant_is_trained_with_its_flags_and_seed(trainings, monkeypatch):
+    seen = []
+
+    def trained(config):
+        seen.append(config)
+        raise UsageError("enough")
+
+    monkeypatch.setattr(table, "trained", trained)
+    flags = "--ppo.entropy 0.003"
+    with pytest.raises(UsageError, match="enough"):
+        table.judged(flags, 2, None, 4, trainings)
+    (config,) = seen
+    usual, _ = parse_config(flags.split())
+    assert (config.ppo, config.env, config.steps) == (usual.ppo, usual.env, usual.steps)
+    assert (config.seed, config.runs) == (2, trainings)
