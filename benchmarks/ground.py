@@ -60,7 +60,8 @@ def print_costs(envs: int, steps: int, rounds: int) -> None:
 
             return jax.lax.scan(step, state, torques)[0].qpos
 
-        function = jax.vmap(lambda *arguments: robots_last(of_many)(model, *arguments))
+        like = jax.ShapeDtypeStruct((19,), np.float32)
+        function = jax.vmap(lambda *arguments: robots_last(of_many, like)(model, *arguments))
         mapped = jax.shard_map(
             function, mesh=mesh, in_specs=split, out_specs=split, check_vma=False
         )

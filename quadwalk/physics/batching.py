@@ -5,11 +5,15 @@ Measured on two cores with `benchmarks/physics.py`; see there for what each of t
 
 import itertools
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import ShapedArray
+from jax.extend.core import Primitive
+from jax.interpreters import ad, batching, mlir
 
 BATCH = 128  # robots side by side: what they hold at a time then stays in a core's cache
 LANES = 8  # floats in a vector register
@@ -17,12 +21,13 @@ LANES = 8  # floats in a vector register
 Tree = TypeVar("Tree")
 
 
-def robots_last(function: Callable[..., Any]) -> Callable[..., Any]:
+def robots_last(function: Callable[..., Any], like: Any) -> Callable[..., Any]:
     """Let `vmap` run a function of one robot that takes arrays (..., robots) at once.
 
     `function` maps pytrees of arrays with the robots along the last axis to such pytrees. What is
     returned takes and gives one robot's, without that axis; under `jax.vmap`, batches of them are
-    computed.
+    computed. `like` is a pytree of the shapes and types of what one robot gives: with it, the
+    function is traced for the batch alone, not for one robot as well.
 
     Leaves of the arguments that are no JAX arrays but NumPy's or numbers are the same for all
     robots. They get a last axis of length 1 and are constants of the compiled program, which folds
@@ -32,9 +37,20 @@ def robots_last(function: Callable[..., Any]) -> Callable[..., Any]:
     def of_any(*arguments: Any) -> Any:
         places = [isinstance(leaf, jax.Array) for leaf in jax.tree.leaves(arguments)]
         varying, assemble = _split(arguments, places)
-        return _batched(lambda *arrays: function(*assemble(arrays, column)))(*varying)
+        shapes, structure = jax.tree.flatten(like)
+        of_several = partial(_flat, lambda *arrays: function(*assemble(arrays, column)), structure)
+        found = _robots.bind(*varying, function=of_several, shapes=tuple(shapes))
+        return jax.tree.unflatten(structure, found)
 
     return of_any
+
+
+def _flat(function: Callable[..., Any], structure: Any, *arrays: jax.Array) -> list[Any]:
+    """The leaves of what `function` gives, whose structure must be this."""
+    leaves, own = jax.tree.flatten(function(*arrays))
+    if own != structure:
+        raise TypeError(f"a function gives {own}; expected {structure}")
+    return leaves
 
 
 def column(constant: Any) -> Any:
@@ -42,35 +58,56 @@ def column(constant: Any) -> Any:
     return np.reshape(constant, (*np.shape(constant), 1)) if np.ndim(constant) else constant
 
 
-def _batched(function: Callable[..., Any]) -> Callable[..., Any]:
-    """`function` of arrays (..., robots) as one of a single robot's, to be vmapped."""
+def _of_one(*arguments: Any, function: Callable[..., list[Any]], **_: Any) -> list[Any]:
+    return [x[..., 0] for x in function(*(x[..., None] for x in map(jnp.asarray, arguments)))]
 
-    @jax.custom_batching.custom_vmap
-    def of_one(*arguments: jax.Array) -> Any:
-        several = [x[..., None] for x in arguments]
-        return jax.tree.map(lambda x: x[..., 0], function(*several))
 
-    @of_one.def_vmap
-    def of_many(size: int, batched: Any, *arguments: jax.Array) -> Any:
-        # An accelerator is to be filled at once.
-        number = -(-size // BATCH) if jax.default_backend() == "cpu" else 1
-        length = size if number == 1 else -(-size // (number * LANES)) * LANES
+def _of_many(
+    arguments: Sequence[Any],
+    axes: Sequence[int | None],
+    *,
+    function: Callable[..., list[Any]],
+    **_: Any,
+) -> tuple[list[Any], list[int]]:
+    """What a batch gives, its axis first; `axes` are the batch's in `arguments`."""
+    size = next(x.shape[axis] for x, axis in zip(arguments, axes, strict=True) if axis is not None)
+    # An accelerator is to be filled at once.
+    number = -(-size // BATCH) if jax.default_backend() == "cpu" else 1
+    length = size if number == 1 else -(-size // (number * LANES)) * LANES
 
-        def arrange(x: jax.Array, is_batched: bool) -> jax.Array:
-            if not is_batched:
-                x = jnp.broadcast_to(x, (size, *x.shape))
-            x = jnp.pad(x, [(0, number * length - size)] + [(0, 0)] * (x.ndim - 1), mode="edge")
-            return jnp.moveaxis(x.reshape(number, length, *x.shape[1:]), 1, -1)
+    def arrange(x: jax.Array, axis: int | None) -> jax.Array:
+        x = jnp.broadcast_to(x, (size, *x.shape)) if axis is None else jnp.moveaxis(x, axis, 0)
+        x = jnp.pad(x, [(0, number * length - size)] + [(0, 0)] * (x.ndim - 1), mode="edge")
+        return jnp.moveaxis(x.reshape(number, length, *x.shape[1:]), 1, -1)
 
-        def restore(x: jax.Array) -> jax.Array:
-            x = jnp.moveaxis(x, -1, 1)
-            return x.reshape(number * length, *x.shape[2:])[:size]
+    def restore(x: jax.Array) -> jax.Array:
+        x = jnp.moveaxis(x, -1, 1)
+        return x.reshape(number * length, *x.shape[2:])[:size]
 
-        batches = jax.tree.map(arrange, tuple(arguments), tuple(batched))
-        out = jax.tree.map(restore, jax.lax.map(lambda batch: function(*batch), batches))
-        return out, jax.tree.map(lambda _: True, out)
+    batches = [arrange(x, axis) for x, axis in zip(arguments, axes, strict=True)]
+    out = [restore(x) for x in jax.lax.map(lambda batch: function(*batch), batches)]
+    return out, [0] * len(out)
 
-    return of_one
+
+def _tangents(
+    primals: Sequence[Any], tangents: Sequence[Any], *, function: Callable[..., list[Any]], **_: Any
+) -> tuple[list[Any], list[Any]]:
+    """Forward derivatives: those of one robot, for `vmap` to batch as it does."""
+    tangents = [ad.instantiate_zeros(tangent) for tangent in tangents]
+    return jax.jvp(partial(_of_one, function=function), tuple(primals), tuple(tangents))
+
+
+# `jax.custom_batching.custom_vmap` would trace a function for one robot, to know its shapes, and
+# then for the batch: seconds of every start.
+_robots = Primitive("robots_last")
+_robots.multiple_results = True
+_robots.def_impl(lambda *arguments, **how: jax.jit(partial(_of_one, **how))(*arguments))
+_robots.def_abstract_eval(
+    lambda *_, shapes, **__: [ShapedArray(each.shape, each.dtype) for each in shapes]
+)
+mlir.register_lowering(_robots, mlir.lower_fun(_of_one, multiple_results=True))
+batching.primitive_batchers[_robots] = _of_many
+ad.primitive_jvps[_robots] = _tangents
 
 
 def _split(tree: Tree, places: Sequence[bool]) -> tuple[list[Any], Callable[..., Tree]]:

@@ -5,6 +5,8 @@ and MJX. docs/physics.md tells the whole.
 """
 
 import dataclasses
+from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -51,7 +53,9 @@ def control_step(
 
         return motor.control_step(model.motor, stepping, physics, target, advance)
 
-    return robots_last(of_many)(model, physics, target)
+    shape: Any = partial(jax.ShapeDtypeStruct, dtype=physics.qpos.dtype)
+    like = (Physics(*(shape(x.shape) for x in physics)), Effort(shape((12,)), shape(())))
+    return robots_last(of_many, like)(model, physics, target)
 
 
 def vary(model: Model, variation: Variation) -> Model:
@@ -207,7 +211,9 @@ def lowest_points(model: Model, qpos: jax.Array) -> tuple[jax.Array, jax.Array]:
             lowest = jnp.minimum(lowest, jnp.min(jnp.atleast_2d(bottom), axis=0))
         return jnp.stack([x, y, z - feet.radius], axis=1) + qpos[:3], height + lowest
 
-    return robots_last(of_many)(model, jnp.asarray(qpos))
+    qpos = jnp.asarray(qpos)
+    shape = partial(jax.ShapeDtypeStruct, dtype=qpos.dtype)
+    return robots_last(of_many, (shape((4, 3)), shape(())))(model, qpos)
 
 
 def _lowest_points_over(

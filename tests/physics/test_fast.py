@@ -2,6 +2,7 @@
 
 import copy
 import dataclasses
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -58,7 +59,7 @@ def constants_of(quadruped, model):
     return make_model(model, quadruped, make_motor(model, quadruped, MotorConfig()))
 
 
-@robots_last
+@partial(robots_last, like=jax.ShapeDtypeStruct((18,), np.float64))
 def solved(constants, qpos, qvel, torque) -> jax.Array:
     """Accelerations with the contact solver run until it has converged."""
     state = Physics(qpos, qvel, jnp.zeros_like(qvel))
@@ -198,9 +199,10 @@ def test_vmap_maps_the_leaves_of_a_model_that_are_given_an_axis(quadruped):
 
 def check_course(env, torques: np.ndarray, expected: np.ndarray) -> None:
     """Single precision: the states `expected` (n + 1, 37) that torques (n, 12) lead through."""
-    start = Physics(*(jnp.asarray(x) for x in (*np.split(expected[0], [19]), np.zeros(18))))
+    parts = (*np.split(expected[0], [19]), np.zeros(18))
+    start = Physics(*(jnp.asarray(x, jnp.float32) for x in parts))
 
-    @robots_last
+    @partial(robots_last, like=jax.eval_shape(lambda: start))
     def advance(model, state: Physics, torque: jax.Array) -> Physics:
         return integrate(state, acceleration(model, state, torque, 10, 10), env.stepping.dt)
 
@@ -208,7 +210,6 @@ def check_course(env, torques: np.ndarray, expected: np.ndarray) -> None:
         state = advance(env.model, state, torque)
         return state, jnp.concatenate([state.qpos, state.qvel])
 
-    start = jax.tree.map(lambda x: x.astype(jnp.float32), start)
     _, found = jax.jit(lambda s, t: jax.lax.scan(step, s, t))(start, jnp.asarray(torques))
     error = np.abs(np.asarray(found) - expected[1:])
     assert len(error) == 200
@@ -286,12 +287,46 @@ def test_lowest_points_are_those_of_the_placed_shapes(env):
 def test_a_batch_is_its_robots_one_by_one(robots):
     """However many there are, cut into whatever batches."""
     numbers = jnp.arange(2.0 * robots).reshape(robots, 2)
-    function = robots_last(lambda x, y: {"sum": x[0] + y * x[1], "turned": x[::-1]})
+    like = {
+        "sum": jax.ShapeDtypeStruct((), np.float32),
+        "turned": jax.ShapeDtypeStruct((2,), np.float32),
+    }
+    function = robots_last(lambda x, y: {"sum": x[0] + y * x[1], "turned": x[::-1]}, like)
     found = jax.jit(jax.vmap(function, in_axes=(0, None)))(numbers, 3.0)
     np.testing.assert_array_equal(found["sum"], numbers[:, 0] + 3 * numbers[:, 1])
     np.testing.assert_array_equal(found["turned"], numbers[:, ::-1])
     one = function(numbers[1], 3.0)
     assert (one["sum"], one["turned"].tolist()) == (found["sum"][1], found["turned"][1].tolist())
+
+
+def test_a_function_is_traced_for_its_batch_alone():
+    shapes = []
+
+    def square(x):
+        shapes.append(x.shape)
+        return x**2
+
+    function = robots_last(square, jax.ShapeDtypeStruct((2,), np.float32))
+    jax.jit(jax.vmap(function)).lower(jnp.ones((7, 2)))
+    assert shapes == [(2, 7)]
+
+
+@pytest.mark.parametrize("mapped", [False, True])
+def test_it_has_derivatives(mapped):
+    function = robots_last(jnp.sin, jax.ShapeDtypeStruct((2,), np.float32))
+    function = jax.vmap(function) if mapped else function
+    x = jnp.arange(6.0).reshape(3, 2) if mapped else jnp.arange(2.0)
+    np.testing.assert_allclose(
+        jax.jvp(function, (x,), (2.0 * x,))[1], 2 * x * jnp.cos(x), atol=1e-6
+    )
+    gradient = jax.grad(lambda x: jnp.sum(function(x)))(x)
+    np.testing.assert_allclose(gradient, jnp.cos(x), atol=1e-6)
+
+
+def test_what_is_of_another_structure_than_was_said_is_refused():
+    function = robots_last(lambda x: (x, x), jax.ShapeDtypeStruct((2,), np.float32))
+    with pytest.raises(TypeError, match="expected"):
+        jax.vmap(function)(jnp.ones((7, 2)))
 
 
 def test_a_robot_that_is_not_finite_leaves_the_others_alone(env):
