@@ -28,11 +28,18 @@ from quadwalk.task.conditions import (
     sensed,
 )
 from quadwalk.task.config import EnvConfig
+from quadwalk.task.curriculum import begin_travel, make_curriculum, travel_on
 from quadwalk.task.observation import observe
 from quadwalk.task.reset import fresh_start, on_tile
 from quadwalk.task.reward import reward_terms, total_reward
 from quadwalk.task.robot_arrays import above_ground, robot_arrays, task_robot
-from quadwalk.task.state import EnvState, Step, commanded_speed, mean_velocity
+from quadwalk.task.state import (
+    EnvState,
+    Step,
+    commanded_speed,
+    heading_velocity,
+    mean_velocity,
+)
 from quadwalk.task.termination import terminations
 from quadwalk.task.terms import Observation
 
@@ -55,9 +62,10 @@ class QuadrupedEnv(Env):
     def __init__(
         self, quadruped: Quadruped, config: EnvConfig, engine: EngineName | None = None
     ) -> None:
-        self.config = config
+        self.config = config = config.as_seen
         self.engine: EngineName = engine or config.engine
         self.terrain = _terrain_of(quadruped, config)
+        self.curriculum = make_curriculum(config, self.terrain)
         field = None if self.terrain is None else self.terrain.field
         self.quadruped = task_robot(quadruped, config, field)
         self.stepping = config.stepping
@@ -106,6 +114,8 @@ class QuadrupedEnv(Env):
         start = EnvState(
             physics, jnp.zeros(12), jnp.zeros((), jnp.int32), command, drawn, tile=tile
         )
+        if self.curriculum is not None:
+            start = start._replace(travel=begin_travel(physics.qpos))
         late = config.randomisation.sensor_latency if drawn else None
         state = self._begun(start, readings_needed(late[1], config.control_dt) if late else 0)
         zero = jnp.zeros(())
@@ -159,7 +169,14 @@ class QuadrupedEnv(Env):
         if command is not None:
             command = next_command(self.config.command, command, steps, self.config.command_steps)
         after = EnvState(
-            physics, action, steps, command, conditions, before.frames, tile=before.tile
+            physics,
+            action,
+            steps,
+            command,
+            conditions,
+            before.frames,
+            tile=before.tile,
+            travel=before.travel,
         )
         return self.finish_step(before, after, effort, sane)
 
@@ -278,6 +295,12 @@ class QuadrupedEnv(Env):
         end = jnp.where(fell, _FIRST_FALL + jnp.argmax(falls), end)
         end = jnp.where(sane, end, len(self.ends) - 1).astype(jnp.int32)
         step = step._replace(fell=fell)
+        if after.travel is not None:
+            assert self.curriculum is not None
+            velocity, asked = heading_velocity(step), step.command[:2]
+            if not config.command.given:
+                velocity, asked = mean_velocity(step), jnp.array([self.curriculum.pace, 0.0])
+            after = after._replace(travel=travel_on(after.travel, velocity, asked, step.dt))
         after = self.with_frame(after)
         if config.critic:
             after = after._replace(contact=contact)
