@@ -15,6 +15,7 @@ from brax.envs.base import Env, State
 
 from quadwalk.ground.terrain import Terrain, leg_length, make_terrain
 from quadwalk.physics.motor import Effort, Physics, make_motor
+from quadwalk.physics.surface import Surface
 from quadwalk.robot.quadruped import Quadruped
 from quadwalk.task.command import first_command, next_command
 from quadwalk.task.conditions import (
@@ -97,6 +98,14 @@ class QuadrupedEnv(Env):
         if self.engine == "mujoco":
             return quadruped.full_model(self.stepping.dt)
         return self._training_model(quadruped)
+
+    @property
+    def surfaces(self) -> tuple[Surface, ...]:
+        """All of the ground that programs read; none for a flat floor."""
+        ground = self.geometry.ground
+        if ground is None:
+            return ()
+        return (ground, *(c.surface for c in self.geometry.contacts if c.surface is not None))
 
     def in_engine(self, engine: EngineName) -> "QuadrupedEnv":
         """The same environment with its physics stepped by `engine`."""

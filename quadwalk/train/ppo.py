@@ -29,6 +29,7 @@ from brax.training.types import Transition
 from jax.sharding import Mesh, NamedSharding
 from jax.sharding import PartitionSpec as P
 
+from quadwalk.physics.surface import given
 from quadwalk.train.devices import learner_options
 from quadwalk.train.settings import PPOConfig
 
@@ -408,8 +409,11 @@ class Iteration:
     def __init__(
         self, env: Env, networks: PPONetworks, config: PPOConfig, mesh: Mesh, iterations: int
     ) -> None:
-        def collecting(learner: Learner, workers: Workers) -> tuple[Any, ...]:
-            workers, data, collected = collect(env, networks, config, learner, workers)
+        def collecting(
+            learner: Learner, workers: Workers, ground: tuple[jax.Array, ...]
+        ) -> tuple[Any, ...]:
+            with given(env.surfaces, ground):
+                workers, data, collected = collect(env, networks, config, learner, workers)
             key, key_learn = jax.random.split(workers.key[0])
             return workers._replace(key=key[None]), data, collected, key_learn[None]
 
@@ -429,9 +433,11 @@ class Iteration:
             )
             return jax.jit(shared, **others)
 
-        self.collect = program(
-            collecting, (one, split), (split, split, one, split), donate_argnums=1
+        self._collect = program(
+            collecting, (one, split, one), (split, split, one, split), donate_argnums=1
         )
+        heights = tuple(surface.grids.reshape(-1) for surface in env.surfaces)
+        self._ground = jax.device_put(heights, NamedSharding(mesh, one))
         self.learn = program(
             learning,
             (one, split, split),
@@ -442,16 +448,21 @@ class Iteration:
 
     def compile(self, state: TrainState) -> None:
         """Compile for states like this, both programs at once."""
-        collecting = self.collect.lower(*state)
+        collecting = self._collect.lower(*state, self._ground)
         _, data, _, key = collecting.out_info
         data, key = jax.tree.map(
             lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype, sharding=self._split), (data, key)
         )
         learning = self.learn.lower(state.learner, data, key)
         with ThreadPoolExecutor() as pool:
-            self.collect, self.learn = pool.map(
+            self._collect, self.learn = pool.map(
                 lambda lowered: lowered.compile(), (collecting, learning)
             )
+
+    def collect(self, learner: Learner, workers: Workers) -> tuple[Any, ...]:
+        """Workers, data, metrics and a random key to learn with; `workers` are given up to it."""
+        found: tuple[Any, ...] = self._collect(learner, workers, self._ground)
+        return found
 
     def __call__(self, state: TrainState) -> tuple[TrainState, Metrics]:
         workers, data, collected, key = self.collect(*state)
