@@ -35,9 +35,9 @@ def plot_learning_curve(metrics: Sequence[Row], path: Path | str) -> None:
 def learning_curve(metrics: Sequence[Row]) -> "Figure":
     """Speed and falls of the evaluation environments, total reward and every reward term.
 
-    With a curriculum, the mean level of every kind of ground too. They are drawn over environment steps. If rows have "time/elapsed" (s), as those of
-    `read_history` may, minutes are a second axis. What was never recorded leaves its panel empty,
-    NaN and None leave a gap.
+    With a curriculum, the mean level of every kind of ground too. They are drawn over environment
+    steps. If rows have "time/elapsed" (s), as those of `read_history` may, minutes are a second
+    axis. What was never recorded leaves its panel empty, NaN and None leave a gap.
     """
     # The object interface: pyplot would keep the figure in a global list and look for a display.
     # Imported here, because it takes time that most callers of this package never need.
