@@ -46,7 +46,7 @@ def travel_on(travel: Travel, velocity: jax.Array, command: jax.Array, dt: float
 class Curriculum:
     """Which tile an environment's episode is on; tiles are kind by kind, of each its levels."""
 
-    kinds: tuple[str, ...]
+    kinds: tuple[str, ...]  # of each row of tiles
     levels: int
     tile: float  # m, its length
     episode_steps: int  # control steps in a full episode
@@ -91,8 +91,9 @@ class Curriculum:
         Named "count/level/KIND" and "count/robots/KIND".
         """
         found = {}
-        for index, kind in enumerate(self.kinds):
-            here = tile // self.levels == index
+        for kind in dict.fromkeys(self.kinds):
+            rows = [index for index, own in enumerate(self.kinds) if own == kind]
+            here = jnp.isin(tile // self.levels, jnp.array(rows))
             found[f"count/robots/{kind}"] = jnp.sum(here)
             found[f"count/level/{kind}"] = jnp.sum(jnp.where(here, tile % self.levels, 0))
         return found
