@@ -172,7 +172,7 @@ def _simulate(
 ) -> Outcome:
     """The outcome of len(points) * episodes episodes, point by point."""
 
-    @jax.jit
+    @env.jit
     def chunk(policy: Policy, states: State) -> tuple[State, Outcome]:
         def step(states: State, _: None) -> tuple[State, Outcome]:
             states = jax.vmap(env.step)(states, policy(states.obs))
@@ -204,7 +204,7 @@ def _starts(env: QuadrupedEnv, points: list[Point], episodes: int, seed: int) ->
         return env.with_conditions(state, conditions, latest)
 
     of_point = jax.vmap(start, in_axes=(None, 0, 0))
-    of_all = jax.jit(jax.vmap(of_point, in_axes=(0, None, None)))
+    of_all = env.jit(jax.vmap(of_point, in_axes=(0, None, None)))
     states = of_all(jnp.asarray(rows), fresh_starts(env, episodes, seed), keys)
     return jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), states)
 

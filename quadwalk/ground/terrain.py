@@ -36,6 +36,7 @@ class GroundConfig:
     white: float  # m, height of white in a PNG; black is 0
     # while training, an environment's level follows how it gets on; otherwise all are drawn alike
     curriculum: bool = False
+    confined: bool = False  # an episode ends, and not by a fall, where it leaves its tile
 
     def __post_init__(self) -> None:
         for kind in self.kinds:

@@ -15,7 +15,7 @@ from brax.envs.base import Env, State
 
 from quadwalk.ground.terrain import Terrain, leg_length, make_terrain
 from quadwalk.physics.motor import Effort, Physics, make_motor
-from quadwalk.physics.surface import Surface
+from quadwalk.physics.surface import Surface, given
 from quadwalk.robot.quadruped import Quadruped
 from quadwalk.task.command import first_command, next_command
 from quadwalk.task.conditions import (
@@ -107,6 +107,17 @@ class QuadrupedEnv(Env):
             return ()
         return (ground, *(c.surface for c in self.geometry.contacts if c.surface is not None))
 
+    def jit(self, function: Callable[..., Any]) -> Callable[..., Any]:
+        """`function` compiled, with the ground as an argument of the program, not a part of it."""
+        heights = jax.device_put([surface.grids.reshape(-1) for surface in self.surfaces])
+
+        @jax.jit
+        def program(heights: list[jax.Array], *arguments: Any) -> Any:
+            with given(self.surfaces, heights):
+                return function(*arguments)
+
+        return partial(program, heights)
+
     def in_engine(self, engine: EngineName) -> "QuadrupedEnv":
         """The same environment with its physics stepped by `engine`."""
         return self if engine == self.engine else QuadrupedEnv(self.quadruped, self.config, engine)
@@ -150,12 +161,21 @@ class QuadrupedEnv(Env):
             tile = jax.random.randint(which, (), 0, len(self.terrain.tiles))
         return on_tile(self.geometry, self.terrain, physics, tile, where), tile
 
-    def _outside(self, qpos: jax.Array) -> jax.Array:
-        """Whether the trunk has left the field, or half of the level ground around its tiles."""
+    def _outside(self, state: EnvState) -> jax.Array:
+        """Whether the trunk is where its episode ends.
+
+        Beyond the field or half of the level ground around its tiles, or beyond its own tile.
+        """
         assert self.terrain is not None
         field, edge = self.terrain.field, self.config.ground.border / 2
-        low = np.array(field.origin) + edge
-        return jnp.any((qpos[:2] < low) | (qpos[:2] > low + np.array(field.size) - 2 * edge))
+        low: Any = np.array(field.origin) + edge
+        high: Any = low + np.array(field.size) - 2 * edge
+        if self.config.ground.confined:
+            tiles = self.terrain.tiles
+            middle = jnp.asarray([tile.middle for tile in tiles], jnp.float32)[state.tile]
+            half = np.array(tiles[0].size) / 2
+            low, high = middle - half, middle + half
+        return jnp.any((state.qpos[:2] < low) | (state.qpos[:2] > high))
 
     def step(self, state: State, action: jax.Array) -> State:
         """One control step with `action` (12,) in [-1, 1].
@@ -300,7 +320,7 @@ class QuadrupedEnv(Env):
         fell = jnp.any(falls) & sane
         end = jnp.where(after.steps >= config.episode_steps, _TIME_LIMIT, _RUNNING)
         if self.terrain is not None:  # no failure either
-            end = jnp.where(self._outside(after.qpos), _TIME_LIMIT, end)
+            end = jnp.where(self._outside(after), _TIME_LIMIT, end)
         end = jnp.where(fell, _FIRST_FALL + jnp.argmax(falls), end)
         end = jnp.where(sane, end, len(self.ends) - 1).astype(jnp.int32)
         step = step._replace(fell=fell)
