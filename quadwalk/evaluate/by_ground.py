@@ -42,9 +42,10 @@ def measure_by_ground(
     """Success, speed and error of `episodes` in each cell, as plain values for JSON.
 
     `levels` difficulties, evenly from the least to the greatest that were trained on. success: the
-    share that, without a fall, comes to the tile's edge or the time limit. speed: mean over an
-    episode, ahead, m/s; without commands along world x. velocity_error: as `tracking_errors` has
-    it, m/s; None without commands, or where no episode lasted.
+    share that, without a fall, comes to the tile's edge or the time limit. arrived: the share that
+    comes to the edge. speed: mean over an episode, ahead, m/s; without commands along world x.
+    velocity_error: as `tracking_errors` has it, m/s; None without commands, or where no episode
+    lasted long enough.
     """
     env = ground_env(subject, levels)
     assert env.terrain is not None
@@ -117,7 +118,8 @@ def _simulate(
 def _figures(env: QuadrupedEnv, start: np.ndarray, outcome: Outcome) -> dict[str, Any]:
     """The figures of one cell."""
     last = np.argmax(outcome.end > 0, axis=0)
-    arrived = outcome.end[last, np.arange(len(last))] == env.ends.index("time limit")
+    upright = outcome.end[last, np.arange(len(last))] == env.ends.index("time limit")
+    arrived = upright & (last + 1 < env.config.episode_steps)
     speeds, errors = [], []
     for episode, steps in enumerate(last + 1):
         poses = np.concatenate([start[None, episode], outcome.pose[:steps, episode]])
@@ -125,10 +127,11 @@ def _figures(env: QuadrupedEnv, start: np.ndarray, outcome: Outcome) -> dict[str
         speeds.append(float(velocity[:, 0].mean()))
         errors.append(_velocity_error(velocity, env.config.control_dt))
     known = [error for error in errors if math.isfinite(error)]
-    count = int(arrived.sum())
+    count = int(upright.sum())
     return {
         "success": count / len(last),
         "success_ci95": list(share_interval(count, len(last))),
+        "arrived": float(arrived.mean()),
         "speed": _interval(speeds),
         "velocity_error": _interval(known) if known and env.config.command.given else None,
     }

@@ -85,6 +85,7 @@ def print_by_ground(results: dict[str, Any]) -> None:
         cells = results["cells"][index * levels : (index + 1) * levels]
         shares = (f"{100 * cell['success']:.0f}" for cell in cells)
         rows.append((kind.replace("_", " "), *shares, "% succeed"))
+        rows.append(("", *(f"{100 * cell['arrived']:.0f}" for cell in cells), "% arrive"))
         rows.append(("", *(figure_text(cell["speed"]) for cell in cells), "m/s"))
         if results["command"] is not None:
             errors = (figure_text(cell["velocity_error"]) for cell in cells)
@@ -92,8 +93,8 @@ def print_by_ground(results: dict[str, Any]) -> None:
         rows.append(None)
     told = "" if results["command"] is None else f" at a command of {results['command']:g} m/s"
     title = (
-        f"ground that training did not have,{told} {results['episodes']} episodes each: without a "
-        "fall to the tile's edge or the time limit; speed, mean ± 95 %"
+        f"ground that training did not have,{told} {results['episodes']} episodes each: who "
+        "succeed come without a fall to the tile's edge or the time limit, who arrive to its edge"
     )
     headings = ("", *(f"difficulty {x:.2g}" for x in results["difficulties"]), "unit")
     _print_table(title, headings, rows)
