@@ -1,7 +1,7 @@
 """How well and in what manner it ran: figures of one episode, each with its definition.
 
-World frame: z up, x ahead, the floor at z = 0. What cannot be measured (the stride of a foot that
-never lands) is NaN.
+World frame: z up, x ahead. Heights are above the ground straight below. What cannot be measured
+(the stride of a foot that never lands) is NaN.
 """
 
 from dataclasses import dataclass, fields
@@ -25,6 +25,7 @@ from quadwalk.evaluate.summary import (
     measure_course,
     number,
 )
+from quadwalk.ground.heightfield import heights_under
 from quadwalk.robot.quadruped import Quadruped
 
 
@@ -80,7 +81,9 @@ def measure_gait(rollout: Rollout, quadruped: Quadruped) -> Gait:
     radii = np.array([model.geom(foot).size[0] for foot in quadruped.feet])
     slip, slid = _slips(rollout, centres, turns, radii)
     rpy = roll_pitch_yaw(rollout.qpos[:, 3:7])
-    yaw, height = np.unwrap(rpy[:, 2]), rollout.qpos[:, 2]
+    yaw = np.unwrap(rpy[:, 2])
+    height = rollout.qpos[:, 2] - heights_under(model, rollout.qpos[:, :2])
+    soles = centres[:, :, 2] - radii - heights_under(model, centres[:, :, :2])
     torque = np.abs(rollout.torque) / quadruped.effort
     torque = torque if rollout.steps else np.full((1, 12), np.nan)
     rate = np.abs(rollout.qvel[:, 6:]) / quadruped.velocity
@@ -99,7 +102,7 @@ def measure_gait(rollout: Rollout, quadruped: Quadruped) -> Gait:
         duty_factor=footfalls.duty_factor,
         phase=footfalls.phase,
         regularity=footfalls.regularity,
-        swing_height=_swing_heights(rollout, centres[:, :, 2] - radii),
+        swing_height=_swing_heights(rollout, soles),
         slip=slip,
         slip_share=slid / (course.distance if course.distance > LEAST_DISTANCE else np.nan),
         body_height=np.array([height.mean(), height.min(), height.max()]),

@@ -38,7 +38,9 @@ def evaluate(config: EvalConfig) -> dict[str, Any]:
 
     # All of them before the first is simulated, so that a bad one is told at once.
     subjects = [
-        load_subject(run, config.seconds, config.policy, config.engine, config.randomised)
+        load_subject(
+            run, config.seconds, config.policy, config.engine, config.randomised, config.seed
+        )
         for run in runs
     ]
     if config.sweep:
@@ -61,6 +63,7 @@ def judge(subject: "Subject", config: EvalConfig, out: Path, console: Console) -
     The result is printed on standard output, what is being done on `console`.
     """
     from quadwalk.evaluate.report.console import describe_gait, print_engines, print_summary
+    from quadwalk.evaluate.report.panels import draw_by_ground
     from quadwalk.evaluate.report.plots import save_figure
     from quadwalk.evaluate.summary import engine_differences
 
@@ -75,13 +78,18 @@ def judge(subject: "Subject", config: EvalConfig, out: Path, console: Console) -
         results["difference_to_mjx"] = engine_differences(other, found.summary)
         print_engines(other, found.summary)
     print(describe_gait(found.gait, found.typical.episode))
+    maps = []
+    if subject.env.terrain is not None and config.cell:
+        results["ground"] = ground = _by_ground(subject, config, console)
+        save_figure(draw_by_ground(ground, f"{name}, {config.engine}"), out / "ground.png")
+        maps = ["ground.png"]
     write_json_atomic(out / "metrics.json", results)
 
     with console.status("writing"):
         recorded = len(found.save_mcap(out, config.mcap))
         save_figure(found.report(), out / "report.png")
         pictures = _draw(config, found, out)
-    written = ["metrics.json", "report.png", *pictures, f"{recorded} MCAP files"]
+    written = ["metrics.json", *maps, "report.png", *pictures, f"{recorded} MCAP files"]
     console.print(f"written to {out}: {', '.join(written)}")
     if recorded:
         console.print(f"see it with: rerun {out / 'episode_000.mcap'}, or open it in Foxglove")
@@ -146,6 +154,19 @@ def _roll_out(subject: "Subject", config: EvalConfig, console: Console) -> "Eval
     console.print(
         f"{subject.run.name}: {simulated:,.0f} s simulated in {env.engine} in {took:.1f} s"
     )
+    return found
+
+
+def _by_ground(subject: "Subject", config: EvalConfig, console: Console) -> dict[str, Any]:
+    """Measure and print how well it gets over each kind of ground."""
+    from quadwalk.evaluate.by_ground import measure_by_ground
+    from quadwalk.evaluate.report.console import print_by_ground, simulating
+
+    env = subject.env
+    what = f"simulating {config.cell} episodes on each kind of ground in {env.engine}"
+    with simulating(console, what, env.config.episode_steps, env.config.control_dt) as report:
+        found = measure_by_ground(subject, config.levels, config.cell, config.seed, report)
+    print_by_ground(found)
     return found
 
 

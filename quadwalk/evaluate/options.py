@@ -31,7 +31,11 @@ class EvalConfig:
     # pushes; otherwise the robot is as its model says and nothing disturbs it
     randomised: bool = False
     policy: Literal["last", "best"] = "last"  # the run's last, or that of its best checkpoint
-    seed: int = 0  # of the starts; the same seed gives the same episodes
+    seed: int = 0  # of the starts and the ground; the same seed gives the same episodes
+    # where the ground is uneven: episodes of each kind at each difficulty, for the table and the
+    # picture of these; 0: without them
+    cell: int = 16
+    levels: int = 3  # difficulties in these, evenly from the least trained on to the greatest
     out: Path | None = None  # folder for the results; None: a new one in the run's
     mcap: int | None = None  # number of episodes to write as MCAP; None: all
     video: Literal["none", "gif", "mp4"] = "none"  # 3 s of it running; mp4 needs ffmpeg
@@ -58,6 +62,10 @@ class EvalConfig:
             raise UsageError(f"--seed is {self.seed}; expected 0 to {2**32 - 1}")
         if self.mcap is not None and self.mcap < 0:
             raise UsageError(f"--mcap is {self.mcap}; expected 0 or more")
+        if self.cell < 0:
+            raise UsageError(f"--cell is {self.cell}; expected 0 or more")
+        if self.levels < 1:
+            raise UsageError(f"--levels is {self.levels}; expected 1 or more")
         if self.live and len(self.run) > 1:
             raise UsageError(f"--view shows one run; {len(self.run)} are named")
         check_port(self.port)

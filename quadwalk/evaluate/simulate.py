@@ -70,7 +70,7 @@ def simulate_episodes(
     All of them at once. The rollouts are without foot forces.
     """
 
-    @jax.jit
+    @env.jit
     def chunk(policy: Policy, state: State) -> tuple[State, Frame]:
         def one_step(state: State, _: None) -> tuple[State, Frame]:
             action = policy(state.obs)
@@ -88,7 +88,8 @@ def simulate_episodes(
 def fresh_starts(env: QuadrupedEnv, episodes: int, seed: int) -> State:
     """The batched `State` of `episodes` fresh episodes; the same for the same seed."""
     keys = jax.random.split(jax.random.PRNGKey(seed), episodes)
-    return jax.jit(jax.vmap(env.reset))(keys)
+    start: State = env.jit(jax.vmap(env.reset))(keys)
+    return start
 
 
 def over_devices(env: QuadrupedEnv, batch: Any) -> Any:

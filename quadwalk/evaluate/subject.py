@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from quadwalk.errors import UserError
+from quadwalk.ground.terrain import GroundConfig
 from quadwalk.physics.engines import EngineName
 from quadwalk.task.config import NO_RANDOMISATION, EnvConfig, RandomisationConfig
 from quadwalk.task.env import QuadrupedEnv
@@ -37,18 +38,30 @@ def training_ranges(config: EnvConfig) -> RandomisationConfig:
     return run_task.TASK.env.randomisation if own == NO_RANDOMISATION else own
 
 
+def unseen_ground(trained: GroundConfig, seed: int, levels: int = 3) -> GroundConfig:
+    """The kinds of ground trained on, each at so many difficulties, as training did not have them.
+
+    A flat floor, and a field from a file, are what they are.
+    """
+    if trained.flat or trained.file is not None:
+        return dataclasses.replace(trained, curriculum=False)
+    return dataclasses.replace(trained.unseen(seed), levels=levels, curriculum=False)
+
+
 def load_subject(
     run: Run,
     seconds: float,
     which: str = "last",
     engine: EngineName = "mjx",
     randomised: bool = False,
+    seed: int = 0,
 ) -> Subject:
     """Load the "last" or "best" policy of `run` for episodes of up to `seconds` in `engine`.
 
     The robot is as its model says, and nothing disturbs it, unless the episodes are `randomised`:
     then each has conditions of its own, from the `training_ranges`. A command, if there are any,
-    stays for a whole episode, so that each has one gait to look at.
+    stays for a whole episode, so that each has one gait to look at. Ground that is not flat is
+    made anew, by `seed`, as training did not have it.
     Raises `UserError` where its policy or robot cannot be read, or do not belong together.
     """
     file = run.best if which == "best" else run.policy
@@ -58,7 +71,11 @@ def load_subject(
     command = dataclasses.replace(trained.command, seconds=seconds)
     ranges = dataclasses.replace(training_ranges(trained), enabled=randomised)
     config = dataclasses.replace(
-        trained, episode_seconds=seconds, command=command, randomisation=ranges
+        trained,
+        episode_seconds=seconds,
+        command=command,
+        randomisation=ranges,
+        ground=unseen_ground(trained.ground, seed),
     )
     env = QuadrupedEnv(quadruped, config, engine)
     if quadruped.joints != policy.joints or env.policy_size != policy.observation_size:

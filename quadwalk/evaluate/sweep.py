@@ -190,7 +190,7 @@ def _simulate(
 ) -> Tally:
     """What len(points) * episodes episodes came to, point by point."""
 
-    @jax.jit
+    @env.jit
     def chunk(policy: Policy, states: State, tally: Tally) -> tuple[State, Tally]:
         def step(carry: tuple[State, Tally], _: None) -> tuple[tuple[State, Tally], None]:
             states, tally = carry
@@ -260,7 +260,7 @@ def _starts(env: QuadrupedEnv, points: list[Point], episodes: int, seed: int) ->
         return env.with_conditions(state, conditions, latest)
 
     of_point = jax.vmap(start, in_axes=(None, 0, 0))
-    of_all = jax.jit(jax.vmap(of_point, in_axes=(0, None, None)))
+    of_all = env.jit(jax.vmap(of_point, in_axes=(0, None, None)))
     states = of_all(jnp.asarray(rows), fresh_starts(env, episodes, seed), keys)
     return jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), states)
 

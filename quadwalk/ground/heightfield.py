@@ -118,6 +118,12 @@ def has_field(spec: mujoco.MjSpec) -> bool:
     return bool(spec.geom(FLOOR).type == mujoco.mjtGeom.mjGEOM_HFIELD)
 
 
+def heights_under(model: mujoco.MjModel, points: np.ndarray) -> np.ndarray:
+    """The height (...), m, of a model's floor at `points` (..., 2), m; 0 where it is a plane."""
+    field = field_of(model)
+    return np.zeros(np.shape(points)[:-1]) if field is None else field.height_at(points)
+
+
 def field_of(model: mujoco.MjModel) -> Heightfield | None:
     """The field that a model's floor is, as MuJoCo has its numbers; None where it is a plane."""
     floor = model.geom(FLOOR)

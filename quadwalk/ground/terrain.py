@@ -34,6 +34,9 @@ class GroundConfig:
     roughness: float | None  # m, at difficulty 1 up and down; None: .16 of a leg
     file: Path | None  # heights: a grey PNG, or an .npy file in m; in place of all tiles
     white: float  # m, height of white in a PNG; black is 0
+    # while training, an environment's level follows how it gets on; otherwise all are drawn alike
+    curriculum: bool = False
+    confined: bool = False  # an episode ends, and not by a fall, where it leaves its tile
 
     def __post_init__(self) -> None:
         for kind in self.kinds:

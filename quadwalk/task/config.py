@@ -4,7 +4,7 @@ None has defaults: what a task is made of stands in the task's own file (`quadwa
 """
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Literal
 
 from quadwalk.errors import UsageError
@@ -13,6 +13,8 @@ from quadwalk.physics.motor import MotorConfig, Stepping
 from quadwalk.task.terms import ActionMap, Observation, Reward, Termination
 
 Range = tuple[float, float] | None
+
+SIGHT = "height_scan"  # the observation that the blind do without
 
 
 @dataclass(frozen=True)
@@ -143,6 +145,8 @@ class EnvConfig:
     randomisation: RandomisationConfig
     # A run from before there was any other ground does not state it.
     ground: GroundConfig = FLAT
+    # the robot has no camera: the observation `height_scan` is for the value network alone
+    blind: bool = False
 
     def __post_init__(self) -> None:
         if self.gravity <= 0.0:
@@ -158,11 +162,22 @@ class EnvConfig:
                 raise UsageError(
                     f"env.{name} is {getattr(self, name)!r}; expected {' or '.join(choices)}"
                 )
+        if self.blind and SIGHT not in {**self.observation, **self.critic}:
+            raise UsageError(f"env.blind: the task has no observation {SIGHT} to do without")
         if self.episode_steps < 1:
             raise UsageError(
                 f"env.episode-seconds is {self.episode_seconds}; expected at least one control "
                 f"step ({self.control_dt:g} s)"
             )
+
+    @property
+    def as_seen(self) -> "EnvConfig":
+        """The same with each observation where it belongs: with what the blind do not see moved."""
+        if not self.blind or SIGHT not in self.observation:
+            return self
+        seen = {name: part for name, part in self.observation.items() if name != SIGHT}
+        critic = {**self.critic, SIGHT: self.observation[SIGHT]}
+        return replace(self, observation=seen, critic=critic)
 
     @property
     def stepping(self) -> Stepping:

@@ -15,6 +15,7 @@ from brax.envs.base import Env, State
 
 from quadwalk.ground.terrain import Terrain, leg_length, make_terrain
 from quadwalk.physics.motor import Effort, Physics, make_motor
+from quadwalk.physics.surface import Surface, given
 from quadwalk.robot.quadruped import Quadruped
 from quadwalk.task.command import first_command, next_command
 from quadwalk.task.conditions import (
@@ -28,11 +29,18 @@ from quadwalk.task.conditions import (
     sensed,
 )
 from quadwalk.task.config import EnvConfig
+from quadwalk.task.curriculum import begin_travel, make_curriculum, travel_on
 from quadwalk.task.observation import observe
 from quadwalk.task.reset import fresh_start, on_tile
 from quadwalk.task.reward import reward_terms, total_reward
 from quadwalk.task.robot_arrays import above_ground, robot_arrays, task_robot
-from quadwalk.task.state import EnvState, Step, commanded_speed, mean_velocity
+from quadwalk.task.state import (
+    EnvState,
+    Step,
+    commanded_speed,
+    heading_velocity,
+    mean_velocity,
+)
 from quadwalk.task.termination import terminations
 from quadwalk.task.terms import Observation
 
@@ -55,9 +63,10 @@ class QuadrupedEnv(Env):
     def __init__(
         self, quadruped: Quadruped, config: EnvConfig, engine: EngineName | None = None
     ) -> None:
-        self.config = config
+        self.config = config = config.as_seen
         self.engine: EngineName = engine or config.engine
         self.terrain = _terrain_of(quadruped, config)
+        self.curriculum = make_curriculum(config, self.terrain)
         field = None if self.terrain is None else self.terrain.field
         self.quadruped = task_robot(quadruped, config, field)
         self.stepping = config.stepping
@@ -90,6 +99,25 @@ class QuadrupedEnv(Env):
             return quadruped.full_model(self.stepping.dt)
         return self._training_model(quadruped)
 
+    @property
+    def surfaces(self) -> tuple[Surface, ...]:
+        """All of the ground that programs read; none for a flat floor."""
+        ground = self.geometry.ground
+        if ground is None:
+            return ()
+        return (ground, *(c.surface for c in self.geometry.contacts if c.surface is not None))
+
+    def jit(self, function: Callable[..., Any]) -> Callable[..., Any]:
+        """`function` compiled, with the ground as an argument of the program, not a part of it."""
+        heights = jax.device_put([surface.grids.reshape(-1) for surface in self.surfaces])
+
+        @jax.jit
+        def program(heights: list[jax.Array], *arguments: Any) -> Any:
+            with given(self.surfaces, heights):
+                return function(*arguments)
+
+        return partial(program, heights)
+
     def in_engine(self, engine: EngineName) -> "QuadrupedEnv":
         """The same environment with its physics stepped by `engine`."""
         return self if engine == self.engine else QuadrupedEnv(self.quadruped, self.config, engine)
@@ -106,6 +134,8 @@ class QuadrupedEnv(Env):
         start = EnvState(
             physics, jnp.zeros(12), jnp.zeros((), jnp.int32), command, drawn, tile=tile
         )
+        if self.curriculum is not None:
+            start = start._replace(travel=begin_travel(physics.qpos))
         late = config.randomisation.sensor_latency if drawn else None
         state = self._begun(start, readings_needed(late[1], config.control_dt) if late else 0)
         zero = jnp.zeros(())
@@ -131,12 +161,21 @@ class QuadrupedEnv(Env):
             tile = jax.random.randint(which, (), 0, len(self.terrain.tiles))
         return on_tile(self.geometry, self.terrain, physics, tile, where), tile
 
-    def _outside(self, qpos: jax.Array) -> jax.Array:
-        """Whether the trunk has left the field, or half of the level ground around its tiles."""
+    def _outside(self, state: EnvState) -> jax.Array:
+        """Whether the trunk is where its episode ends.
+
+        Beyond the field or half of the level ground around its tiles, or beyond its own tile.
+        """
         assert self.terrain is not None
         field, edge = self.terrain.field, self.config.ground.border / 2
-        low = np.array(field.origin) + edge
-        return jnp.any((qpos[:2] < low) | (qpos[:2] > low + np.array(field.size) - 2 * edge))
+        low: Any = np.array(field.origin) + edge
+        high: Any = low + np.array(field.size) - 2 * edge
+        if self.config.ground.confined:
+            tiles = self.terrain.tiles
+            middle = jnp.asarray([tile.middle for tile in tiles], jnp.float32)[state.tile]
+            half = np.array(tiles[0].size) / 2
+            low, high = middle - half, middle + half
+        return jnp.any((state.qpos[:2] < low) | (state.qpos[:2] > high))
 
     def step(self, state: State, action: jax.Array) -> State:
         """One control step with `action` (12,) in [-1, 1].
@@ -159,7 +198,14 @@ class QuadrupedEnv(Env):
         if command is not None:
             command = next_command(self.config.command, command, steps, self.config.command_steps)
         after = EnvState(
-            physics, action, steps, command, conditions, before.frames, tile=before.tile
+            physics,
+            action,
+            steps,
+            command,
+            conditions,
+            before.frames,
+            tile=before.tile,
+            travel=before.travel,
         )
         return self.finish_step(before, after, effort, sane)
 
@@ -274,10 +320,16 @@ class QuadrupedEnv(Env):
         fell = jnp.any(falls) & sane
         end = jnp.where(after.steps >= config.episode_steps, _TIME_LIMIT, _RUNNING)
         if self.terrain is not None:  # no failure either
-            end = jnp.where(self._outside(after.qpos), _TIME_LIMIT, end)
+            end = jnp.where(self._outside(after), _TIME_LIMIT, end)
         end = jnp.where(fell, _FIRST_FALL + jnp.argmax(falls), end)
         end = jnp.where(sane, end, len(self.ends) - 1).astype(jnp.int32)
         step = step._replace(fell=fell)
+        if after.travel is not None:
+            assert self.curriculum is not None
+            velocity, asked = heading_velocity(step), step.command[:2]
+            if not config.command.given:
+                velocity, asked = mean_velocity(step), jnp.array([self.curriculum.pace, 0.0])
+            after = after._replace(travel=travel_on(after.travel, velocity, asked, step.dt))
         after = self.with_frame(after)
         if config.critic:
             after = after._replace(contact=contact)

@@ -89,10 +89,34 @@ def height_scan(
     At points `spacing` m apart in a rectangle about the trunk's origin, turned with its heading:
     rows from behind to ahead, in each from the right to the left.
     """
-    ahead, left = (
-        spacing * (np.arange(round(side / spacing) + 1) - round(side / spacing) / 2)
-        for side in (length, width)
-    )
+    return _scan(robot, state, _evenly(length, spacing), _evenly(width, spacing), reach)
+
+
+def scan_ahead(
+    robot: RobotArrays,
+    state: EnvState,
+    *,
+    first: float,
+    last: float,
+    width: float,
+    spacing: float,
+    reach: float,
+) -> jax.Array:
+    """`height_scan` (n,) from `first` to `last`, m ahead of the trunk's origin; < 0 is behind."""
+    ahead = (first + last) / 2 + _evenly(last - first, spacing)
+    return _scan(robot, state, ahead, _evenly(width, spacing), reach)
+
+
+def _evenly(side: float, spacing: float) -> np.ndarray:
+    """Places about 0 on a side of that length, m."""
+    gaps = round(side / spacing)
+    return spacing * (np.arange(gaps + 1) - gaps / 2)
+
+
+def _scan(
+    robot: RobotArrays, state: EnvState, ahead: np.ndarray, left: np.ndarray, reach: float
+) -> jax.Array:
+    """At all of `ahead` (k,) times `left` (l,), m: (k * l,)."""
     x, y = (axis.ravel() for axis in np.meshgrid(ahead, left, indexing="ij"))
     heading = yaw(state.qpos[3:7])
     cos, sin = jnp.cos(heading), jnp.sin(heading)

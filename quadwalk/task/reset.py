@@ -71,5 +71,5 @@ def on_tile(
     above = jnp.min(lowest_points(level, start.qpos)[0][:, 2])
     qpos = start.qpos.at[:2].add(place)
     soles, others = lowest_points(model, qpos)
-    lowest = jnp.minimum(jnp.min(soles[:, 2]), others)
+    lowest = jnp.minimum(jnp.min(soles[:, 2]), jnp.min(others))
     return start._replace(qpos=qpos.at[2].add(above - lowest))

@@ -9,6 +9,7 @@ from quadwalk.physics.motor import Physics
 from quadwalk.physics.rotation import yaw
 from quadwalk.task.command import Command
 from quadwalk.task.conditions import Conditions
+from quadwalk.task.curriculum import Travel
 
 
 class EnvState(NamedTuple):
@@ -22,6 +23,7 @@ class EnvState(NamedTuple):
     frames: jax.Array | None = None  # (m, n) what was measured, newest first; None: only this step
     contact: jax.Array | None = None  # (4,) bool, feet on the floor; None at an episode's start
     tile: jax.Array | None = None  # () int32, of the terrain, where it began; None: a flat floor
+    travel: Travel | None = None  # None without a curriculum
 
     @property
     def qpos(self) -> jax.Array:
@@ -55,7 +57,7 @@ class Step(NamedTuple):
     start_soles: jax.Array  # (4, 3) m, the feet's lowest points before it, z above the ground
     soles: jax.Array  # (4, 3) after it
     contact: jax.Array  # (4,) bool, feet on the floor after it
-    lowest: jax.Array  # () m, height above the ground of the lowest point of all but the feet
+    lowest: jax.Array  # (2,) m, above the ground, lowest points of the trunk, of legs without feet
     ground: jax.Array | None = None  # () m, of the ground under the trunk after it; None: 0
 
     @property
@@ -79,12 +81,17 @@ def mean_velocity(step: Step) -> jax.Array:
     return (step.qpos[:2] - step.start[:2]) / step.dt
 
 
-def velocity_error(step: Step) -> jax.Array:
-    """That in the frame of the heading after the step, forward and left, less the command (2,)."""
+def heading_velocity(step: Step) -> jax.Array:
+    """That in the frame of the heading after the step, forward and left (2,), m/s."""
     heading = yaw(step.qpos[3:7])
     cos, sin = jnp.cos(heading), jnp.sin(heading)
     x, y = mean_velocity(step)
-    return jnp.stack([cos * x + sin * y, cos * y - sin * x]) - step.command[:2]
+    return jnp.stack([cos * x + sin * y, cos * y - sin * x])
+
+
+def velocity_error(step: Step) -> jax.Array:
+    """That less the command (2,), m/s."""
+    return heading_velocity(step) - step.command[:2]
 
 
 def commanded_speed(step: Step) -> jax.Array:

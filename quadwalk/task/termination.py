@@ -27,7 +27,12 @@ def low(robot: RobotArrays, step: Step, *, share: float) -> jax.Array:
 
 def touched(robot: RobotArrays, step: Step, *, clearance: float) -> jax.Array:
     """A part other than a foot is lower than `clearance`, m, above the ground."""
-    return step.lowest < clearance
+    return jnp.min(step.lowest) < clearance
+
+
+def trunk_touched(robot: RobotArrays, step: Step, *, clearance: float) -> jax.Array:
+    """The trunk is lower than `clearance`, m, above the ground; knees and shins may touch."""
+    return step.lowest[0] < clearance
 
 
 def terminations(ways: dict[str, Termination], robot: RobotArrays, step: Step) -> jax.Array:

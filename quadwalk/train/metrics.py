@@ -8,6 +8,7 @@ from typing import Any
 from quadwalk.task.terms import Reward
 
 EPISODES = 32  # the share of falls is over about this many of the last episodes
+LEVEL = "train/level/"  # before a kind of ground
 SCORED = 20  # iterations of "eval/speed" that tell how good a policy is
 
 
@@ -18,6 +19,7 @@ class TrainingMetrics:
     rewards are per step and scaled, so that the terms add up to the reward. train/nan: episodes
     that a state with NaN has ended so far. eval/speed, eval/fall_rate: of the evaluation
     environments, where the policy acts without noise. Speeds in m/s, falls as a share of episodes.
+    train/level/KIND: with a curriculum, the mean level, from 0, of environments on that ground.
     """
 
     def __init__(self, rewards: Mapping[str, Reward]) -> None:
@@ -64,6 +66,12 @@ class TrainingMetrics:
             for name, value in values.items()
             if name.startswith("reward/")
         }
+        levels = {
+            f"{LEVEL}{name.removeprefix('count/level/')}": value
+            / max(values[name.replace("level", "robots", 1)], 1.0)
+            for name, value in values.items()
+            if name.startswith("count/level/")
+        }
         learning = {
             name: value
             for name, value in values.items()
@@ -80,6 +88,7 @@ class TrainingMetrics:
                 values["eval/count/fell"], values["eval/count/ended"]
             ),
             **terms,
+            **levels,
             **learning,
         }
 

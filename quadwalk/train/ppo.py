@@ -29,6 +29,7 @@ from brax.training.types import Transition
 from jax.sharding import Mesh, NamedSharding
 from jax.sharding import PartitionSpec as P
 
+from quadwalk.physics.surface import given
 from quadwalk.train.devices import learner_options
 from quadwalk.train.settings import PPOConfig
 
@@ -80,12 +81,13 @@ def make_optimizer(config: PPOConfig) -> optax.GradientTransformation:
     )
 
 
-def reset_envs(env: Env, keys: jax.Array) -> State:
+def reset_envs(env: Env, keys: jax.Array, tiles: jax.Array | None = None) -> State:
     """A batch of fresh episodes, `keys` (n, 2), out of phase: each starts at a random step.
 
-    In phase, every episode would reach its time limit in the same iteration.
+    In phase, every episode would reach its time limit in the same iteration. `tiles` (n,) are those
+    of the terrain that they are on; None: any.
     """
-    state = jax.vmap(env.reset)(keys)
+    state = jax.vmap(env.reset)(*([keys] if tiles is None else [keys, tiles]))
     phase = jax.vmap(lambda key: jax.random.randint(key, (), 0, env.config.episode_steps))(keys)
     return state.replace(pipeline_state=state.pipeline_state._replace(steps=phase))
 
@@ -146,9 +148,11 @@ def collect(
     learnt_from = envs - config.eval_envs // jax.lax.axis_size(AXIS)
     noiseless = jnp.arange(envs)[:, None] >= learnt_from
     key, key_steps, key_reset = jax.random.split(workers.key[0], 3)
-    # As many fresh starts as there are environments, dealt out anew in each step.
-    fresh = reset_envs(env, jax.random.split(key_reset, envs))
     first = learner.iterations == 0
+    # As many fresh starts as there are environments. With a curriculum each has its own; otherwise
+    # they are dealt out anew in each step.
+    tiles = _next_tiles(env, workers.envs.pipeline_state, first, learnt_from, key_reset)
+    fresh = reset_envs(env, jax.random.split(key_reset, envs), tiles)
     begun = jax.tree.map(lambda new, old: jnp.where(first, new, old), fresh, workers.envs)
 
     def one_step(
@@ -171,7 +175,9 @@ def collect(
             },
         )
         transition, seen = jax.tree.map(lambda x: x[:learnt_from], (transition, after.obs))
-        start = jax.tree.map(lambda x: jnp.roll(x, number + 1, axis=0), fresh)
+        start = fresh
+        if tiles is None:
+            start = jax.tree.map(lambda x: jnp.roll(x, number + 1, axis=0), fresh)
         return (
             (_start_anew(after, start), nan_step),
             (transition, seen, _step_metrics(after, learnt_from)),
@@ -185,6 +191,9 @@ def collect(
         (jax.random.split(key_steps, config.unroll), jnp.arange(config.unroll)),
     )
 
+    if env.curriculum is not None:
+        metrics |= env.curriculum.sums(after.pipeline_state.tile[:learnt_from])
+
     def value(observation: jax.Array) -> jax.Array:
         return networks.value_network.apply(learner.normalizer, learner.params.value, observation)
 
@@ -194,6 +203,25 @@ def collect(
     # The loss needs an observation after the last step only, to bootstrap from.
     transitions = transitions._replace(next_observation=after.obs[:learnt_from, None])
     return Workers(after, key[None]), transitions, _over_devices(metrics, nan_step)
+
+
+def _next_tiles(
+    env: Env, state: Any, first: jax.Array, learnt_from: int, key: jax.Array
+) -> jax.Array | None:
+    """Where the next episode of each environment is to be, (n,) tiles; None without a curriculum.
+
+    Those that end in this iteration have as good as done what they will have. The environments that
+    evaluate meet all tiles alike.
+    """
+    if env.curriculum is None:
+        return None
+    envs, (key_first, key_next, key_even) = len(state.tile), jax.random.split(key, 3)
+    following = jax.vmap(env.curriculum.following)(
+        state.tile, state.travel, state.qpos, state.steps, jax.random.split(key_next, envs)
+    )
+    learning = jnp.where(first, env.curriculum.first(envs, key_first), following)
+    evenly = env.curriculum.evenly(envs, key_even)
+    return jnp.where(jnp.arange(envs) < learnt_from, learning, evenly)
 
 
 def _act(
@@ -381,8 +409,11 @@ class Iteration:
     def __init__(
         self, env: Env, networks: PPONetworks, config: PPOConfig, mesh: Mesh, iterations: int
     ) -> None:
-        def collecting(learner: Learner, workers: Workers) -> tuple[Any, ...]:
-            workers, data, collected = collect(env, networks, config, learner, workers)
+        def collecting(
+            learner: Learner, workers: Workers, ground: tuple[jax.Array, ...]
+        ) -> tuple[Any, ...]:
+            with given(env.surfaces, ground):
+                workers, data, collected = collect(env, networks, config, learner, workers)
             key, key_learn = jax.random.split(workers.key[0])
             return workers._replace(key=key[None]), data, collected, key_learn[None]
 
@@ -402,9 +433,11 @@ class Iteration:
             )
             return jax.jit(shared, **others)
 
-        self.collect = program(
-            collecting, (one, split), (split, split, one, split), donate_argnums=1
+        self._collect = program(
+            collecting, (one, split, one), (split, split, one, split), donate_argnums=1
         )
+        heights = tuple(surface.grids.reshape(-1) for surface in env.surfaces)
+        self._ground = jax.device_put(heights, NamedSharding(mesh, one))
         self.learn = program(
             learning,
             (one, split, split),
@@ -415,16 +448,21 @@ class Iteration:
 
     def compile(self, state: TrainState) -> None:
         """Compile for states like this, both programs at once."""
-        collecting = self.collect.lower(*state)
+        collecting = self._collect.lower(*state, self._ground)
         _, data, _, key = collecting.out_info
         data, key = jax.tree.map(
             lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype, sharding=self._split), (data, key)
         )
         learning = self.learn.lower(state.learner, data, key)
         with ThreadPoolExecutor() as pool:
-            self.collect, self.learn = pool.map(
+            self._collect, self.learn = pool.map(
                 lambda lowered: lowered.compile(), (collecting, learning)
             )
+
+    def collect(self, learner: Learner, workers: Workers) -> tuple[Any, ...]:
+        """Workers, data, metrics and a random key to learn with; `workers` are given up to it."""
+        found: tuple[Any, ...] = self._collect(learner, workers, self._ground)
+        return found
 
     def __call__(self, state: TrainState) -> tuple[TrainState, Metrics]:
         workers, data, collected, key = self.collect(*state)

@@ -41,6 +41,8 @@ class Counter(Env):
     """
 
     config = dataclasses.replace(sprint.TASK.env, episode_seconds=4 * sprint.TASK.env.control_dt)
+    curriculum = None
+    surfaces = ()
 
     def reset(self, rng: jax.Array) -> State:
         count = Count(jnp.zeros((), jnp.int32), jax.random.uniform(rng, (), minval=-1.0))

@@ -45,6 +45,8 @@ class Toy(Env):
     critic_names = ()
     action_size = 12
     backend = "none"
+    curriculum = None
+    surfaces = ()
 
     def __init__(self, quadruped: Any = None, config: EnvConfig | None = None) -> None:
         self.config = config or sprint.TASK.env

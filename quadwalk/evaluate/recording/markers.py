@@ -3,7 +3,7 @@
 Every message is complete in itself, because a viewer that jumps in time is given only the newest
 message of a topic. It stays small because the ground is one grid that follows the robot in whole
 metres, and the path is thinned to a bounded number of points: nearly every byte repeats, and
-compresses away.
+compresses away. Ground that is not flat is a topic of its own, of one message.
 """
 
 import math
@@ -14,10 +14,16 @@ from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from google.protobuf.timestamp_pb2 import Timestamp
 from scipy.spatial.transform import Rotation
 
+from quadwalk.ground.heightfield import Heightfield
+
 SCENE_PERIOD = 0.06  # s: often enough for arrows, and a third of the bytes of each step
 PATH_POINTS = 64  # at most, whatever the episode's length
 GRID_HALF_WIDTH = 8  # m around the robot
 
+GROUND_MARGIN = 2.0  # m of uneven ground drawn around the path
+GROUND_NODES = 40_000  # of it, at most
+
+_SUN = np.array([-0.55, 0.35, 0.76])  # unit vector towards the light
 _VELOCITY_ARROW = 0.25  # m of arrow for 1 m/s
 _FORCE_ARROW = 0.3  # m of arrow for the robot's weight on one foot
 _HALF = math.sqrt(0.5)
@@ -27,10 +33,21 @@ class SceneWriter:
     """Fills one `SceneUpdate` again and again; `world` is the frame everything is drawn in."""
 
     def __init__(
-        self, path: np.ndarray, velocity: np.ndarray, weight: float, world: str = "world"
+        self,
+        path: np.ndarray,
+        velocity: np.ndarray,
+        weight: float,
+        world: str = "world",
+        ground: Heightfield | None = None,
     ) -> None:
-        """`path` (T + 1, 3) of the base in m, its `velocity` (T + 1, 3) in m/s, `weight` in N."""
+        """`path` (T + 1, 3) of the base in m, its `velocity` (T + 1, 3) in m/s, `weight` in N.
+
+        The ground is a grid at height 0; `ground`, where there is any, is drawn by `draw_ground`.
+        """
         self._path, self._weight = path, weight
+        self._below: np.ndarray = (
+            np.zeros(len(path)) if ground is None else ground.height_at(path[:, :2])
+        )
         self._speed = np.linalg.norm(velocity, axis=1)
         across = np.linalg.norm(velocity[:, :2], axis=1)
         yaw, pitch = np.arctan2(velocity[:, 1], velocity[:, 0]), -np.arctan2(velocity[:, 2], across)
@@ -38,15 +55,15 @@ class SceneWriter:
         along = Rotation.from_euler("ZY", np.stack([yaw, pitch], axis=1))
         self._along = along.as_quat(scalar_first=True)
         self._message = SceneUpdate()
-        ground, track, moving, self._forces = (
+        floor, track, moving, self._forces = (
             self._message.entities.add(frame_id=world, id=name)
             for name in ("ground", "path", "velocity", "foot_forces")
         )
-        self._grid = ground.lines.add(type=LinePrimitive.LINE_LIST, thickness=1.0)
+        self._grid = floor.lines.add(type=LinePrimitive.LINE_LIST, thickness=1.0)
         self._grid.scale_invariant = True
         _colour(self._grid.color, 0.55, 0.55, 0.6, 0.7)
         self._grid.pose.orientation.w = 1.0
-        for x in range(-GRID_HALF_WIDTH, GRID_HALF_WIDTH + 1):
+        for x in [] if ground is not None else range(-GRID_HALF_WIDTH, GRID_HALF_WIDTH + 1):
             for y in (-GRID_HALF_WIDTH, GRID_HALF_WIDTH):
                 self._grid.points.add(x=x, y=y)
             for y in (-GRID_HALF_WIDTH, GRID_HALF_WIDTH):
@@ -75,9 +92,10 @@ class SceneWriter:
         while row // stride >= PATH_POINTS - 1:
             stride *= 2
         del self._line.points[:]
-        for x, y, _ in self._path[[*range(0, row, stride), row]].tolist():
+        for k in [*range(0, row, stride), row]:
+            x, y, _ = self._path[k]
             # Just above the ground, to be seen.
-            self._line.points.add(x=_drawn(x), y=_drawn(y), z=0.01)
+            self._line.points.add(x=_drawn(x), y=_drawn(y), z=_drawn(self._below[k] + 0.01))
 
     def _draw_velocity(self, row: int, start: tuple[float, float, float]) -> None:
         position, turn = self._arrow.pose.position, self._arrow.pose.orientation
@@ -98,6 +116,37 @@ class SceneWriter:
             position.x, position.y, position.z = _drawn(x), _drawn(y), _drawn(z)
             turn.w, turn.y = _HALF, -_HALF  # the arrow's x axis points up
             _colour(arrow.color, 0.85, 0.15, 0.2, 1.0)
+
+
+def draw_ground(field: Heightfield, path: np.ndarray, world: str = "world") -> bytes:
+    """A `SceneUpdate` of the field around `path` (T + 1, 2), m, as triangles, lit from one side."""
+    rows, columns = field.heights.shape
+    last = np.array([columns, rows]) - 1
+    low, high = (
+        np.clip((edge - field.origin) / field.cell, 0, last).astype(int)
+        for edge in (path.min(axis=0) - GROUND_MARGIN, path.max(axis=0) + GROUND_MARGIN)
+    )
+    every = math.ceil(math.sqrt(max(np.prod(high - low + 1) / GROUND_NODES, 1.0)))
+    j, i = (np.arange(a, b + 1, every) for a, b in zip(low, high, strict=True))
+    heights = field.heights[np.ix_(i, j)].astype(float)
+    falling, along = np.gradient(heights, every * field.cell)
+    normal = np.stack([-along, -falling, np.ones_like(heights)], axis=-1)
+    light = normal @ _SUN / np.linalg.norm(normal, axis=-1)
+    update = SceneUpdate()
+    triangles = update.entities.add(frame_id=world, id="ground").triangles.add()
+    triangles.pose.orientation.w = 1.0
+    x, y = field.origin[0] + field.cell * j, field.origin[1] + field.cell * i
+    for row, column in np.ndindex(heights.shape):
+        z = _drawn(float(heights[row, column]))
+        triangles.points.add(x=_drawn(x[column]), y=_drawn(y[row]), z=z)
+        shade = round(64 * (0.25 + 0.6 * max(light[row, column], 0.0))) / 64
+        triangles.colors.add(r=shade, g=0.96875 * shade, b=0.875 * shade, a=1.0)
+    first = (np.arange(len(i) - 1)[:, None] * len(j) + np.arange(len(j) - 1)).ravel()
+    beyond = first + len(j) + 1
+    right = np.stack([first, first + 1, beyond], axis=1)
+    left = np.stack([first, beyond, first + len(j)], axis=1)
+    triangles.indices.extend(np.concatenate([right, left]).ravel().tolist())
+    return update.SerializeToString()
 
 
 def _drawn(value: float) -> float:

@@ -21,8 +21,9 @@ from google.protobuf.timestamp_pb2 import Timestamp
 
 from quadwalk.evaluate.kinematics import foot_poses, link_frames, rotations
 from quadwalk.evaluate.recording.encoding import Scalars, cdr_string, compact
-from quadwalk.evaluate.recording.markers import SCENE_PERIOD, SceneWriter
+from quadwalk.evaluate.recording.markers import SCENE_PERIOD, SceneWriter, draw_ground
 from quadwalk.evaluate.rollout import Rollout, finite_states
+from quadwalk.ground.heightfield import field_of
 from quadwalk.robot.quadruped import Quadruped
 
 WORLD = "world"
@@ -84,6 +85,9 @@ class EpisodeMessages:
             "/scene": SceneUpdate,
             "/log": Log,
         }
+        self.field = field_of(quadruped.full_model())
+        if self.field is not None:
+            self.topics["/ground"] = SceneUpdate
         if rollout.obeyed is not None:
             self.topics["/joint_obeyed"] = JointStates
         self.topics |= {topic: type(scalars.message) for topic, scalars in self.scalars.items()}
@@ -94,6 +98,9 @@ class EpisodeMessages:
     def __iter__(self) -> Iterator[tuple[str, int, bytes]]:
         rollout = self.rollout
         yield "/robot_description", 0, cdr_string(drawn_urdf(self.quadruped.urdf))
+        if self.field is not None and self.rows:
+            path = rollout.qpos[: self.rows, :2].astype(float)
+            yield "/ground", 0, draw_ground(self.field, path, WORLD)
         yield self._log(0, Log.INFO, f"reset: episode {rollout.episode}, seed {rollout.seed}")
         states, steps, scene = self._state_writer(), self._step_writer(), self._scene_writer()
         for start in range(0, self.rows, _BLOCK):
@@ -250,7 +257,7 @@ class EpisodeMessages:
         path, velocity = rollout.qpos[: self.rows, :3], rollout.qvel[: self.rows, :3]
         model, names = self.quadruped.full_model(), self.quadruped.feet
         weight = float(model.body_mass.sum()) * self.quadruped.gravity
-        scene = SceneWriter(path, velocity, weight, WORLD)
+        scene = SceneWriter(path, velocity, weight, WORLD, self.field)
 
         def write(start: int, stop: int) -> Iterator[list[tuple[str, bytes]]]:
             feet, _ = foot_poses(model, names, rollout.qpos[start:stop])

@@ -7,6 +7,7 @@ from typing import Any
 import quadwalk
 from quadwalk.evaluate.subject import Subject
 from quadwalk.robot.mjcf import write_xml
+from quadwalk.train.robot import load_run_robot
 from quadwalk.train.runs import checkpoint
 from quadwalk.train.runs.directory import versions
 
@@ -57,6 +58,8 @@ def attachments(subject: Subject) -> dict[str, bytes]:
     The MJCF is what `python -m quadwalk.robot` writes: every shape, and the joints' friction.
     """
     quadruped, config = subject.env.quadruped, subject.run.config
+    if subject.env.terrain is not None:  # without the ground, of which the recording shows its own
+        quadruped = load_run_robot(subject.run, subject.policy.config.robot)
     files = {f"{quadruped.name}.xml": write_xml(quadruped.spec).encode()}
     if config.exists():
         files["config.json"] = config.read_bytes()

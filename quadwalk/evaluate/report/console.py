@@ -87,6 +87,29 @@ def print_sweep(results: dict[str, Any]) -> None:
     _print_table(f"{title}* the model's", headings, rows)
 
 
+def print_by_ground(results: dict[str, Any]) -> None:
+    """Success, speed and error on each kind of ground, the difficulties side by side."""
+    levels = len(results["difficulties"])
+    rows: list[Sequence[str] | None] = []
+    for index, kind in enumerate(results["kinds"]):
+        cells = results["cells"][index * levels : (index + 1) * levels]
+        shares = (f"{100 * cell['success']:.0f}" for cell in cells)
+        rows.append((kind.replace("_", " "), *shares, "% succeed"))
+        rows.append(("", *(f"{100 * cell['arrived']:.0f}" for cell in cells), "% arrive"))
+        rows.append(("", *(figure_text(cell["speed"]) for cell in cells), "m/s"))
+        if results["command"] is not None:
+            errors = (figure_text(cell["velocity_error"]) for cell in cells)
+            rows.append(("", *errors, "m/s off"))
+        rows.append(None)
+    told = "" if results["command"] is None else f" at a command of {results['command']:g} m/s"
+    title = (
+        f"ground that training did not have,{told} {results['episodes']} episodes each: who "
+        "succeed come without a fall to the tile's edge or the time limit, who arrive to its edge"
+    )
+    headings = ("", *(f"difficulty {x:.2g}" for x in results["difficulties"]), "unit")
+    _print_table(title, headings, rows)
+
+
 def describe_gait(gait: Gait, episode: int) -> str:
     """The gait of one episode in a line or two."""
     return (

@@ -77,6 +77,44 @@ def _sweep(
     return min(0.0, *(mean - error for mean, error in zip(means, errors, strict=True)))
 
 
+def draw_by_ground(results: dict[str, Any], title: str) -> Figure:
+    """Heat maps of kinds by difficulties: success, speed and, with commands, how far off it is."""
+    kinds, difficulties = results["kinds"], results["difficulties"]
+    told = results["command"] is not None
+    maps: list[tuple[str, str, float, Any]] = [
+        ("success, %", "RdYlGn", 100.0, lambda cell: 100 * cell["success"]),
+        ("speed, m/s", "viridis", 0.0, lambda cell: cell["speed"]["mean"]),
+    ]
+    if told:
+        off = ("velocity error, m/s", "viridis_r", 0.0, lambda cell: _mean(cell["velocity_error"]))
+        maps.append(off)
+    size = (1.6 + 4.2 * len(maps), 1.6 + 0.5 * max(len(kinds), 3))
+    about = f", command {results['command']:g} m/s" if told else ""
+    text = f"{title}: {results['episodes']} episodes in each cell, unseen ground{about}"
+    figure = new_figure(size, text)
+    panels: Any = figure.subplots(1, len(maps), squeeze=False)[0]
+    for axes, (heading, colours, top, value) in zip(panels, maps, strict=True):
+        cells = np.array([value(cell) for cell in results["cells"]], float)
+        values = cells.reshape(len(kinds), len(difficulties))
+        high = top or max(float(np.nanmax(values, initial=0.0)), 0.1)
+        axes.imshow(values, cmap=colours, vmin=0.0, vmax=high, aspect="auto")
+        axes.set_title(heading, fontsize=11, loc="left")
+        axes.set_xticks(range(len(difficulties)), [f"{x:.2g}" for x in difficulties])
+        axes.set_yticks(range(len(kinds)), [kind.replace("_", " ") for kind in kinds])
+        axes.set_xlabel("difficulty")
+        for (row, column), number in np.ndenumerate(values):
+            label = "-" if math.isnan(number) else f"{number:.0f}" if top else f"{number:.2f}"
+            axes.text(
+                column, row, label, ha="center", va="center", fontsize=10, color=INK,
+                bbox={"boxstyle": "round,pad=0.15", "fc": "white", "ec": "none", "alpha": 0.6},
+            )  # fmt: skip
+    return figure
+
+
+def _mean(figure: dict[str, Any] | None) -> float:
+    return math.nan if figure is None else figure["mean"]
+
+
 def draw_comparison(labels: list[str], results: list[dict[str, Any]]) -> Figure:
     """The figures as panels: each run's episodes as dots, their mean and its 95 % interval."""
     shown = [

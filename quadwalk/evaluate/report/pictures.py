@@ -9,6 +9,7 @@ from PIL import Image, ImageDraw, ImageFont
 from quadwalk.drawing.canvas import Camera, Canvas
 from quadwalk.drawing.images import FPS, film_strip, save_video
 from quadwalk.evaluate.rollout import Rollout, finite_part
+from quadwalk.ground.heightfield import heights_under
 from quadwalk.robot.quadruped import Quadruped
 
 _SMOOTHING = 0.8  # s: the camera follows the mean of this much of the path, not each step's sway
@@ -64,8 +65,9 @@ def _pictures(
     rollout: Rollout, quadruped: Quadruped, rows: np.ndarray, width: int, height: int
 ) -> Iterator[np.ndarray]:
     """The states `rows` of an episode, each with its time and speed written on it."""
-    canvas = Canvas(quadruped.full_model(), width, height)
-    focus = _camera_path(rollout)
+    model = quadruped.full_model()
+    canvas = Canvas(model, width, height)
+    focus = _camera_path(rollout, heights_under(model, rollout.qpos[:, :2]))
     font = ImageFont.load_default(size=max(height // 20, 10))
     for row in rows:
         camera = Camera(focus[row], distance=1.45, azimuth=118.0, elevation=-14.0)
@@ -75,11 +77,15 @@ def _pictures(
         yield np.asarray(picture)
 
 
-def _camera_path(rollout: Rollout) -> np.ndarray:
-    """(T + 1, 3) m: where the camera looks, the smoothed path of the base at a steady height."""
+def _camera_path(rollout: Rollout, ground: np.ndarray) -> np.ndarray:
+    """(T + 1, 3) m: where the camera looks, the smoothed path of the base at a steady height.
+
+    That is above `ground` (T + 1,), m, which is smoothed as well.
+    """
     width = max(round(_SMOOTHING / rollout.control_dt) // 2 * 2 + 1, 1)
-    padded = np.pad(rollout.qpos[:, :2].astype(float), ((width // 2, width // 2), (0, 0)), "edge")
-    sums = np.cumsum(np.concatenate([np.zeros((1, 2)), padded]), axis=0)
+    path = np.concatenate([rollout.qpos[:, :2].astype(float), ground[:, None]], axis=1)
+    padded = np.pad(path, ((width // 2, width // 2), (0, 0)), "edge")
+    sums = np.cumsum(np.concatenate([np.zeros((1, 3)), padded]), axis=0)
     smooth = (sums[width:] - sums[:-width]) / width
-    height = np.full((len(smooth), 1), 0.75 * np.median(rollout.qpos[:, 2]))
-    return np.concatenate([smooth, height], axis=1)
+    smooth[:, 2] += 0.75 * np.median(rollout.qpos[:, 2] - ground)
+    return smooth

@@ -14,6 +14,7 @@ from quadwalk.evaluate.kinematics import roll_pitch_yaw
 from quadwalk.evaluate.rollout import Rollout, finite_part
 from quadwalk.evaluate.summary import heading_velocity
 from quadwalk.files import atomic_write
+from quadwalk.ground.heightfield import heights_under
 from quadwalk.robot.quadruped import Quadruped
 
 WINDOW = 3.0  # s shown of what repeats with each stride
@@ -80,7 +81,7 @@ def draw_report(rollout: Rollout, quadruped: Quadruped, title: str = "") -> Figu
     draw_footfalls(rows[0].subplots(), shown, quadruped)
     speed, posture = rows[1].subplots(1, 2)
     (draw_speed if shown.command is None else _tracking)(speed, shown)
-    _posture(posture, shown)
+    _posture(posture, shown, quadruped)
     for part, (angles, torques) in enumerate(
         zip(rows[2].subplots(1, 3), rows[3].subplots(1, 3), strict=True)
     ):
@@ -166,15 +167,16 @@ def _tracking(axes: Axes, rollout: Rollout) -> None:
     _finish(axes, title, rollout.time)
 
 
-def _posture(axes: Axes, rollout: Rollout) -> None:
-    axes.plot(rollout.time, rollout.qpos[:, 2], color=INK, linewidth=1.4, label="height, m")
+def _posture(axes: Axes, rollout: Rollout, quadruped: Quadruped) -> None:
+    below = heights_under(quadruped.full_model(), rollout.qpos[:, :2])
+    axes.plot(rollout.time, rollout.qpos[:, 2] - below, color=INK, linewidth=1.4, label="height, m")
     angles = roll_pitch_yaw(rollout.qpos[:, 3:7])
     for column, name in enumerate(("roll", "pitch", "yaw")):
         values = np.unwrap(angles[:, column]) if name == "yaw" else angles[:, column]
         colour = LEG_COLOURS[column]
         axes.plot(rollout.time, values, color=colour, linewidth=0.9, label=f"{name}, rad")
     axes.margins(y=0.15)
-    _finish(axes, "Height and attitude of the base", rollout.time)
+    _finish(axes, "Height above ground, and attitude, of the base", rollout.time)
 
 
 def _sensors(panels: Any, rollout: Rollout, truth: np.ndarray) -> None:

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _TERM = "train/reward/"
+_LEVEL = "train/level/"
 _ELAPSED = "time/elapsed"
 _COLUMNS = 4  # small panels in a row
 _LARGE_HEIGHT, _SMALL_HEIGHT = 3.6, 1.7  # inches
@@ -34,9 +35,9 @@ def plot_learning_curve(metrics: Sequence[Row], path: Path | str) -> None:
 def learning_curve(metrics: Sequence[Row]) -> "Figure":
     """Speed and falls of the evaluation environments, total reward and every reward term.
 
-    They are drawn over environment steps. If rows have "time/elapsed" (s), as those of
-    `read_history` may, minutes are a second axis. What was never recorded leaves its panel empty,
-    NaN and None leave a gap.
+    With a curriculum, the mean level of every kind of ground too. They are drawn over environment
+    steps. If rows have "time/elapsed" (s), as those of `read_history` may, minutes are a second
+    axis. What was never recorded leaves its panel empty, NaN and None leave a gap.
     """
     # The object interface: pyplot would keep the figure in a global list and look for a display.
     # Imported here, because it takes time that most callers of this package never need.
@@ -44,13 +45,18 @@ def learning_curve(metrics: Sequence[Row]) -> "Figure":
 
     rows = sorted(metrics, key=lambda row: row["steps"])
     terms = list(dict.fromkeys(key for row in rows for key in row if key.startswith(_TERM)))
-    small_rows = math.ceil(len(terms) / _COLUMNS)
-    heights = [_LARGE_HEIGHT] + [_SMALL_HEIGHT * small_rows] * bool(terms)
+    levels = list(dict.fromkeys(key for row in rows for key in row if key.startswith(_LEVEL)))
+    groups = [group for group in (terms, levels) if group]
+    small_rows = [math.ceil(len(group) / _COLUMNS) for group in groups]
+    heights = [_LARGE_HEIGHT, *(_SMALL_HEIGHT * count for count in small_rows)]
     figure = Figure(figsize=(12, sum(heights)), dpi=110, layout="constrained")
     parts = figure.subfigures(len(heights), 1, height_ratios=heights, squeeze=False).flat
     _draw_figures(parts[0].subplots(1, 3), rows)
-    if terms:
-        _draw_terms(parts[1].subplots(small_rows, _COLUMNS).flat, rows, terms)
+    for part, group, count in zip(parts[1:], groups, small_rows, strict=True):
+        panels = list(part.subplots(count, _COLUMNS).flat)
+        if group is levels:
+            part.suptitle("mean level of difficulty", fontsize=10, x=0.01, ha="left")
+        _draw_small(panels, rows, group)
     return figure
 
 
@@ -70,13 +76,12 @@ def _draw_figures(panels: Sequence["Axes"], rows: Sequence[Row]) -> None:
         _add_minutes(axes, rows)
 
 
-def _draw_terms(panels: Sequence["Axes"], rows: Sequence[Row], terms: Sequence[str]) -> None:
-    panels = list(panels)
-    for axes, term in zip(panels, terms, strict=False):
-        _title(axes, term.removeprefix(_TERM).replace("_", " "), size=9)
-        _draw(axes, rows, term, _GREY)
+def _draw_small(panels: Sequence["Axes"], rows: Sequence[Row], keys: Sequence[str]) -> None:
+    for axes, key in zip(panels, keys, strict=False):
+        _title(axes, key.removeprefix(_TERM).removeprefix(_LEVEL).replace("_", " "), size=9)
+        _draw(axes, rows, key, _GREY)
         _finish(axes, rows, ticks=4)
-    for axes in panels[len(terms) :]:
+    for axes in panels[len(keys) :]:
         axes.set_visible(False)
 
 

@@ -34,6 +34,7 @@ _PLAIN_SECONDS = 5.0  # between plain lines of figures
 _HEARTBEAT_SECONDS = 15.0  # between plain lines that only say that a phase goes on
 _FRAMES_PER_SECOND = 4  # enough for a spinner; every frame takes time from the training
 _TERM = "train/reward/"
+_LEVEL = "train/level/"
 _SHARE = 8  # characters of the bar beside a reward term
 
 
@@ -102,9 +103,9 @@ class Progress:
     def update(self, steps: int, metrics: Mapping[str, Any]) -> None:
         """Show the figures after `steps` environment steps in all.
 
-        Reads "eval/speed" (m/s), "eval/fall_rate" (0 to 1), "train/reward", "train/reward/NAME"
-        and "train/nan" (a count, shown if there is any). What is missing, NaN or infinite is shown
-        as "-".
+        Reads "eval/speed" (m/s), "eval/fall_rate" (0 to 1), "train/reward", "train/reward/NAME",
+        "train/level/KIND" and "train/nan" (a count, shown if there is any). What is missing, NaN or
+        infinite is shown as "-".
         """
         view, task, now = self._view, self._view.task, time.monotonic()
         view.metrics = {key: _to_float(value) for key, value in metrics.items()}
@@ -140,6 +141,9 @@ class Progress:
         yield f"reward {number(get('train/reward'))}"
         yield f"speed {number(get('eval/speed'))} m/s"
         yield f"falls {percent(get('eval/fall_rate'))}"
+        levels = self._view.group(_LEVEL)
+        if levels:
+            yield f"levels {', '.join(f'{k} {number(x)}' for k, x in levels.items())}"
         if get("train/nan") > 0:
             yield f"NaN states {quantity(get('train/nan'))}"
 
@@ -178,6 +182,14 @@ class _View(rich.progress.Progress):
     def get(self, key: str) -> float:
         return self.metrics.get(key, math.nan)
 
+    def group(self, prefix: str) -> dict[str, float]:
+        """The figures whose names begin with `prefix`, by the rest of the name."""
+        return {
+            key.removeprefix(prefix): value
+            for key, value in self.metrics.items()
+            if key.startswith(prefix)
+        }
+
     def finish(self, stopped: bool) -> None:
         """Leave the last view behind, with a mark in the place of the spinner."""
         self._mark.finished_text = Text("■", "yellow") if stopped else Text("✓", "green")
@@ -198,10 +210,15 @@ class _View(rich.progress.Progress):
         yield _figure("reward", number(self.get("train/reward")))
         if self.get("train/nan") > 0:
             yield _figure("NaN", quantity(self.get("train/nan")), " states, episodes ended")
-        names = [key for key in self.metrics if key.startswith(_TERM)]
-        if names:
+        levels = self.group(_LEVEL)
+        if levels:
             yield ""
-            yield _terms({name.removeprefix(_TERM): self.metrics[name] for name in names})
+            yield _line(("levels of difficulty", "dim"))
+            yield _terms(levels)
+        terms = self.group(_TERM)
+        if terms:
+            yield ""
+            yield _terms(terms)
 
 
 def _line(*parts: tuple[str, str] | str) -> Text:
@@ -214,7 +231,7 @@ def _figure(name: str, value: str, unit: str = "", *more: tuple[str, str]) -> Te
 
 
 def _terms(terms: Mapping[str, float]) -> Columns:
-    """The reward's terms in as many columns as fit, each with a bar of its share."""
+    """Numbers by name in as many columns as fit, each with a bar of its share of the largest."""
     longest = max(map(len, terms))
     largest = max((abs(value) for value in terms.values() if math.isfinite(value)), default=0.0)
 

@@ -1,0 +1,109 @@
+"""The curriculum: an environment's next episode is on harder or easier ground as it got on.
+
+As in legged_gym (Rudin et al. 2021, arXiv:2109.11978): each environment keeps to one kind of tile;
+one that got more than half a tile away from its start goes on to the next level, one that did less
+than half of what it was told goes back one, and from the top it goes to any level.
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from quadwalk.ground.terrain import Terrain
+from quadwalk.task.config import EnvConfig
+
+
+class Travel(NamedTuple):
+    """How far an episode has come."""
+
+    start: jax.Array  # (2,) m, x and y of the trunk where it began
+    steps: jax.Array  # () int32, control steps since then
+    walked: jax.Array  # () m, along the velocity command, or along x where there is none
+    told: jax.Array  # () m, that the velocity command asked for, or the curriculum's pace
+
+
+def begin_travel(qpos: jax.Array) -> Travel:
+    """Of an episode that begins at `qpos` (19,)."""
+    zero = jnp.zeros(())
+    return Travel(qpos[:2], jnp.zeros((), jnp.int32), zero, zero)
+
+
+def travel_on(travel: Travel, velocity: jax.Array, command: jax.Array, dt: float) -> Travel:
+    """`travel` after one more control step of `dt` s with this mean velocity (2,), m/s.
+
+    `command` (2,), m/s, is the velocity asked for, in the same frame.
+    """
+    asked = jnp.linalg.norm(command)
+    along = jnp.dot(velocity, command) / jnp.maximum(asked, 1e-6)
+    return travel._replace(
+        steps=travel.steps + 1, walked=travel.walked + along * dt, told=travel.told + asked * dt
+    )
+
+
+@dataclass(frozen=True)
+class Curriculum:
+    """Which tile an environment's episode is on; tiles are kind by kind, of each its levels."""
+
+    kinds: tuple[str, ...]  # of each row of tiles
+    levels: int
+    tile: float  # m, its length
+    episode_steps: int  # control steps in a full episode
+    pace: float  # m/s, along x, of a task without commands: half a tile in a full episode
+
+    def first(self, environments: int, key: jax.Array) -> jax.Array:
+        """Tiles (n,) int32 to begin with: all kinds in turn, of the easier half of their levels."""
+        kind = jnp.arange(environments) % len(self.kinds)
+        level = jax.random.randint(key, (environments,), 0, (self.levels + 1) // 2)
+        return kind * self.levels + level
+
+    def evenly(self, environments: int, key: jax.Array) -> jax.Array:
+        """Tiles (n,) int32, each as likely as any other."""
+        return jax.random.randint(key, (environments,), 0, len(self.kinds) * self.levels)
+
+    def following(
+        self,
+        tile: jax.Array,
+        travel: Travel,
+        qpos: jax.Array,
+        steps: jax.Array,
+        key: jax.Array,
+    ) -> jax.Array:
+        """The tile () int32 after an episode on `tile` that ends at `qpos` (19,), after `steps`.
+
+        An episode that ends early by a fall has done no more of what it would have been told in the
+        rest of its time. One that was to go less than a quarter of a tile says nothing.
+        """
+        away = jnp.linalg.norm(qpos[:2] - travel.start)
+        planned = travel.steps + self.episode_steps - steps
+        told = travel.told * planned / jnp.maximum(travel.steps, 1)
+        up = away > self.tile / 2
+        down = ~up & (told > self.tile / 4) & (travel.walked < told / 2)
+        kind, level = tile // self.levels, tile % self.levels
+        level = jnp.maximum(level + up.astype(jnp.int32) - down.astype(jnp.int32), 0)
+        anywhere = jax.random.randint(key, (), 0, self.levels)
+        return kind * self.levels + jnp.where(level < self.levels, level, anywhere)
+
+    def sums(self, tile: jax.Array) -> dict[str, jax.Array]:
+        """Of environments on `tile` (n,), by kind: how many there are and the sum of their levels.
+
+        Named "count/level/KIND" and "count/robots/KIND".
+        """
+        found = {}
+        for kind in dict.fromkeys(self.kinds):
+            rows = [index for index, own in enumerate(self.kinds) if own == kind]
+            here = jnp.isin(tile // self.levels, jnp.array(rows))
+            found[f"count/robots/{kind}"] = jnp.sum(here)
+            found[f"count/level/{kind}"] = jnp.sum(jnp.where(here, tile % self.levels, 0))
+        return found
+
+
+def make_curriculum(config: EnvConfig, terrain: Terrain | None) -> Curriculum | None:
+    """That of a task on `terrain`; None where it has none."""
+    ground = config.ground
+    if terrain is None or not ground.curriculum or ground.file is not None:
+        return None
+    length = ground.tile[0]
+    pace = length / 2 / config.episode_seconds
+    return Curriculum(ground.kinds, ground.levels, length, config.episode_steps, pace)
