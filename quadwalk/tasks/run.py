@@ -44,7 +44,7 @@ TASK = TrainConfig(
         },
         reward={
             "forward": Reward(reward.forward, {"max_speed": 7.0}, scale=1.0),
-            "fall": Reward(reward.fall, scale=-10.0),
+            "fall": Reward(reward.fall, scale=-30.0),
             "yaw": Reward(reward.yaw_error, scale=-0.6),
             "energy": Reward(reward.energy, scale=-0.02),
             "alive": Reward(reward.alive, scale=0.5),
