@@ -107,11 +107,14 @@ class QuadrupedEnv(Env):
             return ()
         return (ground, *(c.surface for c in self.geometry.contacts if c.surface is not None))
 
-    def jit(self, function: Callable[..., Any]) -> Callable[..., Any]:
-        """`function` compiled, with the ground as an argument of the program, not a part of it."""
+    def jit(self, function: Callable[..., Any], **options: Any) -> Callable[..., Any]:
+        """`function` compiled, with the ground as an argument of the program, not a part of it.
+
+        `options` are those of `jax.jit`.
+        """
         heights = jax.device_put([surface.grids.reshape(-1) for surface in self.surfaces])
 
-        @jax.jit
+        @partial(jax.jit, **options)
         def program(heights: list[jax.Array], *arguments: Any) -> Any:
             with given(self.surfaces, heights):
                 return function(*arguments)

@@ -68,7 +68,8 @@ class LiveRobot:
 
     `command` (3,) is what it is told: forward and lateral velocity in the frame of the heading,
     m/s, the latter to the left, and yaw rate, rad/s. All else is read from `data`, `foot_force`
-    (4,) N, and the properties. `subject` is a run loaded for the engine "mujoco".
+    (4,) N, and the properties. `subject` is a run loaded for the engine "mujoco". On ground that is
+    not flat, `tile` is the index of the terrain's tile that it starts on.
     """
 
     def __init__(self, subject: Subject, seed: int = 0) -> None:
@@ -86,13 +87,18 @@ class LiveRobot:
         self._think = _compiled(self.env)
         self._first_pose = nominal_start(self._base, self.env.quadruped, self.env.config.reset)
         self._feet = geom_ids(self._base, self.env.quadruped.feet)
+        self.tile = 0
         self.reset()
 
     def reset(self) -> None:
-        """Stand in the task's first pose, at rest, its lowest foot on the floor."""
+        """Stand in the task's first pose, at rest, on the ground of its tile."""
         env, data = self.env, self.data
         mujoco.mj_resetData(self.model, data)
         data.qpos[:] = self._first_pose
+        if env.terrain is not None:
+            data.qpos[:2] = env.terrain.tiles[self.tile].start
+            mujoco.mj_kinematics(self.model, data)
+            data.qpos[2] += self._ground(data.geom_xpos[list(self._feet[1:]), :2]).max()
         mujoco.mj_forward(self.model, data)
         self.steps, self._fallen = 0, 0
         self.foot_force = np.zeros(4)
@@ -152,9 +158,14 @@ class LiveRobot:
         return np.array([cos * x + sin * y, cos * y - sin * x, turning])
 
     @property
+    def height(self) -> float:
+        """m, of the trunk's origin above the ground straight below."""
+        return float(self.data.qpos[2] - self._ground(self.data.qpos[:2]))
+
+    @property
     def fell(self) -> bool:
         """Whether it lies on the ground, tipped over or with its trunk low."""
-        low = self.data.qpos[2] < _LOW * self.env.robot.home_height
+        low = self.height < _LOW * self.env.robot.home_height
         return bool(self._up[2] < math.cos(_TIPPED) or low)
 
     @property
@@ -163,6 +174,11 @@ class LiveRobot:
         up = np.zeros(3)
         mujoco.mju_rotVecQuat(up, np.array([0.0, 0.0, 1.0]), self.data.qpos[3:7] * [1, -1, -1, -1])
         return up
+
+    def _ground(self, points: np.ndarray) -> np.ndarray:
+        """Its height (...), m, at `points` (..., 2), m."""
+        terrain = self.env.terrain
+        return np.zeros(points.shape[:-1]) if terrain is None else terrain.field.height_at(points)
 
     def _advance(self, state: Physics, torque: Any) -> Physics:
         """A physics step with joint torques (12,), Nm; `state` is where `data` is."""
@@ -195,6 +211,7 @@ class LiveRobot:
             conditions=conditions,
             frames=self._frames,
             contact=_number(self.foot_force > 0.0, bool),
+            tile=None if self.env.terrain is None else _number(self.tile, np.int32),
         )
 
 
@@ -228,4 +245,4 @@ def _compiled(env: QuadrupedEnv) -> Callable[[Policy, EnvState], tuple[Any, Any,
         conditions, obeyed = delayed(state.conditions, target, env.stepping.substeps, state.steps)
         return state.frames, conditions.targets, action, obeyed
 
-    return jax.jit(think, compiler_options=_OPTIONS)
+    return env.jit(think, compiler_options=_OPTIONS)

@@ -107,6 +107,10 @@ class Page:
             self.live.reset()
             self.traces.clear()
 
+        def start_on(tile: int) -> None:
+            self.live.tile = tile
+            reset()
+
         def command() -> None:
             self.live.command[:] = self.panel.told()
 
@@ -117,6 +121,7 @@ class Page:
             play=later(play),
             speed=later(speed),
             reset=later(reset),
+            tile=later(start_on),
             follow=later(lambda on: setattr(self.stage, "follow", on)),
             collision=later(lambda on: self.stage.show_collision(on)),
             run=later(lambda label: self._open(runs[label], NEWEST)),

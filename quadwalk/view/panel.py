@@ -38,6 +38,7 @@ class Actions:
     play: Callable[[], None]  # play or pause
     speed: Callable[[float], None]
     reset: Callable[[], None]
+    tile: Callable[[int], None]  # start anew on this tile of the terrain
     follow: Callable[[bool], None]
     collision: Callable[[bool], None]
     run: Callable[[str], None]  # the label of a run
@@ -62,6 +63,7 @@ class Panel:
         self._add_buttons(actions)
         self.command = self._add_command(live, actions)
         self._add_push(actions)
+        self._add_ground(live, actions)
         self._settings = self._add_settings(live, actions)
         with self._gui.add_folder("Policy"):
             self._choose("run", runs, actions.run)
@@ -133,6 +135,24 @@ class Panel:
 
         buttons.on_click(lambda event: push(event.target.value))
         self._push = push
+
+    def _add_ground(self, live: LiveRobot, actions: Actions) -> None:
+        """What to start on, where there is a choice: kinds of ground and their difficulties."""
+        terrain = live.env.terrain
+        if terrain is None or len(terrain.tiles) == 1:
+            return
+        names = [tile.kind.replace("_", " ") for tile in terrain.tiles]
+        levels = [f"{tile.difficulty:g}" for tile in terrain.tiles]
+        with self._gui.add_folder("Ground"):
+            kind = self._gui.add_dropdown("kind", tuple(dict.fromkeys(names)))
+            level = self._gui.add_dropdown("difficulty", tuple(dict.fromkeys(levels)))
+
+        def start() -> None:
+            places = list(zip(names, levels, strict=True))
+            actions.tile(places.index((kind.value, level.value)))
+
+        for dropdown in (kind, level):
+            dropdown.on_update(lambda _: start())
 
     def _add_settings(self, live: LiveRobot, actions: Actions) -> dict[str, Any]:
         usual = Settings(friction=round(live.env.friction, 2))

@@ -51,7 +51,8 @@ class Stage:
         data = live.data
         trunk = data.qpos[:3]
         if self.follow:
-            self._focus = np.array([trunk[0], trunk[1], 0.7 * self._height])
+            level = trunk[2] - live.height
+            self._focus = np.array([trunk[0], trunk[1], level + 0.7 * self._height])
         places = data.xpos.copy()[None]
         places[0, 0] = self._focus
         with self._server.atomic():

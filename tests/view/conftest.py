@@ -1,5 +1,6 @@
 """Runs whose policies have learnt nothing, and a robot, live."""
 
+import dataclasses
 from pathlib import Path
 
 import jax
@@ -10,8 +11,8 @@ from brax.training.acme.running_statistics import NestedMeanStd
 
 from quadwalk.robot.quadruped import Quadruped
 from quadwalk.task.env import QuadrupedEnv
+from quadwalk.tasks import rough, walk
 from quadwalk.tasks import run as run_task
-from quadwalk.tasks import walk
 from quadwalk.train.networks import make_networks
 from quadwalk.train.runs import checkpoint
 from quadwalk.train.runs.directory import Run, as_json, create_run, versions
@@ -64,11 +65,14 @@ def walk_env(quadruped) -> QuadrupedEnv:
 
 @pytest.fixture(scope="session")
 def runs(tmp_path_factory, quadruped) -> Path:
-    """A folder of runs: two of `walk`, one of `run`."""
+    """A folder of runs: two of `walk`, one of `run`, one of `rough` on a few tiles."""
     root = tmp_path_factory.mktemp("runs")
     write_run(root, "dog", quadruped, {"policy.npz": 3, "checkpoints/step_000000000003.npz": 3})
     write_run(root, "cat", quadruped, {"policy.npz": 4, "best.npz": 5})
     write_run(root, "hare", quadruped, {"policy.npz": 6}, run_task.TASK)
+    few = dataclasses.replace(rough.TASK.env.ground, kinds=("stairs_up", "blocks"), levels=2)
+    task = dataclasses.replace(rough.TASK, env=dataclasses.replace(rough.TASK.env, ground=few))
+    write_run(root, "goat", quadruped, {"policy.npz": 7}, task)
     return root
 
 
@@ -82,6 +86,12 @@ def live(runs) -> LiveRobot:
 def hare(runs) -> LiveRobot:
     """A robot of the task `run`, whose policy sees earlier steps too."""
     return LiveRobot(open_subject(Run(runs / "hare"), NEWEST))
+
+
+@pytest.fixture(scope="session")
+def goat(runs) -> LiveRobot:
+    """A robot on ground that is not flat, which it sees."""
+    return LiveRobot(open_subject(Run(runs / "goat"), NEWEST))
 
 
 @pytest.fixture

@@ -15,7 +15,7 @@ def test_the_policies_of_a_run(runs):
 
 
 def test_the_runs_and_one_from_elsewhere(runs, tmp_path):
-    assert set(run_choices(runs, Run(runs / "dog"))) == {"dog", "cat", "hare"}
+    assert set(run_choices(runs, Run(runs / "dog"))) == {"dog", "cat", "hare", "goat"}
     elsewhere = Run(tmp_path / "dog")
     assert next(iter(run_choices(runs, elsewhere))) == str(elsewhere.path)
     assert label_of(runs, elsewhere) == str(elsewhere.path)

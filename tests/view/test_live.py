@@ -14,7 +14,7 @@ from quadwalk.task.state import EnvState
 from quadwalk.view.live import LYING
 
 
-@pytest.mark.parametrize("which", ["live", "hare"])
+@pytest.mark.parametrize("which", ["live", "hare", "goat"])
 def test_it_moves_as_the_environment_does(which, request):
     """Against `QuadrupedEnv.step` in MuJoCo C, which evaluations step; with late targets."""
     robot = request.getfixturevalue(which)
@@ -41,6 +41,25 @@ def test_it_stands_on_its_feet_at_first(fresh):
     assert low == pytest.approx(0.0, abs=1e-9)
     assert not fresh.data.qvel.any()
     assert (fresh.time, fresh.fell) == (0.0, False)
+
+
+def test_it_stands_on_the_ground_of_the_tile_that_is_chosen(goat):
+    tiles = goat.env.terrain.tiles
+    assert len({tile.kind for tile in tiles}) == 2
+    for index, tile in enumerate(tiles):
+        goat.tile = index
+        goat.reset()
+        mujoco.mj_forward(goat.model, goat.data)
+        np.testing.assert_allclose(goat.data.qpos[:2], tile.start)
+        floor = goat.model.geom("floor").id
+        gaps = []
+        for foot in goat.env.quadruped.feet:
+            centre, down = goat.data.geom(foot).xpos, np.array([0.0, 0.0, -1.0])
+            distance = mujoco.mj_rayHfield(goat.model, goat.data, floor, centre, down, None)
+            gaps.append(distance - goat.model.geom(foot).size[0])
+        assert min(gaps) == pytest.approx(0.0, abs=2e-3)
+        assert not goat.fell
+        assert goat._state().tile == index
 
 
 def test_the_policy_sees_the_command(fresh):
