@@ -102,7 +102,7 @@ def evaluate(
         episodes: how many, each from another start.
         seconds: the time limit of an episode.
         engine: MJX, or MuJoCo C with every shape colliding ("mujoco"), or the one trained in.
-        seed: of the starts; the same seed gives the same episodes.
+        seed: of the starts and the ground; the same seed gives the same episodes.
         policy: the run's last, or that of its best checkpoint.
         randomised: each episode under conditions drawn as in training.
         runs: the folder of all runs, "runs" unless another is given.
@@ -120,7 +120,7 @@ def evaluate(
     from quadwalk.evaluate.evaluation import measure
     from quadwalk.evaluate.subject import load_subject
 
-    return measure(load_subject(found, seconds, policy, engine, randomised), episodes, seed)
+    return measure(load_subject(found, seconds, policy, engine, randomised, seed), episodes, seed)
 
 
 def compare(results: Mapping[str, "Evaluation"]) -> "Figure":

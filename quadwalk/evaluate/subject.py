@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from quadwalk.errors import UserError
-from quadwalk.ground.terrain import GroundConfig
+from quadwalk.ground.terrain import FLAT, GroundConfig
 from quadwalk.physics.engines import EngineName
 from quadwalk.task.config import NO_RANDOMISATION, EnvConfig, RandomisationConfig
 from quadwalk.task.env import QuadrupedEnv
@@ -55,13 +55,14 @@ def load_subject(
     engine: EngineName = "mjx",
     randomised: bool = False,
     seed: int = 0,
+    flat: bool = False,
 ) -> Subject:
     """Load the "last" or "best" policy of `run` for episodes of up to `seconds` in `engine`.
 
     The robot is as its model says, and nothing disturbs it, unless the episodes are `randomised`:
     then each has conditions of its own, from the `training_ranges`. A command, if there are any,
     stays for a whole episode, so that each has one gait to look at. Ground that is not flat is
-    made anew, by `seed`, as training did not have it.
+    made anew, by `seed`, as training did not have it; or it is replaced by a `flat` floor.
     Raises `UserError` where its policy or robot cannot be read, or do not belong together.
     """
     file = run.best if which == "best" else run.policy
@@ -75,7 +76,7 @@ def load_subject(
         episode_seconds=seconds,
         command=command,
         randomisation=ranges,
-        ground=unseen_ground(trained.ground, seed),
+        ground=FLAT if flat else unseen_ground(trained.ground, seed),
     )
     env = QuadrupedEnv(quadruped, config, engine)
     if quadruped.joints != policy.joints or env.policy_size != policy.observation_size:

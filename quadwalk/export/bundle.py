@@ -34,7 +34,7 @@ def export_run(run: Run, which: str, out: Path, console: Console) -> list[Path]:
     What it does is said on `console`. Raises `UserError` where the policy cannot be read or
     exported, or `out` not written.
     """
-    subject = load_subject(run, 20.0, which, "mujoco")
+    subject = load_subject(run, 20.0, which, "mujoco", flat=True)
     env = subject.env
     targets = find_targets(env.config.action, env.robot)
     weights = Weights.of(subject.policy.act, subject.policy.config.ppo.activation)

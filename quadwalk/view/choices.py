@@ -49,7 +49,8 @@ def choose_policy(run: Run, label: str) -> Path:
 def open_subject(run: Run, label: str) -> Subject:
     """`run` with the policy called `label`, for MuJoCo C; `UserError` where it has none yet."""
     file = choose_policy(run, label)
-    subject = load_subject(run, 3600.0, "best" if label == BEST else "last", "mujoco")
+    which = "best" if label == BEST else "last"
+    subject = load_subject(run, 3600.0, which, "mujoco", flat=True)
     if file == subject.file:
         return subject
     policy = read_policy(file, subject.env.quadruped.joints)

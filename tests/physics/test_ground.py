@@ -166,7 +166,7 @@ def course(robot, terrain, engine: str, limp: bool) -> dict[str, np.ndarray]:
 
     def run(qpos):
         soles, others = lowest_points(geometry, qpos)
-        raised = qpos.at[2].add(0.02 - jnp.minimum(jnp.min(soles[:, 2]), others))
+        raised = qpos.at[2].add(0.02 - jnp.minimum(jnp.min(soles[:, 2]), jnp.min(others)))
 
         def step(physics, k):
             lift = 0.15 * jnp.maximum(jnp.sin(2 * jnp.pi * 2.5 * 0.02 * k + phase), 0.0)

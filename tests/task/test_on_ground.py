@@ -1,19 +1,22 @@
 """Episodes on ground that is not level: where they start, what is above ground, where they end."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from quadwalk.errors import UsageError
 from quadwalk.ground.terrain import FLAT
 from quadwalk.physics.fast import lowest_points
 from quadwalk.physics.rotation import yaw
+from quadwalk.task import termination
 from quadwalk.task.env import QuadrupedEnv
-from quadwalk.task.observation import height, height_scan
+from quadwalk.task.observation import height, height_scan, scan_ahead
 from quadwalk.task.terms import Observation
-from quadwalk.tasks import sprint
+from quadwalk.tasks import rough, sprint
 
 KINDS = ("stairs_up", "blocks", "slope_down")
 SCAN = {"length": 0.4, "width": 0.2, "spacing": 0.1, "reach": 0.5}
@@ -23,7 +26,13 @@ EPISODES = 24
 @pytest.fixture(scope="module")
 def hilly(quadruped) -> QuadrupedEnv:
     ground = dataclasses.replace(
-        FLAT, kinds=KINDS, levels=2, difficulty=(0.5, 1.0), tile=(6.0, 6.0), border=2.0
+        FLAT,
+        kinds=KINDS,
+        levels=2,
+        difficulty=(0.5, 1.0),
+        tile=(6.0, 6.0),
+        border=2.0,
+        curriculum=True,
     )
     scan = Observation(height_scan, SCAN, noise=0.05)
     config = dataclasses.replace(
@@ -49,7 +58,7 @@ def test_episodes_start_on_the_ground_of_tiles_drawn_at_random(hilly, starts):
         offset = sprint.TASK.env.reset.offset * np.array([0, 1])
         assert np.all(np.abs(place - start) <= spread + offset + 1e-5)
     soles, others = jax.vmap(lambda q: lowest_points(hilly.geometry, q))(state.qpos)
-    lowest = np.minimum(np.min(soles[:, :, 2], axis=1), others)
+    lowest = np.minimum(np.min(soles[:, :, 2], axis=1), np.min(others, axis=1))
     np.testing.assert_allclose(lowest, 0.0, atol=1e-4)
 
 
@@ -91,6 +100,65 @@ def test_falls_are_told_by_heights_above_ground_and_leaving_the_field_is_none(hi
     left = step(moved(away), idle)
     assert np.all(np.asarray(left.info["end"]) == 1)
     assert np.all(np.asarray(left.info["truncation"]) == 1.0)
+
+
+def test_how_far_an_episode_has_come_is_counted(hilly, starts):
+    travel = starts.pipeline_state.travel
+    begun = starts.pipeline_state.qpos[:, :2]
+    np.testing.assert_array_equal(travel.start, begun)
+    after = jax.jit(jax.vmap(hilly.step))(starts, jnp.zeros((EPISODES, 12))).pipeline_state
+    ahead = np.asarray(after.qpos[:, 0] - begun[:, 0])  # of a task without commands, along x
+    np.testing.assert_allclose(after.travel.walked, ahead, atol=1e-6)
+    pace = 6.0 / 2 / hilly.config.episode_seconds
+    np.testing.assert_allclose(after.travel.told, pace * hilly.config.control_dt, rtol=1e-5)
+
+
+def test_an_episode_can_be_confined_to_its_tile(hilly, starts):
+    ground = dataclasses.replace(hilly.config.ground, confined=True)
+    confined = QuadrupedEnv(hilly.quadruped, dataclasses.replace(hilly.config, ground=ground))
+    state = starts.pipeline_state
+    middles = np.array([hilly.terrain.tiles[tile].middle for tile in state.tile])
+
+    def outside(env, offset):
+        qpos = state.qpos.at[:, :2].set(middles + offset)
+        moved = state._replace(physics=state.physics._replace(qpos=qpos))
+        return np.asarray(jax.vmap(env._outside)(moved))
+
+    assert not outside(confined, [2.9, -2.9]).any()
+    assert outside(confined, [3.1, 0.0]).all()
+    assert outside(confined, [0.0, -3.1]).all()
+    assert not outside(hilly, [3.1, 0.0]).any()  # its neighbour, or level ground
+
+
+def test_the_ground_may_be_an_argument_of_a_program(hilly, starts):
+    keys = jax.random.split(jax.random.PRNGKey(0), EPISODES)
+    given = hilly.jit(jax.vmap(hilly.reset))(keys)
+    np.testing.assert_allclose(given.obs, starts.obs, atol=1e-6)
+    assert all(surface._given is None for surface in hilly.surfaces)
+
+
+def test_the_blind_leave_the_scan_to_the_value_network():
+    seeing, blind = rough.TASK.env, dataclasses.replace(rough.TASK.env, blind=True).as_seen
+    assert list(blind.observation) == [name for name in seeing.observation if name != "height_scan"]
+    assert blind.critic["height_scan"] == seeing.observation["height_scan"]
+    assert seeing.as_seen is seeing
+    assert blind.as_seen is blind
+    with pytest.raises(UsageError, match=r"env\.blind.*height_scan"):
+        dataclasses.replace(sprint.TASK.env, blind=True)
+
+
+def test_knees_may_touch_where_only_the_trunk_may_not():
+    step = SimpleNamespace(lowest=jnp.array([0.02, -0.01]))
+    assert termination.touched(None, step, clearance=0.0)
+    assert not termination.trunk_touched(None, step, clearance=0.0)
+    assert termination.trunk_touched(None, step, clearance=0.03)
+
+
+def test_a_scan_ahead_is_the_same_ground_further_on(hilly, starts):
+    state = jax.tree.map(lambda x: x[0], starts.pipeline_state)
+    about = height_scan(hilly.robot, state, length=1.0, width=0.2, spacing=0.1, reach=9.0)
+    ahead = scan_ahead(hilly.robot, state, first=0.1, last=0.5, width=0.2, spacing=0.1, reach=9.0)
+    np.testing.assert_allclose(ahead, about.reshape(11, 3)[6:].ravel(), atol=1e-5)
 
 
 def test_other_engines_have_the_same_ground(hilly):

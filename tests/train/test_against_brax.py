@@ -49,6 +49,8 @@ class Point(Env):
     observation_size = 2
     action_size = 1
     backend = "none"
+    curriculum = None
+    surfaces = ()
 
     def __init__(self, episode_steps: int, dt: float = 0.1, spread: float = 0.0) -> None:
         self.config = dataclasses.replace(

@@ -55,6 +55,15 @@ def test_every_figure_is_drawn_over_the_steps():
         assert low <= min(0, *values(axes)) <= max(0, *values(axes)) <= high
 
 
+def test_the_levels_of_a_curriculum_are_drawn_by_kind_of_ground():
+    rows = [row | {"train/level/stairs_up": row["steps"] / 5000} for row in ROWS]
+    shown = panels(rows)
+    assert [title for title in shown if title][-3:] == ["forward", "energy", "stairs up"]
+    assert values(shown["stairs up"]) == pytest.approx([row["steps"] / 5000 for row in ROWS])
+    alone = [{"steps": 1, "train/level/flat": 2.0}]
+    assert values(panels(alone)["flat"]).tolist() == [2.0]
+
+
 def test_rows_are_drawn_in_the_order_of_their_steps():
     assert list(values(panels(ROWS[::-1])["reward"])) == list(range(1, 21))
 

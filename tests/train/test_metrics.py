@@ -67,3 +67,13 @@ def test_counting_goes_on_from_a_saved_state():
     second.restore(json.loads(json.dumps(first.state())))
     assert [second.row(k, row) for k, row in enumerate(rows[25:], 25)] == expected[25:]
     assert second.score == whole.score
+
+
+def test_levels_are_means_over_the_robots_on_each_kind_of_ground():
+    metrics = TrainingMetrics(sprint.TASK.env.reward)
+    counts = {"count/level/blocks": 30.0, "count/robots/blocks": 12.0}
+    none = {"count/level/flat": 0.0, "count/robots/flat": 0.0}
+    row = metrics.row(100, numbers(**counts, **none))
+    assert row["train/level/blocks"] == 2.5
+    assert row["train/level/flat"] == 0.0
+    assert not any(name.startswith("count/") for name in row)

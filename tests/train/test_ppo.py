@@ -1,6 +1,7 @@
 """The training loop, on an environment whose every number is known."""
 
 import dataclasses
+from types import SimpleNamespace
 from typing import NamedTuple
 
 import jax
@@ -10,6 +11,9 @@ import pytest
 from brax.envs.base import Env, State
 from jax.sharding import PartitionSpec as P
 
+from quadwalk.physics.motor import Physics
+from quadwalk.task.curriculum import Curriculum, begin_travel
+from quadwalk.task.state import EnvState
 from quadwalk.tasks import sprint
 from quadwalk.train import ppo
 from quadwalk.train.networks import make_networks, mean_policy
@@ -113,6 +117,30 @@ def test_episodes_start_out_of_phase():
     steps = np.asarray(ppo.reset_envs(Counter(), keys).pipeline_state.steps)
     assert set(steps) <= set(range(4))
     assert len(set(steps)) > 1
+
+
+def test_the_next_episodes_are_where_the_curriculum_says_but_for_those_that_evaluate():
+    lessons = Curriculum(("flat", "rough"), 3, 8.0, 100, pace=0.1)
+    far = jnp.tile(jnp.eye(19)[0] * 5.0, (8, 1))  # more than half a tile from the start
+    travel = jax.vmap(begin_travel)(jnp.zeros((8, 19)))
+    state = EnvState(
+        Physics(far, jnp.zeros((8, 18)), jnp.zeros((8, 18))),
+        jnp.zeros((8, 12)),
+        jnp.full(8, 100),
+        tile=jnp.array([0, 3, 1, 4, 0, 3, 0, 0]),
+        travel=travel._replace(steps=jnp.full(8, 100)),
+    )
+    env = SimpleNamespace(curriculum=lessons)
+    draws = [
+        np.asarray(ppo._next_tiles(env, state, jnp.bool_(False), 6, jax.random.PRNGKey(seed)))
+        for seed in range(30)
+    ]
+    assert all(drawn[:6].tolist() == [1, 4, 2, 5, 1, 4] for drawn in draws)
+    assert {int(tile) for drawn in draws for tile in drawn[6:]} == set(range(6))
+    first = ppo._next_tiles(env, state, jnp.bool_(True), 6, jax.random.PRNGKey(0))
+    assert (np.asarray(first)[:6] // 3).tolist() == [0, 1, 0, 1, 0, 1]
+    none = SimpleNamespace(curriculum=None)
+    assert ppo._next_tiles(none, state, jnp.bool_(False), 6, jax.random.PRNGKey(0)) is None
 
 
 def test_only_the_sampling_environments_are_learnt_from(collected):

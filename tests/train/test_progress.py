@@ -150,6 +150,15 @@ def test_nan_states_are_shown_when_there_are_any():
     assert re.search(r"NaN +3 states", visible(train(Terminal(), **{"train/nan": 3})))
 
 
+def test_levels_of_a_curriculum_are_shown_by_kind_of_ground():
+    levels = {"train/level/stairs_up": 2.5, "train/level/flat": 7.0}
+    assert "levels stairs_up 2.50, flat 7.00" in train(io.StringIO(), **levels)
+    assert "levels" not in train(io.StringIO())
+    shown = visible(train(Terminal(), **levels))
+    assert "levels of difficulty" in shown
+    assert re.search(r"stairs_up +2\.50 ■■■ ", shown)
+
+
 def test_missing_figures_are_no_error():
     for stream in (io.StringIO(), Terminal()):
         with Progress(0, stream=stream) as progress:

@@ -95,7 +95,7 @@ class SceneWriter:
         for k in [*range(0, row, stride), row]:
             x, y, _ = self._path[k]
             # Just above the ground, to be seen.
-            self._line.points.add(x=_drawn(x), y=_drawn(y), z=_drawn(self._below[k] + 0.01))
+            self._line.points.add(x=_drawn(x), y=_drawn(y), z=_drawn(float(self._below[k]) + 0.01))
 
     def _draw_velocity(self, row: int, start: tuple[float, float, float]) -> None:
         position, turn = self._arrow.pose.position, self._arrow.pose.orientation
@@ -135,10 +135,12 @@ def draw_ground(field: Heightfield, path: np.ndarray, world: str = "world") -> b
     update = SceneUpdate()
     triangles = update.entities.add(frame_id=world, id="ground").triangles.add()
     triangles.pose.orientation.w = 1.0
-    x, y = field.origin[0] + field.cell * j, field.origin[1] + field.cell * i
+    x, y = (o + field.cell * k for o, k in zip(field.origin, (j, i), strict=True))
     for row, column in np.ndindex(heights.shape):
-        z = _drawn(float(heights[row, column]))
-        triangles.points.add(x=_drawn(x[column]), y=_drawn(y[row]), z=z)
+        place = x[column], y[row], heights[row, column]
+        triangles.points.add(
+            **{axis: _drawn(float(p)) for axis, p in zip("xyz", place, strict=True)}
+        )
         shade = round(64 * (0.25 + 0.6 * max(light[row, column], 0.0))) / 64
         triangles.colors.add(r=shade, g=0.96875 * shade, b=0.875 * shade, a=1.0)
     first = (np.arange(len(i) - 1)[:, None] * len(j) + np.arange(len(j) - 1)).ravel()

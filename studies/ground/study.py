@@ -1,0 +1,125 @@
+"""How far robots get on ground that they have not seen: seeing, blind, and over obstacles.
+
+    python -m studies.ground.study [--seeds 2] [--episodes 256] [--runs runs/ground]
+
+Trains `rough`, `rough` blind and `obstacles` from each seed, unless the folder has them, and judges
+each in MuJoCo C, every shape colliding, under conditions drawn as in training, on fields of unseen
+seeds: success, speed and error by kind and difficulty, and pictures' states of single episodes.
+Writes results.json beside this file, which notebooks/06_ground.ipynb shows. To see that it works:
+
+    python -m studies.ground.study --steps 50000 --seeds 1 --episodes 2 --seconds 1 \\
+        --runs /tmp/runs --out /tmp/results.json
+"""
+
+import quadwalk.physics.mjx  # noqa: F401  # isort: skip  # else Brax imports it, loudly
+
+import argparse
+import json
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from quadwalk.errors import run_command
+from quadwalk.evaluate.by_ground import ground_env, measure_by_ground
+from quadwalk.evaluate.subject import load_subject
+from quadwalk.files import atomic_write
+from quadwalk.ground.heightfield import Heightfield
+from quadwalk.train.flags import parse_config
+from quadwalk.train.runs.directory import Run
+from studies.runs import in_processes, trained
+
+VARIANTS = {
+    "seeing": "--preset rough",
+    "blind": "--preset rough --env.blind",
+    "obstacles": "--preset obstacles",
+}
+LEVELS = 7  # difficulties 0, 1/6, ... 1: a half and two thirds are among them
+FILMED = ("stairs_up", "blocks", "course")  # kinds of which an episode's states are kept
+FRAMES, SECONDS = 8, 4.0  # of those, over so long from the start
+MARGIN = 1.2  # m of ground kept around their path
+
+
+def train(flags: str, seed: int, steps: int | None, runs: Path) -> Run:
+    """The run of one variant and seed, trained if it has not been."""
+    config, _ = parse_config(flags.split())
+    words = flags.replace("--", "").replace("preset ", "").replace(" env.", "_")
+    config = replace(config, name=f"{words}_s{seed}", runs=runs, seed=seed, quiet=True)
+    return trained(replace(config, steps=steps or config.steps))
+
+
+def judge(run: Run, episodes: int, seconds: float) -> dict[str, Any]:
+    """What results.json holds of one run."""
+    subject = load_subject(run, seconds, engine="mujoco", randomised=True)
+    ground = measure_by_ground(subject, LEVELS, episodes, seed=0)
+    return {
+        "steps": subject.policy.steps,
+        "engine": "mujoco",
+        "ground": ground,
+        "films": {kind: film(run, kind) for kind in FILMED if kind in ground["kinds"]},
+    }
+
+
+def film(run: Run, kind: str) -> dict[str, Any]:
+    """States of one episode, undisturbed, at the greatest difficulty, and the ground around it."""
+    subject = load_subject(run, SECONDS, engine="mujoco")
+    env = ground_env(subject, levels=2)
+    assert env.terrain is not None
+    tile = env.terrain.tiles.index(env.terrain.tile(kind, 1))
+    act = subject.policy.act
+
+    def step(state: Any, _: None) -> tuple[Any, Any]:
+        after = jax.vmap(env.step)(state, act(state.obs))
+        return after, (after.pipeline_state.qpos, after.done)
+
+    steps = env.config.episode_steps
+    first = env.jit(jax.vmap(env.reset))(jax.random.PRNGKey(1)[None], jnp.array([tile]))
+    _, (qpos, done) = env.jit(partial(jax.lax.scan, step, length=steps))(first, None)
+    lasted = int(np.argmax(done[:, 0])) if np.any(done) else steps - 1
+    rows = np.linspace(0, lasted, FRAMES).round().astype(int)
+    states = np.asarray(qpos[rows, 0], float)
+    return {"qpos": states.round(4).tolist(), "ground": _cropped(env.terrain.field, states[:, :2])}
+
+
+def _cropped(field: Heightfield, path: np.ndarray) -> dict[str, Any]:
+    """The part of a field around `path` (n, 2), m, as plain values."""
+    last = np.array(field.heights.shape[::-1]) - 1
+    (left, low), (right, high) = (
+        np.clip((edge - field.origin) / field.cell, 0, last).astype(int)
+        for edge in (path.min(axis=0) - MARGIN, path.max(axis=0) + MARGIN)
+    )
+    heights = field.heights[low : high + 1, left : right + 1].astype(float)
+    origin = (field.origin[0] + field.cell * left, field.origin[1] + field.cell * low)
+    return {"cell": field.cell, "origin": origin, "heights": heights.round(3).tolist()}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--seeds", type=int, default=2)
+    parser.add_argument("--episodes", type=int, default=256, help="in each cell")
+    parser.add_argument("--seconds", type=float, default=20.0, help="of an episode, at most")
+    parser.add_argument("--steps", type=int, help="of each training (default: the task's)")
+    parser.add_argument("--runs", type=Path, default=Path("runs/ground"))
+    parser.add_argument("--out", type=Path, default=Path(__file__).parent / "results.json")
+    given = parser.parse_args()
+    cases = [(name, seed) for name in VARIANTS for seed in range(given.seeds)]
+    settings = [(VARIANTS[name], seed, given.steps, given.runs) for name, seed in cases]
+    runs = list(in_processes(train, settings, at_once=1, devices=None))
+    judged = in_processes(
+        judge, [(run, given.episodes, given.seconds) for run in runs], at_once=1, devices=None
+    )
+    results = [
+        {"variant": name, "seed": seed, **found}
+        for (name, seed), found in zip(cases, judged, strict=True)
+    ]
+    with atomic_write(given.out) as file:
+        file.write(json.dumps(results).encode())
+    print(f"written to {given.out}")
+
+
+if __name__ == "__main__":
+    run_command(main)

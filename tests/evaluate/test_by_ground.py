@@ -1,0 +1,187 @@
+"""Evaluation on uneven ground: figures by kind and difficulty, and how ground is drawn."""
+
+import dataclasses
+import json
+from types import SimpleNamespace
+
+import jax
+import numpy as np
+import pytest
+from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
+
+from quadwalk.evaluate import by_ground
+from quadwalk.evaluate.by_ground import PACE, Outcome, measure_by_ground
+from quadwalk.evaluate.gait import measure_gait
+from quadwalk.evaluate.recording.markers import GROUND_MARGIN, GROUND_NODES, draw_ground
+from quadwalk.evaluate.report.console import print_by_ground
+from quadwalk.evaluate.report.panels import draw_by_ground
+from quadwalk.evaluate.subject import Subject, unseen_ground
+from quadwalk.ground.heightfield import Heightfield, centred
+from quadwalk.ground.terrain import FLAT, UNSEEN
+from quadwalk.task.config import NO_RANDOMISATION
+from quadwalk.task.env import QuadrupedEnv
+from quadwalk.task.robot_arrays import task_robot
+from quadwalk.tasks import obstacles, rough, sprint, walk
+from quadwalk.train.runs.directory import Run
+from quadwalk.train.runs.policy import Policy
+
+DT = 0.02
+
+
+def gliding(velocity, heading, steps, end) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Start (7,), poses (200, 7) and ends (200,) of a trunk gliding at `velocity` in the world."""
+    poses = np.zeros((201, 7))
+    poses[:, :2] = np.arange(201)[:, None] * DT * np.asarray(velocity)
+    poses[:, 3], poses[:, 6] = np.cos(heading / 2), np.sin(heading / 2)
+    ends = np.where(np.arange(200) == steps - 1, end, 0)
+    return poses[0], poses[1:], ends
+
+
+def test_the_figures_of_a_cell_are_those_of_its_episodes():
+    env = SimpleNamespace(
+        ends=("running", "time limit", "tipped"),
+        config=SimpleNamespace(
+            control_dt=DT, episode_steps=200, command=SimpleNamespace(given=True)
+        ),
+    )
+    # As told, north; .3 too slow and .4 to the left, to the time limit; a fall.
+    glides = [
+        gliding((0.0, PACE), np.pi / 2, 120, 1),
+        gliding((0.4, 0.4), 0.0, 200, 1),
+        gliding((0.1, 0.0), 0.0, 30, 2),
+    ]
+    start, poses, ends = (np.stack(part) for part in zip(*glides, strict=True))
+    outcome = Outcome(ends.T, np.swapaxes(poses, 0, 1))
+    found = by_ground._figures(env, start, outcome)
+    assert found["success"] == pytest.approx(2 / 3)
+    assert found["arrived"] == pytest.approx(1 / 3)
+    assert found["speed"]["mean"] == pytest.approx((PACE + 0.4 + 0.1) / 3)
+    # The last was too short to be judged.
+    assert found["velocity_error"]["mean"] == pytest.approx((0.0 + np.hypot(0.3, 0.4)) / 2)
+    json.dumps(found)
+
+
+def test_the_ground_of_an_evaluation_is_not_that_of_training():
+    trained = rough.TASK.env.ground
+    judged = unseen_ground(trained, seed=3, levels=4)
+    assert judged.seed == UNSEEN + 3
+    assert (judged.kinds, judged.levels, judged.curriculum) == (trained.kinds, 4, False)
+    assert unseen_ground(FLAT, 3) == FLAT
+
+
+def test_the_tiles_of_a_cell_are_of_its_kind_and_level():
+    tiles = by_ground._tiles(("flat", "waves"), 3, 6)
+    rows = [kind for kind in ("flat", "waves") for _ in range(by_ground.ROWS)]
+    cells = [(rows[tile // 3], tile % 3) for tile in tiles]
+    expected = [(kind, level) for kind in ("flat", "waves") for level in range(3) for _ in range(6)]
+    assert cells == expected
+    assert len(set(tiles[:6])) == by_ground.ROWS
+
+
+def results(told: bool) -> dict:
+    cells = [
+        {
+            "kind": kind,
+            "difficulty": difficulty,
+            "success": 0.25 * (1 + row + column),
+            "arrived": 0.25,
+            "speed": {"mean": 0.5 + column, "ci95": None},
+            "velocity_error": {"mean": 0.125, "ci95": 0.01} if told and row else None,
+        }
+        for row, kind in enumerate(("flat", "stairs_up"))
+        for column, difficulty in enumerate((0.0, 1.0))
+    ]
+    return {
+        "kinds": ["flat", "stairs_up"],
+        "difficulties": [0.0, 1.0],
+        "episodes": 4,
+        "command": PACE if told else None,
+        "cells": cells,
+    }
+
+
+@pytest.mark.parametrize("told", [True, False])
+def test_the_map_and_the_table_show_every_cell(told, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "120")
+    figure = draw_by_ground(results(told), "a run")
+    figure.draw_without_rendering()
+    assert [axes.get_title("left") for axes in figure.axes] == [
+        *("success, %", "speed, m/s"), *["velocity error, m/s"] * told,
+    ]  # fmt: skip
+    success = figure.axes[0]
+    np.testing.assert_allclose(success.images[0].get_array(), [[25, 50], [50, 75]])
+    assert [text.get_text() for text in success.texts] == ["25", "50", "50", "75"]
+    print_by_ground(results(told))
+    printed = capsys.readouterr().out
+    for words in ("difficulty 0 ", "difficulty 1 ", "stairs up", "% succeed", "% arrive", "m/s"):
+        assert words in printed
+    assert ("0.125 ± 0.010" in printed) == told
+
+
+def test_a_policy_is_measured_in_every_cell(quadruped, tmp_path):
+    """From one that holds still, on ground of two kinds, for a tenth of a second."""
+    task = dataclasses.replace(
+        walk.TASK.env,
+        episode_seconds=0.1,
+        randomisation=NO_RANDOMISATION,
+        ground=dataclasses.replace(
+            unseen_ground(rough.TASK.env.ground, 0), kinds=("flat", "blocks"), tile=(3.0, 3.0)
+        ),
+    )
+    folder = tmp_path / "still"
+    folder.mkdir()
+    (folder / "robot.urdf").write_text(quadruped.urdf)
+    config = dataclasses.replace(walk.TASK, env=task)
+    env = QuadrupedEnv(quadruped, task)
+    act = jax.tree_util.Partial(lambda seen: 0.0 * seen[..., :12])
+    policy = Policy(act, config, quadruped.joints, env.policy_size, 0)
+    subject = Subject(Run(folder), Run(folder).policy, policy, env)
+    found = measure_by_ground(subject, levels=2, episodes=2, seed=0)
+    assert [(cell["kind"], cell["difficulty"]) for cell in found["cells"]] == [
+        ("flat", 0.0), ("flat", 1.0), ("blocks", 0.0), ("blocks", 1.0),
+    ]  # fmt: skip
+    for cell in found["cells"]:
+        assert (cell["success"], cell["arrived"]) == (1.0, 0.0)
+        assert abs(cell["speed"]["mean"]) < 0.6
+        assert cell["velocity_error"] is None
+
+
+def test_both_tasks_have_a_noisy_sight_and_a_curriculum():
+    for task in (rough.TASK, obstacles.TASK):
+        assert task.env.observation["height_scan"].noise > 0
+        assert task.env.ground.curriculum
+        assert task.env.contacts == "body"
+        assert task.env.randomisation.enabled
+
+
+def test_the_ground_of_a_recording_is_the_field_around_the_path():
+    rng = np.random.default_rng(0)
+    field = centred(rng.uniform(-0.2, 0.2, (201, 301)).astype(np.float32), 0.05)
+    path = np.array([[-1.0, 0.5], [2.0, -0.5]])
+    update = SceneUpdate.FromString(draw_ground(field, path))
+    ((entity,), (shape,)) = update.entities, update.entities[0].triangles
+    assert (entity.id, entity.frame_id) == ("ground", "world")
+    points = np.array([(p.x, p.y, p.z) for p in shape.points])
+    np.testing.assert_allclose(points[:, 2], field.height_at(points[:, :2]), atol=0.03)
+    np.testing.assert_allclose(
+        points[:, :2].min(axis=0), path.min(axis=0) - GROUND_MARGIN, atol=0.1
+    )
+    np.testing.assert_allclose(
+        points[:, :2].max(axis=0), path.max(axis=0) + GROUND_MARGIN, atol=0.1
+    )
+    corners = points[np.array(shape.indices).reshape(-1, 3)]
+    edges = corners[:, 1:, :2] - corners[:, :1, :2]
+    areas = 0.5 * (edges[:, 0, 0] * edges[:, 1, 1] - edges[:, 0, 1] * edges[:, 1, 0])
+    assert np.all(areas > 0)  # seen from above
+    assert areas.sum() == pytest.approx(np.prod(np.ptp(points[:, :2], axis=0)), rel=1e-6)
+    assert len(shape.colors) == len(points) <= GROUND_NODES
+
+
+def test_heights_of_a_gait_are_above_ground(quadruped, trot):
+    """The same steps on a plateau are as high as on the floor."""
+    plateau = Heightfield(np.full((41, 41), 0.5, np.float32), 0.5, (-10.0, -10.0))
+    raised = task_robot(quadruped, sprint.TASK.env, plateau)
+    lifted = dataclasses.replace(trot, qpos=trot.qpos + 0.5 * np.eye(19)[2])
+    on_floor, above = measure_gait(trot, quadruped), measure_gait(lifted, raised)
+    np.testing.assert_allclose(above.swing_height, on_floor.swing_height, atol=1e-5)
+    np.testing.assert_allclose(above.body_height, on_floor.body_height, atol=1e-5)
