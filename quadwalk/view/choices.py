@@ -50,7 +50,7 @@ def open_subject(run: Run, label: str) -> Subject:
     """`run` with the policy called `label`, for MuJoCo C; `UserError` where it has none yet."""
     file = choose_policy(run, label)
     which = "best" if label == BEST else "last"
-    subject = load_subject(run, 3600.0, which, "mujoco", flat=True)
+    subject = load_subject(run, 3600.0, which, "mujoco")
     if file == subject.file:
         return subject
     policy = read_policy(file, subject.env.quadruped.joints)

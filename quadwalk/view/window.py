@@ -68,7 +68,7 @@ def drive_in_window(run: Run, console: Console) -> None:
     """Drive the newest policy of `run` with keys, until the window is closed."""
     import mujoco.viewer  # it loads a window library, which nothing else needs
 
-    live = LiveRobot(load_subject(run, 3600.0, "last", "mujoco", flat=True))
+    live = LiveRobot(load_subject(run, 3600.0, "last", "mujoco"))
     live.step()  # it is compiled now, not when time goes
     live.reset()
     keys, dt = Keys(live), live.env.stepping.control_dt
