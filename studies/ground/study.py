@@ -31,7 +31,7 @@ from quadwalk.files import atomic_write
 from quadwalk.ground.heightfield import Heightfield
 from quadwalk.train.flags import parse_config
 from quadwalk.train.runs.directory import Run
-from studies.runs import in_processes, trained
+from quadwalk.variants.trainings import in_processes, trained
 
 VARIANTS = {
     "seeing": "--preset rough",
