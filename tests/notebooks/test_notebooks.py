@@ -19,7 +19,7 @@ from notebooks.execute import HERE, execute, folders_named
 from quadwalk.evaluate.recording.mcap import verify_mcap
 
 STEPS = 49_152  # two iterations
-NAMES = ("01_robot", "02_train", "03_evaluate", "04_gecko")
+NAMES = ("01_robot", "02_train", "03_evaluate", "04_gecko", "06_ground")
 
 
 class Executed:
@@ -206,7 +206,7 @@ def test_an_evaluation_opens_the_latest_run(executed, tmp_path):
 
 
 def test_the_gecko_is_told_from_the_cheetah(executed):
-    done = executed("04_gecko")
+    done = executed("04_gecko", "06_ground")
     for code in ('film(["blog", "run"])', "film(of_post)", "film(of_ours)"):
         assert orange(done.picture(code)).mean() > 0.01, code
     for code in ('footfalls(["blog"', "dots(of_post)", "dots(of_ours)"):
