@@ -45,7 +45,9 @@ def unseen_ground(trained: GroundConfig, seed: int, levels: int = 3) -> GroundCo
     """
     if trained.flat or trained.file is not None:
         return dataclasses.replace(trained, curriculum=False)
-    return dataclasses.replace(trained.unseen(seed), levels=levels, curriculum=False)
+    return dataclasses.replace(
+        trained.unseen(seed), levels=levels, curriculum=False, confined=False
+    )
 
 
 def load_subject(

@@ -2,7 +2,8 @@
 
 As in legged_gym (Rudin et al. 2021, arXiv:2109.11978): each environment keeps to one kind of tile;
 one that got more than half a tile away from its start goes on to the next level, one that did less
-than half of what it was told goes back one, and from the top it goes to any level.
+than half of what it was told goes back one, and from the top it goes to any level. Where episodes
+are confined to their tiles, one that came to the edge goes on too.
 """
 
 from dataclasses import dataclass
@@ -13,6 +14,8 @@ import jax.numpy as jnp
 
 from quadwalk.ground.terrain import Terrain
 from quadwalk.task.config import EnvConfig
+
+EDGE = 0.3  # m: as close to a tile's edge counts as there, for it is judged just before it ends
 
 
 class Travel(NamedTuple):
@@ -51,6 +54,8 @@ class Curriculum:
     tile: float  # m, its length
     episode_steps: int  # control steps in a full episode
     pace: float  # m/s, along x, of a task without commands: half a tile in a full episode
+    # m, of the middles of all tiles (n, 2), where episodes are confined to them
+    middles: tuple[tuple[float, float], ...] | None = None
 
     def first(self, environments: int, key: jax.Array) -> jax.Array:
         """Tiles (n,) int32 to begin with: all kinds in turn, of the easier half of their levels."""
@@ -79,6 +84,9 @@ class Curriculum:
         planned = travel.steps + self.episode_steps - steps
         told = travel.told * planned / jnp.maximum(travel.steps, 1)
         up = away > self.tile / 2
+        if self.middles is not None:
+            place = qpos[:2] - jnp.asarray(self.middles, jnp.float32)[tile]
+            up |= jnp.max(jnp.abs(place)) > self.tile / 2 - EDGE
         down = ~up & (told > self.tile / 4) & (travel.walked < told / 2)
         kind, level = tile // self.levels, tile % self.levels
         level = jnp.maximum(level + up.astype(jnp.int32) - down.astype(jnp.int32), 0)
@@ -106,4 +114,5 @@ def make_curriculum(config: EnvConfig, terrain: Terrain | None) -> Curriculum | 
         return None
     length = ground.tile[0]
     pace = length / 2 / config.episode_seconds
-    return Curriculum(ground.kinds, ground.levels, length, config.episode_steps, pace)
+    middles = tuple(tile.middle for tile in terrain.tiles) if ground.confined else None
+    return Curriculum(ground.kinds, ground.levels, length, config.episode_steps, pace, middles)

@@ -23,7 +23,7 @@ TASK = TrainConfig(
         solver_iterations=2,
         line_search_iterations=3,
         contacts="body",
-        episode_seconds=20.0,
+        episode_seconds=10.0,
         motor=MotorConfig(kp=None, kd=None, effort=None, speed_limit=True, joint_friction=True),
         action=ActionMap(about_home, {"hip": 0.3, "thigh": 0.9, "calf": 0.9}),
         observation={

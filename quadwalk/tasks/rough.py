@@ -128,6 +128,7 @@ TASK = TrainConfig(
             file=None,
             white=1.0,
             curriculum=True,
+            confined=True,  # so that levels follow soon, and each robot meets its own
         ),
         blind=False,
     ),

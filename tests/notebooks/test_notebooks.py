@@ -19,7 +19,7 @@ from notebooks.execute import HERE, execute, folders_named
 from quadwalk.evaluate.recording.mcap import verify_mcap
 
 STEPS = 49_152  # two iterations
-NAMES = ("01_robot", "02_train", "03_evaluate", "04_gecko")
+NAMES = ("01_robot", "02_train", "03_evaluate", "04_gecko", "06_ground")
 
 
 class Executed:

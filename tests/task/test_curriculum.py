@@ -1,5 +1,7 @@
 """The curriculum: which tile follows an episode, by hand and by legged_gym's rule."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -70,6 +72,18 @@ def test_a_fall_counts_for_the_rest_of_the_episode():
     # An episode that began at step 900 was planned to be as short as that.
     assert following(middle, 2.0, 2.0, 2.0, steps=100, done=1000) == {middle}
     assert following(middle, 0.0, 0.0, 0.0, steps=0, done=0) == {middle}
+
+
+def test_one_that_came_to_the_edge_of_its_tile_goes_on():
+    """Though it began half way there, and the time for what it was told is not over."""
+    confined = dataclasses.replace(LESSONS, middles=tuple((8.0 * k, 1.0) for k in range(15)))
+    tile = LEVELS + 1  # its middle is at x = 48
+    travel = begin_travel(at(50.0, 1.0))._replace(
+        steps=jnp.int32(200), walked=jnp.float32(1.8), told=jnp.float32(2.0)
+    )
+    for x, y, change in ((51.8, 1.0, 1), (51.6, 1.0, -1), (48.0, -2.8, 1)):
+        found = confined.following(jnp.int32(tile), travel, at(x, y), 200, KEYS[0])
+        assert int(found) == tile + change
 
 
 def test_environments_begin_on_all_kinds_and_the_easier_levels():
