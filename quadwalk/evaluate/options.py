@@ -25,7 +25,7 @@ class EvalConfig:
     episodes: int = 16  # how many, each from another start; in a sweep, for each of its points
     seconds: float = 20.0  # s, the time limit of an episode
     # what steps the physics: mjx; mujoco, MuJoCo C with every shape colliding and a converged
-    # solver, compared with mjx; or fast, the engine trained in
+    # solver, compared with mjx where the ground is flat; or fast, the engine trained in
     engine: Engine = "mjx"
     # each episode under conditions drawn as in training: friction, loads, motors, delays, noise,
     # pushes; otherwise the robot is as its model says and nothing disturbs it

@@ -8,13 +8,17 @@ import jax
 import numpy as np
 import pytest
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
+from mcap.reader import make_reader
+from mcap_protobuf.decoder import DecoderFactory
 
 from quadwalk.evaluate import by_ground
 from quadwalk.evaluate.by_ground import PACE, Outcome, measure_by_ground
 from quadwalk.evaluate.gait import measure_gait
 from quadwalk.evaluate.recording.markers import GROUND_MARGIN, GROUND_NODES, draw_ground
+from quadwalk.evaluate.recording.mcap import write_mcap
 from quadwalk.evaluate.report.console import print_by_ground
 from quadwalk.evaluate.report.panels import draw_by_ground
+from quadwalk.evaluate.report.pictures import draw_film_strip
 from quadwalk.evaluate.subject import Subject, unseen_ground
 from quadwalk.ground.heightfield import Heightfield, centred
 from quadwalk.ground.terrain import FLAT, UNSEEN
@@ -177,11 +181,55 @@ def test_the_ground_of_a_recording_is_the_field_around_the_path():
     assert len(shape.colors) == len(points) <= GROUND_NODES
 
 
-def test_heights_of_a_gait_are_above_ground(quadruped, trot):
-    """The same steps on a plateau are as high as on the floor."""
+@pytest.fixture(scope="module")
+def raised(quadruped):
+    """The robot on a plateau half a metre high."""
     plateau = Heightfield(np.full((41, 41), 0.5, np.float32), 0.5, (-10.0, -10.0))
-    raised = task_robot(quadruped, sprint.TASK.env, plateau)
-    lifted = dataclasses.replace(trot, qpos=trot.qpos + 0.5 * np.eye(19)[2])
+    return task_robot(quadruped, sprint.TASK.env, plateau)
+
+
+@pytest.fixture
+def lifted(trot):
+    return dataclasses.replace(trot, qpos=trot.qpos + 0.5 * np.eye(19)[2])
+
+
+def test_a_recording_has_the_ground_once_and_the_path_on_it(lifted, raised, tmp_path):
+    path = tmp_path / "episode.mcap"
+    write_mcap(path, lifted, raised, {})
+    with open(path, "rb") as stream:
+        reader = make_reader(stream, decoder_factories=[DecoderFactory()])
+        found = [
+            (message.log_time, channel.topic, decoded)
+            for _, channel, message, decoded in reader.iter_decoded_messages(
+                topics=["/ground", "/scene"]
+            )
+        ]
+    ((when, ground),) = [(when, decoded) for when, topic, decoded in found if topic == "/ground"]
+    assert when == 0
+    assert {point.z for point in ground.entities[0].triangles[0].points} == {0.5}
+    scenes = [decoded for _, topic, decoded in found if topic == "/scene"]
+    for scene in scenes:
+        parts = {entity.id: entity for entity in scene.entities}
+        assert not parts["ground"].lines[0].points
+        heights = [point.z for point in parts["path"].lines[0].points]
+        np.testing.assert_allclose(heights, 0.51, atol=1e-3)
+
+
+def test_pictures_follow_the_ground(lifted, trot, raised, quadruped):
+    """A film on the plateau shows the robot where one on the floor does."""
+
+    def coloured(rollout, robot):
+        strip = draw_film_strip(rollout, robot, width=60, height=40).astype(int)
+        red, green, blue = strip[..., 0], strip[..., 1], strip[..., 2]
+        return (red > 150) & (green < 0.7 * red) & (blue < 0.3 * red)
+
+    on_floor, above = coloured(trot, quadruped), coloured(lifted, raised)
+    assert on_floor.mean() > 0.01
+    assert (on_floor != above).mean() < 0.1 * on_floor.mean()
+
+
+def test_heights_of_a_gait_are_above_ground(quadruped, trot, lifted, raised):
+    """The same steps on a plateau are as high as on the floor."""
     on_floor, above = measure_gait(trot, quadruped), measure_gait(lifted, raised)
     np.testing.assert_allclose(above.swing_height, on_floor.swing_height, atol=1e-5)
     np.testing.assert_allclose(above.body_height, on_floor.body_height, atol=1e-5)
