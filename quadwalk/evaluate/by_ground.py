@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from brax.envs.base import State
 
-from quadwalk.evaluate.kinematics import roll_pitch_yaw
+from quadwalk.evaluate.motion.kinematics import roll_pitch_yaw
 from quadwalk.evaluate.simulate import CHUNK, Policy, Report, over_devices, until_all_ended
 from quadwalk.evaluate.subject import Subject
 from quadwalk.evaluate.summary import SETTLING, WINDOW, mean_interval, share_interval

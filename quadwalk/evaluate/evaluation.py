@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from quadwalk.evaluate.gait import Gait, gait_metrics, measure_gait
+from quadwalk.evaluate.motion.gait import Gait, gait_metrics, measure_gait
 from quadwalk.evaluate.recording.mcap import write_mcap
 from quadwalk.evaluate.recording.provenance import attachments, provenance
 from quadwalk.evaluate.rollout import Rollout
 from quadwalk.evaluate.simulate import Report, simulate_episodes, with_foot_forces
 from quadwalk.evaluate.subject import Subject
 from quadwalk.evaluate.summary import episode_figures, summarise, typical_episode
-from quadwalk.task.conditions import as_values
+from quadwalk.task.episode.conditions import as_values
 from quadwalk.train.serialise import to_dict
 
 if TYPE_CHECKING:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from quadwalk.task.conditions import Conditions
+    from quadwalk.task.episode.conditions import Conditions
 
 
 @dataclass(frozen=True)

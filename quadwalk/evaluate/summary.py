@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from quadwalk.evaluate.kinematics import roll_pitch_yaw
+from quadwalk.evaluate.motion.kinematics import roll_pitch_yaw
 from quadwalk.evaluate.rollout import Rollout
 from quadwalk.task.terms import Reward
 

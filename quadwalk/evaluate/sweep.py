@@ -1,7 +1,7 @@
 """What a policy can take: how it does as one thing after another departs from training.
 
-All points of all sweeps are one batch, and so one compilation. `quadwalk.task.conditions` says what
-each of them does to an episode.
+All points of all sweeps are one batch, and so one compilation. What each of them does to an episode
+stands in `quadwalk.task.episode.conditions`.
 """
 
 import dataclasses
@@ -35,9 +35,14 @@ from quadwalk.evaluate.simulate import (
 from quadwalk.evaluate.subject import Subject, training_ranges
 from quadwalk.evaluate.summary import SETTLING, WINDOW, mean_interval, share_interval
 from quadwalk.physics.rotation import yaw
-from quadwalk.task.conditions import Conditions, draw_conditions, readings_needed, targets_needed
 from quadwalk.task.config import NO_RANDOMISATION
 from quadwalk.task.env import QuadrupedEnv
+from quadwalk.task.episode.conditions import (
+    Conditions,
+    draw_conditions,
+    readings_needed,
+    targets_needed,
+)
 from quadwalk.train.runs.directory import write_json_atomic
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from quadwalk.evaluate.subject import Subject
 from quadwalk.export.joint_targets import JointTargets
 from quadwalk.task.env import QuadrupedEnv
-from quadwalk.task.reset import nominal_start
+from quadwalk.task.episode.reset import nominal_start
 from quadwalk.task_files import reference
 
 UNITS = (

@@ -14,13 +14,15 @@ import jax.numpy as jnp
 from quadwalk.physics import motor
 from quadwalk.physics import vectors as v
 from quadwalk.physics.batching import materialize, robots_last
-from quadwalk.physics.contact import (
+from quadwalk.physics.constraints.contact import (
     Under,
     centres,
     find_constraints,
     look_under,
     triangles_under,
 )
+from quadwalk.physics.constraints.solver import newton
+from quadwalk.physics.constraints.surface import Surface
 from quadwalk.physics.model import Model, Variation, vary_motor
 from quadwalk.physics.model import make_model as make_model
 from quadwalk.physics.motor import Effort, Physics, Stepping
@@ -34,8 +36,6 @@ from quadwalk.physics.rigid_body import (
     pose_of,
     rotation_of,
 )
-from quadwalk.physics.solver import newton
-from quadwalk.physics.surface import Surface
 from quadwalk.physics.vectors import Array, Vector
 
 

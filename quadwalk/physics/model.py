@@ -13,10 +13,10 @@ import numpy as np
 from quadwalk.ground.heightfield import FLOOR, Heightfield, field_of
 from quadwalk.physics import vectors as v
 from quadwalk.physics.batching import column
-from quadwalk.physics.contact import Contact, Limits, SolverParams
+from quadwalk.physics.constraints.contact import Contact, Limits, SolverParams
+from quadwalk.physics.constraints.surface import Surface, ground_surface, offset_surface
 from quadwalk.physics.motor import Motor
 from quadwalk.physics.rigid_body import LINKS, Link, Trunk
-from quadwalk.physics.surface import Surface, ground_surface, offset_surface
 from quadwalk.physics.vectors import Array, Matrix, Vector
 from quadwalk.robot.quadruped import Quadruped
 from quadwalk.robot.scene import CORNERS, KNEES

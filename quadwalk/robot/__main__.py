@@ -10,9 +10,9 @@ from quadwalk.drawing.images import save_png
 from quadwalk.errors import UsageError, run_command
 from quadwalk.files import atomic_write
 from quadwalk.robot.elements import SINGLE
-from quadwalk.robot.legs import Leg
 from quadwalk.robot.mjcf import Options, convert, write_xml
 from quadwalk.robot.quadruped import legs_of, with_motors
+from quadwalk.robot.structure.legs import Leg
 from quadwalk.robot.urdf import Urdf, UrdfError, read_urdf
 
 

@@ -4,11 +4,11 @@ import mujoco
 import numpy as np
 import yourdfpy
 
-from quadwalk.robot.legs import Leg
 from quadwalk.robot.meshes import Meshes, MeshPart
 from quadwalk.robot.report import Report
 from quadwalk.robot.scene import CONTACT_TIME, CORNERS, FRICTION, KNEES
-from quadwalk.robot.tree import Tree, is_limited, joint_range, matrix, unit
+from quadwalk.robot.structure.legs import Leg
+from quadwalk.robot.structure.tree import Tree, is_limited, joint_range, matrix, unit
 
 SINGLE = {
     "revolute": mujoco.mjtJoint.mjJNT_HINGE,

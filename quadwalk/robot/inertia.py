@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 import yourdfpy
 
-from quadwalk.robot.tree import Tree, matrix
+from quadwalk.robot.structure.tree import Tree, matrix
 
 # MuJoCo takes a smaller mass (kg) or moment (kg m^2) of a moving body for none (mjMINVAL).
 SMALLEST = 1e-15

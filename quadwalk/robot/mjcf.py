@@ -22,13 +22,13 @@ from quadwalk.robot.elements import (
     pose,
     unique,
 )
-from quadwalk.robot.home import standing_pose
 from quadwalk.robot.inertia import SMALLEST, body_inertia, principal, printable
-from quadwalk.robot.legs import Leg
 from quadwalk.robot.meshes import Meshes
 from quadwalk.robot.report import Report
 from quadwalk.robot.scene import add_home, add_scene, add_sun, exclude_overlaps
-from quadwalk.robot.tree import Tree
+from quadwalk.robot.structure.home import standing_pose
+from quadwalk.robot.structure.legs import Leg
+from quadwalk.robot.structure.tree import Tree
 from quadwalk.robot.urdf import Urdf
 
 FRAMES = 4  # the group of the sites that mark frames; MuJoCo's viewer hides 3 and above

@@ -10,12 +10,12 @@ import yourdfpy
 
 from quadwalk.paths import ALIENGO_URDF
 from quadwalk.robot.checks.validate import UrdfError
-from quadwalk.robot.home import standing_pose
-from quadwalk.robot.legs import Leg, find_legs
 from quadwalk.robot.mjcf import Options, convert, open_meshes
 from quadwalk.robot.report import Report
 from quadwalk.robot.scene import HOME, add_spheres, simplify
-from quadwalk.robot.tree import joint_range
+from quadwalk.robot.structure.home import standing_pose
+from quadwalk.robot.structure.legs import Leg, find_legs
+from quadwalk.robot.structure.tree import joint_range
 from quadwalk.robot.urdf import Urdf, read_urdf
 
 

@@ -3,7 +3,7 @@
 import mujoco
 import numpy as np
 
-from quadwalk.robot.legs import LEGS
+from quadwalk.robot.structure.legs import LEGS
 
 HOME = "home"  # the keyframe: joints in the standing pose, the lowest point just on the ground
 

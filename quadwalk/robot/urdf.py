@@ -17,7 +17,7 @@ from quadwalk.robot.checks.bodies import check_bodies, resolutions
 from quadwalk.robot.checks.topology import check_mimic, check_topology
 from quadwalk.robot.checks.validate import Check, UrdfError, check_elements
 from quadwalk.robot.report import Report
-from quadwalk.robot.tree import Tree, build_tree
+from quadwalk.robot.structure.tree import Tree, build_tree
 
 __all__ = ["MAX_BYTES", "Report", "Urdf", "UrdfError", "parse_urdf", "read_urdf"]
 

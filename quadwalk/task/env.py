@@ -14,11 +14,12 @@ import numpy as np
 from brax.envs.base import Env, State
 
 from quadwalk.ground.terrain import Terrain, leg_length, make_terrain
+from quadwalk.physics.constraints.surface import Surface, given
 from quadwalk.physics.motor import Effort, Physics, make_motor
-from quadwalk.physics.surface import Surface, given
 from quadwalk.robot.quadruped import Quadruped
-from quadwalk.task.command import first_command, next_command
-from quadwalk.task.conditions import (
+from quadwalk.task.config import EnvConfig
+from quadwalk.task.episode.command import first_command, next_command
+from quadwalk.task.episode.conditions import (
     Conditions,
     delayed,
     draw_conditions,
@@ -28,10 +29,9 @@ from quadwalk.task.conditions import (
     readings_needed,
     sensed,
 )
-from quadwalk.task.config import EnvConfig
-from quadwalk.task.curriculum import begin_travel, make_curriculum, travel_on
+from quadwalk.task.episode.curriculum import begin_travel, make_curriculum, travel_on
+from quadwalk.task.episode.reset import fresh_start, on_tile
 from quadwalk.task.observation import observe
-from quadwalk.task.reset import fresh_start, on_tile
 from quadwalk.task.reward import reward_terms, total_reward
 from quadwalk.task.robot_arrays import above_ground, robot_arrays, task_robot
 from quadwalk.task.state import (

@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 
 from quadwalk.ground.heightfield import Heightfield, has_field, lay
-from quadwalk.physics.surface import Surface
+from quadwalk.physics.constraints.surface import Surface
 from quadwalk.robot.quadruped import Quadruped
 from quadwalk.task.config import EnvConfig
 

@@ -7,9 +7,9 @@ import jax.numpy as jnp
 
 from quadwalk.physics.motor import Physics
 from quadwalk.physics.rotation import yaw
-from quadwalk.task.command import Command
-from quadwalk.task.conditions import Conditions
-from quadwalk.task.curriculum import Travel
+from quadwalk.task.episode.command import Command
+from quadwalk.task.episode.conditions import Conditions
+from quadwalk.task.episode.curriculum import Travel
 
 
 class EnvState(NamedTuple):

@@ -29,7 +29,7 @@ from brax.training.types import Transition
 from jax.sharding import Mesh, NamedSharding
 from jax.sharding import PartitionSpec as P
 
-from quadwalk.physics.surface import given
+from quadwalk.physics.constraints.surface import given
 from quadwalk.train.devices import learner_options
 from quadwalk.train.settings import PPOConfig
 

@@ -9,8 +9,8 @@ from quadwalk.robot.quadruped import Quadruped
 from quadwalk.task_files import OWN
 from quadwalk.train import distributed
 from quadwalk.train.devices import choose_devices
-from quadwalk.train.metrics import TrainingMetrics
 from quadwalk.train.progress.display import Progress
+from quadwalk.train.progress.metrics import TrainingMetrics
 from quadwalk.train.robot import load_robot, load_run_robot
 from quadwalk.train.runs.directory import (
     Run,

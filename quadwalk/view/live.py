@@ -17,10 +17,10 @@ import numpy as np
 from quadwalk.physics.model import Variation, vary_motor
 from quadwalk.physics.motor import Physics, control_step
 from quadwalk.physics.mujoco_c import varied_model
-from quadwalk.task.command import Command
-from quadwalk.task.conditions import Conditions, delayed, targets_needed
 from quadwalk.task.env import MAX_SPEED, QuadrupedEnv
-from quadwalk.task.reset import nominal_start
+from quadwalk.task.episode.command import Command
+from quadwalk.task.episode.conditions import Conditions, delayed, targets_needed
+from quadwalk.task.episode.reset import nominal_start
 from quadwalk.task.state import EnvState
 
 MAX_LATENCY = 0.06  # s, that joint targets can be late

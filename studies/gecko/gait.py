@@ -9,9 +9,9 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from quadwalk.evaluate.footfalls import contact_spans, without_chatter
-from quadwalk.evaluate.gait import Gait, measure_gait
-from quadwalk.evaluate.kinematics import roll_pitch_yaw
+from quadwalk.evaluate.motion.footfalls import contact_spans, without_chatter
+from quadwalk.evaluate.motion.gait import Gait, measure_gait
+from quadwalk.evaluate.motion.kinematics import roll_pitch_yaw
 from quadwalk.evaluate.report.pictures import middle_rows
 from quadwalk.evaluate.rollout import Rollout, finite_part
 from quadwalk.evaluate.simulate import simulate_episodes

@@ -13,7 +13,7 @@ from mcap_protobuf.decoder import DecoderFactory
 
 from quadwalk.evaluate import by_ground
 from quadwalk.evaluate.by_ground import PACE, Outcome, measure_by_ground
-from quadwalk.evaluate.gait import measure_gait
+from quadwalk.evaluate.motion.gait import measure_gait
 from quadwalk.evaluate.recording.markers import GROUND_MARGIN, GROUND_NODES, draw_ground
 from quadwalk.evaluate.recording.mcap import write_mcap
 from quadwalk.evaluate.report.console import print_by_ground

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from quadwalk.evaluate.footfalls import (
+from quadwalk.evaluate.motion.footfalls import (
     GAITS,
     analyse_footfalls,
     circular_distance,
@@ -17,7 +17,7 @@ from quadwalk.evaluate.footfalls import (
     name_gait,
     without_chatter,
 )
-from quadwalk.evaluate.gait import gait_metrics, measure_gait
+from quadwalk.evaluate.motion.gait import gait_metrics, measure_gait
 from quadwalk.evaluate.rollout import first_steps
 
 DT = 0.02

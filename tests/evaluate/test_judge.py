@@ -16,7 +16,7 @@ from quadwalk.evaluate import evaluation as measuring
 from quadwalk.evaluate import subject as loading
 from quadwalk.evaluate import sweep as sweeping
 from quadwalk.evaluate.judge import compare, judge
-from quadwalk.evaluate.kinematics import roll_pitch_yaw
+from quadwalk.evaluate.motion.kinematics import roll_pitch_yaw
 from quadwalk.evaluate.options import EvalConfig
 from quadwalk.evaluate.simulate import simulate_episodes, with_foot_forces
 from quadwalk.evaluate.subject import Subject, load_subject

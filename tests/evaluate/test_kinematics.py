@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from quadwalk.evaluate.kinematics import foot_poses, link_frames, roll_pitch_yaw, rotations
+from quadwalk.evaluate.motion.kinematics import foot_poses, link_frames, roll_pitch_yaw, rotations
 from quadwalk.robot.mjcf import Options
 from quadwalk.robot.quadruped import Quadruped, load_quadruped
 

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 
-from quadwalk.evaluate.gait import measure_gait
+from quadwalk.evaluate.motion.gait import measure_gait
 from quadwalk.evaluate.recording.mcap import write_mcap
 from quadwalk.evaluate.report.plots import draw_report
 from quadwalk.evaluate.simulate import simulate_episodes, with_foot_forces
 from quadwalk.evaluate.summary import AT_LIMIT, episode_figures
-from quadwalk.task.conditions import as_values
 from quadwalk.task.config import NO_RANDOMISATION
 from quadwalk.task.env import QuadrupedEnv
+from quadwalk.task.episode.conditions import as_values
 from quadwalk.tasks import sprint
 
 EPISODES, ADDED = 3, 0.3

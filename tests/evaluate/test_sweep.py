@@ -8,8 +8,10 @@ import mujoco
 import numpy as np
 import pytest
 
-from quadwalk.task import conditions
-from quadwalk.task.conditions import (
+from quadwalk.task.config import NO_RANDOMISATION
+from quadwalk.task.env import QuadrupedEnv
+from quadwalk.task.episode import conditions
+from quadwalk.task.episode.conditions import (
     Conditions,
     delayed,
     draw_conditions,
@@ -19,8 +21,6 @@ from quadwalk.task.conditions import (
     side_of_push,
     targets_needed,
 )
-from quadwalk.task.config import NO_RANDOMISATION
-from quadwalk.task.env import QuadrupedEnv
 from quadwalk.tasks import run, sprint
 
 STEPS, PERIOD = 12, 6  # control steps, and those between pushes

@@ -11,7 +11,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from quadwalk.evaluate import subject
-from quadwalk.evaluate.gait import measure_gait
+from quadwalk.evaluate.motion.gait import measure_gait
 from quadwalk.evaluate.rollout import first_steps
 from quadwalk.evaluate.simulate import simulate_episodes
 from quadwalk.evaluate.summary import (

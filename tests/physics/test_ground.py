@@ -13,11 +13,11 @@ from hypothesis import strategies as st
 
 from quadwalk.ground.heightfield import Heightfield, centred, lay
 from quadwalk.ground.terrain import FLAT, make_terrain
+from quadwalk.physics.constraints.surface import normal_and_tangents, offset_surface
 from quadwalk.physics.engines import ENGINES
 from quadwalk.physics.fast import lowest_points
 from quadwalk.physics.model import contact_geoms, make_model, on_ground
 from quadwalk.physics.motor import MotorConfig, Physics, Stepping, make_motor
-from quadwalk.physics.surface import normal_and_tangents, offset_surface
 from tests.physics.test_fast import check_errors, lying_states, random_states, solved
 
 CELL = 0.05

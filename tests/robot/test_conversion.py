@@ -14,8 +14,8 @@ from PIL import Image
 from quadwalk.errors import run_command
 from quadwalk.paths import ALIENGO_URDF, ASSETS
 from quadwalk.robot.__main__ import main
-from quadwalk.robot.legs import find_legs
 from quadwalk.robot.mjcf import convert, write_xml
+from quadwalk.robot.structure.legs import find_legs
 from quadwalk.robot.urdf import parse_urdf, read_urdf
 
 XML = ASSETS / "aliengo.xml"

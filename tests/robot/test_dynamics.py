@@ -7,8 +7,8 @@ import mujoco
 import pytest
 
 from quadwalk.paths import ALIENGO_URDF
-from quadwalk.robot.legs import find_legs
 from quadwalk.robot.mjcf import Options, convert, write_xml
+from quadwalk.robot.structure.legs import find_legs
 from quadwalk.robot.urdf import Urdf, UrdfError, parse_urdf, read_urdf
 
 STATES = 50

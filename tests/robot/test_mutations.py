@@ -13,8 +13,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from quadwalk.paths import ALIENGO_URDF
-from quadwalk.robot.legs import find_legs
 from quadwalk.robot.mjcf import convert, write_xml
+from quadwalk.robot.structure.legs import find_legs
 from quadwalk.robot.urdf import UrdfError, parse_urdf
 
 

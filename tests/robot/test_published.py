@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from quadwalk.paths import ALIENGO_URDF
 from quadwalk.robot.checks.validate import UrdfError, nearly
-from quadwalk.robot.legs import find_legs
 from quadwalk.robot.mjcf import convert, write_xml
+from quadwalk.robot.structure.legs import find_legs
 from quadwalk.robot.urdf import parse_urdf, read_urdf
 from tests.robot.robots import inertial, joint, link, robot, shape
 

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from quadwalk.paths import ALIENGO_URDF
-from quadwalk.robot.legs import find_legs
 from quadwalk.robot.mjcf import Options, convert
+from quadwalk.robot.structure.legs import find_legs
 from quadwalk.robot.urdf import UrdfError, parse_urdf, read_urdf
 
 TEXT = ALIENGO_URDF.read_text()

@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from quadwalk.evaluate.gait import measure_gait
+from quadwalk.evaluate.motion.gait import measure_gait
 from quadwalk.evaluate.rollout import Rollout
 from quadwalk.task_files import load_task
 from quadwalk.train.serialise import flatten

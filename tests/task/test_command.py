@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from quadwalk.task.command import Command, draw, first_command, next_command
 from quadwalk.task.config import NO_RANDOMISATION, CommandConfig
 from quadwalk.task.env import QuadrupedEnv
+from quadwalk.task.episode.command import Command, draw, first_command, next_command
 from quadwalk.tasks import walk
 
 TOLD = CommandConfig(

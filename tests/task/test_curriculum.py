@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from quadwalk.task.curriculum import Curriculum, begin_travel, travel_on
+from quadwalk.task.episode.curriculum import Curriculum, begin_travel, travel_on
 
 LEVELS, TILE, STEPS, DT = 5, 8.0, 1000, 0.02
 KINDS = ("flat", "rough", "flat")

@@ -4,7 +4,7 @@ import math
 import pytest
 
 from quadwalk.tasks import sprint
-from quadwalk.train.metrics import FallRate, TrainingMetrics
+from quadwalk.train.progress.metrics import FallRate, TrainingMetrics
 from quadwalk.train.serialise import with_settings
 
 

@@ -12,7 +12,7 @@ from brax.envs.base import Env, State
 from jax.sharding import PartitionSpec as P
 
 from quadwalk.physics.motor import Physics
-from quadwalk.task.curriculum import Curriculum, begin_travel
+from quadwalk.task.episode.curriculum import Curriculum, begin_travel
 from quadwalk.task.state import EnvState
 from quadwalk.tasks import sprint
 from quadwalk.train import ppo

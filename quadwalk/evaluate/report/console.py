@@ -9,7 +9,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from quadwalk.evaluate.gait import Gait
+from quadwalk.evaluate.motion.gait import Gait
 from quadwalk.evaluate.summary import FIGURES, engine_differences
 
 _NONE = "-"

@@ -8,9 +8,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from quadwalk.evaluate.footfalls import contact_spans, without_chatter
-from quadwalk.evaluate.gait import footfalls_of, measure_gait
-from quadwalk.evaluate.kinematics import roll_pitch_yaw
+from quadwalk.evaluate.motion.footfalls import contact_spans, without_chatter
+from quadwalk.evaluate.motion.gait import footfalls_of, measure_gait
+from quadwalk.evaluate.motion.kinematics import roll_pitch_yaw
 from quadwalk.evaluate.rollout import Rollout, finite_part
 from quadwalk.evaluate.summary import heading_velocity
 from quadwalk.files import atomic_write

@@ -13,7 +13,7 @@ from lxml import etree
 from quadwalk.robot.checks.validate import UrdfError
 from quadwalk.robot.inertia import SMALLEST, body_inertia, nearest_valid, principal
 from quadwalk.robot.report import Report
-from quadwalk.robot.tree import Tree, matrix
+from quadwalk.robot.structure.tree import Tree, matrix
 
 # Room for rounding when principal moments are compared, relative to the largest.
 _ROUNDING = 1e-10

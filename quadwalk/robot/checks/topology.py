@@ -3,7 +3,7 @@
 from lxml import etree
 
 from quadwalk.robot.checks.validate import Check, UrdfError
-from quadwalk.robot.tree import ONE_WAY
+from quadwalk.robot.structure.tree import ONE_WAY
 
 
 def check_topology(check: Check, root: etree._Element) -> None:

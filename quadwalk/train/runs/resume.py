@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from quadwalk.errors import UsageError, UserError
 from quadwalk.files import os_reason
-from quadwalk.train.metrics import TrainingMetrics
+from quadwalk.train.progress.metrics import TrainingMetrics
 from quadwalk.train.runs import checkpoint
 from quadwalk.train.runs.directory import Run
 from quadwalk.train.serialise import flatten, from_dict

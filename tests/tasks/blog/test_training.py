@@ -10,8 +10,8 @@ from quadwalk.robot.quadruped import load_quadruped
 from quadwalk.task.env import QuadrupedEnv
 from quadwalk.task_files import load_task
 from quadwalk.train import ppo
-from quadwalk.train.metrics import TrainingMetrics
 from quadwalk.train.networks import make_networks
+from quadwalk.train.progress.metrics import TrainingMetrics
 
 ITERATIONS, ENVS = 4, 8
 

@@ -6,9 +6,9 @@ import numpy as np
 import yourdfpy
 
 from quadwalk.robot.checks.validate import UrdfError
-from quadwalk.robot.feet import Foot, find_foot
 from quadwalk.robot.meshes import Meshes
-from quadwalk.robot.tree import Tree
+from quadwalk.robot.structure.feet import Foot, find_foot
+from quadwalk.robot.structure.tree import Tree
 
 LEGS = ("FR", "FL", "RR", "RL")
 

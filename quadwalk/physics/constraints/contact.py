@@ -15,8 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from quadwalk.physics import vectors as v
+from quadwalk.physics.constraints.surface import Spot, Surface, normal_and_tangents
 from quadwalk.physics.rigid_body import LINKS, MassMatrix, Motion, Pose
-from quadwalk.physics.surface import Spot, Surface, normal_and_tangents
 from quadwalk.physics.vectors import Array, Vector
 
 # Of the constraints, arrays (4, robots): four edges of each kind of contact, three limits.

@@ -9,13 +9,13 @@ from dataclasses import dataclass, fields
 import mujoco
 import numpy as np
 
-from quadwalk.evaluate.footfalls import (
+from quadwalk.evaluate.motion.footfalls import (
     Footfalls,
     analyse_footfalls,
     touchdowns,
     without_chatter,
 )
-from quadwalk.evaluate.kinematics import foot_poses, roll_pitch_yaw, rotations
+from quadwalk.evaluate.motion.kinematics import foot_poses, roll_pitch_yaw, rotations
 from quadwalk.evaluate.rollout import Rollout, finite_part
 from quadwalk.evaluate.summary import (
     LEAST_DISTANCE,

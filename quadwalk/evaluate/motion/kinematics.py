@@ -14,7 +14,7 @@ import yourdfpy
 from scipy.spatial.transform import Rotation
 
 from quadwalk.robot.quadruped import Quadruped
-from quadwalk.robot.tree import build_tree, matrix
+from quadwalk.robot.structure.tree import build_tree, matrix
 from quadwalk.robot.urdf import parse_urdf
 
 

@@ -4,8 +4,8 @@ import numpy as np
 import yourdfpy
 
 from quadwalk.robot.checks.validate import UrdfError
-from quadwalk.robot.legs import Leg
-from quadwalk.robot.tree import Tree, joint_range, rotation, unit
+from quadwalk.robot.structure.legs import Leg
+from quadwalk.robot.structure.tree import Tree, joint_range, rotation, unit
 
 # Distance from thigh joint to foot, standing, as a share of the stretched leg: Unitree stands its
 # robots at thigh .8, calf -1.6, and thighs and calves are of equal length.

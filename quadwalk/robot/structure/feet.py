@@ -8,7 +8,7 @@ import numpy as np
 import yourdfpy
 
 from quadwalk.robot.meshes import Meshes
-from quadwalk.robot.tree import Tree, matrix, unit
+from quadwalk.robot.structure.tree import Tree, matrix, unit
 
 # Share of the distance from calf joint to foot that the tip of a shape is taken from, and the
 # least and the assumed radius of a foot.

@@ -1,0 +1,1 @@
+"""How a robot moved: kinematics, footfalls, gait."""

@@ -1,0 +1,1 @@
+"""What the floor and the joints' limits push back with: contacts, ground, solver."""

@@ -1,0 +1,1 @@
+"""What an episode begins with: place and pose, command, conditions."""
