@@ -6,6 +6,7 @@ Where velocities are commanded, the command is to go straight ahead at `PACE`.
 
 import dataclasses
 import math
+from collections.abc import Iterator
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -22,10 +23,12 @@ from quadwalk.evaluate.simulate import CHUNK, Policy, Report, over_devices, unti
 from quadwalk.evaluate.subject import Subject
 from quadwalk.evaluate.summary import SETTLING, WINDOW, mean_interval, share_interval
 from quadwalk.ground.terrain import FILE
+from quadwalk.physics.mujoco_c import MujocoModel
 from quadwalk.task.env import QuadrupedEnv
 from quadwalk.train.robot import load_run_robot
 
 PACE = 0.7  # m/s
+FIELDS_MEMORY = 2**29  # bytes of fields at a time
 ROWS = 4  # tiles of each cell, of which no two are alike
 
 
@@ -47,34 +50,52 @@ def measure_by_ground(
     velocity_error: as `tracking_errors` has it, m/s; None without commands, or where no episode
     lasted long enough.
     """
-    env = ground_env(subject, levels)
+    ground = subject.env.config.ground
+    kinds = (FILE,) if ground.file is not None else tuple(dict.fromkeys(ground.kinds))
+    # Where each episode has a field of its own, small ones: of a kind at a time.
+    parts = [(kind,) for kind in kinds] if _has_own_fields(subject.env) else [kinds]
+    cells = [
+        cell
+        for part in parts
+        for cell in _measure_kinds(subject, part, levels, episodes, seed, report)
+    ]
+    return {
+        "kinds": list(kinds),
+        "difficulties": list(dict.fromkeys(cell["difficulty"] for cell in cells)),
+        "episodes": episodes,
+        "command": PACE if subject.env.config.command.given else None,
+        "cells": cells,
+    }
+
+
+def _measure_kinds(
+    subject: Subject,
+    kinds: tuple[str, ...],
+    levels: int,
+    episodes: int,
+    seed: int,
+    report: Report | None,
+) -> Iterator[dict[str, Any]]:
+    """The cells of some kinds, one after another."""
+    env = ground_env(subject, kinds, levels)
     assert env.terrain is not None
-    kinds = tuple(dict.fromkeys(tile.kind for tile in env.terrain.tiles))
     difficulties = tuple(dict.fromkeys(tile.difficulty for tile in env.terrain.tiles))
     tiles = _tiles(kinds, len(difficulties), episodes)
     start, outcome = _simulate(env, subject.policy.act, tiles, seed, report)
-    cells = []
     for index in range(len(kinds) * len(difficulties)):
         own = slice(index * episodes, (index + 1) * episodes)
         part = Outcome(*(x[:, own] for x in outcome))
         kind, difficulty = divmod(index, len(difficulties))
         figures = _figures(env, start[own], part)
-        cells.append({"kind": kinds[kind], "difficulty": difficulties[difficulty], **figures})
-    return {
-        "kinds": list(kinds),
-        "difficulties": list(difficulties),
-        "episodes": episodes,
-        "command": PACE if env.config.command.given else None,
-        "cells": cells,
-    }
+        yield {"kind": kinds[kind], "difficulty": difficulties[difficulty], **figures}
 
 
-def ground_env(subject: Subject, levels: int) -> QuadrupedEnv:
-    """The environment of all cells: `ROWS` tiles of each, episodes confined to them."""
+def ground_env(subject: Subject, kinds: tuple[str, ...], levels: int) -> QuadrupedEnv:
+    """The environment of the cells of `kinds`: `ROWS` tiles of each, episodes confined to them."""
     config = subject.env.config
     ground, command = config.ground, config.command
     if ground.file is None:
-        rows = tuple(kind for kind in dict.fromkeys(ground.kinds) for _ in range(ROWS))
+        rows = tuple(kind for kind in kinds for _ in range(ROWS))
         ground = dataclasses.replace(ground, kinds=rows, levels=levels)
     if command.given:
         command = dataclasses.replace(
@@ -99,7 +120,10 @@ def _tiles(kinds: tuple[str, ...], levels: int, episodes: int) -> np.ndarray:
 def _simulate(
     env: QuadrupedEnv, policy: Policy, tiles: np.ndarray, seed: int, report: Report | None
 ) -> tuple[np.ndarray, Outcome]:
-    """The trunk's poses (n, 7) at the starts of episodes on `tiles` (n,), and how they went on."""
+    """The trunk's poses (n, 7) at the starts of episodes on `tiles` (n,), and how they went on.
+
+    In as many batches as memory asks for; an episode is the same in any.
+    """
 
     @env.jit
     def chunk(policy: Policy, states: State) -> tuple[State, Outcome]:
@@ -109,10 +133,40 @@ def _simulate(
 
         return jax.lax.scan(step, states, None, length=CHUNK)
 
-    keys = jax.random.split(jax.random.PRNGKey(seed), len(tiles))
-    first = env.jit(jax.vmap(env.reset))(keys, jnp.asarray(tiles))
-    poses = np.asarray(first.pipeline_state.qpos[:, :7])
-    return poses, until_all_ended(partial(chunk, policy), over_devices(env, first), report)
+    reset = env.jit(jax.vmap(env.reset))
+    keys = np.asarray(jax.random.split(jax.random.PRNGKey(seed), len(tiles)))
+    size = _batch(env, len(tiles))
+    starts, outcomes = [], []
+    for begin in range(0, len(tiles), size):
+        # All of one size, to be compiled once: what the last has too many of is left out again.
+        rows = np.arange(begin, begin + size) % len(tiles)
+        if isinstance(env.model, MujocoModel):
+            env.model.stepper.forget()
+        first = reset(keys[rows], jnp.asarray(tiles[rows]))
+        starts.append(np.asarray(first.pipeline_state.qpos[:, :7]))
+        outcomes.append(until_all_ended(partial(chunk, policy), over_devices(env, first), report))
+    longest = max(len(outcome.end) for outcome in outcomes)
+    padded = [
+        Outcome(*(np.pad(x, [(0, longest - len(x))] + [(0, 0)] * (x.ndim - 1)) for x in outcome))
+        for outcome in outcomes
+    ]
+    joined = Outcome(
+        *(np.concatenate(x, axis=1)[:, : len(tiles)] for x in zip(*padded, strict=True))
+    )
+    return np.concatenate(starts)[: len(tiles)], joined
+
+
+def _has_own_fields(env: QuadrupedEnv) -> bool:
+    """Whether each episode has a model of its own, and a field: in MuJoCo C, robots that differ."""
+    return env.engine == "mujoco" and env.config.randomisation.enabled
+
+
+def _batch(env: QuadrupedEnv, episodes: int) -> int:
+    """How many episodes at a time."""
+    assert env.terrain is not None
+    if not _has_own_fields(env):
+        return episodes
+    return min(episodes, max(FIELDS_MEMORY // env.terrain.field.heights.nbytes, 1))
 
 
 def _figures(env: QuadrupedEnv, start: np.ndarray, outcome: Outcome) -> dict[str, Any]:

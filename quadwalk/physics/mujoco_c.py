@@ -64,6 +64,10 @@ class Stepper:
             )
         return after[:, 0]
 
+    def forget(self) -> None:
+        """Give up the models of robots that differ, each as large as the whole."""
+        self._varied.clear()
+
     def _varied_model(self, row: np.ndarray, variation: Variation) -> mujoco.MjModel:
         """The model that differs by `variation`, whose numbers are `row`; made once."""
         key = row.tobytes()

@@ -67,7 +67,7 @@ def judge(run: Run, episodes: int, seconds: float) -> dict[str, Any]:
 def film(run: Run, kind: str) -> dict[str, Any]:
     """States of one episode, undisturbed, at the greatest difficulty, and the ground around it."""
     subject = load_subject(run, SECONDS, engine="mujoco")
-    env = ground_env(subject, levels=2)
+    env = ground_env(subject, (kind,), levels=2)
     assert env.terrain is not None
     tile = env.terrain.tiles.index(env.terrain.tile(kind, 1))
     act = subject.policy.act

@@ -3,8 +3,10 @@
 import dataclasses
 import json
 from types import SimpleNamespace
+from typing import NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
@@ -80,6 +82,43 @@ def test_the_tiles_of_a_cell_are_of_its_kind_and_level():
     expected = [(kind, level) for kind in ("flat", "waves") for level in range(3) for _ in range(6)]
     assert cells == expected
     assert len(set(tiles[:6])) == by_ground.ROWS
+
+
+class Begun(NamedTuple):
+    """What `_simulate` reads of a state: `pipeline_state` is itself, its `qpos` tells the tile."""
+
+    qpos: jax.Array
+    obs: jax.Array
+
+    @property
+    def pipeline_state(self) -> "Begun":
+        return self
+
+
+@pytest.mark.parametrize("room", [1, 2, 3, 7, 100])
+def test_batches_are_put_together_in_order(monkeypatch, room):
+    """Seven episodes, each of as many steps as its tile, whatever there is room for at a time."""
+    tiles = np.array([3, 1, 4, 1, 5, 9, 2])
+    env = SimpleNamespace(
+        engine="mujoco",
+        model=None,
+        config=SimpleNamespace(randomisation=SimpleNamespace(enabled=True)),
+        terrain=SimpleNamespace(field=SimpleNamespace(heights=np.zeros(1, np.uint8))),
+        jit=lambda function: function,
+        reset=lambda key, tile: Begun(jnp.full(19, tile), key),
+    )
+
+    def ended(_, first, report):
+        steps = np.asarray(first.qpos[:, 0]).astype(int)
+        end = (np.arange(steps.max())[:, None] == steps - 1).astype(int)
+        return Outcome(end, np.tile(steps[None, :, None], (steps.max(), 1, 7)))
+
+    monkeypatch.setattr(by_ground, "FIELDS_MEMORY", room)
+    monkeypatch.setattr(by_ground, "until_all_ended", ended)
+    start, outcome = by_ground._simulate(env, None, tiles, 0, None)
+    np.testing.assert_array_equal(start, np.tile(tiles[:, None], (1, 7)))
+    np.testing.assert_array_equal(np.argmax(outcome.end, axis=0) + 1, tiles)
+    np.testing.assert_array_equal(outcome.pose[0, :, 0], tiles)
 
 
 def results(told: bool) -> dict:
@@ -219,7 +258,7 @@ def test_pictures_follow_the_ground(lifted, trot, raised, quadruped):
     """A film on the plateau shows the robot where one on the floor does."""
 
     def coloured(rollout, robot):
-        strip = draw_film_strip(rollout, robot, width=60, height=40).astype(int)
+        strip = draw_film_strip(rollout, robot, width=120, height=80).astype(int)
         red, green, blue = strip[..., 0], strip[..., 1], strip[..., 2]
         return (red > 150) & (green < 0.7 * red) & (blue < 0.3 * red)
 

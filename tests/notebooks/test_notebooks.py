@@ -218,3 +218,13 @@ def test_the_gecko_is_told_from_the_cheetah(executed):
     assert float(cheetah["body_contact"]) == 0.0
     assert gecko["gaits"] == "irregular"
     assert cheetah["gaits"].startswith("gallop")
+
+
+def test_the_ground_is_drawn_and_where_each_robot_fails(executed):
+    done = executed("06_ground")
+    for code in ('films([("seeing", "stairs', 'films([("seeing", "blocks', 'films([("obstacles"'):
+        assert orange(done.picture(code)).mean() > 0.005, code
+    assert done.picture("draw_kinds(").shape[0] > 500
+    for variant in ("seeing", "blind", "obstacles"):
+        assert curves(done.picture(f'"{variant}")["ground"]')) >= 1
+    assert "% succeed" in done.text("def worst(")
