@@ -1,6 +1,6 @@
 """How far robots get on ground that they have not seen: seeing, blind, and over obstacles.
 
-    python -m studies.ground.study [--seeds 2] [--episodes 256] [--runs runs/ground]
+    python -m studies.ground.study [--seeds 2] [--episodes 256] [--only seeing] [--runs runs/ground]
 
 Trains `rough`, `rough` blind and `obstacles` from each seed, unless the folder has them, and judges
 each in MuJoCo C, every shape colliding, under conditions drawn as in training, on fields of unseen
@@ -105,8 +105,9 @@ def main() -> None:
     parser.add_argument("--steps", type=int, help="of each training (default: the task's)")
     parser.add_argument("--runs", type=Path, default=Path("runs/ground"))
     parser.add_argument("--out", type=Path, default=Path(__file__).parent / "results.json")
+    parser.add_argument("--only", nargs="+", choices=list(VARIANTS), help="of the variants")
     given = parser.parse_args()
-    cases = [(name, seed) for name in VARIANTS for seed in range(given.seeds)]
+    cases = [(name, seed) for name in given.only or VARIANTS for seed in range(given.seeds)]
     settings = [(VARIANTS[name], seed, given.steps, given.runs) for name, seed in cases]
     runs = list(in_processes(train, settings, at_once=1, devices=None))
     judged = in_processes(

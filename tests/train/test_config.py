@@ -37,7 +37,7 @@ def test_every_field_can_be_set_from_the_command_line():
     assert config.env.action.params == {"hip": 0.3, "thigh": 0.5, "calf": 0.9}
     assert config.ppo.hidden == (32, 16)
     assert config.robot.urdf == Path("a/b.urdf")
-    assert config.env.reward["fall"] == sprint.TASK.env.reward["fall"]
+    assert config.env.reward["fall"] == load_task("run").env.reward["fall"]
 
 
 def test_the_default_task_is_run():
