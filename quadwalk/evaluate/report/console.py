@@ -148,7 +148,7 @@ def simulating(
         def report(done: int) -> None:
             nonlocal first
             now = time.monotonic()
-            if first is None:  # what came before was compilation
+            if first is None or done <= first[1]:  # before it came compilation, or other episodes
                 first = (now, done)
                 left = ""
             else:
