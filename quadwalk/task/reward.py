@@ -90,6 +90,11 @@ def drag(robot: RobotArrays, step: Step, *, height: float) -> jax.Array:
     return jnp.mean(speed * low)
 
 
+def kneel(robot: RobotArrays, step: Step, *, height: float) -> jax.Array:
+    """How low knees and shins are: 1 with one on the ground, 0 with all at `height`, m, or more."""
+    return jnp.clip(1.0 - step.lowest[1] / height, 0.0, 1.0)
+
+
 def trot(
     robot: RobotArrays, step: Step, *, stride: float, height: float, width: float
 ) -> jax.Array:

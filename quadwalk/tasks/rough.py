@@ -55,6 +55,8 @@ TASK = TrainConfig(
             "tilt": Reward(reward.tilt, scale=-0.1),
             "roll_pitch_rate": Reward(reward.roll_pitch_rate, scale=-0.05),
             "action_rate": Reward(reward.action_rate, scale=-0.1),
+            # Else it goes on its knees: they may touch.
+            "kneel": Reward(reward.kneel, {"height": 0.03}, scale=-1.0),
             "follow": Reward(reward.follow, {"width": 0.35}, scale=1.0),
             "follow_yaw_rate": Reward(reward.follow_yaw_rate, {"width": 0.35}, scale=0.5),
             "drag": Reward(reward.drag, {"height": 0.02}, scale=-0.3),

@@ -5,7 +5,7 @@
 Trains `rough`, `rough` blind and `obstacles` from each seed, unless the folder has them, and judges
 each in MuJoCo C, every shape colliding, under conditions drawn as in training, on fields of unseen
 seeds: success, speed and error by kind and difficulty, and pictures' states of single episodes.
-Writes results.json beside this file, which notebooks/06_ground.ipynb shows. To see that it works:
+Writes results.json beside this file, which 06_ground.ipynb shows. To see that it works:
 
     python -m studies.ground.study --steps 50000 --seeds 1 --episodes 2 --seconds 1 \\
         --runs /tmp/runs --out /tmp/results.json

@@ -17,6 +17,7 @@ PARAMS = {
     "follow": {"width": 1.0},
     "follow_yaw_rate": {"width": 1.0},
     "drag": {"height": 1.0},
+    "kneel": {"height": 0.04},
     "trot": {"stride": 20.0, "height": 0.06, "width": 0.04},
 }
 BLOG = ("progress", "inclined", "heading", "movement")
@@ -39,7 +40,7 @@ def a_step(**changes) -> Step:
         "start_soles": jnp.zeros((4, 3)),
         "soles": jnp.zeros((4, 3)),
         "contact": jnp.ones(4, bool),
-        "lowest": jnp.full((), 0.2),
+        "lowest": jnp.full(2, 0.2),
     }
     return Step(**{**fields, **changes})
 
@@ -93,6 +94,8 @@ CASES = {
     "follow_yaw_rate": (moving(-np.pi + 0.01, 0.03, (9.0, 9.0), (9.0, 9.0, 3.5)), np.exp(-4.0)),
     # Half as high as a swing should be, on the floor, on the floor at rest, high enough.
     "drag": (stepping([0.5, 0.0, 0.0, 1.5], [1.0, -0.6, 0.0, 1.0]), (0.5 + 0.6) / 4),
+    # Of knees and shins, whatever the trunk does: a quarter of the height that costs nothing.
+    "kneel": (a_step(lowest=jnp.array([-0.3, 0.01])), 0.75),
     # A quarter of a stride in, FR and RL (the first and last of the four) are to be highest: one
     # is, one is half a width too high, and of those that belong on the floor one is a width off.
     "trot": (
@@ -111,6 +114,7 @@ LIMITS = {
     "follow": (moving(0.0, 0.0, (1e6, 0.0), (0.0, 0.0, 0.0)), 0.0),
     "follow_yaw_rate": (moving(0.0, 3.1, (0.0, 0.0), (0.0, 0.0, 0.0)), 0.0),
     "drag": (stepping([0.0] * 4, [1e6] * 4), 2.0),
+    "kneel": (a_step(lowest=jnp.array([0.3, -9.0])), 1.0),
     # Half a stride later it is the others' turn; at the command to stand, nobody's.
     "trot": (swinging(15, [9.0, 0.06, 0.06, 9.0], (0.0, 0.0, 0.1)), 0.5),
 }
