@@ -18,10 +18,16 @@ import jax.numpy as jnp
 import numpy as np
 from brax.envs.base import State
 
-from quadwalk.evaluate.motion.kinematics import roll_pitch_yaw
 from quadwalk.evaluate.simulate import CHUNK, Policy, Report, over_devices, until_all_ended
 from quadwalk.evaluate.subject import Subject
-from quadwalk.evaluate.summary import SETTLING, WINDOW, mean_interval, share_interval
+from quadwalk.evaluate.summary import (
+    SETTLING,
+    WINDOW,
+    mean_figure,
+    share_interval,
+    velocity_of,
+    window_means,
+)
 from quadwalk.ground.terrain import FILE
 from quadwalk.physics.mujoco_c import MujocoModel
 from quadwalk.task.env import QuadrupedEnv
@@ -180,25 +186,21 @@ def _figures(env: QuadrupedEnv, start: np.ndarray, outcome: Outcome) -> dict[str
         velocity = _velocity(poses, env.config.control_dt, env.config.command.given)
         speeds.append(float(velocity[:, 0].mean()))
         errors.append(_velocity_error(velocity, env.config.control_dt))
-    known = [error for error in errors if math.isfinite(error)]
     count = int(upright.sum())
     return {
         "success": count / len(last),
         "success_ci95": list(share_interval(count, len(last))),
         "arrived": float(arrived.mean()),
-        "speed": _interval(speeds),
-        "velocity_error": _interval(known) if known and env.config.command.given else None,
+        "speed": mean_figure(speeds),
+        "velocity_error": mean_figure(errors) if env.config.command.given else None,
     }
 
 
 def _velocity(poses: np.ndarray, dt: float, heading: bool) -> np.ndarray:
     """(T, 2) m/s in each step between `poses` (T + 1, 7): along x and y, or ahead and left."""
-    x, y = np.diff(poses[:, :2].astype(float), axis=0).T / dt
-    if not heading:
-        return np.stack([x, y], axis=1)
-    yaw = roll_pitch_yaw(poses[1:, 3:7])[:, 2]
-    cos, sin = np.cos(yaw), np.sin(yaw)
-    return np.stack([cos * x + sin * y, cos * y - sin * x], axis=1)
+    poses = poses.astype(float)
+    along: np.ndarray = np.diff(poses[:, :2], axis=0) / dt
+    return velocity_of(poses, dt)[:, :2] if heading else along
 
 
 def _velocity_error(velocity: np.ndarray, dt: float) -> float:
@@ -207,10 +209,4 @@ def _velocity_error(velocity: np.ndarray, dt: float) -> float:
     judged = velocity[settling:] - [PACE, 0.0]
     if len(judged) < window:
         return math.nan
-    sums = np.cumsum(np.concatenate([np.zeros((1, 2)), judged]), axis=0)
-    return float(np.linalg.norm((sums[window:] - sums[:-window]) / window, axis=1).mean())
-
-
-def _interval(values: list[float]) -> dict[str, float | None]:
-    mean, half_width = mean_interval(values)
-    return {"mean": mean, "ci95": half_width}
+    return float(np.linalg.norm(window_means(judged, window), axis=1).mean())

@@ -79,10 +79,15 @@ def heading_velocity(rollout: Rollout) -> np.ndarray:
     Forward and lateral velocity of the trunk, m/s, in the frame of the heading at the step's end,
     and yaw rate, rad/s: means over the step.
     """
-    yaw = np.unwrap(roll_pitch_yaw(rollout.qpos[:, 3:7])[:, 2])
-    x, y = np.diff(rollout.qpos[:, :2], axis=0).T / rollout.control_dt
+    return velocity_of(rollout.qpos, rollout.control_dt)
+
+
+def velocity_of(poses: np.ndarray, dt: float) -> np.ndarray:
+    """`heading_velocity` (T, 3) of a trunk at `poses` (T + 1, 7 or more: m, wxyz), `dt` s apart."""
+    yaw = np.unwrap(roll_pitch_yaw(poses[:, 3:7])[:, 2])
+    x, y = np.diff(poses[:, :2], axis=0).T / dt
     cos, sin = np.cos(yaw[1:]), np.sin(yaw[1:])
-    rate = np.diff(yaw) / rollout.control_dt
+    rate = np.diff(yaw) / dt
     return np.stack([cos * x + sin * y, cos * y - sin * x, rate], axis=1)
 
 
@@ -101,12 +106,18 @@ def tracking_errors(rollout: Rollout) -> tuple[float, float]:
     for part in np.split(errors, changes):
         judged = part[settling:]
         if len(judged) >= window:
-            sums = np.cumsum(np.concatenate([np.zeros((1, 3)), judged]), axis=0)
-            found.append((sums[window:] - sums[:-window]) / window)
+            found.append(window_means(judged, window))
     if not found:
         return math.nan, math.nan
     means = np.concatenate(found)
     return float(np.linalg.norm(means[:, :2], axis=1).mean()), float(np.abs(means[:, 2]).mean())
+
+
+def window_means(values: np.ndarray, window: int) -> np.ndarray:
+    """(T - window + 1, n) means of `values` (T, n) over every `window` rows on end."""
+    sums = np.cumsum(np.concatenate([np.zeros((1, values.shape[1])), values]), axis=0)
+    means: np.ndarray = (sums[window:] - sums[:-window]) / window
+    return means
 
 
 def path_length(rollout: Rollout) -> float:
@@ -227,6 +238,15 @@ def mean_interval(values: Sequence[float] | np.ndarray) -> tuple[float, float | 
     return mean, float(stats.t.ppf(0.975, freedom) * stats.sem(values))
 
 
+def mean_figure(values: Sequence[float] | np.ndarray) -> dict[str, float | None] | None:
+    """The `mean_interval` of those `values` that are finite, for JSON; None where none is."""
+    finite = np.asarray(values)[np.isfinite(values)]
+    if not len(finite):
+        return None
+    mean, half_width = mean_interval(finite)
+    return {"mean": mean, "ci95": half_width}
+
+
 def share_interval(count: int, total: int) -> tuple[float, float]:
     """The 95 % confidence interval of a share, `count` of `total`.
 
@@ -245,7 +265,11 @@ def engine_differences(mjx: dict[str, Any], mujoco: dict[str, Any]) -> dict[str,
     `difference` in the figure's own unit (of `fall_rate`, a share), `percent` of the size of MJX's;
     None where one of the two has no figure, or MJX's is 0.
     """
-    means = {name: (_mean(mjx[name]), _mean(mujoco[name])) for name, _, _ in FIGURES if name in mjx}
+    means = {
+        name: (figure_mean(mjx[name]), figure_mean(mujoco[name]))
+        for name, _, _ in FIGURES
+        if name in mjx
+    }
     means = {"fall_rate": (mjx["fall_rate"], mujoco["fall_rate"]), **means}
     return {
         name: {
@@ -256,7 +280,8 @@ def engine_differences(mjx: dict[str, Any], mujoco: dict[str, Any]) -> dict[str,
     }
 
 
-def _mean(figure: dict[str, Any] | None) -> float:
+def figure_mean(figure: dict[str, Any] | None) -> float:
+    """The mean of a summary's figure; NaN where there is none."""
     return math.nan if figure is None else figure["mean"]
 
 

@@ -34,7 +34,7 @@ from quadwalk.evaluate.simulate import (
     over_devices,
 )
 from quadwalk.evaluate.subject import Subject, training_ranges
-from quadwalk.evaluate.summary import SETTLING, WINDOW, mean_interval, share_interval
+from quadwalk.evaluate.summary import SETTLING, WINDOW, mean_figure, share_interval
 from quadwalk.physics.rotation import yaw
 from quadwalk.task.config import NO_RANDOMISATION
 from quadwalk.task.env import QuadrupedEnv
@@ -44,6 +44,7 @@ from quadwalk.task.episode.conditions import (
     readings_needed,
     targets_needed,
 )
+from quadwalk.task.state import motion
 from quadwalk.train.runs.directory import write_json_atomic
 
 FIELDS_MEMORY = 2**32  # bytes of fields at a time
@@ -181,18 +182,10 @@ def measure_points(
             {
                 "success": count / episodes,
                 "success_ci95": list(share_interval(count, episodes)),
-                **{name: _figure(values[own]) for name, values in figures.items()},
+                **{name: mean_figure(values[own]) for name, values in figures.items()},
             }
         )
     return measured
-
-
-def _figure(values: np.ndarray) -> dict[str, float | None] | None:
-    values = values[np.isfinite(values)]
-    if not len(values):
-        return None
-    mean, half_width = mean_interval(values)
-    return {"mean": mean, "ci95": half_width}
 
 
 def _simulate(
@@ -232,13 +225,8 @@ def _tallied(env: QuadrupedEnv, tally: Tally, before: State, after: State) -> Ta
     dt = env.config.control_dt
     settling, window = round(SETTLING / dt), round(WINDOW / dt)
     begun, state = before.pipeline_state, after.pipeline_state
-    heading, steps = yaw(state.qpos[3:7]), tally.steps + 1
-    turned = heading - yaw(begun.qpos[3:7])
-    x, y = (state.qpos[:2] - begun.qpos[:2]) / dt
-    cos, sin = jnp.cos(heading), jnp.sin(heading)
-    turning = jnp.arctan2(jnp.sin(turned), jnp.cos(turned)) / dt
-    velocity = jnp.stack([cos * x + sin * y, cos * y - sin * x, turning])
-    drift = tally.drift + velocity - begun.velocity_command
+    steps = tally.steps + 1
+    drift = tally.drift + motion(begun.qpos, state.qpos, dt) - begun.velocity_command
     full = (steps - settling) % window == 0
     judged = full & (steps >= settling + window)
     mean = drift / window
@@ -247,7 +235,7 @@ def _tallied(env: QuadrupedEnv, tally: Tally, before: State, after: State) -> Ta
         end=after.info["end"],
         steps=steps,
         speed=tally.speed + after.metrics["speed"],
-        heading=tally.heading + jnp.abs(heading),
+        heading=tally.heading + jnp.abs(yaw(state.qpos[3:7])),
         drift=jnp.where(full, 0.0, drift),
         errors=tally.errors + jnp.where(judged, errors, 0.0),
         windows=tally.windows + judged,

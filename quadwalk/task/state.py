@@ -81,12 +81,22 @@ def mean_velocity(step: Step) -> jax.Array:
     return (step.qpos[:2] - step.start[:2]) / step.dt
 
 
-def heading_velocity(step: Step) -> jax.Array:
-    """That in the frame of the heading after the step, forward and left (2,), m/s."""
-    heading = yaw(step.qpos[3:7])
+def motion(start: jax.Array, qpos: jax.Array, dt: float) -> jax.Array:
+    """What a velocity command is of (3,): the mean over `dt` s from `start` (19,) to `qpos` (19,).
+
+    Forward and left in the frame of the heading at the end, m/s, and the yaw rate, rad/s.
+    """
+    heading = yaw(qpos[3:7])
     cos, sin = jnp.cos(heading), jnp.sin(heading)
-    x, y = mean_velocity(step)
-    return jnp.stack([cos * x + sin * y, cos * y - sin * x])
+    x, y = (qpos[:2] - start[:2]) / dt
+    turned = heading - yaw(start[3:7])
+    turned = jnp.arctan2(jnp.sin(turned), jnp.cos(turned))  # the short way round
+    return jnp.stack([cos * x + sin * y, cos * y - sin * x, turned / dt])
+
+
+def heading_velocity(step: Step) -> jax.Array:
+    """Mean velocity in the frame of the heading after the step, forward and left (2,), m/s."""
+    return motion(step.start, step.qpos, step.dt)[:2]
 
 
 def velocity_error(step: Step) -> jax.Array:
@@ -101,6 +111,4 @@ def commanded_speed(step: Step) -> jax.Array:
 
 def yaw_rate_error(step: Step) -> jax.Array:
     """Mean rate of the heading over the step, less the command, rad/s."""
-    turned = yaw(step.qpos[3:7]) - yaw(step.start[3:7])
-    turned = jnp.arctan2(jnp.sin(turned), jnp.cos(turned))  # the short way round
-    return turned / step.dt - step.command[2]
+    return motion(step.start, step.qpos, step.dt)[2] - step.command[2]

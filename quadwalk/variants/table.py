@@ -13,6 +13,7 @@ import numpy as np
 
 from quadwalk.api import evaluate
 from quadwalk.evaluate.report.plots import save_figure
+from quadwalk.evaluate.summary import figure_mean
 from quadwalk.files import atomic_write
 from quadwalk.train.flags import parse_config
 from quadwalk.train.runs.directory import Run, write_json_atomic
@@ -120,7 +121,7 @@ def row(result: dict[str, Any]) -> str:
 
 
 def _mean(summary: dict[str, Any], name: str) -> float:
-    return float("nan") if summary[name] is None else summary[name]["mean"]
+    return figure_mean(summary[name])
 
 
 def _line(cells: Sequence[str]) -> str:

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from quadwalk.evaluate.report.plots import INK, LEG_COLOURS, new_figure, tidy
-from quadwalk.evaluate.summary import FIGURES
+from quadwalk.evaluate.summary import FIGURES, figure_mean
 
 _SWEEP_COLUMNS = 5
 _COLUMNS = 3  # panels of a comparison in a row
@@ -86,7 +86,12 @@ def draw_by_ground(results: dict[str, Any], title: str) -> Figure:
         ("speed, m/s", "viridis", 0.0, lambda cell: cell["speed"]["mean"]),
     ]
     if told:
-        off = ("velocity error, m/s", "viridis_r", 0.0, lambda cell: _mean(cell["velocity_error"]))
+        off = (
+            "velocity error, m/s",
+            "viridis_r",
+            0.0,
+            lambda cell: figure_mean(cell["velocity_error"]),
+        )
         maps.append(off)
     size = (1.6 + 4.2 * len(maps), 1.6 + 0.5 * max(len(kinds), 3))
     about = f", command {results['command']:g} m/s" if told else ""
@@ -111,10 +116,6 @@ def draw_by_ground(results: dict[str, Any], title: str) -> Figure:
     return figure
 
 
-def _mean(figure: dict[str, Any] | None) -> float:
-    return math.nan if figure is None else figure["mean"]
-
-
 def draw_comparison(labels: list[str], results: list[dict[str, Any]]) -> Figure:
     """The figures as panels: each run's episodes as dots, their mean and its 95 % interval."""
     shown = [
@@ -136,7 +137,7 @@ def draw_comparison(labels: list[str], results: list[dict[str, Any]]) -> Figure:
         _falls(panels[0], place, result["summary"])
     for axes in panels[1 + len(shown) :]:
         axes.set_axis_off()
-    for axes, (name, heading, unit) in zip(panels[1:], shown, strict=False):
+    for axes, (name, heading, unit) in zip(panels[1 : 1 + len(shown)], shown, strict=True):
         tidy(axes, heading, unit)
         for place, result in enumerate(results):
             _figure(axes, place, result, name)
