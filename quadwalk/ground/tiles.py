@@ -145,7 +145,7 @@ def ditches(patch: Patch, sizes: Sizes, difficulty: float, rng: np.random.Genera
     within = np.mod(outwards, period) - 0.5 * sizes.middle
     width = difficulty * sizes.ditch
     dug = (outwards > 0) & (patch.inwards > sizes.ditch) & (np.abs(within - width / 2) < width / 2)
-    return np.where(dug, -sizes.ditch_depth, 0.0)
+    return np.where(dug, -difficulty * sizes.ditch_depth, 0.0)
 
 
 def course(patch: Patch, sizes: Sizes, difficulty: float, rng: np.random.Generator) -> np.ndarray:
@@ -172,7 +172,7 @@ def course(patch: Patch, sizes: Sizes, difficulty: float, rng: np.random.Generat
         else:
             length = difficulty * sizes.ditch * rng.uniform(0.5, 1.0)
             dug = np.abs(patch.x - ahead - length / 2) < length / 2
-            profile = np.where(dug, -sizes.ditch_depth, 0.0)
+            profile = np.where(dug, -difficulty * sizes.ditch_depth, 0.0)
         heights[across] += profile
         ahead += length
 

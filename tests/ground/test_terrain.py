@@ -47,8 +47,8 @@ def test_a_tile_is_bounded_by_its_difficulty_and_level_where_robots_start(kind, 
         "rough": 0.08,
         "waves": 0.08,
         "blocks": 0.15,
-        "ditches": 0.3 / max(difficulty, 1e-9),
-        "course": 0.3 / max(difficulty, 1e-9),
+        "ditches": 0.3,
+        "course": 0.3,
         "flat": 0.0,
     }.get(kind, 3.6)
     assert np.abs(heights).max() <= difficulty * bound + 1e-9
