@@ -99,7 +99,7 @@ TASK = TrainConfig(
         ),
         ground=GroundConfig(
             kinds=("course",) * 6,  # each row another
-            levels=8,
+            levels=6,
             difficulty=(0.0, 1.0),
             tile=(20.0, 5.0),
             border=1.0,

@@ -117,7 +117,7 @@ TASK = TrainConfig(
                 "blocks",
                 "ditches",
             ),
-            levels=10,
+            levels=6,  # few and far apart: a training of 40 minutes has 30 episodes for each robot
             difficulty=(0.0, 1.0),
             tile=(8.0, 8.0),
             border=4.0,
