@@ -2,6 +2,7 @@
 
     python benchmarks/zoo.py [--folder DIR] [--markdown FILE]
     python benchmarks/zoo.py --train [--minutes 3] [--only a1 go2] [--markdown FILE]
+        [--picture PNG]
 
 The first converts every URDF of PyPI's example-robot-data, or of DIR, without its meshes, and
 compares masses, frames, mass matrix, bias forces and inverse dynamics with Pinocchio's, in 20
@@ -9,7 +10,8 @@ random states, through MJCF's six digits. A file that is refused is tried with -
 
 The second takes the quadrupeds among them and in pybullet_data, lets each stand for 10 s in MuJoCo
 C on PD control of its home pose, trains it with the default task and no other flag, and judges the
-policy in MuJoCo C with every collision shape. To see that it works: --minutes 0.1 --only a1.
+policy in MuJoCo C with every collision shape. What --runs has from before is not done again. To see
+that it works: --minutes 0.1 --only a1.
 
 Both need the packages of the extra `zoo`. Tables go to standard output, or to FILE as Markdown.
 """
@@ -29,7 +31,9 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
+from PIL import Image, ImageDraw, ImageFont
 
+from quadwalk.drawing.images import film_strip, save_png
 from quadwalk.robot.mjcf import Options, convert, write_xml
 from quadwalk.robot.quadruped import Quadruped, legs_of, load_quadruped, with_motors
 from quadwalk.robot.urdf import Urdf, UrdfError, read_urdf
@@ -42,6 +46,7 @@ PYBULLET = (
     "a1/a1", "aliengo/aliengo", "laikago/laikago_toes_zup", "mini_cheetah/mini_cheetah",
     "quadruped/vision60", "quadruped/spirit40",
 )  # fmt: skip
+PICTURE = (480, 300)  # pixels of one of a film strip
 NO_MESHES = Options(meshes=False)
 
 
@@ -173,22 +178,30 @@ def stands(quadruped: Quadruped) -> bool:
     return bool(data.qpos[2] > STANDS * quadruped.home[2])
 
 
+def name_of(file: Path) -> str:
+    """What a robot's run is called."""
+    return f"{file.parents[1].name}-{file.stem}"
+
+
 def run(file: Path, minutes: float, runs: Path) -> str:
     """Train and judge one quadruped, in processes of their own; its row of the table."""
     quadruped = load_quadruped(file)
     model = quadruped.full_model()
-    name = f"{file.parents[1].name}-{file.stem}"
+    name = name_of(file)
     label = f"{name} | {model.body_subtreemass[0]:.1f} | {'yes' if stands(quadruped) else 'no'}"
     quadwalk = [sys.executable, "-m", "quadwalk"]
     where = ["--runs", str(runs)]
     train = ["train", "--robot.urdf", str(file), "--minutes", str(minutes), "--name", name]
     judge = ["eval", name, "--engine", "mujoco", "--episodes", str(EPISODES), "--mcap", "0"]
-    for command in (train, [*judge, "--out", str(runs / name / "judged")]):
+    judged = runs / name / "judged" / "metrics.json"
+    for command in (train, [*judge, "--out", str(judged.parent)]):
+        if judged.exists():
+            break
         done = subprocess.run([*quadwalk, *command, *where], capture_output=True, text=True)
         if done.returncode:
             reason = (done.stderr.strip().splitlines() or ["no word"])[-1]
             return f"| {label} | {command[0]} failed: {reason} | | | | |"
-    metrics = json.loads((runs / name / "judged" / "metrics.json").read_text())
+    metrics = json.loads(judged.read_text())
     summary, typical = metrics["summary"], metrics["typical_episode"]
     speed = summary["speed"]["mean"]
     # A foot goes round the thigh's joint no faster than the thigh's motor does.
@@ -211,6 +224,19 @@ def trainings(files: list[Path], minutes: float, runs: Path) -> str:
     return "\n".join(lines)
 
 
+def picture(files: list[Path], runs: Path) -> np.ndarray:
+    """(H, W, 3) uint8: each robot in the middle of its episode, as its film strip has it."""
+    font = ImageFont.load_default(size=16)
+    found = []
+    for file in files:
+        strip = runs / name_of(file) / "judged" / "film_strip.png"
+        if strip.exists():
+            first = Image.open(strip).convert("RGB").crop((0, 0, *PICTURE))
+            ImageDraw.Draw(first).text((8, PICTURE[1] - 26), name_of(file), "black", font)
+            found.append(np.asarray(first))
+    return film_strip(found, across=4)
+
+
 def main() -> None:
     """Convert, or train, and print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -220,6 +246,7 @@ def main() -> None:
     add("--minutes", type=float, default=3.0, help="of training, each")
     add("--only", nargs="+", default=[], metavar="NAME", help="robots whose path has a NAME in it")
     add("--runs", type=Path, help="folder of the runs (default: a temporary one)")
+    add("--picture", type=Path, metavar="PNG", help="where one of all that were trained goes")
     add("--markdown", type=Path, metavar="FILE", help="where the table goes")
     arguments = parser.parse_args()
     folder = arguments.folder or example_robot_data()
@@ -232,7 +259,10 @@ def main() -> None:
         files = [file for file in files if any(name in str(file) for name in arguments.only)]
     if arguments.train:
         with tempfile.TemporaryDirectory() as temporary:
-            table = trainings(files, arguments.minutes, arguments.runs or Path(temporary))
+            runs = arguments.runs or Path(temporary)
+            table = trainings(files, arguments.minutes, runs)
+            if arguments.picture:
+                save_png(picture(files, runs), arguments.picture)
     else:
         table = conversions(files, folder)
         print(table)
