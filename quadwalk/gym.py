@@ -42,12 +42,10 @@ class QuadrupedGymEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         render_mode: None = None,
     ) -> None:
         env = make(task, robot, overrides)
-        import jax
-
         self.render_mode = render_mode
         self.observation_space, self.action_space = _spaces(env)
         self._ends, self._size = env.ends, env.policy_size
-        self._reset, self._step = jax.jit(env.reset), jax.jit(env.step, donate_argnums=0)
+        self._reset, self._step = env.jit(env.reset), env.jit(env.step, donate=(0,))
         self._state: Any = None
 
     def reset(
@@ -174,14 +172,14 @@ def _programs(env: Any, num_envs: int) -> tuple[Any, Any, Any]:
     count = max(n for n in range(1, len(jax.devices()) + 1) if num_envs % n == 0)
     mesh = Mesh(np.array(jax.devices()[:count]), ("envs",))
 
-    def program(function: Any, **options: Any) -> Any:
+    def program(function: Any, donate: tuple[int, ...] = ()) -> Any:
         split = P("envs")
         shared = jax.shard_map(
             function, mesh=mesh, in_specs=split, out_specs=split, check_vma=False
         )
-        return jax.jit(shared, **options)
+        return env.jit(shared, donate=donate)
 
-    return program(start), program(step, donate_argnums=0), program(renew, donate_argnums=(1, 2))
+    return program(start), program(step, donate=(0,)), program(renew, donate=(1, 2))
 
 
 def _spaces(env: Any) -> tuple[spaces.Box, spaces.Box]:

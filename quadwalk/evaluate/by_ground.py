@@ -7,7 +7,6 @@ Where velocities are commanded, the command is to go straight ahead at `PACE`.
 import dataclasses
 import math
 from collections.abc import Iterator
-from functools import partial
 from typing import Any, NamedTuple
 
 import quadwalk.physics.mjx  # noqa: F401  # before Brax, which imports MJX less quietly
@@ -18,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from brax.envs.base import State
 
-from quadwalk.evaluate.simulate import CHUNK, Policy, Report, over_devices, until_all_ended
+from quadwalk.evaluate.simulate import CHUNK, Policy, Report, over_devices
 from quadwalk.evaluate.subject import Subject
 from quadwalk.evaluate.summary import (
     SETTLING,
@@ -29,20 +28,22 @@ from quadwalk.evaluate.summary import (
     window_means,
 )
 from quadwalk.ground.terrain import FILE
-from quadwalk.physics.mujoco_c import MujocoModel
 from quadwalk.task.env import QuadrupedEnv
 from quadwalk.train.robot import load_run_robot
 
 PACE = 0.7  # m/s
 FIELDS_MEMORY = 2**29  # bytes of fields at a time
+BATCH = 2048  # episodes at a time, where they share one field
 ROWS = 4  # tiles of each cell, of which no two are alike
 
 
-class Outcome(NamedTuple):
-    """Control steps of a batch of episodes."""
+class Episode(NamedTuple):
+    """How an episode went."""
 
-    end: Any  # (steps, episodes) index into `QuadrupedEnv.ends`
-    pose: Any  # (steps, episodes, 7) the trunk's after the step, m and wxyz
+    upright: bool  # without a fall
+    arrived: bool  # at its tile's edge
+    speed: float  # ahead, or without commands along world x, m/s
+    error: float  # of the velocity, m/s; NaN where it was too short
 
 
 def measure_by_ground(
@@ -87,12 +88,11 @@ def _measure_kinds(
     assert env.terrain is not None
     difficulties = tuple(dict.fromkeys(tile.difficulty for tile in env.terrain.tiles))
     tiles = _tiles(kinds, len(difficulties), episodes)
-    start, outcome = _simulate(env, subject.policy.act, tiles, seed, report)
+    found = dict(_simulate(env, subject.policy.act, tiles, seed, report))
     for index in range(len(kinds) * len(difficulties)):
-        own = slice(index * episodes, (index + 1) * episodes)
-        part = Outcome(*(x[:, own] for x in outcome))
         kind, difficulty = divmod(index, len(difficulties))
-        figures = _figures(env, start[own], part)
+        own = [found[index * episodes + k] for k in range(episodes)]
+        figures = _figures(own, env.config.command.given)
         yield {"kind": kinds[kind], "difficulty": difficulties[difficulty], **figures}
 
 
@@ -125,41 +125,58 @@ def _tiles(kinds: tuple[str, ...], levels: int, episodes: int) -> np.ndarray:
 
 def _simulate(
     env: QuadrupedEnv, policy: Policy, tiles: np.ndarray, seed: int, report: Report | None
-) -> tuple[np.ndarray, Outcome]:
-    """The trunk's poses (n, 7) at the starts of episodes on `tiles` (n,), and how they went on.
+) -> Iterator[tuple[int, Episode]]:
+    """The episodes on `tiles` (n,), each with its number, in the order in which they end.
 
-    In as many batches as memory asks for; an episode is the same in any.
+    So many at a time as there is room for; one that has ended makes room for the next. An episode
+    is the same in any company.
     """
 
     @env.jit
-    def chunk(policy: Policy, states: State) -> tuple[State, Outcome]:
-        def step(states: State, _: None) -> tuple[State, Outcome]:
+    def chunk(policy: Policy, states: State) -> tuple[State, tuple[jax.Array, jax.Array]]:
+        def step(states: State, _: None) -> tuple[State, tuple[jax.Array, jax.Array]]:
             states = jax.vmap(env.step)(states, policy(states.obs))
-            return states, Outcome(states.info["end"], states.pipeline_state.qpos[:, :7])
+            return states, (states.info["end"], states.pipeline_state.qpos[:, :7])
 
         return jax.lax.scan(step, states, None, length=CHUNK)
 
-    reset = env.jit(jax.vmap(env.reset))
-    keys = np.asarray(jax.random.split(jax.random.PRNGKey(seed), len(tiles)))
-    size = _batch(env, len(tiles))
-    starts, outcomes = [], []
-    for begin in range(0, len(tiles), size):
-        # All of one size, to be compiled once: what the last has too many of is left out again.
-        rows = np.arange(begin, begin + size) % len(tiles)
-        if isinstance(env.model, MujocoModel):
-            env.model.stepper.forget()
-        first = reset(keys[rows], jnp.asarray(tiles[rows]))
-        starts.append(np.asarray(first.pipeline_state.qpos[:, :7]))
-        outcomes.append(until_all_ended(partial(chunk, policy), over_devices(env, first), report))
-    longest = max(len(outcome.end) for outcome in outcomes)
-    padded = [
-        Outcome(*(np.pad(x, [(0, longest - len(x))] + [(0, 0)] * (x.ndim - 1)) for x in outcome))
-        for outcome in outcomes
-    ]
-    joined = Outcome(
-        *(np.concatenate(x, axis=1)[:, : len(tiles)] for x in zip(*padded, strict=True))
-    )
-    return np.concatenate(starts)[: len(tiles)], joined
+    @env.jit
+    def renew(rows: jax.Array, fresh: State, states: State) -> State:
+        def choose(new: jax.Array, old: jax.Array) -> jax.Array:
+            return jnp.where(rows.reshape(-1, *[1] * (new.ndim - 1)), new, old)
+
+        return jax.tree.map(choose, fresh, states)
+
+    begin = env.jit(jax.vmap(env.reset))
+    count = len(tiles)
+    keys = np.asarray(jax.random.split(jax.random.PRNGKey(seed), count))
+    own = np.arange(_batch(env, count))  # the episode in each row of the batch; `count`: none
+    waiting, ended, new, states = len(own), 0, own < count, None
+    poses: dict[int, list[np.ndarray]] = {}
+    while np.any(own < count):
+        if new.any():
+            # Of all rows, for one program: what is not asked for is left out.
+            which = np.minimum(own, count - 1)
+            fresh = over_devices(env, begin(keys[which], jnp.asarray(tiles[which])))
+            states = fresh if states is None else renew(new, fresh, states)
+            start = np.asarray(fresh.pipeline_state.qpos[:, :7])
+            poses |= {own[row]: [start[None, row]] for row in np.flatnonzero(new)}
+        states, frames = chunk(policy, states)
+        ends, after = jax.device_get(frames)
+        over = (ends > 0).any(axis=0)
+        last = np.where(over, np.argmax(ends > 0, axis=0), CHUNK - 1)
+        for row in np.flatnonzero(own < count):
+            poses[own[row]].append(after[: last[row] + 1, row])
+            if over[row]:
+                path = np.concatenate(poses.pop(own[row]))
+                yield int(own[row]), _episode(env, env.ends[ends[last[row], row]], path)
+        free = np.flatnonzero(over & (own < count))
+        own[free] = np.minimum(waiting + np.arange(len(free)), count)
+        waiting += len(free)
+        new = np.isin(np.arange(len(own)), free) & (own < count)
+        ended += len(free)
+        if report is not None:  # as if all went on at once
+            report(round(env.config.episode_steps * ended / count))
 
 
 def _has_own_fields(env: QuadrupedEnv) -> bool:
@@ -170,29 +187,33 @@ def _has_own_fields(env: QuadrupedEnv) -> bool:
 def _batch(env: QuadrupedEnv, episodes: int) -> int:
     """How many episodes at a time."""
     assert env.terrain is not None
-    if not _has_own_fields(env):
-        return episodes
-    return min(episodes, max(FIELDS_MEMORY // env.terrain.field.heights.nbytes, 1))
+    most = BATCH
+    if _has_own_fields(env):
+        most = min(most, max(FIELDS_MEMORY // env.terrain.field.heights.nbytes, 1))
+    return min(most, episodes)
 
 
-def _figures(env: QuadrupedEnv, start: np.ndarray, outcome: Outcome) -> dict[str, Any]:
-    """The figures of one cell."""
-    last = np.argmax(outcome.end > 0, axis=0)
-    upright = outcome.end[last, np.arange(len(last))] == env.ends.index("time limit")
-    arrived = upright & (last + 1 < env.config.episode_steps)
-    speeds, errors = [], []
-    for episode, steps in enumerate(last + 1):
-        poses = np.concatenate([start[None, episode], outcome.pose[:steps, episode]])
-        velocity = _velocity(poses, env.config.control_dt, env.config.command.given)
-        speeds.append(float(velocity[:, 0].mean()))
-        errors.append(_velocity_error(velocity, env.config.control_dt))
-    count = int(upright.sum())
+def _episode(env: QuadrupedEnv, end: str, poses: np.ndarray) -> Episode:
+    """One that ended so, from the trunk's poses (steps + 1, 7), m and wxyz."""
+    upright, dt = end == "time limit", env.config.control_dt
+    velocity = _velocity(poses, dt, env.config.command.given)
+    return Episode(
+        upright,
+        upright and len(velocity) < env.config.episode_steps,
+        float(velocity[:, 0].mean()),
+        _velocity_error(velocity, dt),
+    )
+
+
+def _figures(episodes: list[Episode], told: bool) -> dict[str, Any]:
+    """The figures of one cell; `told` if there are commands."""
+    upright, arrived, speeds, errors = zip(*episodes, strict=True)
     return {
-        "success": count / len(last),
-        "success_ci95": list(share_interval(count, len(last))),
-        "arrived": float(arrived.mean()),
+        "success": sum(upright) / len(episodes),
+        "success_ci95": list(share_interval(sum(upright), len(episodes))),
+        "arrived": sum(arrived) / len(episodes),
         "speed": mean_figure(speeds),
-        "velocity_error": mean_figure(errors) if env.config.command.given else None,
+        "velocity_error": mean_figure(errors) if told else None,
     }
 
 

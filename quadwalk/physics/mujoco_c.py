@@ -38,21 +38,12 @@ class Stepper:
         self.data = [mujoco.MjData(model) for _ in range(cpu_cores())]
         self._varied: dict[bytes, mujoco.MjModel] = {}
 
-    def step(
-        self, states: np.ndarray, torque: np.ndarray, variations: Variation | None = None
-    ) -> np.ndarray:
+    def step(self, states: np.ndarray, torque: np.ndarray, models: Any) -> np.ndarray:
         """`states` (n, 38), time, qpos and qvel, after a step with joint torques (n, 12), Nm.
 
-        `variations` have arrays (n, ...).
+        `models` are those that `models` gave.
         """
         applied = np.pad(torque, [(0, 0), (6, 0)])[:, None]
-        models: Any = self.model
-        if variations is not None:
-            rows = np.concatenate([np.reshape(x, (len(x), -1)) for x in variations], axis=1)
-            models = [
-                self._varied_model(row, Variation(*(x[i] for x in variations)))
-                for i, row in enumerate(rows)
-            ]
         with _POOL:
             after, _ = mujoco.rollout.rollout(
                 models,
@@ -64,16 +55,19 @@ class Stepper:
             )
         return after[:, 0]
 
-    def forget(self) -> None:
-        """Give up the models of robots that differ, each as large as the whole."""
-        self._varied.clear()
-
-    def _varied_model(self, row: np.ndarray, variation: Variation) -> mujoco.MjModel:
-        """The model that differs by `variation`, whose numbers are `row`; made once."""
-        key = row.tobytes()
-        if key not in self._varied:
-            self._varied[key] = varied_model(self.model, variation)
-        return self._varied[key]
+    def models(self, variations: Variation | None) -> mujoco.MjModel | list[mujoco.MjModel]:
+        """The one model of all robots, or that of each; `variations` have arrays (n, ...)."""
+        if variations is None:
+            return self.model
+        rows = np.concatenate([np.reshape(x, (len(x), -1)) for x in variations], axis=1)
+        keys = [row.tobytes() for row in rows]
+        if len(self._varied) > 2 * len(keys):  # each as large as the whole: of robots long gone
+            self._varied = {key: self._varied[key] for key in keys if key in self._varied}
+        for i, key in enumerate(keys):
+            if key not in self._varied:
+                own = Variation(*(x[i] for x in variations))
+                self._varied[key] = varied_model(self.model, own)
+        return [self._varied[key] for key in keys]
 
 
 def varied_model(model: mujoco.MjModel, variation: Variation) -> mujoco.MjModel:
@@ -122,9 +116,9 @@ def control_step(
     assert np.isclose(model.stepper.model.opt.timestep, stepping.dt)
     each = jnp.ndim(target) > jnp.ndim(physics.qpos)
 
-    def advance(variations: Variation | None, state: Physics, torque: Any) -> Physics:
+    def advance(models: Any, state: Physics, torque: Any) -> Physics:
         rows = np.concatenate([np.zeros_like(state.qpos[:1]), state.qpos, state.qvel]).T
-        after: Any = model.stepper.step(rows, torque.T, variations).T
+        after: Any = model.stepper.step(rows, torque.T, models).T
         return state._replace(qpos=after[1:20], qvel=after[20:38])
 
     def step(*leaves: Any) -> list[np.ndarray]:
@@ -135,7 +129,7 @@ def control_step(
         motors, _, state, targets = jax.tree.unflatten(
             structure, [np.moveaxis(x, 0, -1) for x in several]
         )
-        own = partial(advance, variations)
+        own = partial(advance, model.stepper.models(variations))
         after, effort = motor.control_step(motors, stepping, state, targets, own)
         results: Any = (after.qpos, after.qvel, *effort)
         return [np.moveaxis(x, -1, 0).reshape((*batch, *x.shape[:-1])) for x in results]

@@ -107,14 +107,19 @@ class QuadrupedEnv(Env):
             return ()
         return (ground, *(c.surface for c in self.geometry.contacts if c.surface is not None))
 
-    def jit(self, function: Callable[..., Any], **options: Any) -> Callable[..., Any]:
+    def jit(
+        self,
+        function: Callable[..., Any],
+        donate: tuple[int, ...] = (),
+        **options: Any,
+    ) -> Callable[..., Any]:
         """`function` compiled, with the ground as an argument of the program, not a part of it.
 
-        `options` are those of `jax.jit`.
+        Its arguments number `donate` are given up to it; `options` are others of `jax.jit`.
         """
         heights = jax.device_put([surface.grids.reshape(-1) for surface in self.surfaces])
 
-        @partial(jax.jit, **options)
+        @partial(jax.jit, donate_argnums=tuple(1 + number for number in donate), **options)
         def program(heights: list[jax.Array], *arguments: Any) -> Any:
             with given(self.surfaces, heights):
                 return function(*arguments)

@@ -154,6 +154,8 @@ def collect(
     tiles = _next_tiles(env, workers.envs.pipeline_state, first, learnt_from, key_reset)
     fresh = reset_envs(env, jax.random.split(key_reset, envs), tiles)
     begun = jax.tree.map(lambda new, old: jnp.where(first, new, old), fresh, workers.envs)
+    if tiles is None:  # once over, of which a step takes a part: `jnp.roll` would do it in each
+        fresh = jax.tree.map(lambda x: jnp.concatenate([x, x]), fresh)
 
     def one_step(
         carry: tuple[State, NanStep], xs: tuple[jax.Array, jax.Array]
@@ -177,7 +179,10 @@ def collect(
         transition, seen = jax.tree.map(lambda x: x[:learnt_from], (transition, after.obs))
         start = fresh
         if tiles is None:
-            start = jax.tree.map(lambda x: jnp.roll(x, number + 1, axis=0), fresh)
+            first_row = envs - 1 - number % envs
+            start = jax.tree.map(lambda x: jax.lax.dynamic_slice_in_dim(x, first_row, envs), fresh)
+        if config.retry:
+            start = _retried(config.retry, after, start, jax.random.fold_in(key, 1))
         return (
             (_start_anew(after, start), nan_step),
             (transition, seen, _step_metrics(after, learnt_from)),
@@ -267,6 +272,22 @@ def _over_devices(metrics: Metrics, nan_step: NanStep) -> Metrics:
         **jax.lax.pmean(means, AXIS),
         "nan_step": jax.tree.map(lambda x: x[jnp.argmax(nan_steps.found > 0)], nan_steps),
     }
+
+
+def _retried(share: float, after: State, start: State, key: jax.Array) -> State:
+    """`start`, under the conditions of the episode that ends by a fall, after that share of them.
+
+    As prioritised level replay does (Jiang et al. 2021, arXiv:2010.03934), by falls alone.
+    """
+    fallen, fresh = after.pipeline_state.conditions, start.pipeline_state.conditions
+    if fresh is None:
+        return start
+    again = jax.random.bernoulli(key, share, after.done.shape) & (after.metrics["fell"] > 0)
+    met = fallen._replace(targets=fresh.targets, key=fresh.key)
+    conditions = jax.tree.map(
+        lambda old, new: jnp.where(again.reshape(-1, *[1] * (new.ndim - 1)), old, new), met, fresh
+    )
+    return start.replace(pipeline_state=start.pipeline_state._replace(conditions=conditions))
 
 
 def _start_anew(after: State, start: State) -> State:

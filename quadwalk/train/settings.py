@@ -51,6 +51,9 @@ class PPOConfig:
     reward_scale: float  # rewards are multiplied by this before learning
     hidden: tuple[int, ...]  # hidden layers of policy and value network
     activation: str  # of the hidden layers, by its name in Brax: swish, relu, tanh, ...
+    # share of the falls after which the next episode is under the same conditions once more: so
+    # what is hard to bear is met more often
+    retry: float = 0.0
 
     def __post_init__(self) -> None:
         for name in ("eval_envs", "unroll", "minibatches", "epochs"):
@@ -62,6 +65,8 @@ class PPOConfig:
             raise UsageError(f"ppo.discount is {self.discount}; expected 0 to less than 1")
         if self.learning_rate <= 0.0:
             raise UsageError(f"ppo.learning-rate is {self.learning_rate}; expected more than 0")
+        if not 0.0 <= self.retry < 1.0:
+            raise UsageError(f"ppo.retry is {self.retry}; expected 0 to less than 1")
         if not self.hidden or min(self.hidden) < 1:
             raise UsageError(f"ppo.hidden is {self.hidden}; expected positive layer sizes")
 

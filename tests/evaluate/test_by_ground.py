@@ -14,7 +14,7 @@ from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
 from quadwalk.evaluate import by_ground
-from quadwalk.evaluate.by_ground import PACE, Outcome, measure_by_ground
+from quadwalk.evaluate.by_ground import PACE, measure_by_ground
 from quadwalk.evaluate.motion.gait import measure_gait
 from quadwalk.evaluate.recording.markers import GROUND_MARGIN, GROUND_NODES, draw_ground
 from quadwalk.evaluate.recording.mcap import write_mcap
@@ -34,31 +34,27 @@ from quadwalk.train.runs.policy import Policy
 DT = 0.02
 
 
-def gliding(velocity, heading, steps, end) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Start (7,), poses (200, 7) and ends (200,) of a trunk gliding at `velocity` in the world."""
-    poses = np.zeros((201, 7))
-    poses[:, :2] = np.arange(201)[:, None] * DT * np.asarray(velocity)
+def gliding(velocity, heading, steps, end) -> tuple[str, np.ndarray]:
+    """The end and poses (steps + 1, 7) of a trunk gliding at `velocity` in the world."""
+    poses = np.zeros((steps + 1, 7))
+    poses[:, :2] = np.arange(steps + 1)[:, None] * DT * np.asarray(velocity)
     poses[:, 3], poses[:, 6] = np.cos(heading / 2), np.sin(heading / 2)
-    ends = np.where(np.arange(200) == steps - 1, end, 0)
-    return poses[0], poses[1:], ends
+    return end, poses
 
 
 def test_the_figures_of_a_cell_are_those_of_its_episodes():
     env = SimpleNamespace(
-        ends=("running", "time limit", "tipped"),
         config=SimpleNamespace(
             control_dt=DT, episode_steps=200, command=SimpleNamespace(given=True)
         ),
     )
     # As told, north; .3 too slow and .4 to the left, to the time limit; a fall.
     glides = [
-        gliding((0.0, PACE), np.pi / 2, 120, 1),
-        gliding((0.4, 0.4), 0.0, 200, 1),
-        gliding((0.1, 0.0), 0.0, 30, 2),
+        gliding((0.0, PACE), np.pi / 2, 120, "time limit"),
+        gliding((0.4, 0.4), 0.0, 200, "time limit"),
+        gliding((0.1, 0.0), 0.0, 30, "tipped"),
     ]
-    start, poses, ends = (np.stack(part) for part in zip(*glides, strict=True))
-    outcome = Outcome(ends.T, np.swapaxes(poses, 0, 1))
-    found = by_ground._figures(env, start, outcome)
+    found = by_ground._figures([by_ground._episode(env, *glide) for glide in glides], told=True)
     assert found["success"] == pytest.approx(2 / 3)
     assert found["arrived"] == pytest.approx(1 / 3)
     assert found["speed"]["mean"] == pytest.approx((PACE + 0.4 + 0.1) / 3)
@@ -84,41 +80,62 @@ def test_the_tiles_of_a_cell_are_of_its_kind_and_level():
     assert len(set(tiles[:6])) == by_ground.ROWS
 
 
-class Begun(NamedTuple):
-    """What `_simulate` reads of a state: `pipeline_state` is itself, its `qpos` tells the tile."""
+class Walker(NamedTuple):
+    """A state whose trunk goes ahead 1 cm a step, from its tile's number on, m."""
 
-    qpos: jax.Array
-    obs: jax.Array
+    qpos: jax.Array  # (19,)
+    left: jax.Array  # steps
 
     @property
-    def pipeline_state(self) -> "Begun":
+    def pipeline_state(self) -> "Walker":
         return self
+
+    @property
+    def obs(self) -> jax.Array:
+        return self.qpos
+
+    @property
+    def info(self) -> dict:
+        return {"end": jnp.where(self.left == 0, 1, 0)}
 
 
 @pytest.mark.parametrize("room", [1, 2, 3, 7, 100])
-def test_batches_are_put_together_in_order(monkeypatch, room):
-    """Seven episodes, each of as many steps as its tile, whatever there is room for at a time."""
-    tiles = np.array([3, 1, 4, 1, 5, 9, 2])
+def test_each_episode_goes_on_to_its_own_end_whatever_there_is_room_for(monkeypatch, room):
+    lasts = np.array([3, 120, 50, 1, 51, 9, 70, 100])  # steps, of the episode on each tile
     env = SimpleNamespace(
         engine="mujoco",
-        model=None,
-        config=SimpleNamespace(randomisation=SimpleNamespace(enabled=True)),
+        ends=("running", "time limit"),
+        config=SimpleNamespace(
+            control_dt=DT,
+            episode_steps=120,
+            command=SimpleNamespace(given=False),
+            randomisation=SimpleNamespace(enabled=True),
+        ),
         terrain=SimpleNamespace(field=SimpleNamespace(heights=np.zeros(1, np.uint8))),
-        jit=lambda function: function,
-        reset=lambda key, tile: Begun(jnp.full(19, tile), key),
+        jit=jax.jit,
+        reset=lambda key, tile: Walker(
+            jnp.zeros(19).at[0].set(tile).at[3].set(1.0), jnp.asarray(lasts)[tile]
+        ),
+        step=lambda state, _: Walker(state.qpos.at[0].add(0.01), state.left - 1),
     )
+    begun = []
 
-    def ended(_, first, report):
-        steps = np.asarray(first.qpos[:, 0]).astype(int)
-        end = (np.arange(steps.max())[:, None] == steps - 1).astype(int)
-        return Outcome(end, np.tile(steps[None, :, None], (steps.max(), 1, 7)))
+    def noted(env, end, poses):
+        begun.append((end, int(poses[0, 0]), len(poses) - 1))
+        return by_ground.Episode(True, False, float(poses[-1, 0] - poses[0, 0]), 0.0)
 
     monkeypatch.setattr(by_ground, "FIELDS_MEMORY", room)
-    monkeypatch.setattr(by_ground, "until_all_ended", ended)
-    start, outcome = by_ground._simulate(env, None, tiles, 0, None)
-    np.testing.assert_array_equal(start, np.tile(tiles[:, None], (1, 7)))
-    np.testing.assert_array_equal(np.argmax(outcome.end, axis=0) + 1, tiles)
-    np.testing.assert_array_equal(outcome.pose[0, :, 0], tiles)
+    monkeypatch.setattr(by_ground, "_episode", noted)
+    reported: list[int] = []
+    tiles = np.array([4, 1, 0, 0, 7, 6, 3, 2, 5, 1])
+    act = jax.tree_util.Partial(lambda seen: seen[..., :12])
+    found = dict(by_ground._simulate(env, act, tiles, 0, reported.append))
+    assert sorted(found) == list(range(len(tiles)))
+    assert sorted(begun) == sorted(("time limit", tile, lasts[tile]) for tile in tiles)
+    for number, episode in found.items():
+        assert episode.speed == pytest.approx(0.01 * lasts[tiles[number]], abs=1e-4)
+    assert reported == sorted(reported)
+    assert reported[-1] == 120
 
 
 def results(told: bool) -> dict:

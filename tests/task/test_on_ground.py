@@ -131,9 +131,16 @@ def test_an_episode_can_be_confined_to_its_tile(hilly, starts):
 
 
 def test_the_ground_may_be_an_argument_of_a_program(hilly, starts):
+    mesh, split = jax.sharding.Mesh(jax.devices(), "robots"), jax.P("robots")
+    over_devices = jax.shard_map(
+        jax.vmap(hilly.reset), mesh=mesh, in_specs=split, out_specs=split, check_vma=False
+    )
     keys = jax.random.split(jax.random.PRNGKey(0), EPISODES)
-    given = hilly.jit(jax.vmap(hilly.reset))(keys)
+    given = hilly.jit(over_devices)(keys)
     np.testing.assert_allclose(given.obs, starts.obs, atol=1e-6)
+    later = hilly.jit(lambda state, by: state.obs + by, donate=(0,))(given, 1.0)
+    assert given.obs.is_deleted()
+    np.testing.assert_allclose(later, starts.obs + 1.0, atol=1e-6)
     assert all(surface._given is None for surface in hilly.surfaces)
 
 

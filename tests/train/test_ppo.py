@@ -12,6 +12,7 @@ from brax.envs.base import Env, State
 from jax.sharding import PartitionSpec as P
 
 from quadwalk.physics.motor import Physics
+from quadwalk.task.episode.conditions import Conditions
 from quadwalk.task.episode.curriculum import Curriculum, begin_travel
 from quadwalk.task.state import EnvState
 from quadwalk.tasks import sprint
@@ -207,6 +208,34 @@ def test_the_metrics_count_every_episode(collected):
     assert metrics["eval/count/ended"] >= CONFIG.eval_envs  # 6 steps of episodes of 4
     expected = (1.0 - np.square(data.action - GOAL).sum(-1)).mean()
     assert metrics["reward"] == pytest.approx(expected, rel=1e-5)
+
+
+def test_some_that_fell_meet_the_same_conditions_once_more():
+    """And no others; of targets and noise each begins afresh."""
+    envs = 4000
+    number = np.arange(envs, dtype=np.float32)
+
+    def begun(sign: float) -> State:
+        drawn = jax.tree.map(lambda x: jnp.asarray(sign * x), own)
+        physics = Physics(number, number, number)
+        zero = jnp.zeros(envs)
+        return State(
+            EnvState(physics, zero, zero, None, drawn), zero, zero, zero, {"fell": fell}, {}
+        )
+
+    vector = np.tile(number[:, None], (1, 3))
+    own = Conditions(None, number, None, vector, number, vector, vector, vector, vector)
+    fell = jnp.asarray(number % 2)
+    start = ppo._retried(0.25, begun(1.0), begun(-1.0), jax.random.PRNGKey(0))
+    found = start.pipeline_state.conditions
+    np.testing.assert_array_equal(found.targets, -vector)
+    np.testing.assert_array_equal(found.key, -vector)
+    again = np.asarray(found.delay) > 0
+    assert 0.2 < again.mean() / 0.5 < 0.3
+    assert not again[::2].any()
+    np.testing.assert_array_equal(found.push, np.where(again[:, None], vector, -vector))
+    np.testing.assert_array_equal(found.noise, np.where(again, number, -number))
+    np.testing.assert_array_equal(start.pipeline_state.qpos, number)
 
 
 @pytest.mark.parametrize("poisoned", [[], [2], [8], [3, 8]], ids=str)
