@@ -57,7 +57,7 @@ TASK = TrainConfig(
             "tilt": Reward(reward.tilt, scale=-0.2),
             "roll_pitch_rate": Reward(reward.roll_pitch_rate, scale=-0.1),
             "action_rate": Reward(reward.action_rate, scale=-0.1),
-            # Else it goes on its knees: they may touch. Standing, shins begin 2 cm above the ground.
+            # Else it goes on its knees: they may touch. Where it stands, shins are 2 cm up.
             "kneel": Reward(reward.kneel, {"height": 0.015}, scale=-1.0),
         },
         termination={

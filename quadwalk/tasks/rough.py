@@ -55,7 +55,7 @@ TASK = TrainConfig(
             "tilt": Reward(reward.tilt, scale=-0.1),
             "roll_pitch_rate": Reward(reward.roll_pitch_rate, scale=-0.05),
             "action_rate": Reward(reward.action_rate, scale=-0.1),
-            # Else it goes on its knees: they may touch. Standing, shins begin 2 cm above the ground.
+            # Else it goes on its knees: they may touch. Where it stands, shins are 2 cm up.
             "kneel": Reward(reward.kneel, {"height": 0.015}, scale=-1.0),
             "follow": Reward(reward.follow, {"width": 0.35}, scale=1.0),
             "follow_yaw_rate": Reward(reward.follow_yaw_rate, {"width": 0.35}, scale=0.5),
