@@ -113,5 +113,6 @@ TASK = TrainConfig(
         reward_scale=0.1,
         hidden=(128, 128, 128),
         activation="swish",
+        retry=0.5,
     ),
 )
