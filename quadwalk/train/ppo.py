@@ -110,11 +110,11 @@ def init_state(
         iterations=jnp.zeros((), jnp.int32),
     )
     split = NamedSharding(mesh, P(AXIS))
-    # Only their shapes: the first `collect` starts them, and a program for that alone would take
-    # as long to compile as a good part of `collect`.
-    keys = jax.ShapeDtypeStruct((num_envs + config.eval_envs, 2), np.uint32)
-    shapes = jax.eval_shape(lambda keys: reset_envs(env, keys), keys)
-    envs = jax.tree.map(lambda x: np.zeros(x.shape, x.dtype), shapes)
+    # Only their shapes, from one's: the first `collect` starts them, and a program for that alone
+    # would take as long to compile as a good part of `collect`.
+    one = jax.eval_shape(env.reset, jax.ShapeDtypeStruct((2,), np.uint32))
+    number = num_envs + config.eval_envs
+    envs = jax.tree.map(lambda x: np.zeros((number, *x.shape), x.dtype), one)
     workers = Workers(
         envs=jax.device_put(envs, split),
         key=jax.device_put(jax.random.split(key_workers, mesh.size), split),
