@@ -23,7 +23,7 @@ TASK = TrainConfig(
         solver_iterations=2,
         line_search_iterations=3,
         contacts="body",
-        episode_seconds=10.0,  # so that levels follow soon
+        episode_seconds=20.0,
         motor=MotorConfig(kp=None, kd=None, effort=None, speed_limit=True, joint_friction=True),
         action=ActionMap(about_home, {"hip": 0.3, "thigh": 0.9, "calf": 0.9}),
         observation={
@@ -117,7 +117,7 @@ TASK = TrainConfig(
                 "blocks",
                 "ditches",
             ),
-            levels=6,
+            levels=6,  # few and far apart: a training of 40 minutes has 30 episodes for each robot
             difficulty=(0.0, 1.0),
             tile=(8.0, 8.0),
             border=4.0,

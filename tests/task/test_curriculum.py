@@ -1,4 +1,4 @@
-"""The curriculum: which tile follows an episode, by hand."""
+"""The curriculum: which tile follows an episode, by hand and by legged_gym's rule."""
 
 import dataclasses
 
@@ -52,9 +52,6 @@ def test_what_is_walked_counts_along_the_command():
         (4.1, 0.0, 20.0, 1),  # more than half a tile away, whatever was told
         (3.9, 6.0, 11.9, 0),  # as much as half of what it was told, but not far
         (3.9, 5.9, 12.1, -1),
-        (0.0, 2.2, 2.7, 1),  # nearly all that it was told, wherever it is now
-        (0.0, 2.1, 2.7, 0),
-        (0.0, 1.9, 1.9, 0),  # but told little
         (0.0, 0.0, 1.9, 0),  # told next to nothing
     ],
 )
