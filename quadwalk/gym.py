@@ -151,6 +151,8 @@ def _programs(env: Any, num_envs: int) -> tuple[Any, Any, Any]:
     from jax.sharding import Mesh
     from jax.sharding import PartitionSpec as P
 
+    from quadwalk.task.state import chosen
+
     size = env.policy_size
 
     def start(keys: Any) -> Any:
@@ -163,10 +165,7 @@ def _programs(env: Any, num_envs: int) -> tuple[Any, Any, Any]:
         return after, after.obs[:, :size], after.reward, after.info["end"]
 
     def renew(done: Any, fresh: Any, old: Any) -> Any:
-        def choose(new: Any, old: Any) -> Any:
-            return jnp.where(done.reshape(-1, *[1] * (new.ndim - 1)), new, old)
-
-        state, keys = jax.tree.map(choose, fresh, old)
+        state, keys = chosen(done, fresh, old)
         return state, keys, state.obs[:, :size]
 
     count = max(n for n in range(1, len(jax.devices()) + 1) if num_envs % n == 0)

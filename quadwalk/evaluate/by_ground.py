@@ -29,6 +29,7 @@ from quadwalk.evaluate.summary import (
 )
 from quadwalk.ground.terrain import FILE
 from quadwalk.task.env import QuadrupedEnv
+from quadwalk.task.state import chosen
 from quadwalk.train.robot import load_run_robot
 
 PACE = 0.7  # m/s
@@ -140,14 +141,7 @@ def _simulate(
 
         return jax.lax.scan(step, states, None, length=CHUNK)
 
-    @env.jit
-    def renew(rows: jax.Array, fresh: State, states: State) -> State:
-        def choose(new: jax.Array, old: jax.Array) -> jax.Array:
-            return jnp.where(rows.reshape(-1, *[1] * (new.ndim - 1)), new, old)
-
-        return jax.tree.map(choose, fresh, states)
-
-    begin = env.jit(jax.vmap(env.reset))
+    begin, renew = env.jit(jax.vmap(env.reset)), env.jit(chosen)
     count = len(tiles)
     keys = np.asarray(jax.random.split(jax.random.PRNGKey(seed), count))
     own = np.arange(_batch(env, count))  # the episode in each row of the batch; `count`: none

@@ -8,7 +8,7 @@ model: every collision shape, 2 ms steps, a converged solver.
 import dataclasses
 from collections.abc import Callable
 from functools import partial
-from typing import Any, NamedTuple, Protocol, TypeVar
+from typing import Any, NamedTuple
 
 import quadwalk.physics.mjx  # noqa: F401  # before Brax, which imports MJX less quietly
 
@@ -31,17 +31,6 @@ Policy = Callable[[jax.Array], jax.Array]
 Report = Callable[[int], None]  # is told how many control steps of the episodes are done
 
 CHUNK = 50  # control steps between looks at whether every episode has ended
-
-
-class Ending(Protocol):
-    """What is recorded of control steps, among it how the step ended the episode."""
-
-    @property
-    def end(self) -> Any:
-        """(steps, episodes) index into `QuadrupedEnv.ends`."""
-
-
-Frames = TypeVar("Frames", bound=Ending)
 
 
 class Frame(NamedTuple):
@@ -132,13 +121,13 @@ def _frame(env: QuadrupedEnv, before: State, action: jax.Array, state: State) ->
 
 
 def until_all_ended(
-    chunk: Callable[[Any], tuple[Any, Frames]], state: Any, report: Report | None = None
-) -> Frames:
+    chunk: Callable[[Any], tuple[Any, Frame]], state: Any, report: Report | None = None
+) -> Frame:
     """Repeat `chunk`, state to (state, frames of `CHUNK` steps), until each episode has ended.
 
     Returns the frames one after another, on the host. `report` hears after each chunk.
     """
-    chunks: list[Frames] = []
+    chunks: list[Frame] = []
     ended = False
     while not np.all(ended):
         state, frames = chunk(state)

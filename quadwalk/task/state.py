@@ -1,6 +1,6 @@
 """What a task's functions read: the state of an environment, and one control step of it."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -112,3 +112,10 @@ def commanded_speed(step: Step) -> jax.Array:
 def yaw_rate_error(step: Step) -> jax.Array:
     """Mean rate of the heading over the step, less the command, rad/s."""
     return motion(step.start, step.qpos, step.dt)[2] - step.command[2]
+
+
+def chosen(rows: jax.Array, new: Any, old: Any) -> Any:
+    """`new` where `rows` (n,) is true, else `old`: pytrees of arrays (n, ...)."""
+    return jax.tree.map(
+        lambda new, old: jnp.where(rows.reshape(-1, *[1] * (new.ndim - 1)), new, old), new, old
+    )

@@ -30,6 +30,7 @@ from jax.sharding import Mesh, NamedSharding
 from jax.sharding import PartitionSpec as P
 
 from quadwalk.physics.constraints.surface import given
+from quadwalk.task.state import chosen
 from quadwalk.train.devices import learner_options
 from quadwalk.train.settings import PPOConfig
 
@@ -284,9 +285,7 @@ def _retried(share: float, after: State, start: State, key: jax.Array) -> State:
         return start
     again = jax.random.bernoulli(key, share, after.done.shape) & (after.metrics["fell"] > 0)
     met = fallen._replace(targets=fresh.targets, key=fresh.key)
-    conditions = jax.tree.map(
-        lambda old, new: jnp.where(again.reshape(-1, *[1] * (new.ndim - 1)), old, new), met, fresh
-    )
+    conditions = chosen(again, met, fresh)
     return start.replace(pipeline_state=start.pipeline_state._replace(conditions=conditions))
 
 
@@ -296,12 +295,10 @@ def _start_anew(after: State, start: State) -> State:
     late = start.pipeline_state.steps * after.metrics["fell"].astype(jnp.int32)
     start = start.replace(pipeline_state=start.pipeline_state._replace(steps=late))
 
-    def choose(new: jax.Array, old: jax.Array) -> jax.Array:
-        return jnp.where(after.done.reshape(-1, *[1] * (new.ndim - 1)) > 0, new, old)
-
+    over = after.done > 0
     return after.replace(
-        pipeline_state=jax.tree.map(choose, start.pipeline_state, after.pipeline_state),
-        obs=choose(start.obs, after.obs),
+        pipeline_state=chosen(over, start.pipeline_state, after.pipeline_state),
+        obs=chosen(over, start.obs, after.obs),
     )
 
 

@@ -89,17 +89,17 @@ def judged(flags: str, seed: int, steps: int | None, episodes: int, runs: Path) 
     speed = "path_speed" if told else "speed"
     speeds = np.array([episode[speed] for episode in c.episodes])
     figures: dict[str, Any] = {
-        "m/s": _mean(mjx, speed),
+        "m/s": figure_mean(mjx[speed]),
         "falls": mjx["fall_rate"],
         # Less than half as fast as the median: it stands, or limps.
         "slow": None if told else int(np.sum(speeds < 0.5 * np.median(speeds))),
-        "drift": None if told else _mean(mjx, "lateral_drift") / _mean(mjx, "distance"),
-        "heading, °": None if told else _mean(mjx, "heading_error"),
-        "off, m/s": _mean(mjx, "velocity_error") if told else None,
-        "turning off, rad/s": _mean(mjx, "yaw_rate_error") if told else None,
-        "m/s in C": _mean(c.summary, speed),
+        "drift": None if told else figure_mean(mjx["lateral_drift"]) / figure_mean(mjx["distance"]),
+        "heading, °": None if told else figure_mean(mjx["heading_error"]),
+        "off, m/s": figure_mean(mjx["velocity_error"]) if told else None,
+        "turning off, rad/s": figure_mean(mjx["yaw_rate_error"]) if told else None,
+        "m/s in C": figure_mean(c.summary[speed]),
         "falls in C": c.summary["fall_rate"],
-        "off in C": _mean(c.summary, "velocity_error") if told else None,
+        "off in C": figure_mean(c.summary["velocity_error"]) if told else None,
         "gait": gait.gait,
         "swing, cm": 100 * float(np.nan_to_num(gait.swing_height).min()),
         "slip": float(np.fmax.reduce(gait.slip_share)),
@@ -118,10 +118,6 @@ def row(result: dict[str, Any]) -> str:
         for name, form in COLUMNS.items()
     ]
     return _line((f"`{result['flags'] or 'defaults'}`", str(result["seed"]), *cells))
-
-
-def _mean(summary: dict[str, Any], name: str) -> float:
-    return figure_mean(summary[name])
 
 
 def _line(cells: Sequence[str]) -> str:
