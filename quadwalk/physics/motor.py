@@ -23,13 +23,19 @@ if TYPE_CHECKING:  # it takes a second to import, and settings need none of it
 # joint nearly still, gentle enough for an explicit step (friction / speed * dt << joint inertia).
 FRICTION_SPEED = 0.1
 
+# A joint's velocity gain is at most this share of the one that would stop the leg beyond it within
+# one physics step. From twice that gain on it shakes itself, or sooner with the leg's other joints;
+# light calves without a rotor's inertia come near.
+MOST_DAMPING = 0.5
+
 
 @dataclass(frozen=True)
 class MotorConfig:
     """The motors and their joint controllers; by default those of the robot's description."""
 
     kp: float | None = None  # Nm/rad, position gain; None: weight * home height * 1.4
-    kd: float | None = None  # Nm s/rad, velocity gain; None: kp * 0.025 s
+    # Nm s/rad, velocity gain; None: kp * 0.025 s, less for joints that this would shake
+    kd: float | None = None
     effort: float | None = None  # Nm, every motor's largest torque; None: the robot's own
     speed_limit: bool = True  # torque falls to zero at the motor's speed limit
     joint_friction: bool = True  # Coulomb friction of the joints
@@ -92,11 +98,15 @@ def make_motor(model: mujoco.MjModel, quadruped: "Quadruped", config: MotorConfi
     """The motors of `quadruped`, of which `model` is made.
 
     By default a light robot is held as firmly as a heavy one: 120 Nm/rad and 3 Nm s/rad for the
-    AlienGo.
+    AlienGo. All legs' joints of a kind have the same gains.
     """
     weight = float(model.body_subtreemass[0] * -model.opt.gravity[2])
     kp = 1.4 * weight * float(quadruped.home[2]) if config.kp is None else config.kp
-    kd = 0.025 * kp if config.kd is None else config.kd
+    kd: Array = 0.025 * kp
+    if config.kd is not None:
+        kd = config.kd
+    elif (most := MOST_DAMPING * joint_inertia(model, quadruped) / model.opt.timestep).min() < kd:
+        kd = np.tile(np.minimum(kd, most), 4)
     return Motor(
         kp=kp,
         kd=kd,
@@ -105,6 +115,19 @@ def make_motor(model: mujoco.MjModel, quadruped: "Quadruped", config: MotorConfi
         velocity=quadruped.velocity if config.speed_limit else None,
         friction=quadruped.friction if config.joint_friction else None,
     )
+
+
+def joint_inertia(model: mujoco.MjModel, quadruped: "Quadruped") -> np.ndarray:
+    """(3,) kg m^2: the torque that a leg's joints need for an acceleration of 1 rad/s^2.
+
+    Of hip, thigh and calf, alone, of a robot that floats in its home pose; the least of all legs.
+    """
+    data, mass = mujoco.MjData(model), np.zeros((model.nv, model.nv))
+    data.qpos[:] = quadruped.home
+    mujoco.mj_forward(model, data)
+    mujoco.mj_fullM(model, data, mass)
+    inertia: np.ndarray = 1.0 / np.diag(np.linalg.inv(mass))[6:].reshape(4, 3)
+    return inertia.min(axis=0)
 
 
 def motor_torque(motor: Motor, target: Any, q: Any, qd: Any) -> Any:

@@ -20,6 +20,7 @@ CONTACT_TIME = 0.01
 KNEES, CORNERS = (tuple(f"{kind}_{leg}" for leg in LEGS) for kind in ("knee", "corner"))
 SPHERES = 4  # the group of these geoms; those of group 3 are the collision shapes, to be measured
 CORNER_RADIUS = 0.01  # m
+LEAN = np.radians(60)  # of a calf from the vertical; standing robots have some 45 degrees
 
 
 def add_scene(spec: mujoco.MjSpec) -> None:
@@ -161,10 +162,10 @@ def simplify(spec: mujoco.MjSpec, feet: tuple[str, ...]) -> None:
     """Make of a robot's shapes those that training measures: is one of them under the floor?
 
     Meshes become the boxes around them. What is beyond the centre of a foot is the foot's, whose
-    sphere stands for it: the calves' shapes end there.
+    sphere stands for it: the calves' shapes end there, and thick ones before it.
     """
     model = spec.compile()
-    foot_of = {model.geom_bodyid[model.geom(foot).id]: model.geom(foot).pos for foot in feet}
+    foot_of = {model.geom_bodyid[model.geom(foot).id]: model.geom(foot) for foot in feet}
     for geom in spec.geoms:
         foot = foot_of.get(model.geom_bodyid[geom.id])
         if geom.type == mujoco.mjtGeom.mjGEOM_MESH:
@@ -173,23 +174,30 @@ def simplify(spec: mujoco.MjSpec, feet: tuple[str, ...]) -> None:
             geom.pos, geom.size = centre, half
             mujoco.mju_mat2Quat(geom.quat, axes.ravel())
         if foot is not None and geom.name not in feet:
-            _shorten(geom, foot)
+            _shorten(geom, foot.pos, foot.size[0])
 
 
-def _shorten(geom: mujoco.MjsGeom, foot: np.ndarray) -> None:
-    """Let a box, or a cylinder along the calf, end at the centre of the `foot` (3,), body frame."""
+def _shorten(geom: mujoco.MjsGeom, foot: np.ndarray, radius: float) -> None:
+    """Let a box, or a cylinder along the calf, end at the `foot`: (3,) m, body frame.
+
+    It ends at the foot's centre or, if it is thick, so far above it that its edge is half the
+    foot's radius above the floor while the calf leans by `LEAN`: nearer, a step would be a fall.
+    """
     entries = np.zeros(9)
     mujoco.mju_quat2Mat(entries, geom.quat)
     axes = entries.reshape(3, 3)
     along = int(np.argmax(np.abs(foot @ axes)))
     if geom.type == mujoco.mjtGeom.mjGEOM_BOX:
         side = along
+        thickness = np.linalg.norm(np.delete(geom.size, along))
     elif geom.type == mujoco.mjtGeom.mjGEOM_CYLINDER and along == 2:
         side = 1  # half the length; a cylinder's axis is z
+        thickness = geom.size[0]
     else:
         return
     out = axes[:, along] * np.sign(foot @ axes[:, along])
-    beyond = (geom.pos - foot) @ out + geom.size[side]
+    above = (thickness * np.sin(LEAN) - radius / 2) / np.cos(LEAN)
+    beyond = (geom.pos - foot) @ out + geom.size[side] + max(above, 0.0)
     if 1e-6 < beyond < 2 * geom.size[side]:
         geom.size[side] -= beyond / 2
         geom.pos -= out * beyond / 2

@@ -9,7 +9,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from quadwalk.physics.motor import Motor, MotorConfig, friction_torque, make_motor, motor_torque
+from quadwalk.physics.motor import (
+    Motor,
+    MotorConfig,
+    friction_torque,
+    joint_inertia,
+    make_motor,
+    motor_torque,
+)
 
 PROPORTIONAL = MotorConfig(kp=100.0, kd=0.0)
 
@@ -51,6 +58,55 @@ def test_gains_follow_from_the_robot_unless_set(quadruped, model, motors):
     assert gains(MotorConfig(), light) == pytest.approx((60.0, 1.5), rel=0.01)
     assert gains(MotorConfig(kp=30.0)) == pytest.approx((30.0, 0.75))
     assert gains(MotorConfig(kp=30.0, kd=0.0)) == (30.0, 0.0)
+
+
+@pytest.fixture(scope="module")
+def light(model) -> mujoco.MjModel:
+    """The AlienGo with calves of a tenth of its own and no rotors."""
+    light = copy.copy(model)
+    light.dof_armature[:] = 0
+    for k in range(12):
+        if k % 3 == 2:
+            body = light.jnt_bodyid[1 + k]
+            light.body_mass[body] /= 10
+            light.body_inertia[body] /= 10
+    mujoco.mj_setConst(light, mujoco.MjData(light))
+    return light
+
+
+def test_the_inertia_of_a_joint_is_what_a_torque_on_it_meets(quadruped, light):
+    def acceleration(joint: int, torque: float) -> float:
+        data = mujoco.MjData(light)
+        data.qpos[:] = quadruped.home
+        data.qpos[2] = 1.0
+        data.qfrc_applied[6 + joint] = torque
+        mujoco.mj_forward(light, data)
+        return data.qacc[6 + joint]
+
+    met = np.array([1 / (acceleration(k, 1.0) - acceleration(k, 0.0)) for k in range(12)])
+    np.testing.assert_allclose(joint_inertia(light, quadruped), met.reshape(4, 3).min(0), rtol=1e-6)
+
+
+def test_light_calves_are_damped_less_lest_they_shake(quadruped, light):
+    def speed_after(kd: np.ndarray | float) -> float:
+        """Of the fastest joint, rad/s, after 50 steps in the air, when motors only damp."""
+        data = mujoco.MjData(light)
+        data.qpos[:] = quadruped.home
+        data.qpos[2] = 2.0
+        data.qvel[8::3] = 1.0
+        for _ in range(50):
+            # As if loads and draws made it half as strong again.
+            data.ctrl[:] = -1.5 * kd * data.qvel[6:]
+            mujoco.mj_step(light, data)
+        return float(np.abs(data.qvel[6:]).max())
+
+    usual = make_motor(light, quadruped, MotorConfig())
+    kd = np.asarray(usual.kd).reshape(4, 3)
+    assert (kd == kd[0]).all()
+    assert kd[0].max() <= 0.025 * usual.kp
+    assert kd[0, 2] < 0.5 * kd[0, 0]
+    assert speed_after(usual.kd) < 0.5
+    assert speed_after(0.025 * usual.kp) > 10.0
 
 
 @pytest.mark.parametrize(

@@ -7,6 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 import trimesh
+from scipy.spatial.transform import Rotation
 
 from quadwalk.robot.checks.validate import UrdfError
 from quadwalk.robot.mjcf import Options
@@ -28,7 +29,7 @@ def stands(quadruped: Quadruped) -> None:
     """On its feet alone, and PD control keeps it up.
 
     A foot's sphere fits into the end of a calf whose edges reach further, but in training they end
-    at its centre.
+    at its centre or before it.
     """
     for model, deepest in (
         (quadruped.full_model(), 1 - np.sqrt(2)),  # a square edge at 45 degrees
@@ -156,19 +157,38 @@ def test_a_leg_that_ends_in_nothing_is_no_leg():
         quadruped_from(parse_urdf(robots.quadruped(lambda name: link(f"{name}3", inertial(1)))))
 
 
-def test_calves_end_at_their_feet(meshes):
-    quadruped = quadruped_from(
-        parse_urdf(robots.quadruped(FEET["a whole calf's mesh"][0]), "r.urdf", meshes)
-    )
+def box_and_foot(quadruped: Quadruped) -> tuple[mujoco.MjModel, int, int]:
+    """The training model, its first calf's box and that leg's foot."""
     model = quadruped.training_model(0.004)
     box, foot = model.geom("b3"), model.geom(quadruped.feet[0])
     assert box.type == mujoco.mjtGeom.mjGEOM_BOX
+    return model, box.id, foot.id
+
+
+def test_thin_calves_end_at_the_centres_of_their_feet():
+    def calf(name: str) -> str:
+        bar = shape('box size="0.006 0.008 0.2"', "0 0 -0.1")
+        return link(f"{name}3", inertial(0.5), bar, shape('sphere radius="0.02"', "0 0 -0.19"))
+
+    model, box, _ = box_and_foot(quadruped_from(parse_urdf(robots.quadruped(calf))))
+    np.testing.assert_allclose(model.geom_pos[box], [0, 0, -0.095], atol=1e-9)
+    np.testing.assert_allclose(model.geom_size[box], [0.003, 0.004, 0.095], atol=1e-9)
+
+
+def test_thick_calves_end_where_a_step_is_no_fall(meshes):
+    """A calf of 2 cm on a foot of 1 cm leans by 60 degrees, with an edge below."""
+    quadruped = quadruped_from(
+        parse_urdf(robots.quadruped(FEET["a whole calf's mesh"][0]), "r.urdf", meshes)
+    )
+    model, box, foot = box_and_foot(quadruped)
     data = at_home(quadruped, model)
-    turn = data.xmat[box.bodyid[0]].reshape(3, 3).T @ data.geom_xmat[box.id].reshape(3, 3)
-    low = box.pos - np.abs(turn) @ box.size
-    high = box.pos + np.abs(turn) @ box.size
-    np.testing.assert_allclose(low, [-0.01, -0.01, foot.pos[2]], atol=1e-6)
-    np.testing.assert_allclose(high, [0.01, 0.01, 0], atol=1e-6)
+    trunk, calf = (data.xmat[b].reshape(3, 3) for b in (1, model.geom_bodyid[box]))
+    lean = Rotation.from_rotvec(np.radians(60) * np.array([1, 1, 0]) / np.sqrt(2)).as_matrix()
+    mujoco.mju_mat2Quat(data.qpos[3:7], (lean @ calf.T @ trunk).ravel())
+    mujoco.mj_kinematics(model, data)
+    above = lowest_point(model, data, box) - lowest_point(model, data, foot)
+    assert above == pytest.approx(0.005, abs=1e-6)
+    assert np.ptp(data.geom_xpos[[box, foot], 2]) < 0.1  # and it is still most of the calf
 
 
 def knees(quadruped: Quadruped) -> dict[str, float]:

@@ -12,7 +12,7 @@ from quadwalk.train.flags import parse_config
 from quadwalk.train.runs.directory import Run
 from quadwalk.train.runs.log import read_metrics
 
-ITERATIONS = 300
+ITERATIONS = 100
 
 
 def shared(number: int, count: int, port: int) -> list[str]:
