@@ -13,7 +13,7 @@ import numpy as np
 
 from quadwalk.api import evaluate
 from quadwalk.evaluate.report.plots import save_figure
-from quadwalk.evaluate.summary import figure_mean
+from quadwalk.evaluate.summary import figure_mean, number
 from quadwalk.files import atomic_write
 from quadwalk.train.flags import parse_config
 from quadwalk.train.runs.directory import Run, write_json_atomic
@@ -48,7 +48,7 @@ COLUMNS = {
 def compare_variants(variants: Sequence[str], config: "CompareConfig") -> None:
     """Train and judge what has not been, print rows, and write them with their picture."""
     for flags in variants:
-        parse_config(flags.split())  # a wrong one is told before the first is trained
+        parse_config(flags.split(), "quadwalk train")  # what is wrong is told before any training
     cases = itertools.product(
         variants,
         range(config.seeds),
@@ -107,7 +107,9 @@ def judged(flags: str, seed: int, steps: int | None, episodes: int, runs: Path) 
         "joint speed": float(np.fmax.reduce(gait.joint_speed_peak)),
         "action rate, 1/s": gait.action_rate,
     }
-    return {"flags": flags, "seed": seed, "run": name, "steps": steps, "figures": figures}
+    # Who never took a step has no slip.
+    known = {name: number(x) if isinstance(x, float) else x for name, x in figures.items()}
+    return {"flags": flags, "seed": seed, "run": name, "steps": steps, "figures": known}
 
 
 def row(result: dict[str, Any]) -> str:

@@ -76,7 +76,7 @@ def trainings(monkeypatch, tmp_path):
         gait = SimpleNamespace(
             gait="trot",
             swing_height=np.array([0.05, 0.06, math.nan, 0.07]),
-            slip_share=np.array([0.01, 0.02]),
+            slip_share=np.array([math.nan, 0.02 if seed == 0 else math.nan]),
             torque_peak=np.array([0.9, 1.0]),
             joint_speed_peak=np.array([0.5]),
             action_rate=20.0,
@@ -108,7 +108,9 @@ def test_a_row_for_each_run_a_file_for_all_and_a_picture(trainings, capsys):
     assert (rows[0]["falls"], rows[0]["slow"], rows[0]["off, m/s"]) == ("25.0%", "1", "-")
     assert (rows[2]["off, m/s"], rows[2]["drift"], rows[2]["slow"]) == ("2.000", "-", "-")
     assert rows[2]["swing, cm"] == "0.0"  # a foot that never left the floor
+    assert [row["slip"] for row in rows] == ["2.0%", "-", "2.0%", "-"]  # of no steps there is none
     results = json.loads((trainings / "compare.json").read_text())
+    assert [result["figures"]["slip"] for result in results] == [0.02, None, 0.02, None]
     assert [result["run"] for result in results] == [
         "default_64_s0", "default_64_s1", "preset-walk_64_s0", "preset-walk_64_s1"
     ]  # fmt: skip
