@@ -65,11 +65,9 @@ def light(model) -> mujoco.MjModel:
     """The AlienGo with calves of a tenth of its own and no rotors."""
     light = copy.copy(model)
     light.dof_armature[:] = 0
-    for k in range(12):
-        if k % 3 == 2:
-            body = light.jnt_bodyid[1 + k]
-            light.body_mass[body] /= 10
-            light.body_inertia[body] /= 10
+    calves = light.jnt_bodyid[3::3]
+    light.body_mass[calves] /= 10
+    light.body_inertia[calves] /= 10
     mujoco.mj_setConst(light, mujoco.MjData(light))
     return light
 
