@@ -1,7 +1,7 @@
 """The page in a real browser: it is driven by its keys, and the picture moves.
 
-`QUADWALK_RUN=runs/walk QUADWALK_SCREENSHOT=docs/view.png pytest tests/view/test_browser.py` does so
-with a policy that can walk, and leaves the picture.
+`QUADWALK_RUN=runs/walk QUADWALK_PICTURE=docs/view.gif pytest tests/view/test_browser.py` does so
+with a policy that can walk, and leaves the moving picture.
 """
 
 import io
@@ -26,7 +26,8 @@ if PROGRAM is None:
 from quadwalk.view.page import Page
 from quadwalk.view.server import serving
 
-RUN, SCREENSHOT = os.environ.get("QUADWALK_RUN"), os.environ.get("QUADWALK_SCREENSHOT")
+RUN, PICTURE = os.environ.get("QUADWALK_RUN"), os.environ.get("QUADWALK_PICTURE")
+_PERIOD = 0.08  # s between two pictures of a moving one
 
 
 @pytest.fixture(scope="module")
@@ -113,13 +114,32 @@ def scene(browser: Browser) -> np.ndarray:
     return picture[: height // 2, width // 3 : int(0.6 * width)]
 
 
-@pytest.mark.skipif(SCREENSHOT is None, reason="QUADWALK_SCREENSHOT names no file to write")
+@pytest.mark.skipif(PICTURE is None, reason="QUADWALK_PICTURE names no file to write")
 def test_take_the_picture_of_the_readme(page, browser):
-    browser.resize(1280, 800)
+    """It walks, turns, is pushed and goes on: 4 s, as they look where a graphics card draws."""
+    browser.resize(1120, 700)
     browser.press("X")
-    for key, times in (("W", 8), ("Q", 3)):
-        for _ in range(times):
-            browser.press(key)
+    time.sleep(2.0)
+    for _ in range(8):
+        browser.press("W")
     time.sleep(8.0)
-    wait(lambda: "real time;" in browser.text(), 60.0)
-    Path(str(SCREENSHOT)).write_bytes(browser.screenshot())
+    assert wait(lambda: "real time;" in browser.text(), 60.0)
+    # A picture is drawn in seconds here: time goes on only between two of them.
+    now, pictures = time.monotonic(), []
+    page.pace._clock = lambda: now
+    page.pace.restart()
+    for number in range(int(4.0 / _PERIOD)):
+        if number == 12:
+            browser.press("P")
+        if number == 30:
+            for _ in range(4):
+                browser.press("Q")
+        now += _PERIOD
+        time.sleep(0.4)  # its steps are made, and the page has them
+        pictures.append(Image.open(io.BytesIO(browser.screenshot())).convert("RGB"))
+    # One palette for all, so that what stands still is the same in each.
+    palette = pictures[len(pictures) // 2].quantize(128, dither=Image.Dither.NONE)
+    frames = [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures]
+    frames[0].save(
+        str(PICTURE), save_all=True, append_images=frames[1:], duration=int(1000 * _PERIOD), loop=0
+    )
