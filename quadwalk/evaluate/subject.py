@@ -41,12 +41,14 @@ def training_ranges(config: EnvConfig) -> RandomisationConfig:
 def unseen_ground(trained: GroundConfig, seed: int, levels: int = 3) -> GroundConfig:
     """The kinds of ground trained on, each at so many difficulties, as training did not have them.
 
-    A flat floor, and a field from a file, are what they are.
+    All kinds alike, if training had more of some. A flat floor, and a field from a file, are what
+    they are.
     """
     if trained.flat or trained.file is not None:
         return dataclasses.replace(trained, curriculum=False)
+    kinds = tuple(dict.fromkeys(trained.kinds))
     return dataclasses.replace(
-        trained.unseen(seed), levels=levels, curriculum=False, confined=False
+        trained.unseen(seed), kinds=kinds, levels=levels, curriculum=False, confined=False
     )
 
 

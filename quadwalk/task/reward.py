@@ -100,13 +100,14 @@ def trot(
 ) -> jax.Array:
     """1 with all soles at the heights of a trot in time, 1/e for a sole `width`, m, off its own.
 
-    Diagonal pairs swing in turn, up to `height`, m, one `stride` (control steps) after the other;
-    the policy sees the time by `observation.trot_clock`. At the command to stand still all four
-    belong on the floor.
+    Diagonal pairs swing in turn, up to `height`, m, or higher, as a stair asks for, one `stride`
+    (control steps) after the other; the policy sees the time by `observation.trot_clock`. At the
+    command to stand still all four belong on the floor.
     """
-    swing = trot_swing(step.steps, step.command, stride)
-    goal = height * jnp.maximum(swing, 0.0)[jnp.array([0, 1, 1, 0])]
-    return jnp.mean(jnp.exp(-jnp.square((step.soles[:, 2] - goal) / width)))
+    swing = trot_swing(step.steps, step.command, stride)[jnp.array([0, 1, 1, 0])]
+    soles = step.soles[:, 2]
+    off = jnp.where(swing > 0.0, jnp.maximum(height * swing - soles, 0.0), soles)
+    return jnp.mean(jnp.exp(-jnp.square(off / width)))
 
 
 def reward_terms(

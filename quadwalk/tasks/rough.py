@@ -13,7 +13,7 @@ SCAN = {"length": 1.2, "width": 0.6, "spacing": 0.1, "reach": 0.5}
 
 TASK = TrainConfig(
     task="rough",
-    steps=40_000_000,
+    steps=28_000_000,
     checkpoint_steps=2_000_000,
     env=EnvConfig(
         engine="fast",
@@ -25,7 +25,7 @@ TASK = TrainConfig(
         contacts="body",
         episode_seconds=20.0,
         motor=MotorConfig(kp=None, kd=None, effort=None, speed_limit=True, joint_friction=True),
-        action=ActionMap(about_home, {"hip": 0.3, "thigh": 0.9, "calf": 0.9}),
+        action=ActionMap(about_home, {"hip": 0.5, "thigh": 0.9, "calf": 1.1}),
         observation={
             "command": Observation(observation.command, labels=("forward", "lateral", "yaw_rate")),
             "clock": Observation(
@@ -51,7 +51,7 @@ TASK = TrainConfig(
         reward={
             "fall": Reward(reward.fall, scale=-10.0),
             "energy": Reward(reward.energy, scale=-0.2),
-            "vertical": Reward(reward.vertical, scale=-0.1),
+            "vertical": Reward(reward.vertical, scale=-0.5),
             "tilt": Reward(reward.tilt, scale=-0.1),
             "roll_pitch_rate": Reward(reward.roll_pitch_rate, scale=-0.05),
             "action_rate": Reward(reward.action_rate, scale=-0.1),
@@ -60,7 +60,7 @@ TASK = TrainConfig(
             "follow": Reward(reward.follow, {"width": 0.35}, scale=1.0),
             "follow_yaw_rate": Reward(reward.follow_yaw_rate, {"width": 0.35}, scale=0.5),
             "drag": Reward(reward.drag, {"height": 0.02}, scale=-0.3),
-            "trot": Reward(reward.trot, {"stride": 20.0, "height": 0.1, "width": 0.06}, scale=0.5),
+            "trot": Reward(reward.trot, {"stride": 20.0, "height": 0.1, "width": 0.04}, scale=1.0),
         },
         termination={
             "tipped": Termination(termination.tipped, {"angle": 1.0}),
@@ -112,9 +112,9 @@ TASK = TrainConfig(
                 "slope_down",
                 "rough",
                 "waves",
-                "stairs_up",
-                "stairs_down",
-                "blocks",
+                *("stairs_up",) * 3,  # the hardest have more of the robots
+                *("stairs_down",) * 2,
+                *("blocks",) * 2,
                 "ditches",
             ),
             levels=6,  # few and far apart: a training of 40 minutes has 30 episodes for each robot

@@ -67,7 +67,8 @@ def test_the_ground_of_an_evaluation_is_not_that_of_training():
     trained = rough.TASK.env.ground
     judged = unseen_ground(trained, seed=3, levels=4)
     assert judged.seed == UNSEEN + 3
-    assert (judged.kinds, judged.levels, judged.curriculum) == (trained.kinds, 4, False)
+    assert (judged.levels, judged.curriculum) == (4, False)
+    assert sorted(judged.kinds) == sorted(set(trained.kinds))  # each once
     assert unseen_ground(FLAT, 3) == FLAT
 
 

@@ -97,9 +97,9 @@ CASES = {
     # Of knees and shins, whatever the trunk does: a quarter of the height that costs nothing.
     "kneel": (a_step(lowest=jnp.array([-0.3, 0.01])), 0.75),
     # A quarter of a stride in, FR and RL (the first and last of the four) are to be highest: one
-    # is, one is half a width too high, and of those that belong on the floor one is a width off.
+    # is higher, one is half a width short, and of those that belong on the floor one is a width off.
     "trot": (
-        swinging(5, [0.06, 0.04, 0.0, 0.08], (0.5, 0.0, 0.0)),
+        swinging(5, [0.09, 0.04, 0.0, 0.04], (0.5, 0.0, 0.0)),
         (np.exp(-0.25) + np.exp(-1.0) + 2.0) / 4,
     ),
 }
