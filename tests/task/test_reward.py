@@ -97,7 +97,7 @@ CASES = {
     # Of knees and shins, whatever the trunk does: a quarter of the height that costs nothing.
     "kneel": (a_step(lowest=jnp.array([-0.3, 0.01])), 0.75),
     # A quarter of a stride in, FR and RL (the first and last of the four) are to be highest: one
-    # is higher, one is half a width short, and of those that belong on the floor one is a width off.
+    # is higher, one half a width short, and of those that belong on the floor one is a width off.
     "trot": (
         swinging(5, [0.09, 0.04, 0.0, 0.04], (0.5, 0.0, 0.0)),
         (np.exp(-0.25) + np.exp(-1.0) + 2.0) / 4,
