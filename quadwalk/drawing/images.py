@@ -39,19 +39,19 @@ def film_strip(pictures: list[np.ndarray], across: int) -> np.ndarray:
     return strip
 
 
-def save_video(pictures: Iterable[np.ndarray], path: str | Path) -> None:
-    """Write pictures (height, width, 3) of one size, `FPS` a second: MP4 if `path` ends so, or GIF.
+def save_video(pictures: Iterable[np.ndarray], path: str | Path, fps: float = FPS) -> None:
+    """Write pictures (height, width, 3) of one size, `fps` a second: MP4 if `path` ends so, or GIF.
 
     An MP4 needs ffmpeg on the PATH or the package imageio-ffmpeg. Raises `UserError` where that is
     missing or the file cannot be written.
     """
     if Path(path).suffix.lower() == ".mp4":
-        _save_mp4(iter(pictures), path)
+        _save_mp4(iter(pictures), path, fps)
     else:
-        _save_gif((Image.fromarray(picture) for picture in pictures), path)
+        _save_gif((Image.fromarray(picture) for picture in pictures), path, fps)
 
 
-def _save_gif(pictures: Iterator[Image.Image], path: str | Path) -> None:
+def _save_gif(pictures: Iterator[Image.Image], path: str | Path, fps: float) -> None:
     first = next(pictures)
     # One palette for all: each picture's own would make the background flicker.
     palette = first.quantize(128, method=Image.Quantize.MEDIANCUT)
@@ -65,12 +65,12 @@ def _save_gif(pictures: Iterator[Image.Image], path: str | Path) -> None:
             format="GIF",
             save_all=True,
             append_images=(reduced(picture) for picture in pictures),
-            duration=1000 // FPS,
+            duration=round(1000 / fps),
             loop=0,
         )
 
 
-def _save_mp4(pictures: Iterator[np.ndarray], path: str | Path) -> None:
+def _save_mp4(pictures: Iterator[np.ndarray], path: str | Path, fps: float) -> None:
     program = _ffmpeg()
     first = next(pictures)
     height, width, _ = first.shape
@@ -78,7 +78,7 @@ def _save_mp4(pictures: Iterator[np.ndarray], path: str | Path) -> None:
         # H.264 in MP4 is not written front to back, so it cannot go straight to `file`.
         output = Path(folder) / "episode.mp4"
         command = [program, "-loglevel", "error", "-f", "rawvideo", "-pix_fmt", "rgb24"]
-        command += ["-s", f"{width}x{height}", "-r", str(FPS), "-i", "-", "-an"]
+        command += ["-s", f"{width}x{height}", "-r", str(fps), "-i", "-", "-an"]
         # yuv420p is what browsers play; +bitexact leaves out versions and dates.
         command += ["-c:v", "libx264", "-pix_fmt", "yuv420p", "-fflags", "+bitexact", str(output)]
         with tempfile.TemporaryFile() as complaints:

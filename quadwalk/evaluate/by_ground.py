@@ -59,7 +59,7 @@ def measure_by_ground(
     lasted long enough.
     """
     ground = subject.env.config.ground
-    kinds = (FILE,) if ground.file is not None else tuple(dict.fromkeys(ground.kinds))
+    kinds = (FILE,) if ground.file is not None else ground.kinds
     # Where each episode has a field of its own, small ones: of a kind at a time.
     parts = [(kind,) for kind in kinds] if _has_own_fields(subject.env) else [kinds]
     cells = [

@@ -16,6 +16,7 @@ import pytest
 from PIL import Image
 from rich.console import Console
 
+from quadwalk.drawing.images import save_video
 from quadwalk.train.runs.directory import Run
 from tests.view.browser import PROGRAM, Browser, browsing
 
@@ -23,11 +24,12 @@ pytest.importorskip("mjviser", reason="mjviser is not installed: pip install 'qu
 if PROGRAM is None:
     pytest.skip("there is no chromium: apt-get install chromium", allow_module_level=True)
 
+from quadwalk.view.pace import Pace
 from quadwalk.view.page import Page
 from quadwalk.view.server import serving
 
 RUN, PICTURE = os.environ.get("QUADWALK_RUN"), os.environ.get("QUADWALK_PICTURE")
-_PERIOD = 0.08  # s between two pictures of a moving one
+_FPS = 12.5  # of the moving picture
 
 
 @pytest.fixture(scope="module")
@@ -107,9 +109,14 @@ def test_the_robot_moves_and_the_picture_with_it(page, browser):
     browser.press(" ")
 
 
+def screenshot(browser: Browser) -> np.ndarray:
+    """(h, w, 3) uint8 the page."""
+    return np.asarray(Image.open(io.BytesIO(browser.screenshot())).convert("RGB"))
+
+
 def scene(browser: Browser) -> np.ndarray:
     """(h, w, 3) the middle of the page, where nothing but the robot and the floor is drawn."""
-    picture = np.asarray(Image.open(io.BytesIO(browser.screenshot())).convert("RGB"), float)
+    picture = screenshot(browser).astype(float)
     height, width, _ = picture.shape
     return picture[: height // 2, width // 3 : int(0.6 * width)]
 
@@ -126,20 +133,14 @@ def test_take_the_picture_of_the_readme(page, browser):
     assert wait(lambda: "real time;" in browser.text(), 60.0)
     # A picture is drawn in seconds here: time goes on only between two of them.
     now, pictures = time.monotonic(), []
-    page.pace._clock = lambda: now
-    page.pace.restart()
-    for number in range(int(4.0 / _PERIOD)):
+    page.pace = Pace(page.pace.dt, lambda: now)
+    for number in range(int(4.0 * _FPS)):
         if number == 12:
             browser.press("P")
         if number == 30:
             for _ in range(4):
                 browser.press("Q")
-        now += _PERIOD
+        now += 1.0 / _FPS
         time.sleep(0.4)  # its steps are made, and the page has them
-        pictures.append(Image.open(io.BytesIO(browser.screenshot())).convert("RGB"))
-    # One palette for all, so that what stands still is the same in each.
-    palette = pictures[len(pictures) // 2].quantize(128, dither=Image.Dither.NONE)
-    frames = [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures]
-    frames[0].save(
-        str(PICTURE), save_all=True, append_images=frames[1:], duration=int(1000 * _PERIOD), loop=0
-    )
+        pictures.append(screenshot(browser))
+    save_video(pictures, str(PICTURE), _FPS)
