@@ -1,8 +1,8 @@
 """What a training step costs: collecting, learning, the rest; and beside another commit's.
 
-    python benchmarks/learning.py [--against COMMIT] [--rounds 5] [--envs 2048]
+    python benchmarks/learning.py [--task sprint] [--against COMMIT] [--rounds 5] [--envs 2048]
 
-Trains the ideal-world task in iterations, in turn with the other commit's code, in a process of its
+Trains a task in iterations, in turn with the other commit's code, in a process of its
 own each; what counts is the median of the ratios, since a machine's speed drifts. Costs are in
 microseconds of a core for one control step of one environment. Physics alone is the control steps
 of `collect` without policy, reward and fresh starts, from standing robots with random targets.
@@ -10,6 +10,7 @@ of `collect` without policy, reward and fresh starts, from standing robots with 
 
 import argparse
 import contextlib
+import importlib
 import os
 import subprocess
 import sys
@@ -26,19 +27,22 @@ ITERATIONS = 8  # in a round
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--task", default="sprint", help="one that the package comes with")
     parser.add_argument("--against", help="the commit to compare with")
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--envs", type=int, default=2048)
     parser.add_argument("--work", action="store_true", help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.work:
-        work(options.envs)
+        work(options.task, options.envs)
         return
     with contextlib.ExitStack() as stack:
-        workers = {"this code": stack.enter_context(worker(ROOT, options.envs))}
+        workers = {"this code": stack.enter_context(worker(ROOT, options.task, options.envs))}
         if options.against:
             checkout = stack.enter_context(checked_out(options.against))
-            workers[options.against] = stack.enter_context(worker(checkout, options.envs))
+            workers[options.against] = stack.enter_context(
+                worker(checkout, options.task, options.envs)
+            )
         rounds = [
             {name: ask(process) for name, process in workers.items()} for _ in range(options.rounds)
         ]
@@ -73,9 +77,9 @@ def checked_out(commit: str) -> Iterator[Path]:
 
 
 @contextlib.contextmanager
-def worker(checkout: Path, envs: int) -> Iterator[subprocess.Popen[str]]:
+def worker(checkout: Path, task: str, envs: int) -> Iterator[subprocess.Popen[str]]:
     """A process that trains with the code in `checkout`; it has compiled when it is given."""
-    command = [sys.executable, __file__, "--work", f"--envs={envs}"]
+    command = [sys.executable, __file__, "--work", f"--task={task}", f"--envs={envs}"]
     path = {**os.environ, "PYTHONPATH": str(checkout)}
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
     with subprocess.Popen(command, env=path, text=True, **pipes) as process:
@@ -91,17 +95,17 @@ def ask(process: subprocess.Popen[str]) -> list[float]:
     return [float(x) for x in process.stdout.readline().split()]
 
 
-def work(envs: int) -> None:
+def work(task: str, envs: int) -> None:
     """For each line read, train a round and print the costs, 0 of what cannot be told."""
     import dataclasses
 
     from quadwalk.train.devices import choose_devices
 
     try:
-        from quadwalk.tasks.sprint import TASK
-    except ImportError:  # a commit that has it by its earlier name
-        from quadwalk.tasks.run import TASK
-    config, devices = choose_devices(dataclasses.replace(TASK, envs=envs))
+        module = importlib.import_module(f"quadwalk.tasks.{task}")
+    except ImportError:  # a commit that has `sprint` by its earlier name
+        module = importlib.import_module("quadwalk.tasks.run")
+    config, devices = choose_devices(dataclasses.replace(module.TASK, envs=envs))
     import jax
 
     from quadwalk.robot.quadruped import load_quadruped
@@ -110,7 +114,9 @@ def work(envs: int) -> None:
     from quadwalk.train.networks import make_networks
 
     env = QuadrupedEnv(load_quadruped(), config.env)
-    networks = make_networks(config.ppo, env.observation_size, env.action_size)
+    critic = len(getattr(env, "critic_names", ()))  # a commit may have none
+    size = env.observation_size - critic
+    networks = make_networks(config.ppo, size, env.action_size, *([critic] if critic else []))
     mesh = ppo.make_mesh(devices)
     make = getattr(ppo, "Iteration", None) or ppo.make_iteration
     state = ppo.init_state(env, networks, config.ppo, mesh, envs, 0)

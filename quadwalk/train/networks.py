@@ -1,7 +1,7 @@
 """The policy and value networks, and the policy as a function of its parameters."""
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import quadwalk.physics.mjx  # noqa: F401  # before Brax, which imports MJX less quietly
 
@@ -11,7 +11,6 @@ import jax.numpy as jnp
 import numpy as np
 from brax.training.acme import running_statistics
 from brax.training.acme.running_statistics import NestedMeanStd
-from brax.training.agents.ppo import networks as brax_networks
 from brax.training.distribution import NormalTanhDistribution
 from brax.training.networks import (
     ACTIVATION,
@@ -24,9 +23,20 @@ from quadwalk.errors import UsageError
 from quadwalk.train.settings import PPOConfig
 
 
+class Networks(NamedTuple):
+    """What Brax's `PPONetworks` holds, and the policy once more, for programs that only act."""
+
+    policy_network: FeedForwardNetwork
+    value_network: FeedForwardNetwork
+    parametric_action_distribution: "NormalTanh"
+    # Of the policy's parameters. The newer code generator, which `learn` is made by, makes slower
+    # gradients of it, the older one faster values.
+    acting_network: FeedForwardNetwork
+
+
 def make_networks(
     config: PPOConfig, policy_size: int, action_size: int, critic_size: int = 0
-) -> brax_networks.PPONetworks:
+) -> Networks:
     """Two multilayer perceptrons on normalised observations; a tanh-squashed normal policy.
 
     The policy sees the first `policy_size` numbers of an observation, the value network
@@ -36,19 +46,27 @@ def make_networks(
         raise UsageError(
             f"ppo.activation is {config.activation!r}; expected one of {', '.join(ACTIVATION)}"
         )
+    activation = ACTIVATION[config.activation]
+
+    def in_one_row(x: jax.Array) -> jax.Array:
+        """The activation as XLA's older code generator vectorises it, exponentials and all."""
+        return activation(x.reshape(-1)).reshape(x.shape)
+
     shape = {
         "preprocess_observations_fn": running_statistics.normalize,
         "hidden_layer_sizes": config.hidden,
-        "activation": ACTIVATION[config.activation],
     }
     # Brax starts with a standard deviation of softplus(0) = 0.69 before the squashing.
     distribution = NormalTanh(action_size, var_scale=config.noise / np.log(2.0))
-    policy = make_policy_network(distribution.param_size, policy_size, **shape)
-    whole = policy_size + critic_size
-    return brax_networks.PPONetworks(
+    whole, parameters = policy_size + critic_size, distribution.param_size
+    policy = make_policy_network(parameters, policy_size, activation=activation, **shape)
+    acting = make_policy_network(parameters, policy_size, activation=in_one_row, **shape)
+    value = make_value_network(whole, activation=activation, **shape)
+    return Networks(
         policy_network=_on_rows(policy, policy_size),
-        value_network=_on_rows(make_value_network(whole, **shape), whole),
+        value_network=_on_rows(value, whole),
         parametric_action_distribution=distribution,
+        acting_network=_on_rows(acting, policy_size),
     )
 
 
@@ -84,7 +102,7 @@ class NormalTanh(NormalTanhDistribution):
 
 
 def mean_policy(
-    networks: brax_networks.PPONetworks, normalizer: Any, params: Any
+    networks: Networks, normalizer: Any, params: Any
 ) -> Callable[[jax.Array], jax.Array]:
     """The deterministic policy: observation (..., n) to action (..., 12) in [-1, 1].
 
@@ -95,7 +113,7 @@ def mean_policy(
     """
 
     def policy(normalizer: Any, params: Any, observation: jax.Array) -> jax.Array:
-        logits = networks.policy_network.apply(normalizer, params, observation)
+        logits = networks.acting_network.apply(normalizer, params, observation)
         return networks.parametric_action_distribution.mode(logits)
 
     return jax.tree_util.Partial(policy, normalizer, params)

@@ -23,7 +23,6 @@ import optax
 from brax.envs.base import Env, State
 from brax.training.acme import running_statistics, specs
 from brax.training.agents.ppo import losses
-from brax.training.agents.ppo.networks import PPONetworks
 from brax.training.agents.ppo.optimizer import adaptive_kl_learning_rate
 from brax.training.types import Transition
 from jax.sharding import Mesh, NamedSharding
@@ -32,6 +31,7 @@ from jax.sharding import PartitionSpec as P
 from quadwalk.physics.constraints.surface import given
 from quadwalk.task.state import chosen
 from quadwalk.train.devices import learner_options
+from quadwalk.train.networks import Networks
 from quadwalk.train.settings import PPOConfig
 
 AXIS = "devices"
@@ -94,7 +94,7 @@ def reset_envs(env: Env, keys: jax.Array, tiles: jax.Array | None = None) -> Sta
 
 
 def init_state(
-    env: Env, networks: PPONetworks, config: PPOConfig, mesh: Mesh, num_envs: int, seed: int
+    env: Env, networks: Networks, config: PPOConfig, mesh: Mesh, num_envs: int, seed: int
 ) -> TrainState:
     """The state before the first iteration, in which `num_envs` environments will start."""
     key_policy, key_value, key_workers = jax.random.split(jax.random.PRNGKey(seed), 3)
@@ -135,7 +135,7 @@ def placed_like(saved: TrainState, state: TrainState) -> TrainState:
 
 
 def collect(
-    env: Env, networks: PPONetworks, config: PPOConfig, learner: Learner, workers: Workers
+    env: Env, networks: Networks, config: PPOConfig, learner: Learner, workers: Workers
 ) -> tuple[Workers, Transition, Metrics]:
     """Step every environment `unroll` times; the last of them, for evaluation, without noise.
 
@@ -231,7 +231,7 @@ def _next_tiles(
 
 
 def _act(
-    networks: PPONetworks,
+    networks: Networks,
     learner: Learner,
     observation: jax.Array,
     noiseless: jax.Array,
@@ -239,7 +239,7 @@ def _act(
 ) -> tuple[jax.Array, dict[str, jax.Array]]:
     """Actions (n, 12), sampled or, where `noiseless` (n, 1), the mode; and what the loss needs."""
     distribution = networks.parametric_action_distribution
-    logits = networks.policy_network.apply(learner.normalizer, learner.params.policy, observation)
+    logits = networks.acting_network.apply(learner.normalizer, learner.params.policy, observation)
     raw_action = distribution.sample_no_postprocessing(logits, key)
     action = jnp.where(noiseless, distribution.mode(logits), distribution.postprocess(raw_action))
     return action, {
@@ -339,7 +339,7 @@ def settled(start: float, end: float, progress: jax.Array) -> jax.Array:
 
 
 def learn(
-    networks: PPONetworks,
+    networks: Networks,
     config: PPOConfig,
     learner: Learner,
     data: Transition,
@@ -355,17 +355,18 @@ def learn(
     desired_kl = settled(config.desired_kl, config.final_kl, progress)
     entropy = settled(config.entropy, config.final_entropy, progress)
 
-    def update(carry: Any, xs: tuple[Transition, jax.Array]) -> Any:
-        return _update(networks, config, learner.normalizer, desired_kl, entropy, carry, *xs)
+    def update(carry: Any, xs: tuple[jax.Array, jax.Array]) -> Any:
+        rows, key = xs
+        # Taken here, and not all of an epoch before, data is copied once.
+        batch = jax.tree.map(lambda x: x[rows], data)
+        normalizer = learner.normalizer
+        return _update(networks, config, normalizer, desired_kl, entropy, carry, batch, key)
 
     def epoch(carry: Any, key: jax.Array) -> Any:
         key_order, key_loss = jax.random.split(key)
         order = jax.random.permutation(key_order, data.reward.shape[0])
-        batches = jax.tree.map(
-            lambda x: x[order].reshape(config.minibatches, -1, *x.shape[1:]), data
-        )
         keys = jax.random.split(key_loss, config.minibatches)
-        return jax.lax.scan(update, carry, (batches, keys))
+        return jax.lax.scan(update, carry, (order.reshape(config.minibatches, -1), keys))
 
     before = learner.params, learner.optimizer
     after, metrics = jax.lax.scan(epoch, before, jax.random.split(key, config.epochs))
@@ -385,7 +386,7 @@ def learn(
 
 
 def _update(
-    networks: PPONetworks,
+    networks: Networks,
     config: PPOConfig,
     normalizer: running_statistics.RunningStatisticsState,
     desired_kl: jax.Array,
@@ -425,7 +426,7 @@ class Iteration:
     """One iteration of training: `state, numbers = iteration(state)`; `state` is given up to it."""
 
     def __init__(
-        self, env: Env, networks: PPONetworks, config: PPOConfig, mesh: Mesh, iterations: int
+        self, env: Env, networks: Networks, config: PPOConfig, mesh: Mesh, iterations: int
     ) -> None:
         def collecting(
             learner: Learner, workers: Workers, ground: tuple[jax.Array, ...]

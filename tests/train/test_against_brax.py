@@ -122,7 +122,7 @@ def wrap_scattered(env: Env, **settings: Any) -> Wrapper:
 def same_networks(config: PPOConfig) -> Any:
     networks = make_networks(config, Point.observation_size, Point.action_size)
     own = networks.parametric_action_distribution
-    return networks.replace(
+    return networks._replace(
         parametric_action_distribution=Keyless(Point.action_size, var_scale=own._var_scale)
     )
 

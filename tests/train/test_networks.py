@@ -102,3 +102,13 @@ def test_the_entropy_is_near_the_mean_of_brax_samples(std, tolerance, mean):
     drawn = NormalTanhDistribution(1).entropy(parameters, jax.random.PRNGKey(0))
     found = NormalTanh(1).entropy(parameters[:1], jax.random.PRNGKey(0))
     assert float(found[0]) == pytest.approx(float(drawn.mean()), abs=tolerance)
+
+
+def test_the_acting_network_is_the_policy(pair, statistics):
+    ours, _, params = pair
+    observation = jnp.asarray(np.random.default_rng(3).normal(size=(5, SEEN + MORE)), jnp.float32)
+    acting, policy = (
+        network.apply(statistics[0], params.policy, observation)
+        for network in (ours.acting_network, ours.policy_network)
+    )
+    np.testing.assert_allclose(acting, policy, rtol=1e-5, atol=1e-6)
