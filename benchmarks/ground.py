@@ -2,7 +2,7 @@
 
     python benchmarks/ground.py [--envs 512] [--rounds 1000]
 
-Feet alone touch, or knees and trunk too. The field is that of ten kinds at ten levels, 88 x 88 m,
+Feet alone touch, or knees too, or those and the trunk. The field is that of ten kinds at ten levels, 88 x 88 m,
 and the robots stand all over it. Rounds alternate and are short, and the least time of each counts:
 what else a machine does only ever adds to it.
 """
@@ -77,7 +77,8 @@ def print_costs(envs: int, steps: int, rounds: int) -> None:
         return measure
 
     cases = {}
-    for contacts in ("feet", "body"):
+    touching = ("feet", "knees", "body")
+    for contacts in touching:
         mj_model = quadruped.training_model(0.004, 2, 3, contacts)
         level = make_model(mj_model, quadruped, make_motor(mj_model, quadruped, MotorConfig()))
         cases[f"{contacts}, flat floor"] = program(level, qpos)
@@ -88,7 +89,7 @@ def print_costs(envs: int, steps: int, rounds: int) -> None:
     print(f"{envs} robots, {cpu_cores()} cores, the least of {rounds} rounds")
     for (name, _), seconds in zip(cases.items(), least, strict=True):
         each = 1e6 * seconds / (envs * steps) * cpu_cores()
-        ratio = seconds / least[0 if name.startswith("feet") else 2]
+        ratio = seconds / least[2 * touching.index(name.partition(",")[0])]
         print(f"{name:18}{each:7.2f} microseconds of a core{ratio:7.2f} x flat")
 
 

@@ -67,7 +67,7 @@ class Quadruped:
         timestep: float,
         iterations: int = 1,
         ls_iterations: int = 5,
-        contacts: Literal["feet", "body"] = "feet",
+        contacts: Literal["feet", "knees", "body"] = "feet",
     ) -> mujoco.MjModel:
         """The model to train in, made for MJX: only spheres and the floor collide.
 
@@ -79,7 +79,7 @@ class Quadruped:
             iterations: of the Newton solver. `EnvConfig` has those of training; with one alone MJX
                 needs no loop that runs as long as the slowest robot of a batch.
             ls_iterations: of its line search, each at a fixed cost.
-            contacts: what the floor meets, the feet or also spheres at knees and trunk.
+            contacts: what the floor meets: feet, or also spheres at knees, or those and the trunk.
         """
         spec = self.spec.copy()
         for sensor in list(spec.sensors):
@@ -95,8 +95,9 @@ class Quadruped:
                 geom.contype = geom.name == "floor"
                 geom.conaffinity = geom.name in self.feet
         simplify(spec, self.feet)
-        if contacts == "body":
-            add_spheres(spec, self.trunk, self.feet, calf_joints=self.joints[2::3])
+        if contacts != "feet":
+            calves = self.joints[2::3]
+            add_spheres(spec, self.trunk, self.feet, calves, corners=contacts == "body")
         option = spec.option
         option.cone = mujoco.mjtCone.mjCONE_PYRAMIDAL
         # Implicit joint damping costs a second factorisation of the mass matrix each step.

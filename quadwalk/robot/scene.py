@@ -204,9 +204,13 @@ def _shorten(geom: mujoco.MjsGeom, foot: np.ndarray, radius: float) -> None:
 
 
 def add_spheres(
-    spec: mujoco.MjSpec, trunk: str, feet: tuple[str, ...], calf_joints: tuple[str, ...]
+    spec: mujoco.MjSpec,
+    trunk: str,
+    feet: tuple[str, ...],
+    calf_joints: tuple[str, ...],
+    corners: bool,
 ) -> None:
-    """Add `KNEES` and `CORNERS`, which meet the floor as the leg's foot does.
+    """Add `KNEES`, and `CORNERS` if they are wanted, which meet the floor as the leg's foot does.
 
     A knee is centred on the calf's joint and carried by the thigh, as thick as that is there. A
     corner touches from within the box around the trunk's collision shapes, at its bottom.
@@ -220,6 +224,8 @@ def add_spheres(
         thigh, knee = model.body_parentid[calf], model.body_pos[calf]
         radius = min(_thickness(model, thigh, knee), foot.size[0])
         _add_sphere(spec, model.body(thigh).name, KNEES[i], knee, radius, foot)
+        if not corners:
+            continue
         ahead, left = leg[0] == "F", leg[1] == "L"
         corner = np.where([ahead, left, False], high - CORNER_RADIUS, low + CORNER_RADIUS)
         _add_sphere(spec, trunk, CORNERS[i], corner, CORNER_RADIUS, foot)

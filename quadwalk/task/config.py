@@ -132,7 +132,8 @@ class EnvConfig:
     substeps: int  # physics steps in a control step
     solver_iterations: int  # Newton iterations of the contact solver (benchmarks/accuracy.py)
     line_search_iterations: int  # of each Newton iteration
-    contacts: Literal["feet", "body"]  # what touches the floor; body: also knees and trunk
+    # what touches the floor; knees: they too; body: those and the trunk
+    contacts: Literal["feet", "knees", "body"]
     episode_seconds: float  # s, the time limit
     motor: MotorConfig
     action: ActionMap
@@ -157,7 +158,7 @@ class EnvConfig:
             if getattr(self, name) < 1:
                 flag = f"env.{name.replace('_', '-')}"
                 raise UsageError(f"{flag} is {getattr(self, name)}; expected 1 or more")
-        for name, choices in (("engine", ("fast", "mjx")), ("contacts", ("feet", "body"))):
+        for name, choices in (("engine", ("fast", "mjx")), ("contacts", ("feet", "knees", "body"))):
             if getattr(self, name) not in choices:
                 raise UsageError(
                     f"env.{name} is {getattr(self, name)!r}; expected {' or '.join(choices)}"

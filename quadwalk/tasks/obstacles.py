@@ -22,7 +22,7 @@ TASK = TrainConfig(
         substeps=5,
         solver_iterations=2,
         line_search_iterations=3,
-        contacts="body",
+        contacts="knees",  # the trunk's touch is the end
         episode_seconds=10.0,
         motor=MotorConfig(kp=None, kd=None, effort=None, speed_limit=True, joint_friction=True),
         action=ActionMap(about_home, {"hip": 0.3, "thigh": 0.9, "calf": 0.9}),

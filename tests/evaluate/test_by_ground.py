@@ -211,7 +211,7 @@ def test_both_tasks_have_a_noisy_sight_and_a_curriculum():
     for task in (rough.TASK, obstacles.TASK):
         assert task.env.observation["height_scan"].noise > 0
         assert task.env.ground.curriculum
-        assert task.env.contacts == "body"
+        assert task.env.contacts == "knees"
         assert task.env.randomisation.enabled
 
 

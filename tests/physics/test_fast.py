@@ -105,6 +105,7 @@ def test_accelerations_are_those_of_mujoco():
 
 def test_accelerations_are_those_of_mujoco_where_knees_and_trunk_touch():
     check_accelerations(load_quadruped(), "body", lying_states)
+    check_accelerations(load_quadruped(), "knees", lying_states)
 
 
 def test_accelerations_of_other_quadrupeds(reference_urdf):

@@ -121,6 +121,7 @@ def trainable(quadruped: Quadruped, contacts="feet", names: tuple[str, ...] = ()
 
 def test_mjx_takes_the_training_model(aliengo):
     trainable(aliengo)
+    trainable(aliengo, "knees", BODY[:4])
     trainable(aliengo, "body", BODY)
 
 
