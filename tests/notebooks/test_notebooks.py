@@ -18,8 +18,9 @@ from PIL import Image
 from notebooks.execute import HERE, execute, folders_named
 from quadwalk.evaluate.recording.mcap import verify_mcap
 
+STUDIES = HERE.parent / "studies"
 STEPS = 49_152  # two iterations
-NAMES = ("01_robot", "02_train", "03_evaluate", "04_gecko")
+NAMES = ("01_robot", "02_train", "03_evaluate", "04_gecko", "05_real_world")
 
 
 class Executed:
@@ -206,7 +207,7 @@ def test_an_evaluation_opens_the_latest_run(executed, tmp_path):
 
 
 def test_the_gecko_is_told_from_the_cheetah(executed):
-    done = executed("04_gecko")
+    done = executed("04_gecko", "05_real_world")
     for code in ('film(["blog", "sprint"])', "film(of_post)", "film(of_ours)"):
         assert orange(done.picture(code)).mean() > 0.01, code
     for code in ('footfalls(["blog"', "dots(of_post)", "dots(of_ours)"):
@@ -218,3 +219,23 @@ def test_the_gecko_is_told_from_the_cheetah(executed):
     assert float(cheetah["body_contact"]) == 0.0
     assert gecko["gaits"] == "irregular"
     assert cheetah["gaits"].startswith("gallop")
+
+
+def test_what_breaks_the_ideal_policy_is_drawn_and_listed(executed):
+    done = executed("05_real_world")
+    assert curves(done.picture('bars(["sprint", "run"])')) >= 2
+    table = done.picture("axes.imshow(shares")
+    red, green, blue = (table[..., k].astype(int) for k in range(3))
+    assert ((red > 150) & (green < 100) & (blue < 100)).mean() > 0.005  # few episodes of some
+    assert ((green > 100) & (red < 50)).mean() > 0.05  # all of others
+    listed = done.text('for name in ("sprint", "run")')
+    (ideal, late), (real, still) = re.findall(r"(\d+) % with everything at once, (\d+) %", listed)
+    assert int(ideal) < 50 < int(real)
+    assert int(late) <= int(still)
+    kept = json.loads((STUDIES / "real_world/results.json").read_text())
+    rows = done.text("in MuJoCo C").splitlines()[1:]
+    assert len(rows) == len({result["variant"] for result in kept})
+    for result, row in zip(kept, rows, strict=True):
+        nominal = result["points"]["nominal"]["speed"]["mean"]
+        assert row.startswith(result["variant"])
+        assert float(row.split()[-4]) == pytest.approx(nominal, abs=0.006)
