@@ -2,9 +2,9 @@
 
     python benchmarks/ground.py [--envs 512] [--rounds 1000]
 
-Feet alone touch, or knees too, or those and the trunk. The field is that of ten kinds at ten levels, 88 x 88 m,
-and the robots stand all over it. Rounds alternate and are short, and the least time of each counts:
-what else a machine does only ever adds to it.
+Feet alone touch, or knees too, or those and the trunk. The field is that of ten kinds at ten
+levels, 88 x 88 m, and the robots stand all over it. Rounds alternate and are short, and the least
+time of each counts: what else a machine does only ever adds to it.
 """
 
 import argparse
