@@ -359,8 +359,7 @@ def learn(
         rows, key = xs
         # Taken here, and not all of an epoch before, data is copied once.
         batch = jax.tree.map(lambda x: x[rows], data)
-        normalizer = learner.normalizer
-        return _update(networks, config, normalizer, desired_kl, entropy, carry, batch, key)
+        return _update(networks, config, learner.normalizer, desired_kl, entropy, carry, batch, key)
 
     def epoch(carry: Any, key: jax.Array) -> Any:
         key_order, key_loss = jax.random.split(key)

@@ -207,7 +207,7 @@ def test_an_evaluation_opens_the_latest_run(executed, tmp_path):
 
 
 def test_the_gecko_is_told_from_the_cheetah(executed):
-    done = executed("04_gecko", "05_real_world")
+    done = executed("04_gecko")
     for code in ('film(["blog", "sprint"])', "film(of_post)", "film(of_ours)"):
         assert orange(done.picture(code)).mean() > 0.01, code
     for code in ('footfalls(["blog"', "dots(of_post)", "dots(of_ours)"):
