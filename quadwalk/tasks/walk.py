@@ -10,7 +10,7 @@ from quadwalk.train.settings import PPOConfig, TrainConfig
 
 TASK = TrainConfig(
     task="walk",
-    steps=12_000_000,
+    steps=24_000_000,
     checkpoint_steps=2_000_000,
     env=EnvConfig(
         engine="fast",
@@ -45,7 +45,7 @@ TASK = TrainConfig(
             "conditions": Observation(observation.conditions),
         },
         reward={
-            "fall": Reward(reward.fall, scale=-10.0),
+            "fall": Reward(reward.fall, scale=-30.0),
             "energy": Reward(reward.energy, scale=-0.2),
             "vertical": Reward(reward.vertical, scale=-0.5),
             "tilt": Reward(reward.tilt, scale=-0.5),
