@@ -17,10 +17,9 @@ import jax.numpy as jnp
 import numpy as np
 from brax.envs.base import Env, State, Wrapper
 from brax.training.agents.ppo import train as brax_ppo
-from brax.training.agents.ppo.networks import PPONetworks
 
 from quadwalk.train import ppo
-from quadwalk.train.networks import make_networks, mean_policy
+from quadwalk.train.networks import Networks, make_networks, mean_policy
 from quadwalk.train.settings import PPOConfig
 
 Params = tuple[Any, Any, Any]  # normaliser, policy, value
@@ -69,7 +68,7 @@ def brax_arguments(config: PPOConfig, envs: int) -> dict[str, Any]:
 
 def train_with_brax(
     env: Env,
-    networks: PPONetworks,
+    networks: Networks,
     config: PPOConfig,
     envs: int,
     start: ppo.Learner,
@@ -114,7 +113,7 @@ def params_of(learner: ppo.Learner) -> Params:
     return jax.device_get((learner.normalizer, learner.params.policy, learner.params.value))
 
 
-def make_judge(env: Env, networks: PPONetworks, episodes: int) -> Callable[[Params], Any]:
+def make_judge(env: Env, networks: Networks, episodes: int) -> Callable[[Params], Any]:
     """Judges parameters by `episodes` with the mean action.
 
     Returns reward and speed, summed until an episode ends, over its full length; and the share of

@@ -36,6 +36,10 @@ def main() -> None:
     if options.work:
         work(options.task, options.envs)
         return
+    from quadwalk.task_files import task_names
+
+    if options.task not in task_names():
+        parser.error(f"no task {options.task!r}; expected one of: {', '.join(task_names())}")
     with contextlib.ExitStack() as stack:
         workers = {"this code": stack.enter_context(worker(ROOT, options.task, options.envs))}
         if options.against:
