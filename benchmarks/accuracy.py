@@ -21,12 +21,12 @@ Two iterations were chosen; three evaluations of the line search serve as well a
 
 import dataclasses
 import functools
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import mujoco
 import numpy as np
 
-from quadwalk.physics.engines import ENGINES
+from quadwalk.physics.engines import ENGINES, EngineName
 from quadwalk.train.devices import set_up_devices
 
 ROBOTS = 16
@@ -68,7 +68,7 @@ def print_accuracy() -> None:
         pairs = zip(starts.qpos, starts.qvel, strict=True)
         return np.array([list(_trot(env, model, q, v, wanted)) for q, v in pairs])
 
-    def by(engine: str, iterations: int, line_search: int, substeps: int = 5) -> np.ndarray:
+    def by(engine: EngineName, iterations: int, line_search: int, substeps: int = 5) -> np.ndarray:
         # The model's contact stiffness depends on the step.
         changed = dataclasses.replace(
             config,
@@ -88,12 +88,12 @@ def print_accuracy() -> None:
         course = jax.vmap(lambda s: jax.lax.scan(step, s, jnp.asarray(wanted, jnp.float32))[1])
         return np.asarray(jax.jit(course)(starts))
 
-    rows = {
+    rows: dict[str, Callable[[], np.ndarray]] = {
         "MuJoCo C, 4 ms, converged": lambda: in_mujoco(0.004),
         "MJX, 4 ms, 1 iteration, line search 3": lambda: by("mjx", 1, 3),
         **{
             f"fast, {20 / n:g} ms, {i} iteration{'s' * (i > 1)}, line search {k}": (
-                lambda i=i, k=k, n=n: by("fast", i, k, n)
+                functools.partial(by, "fast", i, k, n)
             )
             for i, k, n in [(1, 5, 5), (1, 3, 5), (2, 3, 5), (3, 3, 5), (8, 8, 5), (2, 3, 4)]
         },

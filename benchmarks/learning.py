@@ -85,15 +85,18 @@ def worker(checkout: Path, task: str, envs: int) -> Iterator[subprocess.Popen[st
     """A process that trains with the code in `checkout`; it has compiled when it is given."""
     command = [sys.executable, __file__, "--work", f"--task={task}", f"--envs={envs}"]
     path = {**os.environ, "PYTHONPATH": str(checkout)}
-    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
-    with subprocess.Popen(command, env=path, text=True, **pipes) as process:
+    pipe = subprocess.PIPE
+    with subprocess.Popen(command, env=path, text=True, stdin=pipe, stdout=pipe) as process:
         ask(process)
         yield process
+        assert process.stdin is not None
         process.stdin.close()
 
 
 def ask(process: subprocess.Popen[str]) -> list[float]:
     """A round of the worker's: what `work` prints."""
+    assert process.stdin is not None
+    assert process.stdout is not None
     process.stdin.write("\n")
     process.stdin.flush()
     return [float(x) for x in process.stdout.readline().split()]
@@ -124,7 +127,7 @@ def work(task: str, envs: int) -> None:
     size = env.observation_size - critic
     networks = make_networks(config.ppo, size, env.action_size, *([critic] if critic else []))
     mesh = ppo.make_mesh(devices)
-    make = getattr(ppo, "Iteration", None) or ppo.make_iteration
+    make = getattr(ppo, "Iteration", None) or getattr(ppo, "make_iteration")  # noqa: B009
     state = ppo.init_state(env, networks, config.ppo, mesh, envs, 0)
     iterate = make(env, networks, config.ppo, mesh, iterations=1000)
     for _ in range(4):

@@ -27,11 +27,14 @@ arrows of four 3 x 3 blocks and one of 6 x 6.
 import argparse
 import dataclasses
 import time
+from collections.abc import Mapping
+from types import ModuleType
 
 import numpy as np
 
 from quadwalk.cores import cpu_cores
-from quadwalk.physics import batching, fast, solver
+from quadwalk.physics import batching, fast
+from quadwalk.physics.constraints import solver
 from quadwalk.train.devices import set_up_devices
 
 
@@ -125,7 +128,7 @@ def print_rates(envs: int, steps: int, rounds: int, variants: bool) -> None:
             pool.rollout(model, data, states, torques)
             return envs * steps / (time.perf_counter() - began)
 
-        def with_other(values: dict[tuple[object, str], object], measure):
+        def with_other(values: Mapping[tuple[ModuleType, str], object], measure):
             """`measure`, compiled while modules have other values."""
             kept = {(module, name): getattr(module, name) for module, name in values}
             for (module, name), value in values.items():

@@ -83,9 +83,9 @@ class Pinocchio:
         if self.floating:
             turn = np.zeros(9)
             mujoco.mju_quat2Mat(turn, qpos[3:7])
-            turn = turn.reshape(3, 3)
-            g[:3, :3], g[3:6, 3:6] = turn.T, np.eye(3)
-            drift[:3] = -np.cross(qvel[3:6], turn.T @ qvel[:3])
+            back = turn.reshape(3, 3).T
+            g[:3, :3], g[3:6, 3:6] = back, np.eye(3)
+            drift[:3] = -np.cross(qvel[3:6], back @ qvel[:3])
         for mine, theirs in self.joints:
             g[theirs.idx_v, mine.dofadr[0]] = 1
         for (x, _, turn), theirs in self.planes:

@@ -36,6 +36,7 @@ from PIL import Image, ImageDraw, ImageFont
 from quadwalk.drawing.images import film_strip, save_png
 from quadwalk.robot.mjcf import Options, convert, write_xml
 from quadwalk.robot.quadruped import Quadruped, legs_of, load_quadruped, with_motors
+from quadwalk.robot.structure.legs import Leg
 from quadwalk.robot.urdf import Urdf, UrdfError, read_urdf
 
 EXACT = 1e-5  # largest relative error, of six digits
@@ -99,7 +100,8 @@ def try_conversion(file: Path) -> Converted:
     except UrdfError as error:
         reason = str(error).removeprefix(str(file)).lstrip(":, ")
         return Converted(file, reason, np.nan, _converts_repaired(file), np.nan, "")
-    legs, verdict = (), "yes"
+    legs: tuple[Leg, ...] = ()
+    verdict = "yes"
     try:
         legs = legs_of(urdf, NO_MESHES)
         with_motors(urdf, legs, NO_MESHES)

@@ -122,7 +122,7 @@ def contacts_of(rollout: Rollout) -> list[list[list[float]]]:
 def _mean(values: list[float]) -> float | None:
     """Over the episodes in which it could be measured."""
     known = [value for value in values if np.isfinite(value)]
-    return _rounded(np.mean(known)) if known else None
+    return _rounded(float(np.mean(known))) if known else None
 
 
 def _rounded(value: float) -> float:
