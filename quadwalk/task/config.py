@@ -42,6 +42,7 @@ class CommandConfig:
     yaw_rate: tuple[float, float]  # rad/s, to the left
     standing: float  # share of commands that are to stand still
     seconds: float  # s, after which another command is drawn
+    straight: float = 0.0  # share of commands that are neither lateral nor to turn
 
     def __post_init__(self) -> None:
         for name in ("forward", "lateral", "yaw_rate"):
@@ -49,8 +50,15 @@ class CommandConfig:
             if len(value) != 2 or not -math.inf < value[0] <= value[1] < math.inf:
                 flag = f"env.command.{name.replace('_', '-')}"
                 raise UsageError(f"{flag} is {value}; expected a low and a high end")
-        if not 0.0 <= self.standing <= 1.0:
-            raise UsageError(f"env.command.standing is {self.standing}; expected 0 to 1")
+        for name in ("standing", "straight"):
+            share = getattr(self, name)
+            if not 0.0 <= share <= 1.0:
+                raise UsageError(f"env.command.{name} is {share}; expected 0 to 1")
+        if self.standing + self.straight > 1.0:
+            raise UsageError(
+                f"env.command.standing and straight are {self.standing} and {self.straight}; "
+                "expected a sum of at most 1"
+            )
         if not 0.0 < self.seconds < math.inf:
             raise UsageError(f"env.command.seconds is {self.seconds}; expected more than 0")
 

@@ -13,7 +13,7 @@ SCAN = {"first": -0.5, "last": 1.5, "width": 0.5, "spacing": 0.125, "reach": 0.5
 
 TASK = TrainConfig(
     task="obstacles",
-    steps=40_000_000,
+    steps=24_000_000,
     checkpoint_steps=2_000_000,
     env=EnvConfig(
         engine="fast",
@@ -48,7 +48,7 @@ TASK = TrainConfig(
         },
         reward={
             "forward": Reward(reward.forward, {"max_speed": 7.0}, scale=1.0),
-            "fall": Reward(reward.fall, scale=-10.0),
+            "fall": Reward(reward.fall, scale=-30.0),
             "yaw": Reward(reward.yaw_error, scale=-0.6),
             "energy": Reward(reward.energy, scale=-0.02),
             "alive": Reward(reward.alive, scale=0.5),

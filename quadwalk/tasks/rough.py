@@ -13,7 +13,7 @@ SCAN = {"length": 1.2, "width": 0.6, "spacing": 0.1, "reach": 0.5}
 
 TASK = TrainConfig(
     task="rough",
-    steps=28_000_000,
+    steps=64_000_000,
     checkpoint_steps=2_000_000,
     env=EnvConfig(
         engine="fast",
@@ -49,7 +49,7 @@ TASK = TrainConfig(
             "conditions": Observation(observation.conditions),
         },
         reward={
-            "fall": Reward(reward.fall, scale=-10.0),
+            "fall": Reward(reward.fall, scale=-30.0),
             "energy": Reward(reward.energy, scale=-0.2),
             "vertical": Reward(reward.vertical, scale=-0.5),
             "tilt": Reward(reward.tilt, scale=-0.1),
@@ -85,6 +85,7 @@ TASK = TrainConfig(
             yaw_rate=(-0.7, 0.7),
             standing=0.05,
             seconds=5.0,
+            straight=0.5,  # else few get to the edge of their tiles, and levels rise slowly
         ),
         randomisation=RandomisationConfig(
             enabled=True,
@@ -108,11 +109,11 @@ TASK = TrainConfig(
         ground=GroundConfig(
             kinds=(
                 "flat",
-                "slope_up",
+                *("slope_up",) * 2,  # the hardest have more of the robots
                 "slope_down",
                 "rough",
                 "waves",
-                *("stairs_up",) * 3,  # the hardest have more of the robots
+                *("stairs_up",) * 3,
                 *("stairs_down",) * 2,
                 *("blocks",) * 2,
                 "ditches",

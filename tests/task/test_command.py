@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from quadwalk.errors import UsageError
 from quadwalk.task.config import NO_RANDOMISATION, CommandConfig
 from quadwalk.task.env import QuadrupedEnv
 from quadwalk.task.episode.command import Command, draw, first_command, next_command
@@ -50,6 +51,30 @@ def test_commands_fill_their_ranges_and_some_are_to_stand():
         assert moving[:, column].max() == pytest.approx(high, abs=0.01)
         assert moving[:, column].mean() == pytest.approx((low + high) / 2, abs=0.05)
     assert abs(np.corrcoef(moving[:, 0], moving[:, 2])[0, 1]) < 0.1
+
+
+def test_some_commands_are_straight_ahead_or_back():
+    told = dataclasses.replace(TOLD, straight=0.5)
+    keys = jax.random.split(jax.random.PRNGKey(0), 4000)
+    drawn = np.asarray(jax.vmap(lambda key: draw(told, key))(keys))
+    standing = ~drawn.any(axis=1)
+    straight = ~drawn[:, 1:].any(axis=1) & ~standing
+    assert 0.17 < standing.mean() < 0.23
+    assert 0.47 < straight.mean() < 0.53
+    assert drawn[straight, 0].min() == pytest.approx(-0.5, abs=0.01)
+    assert drawn[straight, 0].max() == pytest.approx(1.5, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("shares", "named"),
+    [
+        ({"straight": 1.5}, "env.command.straight is 1.5"),
+        ({"straight": 0.9}, "env.command.standing and straight are 0.2 and 0.9"),
+    ],
+)
+def test_shares_are_shares(shares, named):
+    with pytest.raises(UsageError, match=named):
+        dataclasses.replace(TOLD, **shares)
 
 
 def test_a_command_stays_for_its_time_and_no_longer():

@@ -60,9 +60,10 @@ def test_levels_go_up_and_down_by_one_of_the_same_kind(away, walked, told, chang
     assert following(middle, away, walked, told) == {middle + change}
 
 
-def test_below_the_first_level_there_is_none_and_from_the_top_it_goes_anywhere():
+def test_below_the_first_level_there_is_none_and_from_the_top_to_the_harder_half():
     assert following(2 * LEVELS, 0.0, 0.0, 10.0) == {2 * LEVELS}
-    assert following(1 * LEVELS + LEVELS - 1, 5.0, 9.0, 9.0) == set(range(LEVELS, 2 * LEVELS))
+    harder = set(range(LEVELS + LEVELS // 2, 2 * LEVELS))
+    assert following(1 * LEVELS + LEVELS - 1, 5.0, 9.0, 9.0) == harder
 
 
 def test_a_fall_counts_for_the_rest_of_the_episode():

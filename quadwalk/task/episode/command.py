@@ -32,7 +32,12 @@ def next_command(config: CommandConfig, before: Command, steps: jax.Array, perio
 
 
 def draw(config: CommandConfig, key: jax.Array) -> jax.Array:
-    """A command (3,): uniform in its ranges, or, for `config.standing` of all keys, zero."""
+    """A command (3,): uniform in its ranges.
+
+    For `config.standing` of all keys it is zero, for `config.straight` of them forward alone.
+    """
     drawn = jax.random.uniform(key, (4,))
     low, high = np.array([config.forward, config.lateral, config.yaw_rate], np.float32).T
-    return jnp.where(drawn[3] < config.standing, 0.0, low + drawn[:3] * (high - low))
+    command = low + drawn[:3] * (high - low)
+    command = jnp.where(drawn[3] < 1.0 - config.straight, command, command.at[1:].set(0.0))
+    return jnp.where(drawn[3] < config.standing, 0.0, command)

@@ -2,8 +2,9 @@
 
 As in legged_gym (Rudin et al. 2021, arXiv:2109.11978): each environment keeps to one kind of tile;
 one that got more than half a tile away from its start goes on to the next level, one that did less
-than half of what it was told goes back one, and from the top it goes to any level. Where episodes
-are confined to their tiles, one that came to the edge goes on too.
+than half of what it was told goes back one. From the top it goes to any level of the harder half,
+where legged_gym has any at all: the easy ones are soon learnt and not forgotten. Where episodes are
+confined to their tiles, one that came to the edge goes on too.
 """
 
 from dataclasses import dataclass
@@ -90,8 +91,8 @@ class Curriculum:
         down = ~up & (told > self.tile / 4) & (travel.walked < told / 2)
         kind, level = tile // self.levels, tile % self.levels
         level = jnp.maximum(level + up.astype(jnp.int32) - down.astype(jnp.int32), 0)
-        anywhere = jax.random.randint(key, (), 0, self.levels)
-        return kind * self.levels + jnp.where(level < self.levels, level, anywhere)
+        harder = jax.random.randint(key, (), self.levels // 2, self.levels)
+        return kind * self.levels + jnp.where(level < self.levels, level, harder)
 
     def sums(self, tile: jax.Array) -> dict[str, jax.Array]:
         """Of environments on `tile` (n,), by kind: how many there are and the sum of their levels.
