@@ -42,6 +42,21 @@ def test_aliengo_has_unitrees_figures(aliengo):
     assert model.nu == 12
 
 
+def test_motors_have_rotors_where_the_file_gives_none():
+    none = re.sub(r' armature="[^"]*"', "", TEXT)
+    robot = quadruped_from(parse_urdf(none))
+    # 23.24 kg that stand 0.3749 m high: 0.006 * 23.24 * 0.3749^2.
+    np.testing.assert_allclose(robot.full_model().dof_armature[6:], 0.020, atol=1e-12)
+    np.testing.assert_allclose(robot.training_model(0.004).dof_armature[6:], 0.020, atol=1e-12)
+    (note,) = [note for note in robot.notes if "rotors" in note]
+    assert note.startswith("assumed: rotors of 0.02 kg m^2 (armature): FR_hip_joint, ")
+    # None at all is what a file can ask for.
+    some = re.sub(r' armature="[^"]*"', ' armature="0"', TEXT, count=1)
+    stated = quadruped_from(parse_urdf(some))
+    assert (stated.full_model().dof_armature[6:] == 0).sum() == 1
+    assert not any("rotors" in note for note in stated.notes)
+
+
 def test_left_and_right_mirror_each_other(aliengo):
     model = aliengo.full_model()
     flip = np.array([1, -1, 1])
