@@ -20,7 +20,7 @@ from quadwalk.evaluate.recording.mcap import verify_mcap
 
 STUDIES = HERE.parent / "studies"
 STEPS = 49_152  # two iterations
-NAMES = ("01_robot", "02_train", "03_evaluate", "04_gecko", "05_real_world")
+NAMES = ("01_robot", "02_train", "03_evaluate", "04_gecko", "05_real_world", "06_ground")
 
 
 class Executed:
@@ -239,3 +239,22 @@ def test_what_breaks_the_ideal_policy_is_drawn_and_listed(executed):
         nominal = result["points"]["nominal"]["speed"]["mean"]
         assert row.startswith(result["variant"])
         assert float(row.split()[-4]) == pytest.approx(nominal, abs=0.006)
+
+
+def test_where_robots_fail_on_uneven_ground_is_drawn_and_listed(executed):
+    done = executed("06_ground")
+    kept = json.loads((STUDIES / "ground/results.json").read_text())
+    variants = dict.fromkeys(result["variant"] for result in kept)
+    for code in ('films([(name, "stairs_up")', 'films([(name, "blocks")', "films(courses)"):
+        assert orange(done.picture(code)).mean() > 0.005, code
+    maps = [out for out in done.outputs("draw_by_ground(") if "image/png" in out.get("data", {})]
+    assert len(maps) == len(variants)
+    listed = done.text("for variant, difficulty in (")
+    cells = [
+        (cell["kind"].replace("_", " "), cell["success"])
+        for variant, difficulty in (("seeing", 1.0), ("seeing", 0.5), ("blind", 2 / 3))
+        for cell in kept[list(variants).index(variant)]["ground"]["cells"]
+        if abs(cell["difficulty"] - difficulty) < 0.01
+    ]
+    rows = re.findall(r"^  (\w[\w ]*?) +(\d+) % succeed", listed, re.MULTILINE)
+    assert rows == [(kind, f"{100 * share:.0f}") for kind, share in cells]
