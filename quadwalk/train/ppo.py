@@ -333,9 +333,9 @@ def _first(known: NanStep, nan: jax.Array, before: Any, action: jax.Array) -> Na
     return jax.tree.map(lambda old, new: jnp.where(known.found > 0, old, new), known, new)
 
 
-def settled(start: float, end: float, progress: jax.Array) -> jax.Array:
-    """`start`, falling to `end` over the last 40 % of the training; `progress` from 0 to 1."""
-    return start + jnp.clip((progress - 0.6) / 0.4, 0.0, 1.0) * (end - start)
+def settled(start: float, end: float, share: float, progress: jax.Array) -> jax.Array:
+    """`start`, falling to `end` over the last `share` of the training; `progress` from 0 to 1."""
+    return start + jnp.clip(1.0 - (1.0 - progress) / share, 0.0, 1.0) * (end - start)
 
 
 def learn(
@@ -352,8 +352,8 @@ def learn(
     would change beyond recognition when they are normalised.
     """
     progress = learner.iterations / iterations
-    desired_kl = settled(config.desired_kl, config.final_kl, progress)
-    entropy = settled(config.entropy, config.final_entropy, progress)
+    desired_kl = settled(config.desired_kl, config.final_kl, config.settle, progress)
+    entropy = settled(config.entropy, config.final_entropy, config.settle, progress)
 
     def update(carry: Any, xs: tuple[jax.Array, jax.Array]) -> Any:
         rows, key = xs

@@ -37,7 +37,7 @@ class PPOConfig:
     epochs: int  # passes over the data
     learning_rate: float  # Adam's, at the start
     desired_kl: float  # the learning rate adapts to keep the policy's change near this
-    final_kl: float  # desired_kl falls to this over the last 40 % of the steps
+    final_kl: float  # desired_kl falls to this over the share `settle` of the steps, the last
     min_learning_rate: float  # the learning rate's lower bound
     max_learning_rate: float  # the learning rate's upper bound
     discount: float  # weight of the next step's return
@@ -45,7 +45,7 @@ class PPOConfig:
     clip: float  # how far the probability ratio may be from 1
     noise: float  # standard deviation of actions at the start, before the tanh
     entropy: float  # weight of the entropy bonus
-    final_entropy: float  # the entropy bonus' weight falls to this over the last 40 % of the steps
+    final_entropy: float  # the entropy bonus' weight falls to this, as desired_kl does
     value: float  # weight of the value loss
     max_grad_norm: float  # gradients are scaled down to this norm
     reward_scale: float  # rewards are multiplied by this before learning
@@ -54,6 +54,7 @@ class PPOConfig:
     # share of the falls after which the next episode is under the same conditions once more: so
     # what is hard to bear is met more often
     retry: float = 0.0
+    settle: float = 0.4  # share of the steps, the last, over which the policy settles
 
     def __post_init__(self) -> None:
         for name in ("eval_envs", "unroll", "minibatches", "epochs"):
@@ -67,6 +68,8 @@ class PPOConfig:
             raise UsageError(f"ppo.learning-rate is {self.learning_rate}; expected more than 0")
         if not 0.0 <= self.retry < 1.0:
             raise UsageError(f"ppo.retry is {self.retry}; expected 0 to less than 1")
+        if not 0.0 < self.settle <= 1.0:
+            raise UsageError(f"ppo.settle is {self.settle}; expected more than 0, up to 1")
         if not self.hidden or min(self.hidden) < 1:
             raise UsageError(f"ppo.hidden is {self.hidden}; expected positive layer sizes")
 

@@ -320,7 +320,18 @@ def test_it_learns(networks, iterate):
 
 
 @pytest.mark.parametrize(
-    ("progress", "expected"), [(0.0, 0.03), (0.6, 0.03), (0.8, 0.02), (1.0, 0.01), (1.5, 0.01)]
+    ("share", "progress", "expected"),
+    [
+        (0.4, 0.0, 0.03),
+        (0.4, 0.6, 0.03),
+        (0.4, 0.8, 0.02),
+        (0.4, 1.0, 0.01),
+        (0.4, 1.5, 0.01),
+        (1.0, 0.25, 0.025),
+        (0.8, 0.2, 0.03),
+        (0.8, 0.6, 0.02),
+    ],
 )
-def test_the_policy_settles_towards_the_end(progress, expected):
-    assert float(ppo.settled(0.03, 0.01, jnp.asarray(progress))) == pytest.approx(expected)
+def test_the_policy_settles_towards_the_end(share, progress, expected):
+    found = ppo.settled(0.03, 0.01, share, jnp.asarray(progress))
+    assert float(found) == pytest.approx(expected)
