@@ -36,7 +36,7 @@ from quadwalk.physics.rigid_body import (
     pose_of,
     rotation_of,
 )
-from quadwalk.physics.vectors import Array, Vector
+from quadwalk.physics.vectors import Vector
 
 
 def control_step(
@@ -183,10 +183,10 @@ def integrate(state: Physics, acceleration: jax.Array, dt: float) -> Physics:
 
 
 def lowest_points(model: Model, qpos: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """The feet's soles (4, 3), m, and how far the lowest of all else (2,) is above the ground, m.
+    """The feet's soles (4, 3), m, and how far the lowest of all else (5,) is above the ground, m.
 
-    That is of the trunk, then of the legs. Soles have x and y in the world, and z is above the
-    ground straight below.
+    That is of the trunk, then of each leg but its foot. Soles have x and y in the world, and z is
+    above the ground straight below.
 
     `qpos` (19,); to be vmapped over robots. Not all shapes touch the ground in training, so this is
     how it knows that one would have. Of other shapes over ground that is not level, their ends and
@@ -202,21 +202,19 @@ def lowest_points(model: Model, qpos: jax.Array) -> tuple[jax.Array, jax.Array]:
             return _lowest_points_over(model, model.ground, running, pose, qpos)
         feet, height = model.contacts[0], qpos[2]
         x, y, z = centres(feet, pose)
-        lowest = [jnp.full_like(height, jnp.inf)] * 2
+        trunk, legs = jnp.full_like(height, jnp.inf), jnp.full_like(z, jnp.inf)
         for shell in model.shells:
-            rotation = pose.trunk
-            above: Array = jnp.zeros_like(height)
-            if shell.link is not None:
-                rotation, above = pose.rotations[shell.link], pose.origins[shell.link][2]
-            bottom = above + shell.bottom(rotation[2])
-            part = int(shell.link is not None)
-            lowest[part] = jnp.minimum(lowest[part], jnp.min(jnp.atleast_2d(bottom), axis=0))
+            if shell.link is None:
+                trunk = jnp.minimum(trunk, shell.bottom(pose.trunk[2]))
+            else:
+                bottom = shell.bottom(pose.rotations[shell.link][2])
+                legs = jnp.minimum(legs, pose.origins[shell.link][2] + bottom)
         soles = jnp.stack([x, y, z - feet.radius], axis=1) + qpos[:3]
-        return soles, height + jnp.stack(lowest)
+        return soles, height + jnp.concatenate([trunk[None], legs])
 
     qpos = jnp.asarray(qpos)
     shape = partial(jax.ShapeDtypeStruct, dtype=qpos.dtype)
-    return robots_last(of_many, (shape((4, 3)), shape((2,))))(model, qpos)
+    return robots_last(of_many, (shape((4, 3)), shape((5,))))(model, qpos)
 
 
 def _lowest_points_over(
@@ -226,9 +224,8 @@ def _lowest_points_over(
     x, y, height = qpos[:3]
     along, across, _ = centres(model.contacts[0], pose)
     under = _look_under(model, running, pose, qpos)[0]
-    lowest = [jnp.full_like(height, jnp.inf)] * 2
+    trunk, legs = jnp.full_like(height, jnp.inf), jnp.full_like(along, jnp.inf)
     for shell in model.shells:
-        part = int(shell.link is not None)
         rotation = pose.trunk if shell.link is None else pose.rotations[shell.link]
         for there, point in shell.low_points(rotation[2]):
             place = v.apply(rotation, point)
@@ -236,9 +233,12 @@ def _lowest_points_over(
                 place = v.add(place, pose.origins[shell.link])
             level = ground.at(x + place[0], y + place[1])[0]
             gap = jnp.where(there, height + place[2] - level, jnp.inf)
-            lowest[part] = jnp.minimum(lowest[part], jnp.min(jnp.atleast_2d(gap), axis=0))
+            if shell.link is None:
+                trunk = jnp.minimum(trunk, gap)
+            else:
+                legs = jnp.minimum(legs, gap)
     soles = jnp.stack([x + along, y + across, jnp.asarray(under.above)], axis=1)
-    return soles, jnp.stack(lowest)
+    return soles, jnp.concatenate([trunk[None], legs])
 
 
 def _by_link(joints: jax.Array) -> Vector:

@@ -305,6 +305,9 @@ class QuadrupedEnv(Env):
         soles, lowest = fast.lowest_points(self.geometry, after.qpos)
         start = jnp.where(sane, before.qpos, after.qpos)
         contact = soles[:, 2] < CONTACT_GAP
+        # MuJoCo's ground gives way: a foot that lands sinks in, up to 2 cm at a run, its shin too.
+        radius = self.geometry.contacts[0].radius
+        legs = lowest[1:] - jnp.clip(soles[:, 2], -radius, 0.0)
         step = Step(
             dt=config.control_dt,
             steps=after.steps,
@@ -319,7 +322,7 @@ class QuadrupedEnv(Env):
             start_soles=fast.lowest_points(self.geometry, start)[0],
             soles=soles,
             contact=contact,
-            lowest=lowest,
+            lowest=jnp.stack([lowest[0], jnp.min(legs)]),
             ground=None
             if self.terrain is None
             else after.qpos[2] - above_ground(robot, after.qpos),

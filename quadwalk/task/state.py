@@ -57,7 +57,9 @@ class Step(NamedTuple):
     start_soles: jax.Array  # (4, 3) m, the feet's lowest points before it, z above the ground
     soles: jax.Array  # (4, 3) after it
     contact: jax.Array  # (4,) bool, feet on the floor after it
-    lowest: jax.Array  # (2,) m, above the ground, lowest points of the trunk, of legs without feet
+    # (2,) m, above the ground, lowest points of the trunk, of legs without feet; where a foot has
+    # sunk in, by its radius at most, its leg is as high above that
+    lowest: jax.Array
     ground: jax.Array | None = None  # () m, of the ground under the trunk after it; None: 0
 
     @property

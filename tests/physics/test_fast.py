@@ -267,6 +267,13 @@ def test_knees_and_corners_are_not_measured_as_shapes(env, body_env):
         np.testing.assert_array_equal(one, other)
 
 
+def first_of_leg(model, trunk, body):
+    """The body of `body`'s leg that hangs on the trunk."""
+    while model.body_parentid[body] != trunk:
+        body = model.body_parentid[body]
+    return body
+
+
 def test_lowest_points_are_those_of_the_placed_shapes(env):
     model, feet = env.mj_model, env.quadruped.feet
     geoms, shells = contact_geoms(model, feet)[0], shell_geoms(model, feet)
@@ -281,15 +288,14 @@ def test_lowest_points_are_those_of_the_placed_shapes(env):
         touching = data.geom_xpos[geoms] - model.geom_size[geoms, :1] * [0, 0, 1]
         np.testing.assert_allclose(points, touching, atol=1e-6)
         trunk = model.body(env.quadruped.trunk).id
-        of_trunk, of_legs = (
-            min(
-                lowest_point(model, data, int(geom))
-                for geom in shells
-                if (model.geom_bodyid[geom] == trunk) == own
-            )
-            for own in (True, False)
-        )
-        np.testing.assert_allclose(lowest, [of_trunk, of_legs], atol=1e-6)
+        hips = [first_of_leg(model, trunk, model.geom_bodyid[geom]) for geom in geoms]
+        expected = np.full(5, np.inf)
+        for geom in shells:
+            body, part = model.geom_bodyid[geom], 0
+            if body != trunk:
+                part = 1 + hips.index(first_of_leg(model, trunk, body))
+            expected[part] = min(expected[part], lowest_point(model, data, int(geom)))
+        np.testing.assert_allclose(lowest, expected, atol=1e-6)
 
 
 @pytest.mark.parametrize("robots", [3, BATCH, 2 * BATCH + 5])

@@ -9,7 +9,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from quadwalk.errors import UsageError
+from quadwalk.physics.motor import Effort
 from quadwalk.task.env import QuadrupedEnv
+from quadwalk.task.terms import Reward
 from quadwalk.tasks import run, sprint
 
 STILL = jnp.zeros((4, 12))
@@ -106,6 +108,27 @@ def test_a_fall_ends_the_episode_and_says_why(reset, step, ends, reason, change)
     assert state.metrics["fell"].all()
     assert not state.info["truncation"].any()
     assert (state.reward < -5).all()
+
+
+def test_a_shin_does_not_touch_because_its_foot_sinks_in(env):
+    """Where the foot bears it goes down with it; deeper than the foot is thick, it touches."""
+    seen = Reward(lambda robot, step: step.lowest[1], scale=1.0)
+    env = QuadrupedEnv(env.quadruped, dataclasses.replace(env.config, reward={"seen": seen}))
+    start = jax.jit(env.reset)(jax.random.PRNGKey(0)).pipeline_state
+    none = Effort(jnp.zeros(12), jnp.zeros(()))
+
+    @jax.jit
+    def legs(sunk):
+        qpos = jnp.asarray(env.robot.home).at[2].add(-sunk)
+        after = start._replace(physics=start.physics._replace(qpos=qpos))
+        return env.finish_step(start, after, none, jnp.ones((), bool)).metrics["reward/seen"]
+
+    radius = float(env.mj_model.geom(env.quadruped.feet[0]).size[0])
+    clear = float(legs(0.0))
+    assert 0.0 < clear < radius
+    assert float(legs(-0.1)) == pytest.approx(clear + 0.1, abs=1e-5)  # in the air
+    assert float(legs(0.9 * radius)) == pytest.approx(clear, abs=1e-5)
+    assert float(legs(radius + clear + 0.01)) == pytest.approx(-0.01, abs=1e-5)
 
 
 @pytest.mark.parametrize("poison", [np.nan, np.inf, 1e30])
