@@ -61,7 +61,7 @@ class Stepper:
             return self.model
         rows = np.concatenate([np.reshape(x, (len(x), -1)) for x in variations], axis=1)
         keys = [row.tobytes() for row in rows]
-        if len(self._varied) > 2 * len(keys):  # each as large as the whole: of robots long gone
+        if not self._varied.keys() >= set(keys):  # none is kept of robots gone
             self._varied = {key: self._varied[key] for key in keys if key in self._varied}
         for i, key in enumerate(keys):
             if key not in self._varied:
