@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from quadwalk.errors import UsageError
 from quadwalk.paths import ALIENGO_URDF
 from quadwalk.task_files import load_task
-from quadwalk.train.runs.directory import Run, find_run
+from quadwalk.train.runs.directory import Run, find_any_run
 from quadwalk.train.serialise import with_settings
 from quadwalk.train.settings import RobotConfig, TrainConfig
 
@@ -168,4 +168,4 @@ def _config(
 
 
 def _run(run: str | Path | Run, runs: str | Path | None) -> Run:
-    return run if isinstance(run, Run) else find_run(runs or TrainConfig.runs, str(run))
+    return run if isinstance(run, Run) else find_any_run(runs or TrainConfig.runs, str(run))

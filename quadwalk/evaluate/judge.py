@@ -11,7 +11,7 @@ from rich.console import Console
 from quadwalk.errors import UsageError, UserError
 from quadwalk.evaluate.options import EvalConfig
 from quadwalk.files import os_reason
-from quadwalk.train.runs.directory import Run, find_run, write_json_atomic
+from quadwalk.train.runs.directory import Run, find_any_run, results_folder, write_json_atomic
 
 if TYPE_CHECKING:
     from quadwalk.evaluate.evaluation import Evaluation
@@ -189,7 +189,7 @@ def _find_runs(config: EvalConfig) -> list[Run]:
     """The runs that are named; `UsageError` for one that is not there, or named twice."""
     runs: list[Run] = []
     for which in config.run:
-        run = find_run(config.runs, which)
+        run = find_any_run(config.runs, which)
         for other, called in zip(runs, config.run, strict=False):
             if other.path.resolve() == run.path.resolve():
                 raise UsageError(
@@ -208,11 +208,12 @@ def _labels(runs: list[Run]) -> list[str]:
 
 def _make_outputs(config: EvalConfig, runs: list[Run], name: str) -> tuple[list[Path], Path | None]:
     """Folders, made, for each run's results, and for those of a comparison."""
+    own = [results_folder(config.runs, run) / "eval" / name for run in runs]
     if len(runs) == 1:
-        return [_make_folder(config.out or runs[0].path / "eval" / name)], None
+        return [_make_folder(config.out or own[0])], None
     together = _make_folder(config.out or config.runs / "comparisons" / name)
     if config.out is None:
-        return [_make_folder(run.path / "eval" / name) for run in runs], together
+        return [_make_folder(folder) for folder in own], together
     labels = [label.strip("/").replace("/", "_") for label in _labels(runs)]
     return [_make_folder(together / label) for label in labels], together
 

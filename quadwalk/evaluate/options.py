@@ -18,7 +18,7 @@ class EvalConfig:
     Several runs are judged from the same starts and compared.
     """
 
-    # names or paths of runs, or "latest"
+    # names or paths of runs, or "latest"; walk and run come trained
     run: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[RUN ...]")] = (
         "latest",
     )

@@ -11,14 +11,14 @@ from rich.console import Console
 
 from quadwalk.cli import parse
 from quadwalk.errors import UserError, run_command
-from quadwalk.train.runs.directory import find_run
+from quadwalk.train.runs.directory import find_any_run, results_folder
 
 
 @dataclass(frozen=True)
 class ExportConfig:
     """Write a policy as ONNX, with deploy.yaml, MJCF, URDF and a script that runs it in MuJoCo."""
 
-    # name or path of a run, or "latest"
+    # name or path of a run, or "latest"; walk and run come trained
     run: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="[RUN]")] = "latest"
     # folder for the files; None: export/ in the run's
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
@@ -29,7 +29,7 @@ class ExportConfig:
 def main(args: Sequence[str] | None = None, prog: str = "python -m quadwalk.export") -> None:
     """Parse the command line and export."""
     config = parse(ExportConfig, sys.argv[1:] if args is None else args, prog)
-    run = find_run(config.runs, config.run)
+    run = find_any_run(config.runs, config.run)
     console = Console(stderr=True, highlight=False, soft_wrap=True)
     console.print(f"exporting {run.path}")
     from quadwalk.train.devices import set_up_devices
@@ -43,7 +43,7 @@ def main(args: Sequence[str] | None = None, prog: str = "python -m quadwalk.expo
         raise UserError(
             f"{error.name} is not installed; export needs: pip install 'quadwalk[export]'"
         ) from None
-    out = config.out or run.path / "export"
+    out = config.out or results_folder(config.runs, run) / "export"
     written = export_run(run, config.policy, out, console)
     for path in written:
         print(path)

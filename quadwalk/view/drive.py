@@ -12,9 +12,8 @@ from typing import Annotated
 import tyro
 from rich.console import Console
 
-from quadwalk.errors import UsageError, UserError, check_port
-from quadwalk.paths import PRETRAINED
-from quadwalk.train.runs.directory import Run, find_run
+from quadwalk.errors import UserError, check_port
+from quadwalk.train.runs.directory import Run, find_any_run, list_runs
 
 EXTRA = "pip install 'quadwalk[view]'"
 
@@ -36,7 +35,7 @@ class ViewConfig:
 
 def drive(config: ViewConfig) -> None:
     """Show the run's newest policy live, until it is interrupted or the window closed."""
-    run = find_any_run(config.runs, config.run)
+    run = find_driven(config.runs, config.run)
     console = Console(stderr=True, highlight=False, soft_wrap=True)
     missing = no_window()
     in_page = config.browser or missing is not None
@@ -63,15 +62,10 @@ def drive(config: ViewConfig) -> None:
             page.run_for()
 
 
-def find_any_run(root: Path, which: str) -> Run:
-    """As `find_run`; where `root` has none, one of those that come with the package."""
-    try:
-        return find_run(root, which)
-    except UsageError:
-        name = "walk" if which == "latest" else which
-        if name in {folder.name for folder in PRETRAINED.iterdir()}:
-            return Run(PRETRAINED / name)
-        raise
+def find_driven(root: Path, which: str) -> Run:
+    """As `find_any_run`; the latest is, before any training, a walk that comes with the package."""
+    nothing_yet = which == "latest" and not list_runs(root)
+    return find_any_run(root, "walk" if nothing_yet else which)
 
 
 def no_window() -> str | None:

@@ -6,20 +6,28 @@ import pytest
 from quadwalk.errors import UsageError
 from quadwalk.evaluate.subject import load_subject
 from quadwalk.paths import PRETRAINED
-from quadwalk.train.runs.directory import Run
-from quadwalk.view.drive import find_any_run
+from quadwalk.train.runs.directory import Run, find_any_run, results_folder
+from quadwalk.view.drive import find_driven
 from quadwalk.view.live import LiveRobot
 
 
 def test_they_are_found_where_there_is_no_other(tmp_path):
-    assert find_any_run(tmp_path, "latest").path == PRETRAINED / "walk"
+    assert find_driven(tmp_path, "latest").path == PRETRAINED / "walk"
     assert find_any_run(tmp_path, "run").path == PRETRAINED / "run"
     (tmp_path / "run").mkdir()
     (tmp_path / "run" / "policy.npz").touch()
     assert find_any_run(tmp_path, "run").path == tmp_path / "run"
+    assert find_driven(tmp_path, "latest").path == tmp_path / "run"
     for name in ("fly", "", "..", "../pretrained"):
         with pytest.raises(UsageError):
             find_any_run(tmp_path, name)
+
+
+def test_nothing_is_written_to_them(tmp_path):
+    for name in ("walk", "run"):
+        there = results_folder(tmp_path, Run(PRETRAINED / name))
+        assert there == tmp_path / "pretrained" / name
+    assert results_folder(tmp_path, Run(tmp_path / "walk")) == tmp_path / "walk"
 
 
 @pytest.mark.parametrize(("name", "least", "most"), [("walk", 0.6, 1.4), ("run", 3.0, 7.0)])

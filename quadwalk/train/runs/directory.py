@@ -27,6 +27,7 @@ from typing import Any, BinaryIO
 
 from quadwalk.errors import UsageError, UserError
 from quadwalk.files import atomic_write, os_reason
+from quadwalk.paths import PRETRAINED
 from quadwalk.train.runs import checkpoint
 
 _NAME = re.compile(r"\w[\w.+=@,-]*")
@@ -146,6 +147,23 @@ def find_run(root: Path | str, which: str) -> Run:
             if _is_run(path):
                 return Run(path)
     raise UsageError(f"no run {which!r}: {_known_runs(root)}")
+
+
+def find_any_run(root: Path | str, which: str) -> Run:
+    """As `find_run`, or by its name one that comes with the package, which is not to be changed."""
+    try:
+        return find_run(root, which)
+    except UsageError:
+        if which in {folder.name for folder in PRETRAINED.iterdir()}:
+            return Run(PRETRAINED / which)
+        raise
+
+
+def results_folder(root: Path | str, run: Run) -> Path:
+    """Where what is made of a run goes: to it, or into `root` if it comes with the package."""
+    if run.path.parent == PRETRAINED:
+        return Path(root) / PRETRAINED.name / run.name
+    return run.path
 
 
 def list_runs(root: Path | str) -> list[Run]:
