@@ -13,7 +13,7 @@ SCAN = {"length": 1.2, "width": 0.6, "spacing": 0.1, "reach": 0.5}
 
 TASK = TrainConfig(
     task="rough",
-    steps=48_000_000,
+    steps=64_000_000,
     checkpoint_steps=2_000_000,
     env=EnvConfig(
         engine="fast",
@@ -49,7 +49,7 @@ TASK = TrainConfig(
             "conditions": Observation(observation.conditions),
         },
         reward={
-            "fall": Reward(reward.fall, scale=-30.0),
+            "fall": Reward(reward.fall, scale=-10.0),
             "energy": Reward(reward.energy, scale=-0.2),
             "vertical": Reward(reward.vertical, scale=-0.5),
             "tilt": Reward(reward.tilt, scale=-0.1),
@@ -118,7 +118,7 @@ TASK = TrainConfig(
                 *("blocks",) * 2,
                 "ditches",
             ),
-            levels=6,  # few and far apart: 48 million steps are but 23 full episodes of each robot
+            levels=6,  # few and far apart: 64 million steps are but 31 full episodes of each robot
             difficulty=(0.0, 1.0),
             tile=(8.0, 8.0),
             border=4.0,
@@ -156,5 +156,6 @@ TASK = TrainConfig(
         reward_scale=0.1,
         hidden=(128, 128, 128),
         activation="swish",
+        settle=0.8,  # early: levels rise little before
     ),
 )
