@@ -4,6 +4,7 @@ should.
 
 import base64
 import io
+import itertools
 import json
 import re
 import sys
@@ -250,11 +251,12 @@ def test_where_robots_fail_on_uneven_ground_is_drawn_and_listed(executed):
     maps = [out for out in done.outputs("draw_by_ground(") if "image/png" in out.get("data", {})]
     assert len(maps) == len(variants)
     listed = done.text("for variant, difficulty in (")
-    cells = [
-        (cell["kind"].replace("_", " "), cell["success"])
-        for variant, difficulty in (("seeing", 1.0), ("seeing", 0.5), ("blind", 2 / 3))
-        for cell in kept[list(variants).index(variant)]["ground"]["cells"]
-        if abs(cell["difficulty"] - difficulty) < 0.01
-    ]
+    worst: dict[tuple[str, float, str], float] = {}  # of all seeds
+    for variant, difficulty in (("seeing", 1.0), ("seeing", 0.5), ("blind", 2 / 3)):
+        cells = [r["ground"]["cells"] for r in kept if r["variant"] == variant]
+        for cell in itertools.chain(*cells):
+            if abs(cell["difficulty"] - difficulty) < 0.01:
+                case = (variant, difficulty, cell["kind"].replace("_", " "))
+                worst[case] = min(cell["success"], worst.get(case, 1.0))
     rows = re.findall(r"^  (\w[\w ]*?) +(\d+) % succeed", listed, re.MULTILINE)
-    assert rows == [(kind, f"{100 * share:.0f}") for kind, share in cells]
+    assert rows == [(kind, f"{100 * share:.0f}") for (*_, kind), share in worst.items()]
