@@ -94,6 +94,7 @@ def test_the_command_of_walk_is_a_flag():
         (["--env.reward.forwad", "2"], "--env.reward.forward"),
         (["--env.reward.forward", "fast"], "--env.reward.forward"),
         (["--ppo.discount", "1.5"], "discount"),
+        (["--ppo.settle", "0"], "ppo.settle"),
         (["--ppo.hidden", "0"], "hidden"),
         (["--env.physics-dt", "1"], "physics-dt"),
         (["--env.command.forward", "1", "0"], "env.command.forward is (1.0, 0.0)"),
