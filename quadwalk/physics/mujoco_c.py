@@ -61,13 +61,13 @@ class Stepper:
             return self.model
         rows = np.concatenate([np.reshape(x, (len(x), -1)) for x in variations], axis=1)
         keys = [row.tobytes() for row in rows]
-        if not self._varied.keys() >= set(keys):  # none is kept of robots gone
-            self._varied = {key: self._varied[key] for key in keys if key in self._varied}
+        # None is kept of robots that are gone: each is as large as the whole.
+        kept = self._varied = {key: self._varied[key] for key in keys if key in self._varied}
         for i, key in enumerate(keys):
-            if key not in self._varied:
+            if key not in kept:
                 own = Variation(*(x[i] for x in variations))
-                self._varied[key] = varied_model(self.model, own)
-        return [self._varied[key] for key in keys]
+                kept[key] = varied_model(self.model, own)
+        return [kept[key] for key in keys]
 
 
 def varied_model(model: mujoco.MjModel, variation: Variation) -> mujoco.MjModel:

@@ -277,6 +277,8 @@ def first_of_leg(model, trunk, body):
 def test_lowest_points_are_those_of_the_placed_shapes(env):
     model, feet = env.mj_model, env.quadruped.feet
     geoms, shells = contact_geoms(model, feet)[0], shell_geoms(model, feet)
+    trunk = model.body(env.quadruped.trunk).id
+    hips = [first_of_leg(model, trunk, model.geom_bodyid[geom]) for geom in geoms]
     data = mujoco.MjData(model)
     rng = np.random.default_rng(2)
     compiled = jax.jit(lambda q: lowest_points(env.model, q))
@@ -287,8 +289,6 @@ def test_lowest_points_are_those_of_the_placed_shapes(env):
         points, lowest = compiled(jnp.asarray(data.qpos, jnp.float32))
         touching = data.geom_xpos[geoms] - model.geom_size[geoms, :1] * [0, 0, 1]
         np.testing.assert_allclose(points, touching, atol=1e-6)
-        trunk = model.body(env.quadruped.trunk).id
-        hips = [first_of_leg(model, trunk, model.geom_bodyid[geom]) for geom in geoms]
         expected = np.full(5, np.inf)
         for geom in shells:
             body, part = model.geom_bodyid[geom], 0

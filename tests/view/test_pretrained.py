@@ -1,5 +1,7 @@
 """The policies that come with the package: found where there is no run yet, small, and able."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -23,10 +25,11 @@ def test_they_are_found_where_there_is_no_other(tmp_path):
             find_any_run(tmp_path, name)
 
 
-def test_nothing_is_written_to_them(tmp_path):
+def test_nothing_is_written_to_them(tmp_path, monkeypatch):
+    monkeypatch.chdir(PRETRAINED.parent)
     for name in ("walk", "run"):
-        there = results_folder(tmp_path, Run(PRETRAINED / name))
-        assert there == tmp_path / "pretrained" / name
+        for path in (PRETRAINED / name, Path("pretrained") / name):
+            assert results_folder(tmp_path, Run(path)) == tmp_path / "pretrained" / name
     assert results_folder(tmp_path, Run(tmp_path / "walk")) == tmp_path / "walk"
 
 

@@ -161,7 +161,7 @@ def find_any_run(root: Path | str, which: str) -> Run:
 
 def results_folder(root: Path | str, run: Run) -> Path:
     """Where what is made of a run goes: to it, or into `root` if it comes with the package."""
-    if run.path.parent == PRETRAINED:
+    if run.path.resolve().parent == PRETRAINED:
         return Path(root) / PRETRAINED.name / run.name
     return run.path
 
