@@ -13,7 +13,7 @@ SCAN = {"length": 1.2, "width": 0.6, "spacing": 0.1, "reach": 0.5}
 
 TASK = TrainConfig(
     task="rough",
-    steps=64_000_000,
+    steps=58_000_000,
     checkpoint_steps=2_000_000,
     env=EnvConfig(
         engine="fast",
@@ -118,7 +118,7 @@ TASK = TrainConfig(
                 *("blocks",) * 2,
                 "ditches",
             ),
-            levels=6,  # few and far apart: 64 million steps are but 31 full episodes of each robot
+            levels=6,  # few and far apart: 58 million steps are but 28 full episodes of each robot
             difficulty=(0.0, 1.0),
             tile=(8.0, 8.0),
             border=4.0,
@@ -149,12 +149,12 @@ TASK = TrainConfig(
         gae_lambda=0.95,
         clip=0.2,
         noise=0.35,
-        entropy=0.005,
+        entropy=0.003,
         final_entropy=0.001,
         value=1.0,
         max_grad_norm=1.0,
         reward_scale=0.1,
-        hidden=(128, 128, 128),
+        hidden=(256, 192, 128),  # slower by a fifth, and as good in a fifth fewer steps, or more
         activation="swish",
         settle=0.8,  # early: levels rise little before
     ),
