@@ -30,7 +30,7 @@ from jax.sharding import PartitionSpec as P
 
 from quadwalk.physics.constraints.surface import given
 from quadwalk.task.state import chosen
-from quadwalk.train.devices import learner_options
+from quadwalk.train.devices import learner_options, release_freed_memory
 from quadwalk.train.networks import Networks
 from quadwalk.train.settings import PPOConfig
 
@@ -476,6 +476,7 @@ class Iteration:
             self._collect, self.learn = pool.map(
                 lambda lowered: lowered.compile(), (collecting, learning)
             )
+        release_freed_memory()
 
     def collect(self, learner: Learner, workers: Workers) -> tuple[Any, ...]:
         """Workers, data, metrics and a random key to learn with; `workers` are given up to it."""
