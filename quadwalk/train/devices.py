@@ -1,6 +1,5 @@
 """XLA devices to train on: accelerators, or one for each CPU core; and the compilation cache."""
 
-import contextlib
 import ctypes
 import dataclasses
 import functools
@@ -8,6 +7,7 @@ import hashlib
 import os
 import platform
 import warnings
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -132,12 +132,9 @@ def _keep_freed_memory() -> None:
 
     Given back and asked for again, it is cleared page by page (benchmarks/learning.py).
     """
-    # <malloc.h>; another C library has no mallopt, or ignores it.
+    # <malloc.h>
     trim_threshold, top_pad, mmap_max = -1, -2, -4
-    try:
-        mallopt = ctypes.CDLL(None).mallopt
-    except (OSError, TypeError, AttributeError):
-        return
+    mallopt = _of_libc("mallopt")
     mallopt(mmap_max, 0)
     mallopt(trim_threshold, 2**31 - 1)
     mallopt(top_pad, 2**26)
@@ -145,8 +142,16 @@ def _keep_freed_memory() -> None:
 
 def release_freed_memory() -> None:
     """Have glibc's malloc give back what is free now, as half a gigabyte that compiling needed."""
-    with contextlib.suppress(OSError, TypeError, AttributeError):  # another C library
-        ctypes.CDLL(None).malloc_trim(0)
+    _of_libc("malloc_trim")(0)
+
+
+def _of_libc(name: str) -> Callable[..., object]:
+    """A function of the C library; one that does nothing where it has none of that name."""
+    try:
+        function: Callable[..., object] = getattr(ctypes.CDLL(None), name)
+    except (OSError, TypeError, AttributeError):
+        return lambda *_: None
+    return function
 
 
 def learner_options(platform: str) -> dict[str, bool | int]:
