@@ -7,6 +7,7 @@ Where velocities are commanded, the command is to go straight ahead at `PACE`.
 import dataclasses
 import math
 from collections.abc import Iterator
+from itertools import product
 from typing import Any, NamedTuple
 
 import quadwalk.physics.mjx  # noqa: F401  # before Brax, which imports MJX less quietly
@@ -33,8 +34,9 @@ from quadwalk.task.state import chosen
 from quadwalk.train.robot import load_run_robot
 
 PACE = 0.7  # m/s
-FIELDS_MEMORY = 2**29  # bytes of fields at a time
-BATCH = 2048  # episodes at a time, where they share one field
+# Episodes at a time: some eighth of all, for at the end some of the room is left empty, but whole
+# multiples of this, which devices can share, and not more than that.
+ROOM, MOST = 64, 2048
 ROWS = 4  # tiles of each cell, of which no two are alike
 
 
@@ -60,41 +62,24 @@ def measure_by_ground(
     """
     ground = subject.env.config.ground
     kinds = (FILE,) if ground.file is not None else ground.kinds
-    # Where each episode has a field of its own, small ones: of a kind at a time.
-    parts = [(kind,) for kind in kinds] if _has_own_fields(subject.env) else [kinds]
+    env = ground_env(subject, kinds, levels)
+    assert env.terrain is not None
+    difficulties = list(dict.fromkeys(tile.difficulty for tile in env.terrain.tiles))
+    told = env.config.command.given
+    tiles = _tiles(kinds, len(difficulties), episodes)
+    found = dict(_simulate(env, subject.policy.act, tiles, seed, report))
     cells = [
-        cell
-        for part in parts
-        for cell in _measure_kinds(subject, part, levels, episodes, seed, report)
+        {"kind": kind, "difficulty": difficulty}
+        | _figures([found[cell * episodes + k] for k in range(episodes)], told)
+        for cell, (kind, difficulty) in enumerate(product(kinds, difficulties))
     ]
     return {
         "kinds": list(kinds),
-        "difficulties": list(dict.fromkeys(cell["difficulty"] for cell in cells)),
+        "difficulties": difficulties,
         "episodes": episodes,
-        "command": PACE if subject.env.config.command.given else None,
+        "command": PACE if told else None,
         "cells": cells,
     }
-
-
-def _measure_kinds(
-    subject: Subject,
-    kinds: tuple[str, ...],
-    levels: int,
-    episodes: int,
-    seed: int,
-    report: Report | None,
-) -> Iterator[dict[str, Any]]:
-    """The cells of some kinds, one after another."""
-    env = ground_env(subject, kinds, levels)
-    assert env.terrain is not None
-    difficulties = tuple(dict.fromkeys(tile.difficulty for tile in env.terrain.tiles))
-    tiles = _tiles(kinds, len(difficulties), episodes)
-    found = dict(_simulate(env, subject.policy.act, tiles, seed, report))
-    for index in range(len(kinds) * len(difficulties)):
-        kind, difficulty = divmod(index, len(difficulties))
-        own = [found[index * episodes + k] for k in range(episodes)]
-        figures = _figures(own, env.config.command.given)
-        yield {"kind": kinds[kind], "difficulty": difficulties[difficulty], **figures}
 
 
 def ground_env(subject: Subject, kinds: tuple[str, ...], levels: int) -> QuadrupedEnv:
@@ -144,7 +129,8 @@ def _simulate(
     begin, renew = env.jit(jax.vmap(env.reset)), env.jit(chosen)
     count = len(tiles)
     keys = np.asarray(jax.random.split(jax.random.PRNGKey(seed), count))
-    own = np.arange(_batch(env, count))  # the episode in each row of the batch; `count`: none
+    room = min(ROOM * math.ceil(count / (8 * ROOM)), MOST, count)
+    own = np.arange(room)  # the episode in each row of the batch; `count`: none
     waiting, ended, new, states = len(own), 0, own < count, None
     poses: dict[int, list[np.ndarray]] = {}
     while np.any(own < count):
@@ -171,20 +157,6 @@ def _simulate(
         ended += len(free)
         if report is not None:  # as if all went on at once
             report(round(env.config.episode_steps * ended / count))
-
-
-def _has_own_fields(env: QuadrupedEnv) -> bool:
-    """Whether each episode has a model of its own, and a field: in MuJoCo C, robots that differ."""
-    return env.engine == "mujoco" and env.config.randomisation.enabled
-
-
-def _batch(env: QuadrupedEnv, episodes: int) -> int:
-    """How many episodes at a time."""
-    assert env.terrain is not None
-    most = BATCH
-    if _has_own_fields(env):
-        most = min(most, max(FIELDS_MEMORY // env.terrain.field.heights.nbytes, 1))
-    return min(most, episodes)
 
 
 def _episode(env: QuadrupedEnv, end: str, poses: np.ndarray) -> Episode:

@@ -20,7 +20,6 @@ import numpy as np
 from brax.envs.base import State
 from rich.console import Console
 
-from quadwalk.errors import UsageError
 from quadwalk.evaluate.options import EvalConfig
 from quadwalk.evaluate.recording.provenance import provenance
 from quadwalk.evaluate.report.console import print_sweep, simulating
@@ -46,8 +45,6 @@ from quadwalk.task.episode.conditions import (
 )
 from quadwalk.task.state import motion
 from quadwalk.train.runs.directory import write_json_atomic
-
-FIELDS_MEMORY = 2**32  # bytes of fields at a time
 
 
 @dataclass(frozen=True)
@@ -103,13 +100,6 @@ def sweep(subject: Subject, config: EvalConfig, out: Path, console: Console) -> 
     """Sweep, print the table, write sweep.json and sweep.png to `out`; return the former."""
     env = subject.env
     points, nominal = sweep_points(subject)
-    if env.engine == "mujoco" and env.terrain is not None:
-        size = len(points) * config.episodes * env.terrain.field.heights.nbytes
-        if size > FIELDS_MEMORY:
-            raise UsageError(
-                f"--sweep over this ground takes {size / 1e9:.0f} GB in MuJoCo C, a field for each "
-                "episode; expected --engine fast, or fewer --episodes"
-            )
     what = f"simulating {len(points)} x {config.episodes} episodes in {env.engine}"
     with simulating(console, what, env.config.episode_steps, env.config.control_dt) as report:
         measured = measure_points(subject, points, config.episodes, config.seed, report)

@@ -93,19 +93,16 @@ def _read_picture(path: Path, white: float) -> np.ndarray:
 
 
 def lay(spec: mujoco.MjSpec, field: Heightfield) -> None:
-    """Put `field` in the place of the plane `floor` of `spec`, with all else that the plane has."""
+    """Put `field` in the place of the floor of `spec`, with all else that the floor has."""
     low, high = float(field.heights.min()), float(field.heights.max())
     height = max(high - low, 1e-3)  # MuJoCo wants one even for a level field
     rows, columns = field.heights.shape
     length, width = field.size
-    spec.add_hfield(
-        name=FLOOR,
-        nrow=rows,
-        ncol=columns,
-        size=[length / 2, width / 2, height, BASE],
-        # As shares of the height, the lowest 0: whatever is given, MuJoCo scales it to [0, 1].
-        userdata=((field.heights.astype(np.float64) - low) / height).ravel(),
-    )
+    grid = spec.hfield(FLOOR) if has_field(spec) else spec.add_hfield(name=FLOOR)
+    grid.nrow, grid.ncol = rows, columns
+    grid.size = [length / 2, width / 2, height, BASE]
+    # As shares of the height, the lowest 0: whatever is given, MuJoCo scales it to [0, 1].
+    grid.userdata = ((field.heights.astype(np.float64) - low) / height).ravel()
     floor = spec.geom(FLOOR)
     x, y = field.origin
     floor.type = mujoco.mjtGeom.mjGEOM_HFIELD

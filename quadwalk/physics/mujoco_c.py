@@ -7,7 +7,7 @@ solver converges. A jitted and vmapped control step hands a whole batch of robot
 import copy
 import threading
 from collections.abc import Callable
-from functools import partial
+from functools import cached_property, partial
 from typing import Any, NamedTuple
 
 import jax
@@ -18,6 +18,7 @@ import numpy as np
 from jax.experimental.buffer_callback import buffer_callback
 
 from quadwalk.cores import cpu_cores
+from quadwalk.ground.windows import Windows, windows_of
 from quadwalk.physics import motor
 from quadwalk.physics.model import Variation, vary_motor
 from quadwalk.physics.motor import Effort, Motor, Physics, Stepping
@@ -33,17 +34,23 @@ _CONTROLS = int(mujoco.mjtState.mjSTATE_QFRC_APPLIED)
 class Stepper:
     """A MuJoCo model, and a place to compute in for each thread."""
 
-    def __init__(self, model: mujoco.MjModel) -> None:
+    def __init__(self, model: mujoco.MjModel, quadruped: Quadruped) -> None:
         self.model = model
         self.data = [mujoco.MjData(model) for _ in range(cpu_cores())]
-        self._varied: dict[bytes, mujoco.MjModel] = {}
+        self._quadruped = quadruped
+        # Of each variation that is in use: its models, by the window of the ground that they have.
+        self._varied: dict[bytes, dict[tuple[int, int], mujoco.MjModel]] = {}
 
-    def step(self, states: np.ndarray, torque: np.ndarray, models: Any) -> np.ndarray:
+    def step(
+        self, states: np.ndarray, torque: np.ndarray, models: Any, origins: np.ndarray
+    ) -> np.ndarray:
         """`states` (n, 38), time, qpos and qvel, after a step with joint torques (n, 12), Nm.
 
-        `models` are those that `models` gave.
+        `models` and `origins` are what `models` gave.
         """
         applied = np.pad(torque, [(0, 0), (6, 0)])[:, None]
+        states = states.copy()
+        states[:, 1:3] -= origins
         with _POOL:
             after, _ = mujoco.rollout.rollout(
                 models,
@@ -53,21 +60,58 @@ class Stepper:
                 control_spec=_CONTROLS,
                 persistent_pool=True,
             )
-        return after[:, 0]
+        after = after[:, 0]
+        after[:, 1:3] += origins
+        return after
 
-    def models(self, variations: Variation | None) -> mujoco.MjModel | list[mujoco.MjModel]:
-        """The one model of all robots, or that of each; `variations` have arrays (n, ...)."""
+    def models(
+        self, variations: Variation | None, places: np.ndarray
+    ) -> tuple[mujoco.MjModel | list[mujoco.MjModel], np.ndarray]:
+        """The one model of all robots, or that of each, and its origin, (2,) or (n, 2) m.
+
+        `places` (n, 2), m, are where robots are; `variations` have arrays (n, ...).
+        """
         if variations is None:
-            return self.model
+            return self.model, np.zeros(2)
+        windows, middles = np.zeros(places.shape, int), np.zeros(2)
+        if self._windows is not None:
+            windows = self._windows.under(places)
+            middles = self._windows.middles(windows)
         rows = np.concatenate([np.reshape(x, (len(x), -1)) for x in variations], axis=1)
-        keys = [row.tobytes() for row in rows]
-        # None is kept of robots that are gone: each is as large as the whole.
-        kept = self._varied = {key: self._varied[key] for key in keys if key in self._varied}
-        for i, key in enumerate(keys):
-            if key not in kept:
-                own = Variation(*(x[i] for x in variations))
-                kept[key] = varied_model(self.model, own)
-        return [kept[key] for key in keys]
+        # None is kept of robots that are gone, nor of where they were.
+        before, self._varied = self._varied, {}
+        models = []
+        for i, (row, window) in enumerate(zip(rows, map(tuple, windows), strict=True)):
+            key = row.tobytes()
+            own, known = self._varied.setdefault(key, {}), before.get(key, {})
+            if window not in own:
+                own[window] = known.get(window) or self._over(
+                    window,
+                    # Anywhere else it is the same but for its ground.
+                    next(iter((known | own).values()), None)
+                    or varied_model(self._bare, Variation(*(x[i] for x in variations))),
+                )
+            models.append(own[window])
+        return models, middles
+
+    def _over(self, window: tuple[int, int], model: mujoco.MjModel) -> mujoco.MjModel:
+        """A copy of `model` over another window of the ground."""
+        if self._windows is None:
+            return model
+        model = copy.copy(model)
+        self._windows.put(model, window)
+        return model
+
+    @cached_property
+    def _windows(self) -> Windows | None:
+        return windows_of(self.model)
+
+    @cached_property
+    def _bare(self) -> mujoco.MjModel:
+        """The full model without what can only be seen, on a window of its ground."""
+        if self._windows is None:
+            return self._quadruped.full_model(self.model.opt.timestep, visuals=False)
+        return self._windows.model_of(self._quadruped, self.model.opt.timestep)
 
 
 def varied_model(model: mujoco.MjModel, variation: Variation) -> mujoco.MjModel:
@@ -96,8 +140,8 @@ class MujocoModel(NamedTuple):
 
 
 def make_model(model: mujoco.MjModel, quadruped: Quadruped, motor: Motor) -> MujocoModel:
-    """`model`, made from `quadruped`, to be stepped as it is."""
-    return MujocoModel(motor, Stepper(model))
+    """`model`, made from `quadruped`, to be stepped; robots that vary step the full one."""
+    return MujocoModel(motor, Stepper(model, quadruped))
 
 
 def vary(model: MujocoModel, variation: Variation) -> MujocoModel:
@@ -116,9 +160,9 @@ def control_step(
     assert np.isclose(model.stepper.model.opt.timestep, stepping.dt)
     each = jnp.ndim(target) > jnp.ndim(physics.qpos)
 
-    def advance(models: Any, state: Physics, torque: Any) -> Physics:
+    def advance(models: Any, origins: np.ndarray, state: Physics, torque: Any) -> Physics:
         rows = np.concatenate([np.zeros_like(state.qpos[:1]), state.qpos, state.qvel]).T
-        after: Any = model.stepper.step(rows, torque.T, models).T
+        after: Any = model.stepper.step(rows, torque.T, models, origins).T
         return state._replace(qpos=after[1:20], qvel=after[20:38])
 
     def step(*leaves: Any) -> list[np.ndarray]:
@@ -129,7 +173,7 @@ def control_step(
         motors, _, state, targets = jax.tree.unflatten(
             structure, [np.moveaxis(x, 0, -1) for x in several]
         )
-        own = partial(advance, model.stepper.models(variations))
+        own = partial(advance, *model.stepper.models(variations, state.qpos[:2].T))
         after, effort = motor.control_step(motors, stepping, state, targets, own)
         results: Any = (after.qpos, after.qvel, *effort)
         return [np.moveaxis(x, -1, 0).reshape((*batch, *x.shape[:-1])) for x in results]

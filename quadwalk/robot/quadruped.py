@@ -108,15 +108,26 @@ class Quadruped:
         option.disableflags |= mujoco.mjtDisableBit.mjDSBL_EULERDAMP
         return self._compile(spec, timestep, iterations, ls_iterations, frictionloss=False)
 
-    def full_model(self, timestep: float = 0.002, frictionloss: bool = False) -> mujoco.MjModel:
+    def full_model(
+        self, timestep: float = 0.002, frictionloss: bool = False, visuals: bool = True
+    ) -> mujoco.MjModel:
         """The model to judge in: every collision shape, a solver that has converged.
 
         Args:
             timestep: s.
             frictionloss: let the joints have the URDF's friction, for a user without the motor
                 model that otherwise applies it.
+            visuals: with what can only be seen, which is nearly all of its size.
         """
-        return self._compile(self.spec.copy(), timestep, 100, 50, frictionloss)
+        spec = self.spec.copy()
+        if not visuals:
+            for geom in list(spec.geoms):
+                geom.material = ""
+                if geom.classname.name == "visual":
+                    spec.delete(geom)
+            for element in [*spec.materials, *spec.textures]:
+                spec.delete(element)
+        return self._compile(spec, timestep, 100, 50, frictionloss)
 
     def _compile(self, spec, timestep, iterations, ls_iterations, frictionloss) -> mujoco.MjModel:
         spec.option.timestep = timestep

@@ -110,9 +110,7 @@ def test_each_episode_goes_on_to_its_own_end_whatever_there_is_room_for(monkeypa
             control_dt=DT,
             episode_steps=120,
             command=SimpleNamespace(given=False),
-            randomisation=SimpleNamespace(enabled=True),
         ),
-        terrain=SimpleNamespace(field=SimpleNamespace(heights=np.zeros(1, np.uint8))),
         jit=jax.jit,
         reset=lambda key, tile: Walker(
             jnp.zeros(19).at[0].set(tile).at[3].set(1.0), jnp.asarray(lasts)[tile]
@@ -125,7 +123,7 @@ def test_each_episode_goes_on_to_its_own_end_whatever_there_is_room_for(monkeypa
         begun.append((end, int(poses[0, 0]), len(poses) - 1))
         return by_ground.Episode(True, False, float(poses[-1, 0] - poses[0, 0]), 0.0)
 
-    monkeypatch.setattr(by_ground, "FIELDS_MEMORY", room)
+    monkeypatch.setattr(by_ground, "ROOM", room)
     monkeypatch.setattr(by_ground, "_episode", noted)
     reported: list[int] = []
     tiles = np.array([4, 1, 0, 0, 7, 6, 3, 2, 5, 1])
