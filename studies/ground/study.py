@@ -5,7 +5,8 @@
 Trains `rough`, `rough` blind and `obstacles` from each seed, unless the folder has them, and judges
 each in MuJoCo C, every shape colliding, under conditions drawn as in training, on fields of unseen
 seeds: success, speed and error by kind and difficulty, and pictures' states of single episodes.
-Writes results.json beside this file, which 06_ground.ipynb shows. To see that it works:
+Writes results.json beside this file, which 06_ground.ipynb shows; with `--only` those of the other
+variants stay in it. To see that it works:
 
     python -m studies.ground.study --steps 50000 --seeds 1 --episodes 2 --seconds 1 \\
         --runs /tmp/runs --out /tmp/results.json
@@ -105,7 +106,9 @@ def main() -> None:
     parser.add_argument("--steps", type=int, help="of each training (default: the task's)")
     parser.add_argument("--runs", type=Path, default=Path("runs/ground"))
     parser.add_argument("--out", type=Path, default=Path(__file__).parent / "results.json")
-    parser.add_argument("--only", nargs="+", choices=list(VARIANTS), help="of the variants")
+    parser.add_argument(
+        "--only", nargs="+", choices=list(VARIANTS), help="of the variants, others as before"
+    )
     given = parser.parse_args()
     cases = [(name, seed) for name in given.only or VARIANTS for seed in range(given.seeds)]
     settings = [(VARIANTS[name], seed, given.steps, given.runs) for name, seed in cases]
@@ -117,6 +120,10 @@ def main() -> None:
         {"variant": name, "seed": seed, **found}
         for (name, seed), found in zip(cases, judged, strict=True)
     ]
+    if given.only and given.out.exists():
+        before = json.loads(given.out.read_text())
+        results += [result for result in before if result["variant"] not in given.only]
+        results.sort(key=lambda result: list(VARIANTS).index(result["variant"]))
     with atomic_write(given.out) as file:
         file.write(json.dumps(results).encode())
     print(f"written to {given.out}")
