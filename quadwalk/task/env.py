@@ -117,14 +117,18 @@ class QuadrupedEnv(Env):
 
         Its arguments number `donate` are given up to it; `options` are others of `jax.jit`.
         """
-        heights = jax.device_put([surface.grids.reshape(-1) for surface in self.surfaces])
 
         @partial(jax.jit, donate_argnums=tuple(1 + number for number in donate), **options)
         def program(heights: list[jax.Array], *arguments: Any) -> Any:
             with given(self.surfaces, heights):
                 return function(*arguments)
 
-        return partial(program, heights)
+        return partial(program, self._heights)
+
+    @cached_property
+    def _heights(self) -> list[jax.Array]:
+        """Of each of `surfaces` its grids (n,), m, on the device."""
+        return jax.device_put([surface.grids.reshape(-1) for surface in self.surfaces])
 
     def in_engine(self, engine: EngineName) -> "QuadrupedEnv":
         """The same environment with its physics stepped by `engine`."""

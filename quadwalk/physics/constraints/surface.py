@@ -24,6 +24,7 @@ from quadwalk.ground.heightfield import Heightfield
 from quadwalk.physics.vectors import Array, Vector
 
 FINER = 2  # cells of an offset surface along one of the ground's
+_BAND = 256  # rows of nodes computed at a time, by one of the cores
 _CHUNK = 16384  # nodes computed at a time: arrays of so many stay in a core's cache
 
 
@@ -155,42 +156,51 @@ def _refined(heights: np.ndarray) -> np.ndarray:
 def _offset(heights: np.ndarray, cell: float, radius: float) -> np.ndarray:
     """The offset surface's heights at the nodes of `heights`, m."""
     radius = radius / cell
-    reach = int(np.ceil(radius)) + 1
+    reach = int(np.ceil(radius)) + 2  # nodes, and those next to them
     # In units of a cell: slopes are then differences of neighbours.
     padded = np.pad(heights / cell, reach, mode="edge")
+    tolerance = 8 * np.finfo(padded.dtype).eps * max(1.0, float(np.abs(padded).max()))
+    out = np.empty_like(padded, shape=heights.shape)
+
+    def fill(first: int) -> None:
+        band = padded[first : first + _BAND + 2 * reach]
+        out[first : first + _BAND] = cell * _offset_band(band, reach, radius, tolerance)
+
+    with ThreadPoolExecutor(cpu_cores()) as pool:
+        list(pool.map(fill, range(0, len(out), _BAND)))
+    return out
+
+
+def _offset_band(padded: np.ndarray, reach: int, radius: float, tolerance: float) -> np.ndarray:
+    """The offset surface's heights at all nodes but the `reach` outermost; lengths in cells."""
     inner = padded[reach:-reach, reach:-reach]
     along = padded[reach:-reach, reach + 1 : padded.shape[1] + 1 - reach] - inner
     across = padded[reach + 1 : padded.shape[0] + 1 - reach, reach:-reach] - inner
     # Of the plane that the ground around a node is, if it is one.
     out = inner + radius * np.sqrt(1 + along * along + across * across)
-    places = np.flatnonzero(_bent(padded, reach))
-    rows, columns = np.divmod(places, heights.shape[1])
-    middle = (rows + reach) * padded.shape[1] + columns + reach
+    bent = _bent(padded, tolerance)
+    places = np.flatnonzero(maximum_filter(bent, 2 * reach - 1)[reach:-reach, reach:-reach])
+    for first in range(0, len(places), _CHUNK):
+        part = places[first : first + _CHUNK]
+        rows, columns = np.divmod(part, inner.shape[1])
+        middle = (rows + reach) * padded.shape[1] + columns + reach
 
-    def fill(first: int) -> None:
-        part = slice(first, first + _CHUNK)
+        def node(i: int, j: int, middle: np.ndarray = middle) -> np.ndarray:
+            return padded.take(middle + i * padded.shape[1] + j)
 
-        def node(i: int, j: int) -> np.ndarray:
-            return padded.take(middle[part] + i * padded.shape[1] + j)
-
-        span = range(-reach, reach + 1)
+        span = range(1 - reach, reach)
         near = {(i, j): node(i, j) for i in span for j in span}
-        np.put(out, places[part], _held(near, reach, radius))
-
-    with ThreadPoolExecutor(cpu_cores()) as pool:
-        list(pool.map(fill, range(0, len(places), _CHUNK)))
-    return cell * out
+        np.put(out, part, _held(near, reach - 1, radius))
+    return out
 
 
-def _bent(padded: np.ndarray, reach: int) -> np.ndarray:
-    """Whether the ground within `reach` nodes of each is anything but a plane."""
-    h = padded
-    tolerance = 8 * np.finfo(h.dtype).eps * max(1.0, float(np.abs(h).max()))
+def _bent(h: np.ndarray, tolerance: float) -> np.ndarray:
+    """Whether the ground next to each node is anything but a plane, as 0 or 1."""
     bent = np.zeros(h.shape, np.uint8)
     bent[:, 1:-1] |= np.abs(h[:, 2:] - 2 * h[:, 1:-1] + h[:, :-2]) > tolerance
     bent[1:-1] |= np.abs(h[2:] - 2 * h[1:-1] + h[:-2]) > tolerance
     bent[:-1, :-1] |= np.abs(h[1:, 1:] - h[1:, :-1] - h[:-1, 1:] + h[:-1, :-1]) > tolerance
-    return maximum_filter(bent, 2 * reach + 1)[reach:-reach, reach:-reach] > 0
+    return bent
 
 
 def _held(heights: dict[tuple[int, int], np.ndarray], reach: int, radius: float) -> np.ndarray:
