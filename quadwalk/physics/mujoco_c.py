@@ -36,7 +36,6 @@ class Stepper:
 
     def __init__(self, model: mujoco.MjModel, quadruped: Quadruped) -> None:
         self.model = model
-        self.data = [mujoco.MjData(model) for _ in range(cpu_cores())]
         self._quadruped = quadruped
         # Of each variation that is in use: its models, by the window of the ground that they have.
         self._varied: dict[bytes, dict[tuple[int, int], mujoco.MjModel]] = {}
@@ -54,7 +53,7 @@ class Stepper:
         with _POOL:
             after, _ = mujoco.rollout.rollout(
                 models,
-                self.data,
+                self._data if models is self.model else self._bare_data,
                 states,
                 applied,
                 control_spec=_CONTROLS,
@@ -101,6 +100,14 @@ class Stepper:
         model = copy.copy(model)
         self._windows.put(model, window)
         return model
+
+    @cached_property
+    def _data(self) -> list[mujoco.MjData]:
+        return [mujoco.MjData(self.model) for _ in range(cpu_cores())]
+
+    @cached_property
+    def _bare_data(self) -> list[mujoco.MjData]:
+        return [mujoco.MjData(self._bare) for _ in range(cpu_cores())]
 
     @cached_property
     def _windows(self) -> Windows | None:
