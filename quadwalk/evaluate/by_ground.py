@@ -34,8 +34,8 @@ from quadwalk.task.state import chosen
 from quadwalk.train.robot import load_run_robot
 
 PACE = 0.7  # m/s
-# Episodes at a time: some eighth of all, for at the end some of the room is left empty, but whole
-# multiples of this, which devices can share, and not more than that.
+# Episodes at a time: about an eighth of all, since what has ended at the end is stepped on until
+# the last has; in multiples of `ROOM`, which devices can share, and not more than `MOST`.
 ROOM, MOST = 64, 2048
 ROWS = 4  # tiles of each cell, of which no two are alike
 

@@ -19,8 +19,8 @@ STRIDE = 2.0  # m from one window to the next
 class Windows:
     """Overlapping squares of the field that a model's floor is.
 
-    Who is over the middle of one, nearer than to that of another, is over none but it. In a model
-    of a window, its middle is at x = y = 0.
+    No part of a robot is beyond the one whose middle is nearest to its trunk. In a model of a
+    window, that middle is at x = y = 0.
     """
 
     def __init__(self, model: mujoco.MjModel, field: Heightfield) -> None:

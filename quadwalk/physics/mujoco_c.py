@@ -40,16 +40,12 @@ class Stepper:
         # Of each variation that is in use: its models, by the window of the ground that they have.
         self._varied: dict[bytes, dict[tuple[int, int], mujoco.MjModel]] = {}
 
-    def step(
-        self, states: np.ndarray, torque: np.ndarray, models: Any, origins: np.ndarray
-    ) -> np.ndarray:
+    def step(self, states: np.ndarray, torque: np.ndarray, models: Any) -> np.ndarray:
         """`states` (n, 38), time, qpos and qvel, after a step with joint torques (n, 12), Nm.
 
-        `models` and `origins` are what `models` gave.
+        `models` are those that `models` gave, about whose origins the places in `states` are.
         """
         applied = np.pad(torque, [(0, 0), (6, 0)])[:, None]
-        states = states.copy()
-        states[:, 1:3] -= origins
         with _POOL:
             after, _ = mujoco.rollout.rollout(
                 models,
@@ -59,20 +55,18 @@ class Stepper:
                 control_spec=_CONTROLS,
                 persistent_pool=True,
             )
-        after = after[:, 0]
-        after[:, 1:3] += origins
-        return after
+        return after[:, 0]
 
     def models(
         self, variations: Variation | None, places: np.ndarray
     ) -> tuple[mujoco.MjModel | list[mujoco.MjModel], np.ndarray]:
-        """The one model of all robots, or that of each, and its origin, (2,) or (n, 2) m.
+        """The one model of all robots, or that of each, and where its origin is, (n, 2) m.
 
         `places` (n, 2), m, are where robots are; `variations` have arrays (n, ...).
         """
+        windows, middles = np.zeros(places.shape, int), np.zeros(places.shape)
         if variations is None:
-            return self.model, np.zeros(2)
-        windows, middles = np.zeros(places.shape, int), np.zeros(2)
+            return self.model, middles
         if self._windows is not None:
             windows = self._windows.under(places)
             middles = self._windows.middles(windows)
@@ -83,12 +77,14 @@ class Stepper:
         for i, (row, window) in enumerate(zip(rows, map(tuple, windows), strict=True)):
             key = row.tobytes()
             own, known = self._varied.setdefault(key, {}), before.get(key, {})
-            if window not in own:
-                own[window] = known.get(window) or self._over(
+            if window in known:
+                own[window] = known[window]
+            elif window not in own:
+                # Anywhere else it is the same but for its ground.
+                elsewhere = next(iter((known | own).values()), None)
+                own[window] = self._over(
                     window,
-                    # Anywhere else it is the same but for its ground.
-                    next(iter((known | own).values()), None)
-                    or varied_model(self._bare, Variation(*(x[i] for x in variations))),
+                    elsewhere or varied_model(self._bare, Variation(*(x[i] for x in variations))),
                 )
             models.append(own[window])
         return models, middles
@@ -167,9 +163,9 @@ def control_step(
     assert np.isclose(model.stepper.model.opt.timestep, stepping.dt)
     each = jnp.ndim(target) > jnp.ndim(physics.qpos)
 
-    def advance(models: Any, origins: np.ndarray, state: Physics, torque: Any) -> Physics:
+    def advance(models: Any, state: Physics, torque: Any) -> Physics:
         rows = np.concatenate([np.zeros_like(state.qpos[:1]), state.qpos, state.qvel]).T
-        after: Any = model.stepper.step(rows, torque.T, models, origins).T
+        after: Any = model.stepper.step(rows, torque.T, models).T
         return state._replace(qpos=after[1:20], qvel=after[20:38])
 
     def step(*leaves: Any) -> list[np.ndarray]:
@@ -180,9 +176,12 @@ def control_step(
         motors, _, state, targets = jax.tree.unflatten(
             structure, [np.moveaxis(x, 0, -1) for x in several]
         )
-        own = partial(advance, *model.stepper.models(variations, state.qpos[:2].T))
+        models, origins = model.stepper.models(variations, state.qpos[:2].T)
+        shift = np.pad(origins.T, [(0, 17), (0, 0)])
+        state = state._replace(qpos=state.qpos - shift)
+        own = partial(advance, models)
         after, effort = motor.control_step(motors, stepping, state, targets, own)
-        results: Any = (after.qpos, after.qvel, *effort)
+        results: Any = (after.qpos + shift, after.qvel, *effort)
         return [np.moveaxis(x, -1, 0).reshape((*batch, *x.shape[:-1])) for x in results]
 
     arguments, structure = jax.tree.flatten((model.motor, model.variation, physics, target))

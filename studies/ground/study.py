@@ -110,6 +110,10 @@ def main() -> None:
         "--only", nargs="+", choices=list(VARIANTS), help="of the variants, others as before"
     )
     given = parser.parse_args()
+    kept = []  # read now: a file that is broken should not cost a training
+    if given.only and given.out.exists():
+        before = json.loads(given.out.read_text())
+        kept = [result for result in before if result["variant"] not in given.only]
     cases = [(name, seed) for name in given.only or VARIANTS for seed in range(given.seeds)]
     settings = [(VARIANTS[name], seed, given.steps, given.runs) for name, seed in cases]
     runs = list(in_processes(train, settings, at_once=1, devices=None))
@@ -120,10 +124,8 @@ def main() -> None:
         {"variant": name, "seed": seed, **found}
         for (name, seed), found in zip(cases, judged, strict=True)
     ]
-    if given.only and given.out.exists():
-        before = json.loads(given.out.read_text())
-        results += [result for result in before if result["variant"] not in given.only]
-        results.sort(key=lambda result: list(VARIANTS).index(result["variant"]))
+    results += kept
+    results.sort(key=lambda result: list(VARIANTS).index(result["variant"]))
     with atomic_write(given.out) as file:
         file.write(json.dumps(results).encode())
     print(f"written to {given.out}")

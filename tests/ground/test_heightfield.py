@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from quadwalk.ground.heightfield import centred, field_of, lay
+from tests.ground.rays import heights_by_rays
 
 
 def laid(quadruped, field) -> mujoco.MjModel:
@@ -18,17 +19,9 @@ def test_heights_are_those_that_mujocos_rays_meet(quadruped, seed):
     rng = np.random.default_rng(seed)
     field = centred(rng.uniform(-2, 1, rng.integers(2, 30, 2)), 0.05)
     model = laid(quadruped, field)
-    data = mujoco.MjData(model)
-    data.qpos[2] = 10.0  # out of the way
-    mujoco.mj_kinematics(model, data)
     length, width = field.size
     points = rng.uniform(-0.499, 0.499, (200, 2)) * [length, width]
-    floor = model.geom("floor").id
-    down = np.array([0, 0, -1.0])
-    found = [
-        5.0 - mujoco.mj_rayHfield(model, data, floor, np.array([*point, 5.0]), down, None)
-        for point in points
-    ]
+    found = heights_by_rays(model, points)
     np.testing.assert_allclose(field.height_at(points), found, atol=1e-5)
 
 

@@ -156,14 +156,15 @@ def _refined(heights: np.ndarray) -> np.ndarray:
 def _offset(heights: np.ndarray, cell: float, radius: float) -> np.ndarray:
     """The offset surface's heights at the nodes of `heights`, m."""
     radius = radius / cell
-    reach = int(np.ceil(radius)) + 2  # nodes, and those next to them
+    reach = int(np.ceil(radius)) + 1
+    edge = reach + 1  # whether a node's ground is bent hangs on those next to it too
     # In units of a cell: slopes are then differences of neighbours.
-    padded = np.pad(heights / cell, reach, mode="edge")
+    padded = np.pad(heights / cell, edge, mode="edge")
     tolerance = 8 * np.finfo(padded.dtype).eps * max(1.0, float(np.abs(padded).max()))
     out = np.empty_like(padded, shape=heights.shape)
 
     def fill(first: int) -> None:
-        band = padded[first : first + _BAND + 2 * reach]
+        band = padded[first : first + _BAND + 2 * edge]
         out[first : first + _BAND] = cell * _offset_band(band, reach, radius, tolerance)
 
     with ThreadPoolExecutor(cpu_cores()) as pool:
@@ -172,25 +173,24 @@ def _offset(heights: np.ndarray, cell: float, radius: float) -> np.ndarray:
 
 
 def _offset_band(padded: np.ndarray, reach: int, radius: float, tolerance: float) -> np.ndarray:
-    """The offset surface's heights at all nodes but the `reach` outermost; lengths in cells."""
-    inner = padded[reach:-reach, reach:-reach]
-    along = padded[reach:-reach, reach + 1 : padded.shape[1] + 1 - reach] - inner
-    across = padded[reach + 1 : padded.shape[0] + 1 - reach, reach:-reach] - inner
+    """The offset surface's heights at all but the `reach` + 1 outermost nodes; lengths in cells."""
+    edge = reach + 1
+    inner = padded[edge:-edge, edge:-edge]
+    along = padded[edge:-edge, edge + 1 : padded.shape[1] + 1 - edge] - inner
+    across = padded[edge + 1 : padded.shape[0] + 1 - edge, edge:-edge] - inner
     # Of the plane that the ground around a node is, if it is one.
     out = inner + radius * np.sqrt(1 + along * along + across * across)
     bent = _bent(padded, tolerance)
-    places = np.flatnonzero(maximum_filter(bent, 2 * reach - 1)[reach:-reach, reach:-reach])
+    places = np.flatnonzero(maximum_filter(bent, 2 * reach + 1)[edge:-edge, edge:-edge])
     for first in range(0, len(places), _CHUNK):
         part = places[first : first + _CHUNK]
         rows, columns = np.divmod(part, inner.shape[1])
-        middle = (rows + reach) * padded.shape[1] + columns + reach
-
-        def node(i: int, j: int, middle: np.ndarray = middle) -> np.ndarray:
-            return padded.take(middle + i * padded.shape[1] + j)
-
-        span = range(1 - reach, reach)
-        near = {(i, j): node(i, j) for i in span for j in span}
-        np.put(out, part, _held(near, reach - 1, radius))
+        middle = (rows + edge) * padded.shape[1] + columns + edge
+        near = {
+            (i, j): padded.take(middle + i * padded.shape[1] + j)
+            for i, j in itertools.product(range(-reach, reach + 1), repeat=2)
+        }
+        np.put(out, part, _held(near, reach, radius))
     return out
 
 
