@@ -90,14 +90,12 @@ class Quadruped:
             spec.delete(sensor)
         for element in [*spec.excludes, *spec.lights]:
             spec.delete(element)
-        for geom in list(spec.geoms):
-            if geom.classname.name == "visual":
-                spec.delete(geom)
-            else:
-                # Only floor against foot passes MuJoCo's test, contype of one & conaffinity of
-                # the other; feet do not meet each other.
-                geom.contype = geom.name == "floor"
-                geom.conaffinity = geom.name in self.feet
+        _delete_visuals(spec)
+        for geom in spec.geoms:
+            # Only floor against foot passes MuJoCo's test, contype of one & conaffinity of the
+            # other; feet do not meet each other.
+            geom.contype = geom.name == "floor"
+            geom.conaffinity = geom.name in self.feet
         simplify(spec, self.feet)
         if contacts != "feet":
             calves = self.joints[2::3]
@@ -121,12 +119,7 @@ class Quadruped:
         """
         spec = self.spec.copy()
         if not visuals:
-            for geom in list(spec.geoms):
-                geom.material = ""
-                if geom.classname.name == "visual":
-                    spec.delete(geom)
-            for element in [*spec.materials, *spec.textures]:
-                spec.delete(element)
+            _delete_visuals(spec)
         return self._compile(spec, timestep, 100, 50, frictionloss)
 
     def _compile(self, spec, timestep, iterations, ls_iterations, frictionloss) -> mujoco.MjModel:
@@ -139,6 +132,16 @@ class Quadruped:
             for joint in spec.joints:
                 joint.frictionloss = 0
         return spec.compile()
+
+
+def _delete_visuals(spec: mujoco.MjSpec) -> None:
+    """Delete what can only be seen: visual geoms, and the materials and textures of the others."""
+    for geom in list(spec.geoms):
+        geom.material = ""
+        if geom.classname.name == "visual":
+            spec.delete(geom)
+    for element in [*spec.materials, *spec.textures]:
+        spec.delete(element)
 
 
 def load_quadruped(

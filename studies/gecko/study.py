@@ -15,7 +15,6 @@ notebooks/04_gecko.ipynb shows them. All of it takes two hours on two cores; to 
 
 import argparse
 import itertools
-import json
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -23,12 +22,12 @@ from typing import Any
 
 from quadwalk.cores import cpu_cores
 from quadwalk.errors import run_command
-from quadwalk.files import atomic_write
 from quadwalk.task_files import load_task
 from quadwalk.train.serialise import with_settings
 from quadwalk.train.settings import TrainConfig
 from quadwalk.variants.trainings import in_processes, trained
 from studies.gecko.gait import measure
+from studies.results import Results
 
 RESULTS = Path(__file__).parent / "results.json"
 # Settings of a TrainConfig that are exchanged together. The learner's that count steps go with the
@@ -104,22 +103,12 @@ def main() -> None:
     parser.add_argument("--runs", type=Path, default=Path("runs/gecko"))
     parser.add_argument("--out", type=Path, default=RESULTS)
     options = parser.parse_args()
-
-    def key(found: dict[str, Any]) -> tuple[int, int]:
-        """Where a result belongs among the others."""
-        return names.index(found["variant"]), found["seed"]
-
-    results = json.loads(options.out.read_text()) if options.out.exists() else []
-    by_key = {key(result): result for result in results}
+    results = Results(options.out, names)
     cases = itertools.product(
         options.only or names, range(options.seeds), [options.steps], [options.runs.resolve()]
     )
     for found in in_processes(judge, cases, at_once=cpu_cores(), devices=1):
-        by_key[key(found)] = found
-        # One line for each, so that a change shows which.
-        lines = ",\n".join(json.dumps(by_key[each]) for each in sorted(by_key))
-        with atomic_write(options.out) as file:
-            file.write(f"[\n{lines}\n]\n".encode())
+        results.add(found)
         print(f"{found['variant']}, seed {found['seed']}: {found['figures']}", flush=True)
 
 

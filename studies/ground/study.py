@@ -5,8 +5,7 @@
 Trains `rough`, `rough` blind and `obstacles` from each seed, unless the folder has them, and judges
 each in MuJoCo C, every shape colliding, under conditions drawn as in training, on fields of unseen
 seeds: success, speed and error by kind and difficulty, and pictures' states of single episodes.
-Writes results.json beside this file, which 06_ground.ipynb shows; with `--only` those of the other
-variants stay in it. To see that it works:
+Results go to `--out` as they come, and notebooks/06_ground.ipynb shows them. To see that it works:
 
     python -m studies.ground.study --steps 50000 --seeds 1 --episodes 2 --seconds 1 \\
         --runs /tmp/runs --out /tmp/results.json
@@ -15,7 +14,6 @@ variants stay in it. To see that it works:
 import quadwalk.physics.mjx  # noqa: F401  # isort: skip  # else Brax imports it, loudly
 
 import argparse
-import json
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -28,11 +26,11 @@ import numpy as np
 from quadwalk.errors import run_command
 from quadwalk.evaluate.by_ground import ground_env, measure_by_ground
 from quadwalk.evaluate.subject import load_subject
-from quadwalk.files import atomic_write
 from quadwalk.ground.heightfield import Heightfield
 from quadwalk.train.flags import parse_config
 from quadwalk.train.runs.directory import Run
 from quadwalk.variants.trainings import in_processes, trained
+from studies.results import Results
 
 VARIANTS = {
     "seeing": "--preset rough",
@@ -106,28 +104,17 @@ def main() -> None:
     parser.add_argument("--steps", type=int, help="of each training (default: the task's)")
     parser.add_argument("--runs", type=Path, default=Path("runs/ground"))
     parser.add_argument("--out", type=Path, default=Path(__file__).parent / "results.json")
-    parser.add_argument(
-        "--only", nargs="+", choices=list(VARIANTS), help="of the variants, others as before"
-    )
+    parser.add_argument("--only", nargs="+", choices=list(VARIANTS), help="of the variants")
     given = parser.parse_args()
-    kept = []  # read now: a file that is broken should not cost a training
-    if given.only and given.out.exists():
-        before = json.loads(given.out.read_text())
-        kept = [result for result in before if result["variant"] not in given.only]
+    results = Results(given.out, VARIANTS)  # a file that is broken should not cost a training
     cases = [(name, seed) for name in given.only or VARIANTS for seed in range(given.seeds)]
     settings = [(VARIANTS[name], seed, given.steps, given.runs) for name, seed in cases]
     runs = list(in_processes(train, settings, at_once=1, devices=None))
     judged = in_processes(
         judge, [(run, given.episodes, given.seconds) for run in runs], at_once=1, devices=None
     )
-    results = [
-        {"variant": name, "seed": seed, **found}
-        for (name, seed), found in zip(cases, judged, strict=True)
-    ]
-    results += kept
-    results.sort(key=lambda result: list(VARIANTS).index(result["variant"]))
-    with atomic_write(given.out) as file:
-        file.write(json.dumps(results).encode())
+    for (name, seed), found in zip(cases, judged, strict=True):
+        results.add({"variant": name, "seed": seed, **found})
     print(f"written to {given.out}")
 
 

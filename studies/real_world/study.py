@@ -15,7 +15,6 @@ notebooks/05_real_world.ipynb shows them. To see that it works:
 
 import argparse
 import itertools
-import json
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -25,12 +24,12 @@ from quadwalk.api import evaluate
 from quadwalk.errors import run_command
 from quadwalk.evaluate.subject import Subject, load_subject
 from quadwalk.evaluate.sweep import Point, measure_points
-from quadwalk.files import atomic_write
 from quadwalk.task.env import QuadrupedEnv
 from quadwalk.task_files import load_task
 from quadwalk.train.serialise import with_settings
 from quadwalk.train.settings import TrainConfig
 from quadwalk.variants.trainings import in_processes, trained
+from studies.results import Results
 
 RESULTS = Path(__file__).parent / "results.json"
 SECONDS = 20.0
@@ -117,13 +116,7 @@ def main() -> None:
     parser.add_argument("--runs", type=Path, default=Path("runs/real_world"))
     parser.add_argument("--out", type=Path, default=RESULTS)
     options = parser.parse_args()
-
-    def key(found: dict[str, Any]) -> tuple[int, int]:
-        """Where a result belongs among the others."""
-        return names.index(found["variant"]), found["seed"]
-
-    results = json.loads(options.out.read_text()) if options.out.exists() else []
-    by_key = {key(result): result for result in results}
+    results = Results(options.out, names)
     cases = itertools.product(
         options.only or names,
         range(options.seeds),
@@ -132,11 +125,7 @@ def main() -> None:
         [options.runs.resolve()],
     )
     for found in in_processes(judge, cases, at_once=1, devices=None):
-        by_key[key(found)] = found
-        # One line for each, so that a change shows which.
-        lines = ",\n".join(json.dumps(by_key[each]) for each in sorted(by_key))
-        with atomic_write(options.out) as file:
-            file.write(f"[\n{lines}\n]\n".encode())
+        results.add(found)
         shares = {name: f"{100 * p['success']:.0f} %" for name, p in found["points"].items()}
         print(f"{found['variant']}, seed {found['seed']}: {shares}", flush=True)
 
