@@ -13,7 +13,7 @@ SCAN = {"length": 1.2, "width": 0.6, "spacing": 0.1, "reach": 0.5}
 
 TASK = TrainConfig(
     task="rough",
-    steps=54_000_000,
+    steps=52_000_000,
     checkpoint_steps=2_000_000,
     env=EnvConfig(
         engine="fast",
@@ -114,11 +114,11 @@ TASK = TrainConfig(
                 "rough",
                 "waves",
                 *("stairs_up",) * 3,
-                *("stairs_down",) * 2,
+                *("stairs_down",) * 3,
                 "blocks",
                 "ditches",
             ),
-            levels=6,  # few and far apart: 54 million steps are but 26 full episodes of each robot
+            levels=6,  # few and far apart: 52 million steps are but 26 full episodes of each robot
             difficulty=(0.0, 1.0),
             tile=(8.0, 8.0),
             border=4.0,
