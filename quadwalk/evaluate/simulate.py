@@ -38,6 +38,7 @@ class Frame(NamedTuple):
 
     observation: Any
     action: Any
+    target: Any
     qpos: Any
     qvel: Any
     torque: Any
@@ -102,6 +103,7 @@ def _frame(env: QuadrupedEnv, before: State, action: jax.Array, state: State) ->
     return Frame(
         observation=before.obs[..., : len(env.observation_names)],
         action=action,
+        target=jax.vmap(partial(env.config.action, env.robot))(action, begun.qpos[:, 7:]),
         qpos=state.pipeline_state.qpos,
         qvel=state.pipeline_state.qvel,
         torque=state.info["torque"],
@@ -144,7 +146,6 @@ def _rollout(env: QuadrupedEnv, initial: EnvState, frames: Frame, seed: int, i: 
     one: Frame = jax.tree.map(lambda x: x[:steps, i], frames)
     qpos = np.concatenate([initial.qpos[None, i], one.qpos]).astype(float)
     qvel = np.concatenate([initial.qvel[None, i], one.qvel]).astype(float)
-    targets = jax.vmap(partial(env.config.action, env.robot))(one.action, qpos[:-1, 7:])
     return Rollout(
         control_dt=env.config.control_dt,
         seed=seed,
@@ -153,7 +154,7 @@ def _rollout(env: QuadrupedEnv, initial: EnvState, frames: Frame, seed: int, i: 
         qpos=qpos,
         qvel=qvel,
         action=one.action,
-        target=np.asarray(targets),
+        target=one.target,
         torque=one.torque,
         energy=one.energy,
         observation=one.observation,
