@@ -37,7 +37,7 @@ PACE = 0.7  # m/s
 # Episodes at a time: about an eighth of all, since what has ended at the end is stepped on until
 # the last has; in multiples of `ROOM`, which devices can share, and not more than `MOST`.
 ROOM, MOST = 64, 2048
-ROWS = 4  # tiles of each cell, of which no two are alike
+ROWS = 32  # of tiles, shared out to the kinds: no two tiles of a cell are alike
 
 
 class Episode(NamedTuple):
@@ -83,11 +83,11 @@ def measure_by_ground(
 
 
 def ground_env(subject: Subject, kinds: tuple[str, ...], levels: int) -> QuadrupedEnv:
-    """The environment of the cells of `kinds`: `ROWS` tiles of each, episodes confined to them."""
+    """The environment of the cells of `kinds`: tiles of each, and episodes confined to them."""
     config = subject.env.config
     ground, command = config.ground, config.command
     if ground.file is None:
-        rows = tuple(kind for kind in kinds for _ in range(ROWS))
+        rows = tuple(kind for kind in kinds for _ in range(rows_of(kinds)))
         ground = dataclasses.replace(ground, kinds=rows, levels=levels)
     if command.given:
         command = dataclasses.replace(
@@ -101,12 +101,18 @@ def ground_env(subject: Subject, kinds: tuple[str, ...], levels: int) -> Quadrup
     return QuadrupedEnv(quadruped, config, subject.env.engine)
 
 
+def rows_of(kinds: tuple[str, ...]) -> int:
+    """How many tiles a cell has; at least 4."""
+    return max(ROWS // len(kinds), 4)
+
+
 def _tiles(kinds: tuple[str, ...], levels: int, episodes: int) -> np.ndarray:
     """(n,) the tile of each episode, cell by cell: kind by kind, of each its levels."""
     if kinds == (FILE,):
         return np.zeros(episodes, np.int32)
     kind, level, episode = np.indices((len(kinds), levels, episodes), np.int32)
-    return (((kind * ROWS + episode % ROWS) * levels) + level).ravel()
+    rows = rows_of(kinds)
+    return (((kind * rows + episode % rows) * levels) + level).ravel()
 
 
 def _simulate(

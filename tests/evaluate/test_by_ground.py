@@ -73,12 +73,13 @@ def test_the_ground_of_an_evaluation_is_not_that_of_training():
 
 
 def test_the_tiles_of_a_cell_are_of_its_kind_and_level():
-    tiles = by_ground._tiles(("flat", "waves"), 3, 6)
-    rows = [kind for kind in ("flat", "waves") for _ in range(by_ground.ROWS)]
+    tiles = by_ground._tiles(("flat", "waves"), 3, 20)
+    rows = ["flat"] * 16 + ["waves"] * 16  # 32 in all
     cells = [(rows[tile // 3], tile % 3) for tile in tiles]
-    expected = [(kind, level) for kind in ("flat", "waves") for level in range(3) for _ in range(6)]
+    each = range(20)
+    expected = [(kind, level) for kind in ("flat", "waves") for level in range(3) for _ in each]
     assert cells == expected
-    assert len(set(tiles[:6])) == by_ground.ROWS
+    assert len(set(tiles[:20])) == 16
 
 
 class Walker(NamedTuple):
