@@ -14,6 +14,8 @@ from quadwalk.train.robot import load_run_robot
 from quadwalk.train.runs.directory import Run
 from quadwalk.train.runs.policy import Policy, load_policy
 
+PUSH_SECONDS = 5.0  # one push in each
+
 
 @dataclass(frozen=True)
 class Subject:
@@ -64,7 +66,8 @@ def load_subject(
     """Load the "last" or "best" policy of `run` for episodes of up to `seconds` in `engine`.
 
     The robot is as its model says, and nothing disturbs it, unless the episodes are `randomised`:
-    then each has conditions of its own, from the `training_ranges`. A command, if there are any,
+    then each has conditions of its own, from the `training_ranges`, and a push in each
+    `PUSH_SECONDS`, whatever training had, so that runs compare. A command, if there are any,
     stays for a whole episode, so that each has one gait to look at. Ground that is not flat is
     made anew, by `seed`, as training did not have it; or it is replaced by a `flat` floor.
     Raises `UserError` where its policy or robot cannot be read, or do not belong together.
@@ -74,7 +77,9 @@ def load_subject(
     quadruped = load_run_robot(run, policy.config.robot)
     trained = policy.config.env
     command = dataclasses.replace(trained.command, seconds=seconds)
-    ranges = dataclasses.replace(training_ranges(trained), enabled=randomised)
+    ranges = dataclasses.replace(
+        training_ranges(trained), enabled=randomised, push_seconds=PUSH_SECONDS
+    )
     config = dataclasses.replace(
         trained,
         episode_seconds=seconds,

@@ -94,17 +94,22 @@ class RandomisationConfig:
     latency: Range  # s, of joint targets
     sensor_latency: Range  # s
     noise: Range  # level; 1 is what the observations state
-    push: Range  # largest push, as a share of sqrt(gravity * home height)
+    push: Range  # size of a push to any side, as a share of sqrt(gravity * home height)
+    push_seconds: float = 5.0  # s: one push in each
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if field.name == "enabled" or value is None:
+        if not 0.0 < self.push_seconds < math.inf:
+            flag = "--env.randomisation.push-seconds"
+            raise UsageError(f"{flag} is {self.push_seconds}; expected more than 0")
+        ranges = {field.name for field in fields(self)} - {"enabled", "push_seconds"}
+        for name in sorted(ranges):
+            value = getattr(self, name)
+            if value is None:
                 continue
-            flag = f"--env.randomisation.{field.name.replace('_', '-')}"
+            flag = f"--env.randomisation.{name.replace('_', '-')}"
             if len(value) != 2 or not -math.inf < value[0] <= value[1] < math.inf:
                 raise UsageError(f"{flag} is {value}; expected a low and a high end, or None")
-            if field.name in ("latency", "sensor_latency", "friction") and value[0] < 0.0:
+            if name in ("latency", "sensor_latency", "friction", "push") and value[0] < 0.0:
                 raise UsageError(f"{flag} is {value}; expected no less than 0")
 
 
@@ -209,3 +214,8 @@ class EnvConfig:
     def command_steps(self) -> int:
         """Control steps that a command stays."""
         return max(round(self.command.seconds / self.control_dt), 1)
+
+    @property
+    def push_steps(self) -> int:
+        """Control steps of which one has a push."""
+        return max(round(self.randomisation.push_seconds / self.control_dt), 1)

@@ -199,7 +199,7 @@ class QuadrupedEnv(Env):
         model, conditions, physics = self.model, before.conditions, before.physics
         target = self.config.action(self.robot, action, physics.qpos[7:])
         if conditions is not None:
-            physics = pushed(conditions, physics, before.steps, self.config.control_dt)
+            physics = pushed(conditions, physics, before.steps, self.config.push_steps)
             substeps = self.stepping.substeps
             conditions, target = delayed(conditions, target, substeps, before.steps)
             if conditions.variation is not None:

@@ -10,7 +10,7 @@ from quadwalk.train.settings import PPOConfig, TrainConfig
 
 TASK = TrainConfig(
     task="run",
-    steps=24_000_000,
+    steps=27_000_000,
     checkpoint_steps=2_000_000,
     env=EnvConfig(
         engine="fast",
@@ -74,7 +74,7 @@ TASK = TrainConfig(
         randomisation=RandomisationConfig(
             enabled=True,
             friction=(0.3, 1.25),
-            trunk_mass=(-0.1, 0.25),
+            trunk_mass=(-0.09, 0.22),
             trunk_centre=(-0.08, 0.08),
             link_mass=(0.9, 1.1),
             strength=(0.8, 1.1),
@@ -88,7 +88,8 @@ TASK = TrainConfig(
             latency=(0.0, 0.02),
             sensor_latency=(0.0, 0.01),
             noise=(0.0, 1.0),
-            push=(0.0, 0.5),
+            push=(0.0, 0.525),
+            push_seconds=2.5,
         ),
         ground=FLAT,
     ),

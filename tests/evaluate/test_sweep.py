@@ -8,9 +8,10 @@ import mujoco
 import numpy as np
 import pytest
 
+from quadwalk.evaluate.subject import load_subject
+from quadwalk.paths import PRETRAINED
 from quadwalk.task.config import NO_RANDOMISATION
 from quadwalk.task.env import QuadrupedEnv
-from quadwalk.task.episode import conditions
 from quadwalk.task.episode.conditions import (
     Conditions,
     delayed,
@@ -22,6 +23,8 @@ from quadwalk.task.episode.conditions import (
     targets_needed,
 )
 from quadwalk.tasks import run, sprint
+from quadwalk.train.runs.directory import Run
+from quadwalk.train.runs.policy import load_policy
 
 STEPS, PERIOD = 12, 6  # control steps, and those between pushes
 PUSH = 0.8  # m/s
@@ -73,8 +76,13 @@ def nominal(env: QuadrupedEnv, key: jax.Array) -> Conditions:
 @pytest.fixture(scope="module", params=["mjx", "fast"])
 def env(quadruped, request) -> QuadrupedEnv:
     # With a solver that converges the engines agree; training cuts it short.
+    config = sprint.TASK.env
+    pushed = dataclasses.replace(config.randomisation, push_seconds=PERIOD * config.control_dt)
     config = dataclasses.replace(
-        sprint.TASK.env, solver_iterations=ITERATIONS, line_search_iterations=ITERATIONS
+        config,
+        solver_iterations=ITERATIONS,
+        line_search_iterations=ITERATIONS,
+        randomisation=pushed,
     )
     return QuadrupedEnv(quadruped, config, request.param)
 
@@ -127,10 +135,8 @@ def recorded(env, swaying):
         qvel=physics.qvel.at[:2].set(jnp.array([2.0, 0.5])),  # it slides
     )
     state = state.replace(pipeline_state=state.pipeline_state._replace(physics=physics))
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(conditions, "PUSH_PERIOD", PERIOD * env.config.control_dt)
-        batched = jax.jit(jax.vmap(episode, in_axes=(0, None, None)))
-        found = batched(rows, state, jax.random.PRNGKey(5))
+    batched = jax.jit(jax.vmap(episode, in_axes=(0, None, None)))
+    found = batched(rows, state, jax.random.PRNGKey(5))
     qpos, qvel, actions = map(np.asarray, found)
     before = (np.asarray(physics.qpos), np.asarray(physics.qvel))
     return {
@@ -235,7 +241,7 @@ def test_noise_has_its_scale_and_is_new_in_each_step(env):
 
 def test_one_push_in_every_five_seconds(env):
     def side(key, steps):
-        return side_of_push(nominal(env, key), steps, 0.02)
+        return side_of_push(nominal(env, key), steps, 250)
 
     sides = jax.jit(jax.vmap(jax.vmap(side, in_axes=(None, 0)), in_axes=(0, None)))
     found = np.asarray(sides(jax.random.split(jax.random.PRNGKey(0), 20), jnp.arange(1000)))
@@ -291,7 +297,6 @@ def test_every_episode_draws_its_own_within_the_ranges(quadruped):
     keys = jax.random.split(jax.random.PRNGKey(0), 500)
     drawn = jax.jit(jax.vmap(env.reset))(keys).pipeline_state.conditions
     kg, m = env.robot.mass, env.robot.home_height
-    speed = np.sqrt(9.81 * m)
     expected = {
         "friction": (drawn.variation.friction, ranges.friction, 1.0),
         "trunk mass": (drawn.variation.trunk_mass, ranges.trunk_mass, kg),
@@ -302,7 +307,6 @@ def test_every_episode_draws_its_own_within_the_ranges(quadruped):
         "kd": (drawn.variation.kd, ranges.kd, 1.0),
         "latency": (drawn.delay, ranges.latency, 1 / 0.004),
         "sensors": (drawn.sensor_delay, ranges.sensor_latency, 1 / 0.02),
-        "push": (drawn.push, ranges.push, speed),
         "noise": (drawn.noise, ranges.noise, 1.0),
         "encoder": (drawn.encoder, ranges.encoder, 1.0),
         "tilt": (drawn.tilt, ranges.imu_tilt, 1.0),
@@ -312,6 +316,30 @@ def test_every_episode_draws_its_own_within_the_ranges(quadruped):
         assert low - 1e-5 <= values.min() < low + 0.05 * width, name
         assert high - 0.05 * width < values.max() <= high + 1e-5, name
         assert np.mean(values) == pytest.approx((low + high) / 2, abs=0.1 * width), name
+
+
+def test_pushes_go_to_all_sides_alike(quadruped):
+    config = dataclasses.replace(run.TASK.env.randomisation, push=(0.3, 0.5))
+    env = QuadrupedEnv(quadruped, dataclasses.replace(run.TASK.env, randomisation=config))
+    keys = jax.random.split(jax.random.PRNGKey(0), 2000)
+    push = np.asarray(jax.jit(jax.vmap(env.reset))(keys).pipeline_state.conditions.push)
+    inner, outer = np.array([0.3, 0.5]) * np.sqrt(9.81 * env.robot.home_height)
+    size, angle = np.hypot(*push.T), np.arctan2(push[:, 1], push[:, 0])
+    assert inner <= size.min() + 1e-5
+    assert size.max() <= outer + 1e-5
+    # Of a ring's area, so much is within this circle; 2000 draws tell a share to some 0.03.
+    within = np.mean(size < (inner + outer) / 2)
+    assert within == pytest.approx((0.4**2 - 0.3**2) / (0.5**2 - 0.3**2), abs=0.04)
+    # Signs are drawn at each push: of the angle, a quarter turn.
+    assert np.histogram(angle, 5, (0.0, np.pi / 2))[0] == pytest.approx(400, abs=80)
+
+
+def test_an_evaluation_pushes_once_in_five_seconds_however_often_training_did():
+    pretrained = Run(PRETRAINED / "run")
+    trained = load_policy(pretrained.policy).config.env.randomisation
+    judged = load_subject(pretrained, 20.0, engine="fast", randomised=True).env
+    assert judged.config.push_steps == 250
+    assert judged.config.randomisation == dataclasses.replace(trained, push_seconds=5.0)
 
 
 def test_what_is_off_is_as_the_model(quadruped):

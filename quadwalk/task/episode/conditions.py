@@ -14,7 +14,6 @@ from quadwalk.physics.rotation import multiply, rotate_inverse, yaw
 from quadwalk.task.config import RandomisationConfig, Range
 from quadwalk.task.robot_arrays import RobotArrays
 
-PUSH_PERIOD = 5.0  # s: one push in each
 _DRAWN = 43  # eleven numbers, and vectors of 3, 12, 2, 12 and 3
 
 
@@ -28,7 +27,7 @@ class Conditions(NamedTuple):
     - sensor_delay: in control steps, by which sensors are late; between two readings, the line
       through them. None: none are.
     - push: m/s, by which the trunk's velocity along its heading and to its left changes in an
-      instant, forth or back, once in every `PUSH_PERIOD`, at a time that `key` draws.
+      instant, each forth or back, once in every period, at a time that `key` draws.
     - noise: level of the Gaussian noise, independent in every step and number, that is added to
       the observation; the task says what level 1 is.
     - encoder: rad, by which joint angles are measured too large, for policy and controller alike.
@@ -91,7 +90,7 @@ def draw_conditions(
         variation=variation,
         delay=draw(config.latency, 0.0) / stepping.dt,
         sensor_delay=None if config.sensor_latency is None else late,
-        push=froude * draw(config.push, 0.0, (2,)),
+        push=froude * _within(config.push, draw((0.0, 1.0), 0.0, (2,))),
         noise=draw(config.noise, 0.0),
         encoder=draw(config.encoder, 0.0, (12,)),
         tilt=draw(config.imu_tilt, 0.0, (3,)),
@@ -100,6 +99,16 @@ def draw_conditions(
     )
     assert taken == _DRAWN
     return drawn
+
+
+def _within(sizes: Range, shares: jax.Array) -> jax.Array:
+    """(2,) of a quarter of a ring, uniformly over its area; `shares` (2,) are uniform in [0, 1)."""
+    if sizes is None:
+        return jnp.zeros(2)
+    inner, outer = sizes
+    size = jnp.sqrt(inner**2 + (outer**2 - inner**2) * shares[0])
+    angle = jnp.pi / 2 * shares[1]
+    return size * jnp.stack([jnp.cos(angle), jnp.sin(angle)])
 
 
 def as_values(conditions: Conditions, stepping: Stepping) -> dict[str, float | list[float]]:
@@ -144,18 +153,20 @@ def delayed(
     return conditions._replace(targets=targets), obeyed
 
 
-def pushed(conditions: Conditions, physics: Physics, steps: jax.Array, dt: float) -> Physics:
-    """`physics` after the push of control step `steps` of the episode, if it has one."""
-    forward, left = conditions.push * side_of_push(conditions, steps, dt)
+def pushed(conditions: Conditions, physics: Physics, steps: jax.Array, period: int) -> Physics:
+    """`physics` after the push of control step `steps` of the episode, if it has one.
+
+    There is one in each `period` of so many control steps.
+    """
+    forward, left = conditions.push * side_of_push(conditions, steps, period)
     heading = yaw(physics.qpos[3:7])
     cos, sin = jnp.cos(heading), jnp.sin(heading)
     kick = jnp.stack([forward * cos - left * sin, forward * sin + left * cos])
     return physics._replace(qvel=physics.qvel.at[:2].add(kick))
 
 
-def side_of_push(conditions: Conditions, steps: jax.Array, dt: float) -> jax.Array:
+def side_of_push(conditions: Conditions, steps: jax.Array, period: int) -> jax.Array:
     """(2,) signs in the control step of a push, else 0."""
-    period = max(round(PUSH_PERIOD / dt), 1)
     drawn = jax.random.uniform(_key(conditions, steps // period, 1), (3,))
     now = steps % period == jnp.floor(drawn[2] * period).astype(jnp.int32)
     return jnp.where(now, jnp.where(drawn[:2] < 0.5, -1.0, 1.0), 0.0)
