@@ -78,7 +78,7 @@ def load_subject(
     trained = policy.config.env
     command = dataclasses.replace(trained.command, seconds=seconds)
     ranges = dataclasses.replace(
-        training_ranges(trained), enabled=randomised, push_seconds=PUSH_SECONDS
+        training_ranges(trained), enabled=randomised, push_seconds=PUSH_SECONDS, margin=0.0
     )
     config = dataclasses.replace(
         trained,

@@ -40,6 +40,7 @@ from quadwalk.task.env import QuadrupedEnv
 from quadwalk.task.episode.conditions import (
     Conditions,
     draw_conditions,
+    latest_drawn,
     readings_needed,
     targets_needed,
 )
@@ -238,11 +239,11 @@ def _starts(env: QuadrupedEnv, points: list[Point], episodes: int, seed: int) ->
 
     Each point has the same starts, and the same draws but for their size.
     """
-    latest_drawn = _latest_drawn(env)
-    late = max(max(p.delay / 1e3, p.everything * latest_drawn[0]) for p in points)
+    latest = latest_drawn(training_ranges(env.config))
+    late = max(max(p.delay / 1e3, p.everything * latest[0]) for p in points)
     kept = targets_needed(math.ceil(late / env.stepping.dt), env.stepping.substeps)
-    sensors = max(max(p.sensor_delay / 1e3, p.everything * latest_drawn[1]) for p in points)
-    latest = readings_needed(sensors, env.config.control_dt)
+    sensors = max(max(p.sensor_delay / 1e3, p.everything * latest[1]) for p in points)
+    readings = readings_needed(sensors, env.config.control_dt)
 
     keys = jax.random.split(jax.random.fold_in(jax.random.PRNGKey(seed), 1), episodes)
     known = [p if p.friction is not None else _point(p, "friction", env.friction) for p in points]
@@ -250,18 +251,12 @@ def _starts(env: QuadrupedEnv, points: list[Point], episodes: int, seed: int) ->
 
     def start(row: jax.Array, state: State, key: jax.Array) -> State:
         conditions = conditions_at(env, Point(*row), key, kept)
-        return env.with_conditions(state, conditions, latest)
+        return env.with_conditions(state, conditions, readings)
 
     of_point = jax.vmap(start, in_axes=(None, 0, 0))
     of_all = env.jit(jax.vmap(of_point, in_axes=(0, None, None)))
     states = of_all(jnp.asarray(rows), fresh_starts(env, episodes, seed), keys)
     return jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), states)
-
-
-def _latest_drawn(env: QuadrupedEnv) -> tuple[float, float]:
-    """The longest latency of targets and of sensors that training draws, s."""
-    config = training_ranges(env.config)
-    return (config.latency or (0.0, 0.0))[1], (config.sensor_latency or (0.0, 0.0))[1]
 
 
 def conditions_at(env: QuadrupedEnv, point: Point, key: jax.Array, kept: int) -> Conditions:

@@ -96,12 +96,18 @@ class RandomisationConfig:
     noise: Range  # level; 1 is what the observations state
     push: Range  # size of a push to any side, as a share of sqrt(gravity * home height)
     push_seconds: float = 5.0  # s: one push in each
+    # Each end of a range is so much farther from the model's value while training; an evaluation
+    # leaves it out, so that what is judged lies well within what was learnt.
+    margin: float = 0.0
 
     def __post_init__(self) -> None:
         if not 0.0 < self.push_seconds < math.inf:
             flag = "--env.randomisation.push-seconds"
             raise UsageError(f"{flag} is {self.push_seconds}; expected more than 0")
-        ranges = {field.name for field in fields(self)} - {"enabled", "push_seconds"}
+        if not 0.0 <= self.margin <= 1.0:
+            flag = "--env.randomisation.margin"
+            raise UsageError(f"{flag} is {self.margin}; expected 0 to 1")
+        ranges = {field.name for field in fields(self)} - {"enabled", "push_seconds", "margin"}
         for name in sorted(ranges):
             value = getattr(self, name)
             if value is None:

@@ -23,6 +23,7 @@ from quadwalk.task.episode.conditions import (
     Conditions,
     delayed,
     draw_conditions,
+    latest_drawn,
     measured,
     pushed,
     reading,
@@ -148,8 +149,9 @@ class QuadrupedEnv(Env):
         )
         if self.curriculum is not None:
             start = start._replace(travel=begin_travel(physics.qpos))
-        late = config.randomisation.sensor_latency if drawn else None
-        state = self._begun(start, readings_needed(late[1], config.control_dt) if late else 0)
+        late = drawn is not None and drawn.sensor_delay is not None
+        longest = latest_drawn(config.randomisation)[1]
+        state = self._begun(start, readings_needed(longest, config.control_dt) if late else 0)
         zero = jnp.zeros(())
         terms = {name: zero for name, term in config.reward.items() if term.scale != 0.0}
         return State(

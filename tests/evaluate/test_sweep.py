@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from quadwalk.evaluate import subject
 from quadwalk.evaluate.subject import load_subject
 from quadwalk.paths import PRETRAINED
 from quadwalk.task.config import NO_RANDOMISATION
@@ -334,12 +335,49 @@ def test_pushes_go_to_all_sides_alike(quadruped):
     assert np.histogram(angle, 5, (0.0, np.pi / 2))[0] == pytest.approx(400, abs=80)
 
 
-def test_an_evaluation_pushes_once_in_five_seconds_however_often_training_did():
+def test_a_margin_moves_each_end_away_from_the_models_value(quadruped):
+    ranges = dataclasses.replace(
+        run.TASK.env.randomisation,
+        friction=(0.3, 1.25),
+        strength=(0.8, 1.1),
+        latency=(0.01, 0.02),
+        push=(0.4, 0.5),
+        margin=0.5,
+    )
+    config = dataclasses.replace(run.TASK.env, randomisation=ranges)
+    env = QuadrupedEnv(quadruped, config, "fast")
+
+    def draw(key: jax.Array) -> Conditions:
+        return draw_conditions(ranges, env.robot, env.stepping, key, friction=1.0)
+
+    drawn = jax.jit(jax.vmap(draw))(jax.random.split(jax.random.PRNGKey(0), 2000))
+    froude = np.sqrt(env.robot.gravity * env.robot.home_height)
+    expected = {
+        (0.0, 1.375): drawn.variation.friction,  # 1 - 1.5 * .7 is below 0, which none can be
+        (0.7, 1.15): drawn.variation.strength,
+        (0.015, 0.03): drawn.delay * env.stepping.dt,
+        (0.6, 0.75): np.linalg.norm(drawn.push, axis=-1) / froude,
+    }
+    for (low, high), values in expected.items():
+        assert low <= values.min() < low + 0.01 * (high - low)
+        assert high - 0.01 * (high - low) < values.max() <= high + 1e-5
+    # Targets are kept for the longest of these delays: of 8 physics steps, in control steps of 5.
+    assert drawn.targets.shape[1] == 3
+
+
+def test_an_evaluation_pushes_once_in_five_seconds_within_the_ranges_however_training_did(
+    monkeypatch,
+):
     pretrained = Run(PRETRAINED / "run")
-    trained = load_policy(pretrained.policy).config.env.randomisation
+    policy = load_policy(pretrained.policy)
+    trained = dataclasses.replace(policy.config.env.randomisation, push_seconds=2.0, margin=0.3)
+    config = dataclasses.replace(policy.config.env, randomisation=trained)
+    harder = dataclasses.replace(policy, config=dataclasses.replace(policy.config, env=config))
+    monkeypatch.setattr(subject, "load_policy", lambda path: harder)
     judged = load_subject(pretrained, 20.0, engine="fast", randomised=True).env
     assert judged.config.push_steps == 250
-    assert judged.config.randomisation == dataclasses.replace(trained, push_seconds=5.0)
+    own = dataclasses.replace(trained, push_seconds=5.0, margin=0.0)
+    assert judged.config.randomisation == own
 
 
 def test_what_is_off_is_as_the_model(quadruped):

@@ -101,6 +101,7 @@ def test_the_command_of_walk_is_a_flag():
         (["--env.command.yaw-rate", "nan", "0"], "env.command.yaw-rate"),
         (["--env.command.seconds", "0"], "env.command.seconds"),
         (["--env.randomisation.push-seconds", "0"], "env.randomisation.push-seconds"),
+        (["--env.randomisation.margin", "1.5"], "env.randomisation.margin"),
         (["--env.randomisation.push", "0.5", "0"], "env.randomisation.push"),
         (["--env.command.standing", "2"], "env.command.standing"),
         (["--env.command.lateral", "0", "inf"], "env.command.lateral"),

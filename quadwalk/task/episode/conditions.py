@@ -61,17 +61,22 @@ def draw_conditions(
     # All numbers at once: XLA takes a second or more to compile each call of a generator.
     shares, taken = jax.random.uniform(key, (_DRAWN,)), 0
 
-    def draw(between: Range, usual: float, shape: tuple[int, ...] = ()) -> jax.Array:
+    def take(shape: tuple[int, ...]) -> jax.Array:
         nonlocal taken
         own = slice(taken, taken + math.prod(shape))
         taken = own.stop
+        return shares[own].reshape(shape)
+
+    def draw(between: Range, usual: float, shape: tuple[int, ...] = ()) -> jax.Array:
+        drawn = take(shape)
         if between is None:
             return jnp.full(shape, usual)
-        low, high = between
-        return low + (high - low) * shares[own].reshape(shape)
+        low, high = (usual + (1.0 + config.margin) * (end - usual) for end in between)
+        return low + (high - low) * drawn
 
     variation = Variation(
-        friction=draw(config.friction, friction),
+        # A wide margin would have it negative.
+        friction=jnp.maximum(draw(config.friction, friction), 0.0),
         trunk_mass=robot.mass * draw(config.trunk_mass, 0.0),
         trunk_centre=robot.home_height * draw(config.trunk_centre, 0.0, (3,)),
         link_mass=draw(config.link_mass, 1.0, (12,)),
@@ -82,7 +87,7 @@ def draw_conditions(
         damping=draw(config.damping, 1.0),
         armature=draw(config.armature, 1.0),
     )
-    latest = 0.0 if config.latency is None else config.latency[1] / stepping.dt
+    latest = latest_drawn(config)[0] / stepping.dt
     kept = targets_needed(math.ceil(latest), stepping.substeps)
     late = draw(config.sensor_latency, 0.0) / stepping.control_dt
     froude = math.sqrt(robot.gravity * robot.home_height)  # m/s
@@ -90,7 +95,7 @@ def draw_conditions(
         variation=variation,
         delay=draw(config.latency, 0.0) / stepping.dt,
         sensor_delay=None if config.sensor_latency is None else late,
-        push=froude * _within(config.push, draw((0.0, 1.0), 0.0, (2,))),
+        push=(1.0 + config.margin) * froude * _within(config.push, take((2,))),
         noise=draw(config.noise, 0.0),
         encoder=draw(config.encoder, 0.0, (12,)),
         tilt=draw(config.imu_tilt, 0.0, (3,)),
@@ -99,6 +104,12 @@ def draw_conditions(
     )
     assert taken == _DRAWN
     return drawn
+
+
+def latest_drawn(config: RandomisationConfig) -> tuple[float, float]:
+    """The longest latency that is drawn of joint targets, and of sensors, s."""
+    longest = [own[1] if own else 0.0 for own in (config.latency, config.sensor_latency)]
+    return (1.0 + config.margin) * longest[0], (1.0 + config.margin) * longest[1]
 
 
 def _within(sizes: Range, shares: jax.Array) -> jax.Array:
