@@ -90,6 +90,7 @@ TASK = TrainConfig(
             noise=(0.0, 1.0),
             push=(0.0, 0.525),
             push_seconds=2.5,
+            margin=0.15,
         ),
         ground=FLAT,
     ),
