@@ -87,7 +87,7 @@ def judge(subject: "Subject", config: EvalConfig, out: Path, console: Console) -
     write_json_atomic(out / "metrics.json", results)
 
     with console.status("writing"):
-        recorded = len(found.save_mcap(out, config.mcap))
+        recorded = len(found.save_mcap(out, config.recordings))
         save_figure(found.report(), out / "report.png")
         pictures = _draw(config, found, out)
     written = ["metrics.json", *maps, "report.png", *pictures, f"{recorded} MCAP files"]

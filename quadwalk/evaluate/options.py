@@ -37,7 +37,7 @@ class EvalConfig:
     cell: int = 16
     levels: int = 3  # difficulties in these, evenly from the least trained on to the greatest
     out: Path | None = None  # folder for the results; None: a new one in the run's
-    mcap: int | None = None  # number of episodes to write as MCAP; None: all
+    mcap: int | None = None  # of the episodes, how many to write as MCAP; None: the first 16
     video: Literal["none", "gif", "mp4"] = "none"  # 3 s of it running; mp4 needs ffmpeg
     # in place of all that: the share of episodes without a fall as friction, mass, motors, gains,
     # delays, pushes and sensor noise vary, one by one and all at once
@@ -71,6 +71,11 @@ class EvalConfig:
         check_port(self.port)
         if self.sweep:
             self._check_sweep()
+
+    @property
+    def recordings(self) -> int:
+        """How many episodes to write as MCAP at most: each takes a third of a second and 1 MB."""
+        return 16 if self.mcap is None else self.mcap
 
     @property
     def live(self) -> bool:

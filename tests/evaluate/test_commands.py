@@ -58,6 +58,11 @@ def test_what_cannot_be_asked_is_one_line(runs, args, expected):
     assert expected in said(runs, *args)
 
 
+def test_thousands_of_files_are_written_only_if_asked_for():
+    assert EvalConfig(episodes=4096).recordings == 16
+    assert EvalConfig(episodes=4096, mcap=4096).recordings == 4096
+
+
 def test_a_run_by_its_path_and_by_its_name_is_one_run(runs):
     assert "are the same run" in said(runs, "first", str(runs / "second" / ".." / "first"))
 
