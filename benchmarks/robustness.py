@@ -1,10 +1,11 @@
 """What a policy of the real world takes and one of an ideal world does not, as a picture.
 
-    python benchmarks/robustness.py [--episodes 128] [--steps 27000000] [--runs runs/robustness]
+    python benchmarks/robustness.py [--episodes 128] [--runs runs/robustness]
 
-Trains `run` and `sprint`, each for so many control steps from one seed, unless the folder has them,
-and sweeps both in the fast engine: one thing at a time, and everything at once. The sweeps' results
-go to the folder `sweep` beside the runs, their picture also to docs/robustness.png.
+Trains `run` and `sprint`, each for as many control steps as `run` has by default, from one seed,
+unless the folder has them, and sweeps both in the fast engine: one thing at a time, and everything
+at once. The sweeps' results go to the folder `sweep` beside the runs, their picture also to
+docs/robustness.png.
 """
 
 import argparse
@@ -13,6 +14,7 @@ from pathlib import Path
 
 from quadwalk.evaluate.judge import evaluate
 from quadwalk.evaluate.options import EvalConfig
+from quadwalk.tasks.run import TASK
 from quadwalk.train.flags import parse_config
 from quadwalk.train.loop import train
 
@@ -22,7 +24,7 @@ PICTURE = Path(__file__).parent.parent / "docs" / "robustness.png"
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--episodes", type=int, default=128, help="at each point")
-    parser.add_argument("--steps", type=int, default=27_000_000, help="of each training")
+    parser.add_argument("--steps", type=int, default=TASK.steps, help="of each training")
     parser.add_argument("--runs", type=Path, default=Path("runs/robustness"))
     options = parser.parse_args()
     names = ("run", "sprint")
