@@ -96,8 +96,8 @@ class RandomisationConfig:
     noise: Range  # level; 1 is what the observations state
     push: Range  # size of a push to any side, as a share of sqrt(gravity * home height)
     push_seconds: float = 5.0  # s: one push in each
-    # Each end of a range is so much farther from the model's value while training; an evaluation
-    # leaves it out, so that what is judged lies well within what was learnt.
+    # While training, each end of a range is so much farther from the model's value, unless that is
+    # into the range. An evaluation leaves it out: what is judged lies within what was learnt.
     margin: float = 0.0
 
     def __post_init__(self) -> None:

@@ -7,6 +7,8 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
 
 from quadwalk.evaluate import subject
 from quadwalk.evaluate.subject import load_subject
@@ -22,6 +24,7 @@ from quadwalk.task.episode.conditions import (
     sensed,
     side_of_push,
     targets_needed,
+    widened,
 )
 from quadwalk.tasks import run, sprint
 from quadwalk.train.runs.directory import Run
@@ -335,7 +338,23 @@ def test_pushes_go_to_all_sides_alike(quadruped):
     assert np.histogram(angle, 5, (0.0, np.pi / 2))[0] == pytest.approx(400, abs=80)
 
 
-def test_a_margin_moves_each_end_away_from_the_models_value(quadruped):
+ends = st.floats(-10.0, 10.0)
+
+
+@given(st.tuples(ends, ends).map(sorted), ends, st.floats(0.0, 1.0))
+@example([0.01, 0.03], 0.0, 0.15)
+@example([0.3, 0.6], 0.8, 0.15)
+def test_training_draws_from_no_less_than_an_evaluation(between, usual, margin):
+    (low, high), (inner, outer) = widened(between, usual, margin), between
+    assert low <= inner <= outer <= high
+    # No end is farther than the margin says.
+    assert (
+        max(abs(low - inner), abs(high - outer))
+        <= margin * max(abs(inner - usual), abs(outer - usual)) + 1e-9
+    )
+
+
+def test_a_margin_moves_an_end_away_from_the_models_value_but_not_into_the_range(quadruped):
     ranges = dataclasses.replace(
         run.TASK.env.randomisation,
         friction=(0.3, 1.25),
@@ -355,8 +374,8 @@ def test_a_margin_moves_each_end_away_from_the_models_value(quadruped):
     expected = {
         (0.0, 1.375): drawn.variation.friction,  # 1 - 1.5 * .7 is below 0, which none can be
         (0.7, 1.15): drawn.variation.strength,
-        (0.015, 0.03): drawn.delay * env.stepping.dt,
-        (0.6, 0.75): np.linalg.norm(drawn.push, axis=-1) / froude,
+        (0.01, 0.03): drawn.delay * env.stepping.dt,
+        (0.4, 0.75): np.linalg.norm(drawn.push, axis=-1) / froude,
     }
     for (low, high), values in expected.items():
         assert low <= values.min() < low + 0.01 * (high - low)

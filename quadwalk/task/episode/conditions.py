@@ -71,7 +71,7 @@ def draw_conditions(
         drawn = take(shape)
         if between is None:
             return jnp.full(shape, usual)
-        low, high = (usual + (1.0 + config.margin) * (end - usual) for end in between)
+        low, high = widened(between, usual, config.margin)
         return low + (high - low) * drawn
 
     variation = Variation(
@@ -95,7 +95,7 @@ def draw_conditions(
         variation=variation,
         delay=draw(config.latency, 0.0) / stepping.dt,
         sensor_delay=None if config.sensor_latency is None else late,
-        push=(1.0 + config.margin) * froude * _within(config.push, take((2,))),
+        push=froude * _within(config.push, config.margin, take((2,))),
         noise=draw(config.noise, 0.0),
         encoder=draw(config.encoder, 0.0, (12,)),
         tilt=draw(config.imu_tilt, 0.0, (3,)),
@@ -108,15 +108,28 @@ def draw_conditions(
 
 def latest_drawn(config: RandomisationConfig) -> tuple[float, float]:
     """The longest latency that is drawn of joint targets, and of sensors, s."""
-    longest = [own[1] if own else 0.0 for own in (config.latency, config.sensor_latency)]
-    return (1.0 + config.margin) * longest[0], (1.0 + config.margin) * longest[1]
+    targets, sensors = (
+        widened(own or (0.0, 0.0), 0.0, config.margin)[1]
+        for own in (config.latency, config.sensor_latency)
+    )
+    return targets, sensors
 
 
-def _within(sizes: Range, shares: jax.Array) -> jax.Array:
+def widened(between: tuple[float, float], usual: float, margin: float) -> tuple[float, float]:
+    """The range `between` as training draws from it: wider by `margin`.
+
+    An end moves away from `usual`, the model's own value, and never into the range.
+    """
+    low, high = between
+    share = 1.0 + margin
+    return min(low, usual + share * (low - usual)), max(high, usual + share * (high - usual))
+
+
+def _within(sizes: Range, margin: float, shares: jax.Array) -> jax.Array:
     """(2,) of a quarter of a ring, uniformly over its area; `shares` (2,) are uniform in [0, 1)."""
     if sizes is None:
         return jnp.zeros(2)
-    inner, outer = sizes
+    inner, outer = widened(sizes, 0.0, margin)
     size = jnp.sqrt(inner**2 + (outer**2 - inner**2) * shares[0])
     angle = jnp.pi / 2 * shares[1]
     return size * jnp.stack([jnp.cos(angle), jnp.sin(angle)])
