@@ -221,7 +221,11 @@ class QuadrupedEnv(Env):
             tile=before.tile,
             travel=before.travel,
         )
-        return self.finish_step(before, after, effort, sane)
+        following = self.finish_step(before, after, effort, sane)
+        # What wrappers keep there, as Brax's do, stays.
+        return following.replace(
+            info=state.info | following.info, metrics=state.metrics | following.metrics
+        )
 
     def with_conditions(self, state: State, conditions: Conditions, latest: int = 0) -> State:
         """`state`, of an episode's start, under conditions that last for the episode.

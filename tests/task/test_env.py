@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
+from brax.envs.wrappers.training import EvalWrapper, wrap
 from scipy.spatial.transform import Rotation
 
 from quadwalk.errors import UsageError
@@ -37,6 +38,20 @@ def test_it_is_a_brax_environment(env, reset):
     assert reset(0).obs.shape == (4, env.observation_size) == (4, 47)
     assert env.action_size == 12
     assert len(set(env.observation_names)) == 47
+
+
+def test_the_wrappers_of_brax_run_it(env):
+    wrapped = EvalWrapper(wrap(env, episode_length=3))
+    first = state = jax.jit(wrapped.reset)(jax.random.split(jax.random.PRNGKey(0), 2))
+    start, step = np.asarray(first.obs), jax.jit(wrapped.step)
+    for count in (1, 2, 3, 1):
+        state = step(state, jnp.full((2, 12), 0.5))
+        assert state.info["steps"].tolist() == [count] * 2
+        assert state.done.tolist() == [count == 3] * 2
+        assert np.array_equal(state.obs, start) == (count == 3)
+    evaluated = state.info["eval_metrics"]
+    assert evaluated.episode_steps.tolist() == [3, 3]
+    assert set(evaluated.episode_metrics) == {*first.metrics}
 
 
 def test_starts_differ_and_the_same_key_gives_the_same_start(reset):
