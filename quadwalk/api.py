@@ -1,16 +1,14 @@
 """The package from Python, as a notebook uses it: make, train, evaluate, compare, load_policy."""
 
-import dataclasses
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from quadwalk.errors import UsageError
-from quadwalk.paths import ALIENGO_URDF
 from quadwalk.task_files import load_task
 from quadwalk.train.runs.directory import Run, find_any_run
 from quadwalk.train.serialise import with_settings
-from quadwalk.train.settings import RobotConfig, TrainConfig
+from quadwalk.train.settings import TrainConfig
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -24,14 +22,14 @@ Overrides = Mapping[str, Any]
 
 def make(
     task: str | Path | TrainConfig = "run",
-    robot: str | Path = ALIENGO_URDF,
+    robot: str | Path | None = None,
     overrides: Overrides | None = None,
 ) -> "QuadrupedEnv":
     """The environment of a task, a Brax `Env`: `reset` and `step` are pure, vmap them for a batch.
 
     Args:
         task: the name of one of quadwalk's, the path of a file of your own, or a `TrainConfig`.
-        robot: the URDF of a quadruped.
+        robot: a URDF, in place of the task's; its other settings, such as effort, stay.
         overrides: settings by the names of their flags, {"env.reward.energy": -0.5}.
     """
     from quadwalk.train.devices import set_up_devices
@@ -58,7 +56,7 @@ def train(
 
     Args:
         task: as for `make`; "run" unless another is given.
-        robot: the URDF of a quadruped, in place of the AlienGo.
+        robot: as for `make`.
         resume: a run, its name or path, or "latest", to go on with, in place of a task.
         runs: the folder of all runs, "runs" unless another is given.
         overrides: settings by the names of their flags, {"env.reward.energy": -0.5}.
@@ -163,7 +161,7 @@ def _config(
 ) -> TrainConfig:
     config = task if isinstance(task, TrainConfig) else load_task(task)
     if robot is not None:
-        config = dataclasses.replace(config, robot=RobotConfig(Path(robot)))
+        config = with_settings(config, {"robot.urdf": str(robot)})
     return with_settings(config, overrides or {})
 
 

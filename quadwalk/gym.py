@@ -25,8 +25,8 @@ from gymnasium.vector.utils import batch_space
 
 from quadwalk.api import make
 from quadwalk.errors import UsageError
-from quadwalk.paths import ALIENGO_URDF
 from quadwalk.task_files import task_names
+from quadwalk.train.settings import TrainConfig
 
 
 class QuadrupedGymEnv(gymnasium.Env[np.ndarray, np.ndarray]):
@@ -36,8 +36,8 @@ class QuadrupedGymEnv(gymnasium.Env[np.ndarray, np.ndarray]):
 
     def __init__(
         self,
-        task: str | Path,
-        robot: str | Path = ALIENGO_URDF,
+        task: str | Path | TrainConfig,
+        robot: str | Path | None = None,
         overrides: Mapping[str, Any] | None = None,
         render_mode: None = None,
     ) -> None:
@@ -83,8 +83,8 @@ class QuadrupedGymVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     def __init__(
         self,
         num_envs: int,
-        task: str | Path,
-        robot: str | Path = ALIENGO_URDF,
+        task: str | Path | TrainConfig,
+        robot: str | Path | None = None,
         overrides: Mapping[str, Any] | None = None,
     ) -> None:
         if num_envs < 1:

@@ -1,5 +1,6 @@
 """The package as a notebook uses it: each function, and what is said where one is misused."""
 
+import dataclasses
 import io
 import os
 import re
@@ -15,10 +16,13 @@ import pytest
 from PIL import Image
 
 import quadwalk
+import quadwalk.gym
 from quadwalk.errors import UsageError, UserError
 from quadwalk.evaluate.recording.mcap import verify_mcap
 from quadwalk.paths import ALIENGO_URDF
+from quadwalk.task_files import load_task
 from quadwalk.train.runs.log import read_metrics
+from quadwalk.train.settings import RobotConfig
 
 BATCH = 64  # control steps in an iteration of the tiny training
 TINY = {
@@ -83,6 +87,25 @@ def test_overrides_and_the_robot_reach_the_environment(tmp_path):
     assert changed.config.reward["forward"].params == {"max_speed": 2.0}
     assert changed.config.control_dt == pytest.approx(0.8 * usual.config.control_dt)
     assert usual.config.reward["energy"].scale != -0.5
+
+
+def test_a_configs_robot_is_made_and_another_urdf_leaves_its_other_settings(tmp_path):
+    """Against a URDF whose calves have no effort limit, which the config gives."""
+    limp = ALIENGO_URDF.read_text().replace('effort="44.4"', 'effort="0"')
+    for name in ("own", "other"):
+        (tmp_path / f"{name}.urdf").write_text(limp.replace("aliengo", name))
+    robot = RobotConfig(tmp_path / "own.urdf", effort=30.0)
+    config = dataclasses.replace(load_task("sprint"), robot=robot)
+    for given, name in ((None, "own"), (tmp_path / "other.urdf", "other")):
+        quadruped = quadwalk.make(config, given).quadruped
+        assert quadruped.name == name
+        assert list(quadruped.effort[2::3]) == [30.0] * 4
+    gone = dataclasses.replace(config, robot=RobotConfig(tmp_path / "gone.urdf"))
+    for make in (
+        quadwalk.gym.QuadrupedGymEnv, lambda task: quadwalk.gym.QuadrupedGymVectorEnv(2, task)
+    ):  # fmt: skip
+        with pytest.raises(UserError, match=r"gone\.urdf"):
+            make(gone)
 
 
 def test_a_training_returns_its_run_and_is_watched(trained, runs):
