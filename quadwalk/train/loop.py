@@ -51,12 +51,11 @@ def train(
         progress.phase("loading")
         from quadwalk.train.setup import prepare
 
-        training = prepare(config, previous, progress)
+        training = prepare(config, previous, progress, stack)
         from quadwalk.train.runs.writer import RunWriter
 
         writer = None
-        if training.run is not None and training.claim is not None:
-            stack.enter_context(training.claim)
+        if training.run is not None:
             writer = stack.enter_context(RunWriter(training, training.run, progress.message))
             if config.watch:
                 writer.publish(training.state, training.steps)

@@ -2,8 +2,9 @@
 
 import math
 from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, BinaryIO
+from typing import TYPE_CHECKING, Any
 
 from quadwalk.robot.quadruped import Quadruped
 from quadwalk.task_files import OWN
@@ -38,7 +39,6 @@ class Training:
 
     config: TrainConfig  # with the numbers of devices and environments filled in
     run: Run | None  # None in all processes but the first
-    claim: BinaryIO | None  # holds the run; to be closed at the end
     resumed: bool
     quadruped: Quadruped
     policy_size: int  # how many numbers the policy sees
@@ -51,8 +51,13 @@ class Training:
     iterate: Callable[["TrainState"], tuple["TrainState", dict[str, Any]]]
 
 
-def prepare(config: TrainConfig, previous: Run | None, progress: Progress) -> Training:
-    """Everything up to the compiled iteration, in every process; raises `UserError`."""
+def prepare(
+    config: TrainConfig, previous: Run | None, progress: Progress, stack: ExitStack
+) -> Training:
+    """Everything up to the compiled iteration, in every process; raises `UserError`.
+
+    The run is this training's until `stack` is closed.
+    """
     # Absolute, so that mesh files are found from wherever the run is used.
     folders = tuple(folder.resolve() for folder in config.robot.mesh_dirs)
     robot = replace(config.robot, urdf=config.robot.urdf.resolve(), mesh_dirs=folders)
@@ -74,8 +79,8 @@ def prepare(config: TrainConfig, previous: Run | None, progress: Progress) -> Tr
     networks = make_networks(config.ppo, env.policy_size, env.action_size, len(env.critic_names))
     mesh = ppo.make_mesh(devices)
     main = config.distributed.process == 0
-    run, claimed = distributed.together(
-        lambda: _open_run(config, previous, quadruped, progress) if main else (None, None)
+    run = distributed.together(
+        lambda: _open_run(config, previous, quadruped, progress, stack) if main else None
     )
     progress.message(
         f"{quadruped.name}: {config.envs} environments on {len(devices)} "
@@ -99,7 +104,7 @@ def prepare(config: TrainConfig, previous: Run | None, progress: Progress) -> Tr
     )
     iterate.compile(state)
     return Training(
-        config, run, claimed, previous is not None, quadruped, env.policy_size, env.mj_model,
+        config, run, previous is not None, quadruped, env.policy_size, env.mj_model,
         metrics, state, steps, seconds, batch, iterate,
     )  # fmt: skip
 
@@ -111,9 +116,13 @@ def _check_processes(config: TrainConfig, quadruped: Quadruped) -> None:
 
 
 def _open_run(
-    config: TrainConfig, previous: Run | None, quadruped: Quadruped, progress: Progress
-) -> tuple[Run, BinaryIO]:
-    """The run to train, made or gone on with, and the claim to it."""
+    config: TrainConfig,
+    previous: Run | None,
+    quadruped: Quadruped,
+    progress: Progress,
+    stack: ExitStack,
+) -> Run:
+    """The run to train, made or gone on with, and claimed until `stack` is closed."""
     settings = {"config": to_dict(config), "versions": versions()}
     if previous is None:
         # The run keeps its own copy: what it learnt stays true to it when the original changes.
@@ -122,11 +131,12 @@ def _open_run(
         if source is not None:
             files[OWN] = source
         run = create_run(config.runs, config.name, label=config.task, files=files)
-        return run, claim(run)
-    claimed = claim(previous)
+        stack.enter_context(claim(run))
+        return run
+    stack.enter_context(claim(previous))
     changes = changed_settings(read_config(previous), config)
     clean(previous)
     write_json_atomic(previous.config, settings)
     for change in changes:
         progress.message(f"changed {change}")
-    return previous, claimed
+    return previous

@@ -11,7 +11,7 @@ NEWEST, BEST = "newest", "best"
 
 
 def run_choices(root: Path, chosen: Run) -> dict[str, Run]:
-    """Label to run: those in `root`, the one last written to first, and `chosen`."""
+    """Label to run: those in `root`, the one last trained first, and `chosen`."""
     runs = {run.name: run for run in list_runs(root)}
     same = [name for name, run in runs.items() if run.path.resolve() == chosen.path.resolve()]
     return runs if same else {label_of(root, chosen): chosen, **runs}

@@ -82,17 +82,17 @@ def test_nothing_is_left_of_a_run_that_could_not_be_made(tmp_path, monkeypatch):
 
 
 def make_runs(root, *names):
-    """Runs, each last written to a second after the one before."""
+    """Runs, each last trained a second after the one before."""
     for second, name in enumerate(names):
         made = run.create_run(root, name)
         made.config.write_text("{}")
-        for path in (made.path, made.config):
-            os.utime(path, (1000 + second,) * 2)
+        os.utime(made.config, (1000 + second,) * 2)
 
 
 def test_runs_are_found_by_name_path_and_age(tmp_path, monkeypatch):
     make_runs(tmp_path / "runs", "b", "c", "a")
     monkeypatch.chdir(tmp_path)
+    (tmp_path / "runs" / "c" / "eval").mkdir()  # by an evaluation, which is no training
     assert run.find_run("runs", "latest").name == "a"
     for which in ("b", "runs/b", "runs/b/", str(tmp_path / "runs" / "b")):
         assert run.find_run("runs", which).name == "b"
@@ -187,9 +187,11 @@ def test_what_interrupted_saves_left_is_deleted_and_what_an_evaluation_writes_is
 
 def test_a_run_is_trained_by_one_at_a_time(tmp_path):
     made = run.create_run(tmp_path, "a")
-    with run.claim(made), pytest.raises(UserError, match="a is being trained by another process"):
-        run.claim(made)
-    run.claim(made).close()
+    expected = pytest.raises(UserError, match="a is being trained by another process")
+    with run.claim(made), expected, run.claim(made):
+        pass
+    with run.claim(made):
+        pass
     assert made.metrics.read_bytes() == b""
 
 

@@ -129,6 +129,17 @@ def test_of_nothing_but_truncated_ones_none_is_gone_on_from(whole, tmp_path, tra
     assert (tmp_path / "cut" / "metrics.jsonl").read_bytes() == before
 
 
+def test_a_run_that_could_not_go_on_is_free_while_its_error_is_kept(whole, tmp_path, train):
+    """As a notebook keeps the last error, with its traceback and all that its frames refer to."""
+    shutil.copytree(whole, tmp_path / "a")
+    resume = (f"--runs={tmp_path}", "--resume=a")
+    with pytest.raises(UserError, match="cannot change") as kept:
+        train(*resume, "--seed=8")
+    train(*resume, f"--steps={64 * (ITERATIONS + 1)}")
+    assert rows(tmp_path / "a") == ITERATIONS + 1
+    assert kept.tb is not None
+
+
 def test_it_goes_on_with_another_number_of_devices(whole, tmp_path, start):
     shutil.copytree(whole, tmp_path / "one")
     output = tmp_path / "output"

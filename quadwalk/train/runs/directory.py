@@ -20,10 +20,10 @@ import os
 import platform
 import re
 import shutil
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 from quadwalk.errors import UsageError, UserError
 from quadwalk.files import atomic_write, os_reason
@@ -132,7 +132,7 @@ def create_run(
 
 
 def find_run(root: Path | str, which: str) -> Run:
-    """Find a run by its name in `root`, by its path, or as "latest", the one last written to.
+    """Find a run by its name in `root`, by its path, or as "latest", the one last trained.
 
     Raises `UsageError` that lists some of the runs there are.
     """
@@ -167,12 +167,12 @@ def results_folder(root: Path | str, run: Run) -> Path:
 
 
 def list_runs(root: Path | str) -> list[Run]:
-    """The runs in `root`, the one last written to first; none if there is no such folder."""
+    """The runs in `root`, the one last trained first; none if there is no such folder."""
     try:
         runs = [Run(path) for path in sorted(Path(root).iterdir()) if _is_run(path)]
     except OSError:
         return []
-    return sorted(runs, key=_last_written, reverse=True)
+    return sorted(runs, key=_last_trained, reverse=True)
 
 
 def versions() -> dict[str, str]:
@@ -228,25 +228,26 @@ def keep_last(run: Run, count: int, also: Path | None = None) -> None:
     _delete(path for path in list_checkpoints(run)[:-count] if path != also)
 
 
-def claim(run: Run) -> BinaryIO:
-    """Take a run for as long as the file returned is open; the system closes it if we are killed.
+@contextlib.contextmanager
+def claim(run: Run) -> Iterator[None]:
+    """Take a run; the system gives it back if we are killed.
 
     Raises `UserError` if another training has it: two would write over each other.
     """
     try:
-        file = open(run.metrics, "ab")  # noqa: SIM115 - for the caller to close
+        file = open(run.metrics, "ab")  # noqa: SIM115 - opened apart, to tell what is refused
     except OSError as error:
         raise UserError(f"cannot write {run.metrics}: {os_reason(error)}") from error
-    # Some systems (Windows) and some network file systems know no such claims.
-    with contextlib.suppress(ImportError, OSError):
-        import fcntl
+    with file:
+        # Some systems (Windows) and some network file systems know no such claims.
+        with contextlib.suppress(ImportError, OSError):
+            import fcntl
 
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            file.close()
-            raise UserError(f"{run.path} is being trained by another process") from None
-    return file
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                raise UserError(f"{run.path} is being trained by another process") from None
+        yield
 
 
 def clean(run: Run) -> None:
@@ -305,14 +306,14 @@ def _is_run(path: Path) -> bool:
         return False
 
 
-def _last_written(run: Run) -> float:
+def _last_trained(run: Run) -> float:
     def written(path: Path) -> float:
         try:
             return path.stat().st_mtime
         except OSError:
             return 0.0
 
-    return max(map(written, (run.path, run.config, run.metrics, run.policy)))
+    return max(map(written, (run.config, run.metrics, run.policy)))
 
 
 def _known_runs(root: Path) -> str:
