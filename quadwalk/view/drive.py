@@ -49,11 +49,11 @@ def drive(config: ViewConfig) -> None:
 
             drive_in_window(run, console)
             return
-        from quadwalk.view.server import serving
+        from quadwalk.view.server import serving, url_of
 
         with serving(config.host, config.port, console) as server:
             if missing is None:
-                webbrowser.open(f"http://localhost:{server.get_port()}")
+                webbrowser.open(url_of(config.host, server.get_port()))
             with console.status("loading"):
                 _prepare_jax()
                 from quadwalk.view.page import Page  # what it needs takes seconds

@@ -1,6 +1,7 @@
 """A page of the browser in which a robot runs live, to be driven."""
 
 import queue
+import re
 import threading
 import time
 from collections.abc import Callable
@@ -55,6 +56,8 @@ class Page:
                     self._asked.get()()
                 except UserError as error:
                     self._tell(str(error))
+                except Exception as error:  # whatever a client sent that no page of ours would
+                    self._tell(f"{type(error).__name__}: {error}")
             for _ in range(self.pace.due() if self.playing else 0):
                 began = time.perf_counter()
                 self.live.step()
@@ -90,10 +93,7 @@ class Page:
         self.pace.restart()
 
     def _actions(self, runs: dict[str, Run]) -> Actions:
-        """What the panel asks for, put off until the next control step."""
-
-        def later(action: Callable[..., None]) -> Callable[..., None]:
-            return lambda *values: self._asked.put(lambda: action(*values))
+        """What the panel asks for, each between two control steps."""
 
         def play() -> None:
             self.playing = not self.playing
@@ -115,17 +115,18 @@ class Page:
             self.live.command[:] = self.panel.told()
 
         return Actions(
-            command=later(command),
-            settings=later(lambda: self.live.change(**self.panel.settings())),
-            push=later(lambda forward, left: self.live.push(forward, left)),
-            play=later(play),
-            speed=later(speed),
-            reset=later(reset),
-            tile=later(start_on),
-            follow=later(lambda on: setattr(self.stage, "follow", on)),
-            collision=later(lambda on: self.stage.show_collision(on)),
-            run=later(lambda label: self._open(runs[label], NEWEST)),
-            policy=later(self._take),
+            ask=self._asked.put,
+            command=command,
+            settings=lambda: self.live.change(**self.panel.settings()),
+            push=lambda forward, left: self.live.push(forward, left),
+            play=play,
+            speed=speed,
+            reset=reset,
+            tile=start_on,
+            follow=lambda on: setattr(self.stage, "follow", on),
+            collision=lambda on: self.stage.show_collision(on),
+            run=lambda label: self._open(runs[label], NEWEST),
+            policy=self._take,
         )
 
     def _take(self, label: str) -> None:
@@ -162,8 +163,9 @@ class Page:
     def status(self) -> str:
         """What the page says above all: who runs how fast, and whether time is kept."""
         live, pace = self.live, self.pace
+        name = _verbatim(self.run.name)
         lines = [
-            f"**{self.run.name}**, {self.label}, {live.policy.steps:,} steps of training",
+            f"**{name}**, {self.label}, {live.policy.steps:,} steps of training",
             f"{live.time:.1f} s, {live.velocity[0]:.2f} m/s"
             + (", **fallen**" if live.fell else ""),
         ]
@@ -189,3 +191,8 @@ class Page:
     def _tell(self, text: str) -> None:
         for client in self._server.get_clients().values():
             client.add_notification("quadwalk", text, auto_close_seconds=10.0)
+
+
+def _verbatim(text: str) -> str:
+    """Markdown that shows `text` as it is: in a page Markdown may hold HTML, scripts too."""
+    return re.sub(r"([!-/:-@\[-`{-~])", r"\\\1", " ".join(text.split()))

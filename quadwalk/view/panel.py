@@ -30,8 +30,9 @@ _DARK, _BLUE, _GREEN = "#7d8590", "#326edc", "#3caa50"
 
 @dataclass(frozen=True)
 class Actions:
-    """What the panel asks for. Each is called in a thread of the server's."""
+    """What the panel asks for: by `ask`, which may be called in any of the server's threads."""
 
+    ask: Callable[[Callable[[], None]], None]  # has what it is given called between control steps
     command: Callable[[], None]  # the sliders of the command have moved
     settings: Callable[[], None]  # those of robot, floor and sensors have
     push: Callable[[float, float], None]  # by m/s, ahead and to the left
@@ -58,7 +59,7 @@ class Panel:
     ) -> None:
         """`runs` and `policies` are the labels to choose from, and the one that is driven."""
         server.gui.reset()
-        self._gui = server.gui
+        self._gui, self._ask = server.gui, actions.ask
         self.status = server.gui.add_markdown("")
         self._add_buttons(actions)
         self.command = self._add_command(live, actions)
@@ -75,11 +76,11 @@ class Panel:
     def settings(self) -> dict[str, float]:
         """What its sliders say, by the names of `Settings`."""
         percent = {"strength": 0.01, "latency": 0.001}
-        return {name: s.value * percent.get(name, 1.0) for name, s in self._settings.items()}
+        return {name: _within(s) * percent.get(name, 1.0) for name, s in self._settings.items()}
 
     def told(self) -> np.ndarray:
         """(3,) the command that its sliders say."""
-        return np.array([slider.value for slider in self.command])
+        return np.array([_within(slider) for slider in self.command])
 
     def plot(self, traces: Traces) -> None:
         """Show the last seconds."""
@@ -91,13 +92,13 @@ class Panel:
         gui = self._gui
         play = gui.add_button_group("Time", ("play or pause", "reset"))
         chosen = {"play or pause": actions.play, "reset": actions.reset}
-        play.on_click(lambda event: chosen[event.target.value]())
+        self._when(play.on_click, lambda way: chosen[way]())
         speed = gui.add_button_group("Speed", tuple(SPEEDS))
-        speed.on_click(lambda event: actions.speed(SPEEDS[event.target.value]))
+        self._when(speed.on_click, lambda text: actions.speed(SPEEDS[text]))
         follow = gui.add_checkbox("camera follows", True)
-        follow.on_update(lambda event: actions.follow(event.target.value))
+        self._when(follow.on_update, actions.follow)
         shapes = gui.add_checkbox("collision shapes", False)
-        shapes.on_update(lambda event: actions.collision(event.target.value))
+        self._when(shapes.on_update, actions.collision)
 
     def _add_command(self, live: LiveRobot, actions: Actions) -> list[Any]:
         """A slider for each number of the command, over the range trained on."""
@@ -115,8 +116,8 @@ class Panel:
             ]
             stop = self._gui.add_button("Stop (X)")
         for slider in sliders:
-            slider.on_update(lambda _: actions.command())
-        stop.on_click(lambda _: self._set_command(sliders, [0.0, 0.0, 0.0]))
+            self._when(slider.on_update, lambda _: actions.command())
+        self._when(stop.on_click, lambda _: self._set_command(sliders, [0.0, 0.0, 0.0]))
         return sliders
 
     def _set_command(self, sliders: list[Any], values: Sequence[float]) -> None:
@@ -131,9 +132,9 @@ class Panel:
 
         def push(way: str) -> None:
             forward, left = ways[way]
-            actions.push(forward * size.value, left * size.value)
+            actions.push(forward * _within(size), left * _within(size))
 
-        buttons.on_click(lambda event: push(event.target.value))
+        self._when(buttons.on_click, push)
         self._push = push
 
     def _add_ground(self, live: LiveRobot, actions: Actions) -> None:
@@ -147,12 +148,12 @@ class Panel:
             kind = self._gui.add_dropdown("kind", tuple(dict.fromkeys(names)))
             level = self._gui.add_dropdown("difficulty", tuple(dict.fromkeys(levels)))
 
-        def start() -> None:
+        def start(_: str) -> None:
             places = list(zip(names, levels, strict=True))
             actions.tile(places.index((kind.value, level.value)))
 
         for dropdown in (kind, level):
-            dropdown.on_update(lambda _: start())
+            self._when(dropdown.on_update, start)
 
     def _add_settings(self, live: LiveRobot, actions: Actions) -> dict[str, Any]:
         usual = Settings(friction=round(live.env.friction, 2))
@@ -167,13 +168,13 @@ class Panel:
                 "noise": add("sensor noise, level", 0.0, 3.0, 0.1, 0.0),
             }
         for slider in sliders.values():
-            slider.on_update(lambda _: actions.settings())
+            self._when(slider.on_update, lambda _: actions.settings())
         return sliders
 
     def _choose(self, label: str, choices: tuple[Sequence[str], str], chosen: Any) -> Any:
         labels, first = choices
         dropdown = self._gui.add_dropdown(label, tuple(labels), initial_value=first)
-        dropdown.on_update(lambda event: chosen(event.target.value))
+        self._when(dropdown.on_update, chosen)
         return dropdown
 
     def _add_plots(self, live: LiveRobot) -> None:
@@ -224,12 +225,21 @@ class Panel:
         if self.command:
             self._key("stop", "X", lambda: self._set_command(self.command, [0.0, 0.0, 0.0]))
 
+    def _when(self, register: Callable[..., Any], action: Callable[[Any], None]) -> None:
+        """Have `action` called with the value of a control that `register` listens to."""
+        register(lambda event: self._ask(partial(action, event.target.value)))
+
     def _key(self, label: str, key: Any, action: Callable[[], None]) -> None:
         async def pressed(_: Any) -> None:  # in the server's own thread: in the order of the keys
-            action()
+            self._ask(action)
 
         self._gui.add_command(label, hotkey=key).on_trigger(pressed)
 
 
 def _line(label: str, color: str) -> uplot.Series:
     return uplot.Series(label=label, stroke=color, width=1.5)
+
+
+def _within(slider: Any) -> float:
+    """Its value, between its ends: a client can send any number, NaN too."""
+    return min(max(slider.min, slider.value), slider.max)

@@ -1,26 +1,33 @@
 """The page without a browser: what its panel is set to is what the robot suffers."""
 
 import asyncio
+import html
+import itertools
 import socket
+import subprocess
 import sys
 import time
-import urllib.error
 import urllib.request
 from collections.abc import Iterator
 
 import numpy as np
 import pytest
+from markdown_it import MarkdownIt
 from rich.console import Console
 
-from quadwalk.train.progress.watch import watched
+from quadwalk.errors import UsageError
 from quadwalk.train.runs.directory import Run
 from quadwalk.view.choices import NEWEST
 from tests.view.conftest import write_policy
 
 pytest.importorskip("mjviser", reason="mjviser is not installed: pip install 'quadwalk[view]'")
 
+import viser
+from msgspec import msgpack
+from websockets.sync.client import connect
+
 from quadwalk.view.page import Page
-from quadwalk.view.server import serving
+from quadwalk.view.server import serving, url_of
 
 
 @pytest.fixture(scope="module")
@@ -164,6 +171,46 @@ def test_another_policy_and_another_run(page):
     assert len(page.panel.command) == 3
 
 
+def test_a_runs_name_is_shown_as_it_is(page, monkeypatch, tmp_path):
+    name = "<script>x</script> **a** [b](c) {d} _e_ `f` & \\ !"
+    monkeypatch.setattr(page, "run", Run(tmp_path / name.replace("/", "\\")))
+    shown = MarkdownIt("commonmark").render(page.status())
+    assert f"<strong>{html.escape(page.run.name)}</strong>" in shown
+
+
+CAMERA = {
+    "type": "ViewerCameraMessage",
+    **dict.fromkeys(("position", "look_at", "up_direction"), (0.0, 0.0, 1.0)),
+    "wxyz": (1.0, 0.0, 0.0, 0.0),
+    **dict.fromkeys(("fov", "near", "far"), 1.0),
+    **dict.fromkeys(("image_height", "image_width"), 100),
+}
+
+
+def test_messages_that_are_none_leave_the_page_as_it_was(page, capfd, caplog):
+    url = f"ws://127.0.0.1:{page._server.get_port()}"
+    controls = page._server.gui._gui_input_handle_from_uuid
+    odd = ("no such choice", float("nan"), 1e300, [], None)
+    updates = [
+        {"type": "GuiUpdateMessage", "uuid": uuid, "updates": {"value": value}}
+        for uuid in controls
+        for value in odd
+    ]
+    messages = [msgpack.encode(m) for m in ({"type": "None"}, [1], *updates)]
+    for message in ("text", b"\xff", b"", *messages):
+        with connect(url, subprotocols=[f"viser-v{viser.__version__}"]) as client:
+            client.send(msgpack.encode(CAMERA))
+            client.send(message)
+            page.run_for(0.02)
+    before = page.live.steps
+    page.playing = True
+    page.run_for(0.5)
+    assert page.live.steps > before
+    assert np.isfinite(page.live.data.qpos).all()
+    assert capfd.readouterr() == ("", "")
+    assert not caplog.records
+
+
 @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere 127.0.0.2 is no address")
 def test_it_listens_on_this_machine_alone(page):
     """A server of all addresses would answer at every one that begins with 127."""
@@ -173,15 +220,55 @@ def test_it_listens_on_this_machine_alone(page):
         socket.create_connection(("127.0.0.2", port), timeout=5.0)
 
 
-def test_a_training_shows_its_page_in_a_process_of_its_own(runs):
-    said: list[str] = []
-    with watched(Run(runs / "dog"), said.append):
-        end = time.monotonic() + 60.0
-        while not any("drive it at" in line for line in said) and time.monotonic() < end:
-            time.sleep(0.1)
-        (line,) = [line for line in said if "drive it at" in line]
+_TRAINER = """
+import sys
+from pathlib import Path
+from quadwalk.train.progress.watch import watched
+from quadwalk.train.runs.directory import Run
+with watched(Run(Path(sys.argv[1])), lambda line: print(line, flush=True)):
+    sys.stdin.read()
+"""
+
+
+def listens(url: str) -> bool:
+    try:
+        urllib.request.urlopen(url, timeout=5.0).close()
+    except OSError:
+        return False
+    return True
+
+
+@pytest.mark.parametrize("killed", [False, True])
+def test_a_training_shows_its_page_in_a_process_that_ends_with_it(runs, killed):
+    command = [sys.executable, "-c", _TRAINER, str(runs / "dog")]
+    pipe = subprocess.PIPE
+    with subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True) as trainer:
+        assert trainer.stdin is not None
+        assert trainer.stdout is not None
+        (line,) = itertools.islice((line for line in trainer.stdout if "drive it at" in line), 1)
         url = line.partition("drive it at ")[2].split()[0]
         with urllib.request.urlopen(url, timeout=30.0) as answer:
             assert answer.status == 200
-    with pytest.raises(urllib.error.URLError):  # it ends with the training
-        urllib.request.urlopen(url, timeout=5.0)
+        if killed:
+            trainer.kill()
+        else:
+            trainer.stdin.close()
+        trainer.wait(30.0)
+    end = time.monotonic() + 30.0
+    while listens(url) and time.monotonic() < end:
+        time.sleep(0.1)
+    assert not listens(url)
+
+
+def test_a_host_of_ipv6_is_a_url_with_brackets():
+    assert url_of("::1", 8080) == "http://[::1]:8080"
+    assert url_of("127.0.0.1", 8081) == "http://localhost:8081"
+
+
+@pytest.mark.parametrize("host", ["no-such-host.invalid", "192.0.2.1", "", "a b", "\0", "x" * 300])
+def test_a_host_that_is_not_this_machine_is_told_at_once(host):
+    with (
+        pytest.raises(UsageError, match=r"^--host is .*; expected an address of this machine$"),
+        serving(host, 8300, Console(quiet=True)),
+    ):
+        pass

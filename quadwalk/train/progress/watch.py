@@ -2,12 +2,13 @@
 
 import contextlib
 import importlib.util
+import os
 import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterator
 
-from quadwalk.errors import UserError
+from quadwalk.errors import UserError, run_command
 from quadwalk.train.runs.directory import Run
 
 WATCHED = 20  # times that the policy is saved for the page between two checkpoints
@@ -23,10 +24,22 @@ def check_watch() -> None:
 
 @contextlib.contextmanager
 def watched(run: Run, say: Callable[[str], object]) -> Iterator[None]:
-    """The page of `run`, which takes each policy that is saved; `say` is told where it is."""
+    """The page of `run`, which takes each policy that is saved; `say` is told where it is.
+
+    It ends with this process, even if that is killed: then its standard input is closed.
+    """
     path, runs = run.path.resolve(), run.path.resolve().parent
-    command = [sys.executable, "-m", "quadwalk.view", str(path), "--browser", f"--runs={runs}"]
-    page = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+    command = [sys.executable, "-m", __name__, str(path), "--browser", f"--runs={runs}"]
+    page = subprocess.Popen(
+        command,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+        errors="replace",
+        start_new_session=True,  # Ctrl-C is for training, which saves before it ends
+    )
+    assert page.stdin is not None
 
     def listen() -> None:
         assert page.stderr is not None
@@ -39,6 +52,23 @@ def watched(run: Run, say: Callable[[str], object]) -> Iterator[None]:
     try:
         yield
     finally:
-        page.terminate()
+        page.stdin.close()
         page.wait()
-        listener.join()
+        listener.join(1.0)  # a browser that the page has opened may hold on to its stderr
+
+
+def main() -> None:
+    """Show the page for as long as standard input is open."""
+
+    def end() -> None:
+        sys.stdin.buffer.read()
+        os._exit(0)
+
+    threading.Thread(target=end, daemon=True).start()
+    from quadwalk.view.__main__ import main as view  # what it needs takes a moment
+
+    view()
+
+
+if __name__ == "__main__":
+    run_command(main)
