@@ -106,7 +106,7 @@ def _iterate(
         if not numbers["learner/finite"]:
             if writer:
                 writer.draw()
-            raise UserError(_lost(writer, steps))
+            raise UserError(_lost(writer, steps, row["learning_rate"]))
         if config.watch and steps - shown >= config.checkpoint_steps // WATCHED:
             whole = distributed.gathered(state)
             if writer:
@@ -140,13 +140,13 @@ def _tell(
     progress.end(f"evaluate with   {as_typed('eval')} {_run_argument(run)}")
 
 
-def _lost(writer: "RunWriter | None", steps: int) -> str:
-    """What to say when the learner's weights are not finite."""
+def _lost(writer: "RunWriter | None", steps: int, rate: float) -> str:
+    """What to say when the learner's weights are not finite, at that learning rate."""
     what = f"the networks' weights are no longer finite numbers after {steps:,} steps"
     if writer is None:
         return what
     resume = f"{as_typed('train')} --resume {_run_argument(writer.run)}"
-    again = f"{resume} --ppo.max-learning-rate 1e-3"
+    again = f"{resume} --ppo.max-learning-rate {min(1e-3, rate / 10.0):.0e}"
     return f"{what}; {_last(writer)}; go on from there with smaller changes, such as {again}"
 
 

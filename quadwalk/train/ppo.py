@@ -23,7 +23,6 @@ import optax
 from brax.envs.base import Env, State
 from brax.training.acme import running_statistics, specs
 from brax.training.agents.ppo import losses
-from brax.training.agents.ppo.optimizer import adaptive_kl_learning_rate
 from brax.training.types import Transition
 from jax.sharding import Mesh, NamedSharding
 from jax.sharding import PartitionSpec as P
@@ -35,6 +34,7 @@ from quadwalk.train.networks import Networks
 from quadwalk.train.settings import PPOConfig
 
 AXIS = "devices"
+RATE = "learning_rate"  # its name in the optimizer's state
 Metrics = dict[str, Any]
 
 
@@ -384,6 +384,16 @@ def learn(
     }
 
 
+def adapted(config: PPOConfig, rate: jax.Array, kl: jax.Array, desired_kl: jax.Array) -> jax.Array:
+    """The learning `rate`, less where the policy changes too much, more where it does too little.
+
+    Always within its bounds.
+    """
+    rate = jnp.where(kl > 2.0 * desired_kl, rate / 1.5, rate)
+    rate = jnp.where((kl < desired_kl / 2.0) & (kl > 0.0), rate * 1.5, rate)
+    return jnp.clip(rate, config.min_learning_rate, config.max_learning_rate)
+
+
 def _update(
     networks: Networks,
     config: PPOConfig,
@@ -414,11 +424,11 @@ def _update(
     (_, metrics), grads = jax.value_and_grad(loss, has_aux=True)(params)
     grads = jax.lax.pmean(grads, AXIS)
     metrics = jax.lax.pmean(metrics, AXIS)
-    state, rate = adaptive_kl_learning_rate(
-        state, metrics["kl_mean"], desired_kl, config.min_learning_rate, config.max_learning_rate
-    )
+    rate = optax.tree_utils.tree_get(state, RATE)
+    rate = adapted(config, rate, metrics["kl_mean"], desired_kl)
+    state = optax.tree_utils.tree_set(state, **{RATE: rate})
     updates, state = make_optimizer(config).update(grads, state, params)
-    return (optax.apply_updates(params, updates), state), {**metrics, "learning_rate": rate}
+    return (optax.apply_updates(params, updates), state), {**metrics, RATE: rate}
 
 
 class Iteration:

@@ -96,7 +96,7 @@ def prepare(
         if path is None:
             progress.message(f"{previous.path} has no checkpoint yet: it starts at its beginning")
         else:
-            state, steps, seconds = restore(path, state, metrics)
+            state, steps, seconds = restore(path, config, state, metrics)
             progress.message(f"going on from {path}, after {steps:,} steps")
     batch = config.envs * config.ppo.unroll
     iterate = ppo.Iteration(

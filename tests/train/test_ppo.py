@@ -335,3 +335,24 @@ def test_it_learns(networks, iterate):
 def test_the_policy_settles_towards_the_end(share, progress, expected):
     found = ppo.settled(0.03, 0.01, share, jnp.asarray(progress))
     assert float(found) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(
+    ("rate", "kl", "expected"),
+    [
+        (1e-3, 0.03, 1e-3),
+        (1e-3, 0.07, 1e-3 / 1.5),
+        (1e-3, 0.01, 1.5e-3),
+        (1e-3, 0.0, 1e-3),
+        (1.2e-5, 0.07, 1e-5),
+        (8e-3, 0.01, 1e-2),
+        # Begun with beyond the bounds, or gone on with after they were changed.
+        (5e-2, 0.03, 1e-2),
+        (5e-2, 0.07, 1e-2),
+        (1e-6, 0.01, 1e-5),
+        (5e-2, np.nan, 1e-2),
+    ],
+)
+def test_the_learning_rate_follows_the_change_of_the_policy_within_its_bounds(rate, kl, expected):
+    found = ppo.adapted(CONFIG, jnp.asarray(rate), jnp.asarray(kl), jnp.asarray(0.03))
+    assert float(found) == pytest.approx(expected)

@@ -13,7 +13,6 @@ import pytest
 import toy
 
 from quadwalk.errors import UserError
-from quadwalk.tasks.run import TASK
 from quadwalk.train.runs import checkpoint
 from quadwalk.train.runs.directory import (
     Run,
@@ -237,18 +236,28 @@ def test_a_learner_that_is_lost_leaves_what_was_good(tmp_path, flags, train):
     run = Run(tmp_path / "lost")
     train(*flags(tmp_path, "lost", 4))
     good = {path: path.read_bytes() for path in (run.policy, run.best, run.checkpoint(256))}
-    rates = [f"--ppo.{which}learning-rate=1e38" for which in ("min-", "max-")]
-    rates.append("--ppo.desired-kl=1e-12")  # so that the rate is pinned to its least at once
     arguments = [f"--runs={tmp_path}", "--resume=lost", "--steps=1280", OFTEN]
     with pytest.raises(UserError, match="no longer finite") as caught:
-        train(*arguments, *rates)
+        train(*arguments, "--ppo.learning-rate=1e38", "--ppo.max-learning-rate=1e38")
     assert "\n" not in str(caught.value)
     assert str(run.checkpoint(256)) in str(caught.value)
     assert caught.value.exit_status == 1
     assert {path: path.read_bytes() for path in good} == good
     assert list_checkpoints(run) == [run.checkpoint(256)]
-    normal = TASK.ppo
-    rates = [f"--ppo.min-learning-rate={normal.min_learning_rate}"]
-    rates += ["--ppo.max-learning-rate=1e-3", f"--ppo.desired-kl={normal.desired_kl}"]
-    train(*arguments, *rates)
-    assert read_metrics(run)[-1]["steps"] == 1280
+    advice = str(caught.value).split()[-2:]
+    assert advice == ["--ppo.max-learning-rate", "1e-03"]
+    train(*arguments, *advice)
+    rows = read_metrics(run)
+    assert rows[-1]["steps"] == 1280
+    assert max(row["learning_rate"] for row in rows[4:]) <= 1.0001e-3
+
+
+@pytest.mark.parametrize("which", ["", "max-"])
+def test_a_run_goes_on_at_the_learning_rate_that_it_is_given(whole, tmp_path, train, which):
+    shutil.copytree(whole, tmp_path / "on")
+    steps = f"--steps={(ITERATIONS + 1) * 64}"
+    train(f"--runs={tmp_path}", "--resume=on", steps, f"--ppo.{which}learning-rate=2e-5")
+    before, after = (row["learning_rate"] for row in read_metrics(Run(tmp_path / "on"))[-2:])
+    assert before > 1e-4
+    # It has two minibatches to adapt in, but no bound to pass.
+    assert after <= 2.0001e-5 * (1.0 if which else 1.5**2)

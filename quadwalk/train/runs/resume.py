@@ -72,16 +72,18 @@ def changed_settings(before: TrainConfig, now: TrainConfig) -> list[str]:
 
 
 def restore(
-    path: Path, state: "TrainState", metrics: TrainingMetrics
+    path: Path, config: TrainConfig, state: "TrainState", metrics: TrainingMetrics
 ) -> tuple["TrainState", int, float]:
     """The state in checkpoint `path`, placed as `state` is; its control steps and seconds.
 
-    `metrics` go on counting from there. On another number of devices than before, each draws from
-    a random key of its own anew; all else goes on as it was. Raises `UserError` in one line.
+    `state` is that of a start with `config`; `metrics` go on counting from there. On another number
+    of devices than before, each draws from a random key of its own anew; a learning rate other than
+    before is begun with again; all else goes on as it was. Raises `UserError` in one line.
     """
     import jax
+    from optax.tree_utils import tree_get, tree_set
 
-    from quadwalk.train.ppo import placed_like
+    from quadwalk.train.ppo import RATE, placed_like
 
     leaves, metadata = checkpoint.load(path, "checkpoint")
     keys, devices = leaves.get("workers/key"), len(state.workers.key)
@@ -95,6 +97,11 @@ def restore(
     try:
         metrics.restore(metadata["metrics"])
         steps, seconds = int(metadata["steps"]), float(metadata["seconds"])
+        rate = metadata["config"]["ppo"]["learning_rate"]
     except (KeyError, TypeError, ValueError):
         raise UserError(f"{path} does not say where its training was: expected another") from None
+    if rate != config.ppo.learning_rate:
+        learner, fresh = saved.learner, tree_get(jax.device_get(state.learner.optimizer), RATE)
+        begun = tree_set(learner.optimizer, **{RATE: fresh})
+        saved = saved._replace(learner=learner._replace(optimizer=begun))
     return placed_like(saved, state), steps, seconds
