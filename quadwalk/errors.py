@@ -16,12 +16,6 @@ class UsageError(UserError):
     exit_status = 2
 
 
-def check_port(port: int) -> None:
-    """Raise a `UsageError` unless `port` can be one of a page."""
-    if not 0 <= port < 65536:
-        raise UsageError(f"--port is {port}; expected 0 to 65535")
-
-
 def run_command(main: Callable[[], None]) -> None:
     """Run a command line; turn a `UserError` into one line on stderr and its exit status."""
     try:

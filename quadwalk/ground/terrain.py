@@ -4,10 +4,12 @@ import dataclasses
 import math
 from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Annotated
 
 import mujoco
 import numpy as np
 
+from quadwalk.bounds import Bounds, Few, Natural, Settings
 from quadwalk.errors import UsageError
 from quadwalk.ground.heightfield import Heightfield, centred, read_heights
 from quadwalk.ground.tiles import KINDS, OF_LEG, Patch, Sizes, make_tile
@@ -16,57 +18,43 @@ FILE = "file"  # the kind of a field that was read
 UNSEEN = 1_000_000  # seeds from here on are for evaluation
 _MOST_NODES = 50_000_000
 
+Metres = Annotated[float, Bounds(0.0, open="low", unit="m")]
+
 
 @dataclass(frozen=True)
-class GroundConfig:
+class GroundConfig(Settings, group="env.ground"):
     """The ground: a tile of each kind at each level of difficulty, or a field from a file."""
 
     kinds: tuple[str, ...]  # of tiles, a row of them for each; none: a flat floor without end
-    levels: int  # tiles of each kind, ever more difficult
-    difficulty: tuple[float, float]  # of the first and the last level, 0 to 1
+    levels: Few  # tiles of each kind, ever more difficult
+    # of the first and the last level, 0 to 1
+    difficulty: Annotated[tuple[float, float], Bounds(0.0, 1.0, ordered=True)]
     tile: tuple[float, float]  # m, length and width of a tile
-    border: float  # m, level ground around all tiles
-    cell: float  # m between heights
-    seed: int  # of all that is random; evaluation uses those from 1 000 000 on
-    step: float | None  # m, height of stairs at difficulty 1; None: .3 of a leg
-    tread: float | None  # m, depth of stairs; None: .6 of a leg
-    block: float | None  # m, height of blocks and logs at difficulty 1; None: .3 of a leg
-    roughness: float | None  # m, at difficulty 1 up and down; None: .16 of a leg
+    border: Annotated[float, Bounds(0.0, unit="m")]  # m, level ground around all tiles
+    cell: Annotated[float, Bounds(0.005, 1.0, unit="m")]  # m between heights
+    seed: Natural  # of all that is random; evaluation uses those from 1 000 000 on
+    step: Metres | None  # m, height of stairs at difficulty 1; None: .3 of a leg
+    tread: Metres | None  # m, depth of stairs; None: .6 of a leg
+    block: Metres | None  # m, height of blocks and logs at difficulty 1; None: .3 of a leg
+    roughness: Metres | None  # m, at difficulty 1 up and down; None: .16 of a leg
     file: Path | None  # heights: a grey PNG, or an .npy file in m; in place of all tiles
-    white: float  # m, height of white in a PNG; black is 0
+    white: Metres  # m, height of white in a PNG; black is 0
     # while training, an environment's level follows how it gets on; otherwise all are drawn alike
     curriculum: bool = False
     confined: bool = False  # an episode ends, and not by a fall, where it leaves its tile
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         for kind in self.kinds:
             if kind not in KINDS:
                 raise UsageError(
                     f"--env.ground.kinds: no terrain {kind!r}; expected some of: {', '.join(KINDS)}"
                 )
-        low_high = self.difficulty
-        if len(low_high) != 2 or not 0.0 <= low_high[0] <= low_high[1] <= 1.0:
-            raise UsageError(
-                f"--env.ground.difficulty is {low_high}; expected two numbers from 0 to 1, the "
-                "lower first"
-            )
-        if self.levels < 1:
-            raise UsageError(f"--env.ground.levels is {self.levels}; expected 1 or more")
-        if self.seed < 0:
-            raise UsageError(f"--env.ground.seed is {self.seed}; expected 0 or more")
-        if not 0.005 <= self.cell <= 1.0:
-            raise UsageError(f"--env.ground.cell is {self.cell}; expected 0.005 to 1 m")
-        if len(self.tile) != 2 or not all(10 * self.cell <= side < math.inf for side in self.tile):
+        if min(self.tile) < 10 * self.cell:
             raise UsageError(
                 f"--env.ground.tile is {self.tile}; expected length and width of 10 cells or more, "
                 f"{10 * self.cell:g} m"
             )
-        if not 0.0 <= self.border < math.inf:
-            raise UsageError(f"--env.ground.border is {self.border}; expected 0 or more")
-        for name in ("step", "tread", "block", "roughness", "white"):
-            value = getattr(self, name)
-            if value is not None and not 0.0 < value < math.inf:
-                raise UsageError(f"--env.ground.{name} is {value}; expected more than 0 m")
 
     @property
     def flat(self) -> bool:

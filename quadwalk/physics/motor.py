@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from quadwalk.errors import UsageError
+from quadwalk.bounds import NotNegative, Positive, Settings
 from quadwalk.physics.vectors import Array
 
 if TYPE_CHECKING:  # it takes a second to import, and settings need none of it
@@ -30,19 +30,15 @@ MOST_DAMPING = 0.5
 
 
 @dataclass(frozen=True)
-class MotorConfig:
+class MotorConfig(Settings, group="env.motor"):
     """The motors and their joint controllers; by default those of the robot's description."""
 
-    kp: float | None = None  # Nm/rad, position gain; None: weight * home height * 1.4
+    kp: Positive | None = None  # Nm/rad, position gain; None: weight * home height * 1.4
     # Nm s/rad, velocity gain; None: kp * 0.025 s, less for joints that this would shake
-    kd: float | None = None
-    effort: float | None = None  # Nm, every motor's largest torque; None: the robot's own
+    kd: NotNegative | None = None
+    effort: Positive | None = None  # Nm, every motor's largest torque; None: the robot's own
     speed_limit: bool = True  # torque falls to zero at the motor's speed limit
     joint_friction: bool = True  # Coulomb friction of the joints
-
-    def __post_init__(self) -> None:
-        if self.effort is not None and self.effort <= 0.0:
-            raise UsageError(f"env.motor.effort is {self.effort}; expected more than 0, or None")
 
 
 class Motor(NamedTuple):

@@ -3,64 +3,58 @@
 None has defaults: what a task is made of stands in the task's own file (`quadwalk/tasks`).
 """
 
-import math
-from dataclasses import dataclass, fields, replace
-from typing import Literal
+from dataclasses import dataclass, replace
+from typing import Annotated, Literal
 
+from quadwalk.bounds import Bounds, Few, NotNegative, Seconds, Settings, Share
 from quadwalk.errors import UsageError
 from quadwalk.ground.terrain import FLAT, GroundConfig
 from quadwalk.physics.motor import MotorConfig, Stepping
 from quadwalk.task.terms import ActionMap, Observation, Reward, Termination
 
-Range = tuple[float, float] | None
+Pair = tuple[float, float]
+Range = Annotated[Pair, Bounds(-100.0, 100.0, ordered=True)] | None
+Loads = Annotated[Pair, Bounds(-1.0, 100.0, open="low", ordered=True)] | None
+Sizes = Annotated[Pair, Bounds(0.0, 100.0, ordered=True)] | None
+Delays = Annotated[Pair, Bounds(0.0, 1.0, unit="s", ordered=True)] | None
 
 SIGHT = "height_scan"  # the observation that the blind do without
 
 
 @dataclass(frozen=True)
-class ResetConfig:
+class ResetConfig(Settings, group="env.reset"):
     """How much a fresh start differs from the home pose: each drawn uniformly from +-value."""
 
     # in place of the home pose: hip, thigh and calf of every leg, rad
     pose: tuple[float, float, float] | None
     height: float | None  # m, of the trunk's origin; None: the lowest foot just on the floor
-    yaw: float  # rad
-    tilt: float  # rad, roll and pitch
-    offset: float  # m, along y
-    joints: float  # rad
-    velocity: float  # m/s and rad/s, trunk
-    joint_velocity: float  # rad/s
+    yaw: NotNegative  # rad
+    tilt: NotNegative  # rad, roll and pitch
+    offset: NotNegative  # m, along y
+    joints: NotNegative  # rad
+    velocity: NotNegative  # m/s and rad/s, trunk
+    joint_velocity: NotNegative  # rad/s
     forward: float  # m/s, forward speed drawn from 0 to this
 
 
 @dataclass(frozen=True)
-class CommandConfig:
+class CommandConfig(Settings, group="env.command"):
     """The velocity command: drawn uniformly from these (low, high), in the frame of the heading."""
 
-    forward: tuple[float, float]  # m/s
-    lateral: tuple[float, float]  # m/s, to the left
-    yaw_rate: tuple[float, float]  # rad/s, to the left
-    standing: float  # share of commands that are to stand still
-    seconds: float  # s, after which another command is drawn
-    straight: float = 0.0  # share of commands that are neither lateral nor to turn
+    forward: Annotated[Pair, Bounds(ordered=True)]  # m/s
+    lateral: Annotated[Pair, Bounds(ordered=True)]  # m/s, to the left
+    yaw_rate: Annotated[Pair, Bounds(ordered=True)]  # rad/s, to the left
+    standing: Share  # share of commands that are to stand still
+    seconds: Seconds  # s, after which another command is drawn
+    straight: Share = 0.0  # share of commands that are neither lateral nor to turn
 
     def __post_init__(self) -> None:
-        for name in ("forward", "lateral", "yaw_rate"):
-            value = getattr(self, name)
-            if len(value) != 2 or not -math.inf < value[0] <= value[1] < math.inf:
-                flag = f"env.command.{name.replace('_', '-')}"
-                raise UsageError(f"{flag} is {value}; expected a low and a high end")
-        for name in ("standing", "straight"):
-            share = getattr(self, name)
-            if not 0.0 <= share <= 1.0:
-                raise UsageError(f"env.command.{name} is {share}; expected 0 to 1")
+        super().__post_init__()
         if self.standing + self.straight > 1.0:
             raise UsageError(
                 f"env.command.standing and straight are {self.standing} and {self.straight}; "
                 "expected a sum of at most 1"
             )
-        if not 0.0 < self.seconds < math.inf:
-            raise UsageError(f"env.command.seconds is {self.seconds}; expected more than 0")
 
     @property
     def given(self) -> bool:
@@ -75,48 +69,30 @@ NO_COMMAND = CommandConfig(
 
 
 @dataclass(frozen=True)
-class RandomisationConfig:
+class RandomisationConfig(Settings, group="env.randomisation"):
     """What differs from episode to episode: drawn uniformly from (low, high); None: not at all."""
 
     enabled: bool  # False: nothing does
-    friction: Range  # sliding friction of floor and feet
-    trunk_mass: Range  # added to the trunk, as a share of the robot's mass
+    friction: Sizes  # sliding friction of floor and feet
+    trunk_mass: Loads  # added to the trunk, as a share of the robot's mass
     trunk_centre: Range  # its centre of mass's shift along each axis, share of the home height
-    link_mass: Range  # factor, of each link of the legs
-    strength: Range  # factor of the motors' torque
-    kp: Range  # factor
-    kd: Range  # factor
-    joint_friction: Range  # factor
-    damping: Range  # factor, of the joints
-    armature: Range  # factor
+    link_mass: Sizes  # factor, of each link of the legs
+    strength: Sizes  # factor of the motors' torque
+    kp: Sizes  # factor
+    kd: Sizes  # factor
+    joint_friction: Sizes  # factor
+    damping: Sizes  # factor, of the joints
+    armature: Sizes  # factor
     encoder: Range  # rad, of each joint angle's measurement
     imu_tilt: Range  # rad, of the IMU about each axis
-    latency: Range  # s, of joint targets
-    sensor_latency: Range  # s
-    noise: Range  # level; 1 is what the observations state
-    push: Range  # size of a push to any side, as a share of sqrt(gravity * home height)
-    push_seconds: float = 5.0  # s: one push in each
+    latency: Delays  # s, of joint targets
+    sensor_latency: Delays  # s
+    noise: Sizes  # level; 1 is what the observations state
+    push: Sizes  # size of a push to any side, as a share of sqrt(gravity * home height)
+    push_seconds: Seconds = 5.0  # s: one push in each
     # While training, each end of a range is so much farther from the model's value, unless that is
     # into the range. An evaluation leaves it out: what is judged lies within what was learnt.
-    margin: float = 0.0
-
-    def __post_init__(self) -> None:
-        if not 0.0 < self.push_seconds < math.inf:
-            flag = "--env.randomisation.push-seconds"
-            raise UsageError(f"{flag} is {self.push_seconds}; expected more than 0")
-        if not 0.0 <= self.margin <= 1.0:
-            flag = "--env.randomisation.margin"
-            raise UsageError(f"{flag} is {self.margin}; expected 0 to 1")
-        ranges = {field.name for field in fields(self)} - {"enabled", "push_seconds", "margin"}
-        for name in sorted(ranges):
-            value = getattr(self, name)
-            if value is None:
-                continue
-            flag = f"--env.randomisation.{name.replace('_', '-')}"
-            if len(value) != 2 or not -math.inf < value[0] <= value[1] < math.inf:
-                raise UsageError(f"{flag} is {value}; expected a low and a high end, or None")
-            if name in ("latency", "sensor_latency", "friction", "push") and value[0] < 0.0:
-                raise UsageError(f"{flag} is {value}; expected no less than 0")
+    margin: Share = 0.0
 
 
 # Of a task in an ideal world.
@@ -142,18 +118,18 @@ NO_RANDOMISATION = RandomisationConfig(
 
 
 @dataclass(frozen=True)
-class EnvConfig:
+class EnvConfig(Settings, group="env"):
     """The environment: physics, motors, and the task in it."""
 
     engine: Literal["fast", "mjx"]  # what steps the physics: quadwalk's own equations, or MJX
-    gravity: float  # m/s^2
-    physics_dt: float  # s, one physics step
-    substeps: int  # physics steps in a control step
-    solver_iterations: int  # Newton iterations of the contact solver (benchmarks/accuracy.py)
-    line_search_iterations: int  # of each Newton iteration
+    gravity: Annotated[float, Bounds(0.0, 1000.0, open="low", unit="m/s^2")]  # m/s^2
+    physics_dt: Annotated[float, Bounds(1e-4, 0.02, unit="s")]  # s, one physics step
+    substeps: Few  # physics steps in a control step
+    solver_iterations: Few  # Newton iterations of the contact solver (benchmarks/accuracy.py)
+    line_search_iterations: Few  # of each Newton iteration
     # what touches the floor; knees: they too; body: those and the trunk
     contacts: Literal["feet", "knees", "body"]
-    episode_seconds: float  # s, the time limit
+    episode_seconds: Seconds  # s, the time limit
     motor: MotorConfig
     action: ActionMap
     observation: dict[str, Observation]  # what the policy sees
@@ -169,19 +145,8 @@ class EnvConfig:
     blind: bool = False
 
     def __post_init__(self) -> None:
-        if self.gravity <= 0.0:
-            raise UsageError(f"env.gravity is {self.gravity}; expected more than 0 m/s^2")
-        if not 1e-4 <= self.physics_dt <= 0.02:
-            raise UsageError(f"env.physics-dt is {self.physics_dt}; expected 0.0001 to 0.02 s")
-        for name in ("substeps", "solver_iterations", "line_search_iterations"):
-            if getattr(self, name) < 1:
-                flag = f"env.{name.replace('_', '-')}"
-                raise UsageError(f"{flag} is {getattr(self, name)}; expected 1 or more")
-        for name, choices in (("engine", ("fast", "mjx")), ("contacts", ("feet", "knees", "body"))):
-            if getattr(self, name) not in choices:
-                raise UsageError(
-                    f"env.{name} is {getattr(self, name)!r}; expected {' or '.join(choices)}"
-                )
+        super().__post_init__()
+        self._check_terms()
         if self.blind and SIGHT not in {**self.observation, **self.critic}:
             raise UsageError(f"env.blind: the task has no observation {SIGHT} to do without")
         if self.episode_steps < 1:
@@ -189,6 +154,21 @@ class EnvConfig:
                 f"env.episode-seconds is {self.episode_seconds}; expected at least one control "
                 f"step ({self.control_dt:g} s)"
             )
+
+    def _check_terms(self) -> None:
+        for kind, group, terms in (
+            (ActionMap, "env", {"action": self.action}),
+            (Observation, "env.observation", self.observation),
+            (Observation, "env.critic", self.critic),
+            (Reward, "env.reward", self.reward),
+            (Termination, "env.termination", self.termination),
+        ):
+            if not terms and kind in (Observation, Termination) and group != "env.critic":
+                raise UsageError(f"{group} is empty; expected one or more")
+            for name, term in terms.items():
+                if not isinstance(term, kind):
+                    raise UsageError(f"{group}.{name} is {term!r}; expected {kind.__name__}(...)")
+                term.check_numbers(f"{group}.{name}")
 
     @property
     def as_seen(self) -> "EnvConfig":

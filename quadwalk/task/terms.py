@@ -1,12 +1,14 @@
 """Terms: a function with its numbers, of which rewards, observations and terminations are made."""
 
 import inspect
+import reprlib
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Annotated, Any
 
 import tyro
 
+from quadwalk.bounds import Bounds, NotNegative, check_value
 from quadwalk.errors import UsageError
 
 # On the command line a term's parameters are named after the term, without a word between them;
@@ -27,12 +29,25 @@ class Term:
             for name, parameter in inspect.signature(self.function).parameters.items()
             if parameter.kind is inspect.Parameter.KEYWORD_ONLY
         }
+        if not isinstance(self.params, dict | None):
+            raise UsageError(
+                f"the term {self.function.__name__} has parameters {reprlib.repr(self.params)}; "
+                "expected numbers by their names"
+            )
         given = set(self.params or ())
         if given != expected:
             raise UsageError(
                 f"the term {self.function.__name__} has parameters {sorted(given)}; "
                 f"expected {sorted(expected)}"
             )
+
+    def check_numbers(self, name: str) -> None:
+        """Raise a `UsageError` for a number of this term, called `name`, that it cannot have."""
+        for parameter, value in (self.params or {}).items():
+            check_value(f"{name}.{parameter}", value, float)
+        for own in fields(self):
+            flag = f"{name}.{own.name}".removesuffix(".scale")
+            check_value(flag, getattr(self, own.name), own.type)
 
     def __call__(self, *inputs: Any) -> Any:
         """The function's value for its inputs."""
@@ -54,9 +69,9 @@ class Observation(Term):
     # names of its numbers; by default none for one, x y z for three, joints for twelve
     labels: tyro.conf.Suppress[tuple[str, ...]] = field(default=(), kw_only=True)
     # standard deviation of the sensor noise at level 1, in the observation's unit
-    noise: float = field(default=0.0, kw_only=True)
+    noise: NotNegative = field(default=0.0, kw_only=True)
     # of so many earlier control steps too, the newest first
-    history: int = field(default=0, kw_only=True)
+    history: Annotated[int, Bounds(0, 1000)] = field(default=0, kw_only=True)
 
     @property
     def sensor(self) -> bool:

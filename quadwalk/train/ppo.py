@@ -351,7 +351,7 @@ def learn(
     The first call measures the observations and no more: a policy that had learnt on raw ones
     would change beyond recognition when they are normalised.
     """
-    progress = learner.iterations / iterations
+    progress = learner.iterations / float(iterations)  # more than int32 holds, if it must be
     desired_kl = settled(config.desired_kl, config.final_kl, config.settle, progress)
     entropy = settled(config.entropy, config.final_entropy, config.settle, progress)
 

@@ -2,7 +2,8 @@
 
 import dataclasses
 import difflib
-import types
+import reprlib
+import sys
 import typing
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -34,34 +35,44 @@ def from_dict(cls: type[T], data: Any, folder: Path, where: str = "config") -> T
     `UserError` names what does not fit.
     """
     if not isinstance(data, dict):
-        raise UserError(f"{where} is {data!r}; expected a group of settings")
+        raise UserError(f"{where} is {reprlib.repr(data)}; expected a group of settings")
     hints = typing.get_type_hints(cls)
     for key in data:
         if key not in hints:
             raise UserError(f"{where}.{key} is not a setting of this version")
+    known: Any = dataclasses.fields(cls)  # type: ignore[arg-type]
+    for field in known:
+        if field.name not in data and field.default is field.default_factory:  # MISSING, both
+            raise UserError(f"{where}.{field.name} is missing")
     values = {
         key: _restore(hints[key], value, folder, f"{where}.{key}") for key, value in data.items()
     }
     try:
         return cls(**values)
-    except TypeError as error:  # settings that are missing
-        raise UserError(f"{where}: {str(error).partition('() ')[2]}") from None
+    except UsageError as error:
+        raise UserError(f"{where}: {error}") from None
 
 
 def _restore(hint: Any, value: Any, folder: Path, where: str) -> Any:
     if dataclasses.is_dataclass(hint):
+        if isinstance(value, hint):  # type: ignore[arg-type]
+            return value
         return from_dict(hint, value, folder, where)  # type: ignore[arg-type]
     if hint is Any:  # parameters of a term
         return value
-    if isinstance(hint, types.UnionType):
-        if value is None and type(None) in hint.__args__:
+    options = typing.get_args(hint)
+    if type(None) in options:
+        if value is None:
             return None
-        hint = next(option for option in hint.__args__ if option is not type(None))
+        hint = next(option for option in options if option is not type(None))
     origin = typing.get_origin(hint) or hint
     if origin is typing.Literal:  # of strings: the class itself checks which
         origin = hint = str
     if origin is Callable and isinstance(value, str):
-        return resolve(value, folder)
+        try:
+            return resolve(value, folder)
+        except UserError as error:
+            raise UserError(f"{where}: {error}") from None
     if origin is dict and isinstance(value, dict):
         item = hint.__args__[1]
         return {k: _restore(item, v, folder, f"{where}.{k}") for k, v in value.items()}
@@ -69,10 +80,11 @@ def _restore(hint: Any, value: Any, folder: Path, where: str) -> Any:
         return tuple(_restore(hint.__args__[0], item, folder, where) for item in value)
     if origin is Path and isinstance(value, str):
         return Path(value)
-    if origin is float and isinstance(value, int) and not isinstance(value, bool):
+    if origin is float and type(value) is int and abs(value) < sys.float_info.max:
         return float(value)
     if not isinstance(value, origin) or (isinstance(value, bool) and origin is not bool):
-        raise UserError(f"{where} is {value!r}; expected {getattr(hint, '__name__', hint)}")
+        expected = getattr(hint, "__name__", hint)
+        raise UserError(f"{where} is {reprlib.repr(value)}; expected {expected}")
     return value
 
 
@@ -107,46 +119,48 @@ def with_settings(config: T, changes: Mapping[str, Any]) -> T:
     A term as a value is put in the place of one, or added. `UsageError` for a name or value that
     cannot be.
     """
-    for name, value in changes.items():
-        config = _changed(config, name, name.split("."), value)
-    return config
+    named = [(name, name.split("."), value) for name, value in changes.items()]
+    try:
+        return _changed(config, type(config), named)
+    except UserError as error:
+        raise UsageError(str(error)) from None
 
 
-def _changed(config: Any, name: str, path: list[str], value: Any) -> Any:
-    head, *rest = path
-    if isinstance(config, dict):
-        if not rest and isinstance(value, Term):
-            return {**config, head: value}
-        _check_name(head, config, name)
-        return {**config, head: _changed_item(config[head], name, rest, value)}
-    fields = {f.name for f in dataclasses.fields(config)}
-    if isinstance(config, Term) and head in (config.params or {}):
-        params = {**config.params, head: _restore(float, value, Path(), name)}
-        return dataclasses.replace(config, params=params)
-    _check_name(head, fields, name)
-    if rest or isinstance(getattr(config, head), Term):
-        new = _changed_item(getattr(config, head), name, rest, value)
+def _changed(item: Any, hint: Any, changes: list[tuple[str, list[str], Any]]) -> Any:
+    """`item`, of type `hint`, with all changes at once: one may not fit without another.
+
+    Each is the full name of a setting, its parts that are still to be followed, and its new value.
+    """
+    inner: dict[str, list[tuple[str, list[str], Any]]] = {}
+    for name, path, value in changes:
+        if path:
+            inner.setdefault(path[0], []).append((name, path[1:], value))
+        elif isinstance(item, Reward) and not isinstance(value, Term):
+            item = dataclasses.replace(item, scale=_restore(float, value, Path(), name))
+        else:
+            item = _restore(hint, value, Path(), name)
+    params = (item.params or {}) if isinstance(item, Term) else {}
+    if not inner:
+        return item
+    if isinstance(item, dict):
+        parts, hints = item, dict.fromkeys(inner, typing.get_args(hint)[1])
+    elif dataclasses.is_dataclass(item):
+        parts = {**vars(item), **params}
+        hints = typing.get_type_hints(type(item)) | dict.fromkeys(params, float)
     else:
-        hint = typing.get_type_hints(type(config))[head]
-        try:
-            new = value if _is(value, hint) else _restore(hint, value, Path(), name)
-        except UserError as error:
-            raise UsageError(str(error)) from None
-    return dataclasses.replace(config, **{head: new})
-
-
-def _changed_item(item: Any, name: str, rest: list[str], value: Any) -> Any:
-    if rest:
-        if not (isinstance(item, dict) or dataclasses.is_dataclass(item)):
-            raise UsageError(f"no setting {name!r}: {rest[0]!r} is not part of a number")
-        return _changed(item, name, rest, value)
-    if isinstance(item, Reward) and not isinstance(value, Term):
-        return dataclasses.replace(item, scale=_restore(float, value, Path(), name))
-    return value
-
-
-def _is(value: Any, hint: Any) -> bool:
-    return dataclasses.is_dataclass(hint) and isinstance(value, hint)  # type: ignore[arg-type]
+        part, ((name, *_), *_) = inner.popitem()
+        raise UsageError(f"no setting {name!r}: {part!r} is not part of a number")
+    new = {}
+    for head, own in inner.items():
+        name, path, value = own[0]
+        if path or not (isinstance(item, dict) and isinstance(value, Term)):  # one can be added
+            _check_name(head, parts, name)
+        new[head] = _changed(parts.get(head), hints[head], own)
+    if isinstance(item, dict):
+        return {**item, **new}
+    if params:
+        new["params"] = {own: new.pop(own, old) for own, old in params.items()}
+    return dataclasses.replace(item, **new)
 
 
 def _check_name(part: str, known: Any, name: str) -> None:

@@ -6,12 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from quadwalk.bounds import Count, Settings
 from quadwalk.cli import parse
 from quadwalk.errors import UsageError, run_command
 
 
 @dataclass(frozen=True)
-class CompareConfig:
+class CompareConfig(Settings):
     """Train variants of a task's settings over several seeds, and judge each in both engines.
 
     quadwalk compare "" "--env.reward.energy -0.1" "--preset walk" [OPTIONS]
@@ -22,17 +23,11 @@ class CompareConfig:
     band of its seeds, are written to the folder of the runs.
     """
 
-    steps: int | None = None  # control steps of each training; by default the task's
-    seeds: int = 3  # trainings of each variant: from seed 0 up
-    episodes: int = 64  # of each run, in each engine
-    at_once: int = 1  # trainings at a time; if several, on one core each
+    steps: Count | None = None  # control steps of each training; by default the task's
+    seeds: Count = 3  # trainings of each variant: from seed 0 up
+    episodes: Count = 64  # of each run, in each engine
+    at_once: Count = 1  # trainings at a time; if several, on one core each
     runs: Path = Path("runs/compare")  # folder of the runs and of what is written
-
-    def __post_init__(self) -> None:
-        for name in ("steps", "seeds", "episodes", "at_once"):
-            value = getattr(self, name)
-            if value is not None and value < 1:
-                raise UsageError(f"--{name.replace('_', '-')} is {value}; expected 1 or more")
 
 
 def split(args: Sequence[str]) -> tuple[list[str], list[str]]:

@@ -12,25 +12,23 @@ from typing import Annotated
 import tyro
 from rich.console import Console
 
-from quadwalk.errors import UserError, check_port
+from quadwalk.bounds import Port, Settings
+from quadwalk.errors import UserError
 from quadwalk.train.runs.directory import Run, find_any_run, list_runs
 
 EXTRA = "pip install 'quadwalk[view]'"
 
 
 @dataclass(frozen=True)
-class ViewConfig:
+class ViewConfig(Settings):
     """Drive a trained policy live, in MuJoCo C with every collision shape."""
 
     # name or path of a run, or "latest"; before any training: walk or run, which are trained
     run: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="[RUN]")] = "latest"
     browser: bool = False  # in a page of the browser, even where there is a screen for a window
     host: str = "127.0.0.1"  # address that the page is served at; the default: to this machine only
-    port: int = 8080  # of the page; if it is taken, the next that is free
+    port: Port = 8080  # of the page; if it is taken, the next that is free
     runs: Path = Path("runs")  # folder that holds all runs
-
-    def __post_init__(self) -> None:
-        check_port(self.port)
 
 
 def drive(config: ViewConfig) -> None:

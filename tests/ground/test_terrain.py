@@ -172,9 +172,12 @@ def test_a_wrong_file_is_one_clear_line(tmp_path, name, content, message):
     ("changes", "message"),
     [
         ({"kinds": ("flat", "lava")}, "no terrain 'lava'; expected some of: flat, slope_up"),
-        ({"difficulty": (0.5, 1.5)}, r"difficulty is \(0.5, 1.5\); expected two numbers from 0"),
+        (
+            {"difficulty": (0.5, 1.5)},
+            r"difficulty is \(0.5, 1.5\); expected 2 numbers, each 0 to 1",
+        ),
         ({"difficulty": (0.5, 0.2)}, "the lower first"),
-        ({"levels": 0}, "levels is 0; expected 1 or more"),
+        ({"levels": 0}, "levels is 0; expected 1 to 1000"),
         ({"seed": -1}, "seed is -1; expected 0 or more"),
         ({"tile": (8.0, 0.1)}, "expected length and width of 10 cells or more"),
         ({"cell": 0.0}, "cell is 0.0; expected 0.005 to 1 m"),

@@ -106,6 +106,18 @@ def test_the_command_of_walk_is_a_flag():
         (["--env.command.standing", "2"], "env.command.standing"),
         (["--env.command.lateral", "0", "inf"], "env.command.lateral"),
         (["--env.contacts", "hands"], "env.contacts"),
+        (["--env.reward.energy", "nan"], "--env.reward.energy is nan; expected a finite number"),
+        (["--env.reward.forward.max-speed", "inf"], "--env.reward.forward.max-speed is inf"),
+        (["--env.action.hip", "nan"], "--env.action.hip is nan"),
+        (["--env.motor.kp", "nan"], "--env.motor.kp is nan; expected more than 0, or None"),
+        (["--env.observation.speed.noise", "-1"], "--env.observation.speed.noise is -1.0"),
+        (["--env.reset.pose", "0", "nan", "0"], "--env.reset.pose is (0.0, nan, 0.0)"),
+        (["--env.episode-seconds", "1e12"], "--env.episode-seconds is 1000000000000.0"),
+        (["--env.ground.border", "inf"], "--env.ground.border is inf; expected at most 1e+12 m"),
+        (["--steps", "12345678901234567890123"], "--steps is 12345678901234567890123"),
+        (["--minutes", "nan"], "--minutes is nan"),
+        (["--ppo.clip", "nan"], "--ppo.clip is nan; expected more than 0"),
+        (["--ppo.min-learning-rate", "0.5"], "at most --ppo.max-learning-rate, 0.01"),
     ],
 )
 def test_a_bad_flag_is_one_line_that_names_it(flags, named):

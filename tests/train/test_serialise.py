@@ -1,8 +1,14 @@
 """Settings to JSON and back, by name, and changed by name."""
 
 import dataclasses
+import functools
 import json
+import math
+import operator
+import re
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -21,6 +27,46 @@ from quadwalk.train.settings import TrainConfig
 def test_a_task_comes_back_from_json(name):
     task = load_task(name)
     assert from_dict(TrainConfig, json.loads(json.dumps(to_dict(task))), Path()) == task
+
+
+ODD = ["x", None, [], [None], {"a": [1]}, True, -1, 0.5, math.nan, [math.nan, 1.0], 1e300, 10**400]
+
+
+def places(data: Any, *path: Any) -> Iterator[tuple[Any, ...]]:
+    """Where everything in JSON data is."""
+    inner = data.items() if isinstance(data, dict) else enumerate(data)
+    for key, part in inner:
+        yield (*path, key)
+        if isinstance(part, dict | list):
+            yield from places(part, *path, key)
+
+
+@pytest.mark.parametrize("odd", ODD, ids=lambda odd: repr(odd)[:9])
+def test_any_value_in_any_place_fits_or_is_one_line_that_names_the_place(odd):
+    def said(data: Any) -> str | None:
+        try:
+            config = from_dict(TrainConfig, data, Path())
+        except UserError as error:
+            return str(error)
+        return None if from_dict(TrainConfig, to_dict(config), Path()) == config else "changed"
+
+    data = to_dict(load_task("rough"))
+    for *path, last in places(data):
+        group = functools.reduce(operator.getitem, path, data)
+        kept, group[last] = group[last], odd
+        line = said(data)
+        named = [key for key in (*path, last) if key not in ("params", "scale", *range(99))][-1]
+        if line is not None:
+            assert re.fullmatch(rf"config.*\b{named.replace('_', '[-_]')}\b.{{9,250}}", line)
+        group[last] = kept
+
+
+def test_what_belongs_together_is_changed_together():
+    rates = {"ppo.min_learning_rate": 0.1, "ppo.max_learning_rate": 0.2}
+    found = with_settings(sprint.TASK, rates).ppo
+    assert (found.min_learning_rate, found.max_learning_rate) == (0.1, 0.2)
+    with pytest.raises(UsageError, match=r"ppo\.min-learning-rate is 0\.1; expected at most"):
+        with_settings(sprint.TASK, {"ppo.min_learning_rate": 0.1})
 
 
 @pytest.mark.parametrize("name", task_names())
