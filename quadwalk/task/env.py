@@ -46,6 +46,7 @@ from quadwalk.task.termination import terminations
 from quadwalk.task.terms import Observation
 
 CONTACT_GAP = 1e-3  # m: a foot closer to the floor than this counts as touching it
+FARTHEST = 1e6  # m or rad: no sound state of a robot has a place, or an angle, beyond
 MAX_SPEED = 1e3  # m/s or rad/s: no sound state of a robot is faster, so physics has diverged
 
 _RUNNING, _TIME_LIMIT, _FIRST_FALL = 0, 1, 2
@@ -194,8 +195,8 @@ class QuadrupedEnv(Env):
     def step(self, state: State, action: jax.Array) -> State:
         """One control step with `action` (12,) in [-1, 1].
 
-        A state or action that is not finite ends its episode with reward 0, and the home pose
-        stands in its place, so that nothing downstream ever sees it.
+        A state or action that is not finite ends its episode with reward 0, and the pose before
+        it stands in its place, so that nothing downstream ever sees it.
         """
         before: EnvState = state.pipeline_state
         model, conditions, physics = self.model, before.conditions, before.physics
@@ -207,7 +208,7 @@ class QuadrupedEnv(Env):
             if conditions.variation is not None:
                 model = ENGINES[self.engine].vary(model, conditions.variation)
         physics, effort = ENGINES[self.engine].control_step(model, self.stepping, physics, target)
-        sane, physics, effort, action = self._kept_sane(physics, effort, action)
+        sane, physics, effort, action = self._kept_sane(before.qpos, physics, effort, action)
         command, steps = before.command, before.steps + 1
         if command is not None:
             command = next_command(self.config.command, command, steps, self.config.command_steps)
@@ -294,16 +295,20 @@ class QuadrupedEnv(Env):
         return jnp.concatenate(seen)
 
     def _kept_sane(
-        self, physics: Physics, effort: Effort, action: jax.Array
+        self, start: jax.Array, physics: Physics, effort: Effort, action: jax.Array
     ) -> tuple[jax.Array, Physics, Effort, jax.Array]:
-        """Whether all numbers are finite and no speed absurd, and the three, harmless if not."""
+        """Whether all numbers are finite and no speed absurd, and the three, harmless if not.
+
+        Then it stands where it was, at `start` (19,), or if that is no place either, at home.
+        """
         numbers = jnp.concatenate(
             [physics.qpos, physics.qvel, action, effort.torque, effort.energy[None]]
         )
         sane = jnp.all(jnp.isfinite(numbers)) & jnp.all(jnp.abs(physics.qvel) < MAX_SPEED)
         action = jnp.where(sane, action, 0.0)
-        home = Physics(jnp.asarray(self.robot.home, jnp.float32), jnp.zeros(18), jnp.zeros(18))
-        physics = jax.tree.map(lambda x, safe: jnp.where(sane, x, safe), physics, home)
+        place = jnp.where(jnp.all(jnp.abs(start) < FARTHEST), start, self.robot.home)
+        still = Physics(place, jnp.zeros(18), jnp.zeros(18))
+        physics = jax.tree.map(lambda x, safe: jnp.where(sane, x, safe), physics, still)
         effort = jax.tree.map(lambda x: jnp.where(sane, x, 0.0), effort)
         return sane, physics, effort, action
 

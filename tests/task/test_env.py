@@ -147,9 +147,11 @@ def test_a_shin_does_not_touch_because_its_foot_sinks_in(env):
 
 
 @pytest.mark.parametrize("poison", [np.nan, np.inf, 1e30])
-def test_a_state_that_is_not_finite_ends_its_episode_and_goes_no_further(reset, step, ends, poison):
+def test_a_state_that_is_not_finite_ends_its_episode_and_goes_no_further(
+    env, reset, step, ends, poison
+):
     state = reset(0)
-    qpos = physics_of(state).qpos.at[1, 9].set(poison)
+    qpos = physics_of(state).qpos.at[:, :2].add(jnp.array([30.0, -4.0])).at[1, 9].set(poison)
     velocity = physics_of(state).qvel.at[2, 3].set(poison)
     physics = physics_of(state)._replace(qpos=qpos, qvel=velocity)
     state = state.replace(pipeline_state=state.pipeline_state._replace(physics=physics))
@@ -160,6 +162,11 @@ def test_a_state_that_is_not_finite_ends_its_episode_and_goes_no_further(reset, 
     assert not after.metrics["fell"][np.array(broken)].any()
     for leaf in jax.tree.leaves(after):
         assert np.isfinite(np.asarray(leaf, float)).all()
+    # It ends where it was, or at home where that is no place.
+    found, was = np.asarray(physics_of(after).qpos), np.asarray(qpos)
+    np.testing.assert_array_equal(found[1], env.robot.home.astype(np.float32))
+    for row in np.flatnonzero([False, False, *broken[2:]]):
+        np.testing.assert_array_equal(found[row], was[row])
 
 
 def test_a_step_leaves_what_it_was_given_alone_and_repeats_itself(reset, step):
