@@ -41,6 +41,7 @@ from quadwalk.task.episode.conditions import (
     Conditions,
     draw_conditions,
     latest_drawn,
+    possible,
     readings_needed,
     targets_needed,
 )
@@ -240,9 +241,9 @@ def _starts(env: QuadrupedEnv, points: list[Point], episodes: int, seed: int) ->
     Each point has the same starts, and the same draws but for their size.
     """
     latest = latest_drawn(training_ranges(env.config))
-    late = max(max(p.delay / 1e3, p.everything * latest[0]) for p in points)
+    late = max(p.delay / 1e3 + p.everything * latest[0] for p in points)
     kept = targets_needed(math.ceil(late / env.stepping.dt), env.stepping.substeps)
-    sensors = max(max(p.sensor_delay / 1e3, p.everything * latest[1]) for p in points)
+    sensors = max(p.sensor_delay / 1e3 + p.everything * latest[1] for p in points)
     readings = readings_needed(sensors, env.config.control_dt)
 
     keys = jax.random.split(jax.random.fold_in(jax.random.PRNGKey(seed), 1), episodes)
@@ -269,24 +270,27 @@ def conditions_at(env: QuadrupedEnv, point: Point, key: jax.Array, kept: int) ->
         targets=base.targets,
         sensor_delay=base.sensor_delay if drawn.sensor_delay is None else drawn.sensor_delay,
     )
-    mixed = jax.tree.map(
-        lambda usual, own: usual + point.everything * (own - usual),
-        base._replace(key=jnp.zeros(())),
-        drawn._replace(key=jnp.zeros(())),
+    mixed = possible(
+        jax.tree.map(
+            lambda usual, own: usual + point.everything * (own - usual),
+            base._replace(key=jnp.zeros(())),
+            drawn._replace(key=jnp.zeros(())),
+        )
     )
     usual = mixed.variation
     assert usual is not None
+    least = -0.9 * env.geometry.trunk.mass  # kg: it keeps a tenth
     sides = jax.random.rademacher(jax.random.fold_in(key, 1), (12,), jnp.float32)
     return mixed._replace(
         variation=usual._replace(
             friction=usual.friction - env.friction + point.friction,
-            trunk_mass=usual.trunk_mass + point.mass,
+            trunk_mass=jnp.maximum(usual.trunk_mass, least) + point.mass,
             trunk_centre=usual.trunk_centre + jnp.array([1.0, 0.0, 0.0]) * point.centre,
             strength=usual.strength * point.strength / 100.0,
             kp=usual.kp * point.kp / 100.0,
             kd=usual.kd * point.kd / 100.0,
         ),
-        delay=mixed.delay + jnp.round(point.delay / 1000.0 / stepping.dt),
+        delay=mixed.delay + point.delay / (1000.0 * stepping.dt),
         sensor_delay=mixed.sensor_delay + point.sensor_delay / 1000.0 / stepping.control_dt,
         push=mixed.push + jnp.stack([point.push_ahead, point.push]),
         noise=mixed.noise + point.noise,

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from quadwalk.evaluate import subject
 from quadwalk.evaluate.subject import load_subject
+from quadwalk.evaluate.sweep import Point, _starts, conditions_at
 from quadwalk.paths import PRETRAINED
 from quadwalk.task.config import NO_RANDOMISATION
 from quadwalk.task.env import QuadrupedEnv
@@ -268,6 +269,37 @@ def test_a_delay_between_two_physics_steps_is_one_or_the_other(env):
     waited = 5 - np.asarray(new).sum(axis=1)  # physics steps until the new target is obeyed
     assert set(waited) == {2.0, 3.0}
     assert waited.mean() == pytest.approx(2.3, abs=0.03)
+
+
+def test_a_swept_delay_is_the_one_that_it_is_called(quadruped):
+    config = dataclasses.replace(sprint.TASK.env, physics_dt=0.005, substeps=4)
+    env = QuadrupedEnv(quadruped, config)
+    points = [Point(friction=1.0, delay=delay) for delay in (8.0, 12.0)]
+    starts = _starts(env, points, 1, 0).pipeline_state.conditions
+    np.testing.assert_allclose(starts.delay * env.stepping.dt, [0.008, 0.012], rtol=1e-6)
+    # Of 12 ms a control step of 20 ms has none, or all, from the one before.
+    assert starts.targets.shape[1] == 2
+
+
+def test_half_as_wide_again_as_training_is_still_a_robot_on_a_floor(quadruped):
+    ranges = dataclasses.replace(
+        run.TASK.env.randomisation,
+        **dict.fromkeys(("friction", "link_mass", "strength", "kp", "joint_friction"), (0.2, 1.0)),
+        trunk_mass=(-0.4, 0.0),
+        noise=(-0.5, 0.5),
+    )
+    env = QuadrupedEnv(quadruped, dataclasses.replace(run.TASK.env, randomisation=ranges), "fast")
+    drawn = jax.jit(jax.vmap(lambda key: conditions_at(env, Point(0.8, everything=1.5), key, 3)))(
+        jax.random.split(jax.random.PRNGKey(0), 500)
+    )
+    floors = drawn.variation.friction
+    assert 0.0 < floors.min() < 0.02 < 1.0 < floors.max()
+    for name in ("link_mass", "strength", "kp", "joint_friction"):
+        assert 0.0 <= getattr(drawn.variation, name).min() < 0.15
+    trunk = env.mj_model.body(quadruped.trunk).mass[0]
+    assert 0.0 < trunk + drawn.variation.trunk_mass.min() < 0.2 * trunk
+    assert drawn.noise.min() == 0.0
+    assert min(drawn.delay.min(), drawn.sensor_delay.min()) >= 0.0
 
 
 def test_a_late_sensor_tells_what_was_on_the_line_between_two_readings(env):

@@ -15,6 +15,9 @@ from quadwalk.task.config import RandomisationConfig, Range
 from quadwalk.task.robot_arrays import RobotArrays
 
 _DRAWN = 43  # eleven numbers, and vectors of 3, 12, 2, 12 and 3
+# What wide margins would have less, or negative. Contacts of no friction give NaN in all engines.
+_LEAST = dict.fromkeys(("strength", "kp", "kd", "joint_friction", "damping"), 0.0)
+_LEAST |= {"friction": 0.01, "link_mass": 0.1, "armature": 0.1}
 
 
 class Conditions(NamedTuple):
@@ -75,8 +78,7 @@ def draw_conditions(
         return low + (high - low) * drawn
 
     variation = Variation(
-        # A wide margin would have it negative.
-        friction=jnp.maximum(draw(config.friction, friction), 0.0),
+        friction=draw(config.friction, friction),
         trunk_mass=robot.mass * draw(config.trunk_mass, 0.0),
         trunk_centre=robot.home_height * draw(config.trunk_centre, 0.0, (3,)),
         link_mass=draw(config.link_mass, 1.0, (12,)),
@@ -103,7 +105,23 @@ def draw_conditions(
         key=key_episode,
     )
     assert taken == _DRAWN
-    return drawn
+    return possible(drawn)
+
+
+def possible(conditions: Conditions) -> Conditions:
+    """`conditions`, but that what is less than it can be is as little as it can."""
+    usual = conditions.variation
+    assert usual is not None
+    variation = usual._replace(
+        **{name: jnp.maximum(getattr(usual, name), least) for name, least in _LEAST.items()}
+    )
+    late = conditions.sensor_delay
+    return conditions._replace(
+        variation=variation,
+        delay=jnp.maximum(conditions.delay, 0.0),
+        sensor_delay=None if late is None else jnp.maximum(late, 0.0),
+        noise=jnp.maximum(conditions.noise, 0.0),
+    )
 
 
 def latest_drawn(config: RandomisationConfig) -> tuple[float, float]:
