@@ -18,6 +18,7 @@ from quadwalk.evaluate.motion.footfalls import (
     without_chatter,
 )
 from quadwalk.evaluate.motion.gait import gait_metrics, measure_gait
+from quadwalk.evaluate.report.console import describe_gait
 from quadwalk.evaluate.rollout import first_steps
 
 DT = 0.02
@@ -346,6 +347,15 @@ def test_figures_stop_where_states_are_not_finite(drawn, quadruped, row):
     json.dumps(metrics, allow_nan=False)
     if row == 150:
         assert metrics["speed"] == pytest.approx(2.0)
+
+
+@pytest.mark.parametrize("steps", [0, 300])
+def test_what_a_robot_that_stands_has_not_is_a_dash(drawn, quadruped, steps):
+    still = drawn(velocity=(0.0, 0.0), contact=np.ones((steps, 4), bool), steps=steps)
+    said = describe_gait(measure_gait(still, quadruped), 3)
+    assert said.startswith("gait of episode 3: irregular, - strides/s of - m, duty factor ")
+    assert "slip up to - % of the distance, cost of transport -\n" in said
+    assert "nan" not in said
 
 
 def test_backwards_has_no_cost_per_metre(drawn, quadruped):

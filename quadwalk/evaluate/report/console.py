@@ -1,6 +1,7 @@
 """What an evaluation prints: tables and the gait on standard output, how far it is meanwhile."""
 
 import contextlib
+import math
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any
@@ -111,16 +112,20 @@ def print_by_ground(results: dict[str, Any]) -> None:
 
 
 def describe_gait(gait: Gait, episode: int) -> str:
-    """The gait of one episode in a line or two."""
+    """The gait of one episode in a line or two; "-" for what a robot that stands has not."""
+    # Of the feet that have any.
+    swing, slip = 100 * np.fmin.reduce(gait.swing_height), 100 * np.fmax.reduce(gait.slip_share)
     return (
-        f"gait of episode {episode}: {gait.gait}, {gait.stride_frequency:.2f} strides/s of "
-        f"{gait.stride_length:.2f} m, duty factor {np.mean(gait.duty_factor):.2f}, "
-        f"swing height {100 * np.min(gait.swing_height):.1f} cm or more, "
-        f"slip up to {100 * np.max(gait.slip_share):.1f} % of the distance, "
-        f"cost of transport {gait.cost_of_transport:.2f}\n"
-        f"of their limits, at most: torque {100 * np.max(gait.torque_peak):.0f} %, "
-        f"joint speed {100 * np.max(gait.joint_speed_peak):.0f} %; "
-        f"actions change at {gait.action_rate:.1f}/s (root mean square; they are in [-1, 1])"
+        f"gait of episode {episode}: {gait.gait}, {_text(gait.stride_frequency, '.2f')} strides/s "
+        f"of {_text(gait.stride_length, '.2f')} m, "
+        f"duty factor {_text(np.mean(gait.duty_factor), '.2f')}, "
+        f"swing height {_text(swing, '.1f')} cm or more, "
+        f"slip up to {_text(slip, '.1f')} % of the distance, "
+        f"cost of transport {_text(gait.cost_of_transport, '.2f')}\n"
+        f"of their limits, at most: torque {_text(100 * np.max(gait.torque_peak), '.0f')} %, "
+        f"joint speed {_text(100 * np.max(gait.joint_speed_peak), '.0f')} %; "
+        f"actions change at {_text(gait.action_rate, '.1f')}/s (root mean square; they are in "
+        "[-1, 1])"
     )
 
 
@@ -178,7 +183,7 @@ def _falls_text(summary: dict[str, Any]) -> str:
 
 
 def _text(value: float | None, form: str = ".3f", unit: str = "") -> str:
-    return _NONE if value is None else f"{value:{form}}{unit}"
+    return _NONE if value is None or math.isnan(value) else f"{value:{form}}{unit}"
 
 
 def _print_table(title: str, headings: Sequence[str], rows: Iterable[Sequence[str] | None]) -> None:
