@@ -1,5 +1,6 @@
 """The evaluation command: find the runs, judge each, compare them, write it all down."""
 
+import contextlib
 import datetime
 import tempfile
 import time
@@ -11,7 +12,13 @@ from rich.console import Console
 from quadwalk.errors import UsageError, UserError
 from quadwalk.evaluate.options import EvalConfig
 from quadwalk.files import os_reason
-from quadwalk.train.runs.directory import Run, find_any_run, results_folder, write_json_atomic
+from quadwalk.train.runs.directory import (
+    Run,
+    find_any_run,
+    numbered,
+    results_folder,
+    write_json_atomic,
+)
 
 if TYPE_CHECKING:
     from quadwalk.evaluate.evaluation import Evaluation
@@ -21,10 +28,13 @@ if TYPE_CHECKING:
 def evaluate(config: EvalConfig) -> dict[str, Any]:
     """Evaluate as `config` says; return what metrics.json, sweep.json or comparison.json holds."""
     runs = _find_runs(config)
-    what = "sweep" if config.sweep else config.engine
-    outs, together = _make_outputs(
-        config, runs, f"{datetime.datetime.now():%Y-%m-%d_%H%M%S}-{what}"
-    )
+    with contextlib.ExitStack() as made:
+        return _evaluate(config, runs, *_make_outputs(config, runs, made))
+
+
+def _evaluate(
+    config: EvalConfig, runs: list[Run], outs: list[Path], together: Path | None
+) -> dict[str, Any]:
     # On stderr: what is printed on stdout is the result alone.
     console = Console(stderr=True, highlight=False, soft_wrap=True)
     console.print(f"evaluating {', '.join(str(run.path) for run in runs)}")
@@ -206,21 +216,38 @@ def _labels(runs: list[Run]) -> list[str]:
     return [run.name if names.count(run.name) == 1 else str(run.path) for run in runs]
 
 
-def _make_outputs(config: EvalConfig, runs: list[Run], name: str) -> tuple[list[Path], Path | None]:
+def _make_outputs(
+    config: EvalConfig, runs: list[Run], made: contextlib.ExitStack
+) -> tuple[list[Path], Path | None]:
     """Folders, made, for each run's results, and for those of a comparison."""
-    own = [results_folder(config.runs, run) / "eval" / name for run in runs]
-    if len(runs) == 1:
-        return [_make_folder(config.out or own[0])], None
-    together = _make_folder(config.out or config.runs / "comparisons" / name)
-    if config.out is None:
-        return [_make_folder(folder) for folder in own], together
-    labels = [label.strip("/").replace("/", "_") for label in _labels(runs)]
-    return [_make_folder(together / label) for label in labels], together
+    if config.out is not None:
+        together = _make_folder(config.out, made, new=False)
+        if len(runs) == 1:
+            return [together], None
+        labels = [label.strip("/").replace("/", "_") for label in _labels(runs)]
+        return [_make_folder(together / label, made, new=False) for label in labels], together
+    what = "sweep" if config.sweep else config.engine
+    name = f"{datetime.datetime.now():%Y-%m-%d_%H%M%S}-{what}"
+    places = [results_folder(config.runs, run) / "eval" for run in runs]
+    if len(runs) > 1:
+        places.append(config.runs / "comparisons")
+    folders = [_make_folder(place / name, made) for place in places]
+    return folders[: len(runs)], folders[-1] if len(runs) > 1 else None
 
 
-def _make_folder(folder: Path) -> Path:
+def _make_folder(folder: Path, made: contextlib.ExitStack, new: bool = True) -> Path:
+    """`folder`, or if it is to be `new` and is there, the first of `numbered` that is not.
+
+    What has been made and is empty when `made` closes is deleted.
+    """
+    missing = [path for path in folder.parents if not path.exists()]
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        if new:
+            folder = next(filter(_is_made, map(folder.with_name, numbered(folder.name))))
+        if new or _is_made(folder):
+            missing.insert(0, folder)
+        for path in reversed(missing):
+            made.callback(_delete_empty, path)
         # What is written is read back, to verify it; that this is possible is better known now
         # than after the simulation.
         with tempfile.NamedTemporaryFile(dir=folder, suffix=".part") as probe:
@@ -230,3 +257,17 @@ def _make_folder(folder: Path) -> Path:
             f"cannot write results to the folder {folder}: {os_reason(error)}"
         ) from error
     return folder
+
+
+def _is_made(folder: Path) -> bool:
+    """Make `folder`; False if it is there, even by an evaluation begun at the same moment."""
+    try:
+        folder.mkdir(parents=True)
+    except FileExistsError:
+        return False
+    return True
+
+
+def _delete_empty(folder: Path) -> None:
+    with contextlib.suppress(OSError):
+        folder.rmdir()

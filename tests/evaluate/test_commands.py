@@ -1,14 +1,17 @@
 """What is asked for on the command line and cannot be: one line each, before anything is done."""
 
+import datetime
 import shutil
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from quadwalk.cli import parse
 from quadwalk.errors import UsageError, UserError
+from quadwalk.evaluate import judge as judging
 from quadwalk.evaluate.judge import evaluate
 from quadwalk.evaluate.options import EvalConfig
 from quadwalk.evaluate.recording.provenance import revision
@@ -85,6 +88,41 @@ def test_a_folder_that_takes_no_file(runs, monkeypatch):
     monkeypatch.setattr("tempfile.NamedTemporaryFile", full)
     line = said(runs, "first", f"--out={runs / 'out'}")
     assert line == f"1: cannot write results to the folder {runs / 'out'}: No space left on device"
+
+
+def test_what_fails_leaves_no_folder(runs):
+    before = sorted(runs.rglob("*"))
+    for args in (["first"], ["first", "second"], ["--sweep"], [f"--out={runs / 'a' / 'b'}"]):
+        assert "policy.npz" in said(runs, *args)
+        assert sorted(runs.rglob("*")) == before
+    (runs / "mine").mkdir()
+    said(runs, "first", f"--out={runs / 'mine'}")
+    assert (runs / "mine").is_dir()
+
+
+@pytest.mark.parametrize("names", [("first",), ("first", "second")])
+@pytest.mark.parametrize("kind", ["mjx", "sweep"])
+def test_evaluations_of_the_same_second_have_folders_of_their_own(runs, monkeypatch, names, kind):
+    now = datetime.datetime(2026, 1, 2, 3, 4, 5)
+    clock = SimpleNamespace(datetime=SimpleNamespace(now=lambda: now))
+
+    def written(*args):
+        """In place of all that writes results: to the folder among its arguments."""
+        (out,) = (arg for arg in args if isinstance(arg, Path))
+        (out / "results").write_text("")
+
+    monkeypatch.setattr(judging, "datetime", clock)
+    monkeypatch.setattr("quadwalk.evaluate.subject.load_subject", lambda *_: None)
+    monkeypatch.setattr("quadwalk.evaluate.sweep.sweep", written)
+    for name in ("judge", "compare", "_compare_sweeps"):
+        monkeypatch.setattr(judging, name, written)
+    for _ in range(3):
+        evaluate(EvalConfig(run=names, runs=runs, sweep=kind == "sweep"))
+    numbered = {f"2026-01-02_030405-{kind}{number}" for number in ("", "-2", "-3")}
+    places = [runs / name / "eval" for name in names]
+    for place in [*places, *[runs / "comparisons"] * (len(names) > 1)]:
+        assert {path.name for path in place.iterdir()} == numbered
+        assert len(list(place.glob("*/results"))) == 3
 
 
 def test_the_command_ends_with_the_errors_status(runs):

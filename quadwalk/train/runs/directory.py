@@ -15,6 +15,7 @@ runs/NAME/
 import contextlib
 import datetime
 import importlib.metadata
+import itertools
 import json
 import os
 import platform
@@ -289,12 +290,13 @@ def _name(folder: Path, name: str) -> Path | None:
 def _name_first_free(folder: Path, label: str) -> Path:
     name = f"{datetime.datetime.now():%Y-%m-%d_%H%M}-{label}"
     _check_name(name)
-    number = 1
-    while True:
-        path = _name(folder, name if number == 1 else f"{name}-{number}")
-        if path is not None:
-            return path
-        number += 1
+    return next(path for own in numbered(name) if (path := _name(folder, own)))
+
+
+def numbered(name: str) -> Iterator[str]:
+    """`name`, name-2, name-3 ...: for the first that is free to be taken."""
+    yield name
+    yield from (f"{name}-{number}" for number in itertools.count(2))
 
 
 def _is_run(path: Path) -> bool:
