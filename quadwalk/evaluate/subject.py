@@ -5,12 +5,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from quadwalk.errors import UserError
+from quadwalk.files import os_reason
 from quadwalk.ground.terrain import FLAT, GroundConfig
 from quadwalk.physics.engines import EngineName
 from quadwalk.task.config import NO_RANDOMISATION, EnvConfig, RandomisationConfig
 from quadwalk.task.env import QuadrupedEnv
 from quadwalk.tasks import run as run_task
 from quadwalk.train.robot import load_run_robot
+from quadwalk.train.runs import checkpoint
 from quadwalk.train.runs.directory import Run
 from quadwalk.train.runs.policy import Policy, load_policy
 
@@ -25,6 +27,8 @@ class Subject:
     file: Path  # that the policy was read from
     policy: Policy
     env: QuadrupedEnv
+    sha256: str  # of that file
+    config: bytes | None = None  # of the run's config.json; None: it has none
 
     def in_engine(self, engine: EngineName) -> "Subject":
         """The same in another engine."""
@@ -73,7 +77,11 @@ def load_subject(
     Raises `UserError` where its policy or robot cannot be read, or do not belong together.
     """
     file = run.best if which == "best" else run.policy
-    policy = load_policy(file)
+    policy, sha256 = load_policy(file), checkpoint.sha256(file)
+    try:  # now, and not for its recordings, when all is simulated
+        written = run.config.read_bytes() if run.config.exists() else None
+    except OSError as error:
+        raise UserError(f"cannot read {run.config}: {os_reason(error)}") from error
     quadruped = load_run_robot(run, policy.config.robot)
     trained = policy.config.env
     command = dataclasses.replace(trained.command, seconds=seconds)
@@ -93,4 +101,4 @@ def load_subject(
             f"{file} was trained on another robot than {run.urdf}: it has joints "
             f"{', '.join(policy.joints)} and {policy.observation_size} observations"
         )
-    return Subject(run, file, policy, env)
+    return Subject(run, file, policy, env, sha256, written)

@@ -4,6 +4,7 @@ from pathlib import Path
 
 from quadwalk.errors import UserError
 from quadwalk.evaluate.subject import Subject, load_subject
+from quadwalk.train.runs import checkpoint
 from quadwalk.train.runs.directory import Run, list_checkpoints, list_runs
 from quadwalk.train.runs.policy import Policy, load_checkpoint_policy, load_policy
 
@@ -54,7 +55,7 @@ def open_subject(run: Run, label: str) -> Subject:
     if file == subject.file:
         return subject
     policy = read_policy(file, subject.env.quadruped.joints)
-    return Subject(run, file, policy, subject.env)
+    return Subject(run, file, policy, subject.env, checkpoint.sha256(file))
 
 
 def read_policy(file: Path, joints: tuple[str, ...]) -> Policy:

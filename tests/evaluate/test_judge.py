@@ -2,6 +2,7 @@
 
 import dataclasses
 import gzip
+import hashlib
 import io
 import json
 
@@ -42,8 +43,8 @@ EPISODES, SECONDS = 4, 0.5
 def subject(quadruped, swaying, tmp_path_factory) -> Subject:
     folder = tmp_path_factory.mktemp("runs") / "swaying"
     folder.mkdir()
-    (folder / "policy.npz").write_bytes(b"weights")
-    (folder / "config.json").write_bytes(b'{"seed": 0}')
+    for name in ("policy.npz", "best.npz"):
+        (folder / name).write_bytes(b"weights of " + name.encode())
     (folder / "robot.urdf").write_text(quadruped.urdf)
     # With a solver that converges, programs compiled apart stay close to each other.
     # The swaying is gentle enough for both engines to see the same.
@@ -53,7 +54,7 @@ def subject(quadruped, swaying, tmp_path_factory) -> Subject:
     )
     config, env = sprint.TASK, QuadrupedEnv(quadruped, short, "mjx")
     policy = Policy(swaying, config, quadruped.joints, env.policy_size, 1000)
-    return Subject(Run(folder), Run(folder).policy, policy, env)
+    return Subject(Run(folder), Run(folder).policy, policy, env, "0", b'{"seed": 0}')
 
 
 @pytest.fixture(scope="module")
@@ -280,7 +281,19 @@ def test_a_sweep_is_a_table_of_one_thing_at_a_time(swept):
 def test_the_last_policy_is_judged_or_the_best(subject, monkeypatch):
     monkeypatch.setattr(loading, "load_policy", lambda path: subject.policy)
     for which, file in [("last", subject.run.policy), ("best", subject.run.best)]:
-        assert load_subject(subject.run, SECONDS, which).file == file
+        found = load_subject(subject.run, SECONDS, which)
+        assert (found.file, found.config) == (file, None)
+        assert found.sha256 == hashlib.sha256(file.read_bytes()).hexdigest()
+
+
+def test_a_configuration_that_cannot_be_read_is_one_line(subject, monkeypatch, tmp_path):
+    monkeypatch.setattr(loading, "load_policy", lambda path: subject.policy)
+    run = Run(tmp_path)
+    run.policy.write_bytes(b"weights")
+    run.config.mkdir()
+    with pytest.raises(UserError) as caught:
+        load_subject(run, SECONDS)
+    assert str(caught.value) == f"cannot read {run.config}: Is a directory"
 
 
 def test_a_policy_of_another_robot_is_one_line(subject, monkeypatch):

@@ -1,7 +1,6 @@
 """How far an episode was from its commands, on courses drawn with a known error."""
 
 import dataclasses
-from pathlib import Path
 from types import SimpleNamespace
 
 import jax
@@ -146,7 +145,7 @@ def test_figures_of_an_episode_with_commands(glide, quadruped):
     assert gait.stride_length * gait.stride_frequency == pytest.approx(1.0)
 
 
-def test_an_episode_has_one_command_which_its_policy_sees(quadruped, monkeypatch):
+def test_an_episode_has_one_command_which_its_policy_sees(quadruped, monkeypatch, tmp_path):
     told = CommandConfig(
         forward=(0.5, 1.0), lateral=(0.0, 0.0), yaw_rate=(-1.0, 0.0), standing=0.0, seconds=0.04
     )
@@ -156,7 +155,8 @@ def test_an_episode_has_one_command_which_its_policy_sees(quadruped, monkeypatch
     policy = Policy(act, config, quadruped.joints, size, 0)
     monkeypatch.setattr(subject, "load_policy", lambda path: policy)
     monkeypatch.setattr(subject, "load_run_robot", lambda *_: quadruped)
-    env = subject.load_subject(Run(Path("walker")), 0.2, engine="mujoco").env
+    (tmp_path / "policy.npz").write_bytes(b"weights")
+    env = subject.load_subject(Run(tmp_path), 0.2, engine="mujoco").env
     rollouts = simulate_episodes(env, act, 2, seed=0)
     for rollout in rollouts:
         assert rollout.command.shape == (10, 3)

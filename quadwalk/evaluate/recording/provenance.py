@@ -8,7 +8,6 @@ import quadwalk
 from quadwalk.evaluate.subject import Subject
 from quadwalk.robot.mjcf import write_xml
 from quadwalk.train.robot import load_run_robot
-from quadwalk.train.runs import checkpoint
 from quadwalk.train.runs.directory import versions
 
 _SOURCE = Path(quadwalk.__file__).resolve().parents[1]
@@ -23,7 +22,7 @@ def provenance(subject: Subject, seed: int) -> dict[str, Any]:
         "seconds": subject.env.config.episode_seconds,
         "randomised": subject.env.config.randomisation.enabled,
         "training_steps": subject.policy.steps,
-        "policy_sha256": checkpoint.sha256(subject.file),
+        "policy_sha256": subject.sha256,
         "revision": revision(),
         "versions": versions(),
     }
@@ -57,10 +56,10 @@ def attachments(subject: Subject) -> dict[str, bytes]:
 
     The MJCF is what `python -m quadwalk.robot` writes: every shape, and the joints' friction.
     """
-    quadruped, config = subject.env.quadruped, subject.run.config
+    quadruped = subject.env.quadruped
     if subject.env.terrain is not None:  # without the ground, of which the recording shows its own
         quadruped = load_run_robot(subject.run, subject.policy.config.robot)
     files = {f"{quadruped.name}.xml": write_xml(quadruped.spec).encode()}
-    if config.exists():
-        files["config.json"] = config.read_bytes()
+    if subject.config is not None:
+        files["config.json"] = subject.config
     return files
