@@ -28,7 +28,7 @@ from quadwalk.evaluate.summary import (
     velocity_of,
     window_means,
 )
-from quadwalk.ground.terrain import FILE
+from quadwalk.ground.terrain import FILE, Terrain
 from quadwalk.task.env import QuadrupedEnv
 from quadwalk.task.state import chosen
 from quadwalk.train.robot import load_run_robot
@@ -37,7 +37,7 @@ PACE = 0.7  # m/s
 # Episodes at a time: about an eighth of all, since what has ended at the end is stepped on until
 # the last has; in multiples of `ROOM`, which devices can share, and not more than `MOST`.
 ROOM, MOST = 64, 2048
-ROWS = 32  # of tiles, shared out to the kinds: no two tiles of a cell are alike
+ROWS, LEAST_ROWS = 32, 4  # of tiles, shared out to the kinds: no two of a cell are alike
 
 
 class Episode(NamedTuple):
@@ -66,12 +66,13 @@ def measure_by_ground(
     assert env.terrain is not None
     difficulties = list(dict.fromkeys(tile.difficulty for tile in env.terrain.tiles))
     told = env.config.command.given
-    tiles = _tiles(kinds, len(difficulties), episodes)
+    pairs = list(product(kinds, difficulties))
+    tiles = np.concatenate([_tiles(env.terrain, *pair, episodes) for pair in pairs])
     found = dict(_simulate(env, subject.policy.act, tiles, seed, report))
     cells = [
         {"kind": kind, "difficulty": difficulty}
         | _figures([found[cell * episodes + k] for k in range(episodes)], told)
-        for cell, (kind, difficulty) in enumerate(product(kinds, difficulties))
+        for cell, (kind, difficulty) in enumerate(pairs)
     ]
     return {
         "kinds": list(kinds),
@@ -87,7 +88,7 @@ def ground_env(subject: Subject, kinds: tuple[str, ...], levels: int) -> Quadrup
     config = subject.env.config
     ground, command = config.ground, config.command
     if ground.file is None:
-        rows = tuple(kind for kind in kinds for _ in range(rows_of(kinds)))
+        rows = tuple(kind for kind in kinds for _ in range(max(ROWS // len(kinds), LEAST_ROWS)))
         ground = dataclasses.replace(ground, kinds=rows, levels=levels)
     if command.given:
         command = dataclasses.replace(
@@ -101,18 +102,10 @@ def ground_env(subject: Subject, kinds: tuple[str, ...], levels: int) -> Quadrup
     return QuadrupedEnv(quadruped, config, subject.env.engine)
 
 
-def rows_of(kinds: tuple[str, ...]) -> int:
-    """How many tiles a cell has; at least 4."""
-    return max(ROWS // len(kinds), 4)
-
-
-def _tiles(kinds: tuple[str, ...], levels: int, episodes: int) -> np.ndarray:
-    """(n,) the tile of each episode, cell by cell: kind by kind, of each its levels."""
-    if kinds == (FILE,):
-        return np.zeros(episodes, np.int32)
-    kind, level, episode = np.indices((len(kinds), levels, episodes), np.int32)
-    rows = rows_of(kinds)
-    return (((kind * rows + episode % rows) * levels) + level).ravel()
+def _tiles(terrain: Terrain, kind: str, difficulty: float, episodes: int) -> np.ndarray:
+    """(episodes,) the tiles of a cell, in turn."""
+    own = [(tile.kind, tile.difficulty) == (kind, difficulty) for tile in terrain.tiles]
+    return np.resize(np.flatnonzero(own).astype(np.int32), episodes)
 
 
 def _simulate(

@@ -72,16 +72,6 @@ def test_the_ground_of_an_evaluation_is_not_that_of_training():
     assert unseen_ground(FLAT, 3) == FLAT
 
 
-def test_the_tiles_of_a_cell_are_of_its_kind_and_level():
-    tiles = by_ground._tiles(("flat", "waves"), 3, 20)
-    rows = ["flat"] * 16 + ["waves"] * 16  # 32 in all
-    cells = [(rows[tile // 3], tile % 3) for tile in tiles]
-    each = range(20)
-    expected = [(kind, level) for kind in ("flat", "waves") for level in range(3) for _ in each]
-    assert cells == expected
-    assert len(set(tiles[:20])) == 16
-
-
 class Walker(NamedTuple):
     """A state whose trunk goes ahead 1 cm a step, from its tile's number on, m."""
 
@@ -178,8 +168,9 @@ def test_the_map_and_the_table_show_every_cell(told, capsys, monkeypatch):
     assert ("0.125 ± 0.010" in printed) == told
 
 
-def test_a_policy_is_measured_in_every_cell(quadruped, tmp_path):
-    """From one that holds still, on ground of two kinds, for a tenth of a second."""
+@pytest.fixture(scope="module")
+def subject(quadruped, tmp_path_factory) -> Subject:
+    """A policy that holds still, on ground of two kinds, for a tenth of a second."""
     task = dataclasses.replace(
         walk.TASK.env,
         episode_seconds=0.1,
@@ -188,14 +179,41 @@ def test_a_policy_is_measured_in_every_cell(quadruped, tmp_path):
             unseen_ground(rough.TASK.env.ground, 0), kinds=("flat", "blocks"), tile=(3.0, 3.0)
         ),
     )
-    folder = tmp_path / "still"
-    folder.mkdir()
+    folder = tmp_path_factory.mktemp("still")
     (folder / "robot.urdf").write_text(quadruped.urdf)
     config = dataclasses.replace(walk.TASK, env=task)
     env = QuadrupedEnv(quadruped, task)
     act = jax.tree_util.Partial(lambda seen: 0.0 * seen[..., :12])
     policy = Policy(act, config, quadruped.joints, env.policy_size, 0)
-    subject = Subject(Run(folder), Run(folder).policy, policy, env)
+    return Subject(Run(folder), Run(folder).policy, policy, env, "0")
+
+
+@pytest.mark.parametrize("difficulty", [(0.0, 1.0), (0.7, 0.7)])
+def test_a_cell_is_measured_on_its_own_tiles(subject, monkeypatch, difficulty):
+    task = subject.env.config
+    task = dataclasses.replace(task, ground=dataclasses.replace(task.ground, difficulty=difficulty))
+    subject = dataclasses.replace(subject, env=QuadrupedEnv(subject.env.quadruped, task))
+    met = {}
+
+    def simulated(env, act, tiles, *_):
+        for number, tile in enumerate(tiles):
+            met[int(tile)] = env.terrain.tiles[tile]
+            yield number, by_ground.Episode(True, True, float(tile), 0.0)
+
+    def figures(episodes, _):
+        return {"tiles": [int(episode.speed) for episode in episodes]}
+
+    monkeypatch.setattr(by_ground, "_simulate", simulated)
+    monkeypatch.setattr(by_ground, "_figures", figures)
+    found = measure_by_ground(subject, levels=3, episodes=20, seed=0)
+    assert len(found["cells"]) == len(found["kinds"]) * len(found["difficulties"])
+    for cell in found["cells"]:
+        assert {met[tile].kind for tile in cell["tiles"]} == {cell["kind"]}
+        assert {met[tile].difficulty for tile in cell["tiles"]} == {cell["difficulty"]}
+        assert len(set(cell["tiles"])) >= 16
+
+
+def test_a_policy_is_measured_in_every_cell(subject):
     found = measure_by_ground(subject, levels=2, episodes=2, seed=0)
     assert [(cell["kind"], cell["difficulty"]) for cell in found["cells"]] == [
         ("flat", 0.0), ("flat", 1.0), ("blocks", 0.0), ("blocks", 1.0),
