@@ -1,21 +1,26 @@
 """A run's policy rolled out and measured: what the command writes down, and a notebook looks at."""
 
+import itertools
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from quadwalk.evaluate.motion.gait import Gait, gait_metrics, measure_gait
 from quadwalk.evaluate.recording.mcap import write_mcap
 from quadwalk.evaluate.recording.provenance import attachments, provenance
 from quadwalk.evaluate.rollout import Rollout
-from quadwalk.evaluate.simulate import Report, simulate_episodes, with_foot_forces
+from quadwalk.evaluate.simulate import Report, in_groups, with_foot_forces
 from quadwalk.evaluate.subject import Subject
-from quadwalk.evaluate.summary import episode_figures, summarise, typical_episode
+from quadwalk.evaluate.summary import (
+    episode_figures,
+    motor_limits,
+    summarise,
+    typical_episode,
+    weight_of,
+)
 from quadwalk.task.episode.conditions import as_values
 from quadwalk.train.serialise import to_dict
 
@@ -30,8 +35,9 @@ class Evaluation:
 
     subject: Subject
     seed: int
-    rollouts: list[Rollout]
+    rollouts: list[Rollout]  # of all, or of the first
     episodes: list[dict[str, Any]]  # the figures of each, as `episode_figures` defines them
+    groups: Mapping[range, Callable[[], Iterable[Rollout]]]  # to simulate the others again
 
     @cached_property
     def summary(self) -> dict[str, Any]:
@@ -41,7 +47,11 @@ class Evaluation:
     @cached_property
     def typical(self) -> Rollout:
         """The episode of median speed: the one to look at."""
-        return self.rollouts[typical_episode(self.episodes)]
+        number = typical_episode(self.episodes)
+        if number < len(self.rollouts):
+            return self.rollouts[number]
+        (group,) = (group for numbers, group in self.groups.items() if number in numbers)
+        return next(rollout for rollout in group() if rollout.episode == number)
 
     @cached_property
     def gait(self) -> Gait:
@@ -97,20 +107,30 @@ class Evaluation:
         return written
 
 
-def measure(subject: Subject, episodes: int, seed: int, report: Report | None = None) -> Evaluation:
+def measure(
+    subject: Subject,
+    episodes: int,
+    seed: int,
+    report: Report | None = None,
+    whole: int | None = None,
+) -> Evaluation:
     """Roll the policy out from `episodes` fresh starts and measure each.
 
-    `report` is told the control steps done.
+    `report` is told the control steps done. Of many episodes the first `whole` rollouts are kept,
+    or all: one of 20 s is 1 MB.
     """
     env = subject.env
-    rollouts = simulate_episodes(env, subject.policy.act, episodes, seed, report)
-    rewards, weight = env.config.reward, env.robot.weight
-    effort = np.asarray(env.motor.effort)
-    figures = [episode_figures(rollout, rewards, weight, effort) for rollout in rollouts]
-    for own, rollout in zip(figures, rollouts, strict=True):
+    groups = in_groups(env, subject.policy.act, episodes, seed, report)
+    found = Evaluation(subject, seed, [], [], groups)
+    for rollout in itertools.chain.from_iterable(group() for group in groups.values()):
+        weight, limits = weight_of(rollout, env.mj_model), motor_limits(rollout, env.quadruped)
+        own = episode_figures(rollout, env.config.reward, weight, limits)
         if rollout.conditions is not None:
             own["conditions"] = as_values(rollout.conditions, env.stepping)
-    return Evaluation(subject, seed, rollouts, figures)
+        found.episodes.append(own)
+        if whole is None or len(groups) == 1 or rollout.episode < whole:
+            found.rollouts.append(rollout)
+    return found
 
 
 def _as_text(values: Mapping[str, Any]) -> dict[str, str]:

@@ -81,7 +81,8 @@ def judge(subject: "Subject", config: EvalConfig, out: Path, console: Console) -
     found = _roll_out(subject, config, console)
     steps = f"{subject.policy.steps:,} steps of training"
     print_summary(found.summary, f"{name}, {steps}, engine {config.engine}")
-    results = dict(found.results)
+    with console.status("looking closely at the episode of median speed"):
+        results = dict(found.results)
     # On uneven ground MJX takes longer to compile than all else takes together.
     if config.engine == "mujoco" and subject.env.terrain is None:
         other = _roll_out(subject.in_engine("mjx"), config, console).summary
@@ -159,8 +160,8 @@ def _roll_out(subject: "Subject", config: EvalConfig, console: Console) -> "Eval
     env, began = subject.env, time.monotonic()
     what = f"simulating {config.episodes} episodes in {env.engine}"
     with simulating(console, what, env.config.episode_steps, env.config.control_dt) as report:
-        found = measure(subject, config.episodes, config.seed, report)
-    simulated = sum(rollout.steps for rollout in found.rollouts) * env.config.control_dt
+        found = measure(subject, config.episodes, config.seed, report, config.recordings)
+    simulated = sum(episode["duration"] for episode in found.episodes)
     took = time.monotonic() - began
     console.print(
         f"{subject.run.name}: {simulated:,.0f} s simulated in {env.engine} in {took:.1f} s"

@@ -6,7 +6,8 @@ model: every collision shape, 2 ms steps, a converged solver.
 """
 
 import dataclasses
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -31,6 +32,8 @@ Policy = Callable[[jax.Array], jax.Array]
 Report = Callable[[int], None]  # is told how many control steps of the episodes are done
 
 CHUNK = 50  # control steps between looks at whether every episode has ended
+GROUP = 512  # episodes at a time, at most: those of 20 s take 0.8 GB of memory
+SHARED = 64  # in multiples of this, where there are several groups
 
 
 class Frame(NamedTuple):
@@ -57,7 +60,18 @@ def simulate_episodes(
 ) -> list[Rollout]:
     """Roll `policy` out from `episodes` fresh starts, until each falls or meets the time limit.
 
-    All of them at once. The rollouts are without foot forces.
+    The rollouts are without foot forces.
+    """
+    groups = in_groups(env, policy, episodes, seed, report)
+    return [rollout for group in groups.values() for rollout in group()]
+
+
+def in_groups(
+    env: QuadrupedEnv, policy: Policy, episodes: int, seed: int, report: Report | None = None
+) -> dict[range, Callable[[], Iterator[Rollout]]]:
+    """`simulate_episodes`, up to `GROUP` at a time: of each group its numbers and its simulation.
+
+    So whoever lets go of rollouts needs no more memory for more episodes.
     """
 
     @env.jit
@@ -69,10 +83,22 @@ def simulate_episodes(
 
         return jax.lax.scan(one_step, state, None, length=CHUNK)
 
-    first = fresh_starts(env, episodes, seed)
-    initial = jax.device_get(first.pipeline_state)
-    frames = until_all_ended(partial(chunk, policy), over_devices(env, first), report)
-    return [_rollout(env, initial, frames, seed, i) for i in range(episodes)]
+    count = math.ceil(episodes / GROUP)
+    # All groups are of one size, for one program, and such as devices can share.
+    size = episodes if count == 1 else SHARED * math.ceil(episodes / count / SHARED)
+    starts, steps = fresh_starts(env, episodes, seed), env.config.episode_steps
+
+    def group(k: int, numbers: range) -> Iterator[Rollout]:
+        first = numbers.stop - size  # in the last group there are also some of the one before
+        start = jax.tree.map(lambda x: x[first : numbers.stop], starts)
+        initial = jax.device_get(start.pipeline_state)
+        told = report and (lambda done: report((k * steps + min(done, steps)) // count))
+        frames = until_all_ended(partial(chunk, policy), over_devices(env, start), steps, told)
+        for number in numbers:
+            yield _rollout(env, initial, frames, seed, number, number - first)
+
+    ranges = [range(k * size, min((k + 1) * size, episodes)) for k in range(count)]
+    return {numbers: partial(group, k, numbers) for k, numbers in enumerate(ranges)}
 
 
 def fresh_starts(env: QuadrupedEnv, episodes: int, seed: int) -> State:
@@ -123,33 +149,44 @@ def _frame(env: QuadrupedEnv, before: State, action: jax.Array, state: State) ->
 
 
 def until_all_ended(
-    chunk: Callable[[Any], tuple[Any, Frame]], state: Any, report: Report | None = None
+    chunk: Callable[[Any], tuple[Any, Frame]],
+    state: Any,
+    steps: int,
+    report: Report | None = None,
 ) -> Frame:
     """Repeat `chunk`, state to (state, frames of `CHUNK` steps), until each episode has ended.
 
-    Returns the frames one after another, on the host. `report` hears after each chunk.
+    That is after `steps` at most. Returns the frames one after another, on the host. `report`
+    hears after each chunk.
     """
-    chunks: list[Frame] = []
-    ended = False
+    longest = CHUNK * math.ceil(steps / CHUNK)
+    frames, done, ended = None, 0, False
     while not np.all(ended):
-        state, frames = chunk(state)
-        chunks.append(jax.device_get(frames))
-        ended |= (chunks[-1].end > 0).any(axis=0)
+        state, found = chunk(state)
+        found = jax.device_get(found)
+        if frames is None:  # what is never written to takes no memory
+            frames = jax.tree.map(lambda x: np.empty((longest, *x.shape[1:]), x.dtype), found)
+        for whole, part in zip(jax.tree.leaves(frames), jax.tree.leaves(found), strict=True):
+            whole[done : done + CHUNK] = part
+        done += CHUNK
+        ended |= (found.end > 0).any(axis=0)
         if report is not None:
-            report(CHUNK * len(chunks))
-    return jax.tree.map(lambda *parts: np.concatenate(parts), *chunks)
+            report(done)
+    return jax.tree.map(lambda x: x[:done], frames)
 
 
-def _rollout(env: QuadrupedEnv, initial: EnvState, frames: Frame, seed: int, i: int) -> Rollout:
-    """Episode `i` of a batch, cut at its end."""
+def _rollout(
+    env: QuadrupedEnv, initial: EnvState, frames: Frame, seed: int, number: int, i: int
+) -> Rollout:
+    """Row `i` of a batch, which is episode `number`, cut at its end."""
     steps = int(np.argmax(frames.end[:, i] > 0)) + 1
-    one: Frame = jax.tree.map(lambda x: x[:steps, i], frames)
+    one: Frame = jax.tree.map(lambda x: x[:steps, i].copy(), frames)
     qpos = np.concatenate([initial.qpos[None, i], one.qpos]).astype(float)
     qvel = np.concatenate([initial.qvel[None, i], one.qvel]).astype(float)
     return Rollout(
         control_dt=env.config.control_dt,
         seed=seed,
-        episode=i,
+        episode=number,
         end=env.ends[int(one.end[-1])],
         qpos=qpos,
         qvel=qvel,
@@ -181,14 +218,15 @@ def with_foot_forces(rollout: Rollout, env: QuadrupedEnv) -> Rollout:
         motor = vary_motor(motor, rollout.conditions.variation)
         model = mujoco_c.varied_model(model, rollout.conditions.variation)
     target = rollout.target if rollout.obeyed is None else rollout.obeyed
-    torque = np.asarray(motor_torque(motor, target, qpos[:, 7:], joint_speed))
-    friction = np.asarray(friction_torque(motor, joint_speed))
+    torque = np.asarray(
+        motor_torque(motor, target, qpos[:, 7:], joint_speed) + friction_torque(motor, joint_speed)
+    )
     data = mujoco.MjData(model)
     feet = geom_ids(model, env.quadruped.feet)
     forces = np.zeros((rollout.steps, 4))
     for row in range(rollout.steps):
         data.qpos, data.qvel = qpos[row], qvel[row]
-        data.ctrl, data.qfrc_applied[6:] = torque[row], friction[row]
+        data.qfrc_applied[6:] = torque[row]  # not by actuators, whose limits are the model's own
         mujoco.mj_forward(model, data)
         forces[row] = foot_forces(model, data, feet)
     return dataclasses.replace(rollout, foot_force=forces)

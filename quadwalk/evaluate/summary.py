@@ -9,10 +9,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import mujoco
 import numpy as np
 
 from quadwalk.evaluate.motion.kinematics import roll_pitch_yaw
 from quadwalk.evaluate.rollout import Rollout
+from quadwalk.physics.mujoco_c import varied_masses
+from quadwalk.robot.quadruped import Quadruped
 from quadwalk.task.terms import Reward
 
 LEAST_DISTANCE = 1.0  # m: over less, what is per metre says nothing
@@ -44,6 +47,19 @@ HIGH_IS_BAD = (
     *("torque_limit", "action_rate"),
 )
 AT_LIMIT = 0.95  # of a motor's torque limit, as the mean over a control step, counts as at it
+
+
+def weight_of(rollout: Rollout, model: mujoco.MjModel) -> float:
+    """N, of the robot of an episode; `model` is one of the robot as nothing was drawn for it."""
+    drawn = rollout.conditions and rollout.conditions.variation
+    masses = model.body_mass if drawn is None else varied_masses(model, drawn)
+    return float(-model.opt.gravity[2] * masses.sum())
+
+
+def motor_limits(rollout: Rollout, quadruped: Quadruped) -> np.ndarray:
+    """(12,) Nm: the largest torques of the motors of an episode."""
+    drawn = rollout.conditions and rollout.conditions.variation
+    return quadruped.effort if drawn is None else quadruped.effort * np.asarray(drawn.strength)
 
 
 @dataclass(frozen=True)

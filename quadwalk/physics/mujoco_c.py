@@ -123,15 +123,22 @@ def varied_model(model: mujoco.MjModel, variation: Variation) -> mujoco.MjModel:
     trunk, legs = model.jnt_bodyid[0], model.jnt_bodyid[1:]
     factor: Any = variation.link_mass
     model.geom_friction[:, 0] = variation.friction
-    model.body_mass[trunk] += variation.trunk_mass
+    model.body_mass[:] = varied_masses(model, variation)
     model.body_ipos[trunk] += variation.trunk_centre
-    model.body_mass[legs] *= factor
     model.body_inertia[legs] *= factor[:, None]
     model.dof_armature[6:] *= variation.armature
     model.dof_damping[6:] *= variation.damping
     # What follows from masses, such as inverse inertias at contacts.
     mujoco.mj_setConst(model, mujoco.MjData(model))
     return model
+
+
+def varied_masses(model: mujoco.MjModel, variation: Variation) -> np.ndarray:
+    """kg, of each body of a quadruped's `model` that differs by `variation`."""
+    masses: np.ndarray = model.body_mass.copy()
+    masses[model.jnt_bodyid[0]] += variation.trunk_mass
+    masses[model.jnt_bodyid[1:]] *= variation.link_mass
+    return masses
 
 
 class MujocoModel(NamedTuple):

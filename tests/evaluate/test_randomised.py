@@ -2,18 +2,23 @@
 
 import dataclasses
 import json
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
+import mujoco
 import numpy as np
 import pytest
 from mcap.reader import make_reader
 
+from quadwalk.evaluate import evaluation as measuring
+from quadwalk.evaluate import simulate as simulating
 from quadwalk.evaluate.motion.gait import measure_gait
 from quadwalk.evaluate.recording.mcap import write_mcap
 from quadwalk.evaluate.report.plots import draw_report
 from quadwalk.evaluate.simulate import simulate_episodes, with_foot_forces
 from quadwalk.evaluate.summary import AT_LIMIT, episode_figures
+from quadwalk.physics.mujoco_c import varied_model
 from quadwalk.task.config import NO_RANDOMISATION
 from quadwalk.task.env import QuadrupedEnv
 from quadwalk.task.episode.conditions import as_values
@@ -24,6 +29,7 @@ RANGES = dataclasses.replace(
     NO_RANDOMISATION,
     enabled=True,
     trunk_mass=(ADDED, ADDED),
+    link_mass=(0.6, 0.8),
     strength=(0.8, 1.0),
     latency=(0.02, 0.02),
     noise=(1.0, 1.0),
@@ -38,11 +44,14 @@ def env(quadruped) -> QuadrupedEnv:
     )
 
 
+def tremble():
+    """A policy that stands with legs that tremble a little."""
+    return jax.tree_util.Partial(lambda w, seen: 0.01 * jnp.tanh(seen @ w), jnp.eye(47, 12))
+
+
 @pytest.fixture(scope="module")
 def rollouts(env):
-    """Of a policy that stands with legs that tremble a little."""
-    tremble = jax.tree_util.Partial(lambda w, seen: 0.01 * jnp.tanh(seen @ w), jnp.eye(47, 12))
-    return simulate_episodes(env, tremble, EPISODES, seed=0)
+    return simulate_episodes(env, tremble(), EPISODES, seed=0)
 
 
 def test_each_episode_has_what_was_drawn_for_it(env, rollouts):
@@ -77,11 +86,71 @@ def test_what_is_seen_is_the_truth_and_noise_of_level_1(env, rollouts):
         np.testing.assert_allclose(rollout.truth[:, joints], home, atol=1e-6)
 
 
-def test_the_floor_carries_what_was_added(env, rollouts):
+@pytest.fixture
+def weight(env, rollouts) -> float:
+    """N, of the robot of the first episode, as MuJoCo has it."""
+    model = varied_model(env.quadruped.full_model(), rollouts[0].conditions.variation)
+    return mujoco.mj_getTotalmass(model) * env.config.gravity
+
+
+def test_the_floor_carries_what_was_added(env, rollouts, weight):
     whole = with_foot_forces(rollouts[0], env)
     carried = whole.foot_force[25:].sum(axis=1).mean()
     # It sways a little, so that the floor now carries more, now less.
-    assert carried == pytest.approx((1.0 + ADDED) * env.robot.weight, rel=0.05)
+    assert carried == pytest.approx(weight, rel=0.05)
+
+
+def test_a_stronger_motor_pushes_with_more_than_the_models_limit(env, rollouts):
+    conditions = rollouts[0].conditions
+    obeyed = rollouts[0].obeyed - 3.0  # rad, beyond what any torque reaches
+
+    def forces(strength):
+        variation = conditions.variation._replace(strength=np.float32(strength))
+        drawn = conditions._replace(variation=variation)
+        rollout = dataclasses.replace(rollouts[0], conditions=drawn, obeyed=obeyed)
+        return with_foot_forces(rollout, env).foot_force
+
+    assert np.abs(forces(1.5) - forces(1.0)).max() > 10.0
+
+
+def test_figures_are_relative_to_the_robot_that_was_drawn(env, rollouts, weight, monkeypatch):
+    rollout = rollouts[0]
+    limits = env.quadruped.effort * rollout.conditions.variation.strength
+    torque = np.zeros_like(rollout.torque)
+    torque[:10, 4] = 0.97 * limits[4]
+    qpos = rollout.qpos.copy()
+    qpos[:, 0] = np.linspace(0.0, 3.0, len(qpos))
+    rollout = dataclasses.replace(rollout, torque=torque, qpos=qpos)
+    monkeypatch.setattr(measuring, "in_groups", lambda *_: {range(1): lambda: [rollout]})
+    subject = SimpleNamespace(env=env, policy=SimpleNamespace(act=None))
+    (figures,) = measuring.measure(subject, 1, 0).episodes
+    gait = measure_gait(rollout, env.quadruped)
+    cost = pytest.approx(rollout.energy.sum() / 3.0 / weight, rel=1e-5)
+    assert figures["torque_limit"] == pytest.approx(100.0 * 10 / rollout.steps)
+    assert figures["cost_of_transport"] == cost
+    assert gait.cost_of_transport == cost
+    assert gait.torque_peak.max() == pytest.approx(0.97)
+    texts = [
+        text.get_text() for axes in draw_report(rollout, env.quadruped).axes for text in axes.texts
+    ]
+    assert any(text.startswith("peak torque 97 %") for text in texts)
+
+
+def test_episodes_in_groups_are_those_of_one_batch(env, rollouts, monkeypatch):
+    monkeypatch.setattr(simulating, "GROUP", 2)
+    monkeypatch.setattr(simulating, "SHARED", 1)
+    subject = SimpleNamespace(env=env, policy=SimpleNamespace(act=tremble()))
+    reported: list[int] = []
+    found = measuring.measure(subject, EPISODES, 0, reported.append, whole=1)
+    assert reported == [25, 50]  # of 50 steps
+    assert [episode["episode"] for episode in found.episodes] == [0, 1, 2]
+    assert [rollout.episode for rollout in found.rollouts] == [0]
+    middle = int(np.argsort([episode["speed"] for episode in found.episodes])[1])
+    assert found.typical.episode == middle
+    for one, other in ((found.rollouts[0], rollouts[0]), (found.typical, rollouts[middle])):
+        np.testing.assert_array_equal(one.qpos[0], other.qpos[0])
+        np.testing.assert_allclose(one.qpos, other.qpos, atol=1e-4)
+        np.testing.assert_array_equal(one.conditions.targets, other.conditions.targets)
 
 
 def test_power_and_limits_are_those_of_the_motors(env, rollouts):

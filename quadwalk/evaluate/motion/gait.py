@@ -23,7 +23,9 @@ from quadwalk.evaluate.summary import (
     action_rate,
     heading_velocity,
     measure_course,
+    motor_limits,
     number,
+    weight_of,
 )
 from quadwalk.ground.heightfield import heights_under
 from quadwalk.robot.quadruped import Quadruped
@@ -84,10 +86,9 @@ def measure_gait(rollout: Rollout, quadruped: Quadruped) -> Gait:
     yaw = np.unwrap(rpy[:, 2])
     height = rollout.qpos[:, 2] - heights_under(model, rollout.qpos[:, :2])
     soles = centres[:, :, 2] - radii - heights_under(model, centres[:, :, :2])
-    torque = np.abs(rollout.torque) / quadruped.effort
+    torque = np.abs(rollout.torque) / motor_limits(rollout, quadruped)
     torque = torque if rollout.steps else np.full((1, 12), np.nan)
     rate = np.abs(rollout.qvel[:, 6:]) / quadruped.velocity
-    weight = float(model.body_mass.sum()) * quadruped.gravity
     return Gait(
         fell=rollout.fell,
         end=rollout.end,
@@ -108,7 +109,7 @@ def measure_gait(rollout: Rollout, quadruped: Quadruped) -> Gait:
         body_height=np.array([height.mean(), height.min(), height.max()]),
         roll_range=float(np.ptp(rpy[:, 0])),
         pitch_range=float(np.ptp(rpy[:, 1])),
-        cost_of_transport=course.energy_per_metre / weight,
+        cost_of_transport=course.energy_per_metre / weight_of(rollout, model),
         froude=course.speed**2 / (quadruped.gravity * _hip_height(model, quadruped)),
         torque_mean=torque.mean(axis=0),
         torque_peak=torque.max(axis=0),

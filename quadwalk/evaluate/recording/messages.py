@@ -23,6 +23,7 @@ from quadwalk.evaluate.motion.kinematics import foot_poses, link_frames, rotatio
 from quadwalk.evaluate.recording.encoding import Scalars, cdr_string, compact
 from quadwalk.evaluate.recording.markers import SCENE_PERIOD, SceneWriter, draw_ground
 from quadwalk.evaluate.rollout import Rollout, finite_states
+from quadwalk.evaluate.summary import weight_of
 from quadwalk.ground.heightfield import field_of
 from quadwalk.robot.quadruped import Quadruped
 
@@ -256,8 +257,7 @@ class EpisodeMessages:
         every = max(1, round(SCENE_PERIOD / rollout.control_dt))
         path, velocity = rollout.qpos[: self.rows, :3], rollout.qvel[: self.rows, :3]
         model, names = self.quadruped.full_model(), self.quadruped.feet
-        weight = float(model.body_mass.sum()) * self.quadruped.gravity
-        scene = SceneWriter(path, velocity, weight, WORLD, self.field)
+        scene = SceneWriter(path, velocity, weight_of(rollout, model), WORLD, self.field)
 
         def write(start: int, stop: int) -> Iterator[list[tuple[str, bytes]]]:
             feet, _ = foot_poses(model, names, rollout.qpos[start:stop])

@@ -12,7 +12,7 @@ from quadwalk.evaluate.motion.footfalls import contact_spans, without_chatter
 from quadwalk.evaluate.motion.gait import footfalls_of, measure_gait
 from quadwalk.evaluate.motion.kinematics import roll_pitch_yaw
 from quadwalk.evaluate.rollout import Rollout, finite_part
-from quadwalk.evaluate.summary import heading_velocity
+from quadwalk.evaluate.summary import heading_velocity, motor_limits
 from quadwalk.files import atomic_write
 from quadwalk.ground.heightfield import heights_under
 from quadwalk.robot.quadruped import Quadruped
@@ -216,14 +216,15 @@ def _angles(axes: Axes, rollout: Rollout, quadruped: Quadruped, part: int) -> No
 def _torques(axes: Axes, rollout: Rollout, quadruped: Quadruped, part: int) -> None:
     start = _window(rollout)
     time = rollout.time[start:]
-    effort = float(quadruped.effort[part::3].min())
+    limits = motor_limits(rollout, quadruped)
+    effort = float(limits[part::3].min())
     peaks = []
     for leg, name in enumerate(quadruped.legs):
         column = 3 * leg + part
         torque = rollout.torque[:, column]
         axes.step(time[1:], torque[start:], color=LEG_COLOURS[leg], label=name, linewidth=1.0)
         if len(torque):
-            peaks.append(np.abs(torque).max() / quadruped.effort[column])
+            peaks.append(np.abs(torque).max() / limits[column])
     _limits(axes, -effort, effort)
     rates = np.abs(rollout.qvel[:, 6 + part :: 3]).max() / quadruped.velocity[part::3].min()
     _finish(axes, f"{_PARTS[part].capitalize()} torques and limits, Nm", time)
