@@ -8,6 +8,10 @@ from typing import BinaryIO
 
 from quadwalk.errors import UserError
 
+# What is raised where a file's JSON, or what was expected in it, is not as it should be: numbers
+# may be infinite or larger than any float, and lists nested deeper than Python goes.
+DAMAGE = (AttributeError, LookupError, OverflowError, RecursionError, TypeError, ValueError)
+
 
 @contextlib.contextmanager
 def atomic_write(path: Path | str) -> Iterator[BinaryIO]:

@@ -18,6 +18,7 @@ Loads = Annotated[Pair, Bounds(-1.0, 100.0, open="low", ordered=True)] | None
 Sizes = Annotated[Pair, Bounds(0.0, 100.0, ordered=True)] | None
 Delays = Annotated[Pair, Bounds(0.0, 1.0, unit="s", ordered=True)] | None
 
+_LONGEST = 40  # characters of a term's name, which is also a flag, a label and a heading
 SIGHT = "height_scan"  # the observation that the blind do without
 
 
@@ -166,6 +167,11 @@ class EnvConfig(Settings, group="env"):
             if not terms and kind in (Observation, Termination) and group != "env.critic":
                 raise UsageError(f"{group} is empty; expected one or more")
             for name, term in terms.items():
+                if not name.isidentifier() or len(name) > _LONGEST:
+                    raise UsageError(
+                        f"{group}: a term cannot be called {name[:_LONGEST]!r}; expected at most "
+                        f"{_LONGEST} letters, digits and _, not beginning with a digit"
+                    )
                 if not isinstance(term, kind):
                     raise UsageError(f"{group}.{name} is {term!r}; expected {kind.__name__}(...)")
                 term.check_numbers(f"{group}.{name}")

@@ -5,12 +5,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from quadwalk.errors import UsageError
 from quadwalk.physics.rotation import from_euler
 from quadwalk.task import reward
 from quadwalk.task.reward import reward_terms, total_reward
 from quadwalk.task.state import Step
 from quadwalk.task.terms import Reward
-from quadwalk.tasks import blog
+from quadwalk.tasks import blog, walk
 
 PARAMS = {
     "forward": {"max_speed": 1.0},
@@ -174,3 +175,13 @@ def test_the_total_is_the_scaled_sum_and_a_scale_of_zero_drops_its_term(env):
 def test_the_robots_weight_is_its_mass_times_gravity(env):
     assert env.robot.weight == pytest.approx(env.mj_model.body_mass.sum() * 9.81)
     assert 21.0 < env.robot.weight / 9.81 < 24.0
+
+
+@pytest.mark.parametrize(
+    "name", ["", "a b", "a/b", "a.b", "[red]", "$x$", "a\nb", "1a", "x" * 41, "-a", "<b>"]
+)
+def test_a_name_that_would_be_no_flag_heading_or_label_is_refused(name):
+    (term, *_) = walk.TASK.env.reward.values()
+    for group in ("reward", "observation", "critic", "termination"):
+        with pytest.raises(UsageError, match=rf"^env\.{group}: a term cannot be called .*_, not"):
+            replace(walk.TASK.env, **{group: {name: term}})

@@ -111,7 +111,14 @@ def test_zeros_after_a_power_cut_are_left_out(run):
     assert [row["steps"] for row in log.read_metrics(run)] == [1]
 
 
-@pytest.mark.parametrize("line", [b"x", b"[1]", b"{}", b'{"steps": null}', b"\xff", b"", b"3"])
+@pytest.mark.parametrize(
+    "line",
+    [
+        *(b"x", b"[1]", b"{}", b'{"steps": null}', b"\xff", b"", b"3", b"[" * 100_000),
+        *(b'{"steps": 1e999}', b'{"steps": 2, "a": "b"}', b'{"steps": 2, "a": 1%0400d}' % 0),
+    ],
+    ids=lambda line: line[:30],
+)
 def test_a_line_that_never_was_one_is_named(run, line):
     run.metrics.write_bytes(b'{"steps": 1}\n' + line + b'\n{"steps": 3}\n')
     with pytest.raises(UserError, match=r"metrics\.jsonl, line 2: expected"):

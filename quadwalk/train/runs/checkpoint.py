@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from quadwalk.errors import UserError
-from quadwalk.files import atomic_write, os_reason
+from quadwalk.files import DAMAGE, atomic_write, os_reason
 
 FORMAT = "quadwalk"
 VERSION = 1
@@ -31,20 +31,17 @@ _METADATA = "metadata.json"
 
 # What zipfile and numpy raise, between them, on bytes that are not what they should be.
 _DAMAGE = (
+    *DAMAGE,
     zipfile.BadZipFile,
     zlib.error,
     lzma.LZMAError,
     struct.error,
     EOFError,
-    KeyError,
     MemoryError,
     NotImplementedError,
     OSError,
-    OverflowError,
     RuntimeError,
     SyntaxError,
-    TypeError,
-    ValueError,
 )
 
 

@@ -9,15 +9,16 @@ import contextlib
 import json
 import math
 import os
+import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from quadwalk.errors import UserError
-from quadwalk.files import os_reason
+from quadwalk.files import DAMAGE, os_reason
 from quadwalk.train.runs.directory import Run
 
 _FLUSH_SECONDS = 2.0  # TensorBoard rereads its files every few seconds; more often buys nothing
@@ -76,12 +77,12 @@ def read_metrics(run: Run) -> list[Row]:
 
     A last line cut short by a crash is left out. Raises `UserError` for a line that never was one.
     """
-    return _read_rows(run.metrics)[0]
+    return [row for row, _ in _read_rows(run.metrics)]
 
 
 def read_history(run: Run) -> list[Row]:
     """`read_metrics`, each row joined by the timing of the same iteration where there is one."""
-    timing = {row["steps"]: row for row in _read_rows(run.timing)[0]}
+    timing = {row["steps"]: row for row, _ in _read_rows(run.timing)}
     return [{**timing.get(row["steps"], {}), **row} for row in read_metrics(run)]
 
 
@@ -95,31 +96,39 @@ def _number(value: Any) -> int | float | None:
     return value if math.isfinite(value) else None
 
 
-def _read_rows(path: Path) -> tuple[list[Row], list[int]]:
-    """The complete rows of a file of JSON lines, and the offset at which each ends."""
+def _read_rows(path: Path) -> Iterator[tuple[Row, int]]:
+    """The complete rows of a file of JSON lines, each with the offset at which it ends."""
+    end = 0
     try:
-        content = path.read_bytes()
+        with open(path, "rb") as file:
+            for number, line in enumerate(file, 1):
+                try:
+                    row = _row_of(line)
+                except DAMAGE:
+                    row = None
+                if row is None or not line.endswith(b"\n"):
+                    if not file.peek(1):  # the last, cut short by a crash
+                        return
+                    raise UserError(
+                        f"{path}, line {number}: expected an iteration's metrics as JSON"
+                    )
+                end += len(line)
+                yield row, end
     except FileNotFoundError:
-        return [], []
+        return
     except OSError as error:
         raise UserError(f"cannot read {path}: {os_reason(error)}") from error
-    rows: list[Row] = []
-    ends: list[int] = []
-    lines = content.splitlines(keepends=True)
-    for number, line in enumerate(lines, 1):
-        try:
-            row = json.loads(line)
-            row["steps"] = int(row["steps"])
-            row = {key: math.nan if value is None else value for key, value in row.items()}
-        except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
-            row = None
-        if row is None or not line.endswith(b"\n"):
-            if number == len(lines):
-                break
-            raise UserError(f"{path}, line {number}: expected an iteration's metrics as JSON")
-        rows.append(row)
-        ends.append(len(line) + (ends[-1] if ends else 0))
-    return rows, ends
+
+
+def _row_of(line: bytes) -> Row:
+    row = json.loads(line)
+    # A name is kept once, not in every row.
+    numbers = {sys.intern(key): _to_float(value) for key, value in row.items()}
+    return {**numbers, "steps": int(row["steps"])}
+
+
+def _to_float(value: float | None) -> float:
+    return math.nan if value is None else float(value)
 
 
 class _Lines:
@@ -127,13 +136,10 @@ class _Lines:
 
     def __init__(self, path: Path, resume_at: int | None) -> None:
         self._path = path
-        rows, ends = _read_rows(path)
-        kept = [
-            end
-            for row, end in zip(rows, ends, strict=True)
-            if resume_at is None or row["steps"] <= resume_at
-        ]
-        self._size = kept[-1] if kept else 0
+        self._size = 0
+        for row, end in _read_rows(path):
+            if resume_at is None or row["steps"] <= resume_at:
+                self._size = end
         self._waiting: list[bytes] = []  # for room on the disk
         try:
             self._file = os.open(path, os.O_WRONLY | os.O_CREAT, 0o666)

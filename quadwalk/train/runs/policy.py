@@ -14,6 +14,7 @@ import numpy as np
 from brax.training.acme.running_statistics import NestedMeanStd
 
 from quadwalk.errors import UserError
+from quadwalk.files import DAMAGE
 from quadwalk.train.networks import make_networks, mean_policy
 from quadwalk.train.runs import checkpoint
 from quadwalk.train.runs.directory import Run
@@ -71,7 +72,7 @@ def load_score(path: Path) -> tuple[int, float]:
     _, metadata = checkpoint.load(path, "policy")
     try:
         return int(metadata["steps"]), float(metadata["score"])
-    except (KeyError, TypeError, ValueError):
+    except DAMAGE:
         raise UserError(f"{path} does not say how good its policy was") from None
 
 
@@ -87,9 +88,9 @@ def load_checkpoint_policy(path: Path, joints: tuple[str, ...]) -> Policy:
         config = config_of(metadata["config"], Run(path.parent.parent), str(path), "0.1")
         steps, mean, std = int(metadata["steps"]), leaves[_MEAN], leaves[_STD]
         size = len(layers["hidden_0"]["kernel"])
-    except (KeyError, TypeError, ValueError, UserError) as error:
-        raise UserError(f"{path} holds no policy that can be used: {error}") from None
-    networks = make_networks(config.ppo, size, len(joints))
+        networks = make_networks(config.ppo, size, len(joints))
+    except (*DAMAGE, UserError) as error:
+        raise UserError(f"{path} holds no policy that can be used: {_line(error)}") from None
     normalizer = NestedMeanStd(mean[:size], std[:size])
     return Policy(
         mean_policy(networks, normalizer, {"params": layers}), config, joints, size, steps
@@ -105,9 +106,11 @@ def load_policy(path: Path) -> Policy:
         size = int(metadata["observation_size"])
         joints = tuple(map(str, metadata["joints"]))
         steps = int(metadata["steps"])
-    except (KeyError, TypeError, ValueError, UserError) as error:
-        raise UserError(f"{path} holds a configuration that cannot be used: {error}") from None
-    networks = make_networks(config.ppo, size, len(joints))
+        networks = make_networks(config.ppo, size, len(joints))
+    except (*DAMAGE, UserError) as error:
+        raise UserError(
+            f"{path} holds a configuration that cannot be used: {_line(error)}"
+        ) from None
     statistics = jax.ShapeDtypeStruct((size,), np.float32)
     # Written out: to have Flax say it takes as long as all the rest.
     sizes = (size, *config.ppo.hidden, networks.parametric_action_distribution.param_size)
@@ -125,3 +128,8 @@ def load_policy(path: Path) -> Policy:
     tree, _ = checkpoint.load(path, "policy", like)
     act = mean_policy(networks, tree["normalizer"], tree["policy"])
     return Policy(act, config, joints, size, steps)
+
+
+def _line(error: Exception) -> str:
+    """What an error says, on one line."""
+    return " ".join(str(error).split())

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from quadwalk.errors import UsageError, UserError
-from quadwalk.files import os_reason
+from quadwalk.files import DAMAGE, os_reason
 from quadwalk.train.progress.metrics import TrainingMetrics
 from quadwalk.train.runs import checkpoint
 from quadwalk.train.runs.directory import Run
@@ -28,11 +28,11 @@ _FREE = (
 def read_config(run: Run) -> TrainConfig:
     """The configuration in a run's config.json."""
     try:
-        content = json.loads(run.config.read_text())
+        content = json.loads(run.config.read_bytes())
         data, version = content["config"], content["versions"]["quadwalk"]
     except OSError as error:
         raise UserError(f"cannot read {run.config}: {os_reason(error)}") from None
-    except (ValueError, KeyError, TypeError):
+    except DAMAGE:
         raise UserError(f"{run.config} is damaged: expected JSON with a 'config'") from None
     return config_of(data, run, f"{run.config}: config", version)
 
@@ -98,7 +98,7 @@ def restore(
         metrics.restore(metadata["metrics"])
         steps, seconds = int(metadata["steps"]), float(metadata["seconds"])
         rate = metadata["config"]["ppo"]["learning_rate"]
-    except (KeyError, TypeError, ValueError):
+    except DAMAGE:
         raise UserError(f"{path} does not say where its training was: expected another") from None
     if rate != config.ppo.learning_rate:
         learner, fresh = saved.learner, tree_get(jax.device_get(state.learner.optimizer), RATE)

@@ -17,7 +17,8 @@ if TYPE_CHECKING:
     from quadwalk.train.setup import Training
 
 KEPT_CHECKPOINTS = 3
-CURVE_SECONDS = 30.0  # the learning curve is drawn anew this often
+CURVE_SECONDS = 30.0  # the learning curve is drawn anew this often...
+CURVE_SHARE = 0.02  # ...or as often as takes this share of the time, if that is less often
 
 
 class RunWriter:
@@ -36,7 +37,7 @@ class RunWriter:
         self._warn = warn
         self._refused: dict[str, str] = {}
         self._told = False  # of steps with NaN
-        self._drawn = time.monotonic()
+        self._draw_at = time.monotonic() + CURVE_SECONDS
         self._log = MetricsLog(run, resume_at=training.steps if training.resumed else None)
         if run.best.exists():
             self._attempt("best", self._read_best)
@@ -57,7 +58,7 @@ class RunWriter:
         self._attempt("metrics", lambda: self._log.append(row, timing))
         if nan_step.found > 0:
             self._attempt("nan", lambda: self._keep(nan_step, int(row["steps"])))
-        if time.monotonic() - self._drawn > CURVE_SECONDS:
+        if time.monotonic() > self._draw_at:
             self.draw()
 
     def _keep(self, nan_step: Any, steps: int) -> None:
@@ -71,9 +72,10 @@ class RunWriter:
         """Draw the learning curve."""
         from quadwalk.train.progress.curves import plot_learning_curve
 
-        self._drawn = time.monotonic()
-        history = read_history(self.run)
-        self._attempt("curve", lambda: plot_learning_curve(history, self.run.learning_curve))
+        run, began = self.run, time.monotonic()
+        self._attempt("curve", lambda: plot_learning_curve(read_history(run), run.learning_curve))
+        now = time.monotonic()
+        self._draw_at = now + max(CURVE_SECONDS, (now - began) / CURVE_SHARE)
 
     def save(self, state: Any, steps: int, seconds: float) -> bool:
         """Save the policy, as the best too if it is, and a checkpoint; whether all went well."""
