@@ -10,6 +10,7 @@ import importlib
 import importlib.util
 import pkgutil
 import sys
+import traceback
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
@@ -112,24 +113,21 @@ def _import(path: Path) -> ModuleType:
     sys.modules[name] = module
     try:
         exec(compile(source, path, "exec"), module.__dict__)
-    except UserError as error:
+    except BaseException as error:
         del sys.modules[name]
-        raise UsageError(f"{path}: {error}") from None
-    except Exception as error:
-        del sys.modules[name]
-        raise UsageError(
-            f"{path}{_line_of(error, path)}: {type(error).__name__}: {error}"
-        ) from None
+        if not isinstance(error, Exception | SystemExit):
+            raise
+        line, kind = line_in(str(path), error), type(error).__name__
+        said = " ".join(f"{error}".split())
+        where = f"{path}, line {line}" if line else f"{path}"
+        said = said if isinstance(error, UserError) else f"{kind}: {said}"
+        raise UsageError(f"{where}: {said}") from None
     return module
 
 
-def _line_of(error: BaseException, path: Path) -> str:
-    """Where in the file an error came from, as ", line 3"; empty if it cannot be told."""
-    if isinstance(error, SyntaxError):
-        return f", line {error.lineno}"
-    number, trace = None, error.__traceback__
-    while trace is not None:
-        if trace.tb_frame.f_code.co_filename == str(path):
-            number = trace.tb_lineno
-        trace = trace.tb_next
-    return f", line {number}" if number else ""
+def line_in(file: str, error: BaseException) -> int | None:
+    """The line of `file` that an error came from; None if it cannot be told."""
+    if isinstance(error, SyntaxError) and error.filename == file:
+        return error.lineno
+    frames = traceback.extract_tb(error.__traceback__)
+    return next((frame.lineno for frame in reversed(frames) if frame.filename == file), None)

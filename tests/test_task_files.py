@@ -55,6 +55,14 @@ def test_a_function_of_a_users_file_is_found_again_in_the_runs_copy(tmp_path):
         ("\n\nTASK = (", "line 3"),
         ("import nothing_of_that_name", "line 1: ModuleNotFoundError"),
         ("\n1 / 0", "line 2: ZeroDivisionError"),
+        ("x = 1\0", "null bytes"),
+        ("import sys\nsys.exit(3)", "line 2: SystemExit: 3"),
+        ("raise ValueError('a\\nb')", "line 1: ValueError: a b"),
+        (
+            "from quadwalk.tasks import run\nfrom dataclasses import replace\n"
+            "replace(run.TASK, steps=0)",
+            "line 3: --steps is 0",
+        ),
     ],
 )
 def test_a_file_that_is_no_task_is_named_in_one_line(tmp_path, content, named):
@@ -65,6 +73,13 @@ def test_a_file_that_is_no_task_is_named_in_one_line(tmp_path, content, named):
         load_task(file)
     assert str(file) in str(error.value)
     assert "\n" not in str(error.value)
+
+
+def test_a_task_file_can_be_interrupted(tmp_path):
+    (tmp_path / "mine.py").write_text("raise KeyboardInterrupt")
+    for _ in range(2):
+        with pytest.raises(KeyboardInterrupt):
+            load_task(tmp_path / "mine.py")
 
 
 def test_a_name_that_is_no_task_is_told_those_there_are():

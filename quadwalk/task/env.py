@@ -379,7 +379,9 @@ class QuadrupedEnv(Env):
         """Names of the numbers of each part of an observation, in one control step."""
         state = jax.eval_shape(self._example)
         sizes = {
-            name: jax.eval_shape(partial(part, self.robot), state).size
+            name: jax.eval_shape(
+                partial(part.value, f"observation {name!r}", self.robot), state
+            ).size
             for name, part in parts.items()
         }
         return {

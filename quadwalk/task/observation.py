@@ -147,4 +147,5 @@ def conditions(robot: RobotArrays, state: EnvState) -> jax.Array:
 
 def observe(parts: dict[str, Observation], robot: RobotArrays, state: EnvState) -> jax.Array:
     """The observation (n,), float32: its parts one after another."""
-    return jnp.concatenate([jnp.atleast_1d(part(robot, state)) for part in parts.values()])
+    seen = [part.value(f"observation {name!r}", robot, state) for name, part in parts.items()]
+    return jnp.concatenate([jnp.atleast_1d(value) for value in seen])

@@ -114,7 +114,11 @@ def reward_terms(
     rewards: dict[str, Reward], robot: RobotArrays, step: Step
 ) -> dict[str, jax.Array]:
     """The value of every term, each a scalar, before its scale; those with scale 0 are left out."""
-    return {name: term(robot, step) for name, term in rewards.items() if term.scale != 0.0}
+    return {
+        name: term.value(f"reward {name!r}", robot, step)
+        for name, term in rewards.items()
+        if term.scale != 0.0
+    }
 
 
 def total_reward(rewards: dict[str, Reward], values: dict[str, jax.Array]) -> jax.Array:

@@ -37,4 +37,5 @@ def trunk_touched(robot: RobotArrays, step: Step, *, clearance: float) -> jax.Ar
 
 def terminations(ways: dict[str, Termination], robot: RobotArrays, step: Step) -> jax.Array:
     """Whether each of the ways to fall holds, (n,) bool."""
-    return jnp.stack([jnp.zeros((), bool), *(way(robot, step) for way in ways.values())])[1:]
+    holds = [way.value(f"termination {name!r}", robot, step) for name, way in ways.items()]
+    return jnp.stack([jnp.zeros((), bool), *holds])[1:]

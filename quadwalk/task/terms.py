@@ -4,12 +4,15 @@ import inspect
 import reprlib
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
+import jax
+import numpy as np
 import tyro
 
 from quadwalk.bounds import Bounds, NotNegative, check_value
-from quadwalk.errors import UsageError
+from quadwalk.errors import UsageError, UserError
+from quadwalk.task_files import line_in
 
 # On the command line a term's parameters are named after the term, without a word between them;
 # where there are none there is no flag, which is why the type is not narrower.
@@ -19,6 +22,8 @@ Params = Annotated[Any, tyro.conf.arg(name="")]
 @dataclass(frozen=True)
 class Term:
     """A pure function of the task, and the numbers it is called with beside its inputs."""
+
+    gives: ClassVar[str] = "a number"  # for `fits`
 
     function: tyro.conf.Suppress[Callable[..., Any]]
     params: Params = None  # keyword arguments of the function: a dict of numbers, or None
@@ -49,9 +54,38 @@ class Term:
             flag = f"{name}.{own.name}".removesuffix(".scale")
             check_value(flag, getattr(self, own.name), own.type)
 
-    def __call__(self, *inputs: Any) -> Any:
-        """The function's value for its inputs."""
-        return self.function(*inputs, **(self.params or {}))
+    def value(self, what: str, *inputs: Any) -> Any:
+        """The function's value for its inputs; `what` names the term.
+
+        `UserError` says in one line where it fails or has another shape than this kind of term.
+        """
+        file, line = _place(self.function)
+        try:
+            value = self.function(*inputs, **(self.params or {}))
+        except UserError:
+            raise
+        except Exception as error:
+            said = f"{type(error).__name__}: {error}".partition("\n")[0]
+            line = line_in(file, error) or line
+            raise UserError(
+                f"{file}, line {line}: the {what} does not give {self.gives}: {said}"
+            ) from error
+        known = isinstance(value, jax.Array | np.ndarray | np.generic | float | int)
+        if not known or not self.fits(np.shape(value)):
+            found = f"an array of shape {np.shape(value)}" if known else f"a {type(value).__name__}"
+            raise UserError(f"{file}, line {line}: the {what} gives {found}; expected {self.gives}")
+        return value
+
+    @staticmethod
+    def fits(shape: tuple[int, ...]) -> bool:
+        """Whether values have the right shape."""
+        return shape == ()
+
+
+def _place(function: Callable[..., Any]) -> tuple[str, int]:
+    """The file that a function is defined in, and the line."""
+    code = getattr(inspect.unwrap(function), "__code__", None)
+    return (code.co_filename, code.co_firstlineno) if code else (repr(function), 0)
 
 
 @dataclass(frozen=True)
@@ -66,6 +100,8 @@ class Reward(Term):
 class Observation(Term):
     """A part of the observation: `function(robot, state)`, a number or a vector."""
 
+    gives: ClassVar[str] = "a number or a vector"
+
     # names of its numbers; by default none for one, x y z for three, joints for twelve
     labels: tyro.conf.Suppress[tuple[str, ...]] = field(default=(), kw_only=True)
     # standard deviation of the sensor noise at level 1, in the observation's unit
@@ -77,6 +113,10 @@ class Observation(Term):
     def sensor(self) -> bool:
         """Whether it is a sensor's reading, which may be late; commands and actions are known."""
         return self.noise > 0.0
+
+    @staticmethod
+    def fits(shape: tuple[int, ...]) -> bool:
+        return len(shape) < 2
 
     def names(self, name: str, size: int, joints: tuple[str, ...]) -> tuple[str, ...]:
         """A name for each of its `size` numbers, of a robot with these 12 joints."""
@@ -100,3 +140,13 @@ class Termination(Term):
 @dataclass(frozen=True)
 class ActionMap(Term):
     """What an action means: `function(robot, action, joints)`, joint targets (12,) in rad."""
+
+    gives: ClassVar[str] = "12 joint targets"
+
+    @staticmethod
+    def fits(shape: tuple[int, ...]) -> bool:
+        return shape == (12,)
+
+    def __call__(self, robot: Any, action: Any, joints: Any) -> Any:
+        """The joint targets (12,), rad."""
+        return self.value("action map", robot, action, joints)

@@ -474,17 +474,20 @@ class Iteration:
             compiler_options=learner_options(mesh.devices.flat[0].platform),
         )
 
-    def compile(self, state: TrainState) -> None:
-        """Compile for states like this, both programs at once."""
+    def trace(self, state: TrainState) -> None:
+        """Trace both programs for states like this: what the task's functions cannot do shows."""
         collecting = self._collect.lower(*state, self._ground)
         _, data, _, key = collecting.out_info
         data, key = jax.tree.map(
             lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype, sharding=self._split), (data, key)
         )
-        learning = self.learn.lower(state.learner, data, key)
+        self._collect, self.learn = collecting, self.learn.lower(state.learner, data, key)
+
+    def compile(self) -> None:
+        """Compile both, once traced, at the same time."""
         with ThreadPoolExecutor() as pool:
             self._collect, self.learn = pool.map(
-                lambda lowered: lowered.compile(), (collecting, learning)
+                lambda traced: traced.compile(), (self._collect, self.learn)
             )
         release_freed_memory()
 

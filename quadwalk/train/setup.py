@@ -78,6 +78,12 @@ def prepare(
     env = QuadrupedEnv(quadruped, config.env)
     networks = make_networks(config.ppo, env.policy_size, env.action_size, len(env.critic_names))
     mesh = ppo.make_mesh(devices)
+    state = ppo.init_state(env, networks, config.ppo, mesh, config.envs, config.seed)
+    batch = config.envs * config.ppo.unroll
+    iterate = ppo.Iteration(
+        env, networks, config.ppo, mesh, iterations=math.ceil(config.steps / batch)
+    )
+    iterate.trace(state)  # before there is a run: a task whose functions fail leaves none
     main = config.distributed.process == 0
     run = distributed.together(
         lambda: _open_run(config, previous, quadruped, progress, stack) if main else None
@@ -88,7 +94,6 @@ def prepare(
     )
 
     progress.phase("compiling", 25.0)
-    state = ppo.init_state(env, networks, config.ppo, mesh, config.envs, config.seed)
     metrics = TrainingMetrics(config.env.reward)
     steps, seconds = 0, 0.0
     if previous is not None:
@@ -98,11 +103,7 @@ def prepare(
         else:
             state, steps, seconds = restore(path, config, state, metrics)
             progress.message(f"going on from {path}, after {steps:,} steps")
-    batch = config.envs * config.ppo.unroll
-    iterate = ppo.Iteration(
-        env, networks, config.ppo, mesh, iterations=math.ceil(config.steps / batch)
-    )
-    iterate.compile(state)
+    iterate.compile()
     return Training(
         config, run, previous is not None, quadruped, env.policy_size, env.mj_model,
         metrics, state, steps, seconds, batch, iterate,
