@@ -11,8 +11,6 @@ from quadwalk.errors import UsageError
 from quadwalk.paths import ALIENGO_URDF
 from quadwalk.task.config import EnvConfig
 
-Rate = Annotated[float, Bounds(0.0, 1.0, open="low")]
-
 
 @dataclass(frozen=True)
 class RobotConfig(Settings, group="robot"):
@@ -33,11 +31,11 @@ class PPOConfig(Settings, group="ppo"):
     unroll: Count  # control steps of each environment in an iteration
     minibatches: Count  # the iteration's data is cut into so many
     epochs: Count  # passes over the data
-    learning_rate: Rate  # Adam's, at the start
+    learning_rate: Positive  # Adam's, at the start
     desired_kl: Positive  # the learning rate adapts to keep the policy's change near this
     final_kl: Positive  # desired_kl falls to this over the share `settle` of the steps, the last
-    min_learning_rate: Rate  # the learning rate's lower bound
-    max_learning_rate: Rate  # the learning rate's upper bound
+    min_learning_rate: Positive  # the learning rate's lower bound
+    max_learning_rate: Positive  # the learning rate's upper bound
     discount: Annotated[float, Bounds(0.0, 1.0, open="high")]  # weight of the next step's return
     gae_lambda: Share  # of generalised advantage estimation
     clip: Positive  # how far the probability ratio may be from 1
@@ -53,7 +51,8 @@ class PPOConfig(Settings, group="ppo"):
     # share of the falls after which the next episode is under the same conditions once more: so
     # what is hard to bear is met more often
     retry: Annotated[float, Bounds(0.0, 1.0, open="high")] = 0.0
-    settle: Rate = 0.4  # share of the steps, the last, over which the policy settles
+    # share of the steps, the last, over which the policy settles
+    settle: Annotated[float, Bounds(0.0, 1.0, open="low")] = 0.4
 
     def __post_init__(self) -> None:
         super().__post_init__()

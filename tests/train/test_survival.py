@@ -238,7 +238,7 @@ def test_a_learner_that_is_lost_leaves_what_was_good(tmp_path, flags, train):
     good = {path: path.read_bytes() for path in (run.policy, run.best, run.checkpoint(256))}
     arguments = [f"--runs={tmp_path}", "--resume=lost", "--steps=1280", OFTEN]
     with pytest.raises(UserError, match="no longer finite") as caught:
-        train(*arguments, "--ppo.learning-rate=1e38", "--ppo.max-learning-rate=1e38")
+        train(*arguments, "--ppo.learning-rate=1e12", "--ppo.max-learning-rate=1e12")
     assert "\n" not in str(caught.value)
     assert str(run.checkpoint(256)) in str(caught.value)
     assert caught.value.exit_status == 1
