@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from brax.envs.base import State
 
-from quadwalk.evaluate.simulate import CHUNK, Policy, Report, over_devices
+from quadwalk.evaluate.simulate import CHUNK, ROOM, Policy, Report, over_devices
 from quadwalk.evaluate.subject import Subject
 from quadwalk.evaluate.summary import (
     SETTLING,
@@ -35,8 +35,8 @@ from quadwalk.train.robot import load_run_robot
 
 PACE = 0.7  # m/s
 # Episodes at a time: about an eighth of all, since what has ended at the end is stepped on until
-# the last has; in multiples of `ROOM`, which devices can share, and not more than `MOST`.
-ROOM, MOST = 64, 2048
+# the last has; in multiples of `ROOM`, and not more than this.
+MOST = 2048
 ROWS, LEAST_ROWS = 32, 4  # of tiles, shared out to the kinds: no two of a cell are alike
 
 

@@ -1,8 +1,7 @@
 """A run's policy rolled out and measured: what the command writes down, and a notebook looks at."""
 
-import itertools
 import json
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -12,7 +11,7 @@ from quadwalk.evaluate.motion.gait import Gait, gait_metrics, measure_gait
 from quadwalk.evaluate.recording.mcap import write_mcap
 from quadwalk.evaluate.recording.provenance import attachments, provenance
 from quadwalk.evaluate.rollout import Rollout
-from quadwalk.evaluate.simulate import Report, in_groups, with_foot_forces
+from quadwalk.evaluate.simulate import GROUP, Report, simulate_episodes, with_foot_forces
 from quadwalk.evaluate.subject import Subject
 from quadwalk.evaluate.summary import (
     episode_figures,
@@ -37,7 +36,6 @@ class Evaluation:
     seed: int
     rollouts: list[Rollout]  # of all, or of the first
     episodes: list[dict[str, Any]]  # the figures of each, as `episode_figures` defines them
-    groups: Mapping[range, Callable[[], Iterable[Rollout]]]  # to simulate the others again
 
     @cached_property
     def summary(self) -> dict[str, Any]:
@@ -47,11 +45,11 @@ class Evaluation:
     @cached_property
     def typical(self) -> Rollout:
         """The episode of median speed: the one to look at."""
-        number = typical_episode(self.episodes)
+        number, count = typical_episode(self.episodes), len(self.episodes)
         if number < len(self.rollouts):
             return self.rollouts[number]
-        (group,) = (group for numbers, group in self.groups.items() if number in numbers)
-        return next(rollout for rollout in group() if rollout.episode == number)
+        env, act = self.subject.env, self.subject.policy.act
+        return next(simulate_episodes(env, act, count, self.seed, only=number))
 
     @cached_property
     def gait(self) -> Gait:
@@ -120,15 +118,14 @@ def measure(
     or all: one of 20 s is 1 MB.
     """
     env = subject.env
-    groups = in_groups(env, subject.policy.act, episodes, seed, report)
-    found = Evaluation(subject, seed, [], [], groups)
-    for rollout in itertools.chain.from_iterable(group() for group in groups.values()):
+    found = Evaluation(subject, seed, [], [])
+    for rollout in simulate_episodes(env, subject.policy.act, episodes, seed, report):
         weight, limits = weight_of(rollout, env.mj_model), motor_limits(rollout, env.quadruped)
         own = episode_figures(rollout, env.config.reward, weight, limits)
         if rollout.conditions is not None:
             own["conditions"] = as_values(rollout.conditions, env.stepping)
         found.episodes.append(own)
-        if whole is None or len(groups) == 1 or rollout.episode < whole:
+        if whole is None or episodes <= GROUP or rollout.episode < whole:
             found.rollouts.append(rollout)
     return found
 

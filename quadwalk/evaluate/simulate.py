@@ -33,7 +33,7 @@ Report = Callable[[int], None]  # is told how many control steps of the episodes
 
 CHUNK = 50  # control steps between looks at whether every episode has ended
 GROUP = 512  # episodes at a time, at most: those of 20 s take 0.8 GB of memory
-SHARED = 64  # in multiples of this, where there are several groups
+ROOM = 64  # many episodes go in multiples of this, which devices can share
 
 
 class Frame(NamedTuple):
@@ -56,22 +56,17 @@ class Frame(NamedTuple):
 
 
 def simulate_episodes(
-    env: QuadrupedEnv, policy: Policy, episodes: int, seed: int, report: Report | None = None
-) -> list[Rollout]:
+    env: QuadrupedEnv,
+    policy: Policy,
+    episodes: int,
+    seed: int,
+    report: Report | None = None,
+    only: int | None = None,
+) -> Iterator[Rollout]:
     """Roll `policy` out from `episodes` fresh starts, until each falls or meets the time limit.
 
-    The rollouts are without foot forces.
-    """
-    groups = in_groups(env, policy, episodes, seed, report)
-    return [rollout for group in groups.values() for rollout in group()]
-
-
-def in_groups(
-    env: QuadrupedEnv, policy: Policy, episodes: int, seed: int, report: Report | None = None
-) -> dict[range, Callable[[], Iterator[Rollout]]]:
-    """`simulate_episodes`, up to `GROUP` at a time: of each group its numbers and its simulation.
-
-    So whoever lets go of rollouts needs no more memory for more episodes.
+    Up to `GROUP` at a time, so that whoever lets go of rollouts needs no more memory for more of
+    them. `only`: that one again, in the company it had. The rollouts are without foot forces.
     """
 
     @env.jit
@@ -83,22 +78,23 @@ def in_groups(
 
         return jax.lax.scan(one_step, state, None, length=CHUNK)
 
-    count = math.ceil(episodes / GROUP)
-    # All groups are of one size, for one program, and such as devices can share.
-    size = episodes if count == 1 else SHARED * math.ceil(episodes / count / SHARED)
     starts, steps = fresh_starts(env, episodes, seed), env.config.episode_steps
+    groups = math.ceil(episodes / GROUP)
+    # Of one size, for one program; the last begins with some of the one before.
+    size = min(ROOM * math.ceil(episodes / groups / ROOM), episodes)
 
-    def group(k: int, numbers: range) -> Iterator[Rollout]:
-        first = numbers.stop - size  # in the last group there are also some of the one before
-        start = jax.tree.map(lambda x: x[first : numbers.stop], starts)
-        initial = jax.device_get(start.pipeline_state)
-        told = report and (lambda done: report((k * steps + min(done, steps)) // count))
-        frames = until_all_ended(partial(chunk, policy), over_devices(env, start), steps, told)
-        for number in numbers:
-            yield _rollout(env, initial, frames, seed, number, number - first)
+    def of_group(k: int) -> Iterator[Rollout]:
+        numbers = range(k * size, min((k + 1) * size, episodes))
+        first = numbers.stop - size
+        own = jax.tree.map(lambda x: x[first : numbers.stop], starts)
+        initial = jax.device_get(own.pipeline_state)
+        told = report and (lambda done: report((k * steps + min(done, steps)) // groups))
+        chunks = until_all_ended(partial(chunk, policy), over_devices(env, own), told)
+        for number in numbers if only is None else [only]:
+            yield _rollout(env, initial, chunks, seed, number, number - first)
 
-    ranges = [range(k * size, min((k + 1) * size, episodes)) for k in range(count)]
-    return {numbers: partial(group, k, numbers) for k, numbers in enumerate(ranges)}
+    for k in range(groups) if only is None else [only // size]:
+        yield from of_group(k)
 
 
 def fresh_starts(env: QuadrupedEnv, episodes: int, seed: int) -> State:
@@ -149,38 +145,30 @@ def _frame(env: QuadrupedEnv, before: State, action: jax.Array, state: State) ->
 
 
 def until_all_ended(
-    chunk: Callable[[Any], tuple[Any, Frame]],
-    state: Any,
-    steps: int,
-    report: Report | None = None,
-) -> Frame:
+    chunk: Callable[[Any], tuple[Any, Frame]], state: Any, report: Report | None = None
+) -> list[Frame]:
     """Repeat `chunk`, state to (state, frames of `CHUNK` steps), until each episode has ended.
 
-    That is after `steps` at most. Returns the frames one after another, on the host. `report`
-    hears after each chunk.
+    Returns the frames of each chunk, on the host. `report` hears after each.
     """
-    longest = CHUNK * math.ceil(steps / CHUNK)
-    frames, done, ended = None, 0, False
+    chunks: list[Frame] = []
+    ended = False
     while not np.all(ended):
-        state, found = chunk(state)
-        found = jax.device_get(found)
-        if frames is None:  # what is never written to takes no memory
-            frames = jax.tree.map(lambda x: np.empty((longest, *x.shape[1:]), x.dtype), found)
-        for whole, part in zip(jax.tree.leaves(frames), jax.tree.leaves(found), strict=True):
-            whole[done : done + CHUNK] = part
-        done += CHUNK
-        ended |= (found.end > 0).any(axis=0)
+        state, frames = chunk(state)
+        chunks.append(jax.device_get(frames))
+        ended |= (chunks[-1].end > 0).any(axis=0)
         if report is not None:
-            report(done)
-    return jax.tree.map(lambda x: x[:done], frames)
+            report(CHUNK * len(chunks))
+    return chunks
 
 
 def _rollout(
-    env: QuadrupedEnv, initial: EnvState, frames: Frame, seed: int, number: int, i: int
+    env: QuadrupedEnv, initial: EnvState, chunks: list[Frame], seed: int, number: int, i: int
 ) -> Rollout:
     """Row `i` of a batch, which is episode `number`, cut at its end."""
-    steps = int(np.argmax(frames.end[:, i] > 0)) + 1
-    one: Frame = jax.tree.map(lambda x: x[:steps, i].copy(), frames)
+    whole = jax.tree.map(lambda *parts: np.concatenate([x[:, i] for x in parts]), *chunks)
+    steps = int(np.argmax(whole.end > 0)) + 1
+    one: Frame = jax.tree.map(lambda x: x[:steps], whole)
     qpos = np.concatenate([initial.qpos[None, i], one.qpos]).astype(float)
     qvel = np.concatenate([initial.qvel[None, i], one.qvel]).astype(float)
     return Rollout(

@@ -270,26 +270,25 @@ def conditions_at(env: QuadrupedEnv, point: Point, key: jax.Array, kept: int) ->
         targets=base.targets,
         sensor_delay=base.sensor_delay if drawn.sensor_delay is None else drawn.sensor_delay,
     )
-    mixed = possible(
-        jax.tree.map(
-            lambda usual, own: usual + point.everything * (own - usual),
-            base._replace(key=jnp.zeros(())),
-            drawn._replace(key=jnp.zeros(())),
-        )
+    mixed = jax.tree.map(
+        lambda usual, own: usual + point.everything * (own - usual),
+        base._replace(key=jnp.zeros(())),
+        drawn._replace(key=jnp.zeros(())),
     )
     usual = mixed.variation
     assert usual is not None
-    least = -0.9 * env.geometry.trunk.mass  # kg: it keeps a tenth
+    lightest = -0.9 * env.geometry.trunk.mass  # kg: a tenth is left
     sides = jax.random.rademacher(jax.random.fold_in(key, 1), (12,), jnp.float32)
+    variation = usual._replace(
+        friction=usual.friction - env.friction + point.friction,
+        trunk_mass=jnp.maximum(usual.trunk_mass + point.mass, lightest),
+        trunk_centre=usual.trunk_centre + jnp.array([1.0, 0.0, 0.0]) * point.centre,
+        strength=usual.strength * point.strength / 100.0,
+        kp=usual.kp * point.kp / 100.0,
+        kd=usual.kd * point.kd / 100.0,
+    )
     return mixed._replace(
-        variation=usual._replace(
-            friction=usual.friction - env.friction + point.friction,
-            trunk_mass=jnp.maximum(usual.trunk_mass, least) + point.mass,
-            trunk_centre=usual.trunk_centre + jnp.array([1.0, 0.0, 0.0]) * point.centre,
-            strength=usual.strength * point.strength / 100.0,
-            kp=usual.kp * point.kp / 100.0,
-            kd=usual.kd * point.kd / 100.0,
-        ),
+        variation=possible(variation),
         delay=mixed.delay + point.delay / (1000.0 * stepping.dt),
         sensor_delay=mixed.sensor_delay + point.sensor_delay / 1000.0 / stepping.control_dt,
         push=mixed.push + jnp.stack([point.push_ahead, point.push]),

@@ -63,13 +63,13 @@ def judged(subject, tmp_path_factory):
     out, said, kept = tmp_path_factory.mktemp("judged"), io.StringIO(), {}
 
     def keeping(env, *rest):
-        kept[env.engine] = simulate_episodes(env, *rest)
-        return {range(EPISODES): lambda: kept[env.engine]}
+        kept[env.engine] = list(simulate_episodes(env, *rest))
+        return kept[env.engine]
 
     config = EvalConfig(episodes=EPISODES, seconds=SECONDS, engine="mujoco", seed=1, mcap=1)
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("COLUMNS", "120")
-        patch.setattr(measuring, "in_groups", keeping)
+        patch.setattr(measuring, "simulate_episodes", keeping)
         results = judge(subject.in_engine("mujoco"), config, out, Console(file=said, width=200))
     return results, out, said.getvalue(), kept["mjx"]
 

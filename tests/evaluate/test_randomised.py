@@ -51,7 +51,7 @@ def tremble():
 
 @pytest.fixture(scope="module")
 def rollouts(env):
-    return simulate_episodes(env, tremble(), EPISODES, seed=0)
+    return list(simulate_episodes(env, tremble(), EPISODES, seed=0))
 
 
 def test_each_episode_has_what_was_drawn_for_it(env, rollouts):
@@ -121,7 +121,7 @@ def test_figures_are_relative_to_the_robot_that_was_drawn(env, rollouts, weight,
     qpos = rollout.qpos.copy()
     qpos[:, 0] = np.linspace(0.0, 3.0, len(qpos))
     rollout = dataclasses.replace(rollout, torque=torque, qpos=qpos)
-    monkeypatch.setattr(measuring, "in_groups", lambda *_: {range(1): lambda: [rollout]})
+    monkeypatch.setattr(measuring, "simulate_episodes", lambda *_: [rollout])
     subject = SimpleNamespace(env=env, policy=SimpleNamespace(act=None))
     (figures,) = measuring.measure(subject, 1, 0).episodes
     gait = measure_gait(rollout, env.quadruped)
@@ -138,7 +138,8 @@ def test_figures_are_relative_to_the_robot_that_was_drawn(env, rollouts, weight,
 
 def test_episodes_in_groups_are_those_of_one_batch(env, rollouts, monkeypatch):
     monkeypatch.setattr(simulating, "GROUP", 2)
-    monkeypatch.setattr(simulating, "SHARED", 1)
+    monkeypatch.setattr(measuring, "GROUP", 2)
+    monkeypatch.setattr(simulating, "ROOM", 1)
     subject = SimpleNamespace(env=env, policy=SimpleNamespace(act=tremble()))
     reported: list[int] = []
     found = measuring.measure(subject, EPISODES, 0, reported.append, whole=1)

@@ -157,7 +157,7 @@ def test_an_episode_has_one_command_which_its_policy_sees(quadruped, monkeypatch
     monkeypatch.setattr(subject, "load_run_robot", lambda *_: quadruped)
     (tmp_path / "policy.npz").write_bytes(b"weights")
     env = subject.load_subject(Run(tmp_path), 0.2, engine="mujoco").env
-    rollouts = simulate_episodes(env, act, 2, seed=0)
+    rollouts = list(simulate_episodes(env, act, 2, seed=0))
     for rollout in rollouts:
         assert rollout.command.shape == (10, 3)
         assert (rollout.command == rollout.command[0]).all()

@@ -94,7 +94,7 @@ def draw_conditions(
     late = draw(config.sensor_latency, 0.0) / stepping.control_dt
     froude = math.sqrt(robot.gravity * robot.home_height)  # m/s
     drawn = Conditions(
-        variation=variation,
+        variation=possible(variation),
         delay=draw(config.latency, 0.0) / stepping.dt,
         sensor_delay=None if config.sensor_latency is None else late,
         push=froude * _within(config.push, config.margin, take((2,))),
@@ -105,22 +105,13 @@ def draw_conditions(
         key=key_episode,
     )
     assert taken == _DRAWN
-    return possible(drawn)
+    return drawn
 
 
-def possible(conditions: Conditions) -> Conditions:
-    """`conditions`, but that what is less than it can be is as little as it can."""
-    usual = conditions.variation
-    assert usual is not None
-    variation = usual._replace(
-        **{name: jnp.maximum(getattr(usual, name), least) for name, least in _LEAST.items()}
-    )
-    late = conditions.sensor_delay
-    return conditions._replace(
-        variation=variation,
-        delay=jnp.maximum(conditions.delay, 0.0),
-        sensor_delay=None if late is None else jnp.maximum(late, 0.0),
-        noise=jnp.maximum(conditions.noise, 0.0),
+def possible(variation: Variation) -> Variation:
+    """`variation`, but that what is less than it can be is as little as it can."""
+    return variation._replace(
+        **{name: jnp.maximum(getattr(variation, name), least) for name, least in _LEAST.items()}
     )
 
 
