@@ -17,6 +17,7 @@ from onnx import TensorProto, helper, numpy_helper
 from quadwalk.errors import UserError
 from quadwalk.export.joint_targets import JointTargets
 from quadwalk.task.env import QuadrupedEnv
+from quadwalk.train.networks import divisors
 
 OPSET = 17
 IR_VERSION = 8  # that of the opset, so that older runtimes read it: ONNX Runtime 1.12 and later
@@ -42,7 +43,7 @@ class Weights:
     """What a policy learnt: its normaliser and its layers."""
 
     mean: np.ndarray  # (n,)
-    std: np.ndarray  # (n,)
+    std: np.ndarray  # (n,) of what varied, else 1
     layers: list[tuple[np.ndarray, np.ndarray]]  # kernel (in, out) and bias (out,) of each
     activation: str  # of all layers but the last
 
@@ -56,7 +57,8 @@ class Weights:
         ]
         kernel, bias = layers[-1]
         layers[-1] = kernel[:, : len(bias) // 2], bias[: len(bias) // 2]
-        return cls(np.asarray(normalizer.mean), np.asarray(normalizer.std), layers, activation)
+        spread = np.asarray(divisors(normalizer))
+        return cls(np.asarray(normalizer.mean), spread, layers, activation)
 
 
 def _number(layer: str) -> int:

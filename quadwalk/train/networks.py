@@ -22,6 +22,9 @@ from brax.training.networks import (
 from quadwalk.errors import UsageError
 from quadwalk.train.settings import PPOConfig
 
+# Of a number's standard deviation, as a share of its mean or, if that is less than 1, of 1.
+CONSTANT = 1e-4
+
 
 class Networks(NamedTuple):
     """What Brax's `PPONetworks` holds, and the policy once more, for programs that only act."""
@@ -78,12 +81,22 @@ def _on_rows(network: FeedForwardNetwork, size: int) -> FeedForwardNetwork:
 
     def apply(normalizer: Any, params: Any, observation: jax.Array) -> jax.Array:
         several = observation.shape[:-1]
-        statistics = NestedMeanStd(normalizer.mean[:size], normalizer.std[:size])
+        statistics = NestedMeanStd(normalizer.mean[:size], divisors(normalizer)[:size])
         rows = observation[..., :size].reshape(-1, size)
         out: jax.Array = network.apply(statistics, params, rows)
         return out.reshape(*several, *out.shape[1:])
 
     return FeedForwardNetwork(init=network.init, apply=apply)
+
+
+def divisors(normalizer: NestedMeanStd) -> jax.Array:
+    """What the numbers of an observation, less their means, are divided by (n,): their spread.
+
+    It is 1 where a number has been constant so far, but for rounding: it may vary yet, and
+    nothing says by how much.
+    """
+    least = CONSTANT * jnp.maximum(jnp.abs(normalizer.mean), 1.0)
+    return jnp.where(normalizer.std < least, 1.0, normalizer.std)
 
 
 class NormalTanh(NormalTanhDistribution):

@@ -372,9 +372,7 @@ def learn(
     first = learner.iterations == 0
     params, state = jax.tree.map(lambda old, new: jnp.where(first, old, new), before, after)
     # After learning: the divergence from the collecting policy is then a matter of weights alone.
-    normalizer = running_statistics.update(
-        learner.normalizer, data.observation, pmap_axis_name=AXIS
-    )
+    normalizer = _measured(learner.normalizer, data.observation, first)
     return Learner(params, state, normalizer, learner.iterations + 1), {
         "loss/policy": jnp.mean(metrics["policy_loss"]),
         "loss/value": jnp.mean(metrics["v_loss"]),
@@ -382,6 +380,16 @@ def learn(
         "policy/std": metrics["policy_dist_mean_std"][-1, -1],
         "learning_rate": metrics["learning_rate"][-1, -1],
     }
+
+
+def _measured(
+    normalizer: running_statistics.RunningStatisticsState, observation: jax.Array, first: jax.Array
+) -> running_statistics.RunningStatisticsState:
+    """`normalizer` with `observation` (envs, unroll, n) in its statistics."""
+    # The first are counted from one of them and not from 0: rounding would spread a constant 0.7.
+    one = jax.lax.pmean(observation[0, 0], AXIS)
+    begun = normalizer.replace(mean=jnp.where(first, one, normalizer.mean))
+    return running_statistics.update(begun, observation, pmap_axis_name=AXIS)
 
 
 def adapted(config: PPOConfig, rate: jax.Array, kl: jax.Array, desired_kl: jax.Array) -> jax.Array:

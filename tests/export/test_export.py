@@ -57,11 +57,11 @@ def untrained_run(path: Path, task: str, quadruped) -> Run:
     env = QuadrupedEnv(quadruped, config.env)
     networks = make_networks(config.ppo, env.policy_size, 12)
     rng = np.random.default_rng(0)
+    mean = np.float32(rng.normal(0, 0.1, env.policy_size))
+    std = np.float32(rng.uniform(1, 3, env.policy_size))
+    std[3] = 1e-6  # as of a number that never varied
     learner = SimpleNamespace(
-        normalizer=SimpleNamespace(
-            mean=np.float32(rng.normal(0, 0.1, env.policy_size)),
-            std=np.float32(rng.uniform(1, 3, env.policy_size)),
-        ),
+        normalizer=SimpleNamespace(mean=mean, std=std),
         params=SimpleNamespace(policy=networks.policy_network.init(jax.random.PRNGKey(0))),
     )
     path.mkdir()

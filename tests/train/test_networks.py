@@ -93,6 +93,21 @@ def test_the_policy_needs_no_more_than_it_sees(pair, statistics):
     np.testing.assert_array_equal(policy(observation), policy(other))
 
 
+def test_what_never_varied_is_passed_on_less_its_mean(pair, statistics):
+    ours, _, params = pair
+    mean, std = statistics[0].mean, statistics[0].std
+    never = NestedMeanStd(mean.at[:2].set([0.0, 50.0]), std.at[:2].set([1e-6, 1e-3]))
+    passed = NestedMeanStd(never.mean, std.at[:2].set(1.0))
+    observation = jnp.asarray(np.random.default_rng(3).normal(size=(5, SEEN + MORE)), jnp.float32)
+    for network, weights in (
+        (ours.acting_network, params.policy),
+        (ours.policy_network, params.policy),
+        (ours.value_network, params.value),
+    ):
+        found, expected = (network.apply(own, weights, observation) for own in (never, passed))
+        np.testing.assert_array_equal(found, expected)
+
+
 @pytest.mark.parametrize(("std", "tolerance"), [(0.1, 0.001), (0.35, 0.02), (0.7, 0.12)])
 @pytest.mark.parametrize("mean", [-1.5, 0.0, 0.5])
 def test_the_entropy_is_near_the_mean_of_brax_samples(std, tolerance, mean):

@@ -283,6 +283,49 @@ def test_the_first_iteration_only_measures_the_observations(networks, iterate):
     )
 
 
+class Late(Counter):
+    """Shows its action too, some steps after its first start, and a number that never varies."""
+
+    observation_size = 4
+    constant = 0.7
+
+    def __init__(self, late: int) -> None:
+        self.late = late
+
+    def reset(self, rng: jax.Array) -> State:
+        return self._shown(super().reset(rng), jnp.zeros(()), jnp.zeros(()))
+
+    def step(self, state: State, action: jax.Array) -> State:
+        age = state.info["age"] + 1.0
+        shown = jnp.where(age >= self.late, action[0], 0.0)
+        return self._shown(super().step(state, action), age, shown)
+
+    def _shown(self, state: State, age: jax.Array, shown: jax.Array) -> State:
+        obs = jnp.concatenate([state.obs, jnp.stack([shown, jnp.float32(self.constant)])])
+        return state.replace(obs=obs, info={**state.info, "age": age})
+
+
+@pytest.mark.parametrize("unroll", [1, 5])
+def test_a_number_that_is_constant_in_the_first_iteration_changes_no_policy_beyond_measure(unroll):
+    config = dataclasses.replace(CONFIG, unroll=unroll)
+    networks, env, mesh = make_networks(config, 4, 2), Late(unroll), ppo.make_mesh()
+    iterate = ppo.Iteration(env, networks, config, mesh, iterations=150)
+    state = ppo.init_state(env, networks, config, mesh, ENVS, 0)
+    stds, divergences = [], []
+    for _ in range(6):
+        state, metrics = jax.block_until_ready(iterate(state))
+        stds.append(np.asarray(state.learner.normalizer.std))
+        divergences.append(float(metrics["loss/kl"]))
+    assert stds[0][2] < 1e-5
+    assert stds[-1][2] > 0.1
+    assert max(divergences) < 1.0
+    # What never varied is never divided by its rounding errors.
+    learner = jax.device_get(state.learner)
+    policy = mean_policy(networks, learner.normalizer, learner.params.policy)
+    usual, other = jnp.array([2.0, 0.3, 0.0, env.constant]), jnp.array([2.0, 0.3, 0.0, 1.0])
+    assert np.abs(policy(other) - policy(usual)).max() < 0.3
+
+
 def test_the_same_seed_gives_the_same_numbers_and_another_does_not(networks, iterate):
     def train(seed: int):
         state = start(networks, seed)
