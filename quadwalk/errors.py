@@ -9,6 +9,10 @@ class UserError(Exception):
 
     exit_status = 1
 
+    def __str__(self) -> str:
+        # A name in a file, or what a library says, may hold more lines.
+        return " ".join(super().__str__().splitlines())
+
 
 class UsageError(UserError):
     """A flag, name or value on the command line that cannot be used."""

@@ -38,6 +38,11 @@ def atomic_write(path: Path | str) -> Iterator[BinaryIO]:
     _sync_folder(path.parent)
 
 
+def real_path(path: Path) -> Path:
+    """Absolute, without symbolic links; those that go round stay, where `Path.resolve` raises."""
+    return Path(os.path.realpath(path))
+
+
 def os_reason(error: OSError) -> str:
     """The system's reason alone ("No space left on device"), without numbers or paths."""
     return error.strerror or str(error) or type(error).__name__

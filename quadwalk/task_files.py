@@ -17,7 +17,7 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 from quadwalk.errors import UsageError, UserError
-from quadwalk.files import os_reason
+from quadwalk.files import os_reason, real_path
 
 if TYPE_CHECKING:
     from quadwalk.train.settings import TrainConfig
@@ -98,7 +98,7 @@ def own_file(functions: list[Callable[..., Any]]) -> bytes | None:
 
 def _import(path: Path) -> ModuleType:
     """Run a task's file as a module; the same content from the same place is run once."""
-    path = path.resolve()
+    path = real_path(path)
     try:
         source = path.read_bytes()
     except OSError as error:

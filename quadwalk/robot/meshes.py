@@ -14,12 +14,14 @@ import numpy as np
 import yourdfpy
 from lxml import etree
 
+from quadwalk.files import real_path
 from quadwalk.robot.checks.validate import UrdfError
 from quadwalk.robot.report import Report
 
 KINDS = (".dae", ".obj", ".stl")
 MAX_BYTES = 64 * 2**20
 MAX_PACKAGE_BYTES = 2**20
+LARGEST = 1e6  # m, from the link's frame
 FLATTEST = 1e-5  # thinnest over longest extent of a mesh; thinner ones are flat for MuJoCo's hulls
 # Beside the meshes' folder in a package, by ROS's custom; a package need not have a package.xml.
 URDF_FOLDERS = ("urdf", "urdfs", "robots", "xacro")
@@ -56,8 +58,11 @@ def find_mesh(name: str, folders: list[Path], source: str) -> Path:
         folders: where to look, the URDF's own first.
         source: what error messages call the URDF.
     """
-    place = urlsplit(name)
     where = f"{source}: mesh '{name}'"
+    try:
+        place = urlsplit(name)
+    except ValueError as error:
+        raise MissingMeshError(f"{where} is no name: {error}; expected a file") from None
     allowed = [*folders, *filter(None, map(_package_around, folders))]
     if place.scheme in ("package", "model"):
         # Some write package:///PACKAGE/rest.
@@ -75,8 +80,8 @@ def find_mesh(name: str, folders: list[Path], source: str) -> Path:
     outside = False
     for candidate in candidates:
         try:
-            file = candidate.resolve()
-            if not any(file.is_relative_to(folder.resolve()) for folder in allowed):
+            file = real_path(candidate)
+            if not any(file.is_relative_to(real_path(folder)) for folder in allowed):
                 outside = True
             elif file.is_file():
                 return file
@@ -89,7 +94,7 @@ def find_mesh(name: str, folders: list[Path], source: str) -> Path:
 
 def _package_called(name: str, folder: Path) -> Path | None:
     """The nearest folder, `folder` or above it, that is the package `name`."""
-    for place in (folder.resolve(), *folder.resolve().parents):
+    for place in (real_path(folder), *real_path(folder).parents):
         if name and (place.name == name or _declared(place) == name):
             return place
     return None
@@ -97,7 +102,7 @@ def _package_called(name: str, folder: Path) -> Path | None:
 
 def _package_around(folder: Path) -> Path | None:
     """The package that `folder` is in: with a package.xml, or above a folder for URDFs."""
-    folder = folder.resolve()
+    folder = real_path(folder)
     for place in (folder, *folder.parents):
         if _declared(place) is not None:
             return place
@@ -136,15 +141,16 @@ def load_mesh(file: Path, scale: np.ndarray, source: str) -> list[MeshPart]:
         raise UrdfError(f"{where} is larger than {MAX_BYTES // 2**20} MB; expected a smaller one")
     try:
         unit = _collada_unit(data) if kind == ".dae" else 1.0
-        scene = trimesh.load_scene(io.BytesIO(data), file_type=kind[1:], resolver=None)
-        meshes = [mesh for mesh in scene.dump() if isinstance(mesh, trimesh.Trimesh)]
-        parts = [_part(mesh, scale * unit, coloured=kind == ".dae") for mesh in meshes]
+        with np.errstate(all="ignore"):
+            scene = trimesh.load_scene(io.BytesIO(data), file_type=kind[1:], resolver=None)
+            meshes = [mesh for mesh in scene.dump() if isinstance(mesh, trimesh.Trimesh)]
+            parts = [_part(mesh, scale * unit, coloured=kind == ".dae") for mesh in meshes]
     except Exception as error:  # the parsers raise whatever a broken file leads them to
         reason = " ".join(str(error).split())[:120] or type(error).__name__
         raise UrdfError(f"{where} is not valid {kind}: {reason}") from None
     parts = [part for part in parts if len(part.faces)]
-    if not parts or not all(np.isfinite(part.vertices).all() for part in parts):
-        raise UrdfError(f"{where} has no triangles, or not finite ones; expected a mesh")
+    if not parts or not all((np.abs(part.vertices) < LARGEST).all() for part in parts):
+        raise UrdfError(f"{where} has no triangles, or some beyond {LARGEST:g} m; expected a mesh")
     return parts
 
 

@@ -29,7 +29,7 @@ class Report:
         lines = []
         for kind, found in self.found.items():
             for what, names in found.items():
-                shown = ", ".join(names[:most])
+                shown = ", ".join(" ".join(name.splitlines()) for name in names[:most])
                 more = f" and {len(names) - most} more" if len(names) > most else ""
                 lines.append(f"{kind}: {what}" + (f": {shown}{more}" if names else ""))
         return lines

@@ -78,7 +78,7 @@ def _restore(hint: Any, value: Any, folder: Path, where: str) -> Any:
         return {k: _restore(item, v, folder, f"{where}.{k}") for k, v in value.items()}
     if origin is tuple and isinstance(value, list | tuple):
         return tuple(_restore(hint.__args__[0], item, folder, where) for item in value)
-    if origin is Path and isinstance(value, str):
+    if origin is Path and isinstance(value, str) and "\0" not in value:
         return Path(value)
     if origin is float and type(value) is int and abs(value) < sys.float_info.max:
         return float(value)

@@ -6,6 +6,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
+from quadwalk.files import real_path
 from quadwalk.robot.quadruped import Quadruped
 from quadwalk.task_files import OWN
 from quadwalk.train import distributed
@@ -59,8 +60,8 @@ def prepare(
     The run is this training's until `stack` is closed.
     """
     # Absolute, so that mesh files are found from wherever the run is used.
-    folders = tuple(folder.resolve() for folder in config.robot.mesh_dirs)
-    robot = replace(config.robot, urdf=config.robot.urdf.resolve(), mesh_dirs=folders)
+    folders = tuple(map(real_path, config.robot.mesh_dirs))
+    robot = replace(config.robot, urdf=real_path(config.robot.urdf), mesh_dirs=folders)
     config = replace(config, robot=robot)
     config, devices = choose_devices(config)
     assert config.envs is not None

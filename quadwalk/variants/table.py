@@ -14,7 +14,7 @@ import numpy as np
 from quadwalk.api import evaluate
 from quadwalk.evaluate.report.plots import save_figure
 from quadwalk.evaluate.summary import figure_mean, number
-from quadwalk.files import atomic_write
+from quadwalk.files import atomic_write, real_path
 from quadwalk.train.flags import parse_config
 from quadwalk.train.runs.directory import Run, write_json_atomic
 from quadwalk.train.runs.log import read_history
@@ -54,7 +54,7 @@ def compare_variants(variants: Sequence[str], config: "CompareConfig") -> None:
         range(config.seeds),
         [config.steps],
         [config.episodes],
-        [config.runs.resolve()],
+        [real_path(config.runs)],
     )
     lines = [_line(("flags", "seed", *COLUMNS)), "|" + "---|" * (2 + len(COLUMNS))]
     print("\n".join(lines), flush=True)

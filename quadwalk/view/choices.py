@@ -4,6 +4,7 @@ from pathlib import Path
 
 from quadwalk.errors import UserError
 from quadwalk.evaluate.subject import Subject, load_subject
+from quadwalk.files import real_path
 from quadwalk.train.runs import checkpoint
 from quadwalk.train.runs.directory import Run, list_checkpoints, list_runs
 from quadwalk.train.runs.policy import Policy, load_checkpoint_policy, load_policy
@@ -14,13 +15,13 @@ NEWEST, BEST = "newest", "best"
 def run_choices(root: Path, chosen: Run) -> dict[str, Run]:
     """Label to run: those in `root`, the one last trained first, and `chosen`."""
     runs = {run.name: run for run in list_runs(root)}
-    same = [name for name, run in runs.items() if run.path.resolve() == chosen.path.resolve()]
+    same = [name for name, run in runs.items() if real_path(run.path) == real_path(chosen.path)]
     return runs if same else {label_of(root, chosen): chosen, **runs}
 
 
 def label_of(root: Path, run: Run) -> str:
     """What `run` is called among those in `root`: its name, or the path of one from elsewhere."""
-    return run.name if run.path.resolve().parent == root.resolve() else str(run.path)
+    return run.name if real_path(run.path).parent == real_path(root) else str(run.path)
 
 
 def policy_choices(run: Run) -> dict[str, Path]:

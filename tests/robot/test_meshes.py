@@ -95,8 +95,15 @@ def test_refuses_names_that_leave_the_folders(package, name):
         find_mesh(name, [package], "r")
 
 
-@pytest.mark.parametrize("name", ["http://example.org/box.stl", "none.stl", "x" * 5000, ""])
+@pytest.mark.parametrize(
+    "name",
+    [
+        *("http://example.org/box.stl", "none.stl", "x" * 5000, "", "http://[", "a\nb", "a\0b"),
+        *("round.stl", "round.stl/a", "package://round.stl/a", "meshes", "file://"),
+    ],
+)
 def test_refuses_what_is_no_file(package, name):
+    (package / "round.stl").symlink_to("round.stl")
     with pytest.raises(UrdfError, match="expected"):
         find_mesh(name, [package], "r")
 
@@ -184,6 +191,12 @@ POINT += "endloop\nendfacet\nendsolid\n"
             "v 1\nf 1 2 3\n",
             "dropped: collision meshes that are broken: a.obj is not valid",
         ),
+        (
+            "a.obj",
+            "v 0 0 0\nv 3e38 0 0\nv 0 1 0\nf 1 2 3\n",
+            "dropped: collision meshes that are broken: a.obj has no triangles, or some beyond",
+        ),
+        ("a\nb.stl", None, "dropped: collision meshes that were not found: a b.stl"),
         ("a.ply", "ply", "dropped: collision meshes that are broken: a.ply is of kind '.ply'"),
         ("a.stl", FLAT, "dropped: flat parts of collision meshes: a.stl"),
         ("a.stl", POINT, "dropped: "),

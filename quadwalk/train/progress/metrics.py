@@ -42,8 +42,8 @@ class TrainingMetrics:
         """Go on from where `state` was taken."""
         self._train_falls = FallRate(EPISODES, state["train_falls"])
         self._eval_falls = FallRate(EPISODES, state["eval_falls"])
-        self._speeds.extend(state["speeds"])
-        self._nan = state["nan"]
+        self._speeds.extend(map(float, state["speeds"]))
+        self._nan = float(state["nan"])
 
     @property
     def score(self) -> float:
@@ -98,7 +98,7 @@ class FallRate:
 
     def __init__(self, episodes: int, counts: Iterable[tuple[float, float]] = ()) -> None:
         self._episodes = episodes
-        self._counts = collections.deque((fell, ended) for fell, ended in counts)
+        self._counts = collections.deque((float(fell), float(ended)) for fell, ended in counts)
 
     @property
     def counts(self) -> list[tuple[float, float]]:

@@ -90,7 +90,7 @@ def load_checkpoint_policy(path: Path, joints: tuple[str, ...]) -> Policy:
         size = len(layers["hidden_0"]["kernel"])
         networks = make_networks(config.ppo, size, len(joints))
     except (*DAMAGE, UserError) as error:
-        raise UserError(f"{path} holds no policy that can be used: {_line(error)}") from None
+        raise UserError(f"{path} holds no policy that can be used: {error}") from None
     normalizer = NestedMeanStd(mean[:size], std[:size])
     return Policy(
         mean_policy(networks, normalizer, {"params": layers}), config, joints, size, steps
@@ -108,9 +108,7 @@ def load_policy(path: Path) -> Policy:
         steps = int(metadata["steps"])
         networks = make_networks(config.ppo, size, len(joints))
     except (*DAMAGE, UserError) as error:
-        raise UserError(
-            f"{path} holds a configuration that cannot be used: {_line(error)}"
-        ) from None
+        raise UserError(f"{path} holds a configuration that cannot be used: {error}") from None
     statistics = jax.ShapeDtypeStruct((size,), np.float32)
     # Written out: to have Flax say it takes as long as all the rest.
     sizes = (size, *config.ppo.hidden, networks.parametric_action_distribution.param_size)
@@ -128,8 +126,3 @@ def load_policy(path: Path) -> Policy:
     tree, _ = checkpoint.load(path, "policy", like)
     act = mean_policy(networks, tree["normalizer"], tree["policy"])
     return Policy(act, config, joints, size, steps)
-
-
-def _line(error: Exception) -> str:
-    """What an error says, on one line."""
-    return " ".join(str(error).split())
