@@ -158,8 +158,7 @@ def _roll_out(subject: "Subject", config: EvalConfig, console: Console) -> "Eval
     from quadwalk.evaluate.report.console import simulating
 
     env, began = subject.env, time.monotonic()
-    what = f"simulating {config.episodes} episodes in {env.engine}"
-    with simulating(console, what, env.config.episode_steps, env.config.control_dt) as report:
+    with simulating(console, f"{config.episodes} episodes", env) as report:
         found = measure(subject, config.episodes, config.seed, report, config.recordings)
     simulated = sum(episode["duration"] for episode in found.episodes)
     took = time.monotonic() - began
@@ -174,9 +173,8 @@ def _by_ground(subject: "Subject", config: EvalConfig, console: Console) -> dict
     from quadwalk.evaluate.by_ground import measure_by_ground
     from quadwalk.evaluate.report.console import print_by_ground, simulating
 
-    env = subject.env
-    what = f"simulating {config.cell} episodes on each kind of ground in {env.engine}"
-    with simulating(console, what, env.config.episode_steps, env.config.control_dt) as report:
+    what = f"{config.cell} episodes on each kind of ground"
+    with simulating(console, what, subject.env) as report:
         found = measure_by_ground(subject, config.levels, config.cell, config.seed, report)
     print_by_ground(found)
     return found
@@ -241,14 +239,13 @@ def _make_folder(folder: Path, made: contextlib.ExitStack, new: bool = True) -> 
 
     What has been made and is empty when `made` closes is deleted.
     """
-    missing = [path for path in folder.parents if not path.exists()]
+    for path in reversed([path for path in folder.parents if not path.exists()]):
+        made.callback(_delete_empty, path)
     try:
         if new:
             folder = next(filter(_is_made, map(folder.with_name, numbered(folder.name))))
         if new or _is_made(folder):
-            missing.insert(0, folder)
-        for path in reversed(missing):
-            made.callback(_delete_empty, path)
+            made.callback(_delete_empty, folder)
         # What is written is read back, to verify it; that this is possible is better known now
         # than after the simulation.
         with tempfile.NamedTemporaryFile(dir=folder, suffix=".part") as probe:
