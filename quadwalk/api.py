@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from quadwalk.errors import UsageError
+from quadwalk.evaluate.options import EvalConfig
 from quadwalk.task_files import load_task
 from quadwalk.train.runs.directory import Run, find_any_run
 from quadwalk.train.serialise import with_settings
@@ -107,12 +108,8 @@ def evaluate(
     """
     from quadwalk.train.devices import set_up_devices
 
-    if engine not in ("mjx", "mujoco", "fast"):
-        raise UsageError(f"engine is {engine!r}; expected mjx, mujoco or fast")
-    if policy not in ("last", "best"):
-        raise UsageError(f"policy is {policy!r}; expected last or best")
-    if episodes < 1 or seconds <= 0.0:
-        raise UsageError(f"episodes is {episodes} and seconds {seconds}; expected more than 0")
+    # Its checks of these hold here too.
+    EvalConfig(episodes=episodes, seconds=seconds, engine=engine, policy=policy, seed=seed)
     found = _run(run, runs)
     set_up_devices()
     from quadwalk.evaluate.evaluation import measure

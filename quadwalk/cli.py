@@ -66,13 +66,14 @@ def parse(
 
 
 def value_of(args: Sequence[str], flag: str) -> str | None:
-    """The value of `flag` among `args`, None if it is not there."""
+    """The last value of `flag` among `args`, None if it is not there."""
+    value = None
     for arg, following in zip(args, [*args[1:], ""], strict=False):
         if arg == flag:
-            return following
-        if arg.startswith(f"{flag}="):
-            return arg.partition("=")[2]
-    return None
+            value = following
+        elif arg.startswith(f"{flag}="):
+            value = arg.partition("=")[2]
+    return value
 
 
 def as_typed(command: Literal["train", "eval"]) -> str:
