@@ -1,12 +1,13 @@
 """The command line, generated from configuration dataclasses by tyro."""
 
+import argparse
 import contextlib
 import io
 import re
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal, NoReturn, TypeVar
 
 from quadwalk.errors import UsageError
 
@@ -63,6 +64,19 @@ def parse(
         like = re.search(r"Perhaps you meant:\W*(--[\w.-]+)", printed.getvalue())
         hint = f"; did you mean {like[1]}?" if like else ""
         raise UsageError(f"unknown option {', '.join(names)}{hint} {see}") from None
+
+
+class ArgumentParser(argparse.ArgumentParser):
+    """One whose errors are a `UsageError` in one line, as those of `parse`."""
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        for arg in sys.argv[1:] if args is None else args:
+            if arg.endswith("=--"):  # argparse would make no value of it
+                self.error(f"{arg}: expected a value")
+        return super().parse_known_args(args, namespace)
+
+    def error(self, message: str) -> NoReturn:
+        raise UsageError(f"{message} ({self.prog} --help lists all)")
 
 
 def value_of(args: Sequence[str], flag: str) -> str | None:

@@ -21,7 +21,7 @@ def atomic_write(path: Path | str) -> Iterator[BinaryIO]:
     `path` stays as it was. The system's refusals become a `UserError` that names `path`.
     """
     path = Path(path)
-    part = path.with_name(path.name + ".part")
+    part = Path(f"{path}.part")
     try:
         with open(part, "wb") as file:
             yield file

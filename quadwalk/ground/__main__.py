@@ -1,9 +1,9 @@
 """`python -m quadwalk.ground -o PNG`: draw every kind of ground at several difficulties."""
 
-import argparse
 import dataclasses
 from pathlib import Path
 
+from quadwalk.cli import ArgumentParser
 from quadwalk.errors import run_command
 from quadwalk.files import atomic_write
 from quadwalk.ground.terrain import FLAT, leg_length
@@ -13,7 +13,7 @@ from quadwalk.paths import ALIENGO_URDF
 
 def main(argv: list[str] | None = None, prog: str = "python -m quadwalk.ground") -> None:
     """Draw as `argv` (default: the process's arguments) says; `prog` is the command's name."""
-    parser = argparse.ArgumentParser(prog=prog, description="Draw every kind of ground.")
+    parser = ArgumentParser(prog=prog, description="Draw every kind of ground.")
     add = parser.add_argument
     add("-o", "--out", type=Path, metavar="PNG", required=True, help="file to write")
     add("--kinds", nargs="+", metavar="KIND", help=f"some of: {', '.join(KINDS)}")

@@ -1,10 +1,12 @@
 """`python -m quadwalk.robot URDF [-o OUT] [--render PNG]`: convert a URDF to MJCF, or draw it."""
 
 import argparse
+import os
 import sys
 from fnmatch import fnmatchcase
 from pathlib import Path
 
+from quadwalk.cli import ArgumentParser
 from quadwalk.drawing.canvas import render_home
 from quadwalk.drawing.images import save_png
 from quadwalk.errors import UsageError, run_command
@@ -18,7 +20,7 @@ from quadwalk.robot.urdf import Urdf, UrdfError, read_urdf
 
 def parse_arguments(argv: list[str] | None, prog: str) -> argparse.Namespace:
     """The command line's arguments."""
-    parser = argparse.ArgumentParser(
+    parser = ArgumentParser(
         prog=prog,
         description="Convert a URDF to MJCF (MuJoCo XML). Any tree of links converts.",
     )
@@ -62,7 +64,7 @@ def main(argv: list[str] | None = None, prog: str = "python -m quadwalk.robot") 
     """
     arguments = parse_arguments(argv, prog)
     for folder in arguments.mesh_dir:
-        if not folder.is_dir():
+        if not os.path.isdir(folder):
             raise UsageError(f"--mesh-dir {folder}: is no folder; expected one")
     urdf = read_urdf(arguments.urdf, arguments.repair_inertia)
     joints = [joint.name for joint in urdf.robot.joints if joint.type in SINGLE]
