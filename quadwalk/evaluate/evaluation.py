@@ -115,7 +115,7 @@ def measure(
     """Roll the policy out from `episodes` fresh starts and measure each.
 
     `report` is told the control steps done. Of many episodes the first `whole` rollouts are kept,
-    or all: one of 20 s is 1 MB.
+    or all: one of 20 s is 2 MB.
     """
     env = subject.env
     found = Evaluation(subject, seed, [], [])

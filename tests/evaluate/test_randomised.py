@@ -108,9 +108,9 @@ def test_a_stronger_motor_pushes_with_more_than_the_models_limit(env, rollouts):
         variation = conditions.variation._replace(strength=np.float32(strength))
         drawn = conditions._replace(variation=variation)
         rollout = dataclasses.replace(rollouts[0], conditions=drawn, obeyed=obeyed)
-        return with_foot_forces(rollout, env).foot_force
+        return with_foot_forces(rollout, env).foot_force[-10:]  # it stands by then
 
-    assert np.abs(forces(1.5) - forces(1.0)).max() > 10.0
+    assert np.abs(forces(1.5) - forces(1.0)).max() > 10.0  # N
 
 
 def test_figures_are_relative_to_the_robot_that_was_drawn(env, rollouts, weight, monkeypatch):
