@@ -54,6 +54,10 @@ class Term:
             flag = f"{name}.{own.name}".removesuffix(".scale")
             check_value(flag, getattr(self, own.name), own.type)
 
+    def __call__(self, *inputs: Any) -> Any:
+        """The function's value for its inputs."""
+        return self.value(f"term {self.function.__name__!r}", *inputs)
+
     def value(self, what: str, *inputs: Any) -> Any:
         """The function's value for its inputs; `what` names the term.
 
@@ -146,7 +150,3 @@ class ActionMap(Term):
     @staticmethod
     def fits(shape: tuple[int, ...]) -> bool:
         return shape == (12,)
-
-    def __call__(self, robot: Any, action: Any, joints: Any) -> Any:
-        """The joint targets (12,), rad."""
-        return self.value("action map", robot, action, joints)

@@ -59,9 +59,9 @@ def own_task(folder, kind: str, body: str, inputs: str | None = None):
          "array of shape (19, 1); expected a number or a vector"),
         ("critic", "return [state.qpos[0], state.qpos[1]]", "5: the observation 'own' gives a list;"
          " expected a number or a vector"),
-        ("action", "return action[:3]", "5: the action map gives an array of shape (3,); expected "
+        ("action", "return action[:3]", "5: the term 'mine' gives an array of shape (3,); expected "
          "12 joint targets"),
-        ("action", "return robot.home + action", "6: the action map does not give 12 joint "
+        ("action", "return robot.home + action", "6: the term 'mine' does not give 12 joint "
          "targets: TypeError: add got incompatible shapes"),
     ],
 )  # fmt: skip

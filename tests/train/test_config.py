@@ -114,6 +114,7 @@ def test_the_command_of_walk_is_a_flag():
         (["--env.reset.pose", "0", "nan", "0"], "--env.reset.pose is (0.0, nan, 0.0)"),
         (["--env.episode-seconds", "1e12"], "--env.episode-seconds is 1000000000000.0"),
         (["--env.ground.border", "inf"], "--env.ground.border is inf; expected at most 1e+12 m"),
+        (["--preset=sprint", "--env.randomisation.friction", "0", "1"], "randomisation.enabled"),
         (["--steps", "12345678901234567890123"], "--steps is 12345678901234567890123"),
         (["--minutes", "nan"], "--minutes is nan"),
         (["--ppo.clip", "nan"], "--ppo.clip is nan; expected more than 0"),
