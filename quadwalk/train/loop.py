@@ -33,9 +33,9 @@ def train(
     With `previous`, a run, it goes on with that one, whose settings `resumed_config` gives.
     `watch` is called with each iteration's row of metrics, to show it in another way.
 
-    Ctrl-C, SIGTERM or the time limit end training after the iteration at hand, with everything
-    saved, to be gone on with. A disk that is full does not end it; only if the
-    state at the end could not be saved is that a `UserError`. So are weights that are no longer
+    Ctrl-C, SIGTERM, SIGHUP or the time limit end training after the iteration at hand, with
+    everything saved, to be gone on with. A disk that is full does not end it; only if the state at
+    the end could not be saved is that a `UserError`. So are weights that are no longer
     finite: nothing is saved then, and what was saved before stays. Of several processes, all but
     the first return None.
     """
@@ -162,18 +162,29 @@ def _run_argument(run: Run) -> str:
 
 @contextlib.contextmanager
 def stop_on_signal() -> Iterator[threading.Event]:
-    """An event that Ctrl-C or SIGTERM sets; a second Ctrl-C interrupts at once."""
+    """An event that Ctrl-C, SIGTERM, or a terminal that closes sets; a second Ctrl-C interrupts.
+
+    What is ignored from the start, as under nohup, stays so.
+    """
     stop = threading.Event()
     if threading.current_thread() is not threading.main_thread():
         yield stop
         return
 
+    hangup = getattr(signal, "SIGHUP", None)  # Windows has none
+
     def handle(number: int, frame: FrameType | None) -> None:
-        if stop.is_set():
+        # A shell and the system may both tell that the terminal has closed.
+        if stop.is_set() and number != hangup:
             raise KeyboardInterrupt
         stop.set()
 
-    before = {number: signal.signal(number, handle) for number in (signal.SIGINT, signal.SIGTERM)}
+    numbers = filter(None, (signal.SIGINT, signal.SIGTERM, hangup))
+    before = {
+        number: signal.signal(number, handle)
+        for number in numbers
+        if signal.getsignal(number) != signal.SIG_IGN
+    }
     try:
         yield stop
     finally:

@@ -4,6 +4,7 @@ import contextlib
 import json
 import random
 import shutil
+import signal
 import subprocess
 import time
 from pathlib import Path
@@ -41,6 +42,31 @@ def whole(tmp_path_factory, flags, start) -> Path:
 def test_the_same_seed_gives_the_same_files(whole, tmp_path, flags, train, same_result):
     train(*flags(tmp_path, "again", ITERATIONS, OFTEN))
     same_result(tmp_path / "again", whole)
+
+
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
+def test_a_signal_ends_training_with_everything_saved(name, tmp_path, flags, train):
+    number = getattr(signal, name)
+
+    def end(row: dict[str, float]) -> None:
+        if row["steps"] == 128:
+            signal.raise_signal(number)
+            if name == "SIGHUP":  # from the shell, and from the system
+                signal.raise_signal(number)
+
+    before = signal.getsignal(number)
+    train(*flags(tmp_path, "a", 100), watch=end)
+    assert load_policy(tmp_path / "a" / "policy.npz").steps == 128
+    assert signal.getsignal(number) == before
+
+
+def test_what_nohup_ignores_stays_ignored(tmp_path, flags, train):
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        train(*flags(tmp_path, "a", 3), watch=lambda _: signal.raise_signal(signal.SIGHUP))
+    finally:
+        signal.signal(signal.SIGHUP, before)
+    assert rows(tmp_path / "a") == 3
 
 
 def rows(run: Path) -> int:
