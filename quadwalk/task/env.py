@@ -205,14 +205,7 @@ class QuadrupedEnv(Env):
         it stands in its place, so that nothing downstream ever sees it.
         """
         before: EnvState = state.pipeline_state
-        model, conditions, physics = self.model, before.conditions, before.physics
-        target = self.config.action(self.robot, action, physics.qpos[7:])
-        if conditions is not None:
-            physics = pushed(conditions, physics, before.steps, self.config.push_steps)
-            substeps = self.stepping.substeps
-            conditions, target = delayed(conditions, target, substeps, before.steps)
-            if conditions.variation is not None:
-                model = ENGINES[self.engine].vary(model, conditions.variation)
+        model, physics, conditions, target = self.driven(before, action)
         physics, effort = ENGINES[self.engine].control_step(model, self.stepping, physics, target)
         sane, physics, effort, action = self._kept_sane(before.qpos, physics, effort, action)
         command, steps = before.command, before.steps + 1
@@ -233,6 +226,24 @@ class QuadrupedEnv(Env):
         return following.replace(
             info=state.info | following.info, metrics=state.metrics | following.metrics
         )
+
+    def driven(
+        self, before: EnvState, action: jax.Array
+    ) -> tuple[Any, Physics, Conditions | None, jax.Array]:
+        """What the engine steps in a control step from `before` with `action` (12,).
+
+        The model, the state that it begins in, the conditions from then on, and the joint targets,
+        (12,) or (substeps, 12), rad.
+        """
+        model, conditions, physics = self.model, before.conditions, before.physics
+        target = self.config.action(self.robot, action, physics.qpos[7:])
+        if conditions is not None:
+            physics = pushed(conditions, physics, before.steps, self.config.push_steps)
+            substeps = self.stepping.substeps
+            conditions, target = delayed(conditions, target, substeps, before.steps)
+            if conditions.variation is not None:
+                model = ENGINES[self.engine].vary(model, conditions.variation)
+        return model, physics, conditions, target
 
     def with_conditions(self, state: State, conditions: Conditions, latest: int = 0) -> State:
         """`state`, of an episode's start, under conditions that last for the episode.

@@ -2,9 +2,9 @@
 
     python -m quadwalk.train.nan runs/NAME/nan/step_000000123456.npz
 
-steps the physics again from the state that was kept, and says what comes out. A file holds `qpos`
-(19,), `qvel` (18,), `warmstart` (18,), `last_action` (12,) and `steps` before the control step,
-the `action` (12,), and `model`, the MuJoCo model stepped, as the bytes of an MJB file.
+steps the physics again from the state that was kept, under its conditions, and says what comes out.
+A file holds the `EnvState` before the control step, its parts named as `before/physics/qpos`, and
+the `action` (12,).
 """
 
 import dataclasses
@@ -12,7 +12,6 @@ import sys
 from pathlib import Path
 from typing import Any
 
-import mujoco
 import numpy as np
 
 from quadwalk.errors import UsageError, UserError, run_command
@@ -23,12 +22,9 @@ from quadwalk.train.serialise import from_dict, to_dict
 from quadwalk.train.settings import TrainConfig
 
 KEPT = 20  # files of a run: enough to see what they have in common
-_MODEL = "model.mjb"
 
 
-def keep(
-    run: Run, before: Any, action: Any, model: mujoco.MjModel, config: TrainConfig, steps: int
-) -> Path | None:
+def keep(run: Run, before: Any, action: Any, config: TrainConfig, steps: int) -> Path | None:
     """Write down a step from the `EnvState` `before` with `action`; None if there are enough.
 
     `steps` of training, after the iteration that met it, give it its name.
@@ -39,17 +35,9 @@ def keep(
             return None
     except OSError as error:
         raise UserError(f"cannot write {run.nan}: {os_reason(error)}") from error
-    content = np.empty(mujoco.mj_sizeModel(model), np.uint8)
-    mujoco.mj_saveModel(model, None, content)
-    arrays = {
-        **before.physics._asdict(),
-        "last_action": before.last_action,
-        "steps": before.steps,
-        "action": action,
-        "model": content,
-    }
     path = run.nan / f"step_{steps:012d}.npz"
-    checkpoint.save(path, arrays, {"kind": "nan", "config": to_dict(config), "steps": steps})
+    metadata = {"kind": "nan", "config": to_dict(config), "steps": steps}
+    checkpoint.save(path, {"before": before, "action": action}, metadata)
     return path
 
 
@@ -59,36 +47,40 @@ def replay(path: Path | str) -> tuple[np.ndarray, np.ndarray]:
     Returns qpos (n + 1, 19) and qvel (n + 1, 18): before, and after each of the control step's n
     physics steps. Raises `UserError` for a file that cannot be used.
     """
+    from quadwalk.physics.engines import ENGINES  # before JAX, for its MJX
+
+    # isort: split
     import jax
     import jax.numpy as jnp
 
-    from quadwalk.physics.engines import ENGINES
-    from quadwalk.physics.motor import Physics, make_motor
-    from quadwalk.task.robot_arrays import robot_arrays, task_robot
+    from quadwalk.task.env import QuadrupedEnv
     from quadwalk.train.robot import load_run_robot
 
     path = Path(path)
-    arrays, metadata = checkpoint.load(path, "nan")
+    _, metadata = checkpoint.load(path, "nan")
+    run = Run(path.parent.parent)
     try:
-        config = from_dict(TrainConfig, metadata["config"], path.parent.parent)
-        model = mujoco.MjModel.from_binary_path(_MODEL, {_MODEL: arrays["model"].tobytes()})
-        physics = Physics(*(jnp.asarray(arrays[name]) for name in Physics._fields))
-        action = jnp.asarray(arrays["action"])
+        config = from_dict(TrainConfig, metadata["config"], run.path)
+        env = QuadrupedEnv(load_run_robot(run, config.robot), config.env)
     except (KeyError, ValueError, UserError) as error:
         raise UserError(f"{path} holds a step that cannot be used: {error}") from None
-    env = config.env
-    quadruped = task_robot(load_run_robot(Run(path.parent.parent), config.robot), env)
-    target = env.action(robot_arrays(quadruped, model), action, physics.qpos[7:])
-    # The target holds for the whole control step, so its physics steps can be taken one by one.
-    once = dataclasses.replace(env.stepping, substeps=1)
-    engine = ENGINES[env.engine]
-    motor = make_motor(model, quadruped, env.motor)
-    constants = engine.make_model(model, quadruped, motor)
-    step = jax.jit(lambda physics: engine.control_step(constants, once, physics, target)[0])
-    course = [physics]
-    for _ in range(env.substeps):
-        course.append(step(course[-1]))
-    return np.stack([p.qpos for p in course]), np.stack([p.qvel for p in course])
+    start = jax.eval_shape(env.reset, jax.random.PRNGKey(0)).pipeline_state
+    like = {"before": start, "action": jax.ShapeDtypeStruct((env.action_size,), np.float32)}
+    kept, _ = checkpoint.load(path, "nan", like)
+    engine, once = ENGINES[env.engine], dataclasses.replace(env.stepping, substeps=1)
+
+    def course(before: Any, action: jax.Array) -> Any:
+        model, physics, _, target = env.driven(before, action)
+
+        def one(physics: Any, own: jax.Array) -> Any:
+            after, _ = engine.control_step(model, once, physics, own)
+            return after, after
+
+        targets = jnp.broadcast_to(target, (env.stepping.substeps, *target.shape[-1:]))
+        return jax.lax.scan(one, physics, targets)[1]
+
+    first, after = kept["before"].physics, env.jit(course)(kept["before"], kept["action"])
+    return np.stack([first.qpos, *after.qpos]), np.stack([first.qvel, *after.qvel])
 
 
 def main() -> None:

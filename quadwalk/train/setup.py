@@ -29,8 +29,6 @@ from quadwalk.train.serialise import task_source, to_dict
 from quadwalk.train.settings import DistributedConfig, TrainConfig
 
 if TYPE_CHECKING:
-    import mujoco
-
     from quadwalk.train.ppo import TrainState
 
 
@@ -43,7 +41,6 @@ class Training:
     resumed: bool
     quadruped: Quadruped
     policy_size: int  # how many numbers the policy sees
-    model: "mujoco.MjModel"  # that is stepped
     metrics: TrainingMetrics
     state: "TrainState"
     steps: int  # control steps behind it
@@ -106,7 +103,7 @@ def prepare(
             progress.message(f"going on from {path}, after {steps:,} steps")
     iterate.compile()
     return Training(
-        config, run, previous is not None, quadruped, env.policy_size, env.mj_model,
+        config, run, previous is not None, quadruped, env.policy_size,
         metrics, state, steps, seconds, batch, iterate,
     )  # fmt: skip
 

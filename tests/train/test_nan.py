@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 import jax
-import mujoco
 import numpy as np
 import pytest
 
@@ -18,6 +17,7 @@ from quadwalk.train.robot import load_robot
 from quadwalk.train.runs import checkpoint
 from quadwalk.train.runs.directory import Run, create_run
 from quadwalk.train.runs.log import read_metrics
+from quadwalk.train.serialise import to_dict
 from quadwalk.train.settings import RobotConfig
 
 CONFIG = replace(sprint.TASK, robot=RobotConfig(ALIENGO_URDF))
@@ -44,7 +44,7 @@ def standing(env, roll_rate: float) -> EnvState:
 @pytest.mark.parametrize("roll_rate", [1e-3, 1e20])
 def test_a_step_is_kept_and_goes_wrong_again(run, env, roll_rate):
     before, action = standing(env, roll_rate), np.full(12, 0.25, np.float32)
-    path = nan.keep(run, before, action, env.mj_model, CONFIG, 640)
+    path = nan.keep(run, before, action, CONFIG, 640)
     assert path == run.nan / "step_000000000640.npz"
     qpos, qvel = nan.replay(path)
     assert qpos.shape == (CONFIG.env.substeps + 1, 19)
@@ -58,33 +58,40 @@ def test_a_step_is_kept_and_goes_wrong_again(run, env, roll_rate):
         assert not np.isfinite(qvel[-1]).all()
 
 
-def test_a_step_of_another_task_is_replayed_as_it_was(run, env):
-    # Its targets depend on where the joints are, its motors and gravity are not the robot's own.
-    config = replace(load_task("blog"), robot=CONFIG.robot)
+@pytest.mark.parametrize("task", ["blog", "run"])
+def test_a_step_of_another_task_is_replayed_as_it_was(run, env, task):
+    """Of blog, targets depend on where the joints are; of run, each step is under conditions."""
+    config = replace(load_task(task), robot=CONFIG.robot)
+    often = replace(config.env.randomisation, push_seconds=config.env.control_dt)
+    config = replace(config, env=replace(config.env, randomisation=often))
     task = QuadrupedEnv(env.quadruped, config.env)
     state = jax.jit(task.reset)(jax.random.PRNGKey(0))
     action = np.full(12, -1.0, np.float32)
-    path = nan.keep(run, state.pipeline_state, action, task.mj_model, config, 64)
+    path = nan.keep(run, state.pipeline_state, action, config, 64)
     qpos, qvel = nan.replay(path)
     after = jax.jit(task.step)(state, action).pipeline_state.physics
     np.testing.assert_allclose(qpos[-1], after.qpos, atol=1e-6)
     np.testing.assert_allclose(qvel[-1], after.qvel, atol=1e-4)
+    with np.load(path) as archive:  # without this package
+        assert archive["before/physics/qpos"].shape == (19,)
+        assert archive["before/steps"] == 0
 
 
-def test_what_is_kept_can_be_read_without_this_package(run, env):
-    path = nan.keep(run, standing(env, 0.0), np.ones(12), env.mj_model, CONFIG, 64)
-    with np.load(path) as archive:
-        assert archive["qpos"].shape == (19,)
-        assert archive["steps"] == 7
-        files = {"model.mjb": archive["model"].tobytes()}
-    model = mujoco.MjModel.from_binary_path("model.mjb", files)
-    np.testing.assert_array_equal(model.body_mass, env.mj_model.body_mass)
+def test_what_a_drawn_mass_does_it_does_again(run, env):
+    config = replace(load_task("run"), robot=CONFIG.robot)
+    task = QuadrupedEnv(env.quadruped, config.env)
+    start = jax.jit(task.reset)(jax.random.PRNGKey(0)).pipeline_state
+    variation = start.conditions.variation._replace(trunk_mass=np.float32(-1e30))
+    before = start._replace(conditions=start.conditions._replace(variation=variation))
+    qpos, _ = nan.replay(nan.keep(run, before, np.zeros(12, np.float32), config, 64))
+    assert np.isfinite(qpos[0]).all()
+    assert not np.isfinite(qpos[-1]).all()
 
 
 def test_enough_is_enough(run, env):
     for count in range(nan.KEPT):
-        assert nan.keep(run, standing(env, 0.0), np.ones(12), env.mj_model, CONFIG, count)
-    assert nan.keep(run, standing(env, 0.0), np.ones(12), env.mj_model, CONFIG, 99) is None
+        assert nan.keep(run, standing(env, 0.0), np.zeros(12), CONFIG, count)
+    assert nan.keep(run, standing(env, 0.0), np.zeros(12), CONFIG, 99) is None
     assert len(list(run.nan.iterdir())) == nan.KEPT
 
 
@@ -98,6 +105,16 @@ def test_a_file_that_is_none_is_named(run, content):
     checkpoint.save(path, {"qpos": np.zeros(3)}, {"kind": "nan", "config": {}})
     with pytest.raises(UserError, match="holds a step that cannot be used"):
         nan.replay(path)
+
+
+def test_a_file_of_before_it_held_all_is_told_in_one_line(run):
+    run.nan.mkdir()
+    path = run.nan / "step_000000000001.npz"
+    old = {"qpos": np.zeros(19), "action": np.zeros(12, np.float32), "model": np.zeros(9, np.uint8)}
+    checkpoint.save(path, old, {"kind": "nan", "config": to_dict(CONFIG)})
+    with pytest.raises(UserError, match=r"step_.*npz does not fit .* has no before/") as caught:
+        nan.replay(path)
+    assert "\n" not in str(caught.value)
 
 
 def test_the_command_wants_one_file(monkeypatch):
@@ -118,7 +135,7 @@ def test_a_training_keeps_them_counts_them_and_goes_on(tmp_path, flags, train, c
     assert [int(path.stem[5:]) for path in kept] == with_nan[: nan.KEPT]
     for path in kept:
         arrays, metadata = checkpoint.load(path, "nan")
-        assert arrays["qpos"][1] > 0.5  # which is when the toy gives no number
+        assert arrays["before/physics/qpos"][1] > 0.5  # which is when the toy gives no number
         tipped = metadata["config"]["env"]["termination"]["tipped"]
         assert tipped["params"] == {"angle": 0.5}
     assert "NaN states" in capsys.readouterr().out

@@ -18,7 +18,6 @@ os.environ["TF_CPP_MIN_LOG_LEVEL"] = "3"
 import quadwalk.physics.mjx  # noqa: I001 - first, for the others would let it print
 import jax
 import jax.numpy as jnp
-import mujoco
 from brax.envs.base import Env, State
 
 import quadwalk.task.env
@@ -50,7 +49,6 @@ class Toy(Env):
 
     def __init__(self, quadruped: Any = None, config: EnvConfig | None = None) -> None:
         self.config = config or sprint.TASK.env
-        self.mj_model = mujoco.MjModel.from_xml_string("<mujoco/>")
 
     def reset(self, rng: jax.Array) -> State:
         drawn = jax.random.uniform(rng, (2,))

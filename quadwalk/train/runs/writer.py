@@ -62,8 +62,8 @@ class RunWriter:
             self.draw()
 
     def _keep(self, nan_step: Any, steps: int) -> None:
-        model, config = self._training.model, self._training.config
-        path = nan.keep(self.run, nan_step.before, nan_step.action, model, config, steps)
+        config = self._training.config
+        path = nan.keep(self.run, nan_step.before, nan_step.action, config, steps)
         if path is not None and not self._told:
             self._warn(f"a step gave NaN: its episode ended, and {path} keeps it")
             self._told = True
