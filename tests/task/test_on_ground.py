@@ -106,7 +106,9 @@ def test_how_far_an_episode_has_come_is_counted(hilly, starts):
     travel = starts.pipeline_state.travel
     begun = starts.pipeline_state.qpos[:, :2]
     np.testing.assert_array_equal(travel.start, begun)
-    after = jax.jit(jax.vmap(hilly.step))(starts, jnp.zeros((EPISODES, 12))).pipeline_state
+    actions = jnp.zeros((EPISODES, 12)).at[0].set(jnp.nan)  # which ends it where it is
+    after = jax.jit(jax.vmap(hilly.step))(starts, actions).pipeline_state
+    np.testing.assert_array_equal(after.qpos[0], starts.pipeline_state.qpos[0])
     ahead = np.asarray(after.qpos[:, 0] - begun[:, 0])  # of a task without commands, along x
     np.testing.assert_allclose(after.travel.walked, ahead, atol=1e-6)
     pace = 6.0 / 2 / hilly.config.episode_seconds
