@@ -1,7 +1,11 @@
 """Files that appear under their final name whole, or not at all."""
 
+from __future__ import annotations
+
 import contextlib
 import os
+import shutil
+import stat
 from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO
@@ -12,30 +16,54 @@ from quadwalk.errors import UserError
 # may be infinite or larger than any float, and lists nested deeper than Python goes.
 DAMAGE = (AttributeError, LookupError, OverflowError, RecursionError, TypeError, ValueError)
 
+_unfinished: set[Path] = set()
+
+
+@contextlib.contextmanager
+def unfinished(path: Path) -> Iterator[None]:
+    """Remove the file or folder `path` if the block fails, or `remove_unfinished` if it hangs."""
+    _unfinished.add(path)
+    try:
+        yield
+    except BaseException:
+        _remove(path)
+        raise
+    finally:
+        _unfinished.discard(path)
+
+
+def remove_unfinished() -> None:
+    """Remove what is not finished, before a process is ended in the middle of it."""
+    for path in tuple(_unfinished):
+        _remove(path)
+
 
 @contextlib.contextmanager
 def atomic_write(path: Path | str) -> Iterator[BinaryIO]:
     """Open `path` + ".part" for writing bytes; it takes the place of `path` when the block ends.
 
     Whatever goes wrong (no space, no permission, Ctrl-C), the part file is removed and an older
-    `path` stays as it was. The system's refusals become a `UserError` that names `path`.
+    `path` stays as it was. A link stays, and what it leads to is written. What is no regular file,
+    as a device or a pipe, is written as it is. The system's refusals become a `UserError` that
+    names `path`.
     """
-    path = Path(path)
-    part = Path(f"{path}.part")
+    target = real_path(Path(path))
+    part = Path(f"{target}.part")
     try:
-        with open(part, "wb") as file:
-            yield file
-            file.flush()
-            # Without this a power cut after the rename could leave an empty file under `path`.
-            os.fsync(file.fileno())
-        os.replace(part, path)
-    except BaseException as error:
-        with contextlib.suppress(OSError):
-            part.unlink(missing_ok=True)
-        if isinstance(error, OSError):
-            raise UserError(f"cannot write {path}: {os_reason(error)}") from error
-        raise
-    _sync_folder(path.parent)
+        if _is_special(path):
+            with open(path, "wb") as file:
+                yield file
+            return
+        with unfinished(part):
+            with open(part, "wb") as file:
+                yield file
+                file.flush()
+                # Without this a power cut after the rename could leave an empty file under `path`.
+                os.fsync(file.fileno())
+            os.replace(part, target)
+    except OSError as error:
+        raise UserError(f"cannot write {path}: {os_reason(error)}") from error
+    _sync_folder(target.parent)
 
 
 def real_path(path: Path) -> Path:
@@ -46,6 +74,22 @@ def real_path(path: Path) -> Path:
 def os_reason(error: OSError) -> str:
     """The system's reason alone ("No space left on device"), without numbers or paths."""
     return error.strerror or str(error) or type(error).__name__
+
+
+def _is_special(path: Path | str) -> bool:
+    """Whether something is there that is no regular file, at the end of all links."""
+    try:
+        # Not of the resolved path: /dev/stdout leads to a pipe that has no path.
+        return not stat.S_ISREG(os.stat(path).st_mode)
+    except FileNotFoundError:
+        return False
+
+
+def _remove(path: Path) -> None:
+    if path.is_dir():
+        shutil.rmtree(path, ignore_errors=True)
+    with contextlib.suppress(OSError):
+        path.unlink()
 
 
 def _sync_folder(folder: Path) -> None:

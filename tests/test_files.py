@@ -1,5 +1,6 @@
 import errno
 import os
+import stat
 
 import pytest
 
@@ -50,3 +51,30 @@ def test_what_the_system_refuses_is_one_line(tmp_path, monkeypatch, call):
 def test_a_folder_that_is_not_there_is_named(tmp_path):
     with pytest.raises(UserError, match=r"none/a: No such file or directory"):
         atomic_write(tmp_path / "none" / "a").__enter__()
+
+
+def test_a_link_stays_and_leads_to_what_is_written(tmp_path):
+    (tmp_path / "folder").mkdir()
+    link = tmp_path / "link"
+    link.symlink_to("folder/a")
+    for content in (b"new", b"newer"):  # at first it leads nowhere
+        with atomic_write(link) as file:
+            file.write(content)
+        assert (tmp_path / "folder" / "a").read_bytes() == content
+    assert link.is_symlink()
+    assert os.listdir(tmp_path / "folder") == ["a"]
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs POSIX's files")
+@pytest.mark.parametrize("linked", [False, True])
+def test_what_is_no_regular_file_is_written_as_it_is(tmp_path, linked):
+    pipe, link = tmp_path / "pipe", tmp_path / "link"
+    os.mkfifo(pipe)
+    link.symlink_to(pipe)
+    with open(os.open(pipe, os.O_RDONLY | os.O_NONBLOCK), "rb") as reader:
+        with atomic_write(link if linked else pipe) as file:
+            file.write(b"new")
+        assert reader.read() == b"new"
+    assert stat.S_ISFIFO(pipe.stat().st_mode)
+    assert link.is_symlink()
+    assert sorted(os.listdir(tmp_path)) == ["link", "pipe"]
