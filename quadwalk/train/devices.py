@@ -6,6 +6,8 @@ import functools
 import hashlib
 import os
 import platform
+import sys
+import tempfile
 import warnings
 from collections.abc import Callable
 from pathlib import Path
@@ -15,6 +17,7 @@ import platformdirs
 
 from quadwalk.cores import cpu_cores
 from quadwalk.errors import UsageError
+from quadwalk.files import os_reason
 from quadwalk.train.distributed import join
 from quadwalk.train.settings import TrainConfig
 
@@ -124,7 +127,9 @@ def _prepare(cpu_devices: int) -> None:
         # A process that has computed keeps the devices it has, as a notebook that trains twice.
         _warn_of_fewer(cpu_devices)
     if jax.config.jax_compilation_cache_dir is None:  # type: ignore[attr-defined]
-        jax.config.update("jax_compilation_cache_dir", str(compilation_cache()))
+        folder = compilation_cache()
+        if _can_keep(folder):
+            jax.config.update("jax_compilation_cache_dir", str(folder))
 
 
 def _keep_freed_memory() -> None:
@@ -190,3 +195,16 @@ def compilation_cache() -> Path:
     processor = (platform.processor() or platform.machine()) + _instructions()
     kind = hashlib.sha256(processor.encode()).hexdigest()[:12]
     return Path(platformdirs.user_cache_dir("quadwalk", appauthor=False)) / "xla" / kind
+
+
+@functools.cache
+def _can_keep(folder: Path) -> bool:
+    """Whether files can be kept in the folder, which is made; says so, once, if not."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        tempfile.TemporaryFile(dir=folder).close()
+    except OSError as error:
+        reason = f"cannot keep compiled programs in {folder}: {os_reason(error)}"
+        print(f"warning: {reason}; every start compiles anew", file=sys.stderr)
+        return False
+    return True

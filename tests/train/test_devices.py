@@ -1,6 +1,9 @@
 """Which devices are trained on, and what follows from them."""
 
 import dataclasses
+import os
+import subprocess
+import sys
 from types import SimpleNamespace
 
 import pytest
@@ -98,3 +101,25 @@ def test_devices_that_the_processes_cannot_share_are_named(machine):
     pair = DistributedConfig(coordinator="a:1", processes=2)
     with pytest.raises(UsageError, match="--devices is 3; expected a multiple of 2"):
         devices.choose_devices(dataclasses.replace(sprint.TASK, devices=3, distributed=pair))
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere the folder has another variable")
+def test_a_cache_that_cannot_be_kept_is_one_line(tmp_path):
+    (tmp_path / "file").touch()
+    code = """
+from quadwalk.train.devices import set_up_devices
+set_up_devices(1), set_up_devices(1)
+import jax
+jax.jit(lambda x: 2 * x)(1.0).block_until_ready()
+"""
+    environment = {
+        **os.environ,
+        "XDG_CACHE_HOME": str(tmp_path / "file"),
+        "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
+    }
+    command = [sys.executable, "-c", code]
+    done = subprocess.run(command, capture_output=True, text=True, env=environment)
+    assert done.returncode == 0
+    assert done.stderr.startswith(f"warning: cannot keep compiled programs in {tmp_path}/file/")
+    assert done.stderr.endswith(": Not a directory; every start compiles anew\n")
+    assert done.stderr.count("\n") == 1
