@@ -3,10 +3,12 @@ VENV ?= .venv
 RUN := $(VENV)/bin/python
 PIP := $(RUN) -m pip --disable-pip-version-check --quiet
 
-.PHONY: train test lint notebooks lock clean
+.PHONY: train setup test lint notebooks lock clean
 
 train: $(VENV)/.ready  ## train with the defaults
 	$(RUN) train.py
+
+setup: $(VENV)/.ready  ## make the environment alone
 
 test: $(VENV)/.ready-dev  ## run the tests
 	$(RUN) -m pytest -n 2 --dist loadfile

@@ -1,7 +1,6 @@
 """Judge a trained policy: `python eval.py --help`."""
 
-from quadwalk.errors import run_command
-from quadwalk.evaluate.__main__ import main
+from quadwalk.process import run_command
 
 if __name__ == "__main__":
-    run_command(main)
+    run_command("quadwalk.evaluate.__main__")

@@ -1,7 +1,6 @@
 """Teach a quadruped to run: `python train.py --help`."""
 
-from quadwalk.errors import run_command
-from quadwalk.train.__main__ import main
+from quadwalk.process import run_command
 
 if __name__ == "__main__":
-    run_command(main)
+    run_command("quadwalk.train.__main__")

@@ -3,7 +3,8 @@
 import importlib
 import sys
 
-from quadwalk.errors import UsageError, run_command
+from quadwalk.errors import UsageError
+from quadwalk.process import run_command
 
 _COMMANDS = {
     "train": ("quadwalk.train.__main__", "teach a quadruped a task"),

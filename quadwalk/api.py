@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from quadwalk.errors import UsageError
-from quadwalk.evaluate.options import EvalConfig
 from quadwalk.task_files import load_task
 from quadwalk.train.runs.directory import Run, find_any_run
 from quadwalk.train.serialise import with_settings
@@ -108,8 +107,12 @@ def evaluate(
     """
     from quadwalk.train.devices import set_up_devices
 
-    # Its checks of these hold here too.
-    EvalConfig(episodes=episodes, seconds=seconds, engine=engine, policy=policy, seed=seed)
+    if engine not in ("mjx", "mujoco", "fast"):
+        raise UsageError(f"engine is {engine!r}; expected mjx, mujoco or fast")
+    if policy not in ("last", "best"):
+        raise UsageError(f"policy is {policy!r}; expected last or best")
+    if episodes < 1 or seconds <= 0.0:
+        raise UsageError(f"episodes is {episodes} and seconds {seconds}; expected more than 0")
     found = _run(run, runs)
     set_up_devices()
     from quadwalk.evaluate.evaluation import measure

@@ -6,8 +6,7 @@ import io
 import re
 import sys
 from collections.abc import Sequence
-from pathlib import Path
-from typing import Any, Literal, NoReturn, TypeVar
+from typing import Any, NoReturn, TypeVar
 
 from quadwalk.errors import UsageError
 
@@ -42,6 +41,10 @@ def parse(
             problem = " ".join(str(getattr(event, "message", type(event).__name__)).split())
             raise UsageError(f"{problem} {see}")
         flag, expected = argument.lowered.name_or_flags[-1], argument.lowered.metavar
+        if expected.startswith("{None}|"):
+            expected = f"{expected.removeprefix('{None}|')} or None"
+        if (value := value_of(args, flag) or "").startswith("-"):
+            expected += f", and for a value that begins with a dash {flag}={value}"
         raise UsageError(f"bad value for {flag}; expected {expected} {see}")
 
     printed = io.StringIO()
@@ -88,9 +91,3 @@ def value_of(args: Sequence[str], flag: str) -> str | None:
         elif arg.startswith(f"{flag}="):
             value = arg.partition("=")[2]
     return value
-
-
-def as_typed(command: Literal["train", "eval"]) -> str:
-    """How to call another command: as `quadwalk` if this one was, else by its script."""
-    installed = Path(sys.argv[0]).stem == "quadwalk"
-    return f"quadwalk {command}" if installed else f"python {command}.py"

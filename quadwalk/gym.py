@@ -14,10 +14,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from quadwalk.shell import install
+
 try:
     import gymnasium
 except ModuleNotFoundError as error:
-    raise ImportError("quadwalk.gym needs Gymnasium: pip install 'quadwalk[gym]'") from error
+    raise ImportError(f"quadwalk.gym needs Gymnasium: {install('gym')}") from error
 import numpy as np
 from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, VectorEnv

@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import shlex
 import shutil
 import signal
 import subprocess
@@ -35,7 +36,7 @@ def run(*args: str | Path, timeout: float = 240) -> subprocess.CompletedProcess[
 
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory) -> Path:
-    return tmp_path_factory.mktemp("runs")
+    return tmp_path_factory.mktemp("my runs")
 
 
 @pytest.fixture(scope="module")
@@ -101,10 +102,17 @@ def test_a_run_is_never_overwritten(stopped, runs):
     assert {path: path.stat().st_mtime_ns for path in runs.rglob("*")} == before
 
 
+def paste(said: str, output: str, *more: str) -> subprocess.CompletedProcess[str]:
+    """Run the command that `output` shows after what is `said`, in the same shell, with flags."""
+    (command,) = re.findall(rf"^{said} +(.*)$", output, re.MULTILINE)
+    line = f"{command} {shlex.join(more)}"
+    return subprocess.run(line, shell=True, capture_output=True, text=True, cwd=ROOT)
+
+
 @pytest.mark.parametrize("engine", ["mjx", "mujoco"])
-def test_evaluation_measures_and_writes_every_episode(stopped, runs, tmp_path, engine):
+def test_evaluation_measures_and_writes_every_episode(stopped, tmp_path, engine):
     flags = ["--episodes=2", "--seconds=1", f"--engine={engine}", f"--out={tmp_path}"]
-    done = run("eval.py", "tiny", f"--runs={runs}", *flags)
+    done = paste("evaluate with", stopped[1], *flags)
     assert done.returncode == 0, done.stderr
     assert "speed along x" in done.stdout
     results = json.loads((tmp_path / "metrics.json").read_text())
@@ -125,7 +133,8 @@ def test_a_stopped_training_goes_on_to_its_end(stopped, runs):
     shutil.copytree(stopped[0], resumed)
     before = (resumed / "metrics.jsonl").read_bytes()
     assert before.count(b"\n") < ITERATIONS
-    done = run("train.py", f"--runs={runs}", "--resume=resumed", "--devices=2")
+    output = stopped[1].replace(str(stopped[0]), str(resumed))
+    done = paste("go on with", output, "--devices=2")
     assert done.returncode == 0, done.stderr
     after = (resumed / "metrics.jsonl").read_bytes()
     assert after.startswith(before)

@@ -13,6 +13,7 @@ from gymnasium.vector import AutoresetMode
 
 import quadwalk.gym
 from quadwalk.errors import UsageError
+from quadwalk.shell import install
 from quadwalk.task_files import task_names
 
 STEPS = 5  # control steps of an episode
@@ -110,4 +111,4 @@ def test_without_gymnasium_one_line_says_how_to_get_it():
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.returncode == 1
     last = done.stderr.strip().splitlines()[-1]
-    assert last == "ImportError: quadwalk.gym needs Gymnasium: pip install 'quadwalk[gym]'"
+    assert last == f"ImportError: quadwalk.gym needs Gymnasium: {install('gym')}"

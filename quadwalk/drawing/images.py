@@ -13,6 +13,7 @@ from PIL import Image
 
 from quadwalk.errors import UserError
 from quadwalk.files import atomic_write
+from quadwalk.shell import install
 
 FPS = 25  # of a video; a GIF counts in hundredths of a second: 4 of them
 _GAP = 4  # pixels between the pictures of a strip
@@ -105,6 +106,6 @@ def _ffmpeg() -> str:
             program = imageio_ffmpeg.get_ffmpeg_exe()
         except (ImportError, RuntimeError):
             raise UserError(
-                "an MP4 needs ffmpeg on the PATH or pip install imageio-ffmpeg; a GIF needs neither"
+                f"an MP4 needs ffmpeg on the PATH, or: {install('video')}; a GIF needs neither"
             ) from None
     return program

@@ -1,10 +1,14 @@
 """`python -m quadwalk.evaluate`, which is also `eval.py`: judge a policy, or drive it."""
 
+from quadwalk.process import run_command
+
+if __name__ == "__main__":
+    run_command("quadwalk.evaluate.__main__")
+
 import sys
 from collections.abc import Sequence
 
 from quadwalk.cli import parse
-from quadwalk.errors import run_command
 from quadwalk.evaluate.options import EvalConfig
 
 
@@ -19,7 +23,3 @@ def main(args: Sequence[str] | None = None, prog: str = "eval.py") -> None:
     from quadwalk.evaluate.judge import evaluate
 
     evaluate(config)
-
-
-if __name__ == "__main__":
-    run_command(main)

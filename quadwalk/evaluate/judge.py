@@ -2,6 +2,7 @@
 
 import contextlib
 import datetime
+import shutil
 import tempfile
 import time
 from pathlib import Path
@@ -12,6 +13,7 @@ from rich.console import Console
 from quadwalk.errors import UsageError, UserError
 from quadwalk.evaluate.options import EvalConfig
 from quadwalk.files import os_reason
+from quadwalk.shell import words
 from quadwalk.train.runs.directory import (
     Run,
     find_any_run,
@@ -36,7 +38,7 @@ def _evaluate(
     config: EvalConfig, runs: list[Run], outs: list[Path], together: Path | None
 ) -> dict[str, Any]:
     # On stderr: what is printed on stdout is the result alone.
-    console = Console(stderr=True, highlight=False, soft_wrap=True)
+    console = Console(stderr=True, highlight=False, soft_wrap=True, markup=False)
     console.print(f"evaluating {', '.join(str(run.path) for run in runs)}")
 
     # All of these late, since they take seconds.
@@ -104,7 +106,10 @@ def judge(subject: "Subject", config: EvalConfig, out: Path, console: Console) -
     written = ["metrics.json", *maps, "report.png", *pictures, f"{recorded} MCAP files"]
     console.print(f"written to {out}: {', '.join(written)}")
     if recorded:
-        console.print(f"see it with: rerun {out / 'episode_000.mcap'}, or open it in Foxglove")
+        recording = out / "episode_000.mcap"
+        rerun = shutil.which("rerun")
+        see = f"see it with: {words('rerun', recording)}, or open it in Foxglove"
+        console.print(see if rerun else f"open {recording} in Rerun or Foxglove")
     return results
 
 
@@ -158,7 +163,8 @@ def _roll_out(subject: "Subject", config: EvalConfig, console: Console) -> "Eval
     from quadwalk.evaluate.report.console import simulating
 
     env, began = subject.env, time.monotonic()
-    with simulating(console, f"{config.episodes} episodes", env) as report:
+    what = f"simulating {config.episodes} episodes in {env.engine}"
+    with simulating(console, what, env.config.episode_steps, env.config.control_dt) as report:
         found = measure(subject, config.episodes, config.seed, report, config.recordings)
     simulated = sum(episode["duration"] for episode in found.episodes)
     took = time.monotonic() - began
@@ -173,8 +179,9 @@ def _by_ground(subject: "Subject", config: EvalConfig, console: Console) -> dict
     from quadwalk.evaluate.by_ground import measure_by_ground
     from quadwalk.evaluate.report.console import print_by_ground, simulating
 
-    what = f"{config.cell} episodes on each kind of ground"
-    with simulating(console, what, subject.env) as report:
+    env = subject.env
+    what = f"simulating {config.cell} episodes on each kind of ground in {env.engine}"
+    with simulating(console, what, env.config.episode_steps, env.config.control_dt) as report:
         found = measure_by_ground(subject, config.levels, config.cell, config.seed, report)
     print_by_ground(found)
     return found
@@ -239,13 +246,14 @@ def _make_folder(folder: Path, made: contextlib.ExitStack, new: bool = True) -> 
 
     What has been made and is empty when `made` closes is deleted.
     """
-    for path in reversed([path for path in folder.parents if not path.exists()]):
-        made.callback(_delete_empty, path)
+    missing = [path for path in folder.parents if not path.exists()]
     try:
         if new:
             folder = next(filter(_is_made, map(folder.with_name, numbered(folder.name))))
         if new or _is_made(folder):
-            made.callback(_delete_empty, folder)
+            missing.insert(0, folder)
+        for path in reversed(missing):
+            made.callback(_delete_empty, path)
         # What is written is read back, to verify it; that this is possible is better known now
         # than after the simulation.
         with tempfile.NamedTemporaryFile(dir=folder, suffix=".part") as probe:

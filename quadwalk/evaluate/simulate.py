@@ -37,7 +37,7 @@ ROOM = 64  # many episodes go in multiples of this, which devices can share
 
 
 class Frame(NamedTuple):
-    """Control steps of a batch of episodes, of fields as `Rollout`'s, in JAX or NumPy arrays."""
+    """Control steps of a batch of episodes, as recorded: JAX arrays, on the host NumPy's."""
 
     observation: Any
     action: Any
@@ -48,7 +48,7 @@ class Frame(NamedTuple):
     energy: Any
     contact: Any
     reward: Any
-    reward_terms: dict[str, Any]
+    terms: dict[str, Any]
     command: Any  # None where there is none
     obeyed: Any  # None in an ideal world
     truth: Any  # None in an ideal world
@@ -132,7 +132,7 @@ def _frame(env: QuadrupedEnv, before: State, action: jax.Array, state: State) ->
         energy=state.info["energy"],
         contact=state.info["contact"],
         reward=state.reward,
-        reward_terms={
+        terms={
             name.removeprefix(prefix): value
             for name, value in state.metrics.items()
             if name.startswith(prefix)
@@ -169,18 +169,28 @@ def _rollout(
     whole = jax.tree.map(lambda *parts: np.concatenate([x[:, i] for x in parts]), *chunks)
     steps = int(np.argmax(whole.end > 0)) + 1
     one: Frame = jax.tree.map(lambda x: x[:steps], whole)
-    found = one._replace(
-        qpos=np.concatenate([initial.qpos[None, i], one.qpos]).astype(float),
-        qvel=np.concatenate([initial.qvel[None, i], one.qvel]).astype(float),
-        end=env.ends[int(one.end[-1])],
-    )
+    qpos = np.concatenate([initial.qpos[None, i], one.qpos]).astype(float)
+    qvel = np.concatenate([initial.qvel[None, i], one.qvel]).astype(float)
     return Rollout(
         control_dt=env.config.control_dt,
         seed=seed,
         episode=number,
+        end=env.ends[int(one.end[-1])],
+        qpos=qpos,
+        qvel=qvel,
+        action=one.action,
+        target=one.target,
+        torque=one.torque,
+        energy=one.energy,
+        observation=one.observation,
         observation_names=env.observation_names,
+        contact=one.contact,
+        reward_terms=one.terms,
+        reward=one.reward,
+        command=one.command,
         conditions=jax.tree.map(lambda x: x[i], initial.conditions),
-        **found._asdict(),
+        obeyed=one.obeyed,
+        truth=one.truth,
     )
 
 

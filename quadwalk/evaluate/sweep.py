@@ -102,7 +102,8 @@ def sweep(subject: Subject, config: EvalConfig, out: Path, console: Console) -> 
     """Sweep, print the table, write sweep.json and sweep.png to `out`; return the former."""
     env = subject.env
     points, nominal = sweep_points(subject)
-    with simulating(console, f"{len(points)} x {config.episodes} episodes", env) as report:
+    what = f"simulating {len(points)} x {config.episodes} episodes in {env.engine}"
+    with simulating(console, what, env.config.episode_steps, env.config.control_dt) as report:
         measured = measure_points(subject, points, config.episodes, config.seed, report)
     found = dict(zip(points, measured, strict=True))
     sweeps = {

@@ -1,5 +1,10 @@
 """`python -m quadwalk.export`: write a policy as ONNX, with all that is needed to use it."""
 
+from quadwalk.process import run_command
+
+if __name__ == "__main__":
+    run_command("quadwalk.export.__main__")
+
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,7 +15,8 @@ import tyro
 from rich.console import Console
 
 from quadwalk.cli import parse
-from quadwalk.errors import UserError, run_command
+from quadwalk.errors import UserError
+from quadwalk.shell import install, python, words
 from quadwalk.train.runs.directory import find_any_run, results_folder
 
 
@@ -30,7 +36,7 @@ def main(args: Sequence[str] | None = None, prog: str = "python -m quadwalk.expo
     """Parse the command line and export."""
     config = parse(ExportConfig, sys.argv[1:] if args is None else args, prog)
     run = find_any_run(config.runs, config.run)
-    console = Console(stderr=True, highlight=False, soft_wrap=True)
+    console = Console(stderr=True, highlight=False, soft_wrap=True, markup=False)
     console.print(f"exporting {run.path}")
     from quadwalk.train.devices import set_up_devices
 
@@ -41,14 +47,10 @@ def main(args: Sequence[str] | None = None, prog: str = "python -m quadwalk.expo
         if error.name not in ("onnx", "onnxruntime"):
             raise
         raise UserError(
-            f"{error.name} is not installed; export needs: pip install 'quadwalk[export]'"
+            f"{error.name} is not installed; export needs: {install('export')}"
         ) from None
     out = config.out or results_folder(config.runs, run) / "export"
     written = export_run(run, config.policy, out, console)
     for path in written:
         print(path)
-    console.print(f"see it run with: python {out / 'run_policy.py'}")
-
-
-if __name__ == "__main__":
-    run_command(main)
+    console.print(f"see it run with: {words(python(), out / 'run_policy.py')}")

@@ -1,10 +1,15 @@
 """`python -m quadwalk.ground -o PNG`: draw every kind of ground at several difficulties."""
 
+from quadwalk.process import run_command
+
+if __name__ == "__main__":
+    run_command("quadwalk.ground.__main__")
+
 import dataclasses
 from pathlib import Path
 
 from quadwalk.cli import ArgumentParser
-from quadwalk.errors import run_command
+from quadwalk.errors import UsageError
 from quadwalk.files import atomic_write
 from quadwalk.ground.terrain import FLAT, leg_length
 from quadwalk.ground.tiles import KINDS
@@ -21,12 +26,11 @@ def main(argv: list[str] | None = None, prog: str = "python -m quadwalk.ground")
     add("--seed", type=int, default=0, help="of all that is random")
     add("--urdf", type=Path, default=ALIENGO_URDF, help="the robot whose legs set the sizes")
     given = parser.parse_args(argv)
-    config = dataclasses.replace(
-        FLAT,
-        kinds=tuple(given.kinds or KINDS),
-        levels=given.levels,
-        seed=given.seed,
-    )
+    try:
+        kinds = tuple(given.kinds or KINDS)
+        config = dataclasses.replace(FLAT, kinds=kinds, levels=given.levels, seed=given.seed)
+    except UsageError as error:
+        raise UsageError(str(error).replace(f"--{FLAT.group}.", "--")) from None
     from quadwalk.ground.picture import draw_kinds
     from quadwalk.robot.quadruped import load_quadruped
 
@@ -34,7 +38,3 @@ def main(argv: list[str] | None = None, prog: str = "python -m quadwalk.ground")
     figure = draw_kinds(config, leg_length(quadruped.full_model(), quadruped.feet[0]))
     with atomic_write(given.out) as file:
         figure.savefig(file, format="png", metadata={"Software": None})
-
-
-if __name__ == "__main__":
-    run_command(main)

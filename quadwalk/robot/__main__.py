@@ -1,5 +1,10 @@
 """`python -m quadwalk.robot URDF [-o OUT] [--render PNG]`: convert a URDF to MJCF, or draw it."""
 
+from quadwalk.process import run_command
+
+if __name__ == "__main__":
+    run_command("quadwalk.robot.__main__")
+
 import argparse
 import os
 import sys
@@ -9,7 +14,7 @@ from pathlib import Path
 from quadwalk.cli import ArgumentParser
 from quadwalk.drawing.canvas import render_home
 from quadwalk.drawing.images import save_png
-from quadwalk.errors import UsageError, run_command
+from quadwalk.errors import UsageError
 from quadwalk.files import atomic_write
 from quadwalk.robot.elements import SINGLE
 from quadwalk.robot.mjcf import Options, convert, write_xml
@@ -122,7 +127,3 @@ def armatures(rotors: list[str], joints: list[str]) -> dict[str, float]:
             raise UsageError(f"--rotor {rotor}: names no moving joint; there are {there}")
         found.update(dict.fromkeys(names, inertia * gear**2))
     return found
-
-
-if __name__ == "__main__":
-    run_command(main)

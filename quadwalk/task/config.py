@@ -95,11 +95,6 @@ class RandomisationConfig(Settings, group="env.randomisation"):
     # into the range. An evaluation leaves it out: what is judged lies within what was learnt.
     margin: Share = 0.0
 
-    @property
-    def given(self) -> bool:
-        """Whether there is any range."""
-        return any(isinstance(value, tuple) for value in vars(self).values())
-
 
 # Of a task in an ideal world.
 NO_RANDOMISATION = RandomisationConfig(

@@ -13,7 +13,6 @@ import mujoco
 import numpy as np
 from brax.envs.base import Env, State
 
-from quadwalk.errors import UsageError
 from quadwalk.ground.terrain import Terrain, leg_length, make_terrain
 from quadwalk.physics.constraints.surface import Surface, given
 from quadwalk.physics.motor import Effort, Physics, make_motor
@@ -67,11 +66,6 @@ class QuadrupedEnv(Env):
         self, quadruped: Quadruped, config: EnvConfig, engine: EngineName | None = None
     ) -> None:
         self.config = config = config.as_seen
-        if config.randomisation.enabled and not config.randomisation.given:
-            raise UsageError(
-                "--env.randomisation.enabled draws nothing: no range is set; expected one or more, "
-                "such as --env.randomisation.friction 0.5 1.25"
-            )
         self.engine: EngineName = engine or config.engine
         self.terrain = _terrain_of(quadruped, config)
         self.curriculum = make_curriculum(config, self.terrain)

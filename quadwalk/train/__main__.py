@@ -3,7 +3,7 @@
 import sys
 from collections.abc import Sequence
 
-from quadwalk.errors import run_command
+from quadwalk.process import run_command
 
 
 def main(args: Sequence[str] | None = None, prog: str = "train.py") -> None:

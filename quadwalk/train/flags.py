@@ -31,13 +31,15 @@ def parse_config(args: Sequence[str], prog: str = "train.py") -> tuple[TrainConf
     which = value_of(args, "--resume")
     previous = None
     if which is not None:
-        if value_of(args, "--preset") is not None:
-            raise UsageError("--preset cannot be given with --resume: the run has its own")
+        for flag in ("--preset", "--name", "--robot.urdf"):
+            if value_of(args, flag) is not None:
+                raise UsageError(f"{flag} cannot be given with --resume: the run has its own")
         previous = find_run(value_of(args, "--runs") or TrainConfig.runs, which)
         default = resumed_config(previous)
         start: dict[str, Any] = {"preset": default.task, "resume": which}
     else:
-        preset = value_of(args, "--preset") or "run"
+        given = value_of(args, "--preset")
+        preset = "run" if given is None else given
         try:
             default = load_task(preset)
         except UsageError as error:

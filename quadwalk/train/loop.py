@@ -11,8 +11,8 @@ from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING
 
-from quadwalk.cli import as_typed
 from quadwalk.errors import UserError
+from quadwalk.shell import as_typed
 from quadwalk.train.progress.display import Progress
 from quadwalk.train.progress.watch import WATCHED, check_watch, watched
 from quadwalk.train.runs.directory import Run
@@ -33,9 +33,9 @@ def train(
     With `previous`, a run, it goes on with that one, whose settings `resumed_config` gives.
     `watch` is called with each iteration's row of metrics, to show it in another way.
 
-    Ctrl-C, SIGTERM, SIGHUP or the time limit end training after the iteration at hand, with
-    everything saved, to be gone on with. A disk that is full does not end it; only if the state at
-    the end could not be saved is that a `UserError`. So are weights that are no longer
+    Once it iterates, Ctrl-C, SIGTERM, SIGHUP or the time limit end training after the iteration at
+    hand, with everything saved, to be gone on with. A disk that is full does not end it; only if
+    the state at the end could not be saved is that a `UserError`. So are weights that are no longer
     finite: nothing is saved then, and what was saved before stays. Of several processes, all but
     the first return None.
     """
@@ -45,7 +45,6 @@ def train(
     stream = None if config.distributed.process == 0 else io.StringIO()
     with (
         Progress(config.steps, quiet=config.quiet, stream=stream, ends=limit) as progress,
-        stop_on_signal() as stop,
         contextlib.ExitStack() as stack,
     ):
         progress.phase("loading")
@@ -54,7 +53,7 @@ def train(
         training = prepare(config, previous, progress, stack)
         from quadwalk.train.runs.writer import RunWriter
 
-        writer = None
+        stop, writer = stack.enter_context(stop_on_signal()), None
         if training.run is not None:
             writer = stack.enter_context(RunWriter(training, training.run, progress.message))
             if config.watch:
@@ -130,14 +129,14 @@ def _tell(
     if steps < config.steps:
         saved = "; the policy is saved" if well else ""
         progress.end(f"stopped after {steps:,} of {config.steps:,} steps{saved}")
-        progress.end(f"go on with      {as_typed('train')} --resume {_run_argument(run)}")
+        progress.end(f"go on with      {_typed('train', run, '--resume')}")
     progress.end(f"policy          {run.policy}")
     if writer.best is not None:
         which = "the same" if writer.best[0] == steps else f"after {writer.best[0]:,} steps"
         progress.end(f"best policy     {run.best} ({which})")
     if run.learning_curve.exists():
         progress.end(f"learning curve  {run.learning_curve}")
-    progress.end(f"evaluate with   {as_typed('eval')} {_run_argument(run)}")
+    progress.end(f"evaluate with   {_typed('eval', run)}")
 
 
 def _lost(writer: "RunWriter | None", steps: int, rate: float) -> str:
@@ -145,8 +144,10 @@ def _lost(writer: "RunWriter | None", steps: int, rate: float) -> str:
     what = f"the networks' weights are no longer finite numbers after {steps:,} steps"
     if writer is None:
         return what
-    resume = f"{as_typed('train')} --resume {_run_argument(writer.run)}"
-    again = f"{resume} --ppo.max-learning-rate {min(1e-3, rate / 10.0):.0e}"
+    again = (
+        f"{_typed('train', writer.run, '--resume')} "
+        f"--ppo.max-learning-rate {min(1e-3, rate / 10.0):.0e}"
+    )
     return f"{what}; {_last(writer)}; go on from there with smaller changes, such as {again}"
 
 
@@ -156,8 +157,8 @@ def _last(writer: "RunWriter") -> str:
     return f"the last good checkpoint is {writer.run.checkpoint(writer.saved)}"
 
 
-def _run_argument(run: Run) -> str:
-    return run.name if run.path.parent == Path("runs") else str(run.path)
+def _typed(command: str, run: Run, *before: str) -> str:
+    return as_typed(command, *before, run.name if run.path.parent == Path("runs") else run.path)
 
 
 @contextlib.contextmanager

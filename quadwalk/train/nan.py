@@ -7,6 +7,11 @@ A file holds the `EnvState` before the control step, its parts named as `before/
 the `action` (12,).
 """
 
+from quadwalk.process import run_command
+
+if __name__ == "__main__":
+    run_command("quadwalk.train.nan")
+
 import dataclasses
 import sys
 from pathlib import Path
@@ -14,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from quadwalk.errors import UsageError, UserError, run_command
+from quadwalk.errors import UsageError, UserError
 from quadwalk.files import os_reason
 from quadwalk.train.runs import checkpoint
 from quadwalk.train.runs.directory import Run
@@ -91,7 +96,3 @@ def main() -> None:
         finite = np.isfinite(qpos).all() and np.isfinite(qvel).all()
         height = f"height {qpos[2]:.3g} m, fastest velocity {np.abs(qvel).max():.3g}"
         print(f"after {number} physics steps: {height if finite else 'not finite'}")
-
-
-if __name__ == "__main__":
-    run_command(main)

@@ -2,11 +2,11 @@
 
 import math
 from collections.abc import Callable
-from contextlib import ExitStack
+from contextlib import ExitStack, nullcontext
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
-from quadwalk.files import real_path
+from quadwalk.files import real_path, unfinished
 from quadwalk.robot.quadruped import Quadruped
 from quadwalk.task_files import OWN
 from quadwalk.train import distributed
@@ -101,7 +101,9 @@ def prepare(
         else:
             state, steps, seconds = restore(path, config, state, metrics)
             progress.message(f"going on from {path}, after {steps:,} steps")
-    iterate.compile()
+    # A new run that never began leaves its name to the next.
+    with unfinished(run.path) if run and previous is None else nullcontext():
+        iterate.compile()
     return Training(
         config, run, previous is not None, quadruped, env.policy_size,
         metrics, state, steps, seconds, batch, iterate,

@@ -8,7 +8,8 @@ from pathlib import Path
 
 from quadwalk.bounds import Count, Settings
 from quadwalk.cli import parse
-from quadwalk.errors import UsageError, run_command
+from quadwalk.errors import UsageError
+from quadwalk.process import run_command
 
 
 @dataclass(frozen=True)

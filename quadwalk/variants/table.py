@@ -12,8 +12,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from quadwalk.api import evaluate
-from quadwalk.cli import value_of
-from quadwalk.errors import UsageError
 from quadwalk.evaluate.report.plots import save_figure
 from quadwalk.evaluate.summary import figure_mean, number
 from quadwalk.files import atomic_write, real_path
@@ -50,11 +48,7 @@ COLUMNS = {
 def compare_variants(variants: Sequence[str], config: "CompareConfig") -> None:
     """Train and judge what has not been, print rows, and write them with their picture."""
     for flags in variants:
-        # What is wrong is told before any training.
-        parse_config(flags.split(), "quadwalk train")
-        for flag in ("--resume", "--name", "--runs", "--seed", *["--steps"] * bool(config.steps)):
-            if value_of(flags.split(), flag) is not None:
-                raise UsageError(f"{flag} cannot be given in a variant: its runs have their own")
+        parse_config(flags.split(), "quadwalk train")  # what is wrong is told before any training
     cases = itertools.product(
         variants,
         range(config.seeds),

@@ -1,17 +1,17 @@
 """`quadwalk view`, which is also `eval.py --view`: drive a trained policy live."""
 
+from quadwalk.process import run_command
+
+if __name__ == "__main__":
+    run_command("quadwalk.view.__main__")
+
 import sys
 from collections.abc import Sequence
 
 from quadwalk.cli import parse
-from quadwalk.errors import run_command
 from quadwalk.view.drive import ViewConfig, drive
 
 
 def main(args: Sequence[str] | None = None, prog: str = "quadwalk view") -> None:
     """Parse the command line and drive."""
     drive(parse(ViewConfig, sys.argv[1:] if args is None else args, prog))
-
-
-if __name__ == "__main__":
-    run_command(main)

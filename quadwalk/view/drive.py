@@ -14,9 +14,8 @@ from rich.console import Console
 
 from quadwalk.bounds import Port, Settings
 from quadwalk.errors import UserError
+from quadwalk.shell import install
 from quadwalk.train.runs.directory import Run, find_any_run, list_runs
-
-EXTRA = "pip install 'quadwalk[view]'"
 
 
 @dataclass(frozen=True)
@@ -34,12 +33,12 @@ class ViewConfig(Settings):
 def drive(config: ViewConfig) -> None:
     """Show the run's newest policy live, until it is interrupted or the window closed."""
     run = find_driven(config.runs, config.run)
-    console = Console(stderr=True, highlight=False, soft_wrap=True)
+    console = Console(stderr=True, highlight=False, soft_wrap=True, markup=False)
     missing = no_window()
     in_page = config.browser or missing is not None
     if in_page and importlib.util.find_spec("mjviser") is None:
         because = "" if missing is None else f"there is no window ({missing}), and "
-        raise UserError(f"{because}a page needs mjviser, which is not installed: {EXTRA}")
+        raise UserError(f"{because}a page needs mjviser, which is not installed: {install('view')}")
     with contextlib.suppress(KeyboardInterrupt):
         if not in_page:
             _prepare_jax()

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from quadwalk.cores import cpu_cores
-from quadwalk.errors import run_command
+from quadwalk.process import run_command
 from quadwalk.task_files import load_task
 from quadwalk.train.serialise import with_settings
 from quadwalk.train.settings import TrainConfig

@@ -23,10 +23,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from quadwalk.errors import run_command
 from quadwalk.evaluate.by_ground import ground_env, measure_by_ground
 from quadwalk.evaluate.subject import load_subject
 from quadwalk.ground.heightfield import Heightfield
+from quadwalk.process import run_command
 from quadwalk.train.flags import parse_config
 from quadwalk.train.runs.directory import Run
 from quadwalk.variants.trainings import in_processes, trained

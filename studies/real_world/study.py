@@ -21,9 +21,9 @@ from pathlib import Path
 from typing import Any
 
 from quadwalk.api import evaluate
-from quadwalk.errors import run_command
 from quadwalk.evaluate.subject import Subject, load_subject
 from quadwalk.evaluate.sweep import Point, measure_points
+from quadwalk.process import run_command
 from quadwalk.task.env import QuadrupedEnv
 from quadwalk.task_files import load_task
 from quadwalk.train.serialise import with_settings

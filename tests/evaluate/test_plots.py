@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from quadwalk.errors import UserError
 from quadwalk.evaluate.report.panels import draw_comparison, draw_sweep
-from quadwalk.evaluate.report.plots import LEG_COLOURS, draw_footfalls, draw_report, save_figure
+from quadwalk.evaluate.report.plots import LEG_COLOURS, draw_footfalls, draw_report, plot_report
 from quadwalk.evaluate.rollout import first_steps
 
 
@@ -40,7 +40,7 @@ def line(axes, label: str) -> np.ndarray:
 
 def test_the_same_episode_gives_the_same_bytes(trot, quadruped, tmp_path):
     for name in ("a.png", "b.png"):
-        save_figure(draw_report(trot, quadruped), tmp_path / name)
+        plot_report(trot, quadruped, tmp_path / name)
     assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
     assert sorted(os.listdir(tmp_path)) == ["a.png", "b.png"]
 
@@ -124,7 +124,7 @@ def test_states_that_are_not_finite_are_left_out(trot, quadruped):
 
 def test_an_unwritable_place_is_one_line(trot, quadruped, tmp_path):
     with pytest.raises(UserError, match=r"^cannot write .*: No such file or directory$"):
-        save_figure(draw_report(trot, quadruped), tmp_path / "missing" / "report.png")
+        plot_report(trot, quadruped, tmp_path / "missing" / "report.png")
 
 
 # Sweeps and comparisons

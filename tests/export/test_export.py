@@ -28,6 +28,7 @@ from quadwalk.export import run_policy_path
 from quadwalk.export.__main__ import main
 from quadwalk.export.joint_targets import JointTargets, find_targets
 from quadwalk.export.policy_graph import ACTIVATIONS, Weights, build_model, input_labels
+from quadwalk.shell import install
 from quadwalk.task.env import QuadrupedEnv
 from quadwalk.task.terms import ActionMap
 from quadwalk.task_files import load_task
@@ -236,6 +237,6 @@ def test_without_the_extra_one_line_says_so(missing, quadruped, tmp_path, monkey
         monkeypatch.delitem(sys.modules, name)
     with pytest.raises(UserError) as caught:
         main([str(run.path)])
-    expected = f"{missing} is not installed; export needs: pip install 'quadwalk[export]'"
+    expected = f"{missing} is not installed; export needs: {install('export')}"
     assert str(caught.value) == expected
     assert not (run.path / "export").exists()

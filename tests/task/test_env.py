@@ -198,12 +198,6 @@ def test_a_setting_out_of_range_is_refused(bad):
         dataclasses.replace(sprint.TASK.env, **bad)
 
 
-def test_conditions_of_which_none_is_drawn_are_refused(quadruped):
-    world = dataclasses.replace(sprint.TASK.env.randomisation, enabled=True, margin=0.1)
-    with pytest.raises(UsageError, match=r"randomisation\.enabled draws nothing: no range is set"):
-        QuadrupedEnv(quadruped, dataclasses.replace(sprint.TASK.env, randomisation=world))
-
-
 def test_the_policy_sees_what_was_seen_before_and_the_critic_the_truth(quadruped):
     world = dataclasses.replace(run.TASK.env.randomisation, enabled=False)
     env = QuadrupedEnv(quadruped, dataclasses.replace(run.TASK.env, randomisation=world))

@@ -27,7 +27,7 @@ import quadwalk.train.setup
 from quadwalk.task.config import EnvConfig
 from quadwalk.physics.motor import Physics
 from quadwalk.task.env import EnvState
-from quadwalk.errors import run_command
+from quadwalk.process import run_command
 from quadwalk.train.__main__ import main
 
 GOAL = 0.5

@@ -10,6 +10,7 @@ import pytest
 
 from quadwalk.errors import UsageError, UserError
 from quadwalk.evaluate.__main__ import main as evaluate
+from quadwalk.shell import install
 from quadwalk.tasks import walk
 from quadwalk.train.loop import train
 from quadwalk.view.drive import ViewConfig, drive, no_window
@@ -37,12 +38,12 @@ def test_without_the_extra_one_line_says_which(without_the_extra, runs):
         evaluate(["dog", "--view", f"--runs={runs}"])
     assert str(caught.value) == (
         f"there is no window ({NO_SCREEN}), and a page needs mjviser, which is not installed: "
-        "pip install 'quadwalk[view]'"
+        f"{install('view')}"
     )
 
 
 def test_training_says_so_before_it_begins(without_the_extra, tmp_path):
-    with pytest.raises(UserError, match=r"^--watch needs mjviser, .*quadwalk\[view\]'$"):
+    with pytest.raises(UserError, match=r"^--watch needs mjviser, .* -m pip install .*\[view\]'$"):
         train(dataclasses.replace(walk.TASK, watch=True, runs=tmp_path / "runs"))
     assert not (tmp_path / "runs").exists()
 

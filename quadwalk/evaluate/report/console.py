@@ -4,7 +4,7 @@ import contextlib
 import math
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from rich.console import Console
@@ -12,9 +12,6 @@ from rich.table import Table
 
 from quadwalk.evaluate.motion.gait import Gait
 from quadwalk.evaluate.summary import FIGURES, engine_differences
-
-if TYPE_CHECKING:
-    from quadwalk.task.env import QuadrupedEnv
 
 _NONE = "-"
 # What the table of a sweep shows beside success, of what there is.
@@ -143,13 +140,13 @@ def figure_text(figure: dict[str, Any] | None) -> str:
 
 
 @contextlib.contextmanager
-def simulating(console: Console, what: str, env: "QuadrupedEnv") -> Iterator[Callable[[int], None]]:
-    """Show a line about the episodes in `env`, which are `what`, while they are simulated.
+def simulating(
+    console: Console, what: str, steps: int, dt: float
+) -> Iterator[Callable[[int], None]]:
+    """Show a line about `what`, episodes of up to `steps` control steps of `dt` s, while it runs.
 
     Yields the function that is told the steps done; when all episodes end early, that is the end.
     """
-    steps, dt = env.config.episode_steps, env.config.control_dt
-    what = f"simulating {what} in {env.engine}"
     with console.status(f"{what}: compiling (up to half a minute, the first time)") as status:
         first: tuple[float, int] | None = None
 

@@ -27,8 +27,18 @@ _SENSORS = 3  # panels
 _PARTS = ("hip", "thigh", "calf")
 
 
+def plot_report(rollout: Rollout, quadruped: Quadruped, path: str | Path, title: str = "") -> None:
+    """Write the report of one episode to `path` as PNG; `title` goes before its own headline.
+
+    Speed, posture, rewards and the path are shown from beginning to end; footfalls, angles and
+    torques over the last `WINDOW` seconds, where strides can be told apart. Raises `UserError`
+    where the file cannot be written.
+    """
+    save_figure(draw_report(rollout, quadruped, title), path)
+
+
 def save_figure(figure: Figure, path: str | Path) -> None:
-    """Write a figure as PNG, the same bytes for the same figure; `UserError` where it cannot."""
+    """Write a figure as PNG; the same figure gives the same bytes."""
     with atomic_write(path) as file:
         # Without the software's version, for longer.
         figure.savefig(file, format="png", dpi=DPI, metadata={"Software": None})
@@ -60,12 +70,7 @@ def tidy(axes: Axes, title: str, unit: str = "") -> None:
 
 
 def draw_report(rollout: Rollout, quadruped: Quadruped, title: str = "") -> Figure:
-    """One episode as a figure, 16 by 18 inches; 21 with the sensors, where they are not ideal.
-
-    `title` goes before its own headline. Speed, posture, rewards and the path are shown from
-    beginning to end; footfalls, angles and torques over the last `WINDOW` seconds, where strides
-    can be told apart.
-    """
+    """The report as a figure, 16 by 18 inches; 21 with the sensors, where they are not ideal."""
     shown = finite_part(rollout)
     heights, height = [0.85, 1.2, 1.2, 1.2, 1.6], 18
     if shown.truth is not None:

@@ -8,7 +8,9 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 
-from quadwalk.errors import UserError, run_command
+from quadwalk.errors import UserError
+from quadwalk.process import run_command
+from quadwalk.shell import install
 from quadwalk.train.runs.directory import Run
 
 WATCHED = 20  # times that the policy is saved for the page between two checkpoints
@@ -17,9 +19,7 @@ WATCHED = 20  # times that the policy is saved for the page between two checkpoi
 def check_watch() -> None:
     """Raise `UserError` in one line where the page cannot be shown."""
     if importlib.util.find_spec("mjviser") is None:
-        raise UserError(
-            "--watch needs mjviser, which is not installed: pip install 'quadwalk[view]'"
-        )
+        raise UserError(f"--watch needs mjviser, which is not installed: {install('view')}")
 
 
 @contextlib.contextmanager

@@ -16,14 +16,11 @@ from quadwalk.train.settings import DistributedConfig, TrainConfig
 if TYPE_CHECKING:
     from quadwalk.train.ppo import TrainState
 
-# What a run is, or what its saved state has the shape of or was drawn from once and for all.
-_FIXED = (
-    *("name", "robot.urdf", "seed", "envs"),
-    *("ppo.eval_envs", "ppo.hidden", "ppo.activation"),
-)
+# The saved state has the shape of these, or was drawn from them once and for all.
+_FIXED = ("seed", "envs", "ppo.eval_envs", "ppo.hidden", "ppo.activation")
 # How a run is driven, not what it computes.
 _FREE = (
-    *("task", "runs", "minutes", "checkpoint_steps", "quiet", "watch"),
+    *("task", "name", "runs", "minutes", "checkpoint_steps", "quiet", "watch"),
     *("distributed.coordinator", "distributed.processes", "distributed.process"),
 )
 
@@ -54,6 +51,7 @@ def resumed_config(run: Run) -> TrainConfig:
     """The configuration to go on with a run, before any changes."""
     return dataclasses.replace(
         read_config(run),
+        name=None,
         runs=run.path.parent,
         minutes=None,
         quiet=False,

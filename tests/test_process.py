@@ -1,0 +1,260 @@
+"""Command lines as processes: how they end, what they print to, and what runs them."""
+
+import ast
+import os
+import shlex
+import shutil
+import signal
+import subprocess
+import sys
+import time
+import venv
+from pathlib import Path
+
+import pytest
+
+from quadwalk import shell
+
+ROOT = Path(__file__).parents[1]
+pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals and shells are those of POSIX")
+
+
+# How they end
+
+WAYS = {
+    "Python": "ready(); time.sleep(60)",
+    "exec": "ready(); exec('time.sleep(60)')",
+    "an error of a library": """
+try:
+    ready(); time.sleep(60)
+except BaseException as error:
+    raise ImportError("cannot import it") from error
+""",
+    "the garbage collector": """
+gc.callbacks.append(lambda *_: (ready(), time.sleep(0.5)))
+gc.collect()
+gc.callbacks.clear()
+time.sleep(60)
+""",
+    "a library that ignores it": """
+ready()
+while True:
+    try:
+        time.sleep(60)
+    except BaseException:
+        pass
+""",
+    # No exception enters what is computed in C for minutes.
+    "C": """
+with atomic_write("file"), unfinished(Path("folder")):
+    Path("folder/in").mkdir(parents=True)
+    ready()
+    hashlib.pbkdf2_hmac("sha256", b"", b"", 2**31 - 1)
+""",
+}
+IMPORTS = """
+import gc, hashlib, time
+from pathlib import Path
+from quadwalk.files import atomic_write, unfinished
+from quadwalk.process import run_command
+
+def ready():
+    print("ready", flush=True)
+"""
+
+
+def program(content: str) -> list[str]:
+    """A command line that does this."""
+    body = "\n".join(f"    {line}" for line in content.strip().splitlines())
+    return [sys.executable, "-c", f"{IMPORTS}\ndef main():\n{body}\nrun_command(main)"]
+
+
+@pytest.fixture(autouse=True)
+def interruptible():
+    """Also where these tests run in the background, for which a shell has Ctrl-C ignored."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+def interrupted(command: list[str], folder: Path, at: str, number: int, later: float = 0) -> str:
+    """What it says on stderr when a signal comes, some seconds after it has printed `at`."""
+    with subprocess.Popen(
+        command,
+        stdout=subprocess.PIPE,
+        stderr=(folder / "stderr").open("wb"),
+        text=True,
+        cwd=folder,
+    ) as process:
+        for line in process.stdout:
+            if at in line:
+                break
+        time.sleep(later)
+        process.send_signal(number)
+        process.communicate(timeout=60)
+    said = (folder / "stderr").read_text()
+    assert process.returncode == 128 + number, said
+    (folder / "stderr").unlink()
+    return said
+
+
+@pytest.mark.parametrize(
+    ("way", "number"),
+    [*((way, signal.SIGINT) for way in WAYS), ("Python", signal.SIGTERM), ("C", signal.SIGTERM)],
+)
+def test_a_signal_ends_a_command_whatever_it_is_at(tmp_path, way, number):
+    said = {signal.SIGINT: "interrupted\n", signal.SIGTERM: "terminated\n"}[number]
+    assert interrupted(program(WAYS[way]), tmp_path, "ready", number) == said
+    assert os.listdir(tmp_path) == []
+
+
+@pytest.mark.parametrize("seconds", [0.3, 3.0])
+def test_a_training_that_has_not_begun_leaves_nothing(tmp_path, seconds):
+    command = [sys.executable, str(ROOT / "train.py"), "--name=dog"]
+    said = interrupted(command, tmp_path, "compiling", signal.SIGINT, seconds)
+    assert said == "interrupted\n"
+    assert os.listdir(tmp_path / "runs") == []
+
+
+def test_an_evaluation_is_interrupted_in_one_line(tmp_path):
+    command = f"{sys.executable} {ROOT / 'eval.py'} walk 2>&1"
+    said = interrupted(["sh", "-c", f"exec {command}"], tmp_path, "evaluating", signal.SIGINT, 0.5)
+    assert said == ""
+    assert not list(tmp_path.rglob("*.*"))
+
+
+# What they print to
+
+PLAIN = {"LANG": "C", "LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
+
+
+@pytest.mark.parametrize(
+    ("content", "to", "status", "said"),
+    [
+        (r"print('\xb1')", "", 0, ""),
+        (
+            "print('x')",
+            "> /dev/full",
+            1,
+            "cannot write to standard output: No space left on device",
+        ),
+        ("print('x' * 10**6)", "> /dev/full", 1, "cannot write to standard output: No space left"),
+        ("raise SystemExit(0 * print('x'))", "> /dev/full", 1, "No space left on device"),
+        ("print('x')", ">&-", 1, "cannot write to standard output: Bad file descriptor"),
+        ("pass", ">&- <&-", 0, ""),
+        ("print('x' * 10**6)", "| true", 1, ""),
+        ("raise __import__('quadwalk.errors').errors.UsageError('x')", "2>&-", 2, ""),
+        ("raise __import__('quadwalk.errors').errors.UsageError('x')", "2> /dev/full", 2, ""),
+        ("print('x', file=__import__('sys').stderr)", "2> /dev/full", 1, ""),
+    ],
+)
+def test_what_takes_no_text_is_one_line_at_most(content, to, status, said):
+    line = f"set -o pipefail; {shlex.join(program(content))} {to}"
+    environment = {**os.environ, **PLAIN}
+    done = subprocess.run(["bash", "-c", line], capture_output=True, text=True, env=environment)
+    assert done.returncode == status, done.stderr
+    assert done.stdout == ("?\n" if "xb1" in content else "")
+    assert said in done.stderr
+    assert done.stderr.count("\n") == bool(said)
+
+
+def test_a_closed_stream_is_not_the_file_that_is_written(tmp_path):
+    content = "with atomic_write('file') as file:\n    __import__('os').system('echo x')"
+    line = f"{shlex.join(program(content))} >&-"
+    subprocess.run(["sh", "-c", line], cwd=tmp_path, check=True, stderr=subprocess.DEVNULL)
+    assert (tmp_path / "file").read_bytes() == b""
+
+
+# What runs them
+
+
+@pytest.fixture
+def checkout(tmp_path, monkeypatch) -> Path:
+    """A checkout, and `python` of an environment without packages in the shell."""
+    folder = tmp_path / "my checkout"
+    folder.mkdir()
+    for name in ("quadwalk", "assets", "Makefile", "requirements.lock", "pyproject.toml"):
+        (folder / name).symlink_to(ROOT / name)
+    for name in ("train.py", "eval.py"):  # where a link leads, Python looks for packages
+        shutil.copy(ROOT / name, folder)
+    venv.create(tmp_path / "bare", symlinks=True)
+    monkeypatch.setenv("PATH", f"{tmp_path / 'bare/bin'}:/usr/bin:/bin")
+    monkeypatch.delenv("PYTHONPATH", raising=False)
+    return folder
+
+
+def pasted(line: str, folder: Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(line, shell=True, cwd=folder, capture_output=True, text=True)
+
+
+def make_venv(folder: Path, interpreter: str) -> None:
+    """A .venv whose Python is `interpreter`."""
+    python = folder / ".venv/bin/python"
+    python.parent.mkdir(parents=True)
+    python.write_text(f'#!/bin/sh\nexec {interpreter} "$@"\n')
+    python.chmod(0o755)
+
+
+@pytest.mark.parametrize("script", ["train.py", "eval.py", "-m quadwalk export"])
+def test_the_environment_beside_a_script_is_found(checkout, script):
+    make_venv(checkout, f"env PYTHONPATH='{checkout}' {sys.executable}")
+    done = pasted(f"python {script} --nonsense", checkout)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.startswith("error: unknown option --nonsense")
+
+
+@pytest.mark.parametrize("empty", [True, False])
+def test_without_packages_one_line_says_how_to_get_them(checkout, empty):
+    if empty:
+        make_venv(checkout, "python")
+    done = pasted("python train.py", checkout)
+    assert done.returncode == 1
+    assert done.stderr == (
+        "error: PIL is not installed; get what is needed by: make setup, or: "
+        "python -m pip install -e .\n"
+    )
+    done = pasted("cd .. && python 'my checkout/eval.py'", checkout)
+    commands = done.stderr.strip().partition("by: ")[2].split(", or: ")
+    made = pasted(f"cd .. && {commands[0]} -n", checkout)
+    assert "pip" in made.stdout
+    assert (checkout.parent / shlex.split(commands[1])[-1]).samefile(checkout)
+
+
+def test_what_is_imported_is_what_is_looked_for():
+    from quadwalk.process import _PACKAGES
+
+    extras = {"glfw", "gymnasium", "imageio_ffmpeg", "mjviser", "onnx", "onnxruntime", "viser"}
+    found = set()
+    for path in (ROOT / "quadwalk").rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_bytes())):
+            if isinstance(node, ast.Import):
+                found |= {alias.name.partition(".")[0] for alias in node.names}
+            elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+                found.add(node.module.partition(".")[0])
+    assert set(_PACKAGES) == found - extras - set(sys.stdlib_module_names) - {"quadwalk"}
+
+
+@pytest.mark.parametrize(
+    ("called", "on_path", "expected"),
+    [
+        ("bin/quadwalk", True, "quadwalk eval 'a b'"),
+        ("bin/quadwalk", False, "bin/quadwalk eval 'a b'"),
+        ("train.py", True, "python eval.py 'a b'"),
+        ("train.py", False, "bin/python eval.py 'a b'"),
+        ("./train.py", True, "python eval.py 'a b'"),
+        ("other/train.py", True, "python -m quadwalk eval 'a b'"),
+        ("", True, "python eval.py 'a b'"),
+    ],
+)
+def test_a_command_is_named_so_that_this_shell_finds_it(
+    tmp_path, monkeypatch, called, on_path, expected
+):
+    for name in ("bin/quadwalk", "bin/python", "train.py", "eval.py"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).touch(0o755)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(shell, "ROOT", tmp_path)
+    monkeypatch.setattr("sys.argv", [called])
+    monkeypatch.setattr("sys.executable", str(tmp_path / "bin/python"))
+    monkeypatch.setenv("PATH", str(tmp_path / "bin") if on_path else "/nowhere")
+    assert shell.as_typed("eval", "a b") == expected
