@@ -38,7 +38,7 @@ def _evaluate(
     config: EvalConfig, runs: list[Run], outs: list[Path], together: Path | None
 ) -> dict[str, Any]:
     # On stderr: what is printed on stdout is the result alone.
-    console = Console(stderr=True, highlight=False, soft_wrap=True, markup=False)
+    console = Console(stderr=True, highlight=False, soft_wrap=True, markup=False, emoji=False)
     console.print(f"evaluating {', '.join(str(run.path) for run in runs)}")
 
     # All of these late, since they take seconds.

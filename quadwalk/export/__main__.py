@@ -36,7 +36,7 @@ def main(args: Sequence[str] | None = None, prog: str = "python -m quadwalk.expo
     """Parse the command line and export."""
     config = parse(ExportConfig, sys.argv[1:] if args is None else args, prog)
     run = find_any_run(config.runs, config.run)
-    console = Console(stderr=True, highlight=False, soft_wrap=True, markup=False)
+    console = Console(stderr=True, highlight=False, soft_wrap=True, markup=False, emoji=False)
     console.print(f"exporting {run.path}")
     from quadwalk.train.devices import set_up_devices
 

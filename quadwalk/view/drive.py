@@ -33,7 +33,7 @@ class ViewConfig(Settings):
 def drive(config: ViewConfig) -> None:
     """Show the run's newest policy live, until it is interrupted or the window closed."""
     run = find_driven(config.runs, config.run)
-    console = Console(stderr=True, highlight=False, soft_wrap=True, markup=False)
+    console = Console(stderr=True, highlight=False, soft_wrap=True, markup=False, emoji=False)
     missing = no_window()
     in_page = config.browser or missing is not None
     if in_page and importlib.util.find_spec("mjviser") is None:

@@ -10,6 +10,7 @@ from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 
 from quadwalk.errors import UserError
+from quadwalk.evaluate.report.console import _print_table
 from quadwalk.evaluate.report.panels import draw_comparison, draw_sweep
 from quadwalk.evaluate.report.plots import LEG_COLOURS, draw_footfalls, draw_report, plot_report
 from quadwalk.evaluate.rollout import first_steps
@@ -125,6 +126,14 @@ def test_states_that_are_not_finite_are_left_out(trot, quadruped):
 def test_an_unwritable_place_is_one_line(trot, quadruped, tmp_path):
     with pytest.raises(UserError, match=r"^cannot write .*: No such file or directory$"):
         plot_report(trot, quadruped, tmp_path / "missing" / "report.png")
+
+
+def test_a_name_that_looks_like_markup_is_shown_as_it_is(trot, quadruped, tmp_path, capsys):
+    name = r"a$\b$ [/red] :b:"
+    plot_report(trot, quadruped, tmp_path / "report.png", name)
+    assert (tmp_path / "report.png").exists()
+    _print_table(name, (name,), [(name,)])
+    assert capsys.readouterr().out.count(name) == 3
 
 
 # Sweeps and comparisons

@@ -197,4 +197,4 @@ def _print_table(title: str, headings: Sequence[str], rows: Iterable[Sequence[st
             table.add_section()
         else:
             table.add_row(*row)
-    Console().print(table)
+    Console(markup=False, emoji=False).print(table)

@@ -2,11 +2,12 @@
 
 import io
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 
 from quadwalk.evaluate.motion.footfalls import contact_spans, without_chatter
 from quadwalk.evaluate.motion.gait import footfalls_of, measure_gait
@@ -40,8 +41,14 @@ def plot_report(rollout: Rollout, quadruped: Quadruped, path: str | Path, title:
 def save_figure(figure: Figure, path: str | Path) -> None:
     """Write a figure as PNG; the same figure gives the same bytes."""
     with atomic_write(path) as file:
-        # Without the software's version, for longer.
-        figure.savefig(file, format="png", dpi=DPI, metadata={"Software": None})
+        _draw(figure, file)
+
+
+def _draw(figure: Figure, file: BinaryIO) -> None:
+    for text in figure.findobj(Text):
+        text.set_parse_math(False)  # a name may hold a $
+    # Without the software's version, for longer.
+    figure.savefig(file, format="png", dpi=DPI, metadata={"Software": None})
 
 
 class ShownFigure(Figure):
@@ -49,7 +56,7 @@ class ShownFigure(Figure):
 
     def _repr_png_(self) -> bytes:
         file = io.BytesIO()
-        self.savefig(file, format="png", dpi=DPI)
+        _draw(self, file)
         return file.getvalue()
 
 
