@@ -8,9 +8,8 @@ from quadwalk.errors import UserError
 from quadwalk.files import os_reason
 from quadwalk.ground.terrain import FLAT, GroundConfig
 from quadwalk.physics.engines import EngineName
-from quadwalk.task.config import NO_RANDOMISATION, EnvConfig, RandomisationConfig
+from quadwalk.task.config import NO_RANDOMISATION, REAL_WORLD, EnvConfig, RandomisationConfig
 from quadwalk.task.env import QuadrupedEnv
-from quadwalk.tasks import run as run_task
 from quadwalk.train.robot import load_run_robot
 from quadwalk.train.runs import checkpoint
 from quadwalk.train.runs.directory import Run
@@ -38,10 +37,10 @@ class Subject:
 def training_ranges(config: EnvConfig) -> RandomisationConfig:
     """The ranges that a task draws the conditions of its episodes from.
 
-    Of a task in an ideal world, those of `run`.
+    Of a task in an ideal world, those of `REAL_WORLD`.
     """
     own = config.randomisation
-    return run_task.TASK.env.randomisation if own == NO_RANDOMISATION else own
+    return REAL_WORLD if own == NO_RANDOMISATION else own
 
 
 def unseen_ground(trained: GroundConfig, seed: int, levels: int = 3) -> GroundConfig:

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from quadwalk.task.robot_arrays import RobotArrays
+from quadwalk.task.terms import ActionMap
 
 
 def about_home(
@@ -22,3 +23,6 @@ def about_home(
     """
     reach = np.tile([hip, thigh, calf], 4)
     return jnp.clip(robot.home_joints + reach * action, robot.lower, robot.upper)
+
+
+ABOUT_HOME = ActionMap(about_home, {"hip": 0.3, "thigh": 0.9, "calf": 0.9})

@@ -1,10 +1,10 @@
 """Configuration of the environment: frozen dataclasses, one per concern, units in the comments.
 
-None has defaults: what a task is made of stands in the task's own file (`quadwalk/tasks`).
+Values that tasks share have names here. A task (`quadwalk/tasks`) names them and states its own.
 """
 
 from dataclasses import dataclass, replace
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from quadwalk.bounds import Bounds, Few, NotNegative, Seconds, Settings, Share
 from quadwalk.errors import UsageError
@@ -36,6 +36,20 @@ class ResetConfig(Settings, group="env.reset"):
     velocity: NotNegative  # m/s and rad/s, trunk
     joint_velocity: NotNegative  # rad/s
     forward: float  # m/s, forward speed drawn from 0 to this
+
+
+# From the home pose, near the line y = 0 and nearly along it.
+HOME_RESET = ResetConfig(
+    pose=None,
+    height=None,
+    yaw=0.3,
+    tilt=0.1,
+    offset=0.3,
+    joints=0.2,
+    velocity=0.5,
+    joint_velocity=0.5,
+    forward=0.0,
+)
 
 
 @dataclass(frozen=True)
@@ -96,6 +110,29 @@ class RandomisationConfig(Settings, group="env.randomisation"):
     margin: Share = 0.0
 
 
+# What a robot meets outside of a simulator; loads of -2 to 5 kg on an AlienGo, pushes to 1 m/s.
+REAL_WORLD = RandomisationConfig(
+    enabled=True,
+    friction=(0.3, 1.25),
+    trunk_mass=(-0.09, 0.22),
+    trunk_centre=(-0.08, 0.08),
+    link_mass=(0.9, 1.1),
+    strength=(0.8, 1.1),
+    kp=(0.8, 1.2),
+    kd=(0.8, 1.2),
+    joint_friction=(0.5, 1.5),
+    damping=(0.5, 1.5),
+    armature=(0.8, 1.2),
+    encoder=(-0.02, 0.02),
+    imu_tilt=(-0.02, 0.02),
+    latency=(0.0, 0.02),
+    sensor_latency=(0.0, 0.01),
+    noise=(0.0, 1.0),
+    push=(0.0, 0.525),
+    push_seconds=2.5,
+    margin=0.15,
+)
+
 # Of a task in an ideal world.
 NO_RANDOMISATION = RandomisationConfig(
     enabled=False,
@@ -116,6 +153,21 @@ NO_RANDOMISATION = RandomisationConfig(
     noise=None,
     push=None,
 )
+
+
+# Control at 50 Hz over physics steps of 4 ms, which two Newton iterations serve well enough
+# (benchmarks/accuracy.py); episodes of 20 s; the robot's own motors.
+PHYSICS: dict[str, Any] = {
+    "engine": "fast",
+    "gravity": 9.81,
+    "physics_dt": 0.004,
+    "substeps": 5,
+    "solver_iterations": 2,
+    "line_search_iterations": 3,
+    "contacts": "feet",
+    "episode_seconds": 20.0,
+    "motor": MotorConfig(),
+}
 
 
 @dataclass(frozen=True)

@@ -145,6 +145,35 @@ def conditions(robot: RobotArrays, state: EnvState) -> jax.Array:
     return jnp.concatenate([jnp.atleast_1d(jnp.asarray(x, jnp.float32)) for x in known])
 
 
+# What a robot's IMU and encoders measure, and what it did itself.
+PROPRIOCEPTION = {
+    "angular_velocity": Observation(angular_velocity, noise=0.2, history=4),
+    "gravity": Observation(gravity, noise=0.05, history=4),
+    "position": Observation(joint_positions, noise=0.01, history=4),
+    "speed": Observation(joint_velocities, noise=1.5, history=4),
+    "last_action": Observation(last_action, history=4),
+}
+HEADING = {"heading": Observation(heading, noise=0.05)}
+# A velocity command, to be followed at a trot.
+TROT_COMMAND = {
+    "command": Observation(command, labels=("forward", "lateral", "yaw_rate")),
+    "clock": Observation(trot_clock, {"stride": 20.0}, labels=("sine", "cosine")),
+}
+# What is known in simulation alone, for the value network: of the trunk, and of all else.
+TRUE_TRUNK = {
+    "velocity": Observation(velocity),
+    "angular_velocity": Observation(angular_velocity),
+    "gravity": Observation(gravity),
+    "height": Observation(height),
+}
+TRUE_LEGS = {
+    "position": Observation(joint_positions),
+    "speed": Observation(joint_velocities),
+    "contacts": Observation(contacts),
+    "conditions": Observation(conditions),
+}
+
+
 def observe(parts: dict[str, Observation], robot: RobotArrays, state: EnvState) -> jax.Array:
     """The observation (n,), float32: its parts one after another."""
     seen = [part.value(f"observation {name!r}", robot, state) for name, part in parts.items()]

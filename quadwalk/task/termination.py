@@ -35,6 +35,19 @@ def trunk_touched(robot: RobotArrays, step: Step, *, clearance: float) -> jax.Ar
     return step.lowest[0] < clearance
 
 
+FALLS = {
+    "tipped": Termination(tipped, {"angle": 1.0}),
+    "low": Termination(low, {"share": 0.45}),
+    "touched": Termination(touched, {"clearance": 0.0}),
+}
+# On uneven ground knees and shins may touch: at the edge of a stair they are bound to.
+TRUNK_FALLS = {
+    "tipped": FALLS["tipped"],
+    "low": Termination(low, {"share": 0.35}),
+    "trunk_touched": Termination(trunk_touched, {"clearance": 0.0}),
+}
+
+
 def terminations(ways: dict[str, Termination], robot: RobotArrays, step: Step) -> jax.Array:
     """Whether each of the ways to fall holds, (n,) bool."""
     holds = [way.value(f"termination {name!r}", robot, step) for name, way in ways.items()]

@@ -5,12 +5,12 @@ x. Its action map, observations, rewards and terminations are its own and stand 
 """
 
 import math
+from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from quadwalk.ground.terrain import FLAT
 from quadwalk.physics.motor import MotorConfig
 from quadwalk.physics.rotation import euler, rotate
 from quadwalk.task import observation
@@ -18,7 +18,7 @@ from quadwalk.task.config import NO_COMMAND, NO_RANDOMISATION, EnvConfig, ResetC
 from quadwalk.task.robot_arrays import RobotArrays
 from quadwalk.task.state import EnvState, Step
 from quadwalk.task.terms import ActionMap, Observation, Reward, Termination
-from quadwalk.train.settings import PPOConfig, TrainConfig
+from quadwalk.train.settings import PPO, TrainConfig
 
 # Joint targets at action -1 and 1, rad.
 BOUNDS = {
@@ -171,29 +171,7 @@ TASK = TrainConfig(
         ),
         command=NO_COMMAND,
         randomisation=NO_RANDOMISATION,
-        ground=FLAT,
     ),
     # At 240 steps a second what an action brings shows many steps later.
-    ppo=PPOConfig(
-        eval_envs=64,
-        unroll=32,
-        minibatches=4,
-        epochs=2,
-        learning_rate=1e-3,
-        desired_kl=0.03,
-        final_kl=0.01,
-        min_learning_rate=1e-5,
-        max_learning_rate=1e-2,
-        discount=0.99,
-        gae_lambda=0.98,
-        clip=0.2,
-        noise=0.35,
-        entropy=0.0,
-        final_entropy=0.0,
-        value=1.0,
-        max_grad_norm=1.0,
-        reward_scale=0.1,
-        hidden=(128, 128, 128),
-        activation="swish",
-    ),
+    ppo=replace(PPO, unroll=32, discount=0.99, gae_lambda=0.98, entropy=0.0, final_entropy=0.0),
 )

@@ -1,12 +1,21 @@
 """rough: follow a velocity command over slopes, stairs, rubble and ditches, seeing the ground."""
 
-from quadwalk.ground.terrain import GroundConfig
-from quadwalk.physics.motor import MotorConfig
-from quadwalk.task import observation, reward, termination
+from dataclasses import replace
+
+from quadwalk.ground.terrain import FLAT
+from quadwalk.task import reward
 from quadwalk.task.actions import about_home
-from quadwalk.task.config import CommandConfig, EnvConfig, RandomisationConfig, ResetConfig
-from quadwalk.task.terms import ActionMap, Observation, Reward, Termination
-from quadwalk.train.settings import PPOConfig, TrainConfig
+from quadwalk.task.config import HOME_RESET, PHYSICS, REAL_WORLD, CommandConfig, EnvConfig
+from quadwalk.task.observation import (
+    PROPRIOCEPTION,
+    TROT_COMMAND,
+    TRUE_LEGS,
+    TRUE_TRUNK,
+    height_scan,
+)
+from quadwalk.task.termination import TRUNK_FALLS
+from quadwalk.task.terms import ActionMap, Observation, Reward
+from quadwalk.train.settings import PPO_UNEVEN, TrainConfig
 
 # m; legged_gym's is 1.6 x 1 m, and its noise as large.
 SCAN = {"length": 1.2, "width": 0.6, "spacing": 0.1, "reach": 0.5}
@@ -16,38 +25,14 @@ TASK = TrainConfig(
     steps=52_000_000,
     checkpoint_steps=2_000_000,
     env=EnvConfig(
-        engine="fast",
-        gravity=9.81,
-        physics_dt=0.004,
-        substeps=5,
-        solver_iterations=2,
-        line_search_iterations=3,
-        contacts="knees",  # the trunk's touch is the end
-        episode_seconds=20.0,
-        motor=MotorConfig(kp=None, kd=None, effort=None, speed_limit=True, joint_friction=True),
+        **{**PHYSICS, "contacts": "knees"},  # the trunk's touch is the end
         action=ActionMap(about_home, {"hip": 0.5, "thigh": 0.9, "calf": 1.1}),
         observation={
-            "command": Observation(observation.command, labels=("forward", "lateral", "yaw_rate")),
-            "clock": Observation(
-                observation.trot_clock, {"stride": 20.0}, labels=("sine", "cosine")
-            ),
-            "angular_velocity": Observation(observation.angular_velocity, noise=0.2, history=4),
-            "gravity": Observation(observation.gravity, noise=0.05, history=4),
-            "position": Observation(observation.joint_positions, noise=0.01, history=4),
-            "speed": Observation(observation.joint_velocities, noise=1.5, history=4),
-            "last_action": Observation(observation.last_action, history=4),
-            "height_scan": Observation(observation.height_scan, SCAN, noise=0.05),
+            **TROT_COMMAND,
+            **PROPRIOCEPTION,
+            "height_scan": Observation(height_scan, SCAN, noise=0.05),
         },
-        critic={
-            "velocity": Observation(observation.velocity),
-            "angular_velocity": Observation(observation.angular_velocity),
-            "gravity": Observation(observation.gravity),
-            "height": Observation(observation.height),
-            "position": Observation(observation.joint_positions),
-            "speed": Observation(observation.joint_velocities),
-            "contacts": Observation(observation.contacts),
-            "conditions": Observation(observation.conditions),
-        },
+        critic={**TRUE_TRUNK, **TRUE_LEGS},
         reward={
             "fall": Reward(reward.fall, scale=-10.0),
             "energy": Reward(reward.energy, scale=-0.2),
@@ -62,23 +47,8 @@ TASK = TrainConfig(
             "drag": Reward(reward.drag, {"height": 0.02}, scale=-0.3),
             "trot": Reward(reward.trot, {"stride": 20.0, "height": 0.1, "width": 0.04}, scale=1.0),
         },
-        termination={
-            "tipped": Termination(termination.tipped, {"angle": 1.0}),
-            "low": Termination(termination.low, {"share": 0.35}),
-            # Knees and shins may touch: at the edge of a stair they are bound to.
-            "trunk_touched": Termination(termination.trunk_touched, {"clearance": 0.0}),
-        },
-        reset=ResetConfig(
-            pose=None,
-            height=None,
-            yaw=3.14,
-            tilt=0.1,
-            offset=0.0,
-            joints=0.2,
-            velocity=0.5,
-            joint_velocity=0.5,
-            forward=0.0,
-        ),
+        termination=TRUNK_FALLS,
+        reset=replace(HOME_RESET, yaw=3.14, offset=0.0),
         command=CommandConfig(
             forward=(-0.5, 1.2),
             lateral=(-0.3, 0.3),
@@ -87,26 +57,11 @@ TASK = TrainConfig(
             seconds=5.0,
             straight=0.5,  # else few get to the edge of their tiles, and levels rise slowly
         ),
-        randomisation=RandomisationConfig(
-            enabled=True,
-            friction=(0.3, 1.25),
-            trunk_mass=(-0.1, 0.25),
-            trunk_centre=(-0.08, 0.08),
-            link_mass=(0.9, 1.1),
-            strength=(0.8, 1.1),
-            kp=(0.8, 1.2),
-            kd=(0.8, 1.2),
-            joint_friction=(0.5, 1.5),
-            damping=(0.5, 1.5),
-            armature=(0.8, 1.2),
-            encoder=(-0.02, 0.02),
-            imu_tilt=(-0.02, 0.02),
-            latency=(0.0, 0.02),
-            sensor_latency=(0.0, 0.01),
-            noise=(0.0, 1.0),
-            push=(0.0, 0.5),
+        randomisation=replace(
+            REAL_WORLD, trunk_mass=(-0.1, 0.25), push=(0.0, 0.5), push_seconds=5.0, margin=0.0
         ),
-        ground=GroundConfig(
+        ground=replace(
+            FLAT,
             kinds=(
                 "flat",
                 *("slope_up",) * 2,  # the hardest have more of the robots
@@ -119,44 +74,9 @@ TASK = TrainConfig(
                 "ditches",
             ),
             levels=6,  # few and far apart: 52 million steps are but 26 full episodes of each robot
-            difficulty=(0.0, 1.0),
-            tile=(8.0, 8.0),
-            border=4.0,
-            cell=0.05,
-            seed=0,
-            step=None,
-            tread=None,
-            block=None,
-            roughness=None,
-            file=None,
-            white=1.0,
             curriculum=True,
             confined=True,  # so that levels follow soon, and each robot meets its own
         ),
-        blind=False,
     ),
-    ppo=PPOConfig(
-        eval_envs=64,
-        unroll=12,
-        minibatches=4,
-        epochs=2,
-        learning_rate=1e-3,
-        desired_kl=0.03,
-        final_kl=0.01,
-        min_learning_rate=1e-5,
-        max_learning_rate=1e-2,
-        discount=0.98,
-        gae_lambda=0.95,
-        clip=0.2,
-        noise=0.35,
-        entropy=0.003,
-        final_entropy=0.001,
-        value=1.0,
-        max_grad_norm=1.0,
-        reward_scale=0.1,
-        # A quarter fewer steps/s than with three of 128, but as far in two thirds of the steps.
-        hidden=(256, 192, 128),
-        activation="swish",
-        settle=0.8,  # early: levels rise little before
-    ),
+    ppo=PPO_UNEVEN,
 )

@@ -1,47 +1,24 @@
-"""run: run along world x as fast as possible, with what a real robot knows and suffers."""
+"""run: run along world x as fast as possible, with a real robot's sensors and disturbances."""
 
-from quadwalk.ground.terrain import FLAT
-from quadwalk.physics.motor import MotorConfig
-from quadwalk.task import observation, reward, termination
-from quadwalk.task.actions import about_home
-from quadwalk.task.config import NO_COMMAND, EnvConfig, RandomisationConfig, ResetConfig
-from quadwalk.task.terms import ActionMap, Observation, Reward, Termination
-from quadwalk.train.settings import PPOConfig, TrainConfig
+from dataclasses import replace
+
+from quadwalk.task import reward
+from quadwalk.task.actions import ABOUT_HOME
+from quadwalk.task.config import HOME_RESET, NO_COMMAND, PHYSICS, REAL_WORLD, EnvConfig
+from quadwalk.task.observation import HEADING, PROPRIOCEPTION, TRUE_LEGS, TRUE_TRUNK, heading
+from quadwalk.task.termination import FALLS
+from quadwalk.task.terms import Observation, Reward
+from quadwalk.train.settings import PPO, TrainConfig
 
 TASK = TrainConfig(
     task="run",
     steps=27_000_000,
     checkpoint_steps=2_000_000,
     env=EnvConfig(
-        engine="fast",
-        gravity=9.81,
-        physics_dt=0.004,
-        substeps=5,
-        solver_iterations=2,
-        line_search_iterations=3,
-        contacts="feet",
-        episode_seconds=20.0,
-        motor=MotorConfig(kp=None, kd=None, effort=None, speed_limit=True, joint_friction=True),
-        action=ActionMap(about_home, {"hip": 0.3, "thigh": 0.9, "calf": 0.9}),
-        observation={
-            "heading": Observation(observation.heading, noise=0.05),
-            "angular_velocity": Observation(observation.angular_velocity, noise=0.2, history=4),
-            "gravity": Observation(observation.gravity, noise=0.05, history=4),
-            "position": Observation(observation.joint_positions, noise=0.01, history=4),
-            "speed": Observation(observation.joint_velocities, noise=1.5, history=4),
-            "last_action": Observation(observation.last_action, history=4),
-        },
-        critic={
-            "velocity": Observation(observation.velocity),
-            "angular_velocity": Observation(observation.angular_velocity),
-            "gravity": Observation(observation.gravity),
-            "height": Observation(observation.height),
-            "heading": Observation(observation.heading),
-            "position": Observation(observation.joint_positions),
-            "speed": Observation(observation.joint_velocities),
-            "contacts": Observation(observation.contacts),
-            "conditions": Observation(observation.conditions),
-        },
+        **PHYSICS,
+        action=ABOUT_HOME,
+        observation={**HEADING, **PROPRIOCEPTION},
+        critic={**TRUE_TRUNK, "heading": Observation(heading), **TRUE_LEGS},
         reward={
             "forward": Reward(reward.forward, {"max_speed": 7.0}, scale=1.0),
             "fall": Reward(reward.fall, scale=-30.0),
@@ -54,67 +31,10 @@ TASK = TrainConfig(
             "roll_pitch_rate": Reward(reward.roll_pitch_rate, scale=-0.1),
             "action_rate": Reward(reward.action_rate, scale=-0.1),
         },
-        termination={
-            "tipped": Termination(termination.tipped, {"angle": 1.0}),
-            "low": Termination(termination.low, {"share": 0.45}),
-            "touched": Termination(termination.touched, {"clearance": 0.0}),
-        },
-        reset=ResetConfig(
-            pose=None,
-            height=None,
-            yaw=0.3,
-            tilt=0.1,
-            offset=0.3,
-            joints=0.2,
-            velocity=0.5,
-            joint_velocity=0.5,
-            forward=0.0,
-        ),
+        termination=FALLS,
+        reset=HOME_RESET,
         command=NO_COMMAND,
-        randomisation=RandomisationConfig(
-            enabled=True,
-            friction=(0.3, 1.25),
-            trunk_mass=(-0.09, 0.22),
-            trunk_centre=(-0.08, 0.08),
-            link_mass=(0.9, 1.1),
-            strength=(0.8, 1.1),
-            kp=(0.8, 1.2),
-            kd=(0.8, 1.2),
-            joint_friction=(0.5, 1.5),
-            damping=(0.5, 1.5),
-            armature=(0.8, 1.2),
-            encoder=(-0.02, 0.02),
-            imu_tilt=(-0.02, 0.02),
-            latency=(0.0, 0.02),
-            sensor_latency=(0.0, 0.01),
-            noise=(0.0, 1.0),
-            push=(0.0, 0.525),
-            push_seconds=2.5,
-            margin=0.15,
-        ),
-        ground=FLAT,
+        randomisation=REAL_WORLD,
     ),
-    ppo=PPOConfig(
-        eval_envs=64,
-        unroll=12,
-        minibatches=4,
-        epochs=2,
-        learning_rate=1e-3,
-        desired_kl=0.03,
-        final_kl=0.01,
-        min_learning_rate=1e-5,
-        max_learning_rate=1e-2,
-        discount=0.97,
-        gae_lambda=0.95,
-        clip=0.2,
-        noise=0.35,
-        entropy=0.005,
-        final_entropy=0.001,
-        value=1.0,
-        max_grad_norm=1.0,
-        reward_scale=0.1,
-        hidden=(128, 128, 128),
-        activation="swish",
-        retry=0.5,
-    ),
+    ppo=replace(PPO, retry=0.5),
 )

@@ -1,6 +1,6 @@
 """Settings of a training run: what the command line sets and `config.json` keeps."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -61,6 +61,34 @@ class PPOConfig(Settings, group="ppo"):
                 f"--ppo.min-learning-rate is {self.min_learning_rate}; expected at most "
                 f"--ppo.max-learning-rate, {self.max_learning_rate}"
             )
+
+
+# For a run on a flat floor; 2048 environments on two cores.
+PPO = PPOConfig(
+    eval_envs=64,
+    unroll=12,
+    minibatches=4,
+    epochs=2,
+    learning_rate=1e-3,
+    desired_kl=0.03,
+    final_kl=0.01,
+    min_learning_rate=1e-5,
+    max_learning_rate=1e-2,
+    discount=0.97,
+    gae_lambda=0.95,
+    clip=0.2,
+    noise=0.35,
+    entropy=0.005,
+    final_entropy=0.001,
+    value=1.0,
+    max_grad_norm=1.0,
+    reward_scale=0.1,
+    hidden=(128, 128, 128),
+    activation="swish",
+)
+# For uneven ground. A quarter fewer steps/s than with three layers of 128, but as far in two thirds
+# of the steps; it settles early, for levels rise little before.
+PPO_UNEVEN = replace(PPO, discount=0.98, entropy=0.003, hidden=(256, 192, 128), settle=0.8)
 
 
 @dataclass(frozen=True)
