@@ -71,6 +71,14 @@ def real_path(path: Path) -> Path:
     return Path(os.path.realpath(path))
 
 
+def read_bytes(path: Path | str) -> bytes:
+    """A file's content; `UserError` where the system refuses it."""
+    try:
+        return Path(path).read_bytes()
+    except OSError as error:
+        raise UserError(f"cannot read {path}: {os_reason(error)}") from error
+
+
 def os_reason(error: OSError) -> str:
     """The system's reason alone ("No space left on device"), without numbers or paths."""
     return error.strerror or str(error) or type(error).__name__

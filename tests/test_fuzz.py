@@ -20,10 +20,9 @@ from quadwalk.paths import ALIENGO_URDF
 from quadwalk.robot.__main__ import main as robot
 from quadwalk.robot.quadruped import Quadruped
 from quadwalk.task_files import load_task, task_names
-from quadwalk.tasks import walk
 from quadwalk.train.flags import parse_config
 from quadwalk.train.progress.curves import learning_curve
-from quadwalk.train.robot import load_run_robot
+from quadwalk.train.robot import load_robot
 from quadwalk.train.runs.directory import (
     Run,
     create_run,
@@ -35,6 +34,7 @@ from quadwalk.train.runs.log import MetricsLog, read_history
 from quadwalk.train.runs.policy import load_checkpoint_policy, load_policy, load_score
 from quadwalk.train.runs.resume import resumed_config
 from quadwalk.train.serialise import flatten, with_settings
+from quadwalk.train.settings import RobotConfig
 from quadwalk.variants.__main__ import CompareConfig
 from quadwalk.variants.__main__ import main as compare
 from quadwalk.view.choices import policy_choices
@@ -145,7 +145,7 @@ READERS: dict[str, tuple[Callable[[Run], object], ...]] = {
         lambda run: latest_checkpoint(run, str),
         lambda run: load_checkpoint_policy(run.checkpoint(3), ("a",) * 12),
     ),
-    "robot.urdf": (lambda run: load_run_robot(run, walk.TASK.robot),),
+    "robot.urdf": (lambda run: load_robot(RobotConfig(run.urdf)),),
 }
 
 

@@ -18,7 +18,7 @@ def still(robot, step):
     return 1.0
 
 TASK = dataclasses.replace(sprint.TASK, task="still", env=dataclasses.replace(
-    sprint.TASK.env, reward={"still": Reward(still, scale=2.0)}))
+    sprint.TASK.env, reward={**sprint.TASK.env.reward, "still": Reward(still, scale=2.0)}))
 """
 
 

@@ -31,7 +31,7 @@ from quadwalk.evaluate.summary import (
 from quadwalk.ground.terrain import FILE, Terrain
 from quadwalk.task.env import QuadrupedEnv
 from quadwalk.task.state import chosen
-from quadwalk.train.robot import load_run_robot
+from quadwalk.train.robot import load_robot
 
 PACE = 0.7  # m/s
 # Episodes at a time: about an eighth of all, since what has ended at the end is stepped on until
@@ -98,7 +98,7 @@ def ground_env(subject: Subject, kinds: tuple[str, ...], levels: int) -> Quadrup
         config, ground=dataclasses.replace(ground, confined=True), command=command
     )
     # The subject's own robot stands on its ground already.
-    quadruped = load_run_robot(subject.run, subject.policy.config.robot)
+    quadruped = load_robot(subject.policy.config.robot)
     return QuadrupedEnv(quadruped, config, subject.env.engine)
 
 

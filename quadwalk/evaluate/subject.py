@@ -5,12 +5,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from quadwalk.errors import UserError
-from quadwalk.files import os_reason
+from quadwalk.files import read_bytes
 from quadwalk.ground.terrain import FLAT, GroundConfig
 from quadwalk.physics.engines import EngineName
 from quadwalk.task.config import NO_RANDOMISATION, REAL_WORLD, EnvConfig, RandomisationConfig
 from quadwalk.task.env import QuadrupedEnv
-from quadwalk.train.robot import load_run_robot
+from quadwalk.train.robot import load_robot
 from quadwalk.train.runs import checkpoint
 from quadwalk.train.runs.directory import Run
 from quadwalk.train.runs.policy import Policy, load_policy
@@ -77,11 +77,9 @@ def load_subject(
     """
     file = run.best if which == "best" else run.policy
     policy, sha256 = load_policy(file), checkpoint.sha256(file)
-    try:  # now, and not for its recordings, when all is simulated
-        written = run.config.read_bytes() if run.config.exists() else None
-    except OSError as error:
-        raise UserError(f"cannot read {run.config}: {os_reason(error)}") from error
-    quadruped = load_run_robot(run, policy.config.robot)
+    # Now, and not for its recordings, when all is simulated.
+    written = read_bytes(run.config) if run.config.exists() else None
+    quadruped = load_robot(policy.config.robot)
     trained = policy.config.env
     command = dataclasses.replace(trained.command, seconds=seconds)
     ranges = dataclasses.replace(

@@ -62,12 +62,9 @@ def together(action: Callable[[], T]) -> T:
 
 def check_same(text: str) -> None:
     """`UserError` in every process unless `text` is the same in all: else they would hang."""
-    import jax
-
-    if jax.process_count() > 1:
-        digests = _gather(np.frombuffer(hashlib.sha256(text.encode()).digest(), np.uint8))
-        if (digests != digests[0]).any():
-            raise UserError("the processes have different settings or robots: expected the same")
+    digests = _gather(np.frombuffer(hashlib.sha256(text.encode()).digest(), np.uint8))
+    if (digests != digests[0]).any():
+        raise UserError("the processes have different settings, robots or tasks: expected the same")
 
 
 def gathered(tree: Any) -> Any:

@@ -23,7 +23,8 @@ from quadwalk.errors import UsageError, UserError
 from quadwalk.files import os_reason
 from quadwalk.train.runs import checkpoint
 from quadwalk.train.runs.directory import Run
-from quadwalk.train.serialise import from_dict, to_dict
+from quadwalk.train.runs.resume import config_of
+from quadwalk.train.serialise import to_dict
 from quadwalk.train.settings import TrainConfig
 
 KEPT = 20  # files of a run: enough to see what they have in common
@@ -59,14 +60,14 @@ def replay(path: Path | str) -> tuple[np.ndarray, np.ndarray]:
     import jax.numpy as jnp
 
     from quadwalk.task.env import QuadrupedEnv
-    from quadwalk.train.robot import load_run_robot
+    from quadwalk.train.robot import load_robot
 
     path = Path(path)
     _, metadata = checkpoint.load(path, "nan")
     run = Run(path.parent.parent)
     try:
-        config = from_dict(TrainConfig, metadata["config"], run.path)
-        env = QuadrupedEnv(load_run_robot(run, config.robot), config.env)
+        config = config_of(metadata["config"], run, str(path), "0.1")
+        env = QuadrupedEnv(load_robot(config.robot), config.env)
     except (KeyError, ValueError, UserError) as error:
         raise UserError(f"{path} holds a step that cannot be used: {error}") from None
     start = jax.eval_shape(env.reset, jax.random.PRNGKey(0)).pipeline_state

@@ -1,24 +1,31 @@
-"""The robot that a configuration or a run names."""
+"""The robot that a configuration names, and all that is trained on it."""
 
-from pathlib import Path
+from typing import Any
 
-from quadwalk.robot.mjcf import Options
+from quadwalk.robot.mjcf import Options, write_xml
 from quadwalk.robot.quadruped import Quadruped, load_quadruped
-from quadwalk.train.runs.directory import Run
-from quadwalk.train.settings import RobotConfig
+from quadwalk.task_files import OWN
+from quadwalk.train.runs.checkpoint import sha256
+from quadwalk.train.serialise import task_source, to_dict
+from quadwalk.train.settings import RobotConfig, TrainConfig
 
 
 def load_robot(config: RobotConfig) -> Quadruped:
     """The robot that `config` names; `UrdfError` where it is none that can be trained."""
-    return _load(config.urdf, config, config.mesh_dirs)
+    options = Options(mesh_folders=config.mesh_dirs, effort=config.effort, speed=config.speed)
+    return load_quadruped(config.urdf, options, config.repair_inertia)
 
 
-def load_run_robot(run: Run, config: RobotConfig) -> Quadruped:
-    """The robot of a run, from the run's own copy; its mesh files, if any, are where they were."""
-    folders = (config.urdf.parent, *config.mesh_dirs)
-    return _load(run.urdf, config, folders)
+def content(config: TrainConfig, quadruped: Quadruped) -> dict[str, Any]:
+    """What is trained: the same where settings and files say the same, wherever the files are.
 
-
-def _load(urdf: Path, config: RobotConfig, folders: tuple[Path, ...]) -> Quadruped:
-    options = Options(mesh_folders=folders, effort=config.effort, speed=config.speed)
-    return load_quadruped(urdf, options, config.repair_inertia)
+    `quadruped` is the robot of `config`.
+    """
+    parts = {name: to_dict(getattr(config, name)) for name in ("robot", "env", "ppo")}
+    del parts["robot"]["mesh_dirs"]
+    parts["robot"]["urdf"] = quadruped.urdf
+    if config.env.ground.file is not None:
+        parts["env"]["ground"]["file"] = sha256(config.env.ground.file)
+    model = quadruped.spec.copy()  # which has the meshes
+    model.comment = ""  # that names the URDF's file
+    return {**parts, "model": write_xml(model), OWN: task_source(config)}

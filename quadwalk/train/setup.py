@@ -6,14 +6,14 @@ from contextlib import ExitStack, nullcontext
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
-from quadwalk.files import real_path, unfinished
+from quadwalk.files import atomic_write, read_bytes, real_path, unfinished
 from quadwalk.robot.quadruped import Quadruped
 from quadwalk.task_files import OWN
 from quadwalk.train import distributed
 from quadwalk.train.devices import choose_devices
 from quadwalk.train.progress.display import Progress
 from quadwalk.train.progress.metrics import TrainingMetrics
-from quadwalk.train.robot import load_robot, load_run_robot
+from quadwalk.train.robot import content, load_robot
 from quadwalk.train.runs.directory import (
     Run,
     as_json,
@@ -26,7 +26,7 @@ from quadwalk.train.runs.directory import (
 )
 from quadwalk.train.runs.resume import changed_settings, read_config, restore
 from quadwalk.train.serialise import task_source, to_dict
-from quadwalk.train.settings import DistributedConfig, TrainConfig
+from quadwalk.train.settings import DistributedConfig, TrainConfig, with_files
 
 if TYPE_CHECKING:
     from quadwalk.train.ppo import TrainState
@@ -56,10 +56,8 @@ def prepare(
 
     The run is this training's until `stack` is closed.
     """
-    # Absolute, so that mesh files are found from wherever the run is used.
-    folders = tuple(map(real_path, config.robot.mesh_dirs))
-    robot = replace(config.robot, urdf=real_path(config.robot.urdf), mesh_dirs=folders)
-    config = replace(config, robot=robot)
+    robot = config.robot
+    config = with_files(config, robot.urdf, robot.mesh_dirs, config.env.ground.file)
     config, devices = choose_devices(config)
     assert config.envs is not None
     # Imported here, for it must not be before JAX is set up.
@@ -67,9 +65,7 @@ def prepare(
     from quadwalk.train import ppo
     from quadwalk.train.networks import make_networks
 
-    quadruped = (
-        load_robot(config.robot) if previous is None else load_run_robot(previous, config.robot)
-    )
+    quadruped = load_robot(config.robot)
     for note in quadruped.notes:
         progress.message(note)
     _check_processes(config, quadruped)
@@ -111,9 +107,11 @@ def prepare(
 
 
 def _check_processes(config: TrainConfig, quadruped: Quadruped) -> None:
-    """All processes must run the same program on the same robot."""
-    shared = replace(config, distributed=DistributedConfig(), runs=TrainConfig.runs, quiet=False)
-    distributed.check_same(f"{to_dict(shared)} {quadruped.urdf}")
+    """All processes must run the same program on the same robot, wherever each has its files."""
+    if config.distributed.processes > 1:
+        own = DistributedConfig()
+        shared = replace(config, distributed=own, runs=TrainConfig.runs, quiet=False)
+        distributed.check_same(f"{to_dict(shared) | content(config, quadruped)}")
 
 
 def _open_run(
@@ -133,11 +131,17 @@ def _open_run(
             files[OWN] = source
         run = create_run(config.runs, config.name, label=config.task, files=files)
         stack.enter_context(claim(run))
-        return run
-    stack.enter_context(claim(previous))
-    changes = changed_settings(read_config(previous), config)
-    clean(previous)
-    write_json_atomic(previous.config, settings)
-    for change in changes:
-        progress.message(f"changed {change}")
-    return previous
+    else:
+        run = previous
+        stack.enter_context(claim(run))
+        changes = changed_settings(read_config(run), config)
+        clean(run)
+        write_json_atomic(run.config, settings)
+        for change in changes:
+            progress.message(f"changed {change}")
+    heights = config.env.ground.file
+    if heights is not None and heights != real_path(run.ground(heights)):
+        copy = read_bytes(heights)
+        with atomic_write(run.ground(heights)) as file:
+            file.write(copy)
+    return run

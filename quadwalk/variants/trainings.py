@@ -12,6 +12,7 @@ from typing import Any, TypeVar
 from quadwalk.api import train
 from quadwalk.errors import UserError
 from quadwalk.train.devices import set_up_devices
+from quadwalk.train.robot import content, load_robot
 from quadwalk.train.runs.directory import Run
 from quadwalk.train.runs.policy import load_score
 from quadwalk.train.runs.resume import read_config
@@ -29,12 +30,17 @@ def trained(config: TrainConfig) -> Run:
     with contextlib.redirect_stdout(sys.stderr):
         if not run.path.exists():
             return train(config)
-        kept = read_config(run)
-        if (kept.env, kept.ppo) != (config.env, config.ppo):
-            raise UserError(f"{run.path} has other settings; remove it to train it anew")
+        check_same(run, config)
         if not run.policy.exists() or load_score(run.policy)[0] < config.steps:
             train(resume=run, quiet=config.quiet)
     return run
+
+
+def check_same(run: Run, config: TrainConfig) -> None:
+    """`UserError` if `run` has other settings, robot, ground or task file than `config`."""
+    kept, wanted = (content(c, load_robot(c.robot)) for c in (read_config(run), config))
+    if kept != wanted:
+        raise UserError(f"{run.path} has other settings; remove it to train it anew")
 
 
 def in_processes(

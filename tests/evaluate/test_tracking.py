@@ -154,7 +154,7 @@ def test_an_episode_has_one_command_which_its_policy_sees(quadruped, monkeypatch
     size = QuadrupedEnv(quadruped, config.env).policy_size
     policy = Policy(act, config, quadruped.joints, size, 0)
     monkeypatch.setattr(subject, "load_policy", lambda path: policy)
-    monkeypatch.setattr(subject, "load_run_robot", lambda *_: quadruped)
+    monkeypatch.setattr(subject, "load_robot", lambda *_: quadruped)
     (tmp_path / "policy.npz").write_bytes(b"weights")
     env = subject.load_subject(Run(tmp_path), 0.2, engine="mujoco").env
     rollouts = list(simulate_episodes(env, act, 2, seed=0))

@@ -13,7 +13,7 @@ from quadwalk.task_files import load_task, task_names
 from quadwalk.tasks import sprint, walk
 from quadwalk.train import devices
 from quadwalk.train.flags import parse_config
-from quadwalk.train.runs.resume import changed_settings
+from quadwalk.train.runs.resume import changed_settings, read_config
 from quadwalk.train.serialise import to_dict, with_settings
 from quadwalk.train.settings import TrainConfig
 
@@ -180,7 +180,8 @@ def test_a_resumed_configuration_is_the_runs_with_the_flags_given(tmp_path):
     resumed, previous = parse_config(flags)
     assert previous.path == tmp_path / "dog"
     assert (resumed.seed, resumed.env.substeps, resumed.ppo.entropy) == (7, 3, 0.5)
-    assert resumed.robot == config.robot
+    assert resumed.robot.urdf == tmp_path / "dog" / "robot.urdf"
+    config = read_config(previous)
     assert changed_settings(config, resumed) == ["ppo.entropy: 0.01 -> 0.5"]
     with pytest.raises(UsageError, match="--seed"):
         changed_settings(config, dataclasses.replace(resumed, seed=8))

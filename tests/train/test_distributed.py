@@ -1,6 +1,7 @@
 """Several processes that share a training, on this machine."""
 
 import os
+import shutil
 import signal
 import socket
 import time
@@ -8,9 +9,11 @@ import time
 import pytest
 
 from quadwalk.errors import UsageError
+from quadwalk.paths import ALIENGO_URDF
 from quadwalk.train.flags import parse_config
 from quadwalk.train.runs.directory import Run
 from quadwalk.train.runs.log import read_metrics
+from tests.test_task_files import OWN_TASK
 
 ITERATIONS = 100
 
@@ -71,16 +74,28 @@ def test_two_processes_learn_what_one_with_two_devices_does(
 
 
 def test_processes_that_differ_or_cannot_begin_all_say_so(start, tmp_path, flags, port):
+    """Different is what they say: the same robot may lie in other places."""
+    for number in (0, 1):
+        shutil.copy(ALIENGO_URDF, tmp_path / f"robot{number}.urdf")
+        (tmp_path / f"task{number}.py").write_text(
+            OWN_TASK.replace("return 1.0", f"return {number}.0")
+        )
     (tmp_path / "taken").mkdir()
     (tmp_path / "taken" / "file").write_text("")
-    for name, seeds, expected in (
-        ("a", (0, 1), ("different settings", "different settings")),
-        ("taken", (0, 0), ("run 'taken' exists", "another process could not begin")),
+    differ = ("different settings", "different settings")
+    for name, flag, expected in (
+        ("a", "--seed={}", differ),
+        ("b", f"--preset={tmp_path}/task{{}}.py", differ),
+        (
+            "taken",
+            f"--robot.urdf={tmp_path}/robot{{}}.urdf",
+            ("run 'taken' exists", "another process could not begin"),
+        ),
     ):
         outputs = [tmp_path / f"{name}{number}" for number in (0, 1)]
         processes = [
-            start(output, *flags(tmp_path, name, 5, f"--seed={seed}"), *shared(number, 2, port))
-            for number, (output, seed) in enumerate(zip(outputs, seeds, strict=True))
+            start(output, *flags(tmp_path, name, 5, flag.format(n)), *shared(n, 2, port))
+            for n, output in enumerate(outputs)
         ]
         for process, output, part in zip(processes, outputs, expected, strict=True):
             process.join(100)

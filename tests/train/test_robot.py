@@ -1,3 +1,4 @@
+import dataclasses
 import shutil
 
 import pytest
@@ -6,11 +7,19 @@ import trimesh
 from quadwalk.errors import UsageError
 from quadwalk.paths import ALIENGO_URDF
 from quadwalk.robot.urdf import UrdfError
-from quadwalk.train.robot import load_robot, load_run_robot
+from quadwalk.tasks.sprint import TASK
+from quadwalk.train.robot import load_robot
 from quadwalk.train.runs.directory import Run
+from quadwalk.train.runs.resume import config_of
+from quadwalk.train.serialise import to_dict
 from quadwalk.train.settings import RobotConfig
 
 BOX = '<box size="0.647 0.15 0.112"/>'
+
+
+def as_in(run: Run, robot: RobotConfig) -> RobotConfig:
+    """`robot`, as the configuration of a run that was trained on it has it."""
+    return config_of(to_dict(dataclasses.replace(TASK, robot=robot)), run, "here", "0.2").robot
 
 
 def test_a_run_finds_the_mesh_files_of_its_robot(tmp_path):
@@ -25,7 +34,7 @@ def test_a_run_finds_the_mesh_files_of_its_robot(tmp_path):
     config = RobotConfig(urdf=home / "dog.urdf")
     original = load_robot(config)
     shutil.copy(home / "dog.urdf", run.urdf)
-    copy = load_run_robot(run, config)
+    copy = load_robot(as_in(run, config))
     for robot in (original, copy):
         assert robot.full_model().nmesh == 1
     without = load_robot(RobotConfig(urdf=run.urdf))
@@ -46,7 +55,7 @@ def test_a_run_keeps_what_its_robot_was_given(tmp_path):
     with pytest.raises(UrdfError, match=r"pass --robot\.effort NM$"):
         load_robot(RobotConfig(urdf=run.urdf, repair_inertia=True))
     config = RobotConfig(urdf=run.urdf, effort=30, repair_inertia=True)
-    for robot in (load_robot(config), load_run_robot(run, config)):
+    for robot in (load_robot(config), load_robot(as_in(run, config))):
         assert list(robot.effort[:3]) == [35.278, 35.278, 30]
         assert any(note.startswith("repaired: inertia of 'trunk'") for note in robot.notes)
 

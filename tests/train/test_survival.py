@@ -10,10 +10,12 @@ import time
 from pathlib import Path
 
 import crash
+import numpy as np
 import pytest
 import toy
 
 from quadwalk.errors import UserError
+from quadwalk.ground.terrain import make_terrain
 from quadwalk.train.runs import checkpoint
 from quadwalk.train.runs.directory import (
     Run,
@@ -152,6 +154,32 @@ def test_of_nothing_but_truncated_ones_none_is_gone_on_from(whole, tmp_path, tra
     with pytest.raises(UserError, match="cut has no checkpoint that can be read"):
         train(f"--runs={tmp_path}", "--resume=cut")
     assert (tmp_path / "cut" / "metrics.jsonl").read_bytes() == before
+
+
+def test_a_run_keeps_its_ground(tmp_path, flags, train, monkeypatch):
+    """Whatever becomes of the file, wherever the run and its user go."""
+    monkeypatch.chdir(tmp_path)
+    hills, other = np.arange(12.0).reshape(3, 4), np.ones((2, 2))
+    np.save("hills.npy", hills)
+    np.save("other.npy", other)
+
+    def stood_on() -> np.ndarray:
+        (policy,) = Path().rglob("policy.npz")
+        return make_terrain(load_policy(policy).config.env.ground, 0.5).field.heights
+
+    train(*flags(Path("runs"), "a", 1, "--env.ground.file=hills.npy"))
+    Path("hills.npy").unlink()
+    np.testing.assert_array_equal(stood_on(), hills)
+    Path("moved").mkdir()
+    Path("runs").rename("moved/runs")
+    monkeypatch.chdir("moved")
+    np.testing.assert_array_equal(stood_on(), hills)
+    train("--resume=a", "--steps=128")
+    np.testing.assert_array_equal(stood_on(), hills)
+    train("--resume=a", "--steps=192", "--env.ground.file=../other.npy")
+    np.testing.assert_array_equal(stood_on(), other)
+    Path("runs/a/ground-other.npy").unlink()  # as an older version left it
+    np.testing.assert_array_equal(stood_on(), other)
 
 
 def test_a_run_that_could_not_go_on_is_free_while_its_error_is_kept(whole, tmp_path, train):

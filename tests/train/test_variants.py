@@ -7,12 +7,15 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from quadwalk.errors import UsageError
+from quadwalk.errors import UsageError, UserError
 from quadwalk.train.flags import parse_config
 from quadwalk.train.runs.directory import Run
+from quadwalk.train.runs.policy import load_score
 from quadwalk.variants import table
 from quadwalk.variants.__main__ import main, split
 from quadwalk.variants.bands import band, draw_bands
+from quadwalk.variants.trainings import trained
+from tests.test_task_files import OWN_TASK
 
 ROWS = [{"steps": 10, "eval/speed": 1.0}, {"steps": 20, "eval/speed": 3.0}]
 
@@ -132,3 +135,17 @@ def test_a_variant_is_trained_with_its_flags_and_seed(trainings, monkeypatch):
     usual, _ = parse_config(flags.split())
     assert (config.ppo, config.env, config.steps) == (usual.ppo, usual.env, usual.steps)
     assert (config.seed, config.runs) == (2, trainings)
+
+
+def test_a_run_of_ones_own_task_is_known_again_until_the_file_changes(tmp_path, flags, train):
+    tiny = flags(tmp_path / "runs", "own", 1)
+    for folder, rate, known in (("a", 1.0, True), ("b", 1.0, True), ("c", 2.0, False)):
+        (tmp_path / folder).mkdir()
+        file = tmp_path / folder / "own.py"
+        file.write_text(OWN_TASK.replace("return 1.0", f"return {rate}"))
+        config, _ = parse_config([*tiny, f"--preset={file}"])
+        if known:
+            assert load_score(trained(config).policy)[0] == config.steps
+        else:
+            with pytest.raises(UserError, match="other settings; remove it"):
+                trained(config)

@@ -7,7 +7,7 @@ from typing import Any
 import quadwalk
 from quadwalk.evaluate.subject import Subject
 from quadwalk.robot.mjcf import write_xml
-from quadwalk.train.robot import load_run_robot
+from quadwalk.train.robot import load_robot
 from quadwalk.train.runs.directory import versions
 
 _SOURCE = Path(quadwalk.__file__).resolve().parents[1]
@@ -58,7 +58,7 @@ def attachments(subject: Subject) -> dict[str, bytes]:
     """
     quadruped = subject.env.quadruped
     if subject.env.terrain is not None:  # without the ground, of which the recording shows its own
-        quadruped = load_run_robot(subject.run, subject.policy.config.robot)
+        quadruped = load_robot(subject.policy.config.robot)
     files = {f"{quadruped.name}.xml": write_xml(quadruped.spec).encode()}
     if subject.config is not None:
         files["config.json"] = subject.config

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from quadwalk.errors import UserError
-from quadwalk.files import DAMAGE, atomic_write, os_reason
+from quadwalk.files import DAMAGE, atomic_write, os_reason, read_bytes
 
 FORMAT = "quadwalk"
 VERSION = 1
@@ -99,11 +99,7 @@ def load(path: Path | str, kind: str, like: Any = None) -> tuple[Any, dict[str, 
 
 def sha256(path: Path | str) -> str:
     """The SHA-256 of a file's bytes, in hexadecimal."""
-    try:
-        with open(path, "rb") as file:
-            return hashlib.file_digest(file, "sha256").hexdigest()
-    except OSError as error:
-        raise UserError(f"cannot read {path}: {os_reason(error)}") from error
+    return hashlib.sha256(read_bytes(path)).hexdigest()
 
 
 def _expected(kind: str) -> str:

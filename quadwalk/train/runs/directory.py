@@ -2,6 +2,9 @@
 
 runs/NAME/
   config.json          every setting
+  robot.urdf           the robot, as it was when training began
+  task.py              the file of a task of one's own
+  ground-FILE          the file of heights, if the ground is from one
   metrics.jsonl        one line per iteration, the same for the same seed
   timing.jsonl         how long each took, which never is
   tensorboard/         the same numbers for TensorBoard
@@ -53,6 +56,10 @@ class Run:
     @property
     def urdf(self) -> Path:
         return self.path / "robot.urdf"
+
+    def ground(self, file: Path) -> Path:
+        """Where its copy of a file of heights is; the same for the copy itself."""
+        return self.path / f"ground-{file.name.removeprefix('ground-')}"
 
     @property
     def metrics(self) -> Path:

@@ -11,7 +11,7 @@ from quadwalk.train.progress.metrics import TrainingMetrics
 from quadwalk.train.runs import checkpoint
 from quadwalk.train.runs.directory import Run
 from quadwalk.train.serialise import flatten, from_dict
-from quadwalk.train.settings import DistributedConfig, TrainConfig
+from quadwalk.train.settings import DistributedConfig, TrainConfig, with_files
 
 if TYPE_CHECKING:
     from quadwalk.train.ppo import TrainState
@@ -38,13 +38,21 @@ def read_config(run: Run) -> TrainConfig:
 
 
 def config_of(data: Any, run: Run, where: str, version: str) -> TrainConfig:
-    """The configuration in `data`, of `run`, which quadwalk `version` wrote in the file `where`."""
+    """The configuration in `data`, of `run`, which quadwalk `version` wrote in the file `where`.
+
+    It names the run's own copies of the robot and the ground; meshes are where they were.
+    """
     if isinstance(data, dict) and "task" not in data:
         raise UserError(
             f"{where} is of quadwalk {version} or before: this version reads no run of it; judge "
             "it with that version, or train it again"
         )
-    return from_dict(TrainConfig, data, run.path, where)
+    config = from_dict(TrainConfig, data, run.path, where)
+    robot, ground = config.robot, config.env.ground.file
+    folders = tuple(dict.fromkeys((robot.urdf.parent, *robot.mesh_dirs)))
+    if ground is not None and run.ground(ground).exists():  # older runs have no copy
+        ground = run.ground(ground)
+    return with_files(config, run.urdf, folders, ground)
 
 
 def resumed_config(run: Run) -> TrainConfig:
