@@ -1,4 +1,5 @@
 import os
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
@@ -22,10 +23,47 @@ def test_an_existing_name_is_refused_and_left_alone(tmp_path):
     assert made.policy.read_bytes() == b"precious"
 
 
-def test_runs_without_a_name_do_not_collide(tmp_path):
-    names = {run.create_run(tmp_path, label="walk").name for _ in range(3)}
+@pytest.mark.parametrize(
+    ("label", "seen"), [("walk", "-walk"), ("../../evil", "-..-..-evil"), ("x y" * 99, "-x-yx-y")]
+)
+def test_runs_without_a_name_do_not_collide(tmp_path, label, seen):
+    root = tmp_path / "a" / "runs"
+    names = {run.create_run(root, label=label).name for _ in range(3)}
     assert len(names) == 3
-    assert all("-walk" in name for name in names)
+    assert all(seen in name for name in names)
+    assert set(os.listdir(root)) == names
+
+
+def test_of_two_runs_made_at_once_with_one_name_one_is(tmp_path):
+    def make(_):
+        try:
+            return run.create_run(tmp_path, "a", files={"config.json": b"{}"})
+        except UsageError as error:
+            return str(error)
+
+    with ThreadPoolExecutor(8) as pool:
+        made = list(pool.map(make, range(8)))
+    refused = [each for each in made if isinstance(each, str)]
+    assert len(refused) == 7
+    assert all("exists" in each for each in refused)
+    assert os.listdir(tmp_path) == ["a"]
+    assert run.Run(tmp_path / "a").config.read_bytes() == b"{}"
+
+
+def test_a_folder_of_runs_is_no_run_and_links_lead_nowhere(tmp_path):
+    root = tmp_path / "runs"
+    for name in ("checkpoints", "config.json", "policy.npz"):
+        run.create_run(root, name, files={"config.json": b"{}"})
+        assert run.find_run(root, name).path == root / name
+    assert run.list_runs(tmp_path) == []
+    (root / "loop").symlink_to("loop")
+    (root / "up").symlink_to("..")
+    assert len(run.list_runs(root)) == 3
+    for name in ("loop", "up"):
+        with pytest.raises(UsageError, match="no run"):
+            run.find_run(root, name)
+        with pytest.raises(UsageError, match="exists"):
+            run.create_run(root, name)
 
 
 @pytest.mark.parametrize(

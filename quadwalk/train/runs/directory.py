@@ -119,7 +119,7 @@ def create_run(
     except OSError as error:
         raise UserError(f"cannot make the folder for runs, {root}: {os_reason(error)}") from error
     # Filled under another name: a run without its configuration could not be gone on with.
-    part = Run(root / f".{name or label}-{os.getpid()}.part")
+    part = Run(root / f".{os.urandom(8).hex()}.part")
     try:
         part.path.mkdir()
         part.checkpoints.mkdir()
@@ -295,8 +295,8 @@ def _name(folder: Path, name: str) -> Path | None:
 
 
 def _name_first_free(folder: Path, label: str) -> Path:
-    name = f"{datetime.datetime.now():%Y-%m-%d_%H%M}-{label}"
-    _check_name(name)
+    words = re.sub(r"[^\w.+=@,-]+", "-", label)[:50]  # a user's task may be called anything
+    name = f"{datetime.datetime.now():%Y-%m-%d_%H%M}-{words}"
     return next(path for own in numbered(name) if (path := _name(folder, own)))
 
 
@@ -310,7 +310,8 @@ def _is_run(path: Path) -> bool:
     if path.name.startswith(".") and path.name.endswith(".part"):
         return False
     try:
-        return any((path / part).exists() for part in ("config.json", "policy.npz", "checkpoints"))
+        # Files: the folder of a run that is called so is none.
+        return any((path / part).is_file() for part in ("config.json", "policy.npz"))
     except (OSError, ValueError):  # a name that no file could have
         return False
 
