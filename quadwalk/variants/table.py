@@ -1,7 +1,8 @@
 """The table of variants: a row for each run, its figures in both engines."""
 
-from quadwalk.variants.trainings import in_processes, trained  # isort: skip  # before Brax
+from quadwalk.variants.trainings import check_same, in_processes, trained  # isort: skip  # before Brax
 
+import hashlib
 import itertools
 import re
 from collections.abc import Sequence
@@ -12,12 +13,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from quadwalk.api import evaluate
+from quadwalk.cli import value_of
+from quadwalk.errors import UsageError
 from quadwalk.evaluate.report.plots import save_figure
 from quadwalk.evaluate.summary import figure_mean, number
 from quadwalk.files import atomic_write, real_path
 from quadwalk.train.flags import parse_config
 from quadwalk.train.runs.directory import Run, write_json_atomic
 from quadwalk.train.runs.log import read_history
+from quadwalk.train.settings import TrainConfig
 from quadwalk.variants.bands import draw_bands
 
 if TYPE_CHECKING:
@@ -47,15 +51,15 @@ COLUMNS = {
 
 def compare_variants(variants: Sequence[str], config: "CompareConfig") -> None:
     """Train and judge what has not been, print rows, and write them with their picture."""
-    for flags in variants:
-        parse_config(flags.split(), "quadwalk train")  # what is wrong is told before any training
-    cases = itertools.product(
-        variants,
-        range(config.seeds),
-        [config.steps],
-        [config.episodes],
-        [real_path(config.runs)],
-    )
+    runs = [real_path(config.runs)]
+    keys = list(itertools.product(variants, range(config.seeds), [config.steps], runs))
+    cases = [(*key, config.episodes) for key in keys]
+    # What is wrong is told before any training.
+    plans = {planned.name: planned for planned in (plan(*key) for key in keys)}
+    if len(plans) < len(cases):
+        raise UsageError(f"of the variants {', '.join(map(repr, variants))} two are the same")
+    for planned in plans.values():
+        check_same(planned)
     lines = [_line(("flags", "seed", *COLUMNS)), "|" + "---|" * (2 + len(COLUMNS))]
     print("\n".join(lines), flush=True)
     results = []
@@ -75,13 +79,10 @@ def compare_variants(variants: Sequence[str], config: "CompareConfig") -> None:
     print(f"written to {config.runs}: compare.md, compare.json, compare.png")
 
 
-def judged(flags: str, seed: int, steps: int | None, episodes: int, runs: Path) -> dict[str, Any]:
+def judged(flags: str, seed: int, steps: int | None, runs: Path, episodes: int) -> dict[str, Any]:
     """The figures of one run, which is trained if it has not been."""
-    words = re.sub(r"[^\w.]+", "-", flags).strip("-") or "default"
-    config, _ = parse_config(flags.split())
-    name = f"{words}_{steps or 'full'}_s{seed}"
-    config = replace(config, name=name, runs=runs, seed=seed, quiet=True)
-    run = trained(replace(config, steps=steps or config.steps))
+    config = plan(flags, seed, steps, runs)
+    run = trained(config)
     mjx = evaluate(run, episodes=episodes).summary
     c = evaluate(run, episodes=episodes, engine="mujoco")
     gait = c.gait
@@ -109,7 +110,23 @@ def judged(flags: str, seed: int, steps: int | None, episodes: int, runs: Path) 
     }
     # Who never took a step has no slip.
     known = {name: number(x) if isinstance(x, float) else x for name, x in figures.items()}
-    return {"flags": flags, "seed": seed, "run": name, "steps": steps, "figures": known}
+    return {"flags": flags, "seed": seed, "run": run.name, "steps": steps, "figures": known}
+
+
+def plan(flags: str, seed: int, steps: int | None, runs: Path) -> TrainConfig:
+    """The training of a variant and a seed, under a name that no other variant has."""
+    for flag in ("--name", "--runs", "--seed", "--resume"):
+        if value_of(flags.split(), flag) is not None:
+            raise UsageError(f"{flag} is in the variant {flags!r}; compare sets it: leave it out")
+    config, _ = parse_config(flags.split(), "quadwalk train")
+    words = flags.replace("=", " ").split()
+    plain = "-".join(word.removeprefix("--") for word in words) or "default"
+    name = re.sub(r"[^\w.+@,-]+", "-", plain)
+    if name != plain or len(name) > 60:
+        name = f"{name[:50]}-{hashlib.sha256(plain.encode()).hexdigest()[:8]}"
+    name = f"{name}_{steps or 'full'}_s{seed}"
+    steps = steps or config.steps
+    return replace(config, name=name, runs=runs, seed=seed, quiet=True, steps=steps)
 
 
 def row(result: dict[str, Any]) -> str:

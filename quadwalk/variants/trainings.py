@@ -27,20 +27,22 @@ def trained(config: TrainConfig) -> Run:
     What training prints goes to stderr. Raises `UserError` if the run there has other settings.
     """
     run = Run(config.runs / str(config.name))
+    check_same(config)
     with contextlib.redirect_stdout(sys.stderr):
         if not run.path.exists():
             return train(config)
-        check_same(run, config)
         if not run.policy.exists() or load_score(run.policy)[0] < config.steps:
             train(resume=run, quiet=config.quiet)
     return run
 
 
-def check_same(run: Run, config: TrainConfig) -> None:
-    """`UserError` if `run` has other settings, robot, ground or task file than `config`."""
-    kept, wanted = (content(c, load_robot(c.robot)) for c in (read_config(run), config))
-    if kept != wanted:
-        raise UserError(f"{run.path} has other settings; remove it to train it anew")
+def check_same(config: TrainConfig) -> None:
+    """`UserError` if `config` cannot be trained, or if the run of its name is not one of it."""
+    run, wanted = Run(config.runs / str(config.name)), content(config, load_robot(config.robot))
+    if run.path.exists():
+        kept = read_config(run)
+        if content(kept, load_robot(kept.robot)) != wanted:
+            raise UserError(f"{run.path} has other settings; remove it to train it anew")
 
 
 def in_processes(

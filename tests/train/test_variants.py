@@ -9,7 +9,7 @@ import pytest
 
 from quadwalk.errors import UsageError, UserError
 from quadwalk.train.flags import parse_config
-from quadwalk.train.runs.directory import Run
+from quadwalk.train.runs.directory import Run, create_run
 from quadwalk.train.runs.policy import load_score
 from quadwalk.variants import table
 from quadwalk.variants.__main__ import main, split
@@ -34,11 +34,14 @@ def test_what_is_no_option_of_its_own_is_a_variant():
         (["", "--seeds", "0"], "--seeds is 0; expected 1 or more"),
         (["--ppo.entropi 1"], "unknown option --ppo.entropi"),
         (["", "--episodes", "many"], "bad value for --episodes"),
+        (["", "--preset walk", "--preset=walk"], "two are the same"),
+        (["", "--seed 3"], "--seed is in the variant '--seed 3'"),
+        (["", "--robot.urdf no.urdf"], "no.urdf"),
     ],
 )
 def test_what_cannot_be_compared_is_said_before_anything_is_trained(args, said, monkeypatch):
     monkeypatch.setattr(table, "in_processes", pytest.fail)
-    with pytest.raises(UsageError) as caught:
+    with pytest.raises(UserError) as caught:
         main(args)
     assert said in str(caught.value)
     assert "\n" not in str(caught.value)
@@ -130,7 +133,7 @@ def test_a_variant_is_trained_with_its_flags_and_seed(trainings, monkeypatch):
     monkeypatch.setattr(table, "trained", trained)
     flags = "--ppo.entropy 0.003"
     with pytest.raises(UsageError, match="enough"):
-        table.judged(flags, 2, None, 4, trainings)
+        table.judged(flags, 2, None, trainings, 4)
     (config,) = seen
     usual, _ = parse_config(flags.split())
     assert (config.ppo, config.env, config.steps) == (usual.ppo, usual.env, usual.steps)
@@ -149,3 +152,18 @@ def test_a_run_of_ones_own_task_is_known_again_until_the_file_changes(tmp_path, 
         else:
             with pytest.raises(UserError, match="other settings; remove it"):
                 trained(config)
+
+
+@pytest.mark.parametrize(
+    ("one", "other"),
+    [
+        ("--env.reward.energy -0.1", "--env.reward.energy 0.1"),
+        ("--preset walk --env.substeps 4" + 9 * " --ppo.entropy 0.1",
+         "--preset walk --env.substeps 4" + 9 * " --ppo.entropy 0.1" + " --ppo.clip 0.1"),
+        ("--robot.urdf a/b.urdf", "--robot.urdf a-b.urdf"),
+    ],
+)  # fmt: skip
+def test_variants_that_differ_have_names_that_do_and_that_a_run_can_have(one, other, tmp_path):
+    names = {table.plan(flags, 0, None, tmp_path).name for flags in (one, other)}
+    assert {create_run(tmp_path, name).name for name in names} == names
+    assert len(names) == 2
