@@ -252,7 +252,7 @@ def _starts(env: QuadrupedEnv, points: list[Point], episodes: int, seed: int) ->
 
     def start(row: jax.Array, state: State, key: jax.Array) -> State:
         conditions = conditions_at(env, Point(*row), key, kept)
-        return env.with_conditions(state, conditions, readings)
+        return env.begun(state, readings, conditions=conditions)
 
     of_point = jax.vmap(start, in_axes=(None, 0, 0))
     of_all = env.jit(jax.vmap(of_point, in_axes=(0, None, None)))

@@ -150,19 +150,17 @@ class QuadrupedEnv(Env):
         )
         if self.curriculum is not None:
             start = start._replace(travel=begin_travel(physics.qpos))
-        late = drawn is not None and drawn.sensor_delay is not None
-        longest = latest_drawn(config.randomisation)[1]
-        state = self._begun(start, readings_needed(longest, config.control_dt) if late else 0)
         zero = jnp.zeros(())
         terms = {name: zero for name, term in config.reward.items() if term.scale != 0.0}
-        return State(
-            pipeline_state=state,
-            obs=self.observation(state),
+        state = State(
+            pipeline_state=start,
+            obs=zero,
             reward=zero,
             done=zero,
             metrics=_metrics(zero, zero, zero, terms),
             info=_info(jnp.zeros((), jnp.int32), Effort(jnp.zeros(12), zero), jnp.zeros(4, bool)),
         )
+        return self.begun(state)
 
     def _start(self, rng: jax.Array, tile: jax.Array | None) -> tuple[Physics, jax.Array | None]:
         """A start, and the tile that it is on."""
@@ -239,13 +237,22 @@ class QuadrupedEnv(Env):
                 model = ENGINES[self.engine].vary(model, conditions.variation)
         return model, physics, conditions, target
 
-    def with_conditions(self, state: State, conditions: Conditions, latest: int = 0) -> State:
-        """`state`, of an episode's start, under conditions that last for the episode.
+    def begun(self, state: State, latest: int | None = None, **changes: Any) -> State:
+        """`state`, of an episode's start, with `changes` of its `EnvState`, as it is then seen.
 
-        Sensors may be late by `latest` control steps, at most.
+        Sensors may be late by `latest` control steps; None: by as many as the task draws.
         """
-        begun = self._begun(state.pipeline_state._replace(conditions=conditions), latest)
-        return state.replace(pipeline_state=begun, obs=self.observation(begun))
+        start: EnvState = state.pipeline_state._replace(**changes)
+        if latest is None:
+            late = start.conditions is not None and start.conditions.sensor_delay is not None
+            longest = latest_drawn(self.config.randomisation)[1]
+            latest = readings_needed(longest, self.config.control_dt) if late else 0
+        kept = 1 + latest + max(part.history for part in self.config.observation.values())
+        start = start._replace(
+            frames=jnp.tile(self._frame(start), (kept, 1)) if kept > 1 else None,
+            contact=jnp.zeros(4, bool) if self.config.critic else None,
+        )
+        return state.replace(pipeline_state=start, obs=self.observation(start))
 
     def obeyed(self, state: EnvState, action: jax.Array) -> jax.Array:
         """The joint angles (12,), rad, that motors go to at the end of a step with `action`."""
@@ -264,14 +271,6 @@ class QuadrupedEnv(Env):
         if not ranges.enabled:
             return None
         return draw_conditions(ranges, self.robot, self.stepping, key, self.friction)
-
-    def _begun(self, state: EnvState, latest: int) -> EnvState:
-        """`state`, of an episode's start, with what the observation needs of earlier steps."""
-        kept = 1 + latest + max(part.history for part in self.config.observation.values())
-        frames = jnp.tile(self._frame(state), (kept, 1)) if kept > 1 else None
-        return state._replace(
-            frames=frames, contact=jnp.zeros(4, bool) if self.config.critic else None
-        )
 
     def _frame(self, state: EnvState) -> jax.Array:
         """What is measured and known in one control step (n,), float32."""

@@ -90,7 +90,7 @@ def reset_envs(env: Env, keys: jax.Array, tiles: jax.Array | None = None) -> Sta
     """
     state = jax.vmap(env.reset)(*([keys] if tiles is None else [keys, tiles]))
     phase = jax.vmap(lambda key: jax.random.randint(key, (), 0, env.config.episode_steps))(keys)
-    return state.replace(pipeline_state=state.pipeline_state._replace(steps=phase))
+    return jax.vmap(env.begun)(state, steps=phase)
 
 
 def init_state(
@@ -182,10 +182,8 @@ def collect(
         if tiles is None:
             first_row = envs - 1 - number % envs
             start = jax.tree.map(lambda x: jax.lax.dynamic_slice_in_dim(x, first_row, envs), fresh)
-        if config.retry:
-            start = _retried(config.retry, after, start, jax.random.fold_in(key, 1))
         return (
-            (_start_anew(after, start), nan_step),
+            (_start_anew(env, config, after, start, jax.random.fold_in(key, 1)), nan_step),
             (transition, seen, _step_metrics(after, learnt_from)),
         )
 
@@ -275,31 +273,32 @@ def _over_devices(metrics: Metrics, nan_step: NanStep) -> Metrics:
     }
 
 
-def _retried(share: float, after: State, start: State, key: jax.Array) -> State:
-    """`start`, under the conditions of the episode that ends by a fall, after that share of them.
-
-    As prioritised level replay does (Jiang et al. 2021, arXiv:2010.03934), by falls alone.
-    """
-    fallen, fresh = after.pipeline_state.conditions, start.pipeline_state.conditions
-    if fresh is None:
-        return start
-    again = jax.random.bernoulli(key, share, after.done.shape) & (after.metrics["fell"] > 0)
-    met = fallen._replace(targets=fresh.targets, key=fresh.key)
-    conditions = chosen(again, met, fresh)
-    return start.replace(pipeline_state=start.pipeline_state._replace(conditions=conditions))
-
-
-def _start_anew(after: State, start: State) -> State:
+def _start_anew(env: Env, config: PPOConfig, after: State, start: State, key: jax.Array) -> State:
     """`after`, in finished episodes replaced by `start`; the reward and the like stay."""
     # Only after a fall at a random step: those that fell together must not end together.
     late = start.pipeline_state.steps * after.metrics["fell"].astype(jnp.int32)
-    start = start.replace(pipeline_state=start.pipeline_state._replace(steps=late))
-
+    changes = {"steps": late}
+    if config.retry:
+        changes["conditions"] = _retried(config.retry, after, start, key)
+    # Seen as it really starts. That costs about a hundredth of a training step.
+    start = jax.vmap(env.begun)(start, **changes)
     over = after.done > 0
     return after.replace(
         pipeline_state=chosen(over, start.pipeline_state, after.pipeline_state),
         obs=chosen(over, start.obs, after.obs),
     )
+
+
+def _retried(share: float, after: State, start: State, key: jax.Array) -> Any:
+    """The conditions of `start`; after that share of falls, those of the episode that fell.
+
+    As prioritised level replay does (Jiang et al. 2021, arXiv:2010.03934), by falls alone.
+    """
+    fallen, fresh = after.pipeline_state.conditions, start.pipeline_state.conditions
+    if fresh is None:
+        return None
+    again = jax.random.bernoulli(key, share, after.done.shape) & (after.metrics["fell"] > 0)
+    return chosen(again, fallen._replace(targets=fresh.targets, key=fresh.key), fresh)
 
 
 def _through_time_limits(

@@ -129,7 +129,7 @@ def recorded(env, swaying):
             carried = after.pipeline_state
             return after, (carried.qpos, carried.qvel, carried.last_action)
 
-        first = env.with_conditions(state, suffered)
+        first = env.begun(state, conditions=suffered)
         return jax.lax.scan(one_step, first, None, length=STEPS)[1]
 
     state = jax.jit(env.reset)(jax.random.PRNGKey(3))

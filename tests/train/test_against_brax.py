@@ -66,6 +66,9 @@ class Point(Env):
         metrics = {"speed": zero, "fell": zero, "nan": zero}
         return State(motion, observe(motion), zero, zero, metrics, {"truncation": zero})
 
+    def begun(self, state: State, **changes: jax.Array) -> State:
+        return state.replace(pipeline_state=state.pipeline_state._replace(**changes))
+
     def step(self, state: State, action: jax.Array) -> State:
         before = state.pipeline_state
         velocity = before.velocity + self.dt * 3.0 * action[0]

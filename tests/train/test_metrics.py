@@ -56,6 +56,9 @@ def test_the_score_is_the_evaluation_speed_less_the_falls():
     assert metrics.score == pytest.approx(4.0)
     metrics.row(0, numbers(**{"eval/speed": 3.0}))
     assert metrics.score == pytest.approx(4.0 * 0.75)
+    for _ in range(20):
+        metrics.row(0, numbers(**{"eval/speed": -2.0}))
+    assert metrics.score == pytest.approx(-2.0)  # falls do not make it better
 
 
 def test_counting_goes_on_from_a_saved_state():

@@ -12,10 +12,11 @@ from brax.envs.base import Env, State
 from jax.sharding import PartitionSpec as P
 
 from quadwalk.physics.motor import Physics
+from quadwalk.task.env import QuadrupedEnv
 from quadwalk.task.episode.conditions import Conditions
 from quadwalk.task.episode.curriculum import Curriculum, begin_travel
 from quadwalk.task.state import EnvState
-from quadwalk.tasks import sprint
+from quadwalk.tasks import sprint, walk
 from quadwalk.train import ppo
 from quadwalk.train.networks import make_networks, mean_policy
 
@@ -69,6 +70,10 @@ class Counter(Env):
             {"truncation": limit},
         )
 
+    def begun(self, state: State, **changes: jax.Array) -> State:
+        count = state.pipeline_state._replace(**changes)
+        return state.replace(pipeline_state=count, obs=self._observe(count))
+
     def _observe(self, count: Count) -> jax.Array:
         return jnp.stack([count.steps.astype(jnp.float32), count.origin])
 
@@ -115,7 +120,9 @@ def collected(networks, gather):
 
 def test_episodes_start_out_of_phase():
     keys = jax.random.split(jax.random.PRNGKey(0), ENVS)
-    steps = np.asarray(ppo.reset_envs(Counter(), keys).pipeline_state.steps)
+    state = ppo.reset_envs(Counter(), keys)
+    steps = np.asarray(state.pipeline_state.steps)
+    np.testing.assert_array_equal(state.obs[:, 0], steps)
     assert set(steps) <= set(range(4))
     assert len(set(steps)) > 1
 
@@ -154,15 +161,11 @@ def test_only_the_sampling_environments_are_learnt_from(collected):
 def test_an_episode_runs_its_course_and_a_fresh_one_follows(collected):
     _, _, data, _ = collected
     for observation, discount in zip(data.observation, data.discount, strict=True):
-        # An episode's first row was observed before the episode was put out of phase.
-        first = True
         for t in range(CONFIG.unroll - 1):
             (steps, origin), (next_steps, next_origin) = observation[t : t + 2]
-            assert (discount[t] == 0.0) == (origin != next_origin)
-            if not first:
-                assert (discount[t] == 0.0) == (steps == 3)
-                assert next_steps == (0 if steps == 3 else steps + 1)
-            first = discount[t] == 0.0
+            assert (discount[t] == 0.0) == (origin != next_origin) == (steps == 3)
+            if discount[t]:
+                assert next_steps == steps + 1
 
 
 def test_after_the_time_limit_an_episode_starts_at_its_beginning(collected):
@@ -226,8 +229,7 @@ def test_some_that_fell_meet_the_same_conditions_once_more():
     vector = np.tile(number[:, None], (1, 3))
     own = Conditions(None, number, None, vector, number, vector, vector, vector, vector)
     fell = jnp.asarray(number % 2)
-    start = ppo._retried(0.25, begun(1.0), begun(-1.0), jax.random.PRNGKey(0))
-    found = start.pipeline_state.conditions
+    found = ppo._retried(0.25, begun(1.0), begun(-1.0), jax.random.PRNGKey(0))
     np.testing.assert_array_equal(found.targets, -vector)
     np.testing.assert_array_equal(found.key, -vector)
     again = np.asarray(found.delay) > 0
@@ -235,7 +237,40 @@ def test_some_that_fell_meet_the_same_conditions_once_more():
     assert not again[::2].any()
     np.testing.assert_array_equal(found.push, np.where(again[:, None], vector, -vector))
     np.testing.assert_array_equal(found.noise, np.where(again, number, -number))
-    np.testing.assert_array_equal(start.pipeline_state.qpos, number)
+
+
+def test_an_episode_after_a_fall_is_seen_as_it_starts(quadruped):
+    """Of walk: the clock at the step it is put to, and the encoders that it has once more."""
+    task = walk.TASK
+    world = dataclasses.replace(task.env.randomisation, noise=None, imu_tilt=None)
+    env = QuadrupedEnv(quadruped, dataclasses.replace(task.env, randomisation=world))
+    names = env.observation_names
+
+    fresh = jax.jit(lambda keys: ppo.reset_envs(env, keys))
+    after, start = map(fresh, jax.random.split(jax.random.PRNGKey(4), (2, 6)))
+    fell = jnp.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
+    over = after.replace(done=fell.at[3].set(1.0), metrics={**after.metrics, "fell": fell})
+    config = dataclasses.replace(task.ppo, retry=1.0 - 1e-6)
+    found = jax.jit(lambda *states: ppo._start_anew(env, config, *states))(
+        over, start, jax.random.PRNGKey(0)
+    )
+    over, start, found = jax.device_get((over, start, found))
+    steps = found.pipeline_state.steps
+    assert steps.tolist() == [*start.pipeline_state.steps[:3], 0, *over.pipeline_state.steps[4:]]
+    np.testing.assert_array_equal(found.obs[4:], over.obs[4:])
+    encoder = found.pipeline_state.conditions.encoder
+    np.testing.assert_array_equal(encoder[:3], over.pipeline_state.conditions.encoder[:3])
+    np.testing.assert_array_equal(encoder[3], start.pipeline_state.conditions.encoder[3])
+    moves = np.any(found.pipeline_state.command.velocity != 0.0, axis=-1)
+    clock = 2.0 * np.pi * steps / 20.0
+    for row in range(6):
+        seen = dict(zip(names, found.obs[row], strict=False))
+        assert seen["clock_sine"] == pytest.approx(moves[row] * np.sin(clock[row]), abs=1e-4)
+        assert seen["clock_cosine"] == pytest.approx(moves[row] * np.cos(clock[row]), abs=1e-4)
+        off = found.pipeline_state.qpos[row, 7:] - env.robot.home_joints + encoder[row]
+        for ago in ("", "[-1]", "[-4]"):
+            measured = [seen[f"position_{joint}{ago}"] for joint in quadruped.joints]
+            np.testing.assert_allclose(measured, off, atol=1e-5)
 
 
 @pytest.mark.parametrize("poisoned", [[], [2], [8], [3, 8]], ids=str)
@@ -299,6 +334,9 @@ class Late(Counter):
         age = state.info["age"] + 1.0
         shown = jnp.where(age >= self.late, action[0], 0.0)
         return self._shown(super().step(state, action), age, shown)
+
+    def begun(self, state: State, **changes: jax.Array) -> State:
+        return self._shown(super().begun(state, **changes), state.info["age"], jnp.zeros(()))
 
     def _shown(self, state: State, age: jax.Array, shown: jax.Array) -> State:
         obs = jnp.concatenate([state.obs, jnp.stack([shown, jnp.float32(self.constant)])])

@@ -89,6 +89,14 @@ def test_the_best_policy_and_its_checkpoint_outlive_later_ones(run, training, st
     assert len(kept) == KEPT_CHECKPOINTS + 1
 
 
+def test_what_has_not_been_judged_is_not_the_best(run, training, state):
+    with RunWriter(training, run, pytest.fail) as writer:
+        assert writer.save(state, 0, 1.0)
+        assert not run.best.exists()
+        save(writer, training, state, -2.0, -1.0, -3.0)
+    assert load_score(run.best) == (20, -1.0)
+
+
 def test_a_run_that_goes_on_remembers_the_best(run, training, state):
     with RunWriter(training, run, pytest.fail) as writer:
         save(writer, training, state, 1.0, 3.0)

@@ -58,6 +58,9 @@ class Toy(Env):
         metrics = {"speed": zero, "fell": zero, "nan": zero, "reward/forward": zero}
         return State(state, self._observe(physics), zero, zero, metrics, {"truncation": zero})
 
+    def begun(self, state: State, **changes: jax.Array) -> State:
+        return state.replace(pipeline_state=state.pipeline_state._replace(**changes))
+
     def step(self, state: State, action: jax.Array) -> State:
         before = state.pipeline_state
         speed = before.physics.qvel.at[0].set(jnp.mean(action))

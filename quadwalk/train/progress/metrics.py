@@ -49,12 +49,13 @@ class TrainingMetrics:
     def score(self) -> float:
         """How good the policy is of late: the evaluation speed, m/s, times the share not falling.
 
-        Speed is the mean over the last `SCORED` iterations, in which 64 evaluation environments
-        together run for some minutes; no falls are counted before an episode has ended.
+        A speed below 0 is no better for falls. Speed is the mean over the last `SCORED` iterations,
+        in which 64 evaluation environments together run for some minutes; no falls are counted
+        before an episode has ended.
         """
         speed = sum(self._speeds) / len(self._speeds) if self._speeds else 0.0
         falls = self._eval_falls.share
-        return speed * (1.0 - (0.0 if math.isnan(falls) else falls))
+        return min(speed, speed * (1.0 - (0.0 if math.isnan(falls) else falls)))
 
     def row(self, steps: int, numbers: Mapping[str, Any]) -> dict[str, float]:
         """The row after `steps` control steps, from what `quadwalk.train.ppo` gives."""

@@ -98,7 +98,7 @@ class RunWriter:
 
         # The policies first: should the disk be full, they are the smaller and the dearer.
         well = self._attempt("policy", lambda: save_as(self.run.policy))
-        if self.best is None or score > self.best[1]:
+        if steps and (self.best is None or score > self.best[1]):  # before that there is no score
             if self._attempt("best", lambda: save_as(self.run.best)):
                 self.best = steps, score
             else:
