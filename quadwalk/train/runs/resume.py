@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from quadwalk.errors import UsageError, UserError
-from quadwalk.files import DAMAGE, os_reason
+from quadwalk.files import DAMAGE, read_bytes
 from quadwalk.train.progress.metrics import TrainingMetrics
 from quadwalk.train.runs import checkpoint
 from quadwalk.train.runs.directory import Run
@@ -28,10 +28,8 @@ _FREE = (
 def read_config(run: Run) -> TrainConfig:
     """The configuration in a run's config.json."""
     try:
-        content = json.loads(run.config.read_bytes())
+        content = json.loads(read_bytes(run.config))
         data, version = content["config"], content["versions"]["quadwalk"]
-    except OSError as error:
-        raise UserError(f"cannot read {run.config}: {os_reason(error)}") from None
     except DAMAGE:
         raise UserError(f"{run.config} is damaged: expected JSON with a 'config'") from None
     return config_of(data, run, f"{run.config}: config", version)
