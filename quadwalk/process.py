@@ -7,6 +7,7 @@ import errno
 import importlib
 import importlib.util
 import io
+import multiprocessing
 import os
 import signal
 import socket
@@ -52,6 +53,14 @@ def run_command(main: Callable[[], object] | str) -> NoReturn:
     # Python would end itself by the signal if it came in an exec, until the next.
     exec("")
     sys.exit(status)
+
+
+def begin_worker(devices: int | None) -> None:
+    """Begin a process of a pool, which signals end at once unless it trains; `devices` for JAX."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    from quadwalk.train.devices import set_up_devices  # what it needs takes seconds
+
+    set_up_devices(devices)
 
 
 def _status(main: Callable[[], object] | str, signals: list[int]) -> Any:
@@ -125,7 +134,7 @@ def _find_packages() -> None:
 
 @contextlib.contextmanager
 def _endable() -> Iterator[list[int]]:
-    """Have Ctrl-C and SIGTERM end what is done in here; yields the signals that came."""
+    """Have Ctrl-C and SIGTERM end what the process does in here; yields the signals that came."""
     came: list[int] = []
     ignored = threading.Event()
 
@@ -171,19 +180,28 @@ def _watch(inbox: socket.socket, handle: Callable[..., None], ignored: threading
         if number in _ENDS and (signal.getsignal(number) is handle or number in seen):
             break
         seen.add(number)
-    end = time.monotonic() + _GRACE
+    if number == signal.SIGTERM:  # Ctrl-C children have had as well
+        for child in multiprocessing.active_children():
+            child.terminate()
+    inbox.setblocking(False)
+    raised, end = False, time.monotonic() + _GRACE
     while time.monotonic() < end:
         time.sleep(0.1)
-        if signal.getsignal(number) is signal.SIG_DFL:  # the command is over
-            continue
+        more = b""
+        with contextlib.suppress(BlockingIOError):
+            more = inbox.recv(100)[raised:]
+        # Those that train save what they have first, unless a signal comes again.
+        for child in multiprocessing.active_children():
+            end = time.monotonic() + _GRACE
+            if more:
+                child.kill()
         # Python ignores what is raised in a callback, as that of the garbage collector.
-        if ignored.is_set() and hasattr(signal, "pthread_kill"):
+        over = signal.getsignal(number) is signal.SIG_DFL
+        raised = ignored.is_set() and not over and hasattr(signal, "pthread_kill")
+        if raised:
             ignored.clear()
             signal.pthread_kill(main, number)
     remove_unfinished()
-    if "multiprocessing" in sys.modules:
-        for child in sys.modules["multiprocessing"].active_children():
-            child.kill()
     for descriptor in (1, 2):
         if os.isatty(descriptor):
             os.write(descriptor, b"\x1b[?25h\n")  # a live view hides the cursor

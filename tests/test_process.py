@@ -85,12 +85,14 @@ def interrupted(command: list[str], folder: Path, at: str, number: int, later: f
         stderr=(folder / "stderr").open("wb"),
         text=True,
         cwd=folder,
+        start_new_session=True,
     ) as process:
         for line in process.stdout:
             if at in line:
                 break
         time.sleep(later)
-        process.send_signal(number)
+        # A terminal sends Ctrl-C to the children too.
+        (os.killpg if number == signal.SIGINT else os.kill)(process.pid, number)
         process.communicate(timeout=60)
     said = (folder / "stderr").read_text()
     assert process.returncode == 128 + number, said
@@ -108,12 +110,43 @@ def test_a_signal_ends_a_command_whatever_it_is_at(tmp_path, way, number):
     assert os.listdir(tmp_path) == []
 
 
-@pytest.mark.parametrize("seconds", [0.3, 3.0])
-def test_a_training_that_has_not_begun_leaves_nothing(tmp_path, seconds):
+POOL = """
+import multiprocessing, time
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+from quadwalk.process import run_command
+from quadwalk.train.loop import stop_on_signal
+
+def train():
+    with stop_on_signal() as stop:
+        print("ready", flush=True)
+        stop.wait()
+        time.sleep(3)
+        Path("saved").touch()
+    raise KeyboardInterrupt
+
+def main():
+    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
+        pool.submit(train).result()
+
+if __name__ == "__main__":
+    run_command(main)
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_children_save_what_they_train(tmp_path, number):
+    (tmp_path / "pool.py").write_text(POOL)
+    interrupted([sys.executable, "pool.py"], tmp_path, "ready", number)
+    assert sorted(os.listdir(tmp_path)) == ["pool.py", "saved"]
+
+
+@pytest.mark.parametrize(("phase", "later"), [("loading", 1.5), ("compiling", 1.0)])
+def test_a_training_that_has_not_begun_leaves_nothing(tmp_path, phase, later):
     command = [sys.executable, str(ROOT / "train.py"), "--name=dog"]
-    said = interrupted(command, tmp_path, "compiling", signal.SIGINT, seconds)
+    said = interrupted(command, tmp_path, phase, signal.SIGINT, later)
     assert said == "interrupted\n"
-    assert os.listdir(tmp_path / "runs") == []
+    assert not list(tmp_path.glob("runs/*"))
 
 
 def test_an_evaluation_is_interrupted_in_one_line(tmp_path):

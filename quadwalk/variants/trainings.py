@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 
 from quadwalk.api import train
 from quadwalk.errors import UserError
-from quadwalk.train.devices import set_up_devices
+from quadwalk.process import begin_worker
 from quadwalk.train.robot import content, load_robot
 from quadwalk.train.runs.directory import Run
 from quadwalk.train.runs.policy import load_score
@@ -24,15 +24,22 @@ T = TypeVar("T")
 def trained(config: TrainConfig) -> Run:
     """The run called `config.name`: trained, gone on with if it was stopped, or as it is.
 
-    What training prints goes to stderr. Raises `UserError` if the run there has other settings.
+    What training prints goes to stderr. Raises `UserError` if the run there has other settings, and
+    `KeyboardInterrupt` if a signal ended training.
     """
     run = Run(config.runs / str(config.name))
     check_same(config)
+
+    def is_done() -> bool:
+        return run.policy.exists() and load_score(run.policy)[0] >= config.steps
+
     with contextlib.redirect_stdout(sys.stderr):
         if not run.path.exists():
-            return train(config)
-        if not run.policy.exists() or load_score(run.policy)[0] < config.steps:
+            train(config)
+        elif not is_done():
             train(resume=run, quiet=config.quiet)
+    if config.minutes is None and not is_done():
+        raise KeyboardInterrupt
     return run
 
 
@@ -51,12 +58,12 @@ def in_processes(
     """What `job` returns for the arguments of each case, in order.
 
     Each has a process of its own with so many devices, by default one per core: JAX is set up once
-    in a process. Ends with the first that raises.
+    in a process. Ends with the first that raises; on Ctrl-C each saves what it trains.
     """
     with ProcessPoolExecutor(
         at_once,
         mp_context=multiprocessing.get_context("spawn"),
-        initializer=set_up_devices,
+        initializer=begin_worker,
         initargs=(devices,),
         max_tasks_per_child=1,
     ) as pool:
