@@ -86,8 +86,7 @@ def _status(main: Callable[[], object] | str, signals: list[int]) -> Any:
 
 
 def _say(text: str) -> None:
-    with contextlib.suppress(OSError):
-        print(text, file=sys.stderr, flush=True)
+    print(text, file=sys.stderr, flush=True)
 
 
 def _refused(error: OSError) -> int:
@@ -97,6 +96,15 @@ def _refused(error: OSError) -> int:
     if not isinstance(error, BrokenPipeError):
         _say(f"error: cannot write to standard output: {os_reason(error)}")
     return 1
+
+
+class _Stderr(io.FileIO):
+    """Standard error: that it takes no text is no reason to end what is told on it."""
+
+    def write(self, data: Any) -> int:
+        with contextlib.suppress(OSError):
+            return super().write(data)
+        return len(data)
 
 
 def _open_streams() -> None:
@@ -109,8 +117,10 @@ def _open_streams() -> None:
             way = os.O_WRONLY if name == "stderr" else os.O_RDONLY
             stream = open(os.open(os.devnull, way), "r" if name == "stdin" else "w")  # noqa: SIM115
             setattr(sys, name, stream)
-        if name != "stdin" and isinstance(stream, io.TextIOWrapper):
+        if name == "stdout" and isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")
+    raw, encoding = _Stderr(sys.stderr.fileno(), "w", closefd=False), sys.stderr.encoding
+    sys.stderr = io.TextIOWrapper(io.BufferedWriter(raw), encoding, "replace", line_buffering=True)
 
 
 def _find_packages() -> None:

@@ -178,7 +178,7 @@ PLAIN = {"LANG": "C", "LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "
         ("print('x' * 10**6)", "| true", 1, ""),
         ("raise __import__('quadwalk.errors').errors.UsageError('x')", "2>&-", 2, ""),
         ("raise __import__('quadwalk.errors').errors.UsageError('x')", "2> /dev/full", 2, ""),
-        ("print('x', file=__import__('sys').stderr)", "2> /dev/full", 1, ""),
+        ("print('x', file=__import__('sys').stderr)", "2> /dev/full", 0, ""),
     ],
 )
 def test_what_takes_no_text_is_one_line_at_most(content, to, status, said):
