@@ -1,6 +1,7 @@
 """Run the notebooks, each from a clean kernel, and keep what they show: `make notebooks`."""
 
 import json
+import os
 import shutil
 import sys
 import tempfile
@@ -28,6 +29,8 @@ def execute(path: Path, folder: Path) -> nbformat.NotebookNode:
     metadata = notebook.metadata.copy()
     # Among no folders of kernels, what is left is this interpreter's own.
     kernels = KernelSpecManager(kernel_dirs=[])
+    # As where this interpreter's environment is active: printed commands name no folder then.
+    active = os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", "")])
     NotebookClient(
         notebook,
         km=AsyncKernelManager(kernel_spec_manager=kernels),
@@ -35,7 +38,7 @@ def execute(path: Path, folder: Path) -> nbformat.NotebookNode:
         record_timing=False,
         coalesce_streams=True,
         resources={"metadata": {"path": str(folder)}},
-    ).execute(cleanup_kc=True)  # the kernel ends with it
+    ).execute(cleanup_kc=True, env={**os.environ, "PATH": active})  # the kernel ends with it
     notebook.metadata = metadata  # without what differs from one machine to the next
     return notebook
 

@@ -33,7 +33,7 @@ MOST_DAMPING = 0.5
 class MotorConfig(Settings, group="env.motor"):
     """The motors and their joint controllers; by default those of the robot's description."""
 
-    kp: Positive | None = None  # Nm/rad, position gain; None: weight * home height * 1.4
+    kp: NotNegative | None = None  # Nm/rad, position gain; None: weight * home height * 1.4
     # Nm s/rad, velocity gain; None: kp * 0.025 s, less for joints that this would shake
     kd: NotNegative | None = None
     effort: Positive | None = None  # Nm, every motor's largest torque; None: the robot's own

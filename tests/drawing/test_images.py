@@ -90,6 +90,6 @@ def test_an_ffmpeg_that_fails_is_one_line(pictures, tmp_path, encoder):
 def test_an_mp4_without_ffmpeg_is_one_line(pictures, tmp_path, monkeypatch):
     monkeypatch.setenv("PATH", str(tmp_path))
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
-    with pytest.raises(UserError, match=r"^an MP4 needs ffmpeg on the PATH or "):
+    with pytest.raises(UserError, match=r"^an MP4 needs ffmpeg on the PATH, or: "):
         save_video(pictures, tmp_path / "a.mp4")
     assert os.listdir(tmp_path) == []

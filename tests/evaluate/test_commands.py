@@ -21,7 +21,8 @@ from quadwalk.evaluate.recording.provenance import revision
 def runs(tmp_path) -> Path:
     """A folder of two runs that hold nothing yet."""
     for name in ("first", "second"):
-        (tmp_path / name / "checkpoints").mkdir(parents=True)
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "config.json").touch()
     return tmp_path
 
 

@@ -111,7 +111,7 @@ def test_the_command_of_walk_is_a_flag():
         (["--env.reward.energy", "nan"], "--env.reward.energy is nan; expected a finite number"),
         (["--env.reward.forward.max-speed", "inf"], "--env.reward.forward.max-speed is inf"),
         (["--env.action.hip", "nan"], "--env.action.hip is nan"),
-        (["--env.motor.kp", "nan"], "--env.motor.kp is nan; expected more than 0, or None"),
+        (["--env.motor.kp", "nan"], "--env.motor.kp is nan; expected 0 or more, or None"),
         (["--env.observation.speed.noise", "-1"], "--env.observation.speed.noise is -1.0"),
         (["--env.reset.pose", "0", "nan", "0"], "--env.reset.pose is (0.0, nan, 0.0)"),
         (["--env.episode-seconds", "1e12"], "--env.episode-seconds is 1000000000000.0"),

@@ -25,7 +25,7 @@ def test_it_moves_as_the_environment_does(which, request):
     env = robot.env
     start: EnvState = jax.tree.map(jnp.asarray, robot._state())
     state = jax.jit(env.reset)(jax.random.PRNGKey(0)).replace(pipeline_state=start)
-    state = env.with_conditions(state, start.conditions)
+    state = env.begun(state, 0, conditions=start.conditions)
     quickly = {"xla_backend_optimization_level": 0}  # compiled
     step = jax.jit(lambda s: env.step(s, robot.policy.act(s.obs)), compiler_options=quickly)
     for _ in range(10):
