@@ -1,4 +1,7 @@
-PYTHON ?= python3
+# The first of these that is a Python the packages are for, and can make a virtual environment.
+PYTHONS := python3.14 python3.13 python3.12 python3
+SUITS := -c 'import ensurepip, sys; sys.exit(not (3, 12) <= sys.version_info < (3, 15))' 2>/dev/null
+PYTHON ?= $(shell for p in $(PYTHONS); do $$p $(SUITS) && echo $$p && break; done)
 VENV ?= .venv
 RUN := $(VENV)/bin/python
 PIP := $(RUN) -m pip --disable-pip-version-check --quiet
@@ -21,14 +24,22 @@ lint: $(VENV)/.ready-dev  ## formatter, linter, type checker
 notebooks: $(VENV)/.ready-dev  ## run the notebooks and keep what they show
 	$(RUN) notebooks/execute.py
 
-# The environment: exact versions from a lock, brought up to date when the lock changes.
+python:  ## say which Python the environment is made with
+	@test -n "$(PYTHON)" && $(PYTHON) $(SUITS) || { echo "error: $(or $(PYTHON),$(PYTHONS)):" \
+		"expected a Python 3.12, 3.13 or 3.14 with venv (make PYTHON=/path/to/python)" >&2; exit 1; }
+	@echo $(PYTHON)
+
+# The environment: exact versions from a lock, which .ready keeps a copy of. Where the lock changes
+# it is made anew: a package that was split, as mujoco 4.0, does not work over its older self.
 $(VENV)/.ready: requirements.lock pyproject.toml
-	@echo "setting up $(VENV) (a minute or two, once)"
-	test -x $(RUN) || $(PYTHON) -m venv $(VENV)
+	@if test -e $@ && ! cmp -s $@ requirements.lock; then \
+		echo "$(VENV) is of another requirements.lock: it is made anew"; rm -rf $(VENV); fi
+	@test -x $(RUN) || { $(MAKE) --silent python >/dev/null && \
+		echo "setting up $(VENV) (a minute or two, once)" && $(PYTHON) -m venv $(VENV); }
 	$(PIP) install -r requirements.lock
 	$(PIP) install --no-deps -e .
 	$(RUN) -m pip check
-	touch $@
+	cp requirements.lock $@
 
 $(VENV)/.ready-dev: requirements-dev.lock $(VENV)/.ready
 	$(PIP) install -r requirements-dev.lock
@@ -36,9 +47,9 @@ $(VENV)/.ready-dev: requirements-dev.lock $(VENV)/.ready
 	touch $@
 
 lock:  ## choose versions anew (needs uv)
-	uv pip compile --universal --python-version 3.11 --no-emit-index-url --no-header \
+	uv pip compile --universal --python-version 3.12 --no-emit-index-url --no-header \
 		--no-annotate --extra view pyproject.toml -o requirements.lock
-	uv pip compile --universal --python-version 3.11 --no-emit-index-url --no-header \
+	uv pip compile --universal --python-version 3.12 --no-emit-index-url --no-header \
 		--no-annotate --extra dev -c requirements.lock pyproject.toml -o requirements-dev.lock
 
 clean:

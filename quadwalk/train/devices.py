@@ -4,7 +4,6 @@ import ctypes
 import dataclasses
 import functools
 import hashlib
-import os
 import platform
 import sys
 import tempfile
@@ -108,17 +107,7 @@ def set_up_devices(count: int | None = None) -> int:
 
 def _prepare(cpu_devices: int) -> None:
     """All that must be said to JAX before it looks for devices."""
-    wanted = (
-        # XLA kills a process whose devices wait long for each other, as when a laptop sleeps.
-        "--xla_cpu_collective_call_terminate_timeout_seconds=86400",
-        # Its older code generator makes faster loops of our physics (benchmarks/physics.py).
-        "--xla_cpu_use_fusion_emitters=false",
-        *(("--xla_cpu_prefer_vector_width=512",) if "avx512f" in _instructions() else ()),
-    )
     _keep_freed_memory()
-    flags = os.environ.get("XLA_FLAGS", "")
-    missing = [flag for flag in wanted if flag.partition("=")[0] not in flags]
-    os.environ["XLA_FLAGS"] = " ".join([*missing, flags]).strip()
     import jax
 
     try:
@@ -157,11 +146,6 @@ def _of_libc(name: str) -> Callable[..., object]:
     except (OSError, TypeError, AttributeError):
         return lambda *_: None
     return function
-
-
-def learner_options(platform: str) -> dict[str, bool | int]:
-    """XLA's options for the networks' gradients: its newer code generator is the faster there."""
-    return {"xla_cpu_use_fusion_emitters": True} if platform == "cpu" else {}
 
 
 @functools.cache

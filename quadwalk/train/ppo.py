@@ -29,7 +29,7 @@ from jax.sharding import PartitionSpec as P
 
 from quadwalk.physics.constraints.surface import given
 from quadwalk.task.state import chosen
-from quadwalk.train.devices import learner_options, release_freed_memory
+from quadwalk.train.devices import release_freed_memory
 from quadwalk.train.networks import Networks
 from quadwalk.train.settings import PPOConfig
 
@@ -485,13 +485,7 @@ class Iteration:
         )
         heights = tuple(surface.grids.reshape(-1) for surface in env.surfaces)
         self._ground = jax.device_put(heights, NamedSharding(mesh, one))
-        self.learn = program(
-            learning,
-            (one, split, split),
-            (one, one),
-            donate_argnums=0,
-            compiler_options=learner_options(mesh.devices.flat[0].platform),
-        )
+        self.learn = program(learning, (one, split, split), (one, one), donate_argnums=0)
 
     def trace(self, state: TrainState) -> None:
         """Trace both programs for states like this: what the task's functions cannot do shows."""
