@@ -27,14 +27,11 @@ CONSTANT = 1e-4
 
 
 class Networks(NamedTuple):
-    """What Brax's `PPONetworks` holds, and the policy once more, for programs that only act."""
+    """What Brax's `PPONetworks` holds."""
 
     policy_network: FeedForwardNetwork
     value_network: FeedForwardNetwork
     parametric_action_distribution: "NormalTanh"
-    # Of the policy's parameters. The newer code generator, which `learn` is made by, makes slower
-    # gradients of it, the older one faster values.
-    acting_network: FeedForwardNetwork
 
 
 def make_networks(
@@ -49,27 +46,19 @@ def make_networks(
         raise UsageError(
             f"ppo.activation is {config.activation!r}; expected one of {', '.join(ACTIVATION)}"
         )
-    activation = ACTIVATION[config.activation]
-
-    def in_one_row(x: jax.Array) -> jax.Array:
-        """The activation as XLA's older code generator vectorises it, exponentials and all."""
-        return activation(x.reshape(-1)).reshape(x.shape)
-
     shape = {
+        "activation": ACTIVATION[config.activation],
         "preprocess_observations_fn": running_statistics.normalize,
         "hidden_layer_sizes": config.hidden,
     }
     # Brax starts with a standard deviation of softplus(0) = 0.69 before the squashing.
     distribution = NormalTanh(action_size, var_scale=config.noise / np.log(2.0))
-    whole, parameters = policy_size + critic_size, distribution.param_size
-    policy = make_policy_network(parameters, policy_size, activation=activation, **shape)
-    acting = make_policy_network(parameters, policy_size, activation=in_one_row, **shape)
-    value = make_value_network(whole, activation=activation, **shape)
+    whole = policy_size + critic_size
+    policy = make_policy_network(distribution.param_size, policy_size, **shape)
     return Networks(
         policy_network=_on_rows(policy, policy_size),
-        value_network=_on_rows(value, whole),
+        value_network=_on_rows(make_value_network(whole, **shape), whole),
         parametric_action_distribution=distribution,
-        acting_network=_on_rows(acting, policy_size),
     )
 
 
@@ -126,7 +115,7 @@ def mean_policy(
     """
 
     def policy(normalizer: Any, params: Any, observation: jax.Array) -> jax.Array:
-        logits = networks.acting_network.apply(normalizer, params, observation)
+        logits = networks.policy_network.apply(normalizer, params, observation)
         return networks.parametric_action_distribution.mode(logits)
 
     return jax.tree_util.Partial(policy, normalizer, params)

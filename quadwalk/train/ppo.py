@@ -238,7 +238,7 @@ def _act(
 ) -> tuple[jax.Array, dict[str, jax.Array]]:
     """Actions (n, 12), sampled or, where `noiseless` (n, 1), the mode; and what the loss needs."""
     distribution = networks.parametric_action_distribution
-    logits = networks.acting_network.apply(learner.normalizer, learner.params.policy, observation)
+    logits = networks.policy_network.apply(learner.normalizer, learner.params.policy, observation)
     raw_action = distribution.sample_no_postprocessing(logits, key)
     action = jnp.where(noiseless, distribution.mode(logits), distribution.postprocess(raw_action))
     return action, {

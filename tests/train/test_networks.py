@@ -100,7 +100,6 @@ def test_what_never_varied_is_passed_on_less_its_mean(pair, statistics):
     passed = NestedMeanStd(never.mean, std.at[:2].set(1.0))
     observation = jnp.asarray(np.random.default_rng(3).normal(size=(5, SEEN + MORE)), jnp.float32)
     for network, weights in (
-        (ours.acting_network, params.policy),
         (ours.policy_network, params.policy),
         (ours.value_network, params.value),
     ):
@@ -117,13 +116,3 @@ def test_the_entropy_is_near_the_mean_of_brax_samples(std, tolerance, mean):
     drawn = NormalTanhDistribution(1).entropy(parameters, jax.random.PRNGKey(0))
     found = NormalTanh(1).entropy(parameters[:1], jax.random.PRNGKey(0))
     assert float(found[0]) == pytest.approx(float(drawn.mean()), abs=tolerance)
-
-
-def test_the_acting_network_is_the_policy(pair, statistics):
-    ours, _, params = pair
-    observation = jnp.asarray(np.random.default_rng(3).normal(size=(5, SEEN + MORE)), jnp.float32)
-    acting, policy = (
-        network.apply(statistics[0], params.policy, observation)
-        for network in (ours.acting_network, ours.policy_network)
-    )
-    np.testing.assert_allclose(acting, policy, rtol=1e-5, atol=1e-6)
