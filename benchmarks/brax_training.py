@@ -17,12 +17,30 @@ import jax.numpy as jnp
 import numpy as np
 from brax.envs.base import Env, State, Wrapper
 from brax.training.agents.ppo import train as brax_ppo
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from quadwalk.train import ppo
 from quadwalk.train.networks import Networks, make_networks, mean_policy
 from quadwalk.train.settings import PPOConfig
 
 Params = tuple[Any, Any, Any]  # normaliser, policy, value
+
+
+class _JaxForBrax:
+    """JAX with the function that it removed and Brax 0.14.2 calls; Brax's next release does not."""
+
+    @staticmethod
+    def device_put_replicated(tree: Any, devices: list[jax.Device]) -> Any:
+        """`tree` with a new first axis, along which each device holds the same."""
+        split = NamedSharding(Mesh(np.array(devices), ("i",)), PartitionSpec("i"))
+        return jax.tree.map(lambda x: jax.device_put(jnp.stack([x] * len(devices)), split), tree)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(jax, name)
+
+
+if not hasattr(jax, "device_put_replicated"):
+    brax_ppo.jax = _JaxForBrax()
 
 
 class ForBrax(Wrapper):

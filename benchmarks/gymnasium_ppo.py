@@ -1,6 +1,6 @@
 """Stable-Baselines3's PPO on our environments through Gymnasium, and where its time goes.
 
-    pip install -e '.[versus]'
+    pip install -e '.[sb3]'
     python benchmarks/gymnasium_ppo.py [--steps 300000]
 
 It trains on `gymnasium.make_vec("quadwalk/Sprint-v0")` with the networks and batch sizes of ours.

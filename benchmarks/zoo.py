@@ -8,16 +8,15 @@ The first converts every URDF of PyPI's example-robot-data, or of DIR, without i
 compares masses, frames, mass matrix, bias forces and inverse dynamics with Pinocchio's, in 20
 random states, through MJCF's six digits. A file that is refused is tried with --repair-inertia.
 
-The second takes the quadrupeds among them and in pybullet_data, lets each stand for 10 s in MuJoCo
-C on PD control of its home pose, trains it with the default task and no other flag, and judges the
-policy in MuJoCo C with every collision shape. What --runs has from before is not done again. To see
-that it works: --minutes 0.1 --only a1.
+The second takes the quadrupeds among them, lets each stand for 10 s in MuJoCo C on PD control of
+its home pose, trains it with the default task and no other flag, and judges the policy in MuJoCo C
+with every collision shape. What --runs has from before is not done again. To see that it works:
+--minutes 0.1 --only a1.
 
 Both need the packages of the extra `zoo`. Tables go to standard output, or to FILE as Markdown.
 """
 
 import argparse
-import importlib.util
 import json
 import os
 import subprocess
@@ -43,10 +42,6 @@ EXACT = 1e-5  # largest relative error, of six digits
 STATES = 20
 EPISODES = 64
 STANDS = 0.8  # of the home height, after 10 s
-PYBULLET = (
-    "a1/a1", "aliengo/aliengo", "laikago/laikago_toes_zup", "mini_cheetah/mini_cheetah",
-    "quadruped/vision60", "quadruped/spirit40",
-)  # fmt: skip
 PICTURE = (480, 300)  # pixels of one of a film strip
 NO_MESHES = Options(meshes=False)
 
@@ -81,15 +76,6 @@ def example_robot_data() -> Path | None:
         if robots.is_dir():
             return robots
     return None
-
-
-def pybullet_quadrupeds() -> list[Path]:
-    """pybullet_data's robots of four legs with three motors each, of which one is y-up."""
-    if importlib.util.find_spec("pybullet_data") is None:
-        return []
-    import pybullet_data
-
-    return [Path(pybullet_data.getDataPath()) / f"{name}.urdf" for name in PYBULLET]
 
 
 def try_conversion(file: Path) -> Converted:
@@ -256,7 +242,7 @@ def main() -> None:
         sys.exit("error: example-robot-data is not installed; expected it, or --folder DIR")
     files = sorted(folder.rglob("*.urdf"))
     if arguments.train:
-        files = quadrupeds([*files, *([] if arguments.folder else pybullet_quadrupeds())])
+        files = quadrupeds(files)
     if arguments.only:
         files = [file for file in files if any(name in str(file) for name in arguments.only)]
     if arguments.train:

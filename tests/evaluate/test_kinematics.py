@@ -9,6 +9,7 @@ import pytest
 from quadwalk.evaluate.motion.kinematics import foot_poses, link_frames, roll_pitch_yaw, rotations
 from quadwalk.robot.mjcf import Options
 from quadwalk.robot.quadruped import Quadruped, load_quadruped
+from tests.robot import zoo
 
 
 def matrix(position, quat) -> np.ndarray:
@@ -59,10 +60,9 @@ def test_links_of_other_quadrupeds(reference_urdf):
     check_links(load_quadruped(reference_urdf))
 
 
-def test_links_of_pybullets_quadrupeds(pybullet_urdf):
-    if pybullet_urdf.stem.startswith("minitaur"):
-        pytest.skip("no quadruped of four legs with three joints each")
-    check_links(load_quadruped(pybullet_urdf, Options(meshes=False)))
+@zoo.each(zoo.QUADRUPEDS)
+def test_links_of_the_zoos_quadrupeds(urdf):
+    check_links(load_quadruped(urdf, Options(meshes=False)))
 
 
 def test_angles_are_those_that_mujoco_turns_by():

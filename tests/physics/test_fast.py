@@ -20,11 +20,11 @@ from quadwalk.physics.fast import (
 )
 from quadwalk.physics.model import contact_geoms, shell_geoms
 from quadwalk.physics.motor import MotorConfig, Physics, make_motor
-from quadwalk.robot.checks.validate import UrdfError
 from quadwalk.robot.mjcf import Options
 from quadwalk.robot.quadruped import load_quadruped
 from quadwalk.robot.scene import lowest_point
 from tests.physics.stacking import stack_models
+from tests.robot import zoo
 
 STATES = 40
 
@@ -113,12 +113,9 @@ def test_accelerations_of_other_quadrupeds(reference_urdf):
     check_accelerations(load_quadruped(reference_urdf), "body", lying_states)
 
 
-def test_accelerations_of_pybullets_quadrupeds(pybullet_urdf):
-    try:
-        quadruped = load_quadruped(pybullet_urdf, Options(meshes=False))
-    except UrdfError as error:
-        pytest.skip(f"no such quadruped: {error}")
-    check_accelerations(quadruped)
+@zoo.each(zoo.QUADRUPEDS)
+def test_accelerations_of_the_zoos_quadrupeds(urdf):
+    check_accelerations(load_quadruped(urdf, Options(meshes=False)))
 
 
 def changed(base: mujoco.MjModel, rng: np.random.Generator) -> mujoco.MjModel:

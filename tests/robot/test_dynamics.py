@@ -9,7 +9,8 @@ import pytest
 from quadwalk.paths import ALIENGO_URDF
 from quadwalk.robot.mjcf import Options, convert, write_xml
 from quadwalk.robot.structure.legs import find_legs
-from quadwalk.robot.urdf import Urdf, UrdfError, parse_urdf, read_urdf
+from quadwalk.robot.urdf import Urdf, parse_urdf, read_urdf
+from tests.robot import zoo
 
 STATES = 50
 
@@ -17,10 +18,7 @@ STATES = 50
 def check(pinocchio, file: Path, meshes: bool = True) -> None:
     """Compare masses, frames, mass matrix, bias and inverse dynamics, in memory and as XML."""
     urdf = read_urdf(file)
-    try:
-        legs = find_legs(urdf.tree, urdf.source)
-    except UrdfError:  # Minitaur's legs are of two motors each
-        legs = ()
+    legs = find_legs(urdf.tree, urdf.source)
     spec = convert(urdf, legs, Options(meshes=meshes)).spec
     check_spec(pinocchio, urdf, spec, {f"position of {leg.foot_name}" for leg in legs})
 
@@ -43,8 +41,9 @@ def test_reference_quadrupeds(pinocchio, reference_urdf):
     check(pinocchio, reference_urdf)
 
 
-def test_pybullet_quadrupeds(pinocchio, pybullet_urdf):
-    check(pinocchio, pybullet_urdf, meshes=False)
+@zoo.each(zoo.QUADRUPEDS)
+def test_quadrupeds_of_the_zoo(pinocchio, urdf):
+    check(pinocchio, urdf, meshes=False)
 
 
 def inertial(mass: float, moments: str, xyz: str = "0 0 0", rpy: str = "0 0 0") -> str:

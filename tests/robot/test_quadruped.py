@@ -11,6 +11,7 @@ from quadwalk.robot.mjcf import Options
 from quadwalk.robot.quadruped import Quadruped, load_quadruped, quadruped_from
 from quadwalk.robot.scene import lowest_point
 from quadwalk.robot.urdf import UrdfError, parse_urdf
+from tests.robot import zoo
 from tests.robot.robots import ball_calf
 from tests.robot.robots import quadruped as made_quadruped
 
@@ -189,13 +190,9 @@ def test_a_trunk_without_shapes_has_its_corners_at_the_hips():
     np.testing.assert_allclose(corner.pos + outwards, [0.2407, -0.051, 0], atol=1e-12)
 
 
-def test_pybullets_quadrupeds_stand_and_train(pybullet_urdf):
-    if pybullet_urdf.stem.startswith("minitaur"):
-        pytest.skip("Minitaur's legs are not of three motors each")
-    quadruped = load_quadruped(pybullet_urdf, NO_MESHES)
-    if pybullet_urdf.stem in ("aliengo", "a1", "spirit40"):
-        stands(quadruped)
-    trainable(quadruped)
+@zoo.each(zoo.QUADRUPEDS)
+def test_mjx_takes_the_zoos_training_models(urdf):
+    trainable(load_quadruped(urdf, NO_MESHES))
 
 
 def test_both_models_are_of_one_robot(aliengo):

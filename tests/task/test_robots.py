@@ -5,12 +5,12 @@ import dataclasses
 import jax
 import jax.numpy as jnp
 import numpy as np
-import pytest
 
 from quadwalk.robot.mjcf import Options
 from quadwalk.robot.quadruped import load_quadruped
 from quadwalk.task.env import QuadrupedEnv
 from quadwalk.tasks import sprint
+from tests.robot import zoo
 
 NO_VARIETY = dataclasses.replace(
     sprint.TASK.env.reset, yaw=0, tilt=0, offset=0, joints=0, velocity=0, joint_velocity=0
@@ -41,7 +41,6 @@ def test_other_quadrupeds_stand_in_the_environment(reference_urdf):
     stands_for_a_second(reference_urdf)
 
 
-def test_pybullets_quadrupeds_stand_in_the_environment(pybullet_urdf):
-    if pybullet_urdf.stem not in ("a1", "aliengo"):
-        pytest.skip("not one of the robots that are trained")
-    stands_for_a_second(pybullet_urdf, Options(meshes=False))
+@zoo.each(zoo.QUADRUPEDS, "a1", "hyq")
+def test_quadrupeds_of_the_zoo_stand_in_the_environment(urdf):
+    stands_for_a_second(urdf, Options(meshes=False))

@@ -1,8 +1,23 @@
-"""The task of the blog post that quadwalk started from, in PyBullet, as a Gymnasium environment.
+# /// script
+# requires-python = "==3.11.*"
+# dependencies = ["pybullet==3.2.7", "stable-baselines3>=2.7,<3"]
+#
+# [tool.uv]
+# no-build = true
+# ///
+"""The blog post that quadwalk started from: its task in PyBullet, its learner; for `versus.py`.
 
-Its AlienGo is that of `pybullet_data`; a control step is one physics step of 1/240 s.
+Its AlienGo is that of `pybullet_data`; a control step is one physics step of 1/240 s. Four
+processes (SubprocVecEnv) step it, Stable-Baselines3's PPO learns with its defaults. The last
+PyBullet that is no source has a wheel for Python 3.11: this script needs no part of quadwalk, and
+has packages of its own, which the comment above names to `uv run --script`.
+
+For each line read it learns from one rollout of 4 x 2048 steps, and prints the steps, how many
+seconds they simulate and how many they took. It begins with such a line of its own, when ready.
 """
 
+import sys
+import time
 from typing import Any
 
 import gymnasium
@@ -10,6 +25,10 @@ import numpy as np
 import pybullet
 import pybullet_data
 from pybullet_utils.bullet_client import BulletClient
+from stable_baselines3 import PPO
+from stable_baselines3.common.vec_env import SubprocVecEnv
+
+PROCESSES = 4
 
 DT = 1.0 / 240.0  # s, PyBullet's default step
 EPISODE_STEPS = 1000
@@ -85,3 +104,19 @@ class PyBulletTask(gymnasium.Env):
         states = self._bullet.getJointStates(self._robot, self._joints)
         angles, speeds = [state[0] for state in states], [state[1] for state in states]
         return np.array([*position, *quaternion, *linear, *angular, *angles, *speeds], np.float32)
+
+
+def main() -> None:
+    """Learn a rollout for each line."""
+    model = PPO("MlpPolicy", SubprocVecEnv([PyBulletTask] * PROCESSES), device="cpu", seed=0)
+    steps = PROCESSES * model.n_steps
+    ready = False
+    while not ready or sys.stdin.readline():
+        began = time.perf_counter()
+        model.learn(steps, reset_num_timesteps=False)
+        print(steps, steps * DT, time.perf_counter() - began, flush=True)
+        ready = True
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,35 @@
+"""The URDFs of PyPI's example-robot-data, its quadrupeds among them."""
+
+from pathlib import Path
+
+import pytest
+
+from benchmarks.zoo import example_robot_data
+
+FOLDER = example_robot_data()
+assert FOLDER, "example-robot-data is not installed; expected it: pip install -e '.[test]'"
+FILES = sorted(FOLDER.rglob("*.urdf"))
+# By their folder: whether the knees of the hind legs point ahead.
+KNEES_AHEAD = {
+    "a1_description": False,
+    "anymal_b_simple_description": True,
+    "anymal_c_simple_description": True,
+    "b1_description": False,
+    "go1_description": False,
+    "go2_description": False,
+    "hyq_description": True,
+    "laikago_description": False,
+    "solo_description": False,
+}
+QUADRUPEDS = [
+    file
+    for file in FILES
+    if file.parts[-3] in KNEES_AHEAD and file.stem not in ("anymal-kinova", "b1-z1", "solo")
+]
+
+
+def each(files: list[Path], *names: str) -> pytest.MarkDecorator:
+    """Run a test with each `urdf` of these; with `names`, those alone whose path has one in it."""
+    chosen = [file for file in files if not names or any(name in str(file) for name in names)]
+    assert len(chosen) >= len(names)
+    return pytest.mark.parametrize("urdf", chosen, ids=[str(f.relative_to(FOLDER)) for f in chosen])
