@@ -1,25 +1,34 @@
 """What a training step costs: collecting, learning, the rest; and beside another commit's.
 
     python benchmarks/learning.py [--task sprint] [--against COMMIT] [--rounds 5] [--envs 2048]
+        [--other-python PATH] [--processor-time]
 
 Trains a task in iterations, in turn with the other commit's code, in a process of its
 own each; what counts is the median of the ratios, since a machine's speed drifts. Costs are in
 microseconds of a core for one control step of one environment. Physics alone is the control steps
 of `collect` without policy, reward and fresh starts, from standing robots with random targets.
+
+The other commit has the packages of its own lock, in an environment that is made once and kept, or
+that of PATH. On a machine that others use too, --processor-time counts what the cores spent on it,
+not what they waited: it is steady there.
 """
 
 import argparse
 import contextlib
+import hashlib
 import importlib
 import os
 import subprocess
 import sys
 import tempfile
 import time
+import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+import platformdirs
+from packaging.specifiers import SpecifierSet
 
 ROOT = Path(__file__).resolve().parent.parent
 ITERATIONS = 8  # in a round
@@ -31,22 +40,25 @@ def main() -> None:
     parser.add_argument("--against", help="the commit to compare with")
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--envs", type=int, default=2048)
+    parser.add_argument("--other-python", help="one with that commit's packages")
+    parser.add_argument("--processor-time", action="store_true", help="for a busy machine")
     parser.add_argument("--work", action="store_true", help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.work:
-        work(options.task, options.envs)
+        work(options.task, options.envs, options.processor_time)
         return
     from quadwalk.task_files import task_names
 
     if options.task not in task_names():
         parser.error(f"no task {options.task!r}; expected one of: {', '.join(task_names())}")
     with contextlib.ExitStack() as stack:
-        workers = {"this code": stack.enter_context(worker(ROOT, options.task, options.envs))}
+        arguments = [f"--task={options.task}", f"--envs={options.envs}"]
+        arguments += ["--processor-time"] * options.processor_time
+        workers = {"this code": stack.enter_context(worker(ROOT, sys.executable, arguments))}
         if options.against:
             checkout = stack.enter_context(checked_out(options.against))
-            workers[options.against] = stack.enter_context(
-                worker(checkout, options.task, options.envs)
-            )
+            python = options.other_python or environment_of(checkout)
+            workers[options.against] = stack.enter_context(worker(checkout, python, arguments))
         rounds = [
             {name: ask(process) for name, process in workers.items()} for _ in range(options.rounds)
         ]
@@ -80,10 +92,37 @@ def checked_out(commit: str) -> Iterator[Path]:
             subprocess.run([*git, "remove", "--force", folder], check=True)
 
 
+def environment_of(checkout: Path) -> str:
+    """The Python of an environment with the packages that the lock in `checkout` names."""
+    lock, ours = ((folder / "requirements.lock").read_bytes() for folder in (checkout, ROOT))
+    if lock == ours:
+        return sys.executable
+    suits = tomllib.loads((checkout / "pyproject.toml").read_text())["project"]["requires-python"]
+    names = [sys.executable, *(f"python3.{minor}" for minor in range(20, 9, -1))]
+    python = next((name for name in names if version_of(name) in SpecifierSet(suits)), None)
+    if python is None:
+        sys.exit(f"error: no Python {suits} here; expected one, or --other-python PATH")
+    cache = Path(platformdirs.user_cache_dir("quadwalk", appauthor=False))
+    venv = cache / "environments" / hashlib.sha256(lock).hexdigest()[:12]
+    make = ["make", "-C", checkout, f"VENV={venv}", f"PYTHON={python}", f"{venv}/.ready"]
+    subprocess.run(make, check=True, stdout=sys.stderr)
+    return str(venv / "bin" / "python")
+
+
+def version_of(python: str) -> str:
+    """The version of a Python; 0 where there is none of that name."""
+    code = "import platform; print(platform.python_version())"
+    try:
+        done = subprocess.run([python, "-c", code], capture_output=True, text=True)
+    except FileNotFoundError:
+        return "0"
+    return done.stdout.strip() or "0"
+
+
 @contextlib.contextmanager
-def worker(checkout: Path, task: str, envs: int) -> Iterator[subprocess.Popen[str]]:
+def worker(checkout: Path, python: str, arguments: list[str]) -> Iterator[subprocess.Popen[str]]:
     """A process that trains with the code in `checkout`; it has compiled when it is given."""
-    command = [sys.executable, __file__, "--work", f"--task={task}", f"--envs={envs}"]
+    command = [python, __file__, "--work", *arguments]
     path = {**os.environ, "PYTHONPATH": str(checkout)}
     pipe = subprocess.PIPE
     with subprocess.Popen(command, env=path, text=True, stdin=pipe, stdout=pipe) as process:
@@ -102,8 +141,9 @@ def ask(process: subprocess.Popen[str]) -> list[float]:
     return [float(x) for x in process.stdout.readline().split()]
 
 
-def work(task: str, envs: int) -> None:
+def work(task: str, envs: int, processor_time: bool) -> None:
     """For each line read, train a round and print the costs, 0 of what cannot be told."""
+    clock = time.process_time if processor_time else time.perf_counter
     import dataclasses
 
     from quadwalk.train.devices import choose_devices
@@ -152,26 +192,26 @@ def work(task: str, envs: int) -> None:
         jax.shard_map(control_steps, mesh=mesh, in_specs=split, out_specs=split, check_vma=False)
     )
     jax.block_until_ready(alone(physics))
-    share = len(devices) * 1e6 / (ITERATIONS * envs * config.ppo.unroll)
+    share = (1 if processor_time else len(devices)) * 1e6 / (ITERATIONS * envs * config.ppo.unroll)
     for _ in sys.stdin:
         parts = [0.0, 0.0]
-        began = time.perf_counter()
+        began = clock()
         for _ in range(ITERATIONS):
             if hasattr(iterate, "collect"):
-                start = time.perf_counter()
+                start = clock()
                 workers, data, _, key = jax.block_until_ready(iterate.collect(*state))
-                middle = time.perf_counter()
+                middle = clock()
                 learner, _ = jax.block_until_ready(iterate.learn(state.learner, data, key))
                 state = ppo.TrainState(learner, workers)
-                parts = [parts[0] + middle - start, parts[1] + time.perf_counter() - middle]
+                parts = [parts[0] + middle - start, parts[1] + clock() - middle]
             else:
                 state, _ = jax.block_until_ready(iterate(state))
-        whole = time.perf_counter() - began
+        whole = clock() - began
         physics = state.workers.envs.pipeline_state.physics
-        began = time.perf_counter()
+        began = clock()
         for _ in range(ITERATIONS):
             physics = jax.block_until_ready(alone(physics))
-        costs = [whole, *parts, time.perf_counter() - began]
+        costs = [whole, *parts, clock() - began]
         print(*(cost * share for cost in costs), flush=True)
 
 
