@@ -46,6 +46,22 @@ $(VENV)/.ready-dev: requirements-dev.lock $(VENV)/.ready
 	$(RUN) -m pip check
 	touch $@
 
+# Without a version that pyproject.toml demands, so that what the next releases break is seen.
+NAMES := import re, tomllib; p = tomllib.load(open("pyproject.toml", "rb"))["project"]; \
+	e = p["optional-dependencies"]; all = sum(map(e.get, "test export gym view zoo".split()), []); \
+	names = {re.split("[^\w.-]", d)[0] for d in p["dependencies"] + all}; \
+	print(*sorted(names - {"quadwalk"}))
+newest:  ## the fast tests with the newest of every package, in a virtual environment of its own
+	@$(MAKE) --silent python
+	$(PYTHON) -m venv --clear $(VENV)-newest
+	$(VENV)-newest/bin/python -m pip install --quiet --upgrade pip
+	$(VENV)-newest/bin/python -m pip install --quiet $$($(PYTHON) -c '$(NAMES)')
+	$(VENV)-newest/bin/python -m pip install --quiet --no-deps -e .
+	$(VENV)-newest/bin/python -m quadwalk doctor
+	$(VENV)-newest/bin/python -m pytest -n 2 --dist loadfile tests/drawing tests/export \
+		tests/physics tests/robot tests/view tests/train/test_against_brax.py \
+		tests/train/test_engines.py tests/train/test_networks.py tests/train/test_ppo.py
+
 lock:  ## choose versions anew (needs uv)
 	uv pip compile --universal --python-version 3.12 --no-emit-index-url --no-header \
 		--no-annotate --extra view pyproject.toml -o requirements.lock

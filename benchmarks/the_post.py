@@ -12,8 +12,8 @@ processes (SubprocVecEnv) step it, Stable-Baselines3's PPO learns with its defau
 PyBullet that is no source has a wheel for Python 3.11: this script needs no part of quadwalk, and
 has packages of its own, which the comment above names to `uv run --script`.
 
-For each line read it learns from one rollout of 4 x 2048 steps, and prints the steps, how many
-seconds they simulate and how many they took. It begins with such a line of its own, when ready.
+For each line read it learns from one rollout of 4 x 2048 steps, and prints "turn", the steps, how
+many seconds they simulate and how many they took. It prints one such line more when it is ready.
 """
 
 import sys
@@ -114,7 +114,7 @@ def main() -> None:
     while not ready or sys.stdin.readline():
         began = time.perf_counter()
         model.learn(steps, reset_num_timesteps=False)
-        print(steps, steps * DT, time.perf_counter() - began, flush=True)
+        print("turn", steps, steps * DT, time.perf_counter() - began, flush=True)
         ready = True
 
 

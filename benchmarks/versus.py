@@ -42,10 +42,11 @@ class Turn(NamedTuple):
 def post_turn(process: subprocess.Popen[str]) -> Turn:
     """What the post's process says of the turn that it has taken."""
     assert process.stdout is not None
-    if not (line := process.stdout.readline()):
-        sys.exit(f"error: {POST.name} ended with status {process.wait()}; expected its figures")
-    steps, simulated, seconds = line.split()
-    return Turn(int(steps), float(simulated), float(seconds))
+    for line in process.stdout:  # PyBullet prints to it too
+        if line.startswith("turn "):
+            _, steps, simulated, seconds = line.split()
+            return Turn(int(steps), float(simulated), float(seconds))
+    sys.exit(f"error: {POST.name} ended with status {process.wait()}; expected its figures")
 
 
 def main() -> None:

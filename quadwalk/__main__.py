@@ -14,6 +14,7 @@ _COMMANDS = {
     "view": ("quadwalk.view.__main__", "drive a trained policy live"),
     "robot": ("quadwalk.robot.__main__", "convert a URDF to MJCF, or draw it"),
     "ground": ("quadwalk.ground.__main__", "draw every kind of ground"),
+    "doctor": ("quadwalk.doctor", "print versions, devices, cores, and what is off here"),
 }
 
 

@@ -149,7 +149,7 @@ def _of_libc(name: str) -> Callable[..., object]:
 
 
 @functools.cache
-def _instructions() -> str:
+def instructions() -> str:
     """The processor's instruction sets, as Linux lists them; else nothing."""
     cpuinfo = Path("/proc/cpuinfo")
     lines = cpuinfo.read_text(errors="replace").splitlines() if cpuinfo.exists() else []
@@ -176,7 +176,7 @@ def compilation_cache() -> Path:
 
     A home folder may be shared by machines that cannot run each other's instructions.
     """
-    processor = (platform.processor() or platform.machine()) + _instructions()
+    processor = (platform.processor() or platform.machine()) + instructions()
     kind = hashlib.sha256(processor.encode()).hexdigest()[:12]
     return Path(platformdirs.user_cache_dir("quadwalk", appauthor=False)) / "xla" / kind
 
