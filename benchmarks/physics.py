@@ -1,33 +1,22 @@
 """Physics steps per second: the fast engine, MJX and MuJoCo C on all cores.
 
-    python benchmarks/physics.py [--envs 2048] [--rounds 5] [--variants]
+    python benchmarks/physics.py [--envs 2048] [--rounds 5] [--variants] [--processor-time]
     python benchmarks/accuracy.py
 
 The rates: all three step the training model from the same states with the same torques, in turn,
 in one run; what counts is the median of the ratios, since a machine's speed drifts. MuJoCo C is
 `mujoco.rollout` with one thread per core and the training model's own solver settings.
 
-`--variants` adds what the fast engine would be without each of its measures. On 2 cores of an AMD
-EPYC, with two iterations of the solver in all of them (MuJoCo C 208 thousand steps/s), relative to
-MuJoCo C:
-
-    fast                        4.6
-    one, three iterations       5.6, 3.6 (benchmarks/accuracy.py says what they are worth)
-    knees and trunk touch too   3.1 (EnvConfig.contacts)
-    no batches of cache size    3.0
-    not materialized            1.4 (XLA then repeats what results share)
-    MJX                         0.5
-
-and, with an earlier line search and one iteration, 3.0 instead of 4.3 by XLA's newer code generator
-(XLA_FLAGS=--xla_cpu_use_fusion_emitters=true). The rest of the difference to MJX is the layout,
-robots innermost, and the matrices: MJX factors dense ones of 18 x 18 through LAPACK, here they are
-arrows of four 3 x 3 blocks and one of 6 x 6.
+`--variants` adds what the fast engine would be without each of its measures; docs/physics.md has
+figures. On a machine that others use too, --processor-time counts what the cores spent on it. The
+rest of the difference to MJX is the layout, robots innermost, and the matrices: MJX factors dense
+ones of 18 x 18 through LAPACK, here they are arrows of four 3 x 3 blocks and one of 6 x 6.
 """
 
 import argparse
 import dataclasses
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from types import ModuleType
 
 import numpy as np
@@ -44,13 +33,19 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=50, help="physics steps in a round")
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--variants", action="store_true")
+    parser.add_argument("--processor-time", action="store_true", help="for a busy machine")
     options = parser.parse_args()
     set_up_devices()
-    print_rates(options.envs, options.steps, options.rounds, options.variants)
+    clock = time.perf_counter
+    if options.processor_time:
+        clock = lambda: time.process_time() / cpu_cores()  # noqa: E731
+    print_rates(options.envs, options.steps, options.rounds, options.variants, clock)
 
 
-def print_rates(envs: int, steps: int, rounds: int, variants: bool) -> None:
-    """Print the median rate of each engine and its ratio to MuJoCo C's."""
+def print_rates(
+    envs: int, steps: int, rounds: int, variants: bool, clock: Callable[[], float]
+) -> None:
+    """Print the median rate of each engine by `clock` and its ratio to MuJoCo C's."""
     import jax
     import jax.numpy as jnp
     import mujoco
@@ -111,9 +106,9 @@ def print_rates(envs: int, steps: int, rounds: int, variants: bool) -> None:
         )
 
         def measure() -> float:
-            began = time.perf_counter()
+            began = clock()
             jax.block_until_ready(program(physics, jnp.asarray(torques)))
-            return envs * steps / (time.perf_counter() - began)
+            return envs * steps / (clock() - began)
 
         return measure
 
@@ -124,9 +119,9 @@ def print_rates(envs: int, steps: int, rounds: int, variants: bool) -> None:
     with mujoco.rollout.Rollout(nthread=len(data)) as pool:
 
         def in_mujoco() -> float:
-            began = time.perf_counter()
+            began = clock()
             pool.rollout(model, data, states, torques)
-            return envs * steps / (time.perf_counter() - began)
+            return envs * steps / (clock() - began)
 
         def with_other(values: Mapping[tuple[ModuleType, str], object], measure):
             """`measure`, compiled while modules have other values."""
