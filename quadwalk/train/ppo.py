@@ -1,11 +1,11 @@
 """PPO as two jitted programs, to collect and to learn, each on every device at once.
 
-They are two because XLA's older code generator for CPUs makes the faster physics and its newer one
-the faster networks. The parts are Brax's maintained ones (networks, action distribution, loss with
-generalised advantage estimation, running statistics); the loop is here. Each device of the mesh
-steps its own share of the environments; gradients and statistics are averaged over devices, so
-every device holds the same learner. The learning rate follows the policy's change (KL divergence),
-as in Schulman et al. 2017, section 4, and Rudin et al. 2022, arXiv:2109.11978.
+They are two since one program of both takes an eighth longer (docs/physics.md). The parts are
+Brax's maintained ones (networks, action distribution, loss with generalised advantage estimation,
+running statistics); the loop is here. Each device of the mesh steps its own share of the
+environments; gradients and statistics are averaged over devices, so every device holds the same
+learner. The learning rate follows the policy's change (KL divergence), as in Schulman et al. 2017,
+section 4, and Rudin et al. 2022, arXiv:2109.11978.
 """
 
 import math
