@@ -104,7 +104,7 @@ def environment_of(checkout: Path) -> str:
         sys.exit(f"error: no Python {suits} here; expected one, or --other-python PATH")
     cache = Path(platformdirs.user_cache_dir("quadwalk", appauthor=False))
     venv = cache / "environments" / hashlib.sha256(lock).hexdigest()[:12]
-    make = ["make", "-C", checkout, f"VENV={venv}", f"PYTHON={python}", f"{venv}/.ready"]
+    make = ["make", "-C", str(checkout), f"VENV={venv}", f"PYTHON={python}", f"{venv}/.ready"]
     subprocess.run(make, check=True, stdout=sys.stderr)
     return str(venv / "bin" / "python")
 
