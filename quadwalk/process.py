@@ -26,8 +26,8 @@ from quadwalk.shell import ROOT, install, short, words
 # What quadwalk imports.
 _PACKAGES = (
     "PIL", "brax", "foxglove_schemas_protobuf", "google", "jax", "lxml", "matplotlib", "mcap",
-    "mcap_protobuf", "mujoco", "numpy", "optax", "platformdirs", "rich", "scipy", "tensorboardX",
-    "trimesh", "tyro", "yourdfpy",
+    "mcap_protobuf", "mujoco", "numpy", "optax", "packaging", "platformdirs", "rich", "scipy",
+    "tensorboardX", "trimesh", "tyro", "yourdfpy",
 )  # fmt: skip
 _AGAIN = "QUADWALK_AGAIN"  # set where a process begins again with the interpreter in .venv
 _GRACE = 2.0  # s for a command to end by itself
