@@ -47,7 +47,7 @@ def folders_named(notebook: nbformat.NotebookNode) -> list[str]:
     """Folders of this machine that the outputs name; what is published should name none."""
     outputs = [output for cell in notebook.cells for output in cell.get("outputs", [])]
     for_readers = [
-        {kind: data for kind, data in output.get("data", output).items() if kind != "image/png"}
+        {kind: data for kind, data in output.get("data", output).items() if kind[:6] != "image/"}
         for output in outputs
     ]
     text = json.dumps(for_readers)

@@ -104,6 +104,7 @@ def test_nothing_is_shown_of_the_machine_it_ran_on(executed, name):
         (nbformat.v4.new_output("display_data", {"text/plain": f"{Path.home()}/a"}), True),
         # What looks like one by chance, in the letters that a picture is written in.
         (nbformat.v4.new_output("display_data", {"image/png": f"{Path.home()}/a"}), False),
+        (nbformat.v4.new_output("display_data", {"image/jpeg": f"{Path.home()}/a"}), False),
         (nbformat.v4.new_output("stream", text="in runs/a"), False),
     ],
 )
