@@ -50,7 +50,8 @@ def run_command(main: Callable[[], object] | str) -> NoReturn:
             sys.stdout.flush()  # only now a full disk may refuse what was printed
         except OSError as error:
             status = _refused(error)
-    # Python would end itself by the signal if it came in an exec, until the next.
+    # CPython remembers an interrupt that left an `exec`, as of an import, and would end itself by
+    # the signal instead of this status. Another `exec` makes it forget.
     exec("")
     sys.exit(status)
 
