@@ -10,8 +10,6 @@ import time
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from quadwalk.physics.mjx import mjx  # noqa: F401  # isort: skip  # else Brax imports it, loudly
-
 import jax
 import jax.numpy as jnp
 import numpy as np

@@ -7,12 +7,9 @@ run = quadwalk.train("run", steps=4_000_000, overrides={"env.reward.energy": -0.
 result = quadwalk.evaluate(run, episodes=64, engine="mujoco")
 """
 
-import os
 from typing import TYPE_CHECKING, Any
 
-# On each hit of the compilation cache XLA prints a page about its own tuning hints; JAX reads this
-# when it is imported. Errors that matter reach Python as exceptions.
-os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
+import quadwalk.quiet  # noqa: F401
 
 if TYPE_CHECKING:
     from quadwalk.api import compare, evaluate, load_policy, make, train

@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+import quadwalk
+
 ROOT = Path(__file__).parents[1]
 
 
@@ -30,8 +32,9 @@ def test_the_wheel_carries_package_assets_and_licences(wheel):
             name = asset.relative_to(assets).as_posix()
             assert archive.read(f"quadwalk/assets/{name}") == asset.read_bytes()
     modules = {path.relative_to(ROOT).as_posix() for path in (ROOT / "quadwalk").rglob("*.py")}
-    assert modules <= names
+    assert modules | {"quadwalk/py.typed"} <= names
     assert {"LICENSE", "NOTICE"} <= {Path(name).name for name in names}
+    assert wheel.name.startswith(f"quadwalk-{quadwalk.__version__}-")
 
 
 @pytest.mark.parametrize(
@@ -58,3 +61,10 @@ def test_its_commands_work_away_from_the_checkout(wheel, tmp_path, arguments, sa
     )
     assert done.returncode == 0, done.stderr
     assert all(word in done.stdout for word in said.split())
+
+
+def test_libraries_print_nothing_when_they_are_imported():
+    """Not even where one imports, after quadwalk, Brax itself, with MJX and its back ends."""
+    code = "import quadwalk, brax.envs.base, sys; assert 'mujoco.mjx.warp' in sys.modules"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")

@@ -10,9 +10,6 @@ from collections.abc import Iterator
 from itertools import product
 from typing import Any, NamedTuple
 
-import quadwalk.physics.mjx  # noqa: F401  # before Brax, which imports MJX less quietly
-
-# isort: split
 import jax
 import jax.numpy as jnp
 import numpy as np

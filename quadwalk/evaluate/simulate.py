@@ -11,9 +11,6 @@ from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Any, NamedTuple
 
-import quadwalk.physics.mjx  # noqa: F401  # before Brax, which imports MJX less quietly
-
-# isort: split
 import jax
 import mujoco
 import numpy as np

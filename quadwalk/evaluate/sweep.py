@@ -11,9 +11,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import quadwalk.physics.mjx  # noqa: F401  # before Brax, which imports MJX less quietly
-
-# isort: split
 import jax
 import jax.numpy as jnp
 import numpy as np

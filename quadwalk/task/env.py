@@ -4,9 +4,6 @@ from collections.abc import Callable
 from functools import cached_property, partial
 from typing import Any
 
-from quadwalk.physics.engines import ENGINES, EngineName, fast, mujoco_c  # before Brax's MJX
-
-# isort: split
 import jax
 import jax.numpy as jnp
 import mujoco
@@ -15,6 +12,7 @@ from brax.envs.base import Env, State
 
 from quadwalk.ground.terrain import Terrain, leg_length, make_terrain
 from quadwalk.physics.constraints.surface import Surface, given
+from quadwalk.physics.engines import ENGINES, EngineName, fast, mujoco_c
 from quadwalk.physics.motor import Effort, Physics, make_motor
 from quadwalk.robot.quadruped import Quadruped
 from quadwalk.task.config import EnvConfig

@@ -53,12 +53,10 @@ def replay(path: Path | str) -> tuple[np.ndarray, np.ndarray]:
     Returns qpos (n + 1, 19) and qvel (n + 1, 18): before, and after each of the control step's n
     physics steps. Raises `UserError` for a file that cannot be used.
     """
-    from quadwalk.physics.engines import ENGINES  # before JAX, for its MJX
-
-    # isort: split
     import jax
     import jax.numpy as jnp
 
+    from quadwalk.physics.engines import ENGINES
     from quadwalk.task.env import QuadrupedEnv
     from quadwalk.train.robot import load_robot
 

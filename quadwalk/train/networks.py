@@ -3,9 +3,6 @@
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-import quadwalk.physics.mjx  # noqa: F401  # before Brax, which imports MJX less quietly
-
-# isort: split
 import jax
 import jax.numpy as jnp
 import numpy as np

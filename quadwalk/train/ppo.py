@@ -13,9 +13,6 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 
-import quadwalk.physics.mjx  # noqa: F401  # before Brax, which imports MJX less quietly
-
-# isort: split
 import jax
 import jax.numpy as jnp
 import numpy as np

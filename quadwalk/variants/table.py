@@ -1,7 +1,5 @@
 """The table of variants: a row for each run, its figures in both engines."""
 
-from quadwalk.variants.trainings import check_same, in_processes, trained  # isort: skip  # before Brax
-
 import hashlib
 import itertools
 import re
@@ -23,6 +21,7 @@ from quadwalk.train.runs.directory import Run, write_json_atomic
 from quadwalk.train.runs.log import read_history
 from quadwalk.train.settings import TrainConfig
 from quadwalk.variants.bands import draw_bands
+from quadwalk.variants.trainings import check_same, in_processes, trained
 
 if TYPE_CHECKING:
     from quadwalk.variants.__main__ import CompareConfig

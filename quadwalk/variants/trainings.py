@@ -1,7 +1,5 @@
 """Trainings of a study: each run trained once, and a process for each."""
 
-import quadwalk.physics.mjx  # noqa: F401  # isort: skip  # else Brax imports it, loudly
-
 import contextlib
 import multiprocessing
 import sys

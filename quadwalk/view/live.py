@@ -5,15 +5,13 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
-from quadwalk.evaluate.simulate import Policy, foot_forces, geom_ids  # before Brax, for its MJX
-from quadwalk.evaluate.subject import Subject
-
-# isort: split
 import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
 
+from quadwalk.evaluate.simulate import Policy, foot_forces, geom_ids
+from quadwalk.evaluate.subject import Subject
 from quadwalk.physics.model import Variation, vary_motor
 from quadwalk.physics.motor import Physics, control_step
 from quadwalk.physics.mujoco_c import varied_model

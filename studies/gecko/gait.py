@@ -1,7 +1,5 @@
 """How a run of the gecko study moves: figures of its gait, and what a picture of it needs."""
 
-import quadwalk.physics.mjx  # noqa: F401  # isort: skip  # else Brax imports it, loudly
-
 from collections import Counter
 from dataclasses import replace
 from typing import Any

@@ -11,8 +11,6 @@ Results go to `--out` as they come, and notebooks/06_ground.ipynb shows them. To
         --runs /tmp/runs --out /tmp/results.json
 """
 
-import quadwalk.physics.mjx  # noqa: F401  # isort: skip  # else Brax imports it, loudly
-
 import argparse
 from dataclasses import replace
 from functools import partial

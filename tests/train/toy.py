@@ -15,7 +15,6 @@ from quadwalk.tasks import sprint
 # says 1 to the processes that one with JAX starts, and XLA then fills what a test reads.
 os.environ["TF_CPP_MIN_LOG_LEVEL"] = "3"
 
-import quadwalk.physics.mjx  # noqa: I001 - first, for the others would let it print
 import jax
 import jax.numpy as jnp
 from brax.envs.base import Env, State
@@ -24,10 +23,10 @@ import quadwalk.task.env
 import quadwalk.train.progress.curves
 import quadwalk.train.runs.writer
 import quadwalk.train.setup
-from quadwalk.task.config import EnvConfig
 from quadwalk.physics.motor import Physics
-from quadwalk.task.env import EnvState
 from quadwalk.process import run_command
+from quadwalk.task.config import EnvConfig
+from quadwalk.task.env import EnvState
 from quadwalk.train.__main__ import main
 
 GOAL = 0.5

@@ -6,9 +6,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import quadwalk.physics.mjx  # noqa: F401  # before Brax, which imports MJX less quietly
-
-# isort: split
 import jax
 import numpy as np
 from brax.training.acme.running_statistics import NestedMeanStd
