@@ -17,9 +17,9 @@ from brax.envs.base import Env, State, Wrapper
 from brax.training.agents.ppo import train as brax_ppo
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
+from quadwalk.settings.training import PPOConfig
 from quadwalk.train import ppo
 from quadwalk.train.networks import Networks, make_networks, mean_policy
-from quadwalk.train.settings import PPOConfig
 
 Params = tuple[Any, Any, Any]  # normaliser, policy, value
 

@@ -3,9 +3,9 @@
 import time
 from typing import NamedTuple
 
+from quadwalk.settings.training import PPOConfig
 from quadwalk.tasks import sprint
 from quadwalk.train.devices import cpu_cores, device_count, set_up_devices
-from quadwalk.train.settings import PPOConfig
 
 SUBSTEPS = sprint.TASK.env.substeps  # physics steps in a control step
 CONTROL_DT = sprint.TASK.env.control_dt  # s

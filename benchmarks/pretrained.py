@@ -12,12 +12,12 @@ from pathlib import Path
 from typing import Any
 
 from quadwalk.paths import PRETRAINED
+from quadwalk.settings.serialise import to_dict
+from quadwalk.settings.training import RobotConfig
 from quadwalk.train.flags import parse_config
 from quadwalk.train.loop import train
 from quadwalk.train.runs import checkpoint
 from quadwalk.train.runs.directory import Run
-from quadwalk.train.serialise import to_dict
-from quadwalk.train.settings import RobotConfig
 
 
 def main() -> None:

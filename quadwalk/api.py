@@ -5,10 +5,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from quadwalk.errors import UsageError
+from quadwalk.settings.serialise import with_settings
+from quadwalk.settings.training import TrainConfig
 from quadwalk.task_files import load_task
 from quadwalk.train.runs.directory import Run, find_any_run
-from quadwalk.train.serialise import with_settings
-from quadwalk.train.settings import TrainConfig
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

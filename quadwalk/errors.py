@@ -1,5 +1,7 @@
 """Errors that a user can cause."""
 
+import traceback
+
 
 class UserError(Exception):
     """Something the user can mend: the message is one line that names it and what is expected."""
@@ -15,3 +17,11 @@ class UsageError(UserError):
     """A flag, name or value on the command line that cannot be used."""
 
     exit_status = 2
+
+
+def line_in(file: str, error: BaseException) -> int | None:
+    """The line of `file` that an error came from; None if it cannot be told."""
+    if isinstance(error, SyntaxError) and error.filename == file:
+        return error.lineno
+    frames = traceback.extract_tb(error.__traceback__)
+    return next((frame.lineno for frame in reversed(frames) if frame.filename == file), None)

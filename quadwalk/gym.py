@@ -27,8 +27,8 @@ from gymnasium.vector.utils import batch_space
 
 from quadwalk.api import make
 from quadwalk.errors import UsageError
+from quadwalk.settings.training import TrainConfig
 from quadwalk.task_files import task_names
-from quadwalk.train.settings import TrainConfig
 
 
 class QuadrupedGymEnv(gymnasium.Env[np.ndarray, np.ndarray]):

@@ -10,17 +10,14 @@ import importlib
 import importlib.util
 import pkgutil
 import sys
-import traceback
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from quadwalk.errors import UsageError, UserError
+from quadwalk.errors import UsageError, UserError, line_in
 from quadwalk.files import os_reason, real_path
-
-if TYPE_CHECKING:
-    from quadwalk.train.settings import TrainConfig
+from quadwalk.settings.training import TrainConfig
 
 OWN = "task.py"  # the copy of its task's file that a run keeps
 _PACKAGE = "quadwalk.tasks"
@@ -39,7 +36,7 @@ def task_list() -> str:
     return "\n\n".join((module.__doc__ or "").partition("\n")[0] for module in modules)
 
 
-def load_task(which: str | Path) -> "TrainConfig":
+def load_task(which: str | Path) -> TrainConfig:
     """The task of this name or in this file; `UsageError` says what is wrong with it."""
     if str(which) in task_names():
         return importlib.import_module(f"{_PACKAGE}.{which}").TASK
@@ -48,8 +45,6 @@ def load_task(which: str | Path) -> "TrainConfig":
             f"no task {str(which)!r}; expected one of: {', '.join(task_names())}, or the path of "
             "a .py file that defines TASK"
         )
-    from quadwalk.train.settings import TrainConfig
-
     task = getattr(_import(Path(which)), "TASK", None)
     if not isinstance(task, TrainConfig):
         raise UsageError(f"{which} does not define TASK; expected a quadwalk TrainConfig")
@@ -123,11 +118,3 @@ def _import(path: Path) -> ModuleType:
         said = said if isinstance(error, UserError) else f"{kind}: {said}"
         raise UsageError(f"{where}: {said}") from None
     return module
-
-
-def line_in(file: str, error: BaseException) -> int | None:
-    """The line of `file` that an error came from; None if it cannot be told."""
-    if isinstance(error, SyntaxError) and error.filename == file:
-        return error.lineno
-    frames = traceback.extract_tb(error.__traceback__)
-    return next((frame.lineno for frame in reversed(frames) if frame.filename == file), None)

@@ -20,9 +20,9 @@ import quadwalk.gym
 from quadwalk.errors import UsageError, UserError
 from quadwalk.evaluate.recording.mcap import verify_mcap
 from quadwalk.paths import ALIENGO_URDF
+from quadwalk.settings.training import RobotConfig
 from quadwalk.task_files import load_task
 from quadwalk.train.runs.log import read_metrics
-from quadwalk.train.settings import RobotConfig
 
 BATCH = 64  # control steps in an iteration of the tiny training
 TINY = {

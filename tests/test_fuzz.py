@@ -19,6 +19,8 @@ from quadwalk.ground.__main__ import main as ground
 from quadwalk.paths import ALIENGO_URDF
 from quadwalk.robot.__main__ import main as robot
 from quadwalk.robot.quadruped import Quadruped
+from quadwalk.settings.serialise import flatten, with_settings
+from quadwalk.settings.training import RobotConfig
 from quadwalk.task_files import load_task, task_names
 from quadwalk.train.flags import parse_config
 from quadwalk.train.progress.curves import learning_curve
@@ -33,8 +35,6 @@ from quadwalk.train.runs.directory import (
 from quadwalk.train.runs.log import MetricsLog, read_history
 from quadwalk.train.runs.policy import load_checkpoint_policy, load_policy, load_score
 from quadwalk.train.runs.resume import resumed_config
-from quadwalk.train.serialise import flatten, with_settings
-from quadwalk.train.settings import RobotConfig
 from quadwalk.variants.__main__ import CompareConfig
 from quadwalk.variants.__main__ import main as compare
 from quadwalk.view.choices import policy_choices

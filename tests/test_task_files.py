@@ -5,13 +5,13 @@ import dataclasses
 import pytest
 
 from quadwalk.errors import UsageError, UserError
+from quadwalk.settings.terms import Observation, Reward
 from quadwalk.task import reward
-from quadwalk.task.terms import Observation, Reward
 from quadwalk.task_files import OWN, load_task, own_file, reference, resolve, task_names
 
 OWN_TASK = """
 import dataclasses
-from quadwalk.task.terms import Reward
+from quadwalk.settings.terms import Reward
 from quadwalk.tasks import sprint
 
 def still(robot, step):
@@ -26,6 +26,16 @@ TASK = dataclasses.replace(sprint.TASK, task="still", env=dataclasses.replace(
 def test_a_task_of_the_package_is_found_by_its_name(name):
     assert name in task_names()
     assert load_task(name).task == name
+
+
+def test_the_file_of_an_earlier_run_finds_settings_where_they_were(tmp_path):
+    (tmp_path / OWN).write_text(
+        "from quadwalk.task.config import REAL_WORLD\nfrom quadwalk.task.terms import Reward\n"
+        "from quadwalk.train.settings import TrainConfig\nfrom quadwalk.tasks.run import TASK\n"
+        "assert isinstance(TASK, TrainConfig) and TASK.env.randomisation is REAL_WORLD\n"
+        "assert all(isinstance(term, Reward) for term in TASK.env.reward.values())\n"
+    )
+    assert load_task(tmp_path / OWN).task == "run"
 
 
 def test_a_function_of_the_package_is_found_again_where_it_is():

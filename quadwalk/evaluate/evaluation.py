@@ -20,8 +20,8 @@ from quadwalk.evaluate.summary import (
     typical_episode,
     weight_of,
 )
+from quadwalk.settings.serialise import to_dict
 from quadwalk.task.episode.conditions import as_values
-from quadwalk.train.serialise import to_dict
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from quadwalk.errors import UserError
+from quadwalk.settings.terms import ActionMap
 from quadwalk.task.robot_arrays import RobotArrays
-from quadwalk.task.terms import ActionMap
 
 _SAMPLES = 1000
 _TOLERANCE = 1e-5  # rad

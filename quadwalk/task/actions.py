@@ -4,8 +4,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from quadwalk.settings.terms import ActionMap
 from quadwalk.task.robot_arrays import RobotArrays
-from quadwalk.task.terms import ActionMap
 
 
 def about_home(

@@ -11,9 +11,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from quadwalk.physics.rotation import rotate_inverse, yaw
+from quadwalk.settings.terms import Observation
 from quadwalk.task.robot_arrays import RobotArrays, above_ground
 from quadwalk.task.state import EnvState, trot_swing
-from quadwalk.task.terms import Observation
 
 
 def velocity(robot: RobotArrays, state: EnvState) -> jax.Array:

@@ -8,9 +8,9 @@ import jax
 import jax.numpy as jnp
 
 from quadwalk.physics.rotation import rotate_inverse, yaw
+from quadwalk.settings.terms import Reward
 from quadwalk.task.robot_arrays import RobotArrays
 from quadwalk.task.state import Step, mean_velocity, trot_swing, velocity_error, yaw_rate_error
-from quadwalk.task.terms import Reward
 
 
 def forward(robot: RobotArrays, step: Step, *, max_speed: float) -> jax.Array:

@@ -9,7 +9,7 @@ import numpy as np
 from quadwalk.ground.heightfield import Heightfield, has_field, lay
 from quadwalk.physics.constraints.surface import Surface
 from quadwalk.robot.quadruped import Quadruped
-from quadwalk.task.config import EnvConfig
+from quadwalk.settings.environment import EnvConfig
 
 
 @dataclass(frozen=True)

@@ -8,9 +8,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from quadwalk.settings.terms import Termination
 from quadwalk.task.robot_arrays import RobotArrays
 from quadwalk.task.state import Step
-from quadwalk.task.terms import Termination
 
 
 def tipped(robot: RobotArrays, step: Step, *, angle: float) -> jax.Array:

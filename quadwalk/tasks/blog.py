@@ -13,12 +13,12 @@ import numpy as np
 
 from quadwalk.physics.motor import MotorConfig
 from quadwalk.physics.rotation import euler, rotate
+from quadwalk.settings.environment import NO_COMMAND, NO_RANDOMISATION, EnvConfig, ResetConfig
+from quadwalk.settings.terms import ActionMap, Observation, Reward, Termination
+from quadwalk.settings.training import PPO, TrainConfig
 from quadwalk.task import observation
-from quadwalk.task.config import NO_COMMAND, NO_RANDOMISATION, EnvConfig, ResetConfig
 from quadwalk.task.robot_arrays import RobotArrays
 from quadwalk.task.state import EnvState, Step
-from quadwalk.task.terms import ActionMap, Observation, Reward, Termination
-from quadwalk.train.settings import PPO, TrainConfig
 
 # Joint targets at action -1 and 1, rad.
 BOUNDS = {

@@ -3,9 +3,11 @@
 from dataclasses import replace
 
 from quadwalk.ground.terrain import FLAT
+from quadwalk.settings.environment import HOME_RESET, NO_COMMAND, PHYSICS, REAL_WORLD, EnvConfig
+from quadwalk.settings.terms import Observation, Reward
+from quadwalk.settings.training import PPO_UNEVEN, TrainConfig
 from quadwalk.task import reward
 from quadwalk.task.actions import ABOUT_HOME
-from quadwalk.task.config import HOME_RESET, NO_COMMAND, PHYSICS, REAL_WORLD, EnvConfig
 from quadwalk.task.observation import (
     HEADING,
     PROPRIOCEPTION,
@@ -15,8 +17,6 @@ from quadwalk.task.observation import (
     scan_ahead,
 )
 from quadwalk.task.termination import TRUNK_FALLS
-from quadwalk.task.terms import Observation, Reward
-from quadwalk.train.settings import PPO_UNEVEN, TrainConfig
 
 # m; at 3 m/s what is 1.5 m ahead comes in half a second.
 SCAN = {"first": -0.5, "last": 1.5, "width": 0.5, "spacing": 0.125, "reach": 0.5}

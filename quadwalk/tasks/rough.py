@@ -3,9 +3,11 @@
 from dataclasses import replace
 
 from quadwalk.ground.terrain import FLAT
+from quadwalk.settings.environment import HOME_RESET, PHYSICS, REAL_WORLD, CommandConfig, EnvConfig
+from quadwalk.settings.terms import ActionMap, Observation, Reward
+from quadwalk.settings.training import PPO_UNEVEN, TrainConfig
 from quadwalk.task import reward
 from quadwalk.task.actions import about_home
-from quadwalk.task.config import HOME_RESET, PHYSICS, REAL_WORLD, CommandConfig, EnvConfig
 from quadwalk.task.observation import (
     PROPRIOCEPTION,
     TROT_COMMAND,
@@ -14,8 +16,6 @@ from quadwalk.task.observation import (
     height_scan,
 )
 from quadwalk.task.termination import TRUNK_FALLS
-from quadwalk.task.terms import ActionMap, Observation, Reward
-from quadwalk.train.settings import PPO_UNEVEN, TrainConfig
 
 # m; legged_gym's is 1.6 x 1 m, and its noise as large.
 SCAN = {"length": 1.2, "width": 0.6, "spacing": 0.1, "reach": 0.5}

@@ -2,13 +2,13 @@
 
 from dataclasses import replace
 
+from quadwalk.settings.environment import HOME_RESET, NO_COMMAND, PHYSICS, REAL_WORLD, EnvConfig
+from quadwalk.settings.terms import Observation, Reward
+from quadwalk.settings.training import PPO, TrainConfig
 from quadwalk.task import reward
 from quadwalk.task.actions import ABOUT_HOME
-from quadwalk.task.config import HOME_RESET, NO_COMMAND, PHYSICS, REAL_WORLD, EnvConfig
 from quadwalk.task.observation import HEADING, PROPRIOCEPTION, TRUE_LEGS, TRUE_TRUNK, heading
 from quadwalk.task.termination import FALLS
-from quadwalk.task.terms import Observation, Reward
-from quadwalk.train.settings import PPO, TrainConfig
 
 TASK = TrainConfig(
     task="run",

@@ -1,12 +1,12 @@
 """walk: follow a velocity command, at a trot, with what a real robot knows and suffers."""
 
+from quadwalk.settings.environment import HOME_RESET, PHYSICS, REAL_WORLD, CommandConfig, EnvConfig
+from quadwalk.settings.terms import Reward
+from quadwalk.settings.training import PPO, TrainConfig
 from quadwalk.task import reward
 from quadwalk.task.actions import ABOUT_HOME
-from quadwalk.task.config import HOME_RESET, PHYSICS, REAL_WORLD, CommandConfig, EnvConfig
 from quadwalk.task.observation import PROPRIOCEPTION, TROT_COMMAND, TRUE_LEGS, TRUE_TRUNK
 from quadwalk.task.termination import FALLS
-from quadwalk.task.terms import Reward
-from quadwalk.train.settings import PPO, TrainConfig
 
 TASK = TrainConfig(
     task="walk",

@@ -17,8 +17,8 @@ import platformdirs
 from quadwalk.cores import cpu_cores
 from quadwalk.errors import UsageError
 from quadwalk.files import os_reason
+from quadwalk.settings.training import TrainConfig
 from quadwalk.train.distributed import join
-from quadwalk.train.settings import TrainConfig
 
 if TYPE_CHECKING:
     import jax

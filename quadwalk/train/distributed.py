@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from quadwalk.errors import UserError
-from quadwalk.train.settings import DistributedConfig
+from quadwalk.settings.training import DistributedConfig
 
 T = TypeVar("T")
 _PATIENCE = 120  # seconds that the processes may start apart from each other

@@ -7,10 +7,10 @@ from typing import Any
 
 from quadwalk.cli import parse, value_of
 from quadwalk.errors import UsageError
+from quadwalk.settings.training import TrainConfig
 from quadwalk.task_files import load_task, task_list
 from quadwalk.train.runs.directory import Run, find_run
 from quadwalk.train.runs.resume import resumed_config
-from quadwalk.train.settings import TrainConfig
 
 
 @dataclass(frozen=True, kw_only=True)

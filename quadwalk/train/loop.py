@@ -12,11 +12,11 @@ from types import FrameType
 from typing import TYPE_CHECKING
 
 from quadwalk.errors import UserError
+from quadwalk.settings.training import TrainConfig
 from quadwalk.shell import as_typed
 from quadwalk.train.progress.display import Progress
 from quadwalk.train.progress.watch import WATCHED, check_watch, watched
 from quadwalk.train.runs.directory import Run
-from quadwalk.train.settings import TrainConfig
 
 if TYPE_CHECKING:
     from quadwalk.train.runs.writer import RunWriter

@@ -21,11 +21,11 @@ import numpy as np
 
 from quadwalk.errors import UsageError, UserError
 from quadwalk.files import os_reason
+from quadwalk.settings.serialise import to_dict
+from quadwalk.settings.training import TrainConfig
 from quadwalk.train.runs import checkpoint
 from quadwalk.train.runs.directory import Run
 from quadwalk.train.runs.resume import config_of
-from quadwalk.train.serialise import to_dict
-from quadwalk.train.settings import TrainConfig
 
 KEPT = 20  # files of a run: enough to see what they have in common
 

@@ -4,10 +4,10 @@ from typing import Any
 
 from quadwalk.robot.mjcf import Options, write_xml
 from quadwalk.robot.quadruped import Quadruped, load_quadruped
+from quadwalk.settings.serialise import task_source, to_dict
+from quadwalk.settings.training import RobotConfig, TrainConfig
 from quadwalk.task_files import OWN
 from quadwalk.train.runs.checkpoint import sha256
-from quadwalk.train.serialise import task_source, to_dict
-from quadwalk.train.settings import RobotConfig, TrainConfig
 
 
 def load_robot(config: RobotConfig) -> Quadruped:

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 from quadwalk.files import atomic_write, read_bytes, real_path, unfinished
 from quadwalk.robot.quadruped import Quadruped
+from quadwalk.settings.serialise import task_source, to_dict
+from quadwalk.settings.training import DistributedConfig, TrainConfig, with_files
 from quadwalk.task_files import OWN
 from quadwalk.train import distributed
 from quadwalk.train.devices import choose_devices
@@ -25,8 +27,6 @@ from quadwalk.train.runs.directory import (
     write_json_atomic,
 )
 from quadwalk.train.runs.resume import changed_settings, read_config, restore
-from quadwalk.train.serialise import task_source, to_dict
-from quadwalk.train.settings import DistributedConfig, TrainConfig, with_files
 
 if TYPE_CHECKING:
     from quadwalk.train.ppo import TrainState

@@ -22,9 +22,9 @@ from typing import Any
 
 from quadwalk.cores import cpu_cores
 from quadwalk.process import run_command
+from quadwalk.settings.serialise import with_settings
+from quadwalk.settings.training import TrainConfig
 from quadwalk.task_files import load_task
-from quadwalk.train.serialise import with_settings
-from quadwalk.train.settings import TrainConfig
 from quadwalk.variants.trainings import in_processes, trained
 from studies.gecko.gait import measure
 from studies.results import Results

@@ -24,10 +24,10 @@ from quadwalk.api import evaluate
 from quadwalk.evaluate.subject import Subject, load_subject
 from quadwalk.evaluate.sweep import Point, measure_points
 from quadwalk.process import run_command
+from quadwalk.settings.serialise import with_settings
+from quadwalk.settings.training import TrainConfig
 from quadwalk.task.env import QuadrupedEnv
 from quadwalk.task_files import load_task
-from quadwalk.train.serialise import with_settings
-from quadwalk.train.settings import TrainConfig
 from quadwalk.variants.trainings import in_processes, trained
 from studies.results import Results
 

@@ -24,7 +24,7 @@ from quadwalk.evaluate.report.pictures import draw_film_strip
 from quadwalk.evaluate.subject import Subject, unseen_ground
 from quadwalk.ground.heightfield import Heightfield, centred
 from quadwalk.ground.terrain import FLAT, UNSEEN
-from quadwalk.task.config import NO_RANDOMISATION
+from quadwalk.settings.environment import NO_RANDOMISATION
 from quadwalk.task.env import QuadrupedEnv
 from quadwalk.task.robot_arrays import task_robot
 from quadwalk.tasks import obstacles, rough, sprint, walk

@@ -29,9 +29,9 @@ from quadwalk.evaluate.summary import (
 )
 from quadwalk.evaluate.sweep import SWEEPS, Point, measure_points, sweep
 from quadwalk.robot.mjcf import write_xml
+from quadwalk.settings.terms import ActionMap
 from quadwalk.task.actions import about_home
 from quadwalk.task.env import QuadrupedEnv
-from quadwalk.task.terms import ActionMap
 from quadwalk.tasks import sprint
 from quadwalk.train.runs.directory import Run
 from quadwalk.train.runs.policy import Policy

@@ -19,7 +19,7 @@ from quadwalk.evaluate.report.plots import draw_report
 from quadwalk.evaluate.simulate import simulate_episodes, with_foot_forces
 from quadwalk.evaluate.summary import AT_LIMIT, episode_figures
 from quadwalk.physics.mujoco_c import varied_model
-from quadwalk.task.config import NO_RANDOMISATION
+from quadwalk.settings.environment import NO_RANDOMISATION
 from quadwalk.task.env import QuadrupedEnv
 from quadwalk.task.episode.conditions import as_values
 from quadwalk.tasks import sprint

@@ -14,7 +14,7 @@ from quadwalk.evaluate import subject
 from quadwalk.evaluate.subject import load_subject
 from quadwalk.evaluate.sweep import Point, _starts, conditions_at
 from quadwalk.paths import PRETRAINED
-from quadwalk.task.config import NO_RANDOMISATION
+from quadwalk.settings.environment import NO_RANDOMISATION
 from quadwalk.task.env import QuadrupedEnv
 from quadwalk.task.episode.conditions import (
     Conditions,

@@ -22,7 +22,7 @@ from quadwalk.evaluate.summary import (
     typical_episode,
 )
 from quadwalk.evaluate.sweep import Tally, _tallied
-from quadwalk.task.config import CommandConfig
+from quadwalk.settings.environment import CommandConfig
 from quadwalk.task.env import QuadrupedEnv
 from quadwalk.tasks import sprint, walk
 from quadwalk.train.runs.directory import Run

@@ -28,9 +28,9 @@ from quadwalk.export import run_policy_path
 from quadwalk.export.__main__ import main
 from quadwalk.export.joint_targets import JointTargets, find_targets
 from quadwalk.export.policy_graph import ACTIVATIONS, Weights, build_model, input_labels
+from quadwalk.settings.terms import ActionMap
 from quadwalk.shell import install
 from quadwalk.task.env import QuadrupedEnv
-from quadwalk.task.terms import ActionMap
 from quadwalk.task_files import load_task
 from quadwalk.train.networks import make_networks
 from quadwalk.train.runs.directory import Run

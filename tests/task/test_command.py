@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from quadwalk.errors import UsageError
-from quadwalk.task.config import NO_RANDOMISATION, CommandConfig
+from quadwalk.settings.environment import NO_RANDOMISATION, CommandConfig
 from quadwalk.task.env import QuadrupedEnv
 from quadwalk.task.episode.command import Command, draw, first_command, next_command
 from quadwalk.tasks import walk

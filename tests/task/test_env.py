@@ -11,8 +11,8 @@ from scipy.spatial.transform import Rotation
 
 from quadwalk.errors import UsageError
 from quadwalk.physics.motor import Effort
+from quadwalk.settings.terms import Reward
 from quadwalk.task.env import QuadrupedEnv
-from quadwalk.task.terms import Reward
 from quadwalk.tasks import run, sprint
 
 STILL = jnp.zeros((4, 12))

@@ -8,15 +8,15 @@ import pytest
 
 import quadwalk
 from quadwalk.errors import UserError
+from quadwalk.settings.terms import Observation
 from quadwalk.task import observation
 from quadwalk.task.env import QuadrupedEnv
-from quadwalk.task.terms import Observation
 from quadwalk.task_files import load_task
 from quadwalk.tasks import sprint
 
 TASK = """\
 import dataclasses
-from quadwalk.task.terms import ActionMap, Observation, Reward, Termination
+from quadwalk.settings.terms import ActionMap, Observation, Reward, Termination
 from quadwalk.tasks import sprint
 
 def mine({inputs}):

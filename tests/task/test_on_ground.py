@@ -12,10 +12,10 @@ from quadwalk.errors import UsageError
 from quadwalk.ground.terrain import FLAT
 from quadwalk.physics.fast import lowest_points
 from quadwalk.physics.rotation import yaw
+from quadwalk.settings.terms import Observation
 from quadwalk.task import termination
 from quadwalk.task.env import QuadrupedEnv
 from quadwalk.task.observation import height, height_scan, scan_ahead
-from quadwalk.task.terms import Observation
 from quadwalk.tasks import rough, sprint
 
 KINDS = ("stairs_up", "blocks", "slope_down")

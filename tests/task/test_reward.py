@@ -7,10 +7,10 @@ import pytest
 
 from quadwalk.errors import UsageError
 from quadwalk.physics.rotation import from_euler
+from quadwalk.settings.terms import Reward
 from quadwalk.task import reward
 from quadwalk.task.reward import reward_terms, total_reward
 from quadwalk.task.state import Step
-from quadwalk.task.terms import Reward
 from quadwalk.tasks import blog, walk
 
 PARAMS = {

@@ -8,9 +8,9 @@ from scipy.spatial.transform import Rotation
 
 from quadwalk.physics.model import Shell
 from quadwalk.physics.rotation import from_euler
+from quadwalk.settings.terms import Termination
 from quadwalk.task.state import Step
 from quadwalk.task.termination import terminations
-from quadwalk.task.terms import Termination
 from quadwalk.tasks import blog, sprint
 
 KINDS = (

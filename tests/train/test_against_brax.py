@@ -21,10 +21,10 @@ from jax.sharding import NamedSharding
 from jax.sharding import PartitionSpec as P
 
 from benchmarks.brax_training import compare, learning_curves, params_of, train_with_brax
+from quadwalk.settings.training import PPOConfig
 from quadwalk.tasks import sprint
 from quadwalk.train import ppo
 from quadwalk.train.networks import make_networks
-from quadwalk.train.settings import PPOConfig
 
 ENVS = 32
 SETTINGS = {

@@ -9,13 +9,13 @@ from pathlib import Path
 import pytest
 
 from quadwalk.errors import UsageError, UserError
+from quadwalk.settings.serialise import to_dict, with_settings
+from quadwalk.settings.training import TrainConfig
 from quadwalk.task_files import load_task, task_names
 from quadwalk.tasks import sprint, walk
 from quadwalk.train import devices
 from quadwalk.train.flags import parse_config
 from quadwalk.train.runs.resume import changed_settings, read_config
-from quadwalk.train.serialise import to_dict, with_settings
-from quadwalk.train.settings import TrainConfig
 
 ROOT = Path(__file__).parents[2]
 

@@ -9,9 +9,9 @@ from types import SimpleNamespace
 import pytest
 
 from quadwalk.errors import UsageError
+from quadwalk.settings.training import DistributedConfig
 from quadwalk.tasks import sprint
 from quadwalk.train import devices
-from quadwalk.train.settings import DistributedConfig
 
 
 @pytest.fixture

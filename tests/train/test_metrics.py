@@ -3,9 +3,9 @@ import math
 
 import pytest
 
+from quadwalk.settings.serialise import with_settings
 from quadwalk.tasks import sprint
 from quadwalk.train.progress.metrics import FallRate, TrainingMetrics
-from quadwalk.train.serialise import with_settings
 
 
 def test_the_share_of_falls_is_over_the_last_episodes():

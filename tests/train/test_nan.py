@@ -9,6 +9,8 @@ import pytest
 from quadwalk.errors import UsageError, UserError
 from quadwalk.paths import ALIENGO_URDF
 from quadwalk.physics.motor import Physics
+from quadwalk.settings.serialise import to_dict
+from quadwalk.settings.training import RobotConfig
 from quadwalk.task.env import MAX_SPEED, EnvState, QuadrupedEnv
 from quadwalk.task_files import load_task
 from quadwalk.tasks import sprint
@@ -17,8 +19,6 @@ from quadwalk.train.robot import load_robot
 from quadwalk.train.runs import checkpoint
 from quadwalk.train.runs.directory import Run, create_run
 from quadwalk.train.runs.log import read_metrics
-from quadwalk.train.serialise import to_dict
-from quadwalk.train.settings import RobotConfig
 
 CONFIG = replace(sprint.TASK, robot=RobotConfig(ALIENGO_URDF))
 

@@ -7,12 +7,12 @@ import trimesh
 from quadwalk.errors import UsageError
 from quadwalk.paths import ALIENGO_URDF
 from quadwalk.robot.urdf import UrdfError
+from quadwalk.settings.serialise import to_dict
+from quadwalk.settings.training import RobotConfig
 from quadwalk.tasks.sprint import TASK
 from quadwalk.train.robot import load_robot
 from quadwalk.train.runs.directory import Run
 from quadwalk.train.runs.resume import config_of
-from quadwalk.train.serialise import to_dict
-from quadwalk.train.settings import RobotConfig
 
 BOX = '<box size="0.647 0.15 0.112"/>'
 

@@ -25,7 +25,7 @@ import quadwalk.train.runs.writer
 import quadwalk.train.setup
 from quadwalk.physics.motor import Physics
 from quadwalk.process import run_command
-from quadwalk.task.config import EnvConfig
+from quadwalk.settings.environment import EnvConfig
 from quadwalk.task.env import EnvState
 from quadwalk.train.__main__ import main
 

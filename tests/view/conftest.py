@@ -10,14 +10,14 @@ import pytest
 from brax.training.acme.running_statistics import NestedMeanStd
 
 from quadwalk.robot.quadruped import Quadruped
+from quadwalk.settings.serialise import to_dict
+from quadwalk.settings.training import TrainConfig
 from quadwalk.task.env import QuadrupedEnv
 from quadwalk.tasks import rough, walk
 from quadwalk.tasks import run as run_task
 from quadwalk.train.networks import make_networks
 from quadwalk.train.runs import checkpoint
 from quadwalk.train.runs.directory import Run, as_json, create_run, versions
-from quadwalk.train.serialise import to_dict
-from quadwalk.train.settings import TrainConfig
 from quadwalk.view.choices import NEWEST, open_subject
 from quadwalk.view.live import LiveRobot
 

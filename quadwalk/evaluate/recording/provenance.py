@@ -4,13 +4,11 @@ import subprocess
 from pathlib import Path
 from typing import Any
 
-import quadwalk
 from quadwalk.evaluate.subject import Subject
 from quadwalk.robot.mjcf import write_xml
+from quadwalk.shell import ROOT
 from quadwalk.train.robot import load_robot
 from quadwalk.train.runs.directory import versions
-
-_SOURCE = Path(quadwalk.__file__).resolve().parents[1]
 
 
 def provenance(subject: Subject, seed: int) -> dict[str, Any]:
@@ -28,7 +26,7 @@ def provenance(subject: Subject, seed: int) -> dict[str, Any]:
     }
 
 
-def revision(source: Path = _SOURCE) -> str:
+def revision(source: Path = ROOT) -> str:
     """The git commit that `source` has checked out, "-dirty" after it where files differ from it.
 
     The package's version where `source` is no checkout or there is no git.

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from quadwalk.task.config import CommandConfig
+from quadwalk.settings.environment import CommandConfig
 
 # Folded into the key of an episode's start, for the keys of its commands.
 _COMMANDS = 0x636D64

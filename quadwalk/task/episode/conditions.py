@@ -11,7 +11,7 @@ from jax.typing import ArrayLike
 from quadwalk.physics.model import Variation
 from quadwalk.physics.motor import Physics, Stepping
 from quadwalk.physics.rotation import multiply, rotate_inverse, yaw
-from quadwalk.task.config import RandomisationConfig, Range
+from quadwalk.settings.environment import RandomisationConfig, Range
 from quadwalk.task.robot_arrays import RobotArrays
 
 _DRAWN = 43  # eleven numbers, and vectors of 3, 12, 2, 12 and 3

@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 
 from quadwalk.ground.terrain import Terrain
-from quadwalk.task.config import EnvConfig
+from quadwalk.settings.environment import EnvConfig
 
 EDGE = 0.3  # m: as close to a tile's edge counts as there, for it is judged just before it ends
 

@@ -12,7 +12,7 @@ from quadwalk.physics.motor import Physics
 from quadwalk.physics.rotation import from_euler
 from quadwalk.robot.quadruped import Quadruped
 from quadwalk.robot.scene import lowest_point
-from quadwalk.task.config import ResetConfig
+from quadwalk.settings.environment import ResetConfig
 from quadwalk.task.robot_arrays import RobotArrays
 
 

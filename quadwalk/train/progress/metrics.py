@@ -5,7 +5,7 @@ import math
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from quadwalk.task.terms import Reward
+from quadwalk.settings.terms import Reward
 
 EPISODES = 32  # the share of falls is over about this many of the last episodes
 LEVEL = "train/level/"  # before a kind of ground

@@ -12,12 +12,12 @@ from brax.training.acme.running_statistics import NestedMeanStd
 
 from quadwalk.errors import UserError
 from quadwalk.files import DAMAGE
+from quadwalk.settings.serialise import to_dict
+from quadwalk.settings.training import TrainConfig
 from quadwalk.train.networks import make_networks, mean_policy
 from quadwalk.train.runs import checkpoint
 from quadwalk.train.runs.directory import Run
 from quadwalk.train.runs.resume import config_of
-from quadwalk.train.serialise import to_dict
-from quadwalk.train.settings import TrainConfig
 
 if TYPE_CHECKING:  # Optax takes long to import, and no policy needs it
     from quadwalk.train.ppo import Learner

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Any
 
 from quadwalk.errors import UsageError, UserError
 from quadwalk.files import DAMAGE, read_bytes
+from quadwalk.settings.serialise import flatten, from_dict
+from quadwalk.settings.training import DistributedConfig, TrainConfig, with_files
 from quadwalk.train.progress.metrics import TrainingMetrics
 from quadwalk.train.runs import checkpoint
 from quadwalk.train.runs.directory import Run
-from quadwalk.train.serialise import flatten, from_dict
-from quadwalk.train.settings import DistributedConfig, TrainConfig, with_files
 
 if TYPE_CHECKING:
     from quadwalk.train.ppo import TrainState

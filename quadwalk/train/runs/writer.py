@@ -6,12 +6,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from quadwalk.errors import UserError
+from quadwalk.settings.serialise import to_dict
 from quadwalk.train import nan
 from quadwalk.train.runs import checkpoint
 from quadwalk.train.runs.directory import Run, keep_last
 from quadwalk.train.runs.log import MetricsLog, read_history
 from quadwalk.train.runs.policy import load_score, save_policy
-from quadwalk.train.serialise import to_dict
 
 if TYPE_CHECKING:
     from quadwalk.train.setup import Training

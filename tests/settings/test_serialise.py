@@ -15,12 +15,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from quadwalk.errors import UsageError, UserError
+from quadwalk.settings.serialise import flatten, from_dict, to_dict, with_settings
+from quadwalk.settings.terms import Reward
+from quadwalk.settings.training import TrainConfig
 from quadwalk.task import reward
-from quadwalk.task.terms import Reward
 from quadwalk.task_files import load_task, task_names
 from quadwalk.tasks import sprint
-from quadwalk.train.serialise import flatten, from_dict, to_dict, with_settings
-from quadwalk.train.settings import TrainConfig
 
 
 @pytest.mark.parametrize("name", task_names())

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from quadwalk.errors import UsageError, UserError
-from quadwalk.task.terms import Reward, Term
+from quadwalk.settings.terms import Reward, Term
 from quadwalk.task_files import own_file, reference, resolve
 
 T = TypeVar("T")

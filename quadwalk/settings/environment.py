@@ -10,7 +10,7 @@ from quadwalk.bounds import Bounds, Few, NotNegative, Seconds, Settings, Share
 from quadwalk.errors import UsageError
 from quadwalk.ground.terrain import FLAT, GroundConfig
 from quadwalk.physics.motor import MotorConfig, Stepping
-from quadwalk.task.terms import ActionMap, Observation, Reward, Termination
+from quadwalk.settings.terms import ActionMap, Observation, Reward, Termination
 
 Pair = tuple[float, float]
 Range = Annotated[Pair, Bounds(-100.0, 100.0, ordered=True)] | None

@@ -10,7 +10,7 @@ from quadwalk.bounds import Bounds, Count, Natural, NotNegative, Positive, Seed,
 from quadwalk.errors import UsageError
 from quadwalk.files import real_path
 from quadwalk.paths import ALIENGO_URDF
-from quadwalk.task.config import EnvConfig
+from quadwalk.settings.environment import EnvConfig
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,7 @@ import numpy as np
 import tyro
 
 from quadwalk.bounds import Bounds, NotNegative, check_value
-from quadwalk.errors import UsageError, UserError
-from quadwalk.task_files import line_in
+from quadwalk.errors import UsageError, UserError, line_in
 
 # On the command line a term's parameters are named after the term, without a word between them;
 # where there are none there is no flag, which is why the type is not narrower.
