@@ -3,4 +3,4 @@
 from quadwalk.process import run_command
 
 if __name__ == "__main__":
-    run_command("quadwalk.evaluate.__main__")
+    run_command("quadwalk.eval")

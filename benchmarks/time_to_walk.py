@@ -92,7 +92,7 @@ def first_that_walks(policies: list[Written]) -> Walks | None:
 
     for kept, seconds in policies:
         judged = evaluate(kept, episodes=EPISODES, seconds=SECONDS)
-        steps = judged.subject.policy.steps
+        steps = judged.loaded.policy.steps
         speed, falls = judged.summary["speed"]["mean"], judged.summary["fall_rate"]
         print(
             f"  {seconds:6.1f} s, {steps:9,} steps: {speed:.2f} m/s, {falls:.0%} fell",

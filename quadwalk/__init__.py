@@ -7,6 +7,7 @@ run = quadwalk.train("run", steps=4_000_000, overrides={"env.reward.energy": -0.
 result = quadwalk.evaluate(run, episodes=64, engine="mujoco")
 """
 
+from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 import quadwalk.quiet  # noqa: F401
@@ -25,3 +26,15 @@ def __getattr__(name: str) -> Any:
 
         return getattr(api, name)
     raise AttributeError(f"module 'quadwalk' has no attribute {name!r}")
+
+
+class CallablePackage(ModuleType):
+    """The class of a package of the same name as a function of `quadwalk`.
+
+    Python puts a package in its parent's namespace when anything in it is imported, in the place of
+    the function. So that `quadwalk.train(...)` works before and after, calling it calls that.
+    """
+
+    def __call__(self, *args: Any, **kwargs: Any) -> Any:
+        """The function of `quadwalk.api`, which has its arguments."""
+        return __getattr__(self.__name__.rpartition(".")[2])(*args, **kwargs)

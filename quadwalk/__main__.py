@@ -8,7 +8,7 @@ from quadwalk.process import run_command
 
 _COMMANDS = {
     "train": ("quadwalk.train.__main__", "teach a quadruped a task"),
-    "eval": ("quadwalk.evaluate.__main__", "judge a trained policy"),
+    "eval": ("quadwalk.eval", "judge a trained policy"),
     "export": ("quadwalk.export.__main__", "write a policy as ONNX, to be used elsewhere"),
     "compare": ("quadwalk.variants.__main__", "train variants over seeds, and judge them"),
     "view": ("quadwalk.view.__main__", "drive a trained policy live"),

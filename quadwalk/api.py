@@ -116,9 +116,9 @@ def evaluate(
     found = _run(run, runs)
     set_up_devices()
     from quadwalk.evaluate.evaluation import measure
-    from quadwalk.evaluate.subject import load_subject
+    from quadwalk.evaluate.loaded import load_run
 
-    return measure(load_subject(found, seconds, policy, engine, randomised, seed), episodes, seed)
+    return measure(load_run(found, seconds, policy, engine, randomised, seed), episodes, seed)
 
 
 def compare(results: Mapping[str, "Evaluation"]) -> "Figure":

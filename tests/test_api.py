@@ -139,7 +139,7 @@ def test_a_policy_acts_as_it_did_in_its_evaluation(trained, results):
     for source in (run, run.policy):
         policy = quadwalk.load_policy(source)
         assert policy.steps == 2 * BATCH
-        assert policy.joints == results["mjx"].subject.env.quadruped.joints
+        assert policy.joints == results["mjx"].loaded.env.quadruped.joints
         action = policy.act(jnp.asarray(rollout.observation))
         np.testing.assert_allclose(action, rollout.action, atol=1e-5)
 

@@ -15,8 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 from brax.envs.base import State
 
+from quadwalk.evaluate.loaded import LoadedRun
 from quadwalk.evaluate.simulate import CHUNK, ROOM, Policy, Report, over_devices
-from quadwalk.evaluate.subject import Subject
 from quadwalk.evaluate.summary import (
     SETTLING,
     WINDOW,
@@ -47,7 +47,7 @@ class Episode(NamedTuple):
 
 
 def measure_by_ground(
-    subject: Subject, levels: int, episodes: int, seed: int, report: Report | None = None
+    loaded: LoadedRun, levels: int, episodes: int, seed: int, report: Report | None = None
 ) -> dict[str, Any]:
     """Success, speed and error of `episodes` in each cell, as plain values for JSON.
 
@@ -57,15 +57,15 @@ def measure_by_ground(
     velocity_error: as `tracking_errors` has it, m/s; None without commands, or where no episode
     lasted long enough.
     """
-    ground = subject.env.config.ground
+    ground = loaded.env.config.ground
     kinds = (FILE,) if ground.file is not None else ground.kinds
-    env = ground_env(subject, kinds, levels)
+    env = ground_env(loaded, kinds, levels)
     assert env.terrain is not None
     difficulties = list(dict.fromkeys(tile.difficulty for tile in env.terrain.tiles))
     told = env.config.command.given
     pairs = list(product(kinds, difficulties))
     tiles = np.concatenate([_tiles(env.terrain, *pair, episodes) for pair in pairs])
-    found = dict(_simulate(env, subject.policy.act, tiles, seed, report))
+    found = dict(_simulate(env, loaded.policy.act, tiles, seed, report))
     cells = [
         {"kind": kind, "difficulty": difficulty}
         | _figures([found[cell * episodes + k] for k in range(episodes)], told)
@@ -80,9 +80,9 @@ def measure_by_ground(
     }
 
 
-def ground_env(subject: Subject, kinds: tuple[str, ...], levels: int) -> QuadrupedEnv:
+def ground_env(loaded: LoadedRun, kinds: tuple[str, ...], levels: int) -> QuadrupedEnv:
     """The environment of the cells of `kinds`: tiles of each, and episodes confined to them."""
-    config = subject.env.config
+    config = loaded.env.config
     ground, command = config.ground, config.command
     if ground.file is None:
         rows = tuple(kind for kind in kinds for _ in range(max(ROWS // len(kinds), LEAST_ROWS)))
@@ -94,9 +94,9 @@ def ground_env(subject: Subject, kinds: tuple[str, ...], levels: int) -> Quadrup
     config = dataclasses.replace(
         config, ground=dataclasses.replace(ground, confined=True), command=command
     )
-    # The subject's own robot stands on its ground already.
-    quadruped = load_robot(subject.policy.config.robot)
-    return QuadrupedEnv(quadruped, config, subject.env.engine)
+    # The run's own robot stands on its ground already.
+    quadruped = load_robot(loaded.policy.config.robot)
+    return QuadrupedEnv(quadruped, config, loaded.env.engine)
 
 
 def _tiles(terrain: Terrain, kind: str, difficulty: float, episodes: int) -> np.ndarray:

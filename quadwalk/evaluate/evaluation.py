@@ -7,12 +7,12 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from quadwalk.evaluate.loaded import LoadedRun
 from quadwalk.evaluate.motion.gait import Gait, gait_metrics, measure_gait
 from quadwalk.evaluate.recording.mcap import write_mcap
 from quadwalk.evaluate.recording.provenance import attachments, provenance
 from quadwalk.evaluate.rollout import Rollout
 from quadwalk.evaluate.simulate import GROUP, Report, simulate_episodes, with_foot_forces
-from quadwalk.evaluate.subject import Subject
 from quadwalk.evaluate.summary import (
     episode_figures,
     motor_limits,
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 class Evaluation:
     """Episodes of one policy in one engine, and their figures."""
 
-    subject: Subject
+    loaded: LoadedRun
     seed: int
     rollouts: list[Rollout]  # of all, or of the first
     episodes: list[dict[str, Any]]  # the figures of each, as `episode_figures` defines them
@@ -48,23 +48,23 @@ class Evaluation:
         number, count = typical_episode(self.episodes), len(self.episodes)
         if number < len(self.rollouts):
             return self.rollouts[number]
-        env, act = self.subject.env, self.subject.policy.act
+        env, act = self.loaded.env, self.loaded.policy.act
         return next(simulate_episodes(env, act, count, self.seed, only=number))
 
     @cached_property
     def gait(self) -> Gait:
         """How that episode ran."""
-        return measure_gait(self.typical, self.subject.env.quadruped)
+        return measure_gait(self.typical, self.loaded.env.quadruped)
 
     @cached_property
     def origin(self) -> dict[str, Any]:
         """Where the figures come from: run, policy, code, versions, engine and seed."""
-        return provenance(self.subject, self.seed)
+        return provenance(self.loaded, self.seed)
 
     @cached_property
     def results(self) -> dict[str, Any]:
         """All figures as plain values for JSON, and where they come from."""
-        gait = gait_metrics(self.gait, self.subject.env.quadruped)
+        gait = gait_metrics(self.gait, self.loaded.env.quadruped)
         return {
             **self.origin,
             "summary": self.summary,
@@ -78,7 +78,7 @@ class Evaluation:
 
         from quadwalk.evaluate.report.pictures import draw_film_strip
 
-        quadruped = self.subject.env.quadruped
+        quadruped = self.loaded.env.quadruped
         strip = draw_film_strip(self.typical, quadruped, width=width, height=height)
         return Image.fromarray(strip)
 
@@ -86,27 +86,27 @@ class Evaluation:
         """The typical episode as plots: footfalls, speed, joints, torques, rewards, path."""
         from quadwalk.evaluate.report.plots import draw_report
 
-        return draw_report(self.typical, self.subject.env.quadruped, self.subject.run.name)
+        return draw_report(self.typical, self.loaded.env.quadruped, self.loaded.run.name)
 
     def save_mcap(self, folder: str | Path, episodes: int | None = None) -> list[Path]:
         """Write the first `episodes`, by default all, as MCAP files for Rerun or Foxglove."""
         folder = Path(folder)
         folder.mkdir(parents=True, exist_ok=True)
         metadata = _as_text(self.origin)
-        metadata["config"] = json.dumps(to_dict(self.subject.policy.config))
-        attached = attachments(self.subject)
+        metadata["config"] = json.dumps(to_dict(self.loaded.policy.config))
+        attached = attachments(self.loaded)
         written = []
         for rollout in self.rollouts[:episodes]:
             written.append(folder / f"episode_{rollout.episode:03d}.mcap")
-            complete = with_foot_forces(rollout, self.subject.env)
+            complete = with_foot_forces(rollout, self.loaded.env)
             drawn = self.episodes[rollout.episode].get("conditions")
             own = {} if drawn is None else {"conditions": json.dumps(drawn)}
-            write_mcap(written[-1], complete, self.subject.env.quadruped, metadata | own, attached)
+            write_mcap(written[-1], complete, self.loaded.env.quadruped, metadata | own, attached)
         return written
 
 
 def measure(
-    subject: Subject,
+    loaded: LoadedRun,
     episodes: int,
     seed: int,
     report: Report | None = None,
@@ -117,9 +117,9 @@ def measure(
     `report` is told the control steps done. Of many episodes the first `whole` rollouts are kept,
     or all: one of 20 s is 2 MB.
     """
-    env = subject.env
-    found = Evaluation(subject, seed, [], [])
-    for rollout in simulate_episodes(env, subject.policy.act, episodes, seed, report):
+    env = loaded.env
+    found = Evaluation(loaded, seed, [], [])
+    for rollout in simulate_episodes(env, loaded.policy.act, episodes, seed, report):
         weight, limits = weight_of(rollout, env.mj_model), motor_limits(rollout, env.quadruped)
         own = episode_figures(rollout, env.config.reward, weight, limits)
         if rollout.conditions is not None:

@@ -24,7 +24,7 @@ from quadwalk.train.runs.directory import (
 
 if TYPE_CHECKING:
     from quadwalk.evaluate.evaluation import Evaluation
-    from quadwalk.evaluate.subject import Subject
+    from quadwalk.evaluate.loaded import LoadedRun
 
 
 def evaluate(config: EvalConfig) -> dict[str, Any]:
@@ -45,31 +45,29 @@ def _evaluate(
     from quadwalk.train.devices import set_up_devices
 
     set_up_devices()
-    from quadwalk.evaluate.subject import load_subject
+    from quadwalk.evaluate.loaded import load_run
     from quadwalk.evaluate.sweep import sweep
 
     # All of them before the first is simulated, so that a bad one is told at once.
-    subjects = [
-        load_subject(
-            run, config.seconds, config.policy, config.engine, config.randomised, config.seed
-        )
+    all_loaded = [
+        load_run(run, config.seconds, config.policy, config.engine, config.randomised, config.seed)
         for run in runs
     ]
     if config.sweep:
         swept = [
-            sweep(subject, config, out, console)
-            for subject, out in zip(subjects, outs, strict=True)
+            sweep(loaded, config, out, console)
+            for loaded, out in zip(all_loaded, outs, strict=True)
         ]
         return swept[0] if together is None else _compare_sweeps(_labels(runs), swept, together)
     results = [
-        judge(subject, config, out, console) for subject, out in zip(subjects, outs, strict=True)
+        judge(loaded, config, out, console) for loaded, out in zip(all_loaded, outs, strict=True)
     ]
     if together is None:
         return results[0]
     return compare(_labels(runs), outs, results, together, console)
 
 
-def judge(subject: "Subject", config: EvalConfig, out: Path, console: Console) -> dict[str, Any]:
+def judge(loaded: "LoadedRun", config: EvalConfig, out: Path, console: Console) -> dict[str, Any]:
     """Evaluate one run into the folder `out`; return what its metrics.json holds.
 
     The result is printed on standard output, what is being done on `console`.
@@ -79,22 +77,22 @@ def judge(subject: "Subject", config: EvalConfig, out: Path, console: Console) -
     from quadwalk.evaluate.report.plots import save_figure
     from quadwalk.evaluate.summary import engine_differences
 
-    name = subject.run.name
-    found = _roll_out(subject, config, console)
-    steps = f"{subject.policy.steps:,} steps of training"
+    name = loaded.run.name
+    found = _roll_out(loaded, config, console)
+    steps = f"{loaded.policy.steps:,} steps of training"
     print_summary(found.summary, f"{name}, {steps}, engine {config.engine}")
     with console.status("looking closely at the episode of median speed"):
         results = dict(found.results)
     # On uneven ground MJX takes longer to compile than all else takes together.
-    if config.engine == "mujoco" and subject.env.terrain is None:
-        other = _roll_out(subject.in_engine("mjx"), config, console).summary
+    if config.engine == "mujoco" and loaded.env.terrain is None:
+        other = _roll_out(loaded.in_engine("mjx"), config, console).summary
         results["mjx_summary"] = other
         results["difference_to_mjx"] = engine_differences(other, found.summary)
         print_engines(other, found.summary)
     print(describe_gait(found.gait, found.typical.episode))
     maps = []
-    if subject.env.terrain is not None and config.cell:
-        results["ground"] = ground = _by_ground(subject, config, console)
+    if loaded.env.terrain is not None and config.cell:
+        results["ground"] = ground = _by_ground(loaded, config, console)
         save_figure(draw_by_ground(ground, f"{name}, {config.engine}"), out / "ground.png")
         maps = ["ground.png"]
     write_json_atomic(out / "metrics.json", results)
@@ -157,32 +155,32 @@ def _compare_sweeps(labels: list[str], results: list[dict[str, Any]], out: Path)
     return {"runs": named}
 
 
-def _roll_out(subject: "Subject", config: EvalConfig, console: Console) -> "Evaluation":
-    """The episodes of `subject`, with a line that says how far they are."""
+def _roll_out(loaded: "LoadedRun", config: EvalConfig, console: Console) -> "Evaluation":
+    """The episodes of `loaded`, with a line that says how far they are."""
     from quadwalk.evaluate.evaluation import measure
     from quadwalk.evaluate.report.console import simulating
 
-    env, began = subject.env, time.monotonic()
+    env, began = loaded.env, time.monotonic()
     what = f"simulating {config.episodes} episodes in {env.engine}"
     with simulating(console, what, env.config.episode_steps, env.config.control_dt) as report:
-        found = measure(subject, config.episodes, config.seed, report, config.recordings)
+        found = measure(loaded, config.episodes, config.seed, report, config.recordings)
     simulated = sum(episode["duration"] for episode in found.episodes)
     took = time.monotonic() - began
     console.print(
-        f"{subject.run.name}: {simulated:,.0f} s simulated in {env.engine} in {took:.1f} s"
+        f"{loaded.run.name}: {simulated:,.0f} s simulated in {env.engine} in {took:.1f} s"
     )
     return found
 
 
-def _by_ground(subject: "Subject", config: EvalConfig, console: Console) -> dict[str, Any]:
+def _by_ground(loaded: "LoadedRun", config: EvalConfig, console: Console) -> dict[str, Any]:
     """Measure and print how well it gets over each kind of ground."""
     from quadwalk.evaluate.by_ground import measure_by_ground
     from quadwalk.evaluate.report.console import print_by_ground, simulating
 
-    env = subject.env
+    env = loaded.env
     what = f"simulating {config.cell} episodes on each kind of ground in {env.engine}"
     with simulating(console, what, env.config.episode_steps, env.config.control_dt) as report:
-        found = measure_by_ground(subject, config.levels, config.cell, config.seed, report)
+        found = measure_by_ground(loaded, config.levels, config.cell, config.seed, report)
     print_by_ground(found)
     return found
 
@@ -192,7 +190,7 @@ def _draw(config: EvalConfig, found: "Evaluation", out: Path) -> list[str]:
     from quadwalk.drawing.images import save_png
     from quadwalk.evaluate.report.pictures import draw_film_strip, render_video
 
-    quadruped = found.subject.env.quadruped
+    quadruped = found.loaded.env.quadruped
     save_png(draw_film_strip(found.typical, quadruped), out / "film_strip.png")
     if config.video == "none":
         return ["film_strip.png"]

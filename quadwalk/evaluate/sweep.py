@@ -17,6 +17,7 @@ import numpy as np
 from brax.envs.base import State
 from rich.console import Console
 
+from quadwalk.evaluate.loaded import LoadedRun, training_ranges
 from quadwalk.evaluate.options import EvalConfig
 from quadwalk.evaluate.recording.provenance import provenance
 from quadwalk.evaluate.report.console import print_sweep, simulating
@@ -29,7 +30,6 @@ from quadwalk.evaluate.simulate import (
     fresh_starts,
     over_devices,
 )
-from quadwalk.evaluate.subject import Subject, training_ranges
 from quadwalk.evaluate.summary import SETTLING, WINDOW, mean_figure, share_interval
 from quadwalk.physics.rotation import yaw
 from quadwalk.task.config import NO_RANDOMISATION
@@ -95,13 +95,13 @@ class Tally(NamedTuple):
     windows: Any  # () int32, judged
 
 
-def sweep(subject: Subject, config: EvalConfig, out: Path, console: Console) -> dict[str, Any]:
+def sweep(loaded: LoadedRun, config: EvalConfig, out: Path, console: Console) -> dict[str, Any]:
     """Sweep, print the table, write sweep.json and sweep.png to `out`; return the former."""
-    env = subject.env
-    points, nominal = sweep_points(subject)
+    env = loaded.env
+    points, nominal = sweep_points(loaded)
     what = f"simulating {len(points)} x {config.episodes} episodes in {env.engine}"
     with simulating(console, what, env.config.episode_steps, env.config.control_dt) as report:
-        measured = measure_points(subject, points, config.episodes, config.seed, report)
+        measured = measure_points(loaded, points, config.episodes, config.seed, report)
     found = dict(zip(points, measured, strict=True))
     sweeps = {
         name: {
@@ -113,7 +113,7 @@ def sweep(subject: Subject, config: EvalConfig, out: Path, console: Console) -> 
         for name, (heading, unit, values) in SWEEPS.items()
     }
     results = {
-        **provenance(subject, config.seed),
+        **provenance(loaded, config.seed),
         "episodes": config.episodes,
         "nominal": found[nominal],
         "sweeps": sweeps,
@@ -125,9 +125,9 @@ def sweep(subject: Subject, config: EvalConfig, out: Path, console: Console) -> 
     return results
 
 
-def sweep_points(subject: Subject) -> tuple[list[Point], Point]:
+def sweep_points(loaded: LoadedRun) -> tuple[list[Point], Point]:
     """Every distinct point of all sweeps, and the one without any perturbation."""
-    nominal = Point(friction=round(subject.env.friction, 6))
+    nominal = Point(friction=round(loaded.env.friction, 6))
     points = [
         _point(nominal, name, value) for name, (_, _, values) in SWEEPS.items() for value in values
     ]
@@ -139,7 +139,7 @@ def _point(nominal: Point, name: str, value: float) -> Point:
 
 
 def measure_points(
-    subject: Subject,
+    loaded: LoadedRun,
     points: list[Point],
     episodes: int,
     seed: int,
@@ -153,8 +153,8 @@ def measure_points(
     mean |yaw|, deg; with commands in its place velocity_error, m/s, and yaw_rate_error, rad/s, as
     in an evaluation, but that the windows do not overlap.
     """
-    env = subject.env
-    tally = _simulate(env, subject.policy.act, points, episodes, seed, report)
+    env = loaded.env
+    tally = _simulate(env, loaded.policy.act, points, episodes, seed, report)
     success = tally.end == env.ends.index("time limit")
     figures = {"speed": tally.speed / tally.steps}
     if env.config.command.given:

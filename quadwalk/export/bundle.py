@@ -10,7 +10,7 @@ import onnxruntime
 from rich.console import Console
 
 from quadwalk.errors import UserError
-from quadwalk.evaluate.subject import Subject, load_subject
+from quadwalk.evaluate.loaded import LoadedRun, load_run
 from quadwalk.export import run_policy_path
 from quadwalk.export.deploy_yaml import as_yaml, deploy_config, missing_terms
 from quadwalk.export.description import describe
@@ -34,12 +34,12 @@ def export_run(run: Run, which: str, out: Path, console: Console) -> list[Path]:
     What it does is said on `console`. Raises `UserError` where the policy cannot be read or
     exported, or `out` not written.
     """
-    subject = load_subject(run, 20.0, which, "mujoco", flat=True)
-    env = subject.env
+    loaded = load_run(run, 20.0, which, "mujoco", flat=True)
+    env = loaded.env
     targets = find_targets(env.config.action, env.robot)
-    weights = Weights.of(subject.policy.act, subject.policy.config.ppo.activation)
-    model = build_model(weights, input_order(env), targets, describe(subject, targets))
-    off = largest_difference(model, subject, targets)
+    weights = Weights.of(loaded.policy.act, loaded.policy.config.ppo.activation)
+    model = build_model(weights, input_order(env), targets, describe(loaded, targets))
+    off = largest_difference(model, loaded, targets)
     if off > TOLERANCE:
         raise UserError(f"the exported policy is {off:.1e} off; expected less than {TOLERANCE}")
     console.print(f"ONNX and JAX agree to {off:.1e} on {_ROWS} random observations")
@@ -65,19 +65,19 @@ def export_run(run: Run, which: str, out: Path, console: Console) -> list[Path]:
     return [out / name for name in files]
 
 
-def largest_difference(model: onnx.ModelProto, subject: Subject, targets: JointTargets) -> float:
+def largest_difference(model: onnx.ModelProto, loaded: LoadedRun, targets: JointTargets) -> float:
     """Between the model in ONNX Runtime and the policy and action map in JAX.
 
     Of actions, and of joint targets in rad, on random observations as wide as those of training.
     """
-    env = subject.env
-    normalizer, _ = subject.policy.act.args  # type: ignore[attr-defined]
+    env = loaded.env
+    normalizer, _ = loaded.policy.act.args  # type: ignore[attr-defined]
     rng = np.random.default_rng(0)
     size = env.policy_size
     wide = np.asarray(normalizer.std) * rng.standard_normal((_ROWS, size))
     seen = (np.asarray(normalizer.mean) + wide).astype(np.float32)
     joints = rng.uniform(env.robot.lower, env.robot.upper, (_ROWS, 12)).astype(np.float32)
-    actions = subject.policy.act(jnp.asarray(seen))
+    actions = loaded.policy.act(jnp.asarray(seen))
     expected = jax.vmap(lambda a, q: env.config.action(env.robot, a, q))(actions, joints)
     session = onnxruntime.InferenceSession(
         model.SerializeToString(), providers=["CPUExecutionProvider"]

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from quadwalk.evaluate.subject import Subject
+from quadwalk.evaluate.loaded import LoadedRun
 from quadwalk.export.joint_targets import JointTargets
 from quadwalk.task.env import QuadrupedEnv
 from quadwalk.task.episode.reset import nominal_start
@@ -19,17 +19,17 @@ UNITS = (
 )
 
 
-def describe(subject: Subject, targets: JointTargets) -> dict[str, str]:
+def describe(loaded: LoadedRun, targets: JointTargets) -> dict[str, str]:
     """The metadata of a policy: lists as comma-separated strings, as mjlab writes them.
 
     The first eight keys are mjlab's (mjlab/rl/exporter_utils.py), the others quadwalk's own:
     all that `run_policy.py` needs.
     """
-    env, policy = subject.env, subject.policy
+    env, policy = loaded.env, loaded.policy
     config, motor = env.config, env.motor
     parts = config.observation
     return {
-        "run_path": subject.run.name,
+        "run_path": loaded.run.name,
         "joint_names": _listed(env.quadruped.joints),
         "joint_stiffness": _joints(motor.kp),
         "joint_damping": _joints(motor.kd),

@@ -2,6 +2,6 @@
 
 import sys
 
-from quadwalk.callable import CallablePackage
+from quadwalk import CallablePackage
 
 sys.modules[__name__].__class__ = CallablePackage

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from quadwalk.errors import UserError
-from quadwalk.evaluate.subject import Subject, load_subject
+from quadwalk.evaluate.loaded import LoadedRun, load_run
 from quadwalk.files import real_path
 from quadwalk.train.runs import checkpoint
 from quadwalk.train.runs.directory import Run, list_checkpoints, list_runs
@@ -48,15 +48,15 @@ def choose_policy(run: Run, label: str) -> Path:
     return choices[label]
 
 
-def open_subject(run: Run, label: str) -> Subject:
+def open_run(run: Run, label: str) -> LoadedRun:
     """`run` with the policy called `label`, for MuJoCo C; `UserError` where it has none yet."""
     file = choose_policy(run, label)
     which = "best" if label == BEST else "last"
-    subject = load_subject(run, 3600.0, which, "mujoco")
-    if file == subject.file:
-        return subject
-    policy = read_policy(file, subject.env.quadruped.joints)
-    return Subject(run, file, policy, subject.env, checkpoint.sha256(file))
+    loaded = load_run(run, 3600.0, which, "mujoco")
+    if file == loaded.file:
+        return loaded
+    policy = read_policy(file, loaded.env.quadruped.joints)
+    return LoadedRun(run, file, policy, loaded.env, checkpoint.sha256(file))
 
 
 def read_policy(file: Path, joints: tuple[str, ...]) -> Policy:

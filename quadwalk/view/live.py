@@ -10,8 +10,8 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
+from quadwalk.evaluate.loaded import LoadedRun
 from quadwalk.evaluate.simulate import Policy, foot_forces, geom_ids
-from quadwalk.evaluate.subject import Subject
 from quadwalk.physics.model import Variation, vary_motor
 from quadwalk.physics.motor import Physics, control_step
 from quadwalk.physics.mujoco_c import varied_model
@@ -66,14 +66,14 @@ class LiveRobot:
 
     `command` (3,) is what it is told: forward and lateral velocity in the frame of the heading,
     m/s, the latter to the left, and yaw rate, rad/s. All else is read from `data`, `foot_force`
-    (4,) N, and the properties. `subject` is a run loaded for the engine "mujoco". On ground that is
+    (4,) N, and the properties. `loaded` is a run loaded for the engine "mujoco". On ground that is
     not flat, `tile` is the index of the terrain's tile that it starts on.
     """
 
-    def __init__(self, subject: Subject, seed: int = 0) -> None:
-        self.env = subject.env
-        self.policy = subject.policy
-        self.name = subject.run.name
+    def __init__(self, loaded: LoadedRun, seed: int = 0) -> None:
+        self.env = loaded.env
+        self.policy = loaded.policy
+        self.name = loaded.run.name
         self.settings = Settings(friction=self.env.friction)
         self.command = np.zeros(3)
         self.foot_force = np.zeros(4)

@@ -15,7 +15,7 @@ from quadwalk.view.choices import (
     NEWEST,
     choose_policy,
     label_of,
-    open_subject,
+    open_run,
     policy_choices,
     read_policy,
     run_choices,
@@ -68,10 +68,10 @@ class Page:
 
     def _open(self, run: Run, label: str) -> None:
         """Show another run's robot, driven by the policy called `label`."""
-        subject = open_subject(run, label)
-        self.run, self.label, self.file = run, label, subject.file
-        self._loaded = written(subject.file)
-        self.live = LiveRobot(subject)
+        loaded = open_run(run, label)
+        self.run, self.label, self.file = run, label, loaded.file
+        self._loaded = written(loaded.file)
+        self.live = LiveRobot(loaded)
         # The step is compiled meanwhile.
         ready = threading.Thread(target=self.live.step)
         ready.start()

@@ -9,7 +9,7 @@ import numpy as np
 from rich.console import Console
 
 from quadwalk.errors import UserError
-from quadwalk.evaluate.subject import load_subject
+from quadwalk.evaluate.loaded import load_run
 from quadwalk.train.runs.directory import Run
 from quadwalk.view.live import LiveRobot
 from quadwalk.view.pace import Pace
@@ -68,7 +68,7 @@ def drive_in_window(run: Run, console: Console) -> None:
     """Drive the newest policy of `run` with keys, until the window is closed."""
     import mujoco.viewer  # it loads a window library, which nothing else needs
 
-    live = LiveRobot(load_subject(run, 3600.0, "last", "mujoco"))
+    live = LiveRobot(load_run(run, 3600.0, "last", "mujoco"))
     live.step()  # it is compiled now, not when time goes
     live.reset()
     keys, dt = Keys(live), live.env.stepping.control_dt

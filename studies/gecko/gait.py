@@ -7,13 +7,13 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from quadwalk.evaluate.loaded import load_run
 from quadwalk.evaluate.motion.footfalls import contact_spans, without_chatter
 from quadwalk.evaluate.motion.gait import Gait, measure_gait
 from quadwalk.evaluate.motion.kinematics import roll_pitch_yaw
 from quadwalk.evaluate.report.pictures import middle_rows
 from quadwalk.evaluate.rollout import Rollout, finite_part
 from quadwalk.evaluate.simulate import simulate_episodes
-from quadwalk.evaluate.subject import load_subject
 from quadwalk.evaluate.summary import typical_episode
 from quadwalk.robot.quadruped import Quadruped
 from quadwalk.task.env import QuadrupedEnv
@@ -35,11 +35,11 @@ def measure(run: Run) -> dict[str, Any]:
     of each; frames: (FRAMES, 19) qpos of the typical episode, rounded; footfalls: of each foot
     [touchdown, liftoff] of its contacts in the last `SHOWN` s, in s from their beginning.
     """
-    subject = load_subject(run, SECONDS)
-    config = subject.env.config
+    loaded = load_run(run, SECONDS)
+    config = loaded.env.config
     starts = replace(config.reset, joints=max(config.reset.joints, STARTS))
-    env = QuadrupedEnv(subject.env.quadruped, replace(config, reset=starts), "mujoco")
-    simulated = simulate_episodes(env, subject.policy.act, EPISODES, seed=0)
+    env = QuadrupedEnv(loaded.env.quadruped, replace(config, reset=starts), "mujoco")
+    simulated = simulate_episodes(env, loaded.policy.act, EPISODES, seed=0)
     rollouts = [finite_part(rollout) for rollout in simulated]
     gaits = [measure_gait(rollout, env.quadruped) for rollout in rollouts]
     figures = [

@@ -22,7 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from quadwalk.evaluate.by_ground import ground_env, measure_by_ground
-from quadwalk.evaluate.subject import load_subject
+from quadwalk.evaluate.loaded import load_run
 from quadwalk.ground.heightfield import Heightfield
 from quadwalk.process import run_command
 from quadwalk.train.flags import parse_config
@@ -51,10 +51,10 @@ def train(flags: str, seed: int, steps: int | None, runs: Path) -> Run:
 
 def judge(run: Run, episodes: int, seconds: float) -> dict[str, Any]:
     """What results.json holds of one run."""
-    subject = load_subject(run, seconds, engine="mujoco", randomised=True)
-    ground = measure_by_ground(subject, LEVELS, episodes, seed=0)
+    loaded = load_run(run, seconds, engine="mujoco", randomised=True)
+    ground = measure_by_ground(loaded, LEVELS, episodes, seed=0)
     return {
-        "steps": subject.policy.steps,
+        "steps": loaded.policy.steps,
         "engine": "mujoco",
         "ground": ground,
         "films": {kind: film(run, kind) for kind in FILMED if kind in ground["kinds"]},
@@ -63,11 +63,11 @@ def judge(run: Run, episodes: int, seconds: float) -> dict[str, Any]:
 
 def film(run: Run, kind: str) -> dict[str, Any]:
     """States of one episode, undisturbed, at the greatest difficulty, and the ground around it."""
-    subject = load_subject(run, SECONDS, engine="mujoco")
-    env = ground_env(subject, (kind,), levels=2)
+    loaded = load_run(run, SECONDS, engine="mujoco")
+    env = ground_env(loaded, (kind,), levels=2)
     assert env.terrain is not None
     tile = env.terrain.tiles.index(env.terrain.tile(kind, 1))
-    act = subject.policy.act
+    act = loaded.policy.act
 
     def step(state: Any, _: None) -> tuple[Any, Any]:
         after = jax.vmap(env.step)(state, act(state.obs))

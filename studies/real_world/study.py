@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from quadwalk.api import evaluate
-from quadwalk.evaluate.subject import Subject, load_subject
+from quadwalk.evaluate.loaded import LoadedRun, load_run
 from quadwalk.evaluate.sweep import Point, measure_points
 from quadwalk.process import run_command
 from quadwalk.settings.serialise import with_settings
@@ -86,8 +86,8 @@ def judge(name: str, seed: int, steps: int, episodes: int, runs: Path) -> dict[s
         quiet=True,
     )
     run = trained(config)
-    subject = as_in_run(load_subject(run, SECONDS, engine="fast"))
-    measured = measure_points(subject, list(POINTS.values()), episodes, seed=0)
+    loaded = as_in_run(load_run(run, SECONDS, engine="fast"))
+    measured = measure_points(loaded, list(POINTS.values()), episodes, seed=0)
     c = evaluate(run, episodes=16, seconds=SECONDS, engine="mujoco").summary
     return {
         "variant": name,
@@ -99,11 +99,11 @@ def judge(name: str, seed: int, steps: int, episodes: int, runs: Path) -> dict[s
     }
 
 
-def as_in_run(subject: Subject) -> Subject:
-    """`subject`, but that what is drawn is drawn from the ranges of `run`."""
+def as_in_run(loaded: LoadedRun) -> LoadedRun:
+    """`loaded`, but that what is drawn is drawn from the ranges of `run`."""
     ranges = replace(load_task("run").env.randomisation, enabled=False)
-    config = replace(subject.env.config, randomisation=ranges)
-    return replace(subject, env=QuadrupedEnv(subject.env.quadruped, config, subject.env.engine))
+    config = replace(loaded.env.config, randomisation=ranges)
+    return replace(loaded, env=QuadrupedEnv(loaded.env.quadruped, config, loaded.env.engine))
 
 
 def main() -> None:

@@ -15,13 +15,13 @@ from mcap_protobuf.decoder import DecoderFactory
 
 from quadwalk.evaluate import by_ground
 from quadwalk.evaluate.by_ground import PACE, measure_by_ground
+from quadwalk.evaluate.loaded import LoadedRun, unseen_ground
 from quadwalk.evaluate.motion.gait import measure_gait
 from quadwalk.evaluate.recording.markers import GROUND_MARGIN, GROUND_NODES, draw_ground
 from quadwalk.evaluate.recording.mcap import write_mcap
 from quadwalk.evaluate.report.console import print_by_ground
 from quadwalk.evaluate.report.panels import draw_by_ground
 from quadwalk.evaluate.report.pictures import draw_film_strip
-from quadwalk.evaluate.subject import Subject, unseen_ground
 from quadwalk.ground.heightfield import Heightfield, centred
 from quadwalk.ground.terrain import FLAT, UNSEEN
 from quadwalk.settings.environment import NO_RANDOMISATION
@@ -169,7 +169,7 @@ def test_the_map_and_the_table_show_every_cell(told, capsys, monkeypatch):
 
 
 @pytest.fixture(scope="module")
-def subject(quadruped, tmp_path_factory) -> Subject:
+def loaded(quadruped, tmp_path_factory) -> LoadedRun:
     """A policy that holds still, on ground of two kinds, for a tenth of a second."""
     task = dataclasses.replace(
         walk.TASK.env,
@@ -185,14 +185,14 @@ def subject(quadruped, tmp_path_factory) -> Subject:
     env = QuadrupedEnv(quadruped, task)
     act = jax.tree_util.Partial(lambda seen: 0.0 * seen[..., :12])
     policy = Policy(act, config, quadruped.joints, env.policy_size, 0)
-    return Subject(Run(folder), Run(folder).policy, policy, env, "0")
+    return LoadedRun(Run(folder), Run(folder).policy, policy, env, "0")
 
 
 @pytest.mark.parametrize("difficulty", [(0.0, 1.0), (0.7, 0.7)])
-def test_a_cell_is_measured_on_its_own_tiles(subject, monkeypatch, difficulty):
-    task = subject.env.config
+def test_a_cell_is_measured_on_its_own_tiles(loaded, monkeypatch, difficulty):
+    task = loaded.env.config
     task = dataclasses.replace(task, ground=dataclasses.replace(task.ground, difficulty=difficulty))
-    subject = dataclasses.replace(subject, env=QuadrupedEnv(subject.env.quadruped, task))
+    loaded = dataclasses.replace(loaded, env=QuadrupedEnv(loaded.env.quadruped, task))
     met = {}
 
     def simulated(env, act, tiles, *_):
@@ -205,7 +205,7 @@ def test_a_cell_is_measured_on_its_own_tiles(subject, monkeypatch, difficulty):
 
     monkeypatch.setattr(by_ground, "_simulate", simulated)
     monkeypatch.setattr(by_ground, "_figures", figures)
-    found = measure_by_ground(subject, levels=3, episodes=20, seed=0)
+    found = measure_by_ground(loaded, levels=3, episodes=20, seed=0)
     assert len(found["cells"]) == len(found["kinds"]) * len(found["difficulties"])
     for cell in found["cells"]:
         assert {met[tile].kind for tile in cell["tiles"]} == {cell["kind"]}
@@ -213,8 +213,8 @@ def test_a_cell_is_measured_on_its_own_tiles(subject, monkeypatch, difficulty):
         assert len(set(cell["tiles"])) >= 16
 
 
-def test_a_policy_is_measured_in_every_cell(subject):
-    found = measure_by_ground(subject, levels=2, episodes=2, seed=0)
+def test_a_policy_is_measured_in_every_cell(loaded):
+    found = measure_by_ground(loaded, levels=2, episodes=2, seed=0)
     assert [(cell["kind"], cell["difficulty"]) for cell in found["cells"]] == [
         ("flat", 0.0), ("flat", 1.0), ("blocks", 0.0), ("blocks", 1.0),
     ]  # fmt: skip

@@ -113,7 +113,7 @@ def test_evaluations_of_the_same_second_have_folders_of_their_own(runs, monkeypa
         (out / "results").write_text("")
 
     monkeypatch.setattr(judging, "datetime", clock)
-    monkeypatch.setattr("quadwalk.evaluate.subject.load_subject", lambda *_: None)
+    monkeypatch.setattr("quadwalk.evaluate.loaded.load_run", lambda *_: None)
     monkeypatch.setattr("quadwalk.evaluate.sweep.sweep", written)
     for name in ("judge", "compare", "_compare_sweeps"):
         monkeypatch.setattr(judging, name, written)

@@ -14,13 +14,13 @@ from rich.console import Console
 
 from quadwalk.errors import UserError
 from quadwalk.evaluate import evaluation as measuring
-from quadwalk.evaluate import subject as loading
+from quadwalk.evaluate import loaded as loading
 from quadwalk.evaluate import sweep as sweeping
 from quadwalk.evaluate.judge import compare, judge
+from quadwalk.evaluate.loaded import LoadedRun, load_run
 from quadwalk.evaluate.motion.kinematics import roll_pitch_yaw
 from quadwalk.evaluate.options import EvalConfig
 from quadwalk.evaluate.simulate import simulate_episodes, with_foot_forces
-from quadwalk.evaluate.subject import Subject, load_subject
 from quadwalk.evaluate.summary import (
     engine_differences,
     episode_figures,
@@ -40,7 +40,7 @@ EPISODES, SECONDS = 4, 0.5
 
 
 @pytest.fixture(scope="module")
-def subject(quadruped, swaying, tmp_path_factory) -> Subject:
+def loaded(quadruped, swaying, tmp_path_factory) -> LoadedRun:
     folder = tmp_path_factory.mktemp("runs") / "swaying"
     folder.mkdir()
     for name in ("policy.npz", "best.npz"):
@@ -54,11 +54,11 @@ def subject(quadruped, swaying, tmp_path_factory) -> Subject:
     )
     config, env = sprint.TASK, QuadrupedEnv(quadruped, short, "mjx")
     policy = Policy(swaying, config, quadruped.joints, env.policy_size, 1000)
-    return Subject(Run(folder), Run(folder).policy, policy, env, "0", b'{"seed": 0}')
+    return LoadedRun(Run(folder), Run(folder).policy, policy, env, "0", b'{"seed": 0}')
 
 
 @pytest.fixture(scope="module")
-def judged(subject, tmp_path_factory):
+def judged(loaded, tmp_path_factory):
     """By both engines: what was returned, the folder, what was said, and MJX's episodes."""
     out, said, kept = tmp_path_factory.mktemp("judged"), io.StringIO(), {}
 
@@ -70,7 +70,7 @@ def judged(subject, tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("COLUMNS", "120")
         patch.setattr(measuring, "simulate_episodes", keeping)
-        results = judge(subject.in_engine("mujoco"), config, out, Console(file=said, width=200))
+        results = judge(loaded.in_engine("mujoco"), config, out, Console(file=said, width=200))
     return results, out, said.getvalue(), kept["mjx"]
 
 
@@ -80,12 +80,12 @@ def rollouts(judged):
     return judged[3]
 
 
-def test_both_engines_are_judged_from_the_same_starts(judged, rollouts, subject):
+def test_both_engines_are_judged_from_the_same_starts(judged, rollouts, loaded):
     results, out, _, _ = judged
     assert json.loads((out / "metrics.json").read_text()) == results
     assert (results["engine"], results["seed"]) == ("mujoco", 1)
-    scales, weight = subject.env.config.reward, subject.env.robot.weight
-    effort = np.asarray(subject.env.motor.effort)
+    scales, weight = loaded.env.config.reward, loaded.env.robot.weight
+    effort = np.asarray(loaded.env.motor.effort)
     first = [episode_figures(rollout, scales, weight, effort) for rollout in rollouts]
     for name, figure in summarise(first).items():
         assert results["mjx_summary"][name] == pytest.approx(figure)
@@ -116,7 +116,7 @@ def test_differences_of_what_is_not_there_or_zero():
     assert found["speed"] == {"difference": -0.5, "percent": -25.0}
 
 
-def test_only_what_is_asked_for_is_recorded(judged, subject, quadruped):
+def test_only_what_is_asked_for_is_recorded(judged, loaded, quadruped):
     results, out, said, _ = judged
     names = {path.name for path in out.iterdir()}
     assert names == {"metrics.json", "report.png", "film_strip.png", "episode_000.mcap"}
@@ -134,13 +134,13 @@ def test_only_what_is_asked_for_is_recorded(judged, subject, quadruped):
     assert gzip.decompress(attached["aliengo.xml.gz"]).decode() == write_xml(quadruped.spec)
 
 
-def test_feet_carry_the_robot(rollouts, subject):
-    with_forces = with_foot_forces(rollouts[0], subject.env)
+def test_feet_carry_the_robot(rollouts, loaded):
+    with_forces = with_foot_forces(rollouts[0], loaded.env)
     assert rollouts[0].foot_force is None
     force = with_forces.foot_force
     # A foot that does not touch the floor carries nothing, and over time they carry the weight.
     np.testing.assert_array_equal(force[~rollouts[0].contact.astype(bool)] < 1.0, True)
-    assert force.sum(axis=1).mean() == pytest.approx(subject.env.robot.weight, rel=0.35)
+    assert force.sum(axis=1).mean() == pytest.approx(loaded.env.robot.weight, rel=0.35)
 
 
 # Comparing
@@ -197,10 +197,10 @@ def test_a_run_with_commands_beside_one_without(judged, tmp_path, monkeypatch, c
 
 
 def test_without_perturbation_a_sweep_measures_what_an_evaluation_does(
-    rollouts, subject, monkeypatch
+    rollouts, loaded, monkeypatch
 ):
     points = [Point(), Point(strength=80.0), Point(delay=40.0)]
-    tally = sweeping._simulate(subject.env, subject.policy.act, points, EPISODES, 1, None)
+    tally = sweeping._simulate(loaded.env, loaded.policy.act, points, EPISODES, 1, None)
     gained = tally.speed * 0.02  # m
     for k, rollout in enumerate(rollouts):
         assert tally.steps[k] == rollout.steps
@@ -210,7 +210,7 @@ def test_without_perturbation_a_sweep_measures_what_an_evaluation_does(
     assert np.abs(late - plain).max() > 1e-2
 
     monkeypatch.setattr(sweeping, "_simulate", lambda *_: tally)
-    measured = measure_points(subject, points, EPISODES, 1)[0]
+    measured = measure_points(loaded, points, EPISODES, 1)[0]
     fell = np.mean([rollout.fell for rollout in rollouts])
     assert measured["success"] == 1 - fell
     speeds = [
@@ -225,7 +225,7 @@ def test_without_perturbation_a_sweep_measures_what_an_evaluation_does(
 
 
 @pytest.fixture(scope="module")
-def swept(subject, tmp_path_factory):
+def swept(loaded, tmp_path_factory):
     """A whole sweep, its episodes made up: success and speed of each point by its values."""
 
     def made_up(_, points, episodes, *rest):
@@ -242,7 +242,7 @@ def swept(subject, tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(sweeping, "measure_points", made_up)
         config = EvalConfig(sweep=True, seconds=SECONDS)
-        return sweep(subject, config, out, Console(file=said)), out
+        return sweep(loaded, config, out, Console(file=said)), out
 
 
 def test_a_sweep_is_a_table_of_one_thing_at_a_time(swept):
@@ -279,33 +279,33 @@ def test_a_sweep_is_a_table_of_one_thing_at_a_time(swept):
 # What cannot be
 
 
-def test_the_last_policy_is_judged_or_the_best(subject, monkeypatch):
-    monkeypatch.setattr(loading, "load_policy", lambda path: subject.policy)
-    for which, file in [("last", subject.run.policy), ("best", subject.run.best)]:
-        found = load_subject(subject.run, SECONDS, which)
+def test_the_last_policy_is_judged_or_the_best(loaded, monkeypatch):
+    monkeypatch.setattr(loading, "load_policy", lambda path: loaded.policy)
+    for which, file in [("last", loaded.run.policy), ("best", loaded.run.best)]:
+        found = load_run(loaded.run, SECONDS, which)
         assert (found.file, found.config) == (file, None)
         assert found.sha256 == hashlib.sha256(file.read_bytes()).hexdigest()
 
 
-def test_a_configuration_that_cannot_be_read_is_one_line(subject, monkeypatch, tmp_path):
-    monkeypatch.setattr(loading, "load_policy", lambda path: subject.policy)
+def test_a_configuration_that_cannot_be_read_is_one_line(loaded, monkeypatch, tmp_path):
+    monkeypatch.setattr(loading, "load_policy", lambda path: loaded.policy)
     run = Run(tmp_path)
     run.policy.write_bytes(b"weights")
     run.config.mkdir()
     with pytest.raises(UserError) as caught:
-        load_subject(run, SECONDS)
+        load_run(run, SECONDS)
     assert str(caught.value) == f"cannot read {run.config}: Is a directory"
 
 
-def test_a_policy_of_another_robot_is_one_line(subject, monkeypatch):
-    joints = tuple(f"{name}_of_another" for name in subject.policy.joints)
+def test_a_policy_of_another_robot_is_one_line(loaded, monkeypatch):
+    joints = tuple(f"{name}_of_another" for name in loaded.policy.joints)
     policies = [
-        dataclasses.replace(subject.policy, joints=joints),
-        dataclasses.replace(subject.policy, observation_size=48),
+        dataclasses.replace(loaded.policy, joints=joints),
+        dataclasses.replace(loaded.policy, observation_size=48),
     ]
     for policy in policies:
         monkeypatch.setattr(loading, "load_policy", lambda path, policy=policy: policy)
         with pytest.raises(UserError, match="was trained on another robot than") as caught:
-            load_subject(subject.run, SECONDS)
+            load_run(loaded.run, SECONDS)
         assert "\n" not in str(caught.value)
-    assert jax.tree.leaves(subject.policy.act)  # its weights are arguments, not constants
+    assert jax.tree.leaves(loaded.policy.act)  # its weights are arguments, not constants

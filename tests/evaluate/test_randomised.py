@@ -122,8 +122,8 @@ def test_figures_are_relative_to_the_robot_that_was_drawn(env, rollouts, weight,
     qpos[:, 0] = np.linspace(0.0, 3.0, len(qpos))
     rollout = dataclasses.replace(rollout, torque=torque, qpos=qpos)
     monkeypatch.setattr(measuring, "simulate_episodes", lambda *_: [rollout])
-    subject = SimpleNamespace(env=env, policy=SimpleNamespace(act=None))
-    (figures,) = measuring.measure(subject, 1, 0).episodes
+    loaded = SimpleNamespace(env=env, policy=SimpleNamespace(act=None))
+    (figures,) = measuring.measure(loaded, 1, 0).episodes
     gait = measure_gait(rollout, env.quadruped)
     cost = pytest.approx(rollout.energy.sum() / 3.0 / weight, rel=1e-5)
     assert figures["torque_limit"] == pytest.approx(100.0 * 10 / rollout.steps)
@@ -140,9 +140,9 @@ def test_episodes_in_groups_are_those_of_one_batch(env, rollouts, monkeypatch):
     monkeypatch.setattr(simulating, "GROUP", 2)
     monkeypatch.setattr(measuring, "GROUP", 2)
     monkeypatch.setattr(simulating, "ROOM", 1)
-    subject = SimpleNamespace(env=env, policy=SimpleNamespace(act=tremble()))
+    loaded = SimpleNamespace(env=env, policy=SimpleNamespace(act=tremble()))
     reported: list[int] = []
-    found = measuring.measure(subject, EPISODES, 0, reported.append, whole=1)
+    found = measuring.measure(loaded, EPISODES, 0, reported.append, whole=1)
     assert reported == [25, 50]  # of 50 steps
     assert [episode["episode"] for episode in found.episodes] == [0, 1, 2]
     assert [rollout.episode for rollout in found.rollouts] == [0]

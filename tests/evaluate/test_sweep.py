@@ -10,8 +10,8 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from quadwalk.evaluate import subject
-from quadwalk.evaluate.subject import load_subject
+from quadwalk.evaluate import loaded as loading
+from quadwalk.evaluate.loaded import load_run
 from quadwalk.evaluate.sweep import Point, _starts, conditions_at
 from quadwalk.paths import PRETRAINED
 from quadwalk.settings.environment import NO_RANDOMISATION
@@ -422,8 +422,8 @@ def test_an_evaluation_pushes_once_in_five_seconds_within_the_ranges_however_tra
     trained = dataclasses.replace(policy.config.env.randomisation, push_seconds=2.0, margin=0.3)
     config = dataclasses.replace(policy.config.env, randomisation=trained)
     harder = dataclasses.replace(policy, config=dataclasses.replace(policy.config, env=config))
-    monkeypatch.setattr(subject, "load_policy", lambda path: harder)
-    judged = load_subject(pretrained, 20.0, engine="fast", randomised=True).env
+    monkeypatch.setattr(loading, "load_policy", lambda path: harder)
+    judged = load_run(pretrained, 20.0, engine="fast", randomised=True).env
     assert judged.config.push_steps == 250
     own = dataclasses.replace(trained, push_seconds=5.0, margin=0.0)
     assert judged.config.randomisation == own

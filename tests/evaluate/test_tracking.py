@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from quadwalk.evaluate import subject
+from quadwalk.evaluate import loaded as loading
 from quadwalk.evaluate.motion.gait import measure_gait
 from quadwalk.evaluate.rollout import first_steps
 from quadwalk.evaluate.simulate import simulate_episodes
@@ -153,10 +153,10 @@ def test_an_episode_has_one_command_which_its_policy_sees(quadruped, monkeypatch
     config = dataclasses.replace(walk.TASK, env=dataclasses.replace(walk.TASK.env, command=told))
     size = QuadrupedEnv(quadruped, config.env).policy_size
     policy = Policy(act, config, quadruped.joints, size, 0)
-    monkeypatch.setattr(subject, "load_policy", lambda path: policy)
-    monkeypatch.setattr(subject, "load_robot", lambda *_: quadruped)
+    monkeypatch.setattr(loading, "load_policy", lambda path: policy)
+    monkeypatch.setattr(loading, "load_robot", lambda *_: quadruped)
     (tmp_path / "policy.npz").write_bytes(b"weights")
-    env = subject.load_subject(Run(tmp_path), 0.2, engine="mujoco").env
+    env = loading.load_run(Run(tmp_path), 0.2, engine="mujoco").env
     rollouts = list(simulate_episodes(env, act, 2, seed=0))
     for rollout in rollouts:
         assert rollout.command.shape == (10, 3)

@@ -21,9 +21,9 @@ import yaml
 from brax.training.networks import ACTIVATION
 
 from quadwalk.errors import UserError
+from quadwalk.evaluate.loaded import LoadedRun, load_run
 from quadwalk.evaluate.rollout import Rollout
 from quadwalk.evaluate.simulate import simulate_episodes
-from quadwalk.evaluate.subject import Subject, load_subject
 from quadwalk.export import run_policy_path
 from quadwalk.export.__main__ import main
 from quadwalk.export.joint_targets import JointTargets, find_targets
@@ -43,7 +43,7 @@ class Exported(NamedTuple):
     """An exported policy, and one of its episodes as our MuJoCo C engine steps it."""
 
     folder: Path
-    subject: Subject
+    loaded: LoadedRun
     rollout: Rollout
 
     @property
@@ -77,18 +77,18 @@ def exported(request, quadruped, tmp_path_factory) -> Exported:
     root = tmp_path_factory.mktemp("export")
     run = untrained_run(root / request.param, request.param, quadruped)
     main([str(run.path), "-o", str(root / "out")])
-    subject = load_subject(run, SECONDS, "last", "mujoco")
-    config = subject.env.config
+    loaded = load_run(run, SECONDS, "last", "mujoco")
+    config = loaded.env.config
     random = {f.name for f in dataclasses.fields(config.reset)} - {"pose", "height"}
     reset = dataclasses.replace(config.reset, **dict.fromkeys(random, 0.0))
     env = QuadrupedEnv(quadruped, dataclasses.replace(config, reset=reset), "mujoco")
-    (rollout,) = simulate_episodes(env, subject.policy.act, 1, seed=0)
+    (rollout,) = simulate_episodes(env, loaded.policy.act, 1, seed=0)
     assert rollout.steps > 10
-    return Exported(root / "out", subject, rollout)
+    return Exported(root / "out", loaded, rollout)
 
 
 def test_onnx_and_jax_agree_on_an_episode(exported):
-    env, rollout = exported.subject.env, exported.rollout
+    env, rollout = exported.loaded.env, exported.rollout
     session = onnxruntime.InferenceSession(exported.folder / "policy.onnx")
     place = [rollout.observation_names.index(label) for label in input_labels(env)]
     assert sorted(place) == list(range(env.policy_size))
@@ -104,7 +104,7 @@ def test_onnx_and_jax_agree_on_an_episode(exported):
 
 def test_the_script_alone_drives_the_robot_as_our_engine_does(exported, tmp_path):
     """From another folder, in an environment without this package's path."""
-    env, rollout = exported.subject.env, exported.rollout
+    env, rollout = exported.loaded.env, exported.rollout
     folder = tmp_path / "elsewhere"
     shutil.copytree(exported.folder, folder)
     command = [sys.executable, folder / "run_policy.py", f"--seconds={SECONDS}", "--save=out.npz"]
@@ -143,7 +143,7 @@ def test_the_script_is_short_and_needs_three_packages():
 
 
 def test_the_metadata_says_what_mjlab_says(exported):
-    env, about = exported.subject.env, exported.metadata
+    env, about = exported.loaded.env, exported.metadata
 
     def numbers(key: str) -> np.ndarray:
         return np.array(about[key].split(","), float)
@@ -164,9 +164,9 @@ def test_the_metadata_says_what_mjlab_says(exported):
 
 def test_deploy_yaml_gives_the_observations_and_targets_that_were_trained_with(exported):
     """Read by another reader, and put together as unitree_rl_lab's runtime does."""
-    env, rollout = exported.subject.env, exported.rollout
+    env, rollout = exported.loaded.env, exported.rollout
     file = exported.folder / "deploy.yaml"
-    if exported.subject.policy.config.task == "blog":
+    if exported.loaded.policy.config.task == "blog":
         assert not file.exists()  # its targets depend on the joints' angles
         return
     config = yaml.safe_load(file.read_text())

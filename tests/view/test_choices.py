@@ -6,7 +6,7 @@ import pytest
 from quadwalk.errors import UserError
 from quadwalk.train.runs.directory import Run
 from quadwalk.train.runs.policy import load_checkpoint_policy, load_policy
-from quadwalk.view.choices import choose_policy, label_of, open_subject, policy_choices, run_choices
+from quadwalk.view.choices import choose_policy, label_of, open_run, policy_choices, run_choices
 
 
 def test_the_policies_of_a_run(runs):
@@ -30,10 +30,10 @@ def test_a_checkpoint_has_the_policy_that_was_saved_with_it(runs, walk_env):
 
 
 def test_a_checkpoint_drives(runs):
-    subject = open_subject(Run(runs / "dog"), "3 steps")
-    assert subject.file.name == "step_000000000003.npz"
-    assert subject.env.engine == "mujoco"
-    assert open_subject(Run(runs / "cat"), "best").policy.steps == 5
+    loaded = open_run(Run(runs / "dog"), "3 steps")
+    assert loaded.file.name == "step_000000000003.npz"
+    assert loaded.env.engine == "mujoco"
+    assert open_run(Run(runs / "cat"), "best").policy.steps == 5
 
 
 def test_a_policy_that_is_not_there_is_one_line(runs):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from quadwalk.errors import UsageError, UserError
-from quadwalk.evaluate.__main__ import main as evaluate
+from quadwalk.eval import main as evaluate
 from quadwalk.shell import install
 from quadwalk.tasks import walk
 from quadwalk.train.loop import train

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from quadwalk.errors import UsageError
-from quadwalk.evaluate.subject import load_subject
+from quadwalk.evaluate.loaded import load_run
 from quadwalk.paths import PRETRAINED
 from quadwalk.train.runs.directory import Run, find_any_run, results_folder
 from quadwalk.view.drive import find_driven
@@ -37,7 +37,7 @@ def test_nothing_is_written_to_them(tmp_path, monkeypatch):
 def test_each_goes_where_it_is_told(name, least, most):
     run = Run(PRETRAINED / name)
     assert sum(file.stat().st_size for file in run.path.iterdir()) < 500_000
-    robot = LiveRobot(load_subject(run, 10.0, engine="mujoco"))
+    robot = LiveRobot(load_run(run, 10.0, engine="mujoco"))
     robot.command[:] = 1.0, 0.0, 0.0
     speeds = []
     for _ in range(200):

@@ -4,23 +4,23 @@ import subprocess
 from pathlib import Path
 from typing import Any
 
-from quadwalk.evaluate.subject import Subject
+from quadwalk.evaluate.loaded import LoadedRun
 from quadwalk.robot.mjcf import write_xml
 from quadwalk.shell import ROOT
 from quadwalk.train.robot import load_robot
 from quadwalk.train.runs.directory import versions
 
 
-def provenance(subject: Subject, seed: int) -> dict[str, Any]:
+def provenance(loaded: LoadedRun, seed: int) -> dict[str, Any]:
     """Plain values for JSON that say what was evaluated, from starts by `seed`, and by what."""
     return {
-        "run": subject.run.name,
-        "engine": subject.env.engine,
+        "run": loaded.run.name,
+        "engine": loaded.env.engine,
         "seed": seed,
-        "seconds": subject.env.config.episode_seconds,
-        "randomised": subject.env.config.randomisation.enabled,
-        "training_steps": subject.policy.steps,
-        "policy_sha256": subject.sha256,
+        "seconds": loaded.env.config.episode_seconds,
+        "randomised": loaded.env.config.randomisation.enabled,
+        "training_steps": loaded.policy.steps,
+        "policy_sha256": loaded.sha256,
         "revision": revision(),
         "versions": versions(),
     }
@@ -49,15 +49,15 @@ def revision(source: Path = ROOT) -> str:
     return f"quadwalk {versions()['quadwalk']}"
 
 
-def attachments(subject: Subject) -> dict[str, bytes]:
+def attachments(loaded: LoadedRun) -> dict[str, bytes]:
     """Files to go with every recording: the run's configuration, and the robot as MJCF.
 
     The MJCF is what `python -m quadwalk.robot` writes: every shape, and the joints' friction.
     """
-    quadruped = subject.env.quadruped
-    if subject.env.terrain is not None:  # without the ground, of which the recording shows its own
-        quadruped = load_robot(subject.policy.config.robot)
+    quadruped = loaded.env.quadruped
+    if loaded.env.terrain is not None:  # without the ground, of which the recording shows its own
+        quadruped = load_robot(loaded.policy.config.robot)
     files = {f"{quadruped.name}.xml": write_xml(quadruped.spec).encode()}
-    if subject.config is not None:
-        files["config.json"] = subject.config
+    if loaded.config is not None:
+        files["config.json"] = loaded.config
     return files

@@ -19,7 +19,7 @@ PUSH_SECONDS = 5.0  # one push in each
 
 
 @dataclass(frozen=True)
-class Subject:
+class LoadedRun:
     """A run, loaded."""
 
     run: Run
@@ -29,7 +29,7 @@ class Subject:
     sha256: str  # of that file
     config: bytes | None = None  # of the run's config.json; None: it has none
 
-    def in_engine(self, engine: EngineName) -> "Subject":
+    def in_engine(self, engine: EngineName) -> "LoadedRun":
         """The same in another engine."""
         return dataclasses.replace(self, env=self.env.in_engine(engine))
 
@@ -57,7 +57,7 @@ def unseen_ground(trained: GroundConfig, seed: int, levels: int = 3) -> GroundCo
     )
 
 
-def load_subject(
+def load_run(
     run: Run,
     seconds: float,
     which: str = "last",
@@ -65,7 +65,7 @@ def load_subject(
     randomised: bool = False,
     seed: int = 0,
     flat: bool = False,
-) -> Subject:
+) -> LoadedRun:
     """Load the "last" or "best" policy of `run` for episodes of up to `seconds` in `engine`.
 
     The robot is as its model says, and nothing disturbs it, unless the episodes are `randomised`:
@@ -98,4 +98,4 @@ def load_subject(
             f"{file} was trained on another robot than {run.urdf}: it has joints "
             f"{', '.join(policy.joints)} and {policy.observation_size} observations"
         )
-    return Subject(run, file, policy, env, sha256, written)
+    return LoadedRun(run, file, policy, env, sha256, written)

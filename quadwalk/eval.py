@@ -1,0 +1,21 @@
+"""`eval.py`, `quadwalk eval` and `python -m quadwalk.evaluate`: judge a policy, or drive it."""
+
+import sys
+from collections.abc import Sequence
+
+from quadwalk.cli import parse
+from quadwalk.evaluate.options import EvalConfig
+
+
+def main(args: Sequence[str] | None = None, prog: str = "eval.py") -> None:
+    """Parse the command line, and evaluate or drive."""
+    config = parse(EvalConfig, sys.argv[1:] if args is None else args, prog)
+    # Either takes seconds to import.
+    if config.live:
+        from quadwalk.view.drive import ViewConfig, drive
+
+        drive(ViewConfig(config.run[0], config.browser, config.host, config.port, config.runs))
+    else:
+        from quadwalk.evaluate.judge import evaluate
+
+        evaluate(config)
