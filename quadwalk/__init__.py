@@ -7,6 +7,7 @@ run = quadwalk.train("run", steps=4_000_000, overrides={"env.reward.energy": -0.
 result = quadwalk.evaluate(run, episodes=64, engine="mujoco")
 """
 
+import sys
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
@@ -28,13 +29,20 @@ def __getattr__(name: str) -> Any:
     raise AttributeError(f"module 'quadwalk' has no attribute {name!r}")
 
 
-class CallablePackage(ModuleType):
-    """The class of a package of the same name as a function of `quadwalk`.
-
-    Python puts a package in its parent's namespace when anything in it is imported, in the place of
-    the function. So that `quadwalk.train(...)` works before and after, calling it calls that.
-    """
+class _Callable(ModuleType):
+    """A package of the same name as a function of `quadwalk.api`: called, it is that function."""
 
     def __call__(self, *args: Any, **kwargs: Any) -> Any:
-        """The function of `quadwalk.api`, which has its arguments."""
         return __getattr__(self.__name__.rpartition(".")[2])(*args, **kwargs)
+
+
+class _Quadwalk(ModuleType):
+    """Python sets a package in the place of the function when anything in it is imported."""
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if name in __all__ and isinstance(value, ModuleType):
+            value.__class__ = _Callable
+        super().__setattr__(name, value)
+
+
+sys.modules[__name__].__class__ = _Quadwalk

@@ -56,14 +56,6 @@ def run_command(main: Callable[[], object] | str) -> NoReturn:
     sys.exit(status)
 
 
-def begin_worker(devices: int | None) -> None:
-    """Begin a process of a pool, which signals end at once unless it trains; `devices` for JAX."""
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
-    from quadwalk.train.devices import set_up_devices  # what it needs takes seconds
-
-    set_up_devices(devices)
-
-
 def _status(main: Callable[[], object] | str, signals: list[int]) -> Any:
     """Run `main`; the exit status."""
     try:

@@ -35,8 +35,8 @@ from quadwalk.train.runs.directory import (
 from quadwalk.train.runs.log import MetricsLog, read_history
 from quadwalk.train.runs.policy import load_checkpoint_policy, load_policy, load_score
 from quadwalk.train.runs.resume import resumed_config
-from quadwalk.variants.__main__ import CompareConfig
 from quadwalk.variants.__main__ import main as compare
+from quadwalk.variants.arguments import CompareConfig
 from quadwalk.view.choices import policy_choices
 from quadwalk.view.drive import ViewConfig, find_driven
 from tests.view.conftest import write_run

@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -20,11 +20,9 @@ from quadwalk.train.flags import parse_config
 from quadwalk.train.runs.directory import Run, write_json_atomic
 from quadwalk.train.runs.log import read_history
 from quadwalk.train.settings import TrainConfig
+from quadwalk.variants.arguments import CompareConfig
 from quadwalk.variants.bands import draw_bands
 from quadwalk.variants.trainings import check_same, in_processes, trained
-
-if TYPE_CHECKING:
-    from quadwalk.variants.__main__ import CompareConfig
 
 # Heading of a column, unit or "" and how it is written. Of a task with commands, "off" and
 # "turning off" are in the place of speed, drift and heading.
@@ -48,7 +46,7 @@ COLUMNS = {
 }
 
 
-def compare_variants(variants: Sequence[str], config: "CompareConfig") -> None:
+def compare_variants(variants: Sequence[str], config: CompareConfig) -> None:
     """Train and judge what has not been, print rows, and write them with their picture."""
     runs = [real_path(config.runs)]
     keys = list(itertools.product(variants, range(config.seeds), [config.steps], runs))

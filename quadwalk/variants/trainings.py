@@ -2,14 +2,16 @@
 
 import contextlib
 import multiprocessing
+import signal
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
+from functools import partial
 from typing import Any, TypeVar
 
 from quadwalk.api import train
 from quadwalk.errors import UserError
-from quadwalk.process import begin_worker
+from quadwalk.train.devices import set_up_devices
 from quadwalk.train.robot import content, load_robot
 from quadwalk.train.runs.directory import Run
 from quadwalk.train.runs.policy import load_score
@@ -61,8 +63,14 @@ def in_processes(
     with ProcessPoolExecutor(
         at_once,
         mp_context=multiprocessing.get_context("spawn"),
-        initializer=begin_worker,
-        initargs=(devices,),
+        # From its start a signal ends a process at once, unless it trains.
+        initializer=signal.signal,
+        initargs=(signal.SIGINT, signal.SIG_DFL),
         max_tasks_per_child=1,
     ) as pool:
-        yield from pool.map(job, *zip(*cases, strict=True))
+        yield from pool.map(partial(_on_devices, devices, job), *zip(*cases, strict=True))
+
+
+def _on_devices(devices: int | None, job: Callable[..., T], *case: Any) -> T:
+    set_up_devices(devices)
+    return job(*case)

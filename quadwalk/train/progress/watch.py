@@ -2,14 +2,12 @@
 
 import contextlib
 import importlib.util
-import os
 import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterator
 
 from quadwalk.errors import UserError
-from quadwalk.process import run_command
 from quadwalk.shell import install
 from quadwalk.train.runs.directory import Run
 
@@ -29,7 +27,14 @@ def watched(run: Run, say: Callable[[str], object]) -> Iterator[None]:
     It ends with this process, even if that is killed: then its standard input is closed.
     """
     path, runs = run.path.resolve(), run.path.resolve().parent
-    command = [sys.executable, "-m", __name__, str(path), "--browser", f"--runs={runs}"]
+    command = [
+        sys.executable,
+        "-m",
+        "quadwalk.view.alongside",
+        str(path),
+        "--browser",
+        f"--runs={runs}",
+    ]
     page = subprocess.Popen(
         command,
         stdin=subprocess.PIPE,
@@ -55,20 +60,3 @@ def watched(run: Run, say: Callable[[str], object]) -> Iterator[None]:
         page.stdin.close()
         page.wait()
         listener.join(1.0)  # a browser that the page has opened may hold on to its stderr
-
-
-def main() -> None:
-    """Show the page for as long as standard input is open."""
-
-    def end() -> None:
-        sys.stdin.buffer.read()
-        os._exit(0)
-
-    threading.Thread(target=end, daemon=True).start()
-    from quadwalk.view.__main__ import main as view  # what it needs takes a moment
-
-    view()
-
-
-if __name__ == "__main__":
-    run_command(main)
