@@ -5,17 +5,22 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from quadwalk.errors import UsageError
+from quadwalk.evaluate.evaluation import Evaluation, measure
+from quadwalk.evaluate.loaded import load_run
 from quadwalk.settings.serialise import with_settings
 from quadwalk.settings.training import TrainConfig
+from quadwalk.task.env import QuadrupedEnv
 from quadwalk.task_files import load_task
+from quadwalk.train import loop
+from quadwalk.train.devices import set_up_devices
+from quadwalk.train.robot import load_robot
+from quadwalk.train.runs import policy as policy_file
 from quadwalk.train.runs.directory import Run, find_any_run
+from quadwalk.train.runs.policy import Policy
+from quadwalk.train.runs.resume import resumed_config
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-    from quadwalk.evaluate.evaluation import Evaluation
-    from quadwalk.task.env import QuadrupedEnv
-    from quadwalk.train.runs.policy import Policy
 
 Overrides = Mapping[str, Any]
 
@@ -24,7 +29,7 @@ def make(
     task: str | Path | TrainConfig = "run",
     robot: str | Path | None = None,
     overrides: Overrides | None = None,
-) -> "QuadrupedEnv":
+) -> QuadrupedEnv:
     """The environment of a task, a Brax `Env`: `reset` and `step` are pure, vmap them for a batch.
 
     Args:
@@ -32,13 +37,8 @@ def make(
         robot: a URDF, in place of the task's; its other settings, such as effort, stay.
         overrides: settings by the names of their flags, {"env.reward.energy": -0.5}.
     """
-    from quadwalk.train.devices import set_up_devices
-    from quadwalk.train.robot import load_robot
-
     config = _config(task, robot, overrides)
     set_up_devices()
-    from quadwalk.task.env import QuadrupedEnv
-
     return QuadrupedEnv(load_robot(config.robot), config.env)
 
 
@@ -63,9 +63,6 @@ def train(
         watch: called with the metrics of each iteration.
         settings: those of `TrainConfig` itself, such as steps, minutes, seed, name, quiet.
     """
-    from quadwalk.train.loop import train as run_training
-    from quadwalk.train.runs.resume import resumed_config
-
     changes = {**settings, **(overrides or {})}
     previous = None
     if resume is None:
@@ -77,7 +74,7 @@ def train(
             raise UsageError("resume goes on with the task and robot of its run: give neither")
         previous = _run(resume, runs)
         config = with_settings(resumed_config(previous), changes)
-    run = run_training(config, previous, watch)
+    run = loop.train(config, previous, watch)
     assert run is not None  # one process
     return run
 
@@ -92,7 +89,7 @@ def evaluate(
     policy: Literal["last", "best"] = "last",
     randomised: bool = False,
     runs: str | Path | None = None,
-) -> "Evaluation":
+) -> Evaluation:
     """Roll a run's policy out from fresh starts, without noise, and measure its episodes.
 
     Args:
@@ -105,8 +102,6 @@ def evaluate(
         randomised: each episode under conditions drawn as in training.
         runs: the folder of all runs, "runs" unless another is given.
     """
-    from quadwalk.train.devices import set_up_devices
-
     if engine not in ("mjx", "mujoco", "fast"):
         raise UsageError(f"engine is {engine!r}; expected mjx, mujoco or fast")
     if policy not in ("last", "best"):
@@ -115,17 +110,15 @@ def evaluate(
         raise UsageError(f"episodes is {episodes} and seconds {seconds}; expected more than 0")
     found = _run(run, runs)
     set_up_devices()
-    from quadwalk.evaluate.evaluation import measure
-    from quadwalk.evaluate.loaded import load_run
-
     return measure(load_run(found, seconds, policy, engine, randomised, seed), episodes, seed)
 
 
-def compare(results: Mapping[str, "Evaluation"]) -> "Figure":
+def compare(results: Mapping[str, Evaluation]) -> "Figure":
     """Print evaluations side by side, each under its name, and return their figures as plots.
 
     `UsageError` unless they are of the same episodes: by number, time limit and seed.
     """
+    # Matplotlib, which the others need not.
     from quadwalk.evaluate.report.console import print_comparison
     from quadwalk.evaluate.report.panels import draw_comparison
 
@@ -144,16 +137,12 @@ def compare(results: Mapping[str, "Evaluation"]) -> "Figure":
     return draw_comparison(list(results), named)
 
 
-def load_policy(run: str | Path | Run = "latest") -> "Policy":
+def load_policy(run: str | Path | Run = "latest") -> Policy:
     """The last policy of a run, or of a policy file: `policy.act(observation)` is its action."""
-    from quadwalk.train.devices import set_up_devices
-
     set_up_devices()
-    from quadwalk.train.runs.policy import load_policy as load
-
     if isinstance(run, str | Path) and Path(run).suffix == ".npz":
-        return load(Path(run))
-    return load(_run(run, None).policy)
+        return policy_file.load_policy(Path(run))
+    return policy_file.load_policy(_run(run, None).policy)
 
 
 def _config(

@@ -10,9 +10,8 @@ from collections.abc import Sequence
 from packaging.requirements import Requirement
 
 from quadwalk.cli import ArgumentParser
-from quadwalk.cores import cpu_cores
+from quadwalk.cores import compilation_cache, cpu_cores, instructions
 from quadwalk.errors import UserError
-from quadwalk.train.devices import compilation_cache, instructions
 
 SHOWN = ("jax", "jaxlib", "flax", "brax", "mujoco", "mujoco-mjx", "numpy")
 TELLING = ("sse4_2", "avx", "avx2", "fma", "avx512f", "asimd", "sve")  # of the instruction sets

@@ -20,14 +20,19 @@ try:
     import gymnasium
 except ModuleNotFoundError as error:
     raise ImportError(f"quadwalk.gym needs Gymnasium: {install('gym')}") from error
+import jax
+import jax.numpy as jnp
 import numpy as np
 from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
+from jax.sharding import Mesh
+from jax.sharding import PartitionSpec as P
 
 from quadwalk.api import make
 from quadwalk.errors import UsageError
 from quadwalk.settings.training import TrainConfig
+from quadwalk.task.state import chosen
 from quadwalk.task_files import task_names
 
 
@@ -106,8 +111,6 @@ class QuadrupedGymVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     ) -> tuple[np.ndarray, dict[str, Any]]:
         """Begin an episode in each environment; the same seed gives the same ones, for ever."""
         super().reset(seed=seed, options=options)
-        import jax
-
         self._keys = jax.random.split(_key(self.np_random), self.num_envs)
         self._state, self._keys, seen = self._start(self._keys)
         return np.array(seen), {}
@@ -148,13 +151,6 @@ def _programs(env: Any, num_envs: int) -> tuple[Any, Any, Any]:
 
     They start episodes, step them, and put fresh starts in the place of those that ended.
     """
-    import jax
-    import jax.numpy as jnp
-    from jax.sharding import Mesh
-    from jax.sharding import PartitionSpec as P
-
-    from quadwalk.task.state import chosen
-
     size = env.policy_size
 
     def start(keys: Any) -> Any:
@@ -191,8 +187,6 @@ def _spaces(env: Any) -> tuple[spaces.Box, spaces.Box]:
 
 def _key(random: np.random.Generator) -> Any:
     """A JAX random key, drawn from `random`."""
-    import jax
-
     return jax.random.PRNGKey(random.integers(2**32, dtype=np.uint32))
 
 

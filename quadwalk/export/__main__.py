@@ -38,9 +38,6 @@ def main(args: Sequence[str] | None = None, prog: str = "python -m quadwalk.expo
     run = find_any_run(config.runs, config.run)
     console = Console(stderr=True, highlight=False, soft_wrap=True, markup=False, emoji=False)
     console.print(f"exporting {run.path}")
-    from quadwalk.train.devices import set_up_devices
-
-    set_up_devices()
     try:
         from quadwalk.export.bundle import export_run
     except ModuleNotFoundError as error:

@@ -18,6 +18,7 @@ from quadwalk.export.joint_targets import JointTargets, find_targets
 from quadwalk.export.policy_graph import Weights, build_model, input_order
 from quadwalk.files import atomic_write, os_reason
 from quadwalk.robot.mjcf import write_xml
+from quadwalk.train.devices import set_up_devices
 from quadwalk.train.runs.directory import Run
 
 TOLERANCE = 1e-5  # of actions and, in rad, of joint targets
@@ -34,6 +35,7 @@ def export_run(run: Run, which: str, out: Path, console: Console) -> list[Path]:
     What it does is said on `console`. Raises `UserError` where the policy cannot be read or
     exported, or `out` not written.
     """
+    set_up_devices()
     loaded = load_run(run, 20.0, which, "mujoco", flat=True)
     env = loaded.env
     targets = find_targets(env.config.action, env.robot)

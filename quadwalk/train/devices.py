@@ -3,25 +3,19 @@
 import ctypes
 import dataclasses
 import functools
-import hashlib
-import platform
 import sys
 import tempfile
 import warnings
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-import platformdirs
+import jax
 
-from quadwalk.cores import cpu_cores
+from quadwalk.cores import compilation_cache, cpu_cores
 from quadwalk.errors import UsageError
 from quadwalk.files import os_reason
 from quadwalk.settings.training import TrainConfig
 from quadwalk.train.distributed import join
-
-if TYPE_CHECKING:
-    import jax
 
 CPU_ENVS = 2048  # what the learner's defaults are tuned for
 ACCELERATOR_ENVS = 8192  # a guess: enough to fill one, and few enough to learn from
@@ -43,7 +37,7 @@ def device_count(
     )
 
 
-def choose_devices(config: TrainConfig) -> tuple[TrainConfig, list["jax.Device"]]:
+def choose_devices(config: TrainConfig) -> tuple[TrainConfig, list[jax.Device]]:
     """Set JAX up; `config` with the numbers of devices and environments filled in, and the devices.
 
     Where JAX has accelerators they are used, otherwise CPU cores. Meets the other processes, if
@@ -59,8 +53,6 @@ def choose_devices(config: TrainConfig) -> tuple[TrainConfig, list["jax.Device"]
     count = config.devices or device_count(envs, ppo.minibatches, ppo.eval_envs, None, processes)
     _prepare(count // processes)
     join(config.distributed)
-    import jax
-
     available = len(jax.devices())
     if jax.default_backend() != "cpu":
         envs = config.envs or ACCELERATOR_ENVS
@@ -97,8 +89,6 @@ def set_up_devices(count: int | None = None) -> int:
     What is compiled is kept in the user's cache folder: the second start takes seconds.
     """
     _prepare(count or cpu_cores())
-    import jax
-
     available = len(jax.devices())
     if count is not None and count > available:
         raise UsageError(f"--devices is {count}; expected at most the {available} there are")
@@ -108,8 +98,6 @@ def set_up_devices(count: int | None = None) -> int:
 def _prepare(cpu_devices: int) -> None:
     """All that must be said to JAX before it looks for devices."""
     _keep_freed_memory()
-    import jax
-
     try:
         jax.config.update("jax_num_cpu_devices", cpu_devices)
     except RuntimeError:
@@ -149,18 +137,8 @@ def _of_libc(name: str) -> Callable[..., object]:
 
 
 @functools.cache
-def instructions() -> str:
-    """The processor's instruction sets, as Linux lists them; else nothing."""
-    cpuinfo = Path("/proc/cpuinfo")
-    lines = cpuinfo.read_text(errors="replace").splitlines() if cpuinfo.exists() else []
-    return next((line for line in lines if line.startswith(("flags", "Features"))), "")
-
-
-@functools.cache
 def _warn_of_fewer(cpu_devices: int) -> None:
     """Say so, once, if JAX computes on fewer CPU devices than are wanted."""
-    import jax
-
     available = jax.local_device_count()
     if jax.default_backend() == "cpu" and available < cpu_devices:
         warnings.warn(
@@ -169,16 +147,6 @@ def _warn_of_fewer(cpu_devices: int) -> None:
             "restart Python and call quadwalk before anything computes with JAX",
             stacklevel=2,
         )
-
-
-def compilation_cache() -> Path:
-    """The folder of compiled programs, one per kind of processor.
-
-    A home folder may be shared by machines that cannot run each other's instructions.
-    """
-    processor = (platform.processor() or platform.machine()) + instructions()
-    kind = hashlib.sha256(processor.encode()).hexdigest()[:12]
-    return Path(platformdirs.user_cache_dir("quadwalk", appauthor=False)) / "xla" / kind
 
 
 @functools.cache

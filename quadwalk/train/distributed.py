@@ -9,7 +9,9 @@ import hashlib
 from collections.abc import Callable
 from typing import Any, TypeVar
 
+import jax
 import numpy as np
+from jax.experimental.multihost_utils import process_allgather
 
 from quadwalk.errors import UserError
 from quadwalk.settings.training import DistributedConfig
@@ -23,8 +25,6 @@ def join(config: DistributedConfig) -> None:
     """Meet the other processes; before JAX computes anything."""
     if config.coordinator is None:
         return
-    import jax
-
     jax.config.update("jax_cpu_collectives_implementation", "gloo")
     try:
         jax.distributed.initialize(
@@ -43,8 +43,6 @@ def join(config: DistributedConfig) -> None:
 
 def any_process(flag: bool) -> bool:
     """Whether `flag` is set in any process: the same answer in all, so that all act as one."""
-    import jax
-
     return flag if jax.process_count() == 1 else bool(_gather(np.array(flag)).any())
 
 
@@ -69,12 +67,8 @@ def check_same(text: str) -> None:
 
 def gathered(tree: Any) -> Any:
     """`tree` with every process's part of its arrays, as NumPy arrays; called by all of them."""
-    import jax
-
     if jax.process_count() == 1:
         return tree
-    from jax.experimental.multihost_utils import process_allgather
-
     return jax.tree.map(
         lambda x: np.asarray(x) if x.is_fully_replicated else process_allgather(x, tiled=True),
         tree,
@@ -83,6 +77,4 @@ def gathered(tree: Any) -> Any:
 
 def _gather(array: np.ndarray) -> np.ndarray:
     """Every process's `array`, along a new first axis."""
-    from jax.experimental.multihost_utils import process_allgather
-
     return np.asarray(process_allgather(array))

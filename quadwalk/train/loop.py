@@ -9,18 +9,16 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING
 
 from quadwalk.errors import UserError
 from quadwalk.settings.training import TrainConfig
 from quadwalk.shell import as_typed
+from quadwalk.train import distributed
 from quadwalk.train.progress.display import Progress
 from quadwalk.train.progress.watch import WATCHED, check_watch, watched
 from quadwalk.train.runs.directory import Run
-
-if TYPE_CHECKING:
-    from quadwalk.train.runs.writer import RunWriter
-    from quadwalk.train.setup import Training
+from quadwalk.train.runs.writer import RunWriter
+from quadwalk.train.setup import Training, prepare
 
 
 def train(
@@ -48,11 +46,7 @@ def train(
         contextlib.ExitStack() as stack,
     ):
         progress.phase("loading")
-        from quadwalk.train.setup import prepare
-
         training = prepare(config, previous, progress, stack)
-        from quadwalk.train.runs.writer import RunWriter
-
         stop, writer = stack.enter_context(stop_on_signal()), None
         if training.run is not None:
             writer = stack.enter_context(RunWriter(training, training.run, progress.message))
@@ -71,15 +65,13 @@ def train(
 
 
 def _iterate(
-    training: "Training",
-    writer: "RunWriter | None",
+    training: Training,
+    writer: RunWriter | None,
     progress: Progress,
     over: Callable[[], bool],
     watch: Callable[[dict[str, float]], object] | None,
 ) -> tuple[int, bool]:
     """Iterate until the steps are done or it is `over`; the steps, and whether all is saved."""
-    from quadwalk.train import distributed
-
     config, state = training.config, training.state
     steps, seconds = training.steps, training.seconds
     tried = steps  # when it was last tried to save
@@ -122,7 +114,7 @@ def _iterate(
 
 
 def _tell(
-    progress: Progress, writer: "RunWriter", config: TrainConfig, steps: int, well: bool
+    progress: Progress, writer: RunWriter, config: TrainConfig, steps: int, well: bool
 ) -> None:
     """Where everything is, and what can be done with it; `well` if all of it was saved."""
     run = writer.run
@@ -139,7 +131,7 @@ def _tell(
     progress.end(f"evaluate with   {_typed('eval', run)}")
 
 
-def _lost(writer: "RunWriter | None", steps: int, rate: float) -> str:
+def _lost(writer: RunWriter | None, steps: int, rate: float) -> str:
     """What to say when the learner's weights are not finite, at that learning rate."""
     what = f"the networks' weights are no longer finite numbers after {steps:,} steps"
     if writer is None:
@@ -151,7 +143,7 @@ def _lost(writer: "RunWriter | None", steps: int, rate: float) -> str:
     return f"{what}; {_last(writer)}; go on from there with smaller changes, such as {again}"
 
 
-def _last(writer: "RunWriter") -> str:
+def _last(writer: RunWriter) -> str:
     if writer.saved is None:
         return f"{writer.run.path} has no checkpoint yet"
     return f"the last good checkpoint is {writer.run.checkpoint(writer.saved)}"

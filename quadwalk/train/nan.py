@@ -17,12 +17,17 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
 from quadwalk.errors import UsageError, UserError
 from quadwalk.files import os_reason
+from quadwalk.physics.engines import ENGINES
 from quadwalk.settings.serialise import to_dict
 from quadwalk.settings.training import TrainConfig
+from quadwalk.task.env import QuadrupedEnv
+from quadwalk.train.robot import load_robot
 from quadwalk.train.runs import checkpoint
 from quadwalk.train.runs.directory import Run
 from quadwalk.train.runs.resume import config_of
@@ -53,13 +58,6 @@ def replay(path: Path | str) -> tuple[np.ndarray, np.ndarray]:
     Returns qpos (n + 1, 19) and qvel (n + 1, 18): before, and after each of the control step's n
     physics steps. Raises `UserError` for a file that cannot be used.
     """
-    import jax
-    import jax.numpy as jnp
-
-    from quadwalk.physics.engines import ENGINES
-    from quadwalk.task.env import QuadrupedEnv
-    from quadwalk.train.robot import load_robot
-
     path = Path(path)
     _, metadata = checkpoint.load(path, "nan")
     run = Run(path.parent.parent)

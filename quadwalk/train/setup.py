@@ -4,18 +4,27 @@ import math
 from collections.abc import Callable
 from contextlib import ExitStack, nullcontext
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
-from quadwalk.files import atomic_write, read_bytes, real_path, unfinished
+import jax
+from optax.tree_utils import tree_get, tree_set
+
+from quadwalk.errors import UserError
+from quadwalk.files import DAMAGE, atomic_write, read_bytes, real_path, unfinished
 from quadwalk.robot.quadruped import Quadruped
 from quadwalk.settings.serialise import task_source, to_dict
 from quadwalk.settings.training import DistributedConfig, TrainConfig, with_files
+from quadwalk.task.env import QuadrupedEnv
 from quadwalk.task_files import OWN
-from quadwalk.train import distributed
+from quadwalk.train import distributed, ppo
 from quadwalk.train.devices import choose_devices
+from quadwalk.train.networks import make_networks
+from quadwalk.train.ppo import TrainState
 from quadwalk.train.progress.display import Progress
 from quadwalk.train.progress.metrics import TrainingMetrics
 from quadwalk.train.robot import content, load_robot
+from quadwalk.train.runs import checkpoint
 from quadwalk.train.runs.directory import (
     Run,
     as_json,
@@ -26,10 +35,7 @@ from quadwalk.train.runs.directory import (
     versions,
     write_json_atomic,
 )
-from quadwalk.train.runs.resume import changed_settings, read_config, restore
-
-if TYPE_CHECKING:
-    from quadwalk.train.ppo import TrainState
+from quadwalk.train.runs.resume import changed_settings, read_config
 
 
 @dataclass
@@ -42,11 +48,11 @@ class Training:
     quadruped: Quadruped
     policy_size: int  # how many numbers the policy sees
     metrics: TrainingMetrics
-    state: "TrainState"
+    state: TrainState
     steps: int  # control steps behind it
     seconds: float  # of training behind it
     batch: int  # control steps in an iteration
-    iterate: Callable[["TrainState"], tuple["TrainState", dict[str, Any]]]
+    iterate: Callable[[TrainState], tuple[TrainState, dict[str, Any]]]
 
 
 def prepare(
@@ -60,11 +66,6 @@ def prepare(
     config = with_files(config, robot.urdf, robot.mesh_dirs, config.env.ground.file)
     config, devices = choose_devices(config)
     assert config.envs is not None
-    # Imported here, for it must not be before JAX is set up.
-    from quadwalk.task.env import QuadrupedEnv
-    from quadwalk.train import ppo
-    from quadwalk.train.networks import make_networks
-
     quadruped = load_robot(config.robot)
     for note in quadruped.notes:
         progress.message(note)
@@ -95,7 +96,7 @@ def prepare(
         if path is None:
             progress.message(f"{previous.path} has no checkpoint yet: it starts at its beginning")
         else:
-            state, steps, seconds = restore(path, config, state, metrics)
+            state, steps, seconds = _restore(path, config, state, metrics)
             progress.message(f"going on from {path}, after {steps:,} steps")
     # A new run that never began leaves its name to the next.
     with unfinished(run.path) if run and previous is None else nullcontext():
@@ -104,6 +105,37 @@ def prepare(
         config, run, previous is not None, quadruped, env.policy_size,
         metrics, state, steps, seconds, batch, iterate,
     )  # fmt: skip
+
+
+def _restore(
+    path: Path, config: TrainConfig, state: TrainState, metrics: TrainingMetrics
+) -> tuple[TrainState, int, float]:
+    """The state in checkpoint `path`, placed as `state` is; its control steps and seconds.
+
+    `state` is that of a start with `config`; `metrics` go on counting from there. On another number
+    of devices than before, each draws from a random key of its own anew; a learning rate other than
+    before is begun with again; all else goes on as it was. Raises `UserError` in one line.
+    """
+    leaves, metadata = checkpoint.load(path, "checkpoint")
+    keys, devices = leaves.get("workers/key"), len(state.workers.key)
+    like = state
+    if keys is not None and keys.ndim == 2 and len(keys) != devices:
+        like = state._replace(workers=state.workers._replace(key=keys))
+    saved, _ = checkpoint.load(path, "checkpoint", like=like)
+    if like is not state:
+        split = jax.device_get(jax.random.split(saved.workers.key[0], devices))
+        saved = saved._replace(workers=saved.workers._replace(key=split))
+    try:
+        metrics.restore(metadata["metrics"])
+        steps, seconds = int(metadata["steps"]), float(metadata["seconds"])
+        rate = metadata["config"]["ppo"]["learning_rate"]
+    except DAMAGE:
+        raise UserError(f"{path} does not say where its training was: expected another") from None
+    if rate != config.ppo.learning_rate:
+        learner, fresh = saved.learner, tree_get(jax.device_get(state.learner.optimizer), ppo.RATE)
+        begun = tree_set(learner.optimizer, **{ppo.RATE: fresh})
+        saved = saved._replace(learner=learner._replace(optimizer=begun))
+    return ppo.placed_like(saved, state), steps, seconds
 
 
 def _check_processes(config: TrainConfig, quadruped: Quadruped) -> None:

@@ -2,12 +2,10 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from matplotlib.figure import Figure
 
 History = Sequence[Mapping[str, Any]]
 
@@ -18,10 +16,8 @@ _PANELS = (
 )
 
 
-def draw_bands(histories: Sequence[tuple[str, History]]) -> "Figure":
+def draw_bands(histories: Sequence[tuple[str, History]]) -> Figure:
     """Speed, falls and reward over steps; `histories` are (name of a variant, rows of one run)."""
-    from matplotlib.figure import Figure
-
     figure = Figure(figsize=(13, 4.2), dpi=110, layout="constrained")
     panels: Any = figure.subplots(1, len(_PANELS))
     for name in dict.fromkeys(name for name, _ in histories):

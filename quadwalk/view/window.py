@@ -5,6 +5,7 @@ import time
 from typing import Any
 
 import mujoco
+import mujoco.viewer
 import numpy as np
 from rich.console import Console
 
@@ -66,8 +67,6 @@ class Keys:
 
 def drive_in_window(run: Run, console: Console) -> None:
     """Drive the newest policy of `run` with keys, until the window is closed."""
-    import mujoco.viewer  # it loads a window library, which nothing else needs
-
     live = LiveRobot(load_run(run, 3600.0, "last", "mujoco"))
     live.step()  # it is compiled now, not when time goes
     live.reset()

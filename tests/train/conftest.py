@@ -64,7 +64,7 @@ def train(monkeypatch) -> Callable[..., None]:
     from quadwalk.train.flags import parse_config
     from quadwalk.train.loop import train
 
-    monkeypatch.setattr("quadwalk.task.env.QuadrupedEnv", toy.Toy)
+    monkeypatch.setattr("quadwalk.train.setup.QuadrupedEnv", toy.Toy)
     return lambda *flags, watch=None: train(*parse_config(flags), watch)
 
 

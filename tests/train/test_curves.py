@@ -125,5 +125,5 @@ def test_a_picture_that_cannot_be_written_is_named(tmp_path):
 
 
 def test_matplotlib_waits_until_it_is_needed():
-    program = "import sys, quadwalk.train.progress.curves; sys.exit('matplotlib' in sys.modules)"
+    program = "import sys, quadwalk.train.loop; sys.exit('matplotlib' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0

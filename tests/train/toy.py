@@ -86,7 +86,7 @@ class Toy(Env):
 
 def command(output: Path, *flags: str) -> None:
     """Be `train.py` with `flags` on the toy, in a process of its own; all it says to `output`."""
-    quadwalk.task.env.QuadrupedEnv = Toy
+    quadwalk.train.setup.QuadrupedEnv = Toy
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     descriptor = os.open(output, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
     for stream in (1, 2):

@@ -3,16 +3,15 @@
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from quadwalk.files import atomic_write
 from quadwalk.train.progress.text import quantity
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 _TERM = "train/reward/"
 _LEVEL = "train/level/"
@@ -32,7 +31,7 @@ def plot_learning_curve(metrics: Sequence[Row], path: Path | str) -> None:
         learning_curve(metrics).savefig(file, format="png", metadata={"Software": None})
 
 
-def learning_curve(metrics: Sequence[Row]) -> "Figure":
+def learning_curve(metrics: Sequence[Row]) -> Figure:
     """Speed and falls of the evaluation environments, total reward and every reward term.
 
     With a curriculum, the mean level of every kind of ground too. They are drawn over environment
@@ -40,9 +39,6 @@ def learning_curve(metrics: Sequence[Row]) -> "Figure":
     axis. What was never recorded leaves its panel empty, NaN and None leave a gap.
     """
     # The object interface: pyplot would keep the figure in a global list and look for a display.
-    # Imported here, because it takes time that most callers of this package never need.
-    from matplotlib.figure import Figure
-
     rows = sorted(metrics, key=lambda row: row["steps"])
     terms = list(dict.fromkeys(key for row in rows for key in row if key.startswith(_TERM)))
     levels = list(dict.fromkeys(key for row in rows for key in row if key.startswith(_LEVEL)))
@@ -60,7 +56,7 @@ def learning_curve(metrics: Sequence[Row]) -> "Figure":
     return figure
 
 
-def _draw_figures(panels: Sequence["Axes"], rows: Sequence[Row]) -> None:
+def _draw_figures(panels: Sequence[Axes], rows: Sequence[Row]) -> None:
     speed, falls, reward = panels
     _title(speed, "forward speed, m/s")
     _draw(speed, rows, "eval/speed", _BLUE)
@@ -76,7 +72,7 @@ def _draw_figures(panels: Sequence["Axes"], rows: Sequence[Row]) -> None:
         _add_minutes(axes, rows)
 
 
-def _draw_small(panels: Sequence["Axes"], rows: Sequence[Row], keys: Sequence[str]) -> None:
+def _draw_small(panels: Sequence[Axes], rows: Sequence[Row], keys: Sequence[str]) -> None:
     for axes, key in zip(panels, keys, strict=False):
         _title(axes, key.removeprefix(_TERM).removeprefix(_LEVEL).replace("_", " "), size=9)
         _draw(axes, rows, key, _GREY)
@@ -85,20 +81,18 @@ def _draw_small(panels: Sequence["Axes"], rows: Sequence[Row], keys: Sequence[st
         axes.set_visible(False)
 
 
-def _draw(axes: "Axes", rows: Sequence[Row], key: str, color: str, factor: float = 1.0) -> None:
+def _draw(axes: Axes, rows: Sequence[Row], key: str, color: str, factor: float = 1.0) -> None:
     values = [factor * _value(row, key) for row in rows]
     # The mark lets a single point, or one between gaps, be seen.
     mark = "." if sum(map(math.isfinite, values)) < 3 else None
     axes.plot([row["steps"] for row in rows], values, color=color, linewidth=1.6, marker=mark)
 
 
-def _title(axes: "Axes", text: str, size: float = 11) -> None:
+def _title(axes: Axes, text: str, size: float = 11) -> None:
     axes.set_title(text, fontsize=size, loc="left")
 
 
-def _finish(axes: "Axes", rows: Sequence[Row], ticks: int = 6) -> None:
-    from matplotlib.ticker import MaxNLocator
-
+def _finish(axes: Axes, rows: Sequence[Row], ticks: int = 6) -> None:
     axes.set_xlim(0, 1.02 * max([1, *(row["steps"] for row in rows)]))
     # Zero is always in view: without it noise around a constant looks like a course.
     low, high = axes.get_ylim()
@@ -113,10 +107,8 @@ def _finish(axes: "Axes", rows: Sequence[Row], ticks: int = 6) -> None:
         axes.spines[side].set_visible(False)
 
 
-def _add_minutes(axes: "Axes", rows: Sequence[Row]) -> None:
+def _add_minutes(axes: Axes, rows: Sequence[Row]) -> None:
     """Minutes since the start along the top, where steps and time were both recorded."""
-    from matplotlib.ticker import MaxNLocator
-
     timed = [row for row in rows if math.isfinite(_value(row, _ELAPSED))]
     if len(timed) < 2:
         return

@@ -55,7 +55,7 @@ def save(path: Path | str, tree: Any, metadata: dict[str, Any]) -> None:
     """
     if metadata.get("kind") not in KINDS:
         raise ValueError(f"metadata['kind'] is {metadata.get('kind')!r}, expected one of {KINDS}")
-    leaves = {name: _as_numpy(name, leaf) for name, leaf in _named_leaves(tree)}
+    leaves = {name: _as_numpy(name, leaf) for name, leaf in _named_leaves(tree)[0]}
     header = {
         "format": FORMAT,
         "version": VERSION,
@@ -106,19 +106,19 @@ def _expected(kind: str) -> str:
     return f"a {kind} file that quadwalk's training wrote"
 
 
-def _named_leaves(tree: Any) -> list[tuple[str, Any]]:
-    """The leaves of a tree with their paths as names, in the tree's own order."""
-    import jax  # Not at the top: reading a file into a dict does not need it.
+def _named_leaves(tree: Any) -> tuple[list[tuple[str, Any]], Any]:
+    """The leaves of a tree with their paths as names, in its own order; and its structure."""
+    import jax  # not at the top: to list runs, or read a file into a dict, takes none of it
 
     def part(key: Any) -> str:
         # Quoting keeps "a/b" apart from "a" -> "b", and odd characters out of the archive.
         return urllib.parse.quote(jax.tree_util.keystr((key,), simple=True), safe="")
 
-    flat, _ = jax.tree_util.tree_flatten_with_path(tree)
+    flat, structure = jax.tree_util.tree_flatten_with_path(tree)
     named = [("/".join(part(key) for key in keys), leaf) for keys, leaf in flat]
     if len({name for name, _ in named}) < len(named):
         raise ValueError("two leaves of the tree have the same path")
-    return named
+    return named, structure
 
 
 def _as_numpy(name: str, leaf: Any) -> np.ndarray:
@@ -169,9 +169,8 @@ def _read_member(archive: zipfile.ZipFile, name: str) -> bytes:
 
 def _arrange(path: Path, leaves: dict[str, np.ndarray], like: Any) -> Any:
     """Put the leaves into the structure of `like`; say in one line what does not fit."""
-    import jax
-
-    wanted = dict(_named_leaves(like))
+    named, structure = _named_leaves(like)
+    wanted = dict(named)
     problems = [
         f"it has no {name}, expected {_describe(leaf)}"
         if name not in leaves
@@ -183,8 +182,7 @@ def _arrange(path: Path, leaves: dict[str, np.ndarray], like: Any) -> Any:
     if problems:
         more = f" (and {len(problems) - 1} more differences)" if len(problems) > 1 else ""
         raise UserError(f"{path} does not fit these settings: {problems[0]}{more}")
-    structure = jax.tree_util.tree_structure(like)
-    return jax.tree_util.tree_unflatten(structure, [leaves[name] for name in wanted])
+    return structure.unflatten([leaves[name] for name in wanted])
 
 
 def _describe(leaf: Any) -> str:

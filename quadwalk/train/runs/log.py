@@ -16,6 +16,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from tensorboardX.proto.event_pb2 import Event, SessionLog
+from tensorboardX.proto.summary_pb2 import Summary
+from tensorboardX.record_writer import RecordWriter
 
 from quadwalk.errors import UserError
 from quadwalk.files import DAMAGE, os_reason
@@ -197,9 +200,6 @@ class _Events:
         self._flushed = 0.0
 
     def append(self, steps: int, values: Mapping[str, Any]) -> None:
-        from tensorboardX.proto.event_pb2 import Event
-        from tensorboardX.proto.summary_pb2 import Summary
-
         scalars = [
             Summary.Value(tag=name, simple_value=float(np.asarray(value).item()))
             for name, value in values.items()
@@ -231,10 +231,6 @@ class _Events:
                 writer.close()
 
     def _open(self) -> Any:
-        # Here, not at the top: a third of a second that a first sign of life should not wait for.
-        from tensorboardX.proto.event_pb2 import Event, SessionLog
-        from tensorboardX.record_writer import RecordWriter
-
         self._folder.mkdir(parents=True, exist_ok=True)
         # The number keeps a run resumed within the same second from overwriting its own events.
         number = sum(1 for _ in self._folder.iterdir())

@@ -1,20 +1,14 @@
-"""Going on with a run: its configuration, what may change in it, and its saved state."""
+"""Going on with a run: its configuration, and what may change in it."""
 
 import dataclasses
 import json
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from quadwalk.errors import UsageError, UserError
 from quadwalk.files import DAMAGE, read_bytes
 from quadwalk.settings.serialise import flatten, from_dict
 from quadwalk.settings.training import DistributedConfig, TrainConfig, with_files
-from quadwalk.train.progress.metrics import TrainingMetrics
-from quadwalk.train.runs import checkpoint
 from quadwalk.train.runs.directory import Run
-
-if TYPE_CHECKING:
-    from quadwalk.train.ppo import TrainState
 
 # The saved state has the shape of these, or was drawn from them once and for all.
 _FIXED = ("seed", "envs", "ppo.eval_envs", "ppo.hidden", "ppo.activation")
@@ -75,39 +69,3 @@ def changed_settings(before: TrainConfig, now: TrainConfig) -> list[str]:
             flag = name.replace("_", "-")
             raise UsageError(f"--{flag} cannot change in a run that goes on: it is {old[name]}")
     return [f"{name}: {old.get(name)} -> {new.get(name)}" for name in names]
-
-
-def restore(
-    path: Path, config: TrainConfig, state: "TrainState", metrics: TrainingMetrics
-) -> tuple["TrainState", int, float]:
-    """The state in checkpoint `path`, placed as `state` is; its control steps and seconds.
-
-    `state` is that of a start with `config`; `metrics` go on counting from there. On another number
-    of devices than before, each draws from a random key of its own anew; a learning rate other than
-    before is begun with again; all else goes on as it was. Raises `UserError` in one line.
-    """
-    import jax
-    from optax.tree_utils import tree_get, tree_set
-
-    from quadwalk.train.ppo import RATE, placed_like
-
-    leaves, metadata = checkpoint.load(path, "checkpoint")
-    keys, devices = leaves.get("workers/key"), len(state.workers.key)
-    like = state
-    if keys is not None and keys.ndim == 2 and len(keys) != devices:
-        like = state._replace(workers=state.workers._replace(key=keys))
-    saved, _ = checkpoint.load(path, "checkpoint", like=like)
-    if like is not state:
-        split = jax.device_get(jax.random.split(saved.workers.key[0], devices))
-        saved = saved._replace(workers=saved.workers._replace(key=split))
-    try:
-        metrics.restore(metadata["metrics"])
-        steps, seconds = int(metadata["steps"]), float(metadata["seconds"])
-        rate = metadata["config"]["ppo"]["learning_rate"]
-    except DAMAGE:
-        raise UserError(f"{path} does not say where its training was: expected another") from None
-    if rate != config.ppo.learning_rate:
-        learner, fresh = saved.learner, tree_get(jax.device_get(state.learner.optimizer), RATE)
-        begun = tree_set(learner.optimizer, **{RATE: fresh})
-        saved = saved._replace(learner=learner._replace(optimizer=begun))
-    return placed_like(saved, state), steps, seconds

@@ -3,7 +3,7 @@
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from quadwalk.errors import UserError
 from quadwalk.settings.serialise import to_dict
@@ -12,9 +12,7 @@ from quadwalk.train.runs import checkpoint
 from quadwalk.train.runs.directory import Run, keep_last
 from quadwalk.train.runs.log import MetricsLog, read_history
 from quadwalk.train.runs.policy import load_score, save_policy
-
-if TYPE_CHECKING:
-    from quadwalk.train.setup import Training
+from quadwalk.train.setup import Training
 
 KEPT_CHECKPOINTS = 3
 CURVE_SECONDS = 30.0  # the learning curve is drawn anew this often...
@@ -28,7 +26,7 @@ class RunWriter:
     it was, and the next call tries again.
     """
 
-    def __init__(self, training: "Training", run: Run, warn: Callable[[str], None]) -> None:
+    def __init__(self, training: Training, run: Run, warn: Callable[[str], None]) -> None:
         """Rows of metrics beyond the state that `training` begins with are dropped."""
         self.run = run
         self.saved: int | None = training.steps or None  # steps behind the last checkpoint
@@ -70,6 +68,7 @@ class RunWriter:
 
     def draw(self) -> None:
         """Draw the learning curve."""
+        # Matplotlib: a third of a second that the first iteration does not wait for.
         from quadwalk.train.progress.curves import plot_learning_curve
 
         run, began = self.run, time.monotonic()
