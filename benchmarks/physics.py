@@ -154,7 +154,7 @@ def print_rates(
         print(f"{name:18}{np.median(column):12,.0f} steps/s{ratio:8.2f} x MuJoCo C")
 
 
-def _plain(running, function, *arguments):
+def _plain(barrier, function, *arguments):
     """`materialize`, without what it is for."""
     return function(*arguments)
 

@@ -29,13 +29,12 @@ def robots_last(function: Callable[..., Any], like: Any) -> Callable[..., Any]:
     computed. `like` is a pytree of the shapes and types of what one robot gives: with it, the
     function is traced for the batch alone, not for one robot as well.
 
-    Leaves of the arguments that are no JAX arrays but NumPy's or numbers are the same for all
-    robots. They get a last axis of length 1 and are constants of the compiled program, which folds
-    them: zeros vanish from it.
+    Leaves of the arguments that are constants (`is_constant`) get a last axis of length 1. The
+    compiled program folds them: zeros vanish from it.
     """
 
     def of_any(*arguments: Any) -> Any:
-        places = [isinstance(leaf, jax.Array) for leaf in jax.tree.leaves(arguments)]
+        places = [not is_constant(leaf) for leaf in jax.tree.leaves(arguments)]
         varying, assemble = _split(arguments, places)
         shapes, structure = jax.tree.flatten(like)
         of_several = partial(_flat, lambda *arrays: function(*assemble(arrays, column)), structure)
@@ -51,6 +50,18 @@ def _flat(function: Callable[..., Any], structure: Any, *arrays: jax.Array) -> l
     if own != structure:
         raise TypeError(f"a function gives {own}; expected {structure}")
     return leaves
+
+
+def is_constant(leaf: Any) -> bool:
+    """Whether a leaf is the same for all robots: NumPy's or a number. JAX's may be one for each.
+
+    So `vary` turns constants into variables by computing them with JAX. `TypeError` for another.
+    """
+    if isinstance(leaf, jax.Array):
+        return False
+    if isinstance(leaf, np.ndarray | np.generic | int | float):
+        return True
+    raise TypeError(f"a leaf is a {type(leaf).__name__}; expected an array or a number")
 
 
 def column(constant: Any) -> Any:
@@ -127,13 +138,21 @@ def _split(tree: Tree, places: Sequence[bool]) -> tuple[list[Any], Callable[...,
     return list(itertools.compress(leaves, places)), assemble
 
 
-def materialize(running: Any, function: Callable[..., Any], *arguments: Any) -> Any:
+def opaque_true(number: jax.Array) -> jax.Array:
+    """True, but XLA cannot know it: a barrier to its optimiser, see `materialize`.
+
+    `number` is one of a sound state, which is far below 1e30, or NaN.
+    """
+    return ~(number > 1e30)
+
+
+def materialize(barrier: Any, function: Callable[..., Any], *arguments: Any) -> Any:
     """function(*arguments), computed once and kept in memory.
 
     XLA fuses arithmetic by repeating what several results share, here a fivefold of it. It does
-    not look into a conditional whose condition it cannot know: `running`, a scalar that is True.
+    not look into a conditional whose condition it cannot know: `barrier`, from `opaque_true`.
     """
     traced = jax.jit(function)  # once, for its shapes and for itself
     shapes = jax.eval_shape(traced, *arguments)
     zeros = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes)
-    return jax.lax.cond(running, lambda: traced(*arguments), lambda: zeros)
+    return jax.lax.cond(barrier, lambda: traced(*arguments), lambda: zeros)

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 
 from quadwalk.physics import motor
 from quadwalk.physics import vectors as v
-from quadwalk.physics.batching import materialize, robots_last
+from quadwalk.physics.batching import materialize, opaque_true, robots_last
 from quadwalk.physics.constraints.contact import (
     Under,
     centres,
@@ -89,18 +89,17 @@ def acceleration(
 ) -> jax.Array:
     """MuJoCo's qacc (18, robots) with joint torques (12, robots); see `robots_last`."""
     qpos, qvel, warmstart = state
-    # Always so: states beyond are not let into the next control step.
-    running = ~(qpos[2, 0] > 1e30)
-    rotation = materialize(running, lambda quat: rotation_of(tuple(quat)), qpos[3:7])
+    barrier = opaque_true(qpos[2, 0])  # heights beyond are not let into the next control step
+    rotation = materialize(barrier, lambda quat: rotation_of(tuple(quat)), qpos[3:7])
     angles = _by_link(qpos[7:])
-    pose = materialize(running, lambda r, a: pose_of(model.links, r, a), rotation, angles)
-    bodies = materialize(running, lambda p: place_bodies(model.trunk, model.links, p), pose)
+    pose = materialize(barrier, lambda r, a: pose_of(model.links, r, a), rotation, angles)
+    bodies = materialize(barrier, lambda p: place_bodies(model.trunk, model.links, p), pose)
     velocity = _motion(pose, qvel)
     mass = materialize(
-        running, lambda p, b: mass_matrix(model.trunk, model.links, p, b), pose, bodies
+        barrier, lambda p, b: mass_matrix(model.trunk, model.links, p, b), pose, bodies
     )
     bias = materialize(
-        running,
+        barrier,
         lambda p, b, u: bias_force(model.trunk, model.links, p, b, u, model.gravity),
         pose,
         bodies,
@@ -114,29 +113,29 @@ def acceleration(
     )
     force = Motion(v.scale(-1.0, bias.linear), v.scale(-1.0, bias.angular), joints)
     found = materialize(
-        running,
+        barrier,
         lambda *a: find_constraints(model.contacts, model.limits, *a),
         pose,
         qpos[2],
         angles,
         velocity,
-        None if model.ground is None else _look_under(model, running, pose, qpos),
+        None if model.ground is None else _look_under(model, barrier, pose, qpos),
     )
     solution = newton(
-        mass, found, force, _motion(pose, warmstart), running, iterations, line_search
+        mass, found, force, _motion(pose, warmstart), barrier, iterations, line_search
     )
     angular = v.apply_transposed(pose.trunk, solution.angular)
     legs = jnp.stack(solution.joints, axis=1).reshape(4 * LINKS, -1)
     return jnp.concatenate([jnp.stack([*solution.linear, *angular]), legs])
 
 
-def _look_under(model: Model, running: jax.Array, pose: Pose, qpos: jax.Array) -> tuple[Under, ...]:
+def _look_under(model: Model, barrier: jax.Array, pose: Pose, qpos: jax.Array) -> tuple[Under, ...]:
     """The ground under all spheres."""
     x, y, height = qpos[:3]
     at = tuple(centres(contact, pose) for contact in model.contacts)
     # In two parts: XLA would read heights again wherever something that follows from them is used.
     found = materialize(
-        running,
+        barrier,
         lambda at, x, y: tuple(
             triangles_under(contact, centre, (x, y))
             for contact, centre in zip(model.contacts, at, strict=True)
@@ -146,7 +145,7 @@ def _look_under(model: Model, running: jax.Array, pose: Pose, qpos: jax.Array) -
         y,
     )
     under: tuple[Under, ...] = materialize(
-        running,
+        barrier,
         lambda found, altitudes: tuple(
             look_under(contact, spot, around, altitude)
             for contact, (spot, around), altitude in zip(
@@ -194,12 +193,12 @@ def lowest_points(model: Model, qpos: jax.Array) -> tuple[jax.Array, jax.Array]:
     """
 
     def of_many(model: Model, qpos: jax.Array) -> tuple[jax.Array, jax.Array]:
-        running = ~(qpos[2, 0] > 1e30)  # as in `acceleration`
-        rotation = materialize(running, lambda quat: rotation_of(tuple(quat)), qpos[3:7])
+        barrier = opaque_true(qpos[2, 0])
+        rotation = materialize(barrier, lambda quat: rotation_of(tuple(quat)), qpos[3:7])
         angles = _by_link(qpos[7:])
-        pose = materialize(running, lambda r, a: pose_of(model.links, r, a), rotation, angles)
+        pose = materialize(barrier, lambda r, a: pose_of(model.links, r, a), rotation, angles)
         if model.ground is not None:
-            return _lowest_points_over(model, model.ground, running, pose, qpos)
+            return _lowest_points_over(model, model.ground, barrier, pose, qpos)
         feet, height = model.contacts[0], qpos[2]
         x, y, z = centres(feet, pose)
         trunk, legs = jnp.full_like(height, jnp.inf), jnp.full_like(z, jnp.inf)
@@ -218,12 +217,12 @@ def lowest_points(model: Model, qpos: jax.Array) -> tuple[jax.Array, jax.Array]:
 
 
 def _lowest_points_over(
-    model: Model, ground: Surface, running: jax.Array, pose: Pose, qpos: jax.Array
+    model: Model, ground: Surface, barrier: jax.Array, pose: Pose, qpos: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
     """`lowest_points` over ground that is not level."""
     x, y, height = qpos[:3]
     along, across, _ = centres(model.contacts[0], pose)
-    under = _look_under(model, running, pose, qpos)[0]
+    under = _look_under(model, barrier, pose, qpos)[0]
     trunk, legs = jnp.full_like(height, jnp.inf), jnp.full_like(along, jnp.inf)
     for shell in model.shells:
         rotation = pose.trunk if shell.link is None else pose.rotations[shell.link]

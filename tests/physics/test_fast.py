@@ -350,3 +350,9 @@ def test_a_robot_that_is_not_finite_leaves_the_others_alone(env):
     for first in (jnp.nan, jnp.inf):
         ill = batch._replace(qpos=batch.qpos.at[0, 7].set(first).at[1, 2].set(first))
         np.testing.assert_array_equal(control(ill, target)[2], sound[2])
+
+
+def test_a_leaf_that_is_no_array_or_number_is_refused():
+    function = robots_last(lambda x, y: x, jax.ShapeDtypeStruct((2,), np.float32))
+    with pytest.raises(TypeError, match="a leaf is a str; expected an array or a number"):
+        function(jnp.ones(2), "two")

@@ -25,7 +25,7 @@ def newton(
     found: Constraints,
     force: Motion,
     start: Motion,
-    running: jax.Array,
+    barrier: jax.Array,
     iterations: int,
     line_search: int,
 ) -> Motion:
@@ -41,8 +41,8 @@ def newton(
         pull = force_of(found, tuple(-w * o for w, o in zip(active, off, strict=True)))
         residual = combined(product(mass, x), -1.0, force)
         gradient = combined(residual, -1.0, pull)
-        matrix = materialize(running, hessian, mass, found, active)
-        step = solve(matrix, jax.tree.map(jnp.negative, gradient), running)
+        matrix = materialize(barrier, hessian, mass, found, active)
+        step = solve(matrix, jax.tree.map(jnp.negative, gradient), barrier)
         slope, bend = inner(step, residual), inner(step, product(mass, step))
         along = rows(found, step)
         scaled = [w * a for w, a in zip(found.weight, along, strict=True)]
@@ -59,7 +59,7 @@ def newton(
 
         def narrow(_: int, bracket: tuple[Array, ...]) -> tuple[Array, ...]:
             alpha, low, high = bracket
-            first, second = materialize(running, evaluate, alpha)
+            first, second = materialize(barrier, evaluate, alpha)
             low = jnp.where(first < 0, alpha, low)
             high = jnp.where(first < 0, high, alpha)
             guess = alpha - first / second
@@ -111,16 +111,16 @@ def backward(low: Factor, y: list[Array]) -> list[Array]:
     return x
 
 
-def solve(matrix: MassMatrix, force: Motion, running: jax.Array) -> Motion:
+def solve(matrix: MassMatrix, force: Motion, barrier: jax.Array) -> Motion:
     """matrix^-1 force: the legs are eliminated first, then the trunk is solved for."""
-    low = materialize(running, lambda legs: cholesky(legs, LINKS), matrix.legs)
+    low = materialize(barrier, lambda legs: cholesky(legs, LINKS), matrix.legs)
 
     def eliminate(low: Factor, matrix: MassMatrix, force: Motion) -> tuple[Table, list[Array]]:
         # Of each leg, L^-1 of the coupling to the trunk's 6 directions, [i][k], and of the force.
         coupling = [forward(low, [matrix.cross[k][i] for k in range(LINKS)]) for i in range(6)]
         return coupling, forward(low, list(force.joints))
 
-    coupling, reduced = materialize(running, eliminate, low, matrix, force)
+    coupling, reduced = materialize(barrier, eliminate, low, matrix, force)
 
     def remain(
         coupling: Table, reduced: list[Array], matrix: MassMatrix, force: Motion
@@ -139,9 +139,9 @@ def solve(matrix: MassMatrix, force: Motion, running: jax.Array) -> Motion:
         ]
         return base, right
 
-    base, right = materialize(running, remain, coupling, reduced, matrix, force)
-    top = materialize(running, lambda base: cholesky(base, 6), base)
-    trunk = materialize(running, lambda top, right: backward(top, forward(top, right)), top, right)
+    base, right = materialize(barrier, remain, coupling, reduced, matrix, force)
+    top = materialize(barrier, lambda base: cholesky(base, 6), base)
+    trunk = materialize(barrier, lambda top, right: backward(top, forward(top, right)), top, right)
     left = [reduced[k] - sum(coupling[i][k] * trunk[i] for i in range(6)) for k in range(LINKS)]
     x, y, z = backward(low, left)
     return Motion((trunk[0], trunk[1], trunk[2]), (trunk[3], trunk[4], trunk[5]), (x, y, z))
