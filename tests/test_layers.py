@@ -25,7 +25,7 @@ LAYERS = (
     ("export", "view"),
     ("api",),
     ("gym", "variants"),
-    ("", "__main__", "doctor", "eval", "evaluate.__main__"),
+    ("", "__main__", "doctor", "eval"),
 )
 
 
