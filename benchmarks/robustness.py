@@ -12,7 +12,7 @@ import argparse
 import shutil
 from pathlib import Path
 
-from quadwalk.evaluate.judge import evaluate
+from quadwalk.evaluate.command import evaluate_runs
 from quadwalk.evaluate.options import EvalConfig
 from quadwalk.tasks.run import TASK
 from quadwalk.train.flags import parse_config
@@ -34,7 +34,7 @@ def main() -> None:
             config, _ = parse_config([*flags, "--steps", str(options.steps)])
             train(config)
     out = options.runs / "sweep"
-    evaluate(
+    evaluate_runs(
         EvalConfig(
             run=tuple(str(options.runs / name) for name in names),
             episodes=options.episodes,

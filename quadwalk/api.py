@@ -129,12 +129,8 @@ def compare(results: Mapping[str, Evaluation]) -> "Figure":
             "compare was given evaluations of other episodes, seconds or seeds; "
             "expected one or more that agree in these"
         )
-    engines = " and ".join(dict.fromkeys(each["engine"] for each in found))
-    named = [
-        {**each, "name": name, "engine": engines} for name, each in zip(results, found, strict=True)
-    ]
-    print_comparison({"engine": engines, "runs": named})
-    return draw_comparison(list(results), named)
+    print_comparison(list(results), found)
+    return draw_comparison(list(results), found)
 
 
 def load_policy(run: str | Path | Run = "latest") -> Policy:

@@ -16,6 +16,6 @@ def main(args: Sequence[str] | None = None, prog: str = "eval.py") -> None:
 
         drive(ViewConfig(config.run[0], config.browser, config.host, config.port, config.runs))
     else:
-        from quadwalk.evaluate.judge import evaluate
+        from quadwalk.evaluate.command import evaluate_runs
 
-        evaluate(config)
+        evaluate_runs(config)

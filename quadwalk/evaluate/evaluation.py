@@ -8,18 +8,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from quadwalk.evaluate.loaded import LoadedRun
+from quadwalk.evaluate.motion.course import motor_limits, weight_of
+from quadwalk.evaluate.motion.forces import with_foot_forces
 from quadwalk.evaluate.motion.gait import Gait, gait_metrics, measure_gait
 from quadwalk.evaluate.recording.mcap import write_mcap
 from quadwalk.evaluate.recording.provenance import attachments, provenance
 from quadwalk.evaluate.rollout import Rollout
-from quadwalk.evaluate.simulate import GROUP, Report, simulate_episodes, with_foot_forces
-from quadwalk.evaluate.summary import (
-    episode_figures,
-    motor_limits,
-    summarise,
-    typical_episode,
-    weight_of,
-)
+from quadwalk.evaluate.simulate import GROUP, Report, simulate_episodes
+from quadwalk.evaluate.summary import episode_figures, summarise, typical_episode
 from quadwalk.settings.serialise import to_dict
 from quadwalk.task.episode.conditions import as_values
 

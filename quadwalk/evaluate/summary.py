@@ -1,26 +1,24 @@
 """Figures of episodes: each one's, and over all of them the mean with its uncertainty.
 
-An episode runs along world x, or, with velocity commands, where it is told, so that its distance is
-then that along its path. In what is written as JSON, None stands for what cannot be measured.
+An episode runs along world x; with velocity commands its distance is that along its path. In what
+is written as JSON, None stands for what cannot be measured.
 """
 
-import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
-import mujoco
 import numpy as np
 
+from quadwalk.evaluate.motion.course import (
+    action_rate,
+    heading_velocity,
+    measure_course,
+    tracking_errors,
+)
 from quadwalk.evaluate.motion.kinematics import roll_pitch_yaw
 from quadwalk.evaluate.rollout import Rollout
-from quadwalk.physics.mujoco_c import varied_masses
-from quadwalk.robot.quadruped import Quadruped
-from quadwalk.task.terms import Reward
-
-LEAST_DISTANCE = 1.0  # m: over less, what is per metre says nothing
-WINDOW = 0.5  # s, a stride or more: over it velocities are averaged, and a path is straight
-SETTLING = 1.0  # s after the start and after each change of the command, not judged
+from quadwalk.evaluate.statistics import figure_mean, mean_interval, number, share_interval
+from quadwalk.settings.terms import Reward
 
 # name in metrics.json, heading in the table, unit
 FIGURES = (
@@ -49,103 +47,6 @@ HIGH_IS_BAD = (
 AT_LIMIT = 0.95  # of a motor's torque limit, as the mean over a control step, counts as at it
 
 
-def weight_of(rollout: Rollout, model: mujoco.MjModel) -> float:
-    """N, of the robot of an episode; `model` is one of the robot as nothing was drawn for it."""
-    drawn = rollout.conditions and rollout.conditions.variation
-    masses = model.body_mass if drawn is None else varied_masses(model, drawn)
-    return float(-model.opt.gravity[2] * masses.sum())
-
-
-def motor_limits(rollout: Rollout, quadruped: Quadruped) -> np.ndarray:
-    """(12,) Nm: the largest torques of the motors of an episode."""
-    drawn = rollout.conditions and rollout.conditions.variation
-    return quadruped.effort if drawn is None else quadruped.effort * np.asarray(drawn.strength)
-
-
-@dataclass(frozen=True)
-class Course:
-    """How far an episode went and what that took; NaN where it cannot be measured."""
-
-    duration: float  # s
-    distance: float  # m, displacement along world x; with commands, length of the path
-    speed: float  # m/s, distance / duration
-    lateral_drift: float  # m, size of the displacement along world y
-    energy_per_metre: float  # J/m, positive mechanical work of the motors / distance
-
-
-def measure_course(rollout: Rollout) -> Course:
-    """The course of an episode of finite states."""
-    duration = rollout.steps * rollout.control_dt
-    along, across = (rollout.qpos[-1, :2] - rollout.qpos[0, :2]).astype(float)
-    distance = float(along if rollout.command is None else path_length(rollout))
-    return Course(
-        duration=duration,
-        distance=distance,
-        speed=distance / duration if duration else math.nan,
-        lateral_drift=float(abs(across)),
-        energy_per_metre=float(rollout.energy.sum() / distance)
-        if distance > LEAST_DISTANCE
-        else math.nan,
-    )
-
-
-def heading_velocity(rollout: Rollout) -> np.ndarray:
-    """(T, 3): what a velocity command is of, in each step.
-
-    Forward and lateral velocity of the trunk, m/s, in the frame of the heading at the step's end,
-    and yaw rate, rad/s: means over the step.
-    """
-    return velocity_of(rollout.qpos, rollout.control_dt)
-
-
-def velocity_of(poses: np.ndarray, dt: float) -> np.ndarray:
-    """`heading_velocity` (T, 3) of a trunk at `poses` (T + 1, 7 or more: m, wxyz), `dt` s apart."""
-    yaw = np.unwrap(roll_pitch_yaw(poses[:, 3:7])[:, 2])
-    x, y = np.diff(poses[:, :2], axis=0).T / dt
-    cos, sin = np.cos(yaw[1:]), np.sin(yaw[1:])
-    rate = np.diff(yaw) / dt
-    return np.stack([cos * x + sin * y, cos * y - sin * x, rate], axis=1)
-
-
-def tracking_errors(rollout: Rollout) -> tuple[float, float]:
-    """How far velocity (m/s) and yaw rate (rad/s) were from the commands; NaN where too short.
-
-    The length of the difference, and its absolute value, between what `heading_velocity` is on
-    average over a `WINDOW` and the command: the mean over all windows in which one command holds
-    and which begin `SETTLING` after it was given, or later.
-    """
-    assert rollout.command is not None
-    settling, window = (round(s / rollout.control_dt) for s in (SETTLING, WINDOW))
-    errors = heading_velocity(rollout) - rollout.command
-    changes = np.flatnonzero(np.any(np.diff(rollout.command, axis=0), axis=1)) + 1
-    found = []
-    for part in np.split(errors, changes):
-        judged = part[settling:]
-        if len(judged) >= window:
-            found.append(window_means(judged, window))
-    if not found:
-        return math.nan, math.nan
-    means = np.concatenate(found)
-    return float(np.linalg.norm(means[:, :2], axis=1).mean()), float(np.abs(means[:, 2]).mean())
-
-
-def window_means(values: np.ndarray, window: int) -> np.ndarray:
-    """(T - window + 1, n) means of `values` (T, n) over every `window` rows on end."""
-    sums = np.cumsum(np.concatenate([np.zeros((1, values.shape[1])), values]), axis=0)
-    means: np.ndarray = (sums[window:] - sums[:-window]) / window
-    return means
-
-
-def path_length(rollout: Rollout) -> float:
-    """Length of the trunk's path on the floor, m, as straight lines of `WINDOW` each.
-
-    So that swaying from step to step does not count.
-    """
-    every = max(round(WINDOW / rollout.control_dt), 1)
-    points = np.concatenate([rollout.qpos[:-1:every, :2], rollout.qpos[-1:, :2]])
-    return float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
-
-
 def episode_figures(
     rollout: Rollout, rewards: Mapping[str, Reward], weight: float, effort: np.ndarray
 ) -> dict[str, Any]:
@@ -172,10 +73,11 @@ def episode_figures(
             "heading_error": float(np.degrees(np.abs(yaw).mean())),
         }
     else:
-        velocity_error, yaw_rate_error = tracking_errors(rollout)
+        velocity = heading_velocity(rollout.qpos, rollout.control_dt)
+        errors = tracking_errors(velocity, rollout.command, rollout.control_dt)
         figures = {
-            "velocity_error": number(velocity_error),
-            "yaw_rate_error": number(yaw_rate_error),
+            "velocity_error": number(errors[0]),
+            "yaw_rate_error": number(errors[1]),
             "path_speed": course.speed,
             "path": course.distance,
             "command": np.asarray(rollout.command[0], float).tolist(),
@@ -198,17 +100,6 @@ def episode_figures(
             for name, values in rollout.reward_terms.items()
         },
     }
-
-
-def action_rate(rollout: Rollout) -> float:
-    """Root mean square rate of the actions, which are in [-1, 1], 1/s; NaN for a single step."""
-    changes = np.diff(rollout.action.astype(float), axis=0) / rollout.control_dt
-    return float(np.sqrt(np.mean(np.square(changes)))) if len(changes) else math.nan
-
-
-def number(value: float) -> float | None:
-    """`value` for JSON, which knows no NaN."""
-    return float(value) if math.isfinite(value) else None
 
 
 def summarise(episodes: Sequence[dict[str, Any]]) -> dict[str, Any]:
@@ -241,40 +132,6 @@ def summarise(episodes: Sequence[dict[str, Any]]) -> dict[str, Any]:
     return summary
 
 
-def mean_interval(values: Sequence[float] | np.ndarray) -> tuple[float, float | None]:
-    """The mean, and half the width of its 95 % confidence interval by Student's t.
-
-    None in its place for a single value. Values must be there and finite.
-    """
-    from scipy import stats  # half a second, which those that measure nothing need not wait
-
-    mean, freedom = float(np.mean(values)), len(values) - 1
-    if not freedom:
-        return mean, None
-    return mean, float(stats.t.ppf(0.975, freedom) * stats.sem(values))
-
-
-def mean_figure(values: Sequence[float] | np.ndarray) -> dict[str, float | None] | None:
-    """The `mean_interval` of those `values` that are finite, for JSON; None where none is."""
-    finite = np.asarray(values)[np.isfinite(values)]
-    if not len(finite):
-        return None
-    mean, half_width = mean_interval(finite)
-    return {"mean": mean, "ci95": half_width}
-
-
-def share_interval(count: int, total: int) -> tuple[float, float]:
-    """The 95 % confidence interval of a share, `count` of `total`.
-
-    Wilson's (J. American Statistical Association 22, 1927), which does not claim certainty where
-    none or all of a few succeeded.
-    """
-    from scipy import stats
-
-    interval = stats.binomtest(count, total).proportion_ci(method="wilson")
-    return float(interval.low), float(interval.high)
-
-
 def engine_differences(mjx: dict[str, Any], mujoco: dict[str, Any]) -> dict[str, Any]:
     """Of falls and each figure's mean in two summaries, MuJoCo C's less MJX's.
 
@@ -296,13 +153,13 @@ def engine_differences(mjx: dict[str, Any], mujoco: dict[str, Any]) -> dict[str,
     }
 
 
-def figure_mean(figure: dict[str, Any] | None) -> float:
-    """The mean of a summary's figure; NaN where there is none."""
-    return math.nan if figure is None else figure["mean"]
-
-
 def typical_episode(episodes: Sequence[dict[str, Any]]) -> int:
     """Index of the episode of median speed: the one to look at."""
     speed = "speed" if "speed" in episodes[0] else "path_speed"
     order = np.argsort([episode[speed] for episode in episodes], kind="stable")
     return int(order[len(order) // 2])
+
+
+def engines_of(results: Sequence[dict[str, Any]]) -> str:
+    """The engines of these metrics, in words."""
+    return " and ".join(dict.fromkeys(result["engine"] for result in results))

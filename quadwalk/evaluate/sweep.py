@@ -1,4 +1,4 @@
-"""What a policy can take: how it does as one thing after another departs from training.
+"""Robustness: success and speed as one condition after another departs from training.
 
 All points of all sweeps are one batch, and so one compilation. What each of them does to an episode
 stands in `quadwalk.task.episode.conditions`.
@@ -7,32 +7,19 @@ stands in `quadwalk.task.episode.conditions`.
 import dataclasses
 import math
 from dataclasses import dataclass, replace
-from functools import partial
-from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from brax.envs.base import State
-from rich.console import Console
 
+from quadwalk.evaluate.cells import measure_cells
 from quadwalk.evaluate.loaded import LoadedRun, training_ranges
-from quadwalk.evaluate.options import EvalConfig
-from quadwalk.evaluate.recording.provenance import provenance
-from quadwalk.evaluate.report.console import print_sweep, simulating
-from quadwalk.evaluate.report.panels import draw_sweep
-from quadwalk.evaluate.report.plots import save_figure
-from quadwalk.evaluate.simulate import (
-    CHUNK,
-    Policy,
-    Report,
-    fresh_starts,
-    over_devices,
-)
-from quadwalk.evaluate.summary import SETTLING, WINDOW, mean_figure, share_interval
-from quadwalk.physics.rotation import yaw
-from quadwalk.task.config import NO_RANDOMISATION
+from quadwalk.evaluate.motion.course import WINDOW, heading_velocity, tracking_errors
+from quadwalk.evaluate.motion.kinematics import roll_pitch_yaw
+from quadwalk.evaluate.simulate import Report, fresh_starts
+from quadwalk.settings.environment import NO_RANDOMISATION
 from quadwalk.task.env import QuadrupedEnv
 from quadwalk.task.episode.conditions import (
     Conditions,
@@ -42,8 +29,6 @@ from quadwalk.task.episode.conditions import (
     readings_needed,
     targets_needed,
 )
-from quadwalk.task.state import motion
-from quadwalk.train.runs.directory import write_json_atomic
 
 
 @dataclass(frozen=True)
@@ -62,7 +47,7 @@ class Point:
     encoder: float = 0.0  # rad, offset of each joint angle's measurement, to either side
     push: float = 0.0  # m/s, sideways, to either side
     push_ahead: float = 0.0  # m/s, forth or back
-    everything: float = 0.0  # how far all that is drawn in training is from the model's; 1: as far
+    everything: float = 0.0  # scale of the training randomisation; 1: as in training
 
 
 # field of Point -> heading, unit, values
@@ -83,59 +68,36 @@ SWEEPS: dict[str, tuple[str, str, tuple[float, ...]]] = {
 }
 
 
-class Tally(NamedTuple):
-    """What is known of a batch of episodes so far, each an array with the axis of episodes."""
-
-    end: Any  # () index into `QuadrupedEnv.ends`, 0 while it goes on
-    steps: Any  # () int32, control steps
-    speed: Any  # () m/s, sum over its steps of the mean over the step, as training counts it
-    heading: Any  # () rad, sum of the size of the yaw angle
-    drift: Any  # (3,) sum since the last window of velocity less command: m/s, m/s, rad/s
-    errors: Any  # (2,) sum over all judged windows of the size of their mean drift: m/s, rad/s
-    windows: Any  # () int32, judged
-
-
-def sweep(loaded: LoadedRun, config: EvalConfig, out: Path, console: Console) -> dict[str, Any]:
-    """Sweep, print the table, write sweep.json and sweep.png to `out`; return the former."""
-    env = loaded.env
+def measure_sweeps(
+    loaded: LoadedRun, episodes: int, seed: int, report: Report | None = None
+) -> dict[str, Any]:
+    """The figures of `measure_points` at the nominal point and at each value of each sweep."""
     points, nominal = sweep_points(loaded)
-    what = f"simulating {len(points)} x {config.episodes} episodes in {env.engine}"
-    with simulating(console, what, env.config.episode_steps, env.config.control_dt) as report:
-        measured = measure_points(loaded, points, config.episodes, config.seed, report)
+    measured = measure_points(loaded, points, episodes, seed, report)
     found = dict(zip(points, measured, strict=True))
     sweeps = {
         name: {
             "heading": heading,
             "unit": unit,
             "nominal": getattr(nominal, name),
-            "points": [{"value": value, **found[_point(nominal, name, value)]} for value in values],
+            "points": [
+                {"value": value, **found[replace(nominal, **{name: value})]} for value in values
+            ],
         }
         for name, (heading, unit, values) in SWEEPS.items()
     }
-    results = {
-        **provenance(loaded, config.seed),
-        "episodes": config.episodes,
-        "nominal": found[nominal],
-        "sweeps": sweeps,
-    }
-    print_sweep(results)
-    write_json_atomic(out / "sweep.json", results)
-    save_figure(draw_sweep([results]), out / "sweep.png")
-    console.print(f"written to {out}: sweep.json, sweep.png")
-    return results
+    return {"episodes": episodes, "nominal": found[nominal], "sweeps": sweeps}
 
 
 def sweep_points(loaded: LoadedRun) -> tuple[list[Point], Point]:
     """Every distinct point of all sweeps, and the one without any perturbation."""
     nominal = Point(friction=round(loaded.env.friction, 6))
     points = [
-        _point(nominal, name, value) for name, (_, _, values) in SWEEPS.items() for value in values
+        replace(nominal, **{name: value})
+        for name, (_, _, values) in SWEEPS.items()
+        for value in values
     ]
     return list(dict.fromkeys([nominal, *points])), nominal
-
-
-def _point(nominal: Point, name: str, value: float) -> Point:
-    return replace(nominal, **{name: value})
 
 
 def measure_points(
@@ -153,83 +115,23 @@ def measure_points(
     mean |yaw|, deg; with commands in its place velocity_error, m/s, and yaw_rate_error, rad/s, as
     in an evaluation, but that the windows do not overlap.
     """
-    env = loaded.env
-    tally = _simulate(env, loaded.policy.act, points, episodes, seed, report)
-    success = tally.end == env.ends.index("time limit")
-    figures = {"speed": tally.speed / tally.steps}
-    if env.config.command.given:
-        with np.errstate(invalid="ignore"):  # NaN where an episode was too short to be judged
-            errors = tally.errors / tally.windows[:, None]
-        figures |= {"velocity_error": errors[:, 0], "yaw_rate_error": errors[:, 1]}
-    else:
-        figures["heading_error"] = np.degrees(tally.heading / tally.steps)
-    measured = []
-    for k in range(len(points)):
-        own = slice(k * episodes, (k + 1) * episodes)
-        count = int(success[own].sum())
-        measured.append(
-            {
-                "success": count / episodes,
-                "success_ci95": list(share_interval(count, episodes)),
-                **{name: mean_figure(values[own]) for name, values in figures.items()},
-            }
-        )
-    return measured
+    env, starts = loaded.env, _starts(loaded.env, points, episodes, seed)
+    commands, dt = starts.pipeline_state.command, env.config.control_dt
+    commanded = None if commands is None else np.asarray(commands.velocity, float)
 
+    def measure(number: int, upright: bool, poses: np.ndarray) -> dict[str, float | bool]:
+        if commanded is None:
+            yaw = roll_pitch_yaw(poses[1:, 3:])[:, 2]
+            speed = (poses[-1, 0] - poses[0, 0]) / (dt * len(yaw))
+            return {"speed": speed, "heading_error": float(np.degrees(np.abs(yaw).mean()))}
+        velocity = heading_velocity(poses, dt)
+        command = np.broadcast_to(commanded[number], velocity.shape)
+        off = np.linalg.norm((velocity - command)[:, :2], axis=1)
+        errors = tracking_errors(velocity, command, dt, apart=round(WINDOW / dt))
+        speed = float(np.linalg.norm(command[0, :2]) - off.mean())
+        return {"speed": speed, "velocity_error": errors[0], "yaw_rate_error": errors[1]}
 
-def _simulate(
-    env: QuadrupedEnv,
-    policy: Policy,
-    points: list[Point],
-    episodes: int,
-    seed: int,
-    report: Report | None,
-) -> Tally:
-    """What len(points) * episodes episodes came to, point by point."""
-
-    @env.jit
-    def chunk(policy: Policy, states: State, tally: Tally) -> tuple[State, Tally]:
-        def step(carry: tuple[State, Tally], _: None) -> tuple[tuple[State, Tally], None]:
-            states, tally = carry
-            after = jax.vmap(env.step)(states, policy(states.obs))
-            return (after, jax.vmap(partial(_tallied, env))(tally, states, after)), None
-
-        return jax.lax.scan(step, (states, tally), None, length=CHUNK)[0]
-
-    states = _starts(env, points, episodes, seed)
-    zero = np.zeros(len(points) * episodes, np.float32)
-    none, pair, triple = zero.astype(np.int32), np.stack([zero] * 2, 1), np.stack([zero] * 3, 1)
-    tally = over_devices(env, Tally(none, none, zero, zero, triple, pair, none))
-    states, simulated = over_devices(env, states), 0
-    while not np.all(tally.end):
-        states, tally = chunk(policy, states, tally)
-        simulated += CHUNK
-        if report is not None:
-            report(simulated)
-    return jax.device_get(tally)
-
-
-def _tallied(env: QuadrupedEnv, tally: Tally, before: State, after: State) -> Tally:
-    """The tally of an episode after one more step; what has ended stays as it is."""
-    dt = env.config.control_dt
-    settling, window = round(SETTLING / dt), round(WINDOW / dt)
-    begun, state = before.pipeline_state, after.pipeline_state
-    steps = tally.steps + 1
-    drift = tally.drift + motion(begun.qpos, state.qpos, dt) - begun.velocity_command
-    full = (steps - settling) % window == 0
-    judged = full & (steps >= settling + window)
-    mean = drift / window
-    errors = jnp.stack([jnp.linalg.norm(mean[:2]), jnp.abs(mean[2])])
-    new = Tally(
-        end=after.info["end"],
-        steps=steps,
-        speed=tally.speed + after.metrics["speed"],
-        heading=tally.heading + jnp.abs(yaw(state.qpos[3:7])),
-        drift=jnp.where(full, 0.0, drift),
-        errors=tally.errors + jnp.where(judged, errors, 0.0),
-        windows=tally.windows + judged,
-    )
-    return jax.tree.map(lambda old, new: jnp.where(tally.end > 0, old, new), tally, new)
+    return measure_cells(env, loaded.policy.act, starts, episodes, measure, report=report)
 
 
 def _starts(env: QuadrupedEnv, points: list[Point], episodes: int, seed: int) -> State:
@@ -244,7 +146,7 @@ def _starts(env: QuadrupedEnv, points: list[Point], episodes: int, seed: int) ->
     readings = readings_needed(sensors, env.config.control_dt)
 
     keys = jax.random.split(jax.random.fold_in(jax.random.PRNGKey(seed), 1), episodes)
-    known = [p if p.friction is not None else _point(p, "friction", env.friction) for p in points]
+    known = [p if p.friction is not None else replace(p, friction=env.friction) for p in points]
     rows = np.array([dataclasses.astuple(point) for point in known], np.float32)
 
     def start(row: jax.Array, state: State, key: jax.Array) -> State:

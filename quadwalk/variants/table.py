@@ -14,7 +14,7 @@ from quadwalk.api import evaluate
 from quadwalk.cli import value_of
 from quadwalk.errors import UsageError
 from quadwalk.evaluate.report.plots import save_figure
-from quadwalk.evaluate.summary import figure_mean, number
+from quadwalk.evaluate.statistics import figure_mean, number
 from quadwalk.files import atomic_write, real_path
 from quadwalk.train.flags import parse_config
 from quadwalk.train.runs.directory import Run, write_json_atomic

@@ -11,7 +11,8 @@ import mujoco
 import numpy as np
 
 from quadwalk.evaluate.loaded import LoadedRun
-from quadwalk.evaluate.simulate import Policy, foot_forces, geom_ids
+from quadwalk.evaluate.motion.forces import foot_forces, geom_ids
+from quadwalk.evaluate.simulate import Policy
 from quadwalk.physics.model import Variation, vary_motor
 from quadwalk.physics.motor import Physics, control_step
 from quadwalk.physics.mujoco_c import varied_model

@@ -13,7 +13,6 @@ Results go to `--out` as they come, and notebooks/06_ground.ipynb shows them. To
 
 import argparse
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +22,7 @@ import numpy as np
 
 from quadwalk.evaluate.by_ground import ground_env, measure_by_ground
 from quadwalk.evaluate.loaded import load_run
+from quadwalk.evaluate.simulate import roll_out
 from quadwalk.ground.heightfield import Heightfield
 from quadwalk.process import run_command
 from quadwalk.train.flags import parse_config
@@ -67,18 +67,14 @@ def film(run: Run, kind: str) -> dict[str, Any]:
     env = ground_env(loaded, (kind,), levels=2)
     assert env.terrain is not None
     tile = env.terrain.tiles.index(env.terrain.tile(kind, 1))
-    act = loaded.policy.act
-
-    def step(state: Any, _: None) -> tuple[Any, Any]:
-        after = jax.vmap(env.step)(state, act(state.obs))
-        return after, (after.pipeline_state.qpos, after.done)
-
-    steps = env.config.episode_steps
     first = env.jit(jax.vmap(env.reset))(jax.random.PRNGKey(1)[None], jnp.array([tile]))
-    _, (qpos, done) = env.jit(partial(jax.lax.scan, step, length=steps))(first, None)
-    lasted = int(np.argmax(done[:, 0])) if np.any(done) else steps - 1
-    rows = np.linspace(0, lasted, FRAMES).round().astype(int)
-    states = np.asarray(qpos[rows, 0], float)
+
+    def qpos(before: Any, action: Any, after: Any) -> Any:
+        return after.pipeline_state.qpos
+
+    ((_, _, path),) = roll_out(env, loaded.policy.act, first, qpos)
+    rows = np.linspace(0, len(path) - 1, FRAMES).round().astype(int)
+    states = path[rows].astype(float)
     return {"qpos": states.round(4).tolist(), "ground": _cropped(env.terrain.field, states[:, :2])}
 
 

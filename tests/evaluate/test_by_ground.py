@@ -12,8 +12,8 @@ import pytest
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
+from scipy.spatial.transform import Rotation
 
-from quadwalk.evaluate import by_ground
 from quadwalk.evaluate.by_ground import PACE, measure_by_ground
 from quadwalk.evaluate.loaded import LoadedRun, unseen_ground
 from quadwalk.evaluate.motion.gait import measure_gait
@@ -22,6 +22,7 @@ from quadwalk.evaluate.recording.mcap import write_mcap
 from quadwalk.evaluate.report.console import print_by_ground
 from quadwalk.evaluate.report.panels import draw_by_ground
 from quadwalk.evaluate.report.pictures import draw_film_strip
+from quadwalk.evaluate.simulate import roll_out
 from quadwalk.ground.heightfield import Heightfield, centred
 from quadwalk.ground.terrain import FLAT, UNSEEN
 from quadwalk.settings.environment import NO_RANDOMISATION
@@ -34,35 +35,6 @@ from quadwalk.train.runs.policy import Policy
 DT = 0.02
 
 
-def gliding(velocity, heading, steps, end) -> tuple[str, np.ndarray]:
-    """The end and poses (steps + 1, 7) of a trunk gliding at `velocity` in the world."""
-    poses = np.zeros((steps + 1, 7))
-    poses[:, :2] = np.arange(steps + 1)[:, None] * DT * np.asarray(velocity)
-    poses[:, 3], poses[:, 6] = np.cos(heading / 2), np.sin(heading / 2)
-    return end, poses
-
-
-def test_the_figures_of_a_cell_are_those_of_its_episodes():
-    env = SimpleNamespace(
-        config=SimpleNamespace(
-            control_dt=DT, episode_steps=200, command=SimpleNamespace(given=True)
-        ),
-    )
-    # As told, north; .3 too slow and .4 to the left, to the time limit; a fall.
-    glides = [
-        gliding((0.0, PACE), np.pi / 2, 120, "time limit"),
-        gliding((0.4, 0.4), 0.0, 200, "time limit"),
-        gliding((0.1, 0.0), 0.0, 30, "tipped"),
-    ]
-    found = by_ground._figures([by_ground._episode(env, *glide) for glide in glides], told=True)
-    assert found["success"] == pytest.approx(2 / 3)
-    assert found["arrived"] == pytest.approx(1 / 3)
-    assert found["speed"]["mean"] == pytest.approx((PACE + 0.4 + 0.1) / 3)
-    # The last was too short to be judged.
-    assert found["velocity_error"]["mean"] == pytest.approx((0.0 + np.hypot(0.3, 0.4)) / 2)
-    json.dumps(found)
-
-
 def test_the_ground_of_an_evaluation_is_not_that_of_training():
     trained = rough.TASK.env.ground
     judged = unseen_ground(trained, seed=3, levels=4)
@@ -73,7 +45,7 @@ def test_the_ground_of_an_evaluation_is_not_that_of_training():
 
 
 class Walker(NamedTuple):
-    """A state whose trunk goes ahead 1 cm a step, from its tile's number on, m."""
+    """A state whose trunk goes ahead 1 cm a step."""
 
     qpos: jax.Array  # (19,)
     left: jax.Array  # steps
@@ -92,38 +64,27 @@ class Walker(NamedTuple):
 
 
 @pytest.mark.parametrize("room", [1, 2, 3, 7, 100])
-def test_each_episode_goes_on_to_its_own_end_whatever_there_is_room_for(monkeypatch, room):
-    lasts = np.array([3, 120, 50, 1, 51, 9, 70, 100])  # steps, of the episode on each tile
+def test_each_episode_goes_on_to_its_own_end_whatever_there_is_room_for(room):
+    lasts = np.array([3, 120, 50, 1, 51, 9, 70, 100, 3, 1])  # steps of each episode
     env = SimpleNamespace(
         engine="mujoco",
         ends=("running", "time limit"),
-        config=SimpleNamespace(
-            control_dt=DT,
-            episode_steps=120,
-            command=SimpleNamespace(given=False),
-        ),
+        config=SimpleNamespace(episode_steps=120),
         jit=jax.jit,
-        reset=lambda key, tile: Walker(
-            jnp.zeros(19).at[0].set(tile).at[3].set(1.0), jnp.asarray(lasts)[tile]
-        ),
         step=lambda state, _: Walker(state.qpos.at[0].add(0.01), state.left - 1),
     )
-    begun = []
-
-    def noted(env, end, poses):
-        begun.append((end, int(poses[0, 0]), len(poses) - 1))
-        return by_ground.Episode(True, False, float(poses[-1, 0] - poses[0, 0]), 0.0)
-
-    monkeypatch.setattr(by_ground, "ROOM", room)
-    monkeypatch.setattr(by_ground, "_episode", noted)
-    reported: list[int] = []
-    tiles = np.array([4, 1, 0, 0, 7, 6, 3, 2, 5, 1])
     act = jax.tree_util.Partial(lambda seen: seen[..., :12])
-    found = dict(by_ground._simulate(env, act, tiles, 0, reported.append))
-    assert sorted(found) == list(range(len(tiles)))
-    assert sorted(begun) == sorted(("time limit", tile, lasts[tile]) for tile in tiles)
-    for number, episode in found.items():
-        assert episode.speed == pytest.approx(0.01 * lasts[tiles[number]], abs=1e-4)
+    starts = Walker(jnp.zeros((len(lasts), 19)).at[:, 0].set(jnp.arange(10.0)), jnp.asarray(lasts))
+    reported: list[int] = []
+    places = roll_out(
+        env, act, starts, lambda before, action, after: after.qpos[:, 0], room, reported.append
+    )
+    found = {number: (end, x) for number, end, x in places}
+    assert sorted(found) == list(range(len(lasts)))
+    for number, (end, x) in found.items():
+        assert end == "time limit"
+        expected = number + 0.01 * np.arange(1, lasts[number] + 1)
+        np.testing.assert_allclose(x, expected, atol=1e-4)
     assert reported == sorted(reported)
     assert reported[-1] == 120
 
@@ -189,28 +150,44 @@ def loaded(quadruped, tmp_path_factory) -> LoadedRun:
 
 
 @pytest.mark.parametrize("difficulty", [(0.0, 1.0), (0.7, 0.7)])
-def test_a_cell_is_measured_on_its_own_tiles(loaded, monkeypatch, difficulty):
+def test_a_cell_has_the_figures_of_episodes_on_its_own_tiles(loaded, monkeypatch, difficulty):
     task = loaded.env.config
-    task = dataclasses.replace(task, ground=dataclasses.replace(task.ground, difficulty=difficulty))
+    ground = dataclasses.replace(task.ground, difficulty=difficulty)
+    task = dataclasses.replace(task, ground=ground, episode_seconds=4.0)
     loaded = dataclasses.replace(loaded, env=QuadrupedEnv(loaded.env.quadruped, task))
-    met = {}
+    # In the frame of the heading, m/s: as commanded; too slow and to the left; a fall.
+    kinds = [
+        ((PACE, 0.0), 120, "time limit"),
+        ((0.4, 0.4), 200, "time limit"),
+        ((0.1, 0.0), 30, "tipped"),
+    ]
+    met = []
 
-    def simulated(env, act, tiles, *_):
-        for number, tile in enumerate(tiles):
-            met[int(tile)] = env.terrain.tiles[tile]
-            yield number, by_ground.Episode(True, True, float(tile), 0.0)
+    def glide(env, policy, starts, *_):
+        """Episodes of these kinds in turn, in place of simulated ones."""
+        for number, start in enumerate(np.asarray(starts.pipeline_state.qpos[:, :7], float)):
+            met.append(env.terrain.tiles[int(starts.pipeline_state.tile[number])])
+            velocity, steps, end = kinds[number % 3]
+            turn = Rotation.from_quat(start[3:], scalar_first=True).as_euler("ZYX")[0]
+            moved = Rotation.from_euler("z", turn).apply([*velocity, 0.0])
+            poses = np.tile(start, (steps, 1))
+            poses[:, :3] += np.arange(1, steps + 1)[:, None] * DT * moved
+            yield number, end, poses
 
-    def figures(episodes, _):
-        return {"tiles": [int(episode.speed) for episode in episodes]}
-
-    monkeypatch.setattr(by_ground, "_simulate", simulated)
-    monkeypatch.setattr(by_ground, "_figures", figures)
-    found = measure_by_ground(loaded, levels=3, episodes=20, seed=0)
+    monkeypatch.setattr("quadwalk.evaluate.cells.roll_out", glide)
+    found = measure_by_ground(loaded, levels=3, episodes=18, seed=0)
     assert len(found["cells"]) == len(found["kinds"]) * len(found["difficulties"])
-    for cell in found["cells"]:
-        assert {met[tile].kind for tile in cell["tiles"]} == {cell["kind"]}
-        assert {met[tile].difficulty for tile in cell["tiles"]} == {cell["difficulty"]}
-        assert len(set(cell["tiles"])) >= 16
+    for number, cell in enumerate(found["cells"]):
+        own = met[18 * number : 18 * (number + 1)]
+        assert {tile.kind for tile in own} == {cell["kind"]}
+        assert {tile.difficulty for tile in own} == {cell["difficulty"]}
+        assert len({tile.start for tile in own}) >= 16
+        assert cell["success"] == pytest.approx(2 / 3)
+        assert cell["arrived"] == pytest.approx(1 / 3)
+        assert cell["speed"]["mean"] == pytest.approx((PACE + 0.4 + 0.1) / 3)
+        # The last was too short to be judged.
+        assert cell["velocity_error"]["mean"] == pytest.approx((0.0 + np.hypot(0.3, 0.4)) / 2)
+    json.dumps(found)
 
 
 def test_a_policy_is_measured_in_every_cell(loaded):

@@ -11,8 +11,8 @@ import pytest
 
 from quadwalk.cli import parse
 from quadwalk.errors import UsageError, UserError
-from quadwalk.evaluate import judge as judging
-from quadwalk.evaluate.judge import evaluate
+from quadwalk.evaluate import command
+from quadwalk.evaluate.command import evaluate_runs
 from quadwalk.evaluate.options import EvalConfig
 from quadwalk.evaluate.recording.provenance import revision
 
@@ -29,7 +29,7 @@ def runs(tmp_path) -> Path:
 def said(runs: Path, *args: str) -> str:
     """The error of these arguments."""
     with pytest.raises(UserError) as caught:
-        evaluate(parse(EvalConfig, [*args, f"--runs={runs}"], "eval.py"))
+        evaluate_runs(parse(EvalConfig, [*args, f"--runs={runs}"], "eval.py"))
     assert "\n" not in str(caught.value)
     assert (caught.type, caught.value.exit_status) in ((UsageError, 2), (UserError, 1))
     return f"{caught.value.exit_status}: {caught.value}"
@@ -112,13 +112,12 @@ def test_evaluations_of_the_same_second_have_folders_of_their_own(runs, monkeypa
         (out,) = (arg for arg in args if isinstance(arg, Path))
         (out / "results").write_text("")
 
-    monkeypatch.setattr(judging, "datetime", clock)
+    monkeypatch.setattr(command, "datetime", clock)
     monkeypatch.setattr("quadwalk.evaluate.loaded.load_run", lambda *_: None)
-    monkeypatch.setattr("quadwalk.evaluate.sweep.sweep", written)
-    for name in ("judge", "compare", "_compare_sweeps"):
-        monkeypatch.setattr(judging, name, written)
+    for name in ("judge", "sweep", "compare", "compare_sweeps"):
+        monkeypatch.setattr(f"quadwalk.evaluate.judge.{name}", written)
     for _ in range(3):
-        evaluate(EvalConfig(run=names, runs=runs, sweep=kind == "sweep"))
+        evaluate_runs(EvalConfig(run=names, runs=runs, sweep=kind == "sweep"))
     numbered = {f"2026-01-02_030405-{kind}{number}" for number in ("", "-2", "-3")}
     places = [runs / name / "eval" for name in names]
     for place in [*places, *[runs / "comparisons"] * (len(names) > 1)]:

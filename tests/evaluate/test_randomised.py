@@ -13,10 +13,11 @@ from mcap.reader import make_reader
 
 from quadwalk.evaluate import evaluation as measuring
 from quadwalk.evaluate import simulate as simulating
+from quadwalk.evaluate.motion.forces import with_foot_forces
 from quadwalk.evaluate.motion.gait import measure_gait
 from quadwalk.evaluate.recording.mcap import write_mcap
 from quadwalk.evaluate.report.plots import draw_report
-from quadwalk.evaluate.simulate import simulate_episodes, with_foot_forces
+from quadwalk.evaluate.simulate import simulate_episodes
 from quadwalk.evaluate.summary import AT_LIMIT, episode_figures
 from quadwalk.physics.mujoco_c import varied_model
 from quadwalk.settings.environment import NO_RANDOMISATION
@@ -143,7 +144,7 @@ def test_episodes_in_groups_are_those_of_one_batch(env, rollouts, monkeypatch):
     loaded = SimpleNamespace(env=env, policy=SimpleNamespace(act=tremble()))
     reported: list[int] = []
     found = measuring.measure(loaded, EPISODES, 0, reported.append, whole=1)
-    assert reported == [25, 50]  # of 50 steps
+    assert reported == [33, 50]  # of 50 steps: two of three episodes, then all
     assert [episode["episode"] for episode in found.episodes] == [0, 1, 2]
     assert [rollout.episode for rollout in found.rollouts] == [0]
     middle = int(np.argsort([episode["speed"] for episode in found.episodes])[1])

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from quadwalk.evaluate.summary import mean_interval, number, share_interval
+from quadwalk.evaluate.statistics import mean_interval, number, share_interval
 
 # Two-sided 95 % points of Student's t by degrees of freedom, as tables print them (Fisher,
 # "Statistical Methods for Research Workers", 1925, table IV).

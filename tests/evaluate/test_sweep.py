@@ -1,6 +1,7 @@
 """Episodes under other conditions against MuJoCo C, which is told what these should come to."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -9,10 +10,11 @@ import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from quadwalk.evaluate import loaded as loading
 from quadwalk.evaluate.loaded import load_run
-from quadwalk.evaluate.sweep import Point, _starts, conditions_at
+from quadwalk.evaluate.sweep import Point, conditions_at, measure_points
 from quadwalk.paths import PRETRAINED
 from quadwalk.settings.environment import NO_RANDOMISATION
 from quadwalk.task.env import QuadrupedEnv
@@ -27,7 +29,7 @@ from quadwalk.task.episode.conditions import (
     targets_needed,
     widened,
 )
-from quadwalk.tasks import run, sprint
+from quadwalk.tasks import run, sprint, walk
 from quadwalk.train.runs.directory import Run
 from quadwalk.train.runs.policy import load_policy
 
@@ -271,14 +273,37 @@ def test_a_delay_between_two_physics_steps_is_one_or_the_other(env):
     assert waited.mean() == pytest.approx(2.3, abs=0.03)
 
 
-def test_a_swept_delay_is_the_one_that_it_is_called(quadruped):
-    config = dataclasses.replace(sprint.TASK.env, physics_dt=0.005, substeps=4)
-    env = QuadrupedEnv(quadruped, config)
+def test_a_point_is_begun_and_tracked_as_it_is_called(quadruped, monkeypatch):
+    """A swept delay is the one named, and errors are of half seconds from 1 s on."""
+    config = dataclasses.replace(walk.TASK.env, physics_dt=0.005, substeps=4)
+    env, begun, count = QuadrupedEnv(quadruped, config), [], 110
+    off = np.random.default_rng(0).uniform(-1, 1, (2, count, 3))
+
+    def glide(env, policy, starts, *_):
+        """Episodes as fast as the command and `off`, in place of simulated ones."""
+        begun.append(starts.pipeline_state.conditions)
+        commands = np.asarray(starts.pipeline_state.command.velocity)
+        for number, start in enumerate(np.asarray(starts.pipeline_state.qpos)):
+            velocity = commands[number] + off[number]
+            first = Rotation.from_quat(start[3:7], scalar_first=True).as_euler("ZYX")[0]
+            turned = Rotation.from_euler("z", (first + 0.02 * np.cumsum(velocity[:, 2]))[:, None])
+            path = start[:3] + 0.02 * np.cumsum(turned.apply(velocity * [1, 1, 0]), axis=0)
+            poses = np.concatenate([path, turned.as_quat(scalar_first=True)], axis=1)
+            yield number, "tipped" if number else "time limit", poses
+
+    monkeypatch.setattr("quadwalk.evaluate.cells.roll_out", glide)
+    loaded = SimpleNamespace(env=env, policy=SimpleNamespace(act=None))
     points = [Point(friction=1.0, delay=delay) for delay in (8.0, 12.0)]
-    starts = _starts(env, points, 1, 0).pipeline_state.conditions
-    np.testing.assert_allclose(starts.delay * env.stepping.dt, [0.008, 0.012], rtol=1e-6)
+    found = measure_points(loaded, points, 1, 0)
+    np.testing.assert_allclose(begun[0].delay * env.stepping.dt, [0.008, 0.012], rtol=1e-6)
     # Of 12 ms a control step of 20 ms has none, or all, from the one before.
-    assert starts.targets.shape[1] == 2
+    assert begun[0].targets.shape[1] == 2
+    means = off[:, 50:100].reshape(2, 2, 25, 3).mean(axis=2)
+    for point, mean, success in zip(found, means, (1.0, 0.0), strict=True):
+        expected = np.linalg.norm(mean[:, :2], axis=1).mean()
+        assert point["success"] == success
+        assert point["velocity_error"]["mean"] == pytest.approx(expected, rel=1e-4)
+        assert point["yaw_rate_error"]["mean"] == pytest.approx(np.abs(mean[:, 2]).mean(), rel=1e-4)
 
 
 def test_half_as_wide_again_as_training_is_still_a_robot_on_a_floor(quadruped):

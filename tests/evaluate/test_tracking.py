@@ -1,27 +1,18 @@
 """How far an episode was from its commands, on courses drawn with a known error."""
 
 import dataclasses
-from types import SimpleNamespace
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from quadwalk.evaluate import loaded as loading
+from quadwalk.evaluate.motion.course import heading_velocity, path_length, tracking_errors
 from quadwalk.evaluate.motion.gait import measure_gait
-from quadwalk.evaluate.rollout import first_steps
+from quadwalk.evaluate.rollout import Rollout, first_steps
 from quadwalk.evaluate.simulate import simulate_episodes
-from quadwalk.evaluate.summary import (
-    episode_figures,
-    heading_velocity,
-    path_length,
-    summarise,
-    tracking_errors,
-    typical_episode,
-)
-from quadwalk.evaluate.sweep import Tally, _tallied
+from quadwalk.evaluate.summary import episode_figures, summarise, typical_episode
 from quadwalk.settings.environment import CommandConfig
 from quadwalk.task.env import QuadrupedEnv
 from quadwalk.tasks import sprint, walk
@@ -55,66 +46,51 @@ def glide(simulate):
 
 def test_velocity_in_the_frame_of_the_heading(glide):
     velocity = np.random.default_rng(0).uniform(-3, 3, (STEPS, 3))
-    np.testing.assert_allclose(heading_velocity(glide(velocity, 0.0)), velocity, atol=1e-9)
+    np.testing.assert_allclose(heading_velocity(glide(velocity, 0.0).qpos, DT), velocity, atol=1e-9)
+
+
+def errors_of(rollout: Rollout) -> tuple[float, float]:
+    """m/s and rad/s, of the rollout's velocity and commands."""
+    return tracking_errors(heading_velocity(rollout.qpos, DT), rollout.command, DT)
 
 
 def test_a_constant_error_is_found(glide):
-    found = tracking_errors(glide((1.3, -0.4, 0.75), (1.0, 0.0, 1.0)))
+    found = errors_of(glide((1.3, -0.4, 0.75), (1.0, 0.0, 1.0)))
     assert found == pytest.approx((0.5, 0.25))
 
 
 def test_swaying_within_a_stride_is_no_error(glide):
     sway = np.sin(2 * np.pi * np.arange(STEPS) / 25)[:, None]  # a period of half a second
-    found = tracking_errors(glide([0.5, 0.2, -0.3] + 0.4 * sway, (0.5, 0.2, -0.3)))
+    found = errors_of(glide([0.5, 0.2, -0.3] + 0.4 * sway, (0.5, 0.2, -0.3)))
     assert found == pytest.approx((0.0, 0.0), abs=1e-9)
 
 
 def test_a_second_to_obey_is_given_at_the_start_and_after_a_change(glide):
     command = np.where(np.arange(STEPS)[:, None] < 100, [1.0, 0.0, 0.0], [0.0, 0.5, -1.0])
     late = np.concatenate([np.zeros((50, 3)), command[:-50]])  # 1 s behind
-    assert tracking_errors(glide(late, command)) == pytest.approx((0.0, 0.0), abs=1e-9)
+    assert errors_of(glide(late, command)) == pytest.approx((0.0, 0.0), abs=1e-9)
     later = np.concatenate([np.zeros((75, 3)), command[:-75]])  # 1.5 s behind
-    assert tracking_errors(glide(later, command)) > (0.2, 0.1)
+    assert errors_of(glide(later, command)) > (0.2, 0.1)
     # Of each command the windows that begin 1 s after it: 26 of 0.5 s, of which the first is off.
     ramp = np.linspace(1, 0, 26)[:, None]
     sizes = np.array([1.0, np.hypot(1.0, 0.5)]) * ramp
-    assert tracking_errors(glide(later, command))[0] == pytest.approx(sizes.mean())
+    assert errors_of(glide(later, command))[0] == pytest.approx(sizes.mean())
 
 
 def test_an_episode_too_short_has_no_error(glide):
     rollout = glide((1.0, 0.0, 0.0), (1.0, 0.0, 0.0))
-    assert np.isnan(tracking_errors(first_steps(rollout, 74))).all()
+    assert np.isnan(errors_of(first_steps(rollout, 74))).all()
     short = episode_figures(first_steps(rollout, 74), sprint.TASK.env.reward, WEIGHT, EFFORT)
     assert (short["velocity_error"], short["yaw_rate_error"]) == (None, None)
-    assert tracking_errors(first_steps(rollout, 75)) == pytest.approx((0.0, 0.0), abs=1e-9)
+    assert errors_of(first_steps(rollout, 75)) == pytest.approx((0.0, 0.0), abs=1e-9)
 
 
-def test_a_sweep_tracks_as_an_evaluation_does(glide):
+def test_windows_apart_are_a_part_of_all(glide):
     velocity = np.array([1.0, 0.2, 0.5]) + np.random.default_rng(0).uniform(-1, 1, (STEPS, 3))
-    command = np.array([1.0, 0.0, 0.3], np.float32)
-    rollout = glide(velocity, command)
-    env = SimpleNamespace(config=SimpleNamespace(control_dt=DT))
-    nothing = np.zeros((), np.float32)
-
-    def state(qpos, end):
-        return SimpleNamespace(
-            pipeline_state=SimpleNamespace(qpos=qpos, velocity_command=command),
-            metrics={"speed": nothing},
-            info={"end": end},
-        )
-
-    def step(tally, row):
-        before, after, end = row
-        return _tallied(env, tally, state(before, 0), state(after, end)), None
-
-    tally = Tally(np.int32(0), np.int32(0), nothing, nothing, np.zeros(3), np.zeros(2), np.int32(0))
-    ends = (np.arange(STEPS) >= STEPS - 21).astype(np.int32)  # the last whole window ends before
-    rows = jax.tree.map(jnp.asarray, (rollout.qpos[:-1], rollout.qpos[1:], ends))
-    tally = jax.jit(lambda tally: jax.lax.scan(step, tally, rows))(tally)[0]
-    assert (tally.end, tally.steps, tally.windows) == (1, STEPS - 20, 5)
-    means = (velocity - command)[50:175].reshape(5, 25, 3).mean(axis=1)
-    expected = [np.linalg.norm(means[:, :2], axis=1).mean(), np.abs(means[:, 2]).mean()]
-    np.testing.assert_allclose(tally.errors / 5, expected, rtol=1e-3)
+    command = np.broadcast_to([1.0, 0.0, 0.3], (STEPS, 3))
+    means = (velocity - command)[50:].reshape(6, 25, 3).mean(axis=1)
+    expected = (np.linalg.norm(means[:, :2], axis=1).mean(), np.abs(means[:, 2]).mean())
+    assert tracking_errors(velocity, command, DT, apart=25) == pytest.approx(expected)
 
 
 def test_the_path_is_as_long_as_the_way_it_went(glide):

@@ -9,6 +9,15 @@ from dataclasses import dataclass, fields
 import mujoco
 import numpy as np
 
+from quadwalk.evaluate.motion.course import (
+    LEAST_DISTANCE,
+    SETTLING,
+    action_rate,
+    heading_velocity,
+    measure_course,
+    motor_limits,
+    weight_of,
+)
 from quadwalk.evaluate.motion.footfalls import (
     Footfalls,
     analyse_footfalls,
@@ -17,16 +26,7 @@ from quadwalk.evaluate.motion.footfalls import (
 )
 from quadwalk.evaluate.motion.kinematics import foot_poses, roll_pitch_yaw, rotations
 from quadwalk.evaluate.rollout import Rollout, finite_part
-from quadwalk.evaluate.summary import (
-    LEAST_DISTANCE,
-    SETTLING,
-    action_rate,
-    heading_velocity,
-    measure_course,
-    motor_limits,
-    number,
-    weight_of,
-)
+from quadwalk.evaluate.statistics import number
 from quadwalk.ground.heightfield import heights_under
 from quadwalk.robot.quadruped import Quadruped
 
@@ -149,8 +149,11 @@ def _stride_length(rollout: Rollout, frequency: float) -> float:
     """m: horizontal speed, with commands in the frame of the heading, over `frequency` in Hz."""
     if not frequency > 0:
         return np.nan
-    velocity = rollout.qvel[:, :2] if rollout.command is None else heading_velocity(rollout)[:, :2]
-    return float(np.linalg.norm(velocity[_settled(rollout) :].mean(axis=0)) / frequency)
+    velocity = rollout.qvel
+    if rollout.command is not None:
+        velocity = heading_velocity(rollout.qpos, rollout.control_dt)
+    mean = velocity[_settled(rollout) :, :2].mean(axis=0)
+    return float(np.linalg.norm(mean) / frequency)
 
 
 def _hip_height(model: mujoco.MjModel, quadruped: Quadruped) -> float:

@@ -19,11 +19,11 @@ from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from google.protobuf.message import Message
 from google.protobuf.timestamp_pb2 import Timestamp
 
+from quadwalk.evaluate.motion.course import weight_of
 from quadwalk.evaluate.motion.kinematics import foot_poses, link_frames, rotations
 from quadwalk.evaluate.recording.encoding import Scalars, cdr_string, compact
 from quadwalk.evaluate.recording.markers import SCENE_PERIOD, SceneWriter, draw_ground
 from quadwalk.evaluate.rollout import Rollout, finite_states
-from quadwalk.evaluate.summary import weight_of
 from quadwalk.ground.heightfield import field_of
 from quadwalk.robot.quadruped import Quadruped
 

@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from quadwalk.evaluate.motion.gait import Gait
-from quadwalk.evaluate.summary import FIGURES, engine_differences
+from quadwalk.evaluate.summary import FIGURES, engine_differences, engines_of
 
 _NONE = "-"
 # What the table of a sweep shows beside success, of what there is.
@@ -50,23 +50,22 @@ def print_engines(mjx: dict[str, Any], mujoco: dict[str, Any]) -> None:
     _print_table("MuJoCo C against MJX, the same starts", headings, rows)
 
 
-def print_comparison(comparison: dict[str, Any]) -> None:
-    """Runs from the same starts side by side, one column each."""
-    runs = comparison["runs"]
-    summaries = [run["summary"] for run in runs]
+def print_comparison(labels: Sequence[str], results: Sequence[dict[str, Any]]) -> None:
+    """Metrics of runs from the same starts side by side, one column each."""
+    summaries = [result["summary"] for result in results]
     rows = [
-        ("training", *(f"{run['training_steps']:,}" for run in runs), "steps"),
+        ("training", *(f"{result['training_steps']:,}" for result in results), "steps"),
         ("falls", *map(_falls_text, summaries), "%"),
     ]
     for name, heading, unit in _figures(*summaries):
         # A run may have been trained without some of the terms.
         rows.append((heading, *(figure_text(each.get(name)) for each in summaries), unit))
-    rows.append(("gait", *(run["typical_episode"]["gait"] for run in runs), ""))
+    rows.append(("gait", *(result["typical_episode"]["gait"] for result in results), ""))
     title = (
         f"{summaries[0]['episodes']} episodes each from the same starts, engine "
-        f"{comparison['engine']}, mean ± 95 %"
+        f"{engines_of(results)}, mean ± 95 %"
     )
-    _print_table(title, ("", *(run["name"] for run in runs), "unit"), rows)
+    _print_table(title, ("", *labels, "unit"), rows)
 
 
 def print_sweep(results: dict[str, Any]) -> None:

@@ -9,7 +9,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from quadwalk.evaluate.report.plots import INK, LEG_COLOURS, new_figure, tidy
-from quadwalk.evaluate.summary import FIGURES, figure_mean
+from quadwalk.evaluate.statistics import figure_mean
+from quadwalk.evaluate.summary import FIGURES, engines_of
 
 _SWEEP_COLUMNS = 5
 _COLUMNS = 3  # panels of a comparison in a row
@@ -129,7 +130,7 @@ def draw_comparison(labels: list[str], results: list[dict[str, Any]]) -> Figure:
     figure = new_figure(
         (15, 4.5 * lines),
         f"{first['summary']['episodes']} episodes of up to {first['seconds']:g} s each, from the "
-        f"same starts, engine {first['engine']}: mean, its 95 % interval, and every episode",
+        f"same starts, engine {engines_of(results)}: mean, its 95 % interval, and every episode",
     )
     panels: Any = figure.subplots(lines, _COLUMNS).ravel()
     tidy(panels[0], "episodes that end by a fall", "%")

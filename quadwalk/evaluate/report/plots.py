@@ -9,11 +9,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
+from quadwalk.evaluate.motion.course import heading_velocity, motor_limits
 from quadwalk.evaluate.motion.footfalls import contact_spans, without_chatter
 from quadwalk.evaluate.motion.gait import footfalls_of, measure_gait
 from quadwalk.evaluate.motion.kinematics import roll_pitch_yaw
 from quadwalk.evaluate.rollout import Rollout, finite_part
-from quadwalk.evaluate.summary import heading_velocity, motor_limits
 from quadwalk.files import atomic_write
 from quadwalk.ground.heightfield import heights_under
 from quadwalk.robot.quadruped import Quadruped
@@ -164,7 +164,7 @@ def draw_speed(axes: Axes, rollout: Rollout) -> None:
 
 def _tracking(axes: Axes, rollout: Rollout) -> None:
     assert rollout.command is not None
-    velocity, time = heading_velocity(rollout), rollout.time[1:]
+    velocity, time = heading_velocity(rollout.qpos, rollout.control_dt), rollout.time[1:]
     for column, label in enumerate(("forward", "lateral", "yaw rate, rad/s")):
         colour = LEG_COLOURS[3 - column]
         axes.plot(time, velocity[:, column], color=colour, label=label, linewidth=0.9, alpha=0.7)

@@ -1,0 +1,58 @@
+"""Many episodes in cells of equal size, of which no more than the trunk's path is kept."""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax
+import numpy as np
+from brax.envs.base import State
+
+from quadwalk.evaluate.simulate import Policy, Report, roll_out
+from quadwalk.evaluate.statistics import mean_figure, share_interval
+from quadwalk.task.env import QuadrupedEnv
+
+# An episode's number, whether it came to its end without a fall, and its trunk's poses (T + 1, 7),
+# m and wxyz, to its figures.
+Measure = Callable[[int, bool, np.ndarray], dict[str, float | bool]]
+
+
+def measure_cells(
+    env: QuadrupedEnv,
+    policy: Policy,
+    starts: State,
+    episodes: int,
+    measure: Measure,
+    room: int | None = None,
+    report: Report | None = None,
+) -> list[dict[str, Any]]:
+    """Success and the figures of each cell, `episodes` of `starts` (n, ...) on end, for JSON.
+
+    `success` is the share without a fall, `success_ci95` its interval. Of a figure there is the
+    `mean_figure`, or of one that is true or false its share. `room` is that of `roll_out`.
+    """
+    first = np.asarray(starts.pipeline_state.qpos[:, :7])
+    found: dict[int, dict[str, float | bool]] = {}
+    for number, end, path in roll_out(env, policy, starts, _pose, room, report):
+        poses, upright = np.concatenate([first[number, None], path]), end == "time limit"
+        found[number] = {"success": upright} | measure(number, upright, poses.astype(float))
+    return [
+        _figures([found[start + k] for k in range(episodes)])
+        for start in range(0, len(found), episodes)
+    ]
+
+
+def _pose(before: State, action: jax.Array, after: State) -> jax.Array:
+    pose: jax.Array = after.pipeline_state.qpos[:, :7]
+    return pose
+
+
+def _figures(found: Sequence[dict[str, float | bool]]) -> dict[str, Any]:
+    """The figures of one cell from those of its episodes."""
+    figures: dict[str, Any] = {}
+    for name, example in found[0].items():
+        values = [each[name] for each in found]
+        figures[name] = (
+            sum(values) / len(values) if isinstance(example, bool) else mean_figure(values)
+        )
+    succeeded = sum(bool(each["success"]) for each in found)
+    return figures | {"success_ci95": list(share_interval(succeeded, len(found)))}
