@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from quadwalk.errors import UsageError
 from quadwalk.evaluate.evaluation import Evaluation, measure
 from quadwalk.evaluate.loaded import load_run
+from quadwalk.evaluate.report.console import print_comparison
 from quadwalk.settings.serialise import with_settings
 from quadwalk.settings.training import TrainConfig
 from quadwalk.task.env import QuadrupedEnv
@@ -118,9 +119,7 @@ def compare(results: Mapping[str, Evaluation]) -> "Figure":
 
     `UsageError` unless they are of the same episodes: by number, time limit and seed.
     """
-    # Matplotlib, which the others need not.
-    from quadwalk.evaluate.report.console import print_comparison
-    from quadwalk.evaluate.report.panels import draw_comparison
+    from quadwalk.evaluate.report.panels import draw_comparison  # Matplotlib: no other needs it
 
     found = [result.results for result in results.values()]
     starts = {(each["summary"]["episodes"], each["seconds"], each["seed"]) for each in found}

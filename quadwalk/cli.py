@@ -24,16 +24,16 @@ def parse(
 
     `description` is for `--help`, in place of the docstring of `cls`.
     """
-    import tyro
+    import tyro  # not at the top: commands that use `ArgumentParser` begin without it
 
     # Not public yet, so pyproject.toml names an exact version of tyro.
-    from tyro._errors import ParseErrorEvent, UnrecognizedArgs, on_parse_error
+    errors = tyro._errors
 
     unknown: list[str] = []
     see = f"({prog} --help lists all)"
 
-    def refuse(event: ParseErrorEvent) -> None:
-        if isinstance(event, UnrecognizedArgs):
+    def refuse(event: Any) -> None:
+        if isinstance(event, errors.UnrecognizedArgs):
             unknown.extend(event.tokens)  # and tyro goes on to say which flags are like it
             return
         argument = getattr(event, "argument", None)
@@ -49,7 +49,7 @@ def parse(
 
     printed = io.StringIO()
     try:
-        with on_parse_error(refuse), contextlib.redirect_stderr(printed):
+        with errors.on_parse_error(refuse), contextlib.redirect_stderr(printed):
             settings: Any = tyro.cli(
                 cls,
                 prog=prog,

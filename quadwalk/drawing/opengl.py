@@ -3,6 +3,7 @@
 import contextlib
 import ctypes.util
 import functools
+import importlib
 import io
 import os
 import sys
@@ -121,13 +122,9 @@ class GlPainter:
 
 
 def _context_class(library: str) -> type:
-    if library == "osmesa":
-        from mujoco.osmesa import GLContext
-    elif library == "egl":
-        from mujoco.egl import GLContext
-    else:
-        from mujoco import GLContext
-    return GLContext
+    module = {"osmesa": "mujoco.osmesa", "egl": "mujoco.egl"}.get(library, "mujoco")
+    context: type = importlib.import_module(module).GLContext
+    return context
 
 
 def _bring_near(scene: mujoco.MjvScene) -> None:
