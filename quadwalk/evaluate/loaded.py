@@ -8,7 +8,12 @@ from quadwalk.errors import UserError
 from quadwalk.files import read_bytes
 from quadwalk.ground.terrain import FLAT, GroundConfig
 from quadwalk.physics.engines import EngineName
-from quadwalk.task.config import NO_RANDOMISATION, REAL_WORLD, EnvConfig, RandomisationConfig
+from quadwalk.settings.environment import (
+    NO_RANDOMISATION,
+    REAL_WORLD,
+    EnvConfig,
+    RandomisationConfig,
+)
 from quadwalk.task.env import QuadrupedEnv
 from quadwalk.train.robot import load_robot
 from quadwalk.train.runs import checkpoint

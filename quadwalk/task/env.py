@@ -15,7 +15,8 @@ from quadwalk.physics.constraints.surface import Surface, given
 from quadwalk.physics.engines import ENGINES, EngineName, fast, mujoco_c
 from quadwalk.physics.motor import Effort, Physics, make_motor
 from quadwalk.robot.quadruped import Quadruped
-from quadwalk.task.config import EnvConfig
+from quadwalk.settings.environment import EnvConfig
+from quadwalk.settings.terms import Observation
 from quadwalk.task.episode.command import first_command, next_command
 from quadwalk.task.episode.conditions import (
     Conditions,
@@ -41,7 +42,6 @@ from quadwalk.task.state import (
     mean_velocity,
 )
 from quadwalk.task.termination import terminations
-from quadwalk.task.terms import Observation
 
 CONTACT_GAP = 1e-3  # m: a foot closer to the floor than this counts as touching it
 FARTHEST = 1e6  # m or rad: no sound state of a robot has a place, or an angle, beyond

@@ -16,10 +16,10 @@ from quadwalk.errors import UsageError
 from quadwalk.evaluate.report.plots import save_figure
 from quadwalk.evaluate.statistics import figure_mean, number
 from quadwalk.files import atomic_write, real_path
+from quadwalk.settings.training import TrainConfig
 from quadwalk.train.flags import parse_config
 from quadwalk.train.runs.directory import Run, write_json_atomic
 from quadwalk.train.runs.log import read_history
-from quadwalk.train.settings import TrainConfig
 from quadwalk.variants.arguments import CompareConfig
 from quadwalk.variants.bands import draw_bands
 from quadwalk.variants.trainings import check_same, in_processes, trained

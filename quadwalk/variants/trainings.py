@@ -11,12 +11,12 @@ from typing import Any, TypeVar
 
 from quadwalk.api import train
 from quadwalk.errors import UserError
+from quadwalk.settings.training import TrainConfig
 from quadwalk.train.devices import set_up_devices
 from quadwalk.train.robot import content, load_robot
 from quadwalk.train.runs.directory import Run
 from quadwalk.train.runs.policy import load_score
 from quadwalk.train.runs.resume import read_config
-from quadwalk.train.settings import TrainConfig
 
 T = TypeVar("T")
 
