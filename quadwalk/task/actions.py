@@ -5,9 +5,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from quadwalk.settings.terms import ActionMap
+from quadwalk.task.mirror import JOINTS, mirrors
 from quadwalk.task.robot_arrays import RobotArrays
 
 
+@mirrors(JOINTS)
 def about_home(
     robot: RobotArrays,
     action: jax.Array,

@@ -10,13 +10,15 @@ import mujoco
 import numpy as np
 from brax.envs.base import Env, State
 
+from quadwalk.errors import UserError
 from quadwalk.ground.terrain import Terrain, leg_length, make_terrain
 from quadwalk.physics.constraints.surface import Surface, given
 from quadwalk.physics.engines import ENGINES, EngineName, fast, mujoco_c
 from quadwalk.physics.motor import Effort, Physics, make_motor
+from quadwalk.robot.mirror import Mirror, joined, robot_mirror
 from quadwalk.robot.quadruped import Quadruped
 from quadwalk.settings.environment import EnvConfig
-from quadwalk.settings.terms import Observation
+from quadwalk.settings.terms import Observation, Term
 from quadwalk.task.episode.command import first_command, next_command
 from quadwalk.task.episode.conditions import (
     Conditions,
@@ -31,6 +33,7 @@ from quadwalk.task.episode.conditions import (
 )
 from quadwalk.task.episode.curriculum import begin_travel, make_curriculum, travel_on
 from quadwalk.task.episode.reset import fresh_start, on_tile
+from quadwalk.task.mirror import Mirrors, mirror_of, with_history
 from quadwalk.task.observation import observe
 from quadwalk.task.reward import reward_terms, total_reward
 from quadwalk.task.robot_arrays import above_ground, robot_arrays, task_robot
@@ -451,6 +454,43 @@ class QuadrupedEnv(Env):
     def critic_names(self) -> tuple[str, ...]:
         """A name for each number that the value network sees besides."""
         return tuple(n for names in self._names(self.config.critic).values() for n in names)
+
+    @property
+    def mirrors(self) -> Mirrors | None:
+        """How observation and action look in the sagittal mirror; None: see `asymmetry`."""
+        return None if isinstance(self._mirrored, str) else self._mirrored
+
+    @property
+    def asymmetry(self) -> str | None:
+        """In one line, why there are no `mirrors`; None where there are."""
+        return self._mirrored if isinstance(self._mirrored, str) else None
+
+    @cached_property
+    def _mirrored(self) -> Mirrors | str:
+        """`mirrors`, or why there are none; `UserError` where a term says it of another size."""
+        robot = robot_mirror(self.quadruped, self.mj_model)
+        if isinstance(robot, str):
+            return robot
+        config, found = self.config, list[Mirror]()
+        terms: list[tuple[str, Term, int]] = [("action", config.action, 12)]
+        for group, parts in (("observation", config.observation), ("critic", config.critic)):
+            terms += [
+                (f"{group} {name!r}", parts[name], len(names))
+                for name, names in self._names(parts).items()
+            ]
+        for what, term, size in terms:
+            own = mirror_of(term.function, term.params, robot) if size else joined()
+            if own is None:
+                return f"the {what} does not say how it mirrors; expected @mirrors on its function"
+            if len(own.source) != size:
+                raise UserError(
+                    f"the {what} has {size} numbers, and its function says how "
+                    f"{len(own.source)} mirror; expected as many"
+                )
+            found.append(own)
+        action, seen = found[0], found[1 : 1 + len(config.observation)]
+        critic = found[1 + len(config.observation) :]
+        return Mirrors(joined(with_history(joined(*seen), self._history), *critic), action)
 
     @property
     def policy_size(self) -> int:

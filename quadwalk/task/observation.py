@@ -12,40 +12,60 @@ import numpy as np
 
 from quadwalk.physics.rotation import rotate_inverse, yaw
 from quadwalk.settings.terms import Observation
+from quadwalk.task.mirror import (
+    AXIAL,
+    FEET,
+    JOINTS,
+    LATERAL,
+    LINKS,
+    SCALAR,
+    VECTOR,
+    Mirror,
+    grid,
+    mirrors,
+)
 from quadwalk.task.robot_arrays import RobotArrays, above_ground
 from quadwalk.task.state import EnvState, trot_swing
 
 
+@mirrors(VECTOR)
 def velocity(robot: RobotArrays, state: EnvState) -> jax.Array:
     """Linear velocity of the trunk (3,), body frame, m/s."""
     return rotate_inverse(state.qpos[3:7], state.qvel[:3])
 
 
+@mirrors(AXIAL)
 def angular_velocity(robot: RobotArrays, state: EnvState) -> jax.Array:
     """Angular velocity of the trunk (3,), body frame, rad/s."""
     return state.qvel[3:6]
 
 
+@mirrors(VECTOR)
 def gravity(robot: RobotArrays, state: EnvState) -> jax.Array:
     """Direction of gravity (3,), body frame, a unit vector."""
     return rotate_inverse(state.qpos[3:7], jnp.array([0.0, 0.0, -1.0]))
 
 
+@mirrors(LATERAL)
 def heading(robot: RobotArrays, state: EnvState) -> jax.Array:
     """Angle of the trunk's x axis from world x about world z, rad."""
     return yaw(state.qpos[3:7])
 
 
+@mirrors(LATERAL)
 def offset(robot: RobotArrays, state: EnvState, *, reach: float) -> jax.Array:
     """Distance to the left of the line y = 0, m, as far as `reach`."""
     return jnp.clip(state.qpos[1], -reach, reach)
 
 
+@mirrors(SCALAR, LATERAL, LATERAL)
 def command(robot: RobotArrays, state: EnvState) -> jax.Array:
     """The velocity command (3,): forward and lateral m/s, yaw rate rad/s."""
     return state.velocity_command
 
 
+# In the mirror a trot is half a stride away.
+@mirrors(LATERAL, LATERAL)
 def trot_clock(robot: RobotArrays, state: EnvState, *, stride: float) -> jax.Array:
     """Sine and cosine (2,) of a trot's phase, for `reward.trot`; 0 at the command to stand still.
 
@@ -55,26 +75,33 @@ def trot_clock(robot: RobotArrays, state: EnvState, *, stride: float) -> jax.Arr
     return jnp.stack([swing(state.steps)[0], swing(state.steps + stride / 4)[0]])
 
 
+@mirrors(JOINTS)
 def joint_positions(robot: RobotArrays, state: EnvState) -> jax.Array:
     """Joint angles (12,) from the home pose, rad."""
     return state.qpos[7:] - robot.home_joints
 
 
+@mirrors(JOINTS)
 def joint_velocities(robot: RobotArrays, state: EnvState) -> jax.Array:
     """Joint velocities (12,), rad/s."""
     return state.qvel[6:]
 
 
+@mirrors(JOINTS)
 def last_action(robot: RobotArrays, state: EnvState) -> jax.Array:
     """The action of the last step (12,), in [-1, 1]."""
     return state.last_action
 
 
+@mirrors(SCALAR)
 def height(robot: RobotArrays, state: EnvState) -> jax.Array:
     """Height of the trunk's origin above the ground, m."""
     return above_ground(robot, state.qpos)
 
 
+@mirrors(
+    lambda robot, params: _grid(params["length"], params["width"], params["spacing"]),
+)
 def height_scan(
     robot: RobotArrays,
     state: EnvState,
@@ -92,6 +119,11 @@ def height_scan(
     return _scan(robot, state, _evenly(length, spacing), _evenly(width, spacing), reach)
 
 
+@mirrors(
+    lambda robot, params: _grid(
+        params["last"] - params["first"], params["width"], params["spacing"]
+    ),
+)
 def scan_ahead(
     robot: RobotArrays,
     state: EnvState,
@@ -113,6 +145,11 @@ def _evenly(side: float, spacing: float) -> np.ndarray:
     return spacing * (np.arange(gaps + 1) - gaps / 2)
 
 
+def _grid(length: float, width: float, spacing: float) -> Mirror:
+    """How a scan's points mirror."""
+    return grid(_evenly(length, spacing).size, _evenly(width, spacing).size)
+
+
 def _scan(
     robot: RobotArrays, state: EnvState, ahead: np.ndarray, left: np.ndarray, reach: float
 ) -> jax.Array:
@@ -125,12 +162,19 @@ def _scan(
     return jnp.clip(state.qpos[2] - robot.home_height - level, -reach, reach)
 
 
+@mirrors(FEET)
 def contacts(robot: RobotArrays, state: EnvState) -> jax.Array:
     """Which feet (4,) are on the floor, 1 or 0; for the value network only."""
     assert state.contact is not None
     return state.contact.astype(jnp.float32)
 
 
+@mirrors(
+    *(SCALAR, SCALAR, VECTOR, LINKS),
+    *(SCALAR,) * 8,  # six factors and two delays
+    *(SCALAR,) * 3,  # sizes of pushes, whose sides are not told, and of noise
+    JOINTS,
+)
 def conditions(robot: RobotArrays, state: EnvState) -> jax.Array:
     """What was drawn for the episode (n,); nothing in an ideal world. For the value network only.
 

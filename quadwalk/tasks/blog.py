@@ -6,6 +6,7 @@ x. Its action map, observations, rewards and terminations are its own and stand 
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -13,10 +14,12 @@ import numpy as np
 
 from quadwalk.physics.motor import MotorConfig
 from quadwalk.physics.rotation import euler, rotate
+from quadwalk.robot.mirror import Mirror, RobotMirror
 from quadwalk.settings.environment import NO_COMMAND, NO_RANDOMISATION, EnvConfig, ResetConfig
 from quadwalk.settings.terms import ActionMap, Observation, Reward, Termination
 from quadwalk.settings.training import PPO, TrainConfig
 from quadwalk.task import observation
+from quadwalk.task.mirror import AXIAL, JOINTS, SCALAR, VECTOR, mirrors
 from quadwalk.task.robot_arrays import RobotArrays
 from quadwalk.task.state import EnvState, Step
 
@@ -31,6 +34,14 @@ BOUNDS = {
 }
 
 
+def _between_bounds_mirrored(robot: RobotMirror, params: dict[str, Any]) -> Mirror | None:
+    """Where a joint turns the other way, bounds that are not one another's opposite do not fit."""
+    middles = [params[f"{part}_low"] + params[f"{part}_high"] for part in ("hip", "thigh", "calf")]
+    fits = (robot.joints.sign > 0) | (np.abs(np.tile(middles, 4)) < 1e-6)
+    return robot.joints if fits.all() else None
+
+
+@mirrors(_between_bounds_mirrored)
 def between_bounds(
     robot: RobotArrays,
     action: jax.Array,
@@ -51,26 +62,31 @@ def between_bounds(
     return jnp.clip(target, joints - step_limit, joints + step_limit)
 
 
+@mirrors(VECTOR)
 def world_position(robot: RobotArrays, state: EnvState) -> jax.Array:
     """Position of the trunk (3,), m."""
     return state.qpos[:3]
 
 
+@mirrors(AXIAL, SCALAR)
 def world_orientation(robot: RobotArrays, state: EnvState) -> jax.Array:
     """Orientation of the trunk (4,), a quaternion xyzw."""
     return state.qpos[3:7][jnp.array([1, 2, 3, 0])]
 
 
+@mirrors(VECTOR)
 def world_velocity(robot: RobotArrays, state: EnvState) -> jax.Array:
     """Linear velocity of the trunk (3,), world frame, m/s."""
     return state.qvel[:3]
 
 
+@mirrors(AXIAL)
 def world_angular_velocity(robot: RobotArrays, state: EnvState) -> jax.Array:
     """Angular velocity of the trunk (3,), world frame, rad/s."""
     return rotate(state.qpos[3:7], state.qvel[3:6])
 
 
+@mirrors(JOINTS)
 def joint_angles(robot: RobotArrays, state: EnvState) -> jax.Array:
     """Joint angles (12,), rad."""
     return state.qpos[7:]
