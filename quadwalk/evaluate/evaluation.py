@@ -110,8 +110,8 @@ def measure(
 ) -> Evaluation:
     """Roll the policy out from `episodes` fresh starts and measure each.
 
-    `report` is told the control steps done. Of many episodes the first `whole` rollouts are kept,
-    or all: one of 20 s is 2 MB.
+    `report` is called with the control steps done. Of many episodes the first `whole` rollouts
+    are kept, or all: one of 20 s is 2 MB.
     """
     env = loaded.env
     found = Evaluation(loaded, seed, [], [])

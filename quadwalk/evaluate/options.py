@@ -1,4 +1,4 @@
-"""What `eval.py` can be asked for."""
+"""The options of `eval.py`."""
 
 from collections.abc import Set
 from dataclasses import dataclass, fields

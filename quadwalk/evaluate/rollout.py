@@ -36,7 +36,7 @@ class Rollout:
     # (T, 3) the velocity command of the step: forward and lateral velocity in the frame of the
     # heading, m/s, lateral to the left, and yaw rate, rad/s; None where it ran along x
     command: np.ndarray | None = None
-    # (T, 4) the floor's push along its normal, N; None where `with_foot_forces` has not been asked
+    # (T, 4) the floor's push along its normal, N; None until `with_foot_forces` adds it
     foot_force: np.ndarray | None = None
     # the episode's, of NumPy arrays; None in an ideal world, as are the next two
     conditions: "Conditions | None" = None

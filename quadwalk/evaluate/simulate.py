@@ -122,24 +122,6 @@ def over_devices(env: QuadrupedEnv, batch: Any) -> Any:
     return jax.device_put(batch, jax.sharding.NamedSharding(mesh, spec))
 
 
-def simulate_paths(
-    env: QuadrupedEnv,
-    policy: Policy,
-    starts: State,
-    room: int | None = None,
-    report: Report | None = None,
-) -> Iterator[tuple[int, str, np.ndarray]]:
-    """`roll_out`, of which only the trunk's poses (T + 1, 7) are kept: m and wxyz, float64."""
-    first = np.asarray(starts.pipeline_state.qpos[:, :7])
-
-    def pose(before: State, action: jax.Array, after: State) -> jax.Array:
-        found: jax.Array = after.pipeline_state.qpos[:, :7]
-        return found
-
-    for number, end, poses in roll_out(env, policy, starts, pose, room, report):
-        yield number, end, np.concatenate([first[number, None], poses]).astype(float)
-
-
 def simulate_episodes(
     env: QuadrupedEnv,
     policy: Policy,

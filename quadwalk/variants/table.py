@@ -3,7 +3,7 @@
 import hashlib
 import itertools
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -51,7 +51,7 @@ def compare_variants(variants: Sequence[str], config: CompareConfig) -> None:
     runs = [real_path(config.runs)]
     keys = list(itertools.product(variants, range(config.seeds), [config.steps], runs))
     cases = [(*key, config.episodes) for key in keys]
-    # What is wrong is told before any training.
+    # What is wrong is reported before any training.
     plans = {planned.name: planned for planned in (plan(*key) for key in keys)}
     if len(plans) < len(cases):
         raise UsageError(f"of the variants {', '.join(map(repr, variants))} two are the same")
@@ -83,21 +83,25 @@ def judged(flags: str, seed: int, steps: int | None, runs: Path, episodes: int) 
     mjx = evaluate(run, episodes=episodes).summary
     c = evaluate(run, episodes=episodes, engine="mujoco")
     gait = c.gait
-    told = "velocity_error" in mjx
-    speed = "path_speed" if told else "speed"
+    speed = "path_speed" if "path_speed" in mjx else "speed"
+    straight = speed == "speed"
     speeds = np.array([episode[speed] for episode in c.episodes])
+
+    def mean(name: str, summary: Mapping[str, Any] = mjx) -> float:
+        return figure_mean(summary.get(name))
+
     figures: dict[str, Any] = {
-        "m/s": figure_mean(mjx[speed]),
+        "m/s": mean(speed),
         "falls": mjx["fall_rate"],
         # Less than half as fast as the median: it stands, or limps.
-        "slow": None if told else int(np.sum(speeds < 0.5 * np.median(speeds))),
-        "drift": None if told else figure_mean(mjx["lateral_drift"]) / figure_mean(mjx["distance"]),
-        "heading, °": None if told else figure_mean(mjx["heading_error"]),
-        "off, m/s": figure_mean(mjx["velocity_error"]) if told else None,
-        "turning off, rad/s": figure_mean(mjx["yaw_rate_error"]) if told else None,
-        "m/s in C": figure_mean(c.summary[speed]),
+        "slow": int(np.sum(speeds < 0.5 * np.median(speeds))) if straight else None,
+        "drift": mean("lateral_drift") / mean("distance"),
+        "heading, °": mean("heading_error"),
+        "off, m/s": mean("velocity_error"),
+        "turning off, rad/s": mean("yaw_rate_error"),
+        "m/s in C": mean(speed, c.summary),
         "falls in C": c.summary["fall_rate"],
-        "off in C": figure_mean(c.summary["velocity_error"]) if told else None,
+        "off in C": mean("velocity_error", c.summary),
         "gait": gait.gait,
         "swing, cm": 100 * float(np.nan_to_num(gait.swing_height).min()),
         "slip": float(np.fmax.reduce(gait.slip_share)),
@@ -105,7 +109,7 @@ def judged(flags: str, seed: int, steps: int | None, runs: Path, episodes: int) 
         "joint speed": float(np.fmax.reduce(gait.joint_speed_peak)),
         "action rate, 1/s": gait.action_rate,
     }
-    # Who never took a step has no slip.
+    # A task without commands has no velocity error, and a robot that never took a step no slip.
     known = {name: number(x) if isinstance(x, float) else x for name, x in figures.items()}
     return {"flags": flags, "seed": seed, "run": run.name, "steps": steps, "figures": known}
 

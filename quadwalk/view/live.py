@@ -12,6 +12,7 @@ import numpy as np
 
 from quadwalk.evaluate.loaded import LoadedRun
 from quadwalk.evaluate.motion.forces import foot_forces, geom_ids
+from quadwalk.evaluate.motion.kinematics import turned
 from quadwalk.evaluate.simulate import Policy
 from quadwalk.physics.model import Variation, vary_motor
 from quadwalk.physics.motor import Physics, control_step
@@ -65,10 +66,10 @@ class Settings:
 class LiveRobot:
     """One robot with its policy, in MuJoCo C with every collision shape.
 
-    `command` (3,) is what it is told: forward and lateral velocity in the frame of the heading,
-    m/s, the latter to the left, and yaw rate, rad/s. All else is read from `data`, `foot_force`
-    (4,) N, and the properties. `loaded` is a run loaded for the engine "mujoco". On ground that is
-    not flat, `tile` is the index of the terrain's tile that it starts on.
+    `command` (3,) is the velocity command: forward and lateral velocity in the frame of the
+    heading, m/s, the latter to the left, and yaw rate, rad/s. All else is read from `data`,
+    `foot_force` (4,) N, and the properties. `loaded` is a run loaded for the engine "mujoco". On
+    ground that is not flat, `tile` is the index of the terrain's tile that it starts on.
     """
 
     def __init__(self, loaded: LoadedRun, seed: int = 0) -> None:
@@ -115,8 +116,7 @@ class LiveRobot:
 
     def push(self, forward: float, left: float) -> None:
         """Change the trunk's velocity in an instant, m/s along its heading and to its left."""
-        cos, sin = math.cos(self.heading), math.sin(self.heading)
-        self.data.qvel[:2] += forward * cos - left * sin, forward * sin + left * cos
+        self.data.qvel[:2] += turned((forward, left), self.heading)
 
     def step(self) -> None:
         """One control step. A robot that fell stands up anew after `LYING` seconds."""
@@ -151,10 +151,8 @@ class LiveRobot:
     @property
     def velocity(self) -> np.ndarray:
         """(3,) what a command speaks of: forward and lateral m/s, yaw rate rad/s."""
-        cos, sin = math.cos(self.heading), math.sin(self.heading)
-        x, y = self.data.qvel[:2]
         turning = self.data.qvel[3:6] @ self._up
-        return np.array([cos * x + sin * y, cos * y - sin * x, turning])
+        return np.array([*turned(self.data.qvel[:2], -self.heading), turning])
 
     @property
     def height(self) -> float:
@@ -201,12 +199,12 @@ class LiveRobot:
             targets=self._targets,
             key=key,
         )
-        told = self.env.config.command.given
+        commanded = self.env.config.command.given
         return EnvState(
             physics=Physics(_number(data.qpos), _number(data.qvel), nothing),
             last_action=self._action,
             steps=_number(self.steps, np.int32),
-            command=Command(_number(self.command), key) if told else None,
+            command=Command(_number(self.command), key) if commanded else None,
             conditions=conditions,
             frames=self._frames,
             contact=_number(self.foot_force > 0.0, bool),

@@ -4,6 +4,7 @@ from collections import deque
 
 import numpy as np
 
+from quadwalk.evaluate.motion.kinematics import turned
 from quadwalk.view.live import LiveRobot
 
 _NOWHERE = np.zeros((1, 2, 3))
@@ -26,7 +27,7 @@ class Traces:
         self._places.clear()
 
     def add(self, live: LiveRobot) -> None:
-        """Take down where it is, what it does and what it is told."""
+        """Take down where it is, its velocity and its command."""
         if self._rows and live.time <= self._rows[-1][0]:  # it stood up anew
             self.clear()
         known = live.time, live.velocity[0], live.command[0]
@@ -72,13 +73,11 @@ def force_arrows(live: LiveRobot, feet: np.ndarray) -> np.ndarray:
 
 def velocity_arrows(live: LiveRobot) -> np.ndarray:
     """(2, 2, 3) m, world frame: above the trunk, the velocity, and above that the command."""
-    cos, sin = np.cos(live.heading), np.sin(live.heading)
-    forward, left, _ = live.command
-    told = np.array([cos * forward - sin * left, sin * forward + cos * left, 0.0])
+    command = np.array([*turned(live.command[:2], live.heading), 0.0])
     does = np.array([*live.data.qvel[:2], 0.0])
     trunk, height = live.data.qpos[:3], live.env.robot.home_height
     arrows = np.empty((2, 2, 3))
-    for row, (velocity, above) in enumerate(((does, 0.5), (told, 0.65))):
+    for row, (velocity, above) in enumerate(((does, 0.5), (command, 0.65))):
         seen = float(np.linalg.norm(velocity) > 0.02)  # else hidden in the trunk
         start = trunk + np.array([0.0, 0.0, above * height * seen])
         arrows[row] = start, start + _SPEED * velocity * seen

@@ -124,7 +124,7 @@ def test_the_map_and_the_table_show_every_cell(told, capsys, monkeypatch):
     assert [text.get_text() for text in success.texts] == ["25", "50", "50", "75"]
     print_by_ground(results(told))
     printed = capsys.readouterr().out
-    for words in ("difficulty 0 ", "difficulty 1 ", "stairs up", "% succeed", "% arrive", "m/s"):
+    for words in ("difficulty 0 ", "difficulty 1 ", "stairs up", "% success", "% arrival", "m/s"):
         assert words in printed
     assert ("0.125 ± 0.010" in printed) == told
 

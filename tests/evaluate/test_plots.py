@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from quadwalk.errors import UserError
 from quadwalk.evaluate.report.console import _print_table
 from quadwalk.evaluate.report.panels import draw_comparison, draw_sweep
-from quadwalk.evaluate.report.plots import LEG_COLOURS, draw_footfalls, draw_report, plot_report
+from quadwalk.evaluate.report.plots import LEG_COLOURS, draw_footfalls, draw_report, save_figure
 from quadwalk.evaluate.rollout import first_steps
 
 
@@ -41,7 +41,7 @@ def line(axes, label: str) -> np.ndarray:
 
 def test_the_same_episode_gives_the_same_bytes(trot, quadruped, tmp_path):
     for name in ("a.png", "b.png"):
-        plot_report(trot, quadruped, tmp_path / name)
+        save_figure(draw_report(trot, quadruped), tmp_path / name)
     assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
     assert sorted(os.listdir(tmp_path)) == ["a.png", "b.png"]
 
@@ -125,12 +125,12 @@ def test_states_that_are_not_finite_are_left_out(trot, quadruped):
 
 def test_an_unwritable_place_is_one_line(trot, quadruped, tmp_path):
     with pytest.raises(UserError, match=r"^cannot write .*: No such file or directory$"):
-        plot_report(trot, quadruped, tmp_path / "missing" / "report.png")
+        save_figure(draw_report(trot, quadruped), tmp_path / "missing" / "report.png")
 
 
 def test_a_name_that_looks_like_markup_is_shown_as_it_is(trot, quadruped, tmp_path, capsys):
     name = r"a$\b$ [/red] :b:"
-    plot_report(trot, quadruped, tmp_path / "report.png", name)
+    save_figure(draw_report(trot, quadruped, name), tmp_path / "report.png")
     assert (tmp_path / "report.png").exists()
     _print_table(name, (name,), [(name,)])
     assert capsys.readouterr().out.count(name) == 3

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from quadwalk.evaluate.motion.kinematics import roll_pitch_yaw
+from quadwalk.evaluate.motion.kinematics import roll_pitch_yaw, turned
 from quadwalk.evaluate.rollout import Rollout
 from quadwalk.physics.mujoco_c import varied_masses
 from quadwalk.robot.quadruped import Quadruped
@@ -67,10 +67,8 @@ def heading_velocity(poses: np.ndarray, dt: float) -> np.ndarray:
     and yaw rate, rad/s: means over the step.
     """
     yaw = np.unwrap(roll_pitch_yaw(poses[:, 3:7])[:, 2])
-    x, y = np.diff(poses[:, :2], axis=0).T / dt
-    cos, sin = np.cos(yaw[1:]), np.sin(yaw[1:])
-    rate = np.diff(yaw) / dt
-    return np.stack([cos * x + sin * y, cos * y - sin * x, rate], axis=1)
+    moved = turned(np.diff(poses[:, :2], axis=0).T / dt, -yaw[1:])
+    return np.stack([*moved, np.diff(yaw) / dt], axis=1)
 
 
 def tracking_errors(

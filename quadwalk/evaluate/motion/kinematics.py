@@ -11,6 +11,7 @@ from functools import lru_cache
 import mujoco
 import numpy as np
 import yourdfpy
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from quadwalk.robot.quadruped import Quadruped
@@ -31,6 +32,12 @@ def rotations(quat: np.ndarray) -> Rotation:
 def roll_pitch_yaw(quat: np.ndarray) -> np.ndarray:
     """(T, 3) rad of `quat` (T, 4); the rotation is Rz(yaw) Ry(pitch) Rx(roll), as in a URDF."""
     return rotations(quat).as_euler("xyz", suppress_warnings=True)
+
+
+def turned(vector: ArrayLike, angle: ArrayLike) -> np.ndarray:
+    """(2, ...): `vector` (2, ...), along x and y, turned to the left by `angle` (...), rad."""
+    (x, y), cos, sin = np.asarray(vector), np.cos(angle), np.sin(angle)
+    return np.stack([cos * x - sin * y, sin * x + cos * y])
 
 
 @dataclass(frozen=True)

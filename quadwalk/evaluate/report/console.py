@@ -94,17 +94,17 @@ def print_by_ground(results: dict[str, Any]) -> None:
     for index, kind in enumerate(results["kinds"]):
         cells = results["cells"][index * levels : (index + 1) * levels]
         shares = (f"{100 * cell['success']:.0f}" for cell in cells)
-        rows.append((kind.replace("_", " "), *shares, "% succeed"))
-        rows.append(("", *(f"{100 * cell['arrived']:.0f}" for cell in cells), "% arrive"))
+        rows.append((kind.replace("_", " "), *shares, "% success"))
+        rows.append(("", *(f"{100 * cell['arrived']:.0f}" for cell in cells), "% arrival"))
         rows.append(("", *(figure_text(cell["speed"]) for cell in cells), "m/s"))
         if results["command"] is not None:
             errors = (figure_text(cell["velocity_error"]) for cell in cells)
             rows.append(("", *errors, "m/s off"))
         rows.append(None)
-    told = "" if results["command"] is None else f" at a command of {results['command']:g} m/s"
+    command = "" if results["command"] is None else f" at a command of {results['command']:g} m/s"
     title = (
-        f"ground that training did not have,{told} {results['episodes']} episodes each: who "
-        "succeed come without a fall to the tile's edge or the time limit, who arrive to its edge"
+        f"ground that training did not have,{command} {results['episodes']} episodes each; "
+        "success: no fall before the tile's edge or the time limit, arrival: reached the edge"
     )
     headings = ("", *(f"difficulty {x:.2g}" for x in results["difficulties"]), "unit")
     _print_table(title, headings, rows)
@@ -144,7 +144,7 @@ def simulating(
 ) -> Iterator[Callable[[int], None]]:
     """Show a line about `what`, episodes of up to `steps` control steps of `dt` s, while it runs.
 
-    Yields the function that is told the steps done; when all episodes end early, that is the end.
+    Yields the function to call with the steps done; when all episodes end early, that is the end.
     """
     with console.status(f"{what}: compiling (up to half a minute, the first time)") as status:
         first: tuple[float, int] | None = None

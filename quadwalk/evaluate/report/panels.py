@@ -81,12 +81,12 @@ def _sweep(
 def draw_by_ground(results: dict[str, Any], title: str) -> Figure:
     """Heat maps of kinds by difficulties: success, speed and, with commands, how far off it is."""
     kinds, difficulties = results["kinds"], results["difficulties"]
-    told = results["command"] is not None
+    commanded = results["command"] is not None
     maps: list[tuple[str, str, float, Any]] = [
         ("success, %", "RdYlGn", 100.0, lambda cell: 100 * cell["success"]),
         ("speed, m/s", "viridis", 0.0, lambda cell: cell["speed"]["mean"]),
     ]
-    if told:
+    if commanded:
         off = (
             "velocity error, m/s",
             "viridis_r",
@@ -95,7 +95,7 @@ def draw_by_ground(results: dict[str, Any], title: str) -> Figure:
         )
         maps.append(off)
     size = (1.6 + 4.2 * len(maps), 1.6 + 0.5 * max(len(kinds), 3))
-    about = f", command {results['command']:g} m/s" if told else ""
+    about = f", command {results['command']:g} m/s" if commanded else ""
     text = f"{title}: {results['episodes']} episodes in each cell, unseen ground{about}"
     figure = new_figure(size, text)
     panels: Any = figure.subplots(1, len(maps), squeeze=False)[0]

@@ -28,18 +28,11 @@ _SENSORS = 3  # panels
 _PARTS = ("hip", "thigh", "calf")
 
 
-def plot_report(rollout: Rollout, quadruped: Quadruped, path: str | Path, title: str = "") -> None:
-    """Write the report of one episode to `path` as PNG; `title` goes before its own headline.
-
-    Speed, posture, rewards and the path are shown from beginning to end; footfalls, angles and
-    torques over the last `WINDOW` seconds, where strides can be told apart. Raises `UserError`
-    where the file cannot be written.
-    """
-    save_figure(draw_report(rollout, quadruped, title), path)
-
-
 def save_figure(figure: Figure, path: str | Path) -> None:
-    """Write a figure as PNG; the same figure gives the same bytes."""
+    """Write a figure as PNG; the same figure gives the same bytes.
+
+    Raises `UserError` where the file cannot be written.
+    """
     with atomic_write(path) as file:
         _draw(figure, file)
 
@@ -77,7 +70,12 @@ def tidy(axes: Axes, title: str, unit: str = "") -> None:
 
 
 def draw_report(rollout: Rollout, quadruped: Quadruped, title: str = "") -> Figure:
-    """The report as a figure, 16 by 18 inches; 21 with the sensors, where they are not ideal."""
+    """One episode as a figure, 16 by 18 inches; 21 with the sensors, where they are not ideal.
+
+    Speed, posture, rewards and the path are shown from beginning to end; footfalls, angles and
+    torques over the last `WINDOW` seconds, where strides are seen apart. `title` goes before the
+    figure's own headline.
+    """
     shown = finite_part(rollout)
     heights, height = [0.85, 1.2, 1.2, 1.2, 1.6], 18
     if shown.truth is not None:
