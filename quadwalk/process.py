@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import gc
 import importlib
 import importlib.util
 import io
@@ -44,6 +45,8 @@ def run_command(main: Callable[[], object] | str) -> NoReturn:
     A module is named, rather than imported before, so that importing it can be ended too.
     """
     _open_streams()
+    # What is imported and traced stays: to look for garbage there takes a tenth of a start.
+    gc.set_threshold(100_000)
     with _endable() as signals:
         status = _status(main, signals)
         try:
