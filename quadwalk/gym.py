@@ -11,6 +11,7 @@ sees; what the value network sees besides is left out.
 """
 
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +33,7 @@ from jax.sharding import PartitionSpec as P
 from quadwalk.api import make
 from quadwalk.errors import UsageError
 from quadwalk.settings.training import TrainConfig
+from quadwalk.task.env import QuadrupedEnv
 from quadwalk.task.state import chosen
 from quadwalk.task_files import task_names
 
@@ -52,7 +54,8 @@ class QuadrupedGymEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         self.render_mode = render_mode
         self.observation_space, self.action_space = _spaces(env)
         self._ends, self._size = env.ends, env.policy_size
-        self._reset, self._step = env.jit(env.reset), env.jit(env.step, donate=(0,))
+        self._reset = env.jit(QuadrupedEnv.reset)
+        self._step = env.jit(QuadrupedEnv.step, donate=(0,))
         self._state: Any = None
 
     def reset(
@@ -146,23 +149,23 @@ class QuadrupedGymVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         }
 
 
-def _programs(env: Any, num_envs: int) -> tuple[Any, Any, Any]:
+def _programs(env: QuadrupedEnv, num_envs: int) -> tuple[Any, Any, Any]:
     """Compiled programs of all environments, on as many devices as share them evenly.
 
     They start episodes, step them, and put fresh starts in the place of those that ended.
     """
     size = env.policy_size
 
-    def start(keys: Any) -> Any:
+    def start(env: QuadrupedEnv, keys: Any) -> Any:
         own, later = jnp.moveaxis(jax.vmap(jax.random.split)(keys), 1, 0)
         state = jax.vmap(env.reset)(own)
         return state, later, state.obs[:, :size]
 
-    def step(state: Any, actions: Any) -> Any:
+    def step(env: QuadrupedEnv, state: Any, actions: Any) -> Any:
         after = jax.vmap(env.step)(state, actions)
         return after, after.obs[:, :size], after.reward, after.info["end"]
 
-    def renew(done: Any, fresh: Any, old: Any) -> Any:
+    def renew(env: QuadrupedEnv, done: Any, fresh: Any, old: Any) -> Any:
         state, keys = chosen(done, fresh, old)
         return state, keys, state.obs[:, :size]
 
@@ -170,10 +173,13 @@ def _programs(env: Any, num_envs: int) -> tuple[Any, Any, Any]:
     mesh = Mesh(np.array(jax.devices()[:count]), ("envs",))
 
     def program(function: Any, donate: tuple[int, ...] = ()) -> Any:
-        split = P("envs")
-        shared = jax.shard_map(
-            function, mesh=mesh, in_specs=split, out_specs=split, check_vma=False
-        )
+        def shared(env: QuadrupedEnv, *arguments: Any) -> Any:
+            own = partial(function, env)
+            split = P("envs")
+            return jax.shard_map(own, mesh=mesh, in_specs=split, out_specs=split, check_vma=False)(
+                *arguments
+            )
+
         return env.jit(shared, donate=donate)
 
     return program(start), program(step, donate=(0,)), program(renew, donate=(1, 2))

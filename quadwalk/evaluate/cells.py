@@ -41,7 +41,7 @@ def measure_cells(
     ]
 
 
-def _pose(before: State, action: jax.Array, after: State) -> jax.Array:
+def _pose(env: QuadrupedEnv, before: State, action: jax.Array, after: State) -> jax.Array:
     pose: jax.Array = after.pipeline_state.qpos[:, :7]
     return pose
 

@@ -23,9 +23,9 @@ from quadwalk.task.state import EnvState, chosen
 # Observations (..., n) to actions (..., 12); a pytree (`jax.tree_util.Partial`), so that it can be
 # an argument of what is compiled: once for all policies of one shape.
 Policy = Callable[[jax.Array], jax.Array]
-# Batched states before and after a control step with actions (n, 12) to what is kept of it: a
-# pytree of arrays (n, ...).
-Watch = Callable[[State, jax.Array, State], Any]
+# The environment, batched states before and after a control step with actions (n, 12), to what is
+# kept of it: a pytree of arrays (n, ...).
+Watch = Callable[[QuadrupedEnv, State, jax.Array, State], Any]
 Report = Callable[[int], None]  # is given the mean number of control steps done of each episode
 
 CHUNK = 50  # control steps between looks at which episodes have ended
@@ -49,11 +49,11 @@ def roll_out(
     """
 
     @env.jit
-    def chunk(policy: Policy, states: State) -> tuple[State, tuple[jax.Array, Any]]:
+    def chunk(env: QuadrupedEnv, policy: Policy, states: State) -> tuple[State, Any]:
         def step(before: State, _: None) -> tuple[State, tuple[jax.Array, Any]]:
             action = policy(before.obs)
             after = jax.vmap(env.step)(before, action)
-            return after, (after.info["end"], watch(before, action, after))
+            return after, (after.info["end"], watch(env, before, action, after))
 
         return jax.lax.scan(step, states, None, length=CHUNK)
 
@@ -63,7 +63,7 @@ def roll_out(
         own: State = over_devices(env, _rows(starts, which))
         return own
 
-    renew = env.jit(chosen)
+    renew = jax.jit(chosen)
     count, longest = len(starts.obs), env.config.episode_steps
     rows = np.arange(room or count)  # the number of the episode in each; `count` and more: none
     states, waiting, done = begun(rows), len(rows), np.zeros(count)
@@ -104,7 +104,7 @@ def fresh_starts(
     """
     keys = jax.random.split(jax.random.PRNGKey(seed), episodes)
     on = () if tiles is None else (jnp.asarray(tiles),)
-    start: State = env.jit(jax.vmap(env.reset))(keys, *on)
+    start: State = env.jit(lambda env, *of: jax.vmap(env.reset)(*of))(keys, *on)
     return start
 
 
@@ -145,7 +145,7 @@ def simulate_episodes(
     initial = jax.device_get(starts.pipeline_state)
     ended: dict[int, Rollout] = {}
     following = 0
-    for k, end, steps in roll_out(env, policy, starts, partial(_recorded, env), room, report):
+    for k, end, steps in roll_out(env, policy, starts, _recorded, room, report):
         states = {
             name: np.concatenate([getattr(initial, name)[k, None], steps[name]]).astype(float)
             for name in ("qpos", "qvel")

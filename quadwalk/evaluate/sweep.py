@@ -149,13 +149,16 @@ def _starts(env: QuadrupedEnv, points: list[Point], episodes: int, seed: int) ->
     known = [p if p.friction is not None else replace(p, friction=env.friction) for p in points]
     rows = np.array([dataclasses.astuple(point) for point in known], np.float32)
 
-    def start(row: jax.Array, state: State, key: jax.Array) -> State:
-        conditions = conditions_at(env, Point(*row), key, kept)
-        return env.begun(state, readings, conditions=conditions)
+    @env.jit
+    def begun(env: QuadrupedEnv, rows: jax.Array, states: State, keys: jax.Array) -> State:
+        def start(row: jax.Array, state: State, key: jax.Array) -> State:
+            conditions = conditions_at(env, Point(*row), key, kept)
+            return env.begun(state, readings, conditions=conditions)
 
-    of_point = jax.vmap(start, in_axes=(None, 0, 0))
-    of_all = env.jit(jax.vmap(of_point, in_axes=(0, None, None)))
-    states = of_all(jnp.asarray(rows), fresh_starts(env, episodes, seed), keys)
+        of_point = jax.vmap(start, in_axes=(None, 0, 0))
+        return jax.vmap(of_point, in_axes=(0, None, None))(rows, states, keys)
+
+    states = begun(jnp.asarray(rows), fresh_starts(env, episodes, seed), keys)
     return jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), states)
 
 

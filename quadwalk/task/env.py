@@ -1,6 +1,8 @@
 """The environment: a task for one quadruped, as the pure functions `reset` and `step`."""
 
-from collections.abc import Callable
+import copy
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import cached_property, partial
 from typing import Any
 
@@ -12,7 +14,7 @@ from brax.envs.base import Env, State
 
 from quadwalk.errors import UserError
 from quadwalk.ground.terrain import Terrain, leg_length, make_terrain
-from quadwalk.physics.constraints.surface import Surface, given
+from quadwalk.physics.constraints.surface import Surface
 from quadwalk.physics.engines import ENGINES, EngineName, fast, mujoco_c
 from quadwalk.physics.motor import Effort, Physics, make_motor
 from quadwalk.robot.mirror import Mirror, joined, robot_mirror
@@ -116,17 +118,35 @@ class QuadrupedEnv(Env):
         donate: tuple[int, ...] = (),
         **options: Any,
     ) -> Callable[..., Any]:
-        """`function` compiled, with the ground as an argument of the program, not a part of it.
+        """function(env, ...) compiled for this `env`, whose ground is an argument of the program.
 
-        Its arguments number `donate` are given up to it; `options` are others of `jax.jit`.
+        `function` is to use the `env` that it gets: this one has the ground as a constant. Its
+        arguments number `donate`, after `env`, are donated; `options` are others of `jax.jit`.
         """
 
         @partial(jax.jit, donate_argnums=tuple(1 + number for number in donate), **options)
         def program(heights: list[jax.Array], *arguments: Any) -> Any:
-            with given(self.surfaces, heights):
-                return function(*arguments)
+            return function(self.reading(heights), *arguments)
 
         return partial(program, self._heights)
+
+    def reading(self, heights: Sequence[jax.Array]) -> "QuadrupedEnv":
+        """The same environment, whose `surfaces` read these `heights`, as `Surface` has them."""
+        if not self.surfaces:
+            return self
+        ground, *touched = map(Surface.reading, self.surfaces, heights)
+        env, contacts, left = copy.copy(self), self.geometry.contacts, iter(touched)
+        env.geometry = self.geometry._replace(
+            ground=ground,
+            contacts=tuple(
+                contact if contact.surface is None else replace(contact, surface=next(left))
+                for contact in contacts
+            ),
+        )
+        env.robot = replace(self.robot, ground=ground)
+        if self.model is self.geometry:
+            env.model = env.geometry
+        return env
 
     @cached_property
     def _heights(self) -> list[jax.Array]:

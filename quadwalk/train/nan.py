@@ -71,7 +71,7 @@ def replay(path: Path | str) -> tuple[np.ndarray, np.ndarray]:
     kept, _ = checkpoint.load(path, "nan", like)
     engine, once = ENGINES[env.engine], dataclasses.replace(env.stepping, substeps=1)
 
-    def course(before: Any, action: jax.Array) -> Any:
+    def course(env: QuadrupedEnv, before: Any, action: jax.Array) -> Any:
         model, physics, _, target = env.driven(before, action)
 
         def one(physics: Any, own: jax.Array) -> Any:

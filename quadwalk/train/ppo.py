@@ -24,7 +24,6 @@ from brax.training.types import Transition
 from jax.sharding import Mesh, NamedSharding
 from jax.sharding import PartitionSpec as P
 
-from quadwalk.physics.constraints.surface import given
 from quadwalk.task.state import chosen
 from quadwalk.train.devices import release_freed_memory
 from quadwalk.train.networks import Networks
@@ -456,8 +455,8 @@ class Iteration:
         def collecting(
             learner: Learner, workers: Workers, ground: tuple[jax.Array, ...]
         ) -> tuple[Any, ...]:
-            with given(env.surfaces, ground):
-                workers, data, collected = collect(env, networks, config, learner, workers)
+            own = env.reading(ground)
+            workers, data, collected = collect(own, networks, config, learner, workers)
             key, key_learn = jax.random.split(workers.key[0])
             return workers._replace(key=key[None]), data, collected, key_learn[None]
 

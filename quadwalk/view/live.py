@@ -231,7 +231,7 @@ def _compiled(env: QuadrupedEnv) -> Callable[[Policy, EnvState], tuple[Any, Any,
     targets (substeps, 12) obeyed in each physics step, rad.
     """
 
-    def think(policy: Policy, state: EnvState) -> tuple[Any, Any, Any, Any]:
+    def think(env: QuadrupedEnv, policy: Policy, state: EnvState) -> tuple[Any, Any, Any, Any]:
         state = env.with_frame(state)
         if state.frames is not None:
             before = jnp.where(state.steps == 0, state.frames[:1], state.frames)

@@ -67,9 +67,10 @@ def film(run: Run, kind: str) -> dict[str, Any]:
     env = ground_env(loaded, (kind,), levels=2)
     assert env.terrain is not None
     tile = env.terrain.tiles.index(env.terrain.tile(kind, 1))
-    first = env.jit(jax.vmap(env.reset))(jax.random.PRNGKey(1)[None], jnp.array([tile]))
+    begin = env.jit(lambda env, keys, tiles: jax.vmap(env.reset)(keys, tiles))
+    first = begin(jax.random.PRNGKey(1)[None], jnp.array([tile]))
 
-    def qpos(before: Any, action: Any, after: Any) -> Any:
+    def qpos(env: Any, before: Any, action: Any, after: Any) -> Any:
         return after.pipeline_state.qpos
 
     ((_, _, path),) = roll_out(env, loaded.policy.act, first, qpos)

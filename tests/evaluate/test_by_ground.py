@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+from functools import partial
 from types import SimpleNamespace
 from typing import NamedTuple
 
@@ -70,14 +71,14 @@ def test_each_episode_goes_on_to_its_own_end_whatever_there_is_room_for(room):
         engine="mujoco",
         ends=("running", "time limit"),
         config=SimpleNamespace(episode_steps=120),
-        jit=jax.jit,
+        jit=lambda function: jax.jit(partial(function, env)),
         step=lambda state, _: Walker(state.qpos.at[0].add(0.01), state.left - 1),
     )
     act = jax.tree_util.Partial(lambda seen: seen[..., :12])
     starts = Walker(jnp.zeros((len(lasts), 19)).at[:, 0].set(jnp.arange(10.0)), jnp.asarray(lasts))
     reported: list[int] = []
     places = roll_out(
-        env, act, starts, lambda before, action, after: after.qpos[:, 0], room, reported.append
+        env, act, starts, lambda env, before, action, after: after.qpos[:, 0], room, reported.append
     )
     found = {number: (end, x) for number, end, x in places}
     assert sorted(found) == list(range(len(lasts)))

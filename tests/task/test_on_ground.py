@@ -2,6 +2,7 @@
 
 import dataclasses
 from types import SimpleNamespace
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -133,17 +134,29 @@ def test_an_episode_can_be_confined_to_its_tile(hilly, starts):
 
 
 def test_the_ground_may_be_an_argument_of_a_program(hilly, starts):
+    """Only of the environment that a program gets; the other's stays a constant."""
     mesh, split = jax.sharding.Mesh(jax.devices(), "robots"), jax.P("robots")
-    over_devices = jax.shard_map(
-        jax.vmap(hilly.reset), mesh=mesh, in_specs=split, out_specs=split, check_vma=False
-    )
+
+    def reset(env, keys):
+        over_devices = jax.shard_map(
+            jax.vmap(env.reset), mesh=mesh, in_specs=split, out_specs=split, check_vma=False
+        )
+        return over_devices(keys)
+
     keys = jax.random.split(jax.random.PRNGKey(0), EPISODES)
-    given = hilly.jit(over_devices)(keys)
+    given = hilly.jit(reset)(keys)
     np.testing.assert_allclose(given.obs, starts.obs, atol=1e-6)
-    later = hilly.jit(lambda state, by: state.obs + by, donate=(0,))(given, 1.0)
+    later = hilly.jit(lambda env, state, by: state.obs + by, donate=(0,))(given, 1.0)
     assert given.obs.is_deleted()
     np.testing.assert_allclose(later, starts.obs + 1.0, atol=1e-6)
-    assert all(surface._given is None for surface in hilly.surfaces)
+    assert constants(hilly.jit(reset), keys) < 100_000
+    assert constants(hilly.jit(lambda _, keys: reset(hilly, keys)), keys) > 1_000_000
+
+
+def constants(program: Any, *arguments: Any) -> int:
+    """Bytes of the constants that are part of a program."""
+    traced = program.func.trace(*program.args, *arguments).jaxpr
+    return sum(np.asarray(constant).nbytes for constant in traced.consts)
 
 
 def test_the_blind_leave_the_scan_to_the_value_network():

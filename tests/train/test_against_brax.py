@@ -59,6 +59,9 @@ class Point(Env):
         self.dt = dt  # s; with 0, nothing moves
         self.spread = spread  # fresh starts are at random up to this far from 0
 
+    def reading(self, heights: Any) -> "Point":
+        return self
+
     def reset(self, rng: jax.Array) -> State:
         position = jax.random.uniform(rng, (), minval=-1.0, maxval=1.0) * self.spread
         zero = jnp.zeros(())

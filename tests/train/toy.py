@@ -49,6 +49,9 @@ class Toy(Env):
     def __init__(self, quadruped: Any = None, config: EnvConfig | None = None) -> None:
         self.config = config or sprint.TASK.env
 
+    def reading(self, heights: Any) -> "Toy":
+        return self
+
     def reset(self, rng: jax.Array) -> State:
         drawn = jax.random.uniform(rng, (2,))
         physics = Physics(jnp.zeros(19).at[:2].set(drawn), jnp.zeros(18), jnp.zeros(18))

@@ -7,10 +7,8 @@ then costs three reads of it, and what it meets at an edge of a stair is that ed
 of whatever triangle is below its centre.
 """
 
-import contextlib
 import functools
 import itertools
-from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
@@ -38,13 +36,27 @@ class Spot(NamedTuple):
 
 @jax.tree_util.register_static
 class Surface:
-    """Heights on one or more grids of the same nodes; equal to itself alone."""
+    """Heights on one or more grids of the same nodes; equal to itself alone.
 
-    def __init__(self, grids: np.ndarray, cell: float, origin: tuple[float, float]) -> None:
+    With `heights`, all of `grids` one after another (n,), an argument of a program, it reads these.
+    A constant would be compiled into it once for each part that reads, at many times the memory.
+    """
+
+    def __init__(
+        self,
+        grids: np.ndarray,
+        cell: float,
+        origin: tuple[float, float],
+        heights: jax.Array | None = None,
+    ) -> None:
         self.grids = grids  # (k, rows, columns) m
         self.cell = cell  # m
         self.origin = origin  # m, x and y of node [0, 0]
-        self._given: jax.Array | None = None  # in the place of `grids`
+        self.heights = heights
+
+    def reading(self, heights: jax.Array) -> "Surface":
+        """The same, with these `heights`."""
+        return Surface(self.grids, self.cell, self.origin, heights)
 
     def at(self, x: Array, y: Array, which: np.ndarray | int = 0) -> tuple[Array, Array, Array]:
         """Height, m, and slopes along x and y of grid `which` at places (...), m.
@@ -66,7 +78,7 @@ class Surface:
     def read(self, spot: "Spot") -> Vector:
         """Heights of the corners of the triangle, m: the cell's first, the third, the last."""
         columns = self.grids.shape[2]
-        grid = self._given
+        grid = self.heights
         if grid is None:
             grid = jnp.asarray(self.grids, jnp.result_type(spot.u)).reshape(-1)
         third = jnp.where(spot.u > spot.v, 1, columns)
@@ -84,22 +96,6 @@ class Surface:
         along, across = jnp.where(right, before, after), jnp.where(right, after, before)
         level = node + spot.u * along + spot.v * across
         return level, along / self.cell, across / self.cell
-
-
-@contextlib.contextmanager
-def given(surfaces: Sequence[Surface], heights: Sequence[jax.Array]) -> Iterator[None]:
-    """While a program is traced within, `heights` of `surfaces` are what it reads.
-
-    Each is all of a surface's `grids` one after another (n,), and an argument of the program. A
-    constant would be compiled into it once for each part that reads, at many times the memory.
-    """
-    for surface, own in zip(surfaces, heights, strict=True):
-        surface._given = own
-    try:
-        yield
-    finally:
-        for surface in surfaces:
-            surface._given = None
 
 
 def ground_surface(field: Heightfield) -> Surface:
