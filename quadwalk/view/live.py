@@ -121,7 +121,7 @@ class LiveRobot:
     def step(self) -> None:
         """One control step. A robot that fell stands up anew after `LYING` seconds."""
         data = self.data
-        thought = jax.device_get(self._think(self.policy.act, self._state()))
+        thought = jax.device_get(self._think(self.policy.act, self.state()))
         self._frames, self._targets, self._action, obeyed = thought
         physics = Physics(data.qpos.copy(), data.qvel.copy(), None)  # type: ignore[arg-type]
         control_step(
@@ -184,7 +184,7 @@ class LiveRobot:
         mujoco.mj_step(self.model, data)
         return state._replace(qpos=data.qpos.copy(), qvel=data.qvel.copy())
 
-    def _state(self) -> EnvState:
+    def state(self) -> EnvState:
         """What the task's functions read, of single precision: the compiled program's input."""
         data, settings = self.data, self.settings
         key, nothing = _number(self._key, np.uint32), _number(np.zeros(18))

@@ -1,6 +1,7 @@
 """The robot behind the page: it moves as evaluations do, and what is changed takes effect."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -23,7 +24,7 @@ def test_it_moves_as_the_environment_does(which, request):
     robot.reset()
     robot.data.qpos[2] += 0.005  # not just on the floor, where a rounding error decides
     env = robot.env
-    start: EnvState = jax.tree.map(jnp.asarray, robot._state())
+    start: EnvState = jax.tree.map(jnp.asarray, robot.state())
     state = jax.jit(env.reset)(jax.random.PRNGKey(0)).replace(pipeline_state=start)
     state = env.begun(state, 0, conditions=start.conditions)
     quickly = {"xla_backend_optimization_level": 0}  # compiled
@@ -58,8 +59,8 @@ def test_it_stands_on_the_ground_of_the_tile_that_is_chosen(goat):
             distance = mujoco.mj_rayHfield(goat.model, goat.data, floor, centre, down, None)
             gaps.append(distance - goat.model.geom(foot).size[0])
         assert min(gaps) == pytest.approx(0.0, abs=2e-3)
+        assert goat.state().tile == index
         assert not goat.fell
-        assert goat._state().tile == index
 
 
 def test_the_policy_sees_the_command(fresh):
@@ -69,7 +70,7 @@ def test_the_policy_sees_the_command(fresh):
         fresh.reset()
         fresh.command[:] = command
         fresh.step()
-        actions.append(np.asarray(fresh._action))
+        actions.append(fresh.state().last_action)
     for one, other in ((0, 1), (0, 2), (1, 2)):
         assert np.abs(actions[one] - actions[other]).max() > 1e-4
 
@@ -98,14 +99,15 @@ def test_friction_and_payload_are_those_of_the_model(fresh):
     assert usual.geom_friction[0, 0] == pytest.approx(fresh.env.friction)  # another is changed
 
 
-def test_a_payload_presses_on_the_feet(fresh, monkeypatch):
+@pytest.fixture
+def still() -> SimpleNamespace:
+    """A policy that holds the home pose."""
+    return SimpleNamespace(act=jax.tree_util.Partial(lambda seen: jnp.zeros(12)))
+
+
+def test_a_payload_presses_on_the_feet(fresh, still, monkeypatch):
     """Standing for a second, the feet bear the weight, with 4 kg and without."""
-    home = np.tile(fresh.env.robot.home_joints, (fresh.env.stepping.substeps, 1))
-
-    def hold(_, state: EnvState):
-        return state.frames, state.conditions.targets, state.last_action, home
-
-    monkeypatch.setattr(fresh, "_think", hold)
+    monkeypatch.setattr(fresh, "policy", still)
     weights = []
     for payload in (0.0, 4.0):
         fresh.change(payload=payload)
@@ -119,25 +121,38 @@ def test_a_payload_presses_on_the_feet(fresh, monkeypatch):
     assert weights[1] - weights[0] == pytest.approx(4.0 * 9.81, rel=0.05)
 
 
-def test_strength_is_the_motors(fresh):
-    fresh.change(strength=0.7)
-    assert fresh._motor.strength == pytest.approx(0.7)
+def test_strength_weakens_the_motors(fresh, still, monkeypatch):
+    """As in the environment, which `test_it_moves_as_the_environment_does` steps at another."""
+    monkeypatch.setattr(fresh, "policy", still)
+    speeds = []
+    for strength in (0.0, 0.7, 1.0):
+        fresh.change(strength=strength)
+        assert fresh.state().conditions.variation.strength == pytest.approx(strength)
+        fresh.reset()
+        fresh.data.qpos[2] += 0.5  # in the air, calves far from their targets
+        fresh.data.qpos[9::3] += 0.8  # rad
+        fresh.step()
+        speeds.append(np.abs(fresh.data.qvel[8::3]).mean())
+    assert speeds[0] < 0.1 * speeds[1]
+    assert speeds[1] < 0.95 * speeds[2]
 
 
-def test_noise_is_what_the_task_states_and_new_in_every_step(hare):
+def test_noise_is_what_the_task_states_and_new_in_every_step(hare, still, monkeypatch):
     """Of 40 steps, each in the same state, and so with the same true frame."""
+    monkeypatch.setattr(hare, "policy", still)
     scale = hare.env.noise_scale
-    hare.change(latency=0.0, noise=0.0)
-    hare.reset()
-    state = hare._state()
-    exact = np.asarray(hare._think(hare.policy.act, state)[0][0])
-    hare.change(noise=2.0)
-    conditions = hare._state().conditions
-    seen = [
-        hare._think(hare.policy.act, state._replace(conditions=conditions, steps=np.int32(k)))[0][0]
-        for k in range(40)
-    ]
-    error = np.array(seen) - exact
+
+    def seen(noise: float, steps: int) -> np.ndarray:
+        hare.change(latency=0.0, noise=noise)
+        hare.reset()
+        qpos, rows = hare.data.qpos.copy(), []
+        for _ in range(steps):
+            hare.data.qpos[:], hare.data.qvel[:] = qpos, 0.0
+            hare.step()
+            rows.append(hare.state().frames[0])
+        return np.array(rows)
+
+    error = seen(2.0, 40) - seen(0.0, 1)
     assert np.all(error[:, scale == 0.0] == 0.0)
     level = error[:, scale > 0.0] / scale[scale > 0.0]
     assert level.std() == pytest.approx(2.0, rel=0.1)
@@ -145,14 +160,13 @@ def test_noise_is_what_the_task_states_and_new_in_every_step(hare):
 
 
 def test_one_that_fell_stands_up_anew(fresh):
-    fresh.data.qpos[3:7] = 0.0, 1.0, 0.0, 0.0  # on its back
-    assert fresh.fell
     steps = round(LYING / fresh.env.stepping.control_dt)
     for _ in range(steps + 2):
-        fresh.data.qpos[3:7] = 0.0, 1.0, 0.0, 0.0
+        fresh.data.qpos[3:7] = 0.0, 1.0, 0.0, 0.0  # on its back
         fresh.step()
         if not fresh.steps:
             break
+        assert fresh.fell
     assert fresh.steps == 0
     assert fresh.data.qpos == pytest.approx(fresh.env.robot.home)
 
