@@ -4,8 +4,8 @@ An episode runs along world x; with velocity commands its distance is that along
 is written as JSON, None stands for what cannot be measured.
 """
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -20,29 +20,33 @@ from quadwalk.evaluate.rollout import Rollout
 from quadwalk.evaluate.statistics import figure_mean, mean_interval, number, share_interval
 from quadwalk.settings.terms import Reward
 
-# name in metrics.json, heading in the table, unit
+
+class Figure(NamedTuple):
+    """A figure of an episode."""
+
+    name: str  # in metrics.json
+    heading: str  # in tables
+    unit: str
+    worst: Callable[[np.ndarray], float] = np.min  # of several episodes' the least favourable
+
+
 FIGURES = (
-    ("speed", "speed along x", "m/s"),
-    ("distance", "distance along x", "m"),
-    ("lateral_drift", "lateral drift", "m"),
-    ("heading_error", "mean heading error", "deg"),
-    ("velocity_error", "velocity error", "m/s"),
-    ("yaw_rate_error", "yaw rate error", "rad/s"),
-    ("path_speed", "speed along path", "m/s"),
-    ("path", "path length", "m"),
-    ("duration", "episode length", "s"),
-    ("energy_per_metre", "energy per metre", "J/m"),
-    ("cost_of_transport", "cost of transport", ""),
-    ("power", "mean mechanical power", "W"),
-    ("peak_power", "peak mechanical power", "W"),
-    ("torque_limit", "time at a torque limit", "%"),
-    ("action_rate", "action rate", "1/s"),
-    ("reward", "reward per step", ""),
-)
-HIGH_IS_BAD = (
-    *("lateral_drift", "heading_error", "velocity_error", "yaw_rate_error"),
-    *("energy_per_metre", "cost_of_transport", "power", "peak_power"),
-    *("torque_limit", "action_rate"),
+    Figure("speed", "speed along x", "m/s"),
+    Figure("distance", "distance along x", "m"),
+    Figure("lateral_drift", "lateral drift", "m", np.max),
+    Figure("heading_error", "mean heading error", "deg", np.max),
+    Figure("velocity_error", "velocity error", "m/s", np.max),
+    Figure("yaw_rate_error", "yaw rate error", "rad/s", np.max),
+    Figure("path_speed", "speed along path", "m/s"),
+    Figure("path", "path length", "m"),
+    Figure("duration", "episode length", "s"),
+    Figure("energy_per_metre", "energy per metre", "J/m", np.max),
+    Figure("cost_of_transport", "cost of transport", "", np.max),
+    Figure("power", "mean mechanical power", "W", np.max),
+    Figure("peak_power", "peak mechanical power", "W", np.max),
+    Figure("torque_limit", "time at a torque limit", "%", np.max),
+    Figure("action_rate", "action rate", "1/s", np.max),
+    Figure("reward", "reward per step", ""),
 )
 AT_LIMIT = 0.95  # of a motor's torque limit, as the mean over a control step, counts as at it
 
@@ -107,7 +111,7 @@ def summarise(episodes: Sequence[dict[str, Any]]) -> dict[str, Any]:
 
     `ci95` is half the width of the 95 % confidence interval of the mean, `fall_rate_ci95` the ends
     of that of the share of falls. `worst` is the least favourable episode's: the highest of
-    `HIGH_IS_BAD`, the lowest of the others.
+    figures that are better low, the lowest of the others.
     """
     falls = sum(episode["fell"] for episode in episodes)
     summary: dict[str, Any] = {
@@ -115,9 +119,10 @@ def summarise(episodes: Sequence[dict[str, Any]]) -> dict[str, Any]:
         "fall_rate": falls / len(episodes),
         "fall_rate_ci95": list(share_interval(falls, len(episodes))),
     }
-    names = [name for name, _, _ in FIGURES if name in episodes[0]]
-    names += [name for name in episodes[0] if name.startswith("reward/")]
-    for name in names:
+    terms = [Figure(name, name, "") for name in episodes[0] if name.startswith("reward/")]
+    for name, _, _, worst in (*FIGURES, *terms):
+        if name not in episodes[0]:
+            continue
         values = np.array([e[name] for e in episodes if e[name] is not None], float)
         if not len(values):
             summary[name] = None
@@ -126,7 +131,7 @@ def summarise(episodes: Sequence[dict[str, Any]]) -> dict[str, Any]:
         summary[name] = {
             "mean": mean,
             "median": float(np.median(values)),
-            "worst": float(values.max() if name in HIGH_IS_BAD else values.min()),
+            "worst": float(worst(values)),
             "ci95": half_width,
         }
     return summary
@@ -140,7 +145,7 @@ def engine_differences(mjx: dict[str, Any], mujoco: dict[str, Any]) -> dict[str,
     """
     means = {
         name: (figure_mean(mjx[name]), figure_mean(mujoco[name]))
-        for name, _, _ in FIGURES
+        for name, *_ in FIGURES
         if name in mjx
     }
     means = {"fall_rate": (mjx["fall_rate"], mujoco["fall_rate"]), **means}

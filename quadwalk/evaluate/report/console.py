@@ -40,7 +40,7 @@ def print_engines(mjx: dict[str, Any], mujoco: dict[str, Any]) -> None:
     differences = engine_differences(mjx, mujoco)
     falls = 100 * differences["fall_rate"]["difference"]
     rows = [("falls", _falls_text(mjx), _falls_text(mujoco), f"{falls:+.1f}", "", "%")]
-    for name, heading, unit in FIGURES:
+    for name, heading, unit, _ in FIGURES:
         if name in differences:
             texts = (figure_text(mjx[name]), figure_text(mujoco[name]))
             change = _text(differences[name]["difference"], "+.3f")
@@ -167,7 +167,7 @@ def _figures(*summaries: dict[str, Any]) -> list[tuple[str, str, str]]:
     """Name, heading and unit of the figures in any of the summaries, then of the reward's terms."""
     names = dict.fromkeys(name for summary in summaries for name in summary)
     terms = [name for name in names if name.startswith("reward/")]
-    rows = [row for row in FIGURES if row[0] in names]
+    rows = [row[:3] for row in FIGURES if row.name in names]
     return [*rows, *((name, f"  {name.partition('/')[2]}", "") for name in terms)]
 
 

@@ -122,8 +122,8 @@ def draw_comparison(labels: list[str], results: list[dict[str, Any]]) -> Figure:
     shown = [
         row
         for row in FIGURES
-        if row[0] not in ("distance", "path", "cost_of_transport", "reward")
-        and any(row[0] in result["summary"] for result in results)
+        if row.name not in ("distance", "path", "cost_of_transport", "reward")
+        and any(row.name in result["summary"] for result in results)
     ]
     lines = math.ceil((1 + len(shown)) / _COLUMNS)
     first = results[0]
@@ -138,7 +138,7 @@ def draw_comparison(labels: list[str], results: list[dict[str, Any]]) -> Figure:
         _falls(panels[0], place, result["summary"])
     for axes in panels[1 + len(shown) :]:
         axes.set_axis_off()
-    for axes, (name, heading, unit) in zip(panels[1 : 1 + len(shown)], shown, strict=True):
+    for axes, (name, heading, unit, _) in zip(panels[1 : 1 + len(shown)], shown, strict=True):
         tidy(axes, heading, unit)
         for place, result in enumerate(results):
             _figure(axes, place, result, name)
