@@ -107,6 +107,8 @@ def _prepare(cpu_devices: int) -> None:
         folder = compilation_cache()
         if _can_keep(folder):
             jax.config.update("jax_compilation_cache_dir", str(folder))
+            # Also the forty programs of milliseconds that make a learner: together, a second.
+            jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 
 
 def _keep_freed_memory() -> None:
