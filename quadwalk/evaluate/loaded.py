@@ -1,4 +1,4 @@
-"""What is judged: a run's policy, on the robot and in the environment it was trained for."""
+"""A run's policy with its robot and environment, to be evaluated, driven or exported."""
 
 import dataclasses
 from dataclasses import dataclass
@@ -25,7 +25,7 @@ PUSH_SECONDS = 5.0  # one push in each
 
 @dataclass(frozen=True)
 class LoadedRun:
-    """A run, loaded."""
+    """A policy and the environment to roll it out in."""
 
     run: Run
     file: Path  # that the policy was read from
@@ -40,19 +40,15 @@ class LoadedRun:
 
 
 def training_ranges(config: EnvConfig) -> RandomisationConfig:
-    """The ranges that a task draws the conditions of its episodes from.
-
-    Of a task in an ideal world, those of `REAL_WORLD`.
-    """
+    """The ranges of a task's domain randomisation; `REAL_WORLD` where training had none."""
     own = config.randomisation
     return REAL_WORLD if own == NO_RANDOMISATION else own
 
 
 def unseen_ground(trained: GroundConfig, seed: int, levels: int = 3) -> GroundConfig:
-    """The kinds of ground trained on, each at so many difficulties, as training did not have them.
+    """Ground of the kinds trained on, made by `seed` from numbers that training never draws.
 
-    All kinds alike, if training had more of some. A flat floor, and a field from a file, are what
-    they are.
+    Each kind counts once, at `levels` difficulties. A flat floor or a field from a file stays.
     """
     if trained.flat or trained.file is not None:
         return dataclasses.replace(trained, curriculum=False)
@@ -73,12 +69,11 @@ def load_run(
 ) -> LoadedRun:
     """Load the "last" or "best" policy of `run` for episodes of up to `seconds` in `engine`.
 
-    The robot is as its model says, and nothing disturbs it, unless the episodes are `randomised`:
-    then each has conditions of its own, from the `training_ranges`, and a push in each
-    `PUSH_SECONDS`, whatever training had, so that runs compare. A command, if there are any,
-    stays for a whole episode, so that each has one gait to look at. Ground that is not flat is
-    made anew, by `seed`, as training did not have it; or it is replaced by a `flat` floor.
-    Raises `UserError` where its policy or robot cannot be read, or do not belong together.
+    Without `randomised` the robot is that of its model and nothing disturbs it. With it, each
+    episode draws conditions from the `training_ranges`, with a push in each `PUSH_SECONDS`,
+    whatever training had, so that runs compare. A velocity command holds for a whole episode, so
+    that the episode has one gait. Uneven ground is `unseen_ground` of `seed`, or, if `flat`, a
+    flat floor. Raises `UserError` where policy or robot cannot be read, or do not match.
     """
     file = run.best if which == "best" else run.policy
     policy, sha256 = load_policy(file), checkpoint.sha256(file)

@@ -1,4 +1,4 @@
-"""A rollout: what one episode of a policy looked like, as plain arrays."""
+"""A rollout: one episode of a policy, as plain arrays."""
 
 from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING

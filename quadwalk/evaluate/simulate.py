@@ -66,13 +66,15 @@ def roll_out(
     renew = jax.jit(chosen)
     count, longest = len(starts.obs), env.config.episode_steps
     rows = np.arange(room or count)  # the number of the episode in each; `count` and more: none
-    states, waiting, done = begun(rows), len(rows), np.zeros(count)
+    following = iter(range(len(rows), count))
+    states, done = begun(rows), np.zeros(count)
     kept: defaultdict[int, list[Any]] = defaultdict(list)
     while np.any(rows < count):
         states, watched = chunk(policy, states)
         ends, parts = jax.device_get(watched)
         over = (ends > 0).any(axis=0)
         steps = np.where(over, np.argmax(ends > 0, axis=0) + 1, CHUNK)
+        new = np.zeros(len(rows), bool)
         for row in np.flatnonzero(rows < count):
             number, own = int(rows[row]), steps[row]
             kept[number].append(_rows(parts, (slice(own), row)))
@@ -80,12 +82,10 @@ def roll_out(
             if over[row]:
                 whole = jax.tree.map(lambda *x: np.concatenate(x), *kept.pop(number))
                 yield number, env.ends[ends[own - 1, row]], whole
+                rows[row] = next(following, count)
+                new[row] = rows[row] < count
         if report is not None:
             report(round(done.mean()))
-        free = np.flatnonzero(over & (rows < count))
-        rows[free] = waiting + np.arange(len(free))
-        waiting += len(free)
-        new = np.isin(np.arange(len(rows)), free) & (rows < count)
         if new.any():
             states = renew(new, begun(rows), states)
 

@@ -33,7 +33,7 @@ from quadwalk.task.episode.conditions import (
 
 @dataclass(frozen=True)
 class Point:
-    """The conditions of some episodes: those of the robot's model, but for what is named."""
+    """Conditions of episodes: the robot's model, but for the fields that differ from it."""
 
     friction: float | None = None  # sliding friction of feet and floor; None: the model's
     mass: float = 0.0  # kg, added to the trunk

@@ -95,7 +95,7 @@ def verify_mcap(path: str | Path) -> int:
         raise UserError(f"cannot read {path}: {os_reason(error)}") from error
     except Exception as error:
         # Damaged bytes meet the reader's parts anywhere: struct.error, ZstdError, McapError,
-        # UnicodeDecodeError, MemoryError... They all mean one thing to who asked for the file.
+        # UnicodeDecodeError, MemoryError... They all mean one thing to the caller.
         reason = str(error) or type(error).__name__
         raise UserError(f"{path}: damaged or incomplete MCAP file ({reason})") from error
 

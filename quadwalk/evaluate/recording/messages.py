@@ -1,7 +1,7 @@
 """An episode as a stream of messages, in order of time, for viewers to draw and to plot.
 
 Times are simulated nanoseconds. A state is stamped with its own time; what a step produced
-(torque, contact, reward) with the time at its end; what the policy saw and asked for with the time
+(torque, contact, reward) with the time at its end; what the policy saw and commanded with the time
 at its start. The `foxglove.*` messages: https://docs.foxglove.dev/docs/sdk/schemas.
 
 Numbers are written to within a millionth of their value (`encoding.compact`).
