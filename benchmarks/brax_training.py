@@ -14,12 +14,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from brax.envs.base import Env, State, Wrapper
+from brax.training.acme.running_statistics import normalize
+from brax.training.agents.ppo import networks as brax_networks
 from brax.training.agents.ppo import train as brax_ppo
+from brax.training.distribution import NormalTanhDistribution
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from quadwalk.settings.training import PPOConfig
 from quadwalk.train import ppo
-from quadwalk.train.networks import Networks, make_networks, mean_policy
+from quadwalk.train.networks import Networks, TanhNormal, make_networks, mean_policy
 
 Params = tuple[Any, Any, Any]  # normaliser, policy, value
 
@@ -39,6 +42,33 @@ class _JaxForBrax:
 
 if not hasattr(jax, "device_put_replicated"):
     brax_ppo.jax = _JaxForBrax()
+
+
+class NormalTanh(NormalTanhDistribution):
+    """Brax's distribution of actions with our entropy, in closed form in place of a sample."""
+
+    def entropy(self, parameters: jax.Array, seed: jax.Array) -> jax.Array:
+        return TanhNormal.of(jnp.moveaxis(parameters, -1, 0), self._var_scale).entropy()
+
+
+def networks_of_brax(
+    config: PPOConfig, networks: Networks, **others: Any
+) -> brax_networks.PPONetworks:
+    """Brax's own networks of the same sizes as `networks`, which are plain."""
+    return brax_networks.make_ppo_networks(
+        networks.whole.size,
+        networks.outputs.size // 2,
+        preprocess_observations_fn=normalize,
+        policy_hidden_layer_sizes=config.hidden,
+        value_hidden_layer_sizes=config.hidden,
+    ).replace(
+        **{
+            "parametric_action_distribution": NormalTanh(
+                networks.outputs.size // 2, var_scale=networks.std_scale
+            ),
+            **others,
+        }
+    )
 
 
 class ForBrax(Wrapper):
@@ -84,7 +114,7 @@ def brax_arguments(config: PPOConfig, envs: int) -> dict[str, Any]:
 
 def train_with_brax(
     env: Env,
-    networks: Networks,
+    networks: brax_networks.PPONetworks,
     config: PPOConfig,
     envs: int,
     start: ppo.Learner,
@@ -129,7 +159,7 @@ def params_of(learner: ppo.Learner) -> Params:
     return jax.device_get((learner.normalizer, learner.params.policy, learner.params.value))
 
 
-def make_judge(env: Env, networks: Networks, episodes: int) -> Callable[[Params], Any]:
+def make_judge(env: Env, config: PPOConfig, episodes: int) -> Callable[[Params], Any]:
     """Judges parameters by `episodes` with the mean action.
 
     Returns reward and speed, summed until an episode ends, over its full length; and the share of
@@ -139,7 +169,7 @@ def make_judge(env: Env, networks: Networks, episodes: int) -> Callable[[Params]
 
     @jax.jit
     def judge(params: Params) -> tuple[jax.Array, jax.Array, jax.Array]:
-        policy = mean_policy(networks, params[0], params[1])
+        policy = mean_policy(config.activation, params[0], params[1])
 
         def one_step(carry: Any, _: None) -> Any:
             state, running = carry
@@ -195,9 +225,10 @@ def learning_curves(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Ours and Brax's curves (seeds, 1 + points, 3): reward, speed, falls as `make_judge` tells."""
     networks = make_networks(config, env.observation_size, env.action_size)
+    theirs = networks_of_brax(config, networks)
     mesh = ppo.make_mesh()
     iterate = ppo.Iteration(env, networks, config, mesh, iterations)
-    judge = make_judge(env, networks, episodes)
+    judge = make_judge(env, config, episodes)
     curves: tuple[list[Any], list[Any]] = ([], [])
     for seed in range(seeds):
         state = ppo.init_state(env, networks, config, mesh, envs, seed)
@@ -206,7 +237,7 @@ def learning_curves(
         runs = (
             functools.partial(train_with_ours, iterate, state, iterations, points),
             functools.partial(
-                train_with_brax, env, networks, config, envs, start, iterations, points, seed
+                train_with_brax, env, theirs, config, envs, start, iterations, points, seed
             ),
         )
         for name, run, curve in zip(("ours", "Brax"), runs, curves, strict=True):

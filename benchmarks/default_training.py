@@ -28,10 +28,10 @@ class DefaultTraining:
         from quadwalk.robot.quadruped import load_quadruped
         from quadwalk.task.env import QuadrupedEnv
         from quadwalk.train import ppo
-        from quadwalk.train.networks import make_networks
+        from quadwalk.train.networks import networks_for
 
         env = QuadrupedEnv(load_quadruped(), sprint.TASK.env)
-        networks = make_networks(config, env.observation_size, env.action_size)
+        networks = networks_for(env, config)
         mesh = ppo.make_mesh()
         self._state = ppo.init_state(env, networks, config, mesh, envs, seed)
         # Of how many only tells the learning rate's schedule when to settle.

@@ -25,6 +25,7 @@ import time
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import platformdirs
@@ -159,13 +160,18 @@ def work(task: str, envs: int, processor_time: bool) -> None:
 
     from quadwalk.robot.quadruped import load_quadruped
     from quadwalk.task.env import QuadrupedEnv
+    from quadwalk.train import networks as module_of_networks
     from quadwalk.train import ppo
-    from quadwalk.train.networks import make_networks
 
     env = QuadrupedEnv(load_quadruped(), config.env)
     critic = len(getattr(env, "critic_names", ()))  # a commit may have none
     size = env.observation_size - critic
-    networks = make_networks(config.ppo, size, env.action_size, *([critic] if critic else []))
+    if hasattr(module_of_networks, "networks_for"):
+        networks = module_of_networks.networks_for(env, config.ppo)
+    else:
+        more = [critic] if critic else []
+        make_networks: Any = module_of_networks.make_networks
+        networks = make_networks(config.ppo, size, env.action_size, *more)
     mesh = ppo.make_mesh(devices)
     make = getattr(ppo, "Iteration", None) or vars(ppo)["make_iteration"]
     state = ppo.init_state(env, networks, config.ppo, mesh, envs, 0)

@@ -49,6 +49,9 @@ class PPOConfig(Settings, group="ppo"):
     # hidden layers of policy and value network
     hidden: Annotated[tuple[int, ...], Bounds(1, 100_000)]
     activation: str  # of the hidden layers, by its name in Brax: swish, relu, tanh, ...
+    # networks that answer a mirrored observation with the mirrored action, by construction: where
+    # the robot is its own mirror image and every observation says how it mirrors
+    symmetric: bool = False
     # share of the falls after which the next episode is under the same conditions once more: so
     # what is hard to bear is met more often
     retry: Annotated[float, Bounds(0.0, 1.0, open="high")] = 0.0
@@ -86,6 +89,7 @@ PPO = PPOConfig(
     reward_scale=0.1,
     hidden=(128, 128, 128),
     activation="swish",
+    symmetric=True,
 )
 # For uneven ground. A quarter fewer steps/s than with three layers of 128, but as far in two thirds
 # of the steps; it settles early, for levels rise little before.

@@ -1,14 +1,13 @@
 """PPO as two jitted programs, to collect and to learn, each on every device at once.
 
-They are two since one program of both takes an eighth longer (docs/physics.md). The parts are
-Brax's maintained ones (networks, action distribution, loss with generalised advantage estimation,
-running statistics); the loop is here. Each device of the mesh steps its own share of the
-environments; gradients and statistics are averaged over devices, so every device holds the same
-learner. The learning rate follows the policy's change (KL divergence), as in Schulman et al. 2017,
-section 4, and Rudin et al. 2022, arXiv:2109.11978.
+They are two since one program of both takes an eighth longer (docs/physics.md). Advantages,
+running statistics and the rule of the learning rate are Brax's; networks, loss and loop are our
+own, with features first and environments last (`quadwalk.train.networks`). Each device of the mesh
+steps its own share of the environments; gradients and statistics are averaged over devices, so
+every device holds the same learner. The learning rate follows the policy's change (KL divergence),
+as in Schulman et al. 2017, section 4, and Rudin et al. 2022, arXiv:2109.11978.
 """
 
-import math
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
@@ -18,16 +17,15 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 from brax.envs.base import Env, State
-from brax.training.acme import running_statistics, specs
-from brax.training.agents.ppo import losses
-from brax.training.types import Transition
+from brax.training.acme.running_statistics import RunningStatisticsState
+from brax.training.agents.ppo.losses import PPONetworkParams, compute_gae
 from jax.sharding import Mesh, NamedSharding
 from jax.sharding import PartitionSpec as P
 
+from quadwalk.settings.training import PPOConfig
 from quadwalk.task.state import chosen
 from quadwalk.train.devices import release_freed_memory
-from quadwalk.train.networks import Networks
-from quadwalk.train.settings import PPOConfig
+from quadwalk.train.networks import Networks, Parts, TanhNormal
 
 AXIS = "devices"
 SOME = 16  # fresh episodes that are begun at once: of a thousand robots, few end in a step
@@ -38,9 +36,9 @@ Metrics = dict[str, Any]
 class Learner(NamedTuple):
     """What learning changes; the same on every device."""
 
-    params: losses.PPONetworkParams
+    params: PPONetworkParams
     optimizer: optax.OptState
-    normalizer: running_statistics.RunningStatisticsState
+    normalizer: RunningStatisticsState
     iterations: jax.Array  # () int32, done so far
 
 
@@ -56,6 +54,17 @@ class TrainState(NamedTuple):
 
     learner: Learner
     workers: Workers
+
+
+class Rollout(NamedTuple):
+    """What the environments learnt from met in `unroll` control steps; environments last."""
+
+    seen: Parts  # each (unroll, m, envs), `Networks.normalised`, before each step
+    raw_action: jax.Array  # (unroll, 12, envs), before the squashing
+    policy: TanhNormal  # of them, (unroll, 12, envs)
+    log_prob: jax.Array  # (unroll, envs), theirs
+    reward: jax.Array  # (unroll, envs), scaled, with what is expected after a time limit
+    discount: jax.Array  # (unroll, envs), 0 in an episode's last step, else 1
 
 
 class NanStep(NamedTuple):
@@ -94,17 +103,12 @@ def init_state(
     env: Env, networks: Networks, config: PPOConfig, mesh: Mesh, num_envs: int, seed: int
 ) -> TrainState:
     """The state before the first iteration, in which `num_envs` environments will start."""
-    key_policy, key_value, key_workers = jax.random.split(jax.random.PRNGKey(seed), 3)
-    params = losses.PPONetworkParams(
-        policy=networks.policy_network.init(key_policy),
-        value=networks.value_network.init(key_value),
-    )
+    key_networks, key_workers = jax.random.split(jax.random.PRNGKey(seed))
+    params = networks.init(key_networks)
     learner = Learner(
         params=params,
         optimizer=make_optimizer(config).init(params),
-        normalizer=running_statistics.init_state(
-            specs.Array((env.observation_size,), jnp.dtype("float32"))
-        ),
+        normalizer=networks.init_statistics(),
         iterations=jnp.zeros((), jnp.int32),
     )
     split = NamedSharding(mesh, P(AXIS))
@@ -133,18 +137,15 @@ def placed_like(saved: TrainState, state: TrainState) -> TrainState:
 
 def collect(
     env: Env, networks: Networks, config: PPOConfig, learner: Learner, workers: Workers
-) -> tuple[Workers, Transition, Metrics]:
+) -> tuple[Workers, tuple[Rollout, Parts], Metrics]:
     """Step every environment `unroll` times; the last of them, for evaluation, without noise.
 
-    Returns the transitions (envs, unroll, ...) of those learnt from, and metrics: means per step,
-    and counts of episodes; those of the evaluation environments are named "eval/...", "nan_step"
-    is a `NanStep`. A finished episode is followed by a fresh one. A step that meets the time limit
-    is not a failure: what the value network expects after it is added to its reward, and the step
-    then ends the episode, which equals bootstrapping through the limit.
+    Returns what those learnt from met and what they see (m, envs) at the end, and metrics: means
+    per step, and counts of episodes; those of the evaluation environments are named "eval/...",
+    "nan_step" is a `NanStep`. A finished episode is followed by a fresh one.
     """
     envs = len(workers.envs.done)
     learnt_from = envs - config.eval_envs // jax.lax.axis_size(AXIS)
-    noiseless = jnp.arange(envs)[:, None] >= learnt_from
     key, key_steps, key_reset = jax.random.split(workers.key[0], 3)
     first = learner.iterations == 0
     # As many fresh starts as there are environments. With a curriculum each has its own; otherwise
@@ -155,55 +156,45 @@ def collect(
     if tiles is None:  # once over, of which a step takes a part: `jnp.roll` would do it in each
         fresh = jax.tree.map(lambda x: jnp.concatenate([x, x]), fresh)
 
+    def expected(observation: jax.Array) -> jax.Array:
+        seen = networks.normalised(learner.normalizer, observation)
+        return networks.value(learner.params.value, seen)
+
     def one_step(
         carry: tuple[State, NanStep], xs: tuple[jax.Array, jax.Array]
-    ) -> tuple[tuple[State, NanStep], tuple[Transition, jax.Array, Metrics]]:
+    ) -> tuple[tuple[State, NanStep], tuple[Rollout, Metrics]]:
         before, nan_step = carry
         key, number = xs
-        action, policy_extras = _act(networks, learner, before.obs, noiseless, key)
+        seen = networks.normalised(learner.normalizer, before.obs)
+        policy = networks.policy(learner.params.policy, seen)
+        raw_action = policy.sample(key)
+        noiseless = jnp.arange(envs) >= learnt_from
+        action = jnp.tanh(jnp.where(noiseless, policy.mean, raw_action)).T
         after = jax.vmap(env.step)(before, action)
         nan_step = _first(nan_step, after.metrics["nan"], before.pipeline_state, action)
-        transition = Transition(
-            observation=before.obs,
-            action=action,
-            reward=config.reward_scale * after.reward,
-            discount=1.0 - after.done,
-            next_observation=None,
-            extras={
-                "state_extras": {"truncation": after.info["truncation"]},
-                "policy_extras": policy_extras,
-            },
-        )
-        transition, seen = jax.tree.map(lambda x: x[:learnt_from], (transition, after.obs))
         start = fresh
         if tiles is None:
             first_row = envs - 1 - number % envs
             start = jax.tree.map(lambda x: jax.lax.dynamic_slice_in_dim(x, first_row, envs), fresh)
-        return (
-            (_start_anew(env, config, after, start, jax.random.fold_in(key, 1)), nan_step),
-            (transition, seen, _step_metrics(after, learnt_from)),
+        reward, following = _start_anew(
+            env, config, expected, after, start, jax.random.fold_in(key, 1)
         )
+        log_prob = policy.log_prob(raw_action)
+        met = Rollout(seen, raw_action, policy, log_prob, reward, 1.0 - after.done)
+        met = jax.tree.map(lambda x: x[..., :learnt_from], met)
+        return (following, nan_step), (met, _step_metrics(after, learnt_from))
 
     nowhere = jax.tree.map(lambda x: jnp.zeros_like(x[0]), workers.envs.pipeline_state)
     nan_step = NanStep(jnp.zeros(()), nowhere, jnp.zeros(env.action_size))
-    (after, nan_step), (transitions, seen, metrics) = jax.lax.scan(
+    (after, nan_step), (rollout, metrics) = jax.lax.scan(
         one_step,
         (begun, nan_step),
         (jax.random.split(key_steps, config.unroll), jnp.arange(config.unroll)),
     )
-
     if env.curriculum is not None:
         metrics |= env.curriculum.sums(after.pipeline_state.tile[:learnt_from])
-
-    def value(observation: jax.Array) -> jax.Array:
-        return networks.value_network.apply(learner.normalizer, learner.params.value, observation)
-
-    most = math.ceil(config.unroll / env.config.episode_steps)
-    transitions = _through_time_limits(config, transitions, seen, value, most)
-    transitions = jax.tree.map(lambda x: jnp.swapaxes(x, 0, 1), transitions)
-    # The loss needs an observation after the last step only, to bootstrap from.
-    transitions = transitions._replace(next_observation=after.obs[:learnt_from, None])
-    return Workers(after, key[None]), transitions, _over_devices(metrics, nan_step)
+    last = networks.normalised(learner.normalizer, after.obs[:learnt_from])
+    return Workers(after, key[None]), (rollout, last), _over_devices(metrics, nan_step)
 
 
 def _next_tiles(
@@ -223,25 +214,6 @@ def _next_tiles(
     learning = jnp.where(first, env.curriculum.first(envs, key_first), following)
     evenly = env.curriculum.evenly(envs, key_even)
     return jnp.where(jnp.arange(envs) < learnt_from, learning, evenly)
-
-
-def _act(
-    networks: Networks,
-    learner: Learner,
-    observation: jax.Array,
-    noiseless: jax.Array,
-    key: jax.Array,
-) -> tuple[jax.Array, dict[str, jax.Array]]:
-    """Actions (n, 12), sampled or, where `noiseless` (n, 1), the mode; and what the loss needs."""
-    distribution = networks.parametric_action_distribution
-    logits = networks.policy_network.apply(learner.normalizer, learner.params.policy, observation)
-    raw_action = distribution.sample_no_postprocessing(logits, key)
-    action = jnp.where(noiseless, distribution.mode(logits), distribution.postprocess(raw_action))
-    return action, {
-        "log_prob": distribution.log_prob(logits, raw_action),
-        "raw_action": raw_action,
-        "distribution_params": logits,
-    }
 
 
 def _step_metrics(after: State, learnt_from: int) -> Metrics:
@@ -270,31 +242,47 @@ def _over_devices(metrics: Metrics, nan_step: NanStep) -> Metrics:
     }
 
 
-def _start_anew(env: Env, config: PPOConfig, after: State, start: State, key: jax.Array) -> State:
-    """`after`, in finished episodes replaced by `start`; the reward and the like stay."""
+def _start_anew(
+    env: Env,
+    config: PPOConfig,
+    expected: Callable[[jax.Array], jax.Array],
+    after: State,
+    start: State,
+    key: jax.Array,
+) -> tuple[jax.Array, State]:
+    """Rewards (n,) to learn from, and `after` with finished episodes replaced by `start`.
+
+    A step that meets the time limit is not a failure: what the value network expects after it is
+    added to its reward, and the step then ends the episode, which equals bootstrapping through the
+    limit (Pardo et al. 2018, arXiv:1712.00378). `expected` gives the values of observations.
+    """
     # Only after a fall at a random step: those that fell together must not end together.
     late = start.pipeline_state.steps * after.metrics["fell"].astype(jnp.int32)
     changes = {"steps": late}
     if config.retry:
         changes["conditions"] = _retried(config.retry, after, start, key)
     start = start.replace(pipeline_state=start.pipeline_state._replace(**changes))
-    old = after.pipeline_state, after.obs
     envs, ended = len(after.done), jnp.sum(after.done > 0)
     rows = jnp.flatnonzero(after.done > 0, size=envs + SOME, fill_value=envs)
+    truncation = config.discount * after.info["truncation"]
 
     def some(carry: tuple[Any, jax.Array]) -> tuple[Any, jax.Array]:
-        found, done = carry
+        (reward, state, obs), done = carry
         own = jax.lax.dynamic_slice_in_dim(rows, done, SOME)
+        beyond = truncation[own] * expected(after.obs[own])
         # Seen as it really starts. For all rows that would take a twentieth of a training step.
         begun = jax.vmap(env.begun)(jax.tree.map(lambda x: x[own], start))
         new = begun.pipeline_state, begun.obs
-        put = jax.tree.map(lambda old, new: old.at[own].set(new, mode="drop"), found, new)
-        return put, done + SOME
+        state, obs = jax.tree.map(
+            lambda old, new: old.at[own].set(new, mode="drop"), (state, obs), new
+        )
+        return (reward.at[own].add(beyond, mode="drop"), state, obs), done + SOME
 
-    (state, obs), _ = jax.lax.while_loop(
+    old = config.reward_scale * after.reward, after.pipeline_state, after.obs
+    (reward, state, obs), _ = jax.lax.while_loop(
         lambda carry: carry[1] < ended, some, (old, jnp.zeros((), jnp.int32))
     )
-    return after.replace(pipeline_state=state, obs=obs)
+    return reward, after.replace(pipeline_state=state, obs=obs)
 
 
 def _retried(share: float, after: State, start: State, key: jax.Array) -> Any:
@@ -307,30 +295,6 @@ def _retried(share: float, after: State, start: State, key: jax.Array) -> Any:
         return None
     again = jax.random.bernoulli(key, share, after.done.shape) & (after.metrics["fell"] > 0)
     return chosen(again, fallen._replace(targets=fresh.targets, key=fresh.key), fresh)
-
-
-def _through_time_limits(
-    config: PPOConfig,
-    transitions: Transition,
-    seen: jax.Array,
-    value: Callable[..., jax.Array],
-    most: int,
-) -> Transition:
-    """`transitions` (unroll, envs, ...) with time limits made part of the reward.
-
-    `seen` (unroll, envs, n) is the observation after each step, before any fresh start. An
-    environment meets `most` time limits in an iteration, mostly one, so `value` is asked for as
-    many observations of each and not for all.
-    """
-    truncation = transitions.extras["state_extras"]["truncation"]
-    reward, limits = transitions.reward, jnp.cumsum(truncation, axis=0)
-    for number in range(most):
-        here = truncation * (limits == number + 1)
-        step = jnp.argmax(here, axis=0)
-        expected = value(jnp.take_along_axis(seen, step[None, :, None], axis=0)[0])
-        reward += config.discount * here * expected
-    extras = {**transitions.extras, "state_extras": {"truncation": jnp.zeros_like(truncation)}}
-    return transitions._replace(reward=reward, extras=extras)
 
 
 def _first(known: NanStep, nan: jax.Array, before: Any, action: jax.Array) -> NanStep:
@@ -349,54 +313,87 @@ def learn(
     networks: Networks,
     config: PPOConfig,
     learner: Learner,
-    data: Transition,
+    data: tuple[Rollout, Parts],
     key: jax.Array,
     iterations: int,
 ) -> tuple[Learner, Metrics]:
-    """Epochs of minibatch updates on `data` (envs, unroll, ...), one of `iterations` in all.
+    """Epochs of minibatch updates on what `collect` gives, one of `iterations` in all.
 
-    The first call measures the observations and no more: a policy that had learnt on raw ones
-    would change beyond recognition when they are normalised.
+    A minibatch is of environments side by side. The first call measures the observations and no
+    more: a policy that had learnt on raw ones would change beyond recognition when they are
+    normalised.
     """
     progress = learner.iterations / float(iterations)  # more than int32 holds, if it must be
     desired_kl = settled(config.desired_kl, config.final_kl, config.settle, progress)
     entropy = settled(config.entropy, config.final_entropy, config.settle, progress)
+    rollout, _ = data
+    size = rollout.reward.shape[-1] // config.minibatches
 
-    def update(carry: Any, xs: tuple[jax.Array, jax.Array]) -> Any:
-        rows, key = xs
-        # Taken here, and not all of an epoch before, data is copied once.
-        batch = jax.tree.map(lambda x: x[rows], data)
-        return _update(networks, config, learner.normalizer, desired_kl, entropy, carry, batch, key)
+    def update(carry: Any, number: jax.Array) -> Any:
+        own, end = jax.tree.map(
+            lambda x: jax.lax.dynamic_slice_in_dim(x, number * size, size, axis=-1), data
+        )
+        # Features before steps: rows of a layer's product are of all steps and environments.
+        seen, raw_action, policy = jax.tree.map(
+            lambda x: jnp.swapaxes(x, 0, 1), (own.seen, own.raw_action, own.policy)
+        )
+        batch = own._replace(seen=seen, raw_action=raw_action, policy=policy)
+        return _update(networks, config, desired_kl, entropy, carry, batch, end)
 
     def epoch(carry: Any, key: jax.Array) -> Any:
-        key_order, key_loss = jax.random.split(key)
-        order = jax.random.permutation(key_order, data.reward.shape[0])
-        keys = jax.random.split(key_loss, config.minibatches)
-        return jax.lax.scan(update, carry, (order.reshape(config.minibatches, -1), keys))
+        return jax.lax.scan(update, carry, jax.random.permutation(key, config.minibatches))
 
     before = learner.params, learner.optimizer
     after, metrics = jax.lax.scan(epoch, before, jax.random.split(key, config.epochs))
     first = learner.iterations == 0
     params, state = jax.tree.map(lambda old, new: jnp.where(first, old, new), before, after)
     # After learning: the divergence from the collecting policy is then a matter of weights alone.
-    normalizer = _measured(learner.normalizer, data.observation, first)
+    seen = jax.tree.map(lambda x: jnp.swapaxes(x, 0, 1), rollout.seen)
+    normalizer = networks.measured(learner.normalizer, seen, AXIS)
     return Learner(params, state, normalizer, learner.iterations + 1), {
-        "loss/policy": jnp.mean(metrics["policy_loss"]),
-        "loss/value": jnp.mean(metrics["v_loss"]),
-        "loss/kl": jnp.mean(metrics["kl_mean"]),
-        "policy/std": metrics["policy_dist_mean_std"][-1, -1],
-        "learning_rate": metrics["learning_rate"][-1, -1],
+        "loss/policy": jnp.mean(metrics["policy"]),
+        "loss/value": jnp.mean(metrics["value"]),
+        "loss/kl": jnp.mean(metrics["kl"]),
+        "policy/std": metrics["std"][-1, -1],
+        "learning_rate": metrics[RATE][-1, -1],
     }
 
 
-def _measured(
-    normalizer: running_statistics.RunningStatisticsState, observation: jax.Array, first: jax.Array
-) -> running_statistics.RunningStatisticsState:
-    """`normalizer` with `observation` (envs, unroll, n) in its statistics."""
-    # The first are counted from one of them and not from 0: rounding would spread a constant 0.7.
-    one = jax.lax.pmean(observation[0, 0], AXIS)
-    begun = normalizer.replace(mean=jnp.where(first, one, normalizer.mean))
-    return running_statistics.update(begun, observation, pmap_axis_name=AXIS)
+def loss(
+    networks: Networks,
+    config: PPOConfig,
+    entropy: jax.Array,
+    params: PPONetworkParams,
+    batch: Rollout,
+    last: Parts,
+) -> tuple[jax.Array, Metrics]:
+    """PPO's loss, as Brax's `compute_ppo_loss`, and its parts.
+
+    Of `batch`, features come first: (m, unroll, envs). `last` (m, envs) is seen after it.
+    """
+    policy = networks.policy(params.policy, batch.seen)
+    values = networks.value(params.value, batch.seen)
+    returns, advantages = compute_gae(
+        truncation=jnp.zeros_like(batch.reward),  # part of the reward
+        termination=1.0 - batch.discount,
+        rewards=batch.reward,
+        values=values,
+        bootstrap_value=networks.value(params.value, last),
+        lambda_=config.gae_lambda,
+        discount=config.discount,
+    )
+    advantages = (advantages - advantages.mean()) / (advantages.std() + 1e-8)
+    ratio = jnp.exp(policy.log_prob(batch.raw_action) - batch.log_prob)
+    clipped = jnp.clip(ratio, 1.0 - config.clip, 1.0 + config.clip)
+    policy_loss = -jnp.mean(jnp.minimum(ratio * advantages, clipped * advantages))
+    value_loss = 0.5 * config.value * jnp.mean((returns - values) ** 2)
+    total = policy_loss + value_loss - entropy * jnp.mean(policy.entropy())
+    return total, {
+        "policy": policy_loss,
+        "value": value_loss,
+        "kl": jnp.mean(policy.divergence(batch.policy)),
+        "std": jnp.mean(policy.std),
+    }
 
 
 def adapted(config: PPOConfig, rate: jax.Array, kl: jax.Array, desired_kl: jax.Array) -> jax.Array:
@@ -412,35 +409,19 @@ def adapted(config: PPOConfig, rate: jax.Array, kl: jax.Array, desired_kl: jax.A
 def _update(
     networks: Networks,
     config: PPOConfig,
-    normalizer: running_statistics.RunningStatisticsState,
     desired_kl: jax.Array,
     entropy: jax.Array,
-    carry: tuple[losses.PPONetworkParams, optax.OptState],
-    batch: Transition,
-    key: jax.Array,
-) -> tuple[tuple[losses.PPONetworkParams, optax.OptState], Metrics]:
+    carry: tuple[PPONetworkParams, optax.OptState],
+    batch: Rollout,
+    last: Parts,
+) -> tuple[tuple[PPONetworkParams, optax.OptState], Metrics]:
     """One gradient step on `batch`; `carry` is parameters and optimizer state."""
     params, state = carry
-
-    def loss(params: losses.PPONetworkParams) -> Any:
-        return losses.compute_ppo_loss(
-            params,
-            normalizer,
-            batch,
-            key,
-            networks,
-            entropy_cost=entropy,
-            discounting=config.discount,
-            gae_lambda=config.gae_lambda,
-            clipping_epsilon=config.clip,
-            vf_coefficient=config.value,
-        )
-
-    (_, metrics), grads = jax.value_and_grad(loss, has_aux=True)(params)
-    grads = jax.lax.pmean(grads, AXIS)
-    metrics = jax.lax.pmean(metrics, AXIS)
+    graded = jax.grad(loss, argnums=3, has_aux=True)
+    found = graded(networks, config, entropy, params, batch, last)
+    grads, metrics = jax.lax.pmean(found, AXIS)
     rate = optax.tree_utils.tree_get(state, RATE)
-    rate = adapted(config, rate, metrics["kl_mean"], desired_kl)
+    rate = adapted(config, rate, metrics["kl"], desired_kl)
     state = optax.tree_utils.tree_set(state, **{RATE: rate})
     updates, state = make_optimizer(config).update(grads, state, params)
     return (optax.apply_updates(params, updates), state), {**metrics, RATE: rate}
@@ -460,7 +441,7 @@ class Iteration:
             key, key_learn = jax.random.split(workers.key[0])
             return workers._replace(key=key[None]), data, collected, key_learn[None]
 
-        def learning(learner: Learner, data: Transition, key: jax.Array) -> tuple[Any, ...]:
+        def learning(learner: Learner, data: Any, key: jax.Array) -> tuple[Any, ...]:
             learner, learned = learn(networks, config, learner, data, key[0], iterations)
             floats = [x for x in jax.tree.leaves(learner) if jnp.issubdtype(x.dtype, jnp.floating)]
             finite = jnp.all(jnp.stack([jnp.all(jnp.isfinite(x)) for x in floats]))
@@ -468,7 +449,9 @@ class Iteration:
 
         one: Any = P()
         split: Any = P(AXIS)
-        self._split = NamedSharding(mesh, split)
+        rows: Any = P(None, AXIS)  # environments last
+        steps: Any = P(None, None, AXIS)
+        data: Any = Rollout(steps, steps, TanhNormal(steps, steps), rows, rows, rows), rows
 
         def program(function: Callable[..., Any], inputs: Any, outputs: Any, **others: Any) -> Any:
             shared = jax.shard_map(
@@ -477,19 +460,16 @@ class Iteration:
             return jax.jit(shared, **others)
 
         self._collect = program(
-            collecting, (one, split, one), (split, split, one, split), donate_argnums=1
+            collecting, (one, split, one), (split, data, one, split), donate_argnums=1
         )
         heights = tuple(surface.grids.reshape(-1) for surface in env.surfaces)
         self._ground = jax.device_put(heights, NamedSharding(mesh, one))
-        self.learn = program(learning, (one, split, split), (one, one), donate_argnums=0)
+        self.learn = program(learning, (one, data, split), (one, one), donate_argnums=0)
 
     def trace(self, state: TrainState) -> None:
         """Trace both programs for states like this: what the task's functions cannot do shows."""
         collecting = self._collect.lower(*state, self._ground)
         _, data, _, key = collecting.out_info
-        data, key = jax.tree.map(
-            lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype, sharding=self._split), (data, key)
-        )
         self._collect, self.learn = collecting, self.learn.lower(state.learner, data, key)
 
     def compile(self) -> None:

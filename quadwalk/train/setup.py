@@ -19,7 +19,7 @@ from quadwalk.task.env import QuadrupedEnv
 from quadwalk.task_files import OWN
 from quadwalk.train import distributed, ppo
 from quadwalk.train.devices import choose_devices
-from quadwalk.train.networks import make_networks
+from quadwalk.train.networks import Networks, networks_for
 from quadwalk.train.ppo import TrainState
 from quadwalk.train.progress.display import Progress
 from quadwalk.train.progress.metrics import TrainingMetrics
@@ -46,7 +46,7 @@ class Training:
     run: Run | None  # None in all processes but the first
     resumed: bool
     quadruped: Quadruped
-    policy_size: int  # how many numbers the policy sees
+    networks: Networks
     metrics: TrainingMetrics
     state: TrainState
     steps: int  # control steps behind it
@@ -71,7 +71,9 @@ def prepare(
         progress.message(note)
     _check_processes(config, quadruped)
     env = QuadrupedEnv(quadruped, config.env)
-    networks = make_networks(config.ppo, env.policy_size, env.action_size, len(env.critic_names))
+    networks = networks_for(env, config.ppo)
+    if config.ppo.symmetric and env.asymmetry is not None:
+        progress.message(f"plain networks: {env.asymmetry}")
     mesh = ppo.make_mesh(devices)
     state = ppo.init_state(env, networks, config.ppo, mesh, config.envs, config.seed)
     batch = config.envs * config.ppo.unroll
@@ -96,19 +98,23 @@ def prepare(
         if path is None:
             progress.message(f"{previous.path} has no checkpoint yet: it starts at its beginning")
         else:
-            state, steps, seconds = _restore(path, config, state, metrics)
+            state, steps, seconds = _restore(path, config, networks, state, metrics)
             progress.message(f"going on from {path}, after {steps:,} steps")
     # A new run that never began leaves its name to the next.
     with unfinished(run.path) if run and previous is None else nullcontext():
         iterate.compile()
     return Training(
-        config, run, previous is not None, quadruped, env.policy_size,
+        config, run, previous is not None, quadruped, networks,
         metrics, state, steps, seconds, batch, iterate,
     )  # fmt: skip
 
 
 def _restore(
-    path: Path, config: TrainConfig, state: TrainState, metrics: TrainingMetrics
+    path: Path,
+    config: TrainConfig,
+    networks: Networks,
+    state: TrainState,
+    metrics: TrainingMetrics,
 ) -> tuple[TrainState, int, float]:
     """The state in checkpoint `path`, placed as `state` is; its control steps and seconds.
 
@@ -117,6 +123,11 @@ def _restore(
     before is begun with again; all else goes on as it was. Raises `UserError` in one line.
     """
     leaves, metadata = checkpoint.load(path, "checkpoint")
+    if metadata.get("mirrors") != networks.mirrors:
+        raise UserError(
+            f"{path} has networks whose observations mirror otherwise: expected the robot and "
+            "the terms that it was trained with"
+        )
     keys, devices = leaves.get("workers/key"), len(state.workers.key)
     like = state
     if keys is not None and keys.ndim == 2 and len(keys) != devices:

@@ -8,7 +8,6 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
-from types import SimpleNamespace
 from typing import NamedTuple
 
 import jax
@@ -18,6 +17,7 @@ import onnx
 import onnxruntime
 import pytest
 import yaml
+from brax.training.acme.running_statistics import NestedMeanStd
 from brax.training.networks import ACTIVATION
 
 from quadwalk.errors import UserError
@@ -61,14 +61,11 @@ def untrained_run(path: Path, task: str, quadruped) -> Run:
     mean = np.float32(rng.normal(0, 0.1, env.policy_size))
     std = np.float32(rng.uniform(1, 3, env.policy_size))
     std[3] = 1e-6  # as of a number that never varied
-    learner = SimpleNamespace(
-        normalizer=SimpleNamespace(mean=mean, std=std),
-        params=SimpleNamespace(policy=networks.policy_network.init(jax.random.PRNGKey(0))),
-    )
+    weights = networks.init(jax.random.PRNGKey(0)).policy
     path.mkdir()
     run = Run(path)
     run.urdf.write_text(quadruped.urdf)
-    save_policy(run.policy, learner, config, quadruped.joints, env.policy_size, 0, 0.0)
+    save_policy(run.policy, NestedMeanStd(mean, std), weights, config, quadruped.joints, 0, 0.0)
     return run
 
 

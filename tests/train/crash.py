@@ -9,6 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import optax
 from brax.training.acme import running_statistics
+from brax.training.acme.running_statistics import NestedMeanStd
 from brax.training.agents.ppo import losses
 
 from quadwalk.tasks import sprint
@@ -28,7 +29,13 @@ def save(folder: Path, first: int, last: int, die_at: int | None = None) -> None
     training = SimpleNamespace(
         config=sprint.TASK,
         quadruped=SimpleNamespace(joints=("joint",)),
-        policy_size=3000,
+        networks=SimpleNamespace(
+            mirrors=None,
+            plain_policy=lambda normalizer, params: (
+                NestedMeanStd(normalizer.mean, normalizer.std),
+                params,
+            ),
+        ),
         metrics=metrics,
         steps=first,
         resumed=first > 0,

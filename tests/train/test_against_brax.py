@@ -16,15 +16,22 @@ import optax
 import pytest
 from brax.envs import training as brax_wrappers
 from brax.envs.base import Env, State, Wrapper
-from brax.training import distribution, gradients
+from brax.training import gradients
 from jax.sharding import NamedSharding
 from jax.sharding import PartitionSpec as P
 
-from benchmarks.brax_training import compare, learning_curves, params_of, train_with_brax
+from benchmarks.brax_training import (
+    NormalTanh,
+    compare,
+    learning_curves,
+    networks_of_brax,
+    params_of,
+    train_with_brax,
+)
 from quadwalk.settings.training import PPOConfig
 from quadwalk.tasks import sprint
 from quadwalk.train import ppo
-from quadwalk.train.networks import make_networks
+from quadwalk.train.networks import TanhNormal, make_networks
 
 ENVS = 32
 SETTINGS = {
@@ -96,12 +103,16 @@ def rewarded(position: Any, push: Any, fell: Any) -> Any:
     return 1.0 - position**2 - 0.1 * push**2 - 5.0 * fell
 
 
-class Keyless(distribution.NormalTanhDistribution):
+def noise(mean: jax.Array) -> jax.Array:
+    return 1.5 * jnp.sin(20.0 * mean)
+
+
+class Keyless(NormalTanh):
     """Actions whose noise follows from the policy's output, whatever the random key."""
 
     def create_dist(self, parameters: jax.Array) -> Any:
         normal = super().create_dist(parameters)
-        normal.sample = lambda seed: normal.loc + normal.scale * 1.5 * jnp.sin(20.0 * normal.loc)
+        normal.sample = lambda seed: normal.loc + normal.scale * noise(normal.loc)
         return normal
 
 
@@ -123,14 +134,6 @@ def scattered(observation: jax.Array) -> Motion:
 
 def wrap_scattered(env: Env, **settings: Any) -> Wrapper:
     return Scattered(brax_wrappers.wrap(env, **settings))
-
-
-def same_networks(config: PPOConfig) -> Any:
-    networks = make_networks(config, Point.observation_size, Point.action_size)
-    own = networks.parametric_action_distribution
-    return networks._replace(
-        parametric_action_distribution=Keyless(Point.action_size, var_scale=own._var_scale)
-    )
 
 
 class Both(NamedTuple):
@@ -163,18 +166,23 @@ def train_both(monkeypatch):
 
     monkeypatch.setattr(gradients, "loss_and_pgrad", recording)
     monkeypatch.setattr(
+        TanhNormal, "sample", lambda self, key: self.mean + self.std * noise(self.mean)
+    )
+    monkeypatch.setattr(
         jax.random, "permutation", lambda key, x: jnp.arange(x) if isinstance(x, int) else x
     )
 
     def train(env: Point, config: PPOConfig, iterations: int) -> Both:
         mesh = ppo.make_mesh()
-        networks = same_networks(config)
+        networks = make_networks(config, Point.observation_size, Point.action_size)
+        keyless = Keyless(Point.action_size, var_scale=networks.std_scale)
+        theirs = networks_of_brax(config, networks, parametric_action_distribution=keyless)
         # Learning begins at once: the first iteration of all would measure observations only.
         state = ppo.init_state(env, networks, config, mesh, ENVS, seed=0)
         learner = state.learner._replace(iterations=jnp.ones((), jnp.int32))
         reported: list[dict[str, Any]] = []
         brax = train_with_brax(
-            env, networks, config, ENVS, jax.device_get(learner), iterations, iterations, seed=0,
+            env, theirs, config, ENVS, jax.device_get(learner), iterations, iterations, seed=0,
             wrap_env_fn=wrap_scattered, progress_fn=lambda steps, metrics: reported.append(metrics),
         )  # fmt: skip
         jax.effects_barrier()
@@ -262,7 +270,7 @@ def test_a_time_limit_is_what_brax_makes_of_it_where_nothing_moves(train_both):
 
 def test_a_moving_body_is_bootstrapped_from_the_state_after_its_time_limit():
     """The value loss, against advantages written out in NumPy from what the environment does."""
-    config = dataclasses.replace(sprint.TASK.ppo, **SETTINGS, minibatches=1, epochs=1)
+    config = dataclasses.replace(sprint.TASK.ppo, **SETTINGS, minibatches=1, epochs=1, noise=1.0)
     env = Point(4, dt=0.3, spread=1.9)
     mesh = ppo.make_mesh()
     networks = make_networks(config, env.observation_size, env.action_size)
@@ -271,7 +279,9 @@ def test_a_moving_body_is_bootstrapped_from_the_state_after_its_time_limit():
     def one_iteration(learner: ppo.Learner, workers: ppo.Workers) -> Any:
         _, data, _ = ppo.collect(env, networks, config, learner, workers)
         _, metrics = ppo.learn(networks, config, learner, data, workers.key[0], 10)
-        return data, metrics["loss/value"]
+        rollout = data[0]
+        rows = rollout.seen[0], jnp.tanh(rollout.raw_action), rollout.discount[:, None]
+        return [jnp.moveaxis(x, -1, 0) for x in rows], metrics["loss/value"]
 
     shared = jax.shard_map(
         one_iteration,
@@ -282,16 +292,16 @@ def test_a_moving_body_is_bootstrapped_from_the_state_after_its_time_limit():
     )
     data, loss = jax.device_get(jax.jit(shared)(*state))
 
-    push = data.action[..., 0]
-    velocity = data.observation[..., 1] + env.dt * 3.0 * push
-    position = data.observation[..., 0] + env.dt * velocity
-    fell, ended = np.abs(position) > 2.0, data.discount == 0.0
+    seen, push, discount = data[0], data[1][..., 0], data[2][..., 0]
+    velocity = seen[..., 1] + env.dt * 3.0 * push
+    position = seen[..., 0] + env.dt * velocity
+    fell, ended = np.abs(position) > 2.0, discount == 0.0
     assert fell.any()
     assert (ended & ~fell).any()
     value = lambda x: np.asarray(  # noqa: E731
-        networks.value_network.apply(state.learner.normalizer, state.learner.params.value, x)
+        networks.value(state.learner.params.value, (np.moveaxis(x, -1, 0),))
     )
-    now, after = value(data.observation), value(np.stack([position, velocity], axis=-1))
+    now, after = value(seen), value(np.stack([position, velocity], axis=-1))
     reward = config.reward_scale * rewarded(position, push, fell)
     surprise = reward + config.discount * np.where(fell, 0.0, after) - now
     advantage, following = np.zeros_like(now), np.zeros(ENVS)

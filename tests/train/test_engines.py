@@ -15,7 +15,7 @@ from quadwalk.train.runs.log import read_metrics
 ENVS, UNROLL, ITERATIONS = 64, 8, 6
 FLAGS = (
     f"--envs={ENVS} --ppo.unroll={UNROLL} --steps={ENVS * UNROLL * ITERATIONS} --devices=2 --quiet "
-    "--preset=sprint --ppo.eval-envs=2 --ppo.epochs=1 --ppo.minibatches=2 --ppo.hidden=16 "
+    "--preset=sprint --ppo.eval-envs=2 --ppo.epochs=1 --ppo.minibatches=2 --ppo.hidden=32 "
     # As training has it the engines' solvers stop at different points of the same problem.
     "--env.solver-iterations=6 --env.line-search-iterations=8"
 )
@@ -43,8 +43,10 @@ def test_the_first_iteration_earns_the_same_rewards_term_by_term(trained):
     for name in terms:
         fast, mjx = (trained[engine][name][0] for engine in ("fast", "mjx"))
         # A handful of falls: one of them may come a step later, in the next iteration.
-        one = 10.0 / (ENVS * UNROLL) if name.endswith("/fall") else 0.0
-        assert fast == pytest.approx(mjx, rel=0.08, abs=1.01 * one), name
+        one = 10.0 / (ENVS * UNROLL) if name in ("train/reward", "train/reward/fall") else 0.0
+        # Robots go either way, each at some 0.3 m/s: their mean speed is near 0.
+        still = 5e-3 if name == "train/reward/forward" else 0.0
+        assert fast == pytest.approx(mjx, rel=0.08, abs=1.01 * one + still), name
 
 
 # Measured: 4 % at most; what falls and where it runs depends on much less.

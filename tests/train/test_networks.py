@@ -1,4 +1,4 @@
-"""The networks against Brax's own, which take a policy's and a critic's observation by name."""
+"""Networks, distribution, loss and statistics against Brax's own, and symmetric against plain."""
 
 import dataclasses
 
@@ -8,111 +8,235 @@ import numpy as np
 import pytest
 from brax.training.acme import running_statistics, specs
 from brax.training.acme.running_statistics import NestedMeanStd, normalize
-from brax.training.agents.ppo import losses, networks
+from brax.training.agents.ppo import losses
+from brax.training.agents.ppo import networks as brax_networks
 from brax.training.distribution import NormalTanhDistribution
 from brax.training.types import Transition
+from jax.sharding import PartitionSpec as P
 
+from quadwalk.errors import UsageError
+from quadwalk.robot.mirror import Mirror
+from quadwalk.task.mirror import Mirrors
 from quadwalk.tasks import sprint
-from quadwalk.train.networks import NormalTanh, make_networks, mean_policy
+from quadwalk.train import ppo
+from quadwalk.train.networks import Basis, TanhNormal, make_networks, mean_policy, plain
 
 SEEN, MORE, ACTIONS = 5, 3, 2
 ENVS, UNROLL = 6, 4
-CONFIG = dataclasses.replace(sprint.TASK.ppo, hidden=(16, 16))
-
-
-@pytest.fixture(scope="module")
-def pair():
-    """Ours, Brax's, and parameters for both."""
-    ours = make_networks(CONFIG, SEEN, ACTIONS, MORE)
-    brax = networks.make_ppo_networks(
-        {"state": SEEN, "whole": SEEN + MORE},
-        ACTIONS,
-        preprocess_observations_fn=normalize,
-        policy_hidden_layer_sizes=CONFIG.hidden,
-        value_hidden_layer_sizes=CONFIG.hidden,
-        value_obs_key="whole",
-    ).replace(parametric_action_distribution=ours.parametric_action_distribution)
-    keys = jax.random.split(jax.random.PRNGKey(0), 2)
-    params = losses.PPONetworkParams(
-        policy=brax.policy_network.init(keys[0]), value=brax.value_network.init(keys[1])
-    )
-    return ours, brax, params
+CONFIG = dataclasses.replace(sprint.TASK.ppo, hidden=(16, 16), discount=0.9)
+# Seen: a pair that changes places, one that also changes signs, one negated number. The critic's:
+# one kept, and a pair. The actions change places and signs.
+MIRRORS = Mirrors(
+    Mirror(np.array([1, 0, 3, 2, 4, 5, 7, 6]), np.array([1, 1, -1, -1, -1, 1, 1, 1], np.float32)),
+    Mirror(np.array([1, 0]), np.array([-1, -1], np.float32)),
+)
+ENTROPY = 0.01
 
 
 @pytest.fixture(scope="module")
 def statistics():
     rng = np.random.default_rng(1)
     mean, std = rng.normal(size=SEEN + MORE), rng.uniform(0.5, 2.0, SEEN + MORE)
-    flat = NestedMeanStd(jnp.asarray(mean), jnp.asarray(std))
+    return NestedMeanStd(jnp.asarray(mean, jnp.float32), jnp.asarray(std, jnp.float32))
+
+
+def even(statistics):
+    """`statistics` that are their own mirror image."""
+    mirror = MIRRORS.observation
+    mean = (statistics.mean + mirror(statistics.mean)) / 2
+    return NestedMeanStd(mean, (statistics.std + statistics.std[mirror.source]) / 2)
+
+
+@pytest.fixture(scope="module", params=["plain", "symmetric"])
+def networks(request):
+    return make_networks(CONFIG, SEEN, ACTIONS, MORE, MIRRORS if request.param != "plain" else None)
+
+
+def drawn(seed, *shape):
+    return jnp.asarray(np.random.default_rng(seed).normal(size=shape), jnp.float32)
+
+
+def test_loss_and_gradients_are_those_of_brax_with_two_observations(networks, statistics):
+    """Of a symmetric network, of the plain one that computes the same."""
+    statistics = statistics if networks.whole.mirror is None else even(statistics)
+    params = networks.init(jax.random.PRNGKey(0))
+    observation, last = drawn(2, ENVS, UNROLL, SEEN + MORE), drawn(3, ENVS, SEEN + MORE)
+    raw, reward = drawn(4, ENVS, UNROLL, ACTIONS), drawn(5, ENVS, UNROLL)
+    outputs, log_prob = drawn(6, ENVS, UNROLL, 2 * ACTIONS), drawn(7, ENVS, UNROLL)
+    discount = (drawn(8, ENVS, UNROLL) > -1.0).astype(jnp.float32)
+
+    def rows(x):  # (envs, unroll, n) to (n, unroll, envs)
+        return jnp.moveaxis(x, (0, -1), (-1, 0))
+
+    def seen(x):
+        flat = networks.normalised(statistics, x.reshape(-1, SEEN + MORE))
+        several = x.shape[:-1]
+        return tuple(
+            jnp.moveaxis(part.reshape(-1, *several), 1, -1) if len(several) > 1 else part
+            for part in flat
+        )
+
+    before = TanhNormal.of(rows(outputs), networks.std_scale)
+    batch = ppo.Rollout(seen(observation), rows(raw), before, log_prob.T, reward.T, discount.T)
+    (ours, metrics), gradient = jax.value_and_grad(ppo.loss, argnums=3, has_aux=True)(
+        networks, CONFIG, ENTROPY, params, batch, seen(last)
+    )
+
+    class NormalTanh(NormalTanhDistribution):
+        def entropy(self, parameters, seed):  # theirs is a sample's
+            return TanhNormal.of(jnp.moveaxis(parameters, -1, 0), self._var_scale).entropy()
+
+    brax = brax_networks.make_ppo_networks(
+        {"state": SEEN, "whole": SEEN + MORE},
+        ACTIONS,
+        preprocess_observations_fn=normalize,
+        policy_hidden_layer_sizes=CONFIG.hidden,
+        value_hidden_layer_sizes=CONFIG.hidden,
+        value_obs_key="whole",
+    ).replace(parametric_action_distribution=NormalTanh(ACTIONS, var_scale=networks.std_scale))
+
+    def by_name(x):
+        return {"state": x[..., :SEEN], "whole": x}
+
     named = running_statistics.init_state(
         {"state": specs.Array((SEEN,), "float32"), "whole": specs.Array((SEEN + MORE,), "float32")}
-    ).replace(mean=by_name(flat.mean), std=by_name(flat.std))
-    return flat, named
-
-
-def by_name(observation):
-    return {"state": observation[..., :SEEN], "whole": observation}
-
-
-def test_loss_and_gradients_are_those_of_brax_with_two_observations(pair, statistics):
-    ours, brax, params = pair
-    rng = np.random.default_rng(2)
-
-    def draw(*shape):
-        return jnp.asarray(rng.normal(size=(ENVS, UNROLL, *shape)), jnp.float32)
-
-    observation, last = draw(SEEN + MORE), draw(SEEN + MORE)[:, :1]
-    extras = {"raw_action": draw(ACTIONS), "log_prob": draw(), "distribution_params": draw(4)}
+    ).replace(mean=by_name(statistics.mean), std=by_name(statistics.std))
+    extras = {"raw_action": raw, "log_prob": log_prob, "distribution_params": outputs}
     data = Transition(
-        observation, None, draw(), (draw() > -1.0).astype(jnp.float32), last,
+        by_name(observation), None, reward, discount, by_name(last[:, None]),
         {"state_extras": {"truncation": jnp.zeros((ENVS, UNROLL))}, "policy_extras": extras},
     )  # fmt: skip
-    named = data._replace(observation=by_name(observation), next_observation=by_name(last))
 
-    def graded(which, data, normalizer):
-        def loss(params):
-            key = jax.random.PRNGKey(0)
-            return losses.compute_ppo_loss(params, normalizer, data, key, which)[0]
+    def theirs(params):
+        one = Basis(1, networks.whole.mirror and Mirror(np.array([0]), np.ones(1, np.float32)))
+        return losses.compute_ppo_loss(
+            losses.PPONetworkParams(
+                plain(params.policy, networks.seen, networks.outputs),
+                plain(params.value, networks.whole, one),
+            ),
+            named, data, jax.random.PRNGKey(0), brax, entropy_cost=ENTROPY,
+            discounting=CONFIG.discount, gae_lambda=CONFIG.gae_lambda,
+            clipping_epsilon=CONFIG.clip, vf_coefficient=CONFIG.value,
+        )  # fmt: skip
 
-        return jax.jit(jax.value_and_grad(loss))(params)
+    (expected, parts), slope = jax.value_and_grad(theirs, has_aux=True)(params)
+    assert ours == pytest.approx(float(expected), rel=1e-5)
+    for own, name in (("policy", "policy_loss"), ("value", "v_loss"), ("kl", "kl_mean")):
+        assert metrics[own] == pytest.approx(float(parts[name]), rel=1e-4, abs=1e-6)
+    for a, b in zip(*map(jax.tree.leaves, (gradient, slope)), strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-3, atol=1e-5)
+    assert any(np.abs(x).max() > 1e-3 for x in jax.tree.leaves(gradient.value))
 
-    found, expected = graded(ours, data, statistics[0]), graded(brax, named, statistics[1])
-    for a, b in zip(*map(jax.tree.leaves, (found, expected)), strict=True):
-        np.testing.assert_allclose(a, b, rtol=1e-4, atol=1e-6)
-    assert any(np.abs(x).max() > 1e-3 for x in jax.tree.leaves(found[1].value))
+
+def test_a_mirrored_observation_has_the_mirrored_action_and_the_same_value(statistics):
+    networks = make_networks(CONFIG, SEEN, ACTIONS, MORE, MIRRORS)
+    params, own = networks.init(jax.random.PRNGKey(1)), even(statistics)
+    params = jax.tree.map(lambda x: x + 0.3 * drawn(9, *x.shape), params)  # biases too
+    observation = drawn(10, 50, SEEN + MORE)
+
+    def answers(observation):
+        parts = networks.normalised(own, observation)
+        return networks.policy(params.policy, parts), networks.value(params.value, parts)
+
+    (policy, value), (image, same) = map(answers, (observation, MIRRORS.observation(observation)))
+    np.testing.assert_allclose(image.mean.T, MIRRORS.action(policy.mean.T), atol=1e-5)
+    np.testing.assert_allclose(image.std, policy.std[MIRRORS.action.source], atol=1e-5)
+    np.testing.assert_allclose(same, value, atol=1e-5)
+    assert np.std(value) > 0.1
+    assert np.abs(image.mean - policy.mean).max() > 0.1
 
 
-def test_the_policy_needs_no_more_than_it_sees(pair, statistics):
-    ours, _, params = pair
-    policy = mean_policy(ours, statistics[0], params.policy)
-    small = NestedMeanStd(statistics[0].mean[:SEEN], statistics[0].std[:SEEN])
-    alone = mean_policy(ours, small, params.policy)
-    observation = jnp.asarray(np.random.default_rng(3).normal(size=(7, SEEN + MORE)), jnp.float32)
-    np.testing.assert_array_equal(policy(observation), alone(observation[:, :SEEN]))
+def test_the_plain_policy_acts_as_the_learner_does(networks, statistics):
+    own = statistics if networks.whole.mirror is None else even(statistics)
+    params = networks.init(jax.random.PRNGKey(2))
+    observation = drawn(11, 7, SEEN + MORE)
+    mode = jnp.tanh(networks.policy(params.policy, networks.normalised(own, observation)).mean).T
+    policy = mean_policy("swish", *networks.plain_policy(own, params.policy))
+    np.testing.assert_allclose(policy(observation), mode, atol=1e-5)
+    np.testing.assert_array_equal(policy(observation), policy(observation[:, :SEEN]))
     other = observation.at[:, SEEN:].add(5.0)
     np.testing.assert_array_equal(policy(observation), policy(other))
 
 
-def test_what_never_varied_is_passed_on_less_its_mean(pair, statistics):
-    ours, _, params = pair
-    mean, std = statistics[0].mean, statistics[0].std
-    never = NestedMeanStd(mean.at[:2].set([0.0, 50.0]), std.at[:2].set([1e-6, 1e-3]))
-    passed = NestedMeanStd(never.mean, std.at[:2].set(1.0))
-    observation = jnp.asarray(np.random.default_rng(3).normal(size=(5, SEEN + MORE)), jnp.float32)
-    for network, weights in (
-        (ours.policy_network, params.policy),
-        (ours.value_network, params.value),
-    ):
-        found, expected = (network.apply(own, weights, observation) for own in (never, passed))
-        np.testing.assert_array_equal(found, expected)
+def test_a_symmetric_network_needs_halves():
+    with pytest.raises(UsageError, match="expected even numbers"):
+        make_networks(dataclasses.replace(CONFIG, hidden=(16, 15)), SEEN, ACTIONS, MORE, MIRRORS)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_basis_is_orthonormal_and_the_mirror_changes_its_signs_alone(seed):
+    rng = np.random.default_rng(seed)
+    size = int(rng.integers(3, 12))
+    source, pairs = np.arange(size), rng.permutation(size)[: 2 * (size // 3)].reshape(-1, 2)
+    source[pairs] = pairs[:, ::-1]
+    sign = rng.choice([-1.0, 1.0], size).astype(np.float32)
+    sign[pairs[:, 1]] = sign[pairs[:, 0]]
+    basis, x = Basis(size, Mirror(source, sign)), drawn(seed, size, 4)
+    kept, negated = basis.split(x)
+    image = basis.split(sign[:, None] * x[source])
+    np.testing.assert_allclose(image[0], kept, atol=1e-6)
+    np.testing.assert_allclose(image[1], -negated, atol=1e-6)
+    np.testing.assert_allclose(basis.join((kept, negated)), x, atol=1e-6)
+    whole = np.concatenate(basis.matrices)
+    np.testing.assert_allclose(whole @ whole.T, np.eye(size), atol=1e-6)
+
+
+def test_statistics_are_those_of_brax_of_the_data_and_their_mirror_image(networks):
+    """Over two devices, three times, each normalised by what was known before."""
+    mesh, found = ppo.make_mesh(), networks.init_statistics()
+
+    def count(statistics, x):
+        return networks.measured(statistics, networks.normalised(statistics, x), ppo.AXIS)
+
+    measured = jax.jit(
+        jax.shard_map(count, mesh=mesh, in_specs=(P(), P(ppo.AXIS)), out_specs=P(), check_vma=False)
+    )
+    seen = []
+    for seed in range(3):
+        x = 3.0 + 2.0 * drawn(seed, 40, SEEN + MORE).at[:, 5].set(0.7)
+        seen += [x] if networks.whole.mirror is None else [x, MIRRORS.observation(x)]
+        found = measured(found, x)
+    whole = running_statistics.update(
+        running_statistics.init_state(specs.Array((SEEN + MORE,), "float32")),
+        jnp.concatenate(seen),
+    )
+    assert int(found.count.lo) == 120
+    np.testing.assert_allclose(found.mean, whole.mean, rtol=1e-4, atol=1e-5)
+    np.testing.assert_allclose(found.std[:5], whole.std[:5], rtol=1e-4)
+    np.testing.assert_allclose(found.std[6:], whole.std[6:], rtol=1e-4)
+    assert found.std[5] < 1e-5  # constant
+
+
+def test_what_never_varied_is_passed_on_less_its_mean(statistics):
+    networks = make_networks(CONFIG, SEEN, ACTIONS, MORE)
+    never = NestedMeanStd(
+        statistics.mean.at[:2].set([0.0, 50.0]), statistics.std.at[:2].set([1e-6, 1e-3])
+    )
+    passed = NestedMeanStd(never.mean, never.std.at[:2].set(1.0))
+    observation = drawn(3, 5, SEEN + MORE)
+    found, expected = (networks.normalised(own, observation)[0] for own in (never, passed))
+    np.testing.assert_array_equal(found, expected)
+
+
+def test_the_distribution_is_that_of_brax():
+    outputs, other, raw = drawn(1, 50, 4), drawn(2, 50, 4), drawn(3, 50, 2)
+    brax = NormalTanhDistribution(2, var_scale=0.5)
+    ours, old = (TanhNormal.of(x.T, 0.5) for x in (outputs, other))
+    np.testing.assert_allclose(ours.log_prob(raw.T), brax.log_prob(outputs, raw), rtol=1e-4)
+    divergence = brax.create_dist(outputs).kl_divergence(brax.create_dist(other))
+    np.testing.assert_allclose(ours.divergence(old), divergence, rtol=1e-4)
+    many = TanhNormal(jnp.full((1, 100_000), 0.3), jnp.full((1, 100_000), 0.2))
+    sample = many.sample(jax.random.PRNGKey(0))
+    assert float(sample.mean()) == pytest.approx(0.3, abs=0.003)
+    assert float(sample.std()) == pytest.approx(0.2, abs=0.003)
 
 
 @pytest.mark.parametrize(("std", "tolerance"), [(0.1, 0.001), (0.35, 0.02), (0.7, 0.12)])
 @pytest.mark.parametrize("mean", [-1.5, 0.0, 0.5])
 def test_the_entropy_is_near_the_mean_of_brax_samples(std, tolerance, mean):
-    # Per action, at the standard deviations that are learnt with; .35 is where training begins.
+    # Per action, at the standard deviations that are learnt with; 0.35 is where training begins.
     raw = np.log(np.expm1(std - 0.001))
     parameters = jnp.full((100_000, 2), jnp.array([mean, raw], jnp.float32))
     drawn = NormalTanhDistribution(1).entropy(parameters, jax.random.PRNGKey(0))
-    found = NormalTanh(1).entropy(parameters[:1], jax.random.PRNGKey(0))
+    found = TanhNormal.of(parameters[:1].T, 1.0).entropy()
     assert float(found[0]) == pytest.approx(float(drawn.mean()), abs=tolerance)

@@ -35,7 +35,7 @@ class Scores:
 @pytest.fixture
 def state() -> TrainState:
     networks = make_networks(CONFIG.ppo, 3, 12)
-    params = SimpleNamespace(policy=networks.policy_network.init(jax.random.PRNGKey(0)))
+    params = networks.init(jax.random.PRNGKey(0))
     normalizer = running_statistics.init_state(specs.Array((3,), np.dtype("float32")))
     return TrainState(Learner(params, optax.EmptyState(), normalizer, np.int32(0)), np.zeros(2))
 
@@ -45,7 +45,7 @@ def training():
     return SimpleNamespace(
         config=CONFIG,
         quadruped=SimpleNamespace(joints=JOINTS),
-        policy_size=3,
+        networks=make_networks(CONFIG.ppo, 3, 12),
         metrics=Scores(),
         steps=0,
         resumed=False,

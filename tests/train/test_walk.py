@@ -10,7 +10,7 @@ from quadwalk.robot.quadruped import load_quadruped
 from quadwalk.task.env import QuadrupedEnv
 from quadwalk.task_files import load_task
 from quadwalk.train import ppo
-from quadwalk.train.networks import make_networks
+from quadwalk.train.networks import networks_for
 from quadwalk.train.runs import checkpoint
 
 ENVS = 16
@@ -24,7 +24,7 @@ def training():
     # A command stays for two steps: each environment is told anew in every iteration.
     command = dataclasses.replace(preset.env.command, seconds=2 * preset.env.control_dt)
     env = QuadrupedEnv(load_quadruped(), dataclasses.replace(preset.env, command=command))
-    networks = make_networks(config, env.observation_size, env.action_size)
+    networks = networks_for(env, config)
     mesh = ppo.make_mesh()
     state = ppo.init_state(env, networks, config, mesh, ENVS, seed=0)
     return env, state, ppo.Iteration(env, networks, config, mesh, iterations=10)

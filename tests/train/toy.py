@@ -45,6 +45,8 @@ class Toy(Env):
     backend = "none"
     curriculum = None
     surfaces = ()
+    mirrors = None
+    asymmetry = None
 
     def __init__(self, quadruped: Any = None, config: EnvConfig | None = None) -> None:
         self.config = config or sprint.TASK.env

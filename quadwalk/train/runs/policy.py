@@ -4,7 +4,7 @@ import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import jax
 import numpy as np
@@ -12,16 +12,14 @@ from brax.training.acme.running_statistics import NestedMeanStd
 
 from quadwalk.errors import UserError
 from quadwalk.files import DAMAGE
+from quadwalk.robot.mirror import mirror
 from quadwalk.settings.serialise import to_dict
 from quadwalk.settings.training import TrainConfig
-from quadwalk.train.networks import make_networks, mean_policy
+from quadwalk.task.mirror import Mirrors
+from quadwalk.train.networks import KERNELS, check_activation, make_networks, mean_policy
 from quadwalk.train.runs import checkpoint
 from quadwalk.train.runs.directory import Run
 from quadwalk.train.runs.resume import config_of
-
-if TYPE_CHECKING:  # Optax takes long to import, and no policy needs it
-    from quadwalk.train.ppo import Learner
-
 
 # Where a checkpoint has the policy's layers and the observation's statistics.
 _LAYERS = "learner/params/policy/params/"
@@ -41,27 +39,26 @@ class Policy:
 
 def save_policy(
     path: Path,
-    learner: "Learner",
+    statistics: NestedMeanStd,
+    weights: Any,
     config: TrainConfig,
     joints: tuple[str, ...],
-    size: int,
     steps: int,
     score: float,
 ) -> None:
-    """Write the learner's policy to `path`, whole or not at all; `score` is how good it was.
+    """Write a plain policy to `path`, whole or not at all; `score` is how good it was.
 
-    It sees the first `size` numbers of the observation.
+    `statistics` are those of the numbers (n,) that it sees.
     """
-    mean_std = NestedMeanStd(learner.normalizer.mean[:size], learner.normalizer.std[:size])
     metadata = {
         "kind": "policy",
         "config": to_dict(config),
         "joints": list(joints),
-        "observation_size": size,
+        "observation_size": len(statistics.mean),
         "steps": steps,
         "score": score,
     }
-    checkpoint.save(path, {"normalizer": mean_std, "policy": learner.params.policy}, metadata)
+    checkpoint.save(path, {"normalizer": statistics, "policy": weights}, metadata)
 
 
 def load_score(path: Path) -> tuple[int, float]:
@@ -84,14 +81,21 @@ def load_checkpoint_policy(path: Path, joints: tuple[str, ...]) -> Policy:
     try:
         config = config_of(metadata["config"], Run(path.parent.parent), str(path), "0.1")
         steps, mean, std = int(metadata["steps"]), leaves[_MEAN], leaves[_STD]
-        size = len(layers["hidden_0"]["kernel"])
-        networks = make_networks(config.ppo, size, len(joints))
+        first = layers["hidden_0"]
+        size = sum(len(first[name]) for name in KERNELS if name in first)
+        mirrors = _mirrors(metadata.get("mirrors"))
+        networks = make_networks(config.ppo, size, len(joints), len(mean) - size, mirrors)
+        policy = networks.plain_policy(NestedMeanStd(mean, std), {"params": layers})
     except (*DAMAGE, UserError) as error:
         raise UserError(f"{path} holds no policy that can be used: {error}") from None
-    normalizer = NestedMeanStd(mean[:size], std[:size])
-    return Policy(
-        mean_policy(networks, normalizer, {"params": layers}), config, joints, size, steps
-    )
+    return Policy(mean_policy(config.ppo.activation, *policy), config, joints, size, steps)
+
+
+def _mirrors(data: Any) -> Mirrors | None:
+    """What `Networks.mirrors` gave."""
+    if data is None:
+        return None
+    return Mirrors(*(mirror(*data[name]) for name in Mirrors._fields))
 
 
 def load_policy(path: Path) -> Policy:
@@ -103,12 +107,12 @@ def load_policy(path: Path) -> Policy:
         size = int(metadata["observation_size"])
         joints = tuple(map(str, metadata["joints"]))
         steps = int(metadata["steps"])
-        networks = make_networks(config.ppo, size, len(joints))
+        check_activation(config.ppo.activation)
     except (*DAMAGE, UserError) as error:
         raise UserError(f"{path} holds a configuration that cannot be used: {error}") from None
     statistics = jax.ShapeDtypeStruct((size,), np.float32)
     # Written out: to have Flax say it takes as long as all the rest.
-    sizes = (size, *config.ppo.hidden, networks.parametric_action_distribution.param_size)
+    sizes = (size, *config.ppo.hidden, 2 * len(joints))
     layers = {
         f"hidden_{i}": {
             "bias": jax.ShapeDtypeStruct((wide,), np.float32),
@@ -121,5 +125,5 @@ def load_policy(path: Path) -> Policy:
         "policy": {"params": layers},
     }
     tree, _ = checkpoint.load(path, "policy", like)
-    act = mean_policy(networks, tree["normalizer"], tree["policy"])
+    act = mean_policy(config.ppo.activation, tree["normalizer"], tree["policy"])
     return Policy(act, config, joints, size, steps)

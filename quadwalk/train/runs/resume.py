@@ -11,7 +11,7 @@ from quadwalk.settings.training import DistributedConfig, TrainConfig, with_file
 from quadwalk.train.runs.directory import Run
 
 # The saved state has the shape of these, or was drawn from them once and for all.
-_FIXED = ("seed", "envs", "ppo.eval_envs", "ppo.hidden", "ppo.activation")
+_FIXED = ("seed", "envs", "ppo.eval_envs", "ppo.hidden", "ppo.activation", "ppo.symmetric")
 # How a run is driven, not what it computes.
 _FREE = (
     *("task", "name", "runs", "minutes", "checkpoint_steps", "quiet", "watch"),

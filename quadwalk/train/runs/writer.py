@@ -89,6 +89,7 @@ class RunWriter:
             "steps": steps,
             "seconds": seconds,
             "metrics": training.metrics.state(),
+            "mirrors": training.networks.mirrors,
         }
 
         def save_checkpoint() -> None:
@@ -121,12 +122,14 @@ class RunWriter:
 
     def _save_policy(self, path: Path, state: Any, steps: int) -> None:
         training = self._training
-        joints, size, score = (
+        save_policy(
+            path,
+            *training.networks.plain_policy(state.learner.normalizer, state.learner.params.policy),
+            training.config,
             training.quadruped.joints,
-            training.policy_size,
+            steps,
             training.metrics.score,
         )
-        save_policy(path, state.learner, training.config, joints, size, steps, score)
 
     def _read_best(self) -> None:
         self.best = load_score(self.run.best)

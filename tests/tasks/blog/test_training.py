@@ -10,7 +10,7 @@ from quadwalk.robot.quadruped import load_quadruped
 from quadwalk.task.env import QuadrupedEnv
 from quadwalk.task_files import load_task
 from quadwalk.train import ppo
-from quadwalk.train.networks import make_networks
+from quadwalk.train.networks import networks_for
 from quadwalk.train.progress.metrics import TrainingMetrics
 
 ITERATIONS, ENVS = 4, 8
@@ -20,7 +20,7 @@ def test_it_learns_from_numbers_that_are_finite():
     preset = load_task("blog")
     config = replace(preset.ppo, eval_envs=2, unroll=8, minibatches=2, hidden=(16,))
     env = QuadrupedEnv(load_quadruped(), preset.env)
-    networks, mesh = make_networks(config, env.observation_size, env.action_size), ppo.make_mesh()
+    networks, mesh = networks_for(env, config), ppo.make_mesh()
     state = ppo.init_state(env, networks, config, mesh, ENVS, seed=0)
     begun = jax.device_get(state.learner.params)
     iterate = ppo.Iteration(env, networks, config, mesh, ITERATIONS)
