@@ -4,6 +4,7 @@ Links that move become bodies; links that fixed joints attach are fused with the
 composed exactly and their frames kept as sites of the same name.
 """
 
+from copy import deepcopy
 from dataclasses import dataclass, field
 from functools import reduce
 from pathlib import Path
@@ -81,7 +82,7 @@ def convert(urdf: Urdf, legs: tuple[Leg, ...] = (), options: Options | None = No
         options: what the URDF leaves open.
     """
     options = options or Options()
-    report = urdf.report.copy()
+    report = deepcopy(urdf.report)
     spec = mujoco.MjSpec()
     spec.modelname = urdf.robot.name
     origin = Path(urdf.source).name.replace("--", "-")

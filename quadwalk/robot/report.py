@@ -17,13 +17,6 @@ class Report:
         if name and name not in names:
             names.append(name)
 
-    def copy(self) -> "Report":
-        """A report that starts with what this one holds."""
-        other = Report()
-        for kind, found in self.found.items():
-            other.found[kind] = {what: list(names) for what, names in found.items()}
-        return other
-
     def lines(self, most: int = 4) -> list[str]:
         """The report as lines of text, with at most `most` names in each."""
         lines = []

@@ -32,14 +32,6 @@ def policy_choices(run: Run) -> dict[str, Path]:
     return {label: path for label, path in found.items() if path.exists()}
 
 
-def written(path: Path) -> float:
-    """When `path` was last written, s; 0 where it is not there."""
-    try:
-        return path.stat().st_mtime
-    except OSError:
-        return 0.0
-
-
 def choose_policy(run: Run, label: str) -> Path:
     """The file of a policy; `UserError` in one line where the run has none of that name."""
     choices = policy_choices(run)

@@ -10,7 +10,7 @@ from pathlib import Path
 import viser
 
 from quadwalk.errors import UserError
-from quadwalk.train.runs.directory import Run
+from quadwalk.train.runs.directory import Run, written
 from quadwalk.view.choices import (
     NEWEST,
     choose_policy,
@@ -19,7 +19,6 @@ from quadwalk.view.choices import (
     policy_choices,
     read_policy,
     run_choices,
-    written,
 )
 from quadwalk.view.live import LiveRobot
 from quadwalk.view.pace import Pace

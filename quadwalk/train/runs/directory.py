@@ -39,59 +39,39 @@ _CHECKPOINT = re.compile(r"step_(\d+)\.npz")
 _LISTED = 5  # runs named in a message: enough to recognise one, few enough for a line
 
 
+class _Place:
+    """A path in a run's directory, by a name of its own."""
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+
+    def __get__(self, run: "Run", _: type) -> Path:
+        return run.path / self._name
+
+
 @dataclass(frozen=True)
 class Run:
     """A run's directory and the places in it."""
 
     path: Path
+    config = _Place("config.json")
+    urdf = _Place("robot.urdf")
+    metrics = _Place("metrics.jsonl")
+    timing = _Place("timing.jsonl")
+    tensorboard = _Place("tensorboard")
+    checkpoints = _Place("checkpoints")
+    policy = _Place("policy.npz")
+    best = _Place("best.npz")
+    nan = _Place("nan")
+    learning_curve = _Place("learning_curve.png")
 
     @property
     def name(self) -> str:
         return self.path.resolve().name
 
-    @property
-    def config(self) -> Path:
-        return self.path / "config.json"
-
-    @property
-    def urdf(self) -> Path:
-        return self.path / "robot.urdf"
-
     def ground(self, file: Path) -> Path:
         """Where its copy of a file of heights is; the same for the copy itself."""
         return self.path / f"ground-{file.name.removeprefix('ground-')}"
-
-    @property
-    def metrics(self) -> Path:
-        return self.path / "metrics.jsonl"
-
-    @property
-    def timing(self) -> Path:
-        return self.path / "timing.jsonl"
-
-    @property
-    def tensorboard(self) -> Path:
-        return self.path / "tensorboard"
-
-    @property
-    def checkpoints(self) -> Path:
-        return self.path / "checkpoints"
-
-    @property
-    def policy(self) -> Path:
-        return self.path / "policy.npz"
-
-    @property
-    def best(self) -> Path:
-        return self.path / "best.npz"
-
-    @property
-    def nan(self) -> Path:
-        return self.path / "nan"
-
-    @property
-    def learning_curve(self) -> Path:
-        return self.path / "learning_curve.png"
 
     def checkpoint(self, steps: int) -> Path:
         """Where the checkpoint after this many environment steps goes."""
@@ -316,13 +296,15 @@ def _is_run(path: Path) -> bool:
         return False
 
 
-def _last_trained(run: Run) -> float:
-    def written(path: Path) -> float:
-        try:
-            return path.stat().st_mtime
-        except OSError:
-            return 0.0
+def written(path: Path) -> float:
+    """When `path` was last written, s; 0 where it is not there."""
+    try:
+        return path.stat().st_mtime
+    except OSError:
+        return 0.0
 
+
+def _last_trained(run: Run) -> float:
     return max(map(written, (run.config, run.metrics, run.policy)))
 
 
