@@ -304,23 +304,36 @@ class QuadrupedEnv(Env):
 
     def with_frame(self, state: EnvState) -> EnvState:
         """`state` with what is measured in it as the newest of its frames, if it keeps any."""
-        if state.frames is None:
+        frames = state.frames
+        if frames is None:
             return state
-        newest = self._frame(state)[None]
-        return state._replace(frames=jnp.concatenate([newest, state.frames[:-1]]))
+        late = self._late(frames)
+        rows = [self._frame(state)[None], frames[:late]]
+        if max(self._history):
+            rows += [self._told(state)[None], frames[late + 1 : -1]]
+        return state._replace(frames=jnp.concatenate(rows))
+
+    def _late(self, frames: jax.Array) -> int:
+        """By how many control steps sensors may be late where these are kept."""
+        return len(frames) - 1 - int(max(self._history))
+
+    def _told(self, state: EnvState) -> jax.Array:
+        """What sensors tell in this step, late as they are, and what is known (n,)."""
+        frames, conditions = state.frames, state.conditions
+        assert frames is not None
+        late = self._late(frames)
+        if not late or conditions is None or conditions.sensor_delay is None:
+            return frames[0]
+        return jnp.where(self._sensors, reading(conditions, frames[: late + 1]), frames[0])
 
     def observation(self, state: EnvState) -> jax.Array:
         """What the policy sees, then what the value network sees besides, float32."""
-        frames, conditions = state.frames, state.conditions
-        if frames is None:
+        if state.frames is None:
             seen = [self._frame(state)]
         else:
-            seen = []
-            for ago in range(1 + max(self._history)):
-                known = frames[ago]
-                if conditions is not None and conditions.sensor_delay is not None:
-                    known = jnp.where(self._sensors, reading(conditions, frames, ago), known)
-                seen.append(known[np.flatnonzero(self._history >= ago)])
+            seen, late = [self._told(state)], self._late(state.frames)
+            for ago in range(1, 1 + max(self._history)):
+                seen.append(state.frames[late + ago][np.flatnonzero(self._history >= ago)])
         if self.config.critic:
             seen.append(observe(self.config.critic, self.robot, state))
         return jnp.concatenate(seen)

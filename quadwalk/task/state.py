@@ -20,7 +20,9 @@ class EnvState(NamedTuple):
     steps: jax.Array  # () int32, control steps since the episode's start
     command: Command | None = None  # None where there is none
     conditions: Conditions | None = None  # None where they are those of the simulator
-    frames: jax.Array | None = None  # (m, n) what was measured, newest first; None: only this step
+    # (m, n) what was measured, newest first, as many as sensors may be late; then what they told in
+    # earlier steps, newest first; None: only this step
+    frames: jax.Array | None = None
     contact: jax.Array | None = None  # (4,) bool, feet on the floor; None at an episode's start
     tile: jax.Array | None = None  # () int32, of the terrain, where it began; None: a flat floor
     travel: Travel | None = None  # None without a curriculum

@@ -128,17 +128,16 @@ class Networks(NamedTuple):
     def measured(
         self, normalizer: RunningStatisticsState, parts: Parts, axis: str
     ) -> RunningStatisticsState:
-        """`normalizer` with these `normalised` observations (m, ...) and their mirror images.
+        """`normalizer` with these `normalised` observations (steps, m, n), and mirrored.
 
         As Brax's `running_statistics.update`, with the batch's own mean and variance (Chan, Golub
         and LeVeque 1983): so rounding does not spread a number that is constant. Devices along
         `axis` have as many observations each.
         """
-        rows = [part.reshape(len(part), -1) for part in parts]
-        origin = jax.lax.pmean(rows[0][:, 0], axis)
-        rows[0] = rows[0] - origin[:, None]
-        means = [jax.lax.pmean(jnp.mean(part, axis=1), axis) for part in rows]
-        squares = [jax.lax.pmean(jnp.mean(part**2, axis=1), axis) for part in rows]
+        origin = jax.lax.pmean(parts[0][0, :, 0], axis)
+        rows = (parts[0] - origin[:, None], *parts[1:])
+        means = [jax.lax.pmean(jnp.mean(part, axis=(0, 2)), axis) for part in rows]
+        squares = [jax.lax.pmean(jnp.mean(part**2, axis=(0, 2)), axis) for part in rows]
         kept = self.whole.matrices[0].T
         shift = kept @ means[0]
         variance = (
@@ -146,7 +145,7 @@ class Networks(NamedTuple):
             - shift**2
         )
         moved, scale = kept @ origin + shift, divisors(normalizer)
-        number = rows[0].shape[1] * jax.lax.axis_size(axis)
+        number = len(rows[0]) * rows[0].shape[-1] * jax.lax.axis_size(axis)
         count = normalizer.count + jnp.int32(number)
         total = jnp.float32(count.hi) * 2.0**32 + jnp.float32(count.lo)
         before = 1.0 - number / total

@@ -1,8 +1,8 @@
 """PPO as two jitted programs, to collect and to learn, each on every device at once.
 
-They are two since one program of both takes an eighth longer (docs/physics.md). Advantages,
-running statistics and the rule of the learning rate are Brax's; networks, loss and loop are our
-own, with features first and environments last (`quadwalk.train.networks`). Each device of the mesh
+They are two since one program of both takes an eighth longer (docs/physics.md). The loss and the
+statistics of observations are Brax's, written with features first and environments last, as
+`quadwalk.train.networks` are. Each device of the mesh
 steps its own share of the environments; gradients and statistics are averaged over devices, so
 every device holds the same learner. The learning rate follows the policy's change (KL divergence),
 as in Schulman et al. 2017, section 4, and Rudin et al. 2022, arXiv:2109.11978.
@@ -10,6 +10,7 @@ as in Schulman et al. 2017, section 4, and Rudin et al. 2022, arXiv:2109.11978.
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -18,7 +19,7 @@ import numpy as np
 import optax
 from brax.envs.base import Env, State
 from brax.training.acme.running_statistics import RunningStatisticsState
-from brax.training.agents.ppo.losses import PPONetworkParams, compute_gae
+from brax.training.agents.ppo.losses import PPONetworkParams
 from jax.sharding import Mesh, NamedSharding
 from jax.sharding import PartitionSpec as P
 
@@ -326,19 +327,11 @@ def learn(
     progress = learner.iterations / float(iterations)  # more than int32 holds, if it must be
     desired_kl = settled(config.desired_kl, config.final_kl, config.settle, progress)
     entropy = settled(config.entropy, config.final_entropy, config.settle, progress)
-    rollout, _ = data
-    size = rollout.reward.shape[-1] // config.minibatches
+    size = data[0].reward.shape[-1] // config.minibatches
 
     def update(carry: Any, number: jax.Array) -> Any:
-        own, end = jax.tree.map(
-            lambda x: jax.lax.dynamic_slice_in_dim(x, number * size, size, axis=-1), data
-        )
-        # Features before steps: rows of a layer's product are of all steps and environments.
-        seen, raw_action, policy = jax.tree.map(
-            lambda x: jnp.swapaxes(x, 0, 1), (own.seen, own.raw_action, own.policy)
-        )
-        batch = own._replace(seen=seen, raw_action=raw_action, policy=policy)
-        return _update(networks, config, desired_kl, entropy, carry, batch, end)
+        own = partial(_environments, number * size, size)
+        return _update(networks, config, desired_kl, entropy, carry, *data, own)
 
     def epoch(carry: Any, key: jax.Array) -> Any:
         return jax.lax.scan(update, carry, jax.random.permutation(key, config.minibatches))
@@ -348,8 +341,7 @@ def learn(
     first = learner.iterations == 0
     params, state = jax.tree.map(lambda old, new: jnp.where(first, old, new), before, after)
     # After learning: the divergence from the collecting policy is then a matter of weights alone.
-    seen = jax.tree.map(lambda x: jnp.swapaxes(x, 0, 1), rollout.seen)
-    normalizer = networks.measured(learner.normalizer, seen, AXIS)
+    normalizer = networks.measured(learner.normalizer, data[0].seen, AXIS)
     return Learner(params, state, normalizer, learner.iterations + 1), {
         "loss/policy": jnp.mean(metrics["policy"]),
         "loss/value": jnp.mean(metrics["value"]),
@@ -359,41 +351,97 @@ def learn(
     }
 
 
-def loss(
+def _environments(first: jax.Array, number: int, tree: Any) -> Any:
+    """Of arrays (..., envs), the columns of so many environments from the `first` on."""
+    return jax.tree.map(lambda x: jax.lax.dynamic_slice_in_dim(x, first, number, axis=-1), tree)
+
+
+def gradients(
     networks: Networks,
     config: PPOConfig,
     entropy: jax.Array,
     params: PPONetworkParams,
-    batch: Rollout,
+    rollout: Rollout,
     last: Parts,
-) -> tuple[jax.Array, Metrics]:
-    """PPO's loss, as Brax's `compute_ppo_loss`, and its parts.
+    own: Callable[[Any], Any] = lambda tree: tree,
+) -> tuple[PPONetworkParams, Metrics]:
+    """Of PPO's loss, as Brax's `compute_ppo_loss`, on a minibatch, and its parts.
 
-    Of `batch`, features come first: (m, unroll, envs). `last` (m, envs) is seen after it.
+    `own` takes the minibatch's environments out of arrays (..., envs). It is asked step by step:
+    what the networks compute of one step stays in a core's cache. Each network has a pass of its
+    own, since advantages are measured against those of the whole minibatch.
     """
-    policy = networks.policy(params.policy, batch.seen)
-    values = networks.value(params.value, batch.seen)
-    returns, advantages = compute_gae(
-        truncation=jnp.zeros_like(batch.reward),  # part of the reward
-        termination=1.0 - batch.discount,
-        rewards=batch.reward,
-        values=values,
-        bootstrap_value=networks.value(params.value, last),
-        lambda_=config.gae_lambda,
-        discount=config.discount,
+    value, (value_loss, advantages) = _value_gradient(
+        networks, config, params.value, rollout, last, own
     )
     advantages = (advantages - advantages.mean()) / (advantages.std() + 1e-8)
-    ratio = jnp.exp(policy.log_prob(batch.raw_action) - batch.log_prob)
+    loss = partial(_policy_loss, networks, config, entropy)
+
+    def step(total: Any, xs: tuple[Rollout, jax.Array]) -> Any:
+        met, advantage = xs
+        gradient, metrics = jax.grad(loss, has_aux=True)(params.policy, own(met), advantage)
+        return jax.tree.map(jnp.add, total, gradient), metrics
+
+    nothing = jax.tree.map(jnp.zeros_like, params.policy)
+    policy, metrics = jax.lax.scan(step, nothing, (rollout, advantages))
+    steps = len(rollout.reward)
+    gradient = jax.tree.map(lambda x: x / steps, PPONetworkParams(policy=policy, value=value))
+    return gradient, jax.tree.map(jnp.mean, {**metrics, "value": value_loss})
+
+
+def _value_gradient(
+    networks: Networks,
+    config: PPOConfig,
+    params: Any,
+    rollout: Rollout,
+    last: Parts,
+    own: Callable[[Any], Any],
+) -> tuple[Any, tuple[jax.Array, jax.Array]]:
+    """The value loss's gradient, summed over steps; the loss (unroll,), advantages (unroll, envs).
+
+    Generalised advantage estimation (Schulman et al. 2016, arXiv:1506.02438) goes from the last
+    step back, so each step's return is known when its value is learnt. As in Brax, an advantage
+    counts the next step's return in full, and `gae_lambda` weighs what is beyond.
+    """
+
+    def loss(params: Any, met: Rollout, following: jax.Array, beyond: jax.Array) -> Any:
+        value = networks.value(params, met.seen)
+        kept = config.discount * met.discount
+        surprise = met.reward + kept * following - value
+        error = jax.lax.stop_gradient(surprise + config.gae_lambda * kept * beyond)
+        target = jax.lax.stop_gradient(value) + error
+        mean = 0.5 * config.value * jnp.mean((target - value) ** 2)
+        return mean, (value, error, surprise + kept * beyond)
+
+    def step(carry: Any, met: Rollout) -> Any:
+        total, following, beyond = carry
+        (mean, (value, error, advantage)), gradient = jax.value_and_grad(loss, has_aux=True)(
+            params, own(met), following, beyond
+        )
+        return (jax.tree.map(jnp.add, total, gradient), value, error), (mean, advantage)
+
+    after = networks.value(params, own(last))
+    start = jax.tree.map(jnp.zeros_like, params), after, jnp.zeros_like(after)
+    (total, _, _), found = jax.lax.scan(step, start, rollout, reverse=True)
+    return total, found
+
+
+def _policy_loss(
+    networks: Networks,
+    config: PPOConfig,
+    entropy: jax.Array,
+    params: Any,
+    met: Rollout,
+    advantages: jax.Array,
+) -> tuple[jax.Array, Metrics]:
+    """Of a step, the policy's clipped loss less the entropy bonus; how far the policy changed."""
+    policy = networks.policy(params, met.seen)
+    ratio = jnp.exp(policy.log_prob(met.raw_action) - met.log_prob)
     clipped = jnp.clip(ratio, 1.0 - config.clip, 1.0 + config.clip)
-    policy_loss = -jnp.mean(jnp.minimum(ratio * advantages, clipped * advantages))
-    value_loss = 0.5 * config.value * jnp.mean((returns - values) ** 2)
-    total = policy_loss + value_loss - entropy * jnp.mean(policy.entropy())
-    return total, {
-        "policy": policy_loss,
-        "value": value_loss,
-        "kl": jnp.mean(policy.divergence(batch.policy)),
-        "std": jnp.mean(policy.std),
-    }
+    loss = -jnp.mean(jnp.minimum(ratio * advantages, clipped * advantages))
+    divergence = jnp.mean(policy.divergence(met.policy))
+    metrics = {"policy": loss, "kl": divergence, "std": jnp.mean(policy.std)}
+    return loss - entropy * jnp.mean(policy.entropy()), metrics
 
 
 def adapted(config: PPOConfig, rate: jax.Array, kl: jax.Array, desired_kl: jax.Array) -> jax.Array:
@@ -412,13 +460,13 @@ def _update(
     desired_kl: jax.Array,
     entropy: jax.Array,
     carry: tuple[PPONetworkParams, optax.OptState],
-    batch: Rollout,
+    rollout: Rollout,
     last: Parts,
+    own: Callable[[Any], Any],
 ) -> tuple[tuple[PPONetworkParams, optax.OptState], Metrics]:
-    """One gradient step on `batch`; `carry` is parameters and optimizer state."""
+    """One gradient step on a minibatch; `carry` is parameters and optimizer state."""
     params, state = carry
-    graded = jax.grad(loss, argnums=3, has_aux=True)
-    found = graded(networks, config, entropy, params, batch, last)
+    found = gradients(networks, config, entropy, params, rollout, last, own)
     grads, metrics = jax.lax.pmean(found, AXIS)
     rate = optax.tree_utils.tree_get(state, RATE)
     rate = adapted(config, rate, metrics["kl"], desired_kl)

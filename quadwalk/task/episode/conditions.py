@@ -224,13 +224,12 @@ def sensed(
     return seen + conditions.noise * scale * noise
 
 
-def reading(conditions: Conditions, frames: jax.Array, ago: int) -> jax.Array:
-    """What the sensors tell (n,) of `ago` control steps before; `frames` (m, n), newest first."""
-    if conditions.sensor_delay is None:
-        return frames[ago]
+def reading(conditions: Conditions, frames: jax.Array) -> jax.Array:
+    """What the sensors tell (n,), late as they are; `frames` (m, n) were measured, newest first."""
+    assert conditions.sensor_delay is not None
     whole = jnp.floor(conditions.sensor_delay)
     share = conditions.sensor_delay - whole
-    first = jnp.minimum(ago + whole.astype(jnp.int32), len(frames) - 2)
+    first = jnp.minimum(whole.astype(jnp.int32), len(frames) - 2)
     return (1.0 - share) * frames[first] + share * frames[first + 1]
 
 
