@@ -125,17 +125,25 @@ def test_loss_and_gradients_are_those_of_brax_with_two_observations(
     assert any(np.abs(x).max() > 1e-3 for x in jax.tree.leaves(gradient.value))
 
 
-def test_a_mirrored_observation_has_the_mirrored_action_and_the_same_value(statistics):
+def test_a_mirrored_observation_has_the_mirrored_action_with_the_other_lead(statistics):
+    """And the same value."""
     networks = make_networks(CONFIG, SEEN, ACTIONS, MORE, MIRRORS)
     params, own = networks.init(jax.random.PRNGKey(1)), even(statistics)
     params = jax.tree.map(lambda x: x + 0.3 * drawn(9, *x.shape), params)  # biases too
     observation = drawn(10, 50, SEEN + MORE)
 
-    def answers(observation):
-        parts = networks.normalised(own, observation)
-        return networks.policy(params.policy, parts), networks.value(params.value, parts)
+    def answers(observation, lead):
+        def turned(path, leaf):
+            return lead * leaf if path[-1].key == "lead" else leaf
 
-    (policy, value), (image, same) = map(answers, (observation, MIRRORS.observation(observation)))
+        led = jax.tree_util.tree_map_with_path(turned, params)
+        parts = networks.normalised(own, observation)
+        return networks.policy(led.policy, parts), networks.value(led.value, parts)
+
+    policy, value = answers(observation, 1.0)
+    image, same = answers(MIRRORS.observation(observation), -1.0)
+    other, _ = answers(observation, -1.0)
+    assert np.abs(other.mean - policy.mean).max() > 0.1  # the lead matters
     np.testing.assert_allclose(image.mean.T, MIRRORS.action(policy.mean.T), atol=1e-5)
     np.testing.assert_allclose(image.std, policy.std[MIRRORS.action.source], atol=1e-5)
     np.testing.assert_allclose(same, value, atol=1e-5)
