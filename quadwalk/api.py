@@ -62,7 +62,7 @@ def train(
         runs: the folder of all runs, "runs" unless another is given.
         overrides: settings by the names of their flags, {"env.reward.energy": -0.5}.
         watch: called with the metrics of each iteration.
-        settings: those of `TrainConfig` itself, such as steps, minutes, seed, name, quiet.
+        settings: those of `TrainConfig` itself, such as steps, minutes, seed, name, init, quiet.
     """
     changes = {**settings, **(overrides or {})}
     previous = None
@@ -73,6 +73,8 @@ def train(
     else:
         if task is not None or robot is not None:
             raise UsageError("resume goes on with the task and robot of its run: give neither")
+        if "init" in changes:
+            raise UsageError("resume goes on with its run's own networks: give no init")
         previous = _run(resume, runs)
         config = with_settings(resumed_config(previous), changes)
     run = loop.train(config, previous, watch)

@@ -128,6 +128,7 @@ class TrainConfig(Settings):
     task: tyro.conf.Suppress[str]  # its name
     name: str | None = None  # name of the run; None: date, time and task
     runs: Path = Path("runs")  # folder that holds all runs
+    init: str | None = None  # name or path of a run whose networks it begins with
     steps: Count  # control steps, of all environments together
     minutes: Positive | None = None  # stop after so long, with the policy saved
     seed: Seed = 0  # the same seed on the same machine gives the same numbers

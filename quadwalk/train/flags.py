@@ -31,7 +31,7 @@ def parse_config(args: Sequence[str], prog: str = "train.py") -> tuple[TrainConf
     which = value_of(args, "--resume")
     previous = None
     if which is not None:
-        for flag in ("--preset", "--name", "--robot.urdf"):
+        for flag in ("--preset", "--name", "--init", "--robot.urdf"):
             if value_of(args, flag) is not None:
                 raise UsageError(f"{flag} cannot be given with --resume: the run has its own")
         previous = find_run(value_of(args, "--runs") or TrainConfig.runs, which)

@@ -31,11 +31,13 @@ from quadwalk.train.runs.directory import (
     claim,
     clean,
     create_run,
+    find_run,
     latest_checkpoint,
     versions,
     write_json_atomic,
 )
 from quadwalk.train.runs.resume import changed_settings, read_config
+from quadwalk.train.warm_start import begun_from
 
 
 @dataclass
@@ -76,6 +78,16 @@ def prepare(
         progress.message(f"plain networks: {env.asymmetry}")
     mesh = ppo.make_mesh(devices)
     state = ppo.init_state(env, networks, config.ppo, mesh, config.envs, config.seed)
+    if config.init is not None and previous is None:
+        source = find_run(config.runs, config.init)
+        learner, notes = begun_from(source, config, env, networks, jax.device_get(state.learner))
+        learner = jax.tree.map(
+            lambda x, old: jax.device_put(x, old.sharding), learner, state.learner
+        )
+        state = state._replace(learner=learner)
+        progress.message(f"begins with the networks of {source.path}")
+        for note in notes:
+            progress.message(note)
     batch = config.envs * config.ppo.unroll
     iterate = ppo.Iteration(
         env, networks, config.ppo, mesh, iterations=math.ceil(config.steps / batch)
