@@ -11,7 +11,7 @@ from pathlib import Path
 from quadwalk.cli import ArgumentParser
 from quadwalk.errors import UsageError
 from quadwalk.files import atomic_write
-from quadwalk.ground.terrain import FLAT
+from quadwalk.ground.terrain import FLAT, leg_length
 from quadwalk.ground.tiles import KINDS
 from quadwalk.paths import ALIENGO_URDF
 
@@ -32,7 +32,9 @@ def main(argv: list[str] | None = None, prog: str = "python -m quadwalk.ground")
     except UsageError as error:
         raise UsageError(str(error).replace(f"--{FLAT.group}.", "--")) from None
     from quadwalk.ground.picture import draw_kinds  # Matplotlib, and all that reads a URDF
+    from quadwalk.robot.quadruped import load_quadruped
 
-    figure = draw_kinds(config, given.urdf)
+    quadruped = load_quadruped(given.urdf)
+    figure = draw_kinds(config, leg_length(quadruped.full_model(), quadruped.feet[0]))
     with atomic_write(given.out) as file:
         figure.savefig(file, format="png", metadata={"Software": None})

@@ -1,12 +1,9 @@
 """A picture of every kind of tile."""
 
-from pathlib import Path
-
 import numpy as np
 from matplotlib.figure import Figure
 
-from quadwalk.ground.terrain import GroundConfig, Place, Terrain, leg_length, make_terrain
-from quadwalk.robot.quadruped import load_quadruped
+from quadwalk.ground.terrain import GroundConfig, Place, Terrain, make_terrain
 
 _PIXELS = 50  # a metre
 _DEPTH = 0.6  # m on the picture, upwards, that a metre away from the eye takes
@@ -14,13 +11,9 @@ _SUN = np.array([-0.55, 0.35, 0.76])  # unit vector towards the light
 _TOP, _CUT = np.array([237, 222, 194]), np.array([120, 100, 80])
 
 
-def draw_kinds(config: GroundConfig, urdf: Path) -> Figure:
-    """Half a tile of every kind of `config`, a row for each, at every level, a column.
-
-    Sizes follow from the legs of the robot of `urdf`; `UrdfError` where it is none.
-    """
-    quadruped = load_quadruped(urdf)
-    terrain = make_terrain(config, leg_length(quadruped.full_model(), quadruped.feet[0]))
+def draw_kinds(config: GroundConfig, leg: float) -> Figure:
+    """Half a tile of every kind of `config`, a row for each, at every level, a column."""
+    terrain = make_terrain(config, leg)
     kinds, levels = config.kinds, config.difficulties
     figure = Figure(figsize=(2.9 * len(levels), 1.75 * len(kinds)), dpi=80, layout="constrained")
     grid = figure.subplots(len(kinds), len(levels), squeeze=False)

@@ -82,8 +82,8 @@ class Networks(NamedTuple):
     """Two multilayer perceptrons on normalised observations.
 
     With a mirror they are equivariant: each layer maps kept to kept and negated to negated numbers,
-    and the activation is that of two halves that are each other's mirror image (Mittal et al. 2024,
-    arXiv:2403.04359). That is half of a plain network's arithmetic, and it learns from fewer steps.
+    and the activation is that of two halves that are each other's mirror image (Su et al. 2024,
+    arXiv:2403.17320). That is half of a plain network's arithmetic, and it learns from fewer steps.
     One thing breaks the symmetry, `lead`: what each layer adds to the negated numbers. A mirrored
     observation gives the mirrored action, and the same value, with the lead's sign changed. Without
     it no side could lead a gallop: `run` then bounds, at 4.9 to 5.2 m/s instead of 5.5. It begins
