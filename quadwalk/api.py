@@ -48,6 +48,7 @@ def train(
     *,
     robot: str | Path | None = None,
     resume: str | Path | Run | None = None,
+    init: str | Path | Run | None = None,
     runs: str | Path | None = None,
     overrides: Overrides | None = None,
     watch: Callable[[dict[str, float]], object] | None = None,
@@ -59,12 +60,15 @@ def train(
         task: as for `make`; "run" unless another is given.
         robot: as for `make`.
         resume: a run, its name or path, or "latest", to go on with, in place of a task.
+        init: a run, its name or path, to begin with the networks of.
         runs: the folder of all runs, "runs" unless another is given.
         overrides: settings by the names of their flags, {"env.reward.energy": -0.5}.
         watch: called with the metrics of each iteration.
-        settings: those of `TrainConfig` itself, such as steps, minutes, seed, name, init, quiet.
+        settings: those of `TrainConfig` itself, such as steps, minutes, seed, name, quiet.
     """
     changes = {**settings, **(overrides or {})}
+    if init is not None:
+        changes["init"] = str(init.path if isinstance(init, Run) else init)
     previous = None
     if resume is None:
         if runs is not None:

@@ -54,14 +54,20 @@ class RobotMirror(NamedTuple):
     feet: Mirror  # (4,) a number of each foot
 
 
+def standing(quadruped: Quadruped, model: mujoco.MjModel) -> tuple[mujoco.MjData, np.ndarray]:
+    """A robot's `model` in its standing pose, and its joints' axes (12, 3) in the trunk's frame."""
+    data = mujoco.MjData(model)
+    data.qpos[:] = quadruped.home
+    mujoco.mj_kinematics(model, data)
+    return data, data.xaxis[1:] @ data.xmat[model.jnt_bodyid[0]].reshape(3, 3)
+
+
 def robot_mirror(quadruped: Quadruped, model: mujoco.MjModel) -> RobotMirror | str:
     """How the robot mirrors; one line that names the largest difference where it does not.
 
     From the structure in the standing pose of `model`, which is made from `quadruped`.
     """
-    data = mujoco.MjData(model)
-    data.qpos[:] = quadruped.home
-    mujoco.mj_kinematics(model, data)
+    data, axes = standing(quadruped, model)
     trunk = int(model.jnt_bodyid[0])
     turn = data.xmat[trunk].reshape(3, 3)
 
@@ -69,7 +75,7 @@ def robot_mirror(quadruped: Quadruped, model: mujoco.MjModel) -> RobotMirror | s
         return (points - data.xpos[trunk]) @ turn  # in the trunk's frame
 
     mass, height = float(model.body_subtreemass[0]), float(quadruped.home[2])
-    anchors, axes = placed(data.xanchor[1:]), data.xaxis[1:] @ turn
+    anchors = placed(data.xanchor[1:])
     geoms = [model.geom(name).id for name in quadruped.feet]
     soles = placed(data.geom_xpos[geoms])
     joints, feet = _nearest(anchors), _nearest(soles)

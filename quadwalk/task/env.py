@@ -17,7 +17,7 @@ from quadwalk.ground.terrain import Terrain, leg_length, make_terrain
 from quadwalk.physics.constraints.surface import Surface
 from quadwalk.physics.engines import ENGINES, EngineName, fast, mujoco_c
 from quadwalk.physics.motor import Effort, Physics, make_motor
-from quadwalk.robot.mirror import Mirror, joined, robot_mirror
+from quadwalk.robot.mirror import Mirror, RobotMirror, joined, robot_mirror
 from quadwalk.robot.quadruped import Quadruped
 from quadwalk.settings.environment import EnvConfig
 from quadwalk.settings.terms import Observation, Term
@@ -502,8 +502,10 @@ class QuadrupedEnv(Env):
     def _mirrored(self) -> Mirrors | str:
         """`mirrors`, or why there are none; `UserError` where a term says it of another size."""
         robot = robot_mirror(self.quadruped, self.mj_model)
-        if isinstance(robot, str):
-            return robot
+        return robot if isinstance(robot, str) else self.mirrored_as(robot)
+
+    def mirrored_as(self, robot: RobotMirror) -> Mirrors | str:
+        """How observation and action look where the parts of the robot mirror so."""
         config, found = self.config, list[Mirror]()
         terms: list[tuple[str, Term, int]] = [("action", config.action, 12)]
         for group, parts in (("observation", config.observation), ("critic", config.critic)):

@@ -204,7 +204,7 @@ def make_networks(
     if mirrors is not None:
         if any(size % 2 for size in config.hidden):
             raise UsageError(
-                f"ppo.hidden is {config.hidden}; expected even numbers, or --ppo.symmetric False"
+                f"ppo.hidden is {config.hidden}; expected even numbers, or --ppo.no-symmetric"
             )
         whole, action = mirrors
         seen = mirror(whole.source[:policy_size], whole.sign[:policy_size])

@@ -11,7 +11,7 @@ as in Schulman et al. 2017, section 4, and Rudin et al. 2022, arXiv:2109.11978.
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -32,6 +32,7 @@ AXIS = "devices"
 SOME = 16  # fresh episodes that are begun at once: of a thousand robots, few end in a step
 RATE = "learning_rate"  # its name in the optimizer's state
 Metrics = dict[str, Any]
+T = TypeVar("T")
 
 
 class Learner(NamedTuple):
@@ -127,13 +128,14 @@ def init_state(
     return TrainState(jax.device_put(learner, NamedSharding(mesh, P())), workers)
 
 
-def placed_like(saved: TrainState, state: TrainState) -> TrainState:
+def placed_like(saved: T, state: T) -> T:
     """`saved`, of NumPy arrays, on the devices that hold `state`."""
 
     def place(new: np.ndarray, old: jax.Array) -> jax.Array:
         return jax.make_array_from_callback(new.shape, old.sharding, lambda index: new[index])
 
-    return jax.tree.map(place, saved, state)
+    placed: T = jax.tree.map(place, saved, state)
+    return placed
 
 
 def collect(

@@ -31,8 +31,9 @@ from quadwalk.train.runs.directory import (
     claim,
     clean,
     create_run,
-    find_run,
+    find_any_run,
     latest_checkpoint,
+    list_checkpoints,
     versions,
     write_json_atomic,
 )
@@ -78,17 +79,16 @@ def prepare(
         progress.message(f"plain networks: {env.asymmetry}")
     mesh = ppo.make_mesh(devices)
     state = ppo.init_state(env, networks, config.ppo, mesh, config.envs, config.seed)
-    if config.init is not None and previous is None:
-        source = find_run(config.runs, config.init)
+    batch = config.envs * config.ppo.unroll
+    # One that was stopped before its first checkpoint begins once more, as it did.
+    if config.init is not None and (previous is None or not list_checkpoints(previous)):
+        source = find_any_run(config.runs, config.init)
+        config = replace(config, init=str(real_path(source.path)))
         learner, notes = begun_from(source, config, env, networks, jax.device_get(state.learner))
-        learner = jax.tree.map(
-            lambda x, old: jax.device_put(x, old.sharding), learner, state.learner
-        )
-        state = state._replace(learner=learner)
+        state = state._replace(learner=ppo.placed_like(learner, state.learner))
         progress.message(f"begins with the networks of {source.path}")
         for note in notes:
             progress.message(note)
-    batch = config.envs * config.ppo.unroll
     iterate = ppo.Iteration(
         env, networks, config.ppo, mesh, iterations=math.ceil(config.steps / batch)
     )

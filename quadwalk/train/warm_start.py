@@ -1,15 +1,15 @@
 """A training that begins with another run's networks: for another robot, reward or ground."""
 
+from pathlib import Path
 from typing import Any
 
 import jax
 import numpy as np
 from brax.training.acme.running_statistics import NestedMeanStd, RunningStatisticsState
-from brax.training.agents.ppo.losses import PPONetworkParams
 from brax.training.types import UInt64
 
 from quadwalk.errors import UserError
-from quadwalk.robot.mirror import mirror
+from quadwalk.robot.mirror import RobotMirror, mirror, standing
 from quadwalk.settings.training import TrainConfig
 from quadwalk.task.env import QuadrupedEnv
 from quadwalk.train.networks import Basis, Networks, networks_for, plain, structured
@@ -17,6 +17,7 @@ from quadwalk.train.ppo import Learner
 from quadwalk.train.robot import load_robot
 from quadwalk.train.runs import checkpoint
 from quadwalk.train.runs.directory import Run, latest_checkpoint
+from quadwalk.train.runs.policy import layers_of, load_policy
 from quadwalk.train.runs.resume import read_config
 
 KNOWN = 8  # iterations for which the source's statistics count: another robot's soon outweigh them
@@ -28,15 +29,16 @@ def begun_from(
 ) -> tuple[Learner, list[str]]:
     """`learner` with the networks of a run's newest checkpoint, and notes on what differs.
 
-    Observations are matched by name, those of joints by the joint's place. One that is new has
-    weights of zero, so that the policy acts as it did. Actions are as random as at a start. Raises
-    a `UserError` in one line for networks that cannot be taken over.
+    Observations are matched by name, those of joints by the joint's place and the way it turns. One
+    that is new has weights of zero, so that the policy acts as it did. Actions are as random as at
+    a start. Of a run without a checkpoint it is the policy alone. Raises a `UserError` in one line
+    for networks that cannot be taken over.
     """
     notes: list[str] = []
     path = latest_checkpoint(source, notes.append)
-    if path is None:
+    if path is None and not source.policy.exists():
         raise UserError(f"--init: {source.path} has no checkpoint; expected a run that was saved")
-    theirs = read_config(source)
+    theirs = load_policy(source.policy).config if path is None else read_config(source)
     for name in ("hidden", "activation"):
         own, other = getattr(config.ppo, name), getattr(theirs.ppo, name)
         if own != other:
@@ -48,40 +50,54 @@ def begun_from(
             f"--init: {source.path} has networks that are not symmetric; expected "
             "--ppo.no-symmetric as well"
         )
-    params, normalizer = _read(path)
-    policy = plain(params.policy, before.seen, before.outputs)
-    value = plain(params.value, before.whole, _of_value(before))
-    names, known = _names(env), {name: place for place, name in enumerate(_names(there))}
-    rows = np.array([known.get(name, -1) for name in names])
+    found, statistics = _read(source, path, before)
+    names, known = _names(env), _names(there)
+    # A policy alone has seen the first of them.
+    places = {name: place for place, name in enumerate(list(known)[: len(statistics.mean)])}
+    rows = np.array([places.get(name, -1) for name in names])
+    turned, action = _turned(env, there)
+    weights = np.where(rows < 0, 0.0, turned).astype(np.float32)
     size = networks.seen.size
-    # What the policy sees comes first, and may have been the value network's alone.
-    seen = np.where(rows[:size] < there.policy_size, rows[:size], -1)
-    _noisy_again(policy)
-    taken = PPONetworkParams(
-        policy=structured(_first_rows(policy, seen), networks.seen, networks.outputs),
-        value=structured(_first_rows(value, rows), networks.whole, _of_value(networks)),
-    )
+    policy = _taken(found["policy"], rows[:size], weights[:size])
+    last = policy["params"][f"hidden_{len(config.ppo.hidden)}"]
+    for name, own in last.items():  # raw standard deviations of 0 are those of a start
+        last[name] = own * np.concatenate([action, np.zeros_like(action)])
+    params = learner.params.replace(policy=structured(policy, networks.seen, networks.outputs))
+    if "value" in found:
+        value = _taken(found["value"], rows, weights)
+        params = params.replace(value=structured(value, networks.whole, _of_value(networks)))
+    else:
+        notes.append(f"--init: {source.path} has a policy alone: the value network is a new one")
     assert config.envs is not None
     count = KNOWN * config.envs * config.ppo.unroll
-    statistics = _statistics(learner.normalizer, normalizer, rows, count)
-    new = [name for name, row in zip(names, rows, strict=True) if row < 0]
-    gone = sorted(set(known) - set(names))
+    normalizer = _statistics(learner.normalizer, statistics, rows, weights, count)
+    new = [own for name, own in names.items() if name not in known]
+    gone = [own for name, own in known.items() if name not in names]
     notes += [f"--init: {_listed(new)} new to these networks"] if new else []
     notes += [f"--init: {_listed(gone)} no longer seen"] if gone else []
-    return learner._replace(params=taken, normalizer=statistics), notes
+    return learner._replace(params=params, normalizer=normalizer), notes
 
 
-def _read(path: Any) -> tuple[PPONetworkParams, NestedMeanStd]:
-    """The networks and statistics in a checkpoint."""
-    leaves, _ = checkpoint.load(path, "checkpoint")
-    networks: dict[str, Any] = {"policy": {}, "value": {}}
-    for name, leaf in leaves.items():
-        kind, _, place = name.removeprefix("learner/params/").partition("/params/")
-        if kind in networks:
-            layer, _, part = place.partition("/")
-            networks[kind].setdefault(layer, {})[part] = leaf
-    statistics = NestedMeanStd(leaves["learner/normalizer/mean"], leaves["learner/normalizer/std"])
-    return PPONetworkParams(**{k: {"params": own} for k, own in networks.items()}), statistics
+def _read(
+    source: Run, path: Path | None, networks: Networks
+) -> tuple[dict[str, Any], NestedMeanStd]:
+    """The plain networks in a checkpoint, or in the run's policy file, and their statistics."""
+    if path is None:
+        leaves, _ = checkpoint.load(source.policy, "policy")
+        found = {"policy": {"params": layers_of(leaves, "policy/params/")}}
+        place = "normalizer"
+    else:
+        leaves, _ = checkpoint.load(path, "checkpoint")
+        policy, value = (
+            {"params": layers_of(leaves, f"learner/params/{name}/params/")}
+            for name in ("policy", "value")
+        )
+        found = {
+            "policy": plain(policy, networks.seen, networks.outputs),
+            "value": plain(value, networks.whole, _of_value(networks)),
+        }
+        place = "learner/normalizer"
+    return found, NestedMeanStd(leaves[f"{place}/mean"], leaves[f"{place}/std"])
 
 
 def _of_value(networks: Networks) -> Basis:
@@ -89,51 +105,67 @@ def _of_value(networks: Networks) -> Basis:
     return Basis(1, None if networks.whole.mirror is None else mirror([0], [1]))
 
 
-def _names(env: QuadrupedEnv) -> list[str]:
-    """The names of all that networks see, a joint's by its place, a critic's as "critic ..."."""
+def _names(env: QuadrupedEnv) -> dict[str, str]:
+    """What networks see by its name with joints' places: its name, a critic's "critic ..."."""
     places = {joint: f"joint{place}" for place, joint in enumerate(env.quadruped.joints)}
 
     def placed(name: str) -> str:
         own, bracket, ago = name.partition("[")
-        joint = next((j for j in places if own.endswith(f"_{j}")), None)
+        # One joint's name may be the end of another's.
+        joint = max((j for j in places if own.endswith(f"_{j}")), key=len, default=None)
         return own.removesuffix(joint) + places[joint] + bracket + ago if joint else name
 
-    return [placed(n) for n in env.observation_names] + [
-        f"critic {placed(n)}" for n in env.critic_names
-    ]
+    names = *env.observation_names, *(f"critic {name}" for name in env.critic_names)
+    return {placed(name): name for name in names}
 
 
-def _noisy_again(policy: Any) -> None:
-    """Let the standard deviations of a plain policy be those of a start."""
-    layers = policy["params"]
-    last = layers[f"hidden_{len(layers) - 1}"]
-    half = len(last["bias"]) // 2
-    last["kernel"] = np.array(last["kernel"])
-    last["bias"] = np.array(last["bias"])
-    last["kernel"][:, half:] = 0.0
-    last["bias"][half:] = 0.0
+def _turned(env: QuadrupedEnv, there: QuadrupedEnv) -> tuple[np.ndarray, np.ndarray]:
+    """Signs, 1 or -1, of observations (n,) and actions (12,) in `env` for those `there`.
+
+    A joint's are negative where its axis points the other way, in the standing pose.
+    """
+    axes, others = (standing(e.quadruped, e.mj_model)[1] for e in (env, there))
+    signs = np.where(np.sum(axes * others, axis=1) < 0.0, -1.0, 1.0)
+    if np.all(signs > 0.0):
+        return np.ones(env.observation_size), signs
+    feet = mirror(np.arange(4), np.ones(4))
+    # What changes its sign with its joint: so terms say how they mirror.
+    turned, usual = (
+        env.mirrored_as(RobotMirror(mirror(np.arange(12), own), feet))
+        for own in (signs, np.ones(12))
+    )
+    if isinstance(turned, str) or isinstance(usual, str):
+        joint = env.quadruped.joints[int(np.argmin(signs))]
+        raise UserError(f"--init: {joint!r} turns the other way in that run, and {turned}")
+    return turned.observation.sign * usual.observation.sign, turned.action.sign * usual.action.sign
 
 
-def _first_rows(params: Any, rows: np.ndarray) -> Any:
-    """Plain weights whose input i was `rows[i]`, or is new where that is -1."""
-    layers = dict(params["params"])
+def _taken(params: Any, rows: np.ndarray, weights: np.ndarray) -> Any:
+    """Plain weights whose input i was `rows[i]`, times `weights[i]`."""
+    layers = {name: dict(layer) for name, layer in params["params"].items()}
     kernel = np.asarray(layers["hidden_0"]["kernel"])
-    taken = np.where(rows[:, None] < 0, 0.0, kernel[rows]).astype(np.float32)
-    layers["hidden_0"] = {**layers["hidden_0"], "kernel": taken}
+    layers["hidden_0"]["kernel"] = kernel[rows] * weights[:, None]
     return {"params": layers}
 
 
 def _statistics(
-    like: RunningStatisticsState, known: NestedMeanStd, rows: np.ndarray, count: int
+    like: RunningStatisticsState,
+    known: NestedMeanStd,
+    rows: np.ndarray,
+    weights: np.ndarray,
+    count: int,
 ) -> RunningStatisticsState:
-    """Those of `known`, as of `count` observations; of what is new, mean 0 and spread 1."""
-    mean = np.where(rows < 0, 0.0, np.asarray(known.mean)[rows]).astype(np.float32)
-    std = np.where(rows < 0, 1.0, np.asarray(known.std)[rows]).astype(np.float32)
+    """Those of `known`, as of `count` observations.
+
+    What is new, of weight 0, has been constant in them: its spread then is that of what follows,
+    whatever its unit, to a factor that goes to 1.
+    """
+    std = np.where(rows < 0, 1.0, known.std[rows])
     found = like.replace(
         count=UInt64(hi=np.uint32(0), lo=np.uint32(count)),
-        mean=mean,
+        mean=known.mean[rows] * weights,
         std=std,
-        summed_variance=np.float32(count) * std**2,
+        summed_variance=count * (std * weights) ** 2,
     )
     return jax.tree.map(lambda new, old: np.asarray(new, old.dtype), found, like)
 

@@ -64,7 +64,8 @@ def train(monkeypatch) -> Callable[..., None]:
     from quadwalk.train.flags import parse_config
     from quadwalk.train.loop import train
 
-    monkeypatch.setattr("quadwalk.train.setup.QuadrupedEnv", toy.Toy)
+    for module in ("setup", "warm_start"):
+        monkeypatch.setattr(f"quadwalk.train.{module}.QuadrupedEnv", toy.Toy)
     return lambda *flags, watch=None: train(*parse_config(flags), watch)
 
 

@@ -1,14 +1,18 @@
 """A training that begins with another run's networks."""
 
 import dataclasses
+import re
+import shutil
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import toy
+from brax.training.acme import running_statistics
 from brax.training.acme.running_statistics import NestedMeanStd
 
-from quadwalk.errors import UserError
+from quadwalk.errors import UsageError, UserError
 from quadwalk.robot.quadruped import load_quadruped
 from quadwalk.settings.serialise import to_dict
 from quadwalk.settings.terms import Observation
@@ -18,7 +22,8 @@ from quadwalk.tasks import run as task
 from quadwalk.train import ppo
 from quadwalk.train.networks import mean_policy, networks_for
 from quadwalk.train.runs import checkpoint
-from quadwalk.train.runs.directory import as_json, create_run, versions
+from quadwalk.train.runs.directory import Run, as_json, create_run, versions
+from quadwalk.train.runs.policy import save_policy
 from quadwalk.train.warm_start import begun_from
 
 CONFIG = dataclasses.replace(
@@ -31,6 +36,19 @@ def learner_of(env, config, seed):
     networks = networks_for(env, config.ppo)
     state = ppo.init_state(env, networks, config.ppo, ppo.make_mesh(), 8, seed)
     return networks, jax.device_get(state.learner)
+
+
+def worth(networks, learner, observation):
+    """What the value network says."""
+    statistics = NestedMeanStd(learner.normalizer.mean, learner.normalizer.std)
+    parts = networks.normalised(statistics, jnp.float32(observation))
+    return networks.value(learner.params.value, parts)
+
+
+def saved(run, like):
+    """The learner in the run's checkpoint."""
+    state = ppo.TrainState(like, {"x": np.zeros(1)})
+    return checkpoint.load(run.checkpoint(10), "checkpoint", state)[0].learner
 
 
 def changed(config, **env):
@@ -108,11 +126,75 @@ def test_what_is_new_changes_no_action_and_what_is_seen_in_another_order_is_foun
         mean_policy("swish", *policy)(jnp.float32(before)),
         atol=1e-4,
     )
-    count = learner.normalizer.count
+
+
+@pytest.mark.parametrize("unit", [1e-3, 1.0, 1e3])
+def test_statistics_of_what_is_new_soon_are_its_own_in_any_unit(source, unit):
+    run, config, env, _ = source
+    there = changed(
+        config, observation={**config.env.observation, "offset": Observation(offset, SEEN)}
+    )
+    other = QuadrupedEnv(env.quadruped, there.env)
+    networks, fresh = learner_of(other, there, 6)
+    learner, _ = begun_from(run, there, other, networks, fresh)
+    normalizer = jax.tree.map(jnp.asarray, learner.normalizer)
+    place, number = other.observation_names.index("offset"), int(normalizer.count.lo)
+    known = np.arange(other.observation_size) != place
+    before = normalizer.mean[known], normalizer.std[known]
+    rng = np.random.default_rng(3)
+    seen = np.float32(rng.normal(normalizer.mean, normalizer.std, (number, len(known))))
+    seen[:, place] = rng.normal(0, unit, number)
+    after = running_statistics.update(normalizer, jnp.asarray(seen))
+    assert 0.6 * unit < after.std[place] < 1.1 * unit
+    np.testing.assert_allclose(after.std[known], before[1], rtol=0.15)
+    np.testing.assert_allclose(after.mean[known], before[0], atol=0.2)
+
+
+def test_a_robot_with_other_joints_acts_the_same_in_the_same_pose(source, tmp_path):
+    """Its joints have other names, one the end of another's; left hips turn the other way."""
+    run, config, env, policy = source
+    _, like = learner_of(env, config, 5)
+    text = env.quadruped.urdf
+    for side in ("FL", "RL"):
+        before, joint, after = text.partition(f'<joint name="{side}_hip_joint"')
+        text = before + joint + after.replace('<axis xyz="1 0 0"/>', '<axis xyz="-1 0 0"/>', 1)
+    text = re.sub(r'"([FR])([RL])_(hip|thigh|calf)_joint"', r'"\2\1_\3"', text)
+    text = text.replace('joint name="LF_hip"', 'joint name="hip"')
+    urdf = tmp_path / "other.urdf"
+    urdf.write_text(text)
+    quadruped = load_quadruped(urdf)
+    assert quadruped.joints[3:10:3] == ("hip", "RR_hip", "LR_hip")
+    other = QuadrupedEnv(quadruped, config.env)
+    networks, fresh = learner_of(other, config, 6)
+    learner, notes = begun_from(run, config, other, networks, fresh)
+    assert notes == []
+    own = {**config.env.observation, "unsaid": Observation(lambda robot, state: state.qpos[2])}
+    there = changed(config, observation=own)
+    unsaid = QuadrupedEnv(quadruped, there.env)
+    with pytest.raises(UserError, match=r"'hip' turns the other way .* 'unsaid' does not say how"):
+        begun_from(run, there, unsaid, *learner_of(unsaid, there, 6))
+    rng = np.random.default_rng(1)
+    seen = rng.normal(size=(9, env.observation_size))
+    there, joint_signs = seen.copy(), np.ones(12)
+    joint_signs[[3, 9]] = -1.0
+    hips = {f"{p}_{hip}" for p in ("position", "speed", "last_action") for hip in ("hip", "LR_hip")}
+    # Encoder offsets (12,) are what conditions end with.
+    drawn = sum(name.startswith("conditions_") for name in other.critic_names)
+    hips |= {f"conditions_{drawn - 12 + joint}" for joint in (3, 9)}
+    names = other.observation_names + other.critic_names
+    turned = [name.partition("[")[0] in hips for name in names]
+    # Position, speed, last action, each with four steps before; in the critic the first two, too.
+    assert sum(turned) == 2 * (3 * 5 + 2 + 1)
+    there *= np.where(turned, -1.0, 1.0)
     np.testing.assert_allclose(
-        np.sqrt(learner.normalizer.summed_variance / float(count.lo)),
-        learner.normalizer.std,
-        rtol=1e-5,
+        acts(networks, learner, jnp.float32(there)),
+        mean_policy("swish", *policy)(jnp.float32(seen)) * joint_signs,
+        atol=1e-4,
+    )
+    np.testing.assert_allclose(
+        worth(networks, learner, there),
+        worth(networks_for(env, config.ppo), saved(run, like), seen),
+        atol=1e-4,
     )
 
 
@@ -138,3 +220,55 @@ def test_a_run_without_a_checkpoint_is_refused(source, tmp_path):
     networks, fresh = learner_of(env, config, 6)
     with pytest.raises(UserError, match="has no checkpoint"):
         begun_from(create_run(tmp_path, "empty", files={}), config, env, networks, fresh)
+
+
+def test_a_run_with_a_policy_alone_gives_that(source, tmp_path):
+    run, config, env, policy = source
+    shutil.copytree(run.path, tmp_path / "alone", ignore=lambda *_: ["checkpoints"])
+    alone = Run(tmp_path / "alone")
+    save_policy(alone.policy, *policy, config, env.quadruped.joints, 10, 0.0)
+    alone.config.unlink()  # as those that come with the package
+    networks, fresh = learner_of(env, config, 6)
+    learner, notes = begun_from(alone, config, env, networks, fresh)
+    assert notes == [f"--init: {alone.path} has a policy alone: the value network is a new one"]
+    seen = jnp.asarray(np.random.default_rng(1).normal(size=(9, env.observation_size)), jnp.float32)
+    np.testing.assert_allclose(
+        acts(networks, learner, seen), mean_policy("swish", *policy)(seen), atol=1e-5
+    )
+    jax.tree.map(np.testing.assert_array_equal, learner.params.value, fresh.params.value)
+
+
+class Other(toy.Toy):
+    """The toy, one of whose observations the source has not."""
+
+    observation_names = ("position", "other", "speed")
+
+
+def test_a_training_begins_so_and_goes_on_without_its_source(
+    tmp_path, flags, train, same_result, capsys, monkeypatch
+):
+    def kernel(name, steps):
+        leaves, _ = checkpoint.load(Run(tmp_path / name).checkpoint(steps), "checkpoint")
+        return leaves["learner/params/policy/params/hidden_0/kernel"]
+
+    train(*flags(tmp_path, "source", 2))
+    monkeypatch.setattr("quadwalk.train.setup.QuadrupedEnv", Other)
+    train(*flags(tmp_path, "begun", 3, "--init=source", "--checkpoint-steps=64"))
+    said = capsys.readouterr().out
+    assert f"begins with the networks of {tmp_path / 'source'}" in said
+    assert "--init: other: is new to these networks" in said
+    # The first iteration measures what is seen; what is new is learnt after that.
+    np.testing.assert_array_equal(kernel("begun", 64), kernel("source", 128) * [[1], [0], [1]])
+    assert np.all(kernel("begun", 192)[1] != 0.0)
+
+    # One that was killed before its first checkpoint begins so again.
+    other = tmp_path / "other"
+    shutil.copytree(tmp_path / "begun", other / "begun")
+    for path in (*Run(other / "begun").checkpoints.iterdir(), *(other / "begun").glob("*.jsonl")):
+        path.unlink()
+    train(f"--runs={other}", "--resume=begun")
+    same_result(other / "begun", tmp_path / "begun")
+    shutil.rmtree(tmp_path / "source")
+    train(f"--runs={other}", "--resume=begun", "--steps=256")
+    with pytest.raises(UsageError, match="--init cannot be given with --resume"):
+        train(f"--runs={other}", "--resume=begun", "--init=begun")

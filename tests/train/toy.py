@@ -17,6 +17,7 @@ os.environ["TF_CPP_MIN_LOG_LEVEL"] = "3"
 
 import jax
 import jax.numpy as jnp
+import mujoco
 from brax.envs.base import Env, State
 
 import quadwalk.task.env
@@ -40,6 +41,7 @@ class Toy(Env):
     """
 
     observation_size = policy_size = 3
+    observation_names = ("position", "drawn", "speed")
     critic_names = ()
     action_size = 12
     backend = "none"
@@ -50,6 +52,11 @@ class Toy(Env):
 
     def __init__(self, quadruped: Any = None, config: EnvConfig | None = None) -> None:
         self.config = config or sprint.TASK.env
+        self.quadruped = quadruped
+
+    @property
+    def mj_model(self) -> mujoco.MjModel:
+        return self.quadruped.full_model(visuals=False)
 
     def reading(self, heights: Any) -> "Toy":
         return self

@@ -73,11 +73,7 @@ def load_score(path: Path) -> tuple[int, float]:
 def load_checkpoint_policy(path: Path, joints: tuple[str, ...]) -> Policy:
     """The policy in a checkpoint, of a run whose robot has these `joints`; raises `UserError`."""
     leaves, metadata = checkpoint.load(path, "checkpoint")
-    layers: dict[str, dict[str, Any]] = {}
-    for name, leaf in leaves.items():
-        if name.startswith(_LAYERS):
-            layer, kind = name.removeprefix(_LAYERS).split("/")
-            layers.setdefault(layer, {})[kind] = leaf
+    layers = layers_of(leaves, _LAYERS)
     try:
         config = config_of(metadata["config"], Run(path.parent.parent), str(path), "0.1")
         steps, mean, std = int(metadata["steps"]), leaves[_MEAN], leaves[_STD]
@@ -89,6 +85,16 @@ def load_checkpoint_policy(path: Path, joints: tuple[str, ...]) -> Policy:
     except (*DAMAGE, UserError) as error:
         raise UserError(f"{path} holds no policy that can be used: {error}") from None
     return Policy(mean_policy(config.ppo.activation, *policy), config, joints, size, steps)
+
+
+def layers_of(leaves: dict[str, Any], prefix: str) -> dict[str, dict[str, Any]]:
+    """The layers of the network whose leaves in a file have names with this prefix."""
+    layers: dict[str, dict[str, Any]] = {}
+    for name, leaf in leaves.items():
+        if name.startswith(prefix):
+            layer, kind = name.removeprefix(prefix).split("/")
+            layers.setdefault(layer, {})[kind] = leaf
+    return layers
 
 
 def _mirrors(data: Any) -> Mirrors | None:
