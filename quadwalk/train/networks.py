@@ -25,6 +25,7 @@ from quadwalk.task.mirror import Mirrors
 
 # Of a number's standard deviation, as a share of its mean or, if that is less than 1, of 1.
 CONSTANT = 1e-4
+LEAD = 0.3  # standard deviation of a layer's lead at the start, whose inputs have one of 1
 MIN_STD = 0.001  # of an action before the squashing, as in Brax
 HALF = np.float32(np.sqrt(0.5))
 
@@ -227,7 +228,7 @@ def _layers(key: jax.Array, sizes: list[tuple[int, ...]]) -> Any:
         layer = {name: jnp.zeros(size) for name, size in zip(BIASES, outputs, strict=False)}
         if "lead" in layer and number + 2 < len(sizes):
             own = jax.random.fold_in(key, len(sizes) + number)
-            layer["lead"] = jax.random.normal(own, layer["lead"].shape)
+            layer["lead"] = LEAD * jax.random.normal(own, layer["lead"].shape)
         for name, own, shape in zip(
             KERNELS, keys, zip(inputs, outputs, strict=False), strict=False
         ):
