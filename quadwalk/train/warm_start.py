@@ -60,7 +60,9 @@ def begun_from(
     size = networks.seen.size
     policy = _taken(found["policy"], rows[:size], weights[:size])
     last = policy["params"][f"hidden_{len(config.ppo.hidden)}"]
-    for name, own in last.items():  # raw standard deviations of 0 are those of a start
+    # Raw standard deviations of 0 are those of a start. Go1 from an AlienGo's `run`, 1.2 million
+    # steps, two seeds: 4.5 and 4.8 m/s; with the source's own 4.1 and 4.1, with half a start's 4.5.
+    for name, own in last.items():
         last[name] = own * np.concatenate([action, np.zeros_like(action)])
     params = learner.params.replace(policy=structured(policy, networks.seen, networks.outputs))
     if "value" in found:
