@@ -20,6 +20,7 @@ from quadwalk.evaluate.report.console import (
     print_by_ground,
     print_comparison,
     print_engines,
+    print_standing,
     print_summary,
     print_sweep,
     simulating,
@@ -27,6 +28,7 @@ from quadwalk.evaluate.report.console import (
 from quadwalk.evaluate.report.panels import draw_by_ground, draw_comparison, draw_sweep
 from quadwalk.evaluate.report.pictures import draw_film_strip, render_video
 from quadwalk.evaluate.report.plots import save_figure
+from quadwalk.evaluate.standing import measure_standing, standing_run
 from quadwalk.evaluate.summary import engine_differences
 from quadwalk.evaluate.sweep import measure_sweeps, sweep_points
 from quadwalk.shell import words
@@ -59,6 +61,11 @@ def judge(loaded: LoadedRun, config: EvalConfig, out: Path, console: Console) ->
         results["ground"] = ground
         save_figure(draw_by_ground(ground, f"{name}, {config.engine}"), out / "ground.png")
         written.append("ground.png")
+    elif loaded.env.config.reset.tumbled and config.cell:
+        rising = standing_run(loaded)
+        with _progress(rising, f"{config.cell} episodes of each condition", console) as report:
+            results["standing"] = measure_standing(rising, config.cell, config.seed, report)
+        print_standing(results["standing"])
     write_json_atomic(out / "metrics.json", results)
     with console.status("writing"):
         written += _write_pictures(found, config, out)

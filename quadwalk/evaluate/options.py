@@ -40,7 +40,8 @@ class EvalConfig(Settings):
     policy: Literal["last", "best"] = "last"  # the run's last, or that of its best checkpoint
     seed: Seed = 0  # of the starts and the ground; the same seed gives the same episodes
     # where the ground is uneven: episodes of each kind at each difficulty, for the table and the
-    # picture of these; 0: without them
+    # picture of these; of a robot that starts in any pose: of each condition, for the table of how
+    # soon it stands in MuJoCo C; 0: without them
     cell: Natural = 16
     levels: Few = 3  # difficulties in these, evenly from the least trained on to the greatest
     out: Path | None = None  # folder for the results; None: a new one in the run's

@@ -115,7 +115,7 @@ def measure_points(
     mean |yaw|, deg; with commands in its place velocity_error, m/s, and yaw_rate_error, rad/s, as
     in an evaluation, but that the windows do not overlap.
     """
-    env, starts = loaded.env, _starts(loaded.env, points, episodes, seed)
+    env, starts = loaded.env, starts_at(loaded.env, points, episodes, seed)
     commands, dt = starts.pipeline_state.command, env.config.control_dt
     commanded = None if commands is None else np.asarray(commands.velocity, float)
 
@@ -134,7 +134,7 @@ def measure_points(
     return measure_cells(env, loaded.policy.act, starts, episodes, measure, report=report)
 
 
-def _starts(env: QuadrupedEnv, points: list[Point], episodes: int, seed: int) -> State:
+def starts_at(env: QuadrupedEnv, points: list[Point], episodes: int, seed: int) -> State:
     """The first states of all episodes, under the conditions of their points.
 
     Each point has the same starts, and the same draws but for their size.

@@ -216,6 +216,25 @@ def lowest_points(model: Model, qpos: jax.Array) -> tuple[jax.Array, jax.Array]:
     return robots_last(of_many, (shape((4, 3)), shape((5,))))(model, qpos)
 
 
+def leg_points(model: Model, joints: jax.Array) -> jax.Array:
+    """Centres of the spheres that thighs and calves have (n, 4, 3), m, in the trunk's frame.
+
+    The feet first, then knees if they may touch the floor. `joints` (12,) are angles, rad; to be
+    vmapped over robots.
+    """
+    spheres = [contact for contact in model.contacts if contact.link]
+
+    def of_many(model: Model, joints: jax.Array) -> jax.Array:
+        one, zero = jnp.ones_like(joints[0]), jnp.zeros_like(joints[0])
+        upright = rotation_of((one, zero, zero, zero))
+        pose = pose_of(model.links, upright, _by_link(joints))
+        return jnp.stack([jnp.stack(centres(c, pose), axis=1) for c in model.contacts if c.link])
+
+    joints = jnp.asarray(joints)
+    shape = jax.ShapeDtypeStruct((len(spheres), 4, 3), joints.dtype)
+    return robots_last(of_many, shape)(model, joints)
+
+
 def _lowest_points_over(
     model: Model, ground: Surface, barrier: jax.Array, pose: Pose, qpos: jax.Array
 ) -> tuple[jax.Array, jax.Array]:

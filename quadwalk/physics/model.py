@@ -19,7 +19,7 @@ from quadwalk.physics.motor import Motor
 from quadwalk.physics.rigid_body import LINKS, Link, Trunk
 from quadwalk.physics.vectors import Array, Matrix, Vector
 from quadwalk.robot.quadruped import Quadruped
-from quadwalk.robot.scene import CORNERS, KNEES
+from quadwalk.robot.scene import KINDS
 
 
 @jax.tree_util.register_dataclass
@@ -179,7 +179,7 @@ def on_ground(model: Model, ground: Heightfield) -> Model:
 def contact_geoms(model: mujoco.MjModel, feet: tuple[str, ...]) -> list[np.ndarray]:
     """(4,) geoms of each kind of sphere that may touch the floor, the feet first."""
     names = [model.geom(i).name for i in range(model.ngeom)]
-    kinds = [kind for kind in (feet, KNEES, CORNERS) if set(kind) <= set(names)]
+    kinds = [kind for kind in (feet, *KINDS) if set(kind) <= set(names)]
     return [np.array([names.index(name) for name in kind]) for kind in kinds]
 
 

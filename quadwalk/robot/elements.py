@@ -6,7 +6,7 @@ import yourdfpy
 
 from quadwalk.robot.meshes import Meshes, MeshPart
 from quadwalk.robot.report import Report
-from quadwalk.robot.scene import CONTACT_TIME, CORNERS, FRICTION, KNEES
+from quadwalk.robot.scene import CONTACT_TIME, FRICTION, KINDS
 from quadwalk.robot.structure.legs import Leg
 from quadwalk.robot.structure.tree import Tree, is_limited, joint_range, matrix, unit
 
@@ -123,7 +123,7 @@ class Shapes:
     ):
         self.spec, self.meshes, self.report = spec, meshes, report
         self.legs = {leg.foot.link: leg for leg in legs}
-        self.geom_names = {*(leg.foot_name for leg in legs), "floor", *KNEES, *CORNERS}
+        self.geom_names = {*(leg.foot_name for leg in legs), "floor"}.union(*KINDS)
         self.mesh_names: dict[tuple, list[str]] = {}
         self.materials: dict[str, str] = {}
         self.rgba: dict[str, tuple] = {}

@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 
 from quadwalk.robot.quadruped import Quadruped
-from quadwalk.robot.scene import CORNERS, KNEES
+from quadwalk.robot.scene import KINDS
 
 _FLIP = np.diag([1.0, -1.0, 1.0])
 # The largest difference between a robot and its mirror image, as shares of its standing height,
@@ -120,7 +120,7 @@ def robot_mirror(quadruped: Quadruped, model: mujoco.MjModel) -> RobotMirror | s
     off = (inertias[images] - _FLIP @ inertias @ _FLIP) / (mass * height**2)
     compare("inertia", own, off, INERTIA)
     there = {model.geom(geom).name for geom in range(model.ngeom)}
-    for spheres in (quadruped.feet, KNEES, CORNERS):
+    for spheres in (quadruped.feet, *KINDS):
         if there.issuperset(spheres):
             geoms = [model.geom(name).id for name in spheres]
             places, radii = placed(data.geom_xpos[geoms]), model.geom_size[geoms, 0]

@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Literal
 
 import mujoco
 import numpy as np
@@ -12,7 +11,7 @@ from quadwalk.paths import ALIENGO_URDF
 from quadwalk.robot.checks.validate import UrdfError
 from quadwalk.robot.mjcf import Options, convert, open_meshes
 from quadwalk.robot.report import Report
-from quadwalk.robot.scene import HOME, add_spheres, simplify
+from quadwalk.robot.scene import HOME, Contacts, add_spheres, simplify
 from quadwalk.robot.structure.home import standing_pose
 from quadwalk.robot.structure.legs import Leg, find_legs
 from quadwalk.robot.structure.tree import joint_range
@@ -71,7 +70,7 @@ class Quadruped:
         timestep: float,
         iterations: int = 1,
         ls_iterations: int = 5,
-        contacts: Literal["feet", "knees", "body"] = "feet",
+        contacts: Contacts = "feet",
     ) -> mujoco.MjModel:
         """The model to train in, made for MJX: only spheres and the floor collide.
 
@@ -83,7 +82,8 @@ class Quadruped:
             iterations: of the Newton solver. `EnvConfig` has those of training; with one alone MJX
                 needs no loop that runs as long as the slowest robot of a batch.
             ls_iterations: of its line search, each at a fixed cost.
-            contacts: what the floor meets: feet, or also spheres at knees, or those and the trunk.
+            contacts: what the floor meets: feet, or also spheres at knees, or those and the
+                trunk's lower corners, or those, its upper ones, and hips.
         """
         spec = self.spec.copy()
         for sensor in list(spec.sensors):
@@ -98,8 +98,7 @@ class Quadruped:
             geom.conaffinity = geom.name in self.feet
         simplify(spec, self.feet)
         if contacts != "feet":
-            calves = self.joints[2::3]
-            add_spheres(spec, self.trunk, self.feet, calves, corners=contacts == "body")
+            add_spheres(spec, self.trunk, self.feet, self.joints[2::3], contacts)
         option = spec.option
         option.cone = mujoco.mjtCone.mjCONE_PYRAMIDAL
         # Implicit joint damping costs a second factorisation of the mass matrix each step.

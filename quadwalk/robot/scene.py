@@ -1,5 +1,7 @@
 """What a model has besides a robot's links: sky, light, floor, home pose, spheres for training."""
 
+from typing import Literal
+
 import mujoco
 import numpy as np
 
@@ -16,8 +18,13 @@ FRICTION = 0.8
 CONTACT_TIME = 0.01
 
 # The physics of training lets one sphere of each kind of each leg touch the floor. Besides the
-# feet, these stand for what else meets it when a robot falls: its knees, the trunk's lower corners.
-KNEES, CORNERS = (tuple(f"{kind}_{leg}" for leg in LEGS) for kind in ("knee", "corner"))
+# feet, these stand for what else meets it: knees, the trunk's lower and upper corners, hips.
+KNEES, CORNERS, TOPS, HIPS = KINDS = tuple(
+    tuple(f"{kind}_{leg}" for leg in LEGS) for kind in ("knee", "corner", "top", "hip")
+)
+# What touches the floor, besides the feet, by the setting `env.contacts`.
+Contacts = Literal["feet", "knees", "body", "all"]
+TOUCHING: dict[Contacts, int] = {"feet": 0, "knees": 1, "body": 2, "all": 4}  # first kinds
 SPHERES = 4  # the group of these geoms; those of group 3 are the collision shapes, to be measured
 CORNER_RADIUS = 0.01  # m
 LEAN = np.radians(60)  # of a calf from the vertical; standing robots have some 45 degrees
@@ -208,12 +215,14 @@ def add_spheres(
     trunk: str,
     feet: tuple[str, ...],
     calf_joints: tuple[str, ...],
-    corners: bool,
+    contacts: Contacts,
 ) -> None:
-    """Add `KNEES`, and `CORNERS` if they are wanted, which meet the floor as the leg's foot does.
+    """Add the `KINDS` that `contacts` has, which meet the floor as the leg's foot does.
 
-    A knee is centred on the calf's joint and carried by the thigh, as thick as that is there. A
-    corner touches from within the box around the trunk's collision shapes, at its bottom.
+    A knee is centred on the calf's joint and carried by the thigh, as thick as that is there, up to
+    the foot's radius. A hip is centred on the thigh's joint and carried by the hip, as thick as
+    that is there. Corners and tops touch from within the box around the trunk's collision shapes,
+    at its bottom and top. Links without shapes are as thick as the foot.
     `spec` has no other geoms than collision shapes.
     """
     model = spec.compile()
@@ -222,13 +231,21 @@ def add_spheres(
         foot = spec.geom(feet[i])
         calf = model.joint(calf_joints[i]).bodyid[0]
         thigh, knee = model.body_parentid[calf], model.body_pos[calf]
-        radius = min(_thickness(model, thigh, knee), foot.size[0])
-        _add_sphere(spec, model.body(thigh).name, KNEES[i], knee, radius, foot)
-        if not corners:
-            continue
-        ahead, left = leg[0] == "F", leg[1] == "L"
-        corner = np.where([ahead, left, False], high - CORNER_RADIUS, low + CORNER_RADIUS)
-        _add_sphere(spec, trunk, CORNERS[i], corner, CORNER_RADIUS, foot)
+        hip, shoulder = model.body_parentid[thigh], model.body_pos[thigh]
+        thin, thick = _thickness(model, thigh, knee), _thickness(model, hip, shoulder)
+
+        def corner(above: bool, leg: str = leg) -> np.ndarray:
+            outer = [leg[0] == "F", leg[1] == "L", above]
+            return np.where(outer, high - CORNER_RADIUS, low + CORNER_RADIUS)
+
+        spheres = (
+            (thigh, knee, min(thin, foot.size[0])),
+            (trunk, corner(above=False), CORNER_RADIUS),
+            (trunk, corner(above=True), CORNER_RADIUS),
+            (hip, shoulder, thick if np.isfinite(thick) else foot.size[0]),
+        )
+        for kind, (body, centre, radius) in zip(KINDS[: TOUCHING[contacts]], spheres, strict=False):
+            _add_sphere(spec, model.body(body).name, kind[i], centre, radius, foot)
 
 
 def _add_sphere(spec, body, name, centre, radius, foot) -> None:
@@ -259,13 +276,13 @@ def _box_around(model: mujoco.MjModel, body: int) -> tuple[np.ndarray, np.ndarra
     return low, np.max([centre + reach for centre, reach in reaches], axis=0)
 
 
-def _thickness(model: mujoco.MjModel, thigh: int, knee: np.ndarray) -> float:
-    """Half the thickness, m, of the thigh's shape that is nearest to `knee` (3,); inf for none."""
-    found = [(0.0, np.inf)]
-    for centre, rotation, half in _boxes(model, thigh):
-        beyond = np.maximum(np.abs((knee - centre) @ rotation) - half, 0)
+def _thickness(model: mujoco.MjModel, body: int, point: np.ndarray) -> float:
+    """Half the thickness, m, of the body's shape that is nearest to `point` (3,); inf for none."""
+    found = []
+    for centre, rotation, half in _boxes(model, body):
+        beyond = np.maximum(np.abs((point - centre) @ rotation) - half, 0)
         found.append((float(np.linalg.norm(beyond)), float(np.sort(half)[1])))
-    return min(found)[1]
+    return min(found, default=(0.0, np.inf))[1]
 
 
 def _boxes(model: mujoco.MjModel, body: int) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:

@@ -36,6 +36,9 @@ class ResetConfig(Settings, group="env.reset"):
     velocity: NotNegative  # m/s and rad/s, trunk
     joint_velocity: NotNegative  # rad/s
     forward: float  # m/s, forward speed drawn from 0 to this
+    # any orientation, all alike, in place of yaw and tilt; with no height the lowest part of the
+    # robot is just on the floor
+    tumbled: bool = False
 
 
 # From the home pose, near the line y = 0 and nearly along it.
@@ -180,8 +183,9 @@ class EnvConfig(Settings, group="env"):
     substeps: Few  # physics steps in a control step
     solver_iterations: Few  # Newton iterations of the contact solver (benchmarks/accuracy.py)
     line_search_iterations: Few  # of each Newton iteration
-    # what touches the floor; knees: they too; body: those and the trunk
-    contacts: Literal["feet", "knees", "body"]
+    # what touches the floor; knees: they too; body: those and the trunk's lower corners; all:
+    # those, the trunk's upper corners, and hips
+    contacts: Literal["feet", "knees", "body", "all"]
     episode_seconds: Seconds  # s, the time limit
     motor: MotorConfig
     action: ActionMap
@@ -216,7 +220,7 @@ class EnvConfig(Settings, group="env"):
             (Reward, "env.reward", self.reward),
             (Termination, "env.termination", self.termination),
         ):
-            if not terms and kind in (Observation, Termination) and group != "env.critic":
+            if not terms and group == "env.observation":
                 raise UsageError(f"{group} is empty; expected one or more")
             for name, term in terms.items():
                 if not name.isidentifier() or len(name) > _LONGEST:

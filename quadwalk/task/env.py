@@ -78,7 +78,7 @@ class QuadrupedEnv(Env):
         self.mj_model = self._training_model(self.quadruped)
         self.motor = make_motor(self.mj_model, self.quadruped, config.motor)
         self.geometry = fast.make_model(self.mj_model, self.quadruped, self.motor)
-        self.robot = robot_arrays(self.quadruped, self.mj_model, self.geometry.ground)
+        self.robot = robot_arrays(self.quadruped, self.mj_model, self.geometry)
         if self.engine == "mujoco":
             self.stepping = self.stepping.with_dt(mujoco_c.TIMESTEP)
         self.model = self.geometry
@@ -391,7 +391,8 @@ class QuadrupedEnv(Env):
         end = jnp.where(after.steps >= config.episode_steps, _TIME_LIMIT, _RUNNING)
         if self.terrain is not None:  # no failure either
             end = jnp.where(self._outside(after), _TIME_LIMIT, end)
-        end = jnp.where(fell, _FIRST_FALL + jnp.argmax(falls), end)
+        if config.termination:
+            end = jnp.where(fell, _FIRST_FALL + jnp.argmax(falls), end)
         end = jnp.where(sane, end, len(self.ends) - 1).astype(jnp.int32)
         step = step._replace(fell=fell)
         if after.travel is not None:

@@ -7,6 +7,7 @@ To add one, write such a function, here or in a file of your own, and name it in
 import jax
 import jax.numpy as jnp
 
+from quadwalk.physics.fast import leg_points
 from quadwalk.physics.rotation import rotate_inverse, yaw
 from quadwalk.settings.terms import Reward
 from quadwalk.task.robot_arrays import RobotArrays
@@ -67,6 +68,49 @@ def roll_pitch_rate(robot: RobotArrays, step: Step) -> jax.Array:
 def action_rate(robot: RobotArrays, step: Step) -> jax.Array:
     """Mean squared change of the action since the last step."""
     return jnp.mean(jnp.square(step.action - step.last_action))
+
+
+def joint_speed(robot: RobotArrays, step: Step) -> jax.Array:
+    """Mean squared joint velocity, (rad/s)^2, up to 100."""
+    return jnp.minimum(jnp.mean(jnp.square(step.qvel[6:])), 100.0)
+
+
+def upright(robot: RobotArrays, step: Step) -> jax.Array:
+    """1 upright, a quarter on the side, 0 upside down."""
+    return jnp.square((1.0 + _up(step)) / 2.0)
+
+
+def raised(robot: RobotArrays, step: Step) -> jax.Array:
+    """Height of the trunk as a share of that of the home pose, up to 1, times `upright`."""
+    share = jnp.clip(step.height / robot.home_height, 0.0, 1.0)
+    return share * upright(robot, step)
+
+
+def at_home(robot: RobotArrays, step: Step, *, joints: float, height: float) -> jax.Array:
+    """1 upright in the home pose, by 1/e less each for joints and trunk that are off it.
+
+    For joints that are `joints`, rad, off in the root mean square, for a trunk that is `height`, a
+    share of the home height, off. Times the cosine of the tilt, 0 from 90 degrees on.
+    """
+    off = jnp.mean(jnp.square(step.qpos[7:] - robot.home_joints)) / joints**2
+    low = jnp.square((step.height / robot.home_height - 1.0) / height)
+    return jnp.maximum(_up(step), 0.0) * jnp.exp(-off - low)
+
+
+def crossed(robot: RobotArrays, step: Step, *, margin: float) -> jax.Array:
+    """How far the legs of a pair are across one another, m, on the mean of both pairs, up to 0.3.
+
+    More than 0 where a knee or foot of the right one is not `margin`, m, to the right of both of
+    the left one, in the trunk's frame. Training lets legs pass through each other.
+    """
+    aside = leg_points(robot.geometry, step.qpos[7:])[:, :, 1]
+    gap = jnp.min(aside[:, 1::2], axis=0) - jnp.max(aside[:, ::2], axis=0)
+    return jnp.mean(jnp.clip(margin - gap, 0.0, 0.3))
+
+
+def _up(step: Step) -> jax.Array:
+    """Cosine of the angle between the trunk's and the world's z axis."""
+    return -rotate_inverse(step.qpos[3:7], jnp.array([0.0, 0.0, -1.0]))[2]
 
 
 def follow(robot: RobotArrays, step: Step, *, width: float) -> jax.Array:

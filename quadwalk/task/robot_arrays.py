@@ -8,6 +8,7 @@ import numpy as np
 
 from quadwalk.ground.heightfield import Heightfield, has_field, lay
 from quadwalk.physics.constraints.surface import Surface
+from quadwalk.physics.model import Model
 from quadwalk.robot.quadruped import Quadruped
 from quadwalk.settings.environment import EnvConfig
 
@@ -24,6 +25,7 @@ class RobotArrays:
     upper: np.ndarray  # (12,) rad
     mass: float  # kg
     gravity: float  # m/s^2
+    geometry: Model  # with the spheres that may touch the floor
     ground: Surface | None = None  # None: level, at height 0, without end
 
     @property
@@ -63,9 +65,7 @@ def task_robot(
     return replace(quadruped, effort=effort, spec=spec)
 
 
-def robot_arrays(
-    quadruped: Quadruped, model: mujoco.MjModel, ground: Surface | None = None
-) -> RobotArrays:
+def robot_arrays(quadruped: Quadruped, model: mujoco.MjModel, geometry: Model) -> RobotArrays:
     """The constants of a quadruped, of a model built from it, and of the ground."""
     return RobotArrays(
         home=quadruped.home,
@@ -73,5 +73,6 @@ def robot_arrays(
         upper=quadruped.upper,
         mass=float(model.body_subtreemass[0]),
         gravity=float(-model.opt.gravity[2]),
-        ground=ground,
+        geometry=geometry,
+        ground=geometry.ground,
     )

@@ -15,6 +15,7 @@ from quadwalk.physics.fast import (
     acceleration,
     control_step,
     integrate,
+    leg_points,
     lowest_points,
     make_model,
 )
@@ -29,30 +30,38 @@ from tests.robot import zoo
 STATES = 40
 
 
-def random_states(quadruped, model, rng) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def random_states(
+    quadruped, model, rng, states=STATES
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """qpos, qvel and joint torques of robots in the air, on their feet, and bent past limits."""
-    qpos = np.tile(quadruped.home, (STATES, 1))
-    qpos[:, 2] *= rng.uniform(0.8, 1.3, STATES)
-    qpos[:, 3:7] += 0.15 * rng.normal(size=(STATES, 4))
+    qpos = np.tile(quadruped.home, (states, 1))
+    qpos[:, 2] *= rng.uniform(0.8, 1.3, states)
+    qpos[:, 3:7] += 0.15 * rng.normal(size=(states, 4))
     qpos[:, 3:7] /= np.linalg.norm(qpos[:, 3:7], axis=1, keepdims=True)
-    qpos[:, 7:] += 0.5 * rng.normal(size=(STATES, 12))
-    return qpos, rng.normal(size=(STATES, 18)), 10 * rng.normal(size=(STATES, 12))
+    qpos[:, 7:] += 0.5 * rng.normal(size=(states, 12))
+    return qpos, rng.normal(size=(states, 18)), 10 * rng.normal(size=(states, 12))
 
 
-def lying_states(quadruped, model, rng) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def lying_states(
+    quadruped, model, rng, states=STATES, turn=0.3
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The same of robots lowered until any of their spheres but the upper four is in the floor."""
-    qpos, qvel, torque = random_states(quadruped, model, rng)
-    qpos[:, 3:7] += 0.3 * rng.normal(size=(STATES, 4))
+    qpos, qvel, torque = random_states(quadruped, model, rng, states)
+    qpos[:, 3:7] += turn * rng.normal(size=(states, 4))
     qpos[:, 3:7] /= np.linalg.norm(qpos[:, 3:7], axis=1, keepdims=True)
-    qpos[:, 7:] += 0.8 * rng.normal(size=(STATES, 12))
+    qpos[:, 7:] += 0.8 * rng.normal(size=(states, 12))
     spheres = np.concatenate(contact_geoms(model, quadruped.feet))
     data = mujoco.MjData(model)
     for q in qpos:
         data.qpos[:] = q
         mujoco.mj_kinematics(model, data)
         bottoms = np.sort(data.geom_xpos[spheres, 2] - model.geom_size[spheres, 0])
-        q[2] -= bottoms[rng.integers(8)] + rng.uniform(0.0, 0.01)
+        q[2] -= bottoms[rng.integers(max(len(spheres) - 4, 8))] + rng.uniform(0.0, 0.01)
     return qpos, qvel, torque
+
+
+# Upside down and on their sides too; so many that each kind of sphere meets each other.
+tumbled_states = partial(lying_states, states=240, turn=9.0)
 
 
 def constants_of(quadruped, model):
@@ -73,8 +82,13 @@ def check_errors(found, expected) -> None:
     assert error.max() < 1e-9, error
 
 
-def check_accelerations(quadruped, contacts="feet", states=random_states) -> None:
-    """In double precision, solved to the end: the same accelerations."""
+def check_accelerations(
+    quadruped, contacts="feet", states=random_states, combinations=True
+) -> None:
+    """In double precision, solved to the end: the same accelerations.
+
+    All kinds of contact are among them, and if so said in all combinations, and limits.
+    """
     model = quadruped.training_model(0.004, 100, 50, contacts)
     model.opt.tolerance = 1e-14
     qpos, qvel, torque = states(quadruped, model, np.random.default_rng(0))
@@ -90,8 +104,10 @@ def check_accelerations(quadruped, contacts="feet", states=random_states) -> Non
         rows.append(data.nefc)
         limits.append(np.sum(data.efc_type == mujoco.mjtConstraint.mjCNSTR_LIMIT_JOINT))
         together |= {tuple(leg) for leg in np.isin(kinds, data.contact.geom).T}
-    assert contacts == "feet" or max(limits) > 1
-    assert len(together) == 2 ** len(kinds)  # foot, knee and corner of a leg, in all combinations
+    assert np.any(list(together), axis=0).all()
+    if combinations:
+        assert contacts == "feet" or max(limits) > 1
+        assert len(together) == 2 ** len(kinds)  # of a leg's foot, knee, corners, hip
     assert min(rows) == 0 or np.ptp(rows) > 8  # from few constraints to many
     with jax.enable_x64(True):
         constants = constants_of(quadruped, model)
@@ -106,6 +122,7 @@ def test_accelerations_are_those_of_mujoco():
 def test_accelerations_are_those_of_mujoco_where_knees_and_trunk_touch():
     check_accelerations(load_quadruped(), "body", lying_states)
     check_accelerations(load_quadruped(), "knees", lying_states)
+    check_accelerations(load_quadruped(), "all", tumbled_states)
 
 
 def test_accelerations_of_other_quadrupeds(reference_urdf):
@@ -116,6 +133,12 @@ def test_accelerations_of_other_quadrupeds(reference_urdf):
 @zoo.each(zoo.QUADRUPEDS)
 def test_accelerations_of_the_zoos_quadrupeds(urdf):
     check_accelerations(load_quadruped(urdf, Options(meshes=False)))
+
+
+@zoo.each(zoo.QUADRUPEDS, "go1", "go2", "a1_", "anymal_c", "solo12")
+def test_accelerations_of_the_zoos_quadrupeds_where_all_touches(urdf):
+    quadruped = load_quadruped(urdf, Options(meshes=False))
+    check_accelerations(quadruped, "all", tumbled_states, combinations=False)
 
 
 def changed(base: mujoco.MjModel, rng: np.random.Generator) -> mujoco.MjModel:
@@ -224,11 +247,14 @@ def test_200_steps_are_those_of_mujoco(env, stepping_in_place):
     check_course(env, torques, expected)
 
 
-def drop(env, model: mujoco.MjModel) -> tuple[np.ndarray, set[int]]:
+def drop(
+    env, model: mujoco.MjModel, turned: tuple[float, ...] = (1, 0, 0, 0)
+) -> tuple[np.ndarray, set[int]]:
     """States of a limp robot, standing to lying, in MuJoCo C, and which geoms touched."""
     data = mujoco.MjData(model)
     touched: set[int] = set()
     data.qpos[:] = env.robot.home
+    data.qpos[3:7] = turned
     data.qvel[:6] = np.random.default_rng(0).uniform(-0.2, 0.2, 6)
     states = [np.r_[data.qpos, data.qvel]]
     for _ in range(round(0.8 / model.opt.timestep)):
@@ -248,13 +274,16 @@ def test_a_limp_robot_drops_to_its_belly_as_in_mujoco(body_env):
     check_course(body_env, np.zeros((200, 12)), states)
 
 
-def test_a_belly_rests_where_that_of_the_full_model_does(body_env):
+@pytest.mark.parametrize("turned", [(1, 0, 0, 0), (0, 1, 0, 0)])
+def test_a_belly_or_back_rests_where_that_of_the_full_model_does(body_env, turned):
     quadruped = body_env.quadruped
-    training = quadruped.training_model(0.004, 100, 50, "body")
-    ours, full = (drop(body_env, model)[0][-1] for model in (training, quadruped.full_model()))
+    training = quadruped.training_model(0.004, 100, 50, "all")
+    ours, full = (
+        drop(body_env, model, turned)[0][-1] for model in (training, quadruped.full_model())
+    )
     assert full[2] == pytest.approx(0.056, abs=1e-3)  # half of the trunk's height
     assert ours[2] == pytest.approx(full[2], abs=1e-3)
-    assert min(ours[3], full[3]) > 0.99
+    assert min(abs(ours[3:7] @ turned), abs(full[3:7] @ turned)) > 0.99
 
 
 def test_knees_and_corners_are_not_measured_as_shapes(env, body_env):
@@ -293,6 +322,17 @@ def test_lowest_points_are_those_of_the_placed_shapes(env):
                 part = 1 + hips.index(first_of_leg(model, trunk, body))
             expected[part] = min(expected[part], lowest_point(model, data, int(geom)))
         np.testing.assert_allclose(lowest, expected, atol=1e-6)
+
+
+def test_leg_points_are_those_of_the_placed_feet_and_knees(body_env):
+    model, quadruped = body_env.mj_model, body_env.quadruped
+    data, trunk = mujoco.MjData(model), model.body(quadruped.trunk).id
+    data.qpos[:] = np.random.default_rng(3).uniform(-1, 1, 19)
+    mujoco.mj_kinematics(model, data)
+    spheres = np.array(contact_geoms(model, quadruped.feet)[:2])
+    expected = (data.geom_xpos[spheres] - data.xpos[trunk]) @ data.xmat[trunk].reshape(3, 3)
+    found = leg_points(body_env.geometry, data.qpos[7:])
+    np.testing.assert_allclose(found, expected, atol=1e-6)
 
 
 @pytest.mark.parametrize("robots", [3, BATCH, 2 * BATCH + 5])

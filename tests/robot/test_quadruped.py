@@ -17,7 +17,10 @@ from tests.robot.robots import quadruped as made_quadruped
 
 TEXT = ALIENGO_URDF.read_text()
 NO_MESHES = Options(meshes=False)
-BODY = tuple(f"{kind}_{leg}" for kind in ("knee", "corner") for leg in ("FR", "FL", "RR", "RL"))
+ALL = tuple(
+    f"{kind}_{leg}" for kind in ("knee", "corner", "top", "hip") for leg in ("FR", "FL", "RR", "RL")
+)
+BODY = ALL[:8]
 
 
 @pytest.fixture(scope="module")
@@ -139,6 +142,7 @@ def test_mjx_takes_the_training_model(aliengo):
     trainable(aliengo)
     trainable(aliengo, "knees", BODY[:4])
     trainable(aliengo, "body", BODY)
+    trainable(aliengo, "all", ALL)
 
 
 def test_other_quadrupeds_stand_and_train(reference_urdf):
@@ -152,8 +156,8 @@ def test_other_quadrupeds_stand_and_train(reference_urdf):
         assert 0.8 < model.geom(f"knee_{leg}").size[0] / model.geom(foot).size[0] <= 1
 
 
-def test_knees_and_corners_are_where_the_shapes_meet_the_floor(aliengo):
-    model = aliengo.training_model(0.004, contacts="body")
+def test_spheres_are_where_the_shapes_meet_the_floor(aliengo):
+    model = aliengo.training_model(0.004, contacts="all")
     data = mujoco.MjData(model)
     data.qpos[:] = aliengo.home
     data.qpos[7:] = np.tile([0.0, np.pi / 2, -np.pi / 2], 4)  # thighs level, calves upright
@@ -168,11 +172,18 @@ def test_knees_and_corners_are_where_the_shapes_meet_the_floor(aliengo):
         np.testing.assert_allclose(
             lowest_point(model, data, knee), lowest_point(model, data, thigh), atol=1e-9
         )
-        corner = model.geom(f"corner_{leg}")
-        half = np.array([x * 0.3235, y * 0.075, -0.056])
-        np.testing.assert_allclose(corner.pos + np.sign(half) * corner.size[0], half)
+        for kind, z in (("corner", -0.056), ("top", 0.056)):
+            corner = model.geom(f"{kind}_{leg}")
+            half = np.array([x * 0.3235, y * 0.075, z])
+            np.testing.assert_allclose(corner.pos + np.sign(half) * corner.size[0], half)
+            assert corner.bodyid == model.body("trunk").id
         assert model.geom_bodyid[knee] == model.body(f"{leg}_thigh").id
-        assert corner.bodyid == model.body("trunk").id
+        hip, motor = model.geom(f"hip_{leg}"), model.geom(f"{leg}_hip")
+        assert hip.bodyid == motor.bodyid == model.body(f"{leg}_hip").id
+        np.testing.assert_allclose(hip.size[0], motor.size[0])  # a cylinder across, on its axis
+        np.testing.assert_allclose(
+            data.geom_xpos[hip.id], [x * 0.2407, y * (0.051 + 0.0868), 1.0], atol=1e-9
+        )
 
 
 def test_a_link_may_have_the_name_of_a_knee():
@@ -188,6 +199,14 @@ def test_a_trunk_without_shapes_has_its_corners_at_the_hips():
     corner = model.geom("corner_FR")
     outwards = np.array([1, -1, -1]) * corner.size[0]
     np.testing.assert_allclose(corner.pos + outwards, [0.2407, -0.051, 0], atol=1e-12)
+
+
+def test_a_hip_without_shapes_is_as_thick_as_the_foot(aliengo):
+    shaped = r'(<link name="FR_hip">.*?)<collision>.*?</collision>'
+    bare = quadruped_from(parse_urdf(re.sub(shaped, r"\1", TEXT, flags=re.DOTALL)))
+    model = bare.training_model(0.004, contacts="all")
+    assert model.geom("hip_FR").size[0] == model.geom(aliengo.feet[0]).size[0]
+    assert model.geom("hip_FL").size[0] > model.geom(aliengo.feet[0]).size[0]
 
 
 @zoo.each(zoo.QUADRUPEDS)

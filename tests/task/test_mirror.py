@@ -68,7 +68,7 @@ def test_what_is_not_itself_again_when_mirrored_twice_is_no_mirror(source, sign)
 @zoo.each(zoo.QUADRUPEDS)
 def test_robots_of_the_zoo_are_their_own_mirror_image(urdf):
     quadruped = load_quadruped(urdf, Options(meshes=False))
-    found = robot_mirror(quadruped, quadruped.training_model(0.004, contacts="body"))
+    found = robot_mirror(quadruped, quadruped.training_model(0.004, contacts="all"))
     assert not isinstance(found, str), found
     assert found.feet.source.tolist() == [1, 0, 3, 2]
     # HyQ's hips on both sides turn outwards.

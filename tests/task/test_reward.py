@@ -19,6 +19,8 @@ PARAMS = {
     "follow_yaw_rate": {"width": 1.0},
     "drag": {"height": 1.0},
     "kneel": {"height": 0.04},
+    "at_home": {"joints": 0.5, "height": 0.2},
+    "crossed": {"margin": 0.05},
     "trot": {"stride": 20.0, "height": 0.06, "width": 0.04},
 }
 BLOG = ("progress", "inclined", "heading", "movement")
@@ -70,11 +72,25 @@ def turned(roll=0.0, pitch=0.0, yaw=0.0):
     return a_step().qpos.at[3:7].set(from_euler(roll, pitch, yaw))
 
 
+def standing(robot, share=1.0, bent=0.0, **angles) -> Step:
+    """In the home pose, at a share of its height, joints `bent` rad off it, turned by `angles`."""
+    side = jnp.tile(jnp.array([1, -1]), 6)
+    qpos = jnp.asarray(robot.home, jnp.float32).at[3:7].set(turned(**angles)[3:7])
+    qpos = qpos.at[2].mul(share).at[7:].add(bent * side)
+    return a_step(start=qpos, qpos=qpos)
+
+
+def rolled(right: float, left: float):
+    """qpos with all legs straight down, but the front ones rolled to the left, rad."""
+    return a_step().qpos.at[7].set(right).at[10].set(left)
+
+
+# A step, or what gives it of a robot, and the term's value.
 CASES = {
     "forward": (a_step(qpos=a_step().qpos.at[0].set(0.01)), 0.5),
     "fall": (a_step(fell=jnp.ones((), bool)), 1.0),
     "yaw_error": (a_step(qpos=turned(yaw=-0.4)), 0.4),
-    "energy": (a_step(power=jnp.asarray(500.0)), None),  # over weight: below
+    "energy": (lambda robot: a_step(power=jnp.asarray(0.5 * robot.weight)), 0.5),
     "alive": (a_step(), 1.0),
     "lateral": (a_step(qpos=a_step().qpos.at[1].set(-0.01)), 0.5),
     "offset": (a_step(qpos=a_step().qpos.at[1].set(-0.25)), 0.25),
@@ -82,6 +98,20 @@ CASES = {
     "tilt": (a_step(qpos=turned(pitch=0.3)), np.sin(0.3) ** 2),
     "roll_pitch_rate": (a_step(qvel=jnp.zeros(18).at[3:5].set(jnp.array([3.0, 4.0]) / 2)), 2.5),
     "action_rate": (a_step(action=jnp.full(12, 0.5), last_action=jnp.full(12, -0.5)), 1.0),
+    "joint_speed": (a_step(qvel=jnp.zeros(18).at[6:12].set(-2.0)), 2.0),  # of half the joints
+    "upright": (a_step(qpos=turned(roll=-np.pi / 2)), 0.25),
+    # At half the height, and 60 degrees off: three quarters, squared.
+    "raised": (lambda robot: standing(robot, share=0.5, pitch=np.pi / 3), 0.5 * 0.75**2),
+    # Both front legs of 0.5 m are straight, the right one rolled to the left by 30 degrees.
+    "crossed": (
+        a_step(qpos=rolled(np.pi / 6, 0.0)),
+        (0.05 - (0.051 + 0.0868) + (0.5 / 2 - 0.0868 * np.cos(np.pi / 6) - 0.051)) / 2,
+    ),
+    # One width low, twice one off in all joints, half of the cosine.
+    "at_home": (
+        lambda robot: standing(robot, share=0.8, bent=1.0, roll=np.pi / 3),
+        0.5 * np.exp(-4.0 - 1.0),
+    ),
     "progress": (a_step(qpos=a_step().qpos.at[0].set(-0.01)), -0.01),
     "inclined": (a_step(qpos=turned(pitch=-0.8)), 1.0),
     "heading": (a_step(qpos=turned(yaw=-3.0)), 3.0),
@@ -115,6 +145,11 @@ LIMITS = {
     "follow": (moving(0.0, 0.0, (1e6, 0.0), (0.0, 0.0, 0.0)), 0.0),
     "follow_yaw_rate": (moving(0.0, 3.1, (0.0, 0.0), (0.0, 0.0, 0.0)), 0.0),
     "drag": (stepping([0.0] * 4, [1e6] * 4), 2.0),
+    "joint_speed": (a_step(qvel=jnp.full(18, 90.0)), 100.0),
+    "upright": (a_step(qpos=turned(roll=np.pi)), 0.0),
+    "raised": (lambda robot: standing(robot, share=9.0), 1.0),
+    "at_home": (lambda robot: standing(robot, pitch=2.0), 0.0),
+    "crossed": (a_step(qpos=rolled(np.pi / 2, -np.pi / 2)), 0.15),
     "kneel": (a_step(lowest=jnp.array([0.3, -9.0])), 1.0),
     # Half a stride later it is the others' turn; at the command to stand, nobody's.
     "trot": (swinging(15, [9.0, 0.06, 0.06, 9.0], (0.0, 0.0, 0.1)), 0.5),
@@ -136,24 +171,19 @@ def test_every_term_has_a_case():
     assert terms | set(BLOG) == set(CASES)
 
 
-@pytest.mark.parametrize("name", CASES)
-def test_a_term_is_what_it_says(env, name):
-    step, expected = CASES[name]
-    if name == "energy":
-        expected = 500.0 / env.robot.weight
-    assert float(ALL[name](env.robot, step)) == pytest.approx(expected, abs=1e-5)
-
-
-@pytest.mark.parametrize("name", LIMITS)
-def test_a_term_is_bounded(env, name):
-    step, expected = LIMITS[name]
+@pytest.mark.parametrize(
+    ("name", "case"), [(name, case) for cases in (CASES, LIMITS) for name, case in cases.items()]
+)
+def test_a_term_is_what_it_says_and_bounded(env, name, case):
+    step, expected = case
+    step = step(env.robot) if callable(step) else step
     assert float(ALL[name](env.robot, step)) == pytest.approx(expected, abs=1e-5)
 
 
 def test_standing_still_costs_nothing(env):
-    values = reward_terms(ALL, env.robot, a_step())
-    for name in ("alive", "follow", "follow_yaw_rate", "trot"):
-        assert values.pop(name) == 1.0
+    values = reward_terms(ALL, env.robot, standing(env.robot))
+    for name in ("alive", "follow", "follow_yaw_rate", "trot", "upright", "raised", "at_home"):
+        assert values.pop(name) == pytest.approx(1.0, abs=1e-6)
     assert {name: float(value) for name, value in values.items()} == pytest.approx(
         dict.fromkeys(values, 0.0), abs=1e-6
     )
@@ -162,13 +192,14 @@ def test_standing_still_costs_nothing(env):
 def test_the_total_is_the_scaled_sum_and_a_scale_of_zero_drops_its_term(env):
     scales = {"forward": 2.0, "offset": -3.0, "energy": 0.0}
     terms = ALL | {name: replace(ALL[name], scale=scale) for name, scale in scales.items()}
-    qpos = a_step().qpos.at[0].set(0.01).at[1].set(0.1)
+    qpos = standing(env.robot).qpos.at[0].set(0.01).at[1].set(0.1)
     values = reward_terms(terms, env.robot, a_step(qpos=qpos, start=qpos.at[0].set(0.0)))
     assert set(values) == set(ALL) - {"energy"}
     # forward 0.5 m/s, which is 0.01 m of progress, offset 0.1 m, alive 1; nothing else moves.
     # Told to stand, it is 0.5 m/s off.
     followed = np.exp(-(0.5**2)) + 1 + 1
-    expected = 2 * 0.5 + 0.01 - 3 * 0.1 + 1 + followed
+    upright_raised_and_at_home = 1 + 1 + 1
+    expected = 2 * 0.5 + 0.01 - 3 * 0.1 + 1 + followed + upright_raised_and_at_home
     assert float(total_reward(terms, values)) == pytest.approx(expected, abs=1e-4)
 
 

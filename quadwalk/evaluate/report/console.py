@@ -110,6 +110,17 @@ def print_by_ground(results: dict[str, Any]) -> None:
     _print_table(title, headings, rows)
 
 
+def print_standing(results: dict[str, Any]) -> None:
+    """The share of robots that stand so long after the start, under each condition."""
+    rows = []
+    for found in results["conditions"]:
+        low, high = (100 * end for end in found["success_ci95"])
+        after = [100 * share for name, share in found.items() if name.startswith("standing_")]
+        rows.append((found["name"], *(f"{x:.1f}" for x in after), f"{low:.1f} to {high:.1f}"))
+    title = f"standing in MuJoCo C, of {results['episodes']} random poses"
+    _print_table(title, ("", "after 2 s, %", "after 3 s, %", "after 6 s, %", "95 % at 3 s"), rows)
+
+
 def describe_gait(gait: Gait, episode: int) -> str:
     """The gait of one episode in a line or two; "-" for what a robot that stands has not."""
     # Of the feet that have any.

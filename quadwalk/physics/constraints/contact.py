@@ -2,9 +2,9 @@
 
 The constraints are MuJoCo's (https://mujoco.readthedocs.io/en/stable/computation, "Constraint
 model"): pyramidal friction cones, four edges to a contact, and one row for a joint beyond its
-limit. What touches the floor are spheres, of each kind one to a leg: feet, or also knees and the
-trunk's corners. A contact is moved by the trunk and its own leg's joints alone, so the Hessian has
-the mass matrix's arrow shape.
+limit. What touches the floor are spheres, of each kind one to a leg: feet, or also knees, the
+trunk's corners and hips. A contact is moved by the trunk and its own leg's joints alone, so the
+Hessian has the mass matrix's arrow shape.
 """
 
 from dataclasses import dataclass, field

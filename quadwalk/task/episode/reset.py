@@ -17,20 +17,26 @@ from quadwalk.task.robot_arrays import RobotArrays
 
 
 def fresh_start(model: Model, robot: RobotArrays, config: ResetConfig, key: jax.Array) -> Physics:
-    """A start near the home pose, its lowest foot just on the floor, or near the given pose."""
+    """A start near the home pose, its lowest foot just on the floor, or near the given pose.
+
+    Or in any orientation, its lowest part just on the floor.
+    """
     drawn = jax.random.uniform(key, (35,), minval=-1.0, maxval=1.0)
     pose, joints, velocity, speed = jnp.split(drawn, [4, 16, 22])
 
     qpos = jnp.asarray(robot.home, jnp.float32)
     qpos = qpos.at[1].set(config.offset * pose[0])
     quat = from_euler(config.tilt * pose[1], config.tilt * pose[2], config.yaw * pose[3])
+    if config.tumbled:
+        quat = jax.random.normal(jax.random.fold_in(key, 3), (4,))  # none of `QuadrupedEnv.reset`'s
+        quat = quat / jnp.linalg.norm(quat)
     qpos = qpos.at[3:7].set(quat)
     middle = robot.home_joints if config.pose is None else np.tile(config.pose, 4)
     angles = jnp.clip(middle + config.joints * joints, robot.lower, robot.upper)
     qpos = qpos.at[7:].set(angles)
     if config.height is None:
-        soles, _ = lowest_points(model, qpos)
-        qpos = qpos.at[2].add(-jnp.min(soles[:, 2]))
+        lowest = _lowest(model, qpos, feet=not config.tumbled)
+        qpos = qpos.at[2].add(-lowest)
     else:
         qpos = qpos.at[2].set(config.height)
 
@@ -60,7 +66,7 @@ def on_tile(
 ) -> Physics:
     """A start from the flat floor, somewhere where episodes of tile `tile` () int32 start.
 
-    As high above the ground as it was above the floor, no part lower than its lowest foot was.
+    As high above the ground as it was above the floor, by the lowest part of the robot.
     """
     starts, spreads = (
         jnp.asarray([getattr(place, name) for place in terrain.tiles], jnp.float32)
@@ -68,8 +74,13 @@ def on_tile(
     )
     place = starts[tile] + spreads[tile] * jax.random.uniform(key, (2,), minval=-1.0, maxval=1.0)
     level = model._replace(ground=None)
-    above = jnp.min(lowest_points(level, start.qpos)[0][:, 2])
     qpos = start.qpos.at[:2].add(place)
+    raised = _lowest(level, start.qpos) - _lowest(model, qpos)
+    return start._replace(qpos=qpos.at[2].add(raised))
+
+
+def _lowest(model: Model, qpos: jax.Array, feet: bool = False) -> jax.Array:
+    """How far the robot's lowest part, or lowest foot, is above the ground, m."""
     soles, others = lowest_points(model, qpos)
-    lowest = jnp.minimum(jnp.min(soles[:, 2]), jnp.min(others))
-    return start._replace(qpos=qpos.at[2].add(above - lowest))
+    lowest = jnp.min(soles[:, 2])
+    return lowest if feet else jnp.minimum(lowest, jnp.min(others))

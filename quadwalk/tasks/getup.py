@@ -1,0 +1,42 @@
+"""getup: stand up from any pose on the ground, on its back too, and stand still."""
+
+from dataclasses import replace
+
+from quadwalk.settings.environment import (
+    HOME_RESET,
+    NO_COMMAND,
+    PHYSICS,
+    REAL_WORLD,
+    EnvConfig,
+)
+from quadwalk.settings.terms import ActionMap, Reward
+from quadwalk.settings.training import PPO, TrainConfig
+from quadwalk.task import reward
+from quadwalk.task.actions import about_home
+from quadwalk.task.observation import PROPRIOCEPTION, TRUE_LEGS, TRUE_TRUNK
+
+TASK = TrainConfig(
+    task="getup",
+    steps=40_000_000,
+    checkpoint_steps=2_000_000,
+    env=EnvConfig(
+        **{**PHYSICS, "contacts": "all", "episode_seconds": 6.0},
+        action=ActionMap(about_home, {"hip": 0.8, "thigh": 2.0, "calf": 1.2}),
+        observation=PROPRIOCEPTION,
+        critic={**TRUE_TRUNK, **TRUE_LEGS},
+        reward={
+            "upright": Reward(reward.upright, scale=1.0),
+            "raised": Reward(reward.raised, scale=1.0),
+            "at_home": Reward(reward.at_home, {"joints": 0.3, "height": 0.35}, scale=2.0),
+            "crossed": Reward(reward.crossed, {"margin": 0.05}, scale=-20.0),
+            "energy": Reward(reward.energy, scale=-0.05),
+            "action_rate": Reward(reward.action_rate, scale=-0.05),
+            "joint_speed": Reward(reward.joint_speed, scale=-0.002),
+        },
+        termination={},  # it lies at the start
+        reset=replace(HOME_RESET, joints=0.8, tumbled=True),
+        command=NO_COMMAND,
+        randomisation=REAL_WORLD,
+    ),
+    ppo=replace(PPO, discount=0.98),
+)
