@@ -15,6 +15,11 @@ def rotate_inverse(quat: jax.Array, vector: jax.Array) -> jax.Array:
     return rotate(quat * jnp.array([1.0, -1.0, -1.0, -1.0]), vector)
 
 
+def down(quat: jax.Array) -> jax.Array:
+    """Direction of gravity (3,), a unit vector, in the frame that `quat` (4,) turns."""
+    return rotate_inverse(quat, jnp.array([0.0, 0.0, -1.0]))
+
+
 def multiply(a: jax.Array, b: jax.Array) -> jax.Array:
     """The quaternion (4,) of turning by `b` and then, in the world, by `a`."""
     w, u = a[0] * b[0] - jnp.dot(a[1:], b[1:]), jnp.cross(a[1:], b[1:])

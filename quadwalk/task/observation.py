@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from quadwalk.physics.rotation import rotate_inverse, yaw
+from quadwalk.physics.rotation import down, rotate_inverse, yaw
 from quadwalk.settings.terms import Observation
 from quadwalk.task.mirror import (
     AXIAL,
@@ -43,7 +43,7 @@ def angular_velocity(robot: RobotArrays, state: EnvState) -> jax.Array:
 @mirrors(VECTOR)
 def gravity(robot: RobotArrays, state: EnvState) -> jax.Array:
     """Direction of gravity (3,), body frame, a unit vector."""
-    return rotate_inverse(state.qpos[3:7], jnp.array([0.0, 0.0, -1.0]))
+    return down(state.qpos[3:7])
 
 
 @mirrors(LATERAL)

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 
 from quadwalk.physics.fast import leg_points
-from quadwalk.physics.rotation import rotate_inverse, yaw
+from quadwalk.physics.rotation import down, yaw
 from quadwalk.settings.terms import Reward
 from quadwalk.task.robot_arrays import RobotArrays
 from quadwalk.task.state import Step, mean_velocity, trot_swing, velocity_error, yaw_rate_error
@@ -56,8 +56,7 @@ def vertical(robot: RobotArrays, step: Step) -> jax.Array:
 
 def tilt(robot: RobotArrays, step: Step) -> jax.Array:
     """Squared sine of the angle between the trunk's and the world's z axis."""
-    gravity = rotate_inverse(step.qpos[3:7], jnp.array([0.0, 0.0, -1.0]))
-    return jnp.sum(jnp.square(gravity[:2]))
+    return jnp.sum(jnp.square(down(step.qpos[3:7])[:2]))
 
 
 def roll_pitch_rate(robot: RobotArrays, step: Step) -> jax.Array:
@@ -110,7 +109,7 @@ def crossed(robot: RobotArrays, step: Step, *, margin: float) -> jax.Array:
 
 def _up(step: Step) -> jax.Array:
     """Cosine of the angle between the trunk's and the world's z axis."""
-    return -rotate_inverse(step.qpos[3:7], jnp.array([0.0, 0.0, -1.0]))[2]
+    return -down(step.qpos[3:7])[2]
 
 
 def follow(robot: RobotArrays, step: Step, *, width: float) -> jax.Array:

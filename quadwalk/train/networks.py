@@ -29,6 +29,9 @@ LEAD = 0.3  # standard deviation of a layer's lead at the start, whose inputs ha
 MIN_STD = 0.001  # of an action before the squashing, as in Brax
 HALF = np.float32(np.sqrt(0.5))
 
+KERNELS = ("kernel", "negated")  # a layer's, of each part; a value has no negated part
+BIASES = ("bias", "lead")  # likewise
+
 Parts = tuple[jax.Array, ...]  # (all,), or those that the mirror keeps, and those that it negates
 
 
@@ -101,10 +104,9 @@ class Networks(NamedTuple):
     def init(self, key: jax.Array) -> PPONetworkParams:
         """Parameters at the start."""
         key_policy, key_value = jax.random.split(key)
-        value = (1,)
         return PPONetworkParams(
             policy=_layers(key_policy, self._sizes(self.seen, self.outputs.sizes)),
-            value=_layers(key_value, self._sizes(self.whole, value)),
+            value=_layers(key_value, self._sizes(self.whole, (1,))),
         )
 
     def _sizes(self, inputs: Basis, outputs: tuple[int, ...]) -> list[tuple[int, ...]]:
@@ -235,10 +237,6 @@ def _layers(key: jax.Array, sizes: list[tuple[int, ...]]) -> Any:
             layer[name] = draw(own, shape)
         layers[f"hidden_{number}"] = layer
     return {"params": layers}
-
-
-KERNELS = ("kernel", "negated")  # a layer's, of each part; a value has no negated part
-BIASES = ("bias", "lead")
 
 
 def _perceptron(activation: str, params: Any, parts: Parts) -> Parts:
