@@ -22,7 +22,9 @@ TASK = dataclasses.replace(sprint.TASK, task="still", env=dataclasses.replace(
 """
 
 
-@pytest.mark.parametrize("name", ["blog", "getup", "obstacles", "rough", "run", "sprint", "walk"])
+@pytest.mark.parametrize(
+    "name", ["blog", "drive", "getup", "obstacles", "rough", "run", "sprint", "walk"]
+)
 def test_a_task_of_the_package_is_found_by_its_name(name):
     assert name in task_names()
     assert load_task(name).task == name

@@ -81,7 +81,7 @@ def load_run(
     written = read_bytes(run.config) if run.config.exists() else None
     quadruped = load_robot(policy.config.robot)
     trained = policy.config.env
-    command = dataclasses.replace(trained.command, seconds=seconds)
+    command = dataclasses.replace(trained.command, seconds=seconds, soonest=None)
     ranges = dataclasses.replace(
         training_ranges(trained), enabled=randomised, push_seconds=PUSH_SECONDS, margin=0.0
     )

@@ -6,7 +6,7 @@ Values that tasks share have names here. A task (`quadwalk/tasks`) names them an
 from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal
 
-from quadwalk.bounds import Bounds, Few, NotNegative, Seconds, Settings, Share
+from quadwalk.bounds import Bounds, Few, NotNegative, Positive, Seconds, Settings, Share
 from quadwalk.errors import UsageError
 from quadwalk.ground.terrain import FLAT, GroundConfig
 from quadwalk.physics.motor import MotorConfig, Stepping
@@ -65,9 +65,21 @@ class CommandConfig(Settings, group="env.command"):
     standing: Share  # share of commands that are to stand still
     seconds: Seconds  # s, after which another command is drawn
     straight: Share = 0.0  # share of commands that are neither lateral nor to turn
+    # s; each command holds for a time drawn from this to `seconds`; None: for `seconds`
+    soonest: Seconds | None = None
+    # m/s; lateral commands shrink with forward speed, to none at this one; None: they do not
+    lateral_until: Positive | None = None
+    # m/s^2; turning commands are scaled down to this centripetal acceleration, and to what friction
+    # bears; None: they are not
+    turning: Positive | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if self.soonest is not None and self.soonest > self.seconds:
+            raise UsageError(
+                f"env.command.soonest is {self.soonest}; expected at most env.command.seconds, "
+                f"{self.seconds}"
+            )
         if self.standing + self.straight > 1.0:
             raise UsageError(
                 f"env.command.standing and straight are {self.standing} and {self.straight}; "
@@ -257,11 +269,6 @@ class EnvConfig(Settings, group="env"):
     def episode_steps(self) -> int:
         """Control steps in a full episode."""
         return round(self.episode_seconds / self.control_dt)
-
-    @property
-    def command_steps(self) -> int:
-        """Control steps that a command stays."""
-        return max(round(self.command.seconds / self.control_dt), 1)
 
     @property
     def push_steps(self) -> int:

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 from brax.envs.base import Env, State
+from jax.typing import ArrayLike
 
 from quadwalk.errors import UserError
 from quadwalk.ground.terrain import Terrain, leg_length, make_terrain
@@ -164,8 +165,10 @@ class QuadrupedEnv(Env):
         """
         config = self.config
         physics, tile = self._start(rng, tile)
-        command = first_command(config.command, rng) if config.command.given else None
         drawn = self._drawn(jax.random.fold_in(rng, 1))
+        command = None
+        if config.command.given:
+            command = first_command(config.command, rng, config.control_dt, self._grip(drawn))
         start = EnvState(
             physics, jnp.zeros(12), jnp.zeros((), jnp.int32), command, drawn, tile=tile
         )
@@ -223,7 +226,8 @@ class QuadrupedEnv(Env):
         sane, physics, effort, action = self._kept_sane(before.qpos, physics, effort, action)
         command, steps = before.command, before.steps + 1
         if command is not None:
-            command = next_command(self.config.command, command, steps, self.config.command_steps)
+            grip, dt = self._grip(conditions), self.config.control_dt
+            command = next_command(self.config.command, command, steps, dt, grip)
         after = EnvState(
             physics,
             action,
@@ -292,6 +296,12 @@ class QuadrupedEnv(Env):
         if not ranges.enabled:
             return None
         return draw_conditions(ranges, self.robot, self.stepping, key, self.friction)
+
+    def _grip(self, conditions: Conditions | None) -> ArrayLike:
+        """The acceleration () that friction bears, m/s^2."""
+        if conditions is None or conditions.variation is None:
+            return self.config.gravity * self.friction
+        return self.config.gravity * conditions.variation.friction
 
     def _frame(self, state: EnvState) -> jax.Array:
         """What is measured and known in one control step (n,), float32."""
@@ -442,7 +452,7 @@ class QuadrupedEnv(Env):
             Physics(home, jnp.zeros(18), jnp.zeros(18)),
             jnp.zeros(12),
             jnp.zeros((), jnp.int32),
-            first_command(config.command, key) if config.command.given else None,
+            first_command(config.command, key, config.control_dt) if config.command.given else None,
             self._drawn(key),
             contact=jnp.zeros(4, bool),
         )

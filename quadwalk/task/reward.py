@@ -11,7 +11,14 @@ from quadwalk.physics.fast import leg_points
 from quadwalk.physics.rotation import down, yaw
 from quadwalk.settings.terms import Reward
 from quadwalk.task.robot_arrays import RobotArrays
-from quadwalk.task.state import Step, mean_velocity, trot_swing, velocity_error, yaw_rate_error
+from quadwalk.task.state import (
+    Step,
+    commanded_speed,
+    mean_velocity,
+    trot_swing,
+    velocity_error,
+    yaw_rate_error,
+)
 
 
 def forward(robot: RobotArrays, step: Step, *, max_speed: float) -> jax.Array:
@@ -120,6 +127,35 @@ def follow(robot: RobotArrays, step: Step, *, width: float) -> jax.Array:
 def follow_yaw_rate(robot: RobotArrays, step: Step, *, width: float) -> jax.Array:
     """1 at the commanded yaw rate, 1/e at `width`, rad/s, off."""
     return jnp.exp(-jnp.square(yaw_rate_error(step) / width))
+
+
+def track(robot: RobotArrays, step: Step, *, width: float, share: float) -> jax.Array:
+    """1 at the commanded velocity, 1/e at `width`, m/s, and `share` of the command off."""
+    width = width + share * jnp.linalg.norm(step.command[:2])
+    return jnp.exp(-jnp.sum(jnp.square(velocity_error(step) / width)))
+
+
+def approach(robot: RobotArrays, step: Step) -> jax.Array:
+    """Commanded speed less the size of the velocity's error, m/s, from -1 to 5.
+
+    Far from a command, where `track` is flat, this still tells which way is better.
+    """
+    return jnp.clip(commanded_speed(step), -1.0, 5.0)
+
+
+def yaw_rate_off(robot: RobotArrays, step: Step) -> jax.Array:
+    """How far the yaw rate is off its command, rad/s, up to 2."""
+    return jnp.minimum(jnp.abs(yaw_rate_error(step)), 2.0)
+
+
+def fidget(robot: RobotArrays, step: Step) -> jax.Array:
+    """At the command to stand, mean squared distance of joints from the home pose, rad^2, up to 1.
+
+    And a hundredth of their mean squared velocity, (rad/s)^2.
+    """
+    off = jnp.mean(jnp.square(step.qpos[7:] - robot.home_joints))
+    off += 0.01 * jnp.mean(jnp.square(step.qvel[6:]))
+    return jnp.minimum(off, 1.0) * jnp.all(step.command == 0.0)
 
 
 def drag(robot: RobotArrays, step: Step, *, height: float) -> jax.Array:

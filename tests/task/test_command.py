@@ -13,7 +13,7 @@ from quadwalk.errors import UsageError
 from quadwalk.settings.environment import NO_RANDOMISATION, CommandConfig
 from quadwalk.task.env import QuadrupedEnv
 from quadwalk.task.episode.command import Command, draw, first_command, next_command
-from quadwalk.tasks import walk
+from quadwalk.tasks import drive, walk
 
 TOLD = CommandConfig(
     forward=(-0.5, 1.5), lateral=(0.25, 0.25), yaw_rate=(-1.0, 0.0), standing=0.2, seconds=5.0
@@ -78,13 +78,47 @@ def test_shares_are_shares(shares, named):
 
 
 def test_a_command_stays_for_its_time_and_no_longer():
-    command = first_command(TOLD, jax.random.PRNGKey(3))
+    command = first_command(TOLD, jax.random.PRNGKey(3), 1.25)
     course = []
     for steps in range(1, 12):
-        command = next_command(TOLD, command, jnp.asarray(steps), 4)
+        command = next_command(TOLD, command, jnp.asarray(steps), 1.25)
         course.append(np.asarray(command.velocity))
     changed = [bool((a != b).any()) for a, b in itertools.pairwise(course)]
     assert [steps for steps, new in enumerate(changed, 2) if new] == [4, 8]
+
+
+def test_lateral_commands_fade_and_turns_are_bounded():
+    driven = drive.TASK.env.command
+    keys = jax.random.split(jax.random.PRNGKey(0), 4000)
+    forward, lateral, turn = np.abs(jax.vmap(lambda key: draw(driven, key, 9.81))(keys)).T
+    assert np.all(lateral <= 0.5 * np.maximum(1.0 - forward / 2.0, 0.0) + 1e-6)
+    assert np.all(forward * turn <= 4.0 + 1e-4)
+    assert turn[forward < 2.0].max() > 1.95  # rad/s: slow turns keep all of their range
+    assert (forward * turn).max() > 3.9  # m/s^2
+    # On a floor that bears 2 m/s^2 a turn needs half of it at most.
+    forward, _, turn = np.abs(jax.vmap(lambda key: draw(driven, key, 2.0))(keys)).T
+    assert 0.9 < (forward * turn).max() <= 1.0 + 1e-4
+
+
+def test_commands_hold_for_a_random_time():
+    driven = drive.TASK.env.command
+
+    @jax.jit
+    def course(key):
+        def step(command, steps):
+            command = next_command(driven, command, steps, 0.02)
+            return command, command.velocity
+
+        return jax.lax.scan(step, first_command(driven, key, 0.02), jnp.arange(1, 4001))[1]
+
+    velocity = np.asarray(course(jax.random.PRNGKey(0)))
+    changed = np.flatnonzero(np.diff(velocity, axis=0).any(axis=1))
+    holds = np.diff(changed) * 0.02  # s; the sum of two where one command to stand follows another
+    assert holds.min() >= 2.0 - 1e-6
+    assert np.all((holds < 5.0 + 1e-6) | (holds >= 4.0))
+    assert 3.2 < np.median(holds) < 3.9
+    with pytest.raises(UsageError, match=r"env.command.soonest is 6.0; expected at most .*5.0"):
+        dataclasses.replace(driven, soonest=6.0)
 
 
 def test_an_episode_is_told_anew_on_time(course):

@@ -17,6 +17,7 @@ PARAMS = {
     "forward": {"max_speed": 1.0},
     "follow": {"width": 1.0},
     "follow_yaw_rate": {"width": 1.0},
+    "track": {"width": 0.5, "share": 0.2},
     "drag": {"height": 1.0},
     "kneel": {"height": 0.04},
     "at_home": {"joints": 0.5, "height": 0.2},
@@ -59,6 +60,13 @@ def stepping(heights, velocities) -> Step:
     """A step after which the soles are so high, m, and over which they move at m/s along y."""
     soles = jnp.zeros((4, 3)).at[:, 2].set(jnp.array(heights))
     return a_step(start_soles=soles.at[:, 1].add(-0.02 * jnp.array(velocities)), soles=soles)
+
+
+def fidgeting(robot, command: float) -> Step:
+    """Half of the joints 0.2 rad off the home pose, at 2 rad/s; `command`, m/s ahead."""
+    qpos = jnp.asarray(robot.home, jnp.float32).at[7:13].add(0.2)
+    qvel = jnp.zeros(18).at[6:12].set(2.0)
+    return a_step(start=qpos, qpos=qpos, qvel=qvel, command=jnp.zeros(3).at[0].set(command))
 
 
 def swinging(steps, heights, command) -> Step:
@@ -121,6 +129,13 @@ CASES = {
     ),
     # It heads along world y, and so moves to its right; the command is 0.6 and 0.8 m/s off.
     "follow": (moving(np.pi / 2, 0.0, (0.5, 0.25), (-0.35, 0.3, 9.0)), np.exp(-1.0)),
+    # Commanded 2.5 m/s: a width of 0.5 m/s and a fifth of that, and one off.
+    "track": (moving(0.0, 0.0, (1.5, 1.0), (1.5, 2.0, 0.0)), np.exp(-1.0)),
+    # Commanded 0.5 m/s, 0.3 m/s off.
+    "approach": (moving(0.0, 0.0, (0.3, 0.4), (0.0, 0.4, 0.0)), 0.4 - 0.3),
+    "yaw_rate_off": (moving(0.0, 0.03, (0.0, 0.0), (0.0, 0.0, 0.5)), 1.0),
+    # Half of the joints 0.2 rad off home at 2 rad/s.
+    "fidget": (lambda robot: fidgeting(robot, command=0.0), 0.5 * 0.2**2 + 0.01 * 0.5 * 2.0**2),
     # Past the half turn: 0.03 rad in 0.02 s are 1.5 rad/s, and twice the width of 1 off.
     "follow_yaw_rate": (moving(-np.pi + 0.01, 0.03, (9.0, 9.0), (9.0, 9.0, 3.5)), np.exp(-4.0)),
     # Half as high as a swing should be, on the floor, on the floor at rest, high enough.
@@ -137,6 +152,10 @@ CASES = {
 LIMITS = {
     "forward": (a_step(qpos=a_step().qpos.at[0].set(9.0)), 1.0),  # max_speed of PARAMS
     "yaw_error": (a_step(qpos=turned(yaw=3.0)), 1.0),
+    "track": (moving(0.0, 0.0, (1e6, 0.0), (0.0, 0.0, 0.0)), 0.0),
+    "approach": (moving(0.0, 0.0, (1e6, 0.0), (0.0, 0.0, 0.0)), -1.0),
+    "yaw_rate_off": (moving(0.0, 3.1, (0.0, 0.0), (0.0, 0.0, 0.0)), 2.0),
+    "fidget": (lambda robot: fidgeting(robot, command=0.1), 0.0),  # only where it is to stand
     "energy": (a_step(power=jnp.asarray(1e9)), 20.0),
     "lateral": (a_step(qpos=a_step().qpos.at[1].set(5.0)), 1.0),
     "offset": (a_step(qpos=a_step().qpos.at[1].set(50.0)), 1.0),
@@ -182,7 +201,16 @@ def test_a_term_is_what_it_says_and_bounded(env, name, case):
 
 def test_standing_still_costs_nothing(env):
     values = reward_terms(ALL, env.robot, standing(env.robot))
-    for name in ("alive", "follow", "follow_yaw_rate", "trot", "upright", "raised", "at_home"):
+    for name in (
+        "alive",
+        "follow",
+        "follow_yaw_rate",
+        "track",
+        "trot",
+        "upright",
+        "raised",
+        "at_home",
+    ):
         assert values.pop(name) == pytest.approx(1.0, abs=1e-6)
     assert {name: float(value) for name, value in values.items()} == pytest.approx(
         dict.fromkeys(values, 0.0), abs=1e-6
@@ -197,7 +225,7 @@ def test_the_total_is_the_scaled_sum_and_a_scale_of_zero_drops_its_term(env):
     assert set(values) == set(ALL) - {"energy"}
     # forward 0.5 m/s, which is 0.01 m of progress, offset 0.1 m, alive 1; nothing else moves.
     # Told to stand, it is 0.5 m/s off.
-    followed = np.exp(-(0.5**2)) + 1 + 1
+    followed = np.exp(-(0.5**2)) + 1 + 1 + np.exp(-1.0) - 0.5
     upright_raised_and_at_home = 1 + 1 + 1
     expected = 2 * 0.5 + 0.01 - 3 * 0.1 + 1 + followed + upright_raised_and_at_home
     assert float(total_reward(terms, values)) == pytest.approx(expected, abs=1e-4)

@@ -5,11 +5,14 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike
 
 from quadwalk.settings.environment import CommandConfig
 
 # Folded into the key of an episode's start, for the keys of its commands.
 _COMMANDS = 0x636D64
+# Share of the acceleration that friction bears which a turn may need.
+GRIP_USED = 0.5
 
 
 class Command(NamedTuple):
@@ -17,27 +20,57 @@ class Command(NamedTuple):
 
     velocity: jax.Array  # (3,) forward and lateral m/s, in the frame of the heading; yaw rate rad/s
     key: jax.Array  # of all commands of the episode
+    until: jax.Array | None = None  # () int32, control steps; None: changes are regular
 
 
-def first_command(config: CommandConfig, key: jax.Array) -> Command:
-    """The first command of an episode begun with `key`."""
+def first_command(
+    config: CommandConfig, key: jax.Array, dt: float, grip: ArrayLike = np.inf
+) -> Command:
+    """The first command of an episode begun with `key`; `dt`, s, is a control step.
+
+    `grip`, m/s^2, is the acceleration that friction bears.
+    """
     own = jax.random.fold_in(key, _COMMANDS)
-    return Command(draw(config, own), own)
+    until = None if config.soonest is None else _until(config, own, dt)
+    return Command(draw(config, own, grip), own, until)
 
 
-def next_command(config: CommandConfig, before: Command, steps: jax.Array, period: int) -> Command:
-    """The command after `steps` control steps of an episode: a new one every `period` steps."""
-    new = draw(config, jax.random.fold_in(before.key, steps))
-    return before._replace(velocity=jnp.where(steps % period == 0, new, before.velocity))
+def next_command(
+    config: CommandConfig, before: Command, steps: jax.Array, dt: float, grip: ArrayLike = np.inf
+) -> Command:
+    """The command after `steps` control steps of an episode, of `dt` s each."""
+    key = jax.random.fold_in(before.key, steps)
+    new = draw(config, key, grip)
+    if before.until is None:
+        period = max(round(config.seconds / dt), 1)
+        return before._replace(velocity=jnp.where(steps % period == 0, new, before.velocity))
+    due = steps >= before.until
+    until = jnp.where(due, steps + _until(config, key, dt), before.until)
+    return before._replace(velocity=jnp.where(due, new, before.velocity), until=until)
 
 
-def draw(config: CommandConfig, key: jax.Array) -> jax.Array:
-    """A command (3,): uniform in its ranges.
+def _until(config: CommandConfig, key: jax.Array, dt: float) -> jax.Array:
+    """Control steps () int32 that a command holds, drawn with `key`."""
+    assert config.soonest is not None
+    low, high = (max(round(seconds / dt), 1) for seconds in (config.soonest, config.seconds))
+    return jax.random.randint(jax.random.fold_in(key, 1), (), low, high + 1)
+
+
+def draw(config: CommandConfig, key: jax.Array, grip: ArrayLike = np.inf) -> jax.Array:
+    """A command (3,): uniform in its ranges, then within what `config` and friction allow.
 
     For `config.standing` of all keys it is zero, for `config.straight` of them forward alone.
+    `grip`, m/s^2, is the acceleration that friction bears.
     """
     drawn = jax.random.uniform(key, (4,))
     low, high = np.array([config.forward, config.lateral, config.yaw_rate], np.float32).T
     command = low + drawn[:3] * (high - low)
+    speed = jnp.abs(command[0])
+    if config.lateral_until is not None:
+        command = command.at[1].multiply(jnp.maximum(1.0 - speed / config.lateral_until, 0.0))
+    if config.turning is not None:
+        needed = speed * np.abs(config.yaw_rate).max() + 1e-6
+        share = jnp.minimum(config.turning, GRIP_USED * grip) / needed
+        command = command.at[2].multiply(jnp.minimum(share, 1.0))
     command = jnp.where(drawn[3] < 1.0 - config.straight, command, command.at[1:].set(0.0))
     return jnp.where(drawn[3] < config.standing, 0.0, command)

@@ -1,0 +1,54 @@
+"""drive: stand, walk, gallop and turn on command, with a real robot's sensors and disturbances."""
+
+from dataclasses import replace
+
+from quadwalk.settings.environment import HOME_RESET, PHYSICS, REAL_WORLD, CommandConfig, EnvConfig
+from quadwalk.settings.terms import Observation, Reward
+from quadwalk.settings.training import PPO, TrainConfig
+from quadwalk.task import reward
+from quadwalk.task.actions import ABOUT_HOME
+from quadwalk.task.observation import PROPRIOCEPTION, TRUE_LEGS, TRUE_TRUNK, command
+from quadwalk.task.termination import FALLS
+
+TASK = TrainConfig(
+    task="drive",
+    steps=120_000_000,
+    checkpoint_steps=4_000_000,
+    env=EnvConfig(
+        **PHYSICS,
+        action=ABOUT_HOME,
+        observation={
+            "command": Observation(command, labels=("forward", "lateral", "yaw_rate")),
+            **PROPRIOCEPTION,
+        },
+        critic={**TRUE_TRUNK, **TRUE_LEGS},
+        reward={
+            "fall": Reward(reward.fall, scale=-30.0),
+            "track": Reward(reward.track, {"width": 0.2, "share": 0.1}, scale=2.0),
+            "approach": Reward(reward.approach, scale=1.0),
+            "follow_yaw_rate": Reward(reward.follow_yaw_rate, {"width": 0.3}, scale=1.0),
+            "yaw_rate_off": Reward(reward.yaw_rate_off, scale=-0.7),
+            "fidget": Reward(reward.fidget, scale=-2.0),
+            "energy": Reward(reward.energy, scale=-0.05),
+            "vertical": Reward(reward.vertical, scale=-0.3),
+            "tilt": Reward(reward.tilt, scale=-0.5),
+            "roll_pitch_rate": Reward(reward.roll_pitch_rate, scale=-0.1),
+            "action_rate": Reward(reward.action_rate, scale=-0.1),
+        },
+        termination=FALLS,
+        reset=HOME_RESET,
+        command=CommandConfig(
+            forward=(-1.0, 4.5),
+            lateral=(-0.5, 0.5),
+            yaw_rate=(-2.0, 2.0),
+            standing=0.1,
+            straight=0.2,
+            soonest=2.0,
+            seconds=5.0,
+            lateral_until=2.0,
+            turning=4.0,
+        ),
+        randomisation=REAL_WORLD,
+    ),
+    ppo=replace(PPO, retry=0.5),
+)
