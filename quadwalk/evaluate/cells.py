@@ -32,7 +32,7 @@ def measure_cells(
     """
     first = np.asarray(starts.pipeline_state.qpos[:, :7])
     found: dict[int, dict[str, float | bool]] = {}
-    for number, end, path in roll_out(env, policy, starts, _pose, room, report):
+    for number, end, path in roll_out(env, policy, starts, pose, room, report):
         poses, upright = np.concatenate([first[number, None], path]), end == "time limit"
         found[number] = {"success": upright} | measure(number, upright, poses.astype(float))
     return [
@@ -41,9 +41,10 @@ def measure_cells(
     ]
 
 
-def _pose(env: QuadrupedEnv, before: State, action: jax.Array, after: State) -> jax.Array:
-    pose: jax.Array = after.pipeline_state.qpos[:, :7]
-    return pose
+def pose(env: QuadrupedEnv, before: State, action: jax.Array, after: State) -> jax.Array:
+    """(n, 7) of the trunk, m and wxyz, to be watched."""
+    qpos: jax.Array = after.pipeline_state.qpos
+    return qpos[:, :7]
 
 
 def _figures(found: Sequence[dict[str, float | bool]]) -> dict[str, Any]:

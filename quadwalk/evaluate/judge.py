@@ -21,14 +21,21 @@ from quadwalk.evaluate.report.console import (
     print_comparison,
     print_engines,
     print_standing,
+    print_steering,
     print_summary,
     print_sweep,
     simulating,
 )
-from quadwalk.evaluate.report.panels import draw_by_ground, draw_comparison, draw_sweep
+from quadwalk.evaluate.report.panels import (
+    draw_by_ground,
+    draw_comparison,
+    draw_steering,
+    draw_sweep,
+)
 from quadwalk.evaluate.report.pictures import draw_film_strip, render_video
 from quadwalk.evaluate.report.plots import save_figure
 from quadwalk.evaluate.standing import measure_standing, standing_run
+from quadwalk.evaluate.steering import measure_steering, steering_run
 from quadwalk.evaluate.summary import engine_differences
 from quadwalk.evaluate.sweep import measure_sweeps, sweep_points
 from quadwalk.shell import words
@@ -66,6 +73,13 @@ def judge(loaded: LoadedRun, config: EvalConfig, out: Path, console: Console) ->
         with _progress(rising, f"{config.cell} episodes of each condition", console) as report:
             results["standing"] = measure_standing(rising, config.cell, config.seed, report)
         print_standing(results["standing"])
+    elif loaded.env.config.command.turning is not None and config.cell:
+        driven, episodes = steering_run(loaded), max(config.cell // 4, 1)
+        with _progress(driven, f"{episodes} episodes of each command", console) as report:
+            results["steering"] = measure_steering(driven, episodes, config.seed, report)
+        print_steering(results["steering"])
+        save_figure(draw_steering(results["steering"], name), out / "steering.png")
+        written.append("steering.png")
     write_json_atomic(out / "metrics.json", results)
     with console.status("writing"):
         written += _write_pictures(found, config, out)

@@ -41,7 +41,8 @@ class EvalConfig(Settings):
     seed: Seed = 0  # of the starts and the ground; the same seed gives the same episodes
     # where the ground is uneven: episodes of each kind at each difficulty, for the table and the
     # picture of these; of a robot that starts in any pose: of each condition, for the table of how
-    # soon it stands in MuJoCo C; 0: without them
+    # soon it stands in MuJoCo C; of a robot that is driven: of each four commands, for the picture
+    # of how it follows them in MuJoCo C; 0: without them
     cell: Natural = 16
     levels: Few = 3  # difficulties in these, evenly from the least trained on to the greatest
     out: Path | None = None  # folder for the results; None: a new one in the run's

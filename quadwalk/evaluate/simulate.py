@@ -40,18 +40,20 @@ def roll_out(
     watch: Watch,
     room: int | None = None,
     report: Report | None = None,
+    change: Callable[[QuadrupedEnv, State], State] = lambda _, states: states,
 ) -> Iterator[tuple[int, str, Any]]:
     """Step `policy` from each of `starts` (n, ...) until its episode ends.
 
     Yields for each episode, when it ends, its number, the name of its end, and what `watch` kept
     of its T control steps: NumPy arrays (T, ...). `room` episodes go at a time, by default all;
-    where one has ended the next begins.
+    where one has ended the next begins. `change` alters the batched states before each step.
     """
 
     @env.jit
     def chunk(env: QuadrupedEnv, policy: Policy, states: State) -> tuple[State, Any]:
         def step(before: State, _: None) -> tuple[State, tuple[jax.Array, Any]]:
             action = policy(before.obs)
+            before = change(env, before)
             after = jax.vmap(env.step)(before, action)
             return after, (after.info["end"], watch(env, before, action, after))
 
@@ -129,14 +131,17 @@ def simulate_episodes(
     seed: int,
     report: Report | None = None,
     only: int | None = None,
+    starts: State | None = None,
 ) -> Iterator[Rollout]:
-    """Record `policy` from `episodes` fresh starts, until each falls or meets the time limit.
+    """Record `policy` from `episodes` starts, until each falls or meets the time limit.
+
+    `starts` (episodes, ...) are by default the fresh ones of `seed`.
 
     In order of their numbers; `only`: the one of that number. Up to `GROUP` go at a time, so that
     whoever lets go of rollouts needs no more memory for more of them. No rollout has its foot
     forces.
     """
-    starts = fresh_starts(env, episodes, seed)
+    starts = fresh_starts(env, episodes, seed) if starts is None else starts
     # In a batch of the same size it goes as it went.
     room = min(ROOM * math.ceil(episodes / math.ceil(episodes / GROUP) / ROOM), episodes)
     first = only or 0

@@ -1,23 +1,58 @@
-"""How well a policy follows each velocity command: a grid of forward velocity and yaw rate."""
+"""How well a policy follows commands: held ones, changes of them, and its gait at each speed."""
 
+import dataclasses
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from brax.envs.base import State
 
-from quadwalk.evaluate.cells import measure_cells
+from quadwalk.evaluate.cells import measure_cells, pose
 from quadwalk.evaluate.loaded import LoadedRun
-from quadwalk.evaluate.motion.course import SETTLING, heading_velocity
-from quadwalk.evaluate.simulate import GROUP, Report, fresh_starts
+from quadwalk.evaluate.motion.course import SETTLING, WINDOW, heading_velocity, window_means
+from quadwalk.evaluate.motion.gait import measure_gait
+from quadwalk.evaluate.simulate import GROUP, Report, fresh_starts, roll_out, simulate_episodes
+from quadwalk.evaluate.statistics import number
 from quadwalk.settings.environment import CommandConfig
 from quadwalk.task.env import QuadrupedEnv
 
+Command = tuple[float, float, float]  # forward and lateral m/s, yaw rate rad/s
+
 FORWARD, TURNS = 12, 9  # commands along each axis of the grid
+SECONDS = 8.0  # s, that a command is held
+CHANGE = 4.0  # s, after which it changes where a change is measured
+NEAR = 0.1  # of a change: a response that stays so near its end has arrived
 
 
-def grid(config: CommandConfig) -> list[tuple[float, float, float]]:
-    """Commands (forward m/s, lateral m/s, yaw rate rad/s) over the ranges of a task.
+def steering_run(loaded: LoadedRun) -> LoadedRun:
+    """`loaded` in MuJoCo C, in episodes that last as long as a command is held."""
+    config = dataclasses.replace(loaded.env.config, episode_seconds=SECONDS)
+    env = QuadrupedEnv(loaded.env.quadruped, config, "mujoco")
+    return dataclasses.replace(loaded, env=env)
+
+
+def measure_steering(
+    loaded: LoadedRun, episodes: int, seed: int, report: Report | None = None
+) -> dict[str, Any]:
+    """Tracking of `episodes` at each command, gaits and responses, as plain values for JSON.
+
+    `loaded` is by `steering_run`.
+    """
+    config = loaded.env.config.command
+    return {
+        "engine": loaded.env.engine,
+        "episodes": episodes,
+        "cells": measure_held(loaded, held_commands(config), episodes, seed, report),
+        "gaits": measure_gaits(loaded, seed),
+        "responses": [
+            measure_response(loaded, *change, episodes, seed) for change in changes(config)
+        ],
+    }
+
+
+def held_commands(config: CommandConfig) -> list[Command]:
+    """A grid of forward velocity and yaw rate over the ranges of a task.
 
     Turns that need more than the task's centripetal acceleration are left out.
     """
@@ -27,63 +62,119 @@ def grid(config: CommandConfig) -> list[tuple[float, float, float]]:
     return [(float(v), 0.0, float(w)) for v in forward for w in turns if abs(v * w) <= most]
 
 
-def measure_steering(
+def changes(config: CommandConfig) -> list[tuple[Command, Command]]:
+    """From a stand to nine tenths of the largest speed, back, and from a left to a right turn."""
+    fast = (0.9 * config.forward[1], 0.0, 0.0)
+    speed = config.forward[1] / 2
+    turn = config.yaw_rate[1]
+    turn = turn if config.turning is None else min(turn, config.turning / speed)
+    still, left, right = (0.0, 0.0, 0.0), (speed, 0.0, turn), (speed, 0.0, -turn)
+    return [(still, fast), (fast, still), (left, right)]
+
+
+def measure_held(
     loaded: LoadedRun,
-    commands: list[tuple[float, float, float]],
+    commands: list[Command],
     episodes: int,
     seed: int,
     report: Report | None = None,
-) -> dict[str, Any]:
-    """Errors and falls of `episodes` at each of `commands`, held, as plain values for JSON.
+) -> list[dict[str, Any]]:
+    """Motion, errors and success of `episodes` from the same starts at each command, held.
 
-    velocity, yaw_rate: means of the motion from twice `SETTLING` on, m/s and rad/s.
-    velocity_error, yaw_rate_error: distance of these means from the command. success: the share
+    forward, lateral, yaw_rate: means of the motion from twice `SETTLING` on, m/s and rad/s.
+    velocity_error, yaw_rate_error: how far these means are from the command. success: the share
     without a fall.
     """
     env, dt = loaded.env, loaded.env.config.control_dt
-    starts = holding(env, commands, episodes, seed)
     settled = round(2 * SETTLING / dt)
 
-    def measure(number: int, upright: bool, poses: np.ndarray) -> dict[str, float | bool]:
+    def measure(which: int, upright: bool, poses: np.ndarray) -> dict[str, float | bool]:
         motion = heading_velocity(poses, dt)[settled:]
-        forward, lateral, turn = motion.mean(axis=0) if len(motion) else np.full(3, np.nan)
-        command = commands[number // episodes]
-        return {
-            "velocity": float(forward),
-            "lateral": float(lateral),
-            "yaw_rate": float(turn),
-            "velocity_error": float(np.hypot(forward - command[0], lateral - command[1])),
-            "yaw_rate_error": float(abs(turn - command[2])),
-        }
+        mean = motion.mean(axis=0) if len(motion) else np.full(3, np.nan)
+        off = mean - commands[which // episodes]
+        found = dict(zip(("forward", "lateral", "yaw_rate"), map(float, mean), strict=True))
+        errors = {"velocity_error": np.hypot(off[0], off[1]), "yaw_rate_error": abs(off[2])}
+        return found | {name: float(error) for name, error in errors.items()}
 
+    starts = holding(env, commands, episodes, seed)
     room = min(GROUP, len(starts.obs))
     found = measure_cells(env, loaded.policy.act, starts, episodes, measure, room, report)
+    return [
+        {"command": list(command)} | cell for command, cell in zip(commands, found, strict=True)
+    ]
+
+
+def measure_gaits(loaded: LoadedRun, seed: int) -> list[dict[str, Any]]:
+    """The gait, cost of transport and stride of one episode at each speed straight ahead."""
+    env = loaded.env
+    speeds = np.linspace(0.0, env.config.command.forward[1], 1 + 2 * FORWARD)[1:]
+    starts = holding(env, [(float(speed), 0.0, 0.0) for speed in speeds], 1, seed)
+    rollouts = simulate_episodes(env, loaded.policy.act, len(speeds), seed, starts=starts)
+    found = [measure_gait(rollout, env.quadruped) for rollout in rollouts]
+    figures = ("speed", "cost_of_transport", "stride_frequency")
+    return [
+        {"command": float(speed), "gait": gait.gait}
+        | {name: number(getattr(gait, name)) for name in figures}
+        for speed, gait in zip(speeds, found, strict=True)
+    ]
+
+
+def measure_response(
+    loaded: LoadedRun, before: Command, after: Command, episodes: int, seed: int
+) -> dict[str, Any]:
+    """How soon motion follows when a command changes `CHANGE` s after the start.
+
+    Of what changes most, m/s or rad/s, the mean of `episodes` over `WINDOW`, in curve from the
+    change on. time: s, until it stays within `NEAR` of the change from its end; None: never.
+    overshoot: share of the change. falls: share of episodes.
+    """
+    env, dt = loaded.env, loaded.env.config.control_dt
+    turn, window = round(CHANGE / dt), round(WINDOW / dt)
+    part = int(np.argmax(np.abs(np.subtract(after, before))))
+    poses: list[np.ndarray] = []
+
+    def change(env: QuadrupedEnv, state: State) -> State:
+        now = state.pipeline_state
+        velocity = jnp.where((now.steps >= turn)[:, None], jnp.asarray(after), now.command.velocity)
+        command = now.command._replace(velocity=velocity)
+        return state.replace(pipeline_state=now._replace(command=command))
+
+    starts = holding(env, [before], episodes, seed)
+    first = np.asarray(starts.pipeline_state.qpos[:, None, :7])
+    for which, end, path in roll_out(env, loaded.policy.act, starts, pose, change=change):
+        if end == "time limit":
+            poses.append(np.concatenate([first[which], path]).astype(float))
+    motion = [window_means(heading_velocity(each, dt)[turn:], window)[:, part] for each in poses]
+    curve = np.mean(motion, axis=0) if motion else np.zeros(0)
+    share = (curve - before[part]) / (after[part] - before[part])
+    away = np.flatnonzero(np.abs(share - 1.0) > NEAR)
+    arrived = 1 + away[-1] if len(away) else 0
     return {
-        "engine": env.engine,
-        "episodes": episodes,
-        "cells": [
-            {"command": list(command)} | figures
-            for command, figures in zip(commands, found, strict=True)
-        ],
+        "before": list(before),
+        "after": list(after),
+        "part": ("forward", "lateral", "yaw_rate")[part],
+        "time": arrived * dt + WINDOW / 2 if arrived < len(curve) else None,
+        "overshoot": max(float(share.max() - 1.0), 0.0) if len(curve) else None,
+        "falls": 1.0 - len(poses) / episodes,
+        "curve": curve.tolist(),
+        "dt": dt,
     }
 
 
-def holding(
-    env: QuadrupedEnv, commands: list[tuple[float, float, float]], episodes: int, seed: int
-) -> Any:
+def holding(env: QuadrupedEnv, commands: list[Command], episodes: int, seed: int) -> State:
     """The first states of `episodes` at each command, which they hold, one command after another.
 
     Each command has the same starts.
     """
-    states = fresh_starts(env, episodes, seed)
 
     @env.jit
-    def begun(env: QuadrupedEnv, commands: jax.Array, states: Any) -> Any:
-        def start(velocity: jax.Array, state: Any) -> Any:
+    def begun(env: QuadrupedEnv, commands: jax.Array, states: State) -> State:
+        def start(velocity: jax.Array, state: State) -> State:
             command = state.pipeline_state.command._replace(velocity=velocity)
             return env.begun(state, command=command)
 
         return jax.vmap(jax.vmap(start, in_axes=(None, 0)), in_axes=(0, None))(commands, states)
 
-    starts = begun(jnp.asarray(commands, jnp.float32), states)
-    return jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), starts)
+    starts = begun(jnp.asarray(commands, jnp.float32), fresh_starts(env, episodes, seed))
+    flat: State = jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), starts)
+    return flat

@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from quadwalk.evaluate.motion.gait import Gait
+from quadwalk.evaluate.statistics import figure_mean
 from quadwalk.evaluate.summary import FIGURES, engine_differences, engines_of
 
 _NONE = "-"
@@ -119,6 +120,30 @@ def print_standing(results: dict[str, Any]) -> None:
         rows.append((found["name"], *(f"{x:.1f}" for x in after), f"{low:.1f} to {high:.1f}"))
     title = f"standing in MuJoCo C, of {results['episodes']} random poses"
     _print_table(title, ("", "after 2 s, %", "after 3 s, %", "after 6 s, %", "95 % at 3 s"), rows)
+
+
+def print_steering(results: dict[str, Any]) -> None:
+    """The commands that are followed worst, and how soon changes of the command are."""
+    cells = sorted(
+        results["cells"],
+        key=lambda cell: -np.nan_to_num(figure_mean(cell["velocity_error"]), nan=9.0),
+    )
+    rows: list[Sequence[str] | None] = []
+    for cell in cells[:6]:
+        forward, _, turn = cell["command"]
+        off = figure_text(cell["velocity_error"]), figure_text(cell["yaw_rate_error"])
+        success = f"{100 * cell['success']:.0f}"
+        rows.append((f"{forward:g} m/s, {turn:g} rad/s", success, *off))
+    title = f"the six of {len(cells)} commands followed worst, {results['episodes']} episodes each"
+    _print_table(title, ("command", "success, %", "m/s off", "rad/s off"), rows)
+    rows = []
+    for each in results["responses"]:
+        which = ("forward", "lateral", "yaw_rate").index(each["part"])
+        change = f"{each['before'][which]:.3g} to {each['after'][which]:.3g}"
+        unit = "rad/s" if each["part"] == "yaw_rate" else "m/s"
+        shares = (f"{100 * (each[name] or 0.0):.0f}" for name in ("overshoot", "falls"))
+        rows.append((f"{change} {unit}", _text(each["time"], ".2f"), *shares))
+    _print_table("changes of the command", ("", "s", "overshoot, %", "falls, %"), rows)
 
 
 def describe_gait(gait: Gait, episode: int) -> str:

@@ -117,6 +117,61 @@ def draw_by_ground(results: dict[str, Any], title: str) -> Figure:
     return figure
 
 
+def draw_steering(results: dict[str, Any], title: str) -> Figure:
+    """Heat maps of success and errors over commands; gaits by speed; responses to changes."""
+    text = f"{title}: {results['episodes']} episodes of each command in MuJoCo C"
+    figure = new_figure((15, 9), text)
+    panels: Any = figure.subplots(2, 3).ravel()
+    maps = (
+        ("success", "episodes without a fall, %", 100.0),
+        ("velocity_error", "velocity error, m/s", 0.5),
+        ("yaw_rate_error", "yaw rate error, rad/s", 0.5),
+    )
+    forward, turns = (
+        sorted({cell["command"][part] for cell in results["cells"]}) for part in (0, 2)
+    )
+    for axes, (name, heading, high) in zip(panels, maps, strict=False):
+        colours = "viridis" if name == "success" else "viridis_r"
+        values = np.full((len(turns), len(forward)), math.nan)
+        for cell in results["cells"]:
+            own = 100 * cell[name] if name == "success" else figure_mean(cell[name])
+            values[turns.index(cell["command"][2]), forward.index(cell["command"][0])] = own
+        drawn = axes.pcolormesh(forward, turns, values, cmap=colours, vmin=0.0, vmax=high)
+        figure.colorbar(drawn, ax=axes)
+        tidy(axes, heading)
+        axes.set_xlabel("commanded forward velocity, m/s")
+        axes.set_ylabel("commanded yaw rate, rad/s")
+        axes.grid(visible=False)
+    _gaits(panels[3], results["gaits"])
+    for axes, part, unit in ((panels[4], "forward", "m/s"), (panels[5], "yaw_rate", "rad/s")):
+        _responses(axes, part, unit, results["responses"])
+    return figure
+
+
+def _gaits(axes: Axes, gaits: list[dict[str, Any]]) -> None:
+    tidy(axes, "cost of transport and gait by speed")
+    for place, name in enumerate(dict.fromkeys(each["gait"] for each in gaits)):
+        own = [each for each in gaits if each["gait"] == name and each["cost_of_transport"]]
+        at = [each["speed"] for each in own], [each["cost_of_transport"] for each in own]
+        axes.plot(*at, "os^Dv*P"[place % 7], color=_colour(place), label=name)
+    axes.set_xlabel("speed, m/s")
+    axes.set_ylim(bottom=0.0)
+    axes.legend()
+
+
+def _responses(axes: Axes, part: str, unit: str, responses: list[dict[str, Any]]) -> None:
+    tidy(axes, f"after a change of the command: {part.replace('_', ' ')}", unit)
+    which = ("forward", "lateral", "yaw_rate").index(part)
+    own = [each for each in responses if each["part"] == part]
+    for place, each in enumerate(own):
+        time = each["dt"] * np.arange(len(each["curve"]))
+        label = f"{each['before'][which]:.3g} to {each['after'][which]:.3g}"
+        axes.plot(time, each["curve"], color=_colour(place), label=label)
+        axes.axhline(each["after"][which], color=_colour(place), linestyle="--", linewidth=1)
+    axes.set_xlabel("time after the change, s")
+    axes.legend()
+
+
 def draw_comparison(labels: list[str], results: list[dict[str, Any]]) -> Figure:
     """The figures as panels: each run's episodes as dots, their mean and its 95 % interval."""
     shown = [

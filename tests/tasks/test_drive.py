@@ -1,0 +1,78 @@
+"""A robot that is driven: how its tracking of commands is measured, on one that only stands."""
+
+import dataclasses
+
+import jax
+import numpy as np
+import pytest
+
+from quadwalk.evaluate.loaded import LoadedRun
+from quadwalk.evaluate.report.console import print_steering
+from quadwalk.evaluate.report.panels import draw_steering
+from quadwalk.evaluate.steering import (
+    changes,
+    held_commands,
+    holding,
+    measure_steering,
+    steering_run,
+)
+from quadwalk.settings.environment import NO_RANDOMISATION
+from quadwalk.task.env import QuadrupedEnv
+from quadwalk.tasks import drive
+from quadwalk.train.runs.directory import Run
+from quadwalk.train.runs.policy import Policy
+
+
+@pytest.fixture(scope="module")
+def standing(quadruped, tmp_path_factory) -> LoadedRun:
+    """A policy that holds the home pose, in MuJoCo C."""
+    command = dataclasses.replace(drive.TASK.env.command, soonest=None, seconds=20.0)
+    still = dataclasses.replace(
+        drive.TASK.env.reset, joints=0.0, velocity=0.0, joint_velocity=0.0, tilt=0.0
+    )
+    config = dataclasses.replace(
+        drive.TASK.env, randomisation=NO_RANDOMISATION, command=command, reset=still
+    )
+    env = QuadrupedEnv(quadruped, config)
+    act = jax.tree_util.Partial(lambda seen: 0.0 * seen[..., :12])
+    policy = Policy(act, drive.TASK, quadruped.joints, env.policy_size, 0)
+    folder = tmp_path_factory.mktemp("run")
+    return steering_run(LoadedRun(Run(folder), folder, policy, env, "0"))
+
+
+def test_held_commands_cover_the_ranges_within_what_turns_may_need():
+    commands = np.array(held_commands(drive.TASK.env.command))
+    assert (commands[:, 0].min(), commands[:, 0].max()) == (-1.0, 4.5)
+    assert (commands[:, 2].min(), commands[:, 2].max()) == (-2.0, 2.0)
+    assert np.abs(commands[:, 0] * commands[:, 2]).max() <= 4.0 + 1e-6
+    assert [0.0, 0.0, 0.0] in commands.tolist()
+
+
+def test_each_command_is_held_from_the_same_starts(standing):
+    commands = [(1.0, 0.0, 0.5), (-1.0, 0.2, 0.0)]
+    starts = holding(standing.env, commands, 3, 0)
+    state = starts.pipeline_state
+    np.testing.assert_allclose(state.command.velocity, np.repeat(commands, 3, axis=0), rtol=1e-6)
+    np.testing.assert_array_equal(state.qpos[:3], state.qpos[3:])
+    forward = standing.env.observation_names.index("command_forward")
+    np.testing.assert_array_equal(starts.obs[:, forward], [1.0] * 3 + [-1.0] * 3)
+
+
+def test_a_robot_that_stands_is_as_far_off_as_its_command_says(standing, capsys, monkeypatch):
+    found = measure_steering(standing, 1, 0)
+    for cell in found["cells"]:
+        forward, _, turn = cell["command"]
+        assert cell["success"] == 1.0
+        assert cell["velocity_error"]["mean"] == pytest.approx(abs(forward), abs=0.01)
+        assert cell["yaw_rate_error"]["mean"] == pytest.approx(abs(turn), abs=0.01)
+    to_speed, to_stand, to_right = found["responses"]
+    assert [each["part"] for each in found["responses"]] == ["forward", "forward", "yaw_rate"]
+    assert to_speed["time"] is None
+    assert to_stand["time"] == pytest.approx(0.25)  # the middle of the first half second
+    assert to_right["time"] is None
+    assert changes(drive.TASK.env.command)[0][1] == (pytest.approx(4.05), 0.0, 0.0)
+    assert max(abs(each["speed"]) for each in found["gaits"]) < 0.05
+    monkeypatch.setenv("COLUMNS", "120")
+    print_steering(found)
+    assert "4.5 m/s, 0 rad/s" in capsys.readouterr().out
+    assert len(draw_steering(found, "standing").axes) == 6 + 3
