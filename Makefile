@@ -6,10 +6,13 @@ VENV ?= .venv
 RUN := $(VENV)/bin/python
 PIP := $(RUN) -m pip --disable-pip-version-check --quiet
 
-.PHONY: train setup test lint notebooks lock clean
+.PHONY: train demo setup test lint notebooks lock clean
 
 train: $(VENV)/.ready  ## train with the defaults
 	$(RUN) train.py
+
+demo: $(VENV)/.ready  ## drive a policy that comes trained, in a page of the browser
+	$(RUN) -m quadwalk demo
 
 setup: $(VENV)/.ready  ## make the environment alone
 

@@ -3,32 +3,45 @@
 import importlib
 import sys
 
-from quadwalk.errors import UsageError
+import quadwalk
+from quadwalk.errors import UsageError, meant
 from quadwalk.process import run_command
 
 _COMMANDS = {
-    "train": ("quadwalk.train.__main__", "teach a quadruped a task"),
-    "eval": ("quadwalk.eval", "judge a trained policy"),
-    "export": ("quadwalk.export.__main__", "write a policy as ONNX, to be used elsewhere"),
-    "compare": ("quadwalk.variants.__main__", "train variants over seeds, and judge them"),
+    "train": ("quadwalk.train.__main__", "train a quadruped in a task"),
+    "eval": ("quadwalk.eval", "evaluate a trained policy"),
     "view": ("quadwalk.view.__main__", "drive a trained policy live"),
+    "demo": ("quadwalk.view.__main__", "drive a policy that comes trained, in a page"),
+    "export": ("quadwalk.export.__main__", "write a policy as ONNX, to be used elsewhere"),
+    "compare": ("quadwalk.variants.__main__", "train variants over seeds, and compare them"),
+    "runs": ("quadwalk.train.runs.__main__", "list, show and remove training runs"),
+    "tasks": ("quadwalk.tasks.__main__", "list the tasks"),
     "robot": ("quadwalk.robot.__main__", "convert a URDF to MJCF, or draw it"),
-    "ground": ("quadwalk.ground.__main__", "draw every kind of ground"),
+    "terrain": ("quadwalk.ground.__main__", "draw every kind of terrain"),
     "doctor": ("quadwalk.doctor", "print versions, devices, cores, and what is off here"),
 }
+_ALIASES = {"ground": "terrain"}
+_DEMO = ("drive", "--browser")
 
 
 def command() -> None:
     """Run the command that the first argument names with the others."""
-    given = sys.argv[1] if len(sys.argv) > 1 else "--help"
+    given, *others = sys.argv[1:] or ["--help"]
+    given = _ALIASES.get(given, given)
     if given in ("-h", "--help"):
         print("usage: quadwalk COMMAND [OPTIONS]; quadwalk COMMAND --help lists the options\n")
         for name, (_, what) in _COMMANDS.items():
-            print(f"  {name:<7} {what}")
+            print(f"  {name:<8} {what}")
+        return
+    if given == "--version":
+        print(f"quadwalk {quadwalk.__version__}")
         return
     if given not in _COMMANDS:
-        raise UsageError(f"no command {given!r}; expected one of: {', '.join(_COMMANDS)}")
-    importlib.import_module(_COMMANDS[given][0]).main(sys.argv[2:], f"quadwalk {given}")
+        known = ", ".join(_COMMANDS)
+        raise UsageError(f"no command {given!r}; expected one of: {known}{meant(given, _COMMANDS)}")
+    if given == "demo":
+        others = [*_DEMO, *others]
+    importlib.import_module(_COMMANDS[given][0]).main(others, f"quadwalk {given}")
 
 
 def main() -> None:

@@ -1,6 +1,8 @@
 """Errors that a user can cause."""
 
+import difflib
 import traceback
+from collections.abc import Iterable
 
 
 class UserError(Exception):
@@ -25,3 +27,9 @@ def line_in(file: str, error: BaseException) -> int | None:
         return error.lineno
     frames = traceback.extract_tb(error.__traceback__)
     return next((frame.lineno for frame in reversed(frames) if frame.filename == file), None)
+
+
+def meant(given: str, known: Iterable[str]) -> str:
+    """`; did you mean 'NAME'?` for the name of `known` that `given` is like, else nothing."""
+    like = difflib.get_close_matches(given, list(known), n=1)
+    return f"; did you mean {like[0]!r}?" if like else ""

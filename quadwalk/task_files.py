@@ -15,7 +15,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from quadwalk.errors import UsageError, UserError, line_in
+from quadwalk.errors import UsageError, UserError, line_in, meant
 from quadwalk.files import os_reason, real_path
 from quadwalk.settings.training import TrainConfig
 
@@ -27,13 +27,20 @@ _OWN_MODULE = "quadwalk_task_file_"
 def task_names() -> tuple[str, ...]:
     """The names of the package's tasks."""
     package = importlib.import_module(_PACKAGE)
-    return tuple(module.name for module in pkgutil.iter_modules(package.__path__))
+    names = (module.name for module in pkgutil.iter_modules(package.__path__))
+    return tuple(name for name in names if name != "__main__")
 
 
 def task_list() -> str:
     """A line for each of the package's tasks: the first of its file's docstring."""
     modules = [importlib.import_module(f"{_PACKAGE}.{name}") for name in task_names()]
     return "\n\n".join((module.__doc__ or "").partition("\n")[0] for module in modules)
+
+
+def task_table() -> str:
+    """As `task_list`, in columns, for a terminal."""
+    rows = (line.split(": ", 1) for line in task_list().split("\n\n"))
+    return "\n".join(f"  {name:<10} {what}" for name, what in rows)
 
 
 def load_task(which: str | Path) -> TrainConfig:
@@ -43,7 +50,7 @@ def load_task(which: str | Path) -> TrainConfig:
     if Path(which).suffix != ".py":
         raise UsageError(
             f"no task {str(which)!r}; expected one of: {', '.join(task_names())}, or the path of "
-            "a .py file that defines TASK"
+            f"a .py file that defines TASK{meant(str(which), task_names())}"
         )
     task = getattr(_import(Path(which)), "TASK", None)
     if not isinstance(task, TrainConfig):

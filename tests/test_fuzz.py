@@ -29,6 +29,7 @@ from quadwalk.train.runs.directory import (
     Run,
     create_run,
     find_any_run,
+    find_ready,
     find_run,
     latest_checkpoint,
 )
@@ -38,7 +39,7 @@ from quadwalk.train.runs.resume import resumed_config
 from quadwalk.variants.__main__ import main as compare
 from quadwalk.variants.arguments import CompareConfig
 from quadwalk.view.choices import policy_choices
-from quadwalk.view.drive import ViewConfig, find_driven
+from quadwalk.view.drive import ViewConfig
 from tests.view.conftest import write_run
 
 WORDS = (
@@ -113,7 +114,7 @@ def test_arguments_that_are_no_flags(word, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     settles(parse, EvalConfig, [word], "prog")
     settles(find_any_run, tmp_path, word)
-    settles(find_driven, Path(word), "latest")
+    settles(find_ready, Path(word), "latest", "walk")
     settles(compare, [word, "--seeds", word])
 
 

@@ -11,7 +11,13 @@ from rich.console import Console
 from quadwalk.errors import UsageError, UserError
 from quadwalk.evaluate.options import EvalConfig
 from quadwalk.files import os_reason
-from quadwalk.train.runs.directory import Run, find_any_run, numbered, results_folder
+from quadwalk.train.runs.directory import (
+    Run,
+    find_ready,
+    numbered,
+    origin_of,
+    results_folder,
+)
 
 
 def evaluate_runs(config: EvalConfig) -> dict[str, Any]:
@@ -21,7 +27,7 @@ def evaluate_runs(config: EvalConfig) -> dict[str, Any]:
         outs, together = _make_outputs(config, runs, made)
         # On stderr: what is printed on stdout is the result alone.
         console = Console(stderr=True, highlight=False, soft_wrap=True, markup=False, emoji=False)
-        console.print(f"evaluating {', '.join(str(run.path) for run in runs)}")
+        console.print(f"evaluating {', '.join(origin_of(config.runs, run) for run in runs)}")
 
         # All of these late, since they take seconds.
         from quadwalk.train.devices import set_up_devices
@@ -46,7 +52,7 @@ def _find_runs(config: EvalConfig) -> list[Run]:
     """The runs that are named; `UsageError` for one that is not there, or named twice."""
     runs: list[Run] = []
     for which in config.run:
-        run = find_any_run(config.runs, which)
+        run = find_ready(config.runs, which, "run")
         for other, called in zip(runs, config.run, strict=False):
             if other.path.resolve() == run.path.resolve():
                 raise UsageError(

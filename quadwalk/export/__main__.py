@@ -17,7 +17,7 @@ from rich.console import Console
 from quadwalk.cli import parse
 from quadwalk.errors import UserError
 from quadwalk.shell import install, python, words
-from quadwalk.train.runs.directory import find_any_run, results_folder
+from quadwalk.train.runs.directory import find_ready, origin_of, results_folder
 
 
 @dataclass(frozen=True)
@@ -35,9 +35,9 @@ class ExportConfig:
 def main(args: Sequence[str] | None = None, prog: str = "python -m quadwalk.export") -> None:
     """Parse the command line and export."""
     config = parse(ExportConfig, sys.argv[1:] if args is None else args, prog)
-    run = find_any_run(config.runs, config.run)
+    run = find_ready(config.runs, config.run, "run")
     console = Console(stderr=True, highlight=False, soft_wrap=True, markup=False, emoji=False)
-    console.print(f"exporting {run.path}")
+    console.print(f"exporting {origin_of(config.runs, run)}")
     try:
         from quadwalk.export.bundle import export_run
     except ModuleNotFoundError as error:

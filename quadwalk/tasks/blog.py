@@ -1,4 +1,4 @@
-"""blog: the task of the blog post that this project started from, as PyBullet had it.
+"""blog: run ahead as in the blog post that this project started from, in PyBullet.
 
 1000 control steps of one physics step each, from the same start, rewarded for the way made along
 x. Its action map, observations, rewards and terminations are its own and stand here.

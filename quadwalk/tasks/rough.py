@@ -1,4 +1,4 @@
-"""rough: follow a velocity command over slopes, stairs, rubble and ditches, seeing the ground."""
+"""rough: follow a velocity command over slopes, stairs, rubble and ditches, seeing the terrain."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""sprint: run along world x as fast as possible, in an ideal world: what no robot could."""
+"""sprint: run along world x as fast as possible, without noise or delay (easier)."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""walk: follow a velocity command, at a trot, with what a real robot knows and suffers."""
+"""walk: follow a velocity command at a trot, with a real robot's sensors and disturbances."""
 
 from quadwalk.settings.environment import HOME_RESET, PHYSICS, REAL_WORLD, CommandConfig, EnvConfig
 from quadwalk.settings.terms import Reward

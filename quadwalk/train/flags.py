@@ -8,7 +8,7 @@ from typing import Any
 from quadwalk.cli import parse, value_of
 from quadwalk.errors import UsageError
 from quadwalk.settings.training import TrainConfig
-from quadwalk.task_files import load_task, task_list
+from quadwalk.task_files import load_task, task_list, task_table
 from quadwalk.train.runs.directory import Run, find_run
 from quadwalk.train.runs.resume import resumed_config
 
@@ -22,11 +22,45 @@ class TrainFlags(TrainConfig):
     resume: str | None = None  # name or path of a run to go on with, or "latest"
 
 
-def parse_config(args: Sequence[str], prog: str = "train.py") -> tuple[TrainConfig, Run | None]:
-    """The configuration that a command line asks for, and the run to go on with, if any.
+_HELP = """usage: {prog} [TASK] [--FLAG VALUE ...]
 
-    `UsageError` for one that cannot be.
+Teach a quadruped a task. Results go to runs/NAME/; Ctrl-C saves the policy.
+
+tasks (or the path of a .py file that defines TASK):
+{tasks}
+
+common flags:
+  --name NAME              of the run; the default is date, time and task
+  --steps N                control steps of all environments together
+  --minutes M              stop after M minutes, with the policy saved
+  --seed N                 the same seed on the same machine gives the same numbers
+  --resume NAME            resume a run that was stopped
+  --init NAME              begin with the networks of another run
+  --robot.urdf FILE        train another robot
+  --env.reward.NAME X      scale of a reward term
+  --watch                  show the newest policy live in a page of the browser
+  --help-all               every setting, with the task's defaults
+
+examples:
+  {prog}
+  {prog} walk --name quick --steps 5000000
+  {prog} run --env.reward.energy -0.5 --robot.urdf go1.urdf"""
+
+
+def parse_config(args: Sequence[str], prog: str = "train.py") -> tuple[TrainConfig, Run | None]:
+    """The configuration that a command line asks for, and the run to resume, if any.
+
+    A first argument that is no flag is the task. `UsageError` for a configuration that cannot be.
     """
+    args, named = list(args), ""
+    if args and not args[0].startswith("-"):
+        named, args = args[0], ["--preset", *args]
+        if value_of(args[2:], "--preset") is not None:
+            raise UsageError(f"the task is named twice, as {named!r} and by --preset")
+    if {"-h", "--help"} & set(args):
+        print(_HELP.format(prog=prog, tasks=task_table()))
+        raise SystemExit
+    args = ["--help" if arg == "--help-all" else arg for arg in args]
     # The flags that choose what all others change are looked at first.
     which = value_of(args, "--resume")
     previous = None
@@ -43,7 +77,7 @@ def parse_config(args: Sequence[str], prog: str = "train.py") -> tuple[TrainConf
         try:
             default = load_task(preset)
         except UsageError as error:
-            raise UsageError(f"--preset: {error}") from None
+            raise UsageError(f"{error}" if named else f"--preset: {error}") from None
         start = {"preset": preset}
     shared: dict[str, Any] = {
         f.name: getattr(default, f.name) for f in dataclasses.fields(TrainConfig)

@@ -15,14 +15,14 @@ from rich.console import Console
 from quadwalk.bounds import Port, Settings
 from quadwalk.errors import UserError
 from quadwalk.shell import install
-from quadwalk.train.runs.directory import Run, find_any_run, list_runs
+from quadwalk.train.runs.directory import find_ready
 
 
 @dataclass(frozen=True)
 class ViewConfig(Settings):
     """Drive a trained policy live, in MuJoCo C with every collision shape."""
 
-    # name or path of a run, or "latest"; before any training: walk or run, which are trained
+    # name or path of a run, or "latest"; before any training: drive, which comes trained
     run: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="[RUN]")] = "latest"
     browser: bool = False  # in a page of the browser, even where there is a screen for a window
     host: str = "127.0.0.1"  # address that the page is served at; the default: to this machine only
@@ -32,7 +32,7 @@ class ViewConfig(Settings):
 
 def drive(config: ViewConfig) -> None:
     """Show the run's newest policy live, until it is interrupted or the window closed."""
-    run = find_driven(config.runs, config.run)
+    run = find_ready(config.runs, config.run, "drive")
     console = Console(stderr=True, highlight=False, soft_wrap=True, markup=False, emoji=False)
     missing = no_window()
     in_page = config.browser or missing is not None
@@ -57,12 +57,6 @@ def drive(config: ViewConfig) -> None:
 
                 page = Page(server, run, config.runs)
             page.run_for()
-
-
-def find_driven(root: Path, which: str) -> Run:
-    """As `find_any_run`; the latest is, before any training, a walk that comes with the package."""
-    nothing_yet = which == "latest" and not list_runs(root)
-    return find_any_run(root, "walk" if nothing_yet else which)
 
 
 def no_window() -> str | None:

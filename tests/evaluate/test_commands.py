@@ -15,6 +15,8 @@ from quadwalk.evaluate import command
 from quadwalk.evaluate.command import evaluate_runs
 from quadwalk.evaluate.options import EvalConfig
 from quadwalk.evaluate.recording.provenance import revision
+from quadwalk.paths import PRETRAINED
+from quadwalk.train.runs.directory import Run, find_ready, origin_of
 
 
 @pytest.fixture
@@ -71,8 +73,12 @@ def test_a_run_by_its_path_and_by_its_name_is_one_run(runs):
     assert "are the same run" in said(runs, "first", str(runs / "second" / ".." / "first"))
 
 
-def test_no_run_at_all(tmp_path):
-    assert said(tmp_path / "none") == f"2: no run in {tmp_path / 'none'} yet: train one first"
+def test_before_any_training_the_packaged_policy_is_evaluated(tmp_path):
+    run = find_ready(tmp_path / "none", EvalConfig().run[0], "run")
+    assert run.path == PRETRAINED / "run"
+    said = origin_of(tmp_path / "none", run)
+    assert said == f"{run.path}, which comes trained: no run in {tmp_path / 'none'} yet"
+    assert origin_of(tmp_path, Run(tmp_path / "mine")) == str(tmp_path / "mine")
 
 
 @pytest.mark.parametrize("args", [[], ["--sweep"], ["second"]])

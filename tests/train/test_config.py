@@ -143,7 +143,7 @@ def test_the_scripts_end_a_usage_error_with_status_2_and_one_line(script):
 
 def test_help_lists_the_tasks_and_shows_the_numbers_of_the_one_asked_for():
     done = subprocess.run(
-        [sys.executable, "train.py", "--preset", "walk", "--help"],
+        [sys.executable, "train.py", "--preset", "walk", "--help-all"],
         capture_output=True,
         text=True,
         cwd=ROOT,

@@ -8,18 +8,17 @@ import pytest
 from quadwalk.errors import UsageError
 from quadwalk.evaluate.loaded import load_run
 from quadwalk.paths import PRETRAINED
-from quadwalk.train.runs.directory import Run, find_any_run, results_folder
-from quadwalk.view.drive import find_driven
+from quadwalk.train.runs.directory import Run, find_any_run, find_ready, results_folder
 from quadwalk.view.live import LiveRobot
 
 
 def test_they_are_found_where_there_is_no_other(tmp_path):
-    assert find_driven(tmp_path, "latest").path == PRETRAINED / "walk"
+    assert find_ready(tmp_path, "latest", "walk").path == PRETRAINED / "walk"
     assert find_any_run(tmp_path, "run").path == PRETRAINED / "run"
     (tmp_path / "run").mkdir()
     (tmp_path / "run" / "policy.npz").touch()
     assert find_any_run(tmp_path, "run").path == tmp_path / "run"
-    assert find_driven(tmp_path, "latest").path == tmp_path / "run"
+    assert find_ready(tmp_path, "latest", "walk").path == tmp_path / "run"
     for name in ("fly", "", "..", "../pretrained"):
         with pytest.raises(UsageError):
             find_any_run(tmp_path, name)

@@ -147,6 +147,21 @@ def find_any_run(root: Path | str, which: str) -> Run:
         raise
 
 
+def find_ready(root: Path | str, which: str, packaged: str) -> Run:
+    """As `find_any_run`; before any training "latest" is `packaged`, which comes trained."""
+    nothing_yet = which == "latest" and not list_runs(root)
+    return find_any_run(root, packaged if nothing_yet else which)
+
+
+def origin_of(root: Path | str, run: Run) -> str:
+    """Its path, and that it comes with the package where it does."""
+    if run.path.resolve().parent != PRETRAINED:
+        return str(run.path)
+    return f"{run.path}, which comes trained" + (
+        "" if list_runs(root) else f": no run in {root} yet"
+    )
+
+
 def results_folder(root: Path | str, run: Run) -> Path:
     """Where what is made of a run goes: to it, or into `root` if it comes with the package."""
     if run.path.resolve().parent == PRETRAINED:

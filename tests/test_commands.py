@@ -1,0 +1,92 @@
+"""The command `quadwalk`: what it lists, and how it answers a name that it does not know."""
+
+import json
+
+import pytest
+
+import quadwalk
+from quadwalk.__main__ import command
+from quadwalk.errors import UsageError, UserError
+from quadwalk.task_files import task_names
+from quadwalk.train.flags import parse_config
+from quadwalk.train.runs.directory import claim, create_run
+from quadwalk.view import __main__ as view
+
+
+@pytest.fixture
+def call(monkeypatch, capsys):
+    def call(*arguments: object) -> str:
+        monkeypatch.setattr("sys.argv", ["quadwalk", *map(str, arguments)])
+        command()
+        return capsys.readouterr().out
+
+    return call
+
+
+def test_version_help_and_tasks(call):
+    assert call("--version") == f"quadwalk {quadwalk.__version__}\n"
+    assert call() == call("--help")
+    for name in ("train", "eval", "view", "demo", "runs", "tasks", "terrain", "doctor"):
+        assert f"  {name} " in call("--help")
+    assert [line.split()[0] for line in call("tasks").splitlines()] == sorted(task_names())
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        (["trian"], "no command 'trian'; .*; did you mean 'train'?"),
+        (["train", "wlak"], "^no task 'wlak'; .*; did you mean 'walk'?"),
+        (["train", "walk", "--preset", "run"], "the task is named twice, as 'walk'"),
+        (["runs", "show"], "show: no run is named; expected one or more"),
+        (["runs", "list", "walk"], "list takes no run; 'walk' is named"),
+    ],
+)
+def test_what_is_meant_is_said_in_one_line(call, given, said):
+    with pytest.raises(UsageError, match=said):
+        call(*given)
+
+
+def test_a_task_is_named_by_its_place_or_by_a_flag():
+    assert parse_config(["walk", "--seed", "3"]) == parse_config(["--preset=walk", "--seed", "3"])
+    assert parse_config([])[0].task == "run"
+
+
+def test_help_fits_a_screen(capsys):
+    for flag in ("-h", "--help"):
+        with pytest.raises(SystemExit) as stop:
+            parse_config(["walk", flag])
+        assert not stop.value.code
+        lines = capsys.readouterr().out.splitlines()
+        assert len(lines) < 40
+        assert max(map(len, lines)) <= 100
+        assert all(any(line.startswith(f"  {name} ") for line in lines) for name in task_names())
+
+
+def test_the_demo_drives_a_packaged_policy_in_a_page(call, monkeypatch):
+    driven = []
+    monkeypatch.setattr(view, "drive", driven.append)
+    call("demo", "--port", "8090")
+    assert (driven[0].run, driven[0].browser, driven[0].port) == ("drive", True, 8090)
+
+
+def test_runs_are_listed_shown_and_removed(call, tmp_path):
+    assert call("runs", "--runs", tmp_path) == f"no run in {tmp_path} yet\n"
+    config = json.dumps({"config": {"task": "walk"}}).encode()
+    for name in ("first", "second"):
+        create_run(tmp_path, name, files={"config.json": config})
+    metrics = '{"steps": 1}\n{"steps": 24576, "eval/speed": 1.25, "eval/fall_rate": 0.5}\n'
+    (tmp_path / "first" / "metrics.jsonl").write_text(metrics + '{"steps": 4')
+    rows = call("runs", "--runs", tmp_path).splitlines()
+    (first,) = (row for row in rows if " first " in row)
+    assert [cell.strip() for cell in first.split("│")[1:-2]] == [
+        *("first", "walk", "24,576", "1.25", "50.0"),
+    ]
+    assert json.loads(call("runs", "show", "first", "--runs", tmp_path))["config"]["task"] == "walk"
+    with pytest.raises(UsageError, match="no run 'third'"):
+        call("runs", "remove", "first", "third", "--runs", tmp_path)
+    assert (tmp_path / "first").exists()
+    run = quadwalk.train.runs.directory.Run(tmp_path / "first")
+    with claim(run), pytest.raises(UserError, match="is being trained by another process"):
+        call("runs", "remove", "first", "--runs", tmp_path)
+    assert call("runs", "remove", "first", "--runs", tmp_path) == f"removed {run.path}\n"
+    assert [path.name for path in tmp_path.iterdir()] == ["second"]
