@@ -6,7 +6,7 @@ VENV ?= .venv
 RUN := $(VENV)/bin/python
 PIP := $(RUN) -m pip --disable-pip-version-check --quiet
 
-.PHONY: train demo setup test lint notebooks lock clean
+.PHONY: train demo setup test lint docs notebooks lock clean
 
 train: $(VENV)/.ready  ## train with the defaults
 	$(RUN) train.py
@@ -23,6 +23,11 @@ lint: $(VENV)/.ready-dev  ## formatter, linter, type checker
 	$(RUN) -m ruff format --check .
 	$(RUN) -m ruff check .
 	$(RUN) -m mypy
+
+docs: $(VENV)/.ready-dev  ## the pages as a site, in build/site
+	$(PIP) install -r docs/site/requirements.txt
+	$(RUN) docs/site/settings.py
+	$(RUN) -m mkdocs build --quiet
 
 notebooks: $(VENV)/.ready-dev  ## run the notebooks and keep what they show
 	$(RUN) notebooks/execute.py

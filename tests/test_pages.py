@@ -1,5 +1,6 @@
 """Pages that people read: links that lead somewhere, numbers and lengths by the house's rules."""
 
+import importlib.util
 import re
 from pathlib import Path
 
@@ -34,6 +35,20 @@ def test_numbers_have_their_zero_and_lines_end(page):
     assert not re.findall(r"(?:^|[ (~±|])-?\.\d+", text, re.MULTILINE)
     long = [line for line in text.splitlines() if len(line) > 125 and not line.startswith("|")]
     assert not long
+
+
+def test_the_page_of_settings_is_what_the_source_says():
+    spec = importlib.util.spec_from_file_location("settings", ROOT / "docs/site/settings.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    expected = "expected the output of: python docs/site/settings.py"
+    assert module.PAGE.read_text() == module.page(), expected
+    assert "|  |" not in module.page()  # a setting without a word
+
+
+def test_every_page_is_on_the_site():
+    named = set(re.findall(r"(\w+\.md)", (ROOT / "mkdocs.yml").read_text()))
+    assert named == {page.name for page in (ROOT / "docs").glob("*.md")}
 
 
 def test_the_readme_is_short():

@@ -33,10 +33,10 @@ class GroundConfig(Settings, group="env.ground"):
     border: Annotated[float, Bounds(0.0, unit="m")]  # m, level ground around all tiles
     cell: Annotated[float, Bounds(0.005, 1.0, unit="m")]  # m between heights
     seed: Natural  # of all that is random; evaluation uses those from 1 000 000 on
-    step: Metres | None  # m, height of stairs at difficulty 1; None: .3 of a leg
-    tread: Metres | None  # m, depth of stairs; None: .6 of a leg
-    block: Metres | None  # m, height of blocks and logs at difficulty 1; None: .3 of a leg
-    roughness: Metres | None  # m, at difficulty 1 up and down; None: .16 of a leg
+    step: Metres | None  # m, height of stairs at difficulty 1; None: 0.3 of a leg
+    tread: Metres | None  # m, depth of stairs; None: 0.6 of a leg
+    block: Metres | None  # m, height of blocks and logs at difficulty 1; None: 0.3 of a leg
+    roughness: Metres | None  # m, at difficulty 1 up and down; None: 0.16 of a leg
     file: Path | None  # heights: a grey PNG, or an .npy file in m; in place of all tiles
     white: Metres  # m, height of white in a PNG; black is 0
     # while training, an environment's level follows how it gets on; otherwise all are drawn alike
