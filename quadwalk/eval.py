@@ -14,7 +14,8 @@ def main(args: Sequence[str] | None = None, prog: str = "eval.py") -> None:
     if config.live:
         from quadwalk.view.drive import ViewConfig, drive
 
-        drive(ViewConfig(config.run[0], config.browser, config.host, config.port, config.runs))
+        own = {name: getattr(config, name) for name in ("browser", "host", "port", "runs")}
+        drive(ViewConfig(config.run[0], **own))
     else:
         from quadwalk.evaluate.command import evaluate_runs
 

@@ -2,6 +2,8 @@
 
 from pathlib import Path
 
+import numpy as np
+
 from quadwalk.errors import UserError
 from quadwalk.evaluate.loaded import LoadedRun, load_run
 from quadwalk.files import real_path
@@ -49,6 +51,18 @@ def open_run(run: Run, label: str) -> LoadedRun:
         return loaded
     policy = read_policy(file, loaded.env.quadruped.joints)
     return LoadedRun(run, file, policy, loaded.env, checkpoint.sha256(file))
+
+
+def getup_of(loaded: LoadedRun, getup: Run | None) -> LoadedRun | None:
+    """The policy of `getup` for the robot of `loaded`; None where it is of another robot."""
+    if getup is None or loaded.run.path == getup.path:
+        return None
+    found = open_run(getup, NEWEST)
+    one, other = loaded.env.quadruped, found.env.quadruped
+    same = one.joints == other.joints and np.array_equal(
+        loaded.env.mj_model.body_mass, found.env.mj_model.body_mass
+    )
+    return found if same else None
 
 
 def read_policy(file: Path, joints: tuple[str, ...]) -> Policy:

@@ -14,8 +14,9 @@ from rich.console import Console
 
 from quadwalk.bounds import Port, Settings
 from quadwalk.errors import UserError
+from quadwalk.paths import PRETRAINED
 from quadwalk.shell import install
-from quadwalk.train.runs.directory import find_ready
+from quadwalk.train.runs.directory import Run, find_any_run, find_ready
 
 
 @dataclass(frozen=True)
@@ -24,6 +25,9 @@ class ViewConfig(Settings):
 
     # name or path of a run, or "latest"; before any training: drive, which comes trained
     run: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="[RUN]")] = "latest"
+    # name or path of a run that gets the robot up where it has fallen; None: getup, which comes
+    # trained, where the robot is of its kind
+    getup: str | None = None
     browser: bool = False  # in a page of the browser, even where there is a screen for a window
     host: str = "127.0.0.1"  # address that the page is served at; the default: to this machine only
     port: Port = 8080  # of the page; if it is taken, the next that is free
@@ -33,6 +37,7 @@ class ViewConfig(Settings):
 def drive(config: ViewConfig) -> None:
     """Show the run's newest policy live, until it is interrupted or the window closed."""
     run = find_ready(config.runs, config.run, "drive")
+    getup = find_getup(config)
     console = Console(stderr=True, highlight=False, soft_wrap=True, markup=False, emoji=False)
     missing = no_window()
     in_page = config.browser or missing is not None
@@ -44,7 +49,7 @@ def drive(config: ViewConfig) -> None:
             _prepare_jax()
             from quadwalk.view.window import drive_in_window
 
-            drive_in_window(run, console)
+            drive_in_window(run, console, getup)
             return
         from quadwalk.view.server import serving, url_of
 
@@ -55,8 +60,16 @@ def drive(config: ViewConfig) -> None:
                 _prepare_jax()
                 from quadwalk.view.page import Page  # what it needs takes seconds
 
-                page = Page(server, run, config.runs)
+                page = Page(server, run, config.runs, getup=getup)
             page.run_for()
+
+
+def find_getup(config: ViewConfig) -> Run | None:
+    """The run that gets a fallen robot up; None where none is named and none comes trained."""
+    if config.getup is not None:
+        return find_any_run(config.runs, config.getup)
+    packaged = Run(PRETRAINED / "getup")
+    return packaged if packaged.policy.exists() else None
 
 
 def no_window() -> str | None:

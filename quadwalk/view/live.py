@@ -22,9 +22,13 @@ from quadwalk.task.episode.command import Command
 from quadwalk.task.episode.conditions import Conditions, delayed, targets_needed
 from quadwalk.task.episode.reset import nominal_start
 from quadwalk.task.state import EnvState
+from quadwalk.train.runs.policy import Policy as TrainedPolicy
 
 MAX_LATENCY = 0.06  # s, that joint targets can be late
-LYING = 2.0  # s on the ground after which a robot that fell stands up anew
+LYING = 2.0  # s on the ground after which a robot that fell is put on its feet
+RISING = 10.0  # s that a policy has to get up before it is put on its feet
+STEADY = 0.5  # s that it must stand before it drives on
+_STANDS = 0.85, math.radians(18)  # of the home height, at least; from upright, at most
 _TIPPED = 1.0  # rad from upright; from there and beyond it lies
 _LOW = 0.4  # of the standing height; lower than that it lies
 _DIVERGED = (
@@ -63,18 +67,38 @@ class Settings:
         )
 
 
+class _Mind:
+    """A policy with its task, and what it remembers of earlier control steps."""
+
+    def __init__(self, loaded: LoadedRun) -> None:
+        self.env, self.policy = loaded.env, loaded.policy
+        self.think = _compiled(self.env)
+        self._no_frames = _empty_frames(self.env)
+        self.begin()
+
+    def begin(self) -> None:
+        """Forget what was before."""
+        env = self.env
+        self.steps = 0
+        self.action: Any = np.zeros(12, np.float32)
+        self.frames: Any = self._no_frames
+        kept = targets_needed(math.ceil(MAX_LATENCY / env.stepping.dt), env.stepping.substeps)
+        self.targets: Any = np.tile(np.float32(env.robot.home_joints), (kept, 1))
+
+
 class LiveRobot:
     """One robot with its policy, in MuJoCo C with every collision shape.
 
     `command` (3,) is the velocity command: forward and lateral velocity in the frame of the
     heading, m/s, the latter to the left, and yaw rate, rad/s. All else is read from `data`,
     `foot_force` (4,) N, and the properties. `loaded` is a run loaded for the engine "mujoco". On
-    ground that is not flat, `tile` is the index of the terrain's tile that it starts on.
+    ground that is not flat, `tile` is the index of the terrain's tile that it starts on. Where it
+    has fallen the policy of `getup`, a run of the same robot, gets it up.
     """
 
-    def __init__(self, loaded: LoadedRun, seed: int = 0) -> None:
+    def __init__(self, loaded: LoadedRun, seed: int = 0, getup: LoadedRun | None = None) -> None:
         self.env = loaded.env
-        self.policy = loaded.policy
+        self._driver, self._riser = _Mind(loaded), None if getup is None else _Mind(getup)
         self.name = loaded.run.name
         self.settings = Settings(friction=self.env.friction)
         self.command = np.zeros(3)
@@ -83,8 +107,6 @@ class LiveRobot:
         self.model, self._motor = self._base, self.env.motor
         self.data = mujoco.MjData(self._base)
         self._key = np.array([0, seed], np.uint32)
-        self._no_frames = _empty_frames(self.env)
-        self._think = _compiled(self.env)
         self._first_pose = nominal_start(self._base, self.env.quadruped, self.env.config.reset)
         self._feet = geom_ids(self._base, self.env.quadruped.feet)
         self.tile = 0
@@ -100,12 +122,27 @@ class LiveRobot:
             mujoco.mj_kinematics(self.model, data)
             data.qpos[2] += self._ground(data.geom_xpos[list(self._feet[1:]), :2]).max()
         mujoco.mj_forward(self.model, data)
-        self.steps, self._fallen = 0, 0
+        self.steps, self._fallen, self._standing = 0, 0, 0
         self.foot_force = np.zeros(4)
-        self._action: Any = np.zeros(12, np.float32)
-        self._frames: Any = self._no_frames
-        kept = targets_needed(math.ceil(MAX_LATENCY / env.stepping.dt), env.stepping.substeps)
-        self._targets: Any = np.tile(np.float32(env.robot.home_joints), (kept, 1))
+        self._take_over(self._driver)
+
+    def _take_over(self, mind: _Mind) -> None:
+        self._mind = mind
+        mind.begin()
+
+    @property
+    def policy(self) -> TrainedPolicy:
+        """The policy that drives."""
+        return self._driver.policy
+
+    @policy.setter
+    def policy(self, policy: TrainedPolicy) -> None:
+        self._driver.policy = policy
+
+    @property
+    def rising(self) -> bool:
+        """Whether it is getting up."""
+        return self._mind is self._riser
 
     def change(self, **settings: float) -> None:
         """Change some of `settings`, with effect from the next step on."""
@@ -118,24 +155,36 @@ class LiveRobot:
         """Change the trunk's velocity in an instant, m/s along its heading and to its left."""
         self.data.qvel[:2] += turned((forward, left), self.heading)
 
+    def throw(self) -> None:
+        """A push that throws it over."""
+        self.push(0.0, 2.5)
+        self.data.qvel[3] -= 9.0  # rad/s
+
     def step(self) -> None:
-        """One control step. A robot that fell stands up anew after `LYING` seconds."""
-        data = self.data
-        thought = jax.device_get(self._think(self.policy.act, self.state()))
-        self._frames, self._targets, self._action, obeyed = thought
+        """One control step. A robot that fell gets up, or is put on its feet after `LYING` s."""
+        data, mind = self.data, self._mind
+        thought = jax.device_get(mind.think(mind.policy.act, self.state()))
+        mind.frames, mind.targets, mind.action, obeyed = thought
         physics = Physics(data.qpos.copy(), data.qvel.copy(), None)  # type: ignore[arg-type]
         control_step(
             self._motor, self.env.stepping, physics, np.asarray(obeyed, float), self._advance
         )
         self.foot_force = foot_forces(self.model, data, self._feet)
         self.steps += 1
+        mind.steps += 1
         diverged = np.abs(data.qvel).max() > MAX_SPEED or any(
             data.warning[kind].number
             for kind in _DIVERGED  # MuJoCo has begun anew, elsewhere
         )
-        self._fallen = self._fallen + 1 if self.fell else 0
-        if diverged or self._fallen * self.env.stepping.control_dt > LYING:
+        dt = self.env.stepping.control_dt
+        self._fallen = self._fallen + 1 if self.fell or self.rising else 0
+        self._standing = self._standing + 1 if self._stands else 0
+        if diverged or self._fallen * dt > (RISING if self._riser else LYING):
             self.reset()
+        elif self._riser and self.fell and not self.rising:
+            self._take_over(self._riser)
+        elif self.rising and self._standing * dt > STEADY:
+            self._take_over(self._driver)
 
     @property
     def time(self) -> float:
@@ -164,6 +213,12 @@ class LiveRobot:
         """Whether it lies on the ground, tipped over or with its trunk low."""
         low = self.height < _LOW * self.env.robot.home_height
         return bool(self._up[2] < math.cos(_TIPPED) or low)
+
+    @property
+    def _stands(self) -> bool:
+        high, upright = _STANDS
+        up = self._up[2] > math.cos(upright)
+        return bool(up and self.height > high * self.env.robot.home_height)
 
     @property
     def _up(self) -> np.ndarray:
@@ -196,19 +251,20 @@ class LiveRobot:
             noise=_number(settings.noise),
             encoder=nothing[:12],
             tilt=nothing[:3],
-            targets=self._targets,
+            targets=self._mind.targets,
             key=key,
         )
-        commanded = self.env.config.command.given
+        mind = self._mind
+        commanded = mind.env.config.command.given
         return EnvState(
             physics=Physics(_number(data.qpos), _number(data.qvel), nothing),
-            last_action=self._action,
-            steps=_number(self.steps, np.int32),
+            last_action=mind.action,
+            steps=_number(mind.steps, np.int32),
             command=Command(_number(self.command), key) if commanded else None,
             conditions=conditions,
-            frames=self._frames,
+            frames=mind.frames,
             contact=_number(self.foot_force > 0.0, bool),
-            tile=None if self.env.terrain is None else _number(self.tile, np.int32),
+            tile=None if mind.env.terrain is None else _number(self.tile, np.int32),
         )
 
 

@@ -14,6 +14,7 @@ from quadwalk.train.runs.directory import Run, written
 from quadwalk.view.choices import (
     NEWEST,
     choose_policy,
+    getup_of,
     label_of,
     open_run,
     policy_choices,
@@ -37,9 +38,18 @@ class Page:
     """
 
     def __init__(
-        self, server: viser.ViserServer, run: Run, root: Path, label: str = NEWEST
+        self,
+        server: viser.ViserServer,
+        run: Run,
+        root: Path,
+        label: str = NEWEST,
+        getup: Run | None = None,
     ) -> None:
-        """`root` holds the other runs to choose from; `label` names one of the run's policies."""
+        """`root` holds the other runs to choose from; `label` names one of the run's policies.
+
+        `getup` gets up robots of its kind that have fallen.
+        """
+        self._getup = getup
         self._server, self._root, self._chosen = server, root, run
         self._asked: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self.playing = True
@@ -70,7 +80,7 @@ class Page:
         loaded = open_run(run, label)
         self.run, self.label, self.file = run, label, loaded.file
         self._loaded = written(loaded.file)
-        self.live = LiveRobot(loaded)
+        self.live = LiveRobot(loaded, getup=getup_of(loaded, self._getup))
         # The step is compiled meanwhile.
         ready = threading.Thread(target=self.live.step)
         ready.start()
@@ -118,6 +128,7 @@ class Page:
             command=command,
             settings=lambda: self.live.change(**self.panel.settings()),
             push=lambda forward, left: self.live.push(forward, left),
+            throw=lambda: self.live.throw(),
             play=play,
             speed=speed,
             reset=reset,
@@ -160,13 +171,13 @@ class Page:
                 self._tell(str(error))
 
     def status(self) -> str:
-        """What the page says above all: who runs how fast, and whether time is kept."""
+        """What the page says first: policy, speed, and whether real time is kept."""
         live, pace = self.live, self.pace
         name = _verbatim(self.run.name)
         lines = [
             f"**{name}**, {self.label}, {live.policy.steps:,} steps of training",
             f"{live.time:.1f} s, {live.velocity[0]:.2f} m/s"
-            + (", **fallen**" if live.fell else ""),
+            + (", **getting up**" if live.rising else ", **fallen**" if live.fell else ""),
         ]
         if not self.playing:
             lines.append("paused")

@@ -13,8 +13,8 @@ from quadwalk.view.live import MAX_LATENCY, LiveRobot, Settings
 from quadwalk.view.traces import Traces
 
 SPEEDS = {"1": 1.0, "1/2": 0.5, "1/4": 0.25, "1/10": 0.1}
-_KEYS = (("W", "S"), ("A", "D"), ("Q", "E"))  # more and less of each number of a command
-_COMMAND = ("forward, m/s (W S)", "to the left, m/s (A D)", "turn left, rad/s (Q E)")
+_KEYS = (("W", "S"), ("Q", "E"), ("A", "D"))  # more and less of each number of a command
+_COMMAND = ("forward, m/s (W S)", "to the left, m/s (Q E)", "turn left, rad/s (A D)")
 # viser's keys for its camera are the same: it listens a floor above where its commands listen.
 _KEEP_CAMERA = """<img src="data:," hidden onerror="
   const keys = ['KeyW', 'KeyA', 'KeyS', 'KeyD', 'KeyQ', 'KeyE'];
@@ -36,6 +36,7 @@ class Actions:
     command: Callable[[], None]  # the sliders of the command have moved
     settings: Callable[[], None]  # those of robot, floor and sensors have
     push: Callable[[float, float], None]  # by m/s, ahead and to the left
+    throw: Callable[[], None]  # over
     play: Callable[[], None]  # play or pause
     speed: Callable[[float], None]
     reset: Callable[[], None]
@@ -114,7 +115,7 @@ class Panel:
                 else self._gui.add_slider(label, low, max(high, low + 0.01), 0.01, low)
                 for label, (low, high) in zip(_COMMAND, ranges, strict=True)
             ]
-            stop = self._gui.add_button("Stop (X)")
+            stop = self._gui.add_button("Stop (space)")
         for slider in sliders:
             self._when(slider.on_update, lambda _: actions.command())
         self._when(stop.on_click, lambda _: self._set_command(sliders, [0.0, 0.0, 0.0]))
@@ -136,6 +137,9 @@ class Panel:
 
         self._when(buttons.on_click, push)
         self._push = push
+        with self._gui.add_folder("Fall"):
+            over = self._gui.add_button("Throw over (T)")
+        self._when(over.on_click, lambda _: actions.throw())
 
     def _add_ground(self, live: LiveRobot, actions: Actions) -> None:
         """What to start on, where there is a choice: kinds of ground and their difficulties."""
@@ -219,21 +223,27 @@ class Panel:
                 name = _COMMAND[index].partition(",")[0]
                 label = f"{name}: {'more' if sign > 0 else 'less'}"
                 self._key(label, key, partial(change, index, sign))
-        self._key("play or pause", "space", actions.play)
+        self._key("play or pause", "K", actions.play)
+        self._key("throw over", "T", actions.throw)
         self._key("reset", "R", actions.reset)
         self._key("push to the left", "P", lambda: self._push("left"))
         if self.command:
-            self._key("stop", "X", lambda: self._set_command(self.command, [0.0, 0.0, 0.0]))
+            self._key("stop", "space", lambda: self._set_command(self.command, [0.0, 0.0, 0.0]))
+            self._key("gallop", "W", self._gallop, "shift")
+
+    def _gallop(self) -> None:
+        """Straight ahead, as fast as the command goes."""
+        self._set_command(self.command, [self.command[0].max, 0.0, 0.0])
 
     def _when(self, register: Callable[..., Any], action: Callable[[Any], None]) -> None:
         """Have `action` called with the value of a control that `register` listens to."""
         register(lambda event: self._ask(partial(action, event.target.value)))
 
-    def _key(self, label: str, key: Any, action: Callable[[], None]) -> None:
+    def _key(self, label: str, key: Any, action: Callable[[], None], modifier: Any = None) -> None:
         async def pressed(_: Any) -> None:  # in the server's own thread: in the order of the keys
             self._ask(action)
 
-        self._gui.add_command(label, hotkey=key).on_trigger(pressed)
+        self._gui.add_command(label, hotkey=key, modifier=modifier).on_trigger(pressed)
 
 
 def _line(label: str, color: str) -> uplot.Series:

@@ -12,6 +12,7 @@ from rich.console import Console
 from quadwalk.errors import UserError
 from quadwalk.evaluate.loaded import load_run
 from quadwalk.train.runs.directory import Run
+from quadwalk.view.choices import getup_of
 from quadwalk.view.live import LiveRobot
 from quadwalk.view.pace import Pace
 from quadwalk.view.traces import Traces, velocity_arrows
@@ -25,10 +26,10 @@ _WIDTH = 0.012  # m, of an arrow
 # GLFW's numbers of keys, for MuJoCo's window has meanings of its own for letters: which number of
 # the command, and which way. Up and down, left and right, PageUp and PageDown.
 _COMMANDS = {265: (0, 1), 264: (0, -1), 263: (2, 1), 262: (2, -1), 266: (1, 1), 267: (1, -1)}
-_SPACE, _ENTER, _HOME, _END = 32, 257, 268, 269
+_SPACE, _ENTER, _DELETE, _HOME, _END = 32, 257, 261, 268, 269
 _HELP = (
     "arrows: faster, slower, left, right; PageUp, PageDown: sideways; End: stop; Space: pause; "
-    "Home: reset; Enter: push"
+    "Home: reset; Enter: push; Delete: throw over"
 )
 
 
@@ -63,11 +64,17 @@ class Keys:
                 live.reset()
             elif key == _ENTER:
                 live.push(0.0, _PUSH)
+            elif key == _DELETE:
+                live.throw()
 
 
-def drive_in_window(run: Run, console: Console) -> None:
-    """Drive the newest policy of `run` with keys, until the window is closed."""
-    live = LiveRobot(load_run(run, 3600.0, "last", "mujoco"))
+def drive_in_window(run: Run, console: Console, getup: Run | None = None) -> None:
+    """Drive the newest policy of `run` with keys, until the window is closed.
+
+    The policy of `getup` gets it up where it has fallen.
+    """
+    loaded = load_run(run, 3600.0, "last", "mujoco")
+    live = LiveRobot(loaded, getup=getup_of(loaded, getup))
     live.step()  # it is compiled now, not when time goes
     live.reset()
     keys, dt = Keys(live), live.env.stepping.control_dt
@@ -131,5 +138,7 @@ def _connect(scene: mujoco.MjvScene, kind: int, start: Any, end: Any, color: Any
 def _said(live: LiveRobot, pace: Pace) -> str:
     kept = "" if pace.kept else f", not in real time: {pace.reached:.2f}"
     forward, left, turning = live.command
-    told = f", told {forward:.2f} {left:.2f} {turning:.2f}" if live.env.config.command.given else ""
-    return f"{live.velocity[0]:.2f} m/s{told}{kept}"
+    command = (
+        f", command {forward:.2f} {left:.2f} {turning:.2f}" if live.env.config.command.given else ""
+    )
+    return f"{live.velocity[0]:.2f} m/s{command}{kept}"

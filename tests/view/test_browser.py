@@ -81,7 +81,7 @@ def test_keys_move_the_command_and_not_the_camera(page, browser):
     before = np.array(client.camera.position)
     for _ in range(4):
         browser.press("W")
-    browser.press("Q")
+    browser.press("A")
     assert wait(lambda: np.allclose(page.live.command, [0.6, 0.0, 0.1]))
     # The slider shows what the key did.
     shown = "[...document.querySelectorAll('input')].map(x => x.value)"
@@ -94,19 +94,19 @@ def test_the_robot_moves_and_the_picture_with_it(page, browser):
     """It is pushed, and held where it is then."""
     browser.press("R")
     assert wait(lambda: page.live.time < 1.0)
-    browser.press(" ")
+    browser.press("K")
     assert wait(lambda: "paused" in browser.text())
     place, still = page.live.data.qpos.copy(), scene(browser)
     assert np.abs(scene(browser) - still).mean() < 0.5
     browser.press("P")
-    browser.press(" ")
+    browser.press("K")
     assert wait(lambda: np.abs(page.live.data.qpos[:2] - place[:2]).max() > 0.05)
-    browser.press(" ")
+    browser.press("K")
     assert wait(lambda: "paused" in browser.text())
     moved = scene(browser)
     assert np.abs(moved - still).mean() > 1.0
     assert moved.std() > 5.0  # it is no blank
-    browser.press(" ")
+    browser.press("K")
 
 
 def screenshot(browser: Browser) -> np.ndarray:
@@ -125,7 +125,7 @@ def scene(browser: Browser) -> np.ndarray:
 def test_take_the_picture_of_the_readme(page, browser):
     """It walks, turns, is pushed and goes on: 4 s, as they look where a graphics card draws."""
     browser.resize(1120, 700)
-    browser.press("X")
+    browser.press(" ")
     time.sleep(2.0)
     for _ in range(8):
         browser.press("W")
@@ -139,7 +139,7 @@ def test_take_the_picture_of_the_readme(page, browser):
             browser.press("P")
         if number == 30:
             for _ in range(4):
-                browser.press("Q")
+                browser.press("A")
         now += 1.0 / _FPS
         time.sleep(0.4)  # its steps are made, and the page has them
         pictures.append(screenshot(browser))

@@ -11,8 +11,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from quadwalk.task.env import QuadrupedEnv
 from quadwalk.task.state import EnvState
-from quadwalk.view.live import LYING
+from quadwalk.tasks import getup
+from quadwalk.train.runs.directory import Run
+from quadwalk.view.choices import NEWEST, getup_of, open_run
+from quadwalk.view.live import LYING, RISING, STEADY, LiveRobot
+from tests.view.conftest import write_run
 
 
 @pytest.mark.parametrize("which", ["live", "hare", "goat"])
@@ -180,3 +185,57 @@ def test_what_diverged_begins_anew(fresh):
 def test_the_settings_are_of_the_names_that_the_panel_uses(fresh):
     names = [field.name for field in dataclasses.fields(fresh.settings)]
     assert names == ["friction", "payload", "strength", "latency", "noise"]
+
+
+@pytest.fixture(scope="module")
+def rising(runs, quadruped):
+    """A robot with a policy to get up, which has learnt nothing."""
+    run = write_run(runs.parent, "getup", quadruped, {"policy.npz": 8}, getup.TASK)
+    loaded = open_run(Run(runs / "dog"), NEWEST)
+    return LiveRobot(loaded, getup=getup_of(loaded, run))
+
+
+def test_what_has_fallen_gets_up_and_then_drives_on(rising):
+    dt = rising.env.stepping.control_dt
+    assert not rising.rising
+    rising.throw()
+    for _ in range(round(3.0 / dt)):
+        rising.step()
+        if rising.rising:
+            break
+    assert rising.rising
+    assert rising.fell
+    # Once it stands it is the other policy's turn, with no memory of the fall.
+    home = rising.env.robot.home
+    for count in range(1 + round(STEADY / dt)):
+        assert rising.rising, count
+        rising.data.qpos[2:7], rising.data.qpos[7:] = home[2:7], home[7:]
+        rising.data.qvel[:] = 0.0
+        rising.step()
+    assert not rising.rising
+    assert rising.state().steps == 0
+    assert not rising.state().last_action.any()
+
+
+def test_it_is_put_on_its_feet_where_it_does_not_get_up(rising):
+    rising.reset()
+    rising.data.qpos[3:7] = 0.0, 1.0, 0.0, 0.0  # on its back
+    for _ in range(round((RISING + 0.5) / rising.env.stepping.control_dt)):
+        rising.data.qpos[3:7], rising.data.qvel[:] = (0.0, 1.0, 0.0, 0.0), 0.0
+        before = rising.steps
+        rising.step()
+        if rising.steps < before:
+            break
+    assert rising.steps == 0
+    assert not rising.rising
+
+
+def test_another_robot_has_no_use_for_it(runs):
+    loaded = open_run(Run(runs / "dog"), NEWEST)
+    assert getup_of(loaded, None) is None
+    assert getup_of(loaded, loaded.run) is None
+    heavier = QuadrupedEnv(loaded.env.quadruped, loaded.env.config)
+    heavier.mj_model.body_mass[1] += 1.0
+    other = dataclasses.replace(loaded, env=heavier)
+    assert getup_of(loaded, Run(runs / "cat")) is not None
+    assert getup_of(other, Run(runs / "cat")) is None
