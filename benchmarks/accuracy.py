@@ -50,7 +50,7 @@ def print_accuracy() -> None:
     import jax.numpy as jnp
 
     from quadwalk.physics.fast import lowest_points
-    from quadwalk.physics.motor import Physics
+    from quadwalk.physics.motor import PhysicsState
     from quadwalk.robot.quadruped import load_quadruped
     from quadwalk.task.env import QuadrupedEnv
     from quadwalk.tasks.sprint import TASK
@@ -80,7 +80,7 @@ def print_accuracy() -> None:
         stepped = QuadrupedEnv(quadruped, changed, engine)
         step_in = functools.partial(ENGINES[engine].control_step, stepped.model, stepped.stepping)
 
-        def step(state: Physics, target: jax.Array) -> tuple[Physics, jax.Array]:
+        def step(state: PhysicsState, target: jax.Array) -> tuple[PhysicsState, jax.Array]:
             after, _ = step_in(state, target)
             soles, _ = lowest_points(env.model, after.qpos)
             return after, jnp.concatenate([after.qpos[:3], after.qvel[:3], soles[:, 2]])

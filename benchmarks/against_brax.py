@@ -81,9 +81,9 @@ def _plot(steps: "np.ndarray", ours: "np.ndarray", brax: "np.ndarray", path: str
     figure = Figure(figsize=(9, 3.5), layout="constrained")
     axes = figure.subplots(1, 2)
     for k, (ax, label) in enumerate(zip(axes, ("reward per step", "speed, m/s"), strict=True)):
-        for name, curves, colour in (("ours", ours, "C0"), ("Brax ppo.train", brax, "C1")):
-            ax.plot(steps / 1e6, curves[..., k].T, color=colour, alpha=0.3, linewidth=1)
-            ax.plot(steps / 1e6, curves[..., k].mean(0), color=colour, label=name)
+        for name, curves, color in (("ours", ours, "C0"), ("Brax ppo.train", brax, "C1")):
+            ax.plot(steps / 1e6, curves[..., k].T, color=color, alpha=0.3, linewidth=1)
+            ax.plot(steps / 1e6, curves[..., k].mean(0), color=color, label=name)
         ax.set(xlabel="million control steps", ylabel=label)
         ax.grid(alpha=0.3)
     axes[0].legend()

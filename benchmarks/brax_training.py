@@ -24,7 +24,7 @@ from quadwalk.settings.training import PPOConfig
 from quadwalk.train import ppo
 from quadwalk.train.networks import Networks, TanhNormal, make_networks, mean_policy
 
-Params = tuple[Any, Any, Any]  # normaliser, policy, value
+Params = tuple[Any, Any, Any]  # normalizer, policy, value
 
 
 class _JaxForBrax:
@@ -99,9 +99,9 @@ def brax_arguments(config: PPOConfig, envs: int) -> dict[str, Any]:
         "desired_kl": config.desired_kl,
         "discounting": config.discount,
         "gae_lambda": config.gae_lambda,
-        "clipping_epsilon": config.clip,
+        "clipping_epsilon": config.clip_epsilon,
         "entropy_cost": config.entropy,
-        "vf_loss_coefficient": config.value,
+        "vf_loss_coefficient": config.value_coef,
         "max_grad_norm": config.max_grad_norm,
         "reward_scaling": config.reward_scale,
         "normalize_observations": True,
@@ -155,7 +155,7 @@ def train_with_ours(
 
 
 def params_of(learner: ppo.Learner) -> Params:
-    """A learner's normaliser, policy and value parameters, on the host."""
+    """A learner's normalizer, policy and value parameters, on the host."""
     return jax.device_get((learner.normalizer, learner.params.policy, learner.params.value))
 
 

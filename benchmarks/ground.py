@@ -37,7 +37,7 @@ def print_costs(envs: int, steps: int, rounds: int) -> None:
     from quadwalk.physics.batching import robots_last
     from quadwalk.physics.fast import acceleration, integrate, make_model
     from quadwalk.physics.model import Model, on_ground
-    from quadwalk.physics.motor import MotorConfig, Physics, make_motor
+    from quadwalk.physics.motor import MotorConfig, PhysicsState, make_motor
     from quadwalk.robot.quadruped import load_quadruped
     from quadwalk.train.ppo import AXIS, make_mesh
 
@@ -54,8 +54,8 @@ def print_costs(envs: int, steps: int, rounds: int) -> None:
     mesh = make_mesh()
 
     def program(model: Model, qpos: np.ndarray):
-        def of_many(model: Model, state: Physics, torques: jax.Array) -> jax.Array:
-            def step(state: Physics, torque: jax.Array) -> tuple[Physics, None]:
+        def of_many(model: Model, state: PhysicsState, torques: jax.Array) -> jax.Array:
+            def step(state: PhysicsState, torque: jax.Array) -> tuple[PhysicsState, None]:
                 return integrate(state, acceleration(model, state, torque, 2, 3), 0.004), None
 
             return jax.lax.scan(step, state, torques)[0].qpos
@@ -65,7 +65,7 @@ def print_costs(envs: int, steps: int, rounds: int) -> None:
         mapped = jax.shard_map(
             function, mesh=mesh, in_specs=split, out_specs=split, check_vma=False
         )
-        state = Physics(*(jnp.asarray(x, jnp.float32) for x in (qpos, qvel, 0 * qvel)))
+        state = PhysicsState(*(jnp.asarray(x, jnp.float32) for x in (qpos, qvel, 0 * qvel)))
         compiled = jax.jit(mapped)
         given = (state, jnp.asarray(torques, jnp.float32))
 

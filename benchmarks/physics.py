@@ -55,7 +55,7 @@ def print_rates(
     from quadwalk.physics.fast import acceleration, integrate
     from quadwalk.physics.mjx import mjx
     from quadwalk.physics.model import Model
-    from quadwalk.physics.motor import Physics
+    from quadwalk.physics.motor import PhysicsState
     from quadwalk.robot.quadruped import load_quadruped
     from quadwalk.task.env import QuadrupedEnv
     from quadwalk.tasks.sprint import TASK
@@ -71,8 +71,8 @@ def print_rates(
     mjx_model = mjx.put_model(env.mj_model)
 
     def in_fast(iterations: int = env.stepping.iterations, model: Model = env.model):
-        def of_many(model: Model, state: Physics, torques: jax.Array) -> jax.Array:
-            def step(state: Physics, torque: jax.Array) -> tuple[Physics, None]:
+        def of_many(model: Model, state: PhysicsState, torques: jax.Array) -> jax.Array:
+            def step(state: PhysicsState, torque: jax.Array) -> tuple[PhysicsState, None]:
                 searched = env.stepping.line_search
                 found = acceleration(model, state, torque, iterations, searched)
                 return integrate(state, found, env.stepping.dt), None
@@ -82,13 +82,13 @@ def print_rates(
         like = jax.ShapeDtypeStruct((19,), np.float32)
         return lambda *arguments: robots_last(of_many, like)(model, *arguments)
 
-    def in_mjx(state: Physics, torques: jax.Array) -> jax.Array:
+    def in_mjx(state: PhysicsState, torques: jax.Array) -> jax.Array:
         blank = mjx.make_data(mjx_model)
 
-        def step(state: Physics, torque: jax.Array) -> tuple[Physics, None]:
+        def step(state: PhysicsState, torque: jax.Array) -> tuple[PhysicsState, None]:
             data = blank.replace(qpos=state.qpos, qvel=state.qvel, qacc_warmstart=state.warmstart)
             data = mjx.step(mjx_model, data.replace(ctrl=torque))
-            return Physics(data.qpos, data.qvel, data.qacc_warmstart), None
+            return PhysicsState(data.qpos, data.qvel, data.qacc_warmstart), None
 
         return jax.lax.scan(step, state, torques)[0].qpos
 

@@ -138,7 +138,7 @@ class Pinocchio:
             g, drift = self.velocity_map(data.qpos, data.qvel)
             v = g @ data.qvel
             pin.framesForwardKinematics(self.model, self.data, q)
-            centre = pin.centerOfMass(self.model, self.data, q)
+            center = pin.centerOfMass(self.model, self.data, q)
             upper = np.triu(pin.crba(self.model, self.data, q))
             full = upper + np.triu(upper, 1).T
             bias = g.T @ (pin.nonLinearEffects(self.model, self.data, q, v) + full @ drift)
@@ -148,7 +148,7 @@ class Pinocchio:
             mine = mj.body_mass[moving]
             found = {
                 "mass": (mine.sum(), total) if self.floating else (0.0, 0.0),
-                "centre of mass": (mine @ data.xipos[moving] / mine.sum(), centre),
+                "center of mass": (mine @ data.xipos[moving] / mine.sum(), center),
                 "mass matrix": (mass_matrix, g.T @ full @ g),
                 "bias forces": (data.qfrc_bias, bias),
                 "inverse dynamics": (torque, inverse),

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from quadwalk.paths import PRETRAINED
-from quadwalk.settings.serialise import to_dict
+from quadwalk.settings.serialize import to_dict
 from quadwalk.settings.training import RobotConfig
 from quadwalk.train.flags import parse_config
 from quadwalk.train.loop import train

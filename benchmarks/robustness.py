@@ -12,8 +12,8 @@ import argparse
 import shutil
 from pathlib import Path
 
-from quadwalk.evaluate.command import evaluate_runs
 from quadwalk.evaluate.options import EvalConfig
+from quadwalk.evaluate.session import evaluate_runs
 from quadwalk.tasks.run import TASK
 from quadwalk.train.flags import parse_config
 from quadwalk.train.loop import train

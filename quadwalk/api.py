@@ -8,7 +8,7 @@ from quadwalk.errors import UsageError
 from quadwalk.evaluate.evaluation import Evaluation, measure
 from quadwalk.evaluate.loaded import load_run
 from quadwalk.evaluate.report.console import print_comparison
-from quadwalk.settings.serialise import with_settings
+from quadwalk.settings.serialize import with_settings
 from quadwalk.settings.training import TrainConfig
 from quadwalk.task.env import QuadrupedEnv
 from quadwalk.task_files import load_task
@@ -76,9 +76,9 @@ def train(
         config = _config(task or "run", robot, changes)
     else:
         if task is not None or robot is not None:
-            raise UsageError("resume goes on with the task and robot of its run: give neither")
+            raise UsageError("resume uses the task and robot of its run; expected neither")
         if "init" in changes:
-            raise UsageError("resume goes on with its run's own networks: give no init")
+            raise UsageError("resume uses its run's own networks; expected no init")
         previous = _run(resume, runs)
         config = with_settings(resumed_config(previous), changes)
     run = loop.train(config, previous, watch)
@@ -94,7 +94,7 @@ def evaluate(
     engine: Literal["mjx", "mujoco", "fast"] = "mjx",
     seed: int = 0,
     policy: Literal["last", "best"] = "last",
-    randomised: bool = False,
+    randomized: bool = False,
     runs: str | Path | None = None,
 ) -> Evaluation:
     """Roll a run's policy out from fresh starts, without noise, and measure its episodes.
@@ -106,7 +106,7 @@ def evaluate(
         engine: MJX, or MuJoCo C with every shape colliding ("mujoco"), or the one trained in.
         seed: of the starts and the ground; the same seed gives the same episodes.
         policy: the run's last, or that of its best checkpoint.
-        randomised: each episode under conditions drawn as in training.
+        randomized: each episode under conditions drawn as in training.
         runs: the folder of all runs, "runs" unless another is given.
     """
     if engine not in ("mjx", "mujoco", "fast"):
@@ -117,7 +117,7 @@ def evaluate(
         raise UsageError(f"episodes is {episodes} and seconds {seconds}; expected more than 0")
     found = _run(run, runs)
     set_up_devices()
-    return measure(load_run(found, seconds, policy, engine, randomised, seed), episodes, seed)
+    return measure(load_run(found, seconds, policy, engine, randomized, seed), episodes, seed)
 
 
 def compare(results: Mapping[str, Evaluation]) -> "Figure":

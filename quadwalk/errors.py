@@ -22,7 +22,7 @@ class UsageError(UserError):
 
 
 def line_in(file: str, error: BaseException) -> int | None:
-    """The line of `file` that an error came from; None if it cannot be told."""
+    """The line of `file` that an error came from; None if it is unknown."""
     if isinstance(error, SyntaxError) and error.filename == file:
         return error.lineno
     frames = traceback.extract_tb(error.__traceback__)

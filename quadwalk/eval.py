@@ -12,11 +12,11 @@ def main(args: Sequence[str] | None = None, prog: str = "eval.py") -> None:
     config = parse(EvalConfig, sys.argv[1:] if args is None else args, prog)
     # Either takes seconds to import.
     if config.live:
-        from quadwalk.view.drive import ViewConfig, drive
+        from quadwalk.view.show import ViewConfig, drive
 
         own = {name: getattr(config, name) for name in ("browser", "host", "port", "runs")}
         drive(ViewConfig(config.run[0], **own))
     else:
-        from quadwalk.evaluate.command import evaluate_runs
+        from quadwalk.evaluate.session import evaluate_runs
 
         evaluate_runs(config)

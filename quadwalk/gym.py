@@ -34,7 +34,7 @@ from quadwalk.api import make
 from quadwalk.errors import UsageError
 from quadwalk.settings.training import TrainConfig
 from quadwalk.task.env import QuadrupedEnv
-from quadwalk.task.state import chosen
+from quadwalk.task.state import tree_where
 from quadwalk.task_files import task_names
 
 
@@ -136,7 +136,7 @@ class QuadrupedGymVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         return np.array(seen), np.array(reward), done & ~truncated, truncated, infos
 
     def _final(self, seen: np.ndarray, end: np.ndarray, done: np.ndarray) -> dict[str, Any]:
-        """What Gymnasium wants to be told of the episodes that ended."""
+        """Gymnasium's statistics of the episodes that ended."""
         last = np.full(self.num_envs, None, object)
         for index in np.flatnonzero(done):
             last[index] = seen[index]
@@ -152,7 +152,7 @@ class QuadrupedGymVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
 def _programs(env: QuadrupedEnv, num_envs: int) -> tuple[Any, Any, Any]:
     """Compiled programs of all environments, on as many devices as share them evenly.
 
-    They start episodes, step them, and put fresh starts in the place of those that ended.
+    They start episodes, step them, and replace those that ended by fresh starts.
     """
     size = env.policy_size
 
@@ -166,7 +166,7 @@ def _programs(env: QuadrupedEnv, num_envs: int) -> tuple[Any, Any, Any]:
         return after, after.obs[:, :size], after.reward, after.info["end"]
 
     def renew(env: QuadrupedEnv, done: Any, fresh: Any, old: Any) -> Any:
-        state, keys = chosen(done, fresh, old)
+        state, keys = tree_where(done, fresh, old)
         return state, keys, state.obs[:, :size]
 
     count = max(n for n in range(1, len(jax.devices()) + 1) if num_envs % n == 0)

@@ -95,7 +95,7 @@ def _refused(error: OSError) -> int:
 
 
 class _Stderr(io.FileIO):
-    """Standard error: that it takes no text is no reason to end what is told on it."""
+    """Standard error, where a failed write does not end the process."""
 
     def write(self, data: Any) -> int:
         with contextlib.suppress(OSError):

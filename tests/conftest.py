@@ -6,7 +6,7 @@ from pathlib import Path
 
 # Before JAX is imported, which sets it otherwise: XLA's messages would fill the output.
 os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
-# Tests compile much and compute little: twice as fast without most of the compiler's optimisations.
+# Tests compile much and compute little: twice as fast without most of the compiler's optimizations.
 # Programs that tests start inherit this; tests/test_end_to_end.py trains once with all of them.
 os.environ.setdefault("JAX_DISABLE_MOST_OPTIMIZATIONS", "1")
 

@@ -19,7 +19,7 @@ from quadwalk.ground.__main__ import main as ground
 from quadwalk.paths import ALIENGO_URDF
 from quadwalk.robot.__main__ import main as robot
 from quadwalk.robot.quadruped import Quadruped
-from quadwalk.settings.serialise import flatten, with_settings
+from quadwalk.settings.serialize import flatten, with_settings
 from quadwalk.settings.training import RobotConfig
 from quadwalk.task_files import load_task, task_names
 from quadwalk.train.flags import parse_config
@@ -39,7 +39,7 @@ from quadwalk.train.runs.resume import resumed_config
 from quadwalk.variants.__main__ import main as compare
 from quadwalk.variants.arguments import CompareConfig
 from quadwalk.view.choices import policy_choices
-from quadwalk.view.drive import ViewConfig
+from quadwalk.view.show import ViewConfig
 from tests.view.conftest import write_run
 
 WORDS = (

@@ -24,7 +24,7 @@ def wheel(tmp_path_factory) -> Path:
     return built
 
 
-def test_the_wheel_carries_package_assets_and_licences(wheel):
+def test_the_wheel_carries_package_assets_and_licenses(wheel):
     with zipfile.ZipFile(wheel) as archive:
         names = set(archive.namelist())
         assets = ROOT / "assets"

@@ -34,7 +34,7 @@ def test_the_file_of_an_earlier_run_finds_settings_where_they_were(tmp_path):
     (tmp_path / OWN).write_text(
         "from quadwalk.task.config import REAL_WORLD\nfrom quadwalk.task.terms import Reward\n"
         "from quadwalk.train.settings import TrainConfig\nfrom quadwalk.tasks.run import TASK\n"
-        "assert isinstance(TASK, TrainConfig) and TASK.env.randomisation is REAL_WORLD\n"
+        "assert isinstance(TASK, TrainConfig) and TASK.env.randomization is REAL_WORLD\n"
         "assert all(isinstance(term, Reward) for term in TASK.env.reward.values())\n"
     )
     assert load_task(tmp_path / OWN).task == "run"

@@ -25,7 +25,7 @@ GROUPS = (
     MotorConfig,
     environment.ResetConfig,
     environment.CommandConfig,
-    environment.RandomisationConfig,
+    environment.RandomizationConfig,
     GroundConfig,
 )
 HEAD = """# Settings

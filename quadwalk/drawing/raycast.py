@@ -1,4 +1,4 @@
-"""Pictures without a GL library: MuJoCo's ray caster, and colours for what its rays meet.
+"""Pictures without a GL library: MuJoCo's ray caster, and colors for what its rays meet.
 
 It shows what `mjr_render` shows of geoms, but opaque and unmirrored, and no sites, tendons, skins.
 """
@@ -28,19 +28,19 @@ class RayPainter:
         """(height, width, 3) uint8 of a scene that `mjv_updateScene` has made from `data`."""
         width, height = self._size
         grid = np.stack(np.meshgrid(np.arange(width), np.arange(height)), axis=-1)
-        colour, labels, normals = self._look(data, scene, grid + 0.5)
+        color, labels, normals = self._look(data, scene, grid + 0.5)
         rows, columns = np.nonzero(_edges(labels, normals))
         if len(rows):
             steps = (np.arange(_FINER) + 0.5) / _FINER
             finer = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
-            colours, *_ = self._look(data, scene, grid[rows, columns][:, None] + finer)
-            colour[rows, columns] = colours.mean(axis=1)
-        return np.round(255 * colour).astype(np.uint8)
+            colors, *_ = self._look(data, scene, grid[rows, columns][:, None] + finer)
+            color[rows, columns] = colors.mean(axis=1)
+        return np.round(255 * color).astype(np.uint8)
 
     def _look(
         self, data: mujoco.MjData, scene: mujoco.MjvScene, places: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """What is at `places` (a, b, 2), pixels from the upper left corner: colours (a, b, 3) in
+        """What is at `places` (a, b, 2), pixels from the upper left corner: colors (a, b, 3) in
         0 .. 1, labels (a, b) that tell geoms and their shadows apart, normals (a, b, 3).
         """
         camera = mujoco.mjv_averageCamera(*scene.camera)
@@ -51,12 +51,12 @@ class RayPainter:
             for index, light in enumerate(scene.lights[: scene.nlight])
             if light.castshadow
         }
-        colour = self._shader.colour(data, scene, hits, lit, pixel)
+        color = self._shader.color(data, scene, hits, lit, pixel)
         label = hits.geom.astype(int)
         for reached in lit.values():
             label = 2 * label + reached
         shape = places.shape[:2]
-        return colour.reshape(*shape, 3), label.reshape(shape), hits.normal.reshape(*shape, 3)
+        return color.reshape(*shape, 3), label.reshape(shape), hits.normal.reshape(*shape, 3)
 
     def _cast(
         self, data: mujoco.MjData, origin: np.ndarray, ray: np.ndarray
@@ -80,12 +80,12 @@ class RayPainter:
             return np.ones(len(hits.geom), bool)
         size, place = self._model.geom_rbound[solid, None], data.geom_xpos[solid]
         low, high = (place - size).min(axis=0), (place + size).max(axis=0)
-        centre, radius = (low + high) / 2, np.linalg.norm(high - low) / 2
-        offset = hits.point - centre
+        center, radius = (low + high) / 2, np.linalg.norm(high - low) / 2
+        offset = hits.point - center
         across = np.einsum("ij,ij->i", offset, offset) - (offset @ direction) ** 2
         reached = hits.normal @ light.dir < 0
         asked = np.flatnonzero(reached & (across < radius**2))
-        source = centre - _SUN * direction
+        source = center - _SUN * direction
         way = hits.point[asked] - source
         length = np.linalg.norm(way, axis=1)
         _, first, _ = self._cast(data, source, way / length[:, None])

@@ -1,4 +1,4 @@
-"""Colours of what rays meet: MuJoCo's materials, textures, lights, sky and haze.
+"""Colors of what rays meet: MuJoCo's materials, textures, lights, sky and haze.
 
 The formulas are those of OpenGL's fixed pipeline as MuJoCo's renderer uses it (its
 `src/render/classic`), so that a picture looks the same drawn with and without a GL library.
@@ -42,7 +42,7 @@ class Hits:
 
 
 class Texture:
-    """A picture and all its halvings, so that what is far away shows its mean colours.
+    """A picture and all its halvings, so that what is far away shows its mean colors.
 
     Args:
         pixels: (height, width, 3) uint8.
@@ -58,7 +58,7 @@ class Texture:
         self._texels = np.concatenate(texels)
 
     def sample(self, at: np.ndarray, width: np.ndarray) -> np.ndarray:
-        """Colours (n, 3) in 0 .. 1 at `at` (n, 2), x and y from 0 to 1 and then repeated.
+        """Colors (n, 3) in 0 .. 1 at `at` (n, 2), x and y from 0 to 1 and then repeated.
 
         `width` (n,), in the same unit, is how much of the picture each stands for.
         """
@@ -69,7 +69,7 @@ class Texture:
         return (1 - share) * self._blend(at, level) + share * self._blend(at, level + 1)
 
     def _blend(self, at: np.ndarray, level: np.ndarray) -> np.ndarray:
-        """Colours (n, 3) of the four texels about each place, in the halving `level` (n,)."""
+        """Colors (n, 3) of the four texels about each place, in the halving `level` (n,)."""
         size = self._sizes[level]
         place = at * size - np.float32(0.5)
         first = np.floor(place).astype(np.int32)
@@ -86,7 +86,7 @@ class Texture:
 
 
 class Shader:
-    """Colours what rays meet of one model."""
+    """Colors what rays meet of one model."""
 
     def __init__(self, model: mujoco.MjModel) -> None:
         self._model = model
@@ -101,7 +101,7 @@ class Shader:
         skies = np.flatnonzero(model.tex_type == mujoco.mjtTexture.mjTEXTURE_SKYBOX)
         self._sky = _pixels(model, skies[0]) if len(skies) else np.zeros((6, 1, 3))
 
-    def colour(
+    def color(
         self,
         data: mujoco.MjData,
         scene: mujoco.MjvScene,
@@ -109,28 +109,28 @@ class Shader:
         lit: dict[int, np.ndarray],
         pixel: float,
     ) -> np.ndarray:
-        """Colours (n, 3) in 0 .. 1.
+        """Colors (n, 3) in 0 .. 1.
 
         Args:
             data: has the poses of the geoms.
             scene: has their materials and the lights, of which the directional ones are used.
-            hits: what is to be coloured.
+            hits: what is to be colored.
             lit: by index of each light that casts shadows, whether it reaches each hit, (n,) bool.
             pixel: its width, m at 1 m from the eye.
         """
-        colour = self._lighting(scene, hits, lit)
+        color = self._lighting(scene, hits, lit)
         for index, texture in self._textures.items():
             on = np.flatnonzero((self._texture_of[hits.geom] == index) & (hits.geom >= 0))
-            colour[on] *= texture.sample(*self._texture_places(data, hits, on, pixel))
+            color[on] *= texture.sample(*self._texture_places(data, hits, on, pixel))
         sky = np.flatnonzero(hits.geom < 0)
-        colour[sky] = self._sky_colour(hits.ray[sky])
-        self._add_haze(data, scene, hits, colour)
-        return np.clip(colour, 0.0, 1.0)
+        color[sky] = self._sky_color(hits.ray[sky])
+        self._add_haze(data, scene, hits, color)
+        return np.clip(color, 0.0, 1.0)
 
     def _lighting(
         self, scene: mujoco.MjvScene, hits: Hits, lit: dict[int, np.ndarray]
     ) -> np.ndarray:
-        """Colours (n, 3) without textures."""
+        """Colors (n, 3) without textures."""
         # One more than there are geoms, for index -1.
         rgb, shine = np.zeros((2, self._model.ngeom + 1, 3), np.float32)
         for geom in scene.geoms[: scene.ngeom]:
@@ -167,8 +167,8 @@ class Shader:
         width = pixel * hits.distance[on] / np.sqrt(np.maximum(slant, 1e-9))
         return local * scale * (1, -1) - 0.5, width * scale.max(axis=1)
 
-    def _sky_colour(self, ray: np.ndarray) -> np.ndarray:
-        """Colours (n, 3) of the sky in the directions `ray` (n, 3)."""
+    def _sky_color(self, ray: np.ndarray) -> np.ndarray:
+        """Colors (n, 3) of the sky in the directions `ray` (n, 3)."""
         # Its y points up.
         cube, rows = np.stack([ray[:, 0], ray[:, 2], -ray[:, 1]], axis=1), np.arange(len(ray))
         axis = np.abs(cube).argmax(axis=1)
@@ -184,12 +184,12 @@ class Shader:
         return self._sky[side * face + texel(_DOWN), texel(_ACROSS)] / 255
 
     def _add_haze(
-        self, data: mujoco.MjData, scene: mujoco.MjvScene, hits: Hits, colour: np.ndarray
+        self, data: mujoco.MjData, scene: mujoco.MjvScene, hits: Hits, color: np.ndarray
     ) -> None:
         """Let an endless floor fade into the horizon, in place.
 
         A cone about the eye, from the floor far away up to the height of the eye, has the haze's
-        colour, more and more of it up to a height and then less; the sky is behind that.
+        color, more and more of it up to a height and then less; the sky is behind that.
         """
         model = self._model
         endless = (model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE) & ~model.geom_size[:, :2].any(1)
@@ -204,8 +204,8 @@ class Shader:
             peak = max(span / (1 + span), mujoco.mjMINVAL)
             share = np.where(height < peak, height / peak, (1 - height) / (1 - peak))[:, None]
             beyond = height >= peak
-            colour[on[beyond]] = self._sky_colour(hits.ray[on[beyond]])
-            colour[on] = (1 - share) * colour[on] + share * model.vis.rgba.haze[:3]
+            color[on[beyond]] = self._sky_color(hits.ray[on[beyond]])
+            color[on] = (1 - share) * color[on] + share * model.vis.rgba.haze[:3]
 
 
 def _pixels(model: mujoco.MjModel, texture: int) -> np.ndarray:

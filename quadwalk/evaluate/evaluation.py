@@ -15,9 +15,9 @@ from quadwalk.evaluate.recording.mcap import write_mcap
 from quadwalk.evaluate.recording.provenance import attachments, provenance
 from quadwalk.evaluate.rollout import Rollout
 from quadwalk.evaluate.simulate import GROUP, Report, simulate_episodes
-from quadwalk.evaluate.summary import episode_figures, summarise, typical_episode
-from quadwalk.settings.serialise import to_dict
-from quadwalk.task.episode.conditions import as_values
+from quadwalk.evaluate.summary import episode_figures, summarize, typical_episode
+from quadwalk.settings.serialize import to_dict
+from quadwalk.task.episode.randomization import as_values
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -36,7 +36,7 @@ class Evaluation:
     @cached_property
     def summary(self) -> dict[str, Any]:
         """Of each figure the mean over the episodes, its uncertainty, median and worst."""
-        return summarise(self.episodes)
+        return summarize(self.episodes)
 
     @cached_property
     def typical(self) -> Rollout:

@@ -158,7 +158,7 @@ def _evaluation(loaded: LoadedRun, config: EvalConfig, console: Console) -> Eval
 
 
 def _write_pictures(found: Evaluation, config: EvalConfig, out: Path) -> list[str]:
-    """Write the report, the film strip and the video that is asked for; the names of the files."""
+    """Write the report, the film strip and the video, if any; the names of the files."""
     quadruped = found.loaded.env.quadruped
     save_figure(found.report(), out / "report.png")
     save_png(draw_film_strip(found.typical, quadruped), out / "film_strip.png")

@@ -9,10 +9,10 @@ from quadwalk.files import read_bytes
 from quadwalk.ground.terrain import FLAT, GroundConfig
 from quadwalk.physics.engines import EngineName
 from quadwalk.settings.environment import (
-    NO_RANDOMISATION,
+    NO_RANDOMIZATION,
     REAL_WORLD,
     EnvConfig,
-    RandomisationConfig,
+    RandomizationConfig,
 )
 from quadwalk.task.env import QuadrupedEnv
 from quadwalk.train.robot import load_robot
@@ -39,10 +39,10 @@ class LoadedRun:
         return dataclasses.replace(self, env=self.env.in_engine(engine))
 
 
-def training_ranges(config: EnvConfig) -> RandomisationConfig:
-    """The ranges of a task's domain randomisation; `REAL_WORLD` where training had none."""
-    own = config.randomisation
-    return REAL_WORLD if own == NO_RANDOMISATION else own
+def training_ranges(config: EnvConfig) -> RandomizationConfig:
+    """The ranges of a task's domain randomization; `REAL_WORLD` where training had none."""
+    own = config.randomization
+    return REAL_WORLD if own == NO_RANDOMIZATION else own
 
 
 def unseen_ground(trained: GroundConfig, seed: int, levels: int = 3) -> GroundConfig:
@@ -63,13 +63,13 @@ def load_run(
     seconds: float,
     which: str = "last",
     engine: EngineName = "mjx",
-    randomised: bool = False,
+    randomized: bool = False,
     seed: int = 0,
     flat: bool = False,
 ) -> LoadedRun:
     """Load the "last" or "best" policy of `run` for episodes of up to `seconds` in `engine`.
 
-    Without `randomised` the robot is that of its model and nothing disturbs it. With it, each
+    Without `randomized` the robot is that of its model and nothing disturbs it. With it, each
     episode draws conditions from the `training_ranges`, with a push in each `PUSH_SECONDS`,
     whatever training had, so that runs compare. A velocity command holds for a whole episode, so
     that the episode has one gait. Uneven ground is `unseen_ground` of `seed`, or, if `flat`, a
@@ -83,13 +83,13 @@ def load_run(
     trained = policy.config.env
     command = dataclasses.replace(trained.command, seconds=seconds, soonest=None)
     ranges = dataclasses.replace(
-        training_ranges(trained), enabled=randomised, push_seconds=PUSH_SECONDS, margin=0.0
+        training_ranges(trained), enabled=randomized, push_seconds=PUSH_SECONDS, margin=0.0
     )
     config = dataclasses.replace(
         trained,
         episode_seconds=seconds,
         command=command,
-        randomisation=ranges,
+        randomization=ranges,
         ground=FLAT if flat else unseen_ground(trained.ground, seed),
     )
     env = QuadrupedEnv(quadruped, config, engine)

@@ -36,7 +36,7 @@ class EvalConfig(Settings):
     engine: Engine = "mjx"
     # each episode under conditions drawn as in training: friction, loads, motors, delays, noise,
     # pushes; otherwise the robot is as its model says and nothing disturbs it
-    randomised: bool = False
+    randomized: bool = False
     policy: Literal["last", "best"] = "last"  # the run's last, or that of its best checkpoint
     seed: Seed = 0  # of the starts and the ground; the same seed gives the same episodes
     # where the ground is uneven: episodes of each kind at each difficulty, for the table and the

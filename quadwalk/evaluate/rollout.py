@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from quadwalk.task.episode.conditions import Conditions
+    from quadwalk.task.episode.randomization import EpisodeRandomization
 
 
 @dataclass(frozen=True)
@@ -39,9 +39,9 @@ class Rollout:
     # (T, 4) the floor's push along its normal, N; None until `with_foot_forces` adds it
     foot_force: np.ndarray | None = None
     # the episode's, of NumPy arrays; None in an ideal world, as are the next two
-    conditions: "Conditions | None" = None
+    conditions: "EpisodeRandomization | None" = None
     # (T, 12) the joint position targets that the motors obeyed at the end of the step, rad
-    obeyed: np.ndarray | None = None
+    applied_target: np.ndarray | None = None
     # (T, m) what the first m numbers of `observation` would be without delay, noise and offsets
     truth: np.ndarray | None = None
 

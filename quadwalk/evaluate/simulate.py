@@ -18,7 +18,7 @@ from brax.envs.base import State
 
 from quadwalk.evaluate.rollout import Rollout
 from quadwalk.task.env import QuadrupedEnv
-from quadwalk.task.state import EnvState, chosen
+from quadwalk.task.state import EnvState, tree_where
 
 # Observations (..., n) to actions (..., 12); a pytree (`jax.tree_util.Partial`), so that it can be
 # an argument of what is compiled: once for all policies of one shape.
@@ -65,7 +65,7 @@ def roll_out(
         own: State = over_devices(env, _rows(starts, which))
         return own
 
-    renew = jax.jit(chosen)
+    renew = jax.jit(tree_where)
     count, longest = len(starts.obs), env.config.episode_steps
     rows = np.arange(room or count)  # the number of the episode in each; `count` and more: none
     following = iter(range(len(rows), count))
@@ -133,7 +133,7 @@ def simulate_episodes(
     only: int | None = None,
     starts: State | None = None,
 ) -> Iterator[Rollout]:
-    """Record `policy` from `episodes` starts, until each falls or meets the time limit.
+    """Record `policy` from `episodes` starts, until each ends.
 
     `starts` (episodes, ...) are by default the fresh ones of `seed`.
 
@@ -188,6 +188,6 @@ def _recorded(env: QuadrupedEnv, before: State, action: jax.Array, after: State)
             if name.startswith("reward/")
         },
         "command": None if begun.command is None else begun.command.velocity,
-        "obeyed": None if ideal else jax.vmap(env.obeyed)(begun, action),
+        "applied_target": None if ideal else jax.vmap(env.applied_target)(begun, action),
         "truth": None if ideal else jax.vmap(env.truth)(begun),
     }

@@ -27,7 +27,7 @@ class Figure(NamedTuple):
     name: str  # in metrics.json
     heading: str  # in tables
     unit: str
-    worst: Callable[[np.ndarray], float] = np.min  # of several episodes' the least favourable
+    worst: Callable[[np.ndarray], float] = np.min  # of several episodes' the least favorable
 
 
 FIGURES = (
@@ -40,7 +40,7 @@ FIGURES = (
     Figure("path_speed", "speed along path", "m/s"),
     Figure("path", "path length", "m"),
     Figure("duration", "episode length", "s"),
-    Figure("energy_per_metre", "energy per metre", "J/m", np.max),
+    Figure("energy_per_meter", "energy per meter", "J/m", np.max),
     Figure("cost_of_transport", "cost of transport", "", np.max),
     Figure("power", "mean mechanical power", "W", np.max),
     Figure("peak_power", "peak mechanical power", "W", np.max),
@@ -56,8 +56,8 @@ def episode_figures(
 ) -> dict[str, Any]:
     """Figures of one episode of a robot of so many N and motors of `effort` (12,) Nm, for JSON.
 
-    speed, distance, lateral_drift, duration, energy_per_metre: as in `Course`; heading_error: mean
-    |yaw|, deg; cost_of_transport: energy per metre over weight; power, peak_power: positive
+    speed, distance, lateral_drift, duration, energy_per_meter: as in `Course`; heading_error: mean
+    |yaw|, deg; cost_of_transport: energy per meter over weight; power, peak_power: positive
     mechanical power of all motors, W, mean and highest of a control step; torque_limit: % of steps
     in which a motor was at its limit; action_rate: root mean square of the actions' rate, which are
     in [-1, 1], 1/s; reward/NAME: mean per step of a scaled term. With velocity commands there are,
@@ -92,8 +92,8 @@ def episode_figures(
         "fell": rollout.fell,
         **figures,
         "duration": course.duration,
-        "energy_per_metre": number(course.energy_per_metre),
-        "cost_of_transport": number(course.energy_per_metre / weight),
+        "energy_per_meter": number(course.energy_per_meter),
+        "cost_of_transport": number(course.energy_per_meter / weight),
         "power": float(rollout.energy.mean() / rollout.control_dt),
         "peak_power": float(rollout.energy.max() / rollout.control_dt),
         "torque_limit": float(100.0 * np.any(loaded >= AT_LIMIT, axis=1).mean()),
@@ -106,11 +106,11 @@ def episode_figures(
     }
 
 
-def summarise(episodes: Sequence[dict[str, Any]]) -> dict[str, Any]:
+def summarize(episodes: Sequence[dict[str, Any]]) -> dict[str, Any]:
     """Over all episodes: falls, and of each figure mean, median, worst and the mean's uncertainty.
 
     `ci95` is half the width of the 95 % confidence interval of the mean, `fall_rate_ci95` the ends
-    of that of the share of falls. `worst` is the least favourable episode's: the highest of
+    of that of the share of falls. `worst` is the least favorable episode's: the highest of
     figures that are better low, the lowest of the others.
     """
     falls = sum(episode["fell"] for episode in episodes)

@@ -1,7 +1,7 @@
 """Robustness: success and speed as one condition after another departs from training.
 
 All points of all sweeps are one batch, and so one compilation. What each of them does to an episode
-stands in `quadwalk.task.episode.conditions`.
+stands in `quadwalk.task.episode.randomization`.
 """
 
 import dataclasses
@@ -19,10 +19,10 @@ from quadwalk.evaluate.loaded import LoadedRun, training_ranges
 from quadwalk.evaluate.motion.course import WINDOW, heading_velocity, tracking_errors
 from quadwalk.evaluate.motion.kinematics import roll_pitch_yaw
 from quadwalk.evaluate.simulate import Report, fresh_starts
-from quadwalk.settings.environment import NO_RANDOMISATION
+from quadwalk.settings.environment import NO_RANDOMIZATION
 from quadwalk.task.env import QuadrupedEnv
-from quadwalk.task.episode.conditions import (
-    Conditions,
+from quadwalk.task.episode.randomization import (
+    EpisodeRandomization,
     draw_conditions,
     latest_drawn,
     possible,
@@ -33,11 +33,11 @@ from quadwalk.task.episode.conditions import (
 
 @dataclass(frozen=True)
 class Point:
-    """Conditions of episodes: the robot's model, but for the fields that differ from it."""
+    """Conditions of episodes; a field without a value is as in the robot's model."""
 
     friction: float | None = None  # sliding friction of feet and floor; None: the model's
     mass: float = 0.0  # kg, added to the trunk
-    centre: float = 0.0  # m, by which the trunk's centre of mass is further ahead
+    center: float = 0.0  # m, by which the trunk's center of mass is further ahead
     strength: float = 100.0  # % of the motors' torque
     kp: float = 100.0  # % of the position gain
     kd: float = 100.0  # % of the velocity gain
@@ -47,7 +47,7 @@ class Point:
     encoder: float = 0.0  # rad, offset of each joint angle's measurement, to either side
     push: float = 0.0  # m/s, sideways, to either side
     push_ahead: float = 0.0  # m/s, forth or back
-    everything: float = 0.0  # scale of the training randomisation; 1: as in training
+    everything: float = 0.0  # scale of the training randomization; 1: as in training
 
 
 # field of Point -> heading, unit, values
@@ -55,7 +55,7 @@ SWEEPS: dict[str, tuple[str, str, tuple[float, ...]]] = {
     "everything": ("everything at once", "x training", (0.0, 0.5, 1.0, 1.5)),
     "friction": ("friction", "", (0.2, 0.3, 0.4, 0.5, 0.6, 0.8, 1.0, 1.25)),
     "mass": ("added trunk mass", "kg", (-2.0, -1.0, 0.0, 1.0, 2.0, 3.0, 4.0, 5.0)),
-    "centre": ("centre of mass ahead", "m", (-0.06, -0.03, 0.0, 0.03, 0.06)),
+    "center": ("center of mass ahead", "m", (-0.06, -0.03, 0.0, 0.03, 0.06)),
     "strength": ("motor strength", "%", (80.0, 85.0, 90.0, 95.0, 100.0, 105.0, 110.0)),
     "kp": ("position gain", "%", (80.0, 90.0, 100.0, 110.0, 120.0)),
     "kd": ("velocity gain", "%", (80.0, 90.0, 100.0, 110.0, 120.0)),
@@ -162,10 +162,12 @@ def starts_at(env: QuadrupedEnv, points: list[Point], episodes: int, seed: int) 
     return jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), states)
 
 
-def conditions_at(env: QuadrupedEnv, point: Point, key: jax.Array, kept: int) -> Conditions:
+def conditions_at(
+    env: QuadrupedEnv, point: Point, key: jax.Array, kept: int
+) -> EpisodeRandomization:
     """The conditions of one episode at `point`, whose numbers may be traced."""
     robot, stepping = env.robot, env.stepping
-    ideal = dataclasses.replace(NO_RANDOMISATION, sensor_latency=(0.0, 0.0))
+    ideal = dataclasses.replace(NO_RANDOMIZATION, sensor_latency=(0.0, 0.0))
     base = draw_conditions(ideal, robot, stepping, key, env.friction)
     drawn = draw_conditions(training_ranges(env.config), robot, stepping, key, env.friction)
     drawn = drawn._replace(
@@ -184,7 +186,7 @@ def conditions_at(env: QuadrupedEnv, point: Point, key: jax.Array, kept: int) ->
     variation = usual._replace(
         friction=usual.friction - env.friction + point.friction,
         trunk_mass=jnp.maximum(usual.trunk_mass + point.mass, lightest),
-        trunk_centre=usual.trunk_centre + jnp.array([1.0, 0.0, 0.0]) * point.centre,
+        trunk_center=usual.trunk_center + jnp.array([1.0, 0.0, 0.0]) * point.center,
         strength=usual.strength * point.strength / 100.0,
         kp=usual.kp * point.kp / 100.0,
         kd=usual.kd * point.kd / 100.0,

@@ -1,4 +1,4 @@
-"""A policy as an ONNX graph: normaliser, network and action map, from `obs` to joint targets.
+"""A policy as an ONNX graph: normalizer, network and action map, from `obs` to joint targets.
 
 The input is laid out as Isaac Lab, mjlab and unitree_rl_lab do: one part of the observation after
 another, each with its history from the oldest step to the newest. The graph puts it in the order
@@ -40,7 +40,7 @@ ACTIVATIONS = {
 
 @dataclass(frozen=True)
 class Weights:
-    """What a policy learnt: its normaliser and its layers."""
+    """What a policy learnt: its normalizer and its layers."""
 
     mean: np.ndarray  # (n,)
     std: np.ndarray  # (n,) of what varied, else 1

@@ -46,7 +46,7 @@ class Heightfield:
         return h[i, j] * (1 - first) + third * (first - last) + h[i + 1, j + 1] * last
 
 
-def centred(heights: np.ndarray, cell: float) -> Heightfield:
+def centered(heights: np.ndarray, cell: float) -> Heightfield:
     """A field with the middle of the grid at x = y = 0."""
     rows, columns = heights.shape
     origin = (-0.5 * (columns - 1) * cell, -0.5 * (rows - 1) * cell)
@@ -54,13 +54,13 @@ def centred(heights: np.ndarray, cell: float) -> Heightfield:
 
 
 def read_heights(path: Path, white: float) -> np.ndarray:
-    """Heights (rows, columns), m, of an .npy file of numbers in m or of a grey PNG.
+    """Heights (rows, columns), m, of an .npy file of numbers in m or of a gray PNG.
 
     In a picture black is 0 and white is `white` m; its top is the greatest y. Raises `UserError`
     that names the file and what is expected.
     """
     path = Path(path)
-    expected = "a grey PNG, or an .npy file of a two-dimensional array of heights in m"
+    expected = "a gray PNG, or an .npy file of a two-dimensional array of heights in m"
     if path.suffix not in (".png", ".npy"):
         raise UserError(f"the terrain {path} is of no known kind; expected {expected}")
     try:
@@ -88,8 +88,8 @@ def read_heights(path: Path, white: float) -> np.ndarray:
 def _read_picture(path: Path, white: float) -> np.ndarray:
     with Image.open(path, formats=["PNG"]) as picture:
         # Without a palette: its numbers are no heights.
-        grey = picture if picture.mode in _DEPTHS else picture.convert("L")
-        return white * np.asarray(grey, np.float64)[::-1] / _DEPTHS[grey.mode]
+        gray = picture if picture.mode in _DEPTHS else picture.convert("L")
+        return white * np.asarray(gray, np.float64)[::-1] / _DEPTHS[gray.mode]
 
 
 def lay(spec: mujoco.MjSpec, field: Heightfield) -> None:

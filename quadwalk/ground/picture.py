@@ -5,8 +5,8 @@ from matplotlib.figure import Figure
 
 from quadwalk.ground.terrain import GroundConfig, Place, Terrain, make_terrain
 
-_PIXELS = 50  # a metre
-_DEPTH = 0.6  # m on the picture, upwards, that a metre away from the eye takes
+_PIXELS = 50  # a meter
+_DEPTH = 0.6  # m on the picture, upwards, that a meter away from the eye takes
 _SUN = np.array([-0.55, 0.35, 0.76])  # unit vector towards the light
 _TOP, _CUT = np.array([237, 222, 194]), np.array([120, 100, 80])
 
@@ -38,14 +38,14 @@ def cut_open(terrain: Terrain, tile: Place, room: float = 1.8) -> np.ndarray:
     falling, along = np.gradient(heights, step)
     normals = np.stack([-along, falling, np.ones_like(heights)], axis=-1)
     light = normals @ _SUN / np.linalg.norm(normals, axis=-1)
-    colours = _TOP * (0.25 + 0.75 * np.clip(light, 0, 1))[..., None]
+    colors = _TOP * (0.25 + 0.75 * np.clip(light, 0, 1))[..., None]
     size = round((2 * room + _DEPTH * width / 2) * _PIXELS)
     picture = np.full((size, len(ahead), 3), 255, np.uint8)
     rows = np.arange(size)[:, None]
     # From the far end on, what is near covers what is behind it.
-    for y, height, colour in zip(away, heights, colours, strict=True):
+    for y, height, color in zip(away, heights, colors, strict=True):
         top = size - (room + height + _DEPTH * y) * _PIXELS
-        np.copyto(picture, colour[None].astype(np.uint8), where=(rows >= top)[..., None])
+        np.copyto(picture, color[None].astype(np.uint8), where=(rows >= top)[..., None])
     front = rows >= size - (room + heights[-1]) * _PIXELS
     np.copyto(picture, _CUT.astype(np.uint8), where=front[..., None])
     return picture

@@ -11,37 +11,38 @@ import numpy as np
 
 from quadwalk.bounds import Bounds, Few, Natural, Settings
 from quadwalk.errors import UsageError
-from quadwalk.ground.heightfield import Heightfield, centred, read_heights
+from quadwalk.ground.heightfield import Heightfield, centered, read_heights
 from quadwalk.ground.tiles import KINDS, OF_LEG, Patch, Sizes, make_tile
 
 FILE = "file"  # the kind of a field that was read
 UNSEEN = 1_000_000  # seeds from here on are for evaluation
 _MOST_NODES = 50_000_000
 
-Metres = Annotated[float, Bounds(0.0, open="low", unit="m")]
+Meters = Annotated[float, Bounds(0.0, open="low", unit="m")]
 
 
 @dataclass(frozen=True)
 class GroundConfig(Settings, group="env.ground"):
     """The ground: a tile of each kind at each level of difficulty, or a field from a file."""
 
-    kinds: tuple[str, ...]  # of tiles, a row of them for each; none: a flat floor without end
-    levels: Few  # tiles of each kind, ever more difficult
+    # kinds of terrain, one row of tiles each; none: a flat floor without end
+    kinds: tuple[str, ...]
+    levels: Few  # tiles of each kind, of rising difficulty
     # of the first and the last level, 0 to 1
     difficulty: Annotated[tuple[float, float], Bounds(0.0, 1.0, ordered=True)]
     tile: tuple[float, float]  # m, length and width of a tile
     border: Annotated[float, Bounds(0.0, unit="m")]  # m, level ground around all tiles
     cell: Annotated[float, Bounds(0.005, 1.0, unit="m")]  # m between heights
-    seed: Natural  # of all that is random; evaluation uses those from 1 000 000 on
-    step: Metres | None  # m, height of stairs at difficulty 1; None: 0.3 of a leg
-    tread: Metres | None  # m, depth of stairs; None: 0.6 of a leg
-    block: Metres | None  # m, height of blocks and logs at difficulty 1; None: 0.3 of a leg
-    roughness: Metres | None  # m, at difficulty 1 up and down; None: 0.16 of a leg
-    file: Path | None  # heights: a grey PNG, or an .npy file in m; in place of all tiles
-    white: Metres  # m, height of white in a PNG; black is 0
-    # while training, an environment's level follows how it gets on; otherwise all are drawn alike
+    seed: Natural  # seed of the terrain; evaluations use seeds from 1 000 000 on
+    step: Meters | None  # m, height of stairs at difficulty 1; None: 0.3 of a leg
+    tread: Meters | None  # m, depth of stairs; None: 0.6 of a leg
+    block: Meters | None  # m, height of blocks and logs at difficulty 1; None: 0.3 of a leg
+    roughness: Meters | None  # m, amplitude at difficulty 1; None: 0.16 of a leg
+    file: Path | None  # a gray PNG, or an .npy file of heights in m, instead of tiles
+    white: Meters  # m, height of white in a PNG; black is 0
+    # in training, an environment's level follows its success; False: all levels are drawn alike
     curriculum: bool = False
-    confined: bool = False  # an episode ends, and not by a fall, where it leaves its tile
+    confined: bool = False  # an episode ends where it leaves its tile, without a fall
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -125,7 +126,7 @@ class Terrain:
 
 
 def leg_length(model: mujoco.MjModel, foot: str) -> float:
-    """From the thigh's joint to the foot's centre with the knee stretched, m."""
+    """From the thigh's joint to the foot's center with the knee stretched, m."""
     geom = model.geom(foot).id
     calf = model.geom_bodyid[geom]
     return float(np.linalg.norm(model.body_pos[calf]) + np.linalg.norm(model.geom_pos[geom]))
@@ -163,7 +164,7 @@ def make_terrain(config: GroundConfig, leg: float) -> Terrain:
         )
     x, y = (cell * (np.arange(n + 1) - n / 2) for n in (columns, rows))
     patch = Patch(x, y, cell)
-    field = centred(np.zeros(shape, np.float32), cell)
+    field = centered(np.zeros(shape, np.float32), cell)
     tiles = []
     for k, kind in enumerate(config.kinds):
         for level, difficulty in enumerate(levels):
@@ -200,7 +201,7 @@ def _place(
 
 def _from_file(config: GroundConfig, path: Path) -> Terrain:
     """The field that a file holds: one tile, on which episodes start anywhere near the middle."""
-    field = centred(read_heights(path, config.white), config.cell)
+    field = centered(read_heights(path, config.white), config.cell)
     middle, size = (0.0, 0.0), field.size
     spread = (size[0] / 4, size[1] / 4)
     return Terrain(field, (Place(FILE, 0, 0.0, middle, size, middle, spread),))

@@ -10,7 +10,7 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 
-from quadwalk.ground.heightfield import FLOOR, Heightfield, centred, field_of, lay
+from quadwalk.ground.heightfield import FLOOR, Heightfield, centered, field_of, lay
 from quadwalk.robot.quadruped import Quadruped
 
 STRIDE = 2.0  # m from one window to the next
@@ -52,7 +52,7 @@ class Windows:
         heights = np.full((2 * self._half + 1,) * 2, self._field.heights.min())
         heights[0, 0] = self._field.heights.max()
         spec = quadruped.spec.copy()
-        lay(spec, centred(heights, self._field.cell))
+        lay(spec, centered(heights, self._field.cell))
         return replace(quadruped, spec=spec).full_model(timestep, visuals=False)
 
 

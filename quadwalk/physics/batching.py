@@ -139,7 +139,7 @@ def _split(tree: Tree, places: Sequence[bool]) -> tuple[list[Any], Callable[...,
 
 
 def opaque_true(number: jax.Array) -> jax.Array:
-    """True, but XLA cannot know it: a barrier to its optimiser, see `materialize`.
+    """True, but XLA cannot know it: a barrier to its optimizer, see `materialize`.
 
     `number` is one of a sound state, which is far below 1e30, or NaN.
     """

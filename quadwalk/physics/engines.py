@@ -11,8 +11,8 @@ import jax
 import mujoco
 
 from quadwalk.physics import fast, mjx, mujoco_c
-from quadwalk.physics.model import Variation
-from quadwalk.physics.motor import Effort, Motor, Physics, Stepping
+from quadwalk.physics.model import RobotRandomization
+from quadwalk.physics.motor import Effort, Motor, PhysicsState, Stepping
 from quadwalk.robot.quadruped import Quadruped
 
 EngineName = Literal["fast", "mjx", "mujoco"]
@@ -24,12 +24,12 @@ class Engine(Protocol):
     def make_model(self, model: mujoco.MjModel, quadruped: Quadruped, motor: Motor) -> Any:
         """The constants of the robot that `model`, made from `quadruped`, describes."""
 
-    def vary(self, model: Any, variation: Variation) -> Any:
+    def vary(self, model: Any, variation: RobotRandomization) -> Any:
         """The constants of one robot that differs by `variation` from that of `model`."""
 
     def control_step(
-        self, model: Any, stepping: Stepping, physics: Physics, target: jax.Array
-    ) -> tuple[Physics, Effort]:
+        self, model: Any, stepping: Stepping, physics: PhysicsState, target: jax.Array
+    ) -> tuple[PhysicsState, Effort]:
         """One control step; `target` (12,) or (substeps, 12), rad, one for each physics step."""
 
 

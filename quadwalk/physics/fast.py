@@ -16,16 +16,16 @@ from quadwalk.physics import vectors as v
 from quadwalk.physics.batching import materialize, opaque_true, robots_last
 from quadwalk.physics.constraints.contact import (
     Under,
-    centres,
+    centers,
     find_constraints,
     look_under,
     triangles_under,
 )
 from quadwalk.physics.constraints.solver import newton
 from quadwalk.physics.constraints.surface import Surface
-from quadwalk.physics.model import Model, Variation, vary_motor
+from quadwalk.physics.model import Model, RobotRandomization, vary_motor
 from quadwalk.physics.model import make_model as make_model
-from quadwalk.physics.motor import Effort, Physics, Stepping
+from quadwalk.physics.motor import Effort, PhysicsState, Stepping
 from quadwalk.physics.rigid_body import (
     LINKS,
     Motion,
@@ -40,25 +40,27 @@ from quadwalk.physics.vectors import Vector
 
 
 def control_step(
-    model: Model, stepping: Stepping, physics: Physics, target: jax.Array
-) -> tuple[Physics, Effort]:
+    model: Model, stepping: Stepping, physics: PhysicsState, target: jax.Array
+) -> tuple[PhysicsState, Effort]:
     """One control step; `target` (12,) or (substeps, 12), rad. To be vmapped over robots."""
     # Not constants, even where a caller has no JAX arrays.
     physics, target = jax.tree.map(jnp.asarray, (physics, target))
 
-    def of_many(model: Model, physics: Physics, target: jax.Array) -> tuple[Physics, Effort]:
-        def advance(state: Physics, torque: jax.Array) -> Physics:
+    def of_many(
+        model: Model, physics: PhysicsState, target: jax.Array
+    ) -> tuple[PhysicsState, Effort]:
+        def advance(state: PhysicsState, torque: jax.Array) -> PhysicsState:
             found = acceleration(model, state, torque, stepping.iterations, stepping.line_search)
             return integrate(state, found, stepping.dt)
 
         return motor.control_step(model.motor, stepping, physics, target, advance)
 
     shape: Any = partial(jax.ShapeDtypeStruct, dtype=physics.qpos.dtype)
-    like = (Physics(*(shape(x.shape) for x in physics)), Effort(shape((12,)), shape(())))
+    like = (PhysicsState(*(shape(x.shape) for x in physics)), Effort(shape((12,)), shape(())))
     return robots_last(of_many, like)(model, physics, target)
 
 
-def vary(model: Model, variation: Variation) -> Model:
+def vary(model: Model, variation: RobotRandomization) -> Model:
     """The constants of one robot that differs by `variation` from that of `model`."""
     trunk, legs = model.trunk, variation.link_mass.reshape(4, LINKS)
     links = tuple(
@@ -70,10 +72,10 @@ def vary(model: Model, variation: Variation) -> Model:
         )
         for i, link in enumerate(model.links)
     )
-    x, y, z = variation.trunk_centre
+    x, y, z = variation.trunk_center
     return model._replace(
         trunk=trunk._replace(
-            mass=trunk.mass + variation.trunk_mass, centre=v.add(trunk.centre, (x, y, z))
+            mass=trunk.mass + variation.trunk_mass, center=v.add(trunk.center, (x, y, z))
         ),
         links=links,
         contacts=tuple(
@@ -85,7 +87,7 @@ def vary(model: Model, variation: Variation) -> Model:
 
 
 def acceleration(
-    model: Model, state: Physics, torque: jax.Array, iterations: int, line_search: int
+    model: Model, state: PhysicsState, torque: jax.Array, iterations: int, line_search: int
 ) -> jax.Array:
     """MuJoCo's qacc (18, robots) with joint torques (12, robots); see `robots_last`."""
     qpos, qvel, warmstart = state
@@ -132,13 +134,13 @@ def acceleration(
 def _look_under(model: Model, barrier: jax.Array, pose: Pose, qpos: jax.Array) -> tuple[Under, ...]:
     """The ground under all spheres."""
     x, y, height = qpos[:3]
-    at = tuple(centres(contact, pose) for contact in model.contacts)
+    at = tuple(centers(contact, pose) for contact in model.contacts)
     # In two parts: XLA would read heights again wherever something that follows from them is used.
     found = materialize(
         barrier,
         lambda at, x, y: tuple(
-            triangles_under(contact, centre, (x, y))
-            for contact, centre in zip(model.contacts, at, strict=True)
+            triangles_under(contact, center, (x, y))
+            for contact, center in zip(model.contacts, at, strict=True)
         ),
         at,
         x,
@@ -153,12 +155,12 @@ def _look_under(model: Model, barrier: jax.Array, pose: Pose, qpos: jax.Array) -
             )
         ),
         found,
-        tuple(height + centre[2] for centre in at),
+        tuple(height + center[2] for center in at),
     )
     return under
 
 
-def integrate(state: Physics, acceleration: jax.Array, dt: float) -> Physics:
+def integrate(state: PhysicsState, acceleration: jax.Array, dt: float) -> PhysicsState:
     """MuJoCo's semi-implicit Euler step, arrays with robots last."""
     qvel = state.qvel + dt * acceleration
     position = state.qpos[:3] + dt * qvel[:3]
@@ -178,7 +180,7 @@ def integrate(state: Physics, acceleration: jax.Array, dt: float) -> Physics:
     quat = jnp.stack(turned)
     quat = quat / jnp.linalg.norm(quat, axis=0)
     qpos = jnp.concatenate([position, quat, state.qpos[7:] + dt * qvel[6:]])
-    return Physics(qpos, qvel, acceleration)
+    return PhysicsState(qpos, qvel, acceleration)
 
 
 def lowest_points(model: Model, qpos: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -200,7 +202,7 @@ def lowest_points(model: Model, qpos: jax.Array) -> tuple[jax.Array, jax.Array]:
         if model.ground is not None:
             return _lowest_points_over(model, model.ground, barrier, pose, qpos)
         feet, height = model.contacts[0], qpos[2]
-        x, y, z = centres(feet, pose)
+        x, y, z = centers(feet, pose)
         trunk, legs = jnp.full_like(height, jnp.inf), jnp.full_like(z, jnp.inf)
         for shell in model.shells:
             if shell.link is None:
@@ -217,7 +219,7 @@ def lowest_points(model: Model, qpos: jax.Array) -> tuple[jax.Array, jax.Array]:
 
 
 def leg_points(model: Model, joints: jax.Array) -> jax.Array:
-    """Centres of the spheres that thighs and calves have (n, 4, 3), m, in the trunk's frame.
+    """Centers of the spheres that thighs and calves have (n, 4, 3), m, in the trunk's frame.
 
     The feet first, then knees if they may touch the floor. `joints` (12,) are angles, rad; to be
     vmapped over robots.
@@ -228,7 +230,7 @@ def leg_points(model: Model, joints: jax.Array) -> jax.Array:
         one, zero = jnp.ones_like(joints[0]), jnp.zeros_like(joints[0])
         upright = rotation_of((one, zero, zero, zero))
         pose = pose_of(model.links, upright, _by_link(joints))
-        return jnp.stack([jnp.stack(centres(c, pose), axis=1) for c in model.contacts if c.link])
+        return jnp.stack([jnp.stack(centers(c, pose), axis=1) for c in model.contacts if c.link])
 
     joints = jnp.asarray(joints)
     shape = jax.ShapeDtypeStruct((len(spheres), 4, 3), joints.dtype)
@@ -240,7 +242,7 @@ def _lowest_points_over(
 ) -> tuple[jax.Array, jax.Array]:
     """`lowest_points` over ground that is not level."""
     x, y, height = qpos[:3]
-    along, across, _ = centres(model.contacts[0], pose)
+    along, across, _ = centers(model.contacts[0], pose)
     under = _look_under(model, barrier, pose, qpos)[0]
     trunk, legs = jnp.full_like(height, jnp.inf), jnp.full_like(along, jnp.inf)
     for shell in model.shells:

@@ -17,8 +17,8 @@ with contextlib.redirect_stdout(io.StringIO()):
     from mujoco import mjx
 
 from quadwalk.physics import motor
-from quadwalk.physics.model import Variation, vary_motor
-from quadwalk.physics.motor import Effort, Motor, Physics, Stepping
+from quadwalk.physics.model import RobotRandomization, vary_motor
+from quadwalk.physics.motor import Effort, Motor, PhysicsState, Stepping
 from quadwalk.robot.quadruped import Quadruped
 
 
@@ -35,7 +35,7 @@ def make_model(model: mujoco.MjModel, quadruped: Quadruped, motor: Motor) -> Mjx
     return MjxModel(mjx.put_model(model, device=jax.local_devices()[0]), motor)
 
 
-def vary(model: MjxModel, variation: Variation) -> MjxModel:
+def vary(model: MjxModel, variation: RobotRandomization) -> MjxModel:
     """The constants of one robot that differs by `variation` from that of `model`."""
     old = model.mjx
     trunk, legs = old.jnt_bodyid[0], old.jnt_bodyid[1:]
@@ -43,7 +43,7 @@ def vary(model: MjxModel, variation: Variation) -> MjxModel:
     new = old.replace(
         geom_friction=old.geom_friction.at[:, 0].set(variation.friction),
         body_mass=old.body_mass.at[trunk].add(variation.trunk_mass).at[legs].multiply(factor),
-        body_ipos=old.body_ipos.at[trunk].add(variation.trunk_centre),
+        body_ipos=old.body_ipos.at[trunk].add(variation.trunk_center),
         body_inertia=old.body_inertia.at[legs].multiply(factor[:, None]),
         dof_armature=old.dof_armature.at[6:].multiply(variation.armature),
         dof_damping=old.dof_damping.at[6:].multiply(variation.damping),
@@ -52,13 +52,13 @@ def vary(model: MjxModel, variation: Variation) -> MjxModel:
 
 
 def control_step(
-    model: MjxModel, stepping: Stepping, physics: Physics, target: jax.Array
-) -> tuple[Physics, Effort]:
+    model: MjxModel, stepping: Stepping, physics: PhysicsState, target: jax.Array
+) -> tuple[PhysicsState, Effort]:
     """One control step; `target` (12,) or (substeps, 12), rad. To be vmapped over robots."""
     physics, target = jax.tree.map(jnp.asarray, (physics, target))
     blank = mjx.make_data(model.mjx)
 
-    def advance(state: Physics, torque: jax.Array) -> Physics:
+    def advance(state: PhysicsState, torque: jax.Array) -> PhysicsState:
         data = blank.replace(
             qpos=state.qpos,
             qvel=state.qvel,
@@ -67,6 +67,6 @@ def control_step(
             qfrc_applied=blank.qfrc_applied.at[6:].set(torque),
         )
         data = mjx.step(model.mjx, data)
-        return Physics(data.qpos, data.qvel, data.qacc_warmstart)
+        return PhysicsState(data.qpos, data.qvel, data.qacc_warmstart)
 
     return motor.control_step(model.motor, stepping, physics, target, advance)

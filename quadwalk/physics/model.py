@@ -30,7 +30,7 @@ class Shell:
     link: int | None = field(metadata={"static": True})  # None: the trunk
     # mjtGeom; of four legs, -1 where one has fewer shapes than another: that has no lowest point.
     kind: int | tuple[int, ...] = field(metadata={"static": True})
-    centre: Vector  # link frame, m
+    center: Vector  # link frame, m
     axes: tuple[Vector, Vector, Vector]  # the shape's x, y and z in the link's frame
     size: Vector  # MuJoCo's
     # Of a box: the axes, longest first, at both ends of which `low_points` looks.
@@ -56,7 +56,7 @@ class Shell:
             of_kind = column(np.equal(self.kind, int(kind)))
             if np.any(of_kind):
                 reach = jnp.where(of_kind, value, reach)
-        return v.dot(up, self.centre) - reach
+        return v.dot(up, self.center) - reach
 
     def low_points(self, up: Vector) -> list[tuple[Array, Vector]]:
         """Points of the shape that may be the first to touch uneven ground, in the link's frame.
@@ -68,14 +68,14 @@ class Shell:
         end = self.axes[2]
         downwards = v.subtract(v.scale(v.dot(up, end), end), up)  # across a cylinder's axis
         rim = v.scale(a * jax.lax.rsqrt(jnp.maximum(v.dot(downwards, downwards), 1e-12)), downwards)
-        ends = [v.add(self.centre, v.scale(sign * b, end)) for sign in (-1.0, 1.0)]
-        corners = [self.centre]
+        ends = [v.add(self.center, v.scale(sign * b, end)) for sign in (-1.0, 1.0)]
+        corners = [self.center]
         for axis, (own, half) in enumerate(zip(self.axes, self.size, strict=True)):
             lower = -half * jnp.sign(v.dot(up, own))
             signed = (-half, half) if axis in self.long else (lower,)
             corners = [v.add(corner, v.scale(sign, own)) for corner in corners for sign in signed]
         points = {
-            mujoco.mjtGeom.mjGEOM_SPHERE: [v.subtract(self.centre, v.scale(a, up))],
+            mujoco.mjtGeom.mjGEOM_SPHERE: [v.subtract(self.center, v.scale(a, up))],
             mujoco.mjtGeom.mjGEOM_BOX: corners,
             mujoco.mjtGeom.mjGEOM_CYLINDER: [v.add(point, rim) for point in ends],
             mujoco.mjtGeom.mjGEOM_CAPSULE: [v.subtract(point, v.scale(a, up)) for point in ends],
@@ -88,7 +88,7 @@ class Shell:
         ]
 
 
-class Variation(NamedTuple):
+class RobotRandomization(NamedTuple):
     """What a robot's constants are changed to, or by; numbers, or as given.
 
     The constraint solver's estimate of inverse inertia (MuJoCo's invweight0), which sets how soft
@@ -96,8 +96,8 @@ class Variation(NamedTuple):
     """
 
     friction: jax.Array | np.ndarray  # sliding friction of floor and robot
-    trunk_mass: jax.Array | np.ndarray  # kg, added to the trunk in its centre of mass
-    trunk_centre: jax.Array | np.ndarray  # (3,) m, by which that centre is shifted, trunk frame
+    trunk_mass: jax.Array | np.ndarray  # kg, added to the trunk in its center of mass
+    trunk_center: jax.Array | np.ndarray  # (3,) m, by which that center is shifted, trunk frame
     link_mass: jax.Array | np.ndarray  # (12,) factors of legs' masses and inertias, joints' order
     strength: jax.Array | np.ndarray  # factor of the motors' torque
     kp: jax.Array | np.ndarray  # factor of the joint controller's position gain
@@ -124,7 +124,7 @@ class Model(NamedTuple):
     ground: Surface | None = None  # None: level, at height 0, without end
 
 
-def vary_motor(motor: Motor, variation: Variation) -> Motor:
+def vary_motor(motor: Motor, variation: RobotRandomization) -> Motor:
     """`motor` of a robot that differs by `variation`."""
     friction = motor.friction
     return motor._replace(
@@ -151,7 +151,7 @@ def make_model(model: mujoco.MjModel, quadruped: Quadruped, motor: Motor) -> Mod
     found = Model(
         trunk=Trunk(
             mass=float(model.body_mass[trunk]),
-            centre=_vector(model.body_ipos[trunk]),
+            center=_vector(model.body_ipos[trunk]),
             inertia=tuple(float(x) for x in _inertia(model, trunk)),
         ),
         links=tuple(_link(model, bodies[:, i], joints[:, i]) for i in range(LINKS)),
@@ -212,7 +212,7 @@ def _rotation(quat: np.ndarray) -> np.ndarray:
 
 
 def _inertia(model: mujoco.MjModel, body: int) -> np.ndarray:
-    """(6,) as in `Inertia`, about the centre of mass, in the body's axes."""
+    """(6,) as in `Inertia`, about the center of mass, in the body's axes."""
     turn = _rotation(model.body_iquat[body])
     full = turn @ np.diag(model.body_inertia[body]) @ turn.T
     return full[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
@@ -232,7 +232,7 @@ def _link(model: mujoco.MjModel, bodies: np.ndarray, joints: np.ndarray) -> Link
         axis=_over_legs(np.einsum("lij,lj->li", frames, axes)),
         turn=(_matrix(fixed), _matrix(with_cos), _matrix(with_sin)),
         mass=model.body_mass[bodies],
-        centre=_over_legs(model.body_ipos[bodies]),
+        center=_over_legs(model.body_ipos[bodies]),
         inertia=tuple(np.array([_inertia(model, body) for body in bodies]).T),
         armature=model.dof_armature[dofs],
         damping=np.reshape(model.dof_damping[dofs], (4, -1))[:, 0],
@@ -291,7 +291,7 @@ def _contact(model: mujoco.MjModel, geoms: np.ndarray, bodies: np.ndarray) -> Co
     inverse_mass = model.body_invweight0[own, 0]
     return Contact(
         link=next((i for i in range(LINKS) if np.array_equal(bodies[:, i], own)), None),
-        centre=_over_legs(model.geom_pos[geoms]),
+        center=_over_legs(model.geom_pos[geoms]),
         radius=model.geom_size[geoms, 0],
         friction=friction,
         params=_solver_params(model, solref, solimp, inverse_mass / model.opt.impratio),
@@ -328,7 +328,7 @@ def _shells(
             Shell(
                 link=None,
                 kind=int(model.geom_type[geom]),
-                centre=_vector(model.geom_pos[geom]),
+                center=_vector(model.geom_pos[geom]),
                 axes=(_vector(rotation[:, 0]), _vector(rotation[:, 1]), _vector(rotation[:, 2])),
                 size=_vector(model.geom_size[geom]),
                 long=_longest(model.geom_size[geom], 2),
@@ -344,7 +344,7 @@ def _shells(
                 Shell(
                     link=link,
                     kind=tuple(np.where(there, model.geom_type[picked], -1).tolist()),
-                    centre=_over_legs(model.geom_pos[picked]),
+                    center=_over_legs(model.geom_pos[picked]),
                     axes=_matrix(axes),
                     size=_over_legs(model.geom_size[picked]),
                     long=_longest(model.geom_size[picked].sum(axis=0), 1),

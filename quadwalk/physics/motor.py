@@ -34,11 +34,11 @@ class MotorConfig(Settings, group="env.motor"):
     """The motors and their joint controllers; by default those of the robot's description."""
 
     kp: NotNegative | None = None  # Nm/rad, position gain; None: weight * home height * 1.4
-    # Nm s/rad, velocity gain; None: kp * 0.025 s, less for joints that this would shake
+    # Nm s/rad, velocity gain; None: kp * 0.025 s, less for joints that would shake
     kd: NotNegative | None = None
-    effort: Positive | None = None  # Nm, every motor's largest torque; None: the robot's own
+    effort: Positive | None = None  # Nm, largest torque of every motor; None: the robot's own
     speed_limit: bool = True  # torque falls to zero at the motor's speed limit
-    joint_friction: bool = True  # Coulomb friction of the joints
+    joint_friction: bool = True  # use the joints' Coulomb friction
 
 
 class Motor(NamedTuple):
@@ -75,7 +75,7 @@ class Stepping:
         return replace(self, dt=self.control_dt / substeps, substeps=substeps)
 
 
-class Physics(NamedTuple):
+class PhysicsState(NamedTuple):
     """The state of one robot."""
 
     qpos: jax.Array  # (19,)
@@ -153,10 +153,10 @@ def friction_torque(motor: Motor, qd: Any) -> Any:
 def control_step(
     motor: Motor,
     stepping: Stepping,
-    physics: Physics,
+    physics: PhysicsState,
     target: Any,
-    advance: Callable[[Physics, Any], Physics],
-) -> tuple[Physics, Effort]:
+    advance: Callable[[PhysicsState, Any], PhysicsState],
+) -> tuple[PhysicsState, Effort]:
     """`substeps` physics steps with the joint controller run in each, whichever engine steps.
 
     `target` is (12,) rad, or (substeps, 12), one for each physics step. `advance` steps a state
@@ -164,7 +164,9 @@ def control_step(
     """
     each = target.ndim > physics.qpos.ndim
 
-    def substep(carry: tuple[Physics, Effort], own: Any) -> tuple[tuple[Physics, Effort], None]:
+    def substep(
+        carry: tuple[PhysicsState, Effort], own: Any
+    ) -> tuple[tuple[PhysicsState, Effort], None]:
         state, effort = carry
         q, qd = state.qpos[7:], state.qvel[6:]
         torque = motor_torque(motor, own if each else target, q, qd)

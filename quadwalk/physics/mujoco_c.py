@@ -20,8 +20,8 @@ from jax.experimental.buffer_callback import buffer_callback
 from quadwalk.cores import cpu_cores
 from quadwalk.ground.windows import Windows, windows_of
 from quadwalk.physics import motor
-from quadwalk.physics.model import Variation, vary_motor
-from quadwalk.physics.motor import Effort, Motor, Physics, Stepping
+from quadwalk.physics.model import RobotRandomization, vary_motor
+from quadwalk.physics.motor import Effort, Motor, PhysicsState, Stepping
 from quadwalk.robot.quadruped import Quadruped
 
 TIMESTEP = 0.002  # s, a physics step of the full model
@@ -58,7 +58,7 @@ class Stepper:
         return after[:, 0]
 
     def models(
-        self, variations: Variation | None, places: np.ndarray
+        self, variations: RobotRandomization | None, places: np.ndarray
     ) -> tuple[mujoco.MjModel | list[mujoco.MjModel], np.ndarray]:
         """The one model of all robots, or that of each, and where its origin is, (n, 2) m.
 
@@ -84,7 +84,8 @@ class Stepper:
                 elsewhere = next(iter((known | own).values()), None)
                 own[window] = self._over(
                     window,
-                    elsewhere or varied_model(self._bare, Variation(*(x[i] for x in variations))),
+                    elsewhere
+                    or varied_model(self._bare, RobotRandomization(*(x[i] for x in variations))),
                 )
             models.append(own[window])
         return models, middles
@@ -117,14 +118,14 @@ class Stepper:
         return self._windows.model_of(self._quadruped, self.model.opt.timestep)
 
 
-def varied_model(model: mujoco.MjModel, variation: Variation) -> mujoco.MjModel:
+def varied_model(model: mujoco.MjModel, variation: RobotRandomization) -> mujoco.MjModel:
     """A copy of a quadruped's `model` that differs by `variation`, but for its motors."""
     model = copy.copy(model)
     trunk, legs = model.jnt_bodyid[0], model.jnt_bodyid[1:]
     factor: Any = variation.link_mass
     model.geom_friction[:, 0] = variation.friction
     model.body_mass[:] = varied_masses(model, variation)
-    model.body_ipos[trunk] += variation.trunk_centre
+    model.body_ipos[trunk] += variation.trunk_center
     model.body_inertia[legs] *= factor[:, None]
     model.dof_armature[6:] *= variation.armature
     model.dof_damping[6:] *= variation.damping
@@ -133,7 +134,7 @@ def varied_model(model: mujoco.MjModel, variation: Variation) -> mujoco.MjModel:
     return model
 
 
-def varied_masses(model: mujoco.MjModel, variation: Variation) -> np.ndarray:
+def varied_masses(model: mujoco.MjModel, variation: RobotRandomization) -> np.ndarray:
     """kg, of each body of a quadruped's `model` that differs by `variation`."""
     masses: np.ndarray = model.body_mass.copy()
     masses[model.jnt_bodyid[0]] += variation.trunk_mass
@@ -146,7 +147,7 @@ class MujocoModel(NamedTuple):
 
     motor: Motor
     stepper: Stepper
-    variation: Variation | None = None
+    variation: RobotRandomization | None = None
 
 
 def make_model(model: mujoco.MjModel, quadruped: Quadruped, motor: Motor) -> MujocoModel:
@@ -154,14 +155,14 @@ def make_model(model: mujoco.MjModel, quadruped: Quadruped, motor: Motor) -> Muj
     return MujocoModel(motor, Stepper(model, quadruped))
 
 
-def vary(model: MujocoModel, variation: Variation) -> MujocoModel:
+def vary(model: MujocoModel, variation: RobotRandomization) -> MujocoModel:
     """The constants of one robot that differs by `variation` from that of `model`."""
     return MujocoModel(vary_motor(model.motor, variation), model.stepper, variation)
 
 
 def control_step(
-    model: MujocoModel, stepping: Stepping, physics: Physics, target: jax.Array
-) -> tuple[Physics, Effort]:
+    model: MujocoModel, stepping: Stepping, physics: PhysicsState, target: jax.Array
+) -> tuple[PhysicsState, Effort]:
     """One control step; `target` (12,) or (substeps, 12), rad. To be vmapped over robots.
 
     In double precision from its beginning to its end. A batch that is split between devices is
@@ -170,7 +171,7 @@ def control_step(
     assert np.isclose(model.stepper.model.opt.timestep, stepping.dt)
     each = jnp.ndim(target) > jnp.ndim(physics.qpos)
 
-    def advance(models: Any, state: Physics, torque: Any) -> Physics:
+    def advance(models: Any, state: PhysicsState, torque: Any) -> PhysicsState:
         rows = np.concatenate([np.zeros_like(state.qpos[:1]), state.qpos, state.qvel]).T
         after: Any = model.stepper.step(rows, torque.T, models).T
         return state._replace(qpos=after[1:20], qvel=after[20:38])
@@ -195,7 +196,7 @@ def control_step(
     arguments = [jnp.asarray(x, jnp.float32) for x in arguments]
     shapes = [jax.ShapeDtypeStruct(shape, jnp.float32) for shape in ((19,), (18,), (12,), ())]
     qpos, qvel, torque, energy = _on_host(step, shapes, arguments)
-    return Physics(qpos, qvel, jnp.asarray(physics.warmstart)), Effort(torque, energy)
+    return PhysicsState(qpos, qvel, jnp.asarray(physics.warmstart)), Effort(torque, energy)
 
 
 def _on_host(

@@ -5,7 +5,7 @@ Newton-Euler for the bias forces: Featherstone 2008, Rigid Body Dynamics Algorit
 quadrupeds share taken for granted, so that four legs and thousands of robots are computed
 side by side: an array is (4, robots) for a quantity of a leg, (robots,) for one of the trunk.
 
-Everything is in the world's axes about the trunk's origin. A generalised vector is `Motion`: the
+Everything is in the world's axes about the trunk's origin. A generalized vector is `Motion`: the
 trunk's linear and angular part, then the joints'. MuJoCo's own has the angular part in trunk axes.
 """
 
@@ -28,8 +28,8 @@ class Link(NamedTuple):
     axis: Vector  # of its joint, parent frame
     turn: tuple[Matrix, Matrix, Matrix]  # its rotation in the parent is [0] + cos [1] + sin [2]
     mass: Array  # kg
-    centre: Vector  # of mass, link frame, m
-    inertia: Inertia  # about the centre, link frame, kg m^2
+    center: Vector  # of mass, link frame, m
+    inertia: Inertia  # about the center, link frame, kg m^2
     armature: Array  # kg m^2
     damping: Array  # N m s/rad
 
@@ -38,7 +38,7 @@ class Trunk(NamedTuple):
     """Constants of the trunk, scalars, in its frame, as a link's."""
 
     mass: Array
-    centre: Vector
+    center: Vector
     inertia: Inertia
 
 
@@ -63,7 +63,7 @@ class Composite(NamedTuple):
     """Mass, first and second moments of mass about the trunk's origin."""
 
     mass: Array
-    moment: Vector  # mass * centre
+    moment: Vector  # mass * center
     inertia: Inertia
 
 
@@ -114,10 +114,10 @@ def world_inertia(rotation: Matrix, inertia: Inertia) -> Inertia:
     return tuple(v.dot(half[i], rotation[j]) for i, j in pairs)
 
 
-def composite(mass: Array, centre: Vector, inertia: Inertia) -> Composite:
-    """A body's, from its centre of mass relative to the trunk's origin and inertia about it."""
-    moment = v.scale(mass, centre)
-    (x, y, z), (mx, my, mz) = centre, moment
+def composite(mass: Array, center: Vector, inertia: Inertia) -> Composite:
+    """A body's, from its center of mass relative to the trunk's origin and inertia about it."""
+    moment = v.scale(mass, center)
+    (x, y, z), (mx, my, mz) = center, moment
     shift = (y * my + z * mz, x * mx + z * mz, x * mx + y * my, -x * my, -x * mz, -y * mz)
     return Composite(mass, moment, tuple(a + b for a, b in zip(inertia, shift, strict=True)))
 
@@ -142,26 +142,26 @@ def turn_by(inertia: Inertia, a: Vector) -> Vector:
 
 
 class Bodies(NamedTuple):
-    """Centres of mass and inertias in world axes, the centres relative to the trunk's origin."""
+    """Centers of mass and inertias in world axes, the centers relative to the trunk's origin."""
 
-    centres: tuple[Vector, ...]  # links
-    inertias: tuple[Inertia, ...]  # links, about their centres
-    trunk_centre: Vector
+    centers: tuple[Vector, ...]  # links
+    inertias: tuple[Inertia, ...]  # links, about their centers
+    trunk_center: Vector
     trunk_inertia: Inertia
 
 
 def place_bodies(trunk: Trunk, links: tuple[Link, ...], pose: Pose) -> Bodies:
-    """Centres and inertias at a pose."""
+    """Centers and inertias at a pose."""
     return Bodies(
         tuple(
-            v.add(origin, v.apply(rotation, link.centre))
+            v.add(origin, v.apply(rotation, link.center))
             for link, rotation, origin in zip(links, pose.rotations, pose.origins, strict=True)
         ),
         tuple(
             world_inertia(rotation, link.inertia)
             for link, rotation in zip(links, pose.rotations, strict=True)
         ),
-        v.apply(pose.trunk, trunk.centre),
+        v.apply(pose.trunk, trunk.center),
         world_inertia(pose.trunk, trunk.inertia),
     )
 
@@ -173,7 +173,7 @@ def mass_matrix(trunk: Trunk, links: tuple[Link, ...], pose: Pose, bodies: Bodie
     legs: list[list[Array]] = [[0.0] * LINKS for _ in range(LINKS)]
     for i in reversed(range(LINKS)):
         link = links[i]
-        own = composite(link.mass, bodies.centres[i], bodies.inertias[i])
+        own = composite(link.mass, bodies.centers[i], bodies.inertias[i])
         below = own if below is None else combine(own, below)
         axis, origin = pose.axes[i], pose.origins[i]
         # Turning at unit speed about the joint, as motion of the trunk's origin.
@@ -186,7 +186,7 @@ def mass_matrix(trunk: Trunk, links: tuple[Link, ...], pose: Pose, bodies: Bodie
             legs[i][j] = legs[j][i] = v.dot(outer, v.subtract(torque, v.cross(at, force)))
         legs[i][i] = legs[i][i] + link.armature
     assert below is not None
-    whole = composite(trunk.mass, bodies.trunk_centre, bodies.trunk_inertia)
+    whole = composite(trunk.mass, bodies.trunk_center, bodies.trunk_inertia)
     leg_sum = Composite(
         v.legs_sum(below.mass),
         v.vector(v.legs_sum(x) for x in below.moment),
@@ -219,7 +219,7 @@ def bias_force(
 
     def newton_euler(
         mass: Array,
-        centre: Vector,
+        center: Vector,
         inertia: Inertia,
         w: Vector,
         turning: Vector,
@@ -227,13 +227,13 @@ def bias_force(
         acceleration: Vector,
     ) -> tuple[Vector, Vector]:
         """Force, and torque about the trunk's origin, that a body's motion takes."""
-        arm = v.subtract(centre, at)
-        centre_acceleration = v.add(
+        arm = v.subtract(center, at)
+        center_acceleration = v.add(
             acceleration, v.cross(turning, arm), v.cross(w, v.cross(w, arm))
         )
-        force = v.scale(mass, v.subtract(centre_acceleration, gravity))
+        force = v.scale(mass, v.subtract(center_acceleration, gravity))
         torque = v.add(turn_by(inertia, turning), v.cross(w, turn_by(inertia, w)))
-        return force, v.add(torque, v.cross(centre, force))
+        return force, v.add(torque, v.cross(center, force))
 
     w, turning, at, acceleration = spin, None, None, None
     forces: list[tuple[Vector, Vector]] = []
@@ -249,7 +249,7 @@ def bias_force(
         w, at, acceleration = v.add(w, rate), origin, moved
         forces.append(
             newton_euler(
-                link.mass, bodies.centres[i], bodies.inertias[i], w, turning, at, acceleration
+                link.mass, bodies.centers[i], bodies.inertias[i], w, turning, at, acceleration
             )
         )
     joints: list[Array] = []
@@ -259,9 +259,9 @@ def bias_force(
             force, torque = v.add(force, forces[i][0]), v.add(torque, forces[i][1])
         about = v.subtract(torque, v.cross(pose.origins[i], force))
         joints.insert(0, v.dot(pose.axes[i], about))
-    centre, inertia = bodies.trunk_centre, bodies.trunk_inertia
-    trunk_force = v.scale(trunk.mass, v.subtract(v.cross(spin, v.cross(spin, centre)), gravity))
-    trunk_torque = v.add(v.cross(spin, turn_by(inertia, spin)), v.cross(centre, trunk_force))
+    center, inertia = bodies.trunk_center, bodies.trunk_inertia
+    trunk_force = v.scale(trunk.mass, v.subtract(v.cross(spin, v.cross(spin, center)), gravity))
+    trunk_torque = v.add(v.cross(spin, turn_by(inertia, spin)), v.cross(center, trunk_force))
     return Motion(
         v.add(trunk_force, v.vector(v.legs_sum(x) for x in force)),
         v.add(trunk_torque, v.vector(v.legs_sum(x) for x in torque)),

@@ -79,7 +79,7 @@ def main(argv: list[str] | None = None, prog: str = "python -m quadwalk.robot") 
         mesh_folders=tuple(arguments.mesh_dir),
         armature=armatures(arguments.rotor, joints),
     )
-    legs, verdict = recognise(urdf, options)
+    legs, verdict = recognize(urdf, options)
     conversion = convert(urdf, legs, options)
     xml = write_xml(conversion.spec)
     if arguments.out is not None:
@@ -95,7 +95,7 @@ def main(argv: list[str] | None = None, prog: str = "python -m quadwalk.robot") 
         print(f"trains as a quadruped: {verdict}", file=sys.stderr)
 
 
-def recognise(urdf: Urdf, options: Options) -> tuple[tuple[Leg, ...], str]:
+def recognize(urdf: Urdf, options: Options) -> tuple[tuple[Leg, ...], str]:
     """The legs of a quadruped, and "yes", or why it cannot be trained as one."""
     legs: tuple[Leg, ...] = ()
     if options.floating is False:

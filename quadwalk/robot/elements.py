@@ -17,7 +17,7 @@ SINGLE = {
 }
 VISUAL, COLLISION = 2, 3  # geom groups; MuJoCo's viewer hides 3 and above
 _Type = mujoco.mjtGeom
-# Attributes of a geom (lengths in m), and the colour (4,) that comes with it, if any.
+# Attributes of a geom (lengths in m), and the color (4,) that comes with it, if any.
 _Piece = tuple[dict, np.ndarray | None]
 
 
@@ -156,7 +156,7 @@ class Shapes:
         if leg is not None and leg.foot.shape is None:
             sphere = {"type": _Type.mjGEOM_SPHERE, "size": [leg.foot.radius, 0, 0]}
             frame = np.eye(4)
-            frame[:3, 3] = leg.foot.centre
+            frame[:3, 3] = leg.foot.center
             self._add(body, "foot", sphere, frame).name = leg.foot_name
             what = f"the feet are spheres of {leg.foot.radius * 1000:.3g} mm"
             self.report.add("assumed", f"{what} {leg.foot.reason}", leg.foot_name)
@@ -227,7 +227,7 @@ class Shapes:
         self.rgba[material.name] = tuple(material.color.rgba)
 
     def _paint(self, geom, material, rgba: np.ndarray | None) -> None:
-        """Give a geom the URDF's material, or else the colour `rgba` that came with its mesh."""
+        """Give a geom the URDF's material, or else the color `rgba` that came with its mesh."""
         if material is not None and material.name in self.materials:
             same = material.color is None or tuple(material.color.rgba) == self.rgba[material.name]
             if same:
@@ -238,7 +238,7 @@ class Shapes:
         elif rgba is not None:
             geom.rgba = rgba
         elif material is not None and material.name:
-            self.report.add("assumed", "materials that are not defined are grey", material.name)
+            self.report.add("assumed", "materials that are not defined are gray", material.name)
 
     def _geom_name(self, link: str) -> str:
         name = unique(link, self.geom_names)

@@ -18,7 +18,7 @@ THINNEST = 1e-3
 
 @dataclass(frozen=True)
 class Inertia:
-    """Mass (kg), centre of mass (3,) in m, and inertia (3, 3) in kg m^2 about that centre."""
+    """Mass (kg), center of mass (3,) in m, and inertia (3, 3) in kg m^2 about that center."""
 
     mass: float
     com: np.ndarray

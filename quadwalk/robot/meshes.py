@@ -1,4 +1,4 @@
-"""Mesh files of a URDF: names that stay inside the allowed folders, shapes in metres.
+"""Mesh files of a URDF: names that stay inside the allowed folders, shapes in meters.
 
 The names in a URDF and the files they lead to are untrusted: a name may not leave the folders it
 is looked up in, COLLADA is parsed without entities, and no file leads to another (no .mtl, no
@@ -33,12 +33,12 @@ class MissingMeshError(UrdfError):
 
 @dataclass(frozen=True, eq=False)
 class MeshPart:
-    """Triangles of one colour.
+    """Triangles of one color.
 
     Attributes:
         vertices: (n, 3) m.
         faces: (m, 3) indices of vertices, counter-clockwise seen from outside.
-        rgba: (4,) in 0 .. 1, or None where the file gives no colour.
+        rgba: (4,) in 0 .. 1, or None where the file gives no color.
     """
 
     vertices: np.ndarray
@@ -121,7 +121,7 @@ def _declared(folder: Path) -> str | None:
 
 
 def load_mesh(file: Path, scale: np.ndarray, source: str) -> list[MeshPart]:
-    """The triangles of a .dae, .obj or .stl file, times `scale` (3,), in metres.
+    """The triangles of a .dae, .obj or .stl file, times `scale` (3,), in meters.
 
     A COLLADA file's unit is respected; its up axis is not, as in RViz. `UrdfError` for a file
     that is no mesh.
@@ -144,7 +144,7 @@ def load_mesh(file: Path, scale: np.ndarray, source: str) -> list[MeshPart]:
         with np.errstate(all="ignore"):
             scene = trimesh.load_scene(io.BytesIO(data), file_type=kind[1:], resolver=None)
             meshes = [mesh for mesh in scene.dump() if isinstance(mesh, trimesh.Trimesh)]
-            parts = [_part(mesh, scale * unit, coloured=kind == ".dae") for mesh in meshes]
+            parts = [_part(mesh, scale * unit, colored=kind == ".dae") for mesh in meshes]
     except Exception as error:  # the parsers raise whatever a broken file leads them to
         reason = " ".join(str(error).split())[:120] or type(error).__name__
         raise UrdfError(f"{where} is not valid {kind}: {reason}") from None
@@ -170,7 +170,7 @@ class Meshes:
         self._parts: dict[tuple, list[MeshPart]] = {}
 
     def load(self, mesh: yourdfpy.Mesh, kind: str) -> tuple[Path, list[MeshPart]] | None:
-        """The file and its parts, scaled, in metres; None if there are none.
+        """The file and its parts, scaled, in meters; None if there are none.
 
         `kind` is what the shape is for, `visual` or `collision`. `UrdfError` for a name that leads
         out of the folders.
@@ -208,7 +208,7 @@ def _has_volume(vertices: np.ndarray) -> bool:
 
 
 def _collada_unit(data: bytes) -> float:
-    """Metres per unit of a COLLADA file; refuses a DOCTYPE, before another parser expands it."""
+    """Meters per unit of a COLLADA file; refuses a DOCTYPE, before another parser expands it."""
     parser = etree.XMLParser(resolve_entities=False, no_network=True, huge_tree=True)
     root = etree.fromstring(data, parser)
     if root.getroottree().docinfo.doctype:
@@ -217,12 +217,12 @@ def _collada_unit(data: bytes) -> float:
     return 1.0 if unit is None else float(unit.get("meter", "1"))
 
 
-def _part(mesh, scale: np.ndarray, coloured: bool) -> MeshPart:
+def _part(mesh, scale: np.ndarray, colored: bool) -> MeshPart:
     mesh.merge_vertices(merge_tex=True, merge_norm=True)
     faces = np.asarray(mesh.faces)
     if np.prod(scale) < 0:
         faces = faces[:, ::-1]  # a mirrored mesh, turned inside out
     rgba = None
-    if coloured and hasattr(mesh.visual, "material"):
+    if colored and hasattr(mesh.visual, "material"):
         rgba = np.asarray(mesh.visual.material.main_color) / 255
     return MeshPart(np.asarray(mesh.vertices) * scale, faces, rgba)

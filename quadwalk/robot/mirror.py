@@ -11,7 +11,7 @@ from quadwalk.robot.scene import KINDS
 _FLIP = np.diag([1.0, -1.0, 1.0])
 # The largest difference between a robot and its mirror image, as shares of its standing height,
 # its mass, or the larger value. The AlienGo and the nine quadrupeds of example-robot-data differ by
-# less than 1e-10 in places, axes, limits, motors and masses. Their centres of mass differ by more:
+# less than 1e-10 in places, axes, limits, motors and masses. Their centers of mass differ by more:
 # body mass times distance, over robot mass times height, is 0.051 for HyQ, else up to 0.012 (A1;
 # AlienGo 0.010). Inertias differ by up to 0.0019 (HyQ; AlienGo 0.0010) of mass times height^2.
 PLACE, VALUE, MOMENT, INERTIA = 0.005, 0.01, 0.1, 0.005
@@ -111,10 +111,10 @@ def robot_mirror(quadruped: Quadruped, model: mujoco.MjModel) -> RobotMirror | s
     values("damping", model.dof_damping[dofs].reshape(12, -1)[:, 0])
     bodies = np.r_[trunk, model.jnt_bodyid[1:]]
     images, own = np.r_[0, 1 + joints], tuple(model.body(body).name for body in bodies)
-    masses, centres = model.body_mass[bodies], placed(data.xipos[bodies])
+    masses, centers = model.body_mass[bodies], placed(data.xipos[bodies])
     compare("mass", own, masses[images] / masses - 1, VALUE)
-    moments = masses[:, None] * (centres[images] - centres @ _FLIP) / (mass * height)
-    compare("centre of mass", own, moments, MOMENT)
+    moments = masses[:, None] * (centers[images] - centers @ _FLIP) / (mass * height)
+    compare("center of mass", own, moments, MOMENT)
     frames = turn.T @ data.ximat[bodies].reshape(-1, 3, 3)
     inertias = frames * model.body_inertia[bodies, None] @ frames.transpose(0, 2, 1)
     off = (inertias[images] - _FLIP @ inertias @ _FLIP) / (mass * height**2)

@@ -232,9 +232,9 @@ class _Robot:
                 self._add_site(body, part, tree.placement[part])
         for leg in self.legs:
             if leg.links[2] == name == leg.foot.link:
-                # A foot that is no link of its own still has its frame, in the sphere's centre.
+                # A foot that is no link of its own still has its frame, in the sphere's center.
                 frame = np.eye(4)
-                frame[:3, 3] = leg.foot.centre
+                frame[:3, 3] = leg.foot.center
                 self._add_site(body, leg.foot_name, frame)
         return body
 
@@ -243,7 +243,7 @@ class _Robot:
         leg = next((leg for leg in self.legs if leg.foot_name == name), None)
         radius = 0.01
         if leg is not None:
-            radius = 1.1 * leg.foot.radius + float(np.linalg.norm(leg.foot.centre - frame[:3, 3]))
+            radius = 1.1 * leg.foot.radius + float(np.linalg.norm(leg.foot.center - frame[:3, 3]))
         pos, quat = pose(frame)
         body.add_site(name=name, pos=pos, quat=quat, group=FRAMES, size=[radius] * 3)
 

@@ -168,7 +168,7 @@ def lowest_point(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> float
 def simplify(spec: mujoco.MjSpec, feet: tuple[str, ...]) -> None:
     """Make of a robot's shapes those that training measures: is one of them under the floor?
 
-    Meshes become the boxes around them. What is beyond the centre of a foot is the foot's, whose
+    Meshes become the boxes around them. What is beyond the center of a foot is the foot's, whose
     sphere stands for it: the calves' shapes end there, and thick ones before it.
     """
     model = spec.compile()
@@ -176,9 +176,9 @@ def simplify(spec: mujoco.MjSpec, feet: tuple[str, ...]) -> None:
     for geom in spec.geoms:
         foot = foot_of.get(model.geom_bodyid[geom.id])
         if geom.type == mujoco.mjtGeom.mjGEOM_MESH:
-            centre, axes, half = _box(model, geom.id)
+            center, axes, half = _box(model, geom.id)
             geom.type, geom.meshname = mujoco.mjtGeom.mjGEOM_BOX, ""
-            geom.pos, geom.size = centre, half
+            geom.pos, geom.size = center, half
             mujoco.mju_mat2Quat(geom.quat, axes.ravel())
         if foot is not None and geom.name not in feet:
             _shorten(geom, foot.pos, foot.size[0])
@@ -187,7 +187,7 @@ def simplify(spec: mujoco.MjSpec, feet: tuple[str, ...]) -> None:
 def _shorten(geom: mujoco.MjsGeom, foot: np.ndarray, radius: float) -> None:
     """Let a box, or a cylinder along the calf, end at the `foot`: (3,) m, body frame.
 
-    It ends at the foot's centre or, if it is thick, so far above it that its edge is half the
+    It ends at the foot's center or, if it is thick, so far above it that its edge is half the
     foot's radius above the floor while the calf leans by `LEAN`: nearer, a step would be a fall.
     """
     entries = np.zeros(9)
@@ -219,8 +219,8 @@ def add_spheres(
 ) -> None:
     """Add the `KINDS` that `contacts` has, which meet the floor as the leg's foot does.
 
-    A knee is centred on the calf's joint and carried by the thigh, as thick as that is there, up to
-    the foot's radius. A hip is centred on the thigh's joint and carried by the hip, as thick as
+    A knee is centered on the calf's joint and carried by the thigh, as thick as that is there, up
+    to the foot's radius. A hip is centered on the thigh's joint and carried by the hip, as thick as
     that is there. Corners and tops touch from within the box around the trunk's collision shapes,
     at its bottom and top. Links without shapes are as thick as the foot.
     `spec` has no other geoms than collision shapes.
@@ -244,16 +244,16 @@ def add_spheres(
             (trunk, corner(above=True), CORNER_RADIUS),
             (hip, shoulder, thick if np.isfinite(thick) else foot.size[0]),
         )
-        for kind, (body, centre, radius) in zip(KINDS[: TOUCHING[contacts]], spheres, strict=False):
-            _add_sphere(spec, model.body(body).name, kind[i], centre, radius, foot)
+        for kind, (body, center, radius) in zip(KINDS[: TOUCHING[contacts]], spheres, strict=False):
+            _add_sphere(spec, model.body(body).name, kind[i], center, radius, foot)
 
 
-def _add_sphere(spec, body, name, centre, radius, foot) -> None:
+def _add_sphere(spec, body, name, center, radius, foot) -> None:
     spec.body(body).add_geom(
         foot.classname,
         name=name,
         type=mujoco.mjtGeom.mjGEOM_SPHERE,
-        pos=centre,
+        pos=center,
         size=[radius, 0, 0],
         group=SPHERES,
         contype=foot.contype,
@@ -271,16 +271,16 @@ def _box_around(model: mujoco.MjModel, body: int) -> tuple[np.ndarray, np.ndarra
     if not boxes:
         hips = model.body_pos[model.body_parentid == body]
         return hips.min(axis=0), hips.max(axis=0)
-    reaches = [(centre, np.abs(rotation) @ half) for centre, rotation, half in boxes]
-    low = np.min([centre - reach for centre, reach in reaches], axis=0)
-    return low, np.max([centre + reach for centre, reach in reaches], axis=0)
+    reaches = [(center, np.abs(rotation) @ half) for center, rotation, half in boxes]
+    low = np.min([center - reach for center, reach in reaches], axis=0)
+    return low, np.max([center + reach for center, reach in reaches], axis=0)
 
 
 def _thickness(model: mujoco.MjModel, body: int, point: np.ndarray) -> float:
     """Half the thickness, m, of the body's shape that is nearest to `point` (3,); inf for none."""
     found = []
-    for centre, rotation, half in _boxes(model, body):
-        beyond = np.maximum(np.abs((point - centre) @ rotation) - half, 0)
+    for center, rotation, half in _boxes(model, body):
+        beyond = np.maximum(np.abs((point - center) @ rotation) - half, 0)
         found.append((float(np.linalg.norm(beyond)), float(np.sort(half)[1])))
     return min(found, default=(0.0, np.inf))[1]
 
@@ -291,9 +291,9 @@ def _boxes(model: mujoco.MjModel, body: int) -> list[tuple[np.ndarray, np.ndarra
 
 
 def _box(model: mujoco.MjModel, geom: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The box around a shape, in its body's frame: centre, axes as columns, half its sides, m."""
+    """The box around a shape, in its body's frame: center, axes as columns, half its sides, m."""
     entries = np.zeros(9)
     mujoco.mju_quat2Mat(entries, model.geom_quat[geom])
     rotation = entries.reshape(3, 3)
-    centre, half = np.split(model.geom_aabb[geom].copy(), 2)
-    return model.geom_pos[geom] + rotation @ centre, rotation, half
+    center, half = np.split(model.geom_aabb[geom].copy(), 2)
+    return model.geom_pos[geom] + rotation @ center, rotation, half

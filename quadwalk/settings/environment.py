@@ -26,18 +26,18 @@ SIGHT = "height_scan"  # the observation that the blind do without
 class ResetConfig(Settings, group="env.reset"):
     """How much a fresh start differs from the home pose: each drawn uniformly from +-value."""
 
-    # in place of the home pose: hip, thigh and calf of every leg, rad
+    # rad, hip, thigh and calf of every leg; None: the home pose
     pose: tuple[float, float, float] | None
-    height: float | None  # m, of the trunk's origin; None: the lowest foot just on the floor
-    yaw: NotNegative  # rad
+    height: float | None  # m, of the trunk's origin; None: the lowest foot touches the floor
+    yaw: NotNegative  # rad, heading
     tilt: NotNegative  # rad, roll and pitch
     offset: NotNegative  # m, along y
-    joints: NotNegative  # rad
-    velocity: NotNegative  # m/s and rad/s, trunk
+    joints: NotNegative  # rad, joint angles
+    velocity: NotNegative  # m/s and rad/s, of the trunk
     joint_velocity: NotNegative  # rad/s
-    forward: float  # m/s, forward speed drawn from 0 to this
-    # any orientation, all alike, in place of yaw and tilt; with no height the lowest part of the
-    # robot is just on the floor
+    forward: float  # m/s, forward speed, drawn from 0 to this
+    # draw any orientation, uniformly, instead of yaw and tilt; without a height, the robot's lowest
+    # part touches the floor
     tumbled: bool = False
 
 
@@ -62,15 +62,16 @@ class CommandConfig(Settings, group="env.command"):
     forward: Annotated[Pair, Bounds(ordered=True)]  # m/s
     lateral: Annotated[Pair, Bounds(ordered=True)]  # m/s, to the left
     yaw_rate: Annotated[Pair, Bounds(ordered=True)]  # rad/s, to the left
-    standing: Share  # share of commands that are to stand still
-    seconds: Seconds  # s, after which another command is drawn
-    straight: Share = 0.0  # share of commands that are neither lateral nor to turn
-    # s; each command holds for a time drawn from this to `seconds`; None: for `seconds`
+    standing: Share  # share of commands that are zero
+    seconds: Seconds  # s, until the next command
+    straight: Share = 0.0  # share of commands without lateral velocity and yaw rate
+    # s; the time until the next command is drawn from this to `seconds`; None: it is `seconds`
     soonest: Seconds | None = None
-    # m/s; lateral commands shrink with forward speed, to none at this one; None: they do not
+    # m/s; the lateral range shrinks with forward speed and is zero from this speed on; None: it
+    # stays
     lateral_until: Positive | None = None
-    # m/s^2; turning commands are scaled down to this centripetal acceleration, and to what friction
-    # bears; None: they are not
+    # m/s^2; yaw rates are scaled down to this centripetal acceleration, and to half of what
+    # friction bears; None: they are not
     turning: Positive | None = None
 
     def __post_init__(self) -> None:
@@ -99,38 +100,39 @@ NO_COMMAND = CommandConfig(
 
 
 @dataclass(frozen=True)
-class RandomisationConfig(Settings, group="env.randomisation"):
+class RandomizationConfig(Settings, group="env.randomization"):
     """What differs from episode to episode: drawn uniformly from (low, high); None: not at all."""
 
-    enabled: bool  # False: nothing does
+    enabled: bool  # False: nothing is randomized
     friction: Sizes  # sliding friction of floor and feet
-    trunk_mass: Loads  # added to the trunk, as a share of the robot's mass
-    trunk_centre: Range  # its centre of mass's shift along each axis, share of the home height
-    link_mass: Sizes  # factor, of each link of the legs
+    trunk_mass: Loads  # mass added to the trunk, as a share of the robot's mass
+    # shift of the trunk's center of mass along each axis, as a share of the home height
+    trunk_center: Range
+    link_mass: Sizes  # factor of the mass of each leg link
     strength: Sizes  # factor of the motors' torque
-    kp: Sizes  # factor
-    kd: Sizes  # factor
-    joint_friction: Sizes  # factor
-    damping: Sizes  # factor, of the joints
-    armature: Sizes  # factor
-    encoder: Range  # rad, of each joint angle's measurement
-    imu_tilt: Range  # rad, of the IMU about each axis
-    latency: Delays  # s, of joint targets
-    sensor_latency: Delays  # s
-    noise: Sizes  # level; 1 is what the observations state
-    push: Sizes  # size of a push to any side, as a share of sqrt(gravity * home height)
-    push_seconds: Seconds = 5.0  # s: one push in each
-    # While training, each end of a range is so much farther from the model's value, unless that is
-    # into the range. An evaluation leaves it out: what is judged lies within what was learnt.
+    kp: Sizes  # factor of the position gain
+    kd: Sizes  # factor of the velocity gain
+    joint_friction: Sizes  # factor of the joints' Coulomb friction
+    damping: Sizes  # factor of the joints' damping
+    armature: Sizes  # factor of the rotors' inertia
+    encoder: Range  # rad, offset of each measured joint angle
+    imu_tilt: Range  # rad, rotation of the IMU about each axis
+    latency: Delays  # s, delay of joint targets
+    sensor_latency: Delays  # s, delay of sensors
+    noise: Sizes  # level of sensor noise; level 1 is what the observations state
+    push: Sizes  # size of a push in any direction, as a share of sqrt(gravity * home height)
+    push_seconds: Seconds = 5.0  # s; one push in each such period
+    # in training each range is wider by this share of its ends' distance from the model's value;
+    # evaluations leave it out
     margin: Share = 0.0
 
 
 # What a robot meets outside of a simulator; loads of -2 to 5 kg on an AlienGo, pushes to 1 m/s.
-REAL_WORLD = RandomisationConfig(
+REAL_WORLD = RandomizationConfig(
     enabled=True,
     friction=(0.3, 1.25),
     trunk_mass=(-0.09, 0.22),
-    trunk_centre=(-0.08, 0.08),
+    trunk_center=(-0.08, 0.08),
     link_mass=(0.9, 1.1),
     strength=(0.8, 1.1),
     kp=(0.8, 1.2),
@@ -149,11 +151,11 @@ REAL_WORLD = RandomisationConfig(
 )
 
 # Of a task in an ideal world.
-NO_RANDOMISATION = RandomisationConfig(
+NO_RANDOMIZATION = RandomizationConfig(
     enabled=False,
     friction=None,
     trunk_mass=None,
-    trunk_centre=None,
+    trunk_center=None,
     link_mass=None,
     strength=None,
     kp=None,
@@ -189,16 +191,16 @@ PHYSICS: dict[str, Any] = {
 class EnvConfig(Settings, group="env"):
     """The environment: physics, motors, and the task in it."""
 
-    engine: Literal["fast", "mjx"]  # what steps the physics: quadwalk's own equations, or MJX
+    engine: Literal["fast", "mjx"]  # physics engine: quadwalk's own equations (fast) or MJX
     gravity: Annotated[float, Bounds(0.0, 1000.0, open="low", unit="m/s^2")]  # m/s^2
     physics_dt: Annotated[float, Bounds(1e-4, 0.02, unit="s")]  # s, one physics step
     substeps: Few  # physics steps in a control step
     solver_iterations: Few  # Newton iterations of the contact solver (benchmarks/accuracy.py)
-    line_search_iterations: Few  # of each Newton iteration
-    # what touches the floor; knees: they too; body: those and the trunk's lower corners; all:
-    # those, the trunk's upper corners, and hips
+    line_search_iterations: Few  # line search iterations of each Newton iteration
+    # parts that touch the floor: feet; knees too; body: the trunk's lower corners too; all: its
+    # upper corners and the hips too
     contacts: Literal["feet", "knees", "body", "all"]
-    episode_seconds: Seconds  # s, the time limit
+    episode_seconds: Seconds  # s, time limit of an episode
     motor: MotorConfig
     action: ActionMap
     observation: dict[str, Observation]  # what the policy sees
@@ -207,10 +209,10 @@ class EnvConfig(Settings, group="env"):
     termination: dict[str, Termination]
     reset: ResetConfig
     command: CommandConfig
-    randomisation: RandomisationConfig
+    randomization: RandomizationConfig
     # A run from before there was any other ground does not state it.
     ground: GroundConfig = FLAT
-    # the robot has no camera: the observation `height_scan` is for the value network alone
+    # the policy does without the observation `height_scan`; the value network keeps it
     blind: bool = False
 
     def __post_init__(self) -> None:
@@ -273,4 +275,4 @@ class EnvConfig(Settings, group="env"):
     @property
     def push_steps(self) -> int:
         """Control steps of which one has a push."""
-        return max(round(self.randomisation.push_seconds / self.control_dt), 1)
+        return max(round(self.randomization.push_seconds / self.control_dt), 1)

@@ -17,46 +17,48 @@ from quadwalk.settings.environment import EnvConfig
 class RobotConfig(Settings, group="robot"):
     """The robot to train."""
 
-    urdf: Path = ALIENGO_URDF  # its description
-    mesh_dirs: tuple[Path, ...] = ()  # folders of its mesh files, besides the URDF's
-    effort: Positive | None = None  # Nm, of motors that the URDF gives no effort limit
-    speed: Positive | None = None  # rad/s, of motors that the URDF gives no velocity limit
-    repair_inertia: bool = False  # replace an inertia that no body can have by the nearest valid
+    urdf: Path = ALIENGO_URDF  # the robot's description
+    mesh_dirs: tuple[Path, ...] = ()  # folders of mesh files, besides the URDF's own
+    effort: Positive | None = None  # Nm, effort limit of motors for which the URDF has none
+    speed: Positive | None = None  # rad/s, velocity limit of motors for which the URDF has none
+    # replace an inertia that no body can have by the nearest valid one
+    repair_inertia: bool = False
 
 
 @dataclass(frozen=True)
 class PPOConfig(Settings, group="ppo"):
-    """The learner: proximal policy optimisation (Schulman et al. 2017, arXiv:1707.06347)."""
+    """The learner: proximal policy optimization (Schulman et al. 2017, arXiv:1707.06347)."""
 
-    eval_envs: Count  # environments beside the others that act without noise: how good it is
+    eval_envs: Count  # additional environments that act without noise, to measure the policy
     unroll: Count  # control steps of each environment in an iteration
-    minibatches: Count  # the iteration's data is cut into so many
-    epochs: Count  # passes over the data
-    learning_rate: Positive  # Adam's, at the start
-    desired_kl: Positive  # the learning rate adapts to keep the policy's change near this
-    final_kl: Positive  # desired_kl falls to this over the share `settle` of the steps, the last
-    min_learning_rate: Positive  # the learning rate's lower bound
-    max_learning_rate: Positive  # the learning rate's upper bound
+    minibatches: Count  # minibatches in each pass over an iteration's data
+    epochs: Count  # passes over an iteration's data
+    learning_rate: Positive  # Adam's learning rate at the start
+    # the learning rate adapts to keep the policy's change, a KL divergence, near this
+    desired_kl: Positive
+    final_kl: Positive  # desired_kl falls to this over the last `anneal_share` of the steps
+    min_learning_rate: Positive  # lower bound of the learning rate
+    max_learning_rate: Positive  # upper bound of the learning rate
     discount: Annotated[float, Bounds(0.0, 1.0, open="high")]  # weight of the next step's return
-    gae_lambda: Share  # of generalised advantage estimation
-    clip: Positive  # how far the probability ratio may be from 1
-    noise: Positive  # standard deviation of actions at the start, before the tanh
+    gae_lambda: Share  # lambda of generalized advantage estimation
+    clip_epsilon: Positive  # the probability ratio is clipped to 1 +- this
+    init_std: Positive  # standard deviation of actions at the start, before the tanh
     entropy: NotNegative  # weight of the entropy bonus
-    final_entropy: NotNegative  # the entropy bonus' weight falls to this, as desired_kl does
-    value: NotNegative  # weight of the value loss
+    # the entropy bonus's weight falls to this over the last `anneal_share` of the steps
+    final_entropy: NotNegative
+    value_coef: NotNegative  # weight of the value loss
     max_grad_norm: Positive  # gradients are scaled down to this norm
     reward_scale: Positive  # rewards are multiplied by this before learning
-    # hidden layers of policy and value network
+    # widths of the hidden layers of both networks
     hidden: Annotated[tuple[int, ...], Bounds(1, 100_000)]
-    activation: str  # of the hidden layers, by its name in Brax: swish, relu, tanh, ...
-    # networks that answer a mirrored observation with the mirrored action, by construction: where
-    # the robot is its own mirror image and every observation says how it mirrors
+    activation: str  # activation of the hidden layers, by its name in Brax: swish, relu, tanh, ...
+    # use mirror-symmetric networks where the robot and all observations allow it
     symmetric: bool = False
     # share of the falls after which the next episode is under the same conditions once more: so
     # what is hard to bear is met more often
     retry: Annotated[float, Bounds(0.0, 1.0, open="high")] = 0.0
-    # share of the steps, the last, over which the policy settles
-    settle: Annotated[float, Bounds(0.0, 1.0, open="low")] = 0.4
+    # share of the steps, the last, over which desired_kl and the entropy bonus fall
+    anneal_share: Annotated[float, Bounds(0.0, 1.0, open="low")] = 0.4
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -80,11 +82,11 @@ PPO = PPOConfig(
     max_learning_rate=1e-2,
     discount=0.97,
     gae_lambda=0.95,
-    clip=0.2,
-    noise=0.35,
+    clip_epsilon=0.2,
+    init_std=0.35,
     entropy=0.005,
     final_entropy=0.001,
-    value=1.0,
+    value_coef=1.0,
     max_grad_norm=1.0,
     reward_scale=0.1,
     hidden=(128, 128, 128),
@@ -93,7 +95,7 @@ PPO = PPOConfig(
 )
 # For uneven ground. A quarter fewer steps/s than with three layers of 128, but as far in two thirds
 # of the steps; it settles early, for levels rise little before.
-PPO_UNEVEN = replace(PPO, discount=0.98, entropy=0.003, hidden=(256, 192, 128), settle=0.8)
+PPO_UNEVEN = replace(PPO, discount=0.98, entropy=0.003, hidden=(256, 192, 128), anneal_share=0.8)
 
 
 @dataclass(frozen=True)
@@ -101,8 +103,9 @@ class DistributedConfig(Settings, group="distributed"):
     """One training shared by several processes, usually one on each machine."""
 
     coordinator: str | None = None  # HOST:PORT at which process 0 waits for the others
-    processes: Count = 1  # how many there are; the same command starts each, but for its number
-    process: Natural = 0  # the number of this one; 0 writes the files and shows the progress
+    # how many processes there are; each is started by the same command with its own number
+    processes: Count = 1
+    process: Natural = 0  # number of this process; 0 writes the files and shows progress
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -126,17 +129,18 @@ class TrainConfig(Settings):
     """Teach a quadruped a task. Results go to runs/NAME/."""
 
     task: tyro.conf.Suppress[str]  # its name
-    name: str | None = None  # name of the run; None: date, time and task
-    runs: Path = Path("runs")  # folder that holds all runs
-    init: str | None = None  # name or path of a run whose networks it begins with
-    steps: Count  # control steps, of all environments together
-    minutes: Positive | None = None  # stop after so long, with the policy saved
+    name: str | None = None  # the run's name; None: date, time and task
+    runs: Path = Path("runs")  # the folder of all runs
+    init: str | None = None  # a run, by name or path, whose networks this one begins with
+    steps: Count  # control steps of all environments together
+    minutes: Positive | None = None  # stop after so many minutes and save the policy
     seed: Seed = 0  # the same seed on the same machine gives the same numbers
     envs: Count | None = None  # environments stepped at once; None: 2048, or 8192 on a GPU
-    devices: Count | None = None  # devices that share them; None: all GPUs, or one per CPU core
+    # devices that share the environments; None: all GPUs, or one per CPU core
+    devices: Count | None = None
     checkpoint_steps: Count  # control steps between checkpoints
-    quiet: bool = False  # print the result only
-    watch: bool = False  # show the newest policy live in a page of the browser meanwhile
+    quiet: bool = False  # print only the result
+    watch: bool = False  # show the newest policy live in a page of the browser
     robot: RobotConfig = field(default_factory=RobotConfig)
     env: EnvConfig
     ppo: PPOConfig

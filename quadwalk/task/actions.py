@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from quadwalk.settings.terms import ActionMap
-from quadwalk.task.mirror import JOINTS, mirrors
+from quadwalk.task.reflections import JOINTS, mirrors
 from quadwalk.task.robot_arrays import RobotArrays
 
 

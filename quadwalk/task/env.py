@@ -17,14 +17,15 @@ from quadwalk.errors import UserError
 from quadwalk.ground.terrain import Terrain, leg_length, make_terrain
 from quadwalk.physics.constraints.surface import Surface
 from quadwalk.physics.engines import ENGINES, EngineName, fast, mujoco_c
-from quadwalk.physics.motor import Effort, Physics, make_motor
+from quadwalk.physics.motor import Effort, PhysicsState, make_motor
 from quadwalk.robot.mirror import Mirror, RobotMirror, joined, robot_mirror
 from quadwalk.robot.quadruped import Quadruped
 from quadwalk.settings.environment import EnvConfig
 from quadwalk.settings.terms import Observation, Term
 from quadwalk.task.episode.command import first_command, next_command
-from quadwalk.task.episode.conditions import (
-    Conditions,
+from quadwalk.task.episode.curriculum import begin_travel, make_curriculum, travel_on
+from quadwalk.task.episode.randomization import (
+    EpisodeRandomization,
     delayed,
     draw_conditions,
     latest_drawn,
@@ -34,10 +35,9 @@ from quadwalk.task.episode.conditions import (
     readings_needed,
     sensed,
 )
-from quadwalk.task.episode.curriculum import begin_travel, make_curriculum, travel_on
 from quadwalk.task.episode.reset import fresh_start, on_tile
-from quadwalk.task.mirror import Mirrors, mirror_of, with_history
 from quadwalk.task.observation import observe
+from quadwalk.task.reflections import Mirrors, mirror_of, with_history
 from quadwalk.task.reward import reward_terms, total_reward
 from quadwalk.task.robot_arrays import above_ground, robot_arrays, task_robot
 from quadwalk.task.state import (
@@ -59,7 +59,7 @@ _RUNNING, _TIME_LIMIT, _FIRST_FALL = 0, 1, 2
 class QuadrupedEnv(Env):
     """A task for one quadruped as a `brax.envs.base.Env`; vmap `reset` and `step` for a batch.
 
-    It does not reset itself: a step past the end of an episode goes on from where it was. Use
+    It does not reset itself: a step past the end of an episode continues from there. Use
     `quadwalk.train.ppo`, which starts a fresh episode after each, for training.
 
     `engine` steps its physics, by default that of `config`. MuJoCo C ("mujoco") steps the full
@@ -186,7 +186,9 @@ class QuadrupedEnv(Env):
         )
         return self.begun(state)
 
-    def _start(self, rng: jax.Array, tile: jax.Array | None) -> tuple[Physics, jax.Array | None]:
+    def _start(
+        self, rng: jax.Array, tile: jax.Array | None
+    ) -> tuple[PhysicsState, jax.Array | None]:
         """A start, and the tile that it is on."""
         # Drawn as on a flat floor, then put on the ground.
         level = self.geometry._replace(ground=None)
@@ -246,7 +248,7 @@ class QuadrupedEnv(Env):
 
     def driven(
         self, before: EnvState, action: jax.Array
-    ) -> tuple[Any, Physics, Conditions | None, jax.Array]:
+    ) -> tuple[Any, PhysicsState, EpisodeRandomization | None, jax.Array]:
         """What the engine steps in a control step from `before` with `action` (12,).
 
         The model, the state that it begins in, the conditions from then on, and the joint targets,
@@ -270,7 +272,7 @@ class QuadrupedEnv(Env):
         start: EnvState = state.pipeline_state._replace(**changes)
         if latest is None:
             late = start.conditions is not None and start.conditions.sensor_delay is not None
-            longest = latest_drawn(self.config.randomisation)[1]
+            longest = latest_drawn(self.config.randomization)[1]
             latest = readings_needed(longest, self.config.control_dt) if late else 0
         kept = 1 + latest + max(part.history for part in self.config.observation.values())
         start = start._replace(
@@ -279,7 +281,7 @@ class QuadrupedEnv(Env):
         )
         return state.replace(pipeline_state=start, obs=self.observation(start))
 
-    def obeyed(self, state: EnvState, action: jax.Array) -> jax.Array:
+    def applied_target(self, state: EnvState, action: jax.Array) -> jax.Array:
         """The joint angles (12,), rad, that motors go to at the end of a step with `action`."""
         target = self.config.action(self.robot, action, state.qpos[7:])
         if state.conditions is None:
@@ -290,14 +292,14 @@ class QuadrupedEnv(Env):
         """What the observation's first numbers (n,) are without delay, noise and offsets."""
         return observe(self.config.observation, self.robot, state)
 
-    def _drawn(self, key: jax.Array) -> Conditions | None:
+    def _drawn(self, key: jax.Array) -> EpisodeRandomization | None:
         """The conditions of an episode; None in an ideal world."""
-        ranges = self.config.randomisation
+        ranges = self.config.randomization
         if not ranges.enabled:
             return None
         return draw_conditions(ranges, self.robot, self.stepping, key, self.friction)
 
-    def _grip(self, conditions: Conditions | None) -> ArrayLike:
+    def _grip(self, conditions: EpisodeRandomization | None) -> ArrayLike:
         """The acceleration () that friction bears, m/s^2."""
         if conditions is None or conditions.variation is None:
             return self.config.gravity * self.friction
@@ -320,15 +322,15 @@ class QuadrupedEnv(Env):
         late = self._late(frames)
         rows = [self._frame(state)[None], frames[:late]]
         if max(self._history):
-            rows += [self._told(state)[None], frames[late + 1 : -1]]
+            rows += [self._sensed(state)[None], frames[late + 1 : -1]]
         return state._replace(frames=jnp.concatenate(rows))
 
     def _late(self, frames: jax.Array) -> int:
         """By how many control steps sensors may be late where these are kept."""
         return len(frames) - 1 - int(max(self._history))
 
-    def _told(self, state: EnvState) -> jax.Array:
-        """What sensors tell in this step, late as they are, and what is known (n,)."""
+    def _sensed(self, state: EnvState) -> jax.Array:
+        """Delayed sensor readings of this step, and what needs no sensor (n,)."""
         frames, conditions = state.frames, state.conditions
         assert frames is not None
         late = self._late(frames)
@@ -341,7 +343,7 @@ class QuadrupedEnv(Env):
         if state.frames is None:
             seen = [self._frame(state)]
         else:
-            seen, late = [self._told(state)], self._late(state.frames)
+            seen, late = [self._sensed(state)], self._late(state.frames)
             for ago in range(1, 1 + max(self._history)):
                 seen.append(state.frames[late + ago][np.flatnonzero(self._history >= ago)])
         if self.config.critic:
@@ -349,8 +351,8 @@ class QuadrupedEnv(Env):
         return jnp.concatenate(seen)
 
     def _kept_sane(
-        self, start: jax.Array, physics: Physics, effort: Effort, action: jax.Array
-    ) -> tuple[jax.Array, Physics, Effort, jax.Array]:
+        self, start: jax.Array, physics: PhysicsState, effort: Effort, action: jax.Array
+    ) -> tuple[jax.Array, PhysicsState, Effort, jax.Array]:
         """Whether all numbers are finite and no speed absurd, and the three, harmless if not.
 
         Then it stands where it was, at `start` (19,), or if that is no place either, at home.
@@ -361,7 +363,7 @@ class QuadrupedEnv(Env):
         sane = jnp.all(jnp.isfinite(numbers)) & jnp.all(jnp.abs(physics.qvel) < MAX_SPEED)
         action = jnp.where(sane, action, 0.0)
         place = jnp.where(jnp.all(jnp.abs(start) < FARTHEST), start, self.robot.home)
-        still = Physics(place, jnp.zeros(18), jnp.zeros(18))
+        still = PhysicsState(place, jnp.zeros(18), jnp.zeros(18))
         physics = jax.tree.map(lambda x, safe: jnp.where(sane, x, safe), physics, still)
         effort = jax.tree.map(lambda x: jnp.where(sane, x, 0.0), effort)
         return sane, physics, effort, action
@@ -407,10 +409,10 @@ class QuadrupedEnv(Env):
         step = step._replace(fell=fell)
         if after.travel is not None:
             assert self.curriculum is not None
-            velocity, asked = heading_velocity(step), step.command[:2]
+            velocity, wanted = heading_velocity(step), step.command[:2]
             if not config.command.given:
-                velocity, asked = mean_velocity(step), jnp.array([self.curriculum.pace, 0.0])
-            after = after._replace(travel=travel_on(after.travel, velocity, asked, step.dt))
+                velocity, wanted = mean_velocity(step), jnp.array([self.curriculum.pace, 0.0])
+            after = after._replace(travel=travel_on(after.travel, velocity, wanted, step.dt))
         after = self.with_frame(after)
         if config.critic:
             after = after._replace(contact=contact)
@@ -449,7 +451,7 @@ class QuadrupedEnv(Env):
         config, key = self.config, jax.random.PRNGKey(0)
         home = jnp.asarray(self.robot.home, jnp.float32)
         return EnvState(
-            Physics(home, jnp.zeros(18), jnp.zeros(18)),
+            PhysicsState(home, jnp.zeros(18), jnp.zeros(18)),
             jnp.zeros(12),
             jnp.zeros((), jnp.int32),
             first_command(config.command, key, config.control_dt) if config.command.given else None,

@@ -12,7 +12,7 @@ import numpy as np
 
 from quadwalk.physics.rotation import down, rotate_inverse, yaw
 from quadwalk.settings.terms import Observation
-from quadwalk.task.mirror import (
+from quadwalk.task.reflections import (
     AXIAL,
     FEET,
     JOINTS,
@@ -172,13 +172,13 @@ def contacts(robot: RobotArrays, state: EnvState) -> jax.Array:
 @mirrors(
     *(SCALAR, SCALAR, VECTOR, LINKS),
     *(SCALAR,) * 8,  # six factors and two delays
-    *(SCALAR,) * 3,  # sizes of pushes, whose sides are not told, and of noise
+    *(SCALAR,) * 3,  # sizes of pushes, without their signs, and of noise
     JOINTS,
 )
 def conditions(robot: RobotArrays, state: EnvState) -> jax.Array:
     """What was drawn for the episode (n,); nothing in an ideal world. For the value network only.
 
-    Friction, added mass kg, shift of its centre m (3,), factors of links (12,) and motors, latency
+    Friction, added mass kg, shift of its center m (3,), factors of links (12,) and motors, latency
     in physics and control steps, pushes m/s (2,), noise, encoder offsets rad (12,).
     """
     drawn = state.conditions

@@ -5,22 +5,22 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from quadwalk.physics.motor import Physics
+from quadwalk.physics.motor import PhysicsState
 from quadwalk.physics.rotation import yaw
 from quadwalk.task.episode.command import Command
-from quadwalk.task.episode.conditions import Conditions
 from quadwalk.task.episode.curriculum import Travel
+from quadwalk.task.episode.randomization import EpisodeRandomization
 
 
 class EnvState(NamedTuple):
     """What one environment carries from step to step."""
 
-    physics: Physics
+    physics: PhysicsState
     last_action: jax.Array  # (12,)
     steps: jax.Array  # () int32, control steps since the episode's start
     command: Command | None = None  # None where there is none
-    conditions: Conditions | None = None  # None where they are those of the simulator
-    # (m, n) what was measured, newest first, as many as sensors may be late; then what they told in
+    conditions: EpisodeRandomization | None = None  # None where they are those of the simulator
+    # (m, n) what was measured, newest first, for delayed sensors; then the readings seen in
     # earlier steps, newest first; None: only this step
     frames: jax.Array | None = None
     contact: jax.Array | None = None  # (4,) bool, feet on the floor; None at an episode's start
@@ -118,7 +118,7 @@ def yaw_rate_error(step: Step) -> jax.Array:
     return motion(step.start, step.qpos, step.dt)[2] - step.command[2]
 
 
-def chosen(rows: jax.Array, new: Any, old: Any) -> Any:
+def tree_where(rows: jax.Array, new: Any, old: Any) -> Any:
     """`new` where `rows` (n,) is true, else `old`: pytrees of arrays (n, ...)."""
     return jax.tree.map(
         lambda new, old: jnp.where(rows.reshape(-1, *[1] * (new.ndim - 1)), new, old), new, old

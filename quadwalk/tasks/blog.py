@@ -15,11 +15,11 @@ import numpy as np
 from quadwalk.physics.motor import MotorConfig
 from quadwalk.physics.rotation import euler, rotate
 from quadwalk.robot.mirror import Mirror, RobotMirror
-from quadwalk.settings.environment import NO_COMMAND, NO_RANDOMISATION, EnvConfig, ResetConfig
+from quadwalk.settings.environment import NO_COMMAND, NO_RANDOMIZATION, EnvConfig, ResetConfig
 from quadwalk.settings.terms import ActionMap, Observation, Reward, Termination
 from quadwalk.settings.training import PPO, TrainConfig
 from quadwalk.task import observation
-from quadwalk.task.mirror import AXIAL, JOINTS, SCALAR, VECTOR, mirrors
+from quadwalk.task.reflections import AXIAL, JOINTS, SCALAR, VECTOR, mirrors
 from quadwalk.task.robot_arrays import RobotArrays
 from quadwalk.task.state import EnvState, Step
 
@@ -186,7 +186,7 @@ TASK = TrainConfig(
             forward=0.0,
         ),
         command=NO_COMMAND,
-        randomisation=NO_RANDOMISATION,
+        randomization=NO_RANDOMIZATION,
     ),
     # At 240 steps a second what an action brings shows many steps later.
     ppo=replace(PPO, unroll=32, discount=0.99, gae_lambda=0.98, entropy=0.0, final_entropy=0.0),

@@ -48,7 +48,7 @@ TASK = TrainConfig(
             lateral_until=2.0,
             turning=4.0,
         ),
-        randomisation=REAL_WORLD,
+        randomization=REAL_WORLD,
     ),
     ppo=replace(PPO, retry=0.5, hidden=(256, 192, 128)),
 )

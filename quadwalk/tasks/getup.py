@@ -36,7 +36,7 @@ TASK = TrainConfig(
         termination={},  # it lies at the start
         reset=replace(HOME_RESET, joints=0.8, tumbled=True),
         command=NO_COMMAND,
-        randomisation=REAL_WORLD,
+        randomization=REAL_WORLD,
     ),
     ppo=replace(PPO, discount=0.98),
 )

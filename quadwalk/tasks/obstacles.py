@@ -46,13 +46,13 @@ TASK = TrainConfig(
             "tilt": Reward(reward.tilt, scale=-0.2),
             "roll_pitch_rate": Reward(reward.roll_pitch_rate, scale=-0.1),
             "action_rate": Reward(reward.action_rate, scale=-0.1),
-            # Else it goes on its knees: they may touch. Where it stands, shins are 2 cm up.
+            # Knees may touch, so without this it crawls. Where it stands, shins are 2 cm up.
             "kneel": Reward(reward.kneel, {"height": 0.015}, scale=-1.0),
         },
         termination=TRUNK_FALLS,
         reset=replace(HOME_RESET, offset=0.0),
         command=NO_COMMAND,
-        randomisation=replace(
+        randomization=replace(
             REAL_WORLD, trunk_mass=(-0.1, 0.25), push=(0.0, 0.5), push_seconds=5.0, margin=0.0
         ),
         ground=replace(

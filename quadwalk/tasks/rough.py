@@ -40,7 +40,7 @@ TASK = TrainConfig(
             "tilt": Reward(reward.tilt, scale=-0.1),
             "roll_pitch_rate": Reward(reward.roll_pitch_rate, scale=-0.05),
             "action_rate": Reward(reward.action_rate, scale=-0.1),
-            # Else it goes on its knees: they may touch. Where it stands, shins are 2 cm up.
+            # Knees may touch, so without this it crawls. Where it stands, shins are 2 cm up.
             "kneel": Reward(reward.kneel, {"height": 0.015}, scale=-1.0),
             "follow": Reward(reward.follow, {"width": 0.35}, scale=1.0),
             "follow_yaw_rate": Reward(reward.follow_yaw_rate, {"width": 0.35}, scale=0.5),
@@ -57,7 +57,7 @@ TASK = TrainConfig(
             seconds=5.0,
             straight=0.5,  # else few get to the edge of their tiles, and levels rise slowly
         ),
-        randomisation=replace(
+        randomization=replace(
             REAL_WORLD, trunk_mass=(-0.1, 0.25), push=(0.0, 0.5), push_seconds=5.0, margin=0.0
         ),
         ground=replace(

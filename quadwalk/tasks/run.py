@@ -34,7 +34,7 @@ TASK = TrainConfig(
         termination=FALLS,
         reset=HOME_RESET,
         command=NO_COMMAND,
-        randomisation=REAL_WORLD,
+        randomization=REAL_WORLD,
     ),
     ppo=replace(PPO, retry=0.5),
 )

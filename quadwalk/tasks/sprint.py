@@ -5,7 +5,7 @@ from dataclasses import replace
 from quadwalk.settings.environment import (
     HOME_RESET,
     NO_COMMAND,
-    NO_RANDOMISATION,
+    NO_RANDOMIZATION,
     PHYSICS,
     EnvConfig,
 )
@@ -50,7 +50,7 @@ TASK = TrainConfig(
         termination=FALLS,
         reset=HOME_RESET,
         command=NO_COMMAND,
-        randomisation=NO_RANDOMISATION,
+        randomization=NO_RANDOMIZATION,
     ),
     ppo=replace(PPO, entropy=0.01),
 )

@@ -38,7 +38,7 @@ TASK = TrainConfig(
             standing=0.1,
             seconds=5.0,
         ),
-        randomisation=REAL_WORLD,
+        randomization=REAL_WORLD,
     ),
     ppo=PPO,
 )

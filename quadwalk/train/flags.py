@@ -85,7 +85,7 @@ def parse_config(args: Sequence[str], prog: str = "train.py") -> tuple[TrainConf
     description = f"{TrainFlags.__doc__}\n\n{task_list()}"
     flags = parse(TrainFlags, args, prog, TrainFlags(**shared, **start), description)
     config = TrainConfig(**{name: getattr(flags, name) for name in shared})
-    world, usual = config.env.randomisation, default.env.randomisation
+    world, usual = config.env.randomization, default.env.randomization
     if not world.enabled and dataclasses.replace(world, enabled=usual.enabled) != usual:
-        raise UsageError("flags of --env.randomisation need --env.randomisation.enabled as well")
+        raise UsageError("flags of --env.randomization need --env.randomization.enabled as well")
     return config, previous

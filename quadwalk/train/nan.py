@@ -24,7 +24,7 @@ import numpy as np
 from quadwalk.errors import UsageError, UserError
 from quadwalk.files import os_reason
 from quadwalk.physics.engines import ENGINES
-from quadwalk.settings.serialise import to_dict
+from quadwalk.settings.serialize import to_dict
 from quadwalk.settings.training import TrainConfig
 from quadwalk.task.env import QuadrupedEnv
 from quadwalk.train.robot import load_robot

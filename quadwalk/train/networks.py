@@ -21,7 +21,7 @@ from brax.training.networks import ACTIVATION
 from quadwalk.errors import UsageError
 from quadwalk.robot.mirror import Mirror, joined, mirror
 from quadwalk.settings.training import PPOConfig
-from quadwalk.task.mirror import Mirrors
+from quadwalk.task.reflections import Mirrors
 
 # Of a number's standard deviation, as a share of its mean or, if that is less than 1, of 1.
 CONSTANT = 1e-4
@@ -83,7 +83,7 @@ def _pairs(matrix: np.ndarray, x: jax.Array) -> jax.Array:
 
 
 class Networks(NamedTuple):
-    """Two multilayer perceptrons on normalised observations.
+    """Two multilayer perceptrons on normalized observations.
 
     With a mirror they are equivariant: each layer maps kept to kept and negated to negated numbers,
     and the activation is that of two halves that are each other's mirror image (Su et al. 2024,
@@ -113,18 +113,18 @@ class Networks(NamedTuple):
         parts = len(inputs.sizes)
         return [inputs.sizes, *((size // parts,) * parts for size in self.hidden), outputs]
 
-    def normalised(self, normalizer: NestedMeanStd, observation: jax.Array) -> Parts:
+    def normalized(self, normalizer: NestedMeanStd, observation: jax.Array) -> Parts:
         """What the networks take (m, n) of observations as they are (n, size)."""
         return self.whole.split(((observation - normalizer.mean) / divisors(normalizer)).T)
 
     def policy(self, params: Any, parts: Parts) -> "TanhNormal":
-        """The distribution of actions after `normalised` observations."""
+        """The distribution of actions after `normalized` observations."""
         own = tuple(part[:size] for part, size in zip(parts, self.seen.sizes, strict=True))
         outputs = self.outputs.join(_perceptron(self.activation, params, own))
         return TanhNormal.of(outputs, self.std_scale)
 
     def value(self, params: Any, parts: Parts) -> jax.Array:
-        """The expected return (...) after `normalised` observations (m, ...)."""
+        """The expected return (...) after `normalized` observations (m, ...)."""
         return _perceptron(self.activation, params, parts)[0][0]
 
     def init_statistics(self) -> RunningStatisticsState:
@@ -134,7 +134,7 @@ class Networks(NamedTuple):
     def measured(
         self, normalizer: RunningStatisticsState, parts: Parts, axis: str
     ) -> RunningStatisticsState:
-        """`normalizer` with these `normalised` observations (steps, m, n), and mirrored.
+        """`normalizer` with these `normalized` observations (steps, m, n), and mirrored.
 
         As Brax's `running_statistics.update`, with the batch's own mean and variance (Chan, Golub
         and LeVeque 1983): so rounding does not spread a number that is constant. Devices along
@@ -215,7 +215,7 @@ def make_networks(
     return Networks(
         hidden=config.hidden,
         activation=config.activation,
-        std_scale=float(config.noise / np.log(2.0)),  # the spread begins at softplus(0)
+        std_scale=float(config.init_std / np.log(2.0)),  # the spread begins at softplus(0)
         seen=Basis(policy_size, seen),
         whole=Basis(policy_size + critic_size, mirrors and mirrors.observation),
         outputs=Basis(2 * action_size, outputs),

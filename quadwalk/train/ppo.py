@@ -24,7 +24,7 @@ from jax.sharding import Mesh, NamedSharding
 from jax.sharding import PartitionSpec as P
 
 from quadwalk.settings.training import PPOConfig
-from quadwalk.task.state import chosen
+from quadwalk.task.state import tree_where
 from quadwalk.train.devices import release_freed_memory
 from quadwalk.train.networks import Networks, Parts, TanhNormal
 
@@ -44,7 +44,7 @@ class Learner(NamedTuple):
     iterations: jax.Array  # () int32, done so far
 
 
-class Workers(NamedTuple):
+class RolloutState(NamedTuple):
     """What collecting changes; leading axis: environments, or devices for `key`."""
 
     envs: State
@@ -55,13 +55,13 @@ class TrainState(NamedTuple):
     """Everything that an iteration of training reads and writes."""
 
     learner: Learner
-    workers: Workers
+    workers: RolloutState
 
 
 class Rollout(NamedTuple):
     """What the environments learnt from met in `unroll` control steps; environments last."""
 
-    seen: Parts  # each (unroll, m, envs), `Networks.normalised`, before each step
+    seen: Parts  # each (unroll, m, envs), `Networks.normalized`, before each step
     raw_action: jax.Array  # (unroll, 12, envs), before the squashing
     policy: TanhNormal  # of them, (unroll, 12, envs)
     log_prob: jax.Array  # (unroll, envs), theirs
@@ -119,7 +119,7 @@ def init_state(
     one = jax.eval_shape(env.reset, jax.ShapeDtypeStruct((2,), np.uint32))
     number = num_envs + config.eval_envs
     envs = jax.tree.map(lambda x: np.zeros((number, *x.shape), x.dtype), one)
-    workers = Workers(
+    workers = RolloutState(
         envs=jax.device_put(envs, split),
         key=jax.device_put(jax.random.split(key_workers, mesh.size), split),
     )
@@ -139,8 +139,8 @@ def placed_like(saved: T, state: T) -> T:
 
 
 def collect(
-    env: Env, networks: Networks, config: PPOConfig, learner: Learner, workers: Workers
-) -> tuple[Workers, tuple[Rollout, Parts], Metrics]:
+    env: Env, networks: Networks, config: PPOConfig, learner: Learner, workers: RolloutState
+) -> tuple[RolloutState, tuple[Rollout, Parts], Metrics]:
     """Step every environment `unroll` times; the last of them, for evaluation, without noise.
 
     Returns what those learnt from met and what they see (m, envs) at the end, and metrics: means
@@ -160,7 +160,7 @@ def collect(
         fresh = jax.tree.map(lambda x: jnp.concatenate([x, x]), fresh)
 
     def expected(observation: jax.Array) -> jax.Array:
-        seen = networks.normalised(learner.normalizer, observation)
+        seen = networks.normalized(learner.normalizer, observation)
         return networks.value(learner.params.value, seen)
 
     def one_step(
@@ -168,7 +168,7 @@ def collect(
     ) -> tuple[tuple[State, NanStep], tuple[Rollout, Metrics]]:
         before, nan_step = carry
         key, number = xs
-        seen = networks.normalised(learner.normalizer, before.obs)
+        seen = networks.normalized(learner.normalizer, before.obs)
         policy = networks.policy(learner.params.policy, seen)
         raw_action = policy.sample(key)
         noiseless = jnp.arange(envs) >= learnt_from
@@ -196,8 +196,8 @@ def collect(
     )
     if env.curriculum is not None:
         metrics |= env.curriculum.sums(after.pipeline_state.tile[:learnt_from])
-    last = networks.normalised(learner.normalizer, after.obs[:learnt_from])
-    return Workers(after, key[None]), (rollout, last), _over_devices(metrics, nan_step)
+    last = networks.normalized(learner.normalizer, after.obs[:learnt_from])
+    return RolloutState(after, key[None]), (rollout, last), _over_devices(metrics, nan_step)
 
 
 def _next_tiles(
@@ -205,7 +205,7 @@ def _next_tiles(
 ) -> jax.Array | None:
     """Where the next episode of each environment is to be, (n,) tiles; None without a curriculum.
 
-    Those that end in this iteration have as good as done what they will have. The environments that
+    Episodes that end in this iteration are judged at its start. The environments that
     evaluate meet all tiles alike.
     """
     if env.curriculum is None:
@@ -220,7 +220,7 @@ def _next_tiles(
 
 
 def _step_metrics(after: State, learnt_from: int) -> Metrics:
-    """A step's means and counts, of the environments learnt from and of those that evaluate."""
+    """Means and counts of a step, of the training and of the evaluation environments."""
     return {
         "reward": jnp.mean(after.reward[:learnt_from]),
         **{name: jnp.mean(value[:learnt_from]) for name, value in after.metrics.items()},
@@ -255,7 +255,7 @@ def _start_anew(
 ) -> tuple[jax.Array, State]:
     """Rewards (n,) to learn from, and `after` with finished episodes replaced by `start`.
 
-    A step that meets the time limit is not a failure: what the value network expects after it is
+    A time-out does not count as a failure: what the value network expects after it is
     added to its reward, and the step then ends the episode, which equals bootstrapping through the
     limit (Pardo et al. 2018, arXiv:1712.00378). `expected` gives the values of observations.
     """
@@ -291,13 +291,13 @@ def _start_anew(
 def _retried(share: float, after: State, start: State, key: jax.Array) -> Any:
     """The conditions of `start`; after that share of falls, those of the episode that fell.
 
-    As prioritised level replay does (Jiang et al. 2021, arXiv:2010.03934), by falls alone.
+    As prioritized level replay does (Jiang et al. 2021, arXiv:2010.03934), by falls alone.
     """
     fallen, fresh = after.pipeline_state.conditions, start.pipeline_state.conditions
     if fresh is None:
         return None
     again = jax.random.bernoulli(key, share, after.done.shape) & (after.metrics["fell"] > 0)
-    return chosen(again, fallen._replace(targets=fresh.targets, key=fresh.key), fresh)
+    return tree_where(again, fallen._replace(targets=fresh.targets, key=fresh.key), fresh)
 
 
 def _first(known: NanStep, nan: jax.Array, before: Any, action: jax.Array) -> NanStep:
@@ -307,7 +307,7 @@ def _first(known: NanStep, nan: jax.Array, before: Any, action: jax.Array) -> Na
     return jax.tree.map(lambda old, new: jnp.where(known.found > 0, old, new), known, new)
 
 
-def settled(start: float, end: float, share: float, progress: jax.Array) -> jax.Array:
+def anneal(start: float, end: float, share: float, progress: jax.Array) -> jax.Array:
     """`start`, falling to `end` over the last `share` of the training; `progress` from 0 to 1."""
     return start + jnp.clip(1.0 - (1.0 - progress) / share, 0.0, 1.0) * (end - start)
 
@@ -324,11 +324,11 @@ def learn(
 
     A minibatch is of environments side by side. The first call measures the observations and no
     more: a policy that had learnt on raw ones would change beyond recognition when they are
-    normalised.
+    normalized.
     """
     progress = learner.iterations / float(iterations)  # more than int32 holds, if it must be
-    desired_kl = settled(config.desired_kl, config.final_kl, config.settle, progress)
-    entropy = settled(config.entropy, config.final_entropy, config.settle, progress)
+    desired_kl = anneal(config.desired_kl, config.final_kl, config.anneal_share, progress)
+    entropy = anneal(config.entropy, config.final_entropy, config.anneal_share, progress)
     size = data[0].reward.shape[-1] // config.minibatches
 
     def update(carry: Any, number: jax.Array) -> Any:
@@ -369,7 +369,7 @@ def gradients(
 ) -> tuple[PPONetworkParams, Metrics]:
     """Of PPO's loss, as Brax's `compute_ppo_loss`, on a minibatch, and its parts.
 
-    `own` takes the minibatch's environments out of arrays (..., envs). It is asked step by step:
+    `own` takes the minibatch's environments out of arrays (..., envs). It is called step by step:
     what the networks compute of one step stays in a core's cache. Each network has a pass of its
     own, since advantages are measured against those of the whole minibatch.
     """
@@ -401,7 +401,7 @@ def _value_gradient(
 ) -> tuple[Any, tuple[jax.Array, jax.Array]]:
     """The value loss's gradient, summed over steps; the loss (unroll,), advantages (unroll, envs).
 
-    Generalised advantage estimation (Schulman et al. 2016, arXiv:1506.02438) goes from the last
+    Generalized advantage estimation (Schulman et al. 2016, arXiv:1506.02438) goes from the last
     step back, so each step's return is known when its value is learnt. As in Brax, an advantage
     counts the next step's return in full, and `gae_lambda` weighs what is beyond.
     """
@@ -412,7 +412,7 @@ def _value_gradient(
         surprise = met.reward + kept * following - value
         error = jax.lax.stop_gradient(surprise + config.gae_lambda * kept * beyond)
         target = jax.lax.stop_gradient(value) + error
-        mean = 0.5 * config.value * jnp.mean((target - value) ** 2)
+        mean = 0.5 * config.value_coef * jnp.mean((target - value) ** 2)
         return mean, (value, error, surprise + kept * beyond)
 
     def step(carry: Any, met: Rollout) -> Any:
@@ -439,7 +439,7 @@ def _policy_loss(
     """Of a step, the policy's clipped loss less the entropy bonus; how far the policy changed."""
     policy = networks.policy(params, met.seen)
     ratio = jnp.exp(policy.log_prob(met.raw_action) - met.log_prob)
-    clipped = jnp.clip(ratio, 1.0 - config.clip, 1.0 + config.clip)
+    clipped = jnp.clip(ratio, 1.0 - config.clip_epsilon, 1.0 + config.clip_epsilon)
     loss = -jnp.mean(jnp.minimum(ratio * advantages, clipped * advantages))
     divergence = jnp.mean(policy.divergence(met.policy))
     metrics = {"policy": loss, "kl": divergence, "std": jnp.mean(policy.std)}
@@ -478,13 +478,13 @@ def _update(
 
 
 class Iteration:
-    """One iteration of training: `state, numbers = iteration(state)`; `state` is given up to it."""
+    """One iteration of training: `state, numbers = iteration(state)`; `state` is donated."""
 
     def __init__(
         self, env: Env, networks: Networks, config: PPOConfig, mesh: Mesh, iterations: int
     ) -> None:
         def collecting(
-            learner: Learner, workers: Workers, ground: tuple[jax.Array, ...]
+            learner: Learner, workers: RolloutState, ground: tuple[jax.Array, ...]
         ) -> tuple[Any, ...]:
             own = env.reading(ground)
             workers, data, collected = collect(own, networks, config, learner, workers)
@@ -530,8 +530,8 @@ class Iteration:
             )
         release_freed_memory()
 
-    def collect(self, learner: Learner, workers: Workers) -> tuple[Any, ...]:
-        """Workers, data, metrics and a random key to learn with; `workers` are given up to it."""
+    def collect(self, learner: Learner, workers: RolloutState) -> tuple[Any, ...]:
+        """Workers, data, metrics and a random key to learn with; `workers` are donated."""
         found: tuple[Any, ...] = self._collect(learner, workers, self._ground)
         return found
 

@@ -4,7 +4,7 @@ from typing import Any
 
 from quadwalk.robot.mjcf import Options, write_xml
 from quadwalk.robot.quadruped import Quadruped, load_quadruped
-from quadwalk.settings.serialise import task_source, to_dict
+from quadwalk.settings.serialize import task_source, to_dict
 from quadwalk.settings.training import RobotConfig, TrainConfig
 from quadwalk.task_files import OWN
 from quadwalk.train.runs.checkpoint import sha256

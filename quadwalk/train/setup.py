@@ -13,7 +13,7 @@ from optax.tree_utils import tree_get, tree_set
 from quadwalk.errors import UserError
 from quadwalk.files import DAMAGE, atomic_write, read_bytes, real_path, unfinished
 from quadwalk.robot.quadruped import Quadruped
-from quadwalk.settings.serialise import task_source, to_dict
+from quadwalk.settings.serialize import task_source, to_dict
 from quadwalk.settings.training import DistributedConfig, TrainConfig, with_files
 from quadwalk.task.env import QuadrupedEnv
 from quadwalk.task_files import OWN

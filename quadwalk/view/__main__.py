@@ -9,7 +9,7 @@ import sys
 from collections.abc import Sequence
 
 from quadwalk.cli import parse
-from quadwalk.view.drive import ViewConfig, drive
+from quadwalk.view.show import ViewConfig, drive
 
 
 def main(args: Sequence[str] | None = None, prog: str = "quadwalk view") -> None:

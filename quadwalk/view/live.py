@@ -14,12 +14,12 @@ from quadwalk.evaluate.loaded import LoadedRun
 from quadwalk.evaluate.motion.forces import foot_forces, geom_ids
 from quadwalk.evaluate.motion.kinematics import turned
 from quadwalk.evaluate.simulate import Policy
-from quadwalk.physics.model import Variation, vary_motor
-from quadwalk.physics.motor import Physics, control_step
+from quadwalk.physics.model import RobotRandomization, vary_motor
+from quadwalk.physics.motor import PhysicsState, control_step
 from quadwalk.physics.mujoco_c import varied_model
 from quadwalk.task.env import MAX_SPEED, QuadrupedEnv
 from quadwalk.task.episode.command import Command
-from quadwalk.task.episode.conditions import Conditions, delayed, targets_needed
+from quadwalk.task.episode.randomization import EpisodeRandomization, delayed, targets_needed
 from quadwalk.task.episode.reset import nominal_start
 from quadwalk.task.state import EnvState
 from quadwalk.train.runs.policy import Policy as TrainedPolicy
@@ -45,18 +45,18 @@ class Settings:
     """What can be changed of floor, robot and sensors while it runs."""
 
     friction: float  # sliding friction of floor and feet
-    payload: float = 0.0  # kg, in the trunk's centre of mass
+    payload: float = 0.0  # kg, in the trunk's center of mass
     strength: float = 1.0  # factor of the motors' torque
     latency: float = 0.0  # s, of joint targets
     noise: float = 0.0  # level of the sensor noise; 1 is what the task states
 
-    def variation(self) -> Variation:
+    def variation(self) -> RobotRandomization:
         """How robot and floor differ from the model."""
         same = _number(1.0)
-        return Variation(
+        return RobotRandomization(
             friction=_number(self.friction),
             trunk_mass=_number(self.payload),
-            trunk_centre=np.zeros(3, np.float32),
+            trunk_center=np.zeros(3, np.float32),
             link_mass=np.ones(12, np.float32),
             strength=_number(self.strength),
             kp=same,
@@ -164,10 +164,14 @@ class LiveRobot:
         """One control step. A robot that fell gets up, or is put on its feet after `LYING` s."""
         data, mind = self.data, self._mind
         thought = jax.device_get(mind.think(mind.policy.act, self.state()))
-        mind.frames, mind.targets, mind.action, obeyed = thought
-        physics = Physics(data.qpos.copy(), data.qvel.copy(), None)  # type: ignore[arg-type]
+        mind.frames, mind.targets, mind.action, applied_target = thought
+        physics = PhysicsState(data.qpos.copy(), data.qvel.copy(), None)  # type: ignore[arg-type]
         control_step(
-            self._motor, self.env.stepping, physics, np.asarray(obeyed, float), self._advance
+            self._motor,
+            self.env.stepping,
+            physics,
+            np.asarray(applied_target, float),
+            self._advance,
         )
         self.foot_force = foot_forces(self.model, data, self._feet)
         self.steps += 1
@@ -232,7 +236,7 @@ class LiveRobot:
         terrain = self.env.terrain
         return np.zeros(points.shape[:-1]) if terrain is None else terrain.field.height_at(points)
 
-    def _advance(self, state: Physics, torque: Any) -> Physics:
+    def _advance(self, state: PhysicsState, torque: Any) -> PhysicsState:
         """A physics step with joint torques (12,), Nm; `state` is where `data` is."""
         data = self.data
         data.qfrc_applied[6:] = torque
@@ -243,7 +247,7 @@ class LiveRobot:
         """What the task's functions read, of single precision: the compiled program's input."""
         data, settings = self.data, self.settings
         key, nothing = _number(self._key, np.uint32), _number(np.zeros(18))
-        conditions = Conditions(
+        conditions = EpisodeRandomization(
             variation=settings.variation(),
             delay=_number(settings.latency / self.env.stepping.dt),
             sensor_delay=None,
@@ -257,7 +261,7 @@ class LiveRobot:
         mind = self._mind
         commanded = mind.env.config.command.given
         return EnvState(
-            physics=Physics(_number(data.qpos), _number(data.qvel), nothing),
+            physics=PhysicsState(_number(data.qpos), _number(data.qvel), nothing),
             last_action=mind.action,
             steps=_number(mind.steps, np.int32),
             command=Command(_number(self.command), key) if commanded else None,
@@ -295,7 +299,9 @@ def _compiled(env: QuadrupedEnv) -> Callable[[Policy, EnvState], tuple[Any, Any,
         assert state.conditions is not None
         action = policy(env.observation(state))
         target = env.config.action(env.robot, action, state.qpos[7:])
-        conditions, obeyed = delayed(state.conditions, target, env.stepping.substeps, state.steps)
-        return state.frames, conditions.targets, action, obeyed
+        conditions, applied_target = delayed(
+            state.conditions, target, env.stepping.substeps, state.steps
+        )
+        return state.frames, conditions.targets, action, applied_target
 
     return env.jit(think, compiler_options=_OPTIONS)

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 _PATIENCE = 0.1  # s behind the clock, after which the time is lost rather than made up
 _WINDOW = 2.0  # s over which it is measured how fast time goes
-_KEPT = 0.97  # of the speed that is asked for: below this it is not kept
+_KEPT = 0.97  # of the chosen speed: below this real time is not kept
 
 
 class Pace:
@@ -14,7 +14,7 @@ class Pace:
 
     def __init__(self, dt: float, clock: Callable[[], float] = time.monotonic) -> None:
         self.dt = dt
-        self.speed = 1.0  # simulated seconds in one on the wall that are asked for
+        self.speed = 1.0  # chosen simulated seconds per second
         self._clock = clock
         self.restart()
 
@@ -44,7 +44,7 @@ class Pace:
 
     @property
     def reached(self) -> float:
-        """Simulated seconds in one on the wall, lately; what is asked for until that is known."""
+        """Recent simulated seconds per second; the chosen ones until that is known."""
         if len(self._marks) < 2 or self._marks[-1][0] - self._marks[0][0] < _WINDOW / 4:
             return self.speed
         (began, first, _), (_, last, _) = self._marks[0], self._marks[-1]
@@ -52,7 +52,7 @@ class Pace:
 
     @property
     def kept(self) -> bool:
-        """Whether time goes as fast as is asked for."""
+        """Whether the chosen speed is kept."""
         return self.reached >= _KEPT * self.speed
 
     @property

@@ -34,7 +34,7 @@ _REST = 0.002  # s, of sleep between looks at the clock
 class Page:
     """A live robot in the pages of `server`, which `run_for` steps in real time.
 
-    What is asked for in a page, in threads of the server's, is done between two control steps.
+    Requests come in threads of the server and are done between two control steps.
     """
 
     def __init__(
@@ -96,7 +96,7 @@ class Page:
             (list(runs), label_of(self._root, run)),
             (self._policies, label),
         )
-        self.live.command[:] = self.panel.told() if self.panel.command else 0.0
+        self.live.command[:] = self.panel.commanded() if self.panel.command else 0.0
         ready.join()
         self.live.reset()
         self.pace.restart()
@@ -121,7 +121,7 @@ class Page:
             reset()
 
         def command() -> None:
-            self.live.command[:] = self.panel.told()
+            self.live.command[:] = self.panel.commanded()
 
         return Actions(
             ask=self._asked.put,

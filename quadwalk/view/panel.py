@@ -79,7 +79,7 @@ class Panel:
         percent = {"strength": 0.01, "latency": 0.001}
         return {name: _within(s) * percent.get(name, 1.0) for name, s in self._settings.items()}
 
-    def told(self) -> np.ndarray:
+    def commanded(self) -> np.ndarray:
         """(3,) the command that its sliders say."""
         return np.array([_within(slider) for slider in self.command])
 
@@ -214,7 +214,7 @@ class Panel:
         def change(index: int, sign: int) -> None:
             slider = self.command[index]
             end = slider.max if sign > 0 else -slider.min
-            values = list(self.told())
+            values = list(self.commanded())
             values[index] += sign * max(end, 0.1) / _PRESSES
             self._set_command(self.command, values)
 

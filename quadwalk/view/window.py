@@ -48,7 +48,7 @@ class Keys:
         self._pressed.put(key)
 
     def answer(self) -> None:
-        """Do what was asked for since the last time."""
+        """Do what the pressed keys mean."""
         while not self._pressed.empty():
             key, live = self._pressed.get(), self._live
             if key in _COMMANDS:

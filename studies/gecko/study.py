@@ -22,7 +22,7 @@ from typing import Any
 
 from quadwalk.cores import cpu_cores
 from quadwalk.process import run_command
-from quadwalk.settings.serialise import with_settings
+from quadwalk.settings.serialize import with_settings
 from quadwalk.settings.training import TrainConfig
 from quadwalk.task_files import load_task
 from quadwalk.variants.trainings import in_processes, trained

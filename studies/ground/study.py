@@ -51,7 +51,7 @@ def train(flags: str, seed: int, steps: int | None, runs: Path) -> Run:
 
 def judge(run: Run, episodes: int, seconds: float) -> dict[str, Any]:
     """What results.json holds of one run."""
-    loaded = load_run(run, seconds, engine="mujoco", randomised=True)
+    loaded = load_run(run, seconds, engine="mujoco", randomized=True)
     ground = measure_by_ground(loaded, LEVELS, episodes, seed=0)
     return {
         "steps": loaded.policy.steps,

@@ -24,7 +24,7 @@ from quadwalk.api import evaluate
 from quadwalk.evaluate.loaded import LoadedRun, load_run
 from quadwalk.evaluate.sweep import Point, measure_points
 from quadwalk.process import run_command
-from quadwalk.settings.serialise import with_settings
+from quadwalk.settings.serialize import with_settings
 from quadwalk.settings.training import TrainConfig
 from quadwalk.task.env import QuadrupedEnv
 from quadwalk.task_files import load_task
@@ -52,7 +52,7 @@ POINTS = {
 def variants() -> dict[str, TrainConfig]:
     """Name to configuration: the ideal world, the real one, and that without each ingredient."""
     run = load_task("run")
-    drawn, parts = "env.randomisation", run.env.observation
+    drawn, parts = "env.randomization", run.env.observation
     without: dict[str, dict[str, Any]] = {
         "no latency": {f"{drawn}.{name}": None for name in ("latency", "sensor_latency")},
         "no noise": {f"{drawn}.{name}": None for name in ("noise", "encoder", "imu_tilt")},
@@ -60,7 +60,7 @@ def variants() -> dict[str, TrainConfig]:
         "one robot, one floor": {
             f"{drawn}.{name}": None
             for name in (
-                *("friction", "trunk_mass", "trunk_centre", "link_mass", "strength"),
+                *("friction", "trunk_mass", "trunk_center", "link_mass", "strength"),
                 *("kp", "kd", "joint_friction", "damping", "armature"),
             )
         },
@@ -101,8 +101,8 @@ def judge(name: str, seed: int, steps: int, episodes: int, runs: Path) -> dict[s
 
 def as_in_run(loaded: LoadedRun) -> LoadedRun:
     """`loaded`, but that what is drawn is drawn from the ranges of `run`."""
-    ranges = replace(load_task("run").env.randomisation, enabled=False)
-    config = replace(loaded.env.config, randomisation=ranges)
+    ranges = replace(load_task("run").env.randomization, enabled=False)
+    config = replace(loaded.env.config, randomization=ranges)
     return replace(loaded, env=QuadrupedEnv(loaded.env.quadruped, config, loaded.env.engine))
 
 

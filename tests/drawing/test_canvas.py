@@ -121,7 +121,7 @@ def test_the_floor_fades_into_haze(library):
 
 
 def brightness(model: mujoco.MjModel, normal, lit: bool, camera: Camera = VIEW) -> np.ndarray:
-    """Share (3,) of a matt surface's colour that is seen."""
+    """Share (3,) of a matt surface's color that is seen."""
     headlight = model.vis.headlight
     _, axes = view_axes(camera)
     light = headlight.ambient + headlight.diffuse * max(-axes[2] @ normal, 0)
@@ -131,7 +131,7 @@ def brightness(model: mujoco.MjModel, normal, lit: bool, camera: Camera = VIEW) 
 
 
 @pytest.mark.parametrize("kind", ["box", "mesh"])
-def test_faces_have_the_colour_that_light_gives_them(library, kind):
+def test_faces_have_the_color_that_light_gives_them(library, kind):
     shape = {"type": _Type.mjGEOM_BOX, "size": [0.1] * 3}
     if kind == "mesh":
         shape = {"type": _Type.mjGEOM_MESH, "meshname": "cube"}
@@ -167,7 +167,7 @@ def test_a_shadow_lies_where_the_sun_does_not_reach(library):
         np.testing.assert_allclose(shaded[at], bare[at], atol=3)
 
 
-def test_the_floor_is_a_chequerboard_of_squares_of_half_a_metre(library):
+def test_the_floor_is_a_checkerboard_of_squares_of_half_a_meter(library):
     down = Camera((0, 0, 0), 2.0, 90.0, -89.0)
     model = scene(sun=False)
     picture = draw(model, down)
@@ -216,9 +216,9 @@ def test_far_from_the_origin_it_looks_the_same(library):
     add_sun(body)
     body.add_geom(type=_Type.mjGEOM_BOX, size=[0.2, 0.1, 0.05], rgba=GREEN)
     model, pictures = spec.compile(), []
-    for metres in (0, 307):  # the floor's pattern repeats every metre
-        camera = Camera((metres, -metres, 0.2), 1.6, 130.0, -20.0)
-        pictures.append(draw(model, camera, [metres, -metres, 0.3, 1, 0, 0, 0]).astype(int))
+    for meters in (0, 307):  # the floor's pattern repeats every meter
+        camera = Camera((meters, -meters, 0.2), 1.6, 130.0, -20.0)
+        pictures.append(draw(model, camera, [meters, -meters, 0.3, 1, 0, 0, 0]).astype(int))
     assert np.abs(pictures[0] - pictures[1]).mean() < 0.3
 
 

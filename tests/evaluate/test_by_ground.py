@@ -24,9 +24,9 @@ from quadwalk.evaluate.report.console import print_by_ground
 from quadwalk.evaluate.report.panels import draw_by_ground
 from quadwalk.evaluate.report.pictures import draw_film_strip
 from quadwalk.evaluate.simulate import roll_out
-from quadwalk.ground.heightfield import Heightfield, centred
+from quadwalk.ground.heightfield import Heightfield, centered
 from quadwalk.ground.terrain import FLAT, UNSEEN
-from quadwalk.settings.environment import NO_RANDOMISATION
+from quadwalk.settings.environment import NO_RANDOMIZATION
 from quadwalk.task.env import QuadrupedEnv
 from quadwalk.task.robot_arrays import task_robot
 from quadwalk.tasks import obstacles, rough, sprint, walk
@@ -136,7 +136,7 @@ def loaded(quadruped, tmp_path_factory) -> LoadedRun:
     task = dataclasses.replace(
         walk.TASK.env,
         episode_seconds=0.1,
-        randomisation=NO_RANDOMISATION,
+        randomization=NO_RANDOMIZATION,
         ground=dataclasses.replace(
             unseen_ground(rough.TASK.env.ground, 0), kinds=("flat", "blocks"), tile=(3.0, 3.0)
         ),
@@ -207,12 +207,12 @@ def test_both_tasks_have_a_noisy_sight_and_a_curriculum():
         assert task.env.observation["height_scan"].noise > 0
         assert task.env.ground.curriculum
         assert task.env.contacts == "knees"
-        assert task.env.randomisation.enabled
+        assert task.env.randomization.enabled
 
 
 def test_the_ground_of_a_recording_is_the_field_around_the_path():
     rng = np.random.default_rng(0)
-    field = centred(rng.uniform(-0.2, 0.2, (201, 301)).astype(np.float32), 0.05)
+    field = centered(rng.uniform(-0.2, 0.2, (201, 301)).astype(np.float32), 0.05)
     path = np.array([[-1.0, 0.5], [2.0, -0.5]])
     update = SceneUpdate.FromString(draw_ground(field, path))
     ((entity,), (shape,)) = update.entities, update.entities[0].triangles
@@ -235,7 +235,7 @@ def test_the_ground_of_a_recording_is_the_field_around_the_path():
 
 @pytest.fixture(scope="module")
 def raised(quadruped):
-    """The robot on a plateau half a metre high."""
+    """The robot on a plateau half a meter high."""
     plateau = Heightfield(np.full((41, 41), 0.5, np.float32), 0.5, (-10.0, -10.0))
     return task_robot(quadruped, sprint.TASK.env, plateau)
 
@@ -270,12 +270,12 @@ def test_a_recording_has_the_ground_once_and_the_path_on_it(lifted, raised, tmp_
 def test_pictures_follow_the_ground(lifted, trot, raised, quadruped):
     """A film on the plateau shows the robot where one on the floor does."""
 
-    def coloured(rollout, robot):
+    def colored(rollout, robot):
         strip = draw_film_strip(rollout, robot, width=120, height=80).astype(int)
         red, green, blue = strip[..., 0], strip[..., 1], strip[..., 2]
         return (red > 150) & (green < 0.7 * red) & (blue < 0.3 * red)
 
-    on_floor, above = coloured(trot, quadruped), coloured(lifted, raised)
+    on_floor, above = colored(trot, quadruped), colored(lifted, raised)
     assert on_floor.mean() > 0.01
     assert (on_floor != above).mean() < 0.1 * on_floor.mean()
 

@@ -11,10 +11,10 @@ import pytest
 
 from quadwalk.cli import parse
 from quadwalk.errors import UsageError, UserError
-from quadwalk.evaluate import command
-from quadwalk.evaluate.command import evaluate_runs
+from quadwalk.evaluate import session
 from quadwalk.evaluate.options import EvalConfig
 from quadwalk.evaluate.recording.provenance import revision
+from quadwalk.evaluate.session import evaluate_runs
 from quadwalk.paths import PRETRAINED
 from quadwalk.train.runs.directory import Run, find_ready, origin_of
 
@@ -118,7 +118,7 @@ def test_evaluations_of_the_same_second_have_folders_of_their_own(runs, monkeypa
         (out,) = (arg for arg in args if isinstance(arg, Path))
         (out / "results").write_text("")
 
-    monkeypatch.setattr(command, "datetime", clock)
+    monkeypatch.setattr(session, "datetime", clock)
     monkeypatch.setattr("quadwalk.evaluate.loaded.load_run", lambda *_: None)
     for name in ("judge", "sweep", "compare", "compare_sweeps"):
         monkeypatch.setattr(f"quadwalk.evaluate.judge.{name}", written)

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from quadwalk.evaluate.motion.footfalls import (
     GAITS,
-    analyse_footfalls,
+    analyze_footfalls,
     circular_distance,
     circular_mean,
     name_gait,
@@ -56,7 +56,7 @@ def pattern(phase, duty, frequency=2.0, seconds=6.0, dt=DT, jitter=0.0, seed=0) 
 @pytest.mark.parametrize("frequency", [1.5, 2.0, 3.1])
 def test_every_gait_is_named(name, frequency):
     gait, phase, duty = IDEAL[name]
-    feet = analyse_footfalls(pattern(phase, duty, frequency), DT)
+    feet = analyze_footfalls(pattern(phase, duty, frequency), DT)
     assert feet.gait == gait
     assert feet.stride_frequency == pytest.approx(frequency, rel=0.03)
     np.testing.assert_allclose(feet.duty_factor, duty, atol=0.05)
@@ -68,7 +68,7 @@ def test_every_gait_is_named(name, frequency):
 @pytest.mark.parametrize("name", IDEAL)
 def test_gaits_are_named_through_scatter(name):
     gait, phase, duty = IDEAL[name]
-    feet = analyse_footfalls(pattern(phase, duty, seconds=20, jitter=0.03), DT)
+    feet = analyze_footfalls(pattern(phase, duty, seconds=20, jitter=0.03), DT)
     assert feet.gait == gait
 
 
@@ -76,31 +76,31 @@ def test_gaits_are_named_through_scatter(name):
 def test_mirrored_gaits_keep_their_name(name):
     gait, phase, duty = IDEAL[name]
     mirrored = np.array(phase)[[1, 0, 3, 2]]
-    assert analyse_footfalls(pattern(mirrored, duty), DT).gait == gait
+    assert analyze_footfalls(pattern(mirrored, duty), DT).gait == gait
 
 
 def test_footfalls_at_random_are_irregular():
-    feet = analyse_footfalls(pattern((0, 0.5, 0.5, 0), 0.4, seconds=20, jitter=0.4), DT)
+    feet = analyze_footfalls(pattern((0, 0.5, 0.5, 0), 0.4, seconds=20, jitter=0.4), DT)
     assert feet.gait == "irregular"
 
 
 def test_a_foot_at_twice_the_pace_is_irregular():
     contact = pattern((0, 0.5, 0.5, 0), 0.5)
     contact[:, 3] = pattern((0,) * 4, 0.5, frequency=4.0)[:, 3]
-    assert analyse_footfalls(contact, DT).gait == "irregular"
+    assert analyze_footfalls(contact, DT).gait == "irregular"
 
 
 def test_a_foot_at_half_the_pace_is_irregular():
     contact = pattern((0, 0.5, 0.5, 0), 0.5)
     contact[:, 3] = pattern((0,) * 4, 0.25, frequency=1.0)[:, 3]
-    assert analyse_footfalls(contact, DT).gait == "irregular"
+    assert analyze_footfalls(contact, DT).gait == "irregular"
 
 
 @pytest.mark.parametrize("foot", range(4))
 def test_a_foot_that_never_lands(foot):
     contact = pattern((0, 0.5, 0.5, 0), 0.5)
     contact[:, foot] = False
-    feet = analyse_footfalls(contact, DT)
+    feet = analyze_footfalls(contact, DT)
     assert feet.gait == "irregular"
     assert feet.duty_factor[foot] == 0
     assert feet.strides[foot] == 0
@@ -112,12 +112,12 @@ def test_a_foot_that_never_lands(foot):
 def test_a_foot_that_never_lifts():
     contact = pattern((0, 0.5, 0.5, 0), 0.5)
     contact[:, 2] = True
-    feet = analyse_footfalls(contact, DT)
+    feet = analyze_footfalls(contact, DT)
     assert (feet.gait, feet.duty_factor[2]) == ("irregular", 1)
 
 
 def test_standing_still_makes_no_strides():
-    feet = analyse_footfalls(np.ones((100, 4), dtype=bool), DT)
+    feet = analyze_footfalls(np.ones((100, 4), dtype=bool), DT)
     assert feet.gait == "irregular"
     assert np.isnan(feet.stride_frequency)
     assert feet.duty_factor.tolist() == [1, 1, 1, 1]
@@ -125,13 +125,13 @@ def test_standing_still_makes_no_strides():
 
 @pytest.mark.parametrize("rows", [0, 1, 2])
 def test_nearly_no_rows(rows):
-    feet = analyse_footfalls(np.zeros((rows, 4), dtype=bool), DT)
+    feet = analyze_footfalls(np.zeros((rows, 4), dtype=bool), DT)
     assert feet.gait == "irregular"
     assert feet.strides.tolist() == [0, 0, 0, 0]
 
 
 def test_one_stride_is_not_yet_a_gait():
-    feet = analyse_footfalls(pattern((0, 0.5, 0.5, 0), 0.5, seconds=0.9), DT)
+    feet = analyze_footfalls(pattern((0, 0.5, 0.5, 0), 0.5, seconds=0.9), DT)
     assert feet.gait == "irregular"
 
 
@@ -145,7 +145,7 @@ def test_chatter_is_not_a_stride():
         chattering[inner[::7], foot] = False
     assert (chattering != contact).any()
     np.testing.assert_array_equal(without_chatter(chattering, DT), contact)
-    assert analyse_footfalls(chattering, DT).stride_frequency == pytest.approx(2.0, rel=0.03)
+    assert analyze_footfalls(chattering, DT).stride_frequency == pytest.approx(2.0, rel=0.03)
 
 
 def test_a_brush_in_the_swing_is_not_a_touchdown():
@@ -166,7 +166,7 @@ def test_short_contacts_of_every_stride_are_no_brushes():
         stride[rows, foot] = True
     contact = np.tile(stride, (30, 1))
     np.testing.assert_array_equal(without_chatter(contact, DT), contact)
-    feet = analyse_footfalls(contact, DT)
+    feet = analyze_footfalls(contact, DT)
     assert (feet.gait, feet.stride_frequency) == ("gallop", pytest.approx(6.25))
     np.testing.assert_allclose(feet.duty_factor, np.array([2, 1, 2, 2]) / 8)
 
@@ -183,7 +183,7 @@ def test_a_fine_clock_closes_longer_gaps():
 def test_any_contacts_give_figures_in_their_ranges(seed, rows, dt):
     rng = np.random.default_rng(seed)
     contact = rng.random((rows, 4)) < rng.random()
-    feet = analyse_footfalls(contact, dt)
+    feet = analyze_footfalls(contact, dt)
     assert feet.gait in GAITS
     assert np.isnan(feet.stride_frequency) or feet.stride_frequency > 0
     for values, low, high in (
@@ -255,7 +255,7 @@ def test_speed_distance_and_drift(drawn, quadruped):
 def test_froude_number_and_cost_of_transport(drawn, quadruped):
     rollout = drawn(energy=np.full(300, 1.5))
     gait = measure_gait(rollout, quadruped)
-    # The thigh joint stands cos(.8) * .5 m above the foot's centre, .0265 m above the ground.
+    # The thigh joint stands cos(.8) * .5 m above the foot's center, .0265 m above the ground.
     assert gait.froude == pytest.approx(4 / (9.81 * (0.5 * np.cos(0.8) + 0.0265)), rel=1e-3)
     mass = sum(quadruped.full_model().body_mass)
     assert gait.cost_of_transport == pytest.approx(450 / (mass * 9.81 * 12.0), rel=1e-4)
@@ -301,7 +301,7 @@ def test_a_foot_that_rolls_does_not_slip(drawn, quadruped):
         qpos[:3] = 0
         data.qpos[:] = qpos
         mujoco.mj_kinematics(model, data)
-        # One foot's centre rolls: it moves ahead by the radius times the angle.
+        # One foot's center rolls: it moves ahead by the radius times the angle.
         qpos[:3] = np.array([0.0265 * angle, 0, 0.0265]) - data.geom("FR_foot").xpos
     gait = measure_gait(rollout, quadruped)
     assert gait.slip[0] == pytest.approx(0.0, abs=1e-5)
@@ -358,7 +358,7 @@ def test_what_a_robot_that_stands_has_not_is_a_dash(drawn, quadruped, steps):
     assert "nan" not in said
 
 
-def test_backwards_has_no_cost_per_metre(drawn, quadruped):
+def test_backwards_has_no_cost_per_meter(drawn, quadruped):
     gait = measure_gait(drawn(velocity=(-1.0, 0.0)), quadruped)
     assert gait.speed == pytest.approx(-1.0)
     assert np.isnan(gait.cost_of_transport)

@@ -23,7 +23,7 @@ from quadwalk.evaluate.motion.kinematics import roll_pitch_yaw
 from quadwalk.evaluate.options import EvalConfig
 from quadwalk.evaluate.simulate import simulate_episodes
 from quadwalk.evaluate.statistics import mean_interval
-from quadwalk.evaluate.summary import engine_differences, episode_figures, summarise
+from quadwalk.evaluate.summary import engine_differences, episode_figures, summarize
 from quadwalk.evaluate.sweep import SWEEPS, Point, measure_points
 from quadwalk.robot.mjcf import write_xml
 from quadwalk.settings.terms import ActionMap
@@ -84,7 +84,7 @@ def test_both_engines_are_judged_from_the_same_starts(judged, rollouts, loaded):
     scales, weight = loaded.env.config.reward, loaded.env.robot.weight
     effort = np.asarray(loaded.env.motor.effort)
     first = [episode_figures(rollout, scales, weight, effort) for rollout in rollouts]
-    for name, figure in summarise(first).items():
+    for name, figure in summarize(first).items():
         assert results["mjx_summary"][name] == pytest.approx(figure)
     speeds = [[episode["speed"] for episode in of] for of in (first, results["episodes"])]
     np.testing.assert_allclose(*speeds, atol=0.1)  # m/s: half a second after the same start
@@ -102,14 +102,14 @@ def test_differences_of_what_is_not_there_or_zero():
         "lateral_drift",
         "heading_error",
         "duration",
-        "energy_per_metre",
+        "energy_per_meter",
         "reward",
     )
-    mjx = {**dict.fromkeys(names, figure), "fall_rate": 0.0, "energy_per_metre": None}
+    mjx = {**dict.fromkeys(names, figure), "fall_rate": 0.0, "energy_per_meter": None}
     mujoco = {**{name: {"mean": 1.5} for name in names}, "fall_rate": 0.25}
     found = engine_differences(mjx, mujoco)
     assert found["fall_rate"] == {"difference": 0.25, "percent": None}
-    assert found["energy_per_metre"] == {"difference": None, "percent": None}
+    assert found["energy_per_meter"] == {"difference": None, "percent": None}
     assert found["speed"] == {"difference": -0.5, "percent": -25.0}
 
 
@@ -152,7 +152,7 @@ def test_runs_side_by_side(judged, tmp_path, monkeypatch, capsys):
     del other["episodes"][0]["reward/yaw"]  # trained without that term
     for episode in other["episodes"]:
         episode.pop("reward/yaw", None)
-    other["summary"] = summarise(other["episodes"])
+    other["summary"] = summarize(other["episodes"])
     monkeypatch.setenv("COLUMNS", "120")
     folders = [tmp_path / "first", tmp_path / "second"]
     comparison = compare(["first", "second"], folders, [results, other], tmp_path, Console())
@@ -175,7 +175,7 @@ def test_a_run_with_commands_beside_one_without(judged, tmp_path, monkeypatch, c
             del episode[name]
         figures = {"velocity_error": 0.1 * number, "yaw_rate_error": None}
         episode |= {**figures, "path_speed": 1.0, "path": SECONDS}
-    told["summary"] = summarise(told["episodes"])
+    told["summary"] = summarize(told["episodes"])
     monkeypatch.setenv("COLUMNS", "120")
     folders = [tmp_path / "first", tmp_path / "second"]
     compare(["first", "second"], folders, [results, told], tmp_path, Console())
@@ -249,7 +249,7 @@ def test_a_sweep_is_a_table_of_one_thing_at_a_time(swept):
         "everything": (0.0, 1.5),
         "friction": (0.2, 1.25),
         "mass": (-2.0, 5.0),
-        "centre": (-0.06, 0.06),
+        "center": (-0.06, 0.06),
         "strength": (80.0, 110.0),
         "kp": (80.0, 120.0),
         "kd": (80.0, 120.0),

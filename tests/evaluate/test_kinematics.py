@@ -31,7 +31,7 @@ def check_links(quadruped: Quadruped) -> None:
     states[:, 7:] += rng.normal(size=(3, 12))
     frames = link_frames(quadruped)
     turns = frames.rotations(states[:, 7:])
-    centres, calves = foot_poses(model, quadruped.feet, states)
+    centers, calves = foot_poses(model, quadruped.feet, states)
     for row, state in enumerate(states):
         data.qpos[:] = state
         mujoco.mj_kinematics(model, data)
@@ -47,7 +47,7 @@ def check_links(quadruped: Quadruped) -> None:
             np.testing.assert_allclose(frame[:3, 3], found.xpos, atol=1e-9)
             np.testing.assert_allclose(frame[:3, :3].ravel(), found.xmat, atol=1e-9)
         for k, foot in enumerate(quadruped.feet):
-            np.testing.assert_allclose(centres[row, k], data.geom(foot).xpos)
+            np.testing.assert_allclose(centers[row, k], data.geom(foot).xpos)
             calf = model.body(model.geom(foot).bodyid[0]).name
             np.testing.assert_allclose(matrix(0, calves[row, k])[:3, :3], world[calf][:3, :3])
 

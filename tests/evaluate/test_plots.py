@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from quadwalk.errors import UserError
 from quadwalk.evaluate.report.console import _print_table
 from quadwalk.evaluate.report.panels import draw_comparison, draw_sweep
-from quadwalk.evaluate.report.plots import LEG_COLOURS, draw_footfalls, draw_report, save_figure
+from quadwalk.evaluate.report.plots import LEG_COLORS, draw_footfalls, draw_report, save_figure
 from quadwalk.evaluate.rollout import first_steps
 
 
@@ -80,12 +80,12 @@ def test_a_bar_is_a_foot_on_the_ground(trot, quadruped):
     drawn = {}
     for bars in axes.collections:
         spans = [path.get_extents() for path in bars.get_paths()]
-        colour = to_hex(bars.get_facecolor()[0]) if spans else None
-        drawn[colour] = [(span.x0, span.x1) for span in spans]
+        color = to_hex(bars.get_facecolor()[0]) if spans else None
+        drawn[color] = [(span.x0, span.x1) for span in spans]
     drawn.pop(None)  # feet that never were
-    assert list(drawn) == [LEG_COLOURS[2], LEG_COLOURS[1]]  # from the lowest line up
-    np.testing.assert_allclose(drawn[LEG_COLOURS[1]], [(0.2, 0.5), (1.0, 1.2)])
-    np.testing.assert_allclose(drawn[LEG_COLOURS[2]], [(0.6, 2.0)])
+    assert list(drawn) == [LEG_COLORS[2], LEG_COLORS[1]]  # from the lowest line up
+    np.testing.assert_allclose(drawn[LEG_COLORS[1]], [(0.2, 0.5), (1.0, 1.2)])
+    np.testing.assert_allclose(drawn[LEG_COLORS[2]], [(0.6, 2.0)])
 
 
 def test_commands_are_drawn_beside_what_became_of_them(trot, quadruped):

@@ -16,10 +16,10 @@ from quadwalk.evaluate import loaded as loading
 from quadwalk.evaluate.loaded import load_run
 from quadwalk.evaluate.sweep import Point, conditions_at, measure_points
 from quadwalk.paths import PRETRAINED
-from quadwalk.settings.environment import NO_RANDOMISATION
+from quadwalk.settings.environment import NO_RANDOMIZATION
 from quadwalk.task.env import QuadrupedEnv
-from quadwalk.task.episode.conditions import (
-    Conditions,
+from quadwalk.task.episode.randomization import (
+    EpisodeRandomization,
     delayed,
     draw_conditions,
     measured,
@@ -40,11 +40,11 @@ ITERATIONS = 10  # of the contact solver
 
 @dataclasses.dataclass(frozen=True)
 class Case:
-    """What differs from the model: numbers added, or factors, as `Variation` and `Conditions`."""
+    """What differs from the model: numbers added, or factors, as in `EpisodeRandomization`."""
 
     friction: float | None = None
     mass: float = 0.0
-    centre: float = 0.0  # m, ahead
+    center: float = 0.0  # m, ahead
     links: float = 1.0
     strength: float = 1.0
     kp: float = 1.0
@@ -62,7 +62,7 @@ CASES = {
     "none": Case(),
     "friction": Case(friction=0.2),
     "mass": Case(mass=5.0),
-    "centre": Case(centre=0.05),
+    "center": Case(center=0.05),
     "links": Case(links=1.3),
     "strength": Case(strength=0.7),
     "gains": Case(kp=0.8, kd=1.3),
@@ -75,21 +75,21 @@ CASES = {
 }
 
 
-def nominal(env: QuadrupedEnv, key: jax.Array) -> Conditions:
+def nominal(env: QuadrupedEnv, key: jax.Array) -> EpisodeRandomization:
     """Nothing differs from the model."""
-    return draw_conditions(NO_RANDOMISATION, env.robot, env.stepping, key, env.friction)
+    return draw_conditions(NO_RANDOMIZATION, env.robot, env.stepping, key, env.friction)
 
 
 @pytest.fixture(scope="module", params=["mjx", "fast"])
 def env(quadruped, request) -> QuadrupedEnv:
     # With a solver that converges the engines agree; training cuts it short.
     config = sprint.TASK.env
-    pushed = dataclasses.replace(config.randomisation, push_seconds=PERIOD * config.control_dt)
+    pushed = dataclasses.replace(config.randomization, push_seconds=PERIOD * config.control_dt)
     config = dataclasses.replace(
         config,
         solver_iterations=ITERATIONS,
         line_search_iterations=ITERATIONS,
-        randomisation=pushed,
+        randomization=pushed,
     )
     return QuadrupedEnv(quadruped, config, request.param)
 
@@ -113,7 +113,7 @@ def recorded(env, swaying):
         variation = usual.variation._replace(
             friction=row["friction"],
             trunk_mass=row["mass"],
-            trunk_centre=row["centre"] * jnp.array([1.0, 0.0, 0.0]),
+            trunk_center=row["center"] * jnp.array([1.0, 0.0, 0.0]),
             link_mass=jnp.full(12, row["links"]),
             **{k: row[k] for k in ("strength", "kp", "kd", "joint_friction", "damping")},
             armature=row["armature"],
@@ -170,8 +170,8 @@ def replay_step(env, model, case, states, step, side) -> np.ndarray:
     kp, kd = case.kp * stiff, case.kd * 0.025 * stiff
     reach = np.tile([0.3, 0.9, 0.9], 4)
     for number in range(config.substeps):
-        obeyed = (step * config.substeps + number - case.delay) // config.substeps
-        wanted = actions[obeyed] if obeyed >= 0 else np.zeros(12)
+        applied_target = (step * config.substeps + number - case.delay) // config.substeps
+        wanted = actions[applied_target] if applied_target >= 0 else np.zeros(12)
         target = np.clip(robot.home_joints + reach * wanted, robot.lower, robot.upper)
         qd = data.qvel[6:].copy()
         torque = kp * (target - (data.qpos[7:] + case.encoder)) - kd * qd
@@ -189,7 +189,7 @@ def model_of(env, quadruped, case) -> mujoco.MjModel:
         model.geom_friction[:, 0] = case.friction
     trunk = model.body(quadruped.trunk).id
     model.body_mass[trunk] += case.mass
-    model.body_ipos[trunk, 0] += case.centre
+    model.body_ipos[trunk, 0] += case.center
     for body in range(trunk + 1, model.nbody):
         model.body_mass[body] *= case.links
         model.body_inertia[body] *= case.links
@@ -308,11 +308,11 @@ def test_a_point_is_begun_and_tracked_as_it_is_called(quadruped, monkeypatch):
 
 def test_half_as_wide_again_as_training_is_still_a_robot_on_a_floor(quadruped):
     ranges = dataclasses.replace(
-        run.TASK.env.randomisation,
+        run.TASK.env.randomization,
         **dict.fromkeys(("friction", "link_mass", "strength", "kp", "joint_friction"), (0.2, 1.0)),
         trunk_mass=(-0.4, 0.0),
     )
-    env = QuadrupedEnv(quadruped, dataclasses.replace(run.TASK.env, randomisation=ranges), "fast")
+    env = QuadrupedEnv(quadruped, dataclasses.replace(run.TASK.env, randomization=ranges), "fast")
     drawn = jax.jit(jax.vmap(lambda key: conditions_at(env, Point(0.8, everything=1.5), key, 3)))(
         jax.random.split(jax.random.PRNGKey(0), 500)
     )
@@ -351,15 +351,15 @@ def test_a_tilted_imu_sees_the_world_turned(env):
 
 
 def test_every_episode_draws_its_own_within_the_ranges(quadruped):
-    ranges = dataclasses.replace(run.TASK.env.randomisation, margin=0.0)
-    env = QuadrupedEnv(quadruped, dataclasses.replace(run.TASK.env, randomisation=ranges))
+    ranges = dataclasses.replace(run.TASK.env.randomization, margin=0.0)
+    env = QuadrupedEnv(quadruped, dataclasses.replace(run.TASK.env, randomization=ranges))
     keys = jax.random.split(jax.random.PRNGKey(0), 500)
     drawn = jax.jit(jax.vmap(env.reset))(keys).pipeline_state.conditions
     kg, m = env.robot.mass, env.robot.home_height
     expected = {
         "friction": (drawn.variation.friction, ranges.friction, 1.0),
         "trunk mass": (drawn.variation.trunk_mass, ranges.trunk_mass, kg),
-        "centre": (drawn.variation.trunk_centre, ranges.trunk_centre, m),
+        "center": (drawn.variation.trunk_center, ranges.trunk_center, m),
         "links": (drawn.variation.link_mass, ranges.link_mass, 1.0),
         "strength": (drawn.variation.strength, ranges.strength, 1.0),
         "kp": (drawn.variation.kp, ranges.kp, 1.0),
@@ -378,8 +378,8 @@ def test_every_episode_draws_its_own_within_the_ranges(quadruped):
 
 
 def test_pushes_go_to_all_sides_alike(quadruped):
-    config = dataclasses.replace(run.TASK.env.randomisation, push=(0.3, 0.5), margin=0.0)
-    env = QuadrupedEnv(quadruped, dataclasses.replace(run.TASK.env, randomisation=config))
+    config = dataclasses.replace(run.TASK.env.randomization, push=(0.3, 0.5), margin=0.0)
+    env = QuadrupedEnv(quadruped, dataclasses.replace(run.TASK.env, randomization=config))
     keys = jax.random.split(jax.random.PRNGKey(0), 2000)
     push = np.asarray(jax.jit(jax.vmap(env.reset))(keys).pipeline_state.conditions.push)
     inner, outer = np.array([0.3, 0.5]) * np.sqrt(9.81 * env.robot.home_height)
@@ -411,17 +411,17 @@ def test_training_draws_from_no_less_than_an_evaluation(between, usual, margin):
 
 def test_a_margin_moves_an_end_away_from_the_models_value_but_not_into_the_range(quadruped):
     ranges = dataclasses.replace(
-        run.TASK.env.randomisation,
+        run.TASK.env.randomization,
         friction=(0.3, 1.25),
         strength=(0.8, 1.1),
         latency=(0.01, 0.02),
         push=(0.4, 0.5),
         margin=0.5,
     )
-    config = dataclasses.replace(run.TASK.env, randomisation=ranges)
+    config = dataclasses.replace(run.TASK.env, randomization=ranges)
     env = QuadrupedEnv(quadruped, config, "fast")
 
-    def draw(key: jax.Array) -> Conditions:
+    def draw(key: jax.Array) -> EpisodeRandomization:
         return draw_conditions(ranges, env.robot, env.stepping, key, friction=1.0)
 
     drawn = jax.jit(jax.vmap(draw))(jax.random.split(jax.random.PRNGKey(0), 2000))
@@ -444,23 +444,23 @@ def test_an_evaluation_pushes_once_in_five_seconds_within_the_ranges_however_tra
 ):
     pretrained = Run(PRETRAINED / "run")
     policy = load_policy(pretrained.policy)
-    trained = dataclasses.replace(policy.config.env.randomisation, push_seconds=2.0, margin=0.3)
-    config = dataclasses.replace(policy.config.env, randomisation=trained)
+    trained = dataclasses.replace(policy.config.env.randomization, push_seconds=2.0, margin=0.3)
+    config = dataclasses.replace(policy.config.env, randomization=trained)
     harder = dataclasses.replace(policy, config=dataclasses.replace(policy.config, env=config))
     monkeypatch.setattr(loading, "load_policy", lambda path: harder)
-    judged = load_run(pretrained, 20.0, engine="fast", randomised=True).env
+    judged = load_run(pretrained, 20.0, engine="fast", randomized=True).env
     assert judged.config.push_steps == 250
     own = dataclasses.replace(trained, push_seconds=5.0, margin=0.0)
-    assert judged.config.randomisation == own
+    assert judged.config.randomization == own
 
 
 def test_what_is_off_is_as_the_model(quadruped):
-    one = dataclasses.replace(run.TASK.env.randomisation, push=None, friction=None, latency=None)
-    env = QuadrupedEnv(quadruped, dataclasses.replace(run.TASK.env, randomisation=one))
+    one = dataclasses.replace(run.TASK.env.randomization, push=None, friction=None, latency=None)
+    env = QuadrupedEnv(quadruped, dataclasses.replace(run.TASK.env, randomization=one))
     drawn = jax.jit(env.reset)(jax.random.PRNGKey(0)).pipeline_state.conditions
     assert drawn.variation.friction == pytest.approx(env.friction)
     assert not np.any(drawn.push)
     assert drawn.delay == 0.0
-    none = dataclasses.replace(run.TASK.env.randomisation, enabled=False)
-    env = QuadrupedEnv(quadruped, dataclasses.replace(run.TASK.env, randomisation=none))
+    none = dataclasses.replace(run.TASK.env.randomization, enabled=False)
+    env = QuadrupedEnv(quadruped, dataclasses.replace(run.TASK.env, randomization=none))
     assert jax.eval_shape(env.reset, jax.random.PRNGKey(0)).pipeline_state.conditions is None

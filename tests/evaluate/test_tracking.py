@@ -12,7 +12,7 @@ from quadwalk.evaluate.motion.course import heading_velocity, path_length, track
 from quadwalk.evaluate.motion.gait import measure_gait
 from quadwalk.evaluate.rollout import Rollout, first_steps
 from quadwalk.evaluate.simulate import simulate_episodes
-from quadwalk.evaluate.summary import episode_figures, summarise, typical_episode
+from quadwalk.evaluate.summary import episode_figures, summarize, typical_episode
 from quadwalk.settings.environment import CommandConfig
 from quadwalk.task.env import QuadrupedEnv
 from quadwalk.tasks import sprint, walk
@@ -112,7 +112,7 @@ def test_figures_of_an_episode_with_commands(glide, quadruped):
     assert figures["yaw_rate_error"] == pytest.approx(0.5)
     assert figures["path"] == pytest.approx(length, rel=1e-3)
     assert figures["path_speed"] == pytest.approx(length / 4, rel=1e-3)
-    assert figures["energy_per_metre"] == pytest.approx(400 / length, rel=1e-3)
+    assert figures["energy_per_meter"] == pytest.approx(400 / length, rel=1e-3)
     assert figures["cost_of_transport"] == pytest.approx(400 / length / WEIGHT, rel=1e-3)
     assert figures["command"] == [1.0, 0.3, 0.5]
     assert not {"speed", "distance", "lateral_drift", "heading_error"} & figures.keys()
@@ -149,7 +149,7 @@ def test_the_typical_episode_is_the_one_of_median_speed_along_its_path(glide):
         episode_figures(rollout, sprint.TASK.env.reward, WEIGHT, EFFORT) for rollout in rollouts
     ]
     assert typical_episode(episodes) == 2
-    summary = summarise(episodes)
+    summary = summarize(episodes)
     assert summary["velocity_error"]["mean"] == pytest.approx(1.4 / 3)
     assert summary["velocity_error"]["worst"] == pytest.approx(1.0)
     assert summary["path_speed"]["worst"] == pytest.approx(0.0, abs=1e-6)

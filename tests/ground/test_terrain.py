@@ -60,7 +60,7 @@ def test_a_tile_is_bounded_by_its_difficulty_and_level_where_robots_start(kind, 
         np.testing.assert_allclose(edge, 0.0, atol=1e-9)
 
 
-def test_at_difficulty_1_tiles_have_the_sizes_of_a_leg_of_half_a_metre():
+def test_at_difficulty_1_tiles_have_the_sizes_of_a_leg_of_half_a_meter():
     along = tile("slope_up")[80, 92:]  # ahead of the middle
     np.testing.assert_allclose(np.diff(along), CELL * np.tan(np.radians(25)))
     np.testing.assert_allclose(tile("slope_down")[80, 92:], -along)
@@ -151,9 +151,9 @@ def write(path, content) -> None:
     [
         ("none.npy", None, "No such file"),
         ("none.png", None, "No such file"),
-        ("ground.txt", b"0 1 2", "expected a grey PNG, or an .npy"),
-        ("text.npy", b"0 1 2", "cannot be read; expected a grey PNG, or an .npy"),
-        ("text.png", b"0 1 2", "cannot be read; expected a grey PNG"),
+        ("ground.txt", b"0 1 2", "expected a gray PNG, or an .npy"),
+        ("text.npy", b"0 1 2", "cannot be read; expected a gray PNG, or an .npy"),
+        ("text.png", b"0 1 2", "cannot be read; expected a gray PNG"),
         ("empty.npy", b"", "cannot be read"),
         ("names.npy", np.array([["a", "b"]]), "array of numbers"),
         ("line.npy", np.zeros(5), "two dimensions"),

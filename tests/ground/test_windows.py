@@ -6,9 +6,9 @@ import mujoco
 import numpy as np
 import pytest
 
-from quadwalk.ground.heightfield import centred, lay
+from quadwalk.ground.heightfield import centered, lay
 from quadwalk.ground.windows import STRIDE, reach
-from quadwalk.physics.model import Variation
+from quadwalk.physics.model import RobotRandomization
 from quadwalk.physics.mujoco_c import Stepper, varied_model
 from tests.ground.rays import heights_by_rays
 
@@ -17,20 +17,20 @@ from tests.ground.rays import heights_by_rays
 def stepper(quadruped):
     x, y = 0.05 * np.arange(275), 0.05 * np.arange(175)[:, None]
     heights = 0.05 * np.sin(2.3 * x + 1.1 * y) + 0.05 * np.sin(1.7 * y - 0.6 * x) - 0.5
-    field = centred(heights, 0.05)
+    field = centered(heights, 0.05)
     spec = quadruped.spec.copy()
     lay(spec, field)
     robot = replace(quadruped, spec=spec)
     return Stepper(robot.full_model(), robot)
 
 
-def variations(count: int) -> Variation:
+def variations(count: int) -> RobotRandomization:
     """Of robots that differ in friction and in what is on their trunk."""
     rng = np.random.default_rng(1)
     legs, one = np.ones((count, 12)), np.ones(count)
-    return Variation(
+    return RobotRandomization(
         friction=rng.uniform(0.3, 1.0, count), trunk_mass=rng.uniform(-1.0, 5.0, count),
-        trunk_centre=rng.uniform(-0.05, 0.05, (count, 3)), link_mass=legs, strength=one, kp=one,
+        trunk_center=rng.uniform(-0.05, 0.05, (count, 3)), link_mass=legs, strength=one, kp=one,
         kd=one, joint_friction=one, damping=one, armature=one,
     )  # fmt: skip
 
@@ -79,7 +79,7 @@ def test_robots_step_as_on_the_whole_field(quadruped, stepper):
     found = (stepper.step(states - shift, torque, models) + shift)[:, 1:]
     expected, touching = np.zeros((count, 37)), np.zeros(count)
     for k in range(count):
-        model = varied_model(stepper.model, Variation(*(x[k] for x in rows)))
+        model = varied_model(stepper.model, RobotRandomization(*(x[k] for x in rows)))
         data = mujoco.MjData(model)
         data.qpos, data.qvel, data.qfrc_applied[6:] = states[k, 1:20], states[k, 20:], torque[k]
         mujoco.mj_step(model, data)
@@ -101,12 +101,12 @@ def test_a_model_is_kept_while_its_robot_is_there(stepper):
     for a, b in zip(first, moved, strict=True):
         np.testing.assert_array_equal(a.body_mass, b.body_mass)
         assert np.any(a.hfield_data != b.hfield_data)
-    alone, _ = stepper.models(Variation(*(x[:1] for x in rows)), places[:1])
+    alone, _ = stepper.models(RobotRandomization(*(x[:1] for x in rows)), places[:1])
     assert len(stepper._varied) == len(alone) == 1
 
 
 def test_robots_alike_share_a_model_where_they_are_on_the_same_ground(stepper):
-    rows = Variation(*(np.repeat(x, 3, axis=0) for x in variations(1)))
+    rows = RobotRandomization(*(np.repeat(x, 3, axis=0) for x in variations(1)))
     models, _ = stepper.models(rows, np.array([[0.0, 0.0], [0.1, 0.0], [4.0, 0.0]]))
     assert models[0] is models[1]
     assert models[0] is not models[2]

@@ -71,15 +71,15 @@ def executed(tmp_path_factory) -> Callable[[str], Executed]:
 
 
 def orange(picture: np.ndarray) -> np.ndarray:
-    """Where a picture (height, width, 3) has the robot's colour."""
+    """Where a picture (height, width, 3) has the robot's color."""
     red, green, blue = (picture[..., k].astype(int) for k in range(3))
     return (red > 150) & (green > 0.3 * red) & (green < 0.7 * red) & (blue < 0.3 * red)
 
 
 def curves(picture: np.ndarray) -> int:
-    """How many colours, each of some 100 pixels or more, a plot is drawn in, without greys."""
-    coloured = picture[np.ptp(picture.astype(int), axis=2) > 60]
-    _, counts = np.unique(coloured // 16, axis=0, return_counts=True)
+    """How many colors, each of some 100 pixels or more, a plot is drawn in, without grays."""
+    colored = picture[np.ptp(picture.astype(int), axis=2) > 60]
+    _, counts = np.unique(colored // 16, axis=0, return_counts=True)
     return int((counts >= 100).sum())
 
 
@@ -176,7 +176,7 @@ def test_an_evaluation_trains_if_there_is_no_run_and_shows_it_from_all_sides(exe
     done = executed("03_evaluate")
     assert "there is no run" in done.text("folder = next(")
     assert len(list((done.folder / "runs").glob("*/policy.npz"))) == 1
-    assert done.text("metres").count("episode") == 8
+    assert done.text("meters").count("episode") == 8
     strip = done.picture("film_strip(")
     assert strip.shape == (2 * 225 + 4, 4 * 360 + 3 * 4, 3)
     assert orange(strip).mean() > 0.01

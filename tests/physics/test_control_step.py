@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from quadwalk.physics.engines import ENGINES
-from quadwalk.physics.motor import Motor, MotorConfig, Physics, Stepping, make_motor
+from quadwalk.physics.motor import Motor, MotorConfig, PhysicsState, Stepping, make_motor
 from tests.physics.stacking import stack_models
 
 STEPPING = Stepping(0.004, 5, 8, 10)  # solved to the end
@@ -78,8 +78,8 @@ def states(quadruped) -> tuple[np.ndarray, np.ndarray]:
     return qpos, qvel
 
 
-def physics_of(qpos, qvel) -> Physics:
-    return Physics(*(jnp.asarray(x, jnp.float32) for x in (qpos, qvel, np.zeros_like(qvel))))
+def physics_of(qpos, qvel) -> PhysicsState:
+    return PhysicsState(*(jnp.asarray(x, jnp.float32) for x in (qpos, qvel, np.zeros_like(qvel))))
 
 
 @pytest.mark.parametrize(

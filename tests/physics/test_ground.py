@@ -11,13 +11,13 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from quadwalk.ground.heightfield import Heightfield, centred, lay
+from quadwalk.ground.heightfield import Heightfield, centered, lay
 from quadwalk.ground.terrain import FLAT, make_terrain
 from quadwalk.physics.constraints.surface import normal_and_tangents, offset_surface
 from quadwalk.physics.engines import ENGINES
 from quadwalk.physics.fast import lowest_points
 from quadwalk.physics.model import contact_geoms, make_model, on_ground
-from quadwalk.physics.motor import MotorConfig, Physics, Stepping, make_motor
+from quadwalk.physics.motor import MotorConfig, PhysicsState, Stepping, make_motor
 from tests.physics.test_fast import check_errors, lying_states, random_states, solved
 
 CELL = 0.05
@@ -25,7 +25,7 @@ CELL = 0.05
 
 def double(heights: np.ndarray) -> Heightfield:
     """A field whose heights are not rounded to single precision."""
-    field = centred(heights, CELL)
+    field = centered(heights, CELL)
     return Heightfield(np.asarray(heights, np.float64), CELL, field.origin)
 
 
@@ -122,9 +122,9 @@ def test_a_sphere_over_the_offset_surface_just_touches_the_ground(seed, radius, 
     field = double(heights)
     surface = offset_surface(field, (radius,))
     x, y = (at + surface.cell * np.arange(17) for at in surface.origin)
-    centres = np.stack([*np.meshgrid(x, y), surface.grids[0]], axis=-1)[4:-4, 4:-4].reshape(-1, 3)
-    np.testing.assert_allclose(distances(field, centres), radius, atol=1e-9)
-    assert np.all(centres[:, 2] > field.height_at(centres[:, :2]))
+    centers = np.stack([*np.meshgrid(x, y), surface.grids[0]], axis=-1)[4:-4, 4:-4].reshape(-1, 3)
+    np.testing.assert_allclose(distances(field, centers), radius, atol=1e-9)
+    assert np.all(centers[:, 2] > field.height_at(centers[:, :2]))
 
 
 @pytest.fixture(scope="module")
@@ -174,7 +174,7 @@ def course(robot, terrain, engine: str, limp: bool) -> dict[str, np.ndarray]:
             after, effort = ENGINES[engine].control_step(constants, stepping, physics, target)
             return after, (lowest_points(geometry, after.qpos)[0][:, 2], effort.energy)
 
-        start = Physics(raised, jnp.zeros(18), jnp.zeros(18))
+        start = PhysicsState(raised, jnp.zeros(18), jnp.zeros(18))
         after, (gaps, energy) = jax.lax.scan(step, start, jnp.arange(CONTROL_STEPS))
         return raised, after.qpos, gaps, jnp.sum(energy)
 

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from quadwalk.physics import mujoco_c
-from quadwalk.physics.model import Variation
+from quadwalk.physics.model import RobotRandomization
 from quadwalk.physics.motor import Stepping
 from quadwalk.task.env import QuadrupedEnv
 
@@ -19,9 +19,9 @@ def test_each_robot_of_a_batch_is_another(env):
     judge = QuadrupedEnv(env.quadruped, env.config, "mujoco")
     rng = np.random.default_rng(0)
     links = rng.uniform(0.8, 1.2, (3, 12))
-    rows = Variation(
+    rows = RobotRandomization(
         friction=np.array([0.3, 0.8, 1.2]), trunk_mass=np.array([-1.0, 0.0, 5.0]),
-        trunk_centre=rng.uniform(-0.05, 0.05, (3, 3)), link_mass=links,
+        trunk_center=rng.uniform(-0.05, 0.05, (3, 3)), link_mass=links,
         strength=np.array([0.7, 1.0, 1.1]), kp=np.array([0.8, 1.0, 1.2]),
         kd=np.array([1.2, 1.0, 0.8]), joint_friction=np.array([0.5, 1.0, 2.0]),
         damping=np.array([0.5, 1.0, 3.0]), armature=np.array([0.8, 1.0, 1.5]),
@@ -41,7 +41,7 @@ def test_each_robot_of_a_batch_is_another(env):
         model = judge.mj_model_of(judge.quadruped)
         model.geom_friction[:, 0] = row.friction
         model.body_mass[1] += row.trunk_mass
-        model.body_ipos[1] += row.trunk_centre
+        model.body_ipos[1] += row.trunk_center
         for joint, factor in zip(dog.joints, row.link_mass, strict=True):
             body = model.jnt_bodyid[model.joint(joint).id]
             model.body_mass[body] *= factor

@@ -61,7 +61,7 @@ def test_two_balls_on_a_rod_by_hand():
     )
     assert pair.mass == 4
     np.testing.assert_allclose(pair.com, [-0.5, 0, 0])
-    # 1 kg at 1.5 m and 3 kg at 0.5 m from the centre of mass: 3 kg m^2 across the rod.
+    # 1 kg at 1.5 m and 3 kg at 0.5 m from the center of mass: 3 kg m^2 across the rod.
     np.testing.assert_allclose(pair.about_com, np.diag([0.2, 3.2, 3.2]))
 
 

@@ -29,7 +29,7 @@ def stands(quadruped: Quadruped) -> None:
     """On its feet alone, and PD control keeps it up.
 
     A foot's sphere fits into the end of a calf whose edges reach further, but in training they end
-    at its centre or before it.
+    at its center or before it.
     """
     for model, deepest in (
         (quadruped.full_model(), 1 - np.sqrt(2)),  # a square edge at 45 degrees
@@ -74,7 +74,7 @@ def one_shape(name: str, geometry: str, rpy: str = "0 0 0") -> str:
 
 @pytest.fixture
 def meshes(tmp_path: Path) -> Path:
-    """A ball of 3 cm that is centred 1 cm off, a wheel of 2 cm about y, and a spindly calf."""
+    """A ball of 3 cm that is centered 1 cm off, a wheel of 2 cm about y, and a spindly calf."""
     ball = trimesh.creation.icosphere(3, 0.03)
     ball.apply_translation([0.01, 0, 0])
     ball.export(tmp_path / "ball.stl")
@@ -85,7 +85,7 @@ def meshes(tmp_path: Path) -> Path:
     return tmp_path
 
 
-# What the calf is, the foot's radius and the height of its centre below the calf's joint, m.
+# What the calf is, the foot's radius and the height of its center below the calf's joint, m.
 FEET = {
     "a ball's mesh": (partial(foot_link, geometry='mesh filename="ball.stl"'), 0.03, 0.2),
     "a wheel's mesh": (partial(foot_link, geometry='mesh filename="wheel.stl"'), 0.02, 0.2),
@@ -165,7 +165,7 @@ def box_and_foot(quadruped: Quadruped) -> tuple[mujoco.MjModel, int, int]:
     return model, box.id, foot.id
 
 
-def test_thin_calves_end_at_the_centres_of_their_feet():
+def test_thin_calves_end_at_the_centers_of_their_feet():
     def calf(name: str) -> str:
         bar = shape('box size="0.006 0.008 0.2"', "0 0 -0.1")
         return link(f"{name}3", inertial(0.5), bar, shape('sphere radius="0.02"', "0 0 -0.19"))

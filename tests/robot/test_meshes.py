@@ -1,4 +1,4 @@
-"""Mesh files: names that stay inside the allowed folders, units, colours, a whole result."""
+"""Mesh files: names that stay inside the allowed folders, units, colors, a whole result."""
 
 from pathlib import Path
 
@@ -39,7 +39,7 @@ def package(tmp_path: Path) -> Path:
     return folder
 
 
-# The same box with a corner at the origin, in centimetres, red.
+# The same box with a corner at the origin, in centimeters, red.
 COLLADA = """<?xml version="1.0"?>
 <COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1">
 <asset><unit name="centimeter" meter="0.01"/><up_axis>Z_UP</up_axis></asset>
@@ -109,13 +109,13 @@ def test_refuses_what_is_no_file(package, name):
 
 
 @pytest.mark.parametrize("kind", ["stl", "obj", "dae"])
-def test_shapes_are_in_metres_whatever_the_format(package, kind):
+def test_shapes_are_in_meters_whatever_the_format(package, kind):
     (part,) = load_mesh(package / "meshes" / f"box.{kind}", ONE, "r")
     np.testing.assert_allclose(np.ptp(part.vertices, axis=0), [0.2, 0.4, 0.6], atol=1e-6)
     assert (part.rgba is None) == (kind != "dae")
 
 
-def test_collada_colours_are_kept(package):
+def test_collada_colors_are_kept(package):
     (part,) = load_mesh(package / "meshes" / "box.dae", ONE, "r")
     np.testing.assert_array_equal(part.rgba, [1, 0, 0, 1])
 

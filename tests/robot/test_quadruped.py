@@ -69,12 +69,12 @@ def test_left_and_right_mirror_each_other(aliengo):
             a, b = model.body(f"{right}_{part}"), model.body(f"{left}_{part}")
             np.testing.assert_allclose(a.pos * flip, b.pos, atol=1e-12)
             np.testing.assert_allclose(a.inertia, b.inertia, rtol=1e-9)
-            if part != "calf":  # whose centre of mass Unitree does not mirror, by 0.1 mm
+            if part != "calf":  # whose center of mass Unitree does not mirror, by 0.1 mm
                 np.testing.assert_allclose(a.ipos * flip, b.ipos, atol=1e-12)
 
 
 def test_home_stands_with_its_feet_just_on_the_floor(aliengo):
-    # 2 * .25 m * cos .8 from hip to foot centre, and the foot's radius below it.
+    # 2 * .25 m * cos .8 from hip to foot center, and the foot's radius below it.
     assert aliengo.home[2] == pytest.approx(0.5 * np.cos(0.8) + 0.0265)
     np.testing.assert_array_equal(aliengo.home[7:], [0, 0.8, -1.6] * 4)
     model = aliengo.full_model()

@@ -123,8 +123,8 @@ BAD = {
     ),
     "no shape": (changed('<box size="0.647 0.15 0.112"/>', ""), "holds 0 shapes"),
     "unknown shape": (changed('<box size="0.647 0.15 0.112"/>', "<capsule/>"), "<capsule>"),
-    "bad colour": (changed('rgba="1.0 0.42 0.04 1"', 'rgba="255 0 0 1"'), "expected 0 .. 1"),
-    "second colour": (changed('name="graphite"', 'name="orange"'), "a second color"),
+    "bad color": (changed('rgba="1.0 0.42 0.04 1"', 'rgba="255 0 0 1"'), "expected 0 .. 1"),
+    "second color": (changed('name="graphite"', 'name="orange"'), "a second color"),
     "link named world": (TEXT.replace('"FR_foot"', '"world"'), "'world' is not the root"),
 }  # fmt: skip
 
@@ -232,7 +232,7 @@ def test_reads_what_the_file_says_in_any_encoding():
     assert parse_urdf(text).robot.name == "Älien"  # text, whatever it declares
 
 
-def test_an_axis_need_not_be_normalised_or_given():
+def test_an_axis_need_not_be_normalized_or_given():
     urdf = parse_urdf(changed('<axis xyz="0 1 0"', '<axis xyz="0 7 0"'))
     model = convert(urdf, find_legs(urdf.tree, "")).spec.compile()
     assert model.joint("FR_thigh_joint").axis == pytest.approx([0, 1, 0])

@@ -40,7 +40,7 @@ def test_converts_exactly_or_is_refused(pinocchio, urdf):
 
 
 @zoo.each([file for file in zoo.FILES if file.stem not in REFUSED])
-def test_quadrupeds_are_recognised_and_nothing_else_is(urdf):
+def test_quadrupeds_are_recognized_and_nothing_else_is(urdf):
     read = read_urdf(urdf)
     if urdf in zoo.QUADRUPEDS:
         with_motors(read, legs_of(read, NO_MESHES), NO_MESHES)

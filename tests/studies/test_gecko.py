@@ -9,7 +9,7 @@ import pytest
 
 from quadwalk.evaluate.motion.gait import measure_gait
 from quadwalk.evaluate.rollout import Rollout
-from quadwalk.settings.serialise import flatten
+from quadwalk.settings.serialize import flatten
 from quadwalk.task_files import load_task
 from studies.gecko.gait import body_contact, contacts_of, figures_of, frames_of
 from studies.gecko.study import CAUSES, OTHER, RESULTS, variants

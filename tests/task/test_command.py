@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from quadwalk.errors import UsageError
-from quadwalk.settings.environment import NO_RANDOMISATION, CommandConfig
+from quadwalk.settings.environment import NO_RANDOMIZATION, CommandConfig
 from quadwalk.task.env import QuadrupedEnv
 from quadwalk.task.episode.command import Command, draw, first_command, next_command
 from quadwalk.tasks import drive, walk
@@ -25,8 +25,8 @@ PERIOD = 3  # control steps
 def told(env) -> QuadrupedEnv:
     """The robot of the other tests, told anew every three control steps."""
     command = dataclasses.replace(TOLD, seconds=PERIOD * 0.02)
-    ideal = NO_RANDOMISATION  # what is seen is so
-    config = dataclasses.replace(walk.TASK.env, command=command, randomisation=ideal)
+    ideal = NO_RANDOMIZATION  # what is seen is so
+    config = dataclasses.replace(walk.TASK.env, command=command, randomization=ideal)
     return QuadrupedEnv(env.quadruped, config)
 
 

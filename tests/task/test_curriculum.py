@@ -19,7 +19,7 @@ def at(x: float, y: float) -> jax.Array:
     return jnp.zeros(19).at[:2].set(jnp.array([x, y]))
 
 
-def travelled(velocity, command, steps):
+def traveled(velocity, command, steps):
     travel = begin_travel(at(1.0, -2.0))
     for _ in range(steps):
         travel = travel_on(travel, jnp.asarray(velocity), jnp.asarray(command), DT)
@@ -29,7 +29,7 @@ def travelled(velocity, command, steps):
 def following(tile, away, walked, told, steps=STEPS, done=STEPS):
     """The tiles after an episode of `steps`, now at step `done`, for 200 keys."""
     travel = begin_travel(at(1.0, -2.0))._replace(
-        steps=jnp.int32(steps), walked=jnp.float32(walked), told=jnp.float32(told)
+        steps=jnp.int32(steps), walked=jnp.float32(walked), commanded=jnp.float32(told)
     )
     next_of = jax.vmap(
         lambda key: LESSONS.following(jnp.int32(tile), travel, at(1.0 + away, -2.0), done, key)
@@ -38,12 +38,12 @@ def following(tile, away, walked, told, steps=STEPS, done=STEPS):
 
 
 def test_what_is_walked_counts_along_the_command():
-    travel = travelled([0.3, 0.4], [0.0, 0.5], 50)
+    travel = traveled([0.3, 0.4], [0.0, 0.5], 50)
     assert float(travel.walked) == pytest.approx(0.4 * 50 * DT)
-    assert float(travel.told) == pytest.approx(0.5 * 50 * DT)
+    assert float(travel.commanded) == pytest.approx(0.5 * 50 * DT)
     assert int(travel.steps) == 50
     assert travel.start.tolist() == [1.0, -2.0]
-    assert float(travelled([0.3, 0.4], [0.0, 0.0], 5).walked) == 0.0
+    assert float(traveled([0.3, 0.4], [0.0, 0.0], 5).walked) == 0.0
 
 
 @pytest.mark.parametrize(
@@ -80,7 +80,7 @@ def test_one_that_came_to_the_edge_of_its_tile_goes_on():
     confined = dataclasses.replace(LESSONS, middles=tuple((8.0 * k, 1.0) for k in range(15)))
     tile = LEVELS + 1  # its middle is at x = 48
     travel = begin_travel(at(50.0, 1.0))._replace(
-        steps=jnp.int32(200), walked=jnp.float32(1.8), told=jnp.float32(2.0)
+        steps=jnp.int32(200), walked=jnp.float32(1.8), commanded=jnp.float32(2.0)
     )
     for x, y, change in ((51.8, 1.0, 1), (51.6, 1.0, -1), (48.0, -2.8, 1)):
         found = confined.following(jnp.int32(tile), travel, at(x, y), 200, KEYS[0])

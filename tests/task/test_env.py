@@ -199,8 +199,8 @@ def test_a_setting_out_of_range_is_refused(bad):
 
 
 def test_the_policy_sees_what_was_seen_before_and_the_critic_the_truth(quadruped):
-    world = dataclasses.replace(run.TASK.env.randomisation, enabled=False)
-    env = QuadrupedEnv(quadruped, dataclasses.replace(run.TASK.env, randomisation=world))
+    world = dataclasses.replace(run.TASK.env.randomization, enabled=False)
+    env = QuadrupedEnv(quadruped, dataclasses.replace(run.TASK.env, randomization=world))
     names = (*env.observation_names, *(f"critic_{name}" for name in env.critic_names))
     assert len(names) == len(set(names)) == env.observation_size
     assert env.policy_size == 43 + 4 * 42  # all but the heading four times more

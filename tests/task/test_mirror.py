@@ -12,7 +12,7 @@ from quadwalk.robot.mjcf import Options
 from quadwalk.robot.quadruped import load_quadruped
 from quadwalk.settings.terms import Observation
 from quadwalk.task.env import QuadrupedEnv
-from quadwalk.task.mirror import FEET, SCALAR, mirrors
+from quadwalk.task.reflections import FEET, SCALAR, mirrors
 from quadwalk.task_files import load_task, task_names
 from quadwalk.tasks import rough, run, sprint
 from tests.robot import zoo

@@ -1,7 +1,7 @@
 """A step from the mirrored state by the mirrored action is the step's image.
 
 Of robots made exactly symmetric, so that the rest is float32's: what halves differ by in their
-files, in inertias and centres of mass, is averaged away.
+files, in inertias and centers of mass, is averaged away.
 """
 
 import dataclasses
@@ -13,14 +13,14 @@ import numpy as np
 import pytest
 
 from quadwalk.ground.terrain import FLAT
-from quadwalk.physics.motor import Physics
+from quadwalk.physics.motor import PhysicsState
 from quadwalk.physics.rotation import from_euler
 from quadwalk.robot.mirror import robot_mirror
 from quadwalk.robot.mjcf import Options
 from quadwalk.robot.quadruped import Quadruped, load_quadruped
 from quadwalk.task.env import QuadrupedEnv
-from quadwalk.task.mirror import mirror_of
 from quadwalk.task.observation import height_scan, scan_ahead
+from quadwalk.task.reflections import mirror_of
 from quadwalk.task_files import load_task, task_names
 from quadwalk.tasks import sprint
 from tests.robot import zoo
@@ -37,15 +37,15 @@ def symmetric(quadruped: Quadruped) -> Quadruped:
     mujoco.mj_kinematics(model, data)
     bodies = model.jnt_bodyid[:13]
     images = np.r_[0, 1 + robot_mirror(quadruped, model).joints.source]
-    centres = data.xipos[bodies] - quadruped.home[:3]
+    centers = data.xipos[bodies] - quadruped.home[:3]
     frames = data.ximat[bodies].reshape(-1, 3, 3)
     inertias = frames * model.body_inertia[bodies, None] @ frames.transpose(0, 2, 1)
-    centres = (centres + centres[images] * FLIP) / 2 + quadruped.home[:3]
+    centers = (centers + centers[images] * FLIP) / 2 + quadruped.home[:3]
     inertias = (inertias + np.outer(FLIP, FLIP) * inertias[images]) / 2
     spec = quadruped.spec.copy()
-    for body, centre, inertia in zip(bodies, centres, inertias, strict=True):
+    for body, center, inertia in zip(bodies, centers, inertias, strict=True):
         turn, own = data.xmat[body].reshape(3, 3), spec.body(model.body(body).name)
-        own.ipos = turn.T @ (centre - data.xpos[body])
+        own.ipos = turn.T @ (center - data.xpos[body])
         own.inertia, principal = np.linalg.eigh(turn.T @ inertia @ turn)
         principal[:, 2] = np.cross(principal[:, 0], principal[:, 1])  # right-handed
         quat = np.zeros(4)
@@ -68,7 +68,7 @@ def drawn_physics(env, key, canonical):
     moving += jnp.where(canonical, 0.0, 1.0) * jnp.concatenate(
         [*own, 2.0 * jax.random.normal(speeds, (12,))]
     )
-    return Physics(jnp.concatenate([place, quat, angles]), moving, jnp.zeros(18))
+    return PhysicsState(jnp.concatenate([place, quat, angles]), moving, jnp.zeros(18))
 
 
 def image(env, state, robot):
@@ -81,7 +81,7 @@ def image(env, state, robot):
     quat = jnp.concatenate([qpos[3:4], -FLIP * qpos[4:7]])
     qpos = jnp.concatenate([FLIP * qpos[:3], quat, robot.joints(qpos[7:])])
     changed = state._replace(
-        physics=Physics(qpos, qvel(speed), qvel(warmstart)),
+        physics=PhysicsState(qpos, qvel(speed), qvel(warmstart)),
         last_action=robot.joints(state.last_action),
         steps=state.steps + HALF_A_STRIDE,
     )
@@ -97,7 +97,7 @@ def image(env, state, robot):
         changed = changed._replace(frames=frames)
     if (drawn := state.conditions) is not None:
         variation = drawn.variation._replace(
-            trunk_centre=FLIP * drawn.variation.trunk_centre,
+            trunk_center=FLIP * drawn.variation.trunk_center,
             link_mass=drawn.variation.link_mass[robot.joints.source],
         )
         drawn = drawn._replace(
@@ -195,7 +195,7 @@ def test_a_scan_sees_the_image_of_uneven_ground(env, scan, sizes):
     seen = [
         scan(
             dataclasses.replace(env.robot, ground=Ground(side)),
-            state._replace(physics=Physics(place, jnp.zeros(18), jnp.zeros(18))),
+            state._replace(physics=PhysicsState(place, jnp.zeros(18), jnp.zeros(18))),
             **params,
         )
         for side, place in ((1, qpos), (-1, turned))

@@ -113,7 +113,7 @@ def test_how_far_an_episode_has_come_is_counted(hilly, starts):
     ahead = np.asarray(after.qpos[:, 0] - begun[:, 0])  # of a task without commands, along x
     np.testing.assert_allclose(after.travel.walked, ahead, atol=1e-6)
     pace = 6.0 / 2 / hilly.config.episode_seconds
-    np.testing.assert_allclose(after.travel.told, pace * hilly.config.control_dt, rtol=1e-5)
+    np.testing.assert_allclose(after.travel.commanded, pace * hilly.config.control_dt, rtol=1e-5)
 
 
 def test_an_episode_can_be_confined_to_its_tile(hilly, starts):
@@ -130,7 +130,7 @@ def test_an_episode_can_be_confined_to_its_tile(hilly, starts):
     assert not outside(confined, [2.9, -2.9]).any()
     assert outside(confined, [3.1, 0.0]).all()
     assert outside(confined, [0.0, -3.1]).all()
-    assert not outside(hilly, [3.1, 0.0]).any()  # its neighbour, or level ground
+    assert not outside(hilly, [3.1, 0.0]).any()  # its neighbor, or level ground
 
 
 def test_the_ground_may_be_an_argument_of_a_program(hilly, starts):

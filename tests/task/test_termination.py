@@ -43,11 +43,11 @@ def surface(kind: mjtGeom, size: np.ndarray, rng: np.random.Generator) -> np.nda
 def test_the_lowest_point_is_that_of_the_surface(kind, seed):
     rng = np.random.default_rng(seed)
     size = rng.uniform(0.02, 0.3, 3)
-    centre, turn = rng.normal(size=3), Rotation.random(rng=rng).as_matrix()
+    center, turn = rng.normal(size=3), Rotation.random(rng=rng).as_matrix()
     up = Rotation.random(rng=rng).as_matrix()[2]  # the world's vertical in the link's frame
-    points = surface(kind, size, rng) @ turn.T + centre
+    points = surface(kind, size, rng) @ turn.T + center
     shape = Shell(
-        link=None, kind=int(kind), centre=tuple(centre), axes=tuple(map(tuple, turn.T)), size=size
+        link=None, kind=int(kind), center=tuple(center), axes=tuple(map(tuple, turn.T)), size=size
     )
     assert float(shape.bottom(tuple(up))) == pytest.approx((points @ up).min(), abs=2e-3)
 
@@ -69,7 +69,7 @@ def test_each_way_to_fall_stands_for_itself(env):
         assert falls(env, qpos) == {**none, "tipped": tipped}
 
 
-def test_the_posts_ways_are_each_angle_for_itself_and_height_in_metres(env):
+def test_the_posts_ways_are_each_angle_for_itself_and_height_in_meters(env):
     ways = {
         "tipped": Termination(blog.rolled_or_pitched, {"angle": 0.9}),
         "low": Termination(blog.below, {"height": 0.1}),

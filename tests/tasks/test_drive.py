@@ -16,7 +16,7 @@ from quadwalk.evaluate.steering import (
     measure_steering,
     steering_run,
 )
-from quadwalk.settings.environment import NO_RANDOMISATION
+from quadwalk.settings.environment import NO_RANDOMIZATION
 from quadwalk.task.env import QuadrupedEnv
 from quadwalk.tasks import drive
 from quadwalk.train.runs.directory import Run
@@ -31,7 +31,7 @@ def standing(quadruped, tmp_path_factory) -> LoadedRun:
         drive.TASK.env.reset, joints=0.0, velocity=0.0, joint_velocity=0.0, tilt=0.0
     )
     config = dataclasses.replace(
-        drive.TASK.env, randomisation=NO_RANDOMISATION, command=command, reset=still
+        drive.TASK.env, randomization=NO_RANDOMIZATION, command=command, reset=still
     )
     env = QuadrupedEnv(quadruped, config)
     act = jax.tree_util.Partial(lambda seen: 0.0 * seen[..., :12])

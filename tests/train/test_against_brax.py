@@ -139,7 +139,7 @@ def wrap_scattered(env: Env, **settings: Any) -> Wrapper:
 class Both(NamedTuple):
     """What `ppo.train` and our loop made of the same start."""
 
-    brax: list[Any]  # (normaliser, policy, value) after each iteration, the start first
+    brax: list[Any]  # (normalizer, policy, value) after each iteration, the start first
     ours: list[Any]
     brax_gradients: Any  # of the first update
     learner: ppo.Learner  # ours, after the first iteration
@@ -245,7 +245,7 @@ def test_one_update_has_the_loss_and_gradients_of_brax(train_both):
 
 
 def test_iterations_leave_the_parameters_of_brax(train_both):
-    """Falls, epochs, minibatches, clipping, Adam, learning rate and normaliser: all of it."""
+    """Falls, epochs, minibatches, clipping, Adam, learning rate and normalizer: all of it."""
     config = dataclasses.replace(
         sprint.TASK.ppo, **SETTINGS, minibatches=2, epochs=3, desired_kl=0.01, final_kl=0.01
     )
@@ -276,7 +276,7 @@ def test_a_moving_body_is_bootstrapped_from_the_state_after_its_time_limit():
     networks = make_networks(config, env.observation_size, env.action_size)
     state = ppo.init_state(env, networks, config, mesh, ENVS, seed=0)
 
-    def one_iteration(learner: ppo.Learner, workers: ppo.Workers) -> Any:
+    def one_iteration(learner: ppo.Learner, workers: ppo.RolloutState) -> Any:
         _, data, _ = ppo.collect(env, networks, config, learner, workers)
         _, metrics = ppo.learn(networks, config, learner, data, workers.key[0], 10)
         rollout = data[0]
@@ -309,7 +309,7 @@ def test_a_moving_body_is_bootstrapped_from_the_state_after_its_time_limit():
         decay = config.discount * config.gae_lambda
         following = surprise[:, t] + decay * np.where(ended[:, t], 0.0, following)
         advantage[:, t] = following
-    assert loss == pytest.approx(0.5 * config.value * np.mean(advantage**2), rel=1e-4)
+    assert loss == pytest.approx(0.5 * config.value_coef * np.mean(advantage**2), rel=1e-4)
 
 
 def test_learning_curves_agree_over_three_seeds():

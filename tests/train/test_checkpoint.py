@@ -80,7 +80,7 @@ def training_state():
     params = {"hidden_0": {"kernel": jnp.ones((3, 2)), "bias": jnp.zeros(2)}}
     return {
         "params": params,
-        "optimiser": optax.adam(1e-3).init(params),
+        "optimizer": optax.adam(1e-3).init(params),
         "key": jax.random.PRNGKey(7),
         "steps": np.int64(2**40),
     }

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from quadwalk.errors import UsageError, UserError
-from quadwalk.settings.serialise import to_dict, with_settings
+from quadwalk.settings.serialize import to_dict, with_settings
 from quadwalk.settings.training import TrainConfig
 from quadwalk.task_files import load_task, task_names
 from quadwalk.tasks import sprint, walk
@@ -96,15 +96,15 @@ def test_the_command_of_walk_is_a_flag():
         (["--env.reward.forwad", "2"], "--env.reward.forward"),
         (["--env.reward.forward", "fast"], "--env.reward.forward"),
         (["--ppo.discount", "1.5"], "discount"),
-        (["--ppo.settle", "0"], "ppo.settle"),
+        (["--ppo.anneal-share", "0"], "--ppo.anneal-share"),
         (["--ppo.hidden", "0"], "hidden"),
         (["--env.physics-dt", "1"], "physics-dt"),
         (["--env.command.forward", "1", "0"], "env.command.forward is (1.0, 0.0)"),
         (["--env.command.yaw-rate", "nan", "0"], "env.command.yaw-rate"),
         (["--env.command.seconds", "0"], "env.command.seconds"),
-        (["--env.randomisation.push-seconds", "0"], "env.randomisation.push-seconds"),
-        (["--env.randomisation.margin", "1.5"], "env.randomisation.margin"),
-        (["--env.randomisation.push", "0.5", "0"], "env.randomisation.push"),
+        (["--env.randomization.push-seconds", "0"], "env.randomization.push-seconds"),
+        (["--env.randomization.margin", "1.5"], "env.randomization.margin"),
+        (["--env.randomization.push", "0.5", "0"], "env.randomization.push"),
         (["--env.command.standing", "2"], "env.command.standing"),
         (["--env.command.lateral", "0", "inf"], "env.command.lateral"),
         (["--env.contacts", "hands"], "env.contacts"),
@@ -116,10 +116,10 @@ def test_the_command_of_walk_is_a_flag():
         (["--env.reset.pose", "0", "nan", "0"], "--env.reset.pose is (0.0, nan, 0.0)"),
         (["--env.episode-seconds", "1e12"], "--env.episode-seconds is 1000000000000.0"),
         (["--env.ground.border", "inf"], "--env.ground.border is inf; expected at most 1e+12 m"),
-        (["--preset=sprint", "--env.randomisation.friction", "0", "1"], "randomisation.enabled"),
+        (["--preset=sprint", "--env.randomization.friction", "0", "1"], "randomization.enabled"),
         (["--steps", "12345678901234567890123"], "--steps is 12345678901234567890123"),
         (["--minutes", "nan"], "--minutes is nan"),
-        (["--ppo.clip", "nan"], "--ppo.clip is nan; expected more than 0"),
+        (["--ppo.clip-epsilon", "nan"], "--ppo.clip-epsilon is nan; expected more than 0"),
         (["--ppo.min-learning-rate", "0.5"], "at most --ppo.max-learning-rate, 0.01"),
     ],
 )

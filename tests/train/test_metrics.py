@@ -3,7 +3,7 @@ import math
 
 import pytest
 
-from quadwalk.settings.serialise import with_settings
+from quadwalk.settings.serialize import with_settings
 from quadwalk.tasks import sprint
 from quadwalk.train.progress.metrics import FallRate, TrainingMetrics
 

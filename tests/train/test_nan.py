@@ -8,8 +8,8 @@ import pytest
 
 from quadwalk.errors import UsageError, UserError
 from quadwalk.paths import ALIENGO_URDF
-from quadwalk.physics.motor import Physics
-from quadwalk.settings.serialise import to_dict
+from quadwalk.physics.motor import PhysicsState
+from quadwalk.settings.serialize import to_dict
 from quadwalk.settings.training import RobotConfig
 from quadwalk.task.env import MAX_SPEED, EnvState, QuadrupedEnv
 from quadwalk.task_files import load_task
@@ -37,7 +37,9 @@ def standing(env, roll_rate: float) -> EnvState:
     """The home pose, as the trunk rolls by so many rad/s."""
     velocity = np.zeros(18, np.float32)
     velocity[3] = roll_rate
-    physics = Physics(np.asarray(env.robot.home, np.float32), velocity, np.zeros(18, np.float32))
+    physics = PhysicsState(
+        np.asarray(env.robot.home, np.float32), velocity, np.zeros(18, np.float32)
+    )
     return EnvState(physics, np.zeros(12, np.float32), np.int32(7))
 
 
@@ -62,8 +64,8 @@ def test_a_step_is_kept_and_goes_wrong_again(run, env, roll_rate):
 def test_a_step_of_another_task_is_replayed_as_it_was(run, env, task):
     """Of blog, targets depend on where the joints are; of run, each step is under conditions."""
     config = replace(load_task(task), robot=CONFIG.robot)
-    often = replace(config.env.randomisation, push_seconds=config.env.control_dt)
-    config = replace(config, env=replace(config.env, randomisation=often))
+    often = replace(config.env.randomization, push_seconds=config.env.control_dt)
+    config = replace(config, env=replace(config.env, randomization=often))
     task = QuadrupedEnv(env.quadruped, config.env)
     state = jax.jit(task.reset)(jax.random.PRNGKey(0))
     action = np.full(12, -1.0, np.float32)

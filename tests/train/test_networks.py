@@ -16,7 +16,7 @@ from jax.sharding import PartitionSpec as P
 
 from quadwalk.errors import UsageError
 from quadwalk.robot.mirror import Mirror
-from quadwalk.task.mirror import Mirrors
+from quadwalk.task.reflections import Mirrors
 from quadwalk.tasks import sprint
 from quadwalk.train import ppo
 from quadwalk.train.networks import Basis, TanhNormal, make_networks, mean_policy, plain
@@ -71,7 +71,7 @@ def test_loss_and_gradients_are_those_of_brax_with_two_observations(
         return jnp.moveaxis(x, 0, -1)
 
     def seen(x):
-        flat = networks.normalised(statistics, x.reshape(-1, SEEN + MORE))
+        flat = networks.normalized(statistics, x.reshape(-1, SEEN + MORE))
         return tuple(part.reshape(-1, *x.shape[:-1]) for part in flat)
 
     parts = tuple(jnp.moveaxis(part, 0, 1).swapaxes(0, 2) for part in seen(observation))
@@ -137,7 +137,7 @@ def test_a_mirrored_observation_has_the_mirrored_action_with_the_other_lead(stat
             return lead * leaf if path[-1].key == "lead" else leaf
 
         led = jax.tree_util.tree_map_with_path(turned, params)
-        parts = networks.normalised(own, observation)
+        parts = networks.normalized(own, observation)
         return networks.policy(led.policy, parts), networks.value(led.value, parts)
 
     policy, value = answers(observation, 1.0)
@@ -155,7 +155,7 @@ def test_the_plain_policy_acts_as_the_learner_does(networks, statistics):
     own = statistics if networks.whole.mirror is None else even(statistics)
     params = networks.init(jax.random.PRNGKey(2))
     observation = drawn(11, 7, SEEN + MORE)
-    mode = jnp.tanh(networks.policy(params.policy, networks.normalised(own, observation)).mean).T
+    mode = jnp.tanh(networks.policy(params.policy, networks.normalized(own, observation)).mean).T
     policy = mean_policy("swish", *networks.plain_policy(own, params.policy))
     np.testing.assert_allclose(policy(observation), mode, atol=1e-5)
     np.testing.assert_array_equal(policy(observation), policy(observation[:, :SEEN]))
@@ -187,11 +187,11 @@ def test_a_basis_is_orthonormal_and_the_mirror_changes_its_signs_alone(seed):
 
 
 def test_statistics_are_those_of_brax_of_the_data_and_their_mirror_image(networks):
-    """Over two devices, three times, each normalised by what was known before."""
+    """Over two devices, three times, each normalized by what was known before."""
     mesh, found = ppo.make_mesh(), networks.init_statistics()
 
     def count(statistics, x):
-        parts = networks.normalised(statistics, x)
+        parts = networks.normalized(statistics, x)
         steps = tuple(jnp.stack(jnp.split(part, 4, axis=1)) for part in parts)
         return networks.measured(statistics, steps, ppo.AXIS)
 
@@ -221,7 +221,7 @@ def test_what_never_varied_is_passed_on_less_its_mean(statistics):
     )
     passed = NestedMeanStd(never.mean, never.std.at[:2].set(1.0))
     observation = drawn(3, 5, SEEN + MORE)
-    found, expected = (networks.normalised(own, observation)[0] for own in (never, passed))
+    found, expected = (networks.normalized(own, observation)[0] for own in (never, passed))
     np.testing.assert_array_equal(found, expected)
 
 

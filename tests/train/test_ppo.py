@@ -11,10 +11,10 @@ import pytest
 from brax.envs.base import Env, State
 from jax.sharding import PartitionSpec as P
 
-from quadwalk.physics.motor import Physics
+from quadwalk.physics.motor import PhysicsState
 from quadwalk.task.env import QuadrupedEnv
-from quadwalk.task.episode.conditions import Conditions
 from quadwalk.task.episode.curriculum import Curriculum, begin_travel
+from quadwalk.task.episode.randomization import EpisodeRandomization
 from quadwalk.task.state import EnvState
 from quadwalk.tasks import sprint, walk
 from quadwalk.train import ppo
@@ -100,7 +100,7 @@ def start(networks, seed: int = 0) -> ppo.TrainState:
 
 
 class Rows(NamedTuple):
-    """What was met, environments first, observations as they are: none are normalised yet."""
+    """What was met, environments first, observations as they are: none are normalized yet."""
 
     observation: jax.Array  # (envs, unroll, 2)
     action: jax.Array  # (envs, unroll, 2)
@@ -152,7 +152,7 @@ def test_the_next_episodes_are_where_the_curriculum_says_but_for_those_that_eval
     far = jnp.tile(jnp.eye(19)[0] * 5.0, (8, 1))  # more than half a tile from the start
     travel = jax.vmap(begin_travel)(jnp.zeros((8, 19)))
     state = EnvState(
-        Physics(far, jnp.zeros((8, 18)), jnp.zeros((8, 18))),
+        PhysicsState(far, jnp.zeros((8, 18)), jnp.zeros((8, 18))),
         jnp.zeros((8, 12)),
         jnp.full(8, 100),
         tile=jnp.array([0, 3, 1, 4, 0, 3, 0, 0]),
@@ -238,14 +238,14 @@ def test_some_that_fell_meet_the_same_conditions_once_more():
 
     def begun(sign: float) -> State:
         drawn = jax.tree.map(lambda x: jnp.asarray(sign * x), own)
-        physics = Physics(number, number, number)
+        physics = PhysicsState(number, number, number)
         zero = jnp.zeros(envs)
         return State(
             EnvState(physics, zero, zero, None, drawn), zero, zero, zero, {"fell": fell}, {}
         )
 
     vector = np.tile(number[:, None], (1, 3))
-    own = Conditions(None, number, None, vector, number, vector, vector, vector, vector)
+    own = EpisodeRandomization(None, number, None, vector, number, vector, vector, vector, vector)
     fell = jnp.asarray(number % 2)
     found = ppo._retried(0.25, begun(1.0), begun(-1.0), jax.random.PRNGKey(0))
     np.testing.assert_array_equal(found.targets, -vector)
@@ -261,8 +261,8 @@ def test_an_episode_after_a_fall_is_seen_as_it_starts(quadruped, monkeypatch):
     """Of walk: the clock at the step it is put to, and the encoders that it has once more."""
     monkeypatch.setattr(ppo, "SOME", 3)  # of four that end, three are begun and then one
     task = walk.TASK
-    world = dataclasses.replace(task.env.randomisation, noise=None, imu_tilt=None)
-    env = QuadrupedEnv(quadruped, dataclasses.replace(task.env, randomisation=world))
+    world = dataclasses.replace(task.env.randomization, noise=None, imu_tilt=None)
+    env = QuadrupedEnv(quadruped, dataclasses.replace(task.env, randomization=world))
     names = env.observation_names
 
     fresh = jax.jit(lambda keys: ppo.reset_envs(env, keys))
@@ -433,7 +433,7 @@ def test_it_learns(networks, iterate):
     ],
 )
 def test_the_policy_settles_towards_the_end(share, progress, expected):
-    found = ppo.settled(0.03, 0.01, share, jnp.asarray(progress))
+    found = ppo.anneal(0.03, 0.01, share, jnp.asarray(progress))
     assert float(found) == pytest.approx(expected)
 
 

@@ -7,7 +7,7 @@ import trimesh
 from quadwalk.errors import UsageError
 from quadwalk.paths import ALIENGO_URDF
 from quadwalk.robot.urdf import UrdfError
-from quadwalk.settings.serialise import to_dict
+from quadwalk.settings.serialize import to_dict
 from quadwalk.settings.training import RobotConfig
 from quadwalk.tasks.sprint import TASK
 from quadwalk.train.robot import load_robot

@@ -269,7 +269,7 @@ def test_a_full_disk_ends_no_training(
         train(f"--runs={folder}", "--resume=full")
     warnings = [line for line in said.splitlines() if "No space left on device" in line]
     assert 1 <= len(warnings) <= 8
-    assert all("training goes on and will try again" in line for line in warnings)
+    assert all("training continues and will retry" in line for line in warnings)
     same_result(run, whole)
 
 

@@ -159,7 +159,7 @@ def test_a_run_of_ones_own_task_is_known_again_until_the_file_changes(tmp_path, 
     [
         ("--env.reward.energy -0.1", "--env.reward.energy 0.1"),
         ("--preset walk --env.substeps 4" + 9 * " --ppo.entropy 0.1",
-         "--preset walk --env.substeps 4" + 9 * " --ppo.entropy 0.1" + " --ppo.clip 0.1"),
+         "--preset walk --env.substeps 4" + 9 * " --ppo.entropy 0.1" + " --ppo.clip-epsilon 0.1"),
         ("--robot.urdf a/b.urdf", "--robot.urdf a-b.urdf"),
     ],
 )  # fmt: skip

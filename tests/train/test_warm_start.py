@@ -14,7 +14,7 @@ from brax.training.acme.running_statistics import NestedMeanStd
 
 from quadwalk.errors import UsageError, UserError
 from quadwalk.robot.quadruped import load_quadruped
-from quadwalk.settings.serialise import to_dict
+from quadwalk.settings.serialize import to_dict
 from quadwalk.settings.terms import Observation
 from quadwalk.task.env import QuadrupedEnv
 from quadwalk.task.observation import offset
@@ -41,7 +41,7 @@ def learner_of(env, config, seed):
 def worth(networks, learner, observation):
     """What the value network says."""
     statistics = NestedMeanStd(learner.normalizer.mean, learner.normalizer.std)
-    parts = networks.normalised(statistics, jnp.float32(observation))
+    parts = networks.normalized(statistics, jnp.float32(observation))
     return networks.value(learner.params.value, parts)
 
 
@@ -95,11 +95,11 @@ def test_it_acts_as_the_run_does_and_as_randomly_as_at_a_start(source):
     np.testing.assert_allclose(
         acts(networks, learner, seen), mean_policy("swish", *policy)(seen), atol=1e-5
     )
-    parts = networks.normalised(
+    parts = networks.normalized(
         NestedMeanStd(learner.normalizer.mean, learner.normalizer.std), seen
     )
     std = networks.policy(learner.params.policy, parts).std
-    np.testing.assert_allclose(std, config.ppo.noise + 0.001 * networks.std_scale, rtol=1e-5)
+    np.testing.assert_allclose(std, config.ppo.init_std + 0.001 * networks.std_scale, rtol=1e-5)
 
 
 def test_what_is_new_changes_no_action_and_what_is_seen_in_another_order_is_found(source):

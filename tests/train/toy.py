@@ -24,7 +24,7 @@ import quadwalk.task.env
 import quadwalk.train.progress.curves
 import quadwalk.train.runs.writer
 import quadwalk.train.setup
-from quadwalk.physics.motor import Physics
+from quadwalk.physics.motor import PhysicsState
 from quadwalk.process import run_command
 from quadwalk.settings.environment import EnvConfig
 from quadwalk.task.env import EnvState
@@ -63,7 +63,7 @@ class Toy(Env):
 
     def reset(self, rng: jax.Array) -> State:
         drawn = jax.random.uniform(rng, (2,))
-        physics = Physics(jnp.zeros(19).at[:2].set(drawn), jnp.zeros(18), jnp.zeros(18))
+        physics = PhysicsState(jnp.zeros(19).at[:2].set(drawn), jnp.zeros(18), jnp.zeros(18))
         state = EnvState(physics, jnp.zeros(12), jnp.zeros((), jnp.int32))
         zero = jnp.zeros(())
         metrics = {"speed": zero, "fell": zero, "nan": zero, "reward/forward": zero}
@@ -76,7 +76,7 @@ class Toy(Env):
         before = state.pipeline_state
         speed = before.physics.qvel.at[0].set(jnp.mean(action))
         position = before.physics.qpos.at[0].add(speed[0] * self.config.control_dt)
-        physics = Physics(position, speed, before.physics.warmstart)
+        physics = PhysicsState(position, speed, before.physics.warmstart)
         steps = before.steps + 1
         nan = (before.physics.qpos[1] > self.config.termination["tipped"].params["angle"]).astype(
             jnp.float32
@@ -92,7 +92,7 @@ class Toy(Env):
             {"truncation": limit},
         )
 
-    def _observe(self, physics: Physics) -> jax.Array:
+    def _observe(self, physics: PhysicsState) -> jax.Array:
         return jnp.array([physics.qpos[0], physics.qpos[1], physics.qvel[0]])
 
 

@@ -10,7 +10,7 @@ import pytest
 from brax.training.acme.running_statistics import NestedMeanStd
 
 from quadwalk.robot.quadruped import Quadruped
-from quadwalk.settings.serialise import to_dict
+from quadwalk.settings.serialize import to_dict
 from quadwalk.settings.training import TrainConfig
 from quadwalk.task.env import QuadrupedEnv
 from quadwalk.tasks import rough, walk

@@ -13,7 +13,7 @@ from quadwalk.eval import main as evaluate
 from quadwalk.shell import install
 from quadwalk.tasks import walk
 from quadwalk.train.loop import train
-from quadwalk.view.drive import ViewConfig, drive, no_window
+from quadwalk.view.show import ViewConfig, drive, no_window
 from quadwalk.view.traces import Traces
 from quadwalk.view.window import Keys, draw_overlay
 

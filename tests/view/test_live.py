@@ -60,8 +60,8 @@ def test_it_stands_on_the_ground_of_the_tile_that_is_chosen(goat):
         floor = goat.model.geom("floor").id
         gaps = []
         for foot in goat.env.quadruped.feet:
-            centre, down = goat.data.geom(foot).xpos, np.array([0.0, 0.0, -1.0])
-            distance = mujoco.mj_rayHfield(goat.model, goat.data, floor, centre, down, None)
+            center, down = goat.data.geom(foot).xpos, np.array([0.0, 0.0, -1.0])
+            distance = mujoco.mj_rayHfield(goat.model, goat.data, floor, center, down, None)
             gaps.append(distance - goat.model.geom(foot).size[0])
         assert min(gaps) == pytest.approx(0.0, abs=2e-3)
         assert goat.state().tile == index

@@ -14,7 +14,7 @@ from quadwalk.evaluate.rollout import Rollout
 from quadwalk.physics.mujoco_c import varied_masses
 from quadwalk.robot.quadruped import Quadruped
 
-LEAST_DISTANCE = 1.0  # m: over less, what is per metre says nothing
+LEAST_DISTANCE = 1.0  # m: over less, what is per meter says nothing
 WINDOW = 0.5  # s, a stride or more: over it velocities are averaged, and a path is straight
 SETTLING = 1.0  # s after the start and after each change of the command, not judged
 
@@ -40,7 +40,7 @@ class Course:
     distance: float  # m, displacement along world x; with commands, length of the path
     speed: float  # m/s, distance / duration
     lateral_drift: float  # m, size of the displacement along world y
-    energy_per_metre: float  # J/m, positive mechanical work of the motors / distance
+    energy_per_meter: float  # J/m, positive mechanical work of the motors / distance
 
 
 def measure_course(rollout: Rollout) -> Course:
@@ -53,7 +53,7 @@ def measure_course(rollout: Rollout) -> Course:
         distance=distance,
         speed=distance / duration if duration else math.nan,
         lateral_drift=float(abs(across)),
-        energy_per_metre=float(rollout.energy.sum() / distance)
+        energy_per_meter=float(rollout.energy.sum() / distance)
         if distance > LEAST_DISTANCE
         else math.nan,
     )

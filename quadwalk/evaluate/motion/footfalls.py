@@ -16,7 +16,7 @@ GAITS = ("walk", "trot", "pace", "bound", "gallop", "pronk", "irregular")
 
 SHORTEST = 0.03  # s: a foot that leaves the ground for less has chattered, and one that touches
 # it for less, and less than half as long as it does in its strides, has brushed it in its swing
-TOLERANCE = 1 / 8  # of a stride: half the distance between neighbouring ideal gaits
+TOLERANCE = 1 / 8  # of a stride: half the distance between neighboring ideal gaits
 REGULAR = 0.7  # least mean resultant length of a foot's phases: they scatter by 0.13 of a stride
 FEWEST_STRIDES = 2  # of the reference foot, to speak of a gait
 
@@ -35,7 +35,7 @@ class Footfalls:
     regularity: np.ndarray  # (4,) mean resultant length of the phases: 1 always the same, 0 random
 
 
-def analyse_footfalls(contact: np.ndarray, dt: float) -> Footfalls:
+def analyze_footfalls(contact: np.ndarray, dt: float) -> Footfalls:
     """The footfalls in `contact` (T, 4), bool, one row every `dt` s, feet FR, FL, RR, RL."""
     contact = without_chatter(contact, dt)
     landings = [touchdowns(contact[:, foot]) for foot in range(4)]

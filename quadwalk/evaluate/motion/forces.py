@@ -23,7 +23,7 @@ def with_foot_forces(rollout: Rollout, env: QuadrupedEnv) -> Rollout:
     if rollout.conditions is not None and rollout.conditions.variation is not None:
         motor = vary_motor(motor, rollout.conditions.variation)
         model = mujoco_c.varied_model(model, rollout.conditions.variation)
-    target = rollout.target if rollout.obeyed is None else rollout.obeyed
+    target = rollout.target if rollout.applied_target is None else rollout.applied_target
     torque = np.asarray(
         motor_torque(motor, target, qpos[:, 7:], joint_speed) + friction_torque(motor, joint_speed)
     )

@@ -20,7 +20,7 @@ from quadwalk.evaluate.motion.course import (
 )
 from quadwalk.evaluate.motion.footfalls import (
     Footfalls,
-    analyse_footfalls,
+    analyze_footfalls,
     touchdowns,
     without_chatter,
 )
@@ -55,7 +55,7 @@ class Gait:
     body_height: np.ndarray  # (3,) m, mean, least, greatest height of the base's origin
     roll_range: float  # rad, greatest less least roll
     pitch_range: float  # rad, the same for pitch
-    cost_of_transport: float  # energy per metre / weight
+    cost_of_transport: float  # energy per meter / weight
     froude: float  # speed^2 / (g * hip height)
     torque_mean: np.ndarray  # (12,) mean of |torque| / effort limit
     torque_peak: np.ndarray  # (12,) greatest |torque| / effort limit
@@ -72,20 +72,20 @@ def measure_gait(rollout: Rollout, quadruped: Quadruped) -> Gait:
     - Froude number: speed squared over g times the hip's standing height (Alexander & Jayes, "A
       dynamic similarity hypothesis for the gaits of quadrupedal mammals", J. Zoology 201, 1983);
       animals change from walking to trotting near 0.5, to galloping near 2 to 3.
-    - Slip: the foot is a sphere, so while it rolls its centre moves though nothing slips; taken is
+    - Slip: the foot is a sphere, so while it rolls its center moves though nothing slips; taken is
       the point of the sphere that touches the ground.
     - Torques are means over a control step, so their peaks are those of 20 ms, not of an instant.
     """
     rollout = finite_part(rollout)
     course, footfalls = measure_course(rollout), footfalls_of(rollout)
     model = quadruped.full_model()
-    centres, turns = foot_poses(model, quadruped.feet, rollout.qpos)
+    centers, turns = foot_poses(model, quadruped.feet, rollout.qpos)
     radii = np.array([model.geom(foot).size[0] for foot in quadruped.feet])
-    slip, slid = _slips(rollout, centres, turns, radii)
+    slip, slid = _slips(rollout, centers, turns, radii)
     rpy = roll_pitch_yaw(rollout.qpos[:, 3:7])
     yaw = np.unwrap(rpy[:, 2])
     height = rollout.qpos[:, 2] - heights_under(model, rollout.qpos[:, :2])
-    soles = centres[:, :, 2] - radii - heights_under(model, centres[:, :, :2])
+    soles = centers[:, :, 2] - radii - heights_under(model, centers[:, :, :2])
     torque = np.abs(rollout.torque) / motor_limits(rollout, quadruped)
     torque = torque if rollout.steps else np.full((1, 12), np.nan)
     rate = np.abs(rollout.qvel[:, 6:]) / quadruped.velocity
@@ -109,7 +109,7 @@ def measure_gait(rollout: Rollout, quadruped: Quadruped) -> Gait:
         body_height=np.array([height.mean(), height.min(), height.max()]),
         roll_range=float(np.ptp(rpy[:, 0])),
         pitch_range=float(np.ptp(rpy[:, 1])),
-        cost_of_transport=course.energy_per_metre / weight_of(rollout, model),
+        cost_of_transport=course.energy_per_meter / weight_of(rollout, model),
         froude=course.speed**2 / (quadruped.gravity * _hip_height(model, quadruped)),
         torque_mean=torque.mean(axis=0),
         torque_peak=torque.max(axis=0),
@@ -136,7 +136,7 @@ def gait_metrics(gait: Gait, quadruped: Quadruped) -> dict[str, float | str | bo
 def footfalls_of(rollout: Rollout) -> Footfalls:
     """The footfalls of an episode once it has settled."""
     rollout = finite_part(rollout)
-    return analyse_footfalls(rollout.contact[_settled(rollout) :], rollout.control_dt)
+    return analyze_footfalls(rollout.contact[_settled(rollout) :], rollout.control_dt)
 
 
 def _settled(rollout: Rollout) -> int:
@@ -179,7 +179,7 @@ def _swing_heights(rollout: Rollout, soles: np.ndarray) -> np.ndarray:
 
 
 def _slips(
-    rollout: Rollout, centres: np.ndarray, turns: np.ndarray, radii: np.ndarray
+    rollout: Rollout, centers: np.ndarray, turns: np.ndarray, radii: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """(4,) m/s and (4,) m: over the time a foot is on the ground at both ends of a step."""
     slips, slid = np.full(4, np.nan), np.zeros(4)
@@ -188,7 +188,7 @@ def _slips(
         if not stays.any():
             continue
         turned = rotations(turns[2:, k]) * rotations(turns[1:-1, k]).inv()
-        moved = np.diff(centres[1:, k], axis=0) + np.cross(turned.as_rotvec(), [0, 0, -radius])
+        moved = np.diff(centers[1:, k], axis=0) + np.cross(turned.as_rotvec(), [0, 0, -radius])
         moved = np.linalg.norm(moved[stays, :2], axis=1)
         slips[k], slid[k] = moved.mean() / rollout.control_dt, moved.sum()
     return slips, slid

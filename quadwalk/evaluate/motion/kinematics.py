@@ -91,15 +91,15 @@ def foot_poses(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Where the feet are in the states `qpos` (T, 19): by name, those of `Quadruped.feet`.
 
-    Returns the world positions of the centres of their spheres, (T, 4, 3) in m, and the
+    Returns the world positions of the centers of their spheres, (T, 4, 3) in m, and the
     orientations of the calves that carry them, (T, 4, 4).
     """
     data = mujoco.MjData(model)
     geoms = [model.geom(foot).id for foot in feet]
     calves = model.geom_bodyid[geoms]
-    centres, turns = np.empty((len(qpos), 4, 3)), np.empty((len(qpos), 4, 4))
+    centers, turns = np.empty((len(qpos), 4, 3)), np.empty((len(qpos), 4, 4))
     for row, state in enumerate(qpos):
         data.qpos = state
         mujoco.mj_kinematics(model, data)
-        centres[row], turns[row] = data.geom_xpos[geoms], data.xquat[calves]
-    return centres, turns
+        centers[row], turns[row] = data.geom_xpos[geoms], data.xquat[calves]
+    return centers, turns

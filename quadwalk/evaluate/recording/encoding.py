@@ -43,7 +43,7 @@ class Scalars:
         self.names = field_names([*numbers, *flags])
         self.message = message_type(name, self.names, len(flags))()
 
-    def serialised(self, time: int, values: Sequence[float | bool]) -> bytes:
+    def serialized(self, time: int, values: Sequence[float | bool]) -> bytes:
         """The message at `time` in ns with these numbers, then flags."""
         self.message.timestamp.FromNanoseconds(time)
         for name, value in zip(self.names, values, strict=True):

@@ -2,7 +2,7 @@
 
 Every message is complete in itself, because a viewer that jumps in time is given only the newest
 message of a topic. It stays small because the ground is one grid that follows the robot in whole
-metres, and the path is thinned to a bounded number of points: nearly every byte repeats, and
+meters, and the path is thinned to a bounded number of points: nearly every byte repeats, and
 compresses away. Ground that is not flat is a topic of its own, of one message.
 """
 
@@ -61,7 +61,7 @@ class SceneWriter:
         )
         self._grid = floor.lines.add(type=LinePrimitive.LINE_LIST, thickness=1.0)
         self._grid.scale_invariant = True
-        _colour(self._grid.color, 0.55, 0.55, 0.6, 0.7)
+        _color(self._grid.color, 0.55, 0.55, 0.6, 0.7)
         self._grid.pose.orientation.w = 1.0
         for x in [] if ground is not None else range(-GRID_HALF_WIDTH, GRID_HALF_WIDTH + 1):
             for y in (-GRID_HALF_WIDTH, GRID_HALF_WIDTH):
@@ -70,12 +70,12 @@ class SceneWriter:
                 self._grid.points.add(x=y, y=x)
         self._line = track.lines.add(type=LinePrimitive.LINE_STRIP, thickness=0.02)
         self._line.pose.orientation.w = 1.0
-        _colour(self._line.color, 0.1, 0.45, 0.9, 1.0)
+        _color(self._line.color, 0.1, 0.45, 0.9, 1.0)
         self._arrow = moving.arrows.add(shaft_diameter=0.025, head_diameter=0.05)
         self._arrow.head_length = 0.06
-        _colour(self._arrow.color, 0.95, 0.55, 0.1, 1.0)
+        _color(self._arrow.color, 0.95, 0.55, 0.1, 1.0)
 
-    def serialised(self, row: int, stamp: Timestamp, feet: np.ndarray, forces: np.ndarray) -> bytes:
+    def serialized(self, row: int, stamp: Timestamp, feet: np.ndarray, forces: np.ndarray) -> bytes:
         """The scene at state `row`: `feet` (4, 3) in m, `forces` (4,) in N, zero in the air."""
         for entity in self._message.entities:
             entity.timestamp.CopyFrom(stamp)
@@ -115,7 +115,7 @@ class SceneWriter:
             position, turn = arrow.pose.position, arrow.pose.orientation
             position.x, position.y, position.z = _drawn(x), _drawn(y), _drawn(z)
             turn.w, turn.y = _HALF, -_HALF  # the arrow's x axis points up
-            _colour(arrow.color, 0.85, 0.15, 0.2, 1.0)
+            _color(arrow.color, 0.85, 0.15, 0.2, 1.0)
 
 
 def draw_ground(field: Heightfield, path: np.ndarray, world: str = "world") -> bytes:
@@ -156,5 +156,5 @@ def _drawn(value: float) -> float:
     return round(float(value) * 1024) / 1024
 
 
-def _colour(colour, r: float, g: float, b: float, a: float) -> None:
-    colour.r, colour.g, colour.b, colour.a = r, g, b, a
+def _color(color, r: float, g: float, b: float, a: float) -> None:
+    color.r, color.g, color.b, color.a = r, g, b, a

@@ -89,8 +89,8 @@ class EpisodeMessages:
         self.field = field_of(quadruped.full_model())
         if self.field is not None:
             self.topics["/ground"] = SceneUpdate
-        if rollout.obeyed is not None:
-            self.topics["/joint_obeyed"] = JointStates
+        if rollout.applied_target is not None:
+            self.topics["/joint_applied_target"] = JointStates
         self.topics |= {topic: type(scalars.message) for topic, scalars in self.scalars.items()}
 
     def nanoseconds(self, row: int) -> int:
@@ -180,8 +180,8 @@ class EpisodeMessages:
                     ("/tf", transforms.SerializeToString()),
                     ("/joint_states", joint_states.SerializeToString()),
                     ("/pose", pose.SerializeToString()),
-                    ("/base_velocity", velocity.serialised(time, velocities[k])),
-                    ("/imu", imu.serialised(time, imus[k])),
+                    ("/base_velocity", velocity.serialized(time, velocities[k])),
+                    ("/imu", imu.serialized(time, imus[k])),
                 ]
 
         return write
@@ -210,8 +210,8 @@ class EpisodeMessages:
         for name in self.quadruped.joints:
             commands.joints.add(name=name)
         targets = {"/joint_cmd": rollout.target}
-        if rollout.obeyed is not None:
-            targets["/joint_obeyed"] = rollout.obeyed
+        if rollout.applied_target is not None:
+            targets["/joint_applied_target"] = rollout.applied_target
         begins = {"/observation": rollout.observation, "/action": rollout.action}
         if rollout.truth is not None:
             begins["/truth"] = rollout.truth
@@ -234,13 +234,13 @@ class EpisodeMessages:
                 messages = []
                 if row > 0:
                     messages += [
-                        ("/contacts", contacts.serialised(time, forces[k] + touching[k])),
-                        ("/reward", reward.serialised(time, rewards[k])),
+                        ("/contacts", contacts.serialized(time, forces[k] + touching[k])),
+                        ("/reward", reward.serialized(time, rewards[k])),
                     ]
                 if row < rollout.steps:
                     commands.timestamp.FromNanoseconds(time)
                     messages += [
-                        (topic, self.scalars[topic].serialised(time, rows[k]))
+                        (topic, self.scalars[topic].serialized(time, rows[k]))
                         for topic, rows in begin.items()
                     ]
                     for topic, rows in angles.items():
@@ -270,7 +270,7 @@ class EpisodeMessages:
                 stamp = Timestamp()
                 stamp.FromNanoseconds(self.nanoseconds(row))
                 k = row - start
-                data = scene.serialised(row, stamp, feet[k], forces[k])
+                data = scene.serialized(row, stamp, feet[k], forces[k])
                 yield [("/scene", data)]
 
         return write

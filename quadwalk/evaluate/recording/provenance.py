@@ -18,7 +18,7 @@ def provenance(loaded: LoadedRun, seed: int) -> dict[str, Any]:
         "engine": loaded.env.engine,
         "seed": seed,
         "seconds": loaded.env.config.episode_seconds,
-        "randomised": loaded.env.config.randomisation.enabled,
+        "randomized": loaded.env.config.randomization.enabled,
         "training_steps": loaded.policy.steps,
         "policy_sha256": loaded.sha256,
         "revision": revision(),

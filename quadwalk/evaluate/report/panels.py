@@ -8,14 +8,14 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from quadwalk.evaluate.report.plots import INK, LEG_COLOURS, new_figure, tidy
+from quadwalk.evaluate.report.plots import INK, LEG_COLORS, new_figure, tidy
 from quadwalk.evaluate.statistics import figure_mean
 from quadwalk.evaluate.summary import FIGURES, engines_of
 
 _SWEEP_COLUMNS = 5
 _COLUMNS = 3  # panels of a comparison in a row
 _SPREAD = 0.28  # of the distance between two runs, over which their episodes are drawn
-_SUCCESS, _SPEED = LEG_COLOURS[3], LEG_COLOURS[0]
+_SUCCESS, _SPEED = LEG_COLORS[3], LEG_COLORS[0]
 
 
 def draw_sweep(results: list[dict[str, Any]]) -> Figure:
@@ -37,19 +37,19 @@ def draw_sweep(results: list[dict[str, Any]]) -> Figure:
         for sweep in result["sweeps"].values()
         for point in sweep["points"]
     )
-    colours = [(_SUCCESS, _SPEED)] if len(results) == 1 else [(c, c) for c in LEG_COLOURS]
+    colors = [(_SUCCESS, _SPEED)] if len(results) == 1 else [(c, c) for c in LEG_COLORS]
     panels: Any = figure.subplots(rows, _SWEEP_COLUMNS).ravel()
     for axes, name in zip(panels, sweeps, strict=False):
         tidy(axes, sweeps[name]["heading"], sweeps[name]["unit"])
         axes.set_ylim(-3, 106)
-        axes.set_ylabel("success, %", color=colours[0][0])
+        axes.set_ylabel("success, %", color=colors[0][0])
         axes.axvline(sweeps[name]["nominal"], color=INK, linewidth=1, linestyle=":")
         speed = axes.twinx()
-        speed.set_ylabel("speed, m/s", color=colours[0][1])
+        speed.set_ylabel("speed, m/s", color=colors[0][1])
         speed.spines["top"].set_visible(False)
         lowest = min(
             _sweep(axes, speed, result, name, *pair)
-            for result, pair in zip(results, itertools.cycle(colours), strict=False)
+            for result, pair in zip(results, itertools.cycle(colors), strict=False)
         )
         # The same scale in every panel, and as high as that of success: 100 % is the top speed.
         speed.set_ylim(min(-0.03 * max(top, 0.1), 1.05 * lowest), 1.06 * max(top, 0.1))
@@ -61,7 +61,7 @@ def draw_sweep(results: list[dict[str, Any]]) -> Figure:
 
 
 def _sweep(
-    axes: Axes, speed: Axes, result: dict[str, Any], name: str, success: str, colour: str
+    axes: Axes, speed: Axes, result: dict[str, Any], name: str, success: str, color: str
 ) -> float:
     """Draw one run's sweep; the lowest speed drawn."""
     points = result["sweeps"][name]["points"]
@@ -74,7 +74,7 @@ def _sweep(
     axes.plot(values, shares, "o-", color=success, linewidth=2, label=result["run"])
     means = [point["speed"]["mean"] for point in points]
     errors = [point["speed"]["ci95"] or 0.0 for point in points]
-    speed.errorbar(values, means, yerr=errors, fmt="s--", color=colour, markersize=5, capsize=4)
+    speed.errorbar(values, means, yerr=errors, fmt="s--", color=color, markersize=5, capsize=4)
     return min(0.0, *(mean - error for mean, error in zip(means, errors, strict=True)))
 
 
@@ -99,11 +99,11 @@ def draw_by_ground(results: dict[str, Any], title: str) -> Figure:
     text = f"{title}: {results['episodes']} episodes in each cell, unseen ground{about}"
     figure = new_figure(size, text)
     panels: Any = figure.subplots(1, len(maps), squeeze=False)[0]
-    for axes, (heading, colours, top, value) in zip(panels, maps, strict=True):
+    for axes, (heading, colors, top, value) in zip(panels, maps, strict=True):
         cells = np.array([value(cell) for cell in results["cells"]], float)
         values = cells.reshape(len(kinds), len(difficulties))
         high = top or max(float(np.nanmax(values, initial=0.0)), 0.1)
-        axes.imshow(values, cmap=colours, vmin=0.0, vmax=high, aspect="auto")
+        axes.imshow(values, cmap=colors, vmin=0.0, vmax=high, aspect="auto")
         axes.set_title(heading, fontsize=11, loc="left")
         axes.set_xticks(range(len(difficulties)), [f"{x:.2g}" for x in difficulties])
         axes.set_yticks(range(len(kinds)), [kind.replace("_", " ") for kind in kinds])
@@ -131,12 +131,12 @@ def draw_steering(results: dict[str, Any], title: str) -> Figure:
         sorted({cell["command"][part] for cell in results["cells"]}) for part in (0, 2)
     )
     for axes, (name, heading, high) in zip(panels, maps, strict=False):
-        colours = "viridis" if name == "success" else "viridis_r"
+        colors = "viridis" if name == "success" else "viridis_r"
         values = np.full((len(turns), len(forward)), math.nan)
         for cell in results["cells"]:
             own = 100 * cell[name] if name == "success" else figure_mean(cell[name])
             values[turns.index(cell["command"][2]), forward.index(cell["command"][0])] = own
-        drawn = axes.pcolormesh(forward, turns, values, cmap=colours, vmin=0.0, vmax=high)
+        drawn = axes.pcolormesh(forward, turns, values, cmap=colors, vmin=0.0, vmax=high)
         figure.colorbar(drawn, ax=axes)
         tidy(axes, heading)
         axes.set_xlabel("commanded forward velocity, m/s")
@@ -153,7 +153,7 @@ def _gaits(axes: Axes, gaits: list[dict[str, Any]]) -> None:
     for place, name in enumerate(dict.fromkeys(each["gait"] for each in gaits)):
         own = [each for each in gaits if each["gait"] == name and each["cost_of_transport"]]
         at = [each["speed"] for each in own], [each["cost_of_transport"] for each in own]
-        axes.plot(*at, "os^Dv*P"[place % 7], color=_colour(place), label=name)
+        axes.plot(*at, "os^Dv*P"[place % 7], color=_color(place), label=name)
     axes.set_xlabel("speed, m/s")
     axes.set_ylim(bottom=0.0)
     axes.legend()
@@ -166,8 +166,8 @@ def _responses(axes: Axes, part: str, unit: str, responses: list[dict[str, Any]]
     for place, each in enumerate(own):
         time = each["dt"] * np.arange(len(each["curve"]))
         label = f"{each['before'][which]:.3g} to {each['after'][which]:.3g}"
-        axes.plot(time, each["curve"], color=_colour(place), label=label)
-        axes.axhline(each["after"][which], color=_colour(place), linestyle="--", linewidth=1)
+        axes.plot(time, each["curve"], color=_color(place), label=label)
+        axes.axhline(each["after"][which], color=_color(place), linestyle="--", linewidth=1)
     axes.set_xlabel("time after the change, s")
     axes.legend()
 
@@ -210,7 +210,7 @@ def draw_comparison(labels: list[str], results: list[dict[str, Any]]) -> Figure:
 def _falls(axes: Axes, place: int, summary: dict[str, Any]) -> None:
     share = 100 * summary["fall_rate"]
     low, high = (100 * end for end in summary["fall_rate_ci95"])
-    axes.bar(place, share, width=0.5, color=_colour(place), alpha=0.5)
+    axes.bar(place, share, width=0.5, color=_color(place), alpha=0.5)
     error = [[max(share - low, 0.0)], [max(high - share, 0.0)]]
     axes.errorbar(place, share, yerr=error, color=INK, capsize=6, fmt="none", linewidth=1.6)
     axes.text(place + 0.06, share, f" {share:.1f}", va="bottom", fontsize=10, color=INK)
@@ -224,12 +224,12 @@ def _figure(axes: Axes, place: int, result: dict[str, Any], name: str) -> None:
         return
     values = np.array([e[name] for e in result["episodes"] if e[name] is not None], dtype=float)
     across = place + np.linspace(-_SPREAD, _SPREAD, len(values)) if len(values) > 1 else [place]
-    axes.plot(across, values, "o", color=_colour(place), markersize=4, alpha=0.5, markeredgewidth=0)
+    axes.plot(across, values, "o", color=_color(place), markersize=4, alpha=0.5, markeredgewidth=0)
     error = summary["ci95"] or 0.0
     axes.errorbar(place, summary["mean"], yerr=error, color=INK, capsize=6, fmt="D", markersize=5)
     label = f" {summary['mean']:.3g}"
     axes.annotate(label, (place + _SPREAD, summary["mean"]), va="center", fontsize=10, color=INK)
 
 
-def _colour(place: int) -> str:
-    return (*LEG_COLOURS, "#6a4c93", "#8d99ae")[place % 6]
+def _color(place: int) -> str:
+    return (*LEG_COLORS, "#6a4c93", "#8d99ae")[place % 6]

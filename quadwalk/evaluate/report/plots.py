@@ -22,7 +22,7 @@ WINDOW = 3.0  # s shown of what repeats with each stride
 SMOOTHING = 0.5  # s, over which reward terms are averaged, to show their course
 DPI = 100
 
-LEG_COLOURS = ("#d1495b", "#00798c", "#edae49", "#30638e")  # FR, FL, RR, RL
+LEG_COLORS = ("#d1495b", "#00798c", "#edae49", "#30638e")  # FR, FL, RR, RL
 INK, _FAINT = "#22262b", "#9aa3ad"
 _SENSORS = 3  # panels
 _PARTS = ("hip", "thigh", "calf")
@@ -135,7 +135,7 @@ def draw_footfalls(axes: Axes, rollout: Rollout, quadruped: Quadruped) -> None:
     for line, foot in enumerate(reversed(order)):
         # A row's contact is known at its step's end, and drawn over that step.
         bars = [((start + a) * dt, (b - a) * dt) for a, b in contact_spans(contact[:, foot])]
-        axes.broken_barh(bars, (line - 0.36, 0.72), color=LEG_COLOURS[foot])
+        axes.broken_barh(bars, (line - 0.36, 0.72), color=LEG_COLORS[foot])
     feet = footfalls_of(rollout)
     duty, phase = _percent(feet.duty_factor), _percent(feet.phase)
     labels = [f"{quadruped.legs[k]}   duty {duty[k]}, phase {phase[k]}" for k in reversed(order)]
@@ -152,8 +152,8 @@ def _percent(values: np.ndarray) -> list[str]:
 
 def draw_speed(axes: Axes, rollout: Rollout) -> None:
     """Speed of the base in the world, ahead and to the left, from beginning to end."""
-    for column, label, colour in ((0, "ahead", LEG_COLOURS[3]), (1, "left", LEG_COLOURS[2])):
-        axes.plot(rollout.time, rollout.qvel[:, column], color=colour, label=label, linewidth=1.2)
+    for column, label, color in ((0, "ahead", LEG_COLORS[3]), (1, "left", LEG_COLORS[2])):
+        axes.plot(rollout.time, rollout.qvel[:, column], color=color, label=label, linewidth=1.2)
     mean = rollout.qvel[:, 0].mean()
     axes.axhline(mean, color=INK, linewidth=0.9, linestyle="--", label=f"mean {mean:.2f}")
     axes.margins(y=0.15)
@@ -164,9 +164,9 @@ def _tracking(axes: Axes, rollout: Rollout) -> None:
     assert rollout.command is not None
     velocity, time = heading_velocity(rollout.qpos, rollout.control_dt), rollout.time[1:]
     for column, label in enumerate(("forward", "lateral", "yaw rate, rad/s")):
-        colour = LEG_COLOURS[3 - column]
-        axes.plot(time, velocity[:, column], color=colour, label=label, linewidth=0.9, alpha=0.7)
-        axes.plot(time, rollout.command[:, column], color=colour, linewidth=1.6, linestyle="--")
+        color = LEG_COLORS[3 - column]
+        axes.plot(time, velocity[:, column], color=color, label=label, linewidth=0.9, alpha=0.7)
+        axes.plot(time, rollout.command[:, column], color=color, linewidth=1.6, linestyle="--")
     axes.margins(y=0.15)
     title = "Velocity in the frame of the heading and, dashed, the velocity command, m/s"
     _finish(axes, title, rollout.time)
@@ -178,8 +178,8 @@ def _posture(axes: Axes, rollout: Rollout, quadruped: Quadruped) -> None:
     angles = roll_pitch_yaw(rollout.qpos[:, 3:7])
     for column, name in enumerate(("roll", "pitch", "yaw")):
         values = np.unwrap(angles[:, column]) if name == "yaw" else angles[:, column]
-        colour = LEG_COLOURS[column]
-        axes.plot(rollout.time, values, color=colour, linewidth=0.9, label=f"{name}, rad")
+        color = LEG_COLORS[column]
+        axes.plot(rollout.time, values, color=color, linewidth=0.9, label=f"{name}, rad")
     axes.margins(y=0.15)
     _finish(axes, "Height above ground, and attitude, of the base", rollout.time)
 
@@ -194,7 +194,7 @@ def _sensors(panels: Any, rollout: Rollout, truth: np.ndarray) -> None:
     some = wrong[np.linspace(0, len(wrong) - 1, _SENSORS).astype(int)]
     for axes, column in zip(panels, some, strict=True):
         name = rollout.observation_names[column]
-        axes.plot(time[start:], seen[start:, column], color=LEG_COLOURS[0], lw=0.8, label="seen")
+        axes.plot(time[start:], seen[start:, column], color=LEG_COLORS[0], lw=0.8, label="seen")
         axes.plot(time[start:], truth[start:, column], color=INK, lw=1.4, label="true")
         axes.margins(y=0.2)
         _finish(axes, f"{name}: what the policy saw, and the truth", rollout.time[start:])
@@ -205,15 +205,17 @@ def _angles(axes: Axes, rollout: Rollout, quadruped: Quadruped, part: int) -> No
     time = rollout.time[start:]
     for leg, name in enumerate(quadruped.legs):
         column = 3 * leg + part
-        axes.plot(time, rollout.qpos[start:, 7 + column], color=LEG_COLOURS[leg], label=name)
+        axes.plot(time, rollout.qpos[start:, 7 + column], color=LEG_COLORS[leg], label=name)
         if rollout.steps:
             target = rollout.target[start:, column]
-            axes.plot(time[:-1], target, color=LEG_COLOURS[leg], linewidth=0.6, alpha=0.6)
-            if rollout.obeyed is not None:
-                obeyed = rollout.obeyed[start:, column]
-                axes.plot(time[1:], obeyed, color=LEG_COLOURS[leg], lw=0.6, alpha=0.6, ls=":")
+            axes.plot(time[:-1], target, color=LEG_COLORS[leg], linewidth=0.6, alpha=0.6)
+            if rollout.applied_target is not None:
+                applied_target = rollout.applied_target[start:, column]
+                axes.plot(
+                    time[1:], applied_target, color=LEG_COLORS[leg], lw=0.6, alpha=0.6, ls=":"
+                )
     _limits(axes, quadruped.lower[part::3].max(), quadruped.upper[part::3].min())
-    late = "" if rollout.obeyed is None else ", dotted: obeyed"
+    late = "" if rollout.applied_target is None else ", dotted: applied"
     title = f"{_PARTS[part].capitalize()} angles (thin: targets{late}) and limits, rad"
     _finish(axes, title, time)
 
@@ -227,7 +229,7 @@ def _torques(axes: Axes, rollout: Rollout, quadruped: Quadruped, part: int) -> N
     for leg, name in enumerate(quadruped.legs):
         column = 3 * leg + part
         torque = rollout.torque[:, column]
-        axes.step(time[1:], torque[start:], color=LEG_COLOURS[leg], label=name, linewidth=1.0)
+        axes.step(time[1:], torque[start:], color=LEG_COLORS[leg], label=name, linewidth=1.0)
         if len(torque):
             peaks.append(np.abs(torque).max() / limits[column])
     _limits(axes, -effort, effort)
@@ -275,9 +277,9 @@ def _smooth(values: np.ndarray, width: int) -> np.ndarray:
 def _path(axes: Axes, rollout: Rollout) -> None:
     x, y = rollout.qpos[:, 0], rollout.qpos[:, 1]
     axes.axhline(0.0, color=_FAINT, linewidth=0.8, linestyle="--")
-    axes.plot(x, y, color=LEG_COLOURS[3], linewidth=1.6)
+    axes.plot(x, y, color=LEG_COLORS[3], linewidth=1.6)
     seconds = np.arange(0, rollout.steps + 1, max(round(1 / rollout.control_dt), 1))
-    axes.plot(x[seconds], y[seconds], "o", color=LEG_COLOURS[3], markersize=3, label="each second")
+    axes.plot(x[seconds], y[seconds], "o", color=LEG_COLORS[3], markersize=3, label="each second")
     axes.plot(x[0], y[0], "o", color="#2a9d5c", markersize=8, label="start")
     axes.plot(x[-1], y[-1], "X", color="#b00020", markersize=9, label="end")
     # Equal scales, so that a drift looks as large as it is. The box is about twice as wide as high.

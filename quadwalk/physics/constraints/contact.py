@@ -45,11 +45,11 @@ class Contact:
     """Constants of one kind of sphere that may touch the floor, (4,) over legs."""
 
     link: int | None = field(metadata={"static": True})  # that carries it; None: the trunk
-    centre: Vector  # of the sphere, in that link's frame, m
+    center: Vector  # of the sphere, in that link's frame, m
     radius: Array  # m
     friction: Array
     params: SolverParams
-    # Where the centres just touch the ground, with a grid for each leg; None: the ground is level.
+    # Where the centers just touch the ground, with a grid for each leg; None: the ground is level.
     surface: Surface | None = field(default=None, metadata={"static": True})
     grids: tuple[int, ...] = field(default=(), metadata={"static": True})  # (4,) of each leg
 
@@ -112,29 +112,29 @@ def impedance(params: SolverParams, inverse_inertia: Array, depth: Array) -> tup
     return value, value / ((1 - value) * inverse_inertia)
 
 
-def centres(contact: Contact, pose: Pose) -> Vector:
+def centers(contact: Contact, pose: Pose) -> Vector:
     """Where the spheres are, relative to the trunk's origin, m."""
     if contact.link is None:
-        return v.apply(pose.trunk, contact.centre)
+        return v.apply(pose.trunk, contact.center)
     rotation, origin = pose.rotations[contact.link], pose.origins[contact.link]
-    return v.add(origin, v.apply(rotation, contact.centre))
+    return v.add(origin, v.apply(rotation, contact.center))
 
 
 def triangles_under(
-    contact: Contact, centre: Vector, place: tuple[Array, Array]
+    contact: Contact, center: Vector, place: tuple[Array, Array]
 ) -> tuple[Spot, Vector]:
     """Where spheres are over the surface that they may touch, and its heights around there.
 
-    `centre` is theirs from the trunk's origin, which is at `place` along world x and y, m.
+    `center` is theirs from the trunk's origin, which is at `place` along world x and y, m.
     """
     assert contact.surface is not None
     which = np.reshape(contact.grids, (4, 1)) if any(contact.grids) else 0
-    spot = contact.surface.locate(place[0] + centre[0], place[1] + centre[1], which)
+    spot = contact.surface.locate(place[0] + center[0], place[1] + center[1], which)
     return spot, contact.surface.read(spot)
 
 
 def look_under(contact: Contact, spot: Spot, heights: Vector, altitude: Array) -> Under:
-    """What is under spheres whose centres are at `altitude`, m, over such triangles."""
+    """What is under spheres whose centers are at `altitude`, m, over such triangles."""
     assert contact.surface is not None
     level, along, across = contact.surface.interpolate(spot, heights)
     return Under(altitude - level, *normal_and_tangents(along, across))
@@ -157,9 +157,9 @@ def find_constraints(
     reference: list[Array] = []
     weights: list[Array] = []
     for index, contact in enumerate(contacts):
-        centre = centres(contact, pose)
+        center = centers(contact, pose)
         under = None if ground is None else ground[index]
-        gap, point = touching(contact, centre, height, under)
+        gap, point = touching(contact, center, height, under)
         moving = 0 if contact.link is None else contact.link + 1
         columns = tuple(
             v.cross(axis, v.subtract(point, origin))
@@ -194,15 +194,15 @@ def find_constraints(
 
 
 def touching(
-    contact: Contact, centre: Vector, height: Array, under: Under | None
+    contact: Contact, center: Vector, height: Array, under: Under | None
 ) -> tuple[Array, Vector]:
-    """How far spheres at `centre` are above the ground, m, and the contact's point."""
+    """How far spheres at `center` are above the ground, m, and the contact's point."""
     radius = contact.radius
     if under is None:
-        gap = height + centre[2] - radius
-        return gap, (centre[0], centre[1], centre[2] - radius - 0.5 * gap)
+        gap = height + center[2] - radius
+        return gap, (center[0], center[1], center[2] - radius - 0.5 * gap)
     gap = under.above * under.normal[2]
-    return gap, v.subtract(centre, v.scale(radius + 0.5 * gap, under.normal))
+    return gap, v.subtract(center, v.scale(radius + 0.5 * gap, under.normal))
 
 
 def jacobian(at: ContactPoint, under: Under) -> tuple[Row, Row, Row]:

@@ -29,7 +29,7 @@ def newton(
     iterations: int,
     line_search: int,
 ) -> Motion:
-    """The acceleration that minimises MuJoCo's cost, from acceleration `start`; see `materialize`.
+    """The acceleration that minimizes MuJoCo's cost, from acceleration `start`; see `materialize`.
 
     `force` is all but the constraints'. Each iteration takes a Newton step and then searches along
     it for the root of the cost's slope, which is piecewise linear: `line_search` evaluations.

@@ -1,10 +1,10 @@
 """The ground under spheres: how far they are above it, and the direction in which it pushes.
 
-A sphere touches ground of triangles where its centre touches the ground's offset surface, which
+A sphere touches ground of triangles where its center touches the ground's offset surface, which
 runs a radius above it: over slopes shifted, around edges round, over notches narrower than the
 sphere closed. It is found once for each radius, on a grid twice as fine as the ground's. A sphere
 then costs three reads of it, and what it meets at an edge of a stair is that edge, not the plane
-of whatever triangle is below its centre.
+of whatever triangle is below its center.
 """
 
 import functools
@@ -104,7 +104,7 @@ def ground_surface(field: Heightfield) -> Surface:
 
 
 def offset_surface(field: Heightfield, radii: tuple[float, ...]) -> Surface:
-    """Where the centres of spheres are that just touch the ground: a grid for each of `radii`, m.
+    """Where the centers of spheres are that just touch the ground: a grid for each of `radii`, m.
 
     Exact at the grid's nodes, and everywhere on a plane; in the precision of the field's heights.
     """
@@ -154,7 +154,7 @@ def _offset(heights: np.ndarray, cell: float, radius: float) -> np.ndarray:
     radius = radius / cell
     reach = int(np.ceil(radius)) + 1
     edge = reach + 1  # whether a node's ground is bent hangs on those next to it too
-    # In units of a cell: slopes are then differences of neighbours.
+    # In units of a cell: slopes are then differences of neighbors.
     padded = np.pad(heights / cell, edge, mode="edge")
     tolerance = 8 * np.finfo(padded.dtype).eps * max(1.0, float(np.abs(padded).max()))
     out = np.empty_like(padded, shape=heights.shape)
@@ -200,7 +200,7 @@ def _bent(h: np.ndarray, tolerance: float) -> np.ndarray:
 
 
 def _held(heights: dict[tuple[int, int], np.ndarray], reach: int, radius: float) -> np.ndarray:
-    """The highest that any triangle, edge or node around holds a sphere's centre over a node.
+    """The highest that any triangle, edge or node around holds a sphere's center over a node.
 
     `heights` are those of the nodes so many rows and columns away; lengths are in cells.
     """

@@ -256,7 +256,7 @@ class Check:
 def nearly(name: str, other: str) -> bool:
     """Whether one slip, or two in a long word, makes `name` of `other`.
 
-    A slip is a letter too many, too few or wrong, or two neighbours exchanged (the
+    A slip is a letter too many, too few or wrong, or two neighbors exchanged (the
     Damerau-Levenshtein distance).
     """
     slips = 1 if len(other) < 6 else 2

@@ -25,7 +25,7 @@ class Foot:
         link: the link whose collision shape touches the ground.
         shape: index of the sphere among the link's collision shapes; None if it is none of them,
             but stands in for another shape.
-        centre: (3,) m, in the frame of the calf link.
+        center: (3,) m, in the frame of the calf link.
         radius: m.
         replaced: indices of the link's collision shapes whose place the sphere takes.
         reason: of a sphere that is none of the URDF's, what it is there for.
@@ -33,7 +33,7 @@ class Foot:
 
     link: str
     shape: int | None
-    centre: np.ndarray
+    center: np.ndarray
     radius: float
     replaced: tuple[int, ...] = ()
     reason: str = ""
@@ -61,16 +61,16 @@ def find_foot(tree: Tree, calf: str, meshes: Meshes | None) -> Foot | None:
 
 def _sphere(tree: Tree, calf: str) -> Foot | None:
     spheres = [
-        Foot(link, index, centre, shape.geometry.sphere.radius)
+        Foot(link, index, center, shape.geometry.sphere.radius)
         for link in tree.parts[calf]
         for index, shape in enumerate(tree.links[link].collisions)
         if shape.geometry.sphere is not None
-        for centre in [(tree.placement[link] @ matrix(shape.origin))[:3, 3]]
+        for center in [(tree.placement[link] @ matrix(shape.origin))[:3, 3]]
     ]
     # One nearer to the joint than half a thigh's length is a knee.
     thigh = float(np.linalg.norm(matrix(tree.joint_above[calf].origin)[:3, 3]))
-    ends = [foot for foot in spheres if np.linalg.norm(foot.centre) > thigh / 2]
-    return max(ends, key=lambda foot: float(np.linalg.norm(foot.centre)), default=None)
+    ends = [foot for foot in spheres if np.linalg.norm(foot.center) > thigh / 2]
+    return max(ends, key=lambda foot: float(np.linalg.norm(foot.center)), default=None)
 
 
 def _stand_in(tree: Tree, calf: str, meshes: Meshes | None) -> Foot | None:
@@ -95,14 +95,14 @@ def _stand_in(tree: Tree, calf: str, meshes: Meshes | None) -> Foot | None:
     tip = points[points @ along >= (1 - TIP) * reach]
     length = np.ptp(points @ along)
     radius = max(min(np.ptp(tip @ across), length) / 2, LEAST * reach)
-    centre = along * (reach - radius)
+    center = along * (reach - radius)
     for direction in (across, axis):
-        centre = centre + direction * ((tip @ direction).max() + (tip @ direction).min()) / 2
+        center = center + direction * ((tip @ direction).max() + (tip @ direction).min()) / 2
     taken = of_collision and (lowest.link != calf or length < SHORT * reach)
     return Foot(
         link=lowest.link,
         shape=None,
-        centre=centre,
+        center=center,
         radius=float(radius),
         replaced=tuple(shape.index for shape in own) if taken else (),
         reason="in place of other shapes" if taken else "at the ends of the calves' shapes",
@@ -113,11 +113,11 @@ def _at_frame(tree: Tree, calf: str) -> Foot | None:
     frames = [(tree.placement[link][:3, 3], link) for link in tree.parts[calf][1:]]
     if not frames:
         return None
-    centre, link = max(frames, key=lambda frame: float(np.linalg.norm(frame[0])))
-    reach = float(np.linalg.norm(centre))
+    center, link = max(frames, key=lambda frame: float(np.linalg.norm(frame[0])))
+    reach = float(np.linalg.norm(center))
     if reach < 1e-3:
         return None
-    return Foot(link, None, centre, ASSUMED * reach, reason="at frames, for there are no shapes")
+    return Foot(link, None, center, ASSUMED * reach, reason="at frames, for there are no shapes")
 
 
 def _shapes(tree: Tree, calf: str, meshes: Meshes | None, kind: str) -> Iterator[_Shape]:

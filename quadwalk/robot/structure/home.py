@@ -41,7 +41,7 @@ def _stand(tree: Tree, leg: Leg, source: str) -> np.ndarray:
             "expected parallel ones, to find a standing pose"
         )
     upper = to_calf[:3, 3] - to_thigh[:3, 3]
-    lower = to_calf[:3, :3] @ leg.foot.centre
+    lower = to_calf[:3, :3] @ leg.foot.center
     # The plane across the axis: `down` and, a quarter turn on about the axis, `side`.
     down = np.array([0.0, 0.0, -1.0])
     down -= axis * (axis @ down)

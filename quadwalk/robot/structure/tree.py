@@ -143,5 +143,5 @@ def joint_range(joint: yourdfpy.Joint) -> tuple[float, float]:
 
 
 def unit(axis: np.ndarray) -> np.ndarray:
-    """`axis` (3,) with length 1: URDF does not ask for normalised axes."""
+    """`axis` (3,) with length 1: URDF does not ask for normalized axes."""
     return np.asarray(axis, dtype=np.float64) / np.linalg.norm(axis)

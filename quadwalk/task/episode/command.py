@@ -1,4 +1,4 @@
-"""The velocity command: what an episode is told, and when it changes."""
+"""The velocity command of an episode, and when it changes."""
 
 from typing import NamedTuple
 

@@ -1,10 +1,10 @@
-"""The curriculum: an environment's next episode is on harder or easier ground as it got on.
+"""A curriculum over the terrain: where the next episode of an environment starts.
 
-As in legged_gym (Rudin et al. 2021, arXiv:2109.11978): each environment keeps to one kind of tile;
-one that got more than half a tile away from its start goes on to the next level, one that did less
-than half of what it was told goes back one. From the top it goes to any level of the harder half,
-where legged_gym has any at all: the easy ones are soon learnt and not forgotten. Where episodes are
-confined to their tiles, one that came to the edge goes on too.
+As in legged_gym (Rudin et al. 2021, arXiv:2109.11978), each environment keeps to one kind of tile.
+It moves to the next level when it gets more than half a tile away from its start. It moves back
+when it covers less than half of the commanded distance. From the top it moves to any level of the
+harder half; in legged_gym to any level at all, but easy ones are learnt soon and not forgotten.
+Where episodes are confined to their tiles, reaching the edge counts too.
 """
 
 from dataclasses import dataclass
@@ -25,7 +25,7 @@ class Travel(NamedTuple):
     start: jax.Array  # (2,) m, x and y of the trunk where it began
     steps: jax.Array  # () int32, control steps since then
     walked: jax.Array  # () m, along the velocity command, or along x where there is none
-    told: jax.Array  # () m, that the velocity command asked for, or the curriculum's pace
+    commanded: jax.Array  # () m, by the velocity command, or at the curriculum's pace
 
 
 def begin_travel(qpos: jax.Array) -> Travel:
@@ -37,12 +37,14 @@ def begin_travel(qpos: jax.Array) -> Travel:
 def travel_on(travel: Travel, velocity: jax.Array, command: jax.Array, dt: float) -> Travel:
     """`travel` after one more control step of `dt` s with this mean velocity (2,), m/s.
 
-    `command` (2,), m/s, is the velocity asked for, in the same frame.
+    `command` (2,), m/s, is in the same frame.
     """
-    asked = jnp.linalg.norm(command)
-    along = jnp.dot(velocity, command) / jnp.maximum(asked, 1e-6)
+    size = jnp.linalg.norm(command)
+    along = jnp.dot(velocity, command) / jnp.maximum(size, 1e-6)
     return travel._replace(
-        steps=travel.steps + 1, walked=travel.walked + along * dt, told=travel.told + asked * dt
+        steps=travel.steps + 1,
+        walked=travel.walked + along * dt,
+        commanded=travel.commanded + size * dt,
     )
 
 
@@ -83,12 +85,12 @@ class Curriculum:
         """
         away = jnp.linalg.norm(qpos[:2] - travel.start)
         planned = travel.steps + self.episode_steps - steps
-        told = travel.told * planned / jnp.maximum(travel.steps, 1)
+        commanded = travel.commanded * planned / jnp.maximum(travel.steps, 1)
         up = away > self.tile / 2
         if self.middles is not None:
             place = qpos[:2] - jnp.asarray(self.middles, jnp.float32)[tile]
             up |= jnp.max(jnp.abs(place)) > self.tile / 2 - EDGE
-        down = ~up & (told > self.tile / 4) & (travel.walked < told / 2)
+        down = ~up & (commanded > self.tile / 4) & (travel.walked < commanded / 2)
         kind, level = tile // self.levels, tile % self.levels
         level = jnp.maximum(level + up.astype(jnp.int32) - down.astype(jnp.int32), 0)
         harder = jax.random.randint(key, (), self.levels // 2, self.levels)

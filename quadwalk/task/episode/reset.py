@@ -8,7 +8,7 @@ import numpy as np
 from quadwalk.ground.terrain import Terrain
 from quadwalk.physics.fast import lowest_points
 from quadwalk.physics.model import Model
-from quadwalk.physics.motor import Physics
+from quadwalk.physics.motor import PhysicsState
 from quadwalk.physics.rotation import from_euler
 from quadwalk.robot.quadruped import Quadruped
 from quadwalk.robot.scene import lowest_point
@@ -16,7 +16,9 @@ from quadwalk.settings.environment import ResetConfig
 from quadwalk.task.robot_arrays import RobotArrays
 
 
-def fresh_start(model: Model, robot: RobotArrays, config: ResetConfig, key: jax.Array) -> Physics:
+def fresh_start(
+    model: Model, robot: RobotArrays, config: ResetConfig, key: jax.Array
+) -> PhysicsState:
     """A start near the home pose, its lowest foot just on the floor, or near the given pose.
 
     Or in any orientation, its lowest part just on the floor.
@@ -43,7 +45,7 @@ def fresh_start(model: Model, robot: RobotArrays, config: ResetConfig, key: jax.
     qvel = jnp.zeros(18).at[:6].set(config.velocity * velocity)
     qvel = qvel.at[0].add(config.forward * (speed[12] + 1.0) / 2.0)
     qvel = qvel.at[6:].set(config.joint_velocity * speed[:12])
-    return Physics(qpos, qvel, jnp.zeros(18))
+    return PhysicsState(qpos, qvel, jnp.zeros(18))
 
 
 def nominal_start(model: mujoco.MjModel, quadruped: Quadruped, config: ResetConfig) -> np.ndarray:
@@ -62,8 +64,8 @@ def nominal_start(model: mujoco.MjModel, quadruped: Quadruped, config: ResetConf
 
 
 def on_tile(
-    model: Model, terrain: Terrain, start: Physics, tile: jax.Array, key: jax.Array
-) -> Physics:
+    model: Model, terrain: Terrain, start: PhysicsState, tile: jax.Array, key: jax.Array
+) -> PhysicsState:
     """A start from the flat floor, somewhere where episodes of tile `tile` () int32 start.
 
     As high above the ground as it was above the floor, by the lowest part of the robot.

@@ -148,10 +148,10 @@ class Progress:
             yield f"NaN states {quantity(get('train/nan'))}"
 
     def _beat(self) -> None:
-        """Say now and then that a long phase goes on."""
+        """Print a line now and then during a long phase."""
         while not self._over.wait(min(1.0, _HEARTBEAT_SECONDS)):
             if self._phase and time.monotonic() - self._spoke >= _HEARTBEAT_SECONDS:
-                self.message(f"{self._phase} goes on, {self._view.task.elapsed:.0f} s so far")
+                self.message(f"{self._phase} continues, {self._view.task.elapsed:.0f} s so far")
 
 
 class _View(rich.progress.Progress):
@@ -242,7 +242,7 @@ def _terms(terms: Mapping[str, float]) -> Columns:
         return _line((f"{name:<{longest}} ", "dim"), f"{number(value):>7} ", (bar, color))
 
     cells: Sequence[Text] = [cell(name, value) for name, value in terms.items()]
-    # Down, then across: neighbours stay neighbours.
+    # Down, then across: neighbors stay neighbors.
     return Columns(cells, padding=(0, 3), column_first=True)
 
 

@@ -22,7 +22,7 @@ def check_watch() -> None:
 
 @contextlib.contextmanager
 def watched(run: Run, say: Callable[[str], object]) -> Iterator[None]:
-    """The page of `run`, which takes each policy that is saved; `say` is told where it is.
+    """The page of `run`, which shows each saved policy; `say` gets its address.
 
     It ends with this process, even if that is killed: then its standard input is closed.
     """

@@ -36,7 +36,7 @@ from quadwalk.train.runs import checkpoint
 
 _NAME = re.compile(r"\w[\w.+=@,-]*")
 _CHECKPOINT = re.compile(r"step_(\d+)\.npz")
-_LISTED = 5  # runs named in a message: enough to recognise one, few enough for a line
+_LISTED = 5  # runs named in a message: enough to recognize one, few enough for a line
 
 
 class _Place:
@@ -209,7 +209,7 @@ def list_checkpoints(run: Run) -> list[Path]:
 def latest_checkpoint(run: Run, warn: Callable[[str], None]) -> Path | None:
     """The newest checkpoint that can be read whole; None if there are none at all.
 
-    A damaged one is skipped, and `warn` is told. Raises `UserError` if all are damaged.
+    A damaged one is skipped with a line to `warn`. Raises `UserError` if all are damaged.
     """
     found = list_checkpoints(run)
     for path in reversed(found):

@@ -13,9 +13,9 @@ from brax.training.acme.running_statistics import NestedMeanStd
 from quadwalk.errors import UserError
 from quadwalk.files import DAMAGE
 from quadwalk.robot.mirror import mirror
-from quadwalk.settings.serialise import to_dict
+from quadwalk.settings.serialize import to_dict
 from quadwalk.settings.training import TrainConfig
-from quadwalk.task.mirror import Mirrors
+from quadwalk.task.reflections import Mirrors
 from quadwalk.train.networks import KERNELS, check_activation, make_networks, mean_policy
 from quadwalk.train.runs import checkpoint
 from quadwalk.train.runs.directory import Run

@@ -6,7 +6,7 @@ from typing import Any
 
 from quadwalk.errors import UsageError, UserError
 from quadwalk.files import DAMAGE, read_bytes
-from quadwalk.settings.serialise import flatten, from_dict
+from quadwalk.settings.serialize import flatten, from_dict
 from quadwalk.settings.training import DistributedConfig, TrainConfig, with_files
 from quadwalk.train.runs.directory import Run
 
@@ -67,5 +67,5 @@ def changed_settings(before: TrainConfig, now: TrainConfig) -> list[str]:
     for name in names:
         if name in _FIXED:
             flag = name.replace("_", "-")
-            raise UsageError(f"--{flag} cannot change in a run that goes on: it is {old[name]}")
+            raise UsageError(f"--{flag} cannot change when a run is resumed: it is {old[name]}")
     return [f"{name}: {old.get(name)} -> {new.get(name)}" for name in names]

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from quadwalk.errors import UserError
-from quadwalk.settings.serialise import to_dict
+from quadwalk.settings.serialize import to_dict
 from quadwalk.train import nan
 from quadwalk.train.runs import checkpoint
 from quadwalk.train.runs.directory import Run, keep_last
@@ -22,7 +22,7 @@ CURVE_SHARE = 0.02  # ...or as often as takes this share of the time, if that is
 class RunWriter:
     """Writes a run's files while it trains; a context manager.
 
-    What the disk refuses is said, once, through `warn`. Training goes on, what was there stays as
+    A failed write is reported once, through `warn`. Training continues, what was there stays as
     it was, and the next call tries again.
     """
 
@@ -112,7 +112,7 @@ class RunWriter:
         return well
 
     def publish(self, state: Any, steps: int) -> None:
-        """Save the newest policy alone, for one who watches."""
+        """Save only the newest policy, for a viewer."""
         self._attempt("policy", lambda: self._save_policy(self.run.policy, state, steps))
 
     @property
@@ -139,7 +139,7 @@ class RunWriter:
             action()
         except UserError as error:
             if what not in self._refused:
-                self._warn(f"warning: {error}; training goes on and will try again")
+                self._warn(f"warning: {error}; training continues and will retry")
             self._refused[what] = str(error)
             return False
         if self._refused.pop(what, None):

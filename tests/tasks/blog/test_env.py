@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from quadwalk.physics.motor import Effort, Physics, motor_torque
+from quadwalk.physics.motor import Effort, PhysicsState, motor_torque
 from quadwalk.robot.quadruped import load_quadruped
 from quadwalk.task.env import QuadrupedEnv
 from quadwalk.task.state import EnvState
@@ -84,9 +84,9 @@ def concluded(env, drawn):
     """What the environment makes of those steps."""
 
     def one(before, qpos, qvel):
-        state = EnvState(Physics(before, qvel, qvel), jnp.zeros(12), jnp.int32(10))
+        state = EnvState(PhysicsState(before, qvel, qvel), jnp.zeros(12), jnp.int32(10))
         nothing = Effort(jnp.zeros(12), jnp.zeros(()))
-        after = EnvState(Physics(qpos, qvel, qvel), jnp.zeros(12), jnp.int32(11))
+        after = EnvState(PhysicsState(qpos, qvel, qvel), jnp.zeros(12), jnp.int32(11))
         return env.finish_step(state, after, nothing, jnp.ones((), bool))
 
     return jax.jit(jax.vmap(one))(*drawn)

@@ -1,4 +1,4 @@
-"""What an episode suffers: another robot and floor, late targets and sensors, pushes, noise."""
+"""Domain randomization of an episode: robot, floor, delays, pushes and sensor noise."""
 
 import math
 from typing import NamedTuple
@@ -8,10 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 
-from quadwalk.physics.model import Variation
-from quadwalk.physics.motor import Physics, Stepping
+from quadwalk.physics.model import RobotRandomization
+from quadwalk.physics.motor import PhysicsState, Stepping
 from quadwalk.physics.rotation import multiply, rotate_inverse, yaw
-from quadwalk.settings.environment import RandomisationConfig, Range
+from quadwalk.settings.environment import RandomizationConfig, Range
 from quadwalk.task.robot_arrays import RobotArrays
 
 _DRAWN = 43  # eleven numbers, and vectors of 3, 12, 2, 12 and 3
@@ -20,24 +20,22 @@ _LEAST = dict.fromkeys(("strength", "kp", "kd", "joint_friction", "damping"), 0.
 _LEAST |= {"friction": 0.01, "link_mass": 0.1, "armature": 0.1}
 
 
-class Conditions(NamedTuple):
+class EpisodeRandomization(NamedTuple):
     """The conditions of one episode.
 
     - variation: how robot and floor differ from the model; None: not at all.
-    - delay: a joint target is obeyed this many physics steps after the observation that it is the
-      answer to; until the first is, the home pose is held. Of a delay of 2.3 steps, 3 in three
-      control steps of ten and 2 in the others.
-    - sensor_delay: in control steps, by which sensors are late; between two readings, the line
-      through them. None: none are.
-    - push: m/s, by which the trunk's velocity along its heading and to its left changes in an
-      instant, each forth or back, once in every period, at a time that `key` draws.
-    - noise: level of the Gaussian noise, independent in every step and number, that is added to
-      the observation; the task says what level 1 is.
-    - encoder: rad, by which joint angles are measured too large, for policy and controller alike.
-    - tilt: (3,) rad, rotation vector by which the IMU is turned in the trunk.
+    - delay: physics steps until a joint target takes effect; the home pose holds until the first
+      does. A delay of 2.3 steps is 3 in three control steps of ten and 2 in the others.
+    - sensor_delay: control steps; between two readings it interpolates. None: no delay.
+    - push: m/s, change of the trunk's velocity along its heading and to its left, in an instant,
+      with random signs, once in every period, at a time that `key` draws.
+    - noise: level of the Gaussian noise of the observation; the task states level 1. Each number
+      has its own noise in each step.
+    - encoder: rad, offset of measured joint angles, for policy and controller alike.
+    - tilt: (3,) rad, rotation vector of the IMU in the trunk.
     """
 
-    variation: Variation | None
+    variation: RobotRandomization | None
     delay: jax.Array  # ()
     sensor_delay: jax.Array | None  # ()
     push: jax.Array  # (2,)
@@ -49,13 +47,13 @@ class Conditions(NamedTuple):
 
 
 def draw_conditions(
-    config: RandomisationConfig,
+    config: RandomizationConfig,
     robot: RobotArrays,
     stepping: Stepping,
     key: jax.Array,
     friction: float,
-) -> Conditions:
-    """The conditions of one episode, drawn anew at its start: domain randomisation.
+) -> EpisodeRandomization:
+    """The conditions of one episode, drawn anew at its start: domain randomization.
 
     What depends on a robot's size is relative to it. `friction` is the model's own, for where none
     is drawn.
@@ -77,10 +75,10 @@ def draw_conditions(
         low, high = widened(between, usual, config.margin)
         return low + (high - low) * drawn
 
-    variation = Variation(
+    variation = RobotRandomization(
         friction=draw(config.friction, friction),
         trunk_mass=robot.mass * draw(config.trunk_mass, 0.0),
-        trunk_centre=robot.home_height * draw(config.trunk_centre, 0.0, (3,)),
+        trunk_center=robot.home_height * draw(config.trunk_center, 0.0, (3,)),
         link_mass=draw(config.link_mass, 1.0, (12,)),
         strength=draw(config.strength, 1.0),
         kp=draw(config.kp, 1.0),
@@ -93,7 +91,7 @@ def draw_conditions(
     kept = targets_needed(math.ceil(latest), stepping.substeps)
     late = draw(config.sensor_latency, 0.0) / stepping.control_dt
     froude = math.sqrt(robot.gravity * robot.home_height)  # m/s
-    drawn = Conditions(
+    drawn = EpisodeRandomization(
         variation=possible(variation),
         delay=draw(config.latency, 0.0) / stepping.dt,
         sensor_delay=None if config.sensor_latency is None else late,
@@ -108,14 +106,14 @@ def draw_conditions(
     return drawn
 
 
-def possible(variation: Variation) -> Variation:
+def possible(variation: RobotRandomization) -> RobotRandomization:
     """`variation`, but that what is less than it can be is as little as it can."""
     return variation._replace(
         **{name: jnp.maximum(getattr(variation, name), least) for name, least in _LEAST.items()}
     )
 
 
-def latest_drawn(config: RandomisationConfig) -> tuple[float, float]:
+def latest_drawn(config: RandomizationConfig) -> tuple[float, float]:
     """The longest latency that is drawn of joint targets, and of sensors, s."""
     targets, sensors = (
         widened(own or (0.0, 0.0), 0.0, config.margin)[1]
@@ -144,10 +142,12 @@ def _within(sizes: Range, margin: float, shares: jax.Array) -> jax.Array:
     return size * jnp.stack([jnp.cos(angle), jnp.sin(angle)])
 
 
-def as_values(conditions: Conditions, stepping: Stepping) -> dict[str, float | list[float]]:
-    """What was drawn for one episode, named and in units as in `RandomisationConfig`.
+def as_values(
+    conditions: EpisodeRandomization, stepping: Stepping
+) -> dict[str, float | list[float]]:
+    """What was drawn for one episode, named and in units as in `RandomizationConfig`.
 
-    But for masses in kg, centres of mass in m and pushes in m/s.
+    But for masses in kg, centers of mass in m and pushes in m/s.
     """
     own = {} if conditions.variation is None else conditions.variation._asdict()
     late = 0.0 if conditions.sensor_delay is None else conditions.sensor_delay
@@ -173,8 +173,8 @@ def targets_needed(delay: float, substeps: int) -> int:
 
 
 def delayed(
-    conditions: Conditions, target: jax.Array, substeps: int, steps: jax.Array
-) -> tuple[Conditions, jax.Array]:
+    conditions: EpisodeRandomization, target: jax.Array, substeps: int, steps: jax.Array
+) -> tuple[EpisodeRandomization, jax.Array]:
     """The targets (substeps, 12) obeyed in each physics step, when `target` (12,) is the newest."""
     targets = jnp.concatenate([target[None], conditions.targets[:-1]])
     jitter = jax.random.uniform(_key(conditions, steps, 2))
@@ -182,11 +182,13 @@ def delayed(
     # Of how many control steps ago: those begun within the last `delay` physics steps.
     late = delay - jnp.arange(substeps) + substeps - 1
     ago = jnp.minimum(jnp.maximum(late, 0) // substeps, len(targets) - 1)
-    obeyed = targets[ago] - conditions.encoder
-    return conditions._replace(targets=targets), obeyed
+    applied_target = targets[ago] - conditions.encoder
+    return conditions._replace(targets=targets), applied_target
 
 
-def pushed(conditions: Conditions, physics: Physics, steps: jax.Array, period: int) -> Physics:
+def pushed(
+    conditions: EpisodeRandomization, physics: PhysicsState, steps: jax.Array, period: int
+) -> PhysicsState:
     """`physics` after the push of control step `steps` of the episode, if it has one.
 
     There is one in each `period` of so many control steps.
@@ -198,14 +200,14 @@ def pushed(conditions: Conditions, physics: Physics, steps: jax.Array, period: i
     return physics._replace(qvel=physics.qvel.at[:2].add(kick))
 
 
-def side_of_push(conditions: Conditions, steps: jax.Array, period: int) -> jax.Array:
+def side_of_push(conditions: EpisodeRandomization, steps: jax.Array, period: int) -> jax.Array:
     """(2,) signs in the control step of a push, else 0."""
     drawn = jax.random.uniform(_key(conditions, steps // period, 1), (3,))
     now = steps % period == jnp.floor(drawn[2] * period).astype(jnp.int32)
     return jnp.where(now, jnp.where(drawn[:2] < 0.5, -1.0, 1.0), 0.0)
 
 
-def measured(conditions: Conditions, physics: Physics) -> Physics:
+def measured(conditions: EpisodeRandomization, physics: PhysicsState) -> PhysicsState:
     """`physics` as encoders and IMU measure it that are out of place."""
     turn = conditions.tilt
     half = jnp.concatenate([jnp.ones(1), 0.5 * turn])
@@ -217,14 +219,14 @@ def measured(conditions: Conditions, physics: Physics) -> Physics:
 
 
 def sensed(
-    conditions: Conditions, seen: jax.Array, scale: ArrayLike, steps: jax.Array
+    conditions: EpisodeRandomization, seen: jax.Array, scale: ArrayLike, steps: jax.Array
 ) -> jax.Array:
     """`seen` (n,) with the noise of control step `steps`, `scale` (n,) being level 1."""
     noise = jax.random.normal(_key(conditions, steps, 0), seen.shape)
     return seen + conditions.noise * scale * noise
 
 
-def reading(conditions: Conditions, frames: jax.Array) -> jax.Array:
+def reading(conditions: EpisodeRandomization, frames: jax.Array) -> jax.Array:
     """What the sensors tell (n,), late as they are; `frames` (m, n) were measured, newest first."""
     assert conditions.sensor_delay is not None
     whole = jnp.floor(conditions.sensor_delay)
@@ -233,6 +235,6 @@ def reading(conditions: Conditions, frames: jax.Array) -> jax.Array:
     return (1.0 - share) * frames[first] + share * frames[first + 1]
 
 
-def _key(conditions: Conditions, number: jax.Array, use: int) -> jax.Array:
+def _key(conditions: EpisodeRandomization, number: jax.Array, use: int) -> jax.Array:
     """A random key for each of three uses and each `number`."""
     return jax.random.fold_in(conditions.key, 3 * number + use)

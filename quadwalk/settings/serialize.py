@@ -15,6 +15,18 @@ from quadwalk.task_files import own_file, reference, resolve
 
 T = TypeVar("T")
 
+# What runs of before the settings were renamed call them.
+OLD_NAMES = {
+    "EnvConfig": {"randomisation": "randomization"},
+    "RandomizationConfig": {"trunk_centre": "trunk_center"},
+    "PPOConfig": {
+        "clip": "clip_epsilon",
+        "noise": "init_std",
+        "value": "value_coef",
+        "settle": "anneal_share",
+    },
+}
+
 
 def to_dict(config: Any) -> Any:
     """A configuration as JSON data; a term's function by its reference."""
@@ -37,6 +49,8 @@ def from_dict(cls: type[T], data: Any, folder: Path, where: str = "config") -> T
     if not isinstance(data, dict):
         raise UserError(f"{where} is {reprlib.repr(data)}; expected a group of settings")
     hints = typing.get_type_hints(cls)
+    renamed = OLD_NAMES.get(cls.__name__, {})
+    data = {renamed.get(key, key): value for key, value in data.items()}
     for key in data:
         if key not in hints:
             raise UserError(f"{where}.{key} is not a setting of this version")

@@ -20,14 +20,14 @@ from quadwalk.evaluate.report.plots import draw_report
 from quadwalk.evaluate.simulate import simulate_episodes
 from quadwalk.evaluate.summary import AT_LIMIT, episode_figures
 from quadwalk.physics.mujoco_c import varied_model
-from quadwalk.settings.environment import NO_RANDOMISATION
+from quadwalk.settings.environment import NO_RANDOMIZATION
 from quadwalk.task.env import QuadrupedEnv
-from quadwalk.task.episode.conditions import as_values
+from quadwalk.task.episode.randomization import as_values
 from quadwalk.tasks import sprint
 
 EPISODES, ADDED = 3, 0.3
 RANGES = dataclasses.replace(
-    NO_RANDOMISATION,
+    NO_RANDOMIZATION,
     enabled=True,
     trunk_mass=(ADDED, ADDED),
     link_mass=(0.6, 0.8),
@@ -41,7 +41,7 @@ RANGES = dataclasses.replace(
 def env(quadruped) -> QuadrupedEnv:
     return QuadrupedEnv(
         quadruped,
-        dataclasses.replace(sprint.TASK.env, episode_seconds=1.0, randomisation=RANGES),
+        dataclasses.replace(sprint.TASK.env, episode_seconds=1.0, randomization=RANGES),
     )
 
 
@@ -65,13 +65,13 @@ def test_each_episode_has_what_was_drawn_for_it(env, rollouts):
         assert values["trunk_mass"] == pytest.approx(ADDED * env.robot.mass, rel=1e-5)
         assert values["encoder"] == [0.0] * 12
         others = {"enabled", "push_seconds", "margin"}
-        assert set(vars(env.config.randomisation)) - others == set(values)
+        assert set(vars(env.config.randomization)) - others == set(values)
 
 
 def test_motors_obey_the_target_of_a_control_step_before(env, rollouts):
     for rollout in rollouts:
         late = np.concatenate([[env.robot.home_joints], rollout.target[:-1]])
-        np.testing.assert_allclose(rollout.obeyed, late, atol=1e-6)
+        np.testing.assert_allclose(rollout.applied_target, late, atol=1e-6)
         assert np.abs(np.diff(rollout.target, axis=0)).max() > 1e-4
 
 
@@ -103,12 +103,12 @@ def test_the_floor_carries_what_was_added(env, rollouts, weight):
 
 def test_a_stronger_motor_pushes_with_more_than_the_models_limit(env, rollouts):
     conditions = rollouts[0].conditions
-    obeyed = rollouts[0].obeyed - 3.0  # rad, beyond what any torque reaches
+    applied_target = rollouts[0].applied_target - 3.0  # rad, beyond what any torque reaches
 
     def forces(strength):
         variation = conditions.variation._replace(strength=np.float32(strength))
         drawn = conditions._replace(variation=variation)
-        rollout = dataclasses.replace(rollouts[0], conditions=drawn, obeyed=obeyed)
+        rollout = dataclasses.replace(rollouts[0], conditions=drawn, applied_target=applied_target)
         return with_foot_forces(rollout, env).foot_force[-10:]  # it stands by then
 
     assert np.abs(forces(1.5) - forces(1.0)).max() > 10.0  # N
@@ -182,7 +182,7 @@ def test_a_recording_holds_the_truth_and_the_obeyed_targets(env, rollouts, tmp_p
         reader = make_reader(stream)
         topics = [channel.topic for _, channel, _ in reader.iter_messages()]
         records = {record.name: record.metadata for record in reader.iter_metadata()}
-    for topic in ("/truth", "/joint_obeyed", "/observation", "/joint_cmd"):
+    for topic in ("/truth", "/joint_applied_target", "/observation", "/joint_cmd"):
         assert topics.count(topic) == rollout.steps
     assert json.loads(records["quadwalk"]["conditions"]) == values
 

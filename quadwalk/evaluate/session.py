@@ -36,7 +36,7 @@ def evaluate_runs(config: EvalConfig) -> dict[str, Any]:
         from quadwalk.evaluate import judge
         from quadwalk.evaluate.loaded import load_run
 
-        options = config.seconds, config.policy, config.engine, config.randomised, config.seed
+        options = config.seconds, config.policy, config.engine, config.randomized, config.seed
         # All of them before the first is simulated, so that a bad one is known at once.
         loaded = [load_run(run, *options) for run in runs]
         one = judge.sweep if config.sweep else judge.judge

@@ -15,7 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from quadwalk.errors import UsageError, UserError
-from quadwalk.settings.serialise import flatten, from_dict, to_dict, with_settings
+from quadwalk.settings.serialize import OLD_NAMES, flatten, from_dict, to_dict, with_settings
 from quadwalk.settings.terms import Reward
 from quadwalk.settings.training import TrainConfig
 from quadwalk.task import reward
@@ -141,3 +141,14 @@ def test_a_notebooks_function_cannot_be_kept():
     env = dataclasses.replace(sprint.TASK.env, reward={"mine": term})
     with pytest.raises(UsageError, match="task's file"):
         to_dict(dataclasses.replace(sprint.TASK, env=env))
+
+
+def test_runs_of_before_settings_were_renamed_are_read():
+    task = load_task("walk")
+    data = to_dict(task)
+    env, ppo = data["env"], data["ppo"]
+    for part, group in ((ppo, "PPOConfig"), (env["randomization"], "RandomizationConfig")):
+        for old, new in OLD_NAMES[group].items():
+            part[old] = part.pop(new)
+    env["randomisation"] = env.pop("randomization")
+    assert from_dict(TrainConfig, data, Path()) == task
