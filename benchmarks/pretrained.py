@@ -2,7 +2,7 @@
 
     python benchmarks/pretrained.py [--runs runs/pretrained]
 
-Trains `run` and `walk` as `python train.py` does by default, unless the folder has them, and keeps
+Trains each task as `python train.py TASK` does, unless the folder has a run of that name, and keeps
 each policy and its robot in assets/pretrained/NAME.
 """
 
@@ -23,11 +23,12 @@ from quadwalk.train.runs.directory import Run
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--runs", type=Path, default=Path("runs/pretrained"))
+    parser.add_argument("--tasks", nargs="+", default=["run", "walk", "drive", "getup"])
     options = parser.parse_args()
-    for name in ("run", "walk"):
+    for name in options.tasks:
         run = Run(options.runs / name)
         if not run.policy.exists():
-            flags = ["--preset", name, "--name", name, "--runs", str(options.runs)]
+            flags = [name, "--name", name, "--runs", str(options.runs)]
             train(parse_config(flags)[0])
         keep(run, Run(PRETRAINED / name))
         print(f"{name}: {(PRETRAINED / name / 'policy.npz').stat().st_size / 1e3:.0f} kB")
