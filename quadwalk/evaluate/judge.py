@@ -35,7 +35,12 @@ from quadwalk.evaluate.report.panels import (
 from quadwalk.evaluate.report.pictures import draw_film_strip, render_video
 from quadwalk.evaluate.report.plots import save_figure
 from quadwalk.evaluate.standing import measure_standing, standing_run
-from quadwalk.evaluate.steering import measure_steering, steering_run
+from quadwalk.evaluate.steering import (
+    changing_run,
+    measure_changing,
+    measure_steering,
+    steering_run,
+)
 from quadwalk.evaluate.summary import engine_differences
 from quadwalk.evaluate.sweep import measure_sweeps, sweep_points
 from quadwalk.shell import words
@@ -77,6 +82,10 @@ def judge(loaded: LoadedRun, config: EvalConfig, out: Path, console: Console) ->
         driven, episodes = steering_run(loaded), max(config.cell // 4, 1)
         with _progress(driven, f"{episodes} episodes of each command", console) as report:
             results["steering"] = measure_steering(driven, episodes, config.seed, report)
+        long, episodes = changing_run(loaded), 16 * config.cell
+        with _progress(long, f"{episodes} episodes of changing commands", console) as report:
+            changing = measure_changing(long, episodes, config.seed, report)
+        results["steering"]["changing"] = changing
         print_steering(results["steering"])
         save_figure(draw_steering(results["steering"], name), out / "steering.png")
         written.append("steering.png")

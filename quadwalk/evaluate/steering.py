@@ -9,7 +9,7 @@ import numpy as np
 from brax.envs.base import State
 
 from quadwalk.evaluate.cells import measure_cells, pose
-from quadwalk.evaluate.loaded import LoadedRun
+from quadwalk.evaluate.loaded import PUSH_SECONDS, LoadedRun, training_ranges
 from quadwalk.evaluate.motion.course import SETTLING, WINDOW, heading_velocity, window_means
 from quadwalk.evaluate.motion.gait import measure_gait
 from quadwalk.evaluate.simulate import GROUP, Report, fresh_starts, roll_out, simulate_episodes
@@ -21,6 +21,7 @@ Command = tuple[float, float, float]  # forward and lateral m/s, yaw rate rad/s
 
 FORWARD, TURNS = 12, 9  # commands along each axis of the grid
 SECONDS = 8.0  # s, that a command is held
+LONG = 20.0  # s, of an episode in which commands change as in training
 CHANGE = 4.0  # s, after which it changes where a change is measured
 NEAR = 0.1  # of a change: a response that stays so near its end has arrived
 
@@ -28,6 +29,19 @@ NEAR = 0.1  # of a change: a response that stays so near its end has arrived
 def steering_run(loaded: LoadedRun) -> LoadedRun:
     """`loaded` in MuJoCo C, in episodes that last as long as a command is held."""
     config = dataclasses.replace(loaded.env.config, episode_seconds=SECONDS)
+    env = QuadrupedEnv(loaded.env.quadruped, config, "mujoco")
+    return dataclasses.replace(loaded, env=env)
+
+
+def changing_run(loaded: LoadedRun) -> LoadedRun:
+    """`loaded` in MuJoCo C, randomized, with commands that change as in training."""
+    trained = loaded.policy.config.env
+    ranges = dataclasses.replace(
+        training_ranges(trained), enabled=True, push_seconds=PUSH_SECONDS, margin=0.0
+    )
+    config = dataclasses.replace(
+        loaded.env.config, command=trained.command, randomization=ranges, episode_seconds=LONG
+    )
     env = QuadrupedEnv(loaded.env.quadruped, config, "mujoco")
     return dataclasses.replace(loaded, env=env)
 
@@ -49,6 +63,21 @@ def measure_steering(
             measure_response(loaded, *change, episodes, seed) for change in changes(config)
         ],
     }
+
+
+def measure_changing(
+    loaded: LoadedRun, episodes: int, seed: int, report: Report | None = None
+) -> dict[str, Any]:
+    """Success of `episodes` of `loaded`, which is by `changing_run`, as plain values for JSON."""
+    env = loaded.env
+    starts = fresh_starts(env, episodes, seed)
+
+    def nothing(number: int, upright: bool, poses: np.ndarray) -> dict[str, float | bool]:
+        return {}
+
+    room = min(GROUP, episodes)
+    (found,) = measure_cells(env, loaded.policy.act, starts, episodes, nothing, room, report)
+    return {"seconds": LONG, "episodes": episodes, **found}
 
 
 def held_commands(config: CommandConfig) -> list[Command]:

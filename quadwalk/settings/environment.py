@@ -3,6 +3,7 @@
 Values that tasks share have names here. A task (`quadwalk/tasks`) names them and states its own.
 """
 
+import math
 from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal
 
@@ -73,6 +74,9 @@ class CommandConfig(Settings, group="env.command"):
     # m/s^2; yaw rates are scaled down to this centripetal acceleration, and to half of what
     # friction bears; None: they are not
     turning: Positive | None = None
+    # m; velocities are those of a robot with legs of this length, and other robots have theirs at
+    # the same Froude number; None: all robots have the same
+    leg: Positive | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -87,10 +91,34 @@ class CommandConfig(Settings, group="env.command"):
                 "expected a sum of at most 1"
             )
 
+    def of_leg(self, leg: float) -> "CommandConfig":
+        """The same command for a robot whose legs are `leg`, m, long.
+
+        Velocities change with the square root of the length, yaw rates with its inverse, and
+        centripetal acceleration remains.
+        """
+        if self.leg is None:
+            return self
+        faster = math.sqrt(leg / self.leg)
+        until = self.lateral_until
+        return replace(
+            self,
+            forward=_times(self.forward, faster),
+            lateral=_times(self.lateral, faster),
+            yaw_rate=_times(self.yaw_rate, 1.0 / faster),
+            lateral_until=None if until is None else round(until * faster, 3),
+            leg=None,
+        )
+
     @property
     def given(self) -> bool:
         """Whether there are commands at all."""
         return any((*self.forward, *self.lateral, *self.yaw_rate))
+
+
+def _times(ends: Pair, factor: float) -> Pair:
+    low, high = ends
+    return round(low * factor, 3), round(high * factor, 3)
 
 
 # Of a task without commands: the robot runs along world x.

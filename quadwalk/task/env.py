@@ -14,7 +14,7 @@ from brax.envs.base import Env, State
 from jax.typing import ArrayLike
 
 from quadwalk.errors import UserError
-from quadwalk.ground.terrain import Terrain, leg_length, make_terrain
+from quadwalk.ground.terrain import leg_length, make_terrain
 from quadwalk.physics.constraints.surface import Surface
 from quadwalk.physics.engines import ENGINES, EngineName, fast, mujoco_c
 from quadwalk.physics.motor import Effort, PhysicsState, make_motor
@@ -69,9 +69,11 @@ class QuadrupedEnv(Env):
     def __init__(
         self, quadruped: Quadruped, config: EnvConfig, engine: EngineName | None = None
     ) -> None:
-        self.config = config = config.as_seen
+        leg = leg_length(quadruped.full_model(visuals=False), quadruped.feet[0])
+        config = replace(config.as_seen, command=config.command.of_leg(leg))
+        self.config = config
         self.engine: EngineName = engine or config.engine
-        self.terrain = _terrain_of(quadruped, config)
+        self.terrain = None if config.ground.flat else make_terrain(config.ground, leg)
         self.curriculum = make_curriculum(config, self.terrain)
         field = None if self.terrain is None else self.terrain.field
         self.quadruped = task_robot(quadruped, config, field)
@@ -556,14 +558,6 @@ class QuadrupedEnv(Env):
     @property
     def backend(self) -> str:
         return self.engine
-
-
-def _terrain_of(quadruped: Quadruped, config: EnvConfig) -> Terrain | None:
-    """The ground of the task for this robot; None for a flat floor."""
-    if config.ground.flat:
-        return None
-    leg = leg_length(quadruped.full_model(), quadruped.feet[0])
-    return make_terrain(config.ground, leg)
 
 
 def _metrics(

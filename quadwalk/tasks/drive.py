@@ -47,6 +47,7 @@ TASK = TrainConfig(
             seconds=5.0,
             lateral_until=2.0,
             turning=4.0,
+            leg=0.5,
         ),
         randomization=REAL_WORLD,
     ),

@@ -6,17 +6,21 @@ import jax
 import numpy as np
 import pytest
 
+from quadwalk.evaluate import steering
 from quadwalk.evaluate.loaded import LoadedRun
 from quadwalk.evaluate.report.console import print_steering
 from quadwalk.evaluate.report.panels import draw_steering
+from quadwalk.evaluate.simulate import fresh_starts, roll_out
 from quadwalk.evaluate.steering import (
     changes,
+    changing_run,
     held_commands,
     holding,
+    measure_changing,
     measure_steering,
     steering_run,
 )
-from quadwalk.settings.environment import NO_RANDOMIZATION
+from quadwalk.settings.environment import NO_RANDOMIZATION, REAL_WORLD
 from quadwalk.task.env import QuadrupedEnv
 from quadwalk.tasks import drive
 from quadwalk.train.runs.directory import Run
@@ -73,6 +77,52 @@ def test_a_robot_that_stands_is_as_far_off_as_its_command_says(standing, capsys,
     assert changes(drive.TASK.env.command)[0][1] == (pytest.approx(4.05), 0.0, 0.0)
     assert max(abs(each["speed"]) for each in found["gaits"]) < 0.05
     monkeypatch.setenv("COLUMNS", "120")
-    print_steering(found)
-    assert "4.5 m/s, 0 rad/s" in capsys.readouterr().out
+    changing = {"seconds": 20.0, "episodes": 4, "success": 0.75, "success_ci95": [0.3, 0.95]}
+    print_steering(found | {"changing": changing})
+    printed = capsys.readouterr().out
+    assert "4.5 m/s, 0 rad/s" in printed
+    assert "75.0 % (30.0 to 95.0) of 4 episodes of 20 s end without a fall" in printed
     assert len(draw_steering(found, "standing").axes) == 6 + 3
+
+
+def test_robots_are_judged_with_changing_commands_and_all_that_is_drawn(standing, monkeypatch):
+    monkeypatch.setattr(steering, "LONG", 6.0)
+    long = changing_run(standing)
+    assert long.env.engine == "mujoco"
+    assert long.env.config.randomization == dataclasses.replace(
+        REAL_WORLD, margin=0.0, push_seconds=5.0
+    )
+    assert long.env.config.command == dataclasses.replace(drive.TASK.env.command, leg=None)
+    seen = []
+    for _, end, commands in roll_out(long.env, long.policy.act, fresh_starts(long.env, 2, 0), told):
+        assert len(np.unique(commands, axis=0)) >= 2
+        seen.append(end == "time limit")
+    found = measure_changing(long, 2, 0)
+    assert found["success"] == np.mean(seen)
+    assert found["seconds"] == 6.0
+
+
+def told(env, before, action, after):
+    return before.pipeline_state.command.velocity
+
+
+@pytest.mark.parametrize("leg", [0.125, 0.5])
+def test_command_ranges_have_the_same_froude_number_for_all_robots(leg):
+    command = drive.TASK.env.command
+    own = command.of_leg(leg)
+    for name in ("forward", "lateral"):
+        asked, had = np.array(getattr(own, name)), np.array(getattr(command, name))
+        np.testing.assert_allclose(asked**2 / leg, had**2 / 0.5, rtol=2e-3)
+    turn = own.forward[1] * own.yaw_rate[1]  # m/s^2
+    assert turn == pytest.approx(command.forward[1] * command.yaw_rate[1], rel=1e-3)
+    assert own.turning == command.turning
+    assert own.of_leg(1.0) == own  # once
+
+
+def test_a_robot_is_driven_at_its_own_speeds(quadruped):
+    command = dataclasses.replace(drive.TASK.env.command, leg=2.0)  # four times the robot's
+    env = QuadrupedEnv(quadruped, dataclasses.replace(drive.TASK.env, command=command))
+    assert env.config.command.forward == (-0.5, 2.25)
+    assert env.in_engine("mujoco").config.command.forward == (-0.5, 2.25)
+    same = QuadrupedEnv(quadruped, drive.TASK.env).config.command
+    assert same == dataclasses.replace(drive.TASK.env.command, leg=None)

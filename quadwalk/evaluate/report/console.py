@@ -144,6 +144,12 @@ def print_steering(results: dict[str, Any]) -> None:
         shares = (f"{100 * (each[name] or 0.0):.0f}" for name in ("overshoot", "falls"))
         rows.append((f"{change} {unit}", _text(each["time"], ".2f"), *shares))
     _print_table("changes of the command", ("", "s", "overshoot, %", "falls, %"), rows)
+    long = results["changing"]
+    low, high = (100 * end for end in long["success_ci95"])
+    print(
+        f"{100 * long['success']:.1f} % ({low:.1f} to {high:.1f}) of {long['episodes']} episodes "
+        f"of {long['seconds']:g} s end without a fall, randomized, with commands that change"
+    )
 
 
 def describe_gait(gait: Gait, episode: int) -> str:
