@@ -219,8 +219,11 @@ def test_other_episodes_are_not_compared(trained, results):
         (lambda runs: quadwalk.make(overrides={"env.reward.enrgy": 1}), "did you mean 'energy'"),
         (lambda runs: quadwalk.make(robot="no.urdf"), "no.urdf"),
         (lambda runs: quadwalk.train("run", runs=runs, stepps=1), "stepps"),
-        (lambda runs: quadwalk.train("run", runs=runs, resume="tiny"), "resume goes on"),
-        (lambda runs: quadwalk.train(runs=runs, resume="tiny", init=runs / "tiny"), "give no init"),
+        (lambda runs: quadwalk.train("run", runs=runs, resume="tiny"), "resume uses the task"),
+        (
+            lambda runs: quadwalk.train(runs=runs, resume="tiny", init=runs / "tiny"),
+            "expected no init",
+        ),
         (lambda runs: quadwalk.train(resume="nobody", runs=runs), "nobody"),
         (lambda runs: quadwalk.evaluate("nobody", runs=runs), "nobody"),
         (lambda runs: quadwalk.evaluate("tiny", runs=runs, engine="bullet"), "bullet"),

@@ -30,14 +30,10 @@ def test_a_task_of_the_package_is_found_by_its_name(name):
     assert load_task(name).task == name
 
 
-def test_the_file_of_an_earlier_run_finds_settings_where_they_were(tmp_path):
-    (tmp_path / OWN).write_text(
-        "from quadwalk.task.config import REAL_WORLD\nfrom quadwalk.task.terms import Reward\n"
-        "from quadwalk.train.settings import TrainConfig\nfrom quadwalk.tasks.run import TASK\n"
-        "assert isinstance(TASK, TrainConfig) and TASK.env.randomization is REAL_WORLD\n"
-        "assert all(isinstance(term, Reward) for term in TASK.env.reward.values())\n"
-    )
-    assert load_task(tmp_path / OWN).task == "run"
+def test_the_file_of_an_earlier_run_that_names_what_is_gone_is_refused_in_one_line(tmp_path):
+    (tmp_path / OWN).write_text("from quadwalk.task.config import REAL_WORLD\n")
+    with pytest.raises(UsageError, match=r"task.py, line 1: .* named 'quadwalk.task.config'"):
+        load_task(tmp_path / OWN)
 
 
 def test_a_function_of_the_package_is_found_again_where_it_is():

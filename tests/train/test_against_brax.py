@@ -270,7 +270,7 @@ def test_a_time_limit_is_what_brax_makes_of_it_where_nothing_moves(train_both):
 
 def test_a_moving_body_is_bootstrapped_from_the_state_after_its_time_limit():
     """The value loss, against advantages written out in NumPy from what the environment does."""
-    config = dataclasses.replace(sprint.TASK.ppo, **SETTINGS, minibatches=1, epochs=1, noise=1.0)
+    config = dataclasses.replace(sprint.TASK.ppo, **SETTINGS, minibatches=1, epochs=1, init_std=1.0)
     env = Point(4, dt=0.3, spread=1.9)
     mesh = ppo.make_mesh()
     networks = make_networks(config, env.observation_size, env.action_size)

@@ -114,7 +114,7 @@ def test_loss_and_gradients_are_those_of_brax_with_two_observations(
             ),
             named, data, jax.random.PRNGKey(0), brax, entropy_cost=ENTROPY,
             discounting=CONFIG.discount, gae_lambda=CONFIG.gae_lambda,
-            clipping_epsilon=CONFIG.clip, vf_coefficient=CONFIG.value,
+            clipping_epsilon=CONFIG.clip_epsilon, vf_coefficient=CONFIG.value_coef,
         )  # fmt: skip
 
     slope, parts = jax.grad(theirs, has_aux=True)(params)

@@ -218,7 +218,7 @@ def test_evaluation_environments_act_without_noise(collected, networks):
     typical = float(np.mean(mean(data.observation)[..., 0]))
     assert metrics["eval/speed"] == pytest.approx(typical, abs=0.2)
     noise = data.action - np.asarray(mean(data.observation))
-    assert noise.std() == pytest.approx(CONFIG.noise, rel=0.35)
+    assert noise.std() == pytest.approx(CONFIG.init_std, rel=0.35)
 
 
 def test_the_metrics_count_every_episode(collected):

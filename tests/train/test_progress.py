@@ -96,7 +96,7 @@ def test_a_long_phase_gives_a_sign_of_life(monkeypatch):
     with Progress(10, stream=stream) as progress:
         progress.phase("compiling")
         time.sleep(1.2)
-    assert "compiling goes on, 1 s so far" in stream.getvalue()
+    assert "compiling continues, 1 s so far" in stream.getvalue()
 
 
 def test_quiet_is_quiet_until_the_end():
