@@ -9,6 +9,7 @@ from quadwalk.errors import UsageError
 from quadwalk.evaluate.loaded import load_run
 from quadwalk.paths import PRETRAINED
 from quadwalk.train.runs.directory import Run, find_any_run, find_ready, results_folder
+from quadwalk.view.choices import NEWEST, getup_of, open_run
 from quadwalk.view.live import LiveRobot
 
 
@@ -46,3 +47,19 @@ def test_each_goes_where_it_is_told(name, least, most):
         speeds.append(robot.velocity[0])
         assert not robot.fell
     assert least < np.mean(speeds[-50:]) < most
+
+
+def test_what_is_thrown_over_gets_up_and_drives_on():
+    loaded = open_run(Run(PRETRAINED / "drive"), NEWEST)
+    robot = LiveRobot(loaded, getup=getup_of(loaded, Run(PRETRAINED / "getup")))
+    robot.command[:] = 2.0, 0.0, 0.0
+    modes, speeds = [], []
+    for step in range(400):
+        if step == 100:
+            robot.throw()
+        robot.step()
+        modes.append(robot.rising)
+        speeds.append(robot.velocity[0])
+    fell, stood = modes.index(True), 400 - modes[::-1].index(True)
+    assert 100 <= fell < stood <= 300
+    assert 1.5 < np.mean(speeds[-50:]) < 2.5
