@@ -6,7 +6,7 @@ VENV ?= .venv
 RUN := $(VENV)/bin/python
 PIP := $(RUN) -m pip --disable-pip-version-check --quiet
 
-.PHONY: train demo setup test lint docs notebooks lock clean
+.PHONY: train demo setup test lint docs pictures notebooks lock clean
 
 train: $(VENV)/.ready  ## train with the defaults
 	$(RUN) train.py
@@ -28,6 +28,9 @@ docs: $(VENV)/.ready-dev  ## the pages as a site, in build/site
 	$(PIP) install -r docs/site/requirements.txt
 	$(RUN) docs/site/settings.py
 	$(RUN) -m mkdocs build --quiet
+
+pictures: $(VENV)/.ready  ## the moving picture of the README, from the packaged policies
+	$(RUN) benchmarks/pictures.py
 
 notebooks: $(VENV)/.ready-dev  ## run the notebooks and keep what they show
 	$(RUN) notebooks/execute.py
