@@ -14,6 +14,7 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from quadwalk.drawing.canvas import Camera, Canvas
+from quadwalk.evaluate.loaded import LoadedRun
 from quadwalk.files import atomic_write
 from quadwalk.paths import PRETRAINED
 from quadwalk.train.runs.directory import Run
@@ -36,9 +37,8 @@ SECONDS = 12.0
 THROWN = 8.0  # s
 
 
-def poses() -> Iterator[tuple[np.ndarray, str]]:
+def poses(loaded: LoadedRun) -> Iterator[tuple[np.ndarray, str]]:
     """qpos (19,) of each picture, and what is written on it."""
-    loaded = open_run(Run(PRETRAINED / "drive"), NEWEST)
     robot = LiveRobot(loaded, getup=getup_of(loaded, Run(PRETRAINED / "getup")))
     dt = robot.env.stepping.control_dt
     every = round(1.0 / FPS / dt)
@@ -56,11 +56,11 @@ def poses() -> Iterator[tuple[np.ndarray, str]]:
 
 def pictures() -> Iterator[Image.Image]:
     """Each picture, the camera beside the robot and slowly after it."""
-    model = open_run(Run(PRETRAINED / "drive"), NEWEST).env.quadruped.full_model()
-    canvas = Canvas(model, *SIZE)
+    loaded = open_run(Run(PRETRAINED / "drive"), NEWEST)
+    canvas = Canvas(loaded.env.quadruped.full_model(), *SIZE)
     font = ImageFont.load_default(size=30)
     focus = None
-    for qpos, text in poses():
+    for qpos, text in poses(loaded):
         place = np.array([*qpos[:2], 0.3])
         focus = place if focus is None else focus + 0.25 * (place - focus)
         camera = Camera(focus, distance=1.7, azimuth=118.0, elevation=-12.0)

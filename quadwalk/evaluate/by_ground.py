@@ -57,7 +57,7 @@ def measure_by_ground(
         return {"arrived": arrived, "speed": float(speed), "velocity_error": error}
 
     starts = fresh_starts(env, len(tiles), seed, tiles)
-    room = min(ROOM * math.ceil(len(tiles) / (8 * ROOM)), MOST, len(tiles))
+    room = min(ROOM * math.ceil(len(tiles) / (8 * ROOM)), MOST)
     found = measure_cells(env, loaded.policy.act, starts, episodes, measure, room, report)
     return {
         "kinds": list(kinds),

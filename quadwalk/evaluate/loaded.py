@@ -3,6 +3,7 @@
 import dataclasses
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from quadwalk.errors import UserError
 from quadwalk.files import read_bytes
@@ -34,6 +35,12 @@ class LoadedRun:
     sha256: str  # of that file
     config: bytes | None = None  # of the run's config.json; None: it has none
 
+    def in_mujoco(self, **changes: Any) -> "LoadedRun":
+        """The same in MuJoCo C, with `changes` of its environment's settings."""
+        config = dataclasses.replace(self.env.config, **changes)
+        env = QuadrupedEnv(self.env.quadruped, config, "mujoco")
+        return dataclasses.replace(self, env=env)
+
     def in_engine(self, engine: EngineName) -> "LoadedRun":
         """The same in another engine."""
         return dataclasses.replace(self, env=self.env.in_engine(engine))
@@ -43,6 +50,13 @@ def training_ranges(config: EnvConfig) -> RandomizationConfig:
     """The ranges of a task's domain randomization; `REAL_WORLD` where training had none."""
     own = config.randomization
     return REAL_WORLD if own == NO_RANDOMIZATION else own
+
+
+def evaluation_ranges(config: EnvConfig, enabled: bool) -> RandomizationConfig:
+    """Those without the margin of training, and with a push in each `PUSH_SECONDS`."""
+    return dataclasses.replace(
+        training_ranges(config), enabled=enabled, push_seconds=PUSH_SECONDS, margin=0.0
+    )
 
 
 def unseen_ground(trained: GroundConfig, seed: int, levels: int = 3) -> GroundConfig:
@@ -82,14 +96,11 @@ def load_run(
     quadruped = load_robot(policy.config.robot)
     trained = policy.config.env
     command = dataclasses.replace(trained.command, seconds=seconds, soonest=None)
-    ranges = dataclasses.replace(
-        training_ranges(trained), enabled=randomized, push_seconds=PUSH_SECONDS, margin=0.0
-    )
     config = dataclasses.replace(
         trained,
         episode_seconds=seconds,
         command=command,
-        randomization=ranges,
+        randomization=evaluation_ranges(trained, randomized),
         ground=FLAT if flat else unseen_ground(trained.ground, seed),
     )
     env = QuadrupedEnv(quadruped, config, engine)

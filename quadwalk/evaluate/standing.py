@@ -20,9 +20,7 @@ TILT = math.radians(18)  # of its z axis from the world's, at most
 
 def standing_run(loaded: LoadedRun) -> LoadedRun:
     """`loaded` in MuJoCo C, for as long as it is looked at."""
-    config = dataclasses.replace(loaded.env.config, episode_seconds=max(SECONDS))
-    env = QuadrupedEnv(loaded.env.quadruped, config, "mujoco")
-    return dataclasses.replace(loaded, env=env)
+    return loaded.in_mujoco(episode_seconds=max(SECONDS))
 
 
 def measure_standing(
@@ -41,8 +39,7 @@ def measure_standing(
         found = standing(env, poses)
         return {"success": found[1], **dict(zip(_NAMES, found, strict=True))}
 
-    room = min(GROUP, len(starts.obs))
-    found = measure_cells(env, loaded.policy.act, starts, episodes, measure, room, report)
+    found = measure_cells(env, loaded.policy.act, starts, episodes, measure, GROUP, report)
     return {
         "engine": env.engine,
         "episodes": episodes,

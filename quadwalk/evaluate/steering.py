@@ -1,6 +1,5 @@
 """How well a policy follows commands: held ones, changes of them, and its gait at each speed."""
 
-import dataclasses
 from typing import Any
 
 import jax
@@ -8,13 +7,13 @@ import jax.numpy as jnp
 import numpy as np
 from brax.envs.base import State
 
-from quadwalk.evaluate.cells import measure_cells, pose
-from quadwalk.evaluate.loaded import PUSH_SECONDS, LoadedRun, training_ranges
+from quadwalk.evaluate.cells import cell_starts, measure_cells, trunk_paths
+from quadwalk.evaluate.loaded import LoadedRun, evaluation_ranges
 from quadwalk.evaluate.motion.course import SETTLING, WINDOW, heading_velocity, window_means
 from quadwalk.evaluate.motion.gait import measure_gait
-from quadwalk.evaluate.simulate import GROUP, Report, fresh_starts, roll_out, simulate_episodes
+from quadwalk.evaluate.simulate import GROUP, Report, fresh_starts, simulate_episodes
 from quadwalk.evaluate.statistics import number
-from quadwalk.settings.environment import CommandConfig
+from quadwalk.settings.environment import COMMANDED, CommandConfig
 from quadwalk.task.env import QuadrupedEnv
 
 Command = tuple[float, float, float]  # forward and lateral m/s, yaw rate rad/s
@@ -28,22 +27,17 @@ NEAR = 0.1  # of a change: a response that stays so near its end has arrived
 
 def steering_run(loaded: LoadedRun) -> LoadedRun:
     """`loaded` in MuJoCo C, in episodes that last as long as a command is held."""
-    config = dataclasses.replace(loaded.env.config, episode_seconds=SECONDS)
-    env = QuadrupedEnv(loaded.env.quadruped, config, "mujoco")
-    return dataclasses.replace(loaded, env=env)
+    return loaded.in_mujoco(episode_seconds=SECONDS)
 
 
 def changing_run(loaded: LoadedRun) -> LoadedRun:
     """`loaded` in MuJoCo C, randomized, with commands that change as in training."""
     trained = loaded.policy.config.env
-    ranges = dataclasses.replace(
-        training_ranges(trained), enabled=True, push_seconds=PUSH_SECONDS, margin=0.0
+    return loaded.in_mujoco(
+        command=trained.command,
+        randomization=evaluation_ranges(trained, enabled=True),
+        episode_seconds=LONG,
     )
-    config = dataclasses.replace(
-        loaded.env.config, command=trained.command, randomization=ranges, episode_seconds=LONG
-    )
-    env = QuadrupedEnv(loaded.env.quadruped, config, "mujoco")
-    return dataclasses.replace(loaded, env=env)
 
 
 def measure_steering(
@@ -75,8 +69,7 @@ def measure_changing(
     def nothing(number: int, upright: bool, poses: np.ndarray) -> dict[str, float | bool]:
         return {}
 
-    room = min(GROUP, episodes)
-    (found,) = measure_cells(env, loaded.policy.act, starts, episodes, nothing, room, report)
+    (found,) = measure_cells(env, loaded.policy.act, starts, episodes, nothing, GROUP, report)
     return {"seconds": LONG, "episodes": episodes, **found}
 
 
@@ -121,13 +114,12 @@ def measure_held(
         motion = heading_velocity(poses, dt)[settled:]
         mean = motion.mean(axis=0) if len(motion) else np.full(3, np.nan)
         off = mean - commands[which // episodes]
-        found = dict(zip(("forward", "lateral", "yaw_rate"), map(float, mean), strict=True))
+        found = dict(zip(COMMANDED, map(float, mean), strict=True))
         errors = {"velocity_error": np.hypot(off[0], off[1]), "yaw_rate_error": abs(off[2])}
         return found | {name: float(error) for name, error in errors.items()}
 
     starts = holding(env, commands, episodes, seed)
-    room = min(GROUP, len(starts.obs))
-    found = measure_cells(env, loaded.policy.act, starts, episodes, measure, room, report)
+    found = measure_cells(env, loaded.policy.act, starts, episodes, measure, GROUP, report)
     return [
         {"command": list(command)} | cell for command, cell in zip(commands, found, strict=True)
     ]
@@ -160,7 +152,6 @@ def measure_response(
     env, dt = loaded.env, loaded.env.config.control_dt
     turn, window = round(CHANGE / dt), round(WINDOW / dt)
     part = int(np.argmax(np.abs(np.subtract(after, before))))
-    poses: list[np.ndarray] = []
 
     def change(env: QuadrupedEnv, state: State) -> State:
         now = state.pipeline_state
@@ -169,10 +160,8 @@ def measure_response(
         return state.replace(pipeline_state=now._replace(command=command))
 
     starts = holding(env, [before], episodes, seed)
-    first = np.asarray(starts.pipeline_state.qpos[:, None, :7])
-    for which, end, path in roll_out(env, loaded.policy.act, starts, pose, change=change):
-        if end == "time limit":
-            poses.append(np.concatenate([first[which], path]).astype(float))
+    paths = trunk_paths(env, loaded.policy.act, starts, change=change)
+    poses = [path for _, upright, path in paths if upright]
     motion = [window_means(heading_velocity(each, dt)[turn:], window)[:, part] for each in poses]
     curve = np.mean(motion, axis=0) if motion else np.zeros(0)
     share = (curve - before[part]) / (after[part] - before[part])
@@ -181,7 +170,7 @@ def measure_response(
     return {
         "before": list(before),
         "after": list(after),
-        "part": ("forward", "lateral", "yaw_rate")[part],
+        "part": COMMANDED[part],
         "time": arrived * dt + WINDOW / 2 if arrived < len(curve) else None,
         "overshoot": max(float(share.max() - 1.0), 0.0) if len(curve) else None,
         "falls": 1.0 - len(poses) / episodes,
@@ -196,14 +185,10 @@ def holding(env: QuadrupedEnv, commands: list[Command], episodes: int, seed: int
     Each command has the same starts.
     """
 
-    @env.jit
-    def begun(env: QuadrupedEnv, commands: jax.Array, states: State) -> State:
-        def start(velocity: jax.Array, state: State) -> State:
-            command = state.pipeline_state.command._replace(velocity=velocity)
-            return env.begun(state, command=command)
+    def start(env: QuadrupedEnv, velocity: jax.Array, state: State) -> State:
+        command = state.pipeline_state.command._replace(velocity=velocity)
+        return env.begun(state, command=command)
 
-        return jax.vmap(jax.vmap(start, in_axes=(None, 0)), in_axes=(0, None))(commands, states)
-
-    starts = begun(jnp.asarray(commands, jnp.float32), fresh_starts(env, episodes, seed))
-    flat: State = jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), starts)
-    return flat
+    return cell_starts(
+        env, start, np.array(commands, np.float32), fresh_starts(env, episodes, seed)
+    )

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from brax.envs.base import State
 
-from quadwalk.evaluate.cells import measure_cells
+from quadwalk.evaluate.cells import cell_starts, measure_cells
 from quadwalk.evaluate.loaded import LoadedRun, training_ranges
 from quadwalk.evaluate.motion.course import WINDOW, heading_velocity, tracking_errors
 from quadwalk.evaluate.motion.kinematics import roll_pitch_yaw
@@ -149,17 +149,11 @@ def starts_at(env: QuadrupedEnv, points: list[Point], episodes: int, seed: int) 
     known = [p if p.friction is not None else replace(p, friction=env.friction) for p in points]
     rows = np.array([dataclasses.astuple(point) for point in known], np.float32)
 
-    @env.jit
-    def begun(env: QuadrupedEnv, rows: jax.Array, states: State, keys: jax.Array) -> State:
-        def start(row: jax.Array, state: State, key: jax.Array) -> State:
-            conditions = conditions_at(env, Point(*row), key, kept)
-            return env.begun(state, readings, conditions=conditions)
+    def start(env: QuadrupedEnv, row: jax.Array, state: State, key: jax.Array) -> State:
+        conditions = conditions_at(env, Point(*row), key, kept)
+        return env.begun(state, readings, conditions=conditions)
 
-        of_point = jax.vmap(start, in_axes=(None, 0, 0))
-        return jax.vmap(of_point, in_axes=(0, None, None))(rows, states, keys)
-
-    states = begun(jnp.asarray(rows), fresh_starts(env, episodes, seed), keys)
-    return jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), states)
+    return cell_starts(env, start, rows, fresh_starts(env, episodes, seed), keys)
 
 
 def conditions_at(

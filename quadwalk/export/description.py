@@ -9,6 +9,7 @@ import numpy as np
 
 from quadwalk.evaluate.loaded import LoadedRun
 from quadwalk.export.joint_targets import JointTargets
+from quadwalk.settings.environment import COMMANDED
 from quadwalk.task.env import QuadrupedEnv
 from quadwalk.task.episode.reset import nominal_start
 from quadwalk.task_files import reference
@@ -71,7 +72,7 @@ def _command_ranges(env: QuadrupedEnv) -> dict[str, Any]:
     command = env.config.command
     if not command.given:
         return {}
-    return {name: list(getattr(command, name)) for name in ("forward", "lateral", "yaw_rate")}
+    return {name: list(getattr(command, name)) for name in COMMANDED}
 
 
 def _joints(value: Any) -> str:

@@ -20,6 +20,7 @@ Sizes = Annotated[Pair, Bounds(0.0, 100.0, ordered=True)] | None
 Delays = Annotated[Pair, Bounds(0.0, 1.0, unit="s", ordered=True)] | None
 
 _LONGEST = 40  # characters of a term's name, which is also a flag, a label and a heading
+COMMANDED = ("forward", "lateral", "yaw_rate")  # the numbers of a velocity command
 SIGHT = "height_scan"  # the observation that the blind do without
 
 

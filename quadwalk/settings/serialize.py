@@ -1,7 +1,6 @@
 """Settings as JSON data, as a flat list of names, and with some of them changed."""
 
 import dataclasses
-import difflib
 import reprlib
 import sys
 import typing
@@ -9,7 +8,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
-from quadwalk.errors import UsageError, UserError
+from quadwalk.errors import UsageError, UserError, meant
 from quadwalk.settings.terms import Reward, Term
 from quadwalk.task_files import own_file, reference, resolve
 
@@ -179,8 +178,7 @@ def _changed(item: Any, hint: Any, changes: list[tuple[str, list[str], Any]]) ->
 
 def _check_name(part: str, known: Any, name: str) -> None:
     if part not in known:
-        close = difflib.get_close_matches(part, list(known), 1)
-        hint = f"; did you mean {close[0]!r}?" if close else f"; expected one of {sorted(known)}"
+        hint = meant(part, known) or f"; expected one of {sorted(known)}"
         raise UsageError(f"no setting {name!r}: there is no {part!r}{hint}")
 
 

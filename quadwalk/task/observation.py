@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from quadwalk.physics.rotation import down, rotate_inverse, yaw
+from quadwalk.settings.environment import COMMANDED
 from quadwalk.settings.terms import Observation
 from quadwalk.task.reflections import (
     AXIAL,
@@ -198,9 +199,10 @@ PROPRIOCEPTION = {
     "last_action": Observation(last_action, history=4),
 }
 HEADING = {"heading": Observation(heading, noise=0.05)}
+COMMAND = {"command": Observation(command, labels=COMMANDED)}
 # A velocity command, to be followed at a trot.
 TROT_COMMAND = {
-    "command": Observation(command, labels=("forward", "lateral", "yaw_rate")),
+    **COMMAND,
     "clock": Observation(trot_clock, {"stride": 20.0}, labels=("sine", "cosine")),
 }
 # What is known in simulation alone, for the value network: of the trunk, and of all else.

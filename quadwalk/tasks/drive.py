@@ -3,11 +3,11 @@
 from dataclasses import replace
 
 from quadwalk.settings.environment import HOME_RESET, PHYSICS, REAL_WORLD, CommandConfig, EnvConfig
-from quadwalk.settings.terms import Observation, Reward
+from quadwalk.settings.terms import Reward
 from quadwalk.settings.training import PPO, TrainConfig
 from quadwalk.task import reward
 from quadwalk.task.actions import ABOUT_HOME
-from quadwalk.task.observation import PROPRIOCEPTION, TRUE_LEGS, TRUE_TRUNK, command
+from quadwalk.task.observation import COMMAND, PROPRIOCEPTION, TRUE_LEGS, TRUE_TRUNK
 from quadwalk.task.termination import FALLS
 
 TASK = TrainConfig(
@@ -17,10 +17,7 @@ TASK = TrainConfig(
     env=EnvConfig(
         **PHYSICS,
         action=ABOUT_HOME,
-        observation={
-            "command": Observation(command, labels=("forward", "lateral", "yaw_rate")),
-            **PROPRIOCEPTION,
-        },
+        observation={**COMMAND, **PROPRIOCEPTION},
         critic={**TRUE_TRUNK, **TRUE_LEGS},
         reward={
             "fall": Reward(reward.fall, scale=-30.0),

@@ -14,6 +14,7 @@ from quadwalk.evaluate.loaded import LoadedRun
 from quadwalk.evaluate.motion.forces import foot_forces, geom_ids
 from quadwalk.evaluate.motion.kinematics import turned
 from quadwalk.evaluate.simulate import Policy
+from quadwalk.evaluate.standing import HEIGHT, TILT
 from quadwalk.physics.model import RobotRandomization, vary_motor
 from quadwalk.physics.motor import PhysicsState, control_step
 from quadwalk.physics.mujoco_c import varied_model
@@ -28,7 +29,6 @@ MAX_LATENCY = 0.06  # s, that joint targets can be late
 LYING = 2.0  # s on the ground after which a robot that fell is put on its feet
 RISING = 10.0  # s that a policy has to get up before it is put on its feet
 STEADY = 0.5  # s that it must stand before it drives on
-_STANDS = 0.85, math.radians(18)  # of the home height, at least; from upright, at most
 _TIPPED = 1.0  # rad from upright; from there and beyond it lies
 _LOW = 0.4  # of the standing height; lower than that it lies
 _DIVERGED = (
@@ -126,6 +126,13 @@ class LiveRobot:
         self.foot_force = np.zeros(4)
         self._take_over(self._driver)
 
+    def prepare(self) -> None:
+        """Compile what its policies need, so that no step waits for it, and reset."""
+        for mind in filter(None, (self._driver, self._riser)):
+            self._take_over(mind)
+            self.step()
+        self.reset()
+
     def _take_over(self, mind: _Mind) -> None:
         self._mind = mind
         mind.begin()
@@ -220,9 +227,8 @@ class LiveRobot:
 
     @property
     def _stands(self) -> bool:
-        high, upright = _STANDS
-        up = self._up[2] > math.cos(upright)
-        return bool(up and self.height > high * self.env.robot.home_height)
+        upright = self._up[2] > math.cos(TILT)
+        return bool(upright and self.height > HEIGHT * self.env.robot.home_height)
 
     @property
     def _up(self) -> np.ndarray:

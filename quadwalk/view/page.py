@@ -82,7 +82,7 @@ class Page:
         self._loaded = written(loaded.file)
         self.live = LiveRobot(loaded, getup=getup_of(loaded, self._getup))
         # The step is compiled meanwhile.
-        ready = threading.Thread(target=self.live.step)
+        ready = threading.Thread(target=self.live.prepare)
         ready.start()
         dt = self.live.env.stepping.control_dt
         self.pace, self.traces = Pace(dt), Traces(dt)
@@ -98,7 +98,6 @@ class Page:
         )
         self.live.command[:] = self.panel.commanded() if self.panel.command else 0.0
         ready.join()
-        self.live.reset()
         self.pace.restart()
 
     def _actions(self, runs: dict[str, Run]) -> Actions:

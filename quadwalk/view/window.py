@@ -75,8 +75,7 @@ def drive_in_window(run: Run, console: Console, getup: Run | None = None) -> Non
     """
     loaded = load_run(run, 3600.0, "last", "mujoco")
     live = LiveRobot(loaded, getup=getup_of(loaded, getup))
-    live.step()  # it is compiled now, not when time goes
-    live.reset()
+    live.prepare()  # now, not when time goes
     keys, dt = Keys(live), live.env.stepping.control_dt
     pace, traces = Pace(dt), Traces(dt)
     # The window draws from its own state, at its own time.

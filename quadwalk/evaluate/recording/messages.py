@@ -26,6 +26,7 @@ from quadwalk.evaluate.recording.markers import SCENE_PERIOD, SceneWriter, draw_
 from quadwalk.evaluate.rollout import Rollout, finite_states
 from quadwalk.ground.heightfield import field_of
 from quadwalk.robot.quadruped import Quadruped
+from quadwalk.settings.environment import COMMANDED
 
 WORLD = "world"
 
@@ -77,7 +78,7 @@ class EpisodeMessages:
             known = rollout.observation_names[: rollout.truth.shape[1]]
             self.scalars["/truth"] = Scalars("Truth", known)
         if rollout.command is not None:
-            self.scalars["/command"] = Scalars("Command", ["forward", "lateral", "yaw_rate"])
+            self.scalars["/command"] = Scalars("Command", list(COMMANDED))
         self.topics: dict[str, type[Message]] = {
             "/tf": FrameTransforms,
             "/joint_states": JointStates,

@@ -13,6 +13,7 @@ from rich.table import Table
 from quadwalk.evaluate.motion.gait import Gait
 from quadwalk.evaluate.statistics import figure_mean
 from quadwalk.evaluate.summary import FIGURES, engine_differences, engines_of
+from quadwalk.settings.environment import COMMANDED
 
 _NONE = "-"
 # What the table of a sweep shows beside success, of what there is.
@@ -138,7 +139,7 @@ def print_steering(results: dict[str, Any]) -> None:
     _print_table(title, ("command", "success, %", "m/s off", "rad/s off"), rows)
     rows = []
     for each in results["responses"]:
-        which = ("forward", "lateral", "yaw_rate").index(each["part"])
+        which = COMMANDED.index(each["part"])
         change = f"{each['before'][which]:.3g} to {each['after'][which]:.3g}"
         unit = "rad/s" if each["part"] == "yaw_rate" else "m/s"
         shares = (f"{100 * (each[name] or 0.0):.0f}" for name in ("overshoot", "falls"))

@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from quadwalk.evaluate.report.plots import INK, LEG_COLORS, new_figure, tidy
 from quadwalk.evaluate.statistics import figure_mean
 from quadwalk.evaluate.summary import FIGURES, engines_of
+from quadwalk.settings.environment import COMMANDED
 
 _SWEEP_COLUMNS = 5
 _COLUMNS = 3  # panels of a comparison in a row
@@ -161,7 +162,7 @@ def _gaits(axes: Axes, gaits: list[dict[str, Any]]) -> None:
 
 def _responses(axes: Axes, part: str, unit: str, responses: list[dict[str, Any]]) -> None:
     tidy(axes, f"after a change of the command: {part.replace('_', ' ')}", unit)
-    which = ("forward", "lateral", "yaw_rate").index(part)
+    which = COMMANDED.index(part)
     own = [each for each in responses if each["part"] == part]
     for place, each in enumerate(own):
         time = each["dt"] * np.arange(len(each["curve"]))
