@@ -19,10 +19,12 @@ def parse(
     prog: str,
     default: T | None = None,
     description: str | None = None,
+    lister: str = "--help",
 ) -> T:
     """Parse `args` into `cls`, every field a flag; a bad one is a `UsageError` in one line.
 
-    `description` is for `--help`, in place of the docstring of `cls`.
+    `description` is for `--help`, in place of the docstring of `cls`. `lister` is the flag that
+    lists all others.
     """
     import tyro  # not at the top: commands that use `ArgumentParser` begin without it
 
@@ -30,7 +32,7 @@ def parse(
     errors = tyro._errors
 
     unknown: list[str] = []
-    see = f"({prog} --help lists all)"
+    see = f"({prog} {lister} lists all)"
 
     def refuse(event: Any) -> None:
         if isinstance(event, errors.UnrecognizedArgs):

@@ -37,6 +37,7 @@ def test_version_help_and_tasks(call):
         (["trian"], "no command 'trian'; .*; did you mean 'train'?"),
         (["train", "wlak"], "^no task 'wlak'; .*; did you mean 'walk'?"),
         (["train", "walk", "--preset", "run"], "the task is named twice, as 'walk'"),
+        (["train", "walk", "--stepz", "1"], r"did you mean --steps\? \(.* --help-all lists all\)"),
         (["runs", "show"], "show: no run is named; expected one or more"),
         (["runs", "list", "walk"], "list takes no run; 'walk' is named"),
     ],

@@ -83,7 +83,7 @@ def parse_config(args: Sequence[str], prog: str = "train.py") -> tuple[TrainConf
         f.name: getattr(default, f.name) for f in dataclasses.fields(TrainConfig)
     }
     description = f"{TrainFlags.__doc__}\n\n{task_list()}"
-    flags = parse(TrainFlags, args, prog, TrainFlags(**shared, **start), description)
+    flags = parse(TrainFlags, args, prog, TrainFlags(**shared, **start), description, "--help-all")
     config = TrainConfig(**{name: getattr(flags, name) for name in shared})
     world, usual = config.env.randomization, default.env.randomization
     if not world.enabled and dataclasses.replace(world, enabled=usual.enabled) != usual:
