@@ -9,9 +9,18 @@ from typing import Any
 
 from rich.console import Console
 
+from quadwalk.drawing.figures import save_figure
 from quadwalk.drawing.images import save_png
-from quadwalk.evaluate.by_ground import measure_by_ground
 from quadwalk.evaluate.evaluation import Evaluation, measure
+from quadwalk.evaluate.grids.by_ground import measure_by_ground
+from quadwalk.evaluate.grids.standing import measure_standing, standing_run
+from quadwalk.evaluate.grids.steering import (
+    changing_run,
+    measure_changing,
+    measure_steering,
+    steering_run,
+)
+from quadwalk.evaluate.grids.sweep import measure_sweeps, sweep_points
 from quadwalk.evaluate.loaded import LoadedRun
 from quadwalk.evaluate.options import EvalConfig
 from quadwalk.evaluate.recording.provenance import provenance
@@ -33,16 +42,7 @@ from quadwalk.evaluate.report.panels import (
     draw_sweep,
 )
 from quadwalk.evaluate.report.pictures import draw_film_strip, render_video
-from quadwalk.evaluate.report.plots import save_figure
-from quadwalk.evaluate.standing import measure_standing, standing_run
-from quadwalk.evaluate.steering import (
-    changing_run,
-    measure_changing,
-    measure_steering,
-    steering_run,
-)
 from quadwalk.evaluate.summary import engine_differences
-from quadwalk.evaluate.sweep import measure_sweeps, sweep_points
 from quadwalk.shell import words
 from quadwalk.train.runs.directory import write_json_atomic
 

@@ -12,8 +12,8 @@ import numpy as np
 
 from quadwalk.api import evaluate
 from quadwalk.cli import value_of
+from quadwalk.drawing.figures import save_figure
 from quadwalk.errors import UsageError
-from quadwalk.evaluate.report.plots import save_figure
 from quadwalk.evaluate.statistics import figure_mean, number
 from quadwalk.files import atomic_write, real_path
 from quadwalk.settings.training import TrainConfig

@@ -10,11 +10,11 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
+from quadwalk.evaluate.grids.standing import HEIGHT, TILT
 from quadwalk.evaluate.loaded import LoadedRun
 from quadwalk.evaluate.motion.forces import foot_forces, geom_ids
 from quadwalk.evaluate.motion.kinematics import turned
 from quadwalk.evaluate.simulate import Policy
-from quadwalk.evaluate.standing import HEIGHT, TILT
 from quadwalk.physics.model import RobotRandomization, vary_motor
 from quadwalk.physics.motor import PhysicsState, control_step
 from quadwalk.physics.mujoco_c import varied_model

@@ -20,7 +20,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from quadwalk.evaluate.by_ground import ground_env, measure_by_ground
+from quadwalk.evaluate.grids.by_ground import ground_env, measure_by_ground
 from quadwalk.evaluate.loaded import load_run
 from quadwalk.evaluate.simulate import roll_out
 from quadwalk.ground.heightfield import Heightfield

@@ -21,8 +21,8 @@ from pathlib import Path
 from typing import Any
 
 from quadwalk.api import evaluate
+from quadwalk.evaluate.grids.sweep import Point, measure_points
 from quadwalk.evaluate.loaded import LoadedRun, load_run
-from quadwalk.evaluate.sweep import Point, measure_points
 from quadwalk.process import run_command
 from quadwalk.settings.serialize import with_settings
 from quadwalk.settings.training import TrainConfig

@@ -15,7 +15,7 @@ from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 from scipy.spatial.transform import Rotation
 
-from quadwalk.evaluate.by_ground import PACE, measure_by_ground
+from quadwalk.evaluate.grids.by_ground import PACE, measure_by_ground
 from quadwalk.evaluate.loaded import LoadedRun, unseen_ground
 from quadwalk.evaluate.motion.gait import measure_gait
 from quadwalk.evaluate.recording.markers import GROUND_MARGIN, GROUND_NODES, draw_ground
@@ -175,7 +175,7 @@ def test_a_cell_has_the_figures_of_episodes_on_its_own_tiles(loaded, monkeypatch
             poses[:, :3] += np.arange(1, steps + 1)[:, None] * DT * moved
             yield number, end, poses
 
-    monkeypatch.setattr("quadwalk.evaluate.cells.roll_out", glide)
+    monkeypatch.setattr("quadwalk.evaluate.grids.cells.roll_out", glide)
     found = measure_by_ground(loaded, levels=3, episodes=18, seed=0)
     assert len(found["cells"]) == len(found["kinds"]) * len(found["difficulties"])
     for number, cell in enumerate(found["cells"]):

@@ -15,7 +15,8 @@ from rich.console import Console
 from quadwalk.errors import UserError
 from quadwalk.evaluate import evaluation as measuring
 from quadwalk.evaluate import loaded as loading
-from quadwalk.evaluate import sweep as sweeping
+from quadwalk.evaluate.grids import sweep as sweeping
+from quadwalk.evaluate.grids.sweep import SWEEPS, Point, measure_points
 from quadwalk.evaluate.judge import compare, judge, sweep
 from quadwalk.evaluate.loaded import LoadedRun, load_run
 from quadwalk.evaluate.motion.forces import with_foot_forces
@@ -24,7 +25,6 @@ from quadwalk.evaluate.options import EvalConfig
 from quadwalk.evaluate.simulate import simulate_episodes
 from quadwalk.evaluate.statistics import mean_interval
 from quadwalk.evaluate.summary import engine_differences, episode_figures, summarize
-from quadwalk.evaluate.sweep import SWEEPS, Point, measure_points
 from quadwalk.robot.mjcf import write_xml
 from quadwalk.settings.terms import ActionMap
 from quadwalk.task.actions import about_home

@@ -9,10 +9,11 @@ import pytest
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 
+from quadwalk.drawing.figures import LEG_COLORS, save_figure
 from quadwalk.errors import UserError
 from quadwalk.evaluate.report.console import _print_table
 from quadwalk.evaluate.report.panels import draw_comparison, draw_sweep
-from quadwalk.evaluate.report.plots import LEG_COLORS, draw_footfalls, draw_report, save_figure
+from quadwalk.evaluate.report.plots import draw_footfalls, draw_report
 from quadwalk.evaluate.rollout import first_steps
 
 

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from quadwalk.evaluate import loaded as loading
+from quadwalk.evaluate.grids.sweep import Point, conditions_at, measure_points
 from quadwalk.evaluate.loaded import load_run
-from quadwalk.evaluate.sweep import Point, conditions_at, measure_points
 from quadwalk.paths import PRETRAINED
 from quadwalk.settings.environment import NO_RANDOMIZATION
 from quadwalk.task.env import QuadrupedEnv
@@ -291,7 +291,7 @@ def test_a_point_is_begun_and_tracked_as_it_is_called(quadruped, monkeypatch):
             poses = np.concatenate([path, turned.as_quat(scalar_first=True)], axis=1)
             yield number, "tipped" if number else "time limit", poses
 
-    monkeypatch.setattr("quadwalk.evaluate.cells.roll_out", glide)
+    monkeypatch.setattr("quadwalk.evaluate.grids.cells.roll_out", glide)
     loaded = SimpleNamespace(env=env, policy=SimpleNamespace(act=None))
     points = [Point(friction=1.0, delay=delay) for delay in (8.0, 12.0)]
     found = measure_points(loaded, points, 1, 0)

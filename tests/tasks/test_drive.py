@@ -7,11 +7,7 @@ import numpy as np
 import pytest
 
 from quadwalk.evaluate import steering
-from quadwalk.evaluate.loaded import LoadedRun
-from quadwalk.evaluate.report.console import print_steering
-from quadwalk.evaluate.report.panels import draw_steering
-from quadwalk.evaluate.simulate import fresh_starts, roll_out
-from quadwalk.evaluate.steering import (
+from quadwalk.evaluate.grids.steering import (
     changes,
     changing_run,
     held_commands,
@@ -20,6 +16,10 @@ from quadwalk.evaluate.steering import (
     measure_steering,
     steering_run,
 )
+from quadwalk.evaluate.loaded import LoadedRun
+from quadwalk.evaluate.report.console import print_steering
+from quadwalk.evaluate.report.panels import draw_steering
+from quadwalk.evaluate.simulate import fresh_starts, roll_out
 from quadwalk.settings.environment import NO_RANDOMIZATION, REAL_WORLD
 from quadwalk.task.env import QuadrupedEnv
 from quadwalk.tasks import drive

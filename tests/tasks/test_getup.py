@@ -10,9 +10,9 @@ import pytest
 from scipy import stats
 from scipy.spatial.transform import Rotation
 
+from quadwalk.evaluate.grids.standing import SECONDS, measure_standing, standing, standing_points
 from quadwalk.evaluate.loaded import LoadedRun
 from quadwalk.evaluate.report.console import print_standing
-from quadwalk.evaluate.standing import SECONDS, measure_standing, standing, standing_points
 from quadwalk.robot.mjcf import Options
 from quadwalk.robot.quadruped import load_quadruped
 from quadwalk.robot.scene import lowest_point

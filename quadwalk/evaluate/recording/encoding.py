@@ -8,6 +8,9 @@ import re
 from collections.abc import Iterable, Sequence
 
 import numpy as np
+from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
+from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
+from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory, timestamp_pb2
 from google.protobuf.message import Message
 
@@ -49,6 +52,55 @@ class Scalars:
         for name, value in zip(self.names, values, strict=True):
             setattr(self.message, name, value)
         return self.message.SerializeToString()
+
+
+class Transforms:
+    """`/tf`: frames, each (parent, child), by their poses (7,), m and wxyz."""
+
+    def __init__(self, frames: Sequence[tuple[str, str]]) -> None:
+        self.message = FrameTransforms()
+        for parent, child in frames:
+            self.message.transforms.add(parent_frame_id=parent, child_frame_id=child)
+
+    def serialized(self, time: int, poses: Sequence[Sequence[float]]) -> bytes:
+        for transform, pose in zip(self.message.transforms, poses, strict=True):
+            transform.timestamp.FromNanoseconds(time)
+            _set_pose(transform.translation, transform.rotation, pose)
+        return self.message.SerializeToString()
+
+
+class Joints:
+    """Joints, each with its position, rad, or with that, its speed, rad/s, and torque, Nm."""
+
+    def __init__(self, names: Sequence[str]) -> None:
+        self.message = JointStates()
+        for name in names:
+            self.message.joints.add(name=name)
+
+    def serialized(self, time: int, values: Sequence[float | Sequence[float]]) -> bytes:
+        self.message.timestamp.FromNanoseconds(time)
+        for joint, own in zip(self.message.joints, values, strict=True):
+            own = own if isinstance(own, Sequence) else (own,)
+            for field, value in zip(("position", "velocity", "effort"), own, strict=False):
+                setattr(joint, field, value)
+        return self.message.SerializeToString()
+
+
+class Pose:
+    """A pose (7,), m and wxyz, in `frame`."""
+
+    def __init__(self, frame: str) -> None:
+        self.message = PoseInFrame(frame_id=frame)
+
+    def serialized(self, time: int, pose: Sequence[float]) -> bytes:
+        self.message.timestamp.FromNanoseconds(time)
+        _set_pose(self.message.pose.position, self.message.pose.orientation, pose)
+        return self.message.SerializeToString()
+
+
+def _set_pose(position, orientation, values: Sequence[float]) -> None:
+    position.x, position.y, position.z = values[:3]
+    orientation.w, orientation.x, orientation.y, orientation.z = values[3:]
 
 
 def field_names(names: Iterable[str]) -> tuple[str, ...]:

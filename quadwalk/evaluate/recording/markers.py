@@ -11,7 +11,6 @@ import math
 import numpy as np
 from foxglove_schemas_protobuf.LinePrimitive_pb2 import LinePrimitive
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
-from google.protobuf.timestamp_pb2 import Timestamp
 from scipy.spatial.transform import Rotation
 
 from quadwalk.ground.heightfield import Heightfield
@@ -54,9 +53,9 @@ class SceneWriter:
         # They lay the x axis, which an arrow points along, along the velocity.
         along = Rotation.from_euler("ZY", np.stack([yaw, pitch], axis=1))
         self._along = along.as_quat(scalar_first=True)
-        self._message = SceneUpdate()
+        self.message = SceneUpdate()
         floor, track, moving, self._forces = (
-            self._message.entities.add(frame_id=world, id=name)
+            self.message.entities.add(frame_id=world, id=name)
             for name in ("ground", "path", "velocity", "foot_forces")
         )
         self._grid = floor.lines.add(type=LinePrimitive.LINE_LIST, thickness=1.0)
@@ -75,16 +74,17 @@ class SceneWriter:
         self._arrow.head_length = 0.06
         _color(self._arrow.color, 0.95, 0.55, 0.1, 1.0)
 
-    def serialized(self, row: int, stamp: Timestamp, feet: np.ndarray, forces: np.ndarray) -> bytes:
+    def serialized(self, time: int, scene: tuple[int, np.ndarray, np.ndarray]) -> bytes:
         """The scene at state `row`: `feet` (4, 3) in m, `forces` (4,) in N, zero in the air."""
-        for entity in self._message.entities:
-            entity.timestamp.CopyFrom(stamp)
+        row, feet, forces = scene
+        for entity in self.message.entities:
+            entity.timestamp.FromNanoseconds(time)
         x, y, z = (_drawn(value) for value in self._path[row])
         self._grid.pose.position.x, self._grid.pose.position.y = float(round(x)), float(round(y))
         self._draw_path(row)
         self._draw_velocity(row, (x, y, z))
         self._draw_forces(feet, forces)
-        return self._message.SerializeToString()
+        return self.message.SerializeToString()
 
     def _draw_path(self, row: int) -> None:
         # A power of two keeps earlier points where they were when the path is thinned further.

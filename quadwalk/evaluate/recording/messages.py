@@ -7,21 +7,25 @@ at its start. The `foxglove.*` messages: https://docs.foxglove.dev/docs/sdk/sche
 Numbers are written to within a millionth of their value (`encoding.compact`).
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
+from typing import Any, Protocol
 
 import lxml.etree
 import numpy as np
-from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
-from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
 from foxglove_schemas_protobuf.Log_pb2 import Log
-from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from google.protobuf.message import Message
-from google.protobuf.timestamp_pb2 import Timestamp
 
 from quadwalk.evaluate.motion.course import weight_of
 from quadwalk.evaluate.motion.kinematics import foot_poses, link_frames, rotations
-from quadwalk.evaluate.recording.encoding import Scalars, cdr_string, compact
+from quadwalk.evaluate.recording.encoding import (
+    Joints,
+    Pose,
+    Scalars,
+    Transforms,
+    cdr_string,
+    compact,
+)
 from quadwalk.evaluate.recording.markers import SCENE_PERIOD, SceneWriter, draw_ground
 from quadwalk.evaluate.rollout import Rollout, finite_states
 from quadwalk.ground.heightfield import field_of
@@ -32,8 +36,13 @@ WORLD = "world"
 
 _BLOCK = 256  # rows turned into messages at a time, so memory does not grow with the episode
 
-# For the rows start .. stop: the (topic, bytes) of each.
-_RowWriter = Callable[[int, int], Iterator[list[tuple[str, bytes]]]]
+
+class _Writer(Protocol):
+    """Fills one message again and again."""
+
+    message: Message
+
+    def serialized(self, time: int, values: Any) -> bytes: ...
 
 
 def drawn_urdf(urdf: str) -> str:
@@ -55,44 +64,54 @@ class EpisodeMessages:
     def __init__(self, rollout: Rollout, quadruped: Quadruped) -> None:
         if rollout.foot_force is None:
             raise ValueError("a rollout to be written needs its foot forces (with_foot_forces)")
-        self.rollout = rollout
-        self.foot_force = rollout.foot_force
-        self.quadruped = quadruped
+        self.rollout, self.foot_force = rollout, rollout.foot_force
+        self.quadruped, self.model = quadruped, quadruped.full_model()
         self.rows = finite_states(rollout)
-        legs = quadruped.legs
-        self.scalars = {
-            "/base_velocity": Scalars(
-                "BaseVelocity", [f"{frame}_{a}" for frame in ("world", "body") for a in "xyz"]
-            ),
-            "/imu": Scalars(
-                "Imu",
-                ["roll", "pitch", "yaw"]
-                + [f"{sensor}_{a}" for sensor in ("gyroscope", "accelerometer") for a in "xyz"],
-            ),
-            "/contacts": Scalars("Contacts", [f"{leg}_force" for leg in legs], legs),
-            "/action": Scalars("Action", quadruped.joints),
-            "/observation": Scalars("Observation", rollout.observation_names),
-            "/reward": Scalars("Reward", ["total", *rollout.reward_terms]),
+        self.field, self.links = field_of(self.model), link_frames(quadruped)
+        # What a step begins with.
+        begun = {
+            "/observation": rollout.observation,
+            "/action": rollout.action,
+            "/truth": rollout.truth,
+            "/command": rollout.command,
+            "/joint_cmd": rollout.target,
+            "/joint_applied_target": rollout.applied_target,
         }
-        if rollout.truth is not None:
-            known = rollout.observation_names[: rollout.truth.shape[1]]
-            self.scalars["/truth"] = Scalars("Truth", known)
-        if rollout.command is not None:
-            self.scalars["/command"] = Scalars("Command", list(COMMANDED))
+        self.begun = {topic: array for topic, array in begun.items() if array is not None}
+        self.writers = self._writers()
         self.topics: dict[str, type[Message]] = {
-            "/tf": FrameTransforms,
-            "/joint_states": JointStates,
-            "/joint_cmd": JointStates,
-            "/pose": PoseInFrame,
-            "/scene": SceneUpdate,
-            "/log": Log,
+            topic: type(writer.message) for topic, writer in self.writers.items()
         }
-        self.field = field_of(quadruped.full_model())
-        if self.field is not None:
-            self.topics["/ground"] = SceneUpdate
-        if rollout.applied_target is not None:
-            self.topics["/joint_applied_target"] = JointStates
-        self.topics |= {topic: type(scalars.message) for topic, scalars in self.scalars.items()}
+        self.topics |= {"/log": Log} | ({} if self.field is None else {"/ground": SceneUpdate})
+
+    def _writers(self) -> dict[str, _Writer]:
+        """What fills the messages of each topic of rows."""
+        rollout, quadruped, legs = self.rollout, self.quadruped, self.quadruped.legs
+        path, velocity = rollout.qpos[: self.rows, :3], rollout.qvel[: self.rows, :3]
+        weight = weight_of(rollout, self.model)
+        frames = [(WORLD, quadruped.trunk), *zip(self.links.parents, self.links.links, strict=True)]
+        sensors = [f"{sensor}_{a}" for sensor in ("gyroscope", "accelerometer") for a in "xyz"]
+        moved = [f"{frame}_{a}" for frame in ("world", "body") for a in "xyz"]
+        known = rollout.observation_names[: 0 if rollout.truth is None else rollout.truth.shape[1]]
+        writers: dict[str, _Writer] = {
+            "/tf": Transforms(frames),
+            "/joint_states": Joints(quadruped.joints),
+            "/pose": Pose(WORLD),
+            "/base_velocity": Scalars("BaseVelocity", moved),
+            "/imu": Scalars("Imu", ["roll", "pitch", "yaw", *sensors]),
+            "/contacts": Scalars("Contacts", [f"{leg}_force" for leg in legs], legs),
+            "/reward": Scalars("Reward", ["total", *rollout.reward_terms]),
+            "/scene": SceneWriter(path, velocity, weight, WORLD, self.field),
+        }
+        begun: dict[str, _Writer] = {
+            "/observation": Scalars("Observation", rollout.observation_names),
+            "/action": Scalars("Action", quadruped.joints),
+            "/truth": Scalars("Truth", known),
+            "/command": Scalars("Command", COMMANDED),
+            "/joint_cmd": Joints(quadruped.joints),
+            "/joint_applied_target": Joints(quadruped.joints),
+        }
+        return writers | {topic: begun[topic] for topic in self.begun}
 
     def nanoseconds(self, row: int) -> int:
         return round(row * self.rollout.control_dt * 1e9)
@@ -104,19 +123,18 @@ class EpisodeMessages:
             path = rollout.qpos[: self.rows, :2].astype(float)
             yield "/ground", 0, draw_ground(self.field, path, WORLD)
         yield self._log(0, Log.INFO, f"reset: episode {rollout.episode}, seed {rollout.seed}")
-        states, steps, scene = self._state_writer(), self._step_writer(), self._scene_writer()
         for start in range(0, self.rows, _BLOCK):
-            stop = min(start + _BLOCK, self.rows)
-            for row, in_row in zip(
-                range(start, stop),
-                zip(states(start, stop), steps(start, stop), scene(start, stop), strict=True),
-                strict=True,
-            ):
-                time = self.nanoseconds(row)
-                for messages in in_row:
-                    for topic, data in messages:
-                        yield topic, time, data
+            yield from self._block(start, min(start + _BLOCK, self.rows))
         yield from self._end()
+
+    def _block(self, start: int, stop: int) -> Iterator[tuple[str, int, bytes]]:
+        """The messages of the states start .. stop."""
+        columns = self._states(start, stop) | self._steps(start, stop) | self._scenes(start, stop)
+        for k, row in enumerate(range(start, stop)):
+            time = self.nanoseconds(row)
+            for topic, rows in columns.items():
+                if rows[k] is not None:
+                    yield topic, time, self.writers[topic].serialized(time, rows[k])
 
     def _end(self) -> Iterator[tuple[str, int, bytes]]:
         rollout = self.rollout
@@ -139,56 +157,8 @@ class EpisodeMessages:
         message.timestamp.FromNanoseconds(time)
         return "/log", time, message.SerializeToString()
 
-    def _state_writer(self) -> _RowWriter:
-        """Messages of the states themselves: transforms, joints, pose, velocity, IMU."""
-        rollout, links = self.rollout, link_frames(self.quadruped)
-        transforms = FrameTransforms()
-        transforms.transforms.add(parent_frame_id=WORLD, child_frame_id=self.quadruped.trunk)
-        for parent, link in zip(links.parents, links.links, strict=True):
-            transforms.transforms.add(parent_frame_id=parent, child_frame_id=link)
-        joint_states, pose = JointStates(), PoseInFrame(frame_id=WORLD)
-        for name in self.quadruped.joints:
-            joint_states.joints.add(name=name)
-        velocity, imu = self.scalars["/base_velocity"], self.scalars["/imu"]
-
-        def write(start: int, stop: int) -> Iterator[list[tuple[str, bytes]]]:
-            qpos, qvel = rollout.qpos[start:stop], rollout.qvel[start:stop]
-            base, velocities, imus = self._trunk(start, stop)
-            moved = np.broadcast_to(links.translation, (len(qpos), *links.translation.shape))
-            local = np.concatenate([moved, links.rotations(qpos[:, 7:])], axis=2)
-            poses = compact(np.concatenate([base[:, None], local], axis=1)).tolist()
-            # The torque of the step that ended in this state; none before the first.
-            torque = _of_ended(rollout.torque, start, stop)
-            joints = compact(np.stack([qpos[:, 7:], qvel[:, 6:], torque], axis=2)).tolist()
-            velocities, imus = compact(velocities).tolist(), compact(imus).tolist()
-            for k, row in enumerate(range(start, stop)):
-                time = self.nanoseconds(row)
-                stamp = Timestamp()
-                stamp.FromNanoseconds(time)
-                for transform, values in zip(transforms.transforms, poses[k], strict=True):
-                    transform.timestamp.CopyFrom(stamp)
-                    _set_pose(transform.translation, transform.rotation, values)
-                joint_states.timestamp.CopyFrom(stamp)
-                for joint, (angle, rate, effort) in zip(
-                    joint_states.joints, joints[k], strict=True
-                ):
-                    joint.position, joint.velocity = angle, rate
-                    if row > 0:
-                        joint.effort = effort
-                pose.timestamp.CopyFrom(stamp)
-                _set_pose(pose.pose.position, pose.pose.orientation, poses[k][0])
-                yield [
-                    ("/tf", transforms.SerializeToString()),
-                    ("/joint_states", joint_states.SerializeToString()),
-                    ("/pose", pose.SerializeToString()),
-                    ("/base_velocity", velocity.serialized(time, velocities[k])),
-                    ("/imu", imu.serialized(time, imus[k])),
-                ]
-
-        return write
-
-    def _trunk(self, start: int, stop: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Pose (n, 7), `/base_velocity` (n, 6) and `/imu` (n, 9) of the states start .. stop."""
+    def _states(self, start: int, stop: int) -> dict[str, list]:
+        """Of the states themselves, start .. stop: transforms, joints, pose, velocity, IMU."""
         qpos, qvel = self.rollout.qpos[start:stop], self.rollout.qvel[start:stop]
         base = rotations(qpos[:, 3:7])
         into_body = base.inv()
@@ -198,83 +168,52 @@ class EpisodeMessages:
         before = before if start else np.concatenate([qvel[:1, :3], before])
         felt = (qvel[:, :3] - before) / self.rollout.control_dt + [0, 0, self.quadruped.gravity]
         attitude = base.as_euler("xyz", suppress_warnings=True)
-        return (
-            np.concatenate([qpos[:, :3], base.as_quat(scalar_first=True)], axis=1),
-            np.concatenate([qvel[:, :3], into_body.apply(qvel[:, :3])], axis=1),
-            np.concatenate([attitude, qvel[:, 3:6], into_body.apply(felt)], axis=1),
-        )
+        pose = np.concatenate([qpos[:, :3], base.as_quat(scalar_first=True)], axis=1)
+        moved = np.broadcast_to(self.links.translation, (len(qpos), *self.links.translation.shape))
+        local = np.concatenate([moved, self.links.rotations(qpos[:, 7:])], axis=2)
+        # The torque of the step that ended in this state; none before the first.
+        torque = _of_ended(self.rollout.torque, start, stop)
+        columns = {
+            "/tf": np.concatenate([pose[:, None], local], axis=1),
+            "/joint_states": np.stack([qpos[:, 7:], qvel[:, 6:], torque], axis=2),
+            "/pose": pose,
+            "/base_velocity": np.concatenate([qvel[:, :3], into_body.apply(qvel[:, :3])], axis=1),
+            "/imu": np.concatenate([attitude, qvel[:, 3:6], into_body.apply(felt)], axis=1),
+        }
+        rows = {topic: compact(column).tolist() for topic, column in columns.items()}
+        if start == 0:
+            rows["/joint_states"][0] = [joint[:2] for joint in rows["/joint_states"][0]]
+        return rows
 
-    def _step_writer(self) -> _RowWriter:
-        """Messages of the step that ended in a state, then of the step that begins there."""
-        rollout = self.rollout
-        commands = JointStates()
-        for name in self.quadruped.joints:
-            commands.joints.add(name=name)
-        targets = {"/joint_cmd": rollout.target}
-        if rollout.applied_target is not None:
-            targets["/joint_applied_target"] = rollout.applied_target
-        begins = {"/observation": rollout.observation, "/action": rollout.action}
-        if rollout.truth is not None:
-            begins["/truth"] = rollout.truth
-        if rollout.command is not None:
-            begins["/command"] = rollout.command
-        contacts, reward = self.scalars["/contacts"], self.scalars["/reward"]
+    def _steps(self, start: int, stop: int) -> dict[str, list]:
+        """Of the steps that ended in the states start .. stop, then of those that begin there."""
+        terms = [self.rollout.reward, *self.rollout.reward_terms.values()]
+        forces = compact(_of_ended(self.foot_force, start, stop)).tolist()
+        touching = _of_ended(self.rollout.contact, start, stop).tolist()
+        rewards = compact(np.stack([_of_ended(term, start, stop) for term in terms], axis=1))
+        ended = {
+            "/contacts": [force + touch for force, touch in zip(forces, touching, strict=True)],
+            "/reward": rewards.tolist(),
+        }
+        for rows in ended.values():
+            rows[: start == 0] = [None] * (start == 0)
+        begun = {
+            topic: compact(array[start:stop]).tolist() + [None] * (stop > self.rollout.steps)
+            for topic, array in self.begun.items()
+        }
+        return ended | begun
 
-        terms = [rollout.reward, *rollout.reward_terms.values()]
-
-        def write(start: int, stop: int) -> Iterator[list[tuple[str, bytes]]]:
-            forces = compact(_of_ended(self.foot_force, start, stop)).tolist()
-            touching = _of_ended(rollout.contact, start, stop).tolist()
-            rewards = [_of_ended(term, start, stop) for term in terms]
-            rewards = compact(np.stack(rewards, axis=1)).tolist()
-            begun = slice(start, min(stop, rollout.steps))
-            angles = {topic: compact(array[begun]).tolist() for topic, array in targets.items()}
-            begin = {topic: compact(array[begun]).tolist() for topic, array in begins.items()}
-            for k, row in enumerate(range(start, stop)):
-                time = self.nanoseconds(row)
-                messages = []
-                if row > 0:
-                    messages += [
-                        ("/contacts", contacts.serialized(time, forces[k] + touching[k])),
-                        ("/reward", reward.serialized(time, rewards[k])),
-                    ]
-                if row < rollout.steps:
-                    commands.timestamp.FromNanoseconds(time)
-                    messages += [
-                        (topic, self.scalars[topic].serialized(time, rows[k]))
-                        for topic, rows in begin.items()
-                    ]
-                    for topic, rows in angles.items():
-                        for joint, angle in zip(commands.joints, rows[k], strict=True):
-                            joint.position = angle
-                        messages.append((topic, commands.SerializeToString()))
-                yield messages
-
-        return write
-
-    def _scene_writer(self) -> _RowWriter:
+    def _scenes(self, start: int, stop: int) -> dict[str, list]:
         """`/scene` every `SCENE_PERIOD`, and at the last state."""
-        rollout = self.rollout
-        every = max(1, round(SCENE_PERIOD / rollout.control_dt))
-        path, velocity = rollout.qpos[: self.rows, :3], rollout.qvel[: self.rows, :3]
-        model, names = self.quadruped.full_model(), self.quadruped.feet
-        scene = SceneWriter(path, velocity, weight_of(rollout, model), WORLD, self.field)
-
-        def write(start: int, stop: int) -> Iterator[list[tuple[str, bytes]]]:
-            feet, _ = foot_poses(model, names, rollout.qpos[start:stop])
-            carried = _of_ended(self.foot_force, start, stop)
-            forces = carried * _of_ended(rollout.contact, start, stop)
-            for row in range(start, stop):
-                if row % every and row != self.rows - 1:
-                    yield []
-                    continue
-                stamp = Timestamp()
-                stamp.FromNanoseconds(self.nanoseconds(row))
-                k = row - start
-                data = scene.serialized(row, stamp, feet[k], forces[k])
-                yield [("/scene", data)]
-
-        return write
+        every = max(1, round(SCENE_PERIOD / self.rollout.control_dt))
+        feet, _ = foot_poses(self.model, self.quadruped.feet, self.rollout.qpos[start:stop])
+        carried = _of_ended(self.foot_force, start, stop)
+        forces = carried * _of_ended(self.rollout.contact, start, stop)
+        rows = [
+            None if row % every and row != self.rows - 1 else (row, feet[k], forces[k])
+            for k, row in enumerate(range(start, stop))
+        ]
+        return {"/scene": rows}
 
 
 def _of_ended(array: np.ndarray, start: int, stop: int) -> np.ndarray:
@@ -283,8 +222,3 @@ def _of_ended(array: np.ndarray, start: int, stop: int) -> np.ndarray:
     return (
         rows if start else np.concatenate([np.zeros_like(array, shape=(1, *array.shape[1:])), rows])
     )
-
-
-def _set_pose(position, orientation, values: list[float]) -> None:
-    position.x, position.y, position.z = values[0], values[1], values[2]
-    orientation.w, orientation.x, orientation.y, orientation.z = values[3:7]

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from quadwalk.evaluate.report.plots import INK, LEG_COLORS, new_figure, tidy
+from quadwalk.drawing.figures import INK, LEG_COLORS, new_figure, tidy
 from quadwalk.evaluate.statistics import figure_mean
 from quadwalk.evaluate.summary import FIGURES, engines_of
 from quadwalk.settings.environment import COMMANDED

@@ -1,72 +1,24 @@
 """One picture of an episode: its steps, its speed, what its joints did, and where it ran."""
 
-import io
-from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.text import Text
 
+from quadwalk.drawing.figures import INK, LEG_COLORS, new_figure, tidy
 from quadwalk.evaluate.motion.course import heading_velocity, motor_limits
 from quadwalk.evaluate.motion.footfalls import contact_spans, without_chatter
 from quadwalk.evaluate.motion.gait import footfalls_of, measure_gait
 from quadwalk.evaluate.motion.kinematics import roll_pitch_yaw
 from quadwalk.evaluate.rollout import Rollout, finite_part
-from quadwalk.files import atomic_write
 from quadwalk.ground.heightfield import heights_under
 from quadwalk.robot.quadruped import Quadruped
 
 WINDOW = 3.0  # s shown of what repeats with each stride
 SMOOTHING = 0.5  # s, over which reward terms are averaged, to show their course
-DPI = 100
-
-LEG_COLORS = ("#d1495b", "#00798c", "#edae49", "#30638e")  # FR, FL, RR, RL
-INK, _FAINT = "#22262b", "#9aa3ad"
 _SENSORS = 3  # panels
 _PARTS = ("hip", "thigh", "calf")
-
-
-def save_figure(figure: Figure, path: str | Path) -> None:
-    """Write a figure as PNG; the same figure gives the same bytes.
-
-    Raises `UserError` where the file cannot be written.
-    """
-    with atomic_write(path) as file:
-        _draw(figure, file)
-
-
-def _draw(figure: Figure, file: BinaryIO) -> None:
-    for text in figure.findobj(Text):
-        text.set_parse_math(False)  # a name may hold a $
-    # Without the software's version, for longer.
-    figure.savefig(file, format="png", dpi=DPI, metadata={"Software": None})
-
-
-class ShownFigure(Figure):
-    """A figure that a notebook shows whether pyplot has been set up in it or not."""
-
-    def _repr_png_(self) -> bytes:
-        file = io.BytesIO()
-        _draw(self, file)
-        return file.getvalue()
-
-
-def new_figure(size: tuple[float, float], title: str, fontsize: int = 13) -> Figure:
-    """An empty figure, `size` in inches, with its title at the upper left."""
-    figure = ShownFigure(figsize=size, layout="constrained")
-    figure.suptitle(title, fontsize=fontsize, x=0.01, ha="left")
-    return figure
-
-
-def tidy(axes: Axes, title: str, unit: str = "") -> None:
-    """Give a panel its title, and the looks that all panels share."""
-    title = title[0].upper() + title[1:] + (f", {unit}" if unit else "")
-    axes.set_title(title, loc="left", fontsize=11)
-    axes.spines[["top", "right"]].set_visible(False)
-    axes.grid(alpha=0.25, linewidth=0.6)
-    axes.set_axisbelow(True)
 
 
 def draw_report(rollout: Rollout, quadruped: Quadruped, title: str = "") -> Figure:
@@ -276,7 +228,7 @@ def _smooth(values: np.ndarray, width: int) -> np.ndarray:
 
 def _path(axes: Axes, rollout: Rollout) -> None:
     x, y = rollout.qpos[:, 0], rollout.qpos[:, 1]
-    axes.axhline(0.0, color=_FAINT, linewidth=0.8, linestyle="--")
+    axes.axhline(0.0, color="#9aa3ad", linewidth=0.8, linestyle="--")
     axes.plot(x, y, color=LEG_COLORS[3], linewidth=1.6)
     seconds = np.arange(0, rollout.steps + 1, max(round(1 / rollout.control_dt), 1))
     axes.plot(x[seconds], y[seconds], "o", color=LEG_COLORS[3], markersize=3, label="each second")

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from quadwalk.files import atomic_write
+from quadwalk.drawing.figures import new_figure, tidy
 from quadwalk.train.progress.text import quantity
 
 _TERM = "train/reward/"
@@ -24,13 +23,6 @@ _BLUE, _RED, _GREEN, _GREY = "#2a6fbb", "#c44536", "#2e8b57", "#5f6b7a"
 Row = Mapping[str, Any]
 
 
-def plot_learning_curve(metrics: Sequence[Row], path: Path | str) -> None:
-    """Write `learning_curve` as a PNG; it appears whole or not at all (`UserError`)."""
-    with atomic_write(path) as file:
-        # matplotlib would sign with its version: the same metrics shall give the same picture.
-        learning_curve(metrics).savefig(file, format="png", metadata={"Software": None})
-
-
 def learning_curve(metrics: Sequence[Row]) -> Figure:
     """Speed and falls of the evaluation environments, total reward and every reward term.
 
@@ -38,14 +30,13 @@ def learning_curve(metrics: Sequence[Row]) -> Figure:
     steps. If rows have "time/elapsed" (s), as those of `read_history` may, minutes are a second
     axis. What was never recorded leaves its panel empty, NaN and None leave a gap.
     """
-    # The object interface: pyplot would keep the figure in a global list and look for a display.
     rows = sorted(metrics, key=lambda row: row["steps"])
     terms = list(dict.fromkeys(key for row in rows for key in row if key.startswith(_TERM)))
     levels = list(dict.fromkeys(key for row in rows for key in row if key.startswith(_LEVEL)))
     groups = [group for group in (terms, levels) if group]
     small_rows = [math.ceil(len(group) / _COLUMNS) for group in groups]
     heights = [_LARGE_HEIGHT, *(_SMALL_HEIGHT * count for count in small_rows)]
-    figure = Figure(figsize=(12, sum(heights)), dpi=110, layout="constrained")
+    figure = new_figure((12, sum(heights)), dpi=110)
     parts = figure.subfigures(len(heights), 1, height_ratios=heights, squeeze=False).flat
     _draw_figures(parts[0].subplots(1, 3), rows)
     for part, group, count in zip(parts[1:], groups, small_rows, strict=True):
@@ -58,13 +49,13 @@ def learning_curve(metrics: Sequence[Row]) -> Figure:
 
 def _draw_figures(panels: Sequence[Axes], rows: Sequence[Row]) -> None:
     speed, falls, reward = panels
-    _title(speed, "forward speed, m/s")
+    tidy(speed, "forward speed", "m/s")
     _draw(speed, rows, "eval/speed", _BLUE)
-    _title(falls, "episodes that fell, %")
+    tidy(falls, "episodes that fell", "%")
     _draw(falls, rows, "eval/fall_rate", _RED, factor=100.0)
     # At least five: a few falls in a thousand should not fill the panel.
     falls.set_ylim(0.0, max(5.0, falls.get_ylim()[1]))
-    _title(reward, "reward")
+    tidy(reward, "reward")
     _draw(reward, rows, "train/reward", _GREEN)
     for axes in panels:
         _finish(axes, rows)
@@ -74,7 +65,8 @@ def _draw_figures(panels: Sequence[Axes], rows: Sequence[Row]) -> None:
 
 def _draw_small(panels: Sequence[Axes], rows: Sequence[Row], keys: Sequence[str]) -> None:
     for axes, key in zip(panels, keys, strict=False):
-        _title(axes, key.removeprefix(_TERM).removeprefix(_LEVEL).replace("_", " "), size=9)
+        name = key.removeprefix(_TERM).removeprefix(_LEVEL)
+        tidy(axes, name.replace("_", " "), fontsize=9)
         _draw(axes, rows, key, _GREY)
         _finish(axes, rows, ticks=4)
     for axes in panels[len(keys) :]:
@@ -88,10 +80,6 @@ def _draw(axes: Axes, rows: Sequence[Row], key: str, color: str, factor: float =
     axes.plot([row["steps"] for row in rows], values, color=color, linewidth=1.6, marker=mark)
 
 
-def _title(axes: Axes, text: str, size: float = 11) -> None:
-    axes.set_title(text, fontsize=size, loc="left")
-
-
 def _finish(axes: Axes, rows: Sequence[Row], ticks: int = 6) -> None:
     axes.set_xlim(0, 1.02 * max([1, *(row["steps"] for row in rows)]))
     # Zero is always in view: without it noise around a constant looks like a course.
@@ -101,10 +89,6 @@ def _finish(axes: Axes, rows: Sequence[Row], ticks: int = 6) -> None:
     axes.xaxis.set_major_formatter(lambda steps, _: quantity(steps).replace(".0", ""))
     axes.yaxis.set_major_locator(MaxNLocator(ticks - 1, steps=_NICE))
     axes.tick_params(labelsize=8)
-    axes.grid(color="#e4e7eb", linewidth=0.8)
-    axes.set_axisbelow(True)
-    for side in ("top", "right"):
-        axes.spines[side].set_visible(False)
 
 
 def _add_minutes(axes: Axes, rows: Sequence[Row]) -> None:
@@ -127,8 +111,7 @@ def _add_minutes(axes: Axes, rows: Sequence[Row]) -> None:
     )
     top.set_xlabel("minutes", fontsize=8, loc="right", color=_GREY)
     top.tick_params(labelsize=8, colors=_GREY, length=3)
-    for side in ("right", "left"):
-        top.spines[side].set_visible(False)
+    top.spines[["right", "left"]].set_visible(False)
     top.spines["top"].set_color(_GREY)
 
 

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from brax.envs.base import State
 
-from quadwalk.evaluate.cells import cell_starts, measure_cells, trunk_paths
+from quadwalk.evaluate.grids.cells import cell_starts, measure_cells, trunk_paths
 from quadwalk.evaluate.loaded import LoadedRun, evaluation_ranges
 from quadwalk.evaluate.motion.course import SETTLING, WINDOW, heading_velocity, window_means
 from quadwalk.evaluate.motion.gait import measure_gait

@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from quadwalk.evaluate.cells import measure_cells
+from quadwalk.evaluate.grids.cells import measure_cells
+from quadwalk.evaluate.grids.sweep import Point, starts_at
 from quadwalk.evaluate.loaded import LoadedRun
 from quadwalk.evaluate.simulate import GROUP, Report
-from quadwalk.evaluate.sweep import Point, starts_at
 from quadwalk.settings.environment import REAL_WORLD
 from quadwalk.task.env import QuadrupedEnv
 

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from brax.envs.base import State
 
-from quadwalk.evaluate.cells import cell_starts, measure_cells
+from quadwalk.evaluate.grids.cells import cell_starts, measure_cells
 from quadwalk.evaluate.loaded import LoadedRun, training_ranges
 from quadwalk.evaluate.motion.course import WINDOW, heading_velocity, tracking_errors
 from quadwalk.evaluate.motion.kinematics import roll_pitch_yaw

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from quadwalk.evaluate.cells import measure_cells
+from quadwalk.evaluate.grids.cells import measure_cells
 from quadwalk.evaluate.loaded import LoadedRun
 from quadwalk.evaluate.motion.course import heading_velocity, tracking_errors
 from quadwalk.evaluate.simulate import ROOM, Report, fresh_starts

@@ -1,0 +1,58 @@
+"""What all plots share: their looks, and how they become files."""
+
+import io
+from pathlib import Path
+from typing import BinaryIO
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.text import Text
+
+from quadwalk.files import atomic_write
+
+LEG_COLORS = ("#d1495b", "#00798c", "#edae49", "#30638e")  # FR, FL, RR, RL
+INK = "#22262b"
+
+
+def save_figure(figure: Figure, path: str | Path) -> None:
+    """Write a figure as PNG; the same figure gives the same bytes.
+
+    Raises `UserError` where the file cannot be written.
+    """
+    with atomic_write(path) as file:
+        _draw(figure, file)
+
+
+def _draw(figure: Figure, file: BinaryIO) -> None:
+    for text in figure.findobj(Text):
+        text.set_parse_math(False)  # a name may hold a $
+    # Without the software's version, for longer.
+    figure.savefig(file, format="png", metadata={"Software": None})
+
+
+class ShownFigure(Figure):
+    """A figure that a notebook shows whether pyplot has been set up in it or not."""
+
+    def _repr_png_(self) -> bytes:
+        file = io.BytesIO()
+        _draw(self, file)
+        return file.getvalue()
+
+
+def new_figure(
+    size: tuple[float, float], title: str = "", fontsize: int = 13, dpi: float = 100
+) -> Figure:
+    """An empty figure, `size` in inches, with its title at the upper left."""
+    figure = ShownFigure(figsize=size, dpi=dpi, layout="constrained")
+    if title:
+        figure.suptitle(title, fontsize=fontsize, x=0.01, ha="left")
+    return figure
+
+
+def tidy(axes: Axes, title: str, unit: str = "", fontsize: int = 11) -> None:
+    """Give a panel its title, and the looks that all panels share."""
+    title = title[0].upper() + title[1:] + (f", {unit}" if unit else "")
+    axes.set_title(title, loc="left", fontsize=fontsize)
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.grid(alpha=0.25, linewidth=0.6)
+    axes.set_axisbelow(True)

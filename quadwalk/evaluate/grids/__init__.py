@@ -1,0 +1,1 @@
+"""Grids of cells with many episodes each: conditions, kinds of ground, commands."""
