@@ -11,7 +11,7 @@ from rich.console import Console
 
 from quadwalk.errors import UserError
 from quadwalk.evaluate.loaded import LoadedRun, load_run
-from quadwalk.export import run_policy_path
+from quadwalk.export import scripts
 from quadwalk.export.deploy_yaml import as_yaml, deploy_config, missing_terms
 from quadwalk.export.description import describe
 from quadwalk.export.joint_targets import JointTargets, find_targets
@@ -49,7 +49,7 @@ def export_run(run: Run, which: str, out: Path, console: Console) -> list[Path]:
         "policy.onnx": model.SerializeToString(),
         "robot.xml": write_xml(env.quadruped.spec).encode(),
         "robot.urdf": env.quadruped.urdf.encode(),
-        "run_policy.py": run_policy_path().read_bytes(),
+        **{script.name: script.read_bytes() for script in scripts()},
     }
     missing = ", ".join(missing_terms(env)) or "none"
     if targets.reach is None:

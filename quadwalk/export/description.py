@@ -24,7 +24,7 @@ def describe(loaded: LoadedRun, targets: JointTargets) -> dict[str, str]:
     """The metadata of a policy: lists as comma-separated strings, as mjlab writes them.
 
     The first eight keys are mjlab's (mjlab/rl/exporter_utils.py), the others quadwalk's own:
-    all that `run_policy.py` needs.
+    all that `run_policy.py` and another simulator need.
     """
     env, policy = loaded.env, loaded.policy
     config, motor = env.config, env.motor
@@ -52,6 +52,7 @@ def describe(loaded: LoadedRun, targets: JointTargets) -> dict[str, str]:
         "observation_layout": "one part after another, each from its oldest step to its newest; "
         "at the start all of a part's history is its first reading",
         "command_ranges": json.dumps(_command_ranges(env)),
+        "command_limits": json.dumps(_command_limits(env)),
         "units": UNITS,
         "control_period": f"{config.control_dt:.9g}",
         "robot": env.quadruped.name,
@@ -61,6 +62,10 @@ def describe(loaded: LoadedRun, targets: JointTargets) -> dict[str, str]:
         "effort_limit": _joints(motor.effort),
         "velocity_limit": _joints(np.inf if motor.velocity is None else motor.velocity),
         "joint_friction": _joints(0.0 if motor.friction is None else motor.friction),
+        "joint_viscous_damping": _joints(env.mj_model.dof_damping[6:]),
+        "joint_armature": _joints(env.mj_model.dof_armature[6:]),
+        "ground_friction": f"{env.friction:.9g}",
+        "gravity": f"{config.gravity:.9g}",
         "training_steps": str(policy.steps),
         "task": policy.config.task,
         "quadwalk_version": version("quadwalk"),
@@ -73,6 +78,13 @@ def _command_ranges(env: QuadrupedEnv) -> dict[str, Any]:
     if not command.given:
         return {}
     return {name: list(getattr(command, name)) for name in COMMANDED}
+
+
+def _command_limits(env: QuadrupedEnv) -> dict[str, Any]:
+    """What holds of the command's numbers together, of those limits that the task has."""
+    command = env.config.command
+    found = {"lateral_until": command.lateral_until, "turning": command.turning}
+    return {name: limit for name, limit in found.items() if limit is not None}
 
 
 def _joints(value: Any) -> str:

@@ -24,7 +24,7 @@ from quadwalk.errors import UserError
 from quadwalk.evaluate.loaded import LoadedRun, load_run
 from quadwalk.evaluate.rollout import Rollout
 from quadwalk.evaluate.simulate import simulate_episodes
-from quadwalk.export import run_policy_path
+from quadwalk.export import scripts
 from quadwalk.export.__main__ import main
 from quadwalk.export.joint_targets import JointTargets, find_targets
 from quadwalk.export.policy_graph import ACTIVATIONS, Weights, build_model, input_labels
@@ -127,16 +127,20 @@ def test_the_script_alone_drives_the_robot_as_our_engine_does(exported, tmp_path
         assert float(said[1]) == pytest.approx(speed, abs=0.02)
 
 
-def test_the_script_is_short_and_needs_three_packages():
-    source = run_policy_path().read_text()
-    assert source.count("\n") <= 100
-    roots = set()
-    for node in ast.walk(ast.parse(source)):
-        if isinstance(node, ast.Import):
-            roots |= {alias.name.partition(".")[0] for alias in node.names}
-        elif isinstance(node, ast.ImportFrom):
-            roots.add(str(node.module).partition(".")[0])
-    assert roots - set(sys.stdlib_module_names) == {"numpy", "mujoco", "onnxruntime"}
+def test_the_scripts_are_short_and_need_three_packages():
+    needed = {"run_policy.py": {"numpy", "mujoco", "controller"}}
+    needed["controller.py"] = {"numpy", "onnxruntime"}
+    for script in scripts():
+        source = script.read_text()
+        assert source.count("\n") <= 100
+        roots = set()
+        for node in ast.walk(ast.parse(source)):
+            if isinstance(node, ast.Import):
+                roots |= {alias.name.partition(".")[0] for alias in node.names}
+            elif isinstance(node, ast.ImportFrom):
+                roots.add(str(node.module).partition(".")[0])
+        assert roots - set(sys.stdlib_module_names) == needed.pop(script.name)
+    assert not needed
 
 
 def test_the_metadata_says_what_mjlab_says(exported):

@@ -1,0 +1,255 @@
+"""A policy in a simulator that it was not trained for: Drake, beside MuJoCo C.
+
+    python benchmarks/foreign.py RUN [--episodes 64] [--seconds 6] [--out FOLDER]
+
+Exports the run and drives the export in both, from the same starts, by the same commands, noise and
+pushes, under eight conditions (benchmarks/simulators.py). Prints a table of falls, speeds and
+errors; writes it as foreign.json and foreign.csv, and film_strip.png of one episode in both.
+
+A fall: the trunk leans by more than 1 rad, is lower than 45 % of its first height, or the floor
+meets a link without a foot. Speed is along x, from the start to the end; with commands the mean
+size of the velocity. That and its errors are as in an evaluation: means over 0.5 s, from 1 s after
+each command on. A command holds for half of an episode.
+
+Needs the extras `export` and `drake`. To see what contact does: --approximation, --stiffness,
+--dissipation, --relaxation and --dt change Drake's alone.
+"""
+
+import argparse
+import csv
+import dataclasses
+import importlib.metadata
+import io
+import multiprocessing
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from simulators import Condition, Contact, Episode, controller_of, run_episodes  # beside this file
+
+# Processes that simulate import this file as well: what takes seconds is imported where it is used.
+if TYPE_CHECKING:
+    from quadwalk.evaluate.loaded import LoadedRun
+
+SIMULATORS = ("Drake", "MuJoCo C")
+PROCESSES = 2
+CONDITIONS = {
+    "the model": Condition(),
+    "friction 0.4": Condition(friction=0.4),
+    "5 kg more": Condition(load=5.0),
+    "80 % torque": Condition(strength=0.8),
+    "latency 12 ms": Condition(latency=0.012),
+    "sensor noise": Condition(noise=1.0),
+    "pushes of 1 m/s": Condition(push=1.0),
+    "all at once": Condition(0.4, 5.0, 0.8, 0.012, 1.0, 1.0),
+}
+PICTURE = (400, 260)  # pixels
+ACROSS = 4
+
+
+def begun(
+    loaded: "LoadedRun", episodes: int, seed: int, friction: float | None
+) -> tuple[list[tuple[np.ndarray, np.ndarray]], np.ndarray]:
+    """Starts, qpos and qvel, and commands (episodes, T, 3) of the task, two for each episode."""
+    import jax
+
+    from quadwalk.evaluate.simulate import fresh_starts
+    from quadwalk.task.episode.command import draw
+
+    env, steps = loaded.env, loaded.env.config.episode_steps
+    first = jax.device_get(fresh_starts(env, episodes, seed)).pipeline_state
+    starts = list(zip(first.qpos.astype(float), first.qvel.astype(float), strict=True))
+    commands = np.zeros((episodes, steps, 3))
+    if env.config.command.given:
+        grip = env.config.gravity * (friction or env.friction)
+        keys = jax.random.split(jax.random.PRNGKey(seed), (episodes, 2))
+        drawn = jax.vmap(jax.vmap(lambda key: draw(env.config.command, key, grip)))(keys)
+        commands[:] = np.repeat(drawn, -(-steps // 2), axis=1)[:, :steps]
+    return starts, commands
+
+
+def figures(episode: Episode, commands: np.ndarray, dt: float) -> dict[str, float]:
+    """Speed m/s of one episode; errors m/s and rad/s, or deg of the heading without commands."""
+    from quadwalk.evaluate.motion.course import (
+        SETTLING,
+        WINDOW,
+        heading_velocity,
+        tracking_errors,
+        window_means,
+    )
+    from quadwalk.evaluate.motion.kinematics import roll_pitch_yaw
+
+    poses, steps = episode.qpos, len(episode.target)
+    if not commands.any():
+        yaw = roll_pitch_yaw(poses[1:, 3:7])[:, 2]
+        speed = (poses[-1, 0] - poses[0, 0]) / (dt * steps)
+        return {"speed": speed, "heading_error": float(np.degrees(np.abs(yaw).mean()))}
+    velocity = heading_velocity(poses, dt)
+    errors = tracking_errors(velocity, commands[:steps], dt)
+    means = window_means(velocity[round(SETTLING / dt) :], round(WINDOW / dt))
+    speed = float(np.linalg.norm(means[:, :2], axis=1).mean()) if len(means) else np.nan
+    return {"speed": speed, "velocity_error": errors[0], "yaw_rate_error": errors[1]}
+
+
+def summary(episodes: list[Episode], commands: np.ndarray, dt: float) -> dict[str, Any]:
+    """Falls and figures of one condition in one simulator, for JSON."""
+    from quadwalk.evaluate.statistics import mean_figure, share_interval
+
+    found = [figures(*own, dt) for own in zip(episodes, commands, strict=True)]
+    fell = sum(episode.fell for episode in episodes)
+    means = {name: mean_figure([own[name] for own in found]) for name in found[0]}
+    return {
+        "falls": fell / len(episodes),
+        "falls_ci95": list(share_interval(fell, len(episodes))),
+        **means,
+    }
+
+
+def rows(results: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Of each condition a row of plain numbers, named."""
+    from quadwalk.evaluate.statistics import figure_mean
+
+    found = []
+    for result in results:
+        row: dict[str, Any] = {"condition": result["condition"]}
+        names = [name for name in result["Drake"] if not name.startswith("falls")]
+        for simulator in SIMULATORS:
+            row[f"falls, {simulator}, %"] = 100.0 * result[simulator]["falls"]
+        for name in names:
+            for simulator in SIMULATORS:
+                row[f"{name}, {simulator}"] = figure_mean(result[simulator][name])
+            if name == "speed":
+                row["Drake / MuJoCo C, %"] = 100.0 * row["speed, Drake"] / row["speed, MuJoCo C"]
+        found.append(row)
+    return found
+
+
+def as_markdown(table: list[dict[str, Any]]) -> str:
+    """The rows as a table of Markdown."""
+    lines = [list(table[0]), ["---"] * len(table[0])]
+    for row in table:
+        digits = {name: 1 if "%" in name or "heading" in name else 3 for name in row}
+        lines.append(
+            [v if isinstance(v, str) else f"{v:.{digits[name]}f}" for name, v in row.items()]
+        )
+    return "\n".join(f"| {' | '.join(line)} |".replace("_", " ") for line in lines)
+
+
+def as_csv(table: list[dict[str, Any]]) -> bytes:
+    """The rows as CSV, with a heading."""
+    text = io.StringIO()
+    writer = csv.DictWriter(text, list(table[0]))
+    writer.writeheader()
+    writer.writerows(table)
+    return text.getvalue().encode()
+
+
+def picture(episodes: dict[str, Episode], loaded: "LoadedRun") -> np.ndarray:
+    """(H, W, 3) uint8: a row of pictures of each simulator, at the same times."""
+    from PIL import Image, ImageDraw, ImageFont
+
+    from quadwalk.drawing.canvas import Camera, Canvas
+    from quadwalk.drawing.images import film_strip
+
+    dt, font, found = loaded.env.config.control_dt, ImageFont.load_default(size=16), []
+    canvas = Canvas(loaded.env.quadruped.full_model(), *PICTURE)
+    steps = min(len(episode.target) for episode in episodes.values())
+    for simulator, episode in episodes.items():
+        for row in np.linspace(0, steps, ACROSS + 1).astype(int)[1:]:
+            x, y = episode.qpos[row, :2]
+            camera = Camera(np.array([x, y, 0.25]), distance=1.45, azimuth=118.0, elevation=-14.0)
+            image = Image.fromarray(canvas.draw(episode.qpos[row], camera))
+            text = f"{simulator}   {row * dt:.2f} s   {x:.2f} m ahead, {y:.2f} m to the left"
+            ImageDraw.Draw(image).text((8, 6), text, fill=(30, 34, 40), font=font)
+            found.append(np.asarray(image))
+    return film_strip(found, ACROSS)
+
+
+def measure(
+    folder: Path, loaded: "LoadedRun", episodes: int, seed: int, contact: Contact
+) -> tuple[list[dict[str, Any]], dict[str, Episode]]:
+    """Each condition's summaries, for JSON, and an episode of the first in each simulator."""
+    dt, jobs, found = loaded.env.config.control_dt, {}, {}
+    samples: dict[str, Episode] = {}
+    spawn = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(min(PROCESSES, multiprocessing.cpu_count()), spawn) as pool:
+        for name, condition in CONDITIONS.items():
+            starts, commands = begun(loaded, episodes, seed, condition.friction)
+            for simulator in SIMULATORS:
+                given = folder, simulator, condition, starts, commands, contact
+                jobs[pool.submit(run_episodes, *given)] = name, simulator, commands
+        for job in as_completed(jobs):
+            name, simulator, commands = jobs[job]
+            done = job.result()
+            found[name, simulator] = summary(done, commands, dt)
+            print(f"{name}, {simulator}: {found[name, simulator]['falls']:.1%} falls", flush=True)
+            if name == next(iter(CONDITIONS)):
+                samples[simulator] = done[0]
+    results = [
+        {"condition": name, **dataclasses.asdict(condition)}
+        | {simulator: found[name, simulator] for simulator in SIMULATORS}
+        for name, condition in CONDITIONS.items()
+    ]
+    return results, {simulator: samples[simulator] for simulator in SIMULATORS}
+
+
+def parse() -> argparse.Namespace:
+    """The command line."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    add = parser.add_argument
+    add("run", help="name or path of a run, or a policy that comes trained")
+    add("--episodes", type=int, default=64, help="of each condition in each simulator")
+    add("--seconds", type=float, default=6.0, help="of an episode")
+    add("--seed", type=int, default=0)
+    add("--runs", type=Path, default=Path("runs"), help="folder that holds all runs")
+    add("--out", type=Path, help="folder of the results (default: foreign/ in the run's)")
+    group = parser.add_argument_group("Drake's contact")
+    for field in dataclasses.fields(Contact):
+        kind = str if field.name == "approximation" else float
+        group.add_argument(f"--{field.name}", type=kind, default=field.default)
+    return parser.parse_args()
+
+
+def main() -> None:
+    """Export, drive, print and write."""
+    from rich.console import Console
+
+    from quadwalk.drawing.images import save_png
+    from quadwalk.errors import UserError
+    from quadwalk.evaluate.loaded import load_run
+    from quadwalk.evaluate.recording.provenance import provenance
+    from quadwalk.export.bundle import export_run
+    from quadwalk.files import atomic_write
+    from quadwalk.shell import install
+    from quadwalk.train.runs.directory import find_ready, results_folder, write_json_atomic
+
+    options = parse()
+    run = find_ready(options.runs, options.run, "run")
+    out = options.out or results_folder(options.runs, run) / "foreign"
+    contact = Contact(**{f.name: getattr(options, f.name) for f in dataclasses.fields(Contact)})
+    try:
+        drake = importlib.metadata.version("drake")
+    except importlib.metadata.PackageNotFoundError:
+        raise UserError(f"drake is not installed; this needs: {install('drake')}") from None
+    export_run(run, "last", out / "export", Console(stderr=True, highlight=False))
+    loaded = load_run(run, options.seconds, engine="fast", flat=True)
+    if loaded.env.config.reset.tumbled:
+        raise UserError(f"{run.name} begins on the ground; expected a task that begins on its feet")
+    controller_of(out / "export").Controller(out / "export/policy.onnx")  # refuses what it lacks
+    results, samples = measure(out / "export", loaded, options.episodes, options.seed, contact)
+    table = rows(results)
+    print(as_markdown(table))
+    about = provenance(loaded, options.seed) | {"drake": drake, "episodes": options.episodes}
+    about |= {"contact": dataclasses.asdict(contact), "conditions": results}
+    write_json_atomic(out / "foreign.json", about)
+    with atomic_write(out / "foreign.csv") as file:
+        file.write(as_csv(table))
+    save_png(picture(samples, loaded), out / "film_strip.png")
+    print(f"written to {out}: foreign.json, foreign.csv, film_strip.png, export/")
+
+
+if __name__ == "__main__":
+    from quadwalk.process import run_command
+
+    run_command(main)
