@@ -26,13 +26,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from simulators import Condition, Contact, Episode, controller_of, run_episodes  # beside this file
+
+# Beside this file.
+from simulators import Condition, Contact, Episode, Simulator, controller_of, run_episodes
 
 # Processes that simulate import this file as well: what takes seconds is imported where it is used.
 if TYPE_CHECKING:
     from quadwalk.evaluate.loaded import LoadedRun
 
-SIMULATORS = ("Drake", "MuJoCo C")
+SIMULATORS: tuple[Simulator, ...] = ("Drake", "MuJoCo C")
 PROCESSES = 2
 CONDITIONS = {
     "the model": Condition(),
@@ -177,8 +179,10 @@ def measure(
         for name, condition in CONDITIONS.items():
             starts, commands = begun(loaded, episodes, seed, condition.friction)
             for simulator in SIMULATORS:
-                given = folder, simulator, condition, starts, commands, contact
-                jobs[pool.submit(run_episodes, *given)] = name, simulator, commands
+                job = pool.submit(
+                    run_episodes, folder, simulator, condition, starts, commands, contact
+                )
+                jobs[job] = name, simulator, commands
         for job in as_completed(jobs):
             name, simulator, commands = jobs[job]
             done = job.result()
