@@ -21,8 +21,8 @@ from brax.training.distribution import NormalTanhDistribution
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from quadwalk.settings.training import PPOConfig
-from quadwalk.train import ppo
-from quadwalk.train.networks import Networks, TanhNormal, make_networks, mean_policy
+from quadwalk.train.learner import iteration, ppo
+from quadwalk.train.learner.networks import Networks, TanhNormal, make_networks, mean_policy
 
 Params = tuple[Any, Any, Any]  # normalizer, policy, value
 
@@ -140,8 +140,8 @@ def train_with_brax(
 
 
 def train_with_ours(
-    iterate: Callable[[ppo.TrainState], Any],
-    state: ppo.TrainState,
+    iterate: Callable[[iteration.TrainState], Any],
+    state: iteration.TrainState,
     iterations: int,
     points: int,
 ) -> list[Params]:
@@ -226,12 +226,12 @@ def learning_curves(
     """Ours and Brax's curves (seeds, 1 + points, 3): reward, speed, falls as `make_judge` tells."""
     networks = make_networks(config, env.observation_size, env.action_size)
     theirs = networks_of_brax(config, networks)
-    mesh = ppo.make_mesh()
-    iterate = ppo.Iteration(env, networks, config, mesh, iterations)
+    mesh = iteration.make_mesh()
+    iterate = iteration.Iteration(env, networks, config, mesh, iterations)
     judge = make_judge(env, config, episodes)
     curves: tuple[list[Any], list[Any]] = ([], [])
     for seed in range(seeds):
-        state = ppo.init_state(env, networks, config, mesh, envs, seed)
+        state = iteration.init_state(env, networks, config, mesh, envs, seed)
         state, _ = jax.block_until_ready(iterate(state))  # measures the observations only
         start = jax.device_get(state.learner)
         runs = (

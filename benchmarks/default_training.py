@@ -27,15 +27,15 @@ class DefaultTraining:
         set_up_devices(self.devices)
         from quadwalk.robot.quadruped import load_quadruped
         from quadwalk.task.env import QuadrupedEnv
-        from quadwalk.train import ppo
-        from quadwalk.train.networks import networks_for
+        from quadwalk.train.learner import iteration
+        from quadwalk.train.learner.networks import networks_for
 
         env = QuadrupedEnv(load_quadruped(), sprint.TASK.env)
         networks = networks_for(env, config)
-        mesh = ppo.make_mesh()
-        self._state = ppo.init_state(env, networks, config, mesh, envs, seed)
+        mesh = iteration.make_mesh()
+        self._state = iteration.init_state(env, networks, config, mesh, envs, seed)
         # Of how many only tells the learning rate's schedule when to settle.
-        self._iterate = ppo.Iteration(env, networks, config, mesh, iterations=1000)
+        self._iterate = iteration.Iteration(env, networks, config, mesh, iterations=1000)
         self._batch = envs * config.unroll
         self.run(0.0)  # compiles, and measures the observations
         self.run(0.0)
@@ -55,7 +55,7 @@ class DefaultTraining:
         """The same, with collecting and learning timed apart."""
         import jax
 
-        from quadwalk.train.ppo import TrainState
+        from quadwalk.train.learner.iteration import TrainState
 
         began, iterations = time.perf_counter(), 0
         collecting = learning = 0.0

@@ -39,7 +39,8 @@ def print_costs(envs: int, steps: int, rounds: int) -> None:
     from quadwalk.physics.model import Model, on_ground
     from quadwalk.physics.motor import MotorConfig, PhysicsState, make_motor
     from quadwalk.robot.quadruped import load_quadruped
-    from quadwalk.train.ppo import AXIS, make_mesh
+    from quadwalk.train.learner.iteration import make_mesh
+    from quadwalk.train.learner.ppo import AXIS
 
     quadruped = load_quadruped()
     terrain = make_terrain(dataclasses.replace(FLAT, kinds=tuple(KINDS)), leg=0.5)

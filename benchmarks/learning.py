@@ -160,8 +160,8 @@ def work(task: str, envs: int, processor_time: bool) -> None:
 
     from quadwalk.robot.quadruped import load_quadruped
     from quadwalk.task.env import QuadrupedEnv
-    from quadwalk.train import networks as module_of_networks
-    from quadwalk.train import ppo
+    from quadwalk.train.learner import iteration, ppo
+    from quadwalk.train.learner import networks as module_of_networks
 
     env = QuadrupedEnv(load_quadruped(), config.env)
     critic = len(getattr(env, "critic_names", ()))  # a commit may have none
@@ -172,9 +172,9 @@ def work(task: str, envs: int, processor_time: bool) -> None:
         more = [critic] if critic else []
         make_networks: Any = module_of_networks.make_networks
         networks = make_networks(config.ppo, size, env.action_size, *more)
-    mesh = ppo.make_mesh(devices)
+    mesh = iteration.make_mesh(devices)
     make = getattr(ppo, "Iteration", None) or vars(ppo)["make_iteration"]
-    state = ppo.init_state(env, networks, config.ppo, mesh, envs, 0)
+    state = iteration.init_state(env, networks, config.ppo, mesh, envs, 0)
     iterate = make(env, networks, config.ppo, mesh, iterations=1000)
     for _ in range(4):
         state, _ = jax.block_until_ready(iterate(state))
@@ -208,7 +208,7 @@ def work(task: str, envs: int, processor_time: bool) -> None:
                 workers, data, _, key = jax.block_until_ready(iterate.collect(*state))
                 middle = clock()
                 learner, _ = jax.block_until_ready(iterate.learn(state.learner, data, key))
-                state = ppo.TrainState(learner, workers)
+                state = iteration.TrainState(learner, workers)
                 parts = [parts[0] + middle - start, parts[1] + clock() - middle]
             else:
                 state, _ = jax.block_until_ready(iterate(state))

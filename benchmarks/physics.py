@@ -59,7 +59,8 @@ def print_rates(
     from quadwalk.robot.quadruped import load_quadruped
     from quadwalk.task.env import QuadrupedEnv
     from quadwalk.tasks.sprint import TASK
-    from quadwalk.train.ppo import AXIS, make_mesh
+    from quadwalk.train.learner.iteration import make_mesh
+    from quadwalk.train.learner.ppo import AXIS
 
     env = QuadrupedEnv(load_quadruped(), TASK.env)
     whole = QuadrupedEnv(load_quadruped(), dataclasses.replace(TASK.env, contacts="body"))

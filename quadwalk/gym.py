@@ -34,6 +34,7 @@ from quadwalk.api import make
 from quadwalk.errors import UsageError
 from quadwalk.settings.training import TrainConfig
 from quadwalk.task.env import QuadrupedEnv
+from quadwalk.task.ground_input import jit
 from quadwalk.task.state import tree_where
 from quadwalk.task_files import task_names
 
@@ -54,8 +55,8 @@ class QuadrupedGymEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         self.render_mode = render_mode
         self.observation_space, self.action_space = _spaces(env)
         self._ends, self._size = env.ends, env.policy_size
-        self._reset = env.jit(QuadrupedEnv.reset)
-        self._step = env.jit(QuadrupedEnv.step, donate=(0,))
+        self._reset = jit(env, QuadrupedEnv.reset)
+        self._step = jit(env, QuadrupedEnv.step, donate=(0,))
         self._state: Any = None
 
     def reset(
@@ -180,7 +181,7 @@ def _programs(env: QuadrupedEnv, num_envs: int) -> tuple[Any, Any, Any]:
                 *arguments
             )
 
-        return env.jit(shared, donate=donate)
+        return jit(env, shared, donate=donate)
 
     return program(start), program(step, donate=(0,)), program(renew, donate=(1, 2))
 

@@ -15,10 +15,7 @@ LAYERS = (
     ("ground",),
     ("physics",),
     ("settings", "task_files"),
-    (
-        "task",
-        "train.settings",
-    ),  # the latter, as task.config and task.terms: for earlier runs' files
+    ("task",),
     ("tasks",),
     ("train",),
     ("evaluate",),

@@ -18,6 +18,7 @@ from brax.envs.base import State
 
 from quadwalk.evaluate.rollout import Rollout
 from quadwalk.task.env import QuadrupedEnv
+from quadwalk.task.ground_input import jit
 from quadwalk.task.state import EnvState, tree_where
 
 # Observations (..., n) to actions (..., 12); a pytree (`jax.tree_util.Partial`), so that it can be
@@ -49,7 +50,7 @@ def roll_out(
     where one has ended the next begins. `change` alters the batched states before each step.
     """
 
-    @env.jit
+    @partial(jit, env)
     def chunk(env: QuadrupedEnv, policy: Policy, states: State) -> tuple[State, Any]:
         def step(before: State, _: None) -> tuple[State, tuple[jax.Array, Any]]:
             action = policy(before.obs)
@@ -106,7 +107,7 @@ def fresh_starts(
     """
     keys = jax.random.split(jax.random.PRNGKey(seed), episodes)
     on = () if tiles is None else (jnp.asarray(tiles),)
-    start: State = env.jit(lambda env, *of: jax.vmap(env.reset)(*of))(keys, *on)
+    start: State = jit(env, lambda env, *of: jax.vmap(env.reset)(*of))(keys, *on)
     return start
 
 
@@ -160,7 +161,7 @@ def simulate_episodes(
             seed=seed,
             episode=first + k,
             end=end,
-            observation_names=env.observation_names,
+            observation_names=env.sensors.names,
             conditions=_rows(initial.conditions, k),
             **{**steps, **states},
         )
@@ -175,7 +176,7 @@ def _recorded(env: QuadrupedEnv, before: State, action: jax.Array, after: State)
     state: EnvState = after.pipeline_state
     ideal = begun.conditions is None
     return {
-        "observation": before.obs[..., : len(env.observation_names)],
+        "observation": before.obs[..., : len(env.sensors.names)],
         "action": action,
         "target": jax.vmap(partial(env.config.action, env.robot))(action, begun.qpos[:, 7:]),
         "qpos": state.qpos,
@@ -189,5 +190,5 @@ def _recorded(env: QuadrupedEnv, before: State, action: jax.Array, after: State)
         },
         "command": None if begun.command is None else begun.command.velocity,
         "applied_target": None if ideal else jax.vmap(env.applied_target)(begun, action),
-        "truth": None if ideal else jax.vmap(env.truth)(begun),
+        "truth": None if ideal else jax.vmap(env.sensors.truth)(begun),
     }

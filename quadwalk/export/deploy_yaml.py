@@ -66,7 +66,7 @@ def deploy_config(env: QuadrupedEnv, targets: JointTargets) -> dict[str, Any]:
                 if part.function.__name__ == "command"
                 else part.params or {},
                 "clip": None,
-                "scale": [1.0] * len(env.part_names[name]),
+                "scale": [1.0] * len(env.sensors.part_names[name]),
                 "history_length": 1 + part.history,
             }
             for name, part in config.observation.items()

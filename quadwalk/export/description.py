@@ -42,7 +42,7 @@ def describe(loaded: LoadedRun, targets: JointTargets) -> dict[str, str]:
         "joint_target_lower": _joints(targets.lower),
         "joint_target_upper": _joints(targets.upper),
         "joint_target_reach": _joints(np.inf if targets.reach is None else targets.reach),
-        "observation_sizes": _listed(len(labels) for labels in env.part_names.values()),
+        "observation_sizes": _listed(len(labels) for labels in env.sensors.part_names.values()),
         "observation_history": _listed(part.history for part in parts.values()),
         "observation_functions": _listed(reference(part.function) for part in parts.values()),
         "observation_params": json.dumps({name: part.params or {} for name, part in parts.items()}),

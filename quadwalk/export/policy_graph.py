@@ -17,7 +17,7 @@ from onnx import TensorProto, helper, numpy_helper
 from quadwalk.errors import UserError
 from quadwalk.export.joint_targets import JointTargets
 from quadwalk.task.env import QuadrupedEnv
-from quadwalk.train.networks import divisors
+from quadwalk.train.learner.networks import divisors
 
 OPSET = 17
 IR_VERSION = 8  # that of the opset, so that older runtimes read it: ONNX Runtime 1.12 and later
@@ -70,7 +70,7 @@ def input_labels(env: QuadrupedEnv) -> list[str]:
     """A name for each number of the input `obs`; `gravity_x[-2]` is of two steps before."""
     return [
         f"{label}[-{ago}]" if ago else label
-        for name, labels in env.part_names.items()
+        for name, labels in env.sensors.part_names.items()
         for ago in range(env.config.observation[name].history, -1, -1)
         for label in labels
     ]
@@ -79,7 +79,7 @@ def input_labels(env: QuadrupedEnv) -> list[str]:
 def input_order(env: QuadrupedEnv) -> np.ndarray:
     """(n,) where in the input `obs` each number stands of the observation trained on."""
     place = {label: index for index, label in enumerate(input_labels(env))}
-    return np.array([place[label] for label in env.observation_names], np.int64)
+    return np.array([place[label] for label in env.sensors.names], np.int64)
 
 
 def build_model(

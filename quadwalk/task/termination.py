@@ -4,13 +4,19 @@ To add one, write such a function, here or in a file of your own, and name it in
 `"tipped": Termination(tipped, {"angle": 1.0})`.
 """
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from quadwalk.ground.terrain import Terrain
+from quadwalk.settings.environment import EnvConfig
 from quadwalk.settings.terms import Termination
 from quadwalk.task.robot_arrays import RobotArrays
-from quadwalk.task.state import Step
+from quadwalk.task.state import EnvState, Step
+
+RUNNING, TIME_LIMIT, FIRST_FALL = 0, 1, 2  # places in `names_of_ends`
 
 
 def tipped(robot: RobotArrays, step: Step, *, angle: float) -> jax.Array:
@@ -52,3 +58,40 @@ def terminations(ways: dict[str, Termination], robot: RobotArrays, step: Step) -
     """Whether each of the ways to fall holds, (n,) bool."""
     holds = [way.value(f"termination {name!r}", robot, step) for name, way in ways.items()]
     return jnp.stack([jnp.zeros((), bool), *holds])[1:]
+
+
+def names_of_ends(ways: dict[str, Termination]) -> tuple[str, ...]:
+    """How an episode stands after a step, in the order of `episode_end`'s numbers."""
+    return ("running", "time limit", *ways, "nan")
+
+
+def episode_end(
+    config: EnvConfig, terrain: Terrain | None, state: EnvState, falls: jax.Array, sane: jax.Array
+) -> jax.Array:
+    """How the episode ended in the step to `state`, () int32, a place in `names_of_ends`.
+
+    `falls` are those of `terminations`; numbers that are not `sane`, () bool, come before all.
+    """
+    end = jnp.where(state.steps >= config.episode_steps, TIME_LIMIT, RUNNING)
+    if terrain is not None:  # no failure either
+        end = jnp.where(off_ground(config, terrain, state), TIME_LIMIT, end)
+    if config.termination:
+        end = jnp.where(jnp.any(falls) & sane, FIRST_FALL + jnp.argmax(falls), end)
+    last = len(names_of_ends(config.termination)) - 1
+    return jnp.where(sane, end, last).astype(jnp.int32)
+
+
+def off_ground(config: EnvConfig, terrain: Terrain, state: EnvState) -> jax.Array:
+    """Whether the trunk is where its episode ends, () bool.
+
+    Beyond the field or half of the level ground around its tiles, or beyond its own tile.
+    """
+    field, edge = terrain.field, config.ground.border / 2
+    low: Any = np.array(field.origin) + edge
+    high: Any = low + np.array(field.size) - 2 * edge
+    if config.ground.confined:
+        tiles = terrain.tiles
+        middle = jnp.asarray([tile.middle for tile in tiles], jnp.float32)[state.tile]
+        half = np.array(tiles[0].size) / 2
+        low, high = middle - half, middle + half
+    return jnp.any((state.qpos[:2] < low) | (state.qpos[:2] > high))

@@ -27,6 +27,7 @@ from quadwalk.physics.engines import ENGINES
 from quadwalk.settings.serialize import to_dict
 from quadwalk.settings.training import TrainConfig
 from quadwalk.task.env import QuadrupedEnv
+from quadwalk.task.ground_input import jit
 from quadwalk.train.robot import load_robot
 from quadwalk.train.runs import checkpoint
 from quadwalk.train.runs.directory import Run
@@ -81,7 +82,7 @@ def replay(path: Path | str) -> tuple[np.ndarray, np.ndarray]:
         targets = jnp.broadcast_to(target, (env.stepping.substeps, *target.shape[-1:]))
         return jax.lax.scan(one, physics, targets)[1]
 
-    first, after = kept["before"].physics, env.jit(course)(kept["before"], kept["action"])
+    first, after = kept["before"].physics, jit(env, course)(kept["before"], kept["action"])
     return np.stack([first.qpos, *after.qpos]), np.stack([first.qvel, *after.qvel])
 
 

@@ -17,10 +17,17 @@ from quadwalk.settings.serialize import task_source, to_dict
 from quadwalk.settings.training import DistributedConfig, TrainConfig, with_files
 from quadwalk.task.env import QuadrupedEnv
 from quadwalk.task_files import OWN
-from quadwalk.train import distributed, ppo
+from quadwalk.train import distributed
 from quadwalk.train.devices import choose_devices
-from quadwalk.train.networks import Networks, networks_for
-from quadwalk.train.ppo import TrainState
+from quadwalk.train.learner.iteration import (
+    Iteration,
+    TrainState,
+    init_state,
+    make_mesh,
+    placed_like,
+)
+from quadwalk.train.learner.networks import Networks, networks_for
+from quadwalk.train.learner.ppo import RATE
 from quadwalk.train.progress.display import Progress
 from quadwalk.train.progress.metrics import TrainingMetrics
 from quadwalk.train.robot import content, load_robot
@@ -77,21 +84,19 @@ def prepare(
     networks = networks_for(env, config.ppo)
     if config.ppo.symmetric and env.asymmetry is not None:
         progress.message(f"plain networks: {env.asymmetry}")
-    mesh = ppo.make_mesh(devices)
-    state = ppo.init_state(env, networks, config.ppo, mesh, config.envs, config.seed)
+    mesh = make_mesh(devices)
+    state = init_state(env, networks, config.ppo, mesh, config.envs, config.seed)
     batch = config.envs * config.ppo.unroll
     # One that was stopped before its first checkpoint begins once more, as it did.
     if config.init is not None and (previous is None or not list_checkpoints(previous)):
         source = find_any_run(config.runs, config.init)
         config = replace(config, init=str(real_path(source.path)))
         learner, notes = begun_from(source, config, env, networks, jax.device_get(state.learner))
-        state = state._replace(learner=ppo.placed_like(learner, state.learner))
+        state = state._replace(learner=placed_like(learner, state.learner))
         progress.message(f"begins with the networks of {source.path}")
         for note in notes:
             progress.message(note)
-    iterate = ppo.Iteration(
-        env, networks, config.ppo, mesh, iterations=math.ceil(config.steps / batch)
-    )
+    iterate = Iteration(env, networks, config.ppo, mesh, iterations=math.ceil(config.steps / batch))
     iterate.trace(state)  # before there is a run: a task whose functions fail leaves none
     main = config.distributed.process == 0
     run = distributed.together(
@@ -155,10 +160,10 @@ def _restore(
     except DAMAGE:
         raise UserError(f"{path} does not say where its training was: expected another") from None
     if rate != config.ppo.learning_rate:
-        learner, fresh = saved.learner, tree_get(jax.device_get(state.learner.optimizer), ppo.RATE)
-        begun = tree_set(learner.optimizer, **{ppo.RATE: fresh})
+        learner, fresh = saved.learner, tree_get(jax.device_get(state.learner.optimizer), RATE)
+        begun = tree_set(learner.optimizer, **{RATE: fresh})
         saved = saved._replace(learner=learner._replace(optimizer=begun))
-    return ppo.placed_like(saved, state), steps, seconds
+    return placed_like(saved, state), steps, seconds
 
 
 def _check_processes(config: TrainConfig, quadruped: Quadruped) -> None:

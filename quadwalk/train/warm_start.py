@@ -12,8 +12,8 @@ from quadwalk.errors import UserError
 from quadwalk.robot.mirror import RobotMirror, mirror, standing
 from quadwalk.settings.training import TrainConfig
 from quadwalk.task.env import QuadrupedEnv
-from quadwalk.train.networks import Basis, Networks, networks_for, plain, structured
-from quadwalk.train.ppo import Learner
+from quadwalk.train.learner.networks import Basis, Networks, networks_for, plain, structured
+from quadwalk.train.learner.ppo import Learner
 from quadwalk.train.robot import load_robot
 from quadwalk.train.runs import checkpoint
 from quadwalk.train.runs.directory import Run, latest_checkpoint
@@ -117,7 +117,7 @@ def _names(env: QuadrupedEnv) -> dict[str, str]:
         joint = max((j for j in places if own.endswith(f"_{j}")), key=len, default=None)
         return own.removesuffix(joint) + places[joint] + bracket + ago if joint else name
 
-    names = *env.observation_names, *(f"critic {name}" for name in env.critic_names)
+    names = *env.sensors.names, *(f"critic {name}" for name in env.sensors.critic_names)
     return {placed(name): name for name in names}
 
 
@@ -133,7 +133,7 @@ def _turned(env: QuadrupedEnv, there: QuadrupedEnv) -> tuple[np.ndarray, np.ndar
     feet = mirror(np.arange(4), np.ones(4))
     # What changes its sign with its joint: so terms say how they mirror.
     turned, usual = (
-        env.mirrored_as(RobotMirror(mirror(np.arange(12), own), feet))
+        env.sensors.mirrors(RobotMirror(mirror(np.arange(12), own), feet))
         for own in (signs, np.ones(12))
     )
     if isinstance(turned, str) or isinstance(usual, str):

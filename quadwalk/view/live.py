@@ -22,6 +22,7 @@ from quadwalk.task.env import MAX_SPEED, QuadrupedEnv
 from quadwalk.task.episode.command import Command
 from quadwalk.task.episode.randomization import EpisodeRandomization, delayed, targets_needed
 from quadwalk.task.episode.reset import nominal_start
+from quadwalk.task.ground_input import jit
 from quadwalk.task.state import EnvState
 from quadwalk.train.runs.policy import Policy as TrainedPolicy
 
@@ -287,7 +288,7 @@ def _empty_frames(env: QuadrupedEnv) -> np.ndarray | None:
     """Room for what was measured in earlier control steps; None if the policy sees only one."""
     parts = env.config.observation
     earlier = max(part.history for part in parts.values())
-    return np.zeros((1 + earlier, env.noise_scale.size), np.float32) if earlier else None
+    return np.zeros((1 + earlier, env.sensors.noise_scale.size), np.float32) if earlier else None
 
 
 def _compiled(env: QuadrupedEnv) -> Callable[[Policy, EnvState], tuple[Any, Any, Any, Any]]:
@@ -298,16 +299,16 @@ def _compiled(env: QuadrupedEnv) -> Callable[[Policy, EnvState], tuple[Any, Any,
     """
 
     def think(env: QuadrupedEnv, policy: Policy, state: EnvState) -> tuple[Any, Any, Any, Any]:
-        state = env.with_frame(state)
+        state = env.sensors.measured(state)
         if state.frames is not None:
             before = jnp.where(state.steps == 0, state.frames[:1], state.frames)
             state = state._replace(frames=before)
         assert state.conditions is not None
-        action = policy(env.observation(state))
+        action = policy(env.sensors.observation(state))
         target = env.config.action(env.robot, action, state.qpos[7:])
         conditions, applied_target = delayed(
             state.conditions, target, env.stepping.substeps, state.steps
         )
         return state.frames, conditions.targets, action, applied_target
 
-    return env.jit(think, compiler_options=_OPTIONS)
+    return jit(env, think, compiler_options=_OPTIONS)

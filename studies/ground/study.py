@@ -25,6 +25,7 @@ from quadwalk.evaluate.loaded import load_run
 from quadwalk.evaluate.simulate import roll_out
 from quadwalk.ground.heightfield import Heightfield
 from quadwalk.process import run_command
+from quadwalk.task.ground_input import jit
 from quadwalk.train.flags import parse_config
 from quadwalk.train.runs.directory import Run
 from quadwalk.variants.trainings import in_processes, trained
@@ -67,7 +68,7 @@ def film(run: Run, kind: str) -> dict[str, Any]:
     env = ground_env(loaded, (kind,), levels=2)
     assert env.terrain is not None
     tile = env.terrain.tiles.index(env.terrain.tile(kind, 1))
-    begin = env.jit(lambda env, keys, tiles: jax.vmap(env.reset)(keys, tiles))
+    begin = jit(env, lambda env, keys, tiles: jax.vmap(env.reset)(keys, tiles))
     first = begin(jax.random.PRNGKey(1)[None], jnp.array([tile]))
 
     def qpos(env: Any, before: Any, action: Any, after: Any) -> Any:

@@ -76,12 +76,14 @@ def test_motors_obey_the_target_of_a_control_step_before(env, rollouts):
 
 
 def test_what_is_seen_is_the_truth_and_noise_of_level_1(env, rollouts):
-    noisy = env.noise_scale > 0
-    names = np.array(env.observation_names)
+    noisy = env.sensors.noise_scale > 0
+    names = np.array(env.sensors.names)
     for rollout in rollouts:
         off = rollout.observation - rollout.truth
         np.testing.assert_allclose(off[:, ~noisy], 0.0, atol=1e-6)
-        assert np.std(off[:, noisy] / env.noise_scale[noisy]) == pytest.approx(1.0, abs=0.05)
+        assert np.std(off[:, noisy] / env.sensors.noise_scale[noisy]) == pytest.approx(
+            1.0, abs=0.05
+        )
         joints = np.char.startswith(names, "position_")
         home = rollout.qpos[:-1, 7:] - env.robot.home_joints
         np.testing.assert_allclose(rollout.truth[:, joints], home, atol=1e-6)
@@ -193,7 +195,7 @@ def test_the_report_shows_what_was_seen_beside_the_truth(env, rollouts):
     assert len(shown) == 3
     for axes in shown:
         name = axes.get_title(loc="left").partition(":")[0].lower()
-        column = [n.lower() for n in env.observation_names].index(name)
+        column = [n.lower() for n in env.sensors.names].index(name)
         seen, true = (line.get_ydata() for line in axes.get_lines())
         np.testing.assert_array_equal(seen, rollouts[0].observation[-len(seen) :, column])
         np.testing.assert_array_equal(true, rollouts[0].truth[-len(true) :, column])

@@ -226,7 +226,7 @@ def test_mujoco_agrees_on_each_perturbation(name, recorded, env, quadruped):
 
 
 def test_noise_has_its_scale_and_is_new_in_each_step(env):
-    names, scale = env.observation_names, env.noise_scale
+    names, scale = env.sensors.names, env.sensors.noise_scale
 
     def draw(seen, level, steps):
         suffered = nominal(env, jax.random.PRNGKey(0))._replace(noise=level)

@@ -32,7 +32,7 @@ from quadwalk.settings.terms import ActionMap
 from quadwalk.shell import install
 from quadwalk.task.env import QuadrupedEnv
 from quadwalk.task_files import load_task
-from quadwalk.train.networks import make_networks
+from quadwalk.train.learner.networks import make_networks
 from quadwalk.train.runs.directory import Run
 from quadwalk.train.runs.policy import save_policy
 

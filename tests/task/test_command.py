@@ -132,7 +132,7 @@ def test_an_episode_is_told_anew_on_time(course):
 
 
 def test_the_command_is_seen_in_place_of_the_line(told, course):
-    names = told.observation_names
+    names = told.sensors.names
     assert told.policy_size == len(set(names))
     assert not {"heading", "offset"} & set(names)
     for state in course:

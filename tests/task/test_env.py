@@ -37,7 +37,7 @@ def test_it_is_a_brax_environment(env, reset):
     assert isinstance(env, brax.envs.base.Env)
     assert reset(0).obs.shape == (4, env.observation_size) == (4, 47)
     assert env.action_size == 12
-    assert len(set(env.observation_names)) == 47
+    assert len(set(env.sensors.names)) == 47
 
 
 def test_the_wrappers_of_brax_run_it(env):
@@ -73,7 +73,7 @@ def test_a_start_stands_with_its_lowest_foot_on_the_floor(env, reset):
 
 def test_the_observation_is_what_its_names_say(env, reset, step):
     state = step(reset(5), jnp.full((4, 12), 0.25))
-    names = env.observation_names
+    names = env.sensors.names
     qpos, qvel = (np.asarray(x, float)[0] for x in physics_of(state)[:2])
     turn = Rotation.from_quat(qpos[[4, 5, 6, 3]])
     expected = {
@@ -201,7 +201,7 @@ def test_a_setting_out_of_range_is_refused(bad):
 def test_the_policy_sees_what_was_seen_before_and_the_critic_the_truth(quadruped):
     world = dataclasses.replace(run.TASK.env.randomization, enabled=False)
     env = QuadrupedEnv(quadruped, dataclasses.replace(run.TASK.env, randomization=world))
-    names = (*env.observation_names, *(f"critic_{name}" for name in env.critic_names))
+    names = (*env.sensors.names, *(f"critic_{name}" for name in env.sensors.critic_names))
     assert len(names) == len(set(names)) == env.observation_size
     assert env.policy_size == 43 + 4 * 42  # all but the heading four times more
     step = jax.jit(env.step)

@@ -32,7 +32,7 @@ def test_every_task_has_a_mirror_and_mirroring_twice_changes_nothing(quadruped, 
 
 def test_the_mirror_of_the_alien_go_is_what_its_names_say(quadruped):
     env = QuadrupedEnv(quadruped, run.TASK.env)
-    names = [*env.observation_names, *(f"critic_{name}" for name in env.critic_names)]
+    names = [*env.sensors.names, *(f"critic_{name}" for name in env.sensors.critic_names)]
     odd = ("velocity_y", "gravity_y", "heading", "angular_velocity_x", "angular_velocity_z")
     for i, name in enumerate(names):
         if "conditions" in name or "contacts" in name:
@@ -50,10 +50,10 @@ def test_the_mirror_of_the_alien_go_is_what_its_names_say(quadruped):
 
 def test_a_scan_is_reversed_from_right_to_left(quadruped):
     env = QuadrupedEnv(quadruped, rough.TASK.env)
-    scan = [i for i, name in enumerate(env.observation_names) if name.startswith("height_scan")]
+    scan = [i for i, name in enumerate(env.sensors.names) if name.startswith("height_scan")]
     expected = np.array(scan).reshape(13, 7)[:, ::-1].ravel()
     np.testing.assert_array_equal(env.mirrors.observation.source[scan], expected)
-    clock = [env.observation_names.index(f"clock_{part}") for part in ("sine", "cosine")]
+    clock = [env.sensors.names.index(f"clock_{part}") for part in ("sine", "cosine")]
     np.testing.assert_array_equal(env.mirrors.observation.sign[clock], -1)
 
 

@@ -1,6 +1,7 @@
 """Episodes on ground that is not level: where they start, what is above ground, where they end."""
 
 import dataclasses
+from functools import partial
 from types import SimpleNamespace
 from typing import Any
 
@@ -16,7 +17,9 @@ from quadwalk.physics.rotation import yaw
 from quadwalk.settings.terms import Observation
 from quadwalk.task import termination
 from quadwalk.task.env import QuadrupedEnv
+from quadwalk.task.ground_input import jit
 from quadwalk.task.observation import height, height_scan, scan_ahead
+from quadwalk.task.termination import off_ground
 from quadwalk.tasks import rough, sprint
 
 KINDS = ("stairs_up", "blocks", "slope_down")
@@ -73,7 +76,7 @@ def test_an_episode_starts_on_the_tile_that_is_asked_for(hilly):
 
 def test_the_scan_and_the_height_are_those_of_the_field(hilly, starts):
     qpos = np.asarray(starts.pipeline_state.qpos)
-    names = hilly.observation_names
+    names = hilly.sensors.names
     assert len(names) == 15 + 1
     for q, seen in zip(qpos, np.asarray(starts.obs), strict=True):
         heading = float(yaw(jnp.asarray(q[3:7])))
@@ -125,7 +128,7 @@ def test_an_episode_can_be_confined_to_its_tile(hilly, starts):
     def outside(env, offset):
         qpos = state.qpos.at[:, :2].set(middles + offset)
         moved = state._replace(physics=state.physics._replace(qpos=qpos))
-        return np.asarray(jax.vmap(env._outside)(moved))
+        return np.asarray(jax.vmap(partial(off_ground, env.config, env.terrain))(moved))
 
     assert not outside(confined, [2.9, -2.9]).any()
     assert outside(confined, [3.1, 0.0]).all()
@@ -144,13 +147,13 @@ def test_the_ground_may_be_an_argument_of_a_program(hilly, starts):
         return over_devices(keys)
 
     keys = jax.random.split(jax.random.PRNGKey(0), EPISODES)
-    given = hilly.jit(reset)(keys)
+    given = jit(hilly, reset)(keys)
     np.testing.assert_allclose(given.obs, starts.obs, atol=1e-6)
-    later = hilly.jit(lambda env, state, by: state.obs + by, donate=(0,))(given, 1.0)
+    later = jit(hilly, lambda env, state, by: state.obs + by, donate=(0,))(given, 1.0)
     assert given.obs.is_deleted()
     np.testing.assert_allclose(later, starts.obs + 1.0, atol=1e-6)
-    assert constants(hilly.jit(reset), keys) < 100_000
-    assert constants(hilly.jit(lambda _, keys: reset(hilly, keys)), keys) > 1_000_000
+    assert constants(jit(hilly, reset), keys) < 100_000
+    assert constants(jit(hilly, lambda _, keys: reset(hilly, keys)), keys) > 1_000_000
 
 
 def constants(program: Any, *arguments: Any) -> int:

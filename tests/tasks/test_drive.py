@@ -58,7 +58,7 @@ def test_each_command_is_held_from_the_same_starts(standing):
     state = starts.pipeline_state
     np.testing.assert_allclose(state.command.velocity, np.repeat(commands, 3, axis=0), rtol=1e-6)
     np.testing.assert_array_equal(state.qpos[:3], state.qpos[3:])
-    forward = standing.env.observation_names.index("command_forward")
+    forward = standing.env.sensors.names.index("command_forward")
     np.testing.assert_array_equal(starts.obs[:, forward], [1.0] * 3 + [-1.0] * 3)
 
 

@@ -13,7 +13,8 @@ from brax.training.acme.running_statistics import NestedMeanStd
 from brax.training.agents.ppo import losses
 
 from quadwalk.tasks import sprint
-from quadwalk.train.ppo import Learner, TrainState
+from quadwalk.train.learner.iteration import TrainState
+from quadwalk.train.learner.ppo import Learner
 from quadwalk.train.runs.directory import Run
 from quadwalk.train.runs.writer import RunWriter
 

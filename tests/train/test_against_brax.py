@@ -30,8 +30,8 @@ from benchmarks.brax_training import (
 )
 from quadwalk.settings.training import PPOConfig
 from quadwalk.tasks import sprint
-from quadwalk.train import ppo
-from quadwalk.train.networks import TanhNormal, make_networks
+from quadwalk.train.learner import iteration, ppo
+from quadwalk.train.learner.networks import TanhNormal, make_networks
 
 ENVS = 32
 SETTINGS = {
@@ -57,7 +57,7 @@ class Point(Env):
     action_size = 1
     backend = "none"
     curriculum = None
-    surfaces = ()
+    terrain = None
 
     def __init__(self, episode_steps: int, dt: float = 0.1, spread: float = 0.0) -> None:
         self.config = dataclasses.replace(
@@ -65,9 +65,6 @@ class Point(Env):
         )
         self.dt = dt  # s; with 0, nothing moves
         self.spread = spread  # fresh starts are at random up to this far from 0
-
-    def reading(self, heights: Any) -> "Point":
-        return self
 
     def reset(self, rng: jax.Array) -> State:
         position = jax.random.uniform(rng, (), minval=-1.0, maxval=1.0) * self.spread
@@ -173,12 +170,12 @@ def train_both(monkeypatch):
     )
 
     def train(env: Point, config: PPOConfig, iterations: int) -> Both:
-        mesh = ppo.make_mesh()
+        mesh = iteration.make_mesh()
         networks = make_networks(config, Point.observation_size, Point.action_size)
         keyless = Keyless(Point.action_size, var_scale=networks.std_scale)
         theirs = networks_of_brax(config, networks, parametric_action_distribution=keyless)
         # Learning begins at once: the first iteration of all would measure observations only.
-        state = ppo.init_state(env, networks, config, mesh, ENVS, seed=0)
+        state = iteration.init_state(env, networks, config, mesh, ENVS, seed=0)
         learner = state.learner._replace(iterations=jnp.ones((), jnp.int32))
         reported: list[dict[str, Any]] = []
         brax = train_with_brax(
@@ -199,9 +196,9 @@ def train_both(monkeypatch):
         envs = envs.replace(pipeline_state=jax.vmap(scattered)(begin), obs=begin)
         envs = jax.device_put(envs, NamedSharding(mesh, P(ppo.AXIS)))
         learner = jax.device_put(learner, NamedSharding(mesh, P()))
-        state = ppo.TrainState(learner, state.workers._replace(envs=envs))
+        state = iteration.TrainState(learner, state.workers._replace(envs=envs))
 
-        iterate = ppo.Iteration(env, networks, config, mesh, iterations)
+        iterate = iteration.Iteration(env, networks, config, mesh, iterations)
         ours, first, losses = [params_of(state.learner)], None, None
         for _ in range(iterations):
             state, metrics = jax.block_until_ready(iterate(state))
@@ -272,9 +269,9 @@ def test_a_moving_body_is_bootstrapped_from_the_state_after_its_time_limit():
     """The value loss, against advantages written out in NumPy from what the environment does."""
     config = dataclasses.replace(sprint.TASK.ppo, **SETTINGS, minibatches=1, epochs=1, init_std=1.0)
     env = Point(4, dt=0.3, spread=1.9)
-    mesh = ppo.make_mesh()
+    mesh = iteration.make_mesh()
     networks = make_networks(config, env.observation_size, env.action_size)
-    state = ppo.init_state(env, networks, config, mesh, ENVS, seed=0)
+    state = iteration.init_state(env, networks, config, mesh, ENVS, seed=0)
 
     def one_iteration(learner: ppo.Learner, workers: ppo.RolloutState) -> Any:
         _, data, _ = ppo.collect(env, networks, config, learner, workers)

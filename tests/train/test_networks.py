@@ -18,8 +18,8 @@ from quadwalk.errors import UsageError
 from quadwalk.robot.mirror import Mirror
 from quadwalk.task.reflections import Mirrors
 from quadwalk.tasks import sprint
-from quadwalk.train import ppo
-from quadwalk.train.networks import Basis, TanhNormal, make_networks, mean_policy, plain
+from quadwalk.train.learner import iteration, ppo
+from quadwalk.train.learner.networks import Basis, TanhNormal, make_networks, mean_policy, plain
 
 SEEN, MORE, ACTIONS = 5, 3, 2
 ENVS, UNROLL = 6, 4
@@ -188,7 +188,7 @@ def test_a_basis_is_orthonormal_and_the_mirror_changes_its_signs_alone(seed):
 
 def test_statistics_are_those_of_brax_of_the_data_and_their_mirror_image(networks):
     """Over two devices, three times, each normalized by what was known before."""
-    mesh, found = ppo.make_mesh(), networks.init_statistics()
+    mesh, found = iteration.make_mesh(), networks.init_statistics()
 
     def count(statistics, x):
         parts = networks.normalized(statistics, x)

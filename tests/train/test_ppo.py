@@ -17,8 +17,8 @@ from quadwalk.task.episode.curriculum import Curriculum, begin_travel
 from quadwalk.task.episode.randomization import EpisodeRandomization
 from quadwalk.task.state import EnvState
 from quadwalk.tasks import sprint, walk
-from quadwalk.train import ppo
-from quadwalk.train.networks import make_networks, mean_policy
+from quadwalk.train.learner import episodes, iteration, ppo
+from quadwalk.train.learner.networks import make_networks, mean_policy
 
 CONFIG = dataclasses.replace(
     sprint.TASK.ppo,
@@ -48,10 +48,7 @@ class Counter(Env):
 
     config = dataclasses.replace(sprint.TASK.env, episode_seconds=4 * sprint.TASK.env.control_dt)
     curriculum = None
-    surfaces = ()
-
-    def reading(self, heights: tuple[()]) -> "Counter":
-        return self
+    terrain = None
 
     def reset(self, rng: jax.Array) -> State:
         count = Count(jnp.zeros((), jnp.int32), jax.random.uniform(rng, (), minval=-1.0))
@@ -92,11 +89,11 @@ def networks():
 
 @pytest.fixture(scope="module")
 def iterate(networks):
-    return ppo.Iteration(Counter(), networks, CONFIG, ppo.make_mesh(), iterations=150)
+    return iteration.Iteration(Counter(), networks, CONFIG, iteration.make_mesh(), iterations=150)
 
 
-def start(networks, seed: int = 0) -> ppo.TrainState:
-    return ppo.init_state(Counter(), networks, CONFIG, ppo.make_mesh(), ENVS, seed)
+def start(networks, seed: int = 0) -> iteration.TrainState:
+    return iteration.init_state(Counter(), networks, CONFIG, iteration.make_mesh(), ENVS, seed)
 
 
 class Rows(NamedTuple):
@@ -122,7 +119,7 @@ def gather(networks):
             lambda learner, workers: rows_first(
                 *ppo.collect(Counter(), networks, CONFIG, learner, workers)
             ),
-            mesh=ppo.make_mesh(),
+            mesh=iteration.make_mesh(),
             in_specs=(P(), P(ppo.AXIS)),
             out_specs=(P(ppo.AXIS), P(ppo.AXIS), P()),
             check_vma=False,
@@ -140,7 +137,7 @@ def collected(networks, gather):
 
 def test_episodes_start_out_of_phase():
     keys = jax.random.split(jax.random.PRNGKey(0), ENVS)
-    state = ppo.reset_envs(Counter(), keys)
+    state = episodes.reset_envs(Counter(), keys)
     steps = np.asarray(state.pipeline_state.steps)
     np.testing.assert_array_equal(state.obs[:, 0], steps)
     assert set(steps) <= set(range(4))
@@ -160,15 +157,15 @@ def test_the_next_episodes_are_where_the_curriculum_says_but_for_those_that_eval
     )
     env = SimpleNamespace(curriculum=lessons)
     draws = [
-        np.asarray(ppo._next_tiles(env, state, jnp.bool_(False), 6, jax.random.PRNGKey(seed)))
+        np.asarray(episodes.next_tiles(env, state, jnp.bool_(False), 6, jax.random.PRNGKey(seed)))
         for seed in range(30)
     ]
     assert all(drawn[:6].tolist() == [1, 4, 2, 5, 1, 4] for drawn in draws)
     assert {int(tile) for drawn in draws for tile in drawn[6:]} == set(range(6))
-    first = ppo._next_tiles(env, state, jnp.bool_(True), 6, jax.random.PRNGKey(0))
+    first = episodes.next_tiles(env, state, jnp.bool_(True), 6, jax.random.PRNGKey(0))
     assert (np.asarray(first)[:6] // 3).tolist() == [0, 1, 0, 1, 0, 1]
     none = SimpleNamespace(curriculum=None)
-    assert ppo._next_tiles(none, state, jnp.bool_(False), 6, jax.random.PRNGKey(0)) is None
+    assert episodes.next_tiles(none, state, jnp.bool_(False), 6, jax.random.PRNGKey(0)) is None
 
 
 def test_only_the_sampling_environments_are_learnt_from(collected):
@@ -247,7 +244,7 @@ def test_some_that_fell_meet_the_same_conditions_once_more():
     vector = np.tile(number[:, None], (1, 3))
     own = EpisodeRandomization(None, number, None, vector, number, vector, vector, vector, vector)
     fell = jnp.asarray(number % 2)
-    found = ppo._retried(0.25, begun(1.0), begun(-1.0), jax.random.PRNGKey(0))
+    found = episodes.retried(0.25, begun(1.0), begun(-1.0), jax.random.PRNGKey(0))
     np.testing.assert_array_equal(found.targets, -vector)
     np.testing.assert_array_equal(found.key, -vector)
     again = np.asarray(found.delay) > 0
@@ -259,19 +256,19 @@ def test_some_that_fell_meet_the_same_conditions_once_more():
 
 def test_an_episode_after_a_fall_is_seen_as_it_starts(quadruped, monkeypatch):
     """Of walk: the clock at the step it is put to, and the encoders that it has once more."""
-    monkeypatch.setattr(ppo, "SOME", 3)  # of four that end, three are begun and then one
+    monkeypatch.setattr(episodes, "SOME", 3)  # of four that end, three are begun and then one
     task = walk.TASK
     world = dataclasses.replace(task.env.randomization, noise=None, imu_tilt=None)
     env = QuadrupedEnv(quadruped, dataclasses.replace(task.env, randomization=world))
-    names = env.observation_names
+    names = env.sensors.names
 
-    fresh = jax.jit(lambda keys: ppo.reset_envs(env, keys))
+    fresh = jax.jit(lambda keys: episodes.reset_envs(env, keys))
     after, start = map(fresh, jax.random.split(jax.random.PRNGKey(4), (2, 6)))
     fell = jnp.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
     over = after.replace(done=fell.at[3].set(1.0), metrics={**after.metrics, "fell": fell})
     config = dataclasses.replace(task.ppo, retry=1.0 - 1e-6)
     found = jax.jit(
-        lambda *states: ppo._start_anew(env, config, lambda obs: obs[:, 0], *states)[1]
+        lambda *states: episodes.start_anew(env, config, lambda obs: obs[:, 0], *states)[1]
     )(over, start, jax.random.PRNGKey(0))
     over, start, found = jax.device_get((over, start, found))
     steps = found.pipeline_state.steps
@@ -296,7 +293,7 @@ def test_an_episode_after_a_fall_is_seen_as_it_starts(quadruped, monkeypatch):
 def test_the_first_step_that_gave_no_number_is_kept(networks, gather, poisoned):
     state = start(networks)
     learner = state.learner._replace(iterations=jnp.ones((), jnp.int32))  # the first starts anew
-    envs = ppo.reset_envs(Counter(), jax.random.split(jax.random.PRNGKey(0), 12))
+    envs = episodes.reset_envs(Counter(), jax.random.split(jax.random.PRNGKey(0), 12))
     count = envs.pipeline_state
     origin = count.origin.at[np.array(poisoned, int)].set(2.0)
     envs = envs.replace(pipeline_state=count._replace(origin=origin))
@@ -365,9 +362,9 @@ class Late(Counter):
 @pytest.mark.parametrize("unroll", [1, 5])
 def test_a_number_that_is_constant_in_the_first_iteration_changes_no_policy_beyond_measure(unroll):
     config = dataclasses.replace(CONFIG, unroll=unroll)
-    networks, env, mesh = make_networks(config, 4, 2), Late(unroll), ppo.make_mesh()
-    iterate = ppo.Iteration(env, networks, config, mesh, iterations=150)
-    state = ppo.init_state(env, networks, config, mesh, ENVS, 0)
+    networks, env, mesh = make_networks(config, 4, 2), Late(unroll), iteration.make_mesh()
+    iterate = iteration.Iteration(env, networks, config, mesh, iterations=150)
+    state = iteration.init_state(env, networks, config, mesh, ENVS, 0)
     stds, divergences = [], []
     for _ in range(6):
         state, metrics = jax.block_until_ready(iterate(state))

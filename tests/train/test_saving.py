@@ -12,8 +12,9 @@ from brax.training.acme import running_statistics, specs
 
 from quadwalk.errors import UserError
 from quadwalk.tasks import sprint
-from quadwalk.train.networks import make_networks
-from quadwalk.train.ppo import Learner, TrainState
+from quadwalk.train.learner.iteration import TrainState
+from quadwalk.train.learner.networks import make_networks
+from quadwalk.train.learner.ppo import Learner
 from quadwalk.train.runs.directory import Run, create_run, list_checkpoints
 from quadwalk.train.runs.log import read_metrics
 from quadwalk.train.runs.policy import load_policy, load_score

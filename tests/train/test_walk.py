@@ -9,8 +9,8 @@ import pytest
 from quadwalk.robot.quadruped import load_quadruped
 from quadwalk.task.env import QuadrupedEnv
 from quadwalk.task_files import load_task
-from quadwalk.train import ppo
-from quadwalk.train.networks import networks_for
+from quadwalk.train.learner import iteration
+from quadwalk.train.learner.networks import networks_for
 from quadwalk.train.runs import checkpoint
 
 ENVS = 16
@@ -25,9 +25,9 @@ def training():
     command = dataclasses.replace(preset.env.command, seconds=2 * preset.env.control_dt)
     env = QuadrupedEnv(load_quadruped(), dataclasses.replace(preset.env, command=command))
     networks = networks_for(env, config)
-    mesh = ppo.make_mesh()
-    state = ppo.init_state(env, networks, config, mesh, ENVS, seed=0)
-    return env, state, ppo.Iteration(env, networks, config, mesh, iterations=10)
+    mesh = iteration.make_mesh()
+    state = iteration.init_state(env, networks, config, mesh, ENVS, seed=0)
+    return env, state, iteration.Iteration(env, networks, config, mesh, iterations=10)
 
 
 @pytest.fixture(scope="module")
@@ -71,7 +71,7 @@ def test_a_saved_state_goes_on_as_if_it_had_not_been_saved(training, course, tmp
     states, _ = course
     checkpoint.save(tmp_path / "c.npz", states[2], {"kind": "checkpoint"})
     saved, _ = checkpoint.load(tmp_path / "c.npz", "checkpoint", like=states[0])
-    after, _ = iterate(ppo.placed_like(saved, jax.tree.map(lambda x: x, state)))
+    after, _ = iterate(iteration.placed_like(saved, jax.tree.map(lambda x: x, state)))
     for a, b in zip(
         jax.tree.leaves(jax.device_get(after)), jax.tree.leaves(states[3]), strict=True
     ):

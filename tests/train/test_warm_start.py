@@ -19,8 +19,8 @@ from quadwalk.settings.terms import Observation
 from quadwalk.task.env import QuadrupedEnv
 from quadwalk.task.observation import offset
 from quadwalk.tasks import run as task
-from quadwalk.train import ppo
-from quadwalk.train.networks import mean_policy, networks_for
+from quadwalk.train.learner import iteration
+from quadwalk.train.learner.networks import mean_policy, networks_for
 from quadwalk.train.runs import checkpoint
 from quadwalk.train.runs.directory import Run, as_json, create_run, versions
 from quadwalk.train.runs.policy import save_policy
@@ -34,7 +34,7 @@ SEEN = {"reach": 1.0}
 
 def learner_of(env, config, seed):
     networks = networks_for(env, config.ppo)
-    state = ppo.init_state(env, networks, config.ppo, ppo.make_mesh(), 8, seed)
+    state = iteration.init_state(env, networks, config.ppo, iteration.make_mesh(), 8, seed)
     return networks, jax.device_get(state.learner)
 
 
@@ -47,7 +47,7 @@ def worth(networks, learner, observation):
 
 def saved(run, like):
     """The learner in the run's checkpoint."""
-    state = ppo.TrainState(like, {"x": np.zeros(1)})
+    state = iteration.TrainState(like, {"x": np.zeros(1)})
     return checkpoint.load(run.checkpoint(10), "checkpoint", state)[0].learner
 
 
@@ -75,7 +75,7 @@ def source(request, tmp_path_factory):
     files = {"robot.urdf": quadruped.urdf.encode(), "config.json": as_json(settings)}
     run = create_run(tmp_path_factory.mktemp("runs"), "source", files=files)
     run.checkpoints.mkdir(exist_ok=True)
-    state = ppo.TrainState(learner, {"x": np.zeros(1)})
+    state = iteration.TrainState(learner, {"x": np.zeros(1)})
     checkpoint.save(run.checkpoint(10), state, {"kind": "checkpoint", "mirrors": None})
     return run, config, env, networks.plain_policy(learner.normalizer, learner.params.policy)
 
@@ -116,11 +116,11 @@ def test_what_is_new_changes_no_action_and_what_is_seen_in_another_order_is_foun
         "--init: heading: is no longer seen",
     ]
     rng = np.random.default_rng(1)
-    values = {name: rng.normal(size=9) for name in env.observation_names}
+    values = {name: rng.normal(size=9) for name in env.sensors.names}
     values["heading"] = np.full(9, float(policy[0].mean[0]))  # weighs nothing at its mean
-    before = np.stack([values[name] for name in env.observation_names], axis=1)
+    before = np.stack([values[name] for name in env.sensors.names], axis=1)
     values["offset"] = rng.normal(size=9)
-    after = np.stack([values[name] for name in other.observation_names], axis=1)
+    after = np.stack([values[name] for name in other.sensors.names], axis=1)
     np.testing.assert_allclose(
         acts(networks, learner, jnp.float32(after)),
         mean_policy("swish", *policy)(jnp.float32(before)),
@@ -138,7 +138,7 @@ def test_statistics_of_what_is_new_soon_are_its_own_in_any_unit(source, unit):
     networks, fresh = learner_of(other, there, 6)
     learner, _ = begun_from(run, there, other, networks, fresh)
     normalizer = jax.tree.map(jnp.asarray, learner.normalizer)
-    place, number = other.observation_names.index("offset"), int(normalizer.count.lo)
+    place, number = other.sensors.names.index("offset"), int(normalizer.count.lo)
     known = np.arange(other.observation_size) != place
     before = normalizer.mean[known], normalizer.std[known]
     rng = np.random.default_rng(3)
@@ -179,9 +179,9 @@ def test_a_robot_with_other_joints_acts_the_same_in_the_same_pose(source, tmp_pa
     joint_signs[[3, 9]] = -1.0
     hips = {f"{p}_{hip}" for p in ("position", "speed", "last_action") for hip in ("hip", "LR_hip")}
     # Encoder offsets (12,) are what conditions end with.
-    drawn = sum(name.startswith("conditions_") for name in other.critic_names)
+    drawn = sum(name.startswith("conditions_") for name in other.sensors.critic_names)
     hips |= {f"conditions_{drawn - 12 + joint}" for joint in (3, 9)}
-    names = other.observation_names + other.critic_names
+    names = other.sensors.names + other.sensors.critic_names
     turned = [name.partition("[")[0] in hips for name in names]
     # Position, speed, last action, each with four steps before; in the critic the first two, too.
     assert sum(turned) == 2 * (3 * 5 + 2 + 1)

@@ -46,7 +46,7 @@ class Toy(Env):
     action_size = 12
     backend = "none"
     curriculum = None
-    surfaces = ()
+    terrain = None
     mirrors = None
     asymmetry = None
 
@@ -57,9 +57,6 @@ class Toy(Env):
     @property
     def mj_model(self) -> mujoco.MjModel:
         return self.quadruped.full_model(visuals=False)
-
-    def reading(self, heights: Any) -> "Toy":
-        return self
 
     def reset(self, rng: jax.Array) -> State:
         drawn = jax.random.uniform(rng, (2,))

@@ -15,7 +15,7 @@ from quadwalk.settings.training import TrainConfig
 from quadwalk.task.env import QuadrupedEnv
 from quadwalk.tasks import rough, walk
 from quadwalk.tasks import run as run_task
-from quadwalk.train.networks import make_networks
+from quadwalk.train.learner.networks import make_networks
 from quadwalk.train.runs import checkpoint
 from quadwalk.train.runs.directory import Run, as_json, create_run, versions
 from quadwalk.view.choices import NEWEST, open_run

@@ -145,7 +145,7 @@ def test_strength_weakens_the_motors(fresh, still, monkeypatch):
 def test_noise_is_what_the_task_states_and_new_in_every_step(hare, still, monkeypatch):
     """Of 40 steps, each in the same state, and so with the same true frame."""
     monkeypatch.setattr(hare, "policy", still)
-    scale = hare.env.noise_scale
+    scale = hare.env.sensors.noise_scale
 
     def seen(noise: float, steps: int) -> np.ndarray:
         hare.change(latency=0.0, noise=noise)

@@ -12,6 +12,7 @@ from brax.envs.base import State
 from quadwalk.evaluate.simulate import Policy, Report, roll_out
 from quadwalk.evaluate.statistics import mean_figure, share_interval
 from quadwalk.task.env import QuadrupedEnv
+from quadwalk.task.ground_input import jit
 
 # An episode's number, whether it came to its end without a fall, and its trunk's poses (T + 1, 7),
 # m and wxyz, to its figures.
@@ -61,7 +62,7 @@ def cell_starts(
     (m n, ...), one cell after another.
     """
 
-    @env.jit
+    @partial(jit, env)
     def begun(env: QuadrupedEnv, cells: jax.Array, *episodes: Any) -> State:
         of_cell = jax.vmap(partial(start, env), in_axes=(None, *(0 for _ in episodes)))
         return jax.vmap(of_cell, in_axes=(0, *(None for _ in episodes)))(cells, *episodes)

@@ -58,7 +58,7 @@ class TrainingMetrics:
         return min(speed, speed * (1.0 - (0.0 if math.isnan(falls) else falls)))
 
     def row(self, steps: int, numbers: Mapping[str, Any]) -> dict[str, float]:
-        """The row after `steps` control steps, from what `quadwalk.train.ppo` gives."""
+        """The row after `steps` control steps, from what `quadwalk.train.learner.ppo` gives."""
         values = {name: float(value) for name, value in numbers.items() if name != "nan_step"}
         self._nan += values["count/nan"]
         self._speeds.append(values["eval/speed"])

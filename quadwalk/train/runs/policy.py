@@ -16,7 +16,7 @@ from quadwalk.robot.mirror import mirror
 from quadwalk.settings.serialize import to_dict
 from quadwalk.settings.training import TrainConfig
 from quadwalk.task.reflections import Mirrors
-from quadwalk.train.networks import KERNELS, check_activation, make_networks, mean_policy
+from quadwalk.train.learner.networks import KERNELS, check_activation, make_networks, mean_policy
 from quadwalk.train.runs import checkpoint
 from quadwalk.train.runs.directory import Run
 from quadwalk.train.runs.resume import config_of

@@ -100,7 +100,7 @@ def test_the_observation(env, drawn, concluded):
     )
     assert expected.shape[1] == env.observation_size == 37
     np.testing.assert_allclose(concluded.obs, expected, atol=2e-5)
-    names = env.observation_names
+    names = env.sensors.names
     assert len(set(names)) == 37
     assert [names.index(f"world_orientation_{i}") for i in "xyzw"] == [3, 4, 5, 6]
     assert names[13:25] == tuple(f"position_{joint}" for joint in env.quadruped.joints)

@@ -62,8 +62,8 @@ def test_it_is_measured_and_recorded(rollout, env, tmp_path):
 
 
 def test_noise_for_every_number_that_is_seen(env):
-    scales = env.noise_scale.astype(float).round(6)
-    by_name = dict(zip(env.observation_names, scales, strict=True))
+    scales = env.sensors.noise_scale.astype(float).round(6)
+    by_name = dict(zip(env.sensors.names, scales, strict=True))
     assert by_name["world_position_x"] == 0.05
     assert by_name["world_orientation_w"] == 0.025
     assert by_name["world_velocity_y"] == 0.1

@@ -9,8 +9,8 @@ import pytest
 from quadwalk.robot.quadruped import load_quadruped
 from quadwalk.task.env import QuadrupedEnv
 from quadwalk.task_files import load_task
-from quadwalk.train import ppo
-from quadwalk.train.networks import networks_for
+from quadwalk.train.learner import iteration
+from quadwalk.train.learner.networks import networks_for
 from quadwalk.train.progress.metrics import TrainingMetrics
 
 ITERATIONS, ENVS = 4, 8
@@ -20,10 +20,10 @@ def test_it_learns_from_numbers_that_are_finite():
     preset = load_task("blog")
     config = replace(preset.ppo, eval_envs=2, unroll=8, minibatches=2, hidden=(16,))
     env = QuadrupedEnv(load_quadruped(), preset.env)
-    networks, mesh = networks_for(env, config), ppo.make_mesh()
-    state = ppo.init_state(env, networks, config, mesh, ENVS, seed=0)
+    networks, mesh = networks_for(env, config), iteration.make_mesh()
+    state = iteration.init_state(env, networks, config, mesh, ENVS, seed=0)
     begun = jax.device_get(state.learner.params)
-    iterate = ppo.Iteration(env, networks, config, mesh, ITERATIONS)
+    iterate = iteration.Iteration(env, networks, config, mesh, ITERATIONS)
     metrics = TrainingMetrics(preset.env.reward)
     for number in range(ITERATIONS):
         state, numbers = iterate(state)

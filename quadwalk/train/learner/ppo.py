@@ -1,38 +1,31 @@
-"""PPO as two jitted programs, to collect and to learn, each on every device at once.
+"""PPO: `collect` lets the policy act, `learn` updates it from what came of that.
 
-They are two since one program of both takes an eighth longer (docs/physics.md). The loss and the
-statistics of observations are Brax's, written with features first and environments last, as
-`quadwalk.train.networks` are. Each device of the mesh
-steps its own share of the environments; gradients and statistics are averaged over devices, so
-every device holds the same learner. The learning rate follows the policy's change (KL divergence),
-as in Schulman et al. 2017, section 4, and Rudin et al. 2022, arXiv:2109.11978.
+The loss and the statistics of observations are Brax's, written with features first and environments
+last, as `quadwalk.train.learner.networks` are. Both functions run on every device at once, as
+`quadwalk.train.learner.iteration` compiles them: each device of the mesh steps its own share of
+the environments; gradients and statistics are averaged over devices, so every device holds the same
+learner. The learning rate follows the policy's change (KL divergence), as in Schulman et al. 2017,
+section 4, and Rudin et al. 2022, arXiv:2109.11978.
 """
 
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from functools import partial
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 import optax
 from brax.envs.base import Env, State
 from brax.training.acme.running_statistics import RunningStatisticsState
 from brax.training.agents.ppo.losses import PPONetworkParams
-from jax.sharding import Mesh, NamedSharding
-from jax.sharding import PartitionSpec as P
 
 from quadwalk.settings.training import PPOConfig
-from quadwalk.task.state import tree_where
-from quadwalk.train.devices import release_freed_memory
-from quadwalk.train.networks import Networks, Parts, TanhNormal
+from quadwalk.train.learner.episodes import fresh_starts, start_anew
+from quadwalk.train.learner.networks import Networks, Parts, TanhNormal
 
 AXIS = "devices"
-SOME = 16  # fresh episodes that are begun at once: of a thousand robots, few end in a step
 RATE = "learning_rate"  # its name in the optimizer's state
 Metrics = dict[str, Any]
-T = TypeVar("T")
 
 
 class Learner(NamedTuple):
@@ -49,13 +42,6 @@ class RolloutState(NamedTuple):
 
     envs: State
     key: jax.Array  # (devices, 2) uint32
-
-
-class TrainState(NamedTuple):
-    """Everything that an iteration of training reads and writes."""
-
-    learner: Learner
-    workers: RolloutState
 
 
 class Rollout(NamedTuple):
@@ -77,65 +63,12 @@ class NanStep(NamedTuple):
     action: jax.Array  # (12,) what it was stepped with
 
 
-def make_mesh(devices: list[jax.Device] | None = None) -> Mesh:
-    """A one-dimensional mesh over `devices`, by default all."""
-    return Mesh(np.array(devices or jax.devices()), (AXIS,))
-
-
 def make_optimizer(config: PPOConfig) -> optax.GradientTransformation:
     """Adam with a learning rate that is part of its state, after clipping by global norm."""
     return optax.chain(
         optax.clip_by_global_norm(config.max_grad_norm),
         optax.inject_hyperparams(optax.adam)(learning_rate=config.learning_rate),
     )
-
-
-def reset_envs(env: Env, keys: jax.Array, tiles: jax.Array | None = None) -> State:
-    """A batch of fresh episodes, `keys` (n, 2), out of phase: each starts at a random step.
-
-    In phase, every episode would reach its time limit in the same iteration. `tiles` (n,) are those
-    of the terrain that they are on; None: any.
-    """
-    state = jax.vmap(env.reset)(*([keys] if tiles is None else [keys, tiles]))
-    phase = jax.vmap(lambda key: jax.random.randint(key, (), 0, env.config.episode_steps))(keys)
-    return jax.vmap(env.begun)(state, steps=phase)
-
-
-def init_state(
-    env: Env, networks: Networks, config: PPOConfig, mesh: Mesh, num_envs: int, seed: int
-) -> TrainState:
-    """The state before the first iteration, in which `num_envs` environments will start."""
-    key_networks, key_workers = jax.random.split(jax.random.PRNGKey(seed))
-    params = networks.init(key_networks)
-    learner = Learner(
-        params=params,
-        optimizer=make_optimizer(config).init(params),
-        normalizer=networks.init_statistics(),
-        iterations=jnp.zeros((), jnp.int32),
-    )
-    split = NamedSharding(mesh, P(AXIS))
-    # Only their shapes, from one's: the first `collect` starts them, and a program for that alone
-    # would take as long to compile as a good part of `collect`.
-    one = jax.eval_shape(env.reset, jax.ShapeDtypeStruct((2,), np.uint32))
-    number = num_envs + config.eval_envs
-    envs = jax.tree.map(lambda x: np.zeros((number, *x.shape), x.dtype), one)
-    workers = RolloutState(
-        envs=jax.device_put(envs, split),
-        key=jax.device_put(jax.random.split(key_workers, mesh.size), split),
-    )
-    # Through NumPy, so that these are the same kind of arrays as those read from a file.
-    learner = jax.tree.map(np.asarray, learner)
-    return TrainState(jax.device_put(learner, NamedSharding(mesh, P())), workers)
-
-
-def placed_like(saved: T, state: T) -> T:
-    """`saved`, of NumPy arrays, on the devices that hold `state`."""
-
-    def place(new: np.ndarray, old: jax.Array) -> jax.Array:
-        return jax.make_array_from_callback(new.shape, old.sharding, lambda index: new[index])
-
-    placed: T = jax.tree.map(place, saved, state)
-    return placed
 
 
 def collect(
@@ -149,15 +82,8 @@ def collect(
     """
     envs = len(workers.envs.done)
     learnt_from = envs - config.eval_envs // jax.lax.axis_size(AXIS)
-    key, key_steps, key_reset = jax.random.split(workers.key[0], 3)
-    first = learner.iterations == 0
-    # As many fresh starts as there are environments. With a curriculum each has its own; otherwise
-    # they are dealt out anew in each step.
-    tiles = _next_tiles(env, workers.envs.pipeline_state, first, learnt_from, key_reset)
-    fresh = reset_envs(env, jax.random.split(key_reset, envs), tiles)
-    begun = jax.tree.map(lambda new, old: jnp.where(first, new, old), fresh, workers.envs)
-    if tiles is None:  # once over, of which a step takes a part: `jnp.roll` would do it in each
-        fresh = jax.tree.map(lambda x: jnp.concatenate([x, x]), fresh)
+    key, key_steps, key_starts = jax.random.split(workers.key[0], 3)
+    starts = fresh_starts(env, workers.envs, learner.iterations == 0, learnt_from, key_starts)
 
     def expected(observation: jax.Array) -> jax.Array:
         seen = networks.normalized(learner.normalizer, observation)
@@ -174,13 +100,9 @@ def collect(
         noiseless = jnp.arange(envs) >= learnt_from
         action = jnp.tanh(jnp.where(noiseless, policy.mean, raw_action)).T
         after = jax.vmap(env.step)(before, action)
-        nan_step = _first(nan_step, after.metrics["nan"], before.pipeline_state, action)
-        start = fresh
-        if tiles is None:
-            first_row = envs - 1 - number % envs
-            start = jax.tree.map(lambda x: jax.lax.dynamic_slice_in_dim(x, first_row, envs), fresh)
-        reward, following = _start_anew(
-            env, config, expected, after, start, jax.random.fold_in(key, 1)
+        nan_step = _first_nan(nan_step, after.metrics["nan"], before.pipeline_state, action)
+        reward, following = start_anew(
+            env, config, expected, after, starts.of_step(number), jax.random.fold_in(key, 1)
         )
         log_prob = policy.log_prob(raw_action)
         met = Rollout(seen, raw_action, policy, log_prob, reward, 1.0 - after.done)
@@ -191,32 +113,13 @@ def collect(
     nan_step = NanStep(jnp.zeros(()), nowhere, jnp.zeros(env.action_size))
     (after, nan_step), (rollout, metrics) = jax.lax.scan(
         one_step,
-        (begun, nan_step),
+        (starts.envs, nan_step),
         (jax.random.split(key_steps, config.unroll), jnp.arange(config.unroll)),
     )
     if env.curriculum is not None:
         metrics |= env.curriculum.sums(after.pipeline_state.tile[:learnt_from])
     last = networks.normalized(learner.normalizer, after.obs[:learnt_from])
     return RolloutState(after, key[None]), (rollout, last), _over_devices(metrics, nan_step)
-
-
-def _next_tiles(
-    env: Env, state: Any, first: jax.Array, learnt_from: int, key: jax.Array
-) -> jax.Array | None:
-    """Where the next episode of each environment is to be, (n,) tiles; None without a curriculum.
-
-    Episodes that end in this iteration are judged at its start. The environments that
-    evaluate meet all tiles alike.
-    """
-    if env.curriculum is None:
-        return None
-    envs, (key_first, key_next, key_even) = len(state.tile), jax.random.split(key, 3)
-    following = jax.vmap(env.curriculum.following)(
-        state.tile, state.travel, state.qpos, state.steps, jax.random.split(key_next, envs)
-    )
-    learning = jnp.where(first, env.curriculum.first(envs, key_first), following)
-    evenly = env.curriculum.evenly(envs, key_even)
-    return jnp.where(jnp.arange(envs) < learnt_from, learning, evenly)
 
 
 def _step_metrics(after: State, learnt_from: int) -> Metrics:
@@ -245,62 +148,7 @@ def _over_devices(metrics: Metrics, nan_step: NanStep) -> Metrics:
     }
 
 
-def _start_anew(
-    env: Env,
-    config: PPOConfig,
-    expected: Callable[[jax.Array], jax.Array],
-    after: State,
-    start: State,
-    key: jax.Array,
-) -> tuple[jax.Array, State]:
-    """Rewards (n,) to learn from, and `after` with finished episodes replaced by `start`.
-
-    A time-out does not count as a failure: what the value network expects after it is
-    added to its reward, and the step then ends the episode, which equals bootstrapping through the
-    limit (Pardo et al. 2018, arXiv:1712.00378). `expected` gives the values of observations.
-    """
-    # Only after a fall at a random step: those that fell together must not end together.
-    late = start.pipeline_state.steps * after.metrics["fell"].astype(jnp.int32)
-    changes = {"steps": late}
-    if config.retry:
-        changes["conditions"] = _retried(config.retry, after, start, key)
-    start = start.replace(pipeline_state=start.pipeline_state._replace(**changes))
-    envs, ended = len(after.done), jnp.sum(after.done > 0)
-    rows = jnp.flatnonzero(after.done > 0, size=envs + SOME, fill_value=envs)
-    truncation = config.discount * after.info["truncation"]
-
-    def some(carry: tuple[Any, jax.Array]) -> tuple[Any, jax.Array]:
-        (reward, state, obs), done = carry
-        own = jax.lax.dynamic_slice_in_dim(rows, done, SOME)
-        beyond = truncation[own] * expected(after.obs[own])
-        # Seen as it really starts. For all rows that would take a twentieth of a training step.
-        begun = jax.vmap(env.begun)(jax.tree.map(lambda x: x[own], start))
-        new = begun.pipeline_state, begun.obs
-        state, obs = jax.tree.map(
-            lambda old, new: old.at[own].set(new, mode="drop"), (state, obs), new
-        )
-        return (reward.at[own].add(beyond, mode="drop"), state, obs), done + SOME
-
-    old = config.reward_scale * after.reward, after.pipeline_state, after.obs
-    (reward, state, obs), _ = jax.lax.while_loop(
-        lambda carry: carry[1] < ended, some, (old, jnp.zeros((), jnp.int32))
-    )
-    return reward, after.replace(pipeline_state=state, obs=obs)
-
-
-def _retried(share: float, after: State, start: State, key: jax.Array) -> Any:
-    """The conditions of `start`; after that share of falls, those of the episode that fell.
-
-    As prioritized level replay does (Jiang et al. 2021, arXiv:2010.03934), by falls alone.
-    """
-    fallen, fresh = after.pipeline_state.conditions, start.pipeline_state.conditions
-    if fresh is None:
-        return None
-    again = jax.random.bernoulli(key, share, after.done.shape) & (after.metrics["fell"] > 0)
-    return tree_where(again, fallen._replace(targets=fresh.targets, key=fresh.key), fresh)
-
-
-def _first(known: NanStep, nan: jax.Array, before: Any, action: jax.Array) -> NanStep:
+def _first_nan(known: NanStep, nan: jax.Array, before: Any, action: jax.Array) -> NanStep:
     """`known` if it was found, else the first environment of a step whose `nan` (n,) is set."""
     index = jnp.argmax(nan)
     new = NanStep(nan[index], *jax.tree.map(lambda x: x[index], (before, action)))
@@ -475,67 +323,3 @@ def _update(
     state = optax.tree_utils.tree_set(state, **{RATE: rate})
     updates, state = make_optimizer(config).update(grads, state, params)
     return (optax.apply_updates(params, updates), state), {**metrics, RATE: rate}
-
-
-class Iteration:
-    """One iteration of training: `state, numbers = iteration(state)`; `state` is donated."""
-
-    def __init__(
-        self, env: Env, networks: Networks, config: PPOConfig, mesh: Mesh, iterations: int
-    ) -> None:
-        def collecting(
-            learner: Learner, workers: RolloutState, ground: tuple[jax.Array, ...]
-        ) -> tuple[Any, ...]:
-            own = env.reading(ground)
-            workers, data, collected = collect(own, networks, config, learner, workers)
-            key, key_learn = jax.random.split(workers.key[0])
-            return workers._replace(key=key[None]), data, collected, key_learn[None]
-
-        def learning(learner: Learner, data: Any, key: jax.Array) -> tuple[Any, ...]:
-            learner, learned = learn(networks, config, learner, data, key[0], iterations)
-            floats = [x for x in jax.tree.leaves(learner) if jnp.issubdtype(x.dtype, jnp.floating)]
-            finite = jnp.all(jnp.stack([jnp.all(jnp.isfinite(x)) for x in floats]))
-            return learner, {**learned, "learner/finite": finite}
-
-        one: Any = P()
-        split: Any = P(AXIS)
-        rows: Any = P(None, AXIS)  # environments last
-        steps: Any = P(None, None, AXIS)
-        data: Any = Rollout(steps, steps, TanhNormal(steps, steps), rows, rows, rows), rows
-
-        def program(function: Callable[..., Any], inputs: Any, outputs: Any, **others: Any) -> Any:
-            shared = jax.shard_map(
-                function, mesh=mesh, in_specs=inputs, out_specs=outputs, check_vma=False
-            )
-            return jax.jit(shared, **others)
-
-        self._collect = program(
-            collecting, (one, split, one), (split, data, one, split), donate_argnums=1
-        )
-        heights = tuple(surface.grids.reshape(-1) for surface in env.surfaces)
-        self._ground = jax.device_put(heights, NamedSharding(mesh, one))
-        self.learn = program(learning, (one, data, split), (one, one), donate_argnums=0)
-
-    def trace(self, state: TrainState) -> None:
-        """Trace both programs for states like this: what the task's functions cannot do shows."""
-        collecting = self._collect.lower(*state, self._ground)
-        _, data, _, key = collecting.out_info
-        self._collect, self.learn = collecting, self.learn.lower(state.learner, data, key)
-
-    def compile(self) -> None:
-        """Compile both, once traced, at the same time."""
-        with ThreadPoolExecutor() as pool:
-            self._collect, self.learn = pool.map(
-                lambda traced: traced.compile(), (self._collect, self.learn)
-            )
-        release_freed_memory()
-
-    def collect(self, learner: Learner, workers: RolloutState) -> tuple[Any, ...]:
-        """Workers, data, metrics and a random key to learn with; `workers` are donated."""
-        found: tuple[Any, ...] = self._collect(learner, workers, self._ground)
-        return found
-
-    def __call__(self, state: TrainState) -> tuple[TrainState, Metrics]:
-        workers, data, collected, key = self.collect(*state)
-        learner, learned = self.learn(state.learner, data, key)
-        return TrainState(learner, workers), {**collected, **learned}

@@ -180,7 +180,7 @@ class Networks(NamedTuple):
 def networks_for(env: Any, config: PPOConfig) -> Networks:
     """The networks of a learner in a `QuadrupedEnv`."""
     mirrors = env.mirrors if config.symmetric else None
-    critic = len(env.critic_names)
+    critic = len(env.sensors.critic_names)
     return make_networks(config, env.policy_size, env.action_size, critic, mirrors)
 
 

@@ -1,0 +1,67 @@
+"""Programs of an environment that get its ground as an argument.
+
+As a constant of the program, a field of heights is compiled into it: that takes longer, and XLA may
+compute with it beforehand.
+"""
+
+import copy
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import jax
+
+from quadwalk.physics.constraints.surface import Surface
+from quadwalk.task.env import QuadrupedEnv
+
+
+def jit(
+    env: QuadrupedEnv,
+    function: Callable[..., Any],
+    donate: tuple[int, ...] = (),
+    **options: Any,
+) -> Callable[..., Any]:
+    """function(env, ...) compiled for this `env`, whose ground is an argument of the program.
+
+    `function` is to use the `env` that it gets: the one given here has the ground as a constant.
+    Its arguments number `donate`, after `env`, are donated; `options` are others of `jax.jit`.
+    """
+
+    @partial(jax.jit, donate_argnums=tuple(1 + number for number in donate), **options)
+    def program(heights: tuple[jax.Array, ...], *arguments: Any) -> Any:
+        return function(with_heights(env, heights), *arguments)
+
+    return partial(program, jax.device_put(heights(env)))
+
+
+def heights(env: QuadrupedEnv) -> tuple[Any, ...]:
+    """Of each surface that programs read, its grids (n,), m; none for a flat floor."""
+    return tuple(surface.grids.reshape(-1) for surface in _surfaces(env))
+
+
+def with_heights(env: QuadrupedEnv, heights: Sequence[jax.Array]) -> QuadrupedEnv:
+    """The same environment, on ground of these `heights`, as the function of that name has them."""
+    if not heights:
+        return env
+    ground, *touched = map(Surface.reading, _surfaces(env), heights)
+    own, left = copy.copy(env), iter(touched)
+    own.geometry = env.geometry._replace(
+        ground=ground,
+        contacts=tuple(
+            contact if contact.surface is None else replace(contact, surface=next(left))
+            for contact in env.geometry.contacts
+        ),
+    )
+    own.robot = replace(env.robot, ground=ground)
+    own.sensors = replace(env.sensors, robot=own.robot)
+    if env.model is env.geometry:
+        own.model = own.geometry
+    return own
+
+
+def _surfaces(env: QuadrupedEnv) -> tuple[Surface, ...]:
+    if env.terrain is None:
+        return ()
+    touched = (contact.surface for contact in env.geometry.contacts)
+    return tuple(surface for surface in (env.geometry.ground, *touched) if surface is not None)

@@ -1,0 +1,1 @@
+"""The learner: networks, PPO, and an iteration of it compiled."""
