@@ -5,7 +5,7 @@
 
 It trains on `gymnasium.make_vec("quadwalk/Sprint-v0")` with the networks and batch sizes of ours.
 Stepping the environments, the rest of collecting (its policy, its buffer) and learning are timed
-apart, and set beside what `python train.py --preset sprint` does of the same on the same cores.
+apart, and set beside what `python train.py sprint` does of the same on the same cores.
 The adapter below is all that Stable-Baselines3 needs.
 """
 

@@ -18,7 +18,7 @@ from quadwalk.evaluate.loaded import LoadedRun
 from quadwalk.files import atomic_write
 from quadwalk.paths import PRETRAINED
 from quadwalk.train.runs.directory import Run
-from quadwalk.view.choices import NEWEST, getup_of, open_run
+from quadwalk.view.choices import LAST, getup_of, open_run
 from quadwalk.view.live import LiveRobot
 
 SIZE = (1280, 600)  # pixels
@@ -56,7 +56,7 @@ def poses(loaded: LoadedRun) -> Iterator[tuple[np.ndarray, str]]:
 
 def pictures() -> Iterator[Image.Image]:
     """Each picture, the camera beside the robot and slowly after it."""
-    loaded = open_run(Run(PRETRAINED / "drive"), NEWEST)
+    loaded = open_run(Run(PRETRAINED / "drive"), LAST)
     canvas = Canvas(loaded.env.quadruped.full_model(), *SIZE)
     font = ImageFont.load_default(size=30)
     focus = None

@@ -30,7 +30,7 @@ def main() -> None:
     names = ("run", "sprint")
     for name in names:
         if not (options.runs / name / "policy.npz").exists():
-            flags = ["--preset", name, "--name", name, "--runs", str(options.runs)]
+            flags = [name, "--name", name, "--runs", str(options.runs)]
             config, _ = parse_config([*flags, "--steps", str(options.steps)])
             train(config)
     out = options.runs / "sweep"

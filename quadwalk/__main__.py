@@ -20,14 +20,12 @@ _COMMANDS = {
     "terrain": ("quadwalk.ground.__main__", "draw every kind of terrain"),
     "doctor": ("quadwalk.doctor", "print versions, devices, cores, and what is off here"),
 }
-_ALIASES = {"ground": "terrain"}
 _DEMO = ("drive", "--browser")
 
 
 def command() -> None:
     """Run the command that the first argument names with the others."""
     given, *others = sys.argv[1:] or ["--help"]
-    given = _ALIASES.get(given, given)
     if given in ("-h", "--help"):
         print("usage: quadwalk COMMAND [OPTIONS]; quadwalk COMMAND --help lists the options\n")
         for name, (_, what) in _COMMANDS.items():
@@ -35,6 +33,12 @@ def command() -> None:
         return
     if given == "--version":
         print(f"quadwalk {quadwalk.__version__}")
+        return
+    if given == "--print-completion":
+        from quadwalk.completion import script  # it imports the tasks, and so JAX
+
+        modules = {name: module for name, (module, _) in _COMMANDS.items()}
+        print(script(others[0] if others else "", modules), end="")
         return
     if given not in _COMMANDS:
         known = ", ".join(_COMMANDS)

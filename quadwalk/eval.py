@@ -1,4 +1,4 @@
-"""`eval.py`, `quadwalk eval` and `python -m quadwalk.evaluate`: judge a policy, or drive it."""
+"""`eval.py`, which is also `quadwalk eval`: evaluate a policy, or drive it."""
 
 import sys
 from collections.abc import Sequence
@@ -14,7 +14,9 @@ def main(args: Sequence[str] | None = None, prog: str = "eval.py") -> None:
     if config.live:
         from quadwalk.view.show import ViewConfig, drive
 
-        own = {name: getattr(config, name) for name in ("browser", "host", "port", "runs")}
+        own = {
+            name: getattr(config, name) for name in ("policy", "browser", "host", "port", "runs")
+        }
         drive(ViewConfig(config.run[0], **own))
     else:
         from quadwalk.evaluate.session import evaluate_runs

@@ -1,11 +1,13 @@
 """The command `quadwalk`: what it lists, and how it answers a name that it does not know."""
 
 import json
+import subprocess
 
 import pytest
 
 import quadwalk
-from quadwalk.__main__ import command
+from quadwalk.__main__ import _COMMANDS, command
+from quadwalk.completion import script
 from quadwalk.errors import UsageError, UserError
 from quadwalk.task_files import task_names
 from quadwalk.train.flags import parse_config
@@ -23,6 +25,12 @@ def call(monkeypatch, capsys):
     return call
 
 
+@pytest.fixture(scope="module")
+def completion():
+    """What `quadwalk --print-completion bash` prints."""
+    return script("bash", {name: module for name, (module, _) in _COMMANDS.items()})
+
+
 def test_version_help_and_tasks(call):
     assert call("--version") == f"quadwalk {quadwalk.__version__}\n"
     assert call() == call("--help")
@@ -36,20 +44,15 @@ def test_version_help_and_tasks(call):
     [
         (["trian"], "no command 'trian'; .*; did you mean 'train'?"),
         (["train", "wlak"], "^no task 'wlak'; .*; did you mean 'walk'?"),
-        (["train", "walk", "--preset", "run"], "the task is named twice, as 'walk'"),
+        (["--print-completion", "tcsh"], "--print-completion tcsh: expected bash or zsh"),
         (["train", "walk", "--stepz", "1"], r"did you mean --steps\? \(.* --help-all lists all\)"),
-        (["runs", "show"], "show: no run is named; expected one or more"),
-        (["runs", "list", "walk"], "list takes no run; 'walk' is named"),
+        (["runs", "show"], "show: expected one or more runs"),
+        (["runs", "list", "walk"], "list walk: expected list alone"),
     ],
 )
 def test_what_is_meant_is_said_in_one_line(call, given, said):
     with pytest.raises(UsageError, match=said):
         call(*given)
-
-
-def test_a_task_is_named_by_its_place_or_by_a_flag():
-    assert parse_config(["walk", "--seed", "3"]) == parse_config(["--preset=walk", "--seed", "3"])
-    assert parse_config([])[0].task == "run"
 
 
 def test_help_fits_a_screen(capsys):
@@ -61,6 +64,29 @@ def test_help_fits_a_screen(capsys):
         assert len(lines) < 40
         assert max(map(len, lines)) <= 100
         assert all(any(line.startswith(f"  {name} ") for line in lines) for name in task_names())
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("tr", ["train"]),
+        ("train wa", ["walk"]),
+        ("train walk --env.motor.kp 3 --env.reward.ener", ["--env.reward.energy"]),
+        ("eval --engine m", ["mjx", "mujoco"]),
+        ("eval --cell", ["--cell-episodes"]),
+        ("eval fas", ["fast"]),
+        ("runs remove l", ["latest"]),
+        ("robot dog.urdf --mesh", ["--mesh-dirs"]),
+        ("robot do", []),  # and so a file, which the shell itself completes
+    ],
+)
+def test_bash_completes(completion, tmp_path, line, words):
+    (tmp_path / "runs" / "fast").mkdir(parents=True)
+    typed = line.split()
+    ask = f"COMP_WORDS=(quadwalk {line}) COMP_CWORD={len(typed)}; _quadwalk; echo ${{COMPREPLY[@]}}"
+    command = ["bash", "-c", f"{completion}\n{ask}"]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, check=True)
+    assert (done.stdout.split(), done.stderr) == (words, "")
 
 
 def test_the_demo_drives_a_packaged_policy_in_a_page(call, monkeypatch):

@@ -53,7 +53,7 @@ def task(tmp_path_factory) -> Path:
 @pytest.fixture(scope="module")
 def stopped(runs, task) -> tuple[Path, str]:
     """A training that Ctrl-C ended: its folder, and what it printed."""
-    own = [f"--preset={task}", f"--runs={runs}", "--name=tiny"]
+    own = [str(task), f"--runs={runs}", "--name=tiny"]
     command = [sys.executable, "train.py", *own, *TINY]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=ROOT) as process:
         assert process.stdout is not None

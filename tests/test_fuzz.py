@@ -80,7 +80,7 @@ TRAINING = {flag: task for task in task_names() for flag in flags_of(load_task(t
 def test_flags_of_training(part):
     for flag in sorted(TRAINING)[part::8]:
         for word in some(WORDS, flag, 1):
-            settles(parse_config, ["--preset", TRAINING[flag], f"{flag}={word}"])
+            settles(parse_config, [TRAINING[flag], f"{flag}={word}"])
 
 
 @pytest.mark.parametrize("task", task_names())
@@ -91,7 +91,7 @@ def test_settings_of_a_task(task):
             settles(with_settings, config, {name: value})
 
 
-@pytest.mark.parametrize("flag", ["--preset", "--resume", "--runs", "--name"])
+@pytest.mark.parametrize("flag", ["--resume", "--runs", "--name"])
 def test_flags_that_choose_what_is_trained(flag, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for word in WORDS:
@@ -112,6 +112,7 @@ def test_flags_of_the_other_commands(config, tmp_path, monkeypatch):
 @pytest.mark.parametrize("word", WORDS)
 def test_arguments_that_are_no_flags(word, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
+    settles(parse_config, [word])
     settles(parse, EvalConfig, [word], "prog")
     settles(find_any_run, tmp_path, word)
     settles(find_ready, Path(word), "latest", "walk")
@@ -122,10 +123,10 @@ def test_arguments_that_are_no_flags(word, tmp_path, monkeypatch):
 def test_arguments_of_robot_and_ground(word, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("quadwalk.ground.picture.draw_kinds", lambda *_: Picture())
-    for flag in ("--mesh-dir", "--rotor", "--out", "--render", "--nothing"):
+    for flag in ("--mesh-dirs", "--rotor", "--out", "--render", "--nothing"):
         for argv in some(([str(ALIENGO_URDF), "-q", f"{flag}={word}"], [word]), flag + word, 1):
             settles(robot, argv)
-    for flag in ("--out", "--kinds", "--levels", "--seed", "--urdf"):
+    for flag in ("--out", "--kinds", "--levels", "--seed", "--robot.urdf"):
         settles(ground, ["-o", "a.png", f"{flag}={word}"])
 
 

@@ -22,7 +22,7 @@ LAYERS = (
     ("export", "view"),
     ("api",),
     ("gym", "variants"),
-    ("", "__main__", "doctor", "eval"),
+    ("", "__main__", "completion", "doctor", "eval"),
 )
 
 

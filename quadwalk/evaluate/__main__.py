@@ -1,4 +1,4 @@
-"""`python -m quadwalk.evaluate`, which is also `eval.py`."""
+"""`quadwalk eval`, which is also `eval.py`."""
 
 from quadwalk.process import run_command
 

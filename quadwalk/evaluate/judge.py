@@ -66,23 +66,31 @@ def judge(loaded: LoadedRun, config: EvalConfig, out: Path, console: Console) ->
         print_engines(other, found.summary)
     print(describe_gait(found.gait, found.typical.episode))
     written = ["metrics.json"]
-    if loaded.env.terrain is not None and config.cell:
-        with _progress(loaded, f"{config.cell} episodes on each kind of ground", console) as report:
-            ground = measure_by_ground(loaded, config.levels, config.cell, config.seed, report)
+    if loaded.env.terrain is not None and config.cell_episodes:
+        with _progress(
+            loaded, f"{config.cell_episodes} episodes on each kind of ground", console
+        ) as report:
+            ground = measure_by_ground(
+                loaded, config.levels, config.cell_episodes, config.seed, report
+            )
         print_by_ground(ground)
         results["ground"] = ground
         save_figure(draw_by_ground(ground, f"{name}, {config.engine}"), out / "ground.png")
         written.append("ground.png")
-    elif loaded.env.config.reset.tumbled and config.cell:
+    elif loaded.env.config.reset.tumbled and config.cell_episodes:
         rising = standing_run(loaded)
-        with _progress(rising, f"{config.cell} episodes of each condition", console) as report:
-            results["standing"] = measure_standing(rising, config.cell, config.seed, report)
+        with _progress(
+            rising, f"{config.cell_episodes} episodes of each condition", console
+        ) as report:
+            results["standing"] = measure_standing(
+                rising, config.cell_episodes, config.seed, report
+            )
         print_standing(results["standing"])
-    elif loaded.env.config.command.turning is not None and config.cell:
-        driven, episodes = steering_run(loaded), max(config.cell // 4, 1)
+    elif loaded.env.config.command.turning is not None and config.cell_episodes:
+        driven, episodes = steering_run(loaded), max(config.cell_episodes // 4, 1)
         with _progress(driven, f"{episodes} episodes of each command", console) as report:
             results["steering"] = measure_steering(driven, episodes, config.seed, report)
-        long, episodes = changing_run(loaded), 16 * config.cell
+        long, episodes = changing_run(loaded), 16 * config.cell_episodes
         with _progress(long, f"{episodes} episodes of changing commands", console) as report:
             changing = measure_changing(long, episodes, config.seed, report)
         results["steering"]["changing"] = changing

@@ -14,7 +14,7 @@ Engine = Literal["fast", "mjx", "mujoco"]
 
 # What a sweep and a live robot make use of.
 _SWEEP = {"run", "episodes", "seconds", "engine", "policy", "seed", "out", "sweep", "runs"}
-_LIVE = {"run", "view", "browser", "host", "port", "runs"}
+_LIVE = {"run", "policy", "view", "browser", "host", "port", "runs"}
 
 
 @dataclass(frozen=True)
@@ -43,9 +43,10 @@ class EvalConfig(Settings):
     # picture of these; of a robot that starts in any pose: of each condition, for the table of how
     # soon it stands in MuJoCo C; of a robot that is driven: of each four commands, for the picture
     # of how it follows them in MuJoCo C; 0: without them
-    cell: Natural = 16
+    cell_episodes: Natural = 16
     levels: Few = 3  # difficulties in these, evenly from the least trained on to the greatest
-    out: Path | None = None  # folder for the results; None: a new one in the run's
+    # folder for the results; None: a new one in the run's
+    out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
     mcap: Natural | None = None  # of the episodes, how many to write as MCAP; None: the first 16
     video: Literal["none", "gif", "mp4"] = "none"  # 3 s of it running; mp4 needs ffmpeg
     # in place of all that: the share of episodes without a fall as friction, mass, motors, gains,
@@ -61,9 +62,9 @@ class EvalConfig(Settings):
     def __post_init__(self) -> None:
         super().__post_init__()
         if not self.run:
-            raise UsageError("no run is named; expected names or paths of runs, or nothing")
+            raise UsageError("no run; expected names or paths of runs, or nothing")
         if self.live and len(self.run) > 1:
-            raise UsageError(f"--view shows one run; {len(self.run)} are named")
+            raise UsageError(f"{len(self.run)} runs with --view; expected one")
         if self.sweep:
             self._check_used("with --sweep", _SWEEP)
         elif self.live:
@@ -84,4 +85,6 @@ class EvalConfig(Settings):
     def _check_used(self, when: str, used: Set[str]) -> None:
         for field in fields(self):
             if field.name not in used and getattr(self, field.name) != field.default:
-                raise UsageError(f"--{field.name} cannot be given {when}, where it has no effect")
+                raise UsageError(
+                    f"--{field.name.replace('_', '-')} has no effect {when}; expected without it"
+                )

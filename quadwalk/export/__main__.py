@@ -1,4 +1,4 @@
-"""`python -m quadwalk.export`: write a policy as ONNX, with all that is needed to use it."""
+"""`quadwalk export`: write a policy as ONNX, with all that is needed to use it."""
 
 from quadwalk.process import run_command
 
@@ -32,7 +32,7 @@ class ExportConfig:
     runs: Path = Path("runs")  # folder that holds all runs
 
 
-def main(args: Sequence[str] | None = None, prog: str = "python -m quadwalk.export") -> None:
+def main(args: Sequence[str] | None = None, prog: str = "quadwalk export") -> None:
     """Parse the command line and export."""
     config = parse(ExportConfig, sys.argv[1:] if args is None else args, prog)
     run = find_ready(config.runs, config.run, "run")

@@ -1,4 +1,4 @@
-"""`python -m quadwalk.ground -o PNG`: draw every kind of ground at several difficulties."""
+"""`quadwalk terrain -o PNG`: draw every kind of terrain at several difficulties."""
 
 from quadwalk.process import run_command
 
@@ -16,15 +16,15 @@ from quadwalk.ground.tiles import KINDS
 from quadwalk.paths import ALIENGO_URDF
 
 
-def main(argv: list[str] | None = None, prog: str = "python -m quadwalk.ground") -> None:
+def main(argv: list[str] | None = None, prog: str = "quadwalk terrain") -> None:
     """Draw as `argv` (default: the process's arguments) says; `prog` is the command's name."""
-    parser = ArgumentParser(prog=prog, description="Draw every kind of ground.")
+    parser = ArgumentParser(prog=prog, description="Draw every kind of terrain.")
     add = parser.add_argument
     add("-o", "--out", type=Path, metavar="PNG", required=True, help="file to write")
     add("--kinds", nargs="+", metavar="KIND", help=f"some of: {', '.join(KINDS)}")
     add("--levels", type=int, default=3, help="difficulties, evenly from 0 to 1")
     add("--seed", type=int, default=0, help="of all that is random")
-    add("--urdf", type=Path, default=ALIENGO_URDF, help="the robot whose legs set the sizes")
+    add("--robot.urdf", type=Path, default=ALIENGO_URDF, help="robot whose legs set the sizes")
     given = parser.parse_args(argv)
     try:
         kinds = tuple(given.kinds or KINDS)
@@ -34,7 +34,7 @@ def main(argv: list[str] | None = None, prog: str = "python -m quadwalk.ground")
     from quadwalk.ground.picture import draw_kinds  # Matplotlib, and all that reads a URDF
     from quadwalk.robot.quadruped import load_quadruped
 
-    quadruped = load_quadruped(given.urdf)
+    quadruped = load_quadruped(vars(given)["robot.urdf"])
     figure = draw_kinds(config, leg_length(quadruped.full_model(), quadruped.feet[0]))
     with atomic_write(given.out) as file:
         figure.savefig(file, format="png", metadata={"Software": None})

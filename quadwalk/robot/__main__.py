@@ -1,4 +1,4 @@
-"""`python -m quadwalk.robot URDF [-o OUT] [--render PNG]`: convert a URDF to MJCF, or draw it."""
+"""`quadwalk robot URDF [-o OUT] [--render PNG]`: convert a URDF to MJCF, or draw it."""
 
 from quadwalk.process import run_command
 
@@ -34,12 +34,12 @@ def parse_arguments(argv: list[str] | None, prog: str) -> argparse.Namespace:
     add("-o", "--out", type=Path, metavar="XML", help="file to write (default: standard output)")
     add("--render", type=Path, metavar="PNG", help="draw the robot in its home pose")
     add(
-        "--mesh-dir",
+        "--mesh-dirs",
         type=Path,
-        action="append",
+        nargs="+",
         default=[],
         metavar="DIR",
-        help="a folder that mesh files may be in, besides the URDF's; can be repeated",
+        help="folders of mesh files, besides the URDF's own",
     )
     add("--no-meshes", action="store_true", help="leave mesh shapes out")
     add(
@@ -62,21 +62,21 @@ def parse_arguments(argv: list[str] | None, prog: str) -> argparse.Namespace:
     return parser.parse_args(argv)
 
 
-def main(argv: list[str] | None = None, prog: str = "python -m quadwalk.robot") -> None:
+def main(argv: list[str] | None = None, prog: str = "quadwalk robot") -> None:
     """Convert, write, draw and report as `argv` (default: the process's arguments) says.
 
     `prog` is what the help calls the command.
     """
     arguments = parse_arguments(argv, prog)
-    for folder in arguments.mesh_dir:
+    for folder in arguments.mesh_dirs:
         if not os.path.isdir(folder):
-            raise UsageError(f"--mesh-dir {folder}: is no folder; expected one")
+            raise UsageError(f"--mesh-dirs {folder}: expected a folder")
     urdf = read_urdf(arguments.urdf, arguments.repair_inertia)
     joints = [joint.name for joint in urdf.robot.joints if joint.type in SINGLE]
     options = Options(
         floating=arguments.floating_base or (False if arguments.fixed_base else None),
         meshes=not arguments.no_meshes,
-        mesh_folders=tuple(arguments.mesh_dir),
+        mesh_folders=tuple(arguments.mesh_dirs),
         armature=armatures(arguments.rotor, joints),
     )
     legs, verdict = recognize(urdf, options)

@@ -88,8 +88,8 @@ def find_mesh(name: str, folders: list[Path], source: str) -> Path:
         except (OSError, ValueError):  # a name that no file can have
             continue
     if outside:
-        raise UrdfError(f"{where} lies outside {shown}; expected inside, or pass --mesh-dir")
-    raise MissingMeshError(f"{where} is not in {shown}; expected a file, or pass --mesh-dir")
+        raise UrdfError(f"{where} lies outside {shown}; expected inside, or pass mesh-dirs")
+    raise MissingMeshError(f"{where} is not in {shown}; expected a file, or pass mesh-dirs")
 
 
 def _package_called(name: str, folder: Path) -> Path | None:

@@ -83,13 +83,13 @@ class CommandConfig(Settings, group="env.command"):
         super().__post_init__()
         if self.soonest is not None and self.soonest > self.seconds:
             raise UsageError(
-                f"env.command.soonest is {self.soonest}; expected at most env.command.seconds, "
+                f"--env.command.soonest is {self.soonest}; expected at most --env.command.seconds, "
                 f"{self.seconds}"
             )
         if self.standing + self.straight > 1.0:
             raise UsageError(
-                f"env.command.standing and straight are {self.standing} and {self.straight}; "
-                "expected a sum of at most 1"
+                f"--env.command.standing is {self.standing} and --env.command.straight "
+                f"{self.straight}; expected a sum of at most 1"
             )
 
     def of_leg(self, leg: float) -> "CommandConfig":
@@ -248,10 +248,12 @@ class EnvConfig(Settings, group="env"):
         super().__post_init__()
         self._check_terms()
         if self.blind and SIGHT not in {**self.observation, **self.critic}:
-            raise UsageError(f"env.blind: the task has no observation {SIGHT} to do without")
+            raise UsageError(
+                f"--env.blind: the task has no observation {SIGHT}; expected a task with one"
+            )
         if self.episode_steps < 1:
             raise UsageError(
-                f"env.episode-seconds is {self.episode_seconds}; expected at least one control "
+                f"--env.episode-seconds is {self.episode_seconds}; expected at least one control "
                 f"step ({self.control_dt:g} s)"
             )
 

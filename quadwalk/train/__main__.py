@@ -1,4 +1,4 @@
-"""`python -m quadwalk.train`, which is also `train.py`: teach a quadruped a task."""
+"""`quadwalk train`, which is also `train.py`: teach a quadruped a task."""
 
 from quadwalk.process import run_command
 

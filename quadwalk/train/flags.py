@@ -1,4 +1,4 @@
-"""The flags of `train.py`: those of every setting of a task, and the run to go on with."""
+"""The arguments of `train.py`: a task, a flag for each of its settings, and the run to resume."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -17,9 +17,7 @@ from quadwalk.train.runs.resume import resumed_config
 class TrainFlags(TrainConfig):
     """Teach a quadruped a task. Results go to runs/NAME/."""
 
-    # task to start from, which the other flags change: a name, or the path of a .py file of yours
-    preset: str = "run"
-    resume: str | None = None  # name or path of a run to go on with, or "latest"
+    resume: str | None = None  # name or path of a run to resume, or "latest"
 
 
 _HELP = """usage: {prog} [TASK] [--FLAG VALUE ...]
@@ -48,42 +46,38 @@ examples:
 
 
 def parse_config(args: Sequence[str], prog: str = "train.py") -> tuple[TrainConfig, Run | None]:
-    """The configuration that a command line asks for, and the run to resume, if any.
+    """The configuration that a command line describes, and the run to resume, if any.
 
     A first argument that is no flag is the task. `UsageError` for a configuration that cannot be.
     """
-    args, named = list(args), ""
+    args, task = list(args), None
     if args and not args[0].startswith("-"):
-        named, args = args[0], ["--preset", *args]
-        if value_of(args[2:], "--preset") is not None:
-            raise UsageError(f"the task is named twice, as {named!r} and by --preset")
+        task = args.pop(0)
+    if value_of(args, "--preset") is not None:  # as it was called in version 0.2
+        raise UsageError(f"--preset is no longer a flag; expected the task first: {prog} walk")
     if {"-h", "--help"} & set(args):
         print(_HELP.format(prog=prog, tasks=task_table()))
         raise SystemExit
     args = ["--help" if arg == "--help-all" else arg for arg in args]
-    # The flags that choose what all others change are looked at first.
+    # The flag that chooses the defaults of all others is read first.
     which = value_of(args, "--resume")
     previous = None
     if which is not None:
-        for flag in ("--preset", "--name", "--init", "--robot.urdf"):
+        if task is not None:
+            raise UsageError(f"task {task!r} with --resume: the run has its own; expected no task")
+        for flag in ("--name", "--init", "--robot.urdf"):
             if value_of(args, flag) is not None:
-                raise UsageError(f"{flag} cannot be given with --resume: the run has its own")
+                raise UsageError(f"{flag} with --resume: the run has its own; expected no {flag}")
         previous = find_run(value_of(args, "--runs") or TrainConfig.runs, which)
         default = resumed_config(previous)
-        start: dict[str, Any] = {"preset": default.task, "resume": which}
     else:
-        given = value_of(args, "--preset")
-        preset = "run" if given is None else given
-        try:
-            default = load_task(preset)
-        except UsageError as error:
-            raise UsageError(f"{error}" if named else f"--preset: {error}") from None
-        start = {"preset": preset}
+        default = load_task("run" if task is None else task)
     shared: dict[str, Any] = {
         f.name: getattr(default, f.name) for f in dataclasses.fields(TrainConfig)
     }
     description = f"{TrainFlags.__doc__}\n\n{task_list()}"
-    flags = parse(TrainFlags, args, prog, TrainFlags(**shared, **start), description, "--help-all")
+    start = TrainFlags(**shared, resume=which)
+    flags = parse(TrainFlags, args, prog, start, description, "--help-all")
     config = TrainConfig(**{name: getattr(flags, name) for name in shared})
     world, usual = config.env.randomization, default.env.randomization
     if not world.enabled and dataclasses.replace(world, enabled=usual.enabled) != usual:

@@ -12,7 +12,7 @@ from quadwalk.bounds import Count, Settings
 class CompareConfig(Settings):
     """Train variants of a task's settings over several seeds, and judge each in both engines.
 
-    quadwalk compare "" "--env.reward.energy -0.1" "--preset walk" [OPTIONS]
+    quadwalk compare "" "--env.reward.energy -0.1" "walk" [OPTIONS]
 
     Each argument holds the flags of `quadwalk train` of one variant, "" the defaults. A run that is
     there already is not trained again, so that what was stopped goes on where it was. Rows are

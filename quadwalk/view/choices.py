@@ -11,7 +11,7 @@ from quadwalk.train.runs import checkpoint
 from quadwalk.train.runs.directory import Run, list_checkpoints, list_runs
 from quadwalk.train.runs.policy import Policy, load_checkpoint_policy, load_policy
 
-NEWEST, BEST = "newest", "best"
+LAST, BEST = "last", "best"
 
 
 def run_choices(root: Path, chosen: Run) -> dict[str, Run]:
@@ -27,8 +27,8 @@ def label_of(root: Path, run: Run) -> str:
 
 
 def policy_choices(run: Run) -> dict[str, Path]:
-    """Label to file: the newest policy, the best, and those of the checkpoints, newest first."""
-    found = {NEWEST: run.policy, BEST: run.best}
+    """Label to file: the last policy, the best, and those of the checkpoints, newest first."""
+    found = {LAST: run.policy, BEST: run.best}
     for path in reversed(list_checkpoints(run)):
         found[f"{int(path.stem.removeprefix('step_')):,} steps"] = path
     return {label: path for label, path in found.items() if path.exists()}
@@ -57,7 +57,7 @@ def getup_of(loaded: LoadedRun, getup: Run | None) -> LoadedRun | None:
     """The policy of `getup` for the robot of `loaded`; None where it is of another robot."""
     if getup is None or loaded.run.path == getup.path:
         return None
-    found = open_run(getup, NEWEST)
+    found = open_run(getup, LAST)
     one, other = loaded.env.quadruped, found.env.quadruped
     same = one.joints == other.joints and np.array_equal(
         loaded.env.mj_model.body_mass, found.env.mj_model.body_mass

@@ -12,7 +12,7 @@ import viser
 from quadwalk.errors import UserError
 from quadwalk.train.runs.directory import Run, written
 from quadwalk.view.choices import (
-    NEWEST,
+    LAST,
     choose_policy,
     getup_of,
     label_of,
@@ -42,7 +42,7 @@ class Page:
         server: viser.ViserServer,
         run: Run,
         root: Path,
-        label: str = NEWEST,
+        label: str = LAST,
         getup: Run | None = None,
     ) -> None:
         """`root` holds the other runs to choose from; `label` names one of the run's policies.
@@ -134,7 +134,7 @@ class Page:
             tile=start_on,
             follow=lambda on: setattr(self.stage, "follow", on),
             collision=lambda on: self.stage.show_collision(on),
-            run=lambda label: self._open(runs[label], NEWEST),
+            run=lambda label: self._open(runs[label], LAST),
             policy=self._take,
         )
 

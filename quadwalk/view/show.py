@@ -7,7 +7,7 @@ import sys
 import webbrowser
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import tyro
 from rich.console import Console
@@ -28,6 +28,7 @@ class ViewConfig(Settings):
     # name or path of a run that gets the robot up where it has fallen; None: getup, which comes
     # trained, where the robot is of its kind
     getup: str | None = None
+    policy: Literal["last", "best"] = "last"  # the run's last, or that of its best checkpoint
     browser: bool = False  # in a page of the browser, even where there is a screen for a window
     host: str = "127.0.0.1"  # address that the page is served at; the default: to this machine only
     port: Port = 8080  # of the page; if it is taken, the next that is free
@@ -35,7 +36,7 @@ class ViewConfig(Settings):
 
 
 def drive(config: ViewConfig) -> None:
-    """Show the run's newest policy live, until it is interrupted or the window closed."""
+    """Show the run's policy live, until it is interrupted or the window closed."""
     run = find_ready(config.runs, config.run, "drive")
     getup = find_getup(config)
     console = Console(stderr=True, highlight=False, soft_wrap=True, markup=False, emoji=False)
@@ -49,7 +50,7 @@ def drive(config: ViewConfig) -> None:
             _prepare_jax()
             from quadwalk.view.window import drive_in_window
 
-            drive_in_window(run, console, getup)
+            drive_in_window(run, console, getup, config.policy)
             return
         from quadwalk.view.server import serving, url_of
 
@@ -60,7 +61,7 @@ def drive(config: ViewConfig) -> None:
                 _prepare_jax()
                 from quadwalk.view.page import Page  # what it needs takes seconds
 
-                page = Page(server, run, config.runs, getup=getup)
+                page = Page(server, run, config.runs, config.policy, getup)
             page.run_for()
 
 

@@ -10,9 +10,8 @@ import numpy as np
 from rich.console import Console
 
 from quadwalk.errors import UserError
-from quadwalk.evaluate.loaded import load_run
 from quadwalk.train.runs.directory import Run
-from quadwalk.view.choices import getup_of
+from quadwalk.view.choices import LAST, getup_of, open_run
 from quadwalk.view.live import LiveRobot
 from quadwalk.view.pace import Pace
 from quadwalk.view.traces import Traces, velocity_arrows
@@ -68,12 +67,14 @@ class Keys:
                 live.throw()
 
 
-def drive_in_window(run: Run, console: Console, getup: Run | None = None) -> None:
-    """Drive the newest policy of `run` with keys, until the window is closed.
+def drive_in_window(
+    run: Run, console: Console, getup: Run | None = None, policy: str = LAST
+) -> None:
+    """Drive a policy of `run` with keys, until the window is closed.
 
-    The policy of `getup` gets it up where it has fallen.
+    The policy of `getup` gets up a robot that has fallen.
     """
-    loaded = load_run(run, 3600.0, "last", "mujoco")
+    loaded = open_run(run, policy)
     live = LiveRobot(loaded, getup=getup_of(loaded, getup))
     live.prepare()  # now, not when time goes
     keys, dt = Keys(live), live.env.stepping.control_dt

@@ -32,9 +32,9 @@ from quadwalk.variants.trainings import in_processes, trained
 from studies.results import Results
 
 VARIANTS = {
-    "seeing": "--preset rough",
-    "blind": "--preset rough --env.blind",
-    "obstacles": "--preset obstacles",
+    "seeing": "rough",
+    "blind": "rough --env.blind",
+    "obstacles": "obstacles",
 }
 LEVELS = 7  # difficulties 0, 1/6, ... 1: a half and two thirds are among them
 FILMED = ("stairs_up", "blocks", "course")  # kinds of which an episode's states are kept
@@ -45,7 +45,7 @@ MARGIN = 1.2  # m of ground kept around their path
 def train(flags: str, seed: int, steps: int | None, runs: Path) -> Run:
     """The run of one variant and seed, trained if it has not been."""
     config, _ = parse_config(flags.split())
-    words = flags.replace("--", "").replace("preset ", "").replace(" env.", "_")
+    words = flags.replace("--", "").replace(" env.", "_")
     config = replace(config, name=f"{words}_s{seed}", runs=runs, seed=seed, quiet=True)
     return trained(replace(config, steps=steps or config.steps))
 

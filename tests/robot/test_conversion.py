@@ -151,7 +151,7 @@ def test_base_can_be_fixed(tmp_path):
         ([ALIENGO_URDF, "-o", "/none/a.xml"], 1, "cannot write /none/a.xml"),
         ([ALIENGO_URDF, "--rotor", "hip"], 2, "expected JOINTS=INERTIA,GEAR"),
         ([ALIENGO_URDF, "--rotor", "tail*=1,1"], 2, "names no moving joint"),
-        ([ALIENGO_URDF, "--mesh-dir", "none"], 2, "--mesh-dir none: is no folder"),
+        ([ALIENGO_URDF, "--mesh-dirs", "none"], 2, "--mesh-dirs none: expected a folder"),
         ([XML], 1, "root element is <mujoco>; expected <robot>"),
     ],
 )

@@ -91,7 +91,7 @@ def test_finds_names_of_every_kind_inside_the_folders(package):
 def test_refuses_names_that_leave_the_folders(package, name):
     (package / "link.stl").symlink_to(package.parent / "secret.stl")
     name = name.format(tmp=package.parent)
-    with pytest.raises(UrdfError, match=r"lies outside .* expected inside, or pass --mesh-dir"):
+    with pytest.raises(UrdfError, match=r"lies outside .* expected inside, or pass mesh-dirs"):
         find_mesh(name, [package], "r")
 
 

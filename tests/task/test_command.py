@@ -69,7 +69,7 @@ def test_some_commands_are_straight_ahead_or_back():
     ("shares", "named"),
     [
         ({"straight": 1.5}, "env.command.straight is 1.5"),
-        ({"straight": 0.9}, "env.command.standing and straight are 0.2 and 0.9"),
+        ({"straight": 0.9}, "--env.command.standing is 0.2 and --env.command.straight 0.9"),
     ],
 )
 def test_shares_are_shares(shares, named):

@@ -1,4 +1,4 @@
-"""The command line: flags, presets, runs to go on with, and what cannot be."""
+"""The command line: flags, tasks, runs to resume, and what cannot be."""
 
 import dataclasses
 import json
@@ -41,12 +41,12 @@ def test_every_field_can_be_set_from_the_command_line():
 
 
 def test_the_default_task_is_run():
-    assert parsed() == parsed("--preset", "run") == load_task("run")
+    assert parsed() == parsed("run") == load_task("run")
 
 
 @pytest.mark.parametrize("name", task_names())
-def test_a_preset_is_where_the_flags_start(name):
-    assert parsed("--preset", name) == load_task(name)
+def test_a_task_is_where_the_flags_start(name):
+    assert parsed(name) == load_task(name)
 
 
 @pytest.mark.parametrize(
@@ -61,15 +61,15 @@ def test_a_preset_is_where_the_flags_start(name):
         ("--env.reset.pose 0 0.8 -1.6", lambda env: env.reset.pose == (0.0, 0.8, -1.6)),
     ],
 )
-def test_one_flag_changes_one_thing_of_a_preset(flags, changed):
-    before, now = load_task("blog"), parsed("--preset", "blog", *flags.split())
+def test_one_flag_changes_one_thing_of_a_task(flags, changed):
+    before, now = load_task("blog"), parsed("blog", *flags.split())
     assert changed(now.env)
     assert not changed(before.env)
     assert len(changed_settings(before, now)) == 1
 
 
 def test_the_command_of_walk_is_a_flag():
-    changed = parsed("--preset", "walk", "--env.command.yaw-rate", "-0.25", "2")
+    changed = parsed("walk", "--env.command.yaw-rate", "-0.25", "2")
     assert changed.env.command.yaw_rate == (-0.25, 2.0)
     assert changed.env.reward == walk.TASK.env.reward
     assert changed_settings(walk.TASK, changed) == [
@@ -85,10 +85,11 @@ def test_the_command_of_walk_is_a_flag():
         (["--steps", "0"], "--steps"),
         (["--envs", "-4"], "--envs"),
         (["--seed", "-1"], "--seed"),
-        (["--preset", "fly"], "--preset: no task 'fly'"),
-        (["--preset", "fly.py"], "--preset: cannot read the task"),
-        (["--preset"], "--preset"),
-        (["--preset="], "--preset: no task ''"),
+        (["fly"], "no task 'fly'"),
+        (["fly.py"], "cannot read the task"),
+        ([""], "no task ''"),
+        (["--preset", "walk"], "expected the task first: train.py walk"),
+        (["walk", "--resume", "latest"], "task 'walk' with --resume"),
         (["--name", "-x"], "--name=-x"),
         (["--env.gravity", "0"], "gravity"),
         (["--env.engine", "bullet"], "--env.engine"),
@@ -116,7 +117,7 @@ def test_the_command_of_walk_is_a_flag():
         (["--env.reset.pose", "0", "nan", "0"], "--env.reset.pose is (0.0, nan, 0.0)"),
         (["--env.episode-seconds", "1e12"], "--env.episode-seconds is 1000000000000.0"),
         (["--env.ground.border", "inf"], "--env.ground.border is inf; expected at most 1e+12 m"),
-        (["--preset=sprint", "--env.randomization.friction", "0", "1"], "randomization.enabled"),
+        (["sprint", "--env.randomization.friction", "0", "1"], "randomization.enabled"),
         (["--steps", "12345678901234567890123"], "--steps is 12345678901234567890123"),
         (["--minutes", "nan"], "--minutes is nan"),
         (["--ppo.clip-epsilon", "nan"], "--ppo.clip-epsilon is nan; expected more than 0"),
@@ -143,7 +144,7 @@ def test_the_scripts_end_a_usage_error_with_status_2_and_one_line(script):
 
 def test_help_lists_the_tasks_and_shows_the_numbers_of_the_one_asked_for():
     done = subprocess.run(
-        [sys.executable, "train.py", "--preset", "walk", "--help-all"],
+        [sys.executable, "train.py", "walk", "--help-all"],
         capture_output=True,
         text=True,
         cwd=ROOT,

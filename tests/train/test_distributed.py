@@ -85,7 +85,7 @@ def test_processes_that_differ_or_cannot_begin_all_say_so(start, tmp_path, flags
     differ = ("different settings", "different settings")
     for name, flag, expected in (
         ("a", "--seed={}", differ),
-        ("b", f"--preset={tmp_path}/task{{}}.py", differ),
+        ("b", f"{tmp_path}/task{{}}.py", differ),
         (
             "taken",
             f"--robot.urdf={tmp_path}/robot{{}}.urdf",
@@ -94,7 +94,7 @@ def test_processes_that_differ_or_cannot_begin_all_say_so(start, tmp_path, flags
     ):
         outputs = [tmp_path / f"{name}{number}" for number in (0, 1)]
         processes = [
-            start(output, *flags(tmp_path, name, 5, flag.format(n)), *shared(n, 2, port))
+            start(output, flag.format(n), *flags(tmp_path, name, 5), *shared(n, 2, port))
             for n, output in enumerate(outputs)
         ]
         for process, output, part in zip(processes, outputs, expected, strict=True):

@@ -14,8 +14,8 @@ from quadwalk.train.runs.log import read_metrics
 
 ENVS, UNROLL, ITERATIONS = 64, 8, 6
 FLAGS = (
-    f"--envs={ENVS} --ppo.unroll={UNROLL} --steps={ENVS * UNROLL * ITERATIONS} --devices=2 --quiet "
-    "--preset=sprint --ppo.eval-envs=2 --ppo.epochs=1 --ppo.minibatches=2 --ppo.hidden=32 "
+    f"sprint --envs={ENVS} --ppo.unroll={UNROLL} --steps={ENVS * UNROLL * ITERATIONS} --devices=2 "
+    "--quiet --ppo.eval-envs=2 --ppo.epochs=1 --ppo.minibatches=2 --ppo.hidden=32 "
     # As training has it the engines' solvers stop at different points of the same problem.
     "--env.solver-iterations=6 --env.line-search-iterations=8"
 )

@@ -21,9 +21,9 @@ ROWS = [{"steps": 10, "eval/speed": 1.0}, {"steps": 20, "eval/speed": 3.0}]
 
 
 def test_what_is_no_option_of_its_own_is_a_variant():
-    given = ["", "--ppo.entropy 0.003", "--preset=walk", "--seeds", "2", "--at-once=2", "--steps"]
+    given = ["", "--ppo.entropy 0.003", "walk", "--seeds", "2", "--at-once=2", "--steps"]
     variants, options = split([*given, "64"])
-    assert variants == ["", "--ppo.entropy 0.003", "--preset=walk"]
+    assert variants == ["", "--ppo.entropy 0.003", "walk"]
     assert options == ["--seeds", "2", "--at-once=2", "--steps", "64"]
 
 
@@ -34,7 +34,7 @@ def test_what_is_no_option_of_its_own_is_a_variant():
         (["", "--seeds", "0"], "--seeds is 0; expected 1 or more"),
         (["--ppo.entropi 1"], "unknown option --ppo.entropi"),
         (["", "--episodes", "many"], "bad value for --episodes"),
-        (["", "--preset walk", "--preset=walk"], "two are the same"),
+        (["", "--ppo.entropy 0.1", "--ppo.entropy=0.1"], "two are the same"),
         (["", "--seed 3"], "--seed is in the variant '--seed 3'"),
         (["", "--robot.urdf no.urdf"], "no.urdf"),
     ],
@@ -100,7 +100,7 @@ def trainings(monkeypatch, tmp_path):
 
 
 def test_a_row_for_each_run_a_file_for_all_and_a_picture(trainings, capsys):
-    main(["", "--preset walk", "--seeds", "2", "--steps", "64", "--runs", str(trainings)])
+    main(["", "walk", "--seeds", "2", "--steps", "64", "--runs", str(trainings)])
     lines = capsys.readouterr().out.splitlines()
     written = (trainings / "compare.md").read_text().splitlines()
     assert written == lines[:6]
@@ -108,7 +108,7 @@ def test_a_row_for_each_run_a_file_for_all_and_a_picture(trainings, capsys):
     heads, rows = cells[0], [dict(zip(cells[0], row, strict=True)) for row in cells[2:]]
     assert heads[:2] == ["flags", "seed"]
     assert [(row["flags"], row["seed"]) for row in rows] == [
-        ("`defaults`", "0"), ("`defaults`", "1"), ("`--preset walk`", "0"), ("`--preset walk`", "1")
+        ("`defaults`", "0"), ("`defaults`", "1"), ("`walk`", "0"), ("`walk`", "1")
     ]  # fmt: skip
     assert rows[1]["m/s"] == rows[1]["m/s in C"] == "3.00"
     assert (rows[0]["falls"], rows[0]["slow"], rows[0]["off, m/s"]) == ("25.0%", "1", "-")
@@ -118,7 +118,7 @@ def test_a_row_for_each_run_a_file_for_all_and_a_picture(trainings, capsys):
     results = json.loads((trainings / "compare.json").read_text())
     assert [result["figures"]["slip"] for result in results] == [0.02, None, 0.02, None]
     assert [result["run"] for result in results] == [
-        "default_64_s0", "default_64_s1", "preset-walk_64_s0", "preset-walk_64_s1"
+        "default_64_s0", "default_64_s1", "walk_64_s0", "walk_64_s1"
     ]  # fmt: skip
     assert (trainings / "compare.png").stat().st_size > 1000
 
@@ -146,7 +146,7 @@ def test_a_run_of_ones_own_task_is_known_again_until_the_file_changes(tmp_path, 
         (tmp_path / folder).mkdir()
         file = tmp_path / folder / "own.py"
         file.write_text(OWN_TASK.replace("return 1.0", f"return {rate}"))
-        config, _ = parse_config([*tiny, f"--preset={file}"])
+        config, _ = parse_config([str(file), *tiny])
         if known:
             assert load_score(trained(config).policy)[0] == config.steps
         else:
@@ -158,8 +158,8 @@ def test_a_run_of_ones_own_task_is_known_again_until_the_file_changes(tmp_path, 
     ("one", "other"),
     [
         ("--env.reward.energy -0.1", "--env.reward.energy 0.1"),
-        ("--preset walk --env.substeps 4" + 9 * " --ppo.entropy 0.1",
-         "--preset walk --env.substeps 4" + 9 * " --ppo.entropy 0.1" + " --ppo.clip-epsilon 0.1"),
+        ("walk --env.substeps 4" + 9 * " --ppo.entropy 0.1",
+         "walk --env.substeps 4" + 9 * " --ppo.entropy 0.1" + " --ppo.clip-epsilon 0.1"),
         ("--robot.urdf a/b.urdf", "--robot.urdf a-b.urdf"),
     ],
 )  # fmt: skip

@@ -1,4 +1,4 @@
-"""The `walk` preset, trained for a moment."""
+"""The `walk` task, trained for a moment."""
 
 import dataclasses
 
@@ -19,11 +19,11 @@ ENVS = 16
 @pytest.fixture(scope="module")
 def training():
     """An environment, the state before training, and the compiled iteration."""
-    preset = load_task("walk")
-    config = dataclasses.replace(preset.ppo, eval_envs=2, unroll=4, minibatches=2, hidden=(16,))
+    task = load_task("walk")
+    config = dataclasses.replace(task.ppo, eval_envs=2, unroll=4, minibatches=2, hidden=(16,))
     # A command stays for two steps: each environment is told anew in every iteration.
-    command = dataclasses.replace(preset.env.command, seconds=2 * preset.env.control_dt)
-    env = QuadrupedEnv(load_quadruped(), dataclasses.replace(preset.env, command=command))
+    command = dataclasses.replace(task.env.command, seconds=2 * task.env.control_dt)
+    env = QuadrupedEnv(load_quadruped(), dataclasses.replace(task.env, command=command))
     networks = networks_for(env, config)
     mesh = iteration.make_mesh()
     state = iteration.init_state(env, networks, config, mesh, ENVS, seed=0)

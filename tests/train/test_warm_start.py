@@ -270,5 +270,5 @@ def test_a_training_begins_so_and_goes_on_without_its_source(
     same_result(other / "begun", tmp_path / "begun")
     shutil.rmtree(tmp_path / "source")
     train(f"--runs={other}", "--resume=begun", "--steps=256")
-    with pytest.raises(UsageError, match="--init cannot be given with --resume"):
+    with pytest.raises(UsageError, match="--init with --resume: the run has its own"):
         train(f"--runs={other}", "--resume=begun", "--init=begun")

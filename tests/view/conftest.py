@@ -18,7 +18,7 @@ from quadwalk.tasks import run as run_task
 from quadwalk.train.learner.networks import make_networks
 from quadwalk.train.runs import checkpoint
 from quadwalk.train.runs.directory import Run, as_json, create_run, versions
-from quadwalk.view.choices import NEWEST, open_run
+from quadwalk.view.choices import LAST, open_run
 from quadwalk.view.live import LiveRobot
 
 WALK = walk.TASK
@@ -79,19 +79,19 @@ def runs(tmp_path_factory, quadruped) -> Path:
 @pytest.fixture(scope="session")
 def live(runs) -> LiveRobot:
     """A robot that has not moved yet."""
-    return LiveRobot(open_run(Run(runs / "dog"), NEWEST))
+    return LiveRobot(open_run(Run(runs / "dog"), LAST))
 
 
 @pytest.fixture(scope="session")
 def hare(runs) -> LiveRobot:
     """A robot of the task `run`, whose policy sees earlier steps too."""
-    return LiveRobot(open_run(Run(runs / "hare"), NEWEST))
+    return LiveRobot(open_run(Run(runs / "hare"), LAST))
 
 
 @pytest.fixture(scope="session")
 def goat(runs) -> LiveRobot:
     """A robot on ground that is not flat, which it sees."""
-    return LiveRobot(open_run(Run(runs / "goat"), NEWEST))
+    return LiveRobot(open_run(Run(runs / "goat"), LAST))
 
 
 @pytest.fixture

@@ -10,8 +10,8 @@ from quadwalk.view.choices import choose_policy, label_of, open_run, policy_choi
 
 
 def test_the_policies_of_a_run(runs):
-    assert list(policy_choices(Run(runs / "dog"))) == ["newest", "3 steps"]
-    assert list(policy_choices(Run(runs / "cat"))) == ["newest", "best"]
+    assert list(policy_choices(Run(runs / "dog"))) == ["last", "3 steps"]
+    assert list(policy_choices(Run(runs / "cat"))) == ["last", "best"]
 
 
 def test_the_runs_and_one_from_elsewhere(runs, tmp_path):

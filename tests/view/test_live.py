@@ -15,7 +15,7 @@ from quadwalk.task.env import QuadrupedEnv
 from quadwalk.task.state import EnvState
 from quadwalk.tasks import getup
 from quadwalk.train.runs.directory import Run
-from quadwalk.view.choices import NEWEST, getup_of, open_run
+from quadwalk.view.choices import LAST, getup_of, open_run
 from quadwalk.view.live import LYING, RISING, STEADY, LiveRobot
 from tests.view.conftest import write_run
 
@@ -191,7 +191,7 @@ def test_the_settings_are_of_the_names_that_the_panel_uses(fresh):
 def rising(runs, quadruped):
     """A robot with a policy to get up, which has learnt nothing."""
     run = write_run(runs.parent, "getup", quadruped, {"policy.npz": 8}, getup.TASK)
-    loaded = open_run(Run(runs / "dog"), NEWEST)
+    loaded = open_run(Run(runs / "dog"), LAST)
     return LiveRobot(loaded, getup=getup_of(loaded, run))
 
 
@@ -231,7 +231,7 @@ def test_it_is_put_on_its_feet_where_it_does_not_get_up(rising):
 
 
 def test_another_robot_has_no_use_for_it(runs):
-    loaded = open_run(Run(runs / "dog"), NEWEST)
+    loaded = open_run(Run(runs / "dog"), LAST)
     assert getup_of(loaded, None) is None
     assert getup_of(loaded, loaded.run) is None
     heavier = QuadrupedEnv(loaded.env.quadruped, loaded.env.config)

@@ -17,7 +17,7 @@ from rich.console import Console
 
 from quadwalk.errors import UsageError
 from quadwalk.train.runs.directory import Run
-from quadwalk.view.choices import NEWEST
+from quadwalk.view.choices import LAST
 from tests.view.conftest import write_policy
 
 pytest.importorskip("mjviser", reason="mjviser is not installed: pip install 'quadwalk[view]'")
@@ -163,7 +163,7 @@ def test_another_policy_and_another_run(page):
     choose(page, "policy", "3 steps")
     assert (page.label, page.live.policy.steps) == ("3 steps", 3)
     choose(page, "run", "hare")
-    assert (page.run.name, page.label) == ("hare", NEWEST)
+    assert (page.run.name, page.label) == ("hare", LAST)
     assert page.panel.command == []  # it takes none
     assert "hare" in page.status()
     choose(page, "run", "cat")

@@ -9,7 +9,7 @@ from quadwalk.errors import UsageError
 from quadwalk.evaluate.loaded import load_run
 from quadwalk.paths import PRETRAINED
 from quadwalk.train.runs.directory import Run, find_any_run, find_ready, results_folder
-from quadwalk.view.choices import NEWEST, getup_of, open_run
+from quadwalk.view.choices import LAST, getup_of, open_run
 from quadwalk.view.live import LiveRobot
 
 
@@ -50,7 +50,7 @@ def test_each_goes_where_it_is_told(name, least, most):
 
 
 def test_what_is_thrown_over_gets_up_and_drives_on():
-    loaded = open_run(Run(PRETRAINED / "drive"), NEWEST)
+    loaded = open_run(Run(PRETRAINED / "drive"), LAST)
     robot = LiveRobot(loaded, getup=getup_of(loaded, Run(PRETRAINED / "getup")))
     robot.command[:] = 2.0, 0.0, 0.0
     modes, speeds = [], []

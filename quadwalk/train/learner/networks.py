@@ -187,7 +187,7 @@ def networks_for(env: Any, config: PPOConfig) -> Networks:
 def check_activation(name: str) -> None:
     """Raise a `UsageError` unless Brax has an activation of that name."""
     if name not in ACTIVATION:
-        raise UsageError(f"ppo.activation is {name!r}; expected one of {', '.join(ACTIVATION)}")
+        raise UsageError(f"--ppo.activation is {name!r}; expected one of {', '.join(ACTIVATION)}")
 
 
 def make_networks(
@@ -207,7 +207,7 @@ def make_networks(
     if mirrors is not None:
         if any(size % 2 for size in config.hidden):
             raise UsageError(
-                f"ppo.hidden is {config.hidden}; expected even numbers, or --ppo.no-symmetric"
+                f"--ppo.hidden is {config.hidden}; expected even numbers, or --ppo.no-symmetric"
             )
         whole, action = mirrors
         seen = mirror(whole.source[:policy_size], whole.sign[:policy_size])

@@ -31,11 +31,11 @@ def main(args: Sequence[str] | None = None, prog: str = "quadwalk runs") -> None
     given = parser.parse_args(args)
     if given.what == "list":
         if given.run:
-            parser.error(f"list takes no run; {given.run[0]!r} is named")
+            parser.error(f"list {given.run[0]}: expected list alone")
         _print_table(list_runs(given.runs), given.runs)
         return
     if not given.run:
-        parser.error(f"{given.what}: no run is named; expected one or more")
+        parser.error(f"{given.what}: expected one or more runs")
     runs = [find_run(given.runs, which) for which in given.run]  # all, before one is removed
     for run in runs:
         if given.what == "show":

@@ -17,14 +17,14 @@ ITERATIONS, ENVS = 4, 8
 
 
 def test_it_learns_from_numbers_that_are_finite():
-    preset = load_task("blog")
-    config = replace(preset.ppo, eval_envs=2, unroll=8, minibatches=2, hidden=(16,))
-    env = QuadrupedEnv(load_quadruped(), preset.env)
+    task = load_task("blog")
+    config = replace(task.ppo, eval_envs=2, unroll=8, minibatches=2, hidden=(16,))
+    env = QuadrupedEnv(load_quadruped(), task.env)
     networks, mesh = networks_for(env, config), iteration.make_mesh()
     state = iteration.init_state(env, networks, config, mesh, ENVS, seed=0)
     begun = jax.device_get(state.learner.params)
     iterate = iteration.Iteration(env, networks, config, mesh, ITERATIONS)
-    metrics = TrainingMetrics(preset.env.reward)
+    metrics = TrainingMetrics(task.env.reward)
     for number in range(ITERATIONS):
         state, numbers = iterate(state)
         row = metrics.row(number, numbers)

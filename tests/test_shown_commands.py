@@ -1,0 +1,140 @@
+"""Commands that the pages show: each is read by its own parser, and names what is there."""
+
+import contextlib
+import importlib.util
+import re
+import shlex
+import tomllib
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import tyro
+
+from quadwalk import __main__
+from quadwalk.cli import ArgumentParser
+from quadwalk.settings.serialize import to_dict
+from quadwalk.task_files import load_task
+from quadwalk.train.flags import parse_config
+from quadwalk.train.runs.directory import as_json, create_run, versions
+from quadwalk.variants.arguments import split
+
+ROOT = Path(__file__).parents[1]
+PAGES = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *ROOT.glob("docs/*.md")])
+BLOCK = re.compile(r"```sh\n(.*?)```", re.DOTALL)
+OWN_TASK = re.compile(r"```python\n(# my_task.py\n.*?)```", re.DOTALL)
+INLINE = re.compile(r"`((?:python|quadwalk|make) [^`]+)`")
+EXTRAS = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+PLACES = {"TASK": "walk", "COMMAND": "train", "VARIANT": "", "N": "1", "K": "0", "HOST:PORT": "a:1"}
+OTHERS = (
+    "eval",
+    "git",
+    "rerun",
+    "pip",
+    ".venv/bin/pip",
+    ".venv/bin/pre-commit",
+)  # programs of others
+
+
+class ParsedError(Exception):
+    """The command line was read, and nothing is to be done."""
+
+
+@pytest.fixture
+def parse(monkeypatch, tmp_path) -> Callable[..., None]:
+    """Call `quadwalk` with words, up to where they are parsed."""
+
+    def stopping(real):
+        def parse(*args, **kwargs):
+            real(*args, **kwargs)
+            raise ParsedError
+
+        return parse
+
+    monkeypatch.setattr(ArgumentParser, "parse_args", stopping(ArgumentParser.parse_args))
+    monkeypatch.setattr(tyro, "cli", stopping(tyro.cli))
+    monkeypatch.chdir(tmp_path)
+    (task,) = OWN_TASK.findall((ROOT / "docs/extend.md").read_text())
+    (tmp_path / "my_task.py").write_text(task)
+    config = as_json({"config": to_dict(load_task("run")), "versions": versions()})
+    for name in ("fast", "bounce"):  # that pages resume
+        create_run("runs", name, files={"config.json": config})
+
+    def call(*words: str) -> None:
+        monkeypatch.setattr("sys.argv", ["quadwalk", *words])
+        with contextlib.suppress(ParsedError, SystemExit):  # the latter of --help
+            __main__.command()
+
+    return call
+
+
+def shown(page: Path) -> list[list[str]]:
+    """The words of each command that a page shows, in blocks and in its text."""
+    text = page.read_text()
+    lines = [line for block in BLOCK.findall(text) for line in block.splitlines()]
+    lines += [re.sub(r"[\[\]]| \.\.\.", "", line) for line in INLINE.findall(BLOCK.sub("", text))]
+    found: list[list[str]] = []
+    for line in lines:
+        found.append([])
+        for word in shlex.split(line, comments=True):
+            if word == "&&":
+                found.append([])
+            else:
+                found[-1].append(PLACES.get(word, word))
+    return [words for words in found if words]
+
+
+def arguments(words: list[str]) -> list[str] | None:
+    """What a command hands to `quadwalk`; None for another program."""
+    match words:
+        case ["quadwalk", *rest] | ["python", "-m", "quadwalk", *rest]:
+            return rest
+        case ["python", ("train.py" | "eval.py") as script, *rest]:
+            return [script.removesuffix(".py"), *rest]
+    return None
+
+
+def assert_extras_and_files(word: str) -> None:
+    extras = re.findall(r"^(?:\.|quadwalk)\[([\w,]+)\]$", word)
+    assert {name for each in extras for name in each.split(",")} <= EXTRAS.keys()
+    assert not word.endswith((".py", ".lock")) or (ROOT / word).is_file(), word
+
+
+def check_other(words: list[str]) -> None:
+    """That files, targets of make and extras are there, and a script's own flags."""
+    match words:
+        case ["make", *targets]:
+            names = [target for target in targets if "=" not in target and target[0] != "-"]
+            made = re.findall(r"^([\w-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE)
+            assert set(names) <= set(made)
+        case ["python" | ".venv/bin/python", "-m", module, *rest]:
+            assert module == "pip" or importlib.util.find_spec(module), module
+            for word in rest:
+                assert_extras_and_files(word)
+        case ["python", script, *rest]:
+            folder = ROOT / "quadwalk/export" if script == "out/run_policy.py" else ROOT
+            source = (folder / script.removeprefix("out/")).read_text()
+            assert all(word in source for word in rest if word.startswith("--"))
+        case [program, *rest]:
+            assert program in OTHERS
+            for word in rest if program.endswith("pip") else []:
+                assert_extras_and_files(word)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_commands_are_read_by_their_parsers(page, parse):
+    for words in shown(page):
+        given = arguments(words)
+        if given is None:
+            check_other(words)
+            continue
+        parse(*given)
+        for variant in split(given[1:])[0] if given[:1] == ["compare"] else []:
+            with pytest.raises(ParsedError):
+                parse_config(shlex.split(variant))
+
+
+def test_the_readme_has_commands_and_a_wrong_flag_is_found(parse):
+    assert len(shown(ROOT / "README.md")) > 10
+    with pytest.raises(Exception, match="unknown option --enginee"):
+        parse(*arguments(["python", "eval.py", "--enginee", "mujoco"]))
