@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import tyro
 
@@ -140,6 +140,8 @@ class TrainConfig(Settings):
     devices: Count | None = None
     checkpoint_steps: Count  # control steps between checkpoints
     quiet: bool = False  # print only the result
+    # where metrics go: the run's files alone, or Weights & Biases as well
+    log: Literal["files", "wandb"] = "files"
     watch: bool = False  # show the newest policy live in a page of the browser
     robot: RobotConfig = field(default_factory=RobotConfig)
     env: EnvConfig

@@ -17,6 +17,7 @@ from quadwalk.train import distributed
 from quadwalk.train.progress.display import Progress
 from quadwalk.train.progress.watch import WATCHED, check_watch, watched
 from quadwalk.train.runs.directory import Run
+from quadwalk.train.runs.wandb import check_wandb
 from quadwalk.train.runs.writer import RunWriter
 from quadwalk.train.setup import Training, prepare
 
@@ -39,6 +40,8 @@ def train(
     """
     if config.watch:
         check_watch()
+    if config.log == "wandb" and config.distributed.process == 0:
+        check_wandb()
     limit = math.inf if config.minutes is None else time.monotonic() + 60.0 * config.minutes
     stream = None if config.distributed.process == 0 else io.StringIO()
     with (

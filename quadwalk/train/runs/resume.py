@@ -14,7 +14,8 @@ from quadwalk.train.runs.directory import Run
 _FIXED = ("seed", "envs", "ppo.eval_envs", "ppo.hidden", "ppo.activation", "ppo.symmetric")
 # How a run is driven, not what it computes.
 _FREE = (
-    *("task", "name", "runs", "init", "minutes", "checkpoint_steps", "quiet", "watch"),
+    *("task", "name", "runs", "init", "minutes", "checkpoint_steps", "quiet"),
+    *("log", "watch"),
     *("distributed.coordinator", "distributed.processes", "distributed.process"),
 )
 

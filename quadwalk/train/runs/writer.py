@@ -12,6 +12,7 @@ from quadwalk.train.runs import checkpoint
 from quadwalk.train.runs.directory import Run, keep_last
 from quadwalk.train.runs.log import MetricsLog, read_history
 from quadwalk.train.runs.policy import load_score, save_policy
+from quadwalk.train.runs.wandb import WandbLog
 from quadwalk.train.setup import Training
 
 KEPT_CHECKPOINTS = 3
@@ -37,6 +38,7 @@ class RunWriter:
         self._told = False  # of steps with NaN
         self._draw_at = time.monotonic() + CURVE_SECONDS
         self._log = MetricsLog(run, resume_at=training.steps if training.resumed else None)
+        self._wandb = WandbLog(run, training.config) if training.config.log == "wandb" else None
         if run.best.exists():
             self._attempt("best", self._read_best)
 
@@ -45,6 +47,8 @@ class RunWriter:
 
     def __exit__(self, *_: object) -> None:
         self._log.close()
+        if self._wandb is not None:
+            self._wandb.close()
 
     def iteration(self, row: dict[str, float], nan_step: Any, seconds: float) -> None:
         """Log an iteration's `row`, after `seconds` of training; keep its `NanStep`, if any.
@@ -54,6 +58,8 @@ class RunWriter:
         pace = row["steps"] / seconds
         timing = {"time/elapsed": seconds, "time/steps_per_second": pace}
         self._attempt("metrics", lambda: self._log.append(row, timing))
+        if (wandb := self._wandb) is not None:
+            self._attempt("wandb", lambda: wandb.append({**row, **timing}))
         if nan_step.found > 0:
             self._attempt("nan", lambda: self._keep(nan_step, int(row["steps"])))
         if time.monotonic() > self._draw_at:
