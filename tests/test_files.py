@@ -48,9 +48,26 @@ def test_what_the_system_refuses_is_one_line(tmp_path, monkeypatch, call):
     assert os.listdir(tmp_path) == ["a"]
 
 
-def test_a_folder_that_is_not_there_is_named(tmp_path):
+def test_a_folder_that_is_not_there_or_in_the_way_is_named(tmp_path):
     with pytest.raises(UserError, match=r"none/a: No such file or directory"):
         atomic_write(tmp_path / "none" / "a").__enter__()
+    with pytest.raises(UserError, match=r"^cannot write .*: Is a directory$"):
+        atomic_write(tmp_path).__enter__()
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
+def test_a_folder_that_takes_no_file_is_named(tmp_path):
+    (tmp_path / "locked").mkdir(mode=0o500)
+    with pytest.raises(UserError, match="Permission denied"):
+        atomic_write(tmp_path / "locked" / "a").__enter__()
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="needs /dev/full")
+def test_a_really_full_device(tmp_path):
+    os.symlink("/dev/full", tmp_path / "a.part")
+    with pytest.raises(UserError, match="No space left"), atomic_write(tmp_path / "a") as file:
+        file.write(b"new")
+    assert os.listdir(tmp_path) == []
 
 
 def test_a_link_stays_and_leads_to_what_is_written(tmp_path):

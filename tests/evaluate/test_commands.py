@@ -139,12 +139,6 @@ def test_the_command_ends_with_the_errors_status(runs):
     assert done.stderr.count("\n") == 1
 
 
-# A screen
-
-
-# The revision
-
-
 def git(folder: Path, *args: str) -> str:
     command = ["git", "-C", str(folder), "-c", "user.name=a", "-c", "user.email=b", *args]
     return subprocess.run(command, check=True, capture_output=True, text=True).stdout.strip()

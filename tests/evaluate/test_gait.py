@@ -66,73 +66,52 @@ def test_every_gait_is_named(name, frequency):
 
 
 @pytest.mark.parametrize("name", IDEAL)
-def test_gaits_are_named_through_scatter(name):
+def test_gaits_keep_their_name_through_scatter_and_mirrored(name):
     gait, phase, duty = IDEAL[name]
-    feet = analyze_footfalls(pattern(phase, duty, seconds=20, jitter=0.03), DT)
-    assert feet.gait == gait
+    scattered = pattern(phase, duty, seconds=20, jitter=0.03)
+    mirrored = pattern(np.array(phase)[[1, 0, 3, 2]], duty)
+    assert [analyze_footfalls(found, DT).gait for found in (scattered, mirrored)] == [gait] * 2
 
 
-@pytest.mark.parametrize("name", IDEAL)
-def test_mirrored_gaits_keep_their_name(name):
-    gait, phase, duty = IDEAL[name]
-    mirrored = np.array(phase)[[1, 0, 3, 2]]
-    assert analyze_footfalls(pattern(mirrored, duty), DT).gait == gait
+def with_foot(foot: int, contact) -> np.ndarray:
+    """A trot with one foot's contacts replaced."""
+    found = pattern((0, 0.5, 0.5, 0), 0.5)
+    found[:, foot] = contact
+    return found
 
 
-def test_footfalls_at_random_are_irregular():
-    feet = analyze_footfalls(pattern((0, 0.5, 0.5, 0), 0.4, seconds=20, jitter=0.4), DT)
+IRREGULAR = {
+    "at random": pattern((0, 0.5, 0.5, 0), 0.4, seconds=20, jitter=0.4),
+    "at twice the pace": with_foot(3, pattern((0,) * 4, 0.5, frequency=4.0)[:, 3]),
+    "at half the pace": with_foot(3, pattern((0,) * 4, 0.25, frequency=1.0)[:, 3]),
+    "never lifted": with_foot(2, True),
+    "standing still": np.ones((100, 4), dtype=bool),
+    "no row": np.zeros((0, 4), dtype=bool),
+    "one row": np.zeros((1, 4), dtype=bool),
+    "one stride": pattern((0, 0.5, 0.5, 0), 0.5, seconds=0.9),
+}
+
+
+@pytest.mark.parametrize("case", IRREGULAR)
+def test_what_is_no_gait_is_irregular(case):
+    feet = analyze_footfalls(IRREGULAR[case], DT)
     assert feet.gait == "irregular"
-
-
-def test_a_foot_at_twice_the_pace_is_irregular():
-    contact = pattern((0, 0.5, 0.5, 0), 0.5)
-    contact[:, 3] = pattern((0,) * 4, 0.5, frequency=4.0)[:, 3]
-    assert analyze_footfalls(contact, DT).gait == "irregular"
-
-
-def test_a_foot_at_half_the_pace_is_irregular():
-    contact = pattern((0, 0.5, 0.5, 0), 0.5)
-    contact[:, 3] = pattern((0,) * 4, 0.25, frequency=1.0)[:, 3]
-    assert analyze_footfalls(contact, DT).gait == "irregular"
+    if case in ("standing still", "no row", "one row"):
+        assert np.isnan(feet.stride_frequency)
+        assert feet.strides.tolist() == [0, 0, 0, 0]
+    if case == "standing still":
+        assert feet.duty_factor.tolist() == [1, 1, 1, 1]
+    if case == "never lifted":
+        assert feet.duty_factor[2] == 1
 
 
 @pytest.mark.parametrize("foot", range(4))
 def test_a_foot_that_never_lands(foot):
-    contact = pattern((0, 0.5, 0.5, 0), 0.5)
-    contact[:, foot] = False
-    feet = analyze_footfalls(contact, DT)
+    feet = analyze_footfalls(with_foot(foot, False), DT)
     assert feet.gait == "irregular"
-    assert feet.duty_factor[foot] == 0
-    assert feet.strides[foot] == 0
+    assert (feet.duty_factor[foot], feet.strides[foot]) == (0, 0)
     assert feet.stride_frequency == pytest.approx(2.0, rel=0.03)
-    if foot != 0:
-        assert np.isnan(feet.phase[foot])
-
-
-def test_a_foot_that_never_lifts():
-    contact = pattern((0, 0.5, 0.5, 0), 0.5)
-    contact[:, 2] = True
-    feet = analyze_footfalls(contact, DT)
-    assert (feet.gait, feet.duty_factor[2]) == ("irregular", 1)
-
-
-def test_standing_still_makes_no_strides():
-    feet = analyze_footfalls(np.ones((100, 4), dtype=bool), DT)
-    assert feet.gait == "irregular"
-    assert np.isnan(feet.stride_frequency)
-    assert feet.duty_factor.tolist() == [1, 1, 1, 1]
-
-
-@pytest.mark.parametrize("rows", [0, 1, 2])
-def test_nearly_no_rows(rows):
-    feet = analyze_footfalls(np.zeros((rows, 4), dtype=bool), DT)
-    assert feet.gait == "irregular"
-    assert feet.strides.tolist() == [0, 0, 0, 0]
-
-
-def test_one_stride_is_not_yet_a_gait():
-    feet = analyze_footfalls(pattern((0, 0.5, 0.5, 0), 0.5, seconds=0.9), DT)
-    assert feet.gait == "irregular"
+    assert foot == 0 or np.isnan(feet.phase[foot])
 
 
 def test_chatter_is_not_a_stride():

@@ -95,16 +95,7 @@ def test_both_engines_are_judged_from_the_same_starts(judged, rollouts, loaded):
 
 
 def test_differences_of_what_is_not_there_or_zero():
-    figure = {"mean": 2.0}
-    names = (
-        "speed",
-        "distance",
-        "lateral_drift",
-        "heading_error",
-        "duration",
-        "energy_per_meter",
-        "reward",
-    )
+    figure, names = {"mean": 2.0}, ("speed", "distance", "duration", "energy_per_meter")
     mjx = {**dict.fromkeys(names, figure), "fall_rate": 0.0, "energy_per_meter": None}
     mujoco = {**{name: {"mean": 1.5} for name in names}, "fall_rate": 0.25}
     found = engine_differences(mjx, mujoco)
@@ -244,22 +235,6 @@ def test_a_sweep_is_a_table_of_one_thing_at_a_time(swept):
         assert {k: v for k, v in nominal.items() if k != "value"} == results["nominal"]
     pushes = results["sweeps"]["push"]["points"]
     assert [p["speed"]["mean"] for p in pushes] == [3.8 - p["value"] for p in pushes]
-    spans = {name: (of[2][0], of[2][-1]) for name, of in SWEEPS.items()}
-    assert spans == {
-        "everything": (0.0, 1.5),
-        "friction": (0.2, 1.25),
-        "mass": (-2.0, 5.0),
-        "center": (-0.06, 0.06),
-        "strength": (80.0, 110.0),
-        "kp": (80.0, 120.0),
-        "kd": (80.0, 120.0),
-        "delay": (0.0, 32.0),
-        "sensor_delay": (0.0, 30.0),
-        "noise": (0.0, 2.0),
-        "encoder": (0.0, 0.04),
-        "push": (0.0, 1.5),
-        "push_ahead": (0.0, 1.5),
-    }
 
 
 # What cannot be

@@ -1,6 +1,14 @@
-"""URDFs of robots made for a test: links, joints, and a quadruped of any legs."""
+"""URDFs of robots made for a test, and what a converted robot is held against."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Set
+
+import mujoco
+import numpy as np
+
+from benchmarks.pinocchio_oracle import Pinocchio
+from quadwalk.robot.mjcf import write_xml
+from quadwalk.robot.quadruped import Quadruped
+from quadwalk.robot.urdf import Urdf
 
 SOLID = "0.01 0.01 0.01"
 LIMIT = '<limit lower="-3" upper="3" effort="20" velocity="10"/>'
@@ -75,3 +83,46 @@ def plain_leg(
 def ball_calf(name: str) -> str:
     """A calf of .2 m with a foot of 2 cm."""
     return link(f"{name}3", inertial(0.5), shape('sphere radius="0.02"', "0 0 -0.2"))
+
+
+def check_dynamics(
+    urdf: Urdf, spec: mujoco.MjSpec, compared: Set[str] = frozenset(), states: int = 50
+) -> None:
+    """Masses, frames, mass matrix, bias and inverse dynamics are Pinocchio's, and so as XML.
+
+    `compared` must be among what was.
+    """
+    in_memory = Pinocchio(urdf, spec.compile()).errors(states)
+    assert compared <= in_memory.keys()
+    assert max(in_memory.values()) < 1e-10, in_memory
+    from_xml = mujoco.MjModel.from_xml_string(write_xml(spec))
+    through_xml = Pinocchio(urdf, from_xml).errors(states)
+    assert max(through_xml.values()) < 1e-5, through_xml
+
+
+def hold(
+    quadruped: Quadruped, seconds: float, kp: float | None = None, kd: float | None = None
+) -> np.ndarray:
+    """(n, 7) trunk poses under PD control of the home pose, from it, within the effort limits.
+
+    Gains are in Nm/rad and Nm s/rad, by default as stiff as the robot is heavy and high.
+    """
+    model = quadruped.full_model()
+    data = mujoco.MjData(model)
+    data.qpos[:] = quadruped.home
+    kp = kp or 1.4 * model.body_subtreemass[0] * 9.81 * quadruped.home[2]
+    kd = kd or 0.025 * kp
+    poses = []
+    while data.time < seconds:
+        torque = kp * (quadruped.home[7:] - data.qpos[7:]) - kd * data.qvel[6:]
+        data.ctrl = np.clip(torque, -quadruped.effort, quadruped.effort)
+        mujoco.mj_step(model, data)
+        poses.append(data.qpos[:7].copy())
+    return np.array(poses)
+
+
+def stays_up(quadruped: Quadruped, seconds: float, height: float) -> None:
+    """It is held above that share of its home height, and within 5 degrees of upright."""
+    last = hold(quadruped, seconds)[-1]
+    assert last[2] > height * quadruped.home[2]
+    assert last[3] > np.cos(np.radians(5) / 2)

@@ -17,13 +17,14 @@ from quadwalk.robot.__main__ import main
 from quadwalk.robot.mjcf import convert, write_xml
 from quadwalk.robot.structure.legs import find_legs
 from quadwalk.robot.urdf import parse_urdf, read_urdf
+from tests.robot.robots import inertial, joint, link, robot, shape
 
 XML = ASSETS / "aliengo.xml"
 
 
 def test_regenerating_the_asset_is_byte_identical(tmp_path, capsys):
     out = tmp_path / "aliengo.xml"
-    main([*map(str, (ALIENGO_URDF, "-o", out))])
+    main([str(ALIENGO_URDF), "-o", str(out)])
     assert out.read_bytes() == XML.read_bytes()
     assert "fused: by fixed joints: imu_link with trunk" in capsys.readouterr().err
     assert [file.name for file in tmp_path.iterdir()] == ["aliengo.xml"]
@@ -90,43 +91,11 @@ def test_aliengo_converts_within_half_a_second():
 
 
 def test_no_mass_is_invented():
-    shape = "<collision><geometry><box size='1 1 1'/></geometry></collision>"
-    inertia = "<inertia ixx='1' ixy='0' ixz='0' iyy='1' iyz='0' izz='1'/>"
-    text = (
-        f"<robot name='r'><link name='a'><inertial><mass value='2'/>{inertia}</inertial></link>"
-        f"<link name='b'>{shape}</link><joint name='j' type='fixed'><parent link='a'/>"
-        "<child link='b'/></joint></robot>"
-    )
+    body, box = link("a", inertial(2, "1 1 1")), link("b", shape('box size="1 1 1"'))
+    text = robot(body, box, joint("j", "a", "b", kind="fixed", extra=""))
     model = convert(parse_urdf(text)).spec.compile()
     assert model.body_mass.sum() == 2
     assert model.body("a").inertia == pytest.approx([1, 1, 1])
-
-
-def test_a_joint_that_follows_another():
-    link = (
-        "<link name='{}'><inertial><mass value='1'/><inertia ixx='1' ixy='0' ixz='0' iyy='1' "
-        "iyz='0' izz='1'/></inertial></link>"
-    )
-    joint = (
-        "<joint name='{0}' type='revolute'><parent link='base'/><child link='{1}'/>"
-        "<limit lower='-1' upper='1' effort='9' velocity='1'/>{2}</joint>"
-    )
-    text = (
-        "<robot name='gripper'><link name='base'/>"
-        + link.format("left") + link.format("right")
-        + joint.format("lead", "left", "")
-        + joint.format("follow", "right", "<mimic joint='lead' multiplier='-2' offset='0.3'/>")
-        + "</robot>"
-    )  # fmt: skip
-    model = convert(parse_urdf(text)).spec.compile()
-    assert model.nu == 1
-    np.testing.assert_array_equal(model.key("home").qpos, [0, 0.3])
-    data = mujoco.MjData(model)
-    model.opt.gravity[:] = 0
-    while data.time < 2:
-        data.ctrl = 5 * (0.4 - data.qpos[0]) - 5 * data.qvel[0]
-        mujoco.mj_step(model, data)
-    assert data.qpos[1] == pytest.approx(0.3 - 2 * data.qpos[0], abs=1e-3)
 
 
 def test_armature_from_rotor_and_gear(tmp_path):
@@ -187,9 +156,9 @@ def test_a_robot_is_drawn_with_its_meshes(tmp_path):
     corners = np.array(np.meshgrid(*[(-0.5, 0.5)] * 3)).reshape(3, -1).T
     trimesh.convex.convex_hull(corners).export(tmp_path / "cube.stl")
     picture = {}
-    for name, shape in (("box", "box size='1 1 1'"), ("mesh", "mesh filename='cube.stl'")):
+    for name, geometry in (("box", "box size='1 1 1'"), ("mesh", "mesh filename='cube.stl'")):
         red = "<material name='red'><color rgba='0.8 0.1 0.1 1'/></material>"
-        visual = f"<visual><geometry><{shape}/></geometry>{red}</visual>"
+        visual = f"<visual><geometry><{geometry}/></geometry>{red}</visual>"
         text = f"<robot name='r'><link name='a'>{visual}</link></robot>"
         (tmp_path / f"{name}.urdf").write_text(text)
         main([str(tmp_path / f"{name}.urdf"), "-q", "--render", str(tmp_path / f"{name}.png")])

@@ -3,55 +3,29 @@
 from pathlib import Path
 from types import SimpleNamespace
 
-import mujoco
 import pytest
 
+from benchmarks.pinocchio_oracle import Pinocchio
 from quadwalk.paths import ALIENGO_URDF
-from quadwalk.robot.mjcf import Options, convert, write_xml
+from quadwalk.robot.mjcf import convert, write_xml
 from quadwalk.robot.structure.legs import find_legs
-from quadwalk.robot.urdf import Urdf, parse_urdf, read_urdf
-from tests.robot import zoo
-
-STATES = 50
+from quadwalk.robot.urdf import parse_urdf, read_urdf
+from tests.robot.robots import check_dynamics, inertial, joint, link, robot
 
 
-def check(pinocchio, file: Path, meshes: bool = True) -> None:
-    """Compare masses, frames, mass matrix, bias and inverse dynamics, in memory and as XML."""
+def check(file: Path) -> None:
     urdf = read_urdf(file)
     legs = find_legs(urdf.tree, urdf.source)
-    spec = convert(urdf, legs, Options(meshes=meshes)).spec
-    check_spec(pinocchio, urdf, spec, {f"position of {leg.foot_name}" for leg in legs})
+    spec = convert(urdf, legs).spec
+    check_dynamics(urdf, spec, {f"position of {leg.foot_name}" for leg in legs})
 
 
-def check_spec(pinocchio, urdf: Urdf, spec: mujoco.MjSpec, compared: set[str]) -> None:
-    """The same with the spec at hand; `compared` must be among what was."""
-    in_memory = pinocchio(urdf, spec.compile()).errors(STATES)
-    assert compared <= in_memory.keys()
-    assert max(in_memory.values()) < 1e-10, in_memory
-    from_xml = mujoco.MjModel.from_xml_string(write_xml(spec))
-    through_xml = pinocchio(urdf, from_xml).errors(STATES)
-    assert max(through_xml.values()) < 1e-5, through_xml
+def test_aliengo():
+    check(ALIENGO_URDF)
 
 
-def test_aliengo(pinocchio):
-    check(pinocchio, ALIENGO_URDF)
-
-
-def test_reference_quadrupeds(pinocchio, reference_urdf):
-    check(pinocchio, reference_urdf)
-
-
-@zoo.each(zoo.QUADRUPEDS)
-def test_quadrupeds_of_the_zoo(pinocchio, urdf):
-    check(pinocchio, urdf, meshes=False)
-
-
-def inertial(mass: float, moments: str, xyz: str = "0 0 0", rpy: str = "0 0 0") -> str:
-    ixx, iyy, izz = moments.split()
-    return (
-        f'<inertial><origin xyz="{xyz}" rpy="{rpy}"/><mass value="{mass}"/><inertia ixx="{ixx}" '
-        f'ixy="0" ixz="0" iyy="{iyy}" iyz="0" izz="{izz}"/></inertial>'
-    )
+def test_reference_quadrupeds(reference_urdf):
+    check(reference_urdf)
 
 
 # A fixed base, a slide, a slanted axis, fused links on both sides of a joint, a fused point mass,
@@ -80,64 +54,52 @@ def set_afloat(arm: str) -> str:
     return arm.replace('"world"', '"root"').replace('<link name="base"/>', base)
 
 
-def test_an_arm_on_a_fixed_base(pinocchio):
+def test_an_arm_on_a_fixed_base():
     urdf = parse_urdf(ARM)
     spec = convert(urdf).spec
     model = spec.compile()
     assert (model.nv, model.nbody) == (2, 3)
-    check_spec(pinocchio, urdf, spec, {"position of tool"})
+    check_dynamics(urdf, spec, {"position of tool"})
 
 
-def test_an_arm_afloat(pinocchio):
+def test_an_arm_afloat():
     urdf = parse_urdf(set_afloat(ARM))
-    errors = pinocchio(urdf, convert(urdf).spec.compile()).errors(STATES)
-    assert max(errors.values()) < 1e-10, errors
+    check_dynamics(urdf, convert(urdf).spec)
 
 
 @pytest.mark.parametrize("kind", ["planar", "floating"])
 @pytest.mark.parametrize("afloat", [False, True])
-def test_a_joint_of_several_directions(pinocchio, kind, afloat):
+def test_a_joint_of_several_directions(kind, afloat):
     text = ARM.replace('name="rail" type="prismatic"', f'name="rail" type="{kind}"')
     # Pinocchio takes the plane across z, whatever the axis.
     text = text.replace('<axis xyz="1 2 3"/>', '<axis xyz="0 0 2"/>')
-    if afloat:
-        text = set_afloat(text)
-    urdf = parse_urdf(text)
+    urdf = parse_urdf(set_afloat(text) if afloat else text)
     spec = convert(urdf).spec
     model = spec.compile()
     assert model.nv == {"planar": 4, "floating": 7}[kind] + 6 * afloat
     assert [model.actuator(i).name for i in range(model.nu)] == ["turn"]
-    check_spec(pinocchio, urdf, spec, {"position of tool"})
+    check_dynamics(urdf, spec, {"position of tool"})
 
 
-def test_a_plane_is_across_its_axis(pinocchio):
-    body = f"<link name='puck'>{inertial(2, '0.1 0.2 0.15', '0.1 0.2 0.3')}</link>"
-    frame = '<origin xyz="0 1 2" rpy="0.1 0.2 0.3"/><parent link="world"/>'
-    planar = (
-        f'<robot name="r"><link name="world"/>{body}<joint name="j" type="planar">{frame}'
-        '<child link="puck"/><axis xyz="0 3 0"/></joint></robot>'
-    )
+def test_a_plane_is_across_its_axis():
+    ends = link("world"), link("puck", inertial(2, "0.1 0.2 0.15", "0.1 0.2 0.3"))
+    at = {"xyz": "0 1 2", "rpy": "0.1 0.2 0.3"}
+    planar = robot(*ends, joint("j", "world", "puck", "0 3 0", **at, kind="planar", extra=""))
     # z turns onto y about -x by a quarter: x stays, y becomes -z.
-    limit = '<limit lower="-9" upper="9" effort="1" velocity="1"/>'
-    chain = (
-        f'<robot name="r"><link name="world"/><link name="a"/><link name="b"/>{body}'
-        f'<joint name="j_x" type="prismatic">{frame}<child link="a"/><axis xyz="1 0 0"/>{limit}'
-        '</joint><joint name="j_y" type="prismatic"><parent link="a"/><child link="b"/>'
-        f'<axis xyz="0 0 -1"/>{limit}</joint><joint name="j_turn" type="continuous">'
-        '<parent link="b"/><child link="puck"/><axis xyz="0 1 0"/></joint></robot>'
-    )
-    spec = convert(parse_urdf(planar)).spec
-    errors = pinocchio(SimpleNamespace(text=chain), spec.compile()).errors(STATES)
-    assert max(errors.values()) < 1e-10, errors
+    chain = robot(
+        *ends, link("a"), link("b"),
+        joint("j_x", "world", "a", "1 0 0", **at, kind="prismatic"),
+        joint("j_y", "a", "b", "0 0 -1", kind="prismatic"),
+        joint("j_turn", "b", "puck", "0 1 0", kind="continuous", extra=""),
+    )  # fmt: skip
+    errors = Pinocchio(SimpleNamespace(text=chain), convert(parse_urdf(planar)).spec.compile())
+    assert max(errors.errors(50).values()) < 1e-10
 
 
 def test_a_floating_joint_from_the_ground_is_the_floating_base():
     text = ALIENGO_URDF.read_text()
-    ground = (
-        '<link name="world"/><joint name="base" type="floating"><parent link="world"/>'
-        f'<child link="{parse_urdf(text).tree.root}"/></joint></robot>'
-    )
-    urdf = parse_urdf(text.replace("</robot>", ground))
+    base = joint("base", "world", parse_urdf(text).tree.root, kind="floating", extra="")
+    urdf = parse_urdf(text.replace("</robot>", link("world") + base + "</robot>"))
     expected = write_xml(convert(parse_urdf(text), find_legs(parse_urdf(text).tree, "")).spec)
     assert write_xml(convert(urdf, find_legs(urdf.tree, "")).spec) == expected
     assert "dropped: the ground's link and its floating joint: world" in urdf.report.lines()

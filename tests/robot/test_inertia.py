@@ -9,7 +9,7 @@ from quadwalk.paths import ALIENGO_URDF
 from quadwalk.robot.inertia import Inertia, compose, nearest_valid, principal, printable
 from quadwalk.robot.mjcf import convert
 from quadwalk.robot.urdf import UrdfError, parse_urdf
-from tests.robot.robots import inertial, joint, link, robot
+from tests.robot.robots import check_dynamics, inertial, joint, link, robot
 
 MOMENTS = st.tuples(*[st.floats(-1, 3)] * 3).map(np.array)
 
@@ -111,15 +111,14 @@ def test_more_than_digits_explain_is_refused_with_the_flag_that_mends_it(moments
     assert is_valid(np.diag(convert(urdf).spec.compile().body("a").inertia))
 
 
-def test_a_frame_of_next_to_no_mass_is_as_the_file_has_it(pinocchio):
+def test_a_frame_of_next_to_no_mass_is_as_the_file_has_it():
     base = inertial("1e-6", "1e-6 1e-6 1e-6 1e-6 1e-6 1e-6")  # Unitree's
     text = robot(
         link("base", base), link("trunk", inertial(5, "0.02 0.03 0.04")), link("arm", inertial(1)),
         joint("bolt", "base", "trunk", xyz="0.1 0 0", kind="fixed"), joint("j", "trunk", "arm"),
     )  # fmt: skip
     urdf = parse_urdf(text)
-    errors = pinocchio(urdf, convert(urdf).spec.compile()).errors(10)
-    assert max(errors.values()) < 1e-10, errors
+    check_dynamics(urdf, convert(urdf).spec, states=10)
     assert any(
         "next to nothing in 'base', as it is: base (" in line for line in urdf.report.lines()
     )
@@ -128,12 +127,11 @@ def test_a_frame_of_next_to_no_mass_is_as_the_file_has_it(pinocchio):
         parse_urdf(heavy)
 
 
-def test_inertia_without_mass_counts_in_the_body_that_has_some(pinocchio):
+def test_inertia_without_mass_counts_in_the_body_that_has_some():
     foot = link("foot", inertial(0, "1e-4 2e-4 1.5e-4"))
     bolt = joint("bolt", "a", "foot", xyz="0.1 0 0", kind="fixed")
     urdf = parse_urdf(moving("0.01 0.01 0.01", more=foot + bolt))
-    errors = pinocchio(urdf, convert(urdf).spec.compile()).errors(10)
-    assert max(errors.values()) < 1e-10, errors
+    check_dynamics(urdf, convert(urdf).spec, states=10)
 
 
 def test_what_moves_without_mass_is_given_some_when_asked():

@@ -15,7 +15,7 @@ from quadwalk.robot.quadruped import Quadruped, quadruped_from
 from quadwalk.robot.scene import lowest_point
 from quadwalk.robot.urdf import parse_urdf
 from tests.robot import robots
-from tests.robot.robots import ball_calf, inertial, joint, link, plain_leg, shape
+from tests.robot.robots import ball_calf, inertial, joint, link, plain_leg, shape, stays_up
 
 
 def at_home(quadruped: Quadruped, model: mujoco.MjModel) -> mujoco.MjData:
@@ -45,17 +45,7 @@ def stands(quadruped: Quadruped) -> None:
         np.testing.assert_allclose(feet, 0, atol=1e-6)
         radius = model.geom(quadruped.feet[0]).size[0]
         assert min(heights.values()) >= deepest * radius, heights
-    model = quadruped.full_model()
-    data = at_home(quadruped, model)
-    stiffness = 1.4 * model.body_subtreemass[0] * 9.81 * quadruped.home[2]
-    while data.time < 3:
-        away = quadruped.home[7:] - data.qpos[7:]
-        data.ctrl = np.clip(
-            stiffness * (away - 0.025 * data.qvel[6:]), -quadruped.effort, quadruped.effort
-        )
-        mujoco.mj_step(model, data)
-    assert data.qpos[2] > 0.8 * quadruped.home[2]
-    assert data.qpos[3] > np.cos(np.radians(5) / 2)
+    stays_up(quadruped, 3, 0.8)
 
 
 def foot_link(name: str, geometry: str, kind: str = "collision") -> str:

@@ -10,19 +10,16 @@ import trimesh
 from quadwalk.robot.meshes import find_mesh, load_mesh
 from quadwalk.robot.mjcf import Options, convert, write_xml
 from quadwalk.robot.urdf import UrdfError, parse_urdf, read_urdf
+from tests.robot import robots
+from tests.robot.robots import inertial, link, shape
 
 ONE = np.ones(3)
 
 
 def robot(visual: str = "", collision: str = "") -> str:
-    shape = '<{0}><origin xyz="0 0 1"/><geometry><mesh filename="{1}"/></geometry></{0}>'
-    shapes = (shape.format("visual", visual) if visual else "") + (
-        shape.format("collision", collision) if collision else ""
-    )
-    return (
-        '<robot name="r"><link name="a"><inertial><mass value="1"/><inertia ixx="1" ixy="0" '
-        f'ixz="0" iyy="1" iyz="0" izz="1"/></inertial>{shapes}</link></robot>'
-    )
+    files = {"visual": visual, "collision": collision}
+    shapes = [shape(f'mesh filename="{f}"', "0 0 1", kind) for kind, f in files.items() if f]
+    return robots.robot(link("a", inertial(1, "1 1 1"), *shapes))
 
 
 @pytest.fixture

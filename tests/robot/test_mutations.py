@@ -12,6 +12,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from benchmarks.pinocchio_oracle import Pinocchio
 from quadwalk.paths import ALIENGO_URDF
 from quadwalk.robot.mjcf import convert, write_xml
 from quadwalk.robot.structure.legs import find_legs
@@ -46,19 +47,15 @@ WORDS = st.one_of(
 )
 TAGS = st.sampled_from(
     [
-        "origin",
-        "axis",
-        "limit",
-        "mass",
-        "inertia",
-        "sphere",
-        "box",
-        "inertial",
-        "link",
-        "x",
-        "mimic",
+        *("origin", "axis", "limit", "mass", "inertia", "sphere", "box"),
+        *("inertial", "link", "x", "mimic"),
     ]
 )
+
+
+@pytest.fixture
+def pinocchio() -> type[Pinocchio]:
+    return Pinocchio
 
 
 @st.composite

@@ -12,7 +12,7 @@ from quadwalk.robot.quadruped import Quadruped, load_quadruped, quadruped_from
 from quadwalk.robot.scene import lowest_point
 from quadwalk.robot.urdf import UrdfError, parse_urdf
 from tests.robot import zoo
-from tests.robot.robots import ball_calf
+from tests.robot.robots import ball_calf, hold
 from tests.robot.robots import quadruped as made_quadruped
 
 TEXT = ALIENGO_URDF.read_text()
@@ -87,20 +87,6 @@ def test_home_stands_with_its_feet_just_on_the_floor(aliengo):
     for leg, foot in zip(aliengo.legs, aliengo.feet, strict=True):
         under = data.xpos[model.body(f"{leg}_thigh").id] - data.site_xpos[model.site(foot).id]
         np.testing.assert_allclose(under[:2], 0, atol=1e-12)
-
-
-def hold(quadruped: Quadruped, seconds: float, kp: float, kd: float) -> np.ndarray:
-    """(n, 7) base poses under PD control of the home pose, from it, within the effort limits."""
-    model = quadruped.full_model()
-    data = mujoco.MjData(model)
-    data.qpos[:] = quadruped.home
-    poses = []
-    while data.time < seconds:
-        torque = kp * (quadruped.home[7:] - data.qpos[7:]) - kd * data.qvel[6:]
-        data.ctrl = np.clip(torque, -quadruped.effort, quadruped.effort)
-        mujoco.mj_step(model, data)
-        poses.append(data.qpos[:7].copy())
-    return np.array(poses)
 
 
 def test_pd_holds_the_home_pose(aliengo):

@@ -1,13 +1,14 @@
 """Every URDF of PyPI's example-robot-data."""
 
 import mujoco
-import numpy as np
 import pytest
 
+from benchmarks.pinocchio_oracle import Pinocchio
 from quadwalk.robot.mjcf import Options, convert, write_xml
 from quadwalk.robot.quadruped import legs_of, load_quadruped, with_motors
 from quadwalk.robot.urdf import UrdfError, read_urdf
 from tests.robot import zoo
+from tests.robot.robots import check_dynamics, stays_up
 
 NO_MESHES = Options(meshes=False)
 # Refused, for a reason that docs/zoo.md gives; True where --repair-inertia mends it.
@@ -24,7 +25,7 @@ REFUSED = {
 
 
 @zoo.each(zoo.FILES)
-def test_converts_exactly_or_is_refused(pinocchio, urdf):
+def test_converts_exactly_or_is_refused(urdf):
     if urdf.stem in REFUSED:
         with pytest.raises(UrdfError) as raised:
             read_urdf(urdf)
@@ -33,9 +34,13 @@ def test_converts_exactly_or_is_refused(pinocchio, urdf):
             convert(read_urdf(urdf, repair_inertia=True), options=NO_MESHES).spec.compile()
         return
     read = read_urdf(urdf)
-    legs = legs_of(read, NO_MESHES) if urdf in zoo.QUADRUPEDS else ()
-    xml = write_xml(convert(read, legs, NO_MESHES).spec)
-    errors = pinocchio(read, mujoco.MjModel.from_xml_string(xml)).errors(10)
+    if urdf in zoo.QUADRUPEDS:
+        legs = legs_of(read, NO_MESHES)
+        feet = {f"position of {leg.foot_name}" for leg in legs}
+        check_dynamics(read, convert(read, legs, NO_MESHES).spec, feet)
+        return
+    xml = write_xml(convert(read, options=NO_MESHES).spec)
+    errors = Pinocchio(read, mujoco.MjModel.from_xml_string(xml)).errors(10)
     assert max(errors.values()) < 1e-5, errors
 
 
@@ -64,11 +69,4 @@ def test_quadrupeds_stand_upright_on_their_feet(urdf):
         assert abs(foot[0] - data.xpos[thigh, 0]) < 0.04
         ahead = leg[0] == "R" and zoo.KNEES_AHEAD[urdf.parts[-3]]
         assert (data.xpos[calf, 0] > data.xpos[thigh, 0]) == ahead
-    stiffness = 1.4 * model.body_subtreemass[0] * 9.81 * quadruped.home[2]
-    while data.time < 2:
-        away = quadruped.home[7:] - data.qpos[7:]
-        torque = stiffness * (away - 0.025 * data.qvel[6:])
-        data.ctrl = np.clip(torque, -quadruped.effort, quadruped.effort)
-        mujoco.mj_step(model, data)
-    assert data.qpos[2] > 0.85 * quadruped.home[2]
-    assert data.qpos[3] > np.cos(np.radians(5) / 2)
+    stays_up(quadruped, 2, 0.85)

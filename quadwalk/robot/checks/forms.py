@@ -15,6 +15,8 @@ class Form:
         one, most_one, many: child elements that must be there once, may be, may be repeated.
         first: those of `many` of which only the first counts.
         ignored: child elements of other tools whose numbers must be numbers nevertheless.
+        sizes: attributes that are lengths above 0.
+        not_negative: attributes that are 0 or more.
     """
 
     need: tuple[str, ...] = ()
@@ -24,8 +26,11 @@ class Form:
     many: tuple[str, ...] = ()
     first: tuple[str, ...] = ()
     ignored: tuple[str, ...] = ()
+    sizes: tuple[str, ...] = ()
+    not_negative: tuple[str, ...] = ()
 
 
+_DYNAMICS = ("damping", "friction", "armature")
 # http://wiki.ros.org/urdf/XML; `ignored` is what PyBullet, Gazebo and older ROS files add.
 FORMS = {
     "link": Form(
@@ -56,17 +61,19 @@ FORMS = {
     ),
     "geometry": Form(most_one=SHAPES),
     "origin": Form(may=("xyz", "rpy")),
-    "mass": Form(need=("value",)),
+    "mass": Form(need=("value",), not_negative=("value",)),
     "inertia": Form(need=("ixx", "ixy", "ixz", "iyy", "iyz", "izz")),
     "parent": Form(need=("link",)),
     "child": Form(need=("link",)),
     "axis": Form(need=("xyz",)),
-    "limit": Form(need=("effort", "velocity"), may=("lower", "upper")),
-    "dynamics": Form(may=("damping", "friction", "armature")),
+    "limit": Form(
+        need=("effort", "velocity"), may=("lower", "upper"), not_negative=("effort", "velocity")
+    ),
+    "dynamics": Form(may=_DYNAMICS, not_negative=_DYNAMICS),
     "mimic": Form(need=("joint",), may=("multiplier", "offset")),
-    "box": Form(need=("size",)),
-    "sphere": Form(need=("radius",)),
-    "cylinder": Form(need=("radius", "length")),
+    "box": Form(need=("size",), sizes=("size",)),
+    "sphere": Form(need=("radius",), sizes=("radius",)),
+    "cylinder": Form(need=("radius", "length"), sizes=("radius", "length")),
     "mesh": Form(need=("filename",), may=("scale",)),
     "material": Form(
         may=("name",), most_one=("color", "texture"), ignored=("specular", "ambient", "emissive")

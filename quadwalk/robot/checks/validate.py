@@ -89,6 +89,8 @@ class Check:
         for tag in form.one:
             if counts[tag] == 0:
                 raise self.fail(element, f"has no <{tag}>; expected one")
+        self.positive(element, form.sizes)
+        self.not_negative(element, form.not_negative)
         check = getattr(self, f"check_{element.tag}", None)
         if check is not None:
             check(element)
@@ -157,7 +159,7 @@ class Check:
             if abs(float(word)) > MAX_NUMBER and element.tag != "limit":
                 raise self.fail(element, f'has {name}="{shown}"; expected at most {MAX_NUMBER:g}')
 
-    def positive(self, element: etree._Element, *names: str) -> None:
+    def positive(self, element: etree._Element, names: tuple[str, ...]) -> None:
         """Check that sizes are above 0; a visual shape may be of size 0, and is left out then."""
         visual = any(parent.tag == "visual" for parent in element.iterancestors())
         for name in names:
@@ -166,7 +168,7 @@ class Check:
                     given = f'{name}="{element.get(name)}"'
                     raise self.fail(element, f"has {given}; expected above {MIN_SIZE:g} m")
 
-    def not_negative(self, element: etree._Element, *names: str) -> None:
+    def not_negative(self, element: etree._Element, names: tuple[str, ...]) -> None:
         for name in names:
             if float(element.get(name, "0")) < 0:
                 raise self.fail(element, f'has {name}="{element.get(name)}"; expected 0 or more')
@@ -176,15 +178,6 @@ class Check:
             expected = ", ".join(f"<{tag}>" for tag in SHAPES)
             raise self.fail(element, f"holds {len(element)} shapes; expected one of {expected}")
 
-    def check_box(self, element: etree._Element) -> None:
-        self.positive(element, "size")
-
-    def check_sphere(self, element: etree._Element) -> None:
-        self.positive(element, "radius")
-
-    def check_cylinder(self, element: etree._Element) -> None:
-        self.positive(element, "radius", "length")
-
     def check_mesh(self, element: etree._Element) -> None:
         if any(float(word) == 0 for word in element.get("scale", "1").split()):
             raise self.fail(element, f'has scale="{element.get("scale")}"; expected none 0')
@@ -193,18 +186,11 @@ class Check:
         if not all(0 <= float(word) <= 1 for word in element.get("rgba").split()):
             raise self.fail(element, f'has rgba="{element.get("rgba")}"; expected 0 .. 1')
 
-    def check_mass(self, element: etree._Element) -> None:
-        self.not_negative(element, "value")
-
-    def check_dynamics(self, element: etree._Element) -> None:
-        self.not_negative(element, "damping", "friction", "armature")
-
     def check_texture(self, element: etree._Element) -> None:
         if not (element.get("filename") or "").strip():
             self.take_out(element, "<texture> without a file")
 
     def check_limit(self, element: etree._Element) -> None:
-        self.not_negative(element, "effort", "velocity")
         for name in ("effort", "velocity"):
             if float(element.get(name)) > MAX_NUMBER:
                 element.set(name, "inf")
