@@ -27,7 +27,8 @@ lint: $(VENV)/.ready-dev  ## formatter, linter, type checker
 docs: $(VENV)/.ready-dev  ## the pages as a site, in build/site
 	$(PIP) install -r docs/site/requirements.txt
 	$(RUN) docs/site/settings.py
-	$(RUN) -m mkdocs build --quiet
+	$(RUN) docs/site/api.py
+	$(RUN) -m mkdocs build
 
 pictures: $(VENV)/.ready  ## the moving picture of the README, from the packaged policies
 	$(RUN) benchmarks/pictures.py

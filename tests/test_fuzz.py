@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from quadwalk.cli import parse
@@ -122,17 +123,14 @@ def test_arguments_that_are_no_flags(word, tmp_path, monkeypatch):
 @pytest.mark.parametrize("word", WORDS)
 def test_arguments_of_robot_and_ground(word, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("quadwalk.ground.picture.draw_kinds", lambda *_: Picture())
+    monkeypatch.setattr(
+        "quadwalk.ground.picture.draw_kinds", lambda *_: np.zeros((2, 2, 3), np.uint8)
+    )
     for flag in ("--mesh-dirs", "--rotor", "--out", "--render", "--nothing"):
         for argv in some(([str(ALIENGO_URDF), "-q", f"{flag}={word}"], [word]), flag + word, 1):
             settles(robot, argv)
     for flag in ("--out", "--kinds", "--levels", "--seed", "--robot.urdf"):
         settles(ground, ["-o", "a.png", f"{flag}={word}"])
-
-
-class Picture:
-    def savefig(self, file: Any, **_: Any) -> None:
-        file.write(b"picture")
 
 
 # What a run's files are read for.

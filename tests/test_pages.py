@@ -37,18 +37,20 @@ def test_numbers_have_their_zero_and_lines_end(page):
     assert not long
 
 
-def test_the_page_of_settings_is_what_the_source_says():
-    spec = importlib.util.spec_from_file_location("settings", ROOT / "docs/site/settings.py")
+@pytest.mark.parametrize("name", ["settings", "api"])
+def test_a_page_from_the_source_is_what_the_source_says(name):
+    path = ROOT / "docs/site" / f"{name}.py"
+    spec = importlib.util.spec_from_file_location(name, path)
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
-    expected = "expected the output of: python docs/site/settings.py"
-    assert module.PAGE.read_text() == module.page(), expected
+    assert module.PAGE.read_text() == module.page(), f"expected: python docs/site/{name}.py"
     assert "|  |" not in module.page()  # a setting without a word
 
 
 def test_every_page_is_on_the_site():
     named = set(re.findall(r"(\w+\.md)", (ROOT / "mkdocs.yml").read_text()))
-    assert named == {page.name for page in (ROOT / "docs").glob("*.md")}
+    pages = [*(ROOT / "docs").glob("*.md"), *(ROOT / "notebooks").glob("*.ipynb")]
+    assert named == {f"{page.stem}.md" for page in pages}
 
 
 def test_the_readme_is_short():

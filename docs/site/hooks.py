@@ -1,13 +1,58 @@
-"""Hooks of the site: what links out of docs/ is named by its path in the repository."""
+"""Hooks of the site: notebooks become pages, and links out of docs/ lead there or become code."""
 
+import base64
+import json
 import re
+from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
+from mkdocs.config.defaults import MkDocsConfig
+from mkdocs.structure.files import File, Files
+
+NOTEBOOKS = Path(__file__).parents[2] / "notebooks"
+TO_NOTEBOOK = re.compile(r"\]\(\.\./notebooks/(\w+)\.ipynb\)")
 OUTWARD = re.compile(r"\[([^\]]+)\]\(\.\./([^)#]+)[^)]*\)")
+# In a notebook: links to another, and to a page of docs/
+BESIDE, TO_PAGE = re.compile(r"\]\((\w+)\.ipynb\)"), re.compile(r"\]\(\.\./docs/(\w+\.md[^)]*)\)")
 
 
-def on_page_markdown(markdown: str, **_: Any) -> str:
-    """A page's text with links to files that are not part of the site as code."""
+def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
+    """A page's text; links to files that are not part of the site as code."""
+    if page.file.src_uri.startswith("notebooks/"):
+        return markdown
+    markdown = TO_NOTEBOOK.sub(r"](notebooks/\1.md)", markdown)
     return OUTWARD.sub(
         lambda link: f"`{link[2]}`" if link[1] == link[2] else f"{link[1]} (`{link[2]}`)", markdown
     )
+
+
+def on_files(files: Files, config: MkDocsConfig) -> Files:
+    """The site's files, with each notebook as a page and its pictures beside it."""
+    for path in sorted(NOTEBOOKS.glob("*.ipynb")):
+        parts, pictures = [], {}
+        for cell in json.loads(path.read_text())["cells"]:
+            source = "".join(cell["source"])
+            if cell["cell_type"] == "markdown":
+                parts.append(TO_PAGE.sub(r"](../\1)", BESIDE.sub(r"](\1.md)", source)))
+                continue
+            parts.append(f"```python\n{source}\n```")
+            for kind, content in shown(cell["outputs"]):
+                if kind == "image/png":
+                    name = f"{path.stem}_{len(pictures)}.png"
+                    pictures[name] = base64.b64decode(content)
+                    parts.append(f"![What the code above shows]({name})")
+                else:
+                    parts.append(f"```text\n{content.rstrip()}\n```")
+        made: dict[str, str | bytes] = {f"{path.stem}.md": "\n\n".join(parts), **pictures}
+        for name, data in made.items():
+            files.append(File.generated(config, f"notebooks/{name}", content=data))
+    return files
+
+
+def shown(outputs: list[dict[str, Any]]) -> Iterator[tuple[str, str]]:
+    """Kind and content of each output, in the form that says most."""
+    for output in outputs:
+        data = output.get("data", {"text/plain": output.get("text", "")})
+        kind = "image/png" if "image/png" in data else "text/plain"
+        yield kind, "".join(data[kind])

@@ -10,8 +10,7 @@ from pathlib import Path
 
 from quadwalk.cli import ArgumentParser
 from quadwalk.errors import UsageError
-from quadwalk.files import atomic_write
-from quadwalk.ground.terrain import FLAT, leg_length
+from quadwalk.ground.terrain import FLAT
 from quadwalk.ground.tiles import KINDS
 from quadwalk.paths import ALIENGO_URDF
 
@@ -22,19 +21,18 @@ def main(argv: list[str] | None = None, prog: str = "quadwalk terrain") -> None:
     add = parser.add_argument
     add("-o", "--out", type=Path, metavar="PNG", required=True, help="file to write")
     add("--kinds", nargs="+", metavar="KIND", help=f"some of: {', '.join(KINDS)}")
-    add("--levels", type=int, default=3, help="difficulties, evenly from 0 to 1")
+    add("--levels", type=int, default=1, help="difficulties, evenly up to 1")
     add("--seed", type=int, default=0, help="of all that is random")
     add("--robot.urdf", type=Path, default=ALIENGO_URDF, help="robot whose legs set the sizes")
     given = parser.parse_args(argv)
     try:
-        kinds = tuple(given.kinds or KINDS)
+        kinds = tuple(given.kinds or (kind for kind in KINDS if kind != "flat"))
         config = dataclasses.replace(FLAT, kinds=kinds, levels=given.levels, seed=given.seed)
+        config = dataclasses.replace(config, difficulty=(1.0 / given.levels, 1.0))
     except UsageError as error:
         raise UsageError(str(error).replace(f"--{FLAT.group}.", "--")) from None
-    from quadwalk.ground.picture import draw_kinds  # Matplotlib, and all that reads a URDF
+    from quadwalk.drawing.images import save_png
+    from quadwalk.ground.picture import draw_kinds  # and with it all that reads a URDF
     from quadwalk.robot.quadruped import load_quadruped
 
-    quadruped = load_quadruped(vars(given)["robot.urdf"])
-    figure = draw_kinds(config, leg_length(quadruped.full_model(), quadruped.feet[0]))
-    with atomic_write(given.out) as file:
-        figure.savefig(file, format="png", metadata={"Software": None})
+    save_png(draw_kinds(config, load_quadruped(vars(given)["robot.urdf"])), given.out)

@@ -1,51 +1,58 @@
-"""A picture of every kind of tile."""
+"""A picture of every kind of ground, with the robot on it."""
 
+from dataclasses import replace
+from typing import Any
+
+import mujoco
 import numpy as np
-from matplotlib.figure import Figure
+from PIL import Image, ImageDraw, ImageFont
 
-from quadwalk.ground.terrain import GroundConfig, Place, Terrain, make_terrain
+from quadwalk.drawing.canvas import Camera, Canvas
+from quadwalk.drawing.images import film_strip
+from quadwalk.ground.heightfield import Heightfield, lay
+from quadwalk.ground.terrain import GroundConfig, Place, leg_length, make_terrain
+from quadwalk.robot.quadruped import Quadruped
 
-_PIXELS = 50  # a meter
-_DEPTH = 0.6  # m on the picture, upwards, that a meter away from the eye takes
-_SUN = np.array([-0.55, 0.35, 0.76])  # unit vector towards the light
-_TOP, _CUT = np.array([237, 222, 194]), np.array([120, 100, 80])
-
-
-def draw_kinds(config: GroundConfig, leg: float) -> Figure:
-    """Half a tile of every kind of `config`, a row for each, at every level, a column."""
-    terrain = make_terrain(config, leg)
-    kinds, levels = config.kinds, config.difficulties
-    figure = Figure(figsize=(2.9 * len(levels), 1.75 * len(kinds)), dpi=80, layout="constrained")
-    grid = figure.subplots(len(kinds), len(levels), squeeze=False)
-    for axes, kind in zip(grid, kinds, strict=True):
-        for level, (cell, difficulty) in enumerate(zip(axes, levels, strict=True)):
-            cell.imshow(cut_open(terrain, terrain.tile(kind, level)))
-            cell.set_title(f"{kind.replace('_', ' ')}, {difficulty:g}", fontsize=11)
-            cell.axis("off")
-    return figure
+_ACROSS = 3  # pictures in a row, where there is one level
+_SIZE = (480, 320)  # pixels of one
+_SETTLED = 0.6  # s, in which the robot comes to stand
+_TEXT: dict[str, Any] = {"fill": (30, 34, 40), "stroke_width": 2, "stroke_fill": "white"}
 
 
-def cut_open(terrain: Terrain, tile: Place, room: float = 1.8) -> np.ndarray:
-    """(height, width, 3) uint8 picture of the half of a tile beyond its middle line along x.
+def draw_kinds(config: GroundConfig, quadruped: Quadruped) -> np.ndarray:
+    """(height, width, 3) uint8: every kind of `config` at every level, the robot in its middle.
 
-    Seen in parallel, at one scale; `room` m are left for what is above and below 0.
+    The levels of a kind are in one row; of one level, three kinds are in a row.
     """
-    (length, width), cell, step = tile.size, terrain.field.cell, 1 / _PIXELS
-    ahead = np.arange(cell - length / 2, length / 2 - cell, step)
-    away = np.arange(width / 2 - cell, 0, -step)  # the last nodes are the next tile's
-    points = np.stack(np.meshgrid(tile.middle[0] + ahead, tile.middle[1] + away), axis=-1)
-    heights = terrain.field.height_at(points)
-    falling, along = np.gradient(heights, step)
-    normals = np.stack([-along, falling, np.ones_like(heights)], axis=-1)
-    light = normals @ _SUN / np.linalg.norm(normals, axis=-1)
-    colors = _TOP * (0.25 + 0.75 * np.clip(light, 0, 1))[..., None]
-    size = round((2 * room + _DEPTH * width / 2) * _PIXELS)
-    picture = np.full((size, len(ahead), 3), 255, np.uint8)
-    rows = np.arange(size)[:, None]
-    # From the far end on, what is near covers what is behind it.
-    for y, height, color in zip(away, heights, colors, strict=True):
-        top = size - (room + height + _DEPTH * y) * _PIXELS
-        np.copyto(picture, color[None].astype(np.uint8), where=(rows >= top)[..., None])
-    front = rows >= size - (room + heights[-1]) * _PIXELS
-    np.copyto(picture, _CUT.astype(np.uint8), where=front[..., None])
-    return picture
+    terrain = make_terrain(config, leg_length(quadruped.full_model(), quadruped.feet[0]))
+    spec = quadruped.spec.copy()
+    lay(spec, terrain.field)
+    model = replace(quadruped, spec=spec).full_model(timestep=0.004)
+    canvas, font = Canvas(model, *_SIZE), ImageFont.load_default(size=22)
+    pictures = []
+    for place in terrain.tiles:
+        qpos = _standing(model, quadruped, place, terrain.field)
+        eye = Camera(qpos[:3], distance=8.5 * quadruped.home[2], azimuth=60.0, elevation=-22.0)
+        picture = Image.fromarray(canvas.draw(qpos, eye))
+        label = f"{place.kind.replace('_', ' ')}, difficulty {place.difficulty:.2g}"
+        ImageDraw.Draw(picture).text((10, 8), label, font=font, **_TEXT)
+        pictures.append(np.asarray(picture))
+    return film_strip(pictures, config.levels if config.levels > 1 else _ACROSS)
+
+
+def _standing(
+    model: mujoco.MjModel, quadruped: Quadruped, place: Place, field: Heightfield
+) -> np.ndarray:
+    """qpos (19,) of the robot after it was put down where an episode starts."""
+    data = mujoco.MjData(model)
+    data.qpos[:] = quadruped.home
+    data.qpos[:2] = place.start
+    mujoco.mj_kinematics(model, data)
+    feet = np.array([data.geom(name).xpos[:2] for name in quadruped.feet])
+    data.qpos[2] += field.height_at(feet).max()
+    stiff = 1.4 * model.body_subtreemass[0] * quadruped.gravity * quadruped.home[2]
+    while data.time < _SETTLED:
+        torque = stiff * (quadruped.home[7:] - data.qpos[7:] - 0.025 * data.qvel[6:])
+        data.ctrl = np.clip(torque, -quadruped.effort, quadruped.effort)
+        mujoco.mj_step(model, data)
+    return data.qpos.copy()

@@ -151,11 +151,15 @@ def test_a_sweep_is_drawn_point_by_point():
         for value in range(4)
     ]
     sweep = {"heading": "pushes", "unit": "m/s", "nominal": 1.0, "points": points}
+    sweep["range"] = (-1.0, 2.0)  # beyond what is drawn
     sweeps = {str(number): sweep for number in range(6)}
-    figure = draw_sweep([{"run": "one", "seconds": 20.0, "episodes": 8, "sweeps": sweeps}])
-    assert "one: share of episodes that reach 20 s" in figure.get_suptitle()
+    run = {"run": "one", "seconds": 20.0, "episodes": 8, "sweeps": sweeps}
+    figure = draw_sweep([run], ["5", *"01234"], columns=3)
+    assert "one: robustness (8 episodes of 20 s" in figure.get_suptitle()
     assert [axes.get_title(loc="left") for axes in figure.axes[:6]] == ["Pushes, m/s"] * 6
-    axes, speed = figure.axes[0], figure.axes[10]
+    axes, speed = figure.axes[0], figure.axes[6]
+    (shaded,) = axes.patches
+    assert (shaded.get_x(), shaded.get_x() + shaded.get_width()) == pytest.approx((-0.15, 2.0))
     nominal, success = axes.lines
     np.testing.assert_allclose(success.get_xydata(), [(0, 100), (1, 80), (2, 60), (3, 40)])
     assert list(nominal.get_xdata()) == [1.0, 1.0]
@@ -175,7 +179,7 @@ def test_the_sweeps_of_two_runs_are_drawn_together():
              "speed": {"mean": 1.0 + success, "ci95": 0.1}}
             for value in (0.0, 1.0)
         ]  # fmt: skip
-        sweep = {"heading": "noise", "unit": "", "nominal": 0.0, "points": points}
+        sweep = {"heading": "noise", "unit": "", "nominal": 0.0, "points": points, "range": (0, 1)}
         return {"run": run, "seconds": 20.0, "episodes": 8, "sweeps": {"noise": sweep}}
 
     figure = draw_sweep([result("real", 0.8), result("ideal", 0.2)])
@@ -183,7 +187,7 @@ def test_the_sweeps_of_two_runs_are_drawn_together():
     _, real, ideal = axes.lines
     assert (list(real.get_ydata()), list(ideal.get_ydata())) == ([80, 80], [20, 20])
     assert real.get_color() != ideal.get_color()
-    assert [text.get_text() for text in axes.get_legend().get_texts()] == ["real", "ideal"]
+    assert [text.get_text() for text in figure.legends[0].get_texts()][:2] == ["real", "ideal"]
 
 
 def test_each_episode_of_a_comparison_is_a_dot():

@@ -13,7 +13,13 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from quadwalk.evaluate import loaded as loading
-from quadwalk.evaluate.grids.sweep import Point, conditions_at, measure_points
+from quadwalk.evaluate.grids.sweep import (
+    SWEEPS,
+    Point,
+    conditions_at,
+    measure_points,
+    task_ranges,
+)
 from quadwalk.evaluate.loaded import load_run
 from quadwalk.paths import PRETRAINED
 from quadwalk.settings.environment import NO_RANDOMIZATION
@@ -464,3 +470,17 @@ def test_what_is_off_is_as_the_model(quadruped):
     none = dataclasses.replace(run.TASK.env.randomization, enabled=False)
     env = QuadrupedEnv(quadruped, dataclasses.replace(run.TASK.env, randomization=none))
     assert jax.eval_shape(env.reset, jax.random.PRNGKey(0)).pipeline_state.conditions is None
+
+
+def test_the_ranges_that_are_shaded_are_the_tasks_in_the_units_of_the_sweep(quadruped):
+    env = QuadrupedEnv(quadruped, run.TASK.env, "fast")
+    found = task_ranges(env, Point(friction=env.friction))
+    assert set(found) == set(SWEEPS)
+    known = {"friction": (0.3, 1.25), "strength": (80, 110), "delay": (0, 20), "everything": (0, 1)}
+    for name, between in known.items():
+        assert found[name] == pytest.approx(between)
+    assert found["mass"] == pytest.approx((-2.0, 5.0), abs=0.2)  # kg, on an AlienGo
+    assert found["push"] == pytest.approx((0.0, 1.0), abs=0.01)  # m/s
+    still = dataclasses.replace(run.TASK.env.randomization, noise=None)
+    without = QuadrupedEnv(quadruped, dataclasses.replace(run.TASK.env, randomization=still))
+    assert task_ranges(without, Point(friction=0.8))["noise"] == (0.0, 0.0)

@@ -206,16 +206,19 @@ def test_what_there_is_not_is_one_clear_line():
         make_terrain(vast, LEG)
 
 
-def test_the_command_draws_every_kind_it_is_asked_for(tmp_path):
+def test_the_command_draws_every_kind_it_is_asked_for_with_the_robot_on_it(tmp_path):
     command = [sys.executable, "-m", "quadwalk.ground", "-o", str(tmp_path / "ground.png")]
     subprocess.run([*command, "--kinds", "stairs_up", "flat", "--levels", "2"], check=True)
-    pixels = np.asarray(Image.open(tmp_path / "ground.png").convert("L"))
-    # Stairs of difficulty 1 have more shades than level ground.
-    upper, lower = pixels[: len(pixels) // 2], pixels[len(pixels) // 2 :]
-    half = pixels.shape[1] // 2
-    assert np.ptp(np.diff(upper[:, half:], axis=0)) > 0
-    dark = [np.mean(part[:, half:] < 80) for part in (upper, lower)]
-    assert dark[0] > dark[1]
+    pixels = np.asarray(Image.open(tmp_path / "ground.png").convert("RGB")).astype(int)
+    assert pixels.shape == (2 * 320 + 4, 2 * 480 + 4, 3)
+    (_, stairs), (_, flat) = (
+        np.split(row[:, :960], 2, axis=1) for row in (pixels[:320], pixels[324:])
+    )
+    for picture in (stairs, flat):  # the robot is orange
+        assert (picture[..., 0] - picture[..., 2] > 100).mean() > 0.003
+    # Stairs have edges that a level floor has not.
+    edges = [(np.abs(np.diff(each.sum(axis=2), axis=0)) > 100).mean() for each in (stairs, flat)]
+    assert edges[0] > 1.5 * edges[1]
 
 
 @pytest.mark.parametrize(

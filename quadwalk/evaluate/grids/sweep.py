@@ -19,7 +19,7 @@ from quadwalk.evaluate.loaded import LoadedRun, training_ranges
 from quadwalk.evaluate.motion.course import WINDOW, heading_velocity, tracking_errors
 from quadwalk.evaluate.motion.kinematics import roll_pitch_yaw
 from quadwalk.evaluate.simulate import Report, fresh_starts
-from quadwalk.settings.environment import NO_RANDOMIZATION
+from quadwalk.settings.environment import NO_RANDOMIZATION, Range
 from quadwalk.task.env import QuadrupedEnv
 from quadwalk.task.episode.randomization import (
     EpisodeRandomization,
@@ -74,12 +74,13 @@ def measure_sweeps(
     """The figures of `measure_points` at the nominal point and at each value of each sweep."""
     points, nominal = sweep_points(loaded)
     measured = measure_points(loaded, points, episodes, seed, report)
-    found = dict(zip(points, measured, strict=True))
+    found, ranges = dict(zip(points, measured, strict=True)), task_ranges(loaded.env, nominal)
     sweeps = {
         name: {
             "heading": heading,
             "unit": unit,
             "nominal": getattr(nominal, name),
+            "range": ranges[name],
             "points": [
                 {"value": value, **found[replace(nominal, **{name: value})]} for value in values
             ],
@@ -87,6 +88,36 @@ def measure_sweeps(
         for name, (heading, unit, values) in SWEEPS.items()
     }
     return {"episodes": episodes, "nominal": found[nominal], "sweeps": sweeps}
+
+
+def task_ranges(env: QuadrupedEnv, nominal: Point) -> dict[str, tuple[float, float]]:
+    """Of each sweep the range that the task draws from, without a margin, in the sweep's unit.
+
+    `training_ranges` stand for a task that randomizes nothing.
+    """
+    config, robot = training_ranges(env.config), env.robot
+    push = (config.push, math.sqrt(robot.gravity * robot.home_height))
+    # field of Point -> range of the settings, and how much of the sweep's unit theirs is
+    drawn: dict[str, tuple[Range, float]] = {
+        "everything": ((0.0, 1.0), 1.0),
+        "friction": (config.friction, 1.0),
+        "mass": (config.trunk_mass, robot.mass),
+        "center": (config.trunk_center, robot.home_height),
+        "strength": (config.strength, 100.0),
+        "kp": (config.kp, 100.0),
+        "kd": (config.kd, 100.0),
+        "delay": (config.latency, 1000.0),
+        "sensor_delay": (config.sensor_latency, 1000.0),
+        "noise": (config.noise, 1.0),
+        "encoder": (config.encoder, 1.0),
+        "push": push,
+        "push_ahead": push,
+    }
+    usual = {name: (getattr(nominal, name), getattr(nominal, name)) for name in drawn}
+    return {
+        name: usual[name] if between is None else (unit * between[0], unit * between[1])
+        for name, (between, unit) in drawn.items()
+    }
 
 
 def sweep_points(loaded: LoadedRun) -> tuple[list[Point], Point]:

@@ -1,81 +1,112 @@
 """Pictures of many panels: the sweeps of a policy, and several runs side by side."""
 
-import itertools
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 
-from quadwalk.drawing.figures import INK, LEG_COLORS, new_figure, tidy
+from quadwalk.drawing.figures import INK, new_figure, tidy
 from quadwalk.evaluate.statistics import figure_mean
 from quadwalk.evaluate.summary import FIGURES, engines_of
 from quadwalk.settings.environment import COMMANDED
 
-_SWEEP_COLUMNS = 5
 _COLUMNS = 3  # panels of a comparison in a row
 _SPREAD = 0.28  # of the distance between two runs, over which their episodes are drawn
-_SUCCESS, _SPEED = LEG_COLORS[3], LEG_COLORS[0]
+# Okabe and Ito's, which the color-blind can tell apart
+_COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
+_MARKS = "os^Dv*P"
 
 
-def draw_sweep(results: list[dict[str, Any]]) -> Figure:
-    """One panel for each sweep: success to the left, speed to the right, with 95 % intervals.
+def draw_sweep(
+    results: list[dict[str, Any]],
+    names: Sequence[str] | None = None,
+    columns: int = 4,
+    title: str = "",
+) -> Figure:
+    """One panel for each sweep, or each of `names`: success and speed, with 95 % intervals.
 
-    `results` are those of one run or several, at the same points.
+    `results` are those of one run or several, at the same points. Their first says which range of
+    each condition the task draws from: it is shaded.
     """
-    sweeps, first = results[0]["sweeps"], results[0]
-    rows = math.ceil(len(sweeps) / _SWEEP_COLUMNS)
-    figure = new_figure(
-        (20, 3.8 * rows),
-        f"{', '.join(result['run'] for result in results)}: share of episodes that reach "
-        f"{first['seconds']:g} s without a fall (line), and speed (dashed), "
-        f"{first['episodes']} episodes at each point (bands: 95 %, dotted: the robot's model)",
-    )
+    first = results[0]
+    sweeps = first["sweeps"]
+    shown = list(names or sweeps)
+    rows = math.ceil(len(shown) / columns)
+    text = title or f"{', '.join(result['run'] for result in results)}: robustness"
+    text += f" ({first['episodes']} episodes of {first['seconds']:g} s at each point)"
+    figure = new_figure((3.6 * columns, 0.8 + 2.9 * rows), text)
     top = max(
         point["speed"]["mean"]
         for result in results
-        for sweep in result["sweeps"].values()
-        for point in sweep["points"]
+        for name in shown
+        for point in result["sweeps"][name]["points"]
     )
-    colors = [(_SUCCESS, _SPEED)] if len(results) == 1 else [(c, c) for c in LEG_COLORS]
-    panels: Any = figure.subplots(rows, _SWEEP_COLUMNS).ravel()
-    for axes, name in zip(panels, sweeps, strict=False):
+    panels: Any = figure.subplots(rows, columns, squeeze=False, sharey=True).ravel()
+    for place, (axes, name) in enumerate(zip(panels, shown, strict=False)):
         tidy(axes, sweeps[name]["heading"], sweeps[name]["unit"])
         axes.set_ylim(-3, 106)
-        axes.set_ylabel("success, %", color=colors[0][0])
         axes.axvline(sweeps[name]["nominal"], color=INK, linewidth=1, linestyle=":")
         speed = axes.twinx()
-        speed.set_ylabel("speed, m/s", color=colors[0][1])
         speed.spines["top"].set_visible(False)
         lowest = min(
-            _sweep(axes, speed, result, name, *pair)
-            for result, pair in zip(results, itertools.cycle(colors), strict=False)
+            _sweep(axes, speed, result, name, _color(k), _MARKS[k % 7])
+            for k, result in enumerate(results)
         )
+        axes.axvspan(*_inside(axes.get_xlim(), sweeps[name]["range"]), color="0.92", zorder=0)
         # The same scale in every panel, and as high as that of success: 100 % is the top speed.
         speed.set_ylim(min(-0.03 * max(top, 0.1), 1.05 * lowest), 1.06 * max(top, 0.1))
-    for axes in panels[len(sweeps) :]:
+        if place % columns == 0:
+            axes.set_ylabel("episodes without a fall, %")
+        last = place % columns == columns - 1 or place == len(shown) - 1
+        speed.tick_params(labelright=last)
+        if last:
+            speed.set_ylabel("speed, m/s")
+    for axes in panels[len(shown) :]:
         axes.set_axis_off()
-    if len(results) > 1:
-        panels[0].legend(loc="lower left", frameon=False)
+    _explain(figure, [result["run"] for result in results])
     return figure
 
 
+def _inside(limits: tuple[float, float], between: Sequence[float]) -> tuple[float, float]:
+    """What of the range `between` lies within an axis's `limits`."""
+    return max(limits[0], between[0]), min(limits[1], between[1])
+
+
+def _explain(figure: Figure, runs: list[str]) -> None:
+    """A legend below the panels of a sweep."""
+    handles: list[Any] = [
+        Line2D([], [], color=_color(k), marker=_MARKS[k % 7], lw=2, label=run)
+        for k, run in enumerate(runs)
+    ]
+    handles += [
+        Line2D([], [], color=INK, lw=2, label="without a fall"),
+        Line2D([], [], color=INK, lw=1, ls="--", label="speed"),
+        Line2D([], [], color=INK, lw=1, ls=":", label="the robot's model"),
+        Patch(color="0.92", label="range of the task"),
+    ]
+    figure.legend(handles=handles, loc="outside lower left", ncols=len(handles), frameon=False)
+
+
 def _sweep(
-    axes: Axes, speed: Axes, result: dict[str, Any], name: str, success: str, color: str
+    axes: Axes, speed: Axes, result: dict[str, Any], name: str, color: str, mark: str
 ) -> float:
     """Draw one run's sweep; the lowest speed drawn."""
     points = result["sweeps"][name]["points"]
     values = [point["value"] for point in points]
     low, high = zip(*(point["success_ci95"] for point in points), strict=True)
     axes.fill_between(
-        values, [100 * e for e in low], [100 * e for e in high], color=success, alpha=0.15, lw=0
+        values, [100 * e for e in low], [100 * e for e in high], color=color, alpha=0.2, lw=0
     )
     shares = [100 * point["success"] for point in points]
-    axes.plot(values, shares, "o-", color=success, linewidth=2, label=result["run"])
+    axes.plot(values, shares, f"{mark}-", color=color, linewidth=2, label=result["run"])
     means = [point["speed"]["mean"] for point in points]
     errors = [point["speed"]["ci95"] or 0.0 for point in points]
-    speed.errorbar(values, means, yerr=errors, fmt="s--", color=color, markersize=5, capsize=4)
+    speed.errorbar(values, means, yerr=errors, fmt="--", color=color, linewidth=1, capsize=2)
     return min(0.0, *(mean - error for mean, error in zip(means, errors, strict=True)))
 
 
@@ -84,7 +115,7 @@ def draw_by_ground(results: dict[str, Any], title: str) -> Figure:
     kinds, difficulties = results["kinds"], results["difficulties"]
     commanded = results["command"] is not None
     maps: list[tuple[str, str, float, Any]] = [
-        ("success, %", "RdYlGn", 100.0, lambda cell: 100 * cell["success"]),
+        ("success, %", "viridis", 100.0, lambda cell: 100 * cell["success"]),
         ("speed, m/s", "viridis", 0.0, lambda cell: cell["speed"]["mean"]),
     ]
     if commanded:
@@ -111,10 +142,9 @@ def draw_by_ground(results: dict[str, Any], title: str) -> Figure:
         axes.set_xlabel("difficulty")
         for (row, column), number in np.ndenumerate(values):
             label = "-" if math.isnan(number) else f"{number:.0f}" if top else f"{number:.2f}"
-            axes.text(
-                column, row, label, ha="center", va="center", fontsize=10, color=INK,
-                bbox={"boxstyle": "round,pad=0.15", "fc": "white", "ec": "none", "alpha": 0.6},
-            )  # fmt: skip
+            shade = axes.images[0].to_rgba(number)
+            color = "white" if np.dot(shade[:3], (0.3, 0.6, 0.1)) < 0.5 else INK
+            axes.text(column, row, label, ha="center", va="center", fontsize=10, color=color)
     return figure
 
 
@@ -154,7 +184,7 @@ def _gaits(axes: Axes, gaits: list[dict[str, Any]]) -> None:
     for place, name in enumerate(dict.fromkeys(each["gait"] for each in gaits)):
         own = [each for each in gaits if each["gait"] == name and each["cost_of_transport"]]
         at = [each["speed"] for each in own], [each["cost_of_transport"] for each in own]
-        axes.plot(*at, "os^Dv*P"[place % 7], color=_color(place), label=name)
+        axes.plot(*at, _MARKS[place % 7], color=_color(place), label=name)
     axes.set_xlabel("speed, m/s")
     axes.set_ylim(bottom=0.0)
     axes.legend()
@@ -233,4 +263,4 @@ def _figure(axes: Axes, place: int, result: dict[str, Any], name: str) -> None:
 
 
 def _color(place: int) -> str:
-    return (*LEG_COLORS, "#6a4c93", "#8d99ae")[place % 6]
+    return _COLORS[place % len(_COLORS)]
