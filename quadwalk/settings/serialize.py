@@ -25,6 +25,12 @@ OLD_NAMES = {
         "settle": "anneal_share",
     },
 }
+# Likewise of an observation's parts, by the function that they had.
+OLD_PARTS = {
+    ("position", "joint_positions"): "joint_pos",
+    ("position", "joint_angles"): "joint_pos",
+    ("speed", "joint_velocities"): "joint_vel",
+}
 
 
 def to_dict(config: Any) -> Any:
@@ -88,7 +94,7 @@ def _restore(hint: Any, value: Any, folder: Path, where: str) -> Any:
             raise UserError(f"{where}: {error}") from None
     if origin is dict and isinstance(value, dict):
         item = hint.__args__[1]
-        return {k: _restore(item, v, folder, f"{where}.{k}") for k, v in value.items()}
+        return {_part(k, v): _restore(item, v, folder, f"{where}.{k}") for k, v in value.items()}
     if origin is tuple and isinstance(value, list | tuple):
         return tuple(_restore(hint.__args__[0], item, folder, where) for item in value)
     if origin is Path and isinstance(value, str) and "\0" not in value:
@@ -99,6 +105,12 @@ def _restore(hint: Any, value: Any, folder: Path, where: str) -> Any:
         expected = getattr(hint, "__name__", hint)
         raise UserError(f"{where} is {reprlib.repr(value)}; expected {expected}")
     return value
+
+
+def _part(name: str, value: Any) -> str:
+    """The name that a part of this name, of an earlier version or not, has today."""
+    function = value.get("function") if isinstance(value, dict) else None
+    return OLD_PARTS.get((name, str(function).rpartition(":")[2]), name)
 
 
 def flatten(config: Any, prefix: str = "") -> dict[str, Any]:

@@ -194,8 +194,8 @@ def conditions(robot: RobotArrays, state: EnvState) -> jax.Array:
 PROPRIOCEPTION = {
     "angular_velocity": Observation(angular_velocity, noise=0.2, history=4),
     "gravity": Observation(gravity, noise=0.05, history=4),
-    "position": Observation(joint_positions, noise=0.01, history=4),
-    "speed": Observation(joint_velocities, noise=1.5, history=4),
+    "joint_pos": Observation(joint_positions, noise=0.01, history=4),
+    "joint_vel": Observation(joint_velocities, noise=1.5, history=4),
     "last_action": Observation(last_action, history=4),
 }
 HEADING = {"heading": Observation(heading, noise=0.05)}
@@ -213,8 +213,8 @@ TRUE_TRUNK = {
     "height": Observation(height),
 }
 TRUE_LEGS = {
-    "position": Observation(joint_positions),
-    "speed": Observation(joint_velocities),
+    "joint_pos": Observation(joint_positions),
+    "joint_vel": Observation(joint_velocities),
     "contacts": Observation(contacts),
     "conditions": Observation(conditions),
 }

@@ -160,8 +160,8 @@ TASK = TrainConfig(
             ),
             "world_velocity": Observation(world_velocity, noise=0.1),
             "world_angular_velocity": Observation(world_angular_velocity, noise=0.2),
-            "position": Observation(joint_angles, noise=0.01),
-            "speed": Observation(observation.joint_velocities, noise=1.5),
+            "joint_pos": Observation(joint_angles, noise=0.01),
+            "joint_vel": Observation(observation.joint_velocities, noise=1.5),
         },
         critic={},
         reward={

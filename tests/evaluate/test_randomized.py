@@ -84,7 +84,7 @@ def test_what_is_seen_is_the_truth_and_noise_of_level_1(env, rollouts):
         assert np.std(off[:, noisy] / env.sensors.noise_scale[noisy]) == pytest.approx(
             1.0, abs=0.05
         )
-        joints = np.char.startswith(names, "position_")
+        joints = np.char.startswith(names, "joint_pos_")
         home = rollout.qpos[:-1, 7:] - env.robot.home_joints
         np.testing.assert_allclose(rollout.truth[:, joints], home, atol=1e-6)
 

@@ -150,5 +150,8 @@ def test_runs_of_before_settings_were_renamed_are_read():
     for part, group in ((ppo, "PPOConfig"), (env["randomization"], "RandomizationConfig")):
         for old, new in OLD_NAMES[group].items():
             part[old] = part.pop(new)
+    for group in ("observation", "critic"):
+        names = {"joint_pos": "position", "joint_vel": "speed"}
+        data["env"][group] = {names.get(k, k): v for k, v in data["env"][group].items()}
     env["randomisation"] = env.pop("randomization")
     assert from_dict(TrainConfig, data, Path()) == task

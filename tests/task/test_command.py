@@ -141,7 +141,7 @@ def test_the_command_is_seen_in_place_of_the_line(told, course):
         found = [seen[f"command_{part}"] for part in ("forward", "lateral", "yaw_rate")]
         np.testing.assert_array_equal(np.transpose(found), state.pipeline_state.command.velocity)
         joints = np.asarray(state.pipeline_state.physics.qpos[:, 7])
-        first = f"position_{told.quadruped.joints[0]}"
+        first = f"joint_pos_{told.quadruped.joints[0]}"
         np.testing.assert_allclose(seen[first], joints - told.robot.home[7], atol=1e-6)
 
 

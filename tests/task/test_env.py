@@ -88,10 +88,10 @@ def test_the_observation_is_what_its_names_say(env, reset, step):
     assert obs["heading"] == pytest.approx(turn.as_euler("ZYX")[0], abs=1e-5)
     assert obs["offset"] == pytest.approx(qpos[1], abs=1e-6)
     for i, joint in enumerate(env.quadruped.joints):
-        assert obs[f"position_{joint}"] == pytest.approx(
+        assert obs[f"joint_pos_{joint}"] == pytest.approx(
             qpos[7 + i] - env.robot.home[7 + i], abs=1e-5
         )
-        assert obs[f"speed_{joint}"] == pytest.approx(qvel[6 + i], abs=1e-5)
+        assert obs[f"joint_vel_{joint}"] == pytest.approx(qvel[6 + i], abs=1e-5)
         assert obs[f"last_action_{joint}"] == 0.25
 
 
@@ -211,7 +211,7 @@ def test_the_policy_sees_what_was_seen_before_and_the_critic_the_truth(quadruped
         seen.append(dict(zip(names, np.asarray(state.obs), strict=True)))
         state = step(state, jnp.full(12, 0.1 * k))
     joint = quadruped.joints[4]
-    for name in ("gravity_x", f"speed_{joint}", f"last_action_{joint}"):
+    for name in ("gravity_x", f"joint_vel_{joint}", f"last_action_{joint}"):
         for ago in range(1, 5):
             assert seen[5][f"{name}[-{ago}]"] == seen[5 - ago][name]
     assert seen[0]["gravity_x[-4]"] == seen[0]["gravity_x"]

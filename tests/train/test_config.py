@@ -113,7 +113,7 @@ def test_the_command_of_walk_is_a_flag():
         (["--env.reward.forward.max-speed", "inf"], "--env.reward.forward.max-speed is inf"),
         (["--env.action.hip", "nan"], "--env.action.hip is nan"),
         (["--env.motor.kp", "nan"], "--env.motor.kp is nan; expected 0 or more, or None"),
-        (["--env.observation.speed.noise", "-1"], "--env.observation.speed.noise is -1.0"),
+        (["--env.observation.joint-vel.noise", "-1"], "--env.observation.joint-vel.noise is -1.0"),
         (["--env.reset.pose", "0", "nan", "0"], "--env.reset.pose is (0.0, nan, 0.0)"),
         (["--env.episode-seconds", "1e12"], "--env.episode-seconds is 1000000000000.0"),
         (["--env.ground.border", "inf"], "--env.ground.border is inf; expected at most 1e+12 m"),

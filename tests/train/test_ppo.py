@@ -285,7 +285,7 @@ def test_an_episode_after_a_fall_is_seen_as_it_starts(quadruped, monkeypatch):
         assert seen["clock_cosine"] == pytest.approx(moves[row] * np.cos(clock[row]), abs=1e-4)
         off = found.pipeline_state.qpos[row, 7:] - env.robot.home_joints + encoder[row]
         for ago in ("", "[-1]", "[-4]"):
-            measured = [seen[f"position_{joint}{ago}"] for joint in quadruped.joints]
+            measured = [seen[f"joint_pos_{joint}{ago}"] for joint in quadruped.joints]
             np.testing.assert_allclose(measured, off, atol=1e-5)
 
 

@@ -3,6 +3,7 @@
 import dataclasses
 import re
 import shutil
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -177,7 +178,9 @@ def test_a_robot_with_other_joints_acts_the_same_in_the_same_pose(source, tmp_pa
     seen = rng.normal(size=(9, env.observation_size))
     there, joint_signs = seen.copy(), np.ones(12)
     joint_signs[[3, 9]] = -1.0
-    hips = {f"{p}_{hip}" for p in ("position", "speed", "last_action") for hip in ("hip", "LR_hip")}
+    hips = {
+        f"{p}_{hip}" for p in ("joint_pos", "joint_vel", "last_action") for hip in ("hip", "LR_hip")
+    }
     # Encoder offsets (12,) are what conditions end with.
     drawn = sum(name.startswith("conditions_") for name in other.sensors.critic_names)
     hips |= {f"conditions_{drawn - 12 + joint}" for joint in (3, 9)}
@@ -241,7 +244,7 @@ def test_a_run_with_a_policy_alone_gives_that(source, tmp_path):
 class Other(toy.Toy):
     """The toy, one of whose observations the source has not."""
 
-    observation_names = ("position", "other", "speed")
+    sensors = SimpleNamespace(names=("position", "other", "speed"), critic_names=())
 
 
 def test_a_training_begins_so_and_goes_on_without_its_source(

@@ -7,6 +7,7 @@ import os
 import resource
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 from quadwalk.tasks import sprint
@@ -41,8 +42,7 @@ class Toy(Env):
     """
 
     observation_size = policy_size = 3
-    observation_names = ("position", "drawn", "speed")
-    critic_names = ()
+    sensors = SimpleNamespace(names=("position", "drawn", "speed"), critic_names=())
     action_size = 12
     backend = "none"
     curriculum = None

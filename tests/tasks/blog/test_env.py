@@ -103,7 +103,7 @@ def test_the_observation(env, drawn, concluded):
     names = env.sensors.names
     assert len(set(names)) == 37
     assert [names.index(f"world_orientation_{i}") for i in "xyzw"] == [3, 4, 5, 6]
-    assert names[13:25] == tuple(f"position_{joint}" for joint in env.quadruped.joints)
+    assert names[13:25] == tuple(f"joint_pos_{joint}" for joint in env.quadruped.joints)
 
 
 def test_each_reward_and_their_sum(drawn, concluded):

@@ -69,5 +69,5 @@ def test_noise_for_every_number_that_is_seen(env):
     assert by_name["world_velocity_y"] == 0.1
     assert by_name["world_angular_velocity_z"] == 0.2
     joints = env.quadruped.joints
-    assert {by_name[f"position_{joint}"] for joint in joints} == {0.01}
-    assert {by_name[f"speed_{joint}"] for joint in joints} == {1.5}
+    assert {by_name[f"joint_pos_{joint}"] for joint in joints} == {0.01}
+    assert {by_name[f"joint_vel_{joint}"] for joint in joints} == {1.5}
