@@ -63,7 +63,8 @@ def main() -> None:
         rounds = [
             {name: ask(process) for name, process in workers.items()} for _ in range(options.rounds)
         ]
-    cores = len(os.sched_getaffinity(0))
+    some = getattr(os, "sched_getaffinity", None)  # of the cores, where the system lets choose
+    cores = len(some(0)) if some else os.cpu_count() or 1
     for name in workers:
         columns = np.median([found[name] for found in rounds], axis=0)
         rest = columns[0] - columns[1] - columns[2] if columns[1] else 0.0

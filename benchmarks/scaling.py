@@ -12,9 +12,9 @@ largest resident set in any round, compilation included. To see that it works:
 
 import argparse
 import itertools
+import math
 import multiprocessing
 import os
-import resource
 import statistics
 import sys
 from concurrent.futures import ProcessPoolExecutor
@@ -23,6 +23,11 @@ from typing import NamedTuple
 from default_training import SUBSTEPS, DefaultTraining
 
 from quadwalk.train.devices import cpu_cores
+
+try:
+    import resource
+except ImportError:  # Windows
+    resource = None  # type: ignore[assignment]
 
 
 class Result(NamedTuple):
@@ -38,8 +43,8 @@ def measure(envs: int, cores: int, seconds: float) -> Result:
     training = DefaultTraining(envs)
     took = training.run(seconds)
     unit = 1 if sys.platform == "darwin" else 1024  # bytes in what getrusage counts in
-    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit / 1e6
-    return Result(took.steps / took.seconds, memory, training.devices)
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss if resource else math.nan
+    return Result(took.steps / took.seconds, peak * unit / 1e6, training.devices)
 
 
 def main() -> None:

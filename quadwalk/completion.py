@@ -41,7 +41,8 @@ def script(shell: str, commands: Mapping[str, str]) -> str:
     """
     if shell not in SHELLS:
         raise UsageError(f"--print-completion {shell}: expected {' or '.join(SHELLS)}")
-    flags, values = {}, {}
+    flags: dict[str, str] = {}
+    values: dict[str, str] = {}
     for name, module in commands.items():
         found = _flags(name, module)
         flags[name] = " ".join(found)

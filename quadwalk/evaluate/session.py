@@ -103,7 +103,9 @@ def _make_folder(folder: Path, made: contextlib.ExitStack, new: bool = True) -> 
             made.callback(_delete_empty, path)
         # What is written is read back, to verify it; that this is possible is better known now
         # than after the simulation.
-        with tempfile.NamedTemporaryFile(dir=folder, suffix=".part") as probe:
+        with tempfile.NamedTemporaryFile(
+            dir=folder, suffix=".part", delete_on_close=False
+        ) as probe:
             open(probe.name, "rb").close()
     except OSError as error:
         raise UserError(

@@ -78,7 +78,7 @@ def write_mcap(
 
 def foxglove_layout(trunk: str) -> bytes:
     """The layout to import in Foxglove, its camera following the link named `trunk`."""
-    layout = json.loads(LAYOUT.read_text())
+    layout = json.loads(LAYOUT.read_bytes())
     layout["configById"]["3D!robot"]["followTf"] = trunk
     return json.dumps(layout, separators=(",", ":"), allow_nan=False).encode()
 

@@ -39,7 +39,7 @@ def main(args: Sequence[str] | None = None, prog: str = "quadwalk runs") -> None
     runs = [find_run(given.runs, which) for which in given.run]  # all, before one is removed
     for run in runs:
         if given.what == "show":
-            print(run.config.read_text())
+            print(run.config.read_text("utf-8"))
             continue
         with claim(run):  # not one that is being trained
             pass
@@ -73,7 +73,7 @@ def _print_table(runs: list[Run], root: Path) -> None:
 def _task(run: Run) -> str:
     """The task's name; "-" for a run that cannot be read."""
     try:
-        return str(json.loads(run.config.read_text())["config"]["task"])
+        return str(json.loads(run.config.read_bytes())["config"]["task"])
     except (OSError, ValueError, KeyError, TypeError):
         return "-"
 

@@ -26,6 +26,8 @@ from quadwalk.train.runs.directory import Run
 
 _FLUSH_SECONDS = 2.0  # TensorBoard rereads its files every few seconds; more often buys nothing
 
+_BINARY = getattr(os, "O_BINARY", 0)  # Windows would write the ends of lines as it likes them
+
 Row = dict[str, float]
 
 
@@ -145,7 +147,7 @@ class _Lines:
                 self._size = end
         self._waiting: list[bytes] = []  # for room on the disk
         try:
-            self._file = os.open(path, os.O_WRONLY | os.O_CREAT, 0o666)
+            self._file = os.open(path, os.O_WRONLY | os.O_CREAT | _BINARY, 0o666)
             # Also cuts off the torn line that a crash may have left.
             os.ftruncate(self._file, self._size)
             os.lseek(self._file, 0, os.SEEK_END)
