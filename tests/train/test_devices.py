@@ -33,17 +33,18 @@ def machine(monkeypatch):
     return be
 
 
-def test_a_cpu_gets_a_device_for_each_core(machine):
-    machine("cpu", 4)
+@pytest.mark.parametrize(
+    ("platform", "count", "cores", "envs", "used"),
+    [
+        ("cpu", 4, 4, 2048, 4),  # one for each core
+        *[("cpu", count, 8, 2048, used) for count, used in ((1, 1), (3, 2), (6, 4))],  # no more
+        *[("gpu", n, 64, 8192, used) for n, used in ((1, 1), (2, 2), (3, 2), (8, 8))],
+    ],
+)
+def test_all_devices_are_used_that_can_share_evenly(machine, platform, count, cores, envs, used):
+    machine(platform, count, cores=cores)
     config, found = devices.choose_devices(sprint.TASK)
-    assert (config.envs, config.devices, len(found)) == (2048, 4, 4)
-
-
-@pytest.mark.parametrize(("count", "used"), [(1, 1), (3, 2), (6, 4)])
-def test_a_process_that_has_computed_trains_on_the_devices_it_has(machine, count, used):
-    machine("cpu", count, cores=8)
-    config, found = devices.choose_devices(sprint.TASK)
-    assert (config.envs, config.devices, len(found)) == (2048, used, used)
+    assert (config.envs, config.devices, len(found)) == (envs, used, used)
 
 
 def test_devices_stay_what_they_are_once_jax_has_computed():
@@ -54,13 +55,6 @@ def test_devices_stay_what_they_are_once_jax_has_computed():
     assert devices.set_up_devices(1) == before
     with pytest.raises(UsageError, match=f"--devices is {before + 1}; expected at most"):
         devices.set_up_devices(before + 1)
-
-
-@pytest.mark.parametrize(("count", "used"), [(1, 1), (2, 2), (3, 2), (8, 8)])
-def test_accelerators_are_all_used_that_can_share_evenly(machine, count, used):
-    machine("gpu", count, cores=64)
-    config, found = devices.choose_devices(sprint.TASK)
-    assert (config.envs, config.devices, len(found)) == (8192, used, used)
 
 
 def test_what_is_asked_for_is_what_is_used(machine):
@@ -90,9 +84,7 @@ def test_each_process_brings_as_many_devices(machine):
 def test_what_cannot_be_shared_is_named(machine, change, named):
     machine("gpu", 8)
     with pytest.raises(UsageError) as caught:
-        devices.choose_devices(
-            dataclasses.replace(dataclasses.replace(sprint.TASK, ppo=sprint.TASK.ppo), **change)
-        )
+        devices.choose_devices(dataclasses.replace(sprint.TASK, **change))
     assert named in str(caught.value)
 
 

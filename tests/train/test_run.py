@@ -69,19 +69,7 @@ def test_a_folder_of_runs_is_no_run_and_links_lead_nowhere(tmp_path):
 @pytest.mark.parametrize(
     "name",
     [
-        "",
-        ".",
-        "..",
-        ".a",
-        "-a",
-        "a/b",
-        "/a",
-        "../a",
-        "a\\b",
-        "a b",
-        "a\n",
-        "a\0",
-        "latest",
+        *("", ".", "..", ".a", "-a", "a/b", "/a", "../a", "a\\b", "a b", "a\n", "a\0", "latest"),
         "x" * 101,
     ],
 )
