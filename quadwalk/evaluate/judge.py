@@ -4,6 +4,7 @@ import contextlib
 import shutil
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -66,37 +67,8 @@ def judge(loaded: LoadedRun, config: EvalConfig, out: Path, console: Console) ->
         print_engines(other, found.summary)
     print(describe_gait(found.gait, found.typical.episode))
     written = ["metrics.json"]
-    if loaded.env.terrain is not None and config.cell_episodes:
-        with _progress(
-            loaded, f"{config.cell_episodes} episodes on each kind of ground", console
-        ) as report:
-            ground = measure_by_ground(
-                loaded, config.levels, config.cell_episodes, config.seed, report
-            )
-        print_by_ground(ground)
-        results["ground"] = ground
-        save_figure(draw_by_ground(ground, f"{name}, {config.engine}"), out / "ground.png")
-        written.append("ground.png")
-    elif loaded.env.config.reset.tumbled and config.cell_episodes:
-        rising = standing_run(loaded)
-        with _progress(
-            rising, f"{config.cell_episodes} episodes of each condition", console
-        ) as report:
-            results["standing"] = measure_standing(
-                rising, config.cell_episodes, config.seed, report
-            )
-        print_standing(results["standing"])
-    elif loaded.env.config.command.turning is not None and config.cell_episodes:
-        driven, episodes = steering_run(loaded), max(config.cell_episodes // 4, 1)
-        with _progress(driven, f"{episodes} episodes of each command", console) as report:
-            results["steering"] = measure_steering(driven, episodes, config.seed, report)
-        long, episodes = changing_run(loaded), 16 * config.cell_episodes
-        with _progress(long, f"{episodes} episodes of changing commands", console) as report:
-            changing = measure_changing(long, episodes, config.seed, report)
-        results["steering"]["changing"] = changing
-        print_steering(results["steering"])
-        save_figure(draw_steering(results["steering"], name), out / "steering.png")
-        written.append("steering.png")
+    if config.cell_episodes:
+        written += _in_cells(loaded, config, out, console, results)
     write_json_atomic(out / "metrics.json", results)
     with console.status("writing"):
         written += _write_pictures(found, config, out)
@@ -107,6 +79,40 @@ def judge(loaded: LoadedRun, config: EvalConfig, out: Path, console: Console) ->
         other_way = f"open {recorded[0]} in Rerun or Foxglove"
         console.print(see if shutil.which("rerun") else other_way)
     return results
+
+
+def _in_cells(
+    loaded: LoadedRun, config: EvalConfig, out: Path, console: Console, results: dict[str, Any]
+) -> list[str]:
+    """Measure many episodes of what the task is about, into `results`; the pictures drawn."""
+    env, name, cell = loaded.env.config, loaded.run.name, config.cell_episodes
+
+    def measured(what: str, own: LoadedRun, measure: Callable[..., Any], episodes: int) -> Any:
+        with _progress(own, f"{episodes} episodes {what}", console) as report:
+            return measure(own, episodes, config.seed, report)
+
+    if loaded.env.terrain is not None:
+        measure = partial(measure_by_ground, levels=config.levels)
+        ground = measured("on each kind of ground", loaded, measure, cell)
+        results["ground"] = ground
+        print_by_ground(ground)
+        figure, file = draw_by_ground(ground, f"{name}, {config.engine}"), "ground.png"
+    elif env.reset.tumbled:
+        standing = measured("of each condition", standing_run(loaded), measure_standing, cell)
+        results["standing"] = standing
+        print_standing(standing)
+        return []
+    elif env.command.turning is not None:
+        driven, long = steering_run(loaded), changing_run(loaded)
+        steering = measured("of each command", driven, measure_steering, max(cell // 4, 1))
+        changing = measured("of changing commands", long, measure_changing, 16 * cell)
+        results["steering"] = steering | {"changing": changing}
+        print_steering(results["steering"])
+        figure, file = draw_steering(results["steering"], name), "steering.png"
+    else:
+        return []
+    save_figure(figure, out / file)
+    return [file]
 
 
 def compare(

@@ -53,7 +53,7 @@ def train(flags: str, seed: int, steps: int | None, runs: Path) -> Run:
 def judge(run: Run, episodes: int, seconds: float) -> dict[str, Any]:
     """What results.json holds of one run."""
     loaded = load_run(run, seconds, engine="mujoco", randomized=True)
-    ground = measure_by_ground(loaded, LEVELS, episodes, seed=0)
+    ground = measure_by_ground(loaded, episodes, seed=0, levels=LEVELS)
     return {
         "steps": loaded.policy.steps,
         "engine": "mujoco",

@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from quadwalk.evaluate.motion.forces import foot_forces, geom_ids
 from quadwalk.evaluate.rollout import Rollout
 from quadwalk.robot.quadruped import Quadruped
 
@@ -31,7 +32,7 @@ def simulate(quadruped: Quadruped) -> Callable[..., Rollout]:
         data = mujoco.MjData(model)
         data.qpos[:] = quadruped.home
         mujoco.mj_forward(model, data)
-        feet = [model.geom(name).id for name in quadruped.feet]
+        geoms = geom_ids(model, quadruped.feet)
         rng = np.random.default_rng(seed)
         qpos, qvel = [data.qpos.copy()], [data.qvel.copy()]
         rows: dict[str, list] = {name: [] for name in ("target", "torque", "energy", "force")}
@@ -55,7 +56,7 @@ def simulate(quadruped: Quadruped) -> Callable[..., Rollout]:
             rows["target"].append(target)
             rows["torque"].append(np.mean(torques, axis=0))
             rows["energy"].append(energy)
-            rows["force"].append(_foot_forces(model, data, feet))
+            rows["force"].append(foot_forces(model, data, geoms))
         arrays = {name: np.array(values, dtype=np.float32) for name, values in rows.items()}
         states, rates = np.array(qpos, dtype=np.float32), np.array(qvel, dtype=np.float32)
         actions = ((arrays["target"] - quadruped.home[7:]) / 0.6).astype(np.float32)
@@ -98,17 +99,6 @@ def simulate(quadruped: Quadruped) -> Callable[..., Rollout]:
         )
 
     return run
-
-
-def _foot_forces(model: mujoco.MjModel, data: mujoco.MjData, feet: list[int]) -> np.ndarray:
-    """(4,) N, vertical."""
-    forces, force = np.zeros(4), np.zeros(6)
-    for index, contact in enumerate(data.contact[: data.ncon]):
-        foot = set(feet) & {int(contact.geom1), int(contact.geom2)}
-        if foot:
-            mujoco.mj_contactForce(model, data, index, force)
-            forces[feet.index(foot.pop())] += force[0]  # the floor's normal is vertical
-    return forces
 
 
 @pytest.fixture(scope="session")

@@ -27,7 +27,7 @@ ROWS, LEAST_ROWS = 32, 4  # of tiles, shared out to the kinds: no two of a cell 
 
 
 def measure_by_ground(
-    loaded: LoadedRun, levels: int, episodes: int, seed: int, report: Report | None = None
+    loaded: LoadedRun, episodes: int, seed: int, report: Report | None = None, levels: int = 3
 ) -> dict[str, Any]:
     """Success, speed and error of `episodes` in each cell, as plain values for JSON.
 
