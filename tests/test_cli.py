@@ -6,7 +6,7 @@ import pytest
 import tyro
 
 from quadwalk.cli import parse
-from quadwalk.errors import UsageError
+from quadwalk.errors import UsageError, UserError
 
 
 @dataclass(frozen=True)
@@ -78,3 +78,7 @@ def test_help_is_printed_and_ends_the_program(capsys):
         parse(Config, ["--help"], "prog")
     assert stop.value.code == 0
     assert "how many" in capsys.readouterr().out
+
+
+def test_an_error_is_one_line_whatever_it_quotes():
+    assert str(UserError("no task 'a\nb'; expected one")) == "no task 'a b'; expected one"

@@ -298,7 +298,5 @@ def test_a_foot_that_is_no_link_of_its_own():
 )  # fmt: skip
 def test_what_is_no_quadruped_is_said(old, new, says):
     assert old in TEXT
-    with pytest.raises(UrdfError) as raised:
+    with pytest.raises(UrdfError, match=re.escape(says)):
         quadruped_from(parse_urdf(TEXT.replace(old, new, 1)))
-    assert says in str(raised.value)
-    assert "\n" not in str(raised.value)

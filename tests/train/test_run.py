@@ -74,9 +74,8 @@ def test_a_folder_of_runs_is_no_run_and_links_lead_nowhere(tmp_path):
     ],
 )
 def test_names_that_cannot_be_are_refused(tmp_path, name):
-    with pytest.raises(UsageError) as caught:
+    with pytest.raises(UsageError):
         run.create_run(tmp_path, name)
-    assert "\n" not in str(caught.value)
     assert os.listdir(tmp_path) == []
 
 

@@ -256,7 +256,6 @@ def test_a_full_disk_ends_no_training(
     else:
         with pytest.raises(UserError, match="No space left on device") as caught:
             train(*arguments)
-        assert "\n" not in str(caught.value)
         assert "the last good checkpoint is" in str(caught.value)
         assert caught.value.exit_status == 1
         said = capsys.readouterr().out
@@ -297,7 +296,6 @@ def test_a_learner_that_is_lost_leaves_what_was_good(tmp_path, flags, train):
     arguments = [f"--runs={tmp_path}", "--resume=lost", "--steps=1280", OFTEN]
     with pytest.raises(UserError, match="no longer finite") as caught:
         train(*arguments, "--ppo.learning-rate=1e12", "--ppo.max-learning-rate=1e12")
-    assert "\n" not in str(caught.value)
     assert str(run.checkpoint(256)) in str(caught.value)
     assert caught.value.exit_status == 1
     assert {path: path.read_bytes() for path in good} == good
