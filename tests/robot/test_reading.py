@@ -178,10 +178,10 @@ def chain(length: int, kind: str, *body: str) -> str:
 
 
 def test_refuses_100_000_links_in_bounded_time():
-    text, start = chain(99_999, "fixed"), time.perf_counter()
+    text, start = chain(99_999, "fixed"), time.process_time()
     with pytest.raises(UrdfError, match="100000 links or joints; expected at most 2000"):
         load(text)
-    assert time.perf_counter() - start < 5
+    assert time.process_time() - start < 5
 
 
 def test_as_many_links_and_joints_as_are_allowed_convert():

@@ -1,7 +1,5 @@
 import itertools
 import math
-import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -115,8 +113,3 @@ def test_the_same_metrics_give_the_same_picture(tmp_path):
     a, b, c = ((tmp_path / name).read_bytes() for name in "abc")
     assert a == b
     assert a != c
-
-
-def test_matplotlib_waits_until_it_is_needed():
-    program = "import sys, quadwalk.train.loop; sys.exit('matplotlib' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0

@@ -260,11 +260,12 @@ def test_it_shows_at_once_on_a_real_terminal():
         os.close(master)
 
 
-def test_the_import_brings_in_nothing_heavy():
-    program = (
-        "import sys, quadwalk.train.progress.display; "
-        "sys.exit(bool({'jax', 'numpy', 'matplotlib'} & set(sys.modules)))"
-    )
+@pytest.mark.parametrize(
+    ("module", "heavy"),
+    [("progress.display", "{'jax', 'numpy', 'matplotlib'}"), ("loop", "{'matplotlib'}")],
+)
+def test_what_is_heavy_waits_until_it_is_needed(module, heavy):
+    program = f"import sys, quadwalk.train.{module}; sys.exit(bool({heavy} & set(sys.modules)))"
     assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0
 
 

@@ -1,5 +1,7 @@
 """How links and joints hang together: one tree, unique names, and who follows whom."""
 
+from graphlib import CycleError, TopologicalSorter
+
 from lxml import etree
 
 from quadwalk.robot.checks.validate import Check, UrdfError
@@ -33,18 +35,13 @@ def check_topology(check: Check, root: etree._Element) -> None:
         raise UrdfError(
             f"{check.source}: {len(roots)} links have no parent ({shown}); expected one root link"
         )
-    # With one parent each, a link that never leads up to the root leads into a cycle.
-    sound = set(roots)
-    for name in names:
-        path = []
-        while name not in sound:
-            if name in path:
-                raise UrdfError(
-                    f"{check.source}: link '{name}' is its own ancestor; expected a tree of links"
-                )
-            path.append(name)
-            name = parent_of[name]
-        sound.update(path)
+    try:
+        TopologicalSorter({child: [parent] for child, parent in parent_of.items()}).prepare()
+    except CycleError as error:
+        name = next(name for name in names if name in error.args[1])
+        raise UrdfError(
+            f"{check.source}: link '{name}' is its own ancestor; expected a tree of links"
+        ) from None
     if "world" in names and roots != ["world"]:
         raise UrdfError(
             f"{check.source}: link 'world' is not the root; expected another name, for that one "
