@@ -1,46 +1,52 @@
 """The URDFs that people have: each converts exactly, or is refused for a reason; quadrupeds run.
 
     python benchmarks/zoo.py [--folder DIR] [--markdown FILE]
-    python benchmarks/zoo.py --train [--minutes 3] [--only a1 go2] [--markdown FILE]
-        [--picture PNG]
+    python benchmarks/zoo.py --train [--steps 8000000] [--only a1 go2] [--markdown FILE]
+        [--picture PNG] [--cores 2] [--cluster auto]
 
 The first converts every URDF of PyPI's example-robot-data, or of DIR, without its meshes, and
 compares masses, frames, mass matrix, bias forces and inverse dynamics with Pinocchio's, in 20
 random states, through MJCF's six digits. A file that is refused is tried with --repair-inertia.
 
 The second takes the quadrupeds among them, lets each stand for 10 s in MuJoCo C on PD control of
-its home pose, trains it with the default task and no other flag, and judges the policy in MuJoCo C
-with every collision shape. What --runs has from before is not done again. To see that it works:
---minutes 0.1 --only a1.
+its home pose, trains it with the default task and no other flag, as many at a time as have cores
+here or on a Ray cluster, and judges the policy in MuJoCo C with every collision shape. What --runs
+has from before is not trained again. To see that it works: --steps 100000 --only a1.
 
 Both need the packages of the extra `zoo`. Tables go to standard output, or to FILE as Markdown.
 """
 
 import argparse
-import json
 import os
-import subprocess
 import sys
 import sysconfig
 import tempfile
 import time
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import mujoco
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
+from quadwalk.api import evaluate
 from quadwalk.drawing.images import film_strip, save_png
+from quadwalk.jobs.job import Job, sized
+from quadwalk.jobs.place import PlaceConfig, add_place_flags, place_config
+from quadwalk.jobs.run import Outcome, place_of, run_jobs
+from quadwalk.process import run_command
 from quadwalk.robot.mjcf import Options, convert, write_xml
 from quadwalk.robot.quadruped import Quadruped, legs_of, load_quadruped, with_motors
 from quadwalk.robot.structure.legs import Leg
 from quadwalk.robot.urdf import Urdf, UrdfError, read_urdf
+from quadwalk.tasks.run import TASK
+from quadwalk.train.runs.directory import Run
 
 EXACT = 1e-5  # largest relative error, of six digits
 STATES = 20
 EPISODES = 64
+STEPS = 8_000_000  # three minutes on two cores
 STANDS = 0.8  # of the home height, after 10 s
 PICTURE = (480, 300)  # pixels of one of a film strip
 NO_MESHES = Options(meshes=False)
@@ -171,45 +177,57 @@ def name_of(file: Path) -> str:
     return f"{file.parents[1].name}-{file.stem}"
 
 
-def run(file: Path, minutes: float, runs: Path) -> str:
-    """Train and judge one quadruped, in processes of their own; its row of the table."""
-    quadruped = load_quadruped(file)
-    model = quadruped.full_model()
-    name = name_of(file)
-    label = f"{name} | {model.body_subtreemass[0]:.1f} | {'yes' if stands(quadruped) else 'no'}"
-    quadwalk = [sys.executable, "-m", "quadwalk"]
-    where = ["--runs", str(runs)]
-    train = ["train", "--robot.urdf", str(file), "--minutes", str(minutes), "--name", name]
-    judge = ["eval", name, "--engine", "mujoco", "--episodes", str(EPISODES), "--mcap", "0"]
-    judged = runs / name / "judged" / "metrics.json"
-    for command in (train, [*judge, "--out", str(judged.parent)]):
-        if judged.exists():
-            break
-        done = subprocess.run([*quadwalk, *command, *where], capture_output=True, text=True)
-        if done.returncode:
-            reason = (done.stderr.strip().splitlines() or ["no word"])[-1]
-            return f"| {label} | {command[0]} failed: {reason} | | | | |"
-    metrics = json.loads(judged.read_text())
-    summary, typical = metrics["summary"], metrics["typical_episode"]
-    speed = summary["speed"]["mean"]
+def judge(run: Run) -> dict[str, float | str]:
+    """The figures of a run in MuJoCo C; pictures of its typical episode go to its folder."""
+    judged = evaluate(run, episodes=EPISODES, engine="mujoco")
+    folder = run.path / "judged"
+    folder.mkdir(exist_ok=True)
+    width, height = PICTURE
+    save_png(np.asarray(judged.film_strip(width, height)), folder / "film_strip.png")
+    summary, typical = judged.summary, judged.results["typical_episode"]
+    return {
+        "speed": summary["speed"]["mean"],
+        "falls": summary["fall_rate"],
+        **{name: typical[name] for name in ("froude", "gait")},
+    }
+
+
+def label(quadruped: Quadruped, name: str) -> str:
+    """The first cells of a robot's row."""
+    mass = quadruped.full_model().body_subtreemass[0]
+    return f"{name} | {mass:.1f} | {'yes' if stands(quadruped) else 'no'}"
+
+
+def row(quadruped: Quadruped, name: str, found: Outcome) -> str:
+    """The row of a robot whose training has ended."""
+    if found.error is not None or found.stopped:
+        return f"| {label(quadruped, name)} | failed: {found.error or 'stopped'} | | | | |"
+    figures = found.value
     # A foot goes round the thigh's joint no faster than the thigh's motor does.
     allowed = float(quadruped.home[2] * quadruped.velocity[1::3].min())
     return (
-        f"| {label} | {speed:.2f} | {typical['froude']:.2f} | {summary['fall_rate']:.0%} | "
-        f"{typical['gait']} | {speed / allowed:.2f} |"
+        f"| {label(quadruped, name)} | {figures['speed']:.2f} | {figures['froude']:.2f} | "
+        f"{figures['falls']:.0%} | {figures['gait']} | {figures['speed'] / allowed:.2f} |"
     )
 
 
-def trainings(files: list[Path], minutes: float, runs: Path) -> str:
+def trainings(files: list[Path], steps: int, runs: Path, where: PlaceConfig) -> str:
     """The table of every quadruped, trained and judged."""
-    lines = [
-        "| robot | kg | stands | m/s | Froude | falls | gait | of the thigh motors' speed |",
-        "|---|---|---|---|---|---|---|---|",
-    ]
+    quadrupeds = {name_of(file): load_quadruped(file) for file in files}
+    jobs = []
     for file in files:
-        lines.append(run(file, minutes, runs))
-        print(lines[-1], flush=True)
-    return "\n".join(lines)
+        robot = replace(TASK.robot, urdf=file)
+        own = replace(TASK, name=name_of(file), runs=runs.resolve(), steps=steps, robot=robot)
+        jobs.append(Job(sized(own, where), judge))
+    rows = {}
+    for found in run_jobs(jobs, place_of(where), len(jobs)):
+        name = found.job.name
+        rows[name] = row(quadrupeds[name], name, found)
+        print(rows[name], flush=True)
+    heads = "| robot | kg | stands | m/s | Froude | falls | gait | of the thigh motors' speed |"
+    return "\n".join(
+        (heads, "|---|---|---|---|---|---|---|---|", *(rows[name] for name in quadrupeds))
+    )
 
 
 def picture(files: list[Path], runs: Path) -> np.ndarray:
@@ -231,11 +249,12 @@ def main() -> None:
     add = parser.add_argument
     add("--folder", type=Path, help="of URDFs (default: example-robot-data's)")
     add("--train", action="store_true", help="train and judge the quadrupeds")
-    add("--minutes", type=float, default=3.0, help="of training, each")
+    add("--steps", type=int, default=STEPS, help="control steps of each training")
     add("--only", nargs="+", default=[], metavar="NAME", help="robots whose path has a NAME in it")
     add("--runs", type=Path, help="folder of the runs (default: a temporary one)")
     add("--picture", type=Path, metavar="PNG", help="where one of all that were trained goes")
     add("--markdown", type=Path, metavar="FILE", help="where the table goes")
+    add_place_flags(parser)
     arguments = parser.parse_args()
     folder = arguments.folder or example_robot_data()
     if folder is None:
@@ -248,7 +267,7 @@ def main() -> None:
     if arguments.train:
         with tempfile.TemporaryDirectory() as temporary:
             runs = arguments.runs or Path(temporary)
-            table = trainings(files, arguments.minutes, runs)
+            table = trainings(files, arguments.steps, runs, place_config(arguments))
             if arguments.picture:
                 save_png(picture(files, runs), arguments.picture)
     else:
@@ -259,4 +278,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run_command(main)

@@ -14,6 +14,7 @@ _COMMANDS = {
     "demo": ("quadwalk.view.__main__", "drive a policy that comes trained, in a page"),
     "export": ("quadwalk.export.__main__", "write a policy as ONNX, to be used elsewhere"),
     "compare": ("quadwalk.variants.__main__", "train variants over seeds, and compare them"),
+    "tune": ("quadwalk.tune.__main__", "search the settings that make a policy best"),
     "runs": ("quadwalk.train.runs.__main__", "list, show and remove training runs"),
     "tasks": ("quadwalk.tasks.__main__", "list the tasks"),
     "robot": ("quadwalk.robot.__main__", "convert a URDF to MJCF, or draw it"),

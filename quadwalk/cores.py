@@ -1,9 +1,12 @@
 """The processor: its cores, its instructions, and where programs compiled for it are kept."""
 
+import contextlib
 import functools
 import hashlib
 import os
 import platform
+import tempfile
+import time
 from pathlib import Path
 
 import platformdirs
@@ -14,6 +17,49 @@ def cpu_cores() -> int:
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
+
+
+_PATIENCE = 2.0  # s for a process that has just ended to give its cores back
+_pinned: list[int] = []  # open files whose locks say which cores are this process's
+
+
+def pin(count: int) -> bool:
+    """Keep this process, until it ends, to `count` cores that no other process is kept to.
+
+    Call it before anything starts threads. Where the system cannot, or so many are not free, the
+    process may use all cores as before, and the answer is False.
+    """
+    if not hasattr(os, "sched_setaffinity") or count >= cpu_cores():
+        return False
+    folder = Path(tempfile.gettempdir()) / f"quadwalk-cores-{os.getuid()}"
+    folder.mkdir(exist_ok=True)
+    end = time.monotonic() + _PATIENCE
+    while True:
+        taken: dict[int, int] = {}
+        for core in sorted(os.sched_getaffinity(0)):
+            if len(taken) < count and (file := _lock(folder / str(core))) is not None:
+                taken[core] = file
+        if len(taken) == count:
+            _pinned.extend(taken.values())
+            os.sched_setaffinity(0, taken)
+            return True
+        for file in taken.values():
+            os.close(file)
+        if time.monotonic() > end:
+            return False
+        time.sleep(0.1)
+
+
+def _lock(path: Path) -> int | None:
+    """An open file that this process alone has locked; the system unlocks it when it ends."""
+    import fcntl  # which Windows has not
+
+    file = os.open(path, os.O_RDWR | os.O_CREAT, 0o600)
+    with contextlib.suppress(OSError):
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        return file
+    os.close(file)
+    return None
 
 
 @functools.cache

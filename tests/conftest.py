@@ -2,6 +2,7 @@
 
 import dataclasses
 import os
+from collections.abc import Callable
 from pathlib import Path
 
 # Before JAX is imported, which sets it otherwise: XLA's messages would fill the output.
@@ -83,6 +84,24 @@ def step_in_place(
 def stepping_in_place():
     """`step_in_place` as a fixture."""
     return step_in_place
+
+
+@pytest.fixture(scope="session")
+def same_result() -> Callable[..., None]:
+    """Assert that two runs, as folders, ended in the same state by the same way."""
+
+    def arrays(path: Path) -> dict[str, bytes]:
+        with np.load(path) as archive:
+            return {name: archive[name].tobytes() for name in archive.files if "." not in name}
+
+    def compare(run: Path, expected: Path, best: bool = True) -> None:
+        assert (run / "metrics.jsonl").read_bytes() == (expected / "metrics.jsonl").read_bytes()
+        last = max(path.name for path in (expected / "checkpoints").iterdir())
+        for file in ("policy.npz", f"checkpoints/{last}", *["best.npz"] * best):
+            assert arrays(run / file) == arrays(expected / file), file
+        assert not list(run.rglob("*.part"))
+
+    return compare
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:

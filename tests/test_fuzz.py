@@ -37,6 +37,7 @@ from quadwalk.train.runs.directory import (
 from quadwalk.train.runs.log import MetricsLog, read_history
 from quadwalk.train.runs.policy import load_checkpoint_policy, load_policy, load_score
 from quadwalk.train.runs.resume import resumed_config
+from quadwalk.tune.trials import TuneConfig
 from quadwalk.variants.__main__ import main as compare
 from quadwalk.variants.arguments import CompareConfig
 from quadwalk.view.choices import policy_choices
@@ -101,7 +102,9 @@ def test_flags_that_choose_what_is_trained(flag, tmp_path, monkeypatch):
             settles(create_run, tmp_path, word)
 
 
-@pytest.mark.parametrize("config", [EvalConfig, ExportConfig, ViewConfig, CompareConfig])
+@pytest.mark.parametrize(
+    "config", [EvalConfig, ExportConfig, ViewConfig, CompareConfig, TuneConfig]
+)
 def test_flags_of_the_other_commands(config, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for field in dataclasses.fields(config):

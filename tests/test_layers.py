@@ -21,7 +21,8 @@ LAYERS = (
     ("evaluate",),
     ("export", "view"),
     ("api",),
-    ("gym", "variants"),
+    ("gym", "jobs"),
+    ("tune", "variants"),
     ("", "__main__", "completion", "doctor", "eval"),
 )
 

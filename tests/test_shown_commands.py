@@ -29,6 +29,7 @@ PLACES = {"TASK": "walk", "COMMAND": "train", "VARIANT": "", "N": "1", "K": "0",
 OTHERS = (
     "eval",
     "git",
+    "ray",
     "rerun",
     "pip",
     ".venv/bin/pip",

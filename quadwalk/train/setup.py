@@ -182,26 +182,37 @@ def _open_run(
     stack: ExitStack,
 ) -> Run:
     """The run to train, made or gone on with, and claimed until `stack` is closed."""
-    settings = {"config": to_dict(config), "versions": versions()}
     if previous is None:
-        # The run keeps its own copy: what it learnt stays true to it when the original changes.
-        files = {"robot.urdf": quadruped.urdf.encode(), "config.json": as_json(settings)}
-        source = task_source(config)
-        if source is not None:
-            files[OWN] = source
-        run = create_run(config.runs, config.name, label=config.task, files=files)
+        run = new_run(config, quadruped)
         stack.enter_context(claim(run))
-    else:
-        run = previous
-        stack.enter_context(claim(run))
-        changes = changed_settings(read_config(run), config)
-        clean(run)
-        write_json_atomic(run.config, settings)
-        for change in changes:
-            progress.message(f"changed {change}")
+        return run
+    stack.enter_context(claim(previous))
+    changes = changed_settings(read_config(previous), config)
+    clean(previous)
+    write_json_atomic(previous.config, _settings(config))
+    for change in changes:
+        progress.message(f"changed {change}")
     heights = config.env.ground.file
-    if heights is not None and heights != real_path(run.ground(heights)):
+    if heights is not None and heights != real_path(previous.ground(heights)):
         copy = read_bytes(heights)
-        with atomic_write(run.ground(heights)) as file:
+        with atomic_write(previous.ground(heights)) as file:
             file.write(copy)
-    return run
+    return previous
+
+
+def new_run(config: TrainConfig, quadruped: Quadruped) -> Run:
+    """The folder of a run with all that its training begins with; `quadruped` is its robot.
+
+    The run keeps its own copies: what it learnt stays true to it when the originals change.
+    """
+    files = {"robot.urdf": quadruped.urdf.encode(), "config.json": as_json(_settings(config))}
+    source, heights = task_source(config), config.env.ground.file
+    if source is not None:
+        files[OWN] = source
+    if heights is not None:
+        files[Run(Path()).ground(heights).name] = read_bytes(heights)
+    return create_run(config.runs, config.name, label=config.task, files=files)
+
+
+def _settings(config: TrainConfig) -> dict[str, Any]:
+    return {"config": to_dict(config), "versions": versions()}

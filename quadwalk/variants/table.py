@@ -5,6 +5,7 @@ import itertools
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,16 +14,17 @@ import numpy as np
 from quadwalk.api import evaluate
 from quadwalk.cli import value_of
 from quadwalk.drawing.figures import save_figure
-from quadwalk.errors import UsageError
+from quadwalk.errors import UsageError, UserError
 from quadwalk.evaluate.statistics import figure_mean, number
 from quadwalk.files import atomic_write, real_path
+from quadwalk.jobs.job import Job, sized
+from quadwalk.jobs.run import place_of, run_jobs, values
 from quadwalk.settings.training import TrainConfig
 from quadwalk.train.flags import parse_config
 from quadwalk.train.runs.directory import Run, write_json_atomic
 from quadwalk.train.runs.log import read_history
 from quadwalk.variants.arguments import CompareConfig
 from quadwalk.variants.bands import draw_bands
-from quadwalk.variants.trainings import check_same, in_processes, trained
 
 # Heading of a column, unit or "" and how it is written. Of a task with commands, "off" and
 # "turning off" are in the place of speed, drift and heading.
@@ -50,36 +52,45 @@ def compare_variants(variants: Sequence[str], config: CompareConfig) -> None:
     """Train and judge what has not been, print rows, and write them with their picture."""
     runs = [real_path(config.runs)]
     keys = list(itertools.product(variants, range(config.seeds), [config.steps], runs))
-    cases = [(*key, config.episodes) for key in keys]
-    # What is wrong is reported before any training.
-    plans = {planned.name: planned for planned in (plan(*key) for key in keys)}
-    if len(plans) < len(cases):
+    judge = partial(judged, episodes=config.episodes)
+    jobs = [Job(sized(plan(*key), config), judge) for key in keys]
+    order = {job.name: key for job, key in zip(jobs, keys, strict=True)}
+    if len(order) < len(keys):
         raise UsageError(f"of the variants {', '.join(map(repr, variants))} two are the same")
-    for planned in plans.values():
-        check_same(planned)
     lines = [_line(("flags", "seed", *COLUMNS)), "|" + "---|" * (2 + len(COLUMNS))]
-    print("\n".join(lines), flush=True)
-    results = []
-    devices = 1 if config.at_once > 1 else None
-    for found in in_processes(judged, cases, config.at_once, devices):
-        results.append(found)
-        lines.append(row(found))
-        print(lines[-1], flush=True)
+    found: dict[str, dict[str, Any]] = {}
+    failure = None
+    try:
+        for job, figures in values(run_jobs(jobs, place_of(config), len(jobs))):
+            if not found:
+                print("\n".join(lines), flush=True)
+            flags, seed, steps, _ = order[job.name]
+            own = {"flags": flags, "seed": seed, "run": job.name, "steps": steps}
+            found[job.name] = {**own, "figures": figures}
+            print(row(found[job.name]), flush=True)
+    except UserError as error:
+        failure = error
+    if found:
+        _write(lines, [found[name] for name in order if name in found], config.runs)
+    if failure:
+        raise failure
+
+
+def _write(lines: Sequence[str], results: Sequence[dict[str, Any]], runs: Path) -> None:
+    """Write what is below the heading `lines`, in the variants' order, and the picture."""
     histories = [
-        (found["flags"] or "defaults", read_history(Run(config.runs / found["run"])))
-        for found in results
+        (result["flags"] or "defaults", read_history(Run(runs / result["run"])))
+        for result in results
     ]
-    with atomic_write(config.runs / "compare.md") as file:
-        file.write(("\n".join(lines) + "\n").encode())
-    write_json_atomic(config.runs / "compare.json", results)
-    save_figure(draw_bands(histories), config.runs / "compare.png")
-    print(f"written to {config.runs}: compare.md, compare.json, compare.png")
+    with atomic_write(runs / "compare.md") as file:
+        file.write(("\n".join((*lines, *map(row, results))) + "\n").encode())
+    write_json_atomic(runs / "compare.json", results)
+    save_figure(draw_bands(histories), runs / "compare.png")
+    print(f"written to {runs}: compare.md, compare.json, compare.png")
 
 
-def judged(flags: str, seed: int, steps: int | None, runs: Path, episodes: int) -> dict[str, Any]:
-    """The figures of one run, which is trained if it has not been."""
-    config = plan(flags, seed, steps, runs)
-    run = trained(config)
+def judged(run: Run, episodes: int) -> dict[str, Any]:
+    """The figures of one run."""
     mjx = evaluate(run, episodes=episodes).summary
     c = evaluate(run, episodes=episodes, engine="mujoco")
     gait = c.gait
@@ -110,13 +121,12 @@ def judged(flags: str, seed: int, steps: int | None, runs: Path, episodes: int) 
         "action rate, 1/s": gait.action_rate,
     }
     # A task without commands has no velocity error, and a robot that never took a step no slip.
-    known = {name: number(x) if isinstance(x, float) else x for name, x in figures.items()}
-    return {"flags": flags, "seed": seed, "run": run.name, "steps": steps, "figures": known}
+    return {name: number(x) if isinstance(x, float) else x for name, x in figures.items()}
 
 
 def plan(flags: str, seed: int, steps: int | None, runs: Path) -> TrainConfig:
     """The training of a variant and a seed, under a name that no other variant has."""
-    for flag in ("--name", "--runs", "--seed", "--resume"):
+    for flag in ("--name", "--runs", "--seed", "--minutes", "--resume"):
         if value_of(flags.split(), flag) is not None:
             raise UsageError(f"{flag} is in the variant {flags!r}; compare sets it: leave it out")
     config, _ = parse_config(flags.split(), "quadwalk train")
@@ -127,7 +137,7 @@ def plan(flags: str, seed: int, steps: int | None, runs: Path) -> TrainConfig:
         name = f"{name[:50]}-{hashlib.sha256(plain.encode()).hexdigest()[:8]}"
     name = f"{name}_{steps or 'full'}_s{seed}"
     steps = steps or config.steps
-    return replace(config, name=name, runs=runs, seed=seed, quiet=True, steps=steps)
+    return replace(config, name=name, runs=runs, seed=seed, steps=steps)
 
 
 def row(result: dict[str, Any]) -> str:

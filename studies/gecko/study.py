@@ -18,14 +18,14 @@ import itertools
 import re
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
-from quadwalk.cores import cpu_cores
+from quadwalk.jobs.job import Job, sized
+from quadwalk.jobs.place import PlaceConfig, add_place_flags, place_config
+from quadwalk.jobs.run import place_of, run_jobs, values
 from quadwalk.process import run_command
 from quadwalk.settings.serialize import with_settings
 from quadwalk.settings.training import TrainConfig
 from quadwalk.task_files import load_task
-from quadwalk.variants.trainings import in_processes, trained
 from studies.gecko.gait import measure
 from studies.results import Results
 
@@ -79,19 +79,12 @@ def variants() -> dict[str, TrainConfig]:
     return found
 
 
-def judge(name: str, seed: int, steps: int | None, runs: Path) -> dict[str, Any]:
-    """Train a variant, if it has not been, and measure it."""
+def job(name: str, seed: int, steps: int | None, runs: Path, place: PlaceConfig) -> Job:
+    """The training of a variant and a seed."""
     steps = steps or STEPS[name.partition(",")[0]]
-    words = re.sub(r"\W+", "-", name)
-    config = replace(
-        variants()[name],
-        name=f"{words}_{steps}_s{seed}",
-        runs=runs,
-        seed=seed,
-        steps=steps,
-        quiet=True,
-    )
-    return {"variant": name, "seed": seed, "steps": steps, **measure(trained(config))}
+    words = f"{re.sub(r'\W+', '-', name)}_{steps}_s{seed}"
+    config = replace(variants()[name], name=words, runs=runs, seed=seed, steps=steps)
+    return Job(sized(config, place), measure)
 
 
 def main() -> None:
@@ -102,14 +95,17 @@ def main() -> None:
     parser.add_argument("--only", nargs="+", choices=names, help="of the variants")
     parser.add_argument("--runs", type=Path, default=Path("runs/gecko"))
     parser.add_argument("--out", type=Path, default=RESULTS)
+    add_place_flags(parser, cores=1)
     options = parser.parse_args()
-    results = Results(options.out, names)
-    cases = itertools.product(
-        options.only or names, range(options.seeds), [options.steps], [options.runs.resolve()]
-    )
-    for found in in_processes(judge, cases, at_once=cpu_cores(), devices=1):
-        results.add(found)
-        print(f"{found['variant']}, seed {found['seed']}: {found['figures']}", flush=True)
+    results, place = Results(options.out, names), place_config(options)
+    cases = list(itertools.product(options.only or names, range(options.seeds)))
+    runs = options.runs.resolve()
+    jobs = [job(*case, options.steps, runs, place) for case in cases]
+    which = {job.name: case for job, case in zip(jobs, cases, strict=True)}
+    for done, measured in values(run_jobs(jobs, place_of(place), len(jobs))):
+        name, seed = which[done.name]
+        results.add({"variant": name, "seed": seed, "steps": done.config.steps, **measured})
+        print(f"{name}, seed {seed}: {measured['figures']}", flush=True)
 
 
 if __name__ == "__main__":

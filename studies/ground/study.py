@@ -12,7 +12,10 @@ Results go to `--out` as they come, and notebooks/06_ground.ipynb shows them. To
 """
 
 import argparse
+import itertools
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -24,11 +27,13 @@ from quadwalk.evaluate.grids.by_ground import ground_env, measure_by_ground
 from quadwalk.evaluate.loaded import load_run
 from quadwalk.evaluate.simulate import roll_out
 from quadwalk.ground.heightfield import Heightfield
+from quadwalk.jobs.job import Job, sized
+from quadwalk.jobs.place import add_place_flags, place_config
+from quadwalk.jobs.run import place_of, run_jobs, values
 from quadwalk.process import run_command
 from quadwalk.task.ground_input import jit
 from quadwalk.train.flags import parse_config
 from quadwalk.train.runs.directory import Run
-from quadwalk.variants.trainings import in_processes, trained
 from studies.results import Results
 
 VARIANTS = {
@@ -42,12 +47,16 @@ FRAMES, SECONDS = 8, 4.0  # of those, over so long from the start
 MARGIN = 1.2  # m of ground kept around their path
 
 
-def train(flags: str, seed: int, steps: int | None, runs: Path) -> Run:
-    """The run of one variant and seed, trained if it has not been."""
+def job(
+    name: str, seed: int, given: argparse.Namespace, judge: Callable[[Run], dict[str, Any]]
+) -> Job:
+    """The training of one variant and seed."""
+    flags = VARIANTS[name]
     config, _ = parse_config(flags.split())
     words = flags.replace("--", "").replace(" env.", "_")
-    config = replace(config, name=f"{words}_s{seed}", runs=runs, seed=seed, quiet=True)
-    return trained(replace(config, steps=steps or config.steps))
+    steps, runs = given.steps or config.steps, given.runs.resolve()
+    config = replace(config, name=f"{words}_s{seed}", runs=runs, seed=seed, steps=steps)
+    return Job(sized(config, place_config(given)), judge)
 
 
 def judge(run: Run, episodes: int, seconds: float) -> dict[str, Any]:
@@ -101,15 +110,15 @@ def main() -> None:
     parser.add_argument("--runs", type=Path, default=Path("runs/ground"))
     parser.add_argument("--out", type=Path, default=Path(__file__).parent / "results.json")
     parser.add_argument("--only", nargs="+", choices=list(VARIANTS), help="of the variants")
+    add_place_flags(parser)
     given = parser.parse_args()
     results = Results(given.out, VARIANTS)  # a file that is broken should not cost a training
-    cases = [(name, seed) for name in given.only or VARIANTS for seed in range(given.seeds)]
-    settings = [(VARIANTS[name], seed, given.steps, given.runs) for name, seed in cases]
-    runs = list(in_processes(train, settings, at_once=1, devices=None))
-    judged = in_processes(
-        judge, [(run, given.episodes, given.seconds) for run in runs], at_once=1, devices=None
-    )
-    for (name, seed), found in zip(cases, judged, strict=True):
+    cases = list(itertools.product(given.only or VARIANTS, range(given.seeds)))
+    judging = partial(judge, episodes=given.episodes, seconds=given.seconds)
+    jobs = [job(*case, given, judging) for case in cases]
+    which = {job.name: case for job, case in zip(jobs, cases, strict=True)}
+    for done, found in values(run_jobs(jobs, place_of(place_config(given)), len(jobs))):
+        name, seed = which[done.name]
         results.add({"variant": name, "seed": seed, **found})
     print(f"written to {given.out}")
 

@@ -17,18 +17,22 @@ import argparse
 import itertools
 import re
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from quadwalk.api import evaluate
 from quadwalk.evaluate.grids.sweep import Point, measure_points
 from quadwalk.evaluate.loaded import LoadedRun, load_run
+from quadwalk.jobs.job import Job, sized
+from quadwalk.jobs.place import add_place_flags, place_config
+from quadwalk.jobs.run import place_of, run_jobs, values
 from quadwalk.process import run_command
 from quadwalk.settings.serialize import with_settings
 from quadwalk.settings.training import TrainConfig
 from quadwalk.task.env import QuadrupedEnv
 from quadwalk.task_files import load_task
-from quadwalk.variants.trainings import in_processes, trained
+from quadwalk.train.runs.directory import Run
 from studies.results import Results
 
 RESULTS = Path(__file__).parent / "results.json"
@@ -74,25 +78,20 @@ def variants() -> dict[str, TrainConfig]:
     }
 
 
-def judge(name: str, seed: int, steps: int, episodes: int, runs: Path) -> dict[str, Any]:
-    """Train a variant, if it has not been, and measure it."""
-    words = re.sub(r"\W+", "-", name)
-    config = replace(
-        variants()[name],
-        name=f"{words}_{steps}_s{seed}",
-        runs=runs,
-        seed=seed,
-        steps=steps,
-        quiet=True,
-    )
-    run = trained(config)
+def job(name: str, seed: int, options: argparse.Namespace) -> Job:
+    """The training of a variant and a seed."""
+    words = f"{re.sub(r'\W+', '-', name)}_{options.steps}_s{seed}"
+    config, runs = variants()[name], options.runs.resolve()
+    config = replace(config, name=words, runs=runs, seed=seed, steps=options.steps)
+    return Job(sized(config, place_config(options)), partial(judge, episodes=options.episodes))
+
+
+def judge(run: Run, episodes: int) -> dict[str, Any]:
+    """Measure a run at every point."""
     loaded = as_in_run(load_run(run, SECONDS, engine="fast"))
     measured = measure_points(loaded, list(POINTS.values()), episodes, seed=0)
     c = evaluate(run, episodes=16, seconds=SECONDS, engine="mujoco").summary
     return {
-        "variant": name,
-        "seed": seed,
-        "steps": steps,
         "episodes": episodes,
         "points": dict(zip(POINTS, measured, strict=True)),
         "mujoco": {name: c[name] for name in ("fall_rate", "speed", "heading_error")},
@@ -115,19 +114,17 @@ def main() -> None:
     parser.add_argument("--only", nargs="+", choices=names, help="of the variants")
     parser.add_argument("--runs", type=Path, default=Path("runs/real_world"))
     parser.add_argument("--out", type=Path, default=RESULTS)
+    add_place_flags(parser)
     options = parser.parse_args()
     results = Results(options.out, names)
-    cases = itertools.product(
-        options.only or names,
-        range(options.seeds),
-        [options.steps],
-        [options.episodes],
-        [options.runs.resolve()],
-    )
-    for found in in_processes(judge, cases, at_once=1, devices=None):
-        results.add(found)
+    cases = list(itertools.product(options.only or names, range(options.seeds)))
+    jobs = [job(*case, options) for case in cases]
+    which = {job.name: case for job, case in zip(jobs, cases, strict=True)}
+    for done, found in values(run_jobs(jobs, place_of(place_config(options)), len(jobs))):
+        name, seed = which[done.name]
+        results.add({"variant": name, "seed": seed, "steps": options.steps, **found})
         shares = {name: f"{100 * p['success']:.0f} %" for name, p in found["points"].items()}
-        print(f"{found['variant']}, seed {found['seed']}: {shares}", flush=True)
+        print(f"{name}, seed {seed}: {shares}", flush=True)
 
 
 if __name__ == "__main__":

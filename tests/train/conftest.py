@@ -8,7 +8,6 @@ from multiprocessing import forkserver
 from pathlib import Path
 
 import jax
-import numpy as np
 import pytest
 
 HERE = str(Path(__file__).parent)
@@ -67,21 +66,3 @@ def train(monkeypatch) -> Callable[..., None]:
     for module in ("setup", "warm_start"):
         monkeypatch.setattr(f"quadwalk.train.{module}.QuadrupedEnv", toy.Toy)
     return lambda *flags, watch=None: train(*parse_config(flags), watch)
-
-
-@pytest.fixture(scope="session")
-def same_result() -> Callable[..., None]:
-    """Assert that two runs, as folders, ended in the same state by the same way."""
-
-    def arrays(path: Path) -> dict[str, bytes]:
-        with np.load(path) as archive:
-            return {name: archive[name].tobytes() for name in archive.files if "." not in name}
-
-    def compare(run: Path, expected: Path, best: bool = True) -> None:
-        assert (run / "metrics.jsonl").read_bytes() == (expected / "metrics.jsonl").read_bytes()
-        last = max(path.name for path in (expected / "checkpoints").iterdir())
-        for file in ("policy.npz", f"checkpoints/{last}", *["best.npz"] * best):
-            assert arrays(run / file) == arrays(expected / file), file
-        assert not list(run.rglob("*.part"))
-
-    return compare

@@ -7,24 +7,26 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from quadwalk.errors import UsageError, UserError
+from quadwalk.errors import UserError
+from quadwalk.jobs.job import finish, opened
+from quadwalk.jobs.processes import Processes
+from quadwalk.jobs.run import Outcome
 from quadwalk.train.flags import parse_config
-from quadwalk.train.runs.directory import Run, create_run
+from quadwalk.train.runs.directory import create_run
 from quadwalk.train.runs.policy import load_score
 from quadwalk.variants import table
 from quadwalk.variants.__main__ import main, split
 from quadwalk.variants.bands import band, draw_bands
-from quadwalk.variants.trainings import trained
 from tests.test_task_files import OWN_TASK
 
 ROWS = [{"steps": 10, "eval/speed": 1.0}, {"steps": 20, "eval/speed": 3.0}]
 
 
 def test_what_is_no_option_of_its_own_is_a_variant():
-    given = ["", "--ppo.entropy 0.003", "walk", "--seeds", "2", "--at-once=2", "--steps"]
+    given = ["", "--ppo.entropy 0.003", "walk", "--seeds", "2", "--cores=2", "--steps"]
     variants, options = split([*given, "64"])
     assert variants == ["", "--ppo.entropy 0.003", "walk"]
-    assert options == ["--seeds", "2", "--at-once=2", "--steps", "64"]
+    assert options == ["--seeds", "2", "--cores=2", "--steps", "64"]
 
 
 @pytest.mark.parametrize(
@@ -36,11 +38,14 @@ def test_what_is_no_option_of_its_own_is_a_variant():
         (["", "--episodes", "many"], "bad value for --episodes"),
         (["", "--ppo.entropy 0.1", "--ppo.entropy=0.1"], "two are the same"),
         (["", "--seed 3"], "--seed is in the variant '--seed 3'"),
+        (["", "--gpus", "1"], "--gpus is 1 without --cluster"),
+        (["", "--cores", "4096"], "--cores is 4096; expected at most"),
+        (["", "--cluster", "nowhere"], "--cluster is 'nowhere'; expected HOST:PORT, auto or local"),
         (["", "--robot.urdf no.urdf"], "no.urdf"),
     ],
 )
 def test_what_cannot_be_compared_is_said_before_anything_is_trained(args, said, monkeypatch):
-    monkeypatch.setattr(table, "in_processes", pytest.fail)
+    monkeypatch.setattr(Processes, "start", pytest.fail)
     with pytest.raises(UserError) as caught:
         main(args)
     assert said in str(caught.value)
@@ -67,11 +72,15 @@ def test_every_variant_has_a_curve():
 def trainings(monkeypatch, tmp_path):
     """Without processes; each training leaves metrics, each evaluation made-up figures."""
 
-    def trained(config):
-        run = Run(config.runs / config.name)
-        run.path.mkdir(parents=True)
-        run.metrics.write_text("".join(json.dumps(row) + "\n" for row in ROWS))
-        return run
+    def run_jobs(jobs, place, count):
+        for job in jobs:
+            run = job.work.run
+            run.path.mkdir(parents=True)
+            run.metrics.write_text("".join(json.dumps(row) + "\n" for row in ROWS))
+            if "entropy" in job.name:
+                yield Outcome(job, None, "the weights are no longer finite")
+            else:
+                yield Outcome(job, job.judge(run))
 
     def evaluate(run, episodes, engine="mjx"):
         told = "walk" in run.name
@@ -91,11 +100,8 @@ def trainings(monkeypatch, tmp_path):
         summary = {"fall_rate": 0.25, **dict.fromkeys(names, mean)}
         return SimpleNamespace(summary=summary, episodes=speeds, gait=gait)
 
-    monkeypatch.setattr(table, "trained", trained)
+    monkeypatch.setattr(table, "run_jobs", run_jobs)
     monkeypatch.setattr(table, "evaluate", evaluate)
-    monkeypatch.setattr(
-        table, "in_processes", lambda job, cases, *_: (job(*case) for case in cases)
-    )
     return tmp_path / "runs"
 
 
@@ -123,21 +129,21 @@ def test_a_row_for_each_run_a_file_for_all_and_a_picture(trainings, capsys):
     assert (trainings / "compare.png").stat().st_size > 1000
 
 
-def test_a_variant_is_trained_with_its_flags_and_seed(trainings, monkeypatch):
-    seen = []
-
-    def trained(config):
-        seen.append(config)
-        raise UsageError("enough")
-
-    monkeypatch.setattr(table, "trained", trained)
+def test_a_training_that_fails_is_said_at_the_end_and_the_others_are_written(trainings, capsys):
     flags = "--ppo.entropy 0.003"
-    with pytest.raises(UsageError, match="enough"):
-        table.judged(flags, 2, None, trainings, 4)
-    (config,) = seen
+    with pytest.raises(UserError, match=r"ppo.entropy.*_s0: the weights are no longer finite"):
+        main([flags, "", "--seeds", "1", "--steps", "64", "--runs", str(trainings)])
+    (result,) = json.loads((trainings / "compare.json").read_text())
+    assert result["run"] == "default_64_s0"
+    assert "default" in capsys.readouterr().out
+
+
+def test_a_variant_is_trained_with_its_flags_and_seed(tmp_path):
+    flags = "--ppo.entropy 0.003"
+    config = table.plan(flags, 2, None, tmp_path)
     usual, _ = parse_config(flags.split())
     assert (config.ppo, config.env, config.steps) == (usual.ppo, usual.env, usual.steps)
-    assert (config.seed, config.runs) == (2, trainings)
+    assert (config.seed, config.runs) == (2, tmp_path)
 
 
 def test_a_run_of_ones_own_task_is_known_again_until_the_file_changes(tmp_path, flags, train):
@@ -148,10 +154,12 @@ def test_a_run_of_ones_own_task_is_known_again_until_the_file_changes(tmp_path, 
         file.write_text(OWN_TASK.replace("return 1.0", f"return {rate}"))
         config, _ = parse_config([str(file), *tiny])
         if known:
-            assert load_score(trained(config).policy)[0] == config.steps
+            run = opened(config)
+            assert finish(run, config.steps)
+            assert load_score(run.policy)[0] == config.steps
         else:
             with pytest.raises(UserError, match="other settings; remove it"):
-                trained(config)
+                opened(config)
 
 
 @pytest.mark.parametrize(

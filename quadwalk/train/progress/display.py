@@ -59,7 +59,7 @@ class Progress:
         self._shown = -math.inf  # when figures were last a plain line
         self._phase = ""
         self._trained = False
-        self._screen = not quiet and _is_screen(self._stream)
+        self._screen = not quiet and is_screen(self._stream)
         self._view = _View(self._stream, disable=not self._screen)
         self._over = threading.Event()
         self._heartbeat = threading.Thread(target=self._beat, daemon=True)
@@ -275,7 +275,7 @@ class _Forgiving(io.TextIOBase):
         return self._stream.encoding or "ascii"
 
 
-def _is_screen(stream: TextIO) -> bool:
+def is_screen(stream: TextIO) -> bool:
     """Whether the stream is a terminal that can redraw, and shows more than ASCII."""
     if not stream.isatty() or Console(file=stream).is_dumb_terminal:
         return False

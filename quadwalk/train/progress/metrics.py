@@ -2,7 +2,7 @@
 
 import collections
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from typing import Any
 
 from quadwalk.settings.terms import Reward
@@ -10,6 +10,17 @@ from quadwalk.settings.terms import Reward
 EPISODES = 32  # the share of falls is over about this many of the last episodes
 LEVEL = "train/level/"  # before a kind of ground
 SCORED = 20  # iterations of "eval/speed" that tell how good a policy is
+
+
+def score(speeds: Collection[float], falls: float) -> float:
+    """How good a policy is: its mean evaluation speed, m/s, times the share not falling.
+
+    A speed below 0 is no better for falls. `speeds` are those of the last `SCORED` iterations, in
+    which 64 evaluation environments together run for some minutes; no falls are counted before an
+    episode has ended, while `falls` is NaN.
+    """
+    speed = sum(speeds) / len(speeds) if speeds else 0.0
+    return min(speed, speed * (1.0 - (0.0 if math.isnan(falls) else falls)))
 
 
 class TrainingMetrics:
@@ -47,15 +58,8 @@ class TrainingMetrics:
 
     @property
     def score(self) -> float:
-        """How good the policy is of late: the evaluation speed, m/s, times the share not falling.
-
-        A speed below 0 is no better for falls. Speed is the mean over the last `SCORED` iterations,
-        in which 64 evaluation environments together run for some minutes; no falls are counted
-        before an episode has ended.
-        """
-        speed = sum(self._speeds) / len(self._speeds) if self._speeds else 0.0
-        falls = self._eval_falls.share
-        return min(speed, speed * (1.0 - (0.0 if math.isnan(falls) else falls)))
+        """How good the policy is of late, by `score` of the last `SCORED` iterations."""
+        return score(self._speeds, self._eval_falls.share)
 
     def row(self, steps: int, numbers: Mapping[str, Any]) -> dict[str, float]:
         """The row after `steps` control steps, from what `quadwalk.train.learner.ppo` gives."""

@@ -1,0 +1,88 @@
+"""Many trainings at once against the ideal: the time of one alone, times how many take turns.
+
+    python benchmarks/many.py [--trainings 8] [--steps 1000000] [--ray] [--rounds 3]
+
+Trains so many runs of `sprint`, one core each, in processes of this machine and, with --ray, on a
+Ray cluster of two nodes that share its cores; each from the start of a process to its last file. In
+every round one is trained alone first, so that a machine that drifts does so for all. A ratio of 1
+is ideal: nothing is lost to starting, sharing memory, or bringing back. To see that it works:
+
+    python benchmarks/many.py --trainings 2 --steps 30000 --rounds 1
+"""
+
+import argparse
+import statistics
+import tempfile
+import time
+from dataclasses import replace
+from pathlib import Path
+
+from quadwalk.cores import cpu_cores
+from quadwalk.jobs.job import Job, sized
+from quadwalk.jobs.place import PlaceConfig
+from quadwalk.jobs.run import place_of, run_jobs, values
+from quadwalk.process import run_command
+from quadwalk.tasks.sprint import TASK
+from quadwalk.train.runs.directory import Run
+from quadwalk.train.runs.policy import load_score
+
+
+def steps_of(run: Run) -> int:
+    """Control steps behind the last policy."""
+    return load_score(run.policy)[0]
+
+
+def seconds(count: int, steps: int, where: PlaceConfig) -> float:
+    """How long so many trainings take there, with all that is around them."""
+    with tempfile.TemporaryDirectory() as folder:
+        jobs = [
+            Job(
+                sized(
+                    replace(TASK, name=f"s{seed}", runs=Path(folder), steps=steps, seed=seed), where
+                ),
+                steps_of,
+            )
+            for seed in range(count)
+        ]
+        place = place_of(where)
+        began = time.perf_counter()
+        assert all(done >= steps for _, done in values(run_jobs(jobs, place, count)))
+        return time.perf_counter() - began
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--trainings", type=int, default=8)
+    parser.add_argument("--steps", type=int, default=1_000_000, help="control steps of each")
+    parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--ray", action="store_true", help="also on two local nodes of Ray")
+    options = parser.parse_args()
+    cores, cluster = cpu_cores(), None
+    places = {"processes": PlaceConfig(cores=1)}
+    if options.ray:
+        from ray.cluster_utils import Cluster
+
+        share = cores // 2 or 1
+        head = {"num_cpus": cores - share, "include_dashboard": False}
+        cluster = Cluster(initialize_head=True, head_node_args=head)
+        cluster.add_node(num_cpus=share)
+        places["two nodes of Ray"] = PlaceConfig(cores=1, cluster=cluster.address)
+    seconds(1, 1, PlaceConfig(cores=1))  # compiles
+    ratios: dict[str, list[float]] = {name: [] for name in places}
+    turns = -(-options.trainings // cores)
+    for _ in range(options.rounds):
+        alone = seconds(1, options.steps, PlaceConfig(cores=1))
+        print(f"alone: {alone:.1f} s; ideal for {options.trainings}: {turns * alone:.1f} s")
+        for name, where in places.items():
+            took = seconds(options.trainings, options.steps, where)
+            ratios[name].append(took / (turns * alone))
+            print(f"{name}: {took:.1f} s, {ratios[name][-1]:.2f} of the ideal", flush=True)
+    for name, found in ratios.items():
+        low, middle, high = min(found), statistics.median(found), max(found)
+        print(f"{name}: median {middle:.2f} ({low:.2f} to {high:.2f}) of the ideal, {cores} cores")
+    if cluster is not None:
+        cluster.shutdown()
+
+
+if __name__ == "__main__":
+    run_command(main)

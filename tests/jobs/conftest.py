@@ -1,0 +1,111 @@
+"""Jobs of a second each: trainings on the toy, as a task of one's own."""
+
+import signal
+import sys
+from pathlib import Path
+
+import pytest
+
+import quadwalk.train.setup
+from quadwalk.jobs.job import Job, sized
+from quadwalk.jobs.place import PlaceConfig
+from quadwalk.jobs.run import place_of, run_jobs
+from quadwalk.train.flags import parse_config
+from quadwalk.train.runs.directory import list_checkpoints
+from quadwalk.train.runs.policy import load_score
+from quadwalk.train.runs.writer import RunWriter
+
+HERE = Path(__file__).parent
+TRAIN = HERE.parent / "train"
+sys.path[:0] = [str(HERE), str(TRAIN)]  # for `judges` and `toy`
+
+from judges import last_reward  # noqa: E402
+
+BATCH = 64  # control steps in an iteration
+PAUSE = 20  # iterations after which a training waits for the file `go` beside its task's
+# Whoever reads its settings trains on the toy, slowly.
+TASK = f"""
+import dataclasses, pathlib, sys, time
+sys.path.insert(0, {str(TRAIN)!r})
+import toy
+import quadwalk.train.setup
+from quadwalk.settings.terms import Reward
+from quadwalk.tasks import sprint
+from quadwalk.train.runs.writer import RunWriter
+
+quadwalk.train.setup.QuadrupedEnv = toy.Toy
+iteration = RunWriter.iteration
+def slow(writer, row, *others):
+    iteration(writer, row, *others)
+    time.sleep(0.02)
+    while row["steps"] >= {PAUSE * BATCH} and not pathlib.Path(GO).exists():
+        time.sleep(0.05)
+RunWriter.iteration = slow
+
+def own(robot, step):
+    return 0.0
+
+TASK = dataclasses.replace(sprint.TASK, task="toy", env=dataclasses.replace(
+    sprint.TASK.env, reward={{**sprint.TASK.env.reward, "own": Reward(own, scale=0.0)}}))
+"""
+
+
+def write_task(folder: Path) -> tuple[Path, Path]:
+    """The file of the task, and that which its trainings wait for."""
+    file, go = folder / "toy_task.py", folder / "go"
+    file.write_text(f"GO = {str(go)!r}\n{TASK}")
+    return file, go
+
+
+@pytest.fixture
+def task(tmp_path) -> tuple[Path, Path]:
+    """As `write_task`."""
+    return write_task(tmp_path)
+
+
+@pytest.fixture
+def job(task, tmp_path, monkeypatch):
+    """A job in the folder `runs`, of so many iterations, with a checkpoint after every ten."""
+    # What reading the task changes in this process is put back.
+    monkeypatch.setattr(quadwalk.train.setup, "QuadrupedEnv", quadwalk.train.setup.QuadrupedEnv)
+    monkeypatch.setattr(RunWriter, "iteration", RunWriter.iteration)
+    file, _ = task
+
+    def make(runs: str, name: str, iterations: int, judge, seed: int = 0) -> Job:
+        tiny = "--envs=16 --ppo.eval-envs=2 --ppo.unroll=4 --ppo.epochs=1 --ppo.minibatches=2"
+        sizes = f"--devices=2 --ppo.hidden=8 --seed={seed} --checkpoint-steps={10 * BATCH}"
+        where = f"--runs={tmp_path / runs} --name={name} --steps={BATCH * iterations}"
+        flags = f"{file} {tiny} {sizes} {where}"
+        return Job(sized(parse_config(flags.split())[0], PlaceConfig(cores=1)), judge)
+
+    return make
+
+
+@pytest.fixture
+def assert_resumable(job, task):
+    """Interrupt trainings at a place once all that have a slot train, and look at what is left."""
+
+    def interrupt(config: PlaceConfig) -> None:
+        task[1].touch()
+        jobs = [job("runs", f"s{seed}", 10_000, last_reward, seed) for seed in range(3)]
+        place = place_of(config)
+        rows: dict[str, float] = {}
+
+        def watch(job: Job, row: dict[str, float]) -> bool:
+            fresh = job.name not in rows
+            rows[job.name] = row["steps"]
+            if fresh and len(rows) == min(place.slots, len(jobs)):
+                signal.raise_signal(signal.SIGINT)
+            return False
+
+        with pytest.raises(KeyboardInterrupt):
+            list(run_jobs(jobs, place, len(jobs), watch))
+        saved = {
+            job.name: load_score(job.work.run.policy)[0]
+            for job in jobs
+            if list_checkpoints(job.work.run)
+        }
+        assert saved.keys() == rows.keys()
+        assert all(saved[name] >= steps for name, steps in rows.items())  # not a row is lost
+
+    return interrupt

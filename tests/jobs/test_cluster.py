@@ -1,0 +1,82 @@
+"""Many trainings on a Ray cluster: none is lost with a machine, and addresses that are none."""
+
+import os
+import socket
+import threading
+
+import pytest
+from judges import last_reward
+
+from quadwalk.errors import UserError
+from quadwalk.jobs.place import PlaceConfig
+from quadwalk.jobs.run import place_of, run_jobs
+from quadwalk.train.runs.directory import list_checkpoints
+
+pytestmark = pytest.mark.filterwarnings("ignore:os.fork:RuntimeWarning")  # Ray starts its processes
+SEEDS = (0, 1, 2)
+ITERATIONS = 40
+
+
+@pytest.fixture
+def nodes(monkeypatch):
+    """A Ray cluster of two machines with a core each, both of them this one; the second's node."""
+    ray = pytest.importorskip("ray")
+    from ray.cluster_utils import Cluster
+
+    here = os.path.dirname(__file__)
+    monkeypatch.setenv("PYTHONPATH", here, prepend=os.pathsep)  # for the judges
+    monkeypatch.setenv("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
+    cluster = Cluster(
+        initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False}
+    )
+    yield cluster, cluster.add_node(num_cpus=1)
+    ray.shutdown()
+    cluster.shutdown()
+
+
+def test_no_training_is_lost_with_a_machine_and_results_are_those_of_processes(
+    nodes, job, task, same_result, capsys
+):
+    cluster, second = nodes
+    there = [job("cluster", f"s{seed}", ITERATIONS, last_reward, seed) for seed in SEEDS]
+    killed = threading.Event()
+
+    def watch(job, row):
+        middle = [job for job in there if list_checkpoints(job.work.run)]
+        if len(middle) == 2 and not killed.is_set():  # one on each machine, which waits
+            cluster.remove_node(second, allow_graceful=False)
+            task[1].touch()
+            killed.set()
+        return False
+
+    place = place_of(PlaceConfig(cores=1, cluster=cluster.address))
+    assert place.slots == 2
+    found = {end.job.name: end.value for end in run_jobs(there, place, len(there), watch)}
+    assert killed.is_set()
+    assert "its process died; it goes on from its last checkpoint" in capsys.readouterr().err
+
+    here = [job("here", f"s{seed}", ITERATIONS, last_reward, seed) for seed in SEEDS]
+    local = run_jobs(here, place_of(PlaceConfig(cores=1)), len(here))
+    assert {end.job.name: end.value for end in local} == found
+    for one, other in zip(there, here, strict=True):
+        same_result(one.work.run.path, other.work.run.path)
+
+
+def test_an_interrupt_leaves_all_to_be_gone_on_with(nodes, assert_resumable):
+    cluster, _ = nodes
+    assert_resumable(PlaceConfig(cores=1, cluster=cluster.address))
+
+
+def test_a_place_that_is_none_is_said_in_one_line():
+    pytest.importorskip("ray")
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port = server.getsockname()[1]
+    for address, said in (
+        ("here", "--cluster is 'here'; expected HOST:PORT, auto or local"),
+        (f"127.0.0.1:{port}", f"no Ray cluster answers at 127.0.0.1:{port}: .*refused"),
+        ("no-such-host.invalid:6379", "no Ray cluster answers at no-such-host.invalid:6379"),
+        ("auto", "cannot use the Ray cluster at auto: Could not find any running Ray instance"),
+    ):
+        with pytest.raises(UserError, match=said) as caught:
+            place_of(PlaceConfig(cluster=address))
+        assert "\n" not in str(caught.value)

@@ -1,0 +1,132 @@
+"""`quadwalk tune`: what it takes, and that a search finds what is best and survives a kill."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from quadwalk.errors import UserError
+from quadwalk.jobs.run import Outcome
+from quadwalk.task_files import load_task
+from quadwalk.tune import search as tune
+from quadwalk.tune.__main__ import main
+from quadwalk.tune.search import search
+from quadwalk.tune.space import dimension
+from quadwalk.tune.trials import TuneConfig
+from tests.jobs.conftest import write_task
+
+OVER = ("env.reward.energy.scale=-1:0", "ppo.learning-rate=1e-4:1e-2:log")
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ([], "no setting to search is given"),
+        (["--over", "env.reward.fidgit=-4:-1"], "did you mean 'env.reward.fidget'"),
+        (["--over", "env.reward.fidget=-1:-4"], "expected LOW below HIGH"),
+        (["--over", "env.reward.fidget=-1:4:log"], "above 0 with log"),
+        (["--over", "env.reward.fidget=low"], "expected NAME=LOW:HIGH"),
+        (["--over", "ppo.discount=0.9:1.5"], "ppo.discount is 1.5"),
+        (["--over", *2 * ["ppo.discount=0.9:0.99"]], "ppo.discount twice"),
+        (["--over", "ppo.discount=0.9:0.99", "--objective", "speed"], "--objective is 'speed'"),
+        (["--over", "ppo.discount=0.9:0.99", "--flags=--nothing"], "unknown option --nothing"),
+        (["--over", "ppo.discount=0.9:0.99", "--cores", "4096"], "--cores is 4096"),
+    ],
+)
+def test_what_cannot_be_searched_is_said_before_anything_is_trained(given, said, tmp_path):
+    with pytest.raises(UserError, match=said) as caught:
+        main(["drive", *given, "--runs", str(tmp_path)])
+    assert "\n" not in str(caught.value)
+    assert not list(tmp_path.iterdir())
+
+
+def test_settings_have_ranges_or_choices():
+    config = load_task("run")
+    whole = dimension("ppo.epochs=1:4", config)
+    assert (whole.name, whole.ends, whole.whole) == ("ppo.epochs", (1.0, 4.0), True)
+    assert dimension("--ppo.activation=swish,relu", config).choices == ("swish", "relu")
+    assert dimension("env.reward.energy.scale=-1:0", config).name == "env.reward.energy"
+
+
+def distance(job) -> float:
+    """Of a trial from -0.3 and 1e-3: what the toy objective is least at."""
+    energy = job.config.env.reward["energy"].scale
+    return abs(energy + 0.3)
+
+
+@pytest.fixture
+def toy(monkeypatch):
+    """Without trainings: each is as good as its settings are near the best from its start on."""
+    pytest.importorskip("optuna")
+
+    def run_jobs(jobs, place, count, watch):
+        for job in jobs:
+            value = 2.0 - distance(job)
+            for steps in range(0, job.config.steps, job.config.steps // 40):
+                row = {"steps": steps, "eval/speed": value, "eval/fall_rate": 0.0}
+                if watch(job, row):
+                    yield Outcome(job, None, stopped=True)
+                    break
+            else:
+                yield Outcome(job, value)
+
+    monkeypatch.setattr(tune, "run_jobs", run_jobs)
+
+
+def test_a_search_nears_the_best_stops_the_hopeless_and_goes_on(toy, tmp_path, capsys):
+    config = TuneConfig(task="run", over=OVER, trials=8, runs=tmp_path)
+    search(config)
+    search(TuneConfig(task="run", over=OVER, trials=20, runs=tmp_path))
+    text = capsys.readouterr().out.split("\n20 trials")
+    assert len(text) == 2
+    assert "pruned" in text[1]
+    assert (tmp_path / "run" / "tune.md").read_text().count("20 trials") == 1
+    best = text[0].strip().splitlines()[-10].split("|")
+    assert float(best[2]) > 1.9
+    command = next(line for line in text[1].splitlines() if line.startswith("train the best"))
+    assert f"--env.reward.energy={best[3].strip()}" in command
+    with pytest.raises(UserError, match=r"--trials|--steps None; expected the same"):
+        search(TuneConfig(task="run", over=OVER, steps=1, runs=tmp_path))
+
+
+def test_a_study_that_is_damaged_is_said_in_one_line(toy, tmp_path):
+    config = TuneConfig(task="run", over=OVER, trials=1, runs=tmp_path)
+    search(config)
+    (tmp_path / "run" / "study.db").write_bytes(b"no database" * 100)
+    with pytest.raises(UserError, match=r"study\.db cannot be used as a study") as caught:
+        search(config)
+    assert "\n" not in str(caught.value)
+
+
+def test_trials_that_a_kill_left_are_gone_on_with(tmp_path):
+    pytest.importorskip("optuna")
+    root = Path(__file__).parents[2]
+    tiny = "--envs=16 --ppo.eval-envs=2 --ppo.unroll=4 --ppo.epochs=1 --ppo.minibatches=2"
+    flags = f"{tiny} --devices=1 --ppo.hidden=8 --checkpoint-steps=640"
+    _, go = write_task(tmp_path)
+    given = [
+        *("tune", "toy_task.py", "--over", "ppo.discount=0.9:0.99", f"--flags={flags}"),
+        *("--trials", "2", "--steps", str(64 * 40), "--name", "toy", "--no-prune"),
+    ]
+    command = [sys.executable, "-m", "quadwalk", *given]
+    environment = {**os.environ, "PYTHONPATH": str(root)}
+    first = subprocess.Popen(command, cwd=tmp_path, env=environment, start_new_session=True)
+    checkpoints = tmp_path / "runs" / "tune" / "toy" / "trial_000" / "checkpoints"
+    end = time.monotonic() + 300
+    while not list(checkpoints.glob("*.npz")):
+        assert first.poll() is None
+        assert time.monotonic() < end
+        time.sleep(0.1)
+    os.killpg(first.pid, signal.SIGKILL)
+    first.wait()
+    go.touch()
+    again = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True)
+    assert again.returncode == 0, again.stderr
+    assert "2 trials: 2 complete" in again.stdout
+    rows = (checkpoints.parent / "metrics.jsonl").read_text().splitlines()
+    assert [json.loads(row)["steps"] for row in rows] == [64 * (1 + n) for n in range(40)]
