@@ -63,21 +63,10 @@ class Canvas:
         return self._painter.paint(data, self._scene)
 
 
-def render_home(
-    model: mujoco.MjModel,
-    width: int = 1280,
-    height: int = 800,
-    azimuth: float = 140.0,
-    elevation: float = -16.0,
-    scale: float = 1.0,
-) -> np.ndarray:
+def render_home(model: mujoco.MjModel, width: int = 1280, height: int = 800) -> np.ndarray:
     """(height, width, 3) uint8 picture of the keyframe `home`, seen from ahead and above.
 
-    Args:
-        model: compiled, with its visual shapes.
-        width, height: pixels.
-        azimuth, elevation: degrees, MuJoCo's camera angles; the camera looks at the robot.
-        scale: distance of the camera, 1 shows the whole robot.
+    `model` has its visual shapes; `width` and `height` are in pixels.
     """
     home = model.key("home").qpos
     data = mujoco.MjData(model)
@@ -91,5 +80,5 @@ def render_home(
     # its feet, takes more room than what is far.
     size = high - low
     middle = (low + high) / 2 - [0, 0, 0.12 * size[2]]
-    distance = scale * float(max(1.1 * np.linalg.norm(size), 1.6 * size[2]))
-    return Canvas(model, width, height).draw(home, Camera(middle, distance, azimuth, elevation))
+    distance = float(max(1.1 * np.linalg.norm(size), 1.6 * size[2]))
+    return Canvas(model, width, height).draw(home, Camera(middle, distance, 140.0, -16.0))

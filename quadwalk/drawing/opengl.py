@@ -27,7 +27,7 @@ def working_library() -> str | None:
     `MUJOCO_GL` decides, if it is set: `osmesa`, `egl`, `glfw` (a window system), `disable`. Else a
     display does, then OSMesa, then EGL, whichever is there. What is chosen is tried once.
     """
-    chosen = _chosen_library()
+    chosen = chosen_library()
     if chosen is None:
         return None
     model = mujoco.MjModel.from_xml_string(_TRIAL)
@@ -46,7 +46,8 @@ def working_library() -> str | None:
     return None
 
 
-def _chosen_library() -> str | None:
+def chosen_library() -> str | None:
+    """The one to try, as `working_library` says; None for none."""
     wanted = os.environ.get("MUJOCO_GL", "").strip().lower()
     if wanted in _OFF:
         return None

@@ -7,12 +7,15 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from PIL import Image
+
 from quadwalk.evaluate.loaded import LoadedRun
 from quadwalk.evaluate.motion.course import motor_limits, weight_of
 from quadwalk.evaluate.motion.forces import with_foot_forces
 from quadwalk.evaluate.motion.gait import Gait, gait_metrics, measure_gait
 from quadwalk.evaluate.recording.mcap import write_mcap
 from quadwalk.evaluate.recording.provenance import attachments, provenance
+from quadwalk.evaluate.report.pictures import draw_film_strip
 from quadwalk.evaluate.rollout import Rollout
 from quadwalk.evaluate.simulate import GROUP, Report, simulate_episodes
 from quadwalk.evaluate.summary import episode_figures, summarize, typical_episode
@@ -21,7 +24,6 @@ from quadwalk.task.episode.randomization import as_values
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-    from PIL.Image import Image
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,12 +70,8 @@ class Evaluation:
             "typical_episode": {"episode": self.typical.episode, **gait},
         }
 
-    def film_strip(self, width: int = 480, height: int = 300) -> "Image":
+    def film_strip(self, width: int = 480, height: int = 300) -> Image.Image:
         """Eight pictures of two strides of the typical episode, each of so many pixels."""
-        from PIL import Image
-
-        from quadwalk.evaluate.report.pictures import draw_film_strip
-
         quadruped = self.loaded.env.quadruped
         strip = draw_film_strip(self.typical, quadruped, width=width, height=height)
         return Image.fromarray(strip)

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+import scipy  # its parts are imported when they are used: stats takes half a second
 
 
 def number(value: float) -> float | None:
@@ -17,12 +18,10 @@ def mean_interval(values: Sequence[float] | np.ndarray) -> tuple[float, float | 
 
     None in its place for a single value. Values must be there and finite.
     """
-    from scipy import stats  # half a second, which those that measure nothing need not wait
-
     mean, freedom = float(np.mean(values)), len(values) - 1
     if not freedom:
         return mean, None
-    return mean, float(stats.t.ppf(0.975, freedom) * stats.sem(values))
+    return mean, float(scipy.stats.t.ppf(0.975, freedom) * scipy.stats.sem(values))
 
 
 def mean_figure(values: Sequence[float] | np.ndarray) -> dict[str, float | None] | None:
@@ -40,9 +39,7 @@ def share_interval(count: int, total: int) -> tuple[float, float]:
     Wilson's (J. American Statistical Association 22, 1927), which does not claim certainty where
     none or all of a few succeeded.
     """
-    from scipy import stats
-
-    interval = stats.binomtest(count, total).proportion_ci(method="wilson")
+    interval = scipy.stats.binomtest(count, total).proportion_ci(method="wilson")
     return float(interval.low), float(interval.high)
 
 

@@ -57,7 +57,7 @@ def machine(monkeypatch):
 )
 def test_the_environment_and_then_what_there_is_decide(machine, libraries, environment, chosen):
     machine(libraries, **environment)
-    assert opengl._chosen_library() == chosen
+    assert opengl.chosen_library() == chosen
 
 
 class Broken:

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from quadwalk.drawing.figures import LEG_COLORS, save_figure
 from quadwalk.errors import UserError
-from quadwalk.evaluate.report.console import _print_table
+from quadwalk.evaluate.report.console import print_comparison
 from quadwalk.evaluate.report.panels import draw_comparison, draw_sweep
 from quadwalk.evaluate.report.plots import draw_footfalls, draw_report
 from quadwalk.evaluate.rollout import first_steps
@@ -133,7 +133,9 @@ def test_a_name_that_looks_like_markup_is_shown_as_it_is(trot, quadruped, tmp_pa
     name = r"a$\b$ [/red] :b:"
     save_figure(draw_report(trot, quadruped, name), tmp_path / "report.png")
     assert (tmp_path / "report.png").exists()
-    _print_table(name, (name,), [(name,)])
+    summary = {"episodes": 1, "fall_rate": 0.0, "fall_rate_ci95": (0.0, 1.0)}
+    result = {"training_steps": 1, "engine": name, "summary": summary}
+    print_comparison([name], [result | {"typical_episode": {"gait": name}}])
     assert capsys.readouterr().out.count(name) == 3
 
 

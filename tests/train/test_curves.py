@@ -4,8 +4,7 @@ import math
 import numpy as np
 import pytest
 
-from quadwalk.drawing.figures import save_figure
-from quadwalk.train.progress.curves import learning_curve
+from quadwalk.train.progress.curves import learning_curve, save_learning_curve
 
 REWARDS = {"train/reward/forward": 2.0, "train/reward/energy": -0.5}
 ROWS = [
@@ -109,7 +108,7 @@ def test_every_term_has_a_panel_of_its_own():
 
 def test_the_same_metrics_give_the_same_picture(tmp_path):
     for name, rows in (("a", ROWS), ("b", ROWS), ("c", ROWS[:9])):
-        save_figure(learning_curve(rows), tmp_path / name)
+        save_learning_curve(rows, tmp_path / name)
     a, b, c = ((tmp_path / name).read_bytes() for name in "abc")
     assert a == b
     assert a != c

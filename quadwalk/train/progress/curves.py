@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -9,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from quadwalk.drawing.figures import new_figure, tidy
+from quadwalk.drawing.figures import new_figure, save_figure, tidy
 from quadwalk.train.progress.text import quantity
 
 _TERM = "train/reward/"
@@ -21,6 +22,11 @@ _NICE = [1, 2, 2.5, 5, 10]  # what the first figure of a tick's distance may be
 _BLUE, _RED, _GREEN, _GREY = "#2a6fbb", "#c44536", "#2e8b57", "#5f6b7a"
 
 Row = Mapping[str, Any]
+
+
+def save_learning_curve(metrics: Sequence[Row], path: Path) -> None:
+    """Write `learning_curve` as a PNG; it appears whole or not at all (`UserError`)."""
+    save_figure(learning_curve(metrics), path)
 
 
 def learning_curve(metrics: Sequence[Row]) -> Figure:

@@ -75,13 +75,10 @@ class RunWriter:
     def draw(self) -> None:
         """Draw the learning curve."""
         # Matplotlib: a third of a second that the first iteration does not wait for.
-        from quadwalk.drawing.figures import save_figure
-        from quadwalk.train.progress.curves import learning_curve
+        from quadwalk.train.progress.curves import save_learning_curve
 
         run, began = self.run, time.monotonic()
-        self._attempt(
-            "curve", lambda: save_figure(learning_curve(read_history(run)), run.learning_curve)
-        )
+        self._attempt("curve", lambda: save_learning_curve(read_history(run), run.learning_curve))
         now = time.monotonic()
         self._draw_at = now + max(CURVE_SECONDS, (now - began) / CURVE_SHARE)
 
