@@ -1,4 +1,4 @@
-"""Judge a trained policy: `python eval.py --help`."""
+"""Evaluate a trained policy: `python eval.py --help`."""
 
 from quadwalk.process import run_command
 

@@ -3,7 +3,7 @@
     python benchmarks/against_brax.py [--steps 1500000] [--seeds 3] [--out against_brax.png]
 
 Both start from the same networks and the same measure of the observations, learn with the same
-settings (`brax_training.py` says what is left to differ), and are judged alike: the mean action,
+settings (`brax_training.py` says what is left to differ), and are evaluated alike: the mean action,
 fresh starts, what each episode brings until it ends.
 
 Agreement: per seed, the mean over the curve's points (the start apart) is one number; the 99 %

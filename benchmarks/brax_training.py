@@ -160,7 +160,7 @@ def params_of(learner: ppo.Learner) -> Params:
 
 
 def make_judge(env: Env, config: PPOConfig, episodes: int) -> Callable[[Params], Any]:
-    """Judges parameters by `episodes` with the mean action.
+    """Evaluates parameters by `episodes` with the mean action.
 
     Returns reward and speed, summed until an episode ends, over its full length; and the share of
     episodes that ended by a fall.

@@ -14,7 +14,7 @@ CONTROL_DT = sprint.TASK.env.control_dt  # s
 class Timed(NamedTuple):
     """What a stretch of training took."""
 
-    steps: int  # control steps of the environments that are learnt from
+    steps: int  # control steps of the environments that are learned from
     seconds: float
 
 

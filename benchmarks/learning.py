@@ -144,7 +144,7 @@ def ask(process: subprocess.Popen[str]) -> list[float]:
 
 
 def work(task: str, envs: int, processor_time: bool) -> None:
-    """For each line read, train a round and print the costs, 0 of what cannot be told."""
+    """For each line read, train a round and print the costs, 0 of what cannot be distinguished."""
     clock = time.process_time if processor_time else time.perf_counter
     import dataclasses
 

@@ -3,7 +3,7 @@
     python benchmarks/scaling.py [--envs 256 512 ... 8192] [--cores 1 2] [--rounds 3]
 
 Each configuration trains in a process of its own, restricted to its cores, in each round; rounds
-run through them forwards and backwards in turn, so that a machine that drifts does so for all.
+run through them forward and backward in turn, so that a machine that drifts does so for all.
 Rates are medians of the rounds, ratios medians of the rounds' ratios. Peak memory is the process's
 largest resident set in any round, compilation included. To see that it works:
 

@@ -4,7 +4,7 @@
 
 Each seed trains twice with the defaults but for frequent checkpoints: with an empty compilation
 cache, and with what that has left. Every policy is kept with the time at which it was written,
-counted from the start of the process. Afterwards they are judged in turn, as `eval.py` does it
+counted from the start of the process. Afterwards they are evaluated in turn, as `eval.py` does it
 (MJX, mean action, episodes of up to 20 s), until one walks. So the times are resolved no finer than
 the checkpoints are apart, and hold what these cost. To see that it works:
 
@@ -87,7 +87,7 @@ def train(
 
 
 def first_that_walks(policies: list[Written]) -> Walks | None:
-    """Judge policies in turn."""
+    """Evaluate policies in turn."""
     from quadwalk.api import evaluate
 
     for kept, seconds in policies:

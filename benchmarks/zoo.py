@@ -4,14 +4,14 @@
     python benchmarks/zoo.py --train [--steps 8000000] [--only a1 go2] [--markdown FILE]
         [--picture PNG] [--cores 2] [--cluster auto]
 
-The first converts every URDF of PyPI's example-robot-data, or of DIR, without its meshes, and
+The first converts every URDF of PyPI's example-robot-data, or of DIR, without its meshes. It
 compares masses, frames, mass matrix, bias forces and inverse dynamics with Pinocchio's, in 20
 random states, through MJCF's six digits. A file that is refused is tried with --repair-inertia.
 
-The second takes the quadrupeds among them, lets each stand for 10 s in MuJoCo C on PD control of
-its home pose, trains it with the default task and no other flag, as many at a time as have cores
-here or on a Ray cluster, and judges the policy in MuJoCo C with every collision shape. What --runs
-has from before is not trained again. To see that it works: --steps 100000 --only a1.
+The second takes the quadrupeds among them and lets each stand for 10 s in MuJoCo C on PD control of
+its home pose. It trains each with the default task and no other flag, as many at a time as have
+cores here or on a Ray cluster. The policy is evaluated in MuJoCo C with every collision shape. What
+--runs has from before is not trained again. To see that it works: --steps 100000 --only a1.
 
 Both need the packages of the extra `zoo`. Tables go to standard output, or to FILE as Markdown.
 """
@@ -212,7 +212,7 @@ def row(quadruped: Quadruped, name: str, found: Outcome) -> str:
 
 
 def trainings(files: list[Path], steps: int, runs: Path, where: PlaceConfig) -> str:
-    """The table of every quadruped, trained and judged."""
+    """The table of every quadruped, trained and evaluated."""
     quadrupeds = {name_of(file): load_quadruped(file) for file in files}
     jobs = []
     for file in files:
@@ -248,7 +248,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     add = parser.add_argument
     add("--folder", type=Path, help="of URDFs (default: example-robot-data's)")
-    add("--train", action="store_true", help="train and judge the quadrupeds")
+    add("--train", action="store_true", help="train and evaluate the quadrupeds")
     add("--steps", type=int, default=STEPS, help="control steps of each training")
     add("--only", nargs="+", default=[], metavar="NAME", help="robots whose path has a NAME in it")
     add("--runs", type=Path, help="folder of the runs (default: a temporary one)")

@@ -59,7 +59,7 @@ def train(
     Args:
         task: as for `make`; "run" unless another is given.
         robot: as for `make`.
-        resume: a run, its name or path, or "latest", to go on with, in place of a task.
+        resume: a run, its name or path, or "latest", to resume, in place of a task.
         init: a run, its name or path, to begin with the networks of.
         runs: the folder of all runs, "runs" unless another is given.
         overrides: settings by the names of their flags, {"env.reward.energy": -0.5}.

@@ -67,7 +67,7 @@ def reference(function: Callable[..., Any]) -> str:
         return f"{module}:{name}"
     raise UsageError(
         f"the function {name} of a term is defined in {module}; expected it in quadwalk or, by a "
-        "name of its own, in a task's file, so that the run can be judged and gone on with"
+        "name of its own, in a task's file, so that the run can be evaluated and resumed"
     )
 
 

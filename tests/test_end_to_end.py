@@ -134,7 +134,7 @@ def test_a_stopped_training_goes_on_to_its_end(stopped, runs):
     before = (resumed / "metrics.jsonl").read_bytes()
     assert before.count(b"\n") < ITERATIONS
     output = stopped[1].replace(str(stopped[0]), str(resumed))
-    done = paste("go on with", output, "--devices=2")
+    done = paste("resume with", output, "--devices=2")
     assert done.returncode == 0, done.stderr
     after = (resumed / "metrics.jsonl").read_bytes()
     assert after.startswith(before)

@@ -61,7 +61,7 @@ class RayPainter:
     def _cast(
         self, data: mujoco.MjData, origin: np.ndarray, ray: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Geom (n,), -1 for none, its distance (n,) m, and its normal (n, 3) towards `origin`."""
+        """Geom (n,), -1 for none, its distance (n,) m, and its normal (n, 3) toward `origin`."""
         n = len(ray)
         geom, distance, normal = np.empty(n, np.int32), np.empty(n), np.empty((n, 3))
         mujoco.mj_multiRay(

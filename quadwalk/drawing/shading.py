@@ -11,7 +11,7 @@ import numpy as np
 from PIL import Image
 
 _RGB = mujoco.mjtTextureRole.mjTEXROLE_RGB
-# On OpenGL's faces of a cube, towards +x, -x, +y, -y, +z, -z: the axis and the sense in which their
+# On OpenGL's faces of a cube, toward +x, -x, +y, -y, +z, -z: the axis and the sense in which their
 # columns run, and their rows.
 _ACROSS = np.array([(2, -1), (2, 1), (0, 1), (0, 1), (0, 1), (0, -1)])
 _DOWN = np.array([(1, -1), (1, -1), (2, 1), (2, -1), (1, -1), (1, -1)])
@@ -26,7 +26,7 @@ class Hits:
         ray: (n, 3) unit vectors from the eye.
         geom: (n,) ids; -1 for the sky.
         distance: (n,) m from the eye.
-        normal: (n, 3) unit vectors, out of the surfaces towards the eye.
+        normal: (n, 3) unit vectors, out of the surfaces toward the eye.
     """
 
     eye: np.ndarray
@@ -188,8 +188,8 @@ class Shader:
     ) -> None:
         """Let an endless floor fade into the horizon, in place.
 
-        A cone about the eye, from the floor far away up to the height of the eye, has the haze's
-        color, more and more of it up to a height and then less; the sky is behind that.
+        A cone about the eye has the haze's color, from the floor far away to the height of the eye.
+        The color grows up to a height and then fades; the sky is behind that.
         """
         model = self._model
         endless = (model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE) & ~model.geom_size[:, :2].any(1)

@@ -1,4 +1,4 @@
-"""Runs judged into folders: each evaluated or swept, and several compared."""
+"""Runs evaluated into folders: each evaluated or swept, and several compared."""
 
 import contextlib
 import shutil

@@ -21,7 +21,7 @@ _LIVE = {"run", "policy", "view", "browser", "host", "port", "runs"}
 class EvalConfig(Settings):
     """Roll a trained policy out, measure it, and write its episodes as MCAP files.
 
-    Several runs are judged from the same starts and compared.
+    Several runs are evaluated from the same starts and compared.
     """
 
     # names or paths of runs, or "latest"; walk and run come trained
@@ -79,7 +79,7 @@ class EvalConfig(Settings):
 
     @property
     def live(self) -> bool:
-        """Whether it is to be driven, not judged."""
+        """Whether it is to be driven, not evaluated."""
         return self.view or self.browser
 
     def _check_used(self, when: str, used: Set[str]) -> None:

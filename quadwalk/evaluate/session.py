@@ -1,4 +1,4 @@
-"""The evaluation command: finds its runs, makes folders for their results, and has them judged."""
+"""The evaluation command: find its runs, make folders for their results, and evaluate them."""
 
 import contextlib
 import datetime

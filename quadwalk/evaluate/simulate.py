@@ -1,4 +1,4 @@
-"""Episodes of a policy, stepped as training steps them, in any engine: one judges the other.
+"""Episodes of a policy, stepped as training steps them, in any engine: one checks the other.
 
 An environment differs from that of training in its engine alone. MJX and the engine trained in
 step the training model: spheres against the floor only, a fast solver. MuJoCo C steps the full

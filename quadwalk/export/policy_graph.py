@@ -40,7 +40,7 @@ ACTIVATIONS = {
 
 @dataclass(frozen=True)
 class Weights:
-    """What a policy learnt: its normalizer and its layers."""
+    """What a policy learned: its normalizer and its layers."""
 
     mean: np.ndarray  # (n,)
     std: np.ndarray  # (n,) of what varied, else 1

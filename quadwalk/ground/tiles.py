@@ -31,8 +31,9 @@ class Sizes:
     middle: float  # half the side of the level square that a robot starts on
 
 
-# Of a robot with legs of 1 m: an AlienGo's, .5 m, meet stairs of 15 cm with treads of 30 cm, blocks
-# of 15 cm and roughness of +-8 cm, which are what its users train it for (DLSLab, Isaac Lab).
+# Of a robot with legs of 1 m. An AlienGo's, 0.5 m, meet stairs of 15 cm with treads of 30 cm,
+# blocks of 15 cm and roughness of +-8 cm, which are what its users train it for (DLSLab, Isaac
+# Lab).
 OF_LEG = Sizes(
     slope=float(np.radians(25.0)),
     roughness=0.16,

@@ -30,7 +30,7 @@ Stats = dict[str, tuple[int, int]]  # of these: size in bytes, time of writing i
 
 
 class Keeper:
-    """Holds the newest files of each run, for who begins it again; an actor."""
+    """Holds the newest files of each run, for the next attempt; an actor."""
 
     def __init__(self) -> None:
         self._files: dict[str, Files] = {}
@@ -64,7 +64,7 @@ class Keeper:
         return name in self._stopped
 
     def news(self) -> list[tuple[Event, Files, list[str]]]:
-        """What was told since the last call."""
+        """What was reported since the last call."""
         news, self._news = self._news, []
         return news
 
@@ -112,7 +112,7 @@ class Cluster:
         self._ray.shutdown()  # which ends what is left of the jobs
 
     def start(self, job: Job) -> None:
-        """Begin or go on with a job, whose run is there."""
+        """Begin or resume a job, whose run is there."""
         ray, work = self._ray, job.work
         ray.get(self._keeper.hand.remote(job.name, _read(work.run.path, {})))
         task = ray.remote(
@@ -230,7 +230,7 @@ def _work(keeper: Any, work: Work, cores: int, expected: dict[str, str]) -> Even
 
 
 def _watch(run: Run, tell: Callable[[Row | None, bool], bool]) -> Callable[[Row], None]:
-    """What a training calls with each row: it is told, with the files after each checkpoint."""
+    """What a training calls with each row: it is reported, with the files after each checkpoint."""
     seen = set(list_checkpoints(run))
 
     def watch(row: Row) -> None:

@@ -69,7 +69,7 @@ class Place(Protocol):
     def __exit__(self, *_: object) -> None: ...
 
     def start(self, job: Job) -> None:
-        """Begin or go on with a job, whose run is there."""
+        """Begin or resume a job, whose run is there."""
 
     def stop(self, name: str) -> None:
         """Have a job end early; its training saves what it has."""
@@ -128,7 +128,7 @@ def finish(run: Run, steps: int, watch: Callable[[Row], object] | None = None) -
 
 
 def compute(work: Work, cores: int, watch: Callable[[Row], object]) -> Event:
-    """Train and judge, on so many cores of this process's machine or, if 0, its accelerators.
+    """Train and evaluate, on so many cores of this process's machine or, if 0, its accelerators.
 
     How the job ended. `watch` is called with the metrics of each iteration.
     """

@@ -51,7 +51,7 @@ class Processes:
         self._running.clear()
 
     def start(self, job: Job) -> None:
-        """Begin or go on with a job, whose run is there."""
+        """Begin or resume a job, whose run is there."""
         self._begin(_Running(job, multiprocessing.current_process()))
 
     def stop(self, name: str) -> None:

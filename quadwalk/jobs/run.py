@@ -32,12 +32,12 @@ def run_jobs(
     count: int,
     watch: Callable[[Job, Row], bool] | None = None,
 ) -> Iterator[Outcome]:
-    """Train and judge `count` jobs; of each how it ended, as soon as it did.
+    """Train and evaluate `count` jobs; of each how it ended, as soon as it did.
 
     A sequence of jobs is checked before anything is trained. Others are asked for only when there
-    is a slot. A run that is there is gone on with, or only judged. `watch` is called with each row
-    of metrics, and stops the job by True. On Ctrl-C all save what they have, to be gone on with by
-    the same call, and `KeyboardInterrupt` is raised.
+    is a slot. A run that is there is resumed, or only evaluated. `watch` is called with each row of
+    metrics, and stops the job by True. On Ctrl-C all save what they have, to be resumed by the
+    same call, and `KeyboardInterrupt` is raised.
     """
     known: dict[str, Job] = {}
     most: float = place.slots

@@ -1,4 +1,4 @@
-"""MJX: MuJoCo's own physics in JAX, of any model; slower, to judge and to check by.
+"""MJX: MuJoCo's own physics in JAX, of any model; slower, to evaluate and to check by.
 
 The state carried is what physics needs and no more. An `mjx.Data` holds some hundred arrays, most
 of them results: XLA drops every one that nothing reads, and a reset is a copy of three arrays.

@@ -1,4 +1,4 @@
-"""MuJoCo C, on all cores: an independent judge of what was learnt in JAX.
+"""MuJoCo C, on all cores: independent of what learned in JAX.
 
 It steps the model that it is given, usually the full one, in which every shape collides and the
 solver converges. A jitted and vmapped control step hands a whole batch of robots to the host.

@@ -87,7 +87,7 @@ def robot_mirror(quadruped: Quadruped, model: mujoco.MjModel) -> RobotMirror | s
         return "the robot is not its own mirror image: joints or feet of its sides do not pair"
 
     names = quadruped.joints
-    # By what: of whom, how different (n,) or (n, ...), how much may be.
+    # By what: of what, how different (n,) or (n, ...), how much may be.
     differences: dict[str, tuple[tuple[str, ...], np.ndarray, float]] = {}
 
     def compare(what: str, own: tuple[str, ...], off: np.ndarray, most: float) -> None:

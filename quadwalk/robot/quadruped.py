@@ -18,7 +18,7 @@ from quadwalk.robot.structure.tree import joint_range
 from quadwalk.robot.urdf import Urdf, read_urdf
 
 # A motor's rotor, through its gear, by the robot's mass times its standing height squared: the
-# AlienGo's are .005 on average, and .008 is what MuJoCo Menagerie gives the Go1 and the A1.
+# AlienGo's are 0.005 on average, and 0.008 is what MuJoCo Menagerie gives the Go1 and the A1.
 ROTOR = 0.006
 
 
@@ -108,7 +108,7 @@ class Quadruped:
     def full_model(
         self, timestep: float = 0.002, frictionloss: bool = False, visuals: bool = True
     ) -> mujoco.MjModel:
-        """The model to judge in: every collision shape, a solver that has converged.
+        """The model to evaluate in: every collision shape, a solver that has converged.
 
         Args:
             timestep: s.
@@ -203,7 +203,7 @@ def add_rotors(
 ) -> None:
     """Give the `joints` in `spec` rotors as a robot's motors have, where none were `given`.
 
-    URDF has no word for them, so most files have none, and legs without them are lighter than any
+    URDF cannot state them, so most files have none, and legs without them are lighter than any
     motor could turn: it whips them about.
     """
     mass, height = sum(body.mass for body in spec.bodies), spec.key(HOME).qpos[2]

@@ -9,7 +9,7 @@ from quadwalk.robot.structure.legs import LEGS
 
 HOME = "home"  # the keyframe: joints in the standing pose, the lowest point just on the ground
 
-# Rubber feet on asphalt or carpet slide at .6 to 1.0 of the load; MuJoCo takes the larger of two
+# Rubber feet on asphalt or carpet slide at 0.6 to 1.0 of the load; MuJoCo takes the larger of two
 # shapes' friction, so that floor and robot both state it.
 FRICTION = 0.8
 
@@ -187,8 +187,8 @@ def simplify(spec: mujoco.MjSpec, feet: tuple[str, ...]) -> None:
 def _shorten(geom: mujoco.MjsGeom, foot: np.ndarray, radius: float) -> None:
     """Let a box, or a cylinder along the calf, end at the `foot`: (3,) m, body frame.
 
-    It ends at the foot's center or, if it is thick, so far above it that its edge is half the
-    foot's radius above the floor while the calf leans by `LEAN`: nearer, a step would be a fall.
+    It ends at the foot's center, or above it if it is thick. Its edge is then half the foot's
+    radius above the floor while the calf leans by `LEAN`: nearer, a step would be a fall.
     """
     entries = np.zeros(9)
     mujoco.mju_quat2Mat(entries, geom.quat)

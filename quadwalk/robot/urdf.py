@@ -145,7 +145,7 @@ def _parse_xml(data: bytes, source: str, report: Report) -> tuple[etree._Element
         remove_blank_text=True,
     )
     if _VERSION_0.match(data):
-        # PyBullet's own exports say so, and there is no XML but 1.0 that they could be.
+        # PyBullet's own exports say so, and there is no XML other than 1.0 that they could be.
         data = _VERSION_0.sub(rb"\g<1>1.0", data)
         report.add("assumed", "XML 1.0, for the file says 0.0")
     try:

@@ -167,7 +167,7 @@ class QuadrupedEnv(Env):
             command=self._next_command(before, steps, conditions),
             conditions=conditions,
         )
-        # Judge and sense.
+        # Reward, termination and senses.
         following = self.finish_step(before, after, effort, sane)
         # What wrappers keep there, as Brax's do, stays.
         return following.replace(
@@ -260,7 +260,7 @@ class QuadrupedEnv(Env):
         return next_command(config.command, before.command, steps, config.control_dt, grip)
 
     def _step(self, before: EnvState, after: EnvState, effort: Effort, sane: jax.Array) -> Step:
-        """The control step as rewards and terminations see it, before it is known who fell."""
+        """The control step as rewards and terminations see it, before it is known which fell."""
         dt, qpos = self.config.control_dt, after.qpos
         start = jnp.where(sane, before.qpos, qpos)
         soles, lowest = fast.lowest_points(self.geometry, qpos)

@@ -73,7 +73,7 @@ TASK = TrainConfig(
                 "blocks",
                 "ditches",
             ),
-            levels=6,  # few and far apart: 52 million steps are but 26 full episodes of each robot
+            levels=6,  # few and far apart: 52 million steps are only 26 full episodes of each robot
             curriculum=True,
             confined=True,  # so that levels follow soon, and each robot meets its own
         ),

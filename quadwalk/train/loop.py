@@ -1,4 +1,4 @@
-"""A training from start to end: set up, iterate, keep what is learnt, show how it goes."""
+"""A training from start to end: set up, iterate, keep what is learned, show how it goes."""
 
 import contextlib
 import io
@@ -29,11 +29,11 @@ def train(
 ) -> Run | None:
     """Train as `config` says; return the run, whose directory holds everything.
 
-    With `previous`, a run, it goes on with that one, whose settings `resumed_config` gives.
+    With `previous`, a run, it resumes that one, whose settings `resumed_config` gives.
     `watch` is called with each iteration's row of metrics, to show it in another way.
 
     Once it iterates, Ctrl-C, SIGTERM, SIGHUP or the time limit end training after the iteration at
-    hand, with everything saved, to be gone on with. A disk that is full does not end it; only if
+    hand, with everything saved, to be resumed. A disk that is full does not end it; only if
     the state at the end could not be saved is that a `UserError`. So are weights that are no longer
     finite: nothing is saved then, and what was saved before stays. Of several processes, all but
     the first return None.
@@ -78,7 +78,7 @@ def _iterate(
     config, state = training.config, training.state
     steps, seconds = training.steps, training.seconds
     tried = steps  # when it was last tried to save
-    shown = steps  # when the policy was last saved for one who watches
+    shown = steps  # when the policy was last saved for the page
 
     def save() -> bool:
         progress.phase("saving")
@@ -124,7 +124,7 @@ def _tell(
     if steps < config.steps:
         saved = "; the policy is saved" if well else ""
         progress.end(f"stopped after {steps:,} of {config.steps:,} steps{saved}")
-        progress.end(f"go on with      {_typed('train', run, '--resume')}")
+        progress.end(f"resume with     {_typed('train', run, '--resume')}")
     progress.end(f"policy          {run.policy}")
     if writer.best is not None:
         which = "the same" if writer.best[0] == steps else f"after {writer.best[0]:,} steps"

@@ -181,7 +181,7 @@ def _open_run(
     progress: Progress,
     stack: ExitStack,
 ) -> Run:
-    """The run to train, made or gone on with, and claimed until `stack` is closed."""
+    """The run to train, made or resumed, and claimed until `stack` is closed."""
     if previous is None:
         run = new_run(config, quadruped)
         stack.enter_context(claim(run))
@@ -203,7 +203,7 @@ def _open_run(
 def new_run(config: TrainConfig, quadruped: Quadruped) -> Run:
     """The folder of a run with all that its training begins with; `quadruped` is its robot.
 
-    The run keeps its own copies: what it learnt stays true to it when the originals change.
+    The run keeps its own copies: what it learned stays true to it when the originals change.
     """
     files = {"robot.urdf": quadruped.urdf.encode(), "config.json": as_json(_settings(config))}
     source, heights = task_source(config), config.env.ground.file

@@ -191,7 +191,7 @@ class Search:
             self._study.tell(trial, state=state.PRUNED)
         elif outcome.error is not None:
             self._study.tell(trial, state=state.FAIL)
-        elif not outcome.stopped:  # otherwise the next call goes on with it
+        elif not outcome.stopped:  # otherwise the next call resumes it
             self._study.tell(trial, outcome.value)
 
     def table(self) -> str:

@@ -1,4 +1,4 @@
-"""`quadwalk compare`: train variants of the settings over several seeds, and judge them."""
+"""`quadwalk compare`: train variants of the settings over several seeds, and evaluate them."""
 
 import sys
 from collections.abc import Sequence

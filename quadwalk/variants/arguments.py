@@ -11,7 +11,7 @@ from quadwalk.jobs.place import PlaceConfig
 
 @dataclass(frozen=True)
 class CompareConfig(PlaceConfig):
-    """Train variants of a task's settings over several seeds, and judge each in both engines.
+    """Train variants of a task's settings over several seeds, and evaluate each in both engines.
 
     quadwalk compare "" "--env.reward.energy -0.1" "walk" [OPTIONS]
 

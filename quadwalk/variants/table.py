@@ -49,7 +49,7 @@ COLUMNS = {
 
 
 def compare_variants(variants: Sequence[str], config: CompareConfig) -> None:
-    """Train and judge what has not been, print rows, and write them with their picture."""
+    """Train and evaluate what has not been, print rows, and write them with their picture."""
     runs = [real_path(config.runs)]
     keys = list(itertools.product(variants, range(config.seeds), [config.steps], runs))
     judge = partial(judged, episodes=config.episodes)

@@ -6,8 +6,8 @@ The tasks `blog`, the post's, and `sprint`, ours, differ in the `CAUSES` below. 
 exchanged by itself: in the post's task for what ours has, and in ours for what the post's has.
 
 Every variant is trained for as many control steps as its task, over several seeds, a core for each
-training, and judged in MuJoCo C, every shape colliding (`gait.py`). Runs are kept in `--runs`: one
-that is there is not trained again. Results go to `--out` as they come, and
+training, and evaluated in MuJoCo C, every shape colliding (`gait.py`). Runs are kept in `--runs`:
+one that is there is not trained again. Results go to `--out` as they come, and
 notebooks/04_gecko.ipynb shows them. All of it takes two hours on two cores; to see that it works:
 
     python -m studies.gecko.study --seeds 1 --steps 1 --only blog --runs /tmp/runs --out /tmp/a.json

@@ -2,10 +2,11 @@
 
     python -m studies.ground.study [--seeds 2] [--episodes 256] [--only seeing] [--runs runs/ground]
 
-Trains `rough`, `rough` blind and `obstacles` from each seed, unless the folder has them, and judges
-each in MuJoCo C, every shape colliding, under conditions drawn as in training, on fields of unseen
-seeds: success, speed and error by kind and difficulty, and pictures' states of single episodes.
-Results go to `--out` as they come, and notebooks/06_ground.ipynb shows them. To see that it works:
+Trains `rough`, `rough` blind and `obstacles` from each seed, unless the folder has them. It
+evaluates each in MuJoCo C, every shape colliding, under conditions drawn as in training, on fields
+of unseen seeds: success, speed and error by kind and difficulty, and pictures' states of single
+episodes. Results go to `--out` as they come, and notebooks/06_ground.ipynb shows them. To see that
+it works:
 
     python -m studies.ground.study --steps 50000 --seeds 1 --episodes 2 --seconds 1 \\
         --runs /tmp/runs --out /tmp/results.json

@@ -16,7 +16,7 @@ from quadwalk.robot.quadruped import Quadruped
 
 LEAST_DISTANCE = 1.0  # m: over less, what is per meter says nothing
 WINDOW = 0.5  # s, a stride or more: over it velocities are averaged, and a path is straight
-SETTLING = 1.0  # s after the start and after each change of the command, not judged
+SETTLING = 1.0  # s after the start and after each change of the command, not evaluated
 
 
 def weight_of(rollout: Rollout, model: mujoco.MjModel) -> float:

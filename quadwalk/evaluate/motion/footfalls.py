@@ -2,7 +2,7 @@
 
 A stride of a foot goes from one touchdown to its next. The phase of another foot is the fraction of
 the reference foot's stride after which it touches down (Hildebrand, "Symmetrical gaits of horses",
-Science 150, 1965), and the gait's name follows from the phases (the same; Hildebrand, "Analysis of
+Science 150, 1965). The gait's name follows from the phases (the same; Hildebrand, "Analysis of
 asymmetrical gaits", J. Mammalogy 58, 1977; Alexander, "The gaits of bipedal and quadrupedal
 animals", Int. J. Robotics Research 3, 1984).
 """

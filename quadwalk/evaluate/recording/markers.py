@@ -22,7 +22,7 @@ GRID_HALF_WIDTH = 8  # m around the robot
 GROUND_MARGIN = 2.0  # m of uneven ground drawn around the path
 GROUND_NODES = 40_000  # of it, at most
 
-_SUN = np.array([-0.55, 0.35, 0.76])  # unit vector towards the light
+_SUN = np.array([-0.55, 0.35, 0.76])  # unit vector toward the light
 _VELOCITY_ARROW = 0.25  # m of arrow for 1 m/s
 _FORCE_ARROW = 0.3  # m of arrow for the robot's weight on one foot
 _HALF = math.sqrt(0.5)

@@ -1,7 +1,7 @@
 """Newton's method for MuJoCo's convex problem: the acceleration under soft constraints.
 
-The trunk and its own leg's joints alone move a contact, so the Hessian has the mass matrix's arrow
-shape and is factored in a tenth of the operations of a dense one.
+Only the trunk and its own leg's joints move a contact, so the Hessian has the mass matrix's arrow
+shape. It is factored in a tenth of the operations of a dense one.
 """
 
 from collections.abc import Sequence

@@ -3,8 +3,8 @@
 A sphere touches ground of triangles where its center touches the ground's offset surface, which
 runs a radius above it: over slopes shifted, around edges round, over notches narrower than the
 sphere closed. It is found once for each radius, on a grid twice as fine as the ground's. A sphere
-then costs three reads of it, and what it meets at an edge of a stair is that edge, not the plane
-of whatever triangle is below its center.
+then costs three reads of it. At the edge of a stair it meets that edge, not the plane of whatever
+triangle is below its center.
 """
 
 import functools

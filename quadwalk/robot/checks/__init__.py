@@ -1,1 +1,1 @@
-"""What a URDF must fulfil before it is converted: its elements, its tree, its bodies."""
+"""What a URDF must fulfill before it is converted: its elements, its tree, its bodies."""

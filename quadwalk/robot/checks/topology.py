@@ -1,4 +1,4 @@
-"""How links and joints hang together: one tree, unique names, and who follows whom."""
+"""How links and joints hang together: one tree, unique names, and what follows what."""
 
 from graphlib import CycleError, TopologicalSorter
 

@@ -220,7 +220,7 @@ class Check:
             raise self.fail(joint, f'is {kind}; expected <limit lower="..." upper="..."/>')
         lower, upper = (float(limit[name]) for name in given) if given else (0.0, 0.0)
         reason = "" if given else "there are none"
-        if given and lower == upper == 0:  # what exporters write that were told none
+        if given and lower == upper == 0:  # what exporters write where none is set
             reason = "both are 0"
         elif lower < -MAX_NUMBER and upper > MAX_NUMBER:
             reason = "they are beyond 1e9"

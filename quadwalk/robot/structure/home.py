@@ -8,14 +8,14 @@ from quadwalk.robot.structure.legs import Leg
 from quadwalk.robot.structure.tree import Tree, joint_range, rotation, unit
 
 # Distance from thigh joint to foot, standing, as a share of the stretched leg: Unitree stands its
-# robots at thigh .8, calf -1.6, and thighs and calves are of equal length.
+# robots at thigh 0.8, calf -1.6, and thighs and calves are of equal length.
 STANDING_LENGTH = np.cos(0.8)
 # How far, m, a thigh joint lies ahead of its hip joint before the leg counts as turned that way.
 TURNED = 0.01
 
 
 def standing_pose(tree: Tree, legs: tuple[Leg, ...], source: str) -> np.ndarray:
-    """(12,) rad: thighs level, each foot below its thigh joint, knees bent backwards.
+    """(12,) rad: thighs level, each foot below its thigh joint, knees bent backward.
 
     The foot is `STANDING_LENGTH` of the stretched leg below the thigh joint, or as near to that
     as the limits allow. Rounded to 1e-4 rad: a choice, not a measurement.
@@ -62,7 +62,7 @@ def _stand(tree: Tree, leg: Leg, source: str) -> np.ndarray:
     reach = STANDING_LENGTH * (l1 + l2)
     bend = np.arccos(np.clip((reach**2 - l1**2 - l2**2) / (2 * l1 * l2), -1, 1))
     poses: list[tuple[float, np.ndarray]] = []
-    # The knee behind the thigh joint first (x ahead): thigh .8, calf -1.6 on Unitree's robots. But
+    # The knee behind the thigh joint first (x ahead): thigh 0.8, calf -1.6 on Unitree's robots. But
     # a hind leg that is turned about, with its thigh joint behind its hip's, has its knee ahead.
     backwards = 1 if side @ np.array([1.0, 0, 0]) < 0 else -1
     offset = to_thigh[0, 3] - tree.frame_of(hip)[0, 3]

@@ -3,7 +3,7 @@
 As in legged_gym (Rudin et al. 2021, arXiv:2109.11978), each environment keeps to one kind of tile.
 It moves to the next level when it gets more than half a tile away from its start. It moves back
 when it covers less than half of the commanded distance. From the top it moves to any level of the
-harder half; in legged_gym to any level at all, but easy ones are learnt soon and not forgotten.
+harder half; in legged_gym to any level at all, but easy ones are learned soon and not forgotten.
 Where episodes are confined to their tiles, reaching the edge counts too.
 """
 
@@ -16,7 +16,7 @@ import jax.numpy as jnp
 from quadwalk.ground.terrain import Terrain
 from quadwalk.settings.environment import EnvConfig
 
-EDGE = 0.3  # m: as close to a tile's edge counts as there, for it is judged just before it ends
+EDGE = 0.3  # m: as close to a tile's edge counts as there, for that is looked at just before
 
 
 class Travel(NamedTuple):
@@ -80,8 +80,8 @@ class Curriculum:
     ) -> jax.Array:
         """The tile () int32 after an episode on `tile` that ends at `qpos` (19,), after `steps`.
 
-        An episode that ends early by a fall has done no more of what it would have been told in the
-        rest of its time. One that was to go less than a quarter of a tile says nothing.
+        An episode that ends early by a fall is compared with the commanded distance of a full one.
+        One whose commanded distance is less than a quarter of a tile says nothing.
         """
         away = jnp.linalg.norm(qpos[:2] - travel.start)
         planned = travel.steps + self.episode_steps - steps

@@ -61,7 +61,7 @@ def next_tiles(
 ) -> jax.Array | None:
     """Where the next episode of each environment is to be, (n,) tiles; None without a curriculum.
 
-    Episodes that end in this iteration are judged at its start. The environments that
+    Episodes that end in this iteration count at its start. The environments that
     evaluate meet all tiles alike.
     """
     if env.curriculum is None:

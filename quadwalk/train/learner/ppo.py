@@ -45,7 +45,7 @@ class RolloutState(NamedTuple):
 
 
 class Rollout(NamedTuple):
-    """What the environments learnt from met in `unroll` control steps; environments last."""
+    """What the environments learned from met in `unroll` control steps; environments last."""
 
     seen: Parts  # each (unroll, m, envs), `Networks.normalized`, before each step
     raw_action: jax.Array  # (unroll, 12, envs), before the squashing
@@ -76,7 +76,7 @@ def collect(
 ) -> tuple[RolloutState, tuple[Rollout, Parts], Metrics]:
     """Step every environment `unroll` times; the last of them, for evaluation, without noise.
 
-    Returns what those learnt from met and what they see (m, envs) at the end, and metrics: means
+    Returns what those learned from met and what they see (m, envs) at the end, and metrics: means
     per step, and counts of episodes; those of the evaluation environments are named "eval/...",
     "nan_step" is a `NanStep`. A finished episode is followed by a fresh one.
     """
@@ -171,7 +171,7 @@ def learn(
     """Epochs of minibatch updates on what `collect` gives, one of `iterations` in all.
 
     A minibatch is of environments side by side. The first call measures the observations and no
-    more: a policy that had learnt on raw ones would change beyond recognition when they are
+    more: a policy that had learned on raw ones would change beyond recognition when they are
     normalized.
     """
     progress = learner.iterations / float(iterations)  # more than int32 holds, if it must be
@@ -250,7 +250,7 @@ def _value_gradient(
     """The value loss's gradient, summed over steps; the loss (unroll,), advantages (unroll, envs).
 
     Generalized advantage estimation (Schulman et al. 2016, arXiv:1506.02438) goes from the last
-    step back, so each step's return is known when its value is learnt. As in Brax, an advantage
+    step back, so each step's return is known when its value is learned. As in Brax, an advantage
     counts the next step's return in full, and `gae_lambda` weighs what is beyond.
     """
 

@@ -26,7 +26,7 @@ def score(speeds: Collection[float], falls: float) -> float:
 class TrainingMetrics:
     """Makes one row of metrics from what each iteration returns.
 
-    train/speed, train/fall_rate, train/reward, train/reward/NAME: of the environments learnt from;
+    train/speed, train/fall_rate, train/reward, train/reward/NAME: of the environments learned from;
     rewards are per step and scaled, so that the terms add up to the reward. train/nan: episodes
     that a state with NaN has ended so far. eval/speed, eval/fall_rate: of the evaluation
     environments, where the policy acts without noise. Speeds in m/s, falls as a share of episodes.

@@ -1,4 +1,4 @@
-"""Numbers as short text, for people who watch a training."""
+"""Numbers as short text, for people that watch a training."""
 
 import itertools
 import math

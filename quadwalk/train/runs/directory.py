@@ -1,4 +1,4 @@
-"""The run directory: where one training keeps what is needed to replay it or go on with it.
+"""The run directory: where one training keeps what is needed to replay it or resume it.
 
 runs/NAME/
   config.json          every setting
@@ -98,7 +98,7 @@ def create_run(
         root.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise UserError(f"cannot make the folder for runs, {root}: {os_reason(error)}") from error
-    # Filled under another name: a run without its configuration could not be gone on with.
+    # Filled under another name: a run without its configuration could not be resumed.
     part = Run(root / f".{os.urandom(8).hex()}.part")
     try:
         part.path.mkdir()

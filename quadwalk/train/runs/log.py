@@ -1,8 +1,8 @@
 """What training writes down at every iteration: metrics, timing, TensorBoard events.
 
-`metrics.jsonl` holds only what follows from the seed and the settings, so that the same seed on
-the same machine gives the same file, bit for bit, and a file comparison shows whether two trainings
-were the same. What the clock says differs each time; it goes to `timing.jsonl`.
+`metrics.jsonl` holds only what follows from the seed and the settings. The same seed on the same
+machine gives the same file, bit for bit, so files show whether two trainings were the same. What
+the clock says differs each time; it goes to `timing.jsonl`.
 """
 
 import contextlib

@@ -1,4 +1,4 @@
-"""Going on with a run: its configuration, and what may change in it."""
+"""Resuming a run: its configuration, and what may change in it."""
 
 import dataclasses
 import json
@@ -37,8 +37,8 @@ def config_of(data: Any, run: Run, where: str, version: str) -> TrainConfig:
     """
     if isinstance(data, dict) and "task" not in data:
         raise UserError(
-            f"{where} is of quadwalk {version} or before: this version reads no run of it; judge "
-            "it with that version, or train it again"
+            f"{where} is of quadwalk {version} or before, which this version cannot read; expected "
+            "a newer run: train it again, or evaluate it with that version"
         )
     config = from_dict(TrainConfig, data, run.path, where)
     robot, ground = config.robot, config.env.ground.file
@@ -49,7 +49,7 @@ def config_of(data: Any, run: Run, where: str, version: str) -> TrainConfig:
 
 
 def resumed_config(run: Run) -> TrainConfig:
-    """The configuration to go on with a run, before any changes."""
+    """The configuration to resume a run, before any changes."""
     return dataclasses.replace(
         read_config(run),
         name=None,

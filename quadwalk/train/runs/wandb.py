@@ -30,7 +30,7 @@ def check_wandb() -> None:
 
 
 class WandbLog:
-    """A run of Weights & Biases with the name of `run`; a resumed training goes on with it."""
+    """A run of Weights & Biases with the name of `run`; a resumed training continues it."""
 
     def __init__(self, run: Run, config: TrainConfig) -> None:
         import wandb
