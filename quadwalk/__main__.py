@@ -15,6 +15,7 @@ _COMMANDS = {
     "export": ("quadwalk.export.__main__", "write a policy as ONNX, to be used elsewhere"),
     "compare": ("quadwalk.variants.__main__", "train variants over seeds, and compare them"),
     "tune": ("quadwalk.tune.__main__", "search the settings that make a policy best"),
+    "identify": ("quadwalk.identify.__main__", "fit a robot's joints to a log of them"),
     "runs": ("quadwalk.train.runs.__main__", "list, show and remove training runs"),
     "tasks": ("quadwalk.tasks.__main__", "list the tasks"),
     "robot": ("quadwalk.robot.__main__", "convert a URDF to MJCF, or draw it"),
@@ -30,7 +31,7 @@ def command() -> None:
     if given in ("-h", "--help"):
         print("usage: quadwalk COMMAND [OPTIONS]; quadwalk COMMAND --help lists the options\n")
         for name, (_, what) in _COMMANDS.items():
-            print(f"  {name:<8} {what}")
+            print(f"  {name:<9}{what}")
         return
     if given == "--version":
         print(f"quadwalk {quadwalk.__version__}")

@@ -19,7 +19,7 @@ LAYERS = (
     ("tasks",),
     ("train",),
     ("evaluate",),
-    ("export", "view"),
+    ("export", "identify", "view"),
     ("api",),
     ("gym", "jobs"),
     ("tune", "variants"),

@@ -142,12 +142,15 @@ def motor_torque(motor: Motor, target: Any, q: Any, qd: Any) -> Any:
     return motor.strength * xp.clip(torque, lower, upper)
 
 
-def friction_torque(motor: Motor, qd: Any) -> Any:
-    """Torque (12,), Nm, by which joint friction opposes joint speeds `qd` (12,), rad/s."""
+def friction_torque(motor: Motor, qd: Any, through: Any = FRICTION_SPEED) -> Any:
+    """Torque (12,), Nm, by which joint friction opposes joint speeds `qd` (12,), rad/s.
+
+    It passes through zero over the speed `through`, rad/s.
+    """
     xp = _namespace(qd)
     if motor.friction is None:
         return xp.zeros_like(qd)
-    return -xp.asarray(motor.friction) * xp.tanh(qd / FRICTION_SPEED)
+    return -xp.asarray(motor.friction) * xp.tanh(qd / through)
 
 
 def control_step(

@@ -23,6 +23,7 @@ from quadwalk.evaluate.recording import mcap as writing
 from quadwalk.evaluate.recording.mcap import LAYOUT, verify_mcap, write_mcap
 from quadwalk.evaluate.recording.messages import drawn_urdf
 from quadwalk.evaluate.rollout import first_steps
+from quadwalk.identify.log import read_log
 
 METADATA = {"version": "1.2.3", "config": '{"seed": 7}'}
 SCENE_ROWS = [*range(0, 100, 3), 100]  # of 100 steps: each third state, and the last
@@ -59,6 +60,25 @@ def read(path: Path) -> dict[str, list]:
 
 
 # What the file says
+
+
+def test_identification_reads_targets_and_angles_of_a_robot_on_a_stand(
+    simulate, trot, written, quadruped, tmp_path
+):
+    with pytest.raises(UserError, match=r"the trunk moves by .* m; expected a robot on a stand"):
+        read_log(written, quadruped.joints)
+    long = simulate(260)
+    held = long.qpos.copy()
+    held[:, :7] = quadruped.home[:7]
+    standing = dataclasses.replace(long, qpos=held, foot_force=np.zeros((260, 4)))
+    write_mcap(tmp_path / "stand.mcap", standing, quadruped, METADATA)
+    log = read_log(tmp_path / "stand.mcap", quadruped.joints)
+    np.testing.assert_allclose(log.time, long.time, atol=1e-9)
+    np.testing.assert_allclose(log.target_time, long.time[:-1], atol=1e-9)
+    np.testing.assert_allclose(log.position, long.qpos[:, 7:], **CLOSE)
+    np.testing.assert_allclose(log.target, long.target, **CLOSE)
+    with pytest.raises(UserError, match="/joint_states has no left_hip; expected"):
+        read_log(tmp_path / "stand.mcap", ("left_hip",) * 12)
 
 
 def test_every_channel_and_its_times(messages, trot):

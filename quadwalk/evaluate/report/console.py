@@ -34,7 +34,7 @@ def print_summary(summary: dict[str, Any], title: str) -> None:
         figure = summary[name]
         texts = [_text(figure and figure[key]) for key in ("mean", "ci95", "median", "worst")]
         rows.append((heading, *texts, unit))
-    _print_table(title, ("", "mean", "± 95 %", "median", "worst", "unit"), rows)
+    print_table(title, ("", "mean", "± 95 %", "median", "worst", "unit"), rows)
 
 
 def print_engines(mjx: dict[str, Any], mujoco: dict[str, Any]) -> None:
@@ -49,7 +49,7 @@ def print_engines(mjx: dict[str, Any], mujoco: dict[str, Any]) -> None:
             percent = _text(differences[name]["percent"], "+.1f", " %")
             rows.append((heading, *texts, change, percent, unit))
     headings = ("", "MJX", "MuJoCo C", "difference", "of MJX's", "unit")
-    _print_table("MuJoCo C against MJX, the same starts", headings, rows)
+    print_table("MuJoCo C against MJX, the same starts", headings, rows)
 
 
 def print_comparison(labels: Sequence[str], results: Sequence[dict[str, Any]]) -> None:
@@ -67,7 +67,7 @@ def print_comparison(labels: Sequence[str], results: Sequence[dict[str, Any]]) -
         f"{summaries[0]['episodes']} episodes each from the same starts, engine "
         f"{engines_of(results)}, mean ± 95 %"
     )
-    _print_table(title, ("", *labels, "unit"), rows)
+    print_table(title, ("", *labels, "unit"), rows)
 
 
 def print_sweep(results: dict[str, Any]) -> None:
@@ -86,7 +86,7 @@ def print_sweep(results: dict[str, Any]) -> None:
         rows.append(None)
     title = f"{results['run']}: {results['episodes']} episodes at each point, mean ± 95 %, "
     headings = ("", "value", "success, %", *shown.values())
-    _print_table(f"{title}* the model's", headings, rows)
+    print_table(f"{title}* the model's", headings, rows)
 
 
 def print_by_ground(results: dict[str, Any]) -> None:
@@ -109,7 +109,7 @@ def print_by_ground(results: dict[str, Any]) -> None:
         "success: no fall before the tile's edge or the time limit, arrival: reached the edge"
     )
     headings = ("", *(f"difficulty {x:.2g}" for x in results["difficulties"]), "unit")
-    _print_table(title, headings, rows)
+    print_table(title, headings, rows)
 
 
 def print_standing(results: dict[str, Any]) -> None:
@@ -120,7 +120,7 @@ def print_standing(results: dict[str, Any]) -> None:
         after = [100 * share for name, share in found.items() if name.startswith("standing_")]
         rows.append((found["name"], *(f"{x:.1f}" for x in after), f"{low:.1f} to {high:.1f}"))
     title = f"standing in MuJoCo C, of {results['episodes']} random poses"
-    _print_table(title, ("", "after 2 s, %", "after 3 s, %", "after 6 s, %", "95 % at 3 s"), rows)
+    print_table(title, ("", "after 2 s, %", "after 3 s, %", "after 6 s, %", "95 % at 3 s"), rows)
 
 
 def print_steering(results: dict[str, Any]) -> None:
@@ -136,7 +136,7 @@ def print_steering(results: dict[str, Any]) -> None:
         success = f"{100 * cell['success']:.0f}"
         rows.append((f"{forward:g} m/s, {turn:g} rad/s", success, *off))
     title = f"the six of {len(cells)} commands followed worst, {results['episodes']} episodes each"
-    _print_table(title, ("command", "success, %", "m/s off", "rad/s off"), rows)
+    print_table(title, ("command", "success, %", "m/s off", "rad/s off"), rows)
     rows = []
     for each in results["responses"]:
         which = COMMANDED.index(each["part"])
@@ -144,7 +144,7 @@ def print_steering(results: dict[str, Any]) -> None:
         unit = "rad/s" if each["part"] == "yaw_rate" else "m/s"
         shares = (f"{100 * (each[name] or 0.0):.0f}" for name in ("overshoot", "falls"))
         rows.append((f"{change} {unit}", _text(each["time"], ".2f"), *shares))
-    _print_table("changes of the command", ("", "s", "overshoot, %", "falls, %"), rows)
+    print_table("changes of the command", ("", "s", "overshoot, %", "falls, %"), rows)
     long = results["changing"]
     low, high = (100 * end for end in long["success_ci95"])
     print(
@@ -228,7 +228,7 @@ def _text(value: float | None, form: str = ".3f", unit: str = "") -> str:
     return _NONE if value is None or math.isnan(value) else f"{value:{form}}{unit}"
 
 
-def _print_table(title: str, headings: Sequence[str], rows: Iterable[Sequence[str] | None]) -> None:
+def print_table(title: str, headings: Sequence[str], rows: Iterable[Sequence[str] | None]) -> None:
     """A table on standard output, its names and units to the left; None draws a line."""
     table = Table(title=title, title_justify="left")
     for heading in headings:

@@ -1,0 +1,116 @@
+"""How near `quadwalk identify` comes to joints that are known, from logs made in MuJoCo C.
+
+    python benchmarks/identification.py [--seconds 30] [--cases plain stiff]
+
+Prints the error of what is found, in percent, for each case: the plain one, and those in which the
+recording or the robot is not as the fit supposes.
+"""
+
+import argparse
+from dataclasses import dataclass
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from quadwalk.identify.excite import excitation
+from quadwalk.identify.found import OF_URDF, labels_of
+from quadwalk.identify.log import Log
+from quadwalk.identify.options import IdentifyConfig
+from quadwalk.identify.session import fit_log
+from quadwalk.robot.quadruped import Quadruped, load_quadruped
+from quadwalk.train.devices import set_up_devices
+
+DT, EVERY = 1e-4, 50  # s, a physics step; those between two rows of the log
+PARTS = tuple[float, float, float]  # of hip, thigh and calf
+
+
+@dataclass(frozen=True)
+class Known:
+    """An AlienGo on a stand, and how it is recorded."""
+
+    armature: PARTS = (0.007, 0.0137, 0.0148)  # kg m^2
+    friction: PARTS = (0.46, 0.32, 0.42)  # Nm
+    damping: PARTS = (0.286, 0.256, 0.3)  # Nm s/rad
+    friction_speed: float = 0.1  # rad/s
+    delay: float = 0.0083  # s
+    kp: float = 25.0  # Nm/rad
+    kd: float = 0.5  # Nm s/rad
+    noise: float = 5e-4  # rad
+    legs: float = 1.0  # factor of the legs' masses
+    tilt: float = 0.0  # rad, of the trunk, nose down
+
+
+CASES = {
+    "plain": Known(),
+    "sharp friction": Known(friction_speed=0.01),
+    "stiff": Known(kp=120.0, kd=3.0),
+    "noise x4": Known(noise=2e-3),
+    "legs +5 %": Known(legs=1.05),
+    "tilt 0.05 rad": Known(tilt=0.05),
+}
+
+
+def hang(quadruped: Quadruped, known: Known, seconds: float) -> Log:
+    """What is recorded while `excitation` is played."""
+    spec = quadruped.spec.copy()
+    spec.delete(spec.joints[0])
+    spec.delete(spec.keys[0])
+    spec.option.timestep = DT
+    spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
+    spec.option.gravity = [9.81 * np.sin(known.tilt), 0.0, -9.81 * np.cos(known.tilt)]
+    for index, name in enumerate(quadruped.joints):
+        joint = spec.joint(name)
+        joint.armature, joint.frictionloss = known.armature[index % 3], 0.0
+        joint.damping[0] = known.damping[index % 3]
+    model = spec.compile()
+    legs = model.jnt_bodyid
+    model.body_mass[legs] *= known.legs
+    model.body_inertia[legs] *= known.legs
+    data = mujoco.MjData(model)
+    mujoco.mj_setConst(model, data)
+    places = [model.joint(name).qposadr[0] for name in quadruped.joints]
+    times, targets = excitation(quadruped)
+    data.qpos[places] = targets[0]
+    friction, angles = np.tile(known.friction, 4), []
+    for step in range(round(seconds / DT)):
+        q, qd = data.qpos[places], data.qvel[places]
+        if step % EVERY == 0:
+            angles.append(q)
+        target = targets[max(int((data.time - known.delay) / times[1] + 1e-6), 0)]
+        torque = known.kp * (target - q) - known.kd * qd
+        data.qfrc_applied[places] = torque - friction * np.tanh(qd / known.friction_speed)
+        mujoco.mj_step(model, data)
+    measured = np.array(angles)
+    measured += known.noise * np.random.default_rng(1).standard_normal(measured.shape)
+    rows = slice(len(measured))
+    return Log(times[rows], measured, times[rows], targets[rows])
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--seconds", type=float, default=30.0)
+    parser.add_argument("--cases", nargs="+", default=list(CASES), choices=list(CASES))
+    options = parser.parse_args()
+    set_up_devices()
+    quadruped = load_quadruped()
+    for case in options.cases:
+        known = CASES[case]
+        config = IdentifyConfig(Path("made in MuJoCo C"), kp=known.kp, kd=known.kd)
+        log = hang(quadruped, known, options.seconds)
+        fit = fit_log(log, quadruped, config)
+        left = np.sqrt(np.mean((fit.after - log.position)[fit.held_out] ** 2))
+        print(f"{case}: {1e3 * left:.2f} mrad left of the part that is held out")
+        for value in fit.values:
+            true = np.ravel(getattr(known, value.name))[
+                value.joints[0] if value.name in OF_URDF else 0
+            ]
+            off, sure = 100 * (value.found / true - 1), 100 * value.interval / true
+            name = f"{value.name}, {labels_of(value, quadruped)}"
+            print(
+                f"  {name:22}{true:10.4g}{value.found:10.4g}{off:+8.1f} % ± {sure:.1f}", flush=True
+            )
+
+
+if __name__ == "__main__":
+    main()

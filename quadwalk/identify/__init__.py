@@ -1,0 +1,1 @@
+"""From a robot's recorded joints to the settings of training."""

@@ -1,0 +1,92 @@
+"""A fit as a picture: angles beside the measured ones, what is left, and what was found."""
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from quadwalk.drawing.figures import INK, LEG_COLORS, new_figure, tidy
+from quadwalk.identify.fit import Fit
+from quadwalk.identify.found import OF_URDF, PARTS
+from quadwalk.identify.log import Log
+from quadwalk.robot.quadruped import Quadruped
+
+WINDOW = 2.0  # s of angles that are shown
+BIN = 0.25  # s, over which what is left is averaged
+_COLORS = {"target": "#9aa3ad", "description": LEG_COLORS[2], "fit": LEG_COLORS[0]}
+
+
+def draw_fit(fit: Fit, log: Log, quadruped: Quadruped, title: str) -> Figure:
+    """Three rows, 15 by 11 inches; a column for hips, thighs and calves each."""
+    figure = new_figure((15, 11), title)
+    left = {"description": fit.before - log.position, "fit": fit.after - log.position}
+    for part, column in enumerate(figure.subplots(3, 3).T):
+        worst = int((left["fit"][:, part::3] ** 2).mean(axis=0).argmax())
+        _angles(column[0], fit, log, 3 * worst + part, quadruped.joints[3 * worst + part])
+        own = {name: 1e3 * angles[:, part::3] for name, angles in left.items()}
+        _rest(column[1], log.time - log.time[0], own, fit)
+        _constants(column[2], fit, part)
+    return figure
+
+
+def _angles(axes: Axes, fit: Fit, log: Log, joint: int, name: str) -> None:
+    """Of the joint of its kind that is fitted worst, where it moves most."""
+    start = max(log.time[:-1], key=lambda t: _way(log, joint, t))
+    shown = (log.time >= start) & (log.time <= start + WINDOW)
+    time = log.time[shown] - log.time[0]
+    held = (log.target_time >= start) & (log.target_time <= start + WINDOW)
+    target_time = log.target_time[held] - log.time[0]
+    color = _COLORS["target"]
+    axes.step(target_time, log.target[held, joint], color, where="post", lw=1.0, label="target")
+    axes.plot(time, log.position[shown, joint], color=INK, lw=2.2, label="measured")
+    for label, angles in (("description", fit.before), ("fit", fit.after)):
+        axes.plot(time, angles[shown, joint], color=_COLORS[label], lw=1.0, label=label)
+    axes.margins(y=0.2)
+    _finish(axes, f"{name}, the worst of its kind", "rad", time)
+
+
+def _way(log: Log, joint: int, start: float) -> float:
+    """How far a joint goes in a window, rad; nothing where the log ends before."""
+    if start + WINDOW > log.time[-1]:
+        return 0.0
+    shown = slice(*np.searchsorted(log.time, (start, start + WINDOW)))
+    return float(np.abs(np.diff(log.target[shown, joint])).sum())
+
+
+def _rest(axes: Axes, time: np.ndarray, left: dict[str, np.ndarray], fit: Fit) -> None:
+    """What description and fit leave of a kind's angles (n, 4), mrad."""
+    bins = (time // BIN).astype(int)
+    for name, angles in left.items():
+        squares = np.bincount(bins, (angles**2).mean(axis=1)) / np.bincount(bins)
+        axes.plot(BIN * (np.arange(len(squares)) + 0.5), np.sqrt(squares), color=_COLORS[name])
+        axes.lines[-1].set_label(name)
+    if fit.held_out.any():
+        axes.axvspan(time[fit.held_out][0], time[-1], color="#9aa3ad", alpha=0.2, lw=0)
+    axes.set_ylim(bottom=0.0)
+    axes.margins(y=0.25)
+    rows = (fit.fitted, fit.held_out)
+    rms = [np.sqrt(np.mean(left["fit"][own] ** 2)) for own in rows if own.any()]
+    sizes = ", held out (gray) ".join(f"{size:.2g}" for size in rms)
+    _finish(axes, f"What is left, rms: {sizes}", "mrad", time)
+
+
+def _constants(axes: Axes, fit: Fit, part: int) -> None:
+    """What was found for a kind of joint, as a share of the description's."""
+    for row, name in enumerate(OF_URDF):
+        own = [v for v in fit.values if v.name == name and part in {j % 3 for j in v.joints}]
+        own = [value for value in own if value.described > 0]
+        for place, value in zip(np.linspace(-0.2, 0.2, len(own) + 2)[1:-1], own, strict=True):
+            color = LEG_COLORS[value.joints[0] // 3] if len(own) > 1 else INK
+            share, interval = (x / value.described for x in (value.found, value.interval))
+            axes.errorbar(share, row + place, xerr=interval, fmt="o", color=color, capsize=3)
+    axes.axvline(1.0, color=_COLORS["description"], linewidth=1.2)
+    axes.set_yticks(range(len(OF_URDF)), OF_URDF)
+    axes.set_ylim(len(OF_URDF) - 0.5, -0.5)
+    axes.set_xlim(left=0.0)
+    tidy(axes, f"{PARTS[part]}: found / described, 95 % intervals")
+
+
+def _finish(axes: Axes, title: str, unit: str, time: np.ndarray) -> None:
+    tidy(axes, title, unit)
+    axes.set_xlim(time[0], time[-1])
+    axes.set_xlabel("time, s", fontsize=9)
+    axes.legend(fontsize=8, frameon=False, ncols=4, loc="upper right")

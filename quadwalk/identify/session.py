@@ -1,0 +1,138 @@
+"""The command's work: read a log, fit the joints, and write and print what was found."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+
+from quadwalk.drawing.figures import save_figure
+from quadwalk.errors import UserError
+from quadwalk.evaluate.report.console import print_table
+from quadwalk.files import atomic_write, os_reason
+from quadwalk.identify.fit import DELAY, Fit, fit_joints
+from quadwalk.identify.found import (
+    UNITS,
+    as_data,
+    found_urdf,
+    is_sure,
+    labels_of,
+    training_flags,
+)
+from quadwalk.identify.log import Log, read_log
+from quadwalk.identify.options import IdentifyConfig
+from quadwalk.identify.plot import draw_fit
+from quadwalk.identify.stand import Joints
+from quadwalk.physics.fast import make_model
+from quadwalk.physics.model import Model
+from quadwalk.physics.motor import FRICTION_SPEED, MotorConfig, make_motor
+from quadwalk.robot.quadruped import Quadruped
+from quadwalk.settings.environment import PHYSICS
+from quadwalk.shell import as_typed
+from quadwalk.train.devices import set_up_devices
+from quadwalk.train.robot import load_robot
+from quadwalk.train.runs.directory import write_json_atomic
+
+
+def identify(config: IdentifyConfig) -> dict[str, Any]:
+    """Identify as `config` says; return what identified.json holds."""
+    assert config.log is not None
+    quadruped = load_robot(config.robot)
+    log = read_log(config.log, quadruped.joints)
+    out = config.out or config.log.with_name(f"{config.log.stem}_identified")
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UserError(f"cannot make the folder {out}: {os_reason(error)}") from error
+    set_up_devices()
+    console = Console(stderr=True, highlight=False, soft_wrap=True, markup=False, emoji=False)
+    console.print(f"{config.log}: {log.time[-1] - log.time[0]:.1f} s")
+    with console.status("fitting"):
+        fit = fit_log(log, quadruped, config)
+    return _write(config, fit, log, quadruped, out, console)
+
+
+def fit_log(log: Log, quadruped: Quadruped, config: IdentifyConfig) -> Fit:
+    """Fit what `config` names, whose own log and files do not matter."""
+    names = [*config.fit, *(["friction_speed"] if "friction" in config.fit else [])]
+    count = 12 if config.per_joint else 3
+    groups = [tuple(range(first, 12, count)) for first in range(count)]
+    return fit_joints(*describe(quadruped, config), log, names, groups, config.hold_out)
+
+
+def describe(quadruped: Quadruped, config: IdentifyConfig) -> tuple[Model, Joints]:
+    """The robot's equations, and its joints by the description: where the search begins."""
+    model = quadruped.training_model(PHYSICS["physics_dt"])
+    motor = make_motor(model, quadruped, MotorConfig(kp=config.kp, kd=config.kd))
+    constants = {
+        "armature": model.dof_armature[6:],
+        "friction": quadruped.friction,
+        "damping": model.dof_damping[6:].reshape(12, -1)[:, 0],
+        "kp": motor.kp,
+        "kd": motor.kd,
+        "delay": DELAY,
+        "friction_speed": FRICTION_SPEED,
+    }
+    whole = {name: np.array(np.broadcast_to(x, 12), float) for name, x in constants.items()}
+    return make_model(model, quadruped, motor), Joints(**whole)
+
+
+def _write(
+    config: IdentifyConfig, fit: Fit, log: Log, quadruped: Quadruped, out: Path, console: Console
+) -> dict[str, Any]:
+    """Print the table and the flags, write all files, and return what identified.json holds."""
+    assert config.log is not None
+    urdf = out / "robot.urdf"
+    meshes = config.robot.mesh_dirs
+    if "<mesh" in quadruped.urdf:
+        meshes = (config.robot.urdf.resolve().parent, *meshes)
+    flags = training_flags(fit, urdf, meshes)
+    rest = {
+        f"{what}_{rows}": _rms((angles - log.position)[getattr(fit, rows)])
+        for what, angles in (("described", fit.before), ("found", fit.after))
+        for rows in ("fitted", "held_out")
+        if getattr(fit, rows).any()
+    }
+    results = {
+        "log": str(config.log),
+        "robot": quadruped.name,
+        "kp": fit.described.kp.tolist(),
+        "kd": fit.described.kd.tolist(),
+        "constants": as_data(fit, quadruped),
+        "rms_rad": rest,
+        "flags": flags,
+    }
+    with atomic_write(urdf) as file:
+        file.write(found_urdf(fit, quadruped).encode())
+    write_json_atomic(out / "identified.json", results)
+    save_figure(
+        draw_fit(fit, log, quadruped, f"{quadruped.name}, {config.log.name}"), out / "fit.png"
+    )
+    _print(fit, quadruped, rest)
+    console.print(f"written to {out}: robot.urdf, identified.json, fit.png; train with:")
+    print(as_typed("train", "walk", *flags))
+    return results
+
+
+def _rms(left: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(left**2)))
+
+
+def _print(fit: Fit, quadruped: Quadruped, rest: dict[str, float]) -> None:
+    kp, kd = fit.described.kp[0], fit.described.kd[0]
+    rows = [
+        (
+            f"{value.name.replace('_', ' ')}, {labels_of(value, quadruped)}",
+            f"{value.described:.4g}",
+            f"{value.found:.4g}",
+            f"{value.interval:.2g}" + ("" if is_sure(value) else " (unsure)"),
+            UNITS[value.name],
+        )
+        for value in fit.values
+    ]
+    title = f"recorded with kp {kp:g} Nm/rad and kd {kd:g} Nm s/rad"
+    print_table(title, ("", "described", "found", "± 95 %", "unit"), rows)
+    sizes = ", ".join(f"{name.replace('_', ' ')} {1e3 * size:.2f}" for name, size in rest.items())
+    print(f"rms of what is left, mrad: {sizes}")
+    if not all(map(is_sure, fit.values)):
+        print("unsure: the log does not show it; the description's value stays")
