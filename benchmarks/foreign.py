@@ -1,6 +1,6 @@
 """A policy in a simulator that it was not trained for: Drake, beside MuJoCo C.
 
-    python benchmarks/foreign.py RUN [--episodes 64] [--seconds 6] [--out FOLDER]
+    python benchmarks/foreign.py RUN [--episodes 64] [--seconds 4] [--out FOLDER]
 
 Exports the run and drives the export in both, from the same starts, by the same commands, noise and
 pushes, under eight conditions (benchmarks/simulators.py). Prints a table of falls, speeds and
@@ -169,14 +169,22 @@ def picture(episodes: dict[str, Episode], loaded: "LoadedRun") -> np.ndarray:
 
 
 def measure(
-    folder: Path, loaded: "LoadedRun", episodes: int, seed: int, contact: Contact
+    folder: Path,
+    loaded: "LoadedRun",
+    names: list[str],
+    episodes: int,
+    seed: int,
+    contact: Contact,
 ) -> tuple[list[dict[str, Any]], dict[str, Episode]]:
-    """Each condition's summaries, for JSON, and an episode of the first in each simulator."""
+    """The summaries of conditions, for JSON, and an episode of the first in each simulator."""
+    from quadwalk.evaluate.statistics import figure_mean
+
     dt, jobs, found = loaded.env.config.control_dt, {}, {}
     samples: dict[str, Episode] = {}
     spawn = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(min(PROCESSES, multiprocessing.cpu_count()), spawn) as pool:
-        for name, condition in CONDITIONS.items():
+        for name in names:
+            condition = CONDITIONS[name]
             starts, commands = begun(loaded, episodes, seed, condition.friction)
             for simulator in SIMULATORS:
                 job = pool.submit(
@@ -186,14 +194,15 @@ def measure(
         for job in as_completed(jobs):
             name, simulator, commands = jobs[job]
             done = job.result()
-            found[name, simulator] = summary(done, commands, dt)
-            print(f"{name}, {simulator}: {found[name, simulator]['falls']:.1%} falls", flush=True)
-            if name == next(iter(CONDITIONS)):
+            found[name, simulator] = own = summary(done, commands, dt)
+            means = [f"{k} {figure_mean(v):.3f}" for k, v in own.items() if "falls" not in k]
+            print(f"{name}, {simulator}: {own['falls']:.1%} falls, {', '.join(means)}", flush=True)
+            if name == names[0]:
                 samples[simulator] = done[0]
     results = [
-        {"condition": name, **dataclasses.asdict(condition)}
+        {"condition": name, **dataclasses.asdict(CONDITIONS[name])}
         | {simulator: found[name, simulator] for simulator in SIMULATORS}
-        for name, condition in CONDITIONS.items()
+        for name in names
     ]
     return results, {simulator: samples[simulator] for simulator in SIMULATORS}
 
@@ -204,8 +213,9 @@ def parse() -> argparse.Namespace:
     add = parser.add_argument
     add("run", help="name or path of a run, or a policy that comes trained")
     add("--episodes", type=int, default=64, help="of each condition in each simulator")
-    add("--seconds", type=float, default=6.0, help="of an episode")
+    add("--seconds", type=float, default=4.0, help="of an episode")
     add("--seed", type=int, default=0)
+    add("--only", nargs="+", choices=CONDITIONS, default=list(CONDITIONS), metavar="CONDITION")
     add("--runs", type=Path, default=Path("runs"), help="folder that holds all runs")
     add("--out", type=Path, help="folder of the results (default: foreign/ in the run's)")
     group = parser.add_argument_group("Drake's contact")
@@ -241,7 +251,8 @@ def main() -> None:
     if loaded.env.config.reset.tumbled:
         raise UserError(f"{run.name} begins on the ground; expected a task that begins on its feet")
     controller_of(out / "export").Controller(out / "export/policy.onnx")  # refuses what it lacks
-    results, samples = measure(out / "export", loaded, options.episodes, options.seed, contact)
+    given = options.only, options.episodes, options.seed, contact
+    results, samples = measure(out / "export", loaded, *given)
     table = rows(results)
     print(as_markdown(table))
     about = provenance(loaded, options.seed) | {"drake": drake, "episodes": options.episodes}

@@ -16,7 +16,7 @@ import mujoco
 import numpy as np
 
 Simulator = Literal["Drake", "MuJoCo C"]
-PUSH_SECONDS = 3.0  # s, one push in each
+PUSH_SECONDS = 2.0  # s, one push in each
 GROUND = "ground"
 TIPPED = np.cos(1.0)  # a trunk that leans by more than 1 rad fell
 LOW = 0.45  # as did one lower than this share of its height at the start

@@ -22,13 +22,18 @@ from quadwalk.train.runs.directory import find_ready, origin_of, results_folder
 
 @dataclass(frozen=True)
 class ExportConfig:
-    """Write a policy as ONNX, with deploy.yaml, MJCF, URDF and a script that runs it in MuJoCo."""
+    """Write a policy as ONNX, with deploy.yaml, MJCF, URDF and scripts that run it in MuJoCo."""
 
     # name or path of a run, or "latest"; walk and run come trained
     run: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="[RUN]")] = "latest"
     # folder for the files; None: export/ in the run's
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
     policy: Literal["last", "best"] = "last"  # the run's last, or that of its best checkpoint
+    # run the export that the folder holds, or which is written first, with its run_policy.py, and
+    # compare each step with the policy and MuJoCo C here: observation, action, target, physics
+    check: bool = False
+    # compare this NPZ by a runtime of your own, as run_policy.py --save writes it, but for physics
+    recording: Path | None = None
     runs: Path = Path("runs")  # folder that holds all runs
 
 
@@ -37,17 +42,24 @@ def main(args: Sequence[str] | None = None, prog: str = "quadwalk export") -> No
     config = parse(ExportConfig, sys.argv[1:] if args is None else args, prog)
     run = find_ready(config.runs, config.run, "run")
     console = Console(stderr=True, highlight=False, soft_wrap=True, markup=False, emoji=False)
-    console.print(f"exporting {origin_of(config.runs, run)}")
+    out = config.out or results_folder(config.runs, run) / "export"
+    checked = config.check or config.recording is not None
     try:
-        from quadwalk.export.bundle import export_run
+        from quadwalk.export.bundle import export_run, load_flat
+        from quadwalk.export.check import check_export
     except ModuleNotFoundError as error:
         if error.name not in ("onnx", "onnxruntime"):
             raise
         raise UserError(
             f"{error.name} is not installed; export needs: {install('export')}"
         ) from None
-    out = config.out or results_folder(config.runs, run) / "export"
-    written = export_run(run, config.policy, out, console)
-    for path in written:
-        print(path)
-    console.print(f"see it run with: {words(python(), out / 'run_policy.py')}")
+    if not checked or not (out / "policy.onnx").exists():
+        console.print(f"exporting {origin_of(config.runs, run)}")
+        for path in export_run(run, config.policy, out, console):
+            print(path)
+    if checked:
+        console.print(f"checking {config.recording or out}")
+        check_export(load_flat(run, config.policy), out, config.recording, console)
+        print("no difference")
+    else:
+        console.print(f"see it run with: {words(python(), out / 'run_policy.py')}")

@@ -29,14 +29,19 @@ _YAML_HEAD = """\
 """
 
 
+def load_flat(run: Run, which: str) -> LoadedRun:
+    """The "last" or "best" policy of `run` in MuJoCo C on a flat floor, as it is exported."""
+    set_up_devices()
+    return load_run(run, 20.0, which, "mujoco", flat=True)
+
+
 def export_run(run: Run, which: str, out: Path, console: Console) -> list[Path]:
     """Write the "last" or "best" policy of `run` to the folder `out`; return the files.
 
     What it does is said on `console`. Raises `UserError` where the policy cannot be read or
     exported, or `out` not written.
     """
-    set_up_devices()
-    loaded = load_run(run, 20.0, which, "mujoco", flat=True)
+    loaded = load_flat(run, which)
     env = loaded.env
     targets = find_targets(env.config.action, env.robot)
     weights = Weights.of(loaded.policy.act, loaded.policy.config.ppo.activation)

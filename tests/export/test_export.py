@@ -19,6 +19,7 @@ import pytest
 import yaml
 from brax.training.acme.running_statistics import NestedMeanStd
 from brax.training.networks import ACTIVATION
+from rich.console import Console
 
 from quadwalk.errors import UserError
 from quadwalk.evaluate.loaded import LoadedRun, load_run
@@ -26,6 +27,7 @@ from quadwalk.evaluate.rollout import Rollout
 from quadwalk.evaluate.simulate import simulate_episodes
 from quadwalk.export import scripts
 from quadwalk.export.__main__ import main
+from quadwalk.export.check import check_export, read_recording, replay
 from quadwalk.export.joint_targets import JointTargets, find_targets
 from quadwalk.export.policy_graph import ACTIVATIONS, Weights, build_model, input_labels
 from quadwalk.settings.terms import ActionMap
@@ -141,6 +143,63 @@ def test_the_scripts_are_short_and_need_three_packages():
                 roots.add(str(node.module).partition(".")[0])
         assert roots - set(sys.stdlib_module_names) == needed.pop(script.name)
     assert not needed
+
+
+def halved(text: str) -> str:
+    """A list of numbers, the last of them halved."""
+    *others, last = text.split(",")
+    return ",".join([*others, f"{float(last) / 2:.9g}"])
+
+
+# What is broken, of which task: an entry of the metadata, or a constant of the graph.
+BROKEN = {
+    "run": [("joint_stiffness", "physics, "), ("w_0", "action, ")],
+    "walk": [("default_joint_pos", "observation, joint_pos_RL_calf_joint")],
+    "blog": [("scale", "target, ")],
+}
+
+
+def test_the_check_agrees_and_names_what_is_broken(exported, tmp_path, capsys):
+    run = str(exported.loaded.run.path)
+    main([run, "--check", "-o", str(exported.folder)])
+    assert capsys.readouterr().out == "no difference\n"
+    for number, (name, stage) in enumerate(BROKEN[exported.loaded.policy.config.task]):
+        folder = tmp_path / str(number)
+        shutil.copytree(exported.folder, folder)
+        model = onnx.load(folder / "policy.onnx")
+        entries = [entry for entry in model.metadata_props if entry.key == name]
+        for entry in entries:
+            entry.value = halved(entry.value)
+        for constant in model.graph.initializer:
+            if constant.name == name:
+                values = onnx.numpy_helper.to_array(constant)
+                constant.CopyFrom(onnx.numpy_helper.from_array(values / np.float32(2), name))
+        onnx.save(model, folder / "policy.onnx")
+        with pytest.raises(UserError, match=rf"difference is in step \d+, {stage}") as error:
+            check_export(exported.loaded, folder, None, Console(quiet=True))
+        assert (f"its {name} is " in str(error.value)) == bool(entries)
+
+
+def test_the_check_reads_the_recording_of_another_runtime(exported, tmp_path):
+    if exported.loaded.policy.config.task != "walk":
+        return
+    columns = replay(exported.folder, exported.loaded)
+    recording = tmp_path / "own.npz"
+
+    def check(**changes: np.ndarray) -> None:
+        np.savez(recording, **{**columns, **changes})
+        check_export(exported.loaded, exported.folder, recording, Console(quiet=True))
+
+    check()
+    seen = columns["obs"].copy()
+    seen[5, 0] += 0.1
+    with pytest.raises(UserError, match="in step 5, observation, "):
+        check(obs=seen)
+    with pytest.raises(UserError, match=r"obs has the shape .*; expected \(steps, "):
+        check(obs=seen[:, 1:])
+    recording.write_text("no NPZ")
+    with pytest.raises(UserError, match="cannot be read; expected NPZ"):
+        read_recording(recording, exported.loaded)
 
 
 def test_the_metadata_says_what_mjlab_says(exported):

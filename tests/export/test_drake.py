@@ -1,0 +1,93 @@
+"""An exported robot and its policy in Drake: its own reader of URDF and its own dynamics agree."""
+
+import numpy as np
+import pytest
+
+from benchmarks.simulators import Condition, DrakeRobot, MujocoRobot, controller_of, run_episode
+from quadwalk.export.__main__ import main
+from quadwalk.export.bundle import load_flat
+from quadwalk.export.check import first_difference, stages
+from quadwalk.train.runs.directory import find_ready
+
+pytest.importorskip("pydrake", reason="Drake is not installed")
+
+LOADED = Condition(friction=0.5, load=5.0)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    out = tmp_path_factory.mktemp("drake")
+    main(["run", "-o", str(out)])
+    return out
+
+
+@pytest.fixture(scope="module")
+def controller(folder):
+    return controller_of(folder).Controller(folder / "policy.onnx")
+
+
+@pytest.fixture(scope="module")
+def start(controller):
+    return np.array(controller.about["start_qpos"].split(","), float)
+
+
+def anywhere(start, rng):
+    """A state in the air, upright or not, in motion."""
+    q, v = start.copy(), rng.normal(size=18)
+    q[2] = 2.0
+    q[3:7] = rng.normal(size=4)
+    q[3:7] /= np.linalg.norm(q[3:7])
+    q[7:] += rng.uniform(-0.1, 0.1, 12)
+    return q, v
+
+
+@pytest.mark.parametrize("condition", [Condition(), LOADED])
+def test_the_robot_has_the_same_dynamics_in_both(folder, controller, start, condition):
+    """Through a flight with torques: masses, inertia, armature, damping, gravity, axes, order."""
+    robots = [kind(folder, controller.about, condition) for kind in (DrakeRobot, MujocoRobot)]
+    rng = np.random.default_rng(0)
+    q, v = anywhere(start, rng)
+    for robot in robots:
+        robot.place(q, v)
+        np.testing.assert_allclose(np.concatenate(robot.state()), np.r_[q, v], atol=1e-12)
+    for _ in range(50):
+        torque = rng.normal(size=12)
+        for robot in robots:
+            robot.step(torque)
+    ours, theirs = (robot.state() for robot in robots)
+    np.testing.assert_allclose(ours[0], theirs[0], atol=3e-4)
+    np.testing.assert_allclose(ours[1], theirs[1], atol=2e-3)
+    assert not any(robot.fallen() for robot in robots)
+
+
+def test_it_stands_as_heavy_and_as_high_in_both(folder, controller, start):
+    heights = []
+    for kind in (DrakeRobot, MujocoRobot):
+        robot = kind(folder, controller.about, LOADED)
+        robot.place(start, np.zeros(18))
+        for _ in range(500):
+            robot.step(controller.torque(controller.home, *robot.state()))
+        q, v = robot.state()
+        assert np.abs(v).max() < 0.1
+        heights.append(q[2])
+        q[2] -= 0.3
+        robot.place(q, v)
+        robot.step(np.zeros(12))
+        assert robot.fallen()
+    assert abs(heights[0] - heights[1]) < 3e-3
+    assert max(heights) < start[2] - 0.01  # the joints give way to the load
+
+
+def test_in_drake_the_policy_sees_and_does_what_it_does_here(folder, controller, start):
+    robot = DrakeRobot(folder, controller.about, Condition())
+    episode = run_episode(
+        robot, controller, Condition(), (start, np.zeros(18)), np.zeros((50, 3)), 0
+    )
+    assert not episode.fell
+    assert episode.qpos[-1, 0] - episode.qpos[0, 0] > 1.0  # runs
+    names = ("obs", "action", "target")
+    columns = {name: getattr(episode, name) for name in names}
+    columns |= {"qpos": episode.qpos[:-1], "qvel": episode.qvel[:-1], "command": np.zeros((50, 3))}
+    found = stages(load_flat(find_ready("runs", "run", "run"), "last"), columns)
+    assert first_difference(found[:3]) == ""
+    assert first_difference(found).split(", ")[1] == "physics"  # which are Drake's
