@@ -1,25 +1,52 @@
-"""The moving picture of the README, from the packaged policies: `make pictures`.
+"""The pictures of README and docs, from packaged policies and committed results: `make pictures`.
 
-    python benchmarks/pictures.py [--out docs/drive.webp]
+    python benchmarks/pictures.py [NAME ...]
 
-Drives `drive`, with `getup` behind it, in MuJoCo C with every shape, along a course of commands,
-and throws it over on the way.
+Draws all of them, or those named, into docs/:
+
+- drive: `drive`, with `getup` behind it, in MuJoCo C with every shape, along a course of commands,
+  thrown over on the way.
+- robustness, robustness_all: what studies/robustness/results.json holds.
+- terrain: every kind of terrain at full difficulty.
+- zoo: the robots of example-robot-data (extra `zoo`) with the masses and speeds of docs/zoo.md.
+- pipeline: from a URDF to a policy.
 """
 
 import argparse
+import dataclasses
+import json
+import re
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+from matplotlib.patches import FancyBboxPatch
 from PIL import Image, ImageDraw, ImageFont
 
+sys.path.insert(0, str(Path(__file__).parents[1]))  # for benchmarks.zoo, where run as a script
+
+from benchmarks.zoo import example_robot_data
 from quadwalk.drawing.canvas import Camera, Canvas
+from quadwalk.drawing.figures import new_figure, save_figure
+from quadwalk.drawing.images import film_strip, save_png
+from quadwalk.errors import UserError
 from quadwalk.evaluate.loaded import LoadedRun
+from quadwalk.evaluate.report.panels import draw_sweep
 from quadwalk.files import atomic_write
+from quadwalk.ground.picture import draw_kinds
+from quadwalk.ground.terrain import FLAT
+from quadwalk.ground.tiles import KINDS
 from quadwalk.paths import PRETRAINED
+from quadwalk.process import run_command
+from quadwalk.robot.quadruped import load_quadruped
 from quadwalk.train.runs.directory import Run
 from quadwalk.view.choices import LAST, getup_of, open_run
 from quadwalk.view.live import LiveRobot
+
+ROOT = Path(__file__).resolve().parents[1]
+DOCS, ZOO = ROOT / "docs", ROOT / "docs" / "zoo.md"
+RESULTS = ROOT / "studies" / "robustness" / "results.json"
 
 SIZE = (1280, 600)  # pixels
 FPS = 25
@@ -35,6 +62,37 @@ COURSE: list[tuple[float, str, tuple[float, float, float]]] = [
 ]
 SECONDS = 12.0
 THROWN = 8.0  # s
+
+# name in docs/zoo.md -> file in example-robot-data
+ROBOTS = {
+    "A1": "a1_description/urdf/a1.urdf",
+    "ANYmal B": "anymal_b_simple_description/robots/anymal.urdf",
+    "ANYmal C": "anymal_c_simple_description/urdf/anymal.urdf",
+    "B1": "b1_description/urdf/b1.urdf",
+    "Go1": "go1_description/urdf/go1.urdf",
+    "Go2": "go2_description/urdf/go2.urdf",
+    "HyQ": "hyq_description/robots/hyq_no_sensors.urdf",
+    "Laikago": "laikago_description/urdf/laikago.urdf",
+    "Solo12": "solo_description/robots/solo12.urdf",
+}
+
+# of the pipeline: name -> x, y of its middle, what is in it
+STAGES = {
+    "URDF": (1.1, 1.9, "any 12-joint robot"),
+    "MJCF": (3.2, 1.9, "checked, with motors"),
+    "environment": (5.3, 1.9, "2048 robots, JAX"),
+    "PPO": (7.4, 1.9, "symmetric networks"),
+    "policy": (9.5, 1.9, "joint targets, 50 Hz"),
+    "eval": (11.9, 3.1, "MJX, MuJoCo C"),
+    "view": (11.9, 1.9, "drive it live"),
+    "export": (11.9, 0.7, "ONNX, deploy.yaml"),
+}
+ARROWS = [
+    *(("URDF", "MJCF"), ("MJCF", "environment"), ("environment", "PPO"), ("PPO", "policy")),
+    *(("policy", "eval"), ("policy", "view"), ("policy", "export")),
+]
+# x from, to -> the command
+COMMANDS = {(0.3, 4.0): "quadwalk robot", (4.5, 10.3): "quadwalk train"}
 
 
 def poses(loaded: LoadedRun) -> Iterator[tuple[np.ndarray, str]]:
@@ -69,25 +127,114 @@ def pictures() -> Iterator[Image.Image]:
         yield picture
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--out", type=Path, default=Path("docs/drive.webp"))
-    options = parser.parse_args()
+def drive() -> None:
+    """The moving picture of the README."""
     first, *others = pictures()
-    duration = round(1000 / FPS)
-    with atomic_write(options.out) as file:
+    with atomic_write(DOCS / "drive.webp") as file:
         first.save(
             file,
             format="WEBP",
             save_all=True,
             append_images=others,
-            duration=duration,
+            duration=round(1000 / FPS),
             loop=0,
             quality=40,
             method=3,
         )
-    print(f"{options.out}: {options.out.stat().st_size / 1e6:.1f} MB")
+
+
+def robustness() -> None:
+    """Success and speed of `run` and `sprint` as one condition after another is worse."""
+    _draw_sweep("robustness", ("everything", "friction", "mass", "delay", "noise", "push"), 3)
+
+
+def robustness_all() -> None:
+    """The same, every condition that a sweep has."""
+    _draw_sweep("robustness_all", None, 4)
+
+
+def _draw_sweep(name: str, shown: tuple[str, ...] | None, columns: int) -> None:
+    results = json.loads(RESULTS.read_text())["runs"]
+    for result in results:
+        result["run"] += f", {result['training_steps'] / 1e6:.0f} M steps"
+    randomized, ideal = (result["run"] for result in results)
+    title = f"Trained with randomization ({randomized}) and without ({ideal})"
+    save_figure(draw_sweep(results, shown, columns, title), DOCS / f"{name}.png")
+
+
+def terrain() -> None:
+    """Every kind of terrain, with the robot on it."""
+    kinds = tuple(kind for kind in KINDS if kind != "flat")
+    config = dataclasses.replace(FLAT, kinds=kinds, levels=1, difficulty=(1.0, 1.0))
+    save_png(draw_kinds(config, load_quadruped()), DOCS / "terrain.png")
+
+
+def zoo() -> None:
+    """Robots by URDF alone in their home poses, at one scale, with mass and speed."""
+    folder = example_robot_data()
+    if folder is None:
+        raise UserError("example-robot-data is not installed; expected the extra zoo")
+    rows = re.findall(r"^\| ([^|]+) \| ([\d.]+) \| yes \| ([\d.]+) \|", ZOO.read_text(), re.M)
+    figures = {name: (mass, speed) for name, mass, speed in rows}
+    font, drawn = ImageFont.load_default(size=22), []
+    for name, file in ROBOTS.items():
+        quadruped = load_quadruped(folder / file)
+        canvas = Canvas(quadruped.full_model(), 480, 340)
+        eye = Camera((0.0, 0.0, 0.36), distance=1.9, azimuth=130.0, elevation=-12.0)
+        picture = Image.fromarray(canvas.draw(quadruped.home, eye))
+        mass, speed = figures[name]
+        text = f"{name}   {mass} kg   {float(speed):.1f} m/s"
+        ImageDraw.Draw(picture).text((12, 8), text, fill=(30, 34, 40), font=font)
+        drawn.append(np.asarray(picture))
+    save_png(film_strip(drawn, across=3), DOCS / "zoo.png")
+
+
+def _box(x: float, y: float) -> FancyBboxPatch:
+    corner, style = (x - 0.8, y - 0.42), "round,pad=0.1"
+    return FancyBboxPatch(corner, 1.6, 0.84, boxstyle=style, fc="#eef4fb", ec="#0072b2", lw=1.5)
+
+
+def pipeline() -> None:
+    """The way of the data as boxes and arrows."""
+    figure = new_figure((13, 3.8), "")
+    axes = figure.subplots()
+    axes.set_axis_off()
+    axes.set(xlim=(0, 13), ylim=(0, 3.8))
+    for name, (x, y, text) in STAGES.items():
+        axes.add_patch(_box(x, y))
+        axes.text(x, y + 0.18, name, ha="center", va="center", fontsize=15, weight="bold")
+        axes.text(x, y - 0.2, text, ha="center", va="center", fontsize=10.5)
+    for start, end in ARROWS:
+        (x0, y0, _), (x1, y1, _) = STAGES[start], STAGES[end]
+        axes.annotate(
+            "",
+            (x1 - 0.92, y1),
+            (x0 + 0.92, y0),
+            arrowprops={"arrowstyle": "-|>", "color": "#22262b", "lw": 1.6},
+        )
+    for (low, high), text in COMMANDS.items():
+        axes.plot((low, high), (1.05, 1.05), color="#d55e00", lw=2)
+        axes.text(
+            (low + high) / 2, 0.75, text, ha="center", va="center", fontsize=12, color="#a04000",
+            family="monospace",
+        )  # fmt: skip
+    save_figure(figure, DOCS / "pipeline.png")
+
+
+DRAWINGS = (drive, robustness, robustness_all, terrain, zoo, pipeline)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    by_name = {each.__name__: each for each in DRAWINGS}
+    parser.add_argument("names", nargs="*", metavar="NAME", help=f"of: {', '.join(by_name)}")
+    given = parser.parse_args()
+    for name in given.names or by_name:
+        if name not in by_name:
+            parser.error(f"no picture {name!r}; expected one of: {', '.join(by_name)}")
+        by_name[name]()
+        print(f"drew {name}", flush=True)
 
 
 if __name__ == "__main__":
-    main()
+    run_command(main)

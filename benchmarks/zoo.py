@@ -2,7 +2,7 @@
 
     python benchmarks/zoo.py [--folder DIR] [--markdown FILE]
     python benchmarks/zoo.py --train [--steps 8000000] [--only a1 go2] [--markdown FILE]
-        [--picture PNG] [--cores 2] [--cluster auto]
+        [--cores 2] [--cluster auto]
 
 The first converts every URDF of PyPI's example-robot-data, or of DIR, without its meshes. It
 compares masses, frames, mass matrix, bias forces and inverse dynamics with Pinocchio's, in 20
@@ -28,10 +28,8 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
-from PIL import Image, ImageDraw, ImageFont
 
 from quadwalk.api import evaluate
-from quadwalk.drawing.images import film_strip, save_png
 from quadwalk.jobs.job import Job, sized
 from quadwalk.jobs.place import PlaceConfig, add_place_flags, place_config
 from quadwalk.jobs.run import Outcome, place_of, run_jobs
@@ -48,7 +46,6 @@ STATES = 20
 EPISODES = 64
 STEPS = 8_000_000  # three minutes on two cores
 STANDS = 0.8  # of the home height, after 10 s
-PICTURE = (480, 300)  # pixels of one of a film strip
 NO_MESHES = Options(meshes=False)
 
 
@@ -178,12 +175,8 @@ def name_of(file: Path) -> str:
 
 
 def judge(run: Run) -> dict[str, float | str]:
-    """The figures of a run in MuJoCo C; pictures of its typical episode go to its folder."""
+    """The figures of a run in MuJoCo C."""
     judged = evaluate(run, episodes=EPISODES, engine="mujoco")
-    folder = run.path / "judged"
-    folder.mkdir(exist_ok=True)
-    width, height = PICTURE
-    save_png(np.asarray(judged.film_strip(width, height)), folder / "film_strip.png")
     summary, typical = judged.summary, judged.results["typical_episode"]
     return {
         "speed": summary["speed"]["mean"],
@@ -230,19 +223,6 @@ def trainings(files: list[Path], steps: int, runs: Path, where: PlaceConfig) -> 
     )
 
 
-def picture(files: list[Path], runs: Path) -> np.ndarray:
-    """(H, W, 3) uint8: each robot in the middle of its episode, as its film strip has it."""
-    font = ImageFont.load_default(size=16)
-    found = []
-    for file in files:
-        strip = runs / name_of(file) / "judged" / "film_strip.png"
-        if strip.exists():
-            first = Image.open(strip).convert("RGB").crop((0, 0, *PICTURE))
-            ImageDraw.Draw(first).text((8, PICTURE[1] - 26), name_of(file), "black", font)
-            found.append(np.asarray(first))
-    return film_strip(found, across=4)
-
-
 def main() -> None:
     """Convert, or train, and print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -252,7 +232,6 @@ def main() -> None:
     add("--steps", type=int, default=STEPS, help="control steps of each training")
     add("--only", nargs="+", default=[], metavar="NAME", help="robots whose path has a NAME in it")
     add("--runs", type=Path, help="folder of the runs (default: a temporary one)")
-    add("--picture", type=Path, metavar="PNG", help="where one of all that were trained goes")
     add("--markdown", type=Path, metavar="FILE", help="where the table goes")
     add_place_flags(parser)
     arguments = parser.parse_args()
@@ -268,8 +247,6 @@ def main() -> None:
         with tempfile.TemporaryDirectory() as temporary:
             runs = arguments.runs or Path(temporary)
             table = trainings(files, arguments.steps, runs, place_config(arguments))
-            if arguments.picture:
-                save_png(picture(files, runs), arguments.picture)
     else:
         table = conversions(files, folder)
         print(table)

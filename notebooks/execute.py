@@ -2,7 +2,9 @@
 
 import json
 import os
+import re
 import shutil
+import subprocess
 import sys
 import tempfile
 from pathlib import Path
@@ -55,6 +57,15 @@ def folders_named(notebook: nbformat.NotebookNode) -> list[str]:
     return [str(folder) for folder in folders if str(folder) in text]
 
 
+def name_commit(notebook: nbformat.NotebookNode) -> None:
+    """Say at the end of its first cell which commit its outputs are of."""
+    git = ["git", "-C", str(HERE), "log", "-1", "--format=%h", "--", "../quadwalk", "../assets"]
+    commit = subprocess.run(git, capture_output=True, text=True, check=True).stdout.strip()
+    head = notebook.cells[0]
+    text = re.sub(r"\n\n\*Executed at commit \w+\.\*$", "", head.source)
+    head.source = f"{text}\n\n*Executed at commit {commit}.*"
+
+
 def main() -> None:
     """Run those that are named, or all."""
     for path in [Path(name) for name in sys.argv[1:]] or sorted(HERE.glob("*.ipynb")):
@@ -65,6 +76,7 @@ def main() -> None:
             notebook = execute(path, folder)
         if named := folders_named(notebook):
             sys.exit(f"{path.name} is left as it was, for its outputs name {', '.join(named)}")
+        name_commit(notebook)
         nbformat.write(notebook, path)
 
 

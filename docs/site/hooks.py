@@ -15,6 +15,7 @@ TO_NOTEBOOK = re.compile(r"\]\(\.\./notebooks/(\w+)\.ipynb\)")
 OUTWARD = re.compile(r"\[([^\]]+)\]\(\.\./([^)#]+)[^)]*\)")
 # In a notebook: links to another, and to a page of docs/
 BESIDE, TO_PAGE = re.compile(r"\]\((\w+)\.ipynb\)"), re.compile(r"\]\(\.\./docs/(\w+\.md[^)]*)\)")
+COLORS = re.compile(r"\x1b\[[0-9;]*m")  # of a terminal
 
 
 def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
@@ -55,4 +56,4 @@ def shown(outputs: list[dict[str, Any]]) -> Iterator[tuple[str, str]]:
     for output in outputs:
         data = output.get("data", {"text/plain": output.get("text", "")})
         kind = "image/png" if "image/png" in data else "text/plain"
-        yield kind, "".join(data[kind])
+        yield kind, COLORS.sub("", "".join(data[kind]))

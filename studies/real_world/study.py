@@ -6,8 +6,8 @@
 of its ingredients. Each is trained over so many seeds, and evaluated under the same conditions in
 the fast engine: as its model says, with one thing after another different, and with everything at
 once as `run` draws it; and at its model's in MuJoCo C, every shape colliding. Runs are kept in
-`--runs`: one that is there is not trained again. Results go to `--out` as they come, and
-notebooks/05_real_world.ipynb shows them. To see that it works:
+`--runs`: one that is there is not trained again. Results go to `--out` as they come. To see that
+it works:
 
     python -m studies.real_world.study --steps 1 --episodes 4 --only sprint --runs /tmp/runs --out \
         /tmp/a.json

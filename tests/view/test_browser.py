@@ -1,6 +1,6 @@
 """The page in a real browser: it is driven by its keys, and the picture moves.
 
-`QUADWALK_RUN=runs/walk QUADWALK_PICTURE=docs/view.gif pytest tests/view/test_browser.py` does so
+`QUADWALK_RUN=runs/walk QUADWALK_PICTURE=page.gif pytest tests/view/test_browser.py` does so
 with a policy that can walk, and leaves the moving picture.
 """
 
@@ -122,7 +122,7 @@ def scene(browser: Browser) -> np.ndarray:
 
 
 @pytest.mark.skipif(PICTURE is None, reason="QUADWALK_PICTURE names no file to write")
-def test_take_the_picture_of_the_readme(page, browser):
+def test_take_a_moving_picture(page, browser):
     """It walks, turns, is pushed and goes on: 4 s, as they look where a graphics card draws."""
     browser.resize(1120, 700)
     browser.press(" ")

@@ -1,0 +1,58 @@
+"""What a policy of the real world withstands and one of an ideal world does not.
+
+    python -m studies.robustness.study [--episodes 64] [--sprint runs/sprint]
+
+Sweeps the packaged `run` and a run of `sprint`, trained here unless `--sprint` names one, in the
+fast engine: one condition at a time, and everything at once. Results go to `--out`.
+notebooks/05_real_world.ipynb and benchmarks/pictures.py show them. To see that it works:
+
+    python -m studies.robustness.study --steps 1 --episodes 2 --seconds 1 --out /tmp/a.json
+"""
+
+import argparse
+import json
+import tempfile
+from pathlib import Path
+
+from quadwalk.api import train
+from quadwalk.evaluate.options import EvalConfig
+from quadwalk.evaluate.session import evaluate_runs
+from quadwalk.files import atomic_write
+from quadwalk.paths import PRETRAINED
+from quadwalk.process import run_command
+
+RESULTS = Path(__file__).parent / "results.json"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--episodes", type=int, default=64, help="at each point")
+    parser.add_argument("--seconds", type=float, default=20.0, help="of an episode, at most")
+    parser.add_argument("--sprint", type=Path, help="a run of sprint (default: train one)")
+    parser.add_argument("--steps", type=int, help="of its training (default: the task's)")
+    parser.add_argument("--out", type=Path, default=RESULTS)
+    given = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        sprint = given.sprint
+        if sprint is None:
+            steps = {} if given.steps is None else {"steps": given.steps}
+            sprint = train("sprint", name="sprint", runs=folder, **steps).path
+        found = evaluate_runs(
+            EvalConfig(
+                run=(str(PRETRAINED / "run"), str(sprint)),
+                episodes=given.episodes,
+                seconds=given.seconds,
+                engine="fast",
+                sweep=True,
+                out=Path(folder) / "sweep",
+            )
+        )
+    for result, name in zip(found["runs"], ("run", "sprint"), strict=True):
+        result["run"] = name
+    with atomic_write(given.out) as file:
+        file.write(json.dumps(found).encode() + b"\n")
+    print(f"written to {given.out}")
+
+
+if __name__ == "__main__":
+    run_command(main)
