@@ -5,7 +5,6 @@ American spelling, zeros before the point, the field's words, and sentences that
 
 import ast
 import io
-import json
 import re
 import tokenize
 from collections.abc import Iterator
@@ -14,11 +13,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-PAGES = sorted(
-    file
-    for kind in ("*.md", "docs/*.md", "studies/**/*.md", "notebooks/*.ipynb")
-    for file in ROOT.glob(kind)
-)
+PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/*.md"), *ROOT.glob("studies/**/*.md")])
 SOURCES = sorted(
     [*ROOT.glob("*.py"), *(file for part in ("quadwalk", "benchmarks", "studies") for file in
      (ROOT / part).rglob("*.py"))]
@@ -50,14 +45,6 @@ def pages(text: str) -> Iterator[str]:
     text = re.sub(r"^( {4}\S.*\n)+", "", text, flags=re.MULTILINE)
     for block in re.split(r"\n\s*\n|\n(?=\s*(?:[-*]|\d+\.) |#|\|)", text):
         yield from block.strip("#|-* \n").split("|") if block.startswith("|") else [block]
-
-
-def text_of(page: Path) -> str:
-    """A page's Markdown; of a notebook, that of its cells."""
-    if page.suffix == ".md":
-        return page.read_text()
-    cells = json.loads(page.read_text())["cells"]
-    return "\n\n".join("".join(c["source"]) for c in cells if c["cell_type"] == "markdown")
 
 
 def docstrings(source: str) -> Iterator[str]:
@@ -110,7 +97,7 @@ def test_pages():
         f"{page.relative_to(ROOT)}: {problem}"
         for page in PAGES
         if page.name != "CHANGELOG.md"  # it names what was called otherwise
-        for part in pages(text_of(page))
+        for part in pages(page.read_text())
         for problem in (*problems(part), *too_long(part))
     ]
     assert not found, "\n".join(found)

@@ -5,6 +5,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from quadwalk.errors import UserError
 from quadwalk.files import read_bytes
 from quadwalk.ground.terrain import FLAT, GroundConfig
@@ -44,6 +46,13 @@ class LoadedRun:
     def in_engine(self, engine: EngineName) -> "LoadedRun":
         """The same in another engine."""
         return dataclasses.replace(self, env=self.env.in_engine(engine))
+
+    def same_robot(self, other: "LoadedRun") -> bool:
+        """Whether that is of a robot with the same joints and masses."""
+        mine, theirs = self.env.quadruped, other.env.quadruped
+        return mine.joints == theirs.joints and np.array_equal(
+            self.env.mj_model.body_mass, other.env.mj_model.body_mass
+        )
 
 
 def training_ranges(config: EnvConfig) -> RandomizationConfig:

@@ -17,7 +17,7 @@ from rich.console import Console
 from quadwalk.cli import parse
 from quadwalk.errors import UserError
 from quadwalk.shell import install, python, words
-from quadwalk.train.runs.directory import find_ready, origin_of, results_folder
+from quadwalk.train.runs.directory import find_any_run, find_ready, origin_of, results_folder
 
 
 @dataclass(frozen=True)
@@ -29,6 +29,8 @@ class ExportConfig:
     # folder for the files; None: export/ in the run's
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
     policy: Literal["last", "best"] = "last"  # the run's last, or that of its best checkpoint
+    # name or path of a run that gets a fallen robot up, as getup; run_policy.py then goes on
+    getup: str | None = None
     # run the export that the folder holds, or which is written first, with its run_policy.py, and
     # compare each step with the policy and MuJoCo C here: observation, action, target, physics
     check: bool = False
@@ -55,7 +57,8 @@ def main(args: Sequence[str] | None = None, prog: str = "quadwalk export") -> No
         ) from None
     if not checked or not (out / "policy.onnx").exists():
         console.print(f"exporting {origin_of(config.runs, run)}")
-        for path in export_run(run, config.policy, out, console):
+        getup = None if config.getup is None else find_any_run(config.runs, config.getup)
+        for path in export_run(run, config.policy, out, console, getup):
             print(path)
     if checked:
         console.print(f"checking {config.recording or out}")

@@ -35,27 +35,28 @@ def load_flat(run: Run, which: str) -> LoadedRun:
     return load_run(run, 20.0, which, "mujoco", flat=True)
 
 
-def export_run(run: Run, which: str, out: Path, console: Console) -> list[Path]:
+def export_run(
+    run: Run, which: str, out: Path, console: Console, getup: Run | None = None
+) -> list[Path]:
     """Write the "last" or "best" policy of `run` to the folder `out`; return the files.
 
-    What it does is said on `console`. Raises `UserError` where the policy cannot be read or
-    exported, or `out` not written.
+    The last policy of `getup` gets its robot up; run_policy.py hands over to it and back. What is
+    done is said on `console`. Raises `UserError` where a policy cannot be read or exported, or
+    `out` not written.
     """
     loaded = load_flat(run, which)
-    env = loaded.env
-    targets = find_targets(env.config.action, env.robot)
-    weights = Weights.of(loaded.policy.act, loaded.policy.config.ppo.activation)
-    model = build_model(weights, input_order(env), targets, describe(loaded, targets))
-    off = largest_difference(model, loaded, targets)
-    if off > TOLERANCE:
-        raise UserError(f"the exported policy is {off:.1e} off; expected less than {TOLERANCE}")
-    console.print(f"ONNX and JAX agree to {off:.1e} on {_ROWS} random observations")
+    env, (model, targets) = loaded.env, as_onnx(loaded, console)
     files = {
         "policy.onnx": model.SerializeToString(),
         "robot.xml": write_xml(env.quadruped.spec).encode(),
         "robot.urdf": env.quadruped.urdf.encode(),
         **{script.name: script.read_bytes() for script in scripts()},
     }
+    if getup is not None:
+        riser = load_flat(getup, "last")
+        if not riser.same_robot(loaded):
+            raise UserError(f"{getup.path} is of another robot; expected that of {run.path}")
+        files["getup.onnx"] = as_onnx(riser, console)[0].SerializeToString()
     missing = ", ".join(missing_terms(env)) or "none"
     if targets.reach is None:
         head = _YAML_HEAD.format(missing=missing)
@@ -70,6 +71,19 @@ def export_run(run: Run, which: str, out: Path, console: Console) -> list[Path]:
         with atomic_write(out / name) as file:
             file.write(content)
     return [out / name for name in files]
+
+
+def as_onnx(loaded: LoadedRun, console: Console) -> tuple[onnx.ModelProto, JointTargets]:
+    """The policy as a graph that gives joint targets, compared with JAX; its action map."""
+    env = loaded.env
+    targets = find_targets(env.config.action, env.robot)
+    weights = Weights.of(loaded.policy.act, loaded.policy.config.ppo.activation)
+    model = build_model(weights, input_order(env), targets, describe(loaded, targets))
+    off = largest_difference(model, loaded, targets)
+    if off > TOLERANCE:
+        raise UserError(f"the exported policy is {off:.1e} off; expected less than {TOLERANCE}")
+    console.print(f"ONNX and JAX agree to {off:.1e} on {_ROWS} random observations")
+    return model, targets
 
 
 def largest_difference(model: onnx.ModelProto, loaded: LoadedRun, targets: JointTargets) -> float:

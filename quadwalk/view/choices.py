@@ -2,8 +2,6 @@
 
 from pathlib import Path
 
-import numpy as np
-
 from quadwalk.errors import UserError
 from quadwalk.evaluate.loaded import LoadedRun, load_run
 from quadwalk.files import real_path
@@ -58,11 +56,7 @@ def getup_of(loaded: LoadedRun, getup: Run | None) -> LoadedRun | None:
     if getup is None or loaded.run.path == getup.path:
         return None
     found = open_run(getup, LAST)
-    one, other = loaded.env.quadruped, found.env.quadruped
-    same = one.joints == other.joints and np.array_equal(
-        loaded.env.mj_model.body_mass, found.env.mj_model.body_mass
-    )
-    return found if same else None
+    return found if loaded.same_robot(found) else None
 
 
 def read_policy(file: Path, joints: tuple[str, ...]) -> Policy:

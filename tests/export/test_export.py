@@ -129,6 +129,21 @@ def test_the_script_alone_drives_the_robot_as_our_engine_does(exported, tmp_path
         assert float(said[1]) == pytest.approx(speed, abs=0.02)
 
 
+def test_an_export_with_a_getup_policy_gets_up_from_its_back_and_goes_on(tmp_path, capsys):
+    main(["drive", f"--runs={tmp_path}", f"--out={tmp_path / 'both'}", "--getup=getup"])
+    assert (tmp_path / "both" / "getup.onnx").exists()
+    command = [sys.executable, tmp_path / "both" / "run_policy.py", "--fallen", "--seconds=5"]
+    command += [f"--save={tmp_path / 'out.npz'}", "--command", "1", "0", "0"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    assert "got up once" in done.stdout
+    with np.load(tmp_path / "out.npz") as saved:
+        qpos, time = saved["qpos"], saved["time"]
+    np.testing.assert_array_equal(qpos[0, 3:7], [0.0, 1.0, 0.0, 0.0])
+    last = time > time[-1] - 1.0
+    assert np.ptp(qpos[last, 0]) == pytest.approx(1.0, abs=0.3)  # m in a second, as told
+    assert np.all(qpos[last, 2] > 0.2)
+
+
 def test_the_scripts_are_short_and_need_three_packages():
     needed = {"run_policy.py": {"numpy", "mujoco", "controller"}}
     needed["controller.py"] = {"numpy", "onnxruntime"}

@@ -24,7 +24,7 @@ def measure_cells(
     policy: Policy,
     starts: State,
     episodes: int,
-    measure: Measure = lambda *_: {},
+    measure: Measure,
     room: int | None = None,
     report: Report | None = None,
 ) -> list[dict[str, Any]]:
