@@ -7,9 +7,10 @@ pushes, under eight conditions (benchmarks/simulators.py). Prints a table of fal
 errors; writes it as foreign.json and foreign.csv, and film_strip.png of one episode in both.
 
 A fall: the trunk leans by more than 1 rad, is lower than 45 % of its first height, or the floor
-meets a link without a foot. Speed is along x, from the start to the end; with commands the mean
-size of the velocity. That and its errors are as in an evaluation: means over 0.5 s, from 1 s after
-each command on. A command holds for half of an episode.
+meets a link without a foot. The other figures are of the episodes without a fall in either. Speed
+is along x, from the start to the end; with commands the mean size of the velocity. That and its
+errors are as in an evaluation: means over 0.5 s, from 1 s after each command on. A command holds
+for half of an episode.
 
 Needs the extras `export` and `drake`. To see what contact does: --approximation, --stiffness,
 --dissipation, --relaxation and --dt change Drake's alone.
@@ -94,18 +95,14 @@ def figures(episode: Episode, commands: np.ndarray, dt: float) -> dict[str, floa
     return {"speed": speed, "velocity_error": errors[0], "yaw_rate_error": errors[1]}
 
 
-def summary(episodes: list[Episode], commands: np.ndarray, dt: float) -> dict[str, Any]:
-    """Falls and figures of one condition in one simulator, for JSON."""
+def summary(found: list[dict[str, float]], fell: np.ndarray, upright: np.ndarray) -> dict[str, Any]:
+    """Falls of one condition in one simulator, and figures of the `upright` episodes, for JSON."""
     from quadwalk.evaluate.statistics import mean_figure, share_interval
 
-    found = [figures(*own, dt) for own in zip(episodes, commands, strict=True)]
-    fell = sum(episode.fell for episode in episodes)
-    means = {name: mean_figure([own[name] for own in found]) for name in found[0]}
-    return {
-        "falls": fell / len(episodes),
-        "falls_ci95": list(share_interval(fell, len(episodes))),
-        **means,
-    }
+    kept = [own for own, stands in zip(found, upright, strict=True) if stands]
+    means = {name: mean_figure([own[name] for own in kept]) for name in found[0]}
+    interval = share_interval(int(fell.sum()), len(fell))
+    return {"falls": float(fell.mean()), "falls_ci95": list(interval), **means}
 
 
 def rows(results: list[dict[str, Any]]) -> list[dict[str, Any]]:
@@ -177,9 +174,7 @@ def measure(
     contact: Contact,
 ) -> tuple[list[dict[str, Any]], dict[str, Episode]]:
     """The summaries of conditions, for JSON, and an episode of the first in each simulator."""
-    from quadwalk.evaluate.statistics import figure_mean
-
-    dt, jobs, found = loaded.env.config.control_dt, {}, {}
+    dt, jobs, found, fell = loaded.env.config.control_dt, {}, {}, {}
     samples: dict[str, Episode] = {}
     spawn = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(min(PROCESSES, multiprocessing.cpu_count()), spawn) as pool:
@@ -194,16 +189,20 @@ def measure(
         for job in as_completed(jobs):
             name, simulator, commands = jobs[job]
             done = job.result()
-            found[name, simulator] = own = summary(done, commands, dt)
-            means = [f"{k} {figure_mean(v):.3f}" for k, v in own.items() if "falls" not in k]
-            print(f"{name}, {simulator}: {own['falls']:.1%} falls, {', '.join(means)}", flush=True)
+            pairs = zip(done, commands, strict=True)
+            found[name, simulator] = [figures(*own, dt) for own in pairs]
+            fell[name, simulator] = np.array([episode.fell for episode in done])
+            print(f"{name}, {simulator}: {fell[name, simulator].mean():.1%} falls", flush=True)
             if name == names[0]:
                 samples[simulator] = done[0]
-    results = [
-        {"condition": name, **dataclasses.asdict(CONDITIONS[name])}
-        | {simulator: found[name, simulator] for simulator in SIMULATORS}
-        for name in names
-    ]
+    results = []
+    for name in names:
+        upright = ~np.any([fell[name, simulator] for simulator in SIMULATORS], axis=0)
+        result = {"condition": name, **dataclasses.asdict(CONDITIONS[name])}
+        for simulator in SIMULATORS:
+            own = name, simulator
+            result[simulator] = summary(found[own], fell[own], upright)
+        results.append(result)
     return results, {simulator: samples[simulator] for simulator in SIMULATORS}
 
 
