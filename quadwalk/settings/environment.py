@@ -279,7 +279,7 @@ class EnvConfig(Settings, group="env"):
 
     @property
     def as_seen(self) -> "EnvConfig":
-        """The same with each observation where it belongs: with what the blind do not see moved."""
+        """The same, with `height_scan` moved to the critic if the policy is blind."""
         if not self.blind or SIGHT not in self.observation:
             return self
         seen = {name: part for name, part in self.observation.items() if name != SIGHT}

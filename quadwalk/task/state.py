@@ -60,7 +60,7 @@ class Step(NamedTuple):
     soles: jax.Array  # (4, 3) after it
     contact: jax.Array  # (4,) bool, feet on the floor after it
     # (2,) m, above the ground, lowest points of the trunk, of legs without feet; where a foot has
-    # sunk in, by its radius at most, its leg is as high above that
+    # sunk in, by its radius at most, its leg's height is corrected by that
     lowest: jax.Array
     ground: jax.Array | None = None  # () m, of the ground under the trunk after it; None: 0
 

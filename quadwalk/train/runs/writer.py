@@ -102,7 +102,7 @@ class RunWriter:
             self._log.sync()  # a checkpoint counts on the rows before it
             checkpoint.save(self.run.checkpoint(steps), state, metadata)
 
-        # The policies first: should the disk be full, they are the smaller and the dearer.
+        # The policies first: they are small and most valuable, should the disk be full.
         well = self._attempt("policy", lambda: save_as(self.run.policy))
         if steps and (self.best is None or score > self.best[1]):  # before that there is no score
             if self._attempt("best", lambda: save_as(self.run.best)):
