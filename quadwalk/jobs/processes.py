@@ -1,8 +1,10 @@
 """Jobs in processes of this machine, each kept to cores of its own."""
 
+import contextlib
 import multiprocessing
 import signal
 import traceback
+from collections.abc import Iterator
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
@@ -77,10 +79,10 @@ class Processes:
     def _begin(self, running: _Running) -> None:
         context = multiprocessing.get_context("spawn")  # JAX is set up once in a process
         ours, theirs = context.Pipe()
-        running.process = context.Process(
-            target=_work, args=(theirs, running.job.work, self._cores)
-        )
-        running.process.start()
+        arguments = theirs, running.job.work, self._cores
+        running.process = context.Process(target=_work, args=arguments)
+        with _unheard():
+            running.process.start()
         theirs.close()
         self._running[ours] = running
 
@@ -102,6 +104,22 @@ class Processes:
         return Event(name, "again")
 
 
+@contextlib.contextmanager
+def _unheard() -> Iterator[None]:
+    """Block Ctrl-C and a terminal's end in processes that start in here, from their first moment.
+
+    They are for this process, which stops the others.
+    """
+    if not hasattr(signal, "pthread_sigmask"):  # Windows
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT, signal.SIGHUP))
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
 def _stop(running: _Running) -> None:
     """Have a process save what it trains, or end at once; a second signal would not let it save."""
     if not running.stopped:
@@ -111,11 +129,6 @@ def _stop(running: _Running) -> None:
 
 def _work(connection: Connection, work: Work, cores: int) -> None:
     """Compute a job, in a process of its own."""
-    # Ctrl-C and a terminal that closes are for the process that started this one, which tells it.
-    for name in ("SIGINT", "SIGHUP"):
-        if number := getattr(signal, name, None):
-            signal.signal(number, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, signal.SIG_DFL)
     name = work.run.name
 
     def tell(row: Row) -> None:
