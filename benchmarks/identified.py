@@ -50,6 +50,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--policies", nargs="+", default=["run", "walk", "drive"])
     parser.add_argument("--episodes", type=int, default=256)
+    parser.add_argument("--robots", nargs="+", default=["model", "identified"])
     parser.add_argument("--only", nargs="+", default=list(IDENTIFIED), choices=list(IDENTIFIED))
     options = parser.parse_args()
     set_up_devices()
@@ -58,24 +59,27 @@ def main() -> None:
         f"{'policy':8}{'robot':12}{'conditions':12}{'falls, %':>10}", *(f"{n:>18}" for n in FIGURES)
     )
     for name in options.policies:
-        for robot, conditions, loaded in variants(name, constants):
+        for robot, conditions, loaded in variants(name, options.robots, constants):
             summary = measure(loaded, options.episodes, seed=0, whole=0).summary
             falls = f"{100 * summary['fall_rate']:10.1f}"
             shown = (f"{_text(summary.get(figure)):>18}" for figure in FIGURES)
             print(f"{name:8}{robot:12}{conditions:12}{falls}", *shown, flush=True)
 
 
-def variants(name: str, constants: dict[str, list[float]]) -> Iterator[tuple[str, str, LoadedRun]]:
-    """The policy `name` on each robot under each of the conditions."""
+def variants(
+    name: str, robots: list[str], constants: dict[str, list[float]]
+) -> Iterator[tuple[str, str, LoadedRun]]:
+    """The policy `name` on each of the robots under each of the conditions."""
     with tempfile.TemporaryDirectory() as folder:
         own = Run(Path(folder) / name)
         shutil.copytree(PRETRAINED / name, own.path)
         text = with_joints(load_quadruped(own.urdf).urdf, JOINTS, constants)
         own.urdf.write_text(text)
         late = replace(NO_RANDOMIZATION, enabled=True, latency=(DELAY, DELAY))
-        for robot, run in (("model", Run(PRETRAINED / name)), ("identified", own)):
+        runs = {"model": Run(PRETRAINED / name), "identified": own}
+        for robot in robots:
             for conditions in ("delay", "randomized"):
-                loaded = load_run(run, 20.0, engine="mujoco", randomized=True)
+                loaded = load_run(runs[robot], 20.0, engine="mujoco", randomized=True)
                 if conditions == "delay":
                     loaded = loaded.in_mujoco(randomization=late)
                 yield robot, conditions, loaded
