@@ -93,3 +93,15 @@ def value_of(args: Sequence[str], flag: str) -> str | None:
         elif arg.startswith(f"{flag}="):
             value = arg.partition("=")[2]
     return value
+
+
+def taken(args: Sequence[str], flag: str) -> tuple[str | None, list[str]]:
+    """The last value of `flag`, or None, and `args` without it."""
+    left: list[str] = []
+    rest = iter(args)
+    for arg in rest:
+        if arg == flag:
+            next(rest, None)
+        elif not arg.startswith(f"{flag}="):
+            left.append(arg)
+    return value_of(args, flag), left

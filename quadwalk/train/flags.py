@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from quadwalk.cli import parse, value_of
+from quadwalk.cli import parse, taken, value_of
 from quadwalk.errors import UsageError
 from quadwalk.settings.training import TrainConfig
 from quadwalk.task_files import load_task, task_list, task_table
@@ -53,8 +53,10 @@ def parse_config(args: Sequence[str], prog: str = "train.py") -> tuple[TrainConf
     args, task = list(args), None
     if args and not args[0].startswith("-"):
         task = args.pop(0)
-    if value_of(args, "--preset") is not None:  # as it was called in version 0.2
-        raise UsageError(f"--preset is no longer a flag; expected the task first: {prog} walk")
+    preset, args = taken(args, "--preset")  # the task's flag in version 0.2
+    if preset is not None and task is not None:
+        raise UsageError(f"the task is named twice, as {task!r} and by --preset")
+    task = preset if task is None else task
     if {"-h", "--help"} & set(args):
         print(_HELP.format(prog=prog, tasks=task_table()))
         raise SystemExit

@@ -151,7 +151,7 @@ class Page:
         if written(self.file) != self._loaded and self.file.exists():
             self._take(self.label)
         policies = list(policy_choices(self.run))
-        if policies != self._policies:
+        if policies and policies != self._policies:  # none where its folder is gone
             self._policies = policies
             self.panel.policies.options = policies
 

@@ -45,6 +45,12 @@ def test_the_default_task_is_run():
     assert parsed() == parsed("run") == load_task("run")
 
 
+@pytest.mark.parametrize("args", [["walk"], ["--preset", "walk"], ["--preset=walk"]])
+def test_the_task_comes_first_or_by_its_flag_of_before(args):
+    config, previous = parse_config([*args, "--seed", "3"])
+    assert (config.task, config.seed, previous) == ("walk", 3, None)
+
+
 @pytest.mark.parametrize("name", task_names())
 def test_a_task_is_where_the_flags_start(name):
     assert parsed(name) == load_task(name)
@@ -89,7 +95,8 @@ def test_the_command_of_walk_is_a_flag():
         (["fly"], "no task 'fly'"),
         (["fly.py"], "cannot read the task"),
         ([""], "no task ''"),
-        (["--preset", "walk"], "expected the task first: train.py walk"),
+        (["run", "--preset", "walk"], "the task is named twice, as 'run' and by --preset"),
+        (["--preset"], "no task ''"),
         (["walk", "--resume", "latest"], "task 'walk' with --resume"),
         (["--name", "-x"], "--name=-x"),
         (["--env.gravity", "0"], "gravity"),
