@@ -47,7 +47,8 @@ def test_an_interrupt_leaves_all_to_be_gone_on_with(assert_resumable):
 
 
 @pytest.mark.skipif(cpu_cores() < 2, reason="a single core is nobody's own")
-def test_processes_have_cores_of_their_own():
+def test_processes_have_cores_of_their_own(tmp_path, monkeypatch):
+    monkeypatch.setenv("TMPDIR", str(tmp_path))  # of the locks, which other tests hold as well
     code = HOLD + "print(*os.sched_getaffinity(0), flush=True); input()"
     pipe, cores = subprocess.PIPE, cpu_cores()
     held = [

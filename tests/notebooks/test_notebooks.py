@@ -70,6 +70,7 @@ def executed(tmp_path_factory) -> Callable[[str], Executed]:
         patch.setenv("QUADWALK_STEPS", str(STEPS))
         patch.setenv("QUADWALK_SECONDS", "2")
         patch.setenv("QUADWALK_ROBOTS", "64")
+        patch.setenv("QUADWALK_PICTURES", "1")
         yield run
 
 
@@ -243,7 +244,9 @@ def test_where_robots_fail_on_uneven_ground_is_drawn_and_listed(executed):
     kept = json.loads((STUDIES / "ground/results.json").read_text())
     variants = dict.fromkeys(result["variant"] for result in kept)
     for code in ("draw_kinds(shown", 'films("stairs_up")', 'films("blocks")', 'films("course")'):
-        assert orange(done.picture(code)).mean() > 0.005, code
+        picture = done.picture(code)
+        filled = picture[:, picture.min(axis=(0, 2)) < 255]  # not where a row has fewer pictures
+        assert orange(filled).mean() > 0.005, code
     maps = [out for out in done.outputs("draw_by_ground(") if "image/png" in out.get("data", {})]
     assert len(maps) == len(variants)
     listed = done.text("for variant, difficulty in (")

@@ -163,12 +163,11 @@ def test_a_task_is_its_own_image(quadruped, name):
 
 
 @zoo.each(zoo.QUADRUPEDS)
-def test_a_robot_of_the_zoo_is_its_own_image(request, urdf):
-    if urdf.stem == "solo12":
-        why = "Solo12 is 0.6 off its image after a step from one of these states; cause not found"
-        request.applymarker(pytest.mark.xfail(strict=True, reason=why))
+def test_a_robot_of_the_zoo_is_its_own_image(urdf):
     quadruped = load_quadruped(urdf, Options(meshes=False))
-    check(QuadrupedEnv(symmetric(quadruped), sprint.TASK.env))
+    # A solver that has converged, for what few iterations leave depends on the last digit.
+    config = dataclasses.replace(sprint.TASK.env, solver_iterations=20, line_search_iterations=20)
+    check(QuadrupedEnv(symmetric(quadruped), config))
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ import jax
 import numpy as np
 import pytest
 
-from quadwalk.evaluate import steering
+from quadwalk.evaluate.grids import steering
 from quadwalk.evaluate.grids.steering import (
     changes,
     changing_run,

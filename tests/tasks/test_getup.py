@@ -93,7 +93,7 @@ def test_only_the_time_limit_ends_an_episode_and_what_is_not_finite(rising, star
 
 def test_the_policy_sees_what_a_real_robot_measures(rising):
     seen = {name.partition("[")[0] for name in rising.sensors.names}
-    kinds = ("angular_velocity", "gravity", "position", "speed", "last_action")
+    kinds = ("angular_velocity", "gravity", "joint_pos", "joint_vel", "last_action")
     assert all(name.startswith(kinds) for name in seen)
     assert len(seen) == 3 + 3 + 3 * 12
 

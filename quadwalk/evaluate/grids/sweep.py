@@ -80,7 +80,7 @@ def measure_sweeps(
             "heading": heading,
             "unit": unit,
             "nominal": getattr(nominal, name),
-            "range": ranges[name],
+            "range": list(ranges[name]),
             "points": [
                 {"value": value, **found[replace(nominal, **{name: value})]} for value in values
             ],
