@@ -13,11 +13,11 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
+from quadwalk.identify.config import IdentifyConfig
 from quadwalk.identify.excite import excitation
 from quadwalk.identify.found import OF_URDF, labels_of
-from quadwalk.identify.log import Log
-from quadwalk.identify.options import IdentifyConfig
-from quadwalk.identify.session import fit_log
+from quadwalk.identify.identification import fit_log
+from quadwalk.identify.joint_log import Log
 from quadwalk.robot.quadruped import Quadruped, load_quadruped
 from quadwalk.train.devices import set_up_devices
 

@@ -20,7 +20,7 @@ from pathlib import Path
 from quadwalk.cores import cpu_cores
 from quadwalk.jobs.job import Job, sized
 from quadwalk.jobs.place import PlaceConfig
-from quadwalk.jobs.run import place_of, run_jobs, values
+from quadwalk.jobs.runner import place_of, run_jobs, values
 from quadwalk.process import run_command
 from quadwalk.tasks.sprint import TASK
 from quadwalk.train.runs.directory import Run

@@ -6,9 +6,12 @@ import io
 import re
 import sys
 from collections.abc import Sequence
-from typing import Any, NoReturn, TypeVar
+from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
 
 from quadwalk.errors import UsageError
+
+if TYPE_CHECKING:
+    from rich.console import Console
 
 T = TypeVar("T")
 
@@ -82,6 +85,13 @@ class ArgumentParser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         raise UsageError(f"{message} ({self.prog} --help lists all)")
+
+
+def message_console() -> "Console":
+    """For what a command says beside its results: to standard error, as it is, in whole lines."""
+    from rich.console import Console  # what parses alone does not wait for it
+
+    return Console(stderr=True, highlight=False, soft_wrap=True, markup=False, emoji=False)
 
 
 def value_of(args: Sequence[str], flag: str) -> str | None:

@@ -79,6 +79,14 @@ def read_bytes(path: Path | str) -> bytes:
         raise UserError(f"cannot read {path}: {os_reason(error)}") from error
 
 
+def make_folder(path: Path, what: str = "the folder") -> None:
+    """Make a folder and those above it, if it is not there; `UserError` where that cannot be."""
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UserError(f"cannot make {what} {path}: {os_reason(error)}") from error
+
+
 def os_reason(error: OSError) -> str:
     """The system's reason alone ("No space left on device"), without numbers or paths."""
     return error.strerror or str(error) or type(error).__name__

@@ -6,8 +6,7 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
-
+from quadwalk.cli import message_console
 from quadwalk.errors import UsageError, UserError
 from quadwalk.evaluate.options import EvalConfig
 from quadwalk.files import os_reason
@@ -26,7 +25,7 @@ def evaluate_runs(config: EvalConfig) -> dict[str, Any]:
     with contextlib.ExitStack() as made:
         outs, together = _make_outputs(config, runs, made)
         # On stderr: what is printed on stdout is the result alone.
-        console = Console(stderr=True, highlight=False, soft_wrap=True, markup=False, emoji=False)
+        console = message_console()
         console.print(f"evaluating {', '.join(origin_of(config.runs, run) for run in runs)}")
 
         # All of these late, since they take seconds.

@@ -12,9 +12,8 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
-from rich.console import Console
 
-from quadwalk.cli import parse
+from quadwalk.cli import message_console, parse
 from quadwalk.errors import UserError
 from quadwalk.shell import install, python, words
 from quadwalk.train.runs.directory import find_any_run, find_ready, origin_of, results_folder
@@ -43,7 +42,7 @@ def main(args: Sequence[str] | None = None, prog: str = "quadwalk export") -> No
     """Parse the command line and export."""
     config = parse(ExportConfig, sys.argv[1:] if args is None else args, prog)
     run = find_ready(config.runs, config.run, "run")
-    console = Console(stderr=True, highlight=False, soft_wrap=True, markup=False, emoji=False)
+    console = message_console()
     out = config.out or results_folder(config.runs, run) / "export"
     checked = config.check or config.recording is not None
     try:

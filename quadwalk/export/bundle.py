@@ -16,7 +16,7 @@ from quadwalk.export.deploy_yaml import as_yaml, deploy_config, missing_terms
 from quadwalk.export.description import describe
 from quadwalk.export.joint_targets import JointTargets, find_targets
 from quadwalk.export.policy_graph import Weights, build_model, input_order
-from quadwalk.files import atomic_write, os_reason
+from quadwalk.files import atomic_write, make_folder
 from quadwalk.robot.mjcf import write_xml
 from quadwalk.train.devices import set_up_devices
 from quadwalk.train.runs.directory import Run
@@ -63,10 +63,7 @@ def export_run(
         files["deploy.yaml"] = (head + as_yaml(deploy_config(env, targets))).encode()
     else:
         console.print("no deploy.yaml: its format has no targets that depend on the joints' angles")
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UserError(f"cannot make the folder {out}: {os_reason(error)}") from error
+    make_folder(out)
     for name, content in files.items():
         with atomic_write(out / name) as file:
             file.write(content)

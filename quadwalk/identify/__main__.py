@@ -9,7 +9,7 @@ import sys
 from collections.abc import Sequence
 
 from quadwalk.cli import parse
-from quadwalk.identify.options import IdentifyConfig
+from quadwalk.identify.config import IdentifyConfig
 
 
 def main(args: Sequence[str] | None = None, prog: str = "python -m quadwalk.identify") -> None:
@@ -23,6 +23,6 @@ def main(args: Sequence[str] | None = None, prog: str = "python -m quadwalk.iden
         write_targets(config.targets, load_robot(config.robot))
         print(f"written to {config.targets}: play it on the robot on its stand, slowly at first")
     else:
-        from quadwalk.identify.session import identify
+        from quadwalk.identify.identification import identify
 
         identify(config)

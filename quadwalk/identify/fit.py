@@ -8,7 +8,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from quadwalk.errors import UserError
-from quadwalk.identify.log import Log
+from quadwalk.identify.joint_log import Log
 from quadwalk.identify.stand import Joints, simulator
 from quadwalk.physics.model import Model
 

@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 from quadwalk.drawing.figures import INK, LEG_COLORS, new_figure, tidy
 from quadwalk.identify.fit import Fit
 from quadwalk.identify.found import OF_URDF, PARTS
-from quadwalk.identify.log import Log
+from quadwalk.identify.joint_log import Log
 from quadwalk.robot.quadruped import Quadruped
 
 WINDOW = 2.0  # s of angles that are shown

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from quadwalk.identify.log import Log
+from quadwalk.identify.joint_log import Log
 from quadwalk.physics import vectors as v
 from quadwalk.physics.batching import column
 from quadwalk.physics.model import Model

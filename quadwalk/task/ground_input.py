@@ -9,11 +9,15 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import jax
 
 from quadwalk.physics.constraints.surface import Surface
 from quadwalk.task.env import QuadrupedEnv
+
+# Of each environment its `heights`, once for all its programs.
+_on_device: WeakKeyDictionary[QuadrupedEnv, tuple[jax.Array, ...]] = WeakKeyDictionary()
 
 
 def jit(
@@ -32,7 +36,9 @@ def jit(
     def program(heights: tuple[jax.Array, ...], *arguments: Any) -> Any:
         return function(with_heights(env, heights), *arguments)
 
-    return partial(program, jax.device_put(heights(env)))
+    if env not in _on_device:
+        _on_device[env] = jax.device_put(heights(env))
+    return partial(program, _on_device[env])
 
 
 def heights(env: QuadrupedEnv) -> tuple[Any, ...]:

@@ -18,7 +18,7 @@ from quadwalk.errors import UsageError, UserError
 from quadwalk.evaluate.statistics import figure_mean, number
 from quadwalk.files import atomic_write, real_path
 from quadwalk.jobs.job import Job, sized
-from quadwalk.jobs.run import place_of, run_jobs, values
+from quadwalk.jobs.runner import place_of, run_jobs, values
 from quadwalk.settings.training import TrainConfig
 from quadwalk.train.flags import parse_config
 from quadwalk.train.runs.directory import Run, write_json_atomic

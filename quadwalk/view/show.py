@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
-from rich.console import Console
 
 from quadwalk.bounds import Port, Settings
+from quadwalk.cli import message_console
 from quadwalk.errors import UserError
 from quadwalk.paths import PRETRAINED
 from quadwalk.shell import install
@@ -39,7 +39,7 @@ def drive(config: ViewConfig) -> None:
     """Show the run's policy live, until it is interrupted or the window closed."""
     run = find_ready(config.runs, config.run, "drive")
     getup = find_getup(config)
-    console = Console(stderr=True, highlight=False, soft_wrap=True, markup=False, emoji=False)
+    console = message_console()
     missing = no_window()
     in_page = config.browser or missing is not None
     if in_page and importlib.util.find_spec("mjviser") is None:

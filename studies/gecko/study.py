@@ -21,7 +21,7 @@ from pathlib import Path
 
 from quadwalk.jobs.job import Job, sized
 from quadwalk.jobs.place import PlaceConfig, add_place_flags, place_config
-from quadwalk.jobs.run import place_of, run_jobs, values
+from quadwalk.jobs.runner import place_of, run_jobs, values
 from quadwalk.process import run_command
 from quadwalk.settings.serialize import with_settings
 from quadwalk.settings.training import TrainConfig

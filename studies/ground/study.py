@@ -30,7 +30,7 @@ from quadwalk.evaluate.simulate import roll_out
 from quadwalk.ground.heightfield import Heightfield
 from quadwalk.jobs.job import Job, sized
 from quadwalk.jobs.place import add_place_flags, place_config
-from quadwalk.jobs.run import place_of, run_jobs, values
+from quadwalk.jobs.runner import place_of, run_jobs, values
 from quadwalk.process import run_command
 from quadwalk.task.ground_input import jit
 from quadwalk.train.flags import parse_config

@@ -26,7 +26,7 @@ from quadwalk.evaluate.grids.sweep import Point, measure_points
 from quadwalk.evaluate.loaded import LoadedRun, load_run
 from quadwalk.jobs.job import Job, sized
 from quadwalk.jobs.place import add_place_flags, place_config
-from quadwalk.jobs.run import place_of, run_jobs, values
+from quadwalk.jobs.runner import place_of, run_jobs, values
 from quadwalk.process import run_command
 from quadwalk.settings.serialize import with_settings
 from quadwalk.settings.training import TrainConfig

@@ -23,7 +23,7 @@ from quadwalk.evaluate.recording import mcap as writing
 from quadwalk.evaluate.recording.mcap import LAYOUT, verify_mcap, write_mcap
 from quadwalk.evaluate.recording.messages import drawn_urdf
 from quadwalk.evaluate.rollout import first_steps
-from quadwalk.identify.log import read_log
+from quadwalk.identify.joint_log import read_log
 
 METADATA = {"version": "1.2.3", "config": '{"seed": 7}'}
 SCENE_ROWS = [*range(0, 100, 3), 100]  # of 100 steps: each third state, and the last

@@ -13,7 +13,7 @@ import pytest
 from benchmarks.identification import Known, hang
 from quadwalk.errors import UserError
 from quadwalk.identify.__main__ import main
-from quadwalk.identify.log import read_log
+from quadwalk.identify.joint_log import read_log
 from quadwalk.train.flags import parse_config
 from quadwalk.train.robot import load_robot
 

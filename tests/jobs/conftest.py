@@ -9,7 +9,7 @@ import pytest
 import quadwalk.train.setup
 from quadwalk.jobs.job import Job, sized
 from quadwalk.jobs.place import PlaceConfig
-from quadwalk.jobs.run import place_of, run_jobs
+from quadwalk.jobs.runner import place_of, run_jobs
 from quadwalk.train.flags import parse_config
 from quadwalk.train.runs.directory import list_checkpoints
 from quadwalk.train.runs.policy import load_score

@@ -9,7 +9,7 @@ from judges import last_reward
 
 from quadwalk.errors import UserError
 from quadwalk.jobs.place import PlaceConfig
-from quadwalk.jobs.run import place_of, run_jobs
+from quadwalk.jobs.runner import place_of, run_jobs
 from quadwalk.train.runs.directory import list_checkpoints
 
 pytestmark = pytest.mark.filterwarnings("ignore:os.fork:RuntimeWarning")  # Ray starts its processes

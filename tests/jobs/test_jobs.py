@@ -8,7 +8,7 @@ from judges import dies_once, fails, last_reward
 
 from quadwalk.cores import cpu_cores
 from quadwalk.jobs.place import PlaceConfig
-from quadwalk.jobs.run import place_of, run_jobs
+from quadwalk.jobs.runner import place_of, run_jobs
 from quadwalk.train.runs.policy import load_score
 
 HOLD = "from quadwalk.cores import pin, cpu_cores; import os; pin(1); "

@@ -10,7 +10,7 @@ import pytest
 from quadwalk.errors import UserError
 from quadwalk.jobs.job import finish, opened
 from quadwalk.jobs.processes import Processes
-from quadwalk.jobs.run import Outcome
+from quadwalk.jobs.runner import Outcome
 from quadwalk.train.flags import parse_config
 from quadwalk.train.runs.directory import create_run
 from quadwalk.train.runs.policy import load_score

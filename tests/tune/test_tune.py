@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from quadwalk.errors import UserError
-from quadwalk.jobs.run import Outcome
+from quadwalk.jobs.runner import Outcome
 from quadwalk.task_files import load_task
 from quadwalk.tune import search as tune
 from quadwalk.tune.__main__ import main

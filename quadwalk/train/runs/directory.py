@@ -30,7 +30,7 @@ from pathlib import Path
 from typing import Any
 
 from quadwalk.errors import UsageError, UserError
-from quadwalk.files import atomic_write, os_reason
+from quadwalk.files import atomic_write, make_folder, os_reason
 from quadwalk.paths import PRETRAINED
 from quadwalk.train.runs import checkpoint
 
@@ -94,10 +94,7 @@ def create_run(
     root = Path(root)
     if name is not None:
         _check_name(name)
-    try:
-        root.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UserError(f"cannot make the folder for runs, {root}: {os_reason(error)}") from error
+    make_folder(root, "the folder for runs,")
     # Filled under another name: a run without its configuration could not be resumed.
     part = Run(root / f".{os.urandom(8).hex()}.part")
     try:

@@ -6,10 +6,11 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
+from quadwalk.cli import message_console
 from quadwalk.drawing.figures import save_figure
-from quadwalk.errors import UserError
 from quadwalk.evaluate.report.console import print_table
-from quadwalk.files import atomic_write, os_reason
+from quadwalk.files import atomic_write, make_folder
+from quadwalk.identify.config import IdentifyConfig
 from quadwalk.identify.fit import DELAY, Fit, fit_joints
 from quadwalk.identify.found import (
     UNITS,
@@ -19,8 +20,7 @@ from quadwalk.identify.found import (
     labels_of,
     training_flags,
 )
-from quadwalk.identify.log import Log, read_log
-from quadwalk.identify.options import IdentifyConfig
+from quadwalk.identify.joint_log import Log, read_log
 from quadwalk.identify.plot import draw_fit
 from quadwalk.identify.stand import Joints
 from quadwalk.physics.fast import make_model
@@ -40,12 +40,9 @@ def identify(config: IdentifyConfig) -> dict[str, Any]:
     quadruped = load_robot(config.robot)
     log = read_log(config.log, quadruped.joints)
     out = config.out or config.log.with_name(f"{config.log.stem}_identified")
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UserError(f"cannot make the folder {out}: {os_reason(error)}") from error
+    make_folder(out)
     set_up_devices()
-    console = Console(stderr=True, highlight=False, soft_wrap=True, markup=False, emoji=False)
+    console = message_console()
     console.print(f"{config.log}: {log.time[-1] - log.time[0]:.1f} s")
     with console.status("fitting"):
         fit = fit_log(log, quadruped, config)
