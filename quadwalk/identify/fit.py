@@ -14,6 +14,7 @@ from quadwalk.physics.model import Model
 
 SETTLE = 0.3  # s at the beginning that count for nothing: how the joints moved before is not known
 DELAY = 0.005  # s, where the search for it begins
+OF_URDF = ("armature", "friction", "damping")  # of each joint; the delay and the gains are of all
 # In these the search takes steps; where the description has more, in that.
 _UNITS = {
     "armature": 1e-3,
@@ -121,8 +122,7 @@ def intervals(jacobian: np.ndarray, residual: np.ndarray, block: np.ndarray) -> 
 
 
 def _groups_of(name: str, groups: Sequence[tuple[int, ...]]) -> Sequence[tuple[int, ...]]:
-    """The delay and the gains are those of all joints."""
-    return groups if name in ("armature", "friction", "damping") else [tuple(range(12))]
+    return groups if name in OF_URDF else [tuple(range(12))]
 
 
 def _mean(joints: Joints, name: str, group: tuple[int, ...]) -> float:

@@ -6,7 +6,7 @@ from typing import Any
 
 import lxml.etree
 
-from quadwalk.identify.fit import Fit, Value
+from quadwalk.identify.fit import OF_URDF, Fit, Value
 from quadwalk.robot.quadruped import Quadruped
 
 PARTS = ("hip", "thigh", "calf")
@@ -19,10 +19,7 @@ UNITS = {
     "delay": "s",
     "friction_speed": "rad/s",
 }
-OF_URDF = ("armature", "friction", "damping")
-LEAST_SPREAD = (
-    0.1  # share: as much as one robot's joints differ from day to day, and from leg to leg
-)
+LEAST_SPREAD = 0.1  # share: one robot's joints differ by it from day to day, from leg to leg
 LEAST_JITTER = 0.005  # s that the delay is randomized by, to both sides
 _MOST_SPREAD = 0.9
 # The range that each constant is randomized in: a factor of the description's.

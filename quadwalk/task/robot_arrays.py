@@ -1,5 +1,6 @@
 """The robot of a task, and what the environment's functions need to know of it, as arrays."""
 
+import math
 from dataclasses import dataclass, replace
 
 import jax
@@ -42,6 +43,11 @@ class RobotArrays:
     def home_height(self) -> float:
         """Height of the trunk's origin in the standing pose, m."""
         return float(self.home[2])
+
+    @property
+    def froude_speed(self) -> float:
+        """Speed whose Froude number is 1 at the home height, m/s; pushes are shares of it."""
+        return math.sqrt(self.gravity * self.home_height)
 
 
 def above_ground(robot: RobotArrays, qpos: jax.Array) -> jax.Array:

@@ -96,7 +96,7 @@ def task_ranges(env: QuadrupedEnv, nominal: Point) -> dict[str, tuple[float, flo
     `training_ranges` stand for a task that randomizes nothing.
     """
     config, robot = training_ranges(env.config), env.robot
-    push = (config.push, math.sqrt(robot.gravity * robot.home_height))
+    push = (config.push, robot.froude_speed)
     # field of Point -> range of the settings, and how much of the sweep's unit theirs is
     drawn: dict[str, tuple[Range, float]] = {
         "everything": ((0.0, 1.0), 1.0),

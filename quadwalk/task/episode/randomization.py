@@ -90,12 +90,11 @@ def draw_conditions(
     latest = latest_drawn(config)[0] / stepping.dt
     kept = targets_needed(math.ceil(latest), stepping.substeps)
     late = draw(config.sensor_latency, 0.0) / stepping.control_dt
-    froude = math.sqrt(robot.gravity * robot.home_height)  # m/s
     drawn = EpisodeRandomization(
         variation=possible(variation),
         delay=draw(config.latency, 0.0) / stepping.dt,
         sensor_delay=None if config.sensor_latency is None else late,
-        push=froude * _within(config.push, config.margin, take((2,))),
+        push=robot.froude_speed * _within(config.push, config.margin, take((2,))),
         noise=draw(config.noise, 0.0),
         encoder=draw(config.encoder, 0.0, (12,)),
         tilt=draw(config.imu_tilt, 0.0, (3,)),
