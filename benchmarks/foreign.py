@@ -228,13 +228,13 @@ def main() -> None:
     """Export, drive, print and write."""
     from rich.console import Console
 
+    from quadwalk.command.shell import install
     from quadwalk.drawing.images import save_png
     from quadwalk.errors import UserError
     from quadwalk.evaluate.loaded import load_run
     from quadwalk.evaluate.recording.provenance import provenance
     from quadwalk.export.bundle import export_run
     from quadwalk.files import atomic_write
-    from quadwalk.shell import install
     from quadwalk.train.runs.directory import find_ready, results_folder, write_json_atomic
 
     options = parse()
@@ -264,6 +264,6 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    from quadwalk.process import run_command
+    from quadwalk.command.process import run_command
 
     run_command(main)

@@ -17,11 +17,11 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
+from quadwalk.command.process import run_command
 from quadwalk.cores import cpu_cores
 from quadwalk.jobs.job import Job, sized
 from quadwalk.jobs.place import PlaceConfig
 from quadwalk.jobs.runner import place_of, run_jobs, values
-from quadwalk.process import run_command
 from quadwalk.tasks.sprint import TASK
 from quadwalk.train.runs.directory import Run
 from quadwalk.train.runs.policy import load_score

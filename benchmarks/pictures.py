@@ -27,6 +27,7 @@ from PIL import Image, ImageDraw, ImageFont
 sys.path.insert(0, str(Path(__file__).parents[1]))  # for benchmarks.zoo, where run as a script
 
 from benchmarks.zoo import example_robot_data
+from quadwalk.command.process import run_command
 from quadwalk.drawing.canvas import Camera, Canvas
 from quadwalk.drawing.figures import new_figure, save_figure
 from quadwalk.drawing.images import film_strip, save_png
@@ -38,7 +39,6 @@ from quadwalk.ground.picture import draw_kinds
 from quadwalk.ground.terrain import FLAT
 from quadwalk.ground.tiles import KINDS
 from quadwalk.paths import PRETRAINED
-from quadwalk.process import run_command
 from quadwalk.robot.quadruped import load_quadruped
 from quadwalk.train.runs.directory import Run
 from quadwalk.view.choices import LAST, getup_of, open_run

@@ -30,10 +30,10 @@ import mujoco
 import numpy as np
 
 from quadwalk.api import evaluate
+from quadwalk.command.process import run_command
 from quadwalk.jobs.job import Job, sized
 from quadwalk.jobs.place import PlaceConfig, add_place_flags, place_config
 from quadwalk.jobs.runner import Outcome, place_of, run_jobs
-from quadwalk.process import run_command
 from quadwalk.robot.mjcf import Options, convert, write_xml
 from quadwalk.robot.quadruped import Quadruped, legs_of, load_quadruped, with_motors
 from quadwalk.robot.structure.legs import Leg

@@ -11,7 +11,7 @@ import sys
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
-import quadwalk.quiet  # noqa: F401
+import quadwalk.command.quiet  # noqa: F401
 
 if TYPE_CHECKING:
     from quadwalk.api import compare, evaluate, load_policy, make, train

@@ -4,8 +4,8 @@ import importlib
 import sys
 
 import quadwalk
+from quadwalk.command.process import run_command
 from quadwalk.errors import UsageError, meant
-from quadwalk.process import run_command
 
 _COMMANDS = {
     "train": ("quadwalk.train.__main__", "train a quadruped in a task"),
@@ -20,7 +20,7 @@ _COMMANDS = {
     "tasks": ("quadwalk.tasks.__main__", "list the tasks"),
     "robot": ("quadwalk.robot.__main__", "convert a URDF to MJCF, or draw it"),
     "terrain": ("quadwalk.ground.__main__", "draw every kind of terrain"),
-    "doctor": ("quadwalk.doctor", "print versions, devices, cores, and what is off here"),
+    "doctor": ("quadwalk.command.doctor", "print versions, devices, cores, and what is off here"),
 }
 _DEMO = ("drive", "--browser")
 
@@ -37,10 +37,10 @@ def command() -> None:
         print(f"quadwalk {quadwalk.__version__}")
         return
     if given == "--print-completion":
-        from quadwalk.completion import script  # it imports the tasks, and so JAX
+        from quadwalk.command.completion import completion_script  # it imports JAX
 
         modules = {name: module for name, (module, _) in _COMMANDS.items()}
-        print(script(others[0] if others else "", modules), end="")
+        print(completion_script(others[0] if others else "", modules), end="")
         return
     if given not in _COMMANDS:
         known = ", ".join(_COMMANDS)

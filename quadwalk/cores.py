@@ -1,6 +1,5 @@
 """The processor: its cores, its instructions, and where programs compiled for it are kept."""
 
-import contextlib
 import functools
 import hashlib
 import os
@@ -10,6 +9,8 @@ import time
 from pathlib import Path
 
 import platformdirs
+
+from quadwalk.files import locked
 
 
 def cpu_cores() -> int:
@@ -52,11 +53,8 @@ def pin(count: int) -> bool:
 
 def _lock(path: Path) -> int | None:
     """An open file that this process alone has locked; the system unlocks it when it ends."""
-    import fcntl  # which Windows has not
-
     file = os.open(path, os.O_RDWR | os.O_CREAT, 0o600)
-    with contextlib.suppress(OSError):
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    if locked(file):
         return file
     os.close(file)
     return None

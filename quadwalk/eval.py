@@ -3,7 +3,7 @@
 import sys
 from collections.abc import Sequence
 
-from quadwalk.cli import parse
+from quadwalk.command.line import parse
 from quadwalk.evaluate.options import EvalConfig
 
 

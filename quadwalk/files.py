@@ -8,7 +8,12 @@ import shutil
 import stat
 from collections.abc import Iterator
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
+
+try:
+    import fcntl
+except ImportError:  # Windows has no such locks
+    fcntl = None  # type: ignore[assignment]
 
 from quadwalk.errors import UserError
 
@@ -85,6 +90,22 @@ def make_folder(path: Path, what: str = "the folder") -> None:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise UserError(f"cannot make {what} {path}: {os_reason(error)}") from error
+
+
+def locked(file: Any) -> bool:
+    """Whether no other process has locked `file`; from now on this one has, until it is closed.
+
+    True as well where the system or the file system has no such locks.
+    """
+    if fcntl is None:
+        return True
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError:
+        return True
+    return True
 
 
 def os_reason(error: OSError) -> str:

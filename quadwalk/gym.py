@@ -15,7 +15,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from quadwalk.shell import install
+from quadwalk.command.shell import install
 
 try:
     import gymnasium

@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 import pytest
 import tyro
 
-from quadwalk.cli import parse
+from quadwalk.command.line import parse
 from quadwalk.errors import UsageError, UserError
 
 

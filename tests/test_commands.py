@@ -7,7 +7,7 @@ import pytest
 
 import quadwalk
 from quadwalk.__main__ import _COMMANDS, command
-from quadwalk.completion import script
+from quadwalk.command.completion import completion_script
 from quadwalk.errors import UsageError, UserError
 from quadwalk.task_files import task_names
 from quadwalk.train.flags import parse_config
@@ -28,7 +28,7 @@ def call(monkeypatch, capsys):
 @pytest.fixture(scope="module")
 def completion():
     """What `quadwalk --print-completion bash` prints."""
-    return script("bash", {name: module for name, (module, _) in _COMMANDS.items()})
+    return completion_script("bash", {name: module for name, (module, _) in _COMMANDS.items()})
 
 
 def test_version_help_and_tasks(call):

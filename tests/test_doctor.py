@@ -3,7 +3,7 @@ import os
 import subprocess
 import sys
 
-from quadwalk import doctor
+from quadwalk.command import doctor
 
 
 def run(**environment) -> subprocess.CompletedProcess:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from quadwalk.cli import parse
+from quadwalk.command.line import parse
 from quadwalk.errors import UserError
 from quadwalk.evaluate.options import EvalConfig
 from quadwalk.export.__main__ import ExportConfig

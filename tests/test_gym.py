@@ -12,8 +12,8 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
 
 import quadwalk.gym
+from quadwalk.command.shell import install
 from quadwalk.errors import UsageError
-from quadwalk.shell import install
 from quadwalk.task_files import task_names
 
 STEPS = 5  # control steps of an episode

@@ -8,8 +8,8 @@ ROOT = Path(__file__).parents[1]
 # From the ground up. A module imports from its own layer and from those before it; the longest of
 # these names that it begins with is its place.
 LAYERS = (
-    ("errors", "bounds", "cores", "files", "paths", "quiet", "shell"),
-    ("cli", "process"),
+    ("errors", "bounds", "cores", "files", "paths", "command.quiet", "command.shell"),
+    ("command",),
     ("drawing",),
     ("robot",),
     ("ground",),
@@ -23,7 +23,7 @@ LAYERS = (
     ("api",),
     ("gym", "jobs"),
     ("tune", "variants"),
-    ("", "__main__", "completion", "doctor", "eval"),
+    ("", "__main__", "command.completion", "command.doctor", "eval"),
 )
 
 

@@ -19,7 +19,7 @@ PYTHONS = ("3.12", "3.13", "3.14")
 # Of these the module or name is missing on Windows. What others import has it by then.
 WITHOUT_POSIX = """
 import importlib, os, pkgutil, signal, sys, tempfile
-from quadwalk.process import _PACKAGES, run_command
+from quadwalk.command.process import _PACKAGES, run_command
 for name in (*_PACKAGES, "mujoco.mjx", "brax.training", "multiprocessing.popen_spawn_posix"):
     importlib.import_module(name)
 for name in [name for name in sys.modules if name.partition(".")[0] == "quadwalk"]:
@@ -50,7 +50,7 @@ def main():
             log.append({"steps": 1}, {"time/elapsed": 1.0})
         print(len(read_metrics(run)))
 
-from quadwalk.process import run_command
+from quadwalk.command.process import run_command
 run_command(main)
 """
 

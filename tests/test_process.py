@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from quadwalk import shell
+from quadwalk.command import shell
 
 ROOT = Path(__file__).parents[1]
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals and shells are those of POSIX")
@@ -56,7 +56,7 @@ IMPORTS = """
 import gc, hashlib, time
 from pathlib import Path
 from quadwalk.files import atomic_write, unfinished
-from quadwalk.process import run_command
+from quadwalk.command.process import run_command
 
 def ready():
     print("ready", flush=True)
@@ -114,7 +114,7 @@ POOL = """
 import multiprocessing, time
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
-from quadwalk.process import run_command
+from quadwalk.command.process import run_command
 from quadwalk.train.loop import stop_on_signal
 
 def train():
@@ -254,7 +254,7 @@ def test_without_packages_one_line_says_how_to_get_them(checkout, empty):
 
 
 def test_what_is_imported_is_what_is_looked_for():
-    from quadwalk.process import _PACKAGES
+    from quadwalk.command.process import _PACKAGES
 
     extras = {"glfw", "gymnasium", "imageio_ffmpeg", "mjviser", "onnx", "onnxruntime", "viser"}
     extras |= {"optuna", "sqlalchemy", "ray", "wandb"}

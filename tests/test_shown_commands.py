@@ -12,7 +12,7 @@ import pytest
 import tyro
 
 from quadwalk import __main__
-from quadwalk.cli import ArgumentParser
+from quadwalk.command.line import ArgumentParser
 from quadwalk.settings.serialize import to_dict
 from quadwalk.task_files import load_task
 from quadwalk.train.flags import parse_config

@@ -1,6 +1,7 @@
 """Pictures as files: PNG, a film strip, GIF, MP4."""
 
 import contextlib
+import importlib
 import itertools
 import shutil
 import subprocess
@@ -11,9 +12,9 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
+from quadwalk.command.shell import install
 from quadwalk.errors import UserError
 from quadwalk.files import atomic_write
-from quadwalk.shell import install
 
 FPS = 25  # of a video; a GIF counts in hundredths of a second: 4 of them
 _GAP = 4  # pixels between the pictures of a strip
@@ -101,8 +102,7 @@ def _ffmpeg() -> str:
     program = shutil.which("ffmpeg")
     if program is None:
         try:
-            import imageio_ffmpeg
-
+            imageio_ffmpeg = importlib.import_module("imageio_ffmpeg")
             program = imageio_ffmpeg.get_ffmpeg_exe()
         except (ImportError, RuntimeError):
             raise UserError(

@@ -10,6 +10,7 @@ from typing import Any
 
 from rich.console import Console
 
+from quadwalk.command.shell import words
 from quadwalk.drawing.figures import save_figure
 from quadwalk.drawing.images import save_png
 from quadwalk.evaluate.evaluation import Evaluation, measure
@@ -44,7 +45,6 @@ from quadwalk.evaluate.report.panels import (
 )
 from quadwalk.evaluate.report.pictures import draw_film_strip, render_video
 from quadwalk.evaluate.summary import engine_differences
-from quadwalk.shell import words
 from quadwalk.train.runs.directory import write_json_atomic
 
 

@@ -1,6 +1,6 @@
 """`quadwalk export`: write a policy as ONNX, with all that is needed to use it."""
 
-from quadwalk.process import run_command
+from quadwalk.command.process import run_command
 
 if __name__ == "__main__":
     run_command("quadwalk.export.__main__")
@@ -13,9 +13,9 @@ from typing import Annotated, Literal
 
 import tyro
 
-from quadwalk.cli import message_console, parse
+from quadwalk.command.line import message_console, parse
+from quadwalk.command.shell import install, python, words
 from quadwalk.errors import UserError
-from quadwalk.shell import install, python, words
 from quadwalk.train.runs.directory import find_any_run, find_ready, origin_of, results_folder
 
 
@@ -46,8 +46,7 @@ def main(args: Sequence[str] | None = None, prog: str = "quadwalk export") -> No
     out = config.out or results_folder(config.runs, run) / "export"
     checked = config.check or config.recording is not None
     try:
-        from quadwalk.export.bundle import export_run, load_flat
-        from quadwalk.export.check import check_export
+        from quadwalk.export import bundle, check
     except ModuleNotFoundError as error:
         if error.name not in ("onnx", "onnxruntime"):
             raise
@@ -57,11 +56,11 @@ def main(args: Sequence[str] | None = None, prog: str = "quadwalk export") -> No
     if not checked or not (out / "policy.onnx").exists():
         console.print(f"exporting {origin_of(config.runs, run)}")
         getup = None if config.getup is None else find_any_run(config.runs, config.getup)
-        for path in export_run(run, config.policy, out, console, getup):
+        for path in bundle.export_run(run, config.policy, out, console, getup):
             print(path)
     if checked:
         console.print(f"checking {config.recording or out}")
-        check_export(load_flat(run, config.policy), out, config.recording, console)
+        check.check_export(bundle.load_flat(run, config.policy), out, config.recording, console)
         print("no difference")
     else:
         console.print(f"see it run with: {words(python(), out / 'run_policy.py')}")

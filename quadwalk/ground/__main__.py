@@ -1,6 +1,6 @@
 """`quadwalk terrain -o PNG`: draw every kind of terrain at several difficulties."""
 
-from quadwalk.process import run_command
+from quadwalk.command.process import run_command
 
 if __name__ == "__main__":
     run_command("quadwalk.ground.__main__")
@@ -8,7 +8,7 @@ if __name__ == "__main__":
 import dataclasses
 from pathlib import Path
 
-from quadwalk.cli import ArgumentParser
+from quadwalk.command.line import ArgumentParser
 from quadwalk.errors import UsageError
 from quadwalk.ground.terrain import FLAT
 from quadwalk.ground.tiles import KINDS
@@ -31,8 +31,6 @@ def main(argv: list[str] | None = None, prog: str = "quadwalk terrain") -> None:
         config = dataclasses.replace(config, difficulty=(1.0 / given.levels, 1.0))
     except UsageError as error:
         raise UsageError(str(error).replace(f"--{FLAT.group}.", "--")) from None
-    from quadwalk.drawing.images import save_png
-    from quadwalk.ground.picture import draw_kinds  # and with it all that reads a URDF
-    from quadwalk.robot.quadruped import load_quadruped
+    from quadwalk.ground.picture import save_kinds  # and with it all that reads a URDF
 
-    save_png(draw_kinds(config, load_quadruped(vars(given)["robot.urdf"])), given.out)
+    save_kinds(config, vars(given)["robot.urdf"], given.out)

@@ -1,6 +1,7 @@
 """A picture of every kind of ground, with the robot on it."""
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import mujoco
@@ -8,10 +9,10 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from quadwalk.drawing.canvas import Camera, Canvas
-from quadwalk.drawing.images import film_strip
+from quadwalk.drawing.images import film_strip, save_png
 from quadwalk.ground.heightfield import Heightfield, lay
 from quadwalk.ground.terrain import GroundConfig, Place, leg_length, make_terrain
-from quadwalk.robot.quadruped import Quadruped
+from quadwalk.robot.quadruped import Quadruped, load_quadruped
 
 _ACROSS = 3  # pictures in a row, where there is one level
 _SIZE = (480, 320)  # pixels of one
@@ -40,6 +41,11 @@ def draw_kinds(config: GroundConfig, quadruped: Quadruped) -> np.ndarray:
         ImageDraw.Draw(picture).text((10, 8), label, font=font, **_TEXT)
         pictures.append(np.asarray(picture))
     return film_strip(pictures, config.levels if config.levels > 1 else _ACROSS)
+
+
+def save_kinds(config: GroundConfig, urdf: Path, out: Path) -> None:
+    """Write that picture, of the robot in `urdf`, as a PNG."""
+    save_png(draw_kinds(config, load_quadruped(urdf)), out)
 
 
 def _standing(

@@ -1,6 +1,6 @@
 """`python -m quadwalk.identify`: fit a robot's joints to a log of them."""
 
-from quadwalk.process import run_command
+from quadwalk.command.process import run_command
 
 if __name__ == "__main__":
     run_command("quadwalk.identify.__main__")
@@ -8,21 +8,13 @@ if __name__ == "__main__":
 import sys
 from collections.abc import Sequence
 
-from quadwalk.cli import parse
+from quadwalk.command.line import parse
 from quadwalk.identify.config import IdentifyConfig
 
 
 def main(args: Sequence[str] | None = None, prog: str = "python -m quadwalk.identify") -> None:
     """Parse the command line, and identify or write targets."""
     config = parse(IdentifyConfig, sys.argv[1:] if args is None else args, prog)
-    # Both take seconds to import.
-    if config.targets is not None:
-        from quadwalk.identify.excite import write_targets
-        from quadwalk.train.robot import load_robot
+    from quadwalk.identify.identification import identify  # it takes seconds to import
 
-        write_targets(config.targets, load_robot(config.robot))
-        print(f"written to {config.targets}: play it on the robot on its stand, slowly at first")
-    else:
-        from quadwalk.identify.identification import identify
-
-        identify(config)
+    identify(config)

@@ -6,11 +6,13 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
-from quadwalk.cli import message_console
+from quadwalk.command.line import message_console
+from quadwalk.command.shell import as_typed
 from quadwalk.drawing.figures import save_figure
 from quadwalk.evaluate.report.console import print_table
 from quadwalk.files import atomic_write, make_folder
 from quadwalk.identify.config import IdentifyConfig
+from quadwalk.identify.excite import write_targets
 from quadwalk.identify.fit import DELAY, Fit, fit_joints
 from quadwalk.identify.found import (
     UNITS,
@@ -28,16 +30,19 @@ from quadwalk.physics.model import Model
 from quadwalk.physics.motor import FRICTION_SPEED, MotorConfig, make_motor
 from quadwalk.robot.quadruped import Quadruped
 from quadwalk.settings.environment import PHYSICS
-from quadwalk.shell import as_typed
 from quadwalk.train.devices import set_up_devices
 from quadwalk.train.robot import load_robot
 from quadwalk.train.runs.directory import write_json_atomic
 
 
 def identify(config: IdentifyConfig) -> dict[str, Any]:
-    """Identify as `config` says; return what identified.json holds."""
-    assert config.log is not None
+    """Identify as `config` says; return what identified.json holds, or {} if it wants targets."""
     quadruped = load_robot(config.robot)
+    if config.targets is not None:
+        write_targets(config.targets, quadruped)
+        print(f"written to {config.targets}: play it on the robot on its stand, slowly at first")
+        return {}
+    assert config.log is not None
     log = read_log(config.log, quadruped.joints)
     out = config.out or config.log.with_name(f"{config.log.stem}_identified")
     make_folder(out)

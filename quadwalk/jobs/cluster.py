@@ -4,6 +4,7 @@ A job travels as the files of its run. Each checkpoint comes back as soon as it 
 the `Keeper`, an actor beside this process: what is lost with a machine is lost work, and no run.
 """
 
+import importlib
 import logging
 import math
 import re
@@ -14,11 +15,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from quadwalk.command.shell import extra
 from quadwalk.errors import UsageError, UserError
 from quadwalk.files import atomic_write
 from quadwalk.jobs.job import Event, Job, Row, Work, compute
 from quadwalk.jobs.place import PlaceConfig
-from quadwalk.shell import install
 from quadwalk.train.runs.directory import Run, list_checkpoints, versions
 
 TRIES = 5  # that Ray begins a job again, where its worker or its machine has died
@@ -90,7 +91,8 @@ class Cluster:
         self._gpus = config.gpus
         self.slots = self._count()
         here = ray.get_runtime_context().get_node_id()
-        beside = ray.util.scheduling_strategies.NodeAffinitySchedulingStrategy(here, soft=False)
+        scheduling = importlib.import_module("ray.util.scheduling_strategies")
+        beside = scheduling.NodeAffinitySchedulingStrategy(here, soft=False)
         self._keeper = ray.remote(num_cpus=0, scheduling_strategy=beside)(Keeper).remote()
         self._jobs: dict[Any, Job] = {}
         self._trains: set[str] = set()
@@ -170,17 +172,16 @@ class Cluster:
         return found
 
 
+def _ray() -> Any:
+    return extra("ray", "--cluster", "cluster")
+
+
 def connected(address: str) -> Any:
     """The module `ray`, connected to the cluster at `address`; `UserError` in one line if not."""
     tcp = _TCP.fullmatch(address)
     if not tcp and address not in ("auto", "local"):
         raise UsageError(f"--cluster is {address!r}; expected HOST:PORT, auto or local")
-    try:
-        import ray  # not at the top: an extra, which takes seconds
-        import ray.util.scheduling_strategies
-    except ImportError:
-        needs = f"--cluster needs ray, which is not installed: {install('cluster')}"
-        raise UserError(needs) from None
+    ray = _ray()
     if tcp:  # Ray itself would try for minutes
         try:
             socket.create_connection((tcp["host"], int(tcp["port"])), _PATIENCE).close()
@@ -199,8 +200,7 @@ def connected(address: str) -> Any:
 
 def _work(keeper: Any, work: Work, cores: int, expected: dict[str, str]) -> Event:
     """Compute a job, in a worker's process of its own."""
-    import ray
-
+    ray = _ray()
     if versions() != expected:
         differ = ", ".join(
             f"{name} {version} in place of {expected[name]}"

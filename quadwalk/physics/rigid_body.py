@@ -216,42 +216,7 @@ def bias_force(
 ) -> Motion:
     """Coriolis, centrifugal and gravitational forces: what holds the acceleration at 0."""
     spin = velocity.angular
-
-    def newton_euler(
-        mass: Array,
-        center: Vector,
-        inertia: Inertia,
-        w: Vector,
-        turning: Vector,
-        at: Vector,
-        acceleration: Vector,
-    ) -> tuple[Vector, Vector]:
-        """Force, and torque about the trunk's origin, that a body's motion takes."""
-        arm = v.subtract(center, at)
-        center_acceleration = v.add(
-            acceleration, v.cross(turning, arm), v.cross(w, v.cross(w, arm))
-        )
-        force = v.scale(mass, v.subtract(center_acceleration, gravity))
-        torque = v.add(turn_by(inertia, turning), v.cross(w, turn_by(inertia, w)))
-        return force, v.add(torque, v.cross(center, force))
-
-    w, turning, at, acceleration = spin, None, None, None
-    forces: list[tuple[Vector, Vector]] = []
-    for i, link in enumerate(links):
-        origin, axis = pose.origins[i], pose.axes[i]
-        arm = origin if at is None else v.subtract(origin, at)
-        moved = v.cross(w, v.cross(w, arm))
-        if turning is not None and acceleration is not None:
-            moved = v.add(acceleration, v.cross(turning, arm), moved)
-        rate = v.scale(velocity.joints[i], axis)
-        change = v.cross(w, rate)
-        turning = change if turning is None else v.add(turning, change)
-        w, at, acceleration = v.add(w, rate), origin, moved
-        forces.append(
-            newton_euler(
-                link.mass, bodies.centers[i], bodies.inertias[i], w, turning, at, acceleration
-            )
-        )
+    forces = _link_forces(links, pose, bodies, velocity, gravity)
     joints: list[Array] = []
     force, torque = forces[-1]
     for i in reversed(range(LINKS)):
@@ -267,3 +232,33 @@ def bias_force(
         v.add(trunk_torque, v.vector(v.legs_sum(x) for x in torque)),
         v.vector(joints),
     )
+
+
+def _link_forces(
+    links: tuple[Link, ...], pose: Pose, bodies: Bodies, velocity: Motion, gravity: Vector
+) -> list[tuple[Vector, Vector]]:
+    """Of each link the force, and the torque about the trunk's origin, that its motion takes.
+
+    Velocities and accelerations go down the leg, from the trunk, whose acceleration is 0.
+    """
+    w, turning, at, acceleration = velocity.angular, None, None, None
+    forces: list[tuple[Vector, Vector]] = []
+    for i, link in enumerate(links):
+        origin, axis = pose.origins[i], pose.axes[i]
+        arm = origin if at is None else v.subtract(origin, at)
+        moved = v.cross(w, v.cross(w, arm))
+        if turning is not None and acceleration is not None:
+            moved = v.add(acceleration, v.cross(turning, arm), moved)
+        rate = v.scale(velocity.joints[i], axis)
+        change = v.cross(w, rate)
+        turning = change if turning is None else v.add(turning, change)
+        w, at, acceleration = v.add(w, rate), origin, moved
+        center, inertia = bodies.centers[i], bodies.inertias[i]
+        arm = v.subtract(center, at)
+        center_acceleration = v.add(
+            acceleration, v.cross(turning, arm), v.cross(w, v.cross(w, arm))
+        )
+        force = v.scale(link.mass, v.subtract(center_acceleration, gravity))
+        torque = v.add(turn_by(inertia, turning), v.cross(w, turn_by(inertia, w)))
+        forces.append((force, v.add(torque, v.cross(center, force))))
+    return forces

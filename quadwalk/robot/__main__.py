@@ -1,6 +1,6 @@
 """`quadwalk robot URDF [-o OUT] [--render PNG]`: convert a URDF to MJCF, or draw it."""
 
-from quadwalk.process import run_command
+from quadwalk.command.process import run_command
 
 if __name__ == "__main__":
     run_command("quadwalk.robot.__main__")
@@ -11,7 +11,7 @@ import sys
 from fnmatch import fnmatchcase
 from pathlib import Path
 
-from quadwalk.cli import ArgumentParser
+from quadwalk.command.line import ArgumentParser
 from quadwalk.drawing.canvas import render_home
 from quadwalk.drawing.images import save_png
 from quadwalk.errors import UsageError

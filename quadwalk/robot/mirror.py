@@ -67,77 +67,102 @@ def robot_mirror(quadruped: Quadruped, model: mujoco.MjModel) -> RobotMirror | s
 
     From the structure in the standing pose of `model`, which is made from `quadruped`.
     """
-    data, axes = standing(quadruped, model)
-    trunk = int(model.jnt_bodyid[0])
-    turn = data.xmat[trunk].reshape(3, 3)
-
-    def placed(points: np.ndarray) -> np.ndarray:
-        return (points - data.xpos[trunk]) @ turn  # in the trunk's frame
-
-    mass, height = float(model.body_subtreemass[0]), float(quadruped.home[2])
-    anchors = placed(data.xanchor[1:])
-    geoms = [model.geom(name).id for name in quadruped.feet]
-    soles = placed(data.geom_xpos[geoms])
-    joints, feet = _nearest(anchors), _nearest(soles)
-    # An axis is an axial vector.
-    sign = np.where(np.sum(axes[joints] * (-axes @ _FLIP), axis=1) < 0, -1.0, 1.0)
+    image = _Image(quadruped, model)
     try:
-        found = RobotMirror(mirror(joints, sign), mirror(feet, np.ones(4)))
+        found = RobotMirror(
+            mirror(image.joints, image.sign),
+            mirror(_nearest(image.spheres(quadruped.feet)), [1] * 4),
+        )
     except ValueError:
         return "the robot is not its own mirror image: joints or feet of its sides do not pair"
-
-    names = quadruped.joints
-    # By what: of what, how different (n,) or (n, ...), how much may be.
-    differences: dict[str, tuple[tuple[str, ...], np.ndarray, float]] = {}
-
-    def compare(what: str, own: tuple[str, ...], off: np.ndarray, most: float) -> None:
-        differences[what] = own, np.abs(off).reshape(len(own), -1).max(axis=1), most
-
-    def values(what: str, x: np.ndarray) -> None:
-        larger = np.maximum(np.maximum(np.abs(x), np.abs(x[joints])), 1e-9)
-        compare(what, names, (x[joints] - x) / larger, VALUE)
-
-    compare("place", names, anchors[joints] - anchors @ _FLIP, PLACE * height)
-    compare("axis", names, axes[joints] + sign[:, None] * (axes @ _FLIP), PLACE)
-    compare("standing angle", names, found.joints(quadruped.home[7:]) - quadruped.home[7:], PLACE)
-    lower = np.where(sign > 0, quadruped.lower[joints], -quadruped.upper[joints])
-    upper = np.where(sign > 0, quadruped.upper[joints], -quadruped.lower[joints])
-    off = np.stack([lower - quadruped.lower, upper - quadruped.upper], axis=1)
-    compare("limits", names, off, PLACE)
-    for what in ("effort", "velocity", "friction"):
-        values(what, getattr(quadruped, what))
-    dofs = model.jnt_dofadr[1:]
-    values("armature", model.dof_armature[dofs])
-    values("damping", model.dof_damping[dofs].reshape(12, -1)[:, 0])
-    bodies = np.r_[trunk, model.jnt_bodyid[1:]]
-    images, own = np.r_[0, 1 + joints], tuple(model.body(body).name for body in bodies)
-    masses, centers = model.body_mass[bodies], placed(data.xipos[bodies])
-    compare("mass", own, masses[images] / masses - 1, VALUE)
-    moments = masses[:, None] * (centers[images] - centers @ _FLIP) / (mass * height)
-    compare("center of mass", own, moments, MOMENT)
-    frames = turn.T @ data.ximat[bodies].reshape(-1, 3, 3)
-    inertias = frames * model.body_inertia[bodies, None] @ frames.transpose(0, 2, 1)
-    off = (inertias[images] - _FLIP @ inertias @ _FLIP) / (mass * height**2)
-    compare("inertia", own, off, INERTIA)
-    there = {model.geom(geom).name for geom in range(model.ngeom)}
-    for spheres in (quadruped.feet, *KINDS):
-        if there.issuperset(spheres):
-            geoms = [model.geom(name).id for name in spheres]
-            places, radii = placed(data.geom_xpos[geoms]), model.geom_size[geoms, 0]
-            images = _nearest(places)
-            compare(
-                f"place of {spheres[0]}", spheres, places[images] - places @ _FLIP, PLACE * height
-            )
-            compare(f"radius of {spheres[0]}", spheres, radii[images] - radii, PLACE * height)
-    what, (own, off, most) = max(
-        differences.items(), key=lambda item: item[1][1].max() / item[1][2]
-    )
-    if off.max() <= most:
+    image.compare_joints()
+    image.compare_bodies()
+    image.compare_spheres()
+    if image.share <= 1.0:
         return found
-    return (
-        f"the robot is not its own mirror image: {what} of {own[int(off.argmax())]!r} differs by "
-        f"{off.max():.2g} ({most:.2g} would do)"
-    )
+    return f"the robot is not its own mirror image: {image.largest}"
+
+
+class _Image:
+    """A robot in its standing pose beside its mirror image, and the largest difference so far."""
+
+    def __init__(self, quadruped: Quadruped, model: mujoco.MjModel) -> None:
+        self._quadruped, self._model = quadruped, model
+        self._data, self._axes = standing(quadruped, model)
+        self._trunk = int(model.jnt_bodyid[0])
+        self._turn = self._data.xmat[self._trunk].reshape(3, 3)
+        self._mass, self._height = float(model.body_subtreemass[0]), float(quadruped.home[2])
+        self._anchors = self._placed(self._data.xanchor[1:])
+        self.joints = _nearest(self._anchors)
+        # An axis is an axial vector.
+        along = np.sum(self._axes[self.joints] * (-self._axes @ _FLIP), axis=1)
+        self.sign = np.where(along < 0, -1.0, 1.0)
+        self.share = 0.0  # of what may be, the largest difference
+        self.largest = ""
+
+    def _placed(self, points: np.ndarray) -> np.ndarray:
+        """Points (n, 3) in the trunk's frame."""
+        return (points - self._data.xpos[self._trunk]) @ self._turn
+
+    def spheres(self, names: tuple[str, ...]) -> np.ndarray:
+        """Centers (n, 3) of spheres."""
+        return self._placed(self._data.geom_xpos[[self._model.geom(name).id for name in names]])
+
+    def _compare(self, what: str, own: tuple[str, ...], off: np.ndarray, most: float) -> None:
+        """`off` (n,) or (n, ...) is by how much `what` differs of each of `own`; `most` may be."""
+        each = np.abs(off).reshape(len(own), -1).max(axis=1)
+        if each.max() / most > self.share:
+            self.share = float(each.max() / most)
+            self.largest = (
+                f"{what} of {own[int(each.argmax())]!r} differs by {each.max():.2g} "
+                f"({most:.2g} would do)"
+            )
+
+    def compare_joints(self) -> None:
+        """Places, axes, angles, limits and motors."""
+        quadruped, joints, sign = self._quadruped, self.joints, self.sign
+        names, home, dofs = quadruped.joints, quadruped.home[7:], self._model.jnt_dofadr[1:]
+        moved = self._anchors[joints] - self._anchors @ _FLIP
+        self._compare("place", names, moved, PLACE * self._height)
+        turned = self._axes[joints] + sign[:, None] * (self._axes @ _FLIP)
+        self._compare("axis", names, turned, PLACE)
+        self._compare("standing angle", names, sign * home[joints] - home, PLACE)
+        lower = np.where(sign > 0, quadruped.lower[joints], -quadruped.upper[joints])
+        upper = np.where(sign > 0, quadruped.upper[joints], -quadruped.lower[joints])
+        off = np.stack([lower - quadruped.lower, upper - quadruped.upper], axis=1)
+        self._compare("limits", names, off, PLACE)
+        values = {what: getattr(quadruped, what) for what in ("effort", "velocity", "friction")}
+        values["armature"] = self._model.dof_armature[dofs]
+        values["damping"] = self._model.dof_damping[dofs].reshape(12, -1)[:, 0]
+        for what, x in values.items():
+            larger = np.maximum(np.maximum(np.abs(x), np.abs(x[joints])), 1e-9)
+            self._compare(what, names, (x[joints] - x) / larger, VALUE)
+
+    def compare_bodies(self) -> None:
+        """Masses, centers of mass and inertias of trunk and links."""
+        model, mass, height = self._model, self._mass, self._height
+        bodies, images = np.r_[self._trunk, model.jnt_bodyid[1:]], np.r_[0, 1 + self.joints]
+        names = tuple(model.body(body).name for body in bodies)
+        masses, centers = model.body_mass[bodies], self._placed(self._data.xipos[bodies])
+        self._compare("mass", names, masses[images] / masses - 1, VALUE)
+        moments = masses[:, None] * (centers[images] - centers @ _FLIP) / (mass * height)
+        self._compare("center of mass", names, moments, MOMENT)
+        frames = self._turn.T @ self._data.ximat[bodies].reshape(-1, 3, 3)
+        inertias = frames * model.body_inertia[bodies, None] @ frames.transpose(0, 2, 1)
+        off = (inertias[images] - _FLIP @ inertias @ _FLIP) / (mass * height**2)
+        self._compare("inertia", names, off, INERTIA)
+
+    def compare_spheres(self) -> None:
+        """Places and radii of the spheres of contact that the model has."""
+        model, most = self._model, PLACE * self._height
+        there = {model.geom(geom).name for geom in range(model.ngeom)}
+        for names in (self._quadruped.feet, *KINDS):
+            if there.issuperset(names):
+                places = self.spheres(names)
+                radii = np.array([model.geom(name).size[0] for name in names])
+                images = _nearest(places)
+                self._compare(f"place of {names[0]}", names, places[images] - places @ _FLIP, most)
+                self._compare(f"radius of {names[0]}", names, radii[images] - radii, most)
 
 
 def _nearest(points: np.ndarray) -> np.ndarray:

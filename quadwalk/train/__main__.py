@@ -1,6 +1,6 @@
 """`quadwalk train`, which is also `train.py`: teach a quadruped a task."""
 
-from quadwalk.process import run_command
+from quadwalk.command.process import run_command
 
 if __name__ == "__main__":
     run_command("quadwalk.train.__main__")

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from quadwalk.cli import parse, taken, value_of
+from quadwalk.command.line import parse, taken, value_of
 from quadwalk.errors import UsageError
 from quadwalk.settings.training import TrainConfig
 from quadwalk.task_files import load_task, task_list, task_table

@@ -10,9 +10,9 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import FrameType
 
+from quadwalk.command.shell import as_typed
 from quadwalk.errors import UserError
 from quadwalk.settings.training import TrainConfig
-from quadwalk.shell import as_typed
 from quadwalk.train import distributed
 from quadwalk.train.progress.display import Progress
 from quadwalk.train.progress.watch import WATCHED, check_watch, watched

@@ -7,7 +7,7 @@ A file holds the `EnvState` before the control step, its parts named as `before/
 the `action` (12,).
 """
 
-from quadwalk.process import run_command
+from quadwalk.command.process import run_command
 
 if __name__ == "__main__":
     run_command("quadwalk.train.nan")

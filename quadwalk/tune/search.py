@@ -9,6 +9,7 @@ from functools import partial
 from typing import Any
 
 from quadwalk.api import evaluate
+from quadwalk.command.shell import as_typed, extra
 from quadwalk.errors import UsageError, UserError, meant
 from quadwalk.evaluate.statistics import figure_mean
 from quadwalk.evaluate.summary import FIGURES
@@ -17,7 +18,6 @@ from quadwalk.jobs.job import Job, Row, sized
 from quadwalk.jobs.runner import Outcome, place_of, run_jobs
 from quadwalk.settings.serialize import with_settings
 from quadwalk.settings.training import TrainConfig
-from quadwalk.shell import as_typed, install
 from quadwalk.train.flags import parse_config
 from quadwalk.train.progress.metrics import SCORED, score
 from quadwalk.train.runs.directory import Run, write_json_atomic
@@ -112,12 +112,8 @@ class Search:
         write_json_atomic(path, now)
 
     def _open(self) -> tuple[Any, Any]:
-        try:
-            import optuna  # an extra, which takes a second
-            import sqlalchemy.exc
-        except ImportError:
-            needs = f"tune needs optuna, which is not installed: {install('tune')}"
-            raise UserError(needs) from None
+        optuna = extra("optuna", "tune", "tune")
+        refused = extra("sqlalchemy.exc", "tune", "tune").DatabaseError
         optuna.logging.set_verbosity(optuna.logging.ERROR)
         path = self.folder / "study.db"
         try:
@@ -129,7 +125,7 @@ class Search:
                 direction="minimize" if self._less else "maximize",
                 pruner=optuna.pruners.MedianPruner(STARTUP, WARM_UP),
             )
-        except sqlalchemy.exc.DatabaseError as error:
+        except refused as error:
             reason = str(error.orig or error)
             raise UserError(f"{path} cannot be used as a study: {reason}") from None
         # Its own sequence of numbers after each start: else it would draw the same again.

@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from quadwalk.command.shell import extra
 from quadwalk.errors import UsageError, meant
 from quadwalk.settings.serialize import flatten, with_settings
 from quadwalk.settings.training import TrainConfig
@@ -27,8 +28,7 @@ class Dimension:
 
     def distribution(self) -> "BaseDistribution":
         """What Optuna draws from."""
-        from optuna import distributions  # an extra
-
+        distributions = extra("optuna", "tune", "tune").distributions
         if self.choices:
             return distributions.CategoricalDistribution(self.choices)
         if self.whole:

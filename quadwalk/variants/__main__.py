@@ -3,9 +3,9 @@
 import sys
 from collections.abc import Sequence
 
-from quadwalk.cli import parse
+from quadwalk.command.line import parse
+from quadwalk.command.process import run_command
 from quadwalk.errors import UsageError
-from quadwalk.process import run_command
 from quadwalk.variants.arguments import CompareConfig, split
 
 

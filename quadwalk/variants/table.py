@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from quadwalk.api import evaluate
-from quadwalk.cli import value_of
+from quadwalk.command.line import value_of
 from quadwalk.drawing.figures import save_figure
 from quadwalk.errors import UsageError, UserError
 from quadwalk.evaluate.statistics import figure_mean, number

@@ -12,10 +12,10 @@ from typing import Annotated, Literal
 import tyro
 
 from quadwalk.bounds import Port, Settings
-from quadwalk.cli import message_console
+from quadwalk.command.line import message_console
+from quadwalk.command.shell import install
 from quadwalk.errors import UserError
 from quadwalk.paths import PRETRAINED
-from quadwalk.shell import install
 from quadwalk.train.runs.directory import Run, find_any_run, find_ready
 
 

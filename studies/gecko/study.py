@@ -19,10 +19,10 @@ import re
 from dataclasses import replace
 from pathlib import Path
 
+from quadwalk.command.process import run_command
 from quadwalk.jobs.job import Job, sized
 from quadwalk.jobs.place import PlaceConfig, add_place_flags, place_config
 from quadwalk.jobs.runner import place_of, run_jobs, values
-from quadwalk.process import run_command
 from quadwalk.settings.serialize import with_settings
 from quadwalk.settings.training import TrainConfig
 from quadwalk.task_files import load_task

@@ -24,6 +24,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from quadwalk.command.process import run_command
 from quadwalk.evaluate.grids.by_ground import ground_env, measure_by_ground
 from quadwalk.evaluate.loaded import load_run
 from quadwalk.evaluate.simulate import roll_out
@@ -31,7 +32,6 @@ from quadwalk.ground.heightfield import Heightfield
 from quadwalk.jobs.job import Job, sized
 from quadwalk.jobs.place import add_place_flags, place_config
 from quadwalk.jobs.runner import place_of, run_jobs, values
-from quadwalk.process import run_command
 from quadwalk.task.ground_input import jit
 from quadwalk.train.flags import parse_config
 from quadwalk.train.runs.directory import Run

@@ -22,12 +22,12 @@ from pathlib import Path
 from typing import Any
 
 from quadwalk.api import evaluate
+from quadwalk.command.process import run_command
 from quadwalk.evaluate.grids.sweep import Point, measure_points
 from quadwalk.evaluate.loaded import LoadedRun, load_run
 from quadwalk.jobs.job import Job, sized
 from quadwalk.jobs.place import add_place_flags, place_config
 from quadwalk.jobs.runner import place_of, run_jobs, values
-from quadwalk.process import run_command
 from quadwalk.settings.serialize import with_settings
 from quadwalk.settings.training import TrainConfig
 from quadwalk.task.env import QuadrupedEnv

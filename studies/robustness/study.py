@@ -15,11 +15,11 @@ import tempfile
 from pathlib import Path
 
 from quadwalk.api import train
+from quadwalk.command.process import run_command
 from quadwalk.evaluate.options import EvalConfig
 from quadwalk.evaluate.session import evaluate_runs
 from quadwalk.files import atomic_write
 from quadwalk.paths import PRETRAINED
-from quadwalk.process import run_command
 
 RESULTS = Path(__file__).parent / "results.json"
 

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from quadwalk.cli import parse
+from quadwalk.command.line import parse
 from quadwalk.errors import UsageError, UserError
 from quadwalk.evaluate import session
 from quadwalk.evaluate.options import EvalConfig

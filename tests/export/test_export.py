@@ -21,6 +21,7 @@ from brax.training.acme.running_statistics import NestedMeanStd
 from brax.training.networks import ACTIVATION
 from rich.console import Console
 
+from quadwalk.command.shell import install
 from quadwalk.errors import UserError
 from quadwalk.evaluate.loaded import LoadedRun, load_run
 from quadwalk.evaluate.rollout import Rollout
@@ -31,7 +32,6 @@ from quadwalk.export.check import check_export, read_recording, replay
 from quadwalk.export.joint_targets import JointTargets, find_targets
 from quadwalk.export.policy_graph import ACTIVATIONS, Weights, build_model, input_labels
 from quadwalk.settings.terms import ActionMap
-from quadwalk.shell import install
 from quadwalk.task.env import QuadrupedEnv
 from quadwalk.task_files import load_task
 from quadwalk.train.learner.networks import make_networks

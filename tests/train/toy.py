@@ -25,8 +25,8 @@ import quadwalk.task.env
 import quadwalk.train.progress.curves
 import quadwalk.train.runs.writer
 import quadwalk.train.setup
+from quadwalk.command.process import run_command
 from quadwalk.physics.motor import PhysicsState
-from quadwalk.process import run_command
 from quadwalk.settings.environment import EnvConfig
 from quadwalk.task.env import EnvState
 from quadwalk.train.__main__ import main

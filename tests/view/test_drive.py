@@ -8,9 +8,9 @@ import mujoco
 import numpy as np
 import pytest
 
+from quadwalk.command.shell import install
 from quadwalk.errors import UsageError, UserError
 from quadwalk.eval import main as evaluate
-from quadwalk.shell import install
 from quadwalk.tasks import walk
 from quadwalk.train.loop import train
 from quadwalk.view.show import ViewConfig, drive, no_window

@@ -4,9 +4,9 @@ import subprocess
 from pathlib import Path
 from typing import Any
 
+from quadwalk.command.shell import ROOT
 from quadwalk.evaluate.loaded import LoadedRun
 from quadwalk.robot.mjcf import write_xml
-from quadwalk.shell import ROOT
 from quadwalk.train.robot import load_robot
 from quadwalk.train.runs.directory import versions
 

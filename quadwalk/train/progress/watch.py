@@ -7,8 +7,8 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 
+from quadwalk.command.shell import install
 from quadwalk.errors import UserError
-from quadwalk.shell import install
 from quadwalk.train.runs.directory import Run
 
 WATCHED = 20  # times that the policy is saved for the page between two checkpoints

@@ -1,6 +1,6 @@
 """`quadwalk runs`: list, show and remove training runs."""
 
-from quadwalk.process import run_command
+from quadwalk.command.process import run_command
 
 if __name__ == "__main__":
     run_command("quadwalk.train.runs.__main__")
@@ -14,7 +14,7 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from quadwalk.cli import ArgumentParser
+from quadwalk.command.line import ArgumentParser
 from quadwalk.errors import UserError
 from quadwalk.files import os_reason
 from quadwalk.train.runs.directory import Run, claim, find_run, list_runs

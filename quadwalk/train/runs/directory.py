@@ -30,7 +30,7 @@ from pathlib import Path
 from typing import Any
 
 from quadwalk.errors import UsageError, UserError
-from quadwalk.files import atomic_write, make_folder, os_reason
+from quadwalk.files import atomic_write, locked, make_folder, os_reason
 from quadwalk.paths import PRETRAINED
 from quadwalk.train.runs import checkpoint
 
@@ -239,14 +239,8 @@ def claim(run: Run) -> Iterator[None]:
     except OSError as error:
         raise UserError(f"cannot write {run.metrics}: {os_reason(error)}") from error
     with file:
-        # Some systems (Windows) and some network file systems know no such claims.
-        with contextlib.suppress(ImportError, OSError):
-            import fcntl
-
-            try:
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                raise UserError(f"{run.path} is being trained by another process") from None
+        if not locked(file):
+            raise UserError(f"{run.path} is being trained by another process")
         yield
 
 

@@ -4,14 +4,13 @@ Sent are the settings and the rows of metrics: no code, no console output, no gi
 `WANDB_MODE=offline` keeps them in runs/NAME/wandb, from where `wandb sync` sends them.
 """
 
-import importlib.util
 from collections.abc import Mapping
 from typing import Any
 
+from quadwalk.command.shell import extra
 from quadwalk.errors import UserError
 from quadwalk.settings.serialize import flatten
 from quadwalk.settings.training import TrainConfig
-from quadwalk.shell import install
 from quadwalk.train.runs.directory import Run
 
 PROJECT = "quadwalk"  # WANDB_PROJECT is another
@@ -19,10 +18,7 @@ PROJECT = "quadwalk"  # WANDB_PROJECT is another
 
 def check_wandb() -> None:
     """Raise `UserError` where wandb is not installed; ask for the key where there is none."""
-    if importlib.util.find_spec("wandb") is None:
-        raise UserError(f"--log wandb needs wandb, which is not installed: {install('wandb')}")
-    import wandb
-
+    wandb = _wandb()
     try:
         wandb.login()
     except Exception as error:
@@ -33,8 +29,7 @@ class WandbLog:
     """A run of Weights & Biases with the name of `run`; a resumed training continues it."""
 
     def __init__(self, run: Run, config: TrainConfig) -> None:
-        import wandb
-
+        wandb = _wandb()
         settings = {name: str(value) for name, value in flatten(config).items()}
         private: Any = wandb.Settings(
             console="off",
@@ -70,6 +65,10 @@ class WandbLog:
     def close(self) -> None:
         """Send what is left."""
         self._run.finish()
+
+
+def _wandb() -> Any:
+    return extra("wandb", "--log wandb", "wandb")
 
 
 def _known(run: Run) -> str | None:

@@ -34,7 +34,7 @@ complete -o default -F _quadwalk quadwalk
 """
 
 
-def script(shell: str, commands: Mapping[str, str]) -> str:
+def completion_script(shell: str, commands: Mapping[str, str]) -> str:
     """The script for `shell` to source; `commands` are names and modules.
 
     `UsageError` for a shell that is not one of `SHELLS`.

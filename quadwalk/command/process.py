@@ -20,9 +20,9 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NoReturn
 
+from quadwalk.command.shell import ROOT, install, short, words
 from quadwalk.errors import UserError
 from quadwalk.files import os_reason, remove_unfinished
-from quadwalk.shell import ROOT, install, short, words
 
 # What quadwalk imports.
 _PACKAGES = (

@@ -1,15 +1,19 @@
-"""Commands to paste into the shell that this process was called from."""
+"""Commands to paste into the shell that this process was called from, and what they install."""
 
 from __future__ import annotations
 
+import importlib
 import os
 import shlex
 import shutil
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
-ROOT = Path(__file__).parents[1]  # of a checkout: where train.py, eval.py and .venv are
+from quadwalk.errors import UserError
+
+ROOT = Path(__file__).parents[2]  # of a checkout: where train.py, eval.py and .venv are
 
 
 def words(*command: str | Path) -> str:
@@ -40,6 +44,20 @@ def install(extra: str = "") -> str:
     source = ["-e", short(str(ROOT))] if (ROOT / "pyproject.toml").exists() else ["quadwalk"]
     source[-1] += extra
     return words(python(), "-m", "pip", "install", *source)
+
+
+def extra(module: str, user: str, name: str) -> Any:
+    """A module that comes with the extra `name`, for `user`; `UserError` where it is missing.
+
+    Such modules are imported where they are used: not all are there, and some take seconds.
+    """
+    try:
+        return importlib.import_module(module)
+    except ImportError:
+        package = module.partition(".")[0]
+        raise UserError(
+            f"{user} needs {package}, which is not installed: {install(name)}"
+        ) from None
 
 
 def _program(path: str) -> str:

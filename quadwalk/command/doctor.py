@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 from packaging.requirements import Requirement
 
-from quadwalk.cli import ArgumentParser
+from quadwalk.command.line import ArgumentParser
 from quadwalk.cores import compilation_cache, cpu_cores, instructions
 from quadwalk.errors import UserError
 

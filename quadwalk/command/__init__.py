@@ -1,0 +1,1 @@
+"""What every command has: its line of flags, its process, its messages, and its help in a shell."""
