@@ -3,7 +3,7 @@
     python benchmarks/pretrained.py [--runs runs/pretrained]
 
 Trains each task as `python train.py TASK` does, unless the folder has a run of that name, and keeps
-each policy and its robot in assets/pretrained/NAME.
+each policy and its robot in assets/pretrained/NAME. `drive` begins with the networks of `run`.
 """
 
 import argparse
@@ -19,16 +19,19 @@ from quadwalk.train.loop import train
 from quadwalk.train.runs import checkpoint
 from quadwalk.train.runs.directory import Run
 
+INIT = {"drive": "run"}  # task -> that whose networks it begins with
+
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--runs", type=Path, default=Path("runs/pretrained"))
-    parser.add_argument("--tasks", nargs="+", default=["run", "walk", "drive", "getup"])
+    parser.add_argument("--tasks", nargs="+", default=["run", "walk", "drive", "getup", "rough"])
     options = parser.parse_args()
     for name in options.tasks:
         run = Run(options.runs / name)
         if not run.policy.exists():
             flags = [name, "--name", name, "--runs", str(options.runs)]
+            flags += ["--init", str(options.runs / INIT[name])] if name in INIT else []
             train(parse_config(flags)[0])
         keep(run, Run(PRETRAINED / name))
         print(f"{name}: {(PRETRAINED / name / 'policy.npz').stat().st_size / 1e3:.0f} kB")

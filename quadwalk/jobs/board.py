@@ -11,7 +11,8 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from quadwalk.jobs.job import Job, Row
+from quadwalk.jobs.job import Job
+from quadwalk.jobs.news import Row
 from quadwalk.train.progress.display import is_screen
 from quadwalk.train.progress.text import duration, number, percent, quantity
 

@@ -4,7 +4,7 @@ import contextlib
 import io
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, Literal, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import jax
 
@@ -12,6 +12,7 @@ from quadwalk.api import train
 from quadwalk.cores import pin
 from quadwalk.errors import UserError
 from quadwalk.files import real_path
+from quadwalk.jobs.news import Event, Row
 from quadwalk.jobs.place import PlaceConfig
 from quadwalk.paths import PRETRAINED
 from quadwalk.settings.training import TrainConfig, with_files
@@ -21,8 +22,6 @@ from quadwalk.train.runs.directory import Run, find_any_run
 from quadwalk.train.runs.policy import load_score
 from quadwalk.train.runs.resume import read_config
 from quadwalk.train.setup import new_run
-
-Row = dict[str, float]
 
 
 @dataclass(frozen=True)
@@ -49,14 +48,6 @@ class Work(NamedTuple):
     steps: int
     devices: int | None
     judge: Callable[[Run], Any]
-
-
-class Event(NamedTuple):
-    """What has become of a job: a row of metrics, one more beginning, or its end."""
-
-    name: str
-    kind: Literal["row", "again", "done", "failed", "stopped"]
-    value: Any = None  # the row; what `judge` returned; why it failed
 
 
 class Place(Protocol):

@@ -11,7 +11,8 @@ from multiprocessing.process import BaseProcess
 
 from quadwalk.cores import cpu_cores
 from quadwalk.errors import UsageError
-from quadwalk.jobs.job import Event, Job, Row, Work, compute
+from quadwalk.jobs.job import Job, Work, compute
+from quadwalk.jobs.news import Event, Row
 from quadwalk.jobs.place import PlaceConfig
 
 TRIES = 3  # that a job whose process dies begins, in all

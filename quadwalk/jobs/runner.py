@@ -6,7 +6,8 @@ from typing import Any, NamedTuple
 from quadwalk.errors import UserError
 from quadwalk.jobs.board import Board
 from quadwalk.jobs.cluster import Cluster
-from quadwalk.jobs.job import Event, Job, Place, Row, check_same, opened
+from quadwalk.jobs.job import Job, Place, check_same, opened
+from quadwalk.jobs.news import Event, Row
 from quadwalk.jobs.place import PlaceConfig
 from quadwalk.jobs.processes import Processes
 from quadwalk.train.loop import stop_on_signal

@@ -12,7 +12,7 @@ from quadwalk.task.termination import FALLS
 
 TASK = TrainConfig(
     task="run",
-    steps=27_000_000,
+    steps=33_000_000,
     checkpoint_steps=2_000_000,
     env=EnvConfig(
         **PHYSICS,

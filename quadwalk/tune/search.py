@@ -14,7 +14,8 @@ from quadwalk.errors import UsageError, UserError, meant
 from quadwalk.evaluate.statistics import figure_mean
 from quadwalk.evaluate.summary import FIGURES
 from quadwalk.files import atomic_write, read_bytes, real_path
-from quadwalk.jobs.job import Job, Row, sized
+from quadwalk.jobs.job import Job, sized
+from quadwalk.jobs.news import Row
 from quadwalk.jobs.runner import Outcome, place_of, run_jobs
 from quadwalk.settings.serialize import with_settings
 from quadwalk.settings.training import TrainConfig

@@ -5,6 +5,7 @@ from pathlib import Path
 from quadwalk.errors import UserError
 from quadwalk.evaluate.loaded import LoadedRun, load_run
 from quadwalk.files import real_path
+from quadwalk.paths import PRETRAINED
 from quadwalk.train.runs import checkpoint
 from quadwalk.train.runs.directory import Run, list_checkpoints, list_runs
 from quadwalk.train.runs.policy import Policy, load_checkpoint_policy, load_policy
@@ -13,15 +14,22 @@ LAST, BEST = "last", "best"
 
 
 def run_choices(root: Path, chosen: Run) -> dict[str, Run]:
-    """Label to run: those in `root`, the one last trained first, and `chosen`."""
-    runs = {run.name: run for run in list_runs(root)}
-    same = [name for name, run in runs.items() if real_path(run.path) == real_path(chosen.path)]
-    return runs if same else {label_of(root, chosen): chosen, **runs}
+    """Label to run: those in `root`, the one last trained first, those that come trained, `chosen`.
+
+    `chosen` comes first where it is from elsewhere.
+    """
+    runs = [*list_runs(root), *list_runs(PRETRAINED)]
+    if all(real_path(run.path) != real_path(chosen.path) for run in runs):
+        runs.insert(0, chosen)
+    return {label_of(root, run): run for run in runs}
 
 
 def label_of(root: Path, run: Run) -> str:
     """What `run` is called among those in `root`: its name, or the path of one from elsewhere."""
-    return run.name if real_path(run.path).parent == real_path(root) else str(run.path)
+    folder = real_path(run.path).parent
+    if folder == real_path(root):
+        return run.name
+    return f"{run.name} (packaged)" if folder == PRETRAINED else str(run.path)
 
 
 def policy_choices(run: Run) -> dict[str, Path]:

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from quadwalk.errors import UserError
+from quadwalk.paths import PRETRAINED
 from quadwalk.train.runs.directory import Run
 from quadwalk.train.runs.policy import load_checkpoint_policy, load_policy
 from quadwalk.view.choices import choose_policy, label_of, open_run, policy_choices, run_choices
@@ -15,7 +16,10 @@ def test_the_policies_of_a_run(runs):
 
 
 def test_the_runs_and_one_from_elsewhere(runs, tmp_path):
-    assert set(run_choices(runs, Run(runs / "dog"))) == {"dog", "cat", "hare", "goat"}
+    choices = run_choices(runs, Run(runs / "dog"))
+    own = {"dog", "cat", "hare", "goat"}
+    assert set(choices) == own | {f"{path.name} (packaged)" for path in PRETRAINED.iterdir()}
+    assert choices["drive (packaged)"].path == PRETRAINED / "drive"
     elsewhere = Run(tmp_path / "dog")
     assert next(iter(run_choices(runs, elsewhere))) == str(elsewhere.path)
     assert label_of(runs, elsewhere) == str(elsewhere.path)
