@@ -27,9 +27,7 @@ TRIES = 5  # that Ray begins a job again, where its worker or its machine has di
 _PATIENCE = 5.0  # s for an address to answer
 _TCP = re.compile(r"(?P<host>[\w.-]+):(?P<port>\d{1,5})")
 
-Stats = dict[
-    str, tuple[int, int]
-]  # of a run's files, by their paths in it: size in bytes, time of writing in ns
+Stats = dict[str, tuple[int, int]]  # of a run's files: size in bytes, time of writing in ns
 
 
 class Cluster:
