@@ -72,8 +72,11 @@ def begun(
     return starts, commands
 
 
-def figures(episode: Episode, commands: np.ndarray, dt: float) -> dict[str, float]:
-    """Speed m/s of one episode; errors m/s and rad/s, or deg of the heading without commands."""
+def figures(episode: Episode, commands: np.ndarray | None, dt: float) -> dict[str, float]:
+    """Speed m/s of one episode; errors m/s and rad/s, or deg of the heading without commands.
+
+    `commands` (steps, 3) is None for a task that has none.
+    """
     from quadwalk.evaluate.motion.course import (
         SETTLING,
         WINDOW,
@@ -84,7 +87,7 @@ def figures(episode: Episode, commands: np.ndarray, dt: float) -> dict[str, floa
     from quadwalk.evaluate.motion.kinematics import roll_pitch_yaw
 
     poses, steps = episode.qpos, len(episode.target)
-    if not commands.any():
+    if commands is None:
         yaw = roll_pitch_yaw(poses[1:, 3:7])[:, 2]
         speed = (poses[-1, 0] - poses[0, 0]) / (dt * steps)
         return {"speed": speed, "heading_error": float(np.degrees(np.abs(yaw).mean()))}
@@ -190,7 +193,10 @@ def measure(
             name, simulator, commands = jobs[job]
             done = job.result()
             pairs = zip(done, commands, strict=True)
-            found[name, simulator] = [figures(*own, dt) for own in pairs]
+            given = loaded.env.config.command.given
+            found[name, simulator] = [
+                figures(episode, own if given else None, dt) for episode, own in pairs
+            ]
             fell[name, simulator] = np.array([episode.fell for episode in done])
             print(f"{name}, {simulator}: {fell[name, simulator].mean():.1%} falls", flush=True)
             if name == names[0]:

@@ -46,6 +46,7 @@ def keep(run: Run, place: Run) -> None:
         "robot": to_dict(RobotConfig(Path("robot.urdf"))),
         "runs": "runs",
         "name": None,
+        "init": INIT.get(place.name),
     }
     checkpoint.save(place.policy, _nested(leaves), metadata)
 

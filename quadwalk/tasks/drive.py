@@ -12,7 +12,7 @@ from quadwalk.task.termination import FALLS
 
 TASK = TrainConfig(
     task="drive",
-    steps=100_000_000,
+    steps=80_000_000,
     checkpoint_steps=4_000_000,
     env=EnvConfig(
         **PHYSICS,
@@ -21,7 +21,7 @@ TASK = TrainConfig(
         critic={**TRUE_TRUNK, **TRUE_LEGS},
         reward={
             "fall": Reward(reward.fall, scale=-30.0),
-            "track": Reward(reward.track, {"width": 0.15, "share": 0.07}, scale=2.0),
+            "track": Reward(reward.track, {"width": 0.15, "share": 0.05}, scale=2.0),
             "approach": Reward(reward.approach, scale=1.0),
             "follow_yaw_rate": Reward(reward.follow_yaw_rate, {"width": 0.3}, scale=1.0),
             "yaw_rate_off": Reward(reward.yaw_rate_off, scale=-0.7),
@@ -48,5 +48,5 @@ TASK = TrainConfig(
         ),
         randomization=REAL_WORLD,
     ),
-    ppo=replace(PPO, retry=0.5, hidden=(256, 192, 128)),
+    ppo=replace(PPO, retry=0.5),
 )

@@ -165,8 +165,8 @@ class LiveRobot:
 
     def throw(self) -> None:
         """A push that throws it over."""
-        self.push(0.0, 2.5)
-        self.data.qvel[3] -= 9.0  # rad/s
+        self.push(0.0, 3.5)
+        self.data.qvel[3] -= 12.0  # rad/s
 
     def step(self) -> None:
         """One control step. A robot that fell gets up, or is put on its feet after `LYING` s."""
