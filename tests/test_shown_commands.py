@@ -27,6 +27,7 @@ INLINE = re.compile(r"`((?:python|quadwalk|make) [^`]+)`")
 EXTRAS = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
 PLACES = {"TASK": "walk", "COMMAND": "train", "VARIANT": "", "N": "1", "K": "0", "HOST:PORT": "a:1"}
 OTHERS = (
+    ".ci/quickstart",
     "eval",
     "git",
     "ray",
@@ -34,7 +35,7 @@ OTHERS = (
     "pip",
     ".venv/bin/pip",
     ".venv/bin/pre-commit",
-)  # programs of others
+)  # programs of others, and one of the check
 
 
 class ParsedError(Exception):
