@@ -25,7 +25,15 @@ BLOCK = re.compile(r"```sh\n(.*?)```", re.DOTALL)
 OWN_TASK = re.compile(r"```python\n(# my_task.py\n.*?)```", re.DOTALL)
 INLINE = re.compile(r"`((?:python|quadwalk|make) [^`]+)`")
 EXTRAS = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
-PLACES = {"TASK": "walk", "COMMAND": "train", "VARIANT": "", "N": "1", "K": "0", "HOST:PORT": "a:1"}
+PLACES = {
+    ".venv/bin/python": "python",
+    "TASK": "walk",
+    "COMMAND": "train",
+    "VARIANT": "",
+    "N": "1",
+    "K": "0",
+    "HOST:PORT": "a:1",
+}
 OTHERS = (
     ".ci/quickstart",
     "eval",
@@ -109,7 +117,7 @@ def check_other(words: list[str]) -> None:
             names = [target for target in targets if "=" not in target and target[0] != "-"]
             made = re.findall(r"^([\w-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE)
             assert set(names) <= set(made)
-        case ["python" | ".venv/bin/python", "-m", module, *rest]:
+        case ["python", "-m", module, *rest]:
             assert module == "pip" or importlib.util.find_spec(module), module
             for word in rest:
                 assert_extras_and_files(word)
