@@ -11,6 +11,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from quadwalk.drawing.figures import INK, new_figure, tidy
+from quadwalk.evaluate.motion.course import WINDOW
 from quadwalk.evaluate.statistics import figure_mean
 from quadwalk.evaluate.summary import FIGURES, engines_of
 from quadwalk.settings.environment import COMMANDED
@@ -195,11 +196,11 @@ def _responses(axes: Axes, part: str, unit: str, responses: list[dict[str, Any]]
     which = COMMANDED.index(part)
     own = [each for each in responses if each["part"] == part]
     for place, each in enumerate(own):
-        time = each["dt"] * np.arange(len(each["curve"]))
+        time = WINDOW / 2 + each["dt"] * np.arange(len(each["curve"]))
         label = f"{each['before'][which]:.3g} to {each['after'][which]:.3g}"
         axes.plot(time, each["curve"], color=_color(place), label=label)
         axes.axhline(each["after"][which], color=_color(place), linestyle="--", linewidth=1)
-    axes.set_xlabel("time after the change, s")
+    axes.set_xlabel(f"time after the change, s; means of {WINDOW:g} s")
     axes.legend()
 
 
