@@ -186,7 +186,7 @@ def test_a_training_with_a_reward_of_ones_own_is_drawn_beside_the_usual(executed
 
 def test_an_evaluation_shows_a_packaged_policy_from_all_sides(executed):
     done = executed("03_evaluate")
-    assert done.text("result = quadwalk.evaluate(RUN").startswith("run: 27 million steps")
+    assert done.text("result = quadwalk.evaluate(RUN").startswith("run: 33 million steps")
     assert done.text("meters").count("episode") == 8
     strip = done.picture("film_strip(")
     assert strip.shape == (2 * 225 + 4, 4 * 360 + 3 * 4, 3)
