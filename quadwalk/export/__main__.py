@@ -46,7 +46,8 @@ def main(args: Sequence[str] | None = None, prog: str = "quadwalk export") -> No
     out = config.out or results_folder(config.runs, run) / "export"
     checked = config.check or config.recording is not None
     try:
-        from quadwalk.export import bundle, check
+        from quadwalk.export.bundle import export_run, load_flat
+        from quadwalk.export.check import check_export
     except ModuleNotFoundError as error:
         if error.name not in ("onnx", "onnxruntime"):
             raise
@@ -56,11 +57,11 @@ def main(args: Sequence[str] | None = None, prog: str = "quadwalk export") -> No
     if not checked or not (out / "policy.onnx").exists():
         console.print(f"exporting {origin_of(config.runs, run)}")
         getup = None if config.getup is None else find_any_run(config.runs, config.getup)
-        for path in bundle.export_run(run, config.policy, out, console, getup):
+        for path in export_run(run, config.policy, out, console, getup):
             print(path)
     if checked:
         console.print(f"checking {config.recording or out}")
-        check.check_export(bundle.load_flat(run, config.policy), out, config.recording, console)
+        check_export(load_flat(run, config.policy), out, config.recording, console)
         print("no difference")
     else:
         console.print(f"see it run with: {words(python(), out / 'run_policy.py')}")
