@@ -42,6 +42,10 @@ def execute(path: Path, folder: Path) -> nbformat.NotebookNode:
         resources={"metadata": {"path": str(folder)}},
     ).execute(cleanup_kc=True, env={**os.environ, "PATH": active})  # the kernel ends with it
     notebook.metadata = metadata  # without what differs from one machine to the next
+    for cell in notebook.cells:
+        for output in cell.get("outputs", []):
+            if "image/png" in output.get("data", {}):
+                output.data.pop("image/jpeg", None)  # the same picture once more
     return notebook
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import platformdirs
 
-from quadwalk.files import locked
+from quadwalk.files import lock
 
 
 def cpu_cores() -> int:
@@ -54,7 +54,7 @@ def pin(count: int) -> bool:
 def _lock(path: Path) -> int | None:
     """An open file that this process alone has locked; the system unlocks it when it ends."""
     file = os.open(path, os.O_RDWR | os.O_CREAT, 0o600)
-    if locked(file):
+    if lock(file):
         return file
     os.close(file)
     return None

@@ -92,19 +92,19 @@ def make_folder(path: Path, what: str = "the folder") -> None:
         raise UserError(f"cannot make {what} {path}: {os_reason(error)}") from error
 
 
-def locked(file: Any) -> bool:
-    """Whether no other process has locked `file`; from now on this one has, until it is closed.
+def lock(file: Any) -> bool | None:
+    """Lock `file` until it is closed: True if this process has it now, False if another has.
 
-    True as well where the system or the file system has no such locks.
+    None where the system or the file system has no such locks.
     """
     if fcntl is None:
-        return True
+        return None
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
         return False
     except OSError:
-        return True
+        return None
     return True
 
 

@@ -1,7 +1,6 @@
 """Pictures as files: PNG, a film strip, GIF, MP4."""
 
 import contextlib
-import importlib
 import itertools
 import shutil
 import subprocess
@@ -102,7 +101,8 @@ def _ffmpeg() -> str:
     program = shutil.which("ffmpeg")
     if program is None:
         try:
-            imageio_ffmpeg = importlib.import_module("imageio_ffmpeg")
+            import imageio_ffmpeg
+
             program = imageio_ffmpeg.get_ffmpeg_exe()
         except (ImportError, RuntimeError):
             raise UserError(

@@ -15,6 +15,12 @@ from quadwalk.identify.config import IdentifyConfig
 def main(args: Sequence[str] | None = None, prog: str = "python -m quadwalk.identify") -> None:
     """Parse the command line, and identify or write targets."""
     config = parse(IdentifyConfig, sys.argv[1:] if args is None else args, prog)
-    from quadwalk.identify.identification import identify  # it takes seconds to import
+    # Both take seconds to import.
+    if config.targets is not None:
+        from quadwalk.identify.excite import write_targets
 
-    identify(config)
+        write_targets(config.targets, config.robot)
+    else:
+        from quadwalk.identify.identification import identify
+
+        identify(config)

@@ -8,6 +8,8 @@ import numpy as np
 
 from quadwalk.files import atomic_write
 from quadwalk.robot.quadruped import Quadruped
+from quadwalk.settings.training import RobotConfig
+from quadwalk.train.robot import load_robot
 
 SECONDS = 30.0
 RATE = 200  # targets a second
@@ -36,8 +38,9 @@ def excitation(quadruped: Quadruped) -> tuple[np.ndarray, np.ndarray]:
     return time, home + ramp**2 * (3 - 2 * ramp) * shape
 
 
-def write_targets(path: Path, quadruped: Quadruped) -> None:
-    """Write them as a CSV: `time` and `target_JOINT` of each joint."""
+def write_targets(path: Path, robot: RobotConfig) -> None:
+    """Write those of `robot` as a CSV: `time` and `target_JOINT` of each joint."""
+    quadruped = load_robot(robot)
     text = io.StringIO(newline="")
     rows = csv.writer(text, lineterminator="\n")
     rows.writerow(["time", *(f"target_{joint}" for joint in quadruped.joints)])
@@ -45,3 +48,4 @@ def write_targets(path: Path, quadruped: Quadruped) -> None:
         rows.writerow([f"{time:.3f}", *(f"{target:.5f}" for target in targets)])
     with atomic_write(path) as file:
         file.write(text.getvalue().encode())
+    print(f"written to {path}: play it on the robot on its stand, slowly at first")

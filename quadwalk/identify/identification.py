@@ -12,7 +12,6 @@ from quadwalk.drawing.figures import save_figure
 from quadwalk.evaluate.report.console import print_table
 from quadwalk.files import atomic_write, make_folder
 from quadwalk.identify.config import IdentifyConfig
-from quadwalk.identify.excite import write_targets
 from quadwalk.identify.fit import DELAY, Fit, fit_joints
 from quadwalk.identify.found import (
     UNITS,
@@ -36,13 +35,9 @@ from quadwalk.train.runs.directory import write_json_atomic
 
 
 def identify(config: IdentifyConfig) -> dict[str, Any]:
-    """Identify as `config` says; return what identified.json holds, or {} if it wants targets."""
-    quadruped = load_robot(config.robot)
-    if config.targets is not None:
-        write_targets(config.targets, quadruped)
-        print(f"written to {config.targets}: play it on the robot on its stand, slowly at first")
-        return {}
+    """Identify as `config` says; return what identified.json holds."""
     assert config.log is not None
+    quadruped = load_robot(config.robot)
     log = read_log(config.log, quadruped.joints)
     out = config.out or config.log.with_name(f"{config.log.stem}_identified")
     make_folder(out)

@@ -4,7 +4,6 @@ A job travels as the files of its run. Each checkpoint comes back as soon as it 
 the `Keeper`, an actor beside this process: what is lost with a machine is lost work, and no run.
 """
 
-import importlib
 import logging
 import math
 import re
@@ -42,8 +41,7 @@ class Cluster:
         self._gpus = config.gpus
         self.slots = self._count()
         here = ray.get_runtime_context().get_node_id()
-        scheduling = importlib.import_module("ray.util.scheduling_strategies")
-        beside = scheduling.NodeAffinitySchedulingStrategy(here, soft=False)
+        beside = ray.util.scheduling_strategies.NodeAffinitySchedulingStrategy(here, soft=False)
         self._keeper = ray.remote(num_cpus=0, scheduling_strategy=beside)(Keeper).remote()
         self._jobs: dict[Any, Job] = {}
         self._trains: set[str] = set()
@@ -124,6 +122,7 @@ class Cluster:
 
 
 def _ray() -> Any:
+    extra("ray.util.scheduling_strategies", "--cluster", "cluster")  # which `ray` itself leaves out
     return extra("ray", "--cluster", "cluster")
 
 

@@ -14,7 +14,6 @@ from quadwalk.errors import UserError
 from quadwalk.files import real_path
 from quadwalk.jobs.news import Event, Row
 from quadwalk.jobs.place import PlaceConfig
-from quadwalk.paths import PRETRAINED
 from quadwalk.settings.training import TrainConfig, with_files
 from quadwalk.train.devices import ACCELERATOR_ENVS, CPU_ENVS, device_count, set_up_devices
 from quadwalk.train.robot import content, load_robot
@@ -97,9 +96,9 @@ def opened(config: TrainConfig) -> Run:
         return run
     config = with_files(config, robot.urdf, robot.mesh_dirs, config.env.ground.file)
     if config.init is not None:
-        source = real_path(find_any_run(config.runs, config.init).path)
-        packaged = source.parent == PRETRAINED
-        config = replace(config, init=source.name if packaged else str(source))
+        source = find_any_run(config.runs, config.init)
+        init = source.name if source.packaged else str(real_path(source.path))
+        config = replace(config, init=init)
     return new_run(config, load_robot(config.robot))
 
 

@@ -26,10 +26,9 @@ def run_choices(root: Path, chosen: Run) -> dict[str, Run]:
 
 def label_of(root: Path, run: Run) -> str:
     """What `run` is called among those in `root`: its name, or the path of one from elsewhere."""
-    folder = real_path(run.path).parent
-    if folder == real_path(root):
+    if real_path(run.path).parent == real_path(root):
         return run.name
-    return f"{run.name} (packaged)" if folder == PRETRAINED else str(run.path)
+    return f"{run.name} (packaged)" if run.packaged else str(run.path)
 
 
 def policy_choices(run: Run) -> dict[str, Path]:

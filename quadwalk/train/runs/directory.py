@@ -30,7 +30,7 @@ from pathlib import Path
 from typing import Any
 
 from quadwalk.errors import UsageError, UserError
-from quadwalk.files import atomic_write, locked, make_folder, os_reason
+from quadwalk.files import atomic_write, lock, make_folder, os_reason, real_path
 from quadwalk.paths import PRETRAINED
 from quadwalk.train.runs import checkpoint
 
@@ -68,6 +68,11 @@ class Run:
     @property
     def name(self) -> str:
         return self.path.resolve().name
+
+    @property
+    def packaged(self) -> bool:
+        """Whether it comes with the package, and so is not to be changed."""
+        return real_path(self.path).parent == PRETRAINED
 
     def ground(self, file: Path) -> Path:
         """Where its copy of a file of heights is; the same for the copy itself."""
@@ -152,7 +157,7 @@ def find_ready(root: Path | str, which: str, packaged: str) -> Run:
 
 def origin_of(root: Path | str, run: Run) -> str:
     """Its path, and that it comes with the package where it does."""
-    if run.path.resolve().parent != PRETRAINED:
+    if not run.packaged:
         return str(run.path)
     return f"{run.path}, which comes trained" + (
         "" if list_runs(root) else f": no run in {root} yet"
@@ -161,7 +166,7 @@ def origin_of(root: Path | str, run: Run) -> str:
 
 def results_folder(root: Path | str, run: Run) -> Path:
     """Where what is made of a run goes: to it, or into `root` if it comes with the package."""
-    if run.path.resolve().parent == PRETRAINED:
+    if run.packaged:
         return Path(root) / PRETRAINED.name / run.name
     return run.path
 
@@ -239,7 +244,7 @@ def claim(run: Run) -> Iterator[None]:
     except OSError as error:
         raise UserError(f"cannot write {run.metrics}: {os_reason(error)}") from error
     with file:
-        if not locked(file):
+        if lock(file) is False:
             raise UserError(f"{run.path} is being trained by another process")
         yield
 
