@@ -20,9 +20,11 @@ class RayPainter:
     """Paints scenes of one model, `width` by `height` pixels."""
 
     def __init__(self, model: mujoco.MjModel, width: int, height: int) -> None:
-        self._model, self._size = _with_whole_bounds(model), (width, height)
+        self._size = (width, height)
+        self._model = _with_whole_bounds(model)
         self._shader = Shader(model)
         self._shown = mujoco.MjvOption().geomgroup
+        self._fields = [_Field(self._model, geom) for geom in _fields(model, self._shown)]
 
     def paint(self, data: mujoco.MjData, scene: mujoco.MjvScene) -> np.ndarray:
         """(height, width, 3) uint8 of a scene that `mjv_updateScene` has made from `data`."""
@@ -62,12 +64,12 @@ class RayPainter:
         self, data: mujoco.MjData, origin: np.ndarray, ray: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Geom (n,), -1 for none, its distance (n,) m, and its normal (n, 3) toward `origin`."""
-        n = len(ray)
-        geom, distance, normal = np.empty(n, np.int32), np.empty(n), np.empty((n, 3))
-        mujoco.mj_multiRay(
-            self._model, data, origin, ray.ravel(), self._shown, True, -1,
-            geom, distance, normal.reshape(-1), n, mujoco.mjMAXVAL,
-        )  # fmt: skip
+        geom, distance, normal = _met(self._model, data, origin, ray, self._shown)
+        for field in self._fields:
+            one, far, upright = field.cast(origin, ray)
+            nearer = (one >= 0) & ((geom < 0) | (far < distance))
+            geom[nearer], distance[nearer] = field.geom, far[nearer]
+            normal[nearer] = upright[nearer]
         normal[geom < 0] = 0.0
         normal[np.einsum("ij,ij->i", normal, ray) > 0] *= -1  # the inside of an open mesh
         return geom, distance, normal.astype(np.float32)
@@ -91,6 +93,76 @@ class RayPainter:
         _, first, _ = self._cast(data, source, way / length[:, None])
         reached[asked] = first > length - _TOUCH
         return reached
+
+
+class _Field:
+    """A heightfield of a model as a mesh: a ray finds its triangle through the mesh's tree.
+
+    MuJoCo's own ray tries every cell that it passes over. The field is hidden in `model`.
+    """
+
+    def __init__(self, model: mujoco.MjModel, geom: int) -> None:
+        self.geom = geom
+        model.geom_matid[geom], model.geom_rgba[geom, 3] = -1, 0.0
+        points, faces = _triangles(model, int(model.geom_dataid[geom]))
+        spec = mujoco.MjSpec()
+        spec.add_mesh(
+            name="field", uservert=points.ravel(), userface=faces.ravel(),
+            inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
+        )  # fmt: skip
+        spec.worldbody.add_geom(
+            type=mujoco.mjtGeom.mjGEOM_MESH, meshname="field", contype=0, conaffinity=0,
+            pos=model.geom_pos[geom], quat=model.geom_quat[geom],
+        )  # fmt: skip
+        self._model = spec.compile()
+        self._data = mujoco.MjData(self._model)
+        mujoco.mj_kinematics(self._model, self._data)
+
+    def cast(self, origin: np.ndarray, ray: np.ndarray) -> tuple[np.ndarray, ...]:
+        """As `_met`."""
+        return _met(self._model, self._data, origin, ray, None)
+
+
+def _fields(model: mujoco.MjModel, groups: np.ndarray) -> list[int]:
+    """The geoms of the world that are heightfields, of the groups that are shown."""
+    fields = model.geom_type == mujoco.mjtGeom.mjGEOM_HFIELD
+    shown = groups[model.geom_group].astype(bool)
+    return np.flatnonzero(fields & shown & (model.geom_bodyid == 0)).tolist()
+
+
+def _triangles(model: mujoco.MjModel, field: int) -> tuple[np.ndarray, np.ndarray]:
+    """Points (n, 3), m, and faces (m, 3) of a heightfield, with its walls."""
+    rows, columns = int(model.hfield_nrow[field]), int(model.hfield_ncol[field])
+    first = int(model.hfield_adr[field])
+    heights = model.hfield_data[first : first + rows * columns].reshape(rows, columns)
+    length, width, height, base = model.hfield_size[field]
+    # One row and column more on each side, at the same place but down at the base, are the walls.
+    x = np.pad(np.linspace(-length, length, columns), 1, "edge")
+    y = np.pad(np.linspace(-width, width, rows), 1, "edge")
+    z = np.pad(height * heights, 1, constant_values=-base)
+    points = np.stack([*np.meshgrid(x, y), z], axis=-1).reshape(-1, 3)
+    node = np.arange(z.size).reshape(z.shape)
+    low, along, up, far = node[:-1, :-1], node[:-1, 1:], node[1:, :-1], node[1:, 1:]
+    faces = np.stack([low, along, far, low, far, up], axis=-1).reshape(-1, 3)
+    one, two, three = np.moveaxis(points[faces], 1, 0)
+    return points, faces[np.any(np.cross(two - one, three - one) != 0, axis=1)]
+
+
+def _met(
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    origin: np.ndarray,
+    ray: np.ndarray,
+    groups: np.ndarray | None,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """What MuJoCo's rays (n, 3) meet: geom (n,), -1 for none, distance (n,) m, normal (n, 3)."""
+    n = len(ray)
+    geom, distance, normal = np.empty(n, np.int32), np.empty(n), np.empty((n, 3))
+    mujoco.mj_multiRay(
+        model, data, origin, ray.ravel(), groups, True, -1,
+        geom, distance, normal.reshape(-1), n, mujoco.mjMAXVAL,
+    )  # fmt: skip
+    return geom, distance, normal
 
 
 def _with_whole_bounds(model: mujoco.MjModel) -> mujoco.MjModel:

@@ -11,6 +11,8 @@ from PIL import Image
 from quadwalk.drawing import canvas as canvas_module
 from quadwalk.drawing.canvas import Camera, Canvas, render_home
 from quadwalk.drawing.opengl import working_library
+from quadwalk.drawing.raycast import RayPainter
+from quadwalk.ground.heightfield import Heightfield, lay
 from quadwalk.robot.scene import add_scene, add_sun
 
 # A scene with every kind of shape, drawn once by Mesa's software OpenGL:
@@ -206,6 +208,29 @@ def test_a_shape_that_does_not_collide_is_seen_beyond_those_that_do(library):
     picture = Canvas(spec.compile(), WIDTH, HEIGHT).draw(np.zeros(0), VIEW)
     assert reddish(picture)[pixel_of(np.array([0.2, 0, 0.2]))]
     assert reddish(picture).sum() > 100
+
+
+def test_rays_meet_a_field_where_those_of_mujoco_do():
+    rng = np.random.default_rng(0)
+    spec = mujoco.MjSpec()
+    add_scene(spec)
+    lay(spec, Heightfield(rng.uniform(-0.2, 0.3, (9, 12)).astype(np.float32), 0.1, (-0.3, 0.2)))
+    spec.worldbody.add_geom(type=_Type.mjGEOM_SPHERE, size=[0.2, 0, 0], pos=[0.2, 0.6, 0.4])
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    eye = np.array([1.5, -0.9, 0.8])  # from outside, so that walls are seen too
+    rays = np.array([0.25, 0.6, 0.0]) - eye + rng.normal(0, 0.5, (2000, 3))
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    geoms, distances, normals = RayPainter(model, WIDTH, HEIGHT)._cast(data, eye, rays)
+    assert [np.sum(geoms == each) > 50 for each in (-1, 0, 1)] == [True] * 3
+    for ray, *met in zip(rays, geoms, distances, normals, strict=True):
+        geom, normal = np.zeros((1, 1), np.int32), np.zeros((3, 1))
+        distance = mujoco.mj_ray(model, data, eye, ray, None, True, -1, geom, normal)
+        assert met[0] == geom[0, 0]
+        if met[0] >= 0:
+            assert met[1] == pytest.approx(distance, abs=1e-5)
+            np.testing.assert_allclose(met[2], normal[:, 0], atol=1e-4)
 
 
 def test_far_from_the_origin_it_looks_the_same(library):
