@@ -189,6 +189,17 @@ def trot(
     return jnp.mean(jnp.exp(-jnp.square(off / width)))
 
 
+def diagonal(robot: RobotArrays, step: Step, *, height: float) -> jax.Array:
+    """How far one diagonal pair of soles is above the other: 1 at `height`, m, or more.
+
+    A trot has it in turn. Where both feet ahead, all on one side, or all four move together, as in
+    a bound, a pace and a pronk, it is 0.
+    """
+    front, back = jnp.split(step.soles[:, 2], 2)
+    apart = jnp.mean(jnp.array([front[0] - front[1], back[1] - back[0]]))
+    return jnp.minimum(jnp.abs(apart) / height, 1.0)
+
+
 def reward_terms(
     rewards: dict[str, Reward], robot: RobotArrays, step: Step
 ) -> dict[str, jax.Array]:

@@ -132,7 +132,7 @@ def plan(flags: str, seed: int, steps: int | None, runs: Path) -> TrainConfig:
     config, _ = parse_config(flags.split(), "quadwalk train")
     words = flags.replace("=", " ").split()
     plain = "-".join(word.removeprefix("--") for word in words) or "default"
-    name = re.sub(r"[^\w.+@,-]+", "-", plain)
+    name = re.sub(r"[^\w.+@,-]+", "-", plain).lstrip("-.+@,_")
     if name != plain or len(name) > 60:
         name = f"{name[:50]}-{hashlib.sha256(plain.encode()).hexdigest()[:8]}"
     name = f"{name}_{steps or 'full'}_s{seed}"

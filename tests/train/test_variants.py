@@ -11,6 +11,7 @@ from quadwalk.errors import UserError
 from quadwalk.jobs.job import finish, opened
 from quadwalk.jobs.processes import Processes
 from quadwalk.jobs.runner import Outcome
+from quadwalk.tasks import run, walk
 from quadwalk.train.flags import parse_config
 from quadwalk.train.runs.directory import create_run
 from quadwalk.train.runs.policy import load_score
@@ -169,6 +170,7 @@ def test_a_run_of_ones_own_task_is_known_again_until_the_file_changes(tmp_path, 
         ("walk --env.substeps 4" + 9 * " --ppo.entropy 0.1",
          "walk --env.substeps 4" + 9 * " --ppo.entropy 0.1" + " --ppo.clip-epsilon 0.1"),
         ("--robot.urdf a/b.urdf", "--robot.urdf a-b.urdf"),
+        (run.__file__, walk.__file__),
     ],
 )  # fmt: skip
 def test_variants_that_differ_have_names_that_do_and_that_a_run_can_have(one, other, tmp_path):
