@@ -23,6 +23,7 @@ PARAMS = {
     "at_home": {"joints": 0.5, "height": 0.2},
     "crossed": {"margin": 0.05},
     "trot": {"stride": 20.0, "height": 0.06, "width": 0.04},
+    "diagonal": {"height": 0.04},
 }
 BLOG = ("progress", "inclined", "heading", "movement")
 
@@ -148,6 +149,8 @@ CASES = {
         swinging(5, [0.09, 0.04, 0.0, 0.04], (0.5, 0.0, 0.0)),
         (np.exp(-0.25) + np.exp(-1.0) + 2.0) / 4,
     ),
+    # FR is 6 cm up, FL not; RR and RL are even: 3 cm of 4.
+    "diagonal": (stepping([0.06, 0.0, 0.02, 0.02], [0.0] * 4), 0.75),
 }
 LIMITS = {
     "forward": (a_step(qpos=a_step().qpos.at[0].set(9.0)), 1.0),  # max_speed of PARAMS
@@ -172,7 +175,10 @@ LIMITS = {
     "kneel": (a_step(lowest=jnp.array([0.3, -9.0])), 1.0),
     # Half a stride later it is the others' turn; at the command to stand, nobody's.
     "trot": (swinging(15, [9.0, 0.06, 0.06, 9.0], (0.0, 0.0, 0.1)), 0.5),
+    "diagonal": (stepping([0.0, 9.0, 9.0, 0.0], [0.0] * 4), 1.0),
 }
+# Both ahead, all of one side, all four.
+NO_TROT = ([0.06, 0.06, 0.0, 0.0], [0.06, 0.0, 0.06, 0.0], [0.06] * 4)
 
 
 ALL = {
@@ -197,6 +203,11 @@ def test_a_term_is_what_it_says_and_bounded(env, name, case):
     step, expected = case
     step = step(env.robot) if callable(step) else step
     assert float(ALL[name](env.robot, step)) == pytest.approx(expected, abs=1e-5)
+
+
+@pytest.mark.parametrize("heights", NO_TROT)
+def test_other_gaits_have_no_diagonal_pair_above_the_other(env, heights):
+    assert float(ALL["diagonal"](env.robot, stepping(heights, [0.0] * 4))) == pytest.approx(0.0)
 
 
 def test_standing_still_costs_nothing(env):
