@@ -5,12 +5,16 @@ same learner. Process 0 alone writes files and shows progress. With one process,
 anything.
 """
 
+import atexit
+import contextlib
 import hashlib
+import time
 from collections.abc import Callable
 from typing import Any, TypeVar
 
 import jax
 import numpy as np
+from jax._src.distributed import global_state
 from jax.experimental.multihost_utils import process_allgather
 
 from quadwalk.errors import UserError
@@ -19,6 +23,8 @@ from quadwalk.settings.training import DistributedConfig
 T = TypeVar("T")
 _PATIENCE = 120  # seconds that the processes may start apart from each other
 _FAREWELL = 30  # seconds that they may end apart: one that failed need not wait for the others long
+
+_AFTER = 0.5  # seconds in which the others stop asking
 
 
 def join(config: DistributedConfig) -> None:
@@ -39,6 +45,22 @@ def join(config: DistributedConfig) -> None:
         raise UserError(
             f"the {config.processes} processes did not meet at {config.coordinator}: {reason}"
         ) from error
+    atexit.register(_leave)
+
+
+def _leave() -> None:
+    """Wait for the others to leave too, and only then end the service at which all have met.
+
+    A process that still asks it is ended by JAX, with a page of text. `jax.distributed.shutdown`
+    alone gives them no time, so that some do.
+    """
+    if global_state.client is not None:
+        with contextlib.suppress(RuntimeError):  # another one is gone
+            global_state.client.shutdown()
+        global_state.client = None
+    if global_state.service is not None:
+        time.sleep(_AFTER)
+    jax.distributed.shutdown()
 
 
 def any_process(flag: bool) -> bool:
