@@ -23,7 +23,6 @@ from quadwalk.settings.training import DistributedConfig
 T = TypeVar("T")
 _PATIENCE = 120  # seconds that the processes may start apart from each other
 _FAREWELL = 30  # seconds that they may end apart: one that failed need not wait for the others long
-
 _AFTER = 0.5  # seconds in which the others stop asking
 
 
