@@ -2,6 +2,7 @@
 
 import dataclasses
 import os
+import signal
 from collections.abc import Callable
 from pathlib import Path
 
@@ -20,6 +21,9 @@ from quadwalk.robot.quadruped import Quadruped, load_quadruped
 from quadwalk.task.env import QuadrupedEnv
 from quadwalk.tasks import sprint
 from quadwalk.train.devices import set_up_devices
+
+# Tests send Ctrl-C, which a shell without job control has the commands in its background ignore.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # So that what is shared between devices is tested as such.
 set_up_devices(2)

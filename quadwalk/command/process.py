@@ -18,6 +18,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import FrameType
 from typing import Any, NoReturn
 
 from quadwalk.command.shell import ROOT, install, short, words
@@ -144,9 +145,12 @@ def _endable() -> Iterator[list[int]]:
     came: list[int] = []
     ignored = threading.Event()
 
-    def handle(number: int, _: object) -> None:
+    def handle(number: int, frame: FrameType | None) -> None:
         came.append(number)
-        raise KeyboardInterrupt
+        if _loading_extension(frame):
+            ignored.set()
+        else:
+            raise KeyboardInterrupt
 
     def unraisable(args: Any) -> None:
         if issubclass(args.exc_type, KeyboardInterrupt):
@@ -169,6 +173,13 @@ def _endable() -> Iterator[list[int]]:
             if signal.getsignal(number) is handle:
                 signal.signal(number, signal.SIG_DFL)  # from here on nothing can be lost
         signal.set_wakeup_fd(-1)
+
+
+def _loading_extension(frame: FrameType | None) -> bool:
+    """Whether a compiled module is being imported: one in C++ may abort where that raises."""
+    while frame is not None and not frame.f_code.co_qualname.startswith("ExtensionFileLoader."):
+        frame = frame.f_back
+    return frame is not None
 
 
 def _watch(inbox: socket.socket, handle: Callable[..., None], ignored: threading.Event) -> None:
@@ -201,7 +212,8 @@ def _watch(inbox: socket.socket, handle: Callable[..., None], ignored: threading
             end = time.monotonic() + _GRACE
             if more:
                 child.kill()
-        # Python ignores what is raised in a callback, as that of the garbage collector.
+        # Python ignores what is raised in a callback, as that of the garbage collector, and
+        # `handle` raises nothing in the import of a compiled module: the signal is sent again.
         over = signal.getsignal(number) is signal.SIG_DFL
         raised = ignored.is_set() and not over and hasattr(signal, "pthread_kill")
         if raised:
