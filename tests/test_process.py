@@ -96,7 +96,10 @@ def interrupted(command: list[str], folder: Path, at: str, number: int, later: f
         time.sleep(later)
         # A terminal sends Ctrl-C to the children too.
         (os.killpg if number == signal.SIGINT else os.kill)(process.pid, number)
-        process.communicate(timeout=60)
+        try:
+            process.communicate(timeout=60)
+        finally:
+            process.kill()
     said = (folder / "stderr").read_text()
     assert process.returncode == 128 + number, said
     (folder / "stderr").unlink()
@@ -123,7 +126,8 @@ from quadwalk.train.loop import stop_on_signal
 def train():
     with stop_on_signal() as stop:
         print("ready", flush=True)
-        stop.wait()
+        while not stop.is_set():  # whose wait() cannot be set from a signal's handler at any time
+            time.sleep(0.01)
         time.sleep(3)
         Path("saved").touch()
     raise KeyboardInterrupt
