@@ -6,6 +6,7 @@ Draws all of them, or those named, into docs/:
 
 - drive: `drive`, with `getup` behind it, in MuJoCo C with every shape, along a course of commands,
   thrown over on the way.
+- page: the page of `quadwalk demo`, in chromium (Debian's package).
 - robustness, robustness_all: what studies/robustness/results.json holds.
 - terrain: every kind of terrain at full difficulty.
 - zoo: the robots of example-robot-data (extra `zoo`) with the masses and speeds of docs/zoo.md.
@@ -14,15 +15,18 @@ Draws all of them, or those named, into docs/:
 
 import argparse
 import dataclasses
+import io
 import json
 import re
 import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 from matplotlib.patches import FancyBboxPatch
 from PIL import Image, ImageDraw, ImageFont
+from rich.console import Console
 
 sys.path.insert(0, str(Path(__file__).parents[1]))  # for benchmarks.zoo, where run as a script
 
@@ -43,6 +47,9 @@ from quadwalk.robot.quadruped import load_quadruped
 from quadwalk.train.runs.directory import Run
 from quadwalk.view.choices import LAST, getup_of, open_run
 from quadwalk.view.live import LiveRobot
+from quadwalk.view.page import Page
+from quadwalk.view.server import serving
+from tests.view.browser import PROGRAM, browsing, running
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCS, ZOO = ROOT / "docs", ROOT / "docs" / "zoo.md"
@@ -143,6 +150,23 @@ def drive() -> None:
         )
 
 
+def page() -> None:
+    """The page of `quadwalk demo` at 2 m/s, as a browser shows it."""
+    if PROGRAM is None:
+        raise UserError("there is no chromium; expected Debian's package of that name")
+    with serving("127.0.0.1", 8310, Console(quiet=True)) as server:
+        shown = Page(server, Run(PRETRAINED / "drive"), PRETRAINED)
+        with running(shown), browsing(f"http://localhost:{server.get_port()}") as browser:
+            browser.wait_for("steps of training")
+            browser.dismiss()
+            browser.resize(1280, 860)
+            for _ in range(13):
+                browser.press("W")
+            time.sleep(20.0)  # it is drawn without a graphics card
+            picture = Image.open(io.BytesIO(browser.screenshot()))
+    save_png(DOCS / "page.png", np.asarray(picture.convert("RGB")))
+
+
 def robustness() -> None:
     """Success and speed of `run` and `sprint` as one condition after another is worse."""
     _draw_sweep("robustness", ("everything", "friction", "mass", "delay", "noise", "push"), 3)
@@ -221,7 +245,7 @@ def pipeline() -> None:
     save_figure(figure, DOCS / "pipeline.png")
 
 
-DRAWINGS = (drive, robustness, robustness_all, terrain, zoo, pipeline)
+DRAWINGS = (drive, page, robustness, robustness_all, terrain, zoo, pipeline)
 
 
 def main() -> None:

@@ -25,7 +25,7 @@ INIT = {"drive": "run"}  # task -> that whose networks it begins with
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--runs", type=Path, default=Path("runs/pretrained"))
-    parser.add_argument("--tasks", nargs="+", default=["run", "walk", "drive", "getup"])
+    parser.add_argument("--tasks", nargs="+", default=["run", "walk", "drive", "getup", "rough"])
     options = parser.parse_args()
     for name in options.tasks:
         run = Run(options.runs / name)

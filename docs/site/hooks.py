@@ -1,4 +1,7 @@
-"""Hooks of the site: notebooks become pages, and links out of docs/ lead there or become code."""
+"""Hooks of the site: notebooks, the README's first steps and the changelog become pages.
+
+Links out of docs/ lead there or become code.
+"""
 
 import base64
 import json
@@ -10,8 +13,10 @@ from typing import Any
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 
-NOTEBOOKS = Path(__file__).parents[2] / "notebooks"
+ROOT = Path(__file__).parents[2]
+NOTEBOOKS = ROOT / "notebooks"
 TO_NOTEBOOK = re.compile(r"\]\(\.\./notebooks/(\w+)\.ipynb\)")
+TO_ROOT = {"](../README.md)": "](quickstart.md)", "](../CHANGELOG.md)": "](changelog.md)"}
 OUTWARD = re.compile(r"\[([^\]]+)\]\(\.\./([^)#]+)[^)]*\)")
 # In a notebook: links to another, and to a page of docs/
 BESIDE, TO_PAGE = re.compile(r"\]\((\w+)\.ipynb\)"), re.compile(r"\]\(\.\./docs/(\w+\.md[^)]*)\)")
@@ -23,6 +28,8 @@ def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
     if page.file.src_uri.startswith("notebooks/"):
         return markdown
     markdown = TO_NOTEBOOK.sub(r"](notebooks/\1.md)", markdown)
+    for link, page_of_it in TO_ROOT.items():
+        markdown = markdown.replace(link, page_of_it)
     return OUTWARD.sub(
         lambda link: f"`{link[2]}`" if link[1] == link[2] else f"{link[1]} (`{link[2]}`)", markdown
     )
@@ -30,6 +37,17 @@ def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
     """The site's files, with each notebook as a page and its pictures beside it."""
+    readme, changes = (
+        (ROOT / name).read_text().replace("](docs/", "](") for name in ("README.md", "CHANGELOG.md")
+    )
+    first = [
+        text
+        for text in readme.split("\n## ")
+        if text.startswith(("Try it", "Train it", "Your robot"))
+    ]
+    steps = "\n## ".join(["# Quickstart\n", *first])
+    for name, text in {"quickstart.md": steps, "changelog.md": changes}.items():
+        files.append(File.generated(config, name, content=text))
     for path in sorted(NOTEBOOKS.glob("*.ipynb")):
         parts, pictures = [], {}
         for cell in json.loads(path.read_text())["cells"]:

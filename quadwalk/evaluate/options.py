@@ -24,7 +24,7 @@ class EvalConfig(Settings):
     Several runs are evaluated from the same starts and compared.
     """
 
-    # names or paths of runs, or "latest"; walk and run come trained
+    # names or paths of runs, or "latest"; run, walk, drive, getup and rough come trained
     run: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[RUN ...]")] = (
         "latest",
     )

@@ -23,7 +23,7 @@ from quadwalk.train.runs.directory import find_any_run, find_ready, origin_of, r
 class ExportConfig:
     """Write a policy as ONNX, with deploy.yaml, MJCF, URDF and scripts that run it in MuJoCo."""
 
-    # name or path of a run, or "latest"; walk and run come trained
+    # name or path of a run, or "latest"; run, walk, drive, getup and rough come trained
     run: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="[RUN]")] = "latest"
     # folder for the files; None: export/ in the run's
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None

@@ -7,6 +7,7 @@ import json
 import shutil
 import subprocess
 import tempfile
+import threading
 import time
 import urllib.request
 from collections.abc import Iterator
@@ -53,6 +54,13 @@ class Browser:
             time.sleep(0.2)
         return found
 
+    def dismiss(self, seconds: float = 20.0) -> None:
+        """Close what the page complains of, as of no graphics card, once it does."""
+        close, end = "document.querySelector('.mantine-Notification-closeButton')", time.monotonic()
+        while not self.evaluate(f"!!{close}") and time.monotonic() < end + seconds:
+            time.sleep(0.1)
+        self.evaluate(f"{close}?.click()")
+
     def press(self, key: str) -> None:
         """Press a letter's key, or the space bar, and let it go."""
         code = "Space" if key == " " else f"Key{key}"
@@ -91,6 +99,24 @@ def browsing(url: str) -> Iterator[Browser]:
         finally:
             process.kill()
             process.wait()
+
+
+@contextlib.contextmanager
+def running(page: Any) -> Iterator[None]:
+    """Have the robot of a `quadwalk.view.page.Page` run meanwhile, in a thread."""
+    over = threading.Event()
+
+    def play() -> None:
+        while not over.is_set():
+            page.run_for(0.2)
+
+    thread = threading.Thread(target=play)
+    thread.start()
+    try:
+        yield
+    finally:
+        over.set()
+        thread.join()
 
 
 def _port(file: Path) -> int:

@@ -6,7 +6,6 @@ with a policy that can walk, and leaves the moving picture.
 
 import io
 import os
-import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -18,7 +17,7 @@ from rich.console import Console
 
 from quadwalk.drawing.images import save_video
 from quadwalk.train.runs.directory import Run
-from tests.view.browser import PROGRAM, Browser, browsing
+from tests.view.browser import PROGRAM, Browser, browsing, running
 
 pytest.importorskip("mjviser", reason="mjviser is not installed: pip install 'quadwalk[view]'")
 if PROGRAM is None:
@@ -38,27 +37,15 @@ def page(runs) -> Iterator[Page]:
     run = Run(Path(RUN)) if RUN else Run(runs / "dog")
     with serving("127.0.0.1", 8310, Console(quiet=True)) as server:
         page = Page(server, run, run.path.parent)
-        over = threading.Event()
-
-        def play() -> None:
-            while not over.is_set():
-                page.run_for(0.2)
-
-        thread = threading.Thread(target=play)
-        thread.start()
-        yield page
-        over.set()
-        thread.join()
+        with running(page):
+            yield page
 
 
 @pytest.fixture(scope="module")
 def browser(page) -> Iterator[Browser]:
     with browsing(f"http://localhost:{page._server.get_port()}") as browser:
         browser.wait_for("steps of training")
-        # It complains that it has no graphics card.
-        close = "document.querySelector('.mantine-Notification-closeButton')"
-        wait(lambda: browser.evaluate(f"!!{close}") is True, 20.0)
-        browser.evaluate(f"{close}?.click()")
+        browser.dismiss()
         yield browser
 
 
