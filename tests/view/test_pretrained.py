@@ -34,7 +34,8 @@ def test_nothing_is_written_to_them(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("name", "least", "most"), [("walk", 0.6, 1.4), ("drive", 0.7, 1.3), ("run", 3.0, 7.0)]
+    ("name", "least", "most"),
+    [("walk", 0.6, 1.4), ("drive", 0.7, 1.3), ("rough", 0.6, 1.4), ("run", 3.0, 7.0)],
 )
 def test_each_goes_where_it_is_told(name, least, most):
     run = Run(PRETRAINED / name)
@@ -47,6 +48,22 @@ def test_each_goes_where_it_is_told(name, least, most):
         speeds.append(robot.velocity[0])
         assert not robot.fell
     assert least < np.mean(speeds[-50:]) < most
+
+
+@pytest.mark.parametrize("kind", ["stairs_up", "blocks"])
+def test_rough_climbs_what_is_chosen(kind):
+    robot = LiveRobot(load_run(Run(PRETRAINED / "rough"), 10.0, engine="mujoco"))
+    terrain = robot.env.terrain
+    robot.tile = terrain.tiles.index(terrain.tile(kind, 1))  # difficulty 0.5
+    robot.reset()
+    robot.command[:] = 0.7, 0.0, 0.0
+    first, heights = robot.data.qpos[:2].copy(), []
+    for _ in range(250):
+        robot.step()
+        heights.append(terrain.field.height_at(robot.data.qpos[:2]))
+        assert not robot.fell
+    assert np.linalg.norm(robot.data.qpos[:2] - first) > 2.0
+    assert np.ptp(heights) > 0.04
 
 
 def test_what_is_thrown_over_gets_up_and_drives_on():
