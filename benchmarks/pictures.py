@@ -151,7 +151,7 @@ def drive() -> None:
 
 
 def page() -> None:
-    """The page of `quadwalk demo` at 2 m/s, as a browser shows it."""
+    """The page of `quadwalk demo` at full speed, as a browser shows it."""
     if PROGRAM is None:
         raise UserError("there is no chromium; expected Debian's package of that name")
     with serving("127.0.0.1", 8310, Console(quiet=True)) as server:
@@ -164,7 +164,7 @@ def page() -> None:
                 browser.press("W")
             time.sleep(20.0)  # it is drawn without a graphics card
             picture = Image.open(io.BytesIO(browser.screenshot()))
-    save_png(DOCS / "page.png", np.asarray(picture.convert("RGB")))
+    save_png(np.asarray(picture.convert("RGB")), DOCS / "page.png")
 
 
 def robustness() -> None:
