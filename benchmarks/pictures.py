@@ -6,11 +6,11 @@ Draws all of them, or those named, into docs/:
 
 - drive: `drive`, with `getup` behind it, in MuJoCo C with every shape, along a course of commands,
   thrown over on the way.
-- page: the page of `quadwalk demo`, in chromium (Debian's package).
 - robustness, robustness_all: what studies/robustness/results.json holds.
 - terrain: every kind of terrain at full difficulty.
 - zoo: the robots of example-robot-data (extra `zoo`) with the masses and speeds of docs/zoo.md.
 - pipeline: from a URDF to a policy.
+- page: the page of `quadwalk demo`, in chromium (Debian's package).
 """
 
 import argparse
@@ -245,7 +245,7 @@ def pipeline() -> None:
     save_figure(figure, DOCS / "pipeline.png")
 
 
-DRAWINGS = (drive, page, robustness, robustness_all, terrain, zoo, pipeline)
+DRAWINGS = (drive, robustness, robustness_all, terrain, zoo, pipeline, page)
 
 
 def main() -> None:
