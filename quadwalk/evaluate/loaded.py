@@ -62,9 +62,9 @@ def training_ranges(config: EnvConfig) -> RandomizationConfig:
 
 
 def evaluation_ranges(config: EnvConfig, enabled: bool) -> RandomizationConfig:
-    """Those without the margin of training, and with a push in each `PUSH_SECONDS`."""
+    """Those without margin and ideal episodes, and with a push in each `PUSH_SECONDS`."""
     return dataclasses.replace(
-        training_ranges(config), enabled=enabled, push_seconds=PUSH_SECONDS, margin=0.0
+        training_ranges(config), enabled=enabled, push_seconds=PUSH_SECONDS, margin=0.0, ideal=0.0
     )
 
 

@@ -154,6 +154,9 @@ class RandomizationConfig(Settings, group="env.randomization"):
     # in training each range is wider by this share of its ends' distance from the model's value;
     # evaluations leave it out
     margin: Share = 0.0
+    # share of training's episodes in which nothing is randomized: else the model's own conditions,
+    # at the ends of several ranges, are hardly met; evaluations leave it out
+    ideal: Share = 0.0
 
 
 # What a robot meets outside of a simulator; loads of -2 to 5 kg on an AlienGo, pushes to 1 m/s.

@@ -46,7 +46,7 @@ TASK = TrainConfig(
             turning=4.0,
             leg=0.5,
         ),
-        randomization=REAL_WORLD,
+        randomization=replace(REAL_WORLD, ideal=0.2),
     ),
     ppo=replace(PPO, retry=0.5),
 )

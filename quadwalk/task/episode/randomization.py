@@ -60,7 +60,8 @@ def draw_conditions(
     """
     key, key_episode = jax.random.split(key)
     # All numbers at once: XLA takes a second or more to compile each call of a generator.
-    shares, taken = jax.random.uniform(key, (_DRAWN,)), 0
+    shares, taken = jax.random.uniform(key, (_DRAWN + (config.ideal > 0.0),)), 0
+    ideal = shares[-1] < config.ideal
 
     def take(shape: tuple[int, ...]) -> jax.Array:
         nonlocal taken
@@ -73,7 +74,10 @@ def draw_conditions(
         if between is None:
             return jnp.full(shape, usual)
         low, high = widened(between, usual, config.margin)
-        return low + (high - low) * drawn
+        return unless_ideal(low + (high - low) * drawn, usual)
+
+    def unless_ideal(drawn: jax.Array, usual: float) -> jax.Array:
+        return jnp.where(ideal, usual, drawn) if config.ideal else drawn
 
     variation = RobotRandomization(
         friction=draw(config.friction, friction),
@@ -94,7 +98,9 @@ def draw_conditions(
         variation=possible(variation),
         delay=draw(config.latency, 0.0) / stepping.dt,
         sensor_delay=None if config.sensor_latency is None else late,
-        push=robot.froude_speed * _within(config.push, config.margin, take((2,))),
+        push=unless_ideal(
+            robot.froude_speed * _within(config.push, config.margin, take((2,))), 0.0
+        ),
         noise=draw(config.noise, 0.0),
         encoder=draw(config.encoder, 0.0, (12,)),
         tilt=draw(config.imu_tilt, 0.0, (3,)),
