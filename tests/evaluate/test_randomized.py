@@ -64,7 +64,7 @@ def test_each_episode_has_what_was_drawn_for_it(env, rollouts):
         assert values["latency"] == pytest.approx(0.02)
         assert values["trunk_mass"] == pytest.approx(ADDED * env.robot.mass, rel=1e-5)
         assert values["encoder"] == [0.0] * 12
-        others = {"enabled", "push_seconds", "margin"}
+        others = {"enabled", "push_seconds", "margin", "ideal"}
         assert set(vars(env.config.randomization)) - others == set(values)
 
 

@@ -22,6 +22,7 @@ from quadwalk.evaluate.grids.sweep import (
 )
 from quadwalk.evaluate.loaded import load_run
 from quadwalk.paths import PRETRAINED
+from quadwalk.physics.model import RobotRandomization
 from quadwalk.settings.environment import NO_RANDOMIZATION
 from quadwalk.task.env import QuadrupedEnv
 from quadwalk.task.episode.randomization import (
@@ -445,18 +446,45 @@ def test_a_margin_moves_an_end_away_from_the_models_value_but_not_into_the_range
     assert drawn.targets.shape[1] == 3
 
 
+def test_a_share_of_episodes_is_ideal_and_the_others_are_drawn_as_without(quadruped):
+    env = QuadrupedEnv(quadruped, run.TASK.env, "fast")
+    keys = jax.random.split(jax.random.PRNGKey(0), 1000)
+
+    def drawn(ideal: float) -> EpisodeRandomization:
+        ranges = dataclasses.replace(run.TASK.env.randomization, ideal=ideal)
+        return jax.vmap(lambda key: draw_conditions(ranges, env.robot, env.stepping, key, 0.8))(
+            keys
+        )
+
+    some, none = drawn(0.25), drawn(0.0)
+    ideal = np.asarray(some.noise) == 0.0
+    assert 0.2 < ideal.mean() < 0.3
+    for one, other in zip(jax.tree.leaves(some), jax.tree.leaves(none), strict=True):
+        np.testing.assert_array_equal(one[~ideal], other[~ideal])
+    found = jax.tree.map(
+        lambda x: np.unique(x[ideal]).tolist(), some._replace(key=None, targets=None)
+    )
+    factors = {name: [1.0] for name in RobotRandomization._fields}
+    expected = factors | {"friction": [pytest.approx(0.8)], "trunk_mass": [0], "trunk_center": [0]}
+    assert found.variation._asdict() == expected
+    for name in ("delay", "sensor_delay", "push", "noise", "encoder", "tilt"):
+        assert getattr(found, name) == [0.0]
+
+
 def test_an_evaluation_pushes_once_in_five_seconds_within_the_ranges_however_training_did(
     monkeypatch,
 ):
     pretrained = Run(PRETRAINED / "run")
     policy = load_policy(pretrained.policy)
-    trained = dataclasses.replace(policy.config.env.randomization, push_seconds=2.0, margin=0.3)
+    trained = dataclasses.replace(
+        policy.config.env.randomization, push_seconds=2.0, margin=0.3, ideal=0.5
+    )
     config = dataclasses.replace(policy.config.env, randomization=trained)
     harder = dataclasses.replace(policy, config=dataclasses.replace(policy.config, env=config))
     monkeypatch.setattr(loading, "load_policy", lambda path: harder)
     judged = load_run(pretrained, 20.0, engine="fast", randomized=True).env
     assert judged.config.push_steps == 250
-    own = dataclasses.replace(trained, push_seconds=5.0, margin=0.0)
+    own = dataclasses.replace(trained, push_seconds=5.0, margin=0.0, ideal=0.0)
     assert judged.config.randomization == own
 
 
