@@ -67,6 +67,7 @@ class CommandConfig(Settings, group="env.command"):
     standing: Share  # share of commands that are zero
     seconds: Seconds  # s, until the next command
     straight: Share = 0.0  # share of commands without lateral velocity and yaw rate
+    spot: Share = 0.0  # share of commands to turn on the spot: without a velocity
     # s; the time until the next command is drawn from this to `seconds`; None: it is `seconds`
     soonest: Seconds | None = None
     # m/s; the lateral range shrinks with forward speed and is zero from this speed on; None: it
@@ -86,10 +87,10 @@ class CommandConfig(Settings, group="env.command"):
                 f"--env.command.soonest is {self.soonest}; expected at most --env.command.seconds, "
                 f"{self.seconds}"
             )
-        if self.standing + self.straight > 1.0:
+        if self.standing + self.straight + self.spot > 1.0:
             raise UsageError(
-                f"--env.command.standing is {self.standing} and --env.command.straight "
-                f"{self.straight}; expected a sum of at most 1"
+                f"--env.command.standing is {self.standing}, --env.command.straight "
+                f"{self.straight} and --env.command.spot {self.spot}; expected a sum of at most 1"
             )
 
     def of_leg(self, leg: float) -> "CommandConfig":

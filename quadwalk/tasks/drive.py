@@ -12,7 +12,7 @@ from quadwalk.task.termination import FALLS
 
 TASK = TrainConfig(
     task="drive",
-    steps=80_000_000,
+    steps=92_000_000,
     checkpoint_steps=4_000_000,
     env=EnvConfig(
         **PHYSICS,
@@ -20,7 +20,7 @@ TASK = TrainConfig(
         observation={**COMMAND, **PROPRIOCEPTION},
         critic={**TRUE_TRUNK, **TRUE_LEGS},
         reward={
-            "fall": Reward(reward.fall, scale=-30.0),
+            "fall": Reward(reward.fall, scale=-60.0),
             "track": Reward(reward.track, {"width": 0.15, "share": 0.05}, scale=2.0),
             "approach": Reward(reward.approach, scale=1.0),
             "follow_yaw_rate": Reward(reward.follow_yaw_rate, {"width": 0.3}, scale=1.0),
@@ -40,13 +40,14 @@ TASK = TrainConfig(
             yaw_rate=(-2.0, 2.0),
             standing=0.1,
             straight=0.2,
+            spot=0.1,
             soonest=2.0,
             seconds=5.0,
             lateral_until=2.0,
             turning=4.0,
             leg=0.5,
         ),
-        randomization=replace(REAL_WORLD, ideal=0.2),
+        randomization=replace(REAL_WORLD, ideal=0.1),
     ),
     ppo=replace(PPO, retry=0.5),
 )

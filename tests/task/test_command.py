@@ -53,6 +53,17 @@ def test_commands_fill_their_ranges_and_some_are_to_stand():
     assert abs(np.corrcoef(moving[:, 0], moving[:, 2])[0, 1]) < 0.1
 
 
+def test_some_commands_are_to_turn_on_the_spot_as_fast_as_any():
+    told = dataclasses.replace(drive.TASK.env.command, spot=0.3)
+    keys = jax.random.split(jax.random.PRNGKey(0), 4000)
+    drawn = np.asarray(jax.vmap(lambda key: draw(told, key))(keys))
+    spot = ~drawn[:, :2].any(axis=1) & drawn.any(axis=1)
+    assert 0.27 < spot.mean() < 0.33
+    low, high = told.yaw_rate
+    assert drawn[spot, 2].min() == pytest.approx(low, abs=0.02)
+    assert drawn[spot, 2].max() == pytest.approx(high, abs=0.02)
+
+
 def test_some_commands_are_straight_ahead_or_back():
     told = dataclasses.replace(TOLD, straight=0.5)
     keys = jax.random.split(jax.random.PRNGKey(0), 4000)
@@ -69,7 +80,8 @@ def test_some_commands_are_straight_ahead_or_back():
     ("shares", "named"),
     [
         ({"straight": 1.5}, "env.command.straight is 1.5"),
-        ({"straight": 0.9}, "--env.command.standing is 0.2 and --env.command.straight 0.9"),
+        ({"straight": 0.9}, "--env.command.standing is 0.2, --env.command.straight 0.9"),
+        ({"spot": 0.9}, "--env.command.straight 0.0 and --env.command.spot 0.9"),
     ],
 )
 def test_shares_are_shares(shares, named):

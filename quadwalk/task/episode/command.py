@@ -59,12 +59,16 @@ def _until(config: CommandConfig, key: jax.Array, dt: float) -> jax.Array:
 def draw(config: CommandConfig, key: jax.Array, grip: ArrayLike = np.inf) -> jax.Array:
     """A command (3,): uniform in its ranges, then within what `config` and friction allow.
 
-    For `config.standing` of all keys it is zero, for `config.straight` of them forward alone.
+    For `config.standing` of all keys it is zero, for `config.straight` of them forward alone, for
+    `config.spot` to turn on the spot.
     `grip`, m/s^2, is the acceleration that friction bears.
     """
     drawn = jax.random.uniform(key, (4,))
     low, high = np.array([config.forward, config.lateral, config.yaw_rate], np.float32).T
     command = low + drawn[:3] * (high - low)
+    if config.spot:
+        turns = (drawn[3] >= config.standing) & (drawn[3] < config.standing + config.spot)
+        command = command.at[:2].multiply(~turns)
     speed = jnp.abs(command[0])
     if config.lateral_until is not None:
         command = command.at[1].multiply(jnp.maximum(1.0 - speed / config.lateral_until, 0.0))
