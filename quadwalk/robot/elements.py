@@ -24,13 +24,10 @@ _Piece = tuple[dict, np.ndarray | None]
 def add_single(
     body: mujoco.MjsBody, joint: yourdfpy.Joint, armature: float, frame: np.ndarray
 ) -> None:
-    """Add a joint with one direction of motion, with its limits, damping and friction.
+    """Add a joint of a type in `SINGLE` to what it moves, with its limits, damping and friction.
 
-    Args:
-        body: what it moves.
-        joint: of one of the types in `SINGLE`.
-        armature: kg m^2, or kg of a slide.
-        frame: (4, 4) of the joint in the body's frame, where all joints are at 0.
+    `armature` is in kg m^2, or kg of a slide. `frame` (4, 4) is the joint's in the body's frame,
+    where all joints are at 0.
     """
     axis = frame[:3, :3] @ unit(joint.axis)
     added = body.add_joint(name=joint.name, type=SINGLE[joint.type], axis=axis, pos=frame[:3, 3])
@@ -54,11 +51,7 @@ def add_several(body: mujoco.MjsBody, joint: yourdfpy.Joint, taken: set[str]) ->
     slide is along the joint frame's x where the axis is its z; for another axis both are turned by
     the smallest rotation that takes z there. Floating: slides JOINT_x, JOINT_y and JOINT_z along
     the joint frame's axes, then ball JOINT_ball. (A free joint would have to be at the world.)
-
-    Args:
-        body: what they move.
-        joint: the URDF's.
-        taken: joint names that are given away; those added join them.
+    Names added join those `taken`.
     """
 
     def add(suffix: str, kind: mujoco.mjtJoint, axis: np.ndarray) -> None:
@@ -105,12 +98,8 @@ def add_geom_classes(spec: mujoco.MjSpec) -> None:
 class Shapes:
     """Adds the geoms of links; holds the names, materials and meshes that are already there.
 
-    Args:
-        spec: has its scene and its default classes.
-        robot: the URDF.
-        legs: of a quadruped: their feet's geoms are of class `foot`, and named like the foot.
-        meshes: its mesh files.
-        report: takes what was left out or assumed.
+    `spec` has its scene and its default classes. The geoms of feet of `legs` are of class `foot`,
+    and named like the foot.
     """
 
     def __init__(

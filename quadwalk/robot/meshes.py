@@ -33,17 +33,11 @@ class MissingMeshError(UrdfError):
 
 @dataclass(frozen=True, eq=False)
 class MeshPart:
-    """Triangles of one color.
+    """Triangles of one color."""
 
-    Attributes:
-        vertices: (n, 3) m.
-        faces: (m, 3) indices of vertices, counter-clockwise seen from outside.
-        rgba: (4,) in 0 .. 1, or None where the file gives no color.
-    """
-
-    vertices: np.ndarray
-    faces: np.ndarray
-    rgba: np.ndarray | None
+    vertices: np.ndarray  # (n, 3) m
+    faces: np.ndarray  # (m, 3) indices of vertices, counter-clockwise seen from outside
+    rgba: np.ndarray | None  # (4,) in 0 .. 1; None: the file gives no color
 
 
 def find_mesh(name: str, folders: list[Path], source: str) -> Path:
@@ -52,11 +46,7 @@ def find_mesh(name: str, folders: list[Path], source: str) -> Path:
     `package://PACKAGE/rest` is rest in the nearest folder that is called PACKAGE, or has its
     package.xml, at or above one of `folders`; or it is PACKAGE/rest or rest in one of them. A
     relative name may lead, over `..`, through the package that a folder is in, and no further.
-
-    Args:
-        name: the URDF's.
-        folders: where to look, the URDF's own first.
-        source: what error messages call the URDF.
+    `folders` are where to look, the URDF's own first.
     """
     where = f"{source}: mesh '{name}'"
     try:
@@ -157,12 +147,8 @@ def load_mesh(file: Path, scale: np.ndarray, source: str) -> list[MeshPart]:
 class Meshes:
     """The mesh files of one URDF, each read once.
 
-    What cannot be found or read is left out, with a note: it never keeps a robot from training.
-
-    Args:
-        folders: where the files may be; None leaves all meshes out.
-        source: what error messages call the URDF.
-        report: takes what was left out.
+    What cannot be found or read is left out, with a note in `report`: it never keeps a robot from
+    training. `folders` are where files may be; None leaves all meshes out.
     """
 
     def __init__(self, folders: list[Path] | None, source: str, report: Report):

@@ -38,24 +38,17 @@ FREE_JOINT = "floating_base"
 
 @dataclass(frozen=True)
 class Options:
-    """What a URDF leaves to whoever converts it.
+    """What a URDF leaves to whoever converts it."""
 
-    Attributes:
-        floating: whether the root link floats; None: it does, unless it is named `world`, or has
-            no mass and the robot is no quadruped.
-        meshes: whether mesh files are read; without them, their shapes are left out.
-        mesh_folders: where they may be, besides the URDF's folder.
-        armature: kg m^2 by joint name, over what the URDF says.
-        effort: N m, of those of a quadruped's motors that the URDF gives none.
-        speed: rad/s, the same.
-    """
-
+    # whether the root link floats; None: unless it is named `world`, or has no mass and the robot
+    # is no quadruped
     floating: bool | None = None
-    meshes: bool = True
-    mesh_folders: tuple[Path, ...] = ()
+    meshes: bool = True  # whether mesh files are read; without them, their shapes are left out
+    mesh_folders: tuple[Path, ...] = ()  # where they may be, besides the URDF's folder
+    # kg m^2 by joint name, over what the URDF says
     armature: dict[str, float] = field(default_factory=dict)
-    effort: float | None = None
-    speed: float | None = None
+    effort: float | None = None  # N m, of those of a quadruped's motors that the URDF gives none
+    speed: float | None = None  # rad/s, the same
 
 
 @dataclass(frozen=True)
@@ -75,11 +68,8 @@ def open_meshes(urdf: Urdf, options: Options, report: Report) -> Meshes:
 def convert(urdf: Urdf, legs: tuple[Leg, ...] = (), options: Options | None = None) -> Conversion:
     """The robot above a floor, with its `home` keyframe; `UrdfError` where that cannot be.
 
-    Args:
-        urdf: what `read_urdf` returned.
-        legs: for a quadruped, its legs in the order that the model's joints and actuators shall
-            have; without them, joints keep the file's order and home is joint position 0.
-        options: what the URDF leaves open.
+    `legs` of a quadruped are in the order that the model's joints and actuators shall have. Without
+    them, joints keep the file's order and home is joint position 0.
     """
     options = options or Options()
     report = deepcopy(urdf.report)

@@ -90,12 +90,10 @@ def add_sun(body: mujoco.MjsBody) -> None:
 
 
 def add_home(spec: mujoco.MjSpec, pose: np.ndarray | None, feet: list[str]) -> None:
-    """Add the keyframe `home`.
+    """Add the keyframe `home` to `spec`, which has all bodies, and collision geoms with names.
 
-    Args:
-        spec: with all bodies, and collision geoms that are named.
-        pose: joint positions in the model's order, rad; None for 0 or the limit nearest to it.
-        feet: names of the geoms to stand on; without any, the lowest shape is.
+    `pose`, rad, are joint positions in the model's order; None: 0 or the limit nearest to it.
+    `feet` name the geoms to stand on; without any, the lowest shape is.
     """
     model = spec.compile()
     floating = model.njnt > 0 and model.jnt_type[0] == mujoco.mjtJoint.mjJNT_FREE

@@ -81,14 +81,8 @@ def check_bodies(
 
     A moment of inertia is a sum of squares over the mass: the tensor is positive definite, and no
     principal moment exceeds the sum of the others. What is beyond that only by rounding, or in a
-    part that is next to nothing, is taken as it was meant, with a note in `report`.
-
-    Args:
-        tree: its links' inertias are changed in place.
-        resolution: from `resolutions`.
-        source: what error messages call the URDF.
-        repair: whether the user asked for it.
-        report: takes what was changed or let pass.
+    part that is next to nothing, is taken as it was meant, with a note in `report`. Inertias of the
+    `tree` are changed in place; `resolution` is from `resolutions`.
     """
     for body in tree.bodies:
         parts = [name for name in tree.parts[body] if tree.links[name].inertial is not None]

@@ -19,24 +19,15 @@ SHORT = 0.4
 
 @dataclass(frozen=True)
 class Foot:
-    """A foot: a sphere.
+    """A foot: a sphere."""
 
-    Attributes:
-        link: the link whose collision shape touches the ground.
-        shape: index of the sphere among the link's collision shapes; None if it is none of them,
-            but stands in for another shape.
-        center: (3,) m, in the frame of the calf link.
-        radius: m.
-        replaced: indices of the link's collision shapes whose place the sphere takes.
-        reason: of a sphere that is none of the URDF's, what it is there for.
-    """
-
-    link: str
+    link: str  # whose collision shape touches the ground
+    # index among the link's collision shapes; None: it is none of them, but stands in for another
     shape: int | None
-    center: np.ndarray
-    radius: float
-    replaced: tuple[int, ...] = ()
-    reason: str = ""
+    center: np.ndarray  # (3,) m, in the frame of the calf link
+    radius: float  # m
+    replaced: tuple[int, ...] = ()  # indices of the link's collision shapes whose place it takes
+    reason: str = ""  # of a sphere that is none of the URDF's, what it is there for
 
 
 @dataclass(frozen=True)

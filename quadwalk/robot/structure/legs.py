@@ -15,21 +15,13 @@ LEGS = ("FR", "FL", "RR", "RL")
 
 @dataclass(frozen=True)
 class Leg:
-    """One leg: its joints and links from the trunk outwards, and its foot.
+    """One leg: its joints and links from the trunk outwards, and its foot."""
 
-    Attributes:
-        name: FR, FL, RR or RL.
-        joints: the names of the hip, thigh and calf joint.
-        links: the names of the links that these move.
-        foot: the sphere at its end.
-        foot_name: what the foot's site and collision geom are called in the model.
-    """
-
-    name: str
-    joints: tuple[str, str, str]
-    links: tuple[str, str, str]
-    foot: Foot
-    foot_name: str
+    name: str  # FR, FL, RR or RL
+    joints: tuple[str, str, str]  # names of the hip, thigh and calf joint
+    links: tuple[str, str, str]  # names of the links that these move
+    foot: Foot  # the sphere at its end
+    foot_name: str  # what the foot's site and collision geom are called in the model
 
 
 def find_legs(tree: Tree, source: str, meshes: Meshes | None = None) -> tuple[Leg, ...]:
