@@ -1,8 +1,7 @@
 """Mesh files of a URDF: names that stay inside the allowed folders, shapes in meters.
 
-The names in a URDF and the files they lead to are untrusted: a name may not leave the folders it
-is looked up in, COLLADA is parsed without entities, and no file leads to another (no .mtl, no
-textures).
+The names in a URDF and the files they lead to are untrusted: a name may not leave the folders it is
+looked up in, COLLADA is parsed without entities, no file leads to another (no .mtl, no textures).
 """
 
 import io
@@ -113,8 +112,7 @@ def _declared(folder: Path) -> str | None:
 def load_mesh(file: Path, scale: np.ndarray, source: str) -> list[MeshPart]:
     """The triangles of a .dae, .obj or .stl file, times `scale` (3,), in meters.
 
-    A COLLADA file's unit is respected; its up axis is not, as in RViz. `UrdfError` for a file
-    that is no mesh.
+    A COLLADA file's unit is respected; its up axis is not, as in RViz. `UrdfError`: it is no mesh.
     """
     import trimesh
 
@@ -158,8 +156,7 @@ class Meshes:
     def load(self, mesh: yourdfpy.Mesh, kind: str) -> tuple[Path, list[MeshPart]] | None:
         """The file and its parts, scaled, in meters; None if there are none.
 
-        `kind` is what the shape is for, `visual` or `collision`. `UrdfError` for a name that leads
-        out of the folders.
+        `kind` is `visual` or `collision`. `UrdfError` for a name that leads out of the folders.
         """
         if self.folders is None:
             self.report.add("dropped", f"{kind} meshes", mesh.filename)

@@ -40,8 +40,7 @@ FREE_JOINT = "floating_base"
 class Options:
     """What a URDF leaves to whoever converts it."""
 
-    # whether the root link floats; None: unless it is named `world`, or has no mass and the robot
-    # is no quadruped
+    # whether the root link floats; None: unless it is `world`, or no quadruped's and without mass
     floating: bool | None = None
     meshes: bool = True  # whether mesh files are read; without them, their shapes are left out
     mesh_folders: tuple[Path, ...] = ()  # where they may be, besides the URDF's folder
@@ -102,10 +101,7 @@ def convert(urdf: Urdf, legs: tuple[Leg, ...] = (), options: Options | None = No
 
 
 def write_xml(spec: mujoco.MjSpec) -> str:
-    """The MJCF text of `spec`; the same spec gives the same text.
-
-    It has 6 significant digits, hence a relative error of some 1e-6 against the spec.
-    """
+    """The MJCF of `spec`, the same each time; of 6 digits, hence a relative error of some 1e-6."""
     spec = spec.copy()
     for body in spec.bodies:
         if body.mass > 0:

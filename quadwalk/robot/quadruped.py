@@ -140,10 +140,7 @@ def legs_of(urdf: Urdf, options: Options) -> tuple[Leg, ...]:
 
 
 def with_motors(urdf: Urdf, legs: tuple[Leg, ...], options: Options) -> Urdf:
-    """`urdf` with the motors that `options` give to the legs' joints that have none.
-
-    `UrdfError` where motors are still missing.
-    """
+    """`urdf` with the motors of `options` where legs lack them; `UrdfError` if some still do."""
     tree = urdf.tree
     changed: dict[str, yourdfpy.Joint] = {}
     lacking: dict[str, list[str]] = {"effort": [], "speed": []}

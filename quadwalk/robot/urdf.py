@@ -76,7 +76,9 @@ def parse_urdf(
     report = Report()
     root, text = _parse_xml(data, source, report)
     if root.tag == "robot" and not root.get("name", "").strip():
-        text = _name_robot(root, Path(source).stem, report)
+        root.set("name", Path(source).stem)
+        report.add("assumed", "the robot's name, for it has none", root.get("name"))
+        text = etree.tostring(root, encoding="unicode")
     check = Check(source, report)
     check_elements(check, root)
     check_topology(check, root)
@@ -94,13 +96,6 @@ def parse_urdf(
     urdf = Urdf(source, folder, text, model.robot, armature, report)
     check_bodies(urdf.tree, resolutions(root), source, repair_inertia, report)
     return urdf
-
-
-def _name_robot(root: etree._Element, name: str, report: Report) -> str:
-    """Give a robot without a name the one of its file; the text that says so."""
-    root.set("name", name)
-    report.add("assumed", "the robot's name, for it has none", name)
-    return etree.tostring(root, encoding="unicode")
 
 
 def _drop_ground(root: etree._Element, report: Report) -> bool:

@@ -52,8 +52,7 @@ class _Finding:
 def resolutions(root: etree._Element) -> dict[str, np.ndarray]:
     """By link, how far the entries (3, 3) of its inertia may be from what was meant, kg m^2.
 
-    Half a unit in the last digit that each is written with; an entry of 0 is taken to be as fine
-    as the finest of the others.
+    Half a unit in the last digit that each is written with; an entry of 0 is as fine as the finest.
     """
     found = {}
     for link in root.iterfind("link"):
@@ -92,12 +91,10 @@ def check_bodies(
             continue  # a root without any mass stands still, whatever its inertia
         passed: list[tuple[str, _Finding]] = []
         for name in parts:
-            finding = _look_at(tree, name)
-            if finding is None:
-                continue
-            mass = tree.links[name].inertial.mass
-            if mass == 0 and not massive:
-                continue  # what moves has no mass at all, which is looked at below
+            mass, tensor = tree.links[name].inertial.mass, tree.links[name].inertial.inertia
+            if _is_sound(tensor) or (mass == 0 and not massive):
+                continue  # what moves without any mass is looked at below
+            finding = _Finding(tensor, nearest_valid(1.0, tensor, thinnest=0.0))
             if _negligible(finding, tree, body, name):
                 passed.append((name, finding))
                 continue
@@ -105,26 +102,20 @@ def check_bodies(
                 tree.links[name].inertial.inertia = finding.valid
                 report.add("repaired", f"inertia of '{name}' by rounding, {finding.shown()}")
             elif repair:
-                finding = _Finding(finding.tensor, nearest_valid(mass, finding.tensor))
+                finding = _Finding(tensor, nearest_valid(mass, tensor))
                 tree.links[name].inertial.inertia = finding.valid
                 report.add("repaired", f"inertia of '{name}', {finding.shown()}")
             else:
+                positive = np.linalg.eigvalsh(tensor)[0] >= 0
+                expected = "none above the sum of the others" if positive else "positive ones"
                 raise UrdfError(
-                    f"{source}: link '{name}': <inertia> {_problem(finding.tensor)} "
-                    "(or pass --repair-inertia)"
+                    f"{source}: link '{name}': <inertia> has principal moments {_moments(tensor)}; "
+                    f"expected {expected} (or pass --repair-inertia)"
                 )
         _settle(tree, body, passed, report)
         _thicken(tree, body, massive, report)
         if body != tree.root:
             _check_moving(tree, body, source, repair, report)
-
-
-def _look_at(tree: Tree, name: str) -> _Finding | None:
-    """What is wrong with a link's inertia; None if a body can have it."""
-    tensor = tree.links[name].inertial.inertia
-    if _is_sound(tensor):
-        return None
-    return _Finding(tensor, nearest_valid(1.0, tensor, thinnest=0.0))
 
 
 def _is_sound(tensor: np.ndarray) -> bool:
@@ -200,15 +191,6 @@ def _check_moving(tree: Tree, body: str, source: str, repair: bool, report: Repo
             f"{source}: link '{body}' moves, and its <inertia> is too small for MuJoCo; "
             f"expected principal moments above {SMALLEST:g} kg m^2 (or pass --repair-inertia)"
         )
-
-
-def _problem(tensor: np.ndarray) -> str:
-    """What is wrong with an inertia (3, 3), and what is expected."""
-    smallest, middle, largest = np.linalg.eigvalsh(tensor)
-    shown = _moments(tensor)
-    if smallest + middle < largest - _ROUNDING * abs(largest) and smallest >= 0:
-        return f"has principal moments {shown}; expected none above the sum of the others"
-    return f"has principal moments {shown}; expected positive ones"
 
 
 def _moments(tensor: np.ndarray) -> str:

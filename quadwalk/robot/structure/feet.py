@@ -44,8 +44,7 @@ def find_foot(tree: Tree, calf: str, meshes: Meshes | None) -> Foot | None:
 
     The collision sphere farthest from the calf's joint is the foot. Without one, a sphere takes
     the place of the shape that reaches farthest: it has the shape's lowest point, along the leg,
-    and its width there, in the plane that the calf swings in. Without any shape, there is a small
-    sphere at the farthest frame.
+    and its width there, in the plane the calf swings in. Else a small sphere is at the last frame.
     """
     return _sphere(tree, calf) or _stand_in(tree, calf, meshes) or _at_frame(tree, calf)
 

@@ -28,8 +28,7 @@ def find_legs(tree: Tree, source: str, meshes: Meshes | None = None) -> tuple[Le
     """The four legs, FR, FL, RR, RL; `UrdfError` says what was found where it is no quadruped.
 
     A leg is a chain of three actuated joints from the trunk (the root body), with a foot at its
-    end (see `find_foot`, which may need `meshes`). Ahead and left of the middle of the hips are x
-    and y of the trunk's frame.
+    end (see `find_foot`, which may need `meshes`). Of the trunk's frame, x is ahead and y left.
     """
     chains = [_chain(tree, joint) for joint in tree.moving_joints(tree.root)]
     if len(chains) != 4 or any(len(chain) != 3 for chain in chains):

@@ -87,8 +87,7 @@ def build_tree(robot: yourdfpy.Robot) -> Tree:
     pending = [root]
     while pending:
         link = pending.pop()
-        for joint in reversed(below[link]):
-            pending.append(joint.child)
+        pending.extend(joint.child for joint in reversed(below[link]))
         joint = joint_above.get(link)
         if joint is None:
             continue
