@@ -1,7 +1,6 @@
 """The fast engine: MuJoCo's equations laid out for many quadrupeds at once.
 
-The equations, the solver's problem and the integrator are MuJoCo's; tests hold it against MuJoCo C
-and MJX. docs/physics.md tells the whole.
+Equations, solver's problem and integrator are MuJoCo's; see docs/physics.md.
 """
 
 import dataclasses
@@ -186,12 +185,11 @@ def integrate(state: PhysicsState, acceleration: jax.Array, dt: float) -> Physic
 def lowest_points(model: Model, qpos: jax.Array) -> tuple[jax.Array, jax.Array]:
     """The feet's soles (4, 3), m, and how far the lowest of all else (5,) is above the ground, m.
 
-    That is of the trunk, then of each leg but its foot. Soles have x and y in the world, and z is
-    above the ground straight below.
+    That is of the trunk, then of each leg but its foot. Soles have x and y in the world, z above
+    the ground straight below. To be vmapped over robots; `qpos` is (19,).
 
-    `qpos` (19,); to be vmapped over robots. Not all shapes touch the ground in training, so this is
-    how it knows that one would have. Of other shapes over ground that is not level, their ends and
-    corners are looked at.
+    Not all shapes touch the ground in training, so this is how it knows that one would have. Of
+    other shapes over ground that is not level, ends and corners are looked at.
     """
 
     def of_many(model: Model, qpos: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -221,8 +219,7 @@ def lowest_points(model: Model, qpos: jax.Array) -> tuple[jax.Array, jax.Array]:
 def leg_points(model: Model, joints: jax.Array) -> jax.Array:
     """Centers of the spheres that thighs and calves have (n, 4, 3), m, in the trunk's frame.
 
-    The feet first, then knees if they may touch the floor. `joints` (12,) are angles, rad; to be
-    vmapped over robots.
+    The feet first, then knees if they may touch the floor. To be vmapped; `joints` (12,) in rad.
     """
     spheres = [contact for contact in model.contacts if contact.link]
 
