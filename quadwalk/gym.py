@@ -151,10 +151,7 @@ class QuadrupedGymVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
 
 
 def _programs(env: QuadrupedEnv, num_envs: int) -> tuple[Any, Any, Any]:
-    """Compiled programs of all environments, on as many devices as share them evenly.
-
-    They start episodes, step them, and replace those that ended by fresh starts.
-    """
+    """Programs that start, step and renew episodes, on as many devices as share them evenly."""
     size = env.policy_size
 
     def start(env: QuadrupedEnv, keys: Any) -> Any:
