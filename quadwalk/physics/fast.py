@@ -145,7 +145,7 @@ def _look_under(model: Model, barrier: jax.Array, pose: Pose, qpos: jax.Array) -
         x,
         y,
     )
-    under: tuple[Under, ...] = materialize(
+    return materialize(
         barrier,
         lambda found, altitudes: tuple(
             look_under(contact, spot, around, altitude)
@@ -156,7 +156,6 @@ def _look_under(model: Model, barrier: jax.Array, pose: Pose, qpos: jax.Array) -
         found,
         tuple(height + center[2] for center in at),
     )
-    return under
 
 
 def integrate(state: PhysicsState, acceleration: jax.Array, dt: float) -> PhysicsState:
