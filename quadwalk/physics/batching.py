@@ -40,10 +40,11 @@ def robots_last(function: Callable[..., Any], like: Any) -> Callable[..., Any]:
             rest = iter(arrays)
             pairs = zip(leaves, constant, strict=True)
             given = [column(leaf) if fixed else next(rest) for leaf, fixed in pairs]
-            found, own = jax.tree.flatten(function(*jax.tree.unflatten(structure, given)))
+            found = function(*jax.tree.unflatten(structure, given))
+            own: Any = jax.tree.structure(found)
             if own != expected:
                 raise TypeError(f"a function gives {own}; expected {expected}")
-            return found
+            return jax.tree.leaves(found)
 
         varying = [leaf for leaf, fixed in zip(leaves, constant, strict=True) if not fixed]
         found = _robots.bind(*varying, function=of_several, shapes=tuple(shapes))

@@ -90,26 +90,21 @@ def acceleration(
 ) -> jax.Array:
     """MuJoCo's qacc (18, robots) with joint torques (12, robots); see `robots_last`."""
     qpos, qvel, warmstart = state
+    trunk, links, gravity = model.trunk, model.links, model.gravity
     barrier = opaque_true(qpos[2, 0])  # heights beyond are not let into the next control step
     rotation = materialize(barrier, lambda quat: rotation_of(tuple(quat)), qpos[3:7])
     angles = _by_link(qpos[7:])
-    pose = materialize(barrier, lambda r, a: pose_of(model.links, r, a), rotation, angles)
-    bodies = materialize(barrier, lambda p: place_bodies(model.trunk, model.links, p), pose)
+    pose = materialize(barrier, lambda r, a: pose_of(links, r, a), rotation, angles)
+    bodies = materialize(barrier, lambda p: place_bodies(trunk, links, p), pose)
     velocity = _motion(pose, qvel)
-    mass = materialize(
-        barrier, lambda p, b: mass_matrix(model.trunk, model.links, p, b), pose, bodies
-    )
+    mass = materialize(barrier, lambda p, b: mass_matrix(trunk, links, p, b), pose, bodies)
     bias = materialize(
-        barrier,
-        lambda p, b, u: bias_force(model.trunk, model.links, p, b, u, model.gravity),
-        pose,
-        bodies,
-        velocity,
+        barrier, lambda p, b, u: bias_force(trunk, links, p, b, u, gravity), pose, bodies, velocity
     )
     joints = v.vector(
         t - link.damping * rate - b
         for t, link, rate, b in zip(
-            _by_link(torque), model.links, velocity.joints, bias.joints, strict=True
+            _by_link(torque), links, velocity.joints, bias.joints, strict=True
         )
     )
     force = Motion(v.scale(-1.0, bias.linear), v.scale(-1.0, bias.angular), joints)
@@ -122,9 +117,8 @@ def acceleration(
         velocity,
         None if model.ground is None else _look_under(model, barrier, pose, qpos),
     )
-    solution = newton(
-        mass, found, force, _motion(pose, warmstart), barrier, iterations, line_search
-    )
+    start = _motion(pose, warmstart)
+    solution = newton(mass, found, force, start, barrier, iterations, line_search)
     angular = v.apply_transposed(pose.trunk, solution.angular)
     legs = jnp.stack(solution.joints, axis=1).reshape(4 * LINKS, -1)
     return jnp.concatenate([jnp.stack([*solution.linear, *angular]), legs])

@@ -242,10 +242,8 @@ def _link_forces(
         w, at, acceleration = v.add(w, rate), origin, moved
         center, inertia = bodies.centers[i], bodies.inertias[i]
         arm = v.subtract(center, at)
-        center_acceleration = v.add(
-            acceleration, v.cross(turning, arm), v.cross(w, v.cross(w, arm))
-        )
-        force = v.scale(link.mass, v.subtract(center_acceleration, gravity))
+        of_center = v.add(acceleration, v.cross(turning, arm), v.cross(w, v.cross(w, arm)))
+        force = v.scale(link.mass, v.subtract(of_center, gravity))
         torque = v.add(turn_by(inertia, turning), v.cross(w, turn_by(inertia, w)))
         forces.append((force, v.add(torque, v.cross(center, force))))
     return forces

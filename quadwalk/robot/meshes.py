@@ -172,10 +172,8 @@ class Meshes:
             try:
                 parts = load_mesh(file, scale, self.source)
             except UrdfError as error:
-                reason = str(error).partition(f"'{file}' ")[2]
-                self.report.add(
-                    "dropped", f"{kind} meshes that are broken", f"{file.name} {reason}"
-                )
+                why = str(error).partition(f"'{file}' ")[2]
+                self.report.add("dropped", f"{kind} meshes that are broken", f"{file.name} {why}")
                 parts = []
             solid = [part for part in parts if _has_volume(part.vertices)]
             if len(solid) < len(parts):

@@ -29,7 +29,6 @@ from quadwalk.robot.report import Report
 from quadwalk.robot.scene import add_home, add_scene, add_sun, exclude_overlaps
 from quadwalk.robot.structure.home import standing_pose
 from quadwalk.robot.structure.legs import Leg
-from quadwalk.robot.structure.tree import Tree
 from quadwalk.robot.urdf import Urdf
 
 FRAMES = 4  # the group of the sites that mark frames; MuJoCo's viewer hides 3 and above
@@ -110,24 +109,23 @@ def write_xml(spec: mujoco.MjSpec) -> str:
     return spec.to_xml()
 
 
+@dataclass
 class _Robot:
     """The robot under construction in a spec."""
 
-    def __init__(
-        self,
-        spec: mujoco.MjSpec,
-        urdf: Urdf,
-        legs: tuple[Leg, ...],
-        options: Options,
-        report: Report,
-    ):
-        self.spec, self.urdf, self.legs = spec, urdf, legs
-        self.options, self.report = options, report
-        self.tree: Tree = urdf.tree
+    spec: mujoco.MjSpec
+    urdf: Urdf
+    legs: tuple[Leg, ...]
+    options: Options
+    report: Report
+
+    def __post_init__(self) -> None:
+        self.tree, robot = self.urdf.tree, self.urdf.robot
         self.floating = self._is_floating()
-        self.shapes = Shapes(spec, urdf.robot, legs, open_meshes(urdf, options, report), report)
+        meshes = open_meshes(self.urdf, self.options, self.report)
+        self.shapes = Shapes(self.spec, robot, self.legs, meshes, self.report)
         self.joints: list[yourdfpy.Joint] = []  # of one direction each
-        self.joint_names = {joint.name for joint in urdf.robot.joints if joint.type != "fixed"}
+        self.joint_names = {joint.name for joint in robot.joints if joint.type != "fixed"}
 
     def _is_floating(self) -> bool:
         root = self.tree.root

@@ -60,9 +60,7 @@ def from_dict(cls: type[T], data: Any, folder: Path, where: str = "config") -> T
     for field in known:
         if field.name not in data and field.default is field.default_factory:  # MISSING, both
             raise UserError(f"{where}.{field.name} is missing")
-    values = {
-        key: _restore(hints[key], value, folder, f"{where}.{key}") for key, value in data.items()
-    }
+    values = {key: _restore(hints[key], own, folder, f"{where}.{key}") for key, own in data.items()}
     try:
         return cls(**values)
     except UsageError as error:

@@ -336,10 +336,8 @@ def _kept_sane(
 
     Then it stands where it was, at `start` (19,), or if that is no place either, at `home` (19,).
     """
-    numbers = jnp.concatenate(
-        [physics.qpos, physics.qvel, action, effort.torque, effort.energy[None]]
-    )
-    sane = jnp.all(jnp.isfinite(numbers)) & jnp.all(jnp.abs(physics.qvel) < MAX_SPEED)
+    each = jnp.concatenate([physics.qpos, physics.qvel, action, effort.torque, effort.energy[None]])
+    sane = jnp.all(jnp.isfinite(each)) & jnp.all(jnp.abs(physics.qvel) < MAX_SPEED)
     action = jnp.where(sane, action, 0.0)
     place = jnp.where(jnp.all(jnp.abs(start) < FARTHEST), start, home)
     still = PhysicsState(place, jnp.zeros(18), jnp.zeros(18))

@@ -5,6 +5,7 @@ to others may be a point or nearly nothing, whatever its numbers; what moves may
 """
 
 from dataclasses import dataclass
+from decimal import Decimal
 
 import numpy as np
 import yourdfpy
@@ -60,17 +61,12 @@ def resolutions(root: etree._Element) -> dict[str, np.ndarray]:
         if inertia is None:
             continue
         given = {name: inertia.get(name) for name in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")}
-        units = {name: _last_digit(value) for name, value in given.items() if float(value)}
+        digits = {name: Decimal(value).as_tuple() for name, value in given.items() if float(value)}
+        units = {name: 10.0 ** int(number.exponent) for name, number in digits.items()}
         finest = min(units.values(), default=0.0)
         xx, xy, xz, yy, yz, zz = (units.get(name, finest) / 2 for name in given)
         found[link.get("name")] = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     return found
-
-
-def _last_digit(number: str) -> float:
-    """What one more in the last digit of `number` would add: "0.012" 1e-3, "3e-6" 1e-6."""
-    digits, _, exponent = number.strip().lower().partition("e")
-    return 10.0 ** (int(exponent or 0) - len(digits.partition(".")[2]))
 
 
 def check_bodies(

@@ -127,19 +127,17 @@ def _within(sizes: Range, margin: float, shares: jax.Array) -> jax.Array:
     return size * jnp.stack([jnp.cos(angle), jnp.sin(angle)])
 
 
-def as_values(
-    conditions: EpisodeRandomization, stepping: Stepping
-) -> dict[str, float | list[float]]:
+def as_values(drawn: EpisodeRandomization, stepping: Stepping) -> dict[str, float | list[float]]:
     """What was drawn, as in `RandomizationConfig`; but masses kg, centers m, pushes m/s."""
-    own = {} if conditions.variation is None else conditions.variation._asdict()
-    late = 0.0 if conditions.sensor_delay is None else conditions.sensor_delay
+    own = {} if drawn.variation is None else drawn.variation._asdict()
+    late = 0.0 if drawn.sensor_delay is None else drawn.sensor_delay
     own |= {
-        "encoder": conditions.encoder,
-        "imu_tilt": conditions.tilt,
-        "latency": conditions.delay * stepping.dt,
+        "encoder": drawn.encoder,
+        "imu_tilt": drawn.tilt,
+        "latency": drawn.delay * stepping.dt,
         "sensor_latency": late * stepping.control_dt,
-        "noise": conditions.noise,
-        "push": conditions.push,
+        "noise": drawn.noise,
+        "push": drawn.push,
     }
     return {name: np.asarray(value, float).tolist() for name, value in own.items()}
 
