@@ -142,8 +142,7 @@ class Sensors:
     def mirrors(self, robot: RobotMirror | str) -> Mirrors | str:
         """How observation and action look where the parts of the robot mirror so, or why not.
 
-        `robot` may say itself, in a line, why it does not. Raises `UserError` where a term says it
-        of another size.
+        `robot` may say itself why not, in a line. `UserError`: a term says it of another size.
         """
         if isinstance(robot, str):
             return robot
