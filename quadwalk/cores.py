@@ -69,10 +69,7 @@ def instructions() -> str:
 
 
 def compilation_cache() -> Path:
-    """The folder of compiled programs, one per kind of processor.
-
-    A home folder may be shared by machines that cannot run each other's instructions.
-    """
+    """The folder of compiled programs, one per kind of processor: machines may share a home."""
     processor = (platform.processor() or platform.machine()) + instructions()
     kind = hashlib.sha256(processor.encode()).hexdigest()[:12]
     return Path(platformdirs.user_cache_dir("quadwalk", appauthor=False)) / "xla" / kind

@@ -14,9 +14,7 @@ def main(args: Sequence[str] | None = None, prog: str = "eval.py") -> None:
     if config.live:
         from quadwalk.view.show import ViewConfig, drive
 
-        own = {
-            name: getattr(config, name) for name in ("policy", "browser", "host", "port", "runs")
-        }
+        own = {key: getattr(config, key) for key in ("policy", "browser", "host", "port", "runs")}
         drive(ViewConfig(config.run[0], **own))
     else:
         from quadwalk.evaluate.session import evaluate_runs

@@ -47,10 +47,9 @@ def remove_unfinished() -> None:
 def atomic_write(path: Path | str) -> Iterator[BinaryIO]:
     """Open `path` + ".part" for writing bytes; it takes the place of `path` when the block ends.
 
-    Whatever goes wrong (no space, no permission, Ctrl-C), the part file is removed and an older
-    `path` stays as it was. A link stays, and what it leads to is written. What is no regular file,
-    as a device or a pipe, is written as it is. The system's refusals become a `UserError` that
-    names `path`.
+    Whatever goes wrong (no space, Ctrl-C), the part file is removed and an older `path` stays as it
+    was. A link stays, and what it leads to is written. What is no regular file, as a device or a
+    pipe, is written as it is. The system's refusals become a `UserError` that names `path`.
     """
     target = real_path(Path(path))
     part = Path(f"{target}.part")

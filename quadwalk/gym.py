@@ -131,9 +131,8 @@ class QuadrupedGymVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         if done.any():
             infos = self._final(np.array(seen), end, done)
             fresh, later, _ = self._start(self._keys)
-            self._state, self._keys, seen = self._renew(
-                done, (fresh, later), (self._state, self._keys)
-            )
+            old = self._state, self._keys
+            self._state, self._keys, seen = self._renew(done, (fresh, later), old)
         return np.array(seen), np.array(reward), done & ~truncated, truncated, infos
 
     def _final(self, seen: np.ndarray, end: np.ndarray, done: np.ndarray) -> dict[str, Any]:
@@ -151,10 +150,7 @@ class QuadrupedGymVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
 
 
 def _programs(env: QuadrupedEnv, num_envs: int) -> tuple[Any, Any, Any]:
-    """Compiled programs of all environments, on as many devices as share them evenly.
-
-    They start episodes, step them, and replace those that ended by fresh starts.
-    """
+    """Programs that start, step and renew episodes, on as many devices as share them evenly."""
     size = env.policy_size
 
     def start(env: QuadrupedEnv, keys: Any) -> Any:
@@ -177,9 +173,8 @@ def _programs(env: QuadrupedEnv, num_envs: int) -> tuple[Any, Any, Any]:
         def shared(env: QuadrupedEnv, *arguments: Any) -> Any:
             own = partial(function, env)
             split = P("envs")
-            return jax.shard_map(own, mesh=mesh, in_specs=split, out_specs=split, check_vma=False)(
-                *arguments
-            )
+            on_all = jax.shard_map(own, mesh=mesh, in_specs=split, out_specs=split, check_vma=False)
+            return on_all(*arguments)
 
         return jit(env, shared, donate=donate)
 

@@ -35,10 +35,7 @@ complete -o default -F _quadwalk quadwalk
 
 
 def completion_script(shell: str, commands: Mapping[str, str]) -> str:
-    """The script for `shell` to source; `commands` are names and modules.
-
-    `UsageError` for a shell that is not one of `SHELLS`.
-    """
+    """The script for `shell` to source (`UsageError`: unknown), of `commands`: names, modules."""
     if shell not in SHELLS:
         raise UsageError(f"--print-completion {shell}: expected {' or '.join(SHELLS)}")
     flags: dict[str, str] = {}

@@ -62,13 +62,11 @@ def _other_versions() -> list[str]:
     """A line for each package that is not there as quadwalk's own metadata demands it."""
     lines = (importlib.metadata.requires("quadwalk") or []) if _version("quadwalk") else []
     wrong = []
-    for demand in map(Requirement, lines):
-        if demand.marker and not demand.marker.evaluate({"extra": ""}):
+    for need in map(Requirement, lines):
+        if need.marker and not need.marker.evaluate({"extra": ""}):
             continue
-        found = _version(demand.name)
-        if found is None or found not in demand.specifier:
+        found = _version(need.name)
+        if found is None or found not in need.specifier:
             there = f"is {found}" if found else "is missing"
-            wrong.append(
-                f"warning: {demand.name} {there}; expected {demand.name}{demand.specifier}"
-            )
+            wrong.append(f"warning: {need.name} {there}; expected {need.name}{need.specifier}")
     return wrong

@@ -26,8 +26,7 @@ def parse(
 ) -> T:
     """Parse `args` into `cls`, every field a flag; a bad one is a `UsageError` in one line.
 
-    `description` is for `--help`, in place of the docstring of `cls`. `lister` is the flag that
-    lists all others.
+    `description` is for `--help`, in place of the docstring of `cls`; `lister` lists all flags.
     """
     import tyro  # not at the top: commands that use `ArgumentParser` begin without it
 
@@ -96,22 +95,17 @@ def message_console() -> "Console":
 
 def value_of(args: Sequence[str], flag: str) -> str | None:
     """The last value of `flag` among `args`, None if it is not there."""
-    value = None
-    for arg, following in zip(args, [*args[1:], ""], strict=False):
-        if arg == flag:
-            value = following
-        elif arg.startswith(f"{flag}="):
-            value = arg.partition("=")[2]
-    return value
+    return taken(args, flag)[0]
 
 
 def taken(args: Sequence[str], flag: str) -> tuple[str | None, list[str]]:
     """The last value of `flag`, or None, and `args` without it."""
-    left: list[str] = []
-    rest = iter(args)
+    value, left, rest = None, list[str](), iter(args)
     for arg in rest:
         if arg == flag:
-            next(rest, None)
-        elif not arg.startswith(f"{flag}="):
+            value = next(rest, "")
+        elif arg.startswith(f"{flag}="):
+            value = arg.partition("=")[2]
+        else:
             left.append(arg)
-    return value_of(args, flag), left
+    return value, left

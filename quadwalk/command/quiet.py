@@ -1,7 +1,4 @@
-"""What libraries print when they are imported, muted; imported before all others.
-
-Errors that matter reach Python as exceptions.
-"""
+"""Imported before all others: mutes what libraries print at import; errors are exceptions."""
 
 import contextlib
 import io

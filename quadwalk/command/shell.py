@@ -54,10 +54,8 @@ def extra(module: str, user: str, name: str) -> Any:
     try:
         return importlib.import_module(module)
     except ImportError:
-        package = module.partition(".")[0]
-        raise UserError(
-            f"{user} needs {package}, which is not installed: {install(name)}"
-        ) from None
+        what = module.partition(".")[0]
+        raise UserError(f"{user} needs {what}, which is not installed: {install(name)}") from None
 
 
 def _program(path: str) -> str:
@@ -74,6 +72,5 @@ def short(path: str) -> str:
     except ValueError:  # on another drive
         return path
     # Without a separator the shell would take the name of a program for one on the PATH.
-    return (
-        relative if len(relative) < len(path) and (os.sep in relative or relative == ".") else path
-    )
+    shorter = len(relative) < len(path) and (os.sep in relative or relative == ".")
+    return relative if shorter else path

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
-from PIL import Image, UnidentifiedImageError
+from PIL import Image
 
 from quadwalk.errors import UserError
 from quadwalk.files import os_reason
@@ -19,8 +19,7 @@ _DEPTHS = {"I;16": 65535.0, "I": 65535.0, "L": 255.0, "1": 1.0}  # white, by Pil
 class Heightfield:
     """Heights over a grid of square cells; between its nodes, MuJoCo's triangles.
 
-    Each cell is two triangles that share its diagonal from the node of least x and y to that of
-    most.
+    Each cell is two; they share its diagonal from the node of least x and y to that of most.
     """
 
     heights: np.ndarray  # (rows, columns) float32, m: rows along y, columns along x
@@ -60,28 +59,23 @@ def read_heights(path: Path, white: float) -> np.ndarray:
     that names the file and what is expected.
     """
     path = Path(path)
+    what = f"the terrain {path}"
     expected = "a gray PNG, or an .npy file of a two-dimensional array of heights in m"
     if path.suffix not in (".png", ".npy"):
-        raise UserError(f"the terrain {path} is of no known kind; expected {expected}")
+        raise UserError(f"{what} is of no known kind; expected {expected}")
     try:
         heights = np.load(path) if path.suffix == ".npy" else _read_picture(path, white)
-    except OSError as error:
-        if isinstance(error, UnidentifiedImageError) or error.errno is None:
-            raise UserError(f"the terrain {path} cannot be read; expected {expected}") from None
-        raise UserError(f"cannot read the terrain {path}: {os_reason(error)}") from None
-    except (ValueError, EOFError, SyntaxError, Image.DecompressionBombError):
-        raise UserError(f"the terrain {path} cannot be read; expected {expected}") from None
+    except (OSError, ValueError, EOFError, SyntaxError, Image.DecompressionBombError) as error:
+        if isinstance(error, OSError) and error.errno is not None:
+            raise UserError(f"cannot read {what}: {os_reason(error)}") from None
+        raise UserError(f"{what} cannot be read; expected {expected}") from None
     if not isinstance(heights, np.ndarray) or heights.dtype.kind not in "iuf":
-        raise UserError(
-            f"the terrain {path} does not hold an array of numbers; expected {expected}"
-        )
+        raise UserError(f"{what} does not hold an array of numbers; expected {expected}")
     if heights.ndim != 2 or min(heights.shape) < 2:
-        raise UserError(
-            f"the terrain {path} has the shape {heights.shape}; expected two dimensions of at "
-            "least 2 nodes"
-        )
+        shape = f"the shape {heights.shape}; expected two dimensions of at least 2 nodes"
+        raise UserError(f"{what} has {shape}")
     if not np.all(np.isfinite(heights)):
-        raise UserError(f"the terrain {path} has heights that are not finite; expected numbers")
+        raise UserError(f"{what} has heights that are not finite; expected numbers")
     return np.asarray(heights, np.float32)
 
 

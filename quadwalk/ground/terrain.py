@@ -145,9 +145,8 @@ def sizes_of(config: GroundConfig, leg: float) -> Sizes:
 def make_terrain(config: GroundConfig, leg: float) -> Terrain:
     """The field of `config` for a robot whose legs are `leg` m long.
 
-    Levels follow one another along x, kinds along y; the middle of all is x = y = 0. The same
-    config gives the same numbers. A tile depends on nothing but its kind, its difficulty, its
-    place in the order and the seed.
+    Levels follow one another along x, kinds along y; the middle of all is x = y = 0. A tile
+    depends on its kind, its difficulty, its place in the order and the seed alone.
     """
     assert not config.flat
     if config.file is not None:

@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.random import Generator
 
 from quadwalk.errors import UsageError
 
@@ -32,8 +33,7 @@ class Sizes:
 
 
 # Of a robot with legs of 1 m. An AlienGo's, 0.5 m, meet stairs of 15 cm with treads of 30 cm,
-# blocks of 15 cm and roughness of +-8 cm, which are what its users train it for (DLSLab, Isaac
-# Lab).
+# blocks of 15 cm and roughness of +-8 cm, as its users train it for (DLSLab, Isaac Lab).
 OF_LEG = Sizes(
     slope=float(np.radians(25.0)),
     roughness=0.16,
@@ -76,30 +76,28 @@ def _reach(patch: Patch, sizes: Sizes) -> float:
     return max(float(patch.inwards.max()) - sizes.middle, patch.cell)
 
 
-def flat(patch: Patch, sizes: Sizes, difficulty: float, rng: np.random.Generator) -> np.ndarray:
+def flat(patch: Patch, sizes: Sizes, difficulty: float, rng: Generator) -> np.ndarray:
     """Level ground."""
     return np.zeros(patch.shape)
 
 
-def slope_up(patch: Patch, sizes: Sizes, difficulty: float, rng: np.random.Generator) -> np.ndarray:
+def slope_up(patch: Patch, sizes: Sizes, difficulty: float, rng: Generator) -> np.ndarray:
     """A hollow: from its level middle the ground rises on all sides."""
     steepness = np.tan(difficulty * sizes.slope)
     return -steepness * np.minimum(patch.inwards, _reach(patch, sizes))
 
 
-def slope_down(
-    patch: Patch, sizes: Sizes, difficulty: float, rng: np.random.Generator
-) -> np.ndarray:
+def slope_down(patch: Patch, sizes: Sizes, difficulty: float, rng: Generator) -> np.ndarray:
     """A hill: from its level top the ground falls on all sides."""
     return -slope_up(patch, sizes, difficulty, rng)
 
 
-def rough(patch: Patch, sizes: Sizes, difficulty: float, rng: np.random.Generator) -> np.ndarray:
+def rough(patch: Patch, sizes: Sizes, difficulty: float, rng: Generator) -> np.ndarray:
     """Independent heights on a coarser grid, and straight lines between them."""
     return difficulty * sizes.roughness * _noise(patch, sizes.grain, rng)
 
 
-def waves(patch: Patch, sizes: Sizes, difficulty: float, rng: np.random.Generator) -> np.ndarray:
+def waves(patch: Patch, sizes: Sizes, difficulty: float, rng: Generator) -> np.ndarray:
     """Two trains of waves that cross."""
     phases = rng.uniform(0.0, 2 * np.pi, 2)
     x, y = (2 * np.pi / sizes.wavelength * axis for axis in (patch.x, patch.y))
@@ -107,9 +105,7 @@ def waves(patch: Patch, sizes: Sizes, difficulty: float, rng: np.random.Generato
     return 0.5 * difficulty * sizes.wave * both
 
 
-def stairs_up(
-    patch: Patch, sizes: Sizes, difficulty: float, rng: np.random.Generator
-) -> np.ndarray:
+def stairs_up(patch: Patch, sizes: Sizes, difficulty: float, rng: Generator) -> np.ndarray:
     """Stairs up from the level middle, on all sides."""
     # A little more, so that rounding does not decide where a stair begins.
     number = np.floor((_reach(patch, sizes) - patch.inwards) / sizes.tread + 1e-6)
@@ -117,14 +113,12 @@ def stairs_up(
     return difficulty * sizes.step * (np.clip(number + 1, 0, top) - top)
 
 
-def stairs_down(
-    patch: Patch, sizes: Sizes, difficulty: float, rng: np.random.Generator
-) -> np.ndarray:
+def stairs_down(patch: Patch, sizes: Sizes, difficulty: float, rng: Generator) -> np.ndarray:
     """Stairs down from the level middle, on all sides."""
     return -stairs_up(patch, sizes, difficulty, rng)
 
 
-def blocks(patch: Patch, sizes: Sizes, difficulty: float, rng: np.random.Generator) -> np.ndarray:
+def blocks(patch: Patch, sizes: Sizes, difficulty: float, rng: Generator) -> np.ndarray:
     """Blocks of random sizes lie on half of the ground; two make no higher one."""
     heights = np.zeros(patch.shape)
     sides = np.array([np.ptp(patch.x), np.ptp(patch.y)])
@@ -139,7 +133,7 @@ def blocks(patch: Patch, sizes: Sizes, difficulty: float, rng: np.random.Generat
     return heights
 
 
-def ditches(patch: Patch, sizes: Sizes, difficulty: float, rng: np.random.Generator) -> np.ndarray:
+def ditches(patch: Patch, sizes: Sizes, difficulty: float, rng: Generator) -> np.ndarray:
     """Ditches all around the middle, one after the other."""
     outwards = _reach(patch, sizes) - patch.inwards
     period = sizes.ditch + sizes.middle
@@ -149,7 +143,7 @@ def ditches(patch: Patch, sizes: Sizes, difficulty: float, rng: np.random.Genera
     return np.where(dug, -difficulty * sizes.ditch_depth, 0.0)
 
 
-def course(patch: Patch, sizes: Sizes, difficulty: float, rng: np.random.Generator) -> np.ndarray:
+def course(patch: Patch, sizes: Sizes, difficulty: float, rng: Generator) -> np.ndarray:
     """Blocks, logs and ditches across the way along x, in random order and at random distances."""
     heights = np.zeros(patch.shape)
     ahead, finish = float(patch.x[0]) + 2 * sizes.middle, float(patch.x[-1]) - sizes.middle
@@ -178,7 +172,7 @@ def course(patch: Patch, sizes: Sizes, difficulty: float, rng: np.random.Generat
         ahead += length
 
 
-def _noise(patch: Patch, grain: float, rng: np.random.Generator) -> np.ndarray:
+def _noise(patch: Patch, grain: float, rng: Generator) -> np.ndarray:
     """(rows, columns) between -1 and 1: uniform at nodes `grain` apart, bilinear between them."""
     heights = rng.uniform(-1.0, 1.0, [int(np.ptp(axis) / grain) + 2 for axis in (patch.y, patch.x)])
     for axis, at in enumerate((patch.y, patch.x)):
@@ -196,7 +190,7 @@ def _around_middle(patch: Patch, sizes: Sizes) -> np.ndarray:
     return left[:, None] & ahead[None, :]
 
 
-Tile = Callable[[Patch, Sizes, float, np.random.Generator], np.ndarray]
+Tile = Callable[[Patch, Sizes, float, Generator], np.ndarray]
 
 KINDS: Mapping[str, Tile] = {
     function.__name__: function
@@ -207,7 +201,7 @@ KINDS: Mapping[str, Tile] = {
 
 
 def make_tile(
-    kind: str, patch: Patch, sizes: Sizes, difficulty: float, rng: np.random.Generator
+    kind: str, patch: Patch, sizes: Sizes, difficulty: float, rng: Generator
 ) -> np.ndarray:
     """Heights (rows, columns), m, of a tile; `UsageError` for a kind or difficulty there is not."""
     if kind not in KINDS:

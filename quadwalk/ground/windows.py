@@ -1,7 +1,6 @@
 """The ground near a robot alone: windows of a field, for models that each have their own.
 
-A model holds all of its floor's heights, so a thousand robots that differ would hold them a
-thousand times.
+A model holds all of its floor's heights; a thousand that differ would hold a thousand copies.
 """
 
 import math
@@ -10,7 +9,7 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 
-from quadwalk.ground.heightfield import FLOOR, Heightfield, centered, field_of, lay
+from quadwalk.ground.heightfield import FLOOR, Heightfield, centered, lay
 from quadwalk.robot.quadruped import Quadruped
 
 STRIDE = 2.0  # m from one window to the next
@@ -54,12 +53,6 @@ class Windows:
         spec = quadruped.spec.copy()
         lay(spec, centered(heights, self._field.cell))
         return replace(quadruped, spec=spec).full_model(timestep, visuals=False)
-
-
-def windows_of(model: mujoco.MjModel) -> Windows | None:
-    """Those of the field that a model's floor is; None where it is a plane."""
-    field = field_of(model)
-    return None if field is None else Windows(model, field)
 
 
 def reach(model: mujoco.MjModel) -> float:

@@ -3,10 +3,9 @@
 Measured on two cores with `benchmarks/physics.py`; see there for what each of these gives.
 """
 
-import itertools
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any, TypeVar
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -17,8 +16,6 @@ from jax.interpreters import ad, batching, mlir
 
 BATCH = 128  # robots side by side: what they hold at a time then stays in a core's cache
 LANES = 8  # floats in a vector register
-
-Tree = TypeVar("Tree")
 
 
 def robots_last(function: Callable[..., Any], like: Any) -> Callable[..., Any]:
@@ -33,23 +30,27 @@ def robots_last(function: Callable[..., Any], like: Any) -> Callable[..., Any]:
     compiled program folds them: zeros vanish from it.
     """
 
+    shapes, expected = jax.tree.flatten(like)
+
     def of_any(*arguments: Any) -> Any:
-        places = [not is_constant(leaf) for leaf in jax.tree.leaves(arguments)]
-        varying, assemble = _split(arguments, places)
-        shapes, structure = jax.tree.flatten(like)
-        of_several = partial(_flat, lambda *arrays: function(*assemble(arrays, column)), structure)
+        leaves, structure = jax.tree.flatten(arguments)
+        constant = [is_constant(leaf) for leaf in leaves]
+
+        def of_several(*arrays: jax.Array) -> list[Any]:
+            rest = iter(arrays)
+            pairs = zip(leaves, constant, strict=True)
+            given = [column(leaf) if fixed else next(rest) for leaf, fixed in pairs]
+            found = function(*jax.tree.unflatten(structure, given))
+            own: Any = jax.tree.structure(found)
+            if own != expected:
+                raise TypeError(f"a function gives {own}; expected {expected}")
+            return jax.tree.leaves(found)
+
+        varying = [leaf for leaf, fixed in zip(leaves, constant, strict=True) if not fixed]
         found = _robots.bind(*varying, function=of_several, shapes=tuple(shapes))
-        return jax.tree.unflatten(structure, found)
+        return jax.tree.unflatten(expected, found)
 
     return of_any
-
-
-def _flat(function: Callable[..., Any], structure: Any, *arrays: jax.Array) -> list[Any]:
-    """The leaves of what `function` gives, whose structure must be this."""
-    leaves, own = jax.tree.flatten(function(*arrays))
-    if own != structure:
-        raise TypeError(f"a function gives {own}; expected {structure}")
-    return leaves
 
 
 def is_constant(leaf: Any) -> bool:
@@ -121,28 +122,8 @@ batching.primitive_batchers[_robots] = _of_many
 ad.primitive_jvps[_robots] = _tangents
 
 
-def _split(tree: Tree, places: Sequence[bool]) -> tuple[list[Any], Callable[..., Tree]]:
-    """The leaves of a pytree at `places`, and the function that puts it together again.
-
-    That takes these leaves, or others in their place, and optionally a function for the rest.
-    """
-    leaves, structure = jax.tree.flatten(tree)
-
-    def assemble(given: Sequence[Any], change: Callable[[Any], Any] = lambda leaf: leaf) -> Tree:
-        rest = iter(given)
-        pairs = zip(places, leaves, strict=True)
-        return jax.tree.unflatten(
-            structure, [next(rest) if place else change(leaf) for place, leaf in pairs]
-        )
-
-    return list(itertools.compress(leaves, places)), assemble
-
-
 def opaque_true(number: jax.Array) -> jax.Array:
-    """True, but XLA cannot know it: a barrier to its optimizer, see `materialize`.
-
-    `number` is one of a sound state, which is far below 1e30, or NaN.
-    """
+    """True, though XLA cannot know; `number` is of a sound state, far below 1e30, or NaN."""
     return ~(number > 1e30)
 
 

@@ -1,7 +1,6 @@
 """The fast engine: MuJoCo's equations laid out for many quadrupeds at once.
 
-The equations, the solver's problem and the integrator are MuJoCo's; tests hold it against MuJoCo C
-and MJX. docs/physics.md tells the whole.
+Equations, solver's problem and integrator are MuJoCo's; see docs/physics.md.
 """
 
 import dataclasses
@@ -91,26 +90,21 @@ def acceleration(
 ) -> jax.Array:
     """MuJoCo's qacc (18, robots) with joint torques (12, robots); see `robots_last`."""
     qpos, qvel, warmstart = state
+    trunk, links, gravity = model.trunk, model.links, model.gravity
     barrier = opaque_true(qpos[2, 0])  # heights beyond are not let into the next control step
     rotation = materialize(barrier, lambda quat: rotation_of(tuple(quat)), qpos[3:7])
     angles = _by_link(qpos[7:])
-    pose = materialize(barrier, lambda r, a: pose_of(model.links, r, a), rotation, angles)
-    bodies = materialize(barrier, lambda p: place_bodies(model.trunk, model.links, p), pose)
+    pose = materialize(barrier, lambda r, a: pose_of(links, r, a), rotation, angles)
+    bodies = materialize(barrier, lambda p: place_bodies(trunk, links, p), pose)
     velocity = _motion(pose, qvel)
-    mass = materialize(
-        barrier, lambda p, b: mass_matrix(model.trunk, model.links, p, b), pose, bodies
-    )
+    mass = materialize(barrier, lambda p, b: mass_matrix(trunk, links, p, b), pose, bodies)
     bias = materialize(
-        barrier,
-        lambda p, b, u: bias_force(model.trunk, model.links, p, b, u, model.gravity),
-        pose,
-        bodies,
-        velocity,
+        barrier, lambda p, b, u: bias_force(trunk, links, p, b, u, gravity), pose, bodies, velocity
     )
     joints = v.vector(
         t - link.damping * rate - b
         for t, link, rate, b in zip(
-            _by_link(torque), model.links, velocity.joints, bias.joints, strict=True
+            _by_link(torque), links, velocity.joints, bias.joints, strict=True
         )
     )
     force = Motion(v.scale(-1.0, bias.linear), v.scale(-1.0, bias.angular), joints)
@@ -123,9 +117,8 @@ def acceleration(
         velocity,
         None if model.ground is None else _look_under(model, barrier, pose, qpos),
     )
-    solution = newton(
-        mass, found, force, _motion(pose, warmstart), barrier, iterations, line_search
-    )
+    start = _motion(pose, warmstart)
+    solution = newton(mass, found, force, start, barrier, iterations, line_search)
     angular = v.apply_transposed(pose.trunk, solution.angular)
     legs = jnp.stack(solution.joints, axis=1).reshape(4 * LINKS, -1)
     return jnp.concatenate([jnp.stack([*solution.linear, *angular]), legs])
@@ -146,7 +139,7 @@ def _look_under(model: Model, barrier: jax.Array, pose: Pose, qpos: jax.Array) -
         x,
         y,
     )
-    under: tuple[Under, ...] = materialize(
+    return materialize(
         barrier,
         lambda found, altitudes: tuple(
             look_under(contact, spot, around, altitude)
@@ -157,7 +150,6 @@ def _look_under(model: Model, barrier: jax.Array, pose: Pose, qpos: jax.Array) -
         found,
         tuple(height + center[2] for center in at),
     )
-    return under
 
 
 def integrate(state: PhysicsState, acceleration: jax.Array, dt: float) -> PhysicsState:
@@ -186,12 +178,11 @@ def integrate(state: PhysicsState, acceleration: jax.Array, dt: float) -> Physic
 def lowest_points(model: Model, qpos: jax.Array) -> tuple[jax.Array, jax.Array]:
     """The feet's soles (4, 3), m, and how far the lowest of all else (5,) is above the ground, m.
 
-    That is of the trunk, then of each leg but its foot. Soles have x and y in the world, and z is
-    above the ground straight below.
+    That is of the trunk, then of each leg but its foot. Soles have x and y in the world, z above
+    the ground straight below. To be vmapped over robots; `qpos` is (19,).
 
-    `qpos` (19,); to be vmapped over robots. Not all shapes touch the ground in training, so this is
-    how it knows that one would have. Of other shapes over ground that is not level, their ends and
-    corners are looked at.
+    Not all shapes touch the ground in training, so this is how it knows that one would have. Of
+    other shapes over ground that is not level, ends and corners are looked at.
     """
 
     def of_many(model: Model, qpos: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -221,8 +212,7 @@ def lowest_points(model: Model, qpos: jax.Array) -> tuple[jax.Array, jax.Array]:
 def leg_points(model: Model, joints: jax.Array) -> jax.Array:
     """Centers of the spheres that thighs and calves have (n, 4, 3), m, in the trunk's frame.
 
-    The feet first, then knees if they may touch the floor. `joints` (12,) are angles, rad; to be
-    vmapped over robots.
+    The feet first, then knees if they may touch the floor. To be vmapped; `joints` (12,) in rad.
     """
     spheres = [contact for contact in model.contacts if contact.link]
 

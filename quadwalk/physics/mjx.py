@@ -4,17 +4,12 @@ The state carried is what physics needs and no more. An `mjx.Data` holds some hu
 of them results: XLA drops every one that nothing reads, and a reset is a copy of three arrays.
 """
 
-import contextlib
-import io
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import mujoco
-
-# It prints two lines about an optional back end; Brax imports it too, so this must come before.
-with contextlib.redirect_stdout(io.StringIO()):
-    from mujoco import mjx
+from mujoco import mjx
 
 from quadwalk.physics import motor
 from quadwalk.physics.model import RobotRandomization, vary_motor

@@ -19,7 +19,7 @@ from quadwalk.physics.motor import Motor
 from quadwalk.physics.rigid_body import LINKS, Link, Trunk
 from quadwalk.physics.vectors import Array, Matrix, Vector
 from quadwalk.robot.quadruped import Quadruped
-from quadwalk.robot.scene import KINDS
+from quadwalk.robot.scene import KINDS, rotation_of_quat
 
 
 @jax.tree_util.register_dataclass
@@ -37,10 +37,7 @@ class Shell:
     long: tuple[int, ...] = field(default=(), metadata={"static": True})
 
     def bottom(self, up: Vector) -> Array:
-        """Height, m, of the shape's lowest point above the link's origin.
-
-        `up` is the world's vertical in the link's frame.
-        """
+        """Height, m, of the lowest point above the link's origin; `up` is world z in its frame."""
         x, y, z = (jnp.abs(v.dot(up, axis)) for axis in self.axes)
         a, b, c = self.size
         disc = jnp.sqrt(jnp.maximum(1.0 - z * z, 0.0))
@@ -138,8 +135,7 @@ def vary_motor(motor: Motor, variation: RobotRandomization) -> Motor:
 def make_model(model: mujoco.MjModel, quadruped: Quadruped, motor: Motor) -> Model:
     """Read `model`, made from `quadruped`, for the equations; its leaves are constants.
 
-    Its joint 1 + 3 * leg + i is the i-th of a leg's, from the trunk outwards. Where its floor is a
-    heightfield, that is the ground.
+    Its joint 1 + 3 * leg + i is a leg's i-th, from the trunk outwards. A heightfield is its ground.
     """
     feet = quadruped.feet
     joints = 1 + np.arange(12).reshape(4, LINKS)
@@ -205,21 +201,15 @@ def _matrix(values: np.ndarray) -> Matrix:
     return x, y, z
 
 
-def _rotation(quat: np.ndarray) -> np.ndarray:
-    out = np.zeros(9)
-    mujoco.mju_quat2Mat(out, quat)
-    return out.reshape(3, 3)
-
-
 def _inertia(model: mujoco.MjModel, body: int) -> np.ndarray:
     """(6,) as in `Inertia`, about the center of mass, in the body's axes."""
-    turn = _rotation(model.body_iquat[body])
+    turn = rotation_of_quat(model.body_iquat[body])
     full = turn @ np.diag(model.body_inertia[body]) @ turn.T
     return full[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
 
 
 def _link(model: mujoco.MjModel, bodies: np.ndarray, joints: np.ndarray) -> Link:
-    frames = np.array([_rotation(model.body_quat[body]) for body in bodies])
+    frames = np.array([rotation_of_quat(model.body_quat[body]) for body in bodies])
     axes = model.jnt_axis[joints]
     outer = axes[:, :, None] * axes[:, None, :]
     x, y, z = axes.T
@@ -323,7 +313,7 @@ def _shells(
         body: [g for g in geoms if model.geom_bodyid[g] == body] for body in range(model.nbody)
     }
     for geom in of_body[trunk]:
-        rotation = _rotation(model.geom_quat[geom])
+        rotation = rotation_of_quat(model.geom_quat[geom])
         shells.append(
             Shell(
                 link=None,
@@ -339,7 +329,7 @@ def _shells(
         for i in range(max(map(len, own))):
             there = np.array([i < len(shapes) for shapes in own])
             picked = np.array([shapes[i] if i < len(shapes) else 0 for shapes in own])
-            axes = np.array([_rotation(quat).T for quat in model.geom_quat[picked]])
+            axes = np.array([rotation_of_quat(quat).T for quat in model.geom_quat[picked]])
             shells.append(
                 Shell(
                     link=link,

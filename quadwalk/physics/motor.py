@@ -143,10 +143,7 @@ def motor_torque(motor: Motor, target: Any, q: Any, qd: Any) -> Any:
 
 
 def friction_torque(motor: Motor, qd: Any, through: Any = FRICTION_SPEED) -> Any:
-    """Torque (12,), Nm, by which joint friction opposes joint speeds `qd` (12,), rad/s.
-
-    It passes through zero over the speed `through`, rad/s.
-    """
+    """Joint friction (12,), Nm, at speeds `qd` (12,), rad/s; it passes 0 over `through`, rad/s."""
     xp = _namespace(qd)
     if motor.friction is None:
         return xp.zeros_like(qd)

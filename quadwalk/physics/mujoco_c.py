@@ -18,7 +18,8 @@ import numpy as np
 from jax.experimental.buffer_callback import buffer_callback
 
 from quadwalk.cores import cpu_cores
-from quadwalk.ground.windows import Windows, windows_of
+from quadwalk.ground.heightfield import field_of
+from quadwalk.ground.windows import Windows
 from quadwalk.physics import motor
 from quadwalk.physics.model import RobotRandomization, vary_motor
 from quadwalk.physics.motor import Effort, Motor, PhysicsState, Stepping
@@ -108,7 +109,8 @@ class Stepper:
 
     @cached_property
     def _windows(self) -> Windows | None:
-        return windows_of(self.model)
+        field = field_of(self.model)
+        return None if field is None else Windows(self.model, field)
 
     @cached_property
     def _bare(self) -> mujoco.MjModel:

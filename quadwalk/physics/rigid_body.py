@@ -9,8 +9,10 @@ Everything is in the world's axes about the trunk's origin. A generalized vector
 trunk's linear and angular part, then the joints'. MuJoCo's own has the angular part in trunk axes.
 """
 
+import operator
 from typing import NamedTuple, TypeAlias
 
+import jax
 import jax.numpy as jnp
 
 from quadwalk.physics import vectors as v
@@ -124,21 +126,13 @@ def composite(mass: Array, center: Vector, inertia: Inertia) -> Composite:
 
 def combine(a: Composite, b: Composite) -> Composite:
     """Two bodies that move as one."""
-    return Composite(
-        a.mass + b.mass,
-        v.add(a.moment, b.moment),
-        tuple(x + y for x, y in zip(a.inertia, b.inertia, strict=True)),
-    )
+    return jax.tree.map(operator.add, a, b)
 
 
 def turn_by(inertia: Inertia, a: Vector) -> Vector:
     """I a, of a symmetric matrix."""
     xx, yy, zz, xy, xz, yz = inertia
-    return (
-        xx * a[0] + xy * a[1] + xz * a[2],
-        xy * a[0] + yy * a[1] + yz * a[2],
-        xz * a[0] + yz * a[1] + zz * a[2],
-    )
+    return v.apply(((xx, xy, xz), (xy, yy, yz), (xz, yz, zz)), a)
 
 
 class Bodies(NamedTuple):
@@ -157,10 +151,7 @@ def place_bodies(trunk: Trunk, links: tuple[Link, ...], pose: Pose) -> Bodies:
             v.add(origin, v.apply(rotation, link.center))
             for link, rotation, origin in zip(links, pose.rotations, pose.origins, strict=True)
         ),
-        tuple(
-            world_inertia(rotation, link.inertia)
-            for link, rotation in zip(links, pose.rotations, strict=True)
-        ),
+        tuple(map(world_inertia, pose.rotations, [link.inertia for link in links])),
         v.apply(pose.trunk, trunk.center),
         world_inertia(pose.trunk, trunk.inertia),
     )
@@ -187,12 +178,8 @@ def mass_matrix(trunk: Trunk, links: tuple[Link, ...], pose: Pose, bodies: Bodie
         legs[i][i] = legs[i][i] + link.armature
     assert below is not None
     whole = composite(trunk.mass, bodies.trunk_center, bodies.trunk_inertia)
-    leg_sum = Composite(
-        v.legs_sum(below.mass),
-        v.vector(v.legs_sum(x) for x in below.moment),
-        tuple(v.legs_sum(x) for x in below.inertia),
-    )
-    mass, (x, y, z), (xx, yy, zz, xy, xz, yz) = combine(whole, leg_sum)
+    legs_together = jax.tree.map(v.legs_sum, below)
+    mass, (x, y, z), (xx, yy, zz, xy, xz, yz) = combine(whole, legs_together)
     o = jnp.zeros_like(x)
     mass = mass + o
     base = (
@@ -255,10 +242,8 @@ def _link_forces(
         w, at, acceleration = v.add(w, rate), origin, moved
         center, inertia = bodies.centers[i], bodies.inertias[i]
         arm = v.subtract(center, at)
-        center_acceleration = v.add(
-            acceleration, v.cross(turning, arm), v.cross(w, v.cross(w, arm))
-        )
-        force = v.scale(link.mass, v.subtract(center_acceleration, gravity))
+        of_center = v.add(acceleration, v.cross(turning, arm), v.cross(w, v.cross(w, arm)))
+        force = v.scale(link.mass, v.subtract(of_center, gravity))
         torque = v.add(turn_by(inertia, turning), v.cross(w, turn_by(inertia, w)))
         forces.append((force, v.add(torque, v.cross(center, force))))
     return forces

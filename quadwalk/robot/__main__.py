@@ -63,10 +63,7 @@ def parse_arguments(argv: list[str] | None, prog: str) -> argparse.Namespace:
 
 
 def main(argv: list[str] | None = None, prog: str = "quadwalk robot") -> None:
-    """Convert, write, draw and report as `argv` (default: the process's arguments) says.
-
-    `prog` is what the help calls the command.
-    """
+    """Convert, write, draw and report as `argv` says; `prog` is what the help calls the command."""
     arguments = parse_arguments(argv, prog)
     for folder in arguments.mesh_dirs:
         if not os.path.isdir(folder):

@@ -24,13 +24,9 @@ _Piece = tuple[dict, np.ndarray | None]
 def add_single(
     body: mujoco.MjsBody, joint: yourdfpy.Joint, armature: float, frame: np.ndarray
 ) -> None:
-    """Add a joint with one direction of motion, with its limits, damping and friction.
+    """Add a joint of a type in `SINGLE` to what it moves, with its limits, damping and friction.
 
-    Args:
-        body: what it moves.
-        joint: of one of the types in `SINGLE`.
-        armature: kg m^2, or kg of a slide.
-        frame: (4, 4) of the joint in the body's frame, where all joints are at 0.
+    `armature`: kg m^2, or kg of a slide; `frame`: (4, 4) in the body's, with all joints at 0.
     """
     axis = frame[:3, :3] @ unit(joint.axis)
     added = body.add_joint(name=joint.name, type=SINGLE[joint.type], axis=axis, pos=frame[:3, 3])
@@ -54,28 +50,18 @@ def add_several(body: mujoco.MjsBody, joint: yourdfpy.Joint, taken: set[str]) ->
     slide is along the joint frame's x where the axis is its z; for another axis both are turned by
     the smallest rotation that takes z there. Floating: slides JOINT_x, JOINT_y and JOINT_z along
     the joint frame's axes, then ball JOINT_ball. (A free joint would have to be at the world.)
-
-    Args:
-        body: what they move.
-        joint: the URDF's.
-        taken: joint names that are given away; those added join them.
     """
-
-    def add(suffix: str, kind: mujoco.mjtJoint, axis: np.ndarray) -> None:
-        name = unique(f"{joint.name}_{suffix}", taken)
-        taken.add(name)
-        body.add_joint(name=name, type=kind, axis=axis)
 
     slide = mujoco.mjtJoint.mjJNT_SLIDE
     if joint.type == "planar":
         x, y, z = _frame_along(unit(joint.axis))
-        add("x", slide, x)
-        add("y", slide, y)
-        add("turn", mujoco.mjtJoint.mjJNT_HINGE, z)
+        parts = [("x", slide, x), ("y", slide, y), ("turn", mujoco.mjtJoint.mjJNT_HINGE, z)]
     else:
-        for suffix, axis in zip("xyz", np.eye(3), strict=True):
-            add(suffix, slide, axis)
-        add("ball", mujoco.mjtJoint.mjJNT_BALL, np.array([0.0, 0.0, 1.0]))
+        x, y, z = np.eye(3)
+        parts = [("x", slide, x), ("y", slide, y), ("z", slide, z)]
+        parts.append(("ball", mujoco.mjtJoint.mjJNT_BALL, z))
+    for suffix, kind, axis in parts:
+        body.add_joint(name=unique(f"{joint.name}_{suffix}", taken), type=kind, axis=axis)
 
 
 def _frame_along(axis: np.ndarray) -> np.ndarray:
@@ -105,12 +91,7 @@ def add_geom_classes(spec: mujoco.MjSpec) -> None:
 class Shapes:
     """Adds the geoms of links; holds the names, materials and meshes that are already there.
 
-    Args:
-        spec: has its scene and its default classes.
-        robot: the URDF.
-        legs: of a quadruped: their feet's geoms are of class `foot`, and named like the foot.
-        meshes: its mesh files.
-        report: takes what was left out or assumed.
+    `spec` has its scene and default classes. Geoms of the feet of `legs` are named like the foot.
     """
 
     def __init__(
@@ -149,7 +130,7 @@ class Shapes:
             for shape, _ in pieces:
                 frame = placement @ matrix(collision.origin)
                 geom = self._add(body, "foot" if foot else "collision", shape, frame)
-                geom.name = foot or self._geom_name(name)
+                geom.name = foot or unique(name, self.geom_names)
                 if stand_in:
                     twin = self._add(body, "visual", shape, frame)
                     self._paint(twin, link.visuals[0].material if link.visuals else None, None)
@@ -240,18 +221,14 @@ class Shapes:
         elif material is not None and material.name:
             self.report.add("assumed", "materials that are not defined are gray", material.name)
 
-    def _geom_name(self, link: str) -> str:
-        name = unique(link, self.geom_names)
-        self.geom_names.add(name)
-        return name
-
 
 def unique(name: str, taken: set[str]) -> str:
-    """`name`, or with the first number from 2 that makes it new."""
+    """`name`, or with the first number from 2 that makes it new; it joins those `taken`."""
     candidate, count = name, 1
     while candidate in taken:
         count += 1
         candidate = f"{name}_{count}"
+    taken.add(candidate)
     return candidate
 
 

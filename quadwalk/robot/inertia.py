@@ -6,7 +6,6 @@ from itertools import product
 
 import mujoco
 import numpy as np
-import yourdfpy
 
 from quadwalk.robot.structure.tree import Tree, matrix
 
@@ -48,27 +47,16 @@ def nearest_valid(mass: float, tensor: np.ndarray, thinnest: float = THINNEST) -
     return axes @ np.diag(spread @ (best + floor)) @ axes.T
 
 
-def link_inertia(link: yourdfpy.Link, placement: np.ndarray) -> Inertia | None:
-    """The link's inertia, in the axes of the frame that `placement` (4, 4) is given in.
-
-    None when the link has no `<inertial>`: then it has no mass, and none is invented.
-    """
-    if link.inertial is None:
-        return None
-    frame = placement @ matrix(link.inertial.origin)
-    turn = frame[:3, :3]
-    return Inertia(link.inertial.mass, frame[:3, 3], turn @ link.inertial.inertia @ turn.T)
-
-
 def body_inertia(tree: Tree, body: str, parts_of_it: Sequence[str] | None = None) -> Inertia | None:
-    """The inertia of a moving link and what is fused with it, in its frame; None without mass.
-
-    With `parts_of_it`, of these links alone.
-    """
-    names = tree.parts[body] if parts_of_it is None else parts_of_it
-    links = [(tree.links[name], tree.placement[name]) for name in names]
-    parts = [link_inertia(link, placement) for link, placement in links]
-    return compose([part for part in parts if part is not None])
+    """In its frame, a moving link's inertia with all parts, or `parts_of_it`; None without mass."""
+    parts = []
+    for name in tree.parts[body] if parts_of_it is None else parts_of_it:
+        inertial = tree.links[name].inertial
+        if inertial is not None:  # else it has no mass, and none is invented
+            frame = tree.placement[name] @ matrix(inertial.origin)
+            turn = frame[:3, :3]
+            parts.append(Inertia(inertial.mass, frame[:3, 3], turn @ inertial.inertia @ turn.T))
+    return compose(parts)
 
 
 def compose(parts: list[Inertia]) -> Inertia | None:

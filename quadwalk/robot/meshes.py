@@ -1,8 +1,7 @@
 """Mesh files of a URDF: names that stay inside the allowed folders, shapes in meters.
 
-The names in a URDF and the files they lead to are untrusted: a name may not leave the folders it
-is looked up in, COLLADA is parsed without entities, and no file leads to another (no .mtl, no
-textures).
+The names in a URDF and the files they lead to are untrusted: a name may not leave the folders it is
+looked up in, COLLADA is parsed without entities, no file leads to another (no .mtl, no textures).
 """
 
 import io
@@ -33,17 +32,11 @@ class MissingMeshError(UrdfError):
 
 @dataclass(frozen=True, eq=False)
 class MeshPart:
-    """Triangles of one color.
+    """Triangles of one color."""
 
-    Attributes:
-        vertices: (n, 3) m.
-        faces: (m, 3) indices of vertices, counter-clockwise seen from outside.
-        rgba: (4,) in 0 .. 1, or None where the file gives no color.
-    """
-
-    vertices: np.ndarray
-    faces: np.ndarray
-    rgba: np.ndarray | None
+    vertices: np.ndarray  # (n, 3) m
+    faces: np.ndarray  # (m, 3) indices of vertices, counter-clockwise seen from outside
+    rgba: np.ndarray | None  # (4,) in 0 .. 1; None: the file gives no color
 
 
 def find_mesh(name: str, folders: list[Path], source: str) -> Path:
@@ -52,11 +45,7 @@ def find_mesh(name: str, folders: list[Path], source: str) -> Path:
     `package://PACKAGE/rest` is rest in the nearest folder that is called PACKAGE, or has its
     package.xml, at or above one of `folders`; or it is PACKAGE/rest or rest in one of them. A
     relative name may lead, over `..`, through the package that a folder is in, and no further.
-
-    Args:
-        name: the URDF's.
-        folders: where to look, the URDF's own first.
-        source: what error messages call the URDF.
+    `folders` are where to look, the URDF's own first.
     """
     where = f"{source}: mesh '{name}'"
     try:
@@ -123,8 +112,7 @@ def _declared(folder: Path) -> str | None:
 def load_mesh(file: Path, scale: np.ndarray, source: str) -> list[MeshPart]:
     """The triangles of a .dae, .obj or .stl file, times `scale` (3,), in meters.
 
-    A COLLADA file's unit is respected; its up axis is not, as in RViz. `UrdfError` for a file
-    that is no mesh.
+    A COLLADA file's unit is respected; its up axis is not, as in RViz. `UrdfError`: it is no mesh.
     """
     import trimesh
 
@@ -157,12 +145,8 @@ def load_mesh(file: Path, scale: np.ndarray, source: str) -> list[MeshPart]:
 class Meshes:
     """The mesh files of one URDF, each read once.
 
-    What cannot be found or read is left out, with a note: it never keeps a robot from training.
-
-    Args:
-        folders: where the files may be; None leaves all meshes out.
-        source: what error messages call the URDF.
-        report: takes what was left out.
+    What cannot be found or read is left out, with a note in `report`: it never keeps a robot from
+    training. `folders` are where files may be; None leaves all meshes out.
     """
 
     def __init__(self, folders: list[Path] | None, source: str, report: Report):
@@ -172,8 +156,7 @@ class Meshes:
     def load(self, mesh: yourdfpy.Mesh, kind: str) -> tuple[Path, list[MeshPart]] | None:
         """The file and its parts, scaled, in meters; None if there are none.
 
-        `kind` is what the shape is for, `visual` or `collision`. `UrdfError` for a name that leads
-        out of the folders.
+        `kind` is `visual` or `collision`. `UrdfError` for a name that leads out of the folders.
         """
         if self.folders is None:
             self.report.add("dropped", f"{kind} meshes", mesh.filename)
@@ -189,10 +172,8 @@ class Meshes:
             try:
                 parts = load_mesh(file, scale, self.source)
             except UrdfError as error:
-                reason = str(error).partition(f"'{file}' ")[2]
-                self.report.add(
-                    "dropped", f"{kind} meshes that are broken", f"{file.name} {reason}"
-                )
+                why = str(error).partition(f"'{file}' ")[2]
+                self.report.add("dropped", f"{kind} meshes that are broken", f"{file.name} {why}")
                 parts = []
             solid = [part for part in parts if _has_volume(part.vertices)]
             if len(solid) < len(parts):

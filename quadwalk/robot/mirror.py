@@ -63,10 +63,7 @@ def standing(quadruped: Quadruped, model: mujoco.MjModel) -> tuple[mujoco.MjData
 
 
 def robot_mirror(quadruped: Quadruped, model: mujoco.MjModel) -> RobotMirror | str:
-    """How the robot mirrors; one line that names the largest difference where it does not.
-
-    From the structure in the standing pose of `model`, which is made from `quadruped`.
-    """
+    """How the robot mirrors, standing; else one line that names the largest difference."""
     image = _Image(quadruped, model)
     try:
         found = RobotMirror(

@@ -29,7 +29,6 @@ from quadwalk.robot.report import Report
 from quadwalk.robot.scene import add_home, add_scene, add_sun, exclude_overlaps
 from quadwalk.robot.structure.home import standing_pose
 from quadwalk.robot.structure.legs import Leg
-from quadwalk.robot.structure.tree import Tree
 from quadwalk.robot.urdf import Urdf
 
 FRAMES = 4  # the group of the sites that mark frames; MuJoCo's viewer hides 3 and above
@@ -38,24 +37,16 @@ FREE_JOINT = "floating_base"
 
 @dataclass(frozen=True)
 class Options:
-    """What a URDF leaves to whoever converts it.
+    """What a URDF leaves to whoever converts it."""
 
-    Attributes:
-        floating: whether the root link floats; None: it does, unless it is named `world`, or has
-            no mass and the robot is no quadruped.
-        meshes: whether mesh files are read; without them, their shapes are left out.
-        mesh_folders: where they may be, besides the URDF's folder.
-        armature: kg m^2 by joint name, over what the URDF says.
-        effort: N m, of those of a quadruped's motors that the URDF gives none.
-        speed: rad/s, the same.
-    """
-
+    # whether the root link floats; None: unless it is `world`, or no quadruped's and without mass
     floating: bool | None = None
-    meshes: bool = True
-    mesh_folders: tuple[Path, ...] = ()
+    meshes: bool = True  # whether mesh files are read; without them, their shapes are left out
+    mesh_folders: tuple[Path, ...] = ()  # where they may be, besides the URDF's folder
+    # kg m^2 by joint name, over what the URDF says
     armature: dict[str, float] = field(default_factory=dict)
-    effort: float | None = None
-    speed: float | None = None
+    effort: float | None = None  # N m, of those of a quadruped's motors that the URDF gives none
+    speed: float | None = None  # rad/s, the same
 
 
 @dataclass(frozen=True)
@@ -75,11 +66,8 @@ def open_meshes(urdf: Urdf, options: Options, report: Report) -> Meshes:
 def convert(urdf: Urdf, legs: tuple[Leg, ...] = (), options: Options | None = None) -> Conversion:
     """The robot above a floor, with its `home` keyframe; `UrdfError` where that cannot be.
 
-    Args:
-        urdf: what `read_urdf` returned.
-        legs: for a quadruped, its legs in the order that the model's joints and actuators shall
-            have; without them, joints keep the file's order and home is joint position 0.
-        options: what the URDF leaves open.
+    `legs` of a quadruped are in the order that the model's joints and actuators shall have. Without
+    them, joints keep the file's order and home is joint position 0.
     """
     options = options or Options()
     report = deepcopy(urdf.report)
@@ -112,10 +100,7 @@ def convert(urdf: Urdf, legs: tuple[Leg, ...] = (), options: Options | None = No
 
 
 def write_xml(spec: mujoco.MjSpec) -> str:
-    """The MJCF text of `spec`; the same spec gives the same text.
-
-    It has 6 significant digits, hence a relative error of some 1e-6 against the spec.
-    """
+    """The MJCF of `spec`, the same each time; of 6 digits, hence a relative error of some 1e-6."""
     spec = spec.copy()
     for body in spec.bodies:
         if body.mass > 0:
@@ -124,24 +109,23 @@ def write_xml(spec: mujoco.MjSpec) -> str:
     return spec.to_xml()
 
 
+@dataclass
 class _Robot:
     """The robot under construction in a spec."""
 
-    def __init__(
-        self,
-        spec: mujoco.MjSpec,
-        urdf: Urdf,
-        legs: tuple[Leg, ...],
-        options: Options,
-        report: Report,
-    ):
-        self.spec, self.urdf, self.legs = spec, urdf, legs
-        self.options, self.report = options, report
-        self.tree: Tree = urdf.tree
+    spec: mujoco.MjSpec
+    urdf: Urdf
+    legs: tuple[Leg, ...]
+    options: Options
+    report: Report
+
+    def __post_init__(self) -> None:
+        self.tree, robot = self.urdf.tree, self.urdf.robot
         self.floating = self._is_floating()
-        self.shapes = Shapes(spec, urdf.robot, legs, open_meshes(urdf, options, report), report)
+        meshes = open_meshes(self.urdf, self.options, self.report)
+        self.shapes = Shapes(self.spec, robot, self.legs, meshes, self.report)
         self.joints: list[yourdfpy.Joint] = []  # of one direction each
-        self.joint_names = {joint.name for joint in urdf.robot.joints if joint.type != "fixed"}
+        self.joint_names = {joint.name for joint in robot.joints if joint.type != "fixed"}
 
     def _is_floating(self) -> bool:
         root = self.tree.root

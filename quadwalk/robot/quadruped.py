@@ -28,36 +28,24 @@ class Quadruped:
 
     Joints are ordered leg by leg (FR, FL, RR, RL), hip, thigh, calf, whatever the file's order:
     `joints[i]` is qpos[7 + i], qvel[6 + i] and actuator i of both models.
-
-    Attributes:
-        name: the URDF's robot name.
-        urdf: the URDF's text, as read.
-        legs: ("FR", "FL", "RR", "RL").
-        joints: (12) joint names; each joint's actuator has the same name.
-        feet: (4) names that both the foot's frame (a site) and its collision geom (a sphere) have.
-        trunk: name of the floating body, the URDF's root link.
-        lower, upper: (12,) rad, position limits; -pi .. pi for a continuous joint.
-        effort: (12,) N m, largest torque.
-        velocity: (12,) rad/s, largest speed.
-        friction: (12,) N m, Coulomb friction of the joints. The models have none: it belongs to
-            the motor model, so that both engines apply the same.
-        home: (19,) qpos standing: x y z (m), quaternion wxyz, joints (rad), feet just at height 0.
-        notes: what was repaired, dropped or assumed when it was converted, in lines of text.
     """
 
-    name: str
-    urdf: str
-    legs: tuple[str, ...]
-    joints: tuple[str, ...]
-    feet: tuple[str, ...]
-    trunk: str
-    lower: np.ndarray
-    upper: np.ndarray
-    effort: np.ndarray
-    velocity: np.ndarray
+    name: str  # the URDF's robot name
+    urdf: str  # the URDF's text, as read
+    legs: tuple[str, ...]  # ("FR", "FL", "RR", "RL")
+    joints: tuple[str, ...]  # (12) names; each joint's actuator has the same name
+    feet: tuple[str, ...]  # (4) names of both the foot's frame (a site) and its sphere (a geom)
+    trunk: str  # name of the floating body, the URDF's root link
+    lower: np.ndarray  # (12,) rad, position limits; -pi for a continuous joint
+    upper: np.ndarray  # (12,) rad, the same; pi
+    effort: np.ndarray  # (12,) N m, largest torque
+    velocity: np.ndarray  # (12,) rad/s, largest speed
+    # (12,) N m, Coulomb friction of the joints. The models have none: it belongs to the motor
+    # model, so that all engines apply the same.
     friction: np.ndarray
+    # (19,) qpos standing: x y z (m), quaternion wxyz, joints (rad), feet just at height 0
     home: np.ndarray
-    notes: tuple[str, ...]
+    notes: tuple[str, ...]  # what was repaired, dropped or assumed in conversion, lines of text
     spec: mujoco.MjSpec = field(repr=False)
 
     @property
@@ -77,13 +65,9 @@ class Quadruped:
         Body, joint, actuator and collision geom names are those of `full_model`; the other
         collision shapes are there to be measured, but touch nothing. No visuals, no sensors.
 
-        Args:
-            timestep: s.
-            iterations: of the Newton solver. `EnvConfig` has those of training; with one alone MJX
-                needs no loop that runs as long as the slowest robot of a batch.
-            ls_iterations: of its line search, each at a fixed cost.
-            contacts: what the floor meets: feet, or also spheres at knees, or those and the
-                trunk's lower corners, or those, its upper ones, and hips.
+        `timestep` is in s; with one of the Newton solver's `iterations`, MJX needs no loop that
+        runs as long as the slowest robot of a batch. `contacts`: the floor meets feet, or also
+        spheres at knees, or those and the trunk's lower corners, or also its upper ones and hips.
         """
         spec = self.spec.copy()
         for sensor in list(spec.sensors):
@@ -110,11 +94,8 @@ class Quadruped:
     ) -> mujoco.MjModel:
         """The model to evaluate in: every collision shape, a solver that has converged.
 
-        Args:
-            timestep: s.
-            frictionloss: let the joints have the URDF's friction, for a user without the motor
-                model that otherwise applies it.
-            visuals: with what can only be seen, which is nearly all of its size.
+        `timestep` is in s. With `frictionloss` the joints have the URDF's friction, for a user
+        without the motor model that otherwise applies it. `visuals` are nearly all of its size.
         """
         spec = self.spec.copy()
         if not visuals:
@@ -159,10 +140,7 @@ def legs_of(urdf: Urdf, options: Options) -> tuple[Leg, ...]:
 
 
 def with_motors(urdf: Urdf, legs: tuple[Leg, ...], options: Options) -> Urdf:
-    """`urdf` with the motors that `options` give to the legs' joints that have none.
-
-    `UrdfError` where motors are still missing.
-    """
+    """`urdf` with the motors of `options` where legs lack them; `UrdfError` if some still do."""
     tree = urdf.tree
     changed: dict[str, yourdfpy.Joint] = {}
     lacking: dict[str, list[str]] = {"effort": [], "speed": []}

@@ -4,9 +4,7 @@ _KINDS = ("fused", "repaired", "dropped", "assumed")  # of notes in a report
 
 
 class Report:
-    """What is not plain in the result of a conversion: what was fused, repaired, dropped,
-    assumed, in the URDF's order.
-    """
+    """What conversion fused, repaired, dropped and assumed, in the URDF's order."""
 
     def __init__(self) -> None:
         self.found: dict[str, dict[str, list[str]]] = {kind: {} for kind in _KINDS}

@@ -90,12 +90,10 @@ def add_sun(body: mujoco.MjsBody) -> None:
 
 
 def add_home(spec: mujoco.MjSpec, pose: np.ndarray | None, feet: list[str]) -> None:
-    """Add the keyframe `home`.
+    """Add the keyframe `home` to `spec`, which has all bodies, and collision geoms with names.
 
-    Args:
-        spec: with all bodies, and collision geoms that are named.
-        pose: joint positions in the model's order, rad; None for 0 or the limit nearest to it.
-        feet: names of the geoms to stand on; without any, the lowest shape is.
+    `pose`, rad, are joint positions in the model's order; None: 0 or the limit nearest to it.
+    `feet` name the geoms to stand on; without any, the lowest shape is.
     """
     model = spec.compile()
     floating = model.njnt > 0 and model.jnt_type[0] == mujoco.mjtJoint.mjJNT_FREE
@@ -184,15 +182,20 @@ def simplify(spec: mujoco.MjSpec, feet: tuple[str, ...]) -> None:
             _shorten(geom, foot.pos, foot.size[0])
 
 
+def rotation_of_quat(quat: np.ndarray) -> np.ndarray:
+    """(3, 3) of a quaternion wxyz (4,)."""
+    entries = np.zeros(9)
+    mujoco.mju_quat2Mat(entries, quat)
+    return entries.reshape(3, 3)
+
+
 def _shorten(geom: mujoco.MjsGeom, foot: np.ndarray, radius: float) -> None:
     """Let a box, or a cylinder along the calf, end at the `foot`: (3,) m, body frame.
 
     It ends at the foot's center, or above it if it is thick. Its edge is then half the foot's
     radius above the floor while the calf leans by `LEAN`: nearer, a step would be a fall.
     """
-    entries = np.zeros(9)
-    mujoco.mju_quat2Mat(entries, geom.quat)
-    axes = entries.reshape(3, 3)
+    axes = rotation_of_quat(geom.quat)
     along = int(np.argmax(np.abs(foot @ axes)))
     if geom.type == mujoco.mjtGeom.mjGEOM_BOX:
         side = along
@@ -245,28 +248,21 @@ def add_spheres(
             (hip, shoulder, thick if np.isfinite(thick) else foot.size[0]),
         )
         for kind, (body, center, radius) in zip(KINDS[: TOUCHING[contacts]], spheres, strict=False):
-            _add_sphere(spec, model.body(body).name, kind[i], center, radius, foot)
-
-
-def _add_sphere(spec, body, name, center, radius, foot) -> None:
-    spec.body(body).add_geom(
-        foot.classname,
-        name=name,
-        type=mujoco.mjtGeom.mjGEOM_SPHERE,
-        pos=center,
-        size=[radius, 0, 0],
-        group=SPHERES,
-        contype=foot.contype,
-        conaffinity=foot.conaffinity,
-        friction=foot.friction,
-    )
+            spec.body(model.body(body).name).add_geom(
+                foot.classname,
+                name=kind[i],
+                type=mujoco.mjtGeom.mjGEOM_SPHERE,
+                pos=center,
+                size=[radius, 0, 0],
+                group=SPHERES,
+                contype=foot.contype,
+                conaffinity=foot.conaffinity,
+                friction=foot.friction,
+            )
 
 
 def _box_around(model: mujoco.MjModel, body: int) -> tuple[np.ndarray, np.ndarray]:
-    """Lower and upper corner (3,), m, of the box around a body's shapes, in its frame.
-
-    Without shapes, around the joints below it: a trunk has the hips at its corners.
-    """
+    """Corners (3,), m, in its frame, of the box around a body's shapes, else the joints below."""
     boxes = _boxes(model, body)
     if not boxes:
         hips = model.body_pos[model.body_parentid == body]
@@ -292,8 +288,6 @@ def _boxes(model: mujoco.MjModel, body: int) -> list[tuple[np.ndarray, np.ndarra
 
 def _box(model: mujoco.MjModel, geom: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The box around a shape, in its body's frame: center, axes as columns, half its sides, m."""
-    entries = np.zeros(9)
-    mujoco.mju_quat2Mat(entries, model.geom_quat[geom])
-    rotation = entries.reshape(3, 3)
+    rotation = rotation_of_quat(model.geom_quat[geom])
     center, half = np.split(model.geom_aabb[geom].copy(), 2)
     return model.geom_pos[geom] + rotation @ center, rotation, half

@@ -28,24 +28,16 @@ _VERSION_0 = re.compile(rb"(<\?xml\s+version\s*=\s*[\"'])0\.0(?=[\"'])")
 
 @dataclass(frozen=True)
 class Urdf:
-    """A URDF that has been read and checked.
+    """A URDF that has been read and checked."""
 
-    Attributes:
-        source: what error messages call it (the file's path).
-        folder: where relative mesh names are looked up; None when the text came from no file.
-        text: the file's text, as read.
-        robot: yourdfpy's model of it (lengths m, angles rad, masses kg).
-        armature: kg m^2 by joint name, from `<dynamics armature="...">`, an extension that other
-            readers ignore. Joints without it are left out.
-        report: what reading left out or repaired.
-    """
-
-    source: str
-    folder: Path | None
-    text: str
-    robot: yourdfpy.Robot
+    source: str  # what error messages call it (the file's path)
+    folder: Path | None  # where relative mesh names are looked up; None: the text is of no file
+    text: str  # the file's, as read
+    robot: yourdfpy.Robot  # lengths m, angles rad, masses kg
+    # kg m^2 by joint name, from `<dynamics armature="...">`, an extension that other readers
+    # ignore; joints without it are left out
     armature: dict[str, float]
-    report: Report
+    report: Report  # what reading left out or repaired
 
     @cached_property
     def tree(self) -> Tree:
@@ -84,7 +76,9 @@ def parse_urdf(
     report = Report()
     root, text = _parse_xml(data, source, report)
     if root.tag == "robot" and not root.get("name", "").strip():
-        text = _name_robot(root, Path(source).stem, report)
+        root.set("name", Path(source).stem)
+        report.add("assumed", "the robot's name, for it has none", root.get("name"))
+        text = etree.tostring(root, encoding="unicode")
     check = Check(source, report)
     check_elements(check, root)
     check_topology(check, root)
@@ -102,13 +96,6 @@ def parse_urdf(
     urdf = Urdf(source, folder, text, model.robot, armature, report)
     check_bodies(urdf.tree, resolutions(root), source, repair_inertia, report)
     return urdf
-
-
-def _name_robot(root: etree._Element, name: str, report: Report) -> str:
-    """Give a robot without a name the one of its file; the text that says so."""
-    root.set("name", name)
-    report.add("assumed", "the robot's name, for it has none", name)
-    return etree.tostring(root, encoding="unicode")
 
 
 def _drop_ground(root: etree._Element, report: Report) -> bool:

@@ -4,7 +4,7 @@ Values that tasks share have names here. A task (`quadwalk/tasks`) names them an
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Annotated, Any, Literal
 
 from quadwalk.bounds import Bounds, Few, NotNegative, Positive, Seconds, Settings, Share
@@ -96,8 +96,7 @@ class CommandConfig(Settings, group="env.command"):
     def of_leg(self, leg: float) -> "CommandConfig":
         """The same command for a robot whose legs are `leg`, m, long.
 
-        Velocities change with the square root of the length, yaw rates with its inverse, and
-        centripetal acceleration remains.
+        Velocities change with the length's root, yaw rates inversely; accelerations remain.
         """
         if self.leg is None:
             return self
@@ -183,26 +182,12 @@ REAL_WORLD = RandomizationConfig(
     margin=0.15,
 )
 
+_NO_RANGES = ("enabled", "push_seconds", "margin")
+_NONE_DRAWN: dict[str, Any] = {
+    own.name: None for own in fields(RandomizationConfig) if own.name not in _NO_RANGES
+}
 # Of a task in an ideal world.
-NO_RANDOMIZATION = RandomizationConfig(
-    enabled=False,
-    friction=None,
-    trunk_mass=None,
-    trunk_center=None,
-    link_mass=None,
-    strength=None,
-    kp=None,
-    kd=None,
-    joint_friction=None,
-    damping=None,
-    armature=None,
-    encoder=None,
-    imu_tilt=None,
-    latency=None,
-    sensor_latency=None,
-    noise=None,
-    push=None,
-)
+NO_RANDOMIZATION = RandomizationConfig(enabled=False, **_NONE_DRAWN)
 
 
 # Control at 50 Hz over physics steps of 4 ms, which two Newton iterations serve well enough

@@ -47,10 +47,7 @@ def to_dict(config: Any) -> Any:
 
 
 def from_dict(cls: type[T], data: Any, folder: Path, where: str = "config") -> T:
-    """The configuration that `to_dict` wrote, of the run in `folder`.
-
-    `UserError` names what does not fit.
-    """
+    """What `to_dict` wrote, of the run in `folder`; `UserError` names what does not fit."""
     if not isinstance(data, dict):
         raise UserError(f"{where} is {reprlib.repr(data)}; expected a group of settings")
     hints = typing.get_type_hints(cls)
@@ -63,9 +60,7 @@ def from_dict(cls: type[T], data: Any, folder: Path, where: str = "config") -> T
     for field in known:
         if field.name not in data and field.default is field.default_factory:  # MISSING, both
             raise UserError(f"{where}.{field.name} is missing")
-    values = {
-        key: _restore(hints[key], value, folder, f"{where}.{key}") for key, value in data.items()
-    }
+    values = {key: _restore(hints[key], own, folder, f"{where}.{key}") for key, own in data.items()}
     try:
         return cls(**values)
     except UsageError as error:
@@ -141,8 +136,7 @@ def _parts(config: Any) -> dict[str, Any]:
 def with_settings(config: T, changes: Mapping[str, Any]) -> T:
     """`config` with settings changed by their names: {"env.reward.energy": -0.5}.
 
-    A term as a value is put in the place of one, or added. `UsageError` for a name or value that
-    cannot be.
+    A term as a value replaces one, or is added. `UsageError` for a name or value that cannot be.
     """
     named = [(name, name.split("."), value) for name, value in changes.items()]
     try:

@@ -58,10 +58,7 @@ class Term:
         return self.value(f"term {self.function.__name__!r}", *inputs)
 
     def value(self, what: str, *inputs: Any) -> Any:
-        """The function's value for its inputs; `what` names the term.
-
-        `UserError` says in one line where it fails or has another shape than this kind of term.
-        """
+        """Its value for `inputs`; `UserError`, naming `what`, if it fails or has a wrong shape."""
         file, line = _place(self.function)
         try:
             value = self.function(*inputs, **(self.params or {}))

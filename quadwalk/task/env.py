@@ -17,7 +17,7 @@ from quadwalk.physics.motor import Effort, PhysicsState, make_motor
 from quadwalk.robot.mirror import robot_mirror
 from quadwalk.robot.quadruped import Quadruped
 from quadwalk.settings.environment import EnvConfig
-from quadwalk.task.episode.command import Command, first_command, next_command
+from quadwalk.task.episode.command import first_command, next_command
 from quadwalk.task.episode.curriculum import begin_travel, make_curriculum, travel_on
 from quadwalk.task.episode.randomization import (
     EpisodeRandomization,
@@ -30,13 +30,7 @@ from quadwalk.task.reflections import Mirrors
 from quadwalk.task.reward import reward_terms, total_reward
 from quadwalk.task.robot_arrays import above_ground, robot_arrays, task_robot
 from quadwalk.task.sensors import Sensors, make_sensors
-from quadwalk.task.state import (
-    EnvState,
-    Step,
-    commanded_speed,
-    heading_velocity,
-    mean_velocity,
-)
+from quadwalk.task.state import EnvState, Step, commanded_speed, heading_velocity, mean_velocity
 from quadwalk.task.termination import TIME_LIMIT, episode_end, names_of_ends, terminations
 
 CONTACT_GAP = 1e-3  # m: a foot closer to the floor than this counts as touching it
@@ -159,12 +153,15 @@ class QuadrupedEnv(Env):
         sane, physics, effort, action = _kept_sane(
             self.robot.home, before.qpos, physics, effort, action
         )
-        steps = before.steps + 1
+        steps, command = before.steps + 1, before.command
+        if command is not None:
+            config, grip = self.config, self._grip(conditions)
+            command = next_command(config.command, command, steps, config.control_dt, grip)
         after = before._replace(
             physics=physics,
             last_action=action,
             steps=steps,
-            command=self._next_command(before, steps, conditions),
+            command=command,
             conditions=conditions,
         )
         # Reward, termination and senses.
@@ -209,8 +206,7 @@ class QuadrupedEnv(Env):
     ) -> tuple[Any, PhysicsState, EpisodeRandomization | None, jax.Array]:
         """What the engine steps in a control step from `before` with `action` (12,).
 
-        The model, the state that it begins in, the conditions from then on, and the joint targets,
-        (12,) or (substeps, 12), rad.
+        The model, its first state, the conditions, and joint targets, (12,) or (substeps, 12), rad.
         """
         model, conditions, physics = self.model, before.conditions, before.physics
         target = self.config.action(self.robot, action, physics.qpos[7:])
@@ -249,15 +245,6 @@ class QuadrupedEnv(Env):
         if conditions is None or conditions.variation is None:
             return self.config.gravity * self.friction
         return self.config.gravity * conditions.variation.friction
-
-    def _next_command(
-        self, before: EnvState, steps: jax.Array, conditions: EpisodeRandomization | None
-    ) -> Command | None:
-        """The command after control step `steps` of the episode; None where there is none."""
-        if before.command is None:
-            return None
-        config, grip = self.config, self._grip(conditions)
-        return next_command(config.command, before.command, steps, config.control_dt, grip)
 
     def _step(self, before: EnvState, after: EnvState, effort: Effort, sane: jax.Array) -> Step:
         """The control step as rewards and terminations see it, before it is known which fell."""
@@ -349,10 +336,8 @@ def _kept_sane(
 
     Then it stands where it was, at `start` (19,), or if that is no place either, at `home` (19,).
     """
-    numbers = jnp.concatenate(
-        [physics.qpos, physics.qvel, action, effort.torque, effort.energy[None]]
-    )
-    sane = jnp.all(jnp.isfinite(numbers)) & jnp.all(jnp.abs(physics.qvel) < MAX_SPEED)
+    each = jnp.concatenate([physics.qpos, physics.qvel, action, effort.torque, effort.energy[None]])
+    sane = jnp.all(jnp.isfinite(each)) & jnp.all(jnp.abs(physics.qvel) < MAX_SPEED)
     action = jnp.where(sane, action, 0.0)
     place = jnp.where(jnp.all(jnp.abs(start) < FARTHEST), start, home)
     still = PhysicsState(place, jnp.zeros(18), jnp.zeros(18))

@@ -1,8 +1,4 @@
-"""Programs of an environment that get its ground as an argument.
-
-As a constant of the program, a field of heights is compiled into it: that takes longer, and XLA may
-compute with it beforehand.
-"""
+"""Programs with an environment's ground as an argument: as a constant, it compiles slowly."""
 
 import copy
 from collections.abc import Callable, Sequence
@@ -21,10 +17,7 @@ _on_device: WeakKeyDictionary[QuadrupedEnv, tuple[jax.Array, ...]] = WeakKeyDict
 
 
 def jit(
-    env: QuadrupedEnv,
-    function: Callable[..., Any],
-    donate: tuple[int, ...] = (),
-    **options: Any,
+    env: QuadrupedEnv, function: Callable[..., Any], donate: tuple[int, ...] = (), **options: Any
 ) -> Callable[..., Any]:
     """function(env, ...) compiled for this `env`, whose ground is an argument of the program.
 
@@ -50,7 +43,8 @@ def with_heights(env: QuadrupedEnv, heights: Sequence[jax.Array]) -> QuadrupedEn
     """The same environment, on ground of these `heights`, as the function of that name has them."""
     if not heights:
         return env
-    ground, *touched = map(Surface.reading, _surfaces(env), heights)
+    pairs = zip(_surfaces(env), heights, strict=True)
+    ground, *touched = (replace(surface, heights=own) for surface, own in pairs)
     own, left = copy.copy(env), iter(touched)
     own.geometry = env.geometry._replace(
         ground=ground,

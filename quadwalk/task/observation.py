@@ -100,9 +100,7 @@ def height(robot: RobotArrays, state: EnvState) -> jax.Array:
     return above_ground(robot, state.qpos)
 
 
-@mirrors(
-    lambda robot, params: _grid(params["length"], params["width"], params["spacing"]),
-)
+@mirrors(lambda robot, params: _grid(params["length"], params["width"], params["spacing"]))
 def height_scan(
     robot: RobotArrays,
     state: EnvState,

@@ -9,16 +9,10 @@ from typing import Any, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 
-from quadwalk.errors import UserError
 from quadwalk.robot.mirror import Mirror, RobotMirror, joined, mirror
-from quadwalk.settings.environment import EnvConfig
-from quadwalk.settings.terms import Term
 
 # None: with these parameters it has no mirror image.
 Kind: TypeAlias = Callable[[RobotMirror, dict[str, Any]], Mirror | None]
-PartNames: TypeAlias = dict[
-    str, tuple[str, ...]
-]  # of parts of an observation, their numbers' names
 F = TypeVar("F", bound=Callable[..., Any])
 
 
@@ -82,49 +76,10 @@ def mirror_of(
 
 
 def with_history(frame: Mirror, history: np.ndarray) -> Mirror:
-    """Of a control step's numbers, then those seen of one step before, and so on.
-
-    `history` (n,) is of how many earlier steps each is seen.
-    """
+    """A step's numbers, then of the step before, and so on: of each, `history` (n,) such steps."""
     steps = []
     for ago in range(1 + max(history)):
         kept = history >= ago
         place = np.cumsum(kept) - 1
         steps.append(mirror(place[frame.source[kept]], frame.sign[kept]))
     return joined(*steps)
-
-
-def mirrors_of(
-    config: EnvConfig,
-    robot: RobotMirror | str,
-    seen: PartNames,
-    seen_by_critic: PartNames,
-    history: np.ndarray,
-) -> Mirrors | str:
-    """How observation and action look where the parts of the robot mirror so, or why they do not.
-
-    `robot` may say itself, in a line, why it does not. The others are those of `Sensors`. Raises
-    `UserError` where a term says it of another size.
-    """
-    if isinstance(robot, str):
-        return robot
-    terms: list[tuple[str, Term, int]] = [("action", config.action, 12)]
-    for group, parts, names in (
-        ("observation", config.observation, seen),
-        ("critic", config.critic, seen_by_critic),
-    ):
-        terms += [(f"{group} {name!r}", parts[name], len(own)) for name, own in names.items()]
-    found = list[Mirror]()
-    for what, term, size in terms:
-        own = mirror_of(term.function, term.params, robot) if size else joined()
-        if own is None:
-            return f"the {what} does not say how it mirrors; expected @mirrors on its function"
-        if len(own.source) != size:
-            raise UserError(
-                f"the {what} has {size} numbers, and its function says how "
-                f"{len(own.source)} mirror; expected as many"
-            )
-        found.append(own)
-    action, observed = found[0], found[1 : 1 + len(config.observation)]
-    critic = found[1 + len(config.observation) :]
-    return Mirrors(joined(with_history(joined(*observed), history), *critic), action)

@@ -200,13 +200,11 @@ def diagonal(robot: RobotArrays, step: Step, *, height: float) -> jax.Array:
     return jnp.minimum(jnp.abs(apart) / height, 1.0)
 
 
-def reward_terms(
-    rewards: dict[str, Reward], robot: RobotArrays, step: Step
-) -> dict[str, jax.Array]:
+def reward_terms(terms: dict[str, Reward], robot: RobotArrays, step: Step) -> dict[str, jax.Array]:
     """The value of every term, each a scalar, before its scale; those with scale 0 are left out."""
     return {
         name: term.value(f"reward {name!r}", robot, step)
-        for name, term in rewards.items()
+        for name, term in terms.items()
         if term.scale != 0.0
     }
 

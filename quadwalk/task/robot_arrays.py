@@ -16,10 +16,7 @@ from quadwalk.settings.environment import EnvConfig
 
 @dataclass(frozen=True)
 class RobotArrays:
-    """Constants of a quadruped; joints are in the order of `Quadruped`'s.
-
-    Joint i is qpos[7 + i], qvel[6 + i] and ctrl[i].
-    """
+    """A quadruped's constants; its joint i is qpos[7 + i], qvel[6 + i] and ctrl[i]."""
 
     home: np.ndarray  # (19,) qpos of the standing pose
     lower: np.ndarray  # (12,) rad

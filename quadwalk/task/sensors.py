@@ -7,15 +7,16 @@ delay and history need, the newest first; see `EnvState.frames`.
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import Any
+from typing import Any, TypeAlias
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from quadwalk.robot.mirror import RobotMirror
+from quadwalk.errors import UserError
+from quadwalk.robot.mirror import Mirror, RobotMirror, joined
 from quadwalk.settings.environment import EnvConfig
-from quadwalk.settings.terms import Observation
+from quadwalk.settings.terms import Observation, Term
 from quadwalk.task.episode.randomization import (
     latest_drawn,
     measured,
@@ -24,9 +25,12 @@ from quadwalk.task.episode.randomization import (
     sensed,
 )
 from quadwalk.task.observation import observe
-from quadwalk.task.reflections import Mirrors, PartNames, mirrors_of
+from quadwalk.task.reflections import Mirrors, mirror_of, with_history
 from quadwalk.task.robot_arrays import RobotArrays
 from quadwalk.task.state import EnvState
+
+# Of parts of an observation, their numbers' names.
+PartNames: TypeAlias = dict[str, tuple[str, ...]]
 
 
 @dataclass(frozen=True)
@@ -39,10 +43,7 @@ class Sensors:
     critic_part_names: PartNames  # of what the value network sees besides
 
     def started(self, start: EnvState, latest: int | None = None) -> EnvState:
-        """`start`, of an episode, with all its frames measured there.
-
-        Sensors may be late by `latest` control steps; None: by as many as the task draws.
-        """
+        """`start` with all its frames measured there; `latest`: see `QuadrupedEnv.begun`."""
         if latest is None:
             late = start.conditions is not None and start.conditions.sensor_delay is not None
             longest = latest_drawn(self.config.randomization)[1]
@@ -139,9 +140,33 @@ class Sensors:
         return tuple(name for own in self.critic_part_names.values() for name in own)
 
     def mirrors(self, robot: RobotMirror | str) -> Mirrors | str:
-        """How observation and action look in the mirror, or why they do not: `mirrors_of`."""
-        names = self.part_names, self.critic_part_names
-        return mirrors_of(self.config, robot, *names, self.history)
+        """How observation and action look where the parts of the robot mirror so, or why not.
+
+        `robot` may say itself why not, in a line. `UserError`: a term says it of another size.
+        """
+        if isinstance(robot, str):
+            return robot
+        config = self.config
+        terms: list[tuple[str, Term, int]] = [("action", config.action, 12)]
+        for group, parts, names in (
+            ("observation", config.observation, self.part_names),
+            ("critic", config.critic, self.critic_part_names),
+        ):
+            terms += [(f"{group} {name!r}", parts[name], len(own)) for name, own in names.items()]
+        found = list[Mirror]()
+        for what, term, size in terms:
+            own = mirror_of(term.function, term.params, robot) if size else joined()
+            if own is None:
+                return f"the {what} does not say how it mirrors; expected @mirrors on its function"
+            if len(own.source) != size:
+                raise UserError(
+                    f"the {what} has {size} numbers, and its function says how "
+                    f"{len(own.source)} mirror; expected as many"
+                )
+            found.append(own)
+        action, observed = found[0], found[1 : 1 + len(config.observation)]
+        critic = found[1 + len(config.observation) :]
+        return Mirrors(joined(with_history(joined(*observed), self.history), *critic), action)
 
 
 def make_sensors(

@@ -73,8 +73,7 @@ class Step(NamedTuple):
 def trot_swing(steps: jax.Array, command: jax.Array, stride: float) -> jax.Array:
     """How far the feet of a trot are into their swing (2,), from -1 to 1, above 0 off the floor.
 
-    First of FR and RL, then of FL and RR. `stride` is in control steps. Both are 0 at the
-    command to stand still.
+    First of FR and RL, then of FL and RR; 0 at the command to stand. `stride`: control steps.
     """
     swing = jnp.sin(2.0 * jnp.pi * steps / stride)
     return jnp.stack([swing, -swing]) * jnp.any(command != 0.0)

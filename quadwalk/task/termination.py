@@ -82,10 +82,7 @@ def episode_end(
 
 
 def off_ground(config: EnvConfig, terrain: Terrain, state: EnvState) -> jax.Array:
-    """Whether the trunk is where its episode ends, () bool.
-
-    Beyond the field or half of the level ground around its tiles, or beyond its own tile.
-    """
+    """Whether the trunk is off its tile, if confined, else beyond half of the border, () bool."""
     field, edge = terrain.field, config.ground.border / 2
     low: Any = np.array(field.origin) + edge
     high: Any = low + np.array(field.size) - 2 * edge

@@ -2,13 +2,7 @@
 
 from dataclasses import replace
 
-from quadwalk.settings.environment import (
-    HOME_RESET,
-    NO_COMMAND,
-    PHYSICS,
-    REAL_WORLD,
-    EnvConfig,
-)
+from quadwalk.settings.environment import HOME_RESET, NO_COMMAND, PHYSICS, REAL_WORLD, EnvConfig
 from quadwalk.settings.terms import ActionMap, Reward
 from quadwalk.settings.training import PPO, TrainConfig
 from quadwalk.task import reward

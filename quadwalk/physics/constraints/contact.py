@@ -100,10 +100,7 @@ class Constraints(NamedTuple):
 
 
 def impedance(params: SolverParams, inverse_inertia: Array, depth: Array) -> tuple[Array, Array]:
-    """Impedance and weight at constraint violation `depth` < 0.
-
-    `inverse_inertia` is the constraint row's.
-    """
+    """A row's impedance and weight at constraint violation `depth` < 0."""
     x = jnp.minimum(jnp.abs(depth) / params.width, 1.0)
     below = x**params.power / params.middle ** (params.power - 1)
     above = 1 - (1 - x) ** params.power / (1 - params.middle) ** (params.power - 1)
@@ -149,10 +146,7 @@ def find_constraints(
     velocity: Motion,
     ground: tuple[Under, ...] | None = None,
 ) -> Constraints:
-    """The constraints with the trunk's origin at `height` (robots,), m.
-
-    `ground` is what is under each kind of sphere, where it is not level.
-    """
+    """Constraints, the trunk at `height` (robots,), m, with `ground` under spheres; None: level."""
     points: list[ContactPoint] = []
     reference: list[Array] = []
     weights: list[Array] = []

@@ -10,6 +10,7 @@ triangle is below its center.
 import functools
 import itertools
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import jax
@@ -19,7 +20,7 @@ from scipy.ndimage import maximum_filter
 
 from quadwalk.cores import cpu_cores
 from quadwalk.ground.heightfield import Heightfield
-from quadwalk.physics.vectors import Array, Vector
+from quadwalk.physics.vectors import Array, Vector, cross
 
 FINER = 2  # cells of an offset surface along one of the ground's
 _BAND = 256  # rows of nodes computed at a time, by one of the cores
@@ -35,28 +36,16 @@ class Spot(NamedTuple):
 
 
 @jax.tree_util.register_static
+@dataclass(frozen=True, eq=False)
 class Surface:
-    """Heights on one or more grids of the same nodes; equal to itself alone.
+    """Heights on one or more grids of the same nodes; equal to itself alone."""
 
-    With `heights`, all of `grids` one after another (n,), an argument of a program, it reads these.
-    A constant would be compiled into it once for each part that reads, at many times the memory.
-    """
-
-    def __init__(
-        self,
-        grids: np.ndarray,
-        cell: float,
-        origin: tuple[float, float],
-        heights: jax.Array | None = None,
-    ) -> None:
-        self.grids = grids  # (k, rows, columns) m
-        self.cell = cell  # m
-        self.origin = origin  # m, x and y of node [0, 0]
-        self.heights = heights
-
-    def reading(self, heights: jax.Array) -> "Surface":
-        """The same, with these `heights`."""
-        return Surface(self.grids, self.cell, self.origin, heights)
+    grids: np.ndarray  # (k, rows, columns) m
+    cell: float  # m
+    origin: tuple[float, float]  # m, x and y of node [0, 0]
+    # All of `grids` one after another (n,), an argument of a program, which reads these. A constant
+    # would be compiled into it once for each part that reads, at many times the memory.
+    heights: jax.Array | None = None
 
     def at(self, x: Array, y: Array, which: np.ndarray | int = 0) -> tuple[Array, Array, Array]:
         """Height, m, and slopes along x and y of grid `which` at places (...), m.
@@ -66,7 +55,7 @@ class Surface:
         spot = self.locate(x, y, which)
         return self.interpolate(spot, self.read(spot))
 
-    def locate(self, x: Array, y: Array, which: np.ndarray | int = 0) -> "Spot":
+    def locate(self, x: Array, y: Array, which: np.ndarray | int = 0) -> Spot:
         """Where in which cell of grid `which` places (...) are."""
         _, rows, columns = self.grids.shape
         x = jnp.clip((x - self.origin[0]) / self.cell, 0, columns - 1)
@@ -75,7 +64,7 @@ class Surface:
         i = jnp.clip(y.astype(jnp.int32), 0, rows - 2)
         return Spot((which * rows + i) * columns + j, x - j, y - i)
 
-    def read(self, spot: "Spot") -> Vector:
+    def read(self, spot: Spot) -> Vector:
         """Heights of the corners of the triangle, m: the cell's first, the third, the last."""
         columns = self.grids.shape[2]
         grid = self.heights
@@ -88,7 +77,7 @@ class Surface:
         )
         return x, y, z
 
-    def interpolate(self, spot: "Spot", heights: Vector) -> tuple[Array, Array, Array]:
+    def interpolate(self, spot: Spot, heights: Vector) -> tuple[Array, Array, Array]:
         """Height, m, and slopes within a triangle."""
         node, third, beyond = heights
         right = spot.u > spot.v
@@ -130,12 +119,7 @@ def normal_and_tangents(along: Array, across: Array) -> tuple[Vector, Vector, Ve
         (y - normal[1] * cosine) * length,
         (z - normal[2] * cosine) * length,
     )
-    second = (
-        normal[1] * first[2] - normal[2] * first[1],
-        normal[2] * first[0] - normal[0] * first[2],
-        normal[0] * first[1] - normal[1] * first[0],
-    )
-    return normal, first, second
+    return normal, first, cross(normal, first)
 
 
 def _refined(heights: np.ndarray) -> np.ndarray:

@@ -5,6 +5,7 @@ to others may be a point or nearly nothing, whatever its numbers; what moves may
 """
 
 from dataclasses import dataclass
+from decimal import Decimal
 
 import numpy as np
 import yourdfpy
@@ -52,8 +53,7 @@ class _Finding:
 def resolutions(root: etree._Element) -> dict[str, np.ndarray]:
     """By link, how far the entries (3, 3) of its inertia may be from what was meant, kg m^2.
 
-    Half a unit in the last digit that each is written with; an entry of 0 is taken to be as fine
-    as the finest of the others.
+    Half a unit in the last digit that each is written with; an entry of 0 is as fine as the finest.
     """
     found = {}
     for link in root.iterfind("link"):
@@ -61,17 +61,12 @@ def resolutions(root: etree._Element) -> dict[str, np.ndarray]:
         if inertia is None:
             continue
         given = {name: inertia.get(name) for name in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")}
-        units = {name: _last_digit(value) for name, value in given.items() if float(value)}
+        digits = {name: Decimal(value).as_tuple() for name, value in given.items() if float(value)}
+        units = {name: 10.0 ** int(number.exponent) for name, number in digits.items()}
         finest = min(units.values(), default=0.0)
         xx, xy, xz, yy, yz, zz = (units.get(name, finest) / 2 for name in given)
         found[link.get("name")] = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     return found
-
-
-def _last_digit(number: str) -> float:
-    """What one more in the last digit of `number` would add: "0.012" 1e-3, "3e-6" 1e-6."""
-    digits, _, exponent = number.strip().lower().partition("e")
-    return 10.0 ** (int(exponent or 0) - len(digits.partition(".")[2]))
 
 
 def check_bodies(
@@ -81,14 +76,8 @@ def check_bodies(
 
     A moment of inertia is a sum of squares over the mass: the tensor is positive definite, and no
     principal moment exceeds the sum of the others. What is beyond that only by rounding, or in a
-    part that is next to nothing, is taken as it was meant, with a note in `report`.
-
-    Args:
-        tree: its links' inertias are changed in place.
-        resolution: from `resolutions`.
-        source: what error messages call the URDF.
-        repair: whether the user asked for it.
-        report: takes what was changed or let pass.
+    part that is next to nothing, is taken as it was meant, with a note in `report`. Inertias of the
+    `tree` are changed in place; `resolution` is from `resolutions`.
     """
     for body in tree.bodies:
         parts = [name for name in tree.parts[body] if tree.links[name].inertial is not None]
@@ -98,12 +87,10 @@ def check_bodies(
             continue  # a root without any mass stands still, whatever its inertia
         passed: list[tuple[str, _Finding]] = []
         for name in parts:
-            finding = _look_at(tree, name)
-            if finding is None:
-                continue
-            mass = tree.links[name].inertial.mass
-            if mass == 0 and not massive:
-                continue  # what moves has no mass at all, which is looked at below
+            mass, tensor = tree.links[name].inertial.mass, tree.links[name].inertial.inertia
+            if _is_sound(tensor) or (mass == 0 and not massive):
+                continue  # what moves without any mass is looked at below
+            finding = _Finding(tensor, nearest_valid(1.0, tensor, thinnest=0.0))
             if _negligible(finding, tree, body, name):
                 passed.append((name, finding))
                 continue
@@ -111,26 +98,20 @@ def check_bodies(
                 tree.links[name].inertial.inertia = finding.valid
                 report.add("repaired", f"inertia of '{name}' by rounding, {finding.shown()}")
             elif repair:
-                finding = _Finding(finding.tensor, nearest_valid(mass, finding.tensor))
+                finding = _Finding(tensor, nearest_valid(mass, tensor))
                 tree.links[name].inertial.inertia = finding.valid
                 report.add("repaired", f"inertia of '{name}', {finding.shown()}")
             else:
+                positive = np.linalg.eigvalsh(tensor)[0] >= 0
+                expected = "none above the sum of the others" if positive else "positive ones"
                 raise UrdfError(
-                    f"{source}: link '{name}': <inertia> {_problem(finding.tensor)} "
-                    "(or pass --repair-inertia)"
+                    f"{source}: link '{name}': <inertia> has principal moments {_moments(tensor)}; "
+                    f"expected {expected} (or pass --repair-inertia)"
                 )
         _settle(tree, body, passed, report)
         _thicken(tree, body, massive, report)
         if body != tree.root:
             _check_moving(tree, body, source, repair, report)
-
-
-def _look_at(tree: Tree, name: str) -> _Finding | None:
-    """What is wrong with a link's inertia; None if a body can have it."""
-    tensor = tree.links[name].inertial.inertia
-    if _is_sound(tensor):
-        return None
-    return _Finding(tensor, nearest_valid(1.0, tensor, thinnest=0.0))
 
 
 def _is_sound(tensor: np.ndarray) -> bool:
@@ -206,15 +187,6 @@ def _check_moving(tree: Tree, body: str, source: str, repair: bool, report: Repo
             f"{source}: link '{body}' moves, and its <inertia> is too small for MuJoCo; "
             f"expected principal moments above {SMALLEST:g} kg m^2 (or pass --repair-inertia)"
         )
-
-
-def _problem(tensor: np.ndarray) -> str:
-    """What is wrong with an inertia (3, 3), and what is expected."""
-    smallest, middle, largest = np.linalg.eigvalsh(tensor)
-    shown = _moments(tensor)
-    if smallest + middle < largest - _ROUNDING * abs(largest) and smallest >= 0:
-        return f"has principal moments {shown}; expected none above the sum of the others"
-    return f"has principal moments {shown}; expected positive ones"
 
 
 def _moments(tensor: np.ndarray) -> str:

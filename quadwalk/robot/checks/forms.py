@@ -8,26 +8,17 @@ SHAPES = ("box", "sphere", "cylinder", "mesh")
 
 @dataclass(frozen=True)
 class Form:
-    """What an element may hold.
+    """What an element may hold."""
 
-    Attributes:
-        need, may: attributes that must or may be there.
-        one, most_one, many: child elements that must be there once, may be, may be repeated.
-        first: those of `many` of which only the first counts.
-        ignored: child elements of other tools whose numbers must be numbers nevertheless.
-        sizes: attributes that are lengths above 0.
-        not_negative: attributes that are 0 or more.
-    """
-
-    need: tuple[str, ...] = ()
-    may: tuple[str, ...] = ()
-    one: tuple[str, ...] = ()
-    most_one: tuple[str, ...] = ()
-    many: tuple[str, ...] = ()
-    first: tuple[str, ...] = ()
-    ignored: tuple[str, ...] = ()
-    sizes: tuple[str, ...] = ()
-    not_negative: tuple[str, ...] = ()
+    need: tuple[str, ...] = ()  # attributes that must be there
+    may: tuple[str, ...] = ()  # attributes that may be there
+    one: tuple[str, ...] = ()  # child elements that must be there once
+    most_one: tuple[str, ...] = ()  # child elements that may be there once
+    many: tuple[str, ...] = ()  # child elements that may be repeated
+    first: tuple[str, ...] = ()  # those of `many` of which only the first counts
+    ignored: tuple[str, ...] = ()  # of other tools; their numbers must be numbers nevertheless
+    sizes: tuple[str, ...] = ()  # attributes that are lengths above 0
+    not_negative: tuple[str, ...] = ()  # attributes that are 0 or more
 
 
 _DYNAMICS = ("damping", "friction", "armature")

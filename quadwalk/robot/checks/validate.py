@@ -37,6 +37,7 @@ class UrdfError(UserError):
         super().__init__(line if len(line) <= 800 else line[:500] + " ... " + line[-250:])
 
 
+_SHAPES = ", ".join(f"<{tag}>" for tag in SHAPES)
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 _NOT_FINITE = re.compile(r"[+-]?(nan|inf|infinity|1\.#\w+)", re.IGNORECASE)
 
@@ -71,11 +72,10 @@ class Check:
             if child.tag in known:
                 self.element(child)
             elif element.tag == "geometry" and not any(c.tag in known for c in element):
-                expected = ", ".join(f"<{tag}>" for tag in SHAPES)
-                raise self.fail(element, f"has a <{child.tag}> in it; expected {expected}")
+                raise self.fail(element, f"has a <{child.tag}> in it; expected {_SHAPES}")
             else:
                 there = {c.tag for c in element} - set(form.many)
-                self.not_misspelt(child.tag, known, there, element, "has a <{}> in it", "<{}>")
+                self.not_misspelt(child.tag, known, there, element)
                 if child.tag in form.ignored:
                     self.ignored(child)
                 self.take_out(child, f"<{child.tag}> of a {element.tag}")
@@ -89,8 +89,7 @@ class Check:
         for tag in form.one:
             if counts[tag] == 0:
                 raise self.fail(element, f"has no <{tag}>; expected one")
-        self.positive(element, form.sizes)
-        self.not_negative(element, form.not_negative)
+        self.sizes(element, form)
         check = getattr(self, f"check_{element.tag}", None)
         if check is not None:
             check(element)
@@ -100,8 +99,7 @@ class Check:
         known = form.need + form.may
         for name, value in list(element.attrib.items()):
             if name not in known:
-                there = set(element.attrib)
-                self.not_misspelt(name, known, there, element, "has attribute '{}'", "{}")
+                self.not_misspelt(name, known, set(element.attrib), element, attribute=True)
                 self.left_out[f"{element.tag} {name}"] += 1
                 del element.attrib[name]
             elif name not in TEXT_ATTRIBUTES:
@@ -118,14 +116,14 @@ class Check:
         known: tuple[str, ...],
         there: set[str],
         element: etree._Element,
-        found: str,
-        expected: str,
+        attribute: bool = False,
     ) -> None:
-        """Refuse a name that is nearly a known one which is not there."""
+        """Refuse the name of a child, or an attribute, nearly a known one which is not there."""
         for other in known:
             if other not in there and nearly(name.lower(), other):
-                message = f"{found.format(name)}; expected {expected.format(other)}"
-                raise self.fail(element, message)
+                if attribute:
+                    raise self.fail(element, f"has attribute '{name}'; expected {other}")
+                raise self.fail(element, f"has a <{name}> in it; expected <{other}>")
 
     def take_out(self, element: etree._Element, what: str) -> None:
         """Remove an element that is passed over, and note it by kind."""
@@ -151,32 +149,30 @@ class Check:
         for word in words:
             if not _NUMBER.fullmatch(word) or not math.isfinite(float(word)):
                 raise self.fail(element, f'has {name}="{shown}"; expected finite numbers')
-            if 0 < abs(float(word)) < MIN_NUMBER and element.tag == "origin":
+            size = abs(float(word))
+            if 0 < size < MIN_NUMBER and element.tag == "origin":
                 element.set(name, element.get(name).replace(word, "0"))
-            elif 0 < abs(float(word)) < MIN_NUMBER:
+            elif 0 < size < MIN_NUMBER:
                 given = f'{name}="{shown}"'
                 raise self.fail(element, f"has {given}; expected 0 or at least {MIN_NUMBER:g}")
-            if abs(float(word)) > MAX_NUMBER and element.tag != "limit":
+            if size > MAX_NUMBER and element.tag != "limit":
                 raise self.fail(element, f'has {name}="{shown}"; expected at most {MAX_NUMBER:g}')
 
-    def positive(self, element: etree._Element, names: tuple[str, ...]) -> None:
+    def sizes(self, element: etree._Element, form: Form) -> None:
         """Check that sizes are above 0; a visual shape may be of size 0, and is left out then."""
         visual = any(parent.tag == "visual" for parent in element.iterancestors())
-        for name in names:
+        for name in form.sizes:
             for value in map(float, element.get(name).split()):
                 if value < MIN_SIZE and not (visual and value == 0):
                     given = f'{name}="{element.get(name)}"'
                     raise self.fail(element, f"has {given}; expected above {MIN_SIZE:g} m")
-
-    def not_negative(self, element: etree._Element, names: tuple[str, ...]) -> None:
-        for name in names:
+        for name in form.not_negative:
             if float(element.get(name, "0")) < 0:
                 raise self.fail(element, f'has {name}="{element.get(name)}"; expected 0 or more')
 
     def check_geometry(self, element: etree._Element) -> None:
         if len(element) != 1:
-            expected = ", ".join(f"<{tag}>" for tag in SHAPES)
-            raise self.fail(element, f"holds {len(element)} shapes; expected one of {expected}")
+            raise self.fail(element, f"holds {len(element)} shapes; expected one of {_SHAPES}")
 
     def check_mesh(self, element: etree._Element) -> None:
         if any(float(word) == 0 for word in element.get("scale", "1").split()):
@@ -242,8 +238,7 @@ class Check:
 def nearly(name: str, other: str) -> bool:
     """Whether one slip, or two in a long word, makes `name` of `other`.
 
-    A slip is a letter too many, too few or wrong, or two neighbors exchanged (the
-    Damerau-Levenshtein distance).
+    A slip (Damerau-Levenshtein): a letter too many, too few or wrong, or two neighbors exchanged.
     """
     slips = 1 if len(other) < 6 else 2
     if abs(len(name) - len(other)) > slips:
@@ -261,31 +256,25 @@ def nearly(name: str, other: str) -> bool:
 
 
 def check_elements(check: Check, root: etree._Element) -> None:
-    """Check each element of a URDF document; raise `UrdfError` for the first that is not valid.
-
-    What is not URDF's is taken out of `root`, and named in the report by kind.
-    """
+    """Check each element, or raise `UrdfError` for the first wrong; take out what is not URDF's."""
     if root.tag != "robot":
         raise UrdfError(f"{check.source}: root element is <{root.tag}>; expected <robot>")
     links, joints = root.findall("link"), root.findall("joint")
     if not links:
         raise UrdfError(f"{check.source}: has no <link>; expected at least one")
-    if max(len(links), len(joints)) > MAX_LINKS:
-        count = max(len(links), len(joints))
-        raise UrdfError(
-            f"{check.source}: has {count} links or joints; expected at most {MAX_LINKS}"
-        )
     moving = sum(joint.get("type") != "fixed" for joint in joints)
-    if moving > MAX_MOVING:
-        raise UrdfError(
-            f"{check.source}: has {moving} joints that move; expected at most {MAX_MOVING}"
-        )
+    for count, what, most in (
+        (max(len(links), len(joints)), "links or joints", MAX_LINKS),
+        (moving, "joints that move", MAX_MOVING),
+    ):
+        if count > most:
+            raise UrdfError(f"{check.source}: has {count} {what}; expected at most {most}")
     known = ("link", "joint", "material")
     for element in list(root):
         if element.tag in known:
             check.element(element)
         else:
-            check.not_misspelt(element.tag, known, set(), root, "has a <{}> in it", "<{}>")
+            check.not_misspelt(element.tag, known, set(), root)
             check.take_out(element, f"<{element.tag}>")
     _check_materials(check, root)
     for what, count in check.left_out.items():

@@ -19,24 +19,15 @@ SHORT = 0.4
 
 @dataclass(frozen=True)
 class Foot:
-    """A foot: a sphere.
+    """A foot: a sphere."""
 
-    Attributes:
-        link: the link whose collision shape touches the ground.
-        shape: index of the sphere among the link's collision shapes; None if it is none of them,
-            but stands in for another shape.
-        center: (3,) m, in the frame of the calf link.
-        radius: m.
-        replaced: indices of the link's collision shapes whose place the sphere takes.
-        reason: of a sphere that is none of the URDF's, what it is there for.
-    """
-
-    link: str
+    link: str  # whose collision shape touches the ground
+    # index among the link's collision shapes; None: it is none of them, but stands in for another
     shape: int | None
-    center: np.ndarray
-    radius: float
-    replaced: tuple[int, ...] = ()
-    reason: str = ""
+    center: np.ndarray  # (3,) m, in the frame of the calf link
+    radius: float  # m
+    replaced: tuple[int, ...] = ()  # indices of the link's collision shapes whose place it takes
+    reason: str = ""  # of a sphere that is none of the URDF's, what it is there for
 
 
 @dataclass(frozen=True)
@@ -53,8 +44,7 @@ def find_foot(tree: Tree, calf: str, meshes: Meshes | None) -> Foot | None:
 
     The collision sphere farthest from the calf's joint is the foot. Without one, a sphere takes
     the place of the shape that reaches farthest: it has the shape's lowest point, along the leg,
-    and its width there, in the plane that the calf swings in. Without any shape, there is a small
-    sphere at the farthest frame.
+    and its width there, in the plane the calf swings in. Else a small sphere is at the last frame.
     """
     return _sphere(tree, calf) or _stand_in(tree, calf, meshes) or _at_frame(tree, calf)
 

@@ -15,29 +15,20 @@ LEGS = ("FR", "FL", "RR", "RL")
 
 @dataclass(frozen=True)
 class Leg:
-    """One leg: its joints and links from the trunk outwards, and its foot.
+    """One leg: its joints and links from the trunk outwards, and its foot."""
 
-    Attributes:
-        name: FR, FL, RR or RL.
-        joints: the names of the hip, thigh and calf joint.
-        links: the names of the links that these move.
-        foot: the sphere at its end.
-        foot_name: what the foot's site and collision geom are called in the model.
-    """
-
-    name: str
-    joints: tuple[str, str, str]
-    links: tuple[str, str, str]
-    foot: Foot
-    foot_name: str
+    name: str  # FR, FL, RR or RL
+    joints: tuple[str, str, str]  # names of the hip, thigh and calf joint
+    links: tuple[str, str, str]  # names of the links that these move
+    foot: Foot  # the sphere at its end
+    foot_name: str  # what the foot's site and collision geom are called in the model
 
 
 def find_legs(tree: Tree, source: str, meshes: Meshes | None = None) -> tuple[Leg, ...]:
     """The four legs, FR, FL, RR, RL; `UrdfError` says what was found where it is no quadruped.
 
     A leg is a chain of three actuated joints from the trunk (the root body), with a foot at its
-    end (see `find_foot`, which may need `meshes`). Ahead and left of the middle of the hips are x
-    and y of the trunk's frame.
+    end (see `find_foot`, which may need `meshes`). Of the trunk's frame, x is ahead and y left.
     """
     chains = [_chain(tree, joint) for joint in tree.moving_joints(tree.root)]
     if len(chains) != 4 or any(len(chain) != 3 for chain in chains):

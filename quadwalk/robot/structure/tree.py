@@ -15,24 +15,15 @@ class Tree:
 
     A moving link (or the root) carries the links that fixed joints attach to it: they are one
     rigid body, named after the moving link.
-
-    Attributes:
-        root: name of the link that no joint moves.
-        links: link by name, in the file's order.
-        joint_above: the joint whose child is that link; the root has none.
-        joints_below: the joints whose parent is that link, in the file's order.
-        body_of: name of the moving link (or root) that each link is rigidly part of.
-        placement: (4, 4) frame of each link in the frame of the link `body_of` names.
-        bodies: names of the moving links, root first, parents before children.
     """
 
-    root: str
-    links: dict[str, yourdfpy.Link]
-    joint_above: dict[str, yourdfpy.Joint]
-    joints_below: dict[str, tuple[yourdfpy.Joint, ...]]
-    body_of: dict[str, str]
-    placement: dict[str, np.ndarray]
-    bodies: tuple[str, ...]
+    root: str  # name of the link that no joint moves
+    links: dict[str, yourdfpy.Link]  # by name, in the file's order
+    joint_above: dict[str, yourdfpy.Joint]  # whose child is that link; the root has none
+    joints_below: dict[str, tuple[yourdfpy.Joint, ...]]  # whose parent it is, in the file's order
+    body_of: dict[str, str]  # name of the moving link (or root) that each link is rigidly part of
+    placement: dict[str, np.ndarray]  # (4, 4) frame of each link in that of the one `body_of` names
+    bodies: tuple[str, ...]  # names of the moving links, root first, parents before children
 
     @cached_property
     def parts(self) -> dict[str, tuple[str, ...]]:
@@ -96,8 +87,7 @@ def build_tree(robot: yourdfpy.Robot) -> Tree:
     pending = [root]
     while pending:
         link = pending.pop()
-        for joint in reversed(below[link]):
-            pending.append(joint.child)
+        pending.extend(joint.child for joint in reversed(below[link]))
         joint = joint_above.get(link)
         if joint is None:
             continue

@@ -26,10 +26,7 @@ class Command(NamedTuple):
 def first_command(
     config: CommandConfig, key: jax.Array, dt: float, grip: ArrayLike = np.inf
 ) -> Command:
-    """The first command of an episode begun with `key`; `dt`, s, is a control step.
-
-    `grip`, m/s^2, is the acceleration that friction bears.
-    """
+    """The first command of an episode begun with `key`, in steps of `dt` s; `grip` as in `draw`."""
     own = jax.random.fold_in(key, _COMMANDS)
     until = None if config.soonest is None else _until(config, own, dt)
     return Command(draw(config, own, grip), own, until)

@@ -35,10 +35,7 @@ def begin_travel(qpos: jax.Array) -> Travel:
 
 
 def travel_on(travel: Travel, velocity: jax.Array, command: jax.Array, dt: float) -> Travel:
-    """`travel` after one more control step of `dt` s with this mean velocity (2,), m/s.
-
-    `command` (2,), m/s, is in the same frame.
-    """
+    """`travel` after `dt` s more at mean `velocity` (2,), m/s, in the frame of `command` (2,)."""
     size = jnp.linalg.norm(command)
     along = jnp.dot(velocity, command) / jnp.maximum(size, 1e-6)
     return travel._replace(
@@ -71,12 +68,7 @@ class Curriculum:
         return jax.random.randint(key, (environments,), 0, len(self.kinds) * self.levels)
 
     def following(
-        self,
-        tile: jax.Array,
-        travel: Travel,
-        qpos: jax.Array,
-        steps: jax.Array,
-        key: jax.Array,
+        self, tile: jax.Array, travel: Travel, qpos: jax.Array, steps: jax.Array, key: jax.Array
     ) -> jax.Array:
         """The tile () int32 after an episode on `tile` that ends at `qpos` (19,), after `steps`.
 

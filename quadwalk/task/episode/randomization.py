@@ -15,33 +15,25 @@ from quadwalk.settings.environment import RandomizationConfig, Range
 from quadwalk.task.robot_arrays import RobotArrays
 
 _DRAWN = 43  # eleven numbers, and vectors of 3, 12, 2, 12 and 3
+_FACTORS = ("strength", "kp", "kd", "joint_friction", "damping", "armature")
 # What wide margins would have less, or negative. Contacts of no friction give NaN in all engines.
-_LEAST = dict.fromkeys(("strength", "kp", "kd", "joint_friction", "damping"), 0.0)
-_LEAST |= {"friction": 0.01, "link_mass": 0.1, "armature": 0.1}
+_LEAST = {**dict.fromkeys(_FACTORS[:-1], 0.0), "friction": 0.01, "link_mass": 0.1, "armature": 0.1}
 
 
 class EpisodeRandomization(NamedTuple):
-    """The conditions of one episode.
+    """The conditions of one episode."""
 
-    - variation: how robot and floor differ from the model; None: not at all.
-    - delay: physics steps until a joint target takes effect; the home pose holds until the first
-      does. A delay of 2.3 steps is 3 in three control steps of ten and 2 in the others.
-    - sensor_delay: control steps; between two readings it interpolates. None: no delay.
-    - push: m/s, change of the trunk's velocity along its heading and to its left, in an instant,
-      with random signs, once in every period, at a time that `key` draws.
-    - noise: level of the Gaussian noise of the observation; the task states level 1. Each number
-      has its own noise in each step.
-    - encoder: rad, offset of measured joint angles, for policy and controller alike.
-    - tilt: (3,) rad, rotation vector of the IMU in the trunk.
-    """
-
-    variation: RobotRandomization | None
-    delay: jax.Array  # ()
-    sensor_delay: jax.Array | None  # ()
-    push: jax.Array  # (2,)
-    noise: jax.Array  # ()
-    encoder: jax.Array  # (12,)
-    tilt: jax.Array  # (3,)
+    variation: RobotRandomization | None  # of robot and floor from the model; None: not at all
+    # () physics steps until a joint target takes effect; the home pose holds until the first does.
+    # A delay of 2.3 steps is 3 in three control steps of ten and 2 in the others.
+    delay: jax.Array
+    sensor_delay: jax.Array | None  # () control steps, between readings it interpolates; None: none
+    # (2,) m/s, change of the trunk's velocity along its heading and to its left, in an instant,
+    # with random signs, once in every period, at a time that `key` draws
+    push: jax.Array
+    noise: jax.Array  # () level of each observed number's Gaussian noise; the task states level 1
+    encoder: jax.Array  # (12,) rad, offset of measured joint angles, for policy and controller
+    tilt: jax.Array  # (3,) rad, rotation vector of the IMU in the trunk
     targets: jax.Array  # (n, 12) joint targets, the newest first, as many as the delay needs
     key: jax.Array  # of the episode's noise, pushes and jitter
 
@@ -55,8 +47,7 @@ def draw_conditions(
 ) -> EpisodeRandomization:
     """The conditions of one episode, drawn anew at its start: domain randomization.
 
-    What depends on a robot's size is relative to it. `friction` is the model's own, for where none
-    is drawn.
+    What depends on a robot's size is relative to it. Without a range, `friction` is the model's.
     """
     key, key_episode = jax.random.split(key)
     # All numbers at once: XLA takes a second or more to compile each call of a generator.
@@ -84,12 +75,7 @@ def draw_conditions(
         trunk_mass=robot.mass * draw(config.trunk_mass, 0.0),
         trunk_center=robot.home_height * draw(config.trunk_center, 0.0, (3,)),
         link_mass=draw(config.link_mass, 1.0, (12,)),
-        strength=draw(config.strength, 1.0),
-        kp=draw(config.kp, 1.0),
-        kd=draw(config.kd, 1.0),
-        joint_friction=draw(config.joint_friction, 1.0),
-        damping=draw(config.damping, 1.0),
-        armature=draw(config.armature, 1.0),
+        **{name: draw(getattr(config, name), 1.0) for name in _FACTORS},
     )
     latest = latest_drawn(config)[0] / stepping.dt
     kept = targets_needed(math.ceil(latest), stepping.substeps)
@@ -147,22 +133,17 @@ def _within(sizes: Range, margin: float, shares: jax.Array) -> jax.Array:
     return size * jnp.stack([jnp.cos(angle), jnp.sin(angle)])
 
 
-def as_values(
-    conditions: EpisodeRandomization, stepping: Stepping
-) -> dict[str, float | list[float]]:
-    """What was drawn for one episode, named and in units as in `RandomizationConfig`.
-
-    But for masses in kg, centers of mass in m and pushes in m/s.
-    """
-    own = {} if conditions.variation is None else conditions.variation._asdict()
-    late = 0.0 if conditions.sensor_delay is None else conditions.sensor_delay
+def as_values(drawn: EpisodeRandomization, stepping: Stepping) -> dict[str, float | list[float]]:
+    """What was drawn, as in `RandomizationConfig`; but masses kg, centers m, pushes m/s."""
+    own = {} if drawn.variation is None else drawn.variation._asdict()
+    late = 0.0 if drawn.sensor_delay is None else drawn.sensor_delay
     own |= {
-        "encoder": conditions.encoder,
-        "imu_tilt": conditions.tilt,
-        "latency": conditions.delay * stepping.dt,
+        "encoder": drawn.encoder,
+        "imu_tilt": drawn.tilt,
+        "latency": drawn.delay * stepping.dt,
         "sensor_latency": late * stepping.control_dt,
-        "noise": conditions.noise,
-        "push": conditions.push,
+        "noise": drawn.noise,
+        "push": drawn.push,
     }
     return {name: np.asarray(value, float).tolist() for name, value in own.items()}
 
@@ -194,10 +175,7 @@ def delayed(
 def pushed(
     conditions: EpisodeRandomization, physics: PhysicsState, steps: jax.Array, period: int
 ) -> PhysicsState:
-    """`physics` after the push of control step `steps` of the episode, if it has one.
-
-    There is one in each `period` of so many control steps.
-    """
+    """`physics` after the push of control step `steps`, if it has one: one in each `period`."""
     forward, left = conditions.push * side_of_push(conditions, steps, period)
     heading = yaw(physics.qpos[3:7])
     cos, sin = jnp.cos(heading), jnp.sin(heading)

@@ -19,10 +19,7 @@ from quadwalk.task.robot_arrays import RobotArrays
 def fresh_start(
     model: Model, robot: RobotArrays, config: ResetConfig, key: jax.Array
 ) -> PhysicsState:
-    """A start near the home pose, its lowest foot just on the floor, or near the given pose.
-
-    Or in any orientation, its lowest part just on the floor.
-    """
+    """A start near home or `config.pose`, lowest foot on the floor; tumbled, the lowest part is."""
     drawn = jax.random.uniform(key, (35,), minval=-1.0, maxval=1.0)
     pose, joints, velocity, speed = jnp.split(drawn, [4, 16, 22])
 
