@@ -4,7 +4,7 @@ Values that tasks share have names here. A task (`quadwalk/tasks`) names them an
 """
 
 import math
-from dataclasses import dataclass, fields, replace
+from dataclasses import MISSING, dataclass, fields, replace
 from typing import Annotated, Any, Literal
 
 from quadwalk.bounds import Bounds, Few, NotNegative, Positive, Seconds, Settings, Share
@@ -182,10 +182,8 @@ REAL_WORLD = RandomizationConfig(
     margin=0.15,
 )
 
-_NO_RANGES = ("enabled", "push_seconds", "margin")
-_NONE_DRAWN: dict[str, Any] = {
-    own.name: None for own in fields(RandomizationConfig) if own.name not in _NO_RANGES
-}
+_RANGES = [own.name for own in fields(RandomizationConfig) if own.default is MISSING][1:]
+_NONE_DRAWN: dict[str, Any] = dict.fromkeys(_RANGES)
 # Of a task in an ideal world.
 NO_RANDOMIZATION = RandomizationConfig(enabled=False, **_NONE_DRAWN)
 
