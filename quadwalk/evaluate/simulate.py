@@ -134,13 +134,10 @@ def simulate_episodes(
     only: int | None = None,
     starts: State | None = None,
 ) -> Iterator[Rollout]:
-    """Record `policy` from `episodes` starts, until each ends.
+    """Record `policy` from `episodes` starts, until each ends, in order of their numbers.
 
-    `starts` (episodes, ...) are by default the fresh ones of `seed`.
-
-    In order of their numbers; `only`: the one of that number. Up to `GROUP` go at a time, so that
-    whoever lets go of rollouts needs no more memory for more of them. No rollout has its foot
-    forces.
+    `starts` (episodes, ...) are by default the fresh ones of `seed`; `only` is the number of one.
+    At most `GROUP` are in memory, if rollouts are let go. None has its foot forces.
     """
     starts = fresh_starts(env, episodes, seed) if starts is None else starts
     # In a batch of the same size it goes as it went.

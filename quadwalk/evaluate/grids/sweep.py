@@ -91,10 +91,7 @@ def measure_sweeps(
 
 
 def task_ranges(env: QuadrupedEnv, nominal: Point) -> dict[str, tuple[float, float]]:
-    """Of each sweep the range that the task draws from, without a margin, in the sweep's unit.
-
-    `training_ranges` stand for a task that randomizes nothing.
-    """
+    """Of each sweep the range in `training_ranges`, without a margin, in the sweep's unit."""
     config, robot = training_ranges(env.config), env.robot
     push = (config.push, robot.froude_speed)
     # field of Point -> range of the settings, and how much of the sweep's unit theirs is
@@ -166,10 +163,7 @@ def measure_points(
 
 
 def starts_at(env: QuadrupedEnv, points: list[Point], episodes: int, seed: int) -> State:
-    """The first states of all episodes, under the conditions of their points.
-
-    Each point has the same starts, and the same draws but for their size.
-    """
+    """First states under each point's conditions: the same starts, and draws alike but in size."""
     latest = latest_drawn(training_ranges(env.config))
     late = max(p.delay / 1e3 + p.everything * latest[0] for p in points)
     kept = targets_needed(math.ceil(late / env.stepping.dt), env.stepping.substeps)

@@ -84,10 +84,7 @@ def foxglove_layout(trunk: str) -> bytes:
 
 
 def verify_mcap(path: str | Path) -> int:
-    """Check every checksum of an MCAP file; returns its number of messages.
-
-    Raises `UserError` for a file that cannot be read, is cut short, or is damaged.
-    """
+    """Check all checksums of an MCAP file: its number of messages, `UserError` if it is damaged."""
     try:
         with open(path, "rb") as stream:
             return _verified_messages(stream)

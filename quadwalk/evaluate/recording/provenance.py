@@ -50,10 +50,7 @@ def revision(source: Path = ROOT) -> str:
 
 
 def attachments(loaded: LoadedRun) -> dict[str, bytes]:
-    """Files to go with every recording: the run's configuration, and the robot as MJCF.
-
-    The MJCF is what `quadwalk robot` writes: every shape, and the joints' friction.
-    """
+    """Files for every recording: the run's configuration, and the MJCF of `quadwalk robot`."""
     quadruped = loaded.env.quadruped
     if loaded.env.terrain is not None:  # without the ground, of which the recording shows its own
         quadruped = load_robot(loaded.policy.config.robot)

@@ -8,6 +8,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from quadwalk.drawing.canvas import Camera, Canvas
 from quadwalk.drawing.images import FPS, film_strip, save_video
+from quadwalk.evaluate.motion.course import window_means
 from quadwalk.evaluate.rollout import Rollout, finite_part
 from quadwalk.ground.heightfield import heights_under
 from quadwalk.robot.quadruped import Quadruped
@@ -78,14 +79,10 @@ def _pictures(
 
 
 def _camera_path(rollout: Rollout, ground: np.ndarray) -> np.ndarray:
-    """(T + 1, 3) m: where the camera looks, the smoothed path of the base at a steady height.
-
-    That is above `ground` (T + 1,), m, which is smoothed as well.
-    """
+    """(T + 1, 3) m: where the camera looks, above the smoothed path and `ground` (T + 1,), m."""
     width = max(round(_SMOOTHING / rollout.control_dt) // 2 * 2 + 1, 1)
     path = np.concatenate([rollout.qpos[:, :2].astype(float), ground[:, None]], axis=1)
     padded = np.pad(path, ((width // 2, width // 2), (0, 0)), "edge")
-    sums = np.cumsum(np.concatenate([np.zeros((1, 3)), padded]), axis=0)
-    smooth = (sums[width:] - sums[:-width]) / width
+    smooth = window_means(padded, width)
     smooth[:, 2] += 0.75 * np.median(rollout.qpos[:, 2] - ground)
     return smooth
