@@ -29,10 +29,7 @@ from quadwalk.train.runs.directory import write_json_atomic
 
 
 def judge(loaded: LoadedRun, config: EvalConfig, out: Path, console: Console) -> dict[str, Any]:
-    """Evaluate one run into the folder `out`; return what its metrics.json holds.
-
-    The result is printed on standard output, what is being done on `console`.
-    """
+    """Evaluate one run into the folder `out`, and print it; return what its metrics.json holds."""
     name = loaded.run.name
     found = _evaluation(loaded, config, console)
     steps = f"{loaded.policy.steps:,} steps of training"

@@ -72,10 +72,7 @@ def standing_points(env: QuadrupedEnv) -> dict[str, Point]:
 
 
 def standing(env: QuadrupedEnv, poses: np.ndarray) -> tuple[bool, ...]:
-    """Whether the trunk, of poses (T + 1, 7) m and wxyz over a flat floor, stands at `SECONDS`.
-
-    It stands above `HEIGHT` and within `TILT`. It does not where the episode ended before.
-    """
+    """Whether the trunk, of poses (T + 1, 7), m and wxyz, stands at `SECONDS` on a flat floor."""
     up = 1.0 - 2.0 * (poses[:, 4] ** 2 + poses[:, 5] ** 2)
     stands = (poses[:, 2] > HEIGHT * env.robot.home_height) & (up > math.cos(TILT))
     steps = [round(seconds / env.config.control_dt) for seconds in SECONDS]

@@ -50,9 +50,7 @@ def measure_steering(
         "episodes": episodes,
         "cells": measure_held(loaded, held_commands(config), episodes, seed, report),
         "gaits": measure_gaits(loaded, seed),
-        "responses": [
-            measure_response(loaded, *change, episodes, seed) for change in changes(config)
-        ],
+        "responses": [measure_response(loaded, *each, episodes, seed) for each in changes(config)],
     }
 
 
@@ -110,9 +108,7 @@ def measure_held(
 
     starts = holding(env, commands, episodes, seed)
     found = measure_cells(env, loaded.policy.act, starts, episodes, measure, GROUP, report)
-    return [
-        {"command": list(command)} | cell for command, cell in zip(commands, found, strict=True)
-    ]
+    return [{"command": list(held)} | cell for held, cell in zip(commands, found, strict=True)]
 
 
 def measure_gaits(loaded: LoadedRun, seed: int) -> list[dict[str, Any]]:

@@ -124,7 +124,15 @@ def _write(
     """Write the whole file to `stream`; returns the number of messages."""
     writer = Writer(stream, chunk_size=_CHUNK, enable_data_crcs=True)
     writer.start(library="quadwalk")
-    channels = _register(writer, episode)
+    # All channels, in a fixed order.
+    text = writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data\n")
+    channels = {"/robot_description": writer.register_channel("/robot_description", "cdr", text)}
+    schemas: dict[str, int] = {}
+    for topic, kind in episode.topics.items():
+        name = kind.DESCRIPTOR.full_name
+        if name not in schemas:
+            schemas[name] = register_schema(writer, kind)
+        channels[topic] = writer.register_channel(topic, "protobuf", schemas[name])
     for name, record in records.items():
         writer.add_metadata(name, dict(sorted(record.items())))
     for name, content in sorted(attachments.items()):
@@ -138,16 +146,3 @@ def _write(
         count += 1
     writer.finish()
     return count
-
-
-def _register(writer: Writer, episode: EpisodeMessages) -> dict[str, int]:
-    """Declare all channels, in a fixed order; returns topic -> channel id."""
-    text = writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data\n")
-    channels = {"/robot_description": writer.register_channel("/robot_description", "cdr", text)}
-    schemas: dict[str, int] = {}
-    for topic, kind in episode.topics.items():
-        name = kind.DESCRIPTOR.full_name
-        if name not in schemas:
-            schemas[name] = register_schema(writer, kind)
-        channels[topic] = writer.register_channel(topic, "protobuf", schemas[name])
-    return channels

@@ -46,10 +46,7 @@ class _Writer(Protocol):
 
 
 def drawn_urdf(urdf: str) -> str:
-    """The URDF for a viewer: without the collision shapes of links that have visual ones.
-
-    Rerun draws both, one through the other. A link without visuals keeps its collision shapes.
-    """
+    """The URDF without collision shapes where links have visual ones: Rerun would draw both."""
     root = lxml.etree.fromstring(urdf.encode())
     for link in root.iter("link"):
         if link.find("visual") is not None:
@@ -120,7 +117,6 @@ class EpisodeMessages:
         yield from self._end()
 
     def _block(self, start: int, stop: int) -> Iterator[tuple[str, int, bytes]]:
-        """The messages of the states start .. stop."""
         columns = self._states(start, stop) | self._steps(start, stop) | self._scenes(start, stop)
         for k, row in enumerate(range(start, stop)):
             time = self.nanoseconds(row)
@@ -211,6 +207,4 @@ class EpisodeMessages:
 def _of_ended(array: np.ndarray, start: int, stop: int) -> np.ndarray:
     """Rows of the steps (T, ...) that ended in the states start .. stop; none ended in state 0."""
     rows = array[max(start - 1, 0) : stop - 1]
-    return (
-        rows if start else np.concatenate([np.zeros_like(array, shape=(1, *array.shape[1:])), rows])
-    )
+    return rows if start else np.concatenate([np.zeros((1, *array.shape[1:]), array.dtype), rows])

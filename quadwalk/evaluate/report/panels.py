@@ -75,7 +75,6 @@ def draw_sweep(
 
 
 def _explain(figure: Figure, runs: list[str]) -> None:
-    """A legend below the panels of a sweep."""
     handles: list[Any] = [
         Line2D([], [], color=_color(k), marker=_MARKS[k % 7], lw=2, label=run)
         for k, run in enumerate(runs)
@@ -95,10 +94,8 @@ def _sweep(
     """Draw one run's sweep; the lowest speed drawn."""
     points = result["sweeps"][name]["points"]
     values = [point["value"] for point in points]
-    low, high = zip(*(point["success_ci95"] for point in points), strict=True)
-    axes.fill_between(
-        values, [100 * e for e in low], [100 * e for e in high], color=color, alpha=0.2, lw=0
-    )
+    low, high = 100 * np.array([point["success_ci95"] for point in points]).T
+    axes.fill_between(values, low, high, color=color, alpha=0.2, lw=0)
     shares = [100 * point["success"] for point in points]
     axes.plot(values, shares, f"{mark}-", color=color, linewidth=2, label=result["run"])
     means = [point["speed"]["mean"] for point in points]

@@ -24,10 +24,7 @@ def draw_film_strip(
     width: int = 480,
     height: int = 300,
 ) -> np.ndarray:
-    """Eight pictures, evenly spaced over the `seconds` about the episode's middle, as pixels.
-
-    0.7 s are some two strides of a run. `width` and `height` in pixels are those of one picture.
-    """
+    """Eight pictures of `width` by `height` pixels, over `seconds`, two strides, in the middle."""
     rollout = finite_part(rollout)
     across, down = _STRIP
     rows = middle_rows(rollout, across * down, seconds)
@@ -49,11 +46,7 @@ def render_video(
     width: int = 480,
     height: int = 300,
 ) -> None:
-    """Write up to `seconds` from the episode's middle in real time; MP4 if `path` ends so, or GIF.
-
-    An MP4 needs ffmpeg on the PATH or the package imageio-ffmpeg. Raises `UserError` where that is
-    missing or the file cannot be written.
-    """
+    """Write up to `seconds` from the episode's middle in real time, as `save_video` does."""
     rollout = finite_part(rollout)
     wanted = min(seconds, rollout.steps * rollout.control_dt)
     start = (rollout.steps * rollout.control_dt - wanted) / 2
