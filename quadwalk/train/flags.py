@@ -3,7 +3,6 @@
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from quadwalk.command.line import parse, taken, value_of
 from quadwalk.errors import UsageError
@@ -46,10 +45,7 @@ examples:
 
 
 def parse_config(args: Sequence[str], prog: str = "train.py") -> tuple[TrainConfig, Run | None]:
-    """The configuration that a command line describes, and the run to resume, if any.
-
-    A first argument that is no flag is the task. `UsageError` for a configuration that cannot be.
-    """
+    """The configuration of a command line, and the run to resume, if any; or a `UsageError`."""
     args, task = list(args), None
     if args and not args[0].startswith("-"):
         task = args.pop(0)
@@ -74,13 +70,10 @@ def parse_config(args: Sequence[str], prog: str = "train.py") -> tuple[TrainConf
         default = resumed_config(previous)
     else:
         default = load_task("run" if task is None else task)
-    shared: dict[str, Any] = {
-        f.name: getattr(default, f.name) for f in dataclasses.fields(TrainConfig)
-    }
     description = f"{TrainFlags.__doc__}\n\n{task_list()}"
-    start = TrainFlags(**shared, resume=which)
+    start = TrainFlags(**vars(default), resume=which)
     flags = parse(TrainFlags, args, prog, start, description, "--help-all")
-    config = TrainConfig(**{name: getattr(flags, name) for name in shared})
+    config = TrainConfig(**{name: getattr(flags, name) for name in vars(default)})
     world, usual = config.env.randomization, default.env.randomization
     if not world.enabled and dataclasses.replace(world, enabled=usual.enabled) != usual:
         raise UsageError("flags of --env.randomization need --env.randomization.enabled as well")

@@ -50,8 +50,6 @@ from quadwalk.train.warm_start import begun_from
 
 @dataclass
 class Training:
-    """A training ready to iterate."""
-
     config: TrainConfig  # with the numbers of devices and environments filled in
     run: Run | None  # None in all processes but the first
     resumed: bool
@@ -68,10 +66,7 @@ class Training:
 def prepare(
     config: TrainConfig, previous: Run | None, progress: Progress, stack: ExitStack
 ) -> Training:
-    """Everything up to the compiled iteration, in every process; raises `UserError`.
-
-    The run is this training's until `stack` is closed.
-    """
+    """All up to the compiled iteration, in every process; the run is claimed until `stack` ends."""
     robot = config.robot
     config = with_files(config, robot.urdf, robot.mesh_dirs, config.env.ground.file)
     config, devices = choose_devices(config)
@@ -201,10 +196,7 @@ def _open_run(
 
 
 def new_run(config: TrainConfig, quadruped: Quadruped) -> Run:
-    """The folder of a run with all that its training begins with; `quadruped` is its robot.
-
-    The run keeps its own copies: what it learned stays true to it when the originals change.
-    """
+    """The folder of a run, with copies of its own of all that its training begins with."""
     files = {"robot.urdf": quadruped.urdf.encode(), "config.json": as_json(_settings(config))}
     source, heights = task_source(config), config.env.ground.file
     if source is not None:

@@ -43,10 +43,7 @@ class FreshStarts(NamedTuple):
 def fresh_starts(
     env: Env, envs: State, first: jax.Array, learnt_from: int, key: jax.Array
 ) -> FreshStarts:
-    """As many fresh starts as there are environments `envs`; `first`: in the first iteration.
-
-    With a curriculum each environment has its own; otherwise they are dealt out anew in each step.
-    """
+    """As many starts as environments: with a curriculum each its own, else dealt out anew."""
     number = len(envs.done)
     tiles = next_tiles(env, envs.pipeline_state, first, learnt_from, key)
     fresh = reset_envs(env, jax.random.split(key, number), tiles)

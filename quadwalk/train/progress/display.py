@@ -247,10 +247,7 @@ def _terms(terms: Mapping[str, float]) -> Columns:
 
 
 class _Forgiving(io.TextIOBase):
-    """Passes text on to a stream and ignores that it has gone.
-
-    One place for all writers: print, rich, and the thread in which rich redraws.
-    """
+    """Passes text of print, rich and its thread on to a stream, and ignores that it has gone."""
 
     def __init__(self, stream: TextIO) -> None:
         self._stream = stream
