@@ -84,10 +84,7 @@ def as_onnx(loaded: LoadedRun, console: Console) -> tuple[onnx.ModelProto, Joint
 
 
 def largest_difference(model: onnx.ModelProto, loaded: LoadedRun, targets: JointTargets) -> float:
-    """Between the model in ONNX Runtime and the policy and action map in JAX.
-
-    Of actions, and of joint targets in rad, on random observations as wide as those of training.
-    """
+    """Of actions and joint targets, rad, in ONNX Runtime and JAX, for random observations."""
     env = loaded.env
     normalizer, _ = loaded.policy.act.args  # type: ignore[attr-defined]
     rng = np.random.default_rng(0)

@@ -85,7 +85,7 @@ def _write(
         meshes = (config.robot.urdf.resolve().parent, *meshes)
     flags = training_flags(fit, urdf, meshes)
     rest = {
-        f"{what}_{rows}": _rms((angles - log.position)[getattr(fit, rows)])
+        f"{what}_{rows}": float(np.sqrt(np.mean((angles - log.position)[getattr(fit, rows)] ** 2)))
         for what, angles in (("described", fit.before), ("found", fit.after))
         for rows in ("fitted", "held_out")
         if getattr(fit, rows).any()
@@ -109,10 +109,6 @@ def _write(
     console.print(f"written to {out}: robot.urdf, identified.json, fit.png; train with:")
     print(as_typed("train", "walk", *flags))
     return results
-
-
-def _rms(left: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(left**2)))
 
 
 def _print(fit: Fit, quadruped: Quadruped, rest: dict[str, float]) -> None:
