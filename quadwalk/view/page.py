@@ -45,10 +45,7 @@ class Page:
         label: str = LAST,
         getup: Run | None = None,
     ) -> None:
-        """`root` holds the other runs to choose from; `label` names one of the run's policies.
-
-        `getup` gets up robots of its kind that have fallen.
-        """
+        """`root` has the other runs, `label` is a policy of `run`, `getup` gets fallen ones up."""
         self._getup = getup
         self._server, self._root, self._chosen = server, root, run
         self._asked: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
@@ -101,8 +98,6 @@ class Page:
         self.pace.restart()
 
     def _actions(self, runs: dict[str, Run]) -> Actions:
-        """What the panel asks for, each between two control steps."""
-
         def play() -> None:
             self.playing = not self.playing
             self.pace.restart()
@@ -156,7 +151,6 @@ class Page:
             self.panel.policies.options = policies
 
     def _show(self) -> None:
-        """Whatever it is time for."""
         if self._now(_FRAME):
             self.stage.draw(self.live, self.traces)
         if self._now(_PLOT) and self.playing:

@@ -84,7 +84,6 @@ class Panel:
         return np.array([_within(slider) for slider in self.command])
 
     def plot(self, traces: Traces) -> None:
-        """Show the last seconds."""
         count = len(self._speed.data)
         self._speed.data = traces.speed[:count]
         self._footfalls.data = traces.footfalls
@@ -118,11 +117,11 @@ class Panel:
             stop = self._gui.add_button("Stop (space)")
         for slider in sliders:
             self._when(slider.on_update, lambda _: actions.command())
-        self._when(stop.on_click, lambda _: self._set_command(sliders, [0.0, 0.0, 0.0]))
+        self._when(stop.on_click, lambda _: self._set_command(0.0, 0.0, 0.0))
         return sliders
 
-    def _set_command(self, sliders: list[Any], values: Sequence[float]) -> None:
-        for slider, value in zip(sliders, values, strict=True):
+    def _set_command(self, *values: float) -> None:
+        for slider, value in zip(self.command, values, strict=True):
             slider.value = round(float(np.clip(value, slider.min, slider.max)), 2)
 
     def _add_push(self, actions: Actions) -> None:
@@ -216,7 +215,7 @@ class Panel:
             end = slider.max if sign > 0 else -slider.min
             values = list(self.commanded())
             values[index] += sign * max(end, 0.1) / _PRESSES
-            self._set_command(self.command, values)
+            self._set_command(*values)
 
         for index in range(len(self.command)):
             for key, sign in zip(_KEYS[index], (1, -1), strict=True):
@@ -228,12 +227,9 @@ class Panel:
         self._key("reset", "R", actions.reset)
         self._key("push to the left", "P", lambda: self._push("left"))
         if self.command:
-            self._key("stop", "space", lambda: self._set_command(self.command, [0.0, 0.0, 0.0]))
-            self._key("gallop", "W", self._gallop, "shift")
-
-    def _gallop(self) -> None:
-        """Straight ahead, as fast as the command goes."""
-        self._set_command(self.command, [self.command[0].max, 0.0, 0.0])
+            self._key("stop", "space", lambda: self._set_command(0.0, 0.0, 0.0))
+            fastest = self.command[0].max  # straight ahead
+            self._key("gallop", "W", lambda: self._set_command(fastest, 0.0, 0.0), "shift")
 
     def _when(self, register: Callable[..., Any], action: Callable[[Any], None]) -> None:
         """Have `action` called with the value of a control that `register` listens to."""

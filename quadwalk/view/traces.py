@@ -22,7 +22,6 @@ class Traces:
         self._places: deque[np.ndarray] = deque(maxlen=round(path_seconds / dt))
 
     def clear(self) -> None:
-        """Forget all of it."""
         self._rows.clear()
         self._places.clear()
 
