@@ -19,13 +19,6 @@ from typing import Any, TextIO, cast
 import rich.progress
 from rich.columns import Columns
 from rich.console import Console, RenderableType
-from rich.progress import (
-    BarColumn,
-    SpinnerColumn,
-    TaskProgressColumn,
-    TextColumn,
-    TimeElapsedColumn,
-)
 from rich.text import Text
 
 from quadwalk.train.progress.text import duration, number, percent, quantity, sparkline, spent
@@ -161,13 +154,13 @@ class _View(rich.progress.Progress):
         self.metrics: dict[str, float] = {}
         self.speeds: list[float] = []
         self.pace = ""
-        self._mark = SpinnerColumn()
+        self._mark = rich.progress.SpinnerColumn()
         super().__init__(
             self._mark,
-            TextColumn("[bold]{task.description}"),
-            BarColumn(),
-            TaskProgressColumn(),
-            TimeElapsedColumn(),
+            rich.progress.TextColumn("[bold]{task.description}"),
+            rich.progress.BarColumn(),
+            rich.progress.TaskProgressColumn(),
+            rich.progress.TimeElapsedColumn(),
             console=Console(file=stream, highlight=False),
             refresh_per_second=_FRAMES_PER_SECOND,
             get_time=time.monotonic,
