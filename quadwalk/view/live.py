@@ -1,7 +1,6 @@
 """A robot that lives: its policy and MuJoCo C, a control step at a time, changed while it runs."""
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -73,7 +72,7 @@ class _Mind:
 
     def __init__(self, loaded: LoadedRun) -> None:
         self.env, self.policy = loaded.env, loaded.policy
-        self.think = _compiled(self.env)
+        self.think = jit(self.env, _think, compiler_options=_OPTIONS)
         earlier = max(part.history for part in self.env.config.observation.values())
         size = self.env.sensors.noise_scale.size
         # Room for what was measured in earlier control steps; None if the policy sees only one.
@@ -281,24 +280,19 @@ def _number(value: Any, kind: Any = np.float32) -> Any:
     return np.asarray(value, kind)
 
 
-def _compiled(env: QuadrupedEnv) -> Callable[[Policy, EnvState], tuple[Any, Any, Any, Any]]:
+def _think(env: QuadrupedEnv, policy: Policy, state: EnvState) -> tuple[Any, Any, Any, Any]:
     """What happens in a control step before the physics, from the task's own functions.
 
-    Policy and state to: the frames and joint targets to be kept, the action, and the joint
-    targets (substeps, 12) obeyed in each physics step, rad.
+    The frames and joint targets to be kept, the action, and the joint targets (substeps, 12)
+    obeyed in each physics step, rad.
     """
-
-    def think(env: QuadrupedEnv, policy: Policy, state: EnvState) -> tuple[Any, Any, Any, Any]:
-        state = env.sensors.measured(state)
-        if state.frames is not None:
-            before = jnp.where(state.steps == 0, state.frames[:1], state.frames)
-            state = state._replace(frames=before)
-        assert state.conditions is not None
-        action = policy(env.sensors.observation(state))
-        target = env.config.action(env.robot, action, state.qpos[7:])
-        conditions, applied_target = delayed(
-            state.conditions, target, env.stepping.substeps, state.steps
-        )
-        return state.frames, conditions.targets, action, applied_target
-
-    return jit(env, think, compiler_options=_OPTIONS)
+    state = env.sensors.measured(state)
+    if state.frames is not None:
+        before = jnp.where(state.steps == 0, state.frames[:1], state.frames)
+        state = state._replace(frames=before)
+    assert state.conditions is not None
+    action = policy(env.sensors.observation(state))
+    target = env.config.action(env.robot, action, state.qpos[7:])
+    substeps = env.stepping.substeps
+    conditions, applied_target = delayed(state.conditions, target, substeps, state.steps)
+    return state.frames, conditions.targets, action, applied_target
