@@ -40,9 +40,8 @@ def export_run(
 ) -> list[Path]:
     """Write the "last" or "best" policy of `run` to the folder `out`; return the files.
 
-    The last policy of `getup` gets its robot up; run_policy.py hands over to it and back. What is
-    done is said on `console`. Raises `UserError` where a policy cannot be read or exported, or
-    `out` not written.
+    The last policy of `getup` gets its robot up; run_policy.py hands over to it and back. Raises
+    `UserError` where a policy cannot be read or exported, or `out` not written.
     """
     loaded = load_flat(run, which)
     env, (model, targets) = loaded.env, as_onnx(loaded, console)

@@ -95,9 +95,8 @@ class Board:
         each = sum(line.total for line in self._lines.values()) / max(1, len(self._lines))
         left = sum(line.left for line in going) + each * states["waiting"]
         time_left = duration(left / rate if rate else math.nan)
-        parts = [f"{count} {state}" for state, count in sorted(states.items()) if count]
-        done = f"{states['done']} of {self._count} done"
-        others = ", ".join(part for part in parts if not part.endswith(" done"))
+        done = f"{states.pop('done', 0)} of {self._count} done"
+        others = ", ".join(f"{count} {state}" for state, count in sorted(states.items()) if count)
         parts = [done, *[others] * bool(others), f"{quantity(rate)} steps/s", f"{time_left} left"]
         return Text("  ".join(parts))
 

@@ -26,11 +26,7 @@ def standing_run(loaded: LoadedRun) -> LoadedRun:
 def measure_standing(
     loaded: LoadedRun, episodes: int, seed: int, report: Report | None = None
 ) -> dict[str, Any]:
-    """The share that stands after `SECONDS` under several conditions, as plain values for JSON.
-
-    `loaded` is by `standing_run`. `episodes` from the same starts under each condition. success:
-    the share that stands after 3 s.
-    """
+    """Shares of a `standing_run` that stand after `SECONDS`, by condition; success: after 3 s."""
     env = loaded.env
     points = standing_points(env)
     starts = starts_at(env, list(points.values()), episodes, seed)

@@ -51,8 +51,7 @@ def write_mcap(
     `metadata` becomes the record named `quadwalk`; a record `episode` comes from the rollout. The
     URDF and the Foxglove layout are attached, and `attachments` (name -> content) beside them,
     large ones as NAME.gz. A rollout whose state stops being finite is written up to there, with
-    the event in `/log`.
-    Raises `UserError` where the file cannot be written, leaving an older one as it was.
+    the event in `/log`. Raises `UserError` where the file cannot be written.
     """
     attached = {
         f"{quadruped.name}.urdf": quadruped.urdf.encode(),

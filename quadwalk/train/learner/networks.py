@@ -372,10 +372,8 @@ def mean_policy(
 ) -> Callable[[jax.Array], jax.Array]:
     """The deterministic policy of plain `params`: observation (..., n) to action (..., 12).
 
-    Of an observation it takes the first numbers, those that the policy sees.
-
-    It is a pytree of its weights, so that a jitted function can take it as an argument, and what
-    was compiled for one policy serves for the next.
+    Of an observation it takes the first numbers, those that the policy sees. It is a pytree of its
+    weights, an argument of jitted functions: what was compiled for one policy serves for the next.
     """
     return jax.tree_util.Partial(_acting(activation), normalizer, params)
 

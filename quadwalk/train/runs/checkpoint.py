@@ -50,8 +50,7 @@ def save(path: Path | str, tree: Any, metadata: dict[str, Any]) -> None:
 
     `tree` is any JAX pytree whose leaves are real, integer, boolean or complex arrays or numbers
     (random keys as raw uint32). `metadata` is JSON data and names the "kind" of file, one of
-    `KINDS`. Raises `UserError` when the system refuses (no space, no permission); an older file at
-    `path` is then untouched.
+    `KINDS`. Raises `UserError` when the system refuses (no space, no permission).
     """
     if metadata.get("kind") not in KINDS:
         raise ValueError(f"metadata['kind'] is {metadata.get('kind')!r}, expected one of {KINDS}")
