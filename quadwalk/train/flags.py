@@ -3,6 +3,7 @@
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from quadwalk.command.line import parse, taken, value_of
 from quadwalk.errors import UsageError
@@ -70,10 +71,11 @@ def parse_config(args: Sequence[str], prog: str = "train.py") -> tuple[TrainConf
         default = resumed_config(previous)
     else:
         default = load_task("run" if task is None else task)
+    shared: Any = {f.name: getattr(default, f.name) for f in dataclasses.fields(TrainConfig)}
     description = f"{TrainFlags.__doc__}\n\n{task_list()}"
-    start = TrainFlags(**vars(default), resume=which)
+    start = TrainFlags(**shared, resume=which)
     flags = parse(TrainFlags, args, prog, start, description, "--help-all")
-    config = TrainConfig(**{name: getattr(flags, name) for name in vars(default)})
+    config = TrainConfig(**{name: getattr(flags, name) for name in shared})
     world, usual = config.env.randomization, default.env.randomization
     if not world.enabled and dataclasses.replace(world, enabled=usual.enabled) != usual:
         raise UsageError("flags of --env.randomization need --env.randomization.enabled as well")
