@@ -12,25 +12,16 @@ from quadwalk.drawing.raycast import RayPainter
 
 @dataclass(frozen=True)
 class Camera:
-    """A view of the world.
+    """A view of the world, with MuJoCo's angles of the line of sight, degrees."""
 
-    Attributes:
-        lookat: (3,) m, what is in the middle of the picture.
-        distance: m, from there to the eye.
-        azimuth, elevation: degrees, MuJoCo's angles of the line of sight.
-    """
-
-    lookat: tuple[float, ...] | np.ndarray
-    distance: float
+    lookat: tuple[float, ...] | np.ndarray  # (3,) m, what is in the middle of the picture
+    distance: float  # m, from there to the eye
     azimuth: float
     elevation: float
 
 
 class Canvas:
-    """Draws poses of `model` as pictures of `width` by `height` pixels, with its visual shapes.
-
-    `library` names what draws: a GL library, if `working_library` finds one, or else "rays".
-    """
+    """Draws poses of `model` as pictures of `width` by `height` pixels, with its visual shapes."""
 
     def __init__(self, model: mujoco.MjModel, width: int, height: int) -> None:
         self._model, self._data = model, mujoco.MjData(model)
@@ -44,7 +35,7 @@ class Canvas:
         else:
             self._painter = GlPainter(model, width, height, library)
             weakref.finalize(self, self._painter.close)
-        self.library = library or "rays"
+        self.library = library or "rays"  # what draws
 
     def draw(self, qpos: np.ndarray, camera: Camera) -> np.ndarray:
         """(height, width, 3) uint8 picture of the pose `qpos` (nq,)."""
@@ -64,10 +55,7 @@ class Canvas:
 
 
 def render_home(model: mujoco.MjModel, width: int = 1280, height: int = 800) -> np.ndarray:
-    """(height, width, 3) uint8 picture of the keyframe `home`, seen from ahead and above.
-
-    `model` has its visual shapes; `width` and `height` are in pixels.
-    """
+    """(height, width, 3) uint8 picture of the pose `home` of a model with its visual shapes."""
     home = model.key("home").qpos
     data = mujoco.MjData(model)
     data.qpos[:] = home

@@ -15,10 +15,7 @@ INK = "#22262b"
 
 
 def save_figure(figure: Figure, path: str | Path) -> None:
-    """Write a figure as PNG; the same figure gives the same bytes.
-
-    Raises `UserError` where the file cannot be written.
-    """
+    """Write a figure as PNG, the same bytes for the same figure; `UserError` if that cannot be."""
     with atomic_write(path) as file:
         _draw(figure, file)
 

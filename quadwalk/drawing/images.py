@@ -20,10 +20,7 @@ _GAP = 4  # pixels between the pictures of a strip
 
 
 def save_png(pixels: np.ndarray, path: str | Path) -> None:
-    """Write (height, width, 3) uint8 pixels, the same bytes for the same pixels.
-
-    Raises `UserError` where the file cannot be written.
-    """
+    """Write (height, width, 3) uint8 as PNG, always the same bytes, or raise a `UserError`."""
     with atomic_write(path) as file:
         Image.fromarray(pixels).save(file, format="PNG", optimize=True)
 
@@ -41,11 +38,7 @@ def film_strip(pictures: list[np.ndarray], across: int) -> np.ndarray:
 
 
 def save_video(pictures: Iterable[np.ndarray], path: str | Path, fps: float = FPS) -> None:
-    """Write pictures (height, width, 3) of one size, `fps` a second: MP4 if `path` ends so, or GIF.
-
-    An MP4 needs ffmpeg on the PATH or the package imageio-ffmpeg. Raises `UserError` where that is
-    missing or the file cannot be written.
-    """
+    """Write pictures (height, width, 3), `fps` a second: MP4 if `path` ends so, or GIF."""
     if Path(path).suffix.lower() == ".mp4":
         _save_mp4(iter(pictures), path, fps)
     else:

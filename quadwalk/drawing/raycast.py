@@ -119,7 +119,6 @@ class _Field:
         mujoco.mj_kinematics(self._model, self._data)
 
     def cast(self, origin: np.ndarray, ray: np.ndarray) -> tuple[np.ndarray, ...]:
-        """As `_met`."""
         return _met(self._model, self._data, origin, ray, None)
 
 

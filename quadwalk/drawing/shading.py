@@ -19,21 +19,13 @@ _DOWN = np.array([(1, -1), (1, -1), (2, 1), (2, -1), (1, -1), (1, -1)])
 
 @dataclass(frozen=True)
 class Hits:
-    """What n rays from the eye meet first, in world axes.
+    """What n rays from the eye meet first, in world axes."""
 
-    Attributes:
-        eye: (3,) m.
-        ray: (n, 3) unit vectors from the eye.
-        geom: (n,) ids; -1 for the sky.
-        distance: (n,) m from the eye.
-        normal: (n, 3) unit vectors, out of the surfaces toward the eye.
-    """
-
-    eye: np.ndarray
-    ray: np.ndarray
-    geom: np.ndarray
-    distance: np.ndarray
-    normal: np.ndarray
+    eye: np.ndarray  # (3,) m
+    ray: np.ndarray  # (n, 3) unit vectors from the eye
+    geom: np.ndarray  # (n,) ids; -1 for the sky
+    distance: np.ndarray  # (n,) m from the eye
+    normal: np.ndarray  # (n, 3) unit vectors, out of the surfaces toward the eye
 
     @property
     def point(self) -> np.ndarray:
@@ -42,11 +34,7 @@ class Hits:
 
 
 class Texture:
-    """A picture and all its halvings, so that what is far away shows its mean colors.
-
-    Args:
-        pixels: (height, width, 3) uint8.
-    """
+    """A picture (height, width, 3), uint8, and all its halvings: far away its mean colors show."""
 
     def __init__(self, pixels: np.ndarray) -> None:
         levels = [Image.fromarray(pixels)]
@@ -86,8 +74,6 @@ class Texture:
 
 
 class Shader:
-    """Colors what rays meet of one model."""
-
     def __init__(self, model: mujoco.MjModel) -> None:
         self._model = model
         made = np.flatnonzero(model.geom_matid >= 0)
@@ -109,14 +95,10 @@ class Shader:
         lit: dict[int, np.ndarray],
         pixel: float,
     ) -> np.ndarray:
-        """Colors (n, 3) in 0 .. 1.
+        """Colors (n, 3) in 0 .. 1 of `hits`, by directional lights alone.
 
-        Args:
-            data: has the poses of the geoms.
-            scene: has their materials and the lights, of which the directional ones are used.
-            hits: what is to be colored.
-            lit: by index of each light that casts shadows, whether it reaches each hit, (n,) bool.
-            pixel: its width, m at 1 m from the eye.
+        `lit` has, by index of each light that casts shadows, whether it reaches each hit, (n,)
+        bool; `pixel` is a pixel's width, m at 1 m from the eye.
         """
         color = self._lighting(scene, hits, lit)
         for index, texture in self._textures.items():

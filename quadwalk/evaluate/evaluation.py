@@ -1,7 +1,6 @@
 """A run's policy rolled out and measured: what the command writes down, and a notebook looks at."""
 
 import json
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -86,8 +85,8 @@ class Evaluation:
         """Write the first `episodes`, by default all, as MCAP files for Rerun or Foxglove."""
         folder = Path(folder)
         folder.mkdir(parents=True, exist_ok=True)
-        metadata = _as_text(self.origin)
-        metadata["config"] = json.dumps(to_dict(self.loaded.policy.config))
+        about = {**self.origin, "config": to_dict(self.loaded.policy.config)}
+        metadata = {k: v if isinstance(v, str) else json.dumps(v) for k, v in about.items()}
         attached = attachments(self.loaded)
         written = []
         for rollout in self.rollouts[:episodes]:
@@ -122,7 +121,3 @@ def measure(
         if whole is None or episodes <= GROUP or rollout.episode < whole:
             found.rollouts.append(rollout)
     return found
-
-
-def _as_text(values: Mapping[str, Any]) -> dict[str, str]:
-    return {k: v if isinstance(v, str) else json.dumps(v) for k, v in values.items()}

@@ -14,49 +14,26 @@ from quadwalk.command.shell import words
 from quadwalk.drawing.figures import save_figure
 from quadwalk.drawing.images import save_png
 from quadwalk.evaluate.evaluation import Evaluation, measure
+from quadwalk.evaluate.grids import steering
 from quadwalk.evaluate.grids.by_ground import measure_by_ground
 from quadwalk.evaluate.grids.standing import measure_standing, standing_run
-from quadwalk.evaluate.grids.steering import (
-    changing_run,
-    measure_changing,
-    measure_steering,
-    steering_run,
-)
 from quadwalk.evaluate.grids.sweep import measure_sweeps, sweep_points
 from quadwalk.evaluate.loaded import LoadedRun
 from quadwalk.evaluate.options import EvalConfig
 from quadwalk.evaluate.recording.provenance import provenance
-from quadwalk.evaluate.report.console import (
-    describe_gait,
-    print_by_ground,
-    print_comparison,
-    print_engines,
-    print_standing,
-    print_steering,
-    print_summary,
-    print_sweep,
-    simulating,
-)
-from quadwalk.evaluate.report.panels import (
-    draw_by_ground,
-    draw_comparison,
-    draw_steering,
-    draw_sweep,
-)
+from quadwalk.evaluate.report import console as tables
+from quadwalk.evaluate.report import panels
 from quadwalk.evaluate.report.pictures import draw_film_strip, render_video
 from quadwalk.evaluate.summary import engine_differences
 from quadwalk.train.runs.directory import write_json_atomic
 
 
 def judge(loaded: LoadedRun, config: EvalConfig, out: Path, console: Console) -> dict[str, Any]:
-    """Evaluate one run into the folder `out`; return what its metrics.json holds.
-
-    The result is printed on standard output, what is being done on `console`.
-    """
+    """Evaluate one run into the folder `out`, and print it; return what its metrics.json holds."""
     name = loaded.run.name
     found = _evaluation(loaded, config, console)
     steps = f"{loaded.policy.steps:,} steps of training"
-    print_summary(found.summary, f"{name}, {steps}, engine {config.engine}")
+    tables.print_summary(found.summary, f"{name}, {steps}, engine {config.engine}")
     with console.status("looking closely at the episode of median speed"):
         results = dict(found.results)
     # On uneven ground MJX takes longer to compile than all else takes together.
@@ -64,8 +41,8 @@ def judge(loaded: LoadedRun, config: EvalConfig, out: Path, console: Console) ->
         other = _evaluation(loaded.in_engine("mjx"), config, console).summary
         results["mjx_summary"] = other
         results["difference_to_mjx"] = engine_differences(other, found.summary)
-        print_engines(other, found.summary)
-    print(describe_gait(found.gait, found.typical.episode))
+        tables.print_engines(other, found.summary)
+    print(tables.describe_gait(found.gait, found.typical.episode))
     written = ["metrics.json"]
     if config.cell_episodes:
         written += _in_cells(loaded, config, out, console, results)
@@ -95,20 +72,20 @@ def _in_cells(
         measure = partial(measure_by_ground, levels=config.levels)
         ground = measured("on each kind of ground", loaded, measure, cell)
         results["ground"] = ground
-        print_by_ground(ground)
-        figure, file = draw_by_ground(ground, f"{name}, {config.engine}"), "ground.png"
+        tables.print_by_ground(ground)
+        figure, file = panels.draw_by_ground(ground, f"{name}, {config.engine}"), "ground.png"
     elif env.reset.tumbled:
         standing = measured("of each condition", standing_run(loaded), measure_standing, cell)
         results["standing"] = standing
-        print_standing(standing)
+        tables.print_standing(standing)
         return []
     elif env.command.turning is not None:
-        driven, long = steering_run(loaded), changing_run(loaded)
-        steering = measured("of each command", driven, measure_steering, max(cell // 4, 1))
-        changing = measured("of changing commands", long, measure_changing, 16 * cell)
-        results["steering"] = steering | {"changing": changing}
-        print_steering(results["steering"])
-        figure, file = draw_steering(results["steering"], name), "steering.png"
+        driven, long = steering.steering_run(loaded), steering.changing_run(loaded)
+        held = measured("of each command", driven, steering.measure_steering, max(cell // 4, 1))
+        changing = measured("of changing commands", long, steering.measure_changing, 16 * cell)
+        results["steering"] = held | {"changing": changing}
+        tables.print_steering(results["steering"])
+        figure, file = panels.draw_steering(results["steering"], name), "steering.png"
     else:
         return []
     save_figure(figure, out / file)
@@ -122,19 +99,16 @@ def compare(
     out: Path,
     console: Console,
 ) -> dict[str, Any]:
-    """Print and write the comparison of runs called `labels`; return what comparison.json holds.
-
-    `results` are their metrics, as `judge` returns them, which it has written to `folders`.
-    """
+    """Print and write the comparison of the runs that `judge` wrote to `folders`; its JSON data."""
     own = ("training_steps", "policy_sha256", "summary", "typical_episode")
     comparison = {name: results[0][name] for name in ("engine", "seed", "seconds", "revision")}
     comparison["runs"] = [
         {"name": label, "folder": str(folder), **{name: result[name] for name in own}}
         for label, folder, result in zip(labels, folders, results, strict=True)
     ]
-    print_comparison(labels, results)
+    tables.print_comparison(labels, results)
     write_json_atomic(out / "comparison.json", comparison)
-    save_figure(draw_comparison(labels, results), out / "comparison.png")
+    save_figure(panels.draw_comparison(labels, results), out / "comparison.png")
     console.print(f"written to {out}: comparison.json, comparison.png")
     return comparison
 
@@ -145,9 +119,9 @@ def sweep(loaded: LoadedRun, config: EvalConfig, out: Path, console: Console) ->
     with _progress(loaded, f"{count} x {config.episodes} episodes", console) as report:
         swept = measure_sweeps(loaded, config.episodes, config.seed, report)
     results = {**provenance(loaded, config.seed), **swept}
-    print_sweep(results)
+    tables.print_sweep(results)
     write_json_atomic(out / "sweep.json", results)
-    save_figure(draw_sweep([results]), out / "sweep.png")
+    save_figure(panels.draw_sweep([results]), out / "sweep.png")
     console.print(f"written to {out}: sweep.json, sweep.png")
     return results
 
@@ -156,7 +130,7 @@ def compare_sweeps(labels: list[str], results: list[dict[str, Any]], out: Path) 
     """Draw and write the sweeps of runs called `labels` together; what comparison.json holds."""
     named = [{**result, "run": label} for label, result in zip(labels, results, strict=True)]
     write_json_atomic(out / "comparison.json", {"runs": named})
-    save_figure(draw_sweep(named), out / "sweep.png")
+    save_figure(panels.draw_sweep(named), out / "sweep.png")
     return {"runs": named}
 
 
@@ -165,7 +139,7 @@ def _progress(
 ) -> contextlib.AbstractContextManager[Callable[[int], None]]:
     env = loaded.env
     what = f"simulating {what} in {env.engine}"
-    return simulating(console, what, env.config.episode_steps, env.config.control_dt)
+    return tables.simulating(console, what, env.config.episode_steps, env.config.control_dt)
 
 
 def _evaluation(loaded: LoadedRun, config: EvalConfig, console: Console) -> Evaluation:
@@ -185,8 +159,8 @@ def _write_pictures(found: Evaluation, config: EvalConfig, out: Path) -> list[st
     quadruped = found.loaded.env.quadruped
     save_figure(found.report(), out / "report.png")
     save_png(draw_film_strip(found.typical, quadruped), out / "film_strip.png")
-    if config.video == "none":
-        return ["report.png", "film_strip.png"]
-    video = f"episode.{config.video}"
-    render_video(found.typical, quadruped, out / video)
-    return ["report.png", "film_strip.png", video]
+    written = ["report.png", "film_strip.png"]
+    if config.video != "none":
+        written.append(f"episode.{config.video}")
+        render_video(found.typical, quadruped, out / written[-1])
+    return written

@@ -44,7 +44,6 @@ class LoadedRun:
         return dataclasses.replace(self, env=env)
 
     def in_engine(self, engine: EngineName) -> "LoadedRun":
-        """The same in another engine."""
         return dataclasses.replace(self, env=self.env.in_engine(engine))
 
     def same_robot(self, other: "LoadedRun") -> bool:
@@ -69,10 +68,7 @@ def evaluation_ranges(config: EnvConfig, enabled: bool) -> RandomizationConfig:
 
 
 def unseen_ground(trained: GroundConfig, seed: int, levels: int = 3) -> GroundConfig:
-    """Ground of the kinds trained on, made by `seed` from numbers that training never draws.
-
-    Each kind counts once, at `levels` difficulties. A flat floor or a field from a file stays.
-    """
+    """The kinds of ground trained on, once each, anew by `seed`; flat or of a file it stays."""
     if trained.flat or trained.file is not None:
         return dataclasses.replace(trained, curriculum=False)
     kinds = tuple(dict.fromkeys(trained.kinds))

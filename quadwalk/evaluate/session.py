@@ -10,13 +10,8 @@ from quadwalk.command.line import message_console
 from quadwalk.errors import UsageError, UserError
 from quadwalk.evaluate.options import EvalConfig
 from quadwalk.files import os_reason
-from quadwalk.train.runs.directory import (
-    Run,
-    find_ready,
-    numbered,
-    origin_of,
-    results_folder,
-)
+from quadwalk.train.runs import directory
+from quadwalk.train.runs.directory import Run
 
 
 def evaluate_runs(config: EvalConfig) -> dict[str, Any]:
@@ -26,7 +21,9 @@ def evaluate_runs(config: EvalConfig) -> dict[str, Any]:
         outs, together = _make_outputs(config, runs, made)
         # On stderr: what is printed on stdout is the result alone.
         console = message_console()
-        console.print(f"evaluating {', '.join(origin_of(config.runs, run) for run in runs)}")
+        console.print(
+            f"evaluating {', '.join(directory.origin_of(config.runs, run) for run in runs)}"
+        )
 
         # All of these late, since they take seconds.
         from quadwalk.train.devices import set_up_devices
@@ -51,7 +48,7 @@ def _find_runs(config: EvalConfig) -> list[Run]:
     """The runs that are named; `UsageError` for one that is not there, or named twice."""
     runs: list[Run] = []
     for which in config.run:
-        run = find_ready(config.runs, which, "run")
+        run = directory.find_ready(config.runs, which, "run")
         for other, called in zip(runs, config.run, strict=False):
             if other.path.resolve() == run.path.resolve():
                 raise UsageError(
@@ -80,7 +77,7 @@ def _make_outputs(
         return [_make_folder(together / label, made, new=False) for label in labels], together
     what = "sweep" if config.sweep else config.engine
     name = f"{datetime.datetime.now():%Y-%m-%d_%H%M%S}-{what}"
-    places = [results_folder(config.runs, run) / "eval" for run in runs]
+    places = [directory.results_folder(config.runs, run) / "eval" for run in runs]
     if len(runs) > 1:
         places.append(config.runs / "comparisons")
     folders = [_make_folder(place / name, made) for place in places]
@@ -95,7 +92,7 @@ def _make_folder(folder: Path, made: contextlib.ExitStack, new: bool = True) -> 
     missing = [path for path in folder.parents if not path.exists()]
     try:
         if new:
-            folder = next(filter(_is_made, map(folder.with_name, numbered(folder.name))))
+            folder = next(filter(_is_made, map(folder.with_name, directory.numbered(folder.name))))
         if new or _is_made(folder):
             missing.insert(0, folder)
         for path in reversed(missing):

@@ -101,10 +101,7 @@ def _rows(tree: Any, rows: Any) -> Any:
 def fresh_starts(
     env: QuadrupedEnv, episodes: int, seed: int, tiles: np.ndarray | None = None
 ) -> State:
-    """The batched `State` of `episodes` fresh episodes, the same for the same seed.
-
-    `tiles` (episodes,) are the indices of the terrain's tiles that they begin on; None: any.
-    """
+    """The batched `State` of fresh episodes, by `seed`, on tiles numbered `tiles` (episodes,)."""
     keys = jax.random.split(jax.random.PRNGKey(seed), episodes)
     on = () if tiles is None else (jnp.asarray(tiles),)
     start: State = jit(env, lambda env, *of: jax.vmap(env.reset)(*of))(keys, *on)
@@ -134,13 +131,10 @@ def simulate_episodes(
     only: int | None = None,
     starts: State | None = None,
 ) -> Iterator[Rollout]:
-    """Record `policy` from `episodes` starts, until each ends.
+    """Record `policy` from `episodes` starts, until each ends, in order of their numbers.
 
-    `starts` (episodes, ...) are by default the fresh ones of `seed`.
-
-    In order of their numbers; `only`: the one of that number. Up to `GROUP` go at a time, so that
-    whoever lets go of rollouts needs no more memory for more of them. No rollout has its foot
-    forces.
+    `starts` (episodes, ...) are by default the fresh ones of `seed`; `only` is the number of one.
+    At most `GROUP` are in memory, if rollouts are let go. None has its foot forces.
     """
     starts = fresh_starts(env, episodes, seed) if starts is None else starts
     # In a batch of the same size it goes as it went.

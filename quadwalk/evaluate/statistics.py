@@ -14,10 +14,7 @@ def number(value: float) -> float | None:
 
 
 def mean_interval(values: Sequence[float] | np.ndarray) -> tuple[float, float | None]:
-    """The mean, and half the width of its 95 % confidence interval by Student's t.
-
-    None in its place for a single value. Values must be there and finite.
-    """
+    """The mean of finite values, and half its 95 % interval by Student's t; None for one alone."""
     mean, freedom = float(np.mean(values)), len(values) - 1
     if not freedom:
         return mean, None

@@ -22,8 +22,6 @@ from quadwalk.settings.terms import Reward
 
 
 class Figure(NamedTuple):
-    """A figure of an episode."""
-
     name: str  # in metrics.json
     heading: str  # in tables
     unit: str

@@ -39,7 +39,6 @@ class ExportConfig:
 
 
 def main(args: Sequence[str] | None = None, prog: str = "quadwalk export") -> None:
-    """Parse the command line and export."""
     config = parse(ExportConfig, sys.argv[1:] if args is None else args, prog)
     run = find_ready(config.runs, config.run, "run")
     console = message_console()

@@ -40,9 +40,8 @@ def export_run(
 ) -> list[Path]:
     """Write the "last" or "best" policy of `run` to the folder `out`; return the files.
 
-    The last policy of `getup` gets its robot up; run_policy.py hands over to it and back. What is
-    done is said on `console`. Raises `UserError` where a policy cannot be read or exported, or
-    `out` not written.
+    The last policy of `getup` gets its robot up; run_policy.py hands over to it and back. Raises
+    `UserError` where a policy cannot be read or exported, or `out` not written.
     """
     loaded = load_flat(run, which)
     env, (model, targets) = loaded.env, as_onnx(loaded, console)
@@ -84,10 +83,7 @@ def as_onnx(loaded: LoadedRun, console: Console) -> tuple[onnx.ModelProto, Joint
 
 
 def largest_difference(model: onnx.ModelProto, loaded: LoadedRun, targets: JointTargets) -> float:
-    """Between the model in ONNX Runtime and the policy and action map in JAX.
-
-    Of actions, and of joint targets in rad, on random observations as wide as those of training.
-    """
+    """Of actions and joint targets, rad, in ONNX Runtime and JAX, for random observations."""
     env = loaded.env
     normalizer, _ = loaded.policy.act.args  # type: ignore[attr-defined]
     rng = np.random.default_rng(0)

@@ -125,10 +125,7 @@ def read_recording(file: Path, loaded: LoadedRun) -> dict[str, np.ndarray]:
 
 
 def stages(loaded: LoadedRun, columns: dict[str, np.ndarray]) -> list[Stage]:
-    """Each stage of the recorded steps, beside what the environment makes of the stage before it.
-
-    So that a difference shows where it arises, and nowhere after.
-    """
+    """Each stage beside what the environment makes of the recorded one before: where it differs."""
     env, names = loaded.env, ("qpos", "qvel", "obs", "action", "target")
     qpos, qvel, obs, action, target = (columns[name] for name in names)
     joints, order = list(env.quadruped.joints), input_order(env)
@@ -185,10 +182,8 @@ def observed(env: QuadrupedEnv, columns: dict[str, np.ndarray]) -> np.ndarray:
 def stepped(
     env: QuadrupedEnv, qpos: np.ndarray, qvel: np.ndarray, target: np.ndarray
 ) -> np.ndarray:
-    """(3, T, 37) qpos and qvel after a control step from each state with each target.
-
-    Also from a `HAIR` higher and lower: a foot may touch the floor in the last digit.
-    """
+    """(3, T, 37) qpos and qvel after a control step from each state with each target."""
+    # Also from a `HAIR` higher and lower: a foot may touch the floor in the last digit.
 
     def step(state: PhysicsState, target: jax.Array) -> PhysicsState:
         return ENGINES[env.engine].control_step(env.model, env.stepping, state, target)[0]
@@ -202,7 +197,8 @@ def stepped(
 
 def first_difference(found: list[Stage]) -> str:
     """A clause that names the first number that is off, step by step and stage by stage; or ""."""
-    places = [(int(k), i) for i, stage in enumerate(found) for k in off_steps(stage)[:1]]
+    off = [np.flatnonzero((stage.excess > 1.0).any(axis=1)) for stage in found]
+    places = [(int(steps[0]), which) for which, steps in enumerate(off) if len(steps)]
     if not places:
         return ""
     step, which = min(places)
@@ -212,8 +208,3 @@ def first_difference(found: list[Stage]) -> str:
         f"the first difference is in step {step}, {stage.name}, {stage.labels[number]}: "
         f"{stage.found[step, number]:.6g}; expected {stage.expected[step, number]:.6g}"
     )
-
-
-def off_steps(stage: Stage) -> np.ndarray:
-    """The steps in which any number of a stage is off."""
-    return np.flatnonzero((stage.excess > 1.0).any(axis=1))

@@ -26,10 +26,7 @@ _NAMES = {
 
 
 def deploy_config(env: QuadrupedEnv, targets: JointTargets) -> dict[str, Any]:
-    """The content of deploy.yaml.
-
-    `stiffness` and `damping` are in the order of Unitree's motors, all else in the policy's.
-    """
+    """The content of deploy.yaml; gains are in the order of Unitree's motors, not the policy's."""
     config, motor = env.config, env.motor
     joint_ids = [
         3 * SDK_LEGS.index(leg) + joint for leg in env.quadruped.legs for joint in range(3)

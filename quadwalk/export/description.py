@@ -10,7 +10,6 @@ import numpy as np
 from quadwalk.evaluate.loaded import LoadedRun
 from quadwalk.export.joint_targets import JointTargets
 from quadwalk.settings.environment import COMMANDED
-from quadwalk.task.env import QuadrupedEnv
 from quadwalk.task.episode.reset import nominal_start
 from quadwalk.task_files import reference
 
@@ -27,15 +26,17 @@ def describe(loaded: LoadedRun, targets: JointTargets) -> dict[str, str]:
     all that `run_policy.py` and another simulator need.
     """
     env, policy = loaded.env, loaded.policy
-    config, motor = env.config, env.motor
+    config, motor, command = env.config, env.motor, env.config.command
     parts = config.observation
+    # Of the command's numbers together.
+    limits = {name: getattr(command, name) for name in ("lateral_until", "turning")}
     return {
         "run_path": loaded.run.name,
         "joint_names": _listed(env.quadruped.joints),
         "joint_stiffness": _joints(motor.kp),
         "joint_damping": _joints(motor.kd),
         "default_joint_pos": _joints(env.robot.home_joints),
-        "command_names": "velocity" if config.command.given else "",
+        "command_names": "velocity" if command.given else "",
         "observation_names": _listed(parts),
         "action_scale": _joints(targets.scale),
         "action_offset": _joints(targets.offset),
@@ -47,12 +48,14 @@ def describe(loaded: LoadedRun, targets: JointTargets) -> dict[str, str]:
         "observation_functions": _listed(reference(part.function) for part in parts.values()),
         "observation_params": json.dumps({name: part.params or {} for name, part in parts.items()}),
         "observation_meaning": json.dumps(
-            {name: _first_line(part.function) for name, part in parts.items()}
+            {n: (part.function.__doc__ or "").partition("\n")[0] for n, part in parts.items()}
         ),
         "observation_layout": "one part after another, each from its oldest step to its newest; "
         "at the start all of a part's history is its first reading",
-        "command_ranges": json.dumps(_command_ranges(env)),
-        "command_limits": json.dumps(_command_limits(env)),
+        "command_ranges": json.dumps(
+            {name: list(getattr(command, name)) for name in COMMANDED if command.given}
+        ),
+        "command_limits": json.dumps({name: x for name, x in limits.items() if x is not None}),
         "units": UNITS,
         "control_period": f"{config.control_dt:.9g}",
         "robot": env.quadruped.name,
@@ -72,21 +75,6 @@ def describe(loaded: LoadedRun, targets: JointTargets) -> dict[str, str]:
     }
 
 
-def _command_ranges(env: QuadrupedEnv) -> dict[str, Any]:
-    """Low and high end of each number of the velocity command; none where there is no command."""
-    command = env.config.command
-    if not command.given:
-        return {}
-    return {name: list(getattr(command, name)) for name in COMMANDED}
-
-
-def _command_limits(env: QuadrupedEnv) -> dict[str, Any]:
-    """What holds of the command's numbers together, of those limits that the task has."""
-    command = env.config.command
-    found = {"lateral_until": command.lateral_until, "turning": command.turning}
-    return {name: limit for name, limit in found.items() if limit is not None}
-
-
 def _joints(value: Any) -> str:
     """One number for each joint, of twelve or of one for all."""
     return _listed(np.broadcast_to(value, 12))
@@ -94,7 +82,3 @@ def _joints(value: Any) -> str:
 
 def _listed(values: Iterable[Any]) -> str:
     return ",".join(v if isinstance(v, str) else f"{float(v):.9g}" for v in values)
-
-
-def _first_line(function: Any) -> str:
-    return (function.__doc__ or "").partition("\n")[0]

@@ -50,21 +50,16 @@ def find_targets(action_map: ActionMap, robot: RobotArrays) -> JointTargets:
     slope = np.asarray(jax.jacobian(targets)(none, middle))
     away = np.asarray(targets(none, middle + _FAR) - (middle + _FAR))
     reach = np.abs(away) if np.all(np.abs(away) < 0.5 * _FAR) else None
-    inf = np.full(12, np.inf)
+    rng, inf = np.random.default_rng(0), np.full(12, np.inf)
+    action = rng.uniform(-1.0, 1.0, (_SAMPLES, 12)).astype(np.float32)
+    joints = rng.uniform(robot.lower, robot.upper, (_SAMPLES, 12)).astype(np.float32)
+    expected = jax.jit(jax.vmap(targets))(action, joints)
     for lower, upper in ((robot.lower, robot.upper), (-inf, inf)):
         found = JointTargets(np.diag(slope), np.asarray(middle), lower, upper, reach)
-        if _agrees(found, targets, robot):
+        if np.max(np.abs(found(action, joints) - expected)) < _TOLERANCE:
             return found
     name = action_map.function.__name__
     raise UserError(
         f"the action map {name} cannot be exported; expected joint targets that are "
         "clip(offset + scale * action), within the joints' limits or without any"
     )
-
-
-def _agrees(found: JointTargets, targets, robot: RobotArrays) -> bool:
-    rng = np.random.default_rng(0)
-    action = rng.uniform(-1.0, 1.0, (_SAMPLES, 12)).astype(np.float32)
-    joints = rng.uniform(robot.lower, robot.upper, (_SAMPLES, 12)).astype(np.float32)
-    expected = jax.jit(jax.vmap(targets))(action, joints)
-    return bool(np.max(np.abs(found(action, joints) - expected)) < _TOLERANCE)

@@ -51,19 +51,12 @@ class Weights:
     def of(cls, act: Any, activation: str) -> "Weights":
         """Those of `Policy.act`; the last layer gives the 12 means of the actions alone."""
         normalizer, params = act.args
-        layers = [
-            (np.asarray(layer["kernel"]), np.asarray(layer["bias"]))
-            for _, layer in sorted(params["params"].items(), key=lambda item: _number(item[0]))
-        ]
+        found = [params["params"][f"hidden_{k}"] for k in range(len(params["params"]))]
+        layers = [(np.asarray(layer["kernel"]), np.asarray(layer["bias"])) for layer in found]
         kernel, bias = layers[-1]
         layers[-1] = kernel[:, : len(bias) // 2], bias[: len(bias) // 2]
         spread = np.asarray(divisors(normalizer))
         return cls(np.asarray(normalizer.mean), spread, layers, activation)
-
-
-def _number(layer: str) -> int:
-    """Of a layer called hidden_3, 3."""
-    return int(layer.rpartition("_")[2])
 
 
 def input_labels(env: QuadrupedEnv) -> list[str]:
@@ -100,10 +93,11 @@ def build_model(
     x = graph.add("Sub", x, graph.constant("mean", weights.mean))
     x = graph.add("Div", x, graph.constant("std", weights.std))
     for index, (kernel, bias) in enumerate(weights.layers):
-        if index:
-            x = graph.activation(weights.activation, x)
+        y = x
+        for operator in ACTIVATIONS[weights.activation] if index else ():
+            y = graph.add("Mul", x, y) if operator == "x *" else graph.add(operator, y)
         names = [graph.constant(f"{kind}_{index}", v) for kind, v in (("w", kernel), ("b", bias))]
-        x = graph.add("Gemm", x, *names)
+        x = graph.add("Gemm", y, *names)
     actions = graph.add("Tanh", x, name="actions")
     x = graph.add("Mul", actions, graph.constant("scale", targets.scale))
     x = graph.add("Add", x, graph.constant("offset", targets.offset))
@@ -135,12 +129,6 @@ class _Graph:
         name = name or f"{operator.lower()}_{len(self.nodes)}"
         self.nodes.append(helper.make_node(operator, list(inputs), [name], name, **attributes))
         return name
-
-    def activation(self, name: str, x: str) -> str:
-        y = x
-        for operator in ACTIVATIONS[name]:
-            y = self.add("Mul", x, y) if operator == "x *" else self.add(operator, y)
-        return y
 
     def model(
         self, inputs: dict[str, int], outputs: dict[str, int], metadata: Mapping[str, str]

@@ -13,7 +13,6 @@ from quadwalk.identify.config import IdentifyConfig
 
 
 def main(args: Sequence[str] | None = None, prog: str = "python -m quadwalk.identify") -> None:
-    """Parse the command line, and identify or write targets."""
     config = parse(IdentifyConfig, sys.argv[1:] if args is None else args, prog)
     # Both take seconds to import.
     if config.targets is not None:

@@ -21,12 +21,9 @@ _FREQUENCIES = np.geomspace(0.2, 5.0, 9)
 
 
 def excitation(quadruped: Quadruped) -> tuple[np.ndarray, np.ndarray]:
-    """Times (n,), s, and joint targets (n, 12), rad: sums of sines about the home pose.
-
-    All of a joint's sines are equally fast; phases are drawn, always the same.
-    """
+    """Times (n,), s, and joint targets (n, 12), rad: sums of equally fast sines about home."""
     time = np.arange(round(SECONDS * RATE) + 1) / RATE
-    drawn = np.random.default_rng(0)
+    drawn = np.random.default_rng(0)  # always the same
     phase = drawn.uniform(0.0, 2 * np.pi, (len(_FREQUENCIES), 12))
     detuned = _FREQUENCIES[:, None] * drawn.uniform(0.9, 1.1, (len(_FREQUENCIES), 12))
     waves = np.sin(2 * np.pi * detuned * time[:, None, None] + phase) / detuned

@@ -64,7 +64,8 @@ def fit_joints(
     The last `hold_out` of the log is not fitted, and shows how well the fit predicts. `UserError`
     where the robot of the description, with these gains, is none that can be simulated.
     """
-    places = [(name, group) for name in names for group in _groups_of(name, groups)]
+    whole = [tuple(range(12))]
+    places = [(name, own) for name in names for own in (groups if name in OF_URDF else whole)]
     start = np.array([_mean(described, *place) for place in places])
     scale = np.maximum(start, [_UNITS[name] for name, _ in places])
     simulate = simulator(model, log)
@@ -119,10 +120,6 @@ def intervals(jacobian: np.ndarray, residual: np.ndarray, block: np.ndarray) -> 
     blocks = np.array([pull[block == own].sum(axis=0) for own in np.unique(block)])
     spread = len(blocks) / (len(blocks) - 1) * blocks.T @ blocks
     return 1.96 * np.sqrt(np.diag(inverse @ spread @ inverse))
-
-
-def _groups_of(name: str, groups: Sequence[tuple[int, ...]]) -> Sequence[tuple[int, ...]]:
-    return groups if name in OF_URDF else [tuple(range(12))]
 
 
 def _mean(joints: Joints, name: str, group: tuple[int, ...]) -> float:

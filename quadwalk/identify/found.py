@@ -56,10 +56,7 @@ def found_urdf(fit: Fit, quadruped: Quadruped) -> str:
 
 
 def training_flags(fit: Fit, urdf: Path, meshes: tuple[Path, ...]) -> list[str]:
-    """Flags of `quadwalk train` for the robot that was found, and for how sure that is.
-
-    `urdf` is its file, and `meshes` are the folders of its meshes.
-    """
+    """Flags of `quadwalk train` for the robot of the file `urdf`, and for how sure the fit is."""
     flags = ["--robot.urdf", str(urdf)]
     if meshes:
         flags += ["--robot.mesh-dirs", *map(str, meshes)]
@@ -81,14 +78,12 @@ def training_flags(fit: Fit, urdf: Path, meshes: tuple[Path, ...]) -> list[str]:
 
 
 def labels_of(value: Value, quadruped: Quadruped) -> str:
-    """Which joints a constant belongs to."""
     if len(value.joints) == 1:
         return quadruped.joints[value.joints[0]]
     return PARTS[value.joints[0]] if len(value.joints) == 4 else "all"
 
 
 def as_data(fit: Fit, quadruped: Quadruped) -> list[dict[str, Any]]:
-    """The constants as JSON holds them."""
     return [
         {
             "constant": value.name,

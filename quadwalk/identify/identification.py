@@ -11,16 +11,9 @@ from quadwalk.command.shell import as_typed
 from quadwalk.drawing.figures import save_figure
 from quadwalk.evaluate.report.console import print_table
 from quadwalk.files import atomic_write, make_folder
+from quadwalk.identify import found
 from quadwalk.identify.config import IdentifyConfig
 from quadwalk.identify.fit import DELAY, Fit, fit_joints
-from quadwalk.identify.found import (
-    UNITS,
-    as_data,
-    found_urdf,
-    is_sure,
-    labels_of,
-    training_flags,
-)
 from quadwalk.identify.joint_log import Log, read_log
 from quadwalk.identify.plot import draw_fit
 from quadwalk.identify.stand import Joints
@@ -83,9 +76,9 @@ def _write(
     meshes = config.robot.mesh_dirs
     if "<mesh" in quadruped.urdf:
         meshes = (config.robot.urdf.resolve().parent, *meshes)
-    flags = training_flags(fit, urdf, meshes)
+    flags = found.training_flags(fit, urdf, meshes)
     rest = {
-        f"{what}_{rows}": _rms((angles - log.position)[getattr(fit, rows)])
+        f"{what}_{rows}": float(np.sqrt(np.mean((angles - log.position)[getattr(fit, rows)] ** 2)))
         for what, angles in (("described", fit.before), ("found", fit.after))
         for rows in ("fitted", "held_out")
         if getattr(fit, rows).any()
@@ -95,12 +88,12 @@ def _write(
         "robot": quadruped.name,
         "kp": fit.described.kp.tolist(),
         "kd": fit.described.kd.tolist(),
-        "constants": as_data(fit, quadruped),
+        "constants": found.as_data(fit, quadruped),
         "rms_rad": rest,
         "flags": flags,
     }
     with atomic_write(urdf) as file:
-        file.write(found_urdf(fit, quadruped).encode())
+        file.write(found.found_urdf(fit, quadruped).encode())
     write_json_atomic(out / "identified.json", results)
     save_figure(
         draw_fit(fit, log, quadruped, f"{quadruped.name}, {config.log.name}"), out / "fit.png"
@@ -111,19 +104,15 @@ def _write(
     return results
 
 
-def _rms(left: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(left**2)))
-
-
 def _print(fit: Fit, quadruped: Quadruped, rest: dict[str, float]) -> None:
     kp, kd = fit.described.kp[0], fit.described.kd[0]
     rows = [
         (
-            f"{value.name.replace('_', ' ')}, {labels_of(value, quadruped)}",
+            f"{value.name.replace('_', ' ')}, {found.labels_of(value, quadruped)}",
             f"{value.described:.4g}",
             f"{value.found:.4g}",
-            f"{value.interval:.2g}" + ("" if is_sure(value) else " (unsure)"),
-            UNITS[value.name],
+            f"{value.interval:.2g}" + ("" if found.is_sure(value) else " (unsure)"),
+            found.UNITS[value.name],
         )
         for value in fit.values
     ]
@@ -131,5 +120,5 @@ def _print(fit: Fit, quadruped: Quadruped, rest: dict[str, float]) -> None:
     print_table(title, ("", "described", "found", "± 95 %", "unit"), rows)
     sizes = ", ".join(f"{name.replace('_', ' ')} {1e3 * size:.2f}" for name, size in rest.items())
     print(f"rms of what is left, mrad: {sizes}")
-    if not all(map(is_sure, fit.values)):
+    if not all(map(found.is_sure, fit.values)):
         print("unsure: the log does not show it; the description's value stays")

@@ -12,18 +12,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from quadwalk.identify.joint_log import Log
+from quadwalk.physics import rigid_body
 from quadwalk.physics import vectors as v
 from quadwalk.physics.batching import column
 from quadwalk.physics.model import Model
 from quadwalk.physics.motor import friction_torque, motor_torque
-from quadwalk.physics.rigid_body import (
-    LINKS,
-    Motion,
-    bias_force,
-    mass_matrix,
-    place_bodies,
-    pose_of,
-)
 from quadwalk.physics.vectors import Matrix, Vector
 
 STEP = 0.5e-3  # s, the longest physics step
@@ -118,21 +111,21 @@ def joint_acceleration(model: Model, q: jax.Array, qd: jax.Array, torque: jax.Ar
 
     The constants of the `model` have a last axis for the candidates.
     """
-    pose = pose_of(model.links, _LEVEL, _by_link(q))
-    bodies = place_bodies(model.trunk, model.links, pose)
-    mass = mass_matrix(model.trunk, model.links, pose, bodies).legs
-    velocity = Motion(_STILL, _STILL, _by_link(qd))
-    bias = bias_force(model.trunk, model.links, pose, bodies, velocity, model.gravity)
+    pose = rigid_body.pose_of(model.links, _LEVEL, _by_link(q))
+    bodies = rigid_body.place_bodies(model.trunk, model.links, pose)
+    mass = rigid_body.mass_matrix(model.trunk, model.links, pose, bodies).legs
+    velocity = rigid_body.Motion(_STILL, _STILL, _by_link(qd))
+    bias = rigid_body.bias_force(model.trunk, model.links, pose, bodies, velocity, model.gravity)
     parts = zip(_by_link(torque), model.links, velocity.joints, bias.joints, strict=True)
     force = v.vector(own - link.damping * rate - held for own, link, rate, held in parts)
     hip, thigh, calf = map(v.vector, mass)
     # The inverse of a 3x3 matrix from the cross products of its rows.
     inverse = v.cross(thigh, calf), v.cross(calf, hip), v.cross(hip, thigh)
     found = v.scale(1.0 / v.dot(hip, inverse[0]), v.apply_transposed(inverse, force))
-    return jnp.stack(found, axis=1).reshape(4 * LINKS, -1)
+    return jnp.stack(found, axis=1).reshape(4 * rigid_body.LINKS, -1)
 
 
 def _by_link(joints: jax.Array | np.ndarray) -> Vector:
     """(12, n) as hip, thigh and calf joints, (4, n) each."""
-    legs = joints.reshape(4, LINKS, -1)
+    legs = joints.reshape(4, rigid_body.LINKS, -1)
     return legs[:, 0], legs[:, 1], legs[:, 2]

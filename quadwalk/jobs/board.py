@@ -56,11 +56,9 @@ class Board:
             self._live.stop()
 
     def start(self, job: Job) -> None:
-        """A job has begun."""
         self._lines[job.name] = _Line(job.config.steps)
 
     def row(self, name: str, row: Row) -> None:
-        """A job has come so far."""
         line, now = self._lines[name], time.monotonic()
         line.row = row
         line.state = "training" if line.left else "evaluating"
@@ -76,7 +74,6 @@ class Board:
         self._say(f"{name}: its process died; it goes on from its last checkpoint")
 
     def end(self, name: str, state: str, reason: str = "") -> None:
-        """A job is done, has failed, or was stopped."""
         line = self._lines[name]
         line.state, line.rate = state, 0.0
         if reason:
@@ -84,7 +81,6 @@ class Board:
         self.show()
 
     def show(self) -> None:
-        """Show how all go now."""
         if self._screen:
             self._live.update(Group(self._table(), self.summary()))
         elif time.monotonic() - self._shown > _PLAIN_SECONDS:
@@ -99,9 +95,8 @@ class Board:
         each = sum(line.total for line in self._lines.values()) / max(1, len(self._lines))
         left = sum(line.left for line in going) + each * states["waiting"]
         time_left = duration(left / rate if rate else math.nan)
-        parts = [f"{count} {state}" for state, count in sorted(states.items()) if count]
-        done = f"{states['done']} of {self._count} done"
-        others = ", ".join(part for part in parts if not part.endswith(" done"))
+        done = f"{states.pop('done', 0)} of {self._count} done"
+        others = ", ".join(f"{count} {state}" for state, count in sorted(states.items()) if count)
         parts = [done, *[others] * bool(others), f"{quantity(rate)} steps/s", f"{time_left} left"]
         return Text("  ".join(parts))
 

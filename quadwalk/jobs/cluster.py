@@ -10,14 +10,13 @@ import re
 import signal
 import socket
 import tempfile
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from quadwalk.command.shell import extra
 from quadwalk.errors import UsageError, UserError
 from quadwalk.files import atomic_write
-from quadwalk.jobs.job import Job, Work, compute
+from quadwalk.jobs.job import Job, Place, Work, compute
 from quadwalk.jobs.news import Event, Files, Keeper, Row
 from quadwalk.jobs.place import PlaceConfig
 from quadwalk.train.runs.directory import Run, list_checkpoints, versions
@@ -29,7 +28,7 @@ _TCP = re.compile(r"(?P<host>[\w.-]+):(?P<port>\d{1,5})")
 Stats = dict[str, tuple[int, int]]  # of a run's files: size in bytes, time of writing in ns
 
 
-class Cluster:
+class Cluster(Place):
     """A Ray cluster, as a place of jobs."""
 
     most = math.inf  # Ray has them wait
@@ -39,7 +38,13 @@ class Cluster:
         # The jobs' resources: a training uses a GPU, or cores.
         self._cores = 0 if config.gpus else config.cores_each
         self._gpus = config.gpus
-        self.slots = self._count()
+        kind, each = ("GPU", self._gpus) if self._gpus else ("CPU", self._cores)
+        nodes = [node["Resources"] for node in ray.nodes() if node["Alive"]]
+        have = [int(node.get(kind, 0)) for node in nodes]
+        if max(have) < each:
+            flag = "--gpus" if self._gpus else "--cores"
+            raise UsageError(f"{flag} is {each}; expected at most {max(have)}, as one machine has")
+        self.slots = sum(count // each for count in have)
         here = ray.get_runtime_context().get_node_id()
         beside = ray.util.scheduling_strategies.NodeAffinitySchedulingStrategy(here, soft=False)
         self._keeper = ray.remote(num_cpus=0, scheduling_strategy=beside)(Keeper).remote()
@@ -47,23 +52,10 @@ class Cluster:
         self._trains: set[str] = set()
         self._stopped: set[str] = set()
 
-    def _count(self) -> int:
-        kind, each = ("GPU", self._gpus) if self._gpus else ("CPU", self._cores)
-        nodes = [node["Resources"] for node in self._ray.nodes() if node["Alive"]]
-        have = [int(node.get(kind, 0)) for node in nodes]
-        if max(have) < each:
-            flag = "--gpus" if self._gpus else "--cores"
-            raise UsageError(f"{flag} is {each}; expected at most {max(have)}, as one machine has")
-        return sum(count // each for count in have)
-
-    def __enter__(self) -> "Cluster":
-        return self
-
     def __exit__(self, *_: object) -> None:
         self._ray.shutdown()  # which ends what is left of the jobs
 
     def start(self, job: Job) -> None:
-        """Begin or resume a job, whose run is there."""
         ray, work = self._ray, job.work
         ray.get(self._keeper.hand.remote(job.name, _read(work.run.path, {})))
         task = ray.remote(
@@ -75,7 +67,6 @@ class Cluster:
         self._jobs[task.remote(self._keeper, work, self._cores, versions())] = job
 
     def stop(self, name: str) -> None:
-        """Have a job end early; its training saves what it has."""
         self._stopped.add(name)
         self._ray.get(self._keeper.stop.remote(name))
         for task, job in self._jobs.items():
@@ -83,7 +74,6 @@ class Cluster:
                 self._ray.cancel(task, force=True)
 
     def events(self) -> list[Event]:
-        """What has happened since the last call; waits up to a second for it."""
         ray = self._ray
         ready, _ = ray.wait(list(self._jobs), timeout=1.0)
         found = self._news()
@@ -165,7 +155,7 @@ def _work(keeper: Any, work: Work, cores: int, expected: dict[str, str]) -> Even
         for place in (run.checkpoints, run.tensorboard):
             place.mkdir(parents=True)
         _write(run.path, files, list(files))
-        sent = _stats(run.path)
+        sent, seen = _stats(run.path), set(list_checkpoints(run))
 
         def tell(row: Row | None, files: bool) -> bool:
             nonlocal sent
@@ -174,23 +164,17 @@ def _work(keeper: Any, work: Work, cores: int, expected: dict[str, str]) -> Even
             stop: bool = ray.get(keeper.tell.remote(name, number, row, news, list(sent)))
             return stop
 
-        event = compute(work._replace(run=run), cores, _watch(run, tell))
+        def watch(row: Row) -> None:
+            """Report a row of the training, with the files after each checkpoint."""
+            nonlocal seen
+            now = set(list_checkpoints(run))
+            if tell(row, now != seen):
+                signal.raise_signal(signal.SIGTERM)  # it saves and ends
+            seen = now
+
+        event = compute(work._replace(run=run), cores, watch)
         tell(None, True)
     return event
-
-
-def _watch(run: Run, tell: Callable[[Row | None, bool], bool]) -> Callable[[Row], None]:
-    """What a training calls with each row: it is reported, with the files after each checkpoint."""
-    seen = set(list_checkpoints(run))
-
-    def watch(row: Row) -> None:
-        nonlocal seen
-        now = set(list_checkpoints(run))
-        if tell(row, now != seen):
-            signal.raise_signal(signal.SIGTERM)  # it saves and ends
-        seen = now
-
-    return watch
 
 
 def _stats(folder: Path) -> Stats:
@@ -213,10 +197,8 @@ def _read(folder: Path, sent: Stats) -> Files:
 
 
 def _write(folder: Path, files: Files, kept: list[str]) -> None:
-    """Write files to a run's folder, and delete checkpoints that are not `kept`.
-
-    Checkpoints come last: each counts on the rows of metrics before it.
-    """
+    """Write files to a run's folder, and delete checkpoints that are not `kept`."""
+    # Checkpoints come last: each counts on the rows of metrics before it.
     for name in sorted(files, key=lambda name: (name.startswith("checkpoints/"), name)):
         path = folder / name
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -4,7 +4,7 @@ import contextlib
 import io
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, Self
 
 import jax
 
@@ -55,7 +55,9 @@ class Place(Protocol):
     slots: int  # jobs that it can compute at a time
     most: float  # jobs that it takes at a time
 
-    def __enter__(self) -> "Place": ...
+    def __enter__(self) -> Self:
+        return self
+
     def __exit__(self, *_: object) -> None: ...
 
     def start(self, job: Job) -> None:
@@ -86,10 +88,7 @@ def check_same(config: TrainConfig) -> None:
 
 
 def opened(config: TrainConfig) -> Run:
-    """The run of `config`, made if it is not there; with all that a training begins with.
-
-    Raises `UserError` if the run there has other settings.
-    """
+    """The run of `config`, made if it is not there; `UserError` if it has other settings."""
     check_same(config)
     run, robot = Run(config.runs / str(config.name)), config.robot
     if run.path.exists():
@@ -103,10 +102,7 @@ def opened(config: TrainConfig) -> Run:
 
 
 def finish(run: Run, steps: int, watch: Callable[[Row], object] | None = None) -> bool:
-    """Train a run up to `steps`, if it is not; whether it came there before a signal ended it.
-
-    `watch` is called with the metrics of each iteration. Nothing is printed.
-    """
+    """Train a run to `steps`, silently; whether it came there. `watch` gets each row of metrics."""
 
     def is_done() -> bool:
         return run.policy.exists() and load_score(run.policy)[0] >= steps
@@ -118,10 +114,7 @@ def finish(run: Run, steps: int, watch: Callable[[Row], object] | None = None) -
 
 
 def compute(work: Work, cores: int, watch: Callable[[Row], object]) -> Event:
-    """Train and evaluate, on so many cores of this process's machine or, if 0, its accelerators.
-
-    How the job ended. `watch` is called with the metrics of each iteration.
-    """
+    """How a job ended, computed on so many cores or, if 0, accelerators; `watch` gets each row."""
     run = work.run
     if cores:
         pin(cores)

@@ -24,7 +24,6 @@ class Keeper:
         self._news: list[tuple[Event, Files, list[str]]] = []
 
     def hand(self, name: str, files: Files) -> None:
-        """Take a run to be trained."""
         self._files[name], self._tries[name] = files, 0
 
     def begin(self, name: str) -> tuple[int, Files]:
@@ -54,7 +53,6 @@ class Keeper:
         return news
 
     def stop(self, name: str) -> None:
-        """Have a job end early."""
         self._stopped.add(name)
 
     def drop(self, name: str) -> None:

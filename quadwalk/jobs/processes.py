@@ -11,7 +11,7 @@ from multiprocessing.process import BaseProcess
 
 from quadwalk.cores import cpu_cores
 from quadwalk.errors import UsageError
-from quadwalk.jobs.job import Job, Work, compute
+from quadwalk.jobs.job import Job, Place, Work, compute
 from quadwalk.jobs.news import Event, Row
 from quadwalk.jobs.place import PlaceConfig
 
@@ -26,7 +26,7 @@ class _Running:
     stopped: bool = False
 
 
-class Processes:
+class Processes(Place):
     """Processes of this machine, as many at a time as have cores."""
 
     def __init__(self, config: PlaceConfig) -> None:
@@ -42,9 +42,6 @@ class Processes:
         self.most: float = self.slots
         self._running: dict[Connection, _Running] = {}
 
-    def __enter__(self) -> "Processes":
-        return self
-
     def __exit__(self, *_: object) -> None:
         for running in self._running.values():
             _stop(running)
@@ -54,17 +51,14 @@ class Processes:
         self._running.clear()
 
     def start(self, job: Job) -> None:
-        """Begin or resume a job, whose run is there."""
         self._begin(_Running(job, multiprocessing.current_process()))
 
     def stop(self, name: str) -> None:
-        """Have a job end early; its training saves what it has."""
         for running in self._running.values():
             if running.job.name == name:
                 _stop(running)
 
     def events(self) -> list[Event]:
-        """What has happened since the last call; waits up to a second for it."""
         found = []
         for connection in wait(list(self._running), timeout=1.0):
             assert isinstance(connection, Connection)
@@ -107,10 +101,7 @@ class Processes:
 
 @contextlib.contextmanager
 def _unheard() -> Iterator[None]:
-    """Block Ctrl-C and a terminal's end in processes that start in here, from their first moment.
-
-    They are for this process, which stops the others.
-    """
+    """Block Ctrl-C and a terminal's end in processes that start in here: this one stops them."""
     if not hasattr(signal, "pthread_sigmask"):  # Windows
         yield
         return

@@ -12,7 +12,6 @@ from rich.console import Console
 
 
 def main(args: Sequence[str] | None = None, prog: str = "train.py") -> None:
-    """Parse the command line and train."""
     # Tasks are functions of JAX, which takes a second to import: a terminal shows at once that
     # something goes on.
     with Console(stderr=True).status("loading"):

@@ -61,24 +61,18 @@ def choose_devices(config: TrainConfig) -> tuple[TrainConfig, list[jax.Device]]:
     )
     if count > available:
         raise UsageError(f"--devices is {count}; expected at most the {available} there are")
-    _check_split(envs, count, config)
+    if ppo.eval_envs % count:
+        raise UsageError(
+            f"--ppo.eval-envs is {ppo.eval_envs}; expected a multiple of {count}, the devices"
+        )
+    if envs % (count * ppo.minibatches):
+        raise UsageError(
+            f"--envs is {envs}; expected a multiple of {count * ppo.minibatches} "
+            f"({count} devices times {ppo.minibatches} minibatches)"
+        )
     share = count // processes
     devices = [d for index in range(processes) for d in jax.local_devices(index)[:share]]
     return dataclasses.replace(config, envs=envs, devices=count), devices
-
-
-def _check_split(envs: int, devices: int, config: TrainConfig) -> None:
-    eval_envs, minibatches = config.ppo.eval_envs, config.ppo.minibatches
-    if eval_envs % devices:
-        raise UsageError(
-            f"--ppo.eval-envs is {eval_envs}; expected a multiple of {devices}, the devices"
-        )
-    share = devices * minibatches
-    if envs % share:
-        raise UsageError(
-            f"--envs is {envs}; expected a multiple of {share} "
-            f"({devices} devices times {minibatches} minibatches)"
-        )
 
 
 def set_up_devices(count: int | None = None) -> int:

@@ -46,10 +46,7 @@ examples:
 
 
 def parse_config(args: Sequence[str], prog: str = "train.py") -> tuple[TrainConfig, Run | None]:
-    """The configuration that a command line describes, and the run to resume, if any.
-
-    A first argument that is no flag is the task. `UsageError` for a configuration that cannot be.
-    """
+    """The configuration of a command line, and the run to resume, if any; or a `UsageError`."""
     args, task = list(args), None
     if args and not args[0].startswith("-"):
         task = args.pop(0)
@@ -74,9 +71,7 @@ def parse_config(args: Sequence[str], prog: str = "train.py") -> tuple[TrainConf
         default = resumed_config(previous)
     else:
         default = load_task("run" if task is None else task)
-    shared: dict[str, Any] = {
-        f.name: getattr(default, f.name) for f in dataclasses.fields(TrainConfig)
-    }
+    shared: Any = {f.name: getattr(default, f.name) for f in dataclasses.fields(TrainConfig)}
     description = f"{TrainFlags.__doc__}\n\n{task_list()}"
     start = TrainFlags(**shared, resume=which)
     flags = parse(TrainFlags, args, prog, start, description, "--help-all")

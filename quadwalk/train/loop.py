@@ -158,10 +158,7 @@ def _typed(command: str, run: Run, *before: str) -> str:
 
 @contextlib.contextmanager
 def stop_on_signal() -> Iterator[threading.Event]:
-    """An event that Ctrl-C, SIGTERM, or a terminal that closes sets; a second Ctrl-C interrupts.
-
-    What is ignored from the start, as under nohup, stays so.
-    """
+    """An event that Ctrl-C, SIGTERM or a closed terminal sets; a second Ctrl-C interrupts."""
     stop = threading.Event()
     if threading.current_thread() is not threading.main_thread():
         yield stop
@@ -179,7 +176,7 @@ def stop_on_signal() -> Iterator[threading.Event]:
     before = {
         number: signal.signal(number, handle)
         for number in numbers
-        if signal.getsignal(number) != signal.SIG_IGN
+        if signal.getsignal(number) != signal.SIG_IGN  # as under nohup
     }
     try:
         yield stop

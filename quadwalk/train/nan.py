@@ -37,10 +37,7 @@ KEPT = 20  # files of a run: enough to see what they have in common
 
 
 def keep(run: Run, before: Any, action: Any, config: TrainConfig, steps: int) -> Path | None:
-    """Write down a step from the `EnvState` `before` with `action`; None if there are enough.
-
-    `steps` of training, after the iteration that met it, give it its name.
-    """
+    """Write down a step from `before` with `action`, met by `steps`; None if there are enough."""
     try:
         run.nan.mkdir(exist_ok=True)
         if sum(1 for _ in run.nan.glob("*.npz")) >= KEPT:

@@ -17,10 +17,7 @@ def load_robot(config: RobotConfig) -> Quadruped:
 
 
 def content(config: TrainConfig, quadruped: Quadruped) -> dict[str, Any]:
-    """What is trained: the same where settings and files say the same, wherever the files are.
-
-    `quadruped` is the robot of `config`.
-    """
+    """What is trained, with `quadruped` as its robot: the same wherever the files are."""
     parts = {name: to_dict(getattr(config, name)) for name in ("robot", "env", "ppo")}
     del parts["robot"]["mesh_dirs"]
     parts["robot"]["urdf"] = quadruped.urdf

@@ -31,27 +31,14 @@ from quadwalk.train.learner.ppo import RATE
 from quadwalk.train.progress.display import Progress
 from quadwalk.train.progress.metrics import TrainingMetrics
 from quadwalk.train.robot import content, load_robot
-from quadwalk.train.runs import checkpoint
-from quadwalk.train.runs.directory import (
-    Run,
-    as_json,
-    claim,
-    clean,
-    create_run,
-    find_any_run,
-    latest_checkpoint,
-    list_checkpoints,
-    versions,
-    write_json_atomic,
-)
+from quadwalk.train.runs import checkpoint, directory
+from quadwalk.train.runs.directory import Run
 from quadwalk.train.runs.resume import changed_settings, read_config
 from quadwalk.train.warm_start import begun_from
 
 
 @dataclass
 class Training:
-    """A training ready to iterate."""
-
     config: TrainConfig  # with the numbers of devices and environments filled in
     run: Run | None  # None in all processes but the first
     resumed: bool
@@ -68,10 +55,7 @@ class Training:
 def prepare(
     config: TrainConfig, previous: Run | None, progress: Progress, stack: ExitStack
 ) -> Training:
-    """Everything up to the compiled iteration, in every process; raises `UserError`.
-
-    The run is this training's until `stack` is closed.
-    """
+    """All up to the compiled iteration, in every process; the run is claimed until `stack` ends."""
     robot = config.robot
     config = with_files(config, robot.urdf, robot.mesh_dirs, config.env.ground.file)
     config, devices = choose_devices(config)
@@ -88,8 +72,8 @@ def prepare(
     state = init_state(env, networks, config.ppo, mesh, config.envs, config.seed)
     batch = config.envs * config.ppo.unroll
     # One that was stopped before its first checkpoint begins once more, as it did.
-    if config.init is not None and (previous is None or not list_checkpoints(previous)):
-        source = find_any_run(config.runs, config.init)
+    if config.init is not None and (previous is None or not directory.list_checkpoints(previous)):
+        source = directory.find_any_run(config.runs, config.init)
         config = replace(config, init=str(real_path(source.path)))
         learner, notes = begun_from(source, config, env, networks, jax.device_get(state.learner))
         state = state._replace(learner=placed_like(learner, state.learner))
@@ -111,7 +95,9 @@ def prepare(
     metrics = TrainingMetrics(config.env.reward)
     steps, seconds = 0, 0.0
     if previous is not None:
-        path = latest_checkpoint(previous, lambda text: progress.message(f"warning: {text}"))
+        path = directory.latest_checkpoint(
+            previous, lambda text: progress.message(f"warning: {text}")
+        )
         if path is None:
             progress.message(f"{previous.path} has no checkpoint yet: it starts at its beginning")
         else:
@@ -184,12 +170,12 @@ def _open_run(
     """The run to train, made or resumed, and claimed until `stack` is closed."""
     if previous is None:
         run = new_run(config, quadruped)
-        stack.enter_context(claim(run))
+        stack.enter_context(directory.claim(run))
         return run
-    stack.enter_context(claim(previous))
+    stack.enter_context(directory.claim(previous))
     changes = changed_settings(read_config(previous), config)
-    clean(previous)
-    write_json_atomic(previous.config, _settings(config))
+    directory.clean(previous)
+    directory.write_json_atomic(previous.config, _settings(config))
     for change in changes:
         progress.message(f"changed {change}")
     heights = config.env.ground.file
@@ -201,18 +187,18 @@ def _open_run(
 
 
 def new_run(config: TrainConfig, quadruped: Quadruped) -> Run:
-    """The folder of a run with all that its training begins with; `quadruped` is its robot.
-
-    The run keeps its own copies: what it learned stays true to it when the originals change.
-    """
-    files = {"robot.urdf": quadruped.urdf.encode(), "config.json": as_json(_settings(config))}
+    """The folder of a run, with copies of its own of all that its training begins with."""
+    files = {
+        "robot.urdf": quadruped.urdf.encode(),
+        "config.json": directory.as_json(_settings(config)),
+    }
     source, heights = task_source(config), config.env.ground.file
     if source is not None:
         files[OWN] = source
     if heights is not None:
         files[Run(Path()).ground(heights).name] = read_bytes(heights)
-    return create_run(config.runs, config.name, label=config.task, files=files)
+    return directory.create_run(config.runs, config.name, label=config.task, files=files)
 
 
 def _settings(config: TrainConfig) -> dict[str, Any]:
-    return {"config": to_dict(config), "versions": versions()}
+    return {"config": to_dict(config), "versions": directory.versions()}

@@ -10,7 +10,6 @@ from quadwalk.tune.trials import TuneConfig
 
 
 def main(args: Sequence[str] | None = None, prog: str = "quadwalk tune") -> None:
-    """Parse the command line and search."""
     config = parse(TuneConfig, sys.argv[1:] if args is None else args, prog)
     if not config.over:
         raise UsageError(

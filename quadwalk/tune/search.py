@@ -182,7 +182,6 @@ class Search:
         return False
 
     def tell(self, outcome: Outcome) -> None:
-        """Keep how a trial ended."""
         state, trial = self._optuna.trial.TrialState, self._trials[outcome.job.name]
         if outcome.job.name in self._pruned:
             self._study.tell(trial, state=state.PRUNED)

@@ -27,7 +27,6 @@ class Dimension:
     whole: bool = False
 
     def distribution(self) -> "BaseDistribution":
-        """What Optuna draws from."""
         distributions = extra("optuna", "tune", "tune").distributions
         if self.choices:
             return distributions.CategoricalDistribution(self.choices)
@@ -48,14 +47,13 @@ def dimension(text: str, config: TrainConfig) -> Dimension:
         raise UsageError(f"--over {text}: there is no setting {name!r}{meant(name, known)}")
     if not equals or not values:
         raise UsageError(f"--over {text}; expected {_FORMS}")
-    found = _choices(name, values) if "," in values else _range(text, name, values, known[name])
+    if "," in values:
+        found = Dimension(name, choices=tuple(map(_value, values.split(","))))
+    else:
+        found = _range(text, name, values, known[name])
     for value in found.choices or found.ends:
         with_settings(config, {name: int(value) if found.whole else value})
     return found
-
-
-def _choices(name: str, values: str) -> Dimension:
-    return Dimension(name, choices=tuple(map(_value, values.split(","))))
 
 
 def _range(text: str, name: str, values: str, now: Any) -> Dimension:

@@ -10,7 +10,6 @@ from quadwalk.variants.arguments import CompareConfig, split
 
 
 def main(args: Sequence[str] | None = None, prog: str = "quadwalk compare") -> None:
-    """Parse the command line and compare."""
     variants, options = split(sys.argv[1:] if args is None else args)
     config = parse(CompareConfig, options, prog)
     if not variants:

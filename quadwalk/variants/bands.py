@@ -1,6 +1,5 @@
 """Learning curves of variants: of each the mean of its seeds, in the band from worst to best."""
 
-import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -39,14 +38,11 @@ def draw_bands(histories: Sequence[tuple[str, History]]) -> Figure:
 def band(
     runs: Sequence[History], name: str
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Steps (n,), and there the lowest, the mean and the highest of the runs' figure `name`.
-
-    As far as all of them have come; each run's figure is interpolated, where it has none included.
-    """
+    """Steps (n,), and there the lowest, mean and highest of `name`, as far as all runs came."""
     curves = []
     for rows in runs:
-        known = [(row["steps"], row[name]) for row in rows if _finite(row.get(name))]
-        curves.append(np.array(known, float).reshape(-1, 2))
+        known = np.array([(row["steps"], row.get(name)) for row in rows], float).reshape(-1, 2)
+        curves.append(known[np.isfinite(known[:, 1])])  # None is NaN
     if not all(map(len, curves)):
         nothing = np.zeros(0)
         return nothing, nothing, nothing, nothing
@@ -55,7 +51,3 @@ def band(
     steps = steps[steps <= end]
     values = np.stack([np.interp(steps, *curve.T) for curve in curves])
     return steps, values.min(axis=0), values.mean(axis=0), values.max(axis=0)
-
-
-def _finite(value: Any) -> bool:
-    return value is not None and math.isfinite(value)

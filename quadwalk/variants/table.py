@@ -90,7 +90,6 @@ def _write(lines: Sequence[str], results: Sequence[dict[str, Any]], runs: Path) 
 
 
 def judged(run: Run, episodes: int) -> dict[str, Any]:
-    """The figures of one run."""
     mjx = evaluate(run, episodes=episodes).summary
     c = evaluate(run, episodes=episodes, engine="mujoco")
     gait = c.gait
@@ -141,7 +140,6 @@ def plan(flags: str, seed: int, steps: int | None, runs: Path) -> TrainConfig:
 
 
 def row(result: dict[str, Any]) -> str:
-    """A result as a row of the table."""
     figures = result["figures"]
     cells = [
         "-" if figures[name] is None else f"{figures[name]:{form}}"

@@ -13,5 +13,4 @@ from quadwalk.view.show import ViewConfig, drive
 
 
 def main(args: Sequence[str] | None = None, prog: str = "quadwalk view") -> None:
-    """Parse the command line and drive."""
     drive(parse(ViewConfig, sys.argv[1:] if args is None else args, prog))

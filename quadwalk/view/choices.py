@@ -14,10 +14,7 @@ LAST, BEST = "last", "best"
 
 
 def run_choices(root: Path, chosen: Run) -> dict[str, Run]:
-    """Label to run: those in `root`, the one last trained first, those that come trained, `chosen`.
-
-    `chosen` comes first where it is from elsewhere.
-    """
+    """Label to run: `chosen` if from elsewhere, those in `root`, newest first, those packaged."""
     runs = [*list_runs(root), *list_runs(PRETRAINED)]
     if all(real_path(run.path) != real_path(chosen.path) for run in runs):
         runs.insert(0, chosen)

@@ -1,7 +1,6 @@
 """A robot that lives: its policy and MuJoCo C, a control step at a time, changed while it runs."""
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -73,12 +72,14 @@ class _Mind:
 
     def __init__(self, loaded: LoadedRun) -> None:
         self.env, self.policy = loaded.env, loaded.policy
-        self.think = _compiled(self.env)
-        self._no_frames = _empty_frames(self.env)
+        self.think = jit(self.env, _think, compiler_options=_OPTIONS)
+        earlier = max(part.history for part in self.env.config.observation.values())
+        size = self.env.sensors.noise_scale.size
+        # Room for what was measured in earlier control steps; None if the policy sees only one.
+        self._no_frames = np.zeros((1 + earlier, size), np.float32) if earlier else None
         self.begin()
 
     def begin(self) -> None:
-        """Forget what was before."""
         env = self.env
         self.steps = 0
         self.action: Any = np.zeros(12, np.float32)
@@ -149,7 +150,6 @@ class LiveRobot:
 
     @property
     def rising(self) -> bool:
-        """Whether it is getting up."""
         return self._mind is self._riser
 
     def change(self, **settings: float) -> None:
@@ -190,7 +190,8 @@ class LiveRobot:
         )
         dt = self.env.stepping.control_dt
         self._fallen = self._fallen + 1 if self.fell or self.rising else 0
-        self._standing = self._standing + 1 if self._stands else 0
+        stands = self._up[2] > math.cos(TILT) and self.height > HEIGHT * self.env.robot.home_height
+        self._standing = self._standing + 1 if stands else 0
         if diverged or self._fallen * dt > (RISING if self._riser else LYING):
             self.reset()
         elif self._riser and self.fell and not self.rising:
@@ -225,11 +226,6 @@ class LiveRobot:
         """Whether it lies on the ground, tipped over or with its trunk low."""
         low = self.height < _LOW * self.env.robot.home_height
         return bool(self._up[2] < math.cos(_TIPPED) or low)
-
-    @property
-    def _stands(self) -> bool:
-        upright = self._up[2] > math.cos(TILT)
-        return bool(upright and self.height > HEIGHT * self.env.robot.home_height)
 
     @property
     def _up(self) -> np.ndarray:
@@ -284,31 +280,19 @@ def _number(value: Any, kind: Any = np.float32) -> Any:
     return np.asarray(value, kind)
 
 
-def _empty_frames(env: QuadrupedEnv) -> np.ndarray | None:
-    """Room for what was measured in earlier control steps; None if the policy sees only one."""
-    parts = env.config.observation
-    earlier = max(part.history for part in parts.values())
-    return np.zeros((1 + earlier, env.sensors.noise_scale.size), np.float32) if earlier else None
-
-
-def _compiled(env: QuadrupedEnv) -> Callable[[Policy, EnvState], tuple[Any, Any, Any, Any]]:
+def _think(env: QuadrupedEnv, policy: Policy, state: EnvState) -> tuple[Any, Any, Any, Any]:
     """What happens in a control step before the physics, from the task's own functions.
 
-    Policy and state to: the frames and joint targets to be kept, the action, and the joint
-    targets (substeps, 12) obeyed in each physics step, rad.
+    The frames and joint targets to be kept, the action, and the joint targets (substeps, 12)
+    obeyed in each physics step, rad.
     """
-
-    def think(env: QuadrupedEnv, policy: Policy, state: EnvState) -> tuple[Any, Any, Any, Any]:
-        state = env.sensors.measured(state)
-        if state.frames is not None:
-            before = jnp.where(state.steps == 0, state.frames[:1], state.frames)
-            state = state._replace(frames=before)
-        assert state.conditions is not None
-        action = policy(env.sensors.observation(state))
-        target = env.config.action(env.robot, action, state.qpos[7:])
-        conditions, applied_target = delayed(
-            state.conditions, target, env.stepping.substeps, state.steps
-        )
-        return state.frames, conditions.targets, action, applied_target
-
-    return jit(env, think, compiler_options=_OPTIONS)
+    state = env.sensors.measured(state)
+    if state.frames is not None:
+        before = jnp.where(state.steps == 0, state.frames[:1], state.frames)
+        state = state._replace(frames=before)
+    assert state.conditions is not None
+    action = policy(env.sensors.observation(state))
+    target = env.config.action(env.robot, action, state.qpos[7:])
+    substeps = env.stepping.substeps
+    conditions, applied_target = delayed(state.conditions, target, substeps, state.steps)
+    return state.frames, conditions.targets, action, applied_target

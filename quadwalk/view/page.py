@@ -11,16 +11,7 @@ import viser
 
 from quadwalk.errors import UserError
 from quadwalk.train.runs.directory import Run, written
-from quadwalk.view.choices import (
-    LAST,
-    choose_policy,
-    getup_of,
-    label_of,
-    open_run,
-    policy_choices,
-    read_policy,
-    run_choices,
-)
+from quadwalk.view import choices
 from quadwalk.view.live import LiveRobot
 from quadwalk.view.pace import Pace
 from quadwalk.view.panel import Actions, Panel
@@ -42,13 +33,10 @@ class Page:
         server: viser.ViserServer,
         run: Run,
         root: Path,
-        label: str = LAST,
+        label: str = choices.LAST,
         getup: Run | None = None,
     ) -> None:
-        """`root` holds the other runs to choose from; `label` names one of the run's policies.
-
-        `getup` gets up robots of its kind that have fallen.
-        """
+        """`root` has the other runs, `label` is a policy of `run`, `getup` gets fallen ones up."""
         self._getup = getup
         self._server, self._root, self._chosen = server, root, run
         self._asked: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
@@ -77,23 +65,24 @@ class Page:
 
     def _open(self, run: Run, label: str) -> None:
         """Show another run's robot, driven by the policy called `label`."""
-        loaded = open_run(run, label)
+        loaded = choices.open_run(run, label)
         self.run, self.label, self.file = run, label, loaded.file
         self._loaded = written(loaded.file)
-        self.live = LiveRobot(loaded, getup=getup_of(loaded, self._getup))
+        self.live = LiveRobot(loaded, getup=choices.getup_of(loaded, self._getup))
         # The step is compiled meanwhile.
         ready = threading.Thread(target=self.live.prepare)
         ready.start()
         dt = self.live.env.stepping.control_dt
         self.pace, self.traces = Pace(dt), Traces(dt)
         self.stage = Stage(self._server, self.live)
-        runs = run_choices(self._root, self._chosen)
-        self._policies = list(policy_choices(run))
+        runs = choices.run_choices(self._root, self._chosen)
+        self._policies = list(choices.policy_choices(run))
         self.panel = Panel(
             self._server,
             self.live,
+            self.stage,
             self._actions(runs),
-            (list(runs), label_of(self._root, run)),
+            (list(runs), choices.label_of(self._root, run)),
             (self._policies, label),
         )
         self.live.command[:] = self.panel.commanded() if self.panel.command else 0.0
@@ -101,8 +90,6 @@ class Page:
         self.pace.restart()
 
     def _actions(self, runs: dict[str, Run]) -> Actions:
-        """What the panel asks for, each between two control steps."""
-
         def play() -> None:
             self.playing = not self.playing
             self.pace.restart()
@@ -115,34 +102,20 @@ class Page:
             self.live.reset()
             self.traces.clear()
 
-        def start_on(tile: int) -> None:
-            self.live.tile = tile
-            reset()
-
-        def command() -> None:
-            self.live.command[:] = self.panel.commanded()
-
         return Actions(
             ask=self._asked.put,
-            command=command,
-            settings=lambda: self.live.change(**self.panel.settings()),
-            push=lambda forward, left: self.live.push(forward, left),
-            throw=lambda: self.live.throw(),
             play=play,
             speed=speed,
             reset=reset,
-            tile=start_on,
-            follow=lambda on: setattr(self.stage, "follow", on),
-            collision=lambda on: self.stage.show_collision(on),
-            run=lambda label: self._open(runs[label], LAST),
+            run=lambda label: self._open(runs[label], choices.LAST),
             policy=self._take,
         )
 
     def _take(self, label: str) -> None:
         """Let another of the run's policies drive on."""
-        file = choose_policy(self.run, label)
+        file = choices.choose_policy(self.run, label)
         when = written(file)
-        self.live.policy = read_policy(file, self.live.env.quadruped.joints)
+        self.live.policy = choices.read_policy(file, self.live.env.quadruped.joints)
         self.label, self.file, self._loaded = label, file, when
         self.pace.restart()
 
@@ -150,13 +123,12 @@ class Page:
         """Take the policy anew if training has written it, and list new checkpoints."""
         if written(self.file) != self._loaded and self.file.exists():
             self._take(self.label)
-        policies = list(policy_choices(self.run))
+        policies = list(choices.policy_choices(self.run))
         if policies and policies != self._policies:  # none where its folder is gone
             self._policies = policies
             self.panel.policies.options = policies
 
     def _show(self) -> None:
-        """Whatever it is time for."""
         if self._now(_FRAME):
             self.stage.draw(self.live, self.traces)
         if self._now(_PLOT) and self.playing:

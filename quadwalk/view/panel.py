@@ -10,6 +10,7 @@ import viser
 from viser import uplot
 
 from quadwalk.view.live import MAX_LATENCY, LiveRobot, Settings
+from quadwalk.view.stage import Stage
 from quadwalk.view.traces import Traces
 
 SPEEDS = {"1": 1.0, "1/2": 0.5, "1/4": 0.25, "1/10": 0.1}
@@ -30,19 +31,12 @@ _DARK, _BLUE, _GREEN = "#7d8590", "#326edc", "#3caa50"
 
 @dataclass(frozen=True)
 class Actions:
-    """What the panel asks for: by `ask`, which may be called in any of the server's threads."""
+    """What the panel asks of its page; `ask` may be called in any of the server's threads."""
 
     ask: Callable[[Callable[[], None]], None]  # has what it is given called between control steps
-    command: Callable[[], None]  # the sliders of the command have moved
-    settings: Callable[[], None]  # those of robot, floor and sensors have
-    push: Callable[[float, float], None]  # by m/s, ahead and to the left
-    throw: Callable[[], None]  # over
     play: Callable[[], None]  # play or pause
     speed: Callable[[float], None]
     reset: Callable[[], None]
-    tile: Callable[[int], None]  # start anew on this tile of the terrain
-    follow: Callable[[bool], None]
-    collision: Callable[[bool], None]
     run: Callable[[str], None]  # the label of a run
     policy: Callable[[str], None]  # of a policy
 
@@ -54,6 +48,7 @@ class Panel:
         self,
         server: viser.ViserServer,
         live: LiveRobot,
+        stage: Stage,
         actions: Actions,
         runs: tuple[Sequence[str], str],
         policies: tuple[Sequence[str], str],
@@ -62,16 +57,16 @@ class Panel:
         server.gui.reset()
         self._gui, self._ask = server.gui, actions.ask
         self.status = server.gui.add_markdown("")
-        self._add_buttons(actions)
-        self.command = self._add_command(live, actions)
-        self._add_push(actions)
+        self._add_buttons(stage, actions)
+        self.command = self._add_command(live)
+        self._add_push(live)
         self._add_ground(live, actions)
-        self._settings = self._add_settings(live, actions)
+        self._settings = self._add_settings(live)
         with self._gui.add_folder("Policy"):
             self._choose("run", runs, actions.run)
             self.policies = self._choose("policy", policies, actions.policy)
         self._add_plots(live)
-        self._add_keys(actions)
+        self._add_keys(live, actions)
         self._gui.add_html(_KEEP_CAMERA)
 
     def settings(self) -> dict[str, float]:
@@ -84,12 +79,11 @@ class Panel:
         return np.array([_within(slider) for slider in self.command])
 
     def plot(self, traces: Traces) -> None:
-        """Show the last seconds."""
         count = len(self._speed.data)
         self._speed.data = traces.speed[:count]
         self._footfalls.data = traces.footfalls
 
-    def _add_buttons(self, actions: Actions) -> None:
+    def _add_buttons(self, stage: Stage, actions: Actions) -> None:
         gui = self._gui
         play = gui.add_button_group("Time", ("play or pause", "reset"))
         chosen = {"play or pause": actions.play, "reset": actions.reset}
@@ -97,11 +91,11 @@ class Panel:
         speed = gui.add_button_group("Speed", tuple(SPEEDS))
         self._when(speed.on_click, lambda text: actions.speed(SPEEDS[text]))
         follow = gui.add_checkbox("camera follows", True)
-        self._when(follow.on_update, actions.follow)
+        self._when(follow.on_update, lambda on: setattr(stage, "follow", on))
         shapes = gui.add_checkbox("collision shapes", False)
-        self._when(shapes.on_update, actions.collision)
+        self._when(shapes.on_update, stage.show_collision)
 
-    def _add_command(self, live: LiveRobot, actions: Actions) -> list[Any]:
+    def _add_command(self, live: LiveRobot) -> list[Any]:
         """A slider for each number of the command, over the range trained on."""
         config = live.env.config.command
         ranges = (config.forward, config.lateral, config.yaw_rate)
@@ -116,16 +110,20 @@ class Panel:
                 for label, (low, high) in zip(_COMMAND, ranges, strict=True)
             ]
             stop = self._gui.add_button("Stop (space)")
+
+        def command(_: float) -> None:
+            live.command[:] = self.commanded()
+
         for slider in sliders:
-            self._when(slider.on_update, lambda _: actions.command())
-        self._when(stop.on_click, lambda _: self._set_command(sliders, [0.0, 0.0, 0.0]))
+            self._when(slider.on_update, command)
+        self._when(stop.on_click, lambda _: self._set_command(0.0, 0.0, 0.0))
         return sliders
 
-    def _set_command(self, sliders: list[Any], values: Sequence[float]) -> None:
-        for slider, value in zip(sliders, values, strict=True):
+    def _set_command(self, *values: float) -> None:
+        for slider, value in zip(self.command, values, strict=True):
             slider.value = round(float(np.clip(value, slider.min, slider.max)), 2)
 
-    def _add_push(self, actions: Actions) -> None:
+    def _add_push(self, live: LiveRobot) -> None:
         ways = {"ahead": (1, 0), "back": (-1, 0), "left": (0, 1), "right": (0, -1)}
         with self._gui.add_folder("Push"):
             size = self._gui.add_slider("by, m/s", 0.1, 3.0, 0.1, 1.0)
@@ -133,13 +131,13 @@ class Panel:
 
         def push(way: str) -> None:
             forward, left = ways[way]
-            actions.push(forward * _within(size), left * _within(size))
+            live.push(forward * _within(size), left * _within(size))
 
         self._when(buttons.on_click, push)
         self._push = push
         with self._gui.add_folder("Fall"):
             over = self._gui.add_button("Throw over (T)")
-        self._when(over.on_click, lambda _: actions.throw())
+        self._when(over.on_click, lambda _: live.throw())
 
     def _add_ground(self, live: LiveRobot, actions: Actions) -> None:
         """What to start on, where there is a choice: kinds of ground and their difficulties."""
@@ -154,12 +152,13 @@ class Panel:
 
         def start(_: str) -> None:
             places = list(zip(names, levels, strict=True))
-            actions.tile(places.index((kind.value, level.value)))
+            live.tile = places.index((kind.value, level.value))
+            actions.reset()
 
         for dropdown in (kind, level):
             self._when(dropdown.on_update, start)
 
-    def _add_settings(self, live: LiveRobot, actions: Actions) -> dict[str, Any]:
+    def _add_settings(self, live: LiveRobot) -> dict[str, Any]:
         usual = Settings(friction=round(live.env.friction, 2))
         heaviest = float(round(0.4 * live.env.robot.mass))
         with self._gui.add_folder("Robot and floor"):
@@ -172,7 +171,7 @@ class Panel:
                 "noise": add("sensor noise, level", 0.0, 3.0, 0.1, 0.0),
             }
         for slider in sliders.values():
-            self._when(slider.on_update, lambda _: actions.settings())
+            self._when(slider.on_update, lambda _: live.change(**self.settings()))
         return sliders
 
     def _choose(self, label: str, choices: tuple[Sequence[str], str], chosen: Any) -> Any:
@@ -210,13 +209,13 @@ class Panel:
                 height=140,
             )
 
-    def _add_keys(self, actions: Actions) -> None:
+    def _add_keys(self, live: LiveRobot, actions: Actions) -> None:
         def change(index: int, sign: int) -> None:
             slider = self.command[index]
             end = slider.max if sign > 0 else -slider.min
             values = list(self.commanded())
             values[index] += sign * max(end, 0.1) / _PRESSES
-            self._set_command(self.command, values)
+            self._set_command(*values)
 
         for index in range(len(self.command)):
             for key, sign in zip(_KEYS[index], (1, -1), strict=True):
@@ -224,16 +223,13 @@ class Panel:
                 label = f"{name}: {'more' if sign > 0 else 'less'}"
                 self._key(label, key, partial(change, index, sign))
         self._key("play or pause", "K", actions.play)
-        self._key("throw over", "T", actions.throw)
+        self._key("throw over", "T", live.throw)
         self._key("reset", "R", actions.reset)
         self._key("push to the left", "P", lambda: self._push("left"))
         if self.command:
-            self._key("stop", "space", lambda: self._set_command(self.command, [0.0, 0.0, 0.0]))
-            self._key("gallop", "W", self._gallop, "shift")
-
-    def _gallop(self) -> None:
-        """Straight ahead, as fast as the command goes."""
-        self._set_command(self.command, [self.command[0].max, 0.0, 0.0])
+            self._key("stop", "space", lambda: self._set_command(0.0, 0.0, 0.0))
+            fastest = self.command[0].max  # straight ahead
+            self._key("gallop", "W", lambda: self._set_command(fastest, 0.0, 0.0), "shift")
 
     def _when(self, register: Callable[..., Any], action: Callable[[Any], None]) -> None:
         """Have `action` called with the value of a control that `register` listens to."""

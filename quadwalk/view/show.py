@@ -38,7 +38,10 @@ class ViewConfig(Settings):
 def drive(config: ViewConfig) -> None:
     """Show the run's policy live, until it is interrupted or the window closed."""
     run = find_ready(config.runs, config.run, "drive")
-    getup = find_getup(config)
+    packaged = Run(PRETRAINED / "getup")
+    getup = packaged if packaged.policy.exists() else None
+    if config.getup is not None:
+        getup = find_any_run(config.runs, config.getup)
     console = message_console()
     missing = no_window()
     in_page = config.browser or missing is not None
@@ -63,14 +66,6 @@ def drive(config: ViewConfig) -> None:
 
                 page = Page(server, run, config.runs, config.policy, getup)
             page.run_for()
-
-
-def find_getup(config: ViewConfig) -> Run | None:
-    """The run that gets a fallen robot up; None where none is named and none comes trained."""
-    if config.getup is not None:
-        return find_any_run(config.runs, config.getup)
-    packaged = Run(PRETRAINED / "getup")
-    return packaged if packaged.policy.exists() else None
 
 
 def no_window() -> str | None:

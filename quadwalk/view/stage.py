@@ -47,7 +47,6 @@ class Stage:
         self._scene._sync_visibilities()
 
     def draw(self, live: LiveRobot, traces: Traces) -> None:
-        """Show how it is now."""
         data = live.data
         trunk = data.qpos[:3]
         if self.follow:

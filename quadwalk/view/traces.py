@@ -14,15 +14,13 @@ _STEP = 0.7  # how high a foot's line rises while it is on the ground, of the ro
 
 
 class Traces:
-    """What was seen in the last `seconds`; `add` after each control step."""
+    """What was seen in the last seconds, 6 for plots, 15 of the path; `add` after each step."""
 
-    def __init__(self, dt: float, seconds: float = 6.0, path_seconds: float = 15.0) -> None:
-        self.seconds = seconds
-        self._rows: deque[np.ndarray] = deque(maxlen=round(seconds / dt))
-        self._places: deque[np.ndarray] = deque(maxlen=round(path_seconds / dt))
+    def __init__(self, dt: float) -> None:
+        self._rows: deque[np.ndarray] = deque(maxlen=round(6.0 / dt))
+        self._places: deque[np.ndarray] = deque(maxlen=round(15.0 / dt))
 
     def clear(self) -> None:
-        """Forget all of it."""
         self._rows.clear()
         self._places.clear()
 

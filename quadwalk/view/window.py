@@ -47,7 +47,6 @@ class Keys:
         self._pressed.put(key)
 
     def answer(self) -> None:
-        """Do what the pressed keys mean."""
         while not self._pressed.empty():
             key, live = self._pressed.get(), self._live
             if key in _COMMANDS:
@@ -70,10 +69,7 @@ class Keys:
 def drive_in_window(
     run: Run, console: Console, getup: Run | None = None, policy: str = LAST
 ) -> None:
-    """Drive a policy of `run` with keys, until the window is closed.
-
-    The policy of `getup` gets up a robot that has fallen.
-    """
+    """Drive a policy of `run` with keys until the window is closed; `getup` gets a robot up."""
     loaded = open_run(run, policy)
     live = LiveRobot(loaded, getup=getup_of(loaded, getup))
     live.prepare()  # now, not when time goes

@@ -15,7 +15,7 @@ from quadwalk.evaluate.grids.cells import measure_cells
 from quadwalk.evaluate.loaded import LoadedRun
 from quadwalk.evaluate.motion.course import heading_velocity, tracking_errors
 from quadwalk.evaluate.simulate import ROOM, Report, fresh_starts
-from quadwalk.ground.terrain import FILE, Terrain
+from quadwalk.ground.terrain import FILE
 from quadwalk.task.env import QuadrupedEnv
 from quadwalk.train.robot import load_robot
 
@@ -44,7 +44,8 @@ def measure_by_ground(
     difficulties = list(dict.fromkeys(tile.difficulty for tile in env.terrain.tiles))
     commanded, dt = env.config.command.given, env.config.control_dt
     cells = list(product(kinds, difficulties))
-    tiles = np.concatenate([_tiles(env.terrain, *cell, episodes) for cell in cells])
+    own = [[(tile.kind, tile.difficulty) == cell for tile in env.terrain.tiles] for cell in cells]
+    tiles = np.concatenate([np.resize(np.flatnonzero(row), episodes) for row in own])  # in turn
 
     def measure(number: int, upright: bool, poses: np.ndarray) -> dict[str, float | bool]:
         arrived = upright and len(poses) - 1 < env.config.episode_steps
@@ -56,7 +57,7 @@ def measure_by_ground(
             error, _ = tracking_errors(velocity, np.full_like(velocity, [PACE, 0.0, 0.0]), dt)
         return {"arrived": arrived, "speed": float(speed), "velocity_error": error}
 
-    starts = fresh_starts(env, len(tiles), seed, tiles)
+    starts = fresh_starts(env, len(tiles), seed, tiles.astype(np.int32))
     room = min(ROOM * math.ceil(len(tiles) / (8 * ROOM)), MOST)
     found = measure_cells(env, loaded.policy.act, starts, episodes, measure, room, report)
     return {
@@ -88,9 +89,3 @@ def ground_env(loaded: LoadedRun, kinds: tuple[str, ...], levels: int) -> Quadru
     # The run's own robot stands on its ground already.
     quadruped = load_robot(loaded.policy.config.robot)
     return QuadrupedEnv(quadruped, config, loaded.env.engine)
-
-
-def _tiles(terrain: Terrain, kind: str, difficulty: float, episodes: int) -> np.ndarray:
-    """(episodes,) the tiles of a cell, in turn."""
-    own = [(tile.kind, tile.difficulty) == (kind, difficulty) for tile in terrain.tiles]
-    return np.resize(np.flatnonzero(own).astype(np.int32), episodes)

@@ -57,10 +57,7 @@ def trunk_paths(
 def cell_starts(
     env: QuadrupedEnv, start: Callable[..., State], cells: np.ndarray, *episodes: Any
 ) -> State:
-    """`start(env, cell, *episode)` of each of `cells` (m, ...) and `episodes` (n, ...).
-
-    (m n, ...), one cell after another.
-    """
+    """(m n, ...): `start(env, cell, *episode)`, by `cells` (m, ...), then `episodes` (n, ...)."""
 
     @partial(jit, env)
     def begun(env: QuadrupedEnv, cells: jax.Array, *episodes: Any) -> State:

@@ -43,19 +43,14 @@ def changing_run(loaded: LoadedRun) -> LoadedRun:
 def measure_steering(
     loaded: LoadedRun, episodes: int, seed: int, report: Report | None = None
 ) -> dict[str, Any]:
-    """Tracking of `episodes` at each command, gaits and responses, as plain values for JSON.
-
-    `loaded` is by `steering_run`.
-    """
+    """Tracking at each command, gaits and responses of a `steering_run`, plain values for JSON."""
     config = loaded.env.config.command
     return {
         "engine": loaded.env.engine,
         "episodes": episodes,
         "cells": measure_held(loaded, held_commands(config), episodes, seed, report),
         "gaits": measure_gaits(loaded, seed),
-        "responses": [
-            measure_response(loaded, *change, episodes, seed) for change in changes(config)
-        ],
+        "responses": [measure_response(loaded, *each, episodes, seed) for each in changes(config)],
     }
 
 
@@ -64,20 +59,13 @@ def measure_changing(
 ) -> dict[str, Any]:
     """Success of `episodes` of `loaded`, which is by `changing_run`, as plain values for JSON."""
     env = loaded.env
-    starts = fresh_starts(env, episodes, seed)
-
-    def nothing(number: int, upright: bool, poses: np.ndarray) -> dict[str, float | bool]:
-        return {}
-
-    (found,) = measure_cells(env, loaded.policy.act, starts, episodes, nothing, GROUP, report)
+    starts, act = fresh_starts(env, episodes, seed), loaded.policy.act
+    (found,) = measure_cells(env, act, starts, episodes, lambda *_: {}, GROUP, report)
     return {"seconds": LONG, "episodes": episodes, **found}
 
 
 def held_commands(config: CommandConfig) -> list[Command]:
-    """A grid of forward velocity and yaw rate over the ranges of a task.
-
-    Turns that need more than the task's centripetal acceleration are left out.
-    """
+    """A grid of a task's forward velocities and yaw rates, within its centripetal acceleration."""
     forward = np.linspace(*config.forward, FORWARD)
     turns = np.linspace(*config.yaw_rate, TURNS)
     most = np.inf if config.turning is None else config.turning + 1e-6
@@ -120,9 +108,7 @@ def measure_held(
 
     starts = holding(env, commands, episodes, seed)
     found = measure_cells(env, loaded.policy.act, starts, episodes, measure, GROUP, report)
-    return [
-        {"command": list(command)} | cell for command, cell in zip(commands, found, strict=True)
-    ]
+    return [{"command": list(held)} | cell for held, cell in zip(commands, found, strict=True)]
 
 
 def measure_gaits(loaded: LoadedRun, seed: int) -> list[dict[str, Any]]:
@@ -180,10 +166,7 @@ def measure_response(
 
 
 def holding(env: QuadrupedEnv, commands: list[Command], episodes: int, seed: int) -> State:
-    """The first states of `episodes` at each command, which they hold, one command after another.
-
-    Each command has the same starts.
-    """
+    """The same first states of `episodes`, held at each command, one command after another."""
 
     def start(env: QuadrupedEnv, velocity: jax.Array, state: State) -> State:
         command = state.pipeline_state.command._replace(velocity=velocity)

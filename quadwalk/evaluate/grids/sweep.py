@@ -21,14 +21,7 @@ from quadwalk.evaluate.motion.kinematics import roll_pitch_yaw
 from quadwalk.evaluate.simulate import Report, fresh_starts
 from quadwalk.settings.environment import NO_RANDOMIZATION, Range
 from quadwalk.task.env import QuadrupedEnv
-from quadwalk.task.episode.randomization import (
-    EpisodeRandomization,
-    draw_conditions,
-    latest_drawn,
-    possible,
-    readings_needed,
-    targets_needed,
-)
+from quadwalk.task.episode import randomization
 
 
 @dataclass(frozen=True)
@@ -91,10 +84,7 @@ def measure_sweeps(
 
 
 def task_ranges(env: QuadrupedEnv, nominal: Point) -> dict[str, tuple[float, float]]:
-    """Of each sweep the range that the task draws from, without a margin, in the sweep's unit.
-
-    `training_ranges` stand for a task that randomizes nothing.
-    """
+    """Of each sweep the range in `training_ranges`, without a margin, in the sweep's unit."""
     config, robot = training_ranges(env.config), env.robot
     push = (config.push, robot.froude_speed)
     # field of Point -> range of the settings, and how much of the sweep's unit theirs is
@@ -166,15 +156,12 @@ def measure_points(
 
 
 def starts_at(env: QuadrupedEnv, points: list[Point], episodes: int, seed: int) -> State:
-    """The first states of all episodes, under the conditions of their points.
-
-    Each point has the same starts, and the same draws but for their size.
-    """
-    latest = latest_drawn(training_ranges(env.config))
+    """First states under each point's conditions: the same starts, and draws alike but in size."""
+    latest = randomization.latest_drawn(training_ranges(env.config))
     late = max(p.delay / 1e3 + p.everything * latest[0] for p in points)
-    kept = targets_needed(math.ceil(late / env.stepping.dt), env.stepping.substeps)
+    kept = randomization.targets_needed(math.ceil(late / env.stepping.dt), env.stepping.substeps)
     sensors = max(p.sensor_delay / 1e3 + p.everything * latest[1] for p in points)
-    readings = readings_needed(sensors, env.config.control_dt)
+    readings = randomization.readings_needed(sensors, env.config.control_dt)
 
     keys = jax.random.split(jax.random.fold_in(jax.random.PRNGKey(seed), 1), episodes)
     known = [p if p.friction is not None else replace(p, friction=env.friction) for p in points]
@@ -189,12 +176,14 @@ def starts_at(env: QuadrupedEnv, points: list[Point], episodes: int, seed: int) 
 
 def conditions_at(
     env: QuadrupedEnv, point: Point, key: jax.Array, kept: int
-) -> EpisodeRandomization:
+) -> randomization.EpisodeRandomization:
     """The conditions of one episode at `point`, whose numbers may be traced."""
     robot, stepping = env.robot, env.stepping
     ideal = dataclasses.replace(NO_RANDOMIZATION, sensor_latency=(0.0, 0.0))
-    base = draw_conditions(ideal, robot, stepping, key, env.friction)
-    drawn = draw_conditions(training_ranges(env.config), robot, stepping, key, env.friction)
+    base = randomization.draw_conditions(ideal, robot, stepping, key, env.friction)
+    drawn = randomization.draw_conditions(
+        training_ranges(env.config), robot, stepping, key, env.friction
+    )
     drawn = drawn._replace(
         targets=base.targets,
         sensor_delay=base.sensor_delay if drawn.sensor_delay is None else drawn.sensor_delay,
@@ -217,7 +206,7 @@ def conditions_at(
         kd=usual.kd * point.kd / 100.0,
     )
     return mixed._replace(
-        variation=possible(variation),
+        variation=randomization.possible(variation),
         delay=mixed.delay + point.delay / (1000.0 * stepping.dt),
         sensor_delay=mixed.sensor_delay + point.sensor_delay / 1000.0 / stepping.control_dt,
         push=mixed.push + jnp.stack([point.push_ahead, point.push]),

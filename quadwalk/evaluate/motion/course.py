@@ -99,10 +99,7 @@ def window_means(values: np.ndarray, window: int) -> np.ndarray:
 
 
 def path_length(rollout: Rollout) -> float:
-    """Length of the trunk's path on the floor, m, as straight lines of `WINDOW` each.
-
-    So that swaying from step to step does not count.
-    """
+    """Length of the trunk's path on the floor, m, in lines of `WINDOW`: swaying does not count."""
     every = max(round(WINDOW / rollout.control_dt), 1)
     points = np.concatenate([rollout.qpos[:-1:every, :2], rollout.qpos[-1:, :2]])
     return float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())

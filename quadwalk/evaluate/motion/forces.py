@@ -44,10 +44,7 @@ def geom_ids(model: mujoco.MjModel, feet: tuple[str, ...]) -> tuple[int, ...]:
 
 
 def foot_forces(model: mujoco.MjModel, data: mujoco.MjData, geoms: tuple[int, ...]) -> np.ndarray:
-    """(4,) N, the floor's push on each foot along its normal, from the contacts in `data`.
-
-    `geoms` are `geom_ids`.
-    """
+    """(4,) N, the floor's push on each foot along its normal, by `data`; `geoms` are `geom_ids`."""
     floor, *feet = geoms
     column = {foot: k for k, foot in enumerate(feet)}
     forces, contact = np.zeros(4), np.zeros(6)

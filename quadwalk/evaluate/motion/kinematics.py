@@ -20,10 +20,7 @@ from quadwalk.robot.urdf import parse_urdf
 
 
 def rotations(quat: np.ndarray) -> Rotation:
-    """`quat` (T, 4) of any length as rotations.
-
-    One that is zero, or of which a part is NaN, is no rotation (SciPy refuses such).
-    """
+    """`quat` (T, 4) of any length as rotations; zeros or NaN, which SciPy refuses, turn nothing."""
     quat = np.asarray(quat, dtype=float)
     given = np.linalg.norm(quat, axis=1, keepdims=True) > mujoco.mjMINVAL
     return Rotation.from_quat(np.where(given, quat, [1.0, 0.0, 0.0, 0.0]), scalar_first=True)

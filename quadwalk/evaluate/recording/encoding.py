@@ -65,7 +65,7 @@ class Transforms:
     def serialized(self, time: int, poses: Sequence[Sequence[float]]) -> bytes:
         for transform, pose in zip(self.message.transforms, poses, strict=True):
             transform.timestamp.FromNanoseconds(time)
-            _set_pose(transform.translation, transform.rotation, pose)
+            set_pose(transform.translation, transform.rotation, pose)
         return self.message.SerializeToString()
 
 
@@ -94,11 +94,11 @@ class Pose:
 
     def serialized(self, time: int, pose: Sequence[float]) -> bytes:
         self.message.timestamp.FromNanoseconds(time)
-        _set_pose(self.message.pose.position, self.message.pose.orientation, pose)
+        set_pose(self.message.pose.position, self.message.pose.orientation, pose)
         return self.message.SerializeToString()
 
 
-def _set_pose(position, orientation, values: Sequence[float]) -> None:
+def set_pose(position, orientation, values: Sequence[float]) -> None:
     position.x, position.y, position.z = values[:3]
     orientation.w, orientation.x, orientation.y, orientation.z = values[3:]
 

@@ -13,6 +13,7 @@ from foxglove_schemas_protobuf.LinePrimitive_pb2 import LinePrimitive
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from scipy.spatial.transform import Rotation
 
+from quadwalk.evaluate.recording.encoding import set_pose
 from quadwalk.ground.heightfield import Heightfield
 
 SCENE_PERIOD = 0.06  # s: often enough for arrows, and a third of the bytes of each step
@@ -44,9 +45,7 @@ class SceneWriter:
         The ground is a grid at height 0; `ground`, where there is any, is drawn by `draw_ground`.
         """
         self._path, self._weight = path, weight
-        self._below: np.ndarray = (
-            np.zeros(len(path)) if ground is None else ground.height_at(path[:, :2])
-        )
+        self._below = np.zeros(len(path)) if ground is None else ground.height_at(path[:, :2])
         self._speed = np.linalg.norm(velocity, axis=1)
         across = np.linalg.norm(velocity[:, :2], axis=1)
         yaw, pitch = np.arctan2(velocity[:, 1], velocity[:, 0]), -np.arctan2(velocity[:, 2], across)
@@ -98,9 +97,9 @@ class SceneWriter:
             self._line.points.add(x=_drawn(x), y=_drawn(y), z=_drawn(float(self._below[k]) + 0.01))
 
     def _draw_velocity(self, row: int, start: tuple[float, float, float]) -> None:
-        position, turn = self._arrow.pose.position, self._arrow.pose.orientation
-        position.x, position.y, position.z = start[0], start[1], start[2] + 0.25
-        turn.w, turn.x, turn.y, turn.z = map(_drawn, self._along[row])
+        x, y, z = start
+        pose = self._arrow.pose
+        set_pose(pose.position, pose.orientation, [x, y, z + 0.25, *map(_drawn, self._along[row])])
         self._arrow.shaft_length = _drawn(_VELOCITY_ARROW * self._speed[row])
 
     def _draw_forces(self, feet: np.ndarray, forces: np.ndarray) -> None:
@@ -112,9 +111,8 @@ class SceneWriter:
                 shaft_diameter=0.015, head_diameter=0.03, head_length=0.03
             )
             arrow.shaft_length = _drawn(_FORCE_ARROW * force / self._weight)
-            position, turn = arrow.pose.position, arrow.pose.orientation
-            position.x, position.y, position.z = _drawn(x), _drawn(y), _drawn(z)
-            turn.w, turn.y = _HALF, -_HALF  # the arrow's x axis points up
+            up = [_HALF, 0.0, -_HALF, 0.0]  # of the arrow's x axis
+            set_pose(arrow.pose.position, arrow.pose.orientation, [*map(_drawn, (x, y, z)), *up])
             _color(arrow.color, 0.85, 0.15, 0.2, 1.0)
 
 

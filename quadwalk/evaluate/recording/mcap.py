@@ -51,8 +51,7 @@ def write_mcap(
     `metadata` becomes the record named `quadwalk`; a record `episode` comes from the rollout. The
     URDF and the Foxglove layout are attached, and `attachments` (name -> content) beside them,
     large ones as NAME.gz. A rollout whose state stops being finite is written up to there, with
-    the event in `/log`.
-    Raises `UserError` where the file cannot be written, leaving an older one as it was.
+    the event in `/log`. Raises `UserError` where the file cannot be written.
     """
     attached = {
         f"{quadruped.name}.urdf": quadruped.urdf.encode(),
@@ -84,10 +83,7 @@ def foxglove_layout(trunk: str) -> bytes:
 
 
 def verify_mcap(path: str | Path) -> int:
-    """Check every checksum of an MCAP file; returns its number of messages.
-
-    Raises `UserError` for a file that cannot be read, is cut short, or is damaged.
-    """
+    """Check all checksums of an MCAP file: its number of messages, `UserError` if it is damaged."""
     try:
         with open(path, "rb") as stream:
             return _verified_messages(stream)
@@ -127,7 +123,15 @@ def _write(
     """Write the whole file to `stream`; returns the number of messages."""
     writer = Writer(stream, chunk_size=_CHUNK, enable_data_crcs=True)
     writer.start(library="quadwalk")
-    channels = _register(writer, episode)
+    # All channels, in a fixed order.
+    text = writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data\n")
+    channels = {"/robot_description": writer.register_channel("/robot_description", "cdr", text)}
+    schemas: dict[str, int] = {}
+    for topic, kind in episode.topics.items():
+        name = kind.DESCRIPTOR.full_name
+        if name not in schemas:
+            schemas[name] = register_schema(writer, kind)
+        channels[topic] = writer.register_channel(topic, "protobuf", schemas[name])
     for name, record in records.items():
         writer.add_metadata(name, dict(sorted(record.items())))
     for name, content in sorted(attachments.items()):
@@ -141,16 +145,3 @@ def _write(
         count += 1
     writer.finish()
     return count
-
-
-def _register(writer: Writer, episode: EpisodeMessages) -> dict[str, int]:
-    """Declare all channels, in a fixed order; returns topic -> channel id."""
-    text = writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data\n")
-    channels = {"/robot_description": writer.register_channel("/robot_description", "cdr", text)}
-    schemas: dict[str, int] = {}
-    for topic, kind in episode.topics.items():
-        name = kind.DESCRIPTOR.full_name
-        if name not in schemas:
-            schemas[name] = register_schema(writer, kind)
-        channels[topic] = writer.register_channel(topic, "protobuf", schemas[name])
-    return channels

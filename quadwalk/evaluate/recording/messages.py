@@ -46,10 +46,7 @@ class _Writer(Protocol):
 
 
 def drawn_urdf(urdf: str) -> str:
-    """The URDF for a viewer: without the collision shapes of links that have visual ones.
-
-    Rerun draws both, one through the other. A link without visuals keeps its collision shapes.
-    """
+    """The URDF without collision shapes where links have visual ones: Rerun would draw both."""
     root = lxml.etree.fromstring(urdf.encode())
     for link in root.iter("link"):
         if link.find("visual") is not None:
@@ -68,32 +65,33 @@ class EpisodeMessages:
         self.quadruped, self.model = quadruped, quadruped.full_model()
         self.rows = finite_states(rollout)
         self.field, self.links = field_of(self.model), link_frames(quadruped)
-        # What a step begins with.
-        begun = {
-            "/observation": rollout.observation,
-            "/action": rollout.action,
-            "/truth": rollout.truth,
-            "/command": rollout.command,
-            "/joint_cmd": rollout.target,
-            "/joint_applied_target": rollout.applied_target,
+        joints, names = quadruped.joints, rollout.observation_names
+        known = names[: 0 if rollout.truth is None else rollout.truth.shape[1]]
+        # What a step begins with, and what fills its messages.
+        begun: dict[str, tuple[np.ndarray | None, _Writer]] = {
+            "/observation": (rollout.observation, Scalars("Observation", names)),
+            "/action": (rollout.action, Scalars("Action", joints)),
+            "/truth": (rollout.truth, Scalars("Truth", known)),
+            "/command": (rollout.command, Scalars("Command", COMMANDED)),
+            "/joint_cmd": (rollout.target, Joints(joints)),
+            "/joint_applied_target": (rollout.applied_target, Joints(joints)),
         }
-        self.begun = {topic: array for topic, array in begun.items() if array is not None}
-        self.writers = self._writers()
+        self.begun = {topic: array for topic, (array, _) in begun.items() if array is not None}
+        self.writers = self._writers() | {topic: begun[topic][1] for topic in self.begun}
         self.topics: dict[str, type[Message]] = {
             topic: type(writer.message) for topic, writer in self.writers.items()
         }
         self.topics |= {"/log": Log} | ({} if self.field is None else {"/ground": SceneUpdate})
 
     def _writers(self) -> dict[str, _Writer]:
-        """What fills the messages of each topic of rows."""
+        """What fills the messages of each topic of states and of steps that ended in them."""
         rollout, quadruped, legs = self.rollout, self.quadruped, self.quadruped.legs
         path, velocity = rollout.qpos[: self.rows, :3], rollout.qvel[: self.rows, :3]
         weight = weight_of(rollout, self.model)
         frames = [(WORLD, quadruped.trunk), *zip(self.links.parents, self.links.links, strict=True)]
         sensors = [f"{sensor}_{a}" for sensor in ("gyroscope", "accelerometer") for a in "xyz"]
         moved = [f"{frame}_{a}" for frame in ("world", "body") for a in "xyz"]
-        known = rollout.observation_names[: 0 if rollout.truth is None else rollout.truth.shape[1]]
-        writers: dict[str, _Writer] = {
+        return {
             "/tf": Transforms(frames),
             "/joint_states": Joints(quadruped.joints),
             "/pose": Pose(WORLD),
@@ -103,15 +101,6 @@ class EpisodeMessages:
             "/reward": Scalars("Reward", ["total", *rollout.reward_terms]),
             "/scene": SceneWriter(path, velocity, weight, WORLD, self.field),
         }
-        begun: dict[str, _Writer] = {
-            "/observation": Scalars("Observation", rollout.observation_names),
-            "/action": Scalars("Action", quadruped.joints),
-            "/truth": Scalars("Truth", known),
-            "/command": Scalars("Command", COMMANDED),
-            "/joint_cmd": Joints(quadruped.joints),
-            "/joint_applied_target": Joints(quadruped.joints),
-        }
-        return writers | {topic: begun[topic] for topic in self.begun}
 
     def nanoseconds(self, row: int) -> int:
         return round(row * self.rollout.control_dt * 1e9)
@@ -128,7 +117,6 @@ class EpisodeMessages:
         yield from self._end()
 
     def _block(self, start: int, stop: int) -> Iterator[tuple[str, int, bytes]]:
-        """The messages of the states start .. stop."""
         columns = self._states(start, stop) | self._steps(start, stop) | self._scenes(start, stop)
         for k, row in enumerate(range(start, stop)):
             time = self.nanoseconds(row)
@@ -219,6 +207,4 @@ class EpisodeMessages:
 def _of_ended(array: np.ndarray, start: int, stop: int) -> np.ndarray:
     """Rows of the steps (T, ...) that ended in the states start .. stop; none ended in state 0."""
     rows = array[max(start - 1, 0) : stop - 1]
-    return (
-        rows if start else np.concatenate([np.zeros_like(array, shape=(1, *array.shape[1:])), rows])
-    )
+    return rows if start else np.concatenate([np.zeros((1, *array.shape[1:]), array.dtype), rows])

@@ -1,5 +1,6 @@
 """Where an evaluation's numbers come from: code, policy, versions, robot."""
 
+import contextlib
 import subprocess
 from pathlib import Path
 from typing import Any
@@ -34,26 +35,18 @@ def revision(source: Path = ROOT) -> str:
     # An installed package may lie inside some other project's checkout, whose commit is not its.
     if (source / ".git").exists():
         command = ["git", "--no-optional-locks", "-C", str(source), "describe", "--always"]
-        try:
-            done = subprocess.run(
-                [*command, "--dirty", "--abbrev=40", "--exclude=*"],
-                capture_output=True,
-                text=True,
-                timeout=10,
-            )
-        except (OSError, subprocess.SubprocessError):
-            pass
-        else:
-            if done.returncode == 0 and done.stdout.strip():
-                return f"git {done.stdout.strip()}"
+        command += ["--dirty", "--abbrev=40", "--exclude=*"]
+        with contextlib.suppress(OSError, subprocess.SubprocessError):
+            found = subprocess.check_output(
+                command, stderr=subprocess.DEVNULL, text=True, timeout=10
+            ).strip()
+            if found:
+                return f"git {found}"
     return f"quadwalk {versions()['quadwalk']}"
 
 
 def attachments(loaded: LoadedRun) -> dict[str, bytes]:
-    """Files to go with every recording: the run's configuration, and the robot as MJCF.
-
-    The MJCF is what `quadwalk robot` writes: every shape, and the joints' friction.
-    """
+    """Files for every recording: the run's configuration, and the MJCF of `quadwalk robot`."""
     quadruped = loaded.env.quadruped
     if loaded.env.terrain is not None:  # without the ground, of which the recording shows its own
         quadruped = load_robot(loaded.policy.config.robot)

@@ -58,7 +58,8 @@ def draw_sweep(
             _sweep(axes, speed, result, name, _color(k), _MARKS[k % 7])
             for k, result in enumerate(results)
         )
-        axes.axvspan(*_inside(axes.get_xlim(), sweeps[name]["range"]), color="0.92", zorder=0)
+        (left, right), (low, high) = axes.get_xlim(), sweeps[name]["range"]
+        axes.axvspan(max(left, low), min(right, high), color="0.92", zorder=0)
         # The same scale in every panel, and as high as that of success: 100 % is the top speed.
         speed.set_ylim(min(-0.03 * max(top, 0.1), 1.05 * lowest), 1.06 * max(top, 0.1))
         if place % columns == 0:
@@ -73,13 +74,7 @@ def draw_sweep(
     return figure
 
 
-def _inside(limits: tuple[float, float], between: Sequence[float]) -> tuple[float, float]:
-    """What of the range `between` lies within an axis's `limits`."""
-    return max(limits[0], between[0]), min(limits[1], between[1])
-
-
 def _explain(figure: Figure, runs: list[str]) -> None:
-    """A legend below the panels of a sweep."""
     handles: list[Any] = [
         Line2D([], [], color=_color(k), marker=_MARKS[k % 7], lw=2, label=run)
         for k, run in enumerate(runs)
@@ -99,10 +94,8 @@ def _sweep(
     """Draw one run's sweep; the lowest speed drawn."""
     points = result["sweeps"][name]["points"]
     values = [point["value"] for point in points]
-    low, high = zip(*(point["success_ci95"] for point in points), strict=True)
-    axes.fill_between(
-        values, [100 * e for e in low], [100 * e for e in high], color=color, alpha=0.2, lw=0
-    )
+    low, high = 100 * np.array([point["success_ci95"] for point in points]).T
+    axes.fill_between(values, low, high, color=color, alpha=0.2, lw=0)
     shares = [100 * point["success"] for point in points]
     axes.plot(values, shares, f"{mark}-", color=color, linewidth=2, label=result["run"])
     means = [point["speed"]["mean"] for point in points]
@@ -118,15 +111,9 @@ def draw_by_ground(results: dict[str, Any], title: str) -> Figure:
     maps: list[tuple[str, str, float, Any]] = [
         ("success, %", "viridis", 100.0, lambda cell: 100 * cell["success"]),
         ("speed, m/s", "viridis", 0.0, lambda cell: cell["speed"]["mean"]),
+        ("velocity error, m/s", "viridis_r", 0.0, lambda cell: figure_mean(cell["velocity_error"])),
     ]
-    if commanded:
-        off = (
-            "velocity error, m/s",
-            "viridis_r",
-            0.0,
-            lambda cell: figure_mean(cell["velocity_error"]),
-        )
-        maps.append(off)
+    maps = maps if commanded else maps[:2]
     size = (1.6 + 4.2 * len(maps), 1.6 + 0.5 * max(len(kinds), 3))
     about = f", command {results['command']:g} m/s" if commanded else ""
     text = f"{title}: {results['episodes']} episodes in each cell, unseen ground{about}"

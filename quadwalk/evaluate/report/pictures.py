@@ -8,6 +8,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from quadwalk.drawing.canvas import Camera, Canvas
 from quadwalk.drawing.images import FPS, film_strip, save_video
+from quadwalk.evaluate.motion.course import window_means
 from quadwalk.evaluate.rollout import Rollout, finite_part
 from quadwalk.ground.heightfield import heights_under
 from quadwalk.robot.quadruped import Quadruped
@@ -23,10 +24,7 @@ def draw_film_strip(
     width: int = 480,
     height: int = 300,
 ) -> np.ndarray:
-    """Eight pictures, evenly spaced over the `seconds` about the episode's middle, as pixels.
-
-    0.7 s are some two strides of a run. `width` and `height` in pixels are those of one picture.
-    """
+    """Eight pictures of `width` by `height` pixels, over `seconds`, two strides, in the middle."""
     rollout = finite_part(rollout)
     across, down = _STRIP
     rows = middle_rows(rollout, across * down, seconds)
@@ -48,11 +46,7 @@ def render_video(
     width: int = 480,
     height: int = 300,
 ) -> None:
-    """Write up to `seconds` from the episode's middle in real time; MP4 if `path` ends so, or GIF.
-
-    An MP4 needs ffmpeg on the PATH or the package imageio-ffmpeg. Raises `UserError` where that is
-    missing or the file cannot be written.
-    """
+    """Write up to `seconds` from the episode's middle in real time, as `save_video` does."""
     rollout = finite_part(rollout)
     wanted = min(seconds, rollout.steps * rollout.control_dt)
     start = (rollout.steps * rollout.control_dt - wanted) / 2
@@ -78,14 +72,10 @@ def _pictures(
 
 
 def _camera_path(rollout: Rollout, ground: np.ndarray) -> np.ndarray:
-    """(T + 1, 3) m: where the camera looks, the smoothed path of the base at a steady height.
-
-    That is above `ground` (T + 1,), m, which is smoothed as well.
-    """
+    """(T + 1, 3) m: where the camera looks, above the smoothed path and `ground` (T + 1,), m."""
     width = max(round(_SMOOTHING / rollout.control_dt) // 2 * 2 + 1, 1)
     path = np.concatenate([rollout.qpos[:, :2].astype(float), ground[:, None]], axis=1)
     padded = np.pad(path, ((width // 2, width // 2), (0, 0)), "edge")
-    sums = np.cumsum(np.concatenate([np.zeros((1, 3)), padded]), axis=0)
-    smooth = (sums[width:] - sums[:-width]) / width
+    smooth = window_means(padded, width)
     smooth[:, 2] += 0.75 * np.median(rollout.qpos[:, 2] - ground)
     return smooth

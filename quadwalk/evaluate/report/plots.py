@@ -24,9 +24,8 @@ _PARTS = ("hip", "thigh", "calf")
 def draw_report(rollout: Rollout, quadruped: Quadruped, title: str = "") -> Figure:
     """One episode as a figure, 16 by 18 inches; 21 with the sensors, where they are not ideal.
 
-    Speed, posture, rewards and the path are shown from beginning to end; footfalls, angles and
-    torques over the last `WINDOW` seconds, where strides are seen apart. `title` goes before the
-    figure's own headline.
+    Footfalls, angles and torques are those of the last `WINDOW` seconds, where strides are seen
+    apart. `title` goes before the figure's own headline.
     """
     shown = finite_part(rollout)
     heights, height = [0.85, 1.2, 1.2, 1.2, 1.6], 18

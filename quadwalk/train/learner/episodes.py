@@ -14,10 +14,9 @@ SOME = 16  # fresh episodes that are begun at once: of a thousand robots, few en
 
 
 def reset_envs(env: Env, keys: jax.Array, tiles: jax.Array | None = None) -> State:
-    """A batch of fresh episodes, `keys` (n, 2), out of phase: each starts at a random step.
+    """A batch of fresh episodes, `keys` (n, 2), on `tiles` (n,) of the terrain; None: any.
 
-    In phase, every episode would reach its time limit in the same iteration. `tiles` (n,) are those
-    of the terrain that they are on; None: any.
+    Each starts at a random step: else all would reach their time limit in the same iteration.
     """
     state = jax.vmap(env.reset)(*([keys] if tiles is None else [keys, tiles]))
     phase = jax.vmap(lambda key: jax.random.randint(key, (), 0, env.config.episode_steps))(keys)
@@ -43,10 +42,7 @@ class FreshStarts(NamedTuple):
 def fresh_starts(
     env: Env, envs: State, first: jax.Array, learnt_from: int, key: jax.Array
 ) -> FreshStarts:
-    """As many fresh starts as there are environments `envs`; `first`: in the first iteration.
-
-    With a curriculum each environment has its own; otherwise they are dealt out anew in each step.
-    """
+    """As many starts as environments: with a curriculum each its own, else dealt out anew."""
     number = len(envs.done)
     tiles = next_tiles(env, envs.pipeline_state, first, learnt_from, key)
     fresh = reset_envs(env, jax.random.split(key, number), tiles)

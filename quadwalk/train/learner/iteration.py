@@ -17,17 +17,8 @@ from jax.sharding import PartitionSpec as P
 from quadwalk.settings.training import PPOConfig
 from quadwalk.task.ground_input import heights, with_heights
 from quadwalk.train.devices import release_freed_memory
+from quadwalk.train.learner import ppo
 from quadwalk.train.learner.networks import Networks, TanhNormal
-from quadwalk.train.learner.ppo import (
-    AXIS,
-    Learner,
-    Metrics,
-    Rollout,
-    RolloutState,
-    collect,
-    learn,
-    make_optimizer,
-)
 
 T = TypeVar("T")
 
@@ -35,13 +26,13 @@ T = TypeVar("T")
 class TrainState(NamedTuple):
     """Everything that an iteration of training reads and writes."""
 
-    learner: Learner
-    workers: RolloutState
+    learner: ppo.Learner
+    workers: ppo.RolloutState
 
 
 def make_mesh(devices: list[jax.Device] | None = None) -> Mesh:
     """A one-dimensional mesh over `devices`, by default all."""
-    return Mesh(np.array(devices or jax.devices()), (AXIS,))
+    return Mesh(np.array(devices or jax.devices()), (ppo.AXIS,))
 
 
 def init_state(
@@ -50,19 +41,19 @@ def init_state(
     """The state before the first iteration, in which `num_envs` environments will start."""
     key_networks, key_workers = jax.random.split(jax.random.PRNGKey(seed))
     params = networks.init(key_networks)
-    learner = Learner(
+    learner = ppo.Learner(
         params=params,
-        optimizer=make_optimizer(config).init(params),
+        optimizer=ppo.make_optimizer(config).init(params),
         normalizer=networks.init_statistics(),
         iterations=jnp.zeros((), jnp.int32),
     )
-    split = NamedSharding(mesh, P(AXIS))
+    split = NamedSharding(mesh, P(ppo.AXIS))
     # Only their shapes, from one's: the first `collect` starts them, and a program for that alone
     # would take as long to compile as a good part of `collect`.
     one = jax.eval_shape(env.reset, jax.ShapeDtypeStruct((2,), np.uint32))
     number = num_envs + config.eval_envs
     envs = jax.tree.map(lambda x: np.zeros((number, *x.shape), x.dtype), one)
-    workers = RolloutState(
+    workers = ppo.RolloutState(
         envs=jax.device_put(envs, split),
         key=jax.device_put(jax.random.split(key_workers, mesh.size), split),
     )
@@ -88,24 +79,24 @@ class Iteration:
         self, env: Env, networks: Networks, config: PPOConfig, mesh: Mesh, iterations: int
     ) -> None:
         def collecting(
-            learner: Learner, workers: RolloutState, ground: tuple[jax.Array, ...]
+            learner: ppo.Learner, workers: ppo.RolloutState, ground: tuple[jax.Array, ...]
         ) -> tuple[Any, ...]:
             own = with_heights(env, ground)
-            workers, data, collected = collect(own, networks, config, learner, workers)
+            workers, data, collected = ppo.collect(own, networks, config, learner, workers)
             key, key_learn = jax.random.split(workers.key[0])
             return workers._replace(key=key[None]), data, collected, key_learn[None]
 
-        def learning(learner: Learner, data: Any, key: jax.Array) -> tuple[Any, ...]:
-            learner, learned = learn(networks, config, learner, data, key[0], iterations)
+        def learning(learner: ppo.Learner, data: Any, key: jax.Array) -> tuple[Any, ...]:
+            learner, learned = ppo.learn(networks, config, learner, data, key[0], iterations)
             floats = [x for x in jax.tree.leaves(learner) if jnp.issubdtype(x.dtype, jnp.floating)]
             finite = jnp.all(jnp.stack([jnp.all(jnp.isfinite(x)) for x in floats]))
             return learner, {**learned, "learner/finite": finite}
 
         one: Any = P()
-        split: Any = P(AXIS)
-        rows: Any = P(None, AXIS)  # environments last
-        steps: Any = P(None, None, AXIS)
-        data: Any = Rollout(steps, steps, TanhNormal(steps, steps), rows, rows, rows), rows
+        split: Any = P(ppo.AXIS)
+        rows: Any = P(None, ppo.AXIS)  # environments last
+        steps: Any = P(None, None, ppo.AXIS)
+        data: Any = ppo.Rollout(steps, steps, TanhNormal(steps, steps), rows, rows, rows), rows
 
         def program(function: Callable[..., Any], inputs: Any, outputs: Any, **others: Any) -> Any:
             shared = jax.shard_map(
@@ -133,12 +124,12 @@ class Iteration:
             )
         release_freed_memory()
 
-    def collect(self, learner: Learner, workers: RolloutState) -> tuple[Any, ...]:
+    def collect(self, learner: ppo.Learner, workers: ppo.RolloutState) -> tuple[Any, ...]:
         """Workers, data, metrics and a random key to learn with; `workers` are donated."""
         found: tuple[Any, ...] = self._collect(learner, workers, self._ground)
         return found
 
-    def __call__(self, state: TrainState) -> tuple[TrainState, Metrics]:
+    def __call__(self, state: TrainState) -> tuple[TrainState, ppo.Metrics]:
         workers, data, collected, key = self.collect(*state)
         learner, learned = self.learn(state.learner, data, key)
         return TrainState(learner, workers), {**collected, **learned}

@@ -61,7 +61,6 @@ class Basis:
 
     @property
     def sizes(self) -> tuple[int, ...]:
-        """How many coordinates each part has."""
         return tuple(len(matrix) for matrix in self.matrices)
 
     def split(self, x: jax.Array) -> Parts:
@@ -102,7 +101,6 @@ class Networks(NamedTuple):
     outputs: Basis  # of the policy's: means and raw standard deviations
 
     def init(self, key: jax.Array) -> PPONetworkParams:
-        """Parameters at the start."""
         key_policy, key_value = jax.random.split(key)
         return PPONetworkParams(
             policy=_layers(key_policy, self._sizes(self.seen, self.outputs.sizes)),
@@ -247,14 +245,18 @@ def _perceptron(activation: str, params: Any, parts: Parts) -> Parts:
     for number in range(len(layers)):
         if number:
             parts = _activated(ACTIVATION[activation], parts)
-        layer = layers[f"hidden_{number}"]
-        kernels = [layer[name] for name in KERNELS if name in layer]
-        biases = [layer[name] for name in BIASES if name in layer]
+        kernels, biases = _kernels_and_biases(layers[f"hidden_{number}"])
         parts = tuple(
             kernel.T @ part + bias[:, None]
             for kernel, part, bias in zip(kernels, parts, biases, strict=False)
         )
     return tuple(part.reshape(len(part), *several) for part in parts)
+
+
+def _kernels_and_biases(layer: Any) -> tuple[list[Any], list[Any]]:
+    """Of a layer's parts; a value's has no negated one."""
+    kernels, biases = ([layer[n] for n in names if n in layer] for names in (KERNELS, BIASES))
+    return kernels, biases
 
 
 def _activated(activation: Callable[[jax.Array], jax.Array], parts: Parts) -> Parts:
@@ -270,8 +272,8 @@ def _bases(layers: Any, inputs: Basis, outputs: Basis) -> list[tuple[Basis, Basi
     """The bases before and after each layer of a network."""
     between = []
     for number in range(len(layers) - 1):
-        layer = layers[f"hidden_{number}"]
-        half = sum(layer[name].shape[1] for name in KERNELS if name in layer) // 2
+        kernels, _ = _kernels_and_biases(layers[f"hidden_{number}"])
+        half = sum(kernel.shape[1] for kernel in kernels) // 2
         swap = mirror(np.roll(np.arange(2 * half), half), np.ones(2 * half))
         between.append(Basis(2 * half, swap))
     return list(zip([inputs, *between], [*between, outputs], strict=True))
@@ -283,18 +285,13 @@ def plain(params: Any, inputs: Basis, outputs: Basis) -> Any:
         return params
     layers = {}
     for number, (before, after) in enumerate(_bases(params["params"], inputs, outputs)):
-        layer = params["params"][f"hidden_{number}"]
-        kernels = [layer[name] for name in KERNELS if name in layer]
+        kernels, biases = _kernels_and_biases(params["params"][f"hidden_{number}"])
         layers[f"hidden_{number}"] = {
             "kernel": sum(
                 a.T @ kernel @ b
                 for a, kernel, b in zip(before.matrices, kernels, after.matrices, strict=False)
             ),
-            "bias": sum(
-                layer[name] @ b
-                for name, b in zip(BIASES, after.matrices, strict=False)
-                if name in layer
-            ),
+            "bias": sum(bias @ b for bias, b in zip(biases, after.matrices, strict=False)),
         }
     return {"params": layers}
 
@@ -375,10 +372,8 @@ def mean_policy(
 ) -> Callable[[jax.Array], jax.Array]:
     """The deterministic policy of plain `params`: observation (..., n) to action (..., 12).
 
-    Of an observation it takes the first numbers, those that the policy sees.
-
-    It is a pytree of its weights, so that a jitted function can take it as an argument, and what
-    was compiled for one policy serves for the next.
+    Of an observation it takes the first numbers, those that the policy sees. It is a pytree of its
+    weights, an argument of jitted functions: what was compiled for one policy serves for the next.
     """
     return jax.tree_util.Partial(_acting(activation), normalizer, params)
 

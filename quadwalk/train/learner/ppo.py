@@ -295,10 +295,7 @@ def _policy_loss(
 
 
 def adapted(config: PPOConfig, rate: jax.Array, kl: jax.Array, desired_kl: jax.Array) -> jax.Array:
-    """The learning `rate`, less where the policy changes too much, more where it does too little.
-
-    Always within its bounds.
-    """
+    """`rate` within its bounds, less where the policy changes too much, more where too little."""
     rate = jnp.where(kl > 2.0 * desired_kl, rate / 1.5, rate)
     rate = jnp.where((kl < desired_kl / 2.0) & (kl > 0.0), rate * 1.5, rate)
     return jnp.clip(rate, config.min_learning_rate, config.max_learning_rate)

@@ -49,7 +49,13 @@ def learning_curve(metrics: Sequence[Row]) -> Figure:
         panels = list(part.subplots(count, _COLUMNS).flat)
         if group is levels:
             part.suptitle("mean level of difficulty", fontsize=10, x=0.01, ha="left")
-        _draw_small(panels, rows, group)
+        for axes, key in zip(panels, group, strict=False):
+            name = key.removeprefix(_TERM).removeprefix(_LEVEL)
+            tidy(axes, name.replace("_", " "), fontsize=9)
+            _draw(axes, rows, key, _GREY)
+            _finish(axes, rows, ticks=4)
+        for axes in panels[len(group) :]:
+            axes.set_visible(False)
     return figure
 
 
@@ -67,16 +73,6 @@ def _draw_figures(panels: Sequence[Axes], rows: Sequence[Row]) -> None:
         _finish(axes, rows)
         axes.set_xlabel("environment steps")
         _add_minutes(axes, rows)
-
-
-def _draw_small(panels: Sequence[Axes], rows: Sequence[Row], keys: Sequence[str]) -> None:
-    for axes, key in zip(panels, keys, strict=False):
-        name = key.removeprefix(_TERM).removeprefix(_LEVEL)
-        tidy(axes, name.replace("_", " "), fontsize=9)
-        _draw(axes, rows, key, _GREY)
-        _finish(axes, rows, ticks=4)
-    for axes in panels[len(keys) :]:
-        axes.set_visible(False)
 
 
 def _draw(axes: Axes, rows: Sequence[Row], key: str, color: str, factor: float = 1.0) -> None:

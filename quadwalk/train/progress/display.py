@@ -19,13 +19,6 @@ from typing import Any, TextIO, cast
 import rich.progress
 from rich.columns import Columns
 from rich.console import Console, RenderableType
-from rich.progress import (
-    BarColumn,
-    SpinnerColumn,
-    TaskProgressColumn,
-    TextColumn,
-    TimeElapsedColumn,
-)
 from rich.text import Text
 
 from quadwalk.train.progress.text import duration, number, percent, quantity, sparkline, spent
@@ -161,13 +154,13 @@ class _View(rich.progress.Progress):
         self.metrics: dict[str, float] = {}
         self.speeds: list[float] = []
         self.pace = ""
-        self._mark = SpinnerColumn()
+        self._mark = rich.progress.SpinnerColumn()
         super().__init__(
             self._mark,
-            TextColumn("[bold]{task.description}"),
-            BarColumn(),
-            TaskProgressColumn(),
-            TimeElapsedColumn(),
+            rich.progress.TextColumn("[bold]{task.description}"),
+            rich.progress.BarColumn(),
+            rich.progress.TaskProgressColumn(),
+            rich.progress.TimeElapsedColumn(),
             console=Console(file=stream, highlight=False),
             refresh_per_second=_FRAMES_PER_SECOND,
             get_time=time.monotonic,
@@ -247,10 +240,7 @@ def _terms(terms: Mapping[str, float]) -> Columns:
 
 
 class _Forgiving(io.TextIOBase):
-    """Passes text on to a stream and ignores that it has gone.
-
-    One place for all writers: print, rich, and the thread in which rich redraws.
-    """
+    """Passes text of print, rich and its thread on to a stream, and ignores that it has gone."""
 
     def __init__(self, stream: TextIO) -> None:
         self._stream = stream

@@ -22,22 +22,12 @@ def check_watch() -> None:
 
 @contextlib.contextmanager
 def watched(run: Run, say: Callable[[str], object]) -> Iterator[None]:
-    """The page of `run`, which shows each saved policy; `say` gets its address.
-
-    It ends with this process, even if that is killed: then its standard input is closed.
-    """
-    path, runs = run.path.resolve(), run.path.resolve().parent
-    command = [
-        sys.executable,
-        "-m",
-        "quadwalk.view.alongside",
-        str(path),
-        "--browser",
-        f"--runs={runs}",
-    ]
+    """The page of `run`, which shows each saved policy; `say` gets its address."""
+    path = run.path.resolve()
+    command = [sys.executable, "-m", "quadwalk.view.alongside", str(path)]
     page = subprocess.Popen(
-        command,
-        stdin=subprocess.PIPE,
+        [*command, "--browser", f"--runs={path.parent}"],
+        stdin=subprocess.PIPE,  # closed when this process ends, even if it is killed: it ends then
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
         text=True,

@@ -50,18 +50,12 @@ def save(path: Path | str, tree: Any, metadata: dict[str, Any]) -> None:
 
     `tree` is any JAX pytree whose leaves are real, integer, boolean or complex arrays or numbers
     (random keys as raw uint32). `metadata` is JSON data and names the "kind" of file, one of
-    `KINDS`. Raises `UserError` when the system refuses (no space, no permission); an older file at
-    `path` is then untouched.
+    `KINDS`. Raises `UserError` when the system refuses (no space, no permission).
     """
     if metadata.get("kind") not in KINDS:
         raise ValueError(f"metadata['kind'] is {metadata.get('kind')!r}, expected one of {KINDS}")
     leaves = {name: _as_numpy(name, leaf) for name, leaf in _named_leaves(tree)[0]}
-    header = {
-        "format": FORMAT,
-        "version": VERSION,
-        "arrays": list(leaves),
-        "metadata": metadata,
-    }
+    header = {"format": FORMAT, "version": VERSION, "arrays": list(leaves), "metadata": metadata}
     text = json.dumps(header, indent=1)
     with atomic_write(path) as file, zipfile.ZipFile(file, "w", zipfile.ZIP_STORED) as archive:
         # A bare ZipInfo is dated 1980: the time of writing must not change the bytes.
@@ -89,8 +83,17 @@ def load(path: Path | str, kind: str, like: Any = None) -> tuple[Any, dict[str, 
         raise UserError(f"cannot read {path}: {os_reason(error)}") from error
     try:  # ...from what the content lacks.
         with file, zipfile.ZipFile(file) as archive:
-            header = _read_header(archive)
-            _check_header(path, header, kind)
+            header = json.loads(_read_member(archive, _METADATA))
+            if not isinstance(header, dict) or header["format"] != FORMAT:
+                raise ValueError("another program's metadata")
+            if header["version"] != VERSION:
+                raise UserError(
+                    f"{path} has format version {header['version']}: "
+                    f"expected {VERSION} (was it written by a newer quadwalk?)"
+                )
+            found = header["metadata"]["kind"]
+            if found != kind:
+                raise UserError(f"{path} is a {found}: expected {_expected(kind)}")
             leaves = _read_leaves(archive, header)
     except _DAMAGE as error:
         raise UserError(f"{path} is damaged or foreign: expected {_expected(kind)}") from error
@@ -127,24 +130,6 @@ def _as_numpy(name: str, leaf: Any) -> np.ndarray:
     if array.dtype.kind not in "biufc":
         raise TypeError(f"cannot save {name}: {array.dtype} is not a plain number")
     return array.astype(array.dtype.newbyteorder("<"), copy=False)
-
-
-def _read_header(archive: zipfile.ZipFile) -> dict[str, Any]:
-    header = json.loads(_read_member(archive, _METADATA))
-    if not isinstance(header, dict) or header["format"] != FORMAT:
-        raise ValueError("another program's metadata")
-    return header
-
-
-def _check_header(path: Path, header: dict[str, Any], kind: str) -> None:
-    if header["version"] != VERSION:
-        raise UserError(
-            f"{path} has format version {header['version']}: "
-            f"expected {VERSION} (was it written by a newer quadwalk?)"
-        )
-    found = header["metadata"]["kind"]
-    if found != kind:
-        raise UserError(f"{path} is a {found}: expected {_expected(kind)}")
 
 
 def _read_leaves(archive: zipfile.ZipFile, header: dict[str, Any]) -> dict[str, np.ndarray]:

@@ -122,10 +122,7 @@ def create_run(
 
 
 def find_run(root: Path | str, which: str) -> Run:
-    """Find a run by its name in `root`, by its path, or as "latest", the one last trained.
-
-    Raises `UsageError` that lists some of the runs there are.
-    """
+    """A run by its name in `root`, by its path, or "latest"; a `UsageError` lists what there is."""
     root = Path(root)
     if which == "latest":
         runs = list_runs(root)
@@ -136,7 +133,11 @@ def find_run(root: Path | str, which: str) -> Run:
         for path in (root / which, Path(which)):
             if _is_run(path):
                 return Run(path)
-    raise UsageError(f"no run {which!r}: {_known_runs(root)}")
+    runs = list_runs(root)
+    names = ", ".join(run.name for run in runs[:_LISTED])
+    more = f" and {len(runs) - _LISTED} older" if len(runs) > _LISTED else ""
+    known = f"expected 'latest', a path, or one in {root}: {names}{more}"
+    raise UsageError(f"no run {which!r}: {known if runs else f'there is none in {root} yet'}")
 
 
 def find_any_run(root: Path | str, which: str) -> Run:
@@ -177,7 +178,8 @@ def list_runs(root: Path | str) -> list[Run]:
         runs = [Run(path) for path in sorted(Path(root).iterdir()) if _is_run(path)]
     except OSError:
         return []
-    return sorted(runs, key=_last_trained, reverse=True)
+    last_trained = {run: max(map(written, (run.config, run.metrics, run.policy))) for run in runs}
+    return sorted(runs, key=last_trained.__getitem__, reverse=True)
 
 
 def versions() -> dict[str, str]:
@@ -194,7 +196,7 @@ def as_json(value: Any) -> bytes:
 
 def write_json_atomic(path: Path | str, value: Any) -> None:
     """Write `value` as readable, strict JSON, whole or not at all."""
-    content = as_json(value)
+    content = as_json(value)  # before there is a file: it may be refused
     with atomic_write(path) as file:
         file.write(content)
 
@@ -209,10 +211,7 @@ def list_checkpoints(run: Run) -> list[Path]:
 
 
 def latest_checkpoint(run: Run, warn: Callable[[str], None]) -> Path | None:
-    """The newest checkpoint that can be read whole; None if there are none at all.
-
-    A damaged one is skipped with a line to `warn`. Raises `UserError` if all are damaged.
-    """
+    """The newest checkpoint, None if there is none; `warn` of damaged ones, error if all are."""
     found = list_checkpoints(run)
     for path in reversed(found):
         try:
@@ -235,10 +234,7 @@ def keep_last(run: Run, count: int, also: Path | None = None) -> None:
 
 @contextlib.contextmanager
 def claim(run: Run) -> Iterator[None]:
-    """Take a run; the system gives it back if we are killed.
-
-    Raises `UserError` if another training has it: two would write over each other.
-    """
+    """Take a run, `UserError` if another training has it; the system frees it if we are killed."""
     try:
         file = open(run.metrics, "ab")  # noqa: SIM115 - opened apart, to tell what is refused
     except OSError as error:
@@ -313,16 +309,3 @@ def written(path: Path) -> float:
         return path.stat().st_mtime
     except OSError:
         return 0.0
-
-
-def _last_trained(run: Run) -> float:
-    return max(map(written, (run.config, run.metrics, run.policy)))
-
-
-def _known_runs(root: Path) -> str:
-    runs = list_runs(root)
-    if not runs:
-        return f"there is none in {root} yet"
-    names = ", ".join(run.name for run in runs[:_LISTED])
-    more = f" and {len(runs) - _LISTED} older" if len(runs) > _LISTED else ""
-    return f"expected 'latest', a path, or one in {root}: {names}{more}"

@@ -46,10 +46,7 @@ class MetricsLog:
         self._events = _Events(run.tensorboard, resume_at)
 
     def append(self, metrics: Mapping[str, Any], timing: Mapping[str, Any] | None = None) -> None:
-        """Write one iteration: `metrics` with its "steps", and what the clock says of it.
-
-        Values are numbers or arrays of one number. NaN and infinity become null.
-        """
+        """Write `metrics` with their "steps", and their `timing`; null for NaN and infinity."""
         steps = int(metrics["steps"])
         with contextlib.ExitStack() as each:  # whatever becomes of the others
             each.callback(self._events.append, steps, {**metrics, **(timing or {})})
@@ -78,10 +75,7 @@ class MetricsLog:
 
 
 def read_metrics(run: Run) -> list[Row]:
-    """The rows of a run's metrics, in order; null is NaN. Empty if it has none yet.
-
-    A last line cut short by a crash is left out. Raises `UserError` for a line that never was one.
-    """
+    """A run's metrics in order, null as NaN, less a last line cut short; `UserError` if damaged."""
     return [row for row, _ in _read_rows(run.metrics)]
 
 
@@ -108,7 +102,12 @@ def _read_rows(path: Path) -> Iterator[tuple[Row, int]]:
         with open(path, "rb") as file:
             for number, line in enumerate(file, 1):
                 try:
-                    row = _row_of(line)
+                    known = json.loads(line)
+                    # A name is kept once, not in every row; null is NaN.
+                    row = {
+                        sys.intern(n): float("nan" if x is None else x) for n, x in known.items()
+                    }
+                    row["steps"] = int(known["steps"])
                 except DAMAGE:
                     row = None
                 if row is None or not line.endswith(b"\n"):
@@ -123,17 +122,6 @@ def _read_rows(path: Path) -> Iterator[tuple[Row, int]]:
         return
     except OSError as error:
         raise UserError(f"cannot read {path}: {os_reason(error)}") from error
-
-
-def _row_of(line: bytes) -> Row:
-    row = json.loads(line)
-    # A name is kept once, not in every row.
-    numbers = {sys.intern(key): _to_float(value) for key, value in row.items()}
-    return {**numbers, "steps": int(row["steps"])}
-
-
-def _to_float(value: float | None) -> float:
-    return math.nan if value is None else float(value)
 
 
 class _Lines:

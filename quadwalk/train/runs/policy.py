@@ -46,10 +46,7 @@ def save_policy(
     steps: int,
     score: float,
 ) -> None:
-    """Write a plain policy to `path`, whole or not at all; `score` is how good it was.
-
-    `statistics` are those of the numbers (n,) that it sees.
-    """
+    """Write a plain policy to `path`, whole or not at all; `statistics` (n,) of what it sees."""
     metadata = {
         "kind": "policy",
         "config": to_dict(config),
@@ -79,7 +76,8 @@ def load_checkpoint_policy(path: Path, joints: tuple[str, ...]) -> Policy:
         steps, mean, std = int(metadata["steps"]), leaves[_MEAN], leaves[_STD]
         first = layers["hidden_0"]
         size = sum(len(first[name]) for name in KERNELS if name in first)
-        mirrors = _mirrors(metadata.get("mirrors"))
+        mirrors = metadata.get("mirrors")  # as `Networks.mirrors` gave them
+        mirrors = mirrors and Mirrors(*(mirror(*mirrors[name]) for name in Mirrors._fields))
         networks = make_networks(config.ppo, size, len(joints), len(mean) - size, mirrors)
         policy = networks.plain_policy(NestedMeanStd(mean, std), {"params": layers})
     except (*DAMAGE, UserError) as error:
@@ -95,13 +93,6 @@ def layers_of(leaves: dict[str, Any], prefix: str) -> dict[str, dict[str, Any]]:
             layer, kind = name.removeprefix(prefix).split("/")
             layers.setdefault(layer, {})[kind] = leaf
     return layers
-
-
-def _mirrors(data: Any) -> Mirrors | None:
-    """What `Networks.mirrors` gave."""
-    if data is None:
-        return None
-    return Mirrors(*(mirror(*data[name]) for name in Mirrors._fields))
 
 
 def load_policy(path: Path) -> Policy:
@@ -126,10 +117,7 @@ def load_policy(path: Path) -> Policy:
         }
         for i, (before, wide) in enumerate(itertools.pairwise(sizes))
     }
-    like = {
-        "normalizer": NestedMeanStd(statistics, statistics),
-        "policy": {"params": layers},
-    }
+    like = {"normalizer": NestedMeanStd(statistics, statistics), "policy": {"params": layers}}
     tree, _ = checkpoint.load(path, "policy", like)
     act = mean_policy(config.ppo.activation, tree["normalizer"], tree["policy"])
     return Policy(act, config, joints, size, steps)

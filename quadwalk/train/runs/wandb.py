@@ -63,7 +63,6 @@ class WandbLog:
             raise _refused(error) from error
 
     def close(self) -> None:
-        """Send what is left."""
         self._run.finish()
 
 

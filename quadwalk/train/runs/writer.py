@@ -51,10 +51,7 @@ class RunWriter:
             self._wandb.close()
 
     def iteration(self, row: dict[str, float], nan_step: Any, seconds: float) -> None:
-        """Log an iteration's `row`, after `seconds` of training; keep its `NanStep`, if any.
-
-        Now and then the learning curve is drawn.
-        """
+        """Log an iteration's `row`, keep its `NanStep`, if any, and draw the curve now and then."""
         pace = row["steps"] / seconds
         timing = {"time/elapsed": seconds, "time/steps_per_second": pace}
         self._attempt("metrics", lambda: self._log.append(row, timing))
@@ -73,7 +70,6 @@ class RunWriter:
             self._told = True
 
     def draw(self) -> None:
-        """Draw the learning curve."""
         # Matplotlib: a third of a second that the first iteration does not wait for.
         from quadwalk.train.progress.curves import save_learning_curve
 
@@ -85,10 +81,6 @@ class RunWriter:
     def save(self, state: Any, steps: int, seconds: float) -> bool:
         """Save the policy, as the best too if it is, and a checkpoint; whether all went well."""
         training, score = self._training, self._training.metrics.score
-
-        def save_as(path: Path) -> None:
-            self._save_policy(path, state, steps)
-
         metadata = {
             "kind": "checkpoint",
             "config": to_dict(training.config),
@@ -103,9 +95,9 @@ class RunWriter:
             checkpoint.save(self.run.checkpoint(steps), state, metadata)
 
         # The policies first: they are small and most valuable, should the disk be full.
-        well = self._attempt("policy", lambda: save_as(self.run.policy))
+        well = self.publish(state, steps)
         if steps and (self.best is None or score > self.best[1]):  # before that there is no score
-            if self._attempt("best", lambda: save_as(self.run.best)):
+            if self._attempt("best", lambda: self._save_policy(self.run.best, state, steps)):
                 self.best = steps, score
             else:
                 well = False
@@ -117,9 +109,9 @@ class RunWriter:
             well = False
         return well
 
-    def publish(self, state: Any, steps: int) -> None:
-        """Save only the newest policy, for a viewer."""
-        self._attempt("policy", lambda: self._save_policy(self.run.policy, state, steps))
+    def publish(self, state: Any, steps: int) -> bool:
+        """Save only the newest policy, for a viewer; whether that went well."""
+        return self._attempt("policy", lambda: self._save_policy(self.run.policy, state, steps))
 
     @property
     def trouble(self) -> str:
