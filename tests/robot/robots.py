@@ -100,6 +100,14 @@ def check_dynamics(
     assert max(through_xml.values()) < 1e-5, through_xml
 
 
+def frame(position, quat) -> np.ndarray:
+    """(4, 4) of m and wxyz, by MuJoCo's own function."""
+    turned, whole = np.empty(9), np.eye(4)
+    mujoco.mju_quat2Mat(turned, np.asarray(quat, float))
+    whole[:3, :3], whole[:3, 3] = turned.reshape(3, 3), position
+    return whole
+
+
 def placed(model: mujoco.MjModel, qpos: np.ndarray) -> mujoco.MjData:
     """The model in this pose, at rest, its contacts and all that follows from the pose computed."""
     data = mujoco.MjData(model)

@@ -47,8 +47,7 @@ EXTENSIONS = {
 
 @pytest.mark.parametrize("case", EXTENSIONS)
 def test_extensions_change_nothing_and_are_reported_by_kind(case):
-    text = TEXT.replace("\n", "").replace("/>  ", "/>")
-    text = " ".join(text.split()).replace("> <", "><")
+    text = " ".join(TEXT.split()).replace("> <", "><")
     old, new, kind = EXTENSIONS[case]
     assert old in text
     extended = text.replace(old, new)
