@@ -7,7 +7,7 @@ with a policy that can walk, and leaves the moving picture.
 import io
 import os
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +17,7 @@ from rich.console import Console
 
 from quadwalk.drawing.images import save_video
 from quadwalk.train.runs.directory import Run
-from tests.view.browser import PROGRAM, Browser, browsing, running
+from tests.view.browser import PROGRAM, Browser, browsing, running, wait
 
 pytest.importorskip("mjviser", reason="mjviser is not installed: pip install 'quadwalk[view]'")
 if PROGRAM is None:
@@ -47,14 +47,6 @@ def browser(page) -> Iterator[Browser]:
         browser.wait_for("steps of training")
         browser.dismiss()
         yield browser
-
-
-def wait(condition: Callable[[], bool], seconds: float = 30.0) -> bool:
-    """Whether `condition` comes true in time."""
-    end = time.monotonic() + seconds
-    while not condition() and time.monotonic() < end:
-        time.sleep(0.1)
-    return condition()
 
 
 def test_the_page_shows_who_runs_and_its_controls(page, browser):
