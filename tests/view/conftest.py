@@ -27,7 +27,10 @@ WALK = walk.TASK
 def write_run(
     root: Path, name: str, quadruped: Quadruped, policies: dict[str, int], task=WALK, **options
 ) -> Run:
-    """A run in `root`, with a policy for each file name, drawn from its seed; of `write_policy`."""
+    """A run in `root`, with a policy for each file name, drawn from its seed.
+
+    `options` are of `write_policy`.
+    """
     env = QuadrupedEnv(quadruped, task.env)
     settings = {"config": to_dict(task), "versions": versions()}
     files = {"robot.urdf": env.quadruped.urdf.encode(), "config.json": as_json(settings)}
@@ -42,7 +45,7 @@ def write_policy(
 ) -> None:
     """A policy, or a checkpoint, of a network drawn from `seed`, after `seed` steps of training.
 
-    Numbers that it sees `never_varied` by the statistics of its training.
+    The numbers of these indices `never_varied` in what it saw.
     """
     size, config = env.policy_size, task.ppo
     rng = np.random.default_rng(seed)
