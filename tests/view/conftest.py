@@ -51,7 +51,7 @@ def write_policy(
     rng = np.random.default_rng(seed)
     networks = make_networks(config, size, 12, env.observation_size - size)
     weights = networks.init(jax.random.PRNGKey(seed)).policy
-    mean, std = rng.normal(0.0, 0.1, size), rng.uniform(0.5, 2.0, size)
+    mean, std = rng.normal(0.0, 0.1, size), rng.uniform(1.0, 3.0, size)
     std[list(never_varied)] = 1e-6
     statistics = NestedMeanStd(jnp.float32(mean), jnp.float32(std))
     metadata = {"config": to_dict(task), "steps": seed}
