@@ -175,15 +175,11 @@ def test_the_floor_is_a_checkerboard_of_squares_of_half_a_meter(library):
     picture = draw(model, down)
     light = brightness(model, np.array([0, 0, 1]), lit=False, camera=down)
     dark, bright = 255 * np.array([[0.52, 0.56, 0.6], [0.6, 0.64, 0.68]]) * light
-    squares = {
-        (x, y): picture[pixel_of(np.array([x, y, 0]), down)]
-        for x in (-0.25, 0.25)
-        for y in (-0.25, 0.25)
-    }
-    assert np.abs(squares[0.25, 0.25] - squares[0.25, -0.25].astype(int)).min() > 5
-    for one, other in (((0.25, 0.25), (-0.25, -0.25)), ((0.25, -0.25), (-0.25, 0.25))):
-        np.testing.assert_allclose(squares[one], squares[other], atol=2)
-    for found in squares.values():
+    corners = [(0.25, 0.25), (-0.25, -0.25), (0.25, -0.25), (-0.25, 0.25)]
+    squares = [picture[pixel_of(np.array([x, y, 0]), down)].astype(int) for x, y in corners]
+    assert np.abs(squares[0] - squares[2]).min() > 5
+    np.testing.assert_allclose(squares[0::2], squares[1::2], atol=2)
+    for found in squares:
         assert min(np.abs(found - dark).max(), np.abs(found - bright).max()) < 4
 
 
@@ -197,15 +193,13 @@ def test_groups_that_a_viewer_hides_are_not_drawn(library):
 
 def test_a_shape_that_does_not_collide_is_seen_beyond_those_that_do(library):
     """MuJoCo's ray caster alone overlooks it."""
-    small = {"type": _Type.mjGEOM_SPHERE, "size": [0.02] * 3}
     spec = mujoco.MjSpec()
     add_scene(spec)
     body = spec.worldbody.add_body(pos=[-0.2, 0, 0.2])
-    body.add_geom(**small, rgba=BLUE)
-    body.add_geom(
-        **{**small, "size": [0.1] * 3}, pos=[0.4, 0, 0], rgba=RED, contype=0, conaffinity=0
-    )
-    picture = Canvas(spec.compile(), WIDTH, HEIGHT).draw(np.zeros(0), VIEW)
+    body.add_geom(type=_Type.mjGEOM_SPHERE, size=[0.02] * 3, rgba=BLUE)
+    seen = {"pos": [0.4, 0, 0], "rgba": RED, "contype": 0, "conaffinity": 0}
+    body.add_geom(type=_Type.mjGEOM_SPHERE, size=[0.1] * 3, **seen)
+    picture = draw(spec.compile())
     assert reddish(picture)[pixel_of(np.array([0.2, 0, 0.2]))]
     assert reddish(picture).sum() > 100
 
@@ -290,7 +284,7 @@ def test_the_same_pose_gives_the_same_bytes(library):
 def test_a_model_is_drawn_without_materials_lights_and_floor_too(library):
     spec = mujoco.MjSpec()
     spec.worldbody.add_geom(type=_Type.mjGEOM_SPHERE, size=[0.2] * 3, rgba=RED)
-    picture = Canvas(spec.compile(), WIDTH, HEIGHT).draw(np.zeros(0), VIEW)
+    picture = draw(spec.compile())
     assert reddish(picture)[pixel_of(np.zeros(3))]
     np.testing.assert_array_equal(picture[0, 0], 0)
 

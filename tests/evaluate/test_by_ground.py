@@ -2,17 +2,15 @@
 
 import dataclasses
 import json
+from pathlib import Path
 from types import SimpleNamespace
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from brax.envs.base import State
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
-from mcap.reader import make_reader
-from mcap_protobuf.decoder import DecoderFactory
-from scipy.spatial.transform import Rotation
 
 from quadwalk.evaluate.grids.by_ground import PACE, measure_by_ground
 from quadwalk.evaluate.loaded import LoadedRun, unseen_ground
@@ -31,8 +29,7 @@ from quadwalk.task.robot_arrays import task_robot
 from quadwalk.tasks import obstacles, rough, sprint, walk
 from quadwalk.train.runs.directory import Run
 from quadwalk.train.runs.policy import Policy
-
-DT = 0.02
+from tests.evaluate.conftest import glided, read_messages
 
 
 def test_the_ground_of_an_evaluation_is_not_that_of_training():
@@ -44,29 +41,17 @@ def test_the_ground_of_an_evaluation_is_not_that_of_training():
     assert unseen_ground(FLAT, 3) == FLAT
 
 
-class Walker(NamedTuple):
-    """A state whose trunk goes ahead 1 cm a step."""
-
-    qpos: jax.Array  # (19,)
-    left: jax.Array  # steps
-
-    @property
-    def pipeline_state(self) -> "Walker":
-        return self
-
-    @property
-    def obs(self) -> jax.Array:
-        return self.qpos
-
-    @property
-    def info(self) -> dict:
-        return {"end": jnp.where(self.left == 0, 1, 0)}
-
-
 class Walk(SimpleNamespace):
-    """An environment of a `Walker`."""
+    """An environment of which little is needed."""
 
     __hash__ = object.__hash__
+
+
+def ahead(state: State, _) -> State:
+    """1 cm on, and a step less left."""
+    left = state.info["left"] - 1
+    info = {"left": left, "end": (left == 0).astype(int)}
+    return state.replace(obs=state.obs.at[0].add(0.01), info=info)
 
 
 @pytest.mark.parametrize("room", [1, 2, 3, 7, 100])
@@ -77,13 +62,14 @@ def test_each_episode_goes_on_to_its_own_end_whatever_there_is_room_for(room):
         ends=("running", "time limit"),
         config=SimpleNamespace(episode_steps=120),
         terrain=None,
-        step=lambda state, _: Walker(state.qpos.at[0].add(0.01), state.left - 1),
+        step=ahead,
     )
-    act = jax.tree_util.Partial(lambda seen: seen[..., :12])
-    starts = Walker(jnp.zeros((len(lasts), 19)).at[:, 0].set(jnp.arange(10.0)), jnp.asarray(lasts))
+    act = jax.tree_util.Partial(lambda seen: seen)
+    info = {"left": jnp.asarray(lasts), "end": jnp.zeros_like(lasts)}
+    starts = State(None, jnp.arange(10.0)[:, None], None, None, {}, info)
     reported: list[int] = []
     places = roll_out(
-        env, act, starts, lambda env, before, action, after: after.qpos[:, 0], room, reported.append
+        env, act, starts, lambda env, before, action, after: after.obs[:, 0], room, reported.append
     )
     found = {number: (end, x) for number, end, x in places}
     assert sorted(found) == list(range(len(lasts)))
@@ -136,23 +122,17 @@ def test_the_map_and_the_table_show_every_cell(told, capsys, monkeypatch):
 
 
 @pytest.fixture(scope="module")
-def loaded(quadruped, tmp_path_factory) -> LoadedRun:
+def loaded(quadruped) -> LoadedRun:
     """A policy that holds still, on ground of two kinds, for a tenth of a second."""
+    ground = unseen_ground(rough.TASK.env.ground, 0)
+    ground = dataclasses.replace(ground, kinds=("flat", "blocks"), tile=(3.0, 3.0))
     task = dataclasses.replace(
-        walk.TASK.env,
-        episode_seconds=0.1,
-        randomization=NO_RANDOMIZATION,
-        ground=dataclasses.replace(
-            unseen_ground(rough.TASK.env.ground, 0), kinds=("flat", "blocks"), tile=(3.0, 3.0)
-        ),
+        walk.TASK.env, episode_seconds=0.1, randomization=NO_RANDOMIZATION, ground=ground
     )
-    folder = tmp_path_factory.mktemp("still")
-    (folder / "robot.urdf").write_text(quadruped.urdf)
-    config = dataclasses.replace(walk.TASK, env=task)
     env = QuadrupedEnv(quadruped, task)
     act = jax.tree_util.Partial(lambda seen: 0.0 * seen[..., :12])
-    policy = Policy(act, config, quadruped.joints, env.policy_size, 0)
-    return LoadedRun(Run(folder), Run(folder).policy, policy, env, "0")
+    policy = Policy(act, walk.TASK, quadruped.joints, env.policy_size, 0)
+    return LoadedRun(Run(Path()), Path(), policy, env, "0")
 
 
 @pytest.mark.parametrize("difficulty", [(0.0, 1.0), (0.7, 0.7)])
@@ -171,14 +151,10 @@ def test_a_cell_has_the_figures_of_episodes_on_its_own_tiles(loaded, monkeypatch
 
     def glide(env, policy, starts, *_):
         """Episodes of these kinds in turn, in place of simulated ones."""
-        for number, start in enumerate(np.asarray(starts.pipeline_state.qpos[:, :7], float)):
+        for number, start in enumerate(np.asarray(starts.pipeline_state.qpos, float)):
             met.append(env.terrain.tiles[int(starts.pipeline_state.tile[number])])
             velocity, steps, end = kinds[number % 3]
-            turn = Rotation.from_quat(start[3:], scalar_first=True).as_euler("ZYX")[0]
-            moved = Rotation.from_euler("z", turn).apply([*velocity, 0.0])
-            poses = np.tile(start, (steps, 1))
-            poses[:, :3] += np.arange(1, steps + 1)[:, None] * DT * moved
-            yield number, end, poses
+            yield number, end, glided(start, np.tile([*velocity, 0.0], (steps, 1)))
 
     monkeypatch.setattr("quadwalk.evaluate.grids.cells.roll_out", glide)
     found = measure_by_ground(loaded, levels=3, episodes=18, seed=0)
@@ -219,17 +195,14 @@ def test_the_ground_of_a_recording_is_the_field_around_the_path():
     rng = np.random.default_rng(0)
     field = centered(rng.uniform(-0.2, 0.2, (201, 301)).astype(np.float32), 0.05)
     path = np.array([[-1.0, 0.5], [2.0, -0.5]])
-    update = SceneUpdate.FromString(draw_ground(field, path))
-    ((entity,), (shape,)) = update.entities, update.entities[0].triangles
+    (entity,) = SceneUpdate.FromString(draw_ground(field, path)).entities
+    (shape,) = entity.triangles
     assert (entity.id, entity.frame_id) == ("ground", "world")
     points = np.array([(p.x, p.y, p.z) for p in shape.points])
     np.testing.assert_allclose(points[:, 2], field.height_at(points[:, :2]), atol=0.03)
-    np.testing.assert_allclose(
-        points[:, :2].min(axis=0), path.min(axis=0) - GROUND_MARGIN, atol=0.1
-    )
-    np.testing.assert_allclose(
-        points[:, :2].max(axis=0), path.max(axis=0) + GROUND_MARGIN, atol=0.1
-    )
+    reached = [path.min(axis=0) - GROUND_MARGIN, path.max(axis=0) + GROUND_MARGIN]
+    found = [points[:, :2].min(axis=0), points[:, :2].max(axis=0)]
+    np.testing.assert_allclose(found, reached, atol=0.1)
     corners = points[np.array(shape.indices).reshape(-1, 3)]
     edges = corners[:, 1:, :2] - corners[:, :1, :2]
     areas = 0.5 * (edges[:, 0, 0] * edges[:, 1, 1] - edges[:, 0, 1] * edges[:, 1, 0])
@@ -253,19 +226,11 @@ def lifted(trot):
 def test_a_recording_has_the_ground_once_and_the_path_on_it(lifted, raised, tmp_path):
     path = tmp_path / "episode.mcap"
     write_mcap(path, lifted, raised, {})
-    with open(path, "rb") as stream:
-        reader = make_reader(stream, decoder_factories=[DecoderFactory()])
-        found = [
-            (message.log_time, channel.topic, decoded)
-            for _, channel, message, decoded in reader.iter_decoded_messages(
-                topics=["/ground", "/scene"]
-            )
-        ]
-    ((when, ground),) = [(when, decoded) for when, topic, decoded in found if topic == "/ground"]
+    found = read_messages(path)
+    ((when, ground),) = found["/ground"]
     assert when == 0
     assert {point.z for point in ground.entities[0].triangles[0].points} == {0.5}
-    scenes = [decoded for _, topic, decoded in found if topic == "/scene"]
-    for scene in scenes:
+    for _, scene in found["/scene"]:
         parts = {entity.id: entity for entity in scene.entities}
         assert not parts["ground"].lines[0].points
         heights = [point.z for point in parts["path"].lines[0].points]
@@ -273,8 +238,6 @@ def test_a_recording_has_the_ground_once_and_the_path_on_it(lifted, raised, tmp_
 
 
 def test_pictures_follow_the_ground(lifted, trot, raised, quadruped):
-    """A film on the plateau shows the robot where one on the floor does."""
-
     def colored(rollout, robot):
         strip = draw_film_strip(rollout, robot, width=120, height=80).astype(int)
         red, green, blue = strip[..., 0], strip[..., 1], strip[..., 2]
@@ -286,7 +249,6 @@ def test_pictures_follow_the_ground(lifted, trot, raised, quadruped):
 
 
 def test_heights_of_a_gait_are_above_ground(quadruped, trot, lifted, raised):
-    """The same steps on a plateau are as high as on the floor."""
     on_floor, above = measure_gait(trot, quadruped), measure_gait(lifted, raised)
     np.testing.assert_allclose(above.swing_height, on_floor.swing_height, atol=1e-5)
     np.testing.assert_allclose(above.body_height, on_floor.body_height, atol=1e-5)

@@ -9,7 +9,6 @@ import json
 import jax
 import numpy as np
 import pytest
-from mcap.reader import make_reader
 from rich.console import Console
 
 from quadwalk.errors import UserError
@@ -32,6 +31,7 @@ from quadwalk.task.env import QuadrupedEnv
 from quadwalk.tasks import sprint
 from quadwalk.train.runs.directory import Run
 from quadwalk.train.runs.policy import Policy
+from tests.evaluate.conftest import read_records
 
 EPISODES, SECONDS = 4, 0.5
 
@@ -71,14 +71,8 @@ def judged(loaded, tmp_path_factory):
     return results, out, said.getvalue(), kept["mjx"]
 
 
-@pytest.fixture(scope="module")
-def rollouts(judged):
-    """Ordinary episodes, in MJX."""
-    return judged[3]
-
-
-def test_both_engines_are_judged_from_the_same_starts(judged, rollouts, loaded):
-    results, out, _, _ = judged
+def test_both_engines_are_judged_from_the_same_starts(judged, loaded):
+    results, out, _, rollouts = judged
     assert json.loads((out / "metrics.json").read_text()) == results
     assert (results["engine"], results["seed"]) == ("mujoco", 1)
     scales, weight = loaded.env.config.reward, loaded.env.robot.weight
@@ -109,56 +103,60 @@ def test_only_what_is_asked_for_is_recorded(judged, loaded, quadruped):
     names = {path.name for path in out.iterdir()}
     assert names == {"metrics.json", "report.png", "film_strip.png", "episode_000.mcap"}
     assert "1 MCAP files" in said
-    with open(out / "episode_000.mcap", "rb") as stream:
-        reader = make_reader(stream, validate_crcs=True)
-        record = next(m.metadata for m in reader.iter_metadata() if m.name == "quadwalk")
-        attached = {a.name: a.data for a in reader.iter_attachments()}
+    metadata, attached = read_records(out / "episode_000.mcap")
+    record = metadata["quadwalk"]
     for name in ("run", "engine", "policy_sha256", "revision"):
         assert record[name] == results[name]
     assert json.loads(record["versions"])["mujoco"]
     assert json.loads(record["config"])["seed"] == 0
-    assert attached["config.json"] == b'{"seed": 0}'
+    assert attached["config.json"].data == b'{"seed": 0}'
     assert {"aliengo.urdf.gz", "aliengo.xml.gz", "foxglove_layout.json"} <= attached.keys()
-    assert gzip.decompress(attached["aliengo.xml.gz"]).decode() == write_xml(quadruped.spec)
+    assert gzip.decompress(attached["aliengo.xml.gz"].data).decode() == write_xml(quadruped.spec)
 
 
-def test_feet_carry_the_robot(rollouts, loaded):
-    with_forces = with_foot_forces(rollouts[0], loaded.env)
-    assert rollouts[0].foot_force is None
-    force = with_forces.foot_force
+def test_feet_carry_the_robot(judged, loaded):
+    rollout = judged[3][0]
+    assert rollout.foot_force is None
+    force = with_foot_forces(rollout, loaded.env).foot_force
     # A foot that does not touch the floor carries nothing, and over time they carry the weight.
-    np.testing.assert_array_equal(force[~rollouts[0].contact.astype(bool)] < 1.0, True)
+    assert np.all(force[~rollout.contact.astype(bool)] < 1.0)
     assert force.sum(axis=1).mean() == pytest.approx(loaded.env.robot.weight, rel=0.35)
 
 
-# Comparing
+@pytest.fixture
+def beside(judged, tmp_path, monkeypatch, capsys):
+    """beside(other): what was judged, compared with `other`, and the lines of the table."""
+    monkeypatch.setenv("COLUMNS", "120")
+
+    def run(other: dict) -> tuple[dict, list[str]]:
+        other["summary"] = summarize(other["episodes"])
+        folders = [tmp_path / "first", tmp_path / "second"]
+        comparison = compare(["first", "second"], folders, [judged[0], other], tmp_path, Console())
+        lines = capsys.readouterr().out.splitlines()
+        return comparison, [" ".join(line.split()) for line in lines]
+
+    return run
 
 
-def test_runs_side_by_side(judged, tmp_path, monkeypatch, capsys):
+def test_runs_side_by_side(judged, beside, tmp_path):
     results, *_ = judged
     other = json.loads(json.dumps(results))
     for episode in other["episodes"]:
         episode["speed"] += 1.0
         episode["fell"] = False
-    del other["episodes"][0]["reward/yaw"]  # trained without that term
-    for episode in other["episodes"]:
-        episode.pop("reward/yaw", None)
-    other["summary"] = summarize(other["episodes"])
-    monkeypatch.setenv("COLUMNS", "120")
-    folders = [tmp_path / "first", tmp_path / "second"]
-    comparison = compare(["first", "second"], folders, [results, other], tmp_path, Console())
+        del episode["reward/yaw"]  # trained without that term
+    comparison, lines = beside(other)
     assert json.loads((tmp_path / "comparison.json").read_text()) == comparison
     means = [run["summary"]["speed"]["mean"] for run in comparison["runs"]]
     assert means[1] == pytest.approx(means[0] + 1.0)
-    table = capsys.readouterr().out
-    (line,) = [line for line in table.splitlines() if "speed along x" in line]
-    assert [f"{mean:.3f} ±" in line for mean in means] == [True, True]
-    (line,) = [line for line in table.splitlines() if "  yaw" in line]
-    assert "│ - │" in " ".join(line.split())
+    (line,) = [line for line in lines if "speed along x" in line]
+    assert all(f"{mean:.3f} ±" in line for mean in means)
+    (line,) = [line for line in lines if line.startswith("│ yaw │")]
+    assert "│ - │" in line
     assert {path.name for path in tmp_path.iterdir()} == {"comparison.json", "comparison.png"}
 
 
-def test_a_run_with_commands_beside_one_without(judged, tmp_path, monkeypatch, capsys):
+def test_a_run_with_commands_beside_one_without(judged, beside):
     results, *_ = judged
     told = json.loads(json.dumps(results))
     for number, episode in enumerate(told["episodes"]):
@@ -166,11 +164,7 @@ def test_a_run_with_commands_beside_one_without(judged, tmp_path, monkeypatch, c
             del episode[name]
         figures = {"velocity_error": 0.1 * number, "yaw_rate_error": None}
         episode |= {**figures, "path_speed": 1.0, "path": SECONDS}
-    told["summary"] = summarize(told["episodes"])
-    monkeypatch.setenv("COLUMNS", "120")
-    folders = [tmp_path / "first", tmp_path / "second"]
-    compare(["first", "second"], folders, [results, told], tmp_path, Console())
-    lines = [" ".join(line.split()) for line in capsys.readouterr().out.splitlines()]
+    _, lines = beside(told)
     for row, first, second in (
         ("speed along x", f"{results['summary']['speed']['mean']:.3f} ±", "- │ m/s"),
         ("velocity error", "- │", "0.150 ±"),
@@ -181,10 +175,8 @@ def test_a_run_with_commands_beside_one_without(judged, tmp_path, monkeypatch, c
         assert f" │ {second}" in line
 
 
-# Sweeping
-
-
-def test_without_perturbation_a_sweep_measures_what_an_evaluation_does(rollouts, loaded):
+def test_without_perturbation_a_sweep_measures_what_an_evaluation_does(judged, loaded):
+    rollouts = judged[3]
     points = [Point(), Point(strength=80.0), Point(delay=40.0)]
     measured, *others = measure_points(loaded, points, EPISODES, 1)
     for other in others:
@@ -201,11 +193,9 @@ def test_without_perturbation_a_sweep_measures_what_an_evaluation_does(rollouts,
     assert measured["heading_error"]["mean"] == pytest.approx(heading, rel=1e-3)
 
 
-@pytest.fixture(scope="module")
-def swept(loaded, tmp_path_factory):
-    """A whole sweep, its episodes made up: success and speed of each point by its values."""
-
+def test_a_sweep_is_a_table_of_one_thing_at_a_time(loaded, tmp_path, monkeypatch):
     def made_up(_, points, episodes, *rest):
+        """Success and speed of each point by its values, in place of simulated ones."""
         return [
             {
                 "success": max(0.0, 1 - 0.5 * point.push - 0.02 * point.delay),
@@ -215,17 +205,11 @@ def swept(loaded, tmp_path_factory):
             for point in points
         ]
 
-    out, said = tmp_path_factory.mktemp("swept"), io.StringIO()
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sweeping, "measure_points", made_up)
-        config = EvalConfig(sweep=True, seconds=SECONDS)
-        return sweep(loaded, config, out, Console(file=said)), out
-
-
-def test_a_sweep_is_a_table_of_one_thing_at_a_time(swept):
-    results, out = swept
-    assert json.loads((out / "sweep.json").read_text()) == results
-    assert (out / "sweep.png").exists()
+    monkeypatch.setattr(sweeping, "measure_points", made_up)
+    config = EvalConfig(sweep=True, seconds=SECONDS)
+    results = sweep(loaded, config, tmp_path, Console(quiet=True))
+    assert json.loads((tmp_path / "sweep.json").read_text()) == results
+    assert (tmp_path / "sweep.png").exists()
     assert list(results["sweeps"]) == list(SWEEPS)
     for name, sweep_of in results["sweeps"].items():
         values = [point["value"] for point in sweep_of["points"]]
@@ -235,9 +219,6 @@ def test_a_sweep_is_a_table_of_one_thing_at_a_time(swept):
         assert {k: v for k, v in nominal.items() if k != "value"} == results["nominal"]
     pushes = results["sweeps"]["push"]["points"]
     assert [p["speed"]["mean"] for p in pushes] == [3.8 - p["value"] for p in pushes]
-
-
-# What cannot be
 
 
 def test_the_last_policy_is_judged_or_the_best(loaded, monkeypatch):
@@ -260,11 +241,8 @@ def test_a_configuration_that_cannot_be_read_is_one_line(loaded, monkeypatch, tm
 
 def test_a_policy_of_another_robot_is_one_line(loaded, monkeypatch):
     joints = tuple(f"{name}_of_another" for name in loaded.policy.joints)
-    policies = [
-        dataclasses.replace(loaded.policy, joints=joints),
-        dataclasses.replace(loaded.policy, observation_size=48),
-    ]
-    for policy in policies:
+    for change in ({"joints": joints}, {"observation_size": 48}):
+        policy = dataclasses.replace(loaded.policy, **change)
         monkeypatch.setattr(loading, "load_policy", lambda path, policy=policy: policy)
         with pytest.raises(UserError, match="was trained on another robot than"):
             load_run(loaded.run, SECONDS)

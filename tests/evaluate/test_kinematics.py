@@ -1,7 +1,5 @@
 """Rotations and link poses against MuJoCo's, for the AlienGo and other people's quadrupeds."""
 
-import warnings
-
 import mujoco
 import numpy as np
 import pytest
@@ -10,20 +8,12 @@ from quadwalk.evaluate.motion.kinematics import foot_poses, link_frames, roll_pi
 from quadwalk.robot.mjcf import Options
 from quadwalk.robot.quadruped import Quadruped, load_quadruped
 from tests.robot import zoo
-
-
-def matrix(position, quat) -> np.ndarray:
-    """(4, 4), by MuJoCo's own function."""
-    turned, frame = np.empty(9), np.eye(4)
-    mujoco.mju_quat2Mat(turned, quat)
-    frame[:3, :3], frame[:3, 3] = turned.reshape(3, 3), position
-    return frame
+from tests.robot.robots import frame, placed
 
 
 def check_links(quadruped: Quadruped) -> None:
     """Links put together from frame to frame stand where MuJoCo's bodies and sites do."""
     model = quadruped.full_model()
-    data = mujoco.MjData(model)
     rng = np.random.default_rng(0)
     states = np.tile(quadruped.home, (3, 1))
     states[:, :3] += rng.normal(size=(3, 3))
@@ -33,23 +23,22 @@ def check_links(quadruped: Quadruped) -> None:
     turns = frames.rotations(states[:, 7:])
     centers, calves = foot_poses(model, quadruped.feet, states)
     for row, state in enumerate(states):
-        data.qpos[:] = state
-        mujoco.mj_kinematics(model, data)
+        data = placed(model, state)
         trunk = state[3:7] / np.linalg.norm(state[3:7])
-        world = {quadruped.trunk: matrix(state[:3], trunk)}
+        world = {quadruped.trunk: frame(state[:3], trunk)}
         for k, (link, parent) in enumerate(zip(frames.links, frames.parents, strict=True)):
-            world[link] = world[parent] @ matrix(frames.translation[k], turns[row, k])
+            world[link] = world[parent] @ frame(frames.translation[k], turns[row, k])
         bodies = {model.body(k).name for k in range(1, model.nbody)}
         sites = {model.site(k).name for k in range(model.nsite)}
         assert bodies <= set(world) <= bodies | sites  # each moving link, and no unknown one
-        for link, frame in world.items():
+        for link, own in world.items():
             found = data.body(link) if link in bodies else data.site(link)
-            np.testing.assert_allclose(frame[:3, 3], found.xpos, atol=1e-9)
-            np.testing.assert_allclose(frame[:3, :3].ravel(), found.xmat, atol=1e-9)
+            np.testing.assert_allclose(own[:3, 3], found.xpos, atol=1e-9)
+            np.testing.assert_allclose(own[:3, :3].ravel(), found.xmat, atol=1e-9)
         for k, foot in enumerate(quadruped.feet):
             np.testing.assert_allclose(centers[row, k], data.geom(foot).xpos)
             calf = model.body(model.geom(foot).bodyid[0]).name
-            np.testing.assert_allclose(matrix(0, calves[row, k])[:3, :3], world[calf][:3, :3])
+            np.testing.assert_allclose(frame(0, calves[row, k])[:3, :3], world[calf][:3, :3])
 
 
 def test_links_stand_where_mujoco_has_them(quadruped):
@@ -65,6 +54,7 @@ def test_links_of_the_zoos_quadrupeds(urdf):
     check_links(load_quadruped(urdf, Options(meshes=False)))
 
 
+@pytest.mark.filterwarnings("error")
 def test_angles_are_those_that_mujoco_turns_by():
     angles = np.random.default_rng(0).uniform([-3.1, -1.5, -3.1], [3.1, 1.5, 3.1], (50, 3))
     quats = np.empty((50, 4))
@@ -72,9 +62,7 @@ def test_angles_are_those_that_mujoco_turns_by():
         mujoco.mju_euler2Quat(quat, [yaw, pitch, roll], "zyx")
     np.testing.assert_allclose(roll_pitch_yaw(3.0 * quats), angles, atol=1e-9)
     # Nose up: of roll and yaw only the sum is determined, and there is no warning of it.
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        up = roll_pitch_yaw(np.array([[np.sqrt(0.5), 0.0, -np.sqrt(0.5), 0.0]]))
+    up = roll_pitch_yaw(np.array([[np.sqrt(0.5), 0.0, -np.sqrt(0.5), 0.0]]))
     assert up[0, 1] == pytest.approx(-np.pi / 2)
 
 

@@ -2,7 +2,6 @@
 
 import dataclasses
 import os
-import warnings
 
 import numpy as np
 import pytest
@@ -16,13 +15,8 @@ from quadwalk.evaluate.report.panels import draw_comparison, draw_sweep
 from quadwalk.evaluate.report.plots import draw_footfalls, draw_report
 from quadwalk.evaluate.rollout import first_steps
 
-
-@pytest.fixture(autouse=True)
-def no_warnings():
-    # A layout that does not fit, or a limit that is not finite, comes as a warning.
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        yield
+# A layout that does not fit, or a limit that is not finite, comes as a warning.
+pytestmark = pytest.mark.filterwarnings("error")
 
 
 def panel(figure: Figure, title: str):
@@ -35,9 +29,6 @@ def line(axes, label: str) -> np.ndarray:
     """The values of the line so called."""
     (found,) = [line for line in axes.lines if line.get_label() == label]
     return np.asarray(found.get_ydata())
-
-
-# The report
 
 
 def test_the_same_episode_gives_the_same_bytes(trot, quadruped, tmp_path):
@@ -137,9 +128,6 @@ def test_a_name_that_looks_like_markup_is_shown_as_it_is(trot, quadruped, tmp_pa
     result = {"training_steps": 1, "engine": name, "summary": summary}
     print_comparison([name], [result | {"typical_episode": {"gait": name}}])
     assert capsys.readouterr().out.count(name) == 3
-
-
-# Sweeps and comparisons
 
 
 def test_a_sweep_is_drawn_point_by_point():

@@ -9,7 +9,6 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
-from mcap.reader import make_reader
 
 from quadwalk.evaluate import evaluation as measuring
 from quadwalk.evaluate import simulate as simulating
@@ -24,6 +23,7 @@ from quadwalk.settings.environment import NO_RANDOMIZATION
 from quadwalk.task.env import QuadrupedEnv
 from quadwalk.task.episode.randomization import as_values
 from quadwalk.tasks import sprint
+from tests.evaluate.conftest import read_messages, read_records
 
 EPISODES, ADDED = 3, 0.3
 RANGES = dataclasses.replace(
@@ -39,20 +39,17 @@ RANGES = dataclasses.replace(
 
 @pytest.fixture(scope="module")
 def env(quadruped) -> QuadrupedEnv:
-    return QuadrupedEnv(
-        quadruped,
-        dataclasses.replace(sprint.TASK.env, episode_seconds=1.0, randomization=RANGES),
-    )
+    task = dataclasses.replace(sprint.TASK.env, episode_seconds=1.0, randomization=RANGES)
+    return QuadrupedEnv(quadruped, task)
 
 
-def tremble():
-    """A policy that stands with legs that tremble a little."""
-    return jax.tree_util.Partial(lambda w, seen: 0.01 * jnp.tanh(seen @ w), jnp.eye(47, 12))
+# A policy that stands with legs that tremble a little.
+TREMBLE = jax.tree_util.Partial(lambda w, seen: 0.01 * jnp.tanh(seen @ w), jnp.eye(47, 12))
 
 
 @pytest.fixture(scope="module")
 def rollouts(env):
-    return list(simulate_episodes(env, tremble(), EPISODES, seed=0))
+    return list(simulate_episodes(env, TREMBLE, EPISODES, seed=0))
 
 
 def test_each_episode_has_what_was_drawn_for_it(env, rollouts):
@@ -81,9 +78,8 @@ def test_what_is_seen_is_the_truth_and_noise_of_level_1(env, rollouts):
     for rollout in rollouts:
         off = rollout.observation - rollout.truth
         np.testing.assert_allclose(off[:, ~noisy], 0.0, atol=1e-6)
-        assert np.std(off[:, noisy] / env.sensors.noise_scale[noisy]) == pytest.approx(
-            1.0, abs=0.05
-        )
+        level = np.std(off[:, noisy] / env.sensors.noise_scale[noisy])
+        assert level == pytest.approx(1.0, abs=0.05)
         joints = np.char.startswith(names, "joint_pos_")
         home = rollout.qpos[:-1, 7:] - env.robot.home_joints
         np.testing.assert_allclose(rollout.truth[:, joints], home, atol=1e-6)
@@ -133,17 +129,15 @@ def test_figures_are_relative_to_the_robot_that_was_drawn(env, rollouts, weight,
     assert figures["cost_of_transport"] == cost
     assert gait.cost_of_transport == cost
     assert gait.torque_peak.max() == pytest.approx(0.97)
-    texts = [
-        text.get_text() for axes in draw_report(rollout, env.quadruped).axes for text in axes.texts
-    ]
-    assert any(text.startswith("peak torque 97 %") for text in texts)
+    texts = [text for axes in draw_report(rollout, env.quadruped).axes for text in axes.texts]
+    assert any(text.get_text().startswith("peak torque 97 %") for text in texts)
 
 
 def test_episodes_in_groups_are_those_of_one_batch(env, rollouts, monkeypatch):
     monkeypatch.setattr(simulating, "GROUP", 2)
     monkeypatch.setattr(measuring, "GROUP", 2)
     monkeypatch.setattr(simulating, "ROOM", 1)
-    loaded = SimpleNamespace(env=env, policy=SimpleNamespace(act=tremble()))
+    loaded = SimpleNamespace(env=env, policy=SimpleNamespace(act=TREMBLE))
     reported: list[int] = []
     found = measuring.measure(loaded, EPISODES, 0, reported.append, whole=1)
     assert reported == [33, 50]  # of 50 steps: two of three episodes, then all
@@ -180,13 +174,10 @@ def test_a_recording_holds_the_truth_and_the_obeyed_targets(env, rollouts, tmp_p
     rollout, path = with_foot_forces(rollouts[1], env), tmp_path / "episode.mcap"
     values = as_values(rollout.conditions, env.stepping)
     write_mcap(path, rollout, env.quadruped, {"conditions": json.dumps(values)})
-    with path.open("rb") as stream:
-        reader = make_reader(stream)
-        topics = [channel.topic for _, channel, _ in reader.iter_messages()]
-        records = {record.name: record.metadata for record in reader.iter_metadata()}
+    found = read_messages(path)
     for topic in ("/truth", "/joint_applied_target", "/observation", "/joint_cmd"):
-        assert topics.count(topic) == rollout.steps
-    assert json.loads(records["quadwalk"]["conditions"]) == values
+        assert len(found[topic]) == rollout.steps
+    assert json.loads(read_records(path)[0]["quadwalk"]["conditions"]) == values
 
 
 def test_the_report_shows_what_was_seen_beside_the_truth(env, rollouts):

@@ -2,6 +2,7 @@
 
 import dataclasses
 from types import SimpleNamespace
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -10,16 +11,9 @@ import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
-from scipy.spatial.transform import Rotation
 
 from quadwalk.evaluate import loaded as loading
-from quadwalk.evaluate.grids.sweep import (
-    SWEEPS,
-    Point,
-    conditions_at,
-    measure_points,
-    task_ranges,
-)
+from quadwalk.evaluate.grids.sweep import SWEEPS, Point, conditions_at, measure_points, task_ranges
 from quadwalk.evaluate.loaded import load_run
 from quadwalk.paths import PRETRAINED
 from quadwalk.physics.model import RobotRandomization
@@ -39,14 +33,14 @@ from quadwalk.task.episode.randomization import (
 from quadwalk.tasks import run, sprint, walk
 from quadwalk.train.runs.directory import Run
 from quadwalk.train.runs.policy import load_policy
+from tests.evaluate.conftest import glided
 
 STEPS, PERIOD = 12, 6  # control steps, and those between pushes
 PUSH = 0.8  # m/s
 ITERATIONS = 10  # of the contact solver
 
 
-@dataclasses.dataclass(frozen=True)
-class Case:
+class Case(NamedTuple):
     """What differs from the model: numbers added, or factors, as in `EpisodeRandomization`."""
 
     friction: float | None = None
@@ -64,7 +58,6 @@ class Case:
     encoder: float = 0.0
 
 
-ALL = Case(0.2, 5.0, 0.05, 1.2, 0.7, 0.8, 1.2, 2.0, 3.0, 2.0, 7, PUSH, 0.05)
 CASES = {
     "none": Case(),
     "friction": Case(friction=0.2),
@@ -78,8 +71,15 @@ CASES = {
     "delay beyond a control step": Case(delay=7),
     "encoder": Case(encoder=0.05),
     "push": Case(push=PUSH),
-    "all": ALL,
+    "all": Case(0.2, 5.0, 0.05, 1.2, 0.7, 0.8, 1.2, 2.0, 3.0, 2.0, 7, PUSH, 0.05),
 }
+
+
+def ranged(quadruped, **ranges) -> QuadrupedEnv:
+    """The task `run`, but with these ranges of its randomization."""
+    changed = dataclasses.replace(run.TASK.env.randomization, **ranges)
+    config = dataclasses.replace(run.TASK.env, randomization=changed)
+    return QuadrupedEnv(quadruped, config, "fast")
 
 
 def nominal(env: QuadrupedEnv, key: jax.Array) -> EpisodeRandomization:
@@ -90,30 +90,20 @@ def nominal(env: QuadrupedEnv, key: jax.Array) -> EpisodeRandomization:
 @pytest.fixture(scope="module", params=["mjx", "fast"])
 def env(quadruped, request) -> QuadrupedEnv:
     # With a solver that converges the engines agree; training cuts it short.
-    config = sprint.TASK.env
+    converging = {"solver_iterations": ITERATIONS, "line_search_iterations": ITERATIONS}
+    config = dataclasses.replace(sprint.TASK.env, **converging)
     pushed = dataclasses.replace(config.randomization, push_seconds=PERIOD * config.control_dt)
-    config = dataclasses.replace(
-        config,
-        solver_iterations=ITERATIONS,
-        line_search_iterations=ITERATIONS,
-        randomization=pushed,
-    )
-    return QuadrupedEnv(quadruped, config, request.param)
+    return QuadrupedEnv(quadruped, dataclasses.replace(config, randomization=pushed), request.param)
 
 
 @pytest.fixture(scope="module")
 def recorded(env, swaying):
     """Of each case: qpos and qvel before and after each control step, and the actions."""
     kept = targets_needed(max(case.delay for case in CASES.values()), env.config.substeps)
-    rows = {
-        field.name: jnp.array(
-            [getattr(case, field.name) or 0.0 for case in CASES.values()], jnp.float32
-        )
-        for field in dataclasses.fields(Case)
-    }
-    rows["friction"] = jnp.array(
-        [env.friction if c.friction is None else c.friction for c in CASES.values()]
-    )
+    cases = [
+        case if case.friction else case._replace(friction=env.friction) for case in CASES.values()
+    ]
+    rows = Case(*jnp.array(cases, jnp.float32).T)._asdict()
 
     def episode(row, state, key):
         usual = nominal(env, key)
@@ -152,13 +142,8 @@ def recorded(env, swaying):
     batched = jax.jit(jax.vmap(episode, in_axes=(0, None, None)))
     found = batched(rows, state, jax.random.PRNGKey(5))
     qpos, qvel, actions = map(np.asarray, found)
-    before = (np.asarray(physics.qpos), np.asarray(physics.qvel))
     return {
-        name: (
-            np.concatenate([before[0][None], qpos[k]]),
-            np.concatenate([before[1][None], qvel[k]]),
-            actions[k],
-        )
+        name: (np.r_[physics.qpos[None], qpos[k]], np.r_[physics.qvel[None], qvel[k]], actions[k])
         for k, name in enumerate(CASES)
     }
 
@@ -271,9 +256,8 @@ def test_as_many_targets_are_kept_as_a_delay_reaches_back(delay, kept):
 
 
 def test_a_delay_between_two_physics_steps_is_one_or_the_other(env):
-    late = nominal(env, jax.random.PRNGKey(1))._replace(
-        delay=jnp.float32(2.3), targets=jnp.zeros((2, 12))
-    )
+    changed = {"delay": jnp.float32(2.3), "targets": jnp.zeros((2, 12))}
+    late = nominal(env, jax.random.PRNGKey(1))._replace(**changed)
     new = jax.vmap(lambda k: delayed(late, jnp.ones(12), 5, k)[1][:, 0])(jnp.arange(4000))
     waited = 5 - np.asarray(new).sum(axis=1)  # physics steps until the new target is obeyed
     assert set(waited) == {2.0, 3.0}
@@ -291,11 +275,7 @@ def test_a_point_is_begun_and_tracked_as_it_is_called(quadruped, monkeypatch):
         begun.append(starts.pipeline_state.conditions)
         commands = np.asarray(starts.pipeline_state.command.velocity)
         for number, start in enumerate(np.asarray(starts.pipeline_state.qpos)):
-            velocity = commands[number] + off[number]
-            first = Rotation.from_quat(start[3:7], scalar_first=True).as_euler("ZYX")[0]
-            turned = Rotation.from_euler("z", (first + 0.02 * np.cumsum(velocity[:, 2]))[:, None])
-            path = start[:3] + 0.02 * np.cumsum(turned.apply(velocity * [1, 1, 0]), axis=0)
-            poses = np.concatenate([path, turned.as_quat(scalar_first=True)], axis=1)
+            poses = glided(start, commands[number] + off[number])
             yield number, "tipped" if number else "time limit", poses
 
     monkeypatch.setattr("quadwalk.evaluate.grids.cells.roll_out", glide)
@@ -314,18 +294,14 @@ def test_a_point_is_begun_and_tracked_as_it_is_called(quadruped, monkeypatch):
 
 
 def test_half_as_wide_again_as_training_is_still_a_robot_on_a_floor(quadruped):
-    ranges = dataclasses.replace(
-        run.TASK.env.randomization,
-        **dict.fromkeys(("friction", "link_mass", "strength", "kp", "joint_friction"), (0.2, 1.0)),
-        trunk_mass=(-0.4, 0.0),
-    )
-    env = QuadrupedEnv(quadruped, dataclasses.replace(run.TASK.env, randomization=ranges), "fast")
+    names = ("friction", "link_mass", "strength", "kp", "joint_friction")
+    env = ranged(quadruped, **dict.fromkeys(names, (0.2, 1.0)), trunk_mass=(-0.4, 0.0))
     drawn = jax.jit(jax.vmap(lambda key: conditions_at(env, Point(0.8, everything=1.5), key, 3)))(
         jax.random.split(jax.random.PRNGKey(0), 500)
     )
     floors = drawn.variation.friction
     assert 0.0 < floors.min() < 0.02 < 1.0 < floors.max()
-    for name in ("link_mass", "strength", "kp", "joint_friction"):
+    for name in names[1:]:
         assert 0.0 <= getattr(drawn.variation, name).min() < 0.15
     trunk = env.mj_model.body(quadruped.trunk).mass[0]
     assert 0.0 < trunk + drawn.variation.trunk_mass.min() < 0.2 * trunk
@@ -342,9 +318,8 @@ def test_a_late_sensor_tells_what_was_on_the_line_between_two_readings(env):
 def test_a_tilted_imu_sees_the_world_turned(env):
     tilt = np.array([0.03, -0.05, 0.0])
     state = jax.jit(env.reset)(jax.random.PRNGKey(2)).pipeline_state
-    suffered = nominal(env, jax.random.PRNGKey(1))._replace(
-        tilt=jnp.asarray(tilt, jnp.float32), encoder=jnp.full(12, 0.01)
-    )
+    changed = {"tilt": jnp.asarray(tilt, jnp.float32), "encoder": jnp.full(12, 0.01)}
+    suffered = nominal(env, jax.random.PRNGKey(1))._replace(**changed)
     found = measured(suffered, state.physics)
     turn, own, expected = np.zeros(4), np.asarray(state.qpos[3:7], float), np.zeros(4)
     angle = np.linalg.norm(tilt)
@@ -357,38 +332,32 @@ def test_a_tilted_imu_sees_the_world_turned(env):
     np.testing.assert_allclose(found.qpos[7:], state.qpos[7:] + 0.01, atol=1e-6)
 
 
-def test_every_episode_draws_its_own_within_the_ranges(quadruped):
-    ranges = dataclasses.replace(run.TASK.env.randomization, margin=0.0)
-    env = QuadrupedEnv(quadruped, dataclasses.replace(run.TASK.env, randomization=ranges))
-    keys = jax.random.split(jax.random.PRNGKey(0), 500)
-    drawn = jax.jit(jax.vmap(env.reset))(keys).pipeline_state.conditions
-    kg, m = env.robot.mass, env.robot.home_height
-    expected = {
-        "friction": (drawn.variation.friction, ranges.friction, 1.0),
-        "trunk mass": (drawn.variation.trunk_mass, ranges.trunk_mass, kg),
-        "center": (drawn.variation.trunk_center, ranges.trunk_center, m),
-        "links": (drawn.variation.link_mass, ranges.link_mass, 1.0),
-        "strength": (drawn.variation.strength, ranges.strength, 1.0),
-        "kp": (drawn.variation.kp, ranges.kp, 1.0),
-        "kd": (drawn.variation.kd, ranges.kd, 1.0),
-        "latency": (drawn.delay, ranges.latency, 1 / 0.004),
-        "sensors": (drawn.sensor_delay, ranges.sensor_latency, 1 / 0.02),
-        "noise": (drawn.noise, ranges.noise, 1.0),
-        "encoder": (drawn.encoder, ranges.encoder, 1.0),
-        "tilt": (drawn.tilt, ranges.imu_tilt, 1.0),
-    }
-    for name, (values, (low, high), unit) in expected.items():
-        low, high, width = low * unit, high * unit, (high - low) * unit
+@pytest.fixture(scope="module")
+def begun(quadruped):
+    """An environment without a margin, and the conditions of 2000 episodes."""
+    env = ranged(quadruped, push=(0.3, 0.5), margin=0.0)
+    keys = jax.random.split(jax.random.PRNGKey(0), 2000)
+    return env, jax.jit(jax.vmap(env.reset))(keys).pipeline_state.conditions
+
+
+def test_every_episode_draws_its_own_within_the_ranges(begun):
+    env, drawn = begun
+    names = ("friction", "trunk_mass", "trunk_center", "link_mass", "strength", "kp", "kd")
+    found = {name: getattr(drawn.variation, name) for name in names}
+    found |= {"latency": drawn.delay, "sensor_latency": drawn.sensor_delay, "noise": drawn.noise}
+    found |= {"encoder": drawn.encoder, "imu_tilt": drawn.tilt}
+    units = {"trunk_mass": env.robot.mass, "trunk_center": env.robot.home_height}
+    units |= {"latency": 1 / 0.004, "sensor_latency": 1 / 0.02}
+    for name, values in found.items():
+        low, high = np.multiply(getattr(env.config.randomization, name), units.get(name, 1.0))
+        width = high - low
         assert low - 1e-5 <= values.min() < low + 0.05 * width, name
         assert high - 0.05 * width < values.max() <= high + 1e-5, name
         assert np.mean(values) == pytest.approx((low + high) / 2, abs=0.1 * width), name
 
 
-def test_pushes_go_to_all_sides_alike(quadruped):
-    config = dataclasses.replace(run.TASK.env.randomization, push=(0.3, 0.5), margin=0.0)
-    env = QuadrupedEnv(quadruped, dataclasses.replace(run.TASK.env, randomization=config))
-    keys = jax.random.split(jax.random.PRNGKey(0), 2000)
-    push = np.asarray(jax.jit(jax.vmap(env.reset))(keys).pipeline_state.conditions.push)
+def test_pushes_go_to_all_sides_alike(begun):
+    env, push = begun[0], np.asarray(begun[1].push)
     inner, outer = np.array([0.3, 0.5]) * np.sqrt(9.81 * env.robot.home_height)
     size, angle = np.hypot(*push.T), np.arctan2(push[:, 1], push[:, 0])
     assert inner <= size.min() + 1e-5
@@ -409,27 +378,16 @@ ends = st.floats(-10.0, 10.0)
 def test_training_draws_from_no_less_than_an_evaluation(between, usual, margin):
     (low, high), (inner, outer) = widened(between, usual, margin), between
     assert low <= inner <= outer <= high
-    # No end is farther than the margin says.
-    assert (
-        max(abs(low - inner), abs(high - outer))
-        <= margin * max(abs(inner - usual), abs(outer - usual)) + 1e-9
-    )
+    moved = max(abs(low - inner), abs(high - outer))
+    assert moved <= margin * max(abs(inner - usual), abs(outer - usual)) + 1e-9
 
 
 def test_a_margin_moves_an_end_away_from_the_models_value_but_not_into_the_range(quadruped):
-    ranges = dataclasses.replace(
-        run.TASK.env.randomization,
-        friction=(0.3, 1.25),
-        strength=(0.8, 1.1),
-        latency=(0.01, 0.02),
-        push=(0.4, 0.5),
-        margin=0.5,
-    )
-    config = dataclasses.replace(run.TASK.env, randomization=ranges)
-    env = QuadrupedEnv(quadruped, config, "fast")
+    changed = {"friction": (0.3, 1.25), "strength": (0.8, 1.1), "latency": (0.01, 0.02)}
+    env = ranged(quadruped, **changed, push=(0.4, 0.5), margin=0.5)
 
     def draw(key: jax.Array) -> EpisodeRandomization:
-        return draw_conditions(ranges, env.robot, env.stepping, key, friction=1.0)
+        return draw_conditions(env.config.randomization, env.robot, env.stepping, key, friction=1.0)
 
     drawn = jax.jit(jax.vmap(draw))(jax.random.split(jax.random.PRNGKey(0), 2000))
     froude = np.sqrt(env.robot.gravity * env.robot.home_height)
@@ -489,14 +447,12 @@ def test_an_evaluation_pushes_once_in_five_seconds_within_the_ranges_however_tra
 
 
 def test_what_is_off_is_as_the_model(quadruped):
-    one = dataclasses.replace(run.TASK.env.randomization, push=None, friction=None, latency=None)
-    env = QuadrupedEnv(quadruped, dataclasses.replace(run.TASK.env, randomization=one))
+    env = ranged(quadruped, push=None, friction=None, latency=None)
     drawn = jax.jit(env.reset)(jax.random.PRNGKey(0)).pipeline_state.conditions
     assert drawn.variation.friction == pytest.approx(env.friction)
     assert not np.any(drawn.push)
     assert drawn.delay == 0.0
-    none = dataclasses.replace(run.TASK.env.randomization, enabled=False)
-    env = QuadrupedEnv(quadruped, dataclasses.replace(run.TASK.env, randomization=none))
+    env = ranged(quadruped, enabled=False)
     assert jax.eval_shape(env.reset, jax.random.PRNGKey(0)).pipeline_state.conditions is None
 
 
@@ -509,6 +465,5 @@ def test_the_ranges_that_are_shaded_are_the_tasks_in_the_units_of_the_sweep(quad
         assert found[name] == pytest.approx(between)
     assert found["mass"] == pytest.approx((-2.0, 5.0), abs=0.2)  # kg, on an AlienGo
     assert found["push"] == pytest.approx((0.0, 1.0), abs=0.01)  # m/s
-    still = dataclasses.replace(run.TASK.env.randomization, noise=None)
-    without = QuadrupedEnv(quadruped, dataclasses.replace(run.TASK.env, randomization=still))
+    without = ranged(quadruped, noise=None)
     assert task_ranges(without, Point(friction=0.8))["noise"] == (0.0, 0.0)

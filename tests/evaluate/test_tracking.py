@@ -18,6 +18,7 @@ from quadwalk.task.env import QuadrupedEnv
 from quadwalk.tasks import sprint, walk
 from quadwalk.train.runs.directory import Run
 from quadwalk.train.runs.policy import Policy
+from tests.evaluate.conftest import glided
 
 DT, STEPS = 0.02, 200
 WEIGHT = 200.0  # N
@@ -32,13 +33,10 @@ def glide(simulate):
     def draw(velocity, command, yaw=2.5, tilt=(0.1, -0.2)):
         velocity = np.broadcast_to(np.asarray(velocity, float), (STEPS, 3))
         command = np.broadcast_to(np.asarray(command, float), (STEPS, 3))
-        heading = yaw + np.concatenate([[0.0], np.cumsum(velocity[:, 2]) * DT])
         qpos = np.array(base.qpos, float)
-        turn = Rotation.from_euler("ZYX", np.c_[heading, np.tile(tilt, (STEPS + 1, 1))])
-        qpos[:, 3:7] = turn.as_quat()[:, [3, 0, 1, 2]]
-        planar = np.c_[velocity[:, :2], np.zeros(STEPS)]
-        moved = Rotation.from_euler("z", heading[1:, None]).apply(planar) * DT
-        qpos[:, :2] = np.concatenate([np.zeros((1, 2)), np.cumsum(moved[:, :2], axis=0)])
+        turn = Rotation.from_euler("ZYX", [yaw, *tilt])
+        qpos[0, :7] = 0.0, 0.0, qpos[0, 2], *turn.as_quat(scalar_first=True)
+        qpos[1:, :7] = glided(qpos[0], velocity)
         return dataclasses.replace(base, qpos=qpos, command=command)
 
     return draw

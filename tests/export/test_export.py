@@ -10,14 +10,12 @@ import sys
 from pathlib import Path
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import onnx
 import onnxruntime
 import pytest
 import yaml
-from brax.training.acme.running_statistics import NestedMeanStd
 from brax.training.networks import ACTIVATION
 from rich.console import Console
 
@@ -34,9 +32,8 @@ from quadwalk.export.policy_graph import ACTIVATIONS, Weights, build_model, inpu
 from quadwalk.settings.terms import ActionMap
 from quadwalk.task.env import QuadrupedEnv
 from quadwalk.task_files import load_task
-from quadwalk.train.learner.networks import make_networks
 from quadwalk.train.runs.directory import Run
-from quadwalk.train.runs.policy import save_policy
+from tests.view.conftest import write_run
 
 SECONDS = 0.5
 
@@ -54,27 +51,15 @@ class Exported(NamedTuple):
         return {entry.key: entry.value for entry in model.metadata_props}
 
 
-def untrained_run(path: Path, task: str, quadruped) -> Run:
+def untrained_run(root: Path, task: str, quadruped) -> Run:
     """A run as a training would leave it whose policy has learnt nothing."""
-    config = load_task(task)
-    env = QuadrupedEnv(quadruped, config.env)
-    networks = make_networks(config.ppo, env.policy_size, 12)
-    rng = np.random.default_rng(0)
-    mean = np.float32(rng.normal(0, 0.1, env.policy_size))
-    std = np.float32(rng.uniform(1, 3, env.policy_size))
-    std[3] = 1e-6  # as of a number that never varied
-    weights = networks.init(jax.random.PRNGKey(0)).policy
-    path.mkdir()
-    run = Run(path)
-    run.urdf.write_text(quadruped.urdf)
-    save_policy(run.policy, NestedMeanStd(mean, std), weights, config, quadruped.joints, 0, 0.0)
-    return run
+    return write_run(root, task, quadruped, {"policy.npz": 0}, load_task(task), never_varied=[3])
 
 
 @pytest.fixture(scope="module", params=["run", "walk", "blog"])
 def exported(request, quadruped, tmp_path_factory) -> Exported:
     root = tmp_path_factory.mktemp("export")
-    run = untrained_run(root / request.param, request.param, quadruped)
+    run = untrained_run(root, request.param, quadruped)
     main([str(run.path), "-o", str(root / "out")])
     loaded = load_run(run, SECONDS, "last", "mujoco")
     config = loaded.env.config
@@ -246,9 +231,8 @@ def test_deploy_yaml_gives_the_observations_and_targets_that_were_trained_with(e
         return
     config = yaml.safe_load(file.read_text())
     action = config["actions"]["JointPositionAction"]
-    targets = np.clip(
-        rollout.action * action["scale"] + action["offset"], *np.transpose(action["clip"])
-    )
+    targets = rollout.action * action["scale"] + action["offset"]
+    targets = np.clip(targets, *np.transpose(action["clip"]))
     np.testing.assert_allclose(targets, rollout.target, atol=1e-5)
     assert config["joint_ids_map"] == list(range(12))
     assert config["step_dt"] == env.config.control_dt
@@ -275,14 +259,13 @@ def test_deploy_yaml_gives_the_observations_and_targets_that_were_trained_with(e
 def test_every_activation_is_that_of_brax(name):
     rng = np.random.default_rng(0)
     layers = [
-        (np.float32(rng.normal(size=shape)), np.float32(rng.normal(size=shape[1])))
-        for shape in ((5, 7), (7, 12))
+        (np.float32(rng.normal(size=(m, n))), np.float32(rng.normal(size=n)))
+        for m, n in ((5, 7), (7, 12))
     ]
     weights = Weights(np.zeros(5), np.ones(5), layers, name)
     one = np.ones(12)
-    model = build_model(
-        weights, np.arange(5), JointTargets(one, 0 * one, -np.inf * one, np.inf * one, None), {}
-    )
+    targets = JointTargets(one, 0 * one, -np.inf * one, np.inf * one, None)
+    model = build_model(weights, np.arange(5), targets, {})
     session = onnxruntime.InferenceSession(model.SerializeToString())
     x = np.float32(rng.normal(size=(1, 5)))
     hidden = ACTIVATION[name](jnp.asarray(x @ layers[0][0] + layers[0][1]))
@@ -306,7 +289,7 @@ def test_an_action_map_that_no_format_can_state_is_named(env):
 
 @pytest.mark.parametrize("missing", ["onnx", "onnxruntime"])
 def test_without_the_extra_one_line_says_so(missing, quadruped, tmp_path, monkeypatch):
-    run = untrained_run(tmp_path / "run", "walk", quadruped)
+    run = untrained_run(tmp_path, "walk", quadruped)
     monkeypatch.setitem(sys.modules, missing, None)
     for name in [name for name in sys.modules if name.startswith("quadwalk.export.")]:
         monkeypatch.delitem(sys.modules, name)

@@ -57,16 +57,6 @@ def robot(*parts: str, name: str = 'name="r"') -> str:
     return f"<robot {name}>{''.join(parts)}</robot>"
 
 
-def quadruped(calf: Callable[[str], str], leg: Callable[[str, float, float], str] | None = None):
-    """A trunk and legs `a` (front left), `b`, `c`, `d`, thighs .3 m.
-
-    `calf(name)` is what the calf's link holds besides its inertial, and what follows that link.
-    """
-    trunk = link("trunk", inertial(5), shape('box size="0.4 0.2 0.1"'))
-    legs = [(leg or plain_leg)(name, x, y) + calf(name) for name, (x, y) in CORNERS.items()]
-    return robot(trunk, *legs)
-
-
 def plain_leg(
     name: str, x: float, y: float, thigh: str = "0 0 0", hip_rpy: str = "0 0 0", knee: str = LIMIT
 ) -> str:
@@ -85,6 +75,16 @@ def ball_calf(name: str) -> str:
     return link(f"{name}3", inertial(0.5), shape('sphere radius="0.02"', "0 0 -0.2"))
 
 
+def quadruped(calf: Callable[[str], str], leg: Callable[[str, float, float], str] = plain_leg):
+    """A trunk and legs `a` (front left), `b`, `c`, `d`, thighs .3 m.
+
+    `calf(name)` is what the calf's link holds besides its inertial, and what follows that link.
+    """
+    trunk = link("trunk", inertial(5), shape('box size="0.4 0.2 0.1"'))
+    legs = [leg(name, x, y) + calf(name) for name, (x, y) in CORNERS.items()]
+    return robot(trunk, *legs)
+
+
 def check_dynamics(
     urdf: Urdf, spec: mujoco.MjSpec, compared: Set[str] = frozenset(), states: int = 50
 ) -> None:
@@ -100,6 +100,29 @@ def check_dynamics(
     assert max(through_xml.values()) < 1e-5, through_xml
 
 
+def frame(position, quat) -> np.ndarray:
+    """(4, 4) of m and wxyz, by MuJoCo's own function."""
+    turned, whole = np.empty(9), np.eye(4)
+    mujoco.mju_quat2Mat(turned, np.asarray(quat, float))
+    whole[:3, :3], whole[:3, 3] = turned.reshape(3, 3), position
+    return whole
+
+
+def placed(model: mujoco.MjModel, qpos: np.ndarray) -> mujoco.MjData:
+    """The model in this pose, at rest, its contacts and all that follows from the pose computed."""
+    data = mujoco.MjData(model)
+    data.qpos[:] = qpos
+    mujoco.mj_forward(model, data)
+    return data
+
+
+def knees(quadruped: Quadruped) -> dict[str, float]:
+    """By leg, how far ahead of the thigh's joint the knee is, m, in the home pose."""
+    data = placed(quadruped.full_model(), quadruped.home)
+    ahead = [data.joint(name).xanchor[0] for name in quadruped.joints]
+    return dict(zip(quadruped.legs, np.subtract(ahead[2::3], ahead[1::3]), strict=True))
+
+
 def hold(
     quadruped: Quadruped, seconds: float, kp: float | None = None, kd: float | None = None
 ) -> np.ndarray:
@@ -108,8 +131,7 @@ def hold(
     Gains are in Nm/rad and Nm s/rad, by default as stiff as the robot is heavy and high.
     """
     model = quadruped.full_model()
-    data = mujoco.MjData(model)
-    data.qpos[:] = quadruped.home
+    data = placed(model, quadruped.home)
     kp = kp or 1.4 * model.body_subtreemass[0] * 9.81 * quadruped.home[2]
     kd = kd or 0.025 * kp
     poses = []

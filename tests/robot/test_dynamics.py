@@ -54,30 +54,19 @@ def set_afloat(arm: str) -> str:
     return arm.replace('"world"', '"root"').replace('<link name="base"/>', base)
 
 
-def test_an_arm_on_a_fixed_base():
-    urdf = parse_urdf(ARM)
-    spec = convert(urdf).spec
-    model = spec.compile()
-    assert (model.nv, model.nbody) == (2, 3)
-    check_dynamics(urdf, spec, {"position of tool"})
-
-
-def test_an_arm_afloat():
-    urdf = parse_urdf(set_afloat(ARM))
-    check_dynamics(urdf, convert(urdf).spec)
-
-
-@pytest.mark.parametrize("kind", ["planar", "floating"])
+@pytest.mark.parametrize("kind", ["prismatic", "planar", "floating"])
 @pytest.mark.parametrize("afloat", [False, True])
-def test_a_joint_of_several_directions(kind, afloat):
+def test_an_arm(kind, afloat):
     text = ARM.replace('name="rail" type="prismatic"', f'name="rail" type="{kind}"')
-    # Pinocchio takes the plane across z, whatever the axis.
-    text = text.replace('<axis xyz="1 2 3"/>', '<axis xyz="0 0 2"/>')
+    if kind == "planar":  # Pinocchio takes the plane across z, whatever the axis.
+        text = text.replace('<axis xyz="1 2 3"/>', '<axis xyz="0 0 2"/>')
     urdf = parse_urdf(set_afloat(text) if afloat else text)
     spec = convert(urdf).spec
     model = spec.compile()
-    assert model.nv == {"planar": 4, "floating": 7}[kind] + 6 * afloat
-    assert [model.actuator(i).name for i in range(model.nu)] == ["turn"]
+    assert model.nv == {"prismatic": 2, "planar": 4, "floating": 7}[kind] + 6 * afloat
+    assert model.nbody == 3 + afloat
+    motors = [model.actuator(i).name for i in range(model.nu)]
+    assert motors == ["rail"] * (kind == "prismatic") + ["turn"]
     check_dynamics(urdf, spec, {"position of tool"})
 
 

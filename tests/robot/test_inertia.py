@@ -33,16 +33,12 @@ def test_repair_gives_a_valid_inertia_and_none_is_nearer(moments, angles, other)
     assert nearest <= np.linalg.norm(rival - tensor) + 1e-9
 
 
-def test_repair_leaves_a_valid_inertia_alone():
-    tensor = np.array([[3, 0.1, 0.2], [0.1, 4, 0.3], [0.2, 0.3, 5]])
-    np.testing.assert_allclose(nearest_valid(1.0, tensor), tensor, atol=1e-12)
-
-
-def test_repair_by_hand():
-    # (1, 1, 5): the excess of 3 is shared, a third to each moment; THINNEST adds a trace of 1e-6.
-    np.testing.assert_allclose(
-        nearest_valid(1.0, np.diag([1.0, 1, 5])), np.diag([2.0, 2, 4]), atol=3e-6
-    )
+def test_repair_by_hand_and_of_what_needs_none():
+    valid = np.array([[3, 0.1, 0.2], [0.1, 4, 0.3], [0.2, 0.3, 5]])
+    np.testing.assert_allclose(nearest_valid(1.0, valid), valid, atol=1e-12)
+    # The excess of 3 is shared, a third to each moment; THINNEST adds a trace of 1e-6.
+    repaired = nearest_valid(1.0, np.diag([1.0, 1, 5]))
+    np.testing.assert_allclose(repaired, np.diag([2.0, 2, 4]), atol=3e-6)
 
 
 def test_repair_is_asked_for_and_reported():
@@ -56,9 +52,8 @@ def test_repair_is_asked_for_and_reported():
 
 def test_two_balls_on_a_rod_by_hand():
     ball = np.diag([0.1, 0.1, 0.1])
-    pair = compose(
-        [Inertia(1.0, np.array([1.0, 0, 0]), ball), Inertia(3.0, np.array([-1.0, 0, 0]), ball)]
-    )
+    ahead, behind = np.array([1.0, 0, 0]), np.array([-1.0, 0, 0])
+    pair = compose([Inertia(1.0, ahead, ball), Inertia(3.0, behind, ball)])
     assert pair.mass == 4
     np.testing.assert_allclose(pair.com, [-0.5, 0, 0])
     # 1 kg at 1.5 m and 3 kg at 0.5 m from the center of mass: 3 kg m^2 across the rod.
@@ -81,14 +76,9 @@ def moving(moments: str, mass: str = "1", more: str = "") -> str:
 
 
 @pytest.mark.parametrize(
+    # The first is 0.1e-3 too much, of which the digits explain half a unit each.
     "moments",
-    [
-        "0.001 0.002 0.0031",  # 0.1e-3 too much, of which the digits explain half a unit each
-        "0.01 0.02 0.0301",
-        "0 0.00012 0.00012",
-        "0 0 0",
-        "-5.4e-20 -5.4e-20 0",
-    ],
+    ["0.001 0.002 0.0031", "0.01 0.02 0.0301", "0 0.00012 0.00012", "0 0 0", "-5.4e-20 -5.4e-20 0"],
 )
 def test_what_digits_explain_is_mended_and_reported(moments):
     urdf = parse_urdf(moving(moments))
@@ -119,9 +109,7 @@ def test_a_frame_of_next_to_no_mass_is_as_the_file_has_it():
     )  # fmt: skip
     urdf = parse_urdf(text)
     check_dynamics(urdf, convert(urdf).spec, states=10)
-    assert any(
-        "next to nothing in 'base', as it is: base (" in line for line in urdf.report.lines()
-    )
+    assert "next to nothing in 'base', as it is: base (" in "\n".join(urdf.report.lines())
     heavy = text.replace('"1e-6"', '"0.01"')
     with pytest.raises(UrdfError, match="link 'base': <inertia> has principal moments"):
         parse_urdf(heavy)

@@ -18,11 +18,9 @@ from tests.robot import robots
 from tests.robot.robots import ball_calf, inertial, joint, link, plain_leg, shape, stays_up
 
 
-def at_home(quadruped: Quadruped, model: mujoco.MjModel) -> mujoco.MjData:
-    data = mujoco.MjData(model)
-    data.qpos[:] = quadruped.home
-    mujoco.mj_forward(model, data)
-    return data
+def made(calf, leg=plain_leg, folder: Path | None = None) -> Quadruped:
+    """`robots.quadruped`, with meshes from a folder."""
+    return quadruped_from(parse_urdf(robots.quadruped(calf, leg), "r.urdf", folder))
 
 
 def stands(quadruped: Quadruped) -> None:
@@ -35,7 +33,7 @@ def stands(quadruped: Quadruped) -> None:
         (quadruped.full_model(), 1 - np.sqrt(2)),  # a square edge at 45 degrees
         (quadruped.training_model(0.002, contacts="body"), 0),
     ):
-        data = at_home(quadruped, model)
+        data = robots.placed(model, quadruped.home)
         heights = {
             model.geom(geom).name: lowest_point(model, data, geom)
             for geom in range(model.ngeom)
@@ -105,7 +103,7 @@ FEET = {
 @pytest.mark.parametrize("case", FEET)
 def test_a_foot_of_any_shape_is_a_sphere_at_the_end_of_the_leg(meshes, case):
     calf, radius, reach = FEET[case]
-    quadruped = quadruped_from(parse_urdf(robots.quadruped(calf), "r.urdf", meshes))
+    quadruped = made(calf, folder=meshes)
     model = quadruped.full_model()
     for foot in quadruped.feet:
         assert model.geom(foot).type == mujoco.mjtGeom.mjGEOM_SPHERE
@@ -120,31 +118,24 @@ def test_a_foot_of_any_shape_is_a_sphere_at_the_end_of_the_leg(meshes, case):
 
 
 def test_a_foot_whose_mesh_is_missing_is_at_its_frame():
-    calf = partial(foot_link, geometry='mesh filename="none.stl"')
-    urdf = parse_urdf(
-        robots.quadruped(calf).replace(
-            'radius="0.005" length="0.18"', 'radius="0.005" length="0.1"'
-        )
-    )
-    quadruped = quadruped_from(urdf, Options(meshes=False))
+    text = robots.quadruped(partial(foot_link, geometry='mesh filename="none.stl"'))
+    text = text.replace('length="0.18"', 'length="0.1"')
+    quadruped = quadruped_from(parse_urdf(text), Options(meshes=False))
     # What is left of the calf reaches .14 m.
     assert quadruped.full_model().geom(quadruped.feet[0]).size[0] == pytest.approx(0.005, rel=0.05)
 
 
 def test_a_sphere_at_the_knee_is_no_foot(meshes):
     def calf(name: str) -> str:
-        knee = shape('sphere radius="0.03"')
-        return foot_link(name, 'mesh filename="ball.stl"').replace(
-            "<collision>", knee + "<collision>", 1
-        )
+        knee = shape('sphere radius="0.03"') + "<collision>"
+        return foot_link(name, 'mesh filename="ball.stl"').replace("<collision>", knee, 1)
 
-    quadruped = quadruped_from(parse_urdf(robots.quadruped(calf), "r.urdf", meshes))
-    assert quadruped.feet == ("b_foot", "a_foot", "d_foot", "c_foot")
+    assert made(calf, folder=meshes).feet == ("b_foot", "a_foot", "d_foot", "c_foot")
 
 
 def test_a_leg_that_ends_in_nothing_is_no_leg():
     with pytest.raises(UrdfError, match="'a3' and what is fixed to it have no shape and no frame"):
-        quadruped_from(parse_urdf(robots.quadruped(lambda name: link(f"{name}3", inertial(1)))))
+        made(lambda name: link(f"{name}3", inertial(1)))
 
 
 def box_and_foot(quadruped: Quadruped) -> tuple[mujoco.MjModel, int, int]:
@@ -160,18 +151,16 @@ def test_thin_calves_end_at_the_centers_of_their_feet():
         bar = shape('box size="0.006 0.008 0.2"', "0 0 -0.1")
         return link(f"{name}3", inertial(0.5), bar, shape('sphere radius="0.02"', "0 0 -0.19"))
 
-    model, box, _ = box_and_foot(quadruped_from(parse_urdf(robots.quadruped(calf))))
+    model, box, _ = box_and_foot(made(calf))
     np.testing.assert_allclose(model.geom_pos[box], [0, 0, -0.095], atol=1e-9)
     np.testing.assert_allclose(model.geom_size[box], [0.003, 0.004, 0.095], atol=1e-9)
 
 
 def test_thick_calves_end_where_a_step_is_no_fall(meshes):
     """A calf of 2 cm on a foot of 1 cm leans by 60 degrees, with an edge below."""
-    quadruped = quadruped_from(
-        parse_urdf(robots.quadruped(FEET["a whole calf's mesh"][0]), "r.urdf", meshes)
-    )
+    quadruped = made(FEET["a whole calf's mesh"][0], folder=meshes)
     model, box, foot = box_and_foot(quadruped)
-    data = at_home(quadruped, model)
+    data = robots.placed(model, quadruped.home)
     trunk, calf = (data.xmat[b].reshape(3, 3) for b in (1, model.geom_bodyid[box]))
     lean = Rotation.from_rotvec(np.radians(60) * np.array([1, 1, 0]) / np.sqrt(2)).as_matrix()
     mujoco.mju_mat2Quat(data.qpos[3:7], (lean @ calf.T @ trunk).ravel())
@@ -181,61 +170,49 @@ def test_thick_calves_end_where_a_step_is_no_fall(meshes):
     assert np.ptp(data.geom_xpos[[box, foot], 2]) < 0.1  # and it is still most of the calf
 
 
-def knees(quadruped: Quadruped) -> dict[str, float]:
-    """By leg, how far ahead of the thigh joint the knee is, m."""
+def test_knees_bend_backwards_where_they_may_over_a_foot_that_is_no_link_of_its_own():
+    quadruped = made(ball_calf)
+    assert max(robots.knees(quadruped).values()) < -0.1
+    assert quadruped.feet == ("b3_foot", "a3_foot", "d3_foot", "c3_foot")
     model = quadruped.full_model()
-    data = at_home(quadruped, model)
-    found = {}
-    for i, leg in enumerate(quadruped.legs):
-        thigh, calf = (
-            model.joint(name).bodyid[0] for name in quadruped.joints[3 * i + 1 : 3 * i + 3]
-        )
-        found[leg] = float(data.xpos[calf, 0] - data.xpos[thigh, 0])
-    return found
+    assert model.site("b3_foot").pos == pytest.approx([0, 0, -0.2])
+    assert model.geom("b3_foot").size[0] == 0.02
+    # Thigh .3 m, calf .2 m: the foot is below the thigh joint, at cos(.8) of .5 m.
+    data = robots.placed(model, quadruped.home)
+    down = data.site("b3_foot").xpos - data.body("b2").xpos
+    np.testing.assert_allclose(down, [0, 0, -0.5 * np.cos(0.8)], atol=1e-4)
 
 
-def test_knees_bend_backwards_where_they_may():
-    assert max(knees(quadruped_from(parse_urdf(robots.quadruped(ball_calf)))).values()) < -0.1
+def bent_ahead(name: str, x: float, y: float) -> str:
+    """A leg whose knee, if it is behind, can only bend ahead, as HyQ's."""
+    knee = robots.LIMIT.replace('lower="-3"', 'lower="0.3"') if x < 0 else robots.LIMIT
+    return plain_leg(name, x, y, knee=knee)
 
 
-def test_knees_bend_as_their_limits_say():
-    def leg(name: str, x: float, y: float) -> str:
-        knee = robots.LIMIT
-        if x < 0:  # behind, as HyQ's
-            knee = knee.replace('lower="-3"', 'lower="0.3"')
-        return plain_leg(name, x, y, knee=knee)
+def turned_about(name: str, x: float, y: float) -> str:
+    """A leg as ANYmal's, the hind ones the front ones turned about."""
+    return plain_leg(name, x, y, thigh="0.06 0 0" if x > 0 else "-0.06 0 0")
 
-    quadruped = quadruped_from(parse_urdf(robots.quadruped(ball_calf, leg)))
-    bent = knees(quadruped)
+
+@pytest.mark.parametrize("leg", [bent_ahead, turned_about])
+def test_knees_bend_as_their_limits_say_and_else_inwards(leg):
+    quadruped = made(ball_calf, leg)
+    bent = robots.knees(quadruped)
     assert max(bent["FL"], bent["FR"]) < -0.1
     assert min(bent["RL"], bent["RR"]) > 0.1
     stands(quadruped)
 
 
-def test_knees_of_legs_that_are_turned_about_point_inwards():
-    def leg(name: str, x: float, y: float) -> str:  # as ANYmal's
-        return plain_leg(name, x, y, thigh="0.06 0 0" if x > 0 else "-0.06 0 0")
-
-    bent = knees(quadruped_from(parse_urdf(robots.quadruped(ball_calf, leg))))
-    assert max(bent["FL"], bent["FR"]) < -0.1
-    assert min(bent["RL"], bent["RR"]) > 0.1
-
-
 @pytest.mark.parametrize("angle", [0.4, -0.9])
 def test_hips_turn_until_the_legs_are_upright(angle):
-    def leg(name: str, x: float, y: float) -> str:
-        return plain_leg(name, x, y, hip_rpy=f"{angle} 0 0")
-
-    quadruped = quadruped_from(parse_urdf(robots.quadruped(ball_calf, leg)))
+    quadruped = made(ball_calf, partial(plain_leg, hip_rpy=f"{angle} 0 0"))
     np.testing.assert_allclose(quadruped.home[7::3], -angle, atol=1e-4)
     stands(quadruped)
 
 
 def test_motors_that_the_urdf_does_not_give():
     text = robots.quadruped(ball_calf).replace(robots.LIMIT, "")
-    with pytest.raises(
-        UrdfError, match=r"pass --robot.effort NM --robot.speed RAD_PER_S"
-    ) as raised:
+    with pytest.raises(UrdfError, match=r"pass --robot\.effort NM --robot\.speed RAD") as raised:
         quadruped_from(parse_urdf(text))
     assert "no effort limit for 'bj1' and 'bj2' and 10 more, no speed limit" in str(raised.value)
     quadruped = quadruped_from(parse_urdf(text), Options(effort=30, speed=12))

@@ -13,7 +13,7 @@ from quadwalk.robot.checks.validate import UrdfError, nearly
 from quadwalk.robot.mjcf import convert, write_xml
 from quadwalk.robot.structure.legs import find_legs
 from quadwalk.robot.urdf import parse_urdf, read_urdf
-from tests.robot.robots import check_dynamics, inertial, joint, link, robot, shape
+from tests.robot.robots import check_dynamics, inertial, joint, link, placed, robot, shape
 
 TEXT = ALIENGO_URDF.read_text()
 
@@ -47,8 +47,7 @@ EXTENSIONS = {
 
 @pytest.mark.parametrize("case", EXTENSIONS)
 def test_extensions_change_nothing_and_are_reported_by_kind(case):
-    text = TEXT.replace("\n", "").replace("/>  ", "/>")
-    text = " ".join(text.split()).replace("> <", "><")
+    text = " ".join(TEXT.split()).replace("> <", "><")
     old, new, kind = EXTENSIONS[case]
     assert old in text
     extended = text.replace(old, new)
@@ -117,6 +116,12 @@ def test_a_robot_without_a_name_has_its_files(tmp_path):
     assert parse_urdf(urdf.text, "copy.urdf").robot.name == "walker"  # a run's copy as well
 
 
+def converted(text: str) -> tuple[mujoco.MjModel, list[str]]:
+    """The model, compiled of its XML, and the lines of the report."""
+    conversion = convert(parse_urdf(text))
+    return mujoco.MjModel.from_xml_string(write_xml(conversion.spec)), conversion.report.lines()
+
+
 def arm(limit: str, kind: str = "revolute") -> str:
     body = link("a", inertial(1))
     return robot(link("world"), body, joint("j", "world", "a", kind=kind, extra=limit))
@@ -133,47 +138,41 @@ def arm(limit: str, kind: str = "revolute") -> str:
 )
 @pytest.mark.parametrize("kind", ["revolute", "prismatic"])
 def test_no_position_limits_are_unlimited(limit, says, kind):
-    conversion = convert(parse_urdf(arm(limit, kind)))
-    model = conversion.spec.compile()
+    model, lines = converted(arm(limit, kind))
     assert not model.jnt_limited[0]
-    assert f"assumed: no position limits, for {says}: j" in conversion.report.lines()
+    assert f"assumed: no position limits, for {says}: j" in lines
 
 
 def test_one_limit_beyond_all_bounds_leaves_the_other():
-    model = convert(parse_urdf(arm('<limit lower="-1e16" upper="0.5" effort="3" velocity="4"/>')))
-    found = model.spec.compile()
-    assert found.jnt_limited[0]
-    np.testing.assert_array_equal(found.jnt_range[0], [-1e9, 0.5])
+    model, _ = converted(arm('<limit lower="-1e16" upper="0.5" effort="3" velocity="4"/>'))
+    assert model.jnt_limited[0]
+    np.testing.assert_array_equal(model.jnt_range[0], [-1e9, 0.5])
 
 
 def test_effort_and_speed_beyond_all_bounds_are_unlimited():
-    conversion = convert(
-        parse_urdf(arm('<limit lower="-1" upper="1" effort="1e12" velocity="1e10"/>'))
-    )
-    model = mujoco.MjModel.from_xml_string(write_xml(conversion.spec))
+    model, lines = converted(arm('<limit lower="-1" upper="1" effort="1e12" velocity="1e10"/>'))
     assert not model.jnt_actfrclimited[0]
     assert not model.actuator_ctrllimited[0]
-    lines = conversion.report.lines()
     assert "assumed: any effort, for the limit is beyond 1e9: j" in lines
     assert "assumed: any velocity, for the limit is beyond 1e9: j" in lines
 
 
-def follower(leader: str, kind: str = "revolute", own: str = "revolute") -> str:
-    mimic = '<limit lower="-1" upper="1" effort="9" velocity="1"/>'
+def follower(kind: str = "revolute", own: str = "revolute") -> str:
+    limit = '<limit lower="-1" upper="1" effort="9" velocity="1"/>'
+    mimic = '<mimic joint="lead" multiplier="2" offset="0.3"/>'
     return robot(
         link("world"), link("a", inertial(1)), link("b", inertial(1)),
         joint("lead", "world", "a", kind=kind),
-        joint("follow", "world", "b", kind=own,
-              extra=mimic + f'<mimic joint="{leader}" multiplier="2" offset="0.3"/>'),
+        joint("follow", "world", "b", kind=own, extra=limit + mimic),
     )  # fmt: skip
 
 
 def test_a_joint_that_follows_another():
-    model = convert(parse_urdf(follower("lead"))).spec.compile()
+    model, _ = converted(follower())
     assert model.nu == 1
     np.testing.assert_array_equal(model.key("home").qpos, [0, 0.3])
-    data = mujoco.MjData(model)
     model.opt.gravity[:] = 0
+    data = mujoco.MjData(model)
     while data.time < 2:
         data.ctrl = 5 * (0.3 - data.qpos[0]) - 5 * data.qvel[0]
         mujoco.mj_step(model, data)
@@ -182,22 +181,20 @@ def test_a_joint_that_follows_another():
 
 
 def test_what_follows_a_fixed_joint_is_held():
-    conversion = convert(parse_urdf(follower("lead", kind="fixed")))
-    model = conversion.spec.compile()
+    model, lines = converted(follower(kind="fixed"))
     assert (model.nv, model.nu) == (1, 0)
-    data = mujoco.MjData(model)
-    data.qpos[:] = 0.1
+    data = placed(model, [0.1])
     while data.time < 2:
         mujoco.mj_step(model, data)
     assert data.qpos[0] == pytest.approx(0.3, abs=1e-3)
     assert model.key("home").qpos[0] == 0.3
-    assert "assumed: held still, for they follow a fixed joint: follow" in conversion.report.lines()
+    assert "assumed: held still, for they follow a fixed joint: follow" in lines
 
 
 def test_a_fixed_joint_follows_nothing():
-    conversion = convert(parse_urdf(follower("lead", own="fixed")))
-    assert (conversion.spec.compile().nv, conversion.spec.compile().neq) == (1, 0)
-    assert "dropped: <mimic> of fixed joints: follow" in conversion.report.lines()
+    model, lines = converted(follower(own="fixed"))
+    assert (model.nv, model.neq) == (1, 0)
+    assert "dropped: <mimic> of fixed joints: follow" in lines
 
 
 def ball_joint(middle: str = "", base: str = "") -> str:
@@ -220,8 +217,7 @@ def test_joints_over_links_without_mass_are_those_of_one_body(base):
     urdf = parse_urdf(ball_joint(base=base))
     conversion = convert(urdf)
     model = conversion.spec.compile()
-    upper = model.body("upper")
-    assert (upper.jntnum[0], model.nbody) == (4, 4)
+    assert (model.body("upper").jntnum[0], model.nbody) == (4, 4)
     check_dynamics(urdf, conversion.spec)
     fused = "fused: joints over links without mass: j1 with upper, j2 with upper, j3 with upper"
     assert fused in conversion.report.lines()

@@ -10,7 +10,7 @@ import tempfile
 import threading
 import time
 import urllib.request
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,14 @@ _FLAGS = (
     "--headless=new --no-sandbox --use-gl=angle --use-angle=swiftshader --no-first-run "
     "--enable-unsafe-swiftshader --remote-debugging-port=0"
 )
+
+
+def wait(condition: Callable[[], bool], seconds: float = 30.0) -> bool:
+    """Whether `condition` comes true in time."""
+    end = time.monotonic() + seconds
+    while not (met := condition()) and time.monotonic() < end:
+        time.sleep(0.1)
+    return met
 
 
 class Browser:
@@ -46,19 +54,14 @@ class Browser:
         """What the page says."""
         return self.evaluate("document.body.innerText") or ""
 
-    def wait_for(self, text: str, seconds: float = 60.0) -> str:
-        """Wait until the page says `text`; all that it says then."""
-        end = time.monotonic() + seconds
-        while text not in (found := self.text()):
-            assert time.monotonic() < end, f"no {text!r} in: {found}"
-            time.sleep(0.2)
-        return found
+    def wait_for(self, text: str, seconds: float = 60.0) -> None:
+        """Wait until the page says `text`."""
+        assert wait(lambda: text in self.text(), seconds), f"no {text!r} in: {self.text()}"
 
     def dismiss(self, seconds: float = 20.0) -> None:
         """Close what the page complains of, as of no graphics card, once it does."""
-        close, end = "document.querySelector('.mantine-Notification-closeButton')", time.monotonic()
-        while not self.evaluate(f"!!{close}") and time.monotonic() < end + seconds:
-            time.sleep(0.1)
+        close = "document.querySelector('.mantine-Notification-closeButton')"
+        wait(lambda: self.evaluate(f"!!{close}"), seconds)
         self.evaluate(f"{close}?.click()")
 
     def press(self, key: str) -> None:
@@ -88,7 +91,10 @@ def browsing(url: str) -> Iterator[Browser]:
         command = [PROGRAM, *_FLAGS.split(), f"--user-data-dir={folder}", "about:blank"]
         process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         try:
-            port = _port(Path(folder) / "DevToolsActivePort")
+            file = Path(folder) / "DevToolsActivePort"
+            listens = wait(lambda: file.exists() and "\n" in file.read_text(), 60.0)
+            assert listens, "chromium does not start"
+            port = file.read_text().split()[0]
             with urllib.request.urlopen(f"http://127.0.0.1:{port}/json") as answer:
                 pages = [page for page in json.load(answer) if page["type"] == "page"]
             with connect(pages[0]["webSocketDebuggerUrl"], max_size=None) as socket:
@@ -117,12 +123,3 @@ def running(page: Any) -> Iterator[None]:
     finally:
         over.set()
         thread.join()
-
-
-def _port(file: Path) -> int:
-    """The port that chromium writes to `file` when it listens."""
-    end = time.monotonic() + 60.0
-    while not file.exists() or "\n" not in file.read_text():
-        assert time.monotonic() < end, "chromium does not start"
-        time.sleep(0.1)
-    return int(file.read_text().split()[0])

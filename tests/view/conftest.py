@@ -25,25 +25,34 @@ WALK = walk.TASK
 
 
 def write_run(
-    root: Path, name: str, quadruped: Quadruped, policies: dict[str, int], task: TrainConfig = WALK
+    root: Path, name: str, quadruped: Quadruped, policies: dict[str, int], task=WALK, **options
 ) -> Run:
-    """A run in `root`, with a policy for each file name, drawn from its seed."""
+    """A run in `root`, with a policy for each file name, drawn from its seed.
+
+    `options` are of `write_policy`.
+    """
     env = QuadrupedEnv(quadruped, task.env)
     settings = {"config": to_dict(task), "versions": versions()}
     files = {"robot.urdf": env.quadruped.urdf.encode(), "config.json": as_json(settings)}
     run = create_run(root, name, files=files)
     for file, seed in policies.items():
-        write_policy(run.path / file, env, seed, task)
+        write_policy(run.path / file, env, seed, task, **options)
     return run
 
 
-def write_policy(path: Path, env: QuadrupedEnv, seed: int, task: TrainConfig = WALK) -> None:
-    """A policy, or a checkpoint, of a network drawn from `seed`, after `seed` steps of training."""
+def write_policy(
+    path: Path, env: QuadrupedEnv, seed: int, task: TrainConfig = WALK, never_varied=()
+) -> None:
+    """A policy, or a checkpoint, of a network drawn from `seed`, after `seed` steps of training.
+
+    The numbers of these indices `never_varied` in what it saw.
+    """
     size, config = env.policy_size, task.ppo
     rng = np.random.default_rng(seed)
     networks = make_networks(config, size, 12, env.observation_size - size)
     weights = networks.init(jax.random.PRNGKey(seed)).policy
-    mean, std = rng.normal(0.0, 0.1, size), rng.uniform(0.5, 2.0, size)
+    mean, std = rng.normal(0.0, 0.1, size), rng.uniform(1.0, 3.0, size)
+    std[list(never_varied)] = 1e-6
     statistics = NestedMeanStd(jnp.float32(mean), jnp.float32(std))
     metadata = {"config": to_dict(task), "steps": seed}
     if path.parent.name == "checkpoints":

@@ -1,42 +1,30 @@
-"""The page in a real browser: it is driven by its keys, and the picture moves.
-
-`QUADWALK_RUN=runs/walk QUADWALK_PICTURE=page.gif pytest tests/view/test_browser.py` does so
-with a policy that can walk, and leaves the moving picture.
-"""
+"""The page in a real browser: it is driven by its keys, and the picture moves."""
 
 import io
-import os
 import time
-from collections.abc import Callable, Iterator
-from pathlib import Path
+from collections.abc import Iterator
 
 import numpy as np
 import pytest
 from PIL import Image
 from rich.console import Console
 
-from quadwalk.drawing.images import save_video
 from quadwalk.train.runs.directory import Run
-from tests.view.browser import PROGRAM, Browser, browsing, running
+from tests.view.browser import PROGRAM, Browser, browsing, running, wait
 
 pytest.importorskip("mjviser", reason="mjviser is not installed: pip install 'quadwalk[view]'")
 if PROGRAM is None:
     pytest.skip("there is no chromium: apt-get install chromium", allow_module_level=True)
 
-from quadwalk.view.pace import Pace
 from quadwalk.view.page import Page
 from quadwalk.view.server import serving
-
-RUN, PICTURE = os.environ.get("QUADWALK_RUN"), os.environ.get("QUADWALK_PICTURE")
-_FPS = 12.5  # of the moving picture
 
 
 @pytest.fixture(scope="module")
 def page(runs) -> Iterator[Page]:
     """A page, with the robot running in it in a thread."""
-    run = Run(Path(RUN)) if RUN else Run(runs / "dog")
     with serving("127.0.0.1", 8310, Console(quiet=True)) as server:
-        page = Page(server, run, run.path.parent)
+        page = Page(server, Run(runs / "dog"), runs)
         with running(page):
             yield page
 
@@ -47,14 +35,6 @@ def browser(page) -> Iterator[Browser]:
         browser.wait_for("steps of training")
         browser.dismiss()
         yield browser
-
-
-def wait(condition: Callable[[], bool], seconds: float = 30.0) -> bool:
-    """Whether `condition` comes true in time."""
-    end = time.monotonic() + seconds
-    while not condition() and time.monotonic() < end:
-        time.sleep(0.1)
-    return condition()
 
 
 def test_the_page_shows_who_runs_and_its_controls(page, browser):
@@ -96,38 +76,9 @@ def test_the_robot_moves_and_the_picture_with_it(page, browser):
     browser.press("K")
 
 
-def screenshot(browser: Browser) -> np.ndarray:
-    """(h, w, 3) uint8 the page."""
-    return np.asarray(Image.open(io.BytesIO(browser.screenshot())).convert("RGB"))
-
-
 def scene(browser: Browser) -> np.ndarray:
     """(h, w, 3) the middle of the page, where nothing but the robot and the floor is drawn."""
-    picture = screenshot(browser).astype(float)
+    picture = Image.open(io.BytesIO(browser.screenshot())).convert("RGB")
+    picture = np.asarray(picture).astype(float)
     height, width, _ = picture.shape
     return picture[: height // 2, width // 3 : int(0.6 * width)]
-
-
-@pytest.mark.skipif(PICTURE is None, reason="QUADWALK_PICTURE names no file to write")
-def test_take_a_moving_picture(page, browser):
-    """It walks, turns, is pushed and goes on: 4 s, as they look where a graphics card draws."""
-    browser.resize(1120, 700)
-    browser.press(" ")
-    time.sleep(2.0)
-    for _ in range(8):
-        browser.press("W")
-    time.sleep(8.0)
-    assert wait(lambda: "real time;" in browser.text(), 60.0)
-    # A picture is drawn in seconds here: time goes on only between two of them.
-    now, pictures = time.monotonic(), []
-    page.pace = Pace(page.pace.dt, lambda: now)
-    for number in range(int(4.0 * _FPS)):
-        if number == 12:
-            browser.press("P")
-        if number == 30:
-            for _ in range(4):
-                browser.press("A")
-        now += 1.0 / _FPS
-        time.sleep(0.4)  # its steps are made, and the page has them
-        pictures.append(screenshot(browser))
-    save_video(pictures, str(PICTURE), _FPS)

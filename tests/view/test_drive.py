@@ -17,19 +17,22 @@ from quadwalk.view.show import ViewConfig, drive, no_window
 from quadwalk.view.traces import Traces
 from quadwalk.view.window import Keys, draw_overlay
 
+NO_SCREEN = "neither DISPLAY nor WAYLAND_DISPLAY is set"
+
 
 @pytest.fixture
-def without_the_extra(monkeypatch):
+def no_screen(monkeypatch):
+    for name in ("DISPLAY", "WAYLAND_DISPLAY", "MUJOCO_GL"):
+        monkeypatch.delenv(name, raising=False)
+
+
+@pytest.fixture
+def without_the_extra(no_screen, monkeypatch):
     """No mjviser, and no screen."""
     known = importlib.util.find_spec
     monkeypatch.setattr(
         importlib.util, "find_spec", lambda name: None if name == "mjviser" else known(name)
     )
-    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
-        monkeypatch.delenv(name, raising=False)
-
-
-NO_SCREEN = "neither DISPLAY nor WAYLAND_DISPLAY is set"
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere there is always a screen")
@@ -48,12 +51,9 @@ def test_training_says_so_before_it_begins(without_the_extra, tmp_path):
     assert not (tmp_path / "runs").exists()
 
 
-def test_a_run_that_is_not_there(runs):
+def test_a_run_that_is_not_there_and_a_port_that_is_none(runs):
     with pytest.raises(UsageError, match="no run 'nobody'"):
         drive(ViewConfig("nobody", runs=runs))
-
-
-def test_ports_are_numbers_of_ports():
     with pytest.raises(UsageError, match="--port is 70000; expected 0 to 65535"):
         ViewConfig(port=70000)
 
@@ -96,14 +96,12 @@ def test_the_windows_overlay_is_path_velocity_and_command(fresh):
 @pytest.mark.parametrize(
     ("variables", "reason"),
     [
-        ({}, "neither DISPLAY nor WAYLAND_DISPLAY is set"),
+        ({}, NO_SCREEN),
         ({"DISPLAY": ":0", "MUJOCO_GL": "osmesa"}, "MUJOCO_GL is osmesa, which has no window"),
         ({"DISPLAY": ":4567"}, "display :4567"),
     ],
 )
-def test_without_a_screen_one_line_says_why(monkeypatch, variables, reason):
-    for name in ("DISPLAY", "WAYLAND_DISPLAY", "MUJOCO_GL"):
-        monkeypatch.delenv(name, raising=False)
+def test_without_a_screen_one_line_says_why(no_screen, monkeypatch, variables, reason):
     for name, value in variables.items():
         monkeypatch.setenv(name, value)
     line = no_window()

@@ -69,7 +69,6 @@ def test_it_stands_on_the_ground_of_the_tile_that_is_chosen(goat):
 
 
 def test_the_policy_sees_the_command(fresh):
-    """The next action is another."""
     actions = []
     for command in ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)):
         fresh.reset()

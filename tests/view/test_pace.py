@@ -1,5 +1,7 @@
 """Real time: what is due, and whether it is kept, by a clock that the test moves."""
 
+from types import SimpleNamespace
+
 import pytest
 
 from quadwalk.view.pace import Pace
@@ -7,34 +9,28 @@ from quadwalk.view.pace import Pace
 DT = 0.02
 
 
-class Clock:
-    """Tells the time that it is set to."""
-
-    def __init__(self) -> None:
-        self.now = 100.0
-
-    def __call__(self) -> float:
-        return self.now
+def paced() -> tuple[Pace, SimpleNamespace]:
+    """A pace, and its clock, which tells the time that `now` is set to."""
+    clock = SimpleNamespace(now=100.0)
+    return Pace(DT, lambda: clock.now), clock
 
 
-def played(speed: float, cost: float, seconds: float = 5.0) -> tuple[Pace, int]:
-    """Steps that each take `cost` s of computing, over so many seconds; how many there were."""
-    clock = Clock()
-    pace = Pace(DT, clock)
-    pace.speed = speed
-    end, steps = clock.now + seconds, 0
-    while clock.now < end:
+def played(speed: float, cost: float) -> tuple[Pace, SimpleNamespace, int]:
+    """Steps that each take `cost` s of computing, over 5 s; how many there were."""
+    pace, clock = paced()
+    pace.speed, steps = speed, 0
+    while clock.now < 105.0:
         for _ in range(pace.due()):
             clock.now += cost
             pace.done(cost)
             steps += 1
         clock.now += 0.002
-    return pace, steps
+    return pace, clock, steps
 
 
 @pytest.mark.parametrize("speed", [1.0, 0.5, 0.25, 0.1])
 def test_time_goes_as_fast_as_is_asked_for(speed):
-    pace, steps = played(speed, cost=0.001)
+    pace, _, steps = played(speed, cost=0.001)
     assert steps * DT == pytest.approx(5.0 * speed, abs=2 * DT)
     assert pace.kept
     assert pace.reached == pytest.approx(speed, rel=0.05)
@@ -42,24 +38,17 @@ def test_time_goes_as_fast_as_is_asked_for(speed):
 
 
 def test_it_is_known_when_time_is_not_kept():
-    """Steps of 20 ms that take 40."""
-    pace, steps = played(1.0, cost=0.04)
+    pace, _, steps = played(1.0, cost=0.04)
     assert not pace.kept
     assert pace.reached == pytest.approx(0.5, rel=0.1)
     assert pace.most == pytest.approx(0.5, rel=0.01)
     assert steps * DT == pytest.approx(2.5, rel=0.1)
 
 
-def test_what_was_missed_is_not_made_up():
-    clock = Clock()
-    pace = Pace(DT, clock)
+def test_what_was_missed_is_not_made_up_and_after_a_pause_nothing_is_due():
+    pace, clock = paced()
     clock.now += 60.0
     assert 1 <= pace.due() <= 6  # a tenth of a second, not a minute
-
-
-def test_after_a_pause_nothing_is_due():
-    clock = Clock()
-    pace = Pace(DT, clock)
     clock.now += 1.0
     pace.restart()
     assert pace.due() == 0
@@ -68,7 +57,6 @@ def test_after_a_pause_nothing_is_due():
 
 def test_one_that_stands_still_is_not_kept():
     """No step is made for a long time: it is not what was reached before."""
-    pace, _ = played(1.0, cost=0.001)
-    clock = pace._clock
+    pace, clock, _ = played(1.0, cost=0.001)
     clock.now += 10.0
     assert not pace.kept

@@ -18,6 +18,7 @@ from rich.console import Console
 from quadwalk.errors import UsageError
 from quadwalk.train.runs.directory import Run
 from quadwalk.view.choices import LAST
+from tests.view.browser import wait
 from tests.view.conftest import write_policy
 
 pytest.importorskip("mjviser", reason="mjviser is not installed: pip install 'quadwalk[view]'")
@@ -37,41 +38,31 @@ def page(runs) -> Iterator[Page]:
         yield Page(server, Run(runs / "dog"), runs)
 
 
-def press(page: Page, name: str) -> None:
-    """Trigger the command of this name, as its key does."""
-    commands = page._server.gui._command_handle_from_uuid.values()
-    (command,) = [command for command in commands if command.label == name]
-    for callback in command._impl.trigger_cb:
-        asyncio.run(callback(None))
-
-
-def answered(page: Page) -> None:
+def press(page: Page, *names: str) -> None:
+    """Trigger the commands of these names, as their keys do, and have the page answer."""
+    commands = {each.label: each for each in page._server.gui._command_handle_from_uuid.values()}
+    for name in names:
+        for callback in commands[name]._impl.trigger_cb:
+            asyncio.run(callback(None))
     page.run_for(0.05)
 
 
 def test_the_sliders_command_the_robot(page):
     page.panel.command[0].value = 0.7
     page.panel.command[2].value = -0.4
-    answered(page)
+    page.run_for(0.05)
     assert page.live.command == pytest.approx([0.7, 0.0, -0.4])
 
 
 def test_keys_change_the_command_by_a_tenth_of_its_range(page):
     for slider in page.panel.command:
         slider.value = 0.0
-    for _ in range(3):
-        press(page, "forward: more")
-    press(page, "to the left: less")
-    press(page, "turn left: more")
-    answered(page)
+    press(page, *["forward: more"] * 3, "to the left: less", "turn left: more")
     assert page.live.command == pytest.approx([0.45, -0.05, 0.1])
     assert [slider.value for slider in page.panel.command] == pytest.approx([0.45, -0.05, 0.1])
-    for _ in range(20):
-        press(page, "forward: more")
-    answered(page)
+    press(page, *["forward: more"] * 20)
     assert page.live.command[0] == pytest.approx(1.5)  # and no more than was trained on
     press(page, "stop")
-    answered(page)
     assert not page.live.command.any()
 
 
@@ -79,7 +70,7 @@ def test_the_other_sliders_take_effect_at_once(page):
     values = {"friction": 0.4, "payload": 2.0, "strength": 80.0, "latency": 20.0, "noise": 1.5}
     for name, value in values.items():
         page.panel._settings[name].value = value
-    answered(page)
+    page.run_for(0.05)
     settings = page.live.settings
     assert (settings.friction, settings.payload, settings.noise) == (0.4, 2.0, 1.5)
     assert settings.strength == pytest.approx(0.8)
@@ -90,7 +81,6 @@ def test_the_other_sliders_take_effect_at_once(page):
 def test_a_pause_holds_the_robot_and_a_push_moves_it(page):
     page.live.reset()
     press(page, "play or pause")
-    answered(page)
     still = page.live.data.qpos.copy()
     before = page.live.velocity
     page.panel._push("right")
@@ -105,15 +95,12 @@ def test_a_pause_holds_the_robot_and_a_push_moves_it(page):
 
 def test_reset_stands_it_up(page):
     press(page, "play or pause")
-    answered(page)
     press(page, "reset")
-    answered(page)
     assert page.live.data.qpos == pytest.approx(page.live.env.robot.home)
     press(page, "play or pause")
-    answered(page)
 
 
-def test_the_page_says_when_time_is_not_kept(page):
+def test_the_page_says_when_time_is_not_kept(page, monkeypatch):
     page.pace.restart()
     page.run_for(1.2)
     slow = page.live.step
@@ -122,13 +109,10 @@ def test_the_page_says_when_time_is_not_kept(page):
         slow()
         time.sleep(0.05)
 
-    page.live.step = slower
-    try:
-        page.run_for(3.0)
-        assert "not in real time" in page.status()
-        assert 0.05 < page.pace.reached < 0.4  # 0.02 s in 0.05 and more
-    finally:
-        del page.live.step
+    monkeypatch.setattr(page.live, "step", slower)
+    page.run_for(3.0)
+    assert "not in real time" in page.status()
+    assert 0.05 < page.pace.reached < 0.4  # 0.02 s in 0.05 and more
 
 
 def test_slow_motion(page):
@@ -254,10 +238,7 @@ def test_a_training_shows_its_page_in_a_process_that_ends_with_it(runs, killed):
         else:
             trainer.stdin.close()
         trainer.wait(30.0)
-    end = time.monotonic() + 30.0
-    while listens(url) and time.monotonic() < end:
-        time.sleep(0.1)
-    assert not listens(url)
+    assert wait(lambda: not listens(url))
 
 
 def test_a_host_of_ipv6_is_a_url_with_brackets():
