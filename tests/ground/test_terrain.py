@@ -133,13 +133,6 @@ def test_a_field_of_ones_own(tmp_path):
         np.testing.assert_allclose(found.field.heights[::-1], 0.3 * pixels / white, atol=1e-6)
 
 
-def write(path, content) -> None:
-    if isinstance(content, bytes):
-        path.write_bytes(content)
-    elif content is not None:
-        np.save(path, content)
-
-
 @pytest.mark.parametrize(
     ("name", "content", "message"),
     [
@@ -156,7 +149,10 @@ def write(path, content) -> None:
     ],
 )
 def test_a_wrong_file_is_one_clear_line(tmp_path, name, content, message):
-    write(tmp_path / name, content)
+    if isinstance(content, bytes):
+        (tmp_path / name).write_bytes(content)
+    elif content is not None:
+        np.save(tmp_path / name, content)
     with pytest.raises(UserError, match=message) as caught:
         make_terrain(dataclasses.replace(FLAT, file=tmp_path / name), LEG)
     assert name in str(caught.value)

@@ -27,10 +27,9 @@ def with_qpos(state, qpos):
     return state.replace(pipeline_state=state.pipeline_state._replace(physics=physics))
 
 
-@pytest.fixture(scope="module")
-def ends(env):
-    """State -> how each episode ended."""
-    return lambda state: [env.ends[i] for i in np.asarray(state.info["end"])]
+def ends(env, state):
+    """How each episode ended."""
+    return [env.ends[i] for i in np.asarray(state.info["end"])]
 
 
 def test_it_is_a_brax_environment(env, reset):
@@ -93,12 +92,12 @@ def test_the_observation_is_what_its_names_say(env, reset, step):
         assert obs[f"last_action_{joint}"] == 0.25
 
 
-def test_the_time_limit_truncates_and_is_not_a_fall(reset, step, ends):
+def test_the_time_limit_truncates_and_is_not_a_fall(env, reset, step):
     state = reset(0)
     for k in range(5):  # 0.1 s of 0.02 s steps
         assert not state.done.any(), k
         state = step(state, STILL)
-    assert ends(state) == ["time limit"] * 4
+    assert ends(env, state) == ["time limit"] * 4
     assert state.done.all()
     assert state.info["truncation"].all()
     assert not state.metrics["fell"].any()
@@ -113,11 +112,11 @@ def test_the_time_limit_truncates_and_is_not_a_fall(reset, step, ends):
         ("touched", lambda q: q.at[:, 2].set(0.22).at[:, 8::3].set(0.3).at[:, 9::3].set(-2.6)),
     ],
 )
-def test_a_fall_ends_the_episode_and_says_why(reset, step, ends, reason, change):
+def test_a_fall_ends_the_episode_and_says_why(env, reset, step, reason, change):
     state = reset(0)
     home = jnp.tile(jnp.array([0, 0, 0.375, 1, 0, 0, 0, *[0, 0.8, -1.6] * 4]), (4, 1))
     state = step(with_qpos(state, change(home)), STILL)
-    assert ends(state) == [reason] * 4
+    assert ends(env, state) == [reason] * 4
     assert state.metrics["fell"].all()
     assert not state.info["truncation"].any()
     assert (state.reward < -5).all()
@@ -145,9 +144,7 @@ def test_a_shin_does_not_touch_because_its_foot_sinks_in(env):
 
 
 @pytest.mark.parametrize("poison", [np.nan, np.inf, 1e30])
-def test_a_state_that_is_not_finite_ends_its_episode_and_goes_no_further(
-    env, reset, step, ends, poison
-):
+def test_a_state_that_is_not_finite_ends_its_episode_and_goes_no_further(env, reset, step, poison):
     state = reset(0)
     qpos = physics_of(state).qpos.at[:, :2].add(jnp.array([30.0, -4.0])).at[1, 9].set(poison)
     velocity = physics_of(state).qvel.at[2, 3].set(poison)
@@ -155,7 +152,7 @@ def test_a_state_that_is_not_finite_ends_its_episode_and_goes_no_further(
     state = state.replace(pipeline_state=state.pipeline_state._replace(physics=physics))
     after = step(state, STILL.at[3].set(poison if not np.isfinite(poison) else 0.0))
     broken = [False, True, True, not np.isfinite(poison)]
-    assert [end == "nan" for end in ends(after)] == broken
+    assert [end == "nan" for end in ends(env, after)] == broken
     assert np.asarray(after.metrics["nan"]).tolist() == broken
     assert not after.metrics["fell"][np.array(broken)].any()
     for leaf in jax.tree.leaves(after):
