@@ -9,7 +9,7 @@ from pathlib import Path
 # Before JAX is imported, which sets it otherwise: XLA's messages would fill the output.
 os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
 # Tests compile much and compute little: twice as fast without most of the compiler's optimizations.
-# Programs that tests start inherit this; tests/test_end_to_end.py trains once with all of them.
+# Programs that tests start inherit this, but for one of tests/identify/test_identify.py.
 os.environ.setdefault("JAX_DISABLE_MOST_OPTIMIZATIONS", "1")
 
 import jax
@@ -27,8 +27,6 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 # So that what is shared between devices is tested as such.
 set_up_devices(2)
 
-BATCH = 4
-
 
 @pytest.fixture(scope="session")
 def quadruped() -> Quadruped:
@@ -43,9 +41,9 @@ def env(quadruped) -> QuadrupedEnv:
 
 @pytest.fixture(scope="session")
 def reset(env):
-    """Compiled: seed -> a batch of fresh states."""
+    """Compiled: seed -> a batch of four fresh states."""
     compiled = jax.jit(jax.vmap(env.reset))
-    return lambda seed: compiled(jax.random.split(jax.random.PRNGKey(seed), BATCH))
+    return lambda seed: compiled(jax.random.split(jax.random.PRNGKey(seed), 4))
 
 
 @pytest.fixture(scope="session")
@@ -73,11 +71,12 @@ def same_result() -> Callable[..., None]:
 
 
 FOLDER = os.environ.get("QUADWALK_REFERENCE_URDFS")
+URDFS = sorted(Path(FOLDER).glob("*.urdf")) if FOLDER else []
 MISSING = pytest.mark.skip(reason="QUADWALK_REFERENCE_URDFS names no folder of URDFs")
 
 
 @pytest.fixture(
-    params=sorted(Path(FOLDER or os.devnull).glob("*.urdf")) or [pytest.param(None, marks=MISSING)],
+    params=URDFS or [pytest.param(None, marks=MISSING)],
     ids=lambda file: file and file.stem,
 )
 def reference_urdf(request) -> Path:
