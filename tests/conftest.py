@@ -9,11 +9,10 @@ from pathlib import Path
 # Before JAX is imported, which sets it otherwise: XLA's messages would fill the output.
 os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
 # Tests compile much and compute little: twice as fast without most of the compiler's optimizations.
-# Programs that tests start inherit this; tests/test_end_to_end.py trains once with all of them.
+# Programs that tests start inherit this, but for one of tests/identify/test_identify.py.
 os.environ.setdefault("JAX_DISABLE_MOST_OPTIMIZATIONS", "1")
 
 import jax
-import mujoco
 import numpy as np
 import pytest
 
@@ -28,9 +27,6 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 # So that what is shared between devices is tested as such.
 set_up_devices(2)
 
-BATCH = 4
-STEPS = 200
-
 
 @pytest.fixture(scope="session")
 def quadruped() -> Quadruped:
@@ -44,50 +40,16 @@ def env(quadruped) -> QuadrupedEnv:
 
 
 @pytest.fixture(scope="session")
-def body_env(env) -> QuadrupedEnv:
-    """The same, but that knees and trunk touch the floor too."""
-    return QuadrupedEnv(env.quadruped, dataclasses.replace(env.config, contacts="body"))
-
-
-@pytest.fixture(scope="session")
 def reset(env):
-    """Compiled: seed -> a batch of fresh states."""
+    """Compiled: seed -> a batch of four fresh states."""
     compiled = jax.jit(jax.vmap(env.reset))
-    return lambda seed: compiled(jax.random.split(jax.random.PRNGKey(seed), BATCH))
+    return lambda seed: compiled(jax.random.split(jax.random.PRNGKey(seed), 4))
 
 
 @pytest.fixture(scope="session")
 def step(env):
     """Compiled: (states, actions) -> states."""
     return jax.jit(jax.vmap(env.step))
-
-
-def step_in_place(
-    env: QuadrupedEnv, model: mujoco.MjModel | None = None
-) -> tuple[np.ndarray, np.ndarray]:
-    """A robot in MuJoCo C stepping in place: torques applied, and the states they led through."""
-    model = model or env.mj_model
-    data = mujoco.MjData(model)
-    data.qpos[:] = env.robot.home
-    data.qpos[2] += 0.03  # dropped, so that contacts begin
-    data.qvel[:6] = np.random.default_rng(0).uniform(-0.2, 0.2, 6)
-    phase = np.pi * np.array([0, 1, 1, 0])
-    torques, states = [], [np.r_[data.qpos, data.qvel]]
-    for k in range(STEPS):
-        lift = np.maximum(np.sin(2 * np.pi * 2.5 * k * model.opt.timestep + phase), 0.0)
-        target = env.robot.home_joints.reshape(4, 3) + np.stack([0 * lift, lift, -2 * lift], 1) / 8
-        torque = 80 * (target.ravel() - data.qpos[7:]) - 2 * data.qvel[6:]
-        data.ctrl[:] = torque = np.clip(torque, -env.quadruped.effort, env.quadruped.effort)
-        mujoco.mj_step(model, data)
-        torques.append(torque)
-        states.append(np.r_[data.qpos, data.qvel])
-    return np.array(torques), np.array(states)
-
-
-@pytest.fixture(scope="session")
-def stepping_in_place():
-    """`step_in_place` as a fixture."""
-    return step_in_place
 
 
 @pytest.fixture(scope="session")
@@ -108,15 +70,15 @@ def same_result() -> Callable[..., None]:
     return compare
 
 
-def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
-    """Run a test with a `reference_urdf` once for each that there is."""
-    if "reference_urdf" in metafunc.fixturenames:
-        missing = pytest.mark.skip(reason="QUADWALK_REFERENCE_URDFS names no folder of URDFs")
-        files = reference_urdfs() or [pytest.param(None, marks=missing)]
-        metafunc.parametrize("reference_urdf", files, ids=lambda file: file and file.stem)
+FOLDER = os.environ.get("QUADWALK_REFERENCE_URDFS")
+URDFS = sorted(Path(FOLDER).glob("*.urdf")) if FOLDER else []
+MISSING = pytest.mark.skip(reason="QUADWALK_REFERENCE_URDFS names no folder of URDFs")
 
 
-def reference_urdfs() -> list[Path]:
-    """URDFs of other quadrupeds, in a folder that the environment names."""
-    folder = os.environ.get("QUADWALK_REFERENCE_URDFS")
-    return sorted(Path(folder).glob("*.urdf")) if folder else []
+@pytest.fixture(
+    params=URDFS or [pytest.param(None, marks=MISSING)],
+    ids=lambda file: file and file.stem,
+)
+def reference_urdf(request) -> Path:
+    """The URDF of another quadruped, each in a folder that the environment names."""
+    return request.param

@@ -5,8 +5,6 @@ import io
 import os
 import re
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import jax
@@ -23,6 +21,7 @@ from quadwalk.paths import ALIENGO_URDF
 from quadwalk.settings.training import RobotConfig
 from quadwalk.task_files import load_task
 from quadwalk.train.runs.log import read_metrics
+from tests.programs import python
 
 BATCH = 64  # control steps in an iteration of the tiny training
 TINY = {
@@ -60,6 +59,12 @@ def results(trained):
         engine: quadwalk.evaluate(run, episodes=EPISODES, seconds=SECONDS, engine=engine, seed=1)
         for engine in ("mjx", "mujoco")
     }
+
+
+def orange(picture: np.ndarray) -> np.ndarray:
+    """Where a picture (height, width, 3) has the robot's color."""
+    red, green, blue = np.moveaxis(picture.astype(int), 2, 0)
+    return (red > 150) & (green > 0.3 * red) & (green < 0.7 * red) & (blue < 0.3 * red)
 
 
 def test_an_environment_resets_and_steps_in_a_batch():
@@ -167,12 +172,10 @@ def test_both_engines_start_alike(results):
 def test_a_film_strip_is_an_image_of_the_robot(results):
     strip = results["mjx"].film_strip(width=160, height=100)
     assert isinstance(strip, Image.Image)
-    pixels = np.asarray(strip).astype(int)
-    assert pixels.shape[0] >= 2 * 100
-    assert pixels.shape[1] >= 4 * 160
-    red, green, blue = np.moveaxis(pixels, 2, 0)
-    orange = (red > 150) & (green > 0.3 * red) & (green < 0.7 * red) & (blue < 0.3 * red)
-    middles = [orange[y : y + 100, x : x + 160] for y in (0, 100) for x in range(0, 640, 160)]
+    robot = orange(np.asarray(strip))
+    assert robot.shape[0] >= 2 * 100
+    assert robot.shape[1] >= 4 * 160
+    middles = [robot[y : y + 100, x : x + 160] for y in (0, 100) for x in range(0, 640, 160)]
     assert min(part.mean() for part in middles) > 0.005  # in each of the eight
 
 
@@ -244,10 +247,7 @@ def devices_after(code: str) -> tuple[int, str]:
         "import jax; print(len(jax.devices()))"
     )
     env = {name: value for name, value in os.environ.items() if name != "XLA_FLAGS"}
-    done = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True,
-        env={**env, "JAX_PLATFORMS": "cpu"}, timeout=120, cwd=Path(__file__).parents[1],
-    )  # fmt: skip
+    done = python("-c", program, env={**env, "JAX_PLATFORMS": "cpu"}, timeout=120)
     assert done.returncode == 0, done.stderr
     return int(done.stdout), done.stderr
 

@@ -106,7 +106,7 @@ def test_runs_are_listed_shown_and_removed(call, tmp_path):
     rows = call("runs", "--runs", tmp_path).splitlines()
     (first,) = (row for row in rows if " first " in row)
     assert [cell.strip() for cell in first.split("│")[1:-2]] == [
-        *("first", "walk", "24,576", "1.25", "50.0"),
+        *("first", "walk", "24,576", "1.25", "50.0")
     ]
     assert json.loads(call("runs", "show", "first", "--runs", tmp_path))["config"]["task"] == "walk"
     with pytest.raises(UsageError, match="no run 'third'"):

@@ -1,16 +1,13 @@
 import importlib.metadata
 import os
-import subprocess
 import sys
 
 from quadwalk.command import doctor
+from tests.programs import python
 
 
-def run(**environment) -> subprocess.CompletedProcess:
-    return subprocess.run(
-        [sys.executable, "-m", "quadwalk", "doctor"],
-        capture_output=True, text=True, env={**os.environ, **environment},
-    )  # fmt: skip
+def run(**environment):
+    return python("-m", "quadwalk", "doctor", env={**os.environ, **environment})
 
 
 def test_what_there_is_is_named(tmp_path):

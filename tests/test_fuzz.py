@@ -42,6 +42,7 @@ from quadwalk.variants.__main__ import main as compare
 from quadwalk.variants.arguments import CompareConfig
 from quadwalk.view.choices import policy_choices
 from quadwalk.view.show import ViewConfig
+from tests.settings.test_serialize import places
 from tests.view.conftest import write_run
 
 WORDS = (
@@ -204,18 +205,10 @@ def damaged(name: str, content: bytes, rng: random.Random) -> Iterator[bytes]:
     if ".json" in name:
         first, *rest = content.splitlines(keepends=True) if name.endswith("l") else [content]
         data = json.loads(first)
-        for path in rng.choices(list(paths(data)), k=60):
+        for path in rng.choices([(), *places(data)], k=60):
             odd = json.dumps(replaced(data, path, rng.choice(VALUES[:-1])))
             yield odd.encode() + b"\n" + b"".join(rest)
         yield json.dumps(data | {"long": "x" * 10**7}).encode() + b"\n" + b"".join(rest)
-
-
-def paths(data: Any) -> Iterator[tuple[Any, ...]]:
-    """Where there is something in JSON data."""
-    yield ()
-    parts = {dict: dict.items, list: enumerate}.get(type(data), lambda _: ())
-    for key, value in parts(data):
-        yield from ((key, *path) for path in paths(value))
 
 
 def replaced(data: Any, path: tuple[Any, ...], value: Any) -> Any:

@@ -1,7 +1,5 @@
 """The tasks as Gymnasium environments: its own checks, and what happens between two episodes."""
 
-import subprocess
-import sys
 import warnings
 
 import gymnasium
@@ -15,6 +13,7 @@ import quadwalk.gym
 from quadwalk.command.shell import install
 from quadwalk.errors import UsageError
 from quadwalk.task_files import task_names
+from tests.programs import python
 
 STEPS = 5  # control steps of an episode
 ENVS = 4
@@ -108,7 +107,7 @@ def test_a_wrong_number_of_robots_is_said():
 
 def test_without_gymnasium_one_line_says_how_to_get_it():
     code = "import sys; sys.modules['gymnasium'] = None; import quadwalk.gym"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    done = python("-c", code)
     assert done.returncode == 1
     last = done.stderr.strip().splitlines()[-1]
     assert last == f"ImportError: quadwalk.gym needs Gymnasium: {install('gym')}"

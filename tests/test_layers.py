@@ -28,7 +28,7 @@ LAYERS = (
 
 
 def imports() -> dict[str, set[str]]:
-    """The package's modules, each with those that it imports anywhere, in functions too."""
+    """The package's modules, each with all that it imports anywhere, in functions too."""
     files = {
         ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): path
         for path in (ROOT / "quadwalk").rglob("*.py")
@@ -43,7 +43,7 @@ def imports() -> dict[str, set[str]]:
                 assert node.level == 0, f"{module}: a relative import"
                 parts = (f"{node.module}.{alias.name}" for alias in node.names)
                 names.update(part if part in files else str(node.module) for part in parts)
-        found[module] = names & files.keys()
+        found[module] = names
     return found
 
 
@@ -61,7 +61,7 @@ def test_no_import_goes_up():
         f"{module} imports {other}"
         for module, others in imports().items()
         for other in others
-        if layer(other) > layer(module)
+        if other.startswith("quadwalk") and layer(other) > layer(module)
     ]
     assert not up
 
@@ -69,4 +69,6 @@ def test_no_import_goes_up():
 def test_imports_make_no_circle():
     graph = imports()
     assert len(graph) > 100  # it has seen the package
-    TopologicalSorter(graph).prepare()  # raises CycleError, which names the circle
+    TopologicalSorter(
+        {module: names & graph.keys() for module, names in graph.items()}
+    ).prepare()  # raises CycleError, which names the circle

@@ -1,24 +1,20 @@
 """What is shipped: a wheel with its assets."""
 
 import os
-import subprocess
-import sys
 import zipfile
 from pathlib import Path
 
 import pytest
 
 import quadwalk
-
-ROOT = Path(__file__).parents[1]
+from tests.programs import ROOT, python
 
 
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory) -> Path:
     pytest.importorskip("build")
     folder = tmp_path_factory.mktemp("wheel")
-    command = [sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", folder]
-    done = subprocess.run([*command, ROOT], capture_output=True, text=True)
+    done = python("-m", "build", "--wheel", "--no-isolation", "--outdir", folder, ROOT)
     assert done.returncode == 0, done.stderr
     (built,) = folder.glob("*.whl")
     return built
@@ -52,13 +48,8 @@ def test_its_commands_work_away_from_the_checkout(wheel, tmp_path, arguments, sa
     with zipfile.ZipFile(wheel) as archive:
         archive.extractall(site)
     given = arguments.format(assets=site / "quadwalk/assets").split()
-    done = subprocess.run(
-        [sys.executable, "-m", "quadwalk", *given],
-        capture_output=True,
-        text=True,
-        cwd=tmp_path,
-        env={**os.environ, "PYTHONPATH": str(site)},
-    )
+    environment = {**os.environ, "PYTHONPATH": str(site)}
+    done = python("-m", "quadwalk", *given, cwd=tmp_path, env=environment)
     assert done.returncode == 0, done.stderr
     assert all(word in done.stdout for word in said.split())
 
@@ -66,5 +57,5 @@ def test_its_commands_work_away_from_the_checkout(wheel, tmp_path, arguments, sa
 def test_libraries_print_nothing_when_they_are_imported():
     """Not even where one imports, after quadwalk, Brax itself, with MJX and its back ends."""
     code = "import quadwalk, brax.envs.base, sys; assert 'mujoco.mjx.warp' in sys.modules"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT)
+    done = python("-c", code)
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")

@@ -3,13 +3,14 @@
 The lock is resolved for each system and Python with wheels alone; nothing is run on them here.
 """
 
+import itertools
 import subprocess
-import sys
-from pathlib import Path
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-ROOT = Path(__file__).parents[1]
+from tests.programs import python
+
 SYSTEMS = {
     "Linux arm64": "aarch64-unknown-linux-gnu",
     "macOS arm64": "aarch64-apple-darwin",
@@ -56,33 +57,36 @@ run_command(main)
 
 
 def resolve(*arguments: str) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "uv", "pip", "compile", "--quiet", "--no-config"]
-    command += ["--only-binary", ":all:", *arguments]
-    return subprocess.run(command, capture_output=True, text=True, cwd=ROOT)
+    options = ("--quiet", "--no-config", "--only-binary", ":all:")
+    return python("-m", "uv", "pip", "compile", *options, *arguments)
 
 
 @pytest.fixture(scope="module")
-def registry(tmp_path_factory) -> None:
-    """Skip where no registry of packages answers."""
+def resolved(tmp_path_factory) -> dict[tuple[str, str], subprocess.CompletedProcess[str]]:
+    """The lock, resolved for all at once, for each waits; skips where no registry answers."""
     wanted = tmp_path_factory.mktemp("uv") / "requirements.in"
     wanted.write_text("packaging\n")
     done = resolve("--no-cache", str(wanted))
     if done.returncode:
         pytest.skip(f"no registry of packages: {done.stderr.strip().splitlines()[-1]}")
 
+    def of(place: tuple[str, str]) -> subprocess.CompletedProcess[str]:
+        platform = ("--python-platform", SYSTEMS[place[0]], "--python-version", place[1])
+        return resolve("requirements.lock", *platform)
+
+    places = list(itertools.product(SYSTEMS, PYTHONS))
+    with ThreadPoolExecutor(len(places)) as pool:
+        return dict(zip(places, pool.map(of, places), strict=True))
+
 
 @pytest.mark.parametrize("python", PYTHONS)
 @pytest.mark.parametrize("system", SYSTEMS)
-def test_the_lock_has_wheels(registry, system, python):
-    done = resolve(
-        "requirements.lock", "--python-platform", SYSTEMS[system], "--python-version", python
-    )
+def test_the_lock_has_wheels(resolved, system, python):
+    done = resolved[system, python]
     assert done.returncode == 0, done.stderr
     assert "mujoco==" in done.stdout
 
 
 def test_nothing_needs_what_windows_lacks():
-    done = subprocess.run(
-        [sys.executable, "-c", WITHOUT_POSIX], capture_output=True, text=True, cwd=ROOT
-    )
+    done = python("-c", WITHOUT_POSIX)
     assert (done.returncode, done.stdout) == (0, "1\n"), done.stderr

@@ -26,24 +26,13 @@ OWN_TASK = re.compile(r"```python\n(# my_task.py\n.*?)```", re.DOTALL)
 INLINE = re.compile(r"`((?:python|quadwalk|make) [^`]+)`")
 EXTRAS = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
 PLACES = {
-    ".venv/bin/python": "python",
-    "TASK": "walk",
-    "COMMAND": "train",
-    "VARIANT": "",
-    "N": "1",
-    "K": "0",
-    "HOST:PORT": "a:1",
-}
+    ".venv/bin/python": "python", "TASK": "walk", "COMMAND": "train", "VARIANT": "", "N": "1",
+    "K": "0", "HOST:PORT": "a:1",
+}  # fmt: skip
+# Programs of others, and one of the check.
 OTHERS = (
-    ".ci/quickstart",
-    "eval",
-    "git",
-    "ray",
-    "rerun",
-    "pip",
-    ".venv/bin/pip",
-    ".venv/bin/pre-commit",
-)  # programs of others, and one of the check
+    ".ci/quickstart", "eval", "git", "ray", "rerun", "pip", ".venv/bin/pip", ".venv/bin/pre-commit",
+)  # fmt: skip
 
 
 class ParsedError(Exception):

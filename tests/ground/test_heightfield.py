@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from quadwalk.ground.heightfield import centered, field_of, lay
-from tests.ground.rays import heights_by_rays
+from tests.physics.reference import heights_by_rays
 
 
 def laid(quadruped, field) -> mujoco.MjModel:

@@ -10,7 +10,7 @@ from quadwalk.ground.heightfield import centered, lay
 from quadwalk.ground.windows import STRIDE, reach
 from quadwalk.physics.model import RobotRandomization
 from quadwalk.physics.mujoco_c import Stepper, varied_model
-from tests.ground.rays import heights_by_rays
+from tests.physics.reference import heights_by_rays, placed
 
 
 @pytest.fixture(scope="module")
@@ -123,12 +123,11 @@ def test_a_model_of_ones_own_is_small(quadruped, stepper):
 
 def test_no_part_of_a_robot_is_farther_than_its_reach(quadruped):
     model = quadruped.full_model()
-    most, data, farthest = reach(model), mujoco.MjData(model), 0.0
+    most, farthest = reach(model), 0.0
     rng = np.random.default_rng(3)
     low, high = quadruped.lower, quadruped.upper
     for joints in [*rng.uniform(low, high, (200, 12)), [0.0] * 12]:
-        data.qpos[:], data.qpos[7:] = quadruped.home, joints
-        mujoco.mj_kinematics(model, data)
+        data = placed(model, np.r_[quadruped.home[:7], joints])
         for foot in quadruped.feet:
             geom = data.geom(foot)
             away = np.linalg.norm(geom.xpos - data.qpos[:3]) + model.geom(foot).size[0]

@@ -1,8 +1,7 @@
-"""The notebooks, each from a clean kernel in an empty folder: every cell runs, and shows what it
-should.
-"""
+"""The notebooks, each from a clean kernel in an empty folder: what every cell is to show."""
 
 import base64
+import functools
 import io
 import itertools
 import json
@@ -18,13 +17,11 @@ from PIL import Image
 
 from notebooks.execute import HERE, execute, folders_named
 from quadwalk.evaluate.recording.mcap import verify_mcap
+from tests.test_api import orange
 
 STUDIES = HERE.parent / "studies"
 STEPS = 49_152  # two iterations
-NAMES = (
-    *("01_robot", "02_train", "03_evaluate", "04_gecko", "05_real_world", "06_ground"),
-    "07_your_robot",
-)
+NAMES = sorted(path.stem for path in HERE.glob("*.ipynb"))
 
 
 class Executed:
@@ -57,14 +54,12 @@ class Executed:
 @pytest.fixture(scope="module")
 def executed(tmp_path_factory) -> Callable[[str], Executed]:
     """executed(name): that notebook, executed once."""
-    done: dict[str, Executed] = {}
 
+    @functools.cache
     def run(name: str) -> Executed:
-        if name not in done:
-            folder = tmp_path_factory.mktemp(name) / "work"
-            folder.mkdir()
-            done[name] = Executed(HERE / f"{name}.ipynb", folder)
-        return done[name]
+        folder = tmp_path_factory.mktemp(name) / "work"
+        folder.mkdir()
+        return Executed(HERE / f"{name}.ipynb", folder)
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("QUADWALK_STEPS", str(STEPS))
@@ -74,21 +69,11 @@ def executed(tmp_path_factory) -> Callable[[str], Executed]:
         yield run
 
 
-def orange(picture: np.ndarray) -> np.ndarray:
-    """Where a picture (height, width, 3) has the robot's color."""
-    red, green, blue = (picture[..., k].astype(int) for k in range(3))
-    return (red > 150) & (green > 0.3 * red) & (green < 0.7 * red) & (blue < 0.3 * red)
-
-
 def curves(picture: np.ndarray) -> int:
     """How many colors, each of some 100 pixels or more, a plot is drawn in, without grays."""
     colored = picture[np.ptp(picture.astype(int), axis=2) > 60]
     _, counts = np.unique(colored // 16, axis=0, return_counts=True)
     return int((counts >= 100).sum())
-
-
-def test_all_are_tested():
-    assert {path.stem for path in HERE.glob("*.ipynb")} == set(NAMES)
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -10,9 +10,11 @@ import mujoco
 import numpy as np
 import pytest
 
+from quadwalk.physics import mujoco_c
 from quadwalk.physics.engines import ENGINES
+from quadwalk.physics.model import RobotRandomization
 from quadwalk.physics.motor import Motor, MotorConfig, PhysicsState, Stepping, make_motor
-from tests.physics.stacking import stack_models
+from tests.physics.reference import stack_models
 
 STEPPING = Stepping(0.004, 5, 8, 10)  # solved to the end
 ROBOTS = 6
@@ -133,12 +135,15 @@ def different_targets(quadruped) -> np.ndarray:
     return quadruped.home[7:] + offsets
 
 
-@pytest.mark.parametrize("engine", ["fast", "mjx"])
+@pytest.mark.parametrize("engine", ENGINES)
 def test_each_robot_of_a_batch_may_have_constants_of_its_own(quadruped, engine):
-    robots = varied(quadruped, model_for(quadruped, engine))
+    base = model_for(quadruped, engine)
+    robots = varied(quadruped, base)
+    if engine == "mujoco":  # which has models of their own by `vary` alone
+        robots = [(base, motor) for _, motor in robots]
     make = ENGINES[engine].make_model
     leaves, assemble = stack_models([make(model, quadruped, motor) for model, motor in robots])
-    assert len(leaves) > 15
+    assert len(leaves) > (5 if engine == "mujoco" else 15)
 
     def step(leaves, physics, target):
         return ENGINES[engine].control_step(assemble(leaves), STEPPING, physics, target)
@@ -153,22 +158,52 @@ def test_each_robot_of_a_batch_may_have_constants_of_its_own(quadruped, engine):
         check(jax.tree.map(lambda x, i=i: x[i], found), expected)
 
 
-def test_each_robot_of_a_batch_may_have_motors_of_its_own_in_mujoco(quadruped):
-    base = converged(quadruped)
-    motors = [motor for _, motor in varied(quadruped, base)]
-    qpos, qvel = states(quadruped)
-    targets = different_targets(quadruped)
-    model = ENGINES["mujoco"].make_model(base, quadruped, motors[0])
+def test_mujoco_varies_the_full_model_and_the_motors_of_each_robot(quadruped):
+    stepping = Stepping(mujoco_c.TIMESTEP, 3, 8, 10)
+    model = quadruped.full_model(stepping.dt)
+    motor = make_motor(model, quadruped, MotorConfig())
+    constants = mujoco_c.make_model(model, quadruped, motor)
+    rng = np.random.default_rng(0)
+    rows = RobotRandomization(
+        friction=np.array([0.3, 0.8, 1.2]), trunk_mass=np.array([-1.0, 0.0, 5.0]),
+        trunk_center=rng.uniform(-0.05, 0.05, (3, 3)), link_mass=rng.uniform(0.8, 1.2, (3, 12)),
+        strength=np.array([0.7, 1.0, 1.1]), kp=np.array([0.8, 1.0, 1.2]),
+        kd=np.array([1.2, 1.0, 0.8]), joint_friction=np.array([0.5, 1.0, 2.0]),
+        damping=np.array([0.5, 1.0, 3.0]), armature=np.array([0.8, 1.0, 1.5]),
+    )  # fmt: skip
+    rows = jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), rows)
+    qpos, qvel = (x[0] for x in states(quadruped))
+    target = quadruped.home[7:] + 0.2
 
-    def step(motor, physics, target):
-        own = model._replace(motor=motor)
-        return ENGINES["mujoco"].control_step(own, STEPPING, physics, target)
+    def step(variation):
+        own = mujoco_c.vary(constants, variation)
+        return mujoco_c.control_step(own, stepping, physics_of(qpos, qvel), target)[0]
 
-    stacked = jax.tree.map(lambda *rows: np.stack(rows), *motors)
-    found = jax.jit(jax.vmap(step))(stacked, physics_of(qpos, qvel), targets)
-    for i, motor in enumerate(motors):
-        expected, _ = reference(base, motor, qpos[i], qvel[i], targets[i])
-        check(jax.tree.map(lambda x, i=i: x[i], found), expected)
+    found = jax.jit(jax.vmap(step))(rows)
+    for k in range(3):
+        row = jax.tree.map(lambda x, k=k: np.asarray(x[k], float), rows)
+        own = copy.copy(model)
+        own.geom_friction[:, 0] = row.friction
+        own.body_mass[1] += row.trunk_mass
+        own.body_ipos[1] += row.trunk_center
+        for joint, factor in zip(quadruped.joints, row.link_mass, strict=True):
+            body = own.jnt_bodyid[own.joint(joint).id]
+            own.body_mass[body] *= factor
+            own.body_inertia[body] *= factor
+        own.dof_armature[6:] *= row.armature
+        own.dof_damping[6:] *= row.damping
+        mujoco.mj_setConst(own, mujoco.MjData(own))
+        changed = motor._replace(
+            kp=row.kp * motor.kp,
+            kd=row.kd * motor.kd,
+            strength=row.strength,
+            friction=row.joint_friction * motor.friction,
+        )
+        expected, touched = reference(own, changed, qpos, qvel, [target] * 3)
+        assert touched
+        np.testing.assert_allclose(found.qpos[k], expected.qpos, atol=1e-5)
+        np.testing.assert_allclose(found.qvel[k], expected.qvel, atol=2e-3)
+    assert np.ptp(found.qvel, axis=0).max() > 0.1
 
 
 @pytest.mark.parametrize("devices", [1, 2])

@@ -3,6 +3,7 @@
 import copy
 import dataclasses
 from functools import partial
+from itertools import repeat
 
 import jax
 import jax.numpy as jnp
@@ -24,16 +25,16 @@ from quadwalk.physics.motor import MotorConfig, PhysicsState, make_motor
 from quadwalk.robot.mjcf import Options
 from quadwalk.robot.quadruped import load_quadruped
 from quadwalk.robot.scene import lowest_point
-from tests.physics.stacking import stack_models
+from quadwalk.task.env import QuadrupedEnv
+from tests.physics.reference import accelerated, placed, stack_models, touched
 from tests.robot import zoo
 
 STATES = 40
+States = tuple[np.ndarray, np.ndarray, np.ndarray]  # qpos, qvel and joint torques
 
 
-def random_states(
-    quadruped, model, rng, states=STATES
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """qpos, qvel and joint torques of robots in the air, on their feet, and bent past limits."""
+def random_states(quadruped, model, rng, states=STATES) -> States:
+    """Of robots in the air, on their feet, and bent past limits."""
     qpos = np.tile(quadruped.home, (states, 1))
     qpos[:, 2] *= rng.uniform(0.8, 1.3, states)
     qpos[:, 3:7] += 0.15 * rng.normal(size=(states, 4))
@@ -42,19 +43,15 @@ def random_states(
     return qpos, rng.normal(size=(states, 18)), 10 * rng.normal(size=(states, 12))
 
 
-def lying_states(
-    quadruped, model, rng, states=STATES, turn=0.3
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def lying_states(quadruped, model, rng, states=STATES, turn=0.3) -> States:
     """The same of robots lowered until any of their spheres but the upper four is in the floor."""
     qpos, qvel, torque = random_states(quadruped, model, rng, states)
     qpos[:, 3:7] += turn * rng.normal(size=(states, 4))
     qpos[:, 3:7] /= np.linalg.norm(qpos[:, 3:7], axis=1, keepdims=True)
     qpos[:, 7:] += 0.8 * rng.normal(size=(states, 12))
     spheres = np.concatenate(contact_geoms(model, quadruped.feet))
-    data = mujoco.MjData(model)
     for q in qpos:
-        data.qpos[:] = q
-        mujoco.mj_kinematics(model, data)
+        data = placed(model, q)
         bottoms = np.sort(data.geom_xpos[spheres, 2] - model.geom_size[spheres, 0])
         q[2] -= bottoms[rng.integers(max(len(spheres) - 4, 8))] + rng.uniform(0.0, 0.01)
     return qpos, qvel, torque
@@ -62,6 +59,12 @@ def lying_states(
 
 # Upside down and on their sides too; so many that each kind of sphere meets each other.
 tumbled_states = partial(lying_states, states=240, turn=9.0)
+
+
+@pytest.fixture(scope="module")
+def body_env(env) -> QuadrupedEnv:
+    """The robot of the other tests, but that knees and trunk touch the floor too."""
+    return QuadrupedEnv(env.quadruped, dataclasses.replace(env.config, contacts="body"))
 
 
 def constants_of(quadruped, model):
@@ -75,15 +78,26 @@ def solved(constants, qpos, qvel, torque) -> jax.Array:
     return acceleration(constants, state, torque, 30, 20)
 
 
+def solved_as_constants(constants, *robots) -> jax.Array:
+    """`solved` of robots (n, ...) by a program of their constants, as a training has it."""
+    return jax.jit(jax.vmap(partial(solved, constants)))(*robots)
+
+
+@jax.jit
+def solved_as_given(constants, *robots) -> jax.Array:
+    """The same by one program for all constants of one structure."""
+    return jax.vmap(partial(solved, constants))(*robots)
+
+
 def check_errors(found, expected) -> None:
-    """Of accelerations (robots, 18), relative to each robot's greatest."""
-    expected = np.array(expected)
+    """Of accelerations (robots, 18), relative to each robot's greatest in MuJoCo."""
+    expected = np.array([data.qacc for data in expected])
     error = np.abs(np.asarray(found) - expected).max(axis=1) / np.abs(expected).max(axis=1)
     assert error.max() < 1e-9, error
 
 
 def check_accelerations(
-    quadruped, contacts="feet", states=random_states, combinations=True
+    quadruped, contacts="feet", states=random_states, combinations=True, solve=solved_as_given
 ) -> None:
     """In double precision, solved to the end: the same accelerations.
 
@@ -91,38 +105,34 @@ def check_accelerations(
     """
     model = quadruped.training_model(0.004, 100, 50, contacts)
     model.opt.tolerance = 1e-14
-    qpos, qvel, torque = states(quadruped, model, np.random.default_rng(0))
-    data = mujoco.MjData(model)
+    robots = states(quadruped, model, np.random.default_rng(0))
     kinds = contact_geoms(model, quadruped.feet)
-    expected, rows, limits, together = [], [], [], set()
-    for q, v, t in zip(qpos, qvel, torque, strict=True):
-        mujoco.mj_resetData(model, data)
-        data.qpos[:], data.qvel[:], data.ctrl[:] = q, v, 0
-        data.qfrc_applied[6:] = t
-        mujoco.mj_forward(model, data)
-        expected.append(data.qacc.copy())
-        rows.append(data.nefc)
-        limits.append(np.sum(data.efc_type == mujoco.mjtConstraint.mjCNSTR_LIMIT_JOINT))
-        together |= {tuple(leg) for leg in np.isin(kinds, data.contact.geom).T}
+    expected = accelerated(repeat(model), *robots)
+    rows = [data.nefc for data in expected]
+    together = {tuple(leg) for data in expected for leg in np.isin(kinds, data.contact.geom).T}
     assert np.any(list(together), axis=0).all()
     if combinations:
-        assert contacts == "feet" or max(limits) > 1
+        limit = mujoco.mjtConstraint.mjCNSTR_LIMIT_JOINT
+        assert contacts == "feet" or max(sum(data.efc_type == limit) for data in expected) > 1
         assert len(together) == 2 ** len(kinds)  # of a leg's foot, knee, corners, hip
     assert min(rows) == 0 or np.ptp(rows) > 8  # from few constraints to many
     with jax.enable_x64(True):
-        constants = constants_of(quadruped, model)
-        found = jax.jit(jax.vmap(lambda *state: solved(constants, *state)))(qpos, qvel, torque)
+        # Without the shells, which only heights depend on, robots have one structure.
+        found = solve(constants_of(quadruped, model)._replace(shells=()), *robots)
     check_errors(found, expected)
 
 
-def test_accelerations_are_those_of_mujoco():
-    check_accelerations(load_quadruped())
-
-
-def test_accelerations_are_those_of_mujoco_where_knees_and_trunk_touch():
-    check_accelerations(load_quadruped(), "body", lying_states)
-    check_accelerations(load_quadruped(), "knees", lying_states)
-    check_accelerations(load_quadruped(), "all", tumbled_states)
+@pytest.mark.parametrize(
+    ("contacts", "states"),
+    [
+        ("feet", random_states),
+        ("body", lying_states),
+        ("knees", lying_states),
+        ("all", tumbled_states),
+    ],
+)
+def test_accelerations_are_those_of_mujoco_whatever_touches(quadruped, contacts, states):
+    check_accelerations(quadruped, contacts, states, solve=solved_as_constants)
 
 
 def test_accelerations_of_other_quadrupeds(reference_urdf):
@@ -159,26 +169,19 @@ def changed(base: mujoco.MjModel, rng: np.random.Generator) -> mujoco.MjModel:
     return model
 
 
-def test_accelerations_of_a_batch_in_which_no_two_robots_are_alike():
-    quadruped = load_quadruped()
+def test_accelerations_of_a_batch_in_which_no_two_robots_are_alike(quadruped):
     base = quadruped.training_model(0.004, 100, 50, "body")
     base.opt.tolerance = 1e-14
     rng = np.random.default_rng(4)
     models = [changed(base, rng) for _ in range(STATES)]
-    qpos, qvel, torque = lying_states(quadruped, base, rng)
-    expected, touched = [], set()
-    for model, q, v, t in zip(models, qpos, qvel, torque, strict=True):
-        data = mujoco.MjData(model)
-        data.qpos[:], data.qvel[:], data.qfrc_applied[6:] = q, v, t
-        mujoco.mj_forward(model, data)
-        expected.append(data.qacc.copy())
-        touched |= set(data.contact.geom.flat)
-    assert all(touched & set(kind) for kind in contact_geoms(base, quadruped.feet))
+    robots = lying_states(quadruped, base, rng)
+    expected = accelerated(models, *robots)
+    assert all(touched(expected) & set(kind) for kind in contact_geoms(base, quadruped.feet))
     leaves, assemble = stack_models([constants_of(quadruped, model) for model in models])
     assert len(leaves) > 80
     with jax.enable_x64(True):
         batched = jax.vmap(lambda own, *state: solved(assemble(own), *state))
-        found = jax.jit(batched)(leaves, qpos, qvel, torque)
+        found = jax.jit(batched)(leaves, *robots)
     check_errors(found, expected)
 
 
@@ -187,7 +190,7 @@ def test_vmap_maps_the_leaves_of_a_model_that_are_given_an_axis(quadruped):
     base = quadruped.training_model(0.004, 100, 50)
     base.opt.tolerance = 1e-14
     rng = np.random.default_rng(5)
-    qpos, qvel, torque = random_states(quadruped, base, rng)
+    robots = random_states(quadruped, base, rng)
     gravity, friction = rng.uniform(5, 15, STATES), rng.uniform(0.2, 1.2, STATES)
     damping = rng.uniform(0, 1, (STATES, 4))
     constants = constants_of(quadruped, base)
@@ -205,17 +208,12 @@ def test_vmap_maps_the_leaves_of_a_model_that_are_given_an_axis(quadruped):
     batch = with_leaves(-gravity, friction, damping)
     with jax.enable_x64(True):
         batched = jax.vmap(solved, in_axes=(axes, 0, 0, 0))
-        found = jax.jit(lambda *state: batched(batch, *state))(qpos, qvel, torque)
-    expected = []
-    for i in range(STATES):
-        model = copy.copy(base)
+        found = jax.jit(partial(batched, batch))(*robots)
+    models = [copy.copy(base) for _ in range(STATES)]
+    for i, model in enumerate(models):
         model.opt.gravity[2], model.geom_friction[:, 0] = -gravity[i], friction[i]
         model.dof_damping[8::3] = damping[i]
-        data = mujoco.MjData(model)
-        data.qpos[:], data.qvel[:], data.qfrc_applied[6:] = qpos[i], qvel[i], torque[i]
-        mujoco.mj_forward(model, data)
-        expected.append(data.qacc.copy())
-    check_errors(found, expected)
+    check_errors(found, accelerated(models, *robots))
 
 
 def check_course(env, torques: np.ndarray, expected: np.ndarray) -> None:
@@ -240,11 +238,24 @@ def check_course(env, torques: np.ndarray, expected: np.ndarray) -> None:
 
 
 # Measured: 1e-5 m, 4e-5 rad, 5e-4 m/s or rad/s.
-def test_200_steps_are_those_of_mujoco(env, stepping_in_place):
+def test_200_steps_in_place_are_those_of_mujoco(env):
     model = env.quadruped.training_model(0.004, iterations=100, ls_iterations=50)
-    torques, expected = stepping_in_place(env, model)
-    assert np.ptp(expected[:, 7:19], axis=0).max() > 0.1
-    check_course(env, torques, expected)
+    data = mujoco.MjData(model)
+    data.qpos[:] = env.robot.home
+    data.qpos[2] += 0.03  # dropped, so that contacts begin
+    data.qvel[:6] = np.random.default_rng(0).uniform(-0.2, 0.2, 6)
+    phase = np.pi * np.array([0, 1, 1, 0])
+    torques, states = [], [np.r_[data.qpos, data.qvel]]
+    for k in range(200):
+        lift = np.maximum(np.sin(2 * np.pi * 2.5 * k * model.opt.timestep + phase), 0.0)
+        target = env.robot.home_joints.reshape(4, 3) + np.stack([0 * lift, lift, -2 * lift], 1) / 8
+        torque = 80 * (target.ravel() - data.qpos[7:]) - 2 * data.qvel[6:]
+        data.ctrl[:] = np.clip(torque, -env.quadruped.effort, env.quadruped.effort)
+        torques.append(data.ctrl.copy())
+        mujoco.mj_step(model, data)
+        states.append(np.r_[data.qpos, data.qvel])
+    assert np.ptp(np.array(states)[:, 7:19], axis=0).max() > 0.1
+    check_course(env, np.array(torques), np.array(states))
 
 
 def drop(
@@ -305,14 +316,13 @@ def test_lowest_points_are_those_of_the_placed_shapes(env):
     geoms, shells = contact_geoms(model, feet)[0], shell_geoms(model, feet)
     trunk = model.body(env.quadruped.trunk).id
     hips = [first_of_leg(model, trunk, model.geom_bodyid[geom]) for geom in geoms]
-    data = mujoco.MjData(model)
     rng = np.random.default_rng(2)
     compiled = jax.jit(lambda q: lowest_points(env.model, q))
     for _ in range(5):
-        data.qpos[:] = env.robot.home + rng.uniform(-0.3, 0.3, 19)
-        data.qpos[3:7] /= np.linalg.norm(data.qpos[3:7])
-        mujoco.mj_kinematics(model, data)
-        points, lowest = compiled(jnp.asarray(data.qpos, jnp.float32))
+        qpos = env.robot.home + rng.uniform(-0.3, 0.3, 19)
+        qpos[3:7] /= np.linalg.norm(qpos[3:7])
+        data = placed(model, qpos)
+        points, lowest = compiled(jnp.asarray(qpos, jnp.float32))
         touching = data.geom_xpos[geoms] - model.geom_size[geoms, :1] * [0, 0, 1]
         np.testing.assert_allclose(points, touching, atol=1e-6)
         expected = np.full(5, np.inf)
@@ -326,9 +336,8 @@ def test_lowest_points_are_those_of_the_placed_shapes(env):
 
 def test_leg_points_are_those_of_the_placed_feet_and_knees(body_env):
     model, quadruped = body_env.mj_model, body_env.quadruped
-    data, trunk = mujoco.MjData(model), model.body(quadruped.trunk).id
-    data.qpos[:] = np.random.default_rng(3).uniform(-1, 1, 19)
-    mujoco.mj_kinematics(model, data)
+    trunk = model.body(quadruped.trunk).id
+    data = placed(model, np.random.default_rng(3).uniform(-1, 1, 19))
     spheres = np.array(contact_geoms(model, quadruped.feet)[:2])
     expected = (data.geom_xpos[spheres] - data.xpos[trunk]) @ data.xmat[trunk].reshape(3, 3)
     found = leg_points(body_env.geometry, data.qpos[7:])

@@ -1,6 +1,7 @@
 """Contacts with ground that is not level, against MuJoCo C and exact geometry."""
 
 from dataclasses import replace
+from itertools import repeat
 
 import jax
 import jax.numpy as jnp
@@ -18,7 +19,8 @@ from quadwalk.physics.engines import ENGINES
 from quadwalk.physics.fast import lowest_points
 from quadwalk.physics.model import contact_geoms, make_model, on_ground
 from quadwalk.physics.motor import MotorConfig, PhysicsState, Stepping, make_motor
-from tests.physics.test_fast import check_errors, lying_states, random_states, solved
+from tests.physics.reference import accelerated, touched
+from tests.physics.test_fast import check_errors, lying_states, random_states, solved_as_constants
 
 CELL = 0.05
 
@@ -69,24 +71,18 @@ def test_on_a_tilted_plane_accelerations_are_those_of_mujoco(quadruped, contacts
     spec.geom("floor").quat = turn
     model = replace(quadruped, spec=spec).training_model(0.004, 100, 50, contacts)
     model.opt.tolerance = 1e-14
-    data = mujoco.MjData(model)
-    expected, touched = [], set()
-    for q, v, t in zip(qpos, qvel, torque, strict=True):
+    for q, v in zip(qpos, qvel, strict=True):
         # The whole robot turned with the plane, and somewhere else on it.
         q[:3] = plane @ (q[:3] + np.array([0.3, -0.2, 0.0]))
         v[:3] = plane @ v[:3]
         own = q[3:7].copy()
         mujoco.mju_mulQuat(q[3:7], turn, own)
-        mujoco.mj_resetData(model, data)
-        data.qpos[:], data.qvel[:], data.qfrc_applied[6:] = q, v, t
-        mujoco.mj_forward(model, data)
-        expected.append(data.qacc.copy())
-        touched |= set(data.contact.geom.flat)
-    assert all(touched & set(kind) for kind in contact_geoms(model, quadruped.feet))
+    expected = accelerated(repeat(model), qpos, qvel, torque)
+    assert all(touched(expected) & set(kind) for kind in contact_geoms(model, quadruped.feet))
     with jax.enable_x64(True):
         constants = make_model(level, quadruped, make_motor(level, quadruped, MotorConfig()))
         constants = on_ground(constants, inclined(plane[:, 2]))
-        found = jax.jit(jax.vmap(lambda *state: solved(constants, *state)))(qpos, qvel, torque)
+        found = solved_as_constants(constants, qpos, qvel, torque)
     check_errors(found, expected)
 
 

@@ -38,13 +38,6 @@ def test_euler_angles_are_scipys(roll, pitch, heading):
     np.testing.assert_allclose(yaw(q), heading, atol=1e-4)
 
 
-@settings(deadline=None)
-@given(angles, angles, st.floats(-3.125, 3.125, width=32))
-def test_euler_angles_come_back(roll, pitch, heading):
-    found = euler(from_euler(roll, pitch, heading))
-    np.testing.assert_allclose(found, [roll, pitch, heading], atol=2e-4)
-
-
 @pytest.mark.parametrize(
     ("quat", "expected"),
     [

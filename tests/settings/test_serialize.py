@@ -122,10 +122,7 @@ def test_a_change_that_cannot_be_is_said_in_one_line(changes, named):
         (lambda data: data.update(new=1), "config.new is not a setting of this version"),
         (lambda data: data.update(env=3), "config.env is 3; expected a group of settings"),
         (lambda data: data["env"].update(gravity="down"), "config.env.gravity is 'down'"),
-        (
-            lambda data: data["env"]["reward"]["energy"].update(function="os:system"),
-            "os:system",
-        ),
+        (lambda data: data["env"]["reward"]["energy"].update(function="os:system"), "os:system"),
     ],
 )
 def test_json_that_does_not_fit_is_named(change, named):

@@ -40,9 +40,14 @@ def course(told):
     return states
 
 
-def test_commands_fill_their_ranges_and_some_are_to_stand():
+def many(config: CommandConfig, *grip: float) -> np.ndarray:
+    """(4000, 3) commands, drawn."""
     keys = jax.random.split(jax.random.PRNGKey(0), 4000)
-    drawn = np.asarray(jax.vmap(lambda key: draw(TOLD, key))(keys))
+    return np.asarray(jax.vmap(lambda key: draw(config, key, *grip))(keys))
+
+
+def test_commands_fill_their_ranges_and_some_are_to_stand():
+    drawn = many(TOLD)
     standing = ~drawn.any(axis=1)
     assert 0.17 < standing.mean() < 0.23
     moving = drawn[~standing]
@@ -65,9 +70,7 @@ def test_some_commands_are_to_turn_on_the_spot_as_fast_as_any():
 
 
 def test_some_commands_are_straight_ahead_or_back():
-    told = dataclasses.replace(TOLD, straight=0.5)
-    keys = jax.random.split(jax.random.PRNGKey(0), 4000)
-    drawn = np.asarray(jax.vmap(lambda key: draw(told, key))(keys))
+    drawn = many(dataclasses.replace(TOLD, straight=0.5))
     standing = ~drawn.any(axis=1)
     straight = ~drawn[:, 1:].any(axis=1) & ~standing
     assert 0.17 < standing.mean() < 0.23
@@ -101,14 +104,13 @@ def test_a_command_stays_for_its_time_and_no_longer():
 
 def test_lateral_commands_fade_and_turns_are_bounded():
     driven = drive.TASK.env.command
-    keys = jax.random.split(jax.random.PRNGKey(0), 4000)
-    forward, lateral, turn = np.abs(jax.vmap(lambda key: draw(driven, key, 9.81))(keys)).T
+    forward, lateral, turn = np.abs(many(driven, 9.81)).T
     assert np.all(lateral <= 0.5 * np.maximum(1.0 - forward / 2.0, 0.0) + 1e-6)
     assert np.all(forward * turn <= 4.0 + 1e-4)
     assert turn[forward < 2.0].max() > 1.95  # rad/s: slow turns keep all of their range
     assert (forward * turn).max() > 3.9  # m/s^2
     # On a floor that bears 2 m/s^2 a turn needs half of it at most.
-    forward, _, turn = np.abs(jax.vmap(lambda key: draw(driven, key, 2.0))(keys)).T
+    forward, _, turn = np.abs(many(driven, 2.0)).T
     assert 0.9 < (forward * turn).max() <= 1.0 + 1e-4
 
 

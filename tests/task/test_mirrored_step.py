@@ -5,6 +5,7 @@ files, in inertias and centers of mass, is averaged away.
 """
 
 import dataclasses
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -23,6 +24,7 @@ from quadwalk.task.observation import height_scan, scan_ahead
 from quadwalk.task.reflections import mirror_of
 from quadwalk.task_files import load_task, task_names
 from quadwalk.tasks import sprint
+from tests.physics.reference import placed
 from tests.robot import zoo
 
 FLIP = np.array([1.0, -1.0, 1.0], np.float32)  # of a vector; -FLIP: of an axial one
@@ -32,9 +34,7 @@ HALF_A_STRIDE = 10  # control steps, of the tasks' trot
 def symmetric(quadruped: Quadruped) -> Quadruped:
     """The robot with each body's mass distribution the mean of its own and its partner's image."""
     model = quadruped.full_model()
-    data = mujoco.MjData(model)
-    data.qpos[:] = quadruped.home
-    mujoco.mj_kinematics(model, data)
+    data = placed(model, quadruped.home)
     bodies = model.jnt_bodyid[:13]
     images = np.r_[0, 1 + robot_mirror(quadruped, model).joints.source]
     centers = data.xipos[bodies] - quadruped.home[:3]
@@ -71,7 +71,7 @@ def drawn_physics(env, key, canonical):
     return PhysicsState(jnp.concatenate([place, quat, angles]), moving, jnp.zeros(18))
 
 
-def image(env, state, robot):
+def image(env, robot, state):
     """The state in the mirror, half a stride later, for its trot."""
 
     def qvel(x):
@@ -112,8 +112,7 @@ def image(env, state, robot):
 
 def check(env):
     """From one canonical and three random states."""
-    robot = robot_mirror(env.quadruped, env.mj_model)
-    keys = jax.random.split(jax.random.PRNGKey(3), 4)
+    of = partial(image, env, robot_mirror(env.quadruped, env.mj_model))
 
     def drawn(key, canonical):
         start = env.reset(key)
@@ -131,29 +130,31 @@ def check(env):
             state = state._replace(conditions=own)
         return start.replace(pipeline_state=state), jax.random.uniform(d, (12,), minval=-1.0)
 
-    states, actions = jax.jit(jax.vmap(drawn))(keys, jnp.arange(4) == 0)
-    mirrored = jax.vmap(lambda state: image(env, state, robot))(states.pipeline_state)
-    both = jax.tree.map(lambda x, y: jnp.stack([x, y]), states.pipeline_state, mirrored)
-    states = jax.tree.map(lambda x: jnp.stack([x, x]), states).replace(pipeline_state=both)
-    actions = jnp.stack([actions, env.mirrors.action(actions)])
-    after = jax.jit(jax.vmap(jax.vmap(env.step)))(states, actions)
+    @jax.jit
+    def stepped(keys):
+        """After a step from states drawn, and from their images; and the images of the former."""
+        states, actions = jax.vmap(drawn)(keys, jnp.arange(4) == 0)
+        images = states.replace(pipeline_state=jax.vmap(of)(states.pipeline_state))
+        actions = jnp.concatenate([actions, env.mirrors.action(actions)])
+        both = jax.tree.map(lambda *x: jnp.concatenate(x), states, images)
+        after = jax.vmap(env.step)(both, actions)
+        one, other = (jax.tree.map(lambda x, k=k: x[k : k + 4], after) for k in (0, 4))
+        return one, other, jax.vmap(of)(one.pipeline_state)
 
-    def close(one, other, tolerance=2e-3):
+    def close(one, other):
         one, other = np.asarray(one), np.asarray(other)
         scale = np.maximum(1.0, np.abs(one))
-        assert (np.abs(one - other) / scale).max() < tolerance
+        assert (np.abs(one - other) / scale).max() < 2e-3
 
-    expected = jax.vmap(lambda state: image(env, state, robot))(
-        jax.tree.map(lambda x: x[0], after.pipeline_state)
-    )
+    one, other, expected = stepped(jax.random.split(jax.random.PRNGKey(3), 4))
     for name in ("qpos", "qvel"):
-        close(getattr(expected.physics, name), getattr(after.pipeline_state.physics, name)[1])
-    close(env.mirrors.observation(np.asarray(after.obs[0])), after.obs[1])
-    assert np.ptp(np.asarray(after.obs[0]) - np.asarray(after.obs[1])) > 0.1
-    close(after.reward[0], after.reward[1])
-    np.testing.assert_array_equal(after.done[0], after.done[1])
-    for value in after.metrics.values():
-        close(value[0], value[1])
+        close(getattr(expected.physics, name), getattr(other.pipeline_state.physics, name))
+    close(env.mirrors.observation(np.asarray(one.obs)), other.obs)
+    assert np.ptp(np.asarray(one.obs) - np.asarray(other.obs)) > 0.1
+    close(one.reward, other.reward)
+    np.testing.assert_array_equal(one.done, other.done)
+    for name, value in one.metrics.items():
+        close(value, other.metrics[name])
 
 
 @pytest.mark.parametrize("name", task_names())

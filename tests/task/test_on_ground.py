@@ -40,9 +40,7 @@ def hilly(quadruped) -> QuadrupedEnv:
     )
     scan = Observation(height_scan, SCAN, noise=0.05)
     config = dataclasses.replace(
-        sprint.TASK.env,
-        ground=ground,
-        observation={"scan": scan, "height": Observation(height)},
+        sprint.TASK.env, ground=ground, observation={"scan": scan, "height": Observation(height)}
     )
     return QuadrupedEnv(quadruped, config)
 
@@ -50,6 +48,11 @@ def hilly(quadruped) -> QuadrupedEnv:
 @pytest.fixture(scope="module")
 def starts(hilly):
     return jax.jit(jax.vmap(hilly.reset))(jax.random.split(jax.random.PRNGKey(0), EPISODES))
+
+
+@pytest.fixture(scope="module")
+def hilly_step(hilly):
+    return jax.jit(jax.vmap(hilly.step))
 
 
 def test_episodes_start_on_the_ground_of_tiles_drawn_at_random(hilly, starts):
@@ -88,30 +91,31 @@ def test_the_scan_and_the_height_are_those_of_the_field(hilly, starts):
         assert seen[15] == pytest.approx(q[2] - hilly.terrain.field.height_at(q[:2]), abs=1e-4)
 
 
-def test_falls_are_told_by_heights_above_ground_and_leaving_the_field_is_none(hilly, starts):
-    step = jax.jit(jax.vmap(hilly.step))
+def test_falls_are_told_by_heights_above_ground_and_leaving_the_field_is_none(
+    hilly, hilly_step, starts
+):
     idle = jnp.zeros((EPISODES, 12))
     state = starts.pipeline_state
-    assert not np.any(step(starts, idle).done)  # though trunks are 1.5 m under 0 in hollows
+    assert not np.any(hilly_step(starts, idle).done)  # though trunks are 1.5 m under 0 in hollows
     physics = state.physics
 
     def moved(qpos):
         return starts.replace(pipeline_state=state._replace(physics=physics._replace(qpos=qpos)))
 
-    sunk = step(moved(physics.qpos.at[:, 2].add(-0.25)), idle)
+    sunk = hilly_step(moved(physics.qpos.at[:, 2].add(-0.25)), idle)
     assert np.all(np.asarray(sunk.info["end"]) >= 2)
     away = physics.qpos.at[:, 0].set(hilly.terrain.field.size[0] / 2 - 0.5).at[:, 2].set(0.4)
-    left = step(moved(away), idle)
+    left = hilly_step(moved(away), idle)
     assert np.all(np.asarray(left.info["end"]) == 1)
     assert np.all(np.asarray(left.info["truncation"]) == 1.0)
 
 
-def test_how_far_an_episode_has_come_is_counted(hilly, starts):
+def test_how_far_an_episode_has_come_is_counted(hilly, hilly_step, starts):
     travel = starts.pipeline_state.travel
     begun = starts.pipeline_state.qpos[:, :2]
     np.testing.assert_array_equal(travel.start, begun)
     actions = jnp.zeros((EPISODES, 12)).at[0].set(jnp.nan)  # which ends it where it is
-    after = jax.jit(jax.vmap(hilly.step))(starts, actions).pipeline_state
+    after = hilly_step(starts, actions).pipeline_state
     np.testing.assert_array_equal(after.qpos[0], starts.pipeline_state.qpos[0])
     ahead = np.asarray(after.qpos[:, 0] - begun[:, 0])  # of a task without commands, along x
     np.testing.assert_allclose(after.travel.walked, ahead, atol=1e-6)

@@ -13,12 +13,7 @@ from quadwalk.task.state import Step
 from quadwalk.task.termination import terminations
 from quadwalk.tasks import blog, sprint
 
-KINDS = (
-    mjtGeom.mjGEOM_SPHERE,
-    mjtGeom.mjGEOM_CAPSULE,
-    mjtGeom.mjGEOM_CYLINDER,
-    mjtGeom.mjGEOM_BOX,
-)
+KINDS = (mjtGeom.mjGEOM_SPHERE, mjtGeom.mjGEOM_CAPSULE, mjtGeom.mjGEOM_CYLINDER, mjtGeom.mjGEOM_BOX)
 
 
 def surface(kind: mjtGeom, size: np.ndarray, rng: np.random.Generator) -> np.ndarray:

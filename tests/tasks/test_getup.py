@@ -4,7 +4,6 @@ import dataclasses
 
 import jax
 import jax.numpy as jnp
-import mujoco
 import numpy as np
 import pytest
 from scipy import stats
@@ -20,6 +19,7 @@ from quadwalk.task.env import QuadrupedEnv
 from quadwalk.tasks import getup
 from quadwalk.train.runs.directory import Run
 from quadwalk.train.runs.policy import Policy
+from tests.physics.reference import placed
 from tests.robot import zoo
 
 STARTS = 500
@@ -53,10 +53,8 @@ def check_lowest(env: QuadrupedEnv, qpos: np.ndarray) -> None:
     """By MuJoCo's kinematics of every shape: the lowest is just on the floor."""
     model = env.mj_model
     shapes = np.flatnonzero((model.geom_bodyid > 0) & (model.geom_group == 3))
-    data = mujoco.MjData(model)
     for pose in qpos:
-        data.qpos[:] = pose
-        mujoco.mj_kinematics(model, data)
+        data = placed(model, pose)
         lowest = min(lowest_point(model, data, int(shape)) for shape in shapes)
         assert lowest == pytest.approx(0.0, abs=1e-5)
 

@@ -1,0 +1,64 @@
+"""What MuJoCo C says of robots, and models of several as one that `jax.vmap` maps over."""
+
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
+
+import jax
+import mujoco
+import numpy as np
+
+
+def placed(model: mujoco.MjModel, qpos: np.ndarray) -> mujoco.MjData:
+    """The robot in a pose, by MuJoCo's kinematics."""
+    data = mujoco.MjData(model)
+    data.qpos[:] = qpos
+    mujoco.mj_kinematics(model, data)
+    return data
+
+
+def heights_by_rays(model: mujoco.MjModel, points: np.ndarray) -> list[float]:
+    """m, of the heightfield that a model's floor is, at `points` (n, 2), m."""
+    data = placed(model, model.qpos0 + 10.0 * np.eye(model.nq)[2])  # out of the way
+    floor, down = model.geom("floor").id, np.array([0.0, 0.0, -1.0])
+    return [
+        5.0 - mujoco.mj_rayHfield(model, data, floor, np.array([*point, 5.0]), down, None)
+        for point in points
+    ]
+
+
+def accelerated(
+    models: Iterable[mujoco.MjModel], qpos: np.ndarray, qvel: np.ndarray, torque: np.ndarray
+) -> list[mujoco.MjData]:
+    """Of each robot (n, ...) with its model, what MuJoCo computes with joint torques (n, 12)."""
+    found = []
+    for model, q, v, t in zip(models, qpos, qvel, torque, strict=False):
+        found.append(data := mujoco.MjData(model))
+        data.qpos[:], data.qvel[:], data.qfrc_applied[6:] = q, v, t
+        mujoco.mj_forward(model, data)
+    return found
+
+
+def touched(found: Iterable[mujoco.MjData]) -> set[int]:
+    """All geoms that are in contact."""
+    return {geom for data in found for geom in data.contact.geom.flat}
+
+
+def stack_models(models: Sequence[Any]) -> tuple[list[np.ndarray], Callable[[Sequence[Any]], Any]]:
+    """What differs between models of one structure, any engine's; and how to make one of it.
+
+    Returns the leaves that differ, with the models along axis 0, and a function that takes one
+    robot's of these, as within `jax.vmap`, and returns its model: all other leaves are the first's.
+    """
+    # On the host: MJX ties its arrays to one device, and the robots may be on several.
+    rows = [
+        list(map(np.asarray, leaves)) for leaves in zip(*map(jax.tree.leaves, models), strict=True)
+    ]
+    differ = [not all(np.array_equal(row[0], leaf) for leaf in row) for row in rows]
+    leaves, structure = jax.tree.flatten(models[0])
+
+    def assemble(given: Sequence[Any]) -> Any:
+        rest = iter(given)
+        chosen = [next(rest) if own else leaf for own, leaf in zip(differ, leaves, strict=True)]
+        return jax.tree.unflatten(structure, chosen)
+
+    return [np.stack(row) for row, own in zip(rows, differ, strict=True) if own], assemble
