@@ -8,8 +8,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from brax.envs.base import Env, State
+from brax.envs.base import State
 from jax.sharding import PartitionSpec as P
+from toy import Plain
 
 from quadwalk.physics.motor import PhysicsState
 from quadwalk.task.env import QuadrupedEnv
@@ -39,7 +40,7 @@ class Count(NamedTuple):
     origin: jax.Array  # drawn at each reset
 
 
-class Counter(Env):
+class Counter(Plain):
     """Counts its steps; the reward is best where the action is `GOAL`.
 
     Episodes last 4 steps: those with a positive origin then meet the time limit, the others fall.
@@ -47,39 +48,21 @@ class Counter(Env):
     """
 
     config = dataclasses.replace(sprint.TASK.env, episode_seconds=4 * sprint.TASK.env.control_dt)
-    curriculum = None
-    terrain = None
+    observation_size = action_size = 2
+
+    def observe(self, inner: Count) -> jax.Array:
+        return jnp.stack([inner.steps.astype(jnp.float32), inner.origin])
 
     def reset(self, rng: jax.Array) -> State:
-        count = Count(jnp.zeros((), jnp.int32), jax.random.uniform(rng, (), minval=-1.0))
-        zero = jnp.zeros(())
-        metrics = {"speed": zero, "fell": zero, "nan": zero}
-        return State(count, self._observe(count), zero, zero, metrics, {"truncation": zero})
+        origin = jax.random.uniform(rng, (), minval=-1.0)
+        return self.fresh(Count(jnp.zeros((), jnp.int32), origin))
 
     def step(self, state: State, action: jax.Array) -> State:
         count = state.pipeline_state._replace(steps=state.pipeline_state.steps + 1)
-        over = (count.steps >= self.config.episode_steps).astype(jnp.float32)
-        limit = over * (count.origin > 0)
-        nan = (count.origin > 1).astype(jnp.float32)
-        return State(
-            count,
-            self._observe(count),
-            1.0 - jnp.sum(jnp.square(action - GOAL)),
-            jnp.maximum(over, nan),
-            {"speed": action[0], "fell": over - limit, "nan": nan},
-            {"truncation": limit},
-        )
-
-    def begun(self, state: State, **changes: jax.Array) -> State:
-        count = state.pipeline_state._replace(**changes)
-        return state.replace(pipeline_state=count, obs=self._observe(count))
-
-    def _observe(self, count: Count) -> jax.Array:
-        return jnp.stack([count.steps.astype(jnp.float32), count.origin])
-
-    observation_size = 2
-    action_size = 2
-    backend = "none"
+        over, nan = count.steps >= self.config.episode_steps, count.origin > 1
+        metrics = {"speed": action[0], "fell": over & (count.origin <= 0), "nan": nan}
+        reward = 1.0 - jnp.sum(jnp.square(action - GOAL))
+        return self.stepped(state, count, reward, over & (count.origin > 0), **metrics)
 
 
 @pytest.fixture(scope="module")
