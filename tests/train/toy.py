@@ -32,6 +32,10 @@ from quadwalk.task.env import EnvState
 from quadwalk.train.__main__ import main
 
 GOAL = 0.5
+BATCH = 64  # control steps in an iteration with the flags `TINY`
+TINY = (
+    "--envs=16 --ppo.eval-envs=2 --ppo.unroll=4 --ppo.epochs=1 --ppo.minibatches=2 --ppo.hidden=8"
+)
 
 
 class Plain(Env):
