@@ -89,10 +89,8 @@ def test_a_log_that_shows_nothing_is_one_line(recorded, quadruped, tmp_path, cha
     rows = np.genfromtxt(recorded, dtype="U40", delimiter=",")[:, 1:]
     file = tmp_path / "bad.csv"
     np.savetxt(file, change(np.char.rstrip(rows)), "%s", ",")
-    with pytest.raises(UserError, match=said) as caught:
+    with pytest.raises(UserError, match=f"^{file}.*{said}"):
         read_log(file, quadruped.joints)
-    assert str(caught.value).startswith(str(file))
-    assert "\n" not in str(caught.value)
 
 
 def _set(rows: np.ndarray, row: object, column: int, text: str) -> np.ndarray:

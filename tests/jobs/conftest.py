@@ -20,8 +20,8 @@ TRAIN = HERE.parent / "train"
 sys.path[:0] = [str(HERE), str(TRAIN)]  # for `judges` and `toy`
 
 from judges import last_reward  # noqa: E402
+from toy import BATCH, TINY  # noqa: E402
 
-BATCH = 64  # control steps in an iteration
 PAUSE = 20  # iterations after which a training waits for the file `go` beside its task's
 # Whoever reads its settings trains on the toy, slowly.
 TASK = f"""
@@ -72,10 +72,9 @@ def job(task, tmp_path, monkeypatch):
     file, _ = task
 
     def make(runs: str, name: str, iterations: int, judge, seed: int = 0) -> Job:
-        tiny = "--envs=16 --ppo.eval-envs=2 --ppo.unroll=4 --ppo.epochs=1 --ppo.minibatches=2"
-        sizes = f"--devices=2 --ppo.hidden=8 --seed={seed} --checkpoint-steps={10 * BATCH}"
+        sizes = f"--devices=2 --seed={seed} --checkpoint-steps={10 * BATCH}"
         where = f"--runs={tmp_path / runs} --name={name} --steps={BATCH * iterations}"
-        flags = f"{file} {tiny} {sizes} {where}"
+        flags = f"{file} {TINY} {sizes} {where}"
         return Job(sized(parse_config(flags.split())[0], PlaceConfig(cores=1)), judge)
 
     return make

@@ -18,8 +18,6 @@ import toy  # noqa: E402
 # Small programs come from the compilation cache too.
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 
-BATCH = 64  # control steps in an iteration of `flags`
-
 
 @pytest.fixture(scope="session")
 def processes() -> multiprocessing.context.BaseContext:
@@ -38,8 +36,7 @@ def flags() -> Callable[..., list[str]]:
     """Flags of a tiny training in folder `runs`, of so many iterations."""
 
     def make(runs: Path, name: str | None, iterations: int, *more: str) -> list[str]:
-        tiny = "--envs=16 --ppo.eval-envs=2 --ppo.unroll=4 --ppo.epochs=1 --ppo.minibatches=2"
-        given = f"--devices=2 --ppo.hidden=8 --steps={BATCH * iterations} --runs={runs} {tiny}"
+        given = f"--devices=2 --steps={toy.BATCH * iterations} --runs={runs} {toy.TINY}"
         return [*given.split(), *([f"--name={name}"] if name else []), *more]
 
     return make

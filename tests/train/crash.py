@@ -26,8 +26,17 @@ def save(folder: Path, first: int, last: int, die_at: int | None = None) -> None
     """
     if die_at is not None:
         _make_mortal(die_at)
-    metrics = SimpleNamespace(score=0.0, state=dict)
-    training = SimpleNamespace(
+    training = training_after(first)
+    with RunWriter(training, Run(folder), print) as writer:
+        for steps in range(first + 10, last + 1, 10):
+            training.metrics.score = float(steps)
+            writer.iteration({"steps": steps, "x": float(steps)}, SimpleNamespace(found=0), 1.0)
+            assert writer.save(state_after(steps), steps, 1.0)
+
+
+def training_after(steps: int) -> SimpleNamespace:
+    """What `RunWriter` asks of a training, after so many steps."""
+    return SimpleNamespace(
         config=sprint.TASK,
         quadruped=SimpleNamespace(joints=("joint",)),
         networks=SimpleNamespace(
@@ -37,18 +46,14 @@ def save(folder: Path, first: int, last: int, die_at: int | None = None) -> None
                 params,
             ),
         ),
-        metrics=metrics,
-        steps=first,
-        resumed=first > 0,
+        metrics=SimpleNamespace(score=0.0, state=dict),
+        steps=steps,
+        resumed=steps > 0,
     )
-    with RunWriter(training, Run(folder), print) as writer:
-        for steps in range(first + 10, last + 1, 10):
-            metrics.score = float(steps)
-            writer.iteration({"steps": steps, "x": float(steps)}, SimpleNamespace(found=0), 1.0)
-            assert writer.save(_state(steps), steps, 1.0)
 
 
-def _state(steps: int) -> TrainState:
+def state_after(steps: int) -> TrainState:
+    """A state all of whose numbers are `steps`."""
     value = np.full(3000, steps, np.float32)
     normalizer = running_statistics.RunningStatisticsState(
         mean=value, std=value, count=np.zeros(()), summed_variance=value

@@ -17,12 +17,13 @@ from quadwalk.train import devices
 
 @pytest.fixture
 def machine(monkeypatch):
-    """Make JAX see other devices than there are."""
+    """Make JAX see other devices than there are; returns how many it is asked for."""
     import jax
 
     def be(platform: str, count: int, processes: int = 1, cores: int = 4):
         found = [SimpleNamespace(id=k, process=k * processes // count) for k in range(count)]
-        monkeypatch.setattr(devices, "_prepare", lambda count: None)
+        prepared: list[int] = []
+        monkeypatch.setattr(devices, "_prepare", prepared.append)
         monkeypatch.setattr(devices, "join", lambda config: None)
         monkeypatch.setattr(devices, "cpu_cores", lambda: cores)
         monkeypatch.setattr(jax, "devices", lambda: found)
@@ -30,22 +31,26 @@ def machine(monkeypatch):
             jax, "local_devices", lambda process: [d for d in found if d.process == process]
         )
         monkeypatch.setattr(jax, "default_backend", lambda: platform)
+        return prepared
 
     return be
 
 
 @pytest.mark.parametrize(
-    ("platform", "count", "cores", "envs", "used"),
+    ("platform", "count", "cores", "asked", "used"),
     [
-        ("cpu", 4, 4, 2048, 4),  # one for each core
-        *[("cpu", count, 8, 2048, used) for count, used in ((1, 1), (3, 2), (6, 4))],  # no more
-        *[("gpu", n, 64, 8192, used) for n, used in ((1, 1), (2, 2), (3, 2), (8, 8))],
+        *[("cpu", n, n, None, used) for n, used in ((4, 4), (12, 8))],  # one for each core
+        ("cpu", 3, 3, 96, 2),
+        *[("cpu", n, 8, None, used) for n, used in ((1, 1), (2, 2), (3, 2), (6, 4))],  # no more
+        *[("gpu", n, 64, None, used) for n, used in ((1, 1), (2, 2), (3, 2), (8, 8))],
     ],
 )
-def test_all_devices_are_used_that_can_share_evenly(machine, platform, count, cores, envs, used):
-    machine(platform, count, cores=cores)
-    config, found = devices.choose_devices(sprint.TASK)
+def test_all_devices_are_used_that_can_share_evenly(machine, platform, count, cores, asked, used):
+    prepared = machine(platform, count, cores=cores)
+    config, found = devices.choose_devices(dataclasses.replace(sprint.TASK, envs=asked))
+    envs = asked or {"cpu": 2048, "gpu": 8192}[platform]
     assert (config.envs, config.devices, len(found)) == (envs, used, used)
+    assert prepared == [used] or count != cores
 
 
 def test_devices_stay_what_they_are_once_jax_has_computed():
@@ -58,20 +63,19 @@ def test_devices_stay_what_they_are_once_jax_has_computed():
         devices.set_up_devices(before + 1)
 
 
-def test_what_is_asked_for_is_what_is_used(machine):
-    machine("gpu", 8)
-    config, found = devices.choose_devices(dataclasses.replace(sprint.TASK, envs=512, devices=2))
-    assert (config.envs, config.devices, [d.id for d in found]) == (512, 2, [0, 1])
+PAIR = DistributedConfig(coordinator="a:1", processes=2)
 
 
-def test_each_process_brings_as_many_devices(machine):
-    machine("gpu", 8, processes=2)
-    pair = DistributedConfig(coordinator="a:1", processes=2)
+@pytest.mark.parametrize(
+    ("distributed", "asked", "used"),
+    [(DistributedConfig(), 2, [0, 1]), (PAIR, 4, [0, 1, 4, 5])],
+)
+def test_what_is_asked_for_is_used_and_as_much_of_each_process(machine, distributed, asked, used):
+    machine("gpu", 8, processes=distributed.processes)
     config, found = devices.choose_devices(
-        dataclasses.replace(sprint.TASK, devices=4, distributed=pair)
+        dataclasses.replace(sprint.TASK, envs=512, devices=asked, distributed=distributed)
     )
-    assert config.devices == 4
-    assert [(d.process, d.id) for d in found] == [(0, 0), (0, 1), (1, 4), (1, 5)]
+    assert (config.envs, config.devices, [d.id for d in found]) == (512, asked, used)
 
 
 @pytest.mark.parametrize(
@@ -80,19 +84,14 @@ def test_each_process_brings_as_many_devices(machine):
         ({"devices": 16}, "--devices is 16; expected at most the 8 there are"),
         ({"devices": 3}, "--ppo.eval-envs is 64; expected a multiple of 3, the devices"),
         ({"envs": 100, "devices": 8}, "--envs is 100; expected a multiple of 32"),
+        ({"envs": 7}, "--envs is 7; expected a multiple of 4 (1 devices"),
+        ({"devices": 3, "distributed": PAIR}, "--devices is 3; expected a multiple of 2"),
     ],
 )
 def test_what_cannot_be_shared_is_named(machine, change, named):
     machine("gpu", 8)
     with pytest.raises(UsageError, match=re.escape(named)):
         devices.choose_devices(dataclasses.replace(sprint.TASK, **change))
-
-
-def test_devices_that_the_processes_cannot_share_are_named(machine):
-    machine("cpu", 4, processes=2)
-    pair = DistributedConfig(coordinator="a:1", processes=2)
-    with pytest.raises(UsageError, match="--devices is 3; expected a multiple of 2"):
-        devices.choose_devices(dataclasses.replace(sprint.TASK, devices=3, distributed=pair))
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere the folder has another variable")

@@ -1,7 +1,6 @@
 """Several processes that share a training, on this machine."""
 
 import os
-import re
 import shutil
 import signal
 import socket
@@ -9,9 +8,7 @@ import time
 
 import pytest
 
-from quadwalk.errors import UsageError
 from quadwalk.paths import ALIENGO_URDF
-from quadwalk.train.flags import parse_config
 from quadwalk.train.runs.directory import Run
 from quadwalk.train.runs.log import read_metrics
 from tests.test_task_files import OWN_TASK
@@ -19,36 +16,34 @@ from tests.test_task_files import OWN_TASK
 ITERATIONS = 100
 
 
-def shared(number: int, count: int, port: int) -> list[str]:
-    """Flags of process `number` of `count`."""
-    values = {"coordinator": f"127.0.0.1:{port}", "processes": count, "process": number}
-    return [f"--distributed.{name}={value}" for name, value in values.items()]
-
-
 @pytest.fixture
-def port() -> int:
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        return free.getsockname()[1]
+def pair(start, tmp_path):
+    """Begin two processes with the same flags but for {} in them, which is the number of each.
 
-
-@pytest.fixture
-def pair(start, tmp_path, port):
-    """Two processes with the same flags, and what they say, in order."""
+    Returns them and the files of what they say.
+    """
 
     def begin(*flags: str):
+        with socket.socket() as free:
+            free.bind(("127.0.0.1", 0))
+            port = free.getsockname()[1]
+        shared = f"--distributed.coordinator=127.0.0.1:{port}", "--distributed.processes=2"
+        given = *flags, *shared, "--distributed.process={}"
         outputs = [tmp_path / f"output{number}" for number in (0, 1)]
         return [
-            start(output, *flags, *shared(number, 2, port)) for number, output in enumerate(outputs)
+            start(output, *(flag.format(number) for flag in given))
+            for number, output in enumerate(outputs)
         ], outputs
 
     return begin
 
 
-def join(processes, outputs) -> None:
+def ended(processes, outputs) -> list[str]:
+    """What they said by their end, without an error."""
     for process, output in zip(processes, outputs, strict=True):
         process.join(200)
         assert process.exitcode == 0, output.read_text()
+    return [output.read_text() for output in outputs]
 
 
 def test_two_processes_learn_what_one_with_two_devices_does(
@@ -62,19 +57,18 @@ def test_two_processes_learn_what_one_with_two_devices_does(
         assert processes[0].is_alive(), outputs[0].read_text()
         time.sleep(0.01)
     os.kill(processes[1].pid, signal.SIGINT)  # and both stop, after the same iteration
-    join(processes, outputs)
+    first, second = ended(processes, outputs)
     steps = read_metrics(run)[-1]["steps"]
     assert steps < 64 * ITERATIONS
-    assert f"stopped after {steps:,} of" in outputs[0].read_text()
-    assert "stopped" not in outputs[1].read_text()
+    assert f"stopped after {steps:,} of" in first
+    assert "stopped" not in second
     assert run.checkpoint(steps).exists()
-    processes, outputs = pair(f"--runs={tmp_path}", "--resume=shared")
-    join(processes, outputs)
-    assert f"after {steps:,} steps" in outputs[0].read_text()
+    first, _ = ended(*pair(f"--runs={tmp_path}", "--resume=shared"))
+    assert f"after {steps:,} steps" in first
     same_result(run.path, tmp_path / "alone", best=False)  # its checkpoints were others
 
 
-def test_processes_that_differ_or_cannot_begin_all_say_so(start, tmp_path, flags, port):
+def test_processes_that_differ_or_cannot_begin_all_say_so(pair, tmp_path, flags):
     """Different is what they say: the same robot may lie in other places."""
     for number in (0, 1):
         shutil.copy(ALIENGO_URDF, tmp_path / f"robot{number}.urdf")
@@ -93,30 +87,10 @@ def test_processes_that_differ_or_cannot_begin_all_say_so(start, tmp_path, flags
             ("run 'taken' exists", "another process could not begin"),
         ),
     ):
-        outputs = [tmp_path / f"{name}{number}" for number in (0, 1)]
-        processes = [
-            start(output, flag.format(n), *flags(tmp_path, name, 5), *shared(n, 2, port))
-            for n, output in enumerate(outputs)
-        ]
+        processes, outputs = pair(flag, *flags(tmp_path, name, 5))
         for process, output, part in zip(processes, outputs, expected, strict=True):
             process.join(100)
             errors = [line for line in output.read_text().splitlines() if "error" in line]
             assert len(errors) == 1, output.read_text()
             assert part in errors[0]
             assert process.exitcode in (1, 2)
-
-
-@pytest.mark.parametrize(
-    ("flags", "named"),
-    [
-        (["--distributed.processes=2"], "--distributed.coordinator"),
-        (["--distributed.process=1"], "--distributed.coordinator"),
-        (["--distributed.coordinator=here", "--distributed.processes=2"], "HOST:PORT"),
-        (["--distributed.coordinator=here:0", "--distributed.processes=2"], "HOST:PORT"),
-        (["--distributed.coordinator=a:1", "--distributed.processes=0"], "--distributed.processes"),
-        (["--distributed.coordinator=a:1", "--distributed.process=1"], "--distributed.process"),
-    ],
-)
-def test_flags_that_make_no_sense_are_named(flags, named):
-    with pytest.raises(UsageError, match=re.escape(named)):
-        parse_config(flags)

@@ -4,7 +4,6 @@ import shutil
 import pytest
 import trimesh
 
-from quadwalk.errors import UsageError
 from quadwalk.paths import ALIENGO_URDF
 from quadwalk.robot.urdf import UrdfError
 from quadwalk.settings.serialize import to_dict
@@ -58,9 +57,3 @@ def test_a_run_keeps_what_its_robot_was_given(tmp_path):
     for robot in (load_robot(config), load_robot(as_in(run, config))):
         assert list(robot.effort[:3]) == [35.278, 35.278, 30]
         assert any(note.startswith("repaired: inertia of 'trunk'") for note in robot.notes)
-
-
-@pytest.mark.parametrize("name", ["effort", "speed"])
-def test_a_motor_has_some_effort_and_speed(name):
-    with pytest.raises(UsageError, match=f"--robot.{name} is 0"):
-        RobotConfig(**{name: 0})

@@ -8,15 +8,13 @@ from quadwalk.train.runs import checkpoint
 from quadwalk.train.runs import directory as run
 
 
-def test_a_new_run_has_its_folders(tmp_path):
-    made = run.create_run(tmp_path / "runs", "first")
-    assert made.path == tmp_path / "runs" / "first"
-    assert made.name == "first"
-    assert sorted(os.listdir(made.path)) == ["checkpoints", "tensorboard"]
+@pytest.fixture
+def made(tmp_path):
+    """A new run, of the name "a"."""
+    return run.create_run(tmp_path, "a")
 
 
-def test_an_existing_name_is_refused_and_left_alone(tmp_path):
-    made = run.create_run(tmp_path, "a")
+def test_an_existing_name_is_refused_and_left_alone(made, tmp_path):
     made.policy.write_bytes(b"precious")
     with pytest.raises(UsageError, match=r"run 'a' exists in .*: choose another name"):
         run.create_run(tmp_path, "a")
@@ -81,7 +79,9 @@ def test_names_that_cannot_be_are_refused(tmp_path, name):
 
 @pytest.mark.parametrize("name", ["a", "run_2", "2026-11-21_0815-run", "läufer", "v1.2+fast"])
 def test_ordinary_names_are_taken(tmp_path, name):
-    assert run.create_run(tmp_path, name).path.name == name
+    made = run.create_run(tmp_path / "runs", name)
+    assert (made.path, made.name) == (tmp_path / "runs" / name, name)
+    assert sorted(os.listdir(made.path)) == ["checkpoints", "tensorboard"]
 
 
 def test_a_root_that_is_a_file_is_named(tmp_path):
@@ -92,7 +92,9 @@ def test_a_root_that_is_a_file_is_named(tmp_path):
         assert caught.value.exit_status == 1
 
 
-def test_nothing_is_left_of_a_run_that_could_not_be_made(tmp_path, monkeypatch):
+def test_a_run_that_could_not_be_made_leaves_nothing(tmp_path, monkeypatch):
+    with pytest.raises(UserError, match="cannot write"):
+        run.create_run(tmp_path, "b", files={"config.json": b"", "no/such/folder": b""})
     real = os.mkdir
 
     def full(path, *rest):
@@ -122,6 +124,10 @@ def test_runs_are_found_by_name_path_and_age(tmp_path, monkeypatch):
     for which in ("b", "runs/b", "runs/b/", str(tmp_path / "runs" / "b")):
         assert run.find_run("runs", which).name == "b"
     run.Run(tmp_path / "runs" / "b").metrics.write_text("")  # it goes on
+    half = run.Run(tmp_path / "runs" / ".c-1.part")  # as a kill while it was made leaves it
+    half.path.mkdir()
+    half.config.write_text("{}")
+    assert [found.name for found in run.list_runs(tmp_path / "runs")] == ["b", "a", "c"]
     assert run.find_run("runs", "latest").name == "b"
 
 
@@ -158,35 +164,28 @@ def save(made, *steps):
         checkpoint.save(made.checkpoint(count), {}, {"kind": "checkpoint", "steps": count})
 
 
-def test_the_latest_checkpoint_is_by_steps_not_by_name_or_age(tmp_path):
-    made = run.create_run(tmp_path, "a")
+def test_the_latest_checkpoint_is_by_steps_not_by_name_or_age(made):
     save(made, 2_000, 10_000, 900)
     (made.checkpoints / "step_5e9.npz").write_text("not one of ours")
     (made.checkpoints / "step_000000099999.npz.part").write_text("half")
     assert run.latest_checkpoint(made, print) == made.checkpoint(10_000)
 
 
-def test_a_damaged_newest_checkpoint_is_skipped_with_a_warning(tmp_path):
-    made = run.create_run(tmp_path, "a")
-    save(made, 1, 2, 3)
-    content = made.checkpoint(3).read_bytes()
-    made.checkpoint(3).write_bytes(content[: len(content) // 2])
+def test_a_damaged_checkpoint_is_skipped_with_a_warning_and_to_have_no_other_is_an_error(made):
+    assert run.latest_checkpoint(made, pytest.fail) is None  # none at all is no error
+    save(made, 1, 2)
+    content = made.checkpoint(2).read_bytes()
+    made.checkpoint(2).write_bytes(content[: len(content) // 2])
     warnings = []
-    assert run.latest_checkpoint(made, warnings.append) == made.checkpoint(2)
+    assert run.latest_checkpoint(made, warnings.append) == made.checkpoint(1)
     assert len(warnings) == 1
-    assert "step_000000000003.npz is damaged" in warnings[0]
-
-
-def test_no_checkpoint_left_is_an_error_and_none_at_all_is_not(tmp_path):
-    made = run.create_run(tmp_path, "a")
-    assert run.latest_checkpoint(made, print) is None
+    assert "step_000000000002.npz is damaged" in warnings[0]
     made.checkpoint(1).write_bytes(b"")
     with pytest.raises(UserError, match="no checkpoint that can be read"):
-        run.latest_checkpoint(made, lambda _: None)
+        run.latest_checkpoint(made, warnings.append)
 
 
-def test_the_last_few_are_kept(tmp_path):
-    made = run.create_run(tmp_path, "a")
+def test_the_last_few_are_kept(made):
     save(made, *range(5))
     run.keep_last(made, 2, also=made.checkpoint(1))
     assert run.list_checkpoints(made) == [made.checkpoint(count) for count in (1, 3, 4)]
@@ -196,8 +195,7 @@ def test_the_last_few_are_kept(tmp_path):
         run.keep_last(made, 0)
 
 
-def test_what_interrupted_saves_left_is_deleted_and_what_an_evaluation_writes_is_not(tmp_path):
-    made = run.create_run(tmp_path, "a")
+def test_what_interrupted_saves_left_is_deleted_and_what_an_evaluation_writes_is_not(made):
     save(made, 1)
     (made.path / "eval").mkdir()
     kept = made.path / "eval" / "a.mcap.part"
@@ -210,23 +208,10 @@ def test_what_interrupted_saves_left_is_deleted_and_what_an_evaluation_writes_is
     assert run.list_checkpoints(made) == [made.checkpoint(1)]
 
 
-def test_a_run_is_trained_by_one_at_a_time(tmp_path):
-    made = run.create_run(tmp_path, "a")
+def test_a_run_is_trained_by_one_at_a_time(made):
     expected = pytest.raises(UserError, match="a is being trained by another process")
     with run.claim(made), expected, run.claim(made):
         pass
     with run.claim(made):
         pass
     assert made.metrics.read_bytes() == b""
-
-
-def test_a_run_appears_with_its_files_or_not_at_all(tmp_path):
-    seen = run.create_run(tmp_path, "a", files={"config.json": b"{}", "robot.urdf": b"<robot/>"})
-    assert seen.config.read_bytes() == b"{}"
-    with pytest.raises(UserError, match="cannot write"):
-        run.create_run(tmp_path, "b", files={"config.json": b"", "no/such/folder": b""})
-    assert os.listdir(tmp_path) == ["a"]
-    half = run.Run(tmp_path / ".c-1.part")  # as a kill at that moment leaves it
-    half.path.mkdir()
-    half.config.write_text("{}")
-    assert [found.name for found in run.list_runs(tmp_path)] == ["a"]

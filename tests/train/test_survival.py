@@ -7,6 +7,7 @@ import shutil
 import signal
 import subprocess
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import crash
@@ -41,13 +42,35 @@ def whole(tmp_path_factory, flags, start) -> Path:
     return runs / "whole"
 
 
+@pytest.fixture
+def copied(whole, tmp_path) -> Run:
+    """A copy of that training, named "copy"."""
+    return Run(shutil.copytree(whole, tmp_path / "copy"))
+
+
+@pytest.fixture
+def resume(copied, train) -> Callable[..., None]:
+    """Go on with `copied`, with flags."""
+    return lambda *flags: train(f"--runs={copied.path.parent}", "--resume=copy", *flags)
+
+
 def test_the_same_seed_gives_the_same_files(whole, tmp_path, flags, train, same_result):
     train(*flags(tmp_path, "again", ITERATIONS, OFTEN))
     same_result(tmp_path / "again", whole)
 
 
-@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
-def test_a_signal_ends_training_with_everything_saved(name, tmp_path, flags, train):
+@pytest.mark.parametrize(
+    ("name", "known", "steps"),
+    [
+        ("SIGINT", signal.default_int_handler, 128),
+        ("SIGTERM", signal.SIG_DFL, 128),
+        ("SIGHUP", signal.SIG_DFL, 128),
+        ("SIGHUP", signal.SIG_IGN, 256),  # as nohup has it
+    ],
+)
+def test_a_signal_that_is_not_ignored_ends_training_with_everything_saved(
+    name, known, steps, tmp_path, flags, train
+):
     number = getattr(signal, name)
 
     def end(row: dict[str, float]) -> None:
@@ -56,23 +79,14 @@ def test_a_signal_ends_training_with_everything_saved(name, tmp_path, flags, tra
             if name == "SIGHUP":  # from the shell, and from the system
                 signal.raise_signal(number)
 
-    known = signal.default_int_handler if name == "SIGINT" else signal.SIG_DFL
-    before = signal.signal(number, known)  # nohup, around the tests, may have it ignored
+    before = signal.signal(number, known)
     try:
-        train(*flags(tmp_path, "a", 100), watch=end)
+        train(*flags(tmp_path, "a", 4), watch=end)
         assert signal.getsignal(number) == known
     finally:
         signal.signal(number, before)
-    assert load_policy(tmp_path / "a" / "policy.npz").steps == 128
-
-
-def test_what_nohup_ignores_stays_ignored(tmp_path, flags, train):
-    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
-    try:
-        train(*flags(tmp_path, "a", 3), watch=lambda _: signal.raise_signal(signal.SIGHUP))
-    finally:
-        signal.signal(signal.SIGHUP, before)
-    assert rows(tmp_path / "a") == 3
+    assert load_policy(tmp_path / "a" / "policy.npz").steps == steps
+    assert rows(tmp_path / "a") == steps / 64
 
 
 def rows(run: Path) -> int:
@@ -137,27 +151,29 @@ def test_a_death_at_any_moment_of_saving_leaves_what_was_saved(tmp_path, process
     assert steps == 40
 
 
+def cut_short(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[:-1000])
+
+
 def test_the_checkpoint_before_a_truncated_one_is_gone_on_from(
-    whole, tmp_path, train, same_result, capsys
+    whole, copied, resume, same_result, capsys
 ):
-    shutil.copytree(whole, tmp_path / "cut")
-    last = list_checkpoints(Run(tmp_path / "cut"))[-1]
-    last.write_bytes(last.read_bytes()[:-1000])
-    train(f"--runs={tmp_path}", "--resume=cut")
+    last = list_checkpoints(copied)[-1]
+    cut_short(last)
+    resume()
     said = capsys.readouterr().out
     assert f"{last} is damaged or foreign" in said
     assert f"after {64 * (ITERATIONS - 2):,} steps" in said
-    same_result(tmp_path / "cut", whole)
+    same_result(copied.path, whole)
 
 
-def test_of_nothing_but_truncated_ones_none_is_gone_on_from(whole, tmp_path, train):
-    shutil.copytree(whole, tmp_path / "cut")
-    for path in list_checkpoints(Run(tmp_path / "cut")):
-        path.write_bytes(path.read_bytes()[:-1000])
-    before = (tmp_path / "cut" / "metrics.jsonl").read_bytes()
-    with pytest.raises(UserError, match="cut has no checkpoint that can be read"):
-        train(f"--runs={tmp_path}", "--resume=cut")
-    assert (tmp_path / "cut" / "metrics.jsonl").read_bytes() == before
+def test_of_nothing_but_truncated_ones_none_is_gone_on_from(copied, resume):
+    for path in list_checkpoints(copied):
+        cut_short(path)
+    before = copied.metrics.read_bytes()
+    with pytest.raises(UserError, match="copy has no checkpoint that can be read"):
+        resume()
+    assert copied.metrics.read_bytes() == before
 
 
 def test_a_run_keeps_its_ground(tmp_path, flags, train, monkeypatch):
@@ -186,26 +202,20 @@ def test_a_run_keeps_its_ground(tmp_path, flags, train, monkeypatch):
     np.testing.assert_array_equal(stood_on(), other)
 
 
-def test_a_run_that_could_not_go_on_is_free_while_its_error_is_kept(whole, tmp_path, train):
+def test_a_run_that_could_not_go_on_is_free_while_its_error_is_kept(copied, resume):
     """As a notebook keeps the last error, with its traceback and all that its frames refer to."""
-    shutil.copytree(whole, tmp_path / "a")
-    resume = (f"--runs={tmp_path}", "--resume=a")
     with pytest.raises(UserError, match="cannot change") as kept:
-        train(*resume, "--seed=8")
-    train(*resume, f"--steps={64 * (ITERATIONS + 1)}")
-    assert rows(tmp_path / "a") == ITERATIONS + 1
+        resume("--seed=8")
+    resume(f"--steps={64 * (ITERATIONS + 1)}")
+    assert rows(copied.path) == ITERATIONS + 1
     assert kept.tb is not None
 
 
-def test_it_goes_on_with_another_number_of_devices(whole, tmp_path, start):
-    shutil.copytree(whole, tmp_path / "one")
-    output = tmp_path / "output"
-    process = start(output, f"--runs={tmp_path}", "--resume=one", "--devices=1", "--steps=4160")
-    process.join(200)
-    assert process.exitcode == 0, output.read_text()
-    assert "changed devices: 2 -> 1" in output.read_text()
-    assert read_metrics(Run(tmp_path / "one"))[-1]["steps"] == 4160
-    config = json.loads((tmp_path / "one" / "config.json").read_text())["config"]
+def test_it_goes_on_with_another_number_of_devices(copied, resume, capsys):
+    resume("--devices=1", "--steps=4160")
+    assert "changed devices: 2 -> 1" in capsys.readouterr().out
+    assert read_metrics(copied)[-1]["steps"] == 4160
+    config = json.loads(copied.config.read_text())["config"]
     assert (config["devices"], config["steps"]) == (1, 4160)
 
 
@@ -309,11 +319,9 @@ def test_a_learner_that_is_lost_leaves_what_was_good(tmp_path, flags, train):
 
 
 @pytest.mark.parametrize("which", ["", "max-"])
-def test_a_run_goes_on_at_the_learning_rate_that_it_is_given(whole, tmp_path, train, which):
-    shutil.copytree(whole, tmp_path / "on")
-    steps = f"--steps={(ITERATIONS + 1) * 64}"
-    train(f"--runs={tmp_path}", "--resume=on", steps, f"--ppo.{which}learning-rate=2e-5")
-    before, after = (row["learning_rate"] for row in read_metrics(Run(tmp_path / "on"))[-2:])
+def test_a_run_goes_on_at_the_learning_rate_that_it_is_given(copied, resume, which):
+    resume(f"--steps={(ITERATIONS + 1) * 64}", f"--ppo.{which}learning-rate=2e-5")
+    before, after = (row["learning_rate"] for row in read_metrics(copied)[-2:])
     assert before > 1e-4
     # It has two minibatches to adapt in, but no bound to pass.
     assert after <= 2.0001e-5 * (1.0 if which else 1.5**2)

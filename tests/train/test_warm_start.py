@@ -27,10 +27,7 @@ from quadwalk.train.runs.directory import Run, as_json, create_run, versions
 from quadwalk.train.runs.policy import save_policy
 from quadwalk.train.warm_start import begun_from
 
-CONFIG = dataclasses.replace(
-    task.TASK, envs=8, ppo=dataclasses.replace(task.TASK.ppo, hidden=(16, 16))
-)
-SEEN = {"reach": 1.0}
+OFFSET = {"offset": Observation(offset, {"reach": 1.0})}
 
 
 def learner_of(env, config, seed):
@@ -39,11 +36,24 @@ def learner_of(env, config, seed):
     return networks, jax.device_get(state.learner)
 
 
+def begun(run, config, env):
+    """Networks, the learner that begins as that of `run`, and notes."""
+    networks, fresh = learner_of(env, config, 6)
+    return networks, *begun_from(run, config, env, networks, fresh)
+
+
+def statistics_of(learner):
+    return NestedMeanStd(learner.normalizer.mean, learner.normalizer.std)
+
+
 def worth(networks, learner, observation):
     """What the value network says."""
-    statistics = NestedMeanStd(learner.normalizer.mean, learner.normalizer.std)
-    parts = networks.normalized(statistics, jnp.float32(observation))
+    parts = networks.normalized(statistics_of(learner), jnp.float32(observation))
     return networks.value(learner.params.value, parts)
+
+
+def drawn(*shape):
+    return np.random.default_rng(1).normal(size=shape)
 
 
 def saved(run, like):
@@ -52,16 +62,18 @@ def saved(run, like):
     return checkpoint.load(run.checkpoint(10), "checkpoint", state)[0].learner
 
 
-def changed(config, **env):
-    return dataclasses.replace(config, env=dataclasses.replace(config.env, **env))
+def changed(config, part, **changes):
+    """`config`, of which one part, "env" or "ppo", is changed."""
+    return dataclasses.replace(
+        config, **{part: dataclasses.replace(getattr(config, part), **changes)}
+    )
 
 
 @pytest.fixture(scope="module", params=["symmetric", "plain"])
 def source(request, tmp_path_factory):
     """A run, its environment, and the policy that it has."""
-    config = CONFIG
-    if request.param == "plain":
-        config = dataclasses.replace(CONFIG, ppo=dataclasses.replace(CONFIG.ppo, symmetric=False))
+    config = dataclasses.replace(task.TASK, envs=8)
+    config = changed(config, "ppo", hidden=(16, 16), symmetric=request.param == "symmetric")
     quadruped = load_quadruped()
     env = QuadrupedEnv(quadruped, config.env)
     networks, learner = learner_of(env, config, 5)
@@ -81,37 +93,34 @@ def source(request, tmp_path_factory):
     return run, config, env, networks.plain_policy(learner.normalizer, learner.params.policy)
 
 
-def acts(networks, learner, observation):
-    return mean_policy("swish", *networks.plain_policy(learner.normalizer, learner.params.policy))(
-        observation
+def assert_same_actions(networks, learner, seen, policy, before, atol=1e-5, signs=1.0):
+    """`learner` acts on what is `seen` as `policy` does on what it saw `before`, but for signs."""
+    own = networks.plain_policy(learner.normalizer, learner.params.policy)
+    found, expected = (
+        mean_policy("swish", *plain)(jnp.float32(observation))
+        for plain, observation in ((own, seen), (policy, before))
     )
+    np.testing.assert_allclose(found, expected * signs, atol=atol)
 
 
 def test_it_acts_as_the_run_does_and_as_randomly_as_at_a_start(source):
     run, config, env, policy = source
-    networks, fresh = learner_of(env, config, 6)
-    learner, notes = begun_from(run, config, env, networks, fresh)
+    networks, learner, notes = begun(run, config, env)
     assert notes == []
-    seen = jnp.asarray(np.random.default_rng(1).normal(size=(9, env.observation_size)), jnp.float32)
-    np.testing.assert_allclose(
-        acts(networks, learner, seen), mean_policy("swish", *policy)(seen), atol=1e-5
-    )
-    parts = networks.normalized(
-        NestedMeanStd(learner.normalizer.mean, learner.normalizer.std), seen
-    )
+    seen = drawn(9, env.observation_size)
+    assert_same_actions(networks, learner, seen, policy, seen)
+    parts = networks.normalized(statistics_of(learner), jnp.float32(seen))
     std = networks.policy(learner.params.policy, parts).std
     np.testing.assert_allclose(std, config.ppo.init_std + 0.001 * networks.std_scale, rtol=1e-5)
 
 
 def test_what_is_new_changes_no_action_and_what_is_seen_in_another_order_is_found(source):
     run, config, env, policy = source
-    own = dict(reversed(config.env.observation.items()))
-    own = {"offset": Observation(offset, SEEN), **own}
+    own = {**OFFSET, **dict(reversed(config.env.observation.items()))}
     del own["heading"]
-    there = changed(config, observation=own)
+    there = changed(config, "env", observation=own)
     other = QuadrupedEnv(env.quadruped, there.env)
-    networks, fresh = learner_of(other, there, 6)
-    learner, notes = begun_from(run, there, other, networks, fresh)
+    networks, learner, notes = begun(run, there, other)
     assert notes == [
         "--init: offset: is new to these networks",
         "--init: heading: is no longer seen",
@@ -122,22 +131,15 @@ def test_what_is_new_changes_no_action_and_what_is_seen_in_another_order_is_foun
     before = np.stack([values[name] for name in env.sensors.names], axis=1)
     values["offset"] = rng.normal(size=9)
     after = np.stack([values[name] for name in other.sensors.names], axis=1)
-    np.testing.assert_allclose(
-        acts(networks, learner, jnp.float32(after)),
-        mean_policy("swish", *policy)(jnp.float32(before)),
-        atol=1e-4,
-    )
+    assert_same_actions(networks, learner, after, policy, before, atol=1e-4)
 
 
 @pytest.mark.parametrize("unit", [1e-3, 1.0, 1e3])
 def test_statistics_of_what_is_new_soon_are_its_own_in_any_unit(source, unit):
     run, config, env, _ = source
-    there = changed(
-        config, observation={**config.env.observation, "offset": Observation(offset, SEEN)}
-    )
+    there = changed(config, "env", observation=config.env.observation | OFFSET)
     other = QuadrupedEnv(env.quadruped, there.env)
-    networks, fresh = learner_of(other, there, 6)
-    learner, _ = begun_from(run, there, other, networks, fresh)
+    _, learner, _ = begun(run, there, other)
     normalizer = jax.tree.map(jnp.asarray, learner.normalizer)
     place, number = other.sensors.names.index("offset"), int(normalizer.count.lo)
     known = np.arange(other.observation_size) != place
@@ -166,34 +168,27 @@ def test_a_robot_with_other_joints_acts_the_same_in_the_same_pose(source, tmp_pa
     quadruped = load_quadruped(urdf)
     assert quadruped.joints[3:10:3] == ("hip", "RR_hip", "LR_hip")
     other = QuadrupedEnv(quadruped, config.env)
-    networks, fresh = learner_of(other, config, 6)
-    learner, notes = begun_from(run, config, other, networks, fresh)
+    networks, learner, notes = begun(run, config, other)
     assert notes == []
     own = {**config.env.observation, "unsaid": Observation(lambda robot, state: state.qpos[2])}
-    there = changed(config, observation=own)
-    unsaid = QuadrupedEnv(quadruped, there.env)
+    there = changed(config, "env", observation=own)
     with pytest.raises(UserError, match=r"'hip' turns the other way .* 'unsaid' does not say how"):
-        begun_from(run, there, unsaid, *learner_of(unsaid, there, 6))
-    rng = np.random.default_rng(1)
-    seen = rng.normal(size=(9, env.observation_size))
+        begun(run, there, QuadrupedEnv(quadruped, there.env))
+    seen = drawn(9, env.observation_size)
     there, joint_signs = seen.copy(), np.ones(12)
     joint_signs[[3, 9]] = -1.0
     hips = {
         f"{p}_{hip}" for p in ("joint_pos", "joint_vel", "last_action") for hip in ("hip", "LR_hip")
     }
     # Encoder offsets (12,) are what conditions end with.
-    drawn = sum(name.startswith("conditions_") for name in other.sensors.critic_names)
-    hips |= {f"conditions_{drawn - 12 + joint}" for joint in (3, 9)}
+    conditions = sum(name.startswith("conditions_") for name in other.sensors.critic_names)
+    hips |= {f"conditions_{conditions - 12 + joint}" for joint in (3, 9)}
     names = other.sensors.names + other.sensors.critic_names
     turned = [name.partition("[")[0] in hips for name in names]
     # Position, speed, last action, each with four steps before; in the critic the first two, too.
     assert sum(turned) == 2 * (3 * 5 + 2 + 1)
     there *= np.where(turned, -1.0, 1.0)
-    np.testing.assert_allclose(
-        acts(networks, learner, jnp.float32(there)),
-        mean_policy("swish", *policy)(jnp.float32(seen)) * joint_signs,
-        atol=1e-4,
-    )
+    assert_same_actions(networks, learner, there, policy, seen, 1e-4, joint_signs)
     np.testing.assert_allclose(
         worth(networks, learner, there),
         worth(networks_for(env, config.ppo), saved(run, like), seen),
@@ -203,26 +198,20 @@ def test_a_robot_with_other_joints_acts_the_same_in_the_same_pose(source, tmp_pa
 
 def test_networks_of_another_shape_or_kind_are_refused(source):
     run, config, env, _ = source
-    wide = dataclasses.replace(config, ppo=dataclasses.replace(config.ppo, hidden=(32,)))
-    networks, fresh = learner_of(env, wide, 6)
     with pytest.raises(UserError, match=r"--ppo.hidden \(16, 16\); here it is \(32,\)"):
-        begun_from(run, wide, env, networks, fresh)
-    turned = dataclasses.replace(
-        config, ppo=dataclasses.replace(config.ppo, symmetric=not config.ppo.symmetric)
-    )
-    networks, fresh = learner_of(env, turned, 6)
+        begun(run, changed(config, "ppo", hidden=(32,)), env)
+    turned = changed(config, "ppo", symmetric=not config.ppo.symmetric)
     if turned.ppo.symmetric:
         with pytest.raises(UserError, match=r"--ppo\.no-symmetric"):
-            begun_from(run, turned, env, networks, fresh)
+            begun(run, turned, env)
     else:
-        begun_from(run, turned, env, networks, fresh)
+        begun(run, turned, env)
 
 
 def test_a_run_without_a_checkpoint_is_refused(source, tmp_path):
     _, config, env, _ = source
-    networks, fresh = learner_of(env, config, 6)
     with pytest.raises(UserError, match="has no checkpoint"):
-        begun_from(create_run(tmp_path, "empty", files={}), config, env, networks, fresh)
+        begun(create_run(tmp_path, "empty", files={}), config, env)
 
 
 def test_a_run_with_a_policy_alone_gives_that(source, tmp_path):
@@ -234,10 +223,8 @@ def test_a_run_with_a_policy_alone_gives_that(source, tmp_path):
     networks, fresh = learner_of(env, config, 6)
     learner, notes = begun_from(alone, config, env, networks, fresh)
     assert notes == [f"--init: {alone.path} has a policy alone: the value network is a new one"]
-    seen = jnp.asarray(np.random.default_rng(1).normal(size=(9, env.observation_size)), jnp.float32)
-    np.testing.assert_allclose(
-        acts(networks, learner, seen), mean_policy("swish", *policy)(seen), atol=1e-5
-    )
+    seen = drawn(9, env.observation_size)
+    assert_same_actions(networks, learner, seen, policy, seen)
     jax.tree.map(np.testing.assert_array_equal, learner.params.value, fresh.params.value)
 
 

