@@ -196,11 +196,10 @@ def row(quadruped: Quadruped, name: str, found: Outcome) -> str:
     if found.error is not None or found.stopped:
         return f"| {label(quadruped, name)} | failed: {found.error or 'stopped'} | | | | |"
     figures = found.value
-    # A foot goes round the thigh's joint no faster than the thigh's motor does.
-    allowed = float(quadruped.home[2] * quadruped.velocity[1::3].min())
     return (
         f"| {label(quadruped, name)} | {figures['speed']:.2f} | {figures['froude']:.2f} | "
-        f"{figures['falls']:.0%} | {figures['gait']} | {figures['speed'] / allowed:.2f} |"
+        f"{figures['falls']:.0%} | {figures['gait']} | "
+        f"{figures['speed'] / quadruped.foot_speed:.2f} |"
     )
 
 

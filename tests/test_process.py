@@ -238,6 +238,7 @@ def test_the_environment_beside_a_script_is_found(checkout, script):
     done = pasted(f"python {script} --nonsense", checkout)
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr.startswith("error: unknown option --nonsense")
+    assert done.stderr.count("\n") == 1
 
 
 @pytest.mark.parametrize("empty", [True, False])

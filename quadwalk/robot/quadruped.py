@@ -53,6 +53,11 @@ class Quadruped:
         """m/s^2, downwards, in both models."""
         return float(-self.spec.option.gravity[2])
 
+    @property
+    def foot_speed(self) -> float:
+        """m/s, at most, of a foot that swings about the thigh's joint under the trunk."""
+        return float(self.home[2] * self.velocity[1::3].min())
+
     def training_model(
         self,
         timestep: float,

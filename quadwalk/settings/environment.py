@@ -79,6 +79,9 @@ class CommandConfig(Settings, group="env.command"):
     # m; velocities are those of a robot with legs of this length, and other robots have theirs at
     # the same Froude number; None: all robots have the same
     leg: Positive | None = None
+    # of another robot, forward velocities are at most this share of how fast the thighs' motors
+    # can swing a foot; None: whatever those can
+    swing: Share | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -93,21 +96,23 @@ class CommandConfig(Settings, group="env.command"):
                 f"{self.straight} and --env.command.spot {self.spot}; expected a sum of at most 1"
             )
 
-    def of_leg(self, leg: float) -> "CommandConfig":
-        """The same command for a robot whose legs are `leg`, m, long.
+    def of_robot(self, leg: float, foot_speed: float) -> "CommandConfig":
+        """The same command for legs of `leg`, m, whose motors swing a foot at `foot_speed`, m/s.
 
         Velocities change with the length's root, yaw rates inversely; accelerations remain.
         """
         if self.leg is None:
             return self
-        faster = math.sqrt(leg / self.leg)
+        slower = faster = math.sqrt(leg / self.leg)
+        if self.swing is not None:
+            slower = min(faster, self.swing * foot_speed / self.forward[1])
         until = self.lateral_until
         return replace(
             self,
-            forward=_times(self.forward, faster),
-            lateral=_times(self.lateral, faster),
+            forward=_times(self.forward, slower),
+            lateral=_times(self.lateral, slower),
             yaw_rate=_times(self.yaw_rate, 1.0 / faster),
-            lateral_until=None if until is None else round(until * faster, 3),
+            lateral_until=None if until is None else round(until * slower, 3),
             leg=None,
         )
 

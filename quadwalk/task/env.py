@@ -52,7 +52,7 @@ class QuadrupedEnv(Env):
         self, quadruped: Quadruped, config: EnvConfig, engine: EngineName | None = None
     ) -> None:
         leg = leg_length(quadruped.full_model(visuals=False), quadruped.feet[0])
-        config = replace(config.as_seen, command=config.command.of_leg(leg))
+        config = replace(config.as_seen, command=config.command.of_robot(leg, quadruped.foot_speed))
         self.config = config
         self.engine: EngineName = engine or config.engine
         self.terrain = None if config.ground.flat else make_terrain(config.ground, leg)

@@ -46,6 +46,7 @@ TASK = TrainConfig(
             lateral_until=2.0,
             turning=4.0,
             leg=0.5,
+            swing=0.61,
         ),
         randomization=replace(REAL_WORLD, ideal=0.1),
     ),

@@ -112,14 +112,26 @@ def told(env, before, action, after):
 @pytest.mark.parametrize("leg", [0.125, 0.5])
 def test_command_ranges_have_the_same_froude_number_for_all_robots(leg):
     command = drive.TASK.env.command
-    own = command.of_leg(leg)
+    own = command.of_robot(leg, 100.0)
     for name in ("forward", "lateral"):
         asked, had = np.array(getattr(own, name)), np.array(getattr(command, name))
         np.testing.assert_allclose(asked**2 / leg, had**2 / 0.5, rtol=2e-3)
     turn = own.forward[1] * own.yaw_rate[1]  # m/s^2
     assert turn == pytest.approx(command.forward[1] * command.yaw_rate[1], rel=1e-3)
     assert own.turning == command.turning
-    assert own.of_leg(1.0) == own  # once
+    assert own.of_robot(1.0, 1.0) == own  # once
+
+
+def test_no_command_is_faster_than_the_motors_swing_a_foot(quadruped):
+    command = drive.TASK.env.command
+    slow = command.of_robot(0.5, 2.0)
+    assert slow.forward[1] == pytest.approx(0.61 * 2.0)
+    assert slow.forward[0] / slow.forward[1] == pytest.approx(-1.0 / 4.5, abs=1e-3)
+    assert slow.yaw_rate == command.yaw_rate
+    # 20 rad/s about a hip that is 0.37 m up: the commands are those of the task.
+    assert 7.4 < quadruped.foot_speed < 7.6
+    own = QuadrupedEnv(quadruped, drive.TASK.env).config.command
+    assert own.forward == pytest.approx(command.forward, rel=0.01)
 
 
 def test_a_robot_is_driven_at_its_own_speeds(quadruped):
