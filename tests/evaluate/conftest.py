@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 from quadwalk.evaluate.motion.forces import foot_forces, geom_ids
 from quadwalk.evaluate.rollout import Rollout
 from quadwalk.robot.quadruped import Quadruped
+from quadwalk.tasks import sprint
 
 CONTROL_DT, SUBSTEPS = 0.02, 5
 KP, KD = 160.0, 4.0  # stiff enough for legs that only follow the clock
@@ -99,9 +100,7 @@ def simulate(quadruped: Quadruped) -> Callable[..., Rollout]:
         # As many numbers, and as noisy, as a policy sees and as a reward has terms.
         last = np.roll(actions, 1, axis=0)
         seen = np.concatenate([rates[:-1], states[:-1, 2:], last], axis=1)
-        names = ("forward", "lateral", "vertical", "roll_rate", "pitch_rate", "yaw_rate")
-        terms = dict(zip(names, rates[1:, :6].T, strict=True)) | {"energy": arrays["energy"]}
-        terms |= {f"joint_{k}": speed for k, speed in enumerate(rates[1:, 6:9].T)}
+        terms = dict(zip(sprint.TASK.env.reward, rates[1:].T, strict=False))
         terms["alive"] = np.ones(steps, dtype=np.float32)
         return Rollout(
             control_dt=CONTROL_DT,

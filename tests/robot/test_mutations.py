@@ -122,7 +122,7 @@ def check_attributes(text: str, model: mujoco.MjModel) -> None:
             continue  # without limits, and no motor
         found = model.joint(joint.get("name"))
         limit, dynamics = joint.find("limit"), joint.find("dynamics")
-        if joint.get("type") == "continuous":
+        if joint.get("type") == "continuous" or limit is None:
             assert not model.jnt_limited[found.id]
         else:
             expected = [float(limit.get("lower")), float(limit.get("upper"))]
@@ -143,10 +143,12 @@ def check_attributes(text: str, model: mujoco.MjModel) -> None:
     collides = (model.geom_contype > 0) & np.isin(model.geom_type, kinds)
     found = Counter(model.geom_size[collides, 0].tolist())
     assert not Counter(sizes) - found
-    # A foot whose own shape is gone has been given a sphere.
-    bare = [link for link in root.iter("link") if link.find("collision/geometry/sphere") is None]
-    made = sum((found - Counter(sizes)).values())
-    assert made <= sum(link.get("name", "").endswith("_foot") for link in bare)
+    # A leg whose foot is gone, or the foot's shape, has been given a sphere.
+    round_links = [
+        link for link in root.iter("link") if link.find("collision/geometry/sphere") is not None
+    ]
+    feet = sum(link.get("name", "").endswith("_foot") for link in round_links)
+    assert sum((found - Counter(sizes)).values()) <= 4 - feet
     boxes = (model.geom_contype > 0) & (model.geom_type == mujoco.mjtGeom.mjGEOM_BOX)
     assert boxes.sum() == len(root.findall("link/collision/geometry/box"))
 
