@@ -35,7 +35,10 @@ complete -o default -F _quadwalk quadwalk
 
 
 def completion_script(shell: str, commands: Mapping[str, str]) -> str:
-    """The script for `shell` to source (`UsageError`: unknown), of `commands`: names, modules."""
+    """The script that `shell` sources to complete `commands` (name to module).
+
+    `UsageError` for a shell that is not one of `SHELLS`.
+    """
     if shell not in SHELLS:
         raise UsageError(f"--print-completion {shell}: expected {' or '.join(SHELLS)}")
     flags: dict[str, str] = {}

@@ -12,7 +12,7 @@ from quadwalk.drawing.raycast import RayPainter
 
 @dataclass(frozen=True)
 class Camera:
-    """A view of the world, with MuJoCo's angles of the line of sight, degrees."""
+    """A view of the world; angles, degrees, are of the line of sight, as MuJoCo's."""
 
     lookat: tuple[float, ...] | np.ndarray  # (3,) m, what is in the middle of the picture
     distance: float  # m, from there to the eye

@@ -68,7 +68,10 @@ def evaluation_ranges(config: EnvConfig, enabled: bool) -> RandomizationConfig:
 
 
 def unseen_ground(trained: GroundConfig, seed: int, levels: int = 3) -> GroundConfig:
-    """The kinds of ground trained on, once each, anew by `seed`; flat or of a file it stays."""
+    """Ground of the kinds trained on, made by `seed` from numbers that training never draws.
+
+    Each kind counts once, at `levels` difficulties. A flat floor or a field from a file stays.
+    """
     if trained.flat or trained.file is not None:
         return dataclasses.replace(trained, curriculum=False)
     kinds = tuple(dict.fromkeys(trained.kinds))

@@ -83,7 +83,7 @@ def as_onnx(loaded: LoadedRun, console: Console) -> tuple[onnx.ModelProto, Joint
 
 
 def largest_difference(model: onnx.ModelProto, loaded: LoadedRun, targets: JointTargets) -> float:
-    """Of actions and joint targets, rad, in ONNX Runtime and JAX, for random observations."""
+    """Between ONNX Runtime and JAX: of actions and joint targets, rad, on random observations."""
     env = loaded.env
     normalizer, _ = loaded.policy.act.args  # type: ignore[attr-defined]
     rng = np.random.default_rng(0)

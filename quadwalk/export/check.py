@@ -125,7 +125,10 @@ def read_recording(file: Path, loaded: LoadedRun) -> dict[str, np.ndarray]:
 
 
 def stages(loaded: LoadedRun, columns: dict[str, np.ndarray]) -> list[Stage]:
-    """Each stage beside what the environment makes of the recorded one before: where it differs."""
+    """Each stage of the recorded steps, beside what the environment makes of the stage before it.
+
+    So a difference shows where it arises, and nowhere after.
+    """
     env, names = loaded.env, ("qpos", "qvel", "obs", "action", "target")
     qpos, qvel, obs, action, target = (columns[name] for name in names)
     joints, order = list(env.quadruped.joints), input_order(env)

@@ -114,7 +114,10 @@ def finish(run: Run, steps: int, watch: Callable[[Row], object] | None = None) -
 
 
 def compute(work: Work, cores: int, watch: Callable[[Row], object]) -> Event:
-    """How a job ended, computed on so many cores or, if 0, accelerators; `watch` gets each row."""
+    """Run a job here, on `cores` cores or, if that is 0, on accelerators, and say how it ended.
+
+    `watch` gets each row of its metrics.
+    """
     run = work.run
     if cores:
         pin(cores)

@@ -123,7 +123,7 @@ ad.primitive_jvps[_robots] = _tangents
 
 
 def opaque_true(number: jax.Array) -> jax.Array:
-    """True, though XLA cannot know; `number` is of a sound state, far below 1e30, or NaN."""
+    """True, though XLA cannot know it: `number`, of a sound state, is far below 1e30, or NaN."""
     return ~(number > 1e30)
 
 

@@ -262,7 +262,10 @@ def add_spheres(
 
 
 def _box_around(model: mujoco.MjModel, body: int) -> tuple[np.ndarray, np.ndarray]:
-    """Corners (3,), m, in its frame, of the box around a body's shapes, else the joints below."""
+    """Lower and upper corner (3,), m, of the box around a body's shapes, in its frame.
+
+    Without shapes it is around the joints below: a trunk has the hips at its corners.
+    """
     boxes = _boxes(model, body)
     if not boxes:
         hips = model.body_pos[model.body_parentid == body]

@@ -76,7 +76,10 @@ def mirror_of(
 
 
 def with_history(frame: Mirror, history: np.ndarray) -> Mirror:
-    """A step's numbers, then of the step before, and so on: of each, `history` (n,) such steps."""
+    """The numbers of a control step, then those that are also seen of one step before, and so on.
+
+    `history` (n,) is of how many earlier steps each is seen.
+    """
     steps = []
     for ago in range(1 + max(history)):
         kept = history >= ago

@@ -82,7 +82,10 @@ def episode_end(
 
 
 def off_ground(config: EnvConfig, terrain: Terrain, state: EnvState) -> jax.Array:
-    """Whether the trunk is off its tile, if confined, else beyond half of the border, () bool."""
+    """Whether the trunk is where its episode ends, () bool.
+
+    That is beyond half of the level border around all tiles or, if confined, beyond its own tile.
+    """
     field, edge = terrain.field, config.ground.border / 2
     low: Any = np.array(field.origin) + edge
     high: Any = low + np.array(field.size) - 2 * edge

@@ -37,7 +37,10 @@ KEPT = 20  # files of a run: enough to see what they have in common
 
 
 def keep(run: Run, before: Any, action: Any, config: TrainConfig, steps: int) -> Path | None:
-    """Write down a step from `before` with `action`, met by `steps`; None if there are enough."""
+    """Write the step from `before` with `action` to the run, and return the file.
+
+    `steps` of training were done when it was met. None: the run has enough of them.
+    """
     try:
         run.nan.mkdir(exist_ok=True)
         if sum(1 for _ in run.nan.glob("*.npz")) >= KEPT:

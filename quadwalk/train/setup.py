@@ -55,7 +55,10 @@ class Training:
 def prepare(
     config: TrainConfig, previous: Run | None, progress: Progress, stack: ExitStack
 ) -> Training:
-    """All up to the compiled iteration, in every process; the run is claimed until `stack` ends."""
+    """Prepare everything up to the compiled iteration, in every process; raises `UserError`.
+
+    The run is this training's until `stack` is closed.
+    """
     robot = config.robot
     config = with_files(config, robot.urdf, robot.mesh_dirs, config.env.ground.file)
     config, devices = choose_devices(config)

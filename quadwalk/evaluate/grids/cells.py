@@ -57,7 +57,10 @@ def trunk_paths(
 def cell_starts(
     env: QuadrupedEnv, start: Callable[..., State], cells: np.ndarray, *episodes: Any
 ) -> State:
-    """(m n, ...): `start(env, cell, *episode)`, by `cells` (m, ...), then `episodes` (n, ...)."""
+    """The starts (m * n, ...) of n `episodes` in each of m `cells`, one cell after another.
+
+    Each is `start(env, cell, *episode)`; `cells` are (m, ...), `episodes` (n, ...).
+    """
 
     @partial(jit, env)
     def begun(env: QuadrupedEnv, cells: jax.Array, *episodes: Any) -> State:

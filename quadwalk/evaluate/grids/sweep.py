@@ -156,7 +156,10 @@ def measure_points(
 
 
 def starts_at(env: QuadrupedEnv, points: list[Point], episodes: int, seed: int) -> State:
-    """First states under each point's conditions: the same starts, and draws alike but in size."""
+    """The first states of all episodes, under the conditions of their points.
+
+    Each point has the same starts, and the same draws but for their size.
+    """
     latest = randomization.latest_drawn(training_ranges(env.config))
     late = max(p.delay / 1e3 + p.everything * latest[0] for p in points)
     kept = randomization.targets_needed(math.ceil(late / env.stepping.dt), env.stepping.substeps)

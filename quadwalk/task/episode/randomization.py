@@ -134,7 +134,10 @@ def _within(sizes: Range, margin: float, shares: jax.Array) -> jax.Array:
 
 
 def as_values(drawn: EpisodeRandomization, stepping: Stepping) -> dict[str, float | list[float]]:
-    """What was drawn, as in `RandomizationConfig`; but masses kg, centers m, pushes m/s."""
+    """What was drawn for an episode, named and in units as in `RandomizationConfig`.
+
+    But masses are in kg, centers of mass in m and pushes in m/s.
+    """
     own = {} if drawn.variation is None else drawn.variation._asdict()
     late = 0.0 if drawn.sensor_delay is None else drawn.sensor_delay
     own |= {

@@ -19,7 +19,10 @@ from quadwalk.task.robot_arrays import RobotArrays
 def fresh_start(
     model: Model, robot: RobotArrays, config: ResetConfig, key: jax.Array
 ) -> PhysicsState:
-    """A start near home or `config.pose`, lowest foot on the floor; tumbled, the lowest part is."""
+    """A start near the home pose or `config.pose`, with the lowest foot just on the floor.
+
+    Tumbled, it is in any orientation, with the lowest part just on the floor.
+    """
     drawn = jax.random.uniform(key, (35,), minval=-1.0, maxval=1.0)
     pose, joints, velocity, speed = jnp.split(drawn, [4, 16, 22])
 

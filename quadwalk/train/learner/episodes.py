@@ -14,7 +14,7 @@ SOME = 16  # fresh episodes that are begun at once: of a thousand robots, few en
 
 
 def reset_envs(env: Env, keys: jax.Array, tiles: jax.Array | None = None) -> State:
-    """A batch of fresh episodes, `keys` (n, 2), on `tiles` (n,) of the terrain; None: any.
+    """A batch of fresh episodes of `keys` (n, 2), on `tiles` (n,) of the terrain; None: any.
 
     Each starts at a random step: else all would reach their time limit in the same iteration.
     """
@@ -42,7 +42,10 @@ class FreshStarts(NamedTuple):
 def fresh_starts(
     env: Env, envs: State, first: jax.Array, learnt_from: int, key: jax.Array
 ) -> FreshStarts:
-    """As many starts as environments: with a curriculum each its own, else dealt out anew."""
+    """As many starts as there are environments.
+
+    With a curriculum each environment has its own; otherwise they are dealt out anew.
+    """
     number = len(envs.done)
     tiles = next_tiles(env, envs.pipeline_state, first, learnt_from, key)
     fresh = reset_envs(env, jax.random.split(key, number), tiles)

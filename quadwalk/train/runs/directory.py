@@ -211,7 +211,10 @@ def list_checkpoints(run: Run) -> list[Path]:
 
 
 def latest_checkpoint(run: Run, warn: Callable[[str], None]) -> Path | None:
-    """The newest checkpoint, None if there is none; `warn` of damaged ones, error if all are."""
+    """The newest checkpoint that can be read whole; None if there are none at all.
+
+    A damaged one is skipped with a line to `warn`. Raises `UserError` if all are damaged.
+    """
     found = list_checkpoints(run)
     for path in reversed(found):
         try:
