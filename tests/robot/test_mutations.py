@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from benchmarks.pinocchio_oracle import Pinocchio
 from quadwalk.paths import ALIENGO_URDF
 from quadwalk.robot.mjcf import convert, write_xml
-from quadwalk.robot.structure.legs import find_legs
+from quadwalk.robot.structure.legs import LEGS, find_legs
 from quadwalk.robot.urdf import Urdf, UrdfError, parse_urdf
 
 
@@ -156,11 +156,12 @@ def check_attributes(text: str, model: mujoco.MjModel) -> None:
     collides = (model.geom_contype > 0) & np.isin(model.geom_type, kinds)
     found = Counter(model.geom_size[collides, 0].tolist())
     assert not Counter(sizes) - found
-    # A leg without a foot of its own, or whose foot has lost its shape, has been given a sphere.
-    round_links = root.findall("link/collision/geometry/sphere/../../..")
-    ends = {link.get("name") for link in round_links}
-    legs = [j for j in root.findall("joint") if j.find("parent").get("link").endswith("_calf")]
-    whole = sum(j.get("type") == "fixed" and j.find("child").get("link") in ends for j in legs)
+    # A leg whose foot is gone or moved may have been given a sphere; one that is as it was, none.
+    there, before = {ET.tostring(part) for part in root}, ET.fromstring(PHYSICS)
+    whole = sum(
+        all(ET.tostring(part) in there for part in before if part.get("name", "").startswith(leg))
+        for leg in LEGS
+    )
     assert sum((found - Counter(sizes)).values()) <= 4 - whole
     boxes = (model.geom_contype > 0) & (model.geom_type == mujoco.mjtGeom.mjGEOM_BOX)
     assert boxes.sum() == len(root.findall("link/collision/geometry/box"))
