@@ -57,7 +57,7 @@ TAGS = st.sampled_from(
 
 @pytest.fixture
 def pinocchio() -> Callable[[Urdf, mujoco.MjModel], Pinocchio]:
-    return lambda urdf, model: Pinocchio(limited(urdf), model)
+    return lambda urdf, model: Pinocchio(readable(urdf), model)
 
 
 @st.composite
@@ -167,12 +167,14 @@ def check_attributes(text: str, model: mujoco.MjModel) -> None:
     assert boxes.sum() == len(root.findall("link/collision/geometry/box"))
 
 
-def limited(urdf: Urdf) -> Urdf:
-    """The URDF with a limit for each joint, which Pinocchio's reader wants: dynamics know none."""
+def readable(urdf: Urdf) -> Urdf:
+    """The same dynamics, with a limit and a damping wherever Pinocchio's reader wants one."""
     root = ET.fromstring(urdf.text)
     for joint in root.findall("joint"):
         if joint.get("type") in ("revolute", "prismatic") and joint.find("limit") is None:
             ET.SubElement(joint, "limit", lower="-1", upper="1", effort="0", velocity="0")
+        for dynamics in joint.findall("dynamics"):
+            dynamics.set("damping", dynamics.get("damping", "0"))
     return dataclasses.replace(urdf, text=ET.tostring(root, encoding="unicode"))
 
 
