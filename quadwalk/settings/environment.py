@@ -79,8 +79,8 @@ class CommandConfig(Settings, group="env.command"):
     # m; velocities are those of a robot with legs of this length, and other robots have theirs at
     # the same Froude number; None: all robots have the same
     leg: Positive | None = None
-    # of another robot, forward velocities are at most this share of how fast the thighs' motors
-    # can swing a foot; None: whatever those can
+    # with `leg`, forward velocities are at most this share of how fast the thighs' motors can swing
+    # a foot; None: motors do not bound them
     swing: Share | None = None
 
     def __post_init__(self) -> None:
@@ -103,16 +103,17 @@ class CommandConfig(Settings, group="env.command"):
         """
         if self.leg is None:
             return self
-        slower = faster = math.sqrt(leg / self.leg)
-        if self.swing is not None:
-            slower = min(faster, self.swing * foot_speed / self.forward[1])
+        faster = factor = math.sqrt(leg / self.leg)
+        fastest = max(map(abs, self.forward))
+        if self.swing is not None and fastest > 0.0:
+            factor = min(faster, self.swing * foot_speed / fastest)
         until = self.lateral_until
         return replace(
             self,
-            forward=_times(self.forward, slower),
-            lateral=_times(self.lateral, slower),
+            forward=_times(self.forward, factor),
+            lateral=_times(self.lateral, factor),
             yaw_rate=_times(self.yaw_rate, 1.0 / faster),
-            lateral_until=None if until is None else round(until * slower, 3),
+            lateral_until=None if until is None else round(until * factor, 3),
             leg=None,
         )
 
@@ -187,10 +188,11 @@ REAL_WORLD = RandomizationConfig(
     margin=0.15,
 )
 
-_RANGES = [own.name for own in fields(RandomizationConfig) if own.default is MISSING][1:]
-_NONE_DRAWN: dict[str, Any] = dict.fromkeys(_RANGES)
-# Of a task in an ideal world.
-NO_RANDOMIZATION = RandomizationConfig(enabled=False, **_NONE_DRAWN)
+# Of a task in an ideal world: no range, and the usual of what has a default.
+_UNDRAWN: dict[str, Any] = {
+    f.name: None for f in fields(RandomizationConfig) if f.default is MISSING
+}
+NO_RANDOMIZATION = RandomizationConfig(**_UNDRAWN | {"enabled": False})
 
 
 # Control at 50 Hz over physics steps of 4 ms, which two Newton iterations serve well enough

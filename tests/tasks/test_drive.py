@@ -134,6 +134,15 @@ def test_no_command_is_faster_than_the_motors_swing_a_foot(quadruped):
     assert own.forward == pytest.approx(command.forward, rel=0.01)
 
 
+@pytest.mark.parametrize("forward", [(0.0, 0.0), (-1.0, 0.0), (-2.0, -1.0)])
+def test_ranges_without_a_way_ahead_are_bounded_by_their_fastest(forward):
+    command = dataclasses.replace(drive.TASK.env.command, forward=forward)
+    assert command.of_robot(0.5, 100.0).forward == forward
+    low, high = command.of_robot(0.5, 1.0).forward
+    assert low == pytest.approx(max(forward[0], -0.61))
+    assert low <= high <= 0.0
+
+
 def test_a_robot_is_driven_at_its_own_speeds(quadruped):
     command = dataclasses.replace(drive.TASK.env.command, leg=2.0)  # four times the robot's
     env = QuadrupedEnv(quadruped, dataclasses.replace(drive.TASK.env, command=command))
