@@ -38,7 +38,11 @@ def film_strip(pictures: list[np.ndarray], across: int) -> np.ndarray:
 
 
 def save_video(pictures: Iterable[np.ndarray], path: str | Path, fps: float = FPS) -> None:
-    """Write pictures (height, width, 3), `fps` a second: MP4 if `path` ends so, or GIF."""
+    """Write pictures (height, width, 3) of one size, `fps` a second: MP4 if `path` ends so, or GIF.
+
+    An MP4 needs ffmpeg on the PATH or the package imageio-ffmpeg. Raises `UserError` where that is
+    missing or the file cannot be written.
+    """
     if Path(path).suffix.lower() == ".mp4":
         _save_mp4(iter(pictures), path, fps)
     else:

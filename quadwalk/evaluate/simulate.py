@@ -101,7 +101,10 @@ def _rows(tree: Any, rows: Any) -> Any:
 def fresh_starts(
     env: QuadrupedEnv, episodes: int, seed: int, tiles: np.ndarray | None = None
 ) -> State:
-    """The batched `State` of fresh episodes, by `seed`, on tiles numbered `tiles` (episodes,)."""
+    """The batched `State` of `episodes` fresh episodes, the same for the same seed.
+
+    `tiles` (episodes,) are the indices of the terrain's tiles that they begin on; None: any.
+    """
     keys = jax.random.split(jax.random.PRNGKey(seed), episodes)
     on = () if tiles is None else (jnp.asarray(tiles),)
     start: State = jit(env, lambda env, *of: jax.vmap(env.reset)(*of))(keys, *on)

@@ -46,7 +46,10 @@ examples:
 
 
 def parse_config(args: Sequence[str], prog: str = "train.py") -> tuple[TrainConfig, Run | None]:
-    """The configuration of a command line, and the run to resume, if any; or a `UsageError`."""
+    """The configuration that a command line describes, and the run to resume, if any.
+
+    A first argument that is no flag is the task. `UsageError` for a configuration that cannot be.
+    """
     args, task = list(args), None
     if args and not args[0].startswith("-"):
         task = args.pop(0)

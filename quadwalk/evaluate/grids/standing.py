@@ -26,7 +26,11 @@ def standing_run(loaded: LoadedRun) -> LoadedRun:
 def measure_standing(
     loaded: LoadedRun, episodes: int, seed: int, report: Report | None = None
 ) -> dict[str, Any]:
-    """Shares of a `standing_run` that stand after `SECONDS`, by condition; success: after 3 s."""
+    """The share that stands after `SECONDS` under several conditions, as plain values for JSON.
+
+    `loaded` is by `standing_run`. Each condition has `episodes` from the same starts. success: the
+    share that stands after 3 s.
+    """
     env = loaded.env
     points = standing_points(env)
     starts = starts_at(env, list(points.values()), episodes, seed)
@@ -68,7 +72,10 @@ def standing_points(env: QuadrupedEnv) -> dict[str, Point]:
 
 
 def standing(env: QuadrupedEnv, poses: np.ndarray) -> tuple[bool, ...]:
-    """Whether the trunk, of poses (T + 1, 7), m and wxyz, stands at `SECONDS` on a flat floor."""
+    """Whether the trunk, of poses (T + 1, 7) m and wxyz over a flat floor, stands at `SECONDS`.
+
+    It stands above `HEIGHT` and within `TILT`. It does not where the episode ended before.
+    """
     up = 1.0 - 2.0 * (poses[:, 4] ** 2 + poses[:, 5] ** 2)
     stands = (poses[:, 2] > HEIGHT * env.robot.home_height) & (up > math.cos(TILT))
     steps = [round(seconds / env.config.control_dt) for seconds in SECONDS]

@@ -185,7 +185,10 @@ def figure_text(figure: dict[str, Any] | None) -> str:
 def simulating(
     console: Console, what: str, steps: int, dt: float
 ) -> Iterator[Callable[[int], None]]:
-    """Show a line about `what`, of `steps` of `dt` s; yields what is called with the steps done."""
+    """Show a line about `what`, episodes of up to `steps` control steps of `dt` s, while it runs.
+
+    Yields the function to call with the steps done; when all episodes end early, that is the end.
+    """
     with console.status(f"{what}: compiling (up to half a minute, the first time)") as status:
         first: tuple[float, int] | None = None
 

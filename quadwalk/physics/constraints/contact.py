@@ -146,7 +146,10 @@ def find_constraints(
     velocity: Motion,
     ground: tuple[Under, ...] | None = None,
 ) -> Constraints:
-    """Constraints, the trunk at `height` (robots,), m, with `ground` under spheres; None: level."""
+    """The constraints with the trunk's origin at `height` (robots,), m.
+
+    `ground` is what is under each kind of sphere, where it is not level.
+    """
     points: list[ContactPoint] = []
     reference: list[Array] = []
     weights: list[Array] = []

@@ -50,7 +50,8 @@ def draw_conditions(
     What depends on a robot's size is relative to it. Without a range, `friction` is the model's.
     """
     key, key_episode = jax.random.split(key)
-    # All numbers at once: XLA takes a second or more to compile each call of a generator.
+    # All numbers at once: XLA takes a second or more to compile each call of a generator. The last
+    # says which episodes are ideal; those before it are the same without.
     shares, taken = jax.random.uniform(key, (_DRAWN + (config.ideal > 0.0),)), 0
     ideal = shares[-1] < config.ideal
 

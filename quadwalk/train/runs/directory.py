@@ -178,8 +178,9 @@ def list_runs(root: Path | str) -> list[Run]:
         runs = [Run(path) for path in sorted(Path(root).iterdir()) if _is_run(path)]
     except OSError:
         return []
-    last_trained = {run: max(map(written, (run.config, run.metrics, run.policy))) for run in runs}
-    return sorted(runs, key=last_trained.__getitem__, reverse=True)
+    return sorted(
+        runs, key=lambda run: max(map(written, (run.config, run.metrics, run.policy))), reverse=True
+    )
 
 
 def versions() -> dict[str, str]:
