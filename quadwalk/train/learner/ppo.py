@@ -25,6 +25,7 @@ from quadwalk.train.learner.networks import Networks, Parts, TanhNormal
 
 AXIS = "devices"
 RATE = "learning_rate"  # its name in the optimizer's state
+MOST_KL = 1.0  # of one state, in the mean that the learning rate follows
 Metrics = dict[str, Any]
 
 
@@ -289,7 +290,9 @@ def _policy_loss(
     ratio = jnp.exp(policy.log_prob(met.raw_action) - met.log_prob)
     clipped = jnp.clip(ratio, 1.0 - config.clip_epsilon, 1.0 + config.clip_epsilon)
     loss = -jnp.mean(jnp.minimum(ratio * advantages, clipped * advantages))
-    divergence = jnp.mean(policy.divergence(met.policy))
+    # Where tanh saturates, a policy can be so sure of an action that one state of a thousand
+    # diverges by 10^5, and the learning rate would end at its lower bound.
+    divergence = jnp.mean(jnp.minimum(policy.divergence(met.policy), MOST_KL))
     metrics = {"policy": loss, "kl": divergence, "std": jnp.mean(policy.std)}
     return loss - entropy * jnp.mean(policy.entropy()), metrics
 
