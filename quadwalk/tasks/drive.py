@@ -50,6 +50,6 @@ TASK = TrainConfig(
         ),
         randomization=replace(REAL_WORLD, ideal=0.1),
     ),
-    # Smaller steps, which settle early: with those of PPO, 92 M steps reach less than 37 M here.
+    # Smaller steps, which settle early: PPO's own need 92 M for what 37 M reach (docs/results.md).
     ppo=replace(PPO, retry=0.5, desired_kl=0.015, final_kl=0.006, anneal_share=0.8),
 )
