@@ -140,7 +140,6 @@ def connected(address: str) -> Any:
 
 def _work(keeper: Any, work: Work, cores: int, expected: dict[str, str]) -> Event:
     """Compute a job, in a worker's process of its own."""
-    ray = _ray()
     if versions() != expected:
         differ = ", ".join(
             f"{name} {version} in place of {expected[name]}"
@@ -149,7 +148,7 @@ def _work(keeper: Any, work: Work, cores: int, expected: dict[str, str]) -> Even
         )
         return Event(work.run.name, "failed", f"{socket.gethostname()} has {differ}")
     name = work.run.name
-    number, files = ray.get(keeper.begin.remote(name))
+    number, files = _answer(keeper.begin.remote(name))
     with tempfile.TemporaryDirectory(prefix="quadwalk-") as folder:
         run = Run(Path(folder) / name)
         for place in (run.checkpoints, run.tensorboard):
@@ -161,7 +160,7 @@ def _work(keeper: Any, work: Work, cores: int, expected: dict[str, str]) -> Even
             nonlocal sent
             before, sent = sent, _stats(run.path) if files else sent
             news = _read(run.path, before) if files else {}
-            stop: bool = ray.get(keeper.tell.remote(name, number, row, news, list(sent)))
+            stop: bool = _answer(keeper.tell.remote(name, number, row, news, list(sent)))
             return stop
 
         def watch(row: Row) -> None:
@@ -175,6 +174,11 @@ def _work(keeper: Any, work: Work, cores: int, expected: dict[str, str]) -> Even
         event = compute(work._replace(run=run), cores, watch)
         tell(None, True)
     return event
+
+
+def _answer(reference: Any) -> Any:
+    """What a job asked for. While `ray.get` waits, Ray gives the job's cores to another one."""
+    return reference.future().result()
 
 
 def _stats(folder: Path) -> Stats:

@@ -43,7 +43,8 @@ def test_no_training_is_lost_with_a_machine_and_results_are_those_of_processes(
 
     def watch(job, row):
         middle = [job for job in there if list_checkpoints(job.work.run)]
-        if len(middle) == 2 and not killed.is_set():  # one on each machine, which waits
+        if len(middle) > 1 and not killed.is_set():  # all that have a core, and wait
+            assert len(middle) == 2
             cluster.remove_node(second, allow_graceful=False)
             task[1].touch()
             killed.set()
