@@ -74,7 +74,7 @@ class CommandConfig(Settings, group="env.command"):
     # stays
     lateral_until: Positive | None = None
     # m/s^2; yaw rates are scaled down to this centripetal acceleration, and to half of what
-    # friction bears; None: they are not
+    # friction bears; rewards count no more of one while the robot is faster; None: they are not
     turning: Positive | None = None
     # m; velocities are those of a robot with legs of this length, and other robots have theirs at
     # the same Froude number; None: all robots have the same

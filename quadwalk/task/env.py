@@ -17,7 +17,7 @@ from quadwalk.physics.motor import Effort, PhysicsState, make_motor
 from quadwalk.robot.mirror import robot_mirror
 from quadwalk.robot.quadruped import Quadruped
 from quadwalk.settings.environment import EnvConfig
-from quadwalk.task.episode.command import first_command, next_command
+from quadwalk.task.episode.command import bearable, first_command, next_command
 from quadwalk.task.episode.curriculum import begin_travel, make_curriculum, travel_on
 from quadwalk.task.episode.randomization import (
     EpisodeRandomization,
@@ -30,7 +30,14 @@ from quadwalk.task.reflections import Mirrors
 from quadwalk.task.reward import reward_terms, total_reward
 from quadwalk.task.robot_arrays import above_ground, robot_arrays, task_robot
 from quadwalk.task.sensors import Sensors, make_sensors
-from quadwalk.task.state import EnvState, Step, commanded_speed, heading_velocity, mean_velocity
+from quadwalk.task.state import (
+    EnvState,
+    Step,
+    commanded_speed,
+    heading_velocity,
+    mean_velocity,
+    motion,
+)
 from quadwalk.task.termination import TIME_LIMIT, episode_end, names_of_ends, terminations
 
 CONTACT_GAP = 1e-3  # m: a foot closer to the floor than this counts as touching it
@@ -248,13 +255,17 @@ class QuadrupedEnv(Env):
 
     def _step(self, before: EnvState, after: EnvState, effort: Effort, sane: jax.Array) -> Step:
         """The control step as rewards and terminations see it, before it is known which fell."""
-        dt, qpos = self.config.control_dt, after.qpos
+        config, dt, qpos = self.config, self.config.control_dt, after.qpos
         start = jnp.where(sane, before.qpos, qpos)
         soles, lowest = fast.lowest_points(self.geometry, qpos)
         # MuJoCo's ground gives way: a foot that lands sinks in, up to 2 cm at a run, its shin too.
         radius = self.geometry.contacts[0].radius
         legs = lowest[1:] - jnp.clip(soles[:, 2], -radius, 0.0)
         level = self.terrain is None
+        command = before.velocity_command
+        if before.command is not None:
+            speed = jnp.linalg.norm(motion(start, qpos, dt)[:2])
+            command = bearable(config.command, command, speed, self._grip(before.conditions))
         return Step(
             dt=dt,
             steps=after.steps,
@@ -265,7 +276,7 @@ class QuadrupedEnv(Env):
             last_action=before.last_action,
             power=effort.energy / dt,
             fell=jnp.zeros((), bool),
-            command=before.velocity_command,
+            command=command,
             start_soles=fast.lowest_points(self.geometry, start)[0],
             soles=soles,
             contact=soles[:, 2] < CONTACT_GAP,

@@ -12,7 +12,7 @@ from quadwalk.task.termination import FALLS
 
 TASK = TrainConfig(
     task="drive",
-    steps=92_000_000,
+    steps=82_000_000,
     checkpoint_steps=4_000_000,
     env=EnvConfig(
         **PHYSICS,

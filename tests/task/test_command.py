@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from quadwalk.errors import UsageError
 from quadwalk.settings.environment import NO_RANDOMIZATION, CommandConfig
 from quadwalk.task.env import QuadrupedEnv
-from quadwalk.task.episode.command import Command, draw, first_command, next_command
+from quadwalk.task.episode.command import Command, bearable, draw, first_command, next_command
 from quadwalk.tasks import drive, walk
 
 TOLD = CommandConfig(
@@ -24,16 +24,21 @@ PERIOD = 3  # control steps
 @pytest.fixture(scope="module")
 def told(env) -> QuadrupedEnv:
     """The robot of the other tests, told anew every three control steps."""
-    command = dataclasses.replace(TOLD, seconds=PERIOD * 0.02)
+    command = dataclasses.replace(TOLD, seconds=PERIOD * 0.02, turning=1.0)
     ideal = NO_RANDOMIZATION  # what is seen is so
     config = dataclasses.replace(walk.TASK.env, command=command, randomization=ideal)
     return QuadrupedEnv(env.quadruped, config)
 
 
 @pytest.fixture(scope="module")
-def course(told):
+def step(told):
+    """A compiled step of two episodes."""
+    return jax.jit(jax.vmap(told.step))
+
+
+@pytest.fixture(scope="module")
+def course(told, step):
     """States of two episodes before and after each of eight steps."""
-    step = jax.jit(jax.vmap(told.step))
     states = [jax.jit(jax.vmap(told.reset))(jax.random.split(jax.random.PRNGKey(1), 2))]
     for _ in range(8):
         states.append(step(states[-1], jnp.full((2, 12), 0.1)))
@@ -114,6 +119,16 @@ def test_lateral_commands_fade_and_turns_are_bounded():
     assert 0.9 < (forward * turn).max() <= 1.0 + 1e-4
 
 
+def test_of_a_turn_counts_what_friction_bears_at_the_robots_speed():
+    driven = drive.TASK.env.command
+    asked = jnp.array([0.0, 0.1, -2.0])
+    # 4 m/s^2, or half of what friction bears; at a stand all of it.
+    for speed, grip, turn in ((0.0, 9.81, -2.0), (4.0, 9.81, -1.0), (4.0, 4.0, -0.5)):
+        counted = bearable(driven, asked, jnp.asarray(speed), grip)
+        np.testing.assert_allclose(counted, [0.0, 0.1, turn], rtol=1e-6)
+    np.testing.assert_array_equal(bearable(TOLD, asked, jnp.asarray(4.0), 9.81), asked)
+
+
 def test_commands_hold_for_a_random_time():
     driven = drive.TASK.env.command
 
@@ -171,6 +186,27 @@ def test_a_step_is_rewarded_for_the_command_it_was_given(told, course):
     np.testing.assert_allclose(after.metrics["reward/follow"], expected, rtol=1e-3)
     expected = np.linalg.norm(asked, axis=1) - error
     np.testing.assert_allclose(after.metrics["speed"], expected, atol=1e-3)
+
+
+def test_a_turn_at_a_run_is_rewarded_as_far_as_the_ground_bears_it(told, course, step):
+    before = course[2]
+    now = before.pipeline_state
+    running = now.physics._replace(qvel=now.physics.qvel.at[:, 0].set(jnp.array([2.0, 0.2])))
+    turn = now.command._replace(velocity=jnp.array([[0.0, 0.0, -1.0]] * 2))
+    start = now._replace(physics=running, command=turn)
+    after = step(before.replace(pipeline_state=start), jnp.zeros((2, 12)))
+    qpos = np.asarray([now.qpos, after.pipeline_state.qpos], float)
+    speed = np.linalg.norm((qpos[1] - qpos[0])[:, :2], axis=1) / 0.02
+    assert speed[0] > 1.5 and speed[1] < 0.9  # 1 m/s^2 bears 1 rad/s at 1 m/s
+    first, last = (
+        Rotation.from_quat(qpos[:, :, [4, 5, 6, 3]].reshape(4, 4))
+        .as_euler("ZYX")[:, 0]
+        .reshape(2, 2)
+    )
+    off = (last - first) / 0.02 + np.minimum(1.0 / speed, 1.0)
+    width = walk.TASK.env.reward["follow_yaw_rate"].params["width"]
+    expected = np.exp(-np.square(off / width))
+    np.testing.assert_allclose(after.metrics["reward/follow_yaw_rate"], expected, rtol=1e-3)
 
 
 def test_starts_do_not_depend_on_being_told(env, told):

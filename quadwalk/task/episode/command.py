@@ -70,8 +70,25 @@ def draw(config: CommandConfig, key: jax.Array, grip: ArrayLike = np.inf) -> jax
     if config.lateral_until is not None:
         command = command.at[1].multiply(jnp.maximum(1.0 - speed / config.lateral_until, 0.0))
     if config.turning is not None:
-        needed = speed * np.abs(config.yaw_rate).max() + 1e-6
-        share = jnp.minimum(config.turning, GRIP_USED * grip) / needed
+        share = _yaw_rate(config.turning, speed, grip) / np.abs(config.yaw_rate).max()
         command = command.at[2].multiply(jnp.minimum(share, 1.0))
     command = jnp.where(drawn[3] < 1.0 - config.straight, command, command.at[1:].set(0.0))
     return jnp.where(drawn[3] < config.standing, 0.0, command)
+
+
+def bearable(
+    config: CommandConfig, command: jax.Array, speed: jax.Array, grip: ArrayLike
+) -> jax.Array:
+    """`command` (3,) with no more yaw rate than friction bears at the robot's `speed`, m/s.
+
+    One to turn, at a run, is one to brake first.
+    """
+    if config.turning is None:
+        return command
+    most = _yaw_rate(config.turning, speed, grip)
+    return command.at[2].set(jnp.clip(command[2], -most, most))
+
+
+def _yaw_rate(turning: float, speed: jax.Array, grip: ArrayLike) -> jax.Array:
+    """The largest yaw rate at `speed`, m/s, in rad/s; `grip` as in `draw`."""
+    return jnp.minimum(turning, GRIP_USED * grip) / jnp.maximum(speed, 1e-6)
