@@ -76,6 +76,8 @@ class CommandConfig(Settings, group="env.command"):
     # m/s^2; yaw rates are scaled down to this centripetal acceleration, and to half of what
     # friction bears; rewards count no more of one while the robot is faster; None: they are not
     turning: Positive | None = None
+    # m/s^2; rewards count a new velocity as if commands came to it at this rate; None: at once
+    acceleration: Positive | None = None
     # m; velocities are those of a robot with legs of this length, and other robots have theirs at
     # the same Froude number; None: all robots have the same
     leg: Positive | None = None

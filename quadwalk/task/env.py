@@ -17,7 +17,7 @@ from quadwalk.physics.motor import Effort, PhysicsState, make_motor
 from quadwalk.robot.mirror import robot_mirror
 from quadwalk.robot.quadruped import Quadruped
 from quadwalk.settings.environment import EnvConfig
-from quadwalk.task.episode.command import bearable, first_command, next_command
+from quadwalk.task.episode.command import counted, first_command, next_command
 from quadwalk.task.episode.curriculum import begin_travel, make_curriculum, travel_on
 from quadwalk.task.episode.randomization import (
     EpisodeRandomization,
@@ -265,7 +265,7 @@ class QuadrupedEnv(Env):
         command = before.velocity_command
         if before.command is not None:
             speed = jnp.linalg.norm(motion(start, qpos, dt)[:2])
-            command = bearable(config.command, command, speed, self._grip(before.conditions))
+            command = counted(config.command, before.command, speed, self._grip(before.conditions))
         return Step(
             dt=dt,
             steps=after.steps,

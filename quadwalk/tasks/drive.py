@@ -45,6 +45,7 @@ TASK = TrainConfig(
             seconds=5.0,
             lateral_until=2.0,
             turning=4.0,
+            acceleration=4.0,
             leg=0.5,
             swing=0.61,
         ),

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from quadwalk.errors import UsageError
 from quadwalk.settings.environment import NO_RANDOMIZATION, CommandConfig
 from quadwalk.task.env import QuadrupedEnv
-from quadwalk.task.episode.command import Command, bearable, draw, first_command, next_command
+from quadwalk.task.episode.command import Command, counted, draw, first_command, next_command
 from quadwalk.tasks import drive, walk
 
 TOLD = CommandConfig(
@@ -120,13 +120,29 @@ def test_lateral_commands_fade_and_turns_are_bounded():
 
 
 def test_of_a_turn_counts_what_friction_bears_at_the_robots_speed():
-    driven = drive.TASK.env.command
-    asked = jnp.array([0.0, 0.1, -2.0])
+    driven = dataclasses.replace(drive.TASK.env.command, acceleration=None)
+    told = Command(jnp.array([0.0, 0.1, -2.0]), jax.random.PRNGKey(0))
     # 4 m/s^2, or half of what friction bears; at a stand all of it.
     for speed, grip, turn in ((0.0, 9.81, -2.0), (4.0, 9.81, -1.0), (4.0, 4.0, -0.5)):
-        counted = bearable(driven, asked, jnp.asarray(speed), grip)
-        np.testing.assert_allclose(counted, [0.0, 0.1, turn], rtol=1e-6)
-    np.testing.assert_array_equal(bearable(TOLD, asked, jnp.asarray(4.0), 9.81), asked)
+        found = counted(driven, told, jnp.asarray(speed), grip)
+        np.testing.assert_allclose(found, [0.0, 0.1, turn], rtol=1e-6)
+    np.testing.assert_array_equal(counted(TOLD, told, jnp.asarray(4.0), 9.81), told.velocity)
+
+
+def test_a_velocity_counts_as_if_commands_came_to_it_at_a_rate():
+    # 4 m/s^2 for 0.25 s a step: 1 m/s of the 2.5 m/s to (1.5, 2.0), then another, then the rest.
+    config = dataclasses.replace(TOLD, seconds=100.0, acceleration=4.0)
+    command = first_command(config, jax.random.PRNGKey(0), 0.25)
+    for velocity, way in (
+        ((1.5, 2.0), [(0.0, 0.0), (0.6, 0.8), (1.2, 1.6), (1.5, 2.0), (1.5, 2.0)]),
+        ((1.5, 1.5), [(1.5, 2.0), (1.5, 1.5)]),
+        ((-0.5, 1.5), [(1.5, 1.5), (0.5, 1.5), (-0.5, 1.5)]),
+    ):
+        command = command._replace(velocity=jnp.array([*velocity, 0.3]))
+        for expected in way:
+            found = counted(config, command, jnp.asarray(0.0), 9.81)
+            np.testing.assert_allclose(found, [*expected, 0.3], atol=1e-6)
+            command = next_command(config, command, jnp.asarray(1), 0.25)
 
 
 def test_commands_hold_for_a_random_time():

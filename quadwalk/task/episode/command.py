@@ -21,6 +21,8 @@ class Command(NamedTuple):
     velocity: jax.Array  # (3,) forward and lateral m/s, in the frame of the heading; yaw rate rad/s
     key: jax.Array  # of all commands of the episode
     until: jax.Array | None = None  # () int32, control steps; None: changes are regular
+    # (2,) m/s, on its way from the last command to this one; None: it is there at once
+    reached: jax.Array | None = None
 
 
 def first_command(
@@ -29,7 +31,8 @@ def first_command(
     """The first command of an episode begun with `key`, in steps of `dt` s; `grip` as in `draw`."""
     own = jax.random.fold_in(key, _COMMANDS)
     until = None if config.soonest is None else _until(config, own, dt)
-    return Command(draw(config, own, grip), own, until)
+    reached = None if config.acceleration is None else jnp.zeros(2)
+    return Command(draw(config, own, grip), own, until, reached)
 
 
 def next_command(
@@ -38,6 +41,11 @@ def next_command(
     """The command after `steps` control steps of an episode, of `dt` s each."""
     key = jax.random.fold_in(before.key, steps)
     new = draw(config, key, grip)
+    if before.reached is not None:
+        assert config.acceleration is not None
+        way = before.velocity[:2] - before.reached
+        share = config.acceleration * dt / jnp.maximum(jnp.linalg.norm(way), 1e-6)
+        before = before._replace(reached=before.reached + jnp.minimum(share, 1.0) * way)
     if before.until is None:
         period = max(round(config.seconds / dt), 1)
         return before._replace(velocity=jnp.where(steps % period == 0, new, before.velocity))
@@ -76,17 +84,21 @@ def draw(config: CommandConfig, key: jax.Array, grip: ArrayLike = np.inf) -> jax
     return jnp.where(drawn[3] < config.standing, 0.0, command)
 
 
-def bearable(
-    config: CommandConfig, command: jax.Array, speed: jax.Array, grip: ArrayLike
+def counted(
+    config: CommandConfig, command: Command, speed: jax.Array, grip: ArrayLike
 ) -> jax.Array:
-    """`command` (3,) with no more yaw rate than friction bears at the robot's `speed`, m/s.
+    """What rewards count of `command` (3,), for a robot at `speed`, m/s; `grip` as in `draw`.
 
-    One to turn, at a run, is one to brake first.
+    The velocity on its way there, and no more yaw rate than friction bears at the robot's speed:
+    told to stop and turn, at a run, it is to brake first.
     """
-    if config.turning is None:
-        return command
-    most = _yaw_rate(config.turning, speed, grip)
-    return command.at[2].set(jnp.clip(command[2], -most, most))
+    found = command.velocity
+    if command.reached is not None:
+        found = found.at[:2].set(command.reached)
+    if config.turning is not None:
+        most = _yaw_rate(config.turning, speed, grip)
+        found = found.at[2].set(jnp.clip(found[2], -most, most))
+    return found
 
 
 def _yaw_rate(turning: float, speed: jax.Array, grip: ArrayLike) -> jax.Array:
