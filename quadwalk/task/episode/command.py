@@ -89,8 +89,8 @@ def counted(
 ) -> jax.Array:
     """What rewards count of `command` (3,), for a robot at `speed`, m/s; `grip` as in `draw`.
 
-    The velocity on its way there, and no more yaw rate than friction bears at the robot's speed:
-    told to stop and turn, at a run, it is to brake first.
+    The velocity on its way there, and no more yaw rate than friction bears at the robot's speed.
+    At a run, a command to stop and turn is one to brake first.
     """
     found = command.velocity
     if command.reached is not None:
