@@ -30,14 +30,7 @@ from quadwalk.task.reflections import Mirrors
 from quadwalk.task.reward import reward_terms, total_reward
 from quadwalk.task.robot_arrays import above_ground, robot_arrays, task_robot
 from quadwalk.task.sensors import Sensors, make_sensors
-from quadwalk.task.state import (
-    EnvState,
-    Step,
-    commanded_speed,
-    heading_velocity,
-    mean_velocity,
-    motion,
-)
+from quadwalk.task.state import EnvState, Step, commanded_speed, heading_velocity, mean_velocity
 from quadwalk.task.termination import TIME_LIMIT, episode_end, names_of_ends, terminations
 
 CONTACT_GAP = 1e-3  # m: a foot closer to the floor than this counts as touching it
@@ -264,7 +257,7 @@ class QuadrupedEnv(Env):
         level = self.terrain is None
         command = before.velocity_command
         if before.command is not None:
-            speed = jnp.linalg.norm(motion(start, qpos, dt)[:2])
+            speed = jnp.linalg.norm(qpos[:2] - start[:2]) / dt
             command = counted(config.command, before.command, speed, self._grip(before.conditions))
         return Step(
             dt=dt,
