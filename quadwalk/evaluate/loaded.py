@@ -103,7 +103,7 @@ def load_run(
     written = read_bytes(run.config) if run.config.exists() else None
     quadruped = load_robot(policy.config.robot)
     trained = policy.config.env
-    command = dataclasses.replace(trained.command, seconds=seconds, soonest=None)
+    command = dataclasses.replace(trained.command, seconds=seconds, soonest=None, margin=0.0)
     config = dataclasses.replace(
         trained,
         episode_seconds=seconds,

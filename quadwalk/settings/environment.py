@@ -84,6 +84,7 @@ class CommandConfig(Settings, group="env.command"):
     # with `leg`, forward velocities are at most this share of how fast the thighs' motors can swing
     # a foot; None: motors do not bound them
     swing: Share | None = None
+    margin: Share = 0.0  # training draws from ranges that are wider by this share
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -19,6 +19,7 @@ TOLD = CommandConfig(
     forward=(-0.5, 1.5), lateral=(0.25, 0.25), yaw_rate=(-1.0, 0.0), standing=0.2, seconds=5.0
 )
 PERIOD = 3  # control steps
+DRIVEN = dataclasses.replace(drive.TASK.env.command, margin=0.0)
 
 
 @pytest.fixture(scope="module")
@@ -70,7 +71,7 @@ def test_commands_fill_their_ranges_and_some_are_to_stand():
 
 
 def test_some_commands_are_to_turn_on_the_spot_as_fast_as_any():
-    told = dataclasses.replace(drive.TASK.env.command, spot=0.3)
+    told = dataclasses.replace(DRIVEN, spot=0.3)
     keys = jax.random.split(jax.random.PRNGKey(0), 4000)
     drawn = np.asarray(jax.vmap(lambda key: draw(told, key))(keys))
     spot = ~drawn[:, :2].any(axis=1) & drawn.any(axis=1)
@@ -114,19 +115,35 @@ def test_a_command_stays_for_its_time_and_no_longer():
 
 
 def test_lateral_commands_fade_and_turns_are_bounded():
-    driven = drive.TASK.env.command
-    forward, lateral, turn = np.abs(many(driven, 9.81)).T
+    forward, lateral, turn = np.abs(many(DRIVEN, 9.81)).T
     assert np.all(lateral <= 0.5 * np.maximum(1.0 - forward / 2.0, 0.0) + 1e-6)
     assert np.all(forward * turn <= 4.0 + 1e-4)
     assert turn[forward < 2.0].max() > 1.95  # rad/s: slow turns keep all of their range
     assert (forward * turn).max() > 3.9  # m/s^2
     # On a floor that bears 2 m/s^2 a turn needs half of it at most.
-    forward, _, turn = np.abs(many(driven, 2.0)).T
+    forward, _, turn = np.abs(many(DRIVEN, 2.0)).T
     assert 0.9 < (forward * turn).max() <= 1.0 + 1e-4
 
 
+def test_training_goes_beyond_the_ranges_by_their_margin():
+    wide = dataclasses.replace(DRIVEN, margin=0.1, lateral_until=None)
+    drawn = many(wide, 9.81)
+    # A tenth wider: by 0.275 m/s at either end of 5.5 m/s, by 0.05 of 1 m/s, by 0.2 of 4 rad/s.
+    ends = np.array([[-1.275, -0.55, -2.2], [4.775, 0.55, 2.2]])
+    np.testing.assert_allclose(drawn.min(axis=0), ends[0], atol=0.03)
+    np.testing.assert_allclose(drawn.max(axis=0), ends[1], atol=0.03)
+    centripetal = np.abs(drawn[:, 0] * drawn[:, 2])
+    assert 4.3 < centripetal.max() <= 4.4 + 1e-4  # m/s^2
+    # Rewards count all of what is commanded.
+    told = Command(jnp.array([4.0, 0.0, 1.1]), jax.random.PRNGKey(0))
+    for config, turn in ((wide, 1.1), (DRIVEN, 1.0)):
+        config = dataclasses.replace(config, acceleration=None)
+        found = counted(config, told, jnp.asarray(4.0), 9.81)
+        np.testing.assert_allclose(found, [4.0, 0.0, turn], rtol=1e-6)
+
+
 def test_of_a_turn_counts_what_friction_bears_at_the_robots_speed():
-    driven = dataclasses.replace(drive.TASK.env.command, acceleration=None)
+    driven = dataclasses.replace(DRIVEN, acceleration=None)
     told = Command(jnp.array([0.0, 0.1, -2.0]), jax.random.PRNGKey(0))
     # 4 m/s^2, or half of what friction bears; at a stand all of it.
     for speed, grip, turn in ((0.0, 9.81, -2.0), (4.0, 9.81, -1.0), (4.0, 4.0, -0.5)):

@@ -1,5 +1,6 @@
 """How well a policy follows commands: held ones, changes of them, and its gait at each speed."""
 
+import dataclasses
 from typing import Any
 
 import jax
@@ -34,7 +35,7 @@ def changing_run(loaded: LoadedRun) -> LoadedRun:
     """`loaded` in MuJoCo C, randomized, with commands that change as in training."""
     trained = loaded.policy.config.env
     return loaded.in_mujoco(
-        command=trained.command,
+        command=dataclasses.replace(trained.command, margin=0.0),
         randomization=evaluation_ranges(trained, enabled=True),
         episode_seconds=LONG,
     )

@@ -62,7 +62,7 @@ def _until(config: CommandConfig, key: jax.Array, dt: float) -> jax.Array:
 
 
 def draw(config: CommandConfig, key: jax.Array, grip: ArrayLike = np.inf) -> jax.Array:
-    """A command (3,): uniform in its ranges, then within what `config` and friction allow.
+    """A command (3,): uniform in ranges widened by the margin, then within what friction bears.
 
     For `config.standing` of all keys it is zero, for `config.straight` of them forward alone, for
     `config.spot` to turn on the spot.
@@ -70,7 +70,7 @@ def draw(config: CommandConfig, key: jax.Array, grip: ArrayLike = np.inf) -> jax
     """
     drawn = jax.random.uniform(key, (4,))
     low, high = np.array([config.forward, config.lateral, config.yaw_rate], np.float32).T
-    command = low + drawn[:3] * (high - low)
+    command = low + ((1.0 + config.margin) * (drawn[:3] - 0.5) + 0.5) * (high - low)
     if config.spot:
         turns = (drawn[3] >= config.standing) & (drawn[3] < config.standing + config.spot)
         command = command.at[:2].multiply(~turns)
@@ -78,7 +78,8 @@ def draw(config: CommandConfig, key: jax.Array, grip: ArrayLike = np.inf) -> jax
     if config.lateral_until is not None:
         command = command.at[1].multiply(jnp.maximum(1.0 - speed / config.lateral_until, 0.0))
     if config.turning is not None:
-        share = _yaw_rate(config.turning, speed, grip) / np.abs(config.yaw_rate).max()
+        fastest = (1.0 + config.margin) * np.abs(config.yaw_rate).max()
+        share = _yaw_rate(config, speed, grip) / fastest
         command = command.at[2].multiply(jnp.minimum(share, 1.0))
     command = jnp.where(drawn[3] < 1.0 - config.straight, command, command.at[1:].set(0.0))
     return jnp.where(drawn[3] < config.standing, 0.0, command)
@@ -96,11 +97,13 @@ def counted(
     if command.reached is not None:
         found = found.at[:2].set(command.reached)
     if config.turning is not None:
-        most = _yaw_rate(config.turning, speed, grip)
+        most = _yaw_rate(config, speed, grip)
         found = found.at[2].set(jnp.clip(found[2], -most, most))
     return found
 
 
-def _yaw_rate(turning: float, speed: jax.Array, grip: ArrayLike) -> jax.Array:
+def _yaw_rate(config: CommandConfig, speed: jax.Array, grip: ArrayLike) -> jax.Array:
     """The largest yaw rate at `speed`, m/s, in rad/s; `grip` as in `draw`."""
-    return jnp.minimum(turning, GRIP_USED * grip) / jnp.maximum(speed, 1e-6)
+    assert config.turning is not None
+    most = (1.0 + config.margin) * jnp.minimum(config.turning, GRIP_USED * grip)
+    return most / jnp.maximum(speed, 1e-6)
