@@ -3,8 +3,8 @@
     python benchmarks/pretrained.py [--runs runs/pretrained]
 
 Trains each task as `python train.py TASK` does, unless the folder has a run of that name, and keeps
-each policy and its robot in assets/pretrained/NAME. `drive` begins with the networks of `run`,
-the one in the package with those of 14 million steps (docs/results.md).
+each policy and its robot in assets/pretrained/NAME. `drive` begins with the networks of a shorter
+`run`, as in docs/results.md.
 """
 
 import argparse
@@ -20,7 +20,9 @@ from quadwalk.train.loop import train
 from quadwalk.train.runs import checkpoint
 from quadwalk.train.runs.directory import Run
 
-INIT = {"drive": "run"}  # task -> that whose networks it begins with
+# Task -> flags of the training whose networks it begins with, and the seed of both.
+BEGINS = {"drive": ["run", "--steps", "14000000"]}
+SEED = {"drive": ["--seed", "1"]}
 
 
 def main() -> None:
@@ -31,11 +33,21 @@ def main() -> None:
     for name in options.tasks:
         run = Run(options.runs / name)
         if not run.policy.exists():
-            flags = [name, "--name", name, "--runs", str(options.runs)]
-            flags += ["--init", str(options.runs / INIT[name])] if name in INIT else []
-            train(parse_config(flags)[0])
+            flags = SEED.get(name, [])
+            if name in BEGINS:
+                first = train_run(options.runs, f"{name}-first", [*BEGINS[name], *flags])
+                flags = [*flags, "--init", str(first)]
+            train_run(options.runs, name, [name, *flags])
         keep(run, Run(PRETRAINED / name))
         print(f"{name}: {(PRETRAINED / name / 'policy.npz').stat().st_size / 1e3:.0f} kB")
+
+
+def train_run(runs: Path, name: str, flags: list[str]) -> Path:
+    """The folder of a run `name`, in `runs`, that is trained with `flags` if there is none."""
+    run = Run(runs / name)
+    if not run.policy.exists():
+        train(parse_config([*flags, "--name", name, "--runs", str(runs)])[0])
+    return run.path
 
 
 def keep(run: Run, place: Run) -> None:
@@ -47,7 +59,7 @@ def keep(run: Run, place: Run) -> None:
         "robot": to_dict(RobotConfig(Path("robot.urdf"))),
         "runs": "runs",
         "name": None,
-        "init": INIT.get(place.name),
+        "init": BEGINS[place.name][0] if place.name in BEGINS else None,
     }
     checkpoint.save(place.policy, _nested(leaves), metadata)
 
