@@ -22,7 +22,7 @@ from quadwalk.train.runs.directory import Run
 
 # Task -> flags of the training whose networks it begins with, and the seed of both.
 BEGINS = {"drive": ["run", "--steps", "14000000"]}
-SEED = {"drive": ["--seed", "1"]}
+SEED = {"drive": ["--seed", "1"], "getup": ["--seed", "2"]}
 
 
 def main() -> None:
