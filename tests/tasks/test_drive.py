@@ -95,7 +95,8 @@ def test_robots_are_judged_with_changing_commands_and_all_that_is_drawn(standing
     assert long.env.config.randomization == dataclasses.replace(
         REAL_WORLD, margin=0.0, push_seconds=5.0
     )
-    assert long.env.config.command == dataclasses.replace(drive.TASK.env.command, leg=None)
+    expected = dataclasses.replace(drive.TASK.env.command, leg=None, margin=0.0)
+    assert long.env.config.command == expected
     seen = []
     for _, end, commands in roll_out(long.env, long.policy.act, fresh_starts(long.env, 2, 0), told):
         assert len(np.unique(commands, axis=0)) >= 2
