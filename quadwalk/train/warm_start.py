@@ -1,9 +1,12 @@
 """A training that begins with another run's networks: for another robot, reward or ground."""
 
+import re
 from pathlib import Path
 from typing import Any
 
 import jax
+import jax.numpy as jnp
+import mujoco
 import numpy as np
 from brax.training.acme.running_statistics import NestedMeanStd, RunningStatisticsState
 from brax.training.types import UInt64
@@ -12,7 +15,15 @@ from quadwalk.errors import UserError
 from quadwalk.robot.mirror import RobotMirror, mirror, standing
 from quadwalk.settings.training import TrainConfig
 from quadwalk.task.env import QuadrupedEnv
-from quadwalk.train.learner.networks import Basis, Networks, networks_for, plain, structured
+from quadwalk.task.observation import last_action
+from quadwalk.train.learner.networks import (
+    Basis,
+    Networks,
+    divisors,
+    networks_for,
+    plain,
+    structured,
+)
 from quadwalk.train.learner.ppo import Learner
 from quadwalk.train.robot import load_robot
 from quadwalk.train.runs import checkpoint
@@ -22,6 +33,7 @@ from quadwalk.train.runs.resume import read_config
 
 KNOWN = 8  # iterations for which the source's statistics count: another robot's soon outweigh them
 NAMED = 6  # observations that a note names, at most
+CRITIC = "critic "  # what the names of those begin with that the value network alone sees
 
 
 def begun_from(
@@ -29,10 +41,11 @@ def begun_from(
 ) -> tuple[Learner, list[str]]:
     """`learner` with the networks of a run's newest checkpoint, and notes on what differs.
 
-    Observations are matched by name, those of joints by the joint's place and the way it turns. One
-    that is new has weights of zero, so that the policy acts as it did. Actions are as random as at
-    a start. Of a run without a checkpoint it is the policy alone. Raises a `UserError` in one line
-    for networks that cannot be taken over.
+    Observations are matched by name, those of joints by the joint's place and the way it turns, and
+    legs whose knees point the other way move their feet alike. One that is new has weights of zero,
+    so that the policy acts as it did. Actions are as random as at a start. Of a run without a
+    checkpoint it is the policy alone. Raises a `UserError` in one line for networks that cannot be
+    taken over.
     """
     notes: list[str] = []
     path = latest_checkpoint(source, notes.append)
@@ -55,24 +68,25 @@ def begun_from(
     # A policy alone has seen the first of them.
     places = {name: place for place, name in enumerate(list(known)[: len(statistics.mean)])}
     rows = np.array([places.get(name, -1) for name in names])
-    turned, action = _turned(env, there)
-    weights = np.where(rows < 0, 0.0, turned).astype(np.float32)
-    size = networks.seen.size
-    policy = _taken(found["policy"], rows[:size], weights[:size])
+    seen, actions = _turned(env, there, list(names))
+    seen = np.where(rows[:, None] < 0, 0.0, seen)
+    size, spread = networks.seen.size, np.asarray(divisors(statistics))[rows]
+    policy = _taken(found["policy"], rows[:size], seen[:size, :size], spread[:size])
     last = policy["params"][f"hidden_{len(config.ppo.hidden)}"]
     # Raw standard deviations of 0 are those of a start. Go1 from an AlienGo's `run`, 1.2 million
     # steps, two seeds: 4.5 and 4.8 m/s; with the source's own 4.1 and 4.1, with half a start's 4.5.
     for name, own in last.items():
-        last[name] = own * np.concatenate([action, np.zeros_like(action)])
+        means = np.split(np.asarray(own), 2, axis=-1)[0] @ np.linalg.inv(actions).T
+        last[name] = np.float32(np.concatenate([means, np.zeros_like(means)], axis=-1))
     params = learner.params.replace(policy=structured(policy, networks.seen, networks.outputs))
     if "value" in found:
-        value = _taken(found["value"], rows, weights)
+        value = _taken(found["value"], rows, seen, spread)
         params = params.replace(value=structured(value, networks.whole, _of_value(networks)))
     else:
         notes.append(f"--init: {source.path} has a policy alone: the value network is a new one")
     assert config.envs is not None
     count = KNOWN * config.envs * config.ppo.unroll
-    normalizer = _statistics(learner.normalizer, statistics, rows, weights, count)
+    normalizer = _statistics(learner.normalizer, statistics, rows, seen, count)
     new = [own for name, own in names.items() if name not in known]
     gone = [own for name, own in known.items() if name not in names]
     notes += [f"--init: {_listed(new)} new to these networks"] if new else []
@@ -117,36 +131,88 @@ def _names(env: QuadrupedEnv) -> dict[str, str]:
         joint = max((j for j in places if own.endswith(f"_{j}")), key=len, default=None)
         return own.removesuffix(joint) + places[joint] + bracket + ago if joint else name
 
-    names = *env.sensors.names, *(f"critic {name}" for name in env.sensors.critic_names)
+    names = *env.sensors.names, *(CRITIC + name for name in env.sensors.critic_names)
     return {placed(name): name for name in names}
 
 
-def _turned(env: QuadrupedEnv, there: QuadrupedEnv) -> tuple[np.ndarray, np.ndarray]:
-    """Signs, 1 or -1, of observations (n,) and actions (12,) in `env` for those `there`.
+def _turned(
+    env: QuadrupedEnv, there: QuadrupedEnv, names: list[str]
+) -> tuple[np.ndarray, np.ndarray]:
+    """What observations (n, n) and actions (12, 12) in `env` are `there`, as matrices.
 
-    A joint's are negative where its axis points the other way, in the standing pose.
+    A joint's change their signs where its axis points the other way, in the standing pose. Where a
+    knee does, the thigh's are more by the calf's, and the calf's change their signs: then foot and
+    trunk move alike, exactly so for a thigh as long as its calf.
     """
-    axes, others = (standing(e.quadruped, e.mj_model)[1] for e in (env, there))
-    signs = np.where(np.sum(axes * others, axis=1) < 0.0, -1.0, 1.0)
-    if np.all(signs > 0.0):
-        return np.ones(env.observation_size), signs
+    (own, axes), (other, others) = (standing(e.quadruped, e.mj_model) for e in (env, there))
+    turned = np.where(np.sum(axes * others, axis=1) < 0.0, -1.0, 1.0)
+    observations, actions = map(np.diag, _signs(env, turned))
+    rows = {name: row for row, name in enumerate(names)}
+    terms = {**env.config.observation, **env.config.critic}
+    acted = tuple(f"{name}_" for name, term in terms.items() if term.function is last_action)
+    for leg in map(int, np.flatnonzero(_knees_ahead(env, own) != _knees_ahead(there, other))):
+        thigh, calf = 3 * leg + 1, 3 * leg + 2
+        bend = np.sign(others[thigh] @ others[calf])
+        reach = _reach(env)
+        acting = bend * reach[calf] / reach[thigh]
+        _turn(actions, thigh, calf, acting)
+        for name, row in rows.items():
+            partner = rows.get(re.sub(rf"joint{thigh}(?=\[|$)", f"joint{calf}", name), row)
+            if partner != row:
+                action = name.removeprefix(CRITIC).startswith(acted)
+                _turn(observations, row, partner, acting if action else bend)
+    return observations, actions
+
+
+def _signs(env: QuadrupedEnv, turned: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Signs, 1 or -1, of observations (n,) and actions (12,) where joints have those of `turned`.
+
+    What changes its sign with its joint: so terms say how they mirror.
+    """
+    if np.all(turned > 0.0):
+        return np.ones(env.observation_size), turned
     feet = mirror(np.arange(4), np.ones(4))
-    # What changes its sign with its joint: so terms say how they mirror.
-    turned, usual = (
+    signs, usual = (
         env.sensors.mirrors(RobotMirror(mirror(np.arange(12), own), feet))
-        for own in (signs, np.ones(12))
+        for own in (turned, np.ones(12))
     )
-    if isinstance(turned, str) or isinstance(usual, str):
-        joint = env.quadruped.joints[int(np.argmin(signs))]
-        raise UserError(f"--init: {joint!r} turns the other way in that run, and {turned}")
-    return turned.observation.sign * usual.observation.sign, turned.action.sign * usual.action.sign
+    if isinstance(signs, str) or isinstance(usual, str):
+        joint = env.quadruped.joints[int(np.argmin(turned))]
+        raise UserError(f"--init: {joint!r} turns the other way in that run, and {signs}")
+    return signs.observation.sign * usual.observation.sign, signs.action.sign * usual.action.sign
 
 
-def _taken(params: Any, rows: np.ndarray, weights: np.ndarray) -> Any:
-    """Plain weights whose input i was `rows[i]`, times `weights[i]`."""
+def _turn(matrix: np.ndarray, thigh: int, calf: int, bend: float) -> None:
+    """Turn the knee of these rows of `matrix` to the other side of its leg."""
+    matrix[thigh] += bend * matrix[calf]
+    matrix[calf] *= -1.0
+
+
+def _knees_ahead(env: QuadrupedEnv, pose: mujoco.MjData) -> np.ndarray:
+    """(4,) whether each knee is ahead of the middle of its thigh's joint and its foot."""
+    feet = [env.mj_model.geom(name).id for name in env.quadruped.feet]
+    thighs, knees = pose.xanchor[2::3, 0], pose.xanchor[3::3, 0]
+    ahead: np.ndarray = knees > (thighs + pose.geom_xpos[feet, 0]) / 2.0
+    return ahead
+
+
+def _reach(env: QuadrupedEnv) -> np.ndarray:
+    """(12,) how far an action about 0 moves each joint's target, rad."""
+
+    def targets(action: jax.Array) -> jax.Array:
+        return env.config.action(env.robot, action, jnp.asarray(env.robot.home_joints))
+
+    return np.diagonal(jax.jacobian(targets)(jnp.zeros(12)))
+
+
+def _taken(params: Any, rows: np.ndarray, seen: np.ndarray, spread: np.ndarray) -> Any:
+    """Plain weights of inputs that `seen` (n, n) makes of one's own, once `rows` of the source.
+
+    Inputs are divided by their `spread` (n,), one's own by the same.
+    """
     layers = {name: dict(layer) for name, layer in params["params"].items()}
-    kernel = np.asarray(layers["hidden_0"]["kernel"])
-    layers["hidden_0"]["kernel"] = kernel[rows] * weights[:, None]
+    kernel = np.asarray(layers["hidden_0"]["kernel"])[rows]
+    layers["hidden_0"]["kernel"] = np.float32((seen * spread / spread[:, None]).T @ kernel)
     return {"params": layers}
 
 
@@ -154,7 +220,7 @@ def _statistics(
     like: RunningStatisticsState,
     known: NestedMeanStd,
     rows: np.ndarray,
-    weights: np.ndarray,
+    seen: np.ndarray,
     count: int,
 ) -> RunningStatisticsState:
     """Those of `known`, as of `count` observations.
@@ -165,9 +231,9 @@ def _statistics(
     std = np.where(rows < 0, 1.0, known.std[rows])
     found = like.replace(
         count=UInt64(hi=np.uint32(0), lo=np.uint32(count)),
-        mean=known.mean[rows] * weights,
+        mean=np.linalg.pinv(seen) @ known.mean[rows],
         std=std,
-        summed_variance=count * (std * weights) ** 2,
+        summed_variance=count * np.where(rows < 0, 0.0, std) ** 2,
     )
     return jax.tree.map(lambda new, old: np.asarray(new, old.dtype), found, like)
 

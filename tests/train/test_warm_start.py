@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
+import mujoco
 import numpy as np
 import pytest
 import toy
@@ -16,7 +17,8 @@ from brax.training.acme.running_statistics import NestedMeanStd
 from quadwalk.errors import UsageError, UserError
 from quadwalk.robot.quadruped import load_quadruped
 from quadwalk.settings.serialize import to_dict
-from quadwalk.settings.terms import Observation
+from quadwalk.settings.terms import ActionMap, Observation
+from quadwalk.task.actions import about_home
 from quadwalk.task.env import QuadrupedEnv
 from quadwalk.task.observation import offset
 from quadwalk.tasks import run as task
@@ -192,6 +194,70 @@ def test_a_robot_with_other_joints_acts_the_same_in_the_same_pose(source, tmp_pa
     np.testing.assert_allclose(
         worth(networks, learner, there),
         worth(networks_for(env, config.ppo), saved(run, like), seen),
+        atol=1e-4,
+    )
+
+
+def foot_moves(env):
+    """(12, 12) m/rad, by MuJoCo: how the feet move with each joint about the home pose."""
+    data = mujoco.MjData(env.mj_model)
+    data.qpos[:] = env.quadruped.home
+    mujoco.mj_forward(env.mj_model, data)
+    moves = np.zeros((4, 3, env.mj_model.nv))
+    for own, name in zip(moves, env.quadruped.feet, strict=True):
+        mujoco.mj_jacGeom(env.mj_model, data, own, None, env.mj_model.geom(name).id)
+    return moves.reshape(12, -1)[:, 6:]
+
+
+@pytest.mark.parametrize("axis", ["0 1 0", "0 -1 0"])
+def test_legs_whose_knees_point_the_other_way_move_their_feet_alike(source, tmp_path, axis):
+    """Of an AlienGo whose hind knees are ahead, by their calves' limits or axes."""
+    run, config, env, policy = source
+    _, like = learner_of(env, config, 5)
+    text = env.quadruped.urdf
+    for side in ("RR", "RL"):
+        before, joint, after = text.partition(f'<joint name="{side}_calf_joint"')
+        after = after.replace('<axis xyz="0 1 0"/>', f'<axis xyz="{axis}"/>', 1)
+        if axis == "0 1 0":
+            after = re.sub(
+                r'lower="-(\S+)" upper="-(\S+)"', r'lower="\2" upper="\1"', after, count=1
+            )
+        text = before + joint + after
+    urdf = tmp_path / "other.urdf"
+    urdf.write_text(text)
+    reaches = {"hip": 0.3, "thigh": 2.0, "calf": 1.2}
+    config = changed(config, "env", action=ActionMap(about_home, reaches))
+    other = QuadrupedEnv(load_quadruped(urdf), config.env)
+    np.testing.assert_allclose(other.robot.home_joints[[7, 10]], -env.robot.home_joints[[7, 10]])
+    networks, learner, notes = begun(run, config, other)
+    assert notes == []
+
+    # Of joints there that move the feet as these do: angles, then actions, by the action's reach.
+    angles = np.linalg.solve(foot_moves(env), foot_moves(other))
+    reach = np.tile(list(reaches.values()), 4)
+    actions = angles * reach / reach[:, None]
+    seen = drawn(9, env.observation_size)
+    seen[:, -12:] = 0.0  # encoders' offsets, of joints without names
+    there, rows = seen.copy(), 0
+    critic = (f"critic {name}" for name in other.sensors.critic_names)
+    names = np.array([*other.sensors.names, *critic])
+    for name in names:
+        part, hip, ago = name.partition(f"_{other.quadruped.joints[0]}")
+        if hip:
+            joints = [np.flatnonzero(names == f"{part}_{j}{ago}") for j in other.quadruped.joints]
+            own = np.concatenate(joints)
+            there[:, own] = seen[:, own] @ (actions if part == "last_action" else angles).T
+            rows += 1
+    assert rows == 3 * 5 + 2
+    plain = networks.plain_policy(learner.normalizer, learner.params.policy)
+    found, before = (
+        np.arctanh(mean_policy("swish", *own)(jnp.float32(given)))
+        for own, given in ((plain, seen), (policy, there))
+    )
+    np.testing.assert_allclose(found @ actions.T, before, atol=1e-3)
+    np.testing.assert_allclose(
+        worth(networks, learner, seen),
+        worth(networks_for(env, config.ppo), saved(run, like), there),
         atol=1e-4,
     )
 
