@@ -154,7 +154,7 @@ def _turned(
         thigh, calf = 3 * leg + 1, 3 * leg + 2
         bend = np.sign(others[thigh] @ others[calf])
         reach = _reach(env)
-        acting = bend * reach[calf] / reach[thigh]
+        acting = bend * reach[calf] / reach[thigh] if reach[thigh] else 0.0
         _turn(actions, thigh, calf, acting)
         for name, row in rows.items():
             partner = rows.get(re.sub(rf"joint{thigh}(?=\[|$)", f"joint{calf}", name), row)
@@ -196,13 +196,17 @@ def _knees_ahead(env: QuadrupedEnv, pose: mujoco.MjData) -> np.ndarray:
     return ahead
 
 
-def _reach(env: QuadrupedEnv) -> np.ndarray:
-    """(12,) how far an action about 0 moves each joint's target, rad."""
+def _reach(env: QuadrupedEnv, action: float = 0.01) -> np.ndarray:
+    """(12,) rad, how far actions of 1 move joints' targets, by small ones either way from 0.
 
-    def targets(action: jax.Array) -> jax.Array:
-        return env.config.action(env.robot, action, jnp.asarray(env.robot.home_joints))
-
-    return np.diagonal(jax.jacobian(targets)(jnp.zeros(12)))
+    Of a joint that stands at a limit it is the way that is left.
+    """
+    home = jnp.asarray(env.robot.home_joints, jnp.float32)
+    none, more, less = (
+        np.asarray(env.config.action(env.robot, jnp.full(12, own), home))
+        for own in (0.0, action, -action)
+    )
+    return np.maximum(np.abs(more - none), np.abs(less - none)) / action
 
 
 def _taken(params: Any, rows: np.ndarray, seen: np.ndarray, spread: np.ndarray) -> Any:
