@@ -69,7 +69,6 @@ def begun_from(
     places = {name: place for place, name in enumerate(list(known)[: len(statistics.mean)])}
     rows = np.array([places.get(name, -1) for name in names])
     seen, actions = _turned(env, there, list(names))
-    seen = np.where(rows[:, None] < 0, 0.0, seen)
     size, spread = networks.seen.size, np.asarray(divisors(statistics))[rows]
     policy = _taken(found["policy"], rows[:size], seen[:size, :size], spread[:size])
     last = policy["params"][f"hidden_{len(config.ppo.hidden)}"]
@@ -150,10 +149,11 @@ def _turned(
     rows = {name: row for row, name in enumerate(names)}
     terms = {**env.config.observation, **env.config.critic}
     acted = tuple(f"{name}_" for name, term in terms.items() if term.function is last_action)
-    for leg in map(int, np.flatnonzero(_knees_ahead(env, own) != _knees_ahead(there, other))):
+    legs = np.flatnonzero(_knees_ahead(env, own) != _knees_ahead(there, other)).tolist()
+    reach = _reach(env) if legs else np.ones(12)
+    for leg in legs:
         thigh, calf = 3 * leg + 1, 3 * leg + 2
         bend = np.sign(others[thigh] @ others[calf])
-        reach = _reach(env)
         acting = bend * reach[calf] / reach[thigh] if reach[thigh] else 0.0
         _turn(actions, thigh, calf, acting)
         for name, row in rows.items():
@@ -196,12 +196,12 @@ def _knees_ahead(env: QuadrupedEnv, pose: mujoco.MjData) -> np.ndarray:
     return ahead
 
 
-def _reach(env: QuadrupedEnv, action: float = 0.01) -> np.ndarray:
+def _reach(env: QuadrupedEnv) -> np.ndarray:
     """(12,) rad, how far actions of 1 move joints' targets, by small ones either way from 0.
 
     Of a joint that stands at a limit it is the way that is left.
     """
-    home = jnp.asarray(env.robot.home_joints, jnp.float32)
+    action, home = 0.01, jnp.asarray(env.robot.home_joints, jnp.float32)
     none, more, less = (
         np.asarray(env.config.action(env.robot, jnp.full(12, own), home))
         for own in (0.0, action, -action)
@@ -212,10 +212,10 @@ def _reach(env: QuadrupedEnv, action: float = 0.01) -> np.ndarray:
 def _taken(params: Any, rows: np.ndarray, seen: np.ndarray, spread: np.ndarray) -> Any:
     """Plain weights of inputs that `seen` (n, n) makes of one's own, once `rows` of the source.
 
-    Inputs are divided by their `spread` (n,), one's own by the same.
+    A row of -1 is new. Inputs are divided by their `spread` (n,), one's own by the same.
     """
     layers = {name: dict(layer) for name, layer in params["params"].items()}
-    kernel = np.asarray(layers["hidden_0"]["kernel"])[rows]
+    kernel = np.where(rows[:, None] < 0, 0.0, np.asarray(layers["hidden_0"]["kernel"])[rows])
     layers["hidden_0"]["kernel"] = np.float32((seen * spread / spread[:, None]).T @ kernel)
     return {"params": layers}
 
@@ -235,7 +235,7 @@ def _statistics(
     std = np.where(rows < 0, 1.0, known.std[rows])
     found = like.replace(
         count=UInt64(hi=np.uint32(0), lo=np.uint32(count)),
-        mean=np.linalg.pinv(seen) @ known.mean[rows],
+        mean=np.linalg.solve(seen, np.where(rows < 0, 0.0, known.mean[rows])),
         std=std,
         summed_variance=count * np.where(rows < 0, 0.0, std) ** 2,
     )
