@@ -10,6 +10,7 @@ import numpy as np
 from quadwalk.ground.heightfield import Heightfield, has_field, lay
 from quadwalk.physics.constraints.surface import Surface
 from quadwalk.physics.model import Model
+from quadwalk.robot.mirror import standing
 from quadwalk.robot.quadruped import Quadruped
 from quadwalk.settings.environment import EnvConfig
 
@@ -21,6 +22,7 @@ class RobotArrays:
     home: np.ndarray  # (19,) qpos of the standing pose
     lower: np.ndarray  # (12,) rad
     upper: np.ndarray  # (12,) rad
+    knees_ahead: np.ndarray  # (4,) whether the knee is ahead of thigh's joint and foot, standing
     mass: float  # kg
     gravity: float  # m/s^2
     geometry: Model  # with the spheres that may touch the floor
@@ -74,8 +76,16 @@ def robot_arrays(quadruped: Quadruped, model: mujoco.MjModel, geometry: Model) -
         home=quadruped.home,
         lower=quadruped.lower,
         upper=quadruped.upper,
+        knees_ahead=_knees_ahead(quadruped, model),
         mass=float(model.body_subtreemass[0]),
         gravity=float(-model.opt.gravity[2]),
         geometry=geometry,
         ground=geometry.ground,
     )
+
+
+def _knees_ahead(quadruped: Quadruped, model: mujoco.MjModel) -> np.ndarray:
+    pose, _ = standing(quadruped, model)
+    feet = pose.geom_xpos[[model.geom(name).id for name in quadruped.feet]]
+    ahead: np.ndarray = pose.xanchor[3::3, 0] > (pose.xanchor[2::3, 0] + feet[:, 0]) / 2.0
+    return ahead

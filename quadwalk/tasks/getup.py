@@ -6,7 +6,7 @@ from quadwalk.settings.environment import HOME_RESET, NO_COMMAND, PHYSICS, REAL_
 from quadwalk.settings.terms import ActionMap, Reward
 from quadwalk.settings.training import PPO, TrainConfig
 from quadwalk.task import reward
-from quadwalk.task.actions import about_home
+from quadwalk.task.actions import feet_alike
 from quadwalk.task.observation import PROPRIOCEPTION, TRUE_LEGS, TRUE_TRUNK
 
 TASK = TrainConfig(
@@ -15,7 +15,7 @@ TASK = TrainConfig(
     checkpoint_steps=2_000_000,
     env=EnvConfig(
         **{**PHYSICS, "contacts": "all", "episode_seconds": 6.0},
-        action=ActionMap(about_home, {"hip": 0.8, "thigh": 2.0, "calf": 1.2}),
+        action=ActionMap(feet_alike, {"hip": 0.8, "thigh": 2.0, "calf": 1.2}),
         observation=PROPRIOCEPTION,
         critic={**TRUE_TRUNK, **TRUE_LEGS},
         reward={

@@ -6,7 +6,6 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-import mujoco
 import numpy as np
 from brax.training.acme.running_statistics import NestedMeanStd, RunningStatisticsState
 from brax.training.types import UInt64
@@ -141,26 +140,28 @@ def _turned(
 
     A joint's change their signs where its axis points the other way, in the standing pose. Where a
     knee does, the thigh's are more by the calf's, and the calf's change their signs: then foot and
-    trunk move alike, exactly so for a thigh as long as its calf.
+    trunk move alike, exactly so for a thigh as long as its calf. Small actions move the joints'
+    targets as far as there.
     """
-    (own, axes), (other, others) = (standing(e.quadruped, e.mj_model) for e in (env, there))
+    axes, others = (standing(e.quadruped, e.mj_model)[1] for e in (env, there))
     turned = np.where(np.sum(axes * others, axis=1) < 0.0, -1.0, 1.0)
     observations, actions = map(np.diag, _signs(env, turned))
     rows = {name: row for row, name in enumerate(names)}
-    terms = {**env.config.observation, **env.config.critic}
-    acted = tuple(f"{name}_" for name, term in terms.items() if term.function is last_action)
-    legs = np.flatnonzero(_knees_ahead(env, own) != _knees_ahead(there, other)).tolist()
-    reach = _reach(env) if legs else np.ones(12)
-    for leg in legs:
+    for leg in np.flatnonzero(env.robot.knees_ahead != there.robot.knees_ahead).tolist():
         thigh, calf = 3 * leg + 1, 3 * leg + 2
         bend = np.sign(others[thigh] @ others[calf])
-        acting = bend * reach[calf] / reach[thigh] if reach[thigh] else 0.0
-        _turn(actions, thigh, calf, acting)
+        _turn(actions, thigh, calf, bend)
         for name, row in rows.items():
             partner = rows.get(re.sub(rf"joint{thigh}(?=\[|$)", f"joint{calf}", name), row)
             if partner != row:
-                action = name.removeprefix(CRITIC).startswith(acted)
-                _turn(observations, row, partner, acting if action else bend)
+                _turn(observations, row, partner, bend)
+    actions = actions * _reach(env) / _reach(there)[:, None]
+    terms = {**env.config.observation, **env.config.critic}
+    acted = {f"{name}_joint0" for name, term in terms.items() if term.function is last_action}
+    for name in names:
+        if name.removeprefix(CRITIC).partition("[")[0] in acted:
+            own_rows = [rows[name.replace("joint0", f"joint{joint}")] for joint in range(12)]
+            observations[np.ix_(own_rows, own_rows)] = actions
     return observations, actions
 
 
@@ -188,25 +189,18 @@ def _turn(matrix: np.ndarray, thigh: int, calf: int, bend: float) -> None:
     matrix[calf] *= -1.0
 
 
-def _knees_ahead(env: QuadrupedEnv, pose: mujoco.MjData) -> np.ndarray:
-    """(4,) whether each knee is ahead of the middle of its thigh's joint and its foot."""
-    feet = [env.mj_model.geom(name).id for name in env.quadruped.feet]
-    thighs, knees = pose.xanchor[2::3, 0], pose.xanchor[3::3, 0]
-    ahead: np.ndarray = knees > (thighs + pose.geom_xpos[feet, 0]) / 2.0
-    return ahead
-
-
 def _reach(env: QuadrupedEnv) -> np.ndarray:
     """(12,) rad, how far actions of 1 move joints' targets, by small ones either way from 0.
 
-    Of a joint that stands at a limit it is the way that is left.
+    Of a joint that stands at a limit it is the way that is left; 1 where none moves it.
     """
-    action, home = 0.01, jnp.asarray(env.robot.home_joints, jnp.float32)
+    action, home = 0.1, jnp.asarray(env.robot.home_joints, jnp.float32)
     none, more, less = (
         np.asarray(env.config.action(env.robot, jnp.full(12, own), home))
         for own in (0.0, action, -action)
     )
-    return np.maximum(np.abs(more - none), np.abs(less - none)) / action
+    moved = np.maximum(np.abs(more - none), np.abs(less - none))
+    return np.where(moved > 0.0, moved / action, 1.0)
 
 
 def _taken(params: Any, rows: np.ndarray, seen: np.ndarray, spread: np.ndarray) -> Any:

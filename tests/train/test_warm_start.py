@@ -238,10 +238,13 @@ def test_legs_whose_knees_point_the_other_way_move_their_feet_alike(source, tmp_
     networks, learner, notes = begun(run, config, other)
     assert notes == []
 
-    # Of joints there that move the feet as these do: angles, then actions, by the action's reach.
+    # Of joints there that move the feet as these do: angles, then actions, by their reaches.
     angles = np.linalg.solve(foot_moves(env), foot_moves(other))
-    reach = np.tile(list(reaches.values()), 4)
-    actions = angles * reach / reach[:, None]
+    reach, before = (
+        np.tile([own["hip"], own["thigh"], own["calf"]], 4)
+        for own in (reaches, env.config.action.params)
+    )
+    actions = angles * reach / before[:, None]
     seen = drawn(9, env.observation_size)
     seen[:, -12:] = 0.0  # encoders' offsets, of joints without names
     there, rows = seen.copy(), 0

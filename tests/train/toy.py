@@ -19,6 +19,7 @@ os.environ["TF_CPP_MIN_LOG_LEVEL"] = "3"
 import jax
 import jax.numpy as jnp
 import mujoco
+import numpy as np
 from brax.envs.base import Env, State
 
 import quadwalk.task.env
@@ -92,6 +93,16 @@ class Toy(Plain):
     @property
     def mj_model(self) -> mujoco.MjModel:
         return self.quadruped.full_model(visuals=False)
+
+    @property
+    def robot(self) -> SimpleNamespace:
+        quadruped = self.quadruped
+        return SimpleNamespace(
+            home_joints=quadruped.home[7:],
+            lower=quadruped.lower,
+            upper=quadruped.upper,
+            knees_ahead=np.zeros(4, bool),
+        )
 
     def observe(self, inner: EnvState) -> jax.Array:
         return jnp.array([inner.physics.qpos[0], inner.physics.qpos[1], inner.physics.qvel[0]])
