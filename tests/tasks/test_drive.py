@@ -13,6 +13,7 @@ from quadwalk.evaluate.grids.steering import (
     held_commands,
     holding,
     measure_changing,
+    measure_standing,
     measure_steering,
     steering_run,
 )
@@ -79,13 +80,29 @@ def test_a_robot_that_stands_is_as_far_off_as_its_command_says(standing, capsys,
     assert to_right["time"] is None
     assert changes(drive.TASK.env.command)[0][1] == (pytest.approx(4.05), 0.0, 0.0)
     assert max(abs(each["speed"]) for each in found["gaits"]) < 0.05
+    assert 0.0 < found["standing"]["most"] == found["standing"]["moved"]["mean"] < 0.03
     monkeypatch.setenv("COLUMNS", "120")
     changing = {"seconds": 20.0, "episodes": 4, "success": 0.75, "success_ci95": [0.3, 0.95]}
     print_steering(found | {"changing": changing})
     printed = capsys.readouterr().out
     assert "4.5 m/s, 0 rad/s" in printed
+    assert f"by {1e3 * found['standing']['most']:.1f} mm at most" in printed
     assert "75.0 % (30.0 to 95.0) of 4 episodes of 20 s end without a fall" in printed
     assert len(draw_steering(found, "standing").axes) == 6 + 3
+
+
+def test_a_trunk_moves_as_far_as_it_gets_once_it_has_settled(standing, monkeypatch):
+    away = np.zeros((401, 7))
+    away[:100, 0] = 5.0  # before 2 s
+    away[200, :3] = 0.3, -0.4, 9.0  # and back
+    fallen = np.zeros((50, 7))
+    paths = [(0, True, away), (1, True, away / 5.0), (2, False, fallen)]
+    monkeypatch.setattr(steering, "trunk_paths", lambda *_: iter(paths))
+    found = measure_standing(standing, 3, 0)
+    assert found["most"] == pytest.approx(0.5)
+    assert found["moved"]["mean"] == pytest.approx(0.3)
+    monkeypatch.setattr(steering, "trunk_paths", lambda *_: iter(paths[2:]))
+    assert measure_standing(standing, 1, 0) == {"moved": None, "most": None}
 
 
 def test_robots_are_judged_with_changing_commands_and_all_that_is_drawn(standing, monkeypatch):

@@ -13,7 +13,7 @@ from quadwalk.evaluate.loaded import LoadedRun, evaluation_ranges
 from quadwalk.evaluate.motion.course import SETTLING, WINDOW, heading_velocity, window_means
 from quadwalk.evaluate.motion.gait import measure_gait
 from quadwalk.evaluate.simulate import GROUP, Report, fresh_starts, simulate_episodes
-from quadwalk.evaluate.statistics import number
+from quadwalk.evaluate.statistics import mean_figure, number
 from quadwalk.settings.environment import COMMANDED, CommandConfig
 from quadwalk.task.env import QuadrupedEnv
 
@@ -50,6 +50,7 @@ def measure_steering(
         "engine": loaded.env.engine,
         "episodes": episodes,
         "cells": measure_held(loaded, held_commands(config), episodes, seed, report),
+        "standing": measure_standing(loaded, episodes, seed),
         "gaits": measure_gaits(loaded, seed),
         "responses": [measure_response(loaded, *each, episodes, seed) for each in changes(config)],
     }
@@ -110,6 +111,20 @@ def measure_held(
     starts = holding(env, commands, episodes, seed)
     found = measure_cells(env, loaded.policy.act, starts, episodes, measure, GROUP, report)
     return [{"command": list(held)} | cell for held, cell in zip(commands, found, strict=True)]
+
+
+def measure_standing(loaded: LoadedRun, episodes: int, seed: int) -> dict[str, Any]:
+    """How far the trunk moves at the command to stand, m, from where it is at twice `SETTLING`.
+
+    moved: of the farthest that each of `episodes` gets, the mean. most: the largest.
+    """
+    env = loaded.env
+    settled = round(2 * SETTLING / env.config.control_dt)
+    starts = holding(env, [(0.0, 0.0, 0.0)], episodes, seed)
+    paths = [poses[settled:, :2] for _, _, poses in trunk_paths(env, loaded.policy.act, starts)]
+    # Of those that did not fall before.
+    moved = [float(np.linalg.norm(path - path[0], axis=1).max()) for path in paths if len(path)]
+    return {"moved": mean_figure(moved), "most": max(moved, default=None)}
 
 
 def measure_gaits(loaded: LoadedRun, seed: int) -> list[dict[str, Any]]:

@@ -145,6 +145,12 @@ def print_steering(results: dict[str, Any]) -> None:
         shares = (f"{100 * (each[name] or 0.0):.0f}" for name in ("overshoot", "falls"))
         rows.append((f"{change} {unit}", _text(each["time"], ".2f"), *shares))
     print_table("changes of the command", ("", "s", "overshoot, %", "falls, %"), rows)
+    still = results["standing"]
+    if still["most"] is not None:
+        print(
+            f"told to stand, the trunk moves by {1e3 * still['moved']['mean']:.1f} mm in the mean "
+            f"of {results['episodes']} episodes, by {1e3 * still['most']:.1f} mm at most"
+        )
     long = results["changing"]
     low, high = (100 * end for end in long["success_ci95"])
     print(
