@@ -158,25 +158,15 @@ def fidget(robot: RobotArrays, step: Step) -> jax.Array:
     return jnp.minimum(off, 1.0) * jnp.all(step.command == 0.0)
 
 
-def creep(robot: RobotArrays, step: Step, *, most: float) -> jax.Array:
-    """At the command to stand, mean horizontal speed of soles on the floor, m/s, up to `most`."""
-    speeds = jnp.minimum(_sole_speeds(step), most)
-    return jnp.mean(speeds * step.contact) * jnp.all(step.command == 0.0)
-
-
 def drag(robot: RobotArrays, step: Step, *, height: float) -> jax.Array:
     """Mean horizontal speed of the soles, m/s, up to 2, each by how low it is.
 
     On the floor all of a sole's speed counts, at `height`, m, and above none of it.
     """
-    low = jnp.clip(1.0 - step.soles[:, 2] / height, 0.0, 1.0)
-    return jnp.mean(jnp.minimum(_sole_speeds(step), 2.0) * low)
-
-
-def _sole_speeds(step: Step) -> jax.Array:
-    """Horizontal speeds of the soles (4,), m/s."""
     moved = step.soles[:, :2] - step.start_soles[:, :2]
-    return jnp.linalg.norm(moved, axis=1) / step.dt
+    speed = jnp.minimum(jnp.linalg.norm(moved, axis=1) / step.dt, 2.0)
+    low = jnp.clip(1.0 - step.soles[:, 2] / height, 0.0, 1.0)
+    return jnp.mean(speed * low)
 
 
 def kneel(robot: RobotArrays, step: Step, *, height: float) -> jax.Array:

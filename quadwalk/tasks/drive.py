@@ -26,7 +26,6 @@ TASK = TrainConfig(
             "follow_yaw_rate": Reward(reward.follow_yaw_rate, {"width": 0.3}, scale=1.0),
             "yaw_rate_off": Reward(reward.yaw_rate_off, scale=-0.7),
             "fidget": Reward(reward.fidget, scale=-5.0),
-            "creep": Reward(reward.creep, {"most": 0.05}, scale=-10.0),
             "energy": Reward(reward.energy, scale=-0.05),
             "vertical": Reward(reward.vertical, scale=-0.3),
             "tilt": Reward(reward.tilt, scale=-0.5),

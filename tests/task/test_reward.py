@@ -19,7 +19,6 @@ PARAMS = {
     "follow_yaw_rate": {"width": 1.0},
     "track": {"width": 0.5, "share": 0.2},
     "drag": {"height": 1.0},
-    "creep": {"most": 0.05},
     "kneel": {"height": 0.04},
     "at_home": {"joints": 0.5, "height": 0.2},
     "crossed": {"margin": 0.05},
@@ -62,13 +61,6 @@ def stepping(heights, velocities) -> Step:
     """A step after which the soles are so high, m, and over which they move at m/s along y."""
     soles = jnp.zeros((4, 3)).at[:, 2].set(jnp.array(heights))
     return a_step(start_soles=soles.at[:, 1].add(-0.02 * jnp.array(velocities)), soles=soles)
-
-
-def creeping(command: float) -> Step:
-    """Three of four soles move, one of them above the floor; `command`, m/s ahead."""
-    step = stepping([0.0, 0.0, 0.3, 0.0], [0.03, -0.4, 0.9, 0.0])
-    on_floor = jnp.array([True, True, False, True])
-    return step._replace(contact=on_floor, command=jnp.zeros(3).at[0].set(command))
 
 
 def fidgeting(robot, command: float) -> Step:
@@ -149,8 +141,6 @@ CASES = {
     "follow_yaw_rate": (moving(-np.pi + 0.01, 0.03, (9.0, 9.0), (9.0, 9.0, 3.5)), np.exp(-4.0)),
     # Half as high as a swing should be, on the floor, on the floor at rest, high enough.
     "drag": (stepping([0.5, 0.0, 0.0, 1.5], [1.0, -0.6, 0.0, 1.0]), (0.5 + 0.6) / 4),
-    # Two soles on the floor move, one of them faster than counts; one above it does not count.
-    "creep": (creeping(command=0.0), (0.03 + 0.05) / 4),
     # Of knees and shins, whatever the trunk does: a quarter of the height that costs nothing.
     "kneel": (a_step(lowest=jnp.array([-0.3, 0.01])), 0.75),
     # A quarter of a stride in, FR and RL (the first and last of the four) are to be highest: one
@@ -177,7 +167,6 @@ LIMITS = {
     "follow": (moving(0.0, 0.0, (1e6, 0.0), (0.0, 0.0, 0.0)), 0.0),
     "follow_yaw_rate": (moving(0.0, 3.1, (0.0, 0.0), (0.0, 0.0, 0.0)), 0.0),
     "drag": (stepping([0.0] * 4, [1e6] * 4), 2.0),
-    "creep": (creeping(command=0.1), 0.0),  # only where it is to stand
     "joint_speed": (a_step(qvel=jnp.full(18, 90.0)), 100.0),
     "upright": (a_step(qpos=turned(roll=np.pi)), 0.0),
     "raised": (lambda robot: standing(robot, share=9.0), 1.0),

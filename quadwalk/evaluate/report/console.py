@@ -147,9 +147,10 @@ def print_steering(results: dict[str, Any]) -> None:
     print_table("changes of the command", ("", "s", "overshoot, %", "falls, %"), rows)
     still = results["standing"]
     if still["most"] is not None:
+        mean, most = (1e3 * x for x in (still["moved"]["mean"], still["most"]))
         print(
-            f"told to stand, the trunk moves by {1e3 * still['moved']['mean']:.1f} mm in the mean "
-            f"of {results['episodes']} episodes, by {1e3 * still['most']:.1f} mm at most"
+            f"at the command to stand the trunk moves by {mean:.1f} mm in the mean of "
+            f"{results['episodes']} episodes, by {most:.1f} mm at most"
         )
     long = results["changing"]
     low, high = (100 * end for end in long["success_ci95"])
