@@ -13,8 +13,8 @@ from quadwalk.evaluate.grids.steering import (
     held_commands,
     holding,
     measure_changing,
-    measure_standing,
     measure_steering,
+    measure_still,
     steering_run,
 )
 from quadwalk.evaluate.loaded import LoadedRun
@@ -98,11 +98,11 @@ def test_a_trunk_moves_as_far_as_it_gets_once_it_has_settled(standing, monkeypat
     fallen = np.zeros((50, 7))
     paths = [(0, True, away), (1, True, away / 5.0), (2, False, fallen)]
     monkeypatch.setattr(steering, "trunk_paths", lambda *_: iter(paths))
-    found = measure_standing(standing, 3, 0)
+    found = measure_still(standing, 3, 0)
     assert found["most"] == pytest.approx(0.5)
     assert found["moved"]["mean"] == pytest.approx(0.3)
     monkeypatch.setattr(steering, "trunk_paths", lambda *_: iter(paths[2:]))
-    assert measure_standing(standing, 1, 0) == {"moved": None, "most": None}
+    assert measure_still(standing, 1, 0) == {"moved": None, "most": None}
 
 
 def test_robots_are_judged_with_changing_commands_and_all_that_is_drawn(standing, monkeypatch):

@@ -18,9 +18,11 @@ from quadwalk.settings.environment import COMMANDED, CommandConfig
 from quadwalk.task.env import QuadrupedEnv
 
 Command = tuple[float, float, float]  # forward and lateral m/s, yaw rate rad/s
+STILL: Command = (0.0, 0.0, 0.0)
 
 FORWARD, TURNS = 12, 9  # commands along each axis of the grid
 SECONDS = 8.0  # s, that a command is held
+SETTLED = 2 * SETTLING  # s, after which a held command's motion is evaluated
 LONG = 20.0  # s, of an episode in which commands change as in training
 CHANGE = 4.0  # s, after which it changes where a change is measured
 NEAR = 0.1  # of a change: a response that stays so near its end has arrived
@@ -50,7 +52,7 @@ def measure_steering(
         "engine": loaded.env.engine,
         "episodes": episodes,
         "cells": measure_held(loaded, held_commands(config), episodes, seed, report),
-        "standing": measure_standing(loaded, episodes, seed),
+        "standing": measure_still(loaded, episodes, seed),
         "gaits": measure_gaits(loaded, seed),
         "responses": [measure_response(loaded, *each, episodes, seed) for each in changes(config)],
     }
@@ -80,8 +82,7 @@ def changes(config: CommandConfig) -> list[tuple[Command, Command]]:
     speed = config.forward[1] / 2
     turn = config.yaw_rate[1]
     turn = turn if config.turning is None else min(turn, config.turning / speed)
-    still, left, right = (0.0, 0.0, 0.0), (speed, 0.0, turn), (speed, 0.0, -turn)
-    return [(still, fast), (fast, still), (left, right)]
+    return [(STILL, fast), (fast, STILL), ((speed, 0.0, turn), (speed, 0.0, -turn))]
 
 
 def measure_held(
@@ -93,12 +94,12 @@ def measure_held(
 ) -> list[dict[str, Any]]:
     """Motion, errors and success of `episodes` from the same starts at each command, held.
 
-    forward, lateral, yaw_rate: means of the motion from twice `SETTLING` on, m/s and rad/s.
+    forward, lateral, yaw_rate: means of the motion from `SETTLED` on, m/s and rad/s.
     velocity_error, yaw_rate_error: how far these means are from the command. success: the share
     without a fall.
     """
     env, dt = loaded.env, loaded.env.config.control_dt
-    settled = round(2 * SETTLING / dt)
+    settled = round(SETTLED / dt)
 
     def measure(which: int, upright: bool, poses: np.ndarray) -> dict[str, float | bool]:
         motion = heading_velocity(poses, dt)[settled:]
@@ -113,14 +114,14 @@ def measure_held(
     return [{"command": list(held)} | cell for held, cell in zip(commands, found, strict=True)]
 
 
-def measure_standing(loaded: LoadedRun, episodes: int, seed: int) -> dict[str, Any]:
-    """How far the trunk moves at the command to stand, m, from where it is at twice `SETTLING`.
+def measure_still(loaded: LoadedRun, episodes: int, seed: int) -> dict[str, Any]:
+    """How far the trunk moves at the command to stand, m, from where it is at `SETTLED`.
 
     moved: of the farthest that each of `episodes` gets, the mean. most: the largest.
     """
     env = loaded.env
-    settled = round(2 * SETTLING / env.config.control_dt)
-    starts = holding(env, [(0.0, 0.0, 0.0)], episodes, seed)
+    settled = round(SETTLED / env.config.control_dt)
+    starts = holding(env, [STILL], episodes, seed)
     paths = [poses[settled:, :2] for _, _, poses in trunk_paths(env, loaded.policy.act, starts)]
     # Of those that did not fall before.
     moved = [float(np.linalg.norm(path - path[0], axis=1).max()) for path in paths if len(path)]
