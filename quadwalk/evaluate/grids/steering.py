@@ -1,5 +1,6 @@
 """How well a policy follows commands: held ones, changes of them, and its gait at each speed."""
 
+import copy
 import dataclasses
 from typing import Any
 
@@ -14,6 +15,7 @@ from quadwalk.evaluate.motion.course import SETTLING, WINDOW, heading_velocity, 
 from quadwalk.evaluate.motion.gait import measure_gait
 from quadwalk.evaluate.simulate import GROUP, Report, fresh_starts, simulate_episodes
 from quadwalk.evaluate.statistics import mean_figure, number
+from quadwalk.physics.engines import ENGINES
 from quadwalk.settings.environment import COMMANDED, CommandConfig
 from quadwalk.task.env import QuadrupedEnv
 
@@ -23,6 +25,7 @@ STILL: Command = (0.0, 0.0, 0.0)
 FORWARD, TURNS = 12, 9  # commands along each axis of the grid
 SECONDS = 8.0  # s, that a command is held
 SETTLED = 2 * SETTLING  # s, after which a held command's motion is evaluated
+NO_SLIP = 20  # iterations at most of MuJoCo's no-slip solver
 LONG = 20.0  # s, of an episode in which commands change as in training
 CHANGE = 4.0  # s, after which it changes where a change is measured
 NEAR = 0.1  # of a change: a response that stays so near its end has arrived
@@ -53,6 +56,7 @@ def measure_steering(
         "episodes": episodes,
         "cells": measure_held(loaded, held_commands(config), episodes, seed, report),
         "standing": measure_still(loaded, episodes, seed),
+        "standing_without_creep": measure_still(without_creep(loaded), episodes, seed),
         "gaits": measure_gaits(loaded, seed),
         "responses": [measure_response(loaded, *each, episodes, seed) for each in changes(config)],
     }
@@ -126,6 +130,18 @@ def measure_still(loaded: LoadedRun, episodes: int, seed: int) -> dict[str, Any]
     # Of those that did not fall before.
     moved = [float(np.linalg.norm(path - path[0], axis=1).max()) for path in paths if len(path)]
     return {"moved": mean_figure(moved), "most": max(moved, default=None)}
+
+
+def without_creep(loaded: LoadedRun) -> LoadedRun:
+    """`loaded`, which is in MuJoCo C, with soles that hold as dry friction does.
+
+    MuJoCo's soft friction gives way a little to any force. Its no-slip solver takes that back.
+    """
+    env = copy.copy(loaded.env)
+    model = env.mj_model_of(env.quadruped)
+    model.opt.noslip_iterations = NO_SLIP
+    env.model = ENGINES[env.engine].make_model(model, env.quadruped, env.motor)
+    return dataclasses.replace(loaded, env=env)
 
 
 def measure_gaits(loaded: LoadedRun, seed: int) -> list[dict[str, Any]]:

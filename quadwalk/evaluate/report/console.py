@@ -145,13 +145,14 @@ def print_steering(results: dict[str, Any]) -> None:
         shares = (f"{100 * (each[name] or 0.0):.0f}" for name in ("overshoot", "falls"))
         rows.append((f"{change} {unit}", _text(each["time"], ".2f"), *shares))
     print_table("changes of the command", ("", "s", "overshoot, %", "falls, %"), rows)
-    still = results["standing"]
-    if still["most"] is not None:
-        mean, most = (1e3 * x for x in (still["moved"]["mean"], still["most"]))
-        print(
-            f"at the command to stand the trunk moves by {mean:.1f} mm in the mean of "
-            f"{results['episodes']} episodes, by {most:.1f} mm at most"
-        )
+    for name, how in (("standing", ""), ("standing_without_creep", " without creep of the soles")):
+        still = results[name]
+        if still["most"] is not None:
+            mean, most = (1e3 * x for x in (still["moved"]["mean"], still["most"]))
+            print(
+                f"at the command to stand{how} the trunk moves by {mean:.1f} mm in the mean of "
+                f"{results['episodes']} episodes, by {most:.1f} mm at most"
+            )
     long = results["changing"]
     low, high = (100 * end for end in long["success_ci95"])
     print(
