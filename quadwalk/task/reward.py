@@ -82,20 +82,14 @@ def joint_speed(robot: RobotArrays, step: Step) -> jax.Array:
 
 
 def upright(robot: RobotArrays, step: Step) -> jax.Array:
-    """1 upright, a half on the side, 0 upside down: linear in the angle from upright.
-
-    Upside down it grows at once with every angle: a cosine is flat there.
-    """
-    return 1.0 - jnp.arccos(jnp.clip(_up(step), -1.0, 1.0)) / jnp.pi
+    """1 upright, a quarter on the side, 0 upside down."""
+    return jnp.square((1.0 + _up(step)) / 2.0)
 
 
 def raised(robot: RobotArrays, step: Step) -> jax.Array:
-    """Height of the trunk as a share of that of the home pose, up to 1.
-
-    A quarter of it on the side, 0 upside down.
-    """
+    """Height of the trunk as a share of that of the home pose, up to 1, times `upright`."""
     share = jnp.clip(step.height / robot.home_height, 0.0, 1.0)
-    return share * jnp.square((1.0 + _up(step)) / 2.0)
+    return share * upright(robot, step)
 
 
 def at_home(robot: RobotArrays, step: Step, *, joints: float, height: float) -> jax.Array:

@@ -30,9 +30,7 @@ TASK = TrainConfig(
         termination={},  # it lies at the start
         reset=replace(HOME_RESET, joints=0.8, tumbled=True),
         command=NO_COMMAND,
-        # Weaker motors than those of `REAL_WORLD`, with which few robots stall while they push: the
-        # noise of training frees those, and the policy alone does not.
-        randomization=replace(REAL_WORLD, strength=(0.6, 1.1)),
+        randomization=REAL_WORLD,
     ),
     ppo=replace(PPO, discount=0.98),
 )

@@ -108,7 +108,7 @@ CASES = {
     "roll_pitch_rate": (a_step(qvel=jnp.zeros(18).at[3:5].set(jnp.array([3.0, 4.0]) / 2)), 2.5),
     "action_rate": (a_step(action=jnp.full(12, 0.5), last_action=jnp.full(12, -0.5)), 1.0),
     "joint_speed": (a_step(qvel=jnp.zeros(18).at[6:12].set(-2.0)), 2.0),  # of half the joints
-    "upright": (a_step(qpos=turned(roll=-0.75 * np.pi)), 0.25),
+    "upright": (a_step(qpos=turned(roll=-np.pi / 2)), 0.25),
     # At half the height, and 60 degrees off: three quarters, squared.
     "raised": (lambda robot: standing(robot, share=0.5, pitch=np.pi / 3), 0.5 * 0.75**2),
     # Both front legs of 0.5 m are straight, the right one rolled to the left by 30 degrees.
