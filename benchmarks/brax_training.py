@@ -22,7 +22,8 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from quadwalk.settings.training import PPOConfig
 from quadwalk.train.learner import iteration, ppo
-from quadwalk.train.learner.networks import Networks, TanhNormal, make_networks, mean_policy
+from quadwalk.train.learner.acting import make_policy
+from quadwalk.train.learner.networks import Networks, TanhNormal, make_networks
 
 Params = tuple[Any, Any, Any]  # normalizer, policy, value
 
@@ -169,7 +170,7 @@ def make_judge(env: Env, config: PPOConfig, episodes: int) -> Callable[[Params],
 
     @jax.jit
     def judge(params: Params) -> tuple[jax.Array, jax.Array, jax.Array]:
-        policy = mean_policy(config.activation, params[0], params[1])
+        policy = make_policy(config, params[0], params[1])
 
         def one_step(carry: Any, _: None) -> Any:
             state, running = carry

@@ -73,7 +73,7 @@ def as_onnx(loaded: LoadedRun, console: Console) -> tuple[onnx.ModelProto, Joint
     """The policy as a graph that gives joint targets, compared with JAX; its action map."""
     env = loaded.env
     targets = find_targets(env.config.action, env.robot)
-    weights = Weights.of(loaded.policy.act, loaded.policy.config.ppo.activation)
+    weights = Weights.of(loaded.policy.act, loaded.policy.config.ppo)
     model = build_model(weights, input_order(env), targets, describe(loaded, targets))
     off = largest_difference(model, loaded, targets)
     if off > TOLERANCE:

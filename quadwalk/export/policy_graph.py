@@ -16,8 +16,10 @@ from onnx import TensorProto, helper, numpy_helper
 
 from quadwalk.errors import UserError
 from quadwalk.export.joint_targets import JointTargets
+from quadwalk.settings.training import PPOConfig
 from quadwalk.task.env import QuadrupedEnv
-from quadwalk.train.learner.networks import divisors
+from quadwalk.train.learner.acting import SURE, phases
+from quadwalk.train.learner.networks import MIN_STD, divisors
 
 OPSET = 17
 IR_VERSION = 8  # that of the opset, so that older runtimes read it: ONNX Runtime 1.12 and later
@@ -46,17 +48,20 @@ class Weights:
     std: np.ndarray  # (n,) of what varied, else 1
     layers: list[tuple[np.ndarray, np.ndarray]]  # kernel (in, out) and bias (out,) of each
     activation: str  # of all layers but the last
+    # the last layer's other half, which gives the noise's spread, and its scale; None: no noise
+    noise: tuple[np.ndarray, np.ndarray, float] | None = None
 
     @classmethod
-    def of(cls, act: Any, activation: str) -> "Weights":
+    def of(cls, act: Any, config: PPOConfig) -> "Weights":
         """Those of `Policy.act`; the last layer gives the 12 means of the actions alone."""
         normalizer, params = act.args
         found = [params["params"][f"hidden_{k}"] for k in range(len(params["params"]))]
         layers = [(np.asarray(layer["kernel"]), np.asarray(layer["bias"])) for layer in found]
-        kernel, bias = layers[-1]
-        layers[-1] = kernel[:, : len(bias) // 2], bias[: len(bias) // 2]
+        (kernel, kernel_std), (bias, bias_std) = (np.split(x, 2, axis=-1) for x in layers[-1])
+        layers[-1] = kernel, bias
+        noise = (kernel_std, bias_std, config.std_scale) if config.stochastic else None
         spread = np.asarray(divisors(normalizer))
-        return cls(np.asarray(normalizer.mean), spread, layers, activation)
+        return cls(np.asarray(normalizer.mean), spread, layers, config.activation, noise)
 
 
 def input_labels(env: QuadrupedEnv) -> list[str]:
@@ -91,13 +96,15 @@ def build_model(
     graph = _Graph()
     x = graph.add("Gather", "obs", graph.constant("order", order), axis=1)
     x = graph.add("Sub", x, graph.constant("mean", weights.mean))
-    x = graph.add("Div", x, graph.constant("std", weights.std))
+    x = seen = graph.add("Div", x, graph.constant("std", weights.std))
     for index, (kernel, bias) in enumerate(weights.layers):
         y = x
         for operator in ACTIVATIONS[weights.activation] if index else ():
             y = graph.add("Mul", x, y) if operator == "x *" else graph.add(operator, y)
         names = [graph.constant(f"{kind}_{index}", v) for kind, v in (("w", kernel), ("b", bias))]
         x = graph.add("Gemm", y, *names)
+    if weights.noise is not None:
+        x = graph.add("Add", x, _noise(graph, weights, y, seen))
     actions = graph.add("Tanh", x, name="actions")
     x = graph.add("Mul", actions, graph.constant("scale", targets.scale))
     x = graph.add("Add", x, graph.constant("offset", targets.offset))
@@ -111,6 +118,21 @@ def build_model(
         x = graph.add("Max", x, graph.add("Sub", "joint_pos", reach))
         graph.add("Min", x, graph.add("Add", "joint_pos", reach), name="joint_targets")
     return graph.model(inputs, {"actions": 12, "joint_targets": 12}, metadata)
+
+
+def _noise(graph: "_Graph", weights: Weights, y: str, seen: str) -> str:
+    """What `acting.make_policy` adds to the means; `y` is the input of the last layer."""
+    assert weights.noise is not None
+    kernel, bias, scale = weights.noise
+    names = graph.constant("w_std", kernel), graph.constant("b_std", bias)
+    x = graph.add("Softplus", graph.add("Gemm", y, *names))
+    x = graph.add("Add", x, graph.constant("least", np.array([MIN_STD])))
+    std = graph.add("Mul", x, graph.constant("std_scale", np.array([scale])))
+    unsure = graph.add("Greater", std, graph.constant("sure", np.array([SURE])))
+    x = graph.constant("phases", phases(len(weights.mean), len(bias)))
+    x = graph.add("Sin", graph.add("MatMul", seen, x))
+    x = graph.add("Mul", x, graph.constant("root", np.sqrt([2.0])))
+    return graph.add("Where", unsure, graph.add("Mul", std, x), graph.constant("none", np.zeros(1)))
 
 
 class _Graph:

@@ -1,5 +1,6 @@
 """Settings of a training run: what the command line sets and `config.json` keeps."""
 
+import math
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Literal
@@ -29,7 +30,7 @@ class RobotConfig(Settings, group="robot"):
 class PPOConfig(Settings, group="ppo"):
     """The learner: proximal policy optimization (Schulman et al. 2017, arXiv:1707.06347)."""
 
-    eval_envs: Count  # additional environments that act without noise, to measure the policy
+    eval_envs: Count  # additional environments that act as a trained policy, to measure it
     unroll: Count  # control steps of each environment in an iteration
     minibatches: Count  # minibatches in each pass over an iteration's data
     epochs: Count  # passes over an iteration's data
@@ -59,6 +60,8 @@ class PPOConfig(Settings, group="ppo"):
     retry: Annotated[float, Bounds(0.0, 1.0, open="high")] = 0.0
     # share of the steps, the last, over which desired_kl and the entropy bonus fall
     anneal_share: Annotated[float, Bounds(0.0, 1.0, open="low")] = 0.4
+    # a trained policy acts with noise as in training, not with the mean action
+    stochastic: bool = False
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -67,6 +70,11 @@ class PPOConfig(Settings, group="ppo"):
                 f"--ppo.min-learning-rate is {self.min_learning_rate}; expected at most "
                 f"--ppo.max-learning-rate, {self.max_learning_rate}"
             )
+
+    @property
+    def std_scale(self) -> float:
+        """Of a standard deviation over the network's number: 0 gives `init_std`."""
+        return self.init_std / math.log(2.0)
 
 
 # For a run on a flat floor; 2048 environments on two cores.

@@ -20,7 +20,8 @@ from quadwalk.robot.mirror import Mirror
 from quadwalk.task.reflections import Mirrors
 from quadwalk.tasks import sprint
 from quadwalk.train.learner import iteration, ppo
-from quadwalk.train.learner.networks import Basis, TanhNormal, make_networks, mean_policy, plain
+from quadwalk.train.learner.acting import SURE, make_policy
+from quadwalk.train.learner.networks import Basis, TanhNormal, make_networks, plain
 
 SEEN, MORE, ACTIONS = 5, 3, 2
 ENVS, UNROLL = 6, 4
@@ -159,11 +160,36 @@ def test_the_plain_policy_acts_as_the_learner_does(networks, statistics):
     params = networks.init(jax.random.PRNGKey(2))
     observation = drawn(11, 7, SEEN + MORE)
     mode = jnp.tanh(networks.policy(params.policy, networks.normalized(own, observation)).mean).T
-    policy = mean_policy("swish", *networks.plain_policy(own, params.policy))
+    policy = make_policy(CONFIG, *networks.plain_policy(own, params.policy))
     np.testing.assert_allclose(policy(observation), mode, atol=1e-5)
     np.testing.assert_array_equal(policy(observation), policy(observation[:, :SEEN]))
     other = observation.at[:, SEEN:].add(5.0)
     np.testing.assert_array_equal(policy(observation), policy(other))
+
+
+def test_a_stochastic_policy_acts_with_noise_where_it_is_unsure(networks, statistics):
+    config = dataclasses.replace(CONFIG, stochastic=True)
+    own, params = own_statistics(networks, statistics), networks.init(jax.random.PRNGKey(2))
+    plain = networks.plain_policy(own, params.policy)
+    observation = 3.0 * drawn(12, 4000, SEEN + MORE)
+    mean, std = networks.policy(params.policy, networks.normalized(own, observation))
+    assert std.min() < SURE < std.max()
+
+    def added(observation):
+        return np.arctanh(make_policy(config, *plain)(observation)) - mean.T
+
+    found, clear = added(observation), np.abs(mean.T) < 2.0  # far from where tanh saturates
+    unsure = np.asarray(std.T) > SURE
+    np.testing.assert_allclose(found[clear & ~unsure], 0.0, atol=1e-4)
+    noisy, noise = clear & unsure, found / std.T
+    assert noise[noisy].mean() == pytest.approx(0.0, abs=0.05)
+    assert noise[noisy].std() == pytest.approx(1.0, abs=0.05)
+    joints = noise[noisy.all(axis=1)].T
+    assert np.abs(np.corrcoef(joints) - np.eye(ACTIONS)).max() < 0.1
+    np.testing.assert_array_equal(found, added(observation))
+    # What differs by a tenth of its spread has other noise.
+    moved = added(observation + 0.1 * own.std * drawn(13, *observation.shape))
+    assert np.corrcoef(found[noisy], moved[noisy])[0, 1] < 0.9
 
 
 def test_a_symmetric_network_needs_halves():

@@ -1,6 +1,7 @@
 """The training loop, on an environment whose every number is known."""
 
 import dataclasses
+from functools import partial
 from types import SimpleNamespace
 from typing import NamedTuple
 
@@ -19,7 +20,8 @@ from quadwalk.task.episode.randomization import EpisodeRandomization
 from quadwalk.task.state import EnvState
 from quadwalk.tasks import sprint, walk
 from quadwalk.train.learner import episodes, iteration, ppo
-from quadwalk.train.learner.networks import TanhNormal, make_networks, mean_policy
+from quadwalk.train.learner.acting import make_policy
+from quadwalk.train.learner.networks import TanhNormal, make_networks
 
 CONFIG = dataclasses.replace(
     sprint.TASK.ppo,
@@ -90,10 +92,14 @@ class Rows(NamedTuple):
 
 @pytest.fixture(scope="module")
 def gather(networks):
+    return gathering(networks, CONFIG)
+
+
+def gathering(networks, config):
     """One collection, the data of both devices together."""
 
     def collect(learner, workers):
-        workers, (rollout, _), metrics = ppo.collect(Counter(), networks, CONFIG, learner, workers)
+        workers, (rollout, _), metrics = ppo.collect(Counter(), networks, config, learner, workers)
         own = rollout.seen[0], jnp.tanh(rollout.raw_action), rollout.reward, rollout.discount
         return workers, Rows(*(jnp.moveaxis(x, -1, 0) for x in own)), metrics
 
@@ -183,12 +189,21 @@ def test_evaluation_environments_act_without_noise_and_are_not_learnt_from(colle
     assert len(workers.envs.done) == ENVS + CONFIG.eval_envs
     assert data.reward.shape == (ENVS, CONFIG.unroll)
     assert data.observation.shape == (ENVS, CONFIG.unroll, 2)
-    mean = mean_policy("swish", learner.normalizer, learner.params.policy)
+    mean = make_policy(CONFIG, learner.normalizer, learner.params.policy)
     # Their origins differ, but an untrained policy on few inputs is nearly flat.
     typical = float(np.mean(mean(data.observation)[..., 0]))
     assert metrics["eval/speed"] == pytest.approx(typical, abs=0.2)
     noise = data.action - np.asarray(mean(data.observation))
     assert noise.std() == pytest.approx(CONFIG.init_std, rel=0.35)
+
+
+def test_evaluation_environments_of_a_stochastic_policy_act_with_noise(networks, collected):
+    _, _, data, metrics = collected
+    gather = gathering(networks, dataclasses.replace(CONFIG, stochastic=True))
+    _, same, noisy = jax.device_get(gather(*start(networks)))
+    jax.tree.map(partial(np.testing.assert_allclose, atol=1e-5), same, data)
+    assert noisy["reward"] == pytest.approx(metrics["reward"], rel=1e-5)
+    assert noisy["eval/speed"] != pytest.approx(metrics["eval/speed"], abs=0.01)
 
 
 def test_the_metrics_count_every_episode(collected):
@@ -347,7 +362,7 @@ def test_a_number_that_is_constant_in_the_first_iteration_changes_no_policy_beyo
     assert max(divergences) < 0.5 * ppo.MOST_KL
     # What never varied is never divided by its rounding errors.
     learner = jax.device_get(state.learner)
-    policy = mean_policy("swish", learner.normalizer, learner.params.policy)
+    policy = make_policy(CONFIG, learner.normalizer, learner.params.policy)
     usual, other = jnp.array([2.0, 0.3, 0.0, env.constant]), jnp.array([2.0, 0.3, 0.0, 1.0])
     assert np.abs(policy(other) - policy(usual)).max() < 0.3
 

@@ -23,7 +23,8 @@ from quadwalk.task.env import QuadrupedEnv
 from quadwalk.task.observation import offset
 from quadwalk.tasks import run as task
 from quadwalk.train.learner import iteration
-from quadwalk.train.learner.networks import mean_policy, networks_for
+from quadwalk.train.learner.acting import make_policy
+from quadwalk.train.learner.networks import networks_for
 from quadwalk.train.runs import checkpoint
 from quadwalk.train.runs.directory import Run, as_json, create_run, versions
 from quadwalk.train.runs.policy import save_policy
@@ -99,7 +100,7 @@ def assert_same_actions(networks, learner, seen, policy, before, atol=1e-5, sign
     """`learner` acts on what is `seen` as `policy` does on what it saw `before`, but for signs."""
     own = networks.plain_policy(learner.normalizer, learner.params.policy)
     found, expected = (
-        mean_policy("swish", *plain)(jnp.float32(observation))
+        make_policy(task.TASK.ppo, *plain)(jnp.float32(observation))
         for plain, observation in ((own, seen), (policy, before))
     )
     np.testing.assert_allclose(found, expected * signs, atol=atol)
@@ -260,7 +261,7 @@ def test_legs_whose_knees_point_the_other_way_move_their_feet_alike(source, tmp_
     assert rows == 3 * 5 + 2
     plain = networks.plain_policy(learner.normalizer, learner.params.policy)
     found, before = (
-        np.arctanh(mean_policy("swish", *own)(jnp.float32(given)))
+        np.arctanh(make_policy(task.TASK.ppo, *own)(jnp.float32(given)))
         for own, given in ((plain, seen), (policy, there))
     )
     np.testing.assert_allclose(found @ actions.T, before, atol=1e-3)

@@ -1,11 +1,10 @@
-"""The policy and value networks of the learner, and the policy as a function of its parameters.
+"""The policy and value networks of the learner.
 
 Arrays have features first: an observation is (n, ...), so that every operation of a layer runs
 along contiguous rows of environments. XLA's product for the gradient of weights is half as fast
 the other way round (docs/physics.md).
 """
 
-import functools
 import itertools
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -213,7 +212,7 @@ def make_networks(
     return Networks(
         hidden=config.hidden,
         activation=config.activation,
-        std_scale=float(config.init_std / np.log(2.0)),  # the spread begins at softplus(0)
+        std_scale=config.std_scale,
         seen=Basis(policy_size, seen),
         whole=Basis(policy_size + critic_size, mirrors and mirrors.observation),
         outputs=Basis(2 * action_size, outputs),
@@ -338,7 +337,7 @@ class TanhNormal(NamedTuple):
     def of(cls, outputs: jax.Array, scale: float) -> "TanhNormal":
         """Of a network's `outputs` (24, ...)."""
         mean, raw = jnp.split(outputs, 2)
-        return cls(mean, (jax.nn.softplus(raw) + MIN_STD) * scale)
+        return cls(mean, spread(raw, scale))
 
     def sample(self, key: jax.Array) -> jax.Array:
         """Raw actions (12, ...), before the squashing."""
@@ -362,36 +361,11 @@ class TanhNormal(NamedTuple):
         return jnp.sum(terms, axis=0)
 
 
+def spread(raw: jax.Array, scale: float) -> jax.Array:
+    """Standard deviations of a policy's raw ones."""
+    return (jax.nn.softplus(raw) + MIN_STD) * scale
+
+
 def _log_slope(raw: jax.Array) -> jax.Array:
     """Logarithm of the derivative of tanh."""
     return 2.0 * (jnp.log(2.0) - raw - jax.nn.softplus(-2.0 * raw))
-
-
-def mean_policy(
-    activation: str, normalizer: NestedMeanStd, params: Any
-) -> Callable[[jax.Array], jax.Array]:
-    """The deterministic policy of plain `params`: observation (..., n) to action (..., 12).
-
-    Of an observation it takes the first numbers, those that the policy sees. It is a pytree of its
-    weights, an argument of jitted functions: what was compiled for one policy serves for the next.
-    """
-    return jax.tree_util.Partial(_acting(activation), normalizer, params)
-
-
-@functools.cache
-def _acting(activation: str) -> Callable[[NestedMeanStd, Any, jax.Array], jax.Array]:
-    def act(normalizer: NestedMeanStd, params: Any, observation: jax.Array) -> jax.Array:
-        layers = params["params"]
-        size = len(layers["hidden_0"]["kernel"])
-        # XLA multiplies (rows, n) at nearly twice the speed of (envs, steps, n).
-        x = observation[..., :size].reshape(-1, size)
-        x = (x - normalizer.mean[:size]) / divisors(normalizer)[:size]
-        for number in range(len(layers)):
-            if number:
-                x = ACTIVATION[activation](x)
-            layer = layers[f"hidden_{number}"]
-            x = x @ layer["kernel"] + layer["bias"]
-        mean = jnp.split(x, 2, axis=-1)[0]
-        return jnp.tanh(mean).reshape(*observation.shape[:-1], -1)
-
-    return act

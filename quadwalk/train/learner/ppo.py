@@ -20,6 +20,7 @@ from brax.training.acme.running_statistics import RunningStatisticsState
 from brax.training.agents.ppo.losses import PPONetworkParams
 
 from quadwalk.settings.training import PPOConfig
+from quadwalk.train.learner.acting import SURE
 from quadwalk.train.learner.episodes import fresh_starts, start_anew
 from quadwalk.train.learner.networks import Networks, Parts, TanhNormal
 
@@ -75,7 +76,7 @@ def make_optimizer(config: PPOConfig) -> optax.GradientTransformation:
 def collect(
     env: Env, networks: Networks, config: PPOConfig, learner: Learner, workers: RolloutState
 ) -> tuple[RolloutState, tuple[Rollout, Parts], Metrics]:
-    """Step every environment `unroll` times; the last of them, for evaluation, without noise.
+    """Step every environment `unroll` times; the last of them, for evaluation, as a trained policy.
 
     Returns what those learned from met and what they see (m, envs) at the end, and metrics: means
     per step, and counts of episodes; those of the evaluation environments are named "eval/...",
@@ -99,6 +100,8 @@ def collect(
         policy = networks.policy(learner.params.policy, seen)
         raw_action = policy.sample(key)
         noiseless = jnp.arange(envs) >= learnt_from
+        if config.stochastic:
+            noiseless &= policy.std <= SURE
         action = jnp.tanh(jnp.where(noiseless, policy.mean, raw_action)).T
         after = jax.vmap(env.step)(before, action)
         nan_step = _first_nan(nan_step, after.metrics["nan"], before.pipeline_state, action)

@@ -16,7 +16,8 @@ from quadwalk.robot.mirror import mirror
 from quadwalk.settings.serialize import to_dict
 from quadwalk.settings.training import TrainConfig
 from quadwalk.task.reflections import Mirrors
-from quadwalk.train.learner.networks import KERNELS, check_activation, make_networks, mean_policy
+from quadwalk.train.learner.acting import make_policy
+from quadwalk.train.learner.networks import KERNELS, check_activation, make_networks
 from quadwalk.train.runs import checkpoint
 from quadwalk.train.runs.directory import Run
 from quadwalk.train.runs.resume import config_of
@@ -28,7 +29,7 @@ _MEAN, _STD = "learner/normalizer/mean", "learner/normalizer/std"
 
 @dataclass(frozen=True)
 class Policy:
-    """A deterministic policy and what it belongs to."""
+    """A policy as a function, and what it belongs to."""
 
     act: Callable[[jax.Array], jax.Array]  # observation (..., n) to action (..., 12)
     config: TrainConfig
@@ -82,7 +83,7 @@ def load_checkpoint_policy(path: Path, joints: tuple[str, ...]) -> Policy:
         policy = networks.plain_policy(NestedMeanStd(mean, std), {"params": layers})
     except (*DAMAGE, UserError) as error:
         raise UserError(f"{path} holds no policy that can be used: {error}") from None
-    return Policy(mean_policy(config.ppo.activation, *policy), config, joints, size, steps)
+    return Policy(make_policy(config.ppo, *policy), config, joints, size, steps)
 
 
 def layers_of(leaves: dict[str, Any], prefix: str) -> dict[str, dict[str, Any]]:
@@ -119,5 +120,5 @@ def load_policy(path: Path) -> Policy:
     }
     like = {"normalizer": NestedMeanStd(statistics, statistics), "policy": {"params": layers}}
     tree, _ = checkpoint.load(path, "policy", like)
-    act = mean_policy(config.ppo.activation, tree["normalizer"], tree["policy"])
+    act = make_policy(config.ppo, tree["normalizer"], tree["policy"])
     return Policy(act, config, joints, size, steps)
