@@ -60,7 +60,7 @@ class PPOConfig(Settings, group="ppo"):
     retry: Annotated[float, Bounds(0.0, 1.0, open="high")] = 0.0
     # share of the steps, the last, over which desired_kl and the entropy bonus fall
     anneal_share: Annotated[float, Bounds(0.0, 1.0, open="low")] = 0.4
-    # a trained policy acts with noise as in training, not with the mean action
+    # a trained policy acts with noise, as in training, where it is unsure of its action
     stochastic: bool = False
 
     def __post_init__(self) -> None:
