@@ -17,7 +17,7 @@ demo: $(VENV)/.ready  ## drive a policy that comes trained, in a page of the bro
 setup: $(VENV)/.ready  ## make the environment alone
 
 test: $(VENV)/.ready-dev  ## run the tests
-	$(RUN) -m pytest -n 2 --dist loadfile
+	$(RUN) -m pytest -n 2 --dist loadfile --no-loadscope-reorder
 
 lint: $(VENV)/.ready-dev  ## formatter, linter, type checker
 	$(RUN) -m ruff format --check .

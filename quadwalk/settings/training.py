@@ -73,7 +73,7 @@ class PPOConfig(Settings, group="ppo"):
 
     @property
     def std_scale(self) -> float:
-        """Of a standard deviation over the network's number: 0 gives `init_std`."""
+        """Factor of softplus(the network's output), at which an output of 0 gives `init_std`."""
         return self.init_std / math.log(2.0)
 
 
