@@ -61,15 +61,25 @@ class Rollout:
 
 def first_steps(rollout: Rollout, steps: int) -> Rollout:
     """The first `steps` control steps of `rollout`, with the states around them."""
-    rows = {
-        field.name: steps + (field.name in ("qpos", "qvel"))
+    return _select_steps(rollout, 0, steps)
+
+
+def later_steps(rollout: Rollout, start: int) -> Rollout:
+    """Return the control steps of `rollout` from number `start` on, with the states around them."""
+    return _select_steps(rollout, min(start, rollout.steps), rollout.steps)
+
+
+def _select_steps(rollout: Rollout, start: int, stop: int) -> Rollout:
+    """Return the control steps `start` to `stop`, the latter left out, and their states."""
+    stops = {
+        field.name: stop + (field.name in ("qpos", "qvel"))
         for field in fields(rollout)
         if isinstance(getattr(rollout, field.name), np.ndarray)
     }
     return replace(
         rollout,
-        **{name: getattr(rollout, name)[:count] for name, count in rows.items()},
-        reward_terms={name: term[:steps] for name, term in rollout.reward_terms.items()},
+        **{name: getattr(rollout, name)[start:end] for name, end in stops.items()},
+        reward_terms={name: term[start:stop] for name, term in rollout.reward_terms.items()},
     )
 
 

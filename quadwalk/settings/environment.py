@@ -120,6 +120,17 @@ class CommandConfig(Settings, group="env.command"):
             leg=None,
         )
 
+    def held_at(self, forward: float) -> "CommandConfig":
+        """Return the same with every command straight ahead at `forward`, m/s."""
+        return replace(
+            self,
+            forward=(forward, forward),
+            lateral=(0.0, 0.0),
+            yaw_rate=(0.0, 0.0),
+            standing=0.0,
+            spot=0.0,
+        )
+
     @property
     def given(self) -> bool:
         """Whether there are commands at all."""

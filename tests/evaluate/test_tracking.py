@@ -1,6 +1,7 @@
 """How far an episode was from its commands, on courses drawn with a known error."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import jax
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from quadwalk.evaluate import loaded as loading
+from quadwalk.evaluate.grids import steering
 from quadwalk.evaluate.motion.course import heading_velocity, path_length, tracking_errors
 from quadwalk.evaluate.motion.gait import measure_gait
 from quadwalk.evaluate.rollout import Rollout, first_steps
@@ -117,6 +119,25 @@ def test_figures_of_an_episode_with_commands(glide, quadruped):
     gait = measure_gait(rollout, quadruped)
     assert gait.speed == pytest.approx(length / 4, rel=1e-3)
     assert gait.stride_length * gait.stride_frequency == pytest.approx(1.0)
+
+
+def test_a_gait_at_a_speed_has_no_start_in_it(glide, quadruped, monkeypatch):
+    """Of a robot that stands for 2 s and burns 5 kW, then glides at 2 m/s for 50 W."""
+    velocity, energy = np.zeros((STEPS, 3)), np.full(STEPS, 100.0)
+    velocity[100:, 0], energy[100:] = 2.0, 1.0
+    rollout = dataclasses.replace(glide(velocity, (2.0, 0.0, 0.0)), energy=energy)
+    fallen = first_steps(rollout, 50)
+    monkeypatch.setattr(steering, "FORWARD", 1)
+    monkeypatch.setattr(steering, "holding", lambda *_: None)
+    monkeypatch.setattr(steering, "simulate_episodes", lambda *_, **__: iter([rollout, fallen]))
+    config = SimpleNamespace(control_dt=DT, command=CommandConfig((0, 2), (0, 0), (0, 0), 0, 5))
+    env = SimpleNamespace(quadruped=quadruped, config=config)
+    loaded = SimpleNamespace(env=env, policy=SimpleNamespace(act=None))
+    gait, none = steering.measure_gaits(loaded, 0)
+    assert gait["speed"] == pytest.approx(2.0, rel=1e-3)
+    weight = 9.81 * quadruped.full_model().body_mass.sum()
+    assert gait["cost_of_transport"] == pytest.approx(50.0 / (2.0 * weight), rel=1e-3)
+    assert (none["speed"], none["cost_of_transport"]) == (None, None)
 
 
 def test_an_episode_has_one_command_which_its_policy_sees(quadruped, monkeypatch, tmp_path):

@@ -13,19 +13,23 @@ from quadwalk.evaluate.grids.steering import (
     held_commands,
     holding,
     measure_changing,
+    measure_response,
     measure_steering,
     measure_still,
     steering_run,
+    without_creep,
 )
 from quadwalk.evaluate.loaded import LoadedRun
 from quadwalk.evaluate.report.console import print_steering
 from quadwalk.evaluate.report.panels import draw_steering
 from quadwalk.evaluate.simulate import fresh_starts, roll_out
-from quadwalk.settings.environment import NO_RANDOMIZATION, REAL_WORLD
+from quadwalk.settings.environment import COMMANDED, NO_RANDOMIZATION, REAL_WORLD
 from quadwalk.task.env import QuadrupedEnv
+from quadwalk.task.episode.command import draw
 from quadwalk.tasks import drive
 from quadwalk.train.runs.directory import Run
 from quadwalk.train.runs.policy import Policy
+from tests.evaluate.conftest import glided
 
 
 @pytest.fixture(scope="module")
@@ -93,6 +97,44 @@ def test_a_robot_that_stands_is_as_far_off_as_its_command_says(standing, capsys,
     assert len(draw_steering(found, "standing").axes) == 6 + 3
 
 
+def test_a_command_is_held_for_as_long_as_it_is_measured(standing, monkeypatch):
+    """Of a run that was loaded for shorter episodes, which have one command each."""
+    monkeypatch.setattr(steering, "SECONDS", 0.2)
+    config = standing.env.config
+    short = dataclasses.replace(config.command, seconds=0.06)
+    loaded = steering_run(standing.in_mujoco(command=short))
+    starts = holding(loaded.env, [(1.0, 0.2, 0.5)], 1, 0)
+    ((_, _, commands),) = roll_out(loaded.env, loaded.policy.act, starts, told)
+    np.testing.assert_allclose(commands, np.tile([1.0, 0.2, 0.5], (10, 1)), rtol=1e-6)
+
+
+def test_a_robot_that_moves_as_it_is_told_at_once_has_followed_at_once(standing, monkeypatch):
+    """One whose trunk moves in each step by the command that its policy sees before it."""
+    at = [standing.env.sensors.names.index(f"command_{part}") for part in COMMANDED]
+
+    def glide(env, policy, starts, change):
+        first = np.asarray(starts.pipeline_state.qpos[:, :7], float)
+        for number, _, commands in roll_out(env, policy, starts, seen_commands, change=change):
+            poses = glided(first[number], commands)
+            yield number, True, np.concatenate([first[number, None], poses])
+
+    def seen_commands(env, before, action, after):
+        return before.obs[:, np.array(at)]
+
+    monkeypatch.setattr(steering, "trunk_paths", glide)
+    found = measure_response(standing, (0.5, 0.0, 0.0), (2.0, 0.0, 0.0), 1, 0)
+    np.testing.assert_allclose(found["curve"], 2.0, atol=1e-4)
+
+
+def test_soles_of_randomized_robots_hold_too(standing):
+    """Of robots that draw no more than a friction: their models are made one by one."""
+    friction = standing.env.friction
+    ranges = dataclasses.replace(NO_RANDOMIZATION, enabled=True, friction=(friction, friction))
+    drawn = standing.in_mujoco(randomization=ranges, episode_seconds=3.0)
+    creeping, held = (measure_still(each, 1, 0)["most"] for each in (drawn, without_creep(drawn)))
+    assert 0.0 < held < 0.5 * creeping
+
+
 def test_a_trunk_moves_as_far_as_it_gets_once_it_has_settled(standing, monkeypatch):
     away = np.zeros((401, 7))
     away[:100, 0] = 5.0  # before 2 s
@@ -127,6 +169,13 @@ def test_robots_are_judged_with_changing_commands_and_all_that_is_drawn(standing
 
 def told(env, before, action, after):
     return before.pipeline_state.command.velocity
+
+
+def test_every_command_of_a_held_configuration_is_the_same():
+    """Of 2000 drawn from `drive`, which commands to stand and to turn on the spot."""
+    config = drive.TASK.env.command.held_at(0.7)
+    drawn = jax.vmap(lambda key: draw(config, key))(jax.random.split(jax.random.PRNGKey(0), 2000))
+    np.testing.assert_allclose(drawn, np.tile([0.7, 0.0, 0.0], (2000, 1)), atol=1e-6)
 
 
 @pytest.mark.parametrize("leg", [0.125, 0.5])

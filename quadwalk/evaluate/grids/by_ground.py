@@ -80,9 +80,7 @@ def ground_env(loaded: LoadedRun, kinds: tuple[str, ...], levels: int) -> Quadru
         rows = tuple(kind for kind in kinds for _ in range(max(ROWS // len(kinds), LEAST_ROWS)))
         ground = dataclasses.replace(ground, kinds=rows, levels=levels)
     if command.given:
-        command = dataclasses.replace(
-            command, forward=(PACE, PACE), lateral=(0.0, 0.0), yaw_rate=(0.0, 0.0), standing=0.0
-        )
+        command = command.held_at(PACE)
     config = dataclasses.replace(
         config, ground=dataclasses.replace(ground, confined=True), command=command
     )

@@ -1,6 +1,5 @@
 """How well a policy follows commands: held ones, changes of them, and its gait at each speed."""
 
-import copy
 import dataclasses
 from typing import Any
 
@@ -13,9 +12,9 @@ from quadwalk.evaluate.grids.cells import cell_starts, measure_cells, trunk_path
 from quadwalk.evaluate.loaded import LoadedRun, evaluation_ranges
 from quadwalk.evaluate.motion.course import SETTLING, WINDOW, heading_velocity, window_means
 from quadwalk.evaluate.motion.gait import measure_gait
+from quadwalk.evaluate.rollout import later_steps
 from quadwalk.evaluate.simulate import GROUP, Report, fresh_starts, simulate_episodes
 from quadwalk.evaluate.statistics import mean_figure, number
-from quadwalk.physics.engines import ENGINES
 from quadwalk.settings.environment import COMMANDED, CommandConfig
 from quadwalk.task.env import QuadrupedEnv
 
@@ -32,8 +31,9 @@ NEAR = 0.1  # of a change: a response that stays so near its end has arrived
 
 
 def steering_run(loaded: LoadedRun) -> LoadedRun:
-    """`loaded` in MuJoCo C, in episodes that last as long as a command is held."""
-    return loaded.in_mujoco(episode_seconds=SECONDS)
+    """Return `loaded` in MuJoCo C, in episodes that last as long as a command is held."""
+    command = dataclasses.replace(loaded.env.config.command, seconds=SECONDS, soonest=None)
+    return loaded.in_mujoco(episode_seconds=SECONDS, command=command)
 
 
 def changing_run(loaded: LoadedRun) -> LoadedRun:
@@ -133,24 +133,29 @@ def measure_still(loaded: LoadedRun, episodes: int, seed: int) -> dict[str, Any]
 
 
 def without_creep(loaded: LoadedRun) -> LoadedRun:
-    """`loaded`, which is in MuJoCo C, with soles that hold as dry friction does.
+    """Return `loaded`, which is in MuJoCo C, with soles that hold as dry friction does.
 
     MuJoCo's soft friction gives way a little to any force. Its no-slip solver takes that back.
     """
-    env = copy.copy(loaded.env)
-    model = env.mj_model_of(env.quadruped)
-    model.opt.noslip_iterations = NO_SLIP
-    env.model = ENGINES[env.engine].make_model(model, env.quadruped, env.motor)
+    quadruped, env = loaded.env.quadruped, loaded.env
+    # In the spec, from which the models of randomized robots are made too.
+    spec = quadruped.spec.copy()
+    spec.option.noslip_iterations = NO_SLIP
+    env = QuadrupedEnv(dataclasses.replace(quadruped, spec=spec), env.config, env.engine)
     return dataclasses.replace(loaded, env=env)
 
 
 def measure_gaits(loaded: LoadedRun, seed: int) -> list[dict[str, Any]]:
-    """The gait, cost of transport and stride of one episode at each speed straight ahead."""
+    """Return gait, speed, cost of transport and stride frequency at each speed straight ahead.
+
+    They are of one episode at each, from `SETTLED` on: the start from a stand is left out.
+    """
     env = loaded.env
     speeds = np.linspace(0.0, env.config.command.forward[1], 1 + 2 * FORWARD)[1:]
     starts = holding(env, [(float(speed), 0.0, 0.0) for speed in speeds], 1, seed)
     rollouts = simulate_episodes(env, loaded.policy.act, len(speeds), seed, starts=starts)
-    found = [measure_gait(rollout, env.quadruped) for rollout in rollouts]
+    settled = round(SETTLED / env.config.control_dt)
+    found = [measure_gait(later_steps(rollout, settled), env.quadruped) for rollout in rollouts]
     figures = ("speed", "cost_of_transport", "stride_frequency")
     return [
         {"command": float(speed), "gait": gait.gait}
@@ -174,7 +179,9 @@ def measure_response(
 
     def change(env: QuadrupedEnv, state: State) -> State:
         now = state.pipeline_state
-        velocity = jnp.where((now.steps >= turn)[:, None], jnp.asarray(after), now.command.velocity)
+        # A step sooner: the policy has chosen its action, and sees the command in the next state.
+        changed = now.steps >= turn - 1
+        velocity = jnp.where(changed[:, None], jnp.asarray(after), now.command.velocity)
         command = now.command._replace(velocity=velocity)
         return state.replace(pipeline_state=now._replace(command=command))
 
