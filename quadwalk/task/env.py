@@ -28,7 +28,7 @@ from quadwalk.task.episode.randomization import (
 from quadwalk.task.episode.reset import fresh_start, on_tile
 from quadwalk.task.reflections import Mirrors
 from quadwalk.task.reward import reward_terms, total_reward
-from quadwalk.task.robot_arrays import above_ground, robot_arrays, task_robot
+from quadwalk.task.robot_arrays import above_ground, is_standing, robot_arrays, task_robot
 from quadwalk.task.sensors import Sensors, make_sensors
 from quadwalk.task.state import EnvState, Step, commanded_speed, heading_velocity, mean_velocity
 from quadwalk.task.termination import TIME_LIMIT, episode_end, names_of_ends, terminations
@@ -121,7 +121,7 @@ class QuadrupedEnv(Env):
             obs=zero,
             reward=zero,
             done=zero,
-            metrics=_metrics(zero, zero, zero, terms),
+            metrics=_metrics(zero, zero, zero, terms, zero if config.reset.tumbled else None),
             info=_info(jnp.zeros((), jnp.int32), Effort(jnp.zeros(12), zero), jnp.zeros(4, bool)),
         )
         return self.begun(state)
@@ -192,12 +192,13 @@ class QuadrupedEnv(Env):
             after = after._replace(contact=step.contact)
         speed = commanded_speed(step) if config.command.given else mean_velocity(step)[0]
         failed, fell = 1.0 - sane.astype(jnp.float32), step.fell.astype(jnp.float32)
+        stands = is_standing(self.robot, after.qpos) if config.reset.tumbled else None
         return State(
             pipeline_state=after,
             obs=self.sensors.observation(after),
             reward=total_reward(config.reward, terms),
             done=(end > 0).astype(jnp.float32),
-            metrics=_metrics(speed, fell, failed, terms),
+            metrics=_metrics(speed, fell, failed, terms, stands),
             info=_info(end, effort, step.contact),
         )
 
@@ -351,10 +352,16 @@ def _kept_sane(
 
 
 def _metrics(
-    speed: jax.Array, fell: jax.Array, nan: jax.Array, terms: dict[str, jax.Array]
+    speed: jax.Array,
+    fell: jax.Array,
+    nan: jax.Array,
+    terms: dict[str, jax.Array],
+    stands: jax.Array | None,
 ) -> dict[str, jax.Array]:
+    """Return the metrics of a step; `stands` is None but for tasks that start in any pose."""
     rewards = {f"reward/{name}": value for name, value in terms.items()}
-    return {"speed": speed, "fell": fell, "nan": nan, **rewards}
+    standing = {} if stands is None else {"standing": stands.astype(jnp.float32)}
+    return {"speed": speed, "fell": fell, "nan": nan, **standing, **rewards}
 
 
 def _info(end: jax.Array, effort: Effort, contact: jax.Array) -> dict[str, Any]:

@@ -4,6 +4,7 @@ import math
 from dataclasses import dataclass, replace
 
 import jax
+import jax.numpy as jnp
 import mujoco
 import numpy as np
 
@@ -13,6 +14,12 @@ from quadwalk.physics.model import Model
 from quadwalk.robot.mirror import standing
 from quadwalk.robot.quadruped import Quadruped
 from quadwalk.settings.environment import EnvConfig
+
+
+# A trunk stands above this share of the home pose's height, and with its z axis at most this far
+# from the world's, rad.
+STANDING_HEIGHT = 0.85
+STANDING_TILT = math.radians(18)
 
 
 @dataclass(frozen=True)
@@ -52,6 +59,14 @@ class RobotArrays:
 def above_ground(robot: RobotArrays, qpos: jax.Array) -> jax.Array:
     """Height of the trunk's origin above the ground straight below, m; `qpos` is (19,)."""
     return qpos[2] if robot.ground is None else qpos[2] - robot.ground.at(qpos[0], qpos[1])[0]
+
+
+def is_standing(robot: RobotArrays, qpos: jax.Array) -> jax.Array:
+    """Return True, () bool, for a robot at `qpos` (19,) whose trunk is high and upright."""
+    _, x, y, _ = qpos[3:7]
+    upright = 1.0 - 2.0 * (x * x + y * y) > math.cos(STANDING_TILT)
+    high = above_ground(robot, qpos) > STANDING_HEIGHT * robot.home_height
+    return jnp.logical_and(upright, high)
 
 
 def task_robot(

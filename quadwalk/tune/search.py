@@ -20,7 +20,7 @@ from quadwalk.jobs.runner import Outcome, place_of, run_jobs
 from quadwalk.settings.serialize import with_settings
 from quadwalk.settings.training import TrainConfig
 from quadwalk.train.flags import parse_config
-from quadwalk.train.progress.metrics import SCORED, score
+from quadwalk.train.progress.metrics import SCORED, score, scored_figure
 from quadwalk.train.runs.directory import Run, write_json_atomic
 from quadwalk.train.runs.policy import load_score
 from quadwalk.tune.space import Dimension, as_flags, dimensions, rounded
@@ -167,7 +167,7 @@ class Search:
         """Note how the learning curve goes; whether the trial is to be stopped."""
         trial, speeds = self._trials[job.name], self._speeds[job.name]
         before = row["steps"] - job.config.envs * job.config.ppo.unroll  # type: ignore[operator]
-        speeds.append(row["eval/speed"])
+        speeds.append(scored_figure(row))
         mark, last = (int(MARKS * steps / job.config.steps) for steps in (row["steps"], before))
         if mark == last or job.name in self._pruned or mark >= MARKS:
             return False

@@ -9,7 +9,6 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from quadwalk.evaluate.grids.standing import HEIGHT, TILT
 from quadwalk.evaluate.loaded import LoadedRun
 from quadwalk.evaluate.motion.forces import foot_forces, geom_ids
 from quadwalk.evaluate.motion.kinematics import turned
@@ -22,6 +21,7 @@ from quadwalk.task.episode.command import Command
 from quadwalk.task.episode.randomization import EpisodeRandomization, delayed, targets_needed
 from quadwalk.task.episode.reset import nominal_start
 from quadwalk.task.ground_input import jit
+from quadwalk.task.robot_arrays import STANDING_HEIGHT, STANDING_TILT
 from quadwalk.task.state import EnvState
 from quadwalk.train.runs.policy import Policy as TrainedPolicy
 
@@ -190,7 +190,8 @@ class LiveRobot:
         )
         dt = self.env.stepping.control_dt
         self._fallen = self._fallen + 1 if self.fell or self.rising else 0
-        stands = self._up[2] > math.cos(TILT) and self.height > HEIGHT * self.env.robot.home_height
+        upright = self._up[2] > math.cos(STANDING_TILT)
+        stands = upright and self.height > STANDING_HEIGHT * self.env.robot.home_height
         self._standing = self._standing + 1 if stands else 0
         if diverged or self._fallen * dt > (RISING if self._riser else LYING):
             self.reset()

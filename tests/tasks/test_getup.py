@@ -16,6 +16,7 @@ from quadwalk.robot.mjcf import Options
 from quadwalk.robot.quadruped import load_quadruped
 from quadwalk.robot.scene import lowest_point
 from quadwalk.task.env import QuadrupedEnv
+from quadwalk.task.robot_arrays import is_standing
 from quadwalk.tasks import getup
 from quadwalk.train.runs.directory import Run
 from quadwalk.train.runs.policy import Policy
@@ -87,6 +88,19 @@ def test_only_the_time_limit_ends_an_episode_and_what_is_not_finite(rising, star
     assert ended[0] == ["running"] * 16
     assert ended[1] == ["nan"] + ["running"] * 15
     assert ended[2][1:] == ["time limit"] * 15
+
+
+def test_a_step_tells_who_stands_as_the_evaluation_does(rising):
+    home = np.asarray(rising.robot.home)
+    tilted, low = home.copy(), home.copy()
+    tilted[3:7] = Rotation.from_euler("x", 19, degrees=True).as_quat(scalar_first=True)
+    low[2] *= 0.84
+    poses = np.stack([home, tilted, low])
+    stands = jax.vmap(lambda qpos: is_standing(rising.robot, qpos))(jnp.asarray(poses))
+    assert stands.tolist() == [True, False, False]
+    long = (1 + round(max(SECONDS) / 0.02), 1)
+    assert [standing(rising, np.tile(pose[:7], long))[1] for pose in poses] == stands.tolist()
+    assert "standing" in jax.eval_shape(rising.reset, jax.random.PRNGKey(0)).metrics
 
 
 def test_the_policy_sees_what_a_real_robot_measures(rising):

@@ -61,6 +61,14 @@ def test_the_score_is_the_evaluation_speed_less_the_falls():
     assert metrics.score == pytest.approx(-2.0)  # falls do not make it better
 
 
+def test_the_score_of_a_task_that_starts_in_any_pose_is_the_share_of_time_standing():
+    metrics, none = TrainingMetrics(sprint.TASK.env.reward), {"eval/count/fell": 0}
+    for speed, standing in ((0.3, 0.0), (0.0, 0.5)):
+        row = metrics.row(0, numbers(**{"eval/speed": speed, "eval/standing": standing, **none}))
+    assert row["eval/standing"] == 0.5
+    assert metrics.score == pytest.approx(0.25)
+
+
 def test_counting_goes_on_from_a_saved_state():
     whole, first, second = (TrainingMetrics(sprint.TASK.env.reward) for _ in range(3))
     rows = [numbers(**{"eval/count/fell": k % 3, "count/nan": k}) for k in range(40)]

@@ -12,10 +12,9 @@ from quadwalk.evaluate.loaded import LoadedRun
 from quadwalk.evaluate.simulate import GROUP, Report
 from quadwalk.settings.environment import REAL_WORLD
 from quadwalk.task.env import QuadrupedEnv
+from quadwalk.task.robot_arrays import STANDING_HEIGHT, STANDING_TILT
 
 SECONDS = (2.0, 3.0, 6.0)  # after the start, when it is looked at
-HEIGHT = 0.85  # of the home pose's, of a trunk that stands
-TILT = math.radians(18)  # of its z axis from the world's, at most
 
 
 def standing_run(loaded: LoadedRun) -> LoadedRun:
@@ -72,11 +71,12 @@ def standing_points(env: QuadrupedEnv) -> dict[str, Point]:
 
 
 def standing(env: QuadrupedEnv, poses: np.ndarray) -> tuple[bool, ...]:
-    """Whether the trunk, of poses (T + 1, 7) m and wxyz over a flat floor, stands at `SECONDS`.
+    """Return True where a trunk of `poses` (T + 1, 7), m and wxyz, stands at `SECONDS`.
 
-    It stands above `HEIGHT` and within `TILT`. It does not where the episode ended before.
+    The floor is flat. It does not stand where the episode ended before.
     """
     up = 1.0 - 2.0 * (poses[:, 4] ** 2 + poses[:, 5] ** 2)
-    stands = (poses[:, 2] > HEIGHT * env.robot.home_height) & (up > math.cos(TILT))
+    high = poses[:, 2] > STANDING_HEIGHT * env.robot.home_height
+    stands = high & (up > math.cos(STANDING_TILT))
     steps = [round(seconds / env.config.control_dt) for seconds in SECONDS]
     return tuple(step < len(stands) and bool(stands[step]) for step in steps)

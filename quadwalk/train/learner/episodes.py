@@ -80,6 +80,7 @@ def start_anew(
     expected: Callable[[jax.Array], jax.Array],
     after: State,
     start: State,
+    learnt_from: int,
     key: jax.Array,
 ) -> tuple[jax.Array, State]:
     """Rewards (n,) to learn from, and `after` with finished episodes replaced by `start`.
@@ -92,7 +93,7 @@ def start_anew(
     late = start.pipeline_state.steps * after.metrics["fell"].astype(jnp.int32)
     changes = {"steps": late}
     if config.retry:
-        changes["conditions"] = retried(config.retry, after, start, key)
+        changes["conditions"] = retried(config.retry, after, start, learnt_from, key)
     start = start.replace(pipeline_state=start.pipeline_state._replace(**changes))
     envs, ended = len(after.done), jnp.sum(after.done > 0)
     rows = jnp.flatnonzero(after.done > 0, size=envs + SOME, fill_value=envs)
@@ -117,13 +118,17 @@ def start_anew(
     return reward, after.replace(pipeline_state=state, obs=obs)
 
 
-def retried(share: float, after: State, start: State, key: jax.Array) -> Any:
-    """The conditions of `start`; after that share of falls, those of the episode that fell.
+def retried(
+    share: float, after: State, start: State, learnt_from: int, key: jax.Array
+) -> Any:
+    """Return the conditions of `start`; after that share of falls, those of the one that fell.
 
-    As prioritized level replay does (Jiang et al. 2021, arXiv:2010.03934), by falls alone.
+    As prioritized level replay does (Jiang et al. 2021, arXiv:2010.03934), by falls alone. The
+    environments that evaluate, from number `learnt_from` on, meet what is drawn.
     """
     fallen, fresh = after.pipeline_state.conditions, start.pipeline_state.conditions
     if fresh is None:
         return None
     again = jax.random.bernoulli(key, share, after.done.shape) & (after.metrics["fell"] > 0)
+    again &= jnp.arange(len(after.done)) < learnt_from
     return tree_where(again, fallen._replace(targets=fresh.targets, key=fresh.key), fresh)

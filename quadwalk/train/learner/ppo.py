@@ -106,7 +106,13 @@ def collect(
         after = jax.vmap(env.step)(before, action)
         nan_step = _first_nan(nan_step, after.metrics["nan"], before.pipeline_state, action)
         reward, following = start_anew(
-            env, config, expected, after, starts.of_step(number), jax.random.fold_in(key, 1)
+            env,
+            config,
+            expected,
+            after,
+            starts.of_step(number),
+            learnt_from,
+            jax.random.fold_in(key, 1),
         )
         log_prob = policy.log_prob(raw_action)
         met = Rollout(seen, raw_action, policy, log_prob, reward, 1.0 - after.done)
@@ -131,7 +137,11 @@ def _step_metrics(after: State, learnt_from: int) -> Metrics:
     return {
         "reward": jnp.mean(after.reward[:learnt_from]),
         **{name: jnp.mean(value[:learnt_from]) for name, value in after.metrics.items()},
-        "eval/speed": jnp.mean(after.metrics["speed"][learnt_from:]),
+        **{
+            f"eval/{name}": jnp.mean(after.metrics[name][learnt_from:])
+            for name in ("speed", "standing")
+            if name in after.metrics
+        },
         "count/ended": jnp.sum(after.done[:learnt_from]),
         "count/fell": jnp.sum(after.metrics["fell"][:learnt_from]),
         "count/nan": jnp.sum(after.metrics["nan"]),

@@ -9,18 +9,26 @@ from quadwalk.settings.terms import Reward
 
 EPISODES = 32  # the share of falls is over about this many of the last episodes
 LEVEL = "train/level/"  # before a kind of ground
-SCORED = 20  # iterations of "eval/speed" that tell how good a policy is
+SCORED = 20  # iterations whose `scored_figure` tells how good a policy is
 
 
-def score(speeds: Collection[float], falls: float) -> float:
-    """How good a policy is: its mean evaluation speed, m/s, times the share not falling.
+def scored_figure(row: Mapping[str, Any]) -> float:
+    """Return the figure of a row of metrics that its task is about.
 
-    A speed below 0 is no better for falls. `speeds` are those of the last `SCORED` iterations, in
+    It is the share of time standing where episodes start in any pose, else the speed, m/s.
+    """
+    return float(row.get("eval/standing", row["eval/speed"]))
+
+
+def score(figures: Collection[float], falls: float) -> float:
+    """Return how good a policy is: the mean of its `scored_figure`, times the share not falling.
+
+    A speed below 0 is no better for falls. `figures` are those of the last `SCORED` iterations, in
     which 64 evaluation environments together run for some minutes; no falls are counted before an
     episode has ended, while `falls` is NaN.
     """
-    speed = sum(speeds) / len(speeds) if speeds else 0.0
-    return min(speed, speed * (1.0 - (0.0 if math.isnan(falls) else falls)))
+    mean = sum(figures) / len(figures) if figures else 0.0
+    return min(mean, mean * (1.0 - (0.0 if math.isnan(falls) else falls)))
 
 
 class TrainingMetrics:
@@ -30,6 +38,7 @@ class TrainingMetrics:
     rewards are per step and scaled, so that the terms add up to the reward. train/nan: episodes
     that a state with NaN has ended so far. eval/speed, eval/fall_rate: of the evaluation
     environments, where the policy acts without noise. Speeds in m/s, falls as a share of episodes.
+    eval/standing: the share of time that those stand, of tasks that start in any pose.
     train/level/KIND: with a curriculum, the mean level, from 0, of environments on that ground.
     """
 
@@ -37,7 +46,7 @@ class TrainingMetrics:
         self._rewards = rewards
         self._train_falls = FallRate(EPISODES)
         self._eval_falls = FallRate(EPISODES)
-        self._speeds: collections.deque[float] = collections.deque(maxlen=SCORED)
+        self._figures: collections.deque[float] = collections.deque(maxlen=SCORED)
         self._nan = 0.0
 
     def state(self) -> dict[str, Any]:
@@ -45,7 +54,7 @@ class TrainingMetrics:
         return {
             "train_falls": self._train_falls.counts,
             "eval_falls": self._eval_falls.counts,
-            "speeds": list(self._speeds),
+            "speeds": list(self._figures),
             "nan": self._nan,
         }
 
@@ -53,19 +62,20 @@ class TrainingMetrics:
         """Go on from where `state` was taken."""
         self._train_falls = FallRate(EPISODES, state["train_falls"])
         self._eval_falls = FallRate(EPISODES, state["eval_falls"])
-        self._speeds.extend(map(float, state["speeds"]))
+        self._figures.extend(map(float, state["speeds"]))
         self._nan = float(state["nan"])
 
     @property
     def score(self) -> float:
         """How good the policy is of late, by `score` of the last `SCORED` iterations."""
-        return score(self._speeds, self._eval_falls.share)
+        return score(self._figures, self._eval_falls.share)
 
     def row(self, steps: int, numbers: Mapping[str, Any]) -> dict[str, float]:
         """The row after `steps` control steps, from what `quadwalk.train.learner.ppo` gives."""
         values = {name: float(value) for name, value in numbers.items() if name != "nan_step"}
         self._nan += values["count/nan"]
-        self._speeds.append(values["eval/speed"])
+        self._figures.append(scored_figure(values))
+        standing = {name: x for name, x in values.items() if name == "eval/standing"}
         terms = {
             f"train/{name}": self._rewards[name.partition("/")[2]].scale * value
             for name, value in values.items()
@@ -92,6 +102,7 @@ class TrainingMetrics:
             "eval/fall_rate": self._eval_falls.add(
                 values["eval/count/fell"], values["eval/count/ended"]
             ),
+            **standing,
             **terms,
             **levels,
             **learning,
