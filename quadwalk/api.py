@@ -4,6 +4,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from quadwalk.command.line import message_console
 from quadwalk.errors import UsageError
 from quadwalk.evaluate.evaluation import Evaluation, measure
 from quadwalk.evaluate.loaded import load_run
@@ -117,7 +118,10 @@ def evaluate(
         raise UsageError(f"episodes is {episodes} and seconds {seconds}; expected more than 0")
     found = _run(run, runs)
     set_up_devices()
-    return measure(load_run(found, seconds, policy, engine, randomized, seed), episodes, seed)
+    loaded = load_run(found, seconds, policy, engine, randomized, seed)
+    for note in loaded.notes:
+        message_console().print(f"{found.name}: {note}")
+    return measure(loaded, episodes, seed)
 
 
 def compare(results: Mapping[str, Evaluation]) -> "Figure":

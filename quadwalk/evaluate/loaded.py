@@ -1,6 +1,7 @@
 """A run's policy with its robot and environment, to be evaluated, driven or exported."""
 
 import dataclasses
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,7 @@ from quadwalk.settings.environment import (
     RandomizationConfig,
 )
 from quadwalk.task.env import QuadrupedEnv
-from quadwalk.train.robot import load_robot
+from quadwalk.train.robot import compare_robot, load_robot
 from quadwalk.train.runs import checkpoint
 from quadwalk.train.runs.directory import Run
 from quadwalk.train.runs.policy import Policy, load_policy
@@ -36,6 +37,8 @@ class LoadedRun:
     env: QuadrupedEnv
     sha256: str  # of that file
     config: bytes | None = None  # of the run's config.json; None: it has none
+    # lines on its robot: what was left out or assumed, and that it is not the one trained on
+    notes: tuple[str, ...] = ()
 
     def in_mujoco(self, **changes: Any) -> "LoadedRun":
         """The same in MuJoCo C, with `changes` of its environment's settings."""
@@ -46,11 +49,13 @@ class LoadedRun:
     def in_engine(self, engine: EngineName) -> "LoadedRun":
         return dataclasses.replace(self, env=self.env.in_engine(engine))
 
-    def same_robot(self, other: "LoadedRun") -> bool:
-        """Whether that is of a robot with the same joints and masses."""
-        mine, theirs = self.env.quadruped, other.env.quadruped
-        return mine.joints == theirs.joints and np.array_equal(
-            self.env.mj_model.body_mass, other.env.mj_model.body_mass
+    def can_take_turns(self, other: "LoadedRun") -> bool:
+        """Return True for a robot of the same joints and masses, and the same control period."""
+        mine, theirs = self.env, other.env
+        return (
+            mine.quadruped.joints == theirs.quadruped.joints
+            and np.array_equal(mine.mj_model.body_mass, theirs.mj_model.body_mass)
+            and math.isclose(mine.config.control_dt, theirs.config.control_dt)
         )
 
 
@@ -102,6 +107,7 @@ def load_run(
     # Now, and not for its recordings, when all is simulated.
     written = read_bytes(run.config) if run.config.exists() else None
     quadruped = load_robot(policy.config.robot)
+    notes = (*quadruped.notes, *compare_robot(run, quadruped))
     trained = policy.config.env
     command = dataclasses.replace(trained.command, seconds=seconds, soonest=None, margin=0.0)
     config = dataclasses.replace(
@@ -117,4 +123,4 @@ def load_run(
             f"{file} was trained on another robot than {run.urdf}: it has joints "
             f"{', '.join(policy.joints)} and {policy.observation_size} observations"
         )
-    return LoadedRun(run, file, policy, env, sha256, written)
+    return LoadedRun(run, file, policy, env, sha256, written, notes)

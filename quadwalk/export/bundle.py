@@ -44,6 +44,8 @@ def export_run(
     `UserError` where a policy cannot be read or exported, or `out` not written.
     """
     loaded = load_flat(run, which)
+    for note in loaded.notes:
+        console.print(note)
     env, (model, targets) = loaded.env, as_onnx(loaded, console)
     files = {
         "policy.onnx": model.SerializeToString(),
@@ -53,8 +55,10 @@ def export_run(
     }
     if getup is not None:
         riser = load_flat(getup, "last")
-        if not riser.same_robot(loaded):
-            raise UserError(f"{getup.path} is of another robot; expected that of {run.path}")
+        if not riser.can_take_turns(loaded):
+            raise UserError(
+                f"{getup.path} is of another robot or control period; expected those of {run.path}"
+            )
         files["getup.onnx"] = as_onnx(riser, console)[0].SerializeToString()
     missing = ", ".join(missing_terms(env)) or "none"
     if targets.reach is None:

@@ -15,6 +15,7 @@ from controller import Controller, rotation
 
 TIMESTEP = 0.002  # s, of physics
 FALLEN = np.cos(np.radians(60))  # cosine of the trunk's tilt beyond which it has fallen
+LOW = 0.4  # share of its height at the start below which it has fallen too
 UPRIGHT, HIGH = np.cos(np.radians(18)), 0.85  # within that, and above that share of its height,
 STEADY = 0.5  # s long, it stands again
 parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
@@ -47,8 +48,15 @@ if options.view:
     import mujoco.viewer
 
     viewer = mujoco.viewer.launch_passive(model, data)
+
+
+def is_fallen() -> bool:
+    """Return True for a trunk that is tipped over or low."""
+    return bool(rotation(q[3:7])[2, 2] < FALLEN or q[2] < LOW * start[2])
+
+
 while data.time < options.seconds - 1e-6 and not fell and (not viewer or viewer.is_running()):
-    if riser and controller is driver and rotation(q[3:7])[2, 2] < FALLEN:
+    if riser and controller is driver and is_fallen():
         controller, steady = riser, 0.0
         riser.restart()
     elif controller is riser:
@@ -64,7 +72,7 @@ while data.time < options.seconds - 1e-6 and not fell and (not viewer or viewer.
     for _ in range(substeps):
         data.qfrc_applied[6:] = controller.torque(target, q, v)
         mujoco.mj_step(model, data)
-    fell = not riser and rotation(q[3:7])[2, 2] < FALLEN
+    fell = not riser and is_fallen()
     if viewer:
         viewer.sync()
         time.sleep(max(0.0, began + data.time - time.time()))

@@ -30,7 +30,7 @@ from quadwalk.train.learner.networks import Networks, networks_for
 from quadwalk.train.learner.ppo import RATE
 from quadwalk.train.progress.display import Progress
 from quadwalk.train.progress.metrics import TrainingMetrics
-from quadwalk.train.robot import content, load_robot
+from quadwalk.train.robot import ROBOT_HASH, compare_robot, content, hash_robot, load_robot
 from quadwalk.train.runs import checkpoint, directory
 from quadwalk.train.runs.directory import Run
 from quadwalk.train.runs.resume import changed_settings, read_config
@@ -178,7 +178,9 @@ def _open_run(
     stack.enter_context(directory.claim(previous))
     changes = changed_settings(read_config(previous), config)
     directory.clean(previous)
-    directory.write_json_atomic(previous.config, _settings(config))
+    for line in compare_robot(previous, quadruped):
+        progress.message(line)
+    directory.write_json_atomic(previous.config, _settings(config, quadruped))
     for change in changes:
         progress.message(f"changed {change}")
     heights = config.env.ground.file
@@ -193,7 +195,7 @@ def new_run(config: TrainConfig, quadruped: Quadruped) -> Run:
     """The folder of a run, with copies of its own of all that its training begins with."""
     files = {
         "robot.urdf": quadruped.urdf.encode(),
-        "config.json": directory.as_json(_settings(config)),
+        "config.json": directory.as_json(_settings(config, quadruped)),
     }
     source, heights = task_source(config), config.env.ground.file
     if source is not None:
@@ -203,5 +205,9 @@ def new_run(config: TrainConfig, quadruped: Quadruped) -> Run:
     return directory.create_run(config.runs, config.name, label=config.task, files=files)
 
 
-def _settings(config: TrainConfig) -> dict[str, Any]:
-    return {"config": to_dict(config), "versions": directory.versions()}
+def _settings(config: TrainConfig, quadruped: Quadruped) -> dict[str, Any]:
+    return {
+        "config": to_dict(config),
+        "versions": directory.versions(),
+        ROBOT_HASH: hash_robot(quadruped),
+    }

@@ -1,5 +1,6 @@
 """What can be driven: the runs there are, and each run's policies."""
 
+from dataclasses import replace
 from pathlib import Path
 
 from quadwalk.errors import UserError
@@ -52,15 +53,15 @@ def open_run(run: Run, label: str) -> LoadedRun:
     if file == loaded.file:
         return loaded
     policy = read_policy(file, loaded.env.quadruped.joints)
-    return LoadedRun(run, file, policy, loaded.env, checkpoint.sha256(file))
+    return replace(loaded, file=file, policy=policy, sha256=checkpoint.sha256(file))
 
 
 def getup_of(loaded: LoadedRun, getup: Run | None) -> LoadedRun | None:
-    """The policy of `getup` for the robot of `loaded`; None where it is of another robot."""
+    """The policy of `getup` for the robot of `loaded`; None where the two cannot take turns."""
     if getup is None or loaded.run.path == getup.path:
         return None
     found = open_run(getup, LAST)
-    return found if loaded.same_robot(found) else None
+    return found if loaded.can_take_turns(found) else None
 
 
 def read_policy(file: Path, joints: tuple[str, ...]) -> Policy:

@@ -14,7 +14,7 @@ from quadwalk.evaluate.motion.forces import foot_forces, geom_ids
 from quadwalk.evaluate.motion.kinematics import turned
 from quadwalk.evaluate.simulate import Policy
 from quadwalk.physics.model import RobotRandomization, vary_motor
-from quadwalk.physics.motor import PhysicsState, control_step
+from quadwalk.physics.motor import Motor, PhysicsState, control_step
 from quadwalk.physics.mujoco_c import varied_model
 from quadwalk.task.env import MAX_SPEED, QuadrupedEnv
 from quadwalk.task.episode.command import Command
@@ -106,7 +106,8 @@ class LiveRobot:
         self.command = np.zeros(3)
         self.foot_force = np.zeros(4)
         self._base = self.env.mj_model_of(self.env.quadruped)
-        self.model, self._motor = self._base, self.env.motor
+        self.model = self._base
+        self._variation: RobotRandomization | None = None  # None: nothing was changed
         self.data = mujoco.MjData(self._base)
         self._key = np.array([0, seed], np.uint32)
         self._first_pose = nominal_start(self._base, self.env.quadruped, self.env.config.reset)
@@ -149,15 +150,20 @@ class LiveRobot:
         self._driver.policy = policy
 
     @property
+    def _motor(self) -> Motor:
+        """The motors, with the gains of the policy that acts."""
+        motor = self._mind.env.motor
+        return motor if self._variation is None else vary_motor(motor, self._variation)
+
+    @property
     def rising(self) -> bool:
         return self._mind is self._riser
 
     def change(self, **settings: float) -> None:
         """Change some of `settings`, with effect from the next step on."""
         self.settings = replace(self.settings, **settings)
-        variation = self.settings.variation()
-        self.model = varied_model(self._base, variation)
-        self._motor = vary_motor(self.env.motor, variation)
+        self._variation = self.settings.variation()
+        self.model = varied_model(self._base, self._variation)
 
     def push(self, forward: float, left: float) -> None:
         """Change the trunk's velocity in an instant, m/s along its heading and to its left."""

@@ -71,6 +71,8 @@ def drive_in_window(
 ) -> None:
     """Drive a policy of `run` with keys until the window is closed; `getup` gets a robot up."""
     loaded = open_run(run, policy)
+    for note in loaded.notes:
+        console.print(note)
     live = LiveRobot(loaded, getup=getup_of(loaded, getup))
     live.prepare()  # now, not when time goes
     keys, dt = Keys(live), live.env.stepping.control_dt

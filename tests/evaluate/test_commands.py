@@ -1,5 +1,6 @@
 """What is asked for on the command line and cannot be: one line each, before anything is done."""
 
+import dataclasses
 import datetime
 import shutil
 import subprocess
@@ -8,15 +9,22 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+import trimesh
 
 from quadwalk.command.line import parse
 from quadwalk.errors import UsageError, UserError
 from quadwalk.evaluate import session
 from quadwalk.evaluate.options import EvalConfig
-from quadwalk.evaluate.recording.provenance import revision
+from quadwalk.evaluate.recording.provenance import provenance, revision
 from quadwalk.evaluate.session import evaluate_runs
-from quadwalk.paths import PRETRAINED
+from quadwalk.paths import ALIENGO_URDF, PRETRAINED
+from quadwalk.settings.training import RobotConfig
+from quadwalk.task.env import QuadrupedEnv
+from quadwalk.tasks import sprint
+from quadwalk.train.robot import load_robot
 from quadwalk.train.runs.directory import Run, find_ready, origin_of
+from quadwalk.train.setup import new_run
+from tests.view.conftest import write_policy
 
 
 @pytest.fixture
@@ -125,6 +133,31 @@ def test_evaluations_of_the_same_second_have_folders_of_their_own(runs, monkeypa
     for place in [*places, *[runs / "comparisons"] * (len(names) > 1)]:
         assert {path.name for path in place.iterdir()} == numbered
         assert len(list(place.glob("*/results"))) == 3
+
+
+def test_an_evaluation_says_what_its_robot_lacks(tmp_path, monkeypatch, capsys):
+    """One whose trunk's mesh is no longer there, which the run was trained with."""
+    box = '<box size="0.647 0.15 0.112"/>'
+    trimesh.creation.box((0.647, 0.15, 0.112)).export(tmp_path / "trunk.stl")
+    text = ALIENGO_URDF.read_text().replace(box, '<mesh filename="trunk.stl"/>')
+    (tmp_path / "dog.urdf").write_text(text)
+    config = RobotConfig(urdf=tmp_path / "dog.urdf")
+    task = dataclasses.replace(sprint.TASK, robot=config, runs=tmp_path / "runs", name="dog")
+    quadruped = load_robot(config)
+    run = new_run(task, quadruped)
+    write_policy(run.policy, QuadrupedEnv(quadruped, task.env), 0, task)
+    (tmp_path / "trunk.stl").unlink()
+    notes: list[str] = []
+    monkeypatch.setattr(
+        "quadwalk.evaluate.judge.judge",
+        lambda loaded, *_: notes.extend(provenance(loaded, 0)["notes"]),
+    )
+    evaluate_runs(EvalConfig(run=("dog",), runs=task.runs))
+    said = capsys.readouterr().err
+    missing, other, *_ = notes
+    assert missing == "dropped: collision meshes that were not found: trunk.stl"
+    assert other.startswith(f"warning: {run.path} was trained on another robot")
+    assert f"dog: {missing}\ndog: {other}\n" in said
 
 
 def test_the_command_ends_with_the_errors_status(runs):

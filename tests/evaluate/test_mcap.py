@@ -17,15 +17,19 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+import trimesh
+from scipy.spatial.transform import Rotation
 
 from quadwalk.errors import UserError
 from quadwalk.evaluate.recording import mcap as writing
+from quadwalk.evaluate.recording.drawn_urdf import draw_urdf
 from quadwalk.evaluate.recording.mcap import LAYOUT, verify_mcap, write_mcap
-from quadwalk.evaluate.recording.messages import drawn_urdf
 from quadwalk.evaluate.rollout import first_steps
 from quadwalk.identify.joint_log import read_log
+from quadwalk.paths import ALIENGO_URDF
+from quadwalk.robot.quadruped import Quadruped, load_quadruped
 from tests.evaluate.conftest import read_messages, read_records
-from tests.robot.robots import frame, placed
+from tests.robot.robots import frame, placed, shape
 
 METADATA = {"version": "1.2.3", "config": '{"seed": 7}'}
 SCENE_ROWS = [*range(0, 100, 3), 100]  # of 100 steps: each third state, and the last
@@ -118,9 +122,49 @@ def test_the_robot_description_is_the_urdf_that_is_drawn(messages, quadruped):
             assert ElementTree.tostring(found).strip() == ElementTree.tostring(expected).strip()
 
 
-def test_a_link_without_visuals_is_drawn_by_its_collision_shapes():
+def test_a_link_without_visuals_is_drawn_by_its_collision_shapes(quadruped):
     urdf = "<robot name='r'><link name='a'><collision/></link></robot>"
-    assert "<collision/>" in drawn_urdf(urdf)
+    assert "<collision/>" in draw_urdf(urdf, quadruped.full_model())
+
+
+@pytest.fixture(scope="module")
+def meshed(tmp_path_factory) -> Quadruped:
+    """The robot with meshes: one is seen of the trunk, and of a hip all that there is."""
+    folder = tmp_path_factory.mktemp("meshed")
+    (folder / "meshes").mkdir()
+    trimesh.creation.box((0.4, 0.2, 0.1)).export(folder / "meshes" / "trunk.stl")
+    hip = trimesh.creation.box((0.1, 0.06, 0.08))
+    hip.apply_translation((0.0, 0.02, -0.01)).export(folder / "meshes" / "hip.stl")
+    root = ElementTree.fromstring(ALIENGO_URDF.read_text())
+    for name, file, kinds in (
+        ("trunk", "trunk.stl", ("visual",)),
+        ("FR_hip", "hip.stl", ("visual", "collision")),
+    ):
+        (link,) = root.findall(f"link[@name='{name}']")
+        for kind in kinds:
+            for element in link.findall(kind):
+                link.remove(element)
+        mesh = shape(f'mesh filename="meshes/{file}"', kind="visual")
+        link.append(ElementTree.fromstring(mesh))
+    (folder / "dog.urdf").write_bytes(ElementTree.tostring(root))
+    return load_quadruped(folder / "dog.urdf")
+
+
+def test_a_mesh_is_drawn_as_a_shape_that_needs_no_file(meshed):
+    text = draw_urdf(meshed.urdf, meshed.full_model())
+    assert "mesh" not in text
+    drawn = ElementTree.fromstring(text)
+    (trunk,) = drawn.findall("link[@name='trunk']/visual/geometry/box")
+    assert trunk.get("size") == "0.647 0.15 0.112"  # as it collides
+    (hip,) = drawn.findall("link[@name='FR_hip']/visual")  # its mesh's bounds
+    origin = {name: np.array(x.split(), float) for name, x in hip.find("origin").attrib.items()}
+    np.testing.assert_allclose(origin["xyz"], [0.0, 0.02, -0.01], atol=1e-6)
+    size = np.array(hip.find("geometry/box").get("size").split(), float)
+    reach = np.abs(Rotation.from_euler("xyz", origin["rpy"]).as_matrix()) @ size
+    np.testing.assert_allclose(reach, [0.1, 0.06, 0.08], atol=1e-5)
+    whole = ElementTree.fromstring(meshed.urdf)
+    calves = (x.findall("link[@name='FR_calf']/visual") for x in (drawn, whole))
+    assert len({tuple(map(ElementTree.tostring, own)) for own in calves}) == 1
 
 
 def test_transforms_compose_to_the_simulators_poses(messages, trot, quadruped):
@@ -484,6 +528,14 @@ def test_rerun_decodes_what_was_simulated(written, trot, quadruped):
     assert [row["TextLog:level"] for row in tables["/log"]] == [["INFO"], ["INFO"]]
 
 
+def test_rerun_draws_a_robot_of_meshes(trot, meshed, tmp_path):
+    chunk = pytest.importorskip("rerun.chunk", reason="needs rerun-sdk with rerun.chunk")
+    write_mcap(tmp_path / "meshed.mcap", trot, meshed, {})
+    paths = {piece.entity_path for piece in chunk.McapReader(str(tmp_path / "meshed.mcap")).stream()}
+    shown = {path.split("/")[3] for path in paths if "visual_geometries" in path}
+    assert {"trunk", "FR_hip", "FR_calf"} <= shown
+
+
 def test_foxgloves_own_reader_decodes_every_channel(written, messages, trot, quadruped):
     node = shutil.which("node")
     if node is None:
@@ -500,7 +552,7 @@ def test_foxgloves_own_reader_decodes_every_channel(written, messages, trot, qua
     assert {topic: of["count"] for topic, of in topics.items()} == {
         topic: len(of) for topic, of in messages.items()
     }
-    assert topics["/robot_description"]["last"]["data"] == drawn_urdf(quadruped.urdf)
+    assert topics["/robot_description"]["last"]["data"] == draw_urdf(quadruped.urdf, quadruped.full_model())
     assert topics["/tf"]["time"] == str(trot.steps * 20_000_000)
     joints = topics["/joint_states"]["last"]["joints"]
     np.testing.assert_allclose([j["position"] for j in joints], trot.qpos[-1, 7:], **CLOSE)

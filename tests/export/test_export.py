@@ -128,6 +128,13 @@ def test_an_export_with_a_getup_policy_gets_up_from_its_back_and_goes_on(tmp_pat
     last = time > time[-1] - 1.0
     assert np.ptp(qpos[last, 0]) == pytest.approx(1.0, abs=0.3)  # m in a second, as told
     assert np.all(qpos[last, 2] > 0.2)
+    # Upright with its legs folded, on its belly, it gets up as well.
+    script = tmp_path / "both" / "run_policy.py"
+    text, back = script.read_text(), "q[3:7] = 0, 1, 0, 0"
+    assert text.count(back) == 1
+    script.write_text(text.replace(back, "q[2], q[7:] = 0.09, np.tile([0, 1.5, -2.6], 4)"))
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    assert "got up once" in done.stdout, done.stderr
 
 
 def test_the_scripts_are_short_and_need_three_packages():

@@ -1,4 +1,5 @@
 import dataclasses
+import json
 import shutil
 
 import pytest
@@ -9,9 +10,10 @@ from quadwalk.robot.urdf import UrdfError
 from quadwalk.settings.serialize import to_dict
 from quadwalk.settings.training import RobotConfig
 from quadwalk.tasks.sprint import TASK
-from quadwalk.train.robot import load_robot
+from quadwalk.train.robot import compare_robot, load_robot
 from quadwalk.train.runs.directory import Run
 from quadwalk.train.runs.resume import config_of
+from quadwalk.train.setup import new_run
 
 BOX = '<box size="0.647 0.15 0.112"/>'
 
@@ -42,6 +44,34 @@ def test_a_run_finds_the_mesh_files_of_its_robot(tmp_path):
     assert without.notes[0] == f"dropped: collision {missing}"
     elsewhere = RobotConfig(urdf=run.urdf, mesh_dirs=(home,))
     assert load_robot(elsewhere).full_model().nmesh == 1
+
+
+def test_a_run_says_that_its_robot_is_another_one(tmp_path):
+    """Meshes that moved leave the trunk without a shape; what only shows may go."""
+    home = tmp_path / "robots"
+    (home / "meshes").mkdir(parents=True)
+    for name in ("trunk", "cover"):
+        trimesh.creation.box((0.647, 0.15, 0.112)).export(home / "meshes" / f"{name}.stl")
+    cover = '<visual><geometry><mesh filename="meshes/cover.stl"/></geometry></visual>'
+    text = ALIENGO_URDF.read_text().replace(BOX, '<mesh filename="meshes/trunk.stl"/>')
+    text = text.replace('<link name="trunk">', f'<link name="trunk">{cover}')
+    (home / "dog.urdf").write_text(text)
+    config = RobotConfig(urdf=home / "dog.urdf")
+    settings = dataclasses.replace(TASK, robot=config, runs=tmp_path, name="run")
+    run = new_run(settings, load_robot(config))
+    here = as_in(run, config)
+    assert compare_robot(run, load_robot(here)) == ()
+    (home / "meshes" / "cover.stl").unlink()
+    assert compare_robot(run, load_robot(here)) == ()
+    (home / "meshes").rename(home / "moved")
+    (line,) = compare_robot(run, load_robot(here))
+    assert line.startswith(f"warning: {run.path} was trained on another robot than it has now")
+    (home / "moved").rename(run.path / "meshes")  # beside its own URDF they are found
+    assert compare_robot(run, load_robot(here)) == ()
+    (run.path / "meshes").rename(home / "moved")
+    about = json.loads(run.config.read_text())
+    run.config.write_text(json.dumps({name: about[name] for name in ("config", "versions")}))
+    assert compare_robot(run, load_robot(here)) == ()  # one of before there was a hash
 
 
 def test_a_run_keeps_what_its_robot_was_given(tmp_path):

@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from quadwalk.physics.motor import MotorConfig
 from quadwalk.task.env import QuadrupedEnv
 from quadwalk.task.state import EnvState
 from quadwalk.tasks import getup
@@ -214,6 +215,29 @@ def test_what_has_fallen_gets_up_and_then_drives_on(rising):
     assert not rising.rising
     assert rising.state().steps == 0
     assert not rising.state().last_action.any()
+
+
+def test_each_policy_acts_with_the_gains_that_it_was_trained_with(runs, quadruped):
+    """One to get up whose motors give nothing, however strong they are."""
+    env = getup.TASK.env
+    limp = dataclasses.replace(env, motor=MotorConfig(kp=0.0, kd=0.0, joint_friction=False))
+    task = dataclasses.replace(getup.TASK, env=limp)
+    run = write_run(runs.parent, "limp", quadruped, {"policy.npz": 8}, task)
+    loaded = open_run(Run(runs / "dog"), LAST)
+    robot = LiveRobot(loaded, getup=getup_of(loaded, run))
+    for strength in (1.0, 0.9):
+        robot.change(strength=strength)
+        robot.reset()
+        robot.step()
+        assert np.abs(robot.data.qfrc_applied[6:]).max() > 0.1
+        robot.data.qpos[3:7] = 0.0, 1.0, 0.0, 0.0  # on its back
+        robot.step()
+        assert robot.rising
+        robot.step()
+        assert not robot.data.qfrc_applied.any()
+    slow = dataclasses.replace(task, env=dataclasses.replace(limp, substeps=10))
+    other = write_run(runs.parent, "slow", quadruped, {"policy.npz": 8}, slow)
+    assert getup_of(loaded, other) is None  # its control period is not the driver's
 
 
 def test_it_is_put_on_its_feet_where_it_does_not_get_up(rising):

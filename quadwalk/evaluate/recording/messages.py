@@ -10,7 +10,6 @@ Numbers are written to within a millionth of their value (`encoding.compact`).
 from collections.abc import Iterator
 from typing import Any, Protocol
 
-import lxml.etree
 import numpy as np
 from foxglove_schemas_protobuf.Log_pb2 import Log
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
@@ -26,6 +25,7 @@ from quadwalk.evaluate.recording.encoding import (
     cdr_string,
     compact,
 )
+from quadwalk.evaluate.recording.drawn_urdf import draw_urdf
 from quadwalk.evaluate.recording.markers import SCENE_PERIOD, SceneWriter, draw_ground
 from quadwalk.evaluate.rollout import Rollout, finite_states
 from quadwalk.ground.heightfield import field_of
@@ -43,16 +43,6 @@ class _Writer(Protocol):
     message: Message
 
     def serialized(self, time: int, values: Any) -> bytes: ...
-
-
-def drawn_urdf(urdf: str) -> str:
-    """The URDF without collision shapes where links have visual ones: Rerun would draw both."""
-    root = lxml.etree.fromstring(urdf.encode())
-    for link in root.iter("link"):
-        if link.find("visual") is not None:
-            for collision in link.findall("collision"):
-                link.remove(collision)
-    return lxml.etree.tostring(root, encoding="unicode")
 
 
 class EpisodeMessages:
@@ -107,7 +97,7 @@ class EpisodeMessages:
 
     def __iter__(self) -> Iterator[tuple[str, int, bytes]]:
         rollout = self.rollout
-        yield "/robot_description", 0, cdr_string(drawn_urdf(self.quadruped.urdf))
+        yield "/robot_description", 0, cdr_string(draw_urdf(self.quadruped.urdf, self.model))
         if self.field is not None and self.rows:
             path = rollout.qpos[: self.rows, :2].astype(float)
             yield "/ground", 0, draw_ground(self.field, path, WORLD)

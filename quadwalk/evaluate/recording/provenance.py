@@ -22,6 +22,7 @@ def provenance(loaded: LoadedRun, seed: int) -> dict[str, Any]:
         "randomized": loaded.env.config.randomization.enabled,
         "training_steps": loaded.policy.steps,
         "policy_sha256": loaded.sha256,
+        "notes": list(loaded.notes),
         "revision": revision(),
         "versions": versions(),
     }
