@@ -15,7 +15,6 @@ from quadwalk.robot.mirror import standing
 from quadwalk.robot.quadruped import Quadruped
 from quadwalk.settings.environment import EnvConfig
 
-
 # A trunk stands above this share of the home pose's height, and with its z axis at most this far
 # from the world's, rad.
 STANDING_HEIGHT = 0.85

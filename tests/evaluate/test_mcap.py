@@ -531,7 +531,9 @@ def test_rerun_decodes_what_was_simulated(written, trot, quadruped):
 def test_rerun_draws_a_robot_of_meshes(trot, meshed, tmp_path):
     chunk = pytest.importorskip("rerun.chunk", reason="needs rerun-sdk with rerun.chunk")
     write_mcap(tmp_path / "meshed.mcap", trot, meshed, {})
-    paths = {piece.entity_path for piece in chunk.McapReader(str(tmp_path / "meshed.mcap")).stream()}
+    paths = {
+        piece.entity_path for piece in chunk.McapReader(str(tmp_path / "meshed.mcap")).stream()
+    }
     shown = {path.split("/")[3] for path in paths if "visual_geometries" in path}
     assert {"trunk", "FR_hip", "FR_calf"} <= shown
 
@@ -552,7 +554,9 @@ def test_foxgloves_own_reader_decodes_every_channel(written, messages, trot, qua
     assert {topic: of["count"] for topic, of in topics.items()} == {
         topic: len(of) for topic, of in messages.items()
     }
-    assert topics["/robot_description"]["last"]["data"] == draw_urdf(quadruped.urdf, quadruped.full_model())
+    assert topics["/robot_description"]["last"]["data"] == draw_urdf(
+        quadruped.urdf, quadruped.full_model()
+    )
     assert topics["/tf"]["time"] == str(trot.steps * 20_000_000)
     joints = topics["/joint_states"]["last"]["joints"]
     np.testing.assert_allclose([j["position"] for j in joints], trot.qpos[-1, 7:], **CLOSE)

@@ -17,6 +17,7 @@ from google.protobuf.message import Message
 
 from quadwalk.evaluate.motion.course import weight_of
 from quadwalk.evaluate.motion.kinematics import foot_poses, link_frames, rotations
+from quadwalk.evaluate.recording.drawn_urdf import draw_urdf
 from quadwalk.evaluate.recording.encoding import (
     Joints,
     Pose,
@@ -25,7 +26,6 @@ from quadwalk.evaluate.recording.encoding import (
     cdr_string,
     compact,
 )
-from quadwalk.evaluate.recording.drawn_urdf import draw_urdf
 from quadwalk.evaluate.recording.markers import SCENE_PERIOD, SceneWriter, draw_ground
 from quadwalk.evaluate.rollout import Rollout, finite_states
 from quadwalk.ground.heightfield import field_of

@@ -118,9 +118,7 @@ def start_anew(
     return reward, after.replace(pipeline_state=state, obs=obs)
 
 
-def retried(
-    share: float, after: State, start: State, learnt_from: int, key: jax.Array
-) -> Any:
+def retried(share: float, after: State, start: State, learnt_from: int, key: jax.Array) -> Any:
     """Return the conditions of `start`; after that share of falls, those of the one that fell.
 
     As prioritized level replay does (Jiang et al. 2021, arXiv:2010.03934), by falls alone. The
