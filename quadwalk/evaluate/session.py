@@ -35,9 +35,9 @@ def evaluate_runs(config: EvalConfig) -> dict[str, Any]:
         options = config.seconds, config.policy, config.engine, config.randomized, config.seed
         # All of them before the first is simulated, so that a bad one is known at once.
         loaded = [load_run(run, *options) for run in runs]
-        for own in loaded:
-            for note in own.notes:
-                console.print(f"{own.run.name}: {note}")
+        for policy in loaded:
+            for note in policy.notes:
+                console.print(f"{policy.run.name}: {note}")
         one = judge.sweep if config.sweep else judge.judge
         results = [one(each, config, out, console) for each, out in zip(loaded, outs, strict=True)]
         if together is None:

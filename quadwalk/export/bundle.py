@@ -55,6 +55,8 @@ def export_run(
     }
     if getup is not None:
         riser = load_flat(getup, "last")
+        for note in riser.notes:
+            console.print(note)
         if not riser.can_take_turns(loaded):
             raise UserError(
                 f"{getup.path} is of another robot or control period; expected those of {run.path}"

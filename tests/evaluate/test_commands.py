@@ -122,8 +122,9 @@ def test_evaluations_of_the_same_second_have_folders_of_their_own(runs, monkeypa
         (out,) = (arg for arg in args if isinstance(arg, Path))
         (out / "results").write_text("")
 
+    nothing = SimpleNamespace(notes=())
     monkeypatch.setattr(session, "datetime", clock)
-    monkeypatch.setattr("quadwalk.evaluate.loaded.load_run", lambda *_: None)
+    monkeypatch.setattr("quadwalk.evaluate.loaded.load_run", lambda *_: nothing)
     for name in ("judge", "sweep", "compare", "compare_sweeps"):
         monkeypatch.setattr(f"quadwalk.evaluate.judge.{name}", written)
     for _ in range(3):
