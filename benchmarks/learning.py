@@ -95,9 +95,10 @@ def checked_out(commit: str) -> Iterator[Path]:
 
 
 def environment_of(checkout: Path) -> str:
-    """The Python of an environment with the packages that the lock in `checkout` names."""
-    lock, ours = ((folder / "requirements.lock").read_bytes() for folder in (checkout, ROOT))
-    if lock == ours:
+    """Return the Python of an environment with the packages that the lock in `checkout` names."""
+    paths = (checkout / name for name in ("uv.lock", "requirements.lock"))  # the latter until 0.2
+    lock = next(path for path in paths if path.exists()).read_bytes()
+    if lock == (ROOT / "uv.lock").read_bytes():
         return sys.executable
     suits = tomllib.loads((checkout / "pyproject.toml").read_text())["project"]["requires-python"]
     names = [sys.executable, *(f"python3.{minor}" for minor in range(20, 9, -1))]

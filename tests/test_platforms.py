@@ -4,12 +4,13 @@ The lock is resolved for each system and Python with wheels alone; nothing is ru
 """
 
 import itertools
+import re
 import subprocess
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from tests.programs import python
+from tests.programs import ROOT, python
 
 SYSTEMS = {
     "Linux arm64": "aarch64-unknown-linux-gnu",
@@ -56,7 +57,7 @@ run_command(main)
 """
 
 
-def resolve(*arguments: str) -> subprocess.CompletedProcess[str]:
+def resolve(*arguments: object) -> subprocess.CompletedProcess[str]:
     options = ("--quiet", "--no-config", "--only-binary", ":all:")
     return python("-m", "uv", "pip", "compile", *options, *arguments)
 
@@ -66,13 +67,17 @@ def resolved(tmp_path_factory) -> dict[tuple[str, str], subprocess.CompletedProc
     """The lock, resolved for all at once, for each waits; skips where no registry answers."""
     wanted = tmp_path_factory.mktemp("uv") / "requirements.in"
     wanted.write_text("packaging\n")
-    done = resolve("--no-cache", str(wanted))
+    done = resolve("--no-cache", wanted)
     if done.returncode:
         pytest.skip(f"no registry of packages: {done.stderr.strip().splitlines()[-1]}")
 
+    lock = wanted.with_name("lock.txt")
+    options = ("--frozen", "--no-hashes", "--no-emit-project", "--output-file", lock)
+    python("-m", "uv", "export", *options).check_returncode()
+
     def of(place: tuple[str, str]) -> subprocess.CompletedProcess[str]:
         platform = ("--python-platform", SYSTEMS[place[0]], "--python-version", place[1])
-        return resolve("requirements.lock", *platform)
+        return resolve(lock, *platform)
 
     places = list(itertools.product(SYSTEMS, PYTHONS))
     with ThreadPoolExecutor(len(places)) as pool:
@@ -85,6 +90,11 @@ def test_the_lock_has_wheels(resolved, system, python):
     done = resolved[system, python]
     assert done.returncode == 0, done.stderr
     assert "mujoco==" in done.stdout
+
+
+def test_the_lock_names_the_public_registry_alone():
+    urls = re.findall(r'"(https?://[^/"]+)', (ROOT / "uv.lock").read_text())
+    assert set(urls) == {"https://pypi.org", "https://files.pythonhosted.org"}
 
 
 def test_nothing_needs_what_windows_lacks():

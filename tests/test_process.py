@@ -210,7 +210,7 @@ def checkout(tmp_path, monkeypatch) -> Path:
     """A checkout, and `python` of an environment without packages in the shell."""
     folder = tmp_path / "my checkout"
     folder.mkdir()
-    for name in ("quadwalk", "assets", "Makefile", "requirements.lock", "pyproject.toml"):
+    for name in ("quadwalk", "assets", "Makefile", "tools", "uv.lock", "pyproject.toml"):
         (folder / name).symlink_to(ROOT / name)
     for name in ("train.py", "eval.py"):  # where a link leads, Python looks for packages
         shutil.copy(ROOT / name, folder)
@@ -254,7 +254,7 @@ def test_without_packages_one_line_says_how_to_get_them(checkout, empty):
     done = pasted("cd .. && python 'my checkout/eval.py'", checkout)
     commands = done.stderr.strip().partition("by: ")[2].split(", or: ")
     made = pasted(f"cd .. && {commands[0]} -n", checkout)
-    assert "pip" in made.stdout
+    assert "tools/uv sync" in made.stdout
     assert (checkout.parent / shlex.split(commands[1])[-1]).samefile(checkout)
 
 

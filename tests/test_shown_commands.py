@@ -90,6 +90,10 @@ def arguments(words: list[str]) -> list[str] | None:
             return rest
         case ["python", ("train.py" | "eval.py") as script, *rest]:
             return [script.removesuffix(".py"), *rest]
+        case ["uv", "run", ("train.py" | "eval.py") as script, *rest]:
+            return arguments(["python", script, *rest])
+        case ["uv", "run", *rest]:
+            return arguments(rest)
     return None
 
 
