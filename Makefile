@@ -1,7 +1,7 @@
 VENV ?= .venv
 RUN := $(VENV)/bin/python
 UV := UV_PROJECT_ENVIRONMENT="$(VENV)" sh tools/uv
-# uv leaves it to the first start to compile packages: to forbid that it is kept costs each start 6 s.
+# The first start compiles the packages. Unless it may keep that, each start takes 6 s longer.
 unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: train demo setup test lint docs pictures notebooks lock clean
