@@ -47,7 +47,7 @@ $(VENV)/.ready-dev: $(VENV)/.ready
 # Without a version that pyproject.toml demands, so that what the next releases break is seen.
 NAMES := import re, tomllib; p = tomllib.load(open("pyproject.toml", "rb"))["project"]; \
 	e = p["optional-dependencies"]; all = sum(map(e.get, "test drake export gym view zoo".split()), []); \
-	names = {re.split("[^\w.-]", d)[0] for d in p["dependencies"] + all}; \
+	names = {re.split(r"[^\w.-]", d)[0] for d in p["dependencies"] + all}; \
 	print(*sorted(names - {"quadwalk"}))
 newest:  ## the fast tests with the newest of every package, in a virtual environment of its own
 	$(UV) venv --quiet --clear $(VENV)-newest

@@ -76,8 +76,8 @@ class Machine:
         return python
 
 
-@pytest.fixture
-def machine(tmp_path) -> Machine:
+@pytest.fixture(name="machine")
+def make_machine(tmp_path) -> Machine:
     return Machine(tmp_path)
 
 
