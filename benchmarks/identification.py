@@ -39,6 +39,8 @@ class Known:
     noise: float = 5e-4  # rad
     legs: float = 1.0  # factor of the legs' masses
     tilt: float = 0.0  # rad, of the trunk, nose down
+    offset: PARTS = (0.0, 0.0, 0.0)  # rad, measured angles less the joints' own
+    shared: bool = False  # True: the controller regulates the measured angles, offsets and all
 
 
 CASES = {
@@ -48,11 +50,13 @@ CASES = {
     "noise x4": Known(noise=2e-3),
     "legs +5 %": Known(legs=1.05),
     "tilt 0.05 rad": Known(tilt=0.05),
+    "offsets": Known(offset=(0.02, -0.03, 0.05)),
+    "offsets that the controller has too": Known(offset=(0.02, -0.03, 0.05), shared=True),
 }
 
 
 def hang(quadruped: Quadruped, known: Known, seconds: float) -> Log:
-    """What is recorded while `excitation` is played."""
+    """Return what is recorded while `excitation` is played."""
     spec = quadruped.spec.copy()
     spec.delete(spec.joints[0])
     spec.delete(spec.keys[0])
@@ -71,14 +75,16 @@ def hang(quadruped: Quadruped, known: Known, seconds: float) -> Log:
     mujoco.mj_setConst(model, data)
     places = [model.joint(name).qposadr[0] for name in quadruped.joints]
     times, targets = excitation(quadruped)
-    data.qpos[places] = targets[0]
+    offset = np.tile(known.offset, 4)
+    data.qpos[places] = targets[0] - offset * known.shared
     friction, angles = np.tile(known.friction, 4), []
     for step in range(round(seconds / DT)):
         q, qd = data.qpos[places], data.qvel[places]
         if step % EVERY == 0:
-            angles.append(q)
+            angles.append(q + offset)
         target = targets[max(int((data.time - known.delay) / times[1] + 1e-6), 0)]
-        torque = known.kp * (target - q) - known.kd * qd
+        regulated = q + offset if known.shared else q
+        torque = known.kp * (target - regulated) - known.kd * qd
         data.qfrc_applied[places] = torque - friction * np.tanh(qd / known.friction_speed)
         mujoco.mj_step(model, data)
     measured = np.array(angles)
@@ -101,7 +107,10 @@ def main() -> None:
         fit = fit_log(log, quadruped, config)
         left = np.sqrt(np.mean((fit.after - log.position)[fit.held_out] ** 2))
         print(f"{case}: {1e3 * left:.2f} mrad left of the part that is held out")
+        offsets = [value for value in fit.values if value.name == "offset"]
         for value in fit.values:
+            if value.name == "offset":
+                continue
             true = np.ravel(getattr(known, value.name))[
                 value.joints[0] if value.name in OF_URDF else 0
             ]
@@ -110,6 +119,9 @@ def main() -> None:
             print(
                 f"  {name:22}{true:10.4g}{value.found:10.4g}{off:+8.1f} % ± {sure:.1f}", flush=True
             )
+        errors = [1e3 * (v.found - known.offset[v.joints[0] % 3]) for v in offsets]
+        interval = 1e3 * max(value.interval for value in offsets)
+        print(f"  offsets: {max(errors, key=abs):+.2f} mrad at worst ± {interval:.2f}", flush=True)
 
 
 if __name__ == "__main__":

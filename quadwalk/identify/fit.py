@@ -8,14 +8,20 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from quadwalk.errors import UserError
-from quadwalk.identify.joint_log import Log
-from quadwalk.identify.stand import Joints, simulator
+from quadwalk.identify.joint_log import Log, find_pieces
+from quadwalk.identify.stand import Joints, make_simulator
 from quadwalk.physics.model import Model
 
-SETTLE = 0.3  # s at the beginning that count for nothing: how the joints moved before is not known
+# s at the beginning of each piece that count for nothing: how the joints moved before is unknown.
+SETTLE = 0.3
+# A fit that leaves more of a joint's motion, as a share of its rms, shows nothing.
+MOST_UNEXPLAINED = 0.5
 DELAY = 0.005  # s, where the search for it begins
 OF_URDF = ("armature", "friction", "damping")  # of each joint; the delay and the gains are of all
-# In these the search takes steps; where the description has more, in that.
+# Of single joints. Encoders that the controller shares have the first alone; where angles shift
+# after they are controlled, as in a driver or a log, both are equal.
+OFFSETS = ("offset", "target_offset")
+# The search's units; that of a constant of which the description has more is the description's.
 _UNITS = {
     "armature": 1e-3,
     "friction": 0.1,
@@ -24,13 +30,15 @@ _UNITS = {
     "kd": 0.1,
     "delay": 1e-3,
     "friction_speed": 0.02,
+    "offset": 0.01,
+    "target_offset": 0.01,
 }
 _SHIFT = 1e-4  # share by which a constant is changed to see what it does
 _BLOCK = 0.5  # s: what is further apart errs independently
 
 
 class Value(NamedTuple):
-    """A constant of the joints numbered `joints`."""
+    """A constant of the joints numbered `joints`, as fitted."""
 
     name: str  # a field of `Joints`
     joints: tuple[int, ...]
@@ -41,14 +49,76 @@ class Value(NamedTuple):
 
 @dataclass(frozen=True)
 class Fit:
-    """What was found, and the angles (n, 12), rad, at the log's times."""
+    """The fitted constants, and the angles (n, 12), rad, at the log's times."""
 
     values: tuple[Value, ...]
     described: Joints
     before: np.ndarray  # by the description
-    after: np.ndarray  # by what was found
-    fitted: np.ndarray  # (n,) whether a time is one that was fitted
-    held_out: np.ndarray  # (n,) whether it was held out
+    after: np.ndarray  # by the fit
+    fitted: np.ndarray  # (n,) True for the times that were fitted
+    held_out: np.ndarray  # (n,) True for those that were held out
+    unexplained: np.ndarray  # (12,) share of each joint's motion that the fit leaves, as rms
+
+    @property
+    def explains(self) -> bool:
+        """Return True if the fit explains most of the motion of every joint."""
+        return bool(self.unexplained.max() <= MOST_UNEXPLAINED)
+
+
+class Parameters:
+    """The constants to fit as numbers x (m,): each a constant's name and its joints.
+
+    Legs on a stand move independently, so that the constants of single joints of one kind can
+    change in one simulation, each in its own leg.
+    """
+
+    def __init__(
+        self, described: Joints, names: Sequence[str], groups: Sequence[tuple[int, ...]]
+    ) -> None:
+        single = [(joint,) for joint in range(12)]
+        whole = [tuple(range(12))]
+        self.places = [
+            (name, group)
+            for name in names
+            for group in (single if name in OFFSETS else groups if name in OF_URDF else whole)
+        ]
+        self._described = described
+        self.start = np.array([_compute_mean(described, *place) for place in self.places])
+        self.scale = np.maximum(self.start, [_UNITS[name] for name, _ in self.places])
+        self.lower = np.array([-np.inf if name in OFFSETS else 0.0 for name, _ in self.places])
+        number: dict[tuple[str, object], int] = {}
+        self._column = np.array(
+            [
+                number.setdefault(
+                    (name, group if len(group) > 1 else group[0] % 3), len(number) + 1
+                )
+                for name, group in self.places
+            ]
+        )
+        # (m, 12) True for the joints of the legs whose constant it is.
+        self._moves = np.array(
+            [
+                [joint // 3 in {other // 3 for other in group} for joint in range(12)]
+                for _, group in self.places
+            ]
+        )
+
+    def make_candidates(self, x: np.ndarray) -> Joints:
+        """Return the joints at `x` and, in further columns, with each constant changed a little."""
+        values = np.repeat((self.scale * x)[:, None], self._column.max() + 1, axis=1)
+        values[np.arange(len(x)), self._column] += _SHIFT * self.scale
+        joints = {
+            name: np.repeat(value[:, None], values.shape[1], axis=1)
+            for name, value in self._described._asdict().items()
+        }
+        for (name, group), value in zip(self.places, values, strict=True):
+            joints[name][list(group)] = value
+        return Joints(**joints)
+
+    def compute_jacobian(self, angles: np.ndarray) -> np.ndarray:
+        """Return the derivatives (n, 12, m) by x of the angles (n, 12, columns) of candidates."""
+        change = (angles[:, :, self._column] - angles[:, :, :1]) / _SHIFT
+        return change * self._moves.T
 
 
 def fit_joints(
@@ -59,57 +129,67 @@ def fit_joints(
     groups: Sequence[tuple[int, ...]],
     hold_out: float,
 ) -> Fit:
-    """Fit the constants called `names`, armature, friction and damping for each group of joints.
+    """Return the fit of the constants called `names` to the log.
 
-    The last `hold_out` of the log is not fitted, and shows how well the fit predicts. `UserError`
+    Armature, friction and damping are those of each group of joints, offsets of single joints. The
+    last `hold_out` of the log is not fitted, and shows how well the fit predicts. Raise `UserError`
     where the robot of the description, with these gains, is none that can be simulated.
     """
-    whole = [tuple(range(12))]
-    places = [(name, own) for name in names for own in (groups if name in OF_URDF else whole)]
-    start = np.array([_mean(described, *place) for place in places])
-    scale = np.maximum(start, [_UNITS[name] for name, _ in places])
-    simulate = simulator(model, log)
-    since = (log.time - log.time[0]) / (log.time[-1] - log.time[0])
-    fitted = (log.time - log.time[0] > SETTLE) & (since <= 1.0 - hold_out)
+    parameters = Parameters(described, names, groups)
+    start, scale = parameters.start, parameters.scale
+    simulate = make_simulator(model, log)
+    is_last = np.arange(len(log.time)) >= (1.0 - hold_out) * len(log.time)
+    settled = _find_settled(log)
+    fitted, held_out = settled & ~is_last, settled & is_last
+    evaluate = _remember_last(lambda x: simulate(parameters.make_candidates(x)))
 
-    def candidates(x: np.ndarray) -> Joints:
-        """Of `x` (m,), in units of `scale`, and of each of its neighbors."""
-        values = (scale * np.vstack([x, x + _SHIFT * np.eye(len(x))])).T
-        joints = {n: np.repeat(of[:, None], len(x) + 1, 1) for n, of in described._asdict().items()}
-        for (name, group), own in zip(places, values, strict=True):
-            joints[name][list(group)] = own
-        return Joints(**joints)
-
-    evaluate = _remembering(lambda x: simulate(candidates(x)))
-
-    def residual(x: np.ndarray) -> np.ndarray:
+    def compute_residual(x: np.ndarray) -> np.ndarray:
         return (evaluate(x)[fitted, :, 0] - log.position[fitted]).ravel()
 
-    def jacobian(x: np.ndarray) -> np.ndarray:
-        angles = evaluate(x)[fitted]
-        return ((angles[:, :, 1:] - angles[:, :, :1]) / _SHIFT).reshape(-1, len(x))
+    def compute_jacobian(x: np.ndarray) -> np.ndarray:
+        return parameters.compute_jacobian(evaluate(x)[fitted]).reshape(-1, len(x))
 
-    begin = np.maximum(start / scale, 0.5)
-    if not np.isfinite(residual(begin)).all():
+    begin = np.maximum(start / scale, np.where(parameters.lower < 0, start / scale, 0.5))
+    if not np.isfinite(compute_residual(begin)).all():
         raise UserError(
             "the description's joints shake themselves; expected --kp and --kd as recorded"
         )
-    best = least_squares(residual, begin, jacobian, bounds=(0.0, np.inf), xtol=1e-5, ftol=1e-7)
+    best = least_squares(
+        compute_residual,
+        begin,
+        compute_jacobian,
+        bounds=(parameters.lower, np.inf),
+        xtol=1e-5,
+        ftol=1e-7,
+    ).x
     block = ((log.time[fitted] - log.time[0]) // _BLOCK).astype(int)
-    sure = scale * intervals(jacobian(best.x), residual(best.x), np.repeat(block, 12))
-    found = zip(places, start, scale * best.x, sure, strict=True)
+    interval = scale * compute_intervals(
+        compute_jacobian(best), compute_residual(best), np.repeat(block, 12)
+    )
+    numbers = np.stack([start, scale * best, interval], axis=1).tolist()
+    after = evaluate(best)[:, :, 0]
+    left = np.sqrt(np.mean((after - log.position)[settled] ** 2, axis=0))
     return Fit(
-        values=tuple(Value(*place, *map(float, numbers)) for place, *numbers in found),
+        values=tuple(
+            Value(*place, *row) for place, row in zip(parameters.places, numbers, strict=True)
+        ),
         described=described,
         before=evaluate(start / scale)[:, :, 0],
-        after=evaluate(best.x)[:, :, 0],
+        after=after,
         fitted=fitted,
-        held_out=since > 1.0 - hold_out,
+        held_out=held_out,
+        unexplained=left / log.position[settled].std(axis=0),
     )
 
 
-def intervals(jacobian: np.ndarray, residual: np.ndarray, block: np.ndarray) -> np.ndarray:
-    """Halves of the 95 % intervals (m,) of a least-squares solution.
+def _find_settled(log: Log) -> np.ndarray:
+    """Return True (n,) for the times that come `SETTLE` or more after their piece's beginning."""
+    pieces = [log.time[piece] for piece in find_pieces(log.time)]
+    return np.concatenate([time - time[0] > SETTLE for time in pieces])
+
+
+def compute_intervals(jacobian: np.ndarray, residual: np.ndarray, block: np.ndarray) -> np.ndarray:
+    """Return halves of the 95 % intervals (m,) of a least-squares solution.
 
     `jacobian` (n, m) and `residual` (n,); those of one `block` (n,) may err alike, as where the
     model is wrong: Liang and Zeger 1986, Longitudinal data analysis using generalized linear
@@ -117,22 +197,22 @@ def intervals(jacobian: np.ndarray, residual: np.ndarray, block: np.ndarray) -> 
     """
     inverse = np.linalg.pinv(jacobian.T @ jacobian)
     pull = jacobian * residual[:, None]
-    blocks = np.array([pull[block == own].sum(axis=0) for own in np.unique(block)])
+    blocks = np.array([pull[block == number].sum(axis=0) for number in np.unique(block)])
     spread = len(blocks) / (len(blocks) - 1) * blocks.T @ blocks
     return 1.96 * np.sqrt(np.diag(inverse @ spread @ inverse))
 
 
-def _mean(joints: Joints, name: str, group: tuple[int, ...]) -> float:
+def _compute_mean(joints: Joints, name: str, group: tuple[int, ...]) -> float:
     return float(np.mean(getattr(joints, name)[list(group)]))
 
 
-def _remembering(function: Callable[[np.ndarray], np.ndarray]) -> Callable[..., np.ndarray]:
-    """`function` that keeps its last result, which residual and Jacobian both need."""
+def _remember_last(function: Callable[[np.ndarray], np.ndarray]) -> Callable[..., np.ndarray]:
+    """Return `function` with a memory of its last result: residual and Jacobian both need it."""
     last: list[np.ndarray] = []
 
-    def remembered(x: np.ndarray) -> np.ndarray:
+    def call(x: np.ndarray) -> np.ndarray:
         if not last or not np.array_equal(last[0], x):
             last[:] = [x.copy(), function(x)]
         return last[1]
 
-    return remembered
+    return call

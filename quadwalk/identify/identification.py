@@ -1,4 +1,4 @@
-"""The command's work: read a log, fit the joints, and write and print what was found."""
+"""The command's work: read a log, fit the joints, and write and print the result."""
 
 from pathlib import Path
 from typing import Any
@@ -9,11 +9,12 @@ from rich.console import Console
 from quadwalk.command.line import message_console
 from quadwalk.command.shell import as_typed
 from quadwalk.drawing.figures import save_figure
+from quadwalk.errors import UserError
 from quadwalk.evaluate.report.console import print_table
 from quadwalk.files import atomic_write, make_folder
 from quadwalk.identify import found
 from quadwalk.identify.config import IdentifyConfig
-from quadwalk.identify.fit import DELAY, Fit, fit_joints
+from quadwalk.identify.fit import DELAY, MOST_UNEXPLAINED, OFFSETS, Fit, fit_joints
 from quadwalk.identify.joint_log import Log, read_log
 from quadwalk.identify.plot import draw_fit
 from quadwalk.identify.stand import Joints
@@ -28,30 +29,36 @@ from quadwalk.train.runs.directory import write_json_atomic
 
 
 def identify(config: IdentifyConfig) -> dict[str, Any]:
-    """Identify as `config` says; return what identified.json holds."""
+    """Identify as `config` says; return what identified.json holds.
+
+    Raise `UserError` where the log is no use, or where the fit leaves most of its motion
+    unexplained: then there is a picture of the fit, and no URDF.
+    """
     assert config.log is not None
     quadruped = load_robot(config.robot)
-    log = read_log(config.log, quadruped.joints)
+    log = read_log(config.log, quadruped.joints, quadruped.lower, quadruped.upper)
     out = config.out or config.log.with_name(f"{config.log.stem}_identified")
     make_folder(out)
     set_up_devices()
     console = message_console()
     console.print(f"{config.log}: {log.time[-1] - log.time[0]:.1f} s")
+    for note in log.notes:
+        console.print(f"{config.log}: {note}")
     with console.status("fitting"):
         fit = fit_log(log, quadruped, config)
     return _write(config, fit, log, quadruped, out, console)
 
 
 def fit_log(log: Log, quadruped: Quadruped, config: IdentifyConfig) -> Fit:
-    """Fit what `config` names, whose own log and files do not matter."""
-    names = [*config.fit, *(["friction_speed"] if "friction" in config.fit else [])]
+    """Fit what `config` names, and offsets; its log and files do not matter."""
+    names = [*config.fit, *(["friction_speed"] if "friction" in config.fit else []), *OFFSETS]
     count = 12 if config.per_joint else 3
     groups = [tuple(range(first, 12, count)) for first in range(count)]
     return fit_joints(*describe(quadruped, config), log, names, groups, config.hold_out)
 
 
 def describe(quadruped: Quadruped, config: IdentifyConfig) -> tuple[Model, Joints]:
-    """The robot's equations, and its joints by the description: where the search begins."""
+    """Return the robot's equations, and the described joints, at which the search begins."""
     model = quadruped.training_model(PHYSICS["physics_dt"])
     motor = make_motor(model, quadruped, MotorConfig(kp=config.kp, kd=config.kd))
     constants = {
@@ -62,6 +69,8 @@ def describe(quadruped: Quadruped, config: IdentifyConfig) -> tuple[Model, Joint
         "kd": motor.kd,
         "delay": DELAY,
         "friction_speed": FRICTION_SPEED,
+        "offset": 0.0,
+        "target_offset": 0.0,
     }
     whole = {name: np.array(np.broadcast_to(x, 12), float) for name, x in constants.items()}
     return make_model(model, quadruped, motor), Joints(**whole)
@@ -76,10 +85,10 @@ def _write(
     meshes = config.robot.mesh_dirs
     if "<mesh" in quadruped.urdf:
         meshes = (config.robot.urdf.resolve().parent, *meshes)
-    flags = found.training_flags(fit, urdf, meshes)
+    flags = found.make_flags(fit, urdf, meshes) if fit.explains else []
     rest = {
-        f"{what}_{rows}": float(np.sqrt(np.mean((angles - log.position)[getattr(fit, rows)] ** 2)))
-        for what, angles in (("described", fit.before), ("found", fit.after))
+        f"{name}_{rows}": float(np.sqrt(np.mean((angles - log.position)[getattr(fit, rows)] ** 2)))
+        for name, angles in (("described", fit.before), ("found", fit.after))
         for rows in ("fitted", "held_out")
         if getattr(fit, rows).any()
     }
@@ -88,17 +97,27 @@ def _write(
         "robot": quadruped.name,
         "kp": fit.described.kp.tolist(),
         "kd": fit.described.kd.tolist(),
-        "constants": found.as_data(fit, quadruped),
+        "constants": found.to_json(fit, quadruped),
         "rms_rad": rest,
+        "unexplained": dict(zip(quadruped.joints, fit.unexplained.tolist(), strict=True)),
         "flags": flags,
     }
-    with atomic_write(urdf) as file:
-        file.write(found.found_urdf(fit, quadruped).encode())
     write_json_atomic(out / "identified.json", results)
     save_figure(
         draw_fit(fit, log, quadruped, f"{quadruped.name}, {config.log.name}"), out / "fit.png"
     )
     _print(fit, quadruped, rest)
+    if not fit.explains:
+        # One of an earlier fit would be taken for this one's.
+        urdf.unlink(missing_ok=True)
+        worst = int(fit.unexplained.argmax())
+        raise UserError(
+            f"{config.log}: the fit leaves {fit.unexplained[worst]:.0%} of the motion of "
+            f"{quadruped.joints[worst]}; expected {MOST_UNEXPLAINED:.0%} or less of every joint: "
+            f"no URDF is written, and {out / 'fit.png'} shows the motion"
+        )
+    with atomic_write(urdf) as file:
+        file.write(found.make_urdf(fit, quadruped).encode())
     console.print(f"written to {out}: robot.urdf, identified.json, fit.png; train with:")
     print(as_typed("train", "walk", *flags))
     return results
@@ -111,7 +130,7 @@ def _print(fit: Fit, quadruped: Quadruped, rest: dict[str, float]) -> None:
             f"{value.name.replace('_', ' ')}, {found.labels_of(value, quadruped)}",
             f"{value.described:.4g}",
             f"{value.found:.4g}",
-            f"{value.interval:.2g}" + ("" if found.is_sure(value) else " (unsure)"),
+            f"{value.interval:.2g}" + ("" if found.is_sure(fit, value) else " (unsure)"),
             found.UNITS[value.name],
         )
         for value in fit.values
@@ -120,5 +139,5 @@ def _print(fit: Fit, quadruped: Quadruped, rest: dict[str, float]) -> None:
     print_table(title, ("", "described", "found", "± 95 %", "unit"), rows)
     sizes = ", ".join(f"{name.replace('_', ' ')} {1e3 * size:.2f}" for name, size in rest.items())
     print(f"rms of what is left, mrad: {sizes}")
-    if not all(map(found.is_sure, fit.values)):
+    if fit.explains and not all(found.is_sure(fit, value) for value in fit.values):
         print("unsure: the log does not show it; the description's value stays")

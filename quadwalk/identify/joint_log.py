@@ -1,22 +1,20 @@
 """A log of a robot on a stand: joint targets and measured joint angles over time."""
 
-import csv
-import io
+from itertools import pairwise
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from mcap.reader import make_reader
-from mcap_protobuf.decoder import DecoderFactory
 
 from quadwalk.errors import UserError
-from quadwalk.files import os_reason, read_bytes
+from quadwalk.identify.log_checks import check_angles, check_times
+from quadwalk.identify.log_files import Columns, read_csv, read_mcap
 
 SHORTEST = 5.0  # s
-FEWEST = 40  # samples a second: less does not show a delay of some ms
-LEAST = 0.05  # rad that a joint has to move
-STAND = 0.02  # m that a trunk on a stand may move
-_ANGLES, _TARGETS, _POSE = "/joint_states", "/joint_cmd", "/pose"
+FEWEST, MOST = 40, 10_000  # samples a second: less does not show a delay of some ms
+GAP = 0.1  # s without an angle, in which the targets are not known either
+PIECE = 1.0  # s, the shortest piece between two gaps that shows something
+_UNITS = {"seconds": 1.0, "milliseconds": 1e-3, "microseconds": 1e-6, "nanoseconds": 1e-9}
 
 
 class Log(NamedTuple):
@@ -26,93 +24,87 @@ class Log(NamedTuple):
     position: np.ndarray  # (n, 12) rad, measured
     target_time: np.ndarray  # (m,) s, from when each target holds, ascending
     target: np.ndarray  # (m, 12) rad
+    notes: tuple[str, ...] = ()  # for the user: an assumed unit, and gaps
 
 
-def read_log(path: Path, joints: tuple[str, ...]) -> Log:
-    """Read a CSV or MCAP file; `UserError` in one line for one that nothing can be found from."""
-    log = (_read_mcap if path.suffix.lower() == ".mcap" else _read_csv)(path, joints)
-    for name, time in (("angles", log.time), ("targets", log.target_time)):
-        if len(time) < 2 or np.diff(time).min() <= 0:
-            raise UserError(f"{path}: its times of {name} do not ascend; expected seconds")
-    seconds = log.time[-1] - log.time[0]
-    if seconds < SHORTEST:
-        raise UserError(f"{path}: has {seconds:.1f} s; expected {SHORTEST:g} s or more")
-    rate = (len(log.time) - 1) / seconds
+def find_pieces(time: np.ndarray) -> list[slice]:
+    """Return the rows of each piece between gaps; `time` (n,), s."""
+    ends = [0, *(np.flatnonzero(np.diff(time) > GAP) + 1).tolist(), len(time)]
+    return [slice(start, end) for start, end in pairwise(ends)]
+
+
+def read_log(
+    path: Path,
+    joints: tuple[str, ...],
+    lower: np.ndarray | float = -np.inf,
+    upper: np.ndarray | float = np.inf,
+) -> Log:
+    """Read a CSV or MCAP file of the `joints`, whose limits (12,), rad, are `lower` and `upper`.
+
+    Raise `UserError`, in one line with row and joint, for a log that nothing can be fitted to.
+    """
+    is_mcap = path.suffix.lower() == ".mcap"
+    columns = read_mcap(path, joints) if is_mcap else read_csv(path, joints)
+    if not columns.rows:
+        raise UserError(f"{path}: has no row of numbers; expected {SHORTEST:g} s or more")
+    unit = _guess_unit(columns.time)
+    columns = columns._replace(
+        time=_UNITS[unit] * columns.time, target_time=_UNITS[unit] * columns.target_time
+    )
+    check_times(path, columns)
+    _check_rate(path, columns.time)
+    notes = [] if unit == "seconds" else [f"its times are read as {unit}"]
+    notes += _describe_gaps(columns)
+    columns = _drop_short_pieces(columns)
+    _check_length(path, columns.time)
+    check_angles(path, columns, joints, lower, upper)
+    return Log(*columns[:4], notes=tuple(notes))
+
+
+def _guess_unit(time: np.ndarray) -> str:
+    """Return the unit in which the times (n,) make a log of a usable rate; seconds if none does."""
+    interval = float(np.median(np.diff(time))) if len(time) > 1 else 0.0
+    for unit, seconds in _UNITS.items():
+        is_long = (time[-1] - time[0]) * seconds >= SHORTEST
+        if is_long and 1.0 / MOST <= interval * seconds <= 1.0 / FEWEST:
+            return unit
+    return "seconds"
+
+
+def _describe_gaps(columns: Columns) -> list[str]:
+    """Return one note on the gaps, if there are any."""
+    starts = [piece.start for piece in find_pieces(columns.time)[1:]]
+    if not starts:
+        return []
+    lengths = [columns.time[start] - columns.time[start - 1] for start in starts]
+    longest = int(np.argmax(lengths))
+    gaps = "a gap" if len(starts) == 1 else f"{len(starts)} gaps, the longest"
+    return [
+        f"has {gaps} of {lengths[longest]:.2f} s before {columns.rows[starts[longest]]}; "
+        f"each piece of {PIECE:g} s or more is fitted"
+    ]
+
+
+def _drop_short_pieces(columns: Columns) -> Columns:
+    """Return the columns without pieces too short to show anything."""
+    time = columns.time
+    pieces = find_pieces(time)
+    long = [p for p in pieces if time[p.stop - 1] - time[p.start] >= PIECE or len(pieces) == 1]
+    rows = [row for piece in long for row in range(piece.start, piece.stop)]
+    return columns._replace(
+        time=time[rows],
+        position=columns.position[rows],
+        rows=[columns.rows[row] for row in rows],
+    )
+
+
+def _check_rate(path: Path, time: np.ndarray) -> None:
+    rate = 1.0 / np.median(np.diff(time))
     if rate < FEWEST:
         raise UserError(f"{path}: has {rate:.0f} angles a second; expected {FEWEST} or more")
-    for what, angles in (("position", log.position), ("target", log.target)):
-        moved = np.ptp(angles, axis=0)
-        if moved.min() < LEAST:
-            still = joints[int(moved.argmin())]
-            raise UserError(
-                f"{path}: the {what} of {still} moves by {moved.min():.3f} rad; expected "
-                f"{LEAST:g} or more of every joint"
-            )
-    return log
 
 
-def _read_csv(path: Path, joints: tuple[str, ...]) -> Log:
-    text = read_bytes(path).decode("utf-8-sig", "replace")
-    rows = csv.reader(io.StringIO(text, newline=""))
-    header = [name.strip() for name in next(rows, [])]
-    wanted = ["time", *(f"{what}_{j}" for what in ("target", "position") for j in joints)]
-    missing = [name for name in wanted if name not in header]
-    if missing:
-        more = f" and {len(missing) - 1} more" if missing[1:] else ""
-        raise UserError(
-            f"{path}: has no column {missing[0]}{more}; expected time, and target_JOINT and "
-            "position_JOINT of each joint"
-        )
-    places = [header.index(name) for name in wanted]
-    values = np.array([_numbers(path, rows.line_num, row, places) for row in rows if row])
-    if not len(values):
-        raise UserError(f"{path}: has no row of numbers; expected {SHORTEST:g} s or more")
-    time, target, position = values[:, 0], values[:, 1:13], values[:, 13:]
-    return Log(time, position, time, target)
-
-
-def _numbers(path: Path, line: int, row: list[str], places: list[int]) -> list[float]:
-    try:
-        found = [float(row[place]) for place in places]
-    except (IndexError, ValueError):
-        found = [np.nan]
-    if not np.isfinite(found).all():
-        raise UserError(f"{path}, line {line}: expected a finite number in every column")
-    return found
-
-
-def _read_mcap(path: Path, joints: tuple[str, ...]) -> Log:
-    found: dict[str, list[tuple[float, Any]]] = {name: [] for name in (_ANGLES, _TARGETS, _POSE)}
-    try:
-        with open(path, "rb") as file:
-            reader = make_reader(file, validate_crcs=True, decoder_factories=[DecoderFactory()])
-            for _, channel, message, decoded in reader.iter_decoded_messages(list(found)):
-                found[channel.topic].append((message.log_time * 1e-9, decoded))
-    except OSError as error:
-        raise UserError(f"cannot read {path}: {os_reason(error)}") from error
-    except Exception as error:  # damaged bytes meet the reader's parts anywhere
-        reason = str(error) or type(error).__name__
-        raise UserError(f"{path}: is no MCAP file that can be read ({reason})") from error
-    places = [pose.pose.position for _, pose in found[_POSE]]
-    moved = np.ptp([(p.x, p.y, p.z) for p in places], axis=0).max() if places else 0.0
-    if moved > STAND:
-        raise UserError(f"{path}: the trunk moves by {moved:.2f} m; expected a robot on a stand")
-    position = _joint_angles(path, _ANGLES, found[_ANGLES], joints)
-    return Log(*position, *_joint_angles(path, _TARGETS, found[_TARGETS], joints))
-
-
-def _joint_angles(
-    path: Path, topic: str, messages: list[tuple[float, Any]], joints: tuple[str, ...]
-) -> tuple[np.ndarray, np.ndarray]:
-    """Times (n,), s, and angles (n, 12), rad, of `foxglove.JointStates`."""
-    try:
-        rows = [{j.name: j.position for j in message.joints} for _, message in messages]
-        angles = [[row[joint] for joint in joints] for row in rows]
-    except (AttributeError, KeyError) as error:
-        what = error.args[0] if isinstance(error, KeyError) else "joints"
-        raise UserError(
-            f"{path}: {topic} has no {what}; expected foxglove.JointStates of all joints"
-        ) from None
-    if not angles:
-        raise UserError(f"{path}: has no {topic}; expected {_ANGLES} and {_TARGETS}")
-    return np.array([time for time, _ in messages]), np.array(angles)
+def _check_length(path: Path, time: np.ndarray) -> None:
+    seconds = sum(np.ptp(time[piece]) for piece in find_pieces(time) if len(time))
+    if seconds < SHORTEST:
+        raise UserError(f"{path}: has {seconds:.1f} s; expected {SHORTEST:g} s or more")

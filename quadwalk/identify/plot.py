@@ -1,4 +1,4 @@
-"""A fit as a picture: angles beside the measured ones, what is left, and what was found."""
+"""A fit as a picture: fitted and measured angles, what is left, and the constants."""
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 from quadwalk.drawing.figures import INK, LEG_COLORS, new_figure, tidy
 from quadwalk.identify.fit import Fit
 from quadwalk.identify.found import OF_URDF, PARTS
-from quadwalk.identify.joint_log import Log
+from quadwalk.identify.joint_log import Log, find_pieces
 from quadwalk.robot.quadruped import Quadruped
 
 WINDOW = 2.0  # s of angles that are shown
@@ -16,21 +16,21 @@ _COLORS = {"target": "#9aa3ad", "description": LEG_COLORS[2], "fit": LEG_COLORS[
 
 
 def draw_fit(fit: Fit, log: Log, quadruped: Quadruped, title: str) -> Figure:
-    """Three rows, 15 by 11 inches; a column for hips, thighs and calves each."""
+    """Draw three rows, 15 by 11 inches, with a column for hips, thighs and calves each."""
     figure = new_figure((15, 11), title)
     left = {"description": fit.before - log.position, "fit": fit.after - log.position}
     for part, column in enumerate(figure.subplots(3, 3).T):
-        worst = int((left["fit"][:, part::3] ** 2).mean(axis=0).argmax())
-        _angles(column[0], fit, log, 3 * worst + part, quadruped.joints[3 * worst + part])
-        own = {name: 1e3 * angles[:, part::3] for name, angles in left.items()}
-        _rest(column[1], log.time - log.time[0], own, fit)
-        _constants(column[2], fit, part)
+        worst = 3 * int((left["fit"][:, part::3] ** 2).mean(axis=0).argmax()) + part
+        _draw_angles(column[0], fit, log, worst, quadruped.joints[worst])
+        errors = {name: 1e3 * angles[:, part::3] for name, angles in left.items()}
+        _draw_errors(column[1], log.time - log.time[0], errors, fit)
+        _draw_constants(column[2], fit, part)
     return figure
 
 
-def _angles(axes: Axes, fit: Fit, log: Log, joint: int, name: str) -> None:
-    """Of the joint of its kind that is fitted worst, where it moves most."""
-    start = max(log.time[:-1], key=lambda t: _way(log, joint, t))
+def _draw_angles(axes: Axes, fit: Fit, log: Log, joint: int, name: str) -> None:
+    """Draw the angles of one joint in the window in which it moves most."""
+    start = max(log.time[:-1], key=lambda t: _compute_way(log, joint, t))
     shown = (log.time >= start) & (log.time <= start + WINDOW)
     time = log.time[shown] - log.time[0]
     held = (log.target_time >= start) & (log.target_time <= start + WINDOW)
@@ -44,19 +44,22 @@ def _angles(axes: Axes, fit: Fit, log: Log, joint: int, name: str) -> None:
     _finish(axes, f"{name}, the worst of its kind", "rad", time)
 
 
-def _way(log: Log, joint: int, start: float) -> float:
-    """How far a joint goes in a window, rad; nothing where the log ends before."""
-    if start + WINDOW > log.time[-1]:
+def _compute_way(log: Log, joint: int, start: float) -> float:
+    """Return how far a joint's target goes in a window, rad; 0 where the log ends or has a gap."""
+    rows = slice(*np.searchsorted(log.time, (start, start + WINDOW)))
+    if start + WINDOW > log.time[-1] or len(find_pieces(log.time[rows])) > 1:
         return 0.0
-    shown = slice(*np.searchsorted(log.time, (start, start + WINDOW)))
-    return float(np.abs(np.diff(log.target[shown, joint])).sum())
+    held = slice(*np.searchsorted(log.target_time, (start, start + WINDOW)))
+    return float(np.abs(np.diff(log.target[held, joint])).sum())
 
 
-def _rest(axes: Axes, time: np.ndarray, left: dict[str, np.ndarray], fit: Fit) -> None:
-    """What description and fit leave of a kind's angles (n, 4), mrad."""
+def _draw_errors(axes: Axes, time: np.ndarray, errors: dict[str, np.ndarray], fit: Fit) -> None:
+    """Draw what description and fit leave of a kind's angles (n, 4), mrad."""
     bins = (time // BIN).astype(int)
-    for name, angles in left.items():
-        squares = np.bincount(bins, (angles**2).mean(axis=1)) / np.bincount(bins)
+    count = np.bincount(bins)
+    for name, angles in errors.items():
+        squares = np.full(len(count), np.nan)  # stays so in a gap, where the line breaks
+        np.divide(np.bincount(bins, (angles**2).mean(axis=1)), count, out=squares, where=count > 0)
         axes.plot(BIN * (np.arange(len(squares)) + 0.5), np.sqrt(squares), color=_COLORS[name])
         axes.lines[-1].set_label(name)
     if fit.held_out.any():
@@ -64,18 +67,19 @@ def _rest(axes: Axes, time: np.ndarray, left: dict[str, np.ndarray], fit: Fit) -
     axes.set_ylim(bottom=0.0)
     axes.margins(y=0.25)
     rows = (fit.fitted, fit.held_out)
-    rms = [np.sqrt(np.mean(left["fit"][own] ** 2)) for own in rows if own.any()]
+    rms = [np.sqrt(np.mean(errors["fit"][part] ** 2)) for part in rows if part.any()]
     sizes = ", held out (gray) ".join(f"{size:.2g}" for size in rms)
     _finish(axes, f"What is left, rms: {sizes}", "mrad", time)
 
 
-def _constants(axes: Axes, fit: Fit, part: int) -> None:
-    """What was found for a kind of joint, as a share of the description's."""
+def _draw_constants(axes: Axes, fit: Fit, part: int) -> None:
+    """Draw a kind's fitted constants as shares of the description's."""
     for row, name in enumerate(OF_URDF):
-        own = [v for v in fit.values if v.name == name and part in {j % 3 for j in v.joints}]
-        own = [value for value in own if value.described > 0]
-        for place, value in zip(np.linspace(-0.2, 0.2, len(own) + 2)[1:-1], own, strict=True):
-            color = LEG_COLORS[value.joints[0] // 3] if len(own) > 1 else INK
+        values = [v for v in fit.values if v.name == name and part in {j % 3 for j in v.joints}]
+        values = [value for value in values if value.described > 0]
+        places = np.linspace(-0.2, 0.2, len(values) + 2)[1:-1]
+        for place, value in zip(places, values, strict=True):
+            color = LEG_COLORS[value.joints[0] // 3] if len(values) > 1 else INK
             share, interval = (x / value.described for x in (value.found, value.interval))
             axes.errorbar(share, row + place, xerr=interval, fmt="o", color=color, capsize=3)
     axes.axvline(1.0, color=_COLORS["description"], linewidth=1.2)

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from quadwalk.identify.joint_log import Log
+from quadwalk.identify.joint_log import Log, find_pieces
 from quadwalk.physics import rigid_body
 from quadwalk.physics import vectors as v
 from quadwalk.physics.batching import column
@@ -25,7 +25,7 @@ _STILL: Vector = (0.0, 0.0, 0.0)
 
 
 class Joints(NamedTuple):
-    """What the joints of n candidates for the robot differ by, each (12, n); of one, (12,)."""
+    """The constants in which n candidates for the robot differ, each (12, n); of one, (12,)."""
 
     armature: np.ndarray  # kg m^2
     friction: np.ndarray  # Nm, Coulomb
@@ -34,82 +34,126 @@ class Joints(NamedTuple):
     kd: np.ndarray  # Nm s/rad
     delay: np.ndarray  # s, from a target to its effect
     friction_speed: np.ndarray  # rad/s, over which friction passes through zero
+    offset: np.ndarray  # rad, the measured angle less the joint's own
+    # rad, the target that the controller has less the recorded one, both as measured angles
+    target_offset: np.ndarray
 
 
-def simulator(model: Model, log: Log) -> Callable[[Joints], np.ndarray]:
-    """What gives the angles (samples, 12, n), rad, at the log's times, that its targets cause.
+class Steps(NamedTuple):
+    """Physics steps through all pieces of a log, one piece after the other."""
 
-    Each robot begins at rest in the first measured pose, and has held the first target before.
-    """
+    time: tuple[np.ndarray, ...]  # s, of each piece: where its steps begin, and the last one ends
+    piece: np.ndarray  # (steps,) of each step
+    is_first: np.ndarray  # (steps,) True where a piece begins
+    sample: np.ndarray  # (n,) the step in which each of the log's angles was measured
+    share: np.ndarray  # (n,) of that step that had passed
+
+
+def make_steps(log: Log) -> Steps:
+    """Return equal steps of `STEP` or less through the pieces of `log`."""
     interval = float(np.median(np.diff(log.time)))
     dt = interval / np.ceil(interval / STEP)
-    steps = int(np.ceil((log.time[-1] - log.time[0]) / dt)) + 1
-    times = log.time[0] + dt * np.arange(steps + 1)
-    before = np.searchsorted(times, log.time, "right") - 1
-    share = ((log.time - times[before]) / dt)[:, None, None]
+    time, sample, share = [], [], []
+    first = 0  # of the piece
+    for piece in find_pieces(log.time):
+        passed = (log.time[piece] - log.time[piece.start]) / dt
+        # One step more than the angles need: the simulation gives the angle before each step.
+        count = int(np.ceil(passed[-1])) + 2
+        time.append(log.time[piece.start] + dt * np.arange(count + 1))
+        sample.append(first + passed.astype(int))
+        share.append(passed % 1.0)
+        first += count
+    lengths = [len(times) - 1 for times in time]
+    number = np.repeat(np.arange(len(lengths)), lengths)
+    is_first = np.diff(number, prepend=-1) > 0
+    return Steps(tuple(time), number, is_first, np.concatenate(sample), np.concatenate(share))
+
+
+def make_simulator(model: Model, log: Log) -> Callable[[Joints], np.ndarray]:
+    """Return a function from n candidates to the angles that the log's targets cause.
+
+    The angles (samples, 12, n), rad, are as measured, at the log's times. In each piece of the log
+    the robot begins at rest in the first measured pose, and has held its target before.
+    """
+    steps = make_steps(log)
+    dt = float(steps.time[0][1] - steps.time[0][0])
+    first_pose = np.stack([log.position[piece.start] for piece in find_pieces(log.time)])
+    share = steps.share[:, None, None]
 
     @jax.jit
-    def angles(joints: Joints, targets: jax.Array) -> jax.Array:
-        start = jnp.repeat(log.position[0][:, None], targets.shape[-1], axis=1)
-        found = _angles(model, joints, targets, start, dt)
-        return (1.0 - share) * found[before] + share * found[before + 1]
+    def compute_angles(joints: Joints, targets: jax.Array) -> jax.Array:
+        start = first_pose[:, :, None] - joints.offset
+        angles = _simulate(model, joints, targets, start, steps, dt)
+        angles = (1.0 - share) * angles[steps.sample] + share * angles[steps.sample + 1]
+        return angles + joints.offset
 
     def simulate(joints: Joints) -> np.ndarray:
         delays, which = np.unique(joints.delay[0], return_inverse=True)
-        targets = np.stack([mean_targets(log, times, delay) for delay in delays], axis=2)
+        targets = np.stack([_late_targets(log, steps, delay) for delay in delays], axis=2)
         with jax.enable_x64(True):
-            return np.asarray(angles(joints, targets[:, :, which]))
+            return np.asarray(compute_angles(joints, targets[:, :, which]))
 
     return simulate
 
 
+def _late_targets(log: Log, steps: Steps, delay: float) -> np.ndarray:
+    """Return the mean target (steps, 12), rad, of each step when targets are `delay` s late."""
+    return np.concatenate([mean_targets(log, times, delay) for times in steps.time])
+
+
 def mean_targets(log: Log, times: np.ndarray, delay: float) -> np.ndarray:
-    """The mean target (steps, 12), rad, between each two of `times`, when each is late by `delay`.
+    """Return the mean target (steps, 12), rad, between `times` when each is `delay` s late.
 
     A target holds until the next. Means change smoothly with the delay, where single values jump.
     """
     knots = np.concatenate([[times[0] - 1e3], log.target_time, [times[-1] + 1e3]])
     held = np.concatenate([log.target[:1], log.target])
     area = np.concatenate([np.zeros((1, 12)), np.cumsum(held * np.diff(knots)[:, None], axis=0)])
-    own = np.stack([np.interp(times - delay, knots, angle) for angle in area.T], axis=1)
-    return np.diff(own, axis=0) / np.diff(times)[:, None]
+    late = np.stack([np.interp(times - delay, knots, angle) for angle in area.T], axis=1)
+    return np.diff(late, axis=0) / np.diff(times)[:, None]
 
 
-def _angles(
-    model: Model, joints: Joints, targets: jax.Array, start: jax.Array, dt: float
+def _simulate(
+    model: Model, joints: Joints, targets: jax.Array, start: jax.Array, steps: Steps, dt: float
 ) -> jax.Array:
-    """The angles (steps + 1, 12, n) from `start` (12, n), by explicit midpoint steps."""
-    own = zip(model.links, _by_link(joints.armature), _by_link(joints.damping), strict=True)
+    """Return the joints' angles (steps, 12, n) before each explicit midpoint step.
+
+    `start` (pieces, 12, n) holds the pose in which each piece begins, at rest.
+    """
+    constants = zip(model.links, _by_link(joints.armature), _by_link(joints.damping), strict=True)
     links = tuple(
         jax.tree.map(column, link)._replace(armature=armature, damping=damping)
-        for link, armature, damping in own
+        for link, armature, damping in constants
     )
     motor = jax.tree.map(column, model.motor)
     motor = motor._replace(kp=joints.kp, kd=joints.kd, friction=joints.friction)
     model = model._replace(links=links, motor=motor)
 
     def acceleration(q: jax.Array, qd: jax.Array, target: jax.Array) -> jax.Array:
-        torque = motor_torque(motor, target, q, qd) + friction_torque(
-            motor, qd, joints.friction_speed
-        )
+        wanted = target + joints.target_offset
+        torque = motor_torque(motor, wanted, q + joints.offset, qd)
+        torque += friction_torque(motor, qd, joints.friction_speed)
         return joint_acceleration(model, q, qd, torque)
 
     def step(
-        state: tuple[jax.Array, jax.Array], target: jax.Array
+        state: tuple[jax.Array, jax.Array], inputs: tuple[jax.Array, jax.Array, jax.Array]
     ) -> tuple[tuple[jax.Array, jax.Array], jax.Array]:
-        q, qd = state
+        target, piece, is_first = inputs
+        q = jnp.where(is_first, start[piece], state[0])
+        qd = jnp.where(is_first, 0.0, state[1])
         half = qd + 0.5 * dt * acceleration(q, qd, target)
         after = q + dt * half, qd + dt * acceleration(q + 0.5 * dt * qd, half, target)
-        return after, after[0]
+        return after, q
 
-    found = jax.lax.scan(step, (start, jnp.zeros_like(start)), targets)[1]
-    return jnp.concatenate([start[None], found])
+    still = start[0], jnp.zeros_like(start[0])
+    return jax.lax.scan(step, still, (targets, steps.piece, steps.is_first))[1]
 
 
 def joint_acceleration(model: Model, q: jax.Array, qd: jax.Array, torque: jax.Array) -> jax.Array:
-    """Of the joints (12, n), rad/s^2, at `q` (12, n), rad, and `qd`, with torques (12, n), Nm.
+    """Return the joints' accelerations (12, n), rad/s^2, with torques (12, n), Nm.
 
-    The constants of the `model` have a last axis for the candidates.
+    `q` (12, n), rad, and `qd` (12, n), rad/s, are angles and speeds. The constants of the `model`
+    have a last axis for the candidates.
     """
     pose = rigid_body.pose_of(model.links, _LEVEL, _by_link(q))
     bodies = rigid_body.place_bodies(model.trunk, model.links, pose)
@@ -126,6 +170,6 @@ def joint_acceleration(model: Model, q: jax.Array, qd: jax.Array, torque: jax.Ar
 
 
 def _by_link(joints: jax.Array | np.ndarray) -> Vector:
-    """(12, n) as hip, thigh and calf joints, (4, n) each."""
+    """Return values (12, n) as those of hip, thigh and calf joints, (4, n) each."""
     legs = joints.reshape(4, rigid_body.LINKS, -1)
     return legs[:, 0], legs[:, 1], legs[:, 2]
