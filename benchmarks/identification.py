@@ -15,7 +15,7 @@ import numpy as np
 
 from quadwalk.identify.config import IdentifyConfig
 from quadwalk.identify.excite import excitation
-from quadwalk.identify.found import OF_URDF, labels_of
+from quadwalk.identify.found import OF_URDF, OFFSETS, labels_of
 from quadwalk.identify.identification import fit_log
 from quadwalk.identify.joint_log import Log
 from quadwalk.robot.quadruped import Quadruped, load_quadruped
@@ -109,7 +109,7 @@ def main() -> None:
         print(f"{case}: {1e3 * left:.2f} mrad left of the part that is held out")
         offsets = [value for value in fit.values if value.name == "offset"]
         for value in fit.values:
-            if value.name == "offset":
+            if value.name in OFFSETS:
                 continue
             true = np.ravel(getattr(known, value.name))[
                 value.joints[0] if value.name in OF_URDF else 0

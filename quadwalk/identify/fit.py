@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from scipy import stats
 from scipy.optimize import least_squares
 
 from quadwalk.errors import UserError
@@ -192,14 +193,18 @@ def compute_intervals(jacobian: np.ndarray, residual: np.ndarray, block: np.ndar
     """Return halves of the 95 % intervals (m,) of a least-squares solution.
 
     `jacobian` (n, m) and `residual` (n,); those of one `block` (n,) may err alike, as where the
-    model is wrong: Liang and Zeger 1986, Longitudinal data analysis using generalized linear
-    models.
+    model is wrong. This is the jackknife: the solution's changes when each block is left out.
     """
-    inverse = np.linalg.pinv(jacobian.T @ jacobian)
-    pull = jacobian * residual[:, None]
-    blocks = np.array([pull[block == number].sum(axis=0) for number in np.unique(block)])
-    spread = len(blocks) / (len(blocks) - 1) * blocks.T @ blocks
-    return 1.96 * np.sqrt(np.diag(inverse @ spread @ inverse))
+    information = jacobian.T @ jacobian
+    rows = [block == number for number in np.unique(block)]
+    changes = [
+        np.linalg.pinv(information - jacobian[row].T @ jacobian[row], hermitian=True)
+        @ (jacobian[row].T @ residual[row])
+        for row in rows
+    ]
+    count = len(rows)
+    deviation = np.sqrt((count - 1) / count * np.sum(np.square(changes), axis=0))
+    return stats.t.ppf(0.975, count - 1) * deviation
 
 
 def _compute_mean(joints: Joints, name: str, group: tuple[int, ...]) -> float:

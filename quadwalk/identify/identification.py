@@ -15,7 +15,7 @@ from quadwalk.files import atomic_write, make_folder
 from quadwalk.identify import found
 from quadwalk.identify.config import IdentifyConfig
 from quadwalk.identify.fit import DELAY, MOST_UNEXPLAINED, OFFSETS, Fit, fit_joints
-from quadwalk.identify.joint_log import Log, read_log
+from quadwalk.identify.joint_log import Log, find_followed_target, read_log
 from quadwalk.identify.plot import draw_fit
 from quadwalk.identify.stand import Joints
 from quadwalk.physics.fast import make_model
@@ -26,6 +26,8 @@ from quadwalk.settings.environment import PHYSICS
 from quadwalk.train.devices import set_up_devices
 from quadwalk.train.robot import load_robot
 from quadwalk.train.runs.directory import write_json_atomic
+
+_FOLLOWS = 0.8  # the correlation of angles with the targets that they follow
 
 
 def identify(config: IdentifyConfig) -> dict[str, Any]:
@@ -110,17 +112,28 @@ def _write(
     if not fit.explains:
         # One of an earlier fit would be taken for this one's.
         urdf.unlink(missing_ok=True)
-        worst = int(fit.unexplained.argmax())
-        raise UserError(
-            f"{config.log}: the fit leaves {fit.unexplained[worst]:.0%} of the motion of "
-            f"{quadruped.joints[worst]}; expected {MOST_UNEXPLAINED:.0%} or less of every joint: "
-            f"no URDF is written, and {out / 'fit.png'} shows the motion"
-        )
+        raise UserError(f"{config.log}: {_describe_failure(fit, log, quadruped)}")
     with atomic_write(urdf) as file:
         file.write(found.make_urdf(fit, quadruped).encode())
     console.print(f"written to {out}: robot.urdf, identified.json, fit.png; train with:")
     print(as_typed("train", "walk", *flags))
     return results
+
+
+def _describe_failure(fit: Fit, log: Log, quadruped: Quadruped) -> str:
+    """Return what a fit leaves unexplained, with a likely cause."""
+    worst = int(fit.unexplained.argmax())
+    joint = quadruped.joints[worst]
+    followed, correlation = find_followed_target(log, worst)
+    cause = ""
+    if followed != worst and abs(correlation) > _FOLLOWS:
+        cause = f"; its angles follow target_{quadruped.joints[followed]}: is the order another?"
+    elif correlation < -_FOLLOWS:
+        cause = "; its angles move against its target: is the direction another?"
+    return (
+        f"the fit leaves {fit.unexplained[worst]:.0%} of the motion of {joint}, so no URDF is "
+        f"written; expected {MOST_UNEXPLAINED:.0%} or less of every joint{cause}"
+    )
 
 
 def _print(fit: Fit, quadruped: Quadruped, rest: dict[str, float]) -> None:
@@ -134,9 +147,17 @@ def _print(fit: Fit, quadruped: Quadruped, rest: dict[str, float]) -> None:
             found.UNITS[value.name],
         )
         for value in fit.values
+        if value.name not in OFFSETS
     ]
     title = f"recorded with kp {kp:g} Nm/rad and kd {kd:g} Nm s/rad"
     print_table(title, ("", "described", "found", "± 95 %", "unit"), rows)
+    texts: list[list[str]] = [[joint] for joint in quadruped.joints]
+    for value in fit.values:
+        if value.name in OFFSETS:
+            numbers = f"{1e3 * value.found:.2f}", f"{1e3 * value.interval:.2g}"
+            texts[value.joints[0]] += numbers
+    headings = ("", "of the angle", "± 95 %", "of the target", "± 95 %")
+    print_table("offsets, mrad", headings, texts)
     sizes = ", ".join(f"{name.replace('_', ' ')} {1e3 * size:.2f}" for name, size in rest.items())
     print(f"rms of what is left, mrad: {sizes}")
     if fit.explains and not all(found.is_sure(fit, value) for value in fit.values):

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from quadwalk.errors import UserError
-from quadwalk.identify.log_checks import check_angles, check_times
+from quadwalk.identify.log_checks import check_angles, check_times, target_at
 from quadwalk.identify.log_files import Columns, read_csv, read_mcap
 
 SHORTEST = 5.0  # s
@@ -59,6 +59,14 @@ def read_log(
     _check_length(path, columns.time)
     check_angles(path, columns, joints, lower, upper)
     return Log(*columns[:4], notes=tuple(notes))
+
+
+def find_followed_target(log: Log, joint: int) -> tuple[int, float]:
+    """Return the joint whose target a joint's angles follow best, and their correlation."""
+    target = target_at(log.target_time, log.target, log.time)
+    correlation = np.corrcoef(log.position[:, joint], target.T)[0, 1:]
+    best = int(np.abs(correlation).argmax())
+    return best, float(correlation[best])
 
 
 def _guess_unit(time: np.ndarray) -> str:

@@ -20,6 +20,7 @@ from quadwalk.physics.motor import friction_torque, motor_torque
 from quadwalk.physics.vectors import Matrix, Vector
 
 STEP = 0.5e-3  # s, the longest physics step
+START = 0.05  # s of a piece that show how it begins
 _LEVEL: Matrix = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 _STILL: Vector = (0.0, 0.0, 0.0)
 
@@ -72,17 +73,17 @@ def make_steps(log: Log) -> Steps:
 def make_simulator(model: Model, log: Log) -> Callable[[Joints], np.ndarray]:
     """Return a function from n candidates to the angles that the log's targets cause.
 
-    The angles (samples, 12, n), rad, are as measured, at the log's times. In each piece of the log
-    the robot begins at rest in the first measured pose, and has held its target before.
+    The angles (samples, 12, n), rad, are as measured, at the log's times. Each piece of the log
+    begins as it was measured, and has held its first target before.
     """
     steps = make_steps(log)
     dt = float(steps.time[0][1] - steps.time[0][0])
-    first_pose = np.stack([log.position[piece.start] for piece in find_pieces(log.time)])
+    pose, speed = estimate_starts(log)
     share = steps.share[:, None, None]
 
     @jax.jit
     def compute_angles(joints: Joints, targets: jax.Array) -> jax.Array:
-        start = first_pose[:, :, None] - joints.offset
+        start = pose[:, :, None] - joints.offset, speed[:, :, None] + jnp.zeros_like(joints.offset)
         angles = _simulate(model, joints, targets, start, steps, dt)
         angles = (1.0 - share) * angles[steps.sample] + share * angles[steps.sample + 1]
         return angles + joints.offset
@@ -96,9 +97,30 @@ def make_simulator(model: Model, log: Log) -> Callable[[Joints], np.ndarray]:
     return simulate
 
 
+def estimate_starts(log: Log) -> tuple[np.ndarray, np.ndarray]:
+    """Return angles, rad, and speeds, rad/s, with which the pieces begin, each (pieces, 12).
+
+    They are those of parabolas through the first angles: single angles have too much noise.
+    """
+    starts = []
+    for piece in find_pieces(log.time):
+        passed = log.time[piece] - log.time[piece.start]
+        count = max(3, int(np.searchsorted(passed, START, "right")))
+        angles = log.position[piece][:count]
+        starts.append(np.polyfit(passed[:count], angles, 2)[[2, 1]])
+    pose, speed = np.stack(starts, axis=1)
+    return pose, speed
+
+
 def _late_targets(log: Log, steps: Steps, delay: float) -> np.ndarray:
     """Return the mean target (steps, 12), rad, of each step when targets are `delay` s late."""
-    return np.concatenate([mean_targets(log, times, delay) for times in steps.time])
+    targets = []
+    for times in steps.time:
+        # Before a piece its first target held: nearer than the last one before the gap.
+        later = log.target_time >= times[0]
+        piece = log._replace(target_time=log.target_time[later], target=log.target[later])
+        targets.append(mean_targets(piece, times, delay))
+    return np.concatenate(targets)
 
 
 def mean_targets(log: Log, times: np.ndarray, delay: float) -> np.ndarray:
@@ -114,11 +136,16 @@ def mean_targets(log: Log, times: np.ndarray, delay: float) -> np.ndarray:
 
 
 def _simulate(
-    model: Model, joints: Joints, targets: jax.Array, start: jax.Array, steps: Steps, dt: float
+    model: Model,
+    joints: Joints,
+    targets: jax.Array,
+    start: tuple[jax.Array, jax.Array],
+    steps: Steps,
+    dt: float,
 ) -> jax.Array:
     """Return the joints' angles (steps, 12, n) before each explicit midpoint step.
 
-    `start` (pieces, 12, n) holds the pose in which each piece begins, at rest.
+    `start` holds the angles and speeds (pieces, 12, n) with which each piece begins.
     """
     constants = zip(model.links, _by_link(joints.armature), _by_link(joints.damping), strict=True)
     links = tuple(
@@ -139,14 +166,14 @@ def _simulate(
         state: tuple[jax.Array, jax.Array], inputs: tuple[jax.Array, jax.Array, jax.Array]
     ) -> tuple[tuple[jax.Array, jax.Array], jax.Array]:
         target, piece, is_first = inputs
-        q = jnp.where(is_first, start[piece], state[0])
-        qd = jnp.where(is_first, 0.0, state[1])
+        q = jnp.where(is_first, start[0][piece], state[0])
+        qd = jnp.where(is_first, start[1][piece], state[1])
         half = qd + 0.5 * dt * acceleration(q, qd, target)
         after = q + dt * half, qd + dt * acceleration(q + 0.5 * dt * qd, half, target)
         return after, q
 
-    still = start[0], jnp.zeros_like(start[0])
-    return jax.lax.scan(step, still, (targets, steps.piece, steps.is_first))[1]
+    first = start[0][0], start[1][0]
+    return jax.lax.scan(step, first, (targets, steps.piece, steps.is_first))[1]
 
 
 def joint_acceleration(model: Model, q: jax.Array, qd: jax.Array, torque: jax.Array) -> jax.Array:
