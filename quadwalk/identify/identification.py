@@ -127,9 +127,10 @@ def _describe_failure(fit: Fit, log: Log, quadruped: Quadruped) -> str:
     followed, correlation = find_followed_target(log, worst)
     cause = ""
     if followed != worst and abs(correlation) > _FOLLOWS:
-        cause = f"; its angles follow target_{quadruped.joints[followed]}: is the order another?"
+        other = quadruped.joints[followed]
+        cause = f"; its angles follow target_{other}: are columns in another order?"
     elif correlation < -_FOLLOWS:
-        cause = "; its angles move against its target: is the direction another?"
+        cause = "; its angles move against its target: has one the other sign?"
     return (
         f"the fit leaves {fit.unexplained[worst]:.0%} of the motion of {joint}, so no URDF is "
         f"written; expected {MOST_UNEXPLAINED:.0%} or less of every joint{cause}"
@@ -138,6 +139,7 @@ def _describe_failure(fit: Fit, log: Log, quadruped: Quadruped) -> str:
 
 def _print(fit: Fit, quadruped: Quadruped, rest: dict[str, float]) -> None:
     kp, kd = fit.described.kp[0], fit.described.kd[0]
+    constants = [value for value in fit.values if value.name not in OFFSETS]
     rows = [
         (
             f"{value.name.replace('_', ' ')}, {found.labels_of(value, quadruped)}",
@@ -146,19 +148,18 @@ def _print(fit: Fit, quadruped: Quadruped, rest: dict[str, float]) -> None:
             f"{value.interval:.2g}" + ("" if found.is_sure(fit, value) else " (unsure)"),
             found.UNITS[value.name],
         )
-        for value in fit.values
-        if value.name not in OFFSETS
+        for value in constants
     ]
     title = f"recorded with kp {kp:g} Nm/rad and kd {kd:g} Nm s/rad"
     print_table(title, ("", "described", "found", "± 95 %", "unit"), rows)
     texts: list[list[str]] = [[joint] for joint in quadruped.joints]
     for value in fit.values:
         if value.name in OFFSETS:
-            numbers = f"{1e3 * value.found:.2f}", f"{1e3 * value.interval:.2g}"
+            numbers = f"{1e3 * value.found:z.2f}", f"{1e3 * value.interval:.2g}"
             texts[value.joints[0]] += numbers
     headings = ("", "of the angle", "± 95 %", "of the target", "± 95 %")
     print_table("offsets, mrad", headings, texts)
     sizes = ", ".join(f"{name.replace('_', ' ')} {1e3 * size:.2f}" for name, size in rest.items())
     print(f"rms of what is left, mrad: {sizes}")
-    if fit.explains and not all(found.is_sure(fit, value) for value in fit.values):
+    if fit.explains and not all(found.is_sure(fit, value) for value in constants):
         print("unsure: the log does not show it; the description's value stays")

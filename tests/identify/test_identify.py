@@ -162,7 +162,7 @@ def test_intervals_hold_the_truth_as_often_as_they_say():
     ("change", "cause"),
     [
         (lambda rows: rows, ""),
-        (lambda rows: _swap(rows, 0, 3), "; its angles follow target_FL_hip_joint: is the order.*"),
+        (lambda rows: _swap(rows, 0, 3), "; its angles follow target_FL_hip_joint: are columns.*"),
         (lambda rows: _scale(rows, 0, -1.0), "; its angles move against its target: .*"),
     ],
 )
