@@ -83,8 +83,9 @@ def make_simulator(model: Model, log: Log) -> Callable[[Joints], np.ndarray]:
 
     @jax.jit
     def compute_angles(joints: Joints, targets: jax.Array) -> jax.Array:
-        start = pose[:, :, None] - joints.offset, speed[:, :, None] + jnp.zeros_like(joints.offset)
-        angles = _simulate(model, joints, targets, start, steps, dt)
+        start_pose = jnp.asarray(pose[:, :, None] - joints.offset)
+        start_speed = jnp.broadcast_to(speed[:, :, None], start_pose.shape)
+        angles = _simulate(model, joints, targets, (start_pose, start_speed), steps, dt)
         angles = (1.0 - share) * angles[steps.sample] + share * angles[steps.sample + 1]
         return angles + joints.offset
 
@@ -173,7 +174,8 @@ def _simulate(
         return after, q
 
     first = start[0][0], start[1][0]
-    return jax.lax.scan(step, first, (targets, steps.piece, steps.is_first))[1]
+    inputs = targets, jnp.asarray(steps.piece), jnp.asarray(steps.is_first)
+    return jax.lax.scan(step, first, inputs)[1]
 
 
 def joint_acceleration(model: Model, q: jax.Array, qd: jax.Array, torque: jax.Array) -> jax.Array:

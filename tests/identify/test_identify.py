@@ -16,7 +16,7 @@ from quadwalk.errors import UserError
 from quadwalk.identify import identification
 from quadwalk.identify.__main__ import main
 from quadwalk.identify.config import IdentifyConfig
-from quadwalk.identify.fit import OF_URDF, SETTLE, Fit, Value, compute_intervals
+from quadwalk.identify.fit import OF_URDF, SETTLE, Fit, Parameters, Value, compute_intervals
 from quadwalk.identify.found import is_sure
 from quadwalk.identify.identification import describe
 from quadwalk.identify.joint_log import find_pieces, read_log
@@ -141,6 +141,27 @@ def test_simulation_is_mujocos_with_offsets_on_both_sides_of_a_gap(quadruped, sh
     settle = round(SETTLE / (log.time[1] - log.time[0]))
     assert error[settle:150].max() < 4e-4
     assert error[150 + settle :].max() < 4e-4
+
+
+def test_one_simulation_shows_the_constants_of_all_legs(quadruped):
+    log = hang(quadruped, KNOWN, seconds=1.0)
+    model, joints = describe(quadruped, IdentifyConfig(Path("log.csv"), kp=KNOWN.kp, kd=KNOWN.kd))
+    single = [(joint,) for joint in range(12)]
+    parameters = Parameters(joints, ["armature", "offset", "delay"], single)
+    candidates = parameters.make_candidates(parameters.start / parameters.scale)
+    assert candidates.armature.shape == (12, 1 + 3 + 3 + 1)
+    simulate = make_simulator(model, log)
+    jacobian = parameters.compute_jacobian(simulate(candidates))
+    alone = Joints(*(np.repeat(value[:, None], 8, axis=1) for value in joints))
+    changes = [("armature", 4), ("armature", 8), ("offset", 0), ("offset", 11)]
+    for column, (name, joint) in enumerate(changes, start=1):
+        place = parameters.places.index((name, (joint,)))
+        getattr(alone, name)[joint, column] += 1e-4 * parameters.scale[place]
+    angles = simulate(alone)
+    for column, (name, joint) in enumerate(changes, start=1):
+        place = parameters.places.index((name, (joint,)))
+        derivative = (angles[:, :, column] - angles[:, :, 0]) / 1e-4
+        np.testing.assert_allclose(jacobian[:, :, place], derivative, atol=1e-9)
 
 
 def test_intervals_hold_the_truth_as_often_as_they_say():
