@@ -1,5 +1,6 @@
 """A quadruped as the environments see it: names, limits, standing pose, and its two models."""
 
+from copy import deepcopy
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -150,9 +151,10 @@ def find_quadruped(urdf: Urdf, options: Options) -> tuple[Urdf, tuple[Leg, ...]]
     if reasons:
         urdf = turn_root(urdf, turn, reasons)
     legs = find_legs(urdf.tree, urdf.source, meshes)
-    check_size(urdf.tree, legs, urdf.source)
+    report = deepcopy(urdf.report)
+    check_size(urdf.tree, legs, urdf.source, report)
     standing_pose(urdf.tree, legs, urdf.source)
-    return urdf, legs
+    return replace(urdf, report=report), legs
 
 
 def with_motors(urdf: Urdf, legs: tuple[Leg, ...], options: Options) -> Urdf:

@@ -103,9 +103,10 @@ def parse_urdf(
 
 
 def turn_root(urdf: Urdf, turn: np.ndarray, reasons: str) -> Urdf:
-    """Return the robot on a new root link, in whose axes the old one stands turned by `turn` (3, 3).
+    """Return the robot on a new root link, on which the old one stands turned by `turn` (3, 3).
 
-    Its text has that link as well, so that whoever reads it again meets the same frames.
+    Its text has that link as well, so that whoever reads it again meets the same frames. `reasons`
+    are for the report.
     """
     root = urdf.tree.root
     names = {*urdf.tree.links, *(joint.name for joint in urdf.robot.joints)}

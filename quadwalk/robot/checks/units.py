@@ -8,6 +8,7 @@ import numpy as np
 
 from quadwalk.robot.checks.validate import UrdfError
 from quadwalk.robot.inertia import body_inertia
+from quadwalk.robot.report import Report
 from quadwalk.robot.structure.legs import Chain, Leg
 from quadwalk.robot.structure.tree import Tree, is_limited
 
@@ -20,6 +21,8 @@ LEGS_FROM, LEGS_TO = 0.01, 2.5
 # more than a block of the robot's size weighs.
 LIGHTEST, HEAVIEST = 0.1, 2000.0
 USUAL = 20.0  # kg/m^3
+# A body's radius of gyration is below this share of the robot's length; published ones' up to 0.3.
+WIDE = 2.0
 LENGTH_UNITS = {"millimeters": 1e-3, "centimeters": 1e-2, "inches": 0.0254}
 
 
@@ -37,13 +40,18 @@ def check_limits(chains: list[Chain], source: str) -> None:
             )
 
 
-def check_size(tree: Tree, legs: tuple[Leg, ...], source: str) -> None:
-    """Refuse legs, and a mass for a robot of that length, that no quadruped has."""
+def check_size(tree: Tree, legs: tuple[Leg, ...], source: str, report: Report) -> None:
+    """Refuse legs, and a mass for a robot of that length, that no quadruped has.
+
+    Inertias of bodies that would be far larger than the robot are noted in `report`: published
+    robots have such, and stand with them.
+    """
     leg = _measure_leg(tree, legs[0])
     hips = np.array([tree.frame_of(tree.joint_above[leg.links[0]])[:3, 3] for leg in legs])
     length = leg + float(np.linalg.norm(np.ptp(hips, axis=0)))
-    bodies = [body_inertia(tree, body) for body in tree.bodies]
-    mass = sum(body.mass for body in bodies if body is not None)
+    whole = {name: body_inertia(tree, name) for name in tree.bodies}
+    bodies = {name: body for name, body in whole.items() if body is not None}
+    mass = sum(body.mass for body in bodies.values())
     if not LEGS_FROM <= leg <= LEGS_TO:
         raise UrdfError(
             f"{source}: legs are {leg:g} m long; expected {LEGS_FROM:g} to {LEGS_TO:g} m "
@@ -56,6 +64,11 @@ def check_size(tree: Tree, legs: tuple[Leg, ...], source: str) -> None:
             f"{source}: masses add up to {mass:g} kg, of a robot {length:.2g} m long; expected "
             f"{lightest:.2g} to {heaviest:.2g} kg (are they in {unit}?)"
         )
+    for name, body in bodies.items():
+        gyration = np.sqrt(np.trace(body.about_com) / 2 / body.mass)
+        if gyration > WIDE * length:
+            what = "inertias, as they are, of bodies wider than the robot (are they in kg m^2?)"
+            report.add("assumed", what, f"{name} {float(f'{gyration:.2g}'):g} m")
 
 
 def _measure_leg(tree: Tree, leg: Leg) -> float:

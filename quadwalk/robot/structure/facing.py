@@ -6,10 +6,9 @@ frame of another tool may have y ahead, or z down; its robot is turned, or refus
 
 import re
 from collections.abc import Iterable
-from itertools import product
+from itertools import pairwise, product
 
 import numpy as np
-import yourdfpy
 
 from quadwalk.robot.checks.validate import UrdfError
 from quadwalk.robot.meshes import Meshes
@@ -119,9 +118,9 @@ def find_turn(tree: Tree, source: str, meshes: Meshes | None = None) -> tuple[np
         chosen = [turn for turn in feet if evidence.fits_knees(turn)]
         if len(chosen) != 1:
             raise UrdfError(
-                f"{source}: link '{tree.root}' does not have x ahead and z up ({_describe(evidence)}), "
-                "and neither names nor knees tell front from rear; expected names of legs such as "
-                "FR, FL, RR and RL"
+                f"{source}: link '{tree.root}' does not have x ahead and z up "
+                f"({_describe(evidence)}), and neither names nor knees tell front from rear; "
+                "expected names of legs such as FR, FL, RR and RL"
             )
         return chosen[0], "thighs and knees"
     named = [turn for turn in thighs if evidence.fits_names(turn)]
@@ -129,8 +128,7 @@ def find_turn(tree: Tree, source: str, meshes: Meshes | None = None) -> tuple[np
         return upright, ""
     chosen = [turn for turn in named if evidence.fits_feet(turn)]
     places = ", ".join(
-        f"{chain[0].name} ({_shown(hip)})"
-        for chain, hip in zip(chains, evidence.hips, strict=True)
+        f"{chain[0].name} ({_shown(hip)})" for chain, hip in zip(chains, evidence.hips, strict=True)
     )
     if len(chosen) != 1:
         raise UrdfError(
@@ -147,7 +145,7 @@ def find_turn(tree: Tree, source: str, meshes: Meshes | None = None) -> tuple[np
 
 
 def read_names(chains: Iterable[Chain]) -> list[str]:
-    """Return FR, FL, RR or RL of each leg, by its joints' and links' names; [] if any is unclear."""
+    """Return FR, FL, RR or RL of each leg, by its joints' and links' names; [] if unclear."""
     found = []
     for chain in chains:
         corners = {
@@ -164,7 +162,7 @@ def _find_corners(name: str) -> set[str]:
     """Return the corners that a name speaks of: FL, LF, front_left, leftHind and the like."""
     corners = set()
     words = [word.lower() for word in _WORD.findall(name)]
-    pairs = [*zip(words, words[1:], strict=False), *((w[0], w[1]) for w in words if len(w) == 2)]
+    pairs = [*pairwise(words), *((w[0], w[1]) for w in words if len(w) == 2)]
     for first, second in pairs:
         for end, side in ((first, second), (second, first)):
             if end in _ENDS and side in _SIDES:
@@ -174,7 +172,7 @@ def _find_corners(name: str) -> set[str]:
 
 
 def _find_normal(thighs: np.ndarray) -> np.ndarray:
-    """Return the normal (3,) to the plane of the thighs' joints (4, 3), m; z if they are in none."""
+    """Return the normal (3,) to the plane of the thighs' joints (4, 3), m; z if there is none."""
     _, spread, axes = np.linalg.svd(thighs - thighs.mean(axis=0))
     return axes[2] if spread[2] < 0.5 * spread[1] else np.array([0.0, 0.0, 1.0])
 

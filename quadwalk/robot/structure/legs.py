@@ -82,9 +82,7 @@ def _chain(tree: Tree, joint: yourdfpy.Joint) -> Chain:
     return chain
 
 
-def _leg(
-    tree: Tree, name: str, chain: Chain, meshes: Meshes | None, source: str
-) -> Leg:
+def _leg(tree: Tree, name: str, chain: Chain, meshes: Meshes | None, source: str) -> Leg:
     for joint in chain:
         if tree.passes_on(joint.child):
             raise UrdfError(
