@@ -126,7 +126,10 @@ def knees(quadruped: Quadruped) -> dict[str, float]:
 
 
 def hold(
-    quadruped: Quadruped, seconds: float, kp: float | None = None, kd: float | None = None
+    quadruped: Quadruped,
+    seconds: float,
+    kp: float | None = None,
+    kd: float | np.ndarray | None = None,
 ) -> np.ndarray:
     """(n, 7) trunk poses under PD control of the home pose, from it, within the effort limits.
 
@@ -135,7 +138,7 @@ def hold(
     model = quadruped.full_model()
     data = placed(model, quadruped.home)
     kp = kp or 1.4 * model.body_subtreemass[0] * 9.81 * quadruped.home[2]
-    kd = kd or 0.025 * kp
+    kd = 0.025 * kp if kd is None else kd
     poses = []
     while data.time < seconds:
         torque = kp * (quadruped.home[7:] - data.qpos[7:]) - kd * data.qvel[6:]

@@ -22,6 +22,8 @@ MOST_SKEW = np.radians(25)
 CLEAR_HEIGHT = 0.3
 # A knee bends one way if its limits let it bend so many times farther than the other way.
 CLEAR_BEND = 3.0
+# Knees of all legs point one way if their mean direction is at least so long.
+CLEAR_KNEES = 0.9
 
 _ENDS = {"f": "F", "front": "F", "fore": "F"} | dict.fromkeys(
     ("r", "h", "b", "rear", "hind", "back"), "R"
@@ -61,7 +63,18 @@ class _Evidence:
 
     def fits_knees(self, turn: np.ndarray) -> bool:
         """Return whether the knees point backward after `turn` (3, 3)."""
-        return bool(turn[0] @ self.knees < -0.9)
+        return bool(turn[0] @ self.knees < -CLEAR_KNEES)
+
+    def describe(self) -> str:
+        """Return what the legs' geometry says, as text."""
+        said = []
+        if self.lateral is not None:
+            said.append(f"thighs turn about {name_axis(self.lateral)[1:]}")
+        if self.up:
+            said.append(f"feet lie towards {name_axis(-self.up * self.vertical)}")
+        if np.linalg.norm(self.knees) > CLEAR_KNEES:
+            said.append(f"knees point to {name_axis(self.knees)}")
+        return ", ".join(said)
 
 
 class _Pose:
@@ -104,42 +117,53 @@ def find_turn(tree: Tree, source: str, meshes: Meshes | None = None) -> tuple[np
     """
     chains = find_chains(tree, source)
     evidence = _Evidence(tree, chains, meshes)
-    thighs = [turn for turn in _list_turns(evidence) if evidence.fits_thighs(turn)]
+    turns = _list_turns(evidence)
+    upright = np.eye(3)
+    thighs = [turn for turn in turns if evidence.fits_thighs(turn)]
     if not thighs or np.abs(evidence.normal).max() < np.cos(MOST_SKEW):
         raise UrdfError(
             f"{source}: link '{tree.root}' stands askew, by more than {np.degrees(MOST_SKEW):.0f} "
             "degrees, to the axes of the thighs or to the plane of their joints; expected x ahead"
         )
+    if not any(sorted(name_corners(evidence.hips @ turn.T)) == sorted(LEGS) for turn in turns):
+        return upright, ""  # `find_legs` says that the hips are at no corners
+    if evidence.names:
+        return _choose_by_names(evidence, thighs, chains, f"{source}: {{}} of '{tree.root}'")
     feet = [turn for turn in thighs if evidence.fits_feet(turn)]
-    upright = np.eye(3)
-    if not evidence.names:
-        if _contains(feet, upright):
-            return upright, ""
-        chosen = [turn for turn in feet if evidence.fits_knees(turn)]
-        if len(chosen) != 1:
-            raise UrdfError(
-                f"{source}: link '{tree.root}' does not have x ahead and z up "
-                f"({_describe(evidence)}), and neither names nor knees tell front from rear; "
-                "expected names of legs such as FR, FL, RR and RL"
-            )
+    if _contains(feet, upright):
+        return upright, ""
+    chosen = [turn for turn in feet if evidence.fits_knees(turn)]
+    if len(chosen) == 1:
         return chosen[0], "thighs and knees"
-    named = [turn for turn in thighs if evidence.fits_names(turn)]
+    raise UrdfError(
+        f"{source}: link '{tree.root}' does not have x ahead and z up ({evidence.describe()}), "
+        "and neither names nor knees tell front from rear; expected names of legs such as FR, FL, "
+        "RR and RL"
+    )
+
+
+def _choose_by_names(
+    evidence: _Evidence, turns: list[np.ndarray], chains: list[Chain], whose: str
+) -> tuple[np.ndarray, str]:
+    """Return what `find_turn` does, of the `turns` that fit the thighs, where legs have names."""
+    upright = np.eye(3)
+    named = [turn for turn in turns if evidence.fits_names(turn)]
     if _contains(named, upright):
         return upright, ""
     chosen = [turn for turn in named if evidence.fits_feet(turn)]
-    places = ", ".join(
-        f"{chain[0].name} ({_shown(hip)})" for chain, hip in zip(chains, evidence.hips, strict=True)
+    hips = ", ".join(
+        f"{chain[0].name} ({x:.3g}, {y:.3g}, {z:.3g})"
+        for chain, (x, y, z) in zip(chains, evidence.hips, strict=True)
     )
+    expected = "expected FR, FL, RR, RL with x ahead, y left, z up"
     if len(chosen) != 1:
+        what = whose.format("names and places of the legs")
+        raise UrdfError(f"{what} contradict each other: {hips}, {evidence.describe()}; {expected}")
+    if np.linalg.norm(evidence.knees) > CLEAR_KNEES and not evidence.fits_knees(chosen[0]):
+        what, ahead = whose.format("names and knees of the legs"), name_axis(chosen[0][0])
         raise UrdfError(
-            f"{source}: names and places of the legs of link '{tree.root}' contradict each other: "
-            f"{places}, {_describe(evidence)}; expected FR, FL, RR, RL with x ahead, y left, z up"
-        )
-    if np.linalg.norm(evidence.knees) > 0.9 and not evidence.fits_knees(chosen[0]):
-        ahead = name_axis(chosen[0][0])
-        raise UrdfError(
-            f"{source}: names and knees of the legs of link '{tree.root}' contradict each other: "
-            f"{places} face {ahead}, and the knees point there too; expected x ahead, y left, z up"
+            f"{what} contradict each other: {hips} face {ahead}, where knees would bend forward; "
+            f"{expected}"
         )
     return chosen[0], "names and thighs"
 
@@ -199,19 +223,3 @@ def _list_turns(evidence: _Evidence) -> list[np.ndarray]:
 
 def _contains(turns: list[np.ndarray], turn: np.ndarray) -> bool:
     return any(np.array_equal(turn, other) for other in turns)
-
-
-def _describe(evidence: _Evidence) -> str:
-    """Return what the legs' geometry says, as text."""
-    said = []
-    if evidence.lateral is not None:
-        said.append(f"thighs turn about {name_axis(evidence.lateral)[1:]}")
-    if evidence.up:
-        said.append(f"feet lie towards {name_axis(-evidence.up * evidence.vertical)}")
-    if np.linalg.norm(evidence.knees) > 0.9:
-        said.append(f"knees point to {name_axis(evidence.knees)}")
-    return ", ".join(said)
-
-
-def _shown(point: np.ndarray) -> str:
-    return ", ".join(f"{value:.3g}" for value in point)
