@@ -124,7 +124,8 @@ def turn_root(urdf: Urdf, turn: np.ndarray, reasons: str) -> Urdf:
 """
     ahead, _, up = (name_axis(row) for row in turn)
     report = deepcopy(urdf.report)
-    report.add("assumed", f"{ahead} is ahead and {up} is up, by {reasons}: root is '{link}'", root)
+    what = f"{ahead} is ahead and {up} up, by {reasons}, so '{link}' is the new root"
+    report.add("assumed", what, root)
     fixed = yourdfpy.Joint(joint, "fixed", link, root, origin=compose_matrix(angles=rpy))
     robot = replace(
         urdf.robot,

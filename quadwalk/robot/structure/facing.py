@@ -130,7 +130,7 @@ def find_turn(tree: Tree, source: str, meshes: Meshes | None = None) -> tuple[np
     if evidence.names:
         return _choose_by_names(evidence, thighs, chains, f"{source}: {{}} of '{tree.root}'")
     feet = [turn for turn in thighs if evidence.fits_feet(turn)]
-    if _contains(feet, upright):
+    if _is_among(upright, feet):
         return upright, ""
     chosen = [turn for turn in feet if evidence.fits_knees(turn)]
     if len(chosen) == 1:
@@ -148,7 +148,7 @@ def _choose_by_names(
     """Return what `find_turn` does, of the `turns` that fit the thighs, where legs have names."""
     upright = np.eye(3)
     named = [turn for turn in turns if evidence.fits_names(turn)]
-    if _contains(named, upright):
+    if _is_among(upright, named):
         return upright, ""
     chosen = [turn for turn in named if evidence.fits_feet(turn)]
     hips = ", ".join(
@@ -221,5 +221,5 @@ def _list_turns(evidence: _Evidence) -> list[np.ndarray]:
     return [np.array([x, np.cross(z, x), z]) for z, x in product(ups, ahead)]
 
 
-def _contains(turns: list[np.ndarray], turn: np.ndarray) -> bool:
+def _is_among(turn: np.ndarray, turns: list[np.ndarray]) -> bool:
     return any(np.array_equal(turn, other) for other in turns)
