@@ -160,7 +160,7 @@ def test_legs_that_splay_from_upright_hips_are_left_as_they_are():
         (Walker(rpy=(0, 0, QUARTER / 2)), "askew"),
         (Walker(rpy=(0, QUARTER / 2, 0)), "askew"),
         (Walker(rpy=(0, 0, QUARTER), names=UNNAMED, calf=EITHER_WAY), "neither names nor knees"),
-        (Walker(rpy=(HALF, 0, 0), names=UNNAMED, calf=EITHER_WAY), "feet lie towards .z"),
+        (Walker(rpy=(HALF, 0, 0), names=UNNAMED, calf=EITHER_WAY), "feet lie toward .z"),
         (Walker(names=("RL", "RR", "FL", "FR")), "names and knees .* face -x, where knees"),
     ],
 )

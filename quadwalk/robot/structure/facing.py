@@ -71,7 +71,7 @@ class _Evidence:
         if self.lateral is not None:
             said.append(f"thighs turn about {name_axis(self.lateral)[1:]}")
         if self.up:
-            said.append(f"feet lie towards {name_axis(-self.up * self.vertical)}")
+            said.append(f"feet lie toward {name_axis(-self.up * self.vertical)}")
         if np.linalg.norm(self.knees) > CLEAR_KNEES:
             said.append(f"knees point to {name_axis(self.knees)}")
         return ", ".join(said)
