@@ -35,7 +35,7 @@ from quadwalk.jobs.job import Job, sized
 from quadwalk.jobs.place import PlaceConfig, add_place_flags, place_config
 from quadwalk.jobs.runner import Outcome, place_of, run_jobs
 from quadwalk.robot.mjcf import Options, convert, write_xml
-from quadwalk.robot.quadruped import Quadruped, legs_of, load_quadruped, with_motors
+from quadwalk.robot.quadruped import Quadruped, find_quadruped, load_quadruped, with_motors
 from quadwalk.robot.structure.legs import Leg
 from quadwalk.robot.urdf import Urdf, UrdfError, read_urdf
 from quadwalk.tasks.run import TASK
@@ -92,7 +92,7 @@ def try_conversion(file: Path) -> Converted:
     legs: tuple[Leg, ...] = ()
     verdict = "yes"
     try:
-        legs = legs_of(urdf, NO_MESHES)
+        urdf, legs = find_quadruped(urdf, NO_MESHES)
         with_motors(urdf, legs, NO_MESHES)
     except UrdfError as error:
         verdict = str(error).removeprefix(f"{urdf.source}: ")
@@ -148,8 +148,8 @@ def quadrupeds(files: Iterable[Path]) -> list[Path]:
     found = []
     for file in files:
         try:
-            urdf = read_urdf(file)
-            with_motors(urdf, legs_of(urdf, Options()), Options())
+            urdf, legs = find_quadruped(read_urdf(file), Options())
+            with_motors(urdf, legs, Options())
         except UrdfError:
             continue
         found.append(file)

@@ -107,7 +107,6 @@ def load_run(
     # Now, and not for its recordings, when all is simulated.
     written = read_bytes(run.config) if run.config.exists() else None
     quadruped = load_robot(policy.config.robot)
-    notes = (*quadruped.notes, *compare_robot(run, quadruped))
     trained = policy.config.env
     command = dataclasses.replace(trained.command, seconds=seconds, soonest=None, margin=0.0)
     config = dataclasses.replace(
@@ -123,4 +122,6 @@ def load_run(
             f"{file} was trained on another robot than {run.urdf}: it has joints "
             f"{', '.join(policy.joints)} and {policy.observation_size} observations"
         )
+    gains = [env.gains_note] if env.gains_note else []
+    notes = (*quadruped.notes, *compare_robot(run, quadruped), *gains)
     return LoadedRun(run, file, policy, env, sha256, written, notes)

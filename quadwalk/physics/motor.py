@@ -33,7 +33,8 @@ MOST_DAMPING = 0.5
 class MotorConfig(Settings, group="env.motor"):
     """The motors and their joint controllers; by default those of the robot's description."""
 
-    kp: NotNegative | None = None  # Nm/rad, position gain; None: weight * home height * 1.4
+    # Nm/rad, position gain; None: weight * home height * 1.4, more where a robot sinks with that
+    kp: NotNegative | None = None
     # Nm s/rad, velocity gain; None: kp * 0.025 s, less for joints that would shake
     kd: NotNegative | None = None
     effort: Positive | None = None  # Nm, largest torque of every motor; None: the robot's own

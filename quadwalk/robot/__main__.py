@@ -18,7 +18,7 @@ from quadwalk.errors import UsageError
 from quadwalk.files import atomic_write
 from quadwalk.robot.elements import SINGLE
 from quadwalk.robot.mjcf import Options, convert, write_xml
-from quadwalk.robot.quadruped import legs_of, with_motors
+from quadwalk.robot.quadruped import find_quadruped, list_joints, with_motors
 from quadwalk.robot.structure.legs import Leg
 from quadwalk.robot.urdf import Urdf, UrdfError, read_urdf
 
@@ -76,7 +76,7 @@ def main(argv: list[str] | None = None, prog: str = "quadwalk robot") -> None:
         mesh_folders=tuple(arguments.mesh_dirs),
         armature=armatures(arguments.rotor, joints),
     )
-    legs, verdict = recognize(urdf, options)
+    urdf, legs, verdict = recognize(urdf, options)
     conversion = convert(urdf, legs, options)
     xml = write_xml(conversion.spec)
     if arguments.out is not None:
@@ -89,20 +89,22 @@ def main(argv: list[str] | None = None, prog: str = "quadwalk robot") -> None:
     if not arguments.quiet:
         for line in conversion.report.lines(sys.maxsize if arguments.verbose else 4):
             print(line, file=sys.stderr)
+        for line in list_joints(conversion.spec, legs) if legs else ():
+            print(line, file=sys.stderr)
         print(f"trains as a quadruped: {verdict}", file=sys.stderr)
 
 
-def recognize(urdf: Urdf, options: Options) -> tuple[tuple[Leg, ...], str]:
-    """The legs of a quadruped, and "yes", or why it cannot be trained as one."""
+def recognize(urdf: Urdf, options: Options) -> tuple[Urdf, tuple[Leg, ...], str]:
+    """Return the robot, turned as a quadruped, its legs, and "yes" or why it cannot be trained."""
     legs: tuple[Leg, ...] = ()
     if options.floating is False:
-        return legs, "no, for its base is fixed to the ground"
+        return urdf, legs, "no, for its base is fixed to the ground"
     try:
-        legs = legs_of(urdf, options)
+        urdf, legs = find_quadruped(urdf, options)
         with_motors(urdf, legs, options)
     except UrdfError as error:
-        return legs, "no: " + str(error).removeprefix(f"{urdf.source}: ")
-    return legs, "yes"
+        return urdf, legs, "no: " + str(error).removeprefix(f"{urdf.source}: ")
+    return urdf, legs, "yes"
 
 
 def armatures(rotors: list[str], joints: list[str]) -> dict[str, float]:

@@ -1,5 +1,6 @@
 """A quadruped as the environments see it: names, limits, standing pose, and its two models."""
 
+from copy import deepcopy
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -8,14 +9,16 @@ import numpy as np
 import yourdfpy
 
 from quadwalk.paths import ALIENGO_URDF
+from quadwalk.robot.checks.units import check_limits, check_size
 from quadwalk.robot.checks.validate import UrdfError
 from quadwalk.robot.mjcf import Options, convert, open_meshes
 from quadwalk.robot.report import Report
 from quadwalk.robot.scene import HOME, Contacts, add_spheres, simplify
+from quadwalk.robot.structure.facing import find_turn
 from quadwalk.robot.structure.home import standing_pose
-from quadwalk.robot.structure.legs import Leg, find_legs
-from quadwalk.robot.structure.tree import joint_range
-from quadwalk.robot.urdf import Urdf, read_urdf
+from quadwalk.robot.structure.legs import Leg, find_chains, find_legs
+from quadwalk.robot.structure.tree import joint_range, name_axis
+from quadwalk.robot.urdf import Urdf, read_urdf, turn_root
 
 # A motor's rotor, through its gear, by the robot's mass times its standing height squared: the
 # AlienGo's are 0.005 on average, and 0.008 is what MuJoCo Menagerie gives the Go1 and the A1.
@@ -31,7 +34,7 @@ class Quadruped:
     """
 
     name: str  # the URDF's robot name
-    urdf: str  # the URDF's text, as read
+    urdf: str  # the URDF's text, as read, and as turned where its root link has not x ahead
     legs: tuple[str, ...]  # ("FR", "FL", "RR", "RL")
     joints: tuple[str, ...]  # (12) names; each joint's actuator has the same name
     feet: tuple[str, ...]  # (4) names of both the foot's frame (a site) and its sphere (a geom)
@@ -136,12 +139,22 @@ def load_quadruped(
     return quadruped_from(read_urdf(urdf, repair_inertia), options)
 
 
-def legs_of(urdf: Urdf, options: Options) -> tuple[Leg, ...]:
-    """The legs of a quadruped that can stand; `UrdfError` says what it is instead."""
+def find_quadruped(urdf: Urdf, options: Options) -> tuple[Urdf, tuple[Leg, ...]]:
+    """Return the robot, turned so that x is ahead and z up, and its legs; it can stand.
+
+    Raise `UrdfError` where it is no quadruped, of no quadruped's size, or of unclear direction.
+    """
+    check_limits(find_chains(urdf.tree, urdf.source), urdf.source)
     # What meshes are left out is for the conversion to say.
-    legs = find_legs(urdf.tree, urdf.source, open_meshes(urdf, options, Report()))
+    meshes = open_meshes(urdf, options, Report())
+    turn, reasons = find_turn(urdf.tree, urdf.source, meshes)
+    if reasons:
+        urdf = turn_root(urdf, turn, reasons)
+    legs = find_legs(urdf.tree, urdf.source, meshes)
+    report = deepcopy(urdf.report)
+    check_size(urdf.tree, legs, urdf.source, report)
     standing_pose(urdf.tree, legs, urdf.source)
-    return legs
+    return replace(urdf, report=report), legs
 
 
 def with_motors(urdf: Urdf, legs: tuple[Leg, ...], options: Options) -> Urdf:
@@ -181,6 +194,26 @@ def _some(names: list[str]) -> str:
     return shown + (f" and {len(names) - 2} more" if names[2:] else "")
 
 
+def list_joints(spec: mujoco.MjSpec, legs: tuple[Leg, ...]) -> list[str]:
+    """Return a table of each leg's joints, with the axis of the trunk that each turns about.
+
+    Axes are those of the home pose; a joint of sign + turns about it as a right hand does.
+    """
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    mujoco.mj_kinematics(model, data)
+    rows = [
+        [leg.name, *(f"{name_axis(data.joint(name).xaxis)} {name}" for name in leg.joints)]
+        for leg in legs
+    ]
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return [
+        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
+        for row in [["leg", "hip", "thigh", "calf"], *rows]
+    ]
+
+
 def add_rotors(
     spec: mujoco.MjSpec, joints: list[yourdfpy.Joint], given: set[str], report: Report
 ) -> None:
@@ -200,13 +233,17 @@ def add_rotors(
 def quadruped_from(urdf: Urdf, options: Options | None = None) -> Quadruped:
     """The quadruped that a checked URDF describes; `UrdfError` says what it is instead."""
     options = options or Options()
-    legs = legs_of(urdf, options)
+    original = urdf
+    urdf, legs = find_quadruped(urdf, options)
     urdf = with_motors(urdf, legs, options)
     tree = urdf.tree
     joints = [tree.joint_above[link] for leg in legs for link in leg.links]
     conversion = convert(urdf, legs, replace(options, floating=True))
     spec, report = conversion.spec, conversion.report
     add_rotors(spec, joints, {*urdf.armature, *options.armature}, report)
+    notes = [note for note in report.lines() if not note.startswith("fused")]
+    if tree.root != original.tree.root:
+        notes += list_joints(spec, legs)
     ranges = np.array([joint_range(joint) for joint in joints])
     return Quadruped(
         name=urdf.robot.name,
@@ -223,6 +260,6 @@ def quadruped_from(urdf: Urdf, options: Options | None = None) -> Quadruped:
             [float(joint.dynamics.friction or 0) if joint.dynamics else 0.0 for joint in joints]
         ),
         home=np.array(spec.key(HOME).qpos),
-        notes=tuple(note for note in report.lines() if not note.startswith("fused")),
+        notes=tuple(notes),
         spec=spec,
     )

@@ -6,18 +6,22 @@ duplicates, NaN masses and reversed limits without a word. What reaches it here 
 
 import io
 import re
-from dataclasses import dataclass
+from copy import deepcopy
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from xml.sax.saxutils import quoteattr
 
+import numpy as np
 import yourdfpy
 from lxml import etree
+from trimesh.transformations import compose_matrix, euler_from_matrix
 
 from quadwalk.robot.checks.bodies import check_bodies, resolutions
 from quadwalk.robot.checks.topology import check_mimic, check_topology
 from quadwalk.robot.checks.validate import Check, UrdfError, check_elements
 from quadwalk.robot.report import Report
-from quadwalk.robot.structure.tree import Tree, build_tree
+from quadwalk.robot.structure.tree import Tree, build_tree, find_free_name, name_axis
 
 __all__ = ["MAX_BYTES", "Report", "Urdf", "UrdfError", "parse_urdf", "read_urdf"]
 
@@ -96,6 +100,40 @@ def parse_urdf(
     urdf = Urdf(source, folder, text, model.robot, armature, report)
     check_bodies(urdf.tree, resolutions(root), source, repair_inertia, report)
     return urdf
+
+
+def turn_root(urdf: Urdf, turn: np.ndarray, reasons: str) -> Urdf:
+    """Return the robot on a new root link, on which the old one stands turned by `turn` (3, 3).
+
+    Its text has that link as well, so that whoever reads it again meets the same frames. `reasons`
+    are for the report.
+    """
+    root = urdf.tree.root
+    names = {*urdf.tree.links, *(joint.name for joint in urdf.robot.joints)}
+    link, joint = (find_free_name(f"{root}_{end}", names) for end in ("ahead", "ahead_joint"))
+    rpy = euler_from_matrix(turn)
+    end = list(re.finditer(r"</(\w+:)?robot\s*>", urdf.text))[-1]
+    prefix = end[1] or ""
+    elements = f"""\
+  <{prefix}link name={quoteattr(link)}/>
+  <{prefix}joint name={quoteattr(joint)} type="fixed">
+    <{prefix}parent link={quoteattr(link)}/>
+    <{prefix}child link={quoteattr(root)}/>
+    <{prefix}origin rpy="{" ".join(repr(float(angle)) for angle in rpy)}"/>
+  </{prefix}joint>
+"""
+    ahead, _, up = (name_axis(row) for row in turn)
+    report = deepcopy(urdf.report)
+    what = f"{ahead} is ahead and {up} up, by {reasons}, so '{link}' is the new root"
+    report.add("assumed", what, root)
+    fixed = yourdfpy.Joint(joint, "fixed", link, root, origin=compose_matrix(angles=rpy))
+    robot = replace(
+        urdf.robot,
+        links=[*urdf.robot.links, yourdfpy.Link(link)],
+        joints=[*urdf.robot.joints, fixed],
+    )
+    text = urdf.text[: end.start()] + elements + urdf.text[end.start() :]
+    return replace(urdf, text=text, robot=robot, report=report)
 
 
 def _drop_ground(root: etree._Element, report: Report) -> bool:

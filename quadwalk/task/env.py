@@ -13,7 +13,8 @@ from jax.typing import ArrayLike
 
 from quadwalk.ground.terrain import leg_length, make_terrain
 from quadwalk.physics.engines import ENGINES, EngineName, fast, mujoco_c
-from quadwalk.physics.motor import Effort, PhysicsState, make_motor
+from quadwalk.physics.motor import Effort, PhysicsState
+from quadwalk.physics.standing import make_standing_motor
 from quadwalk.robot.mirror import robot_mirror
 from quadwalk.robot.quadruped import Quadruped
 from quadwalk.settings.environment import EnvConfig
@@ -61,7 +62,10 @@ class QuadrupedEnv(Env):
         self.quadruped = task_robot(quadruped, config, field)
         self.stepping = config.stepping
         self.mj_model = self._training_model(self.quadruped)
-        self.motor = make_motor(self.mj_model, self.quadruped, config.motor)
+        # `gains_note` is a line where the default gains do not hold the robot, or ""
+        self.motor, self.gains_note = make_standing_motor(
+            self.mj_model, self.quadruped, config.motor
+        )
         self.geometry = fast.make_model(self.mj_model, self.quadruped, self.motor)
         self.robot = robot_arrays(self.quadruped, self.mj_model, self.geometry)
         if self.engine == "mujoco":

@@ -68,6 +68,8 @@ def prepare(
         progress.message(note)
     _check_processes(config, quadruped)
     env = QuadrupedEnv(quadruped, config.env)
+    if env.gains_note:
+        progress.message(env.gains_note)
     networks = networks_for(env, config.ppo)
     if config.ppo.symmetric and env.asymmetry is not None:
         progress.message(f"plain networks: {env.asymmetry}")

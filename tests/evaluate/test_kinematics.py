@@ -6,9 +6,10 @@ import pytest
 
 from quadwalk.evaluate.motion.kinematics import foot_poses, link_frames, roll_pitch_yaw, rotations
 from quadwalk.robot.mjcf import Options
-from quadwalk.robot.quadruped import Quadruped, load_quadruped
+from quadwalk.robot.quadruped import Quadruped, load_quadruped, quadruped_from
+from quadwalk.robot.urdf import parse_urdf
 from tests.robot import zoo
-from tests.robot.robots import frame, placed
+from tests.robot.robots import Walker, frame, placed
 
 
 def check_links(quadruped: Quadruped) -> None:
@@ -52,6 +53,13 @@ def test_links_of_other_quadrupeds(reference_urdf):
 @zoo.each(zoo.QUADRUPEDS)
 def test_links_of_the_zoos_quadrupeds(urdf):
     check_links(load_quadruped(urdf, Options(meshes=False)))
+
+
+def test_links_of_a_robot_that_was_turned():
+    text = Walker(rpy=(0.0, 0.0, np.pi / 2)).text()
+    quadruped = quadruped_from(parse_urdf(text))
+    assert link_frames(quadruped).parents[0] == quadruped.trunk == "trunk_ahead"
+    check_links(quadruped)
 
 
 @pytest.mark.filterwarnings("error")

@@ -1,9 +1,11 @@
 """URDFs of robots made for a test, and what a converted robot is held against."""
 
 from collections.abc import Callable, Set
+from dataclasses import dataclass
 
 import mujoco
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from benchmarks.pinocchio_oracle import Pinocchio
 from quadwalk.robot.mjcf import write_xml
@@ -124,7 +126,10 @@ def knees(quadruped: Quadruped) -> dict[str, float]:
 
 
 def hold(
-    quadruped: Quadruped, seconds: float, kp: float | None = None, kd: float | None = None
+    quadruped: Quadruped,
+    seconds: float,
+    kp: float | None = None,
+    kd: float | np.ndarray | None = None,
 ) -> np.ndarray:
     """(n, 7) trunk poses under PD control of the home pose, from it, within the effort limits.
 
@@ -133,7 +138,7 @@ def hold(
     model = quadruped.full_model()
     data = placed(model, quadruped.home)
     kp = kp or 1.4 * model.body_subtreemass[0] * 9.81 * quadruped.home[2]
-    kd = kd or 0.025 * kp
+    kd = 0.025 * kp if kd is None else kd
     poses = []
     while data.time < seconds:
         torque = kp * (quadruped.home[7:] - data.qpos[7:]) - kd * data.qvel[6:]
@@ -148,3 +153,72 @@ def stays_up(quadruped: Quadruped, seconds: float, height: float) -> None:
     last = hold(quadruped, seconds)[-1]
     assert last[2] > height * quadruped.home[2]
     assert last[3] > np.cos(np.radians(5) / 2)
+
+
+def limit(lower: float, upper: float, effort: float = 20.0) -> str:
+    return f'<limit lower="{lower}" upper="{upper}" effort="{effort}" velocity="20"/>'
+
+
+@dataclass(frozen=True)
+class Walker:
+    """A robot of 12 kg whose thighs and calves are 0.2 m long; its knees bend backward."""
+
+    # rad, roll, pitch and yaw of the whole robot in the axes of its root link
+    rpy: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    bolted: bool = False  # whether a fixed joint turns it, below a root link without mass
+    names: tuple[str, ...] = ("FR", "FL", "RR", "RL")  # of the legs there
+    size: float = 1.0  # factor of all lengths
+    mass: float = 1.0  # factor of all masses
+    inertia: float = 1.0  # factor of all inertias, besides
+    hip: tuple[float, float] = (-0.8, 0.8)  # limits as in the file
+    thigh: tuple[float, float] = (-1.0, 3.0)
+    calf: tuple[float, float] = (-2.6, -0.6)
+    wide: float = 0.06  # m, from hip to thigh
+    effort: float = 20.0  # Nm
+
+    def text(self) -> str:
+        """Its URDF."""
+        within = Rotation.from_euler("xyz", (0, 0, 0) if self.bolted else self.rpy)
+        rpy = "0 0 0" if self.bolted else " ".join(map(str, self.rpy))
+        box = f'box size="{0.4 * self.size} {0.2 * self.size} {0.1 * self.size}"'
+        trunk = link("trunk", self.inertial(6, 0.04), shape(box, rpy=rpy))
+        parts = [trunk]
+        if self.bolted:
+            turn = " ".join(map(str, self.rpy))
+            parts = [link("root"), joint("bolt", "root", "trunk", rpy=turn, kind="fixed"), trunk]
+        for name, (x, y) in zip(self.names, ((1, -1), (1, 1), (-1, -1), (-1, 1)), strict=True):
+            hip = self.place(within.apply([0.2 * x, 0.08 * y, 0]))
+            parts.append(self.leg(name, hip, rpy, y))
+        return robot(*parts)
+
+    def leg(self, name: str, hip: str, rpy: str, side: int) -> str:
+        ball = shape(f'sphere radius="{0.02 * self.size}"')
+        hip_joint, thigh_joint, calf_joint = (
+            limit(*limits, self.effort) for limits in (self.hip, self.thigh, self.calf)
+        )
+        thigh, knee = self.place([0, self.wide * side, 0]), self.place([0, 0, -0.2])
+        return (
+            link(f"{name}_hip", self.inertial(0.5, 3e-4))
+            + joint(f"{name}_hip_joint", "trunk", f"{name}_hip", "1 0 0", hip, rpy, extra=hip_joint)
+            + link(f"{name}_thigh", self.inertial(0.8, 1.5e-3))
+            + joint(
+                f"{name}_thigh_joint", f"{name}_hip", f"{name}_thigh", "0 1 0", thigh,
+                extra=thigh_joint,
+            )
+            + link(f"{name}_calf", self.inertial(0.15, 5e-4))
+            + joint(
+                f"{name}_calf_joint", f"{name}_thigh", f"{name}_calf", "0 1 0", knee,
+                extra=calf_joint,
+            )
+            + link(f"{name}_foot", self.inertial(0.05, 1e-5), ball)
+            + joint(f"{name}_bolt", f"{name}_calf", f"{name}_foot", xyz=knee, kind="fixed")
+        )  # fmt: skip
+
+    def place(self, point) -> str:
+        """A point (3,), m, as a file has it."""
+        return " ".join(str(float(x) * self.size) for x in point)
+
+    def inertial(self, mass: float, moment: float) -> str:
+        """`<inertial>` of kg and kg m^2, which depend on the units of mass and length."""
+        moment *= self.mass * self.size**2 * self.inertia
+        return inertial(mass * self.mass, " ".join([str(moment)] * 3))

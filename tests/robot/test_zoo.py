@@ -5,7 +5,7 @@ import pytest
 
 from benchmarks.pinocchio_oracle import Pinocchio
 from quadwalk.robot.mjcf import Options, convert, write_xml
-from quadwalk.robot.quadruped import legs_of, load_quadruped
+from quadwalk.robot.quadruped import find_quadruped, load_quadruped
 from quadwalk.robot.urdf import UrdfError, read_urdf
 from tests.robot import zoo
 from tests.robot.robots import check_dynamics, knees, placed, stays_up
@@ -35,12 +35,13 @@ def test_converts_exactly_as_a_quadruped_or_not_or_is_refused(urdf):
         return
     read = read_urdf(urdf)
     if urdf in zoo.QUADRUPEDS:
-        legs = legs_of(read, NO_MESHES)
+        faced, legs = find_quadruped(read, NO_MESHES)
+        assert faced.text == read.text  # they have x ahead and z up
         feet = {f"position of {leg.foot_name}" for leg in legs}
         check_dynamics(read, convert(read, legs, NO_MESHES).spec, feet)
         return
     with pytest.raises(UrdfError, match="a quadruped has four of three joints each"):
-        legs_of(read, NO_MESHES)
+        find_quadruped(read, NO_MESHES)
     xml = write_xml(convert(read, options=NO_MESHES).spec)
     errors = Pinocchio(read, mujoco.MjModel.from_xml_string(xml)).errors(10)
     assert max(errors.values()) < 1e-5, errors

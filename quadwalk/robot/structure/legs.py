@@ -8,9 +8,10 @@ import yourdfpy
 from quadwalk.robot.checks.validate import UrdfError
 from quadwalk.robot.meshes import Meshes
 from quadwalk.robot.structure.feet import Foot, find_foot
-from quadwalk.robot.structure.tree import Tree
+from quadwalk.robot.structure.tree import Tree, find_free_name
 
 LEGS = ("FR", "FL", "RR", "RL")
+Chain = list[yourdfpy.Joint]  # of a leg, from the trunk outwards
 
 
 @dataclass(frozen=True)
@@ -30,21 +31,9 @@ def find_legs(tree: Tree, source: str, meshes: Meshes | None = None) -> tuple[Le
     A leg is a chain of three actuated joints from the trunk (the root body), with a foot at its
     end (see `find_foot`, which may need `meshes`). Of the trunk's frame, x is ahead and y left.
     """
-    chains = [_chain(tree, joint) for joint in tree.moving_joints(tree.root)]
-    if len(chains) != 4 or any(len(chain) != 3 for chain in chains):
-        found = ", ".join(f"{chain[0].name} ({len(chain)})" for chain in chains) or "none"
-        raise UrdfError(
-            f"{source}: chains of moving joints from link '{tree.root}': {found}; "
-            "a quadruped has four of three joints each"
-        )
-    for joint in (joint for chain in chains for joint in chain):
-        if joint.type not in ("revolute", "continuous"):
-            raise UrdfError(
-                f"{source}: joint '{joint.name}' of a leg is {joint.type}; expected one that turns"
-            )
+    chains = find_chains(tree, source)
     hips = np.array([tree.frame_of(chain[0])[:3, 3] for chain in chains])
-    ahead, left = ((hips - hips.mean(axis=0))[:, :2] > 0).T
-    names = [LEGS[2 * (not x) + y] for x, y in zip(ahead, left, strict=True)]
+    names = name_corners(hips)
     if sorted(names) != sorted(LEGS):
         raise UrdfError(
             f"{source}: hips of link '{tree.root}' lie at (x, y) = "
@@ -58,7 +47,33 @@ def find_legs(tree: Tree, source: str, meshes: Meshes | None = None) -> tuple[Le
     return tuple(legs[name] for name in LEGS)
 
 
-def _chain(tree: Tree, joint: yourdfpy.Joint) -> list[yourdfpy.Joint]:
+def find_chains(tree: Tree, source: str) -> list[Chain]:
+    """Return a quadruped's four chains of three joints that turn, in the order of the tree.
+
+    Raise `UrdfError` where the links hang together otherwise.
+    """
+    chains = [_chain(tree, joint) for joint in tree.moving_joints(tree.root)]
+    if len(chains) != 4 or any(len(chain) != 3 for chain in chains):
+        found = ", ".join(f"{chain[0].name} ({len(chain)})" for chain in chains) or "none"
+        raise UrdfError(
+            f"{source}: chains of moving joints from link '{tree.root}': {found}; "
+            "a quadruped has four of three joints each"
+        )
+    for joint in (joint for chain in chains for joint in chain):
+        if joint.type not in ("revolute", "continuous"):
+            raise UrdfError(
+                f"{source}: joint '{joint.name}' of a leg is {joint.type}; expected one that turns"
+            )
+    return chains
+
+
+def name_corners(hips: np.ndarray) -> list[str]:
+    """Return FR, FL, RR or RL of each of the `hips` (4, 3), m, by its place about their middle."""
+    ahead, left = ((hips - hips.mean(axis=0))[:, :2] > 0).T
+    return [LEGS[2 * (not x) + y] for x, y in zip(ahead, left, strict=True)]
+
+
+def _chain(tree: Tree, joint: yourdfpy.Joint) -> Chain:
     """The moving joints from `joint` outwards, in the order of the tree."""
     chain, pending = [], [joint]
     while pending:
@@ -67,9 +82,7 @@ def _chain(tree: Tree, joint: yourdfpy.Joint) -> list[yourdfpy.Joint]:
     return chain
 
 
-def _leg(
-    tree: Tree, name: str, chain: list[yourdfpy.Joint], meshes: Meshes | None, source: str
-) -> Leg:
+def _leg(tree: Tree, name: str, chain: Chain, meshes: Meshes | None, source: str) -> Leg:
     for joint in chain:
         if tree.passes_on(joint.child):
             raise UrdfError(
@@ -87,11 +100,5 @@ def _leg(
         joints=tuple(joint.name for joint in chain),
         links=tuple(joint.child for joint in chain),
         foot=foot,
-        foot_name=foot.link if foot.link != calf else _free_name(f"{calf}_foot", tree),
+        foot_name=foot.link if foot.link != calf else find_free_name(f"{calf}_foot", tree.links),
     )
-
-
-def _free_name(name: str, tree: Tree) -> str:
-    while name in tree.links:
-        name += "_"
-    return name

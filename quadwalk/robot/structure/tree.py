@@ -1,5 +1,6 @@
 """The tree of links: which links move, and which are fixed to another and fused with it."""
 
+from collections.abc import Container
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -135,3 +136,16 @@ def joint_range(joint: yourdfpy.Joint) -> tuple[float, float]:
 def unit(axis: np.ndarray) -> np.ndarray:
     """`axis` (3,) with length 1: URDF does not ask for normalized axes."""
     return np.asarray(axis, dtype=np.float64) / np.linalg.norm(axis)
+
+
+def name_axis(direction: np.ndarray) -> str:
+    """Return +x, -x, +y, -y, +z or -z: the axis that `direction` (3,) is nearest to."""
+    index = int(np.argmax(np.abs(direction)))
+    return ("-" if direction[index] < 0 else "+") + "xyz"[index]
+
+
+def find_free_name(name: str, taken: Container[str]) -> str:
+    """Return `name`, with as many underscores at its end as make it none of those `taken`."""
+    while name in taken:
+        name += "_"
+    return name
