@@ -15,6 +15,8 @@ from typing import Any, Literal, Protocol
 import mujoco
 import numpy as np
 
+from quadwalk.export.controller import read_list
+
 Simulator = Literal["Drake", "MuJoCo C"]
 PUSH_SECONDS = 2.0  # s, one push in each
 GROUND = "ground"
@@ -100,7 +102,7 @@ class MujocoRobot:
         self.data = mujoco.MjData(model)
         mujoco.mj_setConst(model, self.data)
         self.floor = model.geom("floor").id
-        joints = [model.joint(name) for name in about["joint_names"].split(",")]
+        joints = [model.joint(name) for name in read_list(about["joint_names"])]
         self.ends = {int(model.jnt_bodyid[joint.id]) for joint in joints[2::3]}
 
     def place(self, q: np.ndarray, v: np.ndarray) -> None:
@@ -154,8 +156,8 @@ class DrakeRobot:
         plant = self.plant
         (robot,) = Parser(plant).AddModels(str(folder / "robot.urdf"))
         plant.mutable_gravity_field().set_gravity_vector([0.0, 0.0, -float(about["gravity"])])
-        joints = [plant.GetJointByName(name) for name in about["joint_names"].split(",")]
-        for joint, armature in zip(joints, about["joint_armature"].split(","), strict=True):
+        joints = [plant.GetJointByName(name) for name in read_list(about["joint_names"])]
+        for joint, armature in zip(joints, read_list(about["joint_armature"]), strict=True):
             plant.AddJointActuator(joint.name(), joint).set_default_rotor_inertia(float(armature))
         friction = condition.friction or float(about["ground_friction"])
         plant.RegisterCollisionGeometry(

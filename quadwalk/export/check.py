@@ -17,6 +17,7 @@ from rich.console import Console
 
 from quadwalk.errors import UserError
 from quadwalk.evaluate.loaded import LoadedRun
+from quadwalk.export.controller import read_list
 from quadwalk.export.description import describe
 from quadwalk.export.joint_targets import find_targets
 from quadwalk.export.policy_graph import input_labels, input_order
@@ -84,11 +85,16 @@ def differing_entries(loaded: LoadedRun, file: Path) -> Iterator[str]:
     found = {entry.key: entry.value for entry in model.metadata_props}
     expected = describe(loaded, find_targets(loaded.env.config.action, loaded.env.robot))
     for name, value in expected.items():
-        if name not in _ORIGIN and found.get(name) != value:
-            mine, theirs = (text.split(",") for text in (found.get(name, "missing"), value))
+        mine, theirs = (_to_words(text) for text in (found.get(name, "missing"), value))
+        if name not in _ORIGIN and mine != theirs:
             pairs = list(zip(mine, theirs, strict=False))
             at = next((i for i, (a, b) in enumerate(pairs) if a != b), 0)
             yield f"its {name} is {mine[at]} at number {at}; expected {theirs[at]}"
+
+
+def _to_words(text: str) -> list[str]:
+    """Return the parts of an entry of the metadata, the same for either form of a list."""
+    return [part if isinstance(part, str) else f"{part:.9g}" for part in read_list(text)]
 
 
 def replay(folder: Path, loaded: LoadedRun) -> dict[str, np.ndarray]:

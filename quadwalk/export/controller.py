@@ -36,6 +36,16 @@ OBSERVATIONS: dict = {
 }
 
 
+def read_list(text: str) -> list:
+    """Return a list of the metadata: JSON, or as older exports have it, words between commas.
+
+    null stands for a number without limit, which JSON cannot state.
+    """
+    if not text.startswith("["):
+        return text.split(",")
+    return [np.inf if value is None else value for value in json.loads(text)]
+
+
 def rotation(quat: np.ndarray) -> np.ndarray:
     """(3, 3), from the frame that a unit quaternion wxyz turns into the world's."""
     w, x, y, z = quat
@@ -51,13 +61,13 @@ class Controller:
         self.session = onnxruntime.InferenceSession(file, one, providers=["CPUExecutionProvider"])
         self.about = about = self.session.get_modelmeta().custom_metadata_map
         names = "joint_stiffness joint_damping effort_limit velocity_limit joint_friction"
-        self.motor = np.array([about[name].split(",") for name in names.split()], float)
-        self.home = np.array(about["default_joint_pos"].split(","), float)
-        self.functions = about["observation_functions"].replace("quadwalk.", "").split(",")
+        self.motor = np.array([read_list(about[name]) for name in names.split()], float)
+        self.home = np.array(read_list(about["default_joint_pos"]), float)
+        self.functions = read_list(about["observation_functions"].replace("quadwalk.", ""))
         if unknown := sorted(set(self.functions) - set(OBSERVATIONS)):
             sys.exit(f"error: add {', '.join(unknown)} to OBSERVATIONS in {__file__}")
         self.params = json.loads(about["observation_params"]).values()
-        self.history = [1 + int(n) for n in about["observation_history"].split(",")]
+        self.history = [1 + int(n) for n in read_list(about["observation_history"])]
         self.restart()
 
     def restart(self) -> None:

@@ -20,7 +20,7 @@ UNITS = (
 
 
 def describe(loaded: LoadedRun, targets: JointTargets) -> dict[str, str]:
-    """The metadata of a policy: lists as comma-separated strings, as mjlab writes them.
+    """Return the metadata of a policy; lists are JSON, for a joint's name may hold a comma.
 
     The first eight keys are mjlab's (mjlab/rl/exporter_utils.py), the others quadwalk's own:
     all that `run_policy.py` and another simulator need.
@@ -81,4 +81,11 @@ def _joints(value: Any) -> str:
 
 
 def _listed(values: Iterable[Any]) -> str:
-    return ",".join(v if isinstance(v, str) else f"{float(v):.9g}" for v in values)
+    """Return a JSON list of texts or numbers; null is a number that is not finite: no limit."""
+    return f"[{', '.join(map(_as_json, values))}]"
+
+
+def _as_json(value: Any) -> str:
+    if isinstance(value, str):
+        return json.dumps(value)
+    return f"{float(value):.9g}" if np.isfinite(value) else "null"

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
-from controller import Controller, rotation
+from controller import Controller, read_list, rotation
 
 TIMESTEP = 0.002  # s, of physics
 FALLEN = np.cos(np.radians(60))  # cosine of the trunk's tilt beyond which it has fallen
@@ -39,7 +39,7 @@ substeps = max(1, round((period := float(about["control_period"])) / TIMESTEP))
 model.opt.timestep = period / substeps
 model.dof_frictionloss[:] = 0.0  # it is part of the controller's torque, as in training
 data = mujoco.MjData(model)
-data.qpos[:] = start = np.array(about["start_qpos"].split(","), float)
+data.qpos[:] = start = np.array(read_list(about["start_qpos"]), float)
 q, v, viewer, began, fell, saved = data.qpos, data.qvel, None, time.time(), False, list[tuple]()
 steady, rises = 0.0, 0
 if options.fallen:

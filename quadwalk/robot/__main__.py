@@ -14,13 +14,13 @@ from pathlib import Path
 from quadwalk.command.line import ArgumentParser
 from quadwalk.drawing.canvas import render_home
 from quadwalk.drawing.images import save_png
-from quadwalk.errors import UsageError
+from quadwalk.errors import UsageError, UserError
 from quadwalk.files import atomic_write
 from quadwalk.robot.elements import SINGLE
 from quadwalk.robot.mjcf import Options, convert, write_xml
 from quadwalk.robot.quadruped import find_quadruped, list_joints, with_motors
 from quadwalk.robot.structure.legs import Leg
-from quadwalk.robot.urdf import Urdf, UrdfError, read_urdf
+from quadwalk.robot.urdf import Urdf, UrdfError, read_urdf, release_from_world
 
 
 def parse_arguments(argv: list[str] | None, prog: str) -> argparse.Namespace:
@@ -30,7 +30,7 @@ def parse_arguments(argv: list[str] | None, prog: str) -> argparse.Namespace:
         description="Convert a URDF to MJCF (MuJoCo XML). Any tree of links converts.",
     )
     add = parser.add_argument
-    add("urdf", type=Path, metavar="URDF", help="the robot's description")
+    add("urdf", type=Path, nargs="?", metavar="URDF", help="the robot's description")
     add("-o", "--out", type=Path, metavar="XML", help="file to write (default: standard output)")
     add("--render", type=Path, metavar="PNG", help="draw the robot in its home pose")
     add(
@@ -41,6 +41,15 @@ def parse_arguments(argv: list[str] | None, prog: str) -> argparse.Namespace:
         metavar="DIR",
         help="folders of mesh files, besides the URDF's own",
     )
+    add(
+        "--fix",
+        nargs="+",
+        default=[],
+        metavar="JOINT",
+        help="joints to fix, by name or pattern: a head, a lidar, an arm",
+    )
+    add("--effort", type=float, metavar="NM", help="of legs' motors for which the URDF has none")
+    add("--speed", type=float, metavar="RAD_PER_S", help="the same")
     add("--no-meshes", action="store_true", help="leave mesh shapes out")
     add(
         "--repair-inertia",
@@ -59,22 +68,47 @@ def parse_arguments(argv: list[str] | None, prog: str) -> argparse.Namespace:
     )
     add("-q", "--quiet", action="store_true", help="no report of what was fused, dropped, assumed")
     add("-v", "--verbose", action="store_true", help="the report in full")
-    return parser.parse_args(argv)
+    arguments = parser.parse_args(argv)
+    # The list of folders or joints before it has swallowed the URDF.
+    for values in (arguments.mesh_dirs, arguments.fix):
+        if arguments.urdf is None and len(values) > 1 and os.path.isfile(values[-1]):
+            arguments.urdf = Path(values.pop())
+    if arguments.urdf is None:
+        parser.error("the following arguments are required: URDF")
+    for flag in ("effort", "speed"):
+        value = getattr(arguments, flag)
+        if value is not None and not 0 < value < 1e9:
+            raise UsageError(f"--{flag} is {value:g}; expected a number above 0")
+    return arguments
 
 
 def main(argv: list[str] | None = None, prog: str = "quadwalk robot") -> None:
     """Convert, write, draw and report as `argv` says; `prog` is what the help calls the command."""
-    arguments = parse_arguments(argv, prog)
+    try:
+        convert_file(parse_arguments(argv, prog))
+    except UserError as error:
+        raise type(error)(name_flags(str(error))) from None
+
+
+def name_flags(text: str) -> str:
+    """Return `text` with the flags of training in it by their names here."""
+    return text.replace("--robot.", "--")
+
+
+def convert_file(arguments: argparse.Namespace) -> None:
+    """Convert, write, draw and report as the `arguments` say."""
     for folder in arguments.mesh_dirs:
         if not os.path.isdir(folder):
             raise UsageError(f"--mesh-dirs {folder}: expected a folder")
-    urdf = read_urdf(arguments.urdf, arguments.repair_inertia)
+    urdf = read_urdf(arguments.urdf, arguments.repair_inertia, tuple(arguments.fix))
     joints = [joint.name for joint in urdf.robot.joints if joint.type in SINGLE]
     options = Options(
         floating=arguments.floating_base or (False if arguments.fixed_base else None),
         meshes=not arguments.no_meshes,
         mesh_folders=tuple(arguments.mesh_dirs),
         armature=armatures(arguments.rotor, joints),
+        effort=arguments.effort,
+        speed=arguments.speed,
     )
     urdf, legs, verdict = recognize(urdf, options)
     conversion = convert(urdf, legs, options)
@@ -91,20 +125,21 @@ def main(argv: list[str] | None = None, prog: str = "quadwalk robot") -> None:
             print(line, file=sys.stderr)
         for line in list_joints(conversion.spec, legs) if legs else ():
             print(line, file=sys.stderr)
-        print(f"trains as a quadruped: {verdict}", file=sys.stderr)
+        print(f"trains as a quadruped: {name_flags(verdict)}", file=sys.stderr)
 
 
 def recognize(urdf: Urdf, options: Options) -> tuple[Urdf, tuple[Leg, ...], str]:
-    """Return the robot, turned as a quadruped, its legs, and "yes" or why it cannot be trained."""
+    """Return what to convert, a quadruped's legs, and "yes", or why none can be trained."""
     legs: tuple[Leg, ...] = ()
     if options.floating is False:
         return urdf, legs, "no, for its base is fixed to the ground"
+    released = release_from_world(urdf)
     try:
-        urdf, legs = find_quadruped(urdf, options)
-        with_motors(urdf, legs, options)
+        released, legs = find_quadruped(released, options)
+        return with_motors(released, legs, options), legs, "yes"
     except UrdfError as error:
-        return urdf, legs, "no: " + str(error).removeprefix(f"{urdf.source}: ")
-    return urdf, legs, "yes"
+        reason = str(error).removeprefix(f"{urdf.source}: ")
+    return released if legs or options.floating else urdf, legs, f"no: {reason}"
 
 
 def armatures(rotors: list[str], joints: list[str]) -> dict[str, float]:

@@ -8,7 +8,7 @@ from quadwalk.robot.meshes import Meshes, MeshPart
 from quadwalk.robot.report import Report
 from quadwalk.robot.scene import CONTACT_TIME, FRICTION, KINDS
 from quadwalk.robot.structure.legs import Leg
-from quadwalk.robot.structure.tree import Tree, is_limited, joint_range, matrix, unit
+from quadwalk.robot.structure.tree import Capsule, Tree, is_limited, joint_range, matrix, unit
 
 SINGLE = {
     "revolute": mujoco.mjtJoint.mjJNT_HINGE,
@@ -162,7 +162,9 @@ class Shapes:
             size, kind = [geometry.sphere.radius, 0, 0], _Type.mjGEOM_SPHERE
         elif geometry.cylinder is not None:
             cylinder = geometry.cylinder
-            size, kind = [cylinder.radius, cylinder.length / 2, 0], _Type.mjGEOM_CYLINDER
+            size = [cylinder.radius, cylinder.length / 2, 0]
+            is_capsule = isinstance(cylinder, Capsule)
+            kind = _Type.mjGEOM_CAPSULE if is_capsule else _Type.mjGEOM_CYLINDER
         else:
             return self._mesh_pieces(name, geometry.mesh, collision)
         if not collision and min(np.trim_zeros(size, "b"), default=0) <= 0:

@@ -6,7 +6,7 @@ looked up in, COLLADA is parsed without entities, no file leads to another (no .
 
 import io
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PureWindowsPath
 from urllib.parse import unquote, urlsplit
 
 import numpy as np
@@ -17,10 +17,11 @@ from quadwalk.files import real_path
 from quadwalk.robot.checks.validate import UrdfError
 from quadwalk.robot.report import Report
 
-KINDS = (".dae", ".obj", ".stl")
+KINDS = (".dae", ".obj", ".ply", ".stl")
 MAX_BYTES = 64 * 2**20
 MAX_PACKAGE_BYTES = 2**20
 LARGEST = 1e6  # m, from the link's frame
+MOST_PARTS = 4  # of the end of a mesh's name, by which it is looked for in other folders
 FLATTEST = 1e-5  # thinnest over longest extent of a mesh; thinner ones are flat for MuJoCo's hulls
 # Beside the meshes' folder in a package, by ROS's custom; a package need not have a package.xml.
 URDF_FOLDERS = ("urdf", "urdfs", "robots", "xacro")
@@ -28,6 +29,10 @@ URDF_FOLDERS = ("urdf", "urdfs", "robots", "xacro")
 
 class MissingMeshError(UrdfError):
     """A mesh file that is in none of the folders it may be in."""
+
+
+class UnreadMeshError(UrdfError):
+    """A mesh file of a kind that is not read."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,14 +76,38 @@ def find_mesh(name: str, folders: list[Path], source: str) -> Path:
         try:
             file = real_path(candidate)
             if not any(file.is_relative_to(real_path(folder)) for folder in allowed):
-                outside = True
+                outside = outside or file.is_file()
             elif file.is_file():
                 return file
         except (OSError, ValueError):  # a name that no file can have
             continue
     if outside:
-        raise UrdfError(f"{where} lies outside {shown}; expected inside, or pass mesh-dirs")
-    raise MissingMeshError(f"{where} is not in {shown}; expected a file, or pass mesh-dirs")
+        raise UrdfError(f"{where} lies outside {shown}; expected inside, or pass --robot.mesh-dirs")
+    raise MissingMeshError(f"{where} is not in {shown}; expected a file, or pass --robot.mesh-dirs")
+
+
+def find_by_name(name: str, folders: list[Path]) -> Path | None:
+    """Return the file in one of `folders` that is called as the end of a mesh's name is.
+
+    A name of another machine, `/home/me/dog/meshes/visual/hip.stl`, is `visual/hip.stl` or
+    `hip.stl` here; the longer end of the name counts.
+    """
+    parts = PureWindowsPath(unquote(name)).parts[-MOST_PARTS:]
+    for first in range(len(parts)):
+        for folder in folders:
+            file = folder.joinpath(*parts[first:])
+            try:
+                if file.is_file() and is_inside(file, [folder]):
+                    return real_path(file)
+            except (OSError, ValueError):  # a name that no file can have
+                continue
+    return None
+
+
+def is_inside(path: Path, folders: list[Path]) -> bool:
+    """Return True if `path` is in one of `folders`, or in the package that one of them is in."""
+    allowed = [*folders, *filter(None, map(_package_around, folders))]
+    return any(real_path(path).is_relative_to(real_path(folder)) for folder in allowed)
 
 
 def _package_called(name: str, folder: Path) -> Path | None:
@@ -119,7 +148,7 @@ def load_mesh(file: Path, scale: np.ndarray, source: str) -> list[MeshPart]:
     where = f"{source}: mesh file '{file}'"
     kind = file.suffix.lower()
     if kind not in KINDS:
-        raise UrdfError(f"{where} is of kind '{kind}'; expected {', '.join(KINDS)}")
+        raise UnreadMeshError(f"{where} is of kind '{kind}'; expected {', '.join(KINDS)}")
     try:
         with file.open("rb") as stream:
             data = stream.read(MAX_BYTES + 1)
@@ -163,9 +192,15 @@ class Meshes:
             return None
         try:
             file = find_mesh(mesh.filename, self.folders, self.source)
-        except MissingMeshError:
-            self.report.add("dropped", f"{kind} meshes that were not found", mesh.filename)
-            return None
+        except UrdfError as error:
+            by_name = find_by_name(mesh.filename, self.folders)
+            if by_name is None and not isinstance(error, MissingMeshError):
+                raise
+            if by_name is None:
+                self.report.add("dropped", f"{kind} meshes that were not found", mesh.filename)
+                return None
+            file = by_name
+            self.report.add("assumed", f"{kind} meshes found by the ends of their names", file.name)
         scale = np.ones(3) * (1.0 if mesh.scale is None else mesh.scale)
         key = (file, tuple(scale), kind)
         if key not in self._parts:
@@ -173,7 +208,8 @@ class Meshes:
                 parts = load_mesh(file, scale, self.source)
             except UrdfError as error:
                 why = str(error).partition(f"'{file}' ")[2]
-                self.report.add("dropped", f"{kind} meshes that are broken", f"{file.name} {why}")
+                fault = "not read" if isinstance(error, UnreadMeshError) else "broken"
+                self.report.add("dropped", f"{kind} meshes that are {fault}", f"{file.name} {why}")
                 parts = []
             solid = [part for part in parts if _has_volume(part.vertices)]
             if len(solid) < len(parts):

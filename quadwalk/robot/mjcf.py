@@ -24,7 +24,7 @@ from quadwalk.robot.elements import (
     unique,
 )
 from quadwalk.robot.inertia import SMALLEST, body_inertia, principal, printable
-from quadwalk.robot.meshes import Meshes
+from quadwalk.robot.meshes import Meshes, is_inside
 from quadwalk.robot.report import Report
 from quadwalk.robot.scene import add_home, add_scene, add_sun, exclude_overlaps
 from quadwalk.robot.structure.home import standing_pose
@@ -60,6 +60,10 @@ class Conversion:
 def open_meshes(urdf: Urdf, options: Options, report: Report) -> Meshes:
     """The URDF's mesh files, where `options` let them be; `report` hears what is left out."""
     folders = [folder for folder in (urdf.folder, *options.mesh_folders) if folder]
+    if urdf.mesh_folder:
+        # As MuJoCo has it, from the URDF's folder; a run's copy of the URDF has that as another.
+        named = [folder / urdf.mesh_folder for folder in folders]
+        folders = [*(f for f in named if is_inside(f, folders)), *folders]
     return Meshes(folders if options.meshes else None, urdf.source, report)
 
 
@@ -147,7 +151,7 @@ class _Robot:
         if principal(whole.about_com)[0][2] < SMALLEST:
             raise UrdfError(
                 f"{self.urdf.source}: link '{root}' floats, and its <inertia> is not positive "
-                "definite; expected principal moments above 0 (or pass --repair-inertia)"
+                "definite; expected principal moments above 0 (or pass --robot.repair-inertia)"
             )
         return True
 

@@ -18,7 +18,7 @@ from quadwalk.robot.structure.facing import find_turn
 from quadwalk.robot.structure.home import standing_pose
 from quadwalk.robot.structure.legs import Leg, find_chains, find_legs
 from quadwalk.robot.structure.tree import joint_range, name_axis
-from quadwalk.robot.urdf import Urdf, read_urdf, turn_root
+from quadwalk.robot.urdf import Urdf, read_urdf, release_from_world, turn_root
 
 # A motor's rotor, through its gear, by the robot's mass times its standing height squared: the
 # AlienGo's are 0.005 on average, and 0.008 is what MuJoCo Menagerie gives the Go1 and the A1.
@@ -133,10 +133,13 @@ def _delete_visuals(spec: mujoco.MjSpec) -> None:
 
 
 def load_quadruped(
-    urdf: Path = ALIENGO_URDF, options: Options | None = None, repair_inertia: bool = False
+    urdf: Path = ALIENGO_URDF,
+    options: Options | None = None,
+    repair_inertia: bool = False,
+    fix: tuple[str, ...] = (),
 ) -> Quadruped:
     """Read a quadruped's URDF; raise `UrdfError` where it is not valid or not a quadruped."""
-    return quadruped_from(read_urdf(urdf, repair_inertia), options)
+    return quadruped_from(read_urdf(urdf, repair_inertia, fix), options)
 
 
 def find_quadruped(urdf: Urdf, options: Options) -> tuple[Urdf, tuple[Leg, ...]]:
@@ -233,7 +236,7 @@ def add_rotors(
 def quadruped_from(urdf: Urdf, options: Options | None = None) -> Quadruped:
     """The quadruped that a checked URDF describes; `UrdfError` says what it is instead."""
     options = options or Options()
-    original = urdf
+    original = urdf = release_from_world(urdf)
     urdf, legs = find_quadruped(urdf, options)
     urdf = with_motors(urdf, legs, options)
     tree = urdf.tree

@@ -153,6 +153,8 @@ def lowest_point(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> float
         extent = np.abs(down) @ size
     elif kind == mujoco.mjtGeom.mjGEOM_CYLINDER:
         extent = size[0] * np.hypot(down[0], down[1]) + size[1] * abs(down[2])
+    elif kind == mujoco.mjtGeom.mjGEOM_CAPSULE:
+        extent = size[0] + size[1] * abs(down[2])
     elif kind == mujoco.mjtGeom.mjGEOM_MESH:
         mesh = model.geom_dataid[geom]
         first = model.mesh_vertadr[mesh]
@@ -190,7 +192,7 @@ def rotation_of_quat(quat: np.ndarray) -> np.ndarray:
 
 
 def _shorten(geom: mujoco.MjsGeom, foot: np.ndarray, radius: float) -> None:
-    """Let a box, or a cylinder along the calf, end at the `foot`: (3,) m, body frame.
+    """Let a box, or a cylinder or capsule along the calf, end at the `foot`: (3,) m, body frame.
 
     It ends at the foot's center, or above it if it is thick. Its edge is then half the foot's
     radius above the floor while the calf leans by `LEAN`: nearer, a step would be a fall.
@@ -199,14 +201,17 @@ def _shorten(geom: mujoco.MjsGeom, foot: np.ndarray, radius: float) -> None:
     along = int(np.argmax(np.abs(foot @ axes)))
     if geom.type == mujoco.mjtGeom.mjGEOM_BOX:
         side = along
-        thickness = np.linalg.norm(np.delete(geom.size, along))
+        reach = np.linalg.norm(np.delete(geom.size, along)) * np.sin(LEAN)
     elif geom.type == mujoco.mjtGeom.mjGEOM_CYLINDER and along == 2:
         side = 1  # half the length; a cylinder's axis is z
-        thickness = geom.size[0]
+        reach = geom.size[0] * np.sin(LEAN)
+    elif geom.type == mujoco.mjtGeom.mjGEOM_CAPSULE and along == 2:
+        side = 1
+        reach = geom.size[0]  # of the half sphere at the end, whichever way it leans
     else:
         return
     out = axes[:, along] * np.sign(foot @ axes[:, along])
-    above = (thickness * np.sin(LEAN) - radius / 2) / np.cos(LEAN)
+    above = (reach - radius / 2) / np.cos(LEAN)
     beyond = (geom.pos - foot) @ out + geom.size[side] + max(above, 0.0)
     if 1e-6 < beyond < 2 * geom.size[side]:
         geom.size[side] -= beyond / 2

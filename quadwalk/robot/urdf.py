@@ -8,6 +8,7 @@ import io
 import re
 from copy import deepcopy
 from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
 from functools import cached_property
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
@@ -17,16 +18,29 @@ import yourdfpy
 from lxml import etree
 from trimesh.transformations import compose_matrix, euler_from_matrix
 
+from quadwalk.errors import UsageError
 from quadwalk.robot.checks.bodies import check_bodies, resolutions
 from quadwalk.robot.checks.topology import check_mimic, check_topology
-from quadwalk.robot.checks.validate import Check, UrdfError, check_elements
+from quadwalk.robot.checks.validate import Check, UrdfError, as_words, check_elements, not_expanded
 from quadwalk.robot.report import Report
-from quadwalk.robot.structure.tree import Tree, build_tree, find_free_name, name_axis
+from quadwalk.robot.structure.tree import (
+    Capsule,
+    Tree,
+    build_tree,
+    find_free_name,
+    name_axis,
+    rotation,
+    to_roll_pitch_yaw,
+    unit,
+)
 
 __all__ = ["MAX_BYTES", "Report", "Urdf", "UrdfError", "parse_urdf", "read_urdf"]
 
 # The largest quadruped descriptions are some 100 kB; a thousand links with meshes are about 1 MB.
 MAX_BYTES = 16 * 2**20
+# Blank space before the XML declaration, which must come first; a byte order mark may precede it.
+_BLANK_FIRST = re.compile(rb"\A(\xef\xbb\xbf)?(\s+)(<\?xml\b[^>]*\?>)")
+_DECLARATION = re.compile(r"^\s*<\?xml[^>]*\?>")
 _VERSION_0 = re.compile(rb"(<\?xml\s+version\s*=\s*[\"'])0\.0(?=[\"'])")
 
 
@@ -42,6 +56,8 @@ class Urdf:
     # ignore; joints without it are left out
     armature: dict[str, float]
     report: Report  # what reading left out or repaired
+    # where MuJoCo's extension says that meshes are, from `folder`; None: it does not
+    mesh_folder: str | None = None
 
     @cached_property
     def tree(self) -> Tree:
@@ -49,11 +65,12 @@ class Urdf:
         return build_tree(self.robot)
 
 
-def read_urdf(path: Path, repair_inertia: bool = False) -> Urdf:
+def read_urdf(path: Path, repair_inertia: bool = False, fix: tuple[str, ...] = ()) -> Urdf:
     """Read and check the URDF file at `path`; `UrdfError` if it is not valid.
 
     With `repair_inertia`, an inertia that no body can have is replaced by the nearest valid one,
-    and the report says by how much it changed.
+    and the report says by how much it changed. Joints whose name is among the patterns `fix` are
+    fixed, at 0 or at the limit nearest to it; `UsageError` if a pattern names none.
     """
     path = Path(path)
     try:
@@ -64,7 +81,7 @@ def read_urdf(path: Path, repair_inertia: bool = False) -> Urdf:
     except (OSError, ValueError) as error:  # ValueError: a name with a NUL in it
         reason = getattr(error, "strerror", None) or error
         raise UrdfError(f"{path}: cannot be read ({reason}); expected a URDF file") from None
-    return parse_urdf(data, str(path), path.resolve().parent, repair_inertia)
+    return parse_urdf(data, str(path), path.resolve().parent, repair_inertia, fix)
 
 
 def parse_urdf(
@@ -72,32 +89,35 @@ def parse_urdf(
     source: str = "URDF",
     folder: Path | None = None,
     repair_inertia: bool = False,
+    fix: tuple[str, ...] = (),
 ) -> Urdf:
-    """Check and parse a URDF's text; `source` is what error messages call it."""
+    """Check and parse a URDF's text, as `read_urdf`; `source` is what error messages call it."""
     if isinstance(data, str):
         # Text has no encoding any more, whatever its declaration says.
-        data = re.sub(r"^\s*<\?xml[^>]*\?>", "", data).encode()
+        data = _DECLARATION.sub("", data).encode()
     report = Report()
     root, text = _parse_xml(data, source, report)
+    check = Check(source, report)
+    _drop_namespace(check, root)
     if root.tag == "robot" and not root.get("name", "").strip():
         root.set("name", Path(source).stem)
         report.add("assumed", "the robot's name, for it has none", root.get("name"))
-        text = etree.tostring(root, encoding="unicode")
-    check = Check(source, report)
+        check.rewritten = True
+    compiler = root.find("mujoco/compiler")
+    mesh_folder = None if compiler is None else compiler.get("meshdir")
     check_elements(check, root)
     check_topology(check, root)
+    _fix_joints(check, root, fix)
     check_mimic(check, root.findall("joint"))
-    if _drop_ground(root, report):
+    _drop_ground(check, root)
+    if check.rewritten:
         text = etree.tostring(root, encoding="unicode")
-    model = yourdfpy.URDF.load(
-        io.BytesIO(etree.tostring(root)), load_meshes=False, build_scene_graph=False
-    )
     armature = {
         joint.get("name"): float(dynamics.get("armature"))
         for joint in root.iterfind("joint")
         if (dynamics := joint.find("dynamics")) is not None and dynamics.get("armature")
     }
-    urdf = Urdf(source, folder, text, model.robot, armature, report)
+    urdf = Urdf(source, folder, text, _load_robot(root), armature, report, mesh_folder)
     check_bodies(urdf.tree, resolutions(root), source, repair_inertia, report)
     return urdf
 
@@ -136,21 +156,127 @@ def turn_root(urdf: Urdf, turn: np.ndarray, reasons: str) -> Urdf:
     return replace(urdf, text=text, robot=robot, report=report)
 
 
-def _drop_ground(root: etree._Element, report: Report) -> bool:
-    """Remove a bare root link that only a floating joint leads from: it is the ground's frame.
+def release_from_world(urdf: Urdf) -> Urdf:
+    """Return `urdf` without the link `world`, where all that this does is to hold one other link.
 
-    What floats on it is then the root link, which floats in any case.
+    So a file places the robot in a simulator. An arm is to stay there; a quadruped is to float.
+    """
+    held = urdf.tree.joints_below.get("world", ())
+    if urdf.tree.root != "world" or [joint.type for joint in held] != ["fixed"]:
+        return urdf
+    root = etree.fromstring(_DECLARATION.sub("", urdf.text).encode())
+    for element in (*root.findall("link"), *root.findall("joint")):
+        if (element.tag, element.get("name")) in (("link", "world"), ("joint", held[0].name)):
+            root.remove(element)
+    robot = replace(
+        urdf.robot,
+        links=[link for link in urdf.robot.links if link.name != "world"],
+        joints=[joint for joint in urdf.robot.joints if joint.name != held[0].name],
+    )
+    report = deepcopy(urdf.report)
+    report.add("dropped", "the link 'world' and the joint that holds the robot there", held[0].name)
+    return replace(urdf, robot=robot, text=etree.tostring(root, encoding="unicode"), report=report)
+
+
+def _load_robot(root: etree._Element) -> yourdfpy.Robot:
+    """Return the robot of a checked document, which is changed to what yourdfpy can read."""
+    for limit in root.iter("limit"):
+        for name in ("effort", "velocity"):
+            limit.set(name, limit.get(name, "inf"))
+    links = root.findall("link")
+    capsules = [
+        (row, kind, index)
+        for row, link in enumerate(links)
+        for kind in ("visual", "collision")
+        for index, shape in enumerate(link.findall(kind))
+        if shape.find("geometry/capsule") is not None
+    ]
+    for capsule in root.iter("capsule"):
+        capsule.tag = "cylinder"
+    data = io.BytesIO(etree.tostring(root))
+    robot = yourdfpy.URDF.load(data, load_meshes=False, build_scene_graph=False).robot
+    for row, kind, index in capsules:
+        geometry = getattr(robot.links[row], f"{kind}s")[index].geometry
+        geometry.cylinder = Capsule(geometry.cylinder.radius, geometry.cylinder.length)
+    return robot
+
+
+def _drop_namespace(check: Check, root: etree._Element) -> None:
+    """Take a robot's own namespace off its elements; those of other namespaces stay."""
+    name = etree.QName(root)
+    if not name.namespace or name.localname != "robot":
+        return
+    for element in root.iter(f"{{{name.namespace}}}*"):
+        element.tag = etree.QName(element).localname
+    etree.cleanup_namespaces(root)
+    check.report.add("dropped", "the namespace", name.namespace)
+    check.rewritten = True
+
+
+def _fix_joints(check: Check, root: etree._Element, patterns: tuple[str, ...]) -> None:
+    """Make the joints that `patterns` name fixed ones, at 0 or at the limit nearest to it."""
+    joints = {joint.get("name"): joint for joint in root.findall("joint")}
+    for pattern in patterns:
+        names = [name for name in joints if fnmatchcase(name, pattern)]
+        if not names:
+            known = ", ".join(n for n, joint in joints.items() if joint.get("type") != "fixed")
+            raise UsageError(f"--robot.fix {pattern}: names no joint; there are {known or 'none'}")
+        for name in names:
+            if joints[name].get("type") != "fixed":
+                position = _hold(joints[name])
+                check.report.add("assumed", f"fixed at {position:g}, as a flag says", name)
+                check.rewritten = True
+
+
+def _hold(joint: etree._Element) -> float:
+    """Make a joint a fixed one, and return its position, rad or m."""
+    limit, axis, origin = (joint.find(tag) for tag in ("limit", "axis", "origin"))
+    kind = joint.get("type")
+    position = 0.0
+    if limit is not None and kind in ("revolute", "prismatic"):
+        lower, upper = (float(limit.get(end, "0")) for end in ("lower", "upper"))
+        position = float(np.clip(0.0, lower, upper))
+    if position:
+        if origin is None:
+            origin = etree.SubElement(joint, "origin")
+        words = "1 0 0" if axis is None else axis.get("xyz")
+        along = unit(np.array(words.split(), float))
+        place, (roll, pitch, yaw) = (
+            np.array(origin.get(name, "0 0 0").split(), float) for name in ("xyz", "rpy")
+        )
+        x, y, z = np.eye(3)
+        turn = rotation(z, yaw) @ rotation(y, pitch) @ rotation(x, roll)
+        if kind == "prismatic":
+            place = place + position * turn[:3, :3] @ along
+        else:
+            turn = turn @ rotation(along, position)
+        origin.set("xyz", as_words(place))
+        origin.set("rpy", as_words(to_roll_pitch_yaw(turn[:3, :3])))
+    joint.set("type", "fixed")
+    for tag in ("axis", "limit", "dynamics", "mimic"):
+        for element in joint.findall(tag):
+            joint.remove(element)
+    return position
+
+
+def _drop_ground(check: Check, root: etree._Element) -> None:
+    """Remove a root link that only a floating joint leads from: it is the ground's frame.
+
+    It has no mass and nothing that could touch, at most a mark to be seen. What floats on it is
+    then the root link, which floats in any case.
     """
     joints = root.findall("joint")
     children = {joint.find("child").get("link") for joint in joints}
     (ground,) = (link for link in root.findall("link") if link.get("name") not in children)
     below = [j for j in joints if j.find("parent").get("link") == ground.get("name")]
-    if len(ground) or [joint.get("type") for joint in below] != ["floating"]:
-        return False
-    report.add("dropped", "the ground's link and its floating joint", ground.get("name"))
+    mass = ground.find("inertial/mass")
+    is_frame = ground.find("collision") is None and (mass is None or float(mass.get("value")) == 0)
+    if not is_frame or [joint.get("type") for joint in below] != ["floating"]:
+        return
+    check.report.add("dropped", "the ground's link and its floating joint", ground.get("name"))
     for element in (ground, *below):
         root.remove(element)
-    return True
+    check.rewritten = True
 
 
 def _parse_xml(data: bytes, source: str, report: Report) -> tuple[etree._Element, str]:
@@ -169,6 +295,9 @@ def _parse_xml(data: bytes, source: str, report: Report) -> tuple[etree._Element
         remove_pis=True,
         remove_blank_text=True,
     )
+    if _BLANK_FIRST.match(data):
+        data = _BLANK_FIRST.sub(rb"\1\3\2", data)  # which leaves the numbers of lines
+        report.add("assumed", "the XML declaration comes first, where blank space stands before it")
     if _VERSION_0.match(data):
         # PyBullet's own exports say so, and there is no XML other than 1.0 that they could be.
         data = _VERSION_0.sub(rb"\g<1>1.0", data)
@@ -179,6 +308,8 @@ def _parse_xml(data: bytes, source: str, report: Report) -> tuple[etree._Element
         text = data.decode(info.encoding or "utf-8")
     except (etree.XMLSyntaxError, ValueError, LookupError) as error:
         reason = " ".join(str(error).replace("(<string>, ", "(").split())
+        if "prefix xacro" in reason:
+            raise not_expanded(source) from None
         raise UrdfError(f"{source}: is not well-formed XML: {reason}; expected a URDF") from None
     if info.doctype:
         raise UrdfError(f"{source}: has a DOCTYPE; expected a URDF without one (no entities)")

@@ -24,6 +24,7 @@ class RobotConfig(Settings, group="robot"):
     speed: Positive | None = None  # rad/s, velocity limit of motors for which the URDF has none
     # replace an inertia that no body can have by the nearest valid one
     repair_inertia: bool = False
+    fix: tuple[str, ...] = ()  # joints to fix, by name or pattern: a head, a lidar, an arm
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ ROBOT_HASH = "robot_sha256"  # in a run's config.json
 def load_robot(config: RobotConfig) -> Quadruped:
     """The robot that `config` names; `UrdfError` where it is none that can be trained."""
     options = Options(mesh_folders=config.mesh_dirs, effort=config.effort, speed=config.speed)
-    return load_quadruped(config.urdf, options, config.repair_inertia)
+    return load_quadruped(config.urdf, options, config.repair_inertia, config.fix)
 
 
 def hash_robot(quadruped: Quadruped) -> str:

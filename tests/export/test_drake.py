@@ -1,5 +1,7 @@
 """An exported robot and its policy in Drake: its own reader of URDF and its own dynamics agree."""
 
+import json
+
 import numpy as np
 import pytest
 
@@ -28,7 +30,7 @@ def controller(folder):
 
 @pytest.fixture(scope="module")
 def start(controller):
-    return np.array(controller.about["start_qpos"].split(","), float)
+    return np.array(json.loads(controller.about["start_qpos"]))
 
 
 def anywhere(start, rng):

@@ -2,6 +2,7 @@
 
 import ast
 import dataclasses
+import json
 import os
 import re
 import shutil
@@ -27,6 +28,8 @@ from quadwalk.evaluate.simulate import simulate_episodes
 from quadwalk.export import scripts
 from quadwalk.export.__main__ import main
 from quadwalk.export.check import check_export, read_recording, replay
+from quadwalk.export.controller import read_list
+from quadwalk.export.description import describe
 from quadwalk.export.joint_targets import JointTargets, find_targets
 from quadwalk.export.policy_graph import ACTIVATIONS, Weights, build_model, input_labels
 from quadwalk.settings.terms import ActionMap
@@ -155,8 +158,8 @@ def test_the_scripts_are_short_and_need_three_packages():
 
 def halved(text: str) -> str:
     """A list of numbers, the last of them halved."""
-    *others, last = text.split(",")
-    return ",".join([*others, f"{float(last) / 2:.9g}"])
+    *others, last = json.loads(text)
+    return json.dumps([*others, last / 2])
 
 
 # What is broken, of which task: an entry of the metadata, or a constant of the graph.
@@ -214,10 +217,10 @@ def test_the_metadata_says_what_mjlab_says(exported):
     env, about = exported.loaded.env, exported.metadata
 
     def numbers(key: str) -> np.ndarray:
-        return np.array(about[key].split(","), float)
+        return np.array(json.loads(about[key]), float)
 
-    assert about["joint_names"].split(",") == list(env.quadruped.joints)
-    assert about["observation_names"].split(",") == list(env.config.observation)
+    assert json.loads(about["joint_names"]) == list(env.quadruped.joints)
+    assert json.loads(about["observation_names"]) == list(env.config.observation)
     assert about["command_names"] == ("velocity" if env.config.command.given else "")
     np.testing.assert_allclose(numbers("default_joint_pos"), env.robot.home[7:], rtol=1e-6)
     np.testing.assert_allclose(numbers("joint_stiffness"), env.motor.kp, rtol=1e-6)
@@ -228,6 +231,37 @@ def test_the_metadata_says_what_mjlab_says(exported):
     model = onnx.load(exported.folder / "policy.onnx")
     assert [(o.domain, o.version) for o in model.opset_import] == [("", 17)]
     assert model.graph.output[0].name == "actions"  # the one that unitree_rl_lab's runtime reads
+
+
+def test_a_joint_with_a_comma_in_its_name_is_one_of_twelve(exported, monkeypatch):
+    env = exported.loaded.env
+    joints = ("FR,hip joint", 'a "b"', "[c", *env.quadruped.joints[3:])
+    monkeypatch.setattr(env, "quadruped", dataclasses.replace(env.quadruped, joints=joints))
+    about = describe(exported.loaded, find_targets(env.config.action, env.robot))
+    assert tuple(json.loads(about["joint_names"])) == joints
+    assert tuple(read_list(about["joint_names"])) == joints
+
+
+def test_a_number_without_limit_is_null_in_json():
+    assert read_list("[1, null]") == read_list("[1, null]".replace("null", "1e999")) == [1, np.inf]
+    assert read_list("1,inf") == ["1", "inf"]
+
+
+def test_an_older_export_with_commas_between_its_numbers_runs_and_is_checked(exported, tmp_path):
+    if exported.loaded.policy.config.task != "walk":
+        return
+    shutil.copytree(exported.folder, tmp_path / "old")
+    model = onnx.load(tmp_path / "old" / "policy.onnx")
+    lists = [entry for entry in model.metadata_props if entry.value.startswith("[")]
+    assert len(lists) > 10
+    for entry in lists:
+        entry.value = ",".join(f"{part}" for part in read_list(entry.value))
+    onnx.save(model, tmp_path / "old" / "policy.onnx")
+    check_export(exported.loaded, tmp_path / "old", None, Console(quiet=True))
+    entry.value = "none"
+    onnx.save(model, tmp_path / "old" / "policy.onnx")
+    with pytest.raises(UserError, match=f"its {entry.key} is none at number 0; expected "):
+        check_export(exported.loaded, tmp_path / "old", None, Console(quiet=True))
 
 
 def test_deploy_yaml_gives_the_observations_and_targets_that_were_trained_with(exported):

@@ -113,6 +113,10 @@ def test_a_fixed_base_and_armature_from_rotor_and_gear(tmp_path):
         ([ALIENGO_URDF, "--rotor", "hip"], 2, "expected JOINTS=INERTIA,GEAR"),
         ([ALIENGO_URDF, "--rotor", "tail*=1,1"], 2, "names no moving joint"),
         ([ALIENGO_URDF, "--mesh-dirs", "none"], 2, "--mesh-dirs none: expected a folder"),
+        (["--mesh-dirs", "none", ALIENGO_URDF], 2, "--mesh-dirs none: expected a folder"),
+        (["--mesh-dirs", "none"], 2, "required: URDF"),
+        ([ALIENGO_URDF, "--fix", "tail"], 2, "--fix tail: names no joint"),
+        ([ALIENGO_URDF, "--effort", "0"], 2, "--effort is 0; expected a number above 0"),
         ([XML], 1, "root element is <mujoco>; expected <robot>"),
     ],
 )
@@ -122,6 +126,37 @@ def test_bad_use_is_one_line(capsys, arguments, status, says):
     assert caught.value.exit_status == status
     assert says in str(caught.value)
     assert capsys.readouterr() == ("", "")
+
+
+def changed(path: Path, old: str, new: str) -> str:
+    """Write AlienGo's URDF with every `old` replaced, and return the file's name."""
+    text = ALIENGO_URDF.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new))
+    return str(path)
+
+
+def test_lines_name_the_flags_of_this_command_and_these_do_what_is_said(tmp_path, capsys):
+    file = changed(tmp_path / "a.urdf", 'effort="44.4"', "")
+    out = ["-o", str(tmp_path / "a.xml")]
+    main([file, *out])
+    assert "no: has no effort limit for 'FR_calf_joint'" in (err := capsys.readouterr().err)
+    assert err.endswith("or pass --effort NM\n")
+    main([file, *out, "--effort", "44.4"])
+    assert capsys.readouterr().err.endswith("trains as a quadruped: yes\n")
+    body = XML.read_text().partition("-->")[2]
+    assert (tmp_path / "a.xml").read_text().partition("-->")[2] == body
+    broken = changed(tmp_path / "b.urdf", 'ixx="0.051944892"', 'ixx="5"')
+    with pytest.raises(UserError, match=r"\(or pass --repair-inertia\)$"):
+        main([broken, *out])
+
+
+@pytest.mark.parametrize("flag", ["--mesh-dirs", "--fix"])
+def test_a_list_before_the_urdf_leaves_it_its_place(tmp_path, flag):
+    value = {"--mesh-dirs": str(tmp_path), "--fix": "imu_joint"}[flag]
+    main(["-q", "-o", str(tmp_path / "a.xml"), flag, value, str(ALIENGO_URDF)])
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "a.xml"))
+    assert (model.nv, model.nu) == (18, 12)
 
 
 def test_the_command_runs_and_draws(tmp_path: Path):

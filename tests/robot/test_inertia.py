@@ -95,7 +95,9 @@ def test_what_digits_explain_is_mended_and_reported(moments):
     "moments", ["0.0010 0.0020 0.0033", "0.1000 0.2000 0.3100", "-0.0001 0.0100 0.0100", "1 2 9"]
 )
 def test_more_than_digits_explain_is_refused_with_the_flag_that_mends_it(moments):
-    with pytest.raises(UrdfError, match=r"link 'a': <inertia> .* \(or pass --repair-inertia\)"):
+    with pytest.raises(
+        UrdfError, match=r"link 'a': <inertia> .* \(or pass --robot\.repair-inertia\)"
+    ):
         parse_urdf(moving(moments))
     urdf = parse_urdf(moving(moments), repair_inertia=True)
     assert is_valid(np.diag(convert(urdf).spec.compile().body("a").inertia))
@@ -124,7 +126,7 @@ def test_inertia_without_mass_counts_in_the_body_that_has_some():
 
 def test_what_moves_without_mass_is_given_some_when_asked():
     text = robot(link("world"), link("a"), joint("j", "world", "a"))
-    with pytest.raises(UrdfError, match=r"'a' moves .* \(or pass --repair-inertia\)"):
+    with pytest.raises(UrdfError, match=r"'a' moves .* \(or pass --robot\.repair-inertia\)"):
         parse_urdf(text)
     urdf = parse_urdf(text, repair_inertia=True)
     assert convert(urdf).spec.compile().body("a").mass == pytest.approx(1e-6)

@@ -82,7 +82,9 @@ def test_finds_names_of_every_kind_inside_the_folders(package):
 def test_refuses_names_that_leave_the_folders(package, name):
     (package / "link.stl").symlink_to(package.parent / "secret.stl")
     name = name.format(tmp=package.parent)
-    with pytest.raises(UrdfError, match=r"lies outside .* expected inside, or pass mesh-dirs"):
+    with pytest.raises(
+        UrdfError, match=r"lies outside .* expected inside, or pass --robot\.mesh-dirs"
+    ):
         find_mesh(name, [package], "r")
 
 
@@ -171,7 +173,8 @@ FLAT, POINT = (
         ("a.obj", "v 0 0 0\nv 3e38 0 0\nv 0 1 0\nf 1 2 3\n",
          "collision meshes that are broken: a.obj has no triangles, or some beyond"),
         ("a\nb.stl", None, "collision meshes that were not found: a b.stl"),
-        ("a.ply", "ply", "collision meshes that are broken: a.ply is of kind '.ply'"),
+        ("a.ply", "ply", "collision meshes that are broken: a.ply is not valid .ply"),
+        ("a.glb", "glTF", "collision meshes that are not read: a.glb is of kind '.glb'"),
         ("a.stl", FLAT, "flat parts of collision meshes: a.stl"),
         ("a.stl", POINT, ""),
     ],

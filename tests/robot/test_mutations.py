@@ -135,12 +135,14 @@ def check_attributes(text: str, model: mujoco.MjModel) -> None:
             continue  # without limits, and no motor
         found = model.joint(joint.get("name"))
         limit, dynamics = joint.find("limit"), joint.find("dynamics")
-        if joint.get("type") == "continuous" or limit is None or limit.get("lower") is None:
+        # One that is left out is 0, and both 0 are none.
+        ends = {} if limit is None else limit.attrib
+        expected = [float(ends.get("lower", 0)), float(ends.get("upper", 0))]
+        if joint.get("type") == "continuous" or expected == [0, 0]:
             assert not model.jnt_limited[found.id]
         else:
-            expected = [float(limit.get("lower")), float(limit.get("upper"))]
             np.testing.assert_array_equal(found.range, expected)
-        if limit is not None and float(limit.get("effort")) > 0:
+        if float(ends.get("effort", 0)) > 0:
             assert model.jnt_actfrcrange[found.id][1] == float(limit.get("effort"))
         if dynamics is not None:
             address = found.dofadr[0]
@@ -173,6 +175,8 @@ def readable(urdf: Urdf) -> Urdf:
     for joint in root.findall("joint"):
         if joint.get("type") in ("revolute", "prismatic") and joint.find("limit") is None:
             ET.SubElement(joint, "limit", lower="-1", upper="1", effort="0", velocity="0")
+        for limit in joint.findall("limit"):
+            limit.attrib.update({"effort": "0", "velocity": "0", **limit.attrib})
         for dynamics in joint.findall("dynamics"):
             dynamics.set("damping", dynamics.get("damping", "0"))
     return dataclasses.replace(urdf, text=ET.tostring(root, encoding="unicode"))

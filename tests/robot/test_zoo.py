@@ -29,7 +29,7 @@ def test_converts_exactly_as_a_quadruped_or_not_or_is_refused(urdf):
     if urdf.stem in REFUSED:
         with pytest.raises(UrdfError) as raised:
             read_urdf(urdf)
-        assert ("--repair-inertia" in str(raised.value)) == REFUSED[urdf.stem]
+        assert ("--robot.repair-inertia" in str(raised.value)) == REFUSED[urdf.stem]
         if REFUSED[urdf.stem]:
             convert(read_urdf(urdf, repair_inertia=True), options=NO_MESHES).spec.compile()
         return

@@ -10,6 +10,7 @@ from quadwalk.robot.urdf import UrdfError
 from quadwalk.settings.serialize import to_dict
 from quadwalk.settings.training import RobotConfig
 from quadwalk.tasks.sprint import TASK
+from quadwalk.train.flags import parse_config
 from quadwalk.train.robot import compare_robot, load_robot
 from quadwalk.train.runs.directory import Run
 from quadwalk.train.runs.resume import config_of
@@ -72,6 +73,25 @@ def test_a_run_says_that_its_robot_is_another_one(tmp_path):
     about = json.loads(run.config.read_text())
     run.config.write_text(json.dumps({name: about[name] for name in ("config", "versions")}))
     assert compare_robot(run, load_robot(here)) == ()  # one of before there was a hash
+
+
+def test_a_run_keeps_the_joints_of_its_robot_that_were_fixed(tmp_path):
+    run = Run(tmp_path / "run")
+    run.path.mkdir()
+    inertia = '<inertia ixx="0.001" ixy="0" ixz="0" iyy="0.001" iyz="0" izz="0.001"/>'
+    head = f"""<link name="head"><inertial><mass value="1"/>{inertia}</inertial></link>
+    <joint name="neck" type="continuous"><parent link="trunk"/><child link="head"/></joint>
+    </robot>"""
+    (tmp_path / "dog.urdf").write_text(ALIENGO_URDF.read_text().replace("</robot>", head))
+    flags = ["walk", "--robot.urdf", str(tmp_path / "dog.urdf"), "--robot.fix", "imu*", "neck"]
+    config = parse_config(flags)[0].robot
+    original = load_robot(config)
+    run.urdf.write_text(original.urdf)
+    copy = load_robot(as_in(run, config))
+    for robot in (original, copy):
+        model = robot.full_model()
+        assert model.nv == 18
+        assert model.body("trunk").mass == pytest.approx(11.644 + 1)
 
 
 def test_a_run_keeps_what_its_robot_was_given(tmp_path):

@@ -106,7 +106,7 @@ def check_bodies(
                 expected = "none above the sum of the others" if positive else "positive ones"
                 raise UrdfError(
                     f"{source}: link '{name}': <inertia> has principal moments {_moments(tensor)}; "
-                    f"expected {expected} (or pass --repair-inertia)"
+                    f"expected {expected} (or pass --robot.repair-inertia)"
                 )
         _settle(tree, body, passed, report)
         _thicken(tree, body, massive, report)
@@ -176,7 +176,7 @@ def _check_moving(tree: Tree, body: str, source: str, repair: bool, report: Repo
         if not repair:
             raise UrdfError(
                 f"{source}: link '{body}' moves (joint '{tree.joint_above[body].name}') and has "
-                "no mass; expected <inertial> with a mass above 0 (or pass --repair-inertia)"
+                "no mass; expected <inertial> with a mass above 0 (or pass --robot.repair-inertia)"
             )
         least = nearest_valid(_LEAST_MASS, np.zeros((3, 3)))
         tree.links[body].inertial = yourdfpy.Inertial(mass=_LEAST_MASS, inertia=least)
@@ -185,7 +185,7 @@ def _check_moving(tree: Tree, body: str, source: str, repair: bool, report: Repo
     if principal(whole.about_com)[0][2] < SMALLEST:
         raise UrdfError(
             f"{source}: link '{body}' moves, and its <inertia> is too small for MuJoCo; "
-            f"expected principal moments above {SMALLEST:g} kg m^2 (or pass --repair-inertia)"
+            f"expected principal moments above {SMALLEST:g} kg m^2 (or pass --robot.repair-inertia)"
         )
 
 

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 JOINT_TYPES = ("revolute", "continuous", "prismatic", "planar", "floating", "fixed")
-SHAPES = ("box", "sphere", "cylinder", "mesh")
+SHAPES = ("box", "sphere", "cylinder", "capsule", "mesh")
 
 
 @dataclass(frozen=True)
@@ -21,6 +21,7 @@ class Form:
     not_negative: tuple[str, ...] = ()  # attributes that are 0 or more
 
 
+_LIMITS = ("effort", "velocity")
 _DYNAMICS = ("damping", "friction", "armature")
 # http://wiki.ros.org/urdf/XML; `ignored` is what PyBullet, Gazebo and older ROS files add.
 FORMS = {
@@ -51,26 +52,47 @@ FORMS = {
         ignored=("material", "group", "mask", "concave", "verbose", "contact_coefficients"),
     ),
     "geometry": Form(most_one=SHAPES),
-    "origin": Form(may=("xyz", "rpy")),
+    "origin": Form(may=("xyz", "rpy", "quat_xyzw")),
     "mass": Form(need=("value",), not_negative=("value",)),
     "inertia": Form(need=("ixx", "ixy", "ixz", "iyy", "iyz", "izz")),
     "parent": Form(need=("link",)),
     "child": Form(need=("link",)),
     "axis": Form(need=("xyz",)),
-    "limit": Form(
-        need=("effort", "velocity"), may=("lower", "upper"), not_negative=("effort", "velocity")
-    ),
+    "limit": Form(may=(*_LIMITS, "lower", "upper"), not_negative=_LIMITS),
     "dynamics": Form(may=_DYNAMICS, not_negative=_DYNAMICS),
     "mimic": Form(need=("joint",), may=("multiplier", "offset")),
     "box": Form(need=("size",), sizes=("size",)),
     "sphere": Form(need=("radius",), sizes=("radius",)),
     "cylinder": Form(need=("radius", "length"), sizes=("radius", "length")),
+    "capsule": Form(need=("radius", "length"), sizes=("radius", "length")),
     "mesh": Form(need=("filename",), may=("scale",)),
     "material": Form(
         may=("name",), most_one=("color", "texture"), ignored=("specular", "ambient", "emissive")
     ),
     "color": Form(need=("rgba",)),
     "texture": Form(may=("filename",)),
+    # MuJoCo's extension, of which only the folder of meshes is read.
+    "mujoco": Form(many=("compiler",)),
+    "compiler": Form(may=("meshdir",)),
 }
-TEXT_ATTRIBUTES = frozenset({"name", "type", "link", "joint", "filename"})
-LENGTHS = {"xyz": 3, "rpy": 3, "size": 3, "rgba": 4, "scale": 3}
+TEXT_ATTRIBUTES = frozenset({"name", "type", "link", "joint", "filename", "meshdir"})
+LENGTHS = {"xyz": 3, "rpy": 3, "quat_xyzw": 4, "size": 3, "rgba": 4, "scale": 3}
+# Where a joint's or a link's physics belongs: the element, and its attribute. Files that have it
+# one level too high or too low would lose it.
+MISPLACED = {
+    "joint": {
+        "axis": ("axis", ""),
+        "limit": ("limit", ""),
+        "lower": ("limit", "lower"),
+        "upper": ("limit", "upper"),
+        "min": ("limit", "lower"),
+        "max": ("limit", "upper"),
+        "effort": ("limit", "effort"),
+        "velocity": ("limit", "velocity"),
+        "dynamics": ("dynamics", ""),
+        "damping": ("dynamics", "damping"),
+        "friction": ("dynamics", "friction"),
+        "armature": ("dynamics", "armature"),
+    },
+    "link": {"mass": ("inertial/mass", ""), "inertia": ("inertial/inertia", "")},
+}

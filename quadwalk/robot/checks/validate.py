@@ -11,11 +11,22 @@ from collections import Counter
 from collections.abc import MutableMapping
 from dataclasses import dataclass, field
 
+import mujoco
+import numpy as np
 from lxml import etree
 
 from quadwalk.errors import UserError
-from quadwalk.robot.checks.forms import FORMS, JOINT_TYPES, LENGTHS, SHAPES, TEXT_ATTRIBUTES, Form
+from quadwalk.robot.checks.forms import (
+    FORMS,
+    JOINT_TYPES,
+    LENGTHS,
+    MISPLACED,
+    SHAPES,
+    TEXT_ATTRIBUTES,
+    Form,
+)
 from quadwalk.robot.report import Report
+from quadwalk.robot.structure.tree import to_roll_pitch_yaw
 
 # Quadrupeds have some 50 links, humanoids with hands some 100.
 MAX_LINKS = 2000
@@ -26,6 +37,7 @@ MAX_NUMBER = 1e9
 # Below that, products of a few numbers leave the range of floating point.
 MIN_NUMBER = 1e-50
 MIN_SIZE = 1e-9  # m; atoms are 1e-10
+MIN_QUAT = 1e-3  # the length of a quaternion that still has a direction
 
 
 class UrdfError(UserError):
@@ -49,6 +61,8 @@ class Check:
     source: str
     report: Report
     left_out: Counter = field(default_factory=Counter)
+    # whether the document was changed to say in plain URDF 1.0 what it said otherwise
+    rewritten: bool = False
 
     def fail(self, element: etree._Element, message: str) -> UrdfError:
         """The error for `element`, with its line and the link or joint that it is part of."""
@@ -66,8 +80,12 @@ class Check:
         What URDF does not know is taken out of it, so that no later reader stumbles over it.
         """
         form = FORMS[element.tag]
-        self.attributes(element, form)
         known = form.one + form.most_one + form.many
+        if not known and not element.attrib and (element.text or "").strip():
+            shown = element.text.strip()[:40]
+            expected = ", ".join(form.need + form.may)
+            raise self.fail(element, f"holds '{shown}' as text; expected attributes: {expected}")
+        self.attributes(element, form)
         for child in list(element):
             if child.tag in known:
                 self.element(child)
@@ -76,6 +94,7 @@ class Check:
             else:
                 there = {c.tag for c in element} - set(form.many)
                 self.not_misspelt(child.tag, known, there, element)
+                self.not_misplaced(child.tag, form, element)
                 if child.tag in form.ignored:
                     self.ignored(child)
                 self.take_out(child, f"<{child.tag}> of a {element.tag}")
@@ -100,8 +119,11 @@ class Check:
         for name, value in list(element.attrib.items()):
             if name not in known:
                 self.not_misspelt(name, known, set(element.attrib), element, attribute=True)
+                self.not_misplaced(name, form, element, attribute=True)
                 self.left_out[f"{element.tag} {name}"] += 1
                 del element.attrib[name]
+            elif "${" in value or "$(" in value:
+                raise not_expanded(self.source)
             elif name not in TEXT_ATTRIBUTES:
                 self.numbers(element, name, value)
         for name in form.need:
@@ -125,6 +147,28 @@ class Check:
                     raise self.fail(element, f"has attribute '{name}'; expected {other}")
                 raise self.fail(element, f"has a <{name}> in it; expected <{other}>")
 
+    def not_misplaced(
+        self, name: str, form: Form, element: etree._Element, attribute: bool = False
+    ) -> None:
+        """Refuse a child that should be an attribute, or the other way, and physics elsewhere."""
+        lowered = name.lower()
+        what = f"attribute '{name}'" if attribute else f"a <{name}> in it"
+        if attribute:
+            alike = set(form.one + form.most_one) - {child.tag for child in element}
+        else:
+            alike = set(form.need + form.may) - TEXT_ATTRIBUTES - set(element.attrib)
+        if lowered in alike:
+            expected = f"<{lowered}>" if attribute else f'{lowered}="..."'
+            raise self.fail(element, f"has {what}; expected {expected}")
+        for owner in (element, *element.iterancestors("link", "joint")):
+            if owner.get("type") == "fixed":
+                return  # without axis, limits or damping
+            path, place = MISPLACED.get(owner.tag, {}).get(lowered, ("", ""))
+            holder = owner.find(path) if path else owner
+            if holder is None or (place and holder.get(place) is None):
+                inside = f' {place}="..."' if place else ""
+                raise self.fail(element, f"has {what}; expected <{path}{inside}>")
+
     def take_out(self, element: etree._Element, what: str) -> None:
         """Remove an element that is passed over, and note it by kind."""
         self.left_out[what] += 1
@@ -141,7 +185,8 @@ class Check:
         """Check that the attribute is one number, or as many as its name asks for."""
         words = value.split()
         length = LENGTHS.get(name, 1)
-        allowed = (1, 3) if name == "scale" else (length,)
+        # A color without transparency is none that a robot should fail for.
+        allowed = {"scale": (1, 3), "rgba": (3, 4)}.get(name, (length,))
         shown = value if len(value) <= 40 else value[:37] + "..."
         if len(words) not in allowed:
             expected = "one number" if length == 1 else f"{length} numbers"
@@ -178,20 +223,53 @@ class Check:
         if any(float(word) == 0 for word in element.get("scale", "1").split()):
             raise self.fail(element, f'has scale="{element.get("scale")}"; expected none 0')
 
+    def check_origin(self, element: etree._Element) -> None:
+        """Turn URDF 1.1's quaternion into the angles that every reader knows."""
+        if element.get("quat_xyzw") is None:
+            return
+        if element.get("rpy") is not None:
+            raise self.fail(element, "has both rpy and quat_xyzw; expected one of them")
+        x, y, z, w = (float(word) for word in element.attrib.pop("quat_xyzw").split())
+        length = math.hypot(x, y, z, w)
+        if length < MIN_QUAT:
+            raise self.fail(element, "has quat_xyzw of length 0; expected a rotation")
+        turn = np.zeros(9)
+        mujoco.mju_quat2Mat(turn, np.array([w, x, y, z]) / length)
+        element.set("rpy", as_words(to_roll_pitch_yaw(turn.reshape(3, 3))))
+        self.rewritten = True
+
     def check_color(self, element: etree._Element) -> None:
-        if not all(0 <= float(word) <= 1 for word in element.get("rgba").split()):
-            raise self.fail(element, f'has rgba="{element.get("rgba")}"; expected 0 .. 1')
+        """Bring a color into 0 .. 1, from 0 .. 255 where it is far beyond: it is only seen."""
+        rgba = element.get("rgba")
+        values = [float(word) for word in rgba.split()]
+        if len(values) == 4 and all(0 <= value <= 1 for value in values):
+            return
+        rgb, alpha = np.array(values[:3]), (*values, 1.0)[3]
+        if rgb.max() > 2:
+            rgb = rgb / 255
+        if alpha > 2:
+            alpha = alpha / 255
+        color = np.clip([*rgb, alpha], 0, 1)
+        element.set("rgba", " ".join(f"{value:.6g}" for value in color))
+        self.report.add("assumed", "colors of 0 .. 255, or clipped to 0 .. 1", rgba)
+        self.rewritten = True
 
     def check_texture(self, element: etree._Element) -> None:
         if not (element.get("filename") or "").strip():
             self.take_out(element, "<texture> without a file")
 
     def check_limit(self, element: etree._Element) -> None:
+        joint = element.getparent()
         for name in ("effort", "velocity"):
-            if float(element.get(name)) > MAX_NUMBER:
-                element.set(name, "inf")
-                joint = element.getparent().get("name")
-                self.report.add("assumed", f"any {name}, for the limit is beyond 1e9", joint)
+            if element.get(name) is None:
+                reason = "where no flag gives one, for <limit> has none"
+            elif float(element.get(name)) > MAX_NUMBER:
+                del element.attrib[name]
+                reason = "for the limit is beyond 1e9"
+            else:
+                continue
+            if joint.get("type") != "fixed":
+                self.report.add("assumed", f"any {name}, {reason}", joint.get("name"))
 
     def check_axis(self, element: etree._Element) -> None:
         length = math.hypot(*map(float, element.get("xyz").split()))
@@ -209,11 +287,15 @@ class Check:
             self.check_range(element, {} if limit is None else limit.attrib)
 
     def check_range(self, joint: etree._Element, limit: MutableMapping[str, str]) -> None:
-        """Position limits: both or neither; none are left where they are no limits."""
+        """Position limits: one that is left out is 0; none are left where they are no limits."""
         given = [name for name in ("lower", "upper") if name in limit]
         if len(given) == 1:
-            kind = joint.get("type")
-            raise self.fail(joint, f'is {kind}; expected <limit lower="..." upper="..."/>')
+            absent = "upper" if given == ["lower"] else "lower"
+            limit[absent] = "0"
+            given = ["lower", "upper"]
+            what = f"{absent} limits of 0, as by URDF's rule, where only the other is given"
+            self.report.add("assumed", what, joint.get("name"))
+            self.rewritten = True
         lower, upper = (float(limit[name]) for name in given) if given else (0.0, 0.0)
         reason = "" if given else "there are none"
         if given and lower == upper == 0:  # what exporters write where none is set
@@ -233,6 +315,19 @@ class Check:
             limit["lower"], limit["upper"] = (
                 repr(min(max(bound, -MAX_NUMBER), MAX_NUMBER)) for bound in (lower, upper)
             )
+
+
+def as_words(numbers: np.ndarray) -> str:
+    """Return numbers (n,) as a URDF has them, with all their digits."""
+    return " ".join(map(repr, numbers.tolist()))
+
+
+def not_expanded(source: str) -> UrdfError:
+    """Return the error for a xacro file, from which a URDF is still to be made."""
+    return UrdfError(
+        f"{source}: is not expanded: run xacro, as in 'xacro dog.xacro > dog.urdf'; expected the "
+        "file that it writes"
+    )
 
 
 def nearly(name: str, other: str) -> bool:
@@ -257,6 +352,8 @@ def nearly(name: str, other: str) -> bool:
 
 def check_elements(check: Check, root: etree._Element) -> None:
     """Check each element, or raise `UrdfError` for the first wrong; take out what is not URDF's."""
+    if any("xacro" in str(element.tag).partition("}")[0] for element in root.iter()):
+        raise not_expanded(check.source)
     if root.tag != "robot":
         raise UrdfError(f"{check.source}: root element is <{root.tag}>; expected <robot>")
     links, joints = root.findall("link"), root.findall("joint")
@@ -269,7 +366,7 @@ def check_elements(check: Check, root: etree._Element) -> None:
     ):
         if count > most:
             raise UrdfError(f"{check.source}: has {count} {what}; expected at most {most}")
-    known = ("link", "joint", "material")
+    known = ("link", "joint", "material", "mujoco")
     for element in list(root):
         if element.tag in known:
             check.element(element)

@@ -8,7 +8,7 @@ import numpy as np
 import yourdfpy
 
 from quadwalk.robot.meshes import Meshes
-from quadwalk.robot.structure.tree import Tree, matrix, unit
+from quadwalk.robot.structure.tree import Capsule, Tree, matrix, unit
 
 # Share of the distance from calf joint to foot that the tip of a shape is taken from, and the
 # least and the assumed radius of a foot.
@@ -127,9 +127,14 @@ def _points(geometry: yourdfpy.Geometry, meshes: Meshes | None, kind: str) -> np
     if geometry.cylinder is not None:
         turns = np.linspace(0, 2 * np.pi, 32, endpoint=False)
         radius, half = geometry.cylinder.radius, geometry.cylinder.length / 2
-        ring = np.stack([radius * np.cos(turns), radius * np.sin(turns), 0 * turns], axis=1)
-        up = np.array([0, 0, half])
-        return np.concatenate([ring + up, ring - up])
+        ring = np.stack([radius * np.cos(turns), radius * np.sin(turns), half + 0 * turns], axis=1)
+        rings = [ring]
+        if isinstance(geometry.cylinder, Capsule):
+            for latitude in np.linspace(0, np.pi / 2, 7)[1:]:
+                rim = radius * np.sin(latitude)
+                rings.append(ring * [np.cos(latitude), np.cos(latitude), 1] + [0, 0, rim])
+        points = np.concatenate(rings)
+        return np.concatenate([points, points * [1, 1, -1]])
     if geometry.sphere is not None:
         return geometry.sphere.radius * np.concatenate([np.eye(3), -np.eye(3)])
     loaded = None if meshes is None else meshes.load(geometry.mesh, kind)

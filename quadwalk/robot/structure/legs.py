@@ -1,5 +1,6 @@
 """Finding a quadruped in a tree of links: its legs and their feet, from geometry alone."""
 
+import shlex
 from dataclasses import dataclass
 
 import numpy as np
@@ -57,7 +58,12 @@ def find_chains(tree: Tree, source: str) -> list[Chain]:
         found = ", ".join(f"{chain[0].name} ({len(chain)})" for chain in chains) or "none"
         raise UrdfError(
             f"{source}: chains of moving joints from link '{tree.root}': {found}; "
-            "a quadruped has four of three joints each"
+            f"a quadruped has four of three joints each{_hint(chains)}"
+        )
+    if tree.root == "world":
+        raise UrdfError(
+            f"{source}: the legs' joints lead from link 'world', the ground; expected a trunk, "
+            "which one fixed joint may hold there"
         )
     for joint in (joint for chain in chains for joint in chain):
         if joint.type not in ("revolute", "continuous"):
@@ -71,6 +77,20 @@ def name_corners(hips: np.ndarray) -> list[str]:
     """Return FR, FL, RR or RL of each of the `hips` (4, 3), m, by its place about their middle."""
     ahead, left = ((hips - hips.mean(axis=0))[:, :2] > 0).T
     return [LEGS[2 * (not x) + y] for x, y in zip(ahead, left, strict=True)]
+
+
+def _hint(chains: list[Chain]) -> str:
+    """Return the flag that leaves four legs of three joints, where it is clear which these are.
+
+    Then a head, a lidar or an arm is beside the legs, or a wheel or an ankle at the end of each.
+    """
+    for is_leg in (lambda chain: len(chain) == 3, lambda chain: len(chain) >= 3):
+        legs = [chain for chain in chains if is_leg(chain)]
+        if len(legs) == 4:
+            kept = {joint.name for chain in legs for joint in chain[:3]}
+            others = [j.name for chain in chains for j in chain if j.name not in kept]
+            return f"; or pass --robot.fix {shlex.join(others)}"
+    return ""
 
 
 def _chain(tree: Tree, joint: yourdfpy.Joint) -> Chain:

@@ -10,6 +10,10 @@ import yourdfpy
 ONE_WAY = ("revolute", "continuous", "prismatic")  # joints of one direction of motion
 
 
+class Capsule(yourdfpy.Cylinder):
+    """A cylinder whose `length` ends in half spheres, as URDF 1.1 has it."""
+
+
 @dataclass(frozen=True)
 class Tree:
     """The kinematic tree of a valid URDF.
@@ -121,6 +125,17 @@ def rotation(axis: np.ndarray, angle: float) -> np.ndarray:
     out = np.eye(4)
     out[:3, :3] += np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
     return out
+
+
+def to_roll_pitch_yaw(turn: np.ndarray) -> np.ndarray:
+    """Return (3,) rad, as in a URDF's `rpy`, of a rotation (3, 3)."""
+    ahead, left, up = turn.T
+    yaw = np.arctan2(ahead[1], ahead[0])
+    pitch = np.arctan2(-ahead[2], np.hypot(ahead[0], ahead[1]))
+    # With yaw known, roll is exact at a pitch of 90 degrees too.
+    side = np.array([-np.sin(yaw), np.cos(yaw), 0.0])
+    roll = np.arctan2(-(side @ up), side @ left)
+    return np.array([roll, pitch, yaw])
 
 
 def is_limited(joint: yourdfpy.Joint) -> bool:
