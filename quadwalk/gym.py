@@ -68,8 +68,9 @@ class QuadrupedGymEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         return self._observation(), {"end": self._ends[0]}
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
-        """One control step with `action` (12,) in [-1, 1]."""
-        self._state = state = self._step(self._state, np.asarray(action, np.float32))
+        """Take a control step with `action` (12,), which is clipped to [-1, 1]."""
+        checked = _check_action(self._state, action, self.action_space)
+        self._state = state = self._step(self._state, checked)
         truncated = bool(state.info["truncation"])
         terminated = bool(state.done) and not truncated
         info = {"end": self._ends[int(state.info["end"])]}
@@ -122,9 +123,9 @@ class QuadrupedGymVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     def step(
         self, actions: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
-        """One control step with `actions` (num_envs, 12) in [-1, 1]."""
-        given = np.asarray(actions, np.float32)
-        self._state, seen, reward, end = self._step(self._state, given)
+        """Take a control step with `actions` (num_envs, 12), which are clipped to [-1, 1]."""
+        checked = _check_action(self._state, actions, self.action_space)
+        self._state, seen, reward, end = self._step(self._state, checked)
         end = np.asarray(end)
         done, truncated = end > 0, self._ends[end] == "time limit"
         infos: dict[str, Any] = {}
@@ -185,6 +186,16 @@ def _spaces(env: Any) -> tuple[spaces.Box, spaces.Box]:
     """Of one robot's observations and actions."""
     seen = spaces.Box(-np.inf, np.inf, (env.policy_size,), np.float32)
     return seen, spaces.Box(-1.0, 1.0, (env.action_size,), np.float32)
+
+
+def _check_action(state: Any, action: np.ndarray, space: spaces.Space[np.ndarray]) -> np.ndarray:
+    """Return `action` as float32, clipped to [-1, 1]; `UsageError` where no step can be taken."""
+    if state is None:
+        raise UsageError("step was called before reset; expected reset first")
+    array = np.asarray(action, np.float32)
+    if array.shape != space.shape:
+        raise UsageError(f"an action has the shape {array.shape}; expected {space.shape}")
+    return np.clip(array, -1.0, 1.0)
 
 
 def _key(random: np.random.Generator) -> Any:

@@ -1,5 +1,6 @@
 """The tasks as Gymnasium environments: its own checks, and what happens between two episodes."""
 
+import re
 import warnings
 
 import gymnasium
@@ -13,7 +14,7 @@ import quadwalk.gym
 from quadwalk.command.shell import install
 from quadwalk.errors import UsageError
 from quadwalk.task_files import task_names
-from tests.programs import python
+from tests.programs import ROOT, python
 
 STEPS = 5  # control steps of an episode
 ENVS = 4
@@ -98,6 +99,35 @@ def test_what_is_returned_is_the_callers(envs):
     envs.step(actions()[0])
     np.testing.assert_array_equal(seen, kept)
     seen[:] = 0.0
+
+
+def test_a_step_that_cannot_be_taken_is_said(envs):
+    one = gymnasium.make("quadwalk/Sprint-v0", overrides=SHORT).unwrapped
+    fresh = gymnasium.make_vec("quadwalk/Sprint-v0", num_envs=ENVS, overrides=SHORT)
+    for env, shape in ((one, (12,)), (fresh, (ENVS, 12))):
+        with pytest.raises(UsageError, match=r"^step was called before reset; expected reset"):
+            env.step(np.zeros(shape))
+    one.reset(seed=0)
+    envs.reset(seed=0)
+    for env, shape, wrong in ((one, (12,), (1, 12)), (envs, (ENVS, 12), (12,))):
+        said = f"an action has the shape {wrong}; expected {shape}"
+        with pytest.raises(UsageError, match=f"^{re.escape(said)}$"):
+            env.step(np.zeros(wrong))
+        env.step(np.zeros(shape))  # it goes on
+
+
+def test_actions_are_clipped(envs):
+    seen = []
+    for scale in (1.0, 5.0):
+        envs.reset(seed=2)
+        seen.append(envs.step(scale * np.sign(actions()[0]))[0])
+    np.testing.assert_array_equal(*seen)
+
+
+def test_the_page_lists_every_task():
+    text = (ROOT / "docs/gymnasium.md").read_text()
+    listed = re.findall(r"`(\w+)-v0`", text)
+    assert [name.lower() for name in listed] == sorted(task_names())
 
 
 def test_a_wrong_number_of_robots_is_said():

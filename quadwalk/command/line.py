@@ -3,7 +3,9 @@
 import argparse
 import contextlib
 import io
+import os
 import re
+import shlex
 import sys
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
@@ -91,6 +93,22 @@ def message_console() -> "Console":
     from rich.console import Console  # what parses alone does not wait for it
 
     return Console(stderr=True, highlight=False, soft_wrap=True, markup=False, emoji=False)
+
+
+def split_words(text: str) -> list[str]:
+    """Return the words of `text` as a shell reads them; `UsageError` for a quote without its end.
+
+    On Windows a backslash is a part of a path, as in its own shells.
+    """
+    lexer = shlex.shlex(text, posix=True)
+    lexer.whitespace_split = True
+    lexer.commenters = ""
+    if os.name == "nt":
+        lexer.escape = ""
+    try:
+        return list(lexer)
+    except ValueError:
+        raise UsageError(f"{text!r} has a quote or a backslash that is not closed") from None
 
 
 def value_of(args: Sequence[str], flag: str) -> str | None:

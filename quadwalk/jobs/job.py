@@ -11,13 +11,12 @@ import jax
 from quadwalk.api import train
 from quadwalk.cores import pin
 from quadwalk.errors import UserError
-from quadwalk.files import real_path
 from quadwalk.jobs.news import Event, Row
 from quadwalk.jobs.place import PlaceConfig
 from quadwalk.settings.training import TrainConfig, with_files
 from quadwalk.train.devices import ACCELERATOR_ENVS, CPU_ENVS, device_count, set_up_devices
 from quadwalk.train.robot import content, load_robot
-from quadwalk.train.runs.directory import Run, find_any_run
+from quadwalk.train.runs.directory import Run
 from quadwalk.train.runs.policy import load_score
 from quadwalk.train.runs.resume import read_config
 from quadwalk.train.setup import new_run
@@ -94,10 +93,6 @@ def opened(config: TrainConfig) -> Run:
     if run.path.exists():
         return run
     config = with_files(config, robot.urdf, robot.mesh_dirs, config.env.ground.file)
-    if config.init is not None:
-        source = find_any_run(config.runs, config.init)
-        init = source.name if source.packaged else str(real_path(source.path))
-        config = replace(config, init=init)
     return new_run(config, load_robot(config.robot))
 
 

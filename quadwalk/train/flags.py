@@ -7,9 +7,10 @@ from typing import Any
 
 from quadwalk.command.line import parse, taken, value_of
 from quadwalk.errors import UsageError
+from quadwalk.files import real_path
 from quadwalk.settings.training import TrainConfig
 from quadwalk.task_files import load_task, task_list, task_table
-from quadwalk.train.runs.directory import Run, find_run
+from quadwalk.train.runs.directory import Run, find_any_run, find_run
 from quadwalk.train.runs.resume import resumed_config
 
 
@@ -82,4 +83,8 @@ def parse_config(args: Sequence[str], prog: str = "train.py") -> tuple[TrainConf
     world, usual = config.env.randomization, default.env.randomization
     if not world.enabled and dataclasses.replace(world, enabled=usual.enabled) != usual:
         raise UsageError("flags of --env.randomization need --env.randomization.enabled as well")
+    if config.init is not None and previous is None:
+        # Resolved here, so that a command that trains in another folder begins with the same run.
+        source = find_any_run(config.runs, config.init)
+        config = dataclasses.replace(config, init=str(real_path(source.path)))
     return config, previous

@@ -162,6 +162,8 @@ def _check_processes(config: TrainConfig, quadruped: Quadruped) -> None:
     if config.distributed.processes > 1:
         own = DistributedConfig()
         shared = replace(config, distributed=own, runs=TrainConfig.runs, quiet=False)
+        if config.init is not None:
+            shared = replace(shared, init=Path(config.init).name)
         distributed.check_same(f"{to_dict(shared) | content(config, quadruped)}")
 
 

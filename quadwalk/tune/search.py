@@ -1,19 +1,22 @@
 """The search: Optuna picks settings, jobs train them, and a file keeps what came out."""
 
 import collections
+import contextlib
 import json
 import shlex
 from collections.abc import Iterator
 from dataclasses import asdict, replace
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 from quadwalk.api import evaluate
+from quadwalk.command.line import split_words
 from quadwalk.command.shell import as_typed, extra
 from quadwalk.errors import UsageError, UserError, meant
 from quadwalk.evaluate.statistics import figure_mean
 from quadwalk.evaluate.summary import FIGURES
-from quadwalk.files import atomic_write, read_bytes, real_path
+from quadwalk.files import atomic_write, lock, make_folder, read_bytes, real_path
 from quadwalk.jobs.job import Job, sized
 from quadwalk.jobs.news import Row
 from quadwalk.jobs.runner import Outcome, place_of, run_jobs
@@ -40,27 +43,45 @@ def search(config: TuneConfig) -> None:
     space = dimensions(config.over, base)
     _check_objective(config.objective, base)
     place = place_of(config)
-    search = Search(config, base, space)
-    jobs = search.jobs()
-    for outcome in run_jobs(jobs, place, search.left, search.watch):
-        search.tell(outcome)
-    text = search.table()
-    with atomic_write(search.folder / "tune.md") as file:
-        file.write(f"{text}\n".encode())
+    folder = real_path(config.runs / (config.name or base.task))
+    with lock_folder(folder):
+        search = Search(config, base, space, folder)
+        jobs = search.jobs()
+        for outcome in run_jobs(jobs, place, search.left, search.watch):
+            search.tell(outcome)
+        text = search.table()
+        with atomic_write(folder / "tune.md") as file:
+            file.write(f"{text}\n".encode())
     print(text)
+
+
+@contextlib.contextmanager
+def lock_folder(folder: Path) -> Iterator[None]:
+    """Make a search's folder and keep it for this process; `UserError` if another one has it.
+
+    The system takes the lock back when the process ends, however it ends.
+    """
+    make_folder(folder, "the folder of the search")
+    with open(folder / "lock", "ab") as file:
+        if lock(file) is False:
+            raise UserError(
+                f"{folder} is being searched by another process; expected its end, or another "
+                "--name"
+            )
+        yield
 
 
 def _base(config: TuneConfig) -> TrainConfig:
     """The training that all trials are, but for what is searched."""
-    found, _ = parse_config([config.task, *shlex.split(config.flags)], "quadwalk train")
+    found, _ = parse_config([config.task, *split_words(config.flags)], "quadwalk train")
     return replace(found, steps=config.steps or found.steps, seed=config.seed)
 
 
 def _check_objective(name: str, base: TrainConfig) -> None:
     known = ["score", "fall_rate", *(figure.name for figure in FIGURES)]
-    absent = {"speed", "distance", "lateral_drift", "heading_error"}
-    if base.env.command is None:
-        absent = {"velocity_error", "yaw_rate_error", "path_speed", "path"}
+    absent = {"velocity_error", "yaw_rate_error", "path_speed", "path"}
+    if base.env.command.given:
+        absent = {"speed", "distance", "lateral_drift", "heading_error"}
     known = [each for each in known if each not in absent]
     if name not in known:
         raise UsageError(
@@ -85,9 +106,10 @@ def measured(run: Run, objective: str, episodes: int) -> float:
 class Search:
     """A study on the disk and its trials; made anew, it goes on where it was."""
 
-    def __init__(self, config: TuneConfig, base: TrainConfig, space: list[Dimension]) -> None:
-        self._config, self._base, self._space = config, base, space
-        self.folder = real_path(config.runs / (config.name or base.task))
+    def __init__(
+        self, config: TuneConfig, base: TrainConfig, space: list[Dimension], folder: Path
+    ) -> None:
+        self._config, self._base, self._space, self.folder = config, base, space, folder
         self._less = _less_is_better(config.objective)
         self._keep_settings()
         self._optuna, self._study = self._open()
@@ -109,7 +131,6 @@ class Search:
                         "the same, or another --name"
                     )
             return
-        self.folder.mkdir(parents=True, exist_ok=True)
         write_json_atomic(path, now)
 
     def _open(self) -> tuple[Any, Any]:
@@ -210,7 +231,7 @@ class Search:
         return "\n".join([*lines, *(self._commands(complete[0]) if complete else [])])
 
     def _commands(self, best: Any) -> list[str]:
-        own = shlex.split(self._config.flags)
+        own = split_words(self._config.flags)
         flags = as_flags(best.params)
         usual = shlex.join([self._config.task, *own])
         return [

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from quadwalk.api import evaluate
-from quadwalk.command.line import value_of
+from quadwalk.command.line import split_words, value_of
 from quadwalk.drawing.figures import save_figure
 from quadwalk.errors import UsageError, UserError
 from quadwalk.evaluate.statistics import figure_mean, number
@@ -125,12 +125,13 @@ def judged(run: Run, episodes: int) -> dict[str, Any]:
 
 def plan(flags: str, seed: int, steps: int | None, runs: Path) -> TrainConfig:
     """The training of a variant and a seed, under a name that no other variant has."""
+    words = split_words(flags)
     for flag in ("--name", "--runs", "--seed", "--minutes", "--resume"):
-        if value_of(flags.split(), flag) is not None:
+        if value_of(words, flag) is not None:
             raise UsageError(f"{flag} is in the variant {flags!r}; compare sets it: leave it out")
-    config, _ = parse_config(flags.split(), "quadwalk train")
-    words = flags.replace("=", " ").split()
-    plain = "-".join(word.removeprefix("--") for word in words) or "default"
+    config, _ = parse_config(words, "quadwalk train")
+    parts = [part for word in words for part in word.split("=") if part]
+    plain = "-".join(part.removeprefix("--") for part in parts) or "default"
     name = re.sub(r"[^\w.+@,-]+", "-", plain).lstrip("-.+@,_")
     if name != plain or len(name) > 60:
         name = f"{name[:50]}-{hashlib.sha256(plain.encode()).hexdigest()[:8]}"

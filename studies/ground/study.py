@@ -14,6 +14,7 @@ it works:
 
 import argparse
 import itertools
+import shlex
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -53,7 +54,7 @@ def job(
 ) -> Job:
     """The training of one variant and seed."""
     flags = VARIANTS[name]
-    config, _ = parse_config(flags.split())
+    config, _ = parse_config(shlex.split(flags))
     words = flags.replace("--", "").replace(" env.", "_")
     steps, runs = given.steps or config.steps, given.runs.resolve()
     config = replace(config, name=f"{words}_s{seed}", runs=runs, seed=seed, steps=steps)

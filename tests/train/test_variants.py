@@ -3,19 +3,26 @@
 import json
 import math
 import re
+from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from quadwalk.errors import UserError
+from quadwalk.files import real_path
 from quadwalk.jobs.job import finish, opened
 from quadwalk.jobs.processes import Processes
 from quadwalk.jobs.runner import Outcome
+from quadwalk.paths import PRETRAINED
 from quadwalk.tasks import run, walk
 from quadwalk.train.flags import parse_config
-from quadwalk.train.runs.directory import create_run
+from quadwalk.train.runs.directory import create_run, find_any_run
 from quadwalk.train.runs.policy import load_score
+from quadwalk.train.runs.resume import read_config
+from quadwalk.tune import search
+from quadwalk.tune.trials import TuneConfig
 from quadwalk.variants import table
 from quadwalk.variants.__main__ import main, split
 from quadwalk.variants.bands import band, draw_bands
@@ -37,6 +44,8 @@ def test_what_is_no_option_of_its_own_is_a_variant():
         ([], "no variant is given"),
         (["", "--seeds", "0"], "--seeds is 0; expected 1 or more"),
         (["--ppo.entropi 1"], "unknown option --ppo.entropi"),
+        (["--robot.urdf 'my dog.urdf"], "has a quote or a backslash that is not closed"),
+        (["--init nothing"], "no run 'nothing'"),
         (["", "--episodes", "many"], "bad value for --episodes"),
         (["", "--ppo.entropy 0.1", "--ppo.entropy=0.1"], "two are the same"),
         (["", "--seed 3"], "--seed is in the variant '--seed 3'"),
@@ -144,6 +153,37 @@ def test_a_variant_is_trained_with_its_flags_and_seed(tmp_path):
     usual, _ = parse_config(flags.split())
     assert (config.ppo, config.env, config.steps) == (usual.ppo, usual.env, usual.steps)
     assert (config.seed, config.runs) == (2, tmp_path)
+
+
+def test_a_variant_is_read_as_a_shell_reads_it(tmp_path):
+    urdf = tmp_path / "my dog.urdf"
+    urdf.touch()
+    config = table.plan(f"walk --robot.urdf '{urdf}'", 0, None, tmp_path)
+    assert config.robot.urdf == urdf
+    assert create_run(tmp_path, config.name).name == config.name
+    # Quotes that change nothing make no other run.
+    names = [table.plan(f"--ppo.entropy {text}", 0, None, tmp_path).name for text in ("1", "'1'")]
+    assert names == ["ppo.entropy-1_full_s0"] * 2
+
+
+def test_the_run_to_begin_with_is_the_one_that_a_training_alone_finds(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for folder in ("runs", "runs/compare", "runs/tune/run"):
+        create_run(folder, "source", files={"config.json": b"{}"})
+    for folder in ("runs/compare", "runs/tune/run"):
+        create_run(folder, "drive", files={"config.json": b"{}"})
+    for name, path in (("source", tmp_path / "runs/source"), ("drive", PRETRAINED / "drive")):
+        flags = f"--init {name}"
+        alone, _ = parse_config(flags.split())
+        compared = table.plan(flags, 0, None, real_path(Path("runs/compare")))
+        searched = replace(search._base(TuneConfig(flags=flags)), runs=Path("runs/tune/run"))
+        for config in (alone, compared, searched):
+            assert find_any_run(config.runs, config.init).path == path
+        kept = read_config(opened(compared))
+        assert find_any_run(kept.runs, kept.init).path == path
+    # A packaged run is found where the package is elsewhere.
+    there = find_any_run("runs", "/opt/quadwalk/assets/pretrained/drive")
+    assert there.path == PRETRAINED / "drive"
 
 
 def test_a_run_of_ones_own_task_is_known_again_until_the_file_changes(tmp_path, flags, train):

@@ -6,11 +6,14 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from quadwalk.errors import UserError
+from quadwalk.errors import UsageError, UserError
+from quadwalk.evaluate.summary import episode_figures
 from quadwalk.jobs.runner import Outcome
 from quadwalk.task_files import load_task
 from quadwalk.tune import search as tune
@@ -19,7 +22,9 @@ from quadwalk.tune.search import search
 from quadwalk.tune.space import dimension
 from quadwalk.tune.trials import TuneConfig
 from tests.jobs.conftest import TINY, write_task
+from tests.studies.test_gecko import still
 
+ROOT = Path(__file__).parents[2]
 OVER = ("env.reward.energy.scale=-1:0", "ppo.learning-rate=1e-4:1e-2:log")
 
 
@@ -93,6 +98,40 @@ def test_a_search_nears_the_best_stops_the_hopeless_and_goes_on(toy, tmp_path, c
         search(TuneConfig(task="run", over=OVER, steps=1, runs=tmp_path))
 
 
+@pytest.mark.parametrize("task", ["run", "drive"])
+def test_what_a_task_is_measured_by_can_be_its_objective(task, quadruped):
+    """Against the figures of an episode of such a task."""
+    base = load_task(task)
+    rollout = still(quadruped, quadruped.home, np.ones((100, 4)))
+    if task == "drive":
+        rollout = replace(rollout, command=np.tile([1.0, 0.0, 0.0], (100, 1)))
+    figures = episode_figures(rollout, base.env.reward, 100.0, np.full(12, 10.0))
+    for name in ("speed", "heading_error", "velocity_error", "path_speed", "power", "reward"):
+        if name in figures:
+            tune._check_objective(name, base)
+        else:
+            with pytest.raises(UsageError, match=f"--objective is '{name}'; expected for {task}"):
+                tune._check_objective(name, base)
+
+
+def test_a_search_that_goes_on_elsewhere_is_left_alone(toy, tmp_path):
+    config = TuneConfig(task="run", over=OVER, trials=1, runs=tmp_path)
+    code = (
+        "import pathlib, sys; from quadwalk.tune.search import lock_folder\n"
+        "with lock_folder(pathlib.Path(sys.argv[1])): print(flush=True); input()"
+    )
+    with subprocess.Popen(
+        [sys.executable, "-c", code, tmp_path / "run"],
+        stdin=subprocess.PIPE, stdout=subprocess.PIPE, env={**os.environ, "PYTHONPATH": str(ROOT)},
+    ) as other:  # fmt: skip
+        other.stdout.readline()
+        with pytest.raises(UserError, match="run is being searched by another process"):
+            search(config)
+        assert [path.name for path in (tmp_path / "run").iterdir()] == ["lock"]
+        other.kill()
+    search(config)  # a kill frees it
+
+
 def test_a_study_that_is_damaged_is_said_in_one_line(toy, tmp_path):
     config = TuneConfig(task="run", over=OVER, trials=1, runs=tmp_path)
     search(config)
@@ -103,7 +142,6 @@ def test_a_study_that_is_damaged_is_said_in_one_line(toy, tmp_path):
 
 def test_trials_that_a_kill_left_are_gone_on_with(tmp_path):
     pytest.importorskip("optuna")
-    root = Path(__file__).parents[2]
     flags = f"{TINY} --devices=1 --checkpoint-steps=640"
     _, go = write_task(tmp_path)
     given = [
@@ -111,7 +149,7 @@ def test_trials_that_a_kill_left_are_gone_on_with(tmp_path):
         *("--trials", "2", "--steps", str(64 * 40), "--name", "toy", "--no-prune"),
     ]
     command = [sys.executable, "-m", "quadwalk", *given]
-    environment = {**os.environ, "PYTHONPATH": str(root)}
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     first = subprocess.Popen(command, cwd=tmp_path, env=environment, start_new_session=True)
     checkpoints = tmp_path / "runs" / "tune" / "toy" / "trial_000" / "checkpoints"
     end = time.monotonic() + 300

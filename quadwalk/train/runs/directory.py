@@ -145,8 +145,11 @@ def find_any_run(root: Path | str, which: str) -> Run:
     try:
         return find_run(root, which)
     except UsageError:
-        if which in {folder.name for folder in PRETRAINED.iterdir()}:
-            return Run(PRETRAINED / which)
+        # By its name, or by the path that it has where the package is installed elsewhere.
+        folder, name = Path(which).parts[-3:-1], Path(which).name
+        known = {run.name for run in PRETRAINED.iterdir()}
+        if name in known and folder in ((), PRETRAINED.parts[-2:]):
+            return Run(PRETRAINED / name)
         raise
 
 
