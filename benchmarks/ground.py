@@ -57,7 +57,8 @@ def print_costs(envs: int, steps: int, rounds: int) -> None:
     def program(model: Model, qpos: np.ndarray):
         def of_many(model: Model, state: PhysicsState, torques: jax.Array) -> jax.Array:
             def step(state: PhysicsState, torque: jax.Array) -> tuple[PhysicsState, None]:
-                return integrate(state, acceleration(model, state, torque, 2, 3), 0.004), None
+                qacc = acceleration(model, state, torque, 4, 1, 0.004)
+                return integrate(state, qacc, 0.004), None
 
             return jax.lax.scan(step, state, torques)[0].qpos
 
@@ -66,7 +67,7 @@ def print_costs(envs: int, steps: int, rounds: int) -> None:
         mapped = jax.shard_map(
             function, mesh=mesh, in_specs=split, out_specs=split, check_vma=False
         )
-        state = PhysicsState(*(jnp.asarray(x, jnp.float32) for x in (qpos, qvel, 0 * qvel)))
+        state = PhysicsState(*(jnp.asarray(x, jnp.float32) for x in (qpos, qvel)))
         compiled = jax.jit(mapped)
         given = (state, jnp.asarray(torques, jnp.float32))
 

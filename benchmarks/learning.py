@@ -175,7 +175,7 @@ def work(task: str, envs: int, processor_time: bool) -> None:
         make_networks: Any = module_of_networks.make_networks
         networks = make_networks(config.ppo, size, env.action_size, *more)
     mesh = iteration.make_mesh(devices)
-    make = getattr(ppo, "Iteration", None) or vars(ppo)["make_iteration"]
+    make = getattr(iteration, "Iteration", None) or ppo.Iteration  # where earlier commits have it
     state = iteration.init_state(env, networks, config.ppo, mesh, envs, 0)
     iterate = make(env, networks, config.ppo, mesh, iterations=1000)
     for _ in range(4):

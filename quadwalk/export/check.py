@@ -166,7 +166,7 @@ def observed(env: QuadrupedEnv, columns: dict[str, np.ndarray]) -> np.ndarray:
 
     def at(row: dict[str, jax.Array], last: jax.Array, steps: jax.Array) -> EnvState:
         command = Command(row["command"], jax.random.PRNGKey(0)) if given else None
-        physics = PhysicsState(row["qpos"], row["qvel"], jnp.zeros(18))
+        physics = PhysicsState(row["qpos"], row["qvel"])
         return EnvState(physics, last, steps, command)
 
     def step(
@@ -198,7 +198,7 @@ def stepped(
         return ENGINES[env.engine].control_step(env.model, env.stepping, state, target)[0]
 
     shift = HAIR * np.arange(-1, 2)[:, None, None] * (np.arange(19) == 2)
-    rows = (np.concatenate(qpos + shift), *(np.tile(x, (3, 1)) for x in (qvel, 0 * qvel, target)))
+    rows = (np.concatenate(qpos + shift), *(np.tile(x, (3, 1)) for x in (qvel, target)))
     *state, aims = (jnp.asarray(x, jnp.float32) for x in rows)
     after = jax.vmap(step)(PhysicsState(*state), aims)
     return np.hstack([after.qpos, after.qvel]).reshape(3, len(qpos), 37)

@@ -20,13 +20,15 @@ from quadwalk.physics.constraints.contact import (
     look_under,
     triangles_under,
 )
-from quadwalk.physics.constraints.solver import newton
+from quadwalk.physics.constraints.solver import combined, newton, solve
 from quadwalk.physics.constraints.surface import Surface
 from quadwalk.physics.model import Model, RobotRandomization, vary_motor
 from quadwalk.physics.model import make_model as make_model
 from quadwalk.physics.motor import Effort, PhysicsState, Stepping
 from quadwalk.physics.rigid_body import (
     LINKS,
+    Link,
+    MassMatrix,
     Motion,
     Pose,
     bias_force,
@@ -49,8 +51,9 @@ def control_step(
         model: Model, physics: PhysicsState, target: jax.Array
     ) -> tuple[PhysicsState, Effort]:
         def advance(state: PhysicsState, torque: jax.Array) -> PhysicsState:
-            found = acceleration(model, state, torque, stepping.iterations, stepping.line_search)
-            return integrate(state, found, stepping.dt)
+            iterations, line_search = stepping.iterations, stepping.line_search
+            qacc = acceleration(model, state, torque, iterations, line_search, stepping.dt)
+            return integrate(state, qacc, stepping.dt)
 
         return motor.control_step(model.motor, stepping, physics, target, advance)
 
@@ -86,10 +89,18 @@ def vary(model: Model, variation: RobotRandomization) -> Model:
 
 
 def acceleration(
-    model: Model, state: PhysicsState, torque: jax.Array, iterations: int, line_search: int
+    model: Model,
+    state: PhysicsState,
+    torque: jax.Array,
+    iterations: int,
+    line_search: int,
+    dt: float = 0.0,
 ) -> jax.Array:
-    """MuJoCo's qacc (18, robots) with joint torques (12, robots); see `robots_last`."""
-    qpos, qvel, warmstart = state
+    """Return MuJoCo's qacc (18, robots) with joint torques (12, robots), Nm; see `robots_last`.
+
+    With a time step `dt`, s, joint damping is implicit over it, as in MuJoCo's Euler integrator.
+    """
+    qpos, qvel = state.qpos, state.qvel
     trunk, links, gravity = model.trunk, model.links, model.gravity
     barrier = opaque_true(qpos[2, 0])  # heights beyond are not let into the next control step
     rotation = materialize(barrier, lambda quat: rotation_of(tuple(quat)), qpos[3:7])
@@ -117,11 +128,30 @@ def acceleration(
         velocity,
         None if model.ground is None else _look_under(model, barrier, pose, qpos),
     )
-    start = _motion(pose, warmstart)
-    solution = newton(mass, found, force, start, barrier, iterations, line_search)
+    solution = newton(mass, found, force, barrier, iterations, line_search)
+    if dt > 0.0:
+        solution = _damp_implicitly(links, mass, solution, dt, barrier)
     angular = v.apply_transposed(pose.trunk, solution.angular)
     legs = jnp.stack(solution.joints, axis=1).reshape(4 * LINKS, -1)
     return jnp.concatenate([jnp.stack([*solution.linear, *angular]), legs])
+
+
+def _damp_implicitly(
+    links: tuple[Link, ...], mass: MassMatrix, motion: Motion, dt: float, barrier: jax.Array
+) -> Motion:
+    """Return (M + dt D)^-1 M a for an acceleration a, `motion`, with D the joints' damping.
+
+    It is computed as a - (M + dt D)^-1 dt D a, which rounding errors harm least.
+    """
+    damping = [dt * link.damping for link in links]
+    legs = [list(row) for row in mass.legs]
+    for i, joint in enumerate(damping):
+        legs[i][i] = legs[i][i] + joint
+    damped = mass._replace(legs=tuple(map(tuple, legs)))
+    nothing = jax.tree.map(jnp.zeros_like, motion.linear)
+    joints = v.vector(d * a for d, a in zip(damping, motion.joints, strict=True))
+    change = solve(damped, Motion(nothing, nothing, joints), barrier)
+    return combined(motion, -1.0, change)
 
 
 def _look_under(model: Model, barrier: jax.Array, pose: Pose, qpos: jax.Array) -> tuple[Under, ...]:
@@ -172,7 +202,7 @@ def integrate(state: PhysicsState, acceleration: jax.Array, dt: float) -> Physic
     quat = jnp.stack(turned)
     quat = quat / jnp.linalg.norm(quat, axis=0)
     qpos = jnp.concatenate([position, quat, state.qpos[7:] + dt * qvel[6:]])
-    return PhysicsState(qpos, qvel, acceleration)
+    return PhysicsState(qpos, qvel)
 
 
 def lowest_points(model: Model, qpos: jax.Array) -> tuple[jax.Array, jax.Array]:

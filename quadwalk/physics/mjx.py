@@ -4,6 +4,7 @@ The state carried is what physics needs and no more. An `mjx.Data` holds some hu
 of them results: XLA drops every one that nothing reads, and a reset is a copy of three arrays.
 """
 
+import copy
 from typing import NamedTuple
 
 import jax
@@ -16,6 +17,10 @@ from quadwalk.physics.model import RobotRandomization, vary_motor
 from quadwalk.physics.motor import Effort, Motor, PhysicsState, Stepping
 from quadwalk.robot.quadruped import Quadruped
 
+# MJX's solver settings, at least: with fewer, robots brake too little on slippery floors.
+ITERATIONS = 5
+LINE_SEARCH = 5  # evaluations in each iteration
+
 
 class MjxModel(NamedTuple):
     """A robot's constants; under `jax.vmap`, any leaf may differ from robot to robot."""
@@ -26,6 +31,9 @@ class MjxModel(NamedTuple):
 
 def make_model(model: mujoco.MjModel, quadruped: Quadruped, motor: Motor) -> MjxModel:
     """`model`, made from `quadruped`, on this process's first device."""
+    model = copy.copy(model)
+    model.opt.iterations = max(ITERATIONS, model.opt.iterations)
+    model.opt.ls_iterations = max(LINE_SEARCH, model.opt.ls_iterations)
     # By default MJX takes the first of all devices, which may be another process's.
     return MjxModel(mjx.put_model(model, device=jax.local_devices()[0]), motor)
 
@@ -57,11 +65,10 @@ def control_step(
         data = blank.replace(
             qpos=state.qpos,
             qvel=state.qvel,
-            qacc_warmstart=state.warmstart,
             # Not by the actuators, for these have limits of their own.
             qfrc_applied=blank.qfrc_applied.at[6:].set(torque),
         )
         data = mjx.step(model.mjx, data)
-        return PhysicsState(data.qpos, data.qvel, data.qacc_warmstart)
+        return PhysicsState(data.qpos, data.qvel)
 
     return motor.control_step(model.motor, stepping, physics, target, advance)

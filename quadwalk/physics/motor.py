@@ -81,7 +81,6 @@ class PhysicsState(NamedTuple):
 
     qpos: jax.Array  # (19,)
     qvel: jax.Array  # (18,)
-    warmstart: jax.Array  # (18,) acceleration that the contact solver starts from
 
 
 class Effort(NamedTuple):
@@ -161,7 +160,8 @@ def control_step(
     """`substeps` physics steps with the joint controller run in each, whichever engine steps.
 
     `target` is (12,) rad, or (substeps, 12), one for each physics step. `advance` steps a state
-    with the joints' torques (12,), Nm: the motors' and friction's.
+    with the joints' torques (12,), Nm: the motors' and friction's. Work is torque times the mean of
+    a joint's speeds before and after a physics step.
     """
     each = target.ndim > physics.qpos.ndim
 
@@ -172,9 +172,11 @@ def control_step(
         q, qd = state.qpos[7:], state.qvel[6:]
         torque = motor_torque(motor, own if each else target, q, qd)
         friction = friction_torque(motor, qd)
-        work = xp.sum(xp.maximum(torque * qd, 0.0), axis=0) * stepping.dt
+        after = advance(state, torque + friction)
+        speed = 0.5 * (qd + after.qvel[6:])
+        work = xp.sum(xp.maximum(torque * speed, 0.0), axis=0) * stepping.dt
         effort = Effort(effort.torque + torque / stepping.substeps, effort.energy + work)
-        return (advance(state, torque + friction), effort), None
+        return (after, effort), None
 
     xp = _namespace(physics.qpos)
     nothing = xp.zeros_like(physics.qpos[7:])

@@ -198,7 +198,7 @@ def control_step(
     arguments = [jnp.asarray(x, jnp.float32) for x in arguments]
     shapes = [jax.ShapeDtypeStruct(shape, jnp.float32) for shape in ((19,), (18,), (12,), ())]
     qpos, qvel, torque, energy = _on_host(step, shapes, arguments)
-    return PhysicsState(qpos, qvel, jnp.asarray(physics.warmstart)), Effort(torque, energy)
+    return PhysicsState(qpos, qvel), Effort(torque, energy)
 
 
 def _on_host(

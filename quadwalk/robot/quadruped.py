@@ -93,8 +93,6 @@ class Quadruped:
             add_spheres(spec, self.trunk, self.feet, self.joints[2::3], contacts)
         option = spec.option
         option.cone = mujoco.mjtCone.mjCONE_PYRAMIDAL
-        # Implicit joint damping costs a second factorization of the mass matrix each step.
-        option.disableflags |= mujoco.mjtDisableBit.mjDSBL_EULERDAMP
         return self._compile(spec, timestep, iterations, ls_iterations, frictionloss=False)
 
     def full_model(

@@ -297,7 +297,7 @@ class QuadrupedEnv(Env):
         config, key = self.config, jax.random.PRNGKey(0)
         home = jnp.asarray(self.robot.home, jnp.float32)
         return EnvState(
-            PhysicsState(home, jnp.zeros(18), jnp.zeros(18)),
+            PhysicsState(home, jnp.zeros(18)),
             jnp.zeros(12),
             jnp.zeros((), jnp.int32),
             first_command(config.command, key, config.control_dt) if config.command.given else None,
@@ -349,7 +349,7 @@ def _kept_sane(
     sane = jnp.all(jnp.isfinite(each)) & jnp.all(jnp.abs(physics.qvel) < MAX_SPEED)
     action = jnp.where(sane, action, 0.0)
     place = jnp.where(jnp.all(jnp.abs(start) < FARTHEST), start, home)
-    still = PhysicsState(place, jnp.zeros(18), jnp.zeros(18))
+    still = PhysicsState(place, jnp.zeros(18))
     physics = jax.tree.map(lambda x, safe: jnp.where(sane, x, safe), physics, still)
     effort = jax.tree.map(lambda x: jnp.where(sane, x, 0.0), effort)
     return sane, physics, effort, action

@@ -137,8 +137,8 @@ TASK = TrainConfig(
         gravity=9.8,
         physics_dt=1.0 / 240.0,
         substeps=1,
-        solver_iterations=2,
-        line_search_iterations=3,
+        solver_iterations=4,
+        line_search_iterations=1,
         contacts="body",
         episode_seconds=1000.0 / 240.0,
         # PyBullet's position control gives a joint, within one of its steps of 1/240 s, the speed

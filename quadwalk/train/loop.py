@@ -21,6 +21,10 @@ from quadwalk.train.runs.wandb import check_wandb
 from quadwalk.train.runs.writer import RunWriter
 from quadwalk.train.setup import Training, prepare
 
+# Training ends where so many states were not finite, and this share of an iteration's.
+MANY_DIVERGED = 1000
+DIVERGED_SHARE = 0.01
+
 
 def train(
     config: TrainConfig,
@@ -101,6 +105,11 @@ def _iterate(
             if writer:
                 writer.draw()
             raise UserError(_lost(writer, steps, row["learning_rate"]))
+        many = row["train/nan"] > MANY_DIVERGED
+        if many and numbers["count/nan"] > DIVERGED_SHARE * training.batch:
+            if writer:
+                writer.draw()
+            raise UserError(_diverged(training, writer, steps, row["train/nan"]))
         if config.watch and steps - shown >= config.checkpoint_steps // WATCHED:
             whole = distributed.gathered(state)
             if writer:
@@ -144,6 +153,17 @@ def _lost(writer: RunWriter | None, steps: int, rate: float) -> str:
         f"--ppo.max-learning-rate {min(1e-3, rate / 10.0):.0e}"
     )
     return f"{what}; {_last(writer)}; go on from there with smaller changes, such as {again}"
+
+
+def _diverged(training: Training, writer: RunWriter | None, steps: int, count: float) -> str:
+    """Return what to say when `count` states were not finite."""
+    config = training.config
+    what = (
+        f"physics diverged: {count:,.0f} states of {steps:,} were not finite; expected finite "
+        f"numbers: try smaller physics steps (--env.physics-dt {config.env.physics_dt / 2:g} "
+        f"--env.substeps {2 * config.env.substeps}) or lower gains (--env.motor.kp, --env.motor.kd)"
+    )
+    return what if writer is None else f"{what}; {_last(writer)}"
 
 
 def _last(writer: RunWriter) -> str:

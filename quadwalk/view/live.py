@@ -179,7 +179,7 @@ class LiveRobot:
         data, mind = self.data, self._mind
         thought = jax.device_get(mind.think(mind.policy.act, self.state()))
         mind.frames, mind.targets, mind.action, applied_target = thought
-        physics = PhysicsState(data.qpos.copy(), data.qvel.copy(), None)  # type: ignore[arg-type]
+        physics = PhysicsState(data.qpos.copy(), data.qvel.copy())
         control_step(
             self._motor,
             self.env.stepping,
@@ -271,7 +271,7 @@ class LiveRobot:
         mind = self._mind
         commanded = mind.env.config.command.given
         return EnvState(
-            physics=PhysicsState(_number(data.qpos), _number(data.qvel), nothing),
+            physics=PhysicsState(_number(data.qpos), _number(data.qvel)),
             last_action=mind.action,
             steps=_number(mind.steps, np.int32),
             command=Command(_number(self.command), key) if commanded else None,

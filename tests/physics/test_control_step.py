@@ -14,6 +14,7 @@ from quadwalk.physics import mujoco_c
 from quadwalk.physics.engines import ENGINES
 from quadwalk.physics.model import RobotRandomization
 from quadwalk.physics.motor import Motor, MotorConfig, PhysicsState, Stepping, make_motor
+from quadwalk.settings.environment import PHYSICS
 from tests.physics.reference import stack_models
 
 STEPPING = Stepping(0.004, 5, 8, 10)  # solved to the end
@@ -40,16 +41,17 @@ def reference(model, motor: Motor, qpos, qvel, targets) -> tuple[After, set[int]
         line = motor.effort * np.clip(1 - np.sign(torque) * qd / motor.velocity, 0, 1)
         torque = motor.strength * np.clip(torque, -line, line)
         data.qfrc_applied[6:] = torque - motor.friction * np.tanh(qd / 0.1)
-        energy += np.maximum(torque * qd, 0).sum() * model.opt.timestep
         mean += torque / len(targets)
         mujoco.mj_step(model, data)
+        speed = (qd + data.qvel[6:]) / 2
+        energy += np.maximum(torque * speed, 0).sum() * model.opt.timestep
         touched |= set(data.contact.geom.flat)
     return After(data.qpos, data.qvel, mean, np.array(energy)), touched
 
 
 def check(found: tuple, expected: After) -> None:
     """Within single precision."""
-    (qpos, qvel, _), (torque, energy) = found
+    (qpos, qvel), (torque, energy) = found
     np.testing.assert_allclose(qpos, expected.qpos, atol=1e-4)
     np.testing.assert_allclose(qvel, expected.qvel, atol=2e-2)
     np.testing.assert_allclose(torque, expected.torque, atol=2e-2)
@@ -81,7 +83,7 @@ def states(quadruped) -> tuple[np.ndarray, np.ndarray]:
 
 
 def physics_of(qpos, qvel) -> PhysicsState:
-    return PhysicsState(*(jnp.asarray(x, jnp.float32) for x in (qpos, qvel, np.zeros_like(qvel))))
+    return PhysicsState(*(jnp.asarray(x, jnp.float32) for x in (qpos, qvel)))
 
 
 @pytest.mark.parametrize(
@@ -107,6 +109,89 @@ def test_a_control_step_is_its_physics_steps_one_by_one(quadruped, engine, conta
     )
     assert all(touched & {model.geom(name).id for name in kind} for kind in spheres)
     check(step(physics_of(qpos, qvel)), expected)
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_energy_is_the_kinetic_energy_that_motors_give_a_robot_at_rest(quadruped, engine):
+    """It floats without gravity, and nothing else works on it."""
+    model = copy.copy(model_for(quadruped, engine))
+    motor = make_motor(model, quadruped, MotorConfig(joint_friction=False, speed_limit=False))
+    model.opt.gravity[:] = 0
+    model.dof_damping[6:] = 0
+    data = mujoco.MjData(model)
+    data.qpos[:] = quadruped.home + np.eye(19)[2]
+    constants = ENGINES[engine].make_model(model, quadruped, motor)
+    target = data.qpos[7:] + np.tile([2.0, 2.0, -2.0], 4)  # so far that no motor brakes
+    physics = physics_of(data.qpos, data.qvel)
+    (qpos, qvel), effort = jax.jit(
+        lambda p: ENGINES[engine].control_step(constants, STEPPING, p, target)
+    )(physics)
+    data.qpos[:] = qpos
+    mujoco.mj_forward(model, data)
+    mass = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, data, mass)
+    kinetic = 0.5 * np.asarray(qvel) @ mass @ qvel
+    assert kinetic > 5.0
+    np.testing.assert_allclose(effort.energy, kinetic, rtol=0.02)
+
+
+def test_stiff_joint_damping_is_implicit_as_in_mujoco(quadruped):
+    """Several times what an explicit step of 4 ms bears."""
+    engine = "fast"  # MJX's solver does not converge from so great accelerations
+    model = copy.copy(model_for(quadruped, engine))
+    model.dof_damping[6:] = 20.0
+    motor = make_motor(model, quadruped, MotorConfig())
+    qpos, qvel = quadruped.home.copy(), np.random.default_rng(1).uniform(-0.1, 0.1, 18)
+    target = quadruped.home[7:] - 0.1
+    constants = ENGINES[engine].make_model(model, quadruped, motor)
+    found = jax.jit(lambda p: ENGINES[engine].control_step(constants, STEPPING, p, target))(
+        physics_of(qpos, qvel)
+    )
+    solved = copy.copy(model)
+    solved.opt.iterations, solved.opt.ls_iterations = 100, 50
+    expected, touched = reference(solved, motor, qpos, qvel, [target] * STEPPING.substeps)
+    assert touched
+    check(found, expected)
+
+
+MOVES = {"ahead": (1, 0, 0), "diagonal": (0.7, 0.7, 0), "sideways": (0, 1, 0), "spin": (0, 0, 3)}
+
+
+@pytest.mark.parametrize(("engine", "tolerance"), [("fast", 0.03), ("mjx", 0.05)])
+def test_robots_slide_on_slippery_floors_as_far_as_in_mujoco(quadruped, engine, tolerance):
+    """With training's own solver settings, against a solver that has converged."""
+    dt, settings = PHYSICS["physics_dt"], (
+        PHYSICS["solver_iterations"], PHYSICS["line_search_iterations"],
+    )  # fmt: skip
+    stepping = Stepping(dt, 50, *settings)
+    model = quadruped.training_model(dt, *settings)
+    motor = make_motor(model, quadruped, MotorConfig())
+    target = quadruped.home[7:]
+    constants = ENGINES[engine].make_model(model, quadruped, motor)
+    usual = RobotRandomization(
+        1.0, 0.0, np.zeros(3), np.ones(12), *(1.0 for _ in RobotRandomization._fields[4:])
+    )
+    floors = [(mu, move) for mu in (0.1, 0.2, 0.4, 1.25) for move in MOVES.values()]
+
+    def slide(friction, qvel):
+        slippery = ENGINES[engine].vary(constants, usual._replace(friction=friction))
+        start = PhysicsState(jnp.asarray(quadruped.home, jnp.float32), qvel)
+        return ENGINES[engine].control_step(slippery, stepping, start, target)[0]
+
+    starts = np.zeros((len(floors), 18), np.float32)
+    starts[:, [0, 1, 5]] = [move for _, move in floors]
+    frictions = np.array([mu for mu, _ in floors], np.float32)
+    found = jax.jit(jax.vmap(slide))(frictions, starts)
+    for k, (friction, _) in enumerate(floors):
+        reference_model = converged(quadruped)
+        reference_model.geom_friction[:, 0] = friction
+        expected, touched = reference(
+            reference_model, motor, quadruped.home, starts[k], [target] * stepping.substeps
+        )
+        assert touched
+        lost = np.linalg.norm((starts[k] - expected.qvel)[[0, 1, 5]])
+        error = np.linalg.norm((np.asarray(found.qvel[k]) - expected.qvel)[[0, 1, 5]])
+        assert error < tolerance * lost, (friction, starts[k, [0, 1, 5]], error, lost)
 
 
 def varied(quadruped, base: mujoco.MjModel) -> list[tuple[mujoco.MjModel, Motor]]:

@@ -74,7 +74,7 @@ def constants_of(quadruped, model):
 @partial(robots_last, like=jax.ShapeDtypeStruct((18,), np.float64))
 def solved(constants, qpos, qvel, torque) -> jax.Array:
     """Accelerations with the contact solver run until it has converged."""
-    state = PhysicsState(qpos, qvel, jnp.zeros_like(qvel))
+    state = PhysicsState(qpos, qvel)
     return acceleration(constants, state, torque, 30, 20)
 
 
@@ -218,12 +218,13 @@ def test_vmap_maps_the_leaves_of_a_model_that_are_given_an_axis(quadruped):
 
 def check_course(env, torques: np.ndarray, expected: np.ndarray) -> None:
     """Single precision: the states `expected` (n + 1, 37) that torques (n, 12) lead through."""
-    parts = (*np.split(expected[0], [19]), np.zeros(18))
+    parts = np.split(expected[0], [19])
     start = PhysicsState(*(jnp.asarray(x, jnp.float32) for x in parts))
+    dt = env.stepping.dt
 
     @partial(robots_last, like=jax.eval_shape(lambda: start))
     def advance(model, state: PhysicsState, torque: jax.Array) -> PhysicsState:
-        return integrate(state, acceleration(model, state, torque, 10, 10), env.stepping.dt)
+        return integrate(state, acceleration(model, state, torque, 10, 10, dt), dt)
 
     def step(state: PhysicsState, torque: jax.Array) -> tuple[PhysicsState, jax.Array]:
         state = advance(env.model, state, torque)
@@ -391,9 +392,7 @@ def test_what_is_of_another_structure_than_was_said_is_refused():
 
 
 def test_a_robot_that_is_not_finite_leaves_the_others_alone(env):
-    home = PhysicsState(
-        *(jnp.asarray(x, jnp.float32) for x in (env.robot.home, *np.zeros((2, 18))))
-    )
+    home = PhysicsState(*(jnp.asarray(x, jnp.float32) for x in (env.robot.home, np.zeros(18))))
     batch = jax.tree.map(lambda x: jnp.tile(x, (3, 1)), home)
     target = jnp.tile(jnp.asarray(env.robot.home_joints, jnp.float32), (3, 1))
     control = jax.jit(jax.vmap(lambda p, t: control_step(env.model, env.stepping, p, t)[0].qpos))

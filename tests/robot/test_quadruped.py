@@ -217,7 +217,6 @@ def test_both_models_are_of_one_robot(quadruped):
     for model, iterations in ((training, (1, 5)), (full, (100, 50))):
         assert model.opt.solver == mujoco.mjtSolver.mjSOL_NEWTON
         assert (model.opt.iterations, model.opt.ls_iterations) == iterations
-    assert training.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_EULERDAMP
 
 
 def test_qpos_qvel_and_ctrl_are_in_the_order_of_the_joints(quadruped):

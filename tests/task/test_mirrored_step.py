@@ -68,7 +68,7 @@ def drawn_physics(env, key, canonical):
     moving += jnp.where(canonical, 0.0, 1.0) * jnp.concatenate(
         [*own, 2.0 * jax.random.normal(speeds, (12,))]
     )
-    return PhysicsState(jnp.concatenate([place, quat, angles]), moving, jnp.zeros(18))
+    return PhysicsState(jnp.concatenate([place, quat, angles]), moving)
 
 
 def image(env, robot, state):
@@ -77,11 +77,11 @@ def image(env, robot, state):
     def qvel(x):
         return jnp.concatenate([FLIP * x[:3], -FLIP * x[3:6], robot.joints(x[6:])])
 
-    qpos, speed, warmstart = state.physics
+    qpos, speed = state.physics
     quat = jnp.concatenate([qpos[3:4], -FLIP * qpos[4:7]])
     qpos = jnp.concatenate([FLIP * qpos[:3], quat, robot.joints(qpos[7:])])
     changed = state._replace(
-        physics=PhysicsState(qpos, qvel(speed), qvel(warmstart)),
+        physics=PhysicsState(qpos, qvel(speed)),
         last_action=robot.joints(state.last_action),
         steps=state.steps + HALF_A_STRIDE,
     )
@@ -195,7 +195,7 @@ def test_a_scan_sees_the_image_of_uneven_ground(env, scan, sizes):
     seen = [
         scan(
             dataclasses.replace(env.robot, ground=Ground(side)),
-            state._replace(physics=PhysicsState(place, jnp.zeros(18), jnp.zeros(18))),
+            state._replace(physics=PhysicsState(place, jnp.zeros(18))),
             **params,
         )
         for side, place in ((1, qpos), (-1, turned))

@@ -37,9 +37,7 @@ def standing(env, roll_rate: float) -> EnvState:
     """The home pose, as the trunk rolls by so many rad/s."""
     velocity = np.zeros(18, np.float32)
     velocity[3] = roll_rate
-    physics = PhysicsState(
-        np.asarray(env.robot.home, np.float32), velocity, np.zeros(18, np.float32)
-    )
+    physics = PhysicsState(np.asarray(env.robot.home, np.float32), velocity)
     return EnvState(physics, np.zeros(12, np.float32), np.int32(7))
 
 
@@ -108,6 +106,18 @@ def test_a_file_that_cannot_be_replayed_is_named(run, content, config, said):
         checkpoint.save(path, content, {"kind": "nan", "config": config})
     with pytest.raises(UserError, match=rf"step_000000000001\.npz {said}"):
         nan.replay(path)
+
+
+def test_a_training_whose_physics_diverges_ends_without_a_policy(tmp_path, flags, train, capsys):
+    """Nearly each step of the toy gives no number here."""
+    diverging = "--env.termination.tipped.angle=0.01"
+    with pytest.raises(
+        UserError, match=r"^physics diverged: 1,0\d\d states of 1,\d+ were not finite"
+    ):
+        train(*flags(tmp_path, "nan", 60, diverging, "--quiet"))
+    run = Run(tmp_path / "nan")
+    assert not run.policy.exists()
+    assert len(read_metrics(run)) < 30
 
 
 def test_the_command_wants_one_file(monkeypatch):

@@ -137,7 +137,7 @@ def test_the_next_episodes_are_where_the_curriculum_says_but_for_those_that_eval
     far = jnp.tile(jnp.eye(19)[0] * 5.0, (8, 1))  # more than half a tile from the start
     travel = jax.vmap(begin_travel)(jnp.zeros((8, 19)))
     state = EnvState(
-        PhysicsState(far, jnp.zeros((8, 18)), jnp.zeros((8, 18))),
+        PhysicsState(far, jnp.zeros((8, 18))),
         jnp.zeros((8, 12)),
         jnp.full(8, 100),
         tile=jnp.array([0, 3, 1, 4, 0, 3, 0, 0]),
@@ -223,7 +223,7 @@ def test_some_that_fell_meet_the_same_conditions_once_more():
 
     def begun(sign: float) -> State:
         drawn = jax.tree.map(lambda x: jnp.asarray(sign * x), own)
-        physics = PhysicsState(number, number, number)
+        physics = PhysicsState(number, number)
         zero = jnp.zeros(envs)
         return State(
             EnvState(physics, zero, zero, None, drawn), zero, zero, zero, {"fell": fell}, {}

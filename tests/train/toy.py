@@ -109,14 +109,14 @@ class Toy(Plain):
 
     def reset(self, rng: jax.Array) -> State:
         drawn = jax.random.uniform(rng, (2,))
-        physics = PhysicsState(jnp.zeros(19).at[:2].set(drawn), jnp.zeros(18), jnp.zeros(18))
+        physics = PhysicsState(jnp.zeros(19).at[:2].set(drawn), jnp.zeros(18))
         return self.fresh(EnvState(physics, jnp.zeros(12), jnp.zeros((), jnp.int32)))
 
     def step(self, state: State, action: jax.Array) -> State:
         before = state.pipeline_state
         speed = before.physics.qvel.at[0].set(jnp.mean(action))
         position = before.physics.qpos.at[0].add(speed[0] * self.config.control_dt)
-        physics = PhysicsState(position, speed, before.physics.warmstart)
+        physics = PhysicsState(position, speed)
         after = EnvState(physics, action, before.steps + 1)
         nan = before.physics.qpos[1] > self.config.termination["tipped"].params["angle"]
         limit = (after.steps >= self.config.episode_steps) & ~nan

@@ -5,14 +5,14 @@ shape. It is factored in a tenth of the operations of a dense one.
 """
 
 from collections.abc import Sequence
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
 
 from quadwalk.physics import vectors as v
 from quadwalk.physics.batching import materialize
-from quadwalk.physics.constraints.contact import Constraints, force_of, hessian, rows
+from quadwalk.physics.constraints.contact import Constraints, Rows, force_of, hessian, rows
 from quadwalk.physics.rigid_body import LINKS, MassMatrix, Motion
 from quadwalk.physics.vectors import Array
 
@@ -20,32 +20,44 @@ Table: TypeAlias = list[list[Array]]
 Factor: TypeAlias = Table  # rows of a lower triangle, with the diagonal inverted
 
 
+class NewtonState(NamedTuple):
+    """The iterate of Newton's method, and what follows from it."""
+
+    acceleration: Motion
+    residual: Motion  # mass acceleration - force
+    off: Rows  # the constraints' accelerations less those that they ask for
+
+
 def newton(
     mass: MassMatrix,
-    found: Constraints,
+    constraints: Constraints,
     force: Motion,
-    start: Motion,
     barrier: jax.Array,
     iterations: int,
     line_search: int,
 ) -> Motion:
-    """The acceleration that minimizes MuJoCo's cost, from acceleration `start`; see `materialize`.
+    """Return the acceleration that minimizes MuJoCo's cost; see `materialize` for `barrier`.
 
     `force` is all but the constraints'. Each iteration takes a Newton step and then searches along
     it for the root of the cost's slope, which is piecewise linear: `line_search` evaluations.
+
+    The search begins at rest. The last step's acceleration is a worse start: feet that slide switch
+    between the edges of their friction pyramids from step to step (benchmarks/accuracy.py).
     """
 
-    def iterate(x: Motion, _: None) -> tuple[Motion, None]:
-        off = [a - r for a, r in zip(rows(found, x), found.reference, strict=True)]
-        active = tuple(jnp.where(o < 0, w, 0.0) for o, w in zip(off, found.weight, strict=True))
-        pull = force_of(found, tuple(-w * o for w, o in zip(active, off, strict=True)))
-        residual = combined(product(mass, x), -1.0, force)
-        gradient = combined(residual, -1.0, pull)
-        matrix = materialize(barrier, hessian, mass, found, active)
-        step = solve(matrix, jax.tree.map(jnp.negative, gradient), barrier)
-        slope, bend = inner(step, residual), inner(step, product(mass, step))
-        along = rows(found, step)
-        scaled = [w * a for w, a in zip(found.weight, along, strict=True)]
+    def iterate(state: NewtonState, _: None) -> tuple[NewtonState, None]:
+        x, residual, off = state
+        active = tuple(
+            jnp.where(o < 0, w, 0.0) for o, w in zip(off, constraints.weight, strict=True)
+        )
+        pull = force_of(constraints, tuple(-w * o for w, o in zip(active, off, strict=True)))
+        downhill = combined(pull, -1.0, residual)
+        matrix = materialize(barrier, hessian, mass, constraints, active)
+        step = solve(matrix, downhill, barrier)
+        inertial = materialize(barrier, product, mass, step)
+        slope, bend = inner(step, residual), inner(step, inertial)
+        along = rows(constraints, step)
+        scaled = [w * a for w, a in zip(constraints.weight, along, strict=True)]
 
         def evaluate(alpha: Array) -> tuple[Array, Array]:
             first: Array = 0.0
@@ -66,11 +78,17 @@ def newton(
             inside = (guess >= low) & (guess <= high)
             return jnp.where(inside, guess, 0.5 * (low + high)), low, high
 
-        start = (jnp.ones_like(slope), jnp.zeros_like(slope), jnp.full_like(slope, 1e10))
-        alpha, _, _ = jax.lax.fori_loop(0, line_search, narrow, start)
-        return combined(x, alpha, step), None
+        bracket = (jnp.ones_like(slope), jnp.zeros_like(slope), jnp.full_like(slope, 1e10))
+        alpha, _, _ = jax.lax.fori_loop(0, line_search, narrow, bracket)
+        off = tuple(o + alpha * a for o, a in zip(off, along, strict=True))
+        return NewtonState(combined(x, alpha, step), combined(residual, alpha, inertial), off), None
 
-    return jax.lax.scan(iterate, start, None, length=iterations)[0]
+    start = NewtonState(
+        jax.tree.map(jnp.zeros_like, force),
+        jax.tree.map(jnp.negative, force),
+        tuple(map(jnp.negative, constraints.reference)),
+    )
+    return jax.lax.scan(iterate, start, None, length=iterations)[0].acceleration
 
 
 def cholesky(a: Sequence[Sequence[Array]], n: int) -> Factor:

@@ -45,7 +45,7 @@ def fresh_start(
     qvel = jnp.zeros(18).at[:6].set(config.velocity * velocity)
     qvel = qvel.at[0].add(config.forward * (speed[12] + 1.0) / 2.0)
     qvel = qvel.at[6:].set(config.joint_velocity * speed[:12])
-    return PhysicsState(qpos, qvel, jnp.zeros(18))
+    return PhysicsState(qpos, qvel)
 
 
 def nominal_start(model: mujoco.MjModel, quadruped: Quadruped, config: ResetConfig) -> np.ndarray:

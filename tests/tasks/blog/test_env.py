@@ -84,9 +84,9 @@ def concluded(env, drawn):
     """What the environment makes of those steps."""
 
     def one(before, qpos, qvel):
-        state = EnvState(PhysicsState(before, qvel, qvel), jnp.zeros(12), jnp.int32(10))
+        state = EnvState(PhysicsState(before, qvel), jnp.zeros(12), jnp.int32(10))
         nothing = Effort(jnp.zeros(12), jnp.zeros(()))
-        after = EnvState(PhysicsState(qpos, qvel, qvel), jnp.zeros(12), jnp.int32(11))
+        after = EnvState(PhysicsState(qpos, qvel), jnp.zeros(12), jnp.int32(11))
         return env.finish_step(state, after, nothing, jnp.ones((), bool))
 
     return jax.jit(jax.vmap(one))(*drawn)
