@@ -139,6 +139,7 @@ def print_sliding() -> None:
 
     quadruped = load_quadruped()
     home = quadruped.home
+    target = jnp.asarray(home[7:], jnp.float32)
 
     def gravity(name: str) -> tuple[float, float, float]:
         angle = DOWNHILL if "downhill" in name else 0.0
@@ -167,15 +168,15 @@ def print_sliding() -> None:
             feet = dataclasses.replace(robot.contacts[0], friction=jnp.broadcast_to(friction, 4))
             level = robot._replace(contacts=(feet,))
             state = PhysicsState(jnp.asarray(home, jnp.float32), jnp.zeros(18))
-            state, _ = fast.control_step(level, stand, state, home[7:])
+            state, _ = fast.control_step(level, stand, state, target)
             state = state._replace(qvel=state.qvel.at[jnp.array([0, 1, 5])].add(kick))
-            tilted = level._replace(gravity=tuple(down))
-            state, _ = fast.control_step(tilted, slide, state, home[7:])
+            tilted = level._replace(gravity=(down[0], down[1], down[2]))
+            state, _ = fast.control_step(tilted, slide, state, target)
             return state.qvel[jnp.array([0, 1, 5])]
 
         kicks = [kick for kick in KICKS.values() for _ in FRICTIONS]
         down = [gravity(name) for name in KICKS for _ in FRICTIONS]
-        cases = (np.float32(x) for x in (np.tile(FRICTIONS, len(KICKS)), kicks, down))
+        cases = (jnp.asarray(x, jnp.float32) for x in (np.tile(FRICTIONS, len(KICKS)), kicks, down))
         return np.asarray(jax.jit(jax.vmap(lose))(*cases))
 
     kicks = np.repeat(list(KICKS.values()), len(FRICTIONS), axis=0)

@@ -175,7 +175,8 @@ def work(task: str, envs: int, processor_time: bool) -> None:
         make_networks: Any = module_of_networks.make_networks
         networks = make_networks(config.ppo, size, env.action_size, *more)
     mesh = iteration.make_mesh(devices)
-    make = getattr(iteration, "Iteration", None) or ppo.Iteration  # where earlier commits have it
+    # Earlier commits have it beside the algorithm.
+    make = getattr(iteration, "Iteration", None) or vars(ppo)["Iteration"]
     state = iteration.init_state(env, networks, config.ppo, mesh, envs, 0)
     iterate = make(env, networks, config.ppo, mesh, iterations=1000)
     for _ in range(4):

@@ -80,9 +80,4 @@ def _make_level(model: mujoco.MjModel, quadruped: "Quadruped") -> mujoco.MjModel
     floor = spec.geom("floor")
     floor.type, floor.hfieldname = mujoco.mjtGeom.mjGEOM_PLANE, ""
     floor.size, floor.pos = [0, 0, 0.05], [0, 0, 0]
-    level: mujoco.MjModel = replace(quadruped, spec=spec).training_model(
-        model.opt.timestep, iterations=4
-    )
-    # As MuJoCo does by itself: strong damping shakes a light leg in an explicit step.
-    level.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_EULERDAMP)
-    return level
+    return replace(quadruped, spec=spec).training_model(model.opt.timestep, iterations=4)
