@@ -79,7 +79,11 @@ class Evaluation:
         """The typical episode as plots: footfalls, speed, joints, torques, rewards, path."""
         from quadwalk.evaluate.report.plots import draw_report
 
-        return draw_report(self.typical, self.loaded.env.quadruped, self.loaded.run.name)
+        count = len(self.episodes)
+        title = self.loaded.run.name
+        if count > 1:
+            title += f": of {count} episodes the one of median speed"
+        return draw_report(self.typical, self.loaded.env.quadruped, title)
 
     def save_mcap(self, folder: str | Path, episodes: int | None = None) -> list[Path]:
         """Write the first `episodes`, by default all, as MCAP files for Rerun or Foxglove."""

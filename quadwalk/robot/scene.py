@@ -42,6 +42,10 @@ def add_scene(spec: mujoco.MjSpec) -> None:
     # the floor with its own shadow.
     spec.visual.quality.shadowsize = 4096
     spec.visual.map.shadowclip = 0.6
+    # OpenGL moves shadows down by a share of the depth that is drawn. At MuJoCo's 50 that is too
+    # little for the floor, which has specks of its own shadow. The haze begins where it did.
+    spec.visual.map.zfar = 80.0
+    spec.visual.map.haze = 0.55
     spec.add_texture(
         name="sky",
         type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,

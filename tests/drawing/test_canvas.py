@@ -73,6 +73,20 @@ def pixel_of(point: np.ndarray, camera: Camera = VIEW) -> tuple[int, int]:
     return int(HEIGHT / 2 - scale * y), int(WIDTH / 2 + scale * x)
 
 
+
+def test_an_empty_floor_has_no_specks_of_its_own_shadow(library):
+    model = scene()
+    model.stat.extent = 0.86  # of AlienGo's model
+    canvas = Canvas(model, 480, 300)
+    for azimuth in range(0, 360, 45):
+        for elevation in (-14.0, -30.0):
+            view = Camera((0.1, 0.05, 0.3), 1.45, azimuth, elevation)
+            light = canvas.draw(np.zeros(0), view).astype(int).sum(axis=-1)
+            inner = light[1:-1, 1:-1]
+            around = [light[:-2, 1:-1], light[2:, 1:-1], light[1:-1, :-2], light[1:-1, 2:]]
+            assert np.max(np.min(around, axis=0) - inner) < 60
+
+
 def reddish(picture: np.ndarray) -> np.ndarray:
     red, green, blue = np.moveaxis(picture.astype(int), -1, 0)
     return (red > 2 * green) & (red > 2 * blue)
@@ -116,7 +130,7 @@ def test_the_floor_fades_into_haze(library):
         model.vis.rgba.haze[:3] = RED[:3]
         pictures.append(draw(model, Camera((0, 0, 0.3), 1.5, 30.0, -12.0)))
     clear, hazy = (reddish(picture).mean(axis=1) for picture in pictures)
-    # The horizon is at row 36; the floor from some 35 m on is haze, or from half as far.
+    # The horizon is at row 36; the floor from some 56 m on is haze, or from half as far.
     assert clear[:37].max() == hazy[:37].max() == 0.0
     assert 0 < (clear > 0.5).sum() < (hazy > 0.5).sum() < 8
     assert hazy[50:].max() == 0.0

@@ -46,7 +46,13 @@ def test_the_report_says_what_is_in_it(trot, quadruped):
     assert len(titles) == 11
     assert all(titles)
     feet = [label.get_text()[:2] for label in figure.axes[0].get_yticklabels()]
-    assert feet == ["RR", "RL", "FR", "FL"]
+    assert feet == ["RL", "RR", "FL", "FR"]  # from the lowest line up
+    for title in ("Hip angles", "Calf torques"):
+        legend = panel(figure, title).get_legend()
+        assert [text.get_text() for text in legend.get_texts()] == feet[::-1]
+    for axes in figure.axes[1:]:
+        assert axes.get_xlabel(), axes.get_title(loc="left")
+        assert axes.get_ylabel(), axes.get_title(loc="left")
     rewards = panel(figure, "Reward")
     names = [text.get_text().split()[0] for text in rewards.get_legend().get_texts()]
     assert names == ["total", *trot.reward_terms]
@@ -58,10 +64,39 @@ def test_the_report_shows_the_episode(trot, quadruped):
     np.testing.assert_array_equal(line(speed, "ahead"), trot.qvel[:, 0])
     np.testing.assert_array_equal(line(speed, "left"), trot.qvel[:, 1])
     np.testing.assert_array_equal(line(panel(figure, "Height"), "height, m"), trot.qpos[:, 2])
-    np.testing.assert_array_equal(line(panel(figure, "Thigh angles"), "RL"), trot.qpos[:, 17])
-    np.testing.assert_array_equal(line(panel(figure, "Calf torques"), "FL"), trot.torque[:, 5])
     limits = [line.get_ydata()[0] for line in panel(figure, "Hip torques").lines[-2:]]
     assert limits == [-quadruped.effort[0], quadruped.effort[0]]
+
+
+def with_strides(rollout, period: int):
+    """`rollout` with feet that touch the ground for half of every `period` control steps."""
+    on = np.arange(rollout.steps)[:, None] + np.array([0, period // 2, period // 2, 0])
+    return dataclasses.replace(rollout, contact=on % period < period // 2)
+
+
+@pytest.mark.parametrize("period", [10, 16])
+def test_joints_are_shown_over_two_strides_and_scaled_to_them(trot, quadruped, period):
+    figure = draw_report(with_strides(trot, period), quadruped)
+    middle = trot.steps // 2
+    states = slice(middle - period, middle + period + 1)  # a stride before, a stride after
+    angles, torques = panel(figure, "Thigh angles"), panel(figure, "Calf torques")
+    np.testing.assert_array_equal(line(angles, "RL"), trot.qpos[states, 17])
+    steps = slice(middle - period, middle + period)
+    np.testing.assert_array_equal(line(torques, "FL")[1:], trot.torque[steps, 5])
+    assert angles.get_xlim() == pytest.approx(
+        ((middle - period) * trot.control_dt, (middle + period) * trot.control_dt)
+    )
+    plotted = np.concatenate([trot.qpos[states, 8::3].ravel(), trot.target[steps, 1::3].ravel()])
+    low, high = angles.get_ylim()
+    assert low < plotted.min() < plotted.max() < high
+    assert high - low < 1.5 * np.ptp(plotted)
+
+
+def test_a_robot_without_strides_is_shown_whole(trot, quadruped):
+    still = dataclasses.replace(trot, contact=np.ones((trot.steps, 4), bool))
+    figure = draw_report(still, quadruped)
+    np.testing.assert_array_equal(line(panel(figure, "Thigh angles"), "RL"), trot.qpos[:, 17])
+    assert "nan" not in figure.get_suptitle()
 
 
 def test_a_bar_is_a_foot_on_the_ground(trot, quadruped):
@@ -75,7 +110,7 @@ def test_a_bar_is_a_foot_on_the_ground(trot, quadruped):
         color = to_hex(bars.get_facecolor()[0]) if spans else None
         drawn[color] = [(span.x0, span.x1) for span in spans]
     drawn.pop(None)  # feet that never were
-    assert list(drawn) == [LEG_COLORS[2], LEG_COLORS[1]]  # from the lowest line up
+    assert list(drawn) == [LEG_COLORS[2], LEG_COLORS[1]]  # from the lowest line up: RR, FL
     np.testing.assert_allclose(drawn[LEG_COLORS[1]], [(0.2, 0.5), (1.0, 1.2)])
     np.testing.assert_allclose(drawn[LEG_COLORS[2]], [(0.6, 2.0)])
 
@@ -87,7 +122,7 @@ def test_commands_are_drawn_beside_what_became_of_them(trot, quadruped):
     dashed = [line.get_ydata() for line in axes.lines if line.get_linestyle() == "--"]
     np.testing.assert_array_equal(np.transpose(dashed), told)
     names = [text.get_text() for text in axes.get_legend().get_texts()]
-    assert names == ["forward", "lateral", "yaw rate, rad/s"]
+    assert names == ["forward, m/s", "lateral, m/s", "yaw rate, rad/s"]
 
 
 @pytest.mark.parametrize("told", [False, True])

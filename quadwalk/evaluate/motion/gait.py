@@ -139,6 +139,18 @@ def footfalls_of(rollout: Rollout) -> Footfalls:
     return analyze_footfalls(rollout.contact[_settled(rollout) :], rollout.control_dt)
 
 
+def middle_strides(rollout: Rollout, count: int, otherwise: float) -> tuple[float, float]:
+    """Return where `count` strides about an episode's middle begin and end, in control steps.
+
+    They have the episode's mean stride frequency. Where no foot makes strides, `otherwise` seconds
+    take their place.
+    """
+    frequency = footfalls_of(rollout).stride_frequency
+    seconds = count / frequency if frequency > 0 else otherwise
+    middle, half = rollout.steps / 2, seconds / rollout.control_dt / 2
+    return max(middle - half, 0.0), min(middle + half, float(rollout.steps))
+
+
 def _settled(rollout: Rollout) -> int:
     """The step from which strides are measured; an episode too short for that is taken whole."""
     settling = round(SETTLING / rollout.control_dt)

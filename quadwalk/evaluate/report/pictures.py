@@ -9,25 +9,28 @@ from PIL import Image, ImageDraw, ImageFont
 from quadwalk.drawing.canvas import Camera, Canvas
 from quadwalk.drawing.images import FPS, film_strip, save_video
 from quadwalk.evaluate.motion.course import window_means
+from quadwalk.evaluate.motion.gait import middle_strides
+from quadwalk.evaluate.motion.kinematics import roll_pitch_yaw, turned
 from quadwalk.evaluate.rollout import Rollout, finite_part
 from quadwalk.ground.heightfield import heights_under
 from quadwalk.robot.quadruped import Quadruped
 
 _SMOOTHING = 0.8  # s: the camera follows the mean of this much of the path, not each step's sway
-_STRIP = (4, 2)  # pictures across and down
+_STRIP = (4, 2)  # pictures of a stride across, strides down
+_WITHOUT_STRIDES = 0.7  # s shown of a robot that makes none
 
 
 def draw_film_strip(
-    rollout: Rollout,
-    quadruped: Quadruped,
-    seconds: float = 0.7,
-    width: int = 480,
-    height: int = 300,
+    rollout: Rollout, quadruped: Quadruped, width: int = 480, height: int = 300
 ) -> np.ndarray:
-    """Eight pictures of `width` by `height` pixels, over `seconds`, two strides, in the middle."""
+    """Return eight pictures of `width` by `height` pixels of two strides in the episode's middle.
+
+    Each line is one stride, so pictures one above the other show it at the same moment.
+    """
     rollout = finite_part(rollout)
     across, down = _STRIP
-    rows = middle_rows(rollout, across * down, seconds)
+    start, end = middle_strides(rollout, down, otherwise=_WITHOUT_STRIDES)
+    rows = np.linspace(start, end, across * down, endpoint=False).round().astype(int)
     return film_strip(list(_pictures(rollout, quadruped, rows, width, height)), across)
 
 
@@ -58,15 +61,21 @@ def render_video(
 def _pictures(
     rollout: Rollout, quadruped: Quadruped, rows: np.ndarray, width: int, height: int
 ) -> Iterator[np.ndarray]:
-    """The states `rows` of an episode, each with its time and speed written on it."""
+    """Yield pictures of the states `rows` of an episode, with its time and speed written on each.
+
+    The speed is that along world x; with velocity commands it is that along the heading.
+    """
     model = quadruped.full_model()
     canvas = Canvas(model, width, height)
     focus = _camera_path(rollout, heights_under(model, rollout.qpos[:, :2]))
+    velocity = rollout.qvel[:, :2].T
+    if rollout.command is not None:
+        velocity = turned(velocity, -roll_pitch_yaw(rollout.qpos[:, 3:7])[:, 2])
     font = ImageFont.load_default(size=max(height // 20, 10))
     for row in rows:
         camera = Camera(focus[row], distance=1.45, azimuth=118.0, elevation=-14.0)
         picture = Image.fromarray(canvas.draw(rollout.qpos[row], camera))
-        text = f"{row * rollout.control_dt:.2f} s   {rollout.qvel[row, 0]:.1f} m/s"
+        text = f"{row * rollout.control_dt:.2f} s   {velocity[0, row]:z.1f} m/s"
         ImageDraw.Draw(picture).text((8, 6), text, fill=(30, 34, 40), font=font)
         yield np.asarray(picture)
 

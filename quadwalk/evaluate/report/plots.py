@@ -1,5 +1,6 @@
 """One picture of an episode: its steps, its speed, what its joints did, and where it ran."""
 
+import math
 from typing import Any
 
 import numpy as np
@@ -9,23 +10,25 @@ from matplotlib.figure import Figure
 from quadwalk.drawing.figures import INK, LEG_COLORS, new_figure, tidy
 from quadwalk.evaluate.motion.course import heading_velocity, motor_limits
 from quadwalk.evaluate.motion.footfalls import contact_spans, without_chatter
-from quadwalk.evaluate.motion.gait import footfalls_of, measure_gait
+from quadwalk.evaluate.motion.gait import footfalls_of, measure_gait, middle_strides
 from quadwalk.evaluate.motion.kinematics import roll_pitch_yaw
 from quadwalk.evaluate.rollout import Rollout, finite_part
 from quadwalk.ground.heightfield import heights_under
 from quadwalk.robot.quadruped import Quadruped
 
-WINDOW = 3.0  # s shown of what repeats with each stride
+WINDOW = 3.0  # s of footfalls
+STRIDES = 2  # shown of joints and sensors
 SMOOTHING = 0.5  # s, over which reward terms are averaged, to show their course
 _SENSORS = 3  # panels
 _PARTS = ("hip", "thigh", "calf")
 
 
 def draw_report(rollout: Rollout, quadruped: Quadruped, title: str = "") -> Figure:
-    """One episode as a figure, 16 by 18 inches; 21 with the sensors, where they are not ideal.
+    """Return one episode as a figure of 16 by 18 inches; 21 with sensors that are not ideal.
 
-    Footfalls, angles and torques are those of the last `WINDOW` seconds, where strides are seen
-    apart. `title` goes before the figure's own headline.
+    Footfalls are those of `WINDOW` seconds about the episode's middle. Angles, torques and sensors
+    are those of `STRIDES` strides there, which the film strip shows too. `title` goes before the
+    figure's own headline.
     """
     shown = finite_part(rollout)
     heights, height = [0.85, 1.2, 1.2, 1.2, 1.6], 18
@@ -61,7 +64,7 @@ def _headline(rollout: Rollout, quadruped: Quadruped, title: str) -> str:
     parts = [
         (f"{quadruped.name}, episode {rollout.episode}, seed {rollout.seed}", 0.0),
         (ended, 0.0),
-        (f"{gait.speed:.2f} m/s", gait.speed),
+        (f"{gait.speed:z.2f} m/s", gait.speed),
         (gait.gait, 0.0),
         (
             f"{gait.stride_frequency:.1f} strides/s of {gait.stride_length:.2f} m",
@@ -73,27 +76,36 @@ def _headline(rollout: Rollout, quadruped: Quadruped, title: str) -> str:
     return f"{title}\n{line}" if title else line
 
 
-def _window(rollout: Rollout) -> int:
-    """The first step of the last `WINDOW` seconds."""
-    return max(rollout.steps - round(WINDOW / rollout.control_dt), 0)
+def _stride_rows(rollout: Rollout) -> tuple[int, int]:
+    """Return the first and the last state of `STRIDES` strides about the episode's middle."""
+    start, end = middle_strides(rollout, STRIDES, otherwise=WINDOW)
+    return math.floor(start), math.ceil(end)
 
 
 def draw_footfalls(axes: Axes, rollout: Rollout, quadruped: Quadruped) -> None:
-    """The gait diagram: when each foot was on the ground, over the last `WINDOW` seconds."""
-    start, dt = _window(rollout), rollout.control_dt
-    contact = without_chatter(rollout.contact, dt)[start:]
-    order = (1, 0, 3, 2)  # left above right, fore above hind, as one draws footfalls
-    for line, foot in enumerate(reversed(order)):
+    """Draw the gait diagram: when each foot was on the ground, over `WINDOW` seconds.
+
+    A band marks the strides that other panels show.
+    """
+    dt = rollout.control_dt
+    start = max((rollout.steps - round(WINDOW / dt)) // 2, 0)
+    stop = rollout.steps - start
+    contact = without_chatter(rollout.contact, dt)[start:stop]
+    feet_down = (3, 2, 1, 0)  # the lines, from the lowest up
+    for line, foot in enumerate(feet_down):
         # A row's contact is known at its step's end, and drawn over that step.
         bars = [((start + a) * dt, (b - a) * dt) for a, b in contact_spans(contact[:, foot])]
         axes.broken_barh(bars, (line - 0.36, 0.72), color=LEG_COLORS[foot])
+    first, last = _stride_rows(rollout)
+    if last - first < stop - start:
+        axes.axvspan(first * dt, last * dt, color="0.9", zorder=0)
     feet = footfalls_of(rollout)
     duty, phase = _percent(feet.duty_factor), _percent(feet.phase)
-    labels = [f"{quadruped.legs[k]}   duty {duty[k]}, phase {phase[k]}" for k in reversed(order)]
+    labels = [f"{quadruped.legs[k]}   duty {duty[k]}, phase {phase[k]}" for k in feet_down]
     axes.set_yticks(range(4), labels)
     axes.set_ylim(-0.6, 3.6)
-    axes.set_xlim(start * dt, max(rollout.steps, start + 1) * dt)
-    tidy(axes, "Feet on the ground (gait diagram)")
+    axes.set_xlim(start * dt, max(stop, start + 1) * dt)
+    tidy(axes, f"Feet on the ground (gait diagram; gray: the {STRIDES} strides below)")
     axes.set_xlabel("time, s", fontsize=9)
 
 
@@ -106,21 +118,21 @@ def draw_speed(axes: Axes, rollout: Rollout) -> None:
     for column, label, color in ((0, "ahead", LEG_COLORS[3]), (1, "left", LEG_COLORS[2])):
         axes.plot(rollout.time, rollout.qvel[:, column], color=color, label=label, linewidth=1.2)
     mean = rollout.qvel[:, 0].mean()
-    axes.axhline(mean, color=INK, linewidth=0.9, linestyle="--", label=f"mean {mean:.2f}")
+    axes.axhline(mean, color=INK, linewidth=0.9, linestyle="--", label=f"mean {mean:z.2f}")
     axes.margins(y=0.15)
-    _finish(axes, "Speed of the base in the world, m/s", rollout.time)
+    _finish(axes, "Speed of the base in the world", rollout.time, "m/s")
 
 
 def _tracking(axes: Axes, rollout: Rollout) -> None:
     assert rollout.command is not None
     velocity, time = heading_velocity(rollout.qpos, rollout.control_dt), rollout.time[1:]
-    for column, label in enumerate(("forward", "lateral", "yaw rate, rad/s")):
+    for column, label in enumerate(("forward, m/s", "lateral, m/s", "yaw rate, rad/s")):
         color = LEG_COLORS[3 - column]
         axes.plot(time, velocity[:, column], color=color, label=label, linewidth=0.9, alpha=0.7)
         axes.plot(time, rollout.command[:, column], color=color, linewidth=1.6, linestyle="--")
     axes.margins(y=0.15)
-    title = "Velocity in the frame of the heading and, dashed, the velocity command, m/s"
-    _finish(axes, title, rollout.time)
+    title = "Velocity in the frame of the heading and, dashed, the velocity command"
+    _finish(axes, title, rollout.time, "m/s or rad/s")
 
 
 def _posture(axes: Axes, rollout: Rollout, quadruped: Quadruped) -> None:
@@ -132,70 +144,77 @@ def _posture(axes: Axes, rollout: Rollout, quadruped: Quadruped) -> None:
         color = LEG_COLORS[column]
         axes.plot(rollout.time, values, color=color, linewidth=0.9, label=f"{name}, rad")
     axes.margins(y=0.15)
-    _finish(axes, "Height above ground, and attitude, of the base", rollout.time)
+    _finish(axes, "Height above ground, and attitude, of the base", rollout.time, "m or rad")
 
 
 def _sensors(panels: Any, rollout: Rollout, truth: np.ndarray) -> None:
-    """Some of what the policy saw beside what was so: from each end and between."""
-    start, time = _window(rollout), rollout.time[:-1]
-    seen = rollout.observation[:, : truth.shape[1]]
-    wrong = np.flatnonzero(np.any(seen != truth, axis=0))
+    """Draw some of what the policy saw beside what was so: from each end and between."""
+    first, last = _stride_rows(rollout)
+    time = rollout.time[first:last]
+    observed = rollout.observation[:, : truth.shape[1]]
+    wrong = np.flatnonzero(np.any(observed != truth, axis=0))
     if not len(wrong):
         wrong = np.arange(truth.shape[1])
     some = wrong[np.linspace(0, len(wrong) - 1, _SENSORS).astype(int)]
     for axes, column in zip(panels, some, strict=True):
         name = rollout.observation_names[column]
-        axes.plot(time[start:], seen[start:, column], color=LEG_COLORS[0], lw=0.8, label="seen")
-        axes.plot(time[start:], truth[start:, column], color=INK, lw=1.4, label="true")
+        values, true_values = observed[first:last, column], truth[first:last, column]
+        axes.plot(time, values, color=LEG_COLORS[0], lw=0.8, label="seen")
+        axes.plot(time, true_values, color=INK, lw=1.4, label="true")
         axes.margins(y=0.2)
-        _finish(axes, f"{name}: what the policy saw, and the truth", rollout.time[start:])
+        title = f"{name}: what the policy saw, and the truth"
+        _finish(axes, title, rollout.time[first : last + 1], "as observed")
 
 
 def _angles(axes: Axes, rollout: Rollout, quadruped: Quadruped, part: int) -> None:
-    start = _window(rollout)
-    time = rollout.time[start:]
+    first, last = _stride_rows(rollout)
+    time = rollout.time[first : last + 1]
     for leg, name in enumerate(quadruped.legs):
-        column = 3 * leg + part
-        axes.plot(time, rollout.qpos[start:, 7 + column], color=LEG_COLORS[leg], label=name)
-        if rollout.steps:
-            target = rollout.target[start:, column]
-            axes.plot(time[:-1], target, color=LEG_COLORS[leg], linewidth=0.6, alpha=0.6)
-            if rollout.applied_target is not None:
-                applied_target = rollout.applied_target[start:, column]
-                axes.plot(
-                    time[1:], applied_target, color=LEG_COLORS[leg], lw=0.6, alpha=0.6, ls=":"
-                )
-    _limits(axes, quadruped.lower[part::3].max(), quadruped.upper[part::3].min())
+        column, color = 3 * leg + part, LEG_COLORS[leg]
+        axes.plot(time, rollout.qpos[first : last + 1, 7 + column], color=color, label=name)
+        target = rollout.target[first:last, column]
+        axes.plot(time[:-1], target, color=color, linewidth=0.6, alpha=0.6)
+        if rollout.applied_target is not None:
+            applied_target = rollout.applied_target[first:last, column]
+            axes.plot(time[1:], applied_target, color=color, lw=0.6, alpha=0.6, ls=":")
     late = "" if rollout.applied_target is None else ", dotted: applied"
-    title = f"{_PARTS[part].capitalize()} angles (thin: targets{late}) and limits, rad"
-    _finish(axes, title, time)
+    low, high = float(quadruped.lower[part::3].max()), float(quadruped.upper[part::3].min())
+    _limits(axes, low, high, f"limits {low:.2f} to {high:.2f} rad")
+    _finish(axes, f"{_PARTS[part].capitalize()} angles (thin: targets{late})", time, "rad")
 
 
 def _torques(axes: Axes, rollout: Rollout, quadruped: Quadruped, part: int) -> None:
-    start = _window(rollout)
-    time = rollout.time[start:]
+    first, last = _stride_rows(rollout)
+    time = rollout.time[first : last + 1]
     limits = motor_limits(rollout, quadruped)
     effort = float(limits[part::3].min())
     peaks = []
     for leg, name in enumerate(quadruped.legs):
         column = 3 * leg + part
         torque = rollout.torque[:, column]
-        axes.step(time[1:], torque[start:], color=LEG_COLORS[leg], label=name, linewidth=1.0)
+        # A step's torque is drawn from its start to its end.
+        values = np.concatenate([torque[first : first + 1], torque[first:last]])
+        axes.step(time[: len(values)], values, color=LEG_COLORS[leg], label=name, linewidth=1.0)
         if len(torque):
             peaks.append(np.abs(torque).max() / limits[column])
-    _limits(axes, -effort, effort)
-    rates = np.abs(rollout.qvel[:, 6 + part :: 3]).max() / quadruped.velocity[part::3].min()
-    _finish(axes, f"{_PARTS[part].capitalize()} torques and limits, Nm", time)
+    note = f"limits ±{effort:.1f} Nm"
     if peaks:
-        most = f"peak torque {100 * max(peaks):.0f} %, speed {100 * rates:.0f} % of the limit"
-        axes.text(0.01, 0.08, most, transform=axes.transAxes, fontsize=8, color=INK)
+        rates = np.abs(rollout.qvel[:, 6 + part :: 3]).max() / quadruped.velocity[part::3].min()
+        note += f"; peak torque {100 * max(peaks):.0f} %, speed {100 * rates:.0f} %"
+    _limits(axes, -effort, effort, note)
+    _finish(axes, f"{_PARTS[part].capitalize()} torques", time, "Nm")
 
 
-def _limits(axes: Axes, low: float, high: float) -> None:
+def _limits(axes: Axes, low: float, high: float, note: str) -> None:
+    """Scale a panel to what is plotted, draw limits that are then in view, and head it by `note`."""
+    bottom, top = axes.dataLim.intervaly
+    if not bottom <= top:  # nothing is plotted
+        bottom, top = low, high
+    span = max(top - bottom, 0.01 * (high - low))
+    axes.set_ylim(bottom - 0.06 * span, top + 0.2 * span)  # room for the legend
     for value in (low, high):
         axes.axhline(value, color="#b00020", linewidth=1.2, linestyle=(0, (6, 3)))
-    span = high - low
-    axes.set_ylim(low - 0.06 * span, high + 0.22 * span)  # room for the legend
+    axes.set_title(note, loc="right", fontsize=8)
 
 
 def _rewards(axes: Axes, rollout: Rollout) -> None:
@@ -212,7 +231,7 @@ def _rewards(axes: Axes, rollout: Rollout) -> None:
         mean = f"{values.mean():.3g}" if len(values) else "-"
         axes.plot(time, _smooth(values, width), label=f"{name}  {mean}", **style)
     title = f"Reward and its raw terms, mean of {SMOOTHING:g} s (in the legend: of all)"
-    _finish(axes, title, rollout.time, outside=True)
+    _finish(axes, title, rollout.time, "per step", outside=True)
     axes.set_yscale("symlog", linthresh=0.1)  # raw terms differ in size by orders
     axes.yaxis.set_major_formatter("{x:g}")
 
@@ -239,12 +258,15 @@ def _path(axes: Axes, rollout: Rollout) -> None:
     axes.set_xlim(middle[0] - half, middle[0] + half)
     axes.set_ylim(middle[1] - half / 2, middle[1] + half / 2)
     axes.set_aspect("equal", adjustable="box")
-    tidy(axes, "Path from above, m (x ahead, y to the left)")
+    tidy(axes, "Path from above")
+    axes.set_xlabel("x, ahead, m", fontsize=9)
+    axes.set_ylabel("y, to the left, m", fontsize=9)
     axes.legend(fontsize=8, frameon=False, loc="upper left")
 
 
-def _finish(axes: Axes, title: str, time: np.ndarray, outside: bool = False) -> None:
+def _finish(axes: Axes, title: str, time: np.ndarray, unit: str, outside: bool = False) -> None:
     tidy(axes, title)
+    axes.set_ylabel(unit, fontsize=9)
     axes.set_xlim(time[0], time[-1] if len(time) > 1 else time[0] + 0.02)
     axes.set_xlabel("time, s", fontsize=9)
     if outside:
