@@ -46,6 +46,11 @@ def test_version_help_and_tasks(call):
         (["train", "wlak"], "^no task 'wlak'; .*; did you mean 'walk'?"),
         (["--print-completion", "tcsh"], "--print-completion tcsh: expected bash or zsh"),
         (["train", "walk", "--stepz", "1"], r"did you mean --steps\? \(.* --help-all lists all\)"),
+        # Not the first of those that contain it, which is --checkpoint-steps.
+        (["train", "--step", "5"], r"unknown option --step; did you mean --steps\? "),
+        (["runs", "--rusn=x"], "unrecognized arguments: --rusn=x; did you mean '--runs'?"),
+        (["view", "rogh"], "no run 'rogh': .*rough, run.* come trained; did you mean 'rough'?"),
+        (["eval", "wlak"], "no run 'wlak': .*; did you mean 'walk'?"),
         (["runs", "show"], "show: expected one or more runs"),
         (["runs", "list", "walk"], "list walk: expected list alone"),
     ],

@@ -2,6 +2,7 @@
 
 import argparse
 import contextlib
+import difflib
 import io
 import os
 import re
@@ -10,7 +11,7 @@ import sys
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
 
-from quadwalk.errors import UsageError
+from quadwalk.errors import UsageError, meant
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -70,9 +71,20 @@ def parse(
         if not unknown:  # --help
             raise
         names = [token for token in unknown if token.startswith("-")] or unknown
-        like = re.search(r"Perhaps you meant:\W*(--[\w.-]+)", printed.getvalue())
-        hint = f"; did you mean {like[1]}?" if like else ""
+        hint = _similar_flag(names[0], printed.getvalue())
         raise UsageError(f"unknown option {', '.join(names)}{hint} {see}") from None
+
+
+def _similar_flag(name: str, printed: str) -> str:
+    """Return `; did you mean --FLAG?` with the closest of the flags that tyro has printed.
+
+    tyro sorts flags that contain `name` by the alphabet, `--checkpoint-steps` before `--steps`.
+    """
+    similar = re.findall(r"--[\w.-]+", printed.partition("Perhaps you meant:")[2])
+    if not similar:
+        return ""
+    closest = difflib.get_close_matches(name, similar, n=1, cutoff=0.0)[0]
+    return f"; did you mean {closest}?"
 
 
 class ArgumentParser(argparse.ArgumentParser):
@@ -85,7 +97,9 @@ class ArgumentParser(argparse.ArgumentParser):
         return super().parse_known_args(args, namespace)
 
     def error(self, message: str) -> NoReturn:
-        raise UsageError(f"{message} ({self.prog} --help lists all)")
+        unknown = re.match(r"unrecognized arguments: (--[\w-]+)", message)
+        hint = meant(unknown[1], self._option_string_actions) if unknown else ""
+        raise UsageError(f"{message}{hint} ({self.prog} --help lists all)")
 
 
 def message_console() -> "Console":

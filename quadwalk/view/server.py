@@ -20,7 +20,10 @@ def serving(host: str, port: int, console: Console) -> Iterator[viser.ViserServe
 
     What a client sends that is no message ends its connection, and is no news.
     """
-    port = _free_port(host, port)
+    free = _free_port(host, port)
+    if free != port:
+        console.print(f"port {port} is taken, so the page is at port {free}")
+    port = free
     for name in ("websockets.server", "asyncio"):  # they would log a traceback
         logging.getLogger(name).setLevel(logging.CRITICAL)
     with contextlib.redirect_stdout(io.StringIO()):  # it would print a box

@@ -2,6 +2,7 @@
 
 import asyncio
 import html
+import io
 import itertools
 import socket
 import subprocess
@@ -253,3 +254,15 @@ def test_a_host_that_is_not_this_machine_is_told_at_once(host):
         serving(host, 8300, Console(quiet=True)),
     ):
         pass
+
+
+def test_a_port_that_is_taken_is_said():
+    said = io.StringIO()
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        port = other.getsockname()[1]
+        with serving("127.0.0.1", port, Console(file=said, width=200)) as server:
+            free = server.get_port()
+    assert free != port
+    first, second = said.getvalue().splitlines()
+    assert first == f"port {port} is taken, so the page is at port {free}"
+    assert f":{free} " in second

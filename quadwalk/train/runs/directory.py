@@ -24,12 +24,12 @@ import os
 import platform
 import re
 import shutil
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from quadwalk.errors import UsageError, UserError
+from quadwalk.errors import UsageError, UserError, meant
 from quadwalk.files import atomic_write, lock, make_folder, os_reason, real_path
 from quadwalk.paths import PRETRAINED
 from quadwalk.train.runs import checkpoint
@@ -133,24 +133,35 @@ def find_run(root: Path | str, which: str) -> Run:
         for path in (root / which, Path(which)):
             if _is_run(path):
                 return Run(path)
-    runs = list_runs(root)
-    names = ", ".join(run.name for run in runs[:_LISTED])
-    more = f" and {len(runs) - _LISTED} older" if len(runs) > _LISTED else ""
-    known = f"expected 'latest', a path, or one in {root}: {names}{more}"
-    raise UsageError(f"no run {which!r}: {known if runs else f'there is none in {root} yet'}")
+    raise _unknown_run(root, which)
 
 
 def find_any_run(root: Path | str, which: str) -> Run:
     """As `find_run`, or by its name one that comes with the package, which is not to be changed."""
+    packaged = sorted(folder.name for folder in PRETRAINED.iterdir())
     try:
         return find_run(root, which)
     except UsageError:
         # By its name, or by the path that it has where the package is installed elsewhere.
         folder, name = Path(which).parts[-3:-1], Path(which).name
-        known = {run.name for run in PRETRAINED.iterdir()}
-        if name in known and folder in ((), PRETRAINED.parts[-2:]):
+        if name in packaged and folder in ((), PRETRAINED.parts[-2:]):
             return Run(PRETRAINED / name)
-        raise
+        if which == "latest":
+            raise
+        raise _unknown_run(Path(root), which, packaged) from None
+
+
+def _unknown_run(root: Path, which: str, packaged: Sequence[str] = ()) -> UsageError:
+    """Return an error that lists the runs in `root` and the packaged ones, and the likeliest."""
+    names = [run.name for run in list_runs(root)]
+    expected = f"there is none in {root} yet"
+    if names:
+        more = f" and {len(names) - _LISTED} older" if len(names) > _LISTED else ""
+        shown = ", ".join(names[:_LISTED])
+        expected = f"expected 'latest', a path, or one in {root}: {shown}{more}"
+    trained = f"; {', '.join(packaged)} come trained" if packaged else ""
+    hint = meant(which, [*names, *packaged])
+    return UsageError(f"no run {which!r}: {expected}{trained}{hint}")
 
 
 def find_ready(root: Path | str, which: str, packaged: str) -> Run:
