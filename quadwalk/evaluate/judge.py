@@ -42,7 +42,7 @@ def judge(loaded: LoadedRun, config: EvalConfig, out: Path, console: Console) ->
         results["mjx_summary"] = other
         results["difference_to_mjx"] = engine_differences(other, found.summary)
         tables.print_engines(other, found.summary)
-    print(tables.describe_gait(found.gait, found.typical.episode))
+    tables.print_text(tables.describe_gait(found.gait, found.typical.episode))
     written = ["metrics.json"]
     if config.cell_episodes:
         written += _in_cells(loaded, config, out, console, results)

@@ -29,7 +29,7 @@ def print_summary(summary: dict[str, Any], title: str) -> None:
     """Falls and figures of one run's episodes."""
     falls = summary["fall_rate"] * summary["episodes"]
     share, interval = _falls(summary)
-    rows: list[Sequence[str]] = [("falls", share, interval, "", "", f"% ({falls:.0f} episodes)")]
+    rows: list[Sequence[str]] = [(f"falls ({falls:.0f} episodes)", share, interval, "", "", "%")]
     for name, heading, unit in _figures(summary):
         figure = summary[name]
         texts = [_text(figure and figure[key]) for key in ("mean", "ci95", "median", "worst")]
@@ -41,12 +41,12 @@ def print_engines(mjx: dict[str, Any], mujoco: dict[str, Any]) -> None:
     """Two engines' summaries side by side, and their `engine_differences`."""
     differences = engine_differences(mjx, mujoco)
     falls = 100 * differences["fall_rate"]["difference"]
-    rows = [("falls", _falls_text(mjx), _falls_text(mujoco), f"{falls:+.1f}", "", "%")]
+    rows = [("falls", _falls_text(mjx), _falls_text(mujoco), f"{falls:+z.1f}", "", "%")]
     for name, heading, unit, _ in FIGURES:
         if name in differences:
             texts = (figure_text(mjx[name]), figure_text(mujoco[name]))
-            change = _text(differences[name]["difference"], "+.3f")
-            percent = _text(differences[name]["percent"], "+.1f", " %")
+            change = _text(differences[name]["difference"], "+z.3f")
+            percent = _text(differences[name]["percent"], "+z.1f", " %")
             rows.append((heading, *texts, change, percent, unit))
     headings = ("", "MJX", "MuJoCo C", "difference", "of MJX's", "unit")
     print_table("MuJoCo C against MJX, the same starts", headings, rows)
@@ -134,13 +134,13 @@ def print_steering(results: dict[str, Any]) -> None:
         forward, _, turn = cell["command"]
         off = figure_text(cell["velocity_error"]), figure_text(cell["yaw_rate_error"])
         success = f"{100 * cell['success']:.0f}"
-        rows.append((f"{forward:g} m/s, {turn:g} rad/s", success, *off))
+        rows.append((f"{forward:zg} m/s, {turn:zg} rad/s", success, *off))
     title = f"the six of {len(cells)} commands followed worst, {results['episodes']} episodes each"
     print_table(title, ("command", "success, %", "m/s off", "rad/s off"), rows)
     rows = []
     for each in results["responses"]:
         which = COMMANDED.index(each["part"])
-        change = f"{each['before'][which]:.3g} to {each['after'][which]:.3g}"
+        change = f"{each['before'][which]:z.3g} to {each['after'][which]:z.3g}"
         unit = "rad/s" if each["part"] == "yaw_rate" else "m/s"
         shares = (f"{100 * (each[name] or 0.0):.0f}" for name in ("overshoot", "falls"))
         rows.append((f"{change} {unit}", _text(each["time"], ".2f"), *shares))
@@ -149,13 +149,13 @@ def print_steering(results: dict[str, Any]) -> None:
         still = results[name]
         if still["most"] is not None:
             mean, most = (1e3 * x for x in (still["moved"]["mean"], still["most"]))
-            print(
+            print_text(
                 f"at the command to stand{how} the trunk moves by {mean:.1f} mm in the mean of "
                 f"{results['episodes']} episodes, by {most:.1f} mm at most"
             )
     long = results["changing"]
     low, high = (100 * end for end in long["success_ci95"])
-    print(
+    print_text(
         f"{100 * long['success']:.1f} % ({low:.1f} to {high:.1f}) of {long['episodes']} episodes "
         f"of {long['seconds']:g} s end without a fall, randomized, with commands that change"
     )
@@ -185,7 +185,7 @@ def figure_text(figure: dict[str, Any] | None) -> str:
         return _NONE
     # As many decimals as leave the mean four digits, up to three.
     decimals = 3 - min(len(f"{abs(figure['mean']):.0f}") - 1, 3)
-    text = f"{figure['mean']:.{decimals}f}"
+    text = f"{figure['mean']:z.{decimals}f}"  # z: never -0.000
     return text if figure["ci95"] is None else f"{text} ± {figure['ci95']:.{decimals}f}"
 
 
@@ -232,19 +232,57 @@ def _falls_text(summary: dict[str, Any]) -> str:
     return "{} ({})".format(*_falls(summary))
 
 
-def _text(value: float | None, form: str = ".3f", unit: str = "") -> str:
+def _text(value: float | None, form: str = "z.3f", unit: str = "") -> str:
     return _NONE if value is None or math.isnan(value) else f"{value:{form}}{unit}"
 
 
 def print_table(title: str, headings: Sequence[str], rows: Iterable[Sequence[str] | None]) -> None:
-    """A table on standard output, its names and units to the left; None draws a line."""
+    """Print a table on standard output, its names and units to the left; None draws a line.
+
+    Names and headings may take several lines, but no word is broken. Where the terminal is too
+    narrow for that, the frame goes, and then lines are longer than it is wide.
+    """
+    rows = list(rows)
+    console = _console()
+    columns = list(zip(headings, *(row for row in rows if row is not None), strict=True))
+    narrow = [_narrowest(*column) for column in columns]
+    natural = [max(map(len, column)) for column in columns]
+    frame = 3 * len(columns) + 1
     table = Table(title=title, title_justify="left")
-    for heading in headings:
-        left = heading in ("", "unit")
-        table.add_column(heading, justify="left" if left else "right", overflow="fold")
+    if sum(narrow) + frame > console.width:
+        table.box, table.pad_edge = None, False
+    tight = sum(natural) + frame > console.width
+    for heading, least in zip(headings, narrow, strict=True):
+        if heading in ("", "unit"):
+            table.add_column(heading, min_width=least)
+        else:
+            table.add_column(heading, justify="right", width=least if tight else None)
     for row in rows:
         if row is None:
             table.add_section()
         else:
             table.add_row(*row)
-    Console(markup=False, emoji=False).print(table)
+    console.width = max(console.width, sum(narrow) + 2 * len(narrow))
+    console.print(table)
+
+
+def print_text(text: str) -> None:
+    """Print a paragraph on standard output; on a terminal, lines end between words."""
+    console = _console()
+    console.print(text, soft_wrap=not console.is_terminal)
+
+
+def _console() -> Console:
+    return Console(markup=False, emoji=False, highlight=False)
+
+
+def _narrowest(heading: str, *cells: str) -> int:
+    """Return the least width at which no word breaks; names have words, other cells are one."""
+    width = _widest_word if heading in ("", "unit") else len
+    return max([_widest_word(heading), *map(width, cells)])
+
+
+def _widest_word(text: str) -> int:
+    """Return the width of the longest word, and of the indentation before it."""
+    indentation = len(text) - len(text.lstrip())
+    return indentation + max(map(len, text.split()), default=0)

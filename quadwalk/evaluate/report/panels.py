@@ -129,7 +129,7 @@ def draw_by_ground(results: dict[str, Any], title: str) -> Figure:
         axes.set_yticks(range(len(kinds)), [kind.replace("_", " ") for kind in kinds])
         axes.set_xlabel("difficulty")
         for (row, column), number in np.ndenumerate(values):
-            label = "-" if math.isnan(number) else f"{number:.0f}" if top else f"{number:.2f}"
+            label = "-" if math.isnan(number) else f"{number:.0f}" if top else f"{number:z.2f}"
             shade = axes.images[0].to_rgba(number)
             color = "white" if np.dot(shade[:3], (0.3, 0.6, 0.1)) < 0.5 else INK
             axes.text(column, row, label, ha="center", va="center", fontsize=10, color=color)

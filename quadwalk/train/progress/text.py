@@ -36,7 +36,7 @@ def number(value: float) -> str:
     if value != 0 and (abs(value) < 1e-3 or abs(value) >= 1e6):
         return f"{value:.0e}"
     digits = 3 if abs(value) < 0.1 else 2 if abs(value) < 10 else 1 if abs(value) < 1000 else 0
-    return f"{value:.{digits}f}"
+    return f"{value:z.{digits}f}"  # z: never -0.00
 
 
 def percent(value: float, unit: bool = True) -> str:

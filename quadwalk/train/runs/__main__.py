@@ -63,7 +63,7 @@ def _print_table(runs: list[Run], root: Path) -> None:
             run.name,
             _task(run),
             f"{last.get('steps', 0):,.0f}",
-            "-" if speed is None else f"{speed:.2f}",
+            "-" if speed is None else f"{speed:z.2f}",
             "-" if falls is None else f"{100 * falls:.1f}",
             f"{size:.1f}",
         )
