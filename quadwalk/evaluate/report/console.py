@@ -262,7 +262,7 @@ def print_table(title: str, headings: Sequence[str], rows: Iterable[Sequence[str
             table.add_section()
         else:
             table.add_row(*row)
-    console.width = max(console.width, sum(narrow) + 2 * len(narrow))
+    console.width = max(console.width, sum(narrow) + 2 * (len(narrow) - 1))
     console.print(table)
 
 
