@@ -63,6 +63,7 @@ def train(
         steps, well = _iterate(
             training, writer, progress, lambda: stop.is_set() or time.monotonic() >= limit, watch
         )
+        progress.stopped = stop.is_set() and steps < config.steps
     if writer is None:
         return None
     _tell(progress, writer, config, steps, well)

@@ -144,6 +144,59 @@ def test_numbers_that_are_none_are_dashes(stream, value):
     assert "inf" not in output.lower()
 
 
+@pytest.mark.parametrize("stopped", [False, True])
+def test_a_training_that_was_stopped_is_not_said_to_be_done(stopped):
+    stream = Terminal()
+    with Progress(100, stream=stream) as progress:
+        progress.phase("training")
+        progress.update(54, FIGURES)
+        progress.stopped = stopped
+    last = visible(stream.getvalue()).splitlines()
+    assert any("stopped" in line and "54%" in line for line in last) == stopped
+    assert any("done" in line for line in last) != stopped
+
+
+def test_the_error_is_shown_in_place_of_a_mean_speed_over_commands():
+    commanded = {"eval/speed": -0.03, "eval/velocity_error": 0.25}
+    assert "velocity error 0.25 m/s  falls" in train(io.StringIO(), **commanded)
+    shown = visible(train(Terminal(), **commanded))
+    assert re.search(r"error +0\.25 m/s off the command +█", shown)
+    assert "-0.03" not in shown
+    assert "speed" not in shown
+
+
+def test_what_a_narrower_terminal_has_broken_is_erased(monkeypatch):
+    monkeypatch.setattr(module, "_FRAMES_PER_SECOND", 1e-3)  # no frame but those asked for
+    stream = Terminal()
+    terms = {f"train/reward/term_number_{index}": index for index in range(9)}
+    with Progress(3000, stream=stream) as progress:
+        progress.phase("training")
+        for steps in (1000, 2000):
+            before = len(stream.getvalue())
+            progress.update(steps, FIGURES | terms)
+        frame = visible(stream.getvalue()[before:]).strip("\r\n").split("\n")
+        assert max(map(len, frame)) > 80
+        rows = sum(max(1, math.ceil(len(line) / 40)) for line in frame)
+        assert rows > len(frame) + 3
+        progress._view.console.width = 40
+        before = len(stream.getvalue())
+        progress.update(3000, FIGURES | terms)
+        redrawn = stream.getvalue()[before:]
+        before = len(stream.getvalue())
+        progress.update(3000, FIGURES | terms)
+        again = stream.getvalue()[before:]
+    assert redrawn.count("\x1b[1A") == rows - 1
+    height = len(visible(redrawn).strip("\r\n").split("\n"))
+    assert again.count("\x1b[1A") == height - 1
+
+
+def test_its_colors_can_be_read_on_white_and_on_black():
+    output = train(Terminal())
+    codes = {code for codes in re.findall(r"\x1b\[([\d;]+)m", output) for code in codes.split(";")}
+    assert "32" in codes  # green
+    assert not {"33", "36", "93", "96", "37", "97"} & codes  # yellow, cyan, white
+
+
 def test_nan_states_are_shown_when_there_are_any():
     assert "NaN states 3" in train(io.StringIO(), **{"train/nan": 3})
     assert "NaN" not in train(io.StringIO(), **{"train/nan": 0})

@@ -18,9 +18,13 @@ from typing import Any, TextIO, cast
 
 import rich.progress
 from rich.columns import Columns
-from rich.console import Console, RenderableType
+from rich.console import Console, ConsoleRenderable, RenderableType, RenderHook
+from rich.control import Control
+from rich.segment import ControlType, Segment
 from rich.text import Text
+from rich.theme import Theme
 
+from quadwalk.train.progress.headline import choose_headline
 from quadwalk.train.progress.text import duration, number, percent, quantity, sparkline, spent
 
 _PLAIN_SECONDS = 5.0  # between plain lines of figures
@@ -29,6 +33,8 @@ _FRAMES_PER_SECOND = 4  # enough for a spinner; every frame takes time from the 
 _TERM = "train/reward/"
 _LEVEL = "train/level/"
 _SHARE = 8  # characters of the bar beside a reward term
+# On a white screen, yellow and cyan, which Rich has for these, cannot be read.
+_THEME = Theme(dict.fromkeys(("progress.elapsed", "progress.remaining", "repr.number"), "none"))
 
 
 class Progress:
@@ -52,6 +58,7 @@ class Progress:
         self._shown = -math.inf  # when figures were last a plain line
         self._phase = ""
         self._trained = False
+        self.stopped = False  # before its end, by whoever waits for it
         self._screen = not quiet and is_screen(self._stream)
         self._view = _View(self._stream, disable=not self._screen)
         self._over = threading.Event()
@@ -67,7 +74,7 @@ class Progress:
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         self._over.set()
         if self._screen:
-            self._view.finish(stopped=kind is not None)
+            self._view.finish(stopped=self.stopped or kind is not None)
         elif kind is not None:
             self.message(f"{self._phase or 'work'} stopped")
         if self._heartbeat.is_alive():
@@ -96,13 +103,13 @@ class Progress:
     def update(self, steps: int, metrics: Mapping[str, Any]) -> None:
         """Show the figures after `steps` environment steps in all.
 
-        Reads "eval/speed" (m/s), "eval/fall_rate" (0 to 1), "train/reward", "train/reward/NAME",
+        Reads the `Headline`, "eval/fall_rate" (0 to 1), "train/reward", "train/reward/NAME",
         "train/level/KIND" and "train/nan" (a count, shown if there is any). What is missing, NaN or
         infinite is shown as "-".
         """
         view, task, now = self._view, self._view.task, time.monotonic()
         view.metrics = {key: _to_float(value) for key, value in metrics.items()}
-        view.speeds.append(view.get("eval/speed"))
+        view.course.append(view.get(choose_headline(view.metrics).key))
         view.update(task.id, completed=steps)
         # The bar is full when the steps are done or, if that comes first, when the time is up.
         if task.speed:
@@ -132,7 +139,8 @@ class Progress:
     def _figures(self) -> Iterator[str]:
         get = self._view.get
         yield f"reward {number(get('train/reward'))}"
-        yield f"speed {number(get('eval/speed'))} m/s"
+        headline = choose_headline(self._view.metrics)
+        yield f"{headline.name} {number(get(headline.key))} {headline.unit}"
         yield f"falls {percent(get('eval/fall_rate'))}"
         levels = self._view.group(_LEVEL)
         if levels:
@@ -152,7 +160,7 @@ class _View(rich.progress.Progress):
 
     def __init__(self, stream: TextIO, disable: bool) -> None:
         self.metrics: dict[str, float] = {}
-        self.speeds: list[float] = []
+        self.course: list[float] = []  # of the headline
         self.pace = ""
         self._mark = rich.progress.SpinnerColumn()
         super().__init__(
@@ -161,7 +169,7 @@ class _View(rich.progress.Progress):
             rich.progress.BarColumn(),
             rich.progress.TaskProgressColumn(),
             rich.progress.TimeElapsedColumn(),
-            console=Console(file=stream, highlight=False),
+            console=Console(file=stream, highlight=False, theme=_THEME),
             refresh_per_second=_FRAMES_PER_SECOND,
             get_time=time.monotonic,
             disable=disable,
@@ -183,9 +191,18 @@ class _View(rich.progress.Progress):
             if key.startswith(prefix)
         }
 
+    def start(self) -> None:
+        super().start()
+        self.console.push_render_hook(_Reflow(self))
+
+    def stop(self) -> None:
+        if self.live.is_started:
+            self.console.pop_render_hook()
+        super().stop()
+
     def finish(self, stopped: bool) -> None:
         """Leave the last view behind, with a mark in the place of the spinner."""
-        self._mark.finished_text = Text("■", "yellow") if stopped else Text("✓", "green")
+        self._mark.finished_text = Text("■", "red") if stopped else Text("✓", "green")
         self.task.finished_time = self.task.elapsed
         self.update(self.task.id, description="stopped" if stopped else "done")
         self.stop()
@@ -194,11 +211,12 @@ class _View(rich.progress.Progress):
         yield self.make_tasks_table(self.tasks)
         if not self.pace:
             return
-        room = min(40, self.console.width - 22)
-        course = (sparkline(self.speeds, room), "cyan")
+        headline = choose_headline(self.metrics)
+        unit = f" {headline.unit} {headline.off}".rstrip() + "  "
+        course = sparkline(self.course, min(40, self.console.width - 16 - len(unit)))
         yield _line((f"  {self.pace}", "dim"))
         yield ""
-        yield _figure("speed", number(self.get("eval/speed")), " m/s  ", course)
+        yield _figure(headline.name.split()[-1], number(self.get(headline.key)), unit, (course, ""))
         yield _figure("falls", percent(self.get("eval/fall_rate"), unit=False), " % of episodes")
         yield _figure("reward", number(self.get("train/reward")))
         if self.get("train/nan") > 0:
@@ -212,6 +230,28 @@ class _View(rich.progress.Progress):
         if terms:
             yield ""
             yield _terms(terms)
+
+
+class _Reflow(RenderHook):
+    """Erases what becomes of the last view where the terminal has been made narrower.
+
+    A terminal breaks lines that no longer fit, so that the view takes more rows than Rich erases.
+    """
+
+    def __init__(self, view: _View) -> None:
+        self._view, self._width = view, view.console.width
+
+    def process_renderables(self, renderables: list[ConsoleRenderable]) -> list[ConsoleRenderable]:
+        console, before = self._view.console, self._width
+        self._width = console.width
+        if self._width >= before:
+            return renderables
+        options = console.options.update(width=before)
+        lines = console.render_lines(self._view.get_renderable(), options, pad=False)
+        rows = sum(max(0, Segment.get_line_length(line) - 1) // self._width for line in lines)
+        erase: list[Any] = [(ControlType.ERASE_IN_LINE, 2)]
+        erase += [(ControlType.CURSOR_UP, 1), (ControlType.ERASE_IN_LINE, 2)] * rows
+        return [Control(ControlType.CARRIAGE_RETURN, *erase), *renderables]
 
 
 def _line(*parts: tuple[str, str] | str) -> Text:
