@@ -106,13 +106,17 @@ def test_runs_are_listed_shown_and_removed(call, tmp_path):
     config = json.dumps({"config": {"task": "walk"}}).encode()
     for name in ("first", "second"):
         create_run(tmp_path, name, files={"config.json": config})
+    errors = '{"steps": 9, "eval/speed": -0.03, "eval/velocity_error": 0.25}\n'
+    (tmp_path / "second" / "metrics.jsonl").write_text(errors)
     metrics = '{"steps": 1}\n{"steps": 24576, "eval/speed": 1.25, "eval/fall_rate": 0.5}\n'
     (tmp_path / "first" / "metrics.jsonl").write_text(metrics + '{"steps": 4')
     rows = call("runs", "--runs", tmp_path).splitlines()
     (first,) = (row for row in rows if " first " in row)
     assert [cell.strip() for cell in first.split("│")[1:-2]] == [
-        *("first", "walk", "24,576", "1.25", "50.0")
+        *("first", "walk", "24,576", "1.25 m/s", "50.0")
     ]
+    (second,) = (row for row in rows if " second " in row)
+    assert second.split("│")[4].strip() == "0.25 m/s off the command"
     assert json.loads(call("runs", "show", "first", "--runs", tmp_path))["config"]["task"] == "walk"
     with pytest.raises(UsageError, match="no run 'third'"):
         call("runs", "remove", "first", "third", "--runs", tmp_path)

@@ -31,7 +31,14 @@ from quadwalk.task.reflections import Mirrors
 from quadwalk.task.reward import reward_terms, total_reward
 from quadwalk.task.robot_arrays import above_ground, is_standing, robot_arrays, task_robot
 from quadwalk.task.sensors import Sensors, make_sensors
-from quadwalk.task.state import EnvState, Step, commanded_speed, heading_velocity, mean_velocity
+from quadwalk.task.state import (
+    EnvState,
+    Step,
+    commanded_speed,
+    heading_velocity,
+    mean_velocity,
+    velocity_error,
+)
 from quadwalk.task.termination import TIME_LIMIT, episode_end, names_of_ends, terminations
 
 CONTACT_GAP = 1e-3  # m: a foot closer to the floor than this counts as touching it
@@ -125,7 +132,7 @@ class QuadrupedEnv(Env):
             obs=zero,
             reward=zero,
             done=zero,
-            metrics=_metrics(zero, zero, zero, terms, zero if config.reset.tumbled else None),
+            metrics=_metrics(zero, zero, zero, terms, self._of_task(zero, zero)),
             info=_info(jnp.zeros((), jnp.int32), Effort(jnp.zeros(12), zero), jnp.zeros(4, bool)),
         )
         return self.begun(state)
@@ -196,15 +203,21 @@ class QuadrupedEnv(Env):
             after = after._replace(contact=step.contact)
         speed = commanded_speed(step) if config.command.given else mean_velocity(step)[0]
         failed, fell = 1.0 - sane.astype(jnp.float32), step.fell.astype(jnp.float32)
-        stands = is_standing(self.robot, after.qpos) if config.reset.tumbled else None
+        standing = is_standing(self.robot, after.qpos).astype(jnp.float32)
+        of_task = self._of_task(jnp.linalg.norm(velocity_error(step)), standing)
         return State(
             pipeline_state=after,
             obs=self.sensors.observation(after),
             reward=total_reward(config.reward, terms),
             done=(end > 0).astype(jnp.float32),
-            metrics=_metrics(speed, fell, failed, terms, stands),
+            metrics=_metrics(speed, fell, failed, terms, of_task),
             info=_info(end, effort, step.contact),
         )
+
+    def _of_task(self, error: jax.Array, standing: jax.Array) -> dict[str, jax.Array]:
+        """Return the metrics that only such a task has: with commands, or starting in any pose."""
+        errors = {"velocity_error": error} if self.config.command.given else {}
+        return errors | ({"standing": standing} if self.config.reset.tumbled else {})
 
     def driven(
         self, before: EnvState, action: jax.Array
@@ -360,12 +373,10 @@ def _metrics(
     fell: jax.Array,
     nan: jax.Array,
     terms: dict[str, jax.Array],
-    stands: jax.Array | None,
+    of_task: dict[str, jax.Array],
 ) -> dict[str, jax.Array]:
-    """Return the metrics of a step; `stands` is None but for tasks that start in any pose."""
     rewards = {f"reward/{name}": value for name, value in terms.items()}
-    standing = {} if stands is None else {"standing": stands.astype(jnp.float32)}
-    return {"speed": speed, "fell": fell, "nan": nan, **standing, **rewards}
+    return {"speed": speed, "fell": fell, "nan": nan, **of_task, **rewards}
 
 
 def _info(end: jax.Array, effort: Effort, contact: jax.Array) -> dict[str, Any]:

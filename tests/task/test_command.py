@@ -224,6 +224,7 @@ def test_a_step_is_rewarded_for_the_command_it_was_given(told, course):
     np.testing.assert_allclose(after.metrics["reward/follow"], expected, rtol=1e-3)
     expected = np.linalg.norm(asked, axis=1) - error
     np.testing.assert_allclose(after.metrics["speed"], expected, atol=1e-3)
+    np.testing.assert_allclose(after.metrics["velocity_error"], error, atol=1e-3)
 
 
 def test_a_turn_at_a_run_is_rewarded_as_far_as_the_ground_bears_it(told, course, step):

@@ -4,7 +4,7 @@ import math
 import numpy as np
 import pytest
 
-from quadwalk.train.progress.curves import learning_curve, save_learning_curve
+from quadwalk.train.progress.curves import RANDOMIZED, learning_curve, save_learning_curve
 
 REWARDS = {"train/reward/forward": 2.0, "train/reward/energy": -0.5}
 ROWS = [
@@ -21,9 +21,9 @@ ROWS = [
 ]
 
 
-def panels(rows):
+def panels(rows, best=None):
     """Panels by title, without those that are hidden."""
-    figure = learning_curve(rows)
+    figure = learning_curve(rows, best)
     figure.draw_without_rendering()
     return {axes.get_title("left"): axes for axes in figure.axes if axes.get_visible()}
 
@@ -37,7 +37,7 @@ def test_every_figure_is_drawn_over_the_steps():
     shown = panels(ROWS)
     del shown[""]  # the axis of minutes
     assert list(shown) == [
-        *("Forward speed, m/s", "Episodes that fell, %", "Reward", "Forward", "Energy"),
+        *("Speed, m/s", "Episodes that fell, %", "Reward", "Forward", "Energy"),
     ]
     for axes, key, factor in zip(
         shown.values(),
@@ -58,6 +58,30 @@ def test_the_levels_of_a_curriculum_are_drawn_by_kind_of_ground():
     assert values(shown["Stairs up"]) == pytest.approx([row["steps"] / 5000 for row in ROWS])
     alone = [{"steps": 1, "train/level/flat": 2.0}]
     assert values(panels(alone)["Flat"]).tolist() == [2.0]
+
+
+def test_with_commands_the_largest_panel_shows_the_error_and_not_a_mean_speed():
+    rows = [row | {"eval/velocity_error": 1.0 / row["steps"]} for row in ROWS]
+    shown = panels(rows)
+    assert "Speed, m/s" not in shown
+    assert values(shown["Velocity error, m/s"]) == pytest.approx([1 / r["steps"] for r in ROWS])
+    standing = panels([row | {"eval/standing": 0.25} for row in ROWS])
+    assert set(values(standing["Standing, % of the time"])) == {25.0}
+
+
+def test_the_best_checkpoint_is_marked():
+    for best in (None, 7000):
+        shown = panels(ROWS, best)
+        for title in ("Speed, m/s", "Episodes that fell, %", "Reward"):
+            marks = [line.get_xdata()[0] for line in shown[title].get_lines()[1:]]
+            assert marks == ([] if best is None else [7000])
+        assert (shown["Speed, m/s"].get_legend() is None) == (best is None)
+        assert len(shown["Energy"].get_lines()) == 1
+
+
+def test_a_note_tells_why_an_evaluation_is_better():
+    assert "eval measures without them" in learning_curve(ROWS, 7000, RANDOMIZED).get_suptitle()
+    assert learning_curve(ROWS).get_suptitle() == ""
 
 
 def test_rows_are_drawn_in_the_order_of_their_steps():

@@ -47,6 +47,13 @@ def test_a_row_tells_training_from_evaluation_and_scales_the_terms():
     assert row["loss/kl"] == 0.01
 
 
+def test_a_row_has_the_velocity_error_of_tasks_with_commands():
+    metrics = TrainingMetrics(sprint.TASK.env.reward)
+    commanded = {"velocity_error": 0.4, "eval/velocity_error": 0.3}
+    assert metrics.row(100, numbers(**commanded))["eval/velocity_error"] == 0.3
+    assert "eval/velocity_error" not in metrics.row(200, numbers())
+
+
 def test_the_score_is_the_evaluation_speed_less_the_falls():
     metrics = TrainingMetrics(sprint.TASK.env.reward)
     assert metrics.score == 0.0

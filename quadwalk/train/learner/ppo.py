@@ -139,7 +139,7 @@ def _step_metrics(after: State, learnt_from: int) -> Metrics:
         **{name: jnp.mean(value[:learnt_from]) for name, value in after.metrics.items()},
         **{
             f"eval/{name}": jnp.mean(after.metrics[name][learnt_from:])
-            for name in ("speed", "standing")
+            for name in ("speed", "velocity_error", "standing")
             if name in after.metrics
         },
         "count/ended": jnp.sum(after.done[:learnt_from]),

@@ -10,7 +10,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from quadwalk.drawing.figures import new_figure, save_figure, tidy
+from quadwalk.drawing.figures import INK, new_figure, save_figure, tidy
+from quadwalk.train.progress.headline import choose_headline
 from quadwalk.train.progress.text import quantity
 
 _TERM = "train/reward/"
@@ -21,20 +22,28 @@ _LARGE_HEIGHT, _SMALL_HEIGHT = 3.6, 1.7  # inches
 _NICE = [1, 2, 2.5, 5, 10]  # what the first figure of a tick's distance may be
 _BLUE, _RED, _GREEN, _GREY = "#2a6fbb", "#c44536", "#2e8b57", "#5f6b7a"
 
+RANDOMIZED = (
+    "with this task's delays, loads, noise and pushes; eval measures without them, and a policy is "
+    "better there"
+)
+
 Row = Mapping[str, Any]
 
 
-def save_learning_curve(metrics: Sequence[Row], path: Path) -> None:
+def save_learning_curve(
+    metrics: Sequence[Row], path: Path, best: int | None = None, note: str = ""
+) -> None:
     """Write `learning_curve` as a PNG; it appears whole or not at all (`UserError`)."""
-    save_figure(learning_curve(metrics), path)
+    save_figure(learning_curve(metrics, best, note), path)
 
 
-def learning_curve(metrics: Sequence[Row]) -> Figure:
-    """Speed and falls of the evaluation environments, total reward and every reward term.
+def learning_curve(metrics: Sequence[Row], best: int | None = None, note: str = "") -> Figure:
+    """Return a figure of the headline, falls, total reward and every reward term over steps.
 
-    With a curriculum, the mean level of every kind of ground too. They are drawn over environment
-    steps. If rows have "time/elapsed" (s), as those of `read_history` may, minutes are a second
-    axis. What was never recorded leaves its panel empty, NaN and None leave a gap.
+    The `Headline` and falls are of the evaluation environments. With a curriculum, there is the
+    mean level of every kind of ground too. A line marks the checkpoint after `best` steps. `note`
+    stands at the top. If rows have "time/elapsed" (s), as those of `read_history` may, minutes are
+    a second axis. What was never recorded leaves its panel empty, NaN and None leave a gap.
     """
     rows = sorted(metrics, key=lambda row: row["steps"])
     terms = list(dict.fromkeys(key for row in rows for key in row if key.startswith(_TERM)))
@@ -42,9 +51,9 @@ def learning_curve(metrics: Sequence[Row]) -> Figure:
     groups = [group for group in (terms, levels) if group]
     small_rows = [math.ceil(len(group) / _COLUMNS) for group in groups]
     heights = [_LARGE_HEIGHT, *(_SMALL_HEIGHT * count for count in small_rows)]
-    figure = new_figure((12, sum(heights)), dpi=110)
+    figure = new_figure((12, sum(heights)), note, fontsize=9, dpi=110)
     parts = figure.subfigures(len(heights), 1, height_ratios=heights, squeeze=False).flat
-    _draw_figures(parts[0].subplots(1, 3), rows)
+    _draw_figures(parts[0].subplots(1, 3), rows, best)
     for part, group, count in zip(parts[1:], groups, small_rows, strict=True):
         panels = list(part.subplots(count, _COLUMNS).flat)
         if group is levels:
@@ -59,10 +68,11 @@ def learning_curve(metrics: Sequence[Row]) -> Figure:
     return figure
 
 
-def _draw_figures(panels: Sequence[Axes], rows: Sequence[Row]) -> None:
-    speed, falls, reward = panels
-    tidy(speed, "forward speed", "m/s")
-    _draw(speed, rows, "eval/speed", _BLUE)
+def _draw_figures(panels: Sequence[Axes], rows: Sequence[Row], best: int | None) -> None:
+    main, falls, reward = panels
+    headline = choose_headline(name for row in rows for name in row)
+    tidy(main, headline.name, headline.unit)
+    _draw(main, rows, headline.key, _BLUE, headline.factor)
     tidy(falls, "episodes that fell", "%")
     _draw(falls, rows, "eval/fall_rate", _RED, factor=100.0)
     # At least five: a few falls in a thousand should not fill the panel.
@@ -73,6 +83,10 @@ def _draw_figures(panels: Sequence[Axes], rows: Sequence[Row]) -> None:
         _finish(axes, rows)
         axes.set_xlabel("environment steps")
         _add_minutes(axes, rows)
+        if best is not None:
+            axes.axvline(best, color=INK, linewidth=1.0, linestyle=":", label="best checkpoint")
+    if best is not None:
+        main.legend(fontsize=8, frameon=False, loc="best")
 
 
 def _draw(axes: Axes, rows: Sequence[Row], key: str, color: str, factor: float = 1.0) -> None:

@@ -109,7 +109,7 @@ class Progress:
         """
         view, task, now = self._view, self._view.task, time.monotonic()
         view.metrics = {key: _to_float(value) for key, value in metrics.items()}
-        view.course.append(view.get(choose_headline(view.metrics).key))
+        view.course.append(choose_headline(view.metrics).value(view.metrics))
         view.update(task.id, completed=steps)
         # The bar is full when the steps are done or, if that comes first, when the time is up.
         if task.speed:
@@ -140,7 +140,7 @@ class Progress:
         get = self._view.get
         yield f"reward {number(get('train/reward'))}"
         headline = choose_headline(self._view.metrics)
-        yield f"{headline.name} {number(get(headline.key))} {headline.unit}"
+        yield f"{headline.name} {number(headline.value(self._view.metrics))} {headline.unit}"
         yield f"falls {percent(get('eval/fall_rate'))}"
         levels = self._view.group(_LEVEL)
         if levels:
@@ -216,7 +216,8 @@ class _View(rich.progress.Progress):
         course = sparkline(self.course, min(40, self.console.width - 16 - len(unit)))
         yield _line((f"  {self.pace}", "dim"))
         yield ""
-        yield _figure(headline.name.split()[-1], number(self.get(headline.key)), unit, (course, ""))
+        value = number(headline.value(self.metrics))
+        yield _figure(headline.name.split()[-1], value, unit, (course, ""))
         yield _figure("falls", percent(self.get("eval/fall_rate"), unit=False), " % of episodes")
         yield _figure("reward", number(self.get("train/reward")))
         if self.get("train/nan") > 0:

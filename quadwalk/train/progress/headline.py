@@ -1,20 +1,28 @@
-"""The figure that tells best how a training goes: how it keeps to commands, else how fast it is."""
+"""The figure that tells best how a training goes, of those of its evaluation environments."""
 
-from collections.abc import Iterable
-from typing import NamedTuple
+import math
+from collections.abc import Iterable, Mapping
+from typing import Any, NamedTuple
 
 
 class Headline(NamedTuple):
-    """A figure of the evaluation environments."""
+    """A figure in rows of metrics."""
 
-    key: str  # in a row of metrics
+    key: str
     name: str
     unit: str
+    factor: float = 1.0  # from the row's number to the unit
     off: str = ""  # what it is an error of
+
+    def value(self, row: Mapping[str, Any]) -> float:
+        """Return the figure in its unit; NaN where the row has none."""
+        number = row.get(self.key)
+        return math.nan if number is None else self.factor * float(number)
 
 
 SPEED = Headline("eval/speed", "speed", "m/s")
-VELOCITY_ERROR = Headline("eval/velocity_error", "velocity error", "m/s", "off the command")
+VELOCITY_ERROR = Headline("eval/velocity_error", "velocity error", "m/s", off="off the command")
+STANDING = Headline("eval/standing", "standing", "% of the time", factor=100.0)
 
 
 def choose_headline(names: Iterable[str]) -> Headline:
@@ -22,4 +30,5 @@ def choose_headline(names: Iterable[str]) -> Headline:
 
     A mean speed over commands ahead and back says nothing of how they are followed.
     """
-    return VELOCITY_ERROR if VELOCITY_ERROR.key in names else SPEED
+    present = set(names)
+    return next((line for line in (VELOCITY_ERROR, STANDING) if line.key in present), SPEED)

@@ -38,6 +38,7 @@ class TrainingMetrics:
     rewards are per step and scaled, so that the terms add up to the reward. train/nan: episodes
     that a state with NaN has ended so far. eval/speed, eval/fall_rate: of the evaluation
     environments, where the policy acts without noise. Speeds in m/s, falls as a share of episodes.
+    eval/velocity_error: with velocity commands, how far the velocity is from them in a step, m/s.
     eval/standing: the share of time that those stand, of tasks that start in any pose.
     train/level/KIND: with a curriculum, the mean level, from 0, of environments on that ground.
     """
@@ -75,7 +76,8 @@ class TrainingMetrics:
         values = {name: float(value) for name, value in numbers.items() if name != "nan_step"}
         self._nan += values["count/nan"]
         self._figures.append(scored_figure(values))
-        standing = {name: x for name, x in values.items() if name == "eval/standing"}
+        names = ("eval/velocity_error", "eval/standing")
+        of_task = {name: values[name] for name in names if name in values}
         terms = {
             f"train/{name}": self._rewards[name.partition("/")[2]].scale * value
             for name, value in values.items()
@@ -102,7 +104,7 @@ class TrainingMetrics:
             "eval/fall_rate": self._eval_falls.add(
                 values["eval/count/fell"], values["eval/count/ended"]
             ),
-            **standing,
+            **of_task,
             **terms,
             **levels,
             **learning,

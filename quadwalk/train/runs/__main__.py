@@ -6,6 +6,7 @@ if __name__ == "__main__":
     run_command("quadwalk.train.runs.__main__")
 
 import json
+import math
 import shutil
 from collections.abc import Sequence
 from pathlib import Path
@@ -17,6 +18,7 @@ from rich.table import Table
 from quadwalk.command.line import ArgumentParser
 from quadwalk.errors import UserError
 from quadwalk.files import os_reason
+from quadwalk.train.progress.headline import choose_headline
 from quadwalk.train.runs.directory import Run, claim, find_run, list_runs
 
 _TAIL = 16_384  # bytes at the end of metrics.jsonl, which hold its last line
@@ -54,16 +56,18 @@ def _print_table(runs: list[Run], root: Path) -> None:
     if not runs:
         print(f"no run in {root} yet")
         return
-    table = Table("name", "task", "steps", "speed, m/s", "falls, %", "size, MB")
+    table = Table("name", "task", "steps", "speed or velocity error", "falls, %", "size, MB")
     for run in runs:
         last = _last_metrics(run)
-        speed, falls = last.get("eval/speed"), last.get("eval/fall_rate")
+        headline, falls = choose_headline(last), last.get("eval/fall_rate")
+        value = headline.value(last)
+        figure = f"{value:z.2f} {headline.unit} {headline.off}".rstrip()
         size = sum(path.stat().st_size for path in run.path.rglob("*") if path.is_file()) / 1e6
         table.add_row(
             run.name,
             _task(run),
             f"{last.get('steps', 0):,.0f}",
-            "-" if speed is None else f"{speed:z.2f}",
+            "-" if math.isnan(value) else figure,
             "-" if falls is None else f"{100 * falls:.1f}",
             f"{size:.1f}",
         )

@@ -71,10 +71,15 @@ class RunWriter:
 
     def draw(self) -> None:
         # Matplotlib: a third of a second that the first iteration does not wait for.
-        from quadwalk.train.progress.curves import save_learning_curve
+        from quadwalk.train.progress.curves import RANDOMIZED, save_learning_curve
 
         run, began = self.run, time.monotonic()
-        self._attempt("curve", lambda: save_learning_curve(read_history(run), run.learning_curve))
+        best = self.best[0] if self.best else None
+        note = RANDOMIZED if self._training.config.env.randomization.enabled else ""
+        self._attempt(
+            "curve",
+            lambda: save_learning_curve(read_history(run), run.learning_curve, best, note),
+        )
         now = time.monotonic()
         self._draw_at = now + max(CURVE_SECONDS, (now - began) / CURVE_SHARE)
 
