@@ -12,12 +12,13 @@ from quadwalk.evaluate.loaded import LoadedRun
 from quadwalk.evaluate.motion.course import motor_limits, weight_of
 from quadwalk.evaluate.motion.forces import with_foot_forces
 from quadwalk.evaluate.motion.gait import Gait, gait_metrics, measure_gait
-from quadwalk.evaluate.recording.mcap import write_mcap
+from quadwalk.evaluate.recording.mcap import RERUN_BLUEPRINT, write_mcap
 from quadwalk.evaluate.recording.provenance import attachments, provenance
 from quadwalk.evaluate.report.pictures import draw_film_strip
 from quadwalk.evaluate.rollout import Rollout
 from quadwalk.evaluate.simulate import GROUP, Report, simulate_episodes
 from quadwalk.evaluate.summary import episode_figures, summarize, typical_episode
+from quadwalk.files import atomic_write
 from quadwalk.settings.serialize import to_dict
 from quadwalk.task.episode.randomization import as_values
 
@@ -86,7 +87,10 @@ class Evaluation:
         return draw_report(self.typical, self.loaded.env.quadruped, title)
 
     def save_mcap(self, folder: str | Path, episodes: int | None = None) -> list[Path]:
-        """Write the first `episodes`, by default all, as MCAP files for Rerun or Foxglove."""
+        """Write the first `episodes`, by default all, as MCAP files for Rerun or Foxglove.
+
+        Beside them goes rerun.rbl, a layout for Rerun.
+        """
         folder = Path(folder)
         folder.mkdir(parents=True, exist_ok=True)
         about = {**self.origin, "config": to_dict(self.loaded.policy.config)}
@@ -99,6 +103,9 @@ class Evaluation:
             drawn = self.episodes[rollout.episode].get("conditions")
             own = {} if drawn is None else {"conditions": json.dumps(drawn)}
             write_mcap(written[-1], complete, self.loaded.env.quadruped, metadata | own, attached)
+        if written:
+            with atomic_write(folder / RERUN_BLUEPRINT.name) as file:
+                file.write(RERUN_BLUEPRINT.read_bytes())
         return written
 
 

@@ -10,7 +10,6 @@ from typing import Any
 
 from rich.console import Console
 
-from quadwalk.command.shell import words
 from quadwalk.drawing.figures import save_figure
 from quadwalk.drawing.images import save_png
 from quadwalk.evaluate.evaluation import Evaluation, measure
@@ -20,6 +19,7 @@ from quadwalk.evaluate.grids.standing import measure_standing, standing_run
 from quadwalk.evaluate.grids.sweep import measure_sweeps, sweep_points
 from quadwalk.evaluate.loaded import LoadedRun
 from quadwalk.evaluate.options import EvalConfig
+from quadwalk.evaluate.recording.mcap import rerun_commands
 from quadwalk.evaluate.recording.provenance import provenance
 from quadwalk.evaluate.report import console as tables
 from quadwalk.evaluate.report import panels
@@ -52,9 +52,9 @@ def judge(loaded: LoadedRun, config: EvalConfig, out: Path, console: Console) ->
         recorded = found.save_mcap(out, config.recordings)
     console.print(f"written to {out}: {', '.join(written)}, {len(recorded)} MCAP files")
     if recorded:
-        see = f"see it with: {words('rerun', recorded[0])}, or open it in Foxglove"
-        other_way = f"open {recorded[0]} in Rerun or Foxglove"
-        console.print(see if shutil.which("rerun") else other_way)
+        where = "in Rerun" if shutil.which("rerun") else "in Rerun (pip install rerun-sdk)"
+        console.print(f"see {recorded[0]} in Foxglove, or {where} with:")
+        console.print(rerun_commands(recorded[0]))
     return results
 
 

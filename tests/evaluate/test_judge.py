@@ -101,8 +101,10 @@ def test_differences_of_what_is_not_there_or_zero():
 def test_only_what_is_asked_for_is_recorded(judged, loaded, quadruped):
     results, out, said, _ = judged
     names = {path.name for path in out.iterdir()}
-    assert names == {"metrics.json", "report.png", "film_strip.png", "episode_000.mcap"}
+    recordings = {"episode_000.mcap", "rerun.rbl"}
+    assert names == {"metrics.json", "report.png", "film_strip.png", *recordings}
     assert "1 MCAP files" in said
+    assert f"rerun {out}/episode_000.rrd {out}/rerun.rbl" in said
     metadata, attached = read_records(out / "episode_000.mcap")
     record = metadata["quadwalk"]
     for name in ("run", "engine", "policy_sha256", "revision"):

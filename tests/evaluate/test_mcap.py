@@ -5,6 +5,8 @@ import gzip
 import json
 import os
 import pickle
+import re
+import shlex
 import shutil
 import subprocess
 import sys
@@ -23,7 +25,13 @@ from scipy.spatial.transform import Rotation
 from quadwalk.errors import UserError
 from quadwalk.evaluate.recording import mcap as writing
 from quadwalk.evaluate.recording.drawn_urdf import draw_urdf
-from quadwalk.evaluate.recording.mcap import LAYOUT, verify_mcap, write_mcap
+from quadwalk.evaluate.recording.mcap import (
+    LAYOUT,
+    RERUN_BLUEPRINT,
+    rerun_commands,
+    verify_mcap,
+    write_mcap,
+)
 from quadwalk.evaluate.rollout import first_steps
 from quadwalk.identify.joint_log import read_log
 from quadwalk.paths import ALIENGO_URDF
@@ -490,6 +498,32 @@ def test_rerun_finds_nothing_wrong(written):
     command = [rerun, "mcap", "check", str(written)]
     checked = subprocess.run(command, capture_output=True, text=True)
     assert checked.returncode == 0, checked.stdout + checked.stderr
+
+
+def test_rerun_has_a_layout_for_what_is_recorded(written, read_back, trot, tmp_path):
+    layout = pytest.importorskip("benchmarks.rerun_blueprint", reason="needs rerun-sdk")
+    found = read_back(dataclasses.replace(trot, command=np.zeros((trot.steps, 3))))
+    for plotted in (layout.SPEEDS, layout.REWARDS, layout.FEET):
+        for topic, fields in plotted.items():
+            _, first = found[topic][0]
+            message = first.DESCRIPTOR
+            assert message.full_name == layout.MESSAGES[topic]
+            assert set(fields) <= set(message.fields_by_name)
+    assert layout.make_blueprint()
+    recording = tmp_path / "an episode.mcap"
+    shutil.copy(written, recording)
+    shutil.copy(RERUN_BLUEPRINT, tmp_path)
+    convert, _, show = rerun_commands(recording).partition(" && ")
+    rerun = str(Path(sys.executable).with_name("rerun"))
+    _, *options = shlex.split(convert)
+    subprocess.run([rerun, *options], check=True, capture_output=True)
+    _, *shown = shlex.split(show)
+    assert [Path(file).name for file in shown] == ["an episode.rrd", "rerun.rbl"]
+    subprocess.run([rerun, "rrd", "verify", *shown], check=True, capture_output=True)
+    for file, kind in zip(shown, ("Recording", "Blueprint"), strict=True):
+        done = subprocess.run([rerun, "rrd", "print", file], capture_output=True, text=True)
+        stores = re.findall(r'(\w+),\s+"([^"]+)",\s+"[^"]+",\s+\)', done.stdout)
+        assert set(stores) == {(kind, "quadwalk")}
 
 
 def test_rerun_decodes_what_was_simulated(written, trot, quadruped):

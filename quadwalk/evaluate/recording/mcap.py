@@ -16,6 +16,7 @@ from mcap.stream_reader import StreamReader
 from mcap.writer import Writer
 from mcap_protobuf.schema import register_schema
 
+from quadwalk.command.shell import words
 from quadwalk.errors import UserError
 from quadwalk.evaluate.recording.messages import EpisodeMessages
 from quadwalk.evaluate.rollout import Rollout
@@ -24,6 +25,8 @@ from quadwalk.paths import ASSETS
 from quadwalk.robot.quadruped import Quadruped
 
 LAYOUT = ASSETS / "foxglove_layout.json"
+RERUN_BLUEPRINT = ASSETS / "rerun.rbl"  # written by benchmarks/rerun_blueprint.py
+RERUN_APPLICATION = "quadwalk"  # Rerun applies a blueprint to recordings of its application
 
 # Under 256 KiB zstd takes parameters for small inputs, which suit these messages better.
 _CHUNK = 250_000  # bytes
@@ -80,6 +83,18 @@ def foxglove_layout(trunk: str) -> bytes:
     layout = json.loads(LAYOUT.read_bytes())
     layout["configById"]["3D!robot"]["followTf"] = trunk
     return json.dumps(layout, separators=(",", ":"), allow_nan=False).encode()
+
+
+def rerun_commands(recording: Path) -> str:
+    """Return the shell's command that shows `recording` in Rerun with the blueprint beside it.
+
+    Opened as it is, a recording has no application that a blueprint could be for, and its simulated
+    seconds are dates of 1970.
+    """
+    converted = recording.with_suffix(".rrd")
+    options = ["--application-id", RERUN_APPLICATION, "--timeline-type", "duration"]
+    convert = words("rerun", "mcap", "convert", *options, recording, "-o", converted)
+    return f"{convert} && {words('rerun', converted, recording.with_name(RERUN_BLUEPRINT.name))}"
 
 
 def verify_mcap(path: str | Path) -> int:

@@ -23,8 +23,8 @@ _NICE = [1, 2, 2.5, 5, 10]  # what the first figure of a tick's distance may be
 _BLUE, _RED, _GREEN, _GREY = "#2a6fbb", "#c44536", "#2e8b57", "#5f6b7a"
 
 RANDOMIZED = (
-    "with this task's delays, loads, noise and pushes; eval measures without them, and a policy is "
-    "better there"
+    "Measured with the task's delays, loads, noise and pushes. eval measures without them, where a "
+    "policy does better."
 )
 
 Row = Mapping[str, Any]
