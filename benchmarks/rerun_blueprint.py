@@ -34,9 +34,7 @@ SPEEDS = {
 }
 REWARDS = {"/reward": {"total": ("total", GRAY)}}
 FEET = {
-    "/contacts": {
-        f"{leg}_force": (leg, color) for leg, color in zip(LEGS, LEG_COLORS, strict=True)
-    }
+    "/contacts": {f"{leg}_force": (leg, color) for leg, color in zip(LEGS, LEG_COLORS, strict=True)}
 }
 MESSAGES = {
     "/base_velocity": "quadwalk.BaseVelocity",

@@ -73,7 +73,6 @@ def pixel_of(point: np.ndarray, camera: Camera = VIEW) -> tuple[int, int]:
     return int(HEIGHT / 2 - scale * y), int(WIDTH / 2 + scale * x)
 
 
-
 def test_an_empty_floor_has_no_specks_of_its_own_shadow(library):
     model = scene()
     model.stat.extent = 0.86  # of AlienGo's model

@@ -16,6 +16,7 @@ import pytest
 from PIL import Image
 
 from notebooks.execute import HERE, execute, folders_named
+from quadwalk.errors import UserError
 from quadwalk.evaluate.recording.mcap import verify_mcap
 from tests.test_api import orange
 
@@ -88,6 +89,14 @@ def test_as_committed_each_shows_its_pictures_and_names_a_commit(name):
     assert "error" not in {out.output_type for cell in code for out in cell.outputs}
     assert re.search(r"\*Executed at commit [0-9a-f]{7,}\.\*$", cells[0].source)
     assert path.stat().st_size < 1.6e6
+
+
+def test_without_the_extra_zoo_the_last_one_says_so_at_once(monkeypatch, tmp_path):
+    monkeypatch.setattr("sysconfig.get_path", lambda name: str(tmp_path))
+    cells = nbformat.read(HERE / "07_your_robot.ipynb", as_version=4).cells
+    first = next(cell for cell in cells if cell.cell_type == "code")
+    with pytest.raises(UserError, match=r"no file .*go2\.urdf: expected .* zoo: .*install .*zoo"):
+        exec(first.source, {})
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -206,7 +206,7 @@ def _torques(axes: Axes, rollout: Rollout, quadruped: Quadruped, part: int) -> N
 
 
 def _limits(axes: Axes, low: float, high: float, note: str) -> None:
-    """Scale a panel to what is plotted, draw limits that are then in view, and head it by `note`."""
+    """Scale a panel to what is plotted, draw limits that are then in view, and add `note` above."""
     bottom, top = axes.dataLim.intervaly
     if not bottom <= top:  # nothing is plotted
         bottom, top = low, high
