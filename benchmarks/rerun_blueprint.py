@@ -76,7 +76,7 @@ def make_blueprint() -> blueprint.Blueprint:
 
 
 def plot(name: str, plotted: Plotted, **options: object) -> blueprint.TimeSeriesView:
-    """Return a plot of fields of messages, which Rerun plots where it is told their names."""
+    """Return a plot of fields of messages, which Rerun does not plot of itself."""
     overrides = {
         topic: [make_line(topic, field, *look) for field, look in fields.items()]
         for topic, fields in plotted.items()
