@@ -104,7 +104,7 @@ def test_only_what_is_asked_for_is_recorded(judged, loaded, quadruped):
     recordings = {"episode_000.mcap", "rerun.rbl"}
     assert names == {"metrics.json", "report.png", "film_strip.png", *recordings}
     assert "1 MCAP files" in said
-    assert f"rerun {out}/episode_000.rrd {out}/rerun.rbl" in said
+    assert f"rerun {out}/episode_000.rrd {out}/rerun.rbl" in " ".join(said.split())
     metadata, attached = read_records(out / "episode_000.mcap")
     record = metadata["quadwalk"]
     for name in ("run", "engine", "policy_sha256", "revision"):
