@@ -8,6 +8,7 @@ It fits the recordings of every robot, for it names topics and fields that all o
 
 import sys
 from pathlib import Path
+from typing import Any
 
 import rerun
 from rerun import blueprint
@@ -75,9 +76,9 @@ def make_blueprint() -> blueprint.Blueprint:
     )
 
 
-def plot(name: str, plotted: Plotted, **options: object) -> blueprint.TimeSeriesView:
+def plot(name: str, plotted: Plotted, **options: Any) -> blueprint.TimeSeriesView:
     """Return a plot of fields of messages, which Rerun does not plot of itself."""
-    overrides = {
+    overrides: dict[Any, Any] = {
         topic: [make_line(topic, field, *look) for field, look in fields.items()]
         for topic, fields in plotted.items()
     }
