@@ -3,6 +3,7 @@
 import contextlib
 import io
 import multiprocessing
+import os
 import signal
 import socket
 import time
@@ -122,22 +123,31 @@ def compute_job(work: Work) -> Any:
 
     Raises `StoppedError` if it was stopped before it was trained, and `UserError`.
     """
-    run, parent = work.run, multiprocessing.parent_process()
-    _check_machine(work)
-    if work.cores:
-        pin(work.cores)
-        jax.config.update("jax_platforms", "cpu")
+    try:
+        _check_machine(work)
+        if work.cores:
+            pin(work.cores)
+            jax.config.update("jax_platforms", "cpu")
+        _wait_for(work.run)
+        if not train_run(work.run, work.steps, lambda row: _stop_if_asked(work.run)):
+            raise StoppedError(work.run.name)
+        set_up_devices(work.devices)  # where nothing was left to train
+        return work.evaluate(work.run)
+    finally:
+        if _is_orphan():
+            os._exit(1)  # an executor's process would wait for its next job for ever
 
-    def stop_if_asked(row: Row) -> None:
-        alone = parent is not None and not parent.is_alive()
-        if alone or get_stop_file(run).exists():
-            signal.raise_signal(signal.SIGTERM)  # training saves what it has, and ends
 
-    _wait_for(run)
-    if not train_run(run, work.steps, stop_if_asked):
-        raise StoppedError(run.name)
-    set_up_devices(work.devices)  # where nothing was left to train
-    return work.evaluate(run)
+def _stop_if_asked(run: Run) -> None:
+    """Have training save what it has, and end, if it was stopped or nobody waits for it."""
+    if _is_orphan() or get_stop_file(run).exists():
+        signal.raise_signal(signal.SIGTERM)
+
+
+def _is_orphan() -> bool:
+    """Return True if the process that started this one is gone."""
+    parent = multiprocessing.parent_process()
+    return parent is not None and not parent.is_alive()
 
 
 def _check_machine(work: Work) -> None:

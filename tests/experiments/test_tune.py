@@ -151,6 +151,14 @@ def test_a_study_that_is_damaged_is_said_in_one_line(toy, tmp_path):
         search_settings(config)
 
 
+def is_running(process: str) -> bool:
+    try:
+        state = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0]
+    except OSError:
+        return False
+    return state != "Z"
+
+
 @pytest.mark.parametrize("alone", [True, False], ids=["parent", "group"])
 def test_trials_that_a_kill_left_are_gone_on_with(tmp_path, alone):
     pytest.importorskip("optuna")
@@ -169,7 +177,9 @@ def test_trials_that_a_kill_left_are_gone_on_with(tmp_path, alone):
         assert first.poll() is None
         assert time.monotonic() < end
         time.sleep(0.1)
-    if alone:  # its trainings find that out, and save
+    children = Path(f"/proc/{first.pid}/task/{first.pid}/children").read_text().split()
+    assert children
+    if alone:  # its trainings find that out, save and end
         first.kill()
     else:
         os.killpg(first.pid, signal.SIGKILL)
@@ -178,5 +188,9 @@ def test_trials_that_a_kill_left_are_gone_on_with(tmp_path, alone):
     again = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True)
     assert again.returncode == 0, again.stderr
     assert "2 trials: 2 complete" in again.stdout
+    end = time.monotonic() + 60
+    while any(map(is_running, children)):
+        assert time.monotonic() < end
+        time.sleep(0.1)
     rows = (checkpoints.parent / "metrics.jsonl").read_text().splitlines()
     assert [json.loads(row)["steps"] for row in rows] == [64 * (1 + n) for n in range(40)]
