@@ -19,9 +19,10 @@ from pathlib import Path
 
 from quadwalk.command.process import run_command
 from quadwalk.cores import cpu_cores
-from quadwalk.jobs.job import Job, sized
-from quadwalk.jobs.place import PlaceConfig
-from quadwalk.jobs.runner import place_of, run_jobs, values
+from quadwalk.experiments.job import Job, fix_sizes
+from quadwalk.experiments.options import PlaceConfig
+from quadwalk.experiments.places import make_place
+from quadwalk.experiments.runner import collect_values, run_jobs
 from quadwalk.tasks.sprint import TASK
 from quadwalk.train.runs.directory import Run
 from quadwalk.train.runs.policy import load_score
@@ -37,16 +38,16 @@ def seconds(count: int, steps: int, where: PlaceConfig) -> float:
     with tempfile.TemporaryDirectory() as folder:
         jobs = [
             Job(
-                sized(
+                fix_sizes(
                     replace(TASK, name=f"s{seed}", runs=Path(folder), steps=steps, seed=seed), where
                 ),
                 steps_of,
             )
             for seed in range(count)
         ]
-        place = place_of(where)
+        place = make_place(where)
         began = time.perf_counter()
-        assert all(done >= steps for _, done in values(run_jobs(jobs, place, count)))
+        assert all(done >= steps for _, done in collect_values(run_jobs(jobs, place, count)))
         return time.perf_counter() - began
 
 

@@ -31,9 +31,10 @@ import numpy as np
 
 from quadwalk.api import evaluate
 from quadwalk.command.process import run_command
-from quadwalk.jobs.job import Job, sized
-from quadwalk.jobs.place import PlaceConfig, add_place_flags, place_config
-from quadwalk.jobs.runner import Outcome, place_of, run_jobs
+from quadwalk.experiments.job import Job, fix_sizes
+from quadwalk.experiments.options import PlaceConfig, add_place_flags, read_place
+from quadwalk.experiments.places import make_place
+from quadwalk.experiments.runner import Outcome, run_jobs
 from quadwalk.robot.mjcf import Options, convert, write_xml
 from quadwalk.robot.quadruped import Quadruped, find_quadruped, load_quadruped, with_motors
 from quadwalk.robot.structure.legs import Leg
@@ -210,9 +211,9 @@ def trainings(files: list[Path], steps: int, runs: Path, where: PlaceConfig) -> 
     for file in files:
         robot = replace(TASK.robot, urdf=file)
         own = replace(TASK, name=name_of(file), runs=runs.resolve(), steps=steps, robot=robot)
-        jobs.append(Job(sized(own, where), judge))
+        jobs.append(Job(fix_sizes(own, where), judge))
     rows = {}
-    for found in run_jobs(jobs, place_of(where), len(jobs)):
+    for found in run_jobs(jobs, make_place(where), len(jobs)):
         name = found.job.name
         rows[name] = row(quadrupeds[name], name, found)
         print(rows[name], flush=True)
@@ -245,7 +246,7 @@ def main() -> None:
     if arguments.train:
         with tempfile.TemporaryDirectory() as temporary:
             runs = arguments.runs or Path(temporary)
-            table = trainings(files, arguments.steps, runs, place_config(arguments))
+            table = trainings(files, arguments.steps, runs, read_place(arguments))
     else:
         table = conversions(files, folder)
         print(table)

@@ -15,6 +15,8 @@ import pytest
 from quadwalk.command.line import parse
 from quadwalk.errors import UserError
 from quadwalk.evaluate.options import EvalConfig
+from quadwalk.experiments.compare import main as compare
+from quadwalk.experiments.options import CompareConfig, TuneConfig
 from quadwalk.export.__main__ import ExportConfig
 from quadwalk.ground.__main__ import main as ground
 from quadwalk.paths import ALIENGO_URDF
@@ -37,9 +39,6 @@ from quadwalk.train.runs.directory import (
 from quadwalk.train.runs.log import MetricsLog, read_history
 from quadwalk.train.runs.policy import load_checkpoint_policy, load_policy, load_score
 from quadwalk.train.runs.resume import resumed_config
-from quadwalk.tune.trials import TuneConfig
-from quadwalk.variants.__main__ import main as compare
-from quadwalk.variants.arguments import CompareConfig
 from quadwalk.view.choices import policy_choices
 from quadwalk.view.show import ViewConfig
 from tests.settings.test_serialize import places

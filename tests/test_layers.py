@@ -21,8 +21,7 @@ LAYERS = (
     ("evaluate",),
     ("export", "identify", "view"),
     ("api",),
-    ("gym", "jobs"),
-    ("tune", "variants"),
+    ("gym", "experiments"),
     ("", "__main__", "command.completion", "command.doctor", "eval"),
 )
 

@@ -13,11 +13,11 @@ import tyro
 
 from quadwalk import __main__
 from quadwalk.command.line import ArgumentParser
+from quadwalk.experiments.options import split_variants
 from quadwalk.settings.serialize import to_dict
 from quadwalk.task_files import load_task
 from quadwalk.train.flags import parse_config
 from quadwalk.train.runs.directory import as_json, create_run, versions
-from quadwalk.variants.arguments import split
 
 ROOT = Path(__file__).parents[1]
 PAGES = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *ROOT.glob("docs/*.md")])
@@ -132,7 +132,7 @@ def test_commands_are_read_by_their_parsers(page, parse):
             check_other(words)
             continue
         parse(*given)
-        for variant in split(given[1:])[0] if given[:1] == ["compare"] else []:
+        for variant in split_variants(given[1:])[0] if given[:1] == ["compare"] else []:
             with pytest.raises(ParsedError):
                 parse_config(shlex.split(variant))
 

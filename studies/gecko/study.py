@@ -20,9 +20,10 @@ from dataclasses import replace
 from pathlib import Path
 
 from quadwalk.command.process import run_command
-from quadwalk.jobs.job import Job, sized
-from quadwalk.jobs.place import PlaceConfig, add_place_flags, place_config
-from quadwalk.jobs.runner import place_of, run_jobs, values
+from quadwalk.experiments.job import Job, fix_sizes
+from quadwalk.experiments.options import PlaceConfig, add_place_flags, read_place
+from quadwalk.experiments.places import make_place
+from quadwalk.experiments.runner import collect_values, run_jobs
 from quadwalk.settings.serialize import with_settings
 from quadwalk.settings.training import TrainConfig
 from quadwalk.task_files import load_task
@@ -84,7 +85,7 @@ def job(name: str, seed: int, steps: int | None, runs: Path, place: PlaceConfig)
     steps = steps or STEPS[name.partition(",")[0]]
     words = f"{re.sub(r'\W+', '-', name)}_{steps}_s{seed}"
     config = replace(variants()[name], name=words, runs=runs, seed=seed, steps=steps)
-    return Job(sized(config, place), measure)
+    return Job(fix_sizes(config, place), measure)
 
 
 def main() -> None:
@@ -97,12 +98,12 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=RESULTS)
     add_place_flags(parser, cores=1)
     options = parser.parse_args()
-    results, place = Results(options.out, names), place_config(options)
+    results, place = Results(options.out, names), read_place(options)
     cases = list(itertools.product(options.only or names, range(options.seeds)))
     runs = options.runs.resolve()
     jobs = [job(*case, options.steps, runs, place) for case in cases]
     which = {job.name: case for job, case in zip(jobs, cases, strict=True)}
-    for done, measured in values(run_jobs(jobs, place_of(place), len(jobs))):
+    for done, measured in collect_values(run_jobs(jobs, make_place(place), len(jobs))):
         name, seed = which[done.name]
         results.add({"variant": name, "seed": seed, "steps": done.config.steps, **measured})
         print(f"{name}, seed {seed}: {measured['figures']}", flush=True)

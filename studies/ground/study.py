@@ -29,10 +29,11 @@ from quadwalk.command.process import run_command
 from quadwalk.evaluate.grids.by_ground import ground_env, measure_by_ground
 from quadwalk.evaluate.loaded import load_run
 from quadwalk.evaluate.simulate import roll_out
+from quadwalk.experiments.job import Job, fix_sizes
+from quadwalk.experiments.options import add_place_flags, read_place
+from quadwalk.experiments.places import make_place
+from quadwalk.experiments.runner import collect_values, run_jobs
 from quadwalk.ground.heightfield import Heightfield
-from quadwalk.jobs.job import Job, sized
-from quadwalk.jobs.place import add_place_flags, place_config
-from quadwalk.jobs.runner import place_of, run_jobs, values
 from quadwalk.task.ground_input import jit
 from quadwalk.train.flags import parse_config
 from quadwalk.train.runs.directory import Run
@@ -58,7 +59,7 @@ def job(
     words = flags.replace("--", "").replace(" env.", "_")
     steps, runs = given.steps or config.steps, given.runs.resolve()
     config = replace(config, name=f"{words}_s{seed}", runs=runs, seed=seed, steps=steps)
-    return Job(sized(config, place_config(given)), judge)
+    return Job(fix_sizes(config, read_place(given)), judge)
 
 
 def judge(run: Run, episodes: int, seconds: float) -> dict[str, Any]:
@@ -119,7 +120,7 @@ def main() -> None:
     judging = partial(judge, episodes=given.episodes, seconds=given.seconds)
     jobs = [job(*case, given, judging) for case in cases]
     which = {job.name: case for job, case in zip(jobs, cases, strict=True)}
-    for done, found in values(run_jobs(jobs, place_of(place_config(given)), len(jobs))):
+    for done, found in collect_values(run_jobs(jobs, make_place(read_place(given)), len(jobs))):
         name, seed = which[done.name]
         results.add({"variant": name, "seed": seed, **found})
     print(f"written to {given.out}")

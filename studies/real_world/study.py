@@ -25,9 +25,10 @@ from quadwalk.api import evaluate
 from quadwalk.command.process import run_command
 from quadwalk.evaluate.grids.sweep import Point, measure_points
 from quadwalk.evaluate.loaded import LoadedRun, load_run
-from quadwalk.jobs.job import Job, sized
-from quadwalk.jobs.place import add_place_flags, place_config
-from quadwalk.jobs.runner import place_of, run_jobs, values
+from quadwalk.experiments.job import Job, fix_sizes
+from quadwalk.experiments.options import add_place_flags, read_place
+from quadwalk.experiments.places import make_place
+from quadwalk.experiments.runner import collect_values, run_jobs
 from quadwalk.settings.serialize import with_settings
 from quadwalk.settings.training import TrainConfig
 from quadwalk.task.env import QuadrupedEnv
@@ -83,7 +84,7 @@ def job(name: str, seed: int, options: argparse.Namespace) -> Job:
     words = f"{re.sub(r'\W+', '-', name)}_{options.steps}_s{seed}"
     config, runs = variants()[name], options.runs.resolve()
     config = replace(config, name=words, runs=runs, seed=seed, steps=options.steps)
-    return Job(sized(config, place_config(options)), partial(judge, episodes=options.episodes))
+    return Job(fix_sizes(config, read_place(options)), partial(judge, episodes=options.episodes))
 
 
 def judge(run: Run, episodes: int) -> dict[str, Any]:
@@ -120,7 +121,7 @@ def main() -> None:
     cases = list(itertools.product(options.only or names, range(options.seeds)))
     jobs = [job(*case, options) for case in cases]
     which = {job.name: case for job, case in zip(jobs, cases, strict=True)}
-    for done, found in values(run_jobs(jobs, place_of(place_config(options)), len(jobs))):
+    for done, found in collect_values(run_jobs(jobs, make_place(read_place(options)), len(jobs))):
         name, seed = which[done.name]
         results.add({"variant": name, "seed": seed, "steps": options.steps, **found})
         shares = {name: f"{100 * p['success']:.0f} %" for name, p in found["points"].items()}

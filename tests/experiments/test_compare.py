@@ -11,21 +11,23 @@ import numpy as np
 import pytest
 
 from quadwalk.errors import UserError
+from quadwalk.experiments import comparison
+from quadwalk.experiments.bands import compute_band, draw_bands
+from quadwalk.experiments.compare import main
+from quadwalk.experiments.comparison import plan_training
+from quadwalk.experiments.job import open_run, train_run
+from quadwalk.experiments.options import TuneConfig, split_variants
+from quadwalk.experiments.places import ThisMachine
+from quadwalk.experiments.runner import Outcome
+from quadwalk.experiments.search import make_base
 from quadwalk.files import real_path
-from quadwalk.jobs.job import finish, opened
-from quadwalk.jobs.processes import Processes
-from quadwalk.jobs.runner import Outcome
 from quadwalk.paths import PRETRAINED
 from quadwalk.tasks import run, walk
 from quadwalk.train.flags import parse_config
 from quadwalk.train.runs.directory import create_run, find_any_run
 from quadwalk.train.runs.policy import load_score
 from quadwalk.train.runs.resume import read_config
-from quadwalk.tune import search
-from quadwalk.tune.trials import TuneConfig
-from quadwalk.variants import table
-from quadwalk.variants.__main__ import main, split
-from quadwalk.variants.bands import band, draw_bands
+from tests.experiments.conftest import BATCH, TINY, Toy
 from tests.test_task_files import OWN_TASK
 
 ROWS = [{"steps": 10, "eval/speed": 1.0}, {"steps": 20, "eval/speed": 3.0}]
@@ -33,7 +35,7 @@ ROWS = [{"steps": 10, "eval/speed": 1.0}, {"steps": 20, "eval/speed": 3.0}]
 
 def test_what_is_no_option_of_its_own_is_a_variant():
     given = ["", "--ppo.entropy 0.003", "walk", "--seeds", "2", "--cores=2", "--steps"]
-    variants, options = split([*given, "64"])
+    variants, options = split_variants([*given, "64"])
     assert variants == ["", "--ppo.entropy 0.003", "walk"]
     assert options == ["--seeds", "2", "--cores=2", "--steps", "64"]
 
@@ -56,7 +58,7 @@ def test_what_is_no_option_of_its_own_is_a_variant():
     ],
 )
 def test_what_cannot_be_compared_is_said_before_anything_is_trained(args, said, monkeypatch):
-    monkeypatch.setattr(Processes, "start", pytest.fail)
+    monkeypatch.setattr(ThisMachine, "submit", pytest.fail)
     with pytest.raises(UserError, match=re.escape(said)):
         main(args)
 
@@ -64,12 +66,12 @@ def test_what_cannot_be_compared_is_said_before_anything_is_trained(args, said, 
 def test_the_band_of_seeds_goes_as_far_as_all_of_them():
     other = [{"steps": 12, "eval/speed": 5.0}, {"steps": 16, "eval/speed": 7.0}]
     missing = {"steps": 14, "eval/speed": None}
-    steps, low, mean, high = band([ROWS, [*other[:1], missing, *other[1:]]], "eval/speed")
+    steps, low, mean, high = compute_band([ROWS, [*other[:1], missing, *other[1:]]], "eval/speed")
     np.testing.assert_allclose(steps, [10, 12, 16])
     np.testing.assert_allclose(low, [1.0, 1.4, 2.2])
     np.testing.assert_allclose(high, [5.0, 5.0, 7.0])
     np.testing.assert_allclose(mean, (low + high) / 2)
-    assert len(band([ROWS, []], "eval/speed")[0]) == 0
+    assert len(compute_band([ROWS, []], "eval/speed")[0]) == 0
 
 
 def test_every_variant_has_a_curve():
@@ -83,13 +85,13 @@ def trainings(monkeypatch, tmp_path):
 
     def run_jobs(jobs, place, count):
         for job in jobs:
-            run = job.work.run
+            run = job.run
             run.path.mkdir(parents=True)
             run.metrics.write_text("".join(json.dumps(row) + "\n" for row in ROWS))
             if "entropy" in job.name:
                 yield Outcome(job, None, "the weights are no longer finite")
             else:
-                yield Outcome(job, job.judge(run))
+                yield Outcome(job, job.evaluate(run))
 
     def evaluate(run, episodes, engine="mjx"):
         told = "walk" in run.name
@@ -109,8 +111,8 @@ def trainings(monkeypatch, tmp_path):
         summary = {"fall_rate": 0.25, **dict.fromkeys(names, mean)}
         return SimpleNamespace(summary=summary, episodes=speeds, gait=gait)
 
-    monkeypatch.setattr(table, "run_jobs", run_jobs)
-    monkeypatch.setattr(table, "evaluate", evaluate)
+    monkeypatch.setattr(comparison, "run_jobs", run_jobs)
+    monkeypatch.setattr(comparison, "evaluate", evaluate)
     return tmp_path / "runs"
 
 
@@ -149,7 +151,7 @@ def test_a_training_that_fails_is_said_at_the_end_and_the_others_are_written(tra
 
 def test_a_variant_is_trained_with_its_flags_and_seed(tmp_path):
     flags = "--ppo.entropy 0.003"
-    config = table.plan(flags, 2, None, tmp_path)
+    config = plan_training(flags, 2, None, tmp_path)
     usual, _ = parse_config(flags.split())
     assert (config.ppo, config.env, config.steps) == (usual.ppo, usual.env, usual.steps)
     assert (config.seed, config.runs) == (2, tmp_path)
@@ -158,11 +160,13 @@ def test_a_variant_is_trained_with_its_flags_and_seed(tmp_path):
 def test_a_variant_is_read_as_a_shell_reads_it(tmp_path):
     urdf = tmp_path / "my dog.urdf"
     urdf.touch()
-    config = table.plan(f"walk --robot.urdf '{urdf}'", 0, None, tmp_path)
+    config = plan_training(f"walk --robot.urdf '{urdf}'", 0, None, tmp_path)
     assert config.robot.urdf == urdf
     assert create_run(tmp_path, config.name).name == config.name
     # Quotes that change nothing make no other run.
-    names = [table.plan(f"--ppo.entropy {text}", 0, None, tmp_path).name for text in ("1", "'1'")]
+    names = [
+        plan_training(f"--ppo.entropy {text}", 0, None, tmp_path).name for text in ("1", "'1'")
+    ]
     assert names == ["ppo.entropy-1_full_s0"] * 2
 
 
@@ -175,31 +179,32 @@ def test_the_run_to_begin_with_is_the_one_that_a_training_alone_finds(tmp_path, 
     for name, path in (("source", tmp_path / "runs/source"), ("drive", PRETRAINED / "drive")):
         flags = f"--init {name}"
         alone, _ = parse_config(flags.split())
-        compared = table.plan(flags, 0, None, real_path(Path("runs/compare")))
-        searched = replace(search._base(TuneConfig(flags=flags)), runs=Path("runs/tune/run"))
+        compared = plan_training(flags, 0, None, real_path(Path("runs/compare")))
+        searched = replace(make_base(TuneConfig(flags=flags)), runs=Path("runs/tune/run"))
         for config in (alone, compared, searched):
             assert find_any_run(config.runs, config.init).path == path
-        kept = read_config(opened(compared))
+        kept = read_config(open_run(compared))
         assert find_any_run(kept.runs, kept.init).path == path
     # A packaged run is found where the package is elsewhere.
     there = find_any_run("runs", "/opt/quadwalk/assets/pretrained/drive")
     assert there.path == PRETRAINED / "drive"
 
 
-def test_a_run_of_ones_own_task_is_known_again_until_the_file_changes(tmp_path, flags, train):
-    tiny = flags(tmp_path / "runs", "own", 1)
+def test_a_run_of_ones_own_task_is_known_again_until_the_file_changes(tmp_path, monkeypatch):
+    monkeypatch.setattr("quadwalk.train.setup.QuadrupedEnv", Toy)
+    tiny = f"--devices=2 --steps={BATCH} --runs={tmp_path / 'runs'} --name=own {TINY}".split()
     for folder, rate, known in (("a", 1.0, True), ("b", 1.0, True), ("c", 2.0, False)):
         (tmp_path / folder).mkdir()
         file = tmp_path / folder / "own.py"
         file.write_text(OWN_TASK.replace("return 1.0", f"return {rate}"))
         config, _ = parse_config([str(file), *tiny])
         if known:
-            run = opened(config)
-            assert finish(run, config.steps)
+            run = open_run(config)
+            assert train_run(run, config.steps)
             assert load_score(run.policy)[0] == config.steps
         else:
             with pytest.raises(UserError, match="other settings; remove it"):
-                opened(config)
+                open_run(config)
 
 
 @pytest.mark.parametrize(
@@ -213,6 +218,6 @@ def test_a_run_of_ones_own_task_is_known_again_until_the_file_changes(tmp_path, 
     ],
 )  # fmt: skip
 def test_variants_that_differ_have_names_that_do_and_that_a_run_can_have(one, other, tmp_path):
-    names = {table.plan(flags, 0, None, tmp_path).name for flags in (one, other)}
+    names = {plan_training(flags, 0, None, tmp_path).name for flags in (one, other)}
     assert {create_run(tmp_path, name).name for name in names} == names
     assert len(names) == 2

@@ -14,14 +14,14 @@ import pytest
 
 from quadwalk.errors import UsageError, UserError
 from quadwalk.evaluate.summary import episode_figures
-from quadwalk.jobs.runner import Outcome
+from quadwalk.experiments import search
+from quadwalk.experiments.options import TuneConfig
+from quadwalk.experiments.runner import Outcome
+from quadwalk.experiments.search import search_settings
+from quadwalk.experiments.space import read_space
+from quadwalk.experiments.tune import main
 from quadwalk.task_files import load_task
-from quadwalk.tune import search as tune
-from quadwalk.tune.__main__ import main
-from quadwalk.tune.search import search
-from quadwalk.tune.space import dimension
-from quadwalk.tune.trials import TuneConfig
-from tests.jobs.conftest import TINY, write_task
+from tests.experiments.conftest import TINY, write_task
 from tests.studies.test_gecko import still
 
 ROOT = Path(__file__).parents[2]
@@ -50,11 +50,19 @@ def test_what_cannot_be_searched_is_said_before_anything_is_trained(given, said,
 
 
 def test_settings_have_ranges_or_choices():
-    config = load_task("run")
-    whole = dimension("ppo.epochs=1:4", config)
-    assert (whole.name, whole.ends, whole.whole) == ("ppo.epochs", (1.0, 4.0), True)
-    assert dimension("--ppo.activation=swish,relu", config).choices == ("swish", "relu")
-    assert dimension("env.reward.energy.scale=-1:0", config).name == "env.reward.energy"
+    kinds = pytest.importorskip("optuna").distributions
+    texts = [
+        "ppo.epochs=1:4",
+        "--ppo.activation=swish,relu",
+        "env.reward.energy.scale=-1:0",
+        "ppo.learning-rate=1e-4:1e-2:log",
+    ]
+    assert read_space(texts, load_task("run")) == {
+        "ppo.epochs": kinds.IntDistribution(1, 4),
+        "ppo.activation": kinds.CategoricalDistribution(("swish", "relu")),
+        "env.reward.energy": kinds.FloatDistribution(-1.0, 0.0),
+        "ppo.learning_rate": kinds.FloatDistribution(1e-4, 1e-2, log=True),
+    }
 
 
 def distance(job) -> float:
@@ -71,21 +79,24 @@ def toy(monkeypatch):
     def run_jobs(jobs, place, count, watch):
         for job in jobs:
             value = 2.0 - distance(job)
+            job.run.path.mkdir()
             for steps in range(0, job.config.steps, job.config.steps // 40):
                 row = {"steps": steps, "eval/speed": value, "eval/fall_rate": 0.0}
+                with open(job.run.metrics, "a") as file:
+                    file.write(f"{json.dumps(row)}\n")
                 if watch(job, row):
                     yield Outcome(job, None, stopped=True)
                     break
             else:
                 yield Outcome(job, value)
 
-    monkeypatch.setattr(tune, "run_jobs", run_jobs)
+    monkeypatch.setattr(search, "run_jobs", run_jobs)
 
 
 def test_a_search_nears_the_best_stops_the_hopeless_and_goes_on(toy, tmp_path, capsys):
     config = TuneConfig(task="run", over=OVER, trials=8, runs=tmp_path)
-    search(config)
-    search(TuneConfig(task="run", over=OVER, trials=20, runs=tmp_path))
+    search_settings(config)
+    search_settings(TuneConfig(task="run", over=OVER, trials=20, runs=tmp_path))
     text = capsys.readouterr().out.split("\n20 trials")
     assert len(text) == 2
     assert "pruned" in text[1]
@@ -95,7 +106,7 @@ def test_a_search_nears_the_best_stops_the_hopeless_and_goes_on(toy, tmp_path, c
     command = next(line for line in text[1].splitlines() if line.startswith("train the best"))
     assert f"--env.reward.energy={best[3].strip()}" in command
     with pytest.raises(UserError, match=r"--trials|--steps None; expected the same"):
-        search(TuneConfig(task="run", over=OVER, steps=1, runs=tmp_path))
+        search_settings(TuneConfig(task="run", over=OVER, steps=1, runs=tmp_path))
 
 
 @pytest.mark.parametrize("task", ["run", "drive"])
@@ -108,16 +119,16 @@ def test_what_a_task_is_measured_by_can_be_its_objective(task, quadruped):
     figures = episode_figures(rollout, base.env.reward, 100.0, np.full(12, 10.0))
     for name in ("speed", "heading_error", "velocity_error", "path_speed", "power", "reward"):
         if name in figures:
-            tune._check_objective(name, base)
+            search.check_objective(name, base)
         else:
             with pytest.raises(UsageError, match=f"--objective is '{name}'; expected for {task}"):
-                tune._check_objective(name, base)
+                search.check_objective(name, base)
 
 
 def test_a_search_that_goes_on_elsewhere_is_left_alone(toy, tmp_path):
     config = TuneConfig(task="run", over=OVER, trials=1, runs=tmp_path)
     code = (
-        "import pathlib, sys; from quadwalk.tune.search import lock_folder\n"
+        "import pathlib, sys; from quadwalk.experiments.search import lock_folder\n"
         "with lock_folder(pathlib.Path(sys.argv[1])): print(flush=True); input()"
     )
     with subprocess.Popen(
@@ -126,21 +137,30 @@ def test_a_search_that_goes_on_elsewhere_is_left_alone(toy, tmp_path):
     ) as other:  # fmt: skip
         other.stdout.readline()
         with pytest.raises(UserError, match="run is being searched by another process"):
-            search(config)
+            search_settings(config)
         assert [path.name for path in (tmp_path / "run").iterdir()] == ["lock"]
         other.kill()
-    search(config)  # a kill frees it
+    search_settings(config)  # a kill frees it
 
 
 def test_a_study_that_is_damaged_is_said_in_one_line(toy, tmp_path):
     config = TuneConfig(task="run", over=OVER, trials=1, runs=tmp_path)
-    search(config)
+    search_settings(config)
     (tmp_path / "run" / "study.db").write_bytes(b"no database" * 100)
     with pytest.raises(UserError, match=r"study\.db cannot be used as a study"):
-        search(config)
+        search_settings(config)
 
 
-def test_trials_that_a_kill_left_are_gone_on_with(tmp_path):
+def is_running(process: str) -> bool:
+    try:
+        state = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0]
+    except OSError:
+        return False
+    return state != "Z"
+
+
+@pytest.mark.parametrize("alone", [True, False], ids=["parent", "group"])
+def test_trials_that_a_kill_left_are_gone_on_with(tmp_path, alone):
     pytest.importorskip("optuna")
     flags = f"{TINY} --devices=1 --checkpoint-steps=640"
     _, go = write_task(tmp_path)
@@ -157,11 +177,20 @@ def test_trials_that_a_kill_left_are_gone_on_with(tmp_path):
         assert first.poll() is None
         assert time.monotonic() < end
         time.sleep(0.1)
-    os.killpg(first.pid, signal.SIGKILL)
+    children = Path(f"/proc/{first.pid}/task/{first.pid}/children").read_text().split()
+    assert children
+    if alone:  # its trainings find that out, save and end
+        first.kill()
+    else:
+        os.killpg(first.pid, signal.SIGKILL)
     first.wait()
     go.touch()
     again = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True)
     assert again.returncode == 0, again.stderr
     assert "2 trials: 2 complete" in again.stdout
+    end = time.monotonic() + 60
+    while any(map(is_running, children)):
+        assert time.monotonic() < end
+        time.sleep(0.1)
     rows = (checkpoints.parent / "metrics.jsonl").read_text().splitlines()
     assert [json.loads(row)["steps"] for row in rows] == [64 * (1 + n) for n in range(40)]

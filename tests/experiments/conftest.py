@@ -7,9 +7,10 @@ from pathlib import Path
 import pytest
 
 import quadwalk.train.setup
-from quadwalk.jobs.job import Job, sized
-from quadwalk.jobs.place import PlaceConfig
-from quadwalk.jobs.runner import place_of, run_jobs
+from quadwalk.experiments.job import Job, fix_sizes
+from quadwalk.experiments.options import PlaceConfig
+from quadwalk.experiments.places import make_place
+from quadwalk.experiments.runner import run_jobs
 from quadwalk.train.flags import parse_config
 from quadwalk.train.runs.directory import list_checkpoints
 from quadwalk.train.runs.policy import load_score
@@ -20,7 +21,7 @@ TRAIN = HERE.parent / "train"
 sys.path[:0] = [str(HERE), str(TRAIN)]  # for `judges` and `toy`
 
 from judges import last_reward  # noqa: E402
-from toy import BATCH, TINY  # noqa: E402
+from toy import BATCH, TINY, Toy  # noqa: E402, F401
 
 PAUSE = 20  # iterations after which a training waits for the file `go` beside its task's
 # Whoever reads its settings trains on the toy, slowly.
@@ -71,11 +72,11 @@ def job(task, tmp_path, monkeypatch):
     monkeypatch.setattr(RunWriter, "iteration", RunWriter.iteration)
     file, _ = task
 
-    def make(runs: str, name: str, iterations: int, judge, seed: int = 0) -> Job:
+    def make(runs: str, name: str, iterations: int, evaluate, seed: int = 0) -> Job:
         sizes = f"--devices=2 --seed={seed} --checkpoint-steps={10 * BATCH}"
         where = f"--runs={tmp_path / runs} --name={name} --steps={BATCH * iterations}"
         flags = f"{file} {TINY} {sizes} {where}"
-        return Job(sized(parse_config(flags.split())[0], PlaceConfig(cores=1)), judge)
+        return Job(fix_sizes(parse_config(flags.split())[0], PlaceConfig(cores=1)), evaluate)
 
     return make
 
@@ -87,7 +88,7 @@ def assert_resumable(job, task):
     def interrupt(config: PlaceConfig) -> None:
         task[1].touch()
         jobs = [job("runs", f"s{seed}", 10_000, last_reward, seed) for seed in range(3)]
-        place = place_of(config)
+        place = make_place(config)
         rows: dict[str, float] = {}
 
         def watch(job: Job, row: dict[str, float]) -> bool:
@@ -100,9 +101,7 @@ def assert_resumable(job, task):
         with pytest.raises(KeyboardInterrupt):
             list(run_jobs(jobs, place, len(jobs), watch))
         saved = {
-            job.name: load_score(job.work.run.policy)[0]
-            for job in jobs
-            if list_checkpoints(job.work.run)
+            job.name: load_score(job.run.policy)[0] for job in jobs if list_checkpoints(job.run)
         }
         assert saved.keys() == rows.keys()
         assert all(saved[name] >= steps for name, steps in rows.items())  # not a row is lost

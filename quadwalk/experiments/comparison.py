@@ -16,15 +16,16 @@ from quadwalk.command.line import split_words, value_of
 from quadwalk.drawing.figures import save_figure
 from quadwalk.errors import UsageError, UserError
 from quadwalk.evaluate.statistics import figure_mean, number
+from quadwalk.experiments.bands import draw_bands
+from quadwalk.experiments.job import Job, fix_sizes
+from quadwalk.experiments.options import CompareConfig
+from quadwalk.experiments.places import make_place
+from quadwalk.experiments.runner import collect_values, run_jobs
 from quadwalk.files import atomic_write, real_path
-from quadwalk.jobs.job import Job, sized
-from quadwalk.jobs.runner import place_of, run_jobs, values
 from quadwalk.settings.training import TrainConfig
 from quadwalk.train.flags import parse_config
 from quadwalk.train.runs.directory import Run, write_json_atomic
 from quadwalk.train.runs.log import read_history
-from quadwalk.variants.arguments import CompareConfig
-from quadwalk.variants.bands import draw_bands
 
 # Heading of a column, unit or "" and how it is written. Of a task with commands, "off" and
 # "turning off" are in the place of speed, drift and heading.
@@ -50,46 +51,48 @@ COLUMNS = {
 
 def compare_variants(variants: Sequence[str], config: CompareConfig) -> None:
     """Train and evaluate what has not been, print rows, and write them with their picture."""
-    runs = [real_path(config.runs)]
-    keys = list(itertools.product(variants, range(config.seeds), [config.steps], runs))
-    judge = partial(judged, episodes=config.episodes)
-    jobs = [Job(sized(plan(*key), config), judge) for key in keys]
-    order = {job.name: key for job, key in zip(jobs, keys, strict=True)}
-    if len(order) < len(keys):
+    folder = real_path(config.runs)
+    measure = partial(evaluate_run, episodes=config.episodes)
+    jobs: list[Job] = []
+    heads: dict[str, dict[str, Any]] = {}
+    for flags, seed in itertools.product(variants, range(config.seeds)):
+        training = plan_training(flags, seed, config.steps, folder)
+        job = Job(fix_sizes(training, config), measure)
+        jobs.append(job)
+        heads[job.name] = {"flags": flags, "seed": seed, "run": job.name, "steps": config.steps}
+    if len(heads) < len(jobs):
         raise UsageError(f"of the variants {', '.join(map(repr, variants))} two are the same")
-    lines = [_line(("flags", "seed", *COLUMNS)), "|" + "---|" * (2 + len(COLUMNS))]
-    found: dict[str, dict[str, Any]] = {}
+    results: dict[str, dict[str, Any]] = {}
     failure = None
     try:
-        for job, figures in values(run_jobs(jobs, place_of(config), len(jobs))):
-            if not found:
-                print("\n".join(lines), flush=True)
-            flags, seed, steps, _ = order[job.name]
-            own = {"flags": flags, "seed": seed, "run": job.name, "steps": steps}
-            found[job.name] = {**own, "figures": figures}
-            print(row(found[job.name]), flush=True)
+        for job, figures in collect_values(run_jobs(jobs, make_place(config), len(jobs))):
+            if not results:
+                print("\n".join(HEADING), flush=True)
+            results[job.name] = {**heads[job.name], "figures": figures}
+            print(format_row(results[job.name]), flush=True)
     except UserError as error:
         failure = error
-    if found:
-        _write(lines, [found[name] for name in order if name in found], config.runs)
+    if results:
+        _write_results([results[name] for name in heads if name in results], config.runs)
     if failure:
         raise failure
 
 
-def _write(lines: Sequence[str], results: Sequence[dict[str, Any]], runs: Path) -> None:
-    """Write what is below the heading `lines`, in the variants' order, and the picture."""
+def _write_results(results: Sequence[dict[str, Any]], runs: Path) -> None:
+    """Write the table of `results`, their figures and the picture of their learning curves."""
     histories = [
         (result["flags"] or "defaults", read_history(Run(runs / result["run"])))
         for result in results
     ]
     with atomic_write(runs / "compare.md") as file:
-        file.write(("\n".join((*lines, *map(row, results))) + "\n").encode())
+        file.write(("\n".join((*HEADING, *map(format_row, results))) + "\n").encode())
     write_json_atomic(runs / "compare.json", results)
     save_figure(draw_bands(histories), runs / "compare.png")
     print(f"written to {runs}: compare.md, compare.json, compare.png")
 
 
-def judged(run: Run, episodes: int) -> dict[str, Any]:
+def evaluate_run(run: Run, episodes: int) -> dict[str, Any]:
+    """Return the figures of a run by the heads of the table's columns; None where there is none."""
     mjx = evaluate(run, episodes=episodes).summary
     c = evaluate(run, episodes=episodes, engine="mujoco")
     gait = c.gait
@@ -123,8 +126,8 @@ def judged(run: Run, episodes: int) -> dict[str, Any]:
     return {name: number(x) if isinstance(x, float) else x for name, x in figures.items()}
 
 
-def plan(flags: str, seed: int, steps: int | None, runs: Path) -> TrainConfig:
-    """The training of a variant and a seed, under a name that no other variant has."""
+def plan_training(flags: str, seed: int, steps: int | None, runs: Path) -> TrainConfig:
+    """Return the training of a variant and a seed, under a name that no other variant has."""
     words = split_words(flags)
     for flag in ("--name", "--runs", "--seed", "--minutes", "--resume"):
         if value_of(words, flag) is not None:
@@ -140,14 +143,18 @@ def plan(flags: str, seed: int, steps: int | None, runs: Path) -> TrainConfig:
     return replace(config, name=name, runs=runs, seed=seed, steps=steps)
 
 
-def row(result: dict[str, Any]) -> str:
+def format_row(result: dict[str, Any]) -> str:
+    """Return the row of a run, as Markdown."""
     figures = result["figures"]
     cells = [
         "-" if figures[name] is None else f"{figures[name]:{form}}"
         for name, form in COLUMNS.items()
     ]
-    return _line((f"`{result['flags'] or 'defaults'}`", str(result["seed"]), *cells))
+    return _format_line((f"`{result['flags'] or 'defaults'}`", str(result["seed"]), *cells))
 
 
-def _line(cells: Sequence[str]) -> str:
+def _format_line(cells: Sequence[str]) -> str:
     return f"| {' | '.join(cells)} |"
+
+
+HEADING = (_format_line(("flags", "seed", *COLUMNS)), "|" + "---|" * (2 + len(COLUMNS)))

@@ -4,23 +4,19 @@ import sys
 from collections.abc import Sequence
 
 from quadwalk.command.line import parse
-from quadwalk.command.process import run_command
 from quadwalk.errors import UsageError
-from quadwalk.variants.arguments import CompareConfig, split
+from quadwalk.experiments.options import CompareConfig, split_variants
 
 
 def main(args: Sequence[str] | None = None, prog: str = "quadwalk compare") -> None:
-    variants, options = split(sys.argv[1:] if args is None else args)
+    """Run the command."""
+    variants, options = split_variants(sys.argv[1:] if args is None else args)
     config = parse(CompareConfig, options, prog)
     if not variants:
         raise UsageError(
             "no variant is given; expected flags of training, those of a variant in one argument: "
             f'{prog} "" "--env.reward.energy -0.1"'
         )
-    from quadwalk.variants.table import compare_variants
+    from quadwalk.experiments.comparison import compare_variants
 
     compare_variants(variants, config)
-
-
-if __name__ == "__main__":
-    run_command(main)

@@ -16,13 +16,13 @@ _PANELS = (
 
 
 def draw_bands(histories: Sequence[tuple[str, History]]) -> Figure:
-    """Speed, falls and reward over steps; `histories` are (name of a variant, rows of one run)."""
+    """Draw speed, falls and reward over steps; `histories` are (variant's name, rows of a run)."""
     figure = Figure(figsize=(13, 4.2), dpi=110, layout="constrained")
     panels: Any = figure.subplots(1, len(_PANELS))
     for name in dict.fromkeys(name for name, _ in histories):
-        runs = [rows for own, rows in histories if own == name]
+        runs = [rows for variant, rows in histories if variant == name]
         for axes, (figure_name, title, factor) in zip(panels, _PANELS, strict=True):
-            steps, low, mean, high = band(runs, figure_name)
+            steps, low, mean, high = compute_band(runs, figure_name)
             (line,) = axes.plot(steps / 1e6, factor * mean, linewidth=1.8, label=name)
             axes.fill_between(
                 steps / 1e6, factor * low, factor * high, color=line.get_color(), alpha=0.2, lw=0
@@ -35,14 +35,14 @@ def draw_bands(histories: Sequence[tuple[str, History]]) -> Figure:
     return figure
 
 
-def band(
+def compute_band(
     runs: Sequence[History], name: str
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Steps (n,), and there the lowest, mean and highest of `name`, as far as all runs came."""
+    """Return steps (n,), and there the lowest, mean and highest of `name`, as far as all came."""
     curves = []
     for rows in runs:
-        known = np.array([(row["steps"], row.get(name)) for row in rows], float).reshape(-1, 2)
-        curves.append(known[np.isfinite(known[:, 1])])  # None is NaN
+        curve = np.array([(row["steps"], row.get(name)) for row in rows], float).reshape(-1, 2)
+        curves.append(curve[np.isfinite(curve[:, 1])])  # None is NaN
     if not all(map(len, curves)):
         nothing = np.zeros(0)
         return nothing, nothing, nothing, nothing

@@ -1,0 +1,1 @@
+"""Many trainings: `quadwalk compare` and `quadwalk tune`, on this machine or on a Ray cluster."""

@@ -1,0 +1,238 @@
+"""The search: Optuna picks settings, jobs train with them, and a file keeps their values."""
+
+import collections
+import contextlib
+import shlex
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from quadwalk.api import evaluate
+from quadwalk.command.line import split_words
+from quadwalk.command.shell import as_typed, extra
+from quadwalk.errors import UsageError, UserError, meant
+from quadwalk.evaluate.statistics import figure_mean
+from quadwalk.evaluate.summary import FIGURES
+from quadwalk.experiments.job import Job, Row, fix_sizes
+from quadwalk.experiments.options import TuneConfig
+from quadwalk.experiments.places import make_place
+from quadwalk.experiments.runner import Outcome, run_jobs
+from quadwalk.experiments.space import read_space, round_values, to_flags
+from quadwalk.files import atomic_write, lock, make_folder, real_path
+from quadwalk.settings.serialize import with_settings
+from quadwalk.settings.training import TrainConfig
+from quadwalk.train.flags import parse_config
+from quadwalk.train.progress.metrics import SCORED, score, scored_figure
+from quadwalk.train.runs.directory import Run
+from quadwalk.train.runs.log import read_metrics
+from quadwalk.train.runs.policy import load_score
+
+MARKS = 12  # times that a learning curve is compared with the others'
+WARM_UP = MARKS // 4  # before which none is stopped
+STARTUP = 4  # trials that all others' curves are compared with, at least
+LISTED = 10  # trials in the table
+# What makes a search: more trials, or other cores, are the same search.
+_SAME = ("task", "over", "flags", "steps", "seed", "objective", "episodes", "prune")
+
+
+def search_settings(config: TuneConfig) -> None:
+    """Search, print the best, and write them beside the study."""
+    base = make_base(config)
+    check_objective(config.objective, base)
+    space = read_space(config.over, base)
+    place = make_place(config)
+    folder = real_path(config.runs / (config.name or base.task))
+    with lock_folder(folder):
+        search = Search(config, base, space, folder)
+        for outcome in run_jobs(search.ask_jobs(), place, search.left, search.watch):
+            search.tell(outcome)
+        text = search.format_table()
+        with atomic_write(folder / "tune.md") as file:
+            file.write(f"{text}\n".encode())
+    print(text)
+
+
+@contextlib.contextmanager
+def lock_folder(folder: Path) -> Iterator[None]:
+    """Make a search's folder and keep it for this process; `UserError` if another one has it.
+
+    The system takes the lock back when the process ends, however it ends.
+    """
+    make_folder(folder, "the folder of the search")
+    with open(folder / "lock", "ab") as file:
+        if lock(file) is False:
+            raise UserError(
+                f"{folder} is being searched by another process; expected its end, or another "
+                "--name"
+            )
+        yield
+
+
+def make_base(config: TuneConfig) -> TrainConfig:
+    """Return the training that all trials are, but for the settings that are searched."""
+    base, _ = parse_config([config.task, *split_words(config.flags)], "quadwalk train")
+    return replace(base, steps=config.steps or base.steps, seed=config.seed)
+
+
+def check_objective(name: str, base: TrainConfig) -> None:
+    """Raise a `UsageError` for an objective that evaluations of the task do not have."""
+    absent = {"velocity_error", "yaw_rate_error", "path_speed", "path"}
+    if base.env.command.given:
+        absent = {"speed", "distance", "lateral_drift", "heading_error"}
+    figures = [figure.name for figure in FIGURES if figure.name not in absent]
+    names = ["score", "fall_rate", *figures]
+    if name not in names:
+        raise UsageError(
+            f"--objective is {name!r}; expected for {base.task} one of: {', '.join(names)}"
+            f"{meant(name, names)}"
+        )
+
+
+def is_better_low(objective: str) -> bool:
+    """Return True for an objective of which less is better."""
+    worst = {figure.name: figure.worst for figure in FIGURES}
+    return objective == "fall_rate" or getattr(worst.get(objective), "__name__", "") == "max"
+
+
+def measure_objective(run: Run, objective: str, episodes: int) -> float:
+    """Return the objective of a run's last policy."""
+    if objective == "score":
+        return load_score(run.policy)[1]
+    figure = evaluate(run, episodes=episodes, engine="mujoco").summary[objective]
+    return figure if isinstance(figure, float) else figure_mean(figure)
+
+
+class Search:
+    """A study on the disk and its trials; made anew, it goes on where it was."""
+
+    def __init__(
+        self, config: TuneConfig, base: TrainConfig, space: Mapping[str, Any], folder: Path
+    ) -> None:
+        self._config = config
+        self._base = base
+        self._space = dict(space)
+        self._folder = folder
+        self._low = is_better_low(config.objective)
+        self._optuna: Any = extra("optuna", "tune", "tune")
+        self._study = self._open_study()
+        self._trials: dict[str, Any] = {}
+        self._pruned: set[str] = set()
+
+    def _open_study(self) -> Any:
+        """Open the study or make it; `UserError` if its file is damaged or of another search."""
+        optuna, path = self._optuna, self._folder / "study.db"
+        damage = extra("sqlalchemy.exc", "tune", "tune").DatabaseError
+        optuna.logging.set_verbosity(optuna.logging.ERROR)
+        try:
+            study = optuna.create_study(
+                storage=f"sqlite:///{path}",
+                study_name="tune",
+                load_if_exists=True,
+                direction="minimize" if self._low else "maximize",
+                pruner=optuna.pruners.MedianPruner(STARTUP, WARM_UP),
+            )
+        except damage as error:
+            reason = str(error.orig or error)
+            raise UserError(f"{path} cannot be used as a study: {reason}") from None
+        settings = {name: value for name, value in asdict(self._config).items() if name in _SAME}
+        settings["over"] = list(settings["over"])
+        kept = study.user_attrs.get("settings", settings)
+        for name, value in settings.items():
+            if kept[name] != value:
+                raise UserError(
+                    f"{self._folder} has a search with --{name} {kept[name]}; expected the same, "
+                    "or another --name"
+                )
+        study.set_user_attr("settings", settings)
+        # Its own sequence of numbers after each start: else it would draw the same again.
+        seed = self._config.seed + len(study.trials)
+        study.sampler = optuna.samplers.TPESampler(seed=seed, n_startup_trials=2 * STARTUP)
+        return study
+
+    @property
+    def left(self) -> int:
+        """Trials that are not finished."""
+        finished = sum(trial.state.is_finished() for trial in self._study.trials)
+        return max(0, self._config.trials - finished)
+
+    def ask_jobs(self) -> Iterator[Job]:
+        """Yield the jobs that a kill left, then new ones, each with all that is known by then."""
+        for frozen in self._study.trials:
+            if frozen.state.is_finished():
+                continue
+            trial = self._optuna.trial.Trial(self._study, frozen._trial_id)
+            if frozen.params.keys() == self._space.keys():
+                yield self._make_job(trial)
+            else:  # killed while its settings were written
+                self._study.tell(trial, state=self._optuna.trial.TrialState.FAIL)
+        while len(self._study.trials) < self._config.trials:
+            yield self._make_job(self._study.ask(self._space))
+
+    def _make_job(self, trial: Any) -> Job:
+        name = f"trial_{trial.number:03d}"
+        self._trials[name] = trial
+        config = with_settings(self._base, round_values(trial.params))
+        config = replace(config, name=name, runs=self._folder)
+        measure = partial(
+            measure_objective, objective=self._config.objective, episodes=self._config.episodes
+        )
+        return Job(fix_sizes(config, self._config), measure)
+
+    def watch(self, job: Job, row: Row) -> bool:
+        """Report the learning curve at its marks; return True if the trial is to be stopped."""
+        trial = self._trials[job.name]
+        mark = int(MARKS * row["steps"] / job.config.steps)
+        reported = self._study._storage.get_trial(trial._trial_id).intermediate_values
+        if not 0 < mark < MARKS or mark in reported:
+            return False
+        figures = [scored_figure(each) for each in read_metrics(job.run)[-SCORED:]]
+        value = score(figures, row["eval/fall_rate"])
+        trial.report(-value if self._low else value, mark)
+        if self._config.prune and trial.should_prune():
+            self._pruned.add(job.name)
+            return True
+        return False
+
+    def tell(self, outcome: Outcome) -> None:
+        """Write the outcome of a trial to the study."""
+        states, trial = self._optuna.trial.TrialState, self._trials[outcome.job.name]
+        if outcome.job.name in self._pruned:
+            self._study.tell(trial, state=states.PRUNED)
+        elif outcome.error is not None:
+            self._study.tell(trial, state=states.FAIL)
+        elif not outcome.stopped:  # otherwise the next call resumes it
+            self._study.tell(trial, outcome.value)
+
+    def format_table(self) -> str:
+        """Return the best trials as Markdown, and the commands that train with the best."""
+        states = collections.Counter(trial.state.name.lower() for trial in self._study.trials)
+        count = ", ".join(f"{n} {name}" for name, n in sorted(states.items()))
+        done = self._study.get_trials(states=[self._optuna.trial.TrialState.COMPLETE])
+        done.sort(key=lambda trial: trial.value, reverse=not self._low)
+        lines = [
+            f"| trial | {self._config.objective} | {' | '.join(self._space)} |",
+            "|" + "---|" * (2 + len(self._space)),
+        ]
+        for trial in done[:LISTED]:
+            values = round_values(trial.params)
+            cells = [
+                f"{trial.number}",
+                f"{trial.value:.3f}",
+                *(str(values[n]) for n in self._space),
+            ]
+            lines.append(f"| {' | '.join(map(str, cells))} |")
+        lines += ["", f"{len(self._study.trials)} trials: {count}"]
+        if done:
+            lines += self._format_commands(to_flags(done[0].params))
+        return "\n".join(lines)
+
+    def _format_commands(self, flags: list[str]) -> list[str]:
+        task = [self._config.task, *split_words(self._config.flags)]
+        usual, best = shlex.join(task), shlex.join([*task, *flags])
+        return [
+            f"train the best      {as_typed('train', *task, *flags)}",
+            f"on fresh seeds      {as_typed('compare', usual, best, '--seeds', '3')}",
+            f"all trials          {self._folder}",
+        ]

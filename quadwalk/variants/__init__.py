@@ -1,1 +1,0 @@
-"""`quadwalk compare`: what a change of settings gives, over several seeds."""
