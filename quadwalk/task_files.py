@@ -1,8 +1,8 @@
 """Finding tasks: those of the package by name, a user's own by the path of its file.
 
 A task file is Python that defines `TASK`, a `TrainConfig`, and any functions that its terms need.
-A run keeps a copy of it as `task.py`, and names functions in `config.json` by where they are
-found: "quadwalk.task.reward:energy", or "task.py:my_term" for one of the file's own.
+A run keeps a copy of it as `task.py`. Files name a term by its registered name, "reward:energy",
+or by "task.py:my_term" where its function is the file's own.
 """
 
 import hashlib
@@ -17,6 +17,7 @@ from typing import Any
 
 from quadwalk.errors import UsageError, UserError, line_in, meant
 from quadwalk.files import os_reason, real_path
+from quadwalk.settings.registry import TERMS, current_name, registered_name
 from quadwalk.settings.training import TrainConfig
 
 OWN = "task.py"  # the copy of its task's file that a run keeps
@@ -59,34 +60,40 @@ def load_task(which: str | Path) -> TrainConfig:
 
 
 def reference(function: Callable[..., Any]) -> str:
-    """Where a term's function is found again; `UsageError` where it could not be."""
+    """Return the name by which files call a term's function.
+
+    Raises `UsageError` where the function could not be found again by a name.
+    """
     module, name = function.__module__, function.__qualname__
     if module.startswith(_OWN_MODULE) and name.isidentifier():
         return f"{OWN}:{name}"
-    if module.partition(".")[0] == "quadwalk" and name.isidentifier():
-        return f"{module}:{name}"
-    raise UsageError(
-        f"the function {name} of a term is defined in {module}; expected it in quadwalk or, by a "
-        "name of its own, in a task's file, so that the run can be evaluated and resumed"
-    )
+    registered = registered_name(f"{module}:{name}")
+    if registered is None:
+        raise UsageError(
+            f"the function {name} of a term is defined in {module}; expected one of the terms in "
+            "quadwalk/settings/registry.py or, by a name of its own, one in a task's file, so that "
+            "the run can be evaluated and resumed"
+        )
+    return registered
 
 
 def resolve(where: str, folder: Path) -> Callable[..., Any]:
-    """The function that `reference` named; `folder` is the run's, which has the task's file."""
+    """Return the function that `reference` of this or an earlier version named.
+
+    `folder` is the run's, which has the task's file. Raises `UserError` where there is none.
+    """
     module, _, name = where.partition(":")
     if module == OWN:
-        found = _import(folder / OWN)
-    elif module.partition(".")[0] == "quadwalk":
-        try:
-            found = importlib.import_module(module)
-        except ImportError:
-            raise UserError(f"{module} is not part of this version of quadwalk") from None
-    else:
-        raise UserError(f"{where!r} is no function of quadwalk's or of {OWN}")
-    function = getattr(found, name, None)
-    if not callable(function):
-        raise UserError(f"{module} has no function {name!r} (any more)")
-    return function
+        function = getattr(_import(folder / OWN), name, None)
+        if not callable(function):
+            raise UserError(f"{module} has no function {name!r} (any more)")
+        return function
+    place = TERMS.get(current_name(where))
+    if place is None:
+        raise UserError(f"{where!r} is no term of this version of quadwalk or of {OWN}")
+    module, _, name = place.partition(":")
+    term: Callable[..., Any] = getattr(importlib.import_module(module), name)
+    return term
 
 
 def own_file(functions: list[Callable[..., Any]]) -> bytes | None:

@@ -38,7 +38,7 @@ def test_the_file_of_an_earlier_run_that_names_what_is_gone_is_refused_in_one_li
 
 def test_a_function_of_the_package_is_found_again_where_it_is():
     where = reference(reward.energy)
-    assert where == "quadwalk.task.reward:energy"
+    assert where == "reward:energy"
     assert resolve(where, folder=None) is reward.energy
 
 
@@ -95,7 +95,7 @@ def test_a_name_that_is_no_task_is_told_those_there_are():
 
 
 @pytest.mark.parametrize(
-    "where", ["os:system", "task.py:system", "quadwalk.nowhere:f", "quadwalk.paths:f"]
+    "where", ["os:system", "task.py:system", "quadwalk.nowhere:f", "quadwalk.paths:f", "reward:jnp"]
 )
 def test_what_is_no_function_of_a_task_is_refused(tmp_path, where):
     (tmp_path / OWN).write_text(OWN_TASK)

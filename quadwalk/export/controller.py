@@ -14,25 +14,25 @@ import onnxruntime
 
 FRICTION_SPEED = 0.1  # rad/s, over which joint friction passes through zero
 TAU, LAG = 2 * np.pi, np.array([0, np.pi / 2])  # of a clock's sine and cosine
-# What the policy sees, by the function it was trained with. R turns the trunk's frame into the
-# world's; home and last action are (12,), command (3,); k counts steps.
+# What the policy sees, by the names in its metadata. R turns the trunk's frame into the world's;
+# home and last action are (12,), command (3,); k counts steps.
 OBSERVATIONS: dict = {
-    "task.observation:velocity": lambda R, q, v, *_: R.T @ v[:3],
-    "task.observation:angular_velocity": lambda R, q, v, *_: v[3:6],
-    "task.observation:gravity": lambda R, q, v, *_: -R[2],
-    "task.observation:heading": lambda R, q, v, *_: np.arctan2(R[1, 0], R[0, 0]),
-    "task.observation:offset": lambda R, q, *_, reach: np.clip(q[1], -reach, reach),
-    "task.observation:command": lambda R, q, v, home, last, command, *_: command,
-    "task.observation:trot_clock": lambda *s, stride: any(s[5]) * np.sin(s[6] * TAU / stride + LAG),
-    "task.observation:joint_positions": lambda R, q, v, home, *_: q[7:] - home,
-    "task.observation:joint_velocities": lambda R, q, v, *_: v[6:],
-    "task.observation:last_action": lambda R, q, v, home, last, *_: last,
-    "task.observation:height": lambda R, q, v, *_: q[2],
-    "tasks.blog:world_position": lambda R, q, v, *_: q[:3],
-    "tasks.blog:world_orientation": lambda R, q, v, *_: q[[4, 5, 6, 3]],
-    "tasks.blog:world_velocity": lambda R, q, v, *_: v[:3],
-    "tasks.blog:world_angular_velocity": lambda R, q, v, *_: R @ v[3:6],
-    "tasks.blog:joint_angles": lambda R, q, v, *_: q[7:],
+    "observation:velocity": lambda R, q, v, *_: R.T @ v[:3],
+    "observation:angular_velocity": lambda R, q, v, *_: v[3:6],
+    "observation:gravity": lambda R, q, v, *_: -R[2],
+    "observation:heading": lambda R, q, v, *_: np.arctan2(R[1, 0], R[0, 0]),
+    "observation:offset": lambda R, q, *_, reach: np.clip(q[1], -reach, reach),
+    "observation:command": lambda R, q, v, home, last, command, *_: command,
+    "observation:trot_clock": lambda *s, stride: any(s[5]) * np.sin(s[6] * TAU / stride + LAG),
+    "observation:joint_pos": lambda R, q, v, home, *_: q[7:] - home,
+    "observation:joint_vel": lambda R, q, v, *_: v[6:],
+    "observation:last_action": lambda R, q, v, home, last, *_: last,
+    "observation:height": lambda R, q, v, *_: q[2],
+    "observation:world_position": lambda R, q, v, *_: q[:3],
+    "observation:world_orientation": lambda R, q, v, *_: q[[4, 5, 6, 3]],
+    "observation:world_velocity": lambda R, q, v, *_: v[:3],
+    "observation:world_angular_velocity": lambda R, q, v, *_: R @ v[3:6],
+    "observation:joint_angles": lambda R, q, v, *_: q[7:],
 }
 
 
@@ -44,6 +44,15 @@ def read_list(text: str) -> list:
     if not text.startswith("["):
         return text.split(",")
     return [np.inf if value is None else value for value in json.loads(text)]
+
+
+def new_name(name: str) -> str:
+    """Return the name in `OBSERVATIONS` of what an older export calls by its place in quadwalk."""
+    module, _, function = name.partition(":")
+    if module not in ("quadwalk.task.observation", "quadwalk.tasks.blog"):
+        return name
+    renamed = {"joint_positions": "joint_pos", "joint_velocities": "joint_vel"}
+    return "observation:" + renamed.get(function, function)
 
 
 def rotation(quat: np.ndarray) -> np.ndarray:
@@ -63,7 +72,7 @@ class Controller:
         names = "joint_stiffness joint_damping effort_limit velocity_limit joint_friction"
         self.motor = np.array([read_list(about[name]) for name in names.split()], float)
         self.home = np.array(read_list(about["default_joint_pos"]), float)
-        self.functions = read_list(about["observation_functions"].replace("quadwalk.", ""))
+        self.functions = [new_name(name) for name in read_list(about["observation_functions"])]
         if unknown := sorted(set(self.functions) - set(OBSERVATIONS)):
             sys.exit(f"error: add {', '.join(unknown)} to OBSERVATIONS in {__file__}")
         self.params = json.loads(about["observation_params"]).values()

@@ -16,12 +16,12 @@ from quadwalk.task_files import reference
 SDK_LEGS = ("FR", "FL", "RR", "RL")  # of unitree_sdk2's motors, hip thigh calf in each
 # What that runtime calls the observations that it has (deploy/.../envs/mdp/observations.h).
 _NAMES = {
-    "quadwalk.task.observation:angular_velocity": "base_ang_vel",
-    "quadwalk.task.observation:gravity": "projected_gravity",
-    "quadwalk.task.observation:command": "velocity_commands",
-    "quadwalk.task.observation:joint_positions": "joint_pos_rel",
-    "quadwalk.task.observation:joint_velocities": "joint_vel_rel",
-    "quadwalk.task.observation:last_action": "last_action",
+    "observation:angular_velocity": "base_ang_vel",
+    "observation:gravity": "projected_gravity",
+    "observation:command": "velocity_commands",
+    "observation:joint_pos": "joint_pos_rel",
+    "observation:joint_vel": "joint_vel_rel",
+    "observation:last_action": "last_action",
 }
 
 

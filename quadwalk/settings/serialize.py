@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from quadwalk.errors import UsageError, UserError, meant
+from quadwalk.settings.registry import current_name
 from quadwalk.settings.terms import Reward, Term
 from quadwalk.task_files import own_file, reference, resolve
 
@@ -27,9 +28,9 @@ OLD_NAMES = {
 }
 # Likewise of an observation's parts, by the function that they had.
 OLD_PARTS = {
-    ("position", "joint_positions"): "joint_pos",
-    ("position", "joint_angles"): "joint_pos",
-    ("speed", "joint_velocities"): "joint_vel",
+    ("position", "observation:joint_pos"): "joint_pos",
+    ("position", "observation:joint_angles"): "joint_pos",
+    ("speed", "observation:joint_vel"): "joint_vel",
 }
 
 
@@ -105,7 +106,7 @@ def _restore(hint: Any, value: Any, folder: Path, where: str) -> Any:
 def _part(name: str, value: Any) -> str:
     """The name that a part of this name, of an earlier version or not, has today."""
     function = value.get("function") if isinstance(value, dict) else None
-    return OLD_PARTS.get((name, str(function).rpartition(":")[2]), name)
+    return OLD_PARTS.get((name, current_name(str(function))), name)
 
 
 def flatten(config: Any, prefix: str = "") -> dict[str, Any]:

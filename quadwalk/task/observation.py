@@ -1,6 +1,7 @@
 """Observations: parts of what the policy sees, each a pure function of the environment's state.
 
-To add one, write such a function, here or in a file of your own, and name it in a task:
+To add one, write such a function, in a file of your own or here, and name it in a task. One here
+needs a name in `quadwalk/settings/registry.py`.
 `"heading": Observation(heading, noise=0.05)`.
 """
 

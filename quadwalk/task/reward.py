@@ -1,6 +1,7 @@
 """Reward terms: each a small pure function of one control step, in physical units and bounded.
 
-To add one, write such a function, here or in a file of your own, and name it in a task:
+To add one, write such a function, in a file of your own or here, and name it in a task. One here
+needs a name in `quadwalk/settings/registry.py`.
 `"drag": Reward(drag, {"height": 0.06}, scale=-0.3)`.
 """
 

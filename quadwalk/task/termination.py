@@ -1,6 +1,7 @@
 """Terminations: how an episode ends by a fall, each a pure function of one control step.
 
-To add one, write such a function, here or in a file of your own, and name it in a task:
+To add one, write such a function, in a file of your own or here, and name it in a task. One here
+needs a name in `quadwalk/settings/registry.py`.
 `"tipped": Termination(tipped, {"angle": 1.0})`.
 """
 

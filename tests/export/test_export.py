@@ -32,10 +32,13 @@ from quadwalk.export.controller import read_list
 from quadwalk.export.description import describe
 from quadwalk.export.joint_targets import JointTargets, find_targets
 from quadwalk.export.policy_graph import ACTIVATIONS, Weights, build_model, input_labels
+from quadwalk.paths import PRETRAINED
+from quadwalk.settings.registry import TERMS
 from quadwalk.settings.terms import ActionMap
 from quadwalk.task.env import QuadrupedEnv
 from quadwalk.task_files import load_task
 from quadwalk.train.runs.directory import Run
+from tests.settings.test_registry import to_module_names
 from tests.view.conftest import write_run
 
 SECONDS = 0.5
@@ -245,6 +248,30 @@ def test_a_joint_with_a_comma_in_its_name_is_one_of_twelve(exported, monkeypatch
 def test_a_number_without_limit_is_null_in_json():
     assert read_list("[1, null]") == read_list("[1, null]".replace("null", "1e999")) == [1, np.inf]
     assert read_list("1,inf") == ["1", "inf"]
+
+
+def test_observations_are_named_by_their_registered_names(exported):
+    names = read_list(exported.metadata["observation_functions"])
+    assert set(names) <= set(TERMS)
+    assert {name.partition(":")[0] for name in names} == {"observation"}
+
+
+def test_an_export_that_names_observations_by_module_runs_and_is_checked(exported, tmp_path):
+    shutil.copytree(exported.folder, tmp_path / "old")
+    model = onnx.load(tmp_path / "old" / "policy.onnx")
+    (entry,) = (e for e in model.metadata_props if e.key == "observation_functions")
+    entry.value = to_module_names(entry.value)
+    assert entry.value.count("quadwalk.") == len(exported.loaded.env.config.observation)
+    onnx.save(model, tmp_path / "old" / "policy.onnx")
+    check_export(exported.loaded, tmp_path / "old", None, Console(quiet=True))
+
+
+def test_a_packaged_policy_is_exported_with_registered_names(tmp_path):
+    main([str(PRETRAINED / "walk"), "-o", str(tmp_path)])
+    model = onnx.load(tmp_path / "policy.onnx")
+    (entry,) = (e for e in model.metadata_props if e.key == "observation_functions")
+    assert {"observation:joint_pos", "observation:trot_clock"} <= set(json.loads(entry.value))
+    assert "joint_pos_rel" in (tmp_path / "deploy.yaml").read_text()
 
 
 def test_an_older_export_with_commas_between_its_numbers_runs_and_is_checked(exported, tmp_path):

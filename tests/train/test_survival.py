@@ -27,6 +27,7 @@ from quadwalk.train.runs.directory import (
 )
 from quadwalk.train.runs.log import read_metrics
 from quadwalk.train.runs.policy import load_policy
+from tests.settings.test_registry import to_module_names
 
 ITERATIONS = 60
 OFTEN = "--checkpoint-steps=128"  # after every second iteration
@@ -174,6 +175,16 @@ def test_of_nothing_but_truncated_ones_none_is_gone_on_from(copied, resume):
     with pytest.raises(UserError, match="copy has no checkpoint that can be read"):
         resume()
     assert copied.metrics.read_bytes() == before
+
+
+def test_a_run_whose_files_name_terms_by_module_is_gone_on_from(whole, copied, resume, same_result):
+    config = copied.config.read_text()
+    copied.config.write_text(to_module_names(config))
+    assert config.count('"reward:') == copied.config.read_text().count('"quadwalk.task.reward:') > 5
+    list_checkpoints(copied)[-1].unlink()
+    resume()
+    same_result(copied.path, whole)
+    assert copied.config.read_text().count('"reward:') > 5
 
 
 def test_a_run_keeps_its_ground(tmp_path, flags, train, monkeypatch):
