@@ -17,7 +17,7 @@ from typing import Any
 
 from quadwalk.errors import UsageError, UserError, line_in, meant
 from quadwalk.files import os_reason, real_path
-from quadwalk.settings.registry import TERMS, current_name, registered_name
+from quadwalk.settings.registry import TERMS, find_registered_name, to_current_name
 from quadwalk.settings.training import TrainConfig
 
 OWN = "task.py"  # the copy of its task's file that a run keeps
@@ -67,7 +67,7 @@ def reference(function: Callable[..., Any]) -> str:
     module, name = function.__module__, function.__qualname__
     if module.startswith(_OWN_MODULE) and name.isidentifier():
         return f"{OWN}:{name}"
-    registered = registered_name(f"{module}:{name}")
+    registered = find_registered_name(f"{module}:{name}")
     if registered is None:
         raise UsageError(
             f"the function {name} of a term is defined in {module}; expected one of the terms in "
@@ -88,7 +88,7 @@ def resolve(where: str, folder: Path) -> Callable[..., Any]:
         if not callable(function):
             raise UserError(f"{module} has no function {name!r} (any more)")
         return function
-    place = TERMS.get(current_name(where))
+    place = TERMS.get(to_current_name(where))
     if place is None:
         raise UserError(f"{where!r} is no term of this version of quadwalk or of {OWN}")
     module, _, name = place.partition(":")

@@ -24,7 +24,7 @@ from quadwalk.export.policy_graph import input_labels, input_order
 from quadwalk.files import read_bytes
 from quadwalk.physics.engines import ENGINES
 from quadwalk.physics.motor import PhysicsState
-from quadwalk.settings.registry import current_name
+from quadwalk.settings.registry import to_current_name
 from quadwalk.task.env import QuadrupedEnv
 from quadwalk.task.episode.command import Command
 from quadwalk.task.state import EnvState
@@ -96,7 +96,7 @@ def differing_entries(loaded: LoadedRun, file: Path) -> Iterator[str]:
 def _to_words(text: str) -> list[str]:
     """Return the parts of an entry of the metadata, the same for exports of all versions."""
     parts = read_list(text)
-    return [current_name(part) if isinstance(part, str) else f"{part:.9g}" for part in parts]
+    return [to_current_name(part) if isinstance(part, str) else f"{part:.9g}" for part in parts]
 
 
 def replay(folder: Path, loaded: LoadedRun) -> dict[str, np.ndarray]:

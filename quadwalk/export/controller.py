@@ -46,7 +46,7 @@ def read_list(text: str) -> list:
     return [np.inf if value is None else value for value in json.loads(text)]
 
 
-def new_name(name: str) -> str:
+def to_current_name(name: str) -> str:
     """Return the name in `OBSERVATIONS` of what an older export calls by its place in quadwalk."""
     module, _, function = name.partition(":")
     if module not in ("quadwalk.task.observation", "quadwalk.tasks.blog"):
@@ -72,7 +72,9 @@ class Controller:
         names = "joint_stiffness joint_damping effort_limit velocity_limit joint_friction"
         self.motor = np.array([read_list(about[name]) for name in names.split()], float)
         self.home = np.array(read_list(about["default_joint_pos"]), float)
-        self.functions = [new_name(name) for name in read_list(about["observation_functions"])]
+        self.functions = [
+            to_current_name(name) for name in read_list(about["observation_functions"])
+        ]
         if unknown := sorted(set(self.functions) - set(OBSERVATIONS)):
             sys.exit(f"error: add {', '.join(unknown)} to OBSERVATIONS in {__file__}")
         self.params = json.loads(about["observation_params"]).values()

@@ -91,12 +91,12 @@ ALIASES = {
 _NAMES = {place: name for name, place in TERMS.items()}
 
 
-def registered_name(place: str) -> str | None:
+def find_registered_name(place: str) -> str | None:
     """Return the name of the term at a place, "module:function"; None where there is none."""
     return _NAMES.get(place)
 
 
-def current_name(name: str) -> str:
+def to_current_name(name: str) -> str:
     """Return the name that a term has today, of the name in a file of any version."""
     module, _, function = name.partition(":")
     if name in ALIASES:

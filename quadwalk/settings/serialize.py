@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from quadwalk.errors import UsageError, UserError, meant
-from quadwalk.settings.registry import current_name
+from quadwalk.settings.registry import to_current_name
 from quadwalk.settings.terms import Reward, Term
 from quadwalk.task_files import own_file, reference, resolve
 
@@ -106,7 +106,7 @@ def _restore(hint: Any, value: Any, folder: Path, where: str) -> Any:
 def _part(name: str, value: Any) -> str:
     """The name that a part of this name, of an earlier version or not, has today."""
     function = value.get("function") if isinstance(value, dict) else None
-    return OLD_PARTS.get((name, current_name(str(function))), name)
+    return OLD_PARTS.get((name, to_current_name(str(function))), name)
 
 
 def flatten(config: Any, prefix: str = "") -> dict[str, Any]:

@@ -13,7 +13,7 @@ import pytest
 import quadwalk.tasks
 from quadwalk.paths import PRETRAINED
 from quadwalk.settings import registry
-from quadwalk.settings.registry import ALIASES, TERMS, current_name
+from quadwalk.settings.registry import ALIASES, TERMS, to_current_name
 from quadwalk.settings.serialize import from_dict, to_dict
 from quadwalk.settings.training import TrainConfig
 from quadwalk.task import reward, termination
@@ -91,12 +91,12 @@ def test_a_name_of_an_earlier_version_is_that_of_the_same_term():
         if ":" in old:
             assert new in TERMS, old
     # Both are called offset and heading, and are other terms.
-    assert current_name("quadwalk.task.reward:offset") == "reward:offset"
-    assert current_name("quadwalk.task.observation:offset") == "observation:offset"
-    assert current_name("quadwalk.tasks.blog:heading") == "reward:heading"
-    assert current_name("quadwalk.task.observation:heading") == "observation:heading"
-    assert current_name("quadwalk.task.observation:joint_positions") == "observation:joint_pos"
-    assert current_name("task.py:heading") == "task.py:heading"
+    assert to_current_name("quadwalk.task.reward:offset") == "reward:offset"
+    assert to_current_name("quadwalk.task.observation:offset") == "observation:offset"
+    assert to_current_name("quadwalk.tasks.blog:heading") == "reward:heading"
+    assert to_current_name("quadwalk.task.observation:heading") == "observation:heading"
+    assert to_current_name("quadwalk.task.observation:joint_positions") == "observation:joint_pos"
+    assert to_current_name("task.py:heading") == "task.py:heading"
 
 
 def test_the_configuration_of_an_earlier_run_is_read_and_written_by_registered_names():
@@ -119,4 +119,4 @@ def test_every_term_of_a_packaged_policy_is_known(run):
     _, metadata = checkpoint.load(PRETRAINED / run / "policy.npz", "policy")
     names = names_in(json.dumps(metadata["config"]))
     assert len(names) > 10
-    assert {current_name(name) for name in names} <= set(TERMS)
+    assert {to_current_name(name) for name in names} <= set(TERMS)
