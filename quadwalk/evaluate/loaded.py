@@ -14,6 +14,7 @@ from quadwalk.ground.terrain import FLAT, GroundConfig
 from quadwalk.physics.engines import EngineName
 from quadwalk.settings.environment import (
     NO_RANDOMIZATION,
+    PHYSICS,
     REAL_WORLD,
     EnvConfig,
     RandomizationConfig,
@@ -112,6 +113,8 @@ def load_run(
     config = dataclasses.replace(
         trained,
         episode_seconds=seconds,
+        # The two iterations of earlier runs grip too well on slippery floors.
+        solver_iterations=max(trained.solver_iterations, PHYSICS["solver_iterations"]),
         command=command,
         randomization=evaluation_ranges(trained, randomized),
         ground=FLAT if flat else unseen_ground(trained.ground, seed),
