@@ -16,7 +16,15 @@ from quadwalk.errors import UserError
 from quadwalk.identify import identification
 from quadwalk.identify.__main__ import main
 from quadwalk.identify.config import IdentifyConfig
-from quadwalk.identify.fit import OF_URDF, SETTLE, Fit, Parameters, Value, compute_intervals
+from quadwalk.identify.fit import (
+    OF_URDF,
+    OFFSETS,
+    SETTLE,
+    Fit,
+    Parameters,
+    Value,
+    compute_intervals,
+)
 from quadwalk.identify.found import is_sure
 from quadwalk.identify.identification import describe
 from quadwalk.identify.joint_log import find_pieces, read_log
@@ -193,7 +201,8 @@ def test_a_fit_that_explains_little_is_sure_of_nothing_and_writes_no_urdf(
     log_file = rewrite(change)
     log = read_log(log_file, quadruped.joints)
     _, joints = describe(quadruped, IdentifyConfig(log_file))
-    values = [Value("friction", (0, 3, 6, 9), 0.4, 8.9, 0.005), Value("offset", (0,), 0, 0.02, 0)]
+    values = [Value("friction", (0, 3, 6, 9), 0.4, 8.9, 0.005)]
+    values += [Value(name, (joint,), 0, 0.02, 0) for joint in range(12) for name in OFFSETS]
     fit = Fit(
         values=tuple(values),
         described=joints,
