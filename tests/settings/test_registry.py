@@ -11,14 +11,15 @@ from pathlib import Path
 import pytest
 
 import quadwalk.tasks
+from quadwalk.env import rewards as reward
+from quadwalk.env import terminations as termination
 from quadwalk.paths import PRETRAINED
+from quadwalk.runs import checkpoint
 from quadwalk.settings import registry
 from quadwalk.settings.registry import ALIASES, TERMS, to_current_name
 from quadwalk.settings.serialize import from_dict, to_dict
 from quadwalk.settings.training import TrainConfig
-from quadwalk.task import reward, termination
 from quadwalk.task_files import load_task, reference, resolve
-from quadwalk.train.runs import checkpoint
 
 # A config.json as training wrote it when files named modules.
 OLD_CONFIG = Path(__file__).with_name("config_with_module_names.json")
@@ -72,7 +73,7 @@ def test_a_name_is_of_a_term_of_its_kind_and_comes_back(name):
 
 
 def test_every_term_of_the_package_has_a_name():
-    modules = [f"quadwalk.task.{name}" for name in MODULES]
+    modules = [f"quadwalk.env.{name}" for name in MODULES]
     modules += [
         f"quadwalk.tasks.{module.name}" for module in pkgutil.iter_modules(quadwalk.tasks.__path__)
     ]
@@ -91,18 +92,18 @@ def test_a_name_of_an_earlier_version_is_that_of_the_same_term():
         if ":" in old:
             assert new in TERMS, old
     # Both are called offset and heading, and are other terms.
-    assert to_current_name("quadwalk.task.reward:offset") == "reward:offset"
-    assert to_current_name("quadwalk.task.observation:offset") == "observation:offset"
+    assert to_current_name("quadwalk.env.rewards:offset") == "reward:offset"
+    assert to_current_name("quadwalk.env.observations:offset") == "observation:offset"
     assert to_current_name("quadwalk.tasks.blog:heading") == "reward:heading"
-    assert to_current_name("quadwalk.task.observation:heading") == "observation:heading"
-    assert to_current_name("quadwalk.task.observation:joint_positions") == "observation:joint_pos"
+    assert to_current_name("quadwalk.env.observations:heading") == "observation:heading"
+    assert to_current_name("quadwalk.env.observations:joint_positions") == "observation:joint_pos"
     assert to_current_name("task.py:heading") == "task.py:heading"
 
 
 def test_the_configuration_of_an_earlier_run_is_read_and_written_by_registered_names():
     text = OLD_CONFIG.read_text()
     assert len(names_in(text)) > 20
-    assert all(name.startswith("quadwalk.task") for name in names_in(text))
+    assert all(name.startswith("quadwalk.env") for name in names_in(text))
     config = from_dict(TrainConfig, json.loads(text)["config"], Path())
     assert config.env.reward["energy"].function is reward.energy
     assert config.env.termination["tipped"].function is termination.tipped
