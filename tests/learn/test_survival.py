@@ -180,7 +180,7 @@ def test_of_nothing_but_truncated_ones_none_is_gone_on_from(copied, resume):
 def test_a_run_whose_files_name_terms_by_module_is_gone_on_from(whole, copied, resume, same_result):
     config = copied.config.read_text()
     copied.config.write_text(to_module_names(config))
-    assert config.count('"reward:') == copied.config.read_text().count('"quadwalk.env.rewards:') > 5
+    assert config.count('"reward:') == copied.config.read_text().count('"quadwalk.task.reward:') > 5
     list_checkpoints(copied)[-1].unlink()
     resume()
     same_result(copied.path, whole)

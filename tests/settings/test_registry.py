@@ -30,7 +30,7 @@ INPUTS = {
     "termination": ["robot", "step"],
     "action": ["robot", "action", "joints"],
 }
-MODULES = ("reward", "observation", "termination", "actions")
+MODULES = ("rewards", "observations", "terminations", "actions")
 
 
 def names_in(text: str) -> set[str]:
@@ -92,18 +92,18 @@ def test_a_name_of_an_earlier_version_is_that_of_the_same_term():
         if ":" in old:
             assert new in TERMS, old
     # Both are called offset and heading, and are other terms.
-    assert to_current_name("quadwalk.env.rewards:offset") == "reward:offset"
-    assert to_current_name("quadwalk.env.observations:offset") == "observation:offset"
+    assert to_current_name("quadwalk.task.reward:offset") == "reward:offset"
+    assert to_current_name("quadwalk.task.observation:offset") == "observation:offset"
     assert to_current_name("quadwalk.tasks.blog:heading") == "reward:heading"
-    assert to_current_name("quadwalk.env.observations:heading") == "observation:heading"
-    assert to_current_name("quadwalk.env.observations:joint_positions") == "observation:joint_pos"
+    assert to_current_name("quadwalk.task.observation:heading") == "observation:heading"
+    assert to_current_name("quadwalk.task.observation:joint_positions") == "observation:joint_pos"
     assert to_current_name("task.py:heading") == "task.py:heading"
 
 
 def test_the_configuration_of_an_earlier_run_is_read_and_written_by_registered_names():
     text = OLD_CONFIG.read_text()
     assert len(names_in(text)) > 20
-    assert all(name.startswith("quadwalk.env") for name in names_in(text))
+    assert all(name.startswith("quadwalk.task") for name in names_in(text))
     config = from_dict(TrainConfig, json.loads(text)["config"], Path())
     assert config.env.reward["energy"].function is reward.energy
     assert config.env.termination["tipped"].function is termination.tipped
