@@ -19,8 +19,8 @@ from collections.abc import Callable, Iterator
 import mujoco
 import numpy as np
 
+from quadwalk.learn.devices import set_up_devices
 from quadwalk.physics.engines import ENGINES, EngineName
-from quadwalk.train.devices import set_up_devices
 
 ROBOTS = 16
 SECONDS = 1.0
@@ -42,10 +42,10 @@ def print_accuracy() -> None:
     import jax
     import jax.numpy as jnp
 
+    from quadwalk.env.env import QuadrupedEnv
     from quadwalk.physics.fast import lowest_points
     from quadwalk.physics.motor import PhysicsState
     from quadwalk.robot.quadruped import load_quadruped
-    from quadwalk.task.env import QuadrupedEnv
     from quadwalk.tasks.sprint import TASK
 
     quadruped = load_quadruped()

@@ -21,8 +21,8 @@ import argparse
 import dataclasses
 from typing import TYPE_CHECKING
 
+from quadwalk.learn.devices import set_up_devices
 from quadwalk.tasks import sprint
-from quadwalk.train.devices import set_up_devices
 
 if TYPE_CHECKING:
     import numpy as np
@@ -40,8 +40,8 @@ def main() -> None:
     import numpy as np
     from brax_training import compare, learning_curves
 
+    from quadwalk.env.env import QuadrupedEnv
     from quadwalk.robot.quadruped import load_quadruped
-    from quadwalk.task.env import QuadrupedEnv
 
     env = QuadrupedEnv(load_quadruped(), dataclasses.replace(sprint.TASK.env, episode_seconds=10.0))
     # Brax's stay the same throughout.

@@ -20,10 +20,10 @@ from brax.training.agents.ppo import train as brax_ppo
 from brax.training.distribution import NormalTanhDistribution
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
+from quadwalk.learn import iteration, ppo
+from quadwalk.learn.acting import make_policy
+from quadwalk.learn.networks import Networks, TanhNormal, make_networks
 from quadwalk.settings.training import PPOConfig
-from quadwalk.train.learner import iteration, ppo
-from quadwalk.train.learner.acting import make_policy
-from quadwalk.train.learner.networks import Networks, TanhNormal, make_networks
 
 Params = tuple[Any, Any, Any]  # normalizer, policy, value
 

@@ -3,9 +3,9 @@
 import time
 from typing import NamedTuple
 
+from quadwalk.learn.devices import cpu_cores, device_count, set_up_devices
 from quadwalk.settings.training import PPOConfig
 from quadwalk.tasks import sprint
-from quadwalk.train.devices import cpu_cores, device_count, set_up_devices
 
 SUBSTEPS = sprint.TASK.env.substeps  # physics steps in a control step
 CONTROL_DT = sprint.TASK.env.control_dt  # s
@@ -25,10 +25,10 @@ class DefaultTraining:
         config = config or sprint.TASK.ppo
         self.devices = device_count(envs, config.minibatches, config.eval_envs, cpu_cores())
         set_up_devices(self.devices)
+        from quadwalk.env.env import QuadrupedEnv
+        from quadwalk.learn import iteration
+        from quadwalk.learn.networks import networks_for
         from quadwalk.robot.quadruped import load_quadruped
-        from quadwalk.task.env import QuadrupedEnv
-        from quadwalk.train.learner import iteration
-        from quadwalk.train.learner.networks import networks_for
 
         env = QuadrupedEnv(load_quadruped(), sprint.TASK.env)
         networks = networks_for(env, config)
@@ -55,7 +55,7 @@ class DefaultTraining:
         """The same, with collecting and learning timed apart."""
         import jax
 
-        from quadwalk.train.learner.iteration import TrainState
+        from quadwalk.learn.iteration import TrainState
 
         began, iterations = time.perf_counter(), 0
         collecting = learning = 0.0

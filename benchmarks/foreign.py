@@ -33,7 +33,7 @@ from simulators import Condition, Contact, Episode, Simulator, controller_of, ru
 
 # Processes that simulate import this file as well: what takes seconds is imported where it is used.
 if TYPE_CHECKING:
-    from quadwalk.evaluate.loaded import LoadedRun
+    from quadwalk.evaluation.loaded import LoadedRun
 
 SIMULATORS: tuple[Simulator, ...] = ("Drake", "MuJoCo C")
 PROCESSES = 2
@@ -57,8 +57,8 @@ def begun(
     """Starts, qpos and qvel, and commands (episodes, T, 3) of the task, two for each episode."""
     import jax
 
-    from quadwalk.evaluate.simulate import fresh_starts
-    from quadwalk.task.episode.command import draw
+    from quadwalk.env.command import draw
+    from quadwalk.evaluation.simulate import fresh_starts
 
     env, steps = loaded.env, loaded.env.config.episode_steps
     first = jax.device_get(fresh_starts(env, episodes, seed)).pipeline_state
@@ -77,14 +77,14 @@ def figures(episode: Episode, commands: np.ndarray | None, dt: float) -> dict[st
 
     `commands` (steps, 3) is None for a task that has none.
     """
-    from quadwalk.evaluate.motion.course import (
+    from quadwalk.evaluation.motion.course import (
         SETTLING,
         WINDOW,
         heading_velocity,
         tracking_errors,
         window_means,
     )
-    from quadwalk.evaluate.motion.kinematics import roll_pitch_yaw
+    from quadwalk.evaluation.motion.kinematics import roll_pitch_yaw
 
     poses, steps = episode.qpos, len(episode.target)
     if commands is None:
@@ -100,7 +100,7 @@ def figures(episode: Episode, commands: np.ndarray | None, dt: float) -> dict[st
 
 def summary(found: list[dict[str, float]], fell: np.ndarray, upright: np.ndarray) -> dict[str, Any]:
     """Falls of one condition in one simulator, and figures of the `upright` episodes, for JSON."""
-    from quadwalk.evaluate.statistics import mean_figure, share_interval
+    from quadwalk.evaluation.statistics import mean_figure, share_interval
 
     kept = [own for own, stands in zip(found, upright, strict=True) if stands]
     means = {name: mean_figure([own[name] for own in kept]) for name in found[0]}
@@ -110,7 +110,7 @@ def summary(found: list[dict[str, float]], fell: np.ndarray, upright: np.ndarray
 
 def rows(results: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """Of each condition a row of plain numbers, named."""
-    from quadwalk.evaluate.statistics import figure_mean
+    from quadwalk.evaluation.statistics import figure_mean
 
     found = []
     for result in results:
@@ -151,8 +151,8 @@ def picture(episodes: dict[str, Episode], loaded: "LoadedRun") -> np.ndarray:
     """(H, W, 3) uint8: a row of pictures of each simulator, at the same times."""
     from PIL import Image, ImageDraw, ImageFont
 
-    from quadwalk.drawing.canvas import Camera, Canvas
-    from quadwalk.drawing.images import film_strip
+    from quadwalk.render.canvas import Camera, Canvas
+    from quadwalk.render.images import film_strip
 
     dt, font, found = loaded.env.config.control_dt, ImageFont.load_default(size=16), []
     canvas = Canvas(loaded.env.quadruped.full_model(), *PICTURE)
@@ -234,14 +234,14 @@ def main() -> None:
     """Export, drive, print and write."""
     from rich.console import Console
 
-    from quadwalk.command.shell import install
-    from quadwalk.drawing.images import save_png
+    from quadwalk.cli.shell import install
     from quadwalk.errors import UserError
-    from quadwalk.evaluate.loaded import load_run
-    from quadwalk.evaluate.recording.provenance import provenance
+    from quadwalk.evaluation.loaded import load_run
+    from quadwalk.evaluation.recording.provenance import provenance
     from quadwalk.export.bundle import export_run
     from quadwalk.files import atomic_write
-    from quadwalk.train.runs.directory import find_ready, results_folder, write_json_atomic
+    from quadwalk.render.images import save_png
+    from quadwalk.runs.directory import find_ready, results_folder, write_json_atomic
 
     options = parse()
     run = find_ready(options.runs, options.run, "run")
@@ -270,6 +270,6 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    from quadwalk.command.process import run_command
+    from quadwalk.cli.process import run_command
 
     run_command(main)

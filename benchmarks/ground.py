@@ -14,7 +14,7 @@ import time
 import numpy as np
 
 from quadwalk.cores import cpu_cores
-from quadwalk.train.devices import set_up_devices
+from quadwalk.learn.devices import set_up_devices
 
 
 def main() -> None:
@@ -32,15 +32,15 @@ def print_costs(envs: int, steps: int, rounds: int) -> None:
     import jax
     import jax.numpy as jnp
 
-    from quadwalk.ground.terrain import FLAT, make_terrain
-    from quadwalk.ground.tiles import KINDS
+    from quadwalk.learn.iteration import make_mesh
+    from quadwalk.learn.ppo import AXIS
     from quadwalk.physics.batching import robots_last
     from quadwalk.physics.fast import acceleration, integrate, make_model
     from quadwalk.physics.model import Model, on_ground
     from quadwalk.physics.motor import MotorConfig, PhysicsState, make_motor
     from quadwalk.robot.quadruped import load_quadruped
-    from quadwalk.train.learner.iteration import make_mesh
-    from quadwalk.train.learner.ppo import AXIS
+    from quadwalk.terrain.terrain import FLAT, make_terrain
+    from quadwalk.terrain.tiles import KINDS
 
     quadruped = load_quadruped()
     terrain = make_terrain(dataclasses.replace(FLAT, kinds=tuple(KINDS)), leg=0.5)

@@ -18,8 +18,8 @@ from quadwalk.identify.excite import excitation
 from quadwalk.identify.found import OF_URDF, OFFSETS, labels_of
 from quadwalk.identify.identification import fit_log
 from quadwalk.identify.joint_log import Log
+from quadwalk.learn.devices import set_up_devices
 from quadwalk.robot.quadruped import Quadruped, load_quadruped
-from quadwalk.train.devices import set_up_devices
 
 DT, EVERY = 1e-4, 50  # s, a physics step; those between two rows of the log
 PARTS = tuple[float, float, float]  # of hip, thigh and calf

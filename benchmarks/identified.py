@@ -17,14 +17,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from quadwalk.evaluate.evaluation import measure
-from quadwalk.evaluate.loaded import LoadedRun, load_run
+from quadwalk.evaluation.evaluation import measure
+from quadwalk.evaluation.loaded import LoadedRun, load_run
 from quadwalk.identify.found import with_joints
+from quadwalk.learn.devices import set_up_devices
 from quadwalk.paths import PRETRAINED
 from quadwalk.robot.quadruped import load_quadruped
+from quadwalk.runs.directory import Run
 from quadwalk.settings.environment import NO_RANDOMIZATION
-from quadwalk.train.devices import set_up_devices
-from quadwalk.train.runs.directory import Run
 
 LEGS = ("FL", "FR", "RL", "RR")
 JOINTS = [f"{leg}_{part}_joint" for leg in LEGS for part in ("hip", "thigh", "calf")]

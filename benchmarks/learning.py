@@ -149,7 +149,7 @@ def work(task: str, envs: int, processor_time: bool) -> None:
     clock = time.process_time if processor_time else time.perf_counter
     import dataclasses
 
-    from quadwalk.train.devices import choose_devices
+    from quadwalk.learn.devices import choose_devices
 
     try:
         module = importlib.import_module(f"quadwalk.tasks.{task}")
@@ -160,10 +160,10 @@ def work(task: str, envs: int, processor_time: bool) -> None:
     config, devices = choose_devices(dataclasses.replace(module.TASK, envs=envs))
     import jax
 
+    from quadwalk.env.env import QuadrupedEnv
+    from quadwalk.learn import iteration, ppo
+    from quadwalk.learn import networks as module_of_networks
     from quadwalk.robot.quadruped import load_quadruped
-    from quadwalk.task.env import QuadrupedEnv
-    from quadwalk.train.learner import iteration, ppo
-    from quadwalk.train.learner import networks as module_of_networks
 
     env = QuadrupedEnv(load_quadruped(), config.env)
     critic = len(getattr(env, "critic_names", ()))  # a commit may have none

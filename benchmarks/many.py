@@ -17,15 +17,15 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
-from quadwalk.command.process import run_command
+from quadwalk.cli.process import run_command
 from quadwalk.cores import cpu_cores
 from quadwalk.experiments.job import Job, fix_sizes
 from quadwalk.experiments.options import PlaceConfig
 from quadwalk.experiments.places import make_place
 from quadwalk.experiments.runner import collect_values, run_jobs
+from quadwalk.runs.directory import Run
+from quadwalk.runs.policy import load_score
 from quadwalk.tasks.sprint import TASK
-from quadwalk.train.runs.directory import Run
-from quadwalk.train.runs.policy import load_score
 
 
 def steps_of(run: Run) -> int:

@@ -22,9 +22,9 @@ from types import ModuleType
 import numpy as np
 
 from quadwalk.cores import cpu_cores
+from quadwalk.learn.devices import set_up_devices
 from quadwalk.physics import batching, fast
 from quadwalk.physics.constraints import solver
-from quadwalk.train.devices import set_up_devices
 
 
 def main() -> None:
@@ -51,16 +51,16 @@ def print_rates(
     import mujoco
     import mujoco.rollout
 
+    from quadwalk.env.env import QuadrupedEnv
+    from quadwalk.learn.iteration import make_mesh
+    from quadwalk.learn.ppo import AXIS
     from quadwalk.physics.batching import robots_last
     from quadwalk.physics.fast import acceleration, integrate
     from quadwalk.physics.mjx import mjx
     from quadwalk.physics.model import Model
     from quadwalk.physics.motor import PhysicsState
     from quadwalk.robot.quadruped import load_quadruped
-    from quadwalk.task.env import QuadrupedEnv
     from quadwalk.tasks.sprint import TASK
-    from quadwalk.train.learner.iteration import make_mesh
-    from quadwalk.train.learner.ppo import AXIS
 
     env = QuadrupedEnv(load_quadruped(), TASK.env)
     whole = QuadrupedEnv(load_quadruped(), dataclasses.replace(TASK.env, contacts="body"))

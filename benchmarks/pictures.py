@@ -31,20 +31,20 @@ from rich.console import Console
 sys.path.insert(0, str(Path(__file__).parents[1]))  # for benchmarks.zoo, where run as a script
 
 from benchmarks.zoo import example_robot_data
-from quadwalk.command.process import run_command
-from quadwalk.drawing.canvas import Camera, Canvas
-from quadwalk.drawing.figures import new_figure, save_figure
-from quadwalk.drawing.images import film_strip, save_png
+from quadwalk.cli.process import run_command
 from quadwalk.errors import UserError
-from quadwalk.evaluate.loaded import LoadedRun
-from quadwalk.evaluate.report.panels import draw_sweep
+from quadwalk.evaluation.loaded import LoadedRun
+from quadwalk.evaluation.report.panels import draw_sweep
 from quadwalk.files import atomic_write
-from quadwalk.ground.picture import draw_kinds
-from quadwalk.ground.terrain import FLAT
-from quadwalk.ground.tiles import KINDS
 from quadwalk.paths import PRETRAINED
+from quadwalk.render.canvas import Camera, Canvas
+from quadwalk.render.figures import new_figure, save_figure
+from quadwalk.render.images import film_strip, save_png
 from quadwalk.robot.quadruped import load_quadruped
-from quadwalk.train.runs.directory import Run
+from quadwalk.runs.directory import Run
+from quadwalk.terrain.picture import draw_kinds
+from quadwalk.terrain.terrain import FLAT
+from quadwalk.terrain.tiles import KINDS
 from quadwalk.view.choices import LAST, getup_of, open_run
 from quadwalk.view.live import LiveRobot
 from quadwalk.view.page import Page

@@ -12,13 +12,13 @@ import shutil
 from pathlib import Path
 from typing import Any
 
+from quadwalk.learn.flags import parse_config
+from quadwalk.learn.loop import train
 from quadwalk.paths import PRETRAINED
+from quadwalk.runs import checkpoint
+from quadwalk.runs.directory import Run
 from quadwalk.settings.serialize import to_dict
 from quadwalk.settings.training import RobotConfig
-from quadwalk.train.flags import parse_config
-from quadwalk.train.loop import train
-from quadwalk.train.runs import checkpoint
-from quadwalk.train.runs.directory import Run
 
 # Task -> flags of the training whose networks it begins with, and the seed of both.
 BEGINS = {"drive": ["run", "--steps", "14000000"]}

@@ -16,9 +16,9 @@ from rerun.blueprint.encodings import ComponentSourceKind, VisualizerComponentMa
 
 sys.path.insert(0, str(Path(__file__).parents[1]))  # where run as a script
 
-from quadwalk.drawing.figures import LEG_COLORS
-from quadwalk.evaluate.recording.mcap import RERUN_APPLICATION, RERUN_BLUEPRINT
-from quadwalk.evaluate.recording.messages import WORLD
+from quadwalk.evaluation.recording.mcap import RERUN_APPLICATION, RERUN_BLUEPRINT
+from quadwalk.evaluation.recording.messages import WORLD
+from quadwalk.render.figures import LEG_COLORS
 
 TIMELINE = "message_log_time"
 LEGS = ("FR", "FL", "RR", "RL")

@@ -22,7 +22,7 @@ from typing import NamedTuple
 
 from default_training import SUBSTEPS, DefaultTraining
 
-from quadwalk.train.devices import cpu_cores
+from quadwalk.learn.devices import cpu_cores
 
 try:
     import resource

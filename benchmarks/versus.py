@@ -21,7 +21,7 @@ from typing import NamedTuple
 
 from default_training import CONTROL_DT, DefaultTraining
 
-from quadwalk.train.devices import CPU_ENVS, cpu_cores
+from quadwalk.learn.devices import CPU_ENVS, cpu_cores
 
 POST = Path(__file__).with_name("the_post.py")
 

@@ -15,7 +15,7 @@ import numpy as np
 
 import quadwalk
 from benchmarks.zoo import example_robot_data
-from quadwalk.train.runs.log import read_history
+from quadwalk.runs.log import read_history
 
 MEAN = 20  # iterations
 

@@ -30,7 +30,7 @@ import mujoco
 import numpy as np
 
 from quadwalk.api import evaluate
-from quadwalk.command.process import run_command
+from quadwalk.cli.process import run_command
 from quadwalk.experiments.job import Job, fix_sizes
 from quadwalk.experiments.options import PlaceConfig, add_place_flags, read_place
 from quadwalk.experiments.places import make_place
@@ -39,8 +39,8 @@ from quadwalk.robot.mjcf import Options, convert, write_xml
 from quadwalk.robot.quadruped import Quadruped, find_quadruped, load_quadruped, with_motors
 from quadwalk.robot.structure.legs import Leg
 from quadwalk.robot.urdf import Urdf, UrdfError, read_urdf
+from quadwalk.runs.directory import Run
 from quadwalk.tasks.run import TASK
-from quadwalk.train.runs.directory import Run
 
 EXACT = 1e-5  # largest relative error, of six digits
 STATES = 20

@@ -4,11 +4,11 @@ import importlib
 import sys
 
 import quadwalk
-from quadwalk.command.process import run_command
+from quadwalk.cli.process import run_command
 from quadwalk.errors import UsageError, meant
 
 _COMMANDS = {
-    "train": ("quadwalk.train.__main__", "train a quadruped in a task"),
+    "train": ("quadwalk.learn.__main__", "train a quadruped in a task"),
     "eval": ("quadwalk.eval", "evaluate a trained policy"),
     "view": ("quadwalk.view.__main__", "drive a trained policy live"),
     "demo": ("quadwalk.view.__main__", "drive a policy that comes trained, in a page"),
@@ -16,11 +16,11 @@ _COMMANDS = {
     "compare": ("quadwalk.experiments.compare", "train variants over seeds, and compare them"),
     "tune": ("quadwalk.experiments.tune", "search the settings that make a policy best"),
     "identify": ("quadwalk.identify.__main__", "fit a robot's joints to a log of them"),
-    "runs": ("quadwalk.train.runs.__main__", "list, show and remove training runs"),
+    "runs": ("quadwalk.runs.__main__", "list, show and remove training runs"),
     "tasks": ("quadwalk.tasks.__main__", "list the tasks"),
     "robot": ("quadwalk.robot.__main__", "convert a URDF to MJCF, or draw it"),
-    "terrain": ("quadwalk.ground.__main__", "draw every kind of terrain"),
-    "doctor": ("quadwalk.command.doctor", "print versions, devices, cores, and what is off here"),
+    "terrain": ("quadwalk.terrain.__main__", "draw every kind of terrain"),
+    "doctor": ("quadwalk.cli.doctor", "print versions, devices, cores, and what is off here"),
 }
 _DEMO = ("drive", "--browser")
 
@@ -37,7 +37,7 @@ def command() -> None:
         print(f"quadwalk {quadwalk.__version__}")
         return
     if given == "--print-completion":
-        from quadwalk.command.completion import completion_script  # it imports JAX
+        from quadwalk.cli.completion import completion_script  # it imports JAX
 
         modules = {name: module for name, (module, _) in _COMMANDS.items()}
         print(completion_script(others[0] if others else "", modules), end="")

@@ -4,22 +4,22 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from quadwalk.command.line import message_console
+from quadwalk.cli.arguments import message_console
+from quadwalk.env.env import QuadrupedEnv
 from quadwalk.errors import UsageError
-from quadwalk.evaluate.evaluation import Evaluation, measure
-from quadwalk.evaluate.loaded import load_run
-from quadwalk.evaluate.report.console import print_comparison
+from quadwalk.evaluation.evaluation import Evaluation, measure
+from quadwalk.evaluation.loaded import load_run
+from quadwalk.evaluation.report.console import print_comparison
+from quadwalk.learn import loop
+from quadwalk.learn.devices import set_up_devices
+from quadwalk.runs import policy as policy_file
+from quadwalk.runs.directory import Run, find_any_run
+from quadwalk.runs.policy import Policy
+from quadwalk.runs.resume import resumed_config
+from quadwalk.runs.robot import load_robot
 from quadwalk.settings.serialize import with_settings
 from quadwalk.settings.training import TrainConfig
-from quadwalk.task.env import QuadrupedEnv
 from quadwalk.task_files import load_task
-from quadwalk.train import loop
-from quadwalk.train.devices import set_up_devices
-from quadwalk.train.robot import load_robot
-from quadwalk.train.runs import policy as policy_file
-from quadwalk.train.runs.directory import Run, find_any_run
-from quadwalk.train.runs.policy import Policy
-from quadwalk.train.runs.resume import resumed_config
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -129,7 +129,7 @@ def compare(results: Mapping[str, Evaluation]) -> "Figure":
 
     `UsageError` unless they are of the same episodes: by number, time limit and seed.
     """
-    from quadwalk.evaluate.report.panels import draw_comparison  # Matplotlib: no other needs it
+    from quadwalk.evaluation.report.panels import draw_comparison  # Matplotlib: no other needs it
 
     found = [result.results for result in results.values()]
     starts = {(each["summary"]["episodes"], each["seconds"], each["seed"]) for each in found}

@@ -3,8 +3,8 @@
 import sys
 from collections.abc import Sequence
 
-from quadwalk.command.line import parse
-from quadwalk.evaluate.options import EvalConfig
+from quadwalk.cli.arguments import parse
+from quadwalk.evaluation.options import EvalConfig
 
 
 def main(args: Sequence[str] | None = None, prog: str = "eval.py") -> None:
@@ -17,6 +17,6 @@ def main(args: Sequence[str] | None = None, prog: str = "eval.py") -> None:
         own = {key: getattr(config, key) for key in ("policy", "browser", "host", "port", "runs")}
         drive(ViewConfig(config.run[0], **own))
     else:
-        from quadwalk.evaluate.session import evaluate_runs
+        from quadwalk.evaluation.session import evaluate_runs
 
         evaluate_runs(config)

@@ -15,7 +15,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from quadwalk.command.shell import install
+from quadwalk.cli.shell import install
 
 try:
     import gymnasium
@@ -31,11 +31,11 @@ from jax.sharding import Mesh
 from jax.sharding import PartitionSpec as P
 
 from quadwalk.api import make
+from quadwalk.env.env import QuadrupedEnv
+from quadwalk.env.ground_input import jit
+from quadwalk.env.state import tree_where
 from quadwalk.errors import UsageError
 from quadwalk.settings.training import TrainConfig
-from quadwalk.task.env import QuadrupedEnv
-from quadwalk.task.ground_input import jit
-from quadwalk.task.state import tree_where
 from quadwalk.task_files import task_names
 
 

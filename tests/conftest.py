@@ -16,10 +16,10 @@ import jax
 import numpy as np
 import pytest
 
+from quadwalk.env.env import QuadrupedEnv
+from quadwalk.learn.devices import set_up_devices
 from quadwalk.robot.quadruped import Quadruped, load_quadruped
-from quadwalk.task.env import QuadrupedEnv
 from quadwalk.tasks import sprint
-from quadwalk.train.devices import set_up_devices
 
 # Tests send Ctrl-C, which a shell without job control has the commands in its background ignore.
 signal.signal(signal.SIGINT, signal.default_int_handler)

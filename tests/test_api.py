@@ -16,11 +16,11 @@ from PIL import Image
 import quadwalk
 import quadwalk.gym
 from quadwalk.errors import UsageError, UserError
-from quadwalk.evaluate.recording.mcap import verify_mcap
+from quadwalk.evaluation.recording.mcap import verify_mcap
 from quadwalk.paths import ALIENGO_URDF
+from quadwalk.runs.log import read_metrics
 from quadwalk.settings.training import RobotConfig
 from quadwalk.task_files import load_task
-from quadwalk.train.runs.log import read_metrics
 from tests.programs import python
 
 BATCH = 64  # control steps in an iteration of the tiny training
@@ -243,7 +243,7 @@ def test_what_cannot_be_is_named_in_one_line(trained, runs, call, named):
 def devices_after(code: str) -> tuple[int, str]:
     """How many devices JAX has after `code` in a fresh Python of two cores, and what it warned."""
     program = (
-        f"import quadwalk.train.devices as d; d.cpu_cores = lambda: 2\n{code}\n"
+        f"import quadwalk.learn.devices as d; d.cpu_cores = lambda: 2\n{code}\n"
         "import jax; print(len(jax.devices()))"
     )
     env = {name: value for name, value in os.environ.items() if name != "XLA_FLAGS"}
@@ -253,10 +253,10 @@ def devices_after(code: str) -> tuple[int, str]:
 
 
 def test_packages_of_the_functions_names_do_not_get_in_their_way():
-    import quadwalk.evaluate.summary
-    import quadwalk.train.loop  # both are now attributes of quadwalk
+    import quadwalk.evaluation.summary
+    import quadwalk.learn.loop  # both are now attributes of quadwalk
 
-    assert quadwalk.train.loop.train is not None
+    assert quadwalk.learn.loop.train is not None
     with pytest.raises(UsageError, match="nobody"):
         quadwalk.train("nobody")
     with pytest.raises(UsageError, match="nobody"):

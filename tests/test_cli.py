@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 import pytest
 import tyro
 
-from quadwalk.command.line import parse
+from quadwalk.cli.arguments import parse
 from quadwalk.errors import UsageError, UserError
 
 

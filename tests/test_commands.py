@@ -7,11 +7,11 @@ import pytest
 
 import quadwalk
 from quadwalk.__main__ import _COMMANDS, command
-from quadwalk.command.completion import completion_script
+from quadwalk.cli.completion import completion_script
 from quadwalk.errors import UsageError, UserError
+from quadwalk.learn.flags import parse_config
+from quadwalk.runs.directory import claim, create_run
 from quadwalk.task_files import task_names
-from quadwalk.train.flags import parse_config
-from quadwalk.train.runs.directory import claim, create_run
 from quadwalk.view import __main__ as view
 
 
@@ -121,7 +121,7 @@ def test_runs_are_listed_shown_and_removed(call, tmp_path):
     with pytest.raises(UsageError, match="no run 'third'"):
         call("runs", "remove", "first", "third", "--runs", tmp_path)
     assert (tmp_path / "first").exists()
-    run = quadwalk.train.runs.directory.Run(tmp_path / "first")
+    run = quadwalk.runs.directory.Run(tmp_path / "first")
     with claim(run), pytest.raises(UserError, match="is being trained by another process"):
         call("runs", "remove", "first", "--runs", tmp_path)
     assert call("runs", "remove", "first", "--runs", tmp_path) == f"removed {run.path}\n"

@@ -2,7 +2,7 @@ import importlib.metadata
 import os
 import sys
 
-from quadwalk.command import doctor
+from quadwalk.cli import doctor
 from tests.programs import python
 
 

@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 
 from quadwalk.errors import UserError
-from quadwalk.evaluate.recording.mcap import verify_mcap
-from quadwalk.train.__main__ import main as train
+from quadwalk.evaluation.recording.mcap import verify_mcap
+from quadwalk.learn.__main__ import main as train
 from tests.programs import ROOT, python
 from tests.test_shown_commands import OWN_TASK
 

@@ -12,23 +12,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from quadwalk.command.line import parse
+from quadwalk.cli.arguments import parse
 from quadwalk.errors import UserError
-from quadwalk.evaluate.options import EvalConfig
+from quadwalk.evaluation.options import EvalConfig
 from quadwalk.experiments.compare import main as compare
 from quadwalk.experiments.options import CompareConfig, TuneConfig
 from quadwalk.export.__main__ import ExportConfig
-from quadwalk.ground.__main__ import main as ground
+from quadwalk.learn.flags import parse_config
 from quadwalk.paths import ALIENGO_URDF
+from quadwalk.progress.curves import learning_curve
 from quadwalk.robot.__main__ import main as robot
 from quadwalk.robot.quadruped import Quadruped
-from quadwalk.settings.serialize import flatten, with_settings
-from quadwalk.settings.training import RobotConfig
-from quadwalk.task_files import load_task, task_names
-from quadwalk.train.flags import parse_config
-from quadwalk.train.progress.curves import learning_curve
-from quadwalk.train.robot import load_robot
-from quadwalk.train.runs.directory import (
+from quadwalk.runs.directory import (
     Run,
     create_run,
     find_any_run,
@@ -36,9 +31,14 @@ from quadwalk.train.runs.directory import (
     find_run,
     latest_checkpoint,
 )
-from quadwalk.train.runs.log import MetricsLog, read_history
-from quadwalk.train.runs.policy import load_checkpoint_policy, load_policy, load_score
-from quadwalk.train.runs.resume import resumed_config
+from quadwalk.runs.log import MetricsLog, read_history
+from quadwalk.runs.policy import load_checkpoint_policy, load_policy, load_score
+from quadwalk.runs.resume import resumed_config
+from quadwalk.runs.robot import load_robot
+from quadwalk.settings.serialize import flatten, with_settings
+from quadwalk.settings.training import RobotConfig
+from quadwalk.task_files import load_task, task_names
+from quadwalk.terrain.__main__ import main as ground
 from quadwalk.view.choices import policy_choices
 from quadwalk.view.show import ViewConfig
 from tests.settings.test_serialize import places
@@ -127,7 +127,7 @@ def test_arguments_that_are_no_flags(word, tmp_path, monkeypatch):
 def test_arguments_of_robot_and_ground(word, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(
-        "quadwalk.ground.picture.draw_kinds", lambda *_: np.zeros((2, 2, 3), np.uint8)
+        "quadwalk.terrain.picture.draw_kinds", lambda *_: np.zeros((2, 2, 3), np.uint8)
     )
     for flag in ("--mesh-dirs", "--rotor", "--out", "--render", "--nothing"):
         for argv in some(([str(ALIENGO_URDF), "-q", f"{flag}={word}"], [word]), flag + word, 1):

@@ -11,7 +11,7 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
 
 import quadwalk.gym
-from quadwalk.command.shell import install
+from quadwalk.cli.shell import install
 from quadwalk.errors import UsageError
 from quadwalk.task_files import task_names
 from tests.programs import ROOT, python

@@ -8,21 +8,23 @@ ROOT = Path(__file__).parents[1]
 # From the ground up. A module imports from its own layer and from those before it; the longest of
 # these names that it begins with is its place.
 LAYERS = (
-    ("errors", "bounds", "cores", "files", "paths", "command.quiet", "command.shell"),
-    ("command",),
-    ("drawing",),
+    ("errors", "bounds", "cores", "files", "paths", "cli.quiet", "cli.shell"),
+    ("cli",),
+    ("render",),
     ("robot",),
-    ("ground",),
+    ("terrain",),
     ("physics",),
     ("settings", "task_files"),
-    ("task",),
+    ("env",),
     ("tasks",),
-    ("train",),
-    ("evaluate",),
+    ("runs",),
+    ("progress",),
+    ("learn", "runs.policy", "runs.__main__"),
+    ("evaluation",),
     ("export", "identify", "view"),
     ("api",),
     ("gym", "experiments"),
-    ("", "__main__", "command.completion", "command.doctor", "eval"),
+    ("", "__main__", "cli.completion", "cli.doctor", "eval"),
 )
 
 

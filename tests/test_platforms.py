@@ -21,7 +21,7 @@ PYTHONS = ("3.12", "3.13", "3.14")
 # Of these the module or name is missing on Windows. What others import has it by then.
 WITHOUT_POSIX = """
 import importlib, os, pkgutil, signal, sys, tempfile
-from quadwalk.command.process import _PACKAGES, run_command
+from quadwalk.cli.process import _PACKAGES, run_command
 for name in (*_PACKAGES, "mujoco.mjx", "brax.training", "multiprocessing.popen_spawn_posix"):
     importlib.import_module(name)
 for name in [name for name in sys.modules if name.partition(".")[0] == "quadwalk"]:
@@ -42,9 +42,9 @@ def main():
         if not module.name.endswith(("__main__", ".gym", ".run_policy")):
             importlib.import_module(module.name)
     from quadwalk.cores import compilation_cache, cpu_cores
-    from quadwalk.train.loop import stop_on_signal
-    from quadwalk.train.runs.directory import claim, create_run
-    from quadwalk.train.runs.log import MetricsLog, read_metrics
+    from quadwalk.learn.loop import stop_on_signal
+    from quadwalk.runs.directory import claim, create_run
+    from quadwalk.runs.log import MetricsLog, read_metrics
     assert cpu_cores() > 0 and compilation_cache()
     with tempfile.TemporaryDirectory() as folder:
         run = create_run(folder, "a")
@@ -52,7 +52,7 @@ def main():
             log.append({"steps": 1}, {"time/elapsed": 1.0})
         print(len(read_metrics(run)))
 
-from quadwalk.command.process import run_command
+from quadwalk.cli.process import run_command
 run_command(main)
 """
 

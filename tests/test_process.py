@@ -12,8 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from quadwalk.command import shell
-from quadwalk.command.process import _PACKAGES
+from quadwalk.cli import shell
+from quadwalk.cli.process import _PACKAGES
 from tests.test_layers import imports
 
 ROOT = Path(__file__).parents[1]
@@ -68,7 +68,7 @@ IMPORTS = """
 import enum, gc, hashlib, time
 from pathlib import Path
 from quadwalk.files import atomic_write, unfinished
-from quadwalk.command.process import run_command
+from quadwalk.cli.process import run_command
 
 def ready():
     print("ready", flush=True)
@@ -121,8 +121,8 @@ POOL = """
 import multiprocessing, time
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
-from quadwalk.command.process import run_command
-from quadwalk.train.loop import stop_on_signal
+from quadwalk.cli.process import run_command
+from quadwalk.learn.loop import stop_on_signal
 
 def train():
     with stop_on_signal() as stop:

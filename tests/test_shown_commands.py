@@ -12,12 +12,12 @@ import pytest
 import tyro
 
 from quadwalk import __main__
-from quadwalk.command.line import ArgumentParser
+from quadwalk.cli.arguments import ArgumentParser
 from quadwalk.experiments.options import split_variants
+from quadwalk.learn.flags import parse_config
+from quadwalk.runs.directory import as_json, create_run, versions
 from quadwalk.settings.serialize import to_dict
 from quadwalk.task_files import load_task
-from quadwalk.train.flags import parse_config
-from quadwalk.train.runs.directory import as_json, create_run, versions
 
 ROOT = Path(__file__).parents[1]
 PAGES = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *ROOT.glob("docs/*.md")])

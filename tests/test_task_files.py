@@ -4,9 +4,9 @@ import dataclasses
 
 import pytest
 
+from quadwalk.env import rewards as reward
 from quadwalk.errors import UsageError, UserError
 from quadwalk.settings.terms import Observation, Reward
-from quadwalk.task import reward
 from quadwalk.task_files import OWN, load_task, own_file, reference, resolve, task_names
 
 OWN_TASK = """
@@ -31,8 +31,8 @@ def test_a_task_of_the_package_is_found_by_its_name(name):
 
 
 def test_the_file_of_an_earlier_run_that_names_what_is_gone_is_refused_in_one_line(tmp_path):
-    (tmp_path / OWN).write_text("from quadwalk.task.config import REAL_WORLD\n")
-    with pytest.raises(UsageError, match=r"task.py, line 1: .* named 'quadwalk.task.config'"):
+    (tmp_path / OWN).write_text("from quadwalk.env.config import REAL_WORLD\n")
+    with pytest.raises(UsageError, match=r"task.py, line 1: .* named 'quadwalk.env.config'"):
         load_task(tmp_path / OWN)
 
 

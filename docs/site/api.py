@@ -13,10 +13,10 @@ sys.path.insert(0, str(Path(__file__).parents[2]))  # the package beside which i
 from settings import comments
 
 from quadwalk import api, gym
-from quadwalk.evaluate.evaluation import Evaluation
-from quadwalk.task.env import QuadrupedEnv
-from quadwalk.train.runs.directory import Run
-from quadwalk.train.runs.policy import Policy
+from quadwalk.env.env import QuadrupedEnv
+from quadwalk.evaluation.evaluation import Evaluation
+from quadwalk.runs.directory import Run
+from quadwalk.runs.policy import Policy
 
 PAGE = Path(__file__).parents[1] / "api.md"
 FUNCTIONS = (api.make, api.train, api.evaluate, api.compare, api.load_policy)

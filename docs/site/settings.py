@@ -10,10 +10,10 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).parents[2]))  # the package beside which it stands
 
-from quadwalk.ground.terrain import GroundConfig
 from quadwalk.physics.motor import MotorConfig
 from quadwalk.settings import environment, training
 from quadwalk.tasks import run
+from quadwalk.terrain.terrain import GroundConfig
 
 PAGE = Path(__file__).parents[1] / "settings.md"
 GROUPS = (

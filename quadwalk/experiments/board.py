@@ -10,8 +10,8 @@ from rich.console import Console
 from rich.progress import Progress, Task, TaskID, TaskProgressColumn, TextColumn
 
 from quadwalk.experiments.job import Row
-from quadwalk.train.progress.display import is_screen
-from quadwalk.train.progress.text import duration, number, percent, quantity
+from quadwalk.progress.display import is_screen
+from quadwalk.progress.text import duration, number, percent, quantity
 
 _PLAIN_SECONDS = 30.0  # between plain lines
 _WAITING: dict[str, Any] = {"state": "starting", "rate": "", "left": "", "figures": ""}

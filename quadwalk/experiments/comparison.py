@@ -12,20 +12,20 @@ from typing import Any
 import numpy as np
 
 from quadwalk.api import evaluate
-from quadwalk.command.line import split_words, value_of
-from quadwalk.drawing.figures import save_figure
+from quadwalk.cli.arguments import split_words, value_of
 from quadwalk.errors import UsageError, UserError
-from quadwalk.evaluate.statistics import figure_mean, number
+from quadwalk.evaluation.statistics import figure_mean, number
 from quadwalk.experiments.bands import draw_bands
 from quadwalk.experiments.job import Job, fix_sizes
 from quadwalk.experiments.options import CompareConfig
 from quadwalk.experiments.places import make_place
 from quadwalk.experiments.runner import collect_values, run_jobs
 from quadwalk.files import atomic_write, real_path
+from quadwalk.learn.flags import parse_config
+from quadwalk.render.figures import save_figure
+from quadwalk.runs.directory import Run, write_json_atomic
+from quadwalk.runs.log import read_history
 from quadwalk.settings.training import TrainConfig
-from quadwalk.train.flags import parse_config
-from quadwalk.train.runs.directory import Run, write_json_atomic
-from quadwalk.train.runs.log import read_history
 
 # Heading of a column, unit or "" and how it is written. Of a task with commands, "off" and
 # "turning off" are in the place of speed, drift and heading.

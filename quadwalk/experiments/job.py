@@ -18,13 +18,13 @@ from quadwalk.api import train
 from quadwalk.cores import pin
 from quadwalk.errors import UserError
 from quadwalk.experiments.options import PlaceConfig
+from quadwalk.learn.devices import ACCELERATOR_ENVS, CPU_ENVS, device_count, set_up_devices
+from quadwalk.learn.prepare import new_run
+from quadwalk.runs.directory import Run, claim, versions
+from quadwalk.runs.policy import load_score
+from quadwalk.runs.resume import read_config
+from quadwalk.runs.robot import content, load_robot
 from quadwalk.settings.training import TrainConfig, with_files
-from quadwalk.train.devices import ACCELERATOR_ENVS, CPU_ENVS, device_count, set_up_devices
-from quadwalk.train.robot import content, load_robot
-from quadwalk.train.runs.directory import Run, claim, versions
-from quadwalk.train.runs.policy import load_score
-from quadwalk.train.runs.resume import read_config
-from quadwalk.train.setup import new_run
 
 PATIENCE = 120.0  # s for a process that was lost to let go of its run
 

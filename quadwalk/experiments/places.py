@@ -16,7 +16,7 @@ from concurrent.futures import Future, ProcessPoolExecutor
 from multiprocessing.process import BaseProcess
 from typing import Any, Protocol, Self
 
-from quadwalk.command.shell import extra
+from quadwalk.cli.shell import extra
 from quadwalk.cores import cpu_cores
 from quadwalk.errors import UsageError, UserError
 from quadwalk.experiments.job import Job, compute_job, get_stop_file

@@ -20,8 +20,8 @@ from quadwalk.experiments.job import (
     open_run,
 )
 from quadwalk.experiments.places import Place
-from quadwalk.train.loop import stop_on_signal
-from quadwalk.train.runs.directory import Run
+from quadwalk.learn.loop import stop_on_signal
+from quadwalk.runs.directory import Run
 
 TRIES = 3  # that a job whose process dies begins on this machine, in all
 _POLL = 1.0  # s between looks at the runs

@@ -10,24 +10,24 @@ from pathlib import Path
 from typing import Any
 
 from quadwalk.api import evaluate
-from quadwalk.command.line import split_words
-from quadwalk.command.shell import as_typed, extra
+from quadwalk.cli.arguments import split_words
+from quadwalk.cli.shell import as_typed, extra
 from quadwalk.errors import UsageError, UserError, meant
-from quadwalk.evaluate.statistics import figure_mean
-from quadwalk.evaluate.summary import FIGURES
+from quadwalk.evaluation.statistics import figure_mean
+from quadwalk.evaluation.summary import FIGURES
 from quadwalk.experiments.job import Job, Row, fix_sizes
 from quadwalk.experiments.options import TuneConfig
 from quadwalk.experiments.places import make_place
 from quadwalk.experiments.runner import Outcome, run_jobs
 from quadwalk.experiments.space import read_space, round_values, to_flags
 from quadwalk.files import atomic_write, lock, make_folder, real_path
+from quadwalk.learn.flags import parse_config
+from quadwalk.progress.metrics import SCORED, score, scored_figure
+from quadwalk.runs.directory import Run
+from quadwalk.runs.log import read_metrics
+from quadwalk.runs.policy import load_score
 from quadwalk.settings.serialize import with_settings
 from quadwalk.settings.training import TrainConfig
-from quadwalk.train.flags import parse_config
-from quadwalk.train.progress.metrics import SCORED, score, scored_figure
-from quadwalk.train.runs.directory import Run
-from quadwalk.train.runs.log import read_metrics
-from quadwalk.train.runs.policy import load_score
 
 MARKS = 12  # times that a learning curve is compared with the others'
 WARM_UP = MARKS // 4  # before which none is stopped

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from quadwalk.command.shell import extra
+from quadwalk.cli.shell import extra
 from quadwalk.errors import UsageError, meant
 from quadwalk.settings.serialize import flatten, with_settings
 from quadwalk.settings.training import TrainConfig

@@ -3,7 +3,7 @@
 import sys
 from collections.abc import Sequence
 
-from quadwalk.command.line import parse
+from quadwalk.cli.arguments import parse
 from quadwalk.errors import UsageError
 from quadwalk.experiments.options import TuneConfig
 

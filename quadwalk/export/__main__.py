@@ -1,6 +1,6 @@
 """`quadwalk export`: write a policy as ONNX, with all that is needed to use it."""
 
-from quadwalk.command.process import run_command
+from quadwalk.cli.process import run_command
 
 if __name__ == "__main__":
     run_command("quadwalk.export.__main__")
@@ -13,10 +13,10 @@ from typing import Annotated, Literal
 
 import tyro
 
-from quadwalk.command.line import message_console, parse
-from quadwalk.command.shell import install, python, words
+from quadwalk.cli.arguments import message_console, parse
+from quadwalk.cli.shell import install, python, words
 from quadwalk.errors import UserError
-from quadwalk.train.runs.directory import find_any_run, find_ready, origin_of, results_folder
+from quadwalk.runs.directory import find_any_run, find_ready, origin_of, results_folder
 
 
 @dataclass(frozen=True)

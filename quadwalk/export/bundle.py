@@ -10,16 +10,16 @@ import onnxruntime
 from rich.console import Console
 
 from quadwalk.errors import UserError
-from quadwalk.evaluate.loaded import LoadedRun, load_run
+from quadwalk.evaluation.loaded import LoadedRun, load_run
 from quadwalk.export import scripts
 from quadwalk.export.deploy_yaml import as_yaml, deploy_config, missing_terms
 from quadwalk.export.description import describe
 from quadwalk.export.joint_targets import JointTargets, find_targets
 from quadwalk.export.policy_graph import Weights, build_model, input_order
 from quadwalk.files import atomic_write, make_folder
+from quadwalk.learn.devices import set_up_devices
 from quadwalk.robot.mjcf import write_xml
-from quadwalk.train.devices import set_up_devices
-from quadwalk.train.runs.directory import Run
+from quadwalk.runs.directory import Run
 
 TOLERANCE = 1e-5  # of actions and, in rad, of joint targets
 _ROWS = 64

@@ -15,8 +15,11 @@ import numpy as np
 import onnx
 from rich.console import Console
 
+from quadwalk.env.command import Command
+from quadwalk.env.env import QuadrupedEnv
+from quadwalk.env.state import EnvState
 from quadwalk.errors import UserError
-from quadwalk.evaluate.loaded import LoadedRun
+from quadwalk.evaluation.loaded import LoadedRun
 from quadwalk.export.controller import read_list
 from quadwalk.export.description import describe
 from quadwalk.export.joint_targets import find_targets
@@ -25,9 +28,6 @@ from quadwalk.files import read_bytes
 from quadwalk.physics.engines import ENGINES
 from quadwalk.physics.motor import PhysicsState
 from quadwalk.settings.registry import to_current_name
-from quadwalk.task.env import QuadrupedEnv
-from quadwalk.task.episode.command import Command
-from quadwalk.task.state import EnvState
 
 SECONDS = 2.0  # of a replay
 COMMAND = (0.5, 0.2, 0.3)  # m/s ahead and left, rad/s: no two are alike

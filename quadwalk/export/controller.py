@@ -49,7 +49,7 @@ def read_list(text: str) -> list:
 def to_current_name(name: str) -> str:
     """Return the name in `OBSERVATIONS` of what an older export calls by its place in quadwalk."""
     module, _, function = name.partition(":")
-    if module not in ("quadwalk.task.observation", "quadwalk.tasks.blog"):
+    if module not in ("quadwalk.env.observations", "quadwalk.tasks.blog"):
         return name
     renamed = {"joint_positions": "joint_pos", "joint_velocities": "joint_vel"}
     return "observation:" + renamed.get(function, function)

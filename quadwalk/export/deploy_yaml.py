@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from quadwalk.env.env import QuadrupedEnv
 from quadwalk.export.joint_targets import JointTargets
-from quadwalk.task.env import QuadrupedEnv
 from quadwalk.task_files import reference
 
 SDK_LEGS = ("FR", "FL", "RR", "RL")  # of unitree_sdk2's motors, hip thigh calf in each

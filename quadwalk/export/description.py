@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from quadwalk.evaluate.loaded import LoadedRun
+from quadwalk.env.reset import nominal_start
+from quadwalk.evaluation.loaded import LoadedRun
 from quadwalk.export.joint_targets import JointTargets
 from quadwalk.settings.environment import COMMANDED
-from quadwalk.task.episode.reset import nominal_start
 from quadwalk.task_files import reference
 
 UNITS = (

@@ -6,9 +6,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from quadwalk.env.robot_arrays import RobotArrays
 from quadwalk.errors import UserError
 from quadwalk.settings.terms import ActionMap
-from quadwalk.task.robot_arrays import RobotArrays
 
 _SAMPLES = 1000
 _TOLERANCE = 1e-5  # rad

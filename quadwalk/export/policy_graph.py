@@ -14,12 +14,12 @@ import numpy as np
 import onnx
 from onnx import TensorProto, helper, numpy_helper
 
+from quadwalk.env.env import QuadrupedEnv
 from quadwalk.errors import UserError
 from quadwalk.export.joint_targets import JointTargets
+from quadwalk.learn.acting import SURE, phases
+from quadwalk.learn.networks import MIN_STD, divisors
 from quadwalk.settings.training import PPOConfig
-from quadwalk.task.env import QuadrupedEnv
-from quadwalk.train.learner.acting import SURE, phases
-from quadwalk.train.learner.networks import MIN_STD, divisors
 
 OPSET = 17
 IR_VERSION = 8  # that of the opset, so that older runtimes read it: ONNX Runtime 1.12 and later

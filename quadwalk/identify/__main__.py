@@ -1,6 +1,6 @@
 """`python -m quadwalk.identify`: fit a robot's joints to a log of them."""
 
-from quadwalk.command.process import run_command
+from quadwalk.cli.process import run_command
 
 if __name__ == "__main__":
     run_command("quadwalk.identify.__main__")
@@ -8,7 +8,7 @@ if __name__ == "__main__":
 import sys
 from collections.abc import Sequence
 
-from quadwalk.command.line import parse
+from quadwalk.cli.arguments import parse
 from quadwalk.identify.config import IdentifyConfig
 
 

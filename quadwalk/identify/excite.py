@@ -8,8 +8,8 @@ import numpy as np
 
 from quadwalk.files import atomic_write
 from quadwalk.robot.quadruped import Quadruped
+from quadwalk.runs.robot import load_robot
 from quadwalk.settings.training import RobotConfig
-from quadwalk.train.robot import load_robot
 
 SECONDS = 30.0
 RATE = 200  # targets a second

@@ -6,11 +6,10 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
-from quadwalk.command.line import message_console
-from quadwalk.command.shell import as_typed
-from quadwalk.drawing.figures import save_figure
+from quadwalk.cli.arguments import message_console
+from quadwalk.cli.shell import as_typed
 from quadwalk.errors import UserError
-from quadwalk.evaluate.report.console import print_table
+from quadwalk.evaluation.report.console import print_table
 from quadwalk.files import atomic_write, make_folder
 from quadwalk.identify import found
 from quadwalk.identify.config import IdentifyConfig
@@ -18,14 +17,15 @@ from quadwalk.identify.fit import DELAY, MOST_UNEXPLAINED, OFFSETS, Fit, fit_joi
 from quadwalk.identify.joint_log import Log, find_followed_target, read_log
 from quadwalk.identify.plot import draw_fit
 from quadwalk.identify.stand import Joints
+from quadwalk.learn.devices import set_up_devices
 from quadwalk.physics.fast import make_model
 from quadwalk.physics.model import Model
 from quadwalk.physics.motor import FRICTION_SPEED, MotorConfig, make_motor
+from quadwalk.render.figures import save_figure
 from quadwalk.robot.quadruped import Quadruped
+from quadwalk.runs.directory import write_json_atomic
+from quadwalk.runs.robot import load_robot
 from quadwalk.settings.environment import PHYSICS
-from quadwalk.train.devices import set_up_devices
-from quadwalk.train.robot import load_robot
-from quadwalk.train.runs.directory import write_json_atomic
 
 _FOLLOWS = 0.8  # the correlation of angles with the targets that they follow
 

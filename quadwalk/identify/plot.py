@@ -4,10 +4,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from quadwalk.drawing.figures import INK, LEG_COLORS, new_figure, tidy
 from quadwalk.identify.fit import Fit
 from quadwalk.identify.found import OF_URDF, PARTS
 from quadwalk.identify.joint_log import Log, find_pieces
+from quadwalk.render.figures import INK, LEG_COLORS, new_figure, tidy
 from quadwalk.robot.quadruped import Quadruped
 
 WINDOW = 2.0  # s of angles that are shown

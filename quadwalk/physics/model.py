@@ -10,7 +10,6 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from quadwalk.ground.heightfield import FLOOR, Heightfield, field_of
 from quadwalk.physics import vectors as v
 from quadwalk.physics.batching import column
 from quadwalk.physics.constraints.contact import Contact, Limits, SolverParams
@@ -20,6 +19,7 @@ from quadwalk.physics.rigid_body import LINKS, Link, Trunk
 from quadwalk.physics.vectors import Array, Matrix, Vector
 from quadwalk.robot.quadruped import Quadruped
 from quadwalk.robot.scene import KINDS, rotation_of_quat
+from quadwalk.terrain.heightfield import FLOOR, Heightfield, field_of
 
 
 @jax.tree_util.register_dataclass

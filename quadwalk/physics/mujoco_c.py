@@ -18,12 +18,12 @@ import numpy as np
 from jax.experimental.buffer_callback import buffer_callback
 
 from quadwalk.cores import cpu_cores
-from quadwalk.ground.heightfield import field_of
-from quadwalk.ground.windows import Windows
 from quadwalk.physics import motor
 from quadwalk.physics.model import RobotRandomization, vary_motor
 from quadwalk.physics.motor import Effort, Motor, PhysicsState, Stepping
 from quadwalk.robot.quadruped import Quadruped
+from quadwalk.terrain.heightfield import field_of
+from quadwalk.terrain.windows import Windows
 
 TIMESTEP = 0.002  # s, a physics step of the full model
 # MuJoCo's pool of threads is one of the process; devices may call at the same time.

@@ -1,6 +1,6 @@
 """`quadwalk robot URDF [-o OUT] [--render PNG]`: convert a URDF to MJCF, or draw it."""
 
-from quadwalk.command.process import run_command
+from quadwalk.cli.process import run_command
 
 if __name__ == "__main__":
     run_command("quadwalk.robot.__main__")
@@ -11,11 +11,11 @@ import sys
 from fnmatch import fnmatchcase
 from pathlib import Path
 
-from quadwalk.command.line import ArgumentParser
-from quadwalk.drawing.canvas import render_home
-from quadwalk.drawing.images import save_png
+from quadwalk.cli.arguments import ArgumentParser
 from quadwalk.errors import UsageError, UserError
 from quadwalk.files import atomic_write
+from quadwalk.render.canvas import render_home
+from quadwalk.render.images import save_png
 from quadwalk.robot.elements import SINGLE
 from quadwalk.robot.mjcf import Options, convert, write_xml
 from quadwalk.robot.quadruped import find_quadruped, list_joints, with_motors

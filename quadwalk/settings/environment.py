@@ -9,9 +9,9 @@ from typing import Annotated, Any, Literal
 
 from quadwalk.bounds import Bounds, Few, NotNegative, Positive, Seconds, Settings, Share
 from quadwalk.errors import UsageError
-from quadwalk.ground.terrain import FLAT, GroundConfig
 from quadwalk.physics.motor import MotorConfig, Stepping
 from quadwalk.settings.terms import ActionMap, Observation, Reward, Termination
+from quadwalk.terrain.terrain import FLAT, GroundConfig
 
 Pair = tuple[float, float]
 Range = Annotated[Pair, Bounds(-100.0, 100.0, ordered=True)] | None

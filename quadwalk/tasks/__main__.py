@@ -1,13 +1,13 @@
 """`quadwalk tasks`: the tasks that come with the package."""
 
-from quadwalk.command.process import run_command
+from quadwalk.cli.process import run_command
 
 if __name__ == "__main__":
     run_command("quadwalk.tasks.__main__")
 
 from collections.abc import Sequence
 
-from quadwalk.command.line import ArgumentParser
+from quadwalk.cli.arguments import ArgumentParser
 from quadwalk.task_files import task_table
 
 

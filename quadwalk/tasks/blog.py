@@ -12,16 +12,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from quadwalk.env import observations as observation
+from quadwalk.env.reflections import AXIAL, JOINTS, SCALAR, VECTOR, mirrors
+from quadwalk.env.robot_arrays import RobotArrays
+from quadwalk.env.state import EnvState, Step
 from quadwalk.physics.motor import MotorConfig
 from quadwalk.physics.rotation import euler, rotate
 from quadwalk.robot.mirror import Mirror, RobotMirror
 from quadwalk.settings.environment import NO_COMMAND, NO_RANDOMIZATION, EnvConfig, ResetConfig
 from quadwalk.settings.terms import ActionMap, Observation, Reward, Termination
 from quadwalk.settings.training import PPO, TrainConfig
-from quadwalk.task import observation
-from quadwalk.task.reflections import AXIAL, JOINTS, SCALAR, VECTOR, mirrors
-from quadwalk.task.robot_arrays import RobotArrays
-from quadwalk.task.state import EnvState, Step
 
 # Joint targets at action -1 and 1, rad.
 BOUNDS = {

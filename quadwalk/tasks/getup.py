@@ -2,12 +2,12 @@
 
 from dataclasses import replace
 
+from quadwalk.env import rewards as reward
+from quadwalk.env.actions import feet_alike
+from quadwalk.env.observations import PROPRIOCEPTION, TRUE_LEGS, TRUE_TRUNK
 from quadwalk.settings.environment import HOME_RESET, NO_COMMAND, PHYSICS, REAL_WORLD, EnvConfig
 from quadwalk.settings.terms import ActionMap, Reward
 from quadwalk.settings.training import PPO, TrainConfig
-from quadwalk.task import reward
-from quadwalk.task.actions import feet_alike
-from quadwalk.task.observation import PROPRIOCEPTION, TRUE_LEGS, TRUE_TRUNK
 
 TASK = TrainConfig(
     task="getup",

@@ -2,13 +2,9 @@
 
 from dataclasses import replace
 
-from quadwalk.ground.terrain import FLAT
-from quadwalk.settings.environment import HOME_RESET, NO_COMMAND, PHYSICS, REAL_WORLD, EnvConfig
-from quadwalk.settings.terms import Observation, Reward
-from quadwalk.settings.training import PPO_UNEVEN, TrainConfig
-from quadwalk.task import reward
-from quadwalk.task.actions import ABOUT_HOME
-from quadwalk.task.observation import (
+from quadwalk.env import rewards as reward
+from quadwalk.env.actions import ABOUT_HOME
+from quadwalk.env.observations import (
     HEADING,
     PROPRIOCEPTION,
     TRUE_LEGS,
@@ -16,7 +12,11 @@ from quadwalk.task.observation import (
     heading,
     scan_ahead,
 )
-from quadwalk.task.termination import TRUNK_FALLS
+from quadwalk.env.terminations import TRUNK_FALLS
+from quadwalk.settings.environment import HOME_RESET, NO_COMMAND, PHYSICS, REAL_WORLD, EnvConfig
+from quadwalk.settings.terms import Observation, Reward
+from quadwalk.settings.training import PPO_UNEVEN, TrainConfig
+from quadwalk.terrain.terrain import FLAT
 
 # m; at 3 m/s what is 1.5 m ahead comes in half a second.
 SCAN = {"first": -0.5, "last": 1.5, "width": 0.5, "spacing": 0.125, "reach": 0.5}

@@ -2,20 +2,20 @@
 
 from dataclasses import replace
 
-from quadwalk.ground.terrain import FLAT
-from quadwalk.settings.environment import HOME_RESET, PHYSICS, REAL_WORLD, CommandConfig, EnvConfig
-from quadwalk.settings.terms import ActionMap, Observation, Reward
-from quadwalk.settings.training import PPO_UNEVEN, TrainConfig
-from quadwalk.task import reward
-from quadwalk.task.actions import about_home
-from quadwalk.task.observation import (
+from quadwalk.env import rewards as reward
+from quadwalk.env.actions import about_home
+from quadwalk.env.observations import (
     PROPRIOCEPTION,
     TROT_COMMAND,
     TRUE_LEGS,
     TRUE_TRUNK,
     height_scan,
 )
-from quadwalk.task.termination import TRUNK_FALLS
+from quadwalk.env.terminations import TRUNK_FALLS
+from quadwalk.settings.environment import HOME_RESET, PHYSICS, REAL_WORLD, CommandConfig, EnvConfig
+from quadwalk.settings.terms import ActionMap, Observation, Reward
+from quadwalk.settings.training import PPO_UNEVEN, TrainConfig
+from quadwalk.terrain.terrain import FLAT
 
 # m; legged_gym's is 1.6 x 1 m, and its noise as large.
 SCAN = {"length": 1.2, "width": 0.6, "spacing": 0.1, "reach": 0.5}

@@ -2,13 +2,13 @@
 
 from dataclasses import replace
 
+from quadwalk.env import rewards as reward
+from quadwalk.env.actions import ABOUT_HOME
+from quadwalk.env.observations import HEADING, PROPRIOCEPTION, TRUE_LEGS, TRUE_TRUNK, heading
+from quadwalk.env.terminations import FALLS
 from quadwalk.settings.environment import HOME_RESET, NO_COMMAND, PHYSICS, REAL_WORLD, EnvConfig
 from quadwalk.settings.terms import Observation, Reward
 from quadwalk.settings.training import PPO, TrainConfig
-from quadwalk.task import reward
-from quadwalk.task.actions import ABOUT_HOME
-from quadwalk.task.observation import HEADING, PROPRIOCEPTION, TRUE_LEGS, TRUE_TRUNK, heading
-from quadwalk.task.termination import FALLS
 
 TASK = TrainConfig(
     task="run",

@@ -2,6 +2,11 @@
 
 from dataclasses import replace
 
+from quadwalk.env import observations as observation
+from quadwalk.env import rewards as reward
+from quadwalk.env.actions import ABOUT_HOME
+from quadwalk.env.observations import HEADING
+from quadwalk.env.terminations import FALLS
 from quadwalk.settings.environment import (
     HOME_RESET,
     NO_COMMAND,
@@ -11,10 +16,6 @@ from quadwalk.settings.environment import (
 )
 from quadwalk.settings.terms import Observation, Reward
 from quadwalk.settings.training import PPO, TrainConfig
-from quadwalk.task import observation, reward
-from quadwalk.task.actions import ABOUT_HOME
-from quadwalk.task.observation import HEADING
-from quadwalk.task.termination import FALLS
 
 TASK = TrainConfig(
     task="sprint",

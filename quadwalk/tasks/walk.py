@@ -1,12 +1,12 @@
 """walk: follow a velocity command at a trot, with a real robot's sensors and disturbances."""
 
+from quadwalk.env import rewards as reward
+from quadwalk.env.actions import ABOUT_HOME
+from quadwalk.env.observations import PROPRIOCEPTION, TROT_COMMAND, TRUE_LEGS, TRUE_TRUNK
+from quadwalk.env.terminations import FALLS
 from quadwalk.settings.environment import HOME_RESET, PHYSICS, REAL_WORLD, CommandConfig, EnvConfig
 from quadwalk.settings.terms import Reward
 from quadwalk.settings.training import PPO, TrainConfig
-from quadwalk.task import reward
-from quadwalk.task.actions import ABOUT_HOME
-from quadwalk.task.observation import PROPRIOCEPTION, TROT_COMMAND, TRUE_LEGS, TRUE_TRUNK
-from quadwalk.task.termination import FALLS
 
 TASK = TrainConfig(
     task="walk",

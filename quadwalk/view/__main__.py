@@ -1,6 +1,6 @@
 """`quadwalk view`, which is also `eval.py --view`: drive a trained policy live."""
 
-from quadwalk.command.process import run_command
+from quadwalk.cli.process import run_command
 
 if __name__ == "__main__":
     run_command("quadwalk.view.__main__")
@@ -8,7 +8,7 @@ if __name__ == "__main__":
 import sys
 from collections.abc import Sequence
 
-from quadwalk.command.line import parse
+from quadwalk.cli.arguments import parse
 from quadwalk.view.show import ViewConfig, drive
 
 

@@ -1,6 +1,6 @@
 """`python -m quadwalk.view.alongside`: `quadwalk view` for as long as standard input is open."""
 
-from quadwalk.command.process import run_command
+from quadwalk.cli.process import run_command
 
 if __name__ == "__main__":
     run_command("quadwalk.view.alongside")

@@ -4,12 +4,12 @@ from dataclasses import replace
 from pathlib import Path
 
 from quadwalk.errors import UserError
-from quadwalk.evaluate.loaded import LoadedRun, load_run
+from quadwalk.evaluation.loaded import LoadedRun, load_run
 from quadwalk.files import real_path
 from quadwalk.paths import PRETRAINED
-from quadwalk.train.runs import checkpoint
-from quadwalk.train.runs.directory import Run, list_checkpoints, list_runs
-from quadwalk.train.runs.policy import Policy, load_checkpoint_policy, load_policy
+from quadwalk.runs import checkpoint
+from quadwalk.runs.directory import Run, list_checkpoints, list_runs
+from quadwalk.runs.policy import Policy, load_checkpoint_policy, load_policy
 
 LAST, BEST = "last", "best"
 

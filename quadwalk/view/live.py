@@ -9,21 +9,21 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from quadwalk.evaluate.loaded import LoadedRun
-from quadwalk.evaluate.motion.forces import foot_forces, geom_ids
-from quadwalk.evaluate.motion.kinematics import turned
-from quadwalk.evaluate.simulate import Policy
+from quadwalk.env.command import Command
+from quadwalk.env.env import MAX_SPEED, QuadrupedEnv
+from quadwalk.env.ground_input import jit
+from quadwalk.env.randomization import EpisodeRandomization, delayed, targets_needed
+from quadwalk.env.reset import nominal_start
+from quadwalk.env.robot_arrays import STANDING_HEIGHT, STANDING_TILT
+from quadwalk.env.state import EnvState
+from quadwalk.evaluation.loaded import LoadedRun
+from quadwalk.evaluation.motion.forces import foot_forces, geom_ids
+from quadwalk.evaluation.motion.kinematics import turned
+from quadwalk.evaluation.simulate import Policy
 from quadwalk.physics.model import RobotRandomization, vary_motor
 from quadwalk.physics.motor import Motor, PhysicsState, control_step
 from quadwalk.physics.mujoco_c import varied_model
-from quadwalk.task.env import MAX_SPEED, QuadrupedEnv
-from quadwalk.task.episode.command import Command
-from quadwalk.task.episode.randomization import EpisodeRandomization, delayed, targets_needed
-from quadwalk.task.episode.reset import nominal_start
-from quadwalk.task.ground_input import jit
-from quadwalk.task.robot_arrays import STANDING_HEIGHT, STANDING_TILT
-from quadwalk.task.state import EnvState
-from quadwalk.train.runs.policy import Policy as TrainedPolicy
+from quadwalk.runs.policy import Policy as TrainedPolicy
 
 MAX_LATENCY = 0.06  # s, that joint targets can be late
 LYING = 2.0  # s on the ground after which a robot that fell is put on its feet

@@ -10,7 +10,7 @@ from pathlib import Path
 import viser
 
 from quadwalk.errors import UserError
-from quadwalk.train.runs.directory import Run, written
+from quadwalk.runs.directory import Run, written
 from quadwalk.view import choices
 from quadwalk.view.live import LiveRobot
 from quadwalk.view.pace import Pace

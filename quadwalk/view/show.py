@@ -12,11 +12,11 @@ from typing import Annotated, Literal
 import tyro
 
 from quadwalk.bounds import Port, Settings
-from quadwalk.command.line import message_console
-from quadwalk.command.shell import install
+from quadwalk.cli.arguments import message_console
+from quadwalk.cli.shell import install
 from quadwalk.errors import UserError
 from quadwalk.paths import PRETRAINED
-from quadwalk.train.runs.directory import Run, find_any_run, find_ready
+from quadwalk.runs.directory import Run, find_any_run, find_ready
 
 
 @dataclass(frozen=True)
@@ -98,7 +98,7 @@ def _prepare_jax() -> None:
     """One robot needs no accelerator, which takes long to set up, and no second device."""
     if "jax" not in sys.modules:
         os.environ.setdefault("JAX_PLATFORMS", "cpu")
-    from quadwalk.train.devices import set_up_devices
+    from quadwalk.learn.devices import set_up_devices
 
     set_up_devices(1)
     import jax

@@ -4,7 +4,7 @@ from collections import deque
 
 import numpy as np
 
-from quadwalk.evaluate.motion.kinematics import turned
+from quadwalk.evaluation.motion.kinematics import turned
 from quadwalk.view.live import LiveRobot
 
 _NOWHERE = np.zeros((1, 2, 3))

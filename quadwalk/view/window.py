@@ -10,7 +10,7 @@ import numpy as np
 from rich.console import Console
 
 from quadwalk.errors import UserError
-from quadwalk.train.runs.directory import Run
+from quadwalk.runs.directory import Run
 from quadwalk.view.choices import LAST, getup_of, open_run
 from quadwalk.view.live import LiveRobot
 from quadwalk.view.pace import Pace

@@ -7,18 +7,18 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from quadwalk.evaluate.loaded import load_run
-from quadwalk.evaluate.motion.footfalls import contact_spans, without_chatter
-from quadwalk.evaluate.motion.gait import Gait, measure_gait
-from quadwalk.evaluate.motion.kinematics import roll_pitch_yaw
-from quadwalk.evaluate.report.pictures import middle_rows
-from quadwalk.evaluate.rollout import Rollout, finite_part
-from quadwalk.evaluate.simulate import simulate_episodes
-from quadwalk.evaluate.summary import typical_episode
+from quadwalk.env.env import QuadrupedEnv
+from quadwalk.evaluation.loaded import load_run
+from quadwalk.evaluation.motion.footfalls import contact_spans, without_chatter
+from quadwalk.evaluation.motion.gait import Gait, measure_gait
+from quadwalk.evaluation.motion.kinematics import roll_pitch_yaw
+from quadwalk.evaluation.report.pictures import middle_rows
+from quadwalk.evaluation.rollout import Rollout, finite_part
+from quadwalk.evaluation.simulate import simulate_episodes
+from quadwalk.evaluation.summary import typical_episode
 from quadwalk.robot.quadruped import Quadruped
-from quadwalk.task.env import QuadrupedEnv
-from quadwalk.train.runs.directory import Run
-from quadwalk.train.runs.log import read_metrics
+from quadwalk.runs.directory import Run
+from quadwalk.runs.log import read_metrics
 
 SECONDS = 1000 / 240  # s, the post's episode: that of all variants here
 EPISODES = 8

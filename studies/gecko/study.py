@@ -19,7 +19,7 @@ import re
 from dataclasses import replace
 from pathlib import Path
 
-from quadwalk.command.process import run_command
+from quadwalk.cli.process import run_command
 from quadwalk.experiments.job import Job, fix_sizes
 from quadwalk.experiments.options import PlaceConfig, add_place_flags, read_place
 from quadwalk.experiments.places import make_place

@@ -25,18 +25,18 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from quadwalk.command.process import run_command
-from quadwalk.evaluate.grids.by_ground import ground_env, measure_by_ground
-from quadwalk.evaluate.loaded import load_run
-from quadwalk.evaluate.simulate import roll_out
+from quadwalk.cli.process import run_command
+from quadwalk.env.ground_input import jit
+from quadwalk.evaluation.grids.by_ground import ground_env, measure_by_ground
+from quadwalk.evaluation.loaded import load_run
+from quadwalk.evaluation.simulate import roll_out
 from quadwalk.experiments.job import Job, fix_sizes
 from quadwalk.experiments.options import add_place_flags, read_place
 from quadwalk.experiments.places import make_place
 from quadwalk.experiments.runner import collect_values, run_jobs
-from quadwalk.ground.heightfield import Heightfield
-from quadwalk.task.ground_input import jit
-from quadwalk.train.flags import parse_config
-from quadwalk.train.runs.directory import Run
+from quadwalk.learn.flags import parse_config
+from quadwalk.runs.directory import Run
+from quadwalk.terrain.heightfield import Heightfield
 from studies.results import Results
 
 VARIANTS = {

@@ -22,18 +22,18 @@ from pathlib import Path
 from typing import Any
 
 from quadwalk.api import evaluate
-from quadwalk.command.process import run_command
-from quadwalk.evaluate.grids.sweep import Point, measure_points
-from quadwalk.evaluate.loaded import LoadedRun, load_run
+from quadwalk.cli.process import run_command
+from quadwalk.env.env import QuadrupedEnv
+from quadwalk.evaluation.grids.sweep import Point, measure_points
+from quadwalk.evaluation.loaded import LoadedRun, load_run
 from quadwalk.experiments.job import Job, fix_sizes
 from quadwalk.experiments.options import add_place_flags, read_place
 from quadwalk.experiments.places import make_place
 from quadwalk.experiments.runner import collect_values, run_jobs
+from quadwalk.runs.directory import Run
 from quadwalk.settings.serialize import with_settings
 from quadwalk.settings.training import TrainConfig
-from quadwalk.task.env import QuadrupedEnv
 from quadwalk.task_files import load_task
-from quadwalk.train.runs.directory import Run
 from studies.results import Results
 
 RESULTS = Path(__file__).parent / "results.json"

@@ -15,9 +15,9 @@ import tempfile
 from pathlib import Path
 
 from quadwalk.api import train
-from quadwalk.command.process import run_command
-from quadwalk.evaluate.options import EvalConfig
-from quadwalk.evaluate.session import evaluate_runs
+from quadwalk.cli.process import run_command
+from quadwalk.evaluation.options import EvalConfig
+from quadwalk.evaluation.session import evaluate_runs
 from quadwalk.files import atomic_write
 from quadwalk.paths import PRETRAINED
 

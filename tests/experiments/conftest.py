@@ -6,18 +6,18 @@ from pathlib import Path
 
 import pytest
 
-import quadwalk.train.setup
+import quadwalk.learn.prepare
 from quadwalk.experiments.job import Job, fix_sizes
 from quadwalk.experiments.options import PlaceConfig
 from quadwalk.experiments.places import make_place
 from quadwalk.experiments.runner import run_jobs
-from quadwalk.train.flags import parse_config
-from quadwalk.train.runs.directory import list_checkpoints
-from quadwalk.train.runs.policy import load_score
-from quadwalk.train.runs.writer import RunWriter
+from quadwalk.learn.flags import parse_config
+from quadwalk.learn.writer import RunWriter
+from quadwalk.runs.directory import list_checkpoints
+from quadwalk.runs.policy import load_score
 
 HERE = Path(__file__).parent
-TRAIN = HERE.parent / "train"
+TRAIN = HERE.parent / "learn"
 sys.path[:0] = [str(HERE), str(TRAIN)]  # for `judges` and `toy`
 
 from judges import last_reward  # noqa: E402
@@ -29,12 +29,12 @@ TASK = f"""
 import dataclasses, pathlib, sys, time
 sys.path.insert(0, {str(TRAIN)!r})
 import toy
-import quadwalk.train.setup
+import quadwalk.learn.prepare
 from quadwalk.settings.terms import Reward
 from quadwalk.tasks import sprint
-from quadwalk.train.runs.writer import RunWriter
+from quadwalk.learn.writer import RunWriter
 
-quadwalk.train.setup.QuadrupedEnv = toy.Toy
+quadwalk.learn.prepare.QuadrupedEnv = toy.Toy
 iteration = RunWriter.iteration
 def slow(writer, row, *others):
     iteration(writer, row, *others)
@@ -68,7 +68,7 @@ def task(tmp_path) -> tuple[Path, Path]:
 def job(task, tmp_path, monkeypatch):
     """A job in the folder `runs`, of so many iterations, with a checkpoint after every ten."""
     # What reading the task changes in this process is put back.
-    monkeypatch.setattr(quadwalk.train.setup, "QuadrupedEnv", quadwalk.train.setup.QuadrupedEnv)
+    monkeypatch.setattr(quadwalk.learn.prepare, "QuadrupedEnv", quadwalk.learn.prepare.QuadrupedEnv)
     monkeypatch.setattr(RunWriter, "iteration", RunWriter.iteration)
     file, _ = task
 

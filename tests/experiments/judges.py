@@ -4,8 +4,8 @@ import os
 import signal
 
 from quadwalk.errors import UserError
-from quadwalk.train.runs.directory import Run
-from quadwalk.train.runs.log import read_metrics
+from quadwalk.runs.directory import Run
+from quadwalk.runs.log import read_metrics
 
 
 def last_reward(run: Run) -> float:

@@ -11,7 +11,7 @@ from quadwalk.errors import UserError
 from quadwalk.experiments.options import PlaceConfig
 from quadwalk.experiments.places import make_place
 from quadwalk.experiments.runner import run_jobs
-from quadwalk.train.runs.directory import list_checkpoints
+from quadwalk.runs.directory import list_checkpoints
 
 pytestmark = pytest.mark.filterwarnings("ignore:os.fork:RuntimeWarning")  # Ray starts its processes
 SEEDS = (0, 1, 2)

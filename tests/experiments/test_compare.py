@@ -21,12 +21,12 @@ from quadwalk.experiments.places import ThisMachine
 from quadwalk.experiments.runner import Outcome
 from quadwalk.experiments.search import make_base
 from quadwalk.files import real_path
+from quadwalk.learn.flags import parse_config
 from quadwalk.paths import PRETRAINED
+from quadwalk.runs.directory import create_run, find_any_run
+from quadwalk.runs.policy import load_score
+from quadwalk.runs.resume import read_config
 from quadwalk.tasks import run, walk
-from quadwalk.train.flags import parse_config
-from quadwalk.train.runs.directory import create_run, find_any_run
-from quadwalk.train.runs.policy import load_score
-from quadwalk.train.runs.resume import read_config
 from tests.experiments.conftest import BATCH, TINY, Toy
 from tests.test_task_files import OWN_TASK
 
@@ -191,7 +191,7 @@ def test_the_run_to_begin_with_is_the_one_that_a_training_alone_finds(tmp_path, 
 
 
 def test_a_run_of_ones_own_task_is_known_again_until_the_file_changes(tmp_path, monkeypatch):
-    monkeypatch.setattr("quadwalk.train.setup.QuadrupedEnv", Toy)
+    monkeypatch.setattr("quadwalk.learn.prepare.QuadrupedEnv", Toy)
     tiny = f"--devices=2 --steps={BATCH} --runs={tmp_path / 'runs'} --name=own {TINY}".split()
     for folder, rate, known in (("a", 1.0, True), ("b", 1.0, True), ("c", 2.0, False)):
         (tmp_path / folder).mkdir()

@@ -15,8 +15,8 @@ from quadwalk.experiments.job import compute_job
 from quadwalk.experiments.options import PlaceConfig
 from quadwalk.experiments.places import make_place
 from quadwalk.experiments.runner import read_last_row, run_jobs
-from quadwalk.train.runs.directory import Run
-from quadwalk.train.runs.policy import load_score
+from quadwalk.runs.directory import Run
+from quadwalk.runs.policy import load_score
 
 ROW = {"steps": 640, "eval/speed": 1.5, "eval/fall_rate": None}
 HOLD = "from quadwalk.cores import pin, cpu_cores; import os; pin(1); "

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from quadwalk.errors import UsageError, UserError
-from quadwalk.evaluate.summary import episode_figures
+from quadwalk.evaluation.summary import episode_figures
 from quadwalk.experiments import search
 from quadwalk.experiments.options import TuneConfig
 from quadwalk.experiments.runner import Outcome

@@ -9,7 +9,7 @@ from benchmarks.simulators import Condition, DrakeRobot, MujocoRobot, controller
 from quadwalk.export.__main__ import main
 from quadwalk.export.bundle import load_flat
 from quadwalk.export.check import first_difference, stages
-from quadwalk.train.runs.directory import find_ready
+from quadwalk.runs.directory import find_ready
 
 pytest.importorskip("pydrake", reason="Drake is not installed")
 

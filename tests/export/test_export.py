@@ -20,11 +20,12 @@ import yaml
 from brax.training.networks import ACTIVATION
 from rich.console import Console
 
-from quadwalk.command.shell import install
+from quadwalk.cli.shell import install
+from quadwalk.env.env import QuadrupedEnv
 from quadwalk.errors import UserError
-from quadwalk.evaluate.loaded import LoadedRun, load_run
-from quadwalk.evaluate.rollout import Rollout
-from quadwalk.evaluate.simulate import simulate_episodes
+from quadwalk.evaluation.loaded import LoadedRun, load_run
+from quadwalk.evaluation.rollout import Rollout
+from quadwalk.evaluation.simulate import simulate_episodes
 from quadwalk.export import scripts
 from quadwalk.export.__main__ import main
 from quadwalk.export.check import check_export, read_recording, replay
@@ -33,11 +34,10 @@ from quadwalk.export.description import describe
 from quadwalk.export.joint_targets import JointTargets, find_targets
 from quadwalk.export.policy_graph import ACTIVATIONS, Weights, build_model, input_labels
 from quadwalk.paths import PRETRAINED
+from quadwalk.runs.directory import Run
 from quadwalk.settings.registry import TERMS
 from quadwalk.settings.terms import ActionMap
-from quadwalk.task.env import QuadrupedEnv
 from quadwalk.task_files import load_task
-from quadwalk.train.runs.directory import Run
 from tests.settings.test_registry import to_module_names
 from tests.view.conftest import write_run
 

@@ -17,7 +17,7 @@ from PIL import Image
 
 from notebooks.execute import HERE, execute, folders_named
 from quadwalk.errors import UserError
-from quadwalk.evaluate.recording.mcap import verify_mcap
+from quadwalk.evaluation.recording.mcap import verify_mcap
 from tests.test_api import orange
 
 STUDIES = HERE.parent / "studies"

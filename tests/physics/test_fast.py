@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from quadwalk.env.env import QuadrupedEnv
 from quadwalk.physics.batching import BATCH, robots_last
 from quadwalk.physics.fast import (
     acceleration,
@@ -25,7 +26,6 @@ from quadwalk.physics.motor import MotorConfig, PhysicsState, make_motor
 from quadwalk.robot.mjcf import Options
 from quadwalk.robot.quadruped import load_quadruped
 from quadwalk.robot.scene import lowest_point
-from quadwalk.task.env import QuadrupedEnv
 from tests.physics.reference import accelerated, placed, stack_models, touched
 from tests.robot import zoo
 

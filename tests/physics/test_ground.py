@@ -12,13 +12,13 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from quadwalk.ground.heightfield import Heightfield, centered, lay
-from quadwalk.ground.terrain import FLAT, make_terrain
 from quadwalk.physics.constraints.surface import normal_and_tangents, offset_surface
 from quadwalk.physics.engines import ENGINES
 from quadwalk.physics.fast import lowest_points
 from quadwalk.physics.model import contact_geoms, make_model, on_ground
 from quadwalk.physics.motor import MotorConfig, PhysicsState, Stepping, make_motor
+from quadwalk.terrain.heightfield import Heightfield, centered, lay
+from quadwalk.terrain.terrain import FLAT, make_terrain
 from tests.physics.reference import accelerated, touched
 from tests.physics.test_fast import check_errors, lying_states, random_states, solved_as_constants
 

@@ -11,14 +11,15 @@ from pathlib import Path
 import pytest
 
 import quadwalk.tasks
+from quadwalk.env import rewards as reward
+from quadwalk.env import terminations as termination
 from quadwalk.paths import PRETRAINED
+from quadwalk.runs import checkpoint
 from quadwalk.settings import registry
 from quadwalk.settings.registry import ALIASES, TERMS, to_current_name
 from quadwalk.settings.serialize import from_dict, to_dict
 from quadwalk.settings.training import TrainConfig
-from quadwalk.task import reward, termination
 from quadwalk.task_files import load_task, reference, resolve
-from quadwalk.train.runs import checkpoint
 
 # A config.json as training wrote it when files named modules.
 OLD_CONFIG = Path(__file__).with_name("config_with_module_names.json")
@@ -29,7 +30,7 @@ INPUTS = {
     "termination": ["robot", "step"],
     "action": ["robot", "action", "joints"],
 }
-MODULES = ("reward", "observation", "termination", "actions")
+MODULES = ("rewards", "observations", "terminations", "actions")
 
 
 def names_in(text: str) -> set[str]:
@@ -72,7 +73,7 @@ def test_a_name_is_of_a_term_of_its_kind_and_comes_back(name):
 
 
 def test_every_term_of_the_package_has_a_name():
-    modules = [f"quadwalk.task.{name}" for name in MODULES]
+    modules = [f"quadwalk.env.{name}" for name in MODULES]
     modules += [
         f"quadwalk.tasks.{module.name}" for module in pkgutil.iter_modules(quadwalk.tasks.__path__)
     ]

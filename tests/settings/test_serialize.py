@@ -14,11 +14,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from quadwalk.env import rewards as reward
 from quadwalk.errors import UsageError, UserError
 from quadwalk.settings.serialize import OLD_NAMES, flatten, from_dict, to_dict, with_settings
 from quadwalk.settings.terms import Reward
 from quadwalk.settings.training import TrainConfig
-from quadwalk.task import reward
 from quadwalk.task_files import load_task, task_names
 from quadwalk.tasks import sprint
 

@@ -7,8 +7,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from quadwalk.evaluate.motion.gait import measure_gait
-from quadwalk.evaluate.rollout import Rollout
+from quadwalk.evaluation.motion.gait import measure_gait
+from quadwalk.evaluation.rollout import Rollout
 from quadwalk.settings.serialize import flatten
 from quadwalk.task_files import load_task
 from studies.gecko.gait import body_contact, contacts_of, figures_of, frames_of

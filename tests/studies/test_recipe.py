@@ -3,7 +3,7 @@
 import re
 from pathlib import Path
 
-from quadwalk.train.flags import parse_config
+from quadwalk.learn.flags import parse_config
 
 RECIPE = Path(__file__).parents[2] / "studies" / "recipe" / "recipe.md"
 

@@ -6,8 +6,10 @@ import jax
 import numpy as np
 import pytest
 
-from quadwalk.evaluate.grids import steering
-from quadwalk.evaluate.grids.steering import (
+from quadwalk.env.command import draw
+from quadwalk.env.env import QuadrupedEnv
+from quadwalk.evaluation.grids import steering
+from quadwalk.evaluation.grids.steering import (
     changes,
     changing_run,
     held_commands,
@@ -19,17 +21,15 @@ from quadwalk.evaluate.grids.steering import (
     steering_run,
     without_creep,
 )
-from quadwalk.evaluate.loaded import LoadedRun
-from quadwalk.evaluate.report.console import print_steering
-from quadwalk.evaluate.report.panels import draw_steering
-from quadwalk.evaluate.simulate import fresh_starts, roll_out
+from quadwalk.evaluation.loaded import LoadedRun
+from quadwalk.evaluation.report.console import print_steering
+from quadwalk.evaluation.report.panels import draw_steering
+from quadwalk.evaluation.simulate import fresh_starts, roll_out
+from quadwalk.runs.directory import Run
+from quadwalk.runs.policy import Policy
 from quadwalk.settings.environment import COMMANDED, NO_RANDOMIZATION, REAL_WORLD
-from quadwalk.task.env import QuadrupedEnv
-from quadwalk.task.episode.command import draw
 from quadwalk.tasks import drive
-from quadwalk.train.runs.directory import Run
-from quadwalk.train.runs.policy import Policy
-from tests.evaluate.conftest import glided
+from tests.evaluation.conftest import glided
 
 
 @pytest.fixture(scope="module")

@@ -9,17 +9,17 @@ import pytest
 from scipy import stats
 from scipy.spatial.transform import Rotation
 
-from quadwalk.evaluate.grids.standing import SECONDS, measure_standing, standing, standing_points
-from quadwalk.evaluate.loaded import LoadedRun
-from quadwalk.evaluate.report.console import print_standing
+from quadwalk.env.env import QuadrupedEnv
+from quadwalk.env.robot_arrays import is_standing
+from quadwalk.evaluation.grids.standing import SECONDS, measure_standing, standing, standing_points
+from quadwalk.evaluation.loaded import LoadedRun
+from quadwalk.evaluation.report.console import print_standing
 from quadwalk.robot.mjcf import Options
 from quadwalk.robot.quadruped import load_quadruped
 from quadwalk.robot.scene import lowest_point
-from quadwalk.task.env import QuadrupedEnv
-from quadwalk.task.robot_arrays import is_standing
+from quadwalk.runs.directory import Run
+from quadwalk.runs.policy import Policy
 from quadwalk.tasks import getup
-from quadwalk.train.runs.directory import Run
-from quadwalk.train.runs.policy import Policy
 from tests.physics.reference import placed
 from tests.robot import zoo
 

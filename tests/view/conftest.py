@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 from brax.training.acme.running_statistics import NestedMeanStd
 
+from quadwalk.env.env import QuadrupedEnv
+from quadwalk.learn.networks import make_networks
 from quadwalk.robot.quadruped import Quadruped
+from quadwalk.runs import checkpoint
+from quadwalk.runs.directory import Run, as_json, create_run, versions
 from quadwalk.settings.serialize import to_dict
 from quadwalk.settings.training import TrainConfig
-from quadwalk.task.env import QuadrupedEnv
 from quadwalk.tasks import rough, walk
 from quadwalk.tasks import run as run_task
-from quadwalk.train.learner.networks import make_networks
-from quadwalk.train.runs import checkpoint
-from quadwalk.train.runs.directory import Run, as_json, create_run, versions
 from quadwalk.view.choices import LAST, open_run
 from quadwalk.view.live import LiveRobot
 

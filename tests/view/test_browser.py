@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 from rich.console import Console
 
-from quadwalk.train.runs.directory import Run
+from quadwalk.runs.directory import Run
 from tests.view.browser import PROGRAM, Browser, browsing, running, wait
 
 pytest.importorskip("mjviser", reason="mjviser is not installed: pip install 'quadwalk[view]'")

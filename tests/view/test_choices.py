@@ -5,8 +5,8 @@ import pytest
 
 from quadwalk.errors import UserError
 from quadwalk.paths import PRETRAINED
-from quadwalk.train.runs.directory import Run
-from quadwalk.train.runs.policy import load_checkpoint_policy, load_policy
+from quadwalk.runs.directory import Run
+from quadwalk.runs.policy import load_checkpoint_policy, load_policy
 from quadwalk.view.choices import choose_policy, label_of, open_run, policy_choices, run_choices
 
 

@@ -8,11 +8,11 @@ import mujoco
 import numpy as np
 import pytest
 
-from quadwalk.command.shell import install
+from quadwalk.cli.shell import install
 from quadwalk.errors import UsageError, UserError
 from quadwalk.eval import main as evaluate
+from quadwalk.learn.loop import train
 from quadwalk.tasks import walk
-from quadwalk.train.loop import train
 from quadwalk.view.show import ViewConfig, drive, no_window
 from quadwalk.view.traces import Traces
 from quadwalk.view.window import Keys, draw_overlay

@@ -11,11 +11,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from quadwalk.env.env import QuadrupedEnv
+from quadwalk.env.state import EnvState
 from quadwalk.physics.motor import MotorConfig
-from quadwalk.task.env import QuadrupedEnv
-from quadwalk.task.state import EnvState
+from quadwalk.runs.directory import Run
 from quadwalk.tasks import getup
-from quadwalk.train.runs.directory import Run
 from quadwalk.view.choices import LAST, getup_of, open_run
 from quadwalk.view.live import LYING, RISING, STEADY, LiveRobot
 from tests.view.conftest import write_run

@@ -17,7 +17,7 @@ from markdown_it import MarkdownIt
 from rich.console import Console
 
 from quadwalk.errors import UsageError
-from quadwalk.train.runs.directory import Run
+from quadwalk.runs.directory import Run
 from quadwalk.view.choices import LAST
 from tests.view.browser import wait
 from tests.view.conftest import write_policy
@@ -208,8 +208,8 @@ def test_it_listens_on_this_machine_alone(page):
 _TRAINER = """
 import sys
 from pathlib import Path
-from quadwalk.train.progress.watch import watched
-from quadwalk.train.runs.directory import Run
+from quadwalk.progress.watch import watched
+from quadwalk.runs.directory import Run
 with watched(Run(Path(sys.argv[1])), lambda line: print(line, flush=True)):
     sys.stdin.read()
 """

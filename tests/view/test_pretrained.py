@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from quadwalk.errors import UsageError
-from quadwalk.evaluate.loaded import load_run
+from quadwalk.evaluation.loaded import load_run
 from quadwalk.paths import PRETRAINED
-from quadwalk.train.runs.directory import Run, find_any_run, find_ready, results_folder
+from quadwalk.runs.directory import Run, find_any_run, find_ready, results_folder
 from quadwalk.view.choices import LAST, getup_of, open_run
 from quadwalk.view.live import LiveRobot
 

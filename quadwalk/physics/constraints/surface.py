@@ -19,8 +19,8 @@ import numpy as np
 from scipy.ndimage import maximum_filter
 
 from quadwalk.cores import cpu_cores
-from quadwalk.ground.heightfield import Heightfield
 from quadwalk.physics.vectors import Array, Vector, cross
+from quadwalk.terrain.heightfield import Heightfield
 
 FINER = 2  # cells of an offset surface along one of the ground's
 _BAND = 256  # rows of nodes computed at a time, by one of the cores

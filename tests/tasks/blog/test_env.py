@@ -6,10 +6,10 @@ import mujoco
 import numpy as np
 import pytest
 
+from quadwalk.env.env import QuadrupedEnv
+from quadwalk.env.state import EnvState
 from quadwalk.physics.motor import Effort, PhysicsState, motor_torque
 from quadwalk.robot.quadruped import load_quadruped
-from quadwalk.task.env import QuadrupedEnv
-from quadwalk.task.state import EnvState
 from quadwalk.tasks import blog
 
 STATES = 2000

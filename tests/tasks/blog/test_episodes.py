@@ -9,11 +9,11 @@ import pytest
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
-from quadwalk.evaluate.motion.forces import with_foot_forces
-from quadwalk.evaluate.motion.gait import measure_gait
-from quadwalk.evaluate.recording.mcap import write_mcap
-from quadwalk.evaluate.simulate import simulate_episodes
-from quadwalk.task.env import QuadrupedEnv
+from quadwalk.env.env import QuadrupedEnv
+from quadwalk.evaluation.motion.forces import with_foot_forces
+from quadwalk.evaluation.motion.gait import measure_gait
+from quadwalk.evaluation.recording.mcap import write_mcap
+from quadwalk.evaluation.simulate import simulate_episodes
 from quadwalk.task_files import load_task
 
 STEPS = 50

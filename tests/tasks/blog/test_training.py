@@ -6,12 +6,12 @@ import jax
 import numpy as np
 import pytest
 
+from quadwalk.env.env import QuadrupedEnv
+from quadwalk.learn import iteration
+from quadwalk.learn.networks import networks_for
+from quadwalk.progress.metrics import TrainingMetrics
 from quadwalk.robot.quadruped import load_quadruped
-from quadwalk.task.env import QuadrupedEnv
 from quadwalk.task_files import load_task
-from quadwalk.train.learner import iteration
-from quadwalk.train.learner.networks import networks_for
-from quadwalk.train.progress.metrics import TrainingMetrics
 
 ITERATIONS, ENVS = 4, 8
 

@@ -1,0 +1,72 @@
+"""`quadwalk doctor`: what quadwalk runs on here, and what is off."""
+
+import importlib.metadata
+import json
+import platform
+import subprocess
+import sys
+from collections.abc import Sequence
+
+from packaging.requirements import Requirement
+
+from quadwalk.cli.arguments import ArgumentParser
+from quadwalk.cores import compilation_cache, cpu_cores, instructions
+from quadwalk.errors import UserError
+
+SHOWN = ("jax", "jaxlib", "flax", "brax", "mujoco", "mujoco-mjx", "numpy")
+TELLING = ("sse4_2", "avx", "avx2", "fma", "avx512f", "asimd", "sve")  # of the instruction sets
+# In a process of its own: a broken package may end it, and XLA does so for a flag it does not know.
+PROBE = """
+import json, mujoco, mujoco.mjx, jax, brax.training
+from quadwalk.render.opengl import working_library
+from quadwalk.learn.devices import set_up_devices
+set_up_devices()
+print(json.dumps([[str(device) for device in jax.devices()], working_library()]))
+"""
+
+
+def main(argv: Sequence[str] | None = None, prog: str = "quadwalk doctor") -> None:
+    """Print what there is; raises `UserError` where quadwalk cannot run."""
+    ArgumentParser(prog=prog, description=__doc__.partition(": ")[2]).parse_args(argv)
+    versions = {name: _version(name) or "missing" for name in SHOWN}
+    print(f"{'quadwalk':11}{_version('quadwalk') or 'not installed, run from its source'}")
+    print(f"{'python':11}{platform.python_version()}, {sys.executable}")
+    print(f"{'packages':11}{', '.join(f'{name} {found}' for name, found in versions.items())}")
+    sets = [name for name in TELLING if name in instructions().split()]
+    print(f"{'processor':11}{cpu_cores()} cores, {platform.machine()} {' '.join(sets)}")
+    folder = compilation_cache()
+    size = sum(file.stat().st_size for file in folder.rglob("*")) if folder.is_dir() else 0
+    print(f"{'cache':11}{folder}, {size / 1e6:,.0f} MB", flush=True)
+    done = subprocess.run([sys.executable, "-c", PROBE], capture_output=True, text=True)
+    said = done.stderr.strip().splitlines()
+    if done.returncode == 0:
+        devices, library = json.loads(done.stdout.splitlines()[-1])
+        print(f"{'devices':11}{', '.join(devices)}")
+        print(f"{'pictures':11}{library or 'by ray casting: no GL library works here'}")
+    for line in [*(line for line in said if line.startswith("warning: ")), *_other_versions()]:
+        print(line)
+    if done.returncode:
+        unknown = [line.partition("] ")[2] for line in said if "Unknown flag" in line]
+        reason = (unknown or said[-1:] or [f"status {done.returncode}"])[0]
+        raise UserError(f"JAX and MuJoCo do not start: {reason}")
+
+
+def _version(name: str) -> str | None:
+    try:
+        return importlib.metadata.version(name)
+    except importlib.metadata.PackageNotFoundError:
+        return None
+
+
+def _other_versions() -> list[str]:
+    """A line for each package that is not there as quadwalk's own metadata demands it."""
+    lines = (importlib.metadata.requires("quadwalk") or []) if _version("quadwalk") else []
+    wrong = []
+    for need in map(Requirement, lines):
+        if need.marker and not need.marker.evaluate({"extra": ""}):
+            continue
+        found = _version(need.name)
+        if found is None or found not in need.specifier:
+            there = f"is {found}" if found else "is missing"
+            wrong.append(f"warning: {need.name} {there}; expected {need.name}{need.specifier}")
+    return wrong

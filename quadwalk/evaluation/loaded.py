@@ -1,0 +1,130 @@
+"""A run's policy with its robot and environment, to be evaluated, driven or exported."""
+
+import dataclasses
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from quadwalk.env.env import QuadrupedEnv
+from quadwalk.errors import UserError
+from quadwalk.files import read_bytes
+from quadwalk.physics.engines import EngineName
+from quadwalk.runs import checkpoint
+from quadwalk.runs.directory import Run
+from quadwalk.runs.policy import Policy, load_policy
+from quadwalk.runs.robot import compare_robot, load_robot
+from quadwalk.settings.environment import (
+    NO_RANDOMIZATION,
+    PHYSICS,
+    REAL_WORLD,
+    EnvConfig,
+    RandomizationConfig,
+)
+from quadwalk.terrain.terrain import FLAT, GroundConfig
+
+PUSH_SECONDS = 5.0  # one push in each
+
+
+@dataclass(frozen=True)
+class LoadedRun:
+    """A policy and the environment to roll it out in."""
+
+    run: Run
+    file: Path  # that the policy was read from
+    policy: Policy
+    env: QuadrupedEnv
+    sha256: str  # of that file
+    config: bytes | None = None  # of the run's config.json; None: it has none
+    # lines on its robot: what was left out or assumed, and that it is not the one trained on
+    notes: tuple[str, ...] = ()
+
+    def in_mujoco(self, **changes: Any) -> "LoadedRun":
+        """The same in MuJoCo C, with `changes` of its environment's settings."""
+        config = dataclasses.replace(self.env.config, **changes)
+        env = QuadrupedEnv(self.env.quadruped, config, "mujoco")
+        return dataclasses.replace(self, env=env)
+
+    def in_engine(self, engine: EngineName) -> "LoadedRun":
+        return dataclasses.replace(self, env=self.env.in_engine(engine))
+
+    def can_take_turns(self, other: "LoadedRun") -> bool:
+        """Return True for a robot of the same joints and masses, and the same control period."""
+        mine, theirs = self.env, other.env
+        return (
+            mine.quadruped.joints == theirs.quadruped.joints
+            and np.array_equal(mine.mj_model.body_mass, theirs.mj_model.body_mass)
+            and math.isclose(mine.config.control_dt, theirs.config.control_dt)
+        )
+
+
+def training_ranges(config: EnvConfig) -> RandomizationConfig:
+    """The ranges of a task's domain randomization; `REAL_WORLD` where training had none."""
+    own = config.randomization
+    return REAL_WORLD if own == NO_RANDOMIZATION else own
+
+
+def evaluation_ranges(config: EnvConfig, enabled: bool) -> RandomizationConfig:
+    """Those without margin and ideal episodes, and with a push in each `PUSH_SECONDS`."""
+    return dataclasses.replace(
+        training_ranges(config), enabled=enabled, push_seconds=PUSH_SECONDS, margin=0.0, ideal=0.0
+    )
+
+
+def unseen_ground(trained: GroundConfig, seed: int, levels: int = 3) -> GroundConfig:
+    """Ground of the kinds trained on, made by `seed` from numbers that training never draws.
+
+    Each kind counts once, at `levels` difficulties. A flat floor or a field from a file stays.
+    """
+    if trained.flat or trained.file is not None:
+        return dataclasses.replace(trained, curriculum=False)
+    kinds = tuple(dict.fromkeys(trained.kinds))
+    return dataclasses.replace(
+        trained.unseen(seed), kinds=kinds, levels=levels, curriculum=False, confined=False
+    )
+
+
+def load_run(
+    run: Run,
+    seconds: float,
+    which: str = "last",
+    engine: EngineName = "mjx",
+    randomized: bool = False,
+    seed: int = 0,
+    flat: bool = False,
+) -> LoadedRun:
+    """Load the "last" or "best" policy of `run` for episodes of up to `seconds` in `engine`.
+
+    Without `randomized` the robot is that of its model and nothing disturbs it. With it, each
+    episode draws conditions from the `training_ranges`, with a push in each `PUSH_SECONDS`,
+    whatever training had, so that runs compare. A velocity command holds for a whole episode, so
+    that the episode has one gait. Uneven ground is `unseen_ground` of `seed`, or, if `flat`, a
+    flat floor. Raises `UserError` where policy or robot cannot be read, or do not match.
+    """
+    file = run.best if which == "best" else run.policy
+    policy, sha256 = load_policy(file), checkpoint.sha256(file)
+    # Now, and not for its recordings, when all is simulated.
+    written = read_bytes(run.config) if run.config.exists() else None
+    quadruped = load_robot(policy.config.robot)
+    trained = policy.config.env
+    command = dataclasses.replace(trained.command, seconds=seconds, soonest=None, margin=0.0)
+    config = dataclasses.replace(
+        trained,
+        episode_seconds=seconds,
+        # The two iterations of earlier runs grip too well on slippery floors.
+        solver_iterations=max(trained.solver_iterations, PHYSICS["solver_iterations"]),
+        command=command,
+        randomization=evaluation_ranges(trained, randomized),
+        ground=FLAT if flat else unseen_ground(trained.ground, seed),
+    )
+    env = QuadrupedEnv(quadruped, config, engine)
+    if quadruped.joints != policy.joints or env.policy_size != policy.observation_size:
+        raise UserError(
+            f"{file} was trained on another robot than {run.urdf}: it has joints "
+            f"{', '.join(policy.joints)} and {policy.observation_size} observations"
+        )
+    gains = [env.gains_note] if env.gains_note else []
+    notes = (*quadruped.notes, *compare_robot(run, quadruped), *gains)
+    return LoadedRun(run, file, policy, env, sha256, written, notes)

@@ -1,0 +1,162 @@
+"""An episode as an MCAP file that Rerun, Foxglove and PlotJuggler open as it is.
+
+Nothing in the file depends on the clock, so two writes of one rollout are byte-identical.
+The format: https://mcap.dev/spec.
+"""
+
+import gzip
+import json
+import zlib
+from collections.abc import Mapping
+from pathlib import Path, PurePath
+from typing import IO
+
+from mcap.records import Footer, Statistics
+from mcap.stream_reader import StreamReader
+from mcap.writer import Writer
+from mcap_protobuf.schema import register_schema
+
+from quadwalk.cli.shell import words
+from quadwalk.errors import UserError
+from quadwalk.evaluation.recording.messages import EpisodeMessages
+from quadwalk.evaluation.rollout import Rollout
+from quadwalk.files import atomic_write, os_reason
+from quadwalk.paths import ASSETS
+from quadwalk.robot.quadruped import Quadruped
+
+LAYOUT = ASSETS / "foxglove_layout.json"
+RERUN_BLUEPRINT = ASSETS / "rerun.rbl"  # written by benchmarks/rerun_blueprint.py
+RERUN_APPLICATION = "quadwalk"  # Rerun applies a blueprint to recordings of its application
+
+# Under 256 KiB zstd takes parameters for small inputs, which suit these messages better.
+_CHUNK = 250_000  # bytes
+# The format compresses messages but not attachments: one larger than this is stored as NAME.gz.
+_LARGE = 16 * 1024  # bytes
+_MEDIA_TYPES = {
+    ".gz": "application/gzip",
+    ".json": "application/json",
+    ".urdf": "application/xml",
+    ".xml": "application/xml",
+    ".png": "image/png",
+    ".txt": "text/plain",
+}
+
+
+def write_mcap(
+    path: str | Path,
+    rollout: Rollout,
+    quadruped: Quadruped,
+    metadata: Mapping[str, str],
+    attachments: Mapping[str, bytes] | None = None,
+) -> None:
+    """Write one episode to `path`; the file is either whole and verified, or not there.
+
+    `metadata` becomes the record named `quadwalk`; a record `episode` comes from the rollout. The
+    URDF and the Foxglove layout are attached, and `attachments` (name -> content) beside them,
+    large ones as NAME.gz. A rollout whose state stops being finite is written up to there, with
+    the event in `/log`. Raises `UserError` where the file cannot be written.
+    """
+    attached = {
+        f"{quadruped.name}.urdf": quadruped.urdf.encode(),
+        LAYOUT.name: foxglove_layout(quadruped.trunk),
+        **(attachments or {}),
+    }
+    episode = {
+        "robot": quadruped.name,
+        "seed": str(rollout.seed),
+        "episode": str(rollout.episode),
+        "end": rollout.end,
+        "steps": str(rollout.steps),
+        "control_dt": repr(float(rollout.control_dt)),
+    }
+    records = {"episode": episode, "quadwalk": dict(metadata)}
+    with atomic_write(path) as file:
+        count = _write(file, EpisodeMessages(rollout, quadruped), attached, records)
+        file.flush()
+        # Before the file gets its name: what a reader will find must be what was written.
+        if verify_mcap(file.name) != count:
+            raise UserError(f"cannot write {path}: it does not read back as it was written")
+
+
+def foxglove_layout(trunk: str) -> bytes:
+    """The layout to import in Foxglove, its camera following the link named `trunk`."""
+    layout = json.loads(LAYOUT.read_bytes())
+    layout["configById"]["3D!robot"]["followTf"] = trunk
+    return json.dumps(layout, separators=(",", ":"), allow_nan=False).encode()
+
+
+def rerun_commands(recording: Path) -> str:
+    """Return the shell's command that shows `recording` in Rerun with the blueprint beside it.
+
+    Opened as it is, a recording has no application that a blueprint could be for, and its simulated
+    seconds are dates of 1970.
+    """
+    converted = recording.with_suffix(".rrd")
+    options = ["--application-id", RERUN_APPLICATION, "--timeline-type", "duration"]
+    convert = words("rerun", "mcap", "convert", *options, recording, "-o", converted)
+    return f"{convert} && {words('rerun', converted, recording.with_name(RERUN_BLUEPRINT.name))}"
+
+
+def verify_mcap(path: str | Path) -> int:
+    """Check all checksums of an MCAP file: its number of messages, `UserError` if it is damaged."""
+    try:
+        with open(path, "rb") as stream:
+            return _verified_messages(stream)
+    except OSError as error:
+        raise UserError(f"cannot read {path}: {os_reason(error)}") from error
+    except Exception as error:
+        # Damaged bytes meet the reader's parts anywhere: struct.error, ZstdError, McapError,
+        # UnicodeDecodeError, MemoryError... They all mean one thing to the caller.
+        reason = str(error) or type(error).__name__
+        raise UserError(f"{path}: damaged or incomplete MCAP file ({reason})") from error
+
+
+def _verified_messages(stream: IO[bytes]) -> int:
+    count = footer = None
+    # Chunks stay whole: the data section's checksum, which the library checks, covers them.
+    for record in StreamReader(stream, emit_chunks=True, validate_crcs=True).records:
+        if isinstance(record, Statistics):
+            count = record.message_count
+        elif isinstance(record, Footer):
+            footer = record
+    if count is None or footer is None or footer.summary_start == 0:
+        raise ValueError("no summary")
+    # The library leaves the summary's own checksum to its reader: it covers the summary and the
+    # footer up to that checksum (4 bytes), which the closing magic (8 bytes) follows.
+    stream.seek(footer.summary_start)
+    if zlib.crc32(stream.read()[: -4 - 8]) != footer.summary_crc:
+        raise ValueError("crc validation failed in summary")
+    return count
+
+
+def _write(
+    stream: IO[bytes],
+    episode: EpisodeMessages,
+    attachments: Mapping[str, bytes],
+    records: Mapping[str, Mapping[str, str]],
+) -> int:
+    """Write the whole file to `stream`; returns the number of messages."""
+    writer = Writer(stream, chunk_size=_CHUNK, enable_data_crcs=True)
+    writer.start(library="quadwalk")
+    # All channels, in a fixed order.
+    text = writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data\n")
+    channels = {"/robot_description": writer.register_channel("/robot_description", "cdr", text)}
+    schemas: dict[str, int] = {}
+    for topic, kind in episode.topics.items():
+        name = kind.DESCRIPTOR.full_name
+        if name not in schemas:
+            schemas[name] = register_schema(writer, kind)
+        channels[topic] = writer.register_channel(topic, "protobuf", schemas[name])
+    for name, record in records.items():
+        writer.add_metadata(name, dict(sorted(record.items())))
+    for name, content in sorted(attachments.items()):
+        if len(content) > _LARGE:
+            name, content = f"{name}.gz", gzip.compress(content, mtime=0)
+        media_type = _MEDIA_TYPES.get(PurePath(name).suffix, "application/octet-stream")
+        writer.add_attachment(0, 0, name, media_type, content)
+    count = 0
+    for topic, time, data in episode:
+        writer.add_message(channels[topic], log_time=time, publish_time=time, data=data)
+        count += 1
+    writer.finish()
+    return count

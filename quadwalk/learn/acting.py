@@ -1,0 +1,70 @@
+"""A trained policy as a function of what it sees: its mean action, or that with noise."""
+
+import functools
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from brax.training.acme.running_statistics import NestedMeanStd
+from brax.training.networks import ACTIVATION
+
+from quadwalk.learn.networks import divisors, spread
+from quadwalk.settings.training import PPOConfig
+
+SURE = 0.15  # standard deviation, before the tanh, up to which a policy acts without noise
+READS = 4  # numbers of an observation that a joint's noise depends on; few, for rounding's sake
+GAIN = 10.0  # rad that its phase turns where one of them changes by its standard deviation
+
+
+def make_policy(
+    config: PPOConfig, normalizer: NestedMeanStd, params: Any
+) -> Callable[[jax.Array], jax.Array]:
+    """The policy of plain `params`: observation (..., n) to action (..., 12).
+
+    Of an observation it takes the first numbers, those that the policy sees. It is a pytree of its
+    weights, an argument of jitted functions: what was compiled for one policy serves for the next.
+    """
+    scale = config.std_scale if config.stochastic else None
+    return jax.tree_util.Partial(_acting(config.activation, scale), normalizer, params)
+
+
+@functools.cache
+def _acting(
+    activation: str, scale: float | None
+) -> Callable[[NestedMeanStd, Any, jax.Array], jax.Array]:
+    def act(normalizer: NestedMeanStd, params: Any, observation: jax.Array) -> jax.Array:
+        layers = params["params"]
+        size = len(layers["hidden_0"]["kernel"])
+        # XLA multiplies (rows, n) at nearly twice the speed of (envs, steps, n).
+        x = observation[..., :size].reshape(-1, size)
+        x = seen = (x - normalizer.mean[:size]) / divisors(normalizer)[:size]
+        for number in range(len(layers)):
+            if number:
+                x = ACTIVATION[activation](x)
+            layer = layers[f"hidden_{number}"]
+            x = x @ layer["kernel"] + layer["bias"]
+        raw, raw_std = jnp.split(x, 2, axis=-1)
+        if scale is not None:
+            std = spread(raw_std, scale)
+            raw += jnp.where(std > SURE, std, 0.0) * noise(seen, raw.shape[-1])
+        return jnp.tanh(raw).reshape(*observation.shape[:-1], -1)
+
+    return act
+
+
+def noise(seen: jax.Array, actions: int) -> jax.Array:
+    """(rows, actions) of mean 0 and variance 1, for `seen` (rows, n), normalized observations.
+
+    It stands for chance. Observations that differ a little, as those of two steps, have noise that
+    differs altogether. But it is a function of them: every runtime computes the same.
+    """
+    return jnp.sqrt(2.0) * jnp.sin(seen @ phases(seen.shape[-1], actions))
+
+
+def phases(size: int, actions: int) -> np.ndarray:
+    """(size, actions) rad: the noise's phases are the product with normalized observations."""
+    draw = np.random.RandomState(0)  # no version of NumPy changes its numbers
+    read = draw.random_sample((size, actions)).argsort(axis=0) < READS
+    return (GAIN * read * draw.standard_normal(read.shape)).astype(np.float32)

@@ -1,0 +1,158 @@
+"""XLA devices to train on: accelerators, or one for each CPU core; and the compilation cache."""
+
+import ctypes
+import dataclasses
+import functools
+import sys
+import tempfile
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+
+import jax
+
+from quadwalk.cores import compilation_cache, cpu_cores
+from quadwalk.errors import UsageError
+from quadwalk.files import os_reason
+from quadwalk.learn.distributed import join
+from quadwalk.settings.training import TrainConfig
+
+CPU_ENVS = 2048  # what the learner's defaults are tuned for
+ACCELERATOR_ENVS = 8192  # a guess: enough to fill one, and few enough to learn from
+
+
+def device_count(
+    envs: int, minibatches: int, eval_envs: int, most: int | None = None, processes: int = 1
+) -> int:
+    """The most devices, up to `most` (by default, one per core of each process), to share evenly.
+
+    Each gets the same number of environments for every minibatch, and of evaluation environments;
+    each process has the same number of devices.
+    """
+    most = processes * cpu_cores() if most is None else most
+    return max(
+        count
+        for count in range(processes, max(most, processes) + 1, processes)
+        if count == processes or (envs % (count * minibatches) == 0 and eval_envs % count == 0)
+    )
+
+
+def choose_devices(config: TrainConfig) -> tuple[TrainConfig, list[jax.Device]]:
+    """Set JAX up; `config` with the numbers of devices and environments filled in, and the devices.
+
+    Where JAX has accelerators they are used, otherwise CPU cores. Meets the other processes, if
+    there are any. Raises `UsageError` for numbers that do not divide evenly.
+    """
+    processes = config.distributed.processes
+    if config.devices is not None and config.devices % processes:
+        raise UsageError(
+            f"--devices is {config.devices}; expected a multiple of {processes}, the processes"
+        )
+    ppo = config.ppo
+    envs = config.envs or CPU_ENVS
+    count = config.devices or device_count(envs, ppo.minibatches, ppo.eval_envs, None, processes)
+    _prepare(count // processes)
+    join(config.distributed)
+    available = len(jax.devices())
+    if jax.default_backend() != "cpu":
+        envs = config.envs or ACCELERATOR_ENVS
+    count = config.devices or device_count(
+        envs, ppo.minibatches, ppo.eval_envs, available, processes
+    )
+    if count > available:
+        raise UsageError(f"--devices is {count}; expected at most the {available} there are")
+    if ppo.eval_envs % count:
+        raise UsageError(
+            f"--ppo.eval-envs is {ppo.eval_envs}; expected a multiple of {count}, the devices"
+        )
+    if envs % (count * ppo.minibatches):
+        raise UsageError(
+            f"--envs is {envs}; expected a multiple of {count * ppo.minibatches} "
+            f"({count} devices times {ppo.minibatches} minibatches)"
+        )
+    share = count // processes
+    devices = [d for index in range(processes) for d in jax.local_devices(index)[:share]]
+    return dataclasses.replace(config, envs=envs, devices=count), devices
+
+
+def set_up_devices(count: int | None = None) -> int:
+    """Make JAX offer `count` CPU devices, by default one per core; return how many there are.
+
+    A program on one XLA device leaves much of a second core idle. To be called before JAX computes
+    anything: after that its devices stay what they are, and a warning says so if they are fewer.
+    What is compiled is kept in the user's cache folder: the second start takes seconds.
+    """
+    _prepare(count or cpu_cores())
+    available = len(jax.devices())
+    if count is not None and count > available:
+        raise UsageError(f"--devices is {count}; expected at most the {available} there are")
+    return available
+
+
+def _prepare(cpu_devices: int) -> None:
+    """All that must be said to JAX before it looks for devices."""
+    _keep_freed_memory()
+    try:
+        jax.config.update("jax_num_cpu_devices", cpu_devices)
+    except RuntimeError:
+        # A process that has computed keeps the devices it has, as a notebook that trains twice.
+        _warn_of_fewer(cpu_devices)
+    if jax.config.jax_compilation_cache_dir is None:  # type: ignore[attr-defined]
+        folder = compilation_cache()
+        if _can_keep(folder):
+            jax.config.update("jax_compilation_cache_dir", str(folder))
+            # Also the forty programs of milliseconds that make a learner: together, a second.
+            jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+
+
+def _keep_freed_memory() -> None:
+    """Have glibc's malloc keep what XLA frees: each iteration asks for the same again.
+
+    Given back and asked for again, it is cleared page by page (benchmarks/learning.py).
+    """
+    # <malloc.h>
+    trim_threshold, top_pad, mmap_max = -1, -2, -4
+    mallopt = _of_libc("mallopt")
+    mallopt(mmap_max, 0)
+    mallopt(trim_threshold, 2**31 - 1)
+    mallopt(top_pad, 2**26)
+
+
+def release_freed_memory() -> None:
+    """Have glibc's malloc give back what is free now, as half a gigabyte that compiling needed."""
+    _of_libc("malloc_trim")(0)
+
+
+def _of_libc(name: str) -> Callable[..., object]:
+    """A function of the C library; one that does nothing where it has none of that name."""
+    try:
+        function: Callable[..., object] = getattr(ctypes.CDLL(None), name)
+    except (OSError, TypeError, AttributeError):
+        return lambda *_: None
+    return function
+
+
+@functools.cache
+def _warn_of_fewer(cpu_devices: int) -> None:
+    """Say so, once, if JAX computes on fewer CPU devices than are wanted."""
+    available = jax.local_device_count()
+    if jax.default_backend() == "cpu" and available < cpu_devices:
+        warnings.warn(
+            f"JAX has already computed: quadwalk uses {available} CPU "
+            f"device{'s' if available > 1 else ''} instead of {cpu_devices}; "
+            "restart Python and call quadwalk before anything computes with JAX",
+            stacklevel=2,
+        )
+
+
+@functools.cache
+def _can_keep(folder: Path) -> bool:
+    """Whether files can be kept in the folder, which is made; says so, once, if not."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        tempfile.TemporaryFile(dir=folder).close()
+    except OSError as error:
+        reason = f"cannot keep compiled programs in {folder}: {os_reason(error)}"
+        print(f"warning: {reason}; every start compiles anew", file=sys.stderr)
+        return False
+    return True

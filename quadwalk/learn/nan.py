@@ -1,0 +1,96 @@
+"""Steps that gave numbers that are not finite, or speeds that no robot has: kept, and replayed.
+
+    python -m quadwalk.learn.nan runs/NAME/nan/step_000000123456.npz
+
+steps the physics again from the state that was kept, under its conditions, and says what comes out.
+A file holds the `EnvState` before the control step, its parts named as `before/physics/qpos`, and
+the `action` (12,).
+"""
+
+from quadwalk.cli.process import run_command
+
+if __name__ == "__main__":
+    run_command("quadwalk.learn.nan")
+
+import dataclasses
+import sys
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from quadwalk.env.env import QuadrupedEnv
+from quadwalk.env.ground_input import jit
+from quadwalk.errors import UsageError, UserError
+from quadwalk.files import os_reason
+from quadwalk.physics.engines import ENGINES
+from quadwalk.runs import checkpoint
+from quadwalk.runs.directory import Run
+from quadwalk.runs.resume import config_of
+from quadwalk.runs.robot import load_robot
+from quadwalk.settings.serialize import to_dict
+from quadwalk.settings.training import TrainConfig
+
+KEPT = 20  # files of a run: enough to see what they have in common
+
+
+def keep(run: Run, before: Any, action: Any, config: TrainConfig, steps: int) -> Path | None:
+    """Write the step from `before` with `action` to the run, and return the file.
+
+    `steps` of training were done when it was met. None: the run has enough of them.
+    """
+    try:
+        run.nan.mkdir(exist_ok=True)
+        if sum(1 for _ in run.nan.glob("*.npz")) >= KEPT:
+            return None
+    except OSError as error:
+        raise UserError(f"cannot write {run.nan}: {os_reason(error)}") from error
+    path = run.nan / f"step_{steps:012d}.npz"
+    metadata = {"kind": "nan", "config": to_dict(config), "steps": steps}
+    checkpoint.save(path, {"before": before, "action": action}, metadata)
+    return path
+
+
+def replay(path: Path | str) -> tuple[np.ndarray, np.ndarray]:
+    """Step again what `keep` wrote to `path`, in a run's folder.
+
+    Returns qpos (n + 1, 19) and qvel (n + 1, 18): before, and after each of the control step's n
+    physics steps. Raises `UserError` for a file that cannot be used.
+    """
+    path = Path(path)
+    _, metadata = checkpoint.load(path, "nan")
+    run = Run(path.parent.parent)
+    try:
+        config = config_of(metadata["config"], run, str(path), "0.1")
+        env = QuadrupedEnv(load_robot(config.robot), config.env)
+    except (KeyError, ValueError, UserError) as error:
+        raise UserError(f"{path} holds a step that cannot be used: {error}") from None
+    start = jax.eval_shape(env.reset, jax.random.PRNGKey(0)).pipeline_state
+    like = {"before": start, "action": jax.ShapeDtypeStruct((env.action_size,), np.float32)}
+    kept, _ = checkpoint.load(path, "nan", like)
+    engine, once = ENGINES[env.engine], dataclasses.replace(env.stepping, substeps=1)
+
+    def course(env: QuadrupedEnv, before: Any, action: jax.Array) -> Any:
+        model, physics, _, target = env.driven(before, action)
+
+        def one(physics: Any, own: jax.Array) -> Any:
+            after, _ = engine.control_step(model, once, physics, own)
+            return after, after
+
+        targets = jnp.broadcast_to(target, (env.stepping.substeps, *target.shape[-1:]))
+        return jax.lax.scan(one, physics, targets)[1]
+
+    first, after = kept["before"].physics, jit(env, course)(kept["before"], kept["action"])
+    return np.stack([first.qpos, *after.qpos]), np.stack([first.qvel, *after.qvel])
+
+
+def main() -> None:
+    """Replay the file named on the command line, and print its course."""
+    if len(sys.argv) != 2 or sys.argv[1].startswith("-"):
+        raise UsageError("expected one argument: a file of a run's nan folder")
+    for number, (qpos, qvel) in enumerate(zip(*replay(sys.argv[1]), strict=True)):
+        finite = np.isfinite(qpos).all() and np.isfinite(qvel).all()
+        height = f"height {qpos[2]:.3g} m, fastest velocity {np.abs(qvel).max():.3g}"
+        print(f"after {number} physics steps: {height if finite else 'not finite'}")

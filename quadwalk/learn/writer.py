@@ -1,0 +1,150 @@
+"""Writing down what a training yields, whatever the disk says."""
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from quadwalk.errors import UserError
+from quadwalk.learn import nan
+from quadwalk.learn.prepare import Training
+from quadwalk.runs import checkpoint
+from quadwalk.runs.directory import Run, keep_last
+from quadwalk.runs.log import MetricsLog, read_history
+from quadwalk.runs.policy import load_score, save_policy
+from quadwalk.runs.wandb import WandbLog
+from quadwalk.settings.serialize import to_dict
+
+KEPT_CHECKPOINTS = 3
+CURVE_SECONDS = 30.0  # the learning curve is drawn anew this often...
+CURVE_SHARE = 0.02  # ...or as often as takes this share of the time, if that is less often
+
+
+class RunWriter:
+    """Writes a run's files while it trains; a context manager.
+
+    A failed write is reported once, through `warn`. Training continues, what was there stays as
+    it was, and the next call tries again.
+    """
+
+    def __init__(self, training: Training, run: Run, warn: Callable[[str], None]) -> None:
+        """Rows of metrics beyond the state that `training` begins with are dropped."""
+        self.run = run
+        self.saved: int | None = training.steps or None  # steps behind the last checkpoint
+        self.best: tuple[int, float] | None = None  # steps and score of the best policy
+        self._training = training
+        self._warn = warn
+        self._refused: dict[str, str] = {}
+        self._told = False  # of steps with NaN
+        self._draw_at = time.monotonic() + CURVE_SECONDS
+        self._log = MetricsLog(run, resume_at=training.steps if training.resumed else None)
+        self._wandb = WandbLog(run, training.config) if training.config.log == "wandb" else None
+        if run.best.exists():
+            self._attempt("best", self._read_best)
+
+    def __enter__(self) -> "RunWriter":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._log.close()
+        if self._wandb is not None:
+            self._wandb.close()
+
+    def iteration(self, row: dict[str, float], nan_step: Any, seconds: float) -> None:
+        """Log an iteration's `row`, keep its `NanStep`, if any, and draw the curve now and then."""
+        pace = row["steps"] / seconds
+        timing = {"time/elapsed": seconds, "time/steps_per_second": pace}
+        self._attempt("metrics", lambda: self._log.append(row, timing))
+        if (wandb := self._wandb) is not None:
+            self._attempt("wandb", lambda: wandb.append({**row, **timing}))
+        if nan_step.found > 0:
+            self._attempt("nan", lambda: self._keep(nan_step, int(row["steps"])))
+        if time.monotonic() > self._draw_at:
+            self.draw()
+
+    def _keep(self, nan_step: Any, steps: int) -> None:
+        config = self._training.config
+        path = nan.keep(self.run, nan_step.before, nan_step.action, config, steps)
+        if path is not None and not self._told:
+            self._warn(f"a step gave NaN: its episode ended, and {path} keeps it")
+            self._told = True
+
+    def draw(self) -> None:
+        # Matplotlib: a third of a second that the first iteration does not wait for.
+        from quadwalk.progress.curves import RANDOMIZED, save_learning_curve
+
+        run, began = self.run, time.monotonic()
+        best = self.best[0] if self.best else None
+        note = RANDOMIZED if self._training.config.env.randomization.enabled else ""
+        self._attempt(
+            "curve",
+            lambda: save_learning_curve(read_history(run), run.learning_curve, best, note),
+        )
+        now = time.monotonic()
+        self._draw_at = now + max(CURVE_SECONDS, (now - began) / CURVE_SHARE)
+
+    def save(self, state: Any, steps: int, seconds: float) -> bool:
+        """Save the policy, as the best too if it is, and a checkpoint; whether all went well."""
+        training, score = self._training, self._training.metrics.score
+        metadata = {
+            "kind": "checkpoint",
+            "config": to_dict(training.config),
+            "steps": steps,
+            "seconds": seconds,
+            "metrics": training.metrics.state(),
+            "mirrors": training.networks.mirrors,
+        }
+
+        def save_checkpoint() -> None:
+            self._log.sync()  # a checkpoint counts on the rows before it
+            checkpoint.save(self.run.checkpoint(steps), state, metadata)
+
+        # The policies first: they are small and most valuable, should the disk be full.
+        well = self.publish(state, steps)
+        if steps and (self.best is None or score > self.best[1]):  # before that there is no score
+            if self._attempt("best", lambda: self._save_policy(self.run.best, state, steps)):
+                self.best = steps, score
+            else:
+                well = False
+        if self._attempt("checkpoint", save_checkpoint):
+            self.saved = steps
+            best = self.run.checkpoint(self.best[0]) if self.best else None
+            keep_last(self.run, KEPT_CHECKPOINTS, also=best)
+        else:
+            well = False
+        return well
+
+    def publish(self, state: Any, steps: int) -> bool:
+        """Save only the newest policy, for a viewer; whether that went well."""
+        return self._attempt("policy", lambda: self._save_policy(self.run.policy, state, steps))
+
+    @property
+    def trouble(self) -> str:
+        """What the disk has refused, and not taken since."""
+        return next(iter(self._refused.values()), "")
+
+    def _save_policy(self, path: Path, state: Any, steps: int) -> None:
+        training = self._training
+        save_policy(
+            path,
+            *training.networks.plain_policy(state.learner.normalizer, state.learner.params.policy),
+            training.config,
+            training.quadruped.joints,
+            steps,
+            training.metrics.score,
+        )
+
+    def _read_best(self) -> None:
+        self.best = load_score(self.run.best)
+
+    def _attempt(self, what: str, action: Callable[[], Any]) -> bool:
+        try:
+            action()
+        except UserError as error:
+            if what not in self._refused:
+                self._warn(f"warning: {error}; training continues and will retry")
+            self._refused[what] = str(error)
+            return False
+        if self._refused.pop(what, None):
+            self._warn(f"{what}: written again")
+        return True

@@ -1,0 +1,52 @@
+"""A page in which the newest policy of a training is seen live, from a process of its own."""
+
+import contextlib
+import importlib.util
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator
+
+from quadwalk.cli.shell import install
+from quadwalk.errors import UserError
+from quadwalk.runs.directory import Run
+
+WATCHED = 20  # times that the policy is saved for the page between two checkpoints
+
+
+def check_watch() -> None:
+    """Raise `UserError` in one line where the page cannot be shown."""
+    if importlib.util.find_spec("mjviser") is None:
+        raise UserError(f"--watch needs mjviser, which is not installed: {install('view')}")
+
+
+@contextlib.contextmanager
+def watched(run: Run, say: Callable[[str], object]) -> Iterator[None]:
+    """The page of `run`, which shows each saved policy; `say` gets its address."""
+    path = run.path.resolve()
+    command = [sys.executable, "-m", "quadwalk.view.alongside", str(path)]
+    page = subprocess.Popen(
+        [*command, "--browser", f"--runs={path.parent}"],
+        stdin=subprocess.PIPE,  # closed when this process ends, even if it is killed: it ends then
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+        errors="replace",
+        start_new_session=True,  # Ctrl-C is for training, which saves before it ends
+    )
+    assert page.stdin is not None
+
+    def listen() -> None:
+        assert page.stderr is not None
+        for line in page.stderr:
+            if line.strip():
+                say(line.strip())
+
+    listener = threading.Thread(target=listen, daemon=True)
+    listener.start()
+    try:
+        yield
+    finally:
+        page.stdin.close()
+        page.wait()
+        listener.join(1.0)  # a browser that the page has opened may hold on to its stderr

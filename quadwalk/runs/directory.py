@@ -1,0 +1,329 @@
+"""The run directory: where one training keeps what is needed to replay it or resume it.
+
+runs/NAME/
+  config.json          every setting
+  robot.urdf           the robot, as it was when training began
+  task.py              the file of a task of one's own
+  ground-FILE          the file of heights, if the ground is from one
+  metrics.jsonl        one line per iteration, the same for the same seed
+  timing.jsonl         how long each took, which never is
+  tensorboard/         the same numbers for TensorBoard
+  checkpoints/         step_000001000000.npz ...: the whole state of training
+  policy.npz           the policy as it was last
+  best.npz             the policy as it was at the best of the checkpoints
+  nan/                 steps that gave numbers that are not finite, if there were any
+  learning_curve.png
+"""
+
+import contextlib
+import datetime
+import importlib.metadata
+import itertools
+import json
+import os
+import platform
+import re
+import shutil
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from quadwalk.errors import UsageError, UserError, meant
+from quadwalk.files import atomic_write, lock, make_folder, os_reason, real_path
+from quadwalk.paths import PRETRAINED
+from quadwalk.runs import checkpoint
+
+_NAME = re.compile(r"\w[\w.+=@,-]*")
+_CHECKPOINT = re.compile(r"step_(\d+)\.npz")
+_LISTED = 5  # runs named in a message: enough to recognize one, few enough for a line
+
+
+class _Place:
+    """A path in a run's directory, by a name of its own."""
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+
+    def __get__(self, run: "Run", _: type) -> Path:
+        return run.path / self._name
+
+
+@dataclass(frozen=True)
+class Run:
+    """A run's directory and the places in it."""
+
+    path: Path
+    config = _Place("config.json")
+    urdf = _Place("robot.urdf")
+    metrics = _Place("metrics.jsonl")
+    timing = _Place("timing.jsonl")
+    tensorboard = _Place("tensorboard")
+    checkpoints = _Place("checkpoints")
+    policy = _Place("policy.npz")
+    best = _Place("best.npz")
+    nan = _Place("nan")
+    learning_curve = _Place("learning_curve.png")
+
+    @property
+    def name(self) -> str:
+        return self.path.resolve().name
+
+    @property
+    def packaged(self) -> bool:
+        """Whether it comes with the package, and so is not to be changed."""
+        return real_path(self.path).parent == PRETRAINED
+
+    def ground(self, file: Path) -> Path:
+        """Where its copy of a file of heights is; the same for the copy itself."""
+        return self.path / f"ground-{file.name.removeprefix('ground-')}"
+
+    def checkpoint(self, steps: int) -> Path:
+        """Where the checkpoint after this many environment steps goes."""
+        # Twelve digits, so that a plain listing is in the order of training.
+        return self.checkpoints / f"step_{steps:012d}.npz"
+
+
+def create_run(
+    root: Path | str,
+    name: str | None = None,
+    label: str = "run",
+    files: Mapping[str, bytes] | None = None,
+) -> Run:
+    """Make the directory of a new run in `root`; without a name, call it by date, time and label.
+
+    `files` are its first, from name to content: the directory appears with them, or not at all.
+    Raises `UsageError` for a name that exists or cannot be one, `UserError` if `root` cannot be
+    written. Nothing is left behind then.
+    """
+    root = Path(root)
+    if name is not None:
+        _check_name(name)
+    make_folder(root, "the folder for runs,")
+    # Filled under another name: a run without its configuration could not be resumed.
+    part = Run(root / f".{os.urandom(8).hex()}.part")
+    try:
+        part.path.mkdir()
+        part.checkpoints.mkdir()
+        part.tensorboard.mkdir()
+        for file, content in (files or {}).items():
+            with open(part.path / file, "wb") as stream:
+                stream.write(content)
+                stream.flush()
+                os.fsync(stream.fileno())
+        path = _name_first_free(part.path, label) if name is None else _name(part.path, name)
+    except OSError as error:
+        raise UserError(f"cannot write in {root / (name or '')}: {os_reason(error)}") from error
+    finally:
+        shutil.rmtree(part.path, ignore_errors=True)
+    if path is None:
+        raise UsageError(f"run {name!r} exists in {root}: choose another name")
+    return Run(path)
+
+
+def find_run(root: Path | str, which: str) -> Run:
+    """A run by its name in `root`, by its path, or "latest"; a `UsageError` lists what there is."""
+    root = Path(root)
+    if which == "latest":
+        runs = list_runs(root)
+        if not runs:
+            raise UsageError(f"no run in {root} yet: train one first")
+        return runs[0]
+    if which.strip():
+        for path in (root / which, Path(which)):
+            if _is_run(path):
+                return Run(path)
+    raise _unknown_run(root, which)
+
+
+def find_any_run(root: Path | str, which: str) -> Run:
+    """As `find_run`, or by its name one that comes with the package, which is not to be changed."""
+    packaged = sorted(folder.name for folder in PRETRAINED.iterdir())
+    try:
+        return find_run(root, which)
+    except UsageError:
+        # By its name, or by the path that it has where the package is installed elsewhere.
+        folder, name = Path(which).parts[-3:-1], Path(which).name
+        if name in packaged and folder in ((), PRETRAINED.parts[-2:]):
+            return Run(PRETRAINED / name)
+        if which == "latest":
+            raise
+        raise _unknown_run(Path(root), which, packaged) from None
+
+
+def _unknown_run(root: Path, which: str, packaged: Sequence[str] = ()) -> UsageError:
+    """Return an error that lists the runs in `root` and the packaged ones, and the likeliest."""
+    names = [run.name for run in list_runs(root)]
+    expected = f"there is none in {root} yet"
+    if names:
+        more = f" and {len(names) - _LISTED} older" if len(names) > _LISTED else ""
+        shown = ", ".join(names[:_LISTED])
+        expected = f"expected 'latest', a path, or one in {root}: {shown}{more}"
+    trained = f"; {', '.join(packaged)} come trained" if packaged else ""
+    hint = meant(which, [*names, *packaged])
+    return UsageError(f"no run {which!r}: {expected}{trained}{hint}")
+
+
+def find_ready(root: Path | str, which: str, packaged: str) -> Run:
+    """As `find_any_run`; before any training "latest" is `packaged`, which comes trained."""
+    nothing_yet = which == "latest" and not list_runs(root)
+    return find_any_run(root, packaged if nothing_yet else which)
+
+
+def origin_of(root: Path | str, run: Run) -> str:
+    """Its path, and that it comes with the package where it does."""
+    if not run.packaged:
+        return str(run.path)
+    return f"{run.path}, which comes trained" + (
+        "" if list_runs(root) else f": no run in {root} yet"
+    )
+
+
+def results_folder(root: Path | str, run: Run) -> Path:
+    """Where what is made of a run goes: to it, or into `root` if it comes with the package."""
+    if run.packaged:
+        return Path(root) / PRETRAINED.name / run.name
+    return run.path
+
+
+def list_runs(root: Path | str) -> list[Run]:
+    """The runs in `root`, the one last trained first; none if there is no such folder."""
+    try:
+        runs = [Run(path) for path in sorted(Path(root).iterdir()) if _is_run(path)]
+    except OSError:
+        return []
+    return sorted(
+        runs, key=lambda run: max(map(written, (run.config, run.metrics, run.policy))), reverse=True
+    )
+
+
+def versions() -> dict[str, str]:
+    """Package name to version, of Python and the packages that compute."""
+    packages = ("quadwalk", "mujoco", "mujoco-mjx", "jax", "jaxlib", "brax", "flax", "optax")
+    found = {name: importlib.metadata.version(name) for name in packages}
+    return {"python": platform.python_version(), **found}
+
+
+def as_json(value: Any) -> bytes:
+    """`value` as readable, strict JSON."""
+    return json.dumps(value, indent=2, allow_nan=False, ensure_ascii=False).encode() + b"\n"
+
+
+def write_json_atomic(path: Path | str, value: Any) -> None:
+    """Write `value` as readable, strict JSON, whole or not at all."""
+    content = as_json(value)  # before there is a file: it may be refused
+    with atomic_write(path) as file:
+        file.write(content)
+
+
+def list_checkpoints(run: Run) -> list[Path]:
+    """The run's checkpoints, oldest first."""
+    try:
+        found = [(_CHECKPOINT.fullmatch(path.name), path) for path in run.checkpoints.iterdir()]
+    except OSError:
+        return []
+    return [path for _, path in sorted((int(match[1]), path) for match, path in found if match)]
+
+
+def latest_checkpoint(run: Run, warn: Callable[[str], None]) -> Path | None:
+    """The newest checkpoint that can be read whole; None if there are none at all.
+
+    A damaged one is skipped with a line to `warn`. Raises `UserError` if all are damaged.
+    """
+    found = list_checkpoints(run)
+    for path in reversed(found):
+        try:
+            checkpoint.load(path, "checkpoint")
+        except UserError as error:
+            warn(f"{error}; trying the one before")
+            continue
+        return path
+    if found:
+        raise UserError(f"{run.path} has no checkpoint that can be read")
+    return None
+
+
+def keep_last(run: Run, count: int, also: Path | None = None) -> None:
+    """Delete all but the newest `count` checkpoints and `also`."""
+    if count < 1:
+        raise ValueError("at least one checkpoint is kept")
+    _delete(path for path in list_checkpoints(run)[:-count] if path != also)
+
+
+@contextlib.contextmanager
+def claim(run: Run) -> Iterator[None]:
+    """Take a run, `UserError` if another training has it; the system frees it if we are killed."""
+    try:
+        file = open(run.metrics, "ab")  # noqa: SIM115 - opened apart, to tell what is refused
+    except OSError as error:
+        raise UserError(f"cannot write {run.metrics}: {os_reason(error)}") from error
+    with file:
+        if lock(file) is False:
+            raise UserError(f"{run.path} is being trained by another process")
+        yield
+
+
+def clean(run: Run) -> None:
+    """Delete what saves that were interrupted left."""
+    # Not below: an evaluation may be writing there.
+    _delete(path for place in (run.path, run.checkpoints, run.nan) for path in place.glob("*.part"))
+
+
+def _delete(paths: Iterable[Path]) -> None:
+    for path in paths:
+        # A file that cannot be deleted costs space, not the training.
+        with contextlib.suppress(OSError):
+            path.unlink()
+
+
+def _check_name(name: str) -> None:
+    if name == "latest":
+        raise UsageError("a run cannot be called 'latest': that means the newest one")
+    if len(name) > 100 or not _NAME.fullmatch(name):
+        raise UsageError(
+            f"a run cannot be called {name!r}: expected at most 100 letters, digits and any of "
+            "- _ . + = @ , beginning with a letter or digit"
+        )
+
+
+def _name(folder: Path, name: str) -> Path | None:
+    """Give a folder its name; None if it is taken, even by a run begun at the same moment."""
+    path = folder.with_name(name)
+    try:
+        # The system refuses to put it in the place of a file, or of a folder that is not empty.
+        folder.rename(path)
+    except OSError:
+        if path.exists() or path.is_symlink():
+            return None
+        raise
+    return path
+
+
+def _name_first_free(folder: Path, label: str) -> Path:
+    words = re.sub(r"[^\w.+=@,-]+", "-", label)[:50]  # a user's task may be called anything
+    name = f"{datetime.datetime.now():%Y-%m-%d_%H%M}-{words}"
+    return next(path for own in numbered(name) if (path := _name(folder, own)))
+
+
+def numbered(name: str) -> Iterator[str]:
+    """`name`, name-2, name-3 ...: for the first that is free to be taken."""
+    yield name
+    yield from (f"{name}-{number}" for number in itertools.count(2))
+
+
+def _is_run(path: Path) -> bool:
+    if path.name.startswith(".") and path.name.endswith(".part"):
+        return False
+    try:
+        # Files: the folder of a run that is called so is none.
+        return any((path / part).is_file() for part in ("config.json", "policy.npz"))
+    except (OSError, ValueError):  # a name that no file could have
+        return False
+
+
+def written(path: Path) -> float:
+    """When `path` was last written, s; 0 where it is not there."""
+    try:
+        return path.stat().st_mtime
+    except OSError:
+        return 0.0

@@ -1,0 +1,80 @@
+"""Metrics of a training on Weights & Biases, only with `--log wandb`.
+
+Sent are the settings and the rows of metrics: no code, no console output, no git, no machine.
+`WANDB_MODE=offline` keeps them in runs/NAME/wandb, from where `wandb sync` sends them.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+from quadwalk.cli.shell import extra
+from quadwalk.errors import UserError
+from quadwalk.runs.directory import Run
+from quadwalk.settings.serialize import flatten
+from quadwalk.settings.training import TrainConfig
+
+PROJECT = "quadwalk"  # WANDB_PROJECT is another
+
+
+def check_wandb() -> None:
+    """Raise `UserError` where wandb is not installed; ask for the key where there is none."""
+    wandb = _wandb()
+    try:
+        wandb.login()
+    except Exception as error:
+        raise _refused(error) from error
+
+
+class WandbLog:
+    """A run of Weights & Biases with the name of `run`; a resumed training continues it."""
+
+    def __init__(self, run: Run, config: TrainConfig) -> None:
+        wandb = _wandb()
+        settings = {name: str(value) for name, value in flatten(config).items()}
+        private: Any = wandb.Settings(
+            console="off",
+            disable_git=True,
+            save_code=False,
+            silent=True,
+            x_disable_meta=True,
+            x_disable_stats=True,
+            x_save_requirements=False,
+        )
+        try:
+            self._run: Any = wandb.init(
+                project=PROJECT,
+                name=run.name,
+                id=_known(run),
+                resume="allow",
+                dir=str(run.path),
+                config=settings,
+                settings=private,
+            )
+            # Rows that a resumed training writes again are at the same steps.
+            self._run.define_metric("*", step_metric="steps")
+        except Exception as error:
+            raise _refused(error) from error
+
+    def append(self, row: Mapping[str, Any]) -> None:
+        """Log an iteration's row; `UserError` where that is refused."""
+        try:
+            self._run.log({name: float(value) for name, value in row.items()})
+        except Exception as error:
+            raise _refused(error) from error
+
+    def close(self) -> None:
+        self._run.finish()
+
+
+def _wandb() -> Any:
+    return extra("wandb", "--log wandb", "wandb")
+
+
+def _known(run: Run) -> str | None:
+    """The ID of the last training of `run`, whose folder is wandb/[offline-]run-TIME-ID."""
+    found = sorted((run.path / "wandb").glob("*run-*-*"), key=lambda path: path.stat().st_mtime)
+    return found[-1].name.rpartition("-")[2] if found else None
+
+
+def _refused(error: Exception) -> UserError:
+    return UserError(f"Weights & Biases: {error}")

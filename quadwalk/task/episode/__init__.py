@@ -1,1 +1,0 @@
-"""What an episode begins with: place and pose, command, conditions."""

@@ -1,1 +1,0 @@
-"""The learner: networks, PPO, and an iteration of it compiled."""

@@ -1,0 +1,134 @@
+"""Rollouts to test on: simulated in MuJoCo C, or drawn to order."""
+
+from collections import defaultdict
+from collections.abc import Callable
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from mcap_protobuf.decoder import DecoderFactory
+from scipy.spatial.transform import Rotation
+
+from quadwalk.evaluation.motion.forces import foot_forces, geom_ids
+from quadwalk.evaluation.rollout import Rollout
+from quadwalk.robot.quadruped import Quadruped
+from quadwalk.tasks import sprint
+
+CONTROL_DT, SUBSTEPS = 0.02, 5
+KP, KD = 160.0, 4.0  # stiff enough for legs that only follow the clock
+
+
+def read_messages(path: Path) -> dict[str, list]:
+    """topic -> [(nanoseconds, decoded message, or bytes if it is no Protobuf)]."""
+    found, decoders = defaultdict(list), DecoderFactory()
+    with open(path, "rb") as stream:
+        for schema, channel, message in make_reader(stream, validate_crcs=True).iter_messages():
+            assert message.publish_time == message.log_time
+            decode = decoders.decoder_for(channel.message_encoding, schema) or bytes
+            found[channel.topic].append((message.log_time, decode(message.data)))
+    return dict(found)
+
+
+def read_records(path: Path) -> tuple[dict, dict]:
+    """Metadata and attachments by their names."""
+    with open(path, "rb") as stream:
+        reader = make_reader(stream, validate_crcs=True)
+        metadata = {record.name: record.metadata for record in reader.iter_metadata()}
+        return metadata, {record.name: record for record in reader.iter_attachments()}
+
+
+def glided(start: np.ndarray, velocity: np.ndarray) -> np.ndarray:
+    """(T, 7) poses of a trunk that goes on from `start` with (T, 3) velocities.
+
+    They are in the frame of its heading: m/s ahead and to the left, and rad/s.
+    """
+    begun = Rotation.from_quat(start[3:7], scalar_first=True)
+    heading = Rotation.from_euler("z", begun.as_euler("ZYX")[0])
+    turned = Rotation.from_euler("z", CONTROL_DT * np.cumsum(velocity[:, 2])[:, None])
+    moved = CONTROL_DT * (turned * heading).apply(velocity * [1, 1, 0])
+    return np.c_[start[:3] + np.cumsum(moved, axis=0), (turned * begun).as_quat(scalar_first=True)]
+
+
+@pytest.fixture(scope="session")
+def simulate(quadruped: Quadruped) -> Callable[..., Rollout]:
+    """simulate(steps, offsets, ...): legs swinging at set phases under PD control."""
+
+    def run(
+        steps: int,
+        offsets: tuple[float, ...] = (0.0, 0.5, 0.5, 0.0),
+        frequency: float = 3.0,  # Hz
+        sweep: float = -0.25,  # rad, of the thighs
+        lift: float = 0.3,  # rad, of the calves
+        seed: int = 0,
+    ) -> Rollout:
+        model = quadruped.training_model(CONTROL_DT / SUBSTEPS, iterations=5)
+        data = mujoco.MjData(model)
+        data.qpos[:] = quadruped.home
+        mujoco.mj_forward(model, data)
+        geoms = geom_ids(model, quadruped.feet)
+        rng = np.random.default_rng(seed)
+        qpos, qvel = [data.qpos.copy()], [data.qvel.copy()]
+        rows: dict[str, list] = {name: [] for name in ("target", "torque", "energy", "foot_force")}
+        phase_of = 2 * np.pi * np.array(offsets)
+        for k in range(steps):
+            phase = 2 * np.pi * frequency * k * CONTROL_DT + phase_of
+            target = quadruped.home[7:].reshape(4, 3).copy()
+            target[:, 1] += sweep * np.cos(phase)
+            target[:, 2] -= lift * np.maximum(-np.sin(phase), 0.0)
+            target = target.ravel() + 0.01 * rng.standard_normal(12)
+            torques, energy = [], 0.0
+            for _ in range(SUBSTEPS):
+                torque = KP * (target - data.qpos[7:]) - KD * data.qvel[6:]
+                data.ctrl[:] = np.clip(torque, -quadruped.effort, quadruped.effort)
+                torques.append(data.ctrl.copy())
+                power = np.maximum(data.ctrl * data.qvel[6:], 0.0).sum()
+                energy += power * model.opt.timestep
+                mujoco.mj_step(model, data)
+            qpos.append(data.qpos.copy())
+            qvel.append(data.qvel.copy())
+            rows["target"].append(target)
+            rows["torque"].append(np.mean(torques, axis=0))
+            rows["energy"].append(energy)
+            rows["foot_force"].append(foot_forces(model, data, geoms))
+        arrays = {name: np.array(values, dtype=np.float32) for name, values in rows.items()}
+        states, rates = np.array(qpos, dtype=np.float32), np.array(qvel, dtype=np.float32)
+        actions = ((arrays["target"] - quadruped.home[7:]) / 0.6).astype(np.float32)
+        # As many numbers, and as noisy, as a policy sees and as a reward has terms.
+        last = np.roll(actions, 1, axis=0)
+        seen = np.concatenate([rates[:-1], states[:-1, 2:], last], axis=1)
+        terms = dict(zip(sprint.TASK.env.reward, rates[1:].T, strict=False))
+        terms["alive"] = np.ones(steps, dtype=np.float32)
+        return Rollout(
+            control_dt=CONTROL_DT,
+            seed=seed,
+            episode=0,
+            end="time limit",
+            qpos=states,
+            qvel=rates,
+            action=actions,
+            observation=seen,
+            observation_names=tuple(f"seen {k}" for k in range(seen.shape[1])),
+            contact=arrays["foot_force"] > 0,
+            reward_terms=terms,
+            reward=terms["forward"] + 0.5,
+            **arrays,
+        )
+
+    return run
+
+
+@pytest.fixture(scope="session")
+def trot(simulate) -> Rollout:
+    """2 s of diagonal legs swinging together."""
+    return simulate(100)
+
+
+@pytest.fixture(scope="session")
+def swaying() -> Callable[[jax.Array], jax.Array]:
+    """A policy that moves the legs a little by what it sees."""
+    weights = 0.03 * jax.random.normal(jax.random.PRNGKey(1), (47, 12))
+    return jax.tree_util.Partial(lambda w, seen: jnp.tanh(seen @ w), weights)

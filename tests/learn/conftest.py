@@ -1,0 +1,65 @@
+"""Trainings on the toy, in this process or in their own; `toy` can be imported."""
+
+import multiprocessing
+import os
+import sys
+from collections.abc import Callable
+from multiprocessing import forkserver
+from pathlib import Path
+
+import jax
+import pytest
+
+HERE = str(Path(__file__).parent)
+sys.path.insert(0, HERE)
+
+import toy  # noqa: E402
+
+# Small programs come from the compilation cache too.
+jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+
+
+@pytest.fixture(scope="session")
+def processes() -> multiprocessing.context.BaseContext:
+    """Processes that begin at once, for they are forked where everything is imported."""
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(["toy"])
+    with pytest.MonkeyPatch.context() as patch:
+        # Not every Python tells it where to find what it should import.
+        patch.setenv("PYTHONPATH", HERE, prepend=os.pathsep)
+        forkserver.ensure_running()
+    return context
+
+
+@pytest.fixture(scope="session")
+def flags() -> Callable[..., list[str]]:
+    """Flags of a tiny training in folder `runs`, of so many iterations."""
+
+    def make(runs: Path, name: str | None, iterations: int, *more: str) -> list[str]:
+        given = f"--devices=2 --steps={toy.BATCH * iterations} --runs={runs} {toy.TINY}"
+        return [*given.split(), *([f"--name={name}"] if name else []), *more]
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def start(processes) -> Callable[..., multiprocessing.Process]:
+    """Begin a training with flags in a process of its own; what it says goes to `output`."""
+
+    def begin(output: Path, *flags: str) -> multiprocessing.Process:
+        process = processes.Process(target=toy.command, args=(output, *flags))
+        process.start()
+        return process
+
+    return begin
+
+
+@pytest.fixture
+def train(monkeypatch) -> Callable[..., None]:
+    """Train on the toy with flags, here; `watch` is as for `quadwalk.learn.loop.train`."""
+    from quadwalk.learn.flags import parse_config
+    from quadwalk.learn.loop import train
+
+    for module in ("setup", "warm_start"):
+        monkeypatch.setattr(f"quadwalk.learn.{module}.QuadrupedEnv", toy.Toy)
+    return lambda *flags, watch=None: train(*parse_config(flags), watch)

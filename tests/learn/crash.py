@@ -1,0 +1,82 @@
+"""Saving a training, and dying at the n-th thing that it asks the system for."""
+
+import os
+import signal
+import zipfile
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import optax
+from brax.training.acme import running_statistics
+from brax.training.acme.running_statistics import NestedMeanStd
+from brax.training.agents.ppo import losses
+
+from quadwalk.learn.iteration import TrainState
+from quadwalk.learn.ppo import Learner
+from quadwalk.learn.writer import RunWriter
+from quadwalk.runs.directory import Run
+from quadwalk.tasks import sprint
+
+
+def save(folder: Path, first: int, last: int, die_at: int | None = None) -> None:
+    """Go on with the run in `folder` after `first` steps, and save at each of ten up to `last`.
+
+    Each is the best so far, and all of its numbers are those of its steps.
+    """
+    if die_at is not None:
+        _make_mortal(die_at)
+    training = training_after(first)
+    with RunWriter(training, Run(folder), print) as writer:
+        for steps in range(first + 10, last + 1, 10):
+            training.metrics.score = float(steps)
+            writer.iteration({"steps": steps, "x": float(steps)}, SimpleNamespace(found=0), 1.0)
+            assert writer.save(state_after(steps), steps, 1.0)
+
+
+def training_after(steps: int) -> SimpleNamespace:
+    """What `RunWriter` asks of a training, after so many steps."""
+    return SimpleNamespace(
+        config=sprint.TASK,
+        quadruped=SimpleNamespace(joints=("joint",)),
+        networks=SimpleNamespace(
+            mirrors=None,
+            plain_policy=lambda normalizer, params: (
+                NestedMeanStd(normalizer.mean, normalizer.std),
+                params,
+            ),
+        ),
+        metrics=SimpleNamespace(score=0.0, state=dict),
+        steps=steps,
+        resumed=steps > 0,
+    )
+
+
+def state_after(steps: int) -> TrainState:
+    """A state all of whose numbers are `steps`."""
+    value = np.full(3000, steps, np.float32)
+    normalizer = running_statistics.RunningStatisticsState(
+        mean=value, std=value, count=np.zeros(()), summed_variance=value
+    )
+    params = losses.PPONetworkParams(policy={"w": value}, value={"w": value})
+    return TrainState(Learner(params, optax.EmptyState(), normalizer, np.int32(steps)), value)
+
+
+def _make_mortal(die_at: int) -> None:
+    calls = 0
+
+    def mortal(function):
+        def call(*args, **kwargs):
+            nonlocal calls
+            calls += 1
+            if calls == die_at:
+                os.kill(os.getpid(), signal.SIGKILL)
+            return function(*args, **kwargs)
+
+        return call
+
+    for owner, name in (
+        *((os, name) for name in ("fsync", "replace", "write", "ftruncate", "unlink")),
+        (zipfile.ZipFile, "open"),
+    ):
+        setattr(owner, name, mortal(getattr(owner, name)))

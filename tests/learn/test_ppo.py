@@ -1,0 +1,444 @@
+"""The training loop, on an environment whose every number is known."""
+
+import dataclasses
+from functools import partial
+from types import SimpleNamespace
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from brax.envs.base import State
+from jax.sharding import PartitionSpec as P
+from toy import Plain
+
+from quadwalk.env.curriculum import Curriculum, begin_travel
+from quadwalk.env.env import QuadrupedEnv
+from quadwalk.env.randomization import EpisodeRandomization
+from quadwalk.env.state import EnvState
+from quadwalk.learn import episodes, iteration, ppo
+from quadwalk.learn.acting import make_policy
+from quadwalk.learn.networks import TanhNormal, make_networks
+from quadwalk.physics.motor import PhysicsState
+from quadwalk.tasks import sprint, walk
+
+CONFIG = dataclasses.replace(
+    sprint.TASK.ppo,
+    eval_envs=4,
+    unroll=6,
+    minibatches=2,
+    epochs=2,
+    hidden=(16,),
+    discount=0.9,
+    reward_scale=0.5,
+)
+ENVS = 8
+GOAL = 0.5
+
+
+class Count(NamedTuple):
+    steps: jax.Array
+    origin: jax.Array  # drawn at each reset
+
+
+class Counter(Plain):
+    """Counts its steps; the reward is best where the action is `GOAL`.
+
+    Episodes last 4 steps: those with a positive origin then meet the time limit, the others fall.
+    An origin above 1 is never drawn; it stands for a state whose step is not a number.
+    """
+
+    config = dataclasses.replace(sprint.TASK.env, episode_seconds=4 * sprint.TASK.env.control_dt)
+    observation_size = action_size = 2
+
+    def observe(self, inner: Count) -> jax.Array:
+        return jnp.stack([inner.steps.astype(jnp.float32), inner.origin])
+
+    def reset(self, rng: jax.Array) -> State:
+        origin = jax.random.uniform(rng, (), minval=-1.0)
+        return self.fresh(Count(jnp.zeros((), jnp.int32), origin))
+
+    def step(self, state: State, action: jax.Array) -> State:
+        count = state.pipeline_state._replace(steps=state.pipeline_state.steps + 1)
+        over, nan = count.steps >= self.config.episode_steps, count.origin > 1
+        metrics = {"speed": action[0], "fell": over & (count.origin <= 0), "nan": nan}
+        reward = 1.0 - jnp.sum(jnp.square(action - GOAL))
+        return self.stepped(state, count, reward, over & (count.origin > 0), **metrics)
+
+
+@pytest.fixture(scope="module")
+def networks():
+    return make_networks(CONFIG, 2, 2)
+
+
+@pytest.fixture(scope="module")
+def iterate(networks):
+    return iteration.Iteration(Counter(), networks, CONFIG, iteration.make_mesh(), iterations=150)
+
+
+def start(networks, seed: int = 0) -> iteration.TrainState:
+    return iteration.init_state(Counter(), networks, CONFIG, iteration.make_mesh(), ENVS, seed)
+
+
+class Rows(NamedTuple):
+    """What was met, environments first, observations as they are: none are normalized yet."""
+
+    observation: jax.Array  # (envs, unroll, 2)
+    action: jax.Array  # (envs, unroll, 2)
+    reward: jax.Array  # (envs, unroll)
+    discount: jax.Array
+
+
+@pytest.fixture(scope="module")
+def gather(networks):
+    return gathering(networks, CONFIG)
+
+
+def gathering(networks, config):
+    """One collection, the data of both devices together."""
+
+    def collect(learner, workers):
+        workers, (rollout, _), metrics = ppo.collect(Counter(), networks, config, learner, workers)
+        own = rollout.seen[0], jnp.tanh(rollout.raw_action), rollout.reward, rollout.discount
+        return workers, Rows(*(jnp.moveaxis(x, -1, 0) for x in own)), metrics
+
+    each = P(ppo.AXIS)
+    return jax.jit(
+        jax.shard_map(
+            collect,
+            mesh=iteration.make_mesh(),
+            in_specs=(P(), each),
+            out_specs=(each, each, P()),
+            check_vma=False,
+        )
+    )
+
+
+@pytest.fixture(scope="module")
+def collected(networks, gather):
+    """What one collection saw, and the learner that did it."""
+    state = start(networks)
+    workers, data, metrics = jax.device_get(gather(*state))
+    return state.learner, workers, data, metrics
+
+
+def test_episodes_start_out_of_phase():
+    keys = jax.random.split(jax.random.PRNGKey(0), ENVS)
+    state = episodes.reset_envs(Counter(), keys)
+    steps = np.asarray(state.pipeline_state.steps)
+    np.testing.assert_array_equal(state.obs[:, 0], steps)
+    assert set(steps) <= set(range(4))
+    assert len(set(steps)) > 1
+
+
+def test_the_next_episodes_are_where_the_curriculum_says_but_for_those_that_evaluate():
+    lessons = Curriculum(("flat", "rough"), 3, 8.0, 100, pace=0.1)
+    far = jnp.tile(jnp.eye(19)[0] * 5.0, (8, 1))  # more than half a tile from the start
+    travel = jax.vmap(begin_travel)(jnp.zeros((8, 19)))
+    state = EnvState(
+        PhysicsState(far, jnp.zeros((8, 18))),
+        jnp.zeros((8, 12)),
+        jnp.full(8, 100),
+        tile=jnp.array([0, 3, 1, 4, 0, 3, 0, 0]),
+        travel=travel._replace(steps=jnp.full(8, 100)),
+    )
+    env = SimpleNamespace(curriculum=lessons)
+    draws = [
+        np.asarray(episodes.next_tiles(env, state, jnp.bool_(False), 6, jax.random.PRNGKey(seed)))
+        for seed in range(30)
+    ]
+    assert all(drawn[:6].tolist() == [1, 4, 2, 5, 1, 4] for drawn in draws)
+    assert {int(tile) for drawn in draws for tile in drawn[6:]} == set(range(6))
+    first = episodes.next_tiles(env, state, jnp.bool_(True), 6, jax.random.PRNGKey(0))
+    assert (np.asarray(first)[:6] // 3).tolist() == [0, 1, 0, 1, 0, 1]
+    none = SimpleNamespace(curriculum=None)
+    assert episodes.next_tiles(none, state, jnp.bool_(False), 6, jax.random.PRNGKey(0)) is None
+
+
+def test_an_episode_runs_its_course_and_a_fresh_one_follows(collected):
+    """Which begins at its beginning after a time limit."""
+    _, _, data, _ = collected
+    limits = 0
+    for observation, discount in zip(data.observation, data.discount, strict=True):
+        for t in range(CONFIG.unroll - 1):
+            (steps, origin), (next_steps, next_origin) = observation[t : t + 2]
+            assert (discount[t] == 0.0) == (origin != next_origin) == (steps == 3)
+            if discount[t]:
+                assert next_steps == steps + 1
+            elif origin > 0:
+                assert next_steps == 0
+                limits += 1
+    assert limits > 0
+
+
+def test_the_time_limit_is_bootstrapped_through_and_a_fall_is_not(collected, networks):
+    learner, _, data, _ = collected
+    raw = CONFIG.reward_scale * (1.0 - np.square(data.action - GOAL).sum(-1))
+    after = np.stack([np.full(data.reward.shape, 4.0), data.observation[..., 1]], axis=-1)
+    bootstrap = CONFIG.discount * networks.value(learner.params.value, (np.moveaxis(after, -1, 0),))
+    ended = data.discount == 0.0
+    limit = ended & (data.observation[..., 1] > 0)
+    assert limit.any()
+    assert (ended & ~limit).any()
+    np.testing.assert_allclose(data.reward, raw + np.where(limit, bootstrap, 0.0), rtol=1e-4)
+
+
+def test_evaluation_environments_act_without_noise_and_are_not_learnt_from(collected, networks):
+    learner, workers, data, metrics = collected
+    assert len(workers.envs.done) == ENVS + CONFIG.eval_envs
+    assert data.reward.shape == (ENVS, CONFIG.unroll)
+    assert data.observation.shape == (ENVS, CONFIG.unroll, 2)
+    mean = make_policy(CONFIG, learner.normalizer, learner.params.policy)
+    # Their origins differ, but an untrained policy on few inputs is nearly flat.
+    typical = float(np.mean(mean(data.observation)[..., 0]))
+    assert metrics["eval/speed"] == pytest.approx(typical, abs=0.2)
+    noise = data.action - np.asarray(mean(data.observation))
+    assert noise.std() == pytest.approx(CONFIG.init_std, rel=0.35)
+
+
+def test_evaluation_environments_of_a_stochastic_policy_act_with_noise(networks, collected):
+    _, _, data, metrics = collected
+    gather = gathering(networks, dataclasses.replace(CONFIG, stochastic=True))
+    _, same, noisy = jax.device_get(gather(*start(networks)))
+    jax.tree.map(partial(np.testing.assert_allclose, atol=1e-5), same, data)
+    assert noisy["reward"] == pytest.approx(metrics["reward"], rel=1e-5)
+    assert noisy["eval/speed"] != pytest.approx(metrics["eval/speed"], abs=0.01)
+
+
+def test_the_metrics_count_every_episode(collected):
+    _, _, data, metrics = collected
+    ended = data.discount == 0.0
+    assert metrics["count/ended"] == ended.sum()
+    assert metrics["count/fell"] == (ended & (data.observation[..., 1] <= 0)).sum()
+    assert metrics["eval/count/ended"] >= CONFIG.eval_envs  # 6 steps of episodes of 4
+    expected = (1.0 - np.square(data.action - GOAL).sum(-1)).mean()
+    assert metrics["reward"] == pytest.approx(expected, rel=1e-5)
+
+
+def test_some_that_fell_meet_the_same_conditions_once_more():
+    """And no others, nor those that evaluate; of targets and noise each begins afresh."""
+    envs, learnt_from = 4000, 3000
+    number = np.arange(envs, dtype=np.float32)
+
+    def begun(sign: float) -> State:
+        drawn = jax.tree.map(lambda x: jnp.asarray(sign * x), own)
+        physics = PhysicsState(number, number)
+        zero = jnp.zeros(envs)
+        return State(
+            EnvState(physics, zero, zero, None, drawn), zero, zero, zero, {"fell": fell}, {}
+        )
+
+    vector = np.tile(number[:, None], (1, 3))
+    own = EpisodeRandomization(None, number, None, vector, number, vector, vector, vector, vector)
+    fell = jnp.asarray(number % 2)
+    found = episodes.retried(0.25, begun(1.0), begun(-1.0), learnt_from, jax.random.PRNGKey(0))
+    np.testing.assert_array_equal(found.targets, -vector)
+    np.testing.assert_array_equal(found.key, -vector)
+    again = np.asarray(found.delay) > 0
+    assert 0.2 < again[:learnt_from].mean() / 0.5 < 0.3
+    assert not again[learnt_from:].any()
+    assert not again[::2].any()
+    np.testing.assert_array_equal(found.push, np.where(again[:, None], vector, -vector))
+    np.testing.assert_array_equal(found.noise, np.where(again, number, -number))
+
+
+def test_an_episode_after_a_fall_is_seen_as_it_starts(quadruped, monkeypatch):
+    """Of walk: the clock at the step it is put to, and the encoders that it has once more.
+
+    Of the first two of six; the others evaluate, and have those that are drawn for them.
+    """
+    monkeypatch.setattr(episodes, "SOME", 3)  # of four that end, three are begun and then one
+    task = walk.TASK
+    world = dataclasses.replace(task.env.randomization, noise=None, imu_tilt=None)
+    env = QuadrupedEnv(quadruped, dataclasses.replace(task.env, randomization=world))
+    names = env.sensors.names
+
+    fresh = jax.jit(lambda keys: episodes.reset_envs(env, keys))
+    after, start = map(fresh, jax.random.split(jax.random.PRNGKey(4), (2, 6)))
+    fell = jnp.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
+    over = after.replace(done=fell.at[3].set(1.0), metrics={**after.metrics, "fell": fell})
+    config = dataclasses.replace(task.ppo, retry=1.0 - 1e-6)
+    found = jax.jit(
+        lambda *states: episodes.start_anew(env, config, lambda obs: obs[:, 0], *states)[1],
+        static_argnums=2,
+    )(over, start, 2, jax.random.PRNGKey(0))
+    over, start, found = jax.device_get((over, start, found))
+    steps = found.pipeline_state.steps
+    assert steps.tolist() == [*start.pipeline_state.steps[:3], 0, *over.pipeline_state.steps[4:]]
+    np.testing.assert_array_equal(found.obs[4:], over.obs[4:])
+    encoder = found.pipeline_state.conditions.encoder
+    np.testing.assert_array_equal(encoder[:2], over.pipeline_state.conditions.encoder[:2])
+    np.testing.assert_array_equal(encoder[2:4], start.pipeline_state.conditions.encoder[2:4])
+    moves = np.any(found.pipeline_state.command.velocity != 0.0, axis=-1)
+    clock = 2.0 * np.pi * steps / 20.0
+    for row in range(6):
+        seen = dict(zip(names, found.obs[row], strict=False))
+        assert seen["clock_sine"] == pytest.approx(moves[row] * np.sin(clock[row]), abs=1e-4)
+        assert seen["clock_cosine"] == pytest.approx(moves[row] * np.cos(clock[row]), abs=1e-4)
+        off = found.pipeline_state.qpos[row, 7:] - env.robot.home_joints + encoder[row]
+        for ago in ("", "[-1]", "[-4]"):
+            measured = [seen[f"joint_pos_{joint}{ago}"] for joint in quadruped.joints]
+            np.testing.assert_allclose(measured, off, atol=1e-5)
+
+
+@pytest.mark.parametrize("poisoned", [[], [2], [8], [3, 8]], ids=str)
+def test_the_first_step_that_gave_no_number_is_kept(networks, gather, poisoned):
+    state = start(networks)
+    learner = state.learner._replace(iterations=jnp.ones((), jnp.int32))  # the first starts anew
+    envs = episodes.reset_envs(Counter(), jax.random.split(jax.random.PRNGKey(0), 12))
+    count = envs.pipeline_state
+    origin = count.origin.at[np.array(poisoned, int)].set(2.0)
+    envs = envs.replace(pipeline_state=count._replace(origin=origin))
+    _, data, metrics = jax.device_get(gather(learner, state.workers._replace(envs=envs)))
+    nan_step = metrics["nan_step"]
+    assert metrics["count/nan"] == len(poisoned)
+    assert (nan_step.found > 0) == bool(poisoned)
+    if poisoned:
+        # Each device has six environments, of which the last two are for evaluation.
+        first = poisoned[0]
+        assert nan_step.before.origin == 2.0
+        assert nan_step.before.steps == count.steps[first]
+        np.testing.assert_array_equal(nan_step.action, data.action[first - 2 * (first // 6), 0])
+
+
+def test_a_learner_that_is_no_longer_finite_is_told(networks, iterate):
+    state = start(networks)
+    _, metrics = iterate(state)
+    assert metrics["learner/finite"]
+    state = start(networks)
+    broken = jax.tree.map(lambda x: x.at[:1].set(jnp.inf), state.learner.params)
+    _, metrics = iterate(state._replace(learner=state.learner._replace(params=broken)))
+    assert not metrics["learner/finite"]
+
+
+def test_the_first_iteration_only_measures_the_observations(networks, iterate):
+    before = jax.device_get(start(networks).learner)
+    state, _ = iterate(start(networks))
+    after = jax.device_get(state.learner)
+    jax.tree.map(np.testing.assert_array_equal, before.params, after.params)
+    assert after.normalizer.mean[0] == pytest.approx(1.5, abs=0.5)  # of 0, 1, 2, 3
+    state, _ = iterate(state)
+    learnt = jax.device_get(state.learner.params)
+    assert any(
+        (a != b).any()
+        for a, b in zip(jax.tree.leaves(after.params), jax.tree.leaves(learnt), strict=True)
+    )
+
+
+class Late(Counter):
+    """Shows its action too, some steps after its first start, and a number that never varies."""
+
+    observation_size = 4
+    constant = 0.7
+
+    def __init__(self, late: int) -> None:
+        self.late = late
+
+    def reset(self, rng: jax.Array) -> State:
+        return self._shown(super().reset(rng), jnp.zeros(()), jnp.zeros(()))
+
+    def step(self, state: State, action: jax.Array) -> State:
+        age = state.info["age"] + 1.0
+        shown = jnp.where(age >= self.late, action[0], 0.0)
+        return self._shown(super().step(state, action), age, shown)
+
+    def begun(self, state: State, **changes: jax.Array) -> State:
+        return self._shown(super().begun(state, **changes), state.info["age"], jnp.zeros(()))
+
+    def _shown(self, state: State, age: jax.Array, shown: jax.Array) -> State:
+        obs = jnp.concatenate([state.obs, jnp.stack([shown, jnp.float32(self.constant)])])
+        return state.replace(obs=obs, info={**state.info, "age": age})
+
+
+@pytest.mark.parametrize("unroll", [1, 5])
+def test_a_number_that_is_constant_in_the_first_iteration_changes_no_policy_beyond_measure(unroll):
+    config = dataclasses.replace(CONFIG, unroll=unroll)
+    networks, env, mesh = make_networks(config, 4, 2), Late(unroll), iteration.make_mesh()
+    iterate = iteration.Iteration(env, networks, config, mesh, iterations=150)
+    state = iteration.init_state(env, networks, config, mesh, ENVS, 0)
+    stds, divergences = [], []
+    for _ in range(6):
+        state, metrics = jax.block_until_ready(iterate(state))
+        stds.append(np.asarray(state.learner.normalizer.std))
+        divergences.append(float(metrics["loss/kl"]))
+    assert stds[0][2] < 1e-5
+    assert stds[-1][2] > 0.1
+    assert max(divergences) < 0.5 * ppo.MOST_KL
+    # What never varied is never divided by its rounding errors.
+    learner = jax.device_get(state.learner)
+    policy = make_policy(CONFIG, learner.normalizer, learner.params.policy)
+    usual, other = jnp.array([2.0, 0.3, 0.0, env.constant]), jnp.array([2.0, 0.3, 0.0, 1.0])
+    assert np.abs(policy(other) - policy(usual)).max() < 0.3
+
+
+def test_the_same_seed_gives_the_same_numbers_and_another_does_not(networks, iterate):
+    def train(seed: int):
+        state = start(networks, seed)
+        for _ in range(3):
+            state, metrics = iterate(state)
+        return jax.device_get((state, metrics))
+
+    first, again, other = train(0), train(0), train(1)
+    jax.tree.map(np.testing.assert_array_equal, first, again)
+    assert first[1]["reward"] != other[1]["reward"]
+
+
+def test_every_device_holds_the_same_learner(networks, iterate):
+    state, _ = iterate(start(networks))
+    state, _ = iterate(state)
+    for leaf in jax.tree.leaves(state.learner):
+        shards = [np.asarray(shard.data) for shard in leaf.addressable_shards]
+        assert len(shards) == 2
+        np.testing.assert_array_equal(*shards)
+
+
+@pytest.mark.parametrize(
+    ("share", "progress", "expected"),
+    [
+        (0.4, 0.0, 0.03),
+        (0.4, 0.6, 0.03),
+        (0.4, 0.8, 0.02),
+        (0.4, 1.0, 0.01),
+        (0.4, 1.5, 0.01),
+        (1.0, 0.25, 0.025),
+        (0.8, 0.2, 0.03),
+        (0.8, 0.6, 0.02),
+    ],
+)
+def test_the_policy_settles_towards_the_end(share, progress, expected):
+    found = ppo.anneal(0.03, 0.01, share, jnp.asarray(progress))
+    assert float(found) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(
+    ("rate", "kl", "expected"),
+    [
+        (1e-3, 0.03, 1e-3),
+        (1e-3, 0.07, 1e-3 / 1.5),
+        (1e-3, 0.01, 1.5e-3),
+        (1e-3, 0.0, 1e-3),
+        (1.2e-5, 0.07, 1e-5),
+        (8e-3, 0.01, 1e-2),
+        # Begun with beyond the bounds, or gone on with after they were changed.
+        (5e-2, 0.03, 1e-2),
+        (5e-2, 0.07, 1e-2),
+        (1e-6, 0.01, 1e-5),
+        (5e-2, np.nan, 1e-2),
+    ],
+)
+def test_the_learning_rate_follows_the_change_of_the_policy_within_its_bounds(rate, kl, expected):
+    found = ppo.adapted(CONFIG, jnp.asarray(rate), jnp.asarray(kl), jnp.asarray(0.03))
+    assert float(found) == pytest.approx(expected)
+
+
+def test_a_state_whose_action_is_sure_does_not_rule_the_learning_rate():
+    """Seven of eight states diverge by 0.01, by hand: 2 actions, (0.02 / 0.2)^2 / 2 each."""
+    envs = 8
+    before = TanhNormal(jnp.zeros((2, envs)), jnp.full((2, envs), 0.2))
+    after = before._replace(mean=before.mean.at[:].set(0.02).at[:, 0].set(50.0))
+    nothing = jnp.zeros(envs)
+    rollout = ppo.Rollout(None, before.mean, before, before.log_prob(before.mean), nothing, nothing)
+    networks = SimpleNamespace(policy=lambda params, seen: after)
+    _, metrics = ppo._policy_loss(networks, CONFIG, jnp.zeros(()), None, rollout, nothing)
+    assert float(metrics["kl"]) == pytest.approx((7 * 0.01 + ppo.MOST_KL) / envs, abs=1e-3)

@@ -1,0 +1,369 @@
+import io
+import math
+import os
+import pty
+import re
+import subprocess
+import sys
+import threading
+import time
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from quadwalk.progress import display as module
+from quadwalk.progress import text
+from quadwalk.progress.display import Progress
+
+FIGURES = {
+    "eval/speed": 2.5,
+    "eval/fall_rate": 0.031,
+    "train/reward": 12.0,
+    "train/reward/forward": 8.0,
+    "train/reward/energy": -0.5,
+}
+
+
+class Terminal(io.StringIO):
+    encoding = "utf-8"
+
+    def isatty(self):
+        return True
+
+
+@pytest.fixture(autouse=True)
+def _a_capable_terminal(monkeypatch):
+    for name, value in (("TERM", "xterm-256color"), ("COLUMNS", "100"), ("LINES", "40")):
+        monkeypatch.setenv(name, value)
+    monkeypatch.delenv("NO_COLOR", raising=False)
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    """A list whose one element is the time, in s."""
+    now = [100.0]
+    monkeypatch.setattr(time, "monotonic", lambda: now[0])
+    return now
+
+
+def train(stream, quiet=False, clock=None, **figures):
+    with Progress(3000, quiet=quiet, stream=stream) as progress:
+        progress.phase("compiling", 30)
+        progress.phase("training")
+        for steps in (1000, 2000, 3000):
+            progress.update(steps, FIGURES | figures)
+            if clock:
+                clock[0] += 2.0
+        progress.message("something [odd] happened")
+        progress.phase("saving")
+    progress.end("see runs/a")
+    return stream.getvalue()
+
+
+def visible(output):
+    return re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", output)
+
+
+def test_plain_lines_are_ascii_and_say_everything(clock):
+    lines = train(io.StringIO(), clock=clock).splitlines()
+    assert lines[:2] == ["[ 0:00] compiling (about 30 s)", "[ 0:00] training"]
+    figures = "reward 12.0  speed 2.50 m/s  falls 3.1 %"
+    # The pace is not known yet, the second comes too soon, and the last is always shown.
+    assert lines[2] == f"[ 0:00]  33 %  1.0k/3.0k steps  - steps/s  - left  {figures}"
+    assert lines[3] == f"[ 0:04] 100 %  3.0k/3.0k steps  500 steps/s  0:00 left  {figures}"
+    assert lines[4:] == ["[ 0:06] something [odd] happened", "[ 0:06] saving", "see runs/a"]
+    assert "\n".join(lines).isascii()
+
+
+def test_plain_lines_of_figures_come_every_few_seconds(clock):
+    stream = io.StringIO()
+    with Progress(10**9, stream=stream) as progress:
+        for step in range(20):
+            progress.phase("training")
+            progress.update(step, FIGURES)
+            progress.phase("saving")
+            clock[0] += 1.0
+    lines = [line for line in stream.getvalue().splitlines() if " left " in line]
+    assert [line[:7] for line in lines] == ["[ 0:00]", "[ 0:05]", "[ 0:10]", "[ 0:15]"]
+    assert stream.getvalue().count("training") == 1
+
+
+def test_a_long_phase_gives_a_sign_of_life(monkeypatch):
+    monkeypatch.setattr(module, "_HEARTBEAT_SECONDS", 0.5)
+    stream = io.StringIO()
+    with Progress(10, stream=stream) as progress:
+        progress.phase("compiling")
+        time.sleep(1.2)
+    assert "compiling continues, 1 s so far" in stream.getvalue()
+
+
+def test_quiet_is_quiet_until_the_end():
+    assert train(io.StringIO(), quiet=True) == "see runs/a\n"
+    assert train(Terminal(), quiet=True) == "see runs/a\n"
+
+
+def test_the_live_view_shows_everything():
+    output = visible(train(Terminal()))
+    for part in ("compiling (about 30 s)", "✓ compiling", "training", "100%", "3.0k/3.0k"):
+        assert part in output
+    for part in ("2.50 m/s", "3.1 % of episodes", "12.0", "forward", "8.00 ■■■■■■■■", "-0.50 ■ "):
+        assert part in output
+    assert "something [odd] happened" in output
+    assert output.endswith("see runs/a\n")
+
+
+@pytest.mark.parametrize("error", [None, KeyboardInterrupt, ValueError])
+def test_the_terminal_is_restored(error):
+    stream, before = Terminal(), threading.active_count()
+    stdout = sys.stdout
+    try:
+        with Progress(10, stream=stream) as progress:
+            progress.phase("training")
+            if error:
+                raise error
+    except (KeyboardInterrupt, ValueError):
+        pass
+    hidden, shown = stream.getvalue().rfind("\x1b[?25l"), stream.getvalue().rfind("\x1b[?25h")
+    assert shown > hidden >= 0
+    assert ("■ stopped" in visible(stream.getvalue())) == bool(error)
+    deadline = time.monotonic() + 5
+    while threading.active_count() > before and time.monotonic() < deadline:
+        time.sleep(0.01)
+    assert threading.active_count() == before
+    assert sys.stdout is stdout
+
+
+@pytest.mark.parametrize("stream", [io.StringIO, Terminal])
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, None, "text", np.float32("nan")])
+def test_numbers_that_are_none_are_dashes(stream, value):
+    output = visible(train(stream(), **dict.fromkeys(FIGURES, value)))
+    assert re.search(r"speed +- m/s", output)
+    assert "nan" not in output.lower()
+    assert "inf" not in output.lower()
+
+
+@pytest.mark.parametrize("stopped", [False, True])
+def test_a_training_that_was_stopped_is_not_said_to_be_done(stopped):
+    stream = Terminal()
+    with Progress(100, stream=stream) as progress:
+        progress.phase("training")
+        progress.update(54, FIGURES)
+        progress.stopped = stopped
+    last = visible(stream.getvalue()).splitlines()
+    assert any("stopped" in line and "54%" in line for line in last) == stopped
+    assert any("done" in line for line in last) != stopped
+
+
+def test_the_error_is_shown_in_place_of_a_mean_speed_over_commands():
+    commanded = {"eval/speed": -0.03, "eval/velocity_error": 0.25}
+    assert "velocity error 0.25 m/s  falls" in train(io.StringIO(), **commanded)
+    shown = visible(train(Terminal(), **commanded))
+    assert re.search(r"error +0\.25 m/s off the command +█", shown)
+    assert "-0.03" not in shown
+    assert "speed" not in shown
+
+
+def test_what_a_narrower_terminal_has_broken_is_erased(monkeypatch):
+    monkeypatch.setattr(module, "_FRAMES_PER_SECOND", 1e-3)  # no frame but those asked for
+    stream = Terminal()
+    terms = {f"train/reward/term_number_{index}": index for index in range(9)}
+    with Progress(3000, stream=stream) as progress:
+        progress.phase("training")
+        for steps in (1000, 2000):
+            before = len(stream.getvalue())
+            progress.update(steps, FIGURES | terms)
+        frame = visible(stream.getvalue()[before:]).strip("\r\n").split("\n")
+        assert max(map(len, frame)) > 80
+        rows = sum(max(1, math.ceil(len(line) / 40)) for line in frame)
+        assert rows > len(frame) + 3
+        progress._view.console.width = 40
+        before = len(stream.getvalue())
+        progress.update(3000, FIGURES | terms)
+        redrawn = stream.getvalue()[before:]
+        before = len(stream.getvalue())
+        progress.update(3000, FIGURES | terms)
+        again = stream.getvalue()[before:]
+    assert redrawn.count("\x1b[1A") == rows - 1
+    height = len(visible(redrawn).strip("\r\n").split("\n"))
+    assert again.count("\x1b[1A") == height - 1
+
+
+def test_its_colors_can_be_read_on_white_and_on_black():
+    output = train(Terminal())
+    codes = {code for codes in re.findall(r"\x1b\[([\d;]+)m", output) for code in codes.split(";")}
+    assert "32" in codes  # green
+    assert not {"33", "36", "93", "96", "37", "97"} & codes  # yellow, cyan, white
+
+
+def test_nan_states_are_shown_when_there_are_any():
+    assert "NaN states 3" in train(io.StringIO(), **{"train/nan": 3})
+    assert "NaN" not in train(io.StringIO(), **{"train/nan": 0})
+    assert re.search(r"NaN +3 states", visible(train(Terminal(), **{"train/nan": 3})))
+
+
+def test_levels_of_a_curriculum_are_shown_by_kind_of_ground():
+    levels = {"train/level/stairs_up": 2.5, "train/level/flat": 7.0}
+    assert "levels stairs_up 2.50, flat 7.00" in train(io.StringIO(), **levels)
+    assert "levels" not in train(io.StringIO())
+    shown = visible(train(Terminal(), **levels))
+    assert "levels of difficulty" in shown
+    assert re.search(r"stairs_up +2\.50 ■■■ ", shown)
+
+
+def test_missing_figures_are_no_error():
+    for stream in (io.StringIO(), Terminal()):
+        with Progress(0, stream=stream) as progress:
+            progress.update(0, {})
+            progress.update(5, {})
+        assert "nan" not in stream.getvalue()
+
+
+@pytest.mark.parametrize("width", [2, 10, 24, 40, 80, 200])
+def test_no_line_is_wider_than_the_terminal(monkeypatch, width):
+    monkeypatch.setenv("COLUMNS", str(width))
+    stream = Terminal()
+    many = {f"train/reward/a_rather_long_name_{index}": -index for index in range(9)}
+    with Progress(10_000_000, stream=stream) as progress:
+        progress.phase("compiling", 25)
+        progress.phase("training")
+        for steps in range(0, 9_000_000, 1_000_000):
+            progress.update(steps, {**FIGURES, **many, "train/nan": 5})
+    lines = re.split(r"[\r\n]+", visible(stream.getvalue()))
+    assert len(lines) > 20
+    assert max(map(len, lines)) <= width
+
+
+def last_figures(stream):
+    """Percentage, rate and time left of the last plain line of figures."""
+    line = [line for line in stream.getvalue().splitlines() if " left " in line][-1]
+    found = re.search(r"(\d+) %.* (\S+) steps/s  (\S+) left", line)
+    return found.groups()
+
+
+def test_rate_and_time_left_are_recent_and_from_the_start_of_this_process(clock):
+    stream = io.StringIO()
+    with Progress(100_000, stream=stream) as progress:
+        progress.phase("training")
+        for seconds, steps in ((10, 51_000), (10, 52_000), (10, 53_000)):  # 50,000 were there
+            clock[0] += seconds
+            progress.update(steps, {})
+        assert last_figures(stream) == ("53", "100", "7:50")
+        for _ in range(40):
+            clock[0] += 1
+            progress.update(steps := steps + 1000, {})
+    assert last_figures(stream) == ("93", "1.0k", "0:07")
+
+
+def test_the_bar_and_the_time_left_follow_whichever_ends_first(clock):
+    stream = io.StringIO()
+    with Progress(100_000, stream=stream, ends=clock[0] + 60) as progress:
+        progress.phase("training")
+        for seconds, steps in ((0, 20_000), (5, 40_000), (5, 60_000)):  # 4000 a second: 10 s more
+            clock[0] += seconds
+            progress.update(steps, {})
+        assert last_figures(stream) == ("60", "4.0k", "0:10")
+        for _ in range(40):  # 400 a second: 100,000 would take 60 s more, and there are 10
+            clock[0] += 1
+            progress.update(steps := steps + 400, {})
+    percentage, rate, left = last_figures(stream)
+    assert (rate, left) == ("400", "0:10")
+    assert int(percentage) == pytest.approx(100 * 76_000 / 80_000, abs=1)
+
+
+@pytest.mark.parametrize("error", [BrokenPipeError(), OSError(5, "I/O error"), ValueError()])
+@pytest.mark.parametrize("stream", [io.StringIO, Terminal])
+@pytest.mark.filterwarnings("error")
+def test_a_closed_output_does_not_end_the_training(stream, error):
+    def refuse(*_):
+        raise error
+
+    train(type("Broken", (stream,), {"write": refuse, "flush": refuse})())
+
+
+@pytest.mark.parametrize(("encoding", "term"), [("ascii", "xterm"), ("utf-8", "dumb")])
+def test_a_simple_terminal_gets_plain_lines(monkeypatch, encoding, term):
+    monkeypatch.setenv("TERM", term)
+    stream = Terminal()
+    monkeypatch.setattr(Terminal, "encoding", encoding)
+    assert train(stream).startswith("[ 0:00] compiling")
+    assert "\x1b" not in stream.getvalue()
+
+
+def test_it_shows_at_once_on_a_real_terminal():
+    program = (
+        "from quadwalk.progress.display import Progress\n"
+        "import time\n"
+        "with Progress(10) as p:\n"
+        "    p.phase('loading'); time.sleep(30)\n"
+    )
+    master, slave = pty.openpty()
+    started = time.monotonic()
+    child = subprocess.Popen([sys.executable, "-c", program], stdout=slave, stderr=slave)
+    os.close(slave)
+    try:
+        output = b""
+        while b"loading" not in output:
+            output += os.read(master, 1000)
+        assert time.monotonic() - started < 5
+    finally:
+        child.kill()
+        child.wait()
+        os.close(master)
+
+
+@pytest.mark.parametrize(
+    ("module", "heavy"),
+    [("progress.display", "{'jax', 'numpy', 'matplotlib'}"), ("loop", "{'matplotlib'}")],
+)
+def test_what_is_heavy_waits_until_it_is_needed(module, heavy):
+    program = f"import sys, quadwalk.learn.{module}; sys.exit(bool({heavy} & set(sys.modules)))"
+    assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0
+
+
+@given(st.lists(st.floats(), max_size=200), st.integers(0, 60))
+def test_a_sparkline_fits_and_never_fails(values, width):
+    line = text.sparkline(values, width)
+    assert len(line) == min(width, len(values))
+    assert set(line) <= set(" ▁▂▃▄▅▆▇█")
+
+
+@pytest.mark.parametrize(
+    ("shown", "expected"),
+    [
+        (text.sparkline([0, 1, 2, 3, 4, 5, 6, 7], 8), "▁▂▃▄▅▆▇█"),
+        (text.sparkline([0, 0, 7, 7], 2), "▁█"),
+        (text.sparkline([-1, 0, 1], 3), "▁▅█"),
+        (text.sparkline([1, math.nan, 1], 3), "█ █"),
+        (text.sparkline([0, 0], 2), "▁▁"),
+        (text.number(12.44), "12.4"),
+        (text.number(-0.031), "-0.031"),
+        (text.number(0), "0.000"),
+        (text.number(1e-9), "1e-09"),
+        (text.number(math.nan), "-"),
+        (text.percent(0.0312), "3.1 %"),
+        (text.percent(math.inf), "-"),
+        (text.quantity(950), "950"),
+        (text.quantity(999.6), "1.0k"),
+        (text.quantity(52_140), "52.1k"),
+        (text.quantity(4_100_000), "4.1M"),
+        (text.quantity(2e9), "2.0G"),
+        (text.duration(59.6), "1:00"),
+        (text.duration(751), "12:31"),
+        (text.duration(3723), "1:02:03"),
+        (text.duration(math.nan), "-"),
+        (text.spent(0.44), "0.4 s"),
+        (text.spent(31.4), "31 s"),
+        (text.spent(125), "2:05"),
+    ],
+)
+def test_numbers_read_well(shown, expected):
+    assert shown == expected
+
+
+@given(st.floats())
+def test_every_number_has_a_short_text(value):
+    for show in (text.number, text.percent, text.quantity):
+        assert show(value)
+    assert len(text.number(value)) <= 7

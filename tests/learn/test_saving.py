@@ -1,0 +1,136 @@
+"""Which policy is saved when, which is the best, and what is kept of it."""
+
+import contextlib
+import json
+
+import crash
+import numpy as np
+import pytest
+
+from quadwalk.errors import UserError
+from quadwalk.learn.writer import KEPT_CHECKPOINTS, RunWriter
+from quadwalk.progress.watch import WATCHED
+from quadwalk.runs import checkpoint
+from quadwalk.runs.directory import Run, create_run, list_checkpoints
+from quadwalk.runs.log import read_metrics
+from quadwalk.runs.policy import load_policy, load_score
+from quadwalk.task_files import load_task
+
+
+@pytest.fixture
+def run(tmp_path):
+    return create_run(tmp_path, "a")
+
+
+@pytest.fixture
+def write(run):
+    """Go on with the run: a checkpoint for each score, each so many steps after the one before."""
+    training = crash.training_after(0)
+
+    def save(*scores: float, steps: int = 10, warn=pytest.fail) -> None:
+        with RunWriter(training, run, warn) as writer:
+            for score in scores:
+                training.metrics.score = score
+                training.steps += steps
+                assert writer.save(crash.state_after(training.steps), training.steps, 1.0)
+
+    return save
+
+
+def test_the_best_policy_and_its_checkpoint_outlive_later_ones(run, write):
+    write(1.0, 3.0, 3.0, 2.0, 1.0, 2.5, 0.0)
+    assert load_score(run.best) == (20, 3.0)
+    assert load_score(run.policy) == (70, 0.0)
+    kept = [run.checkpoint(steps) for steps in (20, 50, 60, 70)]
+    assert list_checkpoints(run) == kept
+    assert len(kept) == KEPT_CHECKPOINTS + 1
+
+
+def test_what_has_not_been_judged_is_not_the_best(run, write):
+    write(0.0, steps=0)
+    assert not run.best.exists()
+    write(-2.0, -1.0, -3.0)
+    assert load_score(run.best) == (20, -1.0)
+
+
+def test_a_run_that_goes_on_remembers_the_best(run, write):
+    write(1.0, 3.0)
+    write(2.0, 2.0, 2.0, 2.0)
+    assert load_score(run.best) == (20, 3.0)
+    assert run.checkpoint(20).exists()
+    write(3.5, 1.0)
+    assert load_score(run.best) == (70, 3.5)
+    assert list_checkpoints(run) == [run.checkpoint(steps) for steps in (60, 70, 80)]
+
+
+def test_a_best_policy_that_is_damaged_is_told_and_replaced(run, write):
+    run.best.write_bytes(b"half")
+    said = []
+    write(1.0, warn=said.append)
+    assert "best.npz is damaged" in said[0]
+    assert load_score(run.best) == (10, 1.0)
+
+
+def test_a_policy_that_tells_no_score_is_named(tmp_path):
+    checkpoint.save(tmp_path / "old.npz", {"a": np.zeros(1)}, {"kind": "policy", "steps": 3})
+    with pytest.raises(UserError, match=r"old\.npz does not say how good"):
+        load_score(tmp_path / "old.npz")
+
+
+def test_the_end_says_which_policy_is_the_best(tmp_path, flags, train, capsys):
+    train(*flags(tmp_path, "a", 12, "--checkpoint-steps=256"))
+    steps, score = load_score(tmp_path / "a" / "best.npz")
+    rows = [json.loads(line) for line in (tmp_path / "a" / "metrics.jsonl").open()]
+    scores = {row["steps"]: np.mean([r["eval/speed"] for r in rows[: k + 1]])
+              for k, row in enumerate(rows)}  # fmt: skip
+    saved = {steps: scores[steps] for steps in (256, 512, 768)}
+    assert saved[steps] == max(saved.values())
+    assert score == pytest.approx(saved[steps])
+    said = capsys.readouterr().out
+    assert f"best.npz ({'the same' if steps == 768 else f'after {steps} steps'})" in said
+
+
+def test_a_policy_remembers_in_what_order_it_sees(tmp_path, flags, train):
+    # Alphabetical order would give each weight another number of the observation.
+    train(*flags(tmp_path, "a", 1))
+    found, own = load_policy(Run(tmp_path / "a").policy).config.env, load_task("run").env
+    assert list(found.observation) == list(own.observation)
+    assert list(found.observation) != sorted(found.observation)
+    assert list(found.critic) == list(own.critic)
+
+
+def test_who_watches_is_told_each_row_once_it_is_written(tmp_path, flags, train):
+    watched, written = [], []
+
+    def watch(row):
+        watched.append(row)
+        written.append(read_metrics(Run(tmp_path / "a"))[-1])
+
+    train(*flags(tmp_path, "a", 5), watch=watch)
+    assert [row["steps"] for row in watched] == [64, 128, 192, 256, 320]
+    for row, same in zip(watched, written, strict=True):
+        np.testing.assert_equal({**row}, same)
+
+
+def test_a_watched_training_saves_its_policy_often(train, flags, tmp_path, monkeypatch):
+    pages, policies = [], []
+
+    @contextlib.contextmanager
+    def page(run, say):
+        pages.append((run.name, load_score(run.policy)[0]))
+        yield
+
+    monkeypatch.setattr("quadwalk.learn.loop.watched", page)
+    monkeypatch.setattr("quadwalk.learn.loop.check_watch", lambda: None)
+    often = f"--checkpoint-steps={64 * WATCHED}"
+
+    def look(row: dict[str, float]) -> None:
+        policies.append((row["steps"], load_score(Run(tmp_path / "seen").policy)[0]))
+
+    train(*flags(tmp_path, "seen", 3, "--watch", often), watch=look)
+    assert pages == [("seen", 0)]  # it has a policy from the first moment
+    assert policies == [(64, 0), (128, 64), (192, 128)]
+    assert load_score(Run(tmp_path / "seen").policy)[0] == 192
+    train(*flags(tmp_path, "unseen", 3, often))
+    seen, unseen = (Run(tmp_path / name).metrics.read_bytes() for name in ("seen", "unseen"))
+    assert seen == unseen

@@ -1,0 +1,146 @@
+"""Training on an environment that costs nothing, in place of the quadruped: `train.py` in seconds.
+
+What is tested with it is everything about a training but the environment.
+"""
+
+import os
+import resource
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+from quadwalk.tasks import sprint
+
+# Before JAX is imported, for this module is what a process begins with. Not only by default: JAX
+# says 1 to the processes that one with JAX starts, and XLA then fills what a test reads.
+os.environ["TF_CPP_MIN_LOG_LEVEL"] = "3"
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+from brax.envs.base import Env, State
+
+import quadwalk.env.env
+import quadwalk.learn.prepare
+import quadwalk.learn.writer
+import quadwalk.progress.curves
+from quadwalk.cli.process import run_command
+from quadwalk.env.env import EnvState
+from quadwalk.learn.__main__ import main
+from quadwalk.physics.motor import PhysicsState
+from quadwalk.settings.environment import EnvConfig
+
+GOAL = 0.5
+BATCH = 64  # control steps in an iteration with the flags `TINY`
+TINY = (
+    "--envs=16 --ppo.eval-envs=2 --ppo.unroll=4 --ppo.epochs=1 --ppo.minibatches=2 --ppo.hidden=8"
+)
+
+
+class Plain(Env):
+    """What a training asks of an environment on even ground; another class moves it."""
+
+    config = sprint.TASK.env
+    backend = "none"
+    curriculum = terrain = mirrors = asymmetry = gains_note = None
+    terms: tuple[str, ...] = ()  # metrics beyond those that all have
+
+    def observe(self, inner: Any) -> jax.Array:
+        """What is seen of `pipeline_state`."""
+        raise NotImplementedError
+
+    def fresh(self, inner: Any) -> State:
+        zero = jnp.zeros(())
+        metrics = dict.fromkeys(("speed", "fell", "nan", *self.terms), zero)
+        return State(inner, self.observe(inner), zero, zero, metrics, {"truncation": zero})
+
+    def begun(self, state: State, **changes: jax.Array) -> State:
+        inner = state.pipeline_state._replace(**changes)
+        return state.replace(pipeline_state=inner, obs=self.observe(inner))
+
+    def stepped(self, state: State, inner: Any, reward: Any, limit: Any, **metrics: Any) -> State:
+        """`state` after a step; `limit`: it met the time limit, and neither fell nor is NaN."""
+        metrics = {name: jnp.float32(value) for name, value in metrics.items()}
+        limit = jnp.float32(limit)
+        return state.replace(
+            pipeline_state=inner,
+            obs=self.observe(inner),
+            reward=reward,
+            done=jnp.maximum(limit, jnp.maximum(metrics["fell"], metrics["nan"])),
+            metrics=metrics,
+            info={**state.info, "truncation": limit},
+        )
+
+
+class Toy(Plain):
+    """A point that its actions push; the reward is best where they are `GOAL`.
+
+    A step is not a number where `qpos[1]`, drawn between 0 and 1 at each reset, is more than
+    `env.termination.tipped.angle`, which is 1 unless a test lowers it.
+    """
+
+    observation_size = policy_size = 3
+    sensors = SimpleNamespace(names=("position", "drawn", "speed"), critic_names=())
+    action_size = 12
+    terms = ("reward/forward",)
+
+    def __init__(self, quadruped: Any = None, config: EnvConfig | None = None) -> None:
+        self.config = config or sprint.TASK.env
+        self.quadruped = quadruped
+
+    @property
+    def mj_model(self) -> mujoco.MjModel:
+        return self.quadruped.full_model(visuals=False)
+
+    @property
+    def robot(self) -> SimpleNamespace:
+        quadruped = self.quadruped
+        return SimpleNamespace(
+            home_joints=quadruped.home[7:],
+            lower=quadruped.lower,
+            upper=quadruped.upper,
+            knees_ahead=np.zeros(4, bool),
+        )
+
+    def observe(self, inner: EnvState) -> jax.Array:
+        return jnp.array([inner.physics.qpos[0], inner.physics.qpos[1], inner.physics.qvel[0]])
+
+    def reset(self, rng: jax.Array) -> State:
+        drawn = jax.random.uniform(rng, (2,))
+        physics = PhysicsState(jnp.zeros(19).at[:2].set(drawn), jnp.zeros(18))
+        return self.fresh(EnvState(physics, jnp.zeros(12), jnp.zeros((), jnp.int32)))
+
+    def step(self, state: State, action: jax.Array) -> State:
+        before = state.pipeline_state
+        speed = before.physics.qvel.at[0].set(jnp.mean(action))
+        position = before.physics.qpos.at[0].add(speed[0] * self.config.control_dt)
+        physics = PhysicsState(position, speed)
+        after = EnvState(physics, action, before.steps + 1)
+        nan = before.physics.qpos[1] > self.config.termination["tipped"].params["angle"]
+        limit = (after.steps >= self.config.episode_steps) & ~nan
+        reward = 1.0 - jnp.mean(jnp.square(action - GOAL))
+        metrics = {"speed": speed[0], "fell": 0.0, "nan": nan, "reward/forward": reward}
+        return self.stepped(state, after, reward, limit, **metrics)
+
+
+def command(output: Path, *flags: str) -> None:
+    """Be `train.py` with `flags` on the toy, in a process of its own; all it says to `output`."""
+    quadwalk.learn.prepare.QuadrupedEnv = Toy
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+    descriptor = os.open(output, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
+    for stream in (1, 2):
+        os.dup2(descriptor, stream)
+    sys.argv = ["train.py", *flags]
+    run_command(main)
+
+
+def limited_command(output: Path, *flags: str) -> None:
+    """`command`, and no file may grow beyond 40 kB: a checkpoint does not fit, a policy does."""
+    resource.setrlimit(resource.RLIMIT_FSIZE, (40_000, resource.RLIM_INFINITY))
+    command(output, *flags)
+
+
+if __name__ == "__main__":
+    command(Path("/dev/stdout"), *sys.argv[1:])

@@ -1,0 +1,95 @@
+"""Pictures as files."""
+
+import os
+import sys
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from quadwalk.errors import UserError
+from quadwalk.render.images import film_strip, save_png, save_video
+
+
+@pytest.fixture(scope="module")
+def pictures() -> list[np.ndarray]:
+    """Ten of a square that moves to the right."""
+    made = np.full((10, 40, 60, 3), 200, np.uint8)
+    for index, picture in enumerate(made):
+        picture[10:20, 4 * index : 4 * index + 10] = (250, 120, 0)
+    return list(made)
+
+
+def test_a_png_has_the_pixels_and_always_the_same_bytes(pictures, tmp_path):
+    for name in ("a.png", "b.png"):
+        save_png(pictures[3], tmp_path / name)
+    np.testing.assert_array_equal(np.asarray(Image.open(tmp_path / "a.png")), pictures[3])
+    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
+
+
+def test_a_file_that_cannot_be_written_is_one_line(pictures, tmp_path):
+    with pytest.raises(UserError, match=r"^cannot write .*none.*: No such file or directory$"):
+        save_png(pictures[0], tmp_path / "none" / "a.png")
+
+
+def test_a_film_strip_is_read_like_a_page(pictures):
+    strip = film_strip(pictures[:5], across=3)
+    assert strip.shape == (2 * 40 + 4, 3 * 60 + 2 * 4, 3)
+    for index, (top, left) in enumerate([(0, 0), (0, 64), (0, 128), (44, 0), (44, 64)]):
+        np.testing.assert_array_equal(strip[top : top + 40, left : left + 60], pictures[index])
+    assert (strip[40:44] == 255).all()
+    assert (strip[44:, 128:] == 255).all()
+
+
+def test_a_gif_plays_them_in_real_time(pictures, tmp_path):
+    save_video(iter(pictures), tmp_path / "a.gif")
+    with Image.open(tmp_path / "a.gif") as gif:
+        assert (gif.n_frames, gif.info["duration"], gif.info["loop"]) == (10, 40, 0)
+        for index, picture in enumerate(pictures):
+            gif.seek(index)
+            apart = np.abs(np.asarray(gif.convert("RGB")).astype(int) - picture)
+            assert apart.max() < 16
+
+
+# What stands in for ffmpeg writes the number of bytes it was given, or fails.
+ENCODER = """#!{python}
+import sys
+data = sys.stdin.buffer.read({most})
+if {fails}:
+    sys.exit("no such\\nencoder")
+open(sys.argv[-1], "w").write(str(len(data)))
+"""
+
+
+@pytest.fixture
+def encoder(tmp_path, monkeypatch):
+    def install(fails: bool, most: int = -1) -> None:
+        program = tmp_path / "bin" / "ffmpeg"
+        program.parent.mkdir()
+        program.write_text(ENCODER.format(python=sys.executable, fails=fails, most=most))
+        program.chmod(0o755)
+        monkeypatch.setenv("PATH", str(program.parent))
+
+    return install
+
+
+def test_an_mp4_is_what_ffmpeg_makes_of_the_pictures(pictures, tmp_path, encoder):
+    encoder(fails=False)
+    save_video(pictures, tmp_path / "a.mp4")
+    assert (tmp_path / "a.mp4").read_text() == str(10 * 40 * 60 * 3)
+
+
+def test_an_ffmpeg_that_fails_is_one_line(pictures, tmp_path, encoder):
+    encoder(fails=True, most=10)  # it stops reading early
+    with pytest.raises(UserError) as caught:
+        save_video(pictures * 20, tmp_path / "a.mp4")
+    assert str(caught.value) == f"cannot write {tmp_path / 'a.mp4'}: ffmpeg: no such encoder"
+    assert os.listdir(tmp_path) == ["bin"]
+
+
+def test_an_mp4_without_ffmpeg_is_one_line(pictures, tmp_path, monkeypatch):
+    monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
+    with pytest.raises(UserError, match=r"^an MP4 needs ffmpeg on the PATH, or: "):
+        save_video(pictures, tmp_path / "a.mp4")
+    assert os.listdir(tmp_path) == []
