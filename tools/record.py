@@ -31,7 +31,7 @@ _CHANGING = ("revision", "versions", "run", "policy_sha256", "notes")
 
 
 def run_program(*arguments: str) -> None:
-    """Run one of the project's programs to its end; raise `SystemExit` with its output if it fails."""
+    """Run a program of the project; raise `SystemExit` with its output if it fails."""
     result = subprocess.run(
         [sys.executable, *arguments], cwd=ROOT, capture_output=True, text=True, check=False
     )
