@@ -56,7 +56,7 @@ def print_accuracy() -> None:
     wanted = targets(env.robot.home_joints)
 
     def in_mujoco(dt: float) -> np.ndarray:
-        model = quadruped.training_model(dt, iterations=100, ls_iterations=50)
+        model = quadruped.make_training_model(dt, iterations=100, ls_iterations=50)
         model.opt.tolerance = 1e-12
         pairs = zip(starts.qpos, starts.qvel, strict=True)
         return np.array([list(_trot(env, model, q, v, wanted)) for q, v in pairs])
@@ -146,7 +146,7 @@ def print_sliding() -> None:
         return 9.81 * np.sin(angle), 0.0, -9.81 * np.cos(angle)
 
     def slide_in_mujoco(friction: float, name: str) -> np.ndarray:
-        model = quadruped.training_model(0.004, iterations=100, ls_iterations=50)
+        model = quadruped.make_training_model(0.004, iterations=100, ls_iterations=50)
         motor = make_motor(model, quadruped, MotorConfig())
         model.opt.tolerance = 1e-12
         model.geom_friction[:, 0] = friction
@@ -159,7 +159,7 @@ def print_sliding() -> None:
         return data.qvel[[0, 1, 5]].copy()
 
     def slide_in_fast(iterations: int, line_search: int) -> np.ndarray:
-        model = quadruped.training_model(0.004, iterations, line_search)
+        model = quadruped.make_training_model(0.004, iterations, line_search)
         robot = fast.make_model(model, quadruped, make_motor(model, quadruped, MotorConfig()))
         stand = Stepping(0.004, STANDING, iterations, line_search)
         slide = dataclasses.replace(stand, substeps=SLIDING)

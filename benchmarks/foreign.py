@@ -155,7 +155,7 @@ def picture(episodes: dict[str, Episode], loaded: "LoadedRun") -> np.ndarray:
     from quadwalk.render.images import film_strip
 
     dt, font, found = loaded.env.config.control_dt, ImageFont.load_default(size=16), []
-    canvas = Canvas(loaded.env.quadruped.full_model(), *PICTURE)
+    canvas = Canvas(loaded.env.quadruped.make_full_model(), *PICTURE)
     steps = min(len(episode.target) for episode in episodes.values())
     for simulator, episode in episodes.items():
         for row in np.linspace(0, steps, ACROSS + 1).astype(int)[1:]:

@@ -80,7 +80,7 @@ def print_costs(envs: int, steps: int, rounds: int) -> None:
 
     cases = {}
     for contacts in ("feet", "knees", "body"):
-        mj_model = quadruped.training_model(0.004, 2, 3, contacts)
+        mj_model = quadruped.make_training_model(0.004, 2, 3, contacts)
         level = make_model(mj_model, quadruped, make_motor(mj_model, quadruped, MotorConfig()))
         cases[f"{contacts}, flat floor"] = program(level, qpos)
         cases[f"{contacts}, field"] = program(on_ground(level, terrain.field), raised)

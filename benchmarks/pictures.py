@@ -122,7 +122,7 @@ def poses(loaded: LoadedRun) -> Iterator[tuple[np.ndarray, str]]:
 def pictures() -> Iterator[Image.Image]:
     """Each picture, the camera beside the robot and slowly after it."""
     loaded = open_run(Run(PRETRAINED / "drive"), LAST)
-    canvas = Canvas(loaded.env.quadruped.full_model(), *SIZE)
+    canvas = Canvas(loaded.env.quadruped.make_full_model(), *SIZE)
     font = ImageFont.load_default(size=30)
     focus = None
     for qpos, text in poses(loaded):
@@ -203,7 +203,7 @@ def zoo() -> None:
     font, drawn = ImageFont.load_default(size=22), []
     for name, file in ROBOTS.items():
         quadruped = load_quadruped(folder / file)
-        canvas = Canvas(quadruped.full_model(), 480, 340)
+        canvas = Canvas(quadruped.make_full_model(), 480, 340)
         eye = Camera((0.0, 0.0, 0.36), distance=1.9, azimuth=130.0, elevation=-12.0)
         picture = Image.fromarray(canvas.draw(quadruped.home, eye))
         mass, speed = figures[name]

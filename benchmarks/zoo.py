@@ -36,7 +36,7 @@ from quadwalk.experiments.options import PlaceConfig, add_place_flags, read_plac
 from quadwalk.experiments.places import make_place
 from quadwalk.experiments.runner import Outcome, run_jobs
 from quadwalk.robot.mjcf import Options, convert, write_xml
-from quadwalk.robot.quadruped import Quadruped, find_quadruped, load_quadruped, with_motors
+from quadwalk.robot.quadruped import Quadruped, complete_motors, find_quadruped, load_quadruped
 from quadwalk.robot.structure.legs import Leg
 from quadwalk.robot.urdf import Urdf, UrdfError, read_urdf
 from quadwalk.runs.directory import Run
@@ -94,7 +94,7 @@ def try_conversion(file: Path) -> Converted:
     verdict = "yes"
     try:
         urdf, legs = find_quadruped(urdf, NO_MESHES)
-        with_motors(urdf, legs, NO_MESHES)
+        complete_motors(urdf, legs, NO_MESHES)
     except UrdfError as error:
         verdict = str(error).removeprefix(f"{urdf.source}: ")
     spec = convert(urdf, legs, NO_MESHES).spec
@@ -150,7 +150,7 @@ def quadrupeds(files: Iterable[Path]) -> list[Path]:
     for file in files:
         try:
             urdf, legs = find_quadruped(read_urdf(file), Options())
-            with_motors(urdf, legs, Options())
+            complete_motors(urdf, legs, Options())
         except UrdfError:
             continue
         found.append(file)
@@ -159,7 +159,7 @@ def quadrupeds(files: Iterable[Path]) -> list[Path]:
 
 def stands(quadruped: Quadruped) -> bool:
     """Whether PD control of the home pose, with the gains of training, keeps it up for 10 s."""
-    model = quadruped.full_model()
+    model = quadruped.make_full_model()
     data = mujoco.MjData(model)
     data.qpos[:] = quadruped.home
     stiffness = 1.4 * model.body_subtreemass[0] * quadruped.gravity * quadruped.home[2]
@@ -188,7 +188,7 @@ def judge(run: Run) -> dict[str, float | str]:
 
 def label(quadruped: Quadruped, name: str) -> str:
     """The first cells of a robot's row."""
-    mass = quadruped.full_model().body_subtreemass[0]
+    mass = quadruped.make_full_model().body_subtreemass[0]
     return f"{name} | {mass:.1f} | {'yes' if stands(quadruped) else 'no'}"
 
 

@@ -59,7 +59,7 @@ class QuadrupedEnv(Env):
     def __init__(
         self, quadruped: Quadruped, config: EnvConfig, engine: EngineName | None = None
     ) -> None:
-        leg = leg_length(quadruped.full_model(visuals=False), quadruped.feet[0])
+        leg = leg_length(quadruped.make_full_model(visuals=False), quadruped.feet[0])
         config = replace(config.as_seen, command=config.command.of_robot(leg, quadruped.foot_speed))
         self.config = config
         self.engine: EngineName = engine or config.engine
@@ -87,7 +87,7 @@ class QuadrupedEnv(Env):
 
     def _training_model(self, quadruped: Quadruped) -> mujoco.MjModel:
         config = self.config
-        return quadruped.training_model(
+        return quadruped.make_training_model(
             config.physics_dt,
             config.solver_iterations,
             config.line_search_iterations,
@@ -97,7 +97,7 @@ class QuadrupedEnv(Env):
     def mj_model_of(self, quadruped: Quadruped) -> mujoco.MjModel:
         """The MuJoCo model of a robot that the engine steps."""
         if self.engine == "mujoco":
-            return quadruped.full_model(self.stepping.dt)
+            return quadruped.make_full_model(self.stepping.dt)
         return self._training_model(quadruped)
 
     @cached_property

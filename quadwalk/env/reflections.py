@@ -9,7 +9,7 @@ from typing import Any, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 
-from quadwalk.robot.mirror import Mirror, RobotMirror, joined, mirror
+from quadwalk.robot.mirror import Mirror, RobotMirror, join_mirrors, make_mirror
 
 # None: with these parameters it has no mirror image.
 Kind: TypeAlias = Callable[[RobotMirror, dict[str, Any]], Mirror | None]
@@ -25,13 +25,13 @@ class Mirrors(NamedTuple):
 
 def signs(*sign: float) -> Kind:
     """Numbers that keep their places and change these signs."""
-    return lambda robot, params: mirror(np.arange(len(sign)), sign)
+    return lambda robot, params: make_mirror(np.arange(len(sign)), sign)
 
 
 def grid(rows: int, row: int) -> Mirror:
     """Of rows from the right to the left, each of `row` numbers."""
     places = np.arange(rows * row).reshape(rows, row)[:, ::-1].ravel()
-    return mirror(places, np.ones(rows * row))
+    return make_mirror(places, np.ones(rows * row))
 
 
 SCALAR = signs(1)  # the same in the mirror
@@ -47,7 +47,7 @@ def JOINTS(robot: RobotMirror, params: dict[str, Any]) -> Mirror:
 
 def LINKS(robot: RobotMirror, params: dict[str, Any]) -> Mirror:
     """A factor or another number without direction of each joint or the link it moves (12,)."""
-    return mirror(robot.joints.source, np.ones(12))
+    return make_mirror(robot.joints.source, np.ones(12))
 
 
 def FEET(robot: RobotMirror, params: dict[str, Any]) -> Mirror:
@@ -72,7 +72,7 @@ def mirror_of(
     kinds = getattr(function, "mirrored_as", None)
     own = [kind(robot, params or {}) for kind in kinds or ()]
     known = [part for part in own if part is not None]
-    return joined(*known) if kinds and len(known) == len(own) else None
+    return join_mirrors(*known) if kinds and len(known) == len(own) else None
 
 
 def with_history(frame: Mirror, history: np.ndarray) -> Mirror:
@@ -84,5 +84,5 @@ def with_history(frame: Mirror, history: np.ndarray) -> Mirror:
     for ago in range(1 + max(history)):
         kept = history >= ago
         place = np.cumsum(kept) - 1
-        steps.append(mirror(place[frame.source[kept]], frame.sign[kept]))
-    return joined(*steps)
+        steps.append(make_mirror(place[frame.source[kept]], frame.sign[kept]))
+    return join_mirrors(*steps)

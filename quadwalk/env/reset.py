@@ -11,7 +11,7 @@ from quadwalk.physics.model import Model
 from quadwalk.physics.motor import PhysicsState
 from quadwalk.physics.rotation import from_euler
 from quadwalk.robot.quadruped import Quadruped
-from quadwalk.robot.scene import lowest_point
+from quadwalk.robot.scene import find_lowest_point
 from quadwalk.settings.environment import ResetConfig
 from quadwalk.terrain.terrain import Terrain
 
@@ -58,7 +58,7 @@ def nominal_start(model: mujoco.MjModel, quadruped: Quadruped, config: ResetConf
     if config.pose is not None:
         data.qpos[7:] = np.clip(np.tile(config.pose, 4), quadruped.lower, quadruped.upper)
     mujoco.mj_kinematics(model, data)
-    lowest = min(lowest_point(model, data, model.geom(name).id) for name in quadruped.feet)
+    lowest = min(find_lowest_point(model, data, model.geom(name).id) for name in quadruped.feet)
     data.qpos[2] = data.qpos[2] - lowest if config.height is None else config.height
     return data.qpos.copy()
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from quadwalk.physics.constraints.surface import Surface
 from quadwalk.physics.model import Model
-from quadwalk.robot.mirror import standing
+from quadwalk.robot.mirror import place_at_home
 from quadwalk.robot.quadruped import Quadruped
 from quadwalk.settings.environment import EnvConfig
 from quadwalk.terrain.heightfield import Heightfield, has_field, lay
@@ -99,7 +99,7 @@ def robot_arrays(quadruped: Quadruped, model: mujoco.MjModel, geometry: Model) -
 
 
 def _knees_ahead(quadruped: Quadruped, model: mujoco.MjModel) -> np.ndarray:
-    pose, _ = standing(quadruped, model)
+    pose = place_at_home(quadruped, model)
     feet = pose.geom_xpos[[model.geom(name).id for name in quadruped.feet]]
     ahead: np.ndarray = pose.xanchor[3::3, 0] > (pose.xanchor[2::3, 0] + feet[:, 0]) / 2.0
     return ahead

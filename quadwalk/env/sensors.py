@@ -25,7 +25,7 @@ from quadwalk.env.reflections import Mirrors, mirror_of, with_history
 from quadwalk.env.robot_arrays import RobotArrays
 from quadwalk.env.state import EnvState
 from quadwalk.errors import UserError
-from quadwalk.robot.mirror import Mirror, RobotMirror, joined
+from quadwalk.robot.mirror import Mirror, RobotMirror, join_mirrors
 from quadwalk.settings.environment import EnvConfig
 from quadwalk.settings.terms import Observation, Term
 
@@ -155,7 +155,7 @@ class Sensors:
             terms += [(f"{group} {name!r}", parts[name], len(own)) for name, own in names.items()]
         found = list[Mirror]()
         for what, term, size in terms:
-            own = mirror_of(term.function, term.params, robot) if size else joined()
+            own = mirror_of(term.function, term.params, robot) if size else join_mirrors()
             if own is None:
                 return f"the {what} does not say how it mirrors; expected @mirrors on its function"
             if len(own.source) != size:
@@ -166,7 +166,9 @@ class Sensors:
             found.append(own)
         action, observed = found[0], found[1 : 1 + len(config.observation)]
         critic = found[1 + len(config.observation) :]
-        return Mirrors(joined(with_history(joined(*observed), self.history), *critic), action)
+        return Mirrors(
+            join_mirrors(with_history(join_mirrors(*observed), self.history), *critic), action
+        )
 
 
 def make_sensors(

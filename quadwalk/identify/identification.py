@@ -61,7 +61,7 @@ def fit_log(log: Log, quadruped: Quadruped, config: IdentifyConfig) -> Fit:
 
 def describe(quadruped: Quadruped, config: IdentifyConfig) -> tuple[Model, Joints]:
     """Return the robot's equations, and the described joints, at which the search begins."""
-    model = quadruped.training_model(PHYSICS["physics_dt"])
+    model = quadruped.make_training_model(PHYSICS["physics_dt"])
     motor = make_motor(model, quadruped, MotorConfig(kp=config.kp, kd=config.kd))
     constants = {
         "armature": model.dof_armature[6:],

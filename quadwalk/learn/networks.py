@@ -19,7 +19,7 @@ from brax.training.networks import ACTIVATION
 
 from quadwalk.env.reflections import Mirrors
 from quadwalk.errors import UsageError
-from quadwalk.robot.mirror import Mirror, joined, mirror
+from quadwalk.robot.mirror import Mirror, join_mirrors, make_mirror
 from quadwalk.settings.training import PPOConfig
 
 # Of a number's standard deviation, as a share of its mean or, if that is less than 1, of 1.
@@ -207,8 +207,8 @@ def make_networks(
                 f"--ppo.hidden is {config.hidden}; expected even numbers, or --ppo.no-symmetric"
             )
         whole, action = mirrors
-        seen = mirror(whole.source[:policy_size], whole.sign[:policy_size])
-        outputs = joined(action, mirror(action.source, np.ones(action_size)))
+        seen = make_mirror(whole.source[:policy_size], whole.sign[:policy_size])
+        outputs = join_mirrors(action, make_mirror(action.source, np.ones(action_size)))
     return Networks(
         hidden=config.hidden,
         activation=config.activation,
@@ -273,7 +273,7 @@ def _bases(layers: Any, inputs: Basis, outputs: Basis) -> list[tuple[Basis, Basi
     for number in range(len(layers) - 1):
         kernels, _ = _kernels_and_biases(layers[f"hidden_{number}"])
         half = sum(kernel.shape[1] for kernel in kernels) // 2
-        swap = mirror(np.roll(np.arange(2 * half), half), np.ones(2 * half))
+        swap = make_mirror(np.roll(np.arange(2 * half), half), np.ones(2 * half))
         between.append(Basis(2 * half, swap))
     return list(zip([inputs, *between], [*between, outputs], strict=True))
 

@@ -22,7 +22,7 @@ from quadwalk.learn.networks import (
     structured,
 )
 from quadwalk.learn.ppo import Learner
-from quadwalk.robot.mirror import RobotMirror, mirror, standing
+from quadwalk.robot.mirror import RobotMirror, compute_home_axes, make_mirror
 from quadwalk.runs import checkpoint
 from quadwalk.runs.directory import Run, latest_checkpoint
 from quadwalk.runs.policy import layers_of, load_policy
@@ -116,7 +116,7 @@ def _read(
 
 def _of_value(networks: Networks) -> Basis:
     """The basis of a value network's output: a number that the mirror keeps."""
-    return Basis(1, None if networks.whole.mirror is None else mirror([0], [1]))
+    return Basis(1, None if networks.whole.mirror is None else make_mirror([0], [1]))
 
 
 def _names(env: QuadrupedEnv) -> dict[str, str]:
@@ -143,7 +143,7 @@ def _turned(
     trunk move alike, exactly so for a thigh as long as its calf. Small actions move the joints'
     targets as far as there.
     """
-    axes, others = (standing(e.quadruped, e.mj_model)[1] for e in (env, there))
+    axes, others = (compute_home_axes(e.quadruped, e.mj_model) for e in (env, there))
     turned = np.where(np.sum(axes * others, axis=1) < 0.0, -1.0, 1.0)
     observations, actions = map(np.diag, _signs(env, turned))
     rows = {name: row for row, name in enumerate(names)}
@@ -172,9 +172,9 @@ def _signs(env: QuadrupedEnv, turned: np.ndarray) -> tuple[np.ndarray, np.ndarra
     """
     if np.all(turned > 0.0):
         return np.ones(env.observation_size), turned
-    feet = mirror(np.arange(4), np.ones(4))
+    feet = make_mirror(np.arange(4), np.ones(4))
     signs, usual = (
-        env.sensors.mirrors(RobotMirror(mirror(np.arange(12), own), feet))
+        env.sensors.mirrors(RobotMirror(make_mirror(np.arange(12), own), feet))
         for own in (turned, np.ones(12))
     )
     if isinstance(signs, str) or isinstance(usual, str):

@@ -18,7 +18,7 @@ from quadwalk.physics.motor import Motor
 from quadwalk.physics.rigid_body import LINKS, Link, Trunk
 from quadwalk.physics.vectors import Array, Matrix, Vector
 from quadwalk.robot.quadruped import Quadruped
-from quadwalk.robot.scene import KINDS, rotation_of_quat
+from quadwalk.robot.scene import SPHERE_NAMES, compute_rotation
 from quadwalk.terrain.heightfield import FLOOR, Heightfield, field_of
 
 
@@ -175,7 +175,7 @@ def on_ground(model: Model, ground: Heightfield) -> Model:
 def contact_geoms(model: mujoco.MjModel, feet: tuple[str, ...]) -> list[np.ndarray]:
     """(4,) geoms of each kind of sphere that may touch the floor, the feet first."""
     names = [model.geom(i).name for i in range(model.ngeom)]
-    kinds = [kind for kind in (feet, *KINDS) if set(kind) <= set(names)]
+    kinds = [kind for kind in (feet, *SPHERE_NAMES) if set(kind) <= set(names)]
     return [np.array([names.index(name) for name in kind]) for kind in kinds]
 
 
@@ -203,13 +203,13 @@ def _matrix(values: np.ndarray) -> Matrix:
 
 def _inertia(model: mujoco.MjModel, body: int) -> np.ndarray:
     """(6,) as in `Inertia`, about the center of mass, in the body's axes."""
-    turn = rotation_of_quat(model.body_iquat[body])
+    turn = compute_rotation(model.body_iquat[body])
     full = turn @ np.diag(model.body_inertia[body]) @ turn.T
     return full[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
 
 
 def _link(model: mujoco.MjModel, bodies: np.ndarray, joints: np.ndarray) -> Link:
-    frames = np.array([rotation_of_quat(model.body_quat[body]) for body in bodies])
+    frames = np.array([compute_rotation(model.body_quat[body]) for body in bodies])
     axes = model.jnt_axis[joints]
     outer = axes[:, :, None] * axes[:, None, :]
     x, y, z = axes.T
@@ -313,7 +313,7 @@ def _shells(
         body: [g for g in geoms if model.geom_bodyid[g] == body] for body in range(model.nbody)
     }
     for geom in of_body[trunk]:
-        rotation = rotation_of_quat(model.geom_quat[geom])
+        rotation = compute_rotation(model.geom_quat[geom])
         shells.append(
             Shell(
                 link=None,
@@ -329,7 +329,7 @@ def _shells(
         for i in range(max(map(len, own))):
             there = np.array([i < len(shapes) for shapes in own])
             picked = np.array([shapes[i] if i < len(shapes) else 0 for shapes in own])
-            axes = np.array([rotation_of_quat(quat).T for quat in model.geom_quat[picked]])
+            axes = np.array([compute_rotation(quat).T for quat in model.geom_quat[picked]])
             shells.append(
                 Shell(
                     link=link,

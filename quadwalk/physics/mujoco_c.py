@@ -116,7 +116,7 @@ class Stepper:
     def _bare(self) -> mujoco.MjModel:
         """The full model without what can only be seen, on a window of its ground."""
         if self._windows is None:
-            return self._quadruped.full_model(self.model.opt.timestep, visuals=False)
+            return self._quadruped.make_full_model(self.model.opt.timestep, visuals=False)
         return self._windows.model_of(self._quadruped, self.model.opt.timestep)
 
 

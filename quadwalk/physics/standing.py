@@ -80,4 +80,4 @@ def _make_level(model: mujoco.MjModel, quadruped: "Quadruped") -> mujoco.MjModel
     floor = spec.geom("floor")
     floor.type, floor.hfieldname = mujoco.mjtGeom.mjGEOM_PLANE, ""
     floor.size, floor.pos = [0, 0, 0.05], [0, 0, 0]
-    return replace(quadruped, spec=spec).training_model(model.opt.timestep, iterations=4)
+    return replace(quadruped, spec=spec).make_training_model(model.opt.timestep, iterations=4)

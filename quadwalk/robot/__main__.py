@@ -18,7 +18,7 @@ from quadwalk.render.canvas import render_home
 from quadwalk.render.images import save_png
 from quadwalk.robot.elements import SINGLE
 from quadwalk.robot.mjcf import Options, convert, write_xml
-from quadwalk.robot.quadruped import find_quadruped, list_joints, with_motors
+from quadwalk.robot.quadruped import complete_motors, find_quadruped, list_joints
 from quadwalk.robot.structure.legs import Leg
 from quadwalk.robot.urdf import Urdf, UrdfError, read_urdf, release_from_world
 
@@ -136,7 +136,7 @@ def recognize(urdf: Urdf, options: Options) -> tuple[Urdf, tuple[Leg, ...], str]
     released = release_from_world(urdf)
     try:
         released, legs = find_quadruped(released, options)
-        return with_motors(released, legs, options), legs, "yes"
+        return complete_motors(released, legs, options), legs, "yes"
     except UrdfError as error:
         reason = str(error).removeprefix(f"{urdf.source}: ")
     return released if legs or options.floating else urdf, legs, f"no: {reason}"

@@ -6,9 +6,9 @@ import yourdfpy
 
 from quadwalk.robot.meshes import Meshes, MeshPart
 from quadwalk.robot.report import Report
-from quadwalk.robot.scene import CONTACT_TIME, FRICTION, KINDS
+from quadwalk.robot.scene import CONTACT_TIME, FRICTION, SPHERE_NAMES
 from quadwalk.robot.structure.legs import Leg
-from quadwalk.robot.structure.tree import Capsule, Tree, is_limited, joint_range, matrix, unit
+from quadwalk.robot.structure.tree import Capsule, Tree, is_limited, joint_range, to_matrix, unit
 
 SINGLE = {
     "revolute": mujoco.mjtJoint.mjJNT_HINGE,
@@ -104,7 +104,7 @@ class Shapes:
     ):
         self.spec, self.meshes, self.report = spec, meshes, report
         self.legs = {leg.foot.link: leg for leg in legs}
-        self.geom_names = {*(leg.foot_name for leg in legs), "floor"}.union(*KINDS)
+        self.geom_names = {*(leg.foot_name for leg in legs), "floor"}.union(*SPHERE_NAMES)
         self.mesh_names: dict[tuple, list[str]] = {}
         self.materials: dict[str, str] = {}
         self.rgba: dict[str, tuple] = {}
@@ -128,7 +128,7 @@ class Shapes:
             foot = leg.foot_name if leg is not None and index == leg.foot.shape else None
             pieces = self._pieces(name, collision.geometry, collision=True)
             for shape, _ in pieces:
-                frame = placement @ matrix(collision.origin)
+                frame = placement @ to_matrix(collision.origin)
                 geom = self._add(body, "foot" if foot else "collision", shape, frame)
                 geom.name = foot or unique(name, self.geom_names)
                 if stand_in:
@@ -146,7 +146,7 @@ class Shapes:
         """Add a visual shape; False if there is nothing of it to show."""
         pieces = self._pieces(name, visual.geometry, collision=False)
         for shape, rgba in pieces:
-            geom = self._add(body, "visual", shape, placement @ matrix(visual.origin))
+            geom = self._add(body, "visual", shape, placement @ to_matrix(visual.origin))
             self._paint(geom, visual.material, rgba)
         return bool(pieces)
 

@@ -7,7 +7,7 @@ from itertools import product
 import mujoco
 import numpy as np
 
-from quadwalk.robot.structure.tree import Tree, matrix
+from quadwalk.robot.structure.tree import Tree, to_matrix
 
 # MuJoCo takes a smaller mass (kg) or moment (kg m^2) of a moving body for none (mjMINVAL).
 SMALLEST = 1e-15
@@ -53,7 +53,7 @@ def body_inertia(tree: Tree, body: str, parts_of_it: Sequence[str] | None = None
     for name in tree.parts[body] if parts_of_it is None else parts_of_it:
         inertial = tree.links[name].inertial
         if inertial is not None:  # else it has no mass, and none is invented
-            frame = tree.placement[name] @ matrix(inertial.origin)
+            frame = tree.placement[name] @ to_matrix(inertial.origin)
             turn = frame[:3, :3]
             parts.append(Inertia(inertial.mass, frame[:3, 3], turn @ inertial.inertia @ turn.T))
     return compose(parts)

@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 
 from quadwalk.robot.quadruped import Quadruped
-from quadwalk.robot.scene import KINDS
+from quadwalk.robot.scene import SPHERE_NAMES
 
 _FLIP = np.diag([1.0, -1.0, 1.0])
 # The largest difference between a robot and its mirror image, as shares of its standing height,
@@ -28,7 +28,7 @@ class Mirror(NamedTuple):
         return self.sign * x[..., self.source]
 
 
-def mirror(source, sign) -> Mirror:
+def make_mirror(source, sign) -> Mirror:
     """A `Mirror`; `ValueError` where mirroring twice does not give the same again."""
     source, sign = np.asarray(source, int), np.asarray(sign, np.float32)
     whole = source.shape == sign.shape == (len(source),) and np.all(np.abs(sign) == 1)
@@ -39,12 +39,12 @@ def mirror(source, sign) -> Mirror:
     return Mirror(source, sign)
 
 
-def joined(*mirrors: Mirror) -> Mirror:
+def join_mirrors(*mirrors: Mirror) -> Mirror:
     """The mirror of vectors one after another."""
     starts = np.cumsum([0, *(len(own.source) for own in mirrors)])
     sources = [own.source + start for own, start in zip(mirrors, starts, strict=False)]
     signs = [own.sign for own in mirrors]
-    return mirror(np.concatenate([[], *sources]), np.concatenate([[], *signs]))
+    return make_mirror(np.concatenate([[], *sources]), np.concatenate([[], *signs]))
 
 
 class RobotMirror(NamedTuple):
@@ -54,12 +54,18 @@ class RobotMirror(NamedTuple):
     feet: Mirror  # (4,) a number of each foot
 
 
-def standing(quadruped: Quadruped, model: mujoco.MjModel) -> tuple[mujoco.MjData, np.ndarray]:
-    """A robot's `model` in its standing pose, and its joints' axes (12, 3) in the trunk's frame."""
+def place_at_home(quadruped: Quadruped, model: mujoco.MjModel) -> mujoco.MjData:
+    """Return the kinematics of a robot's `model` in its home pose."""
     data = mujoco.MjData(model)
     data.qpos[:] = quadruped.home
     mujoco.mj_kinematics(model, data)
-    return data, data.xaxis[1:] @ data.xmat[model.jnt_bodyid[0]].reshape(3, 3)
+    return data
+
+
+def compute_home_axes(quadruped: Quadruped, model: mujoco.MjModel) -> np.ndarray:
+    """Return the joints' axes (12, 3) in the trunk's frame, in the home pose."""
+    data = place_at_home(quadruped, model)
+    return data.xaxis[1:] @ data.xmat[model.jnt_bodyid[0]].reshape(3, 3)
 
 
 def robot_mirror(quadruped: Quadruped, model: mujoco.MjModel) -> RobotMirror | str:
@@ -67,8 +73,8 @@ def robot_mirror(quadruped: Quadruped, model: mujoco.MjModel) -> RobotMirror | s
     image = _Image(quadruped, model)
     try:
         found = RobotMirror(
-            mirror(image.joints, image.sign),
-            mirror(_nearest(image.spheres(quadruped.feet)), [1] * 4),
+            make_mirror(image.joints, image.sign),
+            make_mirror(_nearest(image.spheres(quadruped.feet)), [1] * 4),
         )
     except ValueError:
         return "the robot is not its own mirror image: joints or feet of its sides do not pair"
@@ -85,7 +91,8 @@ class _Image:
 
     def __init__(self, quadruped: Quadruped, model: mujoco.MjModel) -> None:
         self._quadruped, self._model = quadruped, model
-        self._data, self._axes = standing(quadruped, model)
+        self._data = place_at_home(quadruped, model)
+        self._axes = compute_home_axes(quadruped, model)
         self._trunk = int(model.jnt_bodyid[0])
         self._turn = self._data.xmat[self._trunk].reshape(3, 3)
         self._mass, self._height = float(model.body_subtreemass[0]), float(quadruped.home[2])
@@ -153,7 +160,7 @@ class _Image:
         """Places and radii of the spheres of contact that the model has."""
         model, most = self._model, PLACE * self._height
         there = {model.geom(geom).name for geom in range(model.ngeom)}
-        for names in (self._quadruped.feet, *KINDS):
+        for names in (self._quadruped.feet, *SPHERE_NAMES):
             if there.issuperset(names):
                 places = self.spheres(names)
                 radii = np.array([model.geom(name).size[0] for name in names])

@@ -61,7 +61,7 @@ class Quadruped:
         """m/s, at most, of a foot that swings about the thigh's joint under the trunk."""
         return float(self.home[2] * self.velocity[1::3].min())
 
-    def training_model(
+    def make_training_model(
         self,
         timestep: float,
         iterations: int = 1,
@@ -70,7 +70,7 @@ class Quadruped:
     ) -> mujoco.MjModel:
         """The model to train in, made for MJX: only spheres and the floor collide.
 
-        Body, joint, actuator and collision geom names are those of `full_model`; the other
+        Body, joint, actuator and collision geom names are those of `make_full_model`; the other
         collision shapes are there to be measured, but touch nothing. No visuals, no sensors.
 
         `timestep` is in s; with one of the Newton solver's `iterations`, MJX needs no loop that
@@ -95,7 +95,7 @@ class Quadruped:
         option.cone = mujoco.mjtCone.mjCONE_PYRAMIDAL
         return self._compile(spec, timestep, iterations, ls_iterations, frictionloss=False)
 
-    def full_model(
+    def make_full_model(
         self, timestep: float = 0.002, frictionloss: bool = False, visuals: bool = True
     ) -> mujoco.MjModel:
         """The model to evaluate in: every collision shape, a solver that has converged.
@@ -137,7 +137,7 @@ def load_quadruped(
     fix: tuple[str, ...] = (),
 ) -> Quadruped:
     """Read a quadruped's URDF; raise `UrdfError` where it is not valid or not a quadruped."""
-    return quadruped_from(read_urdf(urdf, repair_inertia, fix), options)
+    return make_quadruped(read_urdf(urdf, repair_inertia, fix), options)
 
 
 def find_quadruped(urdf: Urdf, options: Options) -> tuple[Urdf, tuple[Leg, ...]]:
@@ -158,7 +158,7 @@ def find_quadruped(urdf: Urdf, options: Options) -> tuple[Urdf, tuple[Leg, ...]]
     return replace(urdf, report=report), legs
 
 
-def with_motors(urdf: Urdf, legs: tuple[Leg, ...], options: Options) -> Urdf:
+def complete_motors(urdf: Urdf, legs: tuple[Leg, ...], options: Options) -> Urdf:
     """`urdf` with the motors of `options` where legs lack them; `UrdfError` if some still do."""
     tree = urdf.tree
     changed: dict[str, yourdfpy.Joint] = {}
@@ -231,12 +231,12 @@ def add_rotors(
             report.add("assumed", f"rotors of {rotor:g} kg m^2 (armature)", joint.name)
 
 
-def quadruped_from(urdf: Urdf, options: Options | None = None) -> Quadruped:
+def make_quadruped(urdf: Urdf, options: Options | None = None) -> Quadruped:
     """The quadruped that a checked URDF describes; `UrdfError` says what it is instead."""
     options = options or Options()
     original = urdf = release_from_world(urdf)
     urdf, legs = find_quadruped(urdf, options)
-    urdf = with_motors(urdf, legs, options)
+    urdf = complete_motors(urdf, legs, options)
     tree = urdf.tree
     joints = [tree.joint_above[link] for leg in legs for link in leg.links]
     conversion = convert(urdf, legs, replace(options, floating=True))

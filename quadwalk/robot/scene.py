@@ -19,7 +19,7 @@ CONTACT_TIME = 0.01
 
 # The physics of training lets one sphere of each kind of each leg touch the floor. Besides the
 # feet, these stand for what else meets it: knees, the trunk's lower and upper corners, hips.
-KNEES, CORNERS, TOPS, HIPS = KINDS = tuple(
+KNEES, CORNERS, TOPS, HIPS = SPHERE_NAMES = tuple(
     tuple(f"{kind}_{leg}" for leg in LEGS) for kind in ("knee", "corner", "top", "hip")
 )
 # What touches the floor, besides the feet, by the setting `env.contacts`.
@@ -118,7 +118,7 @@ def add_home(spec: mujoco.MjSpec, pose: np.ndarray | None, feet: list[str]) -> N
         data.qpos[:] = qpos
         mujoco.mj_kinematics(model, data)
         shapes = [model.geom(foot).id for foot in feet] or np.flatnonzero(model.geom_bodyid > 0)
-        qpos[2] -= min((lowest_point(model, data, int(geom)) for geom in shapes), default=0.0)
+        qpos[2] -= min((find_lowest_point(model, data, int(geom)) for geom in shapes), default=0.0)
     spec.add_key(name=HOME, qpos=qpos)
 
 
@@ -145,7 +145,7 @@ def exclude_overlaps(spec: mujoco.MjSpec) -> list[str]:
     return [f"'{first}' and '{second}'" for first, second in pairs]
 
 
-def lowest_point(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> float:
+def find_lowest_point(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> float:
     """Height (m, world z) of the lowest point of a geom, from `data`'s current kinematics."""
     size = model.geom_size[geom]
     # The direction `down` in the geom's own axes: the shape's extent along it is its support.
@@ -188,7 +188,7 @@ def simplify(spec: mujoco.MjSpec, feet: tuple[str, ...]) -> None:
             _shorten(geom, foot.pos, foot.size[0])
 
 
-def rotation_of_quat(quat: np.ndarray) -> np.ndarray:
+def compute_rotation(quat: np.ndarray) -> np.ndarray:
     """(3, 3) of a quaternion wxyz (4,)."""
     entries = np.zeros(9)
     mujoco.mju_quat2Mat(entries, quat)
@@ -201,7 +201,7 @@ def _shorten(geom: mujoco.MjsGeom, foot: np.ndarray, radius: float) -> None:
     It ends at the foot's center, or above it if it is thick. Its edge is then half the foot's
     radius above the floor while the calf leans by `LEAN`: nearer, a step would be a fall.
     """
-    axes = rotation_of_quat(geom.quat)
+    axes = compute_rotation(geom.quat)
     along = int(np.argmax(np.abs(foot @ axes)))
     if geom.type == mujoco.mjtGeom.mjGEOM_BOX:
         side = along
@@ -229,7 +229,7 @@ def add_spheres(
     calf_joints: tuple[str, ...],
     contacts: Contacts,
 ) -> None:
-    """Add the `KINDS` that `contacts` has, which meet the floor as the leg's foot does.
+    """Add the `SPHERE_NAMES` that `contacts` has, which meet the floor as the leg's foot does.
 
     A knee is centered on the calf's joint and carried by the thigh, as thick as that is there, up
     to the foot's radius. A hip is centered on the thigh's joint and carried by the hip, as thick as
@@ -256,7 +256,9 @@ def add_spheres(
             (trunk, corner(above=True), CORNER_RADIUS),
             (hip, shoulder, thick if np.isfinite(thick) else foot.size[0]),
         )
-        for kind, (body, center, radius) in zip(KINDS[: TOUCHING[contacts]], spheres, strict=False):
+        for kind, (body, center, radius) in zip(
+            SPHERE_NAMES[: TOUCHING[contacts]], spheres, strict=False
+        ):
             spec.body(model.body(body).name).add_geom(
                 foot.classname,
                 name=kind[i],
@@ -300,6 +302,6 @@ def _boxes(model: mujoco.MjModel, body: int) -> list[tuple[np.ndarray, np.ndarra
 
 def _box(model: mujoco.MjModel, geom: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The box around a shape, in its body's frame: center, axes as columns, half its sides, m."""
-    rotation = rotation_of_quat(model.geom_quat[geom])
+    rotation = compute_rotation(model.geom_quat[geom])
     center, half = np.split(model.geom_aabb[geom].copy(), 2)
     return model.geom_pos[geom] + rotation @ center, rotation, half

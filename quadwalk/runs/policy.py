@@ -15,7 +15,7 @@ from quadwalk.errors import UserError
 from quadwalk.files import DAMAGE
 from quadwalk.learn.acting import make_policy
 from quadwalk.learn.networks import KERNELS, check_activation, make_networks
-from quadwalk.robot.mirror import mirror
+from quadwalk.robot.mirror import make_mirror
 from quadwalk.runs import checkpoint
 from quadwalk.runs.directory import Run
 from quadwalk.runs.resume import config_of
@@ -78,7 +78,7 @@ def load_checkpoint_policy(path: Path, joints: tuple[str, ...]) -> Policy:
         first = layers["hidden_0"]
         size = sum(len(first[name]) for name in KERNELS if name in first)
         mirrors = metadata.get("mirrors")  # as `Networks.mirrors` gave them
-        mirrors = mirrors and Mirrors(*(mirror(*mirrors[name]) for name in Mirrors._fields))
+        mirrors = mirrors and Mirrors(*(make_mirror(*mirrors[name]) for name in Mirrors._fields))
         networks = make_networks(config.ppo, size, len(joints), len(mean) - size, mirrors)
         policy = networks.plain_policy(NestedMeanStd(mean, std), {"params": layers})
     except (*DAMAGE, UserError) as error:

@@ -30,7 +30,7 @@ def hash_robot(quadruped: Quadruped) -> str:
 
     It is the same wherever the robot's files are, and whatever it looks like.
     """
-    model = quadruped.full_model(visuals=False)
+    model = quadruped.make_full_model(visuals=False)
     shapes = model.geom_bodyid > 0
     arrays = (
         *(model.body_mass, model.body_inertia, model.body_ipos, model.body_pos),

@@ -25,11 +25,11 @@ def draw_kinds(config: GroundConfig, quadruped: Quadruped) -> np.ndarray:
 
     The levels of a kind are in one row; of one level, three kinds are in a row.
     """
-    leg = leg_length(quadruped.full_model(visuals=False), quadruped.feet[0])
+    leg = leg_length(quadruped.make_full_model(visuals=False), quadruped.feet[0])
     terrain = make_terrain(config, leg)
     spec = quadruped.spec.copy()
     lay(spec, terrain.field)
-    model = replace(quadruped, spec=spec).full_model(timestep=0.004)
+    model = replace(quadruped, spec=spec).make_full_model(timestep=0.004)
     canvas, font = Canvas(model, *_SIZE), ImageFont.load_default(size=22)
     pictures = []
     for place in terrain.tiles:

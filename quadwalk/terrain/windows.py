@@ -52,7 +52,7 @@ class Windows:
         heights[0, 0] = self._field.heights.max()
         spec = quadruped.spec.copy()
         lay(spec, centered(heights, self._field.cell))
-        return replace(quadruped, spec=spec).full_model(timestep, visuals=False)
+        return replace(quadruped, spec=spec).make_full_model(timestep, visuals=False)
 
 
 def reach(model: mujoco.MjModel) -> float:

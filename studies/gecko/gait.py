@@ -88,7 +88,7 @@ def figures_of(gait: Gait, rollout: Rollout, quadruped: Quadruped) -> dict[str, 
 
 def body_contact(rollout: Rollout, quadruped: Quadruped) -> np.ndarray:
     """(T,) bool: whether, at the end of each step, anything but a foot is on the floor."""
-    model = quadruped.full_model()
+    model = quadruped.make_full_model()
     data = mujoco.MjData(model)
     floor = model.geom("floor").id
     feet = [model.geom(foot).id for foot in quadruped.feet]

@@ -9,7 +9,7 @@ import pytest
 from quadwalk.env.env import QuadrupedEnv
 from quadwalk.env.reflections import FEET, SCALAR, mirrors
 from quadwalk.errors import UserError
-from quadwalk.robot.mirror import mirror, robot_mirror
+from quadwalk.robot.mirror import make_mirror, robot_mirror
 from quadwalk.robot.mjcf import Options
 from quadwalk.robot.quadruped import load_quadruped
 from quadwalk.settings.terms import Observation
@@ -62,13 +62,13 @@ def test_a_scan_is_reversed_from_right_to_left(quadruped):
 )
 def test_what_is_not_itself_again_when_mirrored_twice_is_no_mirror(source, sign):
     with pytest.raises(ValueError, match="mirror"):
-        mirror(source, sign)
+        make_mirror(source, sign)
 
 
-@zoo.each(zoo.QUADRUPEDS)
+@zoo.repeat_for(zoo.QUADRUPEDS)
 def test_robots_of_the_zoo_are_their_own_mirror_image(urdf):
     quadruped = load_quadruped(urdf, Options(meshes=False))
-    found = robot_mirror(quadruped, quadruped.training_model(0.004, contacts="all"))
+    found = robot_mirror(quadruped, quadruped.make_training_model(0.004, contacts="all"))
     assert not isinstance(found, str), found
     assert found.feet.source.tolist() == [1, 0, 3, 2]
     # HyQ's hips on both sides turn outwards.

@@ -33,7 +33,7 @@ HALF_A_STRIDE = 10  # control steps, of the tasks' trot
 
 def symmetric(quadruped: Quadruped) -> Quadruped:
     """The robot with each body's mass distribution the mean of its own and its partner's image."""
-    model = quadruped.full_model()
+    model = quadruped.make_full_model()
     data = placed(model, quadruped.home)
     bodies = model.jnt_bodyid[:13]
     images = np.r_[0, 1 + robot_mirror(quadruped, model).joints.source]
@@ -163,7 +163,7 @@ def test_a_task_is_its_own_image(quadruped, name):
     check(QuadrupedEnv(symmetric(quadruped), config))
 
 
-@zoo.each(zoo.QUADRUPEDS)
+@zoo.repeat_for(zoo.QUADRUPEDS)
 def test_a_robot_of_the_zoo_is_its_own_image(urdf):
     quadruped = load_quadruped(urdf, Options(meshes=False))
     # A solver that has converged, for what few iterations leave depends on the last digit.

@@ -41,6 +41,6 @@ def test_other_quadrupeds_stand_in_the_environment(reference_urdf):
     stands_for_a_second(reference_urdf)
 
 
-@zoo.each(zoo.QUADRUPEDS, "a1", "hyq")
+@zoo.repeat_for(zoo.QUADRUPEDS, "a1", "hyq")
 def test_quadrupeds_of_the_zoo_stand_in_the_environment(urdf):
     stands_for_a_second(urdf, Options(meshes=False))

@@ -65,7 +65,7 @@ def simulate(quadruped: Quadruped) -> Callable[..., Rollout]:
         lift: float = 0.3,  # rad, of the calves
         seed: int = 0,
     ) -> Rollout:
-        model = quadruped.training_model(CONTROL_DT / SUBSTEPS, iterations=5)
+        model = quadruped.make_training_model(CONTROL_DT / SUBSTEPS, iterations=5)
         data = mujoco.MjData(model)
         data.qpos[:] = quadruped.home
         mujoco.mj_forward(model, data)

@@ -227,7 +227,7 @@ def test_froude_number_and_cost_of_transport(drawn, quadruped):
     gait = measure_gait(rollout, quadruped)
     # The thigh joint stands cos(.8) * .5 m above the foot's center, .0265 m above the ground.
     assert gait.froude == pytest.approx(4 / (9.81 * (0.5 * np.cos(0.8) + 0.0265)), rel=1e-3)
-    mass = sum(quadruped.full_model().body_mass)
+    mass = sum(quadruped.make_full_model().body_mass)
     assert gait.cost_of_transport == pytest.approx(450 / (mass * 9.81 * 12.0), rel=1e-4)
 
 
@@ -263,7 +263,7 @@ def test_action_rate_is_the_root_mean_square(drawn, quadruped):
 def test_a_foot_that_rolls_does_not_slip(drawn, quadruped):
     rollout = drawn(velocity=(0.0, 0.0), contact=np.ones((300, 4), bool))
     # The whole robot tips ahead slowly, as if rigid, while its feet roll on the ground under it.
-    model = quadruped.full_model()
+    model = quadruped.make_full_model()
     data = mujoco.MjData(model)
     for row, angle in enumerate(0.1 * rollout.time):
         qpos = rollout.qpos[row]

@@ -6,15 +6,15 @@ import pytest
 
 from quadwalk.evaluation.motion.kinematics import foot_poses, link_frames, roll_pitch_yaw, rotations
 from quadwalk.robot.mjcf import Options
-from quadwalk.robot.quadruped import Quadruped, load_quadruped, quadruped_from
+from quadwalk.robot.quadruped import Quadruped, load_quadruped, make_quadruped
 from quadwalk.robot.urdf import parse_urdf
 from tests.robot import zoo
-from tests.robot.robots import Walker, frame, placed
+from tests.robot.robots import Walker, make_data, make_frame
 
 
 def check_links(quadruped: Quadruped) -> None:
     """Links put together from frame to frame stand where MuJoCo's bodies and sites do."""
-    model = quadruped.full_model()
+    model = quadruped.make_full_model()
     rng = np.random.default_rng(0)
     states = np.tile(quadruped.home, (3, 1))
     states[:, :3] += rng.normal(size=(3, 3))
@@ -24,11 +24,11 @@ def check_links(quadruped: Quadruped) -> None:
     turns = frames.rotations(states[:, 7:])
     centers, calves = foot_poses(model, quadruped.feet, states)
     for row, state in enumerate(states):
-        data = placed(model, state)
+        data = make_data(model, state)
         trunk = state[3:7] / np.linalg.norm(state[3:7])
-        world = {quadruped.trunk: frame(state[:3], trunk)}
+        world = {quadruped.trunk: make_frame(state[:3], trunk)}
         for k, (link, parent) in enumerate(zip(frames.links, frames.parents, strict=True)):
-            world[link] = world[parent] @ frame(frames.translation[k], turns[row, k])
+            world[link] = world[parent] @ make_frame(frames.translation[k], turns[row, k])
         bodies = {model.body(k).name for k in range(1, model.nbody)}
         sites = {model.site(k).name for k in range(model.nsite)}
         assert bodies <= set(world) <= bodies | sites  # each moving link, and no unknown one
@@ -39,7 +39,7 @@ def check_links(quadruped: Quadruped) -> None:
         for k, foot in enumerate(quadruped.feet):
             np.testing.assert_allclose(centers[row, k], data.geom(foot).xpos)
             calf = model.body(model.geom(foot).bodyid[0]).name
-            np.testing.assert_allclose(frame(0, calves[row, k])[:3, :3], world[calf][:3, :3])
+            np.testing.assert_allclose(make_frame(0, calves[row, k])[:3, :3], world[calf][:3, :3])
 
 
 def test_links_stand_where_mujoco_has_them(quadruped):
@@ -50,14 +50,14 @@ def test_links_of_other_quadrupeds(reference_urdf):
     check_links(load_quadruped(reference_urdf))
 
 
-@zoo.each(zoo.QUADRUPEDS)
+@zoo.repeat_for(zoo.QUADRUPEDS)
 def test_links_of_the_zoos_quadrupeds(urdf):
     check_links(load_quadruped(urdf, Options(meshes=False)))
 
 
 def test_links_of_a_robot_that_was_turned():
     text = Walker(rpy=(0.0, 0.0, np.pi / 2)).text()
-    quadruped = quadruped_from(parse_urdf(text))
+    quadruped = make_quadruped(parse_urdf(text))
     assert link_frames(quadruped).parents[0] == quadruped.trunk == "trunk_ahead"
     check_links(quadruped)
 

@@ -37,7 +37,7 @@ from quadwalk.identify.joint_log import read_log
 from quadwalk.paths import ALIENGO_URDF
 from quadwalk.robot.quadruped import Quadruped, load_quadruped
 from tests.evaluation.conftest import read_messages, read_records
-from tests.robot.robots import frame, placed, shape
+from tests.robot.robots import make_data, make_frame, shape
 
 METADATA = {"version": "1.2.3", "config": '{"seed": 7}'}
 SCENE_ROWS = [*range(0, 100, 3), 100]  # of 100 steps: each third state, and the last
@@ -132,7 +132,7 @@ def test_the_robot_description_is_the_urdf_that_is_drawn(messages, quadruped):
 
 def test_a_link_without_visuals_is_drawn_by_its_collision_shapes(quadruped):
     urdf = "<robot name='r'><link name='a'><collision/></link></robot>"
-    assert "<collision/>" in draw_urdf(urdf, quadruped.full_model())
+    assert "<collision/>" in draw_urdf(urdf, quadruped.make_full_model())
 
 
 @pytest.fixture(scope="module")
@@ -159,7 +159,7 @@ def meshed(tmp_path_factory) -> Quadruped:
 
 
 def test_a_mesh_is_drawn_as_a_shape_that_needs_no_file(meshed):
-    text = draw_urdf(meshed.urdf, meshed.full_model())
+    text = draw_urdf(meshed.urdf, meshed.make_full_model())
     assert "mesh" not in text
     drawn = ElementTree.fromstring(text)
     (trunk,) = drawn.findall("link[@name='trunk']/visual/geometry/box")
@@ -176,14 +176,14 @@ def test_a_mesh_is_drawn_as_a_shape_that_needs_no_file(meshed):
 
 
 def test_transforms_compose_to_the_simulators_poses(messages, trot, quadruped):
-    model = quadruped.full_model()
+    model = quadruped.make_full_model()
     for row in (0, 1, 37, trot.steps):
         frames = {"world": np.eye(4)}
         for transform in messages["/tf"][row][1].transforms:
             turn, move = transform.rotation, transform.translation
-            local = frame((move.x, move.y, move.z), (turn.w, turn.x, turn.y, turn.z))
+            local = make_frame((move.x, move.y, move.z), (turn.w, turn.x, turn.y, turn.z))
             frames[transform.child_frame_id] = frames[transform.parent_frame_id] @ local
-        data = placed(model, trot.qpos[row])
+        data = make_data(model, trot.qpos[row])
         for name in (model.body(k).name for k in range(1, model.nbody)):
             np.testing.assert_allclose(frames[name][:3, 3], data.body(name).xpos, atol=1e-5)
             rotation = data.body(name).xmat.reshape(3, 3)
@@ -203,10 +203,10 @@ def test_every_link_of_the_urdf_has_its_transform_in_each_message(messages, quad
         assert len(found) == len(expected)
         assert set(found) == expected
         # A reader that goes through them once finds each parent before its children.
-        placed = {"world"}
+        reached = {"world"}
         for parent, child in found:
-            assert parent in placed
-            placed.add(child)
+            assert parent in reached
+            reached.add(child)
 
 
 def test_joint_states_and_commands(messages, trot, quadruped):
@@ -261,7 +261,7 @@ def test_body_velocity_is_turned_into_the_bodys_frame(trot, read_back):
 
 
 def test_the_scene_is_complete_in_each_message(messages, trot, quadruped):
-    model = quadruped.full_model()
+    model = quadruped.make_full_model()
     for row, (_, message) in zip(SCENE_ROWS, messages["/scene"], strict=True):
         ground, path, velocity, forces = message.entities
         ids = [entity.id for entity in message.entities]
@@ -273,14 +273,14 @@ def test_the_scene_is_complete_in_each_message(messages, trot, quadruped):
         assert len(path.lines[0].points) <= 64
         (arrow,) = velocity.arrows
         turn = arrow.pose.orientation
-        along = frame(0, (turn.w, turn.x, turn.y, turn.z))[:3, 0]  # an arrow points along x
+        along = make_frame(0, (turn.w, turn.x, turn.y, turn.z))[:3, 0]  # an arrow points along x
         drawn = arrow.shaft_length * along
         np.testing.assert_allclose(drawn, 0.25 * trot.qvel[row, :3], atol=2e-3)
         touching = np.flatnonzero(trot.contact[row - 1]) if row else []
         tails = [[getattr(arrow.pose.position, a) for a in "xyz"] for arrow in forces.arrows]
         assert len(tails) == len(touching)
         if tails:
-            data = placed(model, trot.qpos[row])
+            data = make_data(model, trot.qpos[row])
             feet = [data.site(quadruped.feet[foot]).xpos for foot in touching]
             np.testing.assert_allclose(tails, feet, atol=1e-3)
 
@@ -592,7 +592,7 @@ def test_foxgloves_own_reader_decodes_every_channel(written, messages, trot, qua
         topic: len(of) for topic, of in messages.items()
     }
     assert topics["/robot_description"]["last"]["data"] == draw_urdf(
-        quadruped.urdf, quadruped.full_model()
+        quadruped.urdf, quadruped.make_full_model()
     )
     assert topics["/tf"]["time"] == str(trot.steps * 20_000_000)
     joints = topics["/joint_states"]["last"]["joints"]

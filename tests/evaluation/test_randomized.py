@@ -88,7 +88,7 @@ def test_what_is_seen_is_the_truth_and_noise_of_level_1(env, rollouts):
 @pytest.fixture
 def weight(env, rollouts) -> float:
     """N, of the robot of the first episode, as MuJoCo has it."""
-    model = varied_model(env.quadruped.full_model(), rollouts[0].conditions.variation)
+    model = varied_model(env.quadruped.make_full_model(), rollouts[0].conditions.variation)
     return mujoco.mj_getTotalmass(model) * env.config.gravity
 
 

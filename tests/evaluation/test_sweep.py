@@ -182,7 +182,7 @@ def replay_step(env, model, case, states, step, side) -> np.ndarray:
 
 def model_of(env, quadruped, case) -> mujoco.MjModel:
     """The compiled model, changed as the case says."""
-    model = quadruped.training_model(env.config.physics_dt, ITERATIONS)
+    model = quadruped.make_training_model(env.config.physics_dt, ITERATIONS)
     if case.friction is not None:
         model.geom_friction[:, 0] = case.friction
     trunk = model.body(quadruped.trunk).id

@@ -135,7 +135,7 @@ def test_a_gait_at_a_speed_has_no_start_in_it(glide, quadruped, monkeypatch):
     loaded = SimpleNamespace(env=env, policy=SimpleNamespace(act=None))
     gait, none = steering.measure_gaits(loaded, 0)
     assert gait["speed"] == pytest.approx(2.0, rel=1e-3)
-    weight = 9.81 * quadruped.full_model().body_mass.sum()
+    weight = 9.81 * quadruped.make_full_model().body_mass.sum()
     assert gait["cost_of_transport"] == pytest.approx(50.0 / (2.0 * weight), rel=1e-3)
     assert (none["speed"], none["cost_of_transport"]) == (None, None)
 

@@ -121,7 +121,7 @@ def test_known_joints_are_found_across_a_gap_and_the_flags_train_them(rewrite, q
     flags = shlex.split(done.stdout.splitlines()[-1])
     config, _ = parse_config(flags[flags.index("train") + 1 :])
     robot = load_robot(config.robot)
-    model = robot.training_model(0.004)
+    model = robot.make_training_model(0.004)
     assert model.dof_armature[6:] == pytest.approx(np.tile(KNOWN.armature, 4), rel=0.05)
     assert robot.friction == pytest.approx(np.tile(KNOWN.friction, 4), rel=0.05)
     low, high = config.env.randomization.latency

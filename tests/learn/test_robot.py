@@ -38,13 +38,13 @@ def test_a_run_finds_the_mesh_files_of_its_robot(tmp_path):
     shutil.copy(home / "dog.urdf", run.urdf)
     copy = load_robot(as_in(run, config))
     for robot in (original, copy):
-        assert robot.full_model().nmesh == 1
+        assert robot.make_full_model().nmesh == 1
     without = load_robot(RobotConfig(urdf=run.urdf))
-    assert without.full_model().nmesh == 0
+    assert without.make_full_model().nmesh == 0
     missing = "meshes that were not found: meshes/trunk.stl"
     assert without.notes[0] == f"dropped: collision {missing}"
     elsewhere = RobotConfig(urdf=run.urdf, mesh_dirs=(home,))
-    assert load_robot(elsewhere).full_model().nmesh == 1
+    assert load_robot(elsewhere).make_full_model().nmesh == 1
 
 
 def test_a_run_says_that_its_robot_is_another_one(tmp_path):
@@ -89,7 +89,7 @@ def test_a_run_keeps_the_joints_of_its_robot_that_were_fixed(tmp_path):
     run.urdf.write_text(original.urdf)
     copy = load_robot(as_in(run, config))
     for robot in (original, copy):
-        model = robot.full_model()
+        model = robot.make_full_model()
         assert model.nv == 18
         assert model.body("trunk").mass == pytest.approx(11.644 + 1)
 

@@ -92,7 +92,7 @@ class Toy(Plain):
 
     @property
     def mj_model(self) -> mujoco.MjModel:
-        return self.quadruped.full_model(visuals=False)
+        return self.quadruped.make_full_model(visuals=False)
 
     @property
     def robot(self) -> SimpleNamespace:

@@ -59,14 +59,14 @@ def check(found: tuple, expected: After) -> None:
 
 
 def converged(quadruped, contacts: str = "feet") -> mujoco.MjModel:
-    return quadruped.training_model(STEPPING.dt, 100, 50, contacts)
+    return quadruped.make_training_model(STEPPING.dt, 100, 50, contacts)
 
 
 @functools.cache
 def model_for(quadruped, engine: str, contacts: str = "feet") -> mujoco.MjModel:
     if engine == "mujoco":
         return converged(quadruped, contacts)
-    return quadruped.training_model(
+    return quadruped.make_training_model(
         STEPPING.dt, STEPPING.iterations, STEPPING.line_search, contacts
     )
 
@@ -164,7 +164,7 @@ def test_robots_slide_on_slippery_floors_as_far_as_in_mujoco(quadruped, engine, 
         PHYSICS["solver_iterations"], PHYSICS["line_search_iterations"],
     )  # fmt: skip
     stepping = Stepping(dt, 50, *settings)
-    model = quadruped.training_model(dt, *settings)
+    model = quadruped.make_training_model(dt, *settings)
     motor = make_motor(model, quadruped, MotorConfig())
     target = quadruped.home[7:]
     constants = ENGINES[engine].make_model(model, quadruped, motor)
@@ -245,7 +245,7 @@ def test_each_robot_of_a_batch_may_have_constants_of_its_own(quadruped, engine):
 
 def test_mujoco_varies_the_full_model_and_the_motors_of_each_robot(quadruped):
     stepping = Stepping(mujoco_c.TIMESTEP, 3, 8, 10)
-    model = quadruped.full_model(stepping.dt)
+    model = quadruped.make_full_model(stepping.dt)
     motor = make_motor(model, quadruped, MotorConfig())
     constants = mujoco_c.make_model(model, quadruped, motor)
     rng = np.random.default_rng(0)

@@ -25,7 +25,7 @@ from quadwalk.physics.model import contact_geoms, shell_geoms
 from quadwalk.physics.motor import MotorConfig, PhysicsState, make_motor
 from quadwalk.robot.mjcf import Options
 from quadwalk.robot.quadruped import load_quadruped
-from quadwalk.robot.scene import lowest_point
+from quadwalk.robot.scene import find_lowest_point
 from tests.physics.reference import accelerated, placed, stack_models, touched
 from tests.robot import zoo
 
@@ -103,7 +103,7 @@ def check_accelerations(
 
     All kinds of contact are among them, and if so said in all combinations, and limits.
     """
-    model = quadruped.training_model(0.004, 100, 50, contacts)
+    model = quadruped.make_training_model(0.004, 100, 50, contacts)
     model.opt.tolerance = 1e-14
     robots = states(quadruped, model, np.random.default_rng(0))
     kinds = contact_geoms(model, quadruped.feet)
@@ -140,12 +140,12 @@ def test_accelerations_of_other_quadrupeds(reference_urdf):
     check_accelerations(load_quadruped(reference_urdf), "body", lying_states)
 
 
-@zoo.each(zoo.QUADRUPEDS)
+@zoo.repeat_for(zoo.QUADRUPEDS)
 def test_accelerations_of_the_zoos_quadrupeds(urdf):
     check_accelerations(load_quadruped(urdf, Options(meshes=False)))
 
 
-@zoo.each(zoo.QUADRUPEDS, "go1", "go2", "a1_", "anymal_c", "solo12")
+@zoo.repeat_for(zoo.QUADRUPEDS, "go1", "go2", "a1_", "anymal_c", "solo12")
 def test_accelerations_of_the_zoos_quadrupeds_where_all_touches(urdf):
     quadruped = load_quadruped(urdf, Options(meshes=False))
     check_accelerations(quadruped, "all", tumbled_states, combinations=False)
@@ -170,7 +170,7 @@ def changed(base: mujoco.MjModel, rng: np.random.Generator) -> mujoco.MjModel:
 
 
 def test_accelerations_of_a_batch_in_which_no_two_robots_are_alike(quadruped):
-    base = quadruped.training_model(0.004, 100, 50, "body")
+    base = quadruped.make_training_model(0.004, 100, 50, "body")
     base.opt.tolerance = 1e-14
     rng = np.random.default_rng(4)
     models = [changed(base, rng) for _ in range(STATES)]
@@ -187,7 +187,7 @@ def test_accelerations_of_a_batch_in_which_no_two_robots_are_alike(quadruped):
 
 def test_vmap_maps_the_leaves_of_a_model_that_are_given_an_axis(quadruped):
     """Those that no other constant depends on, changed one by one; the others stay constants."""
-    base = quadruped.training_model(0.004, 100, 50)
+    base = quadruped.make_training_model(0.004, 100, 50)
     base.opt.tolerance = 1e-14
     rng = np.random.default_rng(5)
     robots = random_states(quadruped, base, rng)
@@ -240,7 +240,7 @@ def check_course(env, torques: np.ndarray, expected: np.ndarray) -> None:
 
 # Measured: 1e-5 m, 4e-5 rad, 5e-4 m/s or rad/s.
 def test_200_steps_in_place_are_those_of_mujoco(env):
-    model = env.quadruped.training_model(0.004, iterations=100, ls_iterations=50)
+    model = env.quadruped.make_training_model(0.004, iterations=100, ls_iterations=50)
     data = mujoco.MjData(model)
     data.qpos[:] = env.robot.home
     data.qpos[2] += 0.03  # dropped, so that contacts begin
@@ -278,7 +278,7 @@ def drop(
 
 # Measured: 1e-7 m, 6e-6 rad, 2e-4 m/s or rad/s.
 def test_a_limp_robot_drops_to_its_belly_as_in_mujoco(body_env):
-    model = body_env.quadruped.training_model(0.004, 100, 50, "body")
+    model = body_env.quadruped.make_training_model(0.004, 100, 50, "body")
     states, touched = drop(body_env, model)
     for spheres in contact_geoms(model, body_env.quadruped.feet):
         assert touched & set(spheres)
@@ -289,9 +289,9 @@ def test_a_limp_robot_drops_to_its_belly_as_in_mujoco(body_env):
 @pytest.mark.parametrize("turned", [(1, 0, 0, 0), (0, 1, 0, 0)])
 def test_a_belly_or_back_rests_where_that_of_the_full_model_does(body_env, turned):
     quadruped = body_env.quadruped
-    training = quadruped.training_model(0.004, 100, 50, "all")
+    training = quadruped.make_training_model(0.004, 100, 50, "all")
     ours, full = (
-        drop(body_env, model, turned)[0][-1] for model in (training, quadruped.full_model())
+        drop(body_env, model, turned)[0][-1] for model in (training, quadruped.make_full_model())
     )
     assert full[2] == pytest.approx(0.056, abs=1e-3)  # half of the trunk's height
     assert ours[2] == pytest.approx(full[2], abs=1e-3)
@@ -331,7 +331,7 @@ def test_lowest_points_are_those_of_the_placed_shapes(env):
             body, part = model.geom_bodyid[geom], 0
             if body != trunk:
                 part = 1 + hips.index(first_of_leg(model, trunk, body))
-            expected[part] = min(expected[part], lowest_point(model, data, int(geom)))
+            expected[part] = min(expected[part], find_lowest_point(model, data, int(geom)))
         np.testing.assert_allclose(lowest, expected, atol=1e-6)
 
 

@@ -60,7 +60,7 @@ def distances(field: Heightfield, points: np.ndarray) -> np.ndarray:
 )
 def test_on_a_tilted_plane_accelerations_are_those_of_mujoco(quadruped, contacts, tilt, towards):
     """Whichever of MuJoCo's two rules for the tangents holds, y of the normal being .1 to .64."""
-    level = quadruped.training_model(0.004, 100, 50, contacts)
+    level = quadruped.make_training_model(0.004, 100, 50, contacts)
     states = random_states if contacts == "feet" else lying_states
     qpos, qvel, torque = states(quadruped, level, np.random.default_rng(0))
     turn, plane = np.zeros(4), np.zeros(9)
@@ -69,7 +69,7 @@ def test_on_a_tilted_plane_accelerations_are_those_of_mujoco(quadruped, contacts
     plane = plane.reshape(3, 3)
     spec = quadruped.spec.copy()
     spec.geom("floor").quat = turn
-    model = replace(quadruped, spec=spec).training_model(0.004, 100, 50, contacts)
+    model = replace(quadruped, spec=spec).make_training_model(0.004, 100, 50, contacts)
     model.opt.tolerance = 1e-14
     for q, v in zip(qpos, qvel, strict=True):
         # The whole robot turned with the plane, and somewhere else on it.
@@ -143,7 +143,7 @@ CONTROL_STEPS = 40
 def course(robot, terrain, engine: str, limp: bool) -> dict[str, np.ndarray]:
     """Figures (kinds,) of robots that stand on the ground stepping in place, or drop on it limp."""
     stepping = Stepping(0.004, 5, 4, 1)
-    model = robot.training_model(stepping.dt, 4, 1, "body")
+    model = robot.make_training_model(stepping.dt, 4, 1, "body")
     motor = make_motor(model, robot, MotorConfig())
     geometry = make_model(model, robot, motor)
     if limp:
@@ -151,7 +151,7 @@ def course(robot, terrain, engine: str, limp: bool) -> dict[str, np.ndarray]:
     constants = geometry._replace(motor=motor)
     if engine == "mujoco":
         stepping = stepping.with_dt(0.002)
-        constants = ENGINES["mujoco"].make_model(robot.full_model(stepping.dt), robot, motor)
+        constants = ENGINES["mujoco"].make_model(robot.make_full_model(stepping.dt), robot, motor)
     rng = np.random.default_rng(0)
     qpos = np.tile(robot.home, (len(terrain.tiles) * ROBOTS, 1))
     middles = np.repeat([tile.middle for tile in terrain.tiles], ROBOTS, axis=0)

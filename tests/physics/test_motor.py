@@ -23,7 +23,7 @@ PROPORTIONAL = MotorConfig(kp=100.0, kd=0.0)
 
 @pytest.fixture(scope="module")
 def model(quadruped) -> mujoco.MjModel:
-    return quadruped.training_model(0.004)
+    return quadruped.make_training_model(0.004)
 
 
 @pytest.fixture(scope="module")

@@ -8,9 +8,9 @@ import pytest
 
 from quadwalk.physics.motor import MotorConfig, make_motor
 from quadwalk.physics.standing import FACTORS, make_standing_motor
-from quadwalk.robot.quadruped import Quadruped, quadruped_from
+from quadwalk.robot.quadruped import Quadruped, make_quadruped
 from quadwalk.robot.urdf import parse_urdf
-from tests.robot.robots import Walker, hold
+from tests.robot.robots import Walker, simulate_standing
 
 # Legs of 12 cm and 0.24 kg; of a SpotMicro's size and weight, 2.4 kg.
 TOY, SPOT = Walker(size=0.3, mass=0.02, effort=2), Walker(size=0.6, mass=0.2, effort=4)
@@ -19,18 +19,20 @@ WIDE = 0.2  # m, from hip to thigh
 
 
 def read(walker: Walker) -> Quadruped:
-    return quadruped_from(parse_urdf(walker.text()))
+    return make_quadruped(parse_urdf(walker.text()))
 
 
 def motors(quadruped: Quadruped, kp: float | None = None):
-    return make_standing_motor(quadruped.training_model(0.004, 2, 3), quadruped, MotorConfig(kp=kp))
+    return make_standing_motor(
+        quadruped.make_training_model(0.004, 2, 3), quadruped, MotorConfig(kp=kp)
+    )
 
 
 @pytest.mark.parametrize("walker", [Walker(), TOY, SPOT])
 def test_gains_that_hold_the_robot_stay(walker):
     quadruped = read(walker)
     motor, note = motors(quadruped)
-    usual = make_motor(quadruped.training_model(0.004, 2, 3), quadruped, MotorConfig())
+    usual = make_motor(quadruped.make_training_model(0.004, 2, 3), quadruped, MotorConfig())
     assert note == ""
     np.testing.assert_array_equal(motor.kp, usual.kp)
     np.testing.assert_array_equal(motor.kd, usual.kd)
@@ -48,13 +50,13 @@ def test_gains_that_hold_the_robot_stay(walker):
 def test_gains_that_let_the_robot_sink_are_raised(walker):
     quadruped = read(walker)
     motor, note = motors(quadruped)
-    usual = make_motor(quadruped.training_model(0.004, 2, 3), quadruped, MotorConfig())
+    usual = make_motor(quadruped.make_training_model(0.004, 2, 3), quadruped, MotorConfig())
     factor = float(motor.kp / usual.kp)
     assert any(factor == pytest.approx(known) for known in FACTORS[1:])
     assert note.startswith(f"gains raised to {factor:g} times the default, ")
     # In MuJoCo C with all shapes, for longer than was looked at before.
-    sunk = hold(quadruped, 4, usual.kp, usual.kd)[-1]
-    held = hold(quadruped, 4, motor.kp, motor.kd)[-1]
+    sunk = simulate_standing(quadruped, 4, usual.kp, usual.kd)[-1]
+    held = simulate_standing(quadruped, 4, motor.kp, motor.kd)[-1]
     assert sunk[2] < 0.9 * quadruped.home[2]
     assert held[2] > 0.88 * quadruped.home[2]
     assert held[3] > np.cos(np.radians(8) / 2)
@@ -68,7 +70,7 @@ def test_gains_that_are_stated_stay():
 def test_motors_too_weak_for_the_robot_are_said():
     quadruped = read(dataclasses.replace(SPOT, effort=0.2))
     motor, note = motors(quadruped)
-    usual = make_motor(quadruped.training_model(0.004, 2, 3), quadruped, MotorConfig())
+    usual = make_motor(quadruped.make_training_model(0.004, 2, 3), quadruped, MotorConfig())
     assert motor.kp == usual.kp
     assert "of 0.2 Nm at most, too weak?" in note
 
@@ -76,8 +78,8 @@ def test_motors_too_weak_for_the_robot_are_said():
 def test_strong_damping_is_no_reason_to_raise_gains():
     damped = '<dynamics damping="10"/></joint>'
     text = Walker().text().replace('velocity="20"/></joint>', f'velocity="20"/>{damped}')
-    quadruped = quadruped_from(parse_urdf(text))
-    assert quadruped.training_model(0.004).dof_damping[6:].min() == 10
+    quadruped = make_quadruped(parse_urdf(text))
+    assert quadruped.make_training_model(0.004).dof_damping[6:].min() == 10
     assert motors(quadruped)[1] == ""
 
 

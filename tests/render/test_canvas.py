@@ -303,7 +303,7 @@ def test_a_model_is_drawn_without_materials_lights_and_floor_too(library):
 
 
 def test_home_shows_the_whole_robot_and_changes_nothing_of_its_model(library, quadruped):
-    model = quadruped.full_model()
+    model = quadruped.make_full_model()
     before = [model.geom_rgba.copy(), model.mat_reflectance.copy(), model.bvh_aabb.copy()]
     picture = render_home(model, 300, 200)
     after = [model.geom_rgba, model.mat_reflectance, model.bvh_aabb]

@@ -15,7 +15,7 @@ import numpy as np
 from quadwalk.render.canvas import Camera, Canvas
 from quadwalk.robot.quadruped import load_quadruped
 quadruped = load_quadruped()
-model = quadruped.full_model()
+model = quadruped.make_full_model()
 canvases = [Canvas(model, 32, 20) for _ in range(2)]
 for canvas in canvases * 2:
     assert canvas.draw(quadruped.home, Camera(np.zeros(3), 1.5, 90, -20)).std() > 1
@@ -94,7 +94,7 @@ def test_a_library_that_fails_means_rays_and_silence(machine, monkeypatch, quadr
 
     machine(("EGL",))
     monkeypatch.setattr(opengl, "_context_class", context_class)
-    assert Canvas(quadruped.full_model(), 16, 16).library == "rays"
+    assert Canvas(quadruped.make_full_model(), 16, 16).library == "rays"
     assert working_library() is None
     assert capfd.readouterr() == ("", "")
 

@@ -102,7 +102,7 @@ def check_dynamics(
     assert max(through_xml.values()) < 1e-5, through_xml
 
 
-def frame(position, quat) -> np.ndarray:
+def make_frame(position, quat) -> np.ndarray:
     """(4, 4) of m and wxyz, by MuJoCo's own function."""
     turned, whole = np.empty(9), np.eye(4)
     mujoco.mju_quat2Mat(turned, np.asarray(quat, float))
@@ -110,7 +110,7 @@ def frame(position, quat) -> np.ndarray:
     return whole
 
 
-def placed(model: mujoco.MjModel, qpos: np.ndarray) -> mujoco.MjData:
+def make_data(model: mujoco.MjModel, qpos: np.ndarray) -> mujoco.MjData:
     """The model in this pose, at rest, its contacts and all that follows from the pose computed."""
     data = mujoco.MjData(model)
     data.qpos[:] = qpos
@@ -118,14 +118,14 @@ def placed(model: mujoco.MjModel, qpos: np.ndarray) -> mujoco.MjData:
     return data
 
 
-def knees(quadruped: Quadruped) -> dict[str, float]:
+def measure_knees(quadruped: Quadruped) -> dict[str, float]:
     """By leg, how far ahead of the thigh's joint the knee is, m, in the home pose."""
-    data = placed(quadruped.full_model(), quadruped.home)
+    data = make_data(quadruped.make_full_model(), quadruped.home)
     ahead = [data.joint(name).xanchor[0] for name in quadruped.joints]
     return dict(zip(quadruped.legs, np.subtract(ahead[2::3], ahead[1::3]), strict=True))
 
 
-def hold(
+def simulate_standing(
     quadruped: Quadruped,
     seconds: float,
     kp: float | None = None,
@@ -135,8 +135,8 @@ def hold(
 
     Gains are in Nm/rad and Nm s/rad, by default as stiff as the robot is heavy and high.
     """
-    model = quadruped.full_model()
-    data = placed(model, quadruped.home)
+    model = quadruped.make_full_model()
+    data = make_data(model, quadruped.home)
     kp = kp or 1.4 * model.body_subtreemass[0] * 9.81 * quadruped.home[2]
     kd = 0.025 * kp if kd is None else kd
     poses = []
@@ -148,9 +148,9 @@ def hold(
     return np.array(poses)
 
 
-def stays_up(quadruped: Quadruped, seconds: float, height: float) -> None:
+def check_stands(quadruped: Quadruped, seconds: float, height: float) -> None:
     """It is held above that share of its home height, and within 5 degrees of upright."""
-    last = hold(quadruped, seconds)[-1]
+    last = simulate_standing(quadruped, seconds)[-1]
     assert last[2] > height * quadruped.home[2]
     assert last[3] > np.cos(np.radians(5) / 2)
 

@@ -18,7 +18,7 @@ from quadwalk.robot.__main__ import main
 from quadwalk.robot.mjcf import convert, write_xml
 from quadwalk.robot.structure.legs import find_legs
 from quadwalk.robot.urdf import parse_urdf, read_urdf
-from tests.robot.robots import inertial, joint, link, placed, robot, shape
+from tests.robot.robots import inertial, joint, link, make_data, robot, shape
 
 XML = ASSETS / "aliengo.xml"
 
@@ -70,7 +70,7 @@ def test_the_asset_is_complete():
 def test_touch_sensors_and_imu_feel_the_robot_stand():
     model = mujoco.MjModel.from_xml_path(str(XML))
     home = model.key("home").qpos
-    data = placed(model, home)
+    data = make_data(model, home)
     while data.time < 2:
         data.ctrl = 200 * (home[7:] - data.qpos[7:]) - 5 * data.qvel[6:]
         mujoco.mj_step(model, data)

@@ -11,8 +11,8 @@ from scipy.spatial.transform import Rotation
 
 from quadwalk.errors import UsageError
 from quadwalk.robot.mjcf import Options, convert
-from quadwalk.robot.quadruped import quadruped_from
-from quadwalk.robot.scene import lowest_point
+from quadwalk.robot.quadruped import make_quadruped
+from quadwalk.robot.scene import find_lowest_point
 from quadwalk.robot.structure.tree import to_roll_pitch_yaw
 from quadwalk.robot.urdf import UrdfError, parse_urdf, read_urdf
 from tests.robot import robots
@@ -41,9 +41,9 @@ def replaced(old: str, new: str, text: str = ARM) -> str:
 
 def read_dog(text: str, fix: tuple[str, ...] = (), **options):
     """Return the quadruped of a text, and what was said of it in one text."""
-    dog = quadruped_from(parse_urdf(text, "r.urdf", fix=fix), Options(**options))
+    dog = make_quadruped(parse_urdf(text, "r.urdf", fix=fix), Options(**options))
     # A run keeps this text, from which the same robot has to come.
-    again = quadruped_from(parse_urdf(dog.urdf, "r.urdf", fix=fix), Options(**options))
+    again = make_quadruped(parse_urdf(dog.urdf, "r.urdf", fix=fix), Options(**options))
     np.testing.assert_array_equal(again.home, dog.home)
     return dog, "\n".join(dog.notes)
 
@@ -153,7 +153,7 @@ def test_a_dog_that_a_joint_fixes_to_the_world_floats(world):
     assert "the link 'world' and the joint that holds the robot there: w" in said
     assert dog.trunk == "trunk"
     assert "world" not in dog.urdf
-    check_same_model(dog.full_model(), quadruped_from(parse_urdf(DOG)).full_model())
+    check_same_model(dog.make_full_model(), make_quadruped(parse_urdf(DOG)).make_full_model())
 
 
 def test_an_arm_that_a_joint_fixes_to_the_world_stays_there():
@@ -166,7 +166,7 @@ def test_legs_that_lead_from_the_world_are_refused_in_words():
     two = joint("w", "world", "trunk", kind="fixed", extra="")
     two += link("post") + joint("v", "world", "post", kind="fixed", extra="")
     with pytest.raises(UrdfError, match="the legs' joints lead from link 'world', the ground"):
-        quadruped_from(parse_urdf(with_parts(link("world"), two)))
+        make_quadruped(parse_urdf(with_parts(link("world"), two)))
 
 
 MARK = shape('sphere radius="0.01"', kind="visual")
@@ -180,14 +180,14 @@ def test_a_footprint_from_which_the_trunk_floats_is_dropped(parts):
     floats = joint("f", "footprint", "trunk", xyz="0 0 0.4", kind="floating", extra="")
     dog, said = read_dog(with_parts(link("footprint", *parts), floats))
     assert "dropped: the ground's link and its floating joint: footprint" in said
-    check_same_model(dog.full_model(), quadruped_from(parse_urdf(DOG)).full_model())
+    check_same_model(dog.make_full_model(), make_quadruped(parse_urdf(DOG)).make_full_model())
 
 
 @pytest.mark.parametrize("part", [inertial(1), shape('box size="1 1 1"')])
 def test_what_could_weigh_or_touch_is_no_footprint(part):
     floats = joint("f", "footprint", "trunk", kind="floating", extra="")
     with pytest.raises(UrdfError, match="a quadruped has four of three joints each"):
-        quadruped_from(parse_urdf(with_parts(link("footprint", part), floats)))
+        make_quadruped(parse_urdf(with_parts(link("footprint", part), floats)))
 
 
 @pytest.mark.parametrize(
@@ -204,7 +204,7 @@ def test_what_could_weigh_or_touch_is_no_footprint(part):
 def test_a_namespace_is_dropped(text):
     dog, said = read_dog(text)
     assert "dropped: the namespace: http" in said
-    check_same_model(dog.full_model(), quadruped_from(parse_urdf(DOG)).full_model())
+    check_same_model(dog.make_full_model(), make_quadruped(parse_urdf(DOG)).make_full_model())
 
 
 XACRO = 'xmlns:xacro="http://www.ros.org/wiki/xacro"'
@@ -290,7 +290,7 @@ def test_a_limit_without_effort_or_speed_leaves_them_to_flags(missing):
     flags = {"effort": "--robot.effort NM", "velocity": "--robot.speed RAD_PER_S"}
     flags = [flag for name, flag in flags.items() if name in missing]
     with pytest.raises(UrdfError, match=f"or pass {' '.join(flags)}$"):
-        quadruped_from(parse_urdf(text))
+        make_quadruped(parse_urdf(text))
     dog, said = read_dog(text, effort=12.0, speed=7.0)
     assert "for <limit> has none" in said
     assert set(dog.effort) == {12.0 if "effort" in missing else 20.0}
@@ -311,23 +311,23 @@ def test_capsules_are_mujocos_own():
             getattr(model, name)[ours], getattr(theirs, name)[0], atol=1e-12, err_msg=name
         )
     # It stands on the lowest point of its surface: a center's height less the radius.
-    data = robots.placed(model, model.key("home").qpos)
+    data = robots.make_data(model, model.key("home").qpos)
     ends = data.geom("a").xpos[2] + 0.5 * data.geom("a").xmat[8] * np.array([-1, 1])
-    assert lowest_point(model, data, ours) == pytest.approx(ends.min() - 0.1)
-    assert lowest_point(model, data, ours) == pytest.approx(0, abs=1e-9)
+    assert find_lowest_point(model, data, ours) == pytest.approx(ends.min() - 0.1)
+    assert find_lowest_point(model, data, ours) == pytest.approx(0, abs=1e-9)
 
 
 @pytest.mark.parametrize("rpy", ["0 0 0", "0 0.5 0", "0 -0.8 0"])
 def test_the_foot_of_a_calf_that_is_a_capsule_is_its_end(rpy):
     calf = shape('capsule radius="0.02" length="0.16"', "0 0 -0.1", rpy=rpy)
     dog, _ = read_dog(robots.quadruped(lambda name: link(f"{name}3", inertial(0.5), calf)))
-    model = dog.training_model(0.002)
+    model = dog.make_training_model(0.002)
     turn = Rotation.from_euler("xyz", [float(angle) for angle in rpy.split()])
     for foot in dog.feet:
         assert model.geom(foot).size[0] == pytest.approx(0.02, rel=0.05)
         end = turn.apply([0, 0, -0.08]) - np.array([0, 0, 0.1])
         np.testing.assert_allclose(model.geom(foot).pos, end, atol=2e-3)
-    robots.stays_up(dog, 2, 0.8)
+    robots.check_stands(dog, 2, 0.8)
 
 
 ANKLES = [
@@ -352,7 +352,7 @@ GRIPPER = link("finger", inertial(0.1)) + joint(
 def test_a_joint_that_is_no_legs_is_fixed_by_the_flag_that_the_line_names(parts, flag):
     text = with_parts(*parts)
     with pytest.raises(UrdfError, match=f"or pass --robot.fix {flag}$"):
-        quadruped_from(parse_urdf(text))
+        make_quadruped(parse_urdf(text))
     names = ("the neck",) if "'" in flag else tuple(flag.split())
     dog, said = read_dog(text, fix=names)
     assert "fixed at 0, as a flag says: " + names[0] in said
@@ -361,8 +361,8 @@ def test_a_joint_that_is_no_legs_is_fixed_by_the_flag_that_the_line_names(parts,
     for name in names:
         fixed = re.sub(f'(<joint name="{name}" type=)"\\w+"(.*?)<axis.*?</joint>',
                        r'\1"fixed"\2</joint>', fixed)  # fmt: skip
-    check_same_model(dog.full_model(), quadruped_from(parse_urdf(fixed)).full_model())
-    assert dog.full_model().nv == 18
+    check_same_model(dog.make_full_model(), make_quadruped(parse_urdf(fixed)).make_full_model())
+    assert dog.make_full_model().nv == 18
 
 
 def test_patterns_fix_several_joints_and_one_that_names_none_is_refused():
@@ -383,7 +383,7 @@ def test_a_joint_whose_limits_leave_out_0_is_fixed_at_the_nearest(kind, limits, 
     moving = joint("j", "a", "b", extra=extra, **turned)
     text = robots.robot(link("a", inertial(1)), link("b", inertial(1)), moving)
     model = convert(parse_urdf(text)).spec.compile()
-    data = robots.placed(model, np.array([0, 0, 0, 1, 0, 0, 0, position]))
+    data = robots.make_data(model, np.array([0, 0, 0, 1, 0, 0, 0, position]))
     fixed = parse_urdf(text, fix=("j",))
     assert f"fixed at {position:g}, as a flag says: j" in "\n".join(fixed.report.lines())
     placement = fixed.tree.placement["b"]

@@ -13,7 +13,7 @@ from quadwalk.robot.__main__ import main
 from quadwalk.robot.checks.validate import UrdfError
 from quadwalk.robot.mirror import RobotMirror, robot_mirror
 from quadwalk.robot.mjcf import Options, convert, write_xml
-from quadwalk.robot.quadruped import Quadruped, find_quadruped, quadruped_from
+from quadwalk.robot.quadruped import Quadruped, find_quadruped, make_quadruped
 from quadwalk.robot.structure.facing import read_names
 from quadwalk.robot.structure.legs import find_chains
 from quadwalk.robot.urdf import parse_urdf
@@ -38,7 +38,7 @@ EITHER_WAY = (-2.6, 2.6)  # rad, of calves
 
 
 def read(walker: Walker) -> Quadruped:
-    return quadruped_from(parse_urdf(walker.text(), "dog.urdf"))
+    return make_quadruped(parse_urdf(walker.text(), "dog.urdf"))
 
 
 def refusal(walker: Walker) -> str:
@@ -52,8 +52,8 @@ def refusal(walker: Walker) -> str:
 
 def measure(quadruped: Quadruped) -> dict[str, np.ndarray]:
     """World places and axes, by MuJoCo, of what a standing robot consists of."""
-    model = quadruped.full_model()
-    data = robots.placed(model, quadruped.home)
+    model = quadruped.make_full_model()
+    data = robots.make_data(model, quadruped.home)
     joints = [data.joint(name) for name in quadruped.joints]
     moved = [model.joint(name).bodyid[0] for name in quadruped.joints]
     axes = data.ximat[1].reshape(3, 3)
@@ -86,7 +86,7 @@ def test_without_names_x_is_ahead_where_it_may_be():
     quadruped = read(Walker(rpy=TURNS["-x ahead"], names=UNNAMED))
     assert quadruped.trunk == "trunk"
     assert quadruped.joints[0] == "four_hip_joint"
-    assert min(robots.knees(quadruped).values()) > 0.1  # ahead, as of some robots
+    assert min(robots.measure_knees(quadruped).values()) > 0.1  # ahead, as of some robots
 
 
 @pytest.mark.parametrize("turn", ["y ahead", "z down, -x ahead"])
@@ -122,14 +122,14 @@ def test_its_dynamics_are_those_of_the_file_as_it_was(turn):
 
 def test_a_turned_robot_mirrors_and_stands():
     quadruped = read(Walker(rpy=TURNS["y ahead"]))
-    assert isinstance(robot_mirror(quadruped, quadruped.training_model(0.004)), RobotMirror)
-    robots.stays_up(quadruped, 2, 0.85)
+    assert isinstance(robot_mirror(quadruped, quadruped.make_training_model(0.004)), RobotMirror)
+    robots.check_stands(quadruped, 2, 0.85)
 
 
 @pytest.mark.parametrize("turn", ["y ahead", "z down"])
 def test_the_text_of_a_turned_robot_is_read_as_the_same_robot(turn):
     first = read(Walker(rpy=TURNS[turn]))
-    again = quadruped_from(parse_urdf(first.urdf, "dog.urdf"))
+    again = make_quadruped(parse_urdf(first.urdf, "dog.urdf"))
     assert write_xml(again.spec) == write_xml(first.spec)
     assert again.urdf == first.urdf  # it is not turned once more
     np.testing.assert_array_equal(again.home, first.home)
@@ -137,7 +137,7 @@ def test_the_text_of_a_turned_robot_is_read_as_the_same_robot(turn):
 
 def test_the_turned_root_has_a_name_of_its_own():
     text = Walker(rpy=TURNS["y ahead"]).text().replace("FR_hip_joint", "trunk_ahead_joint")
-    quadruped = quadruped_from(parse_urdf(text.replace('"FL_hip"', '"trunk_ahead"')))
+    quadruped = make_quadruped(parse_urdf(text.replace('"FL_hip"', '"trunk_ahead"')))
     assert quadruped.trunk == "trunk_ahead_"
     assert quadruped.joints[0] == "trunk_ahead_joint"
 
@@ -145,7 +145,7 @@ def test_the_turned_root_has_a_name_of_its_own():
 def test_legs_that_splay_from_upright_hips_are_left_as_they_are():
     text = Walker(names=UNNAMED).text()
     spider = re.sub(r'(hip_joint".*?<axis xyz=)"1 0 0"', r'\1"0 0 1"', text)
-    assert quadruped_from(parse_urdf(spider)).trunk == "trunk"
+    assert make_quadruped(parse_urdf(spider)).trunk == "trunk"
 
 
 @pytest.mark.parametrize(

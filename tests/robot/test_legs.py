@@ -11,16 +11,16 @@ from scipy.spatial.transform import Rotation
 
 from quadwalk.robot.checks.validate import UrdfError
 from quadwalk.robot.mjcf import Options
-from quadwalk.robot.quadruped import Quadruped, quadruped_from
-from quadwalk.robot.scene import lowest_point
+from quadwalk.robot.quadruped import Quadruped, make_quadruped
+from quadwalk.robot.scene import find_lowest_point
 from quadwalk.robot.urdf import parse_urdf
 from tests.robot import robots
-from tests.robot.robots import ball_calf, inertial, joint, link, plain_leg, shape, stays_up
+from tests.robot.robots import ball_calf, check_stands, inertial, joint, link, plain_leg, shape
 
 
 def made(calf, leg=plain_leg, folder: Path | None = None) -> Quadruped:
     """`robots.quadruped`, with meshes from a folder."""
-    return quadruped_from(parse_urdf(robots.quadruped(calf, leg), "r.urdf", folder))
+    return make_quadruped(parse_urdf(robots.quadruped(calf, leg), "r.urdf", folder))
 
 
 def stands(quadruped: Quadruped) -> None:
@@ -30,12 +30,12 @@ def stands(quadruped: Quadruped) -> None:
     at its center or before it.
     """
     for model, deepest in (
-        (quadruped.full_model(), 1 - np.sqrt(2)),  # a square edge at 45 degrees
-        (quadruped.training_model(0.002, contacts="body"), 0),
+        (quadruped.make_full_model(), 1 - np.sqrt(2)),  # a square edge at 45 degrees
+        (quadruped.make_training_model(0.002, contacts="body"), 0),
     ):
-        data = robots.placed(model, quadruped.home)
+        data = robots.make_data(model, quadruped.home)
         heights = {
-            model.geom(geom).name: lowest_point(model, data, geom)
+            model.geom(geom).name: find_lowest_point(model, data, geom)
             for geom in range(model.ngeom)
             if model.geom_bodyid[geom] and model.geom_group[geom] == 3
         }
@@ -43,7 +43,7 @@ def stands(quadruped: Quadruped) -> None:
         np.testing.assert_allclose(feet, 0, atol=1e-6)
         radius = model.geom(quadruped.feet[0]).size[0]
         assert min(heights.values()) >= deepest * radius, heights
-    stays_up(quadruped, 3, 0.8)
+    check_stands(quadruped, 3, 0.8)
 
 
 def foot_link(name: str, geometry: str, kind: str = "collision") -> str:
@@ -104,7 +104,7 @@ FEET = {
 def test_a_foot_of_any_shape_is_a_sphere_at_the_end_of_the_leg(meshes, case):
     calf, radius, reach = FEET[case]
     quadruped = made(calf, folder=meshes)
-    model = quadruped.full_model()
+    model = quadruped.make_full_model()
     for foot in quadruped.feet:
         assert model.geom(foot).type == mujoco.mjtGeom.mjGEOM_SPHERE
         assert model.geom(foot).size[0] == pytest.approx(radius, rel=0.03)
@@ -120,9 +120,11 @@ def test_a_foot_of_any_shape_is_a_sphere_at_the_end_of_the_leg(meshes, case):
 def test_a_foot_whose_mesh_is_missing_is_at_its_frame():
     text = robots.quadruped(partial(foot_link, geometry='mesh filename="none.stl"'))
     text = text.replace('length="0.18"', 'length="0.1"')
-    quadruped = quadruped_from(parse_urdf(text), Options(meshes=False))
+    quadruped = make_quadruped(parse_urdf(text), Options(meshes=False))
     # What is left of the calf reaches .14 m.
-    assert quadruped.full_model().geom(quadruped.feet[0]).size[0] == pytest.approx(0.005, rel=0.05)
+    assert quadruped.make_full_model().geom(quadruped.feet[0]).size[0] == pytest.approx(
+        0.005, rel=0.05
+    )
 
 
 def test_a_sphere_at_the_knee_is_no_foot(meshes):
@@ -140,7 +142,7 @@ def test_a_leg_that_ends_in_nothing_is_no_leg():
 
 def box_and_foot(quadruped: Quadruped) -> tuple[mujoco.MjModel, int, int]:
     """The training model, its first calf's box and that leg's foot."""
-    model = quadruped.training_model(0.004)
+    model = quadruped.make_training_model(0.004)
     box, foot = model.geom("b3"), model.geom(quadruped.feet[0])
     assert box.type == mujoco.mjtGeom.mjGEOM_BOX
     return model, box.id, foot.id
@@ -160,25 +162,25 @@ def test_thick_calves_end_where_a_step_is_no_fall(meshes):
     """A calf of 2 cm on a foot of 1 cm leans by 60 degrees, with an edge below."""
     quadruped = made(FEET["a whole calf's mesh"][0], folder=meshes)
     model, box, foot = box_and_foot(quadruped)
-    data = robots.placed(model, quadruped.home)
+    data = robots.make_data(model, quadruped.home)
     trunk, calf = (data.xmat[b].reshape(3, 3) for b in (1, model.geom_bodyid[box]))
     lean = Rotation.from_rotvec(np.radians(60) * np.array([1, 1, 0]) / np.sqrt(2)).as_matrix()
     mujoco.mju_mat2Quat(data.qpos[3:7], (lean @ calf.T @ trunk).ravel())
     mujoco.mj_kinematics(model, data)
-    above = lowest_point(model, data, box) - lowest_point(model, data, foot)
+    above = find_lowest_point(model, data, box) - find_lowest_point(model, data, foot)
     assert above == pytest.approx(0.005, abs=1e-6)
     assert np.ptp(data.geom_xpos[[box, foot], 2]) < 0.1  # and it is still most of the calf
 
 
 def test_knees_bend_backwards_where_they_may_over_a_foot_that_is_no_link_of_its_own():
     quadruped = made(ball_calf)
-    assert max(robots.knees(quadruped).values()) < -0.1
+    assert max(robots.measure_knees(quadruped).values()) < -0.1
     assert quadruped.feet == ("b3_foot", "a3_foot", "d3_foot", "c3_foot")
-    model = quadruped.full_model()
+    model = quadruped.make_full_model()
     assert model.site("b3_foot").pos == pytest.approx([0, 0, -0.2])
     assert model.geom("b3_foot").size[0] == 0.02
     # Thigh .3 m, calf .2 m: the foot is below the thigh joint, at cos(.8) of .5 m.
-    data = robots.placed(model, quadruped.home)
+    data = robots.make_data(model, quadruped.home)
     down = data.site("b3_foot").xpos - data.body("b2").xpos
     np.testing.assert_allclose(down, [0, 0, -0.5 * np.cos(0.8)], atol=1e-4)
 
@@ -197,7 +199,7 @@ def turned_about(name: str, x: float, y: float) -> str:
 @pytest.mark.parametrize("leg", [bent_ahead, turned_about])
 def test_knees_bend_as_their_limits_say_and_else_inwards(leg):
     quadruped = made(ball_calf, leg)
-    bent = robots.knees(quadruped)
+    bent = robots.measure_knees(quadruped)
     assert max(bent["FL"], bent["FR"]) < -0.1
     assert min(bent["RL"], bent["RR"]) > 0.1
     stands(quadruped)
@@ -213,14 +215,14 @@ def test_hips_turn_until_the_legs_are_upright(angle):
 def test_motors_that_the_urdf_does_not_give():
     text = robots.quadruped(ball_calf).replace(robots.LIMIT, "")
     with pytest.raises(UrdfError, match=r"pass --robot\.effort NM --robot\.speed RAD") as raised:
-        quadruped_from(parse_urdf(text))
+        make_quadruped(parse_urdf(text))
     assert "no effort limit for 'bj1' and 'bj2' and 10 more, no speed limit" in str(raised.value)
-    quadruped = quadruped_from(parse_urdf(text), Options(effort=30, speed=12))
+    quadruped = make_quadruped(parse_urdf(text), Options(effort=30, speed=12))
     np.testing.assert_array_equal(quadruped.effort, 30)
     np.testing.assert_array_equal(quadruped.velocity, 12)
-    np.testing.assert_array_equal(quadruped.full_model().actuator_ctrlrange, [[-30, 30]] * 12)
+    np.testing.assert_array_equal(quadruped.make_full_model().actuator_ctrlrange, [[-30, 30]] * 12)
     np.testing.assert_array_equal(quadruped.upper, np.pi)
-    given = quadruped_from(parse_urdf(robots.quadruped(ball_calf)), Options(effort=30, speed=12))
+    given = make_quadruped(parse_urdf(robots.quadruped(ball_calf)), Options(effort=30, speed=12))
     np.testing.assert_array_equal(given.effort, 20)  # the URDF's own
 
 
@@ -229,4 +231,4 @@ def test_a_leg_with_a_link_without_mass_is_said():
         link("a1", inertial(0.5), shape('box size="0.02 0.02 0.02"')), link("a1")
     )
     with pytest.raises(UrdfError, match="link 'a1' of leg FL has no mass"):
-        quadruped_from(parse_urdf(text))
+        make_quadruped(parse_urdf(text))

@@ -11,7 +11,7 @@ from quadwalk.robot.meshes import find_mesh, load_mesh
 from quadwalk.robot.mjcf import Options, convert, write_xml
 from quadwalk.robot.urdf import UrdfError, parse_urdf, read_urdf
 from tests.robot import robots
-from tests.robot.robots import inertial, link, placed, shape
+from tests.robot.robots import inertial, link, make_data, shape
 
 ONE = np.ones(3)
 
@@ -142,7 +142,7 @@ def test_the_result_stands_alone(package):
     model = mujoco.MjModel.from_xml_string(xml)  # in memory: it has no file to look at
     assert model.nmesh == 2
     assert "collision meshes" not in xml
-    np.testing.assert_allclose(placed(model, model.qpos0).geom("a").xpos, [0, 0, 1], atol=1e-6)
+    np.testing.assert_allclose(make_data(model, model.qpos0).geom("a").xpos, [0, 0, 1], atol=1e-6)
     red = [i for i in range(model.ngeom) if tuple(model.geom_rgba[i]) == (1, 0, 0, 1)]
     assert len(red) == 1
     assert model.key("home").qpos[2] == pytest.approx(-0.7, abs=1e-6)  # the box stands on z = 0

@@ -13,7 +13,7 @@ from quadwalk.robot.checks.validate import UrdfError, nearly
 from quadwalk.robot.mjcf import convert, write_xml
 from quadwalk.robot.structure.legs import find_legs
 from quadwalk.robot.urdf import parse_urdf, read_urdf
-from tests.robot.robots import check_dynamics, inertial, joint, link, placed, robot, shape
+from tests.robot.robots import check_dynamics, inertial, joint, link, make_data, robot, shape
 
 TEXT = ALIENGO_URDF.read_text()
 
@@ -183,7 +183,7 @@ def test_a_joint_that_follows_another():
 def test_what_follows_a_fixed_joint_is_held():
     model, lines = converted(follower(kind="fixed"))
     assert (model.nv, model.nu) == (1, 0)
-    data = placed(model, [0.1])
+    data = make_data(model, [0.1])
     while data.time < 2:
         mujoco.mj_step(model, data)
     assert data.qpos[0] == pytest.approx(0.3, abs=1e-3)

@@ -8,11 +8,11 @@ import pytest
 
 from quadwalk.paths import ALIENGO_URDF
 from quadwalk.robot.mjcf import Options
-from quadwalk.robot.quadruped import Quadruped, load_quadruped, quadruped_from
-from quadwalk.robot.scene import lowest_point
+from quadwalk.robot.quadruped import Quadruped, load_quadruped, make_quadruped
+from quadwalk.robot.scene import find_lowest_point
 from quadwalk.robot.urdf import UrdfError, parse_urdf
 from tests.robot import zoo
-from tests.robot.robots import hold, placed
+from tests.robot.robots import make_data, simulate_standing
 
 TEXT = ALIENGO_URDF.read_text()
 NO_MESHES = Options(meshes=False)
@@ -23,7 +23,7 @@ BODY = ALL[:8]
 
 
 def test_aliengo_has_unitrees_figures(quadruped):
-    model = quadruped.full_model()
+    model = quadruped.make_full_model()
     assert quadruped.name == "aliengo"
     assert quadruped.trunk == "trunk"
     assert quadruped.legs == ("FR", "FL", "RR", "RL")
@@ -47,21 +47,21 @@ def test_aliengo_has_unitrees_figures(quadruped):
 
 def test_motors_have_rotors_where_the_file_gives_none():
     none = re.sub(r' armature="[^"]*"', "", TEXT)
-    robot = quadruped_from(parse_urdf(none))
+    robot = make_quadruped(parse_urdf(none))
     # 23.24 kg that stand 0.3749 m high: 0.006 * 23.24 * 0.3749^2.
-    np.testing.assert_allclose(robot.full_model().dof_armature[6:], 0.020, atol=1e-12)
-    np.testing.assert_allclose(robot.training_model(0.004).dof_armature[6:], 0.020, atol=1e-12)
+    np.testing.assert_allclose(robot.make_full_model().dof_armature[6:], 0.020, atol=1e-12)
+    np.testing.assert_allclose(robot.make_training_model(0.004).dof_armature[6:], 0.020, atol=1e-12)
     (note,) = [note for note in robot.notes if "rotors" in note]
     assert note.startswith("assumed: rotors of 0.02 kg m^2 (armature): FR_hip_joint, ")
     # None at all is what a file can ask for.
     some = re.sub(r' armature="[^"]*"', ' armature="0"', TEXT, count=1)
-    stated = quadruped_from(parse_urdf(some))
-    assert (stated.full_model().dof_armature[6:] == 0).sum() == 1
+    stated = make_quadruped(parse_urdf(some))
+    assert (stated.make_full_model().dof_armature[6:] == 0).sum() == 1
     assert not any("rotors" in note for note in stated.notes)
 
 
 def test_left_and_right_mirror_each_other(quadruped):
-    model = quadruped.full_model()
+    model = quadruped.make_full_model()
     flip = np.array([1, -1, 1])
     for right, left in (("FR", "FL"), ("RR", "RL")):
         for part in ("hip", "thigh", "calf"):
@@ -76,9 +76,9 @@ def test_home_stands_with_its_feet_just_on_the_floor(quadruped):
     # 2 * .25 m * cos .8 from hip to foot center, and the foot's radius below it.
     assert quadruped.home[2] == pytest.approx(0.5 * np.cos(0.8) + 0.0265)
     np.testing.assert_array_equal(quadruped.home[7:], [0, 0.8, -1.6] * 4)
-    model = quadruped.full_model()
-    data = placed(model, model.key("home").qpos)
-    heights = [lowest_point(model, data, model.geom(foot).id) for foot in quadruped.feet]
+    model = quadruped.make_full_model()
+    data = make_data(model, model.key("home").qpos)
+    heights = [find_lowest_point(model, data, model.geom(foot).id) for foot in quadruped.feet]
     np.testing.assert_allclose(heights, 0, atol=1e-12)
     assert all(contact.dist > -1e-12 for contact in data.contact)  # and nothing overlaps
     for leg, foot in zip(quadruped.legs, quadruped.feet, strict=True):
@@ -87,7 +87,7 @@ def test_home_stands_with_its_feet_just_on_the_floor(quadruped):
 
 
 def test_pd_holds_the_home_pose_and_softer_pd_nearly(quadruped):
-    poses = hold(quadruped, 10, kp=300, kd=8)
+    poses = simulate_standing(quadruped, 10, kp=300, kd=8)
     assert np.abs(poses[:, :2]).max() < 0.02
     assert np.abs(poses[:, 2] - quadruped.home[2]).max() < 0.02
     assert poses[:, 3].min() > np.cos(np.radians(2) / 2)
@@ -96,7 +96,7 @@ def test_pd_holds_the_home_pose_and_softer_pd_nearly(quadruped):
 
 def stands(quadruped: Quadruped) -> None:
     """With the soft gains of training the legs give way, but then it stands still, upright."""
-    poses = hold(quadruped, 5, kp=80, kd=2)
+    poses = simulate_standing(quadruped, 5, kp=80, kd=2)
     settled = poses[len(poses) // 2 :]
     assert np.abs(settled[:, :2] - settled[0, :2]).max() < 0.02
     assert settled[-1, 2] > 0.8 * quadruped.home[2]
@@ -106,7 +106,7 @@ def stands(quadruped: Quadruped) -> None:
 def trainable(quadruped: Quadruped, contacts="feet", names: tuple[str, ...] = ()) -> None:
     """MJX takes the training model, and only feet, `names` and floor can touch in it."""
     mjx = pytest.importorskip("mujoco.mjx")
-    model = quadruped.training_model(0.004, contacts=contacts)
+    model = quadruped.make_training_model(0.004, contacts=contacts)
     assert mjx.put_model(model).nv == 18
     touching = {
         frozenset((model.geom(a).name, model.geom(b).name))
@@ -130,17 +130,17 @@ def test_other_quadrupeds_stand_and_train(reference_urdf):
     stands(quadruped)
     trainable(quadruped)
     trainable(quadruped, "body", BODY)
-    model = quadruped.training_model(0.004, contacts="body")
+    model = quadruped.make_training_model(0.004, contacts="body")
     for leg, foot in zip(quadruped.legs, quadruped.feet, strict=True):
         # Unitree's thighs are bars whose thickness is a little less than the feet's.
         assert 0.8 < model.geom(f"knee_{leg}").size[0] / model.geom(foot).size[0] <= 1
 
 
 def test_spheres_are_where_the_shapes_meet_the_floor(quadruped):
-    model = quadruped.training_model(0.004, contacts="all")
+    model = quadruped.make_training_model(0.004, contacts="all")
     pose = np.array([0, 0, 1.0, 1, 0, 0, 0])
     level = [0.0, np.pi / 2, -np.pi / 2] * 4  # thighs; calves upright
-    data = placed(model, np.r_[pose, level])
+    data = make_data(model, np.r_[pose, level])
     for leg in quadruped.legs:
         x, y = (1 if leg[0] == "F" else -1), (1 if leg[1] == "L" else -1)
         knee, thigh = (model.geom(name).id for name in (f"knee_{leg}", f"{leg}_thigh"))
@@ -148,7 +148,7 @@ def test_spheres_are_where_the_shapes_meet_the_floor(quadruped):
             data.geom_xpos[knee], [x * 0.2407 - 0.25, y * (0.051 + 0.0868), 1.0], atol=1e-9
         )
         np.testing.assert_allclose(
-            lowest_point(model, data, knee), lowest_point(model, data, thigh), atol=1e-9
+            find_lowest_point(model, data, knee), find_lowest_point(model, data, thigh), atol=1e-9
         )
         for kind, z in (("corner", -0.056), ("top", 0.056)):
             corner = model.geom(f"{kind}_{leg}")
@@ -165,15 +165,15 @@ def test_spheres_are_where_the_shapes_meet_the_floor(quadruped):
 
 
 def test_a_link_may_have_the_name_of_a_knee():
-    quadruped = quadruped_from(parse_urdf(TEXT.replace('"FL_thigh"', '"knee_FR"')))
-    assert quadruped.training_model(0.004, contacts="body").geom("knee_FR").size[0] == 0.0215
+    quadruped = make_quadruped(parse_urdf(TEXT.replace('"FL_thigh"', '"knee_FR"')))
+    assert quadruped.make_training_model(0.004, contacts="body").geom("knee_FR").size[0] == 0.0215
 
 
 def test_a_trunk_without_shapes_has_its_corners_at_the_hips():
     trunk = re.search(r'<link name="trunk">.*?</link>', TEXT, re.DOTALL)[0]
     bare = re.sub(r"<collision>.*?</collision>", "", trunk, flags=re.DOTALL)
-    quadruped = quadruped_from(parse_urdf(TEXT.replace(trunk, bare)))
-    model = quadruped.training_model(0.004, contacts="body")
+    quadruped = make_quadruped(parse_urdf(TEXT.replace(trunk, bare)))
+    model = quadruped.make_training_model(0.004, contacts="body")
     corner = model.geom("corner_FR")
     outwards = np.array([1, -1, -1]) * corner.size[0]
     np.testing.assert_allclose(corner.pos + outwards, [0.2407, -0.051, 0], atol=1e-12)
@@ -181,19 +181,19 @@ def test_a_trunk_without_shapes_has_its_corners_at_the_hips():
 
 def test_a_hip_without_shapes_is_as_thick_as_the_foot(quadruped):
     shaped = r'(<link name="FR_hip">.*?)<collision>.*?</collision>'
-    bare = quadruped_from(parse_urdf(re.sub(shaped, r"\1", TEXT, flags=re.DOTALL)))
-    model = bare.training_model(0.004, contacts="all")
+    bare = make_quadruped(parse_urdf(re.sub(shaped, r"\1", TEXT, flags=re.DOTALL)))
+    model = bare.make_training_model(0.004, contacts="all")
     assert model.geom("hip_FR").size[0] == model.geom(quadruped.feet[0]).size[0]
     assert model.geom("hip_FL").size[0] > model.geom(quadruped.feet[0]).size[0]
 
 
-@zoo.each(zoo.QUADRUPEDS)
+@zoo.repeat_for(zoo.QUADRUPEDS)
 def test_mjx_takes_the_zoos_training_models(urdf):
     trainable(load_quadruped(urdf, NO_MESHES))
 
 
 def test_both_models_are_of_one_robot(quadruped):
-    full, training = quadruped.full_model(), quadruped.training_model(0.002)
+    full, training = quadruped.make_full_model(), quadruped.make_training_model(0.002)
     assert (full.nbody, full.njnt, full.nu) == (training.nbody, training.njnt, training.nu)
     for kind, count in (("body", full.nbody), ("joint", full.njnt), ("actuator", full.nu)):
         for i in range(count):
@@ -212,7 +212,7 @@ def test_both_models_are_of_one_robot(quadruped):
     assert not training.dof_frictionloss.any()
     assert not full.dof_frictionloss.any()
     np.testing.assert_array_equal(
-        quadruped.full_model(frictionloss=True).dof_frictionloss[6:], quadruped.friction
+        quadruped.make_full_model(frictionloss=True).dof_frictionloss[6:], quadruped.friction
     )
     for model, iterations in ((training, (1, 5)), (full, (100, 50))):
         assert model.opt.solver == mujoco.mjtSolver.mjSOL_NEWTON
@@ -220,7 +220,7 @@ def test_both_models_are_of_one_robot(quadruped):
 
 
 def test_qpos_qvel_and_ctrl_are_in_the_order_of_the_joints(quadruped):
-    model = quadruped.training_model(0.002)
+    model = quadruped.make_training_model(0.002)
     for i, name in enumerate(quadruped.joints):
         joint = model.joint(name)
         assert (joint.qposadr[0], joint.dofadr[0]) == (7 + i, 6 + i)
@@ -231,10 +231,10 @@ def test_qpos_qvel_and_ctrl_are_in_the_order_of_the_joints(quadruped):
 def test_legs_are_found_by_place_whatever_their_names_and_order():
     # Legs in another order of the file, under other names.
     swapped = TEXT.replace('"FR_', '"zz_').replace('"RL_', '"aa_')
-    quadruped = quadruped_from(parse_urdf(swapped))
+    quadruped = make_quadruped(parse_urdf(swapped))
     assert quadruped.legs == ("FR", "FL", "RR", "RL")
     assert quadruped.joints[0] == "zz_hip_joint"  # the one that stands ahead on the right
-    model = quadruped.full_model()
+    model = quadruped.make_full_model()
     assert model.joint("zz_hip_joint").qposadr[0] == 7
     assert model.body("zz_hip").pos == pytest.approx([0.2407, -0.051, 0])
 
@@ -248,7 +248,7 @@ def test_a_continuous_thigh_and_a_reversed_axis():
     )
     text = text.replace('<limit lower="-2.0944" upper="4.1888"', "<limit")
     text = re.sub(r'(_thigh_joint" type=)"revolute"', r'\1"continuous"', text)
-    quadruped = quadruped_from(parse_urdf(text))
+    quadruped = make_quadruped(parse_urdf(text))
     np.testing.assert_array_equal(quadruped.home[7:], [0, -0.8, 1.6] * 4)
     np.testing.assert_allclose(quadruped.lower[:3], [-1.22173, -np.pi, 0.64577], atol=1e-5)
     assert quadruped.home[2] == pytest.approx(0.5 * np.cos(0.8) + 0.0265)
@@ -271,4 +271,4 @@ def test_a_continuous_thigh_and_a_reversed_axis():
 def test_what_is_no_quadruped_is_said(old, new, says):
     assert old in TEXT
     with pytest.raises(UrdfError, match=re.escape(says)):
-        quadruped_from(parse_urdf(TEXT.replace(old, new, 1)))
+        make_quadruped(parse_urdf(TEXT.replace(old, new, 1)))

@@ -8,7 +8,7 @@ import pytest
 
 from quadwalk.robot.__main__ import main
 from quadwalk.robot.checks.validate import UrdfError
-from quadwalk.robot.quadruped import quadruped_from
+from quadwalk.robot.quadruped import make_quadruped
 from quadwalk.robot.urdf import parse_urdf
 from tests.robot.robots import Walker
 
@@ -36,7 +36,7 @@ DEGREES = Walker(hip=(-46, 46), thigh=(-60, 170), calf=(-150, -35))
 )
 def test_units_of_no_quadruped_are_refused(walker, reason):
     with pytest.raises(UrdfError) as raised:
-        quadruped_from(parse_urdf(walker.text(), "dog.urdf"))
+        make_quadruped(parse_urdf(walker.text(), "dog.urdf"))
     assert re.match(f"dog.urdf: {reason}", str(raised.value)), raised.value
     assert "expected" in str(raised.value)
 
@@ -53,7 +53,7 @@ def test_units_of_no_quadruped_are_refused(walker, reason):
     ],
 )
 def test_quadrupeds_of_all_sizes_are_read(walker):
-    assert quadruped_from(parse_urdf(walker.text())).trunk == "trunk"
+    assert make_quadruped(parse_urdf(walker.text())).trunk == "trunk"
 
 
 def test_an_inertia_in_another_unit_is_said():
@@ -64,7 +64,7 @@ def test_an_inertia_in_another_unit_is_said():
 
 
 def _inertia_notes(walker: Walker) -> list[str]:
-    notes = quadruped_from(parse_urdf(walker.text())).notes
+    notes = make_quadruped(parse_urdf(walker.text())).notes
     return [note for note in notes if "wider than the robot" in note]
 
 

@@ -8,7 +8,7 @@ from quadwalk.robot.mjcf import Options, convert, write_xml
 from quadwalk.robot.quadruped import find_quadruped, load_quadruped
 from quadwalk.robot.urdf import UrdfError, read_urdf
 from tests.robot import zoo
-from tests.robot.robots import check_dynamics, knees, placed, stays_up
+from tests.robot.robots import check_dynamics, check_stands, make_data, measure_knees
 
 NO_MESHES = Options(meshes=False)
 # Refused, for a reason that docs/zoo.md gives; True where --repair-inertia mends it.
@@ -24,7 +24,7 @@ REFUSED = {
 }
 
 
-@zoo.each(zoo.FILES)
+@zoo.repeat_for(zoo.FILES)
 def test_converts_exactly_as_a_quadruped_or_not_or_is_refused(urdf):
     if urdf.stem in REFUSED:
         with pytest.raises(UrdfError) as raised:
@@ -47,14 +47,14 @@ def test_converts_exactly_as_a_quadruped_or_not_or_is_refused(urdf):
     assert max(errors.values()) < 1e-5, errors
 
 
-@zoo.each(zoo.QUADRUPEDS)
+@zoo.repeat_for(zoo.QUADRUPEDS)
 def test_quadrupeds_stand_upright_on_their_feet(urdf):
     quadruped = load_quadruped(urdf, NO_MESHES)
     assert ((quadruped.lower <= quadruped.home[7:]) & (quadruped.home[7:] <= quadruped.upper)).all()
-    data = placed(quadruped.full_model(), quadruped.home)
+    data = make_data(quadruped.make_full_model(), quadruped.home)
     # Feet under the thighs' joints, and knees on the side that the structure says.
     for thigh, foot in zip(quadruped.joints[1::3], quadruped.feet, strict=True):
         assert abs(data.site(foot).xpos[0] - data.joint(thigh).xanchor[0]) < 0.04
-    for leg, ahead in knees(quadruped).items():
+    for leg, ahead in measure_knees(quadruped).items():
         assert (ahead > 0) == (leg[0] == "R" and zoo.KNEES_AHEAD[urdf.parts[-3]])
-    stays_up(quadruped, 2, 0.85)
+    check_stands(quadruped, 2, 0.85)

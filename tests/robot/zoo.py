@@ -28,7 +28,7 @@ QUADRUPEDS = [
 ]
 
 
-def each(files: list[Path], *names: str) -> pytest.MarkDecorator:
+def repeat_for(files: list[Path], *names: str) -> pytest.MarkDecorator:
     """Run a test with each `urdf` of these; with `names`, those alone whose path has one in it."""
     chosen = [file for file in files if not names or any(name in str(file) for name in names)]
     assert len(chosen) >= len(names)

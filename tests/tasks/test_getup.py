@@ -16,7 +16,7 @@ from quadwalk.evaluation.loaded import LoadedRun
 from quadwalk.evaluation.report.console import print_standing
 from quadwalk.robot.mjcf import Options
 from quadwalk.robot.quadruped import load_quadruped
-from quadwalk.robot.scene import lowest_point
+from quadwalk.robot.scene import find_lowest_point
 from quadwalk.runs.directory import Run
 from quadwalk.runs.policy import Policy
 from quadwalk.tasks import getup
@@ -56,7 +56,7 @@ def check_lowest(env: QuadrupedEnv, qpos: np.ndarray) -> None:
     shapes = np.flatnonzero((model.geom_bodyid > 0) & (model.geom_group == 3))
     for pose in qpos:
         data = placed(model, pose)
-        lowest = min(lowest_point(model, data, int(shape)) for shape in shapes)
+        lowest = min(find_lowest_point(model, data, int(shape)) for shape in shapes)
         assert lowest == pytest.approx(0.0, abs=1e-5)
 
 
@@ -66,7 +66,7 @@ def test_a_start_has_its_lowest_part_on_the_floor_and_joints_within_their_limits
     assert np.all((qpos[:, 7:] >= rising.robot.lower) & (qpos[:, 7:] <= rising.robot.upper))
 
 
-@zoo.each(zoo.QUADRUPEDS, "go1", "go2", "a1_", "anymal_c", "solo12")
+@zoo.repeat_for(zoo.QUADRUPEDS, "go1", "go2", "a1_", "anymal_c", "solo12")
 def test_other_robots_start_so_too(urdf):
     env = QuadrupedEnv(load_quadruped(urdf, Options(meshes=False)), getup.TASK.env)
     check_lowest(env, np.asarray(started(env, 20).pipeline_state.qpos))

@@ -34,7 +34,7 @@ def test_a_model_has_the_fields_numbers_and_the_planes_friction(quadruped, low):
     np.testing.assert_allclose(found.heights, heights, atol=1e-6)
     assert found.cell == pytest.approx(0.05)
     assert found.origin == pytest.approx(field.origin)
-    plane = quadruped.full_model()
+    plane = quadruped.make_full_model()
     assert field_of(plane) is None
     for name in ("friction", "solref", "solimp", "contype", "conaffinity"):
         ours, theirs = (getattr(m.geom("floor"), name) for m in (model, plane))

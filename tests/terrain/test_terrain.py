@@ -83,7 +83,7 @@ def test_at_difficulty_1_tiles_have_the_sizes_of_a_leg_of_half_a_meter():
 
 
 def test_sizes_grow_with_the_leg_unless_given(quadruped):
-    assert leg_length(quadruped.full_model(), quadruped.feet[0]) == pytest.approx(0.5)
+    assert leg_length(quadruped.make_full_model(), quadruped.feet[0]) == pytest.approx(0.5)
     assert sizes_of(FLAT, 1.0) == OF_LEG
     assert sizes_of(FLAT, 0.2).step == pytest.approx(0.06)
     given_sizes = dataclasses.replace(FLAT, step=0.1, tread=0.4, block=0.2, roughness=0.03)

@@ -21,7 +21,7 @@ def stepper(quadruped):
     spec = quadruped.spec.copy()
     lay(spec, field)
     robot = replace(quadruped, spec=spec)
-    return Stepper(robot.full_model(), robot)
+    return Stepper(robot.make_full_model(), robot)
 
 
 def variations(count: int) -> RobotRandomization:
@@ -115,14 +115,14 @@ def test_robots_alike_share_a_model_where_they_are_on_the_same_ground(stepper):
 def test_a_model_of_ones_own_is_small(quadruped, stepper):
     (own,), _ = stepper.models(variations(1), np.zeros((1, 2)))
     assert mujoco.mj_sizeModel(own) < 0.1 * mujoco.mj_sizeModel(stepper.model)
-    flat = Stepper(quadruped.full_model(), quadruped)
+    flat = Stepper(quadruped.make_full_model(), quadruped)
     (own,), origins = flat.models(variations(1), np.array([[7.0, 3.0]]))
     assert not origins.any()
     assert mujoco.mj_sizeModel(own) < 0.1 * mujoco.mj_sizeModel(flat.model)
 
 
 def test_no_part_of_a_robot_is_farther_than_its_reach(quadruped):
-    model = quadruped.full_model()
+    model = quadruped.make_full_model()
     most, farthest = reach(model), 0.0
     rng = np.random.default_rng(3)
     low, high = quadruped.lower, quadruped.upper

@@ -78,7 +78,7 @@ def measure_gait(rollout: Rollout, quadruped: Quadruped) -> Gait:
     """
     rollout = finite_part(rollout)
     course, footfalls = measure_course(rollout), footfalls_of(rollout)
-    model = quadruped.full_model()
+    model = quadruped.make_full_model()
     centers, turns = foot_poses(model, quadruped.feet, rollout.qpos)
     radii = np.array([model.geom(foot).size[0] for foot in quadruped.feet])
     slip, slid = _slips(rollout, centers, turns, radii)

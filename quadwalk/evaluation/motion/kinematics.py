@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from quadwalk.robot.quadruped import Quadruped
-from quadwalk.robot.structure.tree import build_tree, matrix
+from quadwalk.robot.structure.tree import build_tree, to_matrix
 from quadwalk.robot.urdf import parse_urdf
 
 
@@ -67,7 +67,7 @@ def link_frames(quadruped: Quadruped) -> LinkFrames:
         joints += below
         pending += [joint.child for joint in below]
     column = {name: k for k, name in enumerate(quadruped.joints)}
-    frames = np.array([matrix(joint.origin) for joint in joints])
+    frames = np.array([to_matrix(joint.origin) for joint in joints])
     axes = np.zeros((len(joints), 3))
     for axis, joint in zip(axes, joints, strict=True):
         if joint.name in column:

@@ -52,7 +52,7 @@ class EpisodeMessages:
         if rollout.foot_force is None:
             raise ValueError("a rollout to be written needs its foot forces (with_foot_forces)")
         self.rollout, self.foot_force = rollout, rollout.foot_force
-        self.quadruped, self.model = quadruped, quadruped.full_model()
+        self.quadruped, self.model = quadruped, quadruped.make_full_model()
         self.rows = finite_states(rollout)
         self.field, self.links = field_of(self.model), link_frames(quadruped)
         joints, names = quadruped.joints, rollout.observation_names

@@ -65,7 +65,7 @@ def _pictures(
 
     The speed is that along world x; with velocity commands it is that along the heading.
     """
-    model = quadruped.full_model()
+    model = quadruped.make_full_model()
     canvas = Canvas(model, width, height)
     focus = _camera_path(rollout, heights_under(model, rollout.qpos[:, :2]))
     velocity = rollout.qvel[:, :2].T

@@ -136,7 +136,7 @@ def _tracking(axes: Axes, rollout: Rollout) -> None:
 
 
 def _posture(axes: Axes, rollout: Rollout, quadruped: Quadruped) -> None:
-    below = heights_under(quadruped.full_model(), rollout.qpos[:, :2])
+    below = heights_under(quadruped.make_full_model(), rollout.qpos[:, :2])
     axes.plot(rollout.time, rollout.qpos[:, 2] - below, color=INK, linewidth=1.4, label="height, m")
     angles = roll_pitch_yaw(rollout.qpos[:, 3:7])
     for column, name in enumerate(("roll", "pitch", "yaw")):

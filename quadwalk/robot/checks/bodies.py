@@ -14,7 +14,7 @@ from lxml import etree
 from quadwalk.robot.checks.validate import UrdfError
 from quadwalk.robot.inertia import SMALLEST, body_inertia, nearest_valid, principal
 from quadwalk.robot.report import Report
-from quadwalk.robot.structure.tree import Tree, matrix
+from quadwalk.robot.structure.tree import Tree, to_matrix
 
 # Room for rounding when principal moments are compared, relative to the largest.
 _ROUNDING = 1e-10
@@ -161,7 +161,7 @@ def _thicken(tree: Tree, body: str, massive: list[str], report: Report) -> None:
         return
     valid = nearest_valid(whole.mass, whole.about_com, _THIN)
     inertial = tree.links[massive[0]].inertial
-    turn = (tree.placement[massive[0]] @ matrix(inertial.origin))[:3, :3]
+    turn = (tree.placement[massive[0]] @ to_matrix(inertial.origin))[:3, :3]
     inertial.inertia = inertial.inertia + turn.T @ (valid - whole.about_com) @ turn
     finding = _Finding(whole.about_com, valid)
     report.add("repaired", f"body '{body}' is as thick as {_THIN:g} m, {finding.shown()}")

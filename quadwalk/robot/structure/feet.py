@@ -8,7 +8,7 @@ import numpy as np
 import yourdfpy
 
 from quadwalk.robot.meshes import Meshes
-from quadwalk.robot.structure.tree import Capsule, Tree, matrix, unit
+from quadwalk.robot.structure.tree import Capsule, Tree, to_matrix, unit
 
 # Share of the distance from calf joint to foot that the tip of a shape is taken from, and the
 # least and the assumed radius of a foot.
@@ -55,10 +55,10 @@ def _sphere(tree: Tree, calf: str) -> Foot | None:
         for link in tree.parts[calf]
         for index, shape in enumerate(tree.links[link].collisions)
         if shape.geometry.sphere is not None
-        for center in [(tree.placement[link] @ matrix(shape.origin))[:3, 3]]
+        for center in [(tree.placement[link] @ to_matrix(shape.origin))[:3, 3]]
     ]
     # One nearer to the joint than half a thigh's length is a knee.
-    thigh = float(np.linalg.norm(matrix(tree.joint_above[calf].origin)[:3, 3]))
+    thigh = float(np.linalg.norm(to_matrix(tree.joint_above[calf].origin)[:3, 3]))
     ends = [foot for foot in spheres if np.linalg.norm(foot.center) > thigh / 2]
     return max(ends, key=lambda foot: float(np.linalg.norm(foot.center)), default=None)
 
@@ -116,7 +116,7 @@ def _shapes(tree: Tree, calf: str, meshes: Meshes | None, kind: str) -> Iterator
         for index, shape in enumerate(shapes):
             points = _points(shape.geometry, meshes, kind)
             if len(points):
-                frame = tree.placement[link] @ matrix(shape.origin)
+                frame = tree.placement[link] @ to_matrix(shape.origin)
                 yield _Shape(link, index, points @ frame[:3, :3].T + frame[:3, 3])
 
 

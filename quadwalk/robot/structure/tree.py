@@ -77,7 +77,7 @@ class Tree:
 
     def frame_of(self, joint: yourdfpy.Joint) -> np.ndarray:
         """(4, 4) frame of the joint's child, at joint position 0, in the body above it."""
-        return self.placement[joint.parent] @ matrix(joint.origin)
+        return self.placement[joint.parent] @ to_matrix(joint.origin)
 
 
 def build_tree(robot: yourdfpy.Robot) -> Tree:
@@ -98,7 +98,7 @@ def build_tree(robot: yourdfpy.Robot) -> Tree:
             continue
         if joint.type == "fixed":
             body_of[link] = body_of[joint.parent]
-            placement[link] = placement[joint.parent] @ matrix(joint.origin)
+            placement[link] = placement[joint.parent] @ to_matrix(joint.origin)
         else:
             body_of[link], placement[link] = link, np.eye(4)
             bodies.append(link)
@@ -113,7 +113,7 @@ def build_tree(robot: yourdfpy.Robot) -> Tree:
     )
 
 
-def matrix(origin: np.ndarray | None) -> np.ndarray:
+def to_matrix(origin: np.ndarray | None) -> np.ndarray:
     """(4, 4) of a URDF origin, which may be left out."""
     return np.eye(4) if origin is None else np.asarray(origin, dtype=np.float64)
 

@@ -171,7 +171,7 @@ def test_motors_draw_a_joint_to_the_posts_speed_within_its_torque(env):
 
 
 def test_both_models_have_the_tasks_gravity_and_torque(env):
-    for model in (env.mj_model, env.quadruped.full_model()):
+    for model in (env.mj_model, env.quadruped.make_full_model()):
         assert model.opt.gravity.tolist() == [0, 0, -9.8]
         data = mujoco.MjData(model)
         data.ctrl[:] = 100.0
