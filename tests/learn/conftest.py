@@ -60,6 +60,6 @@ def train(monkeypatch) -> Callable[..., None]:
     from quadwalk.learn.flags import parse_config
     from quadwalk.learn.loop import train
 
-    for module in ("setup", "warm_start"):
+    for module in ("prepare", "warm_start"):
         monkeypatch.setattr(f"quadwalk.learn.{module}.QuadrupedEnv", toy.Toy)
     return lambda *flags, watch=None: train(*parse_config(flags), watch)
