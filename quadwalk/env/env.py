@@ -36,7 +36,7 @@ from quadwalk.env.terminations import TIME_LIMIT, episode_end, names_of_ends, te
 from quadwalk.physics.engines import ENGINES, EngineName, fast, mujoco_c
 from quadwalk.physics.motor import Effort, PhysicsState
 from quadwalk.physics.standing import make_standing_motor
-from quadwalk.robot.mirror import robot_mirror
+from quadwalk.robot.mirror import find_robot_mirror
 from quadwalk.robot.quadruped import Quadruped
 from quadwalk.settings.environment import EnvConfig
 from quadwalk.terrain.terrain import leg_length, make_terrain
@@ -318,20 +318,10 @@ class QuadrupedEnv(Env):
             contact=jnp.zeros(4, bool),
         )
 
-    @property
-    def mirrors(self) -> Mirrors | None:
-        """How observation and action look in the sagittal mirror; None: see `asymmetry`."""
-        return None if isinstance(self._mirrored, str) else self._mirrored
-
-    @property
-    def asymmetry(self) -> str | None:
-        """In one line, why there are no `mirrors`; None where there are."""
-        return self._mirrored if isinstance(self._mirrored, str) else None
-
     @cached_property
-    def _mirrored(self) -> Mirrors | str:
-        """`mirrors`, or why there are none; `UserError` where a term says it of another size."""
-        return self.sensors.mirrors(robot_mirror(self.quadruped, self.mj_model))
+    def mirrors(self) -> Mirrors:
+        """How observation and action look in the sagittal mirror; raises `NotSymmetric`."""
+        return self.sensors.find_mirrors(find_robot_mirror(self.quadruped, self.mj_model))
 
     @property
     def policy_size(self) -> int:

@@ -25,7 +25,7 @@ from quadwalk.env.reflections import Mirrors, mirror_of, with_history
 from quadwalk.env.robot_arrays import RobotArrays
 from quadwalk.env.state import EnvState
 from quadwalk.errors import UserError
-from quadwalk.robot.mirror import Mirror, RobotMirror, join_mirrors
+from quadwalk.robot.mirror import Mirror, NotSymmetric, RobotMirror, join_mirrors
 from quadwalk.settings.environment import EnvConfig
 from quadwalk.settings.terms import Observation, Term
 
@@ -139,13 +139,12 @@ class Sensors:
         """A name for each number that the value network sees besides."""
         return tuple(name for own in self.critic_part_names.values() for name in own)
 
-    def mirrors(self, robot: RobotMirror | str) -> Mirrors | str:
-        """How observation and action look where the parts of the robot mirror so, or why not.
+    def find_mirrors(self, robot: RobotMirror) -> Mirrors:
+        """Return how observation and action mirror where the parts of the robot mirror so.
 
-        `robot` may say itself why not, in a line. `UserError`: a term says it of another size.
+        Raises `NotSymmetric` where a term does not say it, `UserError` where one says it of
+        another size.
         """
-        if isinstance(robot, str):
-            return robot
         config = self.config
         terms: list[tuple[str, Term, int]] = [("action", config.action, 12)]
         for group, parts, names in (
@@ -153,19 +152,21 @@ class Sensors:
             ("critic", config.critic, self.critic_part_names),
         ):
             terms += [(f"{group} {name!r}", parts[name], len(own)) for name, own in names.items()]
-        found = list[Mirror]()
+        mirrors = list[Mirror]()
         for what, term, size in terms:
-            own = mirror_of(term.function, term.params, robot) if size else join_mirrors()
-            if own is None:
-                return f"the {what} does not say how it mirrors; expected @mirrors on its function"
-            if len(own.source) != size:
+            mirror = mirror_of(term.function, term.params, robot) if size else join_mirrors()
+            if mirror is None:
+                raise NotSymmetric(
+                    f"the {what} does not say how it mirrors; expected @mirrors on its function"
+                )
+            if len(mirror.source) != size:
                 raise UserError(
                     f"the {what} has {size} numbers, and its function says how "
-                    f"{len(own.source)} mirror; expected as many"
+                    f"{len(mirror.source)} mirror; expected as many"
                 )
-            found.append(own)
-        action, observed = found[0], found[1 : 1 + len(config.observation)]
-        critic = found[1 + len(config.observation) :]
+            mirrors.append(mirror)
+        action, observed = mirrors[0], mirrors[1 : 1 + len(config.observation)]
+        critic = mirrors[1 + len(config.observation) :]
         return Mirrors(
             join_mirrors(with_history(join_mirrors(*observed), self.history), *critic), action
         )

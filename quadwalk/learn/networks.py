@@ -19,7 +19,7 @@ from brax.training.networks import ACTIVATION
 
 from quadwalk.env.reflections import Mirrors
 from quadwalk.errors import UsageError
-from quadwalk.robot.mirror import Mirror, join_mirrors, make_mirror
+from quadwalk.robot.mirror import Mirror, NotSymmetric, join_mirrors, make_mirror
 from quadwalk.settings.training import PPOConfig
 
 # Of a number's standard deviation, as a share of its mean or, if that is less than 1, of 1.
@@ -174,9 +174,15 @@ class Networks(NamedTuple):
         return {name: own.tolist() for name, own in whole.items()}
 
 
-def networks_for(env: Any, config: PPOConfig) -> Networks:
-    """The networks of a learner in a `QuadrupedEnv`."""
-    mirrors = env.mirrors if config.symmetric else None
+def networks_for(
+    env: Any, config: PPOConfig, warn: Callable[[str], None] = lambda _: None
+) -> Networks:
+    """Make the networks of a learner in `env`; `warn` says why symmetric ones are not possible."""
+    try:
+        mirrors = env.mirrors if config.symmetric else None
+    except NotSymmetric as error:
+        warn(f"plain networks: {error}")
+        mirrors = None
     critic = len(env.sensors.critic_names)
     return make_networks(config, env.policy_size, env.action_size, critic, mirrors)
 

@@ -70,9 +70,7 @@ def prepare(
     env = QuadrupedEnv(quadruped, config.env)
     if env.gains_note:
         progress.message(env.gains_note)
-    networks = networks_for(env, config.ppo)
-    if config.ppo.symmetric and env.asymmetry is not None:
-        progress.message(f"plain networks: {env.asymmetry}")
+    networks = networks_for(env, config.ppo, progress.message)
     mesh = make_mesh(devices)
     state = init_state(env, networks, config.ppo, mesh, config.envs, config.seed)
     batch = config.envs * config.ppo.unroll

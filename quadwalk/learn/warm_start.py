@@ -22,7 +22,7 @@ from quadwalk.learn.networks import (
     structured,
 )
 from quadwalk.learn.ppo import Learner
-from quadwalk.robot.mirror import RobotMirror, compute_home_axes, make_mirror
+from quadwalk.robot.mirror import NotSymmetric, RobotMirror, compute_home_axes, make_mirror
 from quadwalk.runs import checkpoint
 from quadwalk.runs.directory import Run, latest_checkpoint
 from quadwalk.runs.policy import layers_of, load_policy
@@ -173,13 +173,14 @@ def _signs(env: QuadrupedEnv, turned: np.ndarray) -> tuple[np.ndarray, np.ndarra
     if np.all(turned > 0.0):
         return np.ones(env.observation_size), turned
     feet = make_mirror(np.arange(4), np.ones(4))
-    signs, usual = (
-        env.sensors.mirrors(RobotMirror(make_mirror(np.arange(12), own), feet))
-        for own in (turned, np.ones(12))
-    )
-    if isinstance(signs, str) or isinstance(usual, str):
+    try:
+        signs, usual = (
+            env.sensors.find_mirrors(RobotMirror(make_mirror(np.arange(12), own), feet))
+            for own in (turned, np.ones(12))
+        )
+    except NotSymmetric as error:
         joint = env.quadruped.joints[int(np.argmin(turned))]
-        raise UserError(f"--init: {joint!r} turns the other way in that run, and {signs}")
+        raise UserError(f"--init: {joint!r} turns the other way in that run, and {error}") from None
     return signs.observation.sign * usual.observation.sign, signs.action.sign * usual.action.sign
 
 

@@ -47,6 +47,10 @@ def join_mirrors(*mirrors: Mirror) -> Mirror:
     return make_mirror(np.concatenate([[], *sources]), np.concatenate([[], *signs]))
 
 
+class NotSymmetric(Exception):
+    """A robot or task that is not its own mirror image; the message is one line that says why."""
+
+
 class RobotMirror(NamedTuple):
     """How what belongs to a robot's parts mirrors."""
 
@@ -68,22 +72,24 @@ def compute_home_axes(quadruped: Quadruped, model: mujoco.MjModel) -> np.ndarray
     return data.xaxis[1:] @ data.xmat[model.jnt_bodyid[0]].reshape(3, 3)
 
 
-def robot_mirror(quadruped: Quadruped, model: mujoco.MjModel) -> RobotMirror | str:
-    """How the robot mirrors, standing; else one line that names the largest difference."""
+def find_robot_mirror(quadruped: Quadruped, model: mujoco.MjModel) -> RobotMirror:
+    """Return how the standing robot mirrors; `NotSymmetric` names the largest difference."""
     image = _Image(quadruped, model)
     try:
-        found = RobotMirror(
+        mirrors = RobotMirror(
             make_mirror(image.joints, image.sign),
             make_mirror(_nearest(image.spheres(quadruped.feet)), [1] * 4),
         )
     except ValueError:
-        return "the robot is not its own mirror image: joints or feet of its sides do not pair"
+        raise NotSymmetric(
+            "the robot is not its own mirror image: joints or feet of its sides do not pair"
+        ) from None
     image.compare_joints()
     image.compare_bodies()
     image.compare_spheres()
-    if image.share <= 1.0:
-        return found
-    return f"the robot is not its own mirror image: {image.largest}"
+    if image.share > 1.0:
+        raise NotSymmetric(f"the robot is not its own mirror image: {image.largest}")
+    return mirrors
 
 
 class _Image:

@@ -9,7 +9,7 @@ import pytest
 from quadwalk.env.env import QuadrupedEnv
 from quadwalk.env.reflections import FEET, SCALAR, mirrors
 from quadwalk.errors import UserError
-from quadwalk.robot.mirror import make_mirror, robot_mirror
+from quadwalk.robot.mirror import NotSymmetric, find_robot_mirror, make_mirror
 from quadwalk.robot.mjcf import Options
 from quadwalk.robot.quadruped import load_quadruped
 from quadwalk.settings.terms import Observation
@@ -23,7 +23,6 @@ SIDES = {"FR": "FL", "FL": "FR", "RR": "RL", "RL": "RR"}
 @pytest.mark.parametrize("name", task_names())
 def test_every_task_has_a_mirror_and_mirroring_twice_changes_nothing(quadruped, name):
     env = QuadrupedEnv(quadruped, load_task(name).env)
-    assert env.asymmetry is None
     for own, size in zip(env.mirrors, (env.observation_size, 12), strict=True):
         x = np.random.default_rng(0).normal(size=size).astype(np.float32)
         assert not np.array_equal(own(x), x)
@@ -68,8 +67,7 @@ def test_what_is_not_itself_again_when_mirrored_twice_is_no_mirror(source, sign)
 @zoo.repeat_for(zoo.QUADRUPEDS)
 def test_robots_of_the_zoo_are_their_own_mirror_image(urdf):
     quadruped = load_quadruped(urdf, Options(meshes=False))
-    found = robot_mirror(quadruped, quadruped.make_training_model(0.004, contacts="all"))
-    assert not isinstance(found, str), found
+    found = find_robot_mirror(quadruped, quadruped.make_training_model(0.004, contacts="all"))
     assert found.feet.source.tolist() == [1, 0, 3, 2]
     # HyQ's hips on both sides turn outwards.
     assert (found.joints.sign[::3] == (1 if "hyq" in urdf.stem else -1)).all()
@@ -88,9 +86,8 @@ def test_a_robot_with_one_leg_changed_has_no_mirror_and_says_why(quadruped, chan
     spec = quadruped.spec.copy()
     change(spec.joint(quadruped.joints[1]).parent)
     env = QuadrupedEnv(dataclasses.replace(quadruped, spec=spec), sprint.TASK.env)
-    assert env.mirrors is None
-    assert said in env.asymmetry
-    assert "FR" in env.asymmetry or "FL" in env.asymmetry
+    with pytest.raises(NotSymmetric, match=rf"{said}(FR|FL)"):
+        env.mirrors  # noqa: B018
 
 
 def mine(robot, state):
@@ -110,7 +107,7 @@ def test_a_term_that_does_not_say_is_named_and_one_of_another_size_refused(quadr
         parts = {**getattr(run.TASK.env, group), "own": Observation(function)}
         return QuadrupedEnv(quadruped, dataclasses.replace(run.TASK.env, **{group: parts}))
 
-    assert env_with(mine).mirrors is None
-    assert f"{group} 'own' does not say how it mirrors" in env_with(mine).asymmetry
+    with pytest.raises(NotSymmetric, match=f"{group} 'own' does not say how it mirrors"):
+        env_with(mine).mirrors  # noqa: B018
     with pytest.raises(UserError, match=rf"{group} 'own' has 4 numbers, .* how 5 mirror"):
         env_with(wrong).mirrors  # noqa: B018

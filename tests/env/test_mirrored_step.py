@@ -18,7 +18,7 @@ from quadwalk.env.observations import height_scan, scan_ahead
 from quadwalk.env.reflections import mirror_of
 from quadwalk.physics.motor import PhysicsState
 from quadwalk.physics.rotation import from_euler
-from quadwalk.robot.mirror import robot_mirror
+from quadwalk.robot.mirror import find_robot_mirror
 from quadwalk.robot.mjcf import Options
 from quadwalk.robot.quadruped import Quadruped, load_quadruped
 from quadwalk.task_files import load_task, task_names
@@ -36,7 +36,7 @@ def symmetric(quadruped: Quadruped) -> Quadruped:
     model = quadruped.make_full_model()
     data = placed(model, quadruped.home)
     bodies = model.jnt_bodyid[:13]
-    images = np.r_[0, 1 + robot_mirror(quadruped, model).joints.source]
+    images = np.r_[0, 1 + find_robot_mirror(quadruped, model).joints.source]
     centers = data.xipos[bodies] - quadruped.home[:3]
     frames = data.ximat[bodies].reshape(-1, 3, 3)
     inertias = frames * model.body_inertia[bodies, None] @ frames.transpose(0, 2, 1)
@@ -112,7 +112,7 @@ def image(env, robot, state):
 
 def check(env):
     """From one canonical and three random states."""
-    of = partial(image, env, robot_mirror(env.quadruped, env.mj_model))
+    of = partial(image, env, find_robot_mirror(env.quadruped, env.mj_model))
 
     def drawn(key, canonical):
         start = env.reset(key)
@@ -188,7 +188,7 @@ def test_a_scan_sees_the_image_of_uneven_ground(env, scan, sizes):
             return 0.1 * jnp.sin(3.0 * x + 5.0 * y) + 0.05 * y, None
 
     params = {**sizes, "spacing": 0.1, "reach": 0.5}
-    robot = robot_mirror(env.quadruped, env.mj_model)
+    robot = find_robot_mirror(env.quadruped, env.mj_model)
     state = jax.eval_shape(env.reset, jax.random.PRNGKey(0)).pipeline_state
     qpos = jnp.array([0.3, -0.2, 0.4, np.cos(0.2), 0, 0, np.sin(0.2), *[0.0] * 12])
     turned = qpos * jnp.array([1, -1, 1, 1, -1, 1, -1, *[1] * 12])

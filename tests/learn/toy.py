@@ -44,7 +44,7 @@ class Plain(Env):
 
     config = sprint.TASK.env
     backend = "none"
-    curriculum = terrain = mirrors = asymmetry = gains_note = None
+    curriculum = terrain = mirrors = gains_note = None
     terms: tuple[str, ...] = ()  # metrics beyond those that all have
 
     def observe(self, inner: Any) -> jax.Array:

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from quadwalk.robot.__main__ import main
 from quadwalk.robot.checks.validate import UrdfError
-from quadwalk.robot.mirror import RobotMirror, robot_mirror
+from quadwalk.robot.mirror import RobotMirror, find_robot_mirror
 from quadwalk.robot.mjcf import Options, convert, write_xml
 from quadwalk.robot.quadruped import Quadruped, find_quadruped, make_quadruped
 from quadwalk.robot.structure.facing import read_names
@@ -122,7 +122,9 @@ def test_its_dynamics_are_those_of_the_file_as_it_was(turn):
 
 def test_a_turned_robot_mirrors_and_stands():
     quadruped = read(Walker(rpy=TURNS["y ahead"]))
-    assert isinstance(robot_mirror(quadruped, quadruped.make_training_model(0.004)), RobotMirror)
+    assert isinstance(
+        find_robot_mirror(quadruped, quadruped.make_training_model(0.004)), RobotMirror
+    )
     robots.check_stands(quadruped, 2, 0.85)
 
 
