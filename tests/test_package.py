@@ -55,7 +55,6 @@ def test_its_commands_work_away_from_the_checkout(wheel, tmp_path, arguments, sa
 
 
 def test_libraries_print_nothing_when_they_are_imported():
-    """Not even where one imports, after quadwalk, Brax itself, with MJX and its back ends."""
-    code = "import quadwalk, brax.envs.base, sys; assert 'mujoco.mjx.warp' in sys.modules"
+    code = "import quadwalk.api, sys; assert 'mujoco.mjx.warp' in sys.modules"
     done = python("-c", code)
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")

@@ -8,9 +8,9 @@ import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
-from brax.envs.base import Env, State
 from jax.typing import ArrayLike
 
+from quadwalk.brax import Env, State
 from quadwalk.env.command import counted, first_command, next_command
 from quadwalk.env.curriculum import begin_travel, make_curriculum, travel_on
 from quadwalk.env.randomization import (

@@ -14,8 +14,8 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from brax.envs.base import State
 
+from quadwalk.brax import State
 from quadwalk.env.env import QuadrupedEnv
 from quadwalk.env.ground_input import jit
 from quadwalk.env.state import EnvState, tree_where

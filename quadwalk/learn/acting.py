@@ -7,9 +7,8 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from brax.training.acme.running_statistics import NestedMeanStd
-from brax.training.networks import ACTIVATION
 
+from quadwalk.brax import ACTIVATION, NestedMeanStd
 from quadwalk.learn.networks import divisors, spread
 from quadwalk.settings.training import PPOConfig
 

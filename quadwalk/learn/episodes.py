@@ -5,8 +5,8 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from brax.envs.base import Env, State
 
+from quadwalk.brax import Env, State
 from quadwalk.env.state import tree_where
 from quadwalk.settings.training import PPOConfig
 

@@ -10,10 +10,10 @@ from typing import Any, NamedTuple, TypeVar
 import jax
 import jax.numpy as jnp
 import numpy as np
-from brax.envs.base import Env
 from jax.sharding import Mesh, NamedSharding
 from jax.sharding import PartitionSpec as P
 
+from quadwalk.brax import Env
 from quadwalk.env.ground_input import heights, with_heights
 from quadwalk.learn import ppo
 from quadwalk.learn.devices import release_freed_memory

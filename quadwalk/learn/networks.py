@@ -12,11 +12,15 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from brax.training.acme import running_statistics, specs
-from brax.training.acme.running_statistics import NestedMeanStd, RunningStatisticsState
-from brax.training.agents.ppo.losses import PPONetworkParams
-from brax.training.networks import ACTIVATION
 
+from quadwalk.brax import (
+    ACTIVATION,
+    NestedMeanStd,
+    PPONetworkParams,
+    RunningStatisticsState,
+    running_statistics,
+    specs,
+)
 from quadwalk.env.reflections import Mirrors
 from quadwalk.errors import UsageError
 from quadwalk.robot.mirror import Mirror, NotSymmetric, join_mirrors, make_mirror

@@ -15,10 +15,8 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import optax
-from brax.envs.base import Env, State
-from brax.training.acme.running_statistics import RunningStatisticsState
-from brax.training.agents.ppo.losses import PPONetworkParams
 
+from quadwalk.brax import Env, PPONetworkParams, RunningStatisticsState, State
 from quadwalk.learn.acting import SURE
 from quadwalk.learn.episodes import fresh_starts, start_anew
 from quadwalk.learn.networks import Networks, Parts, TanhNormal

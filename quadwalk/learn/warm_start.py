@@ -7,9 +7,8 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from brax.training.acme.running_statistics import NestedMeanStd, RunningStatisticsState
-from brax.training.types import UInt64
 
+from quadwalk.brax import NestedMeanStd, RunningStatisticsState, UInt64
 from quadwalk.env.env import QuadrupedEnv
 from quadwalk.env.observations import last_action
 from quadwalk.errors import UserError

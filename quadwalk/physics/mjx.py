@@ -4,18 +4,22 @@ The state carried is what physics needs and no more. An `mjx.Data` holds some hu
 of them results: XLA drops every one that nothing reads, and a reset is a copy of three arrays.
 """
 
+import contextlib
 import copy
+import io
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import mujoco
-from mujoco import mjx
 
 from quadwalk.physics import motor
 from quadwalk.physics.model import RobotRandomization, vary_motor
 from quadwalk.physics.motor import Effort, Motor, PhysicsState, Stepping
 from quadwalk.robot.quadruped import Quadruped
+
+with contextlib.redirect_stdout(io.StringIO()):  # it prints that an optional back end is missing
+    from mujoco import mjx
 
 # MJX's solver settings, at least: with fewer, robots brake too little on slippery floors.
 ITERATIONS = 5

@@ -8,8 +8,8 @@ from typing import Any
 
 import jax
 import numpy as np
-from brax.training.acme.running_statistics import NestedMeanStd
 
+from quadwalk.brax import NestedMeanStd
 from quadwalk.env.reflections import Mirrors
 from quadwalk.errors import UserError
 from quadwalk.files import DAMAGE

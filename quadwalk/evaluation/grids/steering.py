@@ -6,8 +6,8 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from brax.envs.base import State
 
+from quadwalk.brax import State
 from quadwalk.env.env import QuadrupedEnv
 from quadwalk.evaluation.grids.cells import cell_starts, measure_cells, trunk_paths
 from quadwalk.evaluation.loaded import LoadedRun, evaluation_ranges

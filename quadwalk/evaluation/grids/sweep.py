@@ -12,8 +12,8 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from brax.envs.base import State
 
+from quadwalk.brax import State
 from quadwalk.env import randomization
 from quadwalk.env.env import QuadrupedEnv
 from quadwalk.evaluation.grids.cells import cell_starts, measure_cells
