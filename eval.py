@@ -1,6 +1,6 @@
 """Evaluate a trained policy: `python eval.py --help`."""
 
-from quadwalk.cli.process import run_command
+from quadwalk.cli.main import main
 
 if __name__ == "__main__":
-    run_command("quadwalk.eval")
+    main("eval")

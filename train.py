@@ -1,6 +1,6 @@
 """Teach a quadruped to run: `python train.py --help`."""
 
-from quadwalk.cli.process import run_command
+from quadwalk.cli.main import main
 
 if __name__ == "__main__":
-    run_command("quadwalk.learn.__main__")
+    main("train")

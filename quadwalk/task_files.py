@@ -10,11 +10,12 @@ import importlib
 import importlib.util
 import pkgutil
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+from quadwalk.cli.arguments import ArgumentParser
 from quadwalk.errors import UsageError, UserError, line_in, meant
 from quadwalk.files import os_reason, real_path
 from quadwalk.settings.registry import TERMS, find_registered_name, to_current_name
@@ -25,11 +26,16 @@ _PACKAGE = "quadwalk.tasks"
 _OWN_MODULE = "quadwalk_task_file_"
 
 
+def main(args: Sequence[str], prog: str = "quadwalk tasks") -> None:
+    """Print a line for each task."""
+    ArgumentParser(prog=prog, description="List the tasks.").parse_args(args)
+    print(task_table())
+
+
 def task_names() -> tuple[str, ...]:
     """The names of the package's tasks."""
     package = importlib.import_module(_PACKAGE)
-    names = (module.name for module in pkgutil.iter_modules(package.__path__))
-    return tuple(name for name in names if name != "__main__")
+    return tuple(module.name for module in pkgutil.iter_modules(package.__path__))
 
 
 def task_list() -> str:

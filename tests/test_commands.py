@@ -6,20 +6,19 @@ import subprocess
 import pytest
 
 import quadwalk
-from quadwalk.__main__ import _COMMANDS, command
+from quadwalk.cli import main
 from quadwalk.cli.completion import completion_script
 from quadwalk.errors import UsageError, UserError
 from quadwalk.learn.flags import parse_config
 from quadwalk.runs.directory import claim, create_run
 from quadwalk.task_files import task_names
-from quadwalk.view import __main__ as view
+from quadwalk.view import show as view
 
 
 @pytest.fixture
-def call(monkeypatch, capsys):
+def call(capsys):
     def call(*arguments: object) -> str:
-        monkeypatch.setattr("sys.argv", ["quadwalk", *map(str, arguments)])
-        command()
+        main.call_command(list(map(str, arguments)))
         return capsys.readouterr().out
 
     return call
@@ -28,7 +27,7 @@ def call(monkeypatch, capsys):
 @pytest.fixture(scope="module")
 def completion():
     """What `quadwalk --print-completion bash` prints."""
-    return completion_script("bash", {name: module for name, (module, _) in _COMMANDS.items()})
+    return completion_script("bash", main.LISTED, main.call)
 
 
 def test_version_help_and_tasks(call):

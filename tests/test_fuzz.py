@@ -17,11 +17,11 @@ from quadwalk.errors import UserError
 from quadwalk.evaluation.options import EvalConfig
 from quadwalk.experiments.compare import main as compare
 from quadwalk.experiments.options import CompareConfig, TuneConfig
-from quadwalk.export.__main__ import ExportConfig
+from quadwalk.export.cli import ExportConfig
 from quadwalk.learn.flags import parse_config
 from quadwalk.paths import ALIENGO_URDF
 from quadwalk.progress.curves import learning_curve
-from quadwalk.robot.__main__ import main as robot
+from quadwalk.robot.cli import main as robot
 from quadwalk.robot.quadruped import Quadruped
 from quadwalk.runs.directory import (
     Run,
@@ -38,7 +38,7 @@ from quadwalk.runs.robot import load_robot
 from quadwalk.settings.serialize import flatten, with_settings
 from quadwalk.settings.training import RobotConfig
 from quadwalk.task_files import load_task, task_names
-from quadwalk.terrain.__main__ import main as ground
+from quadwalk.terrain.cli import main as ground
 from quadwalk.view.choices import policy_choices
 from quadwalk.view.show import ViewConfig
 from tests.settings.test_serialize import places

@@ -19,12 +19,12 @@ LAYERS = (
     ("tasks",),
     ("runs",),
     ("progress",),
-    ("learn", "runs.policy", "runs.__main__"),
+    ("learn", "runs.policy", "runs.cli"),
     ("evaluation",),
     ("export", "identify", "view"),
     ("api",),
     ("gym", "experiments"),
-    ("", "__main__", "cli.completion", "cli.doctor", "eval"),
+    ("", "__main__", "cli.main", "cli.completion", "cli.doctor", "eval"),
 )
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 import tyro
 
-from quadwalk import __main__
+from quadwalk.cli import main
 from quadwalk.cli.arguments import ArgumentParser
 from quadwalk.experiments.options import split_variants
 from quadwalk.learn.flags import parse_config
@@ -60,9 +60,8 @@ def parse(monkeypatch, tmp_path) -> Callable[..., None]:
         create_run("runs", name, files={"config.json": config})
 
     def call(*words: str) -> None:
-        monkeypatch.setattr("sys.argv", ["quadwalk", *words])
         with contextlib.suppress(ParsedError, SystemExit):  # the latter of --help
-            __main__.command()
+            main.call_command(words)
 
     return call
 

@@ -1,11 +1,10 @@
 """Completion in a shell: the commands, and the flags that the help of each lists."""
 
 import contextlib
-import importlib
 import io
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 from unittest import mock
 
 from quadwalk.errors import UsageError
@@ -34,8 +33,10 @@ complete -o default -F _quadwalk quadwalk
 """
 
 
-def completion_script(shell: str, commands: Mapping[str, str]) -> str:
-    """The script that `shell` sources to complete `commands` (name to module).
+def completion_script(
+    shell: str, commands: Iterable[str], call: Callable[[str, list[str], str], None]
+) -> str:
+    """The script that `shell` sources to complete `commands`, whose functions `call` calls.
 
     `UsageError` for a shell that is not one of `SHELLS`.
     """
@@ -43,8 +44,8 @@ def completion_script(shell: str, commands: Mapping[str, str]) -> str:
         raise UsageError(f"--print-completion {shell}: expected {' or '.join(SHELLS)}")
     flags: dict[str, str] = {}
     values: dict[str, str] = {}
-    for name, module in commands.items():
-        found = _flags(name, module)
+    for name in commands:
+        found = _flags(name, call)
         flags[name] = " ".join(found)
         values |= {f"*\\ {name}\\ {flag}": words for flag, words in found.items() if words}
     text = _SCRIPT.format(
@@ -56,7 +57,7 @@ def completion_script(shell: str, commands: Mapping[str, str]) -> str:
     return _ZSH + text if shell == "zsh" else text
 
 
-def _flags(name: str, module: str) -> dict[str, str]:
+def _flags(name: str, call: Callable[[str, list[str], str], None]) -> dict[str, str]:
     """The flags in the help of a command, each with the words that it takes, or ""."""
     listing = "--help-all" if name == "train" else "--help"
     printed = io.StringIO()
@@ -65,7 +66,7 @@ def _flags(name: str, module: str) -> dict[str, str]:
         contextlib.redirect_stdout(printed),
         contextlib.suppress(SystemExit),
     ):
-        importlib.import_module(module).main([listing], f"quadwalk {name}")
+        call(name, [listing], f"quadwalk {name}")
     found: dict[str, str] = {}
     for flag, words in _FLAG.findall(printed.getvalue()):
         found[flag] = found.get(flag) or words.replace(",", " ")

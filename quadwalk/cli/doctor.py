@@ -25,7 +25,7 @@ print(json.dumps([[str(device) for device in jax.devices()], working_library()])
 """
 
 
-def main(argv: Sequence[str] | None = None, prog: str = "quadwalk doctor") -> None:
+def main(argv: Sequence[str], prog: str = "quadwalk doctor") -> None:
     """Print what there is; raises `UserError` where quadwalk cannot run."""
     ArgumentParser(prog=prog, description=__doc__.partition(": ")[2]).parse_args(argv)
     versions = {name: _version(name) or "missing" for name in SHOWN}

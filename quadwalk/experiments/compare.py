@@ -1,6 +1,5 @@
 """`quadwalk compare`: train variants of the settings over several seeds, and evaluate them."""
 
-import sys
 from collections.abc import Sequence
 
 from quadwalk.cli.arguments import parse
@@ -8,9 +7,9 @@ from quadwalk.errors import UsageError
 from quadwalk.experiments.options import CompareConfig, split_variants
 
 
-def main(args: Sequence[str] | None = None, prog: str = "quadwalk compare") -> None:
+def main(args: Sequence[str], prog: str = "quadwalk compare") -> None:
     """Run the command."""
-    variants, options = split_variants(sys.argv[1:] if args is None else args)
+    variants, options = split_variants(args)
     config = parse(CompareConfig, options, prog)
     if not variants:
         raise UsageError(

@@ -1,6 +1,5 @@
 """`quadwalk tune`: search the settings of a task that make its policy best."""
 
-import sys
 from collections.abc import Sequence
 
 from quadwalk.cli.arguments import parse
@@ -8,9 +7,9 @@ from quadwalk.errors import UsageError
 from quadwalk.experiments.options import TuneConfig
 
 
-def main(args: Sequence[str] | None = None, prog: str = "quadwalk tune") -> None:
+def main(args: Sequence[str], prog: str = "quadwalk tune") -> None:
     """Run the command."""
-    config = parse(TuneConfig, sys.argv[1:] if args is None else args, prog)
+    config = parse(TuneConfig, args, prog)
     if not config.over:
         raise UsageError(
             f"no setting to search is given; expected: {prog} {config.task} "

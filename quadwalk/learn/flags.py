@@ -14,6 +14,14 @@ from quadwalk.settings.training import TrainConfig
 from quadwalk.task_files import load_task, task_list, task_table
 
 
+def main(args: Sequence[str], prog: str = "train.py") -> None:
+    """Train as the command line says."""
+    config, previous = parse_config(args, prog)
+    from quadwalk.learn.loop import train  # not before: --help and errors need none of it
+
+    train(config, previous)
+
+
 @dataclass(frozen=True, kw_only=True)
 class TrainFlags(TrainConfig):
     """Teach a quadruped a task. Results go to runs/NAME/."""

@@ -1,19 +1,14 @@
 """Steps that gave numbers that are not finite, or speeds that no robot has: kept, and replayed.
 
-    python -m quadwalk.learn.nan runs/NAME/nan/step_000000123456.npz
+    quadwalk nan runs/NAME/nan/step_000000123456.npz
 
 steps the physics again from the state that was kept, under its conditions, and says what comes out.
 A file holds the `EnvState` before the control step, its parts named as `before/physics/qpos`, and
 the `action` (12,).
 """
 
-from quadwalk.cli.process import run_command
-
-if __name__ == "__main__":
-    run_command("quadwalk.learn.nan")
-
 import dataclasses
-import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,9 +16,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from quadwalk.cli.arguments import ArgumentParser
 from quadwalk.env.env import QuadrupedEnv
 from quadwalk.env.ground_input import jit
-from quadwalk.errors import UsageError, UserError
+from quadwalk.errors import UserError
 from quadwalk.files import os_reason
 from quadwalk.physics.engines import ENGINES
 from quadwalk.runs import checkpoint
@@ -86,11 +82,12 @@ def replay(path: Path | str) -> tuple[np.ndarray, np.ndarray]:
     return np.stack([first.qpos, *after.qpos]), np.stack([first.qvel, *after.qvel])
 
 
-def main() -> None:
+def main(args: Sequence[str], prog: str = "quadwalk nan") -> None:
     """Replay the file named on the command line, and print its course."""
-    if len(sys.argv) != 2 or sys.argv[1].startswith("-"):
-        raise UsageError("expected one argument: a file of a run's nan folder")
-    for number, (qpos, qvel) in enumerate(zip(*replay(sys.argv[1]), strict=True)):
+    parser = ArgumentParser(prog=prog, description="Replay a step that gave no finite numbers.")
+    parser.add_argument("file", type=Path, metavar="FILE", help="a file of a run's nan folder")
+    file = parser.parse_args(args).file
+    for number, (qpos, qvel) in enumerate(zip(*replay(file), strict=True)):
         finite = np.isfinite(qpos).all() and np.isfinite(qvel).all()
         height = f"height {qpos[2]:.3g} m, fastest velocity {np.abs(qvel).max():.3g}"
         print(f"after {number} physics steps: {height if finite else 'not finite'}")

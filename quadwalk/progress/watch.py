@@ -24,7 +24,7 @@ def check_watch() -> None:
 def watched(run: Run, say: Callable[[str], object]) -> Iterator[None]:
     """The page of `run`, which shows each saved policy; `say` gets its address."""
     path = run.path.resolve()
-    command = [sys.executable, "-m", "quadwalk.view.alongside", str(path)]
+    command = [sys.executable, "-m", "quadwalk", "alongside", str(path)]
     page = subprocess.Popen(
         [*command, "--browser", f"--runs={path.parent}"],
         stdin=subprocess.PIPE,  # closed when this process ends, even if it is killed: it ends then

@@ -1,18 +1,14 @@
-"""`python -m quadwalk.view.alongside`: `quadwalk view` for as long as standard input is open."""
-
-from quadwalk.cli.process import run_command
-
-if __name__ == "__main__":
-    run_command("quadwalk.view.alongside")
+"""`quadwalk view` for as long as standard input is open."""
 
 import os
 import sys
 import threading
+from collections.abc import Sequence
 
-from quadwalk.view.__main__ import main as view
+from quadwalk.view import show
 
 
-def main() -> None:
+def main(args: Sequence[str], prog: str) -> None:
     """Show the page; the end of the process that holds standard input open ends it."""
 
     def end() -> None:
@@ -20,4 +16,4 @@ def main() -> None:
         os._exit(0)
 
     threading.Thread(target=end, daemon=True).start()
-    view()
+    show.main(args, prog)

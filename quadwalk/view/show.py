@@ -5,6 +5,7 @@ import importlib.util
 import os
 import sys
 import webbrowser
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -12,7 +13,7 @@ from typing import Annotated, Literal
 import tyro
 
 from quadwalk.bounds import Port, Settings
-from quadwalk.cli.arguments import message_console
+from quadwalk.cli.arguments import message_console, parse
 from quadwalk.cli.shell import install
 from quadwalk.errors import UserError
 from quadwalk.paths import PRETRAINED
@@ -33,6 +34,11 @@ class ViewConfig(Settings):
     host: str = "127.0.0.1"  # address that the page is served at; the default: to this machine only
     port: Port = 8080  # of the page; if it is taken, the next that is free
     runs: Path = Path("runs")  # folder that holds all runs
+
+
+def main(args: Sequence[str], prog: str = "quadwalk view") -> None:
+    """Drive the run that the arguments name."""
+    drive(parse(ViewConfig, args, prog))
 
 
 def drive(config: ViewConfig) -> None:

@@ -162,7 +162,7 @@ def test_an_evaluation_says_what_its_robot_lacks(tmp_path, monkeypatch, capsys):
 
 
 def test_the_command_ends_with_the_errors_status(runs):
-    command = [sys.executable, "-m", "quadwalk.evaluation", "nobody", f"--runs={runs}"]
+    command = [sys.executable, "-m", "quadwalk", "eval", "nobody", f"--runs={runs}"]
     done = subprocess.run(command, capture_output=True, text=True)
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr.startswith("error: no run 'nobody'")

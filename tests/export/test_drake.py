@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from benchmarks.simulators import Condition, DrakeRobot, MujocoRobot, controller_of, run_episode
-from quadwalk.export.__main__ import main
 from quadwalk.export.bundle import load_flat
 from quadwalk.export.check import first_difference, stages
+from quadwalk.export.cli import main
 from quadwalk.runs.directory import find_ready
 
 pytest.importorskip("pydrake", reason="Drake is not installed")

@@ -27,8 +27,8 @@ from quadwalk.evaluation.loaded import LoadedRun, load_run
 from quadwalk.evaluation.rollout import Rollout
 from quadwalk.evaluation.simulate import simulate_episodes
 from quadwalk.export import scripts
-from quadwalk.export.__main__ import main
 from quadwalk.export.check import check_export, read_recording, replay
+from quadwalk.export.cli import main
 from quadwalk.export.controller import read_list
 from quadwalk.export.description import describe
 from quadwalk.export.joint_targets import JointTargets, find_targets

@@ -14,7 +14,7 @@ import pytest
 from benchmarks.identification import Known, hang
 from quadwalk.errors import UserError
 from quadwalk.identify import identification
-from quadwalk.identify.__main__ import main
+from quadwalk.identify.cli import main
 from quadwalk.identify.config import IdentifyConfig
 from quadwalk.identify.fit import (
     OF_URDF,

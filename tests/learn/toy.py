@@ -28,7 +28,7 @@ import quadwalk.learn.writer
 import quadwalk.progress.curves
 from quadwalk.cli.process import run_command
 from quadwalk.env.env import EnvState
-from quadwalk.learn.__main__ import main
+from quadwalk.learn.flags import main
 from quadwalk.physics.motor import PhysicsState
 from quadwalk.settings.environment import EnvConfig
 
@@ -132,8 +132,7 @@ def command(output: Path, *flags: str) -> None:
     descriptor = os.open(output, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
     for stream in (1, 2):
         os.dup2(descriptor, stream)
-    sys.argv = ["train.py", *flags]
-    run_command(main)
+    run_command(lambda: main(flags))
 
 
 def limited_command(output: Path, *flags: str) -> None:

@@ -14,7 +14,7 @@ from PIL import Image
 
 from quadwalk.errors import UserError
 from quadwalk.paths import ALIENGO_URDF, ASSETS
-from quadwalk.robot.__main__ import main
+from quadwalk.robot.cli import main
 from quadwalk.robot.mjcf import convert, write_xml
 from quadwalk.robot.structure.legs import find_legs
 from quadwalk.robot.urdf import parse_urdf, read_urdf
@@ -160,7 +160,7 @@ def test_a_list_before_the_urdf_leaves_it_its_place(tmp_path, flag):
 
 
 def test_the_command_runs_and_draws(tmp_path: Path):
-    run = [sys.executable, "-m", "quadwalk.robot", str(ALIENGO_URDF), "--quiet", "--render"]
+    run = [sys.executable, "-m", "quadwalk", "robot", str(ALIENGO_URDF), "--quiet", "--render"]
     done = subprocess.run([*run, "out.png"], cwd=tmp_path, capture_output=True, text=True)
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
     picture = np.asarray(Image.open(tmp_path / "out.png"))

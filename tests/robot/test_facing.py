@@ -9,8 +9,8 @@ import pinocchio
 import pytest
 from scipy.spatial.transform import Rotation
 
-from quadwalk.robot.__main__ import main
 from quadwalk.robot.checks.validate import UrdfError
+from quadwalk.robot.cli import main
 from quadwalk.robot.mirror import RobotMirror, find_robot_mirror
 from quadwalk.robot.mjcf import Options, convert, write_xml
 from quadwalk.robot.quadruped import Quadruped, find_quadruped, make_quadruped

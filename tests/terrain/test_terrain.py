@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from quadwalk.errors import UsageError, UserError
-from quadwalk.terrain.__main__ import main
+from quadwalk.terrain.cli import main
 from quadwalk.terrain.terrain import FLAT, leg_length, make_terrain, sizes_of
 from quadwalk.terrain.tiles import KINDS, OF_LEG, Patch, make_tile
 
@@ -196,7 +196,7 @@ def test_what_there_is_not_is_one_clear_line():
 
 
 def test_the_command_draws_every_kind_it_is_asked_for_with_the_robot_on_it(tmp_path):
-    command = [sys.executable, "-m", "quadwalk.terrain", "-o", str(tmp_path / "ground.png")]
+    command = [sys.executable, "-m", "quadwalk", "terrain", "-o", str(tmp_path / "ground.png")]
     subprocess.run([*command, "--kinds", "stairs_up", "flat", "--levels", "2"], check=True)
     pixels = np.asarray(Image.open(tmp_path / "ground.png").convert("RGB")).astype(int)
     assert pixels.shape == (2 * 320 + 4, 2 * 480 + 4, 3)

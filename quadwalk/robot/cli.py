@@ -1,13 +1,9 @@
 """`quadwalk robot URDF [-o OUT] [--render PNG]`: convert a URDF to MJCF, or draw it."""
 
-from quadwalk.cli.process import run_command
-
-if __name__ == "__main__":
-    run_command("quadwalk.robot.__main__")
-
 import argparse
 import os
 import sys
+from collections.abc import Sequence
 from fnmatch import fnmatchcase
 from pathlib import Path
 
@@ -23,7 +19,7 @@ from quadwalk.robot.structure.legs import Leg
 from quadwalk.robot.urdf import Urdf, UrdfError, read_urdf, release_from_world
 
 
-def parse_arguments(argv: list[str] | None, prog: str) -> argparse.Namespace:
+def parse_arguments(argv: Sequence[str], prog: str) -> argparse.Namespace:
     """The command line's arguments."""
     parser = ArgumentParser(
         prog=prog,
@@ -82,7 +78,7 @@ def parse_arguments(argv: list[str] | None, prog: str) -> argparse.Namespace:
     return arguments
 
 
-def main(argv: list[str] | None = None, prog: str = "quadwalk robot") -> None:
+def main(argv: Sequence[str], prog: str = "quadwalk robot") -> None:
     """Convert, write, draw and report as `argv` says; `prog` is what the help calls the command."""
     try:
         convert_file(parse_arguments(argv, prog))

@@ -1,11 +1,5 @@
 """`quadwalk export`: write a policy as ONNX, with all that is needed to use it."""
 
-from quadwalk.cli.process import run_command
-
-if __name__ == "__main__":
-    run_command("quadwalk.export.__main__")
-
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -38,8 +32,9 @@ class ExportConfig:
     runs: Path = Path("runs")  # folder that holds all runs
 
 
-def main(args: Sequence[str] | None = None, prog: str = "quadwalk export") -> None:
-    config = parse(ExportConfig, sys.argv[1:] if args is None else args, prog)
+def main(args: Sequence[str], prog: str = "quadwalk export") -> None:
+    """Export the run that the arguments name, or check its export."""
+    config = parse(ExportConfig, args, prog)
     run = find_ready(config.runs, config.run, "run")
     console = message_console()
     out = config.out or results_folder(config.runs, run) / "export"

@@ -1,10 +1,5 @@
 """`quadwalk runs`: list, show and remove training runs."""
 
-from quadwalk.cli.process import run_command
-
-if __name__ == "__main__":
-    run_command("quadwalk.runs.__main__")
-
 import json
 import math
 import shutil
@@ -24,7 +19,7 @@ from quadwalk.runs.directory import Run, claim, find_run, list_runs
 _TAIL = 16_384  # bytes at the end of metrics.jsonl, which hold its last line
 
 
-def main(args: Sequence[str] | None = None, prog: str = "quadwalk runs") -> None:
+def main(args: Sequence[str], prog: str = "quadwalk runs") -> None:
     """List all runs, show some with all of their settings, or remove some."""
     parser = ArgumentParser(prog=prog, description="List, show or remove training runs.")
     parser.add_argument("what", nargs="?", choices=("list", "show", "remove"), default="list")

@@ -1,11 +1,7 @@
 """`quadwalk terrain -o PNG`: draw every kind of terrain at several difficulties."""
 
-from quadwalk.cli.process import run_command
-
-if __name__ == "__main__":
-    run_command("quadwalk.terrain.__main__")
-
 import dataclasses
+from collections.abc import Sequence
 from pathlib import Path
 
 from quadwalk.cli.arguments import ArgumentParser
@@ -15,8 +11,8 @@ from quadwalk.terrain.terrain import FLAT
 from quadwalk.terrain.tiles import KINDS
 
 
-def main(argv: list[str] | None = None, prog: str = "quadwalk terrain") -> None:
-    """Draw as `argv` (default: the process's arguments) says; `prog` is the command's name."""
+def main(argv: Sequence[str], prog: str = "quadwalk terrain") -> None:
+    """Draw as `argv` says; `prog` is the command's name."""
     parser = ArgumentParser(prog=prog, description="Draw every kind of terrain.")
     add = parser.add_argument
     add("-o", "--out", type=Path, metavar="PNG", required=True, help="file to write")

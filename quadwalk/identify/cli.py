@@ -1,19 +1,14 @@
-"""`python -m quadwalk.identify`: fit a robot's joints to a log of them."""
+"""`quadwalk identify`: fit a robot's joints to a log of them."""
 
-from quadwalk.cli.process import run_command
-
-if __name__ == "__main__":
-    run_command("quadwalk.identify.__main__")
-
-import sys
 from collections.abc import Sequence
 
 from quadwalk.cli.arguments import parse
 from quadwalk.identify.config import IdentifyConfig
 
 
-def main(args: Sequence[str] | None = None, prog: str = "python -m quadwalk.identify") -> None:
-    config = parse(IdentifyConfig, sys.argv[1:] if args is None else args, prog)
+def main(args: Sequence[str], prog: str = "quadwalk identify") -> None:
+    """Fit a robot's joints to a log of them, or write targets for a recording."""
+    config = parse(IdentifyConfig, args, prog)
     # Both take seconds to import.
     if config.targets is not None:
         from quadwalk.identify.excite import write_targets

@@ -1,0 +1,72 @@
+"""The commands of `quadwalk`, and the entry point of all of them."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from collections.abc import Sequence
+from typing import NoReturn
+
+from quadwalk.cli.process import run_command
+from quadwalk.errors import UsageError, meant
+
+# A command is a function `main(args, prog)`, named by its module and imported when it is called:
+# `args` are the words after the command, `prog` is what messages and help call it.
+COMMANDS = {
+    "train": ("quadwalk.learn.flags:main", "train a quadruped in a task"),
+    "eval": ("quadwalk.eval:main", "evaluate a trained policy"),
+    "view": ("quadwalk.view.show:main", "drive a trained policy live"),
+    "demo": ("quadwalk.view.show:main", "drive a policy that comes trained, in a page"),
+    "export": ("quadwalk.export.cli:main", "write a policy as ONNX, to be used elsewhere"),
+    "compare": ("quadwalk.experiments.compare:main", "train variants over seeds, and compare them"),
+    "tune": ("quadwalk.experiments.tune:main", "search the settings that make a policy best"),
+    "identify": ("quadwalk.identify.cli:main", "fit a robot's joints to a log of them"),
+    "runs": ("quadwalk.runs.cli:main", "list, show and remove training runs"),
+    "tasks": ("quadwalk.task_files:main", "list the tasks"),
+    "robot": ("quadwalk.robot.cli:main", "convert a URDF to MJCF, or draw it"),
+    "terrain": ("quadwalk.terrain.cli:main", "draw every kind of terrain"),
+    "nan": ("quadwalk.learn.nan:main", "replay a training step that gave no finite numbers"),
+    "alongside": ("quadwalk.view.alongside:main", ""),  # started by training, not listed
+    "doctor": ("quadwalk.cli.doctor:main", "print versions, devices, cores, and what is off here"),
+}
+LISTED = {name: summary for name, (_, summary) in COMMANDS.items() if summary}
+_FIXED_ARGUMENTS = {"demo": ("drive", "--browser")}
+
+
+def main(command: str | None = None) -> NoReturn:
+    """Run `command`, or the one that the first argument names, and end the process.
+
+    With a `command` the process is its script: `train.py` for "train".
+    """
+    if command is None:
+        run_command(lambda: call_command(sys.argv[1:]))
+    run_command(lambda: call(command, sys.argv[1:], f"{command}.py"))
+
+
+def call_command(words: Sequence[str]) -> None:
+    """Call the command that the first of `words` names with the others, as `quadwalk` does."""
+    name, *args = words or ["--help"]
+    if name in ("-h", "--help"):
+        print("usage: quadwalk COMMAND [OPTIONS]; quadwalk COMMAND --help lists the options\n")
+        for command, summary in LISTED.items():
+            print(f"  {command:<9}{summary}")
+    elif name == "--version":
+        from quadwalk import __version__
+
+        print(f"quadwalk {__version__}")
+    elif name == "--print-completion":
+        from quadwalk.cli.completion import completion_script  # it imports JAX
+
+        print(completion_script(args[0] if args else "", LISTED, call), end="")
+    elif name in COMMANDS:
+        call(name, args, f"quadwalk {name}")
+    else:
+        names = ", ".join(LISTED)
+        raise UsageError(f"no command {name!r}; expected one of: {names}{meant(name, LISTED)}")
+
+
+def call(command: str, args: Sequence[str], prog: str) -> None:
+    """Import the function of `command` and call it."""
+    module, _, function = COMMANDS[command][0].partition(":")
+    fixed = _FIXED_ARGUMENTS.get(command, ())
+    getattr(importlib.import_module(module), function)([*fixed, *args], prog)
