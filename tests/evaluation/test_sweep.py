@@ -35,11 +35,13 @@ from quadwalk.evaluation.grids.sweep import (
 from quadwalk.evaluation.loaded import load_run
 from quadwalk.paths import PRETRAINED
 from quadwalk.physics.model import RobotRandomization
+from quadwalk.physics.motor import Motor
 from quadwalk.runs.directory import Run
 from quadwalk.runs.policy import load_policy
 from quadwalk.settings.environment import NO_RANDOMIZATION
 from quadwalk.tasks import run, sprint, walk
 from tests.evaluation.conftest import glided
+from tests.physics.reference import step_control
 
 STEPS, PERIOD = 12, 6  # control steps, and those between pushes
 PUSH = 0.8  # m/s
@@ -158,26 +160,22 @@ def replay_step(env, model, case, states, step, side) -> np.ndarray:
     """The velocity that MuJoCo C finds after control step `step`, begun as it was in MJX."""
     qpos, qvel, actions = states
     config, robot, dog = env.config, env.robot, env.quadruped
-    data = mujoco.MjData(model)
-    data.qpos[:], data.qvel[:] = qpos[step], qvel[step]
     turn = np.zeros(9)
-    mujoco.mju_quat2Mat(turn, data.qpos[3:7])
+    mujoco.mju_quat2Mat(turn, qpos[step, 3:7].astype(float))
     heading = np.arctan2(turn[3], turn[0])
-    data.qvel[:2] += side * case.push * np.array([-np.sin(heading), np.cos(heading)])
+    pushed = qvel[step].copy()
+    pushed[:2] += side * case.push * np.array([-np.sin(heading), np.cos(heading)])
     stiff = 1.4 * robot.weight * robot.home_height
     kp, kd = case.kp * stiff, case.kd * 0.025 * stiff
+    friction = case.joint_friction * dog.friction
+    motor = Motor(kp, kd, case.strength, dog.effort, dog.velocity, friction)
     reach = np.tile([0.3, 0.9, 0.9], 4)
+    targets = []
     for number in range(config.substeps):
         applied_target = (step * config.substeps + number - case.delay) // config.substeps
         wanted = actions[applied_target] if applied_target >= 0 else np.zeros(12)
-        target = np.clip(robot.home_joints + reach * wanted, robot.lower, robot.upper)
-        qd = data.qvel[6:].copy()
-        torque = kp * (target - (data.qpos[7:] + case.encoder)) - kd * qd
-        line = dog.effort * np.clip(1 - np.sign(torque) * qd / dog.velocity, 0, 1)
-        data.ctrl[:] = case.strength * np.clip(torque, -line, line)
-        data.qfrc_applied[6:] = -case.joint_friction * dog.friction * np.tanh(qd / 0.1)
-        mujoco.mj_step(model, data)
-    return data.qvel.copy()
+        targets.append(np.clip(robot.home_joints + reach * wanted, robot.lower, robot.upper))
+    return step_control(model, motor, qpos[step], pushed, targets, case.encoder).qvel
 
 
 def model_of(env, quadruped, case) -> mujoco.MjModel:

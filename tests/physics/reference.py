@@ -1,11 +1,52 @@
 """What MuJoCo C says of robots, and models of several as one that `jax.vmap` maps over."""
 
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import mujoco
 import numpy as np
+
+from quadwalk.physics.motor import Motor
+
+
+class ControlStep(NamedTuple):
+    """The result of a control step in MuJoCo C."""
+
+    qpos: np.ndarray
+    qvel: np.ndarray
+    torque: np.ndarray  # (12,) Nm, mean of the physics steps, without friction
+    energy: np.ndarray  # () J, positive work of the motors
+    touching: set[int]  # geoms that were in contact in any physics step
+
+
+def step_control(
+    model: mujoco.MjModel,
+    motor: Motor,
+    qpos: np.ndarray,
+    qvel: np.ndarray,
+    targets: Iterable[np.ndarray],
+    encoder: float = 0.0,
+) -> ControlStep:
+    """Step in MuJoCo C once for each of `targets` (12,), rad, with motors worked out here.
+
+    Joint controllers read joint angles that are `encoder`, rad, too large.
+    """
+    data = mujoco.MjData(model)
+    data.qpos[:], data.qvel[:] = qpos, qvel
+    torques, energy, touching = [], 0.0, set()
+    for target in targets:
+        qd = data.qvel[6:].copy()
+        torque = motor.kp * (target - (data.qpos[7:] + encoder)) - motor.kd * qd
+        limit = motor.effort * np.clip(1 - np.sign(torque) * qd / motor.velocity, 0, 1)
+        torque = motor.strength * np.clip(torque, -limit, limit)
+        data.qfrc_applied[6:] = torque - motor.friction * np.tanh(qd / 0.1)
+        mujoco.mj_step(model, data)
+        torques.append(torque)
+        speed = (qd + data.qvel[6:]) / 2
+        energy += np.maximum(torque * speed, 0).sum() * model.opt.timestep
+        touching |= set(data.contact.geom.flat)
+    return ControlStep(data.qpos, data.qvel, np.mean(torques, axis=0), np.array(energy), touching)
 
 
 def placed(model: mujoco.MjModel, qpos: np.ndarray) -> mujoco.MjData:

@@ -2,7 +2,6 @@
 
 import copy
 import functools
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -15,41 +14,13 @@ from quadwalk.physics.engines import ENGINES
 from quadwalk.physics.model import RobotRandomization
 from quadwalk.physics.motor import Motor, MotorConfig, PhysicsState, Stepping, make_motor
 from quadwalk.settings.environment import PHYSICS
-from tests.physics.reference import stack_models
+from tests.physics.reference import ControlStep, stack_models, step_control
 
 STEPPING = Stepping(0.004, 5, 8, 10)  # solved to the end
 ROBOTS = 6
 
 
-class After(NamedTuple):
-    """What a control step comes to."""
-
-    qpos: np.ndarray
-    qvel: np.ndarray
-    torque: np.ndarray
-    energy: np.ndarray
-
-
-def reference(model, motor: Motor, qpos, qvel, targets) -> tuple[After, set[int]]:
-    """In MuJoCo C, with a joint target for each physics step; and which geoms touched."""
-    data = mujoco.MjData(model)
-    data.qpos[:], data.qvel[:] = qpos, qvel
-    energy, mean, touched = 0.0, np.zeros(12), set()
-    for target in targets:
-        qd = data.qvel[6:].copy()
-        torque = motor.kp * (target - data.qpos[7:]) - motor.kd * qd
-        line = motor.effort * np.clip(1 - np.sign(torque) * qd / motor.velocity, 0, 1)
-        torque = motor.strength * np.clip(torque, -line, line)
-        data.qfrc_applied[6:] = torque - motor.friction * np.tanh(qd / 0.1)
-        mean += torque / len(targets)
-        mujoco.mj_step(model, data)
-        speed = (qd + data.qvel[6:]) / 2
-        energy += np.maximum(torque * speed, 0).sum() * model.opt.timestep
-        touched |= set(data.contact.geom.flat)
-    return After(data.qpos, data.qvel, mean, np.array(energy)), touched
-
-
-def check(found: tuple, expected: After) -> None:
+def check(found: tuple, expected: ControlStep) -> None:
     """Within single precision."""
     (qpos, qvel), (torque, energy) = found
     np.testing.assert_allclose(qpos, expected.qpos, atol=1e-4)
@@ -104,10 +75,10 @@ def test_a_control_step_is_its_physics_steps_one_by_one(quadruped, engine, conta
         spheres += [[f"{kind}_{leg}" for leg in quadruped.legs] for kind in ("knee", "corner")]
     constants = ENGINES[engine].make_model(model, quadruped, motor)
     step = jax.jit(lambda p: ENGINES[engine].control_step(constants, STEPPING, p, target))
-    expected, touched = reference(
+    expected = step_control(
         converged(quadruped, contacts), motor, qpos, qvel, [target] * STEPPING.substeps
     )
-    assert all(touched & {model.geom(name).id for name in kind} for kind in spheres)
+    assert all(expected.touching & {model.geom(name).id for name in kind} for kind in spheres)
     check(step(physics_of(qpos, qvel)), expected)
 
 
@@ -149,8 +120,8 @@ def test_stiff_joint_damping_is_implicit_as_in_mujoco(quadruped):
     )
     solved = copy.copy(model)
     solved.opt.iterations, solved.opt.ls_iterations = 100, 50
-    expected, touched = reference(solved, motor, qpos, qvel, [target] * STEPPING.substeps)
-    assert touched
+    expected = step_control(solved, motor, qpos, qvel, [target] * STEPPING.substeps)
+    assert expected.touching
     check(found, expected)
 
 
@@ -185,10 +156,10 @@ def test_robots_slide_on_slippery_floors_as_far_as_in_mujoco(quadruped, engine, 
     for k, (friction, _) in enumerate(floors):
         reference_model = converged(quadruped)
         reference_model.geom_friction[:, 0] = friction
-        expected, touched = reference(
+        expected = step_control(
             reference_model, motor, quadruped.home, starts[k], [target] * stepping.substeps
         )
-        assert touched
+        assert expected.touching
         lost = np.linalg.norm((starts[k] - expected.qvel)[[0, 1, 5]])
         error = np.linalg.norm((np.asarray(found.qvel[k]) - expected.qvel)[[0, 1, 5]])
         assert error < tolerance * lost, (friction, starts[k, [0, 1, 5]], error, lost)
@@ -238,8 +209,8 @@ def test_each_robot_of_a_batch_may_have_constants_of_its_own(quadruped, engine):
     found = jax.jit(jax.vmap(step))(leaves, physics_of(qpos, qvel), targets)
     for i, (model, motor) in enumerate(robots):
         model.opt.iterations, model.opt.ls_iterations = 100, 50
-        expected, touched = reference(model, motor, qpos[i], qvel[i], targets[i])
-        assert touched
+        expected = step_control(model, motor, qpos[i], qvel[i], targets[i])
+        assert expected.touching
         check(jax.tree.map(lambda x, i=i: x[i], found), expected)
 
 
@@ -284,8 +255,8 @@ def test_mujoco_varies_the_full_model_and_the_motors_of_each_robot(quadruped):
             strength=row.strength,
             friction=row.joint_friction * motor.friction,
         )
-        expected, touched = reference(own, changed, qpos, qvel, [target] * 3)
-        assert touched
+        expected = step_control(own, changed, qpos, qvel, [target] * 3)
+        assert expected.touching
         np.testing.assert_allclose(found.qpos[k], expected.qpos, atol=1e-5)
         np.testing.assert_allclose(found.qvel[k], expected.qvel, atol=2e-3)
     assert np.ptp(found.qvel, axis=0).max() > 0.1
@@ -317,7 +288,7 @@ def test_large_batches_of_mujoco_pass_through_a_compiled_loop(quadruped, devices
     qpos = np.asarray(run(start).qpos)
     assert qpos.shape == (batch, 19)
     np.testing.assert_array_equal(qpos, np.tile(qpos[:1], (batch, 1)))
-    expected, _ = reference(base, motor, home, np.zeros(18), [target] * 5)
+    expected = step_control(base, motor, home, np.zeros(18), [target] * 5)
     np.testing.assert_allclose(qpos[0], expected.qpos, atol=1e-4)
 
 
