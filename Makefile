@@ -54,7 +54,7 @@ newest:  ## the fast tests with the newest of every package, in a virtual enviro
 	$(UV) pip install --quiet --python $(VENV)-newest $$($(VENV)-newest/bin/python -c '$(NAMES)')
 	$(UV) pip install --quiet --python $(VENV)-newest --no-deps -e .
 	$(VENV)-newest/bin/python -m quadwalk doctor
-	$(VENV)-newest/bin/python -m pytest -n 2 --dist loadfile tests/drawing tests/export \
+	$(VENV)-newest/bin/python -m pytest -n 2 --dist loadfile tests/render tests/export \
 		tests/physics tests/robot tests/view tests/learn/test_against_brax.py \
 		tests/learn/test_engines.py tests/learn/test_networks.py tests/learn/test_ppo.py
 

@@ -284,13 +284,13 @@ def run_episode(
         if k == pushed:
             v[:2] += condition.push * np.array([np.cos(toward), np.sin(toward)])
             robot.place(q, v)
-        target = controller.targets(*_measured(q, v, condition.noise, rng), command)
+        target = controller.compute_targets(*_measured(q, v, condition.noise, rng), command)
         targets.append(target)
         kept.append((q, v, controller.obs, controller.action, target))
         for n in range(substeps):
             # The newest target that is old enough; home before the first of them.
             obeyed = targets[max(1 + (k * substeps + n - late) // substeps, 0)]
-            torque = controller.torque(obeyed, *robot.state())
+            torque = controller.compute_torque(obeyed, *robot.state())
             robot.step(torque)
         q, v = robot.state()
         fell = _turn(q)[2, 2] < TIPPED or q[2] < LOW * height or robot.fallen()

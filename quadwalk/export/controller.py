@@ -1,45 +1,141 @@
 """policy.onnx as a robot's controller, for run_policy.py and for a runtime of your own.
 
-Needs numpy and onnxruntime. States are MuJoCo's: q (19,) is the trunk's place, its quaternion wxyz
-and the joints' angles, v (18,) its velocity in the world's axes, its rates in its own, the joints'.
+Needs numpy and onnxruntime. States are MuJoCo's. q (19,) holds the trunk's position, its quaternion
+wxyz and the joints' angles. v (18,) holds the trunk's linear velocity in the world's frame, its
+angular velocity in its own frame and the joints' velocities. Units are m, s, rad and Nm.
 """
 
 import json
 import sys
 from collections import deque
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import onnxruntime
 
 FRICTION_SPEED = 0.1  # rad/s, over which joint friction passes through zero
-TAU, LAG = 2 * np.pi, np.array([0, np.pi / 2])  # of a clock's sine and cosine
-# What the policy sees, by the names in its metadata. R turns the trunk's frame into the world's;
-# home and last action are (12,), command (3,); k counts steps.
+
+
+@dataclass
+class Situation:
+    """What the policy's observations are computed from."""
+
+    q: np.ndarray  # (19,)
+    v: np.ndarray  # (18,)
+    rotation: np.ndarray  # (3, 3), from the trunk's frame to the world's
+    home: np.ndarray  # (12,) joint angles of the home pose
+    last_action: np.ndarray  # (12,)
+    command: np.ndarray  # (3,) velocity ahead and to the left, yaw rate
+    steps: int  # control steps since the episode's start
+
+
+def compute_clock(situation: Situation, stride: float) -> np.ndarray:
+    """Return sine and cosine of a trot's phase (2,); 0 at the command to stand."""
+    if not np.any(situation.command):
+        return np.zeros(2)
+    phase = 2 * np.pi * situation.steps / stride
+    return np.array([np.sin(phase), np.sin(phase + np.pi / 2)])
+
+
+# The parts of the observation by their names in the metadata. Add those of your own task here.
 OBSERVATIONS: dict = {
-    "observation:velocity": lambda R, q, v, *_: R.T @ v[:3],
-    "observation:angular_velocity": lambda R, q, v, *_: v[3:6],
-    "observation:gravity": lambda R, q, v, *_: -R[2],
-    "observation:heading": lambda R, q, v, *_: np.arctan2(R[1, 0], R[0, 0]),
-    "observation:offset": lambda R, q, *_, reach: np.clip(q[1], -reach, reach),
-    "observation:command": lambda R, q, v, home, last, command, *_: command,
-    "observation:trot_clock": lambda *s, stride: any(s[5]) * np.sin(s[6] * TAU / stride + LAG),
-    "observation:joint_pos": lambda R, q, v, home, *_: q[7:] - home,
-    "observation:joint_vel": lambda R, q, v, *_: v[6:],
-    "observation:last_action": lambda R, q, v, home, last, *_: last,
-    "observation:height": lambda R, q, v, *_: q[2],
-    "observation:world_position": lambda R, q, v, *_: q[:3],
-    "observation:world_orientation": lambda R, q, v, *_: q[[4, 5, 6, 3]],
-    "observation:world_velocity": lambda R, q, v, *_: v[:3],
-    "observation:world_angular_velocity": lambda R, q, v, *_: R @ v[3:6],
-    "observation:joint_angles": lambda R, q, v, *_: q[7:],
+    "observation:velocity": lambda s: s.rotation.T @ s.v[:3],
+    "observation:angular_velocity": lambda s: s.v[3:6],
+    "observation:gravity": lambda s: -s.rotation[2],
+    "observation:heading": lambda s: np.arctan2(s.rotation[1, 0], s.rotation[0, 0]),
+    "observation:offset": lambda s, reach: np.clip(s.q[1], -reach, reach),
+    "observation:command": lambda s: s.command,
+    "observation:trot_clock": compute_clock,
+    "observation:joint_pos": lambda s: s.q[7:] - s.home,
+    "observation:joint_vel": lambda s: s.v[6:],
+    "observation:last_action": lambda s: s.last_action,
+    "observation:height": lambda s: s.q[2],
 }
 
 
-def read_list(text: str) -> list:
-    """Return a list of the metadata: JSON, or as older exports have it, words between commas.
+class Controller:
+    """A policy in one episode, and the joint controller that follows its targets."""
 
-    null stands for a number without limit, which JSON cannot state.
+    def __init__(self, file: Path) -> None:
+        session_options = onnxruntime.SessionOptions()
+        session_options.intra_op_num_threads = 1
+        self.session = onnxruntime.InferenceSession(
+            file, session_options, providers=["CPUExecutionProvider"]
+        )
+        self.about = self.session.get_modelmeta().custom_metadata_map
+
+        self.kp = self.read_numbers("joint_stiffness")
+        self.kd = self.read_numbers("joint_damping")
+        self.effort_limit = self.read_numbers("effort_limit")
+        self.velocity_limit = self.read_numbers("velocity_limit")
+        self.friction = self.read_numbers("joint_friction")
+        self.home = self.read_numbers("default_joint_pos")
+
+        names = [to_current_name(name) for name in read_list(self.about["observation_functions"])]
+        unknown = [name for name in names if name not in OBSERVATIONS]
+        if unknown:
+            sys.exit(f"error: add {', '.join(unknown)} to OBSERVATIONS in {__file__}")
+        self.observations = [OBSERVATIONS[name] for name in names]
+        self.params = list(json.loads(self.about["observation_params"]).values())
+        self.history = [int(steps) for steps in read_list(self.about["observation_history"])]
+        self.restart()
+
+    def read_numbers(self, key: str) -> np.ndarray:
+        """Return a list of numbers of the metadata; inf where there is no limit."""
+        return np.array(read_list(self.about[key]), float)
+
+    def restart(self) -> None:
+        """Begin an episode, with no action taken and no observation remembered."""
+        self.steps = 0
+        self.action = np.zeros(12)
+        self.obs = np.zeros(0)
+        self.readings: list[deque] = [deque(maxlen=1 + steps) for steps in self.history]
+
+    def compute_targets(self, q: np.ndarray, v: np.ndarray, command: np.ndarray) -> np.ndarray:
+        """Return joint targets (12,), rad, for one control step.
+
+        The observation and the action that led to them are kept as `obs` and `action`.
+        """
+        self.obs = self.observe(q, v, command)
+        inputs = {"obs": self.obs.astype(np.float32)[None]}
+        actions, targets = self.session.run(["actions", "joint_targets"], inputs)
+        self.action = actions[0]
+        self.steps += 1
+        return targets[0]
+
+    def observe(self, q: np.ndarray, v: np.ndarray, command: np.ndarray) -> np.ndarray:
+        """Return the observation (n,): part after part, each from its oldest step to the newest."""
+        rotation = to_matrix(q[3:7])
+        situation = Situation(q, v, rotation, self.home, self.action, command, self.steps)
+        parts: list = []
+        for index, function in enumerate(self.observations):
+            reading = np.atleast_1d(function(situation, **self.params[index]))
+            readings = self.readings[index]
+            readings.append(reading)
+            while len(readings) < 1 + self.history[index]:  # at the start all are the first
+                readings.append(reading)
+            parts.extend(readings)
+        return np.concatenate(parts)
+
+    def compute_torque(self, target: np.ndarray, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """Return joint torques (12,), Nm, for one physics step: the motors' less joint friction.
+
+        A motor's torque falls with its speed. A simulator's own joint friction has to be off.
+        """
+        angle = q[7:]
+        speed = v[6:]
+        torque = self.kp * (target - angle) - self.kd * speed
+        upper = self.effort_limit * np.clip(1 - speed / self.velocity_limit, 0, 1)
+        lower = -self.effort_limit * np.clip(1 + speed / self.velocity_limit, 0, 1)
+        friction = self.friction * np.tanh(speed / FRICTION_SPEED)
+        return np.clip(torque, lower, upper) - friction
+
+
+def read_list(text: str) -> list:
+    """Return a list of the metadata: JSON or, in older exports, words between commas.
+
+    In JSON null stands for a number without limit.
     """
     if not text.startswith("["):
         return text.split(",")
@@ -47,65 +143,19 @@ def read_list(text: str) -> list:
 
 
 def to_current_name(name: str) -> str:
-    """Return the name in `OBSERVATIONS` of what an older export calls by its place in quadwalk."""
+    """Return the name in `OBSERVATIONS` of a part that an older export names by its module."""
     module, _, function = name.partition(":")
-    if module not in ("quadwalk.env.observations", "quadwalk.tasks.blog"):
+    if module != "quadwalk.task.observation":
         return name
-    renamed = {"joint_positions": "joint_pos", "joint_velocities": "joint_vel"}
-    return "observation:" + renamed.get(function, function)
+    if function == "joint_positions":
+        return "observation:joint_pos"
+    if function == "joint_velocities":
+        return "observation:joint_vel"
+    return f"observation:{function}"
 
 
-def rotation(quat: np.ndarray) -> np.ndarray:
-    """(3, 3), from the frame that a unit quaternion wxyz turns into the world's."""
+def to_matrix(quat: np.ndarray) -> np.ndarray:
+    """Return the matrix (3, 3) of a unit quaternion wxyz, from the trunk's frame to the world's."""
     w, x, y, z = quat
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     return np.eye(3) + 2 * (w * cross + cross @ cross)
-
-
-class Controller:
-    """The policy of one episode, and the joint controller that obeys it."""
-
-    def __init__(self, file: Path) -> None:
-        (one := onnxruntime.SessionOptions()).intra_op_num_threads = 1
-        self.session = onnxruntime.InferenceSession(file, one, providers=["CPUExecutionProvider"])
-        self.about = about = self.session.get_modelmeta().custom_metadata_map
-        names = "joint_stiffness joint_damping effort_limit velocity_limit joint_friction"
-        self.motor = np.array([read_list(about[name]) for name in names.split()], float)
-        self.home = np.array(read_list(about["default_joint_pos"]), float)
-        self.functions = [
-            to_current_name(name) for name in read_list(about["observation_functions"])
-        ]
-        if unknown := sorted(set(self.functions) - set(OBSERVATIONS)):
-            sys.exit(f"error: add {', '.join(unknown)} to OBSERVATIONS in {__file__}")
-        self.params = json.loads(about["observation_params"]).values()
-        self.history = [1 + int(n) for n in read_list(about["observation_history"])]
-        self.restart()
-
-    def restart(self) -> None:
-        """Begin an episode: no step was done, and none is remembered."""
-        self.past: list[deque] = [deque(maxlen=steps) for steps in self.history]
-        self.action, self.steps = np.zeros(12), 0
-
-    def targets(self, q: np.ndarray, v: np.ndarray, command: np.ndarray) -> np.ndarray:
-        """(12,) rad, of a control step; keeps what it saw and did as `obs` and `action`."""
-        state = rotation(q[3:7]), q, v, self.home, self.action, command, self.steps
-        for kept, function, extra in zip(self.past, self.functions, self.params, strict=True):
-            seen = np.array(OBSERVATIONS[function](*state, **extra), ndmin=1)
-            kept.extend([seen] * (1 if kept else kept.maxlen or 1))
-        self.obs = np.concatenate([seen for kept in self.past for seen in kept])
-        given = {"obs": self.obs, "joint_pos": q[7:]}
-        given = {x.name: given[x.name].astype(np.float32)[None] for x in self.session.get_inputs()}
-        (self.action,), (target,) = self.session.run(["actions", "joint_targets"], given)
-        self.steps += 1
-        return target
-
-    def torque(self, target: np.ndarray, q: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """(12,) Nm in a physics step: the motors', within their torque-speed lines, and friction's.
-
-        A simulator's own joint friction has to be off.
-        """
-        kp, kd, effort, limit, friction = self.motor
-        upper = effort * np.clip(1 - v[6:] / limit, 0, 1)
-        lower = -effort * np.clip(1 + v[6:] / limit, 0, 1)
-        motor = np.clip(kp * (target - q[7:]) - kd * v[6:], lower, upper)
-        return motor - friction * np.tanh(v[6:] / FRICTION_SPEED)

@@ -9,13 +9,17 @@ import numpy as np
 
 from quadwalk.env.reset import nominal_start
 from quadwalk.evaluation.loaded import LoadedRun
-from quadwalk.export.joint_targets import JointTargets
+from quadwalk.export.policy_graph import JointTargets
 from quadwalk.settings.environment import COMMANDED
 from quadwalk.task_files import reference
 
 UNITS = (
     "m, s, rad, m/s, rad/s, Nm; stiffness Nm/rad, damping Nm s/rad; "
     "x ahead, y left, z up; quaternions wxyz"
+)
+LAYOUT = (
+    "one part after another, each from its oldest step to its newest; "
+    "at the start all of a part's history is its first reading"
 )
 
 
@@ -28,64 +32,61 @@ def describe(loaded: LoadedRun, targets: JointTargets) -> dict[str, str]:
     env, policy = loaded.env, loaded.policy
     config, motor, command = env.config, env.motor, env.config.command
     parts = config.observation
-    # Of the command's numbers together.
+    ranges = {name: list(getattr(command, name)) for name in COMMANDED if command.given}
+    # Limits of the command's numbers together.
     limits = {name: getattr(command, name) for name in ("lateral_until", "turning")}
+    start = nominal_start(env.mj_model_of(env.quadruped), env.quadruped, config.reset)
     return {
         "run_path": loaded.run.name,
-        "joint_names": _listed(env.quadruped.joints),
-        "joint_stiffness": _joints(motor.kp),
-        "joint_damping": _joints(motor.kd),
-        "default_joint_pos": _joints(env.robot.home_joints),
+        "joint_names": _to_list(env.quadruped.joints),
+        "joint_stiffness": _to_joint_list(motor.kp),
+        "joint_damping": _to_joint_list(motor.kd),
+        "default_joint_pos": _to_joint_list(env.robot.home_joints),
         "command_names": "velocity" if command.given else "",
-        "observation_names": _listed(parts),
-        "action_scale": _joints(targets.scale),
-        "action_offset": _joints(targets.offset),
-        "joint_target_lower": _joints(targets.lower),
-        "joint_target_upper": _joints(targets.upper),
-        "joint_target_reach": _joints(np.inf if targets.reach is None else targets.reach),
-        "observation_sizes": _listed(len(labels) for labels in env.sensors.part_names.values()),
-        "observation_history": _listed(part.history for part in parts.values()),
-        "observation_functions": _listed(reference(part.function) for part in parts.values()),
+        "observation_names": _to_list(parts),
+        "action_scale": _to_joint_list(targets.scale),
+        "action_offset": _to_joint_list(targets.offset),
+        "joint_target_lower": _to_joint_list(targets.lower),
+        "joint_target_upper": _to_joint_list(targets.upper),
+        "observation_sizes": _to_list(len(names) for names in env.sensors.part_names.values()),
+        "observation_history": _to_list(part.history for part in parts.values()),
+        "observation_functions": _to_list(reference(part.function) for part in parts.values()),
         "observation_params": json.dumps({name: part.params or {} for name, part in parts.items()}),
         "observation_meaning": json.dumps(
             {n: (part.function.__doc__ or "").partition("\n")[0] for n, part in parts.items()}
         ),
-        "observation_layout": "one part after another, each from its oldest step to its newest; "
-        "at the start all of a part's history is its first reading",
-        "command_ranges": json.dumps(
-            {name: list(getattr(command, name)) for name in COMMANDED if command.given}
-        ),
+        "observation_layout": LAYOUT,
+        "command_ranges": json.dumps(ranges),
         "command_limits": json.dumps({name: x for name, x in limits.items() if x is not None}),
         "units": UNITS,
-        "control_period": f"{config.control_dt:.9g}",
+        "control_period": _to_text(config.control_dt),
         "robot": env.quadruped.name,
-        "start_qpos": _listed(
-            nominal_start(env.mj_model_of(env.quadruped), env.quadruped, config.reset)
-        ),
-        "effort_limit": _joints(motor.effort),
-        "velocity_limit": _joints(np.inf if motor.velocity is None else motor.velocity),
-        "joint_friction": _joints(0.0 if motor.friction is None else motor.friction),
-        "joint_viscous_damping": _joints(env.mj_model.dof_damping[6:]),
-        "joint_armature": _joints(env.mj_model.dof_armature[6:]),
-        "ground_friction": f"{env.friction:.9g}",
-        "gravity": f"{config.gravity:.9g}",
+        "start_qpos": _to_list(start),
+        "effort_limit": _to_joint_list(motor.effort),
+        "velocity_limit": _to_joint_list(np.inf if motor.velocity is None else motor.velocity),
+        "joint_friction": _to_joint_list(0.0 if motor.friction is None else motor.friction),
+        "joint_viscous_damping": _to_joint_list(env.mj_model.dof_damping[6:]),
+        "joint_armature": _to_joint_list(env.mj_model.dof_armature[6:]),
+        "ground_friction": _to_text(env.friction),
+        "gravity": _to_text(config.gravity),
         "training_steps": str(policy.steps),
         "task": policy.config.task,
         "quadwalk_version": version("quadwalk"),
     }
 
 
-def _joints(value: Any) -> str:
-    """One number for each joint, of twelve or of one for all."""
-    return _listed(np.broadcast_to(value, 12))
+def _to_joint_list(value: Any) -> str:
+    """Return a number for each joint, from twelve or from one for all."""
+    return _to_list(np.broadcast_to(value, 12))
 
 
-def _listed(values: Iterable[Any]) -> str:
-    """Return a JSON list of texts or numbers; null is a number that is not finite: no limit."""
-    return f"[{', '.join(map(_as_json, values))}]"
+def _to_list(values: Iterable[Any]) -> str:
+    """Return a JSON list of texts or numbers."""
+    return f"[{', '.join(map(_to_text, values))}]"
 
 
-def _as_json(value: Any) -> str:
+def _to_text(value: Any) -> str:
+    """Return a text or number as JSON; null is a number that is not finite: no limit."""
     if isinstance(value, str):
         return json.dumps(value)
     return f"{float(value):.9g}" if np.isfinite(value) else "null"

@@ -10,15 +10,18 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import onnx
 from onnx import TensorProto, helper, numpy_helper
 
 from quadwalk.env.env import QuadrupedEnv
+from quadwalk.env.robot_arrays import RobotArrays
 from quadwalk.errors import UserError
-from quadwalk.export.joint_targets import JointTargets
 from quadwalk.learn.acting import SURE, phases
 from quadwalk.learn.networks import MIN_STD, divisors
+from quadwalk.settings.terms import ActionMap
 from quadwalk.settings.training import PPOConfig
 
 OPSET = 17
@@ -39,6 +42,52 @@ ACTIVATIONS = {
     "silu": ("Sigmoid", "x *"),
 }
 
+_SAMPLES = 1000  # random actions that an action map is checked on
+_TOLERANCE = 1e-5  # rad
+
+
+@dataclass(frozen=True)
+class JointTargets:
+    """An action map as numbers: joint targets are clip(offset + scale * action, lower, upper)."""
+
+    scale: np.ndarray  # (12,) rad per unit of action
+    offset: np.ndarray  # (12,) rad
+    lower: np.ndarray  # (12,) rad; -inf: no limit
+    upper: np.ndarray  # (12,) rad; inf: no limit
+
+    def __call__(self, action: np.ndarray) -> np.ndarray:
+        """Return the targets (..., 12), rad, of actions (..., 12)."""
+        return np.clip(self.offset + self.scale * action, self.lower, self.upper)
+
+
+def find_joint_targets(action_map: ActionMap, robot: RobotArrays) -> JointTargets:
+    """Return the numbers that `action_map` comes down to, as random actions confirm.
+
+    Raises `UserError` for a map that is no clipped linear function of the action, or depends on
+    the joints' angles: no file format for policies can state it.
+    """
+
+    def compute(action: jax.Array, joints: jax.Array) -> jax.Array:
+        return action_map(robot, action, joints)
+
+    home = jnp.asarray(robot.home_joints, jnp.float32)
+    offset = np.asarray(compute(jnp.zeros(12), home))
+    scale = np.diag(np.asarray(jax.jacobian(compute)(jnp.zeros(12), home)))
+
+    rng = np.random.default_rng(0)
+    actions = rng.uniform(-1.0, 1.0, (_SAMPLES, 12)).astype(np.float32)
+    joints = rng.uniform(robot.lower, robot.upper, (_SAMPLES, 12)).astype(np.float32)
+    expected = jax.jit(jax.vmap(compute))(actions, joints)
+    unlimited = np.full(12, np.inf)
+    for lower, upper in ((robot.lower, robot.upper), (-unlimited, unlimited)):
+        targets = JointTargets(scale, offset, lower, upper)
+        if np.max(np.abs(targets(actions) - expected)) < _TOLERANCE:
+            return targets
+    raise UserError(
+        f"the action map {action_map.function.__name__} cannot be exported; expected joint targets "
+        "that are clip(offset + scale * action), within the joints' limits or without any"
+    )
+
 
 @dataclass(frozen=True)
 class Weights:
@@ -51,42 +100,46 @@ class Weights:
     # the last layer's other half, which gives the noise's spread, and its scale; None: no noise
     noise: tuple[np.ndarray, np.ndarray, float] | None = None
 
-    @classmethod
-    def of(cls, act: Any, config: PPOConfig) -> "Weights":
-        """Those of `Policy.act`; the last layer gives the 12 means of the actions alone."""
-        normalizer, params = act.args
-        found = [params["params"][f"hidden_{k}"] for k in range(len(params["params"]))]
-        layers = [(np.asarray(layer["kernel"]), np.asarray(layer["bias"])) for layer in found]
-        (kernel, kernel_std), (bias, bias_std) = (np.split(x, 2, axis=-1) for x in layers[-1])
-        layers[-1] = kernel, bias
-        noise = (kernel_std, bias_std, config.std_scale) if config.stochastic else None
-        spread = np.asarray(divisors(normalizer))
-        return cls(np.asarray(normalizer.mean), spread, layers, config.activation, noise)
+
+def extract_weights(act: Any, config: PPOConfig) -> Weights:
+    """Return the weights of `Policy.act`; the last layer gives the 12 means of the actions."""
+    normalizer, params = act.args
+    layers = []
+    for number in range(len(params["params"])):
+        layer = params["params"][f"hidden_{number}"]
+        layers.append((np.asarray(layer["kernel"]), np.asarray(layer["bias"])))
+    kernel, bias = layers.pop()
+    kernel, kernel_std = np.split(kernel, 2, axis=-1)
+    bias, bias_std = np.split(bias, 2, axis=-1)
+    layers.append((kernel, bias))
+    noise = (kernel_std, bias_std, config.std_scale) if config.stochastic else None
+    std = np.asarray(divisors(normalizer))
+    return Weights(np.asarray(normalizer.mean), std, layers, config.activation, noise)
 
 
-def input_labels(env: QuadrupedEnv) -> list[str]:
-    """A name for each number of the input `obs`; `gravity_x[-2]` is of two steps before."""
+def list_inputs(env: QuadrupedEnv) -> list[str]:
+    """Return a name for each number of the input `obs`; `gravity_x[-2]` is two steps old."""
     return [
-        f"{label}[-{ago}]" if ago else label
-        for name, labels in env.sensors.part_names.items()
-        for ago in range(env.config.observation[name].history, -1, -1)
-        for label in labels
+        f"{name}[-{age}]" if age else name
+        for part, names in env.sensors.part_names.items()
+        for age in range(env.config.observation[part].history, -1, -1)
+        for name in names
     ]
 
 
-def input_order(env: QuadrupedEnv) -> np.ndarray:
-    """(n,) where in the input `obs` each number stands of the observation trained on."""
-    place = {label: index for index, label in enumerate(input_labels(env))}
-    return np.array([place[label] for label in env.sensors.names], np.int64)
+def compute_input_order(env: QuadrupedEnv) -> np.ndarray:
+    """Return where in the input `obs` each number of the observation trained on stands, (n,)."""
+    places = {name: index for index, name in enumerate(list_inputs(env))}
+    return np.array([places[name] for name in env.sensors.names], np.int64)
 
 
 def build_model(
     weights: Weights, order: np.ndarray, targets: JointTargets, metadata: Mapping[str, str]
 ) -> onnx.ModelProto:
-    """The policy as an ONNX model.
+    """Return the policy as an ONNX model.
 
-    Inputs: `obs` (1, n), and, where targets depend on them, `joint_pos` (1, 12), rad. Outputs:
-    `actions` (1, 12) in [-1, 1] and `joint_targets` (1, 12), rad. All are float32.
+    The input is `obs` (1, n). The outputs are `actions` (1, 12) in [-1, 1] and `joint_targets`
+    (1, 12), rad. All are float32.
     """
     if weights.activation not in ACTIVATIONS:
         raise UserError(
@@ -94,75 +147,76 @@ def build_model(
             f"{', '.join(ACTIVATIONS)}"
         )
     graph = _Graph()
-    x = graph.add("Gather", "obs", graph.constant("order", order), axis=1)
-    x = graph.add("Sub", x, graph.constant("mean", weights.mean))
-    x = seen = graph.add("Div", x, graph.constant("std", weights.std))
+    x = graph.add("Gather", "obs", graph.add_constant("order", order), axis=1)
+    x = graph.add("Sub", x, graph.add_constant("mean", weights.mean))
+    normalized = graph.add("Div", x, graph.add_constant("std", weights.std))
+    x = normalized
     for index, (kernel, bias) in enumerate(weights.layers):
-        y = x
-        for operator in ACTIVATIONS[weights.activation] if index else ():
-            y = graph.add("Mul", x, y) if operator == "x *" else graph.add(operator, y)
-        names = [graph.constant(f"{kind}_{index}", v) for kind, v in (("w", kernel), ("b", bias))]
-        x = graph.add("Gemm", y, *names)
+        hidden = _add_activation(graph, x, weights.activation) if index else x
+        names = graph.add_constant(f"w_{index}", kernel), graph.add_constant(f"b_{index}", bias)
+        x = graph.add("Gemm", hidden, *names)
     if weights.noise is not None:
-        x = graph.add("Add", x, _noise(graph, weights, y, seen))
+        x = graph.add("Add", x, _add_noise(graph, weights, hidden, normalized))
     actions = graph.add("Tanh", x, name="actions")
-    x = graph.add("Mul", actions, graph.constant("scale", targets.scale))
-    x = graph.add("Add", x, graph.constant("offset", targets.offset))
-    x = graph.add("Max", x, graph.constant("lower", targets.lower))
-    last = "joint_targets" if targets.reach is None else ""
-    x = graph.add("Min", x, graph.constant("upper", targets.upper), name=last)
-    inputs = {"obs": len(order)}
-    if targets.reach is not None:
-        inputs["joint_pos"] = 12
-        reach = graph.constant("reach", targets.reach)
-        x = graph.add("Max", x, graph.add("Sub", "joint_pos", reach))
-        graph.add("Min", x, graph.add("Add", "joint_pos", reach), name="joint_targets")
-    return graph.model(inputs, {"actions": 12, "joint_targets": 12}, metadata)
+    x = graph.add("Mul", actions, graph.add_constant("scale", targets.scale))
+    x = graph.add("Add", x, graph.add_constant("offset", targets.offset))
+    x = graph.add("Max", x, graph.add_constant("lower", targets.lower))
+    graph.add("Min", x, graph.add_constant("upper", targets.upper), name="joint_targets")
+    return graph.to_model({"obs": len(order)}, {"actions": 12, "joint_targets": 12}, metadata)
 
 
-def _noise(graph: "_Graph", weights: Weights, y: str, seen: str) -> str:
-    """What `acting.make_policy` adds to the means; `y` is the input of the last layer."""
+def _add_activation(graph: "_Graph", x: str, activation: str) -> str:
+    y = x
+    for operator in ACTIVATIONS[activation]:
+        y = graph.add("Mul", x, y) if operator == "x *" else graph.add(operator, y)
+    return y
+
+
+def _add_noise(graph: "_Graph", weights: Weights, hidden: str, normalized: str) -> str:
+    """Add the noise of `acting.make_policy`; `hidden` is the input of the last layer."""
     assert weights.noise is not None
     kernel, bias, scale = weights.noise
-    names = graph.constant("w_std", kernel), graph.constant("b_std", bias)
-    x = graph.add("Softplus", graph.add("Gemm", y, *names))
-    x = graph.add("Add", x, graph.constant("least", np.array([MIN_STD])))
-    std = graph.add("Mul", x, graph.constant("std_scale", np.array([scale])))
-    unsure = graph.add("Greater", std, graph.constant("sure", np.array([SURE])))
-    x = graph.constant("phases", phases(len(weights.mean), len(bias)))
-    x = graph.add("Sin", graph.add("MatMul", seen, x))
-    x = graph.add("Mul", x, graph.constant("root", np.sqrt([2.0])))
-    return graph.add("Where", unsure, graph.add("Mul", std, x), graph.constant("none", np.zeros(1)))
+    names = graph.add_constant("w_std", kernel), graph.add_constant("b_std", bias)
+    x = graph.add("Softplus", graph.add("Gemm", hidden, *names))
+    x = graph.add("Add", x, graph.add_constant("least", np.array([MIN_STD])))
+    std = graph.add("Mul", x, graph.add_constant("std_scale", np.array([scale])))
+    unsure = graph.add("Greater", std, graph.add_constant("sure", np.array([SURE])))
+    x = graph.add_constant("phases", phases(len(weights.mean), len(bias)))
+    x = graph.add("Sin", graph.add("MatMul", normalized, x))
+    x = graph.add("Mul", x, graph.add_constant("root", np.sqrt([2.0])))
+    noise = graph.add("Mul", std, x)
+    return graph.add("Where", unsure, noise, graph.add_constant("none", np.zeros(1)))
 
 
 class _Graph:
-    """Nodes and constants, collected."""
+    """The nodes and constants of a graph that is being built."""
 
     def __init__(self) -> None:
         self.nodes: list[onnx.NodeProto] = []
         self.constants: list[onnx.TensorProto] = []
 
-    def constant(self, name: str, value: np.ndarray) -> str:
+    def add_constant(self, name: str, value: np.ndarray) -> str:
         kind = np.int64 if value.dtype == np.int64 else np.float32
         self.constants.append(numpy_helper.from_array(np.ascontiguousarray(value, kind), name))
         return name
 
     def add(self, operator: str, *inputs: str, name: str = "", **attributes: Any) -> str:
+        """Add a node and return the name of its output."""
         name = name or f"{operator.lower()}_{len(self.nodes)}"
         self.nodes.append(helper.make_node(operator, list(inputs), [name], name, **attributes))
         return name
 
-    def model(
+    def to_model(
         self, inputs: dict[str, int], outputs: dict[str, int], metadata: Mapping[str, str]
     ) -> onnx.ModelProto:
-        given, found = (
-            [
-                helper.make_tensor_value_info(n, TensorProto.FLOAT, [1, size])
-                for n, size in x.items()
-            ]
-            for x in (inputs, outputs)
+        """Return the model, checked; inputs and outputs are given with their sizes."""
+        graph = helper.make_graph(
+            self.nodes,
+            "policy",
+            [_declare(name, size) for name, size in inputs.items()],
+            [_declare(name, size) for name, size in outputs.items()],
+            initializer=self.constants,
         )
-        graph = helper.make_graph(self.nodes, "policy", given, found, initializer=self.constants)
         model = helper.make_model(
             graph,
             opset_imports=[helper.make_opsetid("", OPSET)],
@@ -172,3 +226,7 @@ class _Graph:
         helper.set_model_props(model, dict(metadata))
         onnx.checker.check_model(model, full_check=True)
         return model
+
+
+def _declare(name: str, size: int) -> onnx.ValueInfoProto:
+    return helper.make_tensor_value_info(name, TensorProto.FLOAT, [1, size])

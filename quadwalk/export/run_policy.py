@@ -11,77 +11,167 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
-from controller import Controller, read_list, rotation
+from controller import Controller, read_list, to_matrix
 
 TIMESTEP = 0.002  # s, of physics
-FALLEN = np.cos(np.radians(60))  # cosine of the trunk's tilt beyond which it has fallen
-LOW = 0.4  # share of its height at the start below which it has fallen too
-UPRIGHT, HIGH = np.cos(np.radians(18)), 0.85  # within that, and above that share of its height,
-STEADY = 0.5  # s long, it stands again
-parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-add = parser.add_argument
-add("--seconds", type=float, default=20.0)
-add("--command", type=float, nargs=3, default=[1, 0, 0], help="m/s ahead and left, rad/s left")
-add("--fallen", action="store_true", help="begin on its back, for getup.onnx")
-add("--view", action="store_true", help="show it in MuJoCo's viewer, in real time")
-add("--save", metavar="NPZ", help="write time, qpos, qvel, obs, action, target and command")
-options = parser.parse_args()
-
-folder = Path(__file__).resolve().parent
-driver = controller = Controller(folder / "policy.onnx")
-about = driver.about
-riser = Controller(folder / "getup.onnx") if (folder / "getup.onnx").exists() else None
-unseen = np.full(driver.session.get_inputs()[0].shape[1], np.nan)  # while the other one acts
-ranges = list(json.loads(about["command_ranges"]).values())
-command = np.clip(options.command, *np.transpose(ranges)) if ranges else np.zeros(3)
-model = mujoco.MjModel.from_xml_path(str(folder / "robot.xml"))
-substeps = max(1, round((period := float(about["control_period"])) / TIMESTEP))
-model.opt.timestep = period / substeps
-model.dof_frictionloss[:] = 0.0  # it is part of the controller's torque, as in training
-data = mujoco.MjData(model)
-data.qpos[:] = start = np.array(read_list(about["start_qpos"]), float)
-q, v, viewer, began, fell, saved = data.qpos, data.qvel, None, time.time(), False, list[tuple]()
-steady, rises = 0.0, 0
-if options.fallen:
-    q[3:7] = 0, 1, 0, 0
-if options.view:
-    import mujoco.viewer
-
-    viewer = mujoco.viewer.launch_passive(model, data)
+# The robot has fallen when its trunk is tilted by more than this, or is lower than this share of
+# its height at the start.
+FALLEN_TILT = np.radians(60)
+FALLEN_HEIGHT = 0.4
+# It stands again when its trunk has been tilted by less, and been higher, for this long.
+STANDING_TILT = np.radians(18)
+STANDING_HEIGHT = 0.85
+STANDING_TIME = 0.5  # s
+COLUMNS = ("time", "qpos", "qvel", "obs", "action", "target", "command")
 
 
-def is_fallen() -> bool:
-    """Return True for a trunk that is tipped over or low."""
-    return bool(rotation(q[3:7])[2, 2] < FALLEN or q[2] < LOW * start[2])
+class Simulation:
+    """The robot in MuJoCo C, driven by a policy, and by getup.onnx where it has fallen."""
+
+    def __init__(self, folder: Path, command: list) -> None:
+        self.driver = Controller(folder / "policy.onnx")
+        self.riser = None
+        if (folder / "getup.onnx").exists():
+            self.riser = Controller(folder / "getup.onnx")
+        self.controller = self.driver
+        self.about = self.driver.about
+        self.command = self.clip_command(command)
+
+        self.period = float(self.about["control_period"])
+        self.substeps = max(1, round(self.period / TIMESTEP))
+        self.model = mujoco.MjModel.from_xml_path(str(folder / "robot.xml"))
+        self.model.opt.timestep = self.period / self.substeps
+        self.model.dof_frictionloss[:] = 0.0  # the controller's torque contains it
+        self.data = mujoco.MjData(self.model)
+        self.start = np.array(read_list(self.about["start_qpos"]), float)
+        self.data.qpos[:] = self.start
+
+        self.standing_time = 0.0  # s
+        self.rises = 0
+        self.rows: list[tuple] = []  # the values of COLUMNS in each control step
+
+    def clip_command(self, command: list) -> np.ndarray:
+        """Return the command within the ranges of training; 0 for a policy without commands."""
+        ranges = list(json.loads(self.about["command_ranges"]).values())
+        if not ranges:
+            return np.zeros(3)
+        lower, upper = np.transpose(ranges)
+        return np.clip(command, lower, upper)
+
+    def get_pose(self) -> tuple:
+        """Return the cosine of the trunk's tilt, and its height as a share of that at the start."""
+        cosine = to_matrix(self.data.qpos[3:7])[2, 2]
+        height = self.data.qpos[2] / self.start[2]
+        return cosine, height
+
+    def has_fallen(self) -> bool:
+        """Return True for a trunk that is tipped over or low."""
+        cosine, height = self.get_pose()
+        return cosine < np.cos(FALLEN_TILT) or height < FALLEN_HEIGHT
+
+    def choose_controller(self) -> None:
+        """Switch to getup.onnx after a fall, and back once the robot stands."""
+        if self.riser is None:
+            return
+        if self.controller is self.driver:
+            if self.has_fallen():
+                self.controller = self.riser
+                self.riser.restart()
+                self.standing_time = 0.0
+            return
+        cosine, height = self.get_pose()
+        if cosine > np.cos(STANDING_TILT) and height > STANDING_HEIGHT:
+            self.standing_time += self.period
+        else:
+            self.standing_time = 0.0
+        if self.standing_time > STANDING_TIME:
+            self.controller = self.driver
+            self.driver.restart()
+            self.rises += 1
+
+    def step(self) -> None:
+        """Take one control step."""
+        self.choose_controller()
+        data = self.data
+        start_time = data.time
+        qpos = data.qpos.copy()
+        qvel = data.qvel.copy()
+        target = self.controller.compute_targets(qpos, qvel, self.command)
+        obs = self.controller.obs
+        if self.controller is self.riser:
+            size = self.driver.session.get_inputs()[0].shape[1]
+            obs = np.full(size, np.nan)  # policy.onnx observes nothing while the other one acts
+        action = self.controller.action
+        self.rows.append((start_time, qpos, qvel, obs, action, target, self.command))
+        for _ in range(self.substeps):
+            torque = self.controller.compute_torque(target, data.qpos, data.qvel)
+            data.qfrc_applied[6:] = torque
+            mujoco.mj_step(self.model, data)
+
+    def save(self, file: str) -> None:
+        """Write all control steps to an NPZ file, a column for each name of COLUMNS."""
+        columns: dict = {}
+        for index, name in enumerate(COLUMNS):
+            columns[name] = np.array([row[index] for row in self.rows])
+        np.savez(file, **columns)
+
+    def summarize(self, fell: bool) -> str:
+        """Return a line that says how far and how fast the robot went."""
+        x, y = self.data.qpos[:2] - self.start[:2]
+        seconds = self.data.time
+        end = "no fall"
+        if fell:
+            end = "fell"
+        elif self.rises == 1:
+            end = "got up once"
+        elif self.rises > 1:
+            end = f"got up {self.rises} times"
+        return (
+            f"{self.about['robot']}, {self.about['task']}: {x / seconds:.3f} m/s along x "
+            f"for {seconds:.2f} s, {y:.2f} m to the left, {end}"
+        )
 
 
-while data.time < options.seconds - 1e-6 and not fell and (not viewer or viewer.is_running()):
-    if riser and controller is driver and is_fallen():
-        controller, steady = riser, 0.0
-        riser.restart()
-    elif controller is riser:
-        stands = rotation(q[3:7])[2, 2] > UPRIGHT and q[2] > HIGH * start[2]
-        steady = steady + period if stands else 0.0
-        if steady > STEADY:
-            controller, rises = driver, rises + 1
-            driver.restart()
-    before = data.time, q.copy(), v.copy()
-    target = controller.targets(q, v, command)
-    seen = controller.obs if controller is driver else unseen
-    saved.append((*before, seen, controller.action, target, command))
-    for _ in range(substeps):
-        data.qfrc_applied[6:] = controller.torque(target, q, v)
-        mujoco.mj_step(model, data)
-    fell = not riser and is_fallen()
-    if viewer:
-        viewer.sync()
-        time.sleep(max(0.0, began + data.time - time.time()))
-x, y = q[:2] - start[:2]
-times = "once" if rises == 1 else f"{rises} times"
-end = "fell" if fell else f"got up {times}" if rises else "no fall"
-print(f"{about['robot']}, {about['task']}: {x / data.time:.3f} m/s along x for {data.time:.2f} s, "
-      f"{y:.2f} m to the left, {end}")  # fmt: skip
-if options.save:
-    names = ("time", "qpos", "qvel", "obs", "action", "target", "command")
-    columns: dict = dict(zip(names, map(np.array, zip(*saved, strict=True)), strict=True))
-    np.savez(options.save, **columns)
+def parse_options() -> argparse.Namespace:
+    """Return what the command line says."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    add = parser.add_argument
+    add("--seconds", type=float, default=20.0)
+    add("--command", type=float, nargs=3, default=[1, 0, 0], help="m/s ahead and left, rad/s left")
+    add("--fallen", action="store_true", help="begin on its back, for getup.onnx")
+    add("--view", action="store_true", help="show it in MuJoCo's viewer, in real time")
+    add("--save", metavar="NPZ", help="write time, qpos, qvel, obs, action, target and command")
+    return parser.parse_args()
+
+
+def main() -> None:
+    """Run the robot until the time is over, it falls for good, or the viewer is closed."""
+    options = parse_options()
+    simulation = Simulation(Path(__file__).resolve().parent, options.command)
+    data = simulation.data
+    if options.fallen:
+        data.qpos[3:7] = 0, 1, 0, 0
+    viewer = None
+    if options.view:
+        import mujoco.viewer  # only here: it needs a screen
+
+        viewer = mujoco.viewer.launch_passive(simulation.model, data)
+
+    began = time.time()
+    fell = False
+    while data.time < options.seconds - 1e-6 and not fell:
+        if viewer is not None and not viewer.is_running():
+            break
+        simulation.step()
+        fell = simulation.riser is None and simulation.has_fallen()
+        if viewer is not None:
+            viewer.sync()
+            time.sleep(max(0.0, began + data.time - time.time()))
+
+    print(simulation.summarize(fell))
+    if options.save:
+        simulation.save(options.save)
+
+
+if __name__ == "__main__":
+    main()

@@ -7,7 +7,7 @@ import pytest
 
 from benchmarks.simulators import Condition, DrakeRobot, MujocoRobot, controller_of, run_episode
 from quadwalk.export.bundle import load_flat
-from quadwalk.export.check import first_difference, stages
+from quadwalk.export.check import compute_stages, describe_first_difference
 from quadwalk.export.cli import main
 from quadwalk.runs.directory import find_ready
 
@@ -68,7 +68,7 @@ def test_it_stands_as_heavy_and_as_high_in_both(folder, controller, start):
         robot = kind(folder, controller.about, LOADED)
         robot.place(start, np.zeros(18))
         for _ in range(500):
-            robot.step(controller.torque(controller.home, *robot.state()))
+            robot.step(controller.compute_torque(controller.home, *robot.state()))
         q, v = robot.state()
         assert np.abs(v).max() < 0.1
         heights.append(q[2])
@@ -90,6 +90,6 @@ def test_in_drake_the_policy_sees_and_does_what_it_does_here(folder, controller,
     names = ("obs", "action", "target")
     columns = {name: getattr(episode, name) for name in names}
     columns |= {"qpos": episode.qpos[:-1], "qvel": episode.qvel[:-1], "command": np.zeros((50, 3))}
-    found = stages(load_flat(find_ready("runs", "run", "run"), "last"), columns)
-    assert first_difference(found[:3]) == ""
-    assert first_difference(found).split(", ")[1] == "physics"  # which are Drake's
+    stages = compute_stages(load_flat(find_ready("runs", "run", "run"), "last"), columns)
+    assert describe_first_difference(stages[:3]) == ""
+    assert describe_first_difference(stages).split(", ")[1] == "physics"  # which are Drake's

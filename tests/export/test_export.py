@@ -26,13 +26,19 @@ from quadwalk.errors import UserError
 from quadwalk.evaluation.loaded import LoadedRun, load_run
 from quadwalk.evaluation.rollout import Rollout
 from quadwalk.evaluation.simulate import simulate_episodes
-from quadwalk.export import scripts
+from quadwalk.export.bundle import SCRIPTS
 from quadwalk.export.check import check_export, read_recording, replay
 from quadwalk.export.cli import main
 from quadwalk.export.controller import read_list
 from quadwalk.export.description import describe
-from quadwalk.export.joint_targets import JointTargets, find_targets
-from quadwalk.export.policy_graph import ACTIVATIONS, Weights, build_model, input_labels
+from quadwalk.export.policy_graph import (
+    ACTIVATIONS,
+    JointTargets,
+    Weights,
+    build_model,
+    find_joint_targets,
+    list_inputs,
+)
 from quadwalk.paths import PRETRAINED
 from quadwalk.runs.directory import Run
 from quadwalk.settings.registry import TERMS
@@ -62,7 +68,7 @@ def untrained_run(root: Path, task: str, quadruped) -> Run:
     return write_run(root, task, quadruped, {"policy.npz": 0}, load_task(task), never_varied=[3])
 
 
-@pytest.fixture(scope="module", params=["run", "walk", "blog"])
+@pytest.fixture(scope="module", params=["run", "walk"])
 def exported(request, quadruped, tmp_path_factory) -> Exported:
     root = tmp_path_factory.mktemp("export")
     run = untrained_run(root, request.param, quadruped)
@@ -80,14 +86,11 @@ def exported(request, quadruped, tmp_path_factory) -> Exported:
 def test_onnx_and_jax_agree_on_an_episode(exported):
     env, rollout = exported.loaded.env, exported.rollout
     session = onnxruntime.InferenceSession(exported.folder / "policy.onnx")
-    place = [rollout.observation_names.index(label) for label in input_labels(env)]
+    place = [rollout.observation_names.index(label) for label in list_inputs(env)]
     assert sorted(place) == list(range(env.policy_size))
     for k in range(rollout.steps):
-        given = {"obs": rollout.observation[k, place][None], "joint_pos": rollout.qpos[k, None, 7:]}
-        actions, targets = session.run(
-            ["actions", "joint_targets"],
-            {x.name: np.float32(given[x.name]) for x in session.get_inputs()},
-        )
+        obs = rollout.observation[k, place][None]
+        actions, targets = session.run(["actions", "joint_targets"], {"obs": obs})
         np.testing.assert_allclose(actions[0], rollout.action[k], atol=1e-5)
         np.testing.assert_allclose(targets[0], rollout.target[k], atol=1e-5)
 
@@ -136,9 +139,11 @@ def test_an_export_with_a_getup_policy_gets_up_from_its_back_and_goes_on(tmp_pat
     assert np.all(qpos[last, 2] > 0.2)
     # Upright with its legs folded, on its belly, it gets up as well.
     script = tmp_path / "both" / "run_policy.py"
-    text, back = script.read_text(), "q[3:7] = 0, 1, 0, 0"
+    text, back = script.read_text(), "data.qpos[3:7] = 0, 1, 0, 0"
     assert text.count(back) == 1
-    script.write_text(text.replace(back, "q[2], q[7:] = 0.09, np.tile([0, 1.5, -2.6], 4)"))
+    script.write_text(
+        text.replace(back, "data.qpos[2], data.qpos[7:] = 0.09, np.tile([0, 1.5, -2.6], 4)")
+    )
     done = subprocess.run(command, capture_output=True, text=True, timeout=60)
     assert "got up once" in done.stdout, done.stderr
 
@@ -146,8 +151,8 @@ def test_an_export_with_a_getup_policy_gets_up_from_its_back_and_goes_on(tmp_pat
 def test_the_scripts_are_short_and_need_three_packages():
     needed = {"run_policy.py": {"numpy", "mujoco", "controller"}}
     needed["controller.py"] = {"numpy", "onnxruntime"}
-    assert sum(script.read_text().count("\n") for script in scripts()) <= 300
-    for script in scripts():
+    assert sum(script.read_text().count("\n") for script in SCRIPTS) <= 350
+    for script in SCRIPTS:
         source = script.read_text()
         roots = set()
         for node in ast.walk(ast.parse(source)):
@@ -168,8 +173,7 @@ def halved(text: str) -> str:
 # What is broken, of which task: an entry of the metadata, or a constant of the graph.
 BROKEN = {
     "run": [("joint_stiffness", "physics, "), ("w_0", "action, ")],
-    "walk": [("default_joint_pos", "observation, joint_pos_RL_calf_joint")],
-    "blog": [("scale", "target, ")],
+    "walk": [("default_joint_pos", "observation, joint_pos_RL_calf_joint"), ("scale", "target, ")],
 }
 
 
@@ -240,7 +244,7 @@ def test_a_joint_with_a_comma_in_its_name_is_one_of_twelve(exported, monkeypatch
     env = exported.loaded.env
     joints = ("FR,hip joint", 'a "b"', "[c", *env.quadruped.joints[3:])
     monkeypatch.setattr(env, "quadruped", dataclasses.replace(env.quadruped, joints=joints))
-    about = describe(exported.loaded, find_targets(env.config.action, env.robot))
+    about = describe(exported.loaded, find_joint_targets(env.config.action, env.robot))
     assert tuple(json.loads(about["joint_names"])) == joints
     assert tuple(read_list(about["joint_names"])) == joints
 
@@ -295,9 +299,6 @@ def test_deploy_yaml_gives_the_observations_and_targets_that_were_trained_with(e
     """Read by another reader, and put together as unitree_rl_lab's runtime does."""
     env, rollout = exported.loaded.env, exported.rollout
     file = exported.folder / "deploy.yaml"
-    if exported.loaded.policy.config.task == "blog":
-        assert not file.exists()  # its targets depend on the joints' angles
-        return
     config = yaml.safe_load(file.read_text())
     action = config["actions"]["JointPositionAction"]
     targets = rollout.action * action["scale"] + action["offset"]
@@ -309,7 +310,7 @@ def test_deploy_yaml_gives_the_observations_and_targets_that_were_trained_with(e
     sizes = [len(term["scale"]) for term in terms.values()]
     lengths = [term["history_length"] for term in terms.values()]
     # It keeps each term's readings, the oldest first, and lines the terms up.
-    k, labels = rollout.steps - 1, input_labels(env)
+    k, labels = rollout.steps - 1, list_inputs(env)
     obs = dict(zip(rollout.observation_names, rollout.observation[k], strict=True))
     at = 0
     for name, size, length in zip(terms, sizes, lengths, strict=True):
@@ -333,7 +334,7 @@ def test_every_activation_is_that_of_brax(name):
     ]
     weights = Weights(np.zeros(5), np.ones(5), layers, name)
     one = np.ones(12)
-    targets = JointTargets(one, 0 * one, -np.inf * one, np.inf * one, None)
+    targets = JointTargets(one, 0 * one, -np.inf * one, np.inf * one)
     model = build_model(weights, np.arange(5), targets, {})
     session = onnxruntime.InferenceSession(model.SerializeToString())
     x = np.float32(rng.normal(size=(1, 5)))
@@ -350,10 +351,9 @@ def bent(robot, action, joints, *, bend):
 
 def test_an_action_map_that_no_format_can_state_is_named(env):
     with pytest.raises(UserError, match=r"^the action map bent cannot be exported; expected"):
-        find_targets(ActionMap(bent, {"bend": 0.1}), env.robot)
-    straight = find_targets(ActionMap(bent, {"bend": 0.0}), env.robot)
+        find_joint_targets(ActionMap(bent, {"bend": 0.1}), env.robot)
+    straight = find_joint_targets(ActionMap(bent, {"bend": 0.0}), env.robot)
     np.testing.assert_allclose(straight.scale, 0.2, rtol=1e-6)
-    assert straight.reach is None
 
 
 @pytest.mark.parametrize("missing", ["onnx", "onnxruntime"])
