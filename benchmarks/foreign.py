@@ -239,13 +239,13 @@ def main() -> None:
     from quadwalk.evaluation.loaded import load_run
     from quadwalk.evaluation.recording.provenance import provenance
     from quadwalk.export.bundle import export_run
-    from quadwalk.files import atomic_write
+    from quadwalk.files import atomic_write, write_json
     from quadwalk.render.images import save_png
-    from quadwalk.runs.directory import find_ready, results_folder, write_json_atomic
+    from quadwalk.runs.directory import find_ready, get_results_folder
 
     options = parse()
     run = find_ready(options.runs, options.run, "run")
-    out = options.out or results_folder(options.runs, run) / "foreign"
+    out = options.out or get_results_folder(options.runs, run) / "foreign"
     contact = Contact(**{f.name: getattr(options, f.name) for f in dataclasses.fields(Contact)})
     try:
         drake = importlib.metadata.version("drake")
@@ -262,7 +262,7 @@ def main() -> None:
     print(as_markdown(table))
     about = provenance(loaded, options.seed) | {"drake": drake, "episodes": options.episodes}
     about |= {"contact": dataclasses.asdict(contact), "conditions": results}
-    write_json_atomic(out / "foreign.json", about)
+    write_json(out / "foreign.json", about)
     with atomic_write(out / "foreign.csv") as file:
         file.write(as_csv(table))
     save_png(picture(samples, loaded), out / "film_strip.png")

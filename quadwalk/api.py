@@ -10,13 +10,12 @@ from quadwalk.errors import UsageError
 from quadwalk.evaluation.evaluation import Evaluation, measure
 from quadwalk.evaluation.loaded import load_run
 from quadwalk.evaluation.report.console import print_comparison
-from quadwalk.learn import loop
+from quadwalk.learn import acting, loop
+from quadwalk.learn.acting import Policy
 from quadwalk.learn.devices import set_up_devices
-from quadwalk.runs import policy as policy_file
+from quadwalk.robot.load import load_robot
 from quadwalk.runs.directory import Run, find_any_run
-from quadwalk.runs.policy import Policy
-from quadwalk.runs.resume import resumed_config
-from quadwalk.runs.robot import load_robot
+from quadwalk.runs.resume import read_config_to_resume
 from quadwalk.settings.serialize import with_settings
 from quadwalk.settings.training import TrainConfig
 from quadwalk.task_files import load_task
@@ -81,7 +80,7 @@ def train(
         if "init" in changes:
             raise UsageError("resume uses its run's own networks; expected no init")
         previous = _run(resume, runs)
-        config = with_settings(resumed_config(previous), changes)
+        config = with_settings(read_config_to_resume(previous), changes)
     run = loop.train(config, previous, watch)
     assert run is not None  # one process
     return run
@@ -146,8 +145,8 @@ def load_policy(run: str | Path | Run = "latest") -> Policy:
     """The last policy of a run, or of a policy file: `policy.act(observation)` is its action."""
     set_up_devices()
     if isinstance(run, str | Path) and Path(run).suffix == ".npz":
-        return policy_file.load_policy(Path(run))
-    return policy_file.load_policy(_run(run, None).policy)
+        return acting.load_policy(Path(run))
+    return acting.load_policy(_run(run, None).policy)
 
 
 def _config(

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import contextlib
+import hashlib
+import json
 import os
 import shutil
 import stat
@@ -83,6 +85,23 @@ def read_bytes(path: Path | str) -> bytes:
         raise UserError(f"cannot read {path}: {os_reason(error)}") from error
 
 
+def hash_file(path: Path | str) -> str:
+    """Return the SHA-256 of a file's bytes, in hexadecimal."""
+    return hashlib.sha256(read_bytes(path)).hexdigest()
+
+
+def format_json(value: Any) -> bytes:
+    """Return `value` as readable, strict JSON."""
+    return json.dumps(value, indent=2, allow_nan=False, ensure_ascii=False).encode() + b"\n"
+
+
+def write_json(path: Path | str, value: Any) -> None:
+    """Write `value` as readable, strict JSON, whole or not at all."""
+    content = format_json(value)  # before there is a file: it may be refused
+    with atomic_write(path) as file:
+        file.write(content)
+
+
 def make_folder(path: Path, what: str = "the folder") -> None:
     """Make a folder and those above it, if it is not there; `UserError` where that cannot be."""
     try:
@@ -105,6 +124,22 @@ def lock(file: Any) -> bool | None:
     except OSError:
         return None
     return True
+
+
+@contextlib.contextmanager
+def hold_file(path: Path, taken: str) -> Iterator[None]:
+    """Keep a file, made if need be, for this process; `UserError` `taken` if another has it.
+
+    The system gives it back when the process ends, however it ends.
+    """
+    try:
+        file = open(path, "ab")  # noqa: SIM115 - opened apart, to tell what is refused
+    except OSError as error:
+        raise UserError(f"cannot write {path}: {os_reason(error)}") from error
+    with file:
+        if lock(file) is False:
+            raise UserError(taken)
+        yield
 
 
 def os_reason(error: OSError) -> str:

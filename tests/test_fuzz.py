@@ -18,23 +18,24 @@ from quadwalk.evaluation.options import EvalConfig
 from quadwalk.experiments.compare import main as compare
 from quadwalk.experiments.options import CompareConfig, TuneConfig
 from quadwalk.export.cli import ExportConfig
+from quadwalk.learn.acting import load_checkpoint_policy, load_policy
 from quadwalk.learn.flags import parse_config
 from quadwalk.paths import ALIENGO_URDF
 from quadwalk.progress.curves import learning_curve
 from quadwalk.robot.cli import main as robot
+from quadwalk.robot.load import load_robot
 from quadwalk.robot.quadruped import Quadruped
 from quadwalk.runs.directory import (
     Run,
     create_run,
     find_any_run,
+    find_latest_checkpoint,
     find_ready,
     find_run,
-    latest_checkpoint,
 )
 from quadwalk.runs.log import MetricsLog, read_history
-from quadwalk.runs.policy import load_checkpoint_policy, load_policy, load_score
-from quadwalk.runs.resume import resumed_config
-from quadwalk.runs.robot import load_robot
+from quadwalk.runs.policy import load_score
+from quadwalk.runs.resume import read_config_to_resume
 from quadwalk.settings.serialize import flatten, with_settings
 from quadwalk.settings.training import RobotConfig
 from quadwalk.task_files import load_task, task_names
@@ -138,15 +139,15 @@ def test_arguments_of_robot_and_ground(word, tmp_path, monkeypatch):
 
 # What a run's files are read for.
 READERS: dict[str, tuple[Callable[[Run], object], ...]] = {
-    "config.json": (resumed_config,),
+    "config.json": (read_config_to_resume,),
     "metrics.jsonl": (lambda run: learning_curve(read_history(run)), lambda run: appended(run)),
     "timing.jsonl": (read_history, lambda run: appended(run)),
     "policy.npz": (lambda run: load_policy(run.policy),),
     "best.npz": (lambda run: load_score(run.best),),
     "checkpoints/step_000000000003.npz": (
         policy_choices,
-        lambda run: latest_checkpoint(run, str),
-        lambda run: load_checkpoint_policy(run.checkpoint(3), ("a",) * 12),
+        lambda run: find_latest_checkpoint(run, str),
+        lambda run: load_checkpoint_policy(run.locate_checkpoint(3), ("a",) * 12),
     ),
     "robot.urdf": (lambda run: load_robot(RobotConfig(run.urdf)),),
 }

@@ -14,8 +14,9 @@ import tyro
 from quadwalk.cli import main
 from quadwalk.cli.arguments import ArgumentParser
 from quadwalk.experiments.options import split_variants
+from quadwalk.files import format_json
 from quadwalk.learn.flags import parse_config
-from quadwalk.runs.directory import as_json, create_run, versions
+from quadwalk.runs.directory import create_run, get_versions
 from quadwalk.settings.serialize import to_dict
 from quadwalk.task_files import load_task
 
@@ -55,7 +56,7 @@ def parse(monkeypatch, tmp_path) -> Callable[..., None]:
     monkeypatch.chdir(tmp_path)
     (task,) = OWN_TASK.findall((ROOT / "docs/extend.md").read_text())
     (tmp_path / "my_task.py").write_text(task)
-    config = as_json({"config": to_dict(load_task("run")), "versions": versions()})
+    config = format_json({"config": to_dict(load_task("run")), "versions": get_versions()})
     for name in ("fast", "bounce"):  # that pages resume
         create_run("runs", name, files={"config.json": config})
 

@@ -15,8 +15,8 @@ from settings import comments
 from quadwalk import api, gym
 from quadwalk.env.env import QuadrupedEnv
 from quadwalk.evaluation.evaluation import Evaluation
+from quadwalk.learn.acting import Policy
 from quadwalk.runs.directory import Run
-from quadwalk.runs.policy import Policy
 
 PAGE = Path(__file__).parents[1] / "api.md"
 FUNCTIONS = (api.make, api.train, api.evaluate, api.compare, api.load_policy)

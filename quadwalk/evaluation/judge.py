@@ -23,9 +23,9 @@ from quadwalk.evaluation.report import console as tables
 from quadwalk.evaluation.report import panels
 from quadwalk.evaluation.report.pictures import draw_film_strip, render_video
 from quadwalk.evaluation.summary import engine_differences
+from quadwalk.files import write_json
 from quadwalk.render.figures import save_figure
 from quadwalk.render.images import save_png
-from quadwalk.runs.directory import write_json_atomic
 
 
 def judge(loaded: LoadedRun, config: EvalConfig, out: Path, console: Console) -> dict[str, Any]:
@@ -46,7 +46,7 @@ def judge(loaded: LoadedRun, config: EvalConfig, out: Path, console: Console) ->
     written = ["metrics.json"]
     if config.cell_episodes:
         written += _in_cells(loaded, config, out, console, results)
-    write_json_atomic(out / "metrics.json", results)
+    write_json(out / "metrics.json", results)
     with console.status("writing"):
         written += _write_pictures(found, config, out)
         recorded = found.save_mcap(out, config.recordings)
@@ -107,7 +107,7 @@ def compare(
         for label, folder, result in zip(labels, folders, results, strict=True)
     ]
     tables.print_comparison(labels, results)
-    write_json_atomic(out / "comparison.json", comparison)
+    write_json(out / "comparison.json", comparison)
     save_figure(panels.draw_comparison(labels, results), out / "comparison.png")
     console.print(f"written to {out}: comparison.json, comparison.png")
     return comparison
@@ -120,7 +120,7 @@ def sweep(loaded: LoadedRun, config: EvalConfig, out: Path, console: Console) ->
         swept = measure_sweeps(loaded, config.episodes, config.seed, report)
     results = {**provenance(loaded, config.seed), **swept}
     tables.print_sweep(results)
-    write_json_atomic(out / "sweep.json", results)
+    write_json(out / "sweep.json", results)
     save_figure(panels.draw_sweep([results]), out / "sweep.png")
     console.print(f"written to {out}: sweep.json, sweep.png")
     return results
@@ -129,7 +129,7 @@ def sweep(loaded: LoadedRun, config: EvalConfig, out: Path, console: Console) ->
 def compare_sweeps(labels: list[str], results: list[dict[str, Any]], out: Path) -> dict[str, Any]:
     """Draw and write the sweeps of runs called `labels` together; what comparison.json holds."""
     named = [{**result, "run": label} for label, result in zip(labels, results, strict=True)]
-    write_json_atomic(out / "comparison.json", {"runs": named})
+    write_json(out / "comparison.json", {"runs": named})
     save_figure(panels.draw_sweep(named), out / "sweep.png")
     return {"runs": named}
 

@@ -10,12 +10,12 @@ import numpy as np
 
 from quadwalk.env.env import QuadrupedEnv
 from quadwalk.errors import UserError
-from quadwalk.files import read_bytes
+from quadwalk.files import hash_file, read_bytes
+from quadwalk.learn.acting import Policy, load_policy
 from quadwalk.physics.engines import EngineName
-from quadwalk.runs import checkpoint
+from quadwalk.robot.load import load_robot
 from quadwalk.runs.directory import Run
-from quadwalk.runs.policy import Policy, load_policy
-from quadwalk.runs.robot import compare_robot, load_robot
+from quadwalk.runs.resume import compare_robot
 from quadwalk.settings.environment import (
     NO_RANDOMIZATION,
     PHYSICS,
@@ -104,7 +104,7 @@ def load_run(
     flat floor. Raises `UserError` where policy or robot cannot be read, or do not match.
     """
     file = run.best if which == "best" else run.policy
-    policy, sha256 = load_policy(file), checkpoint.sha256(file)
+    policy, sha256 = load_policy(file), hash_file(file)
     # Now, and not for its recordings, when all is simulated.
     written = read_bytes(run.config) if run.config.exists() else None
     quadruped = load_robot(policy.config.robot)

@@ -22,7 +22,7 @@ def evaluate_runs(config: EvalConfig) -> dict[str, Any]:
         # On stderr: what is printed on stdout is the result alone.
         console = message_console()
         console.print(
-            f"evaluating {', '.join(directory.origin_of(config.runs, run) for run in runs)}"
+            f"evaluating {', '.join(directory.describe_origin(config.runs, run) for run in runs)}"
         )
 
         # All of these late, since they take seconds.
@@ -80,7 +80,7 @@ def _make_outputs(
         return [_make_folder(together / label, made, new=False) for label in labels], together
     what = "sweep" if config.sweep else config.engine
     name = f"{datetime.datetime.now():%Y-%m-%d_%H%M%S}-{what}"
-    places = [directory.results_folder(config.runs, run) / "eval" for run in runs]
+    places = [directory.get_results_folder(config.runs, run) / "eval" for run in runs]
     if len(runs) > 1:
         places.append(config.runs / "comparisons")
     folders = [_make_folder(place / name, made) for place in places]
@@ -95,7 +95,9 @@ def _make_folder(folder: Path, made: contextlib.ExitStack, new: bool = True) -> 
     missing = [path for path in folder.parents if not path.exists()]
     try:
         if new:
-            folder = next(filter(_is_made, map(folder.with_name, directory.numbered(folder.name))))
+            folder = next(
+                filter(_is_made, map(folder.with_name, directory.number_names(folder.name)))
+            )
         if new or _is_made(folder):
             missing.insert(0, folder)
         for path in reversed(missing):

@@ -20,10 +20,10 @@ from quadwalk.experiments.job import Job, fix_sizes
 from quadwalk.experiments.options import CompareConfig
 from quadwalk.experiments.places import make_place
 from quadwalk.experiments.runner import collect_values, run_jobs
-from quadwalk.files import atomic_write, real_path
+from quadwalk.files import atomic_write, real_path, write_json
 from quadwalk.learn.flags import parse_config
 from quadwalk.render.figures import save_figure
-from quadwalk.runs.directory import Run, write_json_atomic
+from quadwalk.runs.directory import Run
 from quadwalk.runs.log import read_history
 from quadwalk.settings.training import TrainConfig
 
@@ -86,7 +86,7 @@ def _write_results(results: Sequence[dict[str, Any]], runs: Path) -> None:
     ]
     with atomic_write(runs / "compare.md") as file:
         file.write(("\n".join((*HEADING, *map(format_row, results))) + "\n").encode())
-    write_json_atomic(runs / "compare.json", results)
+    write_json(runs / "compare.json", results)
     save_figure(draw_bands(histories), runs / "compare.png")
     print(f"written to {runs}: compare.md, compare.json, compare.png")
 

@@ -20,10 +20,10 @@ from quadwalk.errors import UserError
 from quadwalk.experiments.options import PlaceConfig
 from quadwalk.learn.devices import ACCELERATOR_ENVS, CPU_ENVS, device_count, set_up_devices
 from quadwalk.learn.prepare import new_run
-from quadwalk.runs.directory import Run, claim, versions
+from quadwalk.robot.load import load_robot
+from quadwalk.runs.directory import Run, claim, get_versions
 from quadwalk.runs.policy import load_score
-from quadwalk.runs.resume import read_config
-from quadwalk.runs.robot import content, load_robot
+from quadwalk.runs.resume import describe_training, read_config
 from quadwalk.settings.training import TrainConfig, with_files
 
 PATIENCE = 120.0  # s for a process that was lost to let go of its run
@@ -64,7 +64,7 @@ class Job:
     def work(self, cores: int) -> Work:
         """Return what a process needs to compute this job on `cores` cores."""
         config = self.config
-        return Work(self.run, config.steps, config.devices, cores, self.evaluate, versions())
+        return Work(self.run, config.steps, config.devices, cores, self.evaluate, get_versions())
 
 
 def fix_sizes(config: TrainConfig, place: PlaceConfig) -> TrainConfig:
@@ -80,11 +80,11 @@ def fix_sizes(config: TrainConfig, place: PlaceConfig) -> TrainConfig:
 def check_same(config: TrainConfig) -> None:
     """Raise a `UserError` if `config` cannot be trained, or its run is there with others."""
     run = Run(config.runs / str(config.name))
-    wanted = content(config, load_robot(config.robot))
+    wanted = describe_training(config, load_robot(config.robot))
     if not run.path.exists():
         return
     kept = read_config(run)
-    if content(kept, load_robot(kept.robot)) != wanted:
+    if describe_training(kept, load_robot(kept.robot)) != wanted:
         raise UserError(f"{run.path} has other settings; remove it to train it anew")
 
 
@@ -152,7 +152,7 @@ def _is_orphan() -> bool:
 
 def _check_machine(work: Work) -> None:
     """Raise a `UserError` if this machine lacks the run's folder or has other versions."""
-    here = versions()
+    here = get_versions()
     if here != work.versions:
         differ = ", ".join(
             f"{name} {version} in place of {work.versions[name]}"

@@ -10,7 +10,7 @@ import tyro
 from quadwalk.cli.arguments import message_console, parse
 from quadwalk.cli.shell import install, python, words
 from quadwalk.errors import UserError
-from quadwalk.runs.directory import find_any_run, find_ready, origin_of, results_folder
+from quadwalk.runs.directory import describe_origin, find_any_run, find_ready, get_results_folder
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ def main(args: Sequence[str], prog: str = "quadwalk export") -> None:
     config = parse(ExportConfig, args, prog)
     run = find_ready(config.runs, config.run, "run")
     console = message_console()
-    out = config.out or results_folder(config.runs, run) / "export"
+    out = config.out or get_results_folder(config.runs, run) / "export"
     checked = config.check or config.recording is not None
     try:
         from quadwalk.export.bundle import export_run, load_flat
@@ -49,7 +49,7 @@ def main(args: Sequence[str], prog: str = "quadwalk export") -> None:
             f"{error.name} is not installed; export needs: {install('export')}"
         ) from None
     if not checked or not (out / "policy.onnx").exists():
-        console.print(f"exporting {origin_of(config.runs, run)}")
+        console.print(f"exporting {describe_origin(config.runs, run)}")
         getup = None if config.getup is None else find_any_run(config.runs, config.getup)
         for path in export_run(run, config.policy, out, console, getup):
             print(path)

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from quadwalk.files import atomic_write
+from quadwalk.robot.load import load_robot
 from quadwalk.robot.quadruped import Quadruped
-from quadwalk.runs.robot import load_robot
 from quadwalk.settings.training import RobotConfig
 
 SECONDS = 30.0

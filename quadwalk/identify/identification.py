@@ -10,7 +10,7 @@ from quadwalk.cli.arguments import message_console
 from quadwalk.cli.shell import as_typed
 from quadwalk.errors import UserError
 from quadwalk.evaluation.report.console import print_table
-from quadwalk.files import atomic_write, make_folder
+from quadwalk.files import atomic_write, make_folder, write_json
 from quadwalk.identify import found
 from quadwalk.identify.config import IdentifyConfig
 from quadwalk.identify.fit import DELAY, MOST_UNEXPLAINED, OFFSETS, Fit, fit_joints
@@ -22,9 +22,8 @@ from quadwalk.physics.fast import make_model
 from quadwalk.physics.model import Model
 from quadwalk.physics.motor import FRICTION_SPEED, MotorConfig, make_motor
 from quadwalk.render.figures import save_figure
+from quadwalk.robot.load import load_robot
 from quadwalk.robot.quadruped import Quadruped
-from quadwalk.runs.directory import write_json_atomic
-from quadwalk.runs.robot import load_robot
 from quadwalk.settings.environment import PHYSICS
 
 _FOLLOWS = 0.8  # the correlation of angles with the targets that they follow
@@ -104,7 +103,7 @@ def _write(
         "unexplained": dict(zip(quadruped.joints, fit.unexplained.tolist(), strict=True)),
         "flags": flags,
     }
-    write_json_atomic(out / "identified.json", results)
+    write_json(out / "identified.json", results)
     save_figure(
         draw_fit(fit, log, quadruped, f"{quadruped.name}, {config.log.name}"), out / "fit.png"
     )

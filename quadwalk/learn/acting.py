@@ -2,6 +2,8 @@
 
 import functools
 from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -9,12 +11,68 @@ import jax.numpy as jnp
 import numpy as np
 
 from quadwalk.brax import ACTIVATION, NestedMeanStd
-from quadwalk.learn.networks import divisors, spread
-from quadwalk.settings.training import PPOConfig
+from quadwalk.env.reflections import Mirrors
+from quadwalk.errors import UserError
+from quadwalk.files import DAMAGE
+from quadwalk.learn.networks import KERNELS, check_activation, divisors, make_networks, spread
+from quadwalk.robot.mirror import make_mirror
+from quadwalk.runs import checkpoint
+from quadwalk.runs.directory import Run
+from quadwalk.runs.policy import collect_layers, read_policy
+from quadwalk.runs.resume import restore_config
+from quadwalk.settings.training import PPOConfig, TrainConfig
 
 SURE = 0.15  # standard deviation, before the tanh, up to which a policy acts without noise
 READS = 4  # numbers of an observation that a joint's noise depends on; few, for rounding's sake
 GAIN = 10.0  # rad that its phase turns where one of them changes by its standard deviation
+
+# Where a checkpoint has the policy's layers and the observation's statistics.
+_LAYERS = "learner/params/policy/params/"
+_MEAN, _STD = "learner/normalizer/mean", "learner/normalizer/std"
+
+
+@dataclass(frozen=True)
+class Policy:
+    """A policy as a function, and what it belongs to."""
+
+    act: Callable[[jax.Array], jax.Array]  # observation (..., n) to action (..., 12)
+    config: TrainConfig
+    joints: tuple[str, ...]  # of the robot it was trained on
+    observation_size: int
+    steps: int  # control steps of training behind it
+
+
+def load_policy(path: Path) -> Policy:
+    """Load a policy; `UserError` in one line names a file that is missing, damaged or foreign."""
+    saved = read_policy(path)
+    config = saved.config
+    try:
+        check_activation(config.ppo.activation)
+    except UserError as error:
+        raise UserError(f"{path} holds a configuration that cannot be used: {error}") from None
+    act = make_policy(config.ppo, saved.statistics, saved.weights)
+    return Policy(act, config, saved.joints, len(saved.statistics.mean), saved.steps)
+
+
+def load_checkpoint_policy(path: Path, joints: tuple[str, ...]) -> Policy:
+    """Load the policy in a checkpoint of a run whose robot has these `joints`.
+
+    Raises `UserError`.
+    """
+    leaves, metadata = checkpoint.load(path, "checkpoint")
+    layers = collect_layers(leaves, _LAYERS)
+    try:
+        config = restore_config(metadata["config"], Run(path.parent.parent), str(path))
+        steps, mean, std = int(metadata["steps"]), leaves[_MEAN], leaves[_STD]
+        first = layers["hidden_0"]
+        size = sum(len(first[name]) for name in KERNELS if name in first)
+        mirrors = metadata.get("mirrors")  # as `Networks.mirrors` gave them
+        mirrors = mirrors and Mirrors(*(make_mirror(*mirrors[name]) for name in Mirrors._fields))
+        networks = make_networks(config.ppo, size, len(joints), len(mean) - size, mirrors)
+        policy = networks.plain_policy(NestedMeanStd(mean, std), {"params": layers})
+    except (*DAMAGE, UserError) as error:
+        raise UserError(f"{path} holds no policy that can be used: {error}") from None
+    return Policy(make_policy(config.ppo, *policy), config, joints, size, steps)
 
 
 def make_policy(

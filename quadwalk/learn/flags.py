@@ -9,7 +9,7 @@ from quadwalk.cli.arguments import parse, taken, value_of
 from quadwalk.errors import UsageError
 from quadwalk.files import real_path
 from quadwalk.runs.directory import Run, find_any_run, find_run
-from quadwalk.runs.resume import resumed_config
+from quadwalk.runs.resume import read_config_to_resume
 from quadwalk.settings.training import TrainConfig
 from quadwalk.task_files import load_task, task_list, task_table
 
@@ -80,7 +80,7 @@ def parse_config(args: Sequence[str], prog: str = "train.py") -> tuple[TrainConf
             if value_of(args, flag) is not None:
                 raise UsageError(f"{flag} with --resume: the run has its own; expected no {flag}")
         previous = find_run(value_of(args, "--runs") or TrainConfig.runs, which)
-        default = resumed_config(previous)
+        default = read_config_to_resume(previous)
     else:
         default = load_task("run" if task is None else task)
     shared: Any = {f.name: getattr(default, f.name) for f in dataclasses.fields(TrainConfig)}

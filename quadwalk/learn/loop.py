@@ -33,7 +33,7 @@ def train(
 ) -> Run | None:
     """Train as `config` says; return the run, whose directory holds everything.
 
-    With `previous`, a run, it resumes that one, whose settings `resumed_config` gives.
+    With `previous`, a run, it resumes that one, whose settings `read_config_to_resume` gives.
     `watch` is called with each iteration's row of metrics, to show it in another way.
 
     Once it iterates, Ctrl-C, SIGTERM, SIGHUP or the time limit end training after the iteration at
@@ -170,7 +170,7 @@ def _diverged(training: Training, writer: RunWriter | None, steps: int, count: f
 def _last(writer: RunWriter) -> str:
     if writer.saved is None:
         return f"{writer.run.path} has no checkpoint yet"
-    return f"the last good checkpoint is {writer.run.checkpoint(writer.saved)}"
+    return f"the last good checkpoint is {writer.run.locate_checkpoint(writer.saved)}"
 
 
 def _typed(command: str, run: Run, *before: str) -> str:

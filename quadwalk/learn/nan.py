@@ -22,10 +22,10 @@ from quadwalk.env.ground_input import jit
 from quadwalk.errors import UserError
 from quadwalk.files import os_reason
 from quadwalk.physics.engines import ENGINES
+from quadwalk.robot.load import load_robot
 from quadwalk.runs import checkpoint
 from quadwalk.runs.directory import Run
-from quadwalk.runs.resume import config_of
-from quadwalk.runs.robot import load_robot
+from quadwalk.runs.resume import restore_config
 from quadwalk.settings.serialize import to_dict
 from quadwalk.settings.training import TrainConfig
 
@@ -59,7 +59,7 @@ def replay(path: Path | str) -> tuple[np.ndarray, np.ndarray]:
     _, metadata = checkpoint.load(path, "nan")
     run = Run(path.parent.parent)
     try:
-        config = config_of(metadata["config"], run, str(path), "0.1")
+        config = restore_config(metadata["config"], run, str(path))
         env = QuadrupedEnv(load_robot(config.robot), config.env)
     except (KeyError, ValueError, UserError) as error:
         raise UserError(f"{path} holds a step that cannot be used: {error}") from None

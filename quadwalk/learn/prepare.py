@@ -12,7 +12,15 @@ from optax.tree_utils import tree_get, tree_set
 
 from quadwalk.env.env import QuadrupedEnv
 from quadwalk.errors import UserError
-from quadwalk.files import DAMAGE, atomic_write, read_bytes, real_path, unfinished
+from quadwalk.files import (
+    DAMAGE,
+    atomic_write,
+    format_json,
+    read_bytes,
+    real_path,
+    unfinished,
+    write_json,
+)
 from quadwalk.learn import distributed
 from quadwalk.learn.devices import choose_devices
 from quadwalk.learn.iteration import (
@@ -27,11 +35,17 @@ from quadwalk.learn.ppo import RATE
 from quadwalk.learn.warm_start import begun_from
 from quadwalk.progress.display import Progress
 from quadwalk.progress.metrics import TrainingMetrics
+from quadwalk.robot.load import hash_robot, load_robot
 from quadwalk.robot.quadruped import Quadruped
 from quadwalk.runs import checkpoint, directory
 from quadwalk.runs.directory import Run
-from quadwalk.runs.resume import changed_settings, read_config
-from quadwalk.runs.robot import ROBOT_HASH, compare_robot, content, hash_robot, load_robot
+from quadwalk.runs.resume import (
+    ROBOT_HASH,
+    compare_robot,
+    describe_training,
+    list_changes,
+    read_config,
+)
 from quadwalk.settings.serialize import task_source, to_dict
 from quadwalk.settings.training import DistributedConfig, TrainConfig, with_files
 from quadwalk.task_files import OWN
@@ -98,7 +112,7 @@ def prepare(
     metrics = TrainingMetrics(config.env.reward)
     steps, seconds = 0, 0.0
     if previous is not None:
-        path = directory.latest_checkpoint(
+        path = directory.find_latest_checkpoint(
             previous, lambda text: progress.message(f"warning: {text}")
         )
         if path is None:
@@ -162,7 +176,7 @@ def _check_processes(config: TrainConfig, quadruped: Quadruped) -> None:
         shared = replace(config, distributed=own, runs=TrainConfig.runs, quiet=False)
         if config.init is not None:
             shared = replace(shared, init=Path(config.init).name)
-        distributed.check_same(f"{to_dict(shared) | content(config, quadruped)}")
+        distributed.check_same(f"{to_dict(shared) | describe_training(config, quadruped)}")
 
 
 def _open_run(
@@ -178,17 +192,17 @@ def _open_run(
         stack.enter_context(directory.claim(run))
         return run
     stack.enter_context(directory.claim(previous))
-    changes = changed_settings(read_config(previous), config)
-    directory.clean(previous)
+    changes = list_changes(read_config(previous), config)
+    directory.delete_partial_files(previous)
     for line in compare_robot(previous, quadruped):
         progress.message(line)
-    directory.write_json_atomic(previous.config, _settings(config, quadruped))
+    write_json(previous.config, _settings(config, quadruped))
     for change in changes:
         progress.message(f"changed {change}")
     heights = config.env.ground.file
-    if heights is not None and heights != real_path(previous.ground(heights)):
+    if heights is not None and heights != real_path(previous.locate_heights(heights)):
         copy = read_bytes(heights)
-        with atomic_write(previous.ground(heights)) as file:
+        with atomic_write(previous.locate_heights(heights)) as file:
             file.write(copy)
     return previous
 
@@ -197,19 +211,19 @@ def new_run(config: TrainConfig, quadruped: Quadruped) -> Run:
     """The folder of a run, with copies of its own of all that its training begins with."""
     files = {
         "robot.urdf": quadruped.urdf.encode(),
-        "config.json": directory.as_json(_settings(config, quadruped)),
+        "config.json": format_json(_settings(config, quadruped)),
     }
     source, heights = task_source(config), config.env.ground.file
     if source is not None:
         files[OWN] = source
     if heights is not None:
-        files[Run(Path()).ground(heights).name] = read_bytes(heights)
+        files[Run(Path()).locate_heights(heights).name] = read_bytes(heights)
     return directory.create_run(config.runs, config.name, label=config.task, files=files)
 
 
 def _settings(config: TrainConfig, quadruped: Quadruped) -> dict[str, Any]:
     return {
         "config": to_dict(config),
-        "versions": directory.versions(),
+        "versions": directory.get_versions(),
         ROBOT_HASH: hash_robot(quadruped),
     }

@@ -21,12 +21,12 @@ from quadwalk.learn.networks import (
     structured,
 )
 from quadwalk.learn.ppo import Learner
+from quadwalk.robot.load import load_robot
 from quadwalk.robot.mirror import NotSymmetric, RobotMirror, compute_home_axes, make_mirror
 from quadwalk.runs import checkpoint
-from quadwalk.runs.directory import Run, latest_checkpoint
-from quadwalk.runs.policy import layers_of, load_policy
+from quadwalk.runs.directory import Run, find_latest_checkpoint
+from quadwalk.runs.policy import collect_layers, read_policy
 from quadwalk.runs.resume import read_config
-from quadwalk.runs.robot import load_robot
 from quadwalk.settings.training import TrainConfig
 
 KNOWN = 8  # iterations for which the source's statistics count: another robot's soon outweigh them
@@ -46,10 +46,10 @@ def begun_from(
     taken over.
     """
     notes: list[str] = []
-    path = latest_checkpoint(source, notes.append)
+    path = find_latest_checkpoint(source, notes.append)
     if path is None and not source.policy.exists():
         raise UserError(f"--init: {source.path} has no checkpoint; expected a run that was saved")
-    theirs = load_policy(source.policy).config if path is None else read_config(source)
+    theirs = read_policy(source.policy).config if path is None else read_config(source)
     for name in ("hidden", "activation"):
         own, other = getattr(config.ppo, name), getattr(theirs.ppo, name)
         if own != other:
@@ -97,12 +97,12 @@ def _read(
     """The plain networks in a checkpoint, or in the run's policy file, and their statistics."""
     if path is None:
         leaves, _ = checkpoint.load(source.policy, "policy")
-        found = {"policy": {"params": layers_of(leaves, "policy/params/")}}
+        found = {"policy": {"params": collect_layers(leaves, "policy/params/")}}
         place = "normalizer"
     else:
         leaves, _ = checkpoint.load(path, "checkpoint")
         policy, value = (
-            {"params": layers_of(leaves, f"learner/params/{name}/params/")}
+            {"params": collect_layers(leaves, f"learner/params/{name}/params/")}
             for name in ("policy", "value")
         )
         found = {

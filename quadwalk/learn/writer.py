@@ -9,7 +9,7 @@ from quadwalk.errors import UserError
 from quadwalk.learn import nan
 from quadwalk.learn.prepare import Training
 from quadwalk.runs import checkpoint
-from quadwalk.runs.directory import Run, keep_last
+from quadwalk.runs.directory import Run, prune_checkpoints
 from quadwalk.runs.log import MetricsLog, read_history
 from quadwalk.runs.policy import load_score, save_policy
 from quadwalk.runs.wandb import WandbLog
@@ -97,7 +97,7 @@ class RunWriter:
 
         def save_checkpoint() -> None:
             self._log.sync()  # a checkpoint counts on the rows before it
-            checkpoint.save(self.run.checkpoint(steps), state, metadata)
+            checkpoint.save(self.run.locate_checkpoint(steps), state, metadata)
 
         # The policies first: they are small and most valuable, should the disk be full.
         well = self.publish(state, steps)
@@ -108,8 +108,8 @@ class RunWriter:
                 well = False
         if self._attempt("checkpoint", save_checkpoint):
             self.saved = steps
-            best = self.run.checkpoint(self.best[0]) if self.best else None
-            keep_last(self.run, KEPT_CHECKPOINTS, also=best)
+            best = self.run.locate_checkpoint(self.best[0]) if self.best else None
+            prune_checkpoints(self.run, KEPT_CHECKPOINTS, also=best)
         else:
             well = False
         return well

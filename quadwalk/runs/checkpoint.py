@@ -7,7 +7,6 @@ and the metadata lists the members, so damage is found before anything is used. 
 metadata give equal bytes.
 """
 
-import hashlib
 import io
 import json
 import lzma
@@ -21,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from quadwalk.errors import UserError
-from quadwalk.files import DAMAGE, atomic_write, os_reason, read_bytes
+from quadwalk.files import DAMAGE, atomic_write, os_reason
 
 FORMAT = "quadwalk"
 VERSION = 1
@@ -54,7 +53,7 @@ def save(path: Path | str, tree: Any, metadata: dict[str, Any]) -> None:
     """
     if metadata.get("kind") not in KINDS:
         raise ValueError(f"metadata['kind'] is {metadata.get('kind')!r}, expected one of {KINDS}")
-    leaves = {name: _as_numpy(name, leaf) for name, leaf in _named_leaves(tree)[0]}
+    leaves = {name: _to_numpy(name, leaf) for name, leaf in _name_leaves(tree)[0]}
     header = {"format": FORMAT, "version": VERSION, "arrays": list(leaves), "metadata": metadata}
     text = json.dumps(header, indent=1)
     with atomic_write(path) as file, zipfile.ZipFile(file, "w", zipfile.ZIP_STORED) as archive:
@@ -78,7 +77,7 @@ def load(path: Path | str, kind: str, like: Any = None) -> tuple[Any, dict[str, 
     try:
         file = open(path, "rb")  # noqa: SIM115 - opened apart, to tell what the system refuses...
     except FileNotFoundError:
-        raise UserError(f"{path} does not exist: expected {_expected(kind)}") from None
+        raise UserError(f"{path} does not exist: expected {_describe_kind(kind)}") from None
     except OSError as error:
         raise UserError(f"cannot read {path}: {os_reason(error)}") from error
     try:  # ...from what the content lacks.
@@ -91,40 +90,35 @@ def load(path: Path | str, kind: str, like: Any = None) -> tuple[Any, dict[str, 
                     f"{path} has format version {header['version']}: "
                     f"expected {VERSION} (was it written by a newer quadwalk?)"
                 )
-            found = header["metadata"]["kind"]
-            if found != kind:
-                raise UserError(f"{path} is a {found}: expected {_expected(kind)}")
+            saved_kind = header["metadata"]["kind"]
+            if saved_kind != kind:
+                raise UserError(f"{path} is a {saved_kind}: expected {_describe_kind(kind)}")
             leaves = _read_leaves(archive, header)
     except _DAMAGE as error:
-        raise UserError(f"{path} is damaged or foreign: expected {_expected(kind)}") from error
-    return (leaves if like is None else _arrange(path, leaves, like)), header["metadata"]
+        raise UserError(f"{path} is damaged or foreign: expected {_describe_kind(kind)}") from error
+    return (leaves if like is None else _fill_structure(path, leaves, like)), header["metadata"]
 
 
-def sha256(path: Path | str) -> str:
-    """The SHA-256 of a file's bytes, in hexadecimal."""
-    return hashlib.sha256(read_bytes(path)).hexdigest()
-
-
-def _expected(kind: str) -> str:
+def _describe_kind(kind: str) -> str:
     return f"a {kind} file that quadwalk's training wrote"
 
 
-def _named_leaves(tree: Any) -> tuple[list[tuple[str, Any]], Any]:
-    """The leaves of a tree with their paths as names, in its own order; and its structure."""
+def _name_leaves(tree: Any) -> tuple[list[tuple[str, Any]], Any]:
+    """Return the leaves of a tree, in its order, with their paths as names; and its structure."""
     import jax  # not at the top: to list runs, or read a file into a dict, takes none of it
 
-    def part(key: Any) -> str:
+    def quote_key(key: Any) -> str:
         # Quoting keeps "a/b" apart from "a" -> "b", and odd characters out of the archive.
         return urllib.parse.quote(jax.tree_util.keystr((key,), simple=True), safe="")
 
     flat, structure = jax.tree_util.tree_flatten_with_path(tree)
-    named = [("/".join(part(key) for key in keys), leaf) for keys, leaf in flat]
+    named = [("/".join(map(quote_key, keys)), leaf) for keys, leaf in flat]
     if len({name for name, _ in named}) < len(named):
         raise ValueError("two leaves of the tree have the same path")
     return named, structure
 
 
-def _as_numpy(name: str, leaf: Any) -> np.ndarray:
+def _to_numpy(name: str, leaf: Any) -> np.ndarray:
     # order="C", so that how an array happens to lie in memory does not change the bytes.
     array = np.asarray(leaf, order="C")
     if array.dtype.kind not in "biufc":
@@ -145,35 +139,35 @@ def _read_leaves(archive: zipfile.ZipFile, header: dict[str, Any]) -> dict[str, 
 
 
 def _read_member(archive: zipfile.ZipFile, name: str) -> bytes:
-    """A member's bytes, their CRC checked."""
+    """Return a member's bytes, their CRC checked."""
     # We never compress, so nothing read is larger than the file: no room for a zip bomb.
     if archive.getinfo(name).compress_type != zipfile.ZIP_STORED:
         raise ValueError("a compressed member")
     return archive.read(name)
 
 
-def _arrange(path: Path, leaves: dict[str, np.ndarray], like: Any) -> Any:
-    """Put the leaves into the structure of `like`; say in one line what does not fit."""
-    named, structure = _named_leaves(like)
-    wanted = dict(named)
+def _fill_structure(path: Path, leaves: dict[str, np.ndarray], like: Any) -> Any:
+    """Put the leaves into the structure of `like`; `UserError` for what does not fit."""
+    named, structure = _name_leaves(like)
+    expected = dict(named)
     # States that version 0.1 saved have the acceleration that its contact solver started from.
     leaves = {name: leaf for name, leaf in leaves.items() if not name.endswith("physics/warmstart")}
     problems = [
         f"it has no {name}, expected {_describe(leaf)}"
         if name not in leaves
         else f"{name} is {_describe(leaves[name])}, expected {_describe(leaf)}"
-        for name, leaf in wanted.items()
+        for name, leaf in expected.items()
         if name not in leaves or _describe(leaves[name]) != _describe(leaf)
     ]
-    problems += [f"it has {name}, which is not expected" for name in leaves if name not in wanted]
+    problems += [f"it has {name}, which is not expected" for name in leaves if name not in expected]
     if problems:
         more = f" (and {len(problems) - 1} more differences)" if len(problems) > 1 else ""
         raise UserError(f"{path} does not fit these settings: {problems[0]}{more}")
-    return structure.unflatten([leaves[name] for name in wanted])
+    return structure.unflatten([leaves[name] for name in expected])
 
 
 def _describe(leaf: Any) -> str:
-    """Shape and dtype of an array, number, or stand-in for one, such as "(48, 128) float32"."""
+    """Return shape and dtype of an array, number or stand-in: "(48, 128) float32"."""
     if not hasattr(leaf, "shape") or not hasattr(leaf, "dtype"):
         leaf = np.asarray(leaf)
     return f"{tuple(leaf.shape)} {leaf.dtype}"

@@ -1,4 +1,4 @@
-"""The run directory: where one training keeps what is needed to replay it or resume it.
+"""The run directory, with all that is needed to replay a training or resume it.
 
 runs/NAME/
   config.json          every setting
@@ -6,7 +6,7 @@ runs/NAME/
   task.py              the file of a task of one's own
   ground-FILE          the file of heights, if the ground is from one
   metrics.jsonl        one line per iteration, the same for the same seed
-  timing.jsonl         how long each took, which never is
+  timing.jsonl         the time of each iteration, which differs each time
   tensorboard/         the same numbers for TensorBoard
   checkpoints/         step_000001000000.npz ...: the whole state of training
   policy.npz           the policy as it was last
@@ -19,7 +19,6 @@ import contextlib
 import datetime
 import importlib.metadata
 import itertools
-import json
 import os
 import platform
 import re
@@ -27,10 +26,9 @@ import shutil
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from quadwalk.errors import UsageError, UserError, meant
-from quadwalk.files import atomic_write, lock, make_folder, os_reason, real_path
+from quadwalk.files import hold_file, make_folder, os_reason, real_path
 from quadwalk.paths import PRETRAINED
 from quadwalk.runs import checkpoint
 
@@ -40,7 +38,7 @@ _LISTED = 5  # runs named in a message: enough to recognize one, few enough for 
 
 
 class _Place:
-    """A path in a run's directory, by a name of its own."""
+    """A path in a run's directory, by its file name."""
 
     def __init__(self, name: str) -> None:
         self._name = name
@@ -71,15 +69,15 @@ class Run:
 
     @property
     def packaged(self) -> bool:
-        """Whether it comes with the package, and so is not to be changed."""
+        """True if it comes with the package, and so is not to be changed."""
         return real_path(self.path).parent == PRETRAINED
 
-    def ground(self, file: Path) -> Path:
-        """Where its copy of a file of heights is; the same for the copy itself."""
+    def locate_heights(self, file: Path) -> Path:
+        """Return the path of the run's copy of a file of heights; the same for the copy itself."""
         return self.path / f"ground-{file.name.removeprefix('ground-')}"
 
-    def checkpoint(self, steps: int) -> Path:
-        """Where the checkpoint after this many environment steps goes."""
+    def locate_checkpoint(self, steps: int) -> Path:
+        """Return the path of the checkpoint after this many environment steps."""
         # Twelve digits, so that a plain listing is in the order of training.
         return self.checkpoints / f"step_{steps:012d}.npz"
 
@@ -111,7 +109,7 @@ def create_run(
                 stream.write(content)
                 stream.flush()
                 os.fsync(stream.fileno())
-        path = _name_first_free(part.path, label) if name is None else _name(part.path, name)
+        path = _rename_to_free(part.path, label) if name is None else _rename(part.path, name)
     except OSError as error:
         raise UserError(f"cannot write in {root / (name or '')}: {os_reason(error)}") from error
     finally:
@@ -122,7 +120,10 @@ def create_run(
 
 
 def find_run(root: Path | str, which: str) -> Run:
-    """A run by its name in `root`, by its path, or "latest"; a `UsageError` lists what there is."""
+    """Find a run by its name in `root`, by its path, or "latest".
+
+    Raises a `UsageError` that lists the runs in `root`.
+    """
     root = Path(root)
     if which == "latest":
         runs = list_runs(root)
@@ -133,11 +134,11 @@ def find_run(root: Path | str, which: str) -> Run:
         for path in (root / which, Path(which)):
             if _is_run(path):
                 return Run(path)
-    raise _unknown_run(root, which)
+    raise _make_unknown_run_error(root, which)
 
 
 def find_any_run(root: Path | str, which: str) -> Run:
-    """As `find_run`, or by its name one that comes with the package, which is not to be changed."""
+    """Find a run as `find_run` does, or by its name one that comes with the package."""
     packaged = sorted(folder.name for folder in PRETRAINED.iterdir())
     try:
         return find_run(root, which)
@@ -148,10 +149,10 @@ def find_any_run(root: Path | str, which: str) -> Run:
             return Run(PRETRAINED / name)
         if which == "latest":
             raise
-        raise _unknown_run(Path(root), which, packaged) from None
+        raise _make_unknown_run_error(Path(root), which, packaged) from None
 
 
-def _unknown_run(root: Path, which: str, packaged: Sequence[str] = ()) -> UsageError:
+def _make_unknown_run_error(root: Path, which: str, packaged: Sequence[str] = ()) -> UsageError:
     """Return an error that lists the runs in `root` and the packaged ones, and the likeliest."""
     names = [run.name for run in list_runs(root)]
     expected = f"there is none in {root} yet"
@@ -165,85 +166,75 @@ def _unknown_run(root: Path, which: str, packaged: Sequence[str] = ()) -> UsageE
 
 
 def find_ready(root: Path | str, which: str, packaged: str) -> Run:
-    """As `find_any_run`; before any training "latest" is `packaged`, which comes trained."""
+    """Find a run as `find_any_run` does; before any training "latest" is the one `packaged`."""
     nothing_yet = which == "latest" and not list_runs(root)
     return find_any_run(root, packaged if nothing_yet else which)
 
 
-def origin_of(root: Path | str, run: Run) -> str:
-    """Its path, and that it comes with the package where it does."""
+def describe_origin(root: Path | str, run: Run) -> str:
+    """Return a run's path, and that it comes with the package where it does."""
     if not run.packaged:
         return str(run.path)
-    return f"{run.path}, which comes trained" + (
-        "" if list_runs(root) else f": no run in {root} yet"
-    )
+    note = "" if list_runs(root) else f": no run in {root} yet"
+    return f"{run.path}, which comes trained{note}"
 
 
-def results_folder(root: Path | str, run: Run) -> Path:
-    """Where what is made of a run goes: to it, or into `root` if it comes with the package."""
+def get_results_folder(root: Path | str, run: Run) -> Path:
+    """Return the folder of what is made of a run: its own, or one in `root` if it is packaged."""
     if run.packaged:
         return Path(root) / PRETRAINED.name / run.name
     return run.path
 
 
 def list_runs(root: Path | str) -> list[Run]:
-    """The runs in `root`, the one last trained first; none if there is no such folder."""
+    """Return the runs in `root`, the one last trained first; none if there is no such folder."""
     try:
         runs = [Run(path) for path in sorted(Path(root).iterdir()) if _is_run(path)]
     except OSError:
         return []
-    return sorted(
-        runs, key=lambda run: max(map(written, (run.config, run.metrics, run.policy))), reverse=True
-    )
+
+    def get_last_change(run: Run) -> float:
+        return max(map(get_modified_time, (run.config, run.metrics, run.policy)))
+
+    return sorted(runs, key=get_last_change, reverse=True)
 
 
-def versions() -> dict[str, str]:
-    """Package name to version, of Python and the packages that compute."""
+def get_versions() -> dict[str, str]:
+    """Return the versions of Python and of the packages that compute, by name."""
     packages = ("quadwalk", "mujoco", "mujoco-mjx", "jax", "jaxlib", "brax", "flax", "optax")
-    found = {name: importlib.metadata.version(name) for name in packages}
-    return {"python": platform.python_version(), **found}
-
-
-def as_json(value: Any) -> bytes:
-    """`value` as readable, strict JSON."""
-    return json.dumps(value, indent=2, allow_nan=False, ensure_ascii=False).encode() + b"\n"
-
-
-def write_json_atomic(path: Path | str, value: Any) -> None:
-    """Write `value` as readable, strict JSON, whole or not at all."""
-    content = as_json(value)  # before there is a file: it may be refused
-    with atomic_write(path) as file:
-        file.write(content)
+    versions = {name: importlib.metadata.version(name) for name in packages}
+    return {"python": platform.python_version(), **versions}
 
 
 def list_checkpoints(run: Run) -> list[Path]:
-    """The run's checkpoints, oldest first."""
+    """Return the run's checkpoints, oldest first."""
     try:
-        found = [(_CHECKPOINT.fullmatch(path.name), path) for path in run.checkpoints.iterdir()]
+        names = [path.name for path in run.checkpoints.iterdir()]
     except OSError:
         return []
-    return [path for _, path in sorted((int(match[1]), path) for match, path in found if match)]
+    steps = sorted(int(match[1]) for match in map(_CHECKPOINT.fullmatch, names) if match)
+    return list(map(run.locate_checkpoint, steps))
 
 
-def latest_checkpoint(run: Run, warn: Callable[[str], None]) -> Path | None:
-    """The newest checkpoint that can be read whole; None if there are none at all.
+def find_latest_checkpoint(run: Run, warn: Callable[[str], None]) -> Path | None:
+    """Return the newest checkpoint that can be read whole; None if there are none at all.
 
     A damaged one is skipped with a line to `warn`. Raises `UserError` if all are damaged.
     """
-    found = list_checkpoints(run)
-    for path in reversed(found):
+    paths = list_checkpoints(run)
+    for path in reversed(paths):
         try:
             checkpoint.load(path, "checkpoint")
         except UserError as error:
             warn(f"{error}; trying the one before")
             continue
         return path
-    if found:
+    if paths:
         raise UserError(f"{run.path} has no checkpoint that can be read")
     return None
 
 
-def keep_last(run: Run, count: int, also: Path | None = None) -> None:
+def prune_checkpoints(run: Run, count: int, also: Path | None = None) -> None:
     """Delete all but the newest `count` checkpoints and `also`."""
     if count < 1:
         raise ValueError("at least one checkpoint is kept")
@@ -252,18 +243,12 @@ def keep_last(run: Run, count: int, also: Path | None = None) -> None:
 
 @contextlib.contextmanager
 def claim(run: Run) -> Iterator[None]:
-    """Take a run, `UserError` if another training has it; the system frees it if we are killed."""
-    try:
-        file = open(run.metrics, "ab")  # noqa: SIM115 - opened apart, to tell what is refused
-    except OSError as error:
-        raise UserError(f"cannot write {run.metrics}: {os_reason(error)}") from error
-    with file:
-        if lock(file) is False:
-            raise UserError(f"{run.path} is being trained by another process")
+    """Hold a run for training; `UserError` if another process has it."""
+    with hold_file(run.metrics, f"{run.path} is being trained by another process"):
         yield
 
 
-def clean(run: Run) -> None:
+def delete_partial_files(run: Run) -> None:
     """Delete what saves that were interrupted left."""
     # Not below: an evaluation may be writing there.
     _delete(path for place in (run.path, run.checkpoints, run.nan) for path in place.glob("*.part"))
@@ -286,7 +271,7 @@ def _check_name(name: str) -> None:
         )
 
 
-def _name(folder: Path, name: str) -> Path | None:
+def _rename(folder: Path, name: str) -> Path | None:
     """Give a folder its name; None if it is taken, even by a run begun at the same moment."""
     path = folder.with_name(name)
     try:
@@ -299,14 +284,15 @@ def _name(folder: Path, name: str) -> Path | None:
     return path
 
 
-def _name_first_free(folder: Path, label: str) -> Path:
+def _rename_to_free(folder: Path, label: str) -> Path:
+    """Give a folder the first free name of this minute and `label`."""
     words = re.sub(r"[^\w.+=@,-]+", "-", label)[:50]  # a user's task may be called anything
-    name = f"{datetime.datetime.now():%Y-%m-%d_%H%M}-{words}"
-    return next(path for own in numbered(name) if (path := _name(folder, own)))
+    names = number_names(f"{datetime.datetime.now():%Y-%m-%d_%H%M}-{words}")
+    return next(path for name in names if (path := _rename(folder, name)))
 
 
-def numbered(name: str) -> Iterator[str]:
-    """`name`, name-2, name-3 ...: for the first that is free to be taken."""
+def number_names(name: str) -> Iterator[str]:
+    """Yield `name`, name-2, name-3 ...: for the first that is free to be taken."""
     yield name
     yield from (f"{name}-{number}" for number in itertools.count(2))
 
@@ -321,8 +307,8 @@ def _is_run(path: Path) -> bool:
         return False
 
 
-def written(path: Path) -> float:
-    """When `path` was last written, s; 0 where it is not there."""
+def get_modified_time(path: Path) -> float:
+    """Return the time at which `path` was last written, s; 0 where it is not there."""
     try:
         return path.stat().st_mtime
     except OSError:

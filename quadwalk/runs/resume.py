@@ -1,14 +1,20 @@
-"""Resuming a run: its configuration, and what may change in it."""
+"""The settings of a run: read from its files, compared, and made ready to resume it."""
 
 import dataclasses
 import json
 from typing import Any
 
 from quadwalk.errors import UsageError, UserError
-from quadwalk.files import DAMAGE, read_bytes
+from quadwalk.files import DAMAGE, hash_file, read_bytes
+from quadwalk.robot.load import hash_robot
+from quadwalk.robot.mjcf import write_xml
+from quadwalk.robot.quadruped import Quadruped
 from quadwalk.runs.directory import Run
-from quadwalk.settings.serialize import flatten, from_dict
+from quadwalk.settings.serialize import flatten, from_dict, task_source, to_dict
 from quadwalk.settings.training import DistributedConfig, TrainConfig, with_files
+from quadwalk.task_files import OWN
+
+ROBOT_HASH = "robot_sha256"  # in a run's config.json
 
 # The saved state has the shape of these, or was drawn from them once and for all.
 _FIXED = ("seed", "envs", "ppo.eval_envs", "ppo.hidden", "ppo.activation", "ppo.symmetric")
@@ -21,17 +27,17 @@ _FREE = (
 
 
 def read_config(run: Run) -> TrainConfig:
-    """The configuration in a run's config.json."""
+    """Read the configuration in a run's config.json."""
     try:
         content = json.loads(read_bytes(run.config))
         data, version = content["config"], content["versions"]["quadwalk"]
     except DAMAGE:
         raise UserError(f"{run.config} is damaged: expected JSON with a 'config'") from None
-    return config_of(data, run, f"{run.config}: config", version)
+    return restore_config(data, run, f"{run.config}: config", version)
 
 
-def config_of(data: Any, run: Run, where: str, version: str) -> TrainConfig:
-    """The configuration in `data`, of `run`, which quadwalk `version` wrote in the file `where`.
+def restore_config(data: Any, run: Run, where: str, version: str = "0.1") -> TrainConfig:
+    """Return the configuration in `data`, of `run`, as quadwalk `version` wrote it in `where`.
 
     It names the run's own copies of the robot and the ground; meshes are where they were.
     """
@@ -41,15 +47,15 @@ def config_of(data: Any, run: Run, where: str, version: str) -> TrainConfig:
             "a newer run: train it again, or evaluate it with that version"
         )
     config = from_dict(TrainConfig, data, run.path, where)
-    robot, ground = config.robot, config.env.ground.file
+    robot, heights = config.robot, config.env.ground.file
     folders = tuple(dict.fromkeys((robot.urdf.parent, *robot.mesh_dirs)))
-    if ground is not None and run.ground(ground).exists():  # older runs have no copy
-        ground = run.ground(ground)
-    return with_files(config, run.urdf, folders, ground)
+    if heights is not None and run.locate_heights(heights).exists():  # older runs have no copy
+        heights = run.locate_heights(heights)
+    return with_files(config, run.urdf, folders, heights)
 
 
-def resumed_config(run: Run) -> TrainConfig:
-    """The configuration to resume a run, before any changes."""
+def read_config_to_resume(run: Run) -> TrainConfig:
+    """Read the configuration to resume a run with, before any changes."""
     return dataclasses.replace(
         read_config(run),
         name=None,
@@ -61,8 +67,8 @@ def resumed_config(run: Run) -> TrainConfig:
     )
 
 
-def changed_settings(before: TrainConfig, now: TrainConfig) -> list[str]:
-    """What differs, as "name: old -> new"; `UsageError` for what cannot change in a run."""
+def list_changes(before: TrainConfig, now: TrainConfig) -> list[str]:
+    """Return what differs, as "name: old -> new"; `UsageError` for what cannot change in a run."""
     old, new = flatten(before), flatten(now)
     names = [n for n in {**old, **new} if old.get(n) != new.get(n) and n not in _FREE]
     for name in names:
@@ -70,3 +76,33 @@ def changed_settings(before: TrainConfig, now: TrainConfig) -> list[str]:
             flag = name.replace("_", "-")
             raise UsageError(f"--{flag} cannot change when a run is resumed: it is {old[name]}")
     return [f"{name}: {old.get(name)} -> {new.get(name)}" for name in names]
+
+
+def compare_robot(run: Run, quadruped: Quadruped) -> tuple[str, ...]:
+    """Return a warning if `quadruped` is not the robot that a run was trained on.
+
+    A run of before its robot's hash was written is taken as it is.
+    """
+    try:
+        trained = json.loads(read_bytes(run.config)).get(ROBOT_HASH)
+    except (*DAMAGE, UserError):
+        trained = None
+    if trained is None or trained == hash_robot(quadruped):
+        return ()
+    return (
+        f"warning: {run.path} was trained on another robot than it has now, in masses, joints, "
+        "motors or shapes: expected the same robot.urdf, and mesh files where they were or in "
+        f"{run.path}",
+    )
+
+
+def describe_training(config: TrainConfig, quadruped: Quadruped) -> dict[str, Any]:
+    """Return what is trained, with `quadruped` as its robot: the same wherever the files are."""
+    parts = {name: to_dict(getattr(config, name)) for name in ("robot", "env", "ppo")}
+    del parts["robot"]["mesh_dirs"]
+    parts["robot"]["urdf"] = quadruped.urdf
+    if config.env.ground.file is not None:
+        parts["env"]["ground"]["file"] = hash_file(config.env.ground.file)
+    model = quadruped.spec.copy()  # which has the meshes
+    model.comment = ""  # that names the URDF's file
+    return {**parts, "model": write_xml(model), OWN: task_source(config)}

@@ -5,11 +5,10 @@ from pathlib import Path
 
 from quadwalk.errors import UserError
 from quadwalk.evaluation.loaded import LoadedRun, load_run
-from quadwalk.files import real_path
+from quadwalk.files import hash_file, real_path
+from quadwalk.learn.acting import Policy, load_checkpoint_policy, load_policy
 from quadwalk.paths import PRETRAINED
-from quadwalk.runs import checkpoint
 from quadwalk.runs.directory import Run, list_checkpoints, list_runs
-from quadwalk.runs.policy import Policy, load_checkpoint_policy, load_policy
 
 LAST, BEST = "last", "best"
 
@@ -53,7 +52,7 @@ def open_run(run: Run, label: str) -> LoadedRun:
     if file == loaded.file:
         return loaded
     policy = read_policy(file, loaded.env.quadruped.joints)
-    return replace(loaded, file=file, policy=policy, sha256=checkpoint.sha256(file))
+    return replace(loaded, file=file, policy=policy, sha256=hash_file(file))
 
 
 def getup_of(loaded: LoadedRun, getup: Run | None) -> LoadedRun | None:

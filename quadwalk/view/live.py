@@ -20,10 +20,10 @@ from quadwalk.evaluation.loaded import LoadedRun
 from quadwalk.evaluation.motion.forces import foot_forces, geom_ids
 from quadwalk.evaluation.motion.kinematics import turned
 from quadwalk.evaluation.simulate import Policy
+from quadwalk.learn.acting import Policy as TrainedPolicy
 from quadwalk.physics.model import RobotRandomization, vary_motor
 from quadwalk.physics.motor import Motor, PhysicsState, control_step
 from quadwalk.physics.mujoco_c import varied_model
-from quadwalk.runs.policy import Policy as TrainedPolicy
 
 MAX_LATENCY = 0.06  # s, that joint targets can be late
 LYING = 2.0  # s on the ground after which a robot that fell is put on its feet

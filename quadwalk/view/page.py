@@ -10,7 +10,7 @@ from pathlib import Path
 import viser
 
 from quadwalk.errors import UserError
-from quadwalk.runs.directory import Run, written
+from quadwalk.runs.directory import Run, get_modified_time
 from quadwalk.view import choices
 from quadwalk.view.live import LiveRobot
 from quadwalk.view.pace import Pace
@@ -67,7 +67,7 @@ class Page:
         """Show another run's robot, driven by the policy called `label`."""
         loaded = choices.open_run(run, label)
         self.run, self.label, self.file = run, label, loaded.file
-        self._loaded = written(loaded.file)
+        self._loaded = get_modified_time(loaded.file)
         self.live = LiveRobot(loaded, getup=choices.getup_of(loaded, self._getup))
         # The step is compiled meanwhile.
         ready = threading.Thread(target=self.live.prepare)
@@ -114,14 +114,14 @@ class Page:
     def _take(self, label: str) -> None:
         """Let another of the run's policies drive on."""
         file = choices.choose_policy(self.run, label)
-        when = written(file)
+        when = get_modified_time(file)
         self.live.policy = choices.read_policy(file, self.live.env.quadruped.joints)
         self.label, self.file, self._loaded = label, file, when
         self.pace.restart()
 
     def _look(self) -> None:
         """Take the policy anew if training has written it, and list new checkpoints."""
-        if written(self.file) != self._loaded and self.file.exists():
+        if get_modified_time(self.file) != self._loaded and self.file.exists():
             self._take(self.label)
         policies = list(choices.policy_choices(self.run))
         if policies and policies != self._policies:  # none where its folder is gone

@@ -23,8 +23,8 @@ from quadwalk.evaluation.report.console import print_by_ground
 from quadwalk.evaluation.report.panels import draw_by_ground
 from quadwalk.evaluation.report.pictures import draw_film_strip
 from quadwalk.evaluation.simulate import roll_out
+from quadwalk.learn.acting import Policy
 from quadwalk.runs.directory import Run
-from quadwalk.runs.policy import Policy
 from quadwalk.settings.environment import NO_RANDOMIZATION
 from quadwalk.tasks import obstacles, rough, sprint, walk
 from quadwalk.terrain.heightfield import Heightfield, centered

@@ -20,8 +20,8 @@ from quadwalk.evaluation.recording.provenance import provenance, revision
 from quadwalk.evaluation.session import evaluate_runs
 from quadwalk.learn.prepare import new_run
 from quadwalk.paths import ALIENGO_URDF, PRETRAINED
-from quadwalk.runs.directory import Run, find_ready, origin_of
-from quadwalk.runs.robot import load_robot
+from quadwalk.robot.load import load_robot
+from quadwalk.runs.directory import Run, describe_origin, find_ready
 from quadwalk.settings.training import RobotConfig
 from quadwalk.tasks import sprint
 from tests.view.conftest import write_policy
@@ -80,9 +80,9 @@ def test_thousands_of_files_are_written_only_if_asked_for():
 def test_before_any_training_the_packaged_policy_is_evaluated(tmp_path):
     run = find_ready(tmp_path / "none", EvalConfig().run[0], "run")
     assert run.path == PRETRAINED / "run"
-    said = origin_of(tmp_path / "none", run)
+    said = describe_origin(tmp_path / "none", run)
     assert said == f"{run.path}, which comes trained: no run in {tmp_path / 'none'} yet"
-    assert origin_of(tmp_path, Run(tmp_path / "mine")) == str(tmp_path / "mine")
+    assert describe_origin(tmp_path, Run(tmp_path / "mine")) == str(tmp_path / "mine")
 
 
 @pytest.mark.parametrize("args", [[], ["--sweep"], ["second"]])

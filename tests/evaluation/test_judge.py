@@ -26,9 +26,9 @@ from quadwalk.evaluation.options import EvalConfig
 from quadwalk.evaluation.simulate import simulate_episodes
 from quadwalk.evaluation.statistics import mean_interval
 from quadwalk.evaluation.summary import engine_differences, episode_figures, summarize
+from quadwalk.learn.acting import Policy
 from quadwalk.robot.mjcf import write_xml
 from quadwalk.runs.directory import Run
-from quadwalk.runs.policy import Policy
 from quadwalk.settings.terms import ActionMap
 from quadwalk.tasks import sprint
 from tests.evaluation.conftest import read_records

@@ -33,11 +33,11 @@ from quadwalk.evaluation.grids.sweep import (
     task_ranges,
 )
 from quadwalk.evaluation.loaded import load_run
+from quadwalk.learn.acting import load_policy
 from quadwalk.paths import PRETRAINED
 from quadwalk.physics.model import RobotRandomization
 from quadwalk.physics.motor import Motor
 from quadwalk.runs.directory import Run
-from quadwalk.runs.policy import load_policy
 from quadwalk.settings.environment import NO_RANDOMIZATION
 from quadwalk.tasks import run, sprint, walk
 from tests.evaluation.conftest import glided

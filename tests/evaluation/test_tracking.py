@@ -16,8 +16,8 @@ from quadwalk.evaluation.motion.gait import measure_gait
 from quadwalk.evaluation.rollout import Rollout, first_steps
 from quadwalk.evaluation.simulate import simulate_episodes
 from quadwalk.evaluation.summary import episode_figures, summarize, typical_episode
+from quadwalk.learn.acting import Policy
 from quadwalk.runs.directory import Run
-from quadwalk.runs.policy import Policy
 from quadwalk.settings.environment import CommandConfig
 from quadwalk.tasks import sprint, walk
 from tests.evaluation.conftest import glided

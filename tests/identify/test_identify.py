@@ -30,7 +30,7 @@ from quadwalk.identify.identification import describe
 from quadwalk.identify.joint_log import find_pieces, read_log
 from quadwalk.identify.stand import Joints, make_simulator
 from quadwalk.learn.flags import parse_config
-from quadwalk.runs.robot import load_robot
+from quadwalk.robot.load import load_robot
 
 KNOWN = Known(friction_speed=0.03, kp=27.0, offset=(0.02, -0.03, 0.05))
 

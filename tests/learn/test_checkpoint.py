@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from quadwalk.errors import UserError
+from quadwalk.files import hash_file
 from quadwalk.runs import checkpoint
 
 POLICY = {"kind": "policy"}
@@ -90,7 +91,7 @@ def test_equal_trees_give_equal_bytes(tmp_path):
         checkpoint.save(tmp_path / name, {"x": array}, POLICY)
     assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
     digest = hashlib.sha256((tmp_path / "a").read_bytes()).hexdigest()
-    assert checkpoint.sha256(tmp_path / "a") == checkpoint.sha256(tmp_path / "b") == digest
+    assert hash_file(tmp_path / "a") == hash_file(tmp_path / "b") == digest
 
 
 @pytest.mark.parametrize(
@@ -221,7 +222,7 @@ def test_missing_files_and_folders_are_named(tmp_path):
     with pytest.raises(UserError, match="Is a directory"):
         checkpoint.load(tmp_path, "policy")
     with pytest.raises(UserError, match="cannot read"):
-        checkpoint.sha256(tmp_path / "none.npz")
+        hash_file(tmp_path / "none.npz")
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ import pytest
 
 from quadwalk.errors import UsageError, UserError
 from quadwalk.learn.flags import parse_config
-from quadwalk.runs.resume import changed_settings, read_config
+from quadwalk.runs.resume import list_changes, read_config
 from quadwalk.settings.serialize import to_dict, with_settings
 from quadwalk.settings.training import TrainConfig
 from quadwalk.task_files import load_task, task_names
@@ -72,7 +72,7 @@ def test_one_flag_changes_one_thing_of_a_task(flags, changed):
     before, now = load_task(task), parsed(task, *given)
     assert changed(now.env)
     assert not changed(before.env)
-    assert len(changed_settings(before, now)) == 1
+    assert len(list_changes(before, now)) == 1
 
 
 @pytest.mark.parametrize(
@@ -161,9 +161,9 @@ def test_a_resumed_configuration_is_the_runs_with_the_flags_given(tmp_path):
     assert (resumed.seed, resumed.env.substeps, resumed.ppo.entropy) == (7, 3, 0.5)
     assert resumed.robot.urdf == tmp_path / "dog" / "robot.urdf"
     config = read_config(previous)
-    assert changed_settings(config, resumed) == ["ppo.entropy: 0.01 -> 0.5"]
+    assert list_changes(config, resumed) == ["ppo.entropy: 0.01 -> 0.5"]
     with pytest.raises(UsageError, match="--seed"):
-        changed_settings(config, dataclasses.replace(resumed, seed=8))
+        list_changes(config, dataclasses.replace(resumed, seed=8))
 
 
 OLD = """{"config": {"preset": "run", "env": {"reward": {"forward": 1.0}}},

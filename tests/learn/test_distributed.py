@@ -62,7 +62,7 @@ def test_two_processes_learn_what_one_with_two_devices_does(
     assert steps < 64 * ITERATIONS
     assert f"stopped after {steps:,} of" in first
     assert "stopped" not in second
-    assert run.checkpoint(steps).exists()
+    assert run.locate_checkpoint(steps).exists()
     first, _ = ended(*pair(f"--runs={tmp_path}", "--resume=shared"))
     assert f"after {steps:,} steps" in first
     same_result(run.path, tmp_path / "alone", best=False)  # its checkpoints were others

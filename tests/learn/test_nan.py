@@ -11,10 +11,10 @@ from quadwalk.errors import UsageError, UserError
 from quadwalk.learn import nan
 from quadwalk.paths import ALIENGO_URDF
 from quadwalk.physics.motor import PhysicsState
+from quadwalk.robot.load import load_robot
 from quadwalk.runs import checkpoint
 from quadwalk.runs.directory import Run, create_run
 from quadwalk.runs.log import read_metrics
-from quadwalk.runs.robot import load_robot
 from quadwalk.settings.serialize import to_dict
 from quadwalk.settings.training import RobotConfig
 from quadwalk.task_files import load_task

@@ -8,10 +8,10 @@ import trimesh
 from quadwalk.learn.flags import parse_config
 from quadwalk.learn.prepare import new_run
 from quadwalk.paths import ALIENGO_URDF
+from quadwalk.robot.load import load_robot
 from quadwalk.robot.urdf import UrdfError
 from quadwalk.runs.directory import Run
-from quadwalk.runs.resume import config_of
-from quadwalk.runs.robot import compare_robot, load_robot
+from quadwalk.runs.resume import compare_robot, restore_config
 from quadwalk.settings.serialize import to_dict
 from quadwalk.settings.training import RobotConfig
 from quadwalk.tasks.sprint import TASK
@@ -21,7 +21,7 @@ BOX = '<box size="0.647 0.15 0.112"/>'
 
 def as_in(run: Run, robot: RobotConfig) -> RobotConfig:
     """`robot`, as the configuration of a run that was trained on it has it."""
-    return config_of(to_dict(dataclasses.replace(TASK, robot=robot)), run, "here", "0.2").robot
+    return restore_config(to_dict(dataclasses.replace(TASK, robot=robot)), run, "here", "0.2").robot
 
 
 def test_a_run_finds_the_mesh_files_of_its_robot(tmp_path):

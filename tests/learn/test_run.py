@@ -4,6 +4,7 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 
 from quadwalk.errors import UsageError, UserError
+from quadwalk.files import write_json
 from quadwalk.runs import checkpoint
 from quadwalk.runs import directory as run
 
@@ -151,48 +152,48 @@ def test_a_folder_or_file_that_is_no_run_is_refused(tmp_path):
 
 def test_json_is_strict_and_replaces(tmp_path):
     path = tmp_path / "a.json"
-    run.write_json_atomic(path, {"b": [1, 2.5], "ä": None})
+    write_json(path, {"b": [1, 2.5], "ä": None})
     before = path.read_bytes()
     with pytest.raises(ValueError, match="JSON"):
-        run.write_json_atomic(path, {"b": float("nan")})
+        write_json(path, {"b": float("nan")})
     assert path.read_bytes() == before
     assert os.listdir(tmp_path) == ["a.json"]
 
 
 def save(made, *steps):
     for count in steps:
-        checkpoint.save(made.checkpoint(count), {}, {"kind": "checkpoint", "steps": count})
+        checkpoint.save(made.locate_checkpoint(count), {}, {"kind": "checkpoint", "steps": count})
 
 
 def test_the_latest_checkpoint_is_by_steps_not_by_name_or_age(made):
     save(made, 2_000, 10_000, 900)
     (made.checkpoints / "step_5e9.npz").write_text("not one of ours")
     (made.checkpoints / "step_000000099999.npz.part").write_text("half")
-    assert run.latest_checkpoint(made, print) == made.checkpoint(10_000)
+    assert run.find_latest_checkpoint(made, print) == made.locate_checkpoint(10_000)
 
 
 def test_a_damaged_checkpoint_is_skipped_with_a_warning_and_to_have_no_other_is_an_error(made):
-    assert run.latest_checkpoint(made, pytest.fail) is None  # none at all is no error
+    assert run.find_latest_checkpoint(made, pytest.fail) is None  # none at all is no error
     save(made, 1, 2)
-    content = made.checkpoint(2).read_bytes()
-    made.checkpoint(2).write_bytes(content[: len(content) // 2])
+    content = made.locate_checkpoint(2).read_bytes()
+    made.locate_checkpoint(2).write_bytes(content[: len(content) // 2])
     warnings = []
-    assert run.latest_checkpoint(made, warnings.append) == made.checkpoint(1)
+    assert run.find_latest_checkpoint(made, warnings.append) == made.locate_checkpoint(1)
     assert len(warnings) == 1
     assert "step_000000000002.npz is damaged" in warnings[0]
-    made.checkpoint(1).write_bytes(b"")
+    made.locate_checkpoint(1).write_bytes(b"")
     with pytest.raises(UserError, match="no checkpoint that can be read"):
-        run.latest_checkpoint(made, warnings.append)
+        run.find_latest_checkpoint(made, warnings.append)
 
 
 def test_the_last_few_are_kept(made):
     save(made, *range(5))
-    run.keep_last(made, 2, also=made.checkpoint(1))
-    assert run.list_checkpoints(made) == [made.checkpoint(count) for count in (1, 3, 4)]
-    run.keep_last(made, 2)
-    assert run.list_checkpoints(made) == [made.checkpoint(3), made.checkpoint(4)]
+    run.prune_checkpoints(made, 2, also=made.locate_checkpoint(1))
+    assert run.list_checkpoints(made) == [made.locate_checkpoint(count) for count in (1, 3, 4)]
+    run.prune_checkpoints(made, 2)
+    assert run.list_checkpoints(made) == [made.locate_checkpoint(3), made.locate_checkpoint(4)]
     with pytest.raises(ValueError, match="at least one"):
-        run.keep_last(made, 0)
+        run.prune_checkpoints(made, 0)
 
 
 def test_what_interrupted_saves_left_is_deleted_and_what_an_evaluation_writes_is_not(made):
@@ -202,10 +203,10 @@ def test_what_interrupted_saves_left_is_deleted_and_what_an_evaluation_writes_is
     left = [made.checkpoints / "step_000000000009.npz.part", made.path / "policy.npz.part"]
     for path in (kept, *left):
         path.write_text("half")
-    run.clean(made)
+    run.delete_partial_files(made)
     assert kept.exists()
     assert not any(path.exists() for path in left)
-    assert run.list_checkpoints(made) == [made.checkpoint(1)]
+    assert run.list_checkpoints(made) == [made.locate_checkpoint(1)]
 
 
 def test_a_run_is_trained_by_one_at_a_time(made):

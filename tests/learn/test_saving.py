@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 
 from quadwalk.errors import UserError
+from quadwalk.learn.acting import load_policy
 from quadwalk.learn.writer import KEPT_CHECKPOINTS, RunWriter
 from quadwalk.progress.watch import WATCHED
 from quadwalk.runs import checkpoint
 from quadwalk.runs.directory import Run, create_run, list_checkpoints
 from quadwalk.runs.log import read_metrics
-from quadwalk.runs.policy import load_policy, load_score
+from quadwalk.runs.policy import load_score
 from quadwalk.task_files import load_task
 
 
@@ -41,7 +42,7 @@ def test_the_best_policy_and_its_checkpoint_outlive_later_ones(run, write):
     write(1.0, 3.0, 3.0, 2.0, 1.0, 2.5, 0.0)
     assert load_score(run.best) == (20, 3.0)
     assert load_score(run.policy) == (70, 0.0)
-    kept = [run.checkpoint(steps) for steps in (20, 50, 60, 70)]
+    kept = [run.locate_checkpoint(steps) for steps in (20, 50, 60, 70)]
     assert list_checkpoints(run) == kept
     assert len(kept) == KEPT_CHECKPOINTS + 1
 
@@ -57,10 +58,10 @@ def test_a_run_that_goes_on_remembers_the_best(run, write):
     write(1.0, 3.0)
     write(2.0, 2.0, 2.0, 2.0)
     assert load_score(run.best) == (20, 3.0)
-    assert run.checkpoint(20).exists()
+    assert run.locate_checkpoint(20).exists()
     write(3.5, 1.0)
     assert load_score(run.best) == (70, 3.5)
-    assert list_checkpoints(run) == [run.checkpoint(steps) for steps in (60, 70, 80)]
+    assert list_checkpoints(run) == [run.locate_checkpoint(steps) for steps in (60, 70, 80)]
 
 
 def test_a_best_policy_that_is_damaged_is_told_and_replaced(run, write):

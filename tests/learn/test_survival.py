@@ -16,16 +16,16 @@ import pytest
 import toy
 
 from quadwalk.errors import UserError
+from quadwalk.learn.acting import load_policy
 from quadwalk.runs import checkpoint
 from quadwalk.runs.directory import (
     Run,
-    clean,
     create_run,
-    latest_checkpoint,
+    delete_partial_files,
+    find_latest_checkpoint,
     list_checkpoints,
 )
 from quadwalk.runs.log import read_metrics
-from quadwalk.runs.policy import load_policy
 from quadwalk.terrain.terrain import make_terrain
 from tests.settings.test_registry import to_module_names
 
@@ -132,7 +132,7 @@ def test_a_death_at_any_moment_of_saving_leaves_what_was_saved(tmp_path, process
         process = processes.Process(target=crash.save, args=(run.path, 30, 40, moment))
         process.start()
         process.join(60)
-        last = latest_checkpoint(run, pytest.fail)  # none is damaged
+        last = find_latest_checkpoint(run, pytest.fail)  # none is damaged
         leaves, metadata = checkpoint.load(last, "checkpoint")
         steps = metadata["steps"]
         assert steps in (30, 40)
@@ -143,7 +143,7 @@ def test_a_death_at_any_moment_of_saving_leaves_what_was_saved(tmp_path, process
             arrays, metadata = checkpoint.load(policy, "policy")
             assert set(arrays["policy/w"]) == {metadata["steps"]}
             assert metadata["steps"] in (steps, 40)
-        clean(run)
+        delete_partial_files(run)
         assert not list(run.path.rglob("*.part"))
         if process.exitcode == 0:
             break
@@ -280,7 +280,7 @@ def test_a_full_disk_ends_no_training(
         assert "the last good checkpoint is" in str(caught.value)
         assert caught.value.exit_status == 1
         said = capsys.readouterr().out
-        last = latest_checkpoint(Run(run), pytest.fail)
+        last = find_latest_checkpoint(Run(run), pytest.fail)
         assert checkpoint.load(last, "checkpoint")[1]["steps"] >= 64 * 18
         assert load_policy(run / "policy.npz").steps >= 64 * 18
         assert len(read_metrics(Run(run))) >= 18
@@ -313,14 +313,14 @@ def test_a_limit_on_file_sizes_is_said_in_one_line(tmp_path, flags, processes):
 def test_a_learner_that_is_lost_leaves_what_was_good(tmp_path, flags, train):
     run = Run(tmp_path / "lost")
     train(*flags(tmp_path, "lost", 4))
-    good = {path: path.read_bytes() for path in (run.policy, run.best, run.checkpoint(256))}
+    good = {path: path.read_bytes() for path in (run.policy, run.best, run.locate_checkpoint(256))}
     arguments = [f"--runs={tmp_path}", "--resume=lost", "--steps=1280", OFTEN]
     with pytest.raises(UserError, match="no longer finite") as caught:
         train(*arguments, "--ppo.learning-rate=1e12", "--ppo.max-learning-rate=1e12")
-    assert str(run.checkpoint(256)) in str(caught.value)
+    assert str(run.locate_checkpoint(256)) in str(caught.value)
     assert caught.value.exit_status == 1
     assert {path: path.read_bytes() for path in good} == good
-    assert list_checkpoints(run) == [run.checkpoint(256)]
+    assert list_checkpoints(run) == [run.locate_checkpoint(256)]
     advice = str(caught.value).split()[-2:]
     assert advice == ["--ppo.max-learning-rate", "1e-03"]
     train(*arguments, *advice)

@@ -18,13 +18,14 @@ from quadwalk.env.actions import about_home
 from quadwalk.env.env import QuadrupedEnv
 from quadwalk.env.observations import offset
 from quadwalk.errors import UsageError, UserError
+from quadwalk.files import format_json
 from quadwalk.learn import iteration
 from quadwalk.learn.acting import make_policy
 from quadwalk.learn.networks import networks_for
 from quadwalk.learn.warm_start import begun_from
 from quadwalk.robot.quadruped import load_quadruped
 from quadwalk.runs import checkpoint
-from quadwalk.runs.directory import Run, as_json, create_run, versions
+from quadwalk.runs.directory import Run, create_run, get_versions
 from quadwalk.runs.policy import save_policy
 from quadwalk.settings.serialize import to_dict
 from quadwalk.settings.terms import ActionMap, Observation
@@ -62,7 +63,7 @@ def drawn(*shape):
 def saved(run, like):
     """The learner in the run's checkpoint."""
     state = iteration.TrainState(like, {"x": np.zeros(1)})
-    return checkpoint.load(run.checkpoint(10), "checkpoint", state)[0].learner
+    return checkpoint.load(run.locate_checkpoint(10), "checkpoint", state)[0].learner
 
 
 def changed(config, part, **changes):
@@ -87,12 +88,12 @@ def source(request, tmp_path_factory):
         mirror = env.mirrors.observation
         mean, std = (mean + mirror(mean)) / 2, (std + std[mirror.source]) / 2
     learner = learner._replace(normalizer=learner.normalizer.replace(mean=mean, std=std))
-    settings = {"config": to_dict(config), "versions": versions()}
-    files = {"robot.urdf": quadruped.urdf.encode(), "config.json": as_json(settings)}
+    settings = {"config": to_dict(config), "versions": get_versions()}
+    files = {"robot.urdf": quadruped.urdf.encode(), "config.json": format_json(settings)}
     run = create_run(tmp_path_factory.mktemp("runs"), "source", files=files)
     run.checkpoints.mkdir(exist_ok=True)
     state = iteration.TrainState(learner, {"x": np.zeros(1)})
-    checkpoint.save(run.checkpoint(10), state, {"kind": "checkpoint", "mirrors": None})
+    checkpoint.save(run.locate_checkpoint(10), state, {"kind": "checkpoint", "mirrors": None})
     return run, config, env, networks.plain_policy(learner.normalizer, learner.params.policy)
 
 
@@ -314,7 +315,7 @@ def test_a_training_begins_so_and_goes_on_without_its_source(
     tmp_path, flags, train, same_result, capsys, monkeypatch
 ):
     def kernel(name, steps):
-        leaves, _ = checkpoint.load(Run(tmp_path / name).checkpoint(steps), "checkpoint")
+        leaves, _ = checkpoint.load(Run(tmp_path / name).locate_checkpoint(steps), "checkpoint")
         return leaves["learner/params/policy/params/hidden_0/kernel"]
 
     train(*flags(tmp_path, "source", 2))

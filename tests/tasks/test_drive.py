@@ -25,8 +25,8 @@ from quadwalk.evaluation.loaded import LoadedRun
 from quadwalk.evaluation.report.console import print_steering
 from quadwalk.evaluation.report.panels import draw_steering
 from quadwalk.evaluation.simulate import fresh_starts, roll_out
+from quadwalk.learn.acting import Policy
 from quadwalk.runs.directory import Run
-from quadwalk.runs.policy import Policy
 from quadwalk.settings.environment import COMMANDED, NO_RANDOMIZATION, REAL_WORLD
 from quadwalk.tasks import drive
 from tests.evaluation.conftest import glided

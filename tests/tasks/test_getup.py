@@ -14,11 +14,11 @@ from quadwalk.env.robot_arrays import is_standing
 from quadwalk.evaluation.grids.standing import SECONDS, measure_standing, standing, standing_points
 from quadwalk.evaluation.loaded import LoadedRun
 from quadwalk.evaluation.report.console import print_standing
+from quadwalk.learn.acting import Policy
 from quadwalk.robot.mjcf import Options
 from quadwalk.robot.quadruped import load_quadruped
 from quadwalk.robot.scene import find_lowest_point
 from quadwalk.runs.directory import Run
-from quadwalk.runs.policy import Policy
 from quadwalk.tasks import getup
 from tests.physics.reference import placed
 from tests.robot import zoo

@@ -10,10 +10,11 @@ import pytest
 from brax.training.acme.running_statistics import NestedMeanStd
 
 from quadwalk.env.env import QuadrupedEnv
+from quadwalk.files import format_json
 from quadwalk.learn.networks import make_networks
 from quadwalk.robot.quadruped import Quadruped
 from quadwalk.runs import checkpoint
-from quadwalk.runs.directory import Run, as_json, create_run, versions
+from quadwalk.runs.directory import Run, create_run, get_versions
 from quadwalk.settings.serialize import to_dict
 from quadwalk.settings.training import TrainConfig
 from quadwalk.tasks import rough, walk
@@ -32,8 +33,8 @@ def write_run(
     `options` are of `write_policy`.
     """
     env = QuadrupedEnv(quadruped, task.env)
-    settings = {"config": to_dict(task), "versions": versions()}
-    files = {"robot.urdf": env.quadruped.urdf.encode(), "config.json": as_json(settings)}
+    settings = {"config": to_dict(task), "versions": get_versions()}
+    files = {"robot.urdf": env.quadruped.urdf.encode(), "config.json": format_json(settings)}
     run = create_run(root, name, files=files)
     for file, seed in policies.items():
         write_policy(run.path / file, env, seed, task, **options)

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from quadwalk.errors import UserError
+from quadwalk.learn.acting import load_checkpoint_policy, load_policy
 from quadwalk.paths import PRETRAINED
 from quadwalk.runs.directory import Run
-from quadwalk.runs.policy import load_checkpoint_policy, load_policy
 from quadwalk.view.choices import choose_policy, label_of, open_run, policy_choices, run_choices
 
 
@@ -27,7 +27,7 @@ def test_the_runs_and_one_from_elsewhere(runs, tmp_path):
 
 def test_a_checkpoint_has_the_policy_that_was_saved_with_it(runs, walk_env):
     run, joints = Run(runs / "dog"), walk_env.quadruped.joints
-    saved, found = load_policy(run.policy), load_checkpoint_policy(run.checkpoint(3), joints)
+    saved, found = load_policy(run.policy), load_checkpoint_policy(run.locate_checkpoint(3), joints)
     seen = np.random.default_rng(0).normal(size=(5, walk_env.observation_size)).astype(np.float32)
     assert np.array_equal(saved.act(seen), found.act(seen))
     assert (found.steps, found.observation_size) == (3, walk_env.policy_size)

@@ -8,7 +8,7 @@ import pytest
 from quadwalk.errors import UsageError
 from quadwalk.evaluation.loaded import load_run
 from quadwalk.paths import PRETRAINED
-from quadwalk.runs.directory import Run, find_any_run, find_ready, results_folder
+from quadwalk.runs.directory import Run, find_any_run, find_ready, get_results_folder
 from quadwalk.view.choices import LAST, getup_of, open_run
 from quadwalk.view.live import LiveRobot
 
@@ -29,8 +29,8 @@ def test_nothing_is_written_to_them(tmp_path, monkeypatch):
     monkeypatch.chdir(PRETRAINED.parent)
     for name in ("walk", "run"):
         for path in (PRETRAINED / name, Path("pretrained") / name):
-            assert results_folder(tmp_path, Run(path)) == tmp_path / "pretrained" / name
-    assert results_folder(tmp_path, Run(tmp_path / "walk")) == tmp_path / "walk"
+            assert get_results_folder(tmp_path, Run(path)) == tmp_path / "pretrained" / name
+    assert get_results_folder(tmp_path, Run(tmp_path / "walk")) == tmp_path / "walk"
 
 
 @pytest.mark.parametrize(

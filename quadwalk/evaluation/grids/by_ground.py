@@ -16,7 +16,7 @@ from quadwalk.evaluation.grids.cells import measure_cells
 from quadwalk.evaluation.loaded import LoadedRun
 from quadwalk.evaluation.motion.course import heading_velocity, tracking_errors
 from quadwalk.evaluation.simulate import ROOM, Report, fresh_starts
-from quadwalk.runs.robot import load_robot
+from quadwalk.robot.load import load_robot
 from quadwalk.terrain.terrain import FILE
 
 PACE = 0.7  # m/s

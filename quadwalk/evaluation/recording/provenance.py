@@ -7,9 +7,9 @@ from typing import Any
 
 from quadwalk.cli.shell import ROOT
 from quadwalk.evaluation.loaded import LoadedRun
+from quadwalk.robot.load import load_robot
 from quadwalk.robot.mjcf import write_xml
-from quadwalk.runs.directory import versions
-from quadwalk.runs.robot import load_robot
+from quadwalk.runs.directory import get_versions
 
 
 def provenance(loaded: LoadedRun, seed: int) -> dict[str, Any]:
@@ -24,7 +24,7 @@ def provenance(loaded: LoadedRun, seed: int) -> dict[str, Any]:
         "policy_sha256": loaded.sha256,
         "notes": list(loaded.notes),
         "revision": revision(),
-        "versions": versions(),
+        "versions": get_versions(),
     }
 
 
@@ -43,7 +43,7 @@ def revision(source: Path = ROOT) -> str:
             ).strip()
             if found:
                 return f"git {found}"
-    return f"quadwalk {versions()['quadwalk']}"
+    return f"quadwalk {get_versions()['quadwalk']}"
 
 
 def attachments(loaded: LoadedRun) -> dict[str, bytes]:
