@@ -43,7 +43,7 @@ def print_accuracy() -> None:
     import jax.numpy as jnp
 
     from quadwalk.env.env import QuadrupedEnv
-    from quadwalk.physics.fast import lowest_points
+    from quadwalk.physics.fast import compute_lowest_points
     from quadwalk.physics.motor import PhysicsState
     from quadwalk.robot.quadruped import load_quadruped
     from quadwalk.tasks.sprint import TASK
@@ -71,11 +71,11 @@ def print_accuracy() -> None:
             physics_dt=CONTROL / substeps,
         )
         stepped = QuadrupedEnv(quadruped, changed, engine)
-        step_in = functools.partial(ENGINES[engine].control_step, stepped.model, stepped.stepping)
+        step_in = functools.partial(ENGINES[engine].step, stepped.model, stepped.stepping)
 
         def step(state: PhysicsState, target: jax.Array) -> tuple[PhysicsState, jax.Array]:
             after, _ = step_in(state, target)
-            soles, _ = lowest_points(env.model, after.qpos)
+            soles, _ = compute_lowest_points(env.model, after.qpos)
             return after, jnp.concatenate([after.qpos[:3], after.qvel[:3], soles[:, 2]])
 
         course = jax.vmap(lambda s: jax.lax.scan(step, s, jnp.asarray(wanted, jnp.float32))[1])
@@ -168,10 +168,10 @@ def print_sliding() -> None:
             feet = dataclasses.replace(robot.contacts[0], friction=jnp.broadcast_to(friction, 4))
             level = robot._replace(contacts=(feet,))
             state = PhysicsState(jnp.asarray(home, jnp.float32), jnp.zeros(18))
-            state, _ = fast.control_step(level, stand, state, target)
+            state, _ = fast.step(level, stand, state, target)
             state = state._replace(qvel=state.qvel.at[jnp.array([0, 1, 5])].add(kick))
             tilted = level._replace(gravity=(down[0], down[1], down[2]))
-            state, _ = fast.control_step(tilted, slide, state, target)
+            state, _ = fast.step(tilted, slide, state, target)
             return state.qvel[jnp.array([0, 1, 5])]
 
         kicks = [kick for kick in KICKS.values() for _ in FRICTIONS]
@@ -196,11 +196,13 @@ def print_sliding() -> None:
 
 def _advance(model, data, motor, target, steps: int) -> None:
     """Step MuJoCo C with the joint controller to `target` (12,), rad."""
-    from quadwalk.physics.motor import friction_torque, motor_torque
+    from quadwalk.physics.motor import compute_friction_torque, compute_motor_torque
 
     for _ in range(steps):
         q, qd = data.qpos[7:], data.qvel[6:]
-        data.qfrc_applied[6:] = motor_torque(motor, target, q, qd) + friction_torque(motor, qd)
+        data.qfrc_applied[6:] = compute_motor_torque(
+            motor, target, q, qd
+        ) + compute_friction_torque(motor, qd)
         mujoco.mj_step(model, data)
 
 

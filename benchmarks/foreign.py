@@ -152,7 +152,7 @@ def picture(episodes: dict[str, Episode], loaded: "LoadedRun") -> np.ndarray:
     from PIL import Image, ImageDraw, ImageFont
 
     from quadwalk.render.canvas import Camera, Canvas
-    from quadwalk.render.images import film_strip
+    from quadwalk.render.images import make_film_strip
 
     dt, font, found = loaded.env.config.control_dt, ImageFont.load_default(size=16), []
     canvas = Canvas(loaded.env.quadruped.make_full_model(), *PICTURE)
@@ -165,7 +165,7 @@ def picture(episodes: dict[str, Episode], loaded: "LoadedRun") -> np.ndarray:
             text = f"{simulator}   {row * dt:.2f} s   {x:.2f} m ahead, {y:.2f} m to the left"
             ImageDraw.Draw(image).text((8, 6), text, fill=(30, 34, 40), font=font)
             found.append(np.asarray(image))
-    return film_strip(found, ACROSS)
+    return make_film_strip(found, ACROSS)
 
 
 def measure(

@@ -34,9 +34,9 @@ def print_costs(envs: int, steps: int, rounds: int) -> None:
 
     from quadwalk.learn.iteration import make_mesh
     from quadwalk.learn.ppo import AXIS
-    from quadwalk.physics.batching import robots_last
-    from quadwalk.physics.fast import acceleration, integrate, make_model
-    from quadwalk.physics.model import Model, on_ground
+    from quadwalk.physics.batching import batch_robots
+    from quadwalk.physics.fast import compute_acceleration, integrate, make_model
+    from quadwalk.physics.model import Model, add_ground
     from quadwalk.physics.motor import MotorConfig, PhysicsState, make_motor
     from quadwalk.robot.quadruped import load_quadruped
     from quadwalk.terrain.terrain import FLAT, make_terrain
@@ -57,13 +57,13 @@ def print_costs(envs: int, steps: int, rounds: int) -> None:
     def program(model: Model, qpos: np.ndarray):
         def of_many(model: Model, state: PhysicsState, torques: jax.Array) -> jax.Array:
             def step(state: PhysicsState, torque: jax.Array) -> tuple[PhysicsState, None]:
-                qacc = acceleration(model, state, torque, 4, 1, 0.004)
+                qacc = compute_acceleration(model, state, torque, 4, 1, 0.004)
                 return integrate(state, qacc, 0.004), None
 
             return jax.lax.scan(step, state, torques)[0].qpos
 
         like = jax.ShapeDtypeStruct((19,), np.float32)
-        function = jax.vmap(lambda *arguments: robots_last(of_many, like)(model, *arguments))
+        function = jax.vmap(lambda *arguments: batch_robots(of_many, like)(model, *arguments))
         mapped = jax.shard_map(
             function, mesh=mesh, in_specs=split, out_specs=split, check_vma=False
         )
@@ -83,7 +83,7 @@ def print_costs(envs: int, steps: int, rounds: int) -> None:
         mj_model = quadruped.make_training_model(0.004, 2, 3, contacts)
         level = make_model(mj_model, quadruped, make_motor(mj_model, quadruped, MotorConfig()))
         cases[f"{contacts}, flat floor"] = program(level, qpos)
-        cases[f"{contacts}, field"] = program(on_ground(level, terrain.field), raised)
+        cases[f"{contacts}, field"] = program(add_ground(level, terrain.field), raised)
     for measure in cases.values():
         measure()  # compile, warm up
     least = np.min([[measure() for measure in cases.values()] for _ in range(rounds)], axis=0)

@@ -192,7 +192,7 @@ def work(task: str, envs: int, processor_time: bool) -> None:
         from quadwalk.physics.engines import ENGINES
 
         def one(physics, target):
-            step = ENGINES[env.engine].control_step
+            step = ENGINES[env.engine].step
             return jax.vmap(lambda p: step(env.model, env.stepping, p, target)[0])(physics), None
 
         return jax.lax.scan(one, physics, target)[0]

@@ -23,8 +23,7 @@ import numpy as np
 
 from quadwalk.cores import cpu_cores
 from quadwalk.learn.devices import set_up_devices
-from quadwalk.physics import batching, fast
-from quadwalk.physics.constraints import solver
+from quadwalk.physics import batching, fast, solver
 
 
 def main() -> None:
@@ -54,8 +53,8 @@ def print_rates(
     from quadwalk.env.env import QuadrupedEnv
     from quadwalk.learn.iteration import make_mesh
     from quadwalk.learn.ppo import AXIS
-    from quadwalk.physics.batching import robots_last
-    from quadwalk.physics.fast import acceleration, integrate
+    from quadwalk.physics.batching import batch_robots
+    from quadwalk.physics.fast import compute_acceleration, integrate
     from quadwalk.physics.mjx import mjx
     from quadwalk.physics.model import Model
     from quadwalk.physics.motor import PhysicsState
@@ -75,13 +74,13 @@ def print_rates(
         def of_many(model: Model, state: PhysicsState, torques: jax.Array) -> jax.Array:
             def step(state: PhysicsState, torque: jax.Array) -> tuple[PhysicsState, None]:
                 dt, searched = env.stepping.dt, env.stepping.line_search
-                qacc = acceleration(model, state, torque, iterations, searched, dt)
+                qacc = compute_acceleration(model, state, torque, iterations, searched, dt)
                 return integrate(state, qacc, dt), None
 
             return jax.lax.scan(step, state, torques)[0].qpos
 
         like = jax.ShapeDtypeStruct((19,), np.float32)
-        return lambda *arguments: robots_last(of_many, like)(model, *arguments)
+        return lambda *arguments: batch_robots(of_many, like)(model, *arguments)
 
     def in_mjx(state: PhysicsState, torques: jax.Array) -> jax.Array:
         blank = mjx.make_data(mjx_model)

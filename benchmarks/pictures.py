@@ -38,8 +38,8 @@ from quadwalk.evaluation.report.panels import draw_sweep
 from quadwalk.files import atomic_write
 from quadwalk.paths import PRETRAINED
 from quadwalk.render.canvas import Camera, Canvas
-from quadwalk.render.figures import new_figure, save_figure
-from quadwalk.render.images import film_strip, save_png
+from quadwalk.render.figures import make_figure, save_figure
+from quadwalk.render.images import make_film_strip, save_png
 from quadwalk.robot.quadruped import load_quadruped
 from quadwalk.runs.directory import Run
 from quadwalk.terrain.picture import draw_kinds
@@ -210,7 +210,7 @@ def zoo() -> None:
         text = f"{name}   {mass} kg   {float(speed):.1f} m/s"
         ImageDraw.Draw(picture).text((12, 8), text, fill=(30, 34, 40), font=font)
         drawn.append(np.asarray(picture))
-    save_png(film_strip(drawn, across=3), DOCS / "zoo.png")
+    save_png(make_film_strip(drawn, across=3), DOCS / "zoo.png")
 
 
 def _box(x: float, y: float) -> FancyBboxPatch:
@@ -220,7 +220,7 @@ def _box(x: float, y: float) -> FancyBboxPatch:
 
 def pipeline() -> None:
     """The way of the data as boxes and arrows."""
-    figure = new_figure((13, 3.8), "")
+    figure = make_figure((13, 3.8), "")
     axes = figure.subplots()
     axes.set_axis_off()
     axes.set(xlim=(0, 13), ylim=(0, 3.8))

@@ -18,10 +18,10 @@ TELLING = ("sse4_2", "avx", "avx2", "fma", "avx512f", "asimd", "sve")  # of the 
 # In a process of its own: a broken package may end it, and XLA does so for a flag it does not know.
 PROBE = """
 import json, mujoco, mujoco.mjx, jax, brax.training
-from quadwalk.render.opengl import working_library
+from quadwalk.render.opengl import find_working_library
 from quadwalk.learn.devices import set_up_devices
 set_up_devices()
-print(json.dumps([[str(device) for device in jax.devices()], working_library()]))
+print(json.dumps([[str(device) for device in jax.devices()], find_working_library()]))
 """
 
 

@@ -34,8 +34,7 @@ from quadwalk.env.state import (
 )
 from quadwalk.env.terminations import TIME_LIMIT, episode_end, names_of_ends, terminations
 from quadwalk.physics.engines import ENGINES, EngineName, fast, mujoco_c
-from quadwalk.physics.motor import Effort, PhysicsState
-from quadwalk.physics.standing import make_standing_motor
+from quadwalk.physics.motor import Effort, PhysicsState, make_standing_motor
 from quadwalk.robot.mirror import find_robot_mirror
 from quadwalk.robot.quadruped import Quadruped
 from quadwalk.settings.environment import EnvConfig
@@ -76,7 +75,7 @@ class QuadrupedEnv(Env):
         self.geometry = fast.make_model(self.mj_model, self.quadruped, self.motor)
         self.robot = robot_arrays(self.quadruped, self.mj_model, self.geometry)
         if self.engine == "mujoco":
-            self.stepping = self.stepping.with_dt(mujoco_c.TIMESTEP)
+            self.stepping = self.stepping.replace_dt(mujoco_c.TIMESTEP)
         self.model = self.geometry
         if self.engine != "fast":
             stepped = self.mj_model_of(self.quadruped)
@@ -160,7 +159,7 @@ class QuadrupedEnv(Env):
         before: EnvState = state.pipeline_state
         # Act: joint targets take effect late, a push may come, the engine moves the robot.
         model, physics, conditions, target = self.driven(before, action)
-        physics, effort = ENGINES[self.engine].control_step(model, self.stepping, physics, target)
+        physics, effort = ENGINES[self.engine].step(model, self.stepping, physics, target)
         sane, physics, effort, action = _kept_sane(
             self.robot.home, before.qpos, physics, effort, action
         )
@@ -233,7 +232,7 @@ class QuadrupedEnv(Env):
             substeps = self.stepping.substeps
             conditions, target = delayed(conditions, target, substeps, before.steps)
             if conditions.variation is not None:
-                model = ENGINES[self.engine].vary(model, conditions.variation)
+                model = ENGINES[self.engine].apply_randomization(model, conditions.variation)
         return model, physics, conditions, target
 
     def begun(self, state: State, latest: int | None = None, **changes: Any) -> State:
@@ -268,7 +267,7 @@ class QuadrupedEnv(Env):
         """The control step as rewards and terminations see it, before it is known which fell."""
         config, dt, qpos = self.config, self.config.control_dt, after.qpos
         start = jnp.where(sane, before.qpos, qpos)
-        soles, lowest = fast.lowest_points(self.geometry, qpos)
+        soles, lowest = fast.compute_lowest_points(self.geometry, qpos)
         # MuJoCo's ground gives way: a foot that lands sinks in, up to 2 cm at a run, its shin too.
         radius = self.geometry.contacts[0].radius
         legs = lowest[1:] - jnp.clip(soles[:, 2], -radius, 0.0)
@@ -288,7 +287,7 @@ class QuadrupedEnv(Env):
             power=effort.energy / dt,
             fell=jnp.zeros((), bool),
             command=command,
-            start_soles=fast.lowest_points(self.geometry, start)[0],
+            start_soles=fast.compute_lowest_points(self.geometry, start)[0],
             soles=soles,
             contact=soles[:, 2] < CONTACT_GAP,
             lowest=jnp.stack([lowest[0], jnp.min(legs)]),

@@ -10,7 +10,7 @@ from weakref import WeakKeyDictionary
 import jax
 
 from quadwalk.env.env import QuadrupedEnv
-from quadwalk.physics.constraints.surface import Surface
+from quadwalk.physics.surface import Surface
 
 # Of each environment its `heights`, once for all its programs.
 _on_device: WeakKeyDictionary[QuadrupedEnv, tuple[jax.Array, ...]] = WeakKeyDictionary()

@@ -25,7 +25,7 @@ from quadwalk.env.reflections import (
 )
 from quadwalk.env.robot_arrays import RobotArrays, above_ground
 from quadwalk.env.state import EnvState, trot_swing
-from quadwalk.physics.rotation import down, rotate_inverse, yaw
+from quadwalk.physics.rotation import compute_gravity_direction, compute_yaw, rotate_inverse
 from quadwalk.settings.environment import COMMANDED
 from quadwalk.settings.terms import Observation
 
@@ -45,13 +45,13 @@ def angular_velocity(robot: RobotArrays, state: EnvState) -> jax.Array:
 @mirrors(VECTOR)
 def gravity(robot: RobotArrays, state: EnvState) -> jax.Array:
     """Direction of gravity (3,), body frame, a unit vector."""
-    return down(state.qpos[3:7])
+    return compute_gravity_direction(state.qpos[3:7])
 
 
 @mirrors(LATERAL)
 def heading(robot: RobotArrays, state: EnvState) -> jax.Array:
     """Angle of the trunk's x axis from world x about world z, rad."""
-    return yaw(state.qpos[3:7])
+    return compute_yaw(state.qpos[3:7])
 
 
 @mirrors(LATERAL)
@@ -155,7 +155,7 @@ def _scan(
 ) -> jax.Array:
     """At all of `ahead` (k,) times `left` (l,), m: (k * l,)."""
     x, y = (axis.ravel() for axis in np.meshgrid(ahead, left, indexing="ij"))
-    heading = yaw(state.qpos[3:7])
+    heading = compute_yaw(state.qpos[3:7])
     cos, sin = jnp.cos(heading), jnp.sin(heading)
     places = (state.qpos[0] + cos * x - sin * y, state.qpos[1] + sin * x + cos * y)
     level = np.zeros(x.size) if robot.ground is None else robot.ground.at(*places)[0]

@@ -11,7 +11,7 @@ from jax.typing import ArrayLike
 from quadwalk.env.robot_arrays import RobotArrays
 from quadwalk.physics.model import RobotRandomization
 from quadwalk.physics.motor import PhysicsState, Stepping
-from quadwalk.physics.rotation import multiply, rotate_inverse, yaw
+from quadwalk.physics.rotation import compute_yaw, multiply, rotate_inverse
 from quadwalk.settings.environment import RandomizationConfig, Range
 
 _DRAWN = 43  # eleven numbers, and vectors of 3, 12, 2, 12 and 3
@@ -181,7 +181,7 @@ def pushed(
 ) -> PhysicsState:
     """`physics` after the push of control step `steps`, if it has one: one in each `period`."""
     forward, left = conditions.push * side_of_push(conditions, steps, period)
-    heading = yaw(physics.qpos[3:7])
+    heading = compute_yaw(physics.qpos[3:7])
     cos, sin = jnp.cos(heading), jnp.sin(heading)
     kick = jnp.stack([forward * cos - left * sin, forward * sin + left * cos])
     return physics._replace(qvel=physics.qvel.at[:2].add(kick))

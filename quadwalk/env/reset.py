@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 
 from quadwalk.env.robot_arrays import RobotArrays
-from quadwalk.physics.fast import lowest_points
+from quadwalk.physics.fast import compute_lowest_points
 from quadwalk.physics.model import Model
 from quadwalk.physics.motor import PhysicsState
 from quadwalk.physics.rotation import from_euler
@@ -83,6 +83,6 @@ def on_tile(
 
 def _lowest(model: Model, qpos: jax.Array, feet: bool = False) -> jax.Array:
     """How far the robot's lowest part, or lowest foot, is above the ground, m."""
-    soles, others = lowest_points(model, qpos)
+    soles, others = compute_lowest_points(model, qpos)
     lowest = jnp.min(soles[:, 2])
     return lowest if feet else jnp.minimum(lowest, jnp.min(others))

@@ -17,8 +17,8 @@ from quadwalk.env.state import (
     velocity_error,
     yaw_rate_error,
 )
-from quadwalk.physics.fast import leg_points
-from quadwalk.physics.rotation import down, yaw
+from quadwalk.physics.fast import compute_leg_points
+from quadwalk.physics.rotation import compute_gravity_direction, compute_yaw
 from quadwalk.settings.terms import Reward
 
 
@@ -34,7 +34,7 @@ def fall(robot: RobotArrays, step: Step) -> jax.Array:
 
 def yaw_error(robot: RobotArrays, step: Step) -> jax.Array:
     """Angle between the heading and world x, rad, up to 1."""
-    return jnp.minimum(jnp.abs(yaw(step.qpos[3:7])), 1.0)
+    return jnp.minimum(jnp.abs(compute_yaw(step.qpos[3:7])), 1.0)
 
 
 def energy(robot: RobotArrays, step: Step) -> jax.Array:
@@ -64,7 +64,7 @@ def vertical(robot: RobotArrays, step: Step) -> jax.Array:
 
 def tilt(robot: RobotArrays, step: Step) -> jax.Array:
     """Squared sine of the angle between the trunk's and the world's z axis."""
-    return jnp.sum(jnp.square(down(step.qpos[3:7])[:2]))
+    return jnp.sum(jnp.square(compute_gravity_direction(step.qpos[3:7])[:2]))
 
 
 def roll_pitch_rate(robot: RobotArrays, step: Step) -> jax.Array:
@@ -110,14 +110,14 @@ def crossed(robot: RobotArrays, step: Step, *, margin: float) -> jax.Array:
     More than 0 where a knee or foot of the right one is not `margin`, m, to the right of both of
     the left one, in the trunk's frame. Training lets legs pass through each other.
     """
-    aside = leg_points(robot.geometry, step.qpos[7:])[:, :, 1]
+    aside = compute_leg_points(robot.geometry, step.qpos[7:])[:, :, 1]
     gap = jnp.min(aside[:, 1::2], axis=0) - jnp.max(aside[:, ::2], axis=0)
     return jnp.mean(jnp.clip(margin - gap, 0.0, 0.3))
 
 
 def _up(step: Step) -> jax.Array:
     """Cosine of the angle between the trunk's and the world's z axis."""
-    return -down(step.qpos[3:7])[2]
+    return -compute_gravity_direction(step.qpos[3:7])[2]
 
 
 def follow(robot: RobotArrays, step: Step, *, width: float) -> jax.Array:

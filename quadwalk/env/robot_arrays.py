@@ -8,8 +8,8 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from quadwalk.physics.constraints.surface import Surface
 from quadwalk.physics.model import Model
+from quadwalk.physics.surface import Surface
 from quadwalk.robot.mirror import place_at_home
 from quadwalk.robot.quadruped import Quadruped
 from quadwalk.settings.environment import EnvConfig

@@ -9,7 +9,7 @@ from quadwalk.env.command import Command
 from quadwalk.env.curriculum import Travel
 from quadwalk.env.randomization import EpisodeRandomization
 from quadwalk.physics.motor import PhysicsState
-from quadwalk.physics.rotation import yaw
+from quadwalk.physics.rotation import compute_yaw
 
 
 class EnvState(NamedTuple):
@@ -89,10 +89,10 @@ def motion(start: jax.Array, qpos: jax.Array, dt: float) -> jax.Array:
 
     Forward and left in the frame of the heading at the end, m/s, and the yaw rate, rad/s.
     """
-    heading = yaw(qpos[3:7])
+    heading = compute_yaw(qpos[3:7])
     cos, sin = jnp.cos(heading), jnp.sin(heading)
     x, y = (qpos[:2] - start[:2]) / dt
-    turned = heading - yaw(start[3:7])
+    turned = heading - compute_yaw(start[3:7])
     turned = jnp.arctan2(jnp.sin(turned), jnp.cos(turned))  # the short way round
     return jnp.stack([cos * x + sin * y, cos * y - sin * x, turned / dt])
 

@@ -207,7 +207,7 @@ def compute_next_states(
     """
 
     def step(state: PhysicsState, target: jax.Array) -> PhysicsState:
-        return ENGINES[env.engine].control_step(env.model, env.stepping, state, target)[0]
+        return ENGINES[env.engine].step(env.model, env.stepping, state, target)[0]
 
     is_height = np.arange(19) == 2
     qpos = np.concatenate([qpos - SHIFT * is_height, qpos, qpos + SHIFT * is_height])

@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 from quadwalk.identify.fit import Fit
 from quadwalk.identify.found import OF_URDF, PARTS
 from quadwalk.identify.joint_log import Log, find_pieces
-from quadwalk.render.figures import INK, LEG_COLORS, new_figure, tidy
+from quadwalk.render.figures import INK, LEG_COLORS, make_figure, tidy
 from quadwalk.robot.quadruped import Quadruped
 
 WINDOW = 2.0  # s of angles that are shown
@@ -17,7 +17,7 @@ _COLORS = {"target": "#9aa3ad", "description": LEG_COLORS[2], "fit": LEG_COLORS[
 
 def draw_fit(fit: Fit, log: Log, quadruped: Quadruped, title: str) -> Figure:
     """Draw three rows, 15 by 11 inches, with a column for hips, thighs and calves each."""
-    figure = new_figure((15, 11), title)
+    figure = make_figure((15, 11), title)
     left = {"description": fit.before - log.position, "fit": fit.after - log.position}
     for part, column in enumerate(figure.subplots(3, 3).T):
         worst = 3 * int((left["fit"][:, part::3] ** 2).mean(axis=0).argmax()) + part

@@ -14,9 +14,9 @@ import numpy as np
 from quadwalk.identify.joint_log import Log, find_pieces
 from quadwalk.physics import rigid_body
 from quadwalk.physics import vectors as v
-from quadwalk.physics.batching import column
+from quadwalk.physics.batching import append_axis
 from quadwalk.physics.model import Model
-from quadwalk.physics.motor import friction_torque, motor_torque
+from quadwalk.physics.motor import compute_friction_torque, compute_motor_torque
 from quadwalk.physics.vectors import Matrix, Vector
 
 STEP = 0.5e-3  # s, the longest physics step
@@ -150,17 +150,17 @@ def _simulate(
     """
     constants = zip(model.links, _by_link(joints.armature), _by_link(joints.damping), strict=True)
     links = tuple(
-        jax.tree.map(column, link)._replace(armature=armature, damping=damping)
+        jax.tree.map(append_axis, link)._replace(armature=armature, damping=damping)
         for link, armature, damping in constants
     )
-    motor = jax.tree.map(column, model.motor)
+    motor = jax.tree.map(append_axis, model.motor)
     motor = motor._replace(kp=joints.kp, kd=joints.kd, friction=joints.friction)
     model = model._replace(links=links, motor=motor)
 
     def acceleration(q: jax.Array, qd: jax.Array, target: jax.Array) -> jax.Array:
         wanted = target + joints.target_offset
-        torque = motor_torque(motor, wanted, q + joints.offset, qd)
-        torque += friction_torque(motor, qd, joints.friction_speed)
+        torque = compute_motor_torque(motor, wanted, q + joints.offset, qd)
+        torque += compute_friction_torque(motor, qd, joints.friction_speed)
         return joint_acceleration(model, q, qd, torque)
 
     def step(
@@ -184,11 +184,13 @@ def joint_acceleration(model: Model, q: jax.Array, qd: jax.Array, torque: jax.Ar
     `q` (12, n), rad, and `qd` (12, n), rad/s, are angles and speeds. The constants of the `model`
     have a last axis for the candidates.
     """
-    pose = rigid_body.pose_of(model.links, _LEVEL, _by_link(q))
+    pose = rigid_body.compute_pose(model.links, _LEVEL, _by_link(q))
     bodies = rigid_body.place_bodies(model.trunk, model.links, pose)
-    mass = rigid_body.mass_matrix(model.trunk, model.links, pose, bodies).legs
+    mass = rigid_body.compute_mass_matrix(model.trunk, model.links, pose, bodies).legs
     velocity = rigid_body.Motion(_STILL, _STILL, _by_link(qd))
-    bias = rigid_body.bias_force(model.trunk, model.links, pose, bodies, velocity, model.gravity)
+    bias = rigid_body.compute_bias_force(
+        model.trunk, model.links, pose, bodies, velocity, model.gravity
+    )
     parts = zip(_by_link(torque), model.links, velocity.joints, bias.joints, strict=True)
     force = v.vector(own - link.damping * rate - held for own, link, rate, held in parts)
     hip, thigh, calf = map(v.vector, mass)

@@ -72,7 +72,7 @@ def replay(path: Path | str) -> tuple[np.ndarray, np.ndarray]:
         model, physics, _, target = env.driven(before, action)
 
         def one(physics: Any, own: jax.Array) -> Any:
-            after, _ = engine.control_step(model, once, physics, own)
+            after, _ = engine.step(model, once, physics, own)
             return after, after
 
         targets = jnp.broadcast_to(target, (env.stepping.substeps, *target.shape[-1:]))

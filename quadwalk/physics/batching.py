@@ -18,7 +18,7 @@ BATCH = 128  # robots side by side: what they hold at a time then stays in a cor
 LANES = 8  # floats in a vector register
 
 
-def robots_last(function: Callable[..., Any], like: Any) -> Callable[..., Any]:
+def batch_robots(function: Callable[..., Any], like: Any) -> Callable[..., Any]:
     """Let `vmap` run a function of one robot that takes arrays (..., robots) at once.
 
     `function` maps pytrees of arrays with the robots along the last axis to such pytrees. What is
@@ -39,7 +39,7 @@ def robots_last(function: Callable[..., Any], like: Any) -> Callable[..., Any]:
         def of_several(*arrays: jax.Array) -> list[Any]:
             rest = iter(arrays)
             pairs = zip(leaves, constant, strict=True)
-            given = [column(leaf) if fixed else next(rest) for leaf, fixed in pairs]
+            given = [append_axis(leaf) if fixed else next(rest) for leaf, fixed in pairs]
             found = function(*jax.tree.unflatten(structure, given))
             own: Any = jax.tree.structure(found)
             if own != expected:
@@ -56,7 +56,8 @@ def robots_last(function: Callable[..., Any], like: Any) -> Callable[..., Any]:
 def is_constant(leaf: Any) -> bool:
     """Whether a leaf is the same for all robots: NumPy's or a number. JAX's may be one for each.
 
-    So `vary` turns constants into variables by computing them with JAX. `TypeError` for another.
+    Randomization turns constants into variables, since it computes them with JAX. `TypeError` for
+    any other leaf.
     """
     if isinstance(leaf, jax.Array):
         return False
@@ -65,7 +66,7 @@ def is_constant(leaf: Any) -> bool:
     raise TypeError(f"a leaf is a {type(leaf).__name__}; expected an array or a number")
 
 
-def column(constant: Any) -> Any:
+def append_axis(constant: Any) -> Any:
     """A constant array with a last axis of length 1, for the robots; a number as it is."""
     return np.reshape(constant, (*np.shape(constant), 1)) if np.ndim(constant) else constant
 
@@ -111,7 +112,7 @@ def _tangents(
 
 # `jax.custom_batching.custom_vmap` would trace a function for one robot, to know its shapes, and
 # then for the batch: seconds of every start.
-_robots = Primitive("robots_last")
+_robots = Primitive("batch_robots")
 _robots.multiple_results = True
 _robots.def_impl(lambda *arguments, **how: jax.jit(partial(_of_one, **how))(*arguments))
 _robots.def_abstract_eval(

@@ -1,7 +1,7 @@
 """The engines: three ways to step a robot, behind one interface.
 
 An engine is a module with `make_model`, which reads a MuJoCo model into a pytree of constants, and
-`control_step`, a pure function of it to be jitted and vmapped.
+`step`, a pure function of it to be jitted and vmapped.
 """
 
 from collections.abc import Mapping
@@ -24,10 +24,10 @@ class Engine(Protocol):
     def make_model(self, model: mujoco.MjModel, quadruped: Quadruped, motor: Motor) -> Any:
         """The constants of the robot that `model`, made from `quadruped`, describes."""
 
-    def vary(self, model: Any, variation: RobotRandomization) -> Any:
+    def apply_randomization(self, model: Any, variation: RobotRandomization) -> Any:
         """The constants of one robot that differs by `variation` from that of `model`."""
 
-    def control_step(
+    def step(
         self, model: Any, stepping: Stepping, physics: PhysicsState, target: jax.Array
     ) -> tuple[PhysicsState, Effort]:
         """One control step; `target` (12,) or (substeps, 12), rad, one for each physics step."""

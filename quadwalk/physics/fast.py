@@ -12,17 +12,15 @@ import jax.numpy as jnp
 
 from quadwalk.physics import motor
 from quadwalk.physics import vectors as v
-from quadwalk.physics.batching import materialize, opaque_true, robots_last
-from quadwalk.physics.constraints.contact import (
+from quadwalk.physics.batching import batch_robots, materialize, opaque_true
+from quadwalk.physics.contact import (
     Under,
     centers,
     find_constraints,
     look_under,
     triangles_under,
 )
-from quadwalk.physics.constraints.solver import combined, newton, solve
-from quadwalk.physics.constraints.surface import Surface
-from quadwalk.physics.model import Model, RobotRandomization, vary_motor
+from quadwalk.physics.model import Model, RobotRandomization, randomize_motor
 from quadwalk.physics.model import make_model as make_model
 from quadwalk.physics.motor import Effort, PhysicsState, Stepping
 from quadwalk.physics.rigid_body import (
@@ -31,16 +29,18 @@ from quadwalk.physics.rigid_body import (
     MassMatrix,
     Motion,
     Pose,
-    bias_force,
-    mass_matrix,
+    compute_bias_force,
+    compute_mass_matrix,
+    compute_pose,
+    compute_rotation,
     place_bodies,
-    pose_of,
-    rotation_of,
 )
+from quadwalk.physics.solver import combined, newton, solve
+from quadwalk.physics.surface import Surface
 from quadwalk.physics.vectors import Vector
 
 
-def control_step(
+def step(
     model: Model, stepping: Stepping, physics: PhysicsState, target: jax.Array
 ) -> tuple[PhysicsState, Effort]:
     """One control step; `target` (12,) or (substeps, 12), rad. To be vmapped over robots."""
@@ -52,17 +52,17 @@ def control_step(
     ) -> tuple[PhysicsState, Effort]:
         def advance(state: PhysicsState, torque: jax.Array) -> PhysicsState:
             iterations, line_search = stepping.iterations, stepping.line_search
-            qacc = acceleration(model, state, torque, iterations, line_search, stepping.dt)
+            qacc = compute_acceleration(model, state, torque, iterations, line_search, stepping.dt)
             return integrate(state, qacc, stepping.dt)
 
-        return motor.control_step(model.motor, stepping, physics, target, advance)
+        return motor.run_control_step(model.motor, stepping, physics, target, advance)
 
     shape: Any = partial(jax.ShapeDtypeStruct, dtype=physics.qpos.dtype)
     like = (PhysicsState(*(shape(x.shape) for x in physics)), Effort(shape((12,)), shape(())))
-    return robots_last(of_many, like)(model, physics, target)
+    return batch_robots(of_many, like)(model, physics, target)
 
 
-def vary(model: Model, variation: RobotRandomization) -> Model:
+def apply_randomization(model: Model, variation: RobotRandomization) -> Model:
     """The constants of one robot that differs by `variation` from that of `model`."""
     trunk, legs = model.trunk, variation.link_mass.reshape(4, LINKS)
     links = tuple(
@@ -84,11 +84,11 @@ def vary(model: Model, variation: RobotRandomization) -> Model:
             dataclasses.replace(contact, friction=jnp.broadcast_to(variation.friction, 4))
             for contact in model.contacts
         ),
-        motor=vary_motor(model.motor, variation),
+        motor=randomize_motor(model.motor, variation),
     )
 
 
-def acceleration(
+def compute_acceleration(
     model: Model,
     state: PhysicsState,
     torque: jax.Array,
@@ -96,21 +96,25 @@ def acceleration(
     line_search: int,
     dt: float = 0.0,
 ) -> jax.Array:
-    """Return MuJoCo's qacc (18, robots) with joint torques (12, robots), Nm; see `robots_last`.
+    """Return MuJoCo's qacc (18, robots) with joint torques (12, robots), Nm; see `batch_robots`.
 
     With a time step `dt`, s, joint damping is implicit over it, as in MuJoCo's Euler integrator.
     """
     qpos, qvel = state.qpos, state.qvel
     trunk, links, gravity = model.trunk, model.links, model.gravity
     barrier = opaque_true(qpos[2, 0])  # heights beyond are not let into the next control step
-    rotation = materialize(barrier, lambda quat: rotation_of(tuple(quat)), qpos[3:7])
+    rotation = materialize(barrier, lambda quat: compute_rotation(tuple(quat)), qpos[3:7])
     angles = _by_link(qpos[7:])
-    pose = materialize(barrier, lambda r, a: pose_of(links, r, a), rotation, angles)
+    pose = materialize(barrier, lambda r, a: compute_pose(links, r, a), rotation, angles)
     bodies = materialize(barrier, lambda p: place_bodies(trunk, links, p), pose)
     velocity = _motion(pose, qvel)
-    mass = materialize(barrier, lambda p, b: mass_matrix(trunk, links, p, b), pose, bodies)
+    mass = materialize(barrier, lambda p, b: compute_mass_matrix(trunk, links, p, b), pose, bodies)
     bias = materialize(
-        barrier, lambda p, b, u: bias_force(trunk, links, p, b, u, gravity), pose, bodies, velocity
+        barrier,
+        lambda p, b, u: compute_bias_force(trunk, links, p, b, u, gravity),
+        pose,
+        bodies,
+        velocity,
     )
     joints = v.vector(
         t - link.damping * rate - b
@@ -205,7 +209,7 @@ def integrate(state: PhysicsState, acceleration: jax.Array, dt: float) -> Physic
     return PhysicsState(qpos, qvel)
 
 
-def lowest_points(model: Model, qpos: jax.Array) -> tuple[jax.Array, jax.Array]:
+def compute_lowest_points(model: Model, qpos: jax.Array) -> tuple[jax.Array, jax.Array]:
     """The feet's soles (4, 3), m, and how far the lowest of all else (5,) is above the ground, m.
 
     That is of the trunk, then of each leg but its foot. Soles have x and y in the world, z above
@@ -217,9 +221,9 @@ def lowest_points(model: Model, qpos: jax.Array) -> tuple[jax.Array, jax.Array]:
 
     def of_many(model: Model, qpos: jax.Array) -> tuple[jax.Array, jax.Array]:
         barrier = opaque_true(qpos[2, 0])
-        rotation = materialize(barrier, lambda quat: rotation_of(tuple(quat)), qpos[3:7])
+        rotation = materialize(barrier, lambda quat: compute_rotation(tuple(quat)), qpos[3:7])
         angles = _by_link(qpos[7:])
-        pose = materialize(barrier, lambda r, a: pose_of(model.links, r, a), rotation, angles)
+        pose = materialize(barrier, lambda r, a: compute_pose(model.links, r, a), rotation, angles)
         if model.ground is not None:
             return _lowest_points_over(model, model.ground, barrier, pose, qpos)
         feet, height = model.contacts[0], qpos[2]
@@ -236,10 +240,10 @@ def lowest_points(model: Model, qpos: jax.Array) -> tuple[jax.Array, jax.Array]:
 
     qpos = jnp.asarray(qpos)
     shape = partial(jax.ShapeDtypeStruct, dtype=qpos.dtype)
-    return robots_last(of_many, (shape((4, 3)), shape((5,))))(model, qpos)
+    return batch_robots(of_many, (shape((4, 3)), shape((5,))))(model, qpos)
 
 
-def leg_points(model: Model, joints: jax.Array) -> jax.Array:
+def compute_leg_points(model: Model, joints: jax.Array) -> jax.Array:
     """Centers of the spheres that thighs and calves have (n, 4, 3), m, in the trunk's frame.
 
     The feet first, then knees if they may touch the floor. To be vmapped; `joints` (12,) in rad.
@@ -248,19 +252,19 @@ def leg_points(model: Model, joints: jax.Array) -> jax.Array:
 
     def of_many(model: Model, joints: jax.Array) -> jax.Array:
         one, zero = jnp.ones_like(joints[0]), jnp.zeros_like(joints[0])
-        upright = rotation_of((one, zero, zero, zero))
-        pose = pose_of(model.links, upright, _by_link(joints))
+        upright = compute_rotation((one, zero, zero, zero))
+        pose = compute_pose(model.links, upright, _by_link(joints))
         return jnp.stack([jnp.stack(centers(c, pose), axis=1) for c in model.contacts if c.link])
 
     joints = jnp.asarray(joints)
     shape = jax.ShapeDtypeStruct((len(spheres), 4, 3), joints.dtype)
-    return robots_last(of_many, shape)(model, joints)
+    return batch_robots(of_many, shape)(model, joints)
 
 
 def _lowest_points_over(
     model: Model, ground: Surface, barrier: jax.Array, pose: Pose, qpos: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """`lowest_points` over ground that is not level."""
+    """`compute_lowest_points` over ground that is not level."""
     x, y, height = qpos[:3]
     along, across, _ = centers(model.contacts[0], pose)
     under = _look_under(model, barrier, pose, qpos)[0]

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import mujoco
 
 from quadwalk.physics import motor
-from quadwalk.physics.model import RobotRandomization, vary_motor
+from quadwalk.physics.model import RobotRandomization, randomize_motor
 from quadwalk.physics.motor import Effort, Motor, PhysicsState, Stepping
 from quadwalk.robot.quadruped import Quadruped
 
@@ -42,7 +42,7 @@ def make_model(model: mujoco.MjModel, quadruped: Quadruped, motor: Motor) -> Mjx
     return MjxModel(mjx.put_model(model, device=jax.local_devices()[0]), motor)
 
 
-def vary(model: MjxModel, variation: RobotRandomization) -> MjxModel:
+def apply_randomization(model: MjxModel, variation: RobotRandomization) -> MjxModel:
     """The constants of one robot that differs by `variation` from that of `model`."""
     old = model.mjx
     trunk, legs = old.jnt_bodyid[0], old.jnt_bodyid[1:]
@@ -55,10 +55,10 @@ def vary(model: MjxModel, variation: RobotRandomization) -> MjxModel:
         dof_armature=old.dof_armature.at[6:].multiply(variation.armature),
         dof_damping=old.dof_damping.at[6:].multiply(variation.damping),
     )
-    return MjxModel(new, vary_motor(model.motor, variation))
+    return MjxModel(new, randomize_motor(model.motor, variation))
 
 
-def control_step(
+def step(
     model: MjxModel, stepping: Stepping, physics: PhysicsState, target: jax.Array
 ) -> tuple[PhysicsState, Effort]:
     """One control step; `target` (12,) or (substeps, 12), rad. To be vmapped over robots."""
@@ -75,4 +75,4 @@ def control_step(
         data = mjx.step(model.mjx, data)
         return PhysicsState(data.qpos, data.qvel)
 
-    return motor.control_step(model.motor, stepping, physics, target, advance)
+    return motor.run_control_step(model.motor, stepping, physics, target, advance)

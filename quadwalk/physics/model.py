@@ -11,11 +11,11 @@ import mujoco
 import numpy as np
 
 from quadwalk.physics import vectors as v
-from quadwalk.physics.batching import column
-from quadwalk.physics.constraints.contact import Contact, Limits, SolverParams
-from quadwalk.physics.constraints.surface import Surface, ground_surface, offset_surface
+from quadwalk.physics.batching import append_axis
+from quadwalk.physics.contact import Contact, Limits, SolverParams
 from quadwalk.physics.motor import Motor
 from quadwalk.physics.rigid_body import LINKS, Link, Trunk
+from quadwalk.physics.surface import Surface, make_ground_surface, make_offset_surface
 from quadwalk.physics.vectors import Array, Matrix, Vector
 from quadwalk.robot.quadruped import Quadruped
 from quadwalk.robot.scene import SPHERE_NAMES, compute_rotation
@@ -50,7 +50,7 @@ class Shell:
         reach: Array = -jnp.inf
         for kind, value in reaches.items():
             # As a number: NumPy compares no array with an enumeration's member.
-            of_kind = column(np.equal(self.kind, int(kind)))
+            of_kind = append_axis(np.equal(self.kind, int(kind)))
             if np.any(of_kind):
                 reach = jnp.where(of_kind, value, reach)
         return v.dot(up, self.center) - reach
@@ -78,7 +78,7 @@ class Shell:
             mujoco.mjtGeom.mjGEOM_CAPSULE: [v.subtract(point, v.scale(a, up)) for point in ends],
         }
         return [
-            (column(np.equal(self.kind, int(kind))), point)
+            (append_axis(np.equal(self.kind, int(kind))), point)
             for kind, some in points.items()
             if np.any(np.equal(self.kind, int(kind)))
             for point in some
@@ -108,7 +108,7 @@ class Model(NamedTuple):
     """A quadruped in numbers: one robot's, scalars or (4,) over legs, of the motors (12,).
 
     Any leaf may be a JAX array, and under `jax.vmap` differ from robot to robot; all others are
-    constants of the compiled program (see `batching.robots_last`).
+    constants of the compiled program (see `batching.batch_robots`).
     """
 
     trunk: Trunk
@@ -121,7 +121,7 @@ class Model(NamedTuple):
     ground: Surface | None = None  # None: level, at height 0, without end
 
 
-def vary_motor(motor: Motor, variation: RobotRandomization) -> Motor:
+def randomize_motor(motor: Motor, variation: RobotRandomization) -> Motor:
     """`motor` of a robot that differs by `variation`."""
     friction = motor.friction
     return motor._replace(
@@ -151,35 +151,35 @@ def make_model(model: mujoco.MjModel, quadruped: Quadruped, motor: Motor) -> Mod
             inertia=tuple(float(x) for x in _inertia(model, trunk)),
         ),
         links=tuple(_link(model, bodies[:, i], joints[:, i]) for i in range(LINKS)),
-        contacts=tuple(_contact(model, geoms, bodies) for geoms in contact_geoms(model, feet)),
+        contacts=tuple(_contact(model, geoms, bodies) for geoms in find_contact_geoms(model, feet)),
         limits=tuple(_limits(model, joints[:, i]) for i in range(LINKS)),
-        shells=_shells(model, shell_geoms(model, feet), trunk, bodies),
+        shells=_shells(model, find_shell_geoms(model, feet), trunk, bodies),
         gravity=_vector(model.opt.gravity),
         motor=motor,
     )
     ground = field_of(model)
-    return found if ground is None else on_ground(found, ground)
+    return found if ground is None else add_ground(found, ground)
 
 
-def on_ground(model: Model, ground: Heightfield) -> Model:
+def add_ground(model: Model, ground: Heightfield) -> Model:
     """`model` on ground that is not level."""
     contacts = []
     for contact in model.contacts:
         radii = np.broadcast_to(np.asarray(contact.radius), 4)
         different, grids = np.unique(radii, return_inverse=True)
-        surface = offset_surface(ground, tuple(map(float, different)))
+        surface = make_offset_surface(ground, tuple(map(float, different)))
         contacts.append(replace(contact, surface=surface, grids=tuple(map(int, grids))))
-    return model._replace(contacts=tuple(contacts), ground=ground_surface(ground))
+    return model._replace(contacts=tuple(contacts), ground=make_ground_surface(ground))
 
 
-def contact_geoms(model: mujoco.MjModel, feet: tuple[str, ...]) -> list[np.ndarray]:
+def find_contact_geoms(model: mujoco.MjModel, feet: tuple[str, ...]) -> list[np.ndarray]:
     """(4,) geoms of each kind of sphere that may touch the floor, the feet first."""
     names = [model.geom(i).name for i in range(model.ngeom)]
     kinds = [kind for kind in (feet, *SPHERE_NAMES) if set(kind) <= set(names)]
     return [np.array([names.index(name) for name in kind]) for kind in kinds]
 
 
-def shell_geoms(model: mujoco.MjModel, feet: tuple[str, ...]) -> np.ndarray:
+def find_shell_geoms(model: mujoco.MjModel, feet: tuple[str, ...]) -> np.ndarray:
     """Every collision shape (n,) of the robot but its feet."""
     collision = (model.geom_bodyid != 0) & (model.geom_group == 3)
     collision[[model.geom(name).id for name in feet]] = False

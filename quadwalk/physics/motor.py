@@ -1,4 +1,7 @@
-"""The control step that all engines share: physics steps with motors and joint controllers.
+"""Motors with their joint controllers, and the control step that all engines share.
+
+Default gains follow from weight and height. A leg that is bent far, or stands wide of its hip,
+gives its weight a longer lever: then they are too soft, and the robot sinks.
 
 Arrays are JAX's, of one robot or with the robots along the last axis, or NumPy's.
 """
@@ -27,6 +30,14 @@ FRICTION_SPEED = 0.1
 # one physics step. From twice that gain on it shakes itself, or sooner with the leg's other joints;
 # light calves without a rotor's inertia come near.
 MOST_DAMPING = 0.5
+
+SETTLING_TIME = 2.0  # s of simulation, in which a robot settles or sinks
+# A robot stands at this share of its home height, and within this angle, rad, of upright. Published
+# robots keep 0.92 or more and tilt by less than 0.01.
+LOWEST, MOST_TILT = 0.9, 0.1
+SHAKING = 1.0  # rad/s; a joint that is still so fast is shaken by its gains
+BURST = 200.0  # rad/s; no joint that is at rest at first is ever so fast, unless physics diverges
+FACTORS = (1.0, 1.25, 1.6, 2.0, 2.5, 3.2, 4.0, 5.0, 6.4, 8.0)  # of the default position gain
 
 
 @dataclass(frozen=True)
@@ -70,7 +81,7 @@ class Stepping:
         """Seconds of one control step."""
         return self.dt * self.substeps
 
-    def with_dt(self, dt: float) -> "Stepping":
+    def replace_dt(self, dt: float) -> "Stepping":
         """The same control step in a whole number of physics steps of about `dt` s."""
         substeps = max(1, round(self.control_dt / dt))
         return replace(self, dt=self.control_dt / substeps, substeps=substeps)
@@ -101,7 +112,9 @@ def make_motor(model: mujoco.MjModel, quadruped: "Quadruped", config: MotorConfi
     kd: Array = 0.025 * kp
     if config.kd is not None:
         kd = config.kd
-    elif (most := MOST_DAMPING * joint_inertia(model, quadruped) / model.opt.timestep).min() < kd:
+    elif (
+        most := MOST_DAMPING * compute_joint_inertia(model, quadruped) / model.opt.timestep
+    ).min() < kd:
         kd = np.tile(np.minimum(kd, most), 4)
     return Motor(
         kp=kp,
@@ -113,7 +126,7 @@ def make_motor(model: mujoco.MjModel, quadruped: "Quadruped", config: MotorConfi
     )
 
 
-def joint_inertia(model: mujoco.MjModel, quadruped: "Quadruped") -> np.ndarray:
+def compute_joint_inertia(model: mujoco.MjModel, quadruped: "Quadruped") -> np.ndarray:
     """(3,) kg m^2: the torque that a leg's joints need for an acceleration of 1 rad/s^2.
 
     Of hip, thigh and calf, alone, of a robot that floats in its home pose; the least of all legs.
@@ -126,7 +139,66 @@ def joint_inertia(model: mujoco.MjModel, quadruped: "Quadruped") -> np.ndarray:
     return inertia.min(axis=0)
 
 
-def motor_torque(motor: Motor, target: Any, q: Any, qd: Any) -> Any:
+def make_standing_motor(
+    model: mujoco.MjModel, quadruped: "Quadruped", config: MotorConfig
+) -> tuple[Motor, str]:
+    """Return `make_motor`'s motors, as stiff as standing needs, and a line where that is special.
+
+    Gains are raised only where `config` leaves the position gain open. Where none of `FACTORS`
+    would do, the default stays, and the line says so; else it is empty or says what was raised.
+    """
+    motor = make_motor(model, quadruped, config)
+    if config.kp is not None:
+        return motor, ""
+    level = _make_level_model(model, quadruped)
+    usual = float(motor.kp)
+    for factor in FACTORS:
+        stiffer = motor
+        if factor > 1.0:
+            stiffer = make_motor(model, quadruped, replace(config, kp=factor * usual))
+        if holds_home_pose(level, quadruped, stiffer):
+            raised = (
+                f"gains raised to {factor:g} times the default, {factor * usual:.3g} Nm/rad: with "
+                "less the robot sinks below its home pose"
+            )
+            return stiffer, raised if factor > 1.0 else ""
+    return motor, (
+        f"{quadruped.name} sinks below its home pose with gains of {usual:.3g} to "
+        f"{FACTORS[-1] * usual:.3g} Nm/rad: are its motors, of {quadruped.effort.max():g} Nm at "
+        "most, too weak?"
+    )
+
+
+def holds_home_pose(model: mujoco.MjModel, quadruped: "Quadruped", motor: Motor) -> bool:
+    """Return whether the robot stays up and at rest when its joints are to keep the home pose."""
+    data = mujoco.MjData(model)
+    data.qpos[:] = quadruped.home
+    while data.time < SETTLING_TIME:
+        speed = data.qvel[6:]
+        if np.abs(speed).max() > BURST:  # before MuJoCo warns of it
+            return False
+        data.ctrl[:] = compute_motor_torque(motor, quadruped.home[7:], data.qpos[7:], speed)
+        data.qfrc_applied[6:] = compute_friction_torque(motor, speed)
+        mujoco.mj_step(model, data)
+    mujoco.mj_kinematics(model, data)
+    upright = data.xmat[model.jnt_bodyid[0]][8]
+    return bool(
+        data.qpos[2] > LOWEST * quadruped.home[2]
+        and upright > np.cos(MOST_TILT)
+        and np.abs(data.qvel[6:]).max() < SHAKING
+    )
+
+
+def _make_level_model(model: mujoco.MjModel, quadruped: "Quadruped") -> mujoco.MjModel:
+    """Return a training model of the robot on a level floor, with the time step of `model`."""
+    spec = quadruped.spec.copy()
+    floor = spec.geom("floor")
+    floor.type, floor.hfieldname = mujoco.mjtGeom.mjGEOM_PLANE, ""
+    floor.size, floor.pos = [0, 0, 0.05], [0, 0, 0]
+    return replace(quadruped, spec=spec).make_training_model(model.opt.timestep, iterations=4)
+
+
+def compute_motor_torque(motor: Motor, target: Any, q: Any, qd: Any) -> Any:
     """Torque (12,), Nm, of the joint controller within the motors' limits.
 
     Of joints at `q`, rad, turning at `qd`, rad/s, that are to go to `target`, rad. A motor that
@@ -142,7 +214,7 @@ def motor_torque(motor: Motor, target: Any, q: Any, qd: Any) -> Any:
     return motor.strength * xp.clip(torque, lower, upper)
 
 
-def friction_torque(motor: Motor, qd: Any, through: Any = FRICTION_SPEED) -> Any:
+def compute_friction_torque(motor: Motor, qd: Any, through: Any = FRICTION_SPEED) -> Any:
     """Joint friction (12,), Nm, at speeds `qd` (12,), rad/s; it passes 0 over `through`, rad/s."""
     xp = _namespace(qd)
     if motor.friction is None:
@@ -150,7 +222,7 @@ def friction_torque(motor: Motor, qd: Any, through: Any = FRICTION_SPEED) -> Any
     return -xp.asarray(motor.friction) * xp.tanh(qd / through)
 
 
-def control_step(
+def run_control_step(
     motor: Motor,
     stepping: Stepping,
     physics: PhysicsState,
@@ -170,8 +242,8 @@ def control_step(
     ) -> tuple[tuple[PhysicsState, Effort], None]:
         state, effort = carry
         q, qd = state.qpos[7:], state.qvel[6:]
-        torque = motor_torque(motor, own if each else target, q, qd)
-        friction = friction_torque(motor, qd)
+        torque = compute_motor_torque(motor, own if each else target, q, qd)
+        friction = compute_friction_torque(motor, qd)
         after = advance(state, torque + friction)
         speed = 0.5 * (qd + after.qvel[6:])
         work = xp.sum(xp.maximum(torque * speed, 0.0), axis=0) * stepping.dt

@@ -19,7 +19,7 @@ from jax.experimental.buffer_callback import buffer_callback
 
 from quadwalk.cores import cpu_cores
 from quadwalk.physics import motor
-from quadwalk.physics.model import RobotRandomization, vary_motor
+from quadwalk.physics.model import RobotRandomization, randomize_motor
 from quadwalk.physics.motor import Effort, Motor, PhysicsState, Stepping
 from quadwalk.robot.quadruped import Quadruped
 from quadwalk.terrain.heightfield import field_of
@@ -86,7 +86,7 @@ class Stepper:
                 own[window] = self._over(
                     window,
                     elsewhere
-                    or varied_model(self._bare, RobotRandomization(*(x[i] for x in variations))),
+                    or randomize_model(self._bare, RobotRandomization(*(x[i] for x in variations))),
                 )
             models.append(own[window])
         return models, middles
@@ -120,13 +120,13 @@ class Stepper:
         return self._windows.model_of(self._quadruped, self.model.opt.timestep)
 
 
-def varied_model(model: mujoco.MjModel, variation: RobotRandomization) -> mujoco.MjModel:
+def randomize_model(model: mujoco.MjModel, variation: RobotRandomization) -> mujoco.MjModel:
     """A copy of a quadruped's `model` that differs by `variation`, but for its motors."""
     model = copy.copy(model)
     trunk, legs = model.jnt_bodyid[0], model.jnt_bodyid[1:]
     factor: Any = variation.link_mass
     model.geom_friction[:, 0] = variation.friction
-    model.body_mass[:] = varied_masses(model, variation)
+    model.body_mass[:] = randomize_masses(model, variation)
     model.body_ipos[trunk] += variation.trunk_center
     model.body_inertia[legs] *= factor[:, None]
     model.dof_armature[6:] *= variation.armature
@@ -136,7 +136,7 @@ def varied_model(model: mujoco.MjModel, variation: RobotRandomization) -> mujoco
     return model
 
 
-def varied_masses(model: mujoco.MjModel, variation: RobotRandomization) -> np.ndarray:
+def randomize_masses(model: mujoco.MjModel, variation: RobotRandomization) -> np.ndarray:
     """kg, of each body of a quadruped's `model` that differs by `variation`."""
     masses: np.ndarray = model.body_mass.copy()
     masses[model.jnt_bodyid[0]] += variation.trunk_mass
@@ -157,12 +157,12 @@ def make_model(model: mujoco.MjModel, quadruped: Quadruped, motor: Motor) -> Muj
     return MujocoModel(motor, Stepper(model, quadruped))
 
 
-def vary(model: MujocoModel, variation: RobotRandomization) -> MujocoModel:
+def apply_randomization(model: MujocoModel, variation: RobotRandomization) -> MujocoModel:
     """The constants of one robot that differs by `variation` from that of `model`."""
-    return MujocoModel(vary_motor(model.motor, variation), model.stepper, variation)
+    return MujocoModel(randomize_motor(model.motor, variation), model.stepper, variation)
 
 
-def control_step(
+def step(
     model: MujocoModel, stepping: Stepping, physics: PhysicsState, target: jax.Array
 ) -> tuple[PhysicsState, Effort]:
     """One control step; `target` (12,) or (substeps, 12), rad. To be vmapped over robots.
@@ -190,7 +190,7 @@ def control_step(
         shift = np.pad(origins.T, [(0, 17), (0, 0)])
         state = state._replace(qpos=state.qpos - shift)
         own = partial(advance, models)
-        after, effort = motor.control_step(motors, stepping, state, targets, own)
+        after, effort = motor.run_control_step(motors, stepping, state, targets, own)
         results: Any = (after.qpos + shift, after.qvel, *effort)
         return [np.moveaxis(x, -1, 0).reshape((*batch, *x.shape[:-1])) for x in results]
 

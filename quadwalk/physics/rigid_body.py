@@ -77,7 +77,7 @@ class MassMatrix(NamedTuple):
     legs: tuple[tuple[Array, ...], ...]  # 3 x 3, arrays (4, robots)
 
 
-def rotation_of(quat: tuple[Array, ...]) -> Matrix:
+def compute_rotation(quat: tuple[Array, ...]) -> Matrix:
     """The matrix of a quaternion wxyz, which need not have length 1."""
     w, x, y, z = quat
     n = 2.0 / (w * w + x * x + y * y + z * z)
@@ -88,7 +88,7 @@ def rotation_of(quat: tuple[Array, ...]) -> Matrix:
     )
 
 
-def pose_of(links: tuple[Link, ...], trunk: Matrix, angles: Vector) -> Pose:
+def compute_pose(links: tuple[Link, ...], trunk: Matrix, angles: Vector) -> Pose:
     """Forward kinematics, from the trunk's rotation and the joint angles (4, robots), rad."""
     rotation, origin = trunk, None
     rotations, origins, axes = [], [], []
@@ -157,7 +157,9 @@ def place_bodies(trunk: Trunk, links: tuple[Link, ...], pose: Pose) -> Bodies:
     )
 
 
-def mass_matrix(trunk: Trunk, links: tuple[Link, ...], pose: Pose, bodies: Bodies) -> MassMatrix:
+def compute_mass_matrix(
+    trunk: Trunk, links: tuple[Link, ...], pose: Pose, bodies: Bodies
+) -> MassMatrix:
     """The composite-rigid-body algorithm."""
     below: Composite | None = None
     columns: list[tuple[Array, ...]] = []  # hip, thigh, calf: force then torque on the trunk
@@ -193,7 +195,7 @@ def mass_matrix(trunk: Trunk, links: tuple[Link, ...], pose: Pose, bodies: Bodie
     return MassMatrix(base, tuple(columns), tuple(tuple(row) for row in legs))
 
 
-def bias_force(
+def compute_bias_force(
     trunk: Trunk,
     links: tuple[Link, ...],
     pose: Pose,

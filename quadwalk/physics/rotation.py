@@ -15,7 +15,7 @@ def rotate_inverse(quat: jax.Array, vector: jax.Array) -> jax.Array:
     return rotate(quat * jnp.array([1.0, -1.0, -1.0, -1.0]), vector)
 
 
-def down(quat: jax.Array) -> jax.Array:
+def compute_gravity_direction(quat: jax.Array) -> jax.Array:
     """Direction of gravity (3,), a unit vector, in the frame that `quat` (4,) turns."""
     return rotate_inverse(quat, jnp.array([0.0, 0.0, -1.0]))
 
@@ -26,7 +26,7 @@ def multiply(a: jax.Array, b: jax.Array) -> jax.Array:
     return jnp.concatenate([w[None], a[0] * b[1:] + b[0] * a[1:] + u])
 
 
-def yaw(quat: jax.Array) -> jax.Array:
+def compute_yaw(quat: jax.Array) -> jax.Array:
     """Heading of the body's x axis about world z, rad in (-pi, pi]."""
     w, x, y, z = quat
     return jnp.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))

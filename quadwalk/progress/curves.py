@@ -12,7 +12,7 @@ from matplotlib.ticker import MaxNLocator
 
 from quadwalk.progress.headline import choose_headline
 from quadwalk.progress.text import quantity
-from quadwalk.render.figures import INK, new_figure, save_figure, tidy
+from quadwalk.render.figures import INK, make_figure, save_figure, tidy
 
 _TERM = "train/reward/"
 _LEVEL = "train/level/"
@@ -51,7 +51,7 @@ def learning_curve(metrics: Sequence[Row], best: int | None = None, note: str = 
     groups = [group for group in (terms, levels) if group]
     small_rows = [math.ceil(len(group) / _COLUMNS) for group in groups]
     heights = [_LARGE_HEIGHT, *(_SMALL_HEIGHT * count for count in small_rows)]
-    figure = new_figure((12, sum(heights)), note, fontsize=9, dpi=110)
+    figure = make_figure((12, sum(heights)), note, fontsize=9, dpi=110)
     parts = figure.subfigures(len(heights), 1, height_ratios=heights, squeeze=False).flat
     _draw_figures(parts[0].subplots(1, 3), rows, best)
     for part, group, count in zip(parts[1:], groups, small_rows, strict=True):

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from quadwalk.render.opengl import GlPainter, working_library
+from quadwalk.render.opengl import GlPainter, find_working_library
 from quadwalk.render.raycast import RayPainter
 
 
@@ -28,7 +28,7 @@ class Canvas:
         self._scene = mujoco.MjvScene(model, maxgeom=model.ngeom + 1000)
         # A mirror image in the floor costs as much again as the picture itself.
         self._scene.flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = False
-        library = working_library()
+        library = find_working_library()
         self._painter: GlPainter | RayPainter
         if library is None:
             self._painter = RayPainter(model, width, height)

@@ -36,7 +36,7 @@ class ShownFigure(Figure):
         return file.getvalue()
 
 
-def new_figure(
+def make_figure(
     size: tuple[float, float], title: str = "", fontsize: int = 13, dpi: float = 100
 ) -> Figure:
     """An empty figure, `size` in inches, with its title at the upper left."""

@@ -25,7 +25,7 @@ def save_png(pixels: np.ndarray, path: str | Path) -> None:
         Image.fromarray(pixels).save(file, format="PNG", optimize=True)
 
 
-def film_strip(pictures: list[np.ndarray], across: int) -> np.ndarray:
+def make_film_strip(pictures: list[np.ndarray], across: int) -> np.ndarray:
     """(H, W, 3) uint8: pictures (h, w, 3) of one size, `across` in a row, with white gaps."""
     height, width, _ = pictures[0].shape
     down = -(-len(pictures) // across)

@@ -21,13 +21,13 @@ _TRIAL = """
 
 
 @functools.cache
-def working_library() -> str | None:
+def find_working_library() -> str | None:
     """The GL library to draw with, "osmesa", "egl" or "window"; None if none is found that works.
 
     `MUJOCO_GL` decides, if it is set: `osmesa`, `egl`, `glfw` (a window system), `disable`. Else a
     display does, then OSMesa, then EGL, whichever is there. What is chosen is tried once.
     """
-    chosen = chosen_library()
+    chosen = choose_library()
     if chosen is None:
         return None
     model = mujoco.MjModel.from_xml_string(_TRIAL)
@@ -46,8 +46,8 @@ def working_library() -> str | None:
     return None
 
 
-def chosen_library() -> str | None:
-    """The one to try, as `working_library` says; None for none."""
+def choose_library() -> str | None:
+    """The one to try, as `find_working_library` says; None for none."""
     wanted = os.environ.get("MUJOCO_GL", "").strip().lower()
     if wanted in _OFF:
         return None

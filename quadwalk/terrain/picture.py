@@ -9,7 +9,7 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from quadwalk.render.canvas import Camera, Canvas
-from quadwalk.render.images import film_strip, save_png
+from quadwalk.render.images import make_film_strip, save_png
 from quadwalk.robot.quadruped import Quadruped, load_quadruped
 from quadwalk.terrain.heightfield import Heightfield, lay
 from quadwalk.terrain.terrain import GroundConfig, Place, leg_length, make_terrain
@@ -39,7 +39,7 @@ def draw_kinds(config: GroundConfig, quadruped: Quadruped) -> np.ndarray:
         label = f"{place.kind.replace('_', ' ')}, difficulty {place.difficulty:.2g}"
         ImageDraw.Draw(picture).text((10, 8), label, font=font, **_TEXT)
         pictures.append(np.asarray(picture))
-    return film_strip(pictures, config.levels if config.levels > 1 else _ACROSS)
+    return make_film_strip(pictures, config.levels if config.levels > 1 else _ACROSS)
 
 
 def save_kinds(config: GroundConfig, urdf: Path, out: Path) -> None:

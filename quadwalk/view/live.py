@@ -21,9 +21,9 @@ from quadwalk.evaluation.motion.forces import foot_forces, geom_ids
 from quadwalk.evaluation.motion.kinematics import turned
 from quadwalk.evaluation.simulate import Policy
 from quadwalk.learn.acting import Policy as TrainedPolicy
-from quadwalk.physics.model import RobotRandomization, vary_motor
-from quadwalk.physics.motor import Motor, PhysicsState, control_step
-from quadwalk.physics.mujoco_c import varied_model
+from quadwalk.physics.model import RobotRandomization, randomize_motor
+from quadwalk.physics.motor import Motor, PhysicsState, run_control_step
+from quadwalk.physics.mujoco_c import randomize_model
 
 MAX_LATENCY = 0.06  # s, that joint targets can be late
 LYING = 2.0  # s on the ground after which a robot that fell is put on its feet
@@ -153,7 +153,7 @@ class LiveRobot:
     def _motor(self) -> Motor:
         """The motors, with the gains of the policy that acts."""
         motor = self._mind.env.motor
-        return motor if self._variation is None else vary_motor(motor, self._variation)
+        return motor if self._variation is None else randomize_motor(motor, self._variation)
 
     @property
     def rising(self) -> bool:
@@ -163,7 +163,7 @@ class LiveRobot:
         """Change some of `settings`, with effect from the next step on."""
         self.settings = replace(self.settings, **settings)
         self._variation = self.settings.variation()
-        self.model = varied_model(self._base, self._variation)
+        self.model = randomize_model(self._base, self._variation)
 
     def push(self, forward: float, left: float) -> None:
         """Change the trunk's velocity in an instant, m/s along its heading and to its left."""
@@ -180,7 +180,7 @@ class LiveRobot:
         thought = jax.device_get(mind.think(mind.policy.act, self.state()))
         mind.frames, mind.targets, mind.action, applied_target = thought
         physics = PhysicsState(data.qpos.copy(), data.qvel.copy())
-        control_step(
+        run_control_step(
             self._motor,
             self.env.stepping,
             physics,

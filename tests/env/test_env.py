@@ -13,7 +13,7 @@ from quadwalk.errors import UsageError
 from quadwalk.physics.motor import Effort
 from quadwalk.settings.terms import Reward
 from quadwalk.tasks import run, sprint
-from tests.physics.reference import placed
+from tests.physics.reference import place_robot
 
 STILL = jnp.zeros((4, 12))
 
@@ -61,7 +61,7 @@ def test_starts_differ_and_the_same_key_gives_the_same_start(reset):
 
 def test_a_start_stands_with_its_lowest_foot_on_the_floor(env, reset):
     for qpos in np.asarray(physics_of(reset(3)).qpos):
-        data = placed(env.mj_model, qpos)
+        data = place_robot(env.mj_model, qpos)
         feet = [env.mj_model.geom(name) for name in env.quadruped.feet]
         soles = [data.geom_xpos[foot.id, 2] - foot.size[0] for foot in feet]
         assert min(soles) == pytest.approx(0.0, abs=1e-5)

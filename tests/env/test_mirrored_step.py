@@ -24,7 +24,7 @@ from quadwalk.robot.quadruped import Quadruped, load_quadruped
 from quadwalk.task_files import load_task, task_names
 from quadwalk.tasks import sprint
 from quadwalk.terrain.terrain import FLAT
-from tests.physics.reference import placed
+from tests.physics.reference import place_robot
 from tests.robot import zoo
 
 FLIP = np.array([1.0, -1.0, 1.0], np.float32)  # of a vector; -FLIP: of an axial one
@@ -34,7 +34,7 @@ HALF_A_STRIDE = 10  # control steps, of the tasks' trot
 def symmetric(quadruped: Quadruped) -> Quadruped:
     """The robot with each body's mass distribution the mean of its own and its partner's image."""
     model = quadruped.make_full_model()
-    data = placed(model, quadruped.home)
+    data = place_robot(model, quadruped.home)
     bodies = model.jnt_bodyid[:13]
     images = np.r_[0, 1 + find_robot_mirror(quadruped, model).joints.source]
     centers = data.xipos[bodies] - quadruped.home[:3]

@@ -16,8 +16,8 @@ from quadwalk.env.ground_input import jit
 from quadwalk.env.observations import height, height_scan, scan_ahead
 from quadwalk.env.terminations import off_ground
 from quadwalk.errors import UsageError
-from quadwalk.physics.fast import lowest_points
-from quadwalk.physics.rotation import yaw
+from quadwalk.physics.fast import compute_lowest_points
+from quadwalk.physics.rotation import compute_yaw
 from quadwalk.settings.terms import Observation
 from quadwalk.tasks import rough, sprint
 from quadwalk.terrain.terrain import FLAT
@@ -64,7 +64,7 @@ def test_episodes_start_on_the_ground_of_tiles_drawn_at_random(hilly, starts):
         start, spread = hilly.terrain.tiles[tile].start, hilly.terrain.tiles[tile].spread
         offset = sprint.TASK.env.reset.offset * np.array([0, 1])
         assert np.all(np.abs(place - start) <= spread + offset + 1e-5)
-    soles, others = jax.vmap(lambda q: lowest_points(hilly.geometry, q))(state.qpos)
+    soles, others = jax.vmap(lambda q: compute_lowest_points(hilly.geometry, q))(state.qpos)
     lowest = np.minimum(np.min(soles[:, :, 2], axis=1), np.min(others, axis=1))
     np.testing.assert_allclose(lowest, 0.0, atol=1e-4)
 
@@ -82,7 +82,7 @@ def test_the_scan_and_the_height_are_those_of_the_field(hilly, starts):
     names = hilly.sensors.names
     assert len(names) == 15 + 1
     for q, seen in zip(qpos, np.asarray(starts.obs), strict=True):
-        heading = float(yaw(jnp.asarray(q[3:7])))
+        heading = float(compute_yaw(jnp.asarray(q[3:7])))
         ahead, left = np.meshgrid(np.arange(-2, 3) / 10, np.arange(-1, 2) / 10, indexing="ij")
         turn = np.array([[np.cos(heading), -np.sin(heading)], [np.sin(heading), np.cos(heading)]])
         points = q[:2] + np.stack([ahead.ravel(), left.ravel()], axis=1) @ turn.T

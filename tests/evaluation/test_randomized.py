@@ -20,7 +20,7 @@ from quadwalk.evaluation.recording.mcap import write_mcap
 from quadwalk.evaluation.report.plots import draw_report
 from quadwalk.evaluation.simulate import simulate_episodes
 from quadwalk.evaluation.summary import AT_LIMIT, episode_figures
-from quadwalk.physics.mujoco_c import varied_model
+from quadwalk.physics.mujoco_c import randomize_model
 from quadwalk.settings.environment import NO_RANDOMIZATION
 from quadwalk.tasks import sprint
 from tests.evaluation.conftest import read_messages, read_records
@@ -88,7 +88,7 @@ def test_what_is_seen_is_the_truth_and_noise_of_level_1(env, rollouts):
 @pytest.fixture
 def weight(env, rollouts) -> float:
     """N, of the robot of the first episode, as MuJoCo has it."""
-    model = varied_model(env.quadruped.make_full_model(), rollouts[0].conditions.variation)
+    model = randomize_model(env.quadruped.make_full_model(), rollouts[0].conditions.variation)
     return mujoco.mj_getTotalmass(model) * env.config.gravity
 
 

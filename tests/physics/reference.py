@@ -49,7 +49,7 @@ def step_control(
     return ControlStep(data.qpos, data.qvel, np.mean(torques, axis=0), np.array(energy), touching)
 
 
-def placed(model: mujoco.MjModel, qpos: np.ndarray) -> mujoco.MjData:
+def place_robot(model: mujoco.MjModel, qpos: np.ndarray) -> mujoco.MjData:
     """The robot in a pose, by MuJoCo's kinematics."""
     data = mujoco.MjData(model)
     data.qpos[:] = qpos
@@ -57,9 +57,9 @@ def placed(model: mujoco.MjModel, qpos: np.ndarray) -> mujoco.MjData:
     return data
 
 
-def heights_by_rays(model: mujoco.MjModel, points: np.ndarray) -> list[float]:
+def measure_heights(model: mujoco.MjModel, points: np.ndarray) -> list[float]:
     """m, of the heightfield that a model's floor is, at `points` (n, 2), m."""
-    data = placed(model, model.qpos0 + 10.0 * np.eye(model.nq)[2])  # out of the way
+    data = place_robot(model, model.qpos0 + 10.0 * np.eye(model.nq)[2])  # out of the way
     floor, down = model.geom("floor").id, np.array([0.0, 0.0, -1.0])
     return [
         5.0 - mujoco.mj_rayHfield(model, data, floor, np.array([*point, 5.0]), down, None)
@@ -67,7 +67,7 @@ def heights_by_rays(model: mujoco.MjModel, points: np.ndarray) -> list[float]:
     ]
 
 
-def accelerated(
+def compute_accelerations(
     models: Iterable[mujoco.MjModel], qpos: np.ndarray, qvel: np.ndarray, torque: np.ndarray
 ) -> list[mujoco.MjData]:
     """Of each robot (n, ...) with its model, what MuJoCo computes with joint torques (n, 12)."""
@@ -79,7 +79,7 @@ def accelerated(
     return found
 
 
-def touched(found: Iterable[mujoco.MjData]) -> set[int]:
+def find_touching(found: Iterable[mujoco.MjData]) -> set[int]:
     """All geoms that are in contact."""
     return {geom for data in found for geom in data.contact.geom.flat}
 

@@ -74,7 +74,7 @@ def test_a_control_step_is_its_physics_steps_one_by_one(quadruped, engine, conta
         qpos[7:] = np.repeat([[0.0, -1.43, -2.7], [0.0, 2.5, -2.75]], 2, axis=0).flat
         spheres += [[f"{kind}_{leg}" for leg in quadruped.legs] for kind in ("knee", "corner")]
     constants = ENGINES[engine].make_model(model, quadruped, motor)
-    step = jax.jit(lambda p: ENGINES[engine].control_step(constants, STEPPING, p, target))
+    step = jax.jit(lambda p: ENGINES[engine].step(constants, STEPPING, p, target))
     expected = step_control(
         converged(quadruped, contacts), motor, qpos, qvel, [target] * STEPPING.substeps
     )
@@ -94,9 +94,9 @@ def test_energy_is_the_kinetic_energy_that_motors_give_a_robot_at_rest(quadruped
     constants = ENGINES[engine].make_model(model, quadruped, motor)
     target = data.qpos[7:] + np.tile([2.0, 2.0, -2.0], 4)  # so far that no motor brakes
     physics = physics_of(data.qpos, data.qvel)
-    (qpos, qvel), effort = jax.jit(
-        lambda p: ENGINES[engine].control_step(constants, STEPPING, p, target)
-    )(physics)
+    (qpos, qvel), effort = jax.jit(lambda p: ENGINES[engine].step(constants, STEPPING, p, target))(
+        physics
+    )
     data.qpos[:] = qpos
     mujoco.mj_forward(model, data)
     mass = np.zeros((model.nv, model.nv))
@@ -115,7 +115,7 @@ def test_stiff_joint_damping_is_implicit_as_in_mujoco(quadruped):
     qpos, qvel = quadruped.home.copy(), np.random.default_rng(1).uniform(-0.1, 0.1, 18)
     target = quadruped.home[7:] - 0.1
     constants = ENGINES[engine].make_model(model, quadruped, motor)
-    found = jax.jit(lambda p: ENGINES[engine].control_step(constants, STEPPING, p, target))(
+    found = jax.jit(lambda p: ENGINES[engine].step(constants, STEPPING, p, target))(
         physics_of(qpos, qvel)
     )
     solved = copy.copy(model)
@@ -145,9 +145,9 @@ def test_robots_slide_on_slippery_floors_as_far_as_in_mujoco(quadruped, engine, 
     floors = [(mu, move) for mu in (0.1, 0.2, 0.4, 1.25) for move in MOVES.values()]
 
     def slide(friction, qvel):
-        slippery = ENGINES[engine].vary(constants, usual._replace(friction=friction))
+        slippery = ENGINES[engine].apply_randomization(constants, usual._replace(friction=friction))
         start = PhysicsState(jnp.asarray(quadruped.home, jnp.float32), qvel)
-        return ENGINES[engine].control_step(slippery, stepping, start, target)[0]
+        return ENGINES[engine].step(slippery, stepping, start, target)[0]
 
     starts = np.zeros((len(floors), 18), np.float32)
     starts[:, [0, 1, 5]] = [move for _, move in floors]
@@ -195,14 +195,14 @@ def different_targets(quadruped) -> np.ndarray:
 def test_each_robot_of_a_batch_may_have_constants_of_its_own(quadruped, engine):
     base = model_for(quadruped, engine)
     robots = varied(quadruped, base)
-    if engine == "mujoco":  # which has models of their own by `vary` alone
+    if engine == "mujoco":  # which has models of their own by `apply_randomization` alone
         robots = [(base, motor) for _, motor in robots]
     make = ENGINES[engine].make_model
     leaves, assemble = stack_models([make(model, quadruped, motor) for model, motor in robots])
     assert len(leaves) > (5 if engine == "mujoco" else 15)
 
     def step(leaves, physics, target):
-        return ENGINES[engine].control_step(assemble(leaves), STEPPING, physics, target)
+        return ENGINES[engine].step(assemble(leaves), STEPPING, physics, target)
 
     qpos, qvel = states(quadruped)
     targets = different_targets(quadruped)
@@ -232,8 +232,8 @@ def test_mujoco_varies_the_full_model_and_the_motors_of_each_robot(quadruped):
     target = quadruped.home[7:] + 0.2
 
     def step(variation):
-        own = mujoco_c.vary(constants, variation)
-        return mujoco_c.control_step(own, stepping, physics_of(qpos, qvel), target)[0]
+        own = mujoco_c.apply_randomization(constants, variation)
+        return mujoco_c.step(own, stepping, physics_of(qpos, qvel), target)[0]
 
     found = jax.jit(jax.vmap(step))(rows)
     for k in range(3):
@@ -281,7 +281,7 @@ def test_large_batches_of_mujoco_pass_through_a_compiled_loop(quadruped, devices
     @jax.jit
     def run(physics):
         def step(physics, _):
-            return jax.vmap(lambda p: engine.control_step(model, once, p, target)[0])(physics), None
+            return jax.vmap(lambda p: engine.step(model, once, p, target)[0])(physics), None
 
         return jax.lax.scan(step, physics, None, length=5)[0]
 
@@ -296,6 +296,6 @@ def test_large_batches_of_mujoco_pass_through_a_compiled_loop(quadruped, devices
     ("dt", "substeps", "expected"), [(0.002, 10, 0.002), (0.003, 7, 0.02 / 7), (0.1, 1, 0.02)]
 )
 def test_a_control_step_is_cut_into_whole_physics_steps(dt, substeps, expected):
-    found = STEPPING.with_dt(dt)
+    found = STEPPING.replace_dt(dt)
     assert (found.substeps, found.dt) == (substeps, pytest.approx(expected))
     assert found.control_dt == pytest.approx(0.02)

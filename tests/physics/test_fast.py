@@ -12,21 +12,21 @@ import numpy as np
 import pytest
 
 from quadwalk.env.env import QuadrupedEnv
-from quadwalk.physics.batching import BATCH, robots_last
+from quadwalk.physics.batching import BATCH, batch_robots
 from quadwalk.physics.fast import (
-    acceleration,
-    control_step,
+    compute_acceleration,
+    compute_leg_points,
+    compute_lowest_points,
     integrate,
-    leg_points,
-    lowest_points,
     make_model,
+    step,
 )
-from quadwalk.physics.model import contact_geoms, shell_geoms
+from quadwalk.physics.model import find_contact_geoms, find_shell_geoms
 from quadwalk.physics.motor import MotorConfig, PhysicsState, make_motor
 from quadwalk.robot.mjcf import Options
 from quadwalk.robot.quadruped import load_quadruped
 from quadwalk.robot.scene import find_lowest_point
-from tests.physics.reference import accelerated, placed, stack_models, touched
+from tests.physics.reference import compute_accelerations, find_touching, place_robot, stack_models
 from tests.robot import zoo
 
 STATES = 40
@@ -49,9 +49,9 @@ def lying_states(quadruped, model, rng, states=STATES, turn=0.3) -> States:
     qpos[:, 3:7] += turn * rng.normal(size=(states, 4))
     qpos[:, 3:7] /= np.linalg.norm(qpos[:, 3:7], axis=1, keepdims=True)
     qpos[:, 7:] += 0.8 * rng.normal(size=(states, 12))
-    spheres = np.concatenate(contact_geoms(model, quadruped.feet))
+    spheres = np.concatenate(find_contact_geoms(model, quadruped.feet))
     for q in qpos:
-        data = placed(model, q)
+        data = place_robot(model, q)
         bottoms = np.sort(data.geom_xpos[spheres, 2] - model.geom_size[spheres, 0])
         q[2] -= bottoms[rng.integers(max(len(spheres) - 4, 8))] + rng.uniform(0.0, 0.01)
     return qpos, qvel, torque
@@ -71,11 +71,11 @@ def constants_of(quadruped, model):
     return make_model(model, quadruped, make_motor(model, quadruped, MotorConfig()))
 
 
-@partial(robots_last, like=jax.ShapeDtypeStruct((18,), np.float64))
+@partial(batch_robots, like=jax.ShapeDtypeStruct((18,), np.float64))
 def solved(constants, qpos, qvel, torque) -> jax.Array:
     """Accelerations with the contact solver run until it has converged."""
     state = PhysicsState(qpos, qvel)
-    return acceleration(constants, state, torque, 30, 20)
+    return compute_acceleration(constants, state, torque, 30, 20)
 
 
 def solved_as_constants(constants, *robots) -> jax.Array:
@@ -106,8 +106,8 @@ def check_accelerations(
     model = quadruped.make_training_model(0.004, 100, 50, contacts)
     model.opt.tolerance = 1e-14
     robots = states(quadruped, model, np.random.default_rng(0))
-    kinds = contact_geoms(model, quadruped.feet)
-    expected = accelerated(repeat(model), *robots)
+    kinds = find_contact_geoms(model, quadruped.feet)
+    expected = compute_accelerations(repeat(model), *robots)
     rows = [data.nefc for data in expected]
     together = {tuple(leg) for data in expected for leg in np.isin(kinds, data.contact.geom).T}
     assert np.any(list(together), axis=0).all()
@@ -175,8 +175,10 @@ def test_accelerations_of_a_batch_in_which_no_two_robots_are_alike(quadruped):
     rng = np.random.default_rng(4)
     models = [changed(base, rng) for _ in range(STATES)]
     robots = lying_states(quadruped, base, rng)
-    expected = accelerated(models, *robots)
-    assert all(touched(expected) & set(kind) for kind in contact_geoms(base, quadruped.feet))
+    expected = compute_accelerations(models, *robots)
+    assert all(
+        find_touching(expected) & set(kind) for kind in find_contact_geoms(base, quadruped.feet)
+    )
     leaves, assemble = stack_models([constants_of(quadruped, model) for model in models])
     assert len(leaves) > 80
     with jax.enable_x64(True):
@@ -213,7 +215,7 @@ def test_vmap_maps_the_leaves_of_a_model_that_are_given_an_axis(quadruped):
     for i, model in enumerate(models):
         model.opt.gravity[2], model.geom_friction[:, 0] = -gravity[i], friction[i]
         model.dof_damping[8::3] = damping[i]
-    check_errors(found, accelerated(models, *robots))
+    check_errors(found, compute_accelerations(models, *robots))
 
 
 def check_course(env, torques: np.ndarray, expected: np.ndarray) -> None:
@@ -222,9 +224,9 @@ def check_course(env, torques: np.ndarray, expected: np.ndarray) -> None:
     start = PhysicsState(*(jnp.asarray(x, jnp.float32) for x in parts))
     dt = env.stepping.dt
 
-    @partial(robots_last, like=jax.eval_shape(lambda: start))
+    @partial(batch_robots, like=jax.eval_shape(lambda: start))
     def advance(model, state: PhysicsState, torque: jax.Array) -> PhysicsState:
-        return integrate(state, acceleration(model, state, torque, 10, 10, dt), dt)
+        return integrate(state, compute_acceleration(model, state, torque, 10, 10, dt), dt)
 
     def step(state: PhysicsState, torque: jax.Array) -> tuple[PhysicsState, jax.Array]:
         state = advance(env.model, state, torque)
@@ -280,7 +282,7 @@ def drop(
 def test_a_limp_robot_drops_to_its_belly_as_in_mujoco(body_env):
     model = body_env.quadruped.make_training_model(0.004, 100, 50, "body")
     states, touched = drop(body_env, model)
-    for spheres in contact_geoms(model, body_env.quadruped.feet):
+    for spheres in find_contact_geoms(model, body_env.quadruped.feet):
         assert touched & set(spheres)
     assert np.abs(states[-1, 19:25]).max() < 1e-2  # the trunk is at rest
     check_course(body_env, np.zeros((200, 12)), states)
@@ -300,7 +302,10 @@ def test_a_belly_or_back_rests_where_that_of_the_full_model_does(body_env, turne
 
 def test_knees_and_corners_are_not_measured_as_shapes(env, body_env):
     qpos = jnp.asarray(env.robot.home).at[2].set(0.1)
-    ours, theirs = lowest_points(env.model, qpos), lowest_points(body_env.model, qpos)
+    ours, theirs = (
+        compute_lowest_points(env.model, qpos),
+        compute_lowest_points(body_env.model, qpos),
+    )
     for one, other in zip(ours, theirs, strict=True):
         np.testing.assert_array_equal(one, other)
 
@@ -314,15 +319,15 @@ def first_of_leg(model, trunk, body):
 
 def test_lowest_points_are_those_of_the_placed_shapes(env):
     model, feet = env.mj_model, env.quadruped.feet
-    geoms, shells = contact_geoms(model, feet)[0], shell_geoms(model, feet)
+    geoms, shells = find_contact_geoms(model, feet)[0], find_shell_geoms(model, feet)
     trunk = model.body(env.quadruped.trunk).id
     hips = [first_of_leg(model, trunk, model.geom_bodyid[geom]) for geom in geoms]
     rng = np.random.default_rng(2)
-    compiled = jax.jit(lambda q: lowest_points(env.model, q))
+    compiled = jax.jit(lambda q: compute_lowest_points(env.model, q))
     for _ in range(5):
         qpos = env.robot.home + rng.uniform(-0.3, 0.3, 19)
         qpos[3:7] /= np.linalg.norm(qpos[3:7])
-        data = placed(model, qpos)
+        data = place_robot(model, qpos)
         points, lowest = compiled(jnp.asarray(qpos, jnp.float32))
         touching = data.geom_xpos[geoms] - model.geom_size[geoms, :1] * [0, 0, 1]
         np.testing.assert_allclose(points, touching, atol=1e-6)
@@ -338,10 +343,10 @@ def test_lowest_points_are_those_of_the_placed_shapes(env):
 def test_leg_points_are_those_of_the_placed_feet_and_knees(body_env):
     model, quadruped = body_env.mj_model, body_env.quadruped
     trunk = model.body(quadruped.trunk).id
-    data = placed(model, np.random.default_rng(3).uniform(-1, 1, 19))
-    spheres = np.array(contact_geoms(model, quadruped.feet)[:2])
+    data = place_robot(model, np.random.default_rng(3).uniform(-1, 1, 19))
+    spheres = np.array(find_contact_geoms(model, quadruped.feet)[:2])
     expected = (data.geom_xpos[spheres] - data.xpos[trunk]) @ data.xmat[trunk].reshape(3, 3)
-    found = leg_points(body_env.geometry, data.qpos[7:])
+    found = compute_leg_points(body_env.geometry, data.qpos[7:])
     np.testing.assert_allclose(found, expected, atol=1e-6)
 
 
@@ -353,7 +358,7 @@ def test_a_batch_is_its_robots_one_by_one(robots):
         "sum": jax.ShapeDtypeStruct((), np.float32),
         "turned": jax.ShapeDtypeStruct((2,), np.float32),
     }
-    function = robots_last(lambda x, y: {"sum": x[0] + y * x[1], "turned": x[::-1]}, like)
+    function = batch_robots(lambda x, y: {"sum": x[0] + y * x[1], "turned": x[::-1]}, like)
     found = jax.jit(jax.vmap(function, in_axes=(0, None)))(numbers, 3.0)
     np.testing.assert_array_equal(found["sum"], numbers[:, 0] + 3 * numbers[:, 1])
     np.testing.assert_array_equal(found["turned"], numbers[:, ::-1])
@@ -368,14 +373,14 @@ def test_a_function_is_traced_for_its_batch_alone():
         shapes.append(x.shape)
         return x**2
 
-    function = robots_last(square, jax.ShapeDtypeStruct((2,), np.float32))
+    function = batch_robots(square, jax.ShapeDtypeStruct((2,), np.float32))
     jax.jit(jax.vmap(function)).lower(jnp.ones((7, 2)))
     assert shapes == [(2, 7)]
 
 
 @pytest.mark.parametrize("mapped", [False, True])
 def test_it_has_derivatives(mapped):
-    function = robots_last(jnp.sin, jax.ShapeDtypeStruct((2,), np.float32))
+    function = batch_robots(jnp.sin, jax.ShapeDtypeStruct((2,), np.float32))
     function = jax.vmap(function) if mapped else function
     x = jnp.arange(6.0).reshape(3, 2) if mapped else jnp.arange(2.0)
     np.testing.assert_allclose(
@@ -386,7 +391,7 @@ def test_it_has_derivatives(mapped):
 
 
 def test_what_is_of_another_structure_than_was_said_is_refused():
-    function = robots_last(lambda x: (x, x), jax.ShapeDtypeStruct((2,), np.float32))
+    function = batch_robots(lambda x: (x, x), jax.ShapeDtypeStruct((2,), np.float32))
     with pytest.raises(TypeError, match="expected"):
         jax.vmap(function)(jnp.ones((7, 2)))
 
@@ -395,7 +400,7 @@ def test_a_robot_that_is_not_finite_leaves_the_others_alone(env):
     home = PhysicsState(*(jnp.asarray(x, jnp.float32) for x in (env.robot.home, np.zeros(18))))
     batch = jax.tree.map(lambda x: jnp.tile(x, (3, 1)), home)
     target = jnp.tile(jnp.asarray(env.robot.home_joints, jnp.float32), (3, 1))
-    control = jax.jit(jax.vmap(lambda p, t: control_step(env.model, env.stepping, p, t)[0].qpos))
+    control = jax.jit(jax.vmap(lambda p, t: step(env.model, env.stepping, p, t)[0].qpos))
     sound = control(batch, target)
     for first in (jnp.nan, jnp.inf):
         ill = batch._replace(qpos=batch.qpos.at[0, 7].set(first).at[1, 2].set(first))
@@ -403,6 +408,6 @@ def test_a_robot_that_is_not_finite_leaves_the_others_alone(env):
 
 
 def test_a_leaf_that_is_no_array_or_number_is_refused():
-    function = robots_last(lambda x, y: x, jax.ShapeDtypeStruct((2,), np.float32))
+    function = batch_robots(lambda x, y: x, jax.ShapeDtypeStruct((2,), np.float32))
     with pytest.raises(TypeError, match="a leaf is a str; expected an array or a number"):
         function(jnp.ones(2), "two")

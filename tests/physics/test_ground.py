@@ -12,14 +12,14 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from quadwalk.physics.constraints.surface import normal_and_tangents, offset_surface
 from quadwalk.physics.engines import ENGINES
-from quadwalk.physics.fast import lowest_points
-from quadwalk.physics.model import contact_geoms, make_model, on_ground
+from quadwalk.physics.fast import compute_lowest_points
+from quadwalk.physics.model import add_ground, find_contact_geoms, make_model
 from quadwalk.physics.motor import MotorConfig, PhysicsState, Stepping, make_motor
+from quadwalk.physics.surface import compute_contact_frame, make_offset_surface
 from quadwalk.terrain.heightfield import Heightfield, centered, lay
 from quadwalk.terrain.terrain import FLAT, make_terrain
-from tests.physics.reference import accelerated, touched
+from tests.physics.reference import compute_accelerations, find_touching
 from tests.physics.test_fast import check_errors, lying_states, random_states, solved_as_constants
 
 CELL = 0.05
@@ -77,11 +77,13 @@ def test_on_a_tilted_plane_accelerations_are_those_of_mujoco(quadruped, contacts
         v[:3] = plane @ v[:3]
         own = q[3:7].copy()
         mujoco.mju_mulQuat(q[3:7], turn, own)
-    expected = accelerated(repeat(model), qpos, qvel, torque)
-    assert all(touched(expected) & set(kind) for kind in contact_geoms(model, quadruped.feet))
+    expected = compute_accelerations(repeat(model), qpos, qvel, torque)
+    assert all(
+        find_touching(expected) & set(kind) for kind in find_contact_geoms(model, quadruped.feet)
+    )
     with jax.enable_x64(True):
         constants = make_model(level, quadruped, make_motor(level, quadruped, MotorConfig()))
-        constants = on_ground(constants, inclined(plane[:, 2]))
+        constants = add_ground(constants, inclined(plane[:, 2]))
         found = solved_as_constants(constants, qpos, qvel, torque)
     check_errors(found, expected)
 
@@ -105,7 +107,7 @@ def test_frames_are_those_of_mujocos_contacts(along, across):
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     with jax.enable_x64(True):
-        found = jax.jit(normal_and_tangents)(np.float64(along), np.float64(across))
+        found = jax.jit(compute_contact_frame)(np.float64(along), np.float64(across))
     np.testing.assert_allclose(np.ravel(found), data.contact[0].frame, atol=1e-12)
 
 
@@ -116,7 +118,7 @@ def test_a_sphere_over_the_offset_surface_just_touches_the_ground(seed, radius, 
     heights = rng.uniform(0, height, (9, 9)) * rng.integers(0, 2, (9, 9))
     heights[:4] = 0.0  # level ground, and edges between it and the rest
     field = double(heights)
-    surface = offset_surface(field, (radius,))
+    surface = make_offset_surface(field, (radius,))
     x, y = (at + surface.cell * np.arange(17) for at in surface.origin)
     centers = np.stack([*np.meshgrid(x, y), surface.grids[0]], axis=-1)[4:-4, 4:-4].reshape(-1, 3)
     np.testing.assert_allclose(distances(field, centers), radius, atol=1e-9)
@@ -150,7 +152,7 @@ def course(robot, terrain, engine: str, limp: bool) -> dict[str, np.ndarray]:
         motor = motor._replace(kp=0.0, kd=1.0)
     constants = geometry._replace(motor=motor)
     if engine == "mujoco":
-        stepping = stepping.with_dt(0.002)
+        stepping = stepping.replace_dt(0.002)
         constants = ENGINES["mujoco"].make_model(robot.make_full_model(stepping.dt), robot, motor)
     rng = np.random.default_rng(0)
     qpos = np.tile(robot.home, (len(terrain.tiles) * ROBOTS, 1))
@@ -161,14 +163,14 @@ def course(robot, terrain, engine: str, limp: bool) -> dict[str, np.ndarray]:
     phase = np.pi * np.array([0, 1, 1, 0])
 
     def run(qpos):
-        soles, others = lowest_points(geometry, qpos)
+        soles, others = compute_lowest_points(geometry, qpos)
         raised = qpos.at[2].add(0.02 - jnp.minimum(jnp.min(soles[:, 2]), jnp.min(others)))
 
         def step(physics, k):
             lift = 0.15 * jnp.maximum(jnp.sin(2 * jnp.pi * 2.5 * 0.02 * k + phase), 0.0)
             target = jnp.asarray(robot.home[7:]) + jnp.stack([0 * lift, lift, -2 * lift], 1).ravel()
-            after, effort = ENGINES[engine].control_step(constants, stepping, physics, target)
-            return after, (lowest_points(geometry, after.qpos)[0][:, 2], effort.energy)
+            after, effort = ENGINES[engine].step(constants, stepping, physics, target)
+            return after, (compute_lowest_points(geometry, after.qpos)[0][:, 2], effort.energy)
 
         start = PhysicsState(raised, jnp.zeros(18))
         after, (gaps, energy) = jax.lax.scan(step, start, jnp.arange(CONTROL_STEPS))

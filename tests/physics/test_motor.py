@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 from quadwalk.physics.motor import (
     Motor,
     MotorConfig,
-    friction_torque,
-    joint_inertia,
+    compute_friction_torque,
+    compute_joint_inertia,
+    compute_motor_torque,
     make_motor,
-    motor_torque,
 )
 
 PROPORTIONAL = MotorConfig(kp=100.0, kd=0.0)
@@ -35,9 +35,11 @@ def motors(quadruped, model):
 def torque(motor: Motor, error: float, speed: float) -> np.ndarray:
     """Torque of all 12 motors for one position error and joint speed."""
     q = np.zeros(12)
-    found = motor_torque(motor, q + error, q, q + speed)
+    found = compute_motor_torque(motor, q + error, q, q + speed)
     assert isinstance(found, np.ndarray)
-    in_jax = motor_torque(motor, jnp.asarray(q + error), jnp.asarray(q), jnp.asarray(q + speed))
+    in_jax = compute_motor_torque(
+        motor, jnp.asarray(q + error), jnp.asarray(q), jnp.asarray(q + speed)
+    )
     np.testing.assert_allclose(in_jax, found, rtol=1e-5, atol=1e-3)
     return found
 
@@ -73,7 +75,7 @@ def light(model) -> mujoco.MjModel:
 
 
 def test_the_inertia_of_a_joint_is_what_a_torque_on_it_meets(quadruped, light):
-    def acceleration(joint: int, torque: float) -> float:
+    def accelerate(joint: int, torque: float) -> float:
         data = mujoco.MjData(light)
         data.qpos[:] = quadruped.home
         data.qpos[2] = 1.0
@@ -81,8 +83,10 @@ def test_the_inertia_of_a_joint_is_what_a_torque_on_it_meets(quadruped, light):
         mujoco.mj_forward(light, data)
         return data.qacc[6 + joint]
 
-    met = np.array([1 / (acceleration(k, 1.0) - acceleration(k, 0.0)) for k in range(12)])
-    np.testing.assert_allclose(joint_inertia(light, quadruped), met.reshape(4, 3).min(0), rtol=1e-6)
+    met = np.array([1 / (accelerate(k, 1.0) - accelerate(k, 0.0)) for k in range(12)])
+    np.testing.assert_allclose(
+        compute_joint_inertia(light, quadruped), met.reshape(4, 3).min(0), rtol=1e-6
+    )
 
 
 def test_light_calves_are_damped_less_lest_they_shake(quadruped, light):
@@ -153,10 +157,10 @@ def test_no_motor_ever_leaves_its_limits(quadruped, motors, error, speed, kp, kd
 
 
 def test_friction_opposes_motion_up_to_its_coulomb_value(quadruped, motors):
-    fast = friction_torque(motors(), np.full(12, 5.0))
+    fast = compute_friction_torque(motors(), np.full(12, 5.0))
     np.testing.assert_allclose(fast, -quadruped.friction, rtol=1e-6)
     assert (quadruped.friction > 0).all()
-    back = friction_torque(motors(), jnp.full(12, -5.0))
+    back = compute_friction_torque(motors(), jnp.full(12, -5.0))
     np.testing.assert_allclose(back, -fast, rtol=1e-6)
     off = motors(MotorConfig(joint_friction=False))
-    assert not friction_torque(off, np.full(12, 5.0)).any()
+    assert not compute_friction_torque(off, np.full(12, 5.0)).any()

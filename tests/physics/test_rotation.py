@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from quadwalk.physics.rotation import euler, from_euler, rotate, rotate_inverse, yaw
+from quadwalk.physics.rotation import compute_yaw, euler, from_euler, rotate, rotate_inverse
 
 number = st.floats(-1.0, 1.0, width=32)
 quaternions = st.tuples(number, number, number, number).filter(lambda q: np.dot(q, q) > 0.1)
@@ -35,7 +35,7 @@ def test_euler_angles_are_scipys(roll, pitch, heading):
     expected = Rotation.from_euler("xyz", [roll, pitch, heading])
     difference = expected.inv() * Rotation.from_quat(q[[1, 2, 3, 0]])
     assert difference.magnitude() < 1e-5
-    np.testing.assert_allclose(yaw(q), heading, atol=1e-4)
+    np.testing.assert_allclose(compute_yaw(q), heading, atol=1e-4)
 
 
 @pytest.mark.parametrize(

@@ -6,8 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from quadwalk.physics.motor import MotorConfig, make_motor
-from quadwalk.physics.standing import FACTORS, make_standing_motor
+from quadwalk.physics.motor import FACTORS, MotorConfig, make_motor, make_standing_motor
 from quadwalk.robot.quadruped import Quadruped, make_quadruped
 from quadwalk.robot.urdf import parse_urdf
 from tests.robot.robots import Walker, simulate_standing

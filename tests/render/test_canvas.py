@@ -10,7 +10,7 @@ from PIL import Image
 
 from quadwalk.render import canvas as canvas_module
 from quadwalk.render.canvas import Camera, Canvas, render_home
-from quadwalk.render.opengl import working_library
+from quadwalk.render.opengl import find_working_library
 from quadwalk.render.raycast import RayPainter
 from quadwalk.robot.scene import add_scene, add_sun
 from quadwalk.terrain.heightfield import Heightfield, lay
@@ -18,7 +18,7 @@ from quadwalk.terrain.heightfield import Heightfield, lay
 # A scene with every kind of shape, drawn once by Mesa's software OpenGL:
 # `MUJOCO_GL=egl python tests/render/test_canvas.py` draws it anew.
 REFERENCE = Path(__file__).with_name("reference.png")
-LIBRARIES = [None, *({working_library()} - {None})]
+LIBRARIES = [None, *({find_working_library()} - {None})]
 WIDTH, HEIGHT = 240, 150
 FOVY = np.radians(45.0)  # MuJoCo's default
 VIEW = Camera((0.1, 0.05, 0.2), distance=1.6, azimuth=130.0, elevation=-20.0)
@@ -29,7 +29,7 @@ _Type = mujoco.mjtGeom
 @pytest.fixture(params=LIBRARIES, ids=lambda library: library or "rays")
 def library(request, monkeypatch):
     """Draws with rays, and then with the GL library that works here, if there is one."""
-    monkeypatch.setattr(canvas_module, "working_library", lambda: request.param)
+    monkeypatch.setattr(canvas_module, "find_working_library", lambda: request.param)
     return request.param
 
 
@@ -318,6 +318,6 @@ def test_home_shows_the_whole_robot_and_changes_nothing_of_its_model(library, qu
 
 
 if __name__ == "__main__":
-    if working_library() is None:
+    if find_working_library() is None:
         sys.exit("no GL library")
     Image.fromarray(draw(every_shape())).save(REFERENCE, optimize=True)

@@ -8,7 +8,7 @@ import pytest
 from PIL import Image
 
 from quadwalk.errors import UserError
-from quadwalk.render.images import film_strip, save_png, save_video
+from quadwalk.render.images import make_film_strip, save_png, save_video
 
 
 @pytest.fixture(scope="module")
@@ -33,7 +33,7 @@ def test_a_file_that_cannot_be_written_is_one_line(pictures, tmp_path):
 
 
 def test_a_film_strip_is_read_like_a_page(pictures):
-    strip = film_strip(pictures[:5], across=3)
+    strip = make_film_strip(pictures[:5], across=3)
     assert strip.shape == (2 * 40 + 4, 3 * 60 + 2 * 4, 3)
     for index, (top, left) in enumerate([(0, 0), (0, 64), (0, 128), (44, 0), (44, 64)]):
         np.testing.assert_array_equal(strip[top : top + 40, left : left + 60], pictures[index])

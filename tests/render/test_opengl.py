@@ -8,7 +8,7 @@ import pytest
 
 from quadwalk.render import opengl
 from quadwalk.render.canvas import Canvas
-from quadwalk.render.opengl import working_library
+from quadwalk.render.opengl import find_working_library
 
 SCRIPT = """
 import numpy as np
@@ -34,10 +34,10 @@ def machine(monkeypatch):
             monkeypatch.setenv(name, value)
         monkeypatch.setattr(sys, "platform", "linux")
         monkeypatch.setattr("ctypes.util.find_library", lambda name: name in libraries or None)
-        working_library.cache_clear()
+        find_working_library.cache_clear()
 
     yield pretend
-    working_library.cache_clear()
+    find_working_library.cache_clear()
 
 
 @pytest.mark.parametrize(
@@ -57,7 +57,7 @@ def machine(monkeypatch):
 )
 def test_the_environment_and_then_what_there_is_decide(machine, libraries, environment, chosen):
     machine(libraries, **environment)
-    assert opengl.chosen_library() == chosen
+    assert opengl.choose_library() == chosen
 
 
 class Broken:
@@ -95,7 +95,7 @@ def test_a_library_that_fails_means_rays_and_silence(machine, monkeypatch, quadr
     machine(("EGL",))
     monkeypatch.setattr(opengl, "_context_class", context_class)
     assert Canvas(quadruped.make_full_model(), 16, 16).library == "rays"
-    assert working_library() is None
+    assert find_working_library() is None
     assert capfd.readouterr() == ("", "")
 
 

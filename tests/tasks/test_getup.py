@@ -20,7 +20,7 @@ from quadwalk.robot.quadruped import load_quadruped
 from quadwalk.robot.scene import find_lowest_point
 from quadwalk.runs.directory import Run
 from quadwalk.tasks import getup
-from tests.physics.reference import placed
+from tests.physics.reference import place_robot
 from tests.robot import zoo
 
 STARTS = 500
@@ -55,7 +55,7 @@ def check_lowest(env: QuadrupedEnv, qpos: np.ndarray) -> None:
     model = env.mj_model
     shapes = np.flatnonzero((model.geom_bodyid > 0) & (model.geom_group == 3))
     for pose in qpos:
-        data = placed(model, pose)
+        data = place_robot(model, pose)
         lowest = min(find_lowest_point(model, data, int(shape)) for shape in shapes)
         assert lowest == pytest.approx(0.0, abs=1e-5)
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from quadwalk.terrain.heightfield import centered, field_of, lay
-from tests.physics.reference import heights_by_rays
+from tests.physics.reference import measure_heights
 
 
 def laid(quadruped, field) -> mujoco.MjModel:
@@ -21,7 +21,7 @@ def test_heights_are_those_that_mujocos_rays_meet(quadruped, seed):
     model = laid(quadruped, field)
     length, width = field.size
     points = rng.uniform(-0.499, 0.499, (200, 2)) * [length, width]
-    found = heights_by_rays(model, points)
+    found = measure_heights(model, points)
     np.testing.assert_allclose(field.height_at(points), found, atol=1e-5)
 
 

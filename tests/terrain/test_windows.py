@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from quadwalk.physics.model import RobotRandomization
-from quadwalk.physics.mujoco_c import Stepper, varied_model
+from quadwalk.physics.mujoco_c import Stepper, randomize_model
 from quadwalk.terrain.heightfield import centered, lay
 from quadwalk.terrain.windows import STRIDE, reach
-from tests.physics.reference import heights_by_rays, placed
+from tests.physics.reference import measure_heights, place_robot
 
 
 @pytest.fixture(scope="module")
@@ -56,8 +56,8 @@ def test_around_a_robot_the_ground_is_that_of_the_field(stepper):
 
     for model, origin, near in zip(models, origins, points, strict=True):
         inside = near * (1 - 1e-9)
-        expected = heights_by_rays(stepper.model, inside)
-        np.testing.assert_allclose(heights_by_rays(model, inside - origin), expected, atol=1e-9)
+        expected = measure_heights(stepper.model, inside)
+        np.testing.assert_allclose(measure_heights(model, inside - origin), expected, atol=1e-9)
 
 
 def test_robots_step_as_on_the_whole_field(quadruped, stepper):
@@ -79,7 +79,7 @@ def test_robots_step_as_on_the_whole_field(quadruped, stepper):
     found = (stepper.step(states - shift, torque, models) + shift)[:, 1:]
     expected, touching = np.zeros((count, 37)), np.zeros(count)
     for k in range(count):
-        model = varied_model(stepper.model, RobotRandomization(*(x[k] for x in rows)))
+        model = randomize_model(stepper.model, RobotRandomization(*(x[k] for x in rows)))
         data = mujoco.MjData(model)
         data.qpos, data.qvel, data.qfrc_applied[6:] = states[k, 1:20], states[k, 20:], torque[k]
         mujoco.mj_step(model, data)
@@ -127,7 +127,7 @@ def test_no_part_of_a_robot_is_farther_than_its_reach(quadruped):
     rng = np.random.default_rng(3)
     low, high = quadruped.lower, quadruped.upper
     for joints in [*rng.uniform(low, high, (200, 12)), [0.0] * 12]:
-        data = placed(model, np.r_[quadruped.home[:7], joints])
+        data = place_robot(model, np.r_[quadruped.home[:7], joints])
         for foot in quadruped.feet:
             geom = data.geom(foot)
             away = np.linalg.norm(geom.xpos - data.qpos[:3]) + model.geom(foot).size[0]

@@ -11,7 +11,7 @@ import numpy as np
 
 from quadwalk.evaluation.motion.kinematics import roll_pitch_yaw, turned
 from quadwalk.evaluation.rollout import Rollout
-from quadwalk.physics.mujoco_c import varied_masses
+from quadwalk.physics.mujoco_c import randomize_masses
 from quadwalk.robot.quadruped import Quadruped
 
 LEAST_DISTANCE = 1.0  # m: over less, what is per meter says nothing
@@ -22,7 +22,7 @@ SETTLING = 1.0  # s after the start and after each change of the command, not ev
 def weight_of(rollout: Rollout, model: mujoco.MjModel) -> float:
     """N, of the robot of an episode; `model` is one of the robot as nothing was drawn for it."""
     drawn = rollout.conditions and rollout.conditions.variation
-    masses = model.body_mass if drawn is None else varied_masses(model, drawn)
+    masses = model.body_mass if drawn is None else randomize_masses(model, drawn)
     return float(-model.opt.gravity[2] * masses.sum())
 
 

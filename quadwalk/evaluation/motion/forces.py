@@ -8,8 +8,8 @@ import numpy as np
 from quadwalk.env.env import QuadrupedEnv
 from quadwalk.evaluation.rollout import Rollout
 from quadwalk.physics import mujoco_c
-from quadwalk.physics.model import vary_motor
-from quadwalk.physics.motor import friction_torque, motor_torque
+from quadwalk.physics.model import randomize_motor
+from quadwalk.physics.motor import compute_friction_torque, compute_motor_torque
 
 
 def with_foot_forces(rollout: Rollout, env: QuadrupedEnv) -> Rollout:
@@ -21,11 +21,12 @@ def with_foot_forces(rollout: Rollout, env: QuadrupedEnv) -> Rollout:
     qpos, qvel = rollout.qpos[1:], rollout.qvel[1:]
     motor, joint_speed, model = env.motor, qvel[:, 6:], env.mj_model_of(env.quadruped)
     if rollout.conditions is not None and rollout.conditions.variation is not None:
-        motor = vary_motor(motor, rollout.conditions.variation)
-        model = mujoco_c.varied_model(model, rollout.conditions.variation)
+        motor = randomize_motor(motor, rollout.conditions.variation)
+        model = mujoco_c.randomize_model(model, rollout.conditions.variation)
     target = rollout.target if rollout.applied_target is None else rollout.applied_target
     torque = np.asarray(
-        motor_torque(motor, target, qpos[:, 7:], joint_speed) + friction_torque(motor, joint_speed)
+        compute_motor_torque(motor, target, qpos[:, 7:], joint_speed)
+        + compute_friction_torque(motor, joint_speed)
     )
     data = mujoco.MjData(model)
     feet = geom_ids(model, env.quadruped.feet)

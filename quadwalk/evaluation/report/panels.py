@@ -13,7 +13,7 @@ from matplotlib.patches import Patch
 from quadwalk.evaluation.motion.course import WINDOW
 from quadwalk.evaluation.statistics import figure_mean
 from quadwalk.evaluation.summary import FIGURES, engines_of
-from quadwalk.render.figures import INK, new_figure, tidy
+from quadwalk.render.figures import INK, make_figure, tidy
 from quadwalk.settings.environment import COMMANDED
 
 _COLUMNS = 3  # panels of a comparison in a row
@@ -40,7 +40,7 @@ def draw_sweep(
     rows = math.ceil(len(shown) / columns)
     text = title or f"{', '.join(result['run'] for result in results)}: robustness"
     text += f" ({first['episodes']} episodes of {first['seconds']:g} s at each point)"
-    figure = new_figure((3.6 * columns, 0.8 + 2.9 * rows), text)
+    figure = make_figure((3.6 * columns, 0.8 + 2.9 * rows), text)
     top = max(
         point["speed"]["mean"]
         for result in results
@@ -117,7 +117,7 @@ def draw_by_ground(results: dict[str, Any], title: str) -> Figure:
     size = (1.6 + 4.2 * len(maps), 1.6 + 0.5 * max(len(kinds), 3))
     about = f", command {results['command']:g} m/s" if commanded else ""
     text = f"{title}: {results['episodes']} episodes in each cell, unseen ground{about}"
-    figure = new_figure(size, text)
+    figure = make_figure(size, text)
     panels: Any = figure.subplots(1, len(maps), squeeze=False)[0]
     for axes, (heading, colors, top, value) in zip(panels, maps, strict=True):
         cells = np.array([value(cell) for cell in results["cells"]], float)
@@ -139,7 +139,7 @@ def draw_by_ground(results: dict[str, Any], title: str) -> Figure:
 def draw_steering(results: dict[str, Any], title: str) -> Figure:
     """Heat maps of success and errors over commands; gaits by speed; responses to changes."""
     text = f"{title}: {results['episodes']} episodes of each command in MuJoCo C"
-    figure = new_figure((15, 9), text)
+    figure = make_figure((15, 9), text)
     panels: Any = figure.subplots(2, 3).ravel()
     maps = (
         ("success", "episodes without a fall, %", 100.0),
@@ -201,7 +201,7 @@ def draw_comparison(labels: list[str], results: list[dict[str, Any]]) -> Figure:
     ]
     lines = math.ceil((1 + len(shown)) / _COLUMNS)
     first = results[0]
-    figure = new_figure(
+    figure = make_figure(
         (15, 4.5 * lines),
         f"{first['summary']['episodes']} episodes of up to {first['seconds']:g} s each, from the "
         f"same starts, engine {engines_of(results)}: mean, its 95 % interval, and every episode",

@@ -11,7 +11,7 @@ from quadwalk.evaluation.motion.gait import middle_strides
 from quadwalk.evaluation.motion.kinematics import roll_pitch_yaw, turned
 from quadwalk.evaluation.rollout import Rollout, finite_part
 from quadwalk.render.canvas import Camera, Canvas
-from quadwalk.render.images import FPS, film_strip, save_video
+from quadwalk.render.images import FPS, make_film_strip, save_video
 from quadwalk.robot.quadruped import Quadruped
 from quadwalk.terrain.heightfield import heights_under
 
@@ -31,7 +31,7 @@ def draw_film_strip(
     across, down = _STRIP
     start, end = middle_strides(rollout, down, otherwise=_WITHOUT_STRIDES)
     rows = np.linspace(start, end, across * down, endpoint=False).round().astype(int)
-    return film_strip(list(_pictures(rollout, quadruped, rows, width, height)), across)
+    return make_film_strip(list(_pictures(rollout, quadruped, rows, width, height)), across)
 
 
 def middle_rows(rollout: Rollout, count: int, seconds: float) -> np.ndarray:

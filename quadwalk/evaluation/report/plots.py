@@ -12,7 +12,7 @@ from quadwalk.evaluation.motion.footfalls import contact_spans, without_chatter
 from quadwalk.evaluation.motion.gait import footfalls_of, measure_gait, middle_strides
 from quadwalk.evaluation.motion.kinematics import roll_pitch_yaw
 from quadwalk.evaluation.rollout import Rollout, finite_part
-from quadwalk.render.figures import INK, LEG_COLORS, new_figure, tidy
+from quadwalk.render.figures import INK, LEG_COLORS, make_figure, tidy
 from quadwalk.robot.quadruped import Quadruped
 from quadwalk.terrain.heightfield import heights_under
 
@@ -34,7 +34,7 @@ def draw_report(rollout: Rollout, quadruped: Quadruped, title: str = "") -> Figu
     heights, height = [0.85, 1.2, 1.2, 1.2, 1.6], 18
     if shown.truth is not None:
         heights, height = [*heights, 1.0], 21
-    figure = new_figure((16, height), _headline(rollout, quadruped, title), fontsize=15)
+    figure = make_figure((16, height), _headline(rollout, quadruped, title), fontsize=15)
     # Each row lays out its own panels, so that one's long labels do not squeeze the others.
     rows: Any = figure.subfigures(len(heights), 1, height_ratios=heights)
     draw_footfalls(rows[0].subplots(), shown, quadruped)

@@ -8,7 +8,7 @@ import pytest
 
 from quadwalk.env.env import QuadrupedEnv
 from quadwalk.env.state import EnvState
-from quadwalk.physics.motor import Effort, PhysicsState, motor_torque
+from quadwalk.physics.motor import Effort, PhysicsState, compute_motor_torque
 from quadwalk.robot.quadruped import load_quadruped
 from quadwalk.tasks import blog
 
@@ -162,7 +162,7 @@ def test_motors_draw_a_joint_to_the_posts_speed_within_its_torque(env):
     rng = np.random.default_rng(2)
     q, qd = rng.uniform(-1, 1, (2, 500, 12))
     target = q + rng.uniform(-0.5, 0.5, (500, 12))
-    found = motor_torque(env.motor, target, q, qd)
+    found = compute_motor_torque(env.motor, target, q, qd)
     kd = env.motor.kd
     wanted = 0.1 * (target - q) * 240  # a tenth of the way, in a step of 1/240 s
     expected = np.clip(kd * (wanted - qd), -44.4, 44.4)

@@ -87,12 +87,12 @@ class Surface:
         return level, along / self.cell, across / self.cell
 
 
-def ground_surface(field: Heightfield) -> Surface:
+def make_ground_surface(field: Heightfield) -> Surface:
     """The ground itself."""
     return Surface(field.heights[None], field.cell, field.origin)
 
 
-def offset_surface(field: Heightfield, radii: tuple[float, ...]) -> Surface:
+def make_offset_surface(field: Heightfield, radii: tuple[float, ...]) -> Surface:
     """Where the centers of spheres are that just touch the ground: a grid for each of `radii`, m.
 
     Exact at the grid's nodes, and everywhere on a plane; in the precision of the field's heights.
@@ -102,7 +102,7 @@ def offset_surface(field: Heightfield, radii: tuple[float, ...]) -> Surface:
     return Surface(np.stack([_offset(fine, cell, r) for r in radii]), cell, field.origin)
 
 
-def normal_and_tangents(along: Array, across: Array) -> tuple[Vector, Vector, Vector]:
+def compute_contact_frame(along: Array, across: Array) -> tuple[Vector, Vector, Vector]:
     """A contact's frame on a surface with slopes `along` x and `across`, as MuJoCo makes it.
 
     Its first tangent is world y made perpendicular to the normal, or z where the normal is within

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 
 from quadwalk.physics import vectors as v
 from quadwalk.physics.batching import materialize
-from quadwalk.physics.constraints.contact import Constraints, Rows, force_of, hessian, rows
+from quadwalk.physics.contact import Constraints, Rows, force_of, hessian, rows
 from quadwalk.physics.rigid_body import LINKS, MassMatrix, Motion
 from quadwalk.physics.vectors import Array
 

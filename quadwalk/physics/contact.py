@@ -15,8 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from quadwalk.physics import vectors as v
-from quadwalk.physics.constraints.surface import Spot, Surface, normal_and_tangents
 from quadwalk.physics.rigid_body import LINKS, MassMatrix, Motion, Pose
+from quadwalk.physics.surface import Spot, Surface, compute_contact_frame
 from quadwalk.physics.vectors import Array, Vector
 
 # Of the constraints, arrays (4, robots): four edges of each kind of contact, three limits.
@@ -134,7 +134,7 @@ def look_under(contact: Contact, spot: Spot, heights: Vector, altitude: Array) -
     """What is under spheres whose centers are at `altitude`, m, over such triangles."""
     assert contact.surface is not None
     level, along, across = contact.surface.interpolate(spot, heights)
-    return Under(altitude - level, *normal_and_tangents(along, across))
+    return Under(altitude - level, *compute_contact_frame(along, across))
 
 
 def find_constraints(

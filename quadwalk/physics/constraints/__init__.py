@@ -1,1 +1,0 @@
-"""What the floor and the joints' limits push back with: contacts, ground, solver."""
