@@ -7,12 +7,15 @@ run = quadwalk.train("run", steps=4_000_000, overrides={"env.reward.energy": -0.
 result = quadwalk.evaluate(run, episodes=64, engine="mujoco")
 """
 
+import os
 from typing import TYPE_CHECKING, Any
-
-import quadwalk.cli.quiet  # noqa: F401
 
 if TYPE_CHECKING:
     from quadwalk.api import compare, evaluate, load_policy, make, train
+
+# XLA would print a page about its tuning hints each time it reads a compiled program from the
+# cache. JAX reads this when it is imported.
+os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
 
 __version__ = "0.2.0"
 __all__ = ["compare", "evaluate", "load_policy", "make", "train"]

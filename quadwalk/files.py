@@ -23,35 +23,27 @@ from quadwalk.errors import UserError
 # may be infinite or larger than any float, and lists nested deeper than Python goes.
 DAMAGE = (AttributeError, LookupError, OverflowError, RecursionError, TypeError, ValueError)
 
-_unfinished: set[Path] = set()
-
 
 @contextlib.contextmanager
-def unfinished(path: Path) -> Iterator[None]:
-    """Remove the file or folder `path` if the block fails, or `remove_unfinished` if it hangs."""
-    _unfinished.add(path)
+def remove_on_error(path: Path) -> Iterator[None]:
+    """Remove the file or folder `path` if the block raises."""
     try:
         yield
     except BaseException:
-        _remove(path)
+        if path.is_dir():
+            shutil.rmtree(path, ignore_errors=True)
+        with contextlib.suppress(OSError):
+            path.unlink()
         raise
-    finally:
-        _unfinished.discard(path)
-
-
-def remove_unfinished() -> None:
-    """Remove what is not finished, before a process is ended in the middle of it."""
-    for path in tuple(_unfinished):
-        _remove(path)
 
 
 @contextlib.contextmanager
 def atomic_write(path: Path | str) -> Iterator[BinaryIO]:
-    """Open `path` + ".part" for writing bytes; it takes the place of `path` when the block ends.
+    """Open `path` + ".part" for writing bytes, and rename it to `path` when the block ends.
 
-    Whatever goes wrong (no space, Ctrl-C), the part file is removed and an older `path` stays as it
-    was. A link stays, and what it leads to is written. What is no regular file, as a device or a
-    pipe, is written as it is. The system's refusals become a `UserError` that names `path`.
+    Whatever goes wrong (no space, Ctrl-C), the part file is removed and an older `path` stays. A
+    link stays, and its target is written. A device or a pipe is written as it is. The system's
+    refusals become a `UserError` that names `path`.
     """
     target = real_path(Path(path))
     part = Path(f"{target}.part")
@@ -60,7 +52,7 @@ def atomic_write(path: Path | str) -> Iterator[BinaryIO]:
             with open(path, "wb") as file:
                 yield file
             return
-        with unfinished(part):
+        with remove_on_error(part):
             with open(part, "wb") as file:
                 yield file
                 file.flush()
@@ -73,12 +65,12 @@ def atomic_write(path: Path | str) -> Iterator[BinaryIO]:
 
 
 def real_path(path: Path) -> Path:
-    """Absolute, without symbolic links; those that go round stay, where `Path.resolve` raises."""
+    """Return the absolute path without links; `Path.resolve` raises where they go in a circle."""
     return Path(os.path.realpath(path))
 
 
 def read_bytes(path: Path | str) -> bytes:
-    """A file's content; `UserError` where the system refuses it."""
+    """Return a file's content; raise `UserError` where the system refuses it."""
     try:
         return Path(path).read_bytes()
     except OSError as error:
@@ -103,7 +95,7 @@ def write_json(path: Path | str, value: Any) -> None:
 
 
 def make_folder(path: Path, what: str = "the folder") -> None:
-    """Make a folder and those above it, if it is not there; `UserError` where that cannot be."""
+    """Make a folder and those above it; raise `UserError` where the system refuses."""
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -111,9 +103,9 @@ def make_folder(path: Path, what: str = "the folder") -> None:
 
 
 def lock(file: Any) -> bool | None:
-    """Lock `file` until it is closed: True if this process has it now, False if another has.
+    """Lock `file` until it is closed; return True if this process has it, False if another has.
 
-    None where the system or the file system has no such locks.
+    Returns None where the system or the file system has no such locks.
     """
     if fcntl is None:
         return None
@@ -143,12 +135,12 @@ def hold_file(path: Path, taken: str) -> Iterator[None]:
 
 
 def os_reason(error: OSError) -> str:
-    """The system's reason alone ("No space left on device"), without numbers or paths."""
+    """Return the system's reason alone ("No space left on device"), without numbers or paths."""
     return error.strerror or str(error) or type(error).__name__
 
 
 def _is_special(path: Path | str) -> bool:
-    """Whether something is there that is no regular file, at the end of all links."""
+    """Return True if the path leads to something that is no regular file."""
     try:
         # Not of the resolved path: /dev/stdout leads to a pipe that has no path.
         return not stat.S_ISREG(os.stat(path).st_mode)
@@ -156,15 +148,8 @@ def _is_special(path: Path | str) -> bool:
         return False
 
 
-def _remove(path: Path) -> None:
-    if path.is_dir():
-        shutil.rmtree(path, ignore_errors=True)
-    with contextlib.suppress(OSError):
-        path.unlink()
-
-
 def _sync_folder(folder: Path) -> None:
-    """Make the new name itself survive a power cut."""
+    """Write a folder's names to the disk, so that a new one survives a power cut."""
     # Some systems (Windows, some network file systems) cannot sync a folder. The file is complete
     # and in place by now, so that is no reason to fail.
     with contextlib.suppress(OSError):

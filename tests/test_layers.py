@@ -8,7 +8,7 @@ ROOT = Path(__file__).parents[1]
 # From the ground up. A module imports from its own layer and from those before it; the longest of
 # these names that it begins with is its place.
 LAYERS = (
-    ("errors", "bounds", "cores", "files", "paths", "brax", "cli.quiet", "cli.shell"),
+    ("errors", "bounds", "cores", "files", "paths", "brax", "cli.shell"),
     ("cli",),
     ("render",),
     ("robot",),

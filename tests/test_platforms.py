@@ -18,12 +18,18 @@ SYSTEMS = {
     "Windows": "x86_64-pc-windows-msvc",
 }
 PYTHONS = ("3.12", "3.13", "3.14")
-# Of these the module or name is missing on Windows. What others import has it by then.
+# The package is imported twice: other packages once with what POSIX alone has, and ours without.
 WITHOUT_POSIX = """
-import importlib, os, pkgutil, signal, sys, tempfile
-from quadwalk.cli.process import _PACKAGES, run_command
-for name in (*_PACKAGES, "mujoco.mjx", "brax.training", "multiprocessing.popen_spawn_posix"):
-    importlib.import_module(name)
+import importlib, multiprocessing.popen_spawn_posix, os, pkgutil, signal, sys, tempfile
+
+def import_all():
+    import quadwalk
+    for module in pkgutil.walk_packages(quadwalk.__path__, "quadwalk."):
+        # Not what needs an extra, and a script that is exported.
+        if not module.name.endswith((".gym", ".run_policy")):
+            importlib.import_module(module.name)
+
+import_all()
 for name in [name for name in sys.modules if name.partition(".")[0] == "quadwalk"]:
     del sys.modules[name]
 for name in ("fcntl", "grp", "pty", "pwd", "resource", "syslog", "termios", "tty"):
@@ -36,11 +42,7 @@ for module, names in (
         delattr(module, name)
 
 def main():
-    import quadwalk
-    for module in pkgutil.walk_packages(quadwalk.__path__, "quadwalk."):
-        # Not commands, what needs an extra, and a script that is exported.
-        if not module.name.endswith(("__main__", ".gym", ".run_policy")):
-            importlib.import_module(module.name)
+    import_all()
     from quadwalk.cores import compilation_cache, cpu_cores
     from quadwalk.learn.loop import stop_on_signal
     from quadwalk.runs.directory import claim, create_run

@@ -18,7 +18,7 @@ from quadwalk.files import (
     format_json,
     read_bytes,
     real_path,
-    unfinished,
+    remove_on_error,
     write_json,
 )
 from quadwalk.learn import distributed
@@ -121,7 +121,7 @@ def prepare(
             state, steps, seconds = _restore(path, config, networks, state, metrics)
             progress.message(f"going on from {path}, after {steps:,} steps")
     # A new run that never began leaves its name to the next.
-    with unfinished(run.path) if run and previous is None else nullcontext():
+    with remove_on_error(run.path) if run and previous is None else nullcontext():
         iterate.compile()
     return Training(
         config, run, previous is not None, quadruped, networks,
