@@ -45,7 +45,11 @@ except BaseException as error:
 """
 CALLBACK = """
 import gc
-gc.callbacks.append(lambda phase, _: phase == "start" and (print("ready", flush=True), time.sleep(0.5)))
+def callback(phase, _):
+    if phase == "start":
+        print("ready", flush=True)
+        time.sleep(0.5)
+gc.callbacks.append(callback)
 gc.collect()
 gc.callbacks.clear()
 time.sleep(60)
