@@ -37,8 +37,9 @@ from quadwalk.experiments.places import make_place
 from quadwalk.experiments.runner import Outcome, run_jobs
 from quadwalk.robot.mjcf import Options, convert, write_xml
 from quadwalk.robot.quadruped import Quadruped, complete_motors, find_quadruped, load_quadruped
+from quadwalk.robot.report import UrdfError
 from quadwalk.robot.structure.legs import Leg
-from quadwalk.robot.urdf import Urdf, UrdfError, read_urdf
+from quadwalk.robot.urdf import Urdf, read_urdf
 from quadwalk.runs.directory import Run
 from quadwalk.tasks.run import TASK
 

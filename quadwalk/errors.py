@@ -29,7 +29,12 @@ def line_in(file: str, error: BaseException) -> int | None:
     return next((frame.lineno for frame in reversed(frames) if frame.filename == file), None)
 
 
+def find_similar(name: str, names: Iterable[str], cutoff: float = 0.6) -> str | None:
+    """Return the one of `names` that `name` resembles most, by difflib's ratio, or None."""
+    return next(iter(difflib.get_close_matches(name, list(names), n=1, cutoff=cutoff)), None)
+
+
 def meant(given: str, known: Iterable[str]) -> str:
     """`; did you mean 'NAME'?` for the name of `known` that `given` is like, else nothing."""
-    like = difflib.get_close_matches(given, list(known), n=1)
-    return f"; did you mean {like[0]!r}?" if like else ""
+    similar = find_similar(given, known)
+    return f"; did you mean {similar!r}?" if similar else ""

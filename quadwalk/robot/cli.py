@@ -12,11 +12,12 @@ from quadwalk.errors import UsageError, UserError
 from quadwalk.files import atomic_write
 from quadwalk.render.canvas import render_home
 from quadwalk.render.images import save_png
-from quadwalk.robot.elements import SINGLE
 from quadwalk.robot.mjcf import Options, convert, write_xml
 from quadwalk.robot.quadruped import complete_motors, find_quadruped, list_joints
+from quadwalk.robot.report import UrdfError
 from quadwalk.robot.structure.legs import Leg
-from quadwalk.robot.urdf import Urdf, UrdfError, read_urdf, release_from_world
+from quadwalk.robot.structure.tree import ONE_WAY
+from quadwalk.robot.urdf import Urdf, read_urdf, release_from_world
 
 
 def parse_arguments(argv: Sequence[str], prog: str) -> argparse.Namespace:
@@ -97,7 +98,7 @@ def convert_file(arguments: argparse.Namespace) -> None:
         if not os.path.isdir(folder):
             raise UsageError(f"--mesh-dirs {folder}: expected a folder")
     urdf = read_urdf(arguments.urdf, arguments.repair_inertia, tuple(arguments.fix))
-    joints = [joint.name for joint in urdf.robot.joints if joint.type in SINGLE]
+    joints = [joint.name for joint in urdf.robot.joints if joint.type in ONE_WAY]
     options = Options(
         floating=arguments.floating_base or (False if arguments.fixed_base else None),
         meshes=not arguments.no_meshes,
@@ -117,7 +118,7 @@ def convert_file(arguments: argparse.Namespace) -> None:
     if arguments.render is not None:
         save_png(render_home(conversion.spec.compile()), arguments.render)
     if not arguments.quiet:
-        for line in conversion.report.lines(sys.maxsize if arguments.verbose else 4):
+        for line in conversion.report.to_lines(sys.maxsize if arguments.verbose else 4):
             print(line, file=sys.stderr)
         for line in list_joints(conversion.spec, legs) if legs else ():
             print(line, file=sys.stderr)

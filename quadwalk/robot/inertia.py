@@ -1,4 +1,4 @@
-"""Rigid-body inertia: what is physical, the nearest that is, and composing links to bodies."""
+"""Rigid-body inertia: the nearest that is physical, and links composed to bodies."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -24,8 +24,8 @@ class Inertia:
     about_com: np.ndarray
 
 
-def nearest_valid(mass: float, tensor: np.ndarray, thinnest: float = THINNEST) -> np.ndarray:
-    """The (3, 3) inertia nearest to `tensor` (Frobenius norm) that a body of `mass` kg can have.
+def find_nearest_valid(mass: float, tensor: np.ndarray, thinnest: float = THINNEST) -> np.ndarray:
+    """Return the inertia (3, 3) nearest to `tensor` (Frobenius) that a body of `mass` kg can have.
 
     Principal axes stay. Moments are sums of second moments of mass, I = (s2+s3, s1+s3, s1+s2) with
     s >= 0, so that the valid ones are a cone; the nearest point of it is found on each of its
@@ -47,10 +47,10 @@ def nearest_valid(mass: float, tensor: np.ndarray, thinnest: float = THINNEST) -
     return axes @ np.diag(spread @ (best + floor)) @ axes.T
 
 
-def body_inertia(tree: Tree, body: str, parts_of_it: Sequence[str] | None = None) -> Inertia | None:
-    """In its frame, a moving link's inertia with all parts, or `parts_of_it`; None without mass."""
+def compute_inertia(tree: Tree, body: str, links: Sequence[str] | None = None) -> Inertia | None:
+    """Return the inertia of a body, or of those of its `links`, in its frame; None without mass."""
     parts = []
-    for name in tree.parts[body] if parts_of_it is None else parts_of_it:
+    for name in tree.parts[body] if links is None else links:
         inertial = tree.links[name].inertial
         if inertial is not None:  # else it has no mass, and none is invented
             frame = tree.placement[name] @ to_matrix(inertial.origin)
@@ -60,7 +60,10 @@ def body_inertia(tree: Tree, body: str, parts_of_it: Sequence[str] | None = None
 
 
 def compose(parts: list[Inertia]) -> Inertia | None:
-    """The inertia of rigidly joined parts, all given in one frame (parallel-axis theorem)."""
+    """Return the inertia of rigidly joined parts, all in one frame, by the parallel-axis theorem.
+
+    None without mass.
+    """
     mass = sum(part.mass for part in parts)
     if mass == 0:
         return None
@@ -74,8 +77,8 @@ def compose(parts: list[Inertia]) -> Inertia | None:
     return Inertia(mass, com, about_com)
 
 
-def principal(about_com: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Principal moments (3,), largest first, and the quaternion wxyz (4,) of their axes."""
+def find_principal(about_com: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return principal moments (3,), largest first, and the quaternion wxyz (4,) of their axes."""
     moments, axes, quat = np.zeros(3), np.zeros(9), np.zeros(4)
     mujoco.mju_eig3(moments, axes, quat, about_com.ravel())
     # MuJoCo refuses A + B < C to the last bit; a flat body meets it with equality, give or take
@@ -84,8 +87,8 @@ def principal(about_com: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return moments, quat
 
 
-def printable(moments: np.ndarray) -> np.ndarray:
-    """Principal moments (3,), largest first, as 6 digits hold them, still valid to the last bit."""
+def round_moments(moments: np.ndarray) -> np.ndarray:
+    """Round principal moments (3,), largest first, to 6 digits that a body can still have."""
     first, second, third = (float(f"{moment:.6g}") for moment in moments)
     while first > second + third:
         # One unit less in the last digit.

@@ -14,8 +14,7 @@ import yourdfpy
 from lxml import etree
 
 from quadwalk.files import real_path
-from quadwalk.robot.checks.validate import UrdfError
-from quadwalk.robot.report import Report
+from quadwalk.robot.report import Report, UrdfError
 
 KINDS = (".dae", ".obj", ".ply", ".stl")
 MAX_BYTES = 64 * 2**20
@@ -45,25 +44,26 @@ class MeshPart:
 
 
 def find_mesh(name: str, folders: list[Path], source: str) -> Path:
-    """The file that a URDF's mesh name means: relative, absolute, `file://` or `package://`.
+    """Find the file of a URDF's mesh name: relative, absolute, `file://` or `package://`.
 
     `package://PACKAGE/rest` is rest in the nearest folder that is called PACKAGE, or has its
     package.xml, at or above one of `folders`; or it is PACKAGE/rest or rest in one of them. A
     relative name may lead, over `..`, through the package that a folder is in, and no further.
-    `folders` are where to look, the URDF's own first.
+    `folders` are where to look, the URDF's own first. Raise `MissingMeshError` where none is found,
+    and `UrdfError` where it lies outside.
     """
     where = f"{source}: mesh '{name}'"
     try:
         place = urlsplit(name)
     except ValueError as error:
         raise MissingMeshError(f"{where} is no name: {error}; expected a file") from None
-    allowed = [*folders, *filter(None, map(_package_around, folders))]
+    allowed = _list_allowed(folders)
     if place.scheme in ("package", "model"):
         # Some write package:///PACKAGE/rest.
         package, _, rest = unquote(place.netloc + place.path).lstrip("/").partition("/")
-        own = [root for folder in folders if (root := _package_called(package, folder))]
-        allowed += own
-        candidates = [root / rest for root in own]
+        packages = [root for folder in folders if (root := _find_package(package, folder))]
+        allowed += packages
+        candidates = [root / rest for root in packages]
         candidates += [folder / n for folder in folders for n in (f"{package}/{rest}", rest)]
     elif "://" in name and place.scheme != "file":
         raise MissingMeshError(f"{where} is not a file; expected a path, file:// or package://")
@@ -75,7 +75,7 @@ def find_mesh(name: str, folders: list[Path], source: str) -> Path:
     for candidate in candidates:
         try:
             file = real_path(candidate)
-            if not any(file.is_relative_to(real_path(folder)) for folder in allowed):
+            if not _is_in_any(file, allowed):
                 outside = outside or file.is_file()
             elif file.is_file():
                 return file
@@ -106,29 +106,36 @@ def find_by_name(name: str, folders: list[Path]) -> Path | None:
 
 def is_inside(path: Path, folders: list[Path]) -> bool:
     """Return True if `path` is in one of `folders`, or in the package that one of them is in."""
-    allowed = [*folders, *filter(None, map(_package_around, folders))]
-    return any(real_path(path).is_relative_to(real_path(folder)) for folder in allowed)
+    return _is_in_any(real_path(path), _list_allowed(folders))
 
 
-def _package_called(name: str, folder: Path) -> Path | None:
-    """The nearest folder, `folder` or above it, that is the package `name`."""
+def _list_allowed(folders: list[Path]) -> list[Path]:
+    return [*folders, *filter(None, map(_find_enclosing_package, folders))]
+
+
+def _is_in_any(file: Path, folders: list[Path]) -> bool:
+    return any(file.is_relative_to(real_path(folder)) for folder in folders)
+
+
+def _find_package(name: str, folder: Path) -> Path | None:
+    """Return the nearest folder, `folder` or above it, that is the package `name`."""
     for place in (real_path(folder), *real_path(folder).parents):
-        if name and (place.name == name or _declared(place) == name):
+        if name and (place.name == name or _read_package_name(place) == name):
             return place
     return None
 
 
-def _package_around(folder: Path) -> Path | None:
-    """The package that `folder` is in: with a package.xml, or above a folder for URDFs."""
+def _find_enclosing_package(folder: Path) -> Path | None:
+    """Return the package that `folder` is in: with a package.xml, or above a folder for URDFs."""
     folder = real_path(folder)
     for place in (folder, *folder.parents):
-        if _declared(place) is not None:
+        if _read_package_name(place) is not None:
             return place
     return folder.parent if folder.name in URDF_FOLDERS else None
 
 
-def _declared(folder: Path) -> str | None:
-    """The name in a folder's package.xml; None where there is none to be read."""
+def _read_package_name(folder: Path) -> str | None:
+    """Return the name in a folder's package.xml; None where there is none to be read."""
     try:
         with (folder / "package.xml").open("rb") as file:
             data = file.read(MAX_PACKAGE_BYTES)
@@ -139,9 +146,10 @@ def _declared(folder: Path) -> str | None:
 
 
 def load_mesh(file: Path, scale: np.ndarray, source: str) -> list[MeshPart]:
-    """The triangles of a .dae, .obj or .stl file, times `scale` (3,), in meters.
+    """Return the triangles of a .dae, .obj, .ply or .stl file, times `scale` (3,), in meters.
 
-    A COLLADA file's unit is respected; its up axis is not, as in RViz. `UrdfError`: it is no mesh.
+    A COLLADA file's unit is respected; its up axis is not, as in RViz. Raise `UrdfError` where it
+    is no mesh.
     """
     import trimesh
 
@@ -157,11 +165,11 @@ def load_mesh(file: Path, scale: np.ndarray, source: str) -> list[MeshPart]:
     if len(data) > MAX_BYTES:
         raise UrdfError(f"{where} is larger than {MAX_BYTES // 2**20} MB; expected a smaller one")
     try:
-        unit = _collada_unit(data) if kind == ".dae" else 1.0
+        unit = _read_collada_unit(data) if kind == ".dae" else 1.0
         with np.errstate(all="ignore"):
             scene = trimesh.load_scene(io.BytesIO(data), file_type=kind[1:], resolver=None)
             meshes = [mesh for mesh in scene.dump() if isinstance(mesh, trimesh.Trimesh)]
-            parts = [_part(mesh, scale * unit, colored=kind == ".dae") for mesh in meshes]
+            parts = [_make_part(mesh, scale * unit, colored=kind == ".dae") for mesh in meshes]
     except Exception as error:  # the parsers raise whatever a broken file leads them to
         reason = " ".join(str(error).split())[:120] or type(error).__name__
         raise UrdfError(f"{where} is not valid {kind}: {reason}") from None
@@ -183,9 +191,10 @@ class Meshes:
         self._parts: dict[tuple, list[MeshPart]] = {}
 
     def load(self, mesh: yourdfpy.Mesh, kind: str) -> tuple[Path, list[MeshPart]] | None:
-        """The file and its parts, scaled, in meters; None if there are none.
+        """Return the file and its parts, scaled, in meters; None if there are none.
 
-        `kind` is `visual` or `collision`. `UrdfError` for a name that leads out of the folders.
+        `kind` is `visual` or `collision`. Raise `UrdfError` for a name that leads out of the
+        folders.
         """
         if self.folders is None:
             self.report.add("dropped", f"{kind} meshes", mesh.filename)
@@ -194,13 +203,15 @@ class Meshes:
             file = find_mesh(mesh.filename, self.folders, self.source)
         except UrdfError as error:
             by_name = find_by_name(mesh.filename, self.folders)
-            if by_name is None and not isinstance(error, MissingMeshError):
-                raise
-            if by_name is None:
+            if by_name is not None:
+                file = by_name
+                note = f"{kind} meshes found by the ends of their names"
+                self.report.add("assumed", note, file.name)
+            elif isinstance(error, MissingMeshError):
                 self.report.add("dropped", f"{kind} meshes that were not found", mesh.filename)
                 return None
-            file = by_name
-            self.report.add("assumed", f"{kind} meshes found by the ends of their names", file.name)
+            else:
+                raise
         scale = np.ones(3) * (1.0 if mesh.scale is None else mesh.scale)
         key = (file, tuple(scale), kind)
         if key not in self._parts:
@@ -219,13 +230,13 @@ class Meshes:
 
 
 def _has_volume(vertices: np.ndarray) -> bool:
-    """Whether points (n, 3) span three dimensions, as MuJoCo's convex hulls must."""
+    """Return True if points (n, 3) span three dimensions, as MuJoCo's convex hulls must."""
     spread = np.linalg.svd(vertices - vertices.mean(axis=0), compute_uv=False)
     return len(spread) == 3 and bool(spread[2] > FLATTEST * spread[0])
 
 
-def _collada_unit(data: bytes) -> float:
-    """Meters per unit of a COLLADA file; refuses a DOCTYPE, before another parser expands it."""
+def _read_collada_unit(data: bytes) -> float:
+    """Return meters per unit of a COLLADA file; refuse a DOCTYPE that another would expand."""
     parser = etree.XMLParser(resolve_entities=False, no_network=True, huge_tree=True)
     root = etree.fromstring(data, parser)
     if root.getroottree().docinfo.doctype:
@@ -234,7 +245,7 @@ def _collada_unit(data: bytes) -> float:
     return 1.0 if unit is None else float(unit.get("meter", "1"))
 
 
-def _part(mesh, scale: np.ndarray, colored: bool) -> MeshPart:
+def _make_part(mesh, scale: np.ndarray, colored: bool) -> MeshPart:
     mesh.merge_vertices(merge_tex=True, merge_norm=True)
     faces = np.asarray(mesh.faces)
     if np.prod(scale) < 0:

@@ -18,21 +18,21 @@ PLACE, VALUE, MOMENT, INERTIA = 0.005, 0.01, 0.1, 0.005
 
 
 class Mirror(NamedTuple):
-    """How a vector mirrors: number i of its image is `sign[i] * x[source[i]]`. Use `mirror`."""
+    """The mirroring of a vector: number i of its image is `sign[i] * x[source[i]]`."""
 
     source: np.ndarray  # (n,) int
     sign: np.ndarray  # (n,) float32, 1 or -1
 
     def __call__(self, x):
-        """The image of `x` (..., n)."""
+        """Return the image of `x` (..., n)."""
         return self.sign * x[..., self.source]
 
 
 def make_mirror(source, sign) -> Mirror:
-    """A `Mirror`; `ValueError` where mirroring twice does not give the same again."""
+    """Make a `Mirror`; raise `ValueError` where mirroring twice does not give the same again."""
     source, sign = np.asarray(source, int), np.asarray(sign, np.float32)
-    whole = source.shape == sign.shape == (len(source),) and np.all(np.abs(sign) == 1)
-    if not whole or not np.array_equal(np.sort(source), np.arange(len(source))):
+    fits = source.shape == sign.shape == (len(source),) and np.all(np.abs(sign) == 1)
+    if not fits or not np.array_equal(np.sort(source), np.arange(len(source))):
         raise ValueError("a mirror needs one source and one sign, 1 or -1, for each number")
     if np.any(source[source] != np.arange(len(source))) or np.any(sign[source] != sign):
         raise ValueError("mirrored twice, a vector is not the same again")
@@ -40,10 +40,10 @@ def make_mirror(source, sign) -> Mirror:
 
 
 def join_mirrors(*mirrors: Mirror) -> Mirror:
-    """The mirror of vectors one after another."""
-    starts = np.cumsum([0, *(len(own.source) for own in mirrors)])
-    sources = [own.source + start for own, start in zip(mirrors, starts, strict=False)]
-    signs = [own.sign for own in mirrors]
+    """Return the mirror of vectors one after another."""
+    starts = np.cumsum([0, *(len(mirror.source) for mirror in mirrors)])
+    sources = [mirror.source + start for mirror, start in zip(mirrors, starts, strict=False)]
+    signs = [mirror.sign for mirror in mirrors]
     return make_mirror(np.concatenate([[], *sources]), np.concatenate([[], *signs]))
 
 
@@ -52,7 +52,7 @@ class NotSymmetric(Exception):
 
 
 class RobotMirror(NamedTuple):
-    """How what belongs to a robot's parts mirrors."""
+    """The mirroring of a robot's parts."""
 
     joints: Mirror  # (12,) joint angles, speeds and torques
     feet: Mirror  # (4,) a number of each foot
@@ -78,7 +78,7 @@ def find_robot_mirror(quadruped: Quadruped, model: mujoco.MjModel) -> RobotMirro
     try:
         mirrors = RobotMirror(
             make_mirror(image.joints, image.sign),
-            make_mirror(_nearest(image.spheres(quadruped.feet)), [1] * 4),
+            make_mirror(_find_images(image.find_centers(quadruped.feet)), [1] * 4),
         )
     except ValueError:
         raise NotSymmetric(
@@ -102,34 +102,34 @@ class _Image:
         self._trunk = int(model.jnt_bodyid[0])
         self._turn = self._data.xmat[self._trunk].reshape(3, 3)
         self._mass, self._height = float(model.body_subtreemass[0]), float(quadruped.home[2])
-        self._anchors = self._placed(self._data.xanchor[1:])
-        self.joints = _nearest(self._anchors)
+        self._anchors = self._to_trunk(self._data.xanchor[1:])
+        self.joints = _find_images(self._anchors)
         # An axis is an axial vector.
         along = np.sum(self._axes[self.joints] * (-self._axes @ _FLIP), axis=1)
         self.sign = np.where(along < 0, -1.0, 1.0)
         self.share = 0.0  # of what may be, the largest difference
         self.largest = ""
 
-    def _placed(self, points: np.ndarray) -> np.ndarray:
-        """Points (n, 3) in the trunk's frame."""
+    def _to_trunk(self, points: np.ndarray) -> np.ndarray:
+        """Return world points (n, 3) in the trunk's frame."""
         return (points - self._data.xpos[self._trunk]) @ self._turn
 
-    def spheres(self, names: tuple[str, ...]) -> np.ndarray:
-        """Centers (n, 3) of spheres."""
-        return self._placed(self._data.geom_xpos[[self._model.geom(name).id for name in names]])
+    def find_centers(self, names: tuple[str, ...]) -> np.ndarray:
+        """Return the centers (n, 3) of geoms in the trunk's frame."""
+        return self._to_trunk(self._data.geom_xpos[[self._model.geom(name).id for name in names]])
 
-    def _compare(self, what: str, own: tuple[str, ...], off: np.ndarray, most: float) -> None:
-        """`off` (n,) or (n, ...) is by how much `what` differs of each of `own`; `most` may be."""
-        each = np.abs(off).reshape(len(own), -1).max(axis=1)
-        if each.max() / most > self.share:
-            self.share = float(each.max() / most)
+    def _compare(self, quantity: str, parts: tuple[str, ...], off: np.ndarray, most: float) -> None:
+        """Keep the largest difference in `off` (parts, ...), as a share of the `most` allowed."""
+        errors = np.abs(off).reshape(len(parts), -1).max(axis=1)
+        if errors.max() / most > self.share:
+            self.share = float(errors.max() / most)
             self.largest = (
-                f"{what} of {own[int(each.argmax())]!r} differs by {each.max():.2g} "
+                f"{quantity} of {parts[int(errors.argmax())]!r} differs by {errors.max():.2g} "
                 f"({most:.2g} would do)"
             )
 
     def compare_joints(self) -> None:
-        """Places, axes, angles, limits and motors."""
+        """Compare the joints' places, axes, standing angles, limits and motors."""
         quadruped, joints, sign = self._quadruped, self.joints, self.sign
         names, home, dofs = quadruped.joints, quadruped.home[7:], self._model.jnt_dofadr[1:]
         moved = self._anchors[joints] - self._anchors @ _FLIP
@@ -141,19 +141,19 @@ class _Image:
         upper = np.where(sign > 0, quadruped.upper[joints], -quadruped.lower[joints])
         off = np.stack([lower - quadruped.lower, upper - quadruped.upper], axis=1)
         self._compare("limits", names, off, PLACE)
-        values = {what: getattr(quadruped, what) for what in ("effort", "velocity", "friction")}
+        values = {name: getattr(quadruped, name) for name in ("effort", "velocity", "friction")}
         values["armature"] = self._model.dof_armature[dofs]
         values["damping"] = self._model.dof_damping[dofs].reshape(12, -1)[:, 0]
-        for what, x in values.items():
+        for quantity, x in values.items():
             larger = np.maximum(np.maximum(np.abs(x), np.abs(x[joints])), 1e-9)
-            self._compare(what, names, (x[joints] - x) / larger, VALUE)
+            self._compare(quantity, names, (x[joints] - x) / larger, VALUE)
 
     def compare_bodies(self) -> None:
-        """Masses, centers of mass and inertias of trunk and links."""
+        """Compare masses, centers of mass and inertias of trunk and links."""
         model, mass, height = self._model, self._mass, self._height
         bodies, images = np.r_[self._trunk, model.jnt_bodyid[1:]], np.r_[0, 1 + self.joints]
         names = tuple(model.body(body).name for body in bodies)
-        masses, centers = model.body_mass[bodies], self._placed(self._data.xipos[bodies])
+        masses, centers = model.body_mass[bodies], self._to_trunk(self._data.xipos[bodies])
         self._compare("mass", names, masses[images] / masses - 1, VALUE)
         moments = masses[:, None] * (centers[images] - centers @ _FLIP) / (mass * height)
         self._compare("center of mass", names, moments, MOMENT)
@@ -163,18 +163,18 @@ class _Image:
         self._compare("inertia", names, off, INERTIA)
 
     def compare_spheres(self) -> None:
-        """Places and radii of the spheres of contact that the model has."""
+        """Compare places and radii of the model's spheres of contact."""
         model, most = self._model, PLACE * self._height
-        there = {model.geom(geom).name for geom in range(model.ngeom)}
+        geoms = {model.geom(geom).name for geom in range(model.ngeom)}
         for names in (self._quadruped.feet, *SPHERE_NAMES):
-            if there.issuperset(names):
-                places = self.spheres(names)
+            if geoms.issuperset(names):
+                places = self.find_centers(names)
                 radii = np.array([model.geom(name).size[0] for name in names])
-                images = _nearest(places)
+                images = _find_images(places)
                 self._compare(f"place of {names[0]}", names, places[images] - places @ _FLIP, most)
                 self._compare(f"radius of {names[0]}", names, radii[images] - radii, most)
 
 
-def _nearest(points: np.ndarray) -> np.ndarray:
-    """(n,) of each of the `points` (n, 3) which one is nearest to its image."""
+def _find_images(points: np.ndarray) -> np.ndarray:
+    """Return the numbers (n,) of the `points` (n, 3) that are nearest to the image of each."""
     return np.linalg.norm(points[None] - (points @ _FLIP)[:, None], axis=2).argmin(axis=1)

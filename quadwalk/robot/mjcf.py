@@ -13,31 +13,25 @@ import mujoco
 import numpy as np
 import yourdfpy
 
-from quadwalk.robot.checks.validate import UrdfError
-from quadwalk.robot.elements import (
-    SINGLE,
-    Shapes,
-    add_geom_classes,
-    add_several,
-    add_single,
-    pose,
-    unique,
-)
-from quadwalk.robot.inertia import SMALLEST, body_inertia, principal, printable
+from quadwalk.robot.inertia import SMALLEST, compute_inertia, find_principal, round_moments
 from quadwalk.robot.meshes import Meshes, is_inside
-from quadwalk.robot.report import Report
+from quadwalk.robot.report import Report, UrdfError
 from quadwalk.robot.scene import add_home, add_scene, add_sun, exclude_overlaps
-from quadwalk.robot.structure.home import standing_pose
+from quadwalk.robot.shapes import Shapes, add_geom_classes, to_pose
+from quadwalk.robot.structure.home import compute_standing_pose
 from quadwalk.robot.structure.legs import Leg
+from quadwalk.robot.structure.tree import get_range, is_limited, make_unique, normalize
 from quadwalk.robot.urdf import Urdf
 
-FRAMES = 4  # the group of the sites that mark frames; MuJoCo's viewer hides 3 and above
+FRAME_GROUP = 4  # of the sites that mark frames; MuJoCo's viewer hides 3 and above
 FREE_JOINT = "floating_base"
+_HINGE, _SLIDE = mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE
+_SINGLE = {"revolute": _HINGE, "continuous": _HINGE, "prismatic": _SLIDE}
 
 
 @dataclass(frozen=True)
 class Options:
-    """What a URDF leaves to whoever converts it."""
+    """Choices that a URDF leaves to whoever converts it."""
 
     # whether the root link floats; None: unless it is `world`, or no quadruped's and without mass
     floating: bool | None = None
@@ -51,14 +45,14 @@ class Options:
 
 @dataclass(frozen=True)
 class Conversion:
-    """A robot's spec, and what is to be said about how it came about."""
+    """A robot's spec, and notes on how it came about."""
 
     spec: mujoco.MjSpec
     report: Report
 
 
 def open_meshes(urdf: Urdf, options: Options, report: Report) -> Meshes:
-    """The URDF's mesh files, where `options` let them be; `report` hears what is left out."""
+    """Open the URDF's mesh files where `options` allow; note in `report` what is left out."""
     folders = [folder for folder in (urdf.folder, *options.mesh_folders) if folder]
     if urdf.mesh_folder:
         # As MuJoCo has it, from the URDF's folder; a run's copy of the URDF has that as another.
@@ -68,10 +62,11 @@ def open_meshes(urdf: Urdf, options: Options, report: Report) -> Meshes:
 
 
 def convert(urdf: Urdf, legs: tuple[Leg, ...] = (), options: Options | None = None) -> Conversion:
-    """The robot above a floor, with its `home` keyframe; `UrdfError` where that cannot be.
+    """Convert a URDF to a spec of the robot above a floor, with its `home` keyframe.
 
     `legs` of a quadruped are in the order that the model's joints and actuators shall have. Without
-    them, joints keep the file's order and home is joint position 0.
+    them, joints keep the file's order and home is joint position 0. Raise `UrdfError` for a robot
+    that cannot float, or that MuJoCo refuses.
     """
     options = options or Options()
     report = deepcopy(urdf.report)
@@ -87,12 +82,14 @@ def convert(urdf: Urdf, legs: tuple[Leg, ...] = (), options: Options | None = No
     spec.nuser_jnt = 1
     add_scene(spec)
     add_geom_classes(spec)
-    robot = _Robot(spec, urdf, legs, options, report)
+    builder = _Builder(spec, urdf, legs, options, report)
     try:
-        robot.add_bodies()
-        robot.add_motors()
-        robot.add_sensors()
-        pose = standing_pose(urdf.tree, legs, urdf.source) if legs else None
+        builder.add_bodies()
+        builder.add_followers()
+        builder.exclude_neighbors()
+        builder.add_motors()
+        builder.add_sensors()
+        pose = compute_standing_pose(urdf.tree, legs) if legs else None
         add_home(spec, pose, [leg.foot_name for leg in legs])
         overlaps = exclude_overlaps(spec)
     except (ValueError, mujoco.FatalError) as error:  # of MuJoCo's compiler: a flat mesh, say
@@ -104,18 +101,18 @@ def convert(urdf: Urdf, legs: tuple[Leg, ...] = (), options: Options | None = No
 
 
 def write_xml(spec: mujoco.MjSpec) -> str:
-    """The MJCF of `spec`, the same each time; of 6 digits, hence a relative error of some 1e-6."""
+    """Return the MJCF of `spec`: always the same, and with 6 digits exact to some 1e-6."""
     spec = spec.copy()
     for body in spec.bodies:
         if body.mass > 0:
-            body.inertia = printable(body.inertia)
+            body.inertia = round_moments(body.inertia)
     spec.compile()
     return spec.to_xml()
 
 
 @dataclass
-class _Robot:
-    """The robot under construction in a spec."""
+class _Builder:
+    """A robot under construction in a spec."""
 
     spec: mujoco.MjSpec
     urdf: Urdf
@@ -132,23 +129,20 @@ class _Robot:
         self.joint_names = {joint.name for joint in robot.joints if joint.type != "fixed"}
 
     def _is_floating(self) -> bool:
+        """Return True if the root link floats; `UrdfError` where it is to and cannot."""
         root = self.tree.root
-        whole = body_inertia(self.tree, root)
-        if root == "world" and self.options.floating is not True:
+        whole = compute_inertia(self.tree, root)
+        if self.options.floating is False or (root == "world" and not self.options.floating):
             return False
-        floating = self.options.floating
-        if floating is None:
-            floating = bool(self.legs) or whole is not None
-            if not floating:
-                self.report.add("assumed", "fixed to the ground, for it has no mass", root)
-        if not floating:
+        if self.options.floating is None and not self.legs and whole is None:
+            self.report.add("assumed", "fixed to the ground, for it has no mass", root)
             return False
         if root == "world" or whole is None or whole.mass < SMALLEST:
             raise UrdfError(
                 f"{self.urdf.source}: link '{root}' is to float and has no mass; expected "
                 "<inertial> with a mass above 0, or a fixed base"
             )
-        if principal(whole.about_com)[0][2] < SMALLEST:
+        if find_principal(whole.about_com)[0][2] < SMALLEST:
             raise UrdfError(
                 f"{self.urdf.source}: link '{root}' floats, and its <inertia> is not positive "
                 "definite; expected principal moments above 0 (or pass --robot.repair-inertia)"
@@ -163,56 +157,59 @@ class _Robot:
         while pending:
             name, parent = pending.pop()
             body = self._add_body(parent, name)
-            below = sorted(self.tree.moving_joints(name), key=lambda j: rank.get(j.child, -1))
+            joints = self.tree.find_moving_joints(name)
+            joints.sort(key=lambda joint: rank.get(joint.child, -1))
             # Past links without mass, whose joints their bodies have as well.
-            ends = [self.tree.chain_from(joint)[-1].child for joint in below]
-            pending.extend((end, body) for end in reversed(ends))
+            pending.extend((self.tree.follow_joint(joint), body) for joint in reversed(joints))
+
+    def add_followers(self) -> None:
+        """Let joints with a `<mimic>` follow another; one that is fixed stays at 0."""
         moving = {joint.name for joint in self.joints}
         for joint in self.joints:
             mimic = joint.mimic
             if mimic is None:
                 continue
-            follow = self.spec.add_equality(
+            equality = self.spec.add_equality(
                 name=joint.name,
                 type=mujoco.mjtEq.mjEQ_JOINT,
                 objtype=mujoco.mjtObj.mjOBJ_JOINT,
                 name1=joint.name,
-                # One that is fixed stays at 0.
                 name2=mimic.joint if mimic.joint in moving else "",
             )
             factor = 1.0 if mimic.multiplier is None else mimic.multiplier
-            follow.data[:2] = [mimic.offset or 0.0, factor]
+            equality.data[:2] = [mimic.offset or 0.0, factor]
+
+    def exclude_neighbors(self) -> None:
+        """Let bodies that share a joint not touch: their shapes meet at it by design."""
         for name in self.tree.bodies[1:]:
-            if self.tree.passes_on(name):
-                continue
-            # No contact between bodies that share a joint: their shapes meet at it by design.
-            above = self.tree.body_of[self.tree.joints_to(name)[0].parent]
-            self.spec.add_exclude(name=f"{above}-{name}", bodyname1=above, bodyname2=name)
+            if not self.tree.is_between_joints(name):
+                above = self.tree.body_of[self.tree.find_joints_above(name)[0].parent]
+                self.spec.add_exclude(name=f"{above}-{name}", bodyname1=above, bodyname2=name)
 
     def _add_body(self, parent: mujoco.MjsBody, name: str) -> mujoco.MjsBody:
-        """Add the body of moving link (or root) `name`, with all that is fused with it."""
+        """Add the body of moving link (or root) `name`, with joints, inertia, shapes and frames."""
         tree = self.tree
         body = parent if name == "world" else parent.add_body(name=name)
-        joints = tree.joints_to(name)
+        joints = tree.find_joints_above(name)
         if joints:
-            frames = [tree.frame_of(joint) for joint in joints]
-            body.pos, body.quat = pose(reduce(np.matmul, frames))
+            frames = [tree.compute_frame(joint) for joint in joints]
+            body.pos, body.quat = to_pose(reduce(np.matmul, frames))
             for i, joint in enumerate(joints):
                 # From the joint on to the body, all later joints at 0.
                 onwards = reduce(np.matmul, frames[i + 1 :], np.eye(4))
                 self._add_joint(body, joint, np.linalg.inv(onwards))
                 if joint.child != name:
-                    self._pass_on(joint, name)
+                    self._note_link_without_mass(joint, name)
         elif self.floating:
-            body.add_freejoint(name=unique(FREE_JOINT, self.joint_names))
+            body.add_freejoint(name=make_unique(FREE_JOINT, self.joint_names))
             add_sun(body)
         else:
             add_sun(self.spec.worldbody)
-        whole = body_inertia(tree, name)
+        whole = compute_inertia(tree, name)
         if whole is not None and (joints or self.floating):
             body.explicitinertial = True
             body.mass, body.ipos = whole.mass, whole.com
-            body.inertia, body.iquat = principal(whole.about_com)
+            body.inertia, body.iquat = find_principal(whole.about_com)
         for part in tree.parts[name]:
             self.shapes.add_link(body, tree, part)
             if part != name:
@@ -232,10 +229,10 @@ class _Robot:
         radius = 0.01
         if leg is not None:
             radius = 1.1 * leg.foot.radius + float(np.linalg.norm(leg.foot.center - frame[:3, 3]))
-        pos, quat = pose(frame)
-        body.add_site(name=name, pos=pos, quat=quat, group=FRAMES, size=[radius] * 3)
+        pos, quat = to_pose(frame)
+        body.add_site(name=name, pos=pos, quat=quat, group=FRAME_GROUP, size=[radius] * 3)
 
-    def _pass_on(self, joint: yourdfpy.Joint, name: str) -> None:
+    def _note_link_without_mass(self, joint: yourdfpy.Joint, name: str) -> None:
         """Note that a joint moves body `name` over a link without mass, which is no body."""
         self.report.add("fused", "joints over links without mass", f"{joint.name} with {name}")
         for part in self.tree.parts[joint.child]:
@@ -243,18 +240,60 @@ class _Robot:
                 self.report.add("dropped", "visual shapes of links without mass", part)
 
     def _add_joint(self, body: mujoco.MjsBody, joint: yourdfpy.Joint, frame: np.ndarray) -> None:
-        if joint.type in SINGLE:
-            armature = {**self.urdf.armature, **self.options.armature}
-            add_single(body, joint, armature.get(joint.name, 0.0), frame)
+        """Add a joint to the body that it moves; `frame` (4, 4) is its own there, joints at 0."""
+        if joint.type in _SINGLE:
+            self._add_single(body, joint, frame)
             self.joints.append(joint)
             return
-        add_several(body, joint, self.joint_names)
+        self._add_several(body, joint)
         self.report.add("assumed", f"no motor, for it is {joint.type}", joint.name)
         if joint.dynamics is not None or joint.limit is not None:
             self.report.add("dropped", "limits and dynamics of several directions", joint.name)
 
+    def _add_single(self, body: mujoco.MjsBody, joint: yourdfpy.Joint, frame: np.ndarray) -> None:
+        """Add a joint of one direction, with its limits, damping, friction and armature."""
+        added = body.add_joint(
+            name=joint.name,
+            type=_SINGLE[joint.type],
+            axis=frame[:3, :3] @ normalize(joint.axis),
+            pos=frame[:3, 3],
+        )
+        if is_limited(joint):
+            added.range = get_range(joint)
+        if joint.limit is not None and 0 < joint.limit.effort < np.inf:
+            added.actfrcrange = [-joint.limit.effort, joint.limit.effort]
+        if joint.limit is not None and joint.limit.velocity < np.inf:
+            # MuJoCo knows no largest speed: it is kept as the joint's user datum.
+            added.userdata = [joint.limit.velocity]
+        if joint.dynamics is not None:
+            added.damping[0] = float(joint.dynamics.damping or 0)
+            added.frictionloss = float(joint.dynamics.friction or 0)
+        armature = {**self.urdf.armature, **self.options.armature}
+        added.armature = armature.get(joint.name, 0.0)
+
+    def _add_several(self, body: mujoco.MjsBody, joint: yourdfpy.Joint) -> None:
+        """Add the joints of a `planar` or `floating` one, without limits, which URDF has none for.
+
+        Planar: slides JOINT_x and JOINT_y across the axis, then hinge JOINT_turn about it. The
+        first slide is along the joint frame's x where the axis is its z; for another axis both are
+        turned by the smallest rotation that takes z there. Floating: slides JOINT_x, JOINT_y and
+        JOINT_z along the joint frame's axes, then ball JOINT_ball. (A free joint would have to be
+        at the world.)
+        """
+        if joint.type == "planar":
+            x, y, z = _turn_axes(normalize(joint.axis))
+            parts = [("x", _SLIDE, x), ("y", _SLIDE, y), ("turn", _HINGE, z)]
+        else:
+            x, y, z = np.eye(3)
+            ball = mujoco.mjtJoint.mjJNT_BALL
+            parts = [("x", _SLIDE, x), ("y", _SLIDE, y), ("z", _SLIDE, z), ("ball", ball, z)]
+        for suffix, kind, axis in parts:
+            name = make_unique(f"{joint.name}_{suffix}", self.joint_names)
+            self.joint_names.add(name)
+            body.add_joint(name=name, type=kind, axis=axis)
+
     def add_motors(self) -> None:
-        """One motor per joint, named after it, of gear 1 and within the effort limit."""
+        """Add a motor per joint, named after it, of gear 1 and within the effort limit."""
         for joint in self.joints:
             if joint.mimic is not None:
                 continue
@@ -271,13 +310,13 @@ class _Robot:
                 motor.ctrlrange = [-joint.limit.effort, joint.limit.effort]
 
     def add_sensors(self) -> None:
-        """For a floating robot an IMU: gyro, accelerometer, orientation; touch sensors in feet."""
+        """Add touch sensors in feet, and a floating robot's gyro, accelerometer and orientation."""
         kinds = mujoco.mjtSensor
         if self.floating:
             root = self.tree.root
             site = next((name for name in self.tree.parts[root][1:] if "imu" in name.lower()), None)
             if site is None:
-                site = unique("imu", set(self.tree.links))
+                site = make_unique("imu", self.tree.links)
                 self._add_site(self.spec.body(root), site, np.eye(4))
                 self.report.add("assumed", "the IMU's frame, for no link is named so", root)
             for name, kind in (
@@ -291,3 +330,12 @@ class _Robot:
 
     def _add_sensor(self, name: str, kind: mujoco.mjtSensor, site: str) -> None:
         self.spec.add_sensor(name=name, type=kind, objtype=mujoco.mjtObj.mjOBJ_SITE, objname=site)
+
+
+def _turn_axes(axis: np.ndarray) -> np.ndarray:
+    """Turn the axes x, y and z, rows of (3, 3), the shortest way that takes z to `axis`."""
+    turn, rows = np.zeros(4), np.zeros((3, 3))
+    mujoco.mju_quatZ2Vec(turn, axis)
+    for row, standard in zip(rows, np.eye(3), strict=True):
+        mujoco.mju_rotVecQuat(row, standard, turn)
+    return rows

@@ -10,14 +10,13 @@ import yourdfpy
 
 from quadwalk.paths import ALIENGO_URDF
 from quadwalk.robot.checks.units import check_limits, check_size
-from quadwalk.robot.checks.validate import UrdfError
 from quadwalk.robot.mjcf import Options, convert, open_meshes
-from quadwalk.robot.report import Report
-from quadwalk.robot.scene import HOME, Contacts, add_spheres, simplify
+from quadwalk.robot.report import Report, UrdfError
+from quadwalk.robot.scene import HOME, Contacts, add_spheres, make_training_shapes
 from quadwalk.robot.structure.facing import find_turn
-from quadwalk.robot.structure.home import standing_pose
+from quadwalk.robot.structure.home import compute_standing_pose
 from quadwalk.robot.structure.legs import Leg, find_chains, find_legs
-from quadwalk.robot.structure.tree import joint_range, name_axis
+from quadwalk.robot.structure.tree import get_range, name_axis
 from quadwalk.robot.urdf import Urdf, read_urdf, release_from_world, turn_root
 
 # A motor's rotor, through its gear, by the robot's mass times its standing height squared: the
@@ -68,7 +67,7 @@ class Quadruped:
         ls_iterations: int = 5,
         contacts: Contacts = "feet",
     ) -> mujoco.MjModel:
-        """The model to train in, made for MJX: only spheres and the floor collide.
+        """Make the model to train in, which MJX takes: only spheres and the floor collide.
 
         Body, joint, actuator and collision geom names are those of `make_full_model`; the other
         collision shapes are there to be measured, but touch nothing. No visuals, no sensors.
@@ -88,17 +87,16 @@ class Quadruped:
             # other; feet do not meet each other.
             geom.contype = geom.name == "floor"
             geom.conaffinity = geom.name in self.feet
-        simplify(spec, self.feet)
+        make_training_shapes(spec, self.feet)
         if contacts != "feet":
             add_spheres(spec, self.trunk, self.feet, self.joints[2::3], contacts)
-        option = spec.option
-        option.cone = mujoco.mjtCone.mjCONE_PYRAMIDAL
+        spec.option.cone = mujoco.mjtCone.mjCONE_PYRAMIDAL
         return self._compile(spec, timestep, iterations, ls_iterations, frictionloss=False)
 
     def make_full_model(
         self, timestep: float = 0.002, frictionloss: bool = False, visuals: bool = True
     ) -> mujoco.MjModel:
-        """The model to evaluate in: every collision shape, a solver that has converged.
+        """Make the model to evaluate in: every collision shape, a solver that converges.
 
         `timestep` is in s. With `frictionloss` the joints have the URDF's friction, for a user
         without the motor model that otherwise applies it. `visuals` are nearly all of its size.
@@ -121,7 +119,7 @@ class Quadruped:
 
 
 def _delete_visuals(spec: mujoco.MjSpec) -> None:
-    """Delete what can only be seen: visual geoms, and the materials and textures of the others."""
+    """Delete visual geoms, and the materials and textures of the others."""
     for geom in list(spec.geoms):
         geom.material = ""
         if geom.classname.name == "visual":
@@ -145,52 +143,55 @@ def find_quadruped(urdf: Urdf, options: Options) -> tuple[Urdf, tuple[Leg, ...]]
 
     Raise `UrdfError` where it is no quadruped, of no quadruped's size, or of unclear direction.
     """
-    check_limits(find_chains(urdf.tree, urdf.source), urdf.source)
-    # What meshes are left out is for the conversion to say.
+    check_limits(urdf.tree, find_chains(urdf.tree))
+    # The conversion notes which meshes are left out.
     meshes = open_meshes(urdf, options, Report())
-    turn, reasons = find_turn(urdf.tree, urdf.source, meshes)
+    turn, reasons = find_turn(urdf.tree, meshes)
     if reasons:
         urdf = turn_root(urdf, turn, reasons)
-    legs = find_legs(urdf.tree, urdf.source, meshes)
+    legs = find_legs(urdf.tree, meshes)
     report = deepcopy(urdf.report)
-    check_size(urdf.tree, legs, urdf.source, report)
-    standing_pose(urdf.tree, legs, urdf.source)
+    check_size(urdf.tree, legs, report)
+    compute_standing_pose(urdf.tree, legs)
     return replace(urdf, report=report), legs
 
 
 def complete_motors(urdf: Urdf, legs: tuple[Leg, ...], options: Options) -> Urdf:
-    """`urdf` with the motors of `options` where legs lack them; `UrdfError` if some still do."""
-    tree = urdf.tree
-    changed: dict[str, yourdfpy.Joint] = {}
+    """Fill in the effort and speed of `options` where legs' motors have no limits.
+
+    Raise `UrdfError` where some still have none, or a leg's joint follows another.
+    """
+    joint_above = urdf.tree.joint_above
+    completed: dict[str, yourdfpy.Joint] = {}
     lacking: dict[str, list[str]] = {"effort": [], "speed": []}
-    for joint in (tree.joint_above[link] for leg in legs for link in leg.links):
+    for joint in (joint_above[link] for leg in legs for link in leg.links):
         if joint.mimic is not None:
             raise UrdfError(
                 f"{urdf.source}: joint '{joint.name}' of a leg follows another; expected a motor"
             )
         limit = joint.limit or yourdfpy.Limit()
-        given = {"effort": limit.effort, "speed": limit.velocity}
-        for name, value in given.items():
+        values = {"effort": limit.effort, "speed": limit.velocity}
+        for name, value in values.items():
             if not value or value == np.inf:
-                given[name] = getattr(options, name)
-                if given[name] is None:
+                values[name] = getattr(options, name)
+                if values[name] is None:
                     lacking[name].append(joint.name)
-        new = replace(limit, effort=given["effort"], velocity=given["speed"])
-        changed[joint.name] = replace(joint, limit=new)
-    flags = {"effort": "--robot.effort NM", "speed": "--robot.speed RAD_PER_S"}
-    found = {name: joints for name, joints in lacking.items() if joints}
-    if found:
-        missing = ", ".join(f"no {name} limit for {_some(found[name])}" for name in found)
+        limit = replace(limit, effort=values["effort"], velocity=values["speed"])
+        completed[joint.name] = replace(joint, limit=limit)
+    lacking = {name: joints for name, joints in lacking.items() if joints}
+    if lacking:
+        flags = {"effort": "--robot.effort NM", "speed": "--robot.speed RAD_PER_S"}
+        missing = ", ".join(f"no {name} limit for {_shorten(lacking[name])}" for name in lacking)
         raise UrdfError(
             f"{urdf.source}: has {missing}; expected <limit effort=... velocity=...> above 0, "
-            f"or pass {' '.join(flags[name] for name in found)}"
+            f"or pass {' '.join(flags[name] for name in lacking)}"
         )
-    joints = [changed.get(joint.name, joint) for joint in urdf.robot.joints]
+    joints = [completed.get(joint.name, joint) for joint in urdf.robot.joints]
     return replace(urdf, robot=replace(urdf.robot, joints=joints))
 
 
-def _some(names: list[str]) -> str:
-    """Two of the names, and how many more there are."""
+def _shorten(names: list[str]) -> str:
+    """Return two of the names, and how many more there are."""
     shown = " and ".join(f"'{name}'" for name in names[:2])
     return shown + (f" and {len(names) - 2} more" if names[2:] else "")
 
@@ -216,9 +217,9 @@ def list_joints(spec: mujoco.MjSpec, legs: tuple[Leg, ...]) -> list[str]:
 
 
 def add_rotors(
-    spec: mujoco.MjSpec, joints: list[yourdfpy.Joint], given: set[str], report: Report
+    spec: mujoco.MjSpec, joints: list[yourdfpy.Joint], stated: set[str], report: Report
 ) -> None:
-    """Give the `joints` in `spec` rotors as a robot's motors have, where none were `given`.
+    """Give `joints` rotors as a robot's motors have, but for those whose armature is `stated`.
 
     URDF cannot state them, so most files have none, and legs without them are lighter than any
     motor could turn: it whips them about.
@@ -226,13 +227,13 @@ def add_rotors(
     mass, height = sum(body.mass for body in spec.bodies), spec.key(HOME).qpos[2]
     rotor = float(f"{ROTOR * mass * height**2:.2g}")
     for joint in joints:
-        if joint.name not in given:
+        if joint.name not in stated:
             spec.joint(joint.name).armature = rotor
             report.add("assumed", f"rotors of {rotor:g} kg m^2 (armature)", joint.name)
 
 
 def make_quadruped(urdf: Urdf, options: Options | None = None) -> Quadruped:
-    """The quadruped that a checked URDF describes; `UrdfError` says what it is instead."""
+    """Make the quadruped that a checked URDF describes; `UrdfError` says why it is none."""
     options = options or Options()
     original = urdf = release_from_world(urdf)
     urdf, legs = find_quadruped(urdf, options)
@@ -242,10 +243,10 @@ def make_quadruped(urdf: Urdf, options: Options | None = None) -> Quadruped:
     conversion = convert(urdf, legs, replace(options, floating=True))
     spec, report = conversion.spec, conversion.report
     add_rotors(spec, joints, {*urdf.armature, *options.armature}, report)
-    notes = [note for note in report.lines() if not note.startswith("fused")]
+    notes = [note for note in report.to_lines() if not note.startswith("fused")]
     if tree.root != original.tree.root:
         notes += list_joints(spec, legs)
-    ranges = np.array([joint_range(joint) for joint in joints])
+    ranges = np.array([get_range(joint) for joint in joints])
     return Quadruped(
         name=urdf.robot.name,
         urdf=urdf.text,

@@ -1,26 +1,39 @@
-"""What is to be said about how a conversion came about."""
+"""Notes on how a robot was read and converted, and the error for one that cannot be."""
 
-_KINDS = ("fused", "repaired", "dropped", "assumed")  # of notes in a report
+import re
+
+from quadwalk.errors import UserError
+
+_KINDS = ("fused", "repaired", "dropped", "assumed")
+
+
+class UrdfError(UserError):
+    """A URDF that cannot be read, or describes no robot that can exist, in one line."""
+
+    def __init__(self, message: str):
+        # Names and values in it are the file's, which may hold line breaks or be endless.
+        line = re.sub(r"[\x00-\x1f\x7f-\x9f]+", " ", message)
+        super().__init__(line if len(line) <= 800 else line[:500] + " ... " + line[-250:])
 
 
 class Report:
-    """What conversion fused, repaired, dropped and assumed, in the URDF's order."""
+    """Notes on what conversion fused, repaired, dropped and assumed, in the URDF's order."""
 
     def __init__(self) -> None:
-        self.found: dict[str, dict[str, list[str]]] = {kind: {} for kind in _KINDS}
+        self._notes: dict[str, dict[str, list[str]]] = {kind: {} for kind in _KINDS}
 
-    def add(self, kind: str, what: str, name: str = "") -> None:
-        """Note `what` happened, to the element `name`; notes of one `what` become one line."""
-        names = self.found[kind].setdefault(what, [])
-        if name and name not in names:
-            names.append(name)
+    def add(self, kind: str, note: str, element: str = "") -> None:
+        """Add a note of a `kind` on the element of that name; equal notes become one line."""
+        elements = self._notes[kind].setdefault(note, [])
+        if element and element not in elements:
+            elements.append(element)
 
-    def lines(self, most: int = 4) -> list[str]:
-        """The report as lines of text, with at most `most` names in each."""
+    def to_lines(self, most: int = 4) -> list[str]:
+        """Return lines of text, each naming at most `most` elements."""
         lines = []
-        for kind, found in self.found.items():
-            for what, names in found.items():
-                shown = ", ".join(" ".join(name.splitlines()) for name in names[:most])
-                more = f" and {len(names) - most} more" if len(names) > most else ""
-                lines.append(f"{kind}: {what}" + (f": {shown}{more}" if names else ""))
+        for kind, notes in self._notes.items():
+            for note, elements in notes.items():
+                shown = ", ".join(" ".join(name.splitlines()) for name in elements[:most])
+                more = f" and {len(elements) - most} more" if len(elements) > most else ""
+                lines.append(f"{kind}: {note}" + (f": {shown}{more}" if elements else ""))
         return lines

@@ -1,4 +1,4 @@
-"""What a model has besides a robot's links: sky, light, floor, home pose, spheres for training."""
+"""Parts of a model besides a robot's links: sky, light, floor, home pose, spheres for training."""
 
 from typing import Literal
 
@@ -25,7 +25,7 @@ KNEES, CORNERS, TOPS, HIPS = SPHERE_NAMES = tuple(
 # What touches the floor, besides the feet, by the setting `env.contacts`.
 Contacts = Literal["feet", "knees", "body", "all"]
 TOUCHING: dict[Contacts, int] = {"feet": 0, "knees": 1, "body": 2, "all": 4}  # first kinds
-SPHERES = 4  # the group of these geoms; those of group 3 are the collision shapes, to be measured
+SPHERE_GROUP = 4  # of these geoms; those of group 3 are the collision shapes, to be measured
 CORNER_RADIUS = 0.01  # m
 LEAN = np.radians(60)  # of a calf from the vertical; standing robots have some 45 degrees
 
@@ -123,9 +123,9 @@ def add_home(spec: mujoco.MjSpec, pose: np.ndarray | None, feet: list[str]) -> N
 
 
 def exclude_overlaps(spec: mujoco.MjSpec) -> list[str]:
-    """Let no contact happen between bodies that already overlap in the home pose.
+    """Exclude contacts of bodies that overlap in the home pose, and return the pairs for a report.
 
-    Returns the pairs, for the report. A floating robot's contact with the floor stays.
+    A floating robot's contact with the floor stays.
     """
     model = spec.compile()
     data = mujoco.MjData(model)
@@ -146,7 +146,7 @@ def exclude_overlaps(spec: mujoco.MjSpec) -> list[str]:
 
 
 def find_lowest_point(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> float:
-    """Height (m, world z) of the lowest point of a geom, from `data`'s current kinematics."""
+    """Find the height (m, world z) of a geom's lowest point by the kinematics in `data`."""
     size = model.geom_size[geom]
     # The direction `down` in the geom's own axes: the shape's extent along it is its support.
     down = -data.geom_xmat[geom].reshape(3, 3)[2]
@@ -169,8 +169,8 @@ def find_lowest_point(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> 
     return float(data.geom_xpos[geom, 2] - extent)
 
 
-def simplify(spec: mujoco.MjSpec, feet: tuple[str, ...]) -> None:
-    """Make of a robot's shapes those that training measures: is one of them under the floor?
+def make_training_shapes(spec: mujoco.MjSpec, feet: tuple[str, ...]) -> None:
+    """Turn a robot's shapes into those whose height over the floor training measures.
 
     Meshes become the boxes around them. What is beyond the center of a foot is the foot's, whose
     sphere stands for it: the calves' shapes end there, and thick ones before it.
@@ -180,23 +180,23 @@ def simplify(spec: mujoco.MjSpec, feet: tuple[str, ...]) -> None:
     for geom in spec.geoms:
         foot = foot_of.get(model.geom_bodyid[geom.id])
         if geom.type == mujoco.mjtGeom.mjGEOM_MESH:
-            center, axes, half = _box(model, geom.id)
+            center, axes, half = _compute_box(model, geom.id)
             geom.type, geom.meshname = mujoco.mjtGeom.mjGEOM_BOX, ""
             geom.pos, geom.size = center, half
             mujoco.mju_mat2Quat(geom.quat, axes.ravel())
         if foot is not None and geom.name not in feet:
-            _shorten(geom, foot.pos, foot.size[0])
+            _cut_at_foot(geom, foot.pos, foot.size[0])
 
 
 def compute_rotation(quat: np.ndarray) -> np.ndarray:
-    """(3, 3) of a quaternion wxyz (4,)."""
+    """Return the rotation (3, 3) of a quaternion wxyz (4,)."""
     entries = np.zeros(9)
     mujoco.mju_quat2Mat(entries, quat)
     return entries.reshape(3, 3)
 
 
-def _shorten(geom: mujoco.MjsGeom, foot: np.ndarray, radius: float) -> None:
-    """Let a box, or a cylinder or capsule along the calf, end at the `foot`: (3,) m, body frame.
+def _cut_at_foot(geom: mujoco.MjsGeom, foot: np.ndarray, radius: float) -> None:
+    """Cut a box, or a cylinder or capsule along the calf, at the `foot` (3,), m, in its body.
 
     It ends at the foot's center, or above it if it is thick. Its edge is then half the foot's
     radius above the floor while the calf leans by `LEAN`: nearer, a step would be a fall.
@@ -229,7 +229,7 @@ def add_spheres(
     calf_joints: tuple[str, ...],
     contacts: Contacts,
 ) -> None:
-    """Add the `SPHERE_NAMES` that `contacts` has, which meet the floor as the leg's foot does.
+    """Add the spheres of `contacts` at knees, hips and trunk, which meet the floor as feet do.
 
     A knee is centered on the calf's joint and carried by the thigh, as thick as that is there, up
     to the foot's radius. A hip is centered on the thigh's joint and carried by the hip, as thick as
@@ -238,46 +238,48 @@ def add_spheres(
     `spec` has no other geoms than collision shapes.
     """
     model = spec.compile()
-    low, high = _box_around(model, model.body(trunk).id)
+    low, high = _compute_body_box(model, model.body(trunk).id)
     for i, leg in enumerate(LEGS):
         foot = spec.geom(feet[i])
         calf = model.joint(calf_joints[i]).bodyid[0]
         thigh, knee = model.body_parentid[calf], model.body_pos[calf]
         hip, shoulder = model.body_parentid[thigh], model.body_pos[thigh]
-        thin, thick = _thickness(model, thigh, knee), _thickness(model, hip, shoulder)
-
-        def corner(above: bool, leg: str = leg) -> np.ndarray:
-            outer = [leg[0] == "F", leg[1] == "L", above]
-            return np.where(outer, high - CORNER_RADIUS, low + CORNER_RADIUS)
-
-        spheres = (
-            (thigh, knee, min(thin, foot.size[0])),
-            (trunk, corner(above=False), CORNER_RADIUS),
-            (trunk, corner(above=True), CORNER_RADIUS),
-            (hip, shoulder, thick if np.isfinite(thick) else foot.size[0]),
+        thigh_radius = min(_measure_thickness(model, thigh, knee), foot.size[0])
+        hip_radius = _measure_thickness(model, hip, shoulder)
+        if not np.isfinite(hip_radius):
+            hip_radius = foot.size[0]
+        ahead, left = leg[0] == "F", leg[1] == "L"
+        bottom, top = (
+            np.where([ahead, left, above], high - CORNER_RADIUS, low + CORNER_RADIUS)
+            for above in (False, True)
         )
-        for kind, (body, center, radius) in zip(
-            SPHERE_NAMES[: TOUCHING[contacts]], spheres, strict=False
-        ):
+        spheres = (
+            (thigh, knee, thigh_radius),
+            (trunk, bottom, CORNER_RADIUS),
+            (trunk, top, CORNER_RADIUS),
+            (hip, shoulder, hip_radius),
+        )
+        kinds = SPHERE_NAMES[: TOUCHING[contacts]]
+        for names, (body, center, radius) in zip(kinds, spheres, strict=False):
             spec.body(model.body(body).name).add_geom(
                 foot.classname,
-                name=kind[i],
+                name=names[i],
                 type=mujoco.mjtGeom.mjGEOM_SPHERE,
                 pos=center,
                 size=[radius, 0, 0],
-                group=SPHERES,
+                group=SPHERE_GROUP,
                 contype=foot.contype,
                 conaffinity=foot.conaffinity,
                 friction=foot.friction,
             )
 
 
-def _box_around(model: mujoco.MjModel, body: int) -> tuple[np.ndarray, np.ndarray]:
-    """Lower and upper corner (3,), m, of the box around a body's shapes, in its frame.
+def _compute_body_box(model: mujoco.MjModel, body: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the lower and upper corner (3,), m, of the box around a body's shapes, in its frame.
 
     Without shapes it is around the joints below: a trunk has the hips at its corners.
     """
-    boxes = _boxes(model, body)
+    boxes = _compute_boxes(model, body)
     if not boxes:
         hips = model.body_pos[model.body_parentid == body]
         return hips.min(axis=0), hips.max(axis=0)
@@ -286,22 +288,21 @@ def _box_around(model: mujoco.MjModel, body: int) -> tuple[np.ndarray, np.ndarra
     return low, np.max([center + reach for center, reach in reaches], axis=0)
 
 
-def _thickness(model: mujoco.MjModel, body: int, point: np.ndarray) -> float:
-    """Half the thickness, m, of the body's shape that is nearest to `point` (3,); inf for none."""
-    found = []
-    for center, rotation, half in _boxes(model, body):
+def _measure_thickness(model: mujoco.MjModel, body: int, point: np.ndarray) -> float:
+    """Return half the thickness, m, of the body's shape nearest to `point` (3,); inf for none."""
+    shapes = []
+    for center, rotation, half in _compute_boxes(model, body):
         beyond = np.maximum(np.abs((point - center) @ rotation) - half, 0)
-        found.append((float(np.linalg.norm(beyond)), float(np.sort(half)[1])))
-    return min(found, default=(0.0, np.inf))[1]
+        shapes.append((float(np.linalg.norm(beyond)), float(np.sort(half)[1])))
+    return min(shapes, default=(0.0, np.inf))[1]
 
 
-def _boxes(model: mujoco.MjModel, body: int) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Of each of a body's shapes the box around it."""
-    return [_box(model, int(geom)) for geom in np.flatnonzero(model.geom_bodyid == body)]
+def _compute_boxes(model: mujoco.MjModel, body: int) -> list[tuple[np.ndarray, ...]]:
+    return [_compute_box(model, int(geom)) for geom in np.flatnonzero(model.geom_bodyid == body)]
 
 
-def _box(model: mujoco.MjModel, geom: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The box around a shape, in its body's frame: center, axes as columns, half its sides, m."""
+def _compute_box(model: mujoco.MjModel, geom: int) -> tuple[np.ndarray, ...]:
+    """Return the box around a shape in its body's frame: center, axes (columns), half sides, m."""
     rotation = compute_rotation(model.geom_quat[geom])
     center, half = np.split(model.geom_aabb[geom].copy(), 2)
     return model.geom_pos[geom] + rotation @ center, rotation, half

@@ -1,4 +1,4 @@
-"""Strict reading of URDF: lxml without recovery, our own validation, and only then yourdfpy.
+"""Strict reading of URDF: lxml without recovery, the project's own checks, only then yourdfpy.
 
 yourdfpy alone loads a truncated file as a partial robot, and takes unknown parents, cycles,
 duplicates, NaN masses and reversed limits without a word. What reaches it here has been checked.
@@ -19,22 +19,20 @@ from lxml import etree
 from trimesh.transformations import compose_matrix, euler_from_matrix
 
 from quadwalk.errors import UsageError
-from quadwalk.robot.checks.bodies import check_bodies, resolutions
+from quadwalk.robot.checks.bodies import check_bodies, read_resolutions
+from quadwalk.robot.checks.elements import Checker, make_xacro_error, write_numbers
 from quadwalk.robot.checks.topology import check_mimic, check_topology
-from quadwalk.robot.checks.validate import Check, UrdfError, as_words, check_elements, not_expanded
-from quadwalk.robot.report import Report
+from quadwalk.robot.report import Report, UrdfError
 from quadwalk.robot.structure.tree import (
     Capsule,
     Tree,
     build_tree,
-    find_free_name,
+    make_rotation,
+    make_unique,
     name_axis,
-    rotation,
+    normalize,
     to_roll_pitch_yaw,
-    unit,
 )
-
-__all__ = ["MAX_BYTES", "Report", "Urdf", "UrdfError", "parse_urdf", "read_urdf"]
 
 # The largest quadruped descriptions are some 100 kB; a thousand links with meshes are about 1 MB.
 MAX_BYTES = 16 * 2**20
@@ -62,15 +60,15 @@ class Urdf:
     @cached_property
     def tree(self) -> Tree:
         """The tree of its links."""
-        return build_tree(self.robot)
+        return build_tree(self.robot, self.source)
 
 
 def read_urdf(path: Path, repair_inertia: bool = False, fix: tuple[str, ...] = ()) -> Urdf:
-    """Read and check the URDF file at `path`; `UrdfError` if it is not valid.
+    """Read and check the URDF file at `path`; raise `UrdfError` if it is not valid.
 
     With `repair_inertia`, an inertia that no body can have is replaced by the nearest valid one,
-    and the report says by how much it changed. Joints whose name is among the patterns `fix` are
-    fixed, at 0 or at the limit nearest to it; `UsageError` if a pattern names none.
+    and the report says by how much it changed. Joints whose names match the patterns `fix` are
+    fixed, at 0 or at the limit nearest to it; `UsageError` if a pattern matches none.
     """
     path = Path(path)
     try:
@@ -97,40 +95,41 @@ def parse_urdf(
         data = _DECLARATION.sub("", data).encode()
     report = Report()
     root, text = _parse_xml(data, source, report)
-    check = Check(source, report)
-    _drop_namespace(check, root)
+    checker = Checker(source, report)
+    _drop_namespace(checker, root)
     if root.tag == "robot" and not root.get("name", "").strip():
         root.set("name", Path(source).stem)
         report.add("assumed", "the robot's name, for it has none", root.get("name"))
-        check.rewritten = True
+        checker.rewritten = True
     compiler = root.find("mujoco/compiler")
     mesh_folder = None if compiler is None else compiler.get("meshdir")
-    check_elements(check, root)
-    check_topology(check, root)
-    _fix_joints(check, root, fix)
-    check_mimic(check, root.findall("joint"))
-    _drop_ground(check, root)
-    if check.rewritten:
+    checker.check_root(root)
+    check_topology(checker, root)
+    _fix_joints(checker, root, fix)
+    check_mimic(checker, root.findall("joint"))
+    _drop_ground(checker, root)
+    if checker.rewritten:
         text = etree.tostring(root, encoding="unicode")
     armature = {
         joint.get("name"): float(dynamics.get("armature"))
         for joint in root.iterfind("joint")
         if (dynamics := joint.find("dynamics")) is not None and dynamics.get("armature")
     }
+    resolutions = read_resolutions(root)
     urdf = Urdf(source, folder, text, _load_robot(root), armature, report, mesh_folder)
-    check_bodies(urdf.tree, resolutions(root), source, repair_inertia, report)
+    check_bodies(urdf.tree, resolutions, repair_inertia, report)
     return urdf
 
 
 def turn_root(urdf: Urdf, turn: np.ndarray, reasons: str) -> Urdf:
-    """Return the robot on a new root link, on which the old one stands turned by `turn` (3, 3).
+    """Put the robot on a new root link, on which the old one stands turned by `turn` (3, 3).
 
     Its text has that link as well, so that whoever reads it again meets the same frames. `reasons`
     are for the report.
     """
     root = urdf.tree.root
     names = {*urdf.tree.links, *(joint.name for joint in urdf.robot.joints)}
-    link, joint = (find_free_name(f"{root}_{end}", names) for end in ("ahead", "ahead_joint"))
+    link, joint = (make_unique(f"{root}_{end}", names) for end in ("ahead", "ahead_joint"))
     rpy = euler_from_matrix(turn)
     end = list(re.finditer(r"</(\w+:)?robot\s*>", urdf.text))[-1]
     prefix = end[1] or ""
@@ -144,8 +143,8 @@ def turn_root(urdf: Urdf, turn: np.ndarray, reasons: str) -> Urdf:
 """
     ahead, _, up = (name_axis(row) for row in turn)
     report = deepcopy(urdf.report)
-    what = f"{ahead} is ahead and {up} up, by {reasons}, so '{link}' is the new root"
-    report.add("assumed", what, root)
+    note = f"{ahead} is ahead and {up} up, by {reasons}, so '{link}' is the new root"
+    report.add("assumed", note, root)
     fixed = yourdfpy.Joint(joint, "fixed", link, root, origin=compose_matrix(angles=rpy))
     robot = replace(
         urdf.robot,
@@ -157,29 +156,30 @@ def turn_root(urdf: Urdf, turn: np.ndarray, reasons: str) -> Urdf:
 
 
 def release_from_world(urdf: Urdf) -> Urdf:
-    """Return `urdf` without the link `world`, where all that this does is to hold one other link.
+    """Remove a link `world` that only holds one other link by a fixed joint.
 
     So a file places the robot in a simulator. An arm is to stay there; a quadruped is to float.
     """
-    held = urdf.tree.joints_below.get("world", ())
-    if urdf.tree.root != "world" or [joint.type for joint in held] != ["fixed"]:
+    below = urdf.tree.joints_below.get("world", ())
+    if urdf.tree.root != "world" or [joint.type for joint in below] != ["fixed"]:
         return urdf
+    (holder,) = below
     root = etree.fromstring(_DECLARATION.sub("", urdf.text).encode())
     for element in (*root.findall("link"), *root.findall("joint")):
-        if (element.tag, element.get("name")) in (("link", "world"), ("joint", held[0].name)):
+        if (element.tag, element.get("name")) in (("link", "world"), ("joint", holder.name)):
             root.remove(element)
     robot = replace(
         urdf.robot,
         links=[link for link in urdf.robot.links if link.name != "world"],
-        joints=[joint for joint in urdf.robot.joints if joint.name != held[0].name],
+        joints=[joint for joint in urdf.robot.joints if joint.name != holder.name],
     )
     report = deepcopy(urdf.report)
-    report.add("dropped", "the link 'world' and the joint that holds the robot there", held[0].name)
+    report.add("dropped", "the link 'world' and the joint that holds the robot there", holder.name)
     return replace(urdf, robot=robot, text=etree.tostring(root, encoding="unicode"), report=report)
 
 
 def _load_robot(root: etree._Element) -> yourdfpy.Robot:
-    """Return the robot of a checked document, which is changed to what yourdfpy can read."""
+    """Load the robot of a checked document, which is changed to what yourdfpy can read."""
     for limit in root.iter("limit"):
         for name in ("effort", "velocity"):
             limit.set(name, limit.get(name, "inf"))
@@ -201,7 +201,7 @@ def _load_robot(root: etree._Element) -> yourdfpy.Robot:
     return robot
 
 
-def _drop_namespace(check: Check, root: etree._Element) -> None:
+def _drop_namespace(checker: Checker, root: etree._Element) -> None:
     """Take a robot's own namespace off its elements; those of other namespaces stay."""
     name = etree.QName(root)
     if not name.namespace or name.localname != "robot":
@@ -209,26 +209,26 @@ def _drop_namespace(check: Check, root: etree._Element) -> None:
     for element in root.iter(f"{{{name.namespace}}}*"):
         element.tag = etree.QName(element).localname
     etree.cleanup_namespaces(root)
-    check.report.add("dropped", "the namespace", name.namespace)
-    check.rewritten = True
+    checker.report.add("dropped", "the namespace", name.namespace)
+    checker.rewritten = True
 
 
-def _fix_joints(check: Check, root: etree._Element, patterns: tuple[str, ...]) -> None:
-    """Make the joints that `patterns` name fixed ones, at 0 or at the limit nearest to it."""
+def _fix_joints(checker: Checker, root: etree._Element, patterns: tuple[str, ...]) -> None:
+    """Make the joints that match `patterns` fixed ones, at 0 or at the limit nearest to it."""
     joints = {joint.get("name"): joint for joint in root.findall("joint")}
     for pattern in patterns:
         names = [name for name in joints if fnmatchcase(name, pattern)]
         if not names:
-            known = ", ".join(n for n, joint in joints.items() if joint.get("type") != "fixed")
-            raise UsageError(f"--robot.fix {pattern}: names no joint; there are {known or 'none'}")
+            moving = ", ".join(n for n, joint in joints.items() if joint.get("type") != "fixed")
+            raise UsageError(f"--robot.fix {pattern}: names no joint; there are {moving or 'none'}")
         for name in names:
             if joints[name].get("type") != "fixed":
-                position = _hold(joints[name])
-                check.report.add("assumed", f"fixed at {position:g}, as a flag says", name)
-                check.rewritten = True
+                position = _fix_joint(joints[name])
+                checker.report.add("assumed", f"fixed at {position:g}, as a flag says", name)
+                checker.rewritten = True
 
 
-def _hold(joint: etree._Element) -> float:
+def _fix_joint(joint: etree._Element) -> float:
     """Make a joint a fixed one, and return its position, rad or m."""
     limit, axis, origin = (joint.find(tag) for tag in ("limit", "axis", "origin"))
     kind = joint.get("type")
@@ -240,18 +240,18 @@ def _hold(joint: etree._Element) -> float:
         if origin is None:
             origin = etree.SubElement(joint, "origin")
         words = "1 0 0" if axis is None else axis.get("xyz")
-        along = unit(np.array(words.split(), float))
+        along = normalize(np.array(words.split(), float))
         place, (roll, pitch, yaw) = (
             np.array(origin.get(name, "0 0 0").split(), float) for name in ("xyz", "rpy")
         )
         x, y, z = np.eye(3)
-        turn = rotation(z, yaw) @ rotation(y, pitch) @ rotation(x, roll)
+        turn = make_rotation(z, yaw) @ make_rotation(y, pitch) @ make_rotation(x, roll)
         if kind == "prismatic":
             place = place + position * turn[:3, :3] @ along
         else:
-            turn = turn @ rotation(along, position)
-        origin.set("xyz", as_words(place))
-        origin.set("rpy", as_words(to_roll_pitch_yaw(turn[:3, :3])))
+            turn = turn @ make_rotation(along, position)
+        origin.set("xyz", write_numbers(place))
+        origin.set("rpy", write_numbers(to_roll_pitch_yaw(turn[:3, :3])))
     joint.set("type", "fixed")
     for tag in ("axis", "limit", "dynamics", "mimic"):
         for element in joint.findall(tag):
@@ -259,7 +259,7 @@ def _hold(joint: etree._Element) -> float:
     return position
 
 
-def _drop_ground(check: Check, root: etree._Element) -> None:
+def _drop_ground(checker: Checker, root: etree._Element) -> None:
     """Remove a root link that only a floating joint leads from: it is the ground's frame.
 
     It has no mass and nothing that could touch, at most a mark to be seen. What floats on it is
@@ -273,14 +273,15 @@ def _drop_ground(check: Check, root: etree._Element) -> None:
     is_frame = ground.find("collision") is None and (mass is None or float(mass.get("value")) == 0)
     if not is_frame or [joint.get("type") for joint in below] != ["floating"]:
         return
-    check.report.add("dropped", "the ground's link and its floating joint", ground.get("name"))
+    note = "the ground's link and its floating joint"
+    checker.report.add("dropped", note, ground.get("name"))
     for element in (ground, *below):
         root.remove(element)
-    check.rewritten = True
+    checker.rewritten = True
 
 
 def _parse_xml(data: bytes, source: str, report: Report) -> tuple[etree._Element, str]:
-    """The root element and the text; `UrdfError` for what is not plain, complete XML."""
+    """Return the root element and the text; raise `UrdfError` unless it is plain, complete XML."""
     if not data.strip():
         raise UrdfError(f"{source}: is empty; expected a URDF <robot>")
     if len(data) > MAX_BYTES:
@@ -309,7 +310,7 @@ def _parse_xml(data: bytes, source: str, report: Report) -> tuple[etree._Element
     except (etree.XMLSyntaxError, ValueError, LookupError) as error:
         reason = " ".join(str(error).replace("(<string>, ", "(").split())
         if "prefix xacro" in reason:
-            raise not_expanded(source) from None
+            raise make_xacro_error(source) from None
         raise UrdfError(f"{source}: is not well-formed XML: {reason}; expected a URDF") from None
     if info.doctype:
         raise UrdfError(f"{source}: has a DOCTYPE; expected a URDF without one (no entities)")

@@ -9,7 +9,7 @@ from quadwalk.learn.flags import parse_config
 from quadwalk.learn.prepare import new_run
 from quadwalk.paths import ALIENGO_URDF
 from quadwalk.robot.load import load_robot
-from quadwalk.robot.urdf import UrdfError
+from quadwalk.robot.report import UrdfError
 from quadwalk.runs.directory import Run
 from quadwalk.runs.resume import compare_robot, restore_config
 from quadwalk.settings.serialize import to_dict

@@ -12,9 +12,10 @@ from scipy.spatial.transform import Rotation
 from quadwalk.errors import UsageError
 from quadwalk.robot.mjcf import Options, convert
 from quadwalk.robot.quadruped import make_quadruped
+from quadwalk.robot.report import UrdfError
 from quadwalk.robot.scene import find_lowest_point
 from quadwalk.robot.structure.tree import to_roll_pitch_yaw
-from quadwalk.robot.urdf import UrdfError, parse_urdf, read_urdf
+from quadwalk.robot.urdf import parse_urdf, read_urdf
 from tests.robot import robots
 from tests.robot.robots import LIMIT, ball_calf, check_dynamics, inertial, joint, link, shape
 
@@ -229,7 +230,7 @@ def test_xacro_is_to_be_expanded(text):
 def test_blank_space_may_stand_before_the_declaration(blank):
     text = f'{blank}<?xml version="1.0"?>\n{ARM}'
     urdf = parse_urdf(text.encode())
-    assert any("XML declaration" in line for line in urdf.report.lines())
+    assert any("XML declaration" in line for line in urdf.report.to_lines())
     assert pinocchio.buildModelFromXML(text).nv == 1
     line = text.replace("\r\n", "\n").count("\n") + 1
     with pytest.raises(UrdfError, match=f"line {line}: link 'a'"):
@@ -255,7 +256,7 @@ def test_a_limit_that_is_left_out_is_0_as_in_pinocchio(limit, kind):
         assert not model.joint("j").limited
     else:
         np.testing.assert_array_equal(model.joint("j").range, expected)
-    assert any("limits of 0" in line for line in urdf.report.lines())
+    assert any("limits of 0" in line for line in urdf.report.to_lines())
 
 
 def test_a_lower_limit_above_0_needs_an_upper_one():
@@ -281,7 +282,7 @@ def test_colors_are_brought_into_range(rgba, expected):
         model = convert(urdf).spec.compile()
         np.testing.assert_allclose(model.mat("paint").rgba, expected, atol=1e-6)
         changed = rgba != " ".join(map(str, expected))
-        assert any("colors of" in line for line in urdf.report.lines()) == changed
+        assert any("colors of" in line for line in urdf.report.to_lines()) == changed
 
 
 @pytest.mark.parametrize("missing", ['effort="20"', 'velocity="10"', 'effort="20" velocity="10"'])
@@ -385,7 +386,7 @@ def test_a_joint_whose_limits_leave_out_0_is_fixed_at_the_nearest(kind, limits, 
     model = convert(parse_urdf(text)).spec.compile()
     data = robots.make_data(model, np.array([0, 0, 0, 1, 0, 0, 0, position]))
     fixed = parse_urdf(text, fix=("j",))
-    assert f"fixed at {position:g}, as a flag says: j" in "\n".join(fixed.report.lines())
+    assert f"fixed at {position:g}, as a flag says: j" in "\n".join(fixed.report.to_lines())
     placement = fixed.tree.placement["b"]
     np.testing.assert_allclose(placement[:3, 3], data.body("b").xpos, atol=1e-12)
     np.testing.assert_allclose(placement[:3, :3].ravel(), data.body("b").xmat, atol=1e-12)
@@ -414,7 +415,7 @@ def sizes(text: str, folder, *mesh_folders) -> tuple[list[float], str]:
     model = conversion.spec.compile()
     vertices = model.mesh_vert.astype(float)
     sides = np.sort(np.ptp(vertices, axis=0)).round(5).tolist() if model.nmesh else []
-    return sides, "\n".join(conversion.report.lines())
+    return sides, "\n".join(conversion.report.to_lines())
 
 
 @pytest.mark.parametrize(

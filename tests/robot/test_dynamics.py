@@ -15,7 +15,7 @@ from tests.robot.robots import check_dynamics, inertial, joint, link, robot
 
 def check(file: Path) -> None:
     urdf = read_urdf(file)
-    legs = find_legs(urdf.tree, urdf.source)
+    legs = find_legs(urdf.tree)
     spec = convert(urdf, legs).spec
     check_dynamics(urdf, spec, {f"position of {leg.foot_name}" for leg in legs})
 
@@ -89,6 +89,6 @@ def test_a_floating_joint_from_the_ground_is_the_floating_base():
     text = ALIENGO_URDF.read_text()
     base = joint("base", "world", parse_urdf(text).tree.root, kind="floating", extra="")
     urdf = parse_urdf(text.replace("</robot>", link("world") + base + "</robot>"))
-    expected = write_xml(convert(parse_urdf(text), find_legs(parse_urdf(text).tree, "")).spec)
-    assert write_xml(convert(urdf, find_legs(urdf.tree, "")).spec) == expected
-    assert "dropped: the ground's link and its floating joint: world" in urdf.report.lines()
+    expected = write_xml(convert(parse_urdf(text), find_legs(parse_urdf(text).tree)).spec)
+    assert write_xml(convert(urdf, find_legs(urdf.tree)).spec) == expected
+    assert "dropped: the ground's link and its floating joint: world" in urdf.report.to_lines()

@@ -9,11 +9,11 @@ import pinocchio
 import pytest
 from scipy.spatial.transform import Rotation
 
-from quadwalk.robot.checks.validate import UrdfError
 from quadwalk.robot.cli import main
 from quadwalk.robot.mirror import RobotMirror, find_robot_mirror
 from quadwalk.robot.mjcf import Options, convert, write_xml
 from quadwalk.robot.quadruped import Quadruped, find_quadruped, make_quadruped
+from quadwalk.robot.report import UrdfError
 from quadwalk.robot.structure.facing import read_names
 from quadwalk.robot.structure.legs import find_chains
 from quadwalk.robot.urdf import parse_urdf
@@ -140,7 +140,7 @@ def test_the_text_of_a_turned_robot_is_read_as_the_same_robot(turn):
 def test_the_turned_root_has_a_name_of_its_own():
     text = Walker(rpy=TURNS["y ahead"]).text().replace("FR_hip_joint", "trunk_ahead_joint")
     quadruped = make_quadruped(parse_urdf(text.replace('"FL_hip"', '"trunk_ahead"')))
-    assert quadruped.trunk == "trunk_ahead_"
+    assert quadruped.trunk == "trunk_ahead_2"
     assert quadruped.joints[0] == "trunk_ahead_joint"
 
 
@@ -182,13 +182,13 @@ def test_what_contradicts_itself_or_is_unclear_is_refused(walker, reason):
 )
 def test_names_of_corners(names):
     urdf = parse_urdf(Walker(names=names).text())
-    assert read_names(find_chains(urdf.tree, "")) == ["FR", "FL", "RR", "RL"]
+    assert read_names(find_chains(urdf.tree)) == ["FR", "FL", "RR", "RL"]
 
 
 @pytest.mark.parametrize("names", [UNNAMED, ("FR", "FL", "RR", "leg4"), ("FR", "FL", "RR", "FLRR")])
 def test_names_that_say_no_corner(names):
     urdf = parse_urdf(Walker(names=names).text())
-    assert read_names(find_chains(urdf.tree, "")) == []
+    assert read_names(find_chains(urdf.tree)) == []
 
 
 def test_the_command_shows_joints_and_signs(tmp_path, capsys):

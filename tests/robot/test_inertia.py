@@ -6,9 +6,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from quadwalk.paths import ALIENGO_URDF
-from quadwalk.robot.inertia import Inertia, compose, nearest_valid, principal, printable
+from quadwalk.robot.inertia import (
+    Inertia,
+    compose,
+    find_nearest_valid,
+    find_principal,
+    round_moments,
+)
 from quadwalk.robot.mjcf import convert
-from quadwalk.robot.urdf import UrdfError, parse_urdf
+from quadwalk.robot.report import UrdfError
+from quadwalk.robot.urdf import parse_urdf
 from tests.robot.robots import check_dynamics, inertial, joint, link, robot
 
 MOMENTS = st.tuples(*[st.floats(-1, 3)] * 3).map(np.array)
@@ -24,7 +31,7 @@ def is_valid(tensor: np.ndarray) -> bool:
 def test_repair_gives_a_valid_inertia_and_none_is_nearer(moments, angles, other):
     turn, _ = np.linalg.qr(np.outer(angles, [1, 2, 3]) + np.diag([3.0, 2, 1]))
     tensor = turn @ np.diag(moments) @ turn.T
-    valid = nearest_valid(1.0, tensor)
+    valid = find_nearest_valid(1.0, tensor)
     assert is_valid(valid)
     # Any valid inertia of the same axes, at least as thick, is at least as far away.
     second = np.abs(other) + 1e-6
@@ -35,16 +42,16 @@ def test_repair_gives_a_valid_inertia_and_none_is_nearer(moments, angles, other)
 
 def test_repair_by_hand_and_of_what_needs_none():
     valid = np.array([[3, 0.1, 0.2], [0.1, 4, 0.3], [0.2, 0.3, 5]])
-    np.testing.assert_allclose(nearest_valid(1.0, valid), valid, atol=1e-12)
+    np.testing.assert_allclose(find_nearest_valid(1.0, valid), valid, atol=1e-12)
     # The excess of 3 is shared, a third to each moment; THINNEST adds a trace of 1e-6.
-    repaired = nearest_valid(1.0, np.diag([1.0, 1, 5]))
+    repaired = find_nearest_valid(1.0, np.diag([1.0, 1, 5]))
     np.testing.assert_allclose(repaired, np.diag([2.0, 2, 4]), atol=3e-6)
 
 
 def test_repair_is_asked_for_and_reported():
     broken = ALIENGO_URDF.read_text().replace('ixx="0.051944892"', 'ixx="0.5519"')
     urdf = parse_urdf(broken, repair_inertia=True)
-    (line,) = urdf.report.lines()
+    (line,) = urdf.report.to_lines()
     assert line.startswith("repaired: inertia of 'trunk', principal moments (0.2469, 0.2709, 0.5")
     trunk = next(link for link in urdf.robot.links if link.name == "trunk")
     assert is_valid(trunk.inertial.inertia)
@@ -64,8 +71,8 @@ def test_two_balls_on_a_rod_by_hand():
 @given(st.floats(1e-6, 1), st.floats(1e-6, 1))
 def test_a_plate_survives_six_digits(a, b):
     # The largest moment of a flat body is the sum of the others: rounding must not break that.
-    moments, _ = principal(np.diag([a, b, a + b]))
-    first, second, third = printable(moments)
+    moments, _ = find_principal(np.diag([a, b, a + b]))
+    first, second, third = round_moments(moments)
     assert first <= second + third
     assert first == pytest.approx(a + b, rel=2e-5)
 
@@ -82,7 +89,7 @@ def moving(moments: str, mass: str = "1", more: str = "") -> str:
 )
 def test_what_digits_explain_is_mended_and_reported(moments):
     urdf = parse_urdf(moving(moments))
-    lines = [line for line in urdf.report.lines() if line.startswith("repaired: ")]
+    lines = [line for line in urdf.report.to_lines() if line.startswith("repaired: ")]
     assert lines
     assert all("a change by" in line for line in lines)
     model = convert(urdf).spec.compile()
@@ -111,7 +118,7 @@ def test_a_frame_of_next_to_no_mass_is_as_the_file_has_it():
     )  # fmt: skip
     urdf = parse_urdf(text)
     check_dynamics(urdf, convert(urdf).spec, states=10)
-    assert "next to nothing in 'base', as it is: base (" in "\n".join(urdf.report.lines())
+    assert "next to nothing in 'base', as it is: base (" in "\n".join(urdf.report.to_lines())
     heavy = text.replace('"1e-6"', '"0.01"')
     with pytest.raises(UrdfError, match="link 'base': <inertia> has principal moments"):
         parse_urdf(heavy)
@@ -130,4 +137,4 @@ def test_what_moves_without_mass_is_given_some_when_asked():
         parse_urdf(text)
     urdf = parse_urdf(text, repair_inertia=True)
     assert convert(urdf).spec.compile().body("a").mass == pytest.approx(1e-6)
-    assert "repaired: a mass of 1e-06 kg for what moves without any: a" in urdf.report.lines()
+    assert "repaired: a mass of 1e-06 kg for what moves without any: a" in urdf.report.to_lines()

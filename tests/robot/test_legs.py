@@ -9,9 +9,9 @@ import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
 
-from quadwalk.robot.checks.validate import UrdfError
 from quadwalk.robot.mjcf import Options
 from quadwalk.robot.quadruped import Quadruped, make_quadruped
+from quadwalk.robot.report import UrdfError
 from quadwalk.robot.scene import find_lowest_point
 from quadwalk.robot.urdf import parse_urdf
 from tests.robot import robots

@@ -9,7 +9,8 @@ import trimesh
 
 from quadwalk.robot.meshes import find_mesh, load_mesh
 from quadwalk.robot.mjcf import Options, convert, write_xml
-from quadwalk.robot.urdf import UrdfError, parse_urdf, read_urdf
+from quadwalk.robot.report import UrdfError
+from quadwalk.robot.urdf import parse_urdf, read_urdf
 from tests.robot import robots
 from tests.robot.robots import inertial, link, make_data, shape
 
@@ -154,7 +155,9 @@ def test_a_missing_visual_is_shown_by_its_collision_shape(package):
     conversion = convert(read_urdf(file))
     model = conversion.spec.compile()
     assert sorted(model.geom_group[1:]) == [2, 3]
-    assert any("not found: package://other/none.dae" in line for line in conversion.report.lines())
+    assert any(
+        "not found: package://other/none.dae" in line for line in conversion.report.to_lines()
+    )
 
 
 SQUARE = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
@@ -184,7 +187,7 @@ def test_a_mesh_that_is_missing_broken_or_flat_is_left_out(package, name, data, 
         (package / name).write_text(data)
     conversion = convert(parse_urdf(robot(collision=name), "r.urdf", package))
     assert conversion.spec.compile().ngeom == 1  # the floor
-    (line,) = [line for line in conversion.report.lines() if line.startswith("dropped")]
+    (line,) = [line for line in conversion.report.to_lines() if line.startswith("dropped")]
     assert line.startswith(f"dropped: {says}")
 
 
@@ -192,7 +195,7 @@ def test_meshes_can_be_left_out(package):
     urdf = parse_urdf(robot(collision="none.stl"), "r.urdf", package)
     conversion = convert(urdf, options=Options(meshes=False))
     assert conversion.spec.compile().ngeom == 1
-    assert "dropped: collision meshes: none.stl" in conversion.report.lines()
+    assert "dropped: collision meshes: none.stl" in conversion.report.to_lines()
 
 
 def test_a_name_that_leaves_the_folders_stops_the_conversion(package):

@@ -17,8 +17,9 @@ from hypothesis import strategies as st
 from benchmarks.pinocchio_oracle import Pinocchio
 from quadwalk.paths import ALIENGO_URDF
 from quadwalk.robot.mjcf import convert, write_xml
+from quadwalk.robot.report import UrdfError
 from quadwalk.robot.structure.legs import LEGS, find_legs
-from quadwalk.robot.urdf import Urdf, UrdfError, parse_urdf
+from quadwalk.robot.urdf import Urdf, parse_urdf
 
 
 def without_visuals(text: str) -> str:
@@ -115,7 +116,7 @@ def load(text: str | bytes):
     try:
         urdf = parse_urdf(text, "robot.urdf")
         try:
-            legs = find_legs(urdf.tree, urdf.source)
+            legs = find_legs(urdf.tree)
         except UrdfError:
             legs = ()
         return urdf, convert(urdf, legs).spec

@@ -9,8 +9,9 @@ import pytest
 from quadwalk.paths import ALIENGO_URDF
 from quadwalk.robot.mjcf import Options
 from quadwalk.robot.quadruped import Quadruped, load_quadruped, make_quadruped
+from quadwalk.robot.report import UrdfError
 from quadwalk.robot.scene import find_lowest_point
-from quadwalk.robot.urdf import UrdfError, parse_urdf
+from quadwalk.robot.urdf import parse_urdf
 from tests.robot import zoo
 from tests.robot.robots import make_data, simulate_standing
 

@@ -9,8 +9,9 @@ import pytest
 
 from quadwalk.paths import ALIENGO_URDF
 from quadwalk.robot.mjcf import Options, convert
+from quadwalk.robot.report import UrdfError
 from quadwalk.robot.structure.legs import find_legs
-from quadwalk.robot.urdf import UrdfError, parse_urdf, read_urdf
+from quadwalk.robot.urdf import parse_urdf, read_urdf
 from tests.robot.robots import inertial, joint, link, robot
 
 TEXT = ALIENGO_URDF.read_text()
@@ -28,7 +29,7 @@ def changed(old: str, new: str) -> str:
 def load(text: str | bytes) -> mujoco.MjSpec:
     """All that stands between a text and a model: reading, checking, converting."""
     urdf = parse_urdf(text, "robot.urdf")
-    return convert(urdf, find_legs(urdf.tree, urdf.source)).spec
+    return convert(urdf, find_legs(urdf.tree)).spec
 
 
 EXTRA_LINK = link("extra") + "</robot>"
@@ -177,7 +178,7 @@ def test_as_many_links_and_joints_as_are_allowed_convert():
 
 def test_pybullets_xml_version_is_taken_for_1_0():
     urdf = parse_urdf(changed('version="1.0"', 'version="0.0"').encode())
-    assert urdf.report.lines() == ["assumed: XML 1.0, for the file says 0.0"]
+    assert urdf.report.to_lines() == ["assumed: XML 1.0, for the file says 0.0"]
     with pytest.raises(UrdfError, match="not well-formed"):
         parse_urdf(changed('version="1.0"', 'version="7"').encode())
 

@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import pytest
 
-from quadwalk.robot.checks.validate import UrdfError
 from quadwalk.robot.cli import main
 from quadwalk.robot.quadruped import make_quadruped
+from quadwalk.robot.report import UrdfError
 from quadwalk.robot.urdf import parse_urdf
 from tests.robot.robots import Walker
 

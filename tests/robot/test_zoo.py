@@ -6,7 +6,8 @@ import pytest
 from benchmarks.pinocchio_oracle import Pinocchio
 from quadwalk.robot.mjcf import Options, convert, write_xml
 from quadwalk.robot.quadruped import find_quadruped, load_quadruped
-from quadwalk.robot.urdf import UrdfError, read_urdf
+from quadwalk.robot.report import UrdfError
+from quadwalk.robot.urdf import read_urdf
 from tests.robot import zoo
 from tests.robot.robots import check_dynamics, check_stands, make_data, measure_knees
 

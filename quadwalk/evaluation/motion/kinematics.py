@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from quadwalk.robot.quadruped import Quadruped
-from quadwalk.robot.structure.tree import build_tree, to_matrix
+from quadwalk.robot.structure.tree import to_matrix
 from quadwalk.robot.urdf import parse_urdf
 
 
@@ -59,7 +59,7 @@ class LinkFrames:
 @lru_cache(maxsize=1)  # an evaluation asks for one robot's with every recording
 def link_frames(quadruped: Quadruped) -> LinkFrames:
     """The frames of a quadruped's URDF; no joint but those of the legs moves, and these turn."""
-    tree = build_tree(parse_urdf(quadruped.urdf, repair_inertia=True).robot)
+    tree = parse_urdf(quadruped.urdf, repair_inertia=True).tree
     joints: list[yourdfpy.Joint] = []
     pending = [tree.root]
     while pending:

@@ -9,8 +9,7 @@ import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from quadwalk.robot.elements import COLLISION
-from quadwalk.robot.structure.tree import build_tree
+from quadwalk.robot.shapes import COLLISION_GROUP
 from quadwalk.robot.urdf import parse_urdf
 
 _COLOR = "0.6 0.62 0.66 1"
@@ -35,7 +34,7 @@ def _replace_meshes(
     links: dict[str | None, lxml.etree._Element], urdf: str, model: mujoco.MjModel
 ) -> None:
     """Draw all links of a body as its shapes in `model` where one of them has a mesh."""
-    tree = build_tree(parse_urdf(urdf, repair_inertia=True).robot)
+    tree = parse_urdf(urdf, repair_inertia=True).tree
     for body, parts in tree.parts.items():
         if all(links[part].find(".//mesh") is None for part in parts):
             continue
@@ -45,7 +44,7 @@ def _replace_meshes(
         # A link without mass is no body, and has no shapes that count.
         index = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, body)
         geoms = np.flatnonzero(model.geom_bodyid == index)
-        colliding = geoms[model.geom_group[geoms] == COLLISION]
+        colliding = geoms[model.geom_group[geoms] == COLLISION_GROUP]
         for geom in colliding if len(colliding) else geoms:
             links[body].append(_make_visual(model, int(geom)))
 

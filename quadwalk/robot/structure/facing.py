@@ -10,11 +10,11 @@ from itertools import pairwise, product
 
 import numpy as np
 
-from quadwalk.robot.checks.validate import UrdfError
 from quadwalk.robot.meshes import Meshes
+from quadwalk.robot.report import UrdfError
 from quadwalk.robot.structure.feet import find_foot
 from quadwalk.robot.structure.legs import LEGS, Chain, find_chains, name_corners
-from quadwalk.robot.structure.tree import Tree, joint_range, name_axis, rotation, unit
+from quadwalk.robot.structure.tree import Tree, get_range, make_rotation, name_axis, normalize
 
 # A direction counts as along an axis of the root link up to this angle.
 MOST_SKEW = np.radians(25)
@@ -33,7 +33,7 @@ _WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+")
 
 
 class _Evidence:
-    """What a quadruped's geometry and names say about its front, in the root link's frame."""
+    """Signs of a quadruped's front in its geometry and names, in the root link's frame."""
 
     def __init__(self, tree: Tree, chains: list[Chain], meshes: Meshes | None) -> None:
         poses = [_Pose(tree, chain, meshes) for chain in chains]
@@ -50,31 +50,31 @@ class _Evidence:
         self.knees = np.mean([pose.find_knee(self.vertical * (self.up or 1)) for pose in poses], 0)
 
     def fits_thighs(self, turn: np.ndarray) -> bool:
-        """Return whether the thighs turn about y after `turn` (3, 3)."""
+        """Return True if the thighs turn about y after `turn` (3, 3)."""
         return self.lateral is None or abs(turn[1] @ self.lateral) > np.cos(MOST_SKEW)
 
     def fits_feet(self, turn: np.ndarray) -> bool:
-        """Return whether the feet are below the thighs after `turn` (3, 3)."""
+        """Return True if the feet are below the thighs after `turn` (3, 3)."""
         return self.up == 0 or bool(turn[2] @ self.vertical * self.up > 0)
 
     def fits_names(self, turn: np.ndarray) -> bool:
-        """Return whether the legs are where their names say after `turn` (3, 3)."""
+        """Return True if the legs are where their names say after `turn` (3, 3)."""
         return self.names == name_corners(self.hips @ turn.T)
 
     def fits_knees(self, turn: np.ndarray) -> bool:
-        """Return whether the knees point backward after `turn` (3, 3)."""
+        """Return True if the knees point backward after `turn` (3, 3)."""
         return bool(turn[0] @ self.knees < -CLEAR_KNEES)
 
     def describe(self) -> str:
-        """Return what the legs' geometry says, as text."""
-        said = []
+        """Describe the legs' geometry in one line."""
+        signs = []
         if self.lateral is not None:
-            said.append(f"thighs turn about {name_axis(self.lateral)[1:]}")
+            signs.append(f"thighs turn about {name_axis(self.lateral)[1:]}")
         if self.up:
-            said.append(f"feet lie toward {name_axis(-self.up * self.vertical)}")
+            signs.append(f"feet lie toward {name_axis(-self.up * self.vertical)}")
         if np.linalg.norm(self.knees) > CLEAR_KNEES:
-            said.append(f"knees point to {name_axis(self.knees)}")
-        return ", ".join(said)
+            signs.append(f"knees point to {name_axis(self.knees)}")
+        return ", ".join(signs)
 
 
 class _Pose:
@@ -86,10 +86,11 @@ class _Pose:
         frame = np.eye(4)
         anchors, self.axes = [], []
         for joint in chain:
-            frame = frame @ tree.frame_of(joint)
+            frame = frame @ tree.compute_frame(joint)
             anchors.append(frame[:3, 3])
-            self.axes.append(frame[:3, :3] @ unit(joint.axis))
-            frame = frame @ rotation(unit(joint.axis), float(np.clip(0, *joint_range(joint))))
+            axis, angle = normalize(joint.axis), float(np.clip(0, *get_range(joint)))
+            self.axes.append(frame[:3, :3] @ axis)
+            frame = frame @ make_rotation(axis, angle)
         self.hip, self.thigh, knee = anchors
         self._upper, self._lower = knee - self.thigh, frame[:3, :3] @ center
         length = np.linalg.norm(self._upper) + np.linalg.norm(self._lower)
@@ -98,7 +99,7 @@ class _Pose:
 
     def find_knee(self, up: np.ndarray) -> np.ndarray:
         """Return the direction (3,) of a standing leg's knee; 0 if it may bend either way."""
-        axis, low_high = self.axes[2], np.array(joint_range(self._calf))
+        axis, low_high = self.axes[2], np.array(get_range(self._calf))
         upper, lower = (v - axis * (axis @ v) for v in (self._upper, self._lower))
         bend = np.arctan2(axis @ np.cross(upper, lower), upper @ lower)
         low, high = bend + low_high - np.clip(0, *low_high)
@@ -109,26 +110,27 @@ class _Pose:
         return np.sign(forth - back) * np.cross(axis, up)
 
 
-def find_turn(tree: Tree, source: str, meshes: Meshes | None = None) -> tuple[np.ndarray, str]:
+def find_turn(tree: Tree, meshes: Meshes | None = None) -> tuple[np.ndarray, str]:
     """Return the turn (3, 3) from the root link's frame to x ahead, y left, z up, and the reasons.
 
     It is the identity unless evidence speaks against that. Raise `UrdfError` where the evidence
     contradicts itself, or calls for a turn without telling front from rear.
     """
-    chains = find_chains(tree, source)
+    chains = find_chains(tree)
     evidence = _Evidence(tree, chains, meshes)
     turns = _list_turns(evidence)
     upright = np.eye(3)
     thighs = [turn for turn in turns if evidence.fits_thighs(turn)]
     if not thighs or np.abs(evidence.normal).max() < np.cos(MOST_SKEW):
         raise UrdfError(
-            f"{source}: link '{tree.root}' stands askew, by more than {np.degrees(MOST_SKEW):.0f} "
-            "degrees, to the axes of the thighs or to the plane of their joints; expected x ahead"
+            f"{tree.source}: link '{tree.root}' stands askew, by more than "
+            f"{np.degrees(MOST_SKEW):.0f} degrees, to the axes of the thighs or to the plane of "
+            "their joints; expected x ahead"
         )
     if not any(sorted(name_corners(evidence.hips @ turn.T)) == sorted(LEGS) for turn in turns):
         return upright, ""  # `find_legs` says that the hips are at no corners
     if evidence.names:
-        return _choose_by_names(evidence, thighs, chains, f"{source}: {{}} of '{tree.root}'")
+        return _choose_by_names(tree, evidence, thighs, chains)
     feet = [turn for turn in thighs if evidence.fits_feet(turn)]
     if _is_among(upright, feet):
         return upright, ""
@@ -136,16 +138,16 @@ def find_turn(tree: Tree, source: str, meshes: Meshes | None = None) -> tuple[np
     if len(chosen) == 1:
         return chosen[0], "thighs and knees"
     raise UrdfError(
-        f"{source}: link '{tree.root}' does not have x ahead and z up ({evidence.describe()}), "
-        "and neither names nor knees tell front from rear; expected names of legs such as FR, FL, "
-        "RR and RL"
+        f"{tree.source}: link '{tree.root}' does not have x ahead and z up "
+        f"({evidence.describe()}), and neither names nor knees tell front from rear; expected "
+        "names of legs such as FR, FL, RR and RL"
     )
 
 
 def _choose_by_names(
-    evidence: _Evidence, turns: list[np.ndarray], chains: list[Chain], whose: str
+    tree: Tree, evidence: _Evidence, turns: list[np.ndarray], chains: list[Chain]
 ) -> tuple[np.ndarray, str]:
-    """Return what `find_turn` does, of the `turns` that fit the thighs, where legs have names."""
+    """Choose one of the `turns` that fit the thighs, as `find_turn`, where legs have names."""
     upright = np.eye(3)
     named = [turn for turn in turns if evidence.fits_names(turn)]
     if _is_among(upright, named):
@@ -157,20 +159,21 @@ def _choose_by_names(
     )
     expected = "expected FR, FL, RR, RL with x ahead, y left, z up"
     if len(chosen) != 1:
-        what = whose.format("names and places of the legs")
-        raise UrdfError(f"{what} contradict each other: {hips}, {evidence.describe()}; {expected}")
-    if np.linalg.norm(evidence.knees) > CLEAR_KNEES and not evidence.fits_knees(chosen[0]):
-        what, ahead = whose.format("names and knees of the legs"), name_axis(chosen[0][0])
         raise UrdfError(
-            f"{what} contradict each other: {hips} face {ahead}, where knees would bend forward; "
-            f"{expected}"
+            f"{tree.source}: names and places of the legs of '{tree.root}' contradict each other: "
+            f"{hips}, {evidence.describe()}; {expected}"
+        )
+    if np.linalg.norm(evidence.knees) > CLEAR_KNEES and not evidence.fits_knees(chosen[0]):
+        raise UrdfError(
+            f"{tree.source}: names and knees of the legs of '{tree.root}' contradict each other: "
+            f"{hips} face {name_axis(chosen[0][0])}, where knees would bend forward; {expected}"
         )
     return chosen[0], "names and thighs"
 
 
 def read_names(chains: Iterable[Chain]) -> list[str]:
-    """Return FR, FL, RR or RL of each leg, by its joints' and links' names; [] if unclear."""
-    found = []
+    """Read FR, FL, RR or RL of each leg from its joints' and links' names; [] if unclear."""
+    names = []
     for chain in chains:
         corners = {
             corner
@@ -178,12 +181,12 @@ def read_names(chains: Iterable[Chain]) -> list[str]:
             for name in (joint.name, joint.child)
             for corner in _find_corners(name)
         }
-        found.append(corners.pop() if len(corners) == 1 else "")
-    return found if sorted(found) == sorted(LEGS) else []
+        names.append(corners.pop() if len(corners) == 1 else "")
+    return names if sorted(names) == sorted(LEGS) else []
 
 
 def _find_corners(name: str) -> set[str]:
-    """Return the corners that a name speaks of: FL, LF, front_left, leftHind and the like."""
+    """Return the corners in a name: FL for FL, LF, front_left, leftFront and the like."""
     corners = set()
     words = [word.lower() for word in _WORD.findall(name)]
     pairs = [*pairwise(words), *((w[0], w[1]) for w in words if len(w) == 2)]

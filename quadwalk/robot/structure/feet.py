@@ -8,7 +8,7 @@ import numpy as np
 import yourdfpy
 
 from quadwalk.robot.meshes import Meshes
-from quadwalk.robot.structure.tree import Capsule, Tree, to_matrix, unit
+from quadwalk.robot.structure.tree import Capsule, Tree, normalize, to_matrix
 
 # Share of the distance from calf joint to foot that the tip of a shape is taken from, and the
 # least and the assumed radius of a foot.
@@ -40,16 +40,17 @@ class _Shape:
 
 
 def find_foot(tree: Tree, calf: str, meshes: Meshes | None) -> Foot | None:
-    """The foot of the leg whose last moving link is `calf`; None if nothing is at its end.
+    """Return the foot of the leg whose last moving link is `calf`; None if nothing is at its end.
 
     The collision sphere farthest from the calf's joint is the foot. Without one, a sphere takes
     the place of the shape that reaches farthest: it has the shape's lowest point, along the leg,
     and its width there, in the plane the calf swings in. Else a small sphere is at the last frame.
     """
-    return _sphere(tree, calf) or _stand_in(tree, calf, meshes) or _at_frame(tree, calf)
+    return _find_sphere(tree, calf) or _fit_sphere(tree, calf, meshes) or _assume_sphere(tree, calf)
 
 
-def _sphere(tree: Tree, calf: str) -> Foot | None:
+def _find_sphere(tree: Tree, calf: str) -> Foot | None:
+    """Return the collision sphere that is farthest from the calf's joint."""
     spheres = [
         Foot(link, index, center, shape.geometry.sphere.radius)
         for link in tree.parts[calf]
@@ -63,15 +64,16 @@ def _sphere(tree: Tree, calf: str) -> Foot | None:
     return max(ends, key=lambda foot: float(np.linalg.norm(foot.center)), default=None)
 
 
-def _stand_in(tree: Tree, calf: str, meshes: Meshes | None) -> Foot | None:
-    shapes = list(_shapes(tree, calf, meshes, "collision"))
-    of_collision = bool(shapes)
-    shapes = shapes or list(_shapes(tree, calf, meshes, "visual"))
+def _fit_sphere(tree: Tree, calf: str, meshes: Meshes | None) -> Foot | None:
+    """Return a sphere in the end of the shape that reaches farthest, one seen if none collides."""
+    shapes = list(_list_shapes(tree, calf, meshes, "collision"))
+    collides = bool(shapes)
+    shapes = shapes or list(_list_shapes(tree, calf, meshes, "visual"))
     if not shapes:
         return None
     points = np.concatenate([shape.points for shape in shapes])
     distance = np.linalg.norm(points, axis=1)
-    axis = unit(tree.joint_above[calf].axis)
+    axis = normalize(tree.joint_above[calf].axis)
     along = points[distance > 0.8 * distance.max()].mean(axis=0)
     along -= axis * (axis @ along)
     if np.linalg.norm(along) < 1e-6:
@@ -79,8 +81,8 @@ def _stand_in(tree: Tree, calf: str, meshes: Meshes | None) -> Foot | None:
     along /= np.linalg.norm(along)
     across = np.cross(axis, along)
     lowest = max(shapes, key=lambda shape: float((shape.points @ along).max()))
-    own = [s for s in shapes if s.link == lowest.link] if lowest.link != calf else [lowest]
-    points = np.concatenate([shape.points for shape in own])
+    parts = [s for s in shapes if s.link == lowest.link] if lowest.link != calf else [lowest]
+    points = np.concatenate([shape.points for shape in parts])
     reach = float((points @ along).max())
     tip = points[points @ along >= (1 - TIP) * reach]
     length = np.ptp(points @ along)
@@ -88,18 +90,19 @@ def _stand_in(tree: Tree, calf: str, meshes: Meshes | None) -> Foot | None:
     center = along * (reach - radius)
     for direction in (across, axis):
         center = center + direction * ((tip @ direction).max() + (tip @ direction).min()) / 2
-    taken = of_collision and (lowest.link != calf or length < SHORT * reach)
+    replaces = collides and (lowest.link != calf or length < SHORT * reach)
     return Foot(
         link=lowest.link,
         shape=None,
         center=center,
         radius=float(radius),
-        replaced=tuple(shape.index for shape in own) if taken else (),
-        reason="in place of other shapes" if taken else "at the ends of the calves' shapes",
+        replaced=tuple(shape.index for shape in parts) if replaces else (),
+        reason="in place of other shapes" if replaces else "at the ends of the calves' shapes",
     )
 
 
-def _at_frame(tree: Tree, calf: str) -> Foot | None:
+def _assume_sphere(tree: Tree, calf: str) -> Foot | None:
+    """Return a small sphere at the frame that is farthest from the calf's joint."""
     frames = [(tree.placement[link][:3, 3], link) for link in tree.parts[calf][1:]]
     if not frames:
         return None
@@ -110,18 +113,18 @@ def _at_frame(tree: Tree, calf: str) -> Foot | None:
     return Foot(link, None, center, ASSUMED * reach, reason="at frames, for there are no shapes")
 
 
-def _shapes(tree: Tree, calf: str, meshes: Meshes | None, kind: str) -> Iterator[_Shape]:
+def _list_shapes(tree: Tree, calf: str, meshes: Meshes | None, kind: str) -> Iterator[_Shape]:
     for link in tree.parts[calf]:
         shapes = tree.links[link].collisions if kind == "collision" else tree.links[link].visuals
         for index, shape in enumerate(shapes):
-            points = _points(shape.geometry, meshes, kind)
+            points = _sample_outline(shape.geometry, meshes, kind)
             if len(points):
                 frame = tree.placement[link] @ to_matrix(shape.origin)
                 yield _Shape(link, index, points @ frame[:3, :3].T + frame[:3, 3])
 
 
-def _points(geometry: yourdfpy.Geometry, meshes: Meshes | None, kind: str) -> np.ndarray:
-    """Points (n, 3), m, on the outline of a shape, in its own frame."""
+def _sample_outline(geometry: yourdfpy.Geometry, meshes: Meshes | None, kind: str) -> np.ndarray:
+    """Return points (n, 3), m, on the outline of a shape, in its own frame."""
     if geometry.box is not None:
         return np.array(list(product((-0.5, 0.5), repeat=3))) * geometry.box.size
     if geometry.cylinder is not None:

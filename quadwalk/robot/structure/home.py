@@ -3,9 +3,9 @@
 import numpy as np
 import yourdfpy
 
-from quadwalk.robot.checks.validate import UrdfError
+from quadwalk.robot.report import UrdfError
 from quadwalk.robot.structure.legs import Leg
-from quadwalk.robot.structure.tree import Tree, joint_range, rotation, unit
+from quadwalk.robot.structure.tree import Tree, get_range, make_rotation, normalize
 
 # Distance from thigh joint to foot, standing, as a share of the stretched leg: Unitree stands its
 # robots at thigh 0.8, calf -1.6, and thighs and calves are of equal length.
@@ -14,30 +14,32 @@ STANDING_LENGTH = np.cos(0.8)
 TURNED = 0.01
 
 
-def standing_pose(tree: Tree, legs: tuple[Leg, ...], source: str) -> np.ndarray:
-    """(12,) rad: thighs level, each foot below its thigh joint, knees bent backward.
+def compute_standing_pose(tree: Tree, legs: tuple[Leg, ...]) -> np.ndarray:
+    """Return joint angles (12,), rad: thighs level, feet below their thigh joints, knees bent.
 
     The foot is `STANDING_LENGTH` of the stretched leg below the thigh joint, or as near to that
-    as the limits allow. Rounded to 1e-4 rad: a choice, not a measurement.
+    as the limits allow. Rounded to 1e-4 rad: a choice, not a measurement. Raise `UrdfError` for a
+    leg that cannot stand so.
     """
-    pose = np.concatenate([_stand(tree, leg, source) for leg in legs])
+    pose = np.concatenate([_solve_leg(tree, leg) for leg in legs])
     joints = [tree.joint_above[link] for leg in legs for link in leg.links]
     # Adding 0 turns -0 into 0.
-    return np.clip(np.round(pose, 4), *np.transpose([joint_range(j) for j in joints])) + 0.0
+    return np.clip(np.round(pose, 4), *np.transpose([get_range(j) for j in joints])) + 0.0
 
 
-def _stand(tree: Tree, leg: Leg, source: str) -> np.ndarray:
+def _solve_leg(tree: Tree, leg: Leg) -> np.ndarray:
     hip, thigh, calf = (tree.joint_above[link] for link in leg.links)
-    hip_angle = _level(tree, hip, thigh)
+    hip_angle = _level_thigh(tree, hip, thigh)
     # In the trunk's axes with thigh and calf at 0; both turn about the same axis.
-    to_thigh = tree.frame_of(hip) @ rotation(unit(hip.axis), hip_angle) @ tree.frame_of(thigh)
-    to_calf = to_thigh @ tree.frame_of(calf)
-    axis = to_thigh[:3, :3] @ unit(thigh.axis)
-    calf_axis = to_calf[:3, :3] @ unit(calf.axis)
+    turn = make_rotation(normalize(hip.axis), hip_angle)
+    to_thigh = tree.compute_frame(hip) @ turn @ tree.compute_frame(thigh)
+    to_calf = to_thigh @ tree.compute_frame(calf)
+    axis = to_thigh[:3, :3] @ normalize(thigh.axis)
+    calf_axis = to_calf[:3, :3] @ normalize(calf.axis)
     sense = axis @ calf_axis
     if abs(sense) < 0.99:
         raise UrdfError(
-            f"{source}: joints '{thigh.name}' and '{calf.name}' turn about different axes; "
+            f"{tree.source}: joints '{thigh.name}' and '{calf.name}' turn about different axes; "
             "expected parallel ones, to find a standing pose"
         )
     upper = to_calf[:3, 3] - to_thigh[:3, 3]
@@ -47,55 +49,55 @@ def _stand(tree: Tree, leg: Leg, source: str) -> np.ndarray:
     down -= axis * (axis @ down)
     if np.linalg.norm(down) < 0.5:
         raise UrdfError(
-            f"{source}: joint '{thigh.name}' turns about a vertical axis; expected a level one"
+            f"{tree.source}: joint '{thigh.name}' turns about a vertical axis; expected a level one"
         )
     down /= np.linalg.norm(down)
     side = np.cross(axis, down)
 
-    def polar(vector: np.ndarray) -> tuple[float, float]:
+    def to_polar(vector: np.ndarray) -> tuple[float, float]:
         x, y = vector @ down, vector @ side
         return float(np.hypot(x, y)), float(np.arctan2(y, x))
 
-    (l1, a1), (l2, a2) = polar(upper), polar(lower)
+    (l1, a1), (l2, a2) = to_polar(upper), to_polar(lower)
     if min(l1, l2) < 1e-3:
-        raise UrdfError(f"{source}: leg {leg.name} has a thigh or calf without length")
+        raise UrdfError(f"{tree.source}: leg {leg.name} has a thigh or calf without length")
     reach = STANDING_LENGTH * (l1 + l2)
     bend = np.arccos(np.clip((reach**2 - l1**2 - l2**2) / (2 * l1 * l2), -1, 1))
     poses: list[tuple[float, np.ndarray]] = []
     # The knee behind the thigh joint first (x ahead): thigh 0.8, calf -1.6 on Unitree's robots. But
     # a hind leg that is turned about, with its thigh joint behind its hip's, has its knee ahead.
     backwards = 1 if side @ np.array([1.0, 0, 0]) < 0 else -1
-    offset = to_thigh[0, 3] - tree.frame_of(hip)[0, 3]
+    offset = to_thigh[0, 3] - tree.compute_frame(hip)[0, 3]
     preferred = -backwards if leg.name[0] == "R" and offset < -TURNED else backwards
-    for turn in (preferred, -preferred):
-        knee = _into(sense * (-turn * bend - (a2 - a1)), joint_range(calf))
+    for direction in (preferred, -preferred):
+        knee = _move_into(sense * (-direction * bend - (a2 - a1)), get_range(calf))
         relative = sense * knee + (a2 - a1)
         # With the knee at that angle, the direction of the foot from the thigh joint.
         foot = a1 + np.arctan2(l2 * np.sin(relative), l1 + l2 * np.cos(relative))
-        angle = _into(-foot, joint_range(thigh))
-        miss = abs(_wrap(angle + foot)) + abs(_wrap(relative + turn * bend))
+        angle = _move_into(-foot, get_range(thigh))
+        miss = abs(_wrap(angle + foot)) + abs(_wrap(relative + direction * bend))
         poses.append((miss, np.array([hip_angle, angle, knee])))
     first, second = poses
     return (second if second[0] < first[0] - 1e-3 else first)[1]
 
 
-def _level(tree: Tree, hip: yourdfpy.Joint, thigh: yourdfpy.Joint) -> float:
-    """The hip's angle, rad, at which the thigh turns about a level axis; 0 where it does there.
+def _level_thigh(tree: Tree, hip: yourdfpy.Joint, thigh: yourdfpy.Joint) -> float:
+    """Return the hip's angle, rad, nearest to 0, at which the thigh turns about a level axis.
 
-    As near to 0 as the limits allow. A hip that turns about the vertical is left at 0.
+    A hip that turns about the vertical is left at 0.
     """
-    frame, to_thigh = tree.frame_of(hip), tree.frame_of(thigh)
-    spin = unit(hip.axis)
-    axis = to_thigh[:3, :3] @ unit(thigh.axis)
+    frame, to_thigh = tree.compute_frame(hip), tree.compute_frame(thigh)
+    spin = normalize(hip.axis)
+    axis = to_thigh[:3, :3] @ normalize(thigh.axis)
     up = frame[2, :3]  # the world's, in the hip's frame
     # Height of the thigh's axis over the hip's angle: constant + cosine and sine parts.
     constant = (axis @ spin) * (spin @ up)
     cosine, sine = axis @ up - constant, np.cross(spin, axis) @ up
     size = np.hypot(cosine, sine)
     if abs(axis @ up) < 1e-3 or size < max(abs(constant), 1e-6):
-        return float(np.clip(0.0, *joint_range(hip)))
+        return float(np.clip(0.0, *get_range(hip)))
     middle, half = np.arctan2(sine, cosine), np.arccos(-constant / size)
-    angles = [_into(middle + half, joint_range(hip)), _into(middle - half, joint_range(hip))]
+    angles = [_move_into(middle + half, get_range(hip)), _move_into(middle - half, get_range(hip))]
     return min(angles, key=abs)
 
 
@@ -103,8 +105,8 @@ def _wrap(angle: float) -> float:
     return float((angle + np.pi) % (2 * np.pi) - np.pi)
 
 
-def _into(angle: float, limits: tuple[float, float]) -> float:
-    """The angle, whole turns apart from `angle`, that is nearest to lying within `limits`."""
+def _move_into(angle: float, limits: tuple[float, float]) -> float:
+    """Return the angle, whole turns apart from `angle`, that is nearest to lying in `limits`."""
     turns = [_wrap(angle) + 2 * np.pi * k for k in (-1, 0, 1)]
     best = min(turns, key=lambda a: (abs(a - np.clip(a, *limits)), abs(a)))
     return float(np.clip(best, *limits))

@@ -22,6 +22,7 @@ class Tree:
     rigid body, named after the moving link.
     """
 
+    source: str  # what error messages call the URDF
     root: str  # name of the link that no joint moves
     links: dict[str, yourdfpy.Link]  # by name, in the file's order
     joint_above: dict[str, yourdfpy.Joint]  # whose child is that link; the root has none
@@ -38,8 +39,8 @@ class Tree:
             parts[body].append(link)
         return {body: tuple(links) for body, links in parts.items()}
 
-    def moving_joints(self, body: str) -> list[yourdfpy.Joint]:
-        """The joints that move other bodies against this one, in the order of the parts."""
+    def find_moving_joints(self, body: str) -> list[yourdfpy.Joint]:
+        """Return the joints that move other bodies against this one, in the order of the parts."""
         return [
             joint
             for link in self.parts[body]
@@ -47,8 +48,8 @@ class Tree:
             if joint.type != "fixed"
         ]
 
-    def passes_on(self, body: str) -> bool:
-        """Whether a moving link without mass only leads from its joint on to the next.
+    def is_between_joints(self, body: str) -> bool:
+        """Return True for a moving link without mass that only leads from joint to joint.
 
         A ball joint written as three hinges has two such links. Nothing that could touch or weigh
         anything is fixed to them, and each has one joint below it.
@@ -56,32 +57,33 @@ class Tree:
         parts = [self.links[name] for name in self.parts[body]]
         if any(link.collisions or (link.inertial and link.inertial.mass) for link in parts):
             return False
-        below = self.moving_joints(body)
+        below = self.find_moving_joints(body)
         joints = [self.joint_above.get(body), *below]
         return len(below) == 1 and all(j is not None and j.type in ONE_WAY for j in joints)
 
-    def chain_from(self, joint: yourdfpy.Joint) -> list[yourdfpy.Joint]:
-        """`joint` and those after it, through links without mass, up to a body that has some."""
-        chain = [joint]
-        while self.passes_on(chain[-1].child):
-            chain += self.moving_joints(chain[-1].child)
-        return chain
+    def follow_joint(self, joint: yourdfpy.Joint) -> str:
+        """Return the first body with mass that `joint` moves, past links without any."""
+        body = joint.child
+        while self.is_between_joints(body):
+            (below,) = self.find_moving_joints(body)
+            body = below.child
+        return body
 
-    def joints_to(self, body: str) -> list[yourdfpy.Joint]:
-        """The joints that move `body` against the one above it that has mass; the root has none."""
+    def find_joints_above(self, body: str) -> list[yourdfpy.Joint]:
+        """Return the joints that move `body` against the next body with mass above it."""
         joint = self.joint_above.get(body)
         if joint is None:
             return []
         above = self.body_of[joint.parent]
-        return [*(self.joints_to(above) if self.passes_on(above) else []), joint]
+        return [*(self.find_joints_above(above) if self.is_between_joints(above) else []), joint]
 
-    def frame_of(self, joint: yourdfpy.Joint) -> np.ndarray:
-        """(4, 4) frame of the joint's child, at joint position 0, in the body above it."""
+    def compute_frame(self, joint: yourdfpy.Joint) -> np.ndarray:
+        """Return the frame (4, 4) of the joint's child in the body above it, at position 0."""
         return self.placement[joint.parent] @ to_matrix(joint.origin)
 
 
-def build_tree(robot: yourdfpy.Robot) -> Tree:
-    """The tree of a robot that has been checked: one root, no cycle, no unknown names."""
+def build_tree(robot: yourdfpy.Robot, source: str) -> Tree:
+    """Return the tree of a checked robot: one root, no cycle, no unknown names."""
     links = {link.name: link for link in robot.links}
     joint_above = {joint.child: joint for joint in robot.joints}
     below: dict[str, list[yourdfpy.Joint]] = {name: [] for name in links}
@@ -89,13 +91,11 @@ def build_tree(robot: yourdfpy.Robot) -> Tree:
         below[joint.parent].append(joint)
     (root,) = (name for name in links if name not in joint_above)
     body_of, placement, bodies = {root: root}, {root: np.eye(4)}, [root]
-    pending = [root]
+    pending = [*reversed(below[root])]
     while pending:
-        link = pending.pop()
-        pending.extend(joint.child for joint in reversed(below[link]))
-        joint = joint_above.get(link)
-        if joint is None:
-            continue
+        joint = pending.pop()
+        link = joint.child
+        pending.extend(reversed(below[link]))
         if joint.type == "fixed":
             body_of[link] = body_of[joint.parent]
             placement[link] = placement[joint.parent] @ to_matrix(joint.origin)
@@ -103,6 +103,7 @@ def build_tree(robot: yourdfpy.Robot) -> Tree:
             body_of[link], placement[link] = link, np.eye(4)
             bodies.append(link)
     return Tree(
+        source=source,
         root=root,
         links=links,
         joint_above=joint_above,
@@ -114,12 +115,12 @@ def build_tree(robot: yourdfpy.Robot) -> Tree:
 
 
 def to_matrix(origin: np.ndarray | None) -> np.ndarray:
-    """(4, 4) of a URDF origin, which may be left out."""
+    """Return the frame (4, 4) of a URDF origin, which may be left out."""
     return np.eye(4) if origin is None else np.asarray(origin, dtype=np.float64)
 
 
-def rotation(axis: np.ndarray, angle: float) -> np.ndarray:
-    """(4, 4) rotation by `angle` rad about the unit `axis` (3,) (Rodrigues' formula)."""
+def make_rotation(axis: np.ndarray, angle: float) -> np.ndarray:
+    """Return the rotation (4, 4) by `angle` rad about the unit `axis` (3,), by Rodrigues."""
     x, y, z = axis
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     out = np.eye(4)
@@ -127,9 +128,9 @@ def rotation(axis: np.ndarray, angle: float) -> np.ndarray:
     return out
 
 
-def to_roll_pitch_yaw(turn: np.ndarray) -> np.ndarray:
-    """Return (3,) rad, as in a URDF's `rpy`, of a rotation (3, 3)."""
-    ahead, left, up = turn.T
+def to_roll_pitch_yaw(rotation: np.ndarray) -> np.ndarray:
+    """Return a rotation (3, 3) as a URDF's `rpy` (3,), rad."""
+    ahead, left, up = rotation.T
     yaw = np.arctan2(ahead[1], ahead[0])
     pitch = np.arctan2(-ahead[2], np.hypot(ahead[0], ahead[1]))
     # With yaw known, roll is exact at a pitch of 90 degrees too.
@@ -139,28 +140,30 @@ def to_roll_pitch_yaw(turn: np.ndarray) -> np.ndarray:
 
 
 def is_limited(joint: yourdfpy.Joint) -> bool:
-    """Whether a joint of one direction has position limits."""
+    """Return True if a joint of one direction has position limits."""
     return joint.type != "continuous" and joint.limit is not None and joint.limit.lower is not None
 
 
-def joint_range(joint: yourdfpy.Joint) -> tuple[float, float]:
-    """(lower, upper) position limits in rad or m; one without turns once, -pi .. pi."""
+def get_range(joint: yourdfpy.Joint) -> tuple[float, float]:
+    """Return the position limits, rad or m; -pi and pi for a joint without."""
     return (joint.limit.lower, joint.limit.upper) if is_limited(joint) else (-np.pi, np.pi)
 
 
-def unit(axis: np.ndarray) -> np.ndarray:
-    """`axis` (3,) with length 1: URDF does not ask for normalized axes."""
+def normalize(axis: np.ndarray) -> np.ndarray:
+    """Return `axis` (3,) with length 1, which URDF does not ask for."""
     return np.asarray(axis, dtype=np.float64) / np.linalg.norm(axis)
 
 
 def name_axis(direction: np.ndarray) -> str:
-    """Return +x, -x, +y, -y, +z or -z: the axis that `direction` (3,) is nearest to."""
+    """Return the axis nearest to `direction` (3,): +x, -x, +y, -y, +z or -z."""
     index = int(np.argmax(np.abs(direction)))
     return ("-" if direction[index] < 0 else "+") + "xyz"[index]
 
 
-def find_free_name(name: str, taken: Container[str]) -> str:
-    """Return `name`, with as many underscores at its end as make it none of those `taken`."""
-    while name in taken:
-        name += "_"
-    return name
+def make_unique(name: str, taken: Container[str]) -> str:
+    """Return `name`, with the first number from 2 on that sets it apart from those `taken`."""
+    candidate, count = name, 1
+    while candidate in taken:
+        count += 1
+        candidate = f"{name}_{count}"
+    return candidate

@@ -1,0 +1,369 @@
+"""Checks of the elements of a URDF document: names, numbers, and what each may hold.
+
+Every finding is one line: the file, the line, the element, what is wrong and what is expected.
+An element or attribute that URDF does not know is left out and reported, as every other reader
+passes it over; it is refused where it is nearly the name of one that is missing there.
+"""
+
+import math
+import re
+from collections import Counter
+from collections.abc import Iterable, MutableMapping
+from dataclasses import dataclass, field
+
+import mujoco
+import numpy as np
+from lxml import etree
+
+from quadwalk.errors import find_similar
+from quadwalk.robot.checks.schema import (
+    FORMS,
+    JOINT_TYPES,
+    LENGTHS,
+    MISPLACED,
+    SHAPES,
+    TEXT_ATTRIBUTES,
+    Form,
+)
+from quadwalk.robot.report import Report, UrdfError
+from quadwalk.robot.structure.tree import to_roll_pitch_yaw
+
+# Quadrupeds have some 50 links, humanoids with hands some 100.
+MAX_LINKS = 2000
+# Bodies may be nested to a depth of 1023 in MuJoCo, and its effort grows with depth.
+MAX_MOVING = 500
+# MuJoCo takes a coordinate beyond 1e10 for a simulation that has exploded.
+MAX_NUMBER = 1e9
+# Below that, products of a few numbers leave the range of floating point.
+MIN_NUMBER = 1e-50
+MIN_SIZE = 1e-9  # m; atoms are 1e-10
+MIN_QUAT = 1e-3  # the length of a quaternion that still has a direction
+
+_SHAPES = ", ".join(f"<{tag}>" for tag in SHAPES)
+_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
+_NOT_FINITE = re.compile(r"[+-]?(nan|inf|infinity|1\.#\w+)", re.IGNORECASE)
+
+
+@dataclass
+class Checker:
+    """The checks of one document, what they took out of it, and what they assumed."""
+
+    source: str
+    report: Report
+    taken_out: Counter = field(default_factory=Counter)
+    # whether the document was changed to say in plain URDF 1.0 what it said otherwise
+    rewritten: bool = False
+
+    def make_error(self, element: etree._Element, message: str) -> UrdfError:
+        """Return the error for `element`, with its line and the link or joint that it is in."""
+        where = f"{self.source}, line {element.sourceline}: "
+        name = element.get("name")
+        if element.tag in ("link", "joint") and name:
+            return UrdfError(f"{where}{element.tag} '{name}' {message}")
+        for owner in element.iterancestors("link", "joint"):
+            where += f"{owner.tag} '{owner.get('name', '')}': "
+        return UrdfError(f"{where}<{element.tag}> {message}")
+
+    def take_out(self, element: etree._Element, label: str) -> None:
+        """Remove an element that is passed over, and count it under `label`."""
+        self.taken_out[label] += 1
+        element.getparent().remove(element)
+
+    def check_root(self, root: etree._Element) -> None:
+        """Check all elements, or raise `UrdfError` for the first wrong; take out unknown ones."""
+        if any("xacro" in str(element.tag).partition("}")[0] for element in root.iter()):
+            raise make_xacro_error(self.source)
+        if root.tag != "robot":
+            raise UrdfError(f"{self.source}: root element is <{root.tag}>; expected <robot>")
+        links, joints = root.findall("link"), root.findall("joint")
+        if not links:
+            raise UrdfError(f"{self.source}: has no <link>; expected at least one")
+        moving = sum(joint.get("type") != "fixed" for joint in joints)
+        for count, what, most in (
+            (max(len(links), len(joints)), "links or joints", MAX_LINKS),
+            (moving, "joints that move", MAX_MOVING),
+        ):
+            if count > most:
+                raise UrdfError(f"{self.source}: has {count} {what}; expected at most {most}")
+        self._check_children(root, FORMS["robot"])
+        self._check_colors(root)
+        for label, count in self.taken_out.items():
+            self.report.add("dropped", "extensions of other tools", f"{label} ({count})")
+
+    def _check_element(self, element: etree._Element) -> None:
+        """Check an element and all within: what it holds, and that every number is one."""
+        form = FORMS[element.tag]
+        if not form.children and not element.attrib and (element.text or "").strip():
+            shown = element.text.strip()[:40]
+            expected = ", ".join(form.attributes)
+            raise self.make_error(
+                element, f"holds '{shown}' as text; expected attributes: {expected}"
+            )
+        self._check_attributes(element, form)
+        self._check_children(element, form)
+        counts = Counter(child.tag for child in element)
+        for tag in form.one + form.most_one:
+            if counts[tag] > 1:
+                raise self.make_error(element, f"has {counts[tag]} <{tag}> elements; expected one")
+        for tag in form.one:
+            if counts[tag] == 0:
+                raise self.make_error(element, f"has no <{tag}>; expected one")
+        self._check_sizes(element, form)
+        check = getattr(self, f"_check_{element.tag}", None)
+        if check is not None:
+            check(element)
+
+    def _check_attributes(self, element: etree._Element, form: Form) -> None:
+        """Check an element's attributes; those that URDF does not know are taken out."""
+        for name, value in list(element.attrib.items()):
+            if name not in form.attributes:
+                self._refuse_mistake(element, form, name, is_attribute=True)
+                self.taken_out[f"{element.tag} {name}"] += 1
+                del element.attrib[name]
+            elif "${" in value or "$(" in value:
+                raise make_xacro_error(self.source)
+            elif name not in TEXT_ATTRIBUTES:
+                self._check_numbers(element, name, value)
+        for name in form.required:
+            if element.get(name) is None:
+                raise self.make_error(element, f"has no '{name}'; expected {name}=\"...\"")
+            if name in TEXT_ATTRIBUTES and not element.get(name).strip():
+                raise self.make_error(element, f"has an empty '{name}'; expected {name}=\"...\"")
+
+    def _check_children(self, element: etree._Element, form: Form) -> None:
+        """Check all within an element; what URDF does not know there is taken out."""
+        for child in list(element):
+            if child.tag in form.children:
+                self._check_element(child)
+                continue
+            if element.tag == "geometry" and not any(c.tag in SHAPES for c in element):
+                raise self.make_error(element, f"has a <{child.tag}> in it; expected {_SHAPES}")
+            self._refuse_mistake(element, form, child.tag, is_attribute=False)
+            if child.tag in form.ignored:
+                self._check_finite(child)
+            place = "" if element.tag == "robot" else f" of a {element.tag}"
+            self.take_out(child, f"<{child.tag}>{place}")
+
+    def _refuse_mistake(
+        self, element: etree._Element, form: Form, name: str, is_attribute: bool
+    ) -> None:
+        """Refuse an unknown child or attribute of `element` that stands for one that is missing.
+
+        Its name may be misspelled. It may have to be an attribute rather than a child, or the other
+        way. Or it is physics of a joint or link, a level too high or too low.
+        """
+        attributes = [other for other in form.attributes if other not in element.attrib]
+        single = [tag for tag in form.one + form.most_one if element.find(tag) is None]
+        if is_attribute:
+            similar = _find_misspelled(name, attributes)
+            expected = similar or (f"<{name.lower()}>" if name.lower() in single else "")
+        else:
+            similar = _find_misspelled(name, [*single, *form.many])
+            numbers = set(attributes) - TEXT_ATTRIBUTES
+            expected = f"<{similar}>" if similar else ""
+            if not similar and name.lower() in numbers:
+                expected = f'{name.lower()}="..."'
+        expected = expected or _find_place(element, name.lower())
+        if expected:
+            what = f"attribute '{name}'" if is_attribute else f"a <{name}> in it"
+            raise self.make_error(element, f"has {what}; expected {expected}")
+
+    def _check_finite(self, element: etree._Element) -> None:
+        """Refuse numbers that are none in what is passed over, as they may be elsewhere too."""
+        for part in element.iter():
+            for name, value in part.attrib.items():
+                if name not in TEXT_ATTRIBUTES and _NOT_FINITE.fullmatch(value.strip()):
+                    raise self.make_error(part, f'has {name}="{value}"; expected a finite number')
+
+    def _check_numbers(self, element: etree._Element, name: str, value: str) -> None:
+        """Check that the attribute is one number, or as many as its name asks for."""
+        words = value.split()
+        length = LENGTHS.get(name, 1)
+        # A color without transparency is none that a robot should fail for.
+        allowed = {"scale": (1, 3), "rgba": (3, 4)}.get(name, (length,))
+        shown = f'{name}="{value if len(value) <= 40 else value[:37] + "..."}"'
+        if len(words) not in allowed:
+            expected = "one number" if length == 1 else f"{length} numbers"
+            raise self.make_error(element, f"has {shown}; expected {expected}")
+        for word in words:
+            if not _NUMBER.fullmatch(word) or not math.isfinite(float(word)):
+                raise self.make_error(element, f"has {shown}; expected finite numbers")
+            size = abs(float(word))
+            if 0 < size < MIN_NUMBER and element.tag == "origin":
+                element.set(name, element.get(name).replace(word, "0"))
+            elif 0 < size < MIN_NUMBER:
+                raise self.make_error(
+                    element, f"has {shown}; expected 0 or at least {MIN_NUMBER:g}"
+                )
+            if size > MAX_NUMBER and element.tag != "limit":
+                raise self.make_error(element, f"has {shown}; expected at most {MAX_NUMBER:g}")
+
+    def _check_sizes(self, element: etree._Element, form: Form) -> None:
+        """Check that sizes are above 0; a visual shape may be of size 0, and is left out then."""
+        visual = any(parent.tag == "visual" for parent in element.iterancestors())
+        for name in form.sizes:
+            shown = f'{name}="{element.get(name)}"'
+            for value in map(float, element.get(name).split()):
+                if value < MIN_SIZE and not (visual and value == 0):
+                    raise self.make_error(element, f"has {shown}; expected above {MIN_SIZE:g} m")
+        for name in form.not_negative:
+            if float(element.get(name, "0")) < 0:
+                shown = f'{name}="{element.get(name)}"'
+                raise self.make_error(element, f"has {shown}; expected 0 or more")
+
+    def _check_visual(self, element: etree._Element) -> None:
+        for material in element.findall("material")[1:]:
+            self.take_out(material, "<material> of a visual beside another")
+
+    def _check_geometry(self, element: etree._Element) -> None:
+        if len(element) != 1:
+            raise self.make_error(
+                element, f"holds {len(element)} shapes; expected one of {_SHAPES}"
+            )
+
+    def _check_mesh(self, element: etree._Element) -> None:
+        if any(float(word) == 0 for word in element.get("scale", "1").split()):
+            raise self.make_error(element, f'has scale="{element.get("scale")}"; expected none 0')
+
+    def _check_origin(self, element: etree._Element) -> None:
+        """Turn URDF 1.1's quaternion into the angles that every reader knows."""
+        if element.get("quat_xyzw") is None:
+            return
+        if element.get("rpy") is not None:
+            raise self.make_error(element, "has both rpy and quat_xyzw; expected one of them")
+        x, y, z, w = (float(word) for word in element.attrib.pop("quat_xyzw").split())
+        length = math.hypot(x, y, z, w)
+        if length < MIN_QUAT:
+            raise self.make_error(element, "has quat_xyzw of length 0; expected a rotation")
+        turn = np.zeros(9)
+        mujoco.mju_quat2Mat(turn, np.array([w, x, y, z]) / length)
+        element.set("rpy", write_numbers(to_roll_pitch_yaw(turn.reshape(3, 3))))
+        self.rewritten = True
+
+    def _check_color(self, element: etree._Element) -> None:
+        """Scale a color from 0 .. 255 to 0 .. 1 where it is far beyond, or clip it to that."""
+        rgba = element.get("rgba")
+        values = [float(word) for word in rgba.split()]
+        if len(values) == 4 and all(0 <= value <= 1 for value in values):
+            return
+        rgb, alpha = np.array(values[:3]), (*values, 1.0)[3]
+        if rgb.max() > 2:
+            rgb = rgb / 255
+        if alpha > 2:
+            alpha = alpha / 255
+        color = np.clip([*rgb, alpha], 0, 1)
+        element.set("rgba", " ".join(f"{value:.6g}" for value in color))
+        self.report.add("assumed", "colors of 0 .. 255, or clipped to 0 .. 1", rgba)
+        self.rewritten = True
+
+    def _check_texture(self, element: etree._Element) -> None:
+        if not (element.get("filename") or "").strip():
+            self.take_out(element, "<texture> without a file")
+
+    def _check_limit(self, element: etree._Element) -> None:
+        """Take out efforts and speeds that are no limit, and note those that are missing."""
+        joint = element.getparent()
+        for name in ("effort", "velocity"):
+            if element.get(name) is None:
+                reason = "where no flag gives one, for <limit> has none"
+            elif float(element.get(name)) > MAX_NUMBER:
+                del element.attrib[name]
+                reason = "for the limit is beyond 1e9"
+            else:
+                continue
+            if joint.get("type") != "fixed":
+                self.report.add("assumed", f"any {name}, {reason}", joint.get("name"))
+
+    def _check_axis(self, element: etree._Element) -> None:
+        length = math.hypot(*map(float, element.get("xyz").split()))
+        if length < 1e-6 and element.getparent().get("type") not in ("fixed", "floating"):
+            raise self.make_error(element, f'has xyz="{element.get("xyz")}"; expected a direction')
+
+    def _check_joint(self, element: etree._Element) -> None:
+        kind = element.get("type")
+        if kind not in JOINT_TYPES:
+            expected = ", ".join(JOINT_TYPES)
+            raise self.make_error(element, f"is of type '{kind}'; expected one of {expected}")
+        limit = element.find("limit")
+        if kind in ("revolute", "prismatic"):
+            self._check_range(element, {} if limit is None else limit.attrib)
+
+    def _check_range(self, joint: etree._Element, limit: MutableMapping[str, str]) -> None:
+        """Set a position limit that is left out to 0; take both out where they are no limits."""
+        ends = [name for name in ("lower", "upper") if name in limit]
+        if len(ends) == 1:
+            absent = "upper" if ends == ["lower"] else "lower"
+            limit[absent] = "0"
+            ends = ["lower", "upper"]
+            note = f"{absent} limits of 0, as by URDF's rule, where only the other is given"
+            self.report.add("assumed", note, joint.get("name"))
+            self.rewritten = True
+        lower, upper = (float(limit[name]) for name in ends) if ends else (0.0, 0.0)
+        reason = "" if ends else "there are none"
+        if ends and lower == upper == 0:  # what exporters write where none is set
+            reason = "both are 0"
+        elif lower < -MAX_NUMBER and upper > MAX_NUMBER:
+            reason = "they are beyond 1e9"
+        elif ends and lower >= upper:
+            raise self.make_error(
+                joint.find("limit"),
+                f"has lower {lower:g} and upper {upper:g}; expected lower below upper",
+            )
+        if reason:
+            for name in ends:
+                del limit[name]
+            self.report.add("assumed", f"no position limits, for {reason}", joint.get("name"))
+        elif max(abs(lower), abs(upper)) > MAX_NUMBER:
+            limit["lower"], limit["upper"] = (
+                repr(min(max(bound, -MAX_NUMBER), MAX_NUMBER)) for bound in (lower, upper)
+            )
+
+    def _check_colors(self, root: etree._Element) -> None:
+        """Check that each of the robot's materials has a name, and one color at most."""
+        colors: dict[str, str] = {}
+        for material in root.findall("material"):
+            name, color = material.get("name"), material.find("color")
+            if not name:
+                raise self.make_error(material, 'has no name; expected <material name="...">')
+            if color is None:
+                continue
+            rgba = color.get("rgba")
+            if colors.setdefault(name, rgba) != rgba:
+                raise self.make_error(material, f"gives '{name}' a second color; expected one")
+
+
+def write_numbers(numbers: np.ndarray) -> str:
+    """Return numbers (n,) as a URDF has them, with all their digits."""
+    return " ".join(map(repr, numbers.tolist()))
+
+
+def make_xacro_error(source: str) -> UrdfError:
+    """Return the error for a xacro file, from which a URDF is still to be made."""
+    return UrdfError(
+        f"{source}: is not expanded: run xacro, as in 'xacro dog.xacro > dog.urdf'; expected the "
+        "file that it writes"
+    )
+
+
+def _find_misspelled(name: str, missing: Iterable[str]) -> str:
+    """Return the first of the `missing` names that `name` misspells by a letter or so, or ""."""
+    for other in missing:
+        letters = min(len(other), 5)
+        if find_similar(name.lower(), [other], cutoff=(letters - 1) / letters):
+            return other
+    return ""
+
+
+def _find_place(element: etree._Element, name: str) -> str:
+    """Return the place for physics called `name` that is in the wrong one, or "".
+
+    There is none where that place is taken, or for a fixed joint, without axis, limits or damping.
+    """
+    for owner in (element, *element.iterancestors("link", "joint")):
+        if owner.get("type") == "fixed":
+            return ""
+        path, attribute = MISPLACED.get(owner.tag, {}).get(name, ("", ""))
+        holder = owner.find(path) if path else owner
+        if holder is None or (attribute and holder.get(attribute) is None):
+            return f'<{path} {attribute}="...">' if attribute else f"<{path}>"
+    return ""
