@@ -192,8 +192,8 @@ def joint_acceleration(model: Model, q: jax.Array, qd: jax.Array, torque: jax.Ar
         model.trunk, model.links, pose, bodies, velocity, model.gravity
     )
     parts = zip(_by_link(torque), model.links, velocity.joints, bias.joints, strict=True)
-    force = v.vector(own - link.damping * rate - held for own, link, rate, held in parts)
-    hip, thigh, calf = map(v.vector, mass)
+    force = v.to_vector(own - link.damping * rate - held for own, link, rate, held in parts)
+    hip, thigh, calf = map(v.to_vector, mass)
     # The inverse of a 3x3 matrix from the cross products of its rows.
     inverse = v.cross(thigh, calf), v.cross(calf, hip), v.cross(hip, thigh)
     found = v.scale(1.0 / v.dot(hip, inverse[0]), v.apply_transposed(inverse, force))

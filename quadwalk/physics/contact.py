@@ -187,7 +187,7 @@ def find_constraints(
         signs.append(sign)
         reference.append(jnp.where(beyond, asked, 0.0))
         weights.append(jnp.where(beyond, weight, 0.0))
-    return Constraints(tuple(points), v.vector(signs), tuple(reference), tuple(weights))
+    return Constraints(tuple(points), v.to_vector(signs), tuple(reference), tuple(weights))
 
 
 def touching(
@@ -257,12 +257,12 @@ def force_of(found: Constraints, strength: Rows) -> Motion:
             if at.jacobian is None:
                 joints[i] = v.dot(column, force) + joints[i]
             else:
-                by = v.vector(row.joints[i] for row in at.jacobian)
+                by = v.to_vector(row.joints[i] for row in at.jacobian)
                 joints[i] = v.dot(by, combined(along)) + joints[i]
     return Motion(
-        v.vector(v.legs_sum(x) for x in v.add(*pushes)),
-        v.vector(v.legs_sum(x) for x in v.add(*turns)),
-        v.vector(joints),
+        v.to_vector(v.sum_legs(x) for x in v.add(*pushes)),
+        v.to_vector(v.sum_legs(x) for x in v.add(*turns)),
+        v.to_vector(joints),
     )
 
 
@@ -317,7 +317,7 @@ def stiffened(matrix: MassMatrix, at: ContactPoint, weight: Rows) -> MassMatrix:
     trunk = [stiff(u) for u in (*units, *turns)]
     columns = [force + v.cross(at.point, force) for force in trunk]
     base = tuple(
-        tuple(matrix.base[i][j] + v.legs_sum(columns[j][i]) for j in range(6)) for i in range(6)
+        tuple(matrix.base[i][j] + v.sum_legs(columns[j][i]) for j in range(6)) for i in range(6)
     )
     cross, legs = list(matrix.cross), [list(row) for row in matrix.legs]
     for j, force in enumerate(stiff(column) for column in at.columns):
@@ -334,14 +334,14 @@ def stiffened_along(matrix: MassMatrix, jacobian: tuple[Row, Row, Row], weight: 
     # In the contact's frame: what normal and tangents do to each other.
     pairs = ((a + b + c + d, a - b, c - d), (a - b, a + b, 0.0), (c - d, 0.0, c + d))
     first, second, third = ((*row.linear, *row.angular, *row.joints) for row in jacobian)
-    columns = [v.vector(entries) for entries in zip(first, second, third, strict=True)]
+    columns = [v.to_vector(entries) for entries in zip(first, second, third, strict=True)]
     weighted = [v.apply(pairs, column) for column in columns]
 
     def entry(i: int, j: int) -> Array:
         return v.dot(columns[i], weighted[j])
 
     base = tuple(
-        tuple(matrix.base[i][j] + v.legs_sum(entry(max(i, j), min(i, j))) for j in range(6))
+        tuple(matrix.base[i][j] + v.sum_legs(entry(max(i, j), min(i, j))) for j in range(6))
         for i in range(6)
     )
     number = len(columns) - 6

@@ -35,7 +35,7 @@ from quadwalk.physics.rigid_body import (
     compute_rotation,
     place_bodies,
 )
-from quadwalk.physics.solver import combined, newton, solve
+from quadwalk.physics.solver import add_scaled, minimize_cost, solve
 from quadwalk.physics.surface import Surface
 from quadwalk.physics.vectors import Vector
 
@@ -116,7 +116,7 @@ def compute_acceleration(
         bodies,
         velocity,
     )
-    joints = v.vector(
+    joints = v.to_vector(
         t - link.damping * rate - b
         for t, link, rate, b in zip(
             _by_link(torque), links, velocity.joints, bias.joints, strict=True
@@ -132,7 +132,7 @@ def compute_acceleration(
         velocity,
         None if model.ground is None else _look_under(model, barrier, pose, qpos),
     )
-    solution = newton(mass, found, force, barrier, iterations, line_search)
+    solution = minimize_cost(mass, found, force, barrier, iterations, line_search)
     if dt > 0.0:
         solution = _damp_implicitly(links, mass, solution, dt, barrier)
     angular = v.apply_transposed(pose.trunk, solution.angular)
@@ -153,9 +153,9 @@ def _damp_implicitly(
         legs[i][i] = legs[i][i] + joint
     damped = mass._replace(legs=tuple(map(tuple, legs)))
     nothing = jax.tree.map(jnp.zeros_like, motion.linear)
-    joints = v.vector(d * a for d, a in zip(damping, motion.joints, strict=True))
+    joints = v.to_vector(d * a for d, a in zip(damping, motion.joints, strict=True))
     change = solve(damped, Motion(nothing, nothing, joints), barrier)
-    return combined(motion, -1.0, change)
+    return add_scaled(motion, -1.0, change)
 
 
 def _look_under(model: Model, barrier: jax.Array, pose: Pose, qpos: jax.Array) -> tuple[Under, ...]:
@@ -293,5 +293,5 @@ def _by_link(joints: jax.Array) -> Vector:
 
 def _motion(pose: Pose, values: jax.Array) -> Motion:
     """MuJoCo's velocity or acceleration (18, robots); its angular part is in trunk axes."""
-    angular = v.vector(values[3:6])
-    return Motion(v.vector(values[:3]), v.apply(pose.trunk, angular), _by_link(values[6:]))
+    angular = v.to_vector(values[3:6])
+    return Motion(v.to_vector(values[:3]), v.apply(pose.trunk, angular), _by_link(values[6:]))

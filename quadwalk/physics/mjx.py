@@ -1,4 +1,4 @@
-"""MJX: MuJoCo's own physics in JAX, of any model; slower, to evaluate and to check by.
+"""The engine MJX: MuJoCo's own physics in JAX, of any model; slower, to evaluate and check with.
 
 The state carried is what physics needs and no more. An `mjx.Data` holds some hundred arrays, most
 of them results: XLA drops every one that nothing reads, and a reset is a copy of three arrays.
@@ -34,7 +34,7 @@ class MjxModel(NamedTuple):
 
 
 def make_model(model: mujoco.MjModel, quadruped: Quadruped, motor: Motor) -> MjxModel:
-    """`model`, made from `quadruped`, on this process's first device."""
+    """Return the engine's model, on this process's first device."""
     model = copy.copy(model)
     model.opt.iterations = max(ITERATIONS, model.opt.iterations)
     model.opt.ls_iterations = max(LINE_SEARCH, model.opt.ls_iterations)
@@ -42,26 +42,26 @@ def make_model(model: mujoco.MjModel, quadruped: Quadruped, motor: Motor) -> Mjx
     return MjxModel(mjx.put_model(model, device=jax.local_devices()[0]), motor)
 
 
-def apply_randomization(model: MjxModel, variation: RobotRandomization) -> MjxModel:
-    """The constants of one robot that differs by `variation` from that of `model`."""
+def apply_randomization(model: MjxModel, randomization: RobotRandomization) -> MjxModel:
+    """Return the model of one robot with other physical properties; see `Engine`."""
     old = model.mjx
     trunk, legs = old.jnt_bodyid[0], old.jnt_bodyid[1:]
-    factor = variation.link_mass
+    factor = randomization.link_mass
     new = old.replace(
-        geom_friction=old.geom_friction.at[:, 0].set(variation.friction),
-        body_mass=old.body_mass.at[trunk].add(variation.trunk_mass).at[legs].multiply(factor),
-        body_ipos=old.body_ipos.at[trunk].add(variation.trunk_center),
+        geom_friction=old.geom_friction.at[:, 0].set(randomization.friction),
+        body_mass=old.body_mass.at[trunk].add(randomization.trunk_mass).at[legs].multiply(factor),
+        body_ipos=old.body_ipos.at[trunk].add(randomization.trunk_center),
         body_inertia=old.body_inertia.at[legs].multiply(factor[:, None]),
-        dof_armature=old.dof_armature.at[6:].multiply(variation.armature),
-        dof_damping=old.dof_damping.at[6:].multiply(variation.damping),
+        dof_armature=old.dof_armature.at[6:].multiply(randomization.armature),
+        dof_damping=old.dof_damping.at[6:].multiply(randomization.damping),
     )
-    return MjxModel(new, randomize_motor(model.motor, variation))
+    return MjxModel(new, randomize_motor(model.motor, randomization))
 
 
 def step(
     model: MjxModel, stepping: Stepping, physics: PhysicsState, target: jax.Array
 ) -> tuple[PhysicsState, Effort]:
-    """One control step; `target` (12,) or (substeps, 12), rad. To be vmapped over robots."""
+    """Advance one robot by a control step; see `Engine`."""
     physics, target = jax.tree.map(jnp.asarray, (physics, target))
     blank = mjx.make_data(model.mjx)
 

@@ -187,12 +187,12 @@ def find_shell_geoms(model: mujoco.MjModel, feet: tuple[str, ...]) -> np.ndarray
 
 
 def _vector(values: Iterable[float]) -> Vector:
-    return v.vector(float(x) for x in values)
+    return v.to_vector(float(x) for x in values)
 
 
 def _over_legs(values: np.ndarray) -> Vector:
     """A vector (4, 3) of each leg."""
-    return v.vector(np.asarray(values, np.float64).T)
+    return v.to_vector(np.asarray(values, np.float64).T)
 
 
 def _matrix(values: np.ndarray) -> Matrix:

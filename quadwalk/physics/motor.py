@@ -1,8 +1,5 @@
 """Motors with their joint controllers, and the control step that all engines share.
 
-Default gains follow from weight and height. A leg that is bent far, or stands wide of its hip,
-gives its weight a longer lever: then they are too soft, and the robot sinks.
-
 Arrays are JAX's, of one robot or with the robots along the last axis, or NumPy's.
 """
 
@@ -37,7 +34,8 @@ SETTLING_TIME = 2.0  # s of simulation, in which a robot settles or sinks
 LOWEST, MOST_TILT = 0.9, 0.1
 SHAKING = 1.0  # rad/s; a joint that is still so fast is shaken by its gains
 BURST = 200.0  # rad/s; no joint that is at rest at first is ever so fast, unless physics diverges
-FACTORS = (1.0, 1.25, 1.6, 2.0, 2.5, 3.2, 4.0, 5.0, 6.4, 8.0)  # of the default position gain
+# Tried in turn where the default position gain, times 1, lets the robot sink.
+FACTORS = (1.25, 1.6, 2.0, 2.5, 3.2, 4.0, 5.0, 6.4, 8.0)
 
 
 @dataclass(frozen=True)
@@ -58,7 +56,7 @@ class Motor(NamedTuple):
 
     kp: Array  # Nm/rad
     kd: Array  # Nm s/rad
-    strength: Array  # how many times the torque that the controller believes it gives
+    strength: Array  # factor of the torque that the controller commands
     effort: Array  # Nm, the largest at strength 1
     velocity: Array | None  # rad/s, where torque has fallen to zero; None: it never does
     friction: Array | None  # Nm, Coulomb friction of the joints; None: none
@@ -66,7 +64,7 @@ class Motor(NamedTuple):
 
 @dataclass(frozen=True)
 class Stepping:
-    """The physics steps of a control step, and how far the contact solver goes in each.
+    """The physics steps of a control step, and the contact solver's iterations in each.
 
     MJX and MuJoCo C take `dt` and the solver's settings from their models, which must agree.
     """
@@ -82,27 +80,27 @@ class Stepping:
         return self.dt * self.substeps
 
     def replace_dt(self, dt: float) -> "Stepping":
-        """The same control step in a whole number of physics steps of about `dt` s."""
+        """Return the same control step in a whole number of physics steps of about `dt` s."""
         substeps = max(1, round(self.control_dt / dt))
         return replace(self, dt=self.control_dt / substeps, substeps=substeps)
 
 
 class PhysicsState(NamedTuple):
-    """The state of one robot."""
+    """The state of one robot, in MuJoCo's coordinates."""
 
-    qpos: jax.Array  # (19,)
-    qvel: jax.Array  # (18,)
+    qpos: jax.Array  # (19,) trunk: m and wxyz, world frame; joints: rad
+    qvel: jax.Array  # (18,) trunk: m/s, world frame, and rad/s, body frame; joints: rad/s
 
 
 class Effort(NamedTuple):
-    """What the motors did in a control step."""
+    """The motors' torque and work in a control step."""
 
     torque: jax.Array  # (12,) Nm, mean
     energy: jax.Array  # () J, positive mechanical work: none is given back to the battery
 
 
 def make_motor(model: mujoco.MjModel, quadruped: "Quadruped", config: MotorConfig) -> Motor:
-    """The motors of `quadruped`, of which `model` is made.
+    """Return the motors of `quadruped`, which `model` was made from.
 
     By default a light robot is held as firmly as a heavy one: 120 Nm/rad and 3 Nm s/rad for the
     AlienGo. All legs' joints of a kind have the same gains.
@@ -112,10 +110,10 @@ def make_motor(model: mujoco.MjModel, quadruped: "Quadruped", config: MotorConfi
     kd: Array = 0.025 * kp
     if config.kd is not None:
         kd = config.kd
-    elif (
-        most := MOST_DAMPING * compute_joint_inertia(model, quadruped) / model.opt.timestep
-    ).min() < kd:
-        kd = np.tile(np.minimum(kd, most), 4)
+    else:
+        most = MOST_DAMPING * compute_joint_inertia(model, quadruped) / model.opt.timestep
+        if most.min() < kd:
+            kd = np.tile(np.minimum(kd, most), 4)
     return Motor(
         kp=kp,
         kd=kd,
@@ -127,9 +125,9 @@ def make_motor(model: mujoco.MjModel, quadruped: "Quadruped", config: MotorConfi
 
 
 def compute_joint_inertia(model: mujoco.MjModel, quadruped: "Quadruped") -> np.ndarray:
-    """(3,) kg m^2: the torque that a leg's joints need for an acceleration of 1 rad/s^2.
+    """Return torque per acceleration of hip, thigh and calf joints, (3,) kg m^2.
 
-    Of hip, thigh and calf, alone, of a robot that floats in its home pose; the least of all legs.
+    It is that of one joint alone, of a robot that floats in its home pose: the least of all legs.
     """
     data, mass = mujoco.MjData(model), np.zeros((model.nv, model.nv))
     data.qpos[:] = quadruped.home
@@ -142,35 +140,36 @@ def compute_joint_inertia(model: mujoco.MjModel, quadruped: "Quadruped") -> np.n
 def make_standing_motor(
     model: mujoco.MjModel, quadruped: "Quadruped", config: MotorConfig
 ) -> tuple[Motor, str]:
-    """Return `make_motor`'s motors, as stiff as standing needs, and a line where that is special.
+    """Return motors that are stiff enough to hold the home pose, and a note.
 
-    Gains are raised only where `config` leaves the position gain open. Where none of `FACTORS`
-    would do, the default stays, and the line says so; else it is empty or says what was raised.
+    Default gains follow from weight and height. A leg that is bent far, or stands wide of its hip,
+    gives its weight a longer lever: then they are too soft. They are raised where `config` leaves
+    the position gain open. The note says so, or that none of `FACTORS` is enough and the default
+    stays; otherwise it is empty.
     """
     motor = make_motor(model, quadruped, config)
     if config.kp is not None:
         return motor, ""
     level = _make_level_model(model, quadruped)
-    usual = float(motor.kp)
+    if holds_home_pose(level, quadruped, motor):
+        return motor, ""
+    default = float(motor.kp)
     for factor in FACTORS:
-        stiffer = motor
-        if factor > 1.0:
-            stiffer = make_motor(model, quadruped, replace(config, kp=factor * usual))
+        stiffer = make_motor(model, quadruped, replace(config, kp=factor * default))
         if holds_home_pose(level, quadruped, stiffer):
-            raised = (
-                f"gains raised to {factor:g} times the default, {factor * usual:.3g} Nm/rad: with "
-                "less the robot sinks below its home pose"
+            return stiffer, (
+                f"gains raised to {factor:g} times the default, {factor * default:.3g} Nm/rad: "
+                "with less the robot sinks below its home pose"
             )
-            return stiffer, raised if factor > 1.0 else ""
     return motor, (
-        f"{quadruped.name} sinks below its home pose with gains of {usual:.3g} to "
-        f"{FACTORS[-1] * usual:.3g} Nm/rad: are its motors, of {quadruped.effort.max():g} Nm at "
+        f"{quadruped.name} sinks below its home pose with gains of {default:.3g} to "
+        f"{FACTORS[-1] * default:.3g} Nm/rad: are its motors, of {quadruped.effort.max():g} Nm at "
         "most, too weak?"
     )
 
 
 def holds_home_pose(model: mujoco.MjModel, quadruped: "Quadruped", motor: Motor) -> bool:
-    """Return whether the robot stays up and at rest when its joints are to keep the home pose."""
+    """Return True if the robot comes to rest in its home pose; simulates `SETTLING_TIME`."""
     data = mujoco.MjData(model)
     data.qpos[:] = quadruped.home
     while data.time < SETTLING_TIME:
@@ -199,13 +198,13 @@ def _make_level_model(model: mujoco.MjModel, quadruped: "Quadruped") -> mujoco.M
 
 
 def compute_motor_torque(motor: Motor, target: Any, q: Any, qd: Any) -> Any:
-    """Torque (12,), Nm, of the joint controller within the motors' limits.
+    """Return the torque of the joint controllers within the motors' limits, (12,) Nm.
 
-    Of joints at `q`, rad, turning at `qd`, rad/s, that are to go to `target`, rad. A motor that
-    drives its joint loses torque in proportion to speed, effort * (1 - qd / velocity): the line
-    between stall torque and no-load speed of a DC motor. One that brakes has all of it.
+    `target` and `q` are joint angles (12,), rad, `qd` their speeds, rad/s. A motor that drives its
+    joint loses torque in proportion to speed, effort * (1 - qd / velocity): the line between stall
+    torque and no-load speed of a DC motor. One that brakes has all of it.
     """
-    xp = _namespace(q)
+    xp = _get_namespace(q)
     torque = motor.kp * (target - q) - motor.kd * qd
     if motor.velocity is None:
         return motor.strength * xp.clip(torque, -motor.effort, motor.effort)
@@ -215,8 +214,11 @@ def compute_motor_torque(motor: Motor, target: Any, q: Any, qd: Any) -> Any:
 
 
 def compute_friction_torque(motor: Motor, qd: Any, through: Any = FRICTION_SPEED) -> Any:
-    """Joint friction (12,), Nm, at speeds `qd` (12,), rad/s; it passes 0 over `through`, rad/s."""
-    xp = _namespace(qd)
+    """Return joint friction (12,), Nm, at speeds `qd` (12,), rad/s.
+
+    It is Coulomb friction, smoothed: it passes through 0 over `through`, rad/s.
+    """
+    xp = _get_namespace(qd)
     if motor.friction is None:
         return xp.zeros_like(qd)
     return -xp.asarray(motor.friction) * xp.tanh(qd / through)
@@ -229,20 +231,20 @@ def run_control_step(
     target: Any,
     advance: Callable[[PhysicsState, Any], PhysicsState],
 ) -> tuple[PhysicsState, Effort]:
-    """`substeps` physics steps with the joint controller run in each, whichever engine steps.
+    """Run the physics steps of a control step, with the joint controllers in each.
 
-    `target` is (12,) rad, or (substeps, 12), one for each physics step. `advance` steps a state
-    with the joints' torques (12,), Nm: the motors' and friction's. Work is torque times the mean of
-    a joint's speeds before and after a physics step.
+    `target` is (12,), rad, or (substeps, 12), one for each physics step. `advance` is an engine's
+    physics step: it takes a state and the joints' torques (12,), Nm, friction included. Work is
+    torque times the mean of a joint's speeds before and after a physics step.
     """
-    each = target.ndim > physics.qpos.ndim
+    many_targets = target.ndim > physics.qpos.ndim
 
-    def substep(
-        carry: tuple[PhysicsState, Effort], own: Any
+    def step(
+        carry: tuple[PhysicsState, Effort], step_target: Any
     ) -> tuple[tuple[PhysicsState, Effort], None]:
         state, effort = carry
         q, qd = state.qpos[7:], state.qvel[6:]
-        torque = compute_motor_torque(motor, own if each else target, q, qd)
+        torque = compute_motor_torque(motor, step_target if many_targets else target, q, qd)
         friction = compute_friction_torque(motor, qd)
         after = advance(state, torque + friction)
         speed = 0.5 * (qd + after.qvel[6:])
@@ -250,16 +252,17 @@ def run_control_step(
         effort = Effort(effort.torque + torque / stepping.substeps, effort.energy + work)
         return (after, effort), None
 
-    xp = _namespace(physics.qpos)
-    nothing = xp.zeros_like(physics.qpos[7:])
-    carry = (physics, Effort(nothing, nothing[0]))
+    xp = _get_namespace(physics.qpos)
+    zeros = xp.zeros_like(physics.qpos[7:])
+    carry = (physics, Effort(zeros, zeros[0]))
     if xp is np:
         for k in range(stepping.substeps):
-            carry, _ = substep(carry, target[k] if each else None)
+            carry, _ = step(carry, target[k] if many_targets else None)
         return carry
-    return jax.lax.scan(substep, carry, target if each else None, length=stepping.substeps)[0]
+    targets = target if many_targets else None
+    return jax.lax.scan(step, carry, targets, length=stepping.substeps)[0]
 
 
-def _namespace(array: Any) -> ModuleType:
-    """NumPy for its arrays, JAX's for all others."""
+def _get_namespace(array: Any) -> ModuleType:
+    """Return NumPy for its arrays, JAX's NumPy for all others."""
     return np if isinstance(array, np.ndarray) else jnp

@@ -1,4 +1,4 @@
-"""MuJoCo C, on all cores: independent of what learned in JAX.
+"""The engine MuJoCo C, on all cores.
 
 It steps the model that it is given, usually the full one, in which every shape collides and the
 solver converges. A jitted and vmapped control step hands a whole batch of robots to the host.
@@ -33,18 +33,19 @@ _CONTROLS = int(mujoco.mjtState.mjSTATE_QFRC_APPLIED)
 
 @jax.tree_util.register_static
 class Stepper:
-    """A MuJoCo model, and a place to compute in for each thread."""
+    """A MuJoCo model, the models of robots that differ from it, and each thread's data."""
 
     def __init__(self, model: mujoco.MjModel, quadruped: Quadruped) -> None:
         self.model = model
         self._quadruped = quadruped
-        # Of each variation that is in use: its models, by the window of the ground that they have.
-        self._varied: dict[bytes, dict[tuple[int, int], mujoco.MjModel]] = {}
+        # Models in use: by robot, and then by the window of the ground that they have.
+        self._models: dict[bytes, dict[tuple[int, int], mujoco.MjModel]] = {}
 
     def step(self, states: np.ndarray, torque: np.ndarray, models: Any) -> np.ndarray:
-        """`states` (n, 38), time, qpos and qvel, after a step with joint torques (n, 12), Nm.
+        """Return `states` (n, 38), time, qpos and qvel, after a physics step.
 
-        `models` are those that `models` gave, about whose origins the places in `states` are.
+        `torque` (n, 12), Nm, is the joints'. `models` are those of `find_models`; positions in
+        `states` are relative to their origins.
         """
         applied = np.pad(torque, [(0, 0), (6, 0)])[:, None]
         with _POOL:
@@ -58,41 +59,39 @@ class Stepper:
             )
         return after[:, 0]
 
-    def models(
-        self, variations: RobotRandomization | None, places: np.ndarray
+    def find_models(
+        self, randomizations: RobotRandomization | None, places: np.ndarray
     ) -> tuple[mujoco.MjModel | list[mujoco.MjModel], np.ndarray]:
-        """The one model of all robots, or that of each, and where its origin is, (n, 2) m.
+        """Return the one model of all robots, or each robot's, and their origins, (n, 2) m.
 
-        `places` (n, 2), m, are where robots are; `variations` have arrays (n, ...).
+        `places` (n, 2), m, are the robots' in the world; `randomizations` have arrays (n, ...).
         """
-        windows, middles = np.zeros(places.shape, int), np.zeros(places.shape)
-        if variations is None:
-            return self.model, middles
+        windows, origins = np.zeros(places.shape, int), np.zeros(places.shape)
+        if randomizations is None:
+            return self.model, origins
         if self._windows is not None:
             windows = self._windows.under(places)
-            middles = self._windows.middles(windows)
-        rows = np.concatenate([np.reshape(x, (len(x), -1)) for x in variations], axis=1)
-        # None is kept of robots that are gone, nor of where they were.
-        before, self._varied = self._varied, {}
+            origins = self._windows.middles(windows)
+        rows = np.concatenate([np.reshape(x, (len(x), -1)) for x in randomizations], axis=1)
+        # Models of earlier robots and places are dropped.
+        earlier, self._models = self._models, {}
         models = []
         for i, (row, window) in enumerate(zip(rows, map(tuple, windows), strict=True)):
-            key = row.tobytes()
-            own, known = self._varied.setdefault(key, {}), before.get(key, {})
-            if window in known:
-                own[window] = known[window]
-            elif window not in own:
-                # Anywhere else it is the same but for its ground.
-                elsewhere = next(iter((known | own).values()), None)
-                own[window] = self._over(
-                    window,
-                    elsewhere
-                    or randomize_model(self._bare, RobotRandomization(*(x[i] for x in variations))),
+            robot = row.tobytes()
+            by_window = self._models.setdefault(robot, {})
+            available = earlier.get(robot, {}) | by_window
+            model = available.get(window)
+            if model is None:
+                # Over another window it is the same but for its ground.
+                model = next(iter(available.values()), None) or randomize_model(
+                    self._bare, RobotRandomization(*(x[i] for x in randomizations))
                 )
-            models.append(own[window])
-        return models, middles
+                model = self._copy_over_window(model, window)
+            by_window[window] = model
+            models.append(model)
+        return models, origins
 
-    def _over(self, window: tuple[int, int], model: mujoco.MjModel) -> mujoco.MjModel:
-        """A copy of `model` over another window of the ground."""
+    def _copy_over_window(self, model: mujoco.MjModel, window: tuple[int, int]) -> mujoco.MjModel:
         if self._windows is None:
             return model
         model = copy.copy(model)
@@ -120,27 +119,27 @@ class Stepper:
         return self._windows.model_of(self._quadruped, self.model.opt.timestep)
 
 
-def randomize_model(model: mujoco.MjModel, variation: RobotRandomization) -> mujoco.MjModel:
-    """A copy of a quadruped's `model` that differs by `variation`, but for its motors."""
+def randomize_model(model: mujoco.MjModel, randomization: RobotRandomization) -> mujoco.MjModel:
+    """Return a copy of a quadruped's `model` with other physical properties, but for its motors."""
     model = copy.copy(model)
     trunk, legs = model.jnt_bodyid[0], model.jnt_bodyid[1:]
-    factor: Any = variation.link_mass
-    model.geom_friction[:, 0] = variation.friction
-    model.body_mass[:] = randomize_masses(model, variation)
-    model.body_ipos[trunk] += variation.trunk_center
+    factor: Any = randomization.link_mass
+    model.geom_friction[:, 0] = randomization.friction
+    model.body_mass[:] = randomize_masses(model, randomization)
+    model.body_ipos[trunk] += randomization.trunk_center
     model.body_inertia[legs] *= factor[:, None]
-    model.dof_armature[6:] *= variation.armature
-    model.dof_damping[6:] *= variation.damping
+    model.dof_armature[6:] *= randomization.armature
+    model.dof_damping[6:] *= randomization.damping
     # What follows from masses, such as inverse inertias at contacts.
     mujoco.mj_setConst(model, mujoco.MjData(model))
     return model
 
 
-def randomize_masses(model: mujoco.MjModel, variation: RobotRandomization) -> np.ndarray:
-    """kg, of each body of a quadruped's `model` that differs by `variation`."""
+def randomize_masses(model: mujoco.MjModel, randomization: RobotRandomization) -> np.ndarray:
+    """Return the mass of each body of a quadruped's randomized `model`, (nbody,) kg."""
     masses: np.ndarray = model.body_mass.copy()
-    masses[model.jnt_bodyid[0]] += variation.trunk_mass
-    masses[model.jnt_bodyid[1:]] *= variation.link_mass
+    masses[model.jnt_bodyid[0]] += randomization.trunk_mass
+    masses[model.jnt_bodyid[1:]] *= randomization.link_mass
     return masses
 
 
@@ -149,65 +148,67 @@ class MujocoModel(NamedTuple):
 
     motor: Motor
     stepper: Stepper
-    variation: RobotRandomization | None = None
+    randomization: RobotRandomization | None = None
 
 
 def make_model(model: mujoco.MjModel, quadruped: Quadruped, motor: Motor) -> MujocoModel:
-    """`model`, made from `quadruped`, to be stepped; robots that vary step the full one."""
+    """Return the engine's model; randomized robots are stepped with the full model."""
     return MujocoModel(motor, Stepper(model, quadruped))
 
 
-def apply_randomization(model: MujocoModel, variation: RobotRandomization) -> MujocoModel:
-    """The constants of one robot that differs by `variation` from that of `model`."""
-    return MujocoModel(randomize_motor(model.motor, variation), model.stepper, variation)
+def apply_randomization(model: MujocoModel, randomization: RobotRandomization) -> MujocoModel:
+    """Return the model of one robot with other physical properties; see `Engine`."""
+    motor = randomize_motor(model.motor, randomization)
+    return MujocoModel(motor, model.stepper, randomization)
 
 
 def step(
     model: MujocoModel, stepping: Stepping, physics: PhysicsState, target: jax.Array
 ) -> tuple[PhysicsState, Effort]:
-    """One control step; `target` (12,) or (substeps, 12), rad. To be vmapped over robots.
+    """Advance one robot by a control step, computed in double precision; see `Engine`.
 
-    In double precision from its beginning to its end. A batch that is split between devices is
-    gathered and computed once for each of them: leave it on one.
+    A batch that is split between devices is gathered and computed once for each of them: leave it
+    on one.
     """
     assert np.isclose(model.stepper.model.opt.timestep, stepping.dt)
-    each = jnp.ndim(target) > jnp.ndim(physics.qpos)
+    many_targets = jnp.ndim(target) > jnp.ndim(physics.qpos)
 
     def advance(models: Any, state: PhysicsState, torque: Any) -> PhysicsState:
         rows = np.concatenate([np.zeros_like(state.qpos[:1]), state.qpos, state.qvel]).T
         after: Any = model.stepper.step(rows, torque.T, models).T
         return state._replace(qpos=after[1:20], qvel=after[20:38])
 
-    def step(*leaves: Any) -> list[np.ndarray]:
-        # Each (..., its own shape), where ... are the axes vmapped over; then with robots last.
-        batch = leaves[-1].shape[: leaves[-1].ndim - (2 if each else 1)]
-        several = [x.reshape(-1, *x.shape[len(batch) :]).astype(float) for x in leaves]
-        _, variations, *_ = jax.tree.unflatten(structure, several)
+    def step_batch(*leaves: Any) -> list[np.ndarray]:
+        # Each (..., one robot's shape), where ... are the axes vmapped over; then robots last.
+        batch = leaves[-1].shape[: leaves[-1].ndim - (2 if many_targets else 1)]
+        rows = [x.reshape(-1, *x.shape[len(batch) :]).astype(float) for x in leaves]
+        _, randomizations, *_ = jax.tree.unflatten(structure, rows)
         motors, _, state, targets = jax.tree.unflatten(
-            structure, [np.moveaxis(x, 0, -1) for x in several]
+            structure, [np.moveaxis(x, 0, -1) for x in rows]
         )
-        models, origins = model.stepper.models(variations, state.qpos[:2].T)
+        models, origins = model.stepper.find_models(randomizations, state.qpos[:2].T)
         shift = np.pad(origins.T, [(0, 17), (0, 0)])
         state = state._replace(qpos=state.qpos - shift)
-        own = partial(advance, models)
-        after, effort = motor.run_control_step(motors, stepping, state, targets, own)
+        after, effort = motor.run_control_step(
+            motors, stepping, state, targets, partial(advance, models)
+        )
         results: Any = (after.qpos + shift, after.qvel, *effort)
         return [np.moveaxis(x, -1, 0).reshape((*batch, *x.shape[:-1])) for x in results]
 
-    arguments, structure = jax.tree.flatten((model.motor, model.variation, physics, target))
+    arguments, structure = jax.tree.flatten((model.motor, model.randomization, physics, target))
     arguments = [jnp.asarray(x, jnp.float32) for x in arguments]
     shapes = [jax.ShapeDtypeStruct(shape, jnp.float32) for shape in ((19,), (18,), (12,), ())]
-    qpos, qvel, torque, energy = _on_host(step, shapes, arguments)
+    qpos, qvel, torque, energy = _call_on_host(step_batch, shapes, arguments)
     return PhysicsState(qpos, qvel), Effort(torque, energy)
 
 
-def _on_host(
+def _call_on_host(
     function: Callable[..., list[np.ndarray]], shapes: list[Any], arguments: list[jax.Array]
 ) -> Any:
-    """`function` of NumPy arrays, called once for a whole batch of what is vmapped over."""
+    """Call a function of NumPy arrays, once for a whole batch of what is vmapped over."""
     if jax.default_backend() != "cpu":
         return jax.pure_callback(
-            lambda *given: [np.float32(x) for x in function(*map(np.asarray, given))],
+            lambda *arrays: [np.float32(x) for x in function(*map(np.asarray, arrays))],
             shapes,
             *arguments,
             vmap_method="broadcast_all",
@@ -215,8 +216,8 @@ def _on_host(
 
     # On a CPU `pure_callback` copies arguments of more than 100 kB by the threads that wait for the
     # callback to end, and so may hang (measured with jax 0.9.2). This one copies none.
-    def fill(_: Any, results: Any, *given: Any) -> None:
-        for result, value in zip(results, function(*map(np.asarray, given)), strict=True):
+    def fill(_: Any, results: Any, *arrays: Any) -> None:
+        for result, value in zip(results, function(*map(np.asarray, arrays)), strict=True):
             np.asarray(result)[...] = value
 
     return buffer_callback(fill, shapes, vmap_method="broadcast_all")(*arguments)

@@ -3,10 +3,10 @@
 The equations are those of MuJoCo (composite rigid bodies for the mass matrix, recursive
 Newton-Euler for the bias forces: Featherstone 2008, Rigid Body Dynamics Algorithms), with what all
 quadrupeds share taken for granted, so that four legs and thousands of robots are computed
-side by side: an array is (4, robots) for a quantity of a leg, (robots,) for one of the trunk.
+side by side. An array is (4, robots) for a quantity of the legs, (robots,) for one of the trunk.
 
-Everything is in the world's axes about the trunk's origin. A generalized vector is `Motion`: the
-trunk's linear and angular part, then the joints'. MuJoCo's own has the angular part in trunk axes.
+Everything is in world axes about the trunk's origin. A generalized vector is `Motion`: the trunk's
+linear and angular part, then the joints'. MuJoCo's own has the angular part in trunk axes.
 """
 
 import operator
@@ -53,12 +53,12 @@ class Motion(NamedTuple):
 
 
 class Pose(NamedTuple):
-    """Where everything is, relative to the trunk's origin."""
+    """Rotations and positions in world axes, relative to the trunk's origin."""
 
     trunk: Matrix  # rotation
     rotations: tuple[Matrix, ...]  # of the links
     origins: tuple[Vector, ...]  # of the links: their joints are there
-    axes: tuple[Vector, ...]  # of the joints
+    axes: tuple[Vector, ...]  # unit vectors of the joints
 
 
 class Composite(NamedTuple):
@@ -78,7 +78,7 @@ class MassMatrix(NamedTuple):
 
 
 def compute_rotation(quat: tuple[Array, ...]) -> Matrix:
-    """The matrix of a quaternion wxyz, which need not have length 1."""
+    """Return the rotation matrix of a quaternion wxyz, which need not have length 1."""
     w, x, y, z = quat
     n = 2.0 / (w * w + x * x + y * y + z * z)
     return (
@@ -89,14 +89,14 @@ def compute_rotation(quat: tuple[Array, ...]) -> Matrix:
 
 
 def compute_pose(links: tuple[Link, ...], trunk: Matrix, angles: Vector) -> Pose:
-    """Forward kinematics, from the trunk's rotation and the joint angles (4, robots), rad."""
+    """Return the pose for the trunk's rotation and joint angles (4, robots), rad."""
     rotation, origin = trunk, None
     rotations, origins, axes = [], [], []
     for link, angle in zip(links, angles, strict=True):
         cos, sin = jnp.cos(angle), jnp.sin(angle)
         fixed, with_cos, with_sin = link.turn
         x, y, z = (
-            v.vector(fixed[i][j] + cos * with_cos[i][j] + sin * with_sin[i][j] for j in range(3))
+            v.to_vector(fixed[i][j] + cos * with_cos[i][j] + sin * with_sin[i][j] for j in range(3))
             for i in range(3)
         )
         step = v.apply(rotation, link.offset)
@@ -108,35 +108,33 @@ def compute_pose(links: tuple[Link, ...], trunk: Matrix, angles: Vector) -> Pose
     return Pose(trunk, tuple(rotations), tuple(origins), tuple(axes))
 
 
-def world_inertia(rotation: Matrix, inertia: Inertia) -> Inertia:
-    """R I R^T."""
+def rotate_inertia(rotation: Matrix, inertia: Inertia) -> Inertia:
+    """Return R I R^T."""
     xx, yy, zz, xy, xz, yz = inertia
     half = v.multiply(rotation, ((xx, xy, xz), (xy, yy, yz), (xz, yz, zz)))
     pairs = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
     return tuple(v.dot(half[i], rotation[j]) for i, j in pairs)
 
 
-def composite(mass: Array, center: Vector, inertia: Inertia) -> Composite:
-    """A body's, from its center of mass relative to the trunk's origin and inertia about it."""
+def make_composite(mass: Array, center: Vector, inertia: Inertia) -> Composite:
+    """Return one body as a composite.
+
+    `center`, m, is its center of mass relative to the trunk's origin, `inertia` is about that.
+    """
     moment = v.scale(mass, center)
     (x, y, z), (mx, my, mz) = center, moment
     shift = (y * my + z * mz, x * mx + z * mz, x * mx + y * my, -x * my, -x * mz, -y * mz)
     return Composite(mass, moment, tuple(a + b for a, b in zip(inertia, shift, strict=True)))
 
 
-def combine(a: Composite, b: Composite) -> Composite:
-    """Two bodies that move as one."""
-    return jax.tree.map(operator.add, a, b)
-
-
-def turn_by(inertia: Inertia, a: Vector) -> Vector:
-    """I a, of a symmetric matrix."""
+def apply_inertia(inertia: Inertia, a: Vector) -> Vector:
+    """Return I a."""
     xx, yy, zz, xy, xz, yz = inertia
     return v.apply(((xx, xy, xz), (xy, yy, yz), (xz, yz, zz)), a)
 
 
 class Bodies(NamedTuple):
-    """Centers of mass and inertias in world axes, the centers relative to the trunk's origin."""
+    """Centers of mass and inertias in world axes; centers are relative to the trunk's origin."""
 
     centers: tuple[Vector, ...]  # links
     inertias: tuple[Inertia, ...]  # links, about their centers
@@ -145,43 +143,46 @@ class Bodies(NamedTuple):
 
 
 def place_bodies(trunk: Trunk, links: tuple[Link, ...], pose: Pose) -> Bodies:
-    """Centers and inertias at a pose."""
+    """Return centers of mass and inertias at a pose."""
     return Bodies(
         tuple(
             v.add(origin, v.apply(rotation, link.center))
             for link, rotation, origin in zip(links, pose.rotations, pose.origins, strict=True)
         ),
-        tuple(map(world_inertia, pose.rotations, [link.inertia for link in links])),
+        tuple(map(rotate_inertia, pose.rotations, [link.inertia for link in links])),
         v.apply(pose.trunk, trunk.center),
-        world_inertia(pose.trunk, trunk.inertia),
+        rotate_inertia(pose.trunk, trunk.inertia),
     )
 
 
 def compute_mass_matrix(
     trunk: Trunk, links: tuple[Link, ...], pose: Pose, bodies: Bodies
 ) -> MassMatrix:
-    """The composite-rigid-body algorithm."""
+    """Return the joint-space inertia, by the composite-rigid-body algorithm."""
     below: Composite | None = None
     columns: list[tuple[Array, ...]] = []  # hip, thigh, calf: force then torque on the trunk
     legs: list[list[Array]] = [[0.0] * LINKS for _ in range(LINKS)]
     for i in reversed(range(LINKS)):
         link = links[i]
-        own = composite(link.mass, bodies.centers[i], bodies.inertias[i])
-        below = own if below is None else combine(own, below)
+        body = make_composite(link.mass, bodies.centers[i], bodies.inertias[i])
+        below = body if below is None else jax.tree.map(operator.add, body, below)
         axis, origin = pose.axes[i], pose.origins[i]
         # Turning at unit speed about the joint, as motion of the trunk's origin.
         sweep = v.cross(origin, axis)
         force = v.add(v.scale(below.mass, sweep), v.cross(axis, below.moment))
-        torque = v.add(turn_by(below.inertia, axis), v.cross(below.moment, sweep))
+        torque = v.add(apply_inertia(below.inertia, axis), v.cross(below.moment, sweep))
         columns.insert(0, force + torque)
         for j in range(i + 1):
             outer, at = pose.axes[j], pose.origins[j]
             legs[i][j] = legs[j][i] = v.dot(outer, v.subtract(torque, v.cross(at, force)))
         legs[i][i] = legs[i][i] + link.armature
     assert below is not None
-    whole = composite(trunk.mass, bodies.trunk_center, bodies.trunk_inertia)
-    legs_together = jax.tree.map(v.legs_sum, below)
-    mass, (x, y, z), (xx, yy, zz, xy, xz, yz) = combine(whole, legs_together)
+    robot = jax.tree.map(
+        operator.add,
+        make_composite(trunk.mass, bodies.trunk_center, bodies.trunk_inertia),
+        jax.tree.map(v.sum_legs, below),
+    )
+    mass, (x, y, z), (xx, yy, zz, xy, xz, yz) = robot
     o = jnp.zeros_like(x)
     mass = mass + o
     base = (
@@ -203,9 +204,12 @@ def compute_bias_force(
     velocity: Motion,
     gravity: Vector,
 ) -> Motion:
-    """Coriolis, centrifugal and gravitational forces: what holds the acceleration at 0."""
+    """Return the force that holds the acceleration at 0, by recursive Newton-Euler.
+
+    It balances Coriolis, centrifugal and gravitational forces; `gravity` is in m/s^2.
+    """
     spin = velocity.angular
-    forces = _link_forces(links, pose, bodies, velocity, gravity)
+    forces = _compute_link_forces(links, pose, bodies, velocity, gravity)
     joints: list[Array] = []
     force, torque = forces[-1]
     for i in reversed(range(LINKS)):
@@ -215,37 +219,44 @@ def compute_bias_force(
         joints.insert(0, v.dot(pose.axes[i], about))
     center, inertia = bodies.trunk_center, bodies.trunk_inertia
     trunk_force = v.scale(trunk.mass, v.subtract(v.cross(spin, v.cross(spin, center)), gravity))
-    trunk_torque = v.add(v.cross(spin, turn_by(inertia, spin)), v.cross(center, trunk_force))
+    trunk_torque = v.add(v.cross(spin, apply_inertia(inertia, spin)), v.cross(center, trunk_force))
     return Motion(
-        v.add(trunk_force, v.vector(v.legs_sum(x) for x in force)),
-        v.add(trunk_torque, v.vector(v.legs_sum(x) for x in torque)),
-        v.vector(joints),
+        v.add(trunk_force, v.to_vector(v.sum_legs(x) for x in force)),
+        v.add(trunk_torque, v.to_vector(v.sum_legs(x) for x in torque)),
+        v.to_vector(joints),
     )
 
 
-def _link_forces(
+def _compute_link_forces(
     links: tuple[Link, ...], pose: Pose, bodies: Bodies, velocity: Motion, gravity: Vector
 ) -> list[tuple[Vector, Vector]]:
-    """Of each link the force, and the torque about the trunk's origin, that its motion takes.
+    """Return the force on each link, and the torque about the trunk's origin.
 
     Velocities and accelerations go down the leg, from the trunk, whose acceleration is 0.
     """
-    w, turning, at, acceleration = velocity.angular, None, None, None
+    spin = velocity.angular
+    spin_rate: Vector | None = None
+    parent: Vector | None = None
+    acceleration: Vector | None = None  # of the joint's place
     forces: list[tuple[Vector, Vector]] = []
     for i, link in enumerate(links):
         origin, axis = pose.origins[i], pose.axes[i]
-        arm = origin if at is None else v.subtract(origin, at)
-        moved = v.cross(w, v.cross(w, arm))
-        if turning is not None and acceleration is not None:
-            moved = v.add(acceleration, v.cross(turning, arm), moved)
+        arm = origin if parent is None else v.subtract(origin, parent)
+        centripetal = v.cross(spin, v.cross(spin, arm))
+        if spin_rate is None or acceleration is None:
+            acceleration = centripetal
+        else:
+            acceleration = v.add(acceleration, v.cross(spin_rate, arm), centripetal)
         rate = v.scale(velocity.joints[i], axis)
-        change = v.cross(w, rate)
-        turning = change if turning is None else v.add(turning, change)
-        w, at, acceleration = v.add(w, rate), origin, moved
+        change = v.cross(spin, rate)
+        spin_rate = change if spin_rate is None else v.add(spin_rate, change)
+        spin, parent = v.add(spin, rate), origin
         center, inertia = bodies.centers[i], bodies.inertias[i]
-        arm = v.subtract(center, at)
-        of_center = v.add(acceleration, v.cross(turning, arm), v.cross(w, v.cross(w, arm)))
+        arm = v.subtract(center, origin)
+        centripetal = v.cross(spin, v.cross(spin, arm))
+        of_center = v.add(acceleration, v.cross(spin_rate, arm), centripetal)
         force = v.scale(link.mass, v.subtract(of_center, gravity))
-        torque = v.add(turn_by(inertia, turning), v.cross(w, turn_by(inertia, w)))
+        gyroscopic = v.cross(spin, apply_inertia(inertia, spin))
+        torque = v.add(apply_inertia(inertia, spin_rate), gyroscopic)
         forces.append((force, v.add(torque, v.cross(center, force))))
     return forces

@@ -1,7 +1,8 @@
 """Newton's method for MuJoCo's convex problem: the acceleration under soft constraints.
 
-Only the trunk and its own leg's joints move a contact, so the Hessian has the mass matrix's arrow
-shape. It is factored in a tenth of the operations of a dense one.
+The problem is that of Todorov 2014, "Convex and analytically-invertible dynamics with contacts and
+constraints". Only the trunk and its own leg's joints move a contact, so the Hessian has the mass
+matrix's arrow shape. It is factored in a tenth of the operations of a dense one.
 """
 
 from collections.abc import Sequence
@@ -25,10 +26,10 @@ class NewtonState(NamedTuple):
 
     acceleration: Motion
     residual: Motion  # mass acceleration - force
-    off: Rows  # the constraints' accelerations less those that they ask for
+    off: Rows  # the constraints' accelerations less their reference accelerations
 
 
-def newton(
+def minimize_cost(
     mass: MassMatrix,
     constraints: Constraints,
     force: Motion,
@@ -38,8 +39,9 @@ def newton(
 ) -> Motion:
     """Return the acceleration that minimizes MuJoCo's cost; see `materialize` for `barrier`.
 
-    `force` is all but the constraints'. Each iteration takes a Newton step and then searches along
-    it for the root of the cost's slope, which is piecewise linear: `line_search` evaluations.
+    `force` is the sum of all forces except those of constraints. Each iteration takes a Newton step
+    and searches along it for the root of the cost's slope. That is piecewise linear; the search has
+    `line_search` evaluations.
 
     The search begins at rest. The last step's acceleration is a worse start: feet that slide switch
     between the edges of their friction pyramids from step to step (benchmarks/accuracy.py).
@@ -51,11 +53,11 @@ def newton(
             jnp.where(o < 0, w, 0.0) for o, w in zip(off, constraints.weight, strict=True)
         )
         pull = force_of(constraints, tuple(-w * o for w, o in zip(active, off, strict=True)))
-        downhill = combined(pull, -1.0, residual)
+        downhill = add_scaled(pull, -1.0, residual)
         matrix = materialize(barrier, hessian, mass, constraints, active)
         step = solve(matrix, downhill, barrier)
-        inertial = materialize(barrier, product, mass, step)
-        slope, bend = inner(step, residual), inner(step, inertial)
+        inertial = materialize(barrier, multiply, mass, step)
+        slope, bend = compute_inner_product(step, residual), compute_inner_product(step, inertial)
         along = rows(constraints, step)
         scaled = [w * a for w, a in zip(constraints.weight, along, strict=True)]
 
@@ -67,7 +69,7 @@ def newton(
                 active = jnp.where(at < 0, s, 0.0)
                 first = first + active * at
                 second = second + active * a
-            return slope + alpha * bend + v.legs_sum(first), bend + v.legs_sum(second)
+            return slope + alpha * bend + v.sum_legs(first), bend + v.sum_legs(second)
 
         def narrow(_: int, bracket: tuple[Array, ...]) -> tuple[Array, ...]:
             alpha, low, high = bracket
@@ -80,8 +82,12 @@ def newton(
 
         bracket = (jnp.ones_like(slope), jnp.zeros_like(slope), jnp.full_like(slope, 1e10))
         alpha, _, _ = jax.lax.fori_loop(0, line_search, narrow, bracket)
-        off = tuple(o + alpha * a for o, a in zip(off, along, strict=True))
-        return NewtonState(combined(x, alpha, step), combined(residual, alpha, inertial), off), None
+        after = NewtonState(
+            add_scaled(x, alpha, step),
+            add_scaled(residual, alpha, inertial),
+            tuple(o + alpha * a for o, a in zip(off, along, strict=True)),
+        )
+        return after, None
 
     start = NewtonState(
         jax.tree.map(jnp.zeros_like, force),
@@ -91,8 +97,8 @@ def newton(
     return jax.lax.scan(iterate, start, None, length=iterations)[0].acceleration
 
 
-def cholesky(a: Sequence[Sequence[Array]], n: int) -> Factor:
-    """The lower factor of an n x n matrix of arrays."""
+def compute_cholesky(a: Sequence[Sequence[Array]], n: int) -> Factor:
+    """Return the lower Cholesky factor of an n x n matrix of arrays."""
     low: Factor = [[0.0] * (i + 1) for i in range(n)]
     for j in range(n):
         pivot = a[j][j]
@@ -107,8 +113,8 @@ def cholesky(a: Sequence[Sequence[Array]], n: int) -> Factor:
     return low
 
 
-def forward(low: Factor, b: list[Array]) -> list[Array]:
-    """Solve L y = b."""
+def solve_lower(low: Factor, b: list[Array]) -> list[Array]:
+    """Return y of L y = b."""
     y: list[Array] = []
     for i, entry in enumerate(b):
         for k in range(i):
@@ -117,8 +123,8 @@ def forward(low: Factor, b: list[Array]) -> list[Array]:
     return y
 
 
-def backward(low: Factor, y: list[Array]) -> list[Array]:
-    """Solve L^T x = y."""
+def solve_upper(low: Factor, y: list[Array]) -> list[Array]:
+    """Return x of L^T x = y."""
     n = len(y)
     x: list[Array] = [0.0] * n
     for i in reversed(range(n)):
@@ -130,47 +136,49 @@ def backward(low: Factor, y: list[Array]) -> list[Array]:
 
 
 def solve(matrix: MassMatrix, force: Motion, barrier: jax.Array) -> Motion:
-    """matrix^-1 force: the legs are eliminated first, then the trunk is solved for."""
-    low = materialize(barrier, lambda legs: cholesky(legs, LINKS), matrix.legs)
+    """Return matrix^-1 force: eliminate the legs first, then solve for the trunk."""
+    low = materialize(barrier, lambda legs: compute_cholesky(legs, LINKS), matrix.legs)
 
     def eliminate(low: Factor, matrix: MassMatrix, force: Motion) -> tuple[Table, list[Array]]:
-        # Of each leg, L^-1 of the coupling to the trunk's 6 directions, [i][k], and of the force.
-        coupling = [forward(low, [matrix.cross[k][i] for k in range(LINKS)]) for i in range(6)]
-        return coupling, forward(low, list(force.joints))
+        # L^-1 times the coupling to the trunk's 6 directions, [i][k], and L^-1 times the force.
+        coupling = [solve_lower(low, [matrix.cross[k][i] for k in range(LINKS)]) for i in range(6)]
+        return coupling, solve_lower(low, list(force.joints))
 
     coupling, reduced = materialize(barrier, eliminate, low, matrix, force)
 
-    def remain(
+    def reduce(
         coupling: Table, reduced: list[Array], matrix: MassMatrix, force: Motion
     ) -> tuple[Table, list[Array]]:
         base = [
             [
                 matrix.base[i][j]
-                - v.legs_sum(sum(coupling[i][k] * coupling[j][k] for k in range(LINKS)))
+                - v.sum_legs(sum(coupling[i][k] * coupling[j][k] for k in range(LINKS)))
                 for j in range(i + 1)
             ]
             for i in range(6)
         ]
         right = [
-            f - v.legs_sum(sum(coupling[i][k] * reduced[k] for k in range(LINKS)))
+            f - v.sum_legs(sum(coupling[i][k] * reduced[k] for k in range(LINKS)))
             for i, f in enumerate((*force.linear, *force.angular))
         ]
         return base, right
 
-    base, right = materialize(barrier, remain, coupling, reduced, matrix, force)
-    top = materialize(barrier, lambda base: cholesky(base, 6), base)
-    trunk = materialize(barrier, lambda top, right: backward(top, forward(top, right)), top, right)
+    base, right = materialize(barrier, reduce, coupling, reduced, matrix, force)
+    top = materialize(barrier, lambda base: compute_cholesky(base, 6), base)
+    trunk = materialize(
+        barrier, lambda top, right: solve_upper(top, solve_lower(top, right)), top, right
+    )
     left = [reduced[k] - sum(coupling[i][k] * trunk[i] for i in range(6)) for k in range(LINKS)]
-    x, y, z = backward(low, left)
+    x, y, z = solve_upper(low, left)
     return Motion((trunk[0], trunk[1], trunk[2]), (trunk[3], trunk[4], trunk[5]), (x, y, z))
 
 
-def product(matrix: MassMatrix, motion: Motion) -> Motion:
-    """matrix motion."""
+def multiply(matrix: MassMatrix, motion: Motion) -> Motion:
+    """Return the product matrix motion."""
     trunk = (*motion.linear, *motion.angular)
     base = [
         sum(matrix.base[i][j] * trunk[j] for j in range(6))
-        + v.legs_sum(sum(matrix.cross[k][i] * motion.joints[k] for k in range(LINKS)))
+        + v.sum_legs(sum(matrix.cross[k][i] * motion.joints[k] for k in range(LINKS)))
         for i in range(6)
     ]
     joints = (
@@ -178,15 +186,15 @@ def product(matrix: MassMatrix, motion: Motion) -> Motion:
         + sum(matrix.legs[k][j] * motion.joints[j] for j in range(LINKS))
         for k in range(LINKS)
     )
-    return Motion((base[0], base[1], base[2]), (base[3], base[4], base[5]), v.vector(joints))
+    return Motion((base[0], base[1], base[2]), (base[3], base[4], base[5]), v.to_vector(joints))
 
 
-def inner(a: Motion, b: Motion) -> Array:
-    """a . b, (robots,)."""
+def compute_inner_product(a: Motion, b: Motion) -> Array:
+    """Return a . b, (robots,)."""
     trunk = v.dot(a.linear, b.linear) + v.dot(a.angular, b.angular)
-    return trunk + v.legs_sum(v.dot(a.joints, b.joints))
+    return trunk + v.sum_legs(v.dot(a.joints, b.joints))
 
 
-def combined(a: Motion, factor: Array, b: Motion) -> Motion:
-    """a + factor * b."""
+def add_scaled(a: Motion, factor: Array, b: Motion) -> Motion:
+    """Return a + factor * b."""
     return jax.tree.map(lambda x, y: x + factor * y, a, b)

@@ -16,34 +16,34 @@ Vector: TypeAlias = tuple[Array, Array, Array]
 Matrix: TypeAlias = tuple[Vector, Vector, Vector]  # rows
 
 
-def vector(components: Iterable[Array]) -> Vector:
-    """A vector of three components."""
+def to_vector(components: Iterable[Array]) -> Vector:
+    """Return the vector of three components."""
     x, y, z = components
     return x, y, z
 
 
 def add(*vectors: Vector) -> Vector:
-    """The sum of vectors."""
-    return vector(sum(parts[1:], start=parts[0]) for parts in zip(*vectors, strict=True))
+    """Return the sum of vectors, added from left to right."""
+    return to_vector(sum(parts[1:], start=parts[0]) for parts in zip(*vectors, strict=True))
 
 
 def subtract(a: Vector, b: Vector) -> Vector:
-    """a - b."""
+    """Return a - b."""
     return a[0] - b[0], a[1] - b[1], a[2] - b[2]
 
 
 def scale(factor: Array, a: Vector) -> Vector:
-    """factor * a."""
+    """Return factor * a."""
     return factor * a[0], factor * a[1], factor * a[2]
 
 
 def dot(a: Vector, b: Vector) -> Array:
-    """The inner product."""
+    """Return the inner product of a and b."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 def cross(a: Vector, b: Vector) -> Vector:
-    """The cross product."""
+    """Return the cross product a x b."""
     return (
         a[1] * b[2] - a[2] * b[1],
         a[2] * b[0] - a[0] * b[2],
@@ -52,29 +52,29 @@ def cross(a: Vector, b: Vector) -> Vector:
 
 
 def transpose(m: Matrix) -> Matrix:
-    """Rows from columns."""
+    """Return the transposed matrix."""
     x, y, z = zip(*m, strict=True)
     return x, y, z
 
 
 def apply(m: Matrix, a: Vector) -> Vector:
-    """m a."""
+    """Return m a."""
     return dot(m[0], a), dot(m[1], a), dot(m[2], a)
 
 
 def apply_transposed(m: Matrix, a: Vector) -> Vector:
-    """m^T a."""
+    """Return m^T a."""
     return apply(transpose(m), a)
 
 
 def multiply(a: Matrix, b: Matrix) -> Matrix:
-    """a b."""
+    """Return the product a b."""
     columns = transpose(b)
-    x, y, z = (vector(dot(row, column) for column in columns) for row in a)
+    x, y, z = (to_vector(dot(row, column) for column in columns) for row in a)
     return x, y, z
 
 
-def legs_sum(a: Array) -> Array:
-    """The sum over legs, the first axis."""
+def sum_legs(a: Array) -> Array:
+    """Return the sum over the four legs, the first axis."""
     assert not isinstance(a, float)
     return a[0] + a[1] + a[2] + a[3]

@@ -17,7 +17,7 @@ from quadwalk.env.reflections import AXIAL, JOINTS, SCALAR, VECTOR, mirrors
 from quadwalk.env.robot_arrays import RobotArrays
 from quadwalk.env.state import EnvState, Step
 from quadwalk.physics.motor import MotorConfig
-from quadwalk.physics.rotation import euler, rotate
+from quadwalk.physics.rotation import rotate
 from quadwalk.robot.mirror import Mirror, RobotMirror
 from quadwalk.settings.environment import NO_COMMAND, NO_RANDOMIZATION, EnvConfig, ResetConfig
 from quadwalk.settings.terms import ActionMap, Observation, Reward, Termination
@@ -92,6 +92,26 @@ def joint_angles(robot: RobotArrays, state: EnvState) -> jax.Array:
     return state.qpos[7:]
 
 
+def compute_euler_angles(quat: jax.Array) -> jax.Array:
+    """Return roll, pitch and yaw (3,), rad, of `quat` (4,), wxyz, Rz(yaw) Ry(pitch) Rx(roll).
+
+    They are those of PyBullet's getEulerFromQuaternion, with pitch from -pi/2 to pi/2. Within 0.26
+    degrees of either end only roll and yaw together are determined: roll is 0 and yaw within 2 pi.
+    """
+    w, x, y, z = quat
+    sine = 2.0 * (w * y - x * z)
+    general = jnp.stack(
+        [
+            jnp.arctan2(2.0 * (y * z + w * x), w * w - x * x - y * y + z * z),
+            jnp.arcsin(jnp.clip(sine, -1.0, 1.0)),
+            jnp.arctan2(2.0 * (x * y + w * z), w * w + x * x - y * y - z * z),
+        ]
+    )
+    up = jnp.sign(sine)
+    vertical = jnp.stack([0.0 * w, up * (jnp.pi / 2), 2.0 * jnp.arctan2(-up * x, up * y)])
+    return jnp.where(jnp.abs(sine) < 0.99999, general, vertical)
+
+
 def progress(robot: RobotArrays, step: Step) -> jax.Array:
     """Distance along world x in the step, m."""
     return step.qpos[0] - step.start[0]
@@ -99,13 +119,13 @@ def progress(robot: RobotArrays, step: Step) -> jax.Array:
 
 def inclined(robot: RobotArrays, step: Step) -> jax.Array:
     """1 while roll or pitch is beyond 45 degrees."""
-    roll_and_pitch = euler(step.qpos[3:7])[:2]
+    roll_and_pitch = compute_euler_angles(step.qpos[3:7])[:2]
     return (jnp.max(jnp.abs(roll_and_pitch)) > jnp.pi / 4).astype(jnp.float32)
 
 
 def heading(robot: RobotArrays, step: Step) -> jax.Array:
     """Angle between the heading and world x, rad, without bound."""
-    return jnp.abs(euler(step.qpos[3:7])[2])
+    return jnp.abs(compute_euler_angles(step.qpos[3:7])[2])
 
 
 def movement(robot: RobotArrays, step: Step) -> jax.Array:
@@ -119,7 +139,7 @@ def movement(robot: RobotArrays, step: Step) -> jax.Array:
 
 def rolled_or_pitched(robot: RobotArrays, step: Step, *, angle: float) -> jax.Array:
     """Roll or pitch is beyond `angle`, rad."""
-    return jnp.max(jnp.abs(euler(step.qpos[3:7])[:2])) > angle
+    return jnp.max(jnp.abs(compute_euler_angles(step.qpos[3:7])[:2])) > angle
 
 
 def below(robot: RobotArrays, step: Step, *, height: float) -> jax.Array:

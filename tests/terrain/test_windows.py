@@ -50,7 +50,7 @@ def test_around_a_robot_the_ground_is_that_of_the_field(stepper):
     rng, most = np.random.default_rng(3), reach(stepper.model)
     half = stepper.model.hfield_size[0, :2]
     where = places(stepper, 40)
-    models, origins = stepper.models(variations(40), where)
+    models, origins = stepper.find_models(variations(40), where)
     assert len({tuple(origin) for origin in origins}) > 10
     points = np.clip(where[:, None] + rng.uniform(-most, most, (40, 20, 2)) / 2**0.5, -half, half)
 
@@ -74,7 +74,7 @@ def test_robots_step_as_on_the_whole_field(quadruped, stepper):
     states[:, 8:20] += rng.uniform(-0.3, 0.3, (count, 12))
     states[:, 20:] = rng.uniform(-3, 3, (count, 18))
     torque = rng.uniform(-10, 10, (count, 12))
-    models, origins = stepper.models(rows, states[:, 1:3])
+    models, origins = stepper.find_models(rows, states[:, 1:3])
     shift = np.pad(origins, [(0, 0), (1, 35)])
     found = (stepper.step(states - shift, torque, models) + shift)[:, 1:]
     expected, touching = np.zeros((count, 37)), np.zeros(count)
@@ -93,30 +93,30 @@ def test_robots_step_as_on_the_whole_field(quadruped, stepper):
 
 def test_a_model_is_kept_while_its_robot_is_there(stepper):
     rows, places = variations(3), np.array([[0.0, 0.0], [3.0, 1.0], [-5.0, 2.0]])
-    first, _ = stepper.models(rows, places)
-    again, _ = stepper.models(rows, places + 0.01)
+    first, _ = stepper.find_models(rows, places)
+    again, _ = stepper.find_models(rows, places + 0.01)
     assert all(a is b for a, b in zip(first, again, strict=True))
-    moved, _ = stepper.models(rows, places + np.array([2.0, 0.0]))
+    moved, _ = stepper.find_models(rows, places + np.array([2.0, 0.0]))
     assert not any(a is b for a in first for b in moved)
     for a, b in zip(first, moved, strict=True):
         np.testing.assert_array_equal(a.body_mass, b.body_mass)
         assert np.any(a.hfield_data != b.hfield_data)
-    alone, _ = stepper.models(RobotRandomization(*(x[:1] for x in rows)), places[:1])
-    assert len(stepper._varied) == len(alone) == 1
+    alone, _ = stepper.find_models(RobotRandomization(*(x[:1] for x in rows)), places[:1])
+    assert len(stepper._models) == len(alone) == 1
 
 
 def test_robots_alike_share_a_model_where_they_are_on_the_same_ground(stepper):
     rows = RobotRandomization(*(np.repeat(x, 3, axis=0) for x in variations(1)))
-    models, _ = stepper.models(rows, np.array([[0.0, 0.0], [0.1, 0.0], [4.0, 0.0]]))
+    models, _ = stepper.find_models(rows, np.array([[0.0, 0.0], [0.1, 0.0], [4.0, 0.0]]))
     assert models[0] is models[1]
     assert models[0] is not models[2]
 
 
 def test_a_model_of_ones_own_is_small(quadruped, stepper):
-    (own,), _ = stepper.models(variations(1), np.zeros((1, 2)))
+    (own,), _ = stepper.find_models(variations(1), np.zeros((1, 2)))
     assert mujoco.mj_sizeModel(own) < 0.1 * mujoco.mj_sizeModel(stepper.model)
     flat = Stepper(quadruped.make_full_model(), quadruped)
-    (own,), origins = flat.models(variations(1), np.array([[7.0, 3.0]]))
+    (own,), origins = flat.find_models(variations(1), np.array([[7.0, 3.0]]))
     assert not origins.any()
     assert mujoco.mj_sizeModel(own) < 0.1 * mujoco.mj_sizeModel(flat.model)
 

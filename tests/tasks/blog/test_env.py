@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from quadwalk.env.env import QuadrupedEnv
 from quadwalk.env.state import EnvState
@@ -217,3 +218,48 @@ def test_an_episode_has_1000_steps_of_one_physics_step(env, first):
     # It stands still after the drop: the controller's gains are none that it cannot hold.
     assert np.abs(qvel[500:]).max() < 0.05
     assert state.pipeline_state.physics.qpos[2] > 0.33
+
+
+@pytest.mark.parametrize(
+    ("quat", "expected"),
+    [
+        ((0.5, 0.5, 0.5, 0.5), (np.pi / 2, 0.0, np.pi / 2)),
+        # Straight up and down, roll is 0 and yaw is whatever else there is, within two turns.
+        ((1.0, 0.0, 1.0, 0.0), (0.0, np.pi / 2, 0.0)),
+        ((0.5, 0.5, 0.5, -0.5), (0.0, np.pi / 2, -np.pi / 2)),
+        ((-0.5, -0.5, -0.5, 0.5), (0.0, np.pi / 2, 1.5 * np.pi)),
+        ((-0.5, -0.5, 0.5, -0.5), (0.0, -np.pi / 2, -1.5 * np.pi)),
+    ],
+)
+def test_euler_angles_where_pitch_is_a_right_angle(quat, expected):
+    np.testing.assert_allclose(
+        blog.compute_euler_angles(jnp.asarray(quat) / np.linalg.norm(quat)), expected, atol=1e-5
+    )
+
+
+def test_euler_angles_of_random_rotations_are_scipys():
+    quat = np.random.default_rng(0).normal(size=(3000, 4))
+    quat = (quat / np.linalg.norm(quat, axis=1, keepdims=True)).astype(np.float32)
+    expected = Rotation.from_quat(quat, scalar_first=True).as_euler("xyz")
+    found = np.asarray(jax.vmap(blog.compute_euler_angles)(quat))
+    steep = np.abs(np.sin(expected[:, 1])) > 0.99  # of whose angles less digits are left
+    assert 10 < steep.sum() < 100
+    np.testing.assert_allclose(found[~steep], expected[~steep], atol=1e-5)
+    np.testing.assert_allclose(found[steep], expected[steep], atol=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("roll", "degrees", "heading", "expected"),
+    [
+        (0.5, 89.5, -1.0, (0.5, 1.5621, -1.0)),
+        (0.5, 89.8, -1.0, (0.0, 1.5708, -1.5017)),
+        (3.0, 89.8, 2.5, (0.0, 1.5708, -0.5005)),
+        (-2.0, -89.5, 0.7, (-2.0, -1.5621, 0.7)),
+        (-2.0, -89.8, 0.7, (0.0, -1.5708, -1.3032)),
+    ],
+)
+def test_euler_angles_near_a_right_angle_of_pitch_are_pybullets(roll, degrees, heading, expected):
+    """What PyBullet 3.2.7's getEulerFromQuaternion gives: roll is 0 within 0.26 degrees of it."""
+    turn = Rotation.from_euler("xyz", [roll, np.radians(degrees), heading])
+    quat = turn.as_quat(scalar_first=True).astype(np.float32)
+    np.testing.assert_allclose(blog.compute_euler_angles(jnp.asarray(quat)), expected, atol=2e-4)
