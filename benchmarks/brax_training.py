@@ -20,9 +20,11 @@ from brax.training.agents.ppo import train as brax_ppo
 from brax.training.distribution import NormalTanhDistribution
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
-from quadwalk.learn import iteration, ppo
+from quadwalk.learn import ppo
 from quadwalk.learn.acting import make_policy
-from quadwalk.learn.networks import Networks, TanhNormal, make_networks
+from quadwalk.learn.devices import make_mesh
+from quadwalk.learn.distribution import TanhNormal
+from quadwalk.learn.networks import Networks, make_networks
 from quadwalk.settings.training import PPOConfig
 
 Params = tuple[Any, Any, Any]  # normalizer, policy, value
@@ -49,7 +51,9 @@ class NormalTanh(NormalTanhDistribution):
     """Brax's distribution of actions with our entropy, in closed form in place of a sample."""
 
     def entropy(self, parameters: jax.Array, seed: jax.Array) -> jax.Array:
-        return TanhNormal.of(jnp.moveaxis(parameters, -1, 0), self._var_scale).entropy()
+        return TanhNormal.from_outputs(
+            jnp.moveaxis(parameters, -1, 0), self._var_scale
+        ).compute_entropy()
 
 
 def networks_of_brax(
@@ -57,7 +61,7 @@ def networks_of_brax(
 ) -> brax_networks.PPONetworks:
     """Brax's own networks of the same sizes as `networks`, which are plain."""
     return brax_networks.make_ppo_networks(
-        networks.whole.size,
+        networks.critic_obs.size,
         networks.outputs.size // 2,
         preprocess_observations_fn=normalize,
         policy_hidden_layer_sizes=config.hidden,
@@ -141,8 +145,8 @@ def train_with_brax(
 
 
 def train_with_ours(
-    iterate: Callable[[iteration.TrainState], Any],
-    state: iteration.TrainState,
+    iterate: Callable[[ppo.TrainState], Any],
+    state: ppo.TrainState,
     iterations: int,
     points: int,
 ) -> list[Params]:
@@ -227,12 +231,12 @@ def learning_curves(
     """Ours and Brax's curves (seeds, 1 + points, 3): reward, speed, falls as `make_judge` tells."""
     networks = make_networks(config, env.observation_size, env.action_size)
     theirs = networks_of_brax(config, networks)
-    mesh = iteration.make_mesh()
-    iterate = iteration.Iteration(env, networks, config, mesh, iterations)
+    mesh = make_mesh()
+    iterate = ppo.Iteration(env, networks, config, mesh, iterations)
     judge = make_judge(env, config, episodes)
     curves: tuple[list[Any], list[Any]] = ([], [])
     for seed in range(seeds):
-        state = iteration.init_state(env, networks, config, mesh, envs, seed)
+        state = ppo.init_state(env, networks, config, mesh, envs, seed)
         state, _ = jax.block_until_ready(iterate(state))  # measures the observations only
         start = jax.device_get(state.learner)
         runs = (

@@ -3,7 +3,7 @@
 import time
 from typing import NamedTuple
 
-from quadwalk.learn.devices import cpu_cores, device_count, set_up_devices
+from quadwalk.learn.devices import count_devices, cpu_cores, set_up_devices
 from quadwalk.settings.training import PPOConfig
 from quadwalk.tasks import sprint
 
@@ -23,19 +23,20 @@ class DefaultTraining:
 
     def __init__(self, envs: int, config: PPOConfig | None = None, seed: int = 0) -> None:
         config = config or sprint.TASK.ppo
-        self.devices = device_count(envs, config.minibatches, config.eval_envs, cpu_cores())
+        self.devices = count_devices(envs, config.minibatches, config.eval_envs, cpu_cores())
         set_up_devices(self.devices)
         from quadwalk.env.env import QuadrupedEnv
-        from quadwalk.learn import iteration
-        from quadwalk.learn.networks import networks_for
+        from quadwalk.learn.devices import make_mesh
+        from quadwalk.learn.networks import make_env_networks
+        from quadwalk.learn.ppo import Iteration, init_state
         from quadwalk.robot.quadruped import load_quadruped
 
         env = QuadrupedEnv(load_quadruped(), sprint.TASK.env)
-        networks = networks_for(env, config)
-        mesh = iteration.make_mesh()
-        self._state = iteration.init_state(env, networks, config, mesh, envs, seed)
+        networks = make_env_networks(env, config)
+        mesh = make_mesh()
+        self._state = init_state(env, networks, config, mesh, envs, seed)
         # Of how many only tells the learning rate's schedule when to settle.
-        self._iterate = iteration.Iteration(env, networks, config, mesh, iterations=1000)
+        self._iterate = Iteration(env, networks, config, mesh, iterations=1000)
         self._batch = envs * config.unroll
         self.run(0.0)  # compiles, and measures the observations
         self.run(0.0)
@@ -55,15 +56,18 @@ class DefaultTraining:
         """The same, with collecting and learning timed apart."""
         import jax
 
-        from quadwalk.learn.iteration import TrainState
+        from quadwalk.learn.ppo import TrainState
 
         began, iterations = time.perf_counter(), 0
         collecting = learning = 0.0
         while not iterations or time.perf_counter() - began < seconds:
             start = time.perf_counter()
-            workers, data, _, key = jax.block_until_ready(self._iterate.collect(*self._state))
+            iterate, state = self._iterate, self._state
+            workers, rollout, _, key = jax.block_until_ready(iterate.collect(*state))
             middle = time.perf_counter()
-            learner, _ = jax.block_until_ready(self._iterate.learn(self._state.learner, data, key))
+            learner, _ = jax.block_until_ready(
+                self._iterate.learn(self._state.learner, rollout, key)
+            )
             self._state = TrainState(learner, workers)
             collecting += middle - start
             learning += time.perf_counter() - middle

@@ -32,8 +32,7 @@ def print_costs(envs: int, steps: int, rounds: int) -> None:
     import jax
     import jax.numpy as jnp
 
-    from quadwalk.learn.iteration import make_mesh
-    from quadwalk.learn.ppo import AXIS
+    from quadwalk.learn.devices import AXIS, make_mesh
     from quadwalk.physics.batching import batch_robots
     from quadwalk.physics.fast import compute_acceleration, integrate, make_model
     from quadwalk.physics.model import Model, add_ground

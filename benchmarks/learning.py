@@ -25,7 +25,6 @@ import time
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import platformdirs
@@ -161,24 +160,16 @@ def work(task: str, envs: int, processor_time: bool) -> None:
     import jax
 
     from quadwalk.env.env import QuadrupedEnv
-    from quadwalk.learn import iteration, ppo
-    from quadwalk.learn import networks as module_of_networks
+    from quadwalk.learn import ppo
+    from quadwalk.learn.devices import make_mesh
+    from quadwalk.learn.networks import make_env_networks
     from quadwalk.robot.quadruped import load_quadruped
 
     env = QuadrupedEnv(load_quadruped(), config.env)
-    critic = len(getattr(env, "critic_names", ()))  # a commit may have none
-    size = env.observation_size - critic
-    if hasattr(module_of_networks, "networks_for"):
-        networks = module_of_networks.networks_for(env, config.ppo)
-    else:
-        more = [critic] if critic else []
-        make_networks: Any = module_of_networks.make_networks
-        networks = make_networks(config.ppo, size, env.action_size, *more)
-    mesh = iteration.make_mesh(devices)
-    # Earlier commits have it beside the algorithm.
-    make = getattr(iteration, "Iteration", None) or vars(ppo)["Iteration"]
-    state = iteration.init_state(env, networks, config.ppo, mesh, envs, 0)
-    iterate = make(env, networks, config.ppo, mesh, iterations=1000)
+    networks = make_env_networks(env, config.ppo)
+    mesh = make_mesh(devices)
+    state = ppo.init_state(env, networks, config.ppo, mesh, envs, 0)
+    iterate = ppo.Iteration(env, networks, config.ppo, mesh, iterations=1000)
     for _ in range(4):
         state, _ = jax.block_until_ready(iterate(state))
 
@@ -206,15 +197,12 @@ def work(task: str, envs: int, processor_time: bool) -> None:
         parts = [0.0, 0.0]
         began = clock()
         for _ in range(ITERATIONS):
-            if hasattr(iterate, "collect"):
-                start = clock()
-                workers, data, _, key = jax.block_until_ready(iterate.collect(*state))
-                middle = clock()
-                learner, _ = jax.block_until_ready(iterate.learn(state.learner, data, key))
-                state = iteration.TrainState(learner, workers)
-                parts = [parts[0] + middle - start, parts[1] + clock() - middle]
-            else:
-                state, _ = jax.block_until_ready(iterate(state))
+            start = clock()
+            workers, rollout, _, key = jax.block_until_ready(iterate.collect(*state))
+            middle = clock()
+            learner, _ = jax.block_until_ready(iterate.learn(state.learner, rollout, key))
+            state = ppo.TrainState(learner, workers)
+            parts = [parts[0] + middle - start, parts[1] + clock() - middle]
         whole = clock() - began
         physics = state.workers.envs.pipeline_state.physics
         began = clock()

@@ -51,8 +51,7 @@ def print_rates(
     import mujoco.rollout
 
     from quadwalk.env.env import QuadrupedEnv
-    from quadwalk.learn.iteration import make_mesh
-    from quadwalk.learn.ppo import AXIS
+    from quadwalk.learn.devices import AXIS, make_mesh
     from quadwalk.physics.batching import batch_robots
     from quadwalk.physics.fast import compute_acceleration, integrate
     from quadwalk.physics.mjx import mjx

@@ -8,9 +8,7 @@ import io
 
 with contextlib.redirect_stdout(io.StringIO()):
     from brax.envs.base import Env, State
-    from brax.training.acme import running_statistics, specs
     from brax.training.acme.running_statistics import NestedMeanStd, RunningStatisticsState
-    from brax.training.agents.ppo.losses import PPONetworkParams
     from brax.training.networks import ACTIVATION
     from brax.training.types import UInt64
 
@@ -18,10 +16,7 @@ __all__ = [
     "ACTIVATION",
     "Env",
     "NestedMeanStd",
-    "PPONetworkParams",
     "RunningStatisticsState",
     "State",
     "UInt64",
-    "running_statistics",
-    "specs",
 ]

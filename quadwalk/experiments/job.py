@@ -18,8 +18,8 @@ from quadwalk.api import train
 from quadwalk.cores import pin
 from quadwalk.errors import UserError
 from quadwalk.experiments.options import PlaceConfig
-from quadwalk.learn.devices import ACCELERATOR_ENVS, CPU_ENVS, device_count, set_up_devices
-from quadwalk.learn.prepare import new_run
+from quadwalk.learn.devices import ACCELERATOR_ENVS, CPU_ENVS, count_devices, set_up_devices
+from quadwalk.learn.prepare import make_run
 from quadwalk.robot.load import load_robot
 from quadwalk.runs.directory import Run, claim, get_versions
 from quadwalk.runs.policy import load_score
@@ -73,7 +73,7 @@ def fix_sizes(config: TrainConfig, place: PlaceConfig) -> TrainConfig:
     most = place.gpus or place.cores_each
     devices = config.devices
     if devices is None:
-        devices = device_count(envs, config.ppo.minibatches, config.ppo.eval_envs, most)
+        devices = count_devices(envs, config.ppo.minibatches, config.ppo.eval_envs, most)
     return replace(config, envs=envs, devices=devices, minutes=None, quiet=True)
 
 
@@ -95,7 +95,7 @@ def open_run(config: TrainConfig) -> Run:
     if run.path.exists():
         return run
     config = with_files(config, robot.urdf, robot.mesh_dirs, config.env.ground.file)
-    return new_run(config, load_robot(config.robot))
+    return make_run(config, load_robot(config.robot))
 
 
 def get_stop_file(run: Run) -> Path:

@@ -19,8 +19,9 @@ from onnx import TensorProto, helper, numpy_helper
 from quadwalk.env.env import QuadrupedEnv
 from quadwalk.env.robot_arrays import RobotArrays
 from quadwalk.errors import UserError
-from quadwalk.learn.acting import SURE, phases
-from quadwalk.learn.networks import MIN_STD, divisors
+from quadwalk.learn.acting import make_phases
+from quadwalk.learn.distribution import MIN_STD, SURE
+from quadwalk.learn.statistics import compute_scale
 from quadwalk.settings.terms import ActionMap
 from quadwalk.settings.training import PPOConfig
 
@@ -113,7 +114,7 @@ def extract_weights(act: Any, config: PPOConfig) -> Weights:
     bias, bias_std = np.split(bias, 2, axis=-1)
     layers.append((kernel, bias))
     noise = (kernel_std, bias_std, config.std_scale) if config.stochastic else None
-    std = np.asarray(divisors(normalizer))
+    std = np.asarray(compute_scale(normalizer))
     return Weights(np.asarray(normalizer.mean), std, layers, config.activation, noise)
 
 
@@ -181,7 +182,7 @@ def _add_noise(graph: "_Graph", weights: Weights, hidden: str, normalized: str) 
     x = graph.add("Add", x, graph.add_constant("least", np.array([MIN_STD])))
     std = graph.add("Mul", x, graph.add_constant("std_scale", np.array([scale])))
     unsure = graph.add("Greater", std, graph.add_constant("sure", np.array([SURE])))
-    x = graph.add_constant("phases", phases(len(weights.mean), len(bias)))
+    x = graph.add_constant("phases", make_phases(len(weights.mean), len(bias)))
     x = graph.add("Sin", graph.add("MatMul", normalized, x))
     x = graph.add("Mul", x, graph.add_constant("root", np.sqrt([2.0])))
     noise = graph.add("Mul", std, x)

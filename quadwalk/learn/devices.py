@@ -6,10 +6,12 @@ import functools
 import sys
 import tempfile
 import warnings
-from collections.abc import Callable
 from pathlib import Path
+from typing import TypeVar
 
 import jax
+import numpy as np
+from jax.sharding import Mesh
 
 from quadwalk.cores import compilation_cache, cpu_cores
 from quadwalk.errors import UsageError
@@ -17,14 +19,17 @@ from quadwalk.files import os_reason
 from quadwalk.learn.distributed import join
 from quadwalk.settings.training import TrainConfig
 
+AXIS = "devices"  # of the mesh that training runs on
 CPU_ENVS = 2048  # what the learner's defaults are tuned for
 ACCELERATOR_ENVS = 8192  # a guess: enough to fill one, and few enough to learn from
 
+T = TypeVar("T")
 
-def device_count(
+
+def count_devices(
     envs: int, minibatches: int, eval_envs: int, most: int | None = None, processes: int = 1
 ) -> int:
-    """The most devices, up to `most` (by default, one per core of each process), to share evenly.
+    """Return the most devices, up to `most`, that share evenly; by default one per core.
 
     Each gets the same number of environments for every minibatch, and of evaluation environments;
     each process has the same number of devices.
@@ -38,25 +43,24 @@ def device_count(
 
 
 def choose_devices(config: TrainConfig) -> tuple[TrainConfig, list[jax.Device]]:
-    """Set JAX up; `config` with the numbers of devices and environments filled in, and the devices.
+    """Set up JAX; return `config` with its devices and environments filled in, and the devices.
 
     Where JAX has accelerators they are used, otherwise CPU cores. Meets the other processes, if
     there are any. Raises `UsageError` for numbers that do not divide evenly.
     """
-    processes = config.distributed.processes
+    processes, ppo = config.distributed.processes, config.ppo
     if config.devices is not None and config.devices % processes:
         raise UsageError(
             f"--devices is {config.devices}; expected a multiple of {processes}, the processes"
         )
-    ppo = config.ppo
     envs = config.envs or CPU_ENVS
-    count = config.devices or device_count(envs, ppo.minibatches, ppo.eval_envs, None, processes)
-    _prepare(count // processes)
+    count = config.devices or count_devices(envs, ppo.minibatches, ppo.eval_envs, None, processes)
+    _configure_jax(count // processes)
     join(config.distributed)
     available = len(jax.devices())
     if jax.default_backend() != "cpu":
         envs = config.envs or ACCELERATOR_ENVS
-    count = config.devices or device_count(
+    count = config.devices or count_devices(
         envs, ppo.minibatches, ppo.eval_envs, available, processes
     )
     if count > available:
@@ -82,16 +86,36 @@ def set_up_devices(count: int | None = None) -> int:
     anything: after that its devices stay what they are, and a warning says so if they are fewer.
     What is compiled is kept in the user's cache folder: the second start takes seconds.
     """
-    _prepare(count or cpu_cores())
+    _configure_jax(count or cpu_cores())
     available = len(jax.devices())
     if count is not None and count > available:
         raise UsageError(f"--devices is {count}; expected at most the {available} there are")
     return available
 
 
-def _prepare(cpu_devices: int) -> None:
-    """All that must be said to JAX before it looks for devices."""
-    _keep_freed_memory()
+def make_mesh(devices: list[jax.Device] | None = None) -> Mesh:
+    """Make a one-dimensional mesh over `devices`, by default all."""
+    return Mesh(np.array(devices or jax.devices()), (AXIS,))
+
+
+def place_like(saved: T, state: T) -> T:
+    """Return `saved`, of NumPy arrays, on the devices that hold `state`."""
+
+    def place(new: np.ndarray, old: jax.Array) -> jax.Array:
+        return jax.make_array_from_callback(new.shape, old.sharding, lambda index: new[index])
+
+    placed: T = jax.tree.map(place, saved, state)
+    return placed
+
+
+def _configure_jax(cpu_devices: int) -> None:
+    """Set everything that JAX reads before it looks for devices."""
+    # Have glibc's malloc keep what XLA frees, for each iteration asks for the same again. Given
+    # back and asked for again, it is cleared page by page (benchmarks/learning.py).
+    mmap_max, trim_threshold, top_pad = -4, -1, -2  # <malloc.h>
+    _call_libc("mallopt", mmap_max, 0)
+    _call_libc("mallopt", trim_threshold, 2**31 - 1)
+    _call_libc("mallopt", top_pad, 2**26)
     try:
         jax.config.update("jax_num_cpu_devices", cpu_devices)
     except RuntimeError:
@@ -99,42 +123,29 @@ def _prepare(cpu_devices: int) -> None:
         _warn_of_fewer(cpu_devices)
     if jax.config.jax_compilation_cache_dir is None:  # type: ignore[attr-defined]
         folder = compilation_cache()
-        if _can_keep(folder):
+        if _is_writable(folder):
             jax.config.update("jax_compilation_cache_dir", str(folder))
             # Also the forty programs of milliseconds that make a learner: together, a second.
             jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 
 
-def _keep_freed_memory() -> None:
-    """Have glibc's malloc keep what XLA frees: each iteration asks for the same again.
-
-    Given back and asked for again, it is cleared page by page (benchmarks/learning.py).
-    """
-    # <malloc.h>
-    trim_threshold, top_pad, mmap_max = -1, -2, -4
-    mallopt = _of_libc("mallopt")
-    mallopt(mmap_max, 0)
-    mallopt(trim_threshold, 2**31 - 1)
-    mallopt(top_pad, 2**26)
-
-
 def release_freed_memory() -> None:
     """Have glibc's malloc give back what is free now, as half a gigabyte that compiling needed."""
-    _of_libc("malloc_trim")(0)
+    _call_libc("malloc_trim", 0)
 
 
-def _of_libc(name: str) -> Callable[..., object]:
-    """A function of the C library; one that does nothing where it has none of that name."""
+def _call_libc(name: str, *arguments: int) -> None:
+    """Call a function of the C library, where it has one of that name."""
     try:
-        function: Callable[..., object] = getattr(ctypes.CDLL(None), name)
+        function = getattr(ctypes.CDLL(None), name)
     except (OSError, TypeError, AttributeError):
-        return lambda *_: None
-    return function
+        return
+    function(*arguments)
 
 
 @functools.cache
 def _warn_of_fewer(cpu_devices: int) -> None:
-    """Say so, once, if JAX computes on fewer CPU devices than are wanted."""
+    """Warn, once, if JAX computes on fewer CPU devices than are wanted."""
     available = jax.local_device_count()
     if jax.default_backend() == "cpu" and available < cpu_devices:
         warnings.warn(
@@ -146,8 +157,8 @@ def _warn_of_fewer(cpu_devices: int) -> None:
 
 
 @functools.cache
-def _can_keep(folder: Path) -> bool:
-    """Whether files can be kept in the folder, which is made; says so, once, if not."""
+def _is_writable(folder: Path) -> bool:
+    """Make the cache folder; return False, and warn once, if no file can be kept in it."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         tempfile.TemporaryFile(dir=folder).close()

@@ -21,9 +21,9 @@ from quadwalk.errors import UserError
 from quadwalk.settings.training import DistributedConfig
 
 T = TypeVar("T")
-_PATIENCE = 120  # seconds that the processes may start apart from each other
-_FAREWELL = 30  # seconds that they may end apart: one that failed need not wait for the others long
-_AFTER = 0.5  # seconds in which the others stop asking
+_START_TIMEOUT = 120  # seconds that the processes may start apart from each other
+_END_TIMEOUT = 30  # seconds that they may end apart: none waits long for one that failed
+_ASKING = 0.5  # seconds in which the others stop asking
 
 
 def join(config: DistributedConfig) -> None:
@@ -36,8 +36,8 @@ def join(config: DistributedConfig) -> None:
             config.coordinator,
             config.processes,
             config.process,
-            initialization_timeout=_PATIENCE,
-            shutdown_timeout_seconds=_FAREWELL,
+            initialization_timeout=_START_TIMEOUT,
+            shutdown_timeout_seconds=_END_TIMEOUT,
         )
     except (RuntimeError, ValueError) as error:
         reason = str(error).splitlines()[0]
@@ -50,44 +50,44 @@ def join(config: DistributedConfig) -> None:
 def _leave() -> None:
     """Wait for the others to leave too, and only then end the service at which all have met.
 
-    A process that still asks it is ended by JAX, with a page of text. `jax.distributed.shutdown`
-    alone gives them no time, so that some do.
+    JAX ends a process that still asks the service, with a page of text. `jax.distributed.shutdown`
+    alone leaves no time for that.
     """
     if global_state.client is not None:
-        with contextlib.suppress(RuntimeError):  # another one is gone
+        with contextlib.suppress(RuntimeError):  # another process is gone
             global_state.client.shutdown()
         global_state.client = None
     if global_state.service is not None:
-        time.sleep(_AFTER)
+        time.sleep(_ASKING)
     jax.distributed.shutdown()
 
 
-def any_process(flag: bool) -> bool:
-    """Whether `flag` is set in any process: the same answer in all, so that all act as one."""
-    return flag if jax.process_count() == 1 else bool(_gather(np.array(flag)).any())
+def is_true_anywhere(flag: bool) -> bool:
+    """Return True in all processes if `flag` is set in any: so all act as one."""
+    return flag if jax.process_count() == 1 else bool(_gather_array(np.array(flag)).any())
 
 
-def together(action: Callable[[], T]) -> T:
-    """What `action` returns; if it raises a `UserError` in any process, all raise one."""
-    trouble = None
+def run_together(action: Callable[[], T]) -> T:
+    """Return what `action` returns; if it raises a `UserError` in any process, all raise one."""
+    failure = None
     try:
         result = action()
     except UserError as error:
-        trouble = error
-    if any_process(trouble is not None):
-        raise trouble or UserError("another process could not begin: see what it says")
+        failure = error
+    if is_true_anywhere(failure is not None):
+        raise failure or UserError("another process could not begin: see what it says")
     return result
 
 
 def check_same(text: str) -> None:
-    """`UserError` in every process unless `text` is the same in all: else they would hang."""
-    digests = _gather(np.frombuffer(hashlib.sha256(text.encode()).digest(), np.uint8))
+    """Raise a `UserError` in every process unless `text` is the same in all: they would hang."""
+    digests = _gather_array(np.frombuffer(hashlib.sha256(text.encode()).digest(), np.uint8))
     if (digests != digests[0]).any():
         raise UserError("the processes have different settings, robots or tasks: expected the same")
 
 
-def gathered(tree: Any) -> Any:
-    """`tree` with every process's part of its arrays, as NumPy arrays; called by all of them."""
+def gather(tree: Any) -> Any:
+    """Return `tree` with every process's part of its arrays; all processes must call it."""
     if jax.process_count() == 1:
         return tree
     return jax.tree.map(
@@ -96,6 +96,6 @@ def gathered(tree: Any) -> Any:
     )
 
 
-def _gather(array: np.ndarray) -> np.ndarray:
-    """Every process's `array`, along a new first axis."""
+def _gather_array(array: np.ndarray) -> np.ndarray:
+    """Return every process's `array`, along a new first axis."""
     return np.asarray(process_allgather(array))

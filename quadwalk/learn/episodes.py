@@ -1,67 +1,103 @@
-"""Fresh episodes in the place of those that end: where, under which conditions, worth what."""
+"""The environment as the learner uses it, and fresh episodes in place of those that end."""
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import jax
 import jax.numpy as jnp
 
-from quadwalk.brax import Env, State
+from quadwalk.brax import State
+from quadwalk.env.curriculum import Curriculum
+from quadwalk.env.reflections import Mirrors
 from quadwalk.env.state import tree_where
+from quadwalk.settings.environment import EnvConfig
 from quadwalk.settings.training import PPOConfig
 
-SOME = 16  # fresh episodes that are begun at once: of a thousand robots, few end in a step
+CHUNK = 16  # episodes that are started at once: of a thousand robots, few end in a step
+Metrics = dict[str, Any]
 
 
-def reset_envs(env: Env, keys: jax.Array, tiles: jax.Array | None = None) -> State:
-    """A batch of fresh episodes of `keys` (n, 2), on `tiles` (n,) of the terrain; None: any.
+class TrainingEnv(Protocol):
+    """An environment that the learner can train in, such as `QuadrupedEnv`.
 
-    Each starts at a random step: else all would reach their time limit in the same iteration.
+    Of a state the learner reads `obs`, `reward`, `done`, the metrics "speed", "fell" and "nan", and
+    `info["truncation"]`, which is 1 at a time limit. `pipeline_state` is a named tuple. The learner
+    reads its `steps`, with a curriculum `tile`, `travel` and `qpos`, and with `PPOConfig.retry`
+    `conditions`.
+    """
+
+    config: EnvConfig
+    curriculum: Curriculum | None
+
+    @property
+    def policy_size(self) -> int:
+        """Numbers of an observation that the policy sees: the first."""
+
+    @property
+    def observation_size(self) -> int:
+        """Numbers of an observation, all of which the value network sees."""
+
+    @property
+    def action_size(self) -> int:
+        """Numbers of an action."""
+
+    @property
+    def mirrors(self) -> Mirrors | None:
+        """How observations and actions mirror; `NotSymmetric` or None: they do not."""
+
+    def reset(self, rng: jax.Array, tile: jax.Array | None = None) -> State:
+        """Return a fresh episode, on `tile` of a terrain that has tiles."""
+
+    def step(self, state: State, action: jax.Array) -> State:
+        """Return the state one control step later; it does not start a fresh episode."""
+
+    def begun(self, state: State, **changes: Any) -> State:
+        """Return the start of an episode with `changes` of its `pipeline_state`, observed anew."""
+
+
+def reset_envs(env: TrainingEnv, keys: jax.Array, tiles: jax.Array | None = None) -> State:
+    """Return fresh episodes, one for each of `keys` (n, 2), on `tiles` (n,), None: on any.
+
+    Each starts at a random step. Otherwise all would reach their time limit in the same iteration.
     """
     state = jax.vmap(env.reset)(*([keys] if tiles is None else [keys, tiles]))
-    phase = jax.vmap(lambda key: jax.random.randint(key, (), 0, env.config.episode_steps))(keys)
-    return jax.vmap(env.begun)(state, steps=phase)
+    steps = jax.vmap(lambda key: jax.random.randint(key, (), 0, env.config.episode_steps))(keys)
+    return jax.vmap(env.begun)(state, steps=steps)
 
 
-class FreshStarts(NamedTuple):
-    """The environments before an iteration, and the episodes that may begin in it."""
+def sample_starts(
+    env: TrainingEnv, envs: State, first: jax.Array, training_envs: int, key: jax.Array
+) -> tuple[State, State]:
+    """Return `envs` (n, ...) before an iteration, and starts of the episodes that may begin in it.
 
-    envs: State  # (n, ...), in the first iteration of all at fresh starts
-    fresh: State  # (n, ...) each environment's own, or (2 n, ...) those of all, twice over
-    own: bool
-
-    def of_step(self, number: jax.Array) -> State:
-        """A start for each environment (n, ...) in step `number` of the iteration."""
-        if self.own:
-            return self.fresh
-        envs = len(self.envs.done)
-        first_row = envs - 1 - number % envs
-        return jax.tree.map(lambda x: jax.lax.dynamic_slice_in_dim(x, first_row, envs), self.fresh)
-
-
-def fresh_starts(
-    env: Env, envs: State, first: jax.Array, learnt_from: int, key: jax.Array
-) -> FreshStarts:
-    """As many starts as there are environments.
-
-    With a curriculum each environment has its own; otherwise they are dealt out anew.
+    In the `first` iteration of all, `envs` start afresh. There are as many starts as environments.
+    With a curriculum each environment has its own, (n, ...). Otherwise `select_starts` shares them
+    out anew in each step. It slices them from an array that holds all twice, (2 n, ...).
     """
     number = len(envs.done)
-    tiles = next_tiles(env, envs.pipeline_state, first, learnt_from, key)
-    fresh = reset_envs(env, jax.random.split(key, number), tiles)
-    begun = jax.tree.map(lambda new, old: jnp.where(first, new, old), fresh, envs)
-    if tiles is None:  # once over, of which a step takes a part: `jnp.roll` would do it in each
-        fresh = jax.tree.map(lambda x: jnp.concatenate([x, x]), fresh)
-    return FreshStarts(begun, fresh, own=tiles is not None)
+    tiles = choose_tiles(env, envs.pipeline_state, first, training_envs, key)
+    starts = reset_envs(env, jax.random.split(key, number), tiles)
+    envs = jax.tree.map(lambda new, old: jnp.where(first, new, old), starts, envs)
+    if tiles is None:
+        starts = jax.tree.map(lambda x: jnp.concatenate([x, x]), starts)
+    return envs, starts
 
 
-def next_tiles(
-    env: Env, state: Any, first: jax.Array, learnt_from: int, key: jax.Array
+def select_starts(starts: State, number: int, step: jax.Array) -> State:
+    """Return a start for each of `number` environments in `step` of the iteration."""
+    if len(starts.done) == number:
+        return starts
+    first = number - 1 - step % number
+    return jax.tree.map(lambda x: jax.lax.dynamic_slice_in_dim(x, first, number), starts)
+
+
+def choose_tiles(
+    env: TrainingEnv, state: Any, first: jax.Array, training_envs: int, key: jax.Array
 ) -> jax.Array | None:
-    """Where the next episode of each environment is to be, (n,) tiles; None without a curriculum.
+    """Return the tile (n,) of each environment's next episode; None without a curriculum.
 
-    Episodes that end in this iteration count at its start. The environments that
-    evaluate meet all tiles alike.
+    The curriculum moves the first `training_envs` environments, by what their episodes have come to
+    at the start of the iteration. The others, for evaluation, get any tile alike.
     """
     if env.curriculum is None:
         return None
@@ -71,62 +107,110 @@ def next_tiles(
     )
     learning = jnp.where(first, env.curriculum.first(envs, key_first), following)
     evenly = env.curriculum.evenly(envs, key_even)
-    return jnp.where(jnp.arange(envs) < learnt_from, learning, evenly)
+    return jnp.where(jnp.arange(envs) < training_envs, learning, evenly)
 
 
-def start_anew(
-    env: Env,
+def replace_finished(
+    env: TrainingEnv,
     config: PPOConfig,
-    expected: Callable[[jax.Array], jax.Array],
+    bootstrap_value: Callable[[jax.Array], jax.Array],
     after: State,
-    start: State,
-    learnt_from: int,
+    starts: State,
+    training_envs: int,
     key: jax.Array,
 ) -> tuple[jax.Array, State]:
-    """Rewards (n,) to learn from, and `after` with finished episodes replaced by `start`.
+    """Return rewards (n,) to learn from, and `after` with finished episodes replaced by `starts`.
 
-    A time-out does not count as a failure: what the value network expects after it is
-    added to its reward, and the step then ends the episode, which equals bootstrapping through the
-    limit (Pardo et al. 2018, arXiv:1712.00378). `expected` gives the values of observations.
+    A time limit is no failure: `bootstrap_value` of the observation after it is added to its
+    reward. The step then ends the episode, which equals bootstrapping through the limit (Pardo et
+    al. 2018, arXiv:1712.00378).
     """
     # Only after a fall at a random step: those that fell together must not end together.
-    late = start.pipeline_state.steps * after.metrics["fell"].astype(jnp.int32)
-    changes = {"steps": late}
+    changes = {"steps": starts.pipeline_state.steps * after.metrics["fell"].astype(jnp.int32)}
     if config.retry:
-        changes["conditions"] = retried(config.retry, after, start, learnt_from, key)
-    start = start.replace(pipeline_state=start.pipeline_state._replace(**changes))
-    envs, ended = len(after.done), jnp.sum(after.done > 0)
-    rows = jnp.flatnonzero(after.done > 0, size=envs + SOME, fill_value=envs)
+        changes["conditions"] = retry_conditions(config.retry, after, starts, training_envs, key)
+    starts = starts.replace(pipeline_state=starts.pipeline_state._replace(**changes))
+    envs, finished = len(after.done), jnp.sum(after.done > 0)
+    rows = jnp.flatnonzero(after.done > 0, size=envs + CHUNK, fill_value=envs)
     truncation = config.discount * after.info["truncation"]
 
-    def some(carry: tuple[Any, jax.Array]) -> tuple[Any, jax.Array]:
+    def replace_chunk(carry: tuple[Any, jax.Array]) -> tuple[Any, jax.Array]:
         (reward, state, obs), done = carry
-        own = jax.lax.dynamic_slice_in_dim(rows, done, SOME)
-        beyond = truncation[own] * expected(after.obs[own])
-        # Seen as it really starts. For all rows that would take a twentieth of a training step.
-        begun = jax.vmap(env.begun)(jax.tree.map(lambda x: x[own], start))
-        new = begun.pipeline_state, begun.obs
+        chunk = jax.lax.dynamic_slice_in_dim(rows, done, CHUNK)
+        value = truncation[chunk] * bootstrap_value(after.obs[chunk])
+        # Observed here: to observe all starts would take a twentieth of a training step.
+        start = jax.vmap(env.begun)(jax.tree.map(lambda x: x[chunk], starts))
         state, obs = jax.tree.map(
-            lambda old, new: old.at[own].set(new, mode="drop"), (state, obs), new
+            lambda old, new: old.at[chunk].set(new, mode="drop"),
+            (state, obs),
+            (start.pipeline_state, start.obs),
         )
-        return (reward.at[own].add(beyond, mode="drop"), state, obs), done + SOME
+        return (reward.at[chunk].add(value, mode="drop"), state, obs), done + CHUNK
 
-    old = config.reward_scale * after.reward, after.pipeline_state, after.obs
+    unchanged = config.reward_scale * after.reward, after.pipeline_state, after.obs
     (reward, state, obs), _ = jax.lax.while_loop(
-        lambda carry: carry[1] < ended, some, (old, jnp.zeros((), jnp.int32))
+        lambda carry: carry[1] < finished, replace_chunk, (unchanged, jnp.zeros((), jnp.int32))
     )
     return reward, after.replace(pipeline_state=state, obs=obs)
 
 
-def retried(share: float, after: State, start: State, learnt_from: int, key: jax.Array) -> Any:
-    """Return the conditions of `start`; after that share of falls, those of the one that fell.
+def retry_conditions(
+    share: float, after: State, starts: State, training_envs: int, key: jax.Array
+) -> Any:
+    """Return the conditions of `starts`, after a `share` of falls those of the episode that fell.
 
-    As prioritized level replay does (Jiang et al. 2021, arXiv:2010.03934), by falls alone. The
-    environments that evaluate, from number `learnt_from` on, meet what is drawn.
+    It is prioritized level replay (Jiang et al. 2021, arXiv:2010.03934) by falls alone. Only the
+    first `training_envs` environments, which are not for evaluation, repeat conditions.
     """
-    fallen, fresh = after.pipeline_state.conditions, start.pipeline_state.conditions
+    before, fresh = after.pipeline_state.conditions, starts.pipeline_state.conditions
     if fresh is None:
         return None
     again = jax.random.bernoulli(key, share, after.done.shape) & (after.metrics["fell"] > 0)
-    again &= jnp.arange(len(after.done)) < learnt_from
-    return tree_where(again, fallen._replace(targets=fresh.targets, key=fresh.key), fresh)
+    again &= jnp.arange(len(after.done)) < training_envs
+    return tree_where(again, before._replace(targets=fresh.targets, key=fresh.key), fresh)
+
+
+class NanStep(NamedTuple):
+    """The first step of an iteration after which numbers were not finite, for replay."""
+
+    found: jax.Array  # () float32, more than 0 if there was one; else the rest means nothing
+    before: Any  # the environment's `pipeline_state` before the step
+    action: jax.Array  # (12,) of the step
+
+
+def compute_metrics(after: State, training_envs: int) -> Metrics:
+    """Return means and counts of a step, of the training and of the evaluation environments."""
+    return {
+        "reward": jnp.mean(after.reward[:training_envs]),
+        **{name: jnp.mean(value[:training_envs]) for name, value in after.metrics.items()},
+        **{
+            f"eval/{name}": jnp.mean(after.metrics[name][training_envs:])
+            for name in ("speed", "velocity_error", "standing")
+            if name in after.metrics
+        },
+        "count/ended": jnp.sum(after.done[:training_envs]),
+        "count/fell": jnp.sum(after.metrics["fell"][:training_envs]),
+        "count/nan": jnp.sum(after.metrics["nan"]),
+        "eval/count/ended": jnp.sum(after.done[training_envs:]),
+        "eval/count/fell": jnp.sum(after.metrics["fell"][training_envs:]),
+    }
+
+
+def reduce_metrics(metrics: Metrics, nan_step: NanStep, axis: str) -> Metrics:
+    """Return `metrics` (unroll,) over all steps and devices, and the first `NanStep` of any."""
+    nan_steps = jax.lax.all_gather(nan_step, axis)
+    counts = {name: jnp.sum(value) for name, value in metrics.items() if "count/" in name}
+    means = {name: jnp.mean(value) for name, value in metrics.items() if name not in counts}
+    return {
+        **jax.lax.psum(counts, axis),
+        **jax.lax.pmean(means, axis),
+        "nan_step": jax.tree.map(lambda x: x[jnp.argmax(nan_steps.found > 0)], nan_steps),
+    }
+
+
+def find_first_nan(earlier: NanStep, nan: jax.Array, before: State, action: jax.Array) -> NanStep:
+    """Return `earlier` if it was found, else the first environment of a step with `nan` (n,)."""
+    index = jnp.argmax(nan)
+    step = jax.tree.map(lambda x: x[index], (before.pipeline_state, action))
+    found = NanStep(nan[index], *step)
+    return jax.tree.map(lambda old, new: jnp.where(earlier.found > 0, old, new), earlier, found)

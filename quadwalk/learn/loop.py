@@ -1,4 +1,4 @@
-"""A training from start to end: set up, iterate, keep what is learned, show how it goes."""
+"""A training from start to end: prepare, iterate, save what is learned, show how it goes."""
 
 import contextlib
 import io
@@ -6,9 +6,10 @@ import math
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from types import FrameType
+from typing import Any
 
 from quadwalk.cli.shell import as_typed
 from quadwalk.errors import UserError
@@ -25,11 +26,29 @@ from quadwalk.settings.training import TrainConfig
 MANY_DIVERGED = 1000
 DIVERGED_SHARE = 0.01
 
+Watch = Callable[[dict[str, float]], object]
+
+
+class NullWriter:
+    """The writer of the processes that write nothing, all but the first."""
+
+    def iteration(self, row: dict[str, float], nan_step: Any, seconds: float) -> None:
+        """Write nothing."""
+
+    def draw(self) -> None:
+        """Draw nothing."""
+
+    def publish(self, state: Any, steps: int) -> bool:
+        """Save nothing; return True, since nothing failed."""
+        return True
+
+    def save(self, state: Any, steps: int, seconds: float) -> bool:
+        """Save nothing; return True, since nothing failed."""
+        return True
+
 
 def train(
-    config: TrainConfig,
-    previous: Run | None = None,
-    watch: Callable[[dict[str, float]], object] | None = None,
+    config: TrainConfig, previous: Run | None = None, watch: Watch | None = None
 ) -> Run | None:
     """Train as `config` says; return the run, whose directory holds everything.
 
@@ -42,144 +61,143 @@ def train(
     finite: nothing is saved then, and what was saved before stays. Of several processes, all but
     the first return None.
     """
+    is_main = config.distributed.process == 0
     if config.watch:
         check_watch()
-    if config.log == "wandb" and config.distributed.process == 0:
+    if config.log == "wandb" and is_main:
         check_wandb()
-    limit = math.inf if config.minutes is None else time.monotonic() + 60.0 * config.minutes
-    stream = None if config.distributed.process == 0 else io.StringIO()
-    with (
-        Progress(config.steps, quiet=config.quiet, stream=stream, ends=limit) as progress,
-        contextlib.ExitStack() as stack,
-    ):
+    deadline = math.inf if config.minutes is None else time.monotonic() + 60.0 * config.minutes
+    stream = None if is_main else io.StringIO()
+    with contextlib.ExitStack() as stack:
+        progress = stack.enter_context(Progress(config.steps, config.quiet, stream, deadline))
         progress.phase("loading")
         training = prepare(config, previous, progress, stack)
-        stop, writer = stack.enter_context(stop_on_signal()), None
+        stop = stack.enter_context(stop_on_signal())
+        writer: RunWriter | NullWriter = NullWriter()
         if training.run is not None:
             writer = stack.enter_context(RunWriter(training, training.run, progress.message))
             if config.watch:
                 writer.publish(training.state, training.steps)
                 stack.enter_context(watched(training.run, progress.message))
-        steps, well = _iterate(
-            training, writer, progress, lambda: stop.is_set() or time.monotonic() >= limit, watch
+        saved = iterate(
+            training, writer, progress, lambda: stop.is_set() or time.monotonic() >= deadline, watch
         )
-        progress.stopped = stop.is_set() and steps < config.steps
-    if writer is None:
+        progress.stopped = stop.is_set() and training.steps < config.steps
+    if isinstance(writer, NullWriter):
         return None
-    _tell(progress, writer, config, steps, well)
-    if not well:
-        raise UserError(f"not everything could be saved: {writer.trouble}; {_last(writer)}")
+    print_result(progress, training, writer, saved)
+    if not saved:
+        last = describe_last_checkpoint(writer)
+        raise UserError(f"not everything could be saved: {writer.trouble}; {last}")
     return writer.run
 
 
-def _iterate(
+def iterate(
     training: Training,
-    writer: RunWriter | None,
+    writer: RunWriter | NullWriter,
     progress: Progress,
-    over: Callable[[], bool],
-    watch: Callable[[dict[str, float]], object] | None,
-) -> tuple[int, bool]:
-    """Iterate until the steps are done or it is `over`; the steps, and whether all is saved."""
-    config, state = training.config, training.state
-    steps, seconds = training.steps, training.seconds
-    tried = steps  # when it was last tried to save
-    shown = steps  # when the policy was last saved for the page
-
-    def save() -> bool:
-        progress.phase("saving")
-        whole = distributed.gathered(state)
-        return writer.save(whole, steps, seconds) if writer else True
-
+    is_over: Callable[[], bool],
+    watch: Watch | None,
+) -> bool:
+    """Iterate until the steps are done or it `is_over`; return True if everything is saved."""
+    config = training.config
+    saved_steps = published_steps = training.steps
+    start = time.monotonic() - training.seconds
     progress.phase("training")
-    began = time.monotonic() - seconds
-    while steps < config.steps and not distributed.any_process(over()):
-        state, numbers = training.iterate(state)
-        steps += training.batch
-        row = training.metrics.row(steps, numbers)
-        seconds = time.monotonic() - began
-        progress.update(steps, row)
-        if writer:
-            writer.iteration(row, numbers["nan_step"], seconds)
-        if watch:
+    while training.steps < config.steps and not distributed.is_true_anywhere(is_over()):
+        training.state, numbers = training.iterate(training.state)
+        training.steps += training.batch
+        row = training.metrics.row(training.steps, numbers)
+        training.seconds = time.monotonic() - start
+        progress.update(training.steps, row)
+        writer.iteration(row, numbers["nan_step"], training.seconds)
+        if watch is not None:
             watch(row)
-        if not numbers["learner/finite"]:
-            if writer:
-                writer.draw()
-            raise UserError(_lost(writer, steps, row["learning_rate"]))
-        many = row["train/nan"] > MANY_DIVERGED
-        if many and numbers["count/nan"] > DIVERGED_SHARE * training.batch:
-            if writer:
-                writer.draw()
-            raise UserError(_diverged(training, writer, steps, row["train/nan"]))
-        if config.watch and steps - shown >= config.checkpoint_steps // WATCHED:
-            whole = distributed.gathered(state)
-            if writer:
-                writer.publish(whole, steps)
-            shown = steps
-        if steps - tried >= config.checkpoint_steps and steps < config.steps:
-            save()
-            tried = steps
+        check_finite(training, writer, numbers, row)
+        if config.watch and training.steps - published_steps >= config.checkpoint_steps // WATCHED:
+            writer.publish(distributed.gather(training.state), training.steps)
+            published_steps = training.steps
+        if (
+            training.steps - saved_steps >= config.checkpoint_steps
+            and training.steps < config.steps
+        ):
+            save(training, writer, progress)
+            saved_steps = training.steps
             progress.phase("training")
-    well = save()
-    if writer:
-        writer.draw()
-    return steps, well
+    saved = save(training, writer, progress)
+    writer.draw()
+    return saved
 
 
-def _tell(
-    progress: Progress, writer: RunWriter, config: TrainConfig, steps: int, well: bool
+def save(training: Training, writer: RunWriter | NullWriter, progress: Progress) -> bool:
+    """Save policy and checkpoint; return True if both were saved."""
+    progress.phase("saving")
+    return writer.save(distributed.gather(training.state), training.steps, training.seconds)
+
+
+def check_finite(
+    training: Training,
+    writer: RunWriter | NullWriter,
+    numbers: Mapping[str, Any],
+    row: dict[str, float],
 ) -> None:
-    """Where everything is, and what can be done with it; `well` if all of it was saved."""
-    run = writer.run
-    if steps < config.steps:
-        saved = "; the policy is saved" if well else ""
-        progress.end(f"stopped after {steps:,} of {config.steps:,} steps{saved}")
-        progress.end(f"resume with     {_typed('train', run, '--resume')}")
+    """Raise a `UserError` where the weights, or too many states, are not finite."""
+    config, steps, nan = training.config, training.steps, row["train/nan"]
+    many = nan > MANY_DIVERGED and numbers["count/nan"] > DIVERGED_SHARE * training.batch
+    hint = ""
+    if not numbers["learner/finite"]:
+        text = f"the networks' weights are no longer finite numbers after {steps:,} steps"
+        rate = f"--ppo.max-learning-rate {min(1e-3, row['learning_rate'] / 10.0):.0e}"
+        if training.run is not None:
+            again = format_command("train", training.run, "--resume")
+            hint = f"; go on from there with smaller changes, such as {again} {rate}"
+    elif many:
+        text = (
+            f"physics diverged: {nan:,.0f} states of {steps:,} were not finite; expected finite "
+            f"numbers: try smaller physics steps (--env.physics-dt {config.env.physics_dt / 2:g} "
+            f"--env.substeps {2 * config.env.substeps}) or lower gains (--env.motor.kp, "
+            "--env.motor.kd)"
+        )
+    else:
+        return
+    writer.draw()
+    if isinstance(writer, RunWriter):
+        text += f"; {describe_last_checkpoint(writer)}{hint}"
+    raise UserError(text)
+
+
+def print_result(progress: Progress, training: Training, writer: RunWriter, saved: bool) -> None:
+    """Print where everything is, and what can be done with it."""
+    run, steps, total = writer.run, training.steps, training.config.steps
+    if steps < total:
+        note = "; the policy is saved" if saved else ""
+        progress.end(f"stopped after {steps:,} of {total:,} steps{note}")
+        progress.end(f"resume with     {format_command('train', run, '--resume')}")
     progress.end(f"policy          {run.policy}")
     if writer.best is not None:
-        which = "the same" if writer.best[0] == steps else f"after {writer.best[0]:,} steps"
-        progress.end(f"best policy     {run.best} ({which})")
+        note = "the same" if writer.best[0] == steps else f"after {writer.best[0]:,} steps"
+        progress.end(f"best policy     {run.best} ({note})")
     if run.learning_curve.exists():
         progress.end(f"learning curve  {run.learning_curve}")
-    progress.end(f"evaluate with   {_typed('eval', run)}")
+    progress.end(f"evaluate with   {format_command('eval', run)}")
 
 
-def _lost(writer: RunWriter | None, steps: int, rate: float) -> str:
-    """What to say when the learner's weights are not finite, at that learning rate."""
-    what = f"the networks' weights are no longer finite numbers after {steps:,} steps"
-    if writer is None:
-        return what
-    again = (
-        f"{_typed('train', writer.run, '--resume')} "
-        f"--ppo.max-learning-rate {min(1e-3, rate / 10.0):.0e}"
-    )
-    return f"{what}; {_last(writer)}; go on from there with smaller changes, such as {again}"
-
-
-def _diverged(training: Training, writer: RunWriter | None, steps: int, count: float) -> str:
-    """Return what to say when `count` states were not finite."""
-    config = training.config
-    what = (
-        f"physics diverged: {count:,.0f} states of {steps:,} were not finite; expected finite "
-        f"numbers: try smaller physics steps (--env.physics-dt {config.env.physics_dt / 2:g} "
-        f"--env.substeps {2 * config.env.substeps}) or lower gains (--env.motor.kp, --env.motor.kd)"
-    )
-    return what if writer is None else f"{what}; {_last(writer)}"
-
-
-def _last(writer: RunWriter) -> str:
+def describe_last_checkpoint(writer: RunWriter) -> str:
+    """Return which checkpoint training can be resumed from."""
     if writer.saved is None:
         return f"{writer.run.path} has no checkpoint yet"
     return f"the last good checkpoint is {writer.run.locate_checkpoint(writer.saved)}"
 
 
-def _typed(command: str, run: Run, *before: str) -> str:
-    return as_typed(command, *before, run.name if run.path.parent == Path("runs") else run.path)
+def format_command(command: str, run: Run, *flags: str) -> str:
+    """Return the line to type for a command on `run`."""
+    name = run.name if run.path.parent == Path("runs") else run.path
+    return as_typed(command, *flags, name)
 
 
 @contextlib.contextmanager
 def stop_on_signal() -> Iterator[threading.Event]:
-    """An event that Ctrl-C, SIGTERM or a closed terminal sets; a second Ctrl-C interrupts."""
+    """Yield an event that Ctrl-C, SIGTERM or a closed terminal sets; a second Ctrl-C interrupts."""
     stop = threading.Event()
     if threading.current_thread() is not threading.main_thread():
         yield stop

@@ -1,336 +1,456 @@
-"""PPO: `collect` lets the policy act, `learn` updates it from what came of that.
+"""Proximal policy optimization (Schulman et al. 2017, arXiv:1707.06347), over all devices.
 
-The loss and the statistics of observations are Brax's, written with features first and environments
-last, as `quadwalk.learn.networks` are. Both functions run on every device at once, as
-`quadwalk.learn.iteration` compiles them: each device of the mesh steps its own share of
-the environments; gradients and statistics are averaged over devices, so every device holds the same
-learner. The learning rate follows the policy's change (KL divergence), as in Schulman et al. 2017,
-section 4, and Rudin et al. 2022, arXiv:2109.11978.
+`collect` steps the environments with the policy. `learn` goes over what came of it in epochs of
+minibatches: advantages and value loss, policy loss, update. Each device has its own share of the
+environments; gradients and statistics are averaged, so every device holds the same learner.
+`Iteration` compiles both. Arrays have environments last, and features before them.
+
+What is not in the paper, and where it is:
+
+- privileged critic, a value network that sees more than the policy: `networks.make_networks`
+- mirror symmetry, networks that are symmetric as the robot is: `symmetric`
+- squashing of actions by tanh, with the entropy in closed form: `distribution`
+- normalized observations, which the first iteration only measures: `statistics`, `PPO.learn`
+- adaptive learning rate, by the KL divergence of the policy: `adapt_learning_rate`
+- annealing, less divergence and less entropy near the end: `anneal`
+- fresh advantages in each minibatch, by the value network as it is: `PPO.compute_value_gradient`
+- bootstrapping at time limits: `episodes.replace_finished`
+- episodes out of phase, and a curriculum of terrain: `episodes.sample_starts`
+- retry, the conditions of a fall once more: `episodes.retry_conditions`
+- evaluation environments, whose steps are not learned from: `PPO.collect`
 """
 
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 import optax
+from jax.sharding import Mesh, NamedSharding
+from jax.sharding import PartitionSpec as P
 
-from quadwalk.brax import Env, PPONetworkParams, RunningStatisticsState, State
-from quadwalk.learn.acting import SURE
-from quadwalk.learn.episodes import fresh_starts, start_anew
-from quadwalk.learn.networks import Networks, Parts, TanhNormal
+from quadwalk.brax import RunningStatisticsState, State
+from quadwalk.env.ground_input import heights, with_heights
+from quadwalk.learn.devices import AXIS, release_freed_memory
+from quadwalk.learn.distribution import SURE, TanhNormal
+from quadwalk.learn.episodes import (
+    Metrics,
+    NanStep,
+    TrainingEnv,
+    compute_metrics,
+    find_first_nan,
+    reduce_metrics,
+    replace_finished,
+    sample_starts,
+    select_starts,
+)
+from quadwalk.learn.networks import NetworkParams, Networks
+from quadwalk.learn.statistics import init_statistics, update_statistics
+from quadwalk.learn.symmetric import Parts
 from quadwalk.settings.training import PPOConfig
 
-AXIS = "devices"
 RATE = "learning_rate"  # its name in the optimizer's state
-MOST_KL = 1.0  # of one state, in the mean that the learning rate follows
-Metrics = dict[str, Any]
+# The most that one state's divergence counts. Where tanh saturates, a policy can be so sure of an
+# action that one state of a thousand diverges by 10^5, and the learning rate would end at its
+# lower bound.
+MOST_KL = 1.0
 
 
 class Learner(NamedTuple):
     """What learning changes; the same on every device."""
 
-    params: PPONetworkParams
+    params: NetworkParams
     optimizer: optax.OptState
-    normalizer: RunningStatisticsState
+    normalizer: RunningStatisticsState  # of observations
     iterations: jax.Array  # () int32, done so far
 
 
-class RolloutState(NamedTuple):
+class Workers(NamedTuple):
     """What collecting changes; leading axis: environments, or devices for `key`."""
 
     envs: State
     key: jax.Array  # (devices, 2) uint32
 
 
-class Rollout(NamedTuple):
-    """What the environments learned from met in `unroll` control steps; environments last."""
+class TrainState(NamedTuple):
+    """Everything that an iteration of training reads and writes."""
 
-    seen: Parts  # each (unroll, m, envs), `Networks.normalized`, before each step
+    learner: Learner
+    workers: Workers
+
+
+class Transitions(NamedTuple):
+    """Control steps of the environments that are learned from, (unroll, ..., envs)."""
+
+    inputs: Parts  # each (unroll, m, envs), of the networks before each step
     raw_action: jax.Array  # (unroll, 12, envs), before the squashing
-    policy: TanhNormal  # of them, (unroll, 12, envs)
-    log_prob: jax.Array  # (unroll, envs), theirs
-    reward: jax.Array  # (unroll, envs), scaled, with what is expected after a time limit
+    policy: TanhNormal  # the distribution of these, (unroll, 12, envs)
+    log_prob: jax.Array  # (unroll, envs), of these
+    reward: jax.Array  # (unroll, envs), scaled, with the value of what a time limit cuts off
     discount: jax.Array  # (unroll, envs), 0 in an episode's last step, else 1
 
 
-class NanStep(NamedTuple):
-    """The first step of an iteration after which numbers were not finite, for replay."""
+class Rollout(NamedTuple):
+    """The transitions of an iteration, and the networks' inputs (m, envs) after the last."""
 
-    found: jax.Array  # () float32, more than 0 if there was one; else the rest means nothing
-    before: Any  # the environment's `pipeline_state` before the step
-    action: jax.Array  # (12,) what it was stepped with
+    transitions: Transitions
+    last_inputs: Parts
+
+
+@dataclass(frozen=True)
+class PPO:
+    """The algorithm on one device's share of the environments."""
+
+    networks: Networks
+    config: PPOConfig
+    iterations: int  # of the whole training
+
+    def collect(
+        self, env: TrainingEnv, learner: Learner, workers: Workers
+    ) -> tuple[Workers, Rollout, Metrics]:
+        """Step every environment `unroll` times; a finished episode is followed by a fresh one.
+
+        The last environments are for evaluation: they act as a trained policy does, and their
+        steps are no transitions. Metrics are means over steps, and counts of episodes; those of the
+        evaluation environments are named "eval/...". "nan_step" is a `NanStep`.
+        """
+        config, networks = self.config, self.networks
+        envs = len(workers.envs.done)
+        training_envs = envs - config.eval_envs // jax.lax.axis_size(AXIS)
+        key, key_steps, key_starts = jax.random.split(workers.key[0], 3)
+        before, starts = sample_starts(
+            env, workers.envs, learner.iterations == 0, training_envs, key_starts
+        )
+
+        def compute_value(observation: jax.Array) -> jax.Array:
+            inputs = networks.normalize(learner.normalizer, observation)
+            return networks.apply_value(learner.params.value, inputs)
+
+        def step(
+            carry: tuple[State, NanStep], xs: tuple[jax.Array, jax.Array]
+        ) -> tuple[tuple[State, NanStep], tuple[Transitions, Metrics]]:
+            before, nan_step = carry
+            key, number = xs
+            inputs = networks.normalize(learner.normalizer, before.obs)
+            policy = networks.apply_policy(learner.params.policy, inputs)
+            raw_action = policy.sample(key)
+            deterministic = jnp.arange(envs) >= training_envs
+            if config.stochastic:
+                deterministic &= policy.std <= SURE
+            action = jnp.tanh(jnp.where(deterministic, policy.mean, raw_action)).T
+            after = jax.vmap(env.step)(before, action)
+            nan_step = find_first_nan(nan_step, after.metrics["nan"], before, action)
+            reward, following = replace_finished(
+                env,
+                config,
+                compute_value,
+                after,
+                select_starts(starts, envs, number),
+                training_envs,
+                jax.random.fold_in(key, 1),
+            )
+            log_prob = policy.compute_log_prob(raw_action)
+            transition = Transitions(inputs, raw_action, policy, log_prob, reward, 1.0 - after.done)
+            transition = jax.tree.map(lambda x: x[..., :training_envs], transition)
+            return (following, nan_step), (transition, compute_metrics(after, training_envs))
+
+        nan_step = NanStep(
+            found=jnp.zeros(()),
+            before=jax.tree.map(lambda x: jnp.zeros_like(x[0]), before.pipeline_state),
+            action=jnp.zeros(env.action_size),
+        )
+        (after, nan_step), (transitions, metrics) = jax.lax.scan(
+            step,
+            (before, nan_step),
+            (jax.random.split(key_steps, config.unroll), jnp.arange(config.unroll)),
+        )
+        if env.curriculum is not None:
+            metrics |= env.curriculum.sums(after.pipeline_state.tile[:training_envs])
+        last_inputs = networks.normalize(learner.normalizer, after.obs[:training_envs])
+        rollout = Rollout(transitions, last_inputs)
+        return Workers(after, key[None]), rollout, reduce_metrics(metrics, nan_step, AXIS)
+
+    def learn(self, learner: Learner, rollout: Rollout, key: jax.Array) -> tuple[Learner, Metrics]:
+        """Update the learner in epochs of minibatches, each of environments side by side.
+
+        The first iteration measures the observations and no more: a policy that had learned on raw
+        ones would change beyond recognition when they are normalized.
+        """
+        config = self.config
+        progress = learner.iterations / float(self.iterations)
+        desired_kl = anneal(config.desired_kl, config.final_kl, config.anneal_share, progress)
+        entropy = anneal(config.entropy, config.final_entropy, config.anneal_share, progress)
+        size = rollout.transitions.reward.shape[-1] // config.minibatches
+
+        def update(
+            carry: tuple[NetworkParams, optax.OptState], number: jax.Array
+        ) -> tuple[tuple[NetworkParams, optax.OptState], Metrics]:
+            params, optimizer = carry
+            minibatch = partial(slice_environments, first=number * size, count=size)
+            gradient, metrics = jax.lax.pmean(
+                self.compute_gradient(params, rollout, entropy, minibatch), AXIS
+            )
+            rate = optax.tree_utils.tree_get(optimizer, RATE)
+            rate = adapt_learning_rate(config, rate, metrics["kl"], desired_kl)
+            optimizer = optax.tree_utils.tree_set(optimizer, **{RATE: rate})
+            updates, optimizer = make_optimizer(config).update(gradient, optimizer, params)
+            params = optax.apply_updates(params, updates)
+            return (params, optimizer), {**metrics, RATE: rate}
+
+        def run_epoch(carry: Any, key: jax.Array) -> Any:
+            return jax.lax.scan(update, carry, jax.random.permutation(key, config.minibatches))
+
+        before = learner.params, learner.optimizer
+        after, metrics = jax.lax.scan(run_epoch, before, jax.random.split(key, config.epochs))
+        first = learner.iterations == 0
+        params, optimizer = jax.tree.map(lambda old, new: jnp.where(first, old, new), before, after)
+        # After learning: the divergence from the collecting policy is then a matter of weights
+        # alone.
+        normalizer = update_statistics(
+            learner.normalizer, rollout.transitions.inputs, self.networks.critic_obs, AXIS
+        )
+        return Learner(params, optimizer, normalizer, learner.iterations + 1), {
+            "loss/policy": jnp.mean(metrics["policy"]),
+            "loss/value": jnp.mean(metrics["value"]),
+            "loss/kl": jnp.mean(metrics["kl"]),
+            "policy/std": metrics["std"][-1, -1],
+            "learning_rate": metrics[RATE][-1, -1],
+        }
+
+    def compute_gradient(
+        self,
+        params: NetworkParams,
+        rollout: Rollout,
+        entropy: jax.Array,
+        minibatch: Callable[[Any], Any] = lambda tree: tree,
+    ) -> tuple[NetworkParams, Metrics]:
+        """Return the gradient of PPO's loss on a minibatch, and the parts of the loss.
+
+        `minibatch` takes its environments out of arrays (..., envs). It is called step by step:
+        what the networks compute of one step stays in a core's cache. Each network has a pass of
+        its own, since advantages are normalized over the whole minibatch.
+        """
+        value_gradient, value_loss, advantages = self.compute_value_gradient(
+            params.value, rollout, minibatch
+        )
+        advantages = (advantages - advantages.mean()) / (advantages.std() + 1e-8)
+        policy_gradient, metrics = self.compute_policy_gradient(
+            params.policy, rollout.transitions, advantages, entropy, minibatch
+        )
+        steps = len(rollout.transitions.reward)
+        gradient = NetworkParams(policy=policy_gradient, value=value_gradient)
+        gradient = jax.tree.map(lambda x: x / steps, gradient)
+        return gradient, jax.tree.map(jnp.mean, {**metrics, "value": value_loss})
+
+    def compute_value_gradient(
+        self, params: Any, rollout: Rollout, minibatch: Callable[[Any], Any]
+    ) -> tuple[Any, jax.Array, jax.Array]:
+        """Return the sum over steps of the value loss's gradient, the loss, and the advantages.
+
+        Generalized advantage estimation (Schulman et al. 2016, arXiv:1506.02438) goes from the
+        last step back. So each step's return is known when its value is learned. The loss is
+        (unroll,), advantages are (unroll, envs).
+        """
+        config, networks = self.config, self.networks
+
+        def compute_loss(
+            params: Any, transition: Transitions, next_value: jax.Array, next_error: jax.Array
+        ) -> Any:
+            value = networks.apply_value(params, transition.inputs)
+            error, advantage = estimate_advantage(config, transition, value, next_value, next_error)
+            error = jax.lax.stop_gradient(error)
+            target = jax.lax.stop_gradient(value) + error
+            loss = 0.5 * config.value_coef * jnp.mean((target - value) ** 2)
+            return loss, (value, error, advantage)
+
+        def step(carry: Any, transition: Transitions) -> Any:
+            total, next_value, next_error = carry
+            (loss, (value, error, advantage)), gradient = jax.value_and_grad(
+                compute_loss, has_aux=True
+            )(params, minibatch(transition), next_value, next_error)
+            return (jax.tree.map(jnp.add, total, gradient), value, error), (loss, advantage)
+
+        last_value = networks.apply_value(params, minibatch(rollout.last_inputs))
+        start = jax.tree.map(jnp.zeros_like, params), last_value, jnp.zeros_like(last_value)
+        (gradient, _, _), (loss, advantages) = jax.lax.scan(
+            step, start, rollout.transitions, reverse=True
+        )
+        return gradient, loss, advantages
+
+    def compute_policy_gradient(
+        self,
+        params: Any,
+        transitions: Transitions,
+        advantages: jax.Array,
+        entropy: jax.Array,
+        minibatch: Callable[[Any], Any],
+    ) -> tuple[Any, Metrics]:
+        """Return the sum over steps of the policy loss's gradient, and metrics (unroll,)."""
+
+        def step(total: Any, xs: tuple[Transitions, jax.Array]) -> Any:
+            transition, advantage = xs
+            gradient, metrics = jax.grad(self.compute_policy_loss, has_aux=True)(
+                params, minibatch(transition), advantage, entropy
+            )
+            return jax.tree.map(jnp.add, total, gradient), metrics
+
+        start = jax.tree.map(jnp.zeros_like, params)
+        gradient, metrics = jax.lax.scan(step, start, (transitions, advantages))
+        return gradient, metrics
+
+    def compute_policy_loss(
+        self, params: Any, transition: Transitions, advantage: jax.Array, entropy: jax.Array
+    ) -> tuple[jax.Array, Metrics]:
+        """Return the clipped loss of a step, less the entropy bonus, and metrics."""
+        policy = self.networks.apply_policy(params, transition.inputs)
+        ratio = jnp.exp(policy.compute_log_prob(transition.raw_action) - transition.log_prob)
+        epsilon = self.config.clip_epsilon
+        clipped = jnp.clip(ratio, 1.0 - epsilon, 1.0 + epsilon)
+        loss = -jnp.mean(jnp.minimum(ratio * advantage, clipped * advantage))
+        divergence = jnp.minimum(policy.compute_divergence(transition.policy), MOST_KL)
+        metrics = {"policy": loss, "kl": jnp.mean(divergence), "std": jnp.mean(policy.std)}
+        return loss - entropy * jnp.mean(policy.compute_entropy()), metrics
+
+
+def estimate_advantage(
+    config: PPOConfig,
+    transition: Transitions,
+    value: jax.Array,
+    next_value: jax.Array,
+    next_error: jax.Array,
+) -> tuple[jax.Array, jax.Array]:
+    """Return by how much the lambda-return of a step exceeds its `value`, and its advantage.
+
+    All are (envs,). `next_error` is the first of both for the next step. As in Brax, an advantage
+    counts the next step's return in full, and `gae_lambda` weighs what comes after that.
+    """
+    discount = config.discount * transition.discount
+    surprise = transition.reward + discount * next_value - value
+    error = surprise + config.gae_lambda * discount * next_error
+    return error, surprise + discount * next_error
+
+
+def anneal(start: float, end: float, share: float, progress: jax.Array) -> jax.Array:
+    """Return `start`, or less in the last `share` of training, and `end` at `progress` 1."""
+    return start + jnp.clip(1.0 - (1.0 - progress) / share, 0.0, 1.0) * (end - start)
+
+
+def adapt_learning_rate(
+    config: PPOConfig, rate: jax.Array, kl: jax.Array, desired_kl: jax.Array
+) -> jax.Array:
+    """Return `rate` within its bounds, reduced where the policy changes too much, else raised.
+
+    As in Rudin et al. 2022, arXiv:2109.11978.
+    """
+    rate = jnp.where(kl > 2.0 * desired_kl, rate / 1.5, rate)
+    rate = jnp.where((kl < desired_kl / 2.0) & (kl > 0.0), rate * 1.5, rate)
+    return jnp.clip(rate, config.min_learning_rate, config.max_learning_rate)
 
 
 def make_optimizer(config: PPOConfig) -> optax.GradientTransformation:
-    """Adam with a learning rate that is part of its state, after clipping by global norm."""
+    """Make Adam with a learning rate that is part of its state, after clipping by global norm."""
     return optax.chain(
         optax.clip_by_global_norm(config.max_grad_norm),
         optax.inject_hyperparams(optax.adam)(learning_rate=config.learning_rate),
     )
 
 
-def collect(
-    env: Env, networks: Networks, config: PPOConfig, learner: Learner, workers: RolloutState
-) -> tuple[RolloutState, tuple[Rollout, Parts], Metrics]:
-    """Step every environment `unroll` times; the last of them, for evaluation, as a trained policy.
+def slice_environments(tree: Any, first: jax.Array, count: int) -> Any:
+    """Return `count` environments of arrays (..., envs), from the `first` on."""
+    return jax.tree.map(lambda x: jax.lax.dynamic_slice_in_dim(x, first, count, axis=-1), tree)
 
-    Returns what those learned from met and what they see (m, envs) at the end, and metrics: means
-    per step, and counts of episodes; those of the evaluation environments are named "eval/...",
-    "nan_step" is a `NanStep`. A finished episode is followed by a fresh one.
-    """
-    envs = len(workers.envs.done)
-    learnt_from = envs - config.eval_envs // jax.lax.axis_size(AXIS)
-    key, key_steps, key_starts = jax.random.split(workers.key[0], 3)
-    starts = fresh_starts(env, workers.envs, learner.iterations == 0, learnt_from, key_starts)
 
-    def expected(observation: jax.Array) -> jax.Array:
-        seen = networks.normalized(learner.normalizer, observation)
-        return networks.value(learner.params.value, seen)
-
-    def one_step(
-        carry: tuple[State, NanStep], xs: tuple[jax.Array, jax.Array]
-    ) -> tuple[tuple[State, NanStep], tuple[Rollout, Metrics]]:
-        before, nan_step = carry
-        key, number = xs
-        seen = networks.normalized(learner.normalizer, before.obs)
-        policy = networks.policy(learner.params.policy, seen)
-        raw_action = policy.sample(key)
-        noiseless = jnp.arange(envs) >= learnt_from
-        if config.stochastic:
-            noiseless &= policy.std <= SURE
-        action = jnp.tanh(jnp.where(noiseless, policy.mean, raw_action)).T
-        after = jax.vmap(env.step)(before, action)
-        nan_step = _first_nan(nan_step, after.metrics["nan"], before.pipeline_state, action)
-        reward, following = start_anew(
-            env,
-            config,
-            expected,
-            after,
-            starts.of_step(number),
-            learnt_from,
-            jax.random.fold_in(key, 1),
-        )
-        log_prob = policy.log_prob(raw_action)
-        met = Rollout(seen, raw_action, policy, log_prob, reward, 1.0 - after.done)
-        met = jax.tree.map(lambda x: x[..., :learnt_from], met)
-        return (following, nan_step), (met, _step_metrics(after, learnt_from))
-
-    nowhere = jax.tree.map(lambda x: jnp.zeros_like(x[0]), workers.envs.pipeline_state)
-    nan_step = NanStep(jnp.zeros(()), nowhere, jnp.zeros(env.action_size))
-    (after, nan_step), (rollout, metrics) = jax.lax.scan(
-        one_step,
-        (starts.envs, nan_step),
-        (jax.random.split(key_steps, config.unroll), jnp.arange(config.unroll)),
+def init_state(
+    env: TrainingEnv, networks: Networks, config: PPOConfig, mesh: Mesh, num_envs: int, seed: int
+) -> TrainState:
+    """Return the state before the first iteration, in which `num_envs` environments will start."""
+    key_networks, key_workers = jax.random.split(jax.random.PRNGKey(seed))
+    params = networks.init(key_networks)
+    learner = Learner(
+        params=params,
+        optimizer=make_optimizer(config).init(params),
+        normalizer=init_statistics(networks.critic_obs.size),
+        iterations=jnp.zeros((), jnp.int32),
     )
-    if env.curriculum is not None:
-        metrics |= env.curriculum.sums(after.pipeline_state.tile[:learnt_from])
-    last = networks.normalized(learner.normalizer, after.obs[:learnt_from])
-    return RolloutState(after, key[None]), (rollout, last), _over_devices(metrics, nan_step)
-
-
-def _step_metrics(after: State, learnt_from: int) -> Metrics:
-    """Means and counts of a step, of the training and of the evaluation environments."""
-    return {
-        "reward": jnp.mean(after.reward[:learnt_from]),
-        **{name: jnp.mean(value[:learnt_from]) for name, value in after.metrics.items()},
-        **{
-            f"eval/{name}": jnp.mean(after.metrics[name][learnt_from:])
-            for name in ("speed", "velocity_error", "standing")
-            if name in after.metrics
-        },
-        "count/ended": jnp.sum(after.done[:learnt_from]),
-        "count/fell": jnp.sum(after.metrics["fell"][:learnt_from]),
-        "count/nan": jnp.sum(after.metrics["nan"]),
-        "eval/count/ended": jnp.sum(after.done[learnt_from:]),
-        "eval/count/fell": jnp.sum(after.metrics["fell"][learnt_from:]),
-    }
-
-
-def _over_devices(metrics: Metrics, nan_step: NanStep) -> Metrics:
-    """The `metrics` of every step and device as one; the first `NanStep` found is among them."""
-    nan_steps = jax.lax.all_gather(nan_step, AXIS)
-    counts = {name: jnp.sum(value) for name, value in metrics.items() if "count/" in name}
-    means = {name: jnp.mean(value) for name, value in metrics.items() if name not in counts}
-    return {
-        **jax.lax.psum(counts, AXIS),
-        **jax.lax.pmean(means, AXIS),
-        "nan_step": jax.tree.map(lambda x: x[jnp.argmax(nan_steps.found > 0)], nan_steps),
-    }
-
-
-def _first_nan(known: NanStep, nan: jax.Array, before: Any, action: jax.Array) -> NanStep:
-    """`known` if it was found, else the first environment of a step whose `nan` (n,) is set."""
-    index = jnp.argmax(nan)
-    new = NanStep(nan[index], *jax.tree.map(lambda x: x[index], (before, action)))
-    return jax.tree.map(lambda old, new: jnp.where(known.found > 0, old, new), known, new)
-
-
-def anneal(start: float, end: float, share: float, progress: jax.Array) -> jax.Array:
-    """`start`, falling to `end` over the last `share` of the training; `progress` from 0 to 1."""
-    return start + jnp.clip(1.0 - (1.0 - progress) / share, 0.0, 1.0) * (end - start)
-
-
-def learn(
-    networks: Networks,
-    config: PPOConfig,
-    learner: Learner,
-    data: tuple[Rollout, Parts],
-    key: jax.Array,
-    iterations: int,
-) -> tuple[Learner, Metrics]:
-    """Epochs of minibatch updates on what `collect` gives, one of `iterations` in all.
-
-    A minibatch is of environments side by side. The first call measures the observations and no
-    more: a policy that had learned on raw ones would change beyond recognition when they are
-    normalized.
-    """
-    progress = learner.iterations / float(iterations)  # more than int32 holds, if it must be
-    desired_kl = anneal(config.desired_kl, config.final_kl, config.anneal_share, progress)
-    entropy = anneal(config.entropy, config.final_entropy, config.anneal_share, progress)
-    size = data[0].reward.shape[-1] // config.minibatches
-
-    def update(carry: Any, number: jax.Array) -> Any:
-        own = partial(_environments, number * size, size)
-        return _update(networks, config, desired_kl, entropy, carry, *data, own)
-
-    def epoch(carry: Any, key: jax.Array) -> Any:
-        return jax.lax.scan(update, carry, jax.random.permutation(key, config.minibatches))
-
-    before = learner.params, learner.optimizer
-    after, metrics = jax.lax.scan(epoch, before, jax.random.split(key, config.epochs))
-    first = learner.iterations == 0
-    params, state = jax.tree.map(lambda old, new: jnp.where(first, old, new), before, after)
-    # After learning: the divergence from the collecting policy is then a matter of weights alone.
-    normalizer = networks.measured(learner.normalizer, data[0].seen, AXIS)
-    return Learner(params, state, normalizer, learner.iterations + 1), {
-        "loss/policy": jnp.mean(metrics["policy"]),
-        "loss/value": jnp.mean(metrics["value"]),
-        "loss/kl": jnp.mean(metrics["kl"]),
-        "policy/std": metrics["std"][-1, -1],
-        "learning_rate": metrics[RATE][-1, -1],
-    }
-
-
-def _environments(first: jax.Array, number: int, tree: Any) -> Any:
-    """Of arrays (..., envs), the columns of so many environments from the `first` on."""
-    return jax.tree.map(lambda x: jax.lax.dynamic_slice_in_dim(x, first, number, axis=-1), tree)
-
-
-def gradients(
-    networks: Networks,
-    config: PPOConfig,
-    entropy: jax.Array,
-    params: PPONetworkParams,
-    rollout: Rollout,
-    last: Parts,
-    own: Callable[[Any], Any] = lambda tree: tree,
-) -> tuple[PPONetworkParams, Metrics]:
-    """Of PPO's loss, as Brax's `compute_ppo_loss`, on a minibatch, and its parts.
-
-    `own` takes the minibatch's environments out of arrays (..., envs). It is called step by step:
-    what the networks compute of one step stays in a core's cache. Each network has a pass of its
-    own, since advantages are measured against those of the whole minibatch.
-    """
-    value, (value_loss, advantages) = _value_gradient(
-        networks, config, params.value, rollout, last, own
+    split = NamedSharding(mesh, P(AXIS))
+    # Zeros of their shapes: the first `collect` starts them, and a program for that alone would
+    # take as long to compile as a good part of `collect`.
+    shapes = jax.eval_shape(env.reset, jax.ShapeDtypeStruct((2,), np.uint32))
+    number = num_envs + config.eval_envs
+    envs = jax.tree.map(lambda x: np.zeros((number, *x.shape), x.dtype), shapes)
+    workers = Workers(
+        envs=jax.device_put(envs, split),
+        key=jax.device_put(jax.random.split(key_workers, mesh.size), split),
     )
-    advantages = (advantages - advantages.mean()) / (advantages.std() + 1e-8)
-    loss = partial(_policy_loss, networks, config, entropy)
-
-    def step(total: Any, xs: tuple[Rollout, jax.Array]) -> Any:
-        met, advantage = xs
-        gradient, metrics = jax.grad(loss, has_aux=True)(params.policy, own(met), advantage)
-        return jax.tree.map(jnp.add, total, gradient), metrics
-
-    nothing = jax.tree.map(jnp.zeros_like, params.policy)
-    policy, metrics = jax.lax.scan(step, nothing, (rollout, advantages))
-    steps = len(rollout.reward)
-    gradient = jax.tree.map(lambda x: x / steps, PPONetworkParams(policy=policy, value=value))
-    return gradient, jax.tree.map(jnp.mean, {**metrics, "value": value_loss})
+    # Through NumPy, so that these are the same kind of arrays as those read from a file.
+    learner = jax.tree.map(np.asarray, learner)
+    return TrainState(jax.device_put(learner, NamedSharding(mesh, P())), workers)
 
 
-def _value_gradient(
-    networks: Networks,
-    config: PPOConfig,
-    params: Any,
-    rollout: Rollout,
-    last: Parts,
-    own: Callable[[Any], Any],
-) -> tuple[Any, tuple[jax.Array, jax.Array]]:
-    """The value loss's gradient, summed over steps; the loss (unroll,), advantages (unroll, envs).
+class Iteration:
+    """An iteration of training: `state, metrics = iteration(state)`, whose `state` is donated.
 
-    Generalized advantage estimation (Schulman et al. 2016, arXiv:1506.02438) goes from the last
-    step back, so each step's return is known when its value is learned. As in Brax, an advantage
-    counts the next step's return in full, and `gae_lambda` weighs what is beyond.
+    It is two programs, since one of both takes an eighth longer (docs/physics.md).
     """
 
-    def loss(params: Any, met: Rollout, following: jax.Array, beyond: jax.Array) -> Any:
-        value = networks.value(params, met.seen)
-        kept = config.discount * met.discount
-        surprise = met.reward + kept * following - value
-        error = jax.lax.stop_gradient(surprise + config.gae_lambda * kept * beyond)
-        target = jax.lax.stop_gradient(value) + error
-        mean = 0.5 * config.value_coef * jnp.mean((target - value) ** 2)
-        return mean, (value, error, surprise + kept * beyond)
+    def __init__(
+        self, env: TrainingEnv, networks: Networks, config: PPOConfig, mesh: Mesh, iterations: int
+    ) -> None:
+        ppo = PPO(networks, config, iterations)
 
-    def step(carry: Any, met: Rollout) -> Any:
-        total, following, beyond = carry
-        (mean, (value, error, advantage)), gradient = jax.value_and_grad(loss, has_aux=True)(
-            params, own(met), following, beyond
+        def collect(
+            learner: Learner, workers: Workers, ground: tuple[jax.Array, ...]
+        ) -> tuple[Any, ...]:
+            workers, rollout, metrics = ppo.collect(with_heights(env, ground), learner, workers)
+            key, key_learn = jax.random.split(workers.key[0])
+            return workers._replace(key=key[None]), rollout, metrics, key_learn[None]
+
+        def learn(learner: Learner, rollout: Rollout, key: jax.Array) -> tuple[Learner, Metrics]:
+            learner, metrics = ppo.learn(learner, rollout, key[0])
+            floats = [x for x in jax.tree.leaves(learner) if jnp.issubdtype(x.dtype, jnp.floating)]
+            finite = jnp.all(jnp.stack([jnp.all(jnp.isfinite(x)) for x in floats]))
+            return learner, {**metrics, "learner/finite": finite}
+
+        same, split = P(), P(AXIS)
+        row, column = P(None, AXIS), P(None, None, AXIS)  # environments last
+        transitions = Transitions(column, column, TanhNormal(column, column), row, row, row)
+        rollout = Rollout(transitions, row)
+        shard = partial(jax.shard_map, mesh=mesh, check_vma=False)
+        self._collect = jax.jit(
+            shard(collect, in_specs=(same, split, same), out_specs=(split, rollout, same, split)),
+            donate_argnums=1,
         )
-        return (jax.tree.map(jnp.add, total, gradient), value, error), (mean, advantage)
+        self.learn = jax.jit(
+            shard(learn, in_specs=(same, rollout, split), out_specs=(same, same)),
+            donate_argnums=0,
+        )
+        self._ground = jax.device_put(heights(env), NamedSharding(mesh, same))
 
-    after = networks.value(params, own(last))
-    start = jax.tree.map(jnp.zeros_like, params), after, jnp.zeros_like(after)
-    (total, _, _), found = jax.lax.scan(step, start, rollout, reverse=True)
-    return total, found
+    def trace(self, state: TrainState) -> None:
+        """Trace both programs for states like this, where what a task's functions lack shows."""
+        collect = self._collect.lower(*state, self._ground)
+        _, rollout, _, key = collect.out_info
+        self._collect, self.learn = collect, self.learn.lower(state.learner, rollout, key)
 
+    def compile(self) -> None:
+        """Compile both, once traced, at the same time."""
+        with ThreadPoolExecutor() as pool:
+            self._collect, self.learn = pool.map(
+                lambda traced: traced.compile(), (self._collect, self.learn)
+            )
+        release_freed_memory()
 
-def _policy_loss(
-    networks: Networks,
-    config: PPOConfig,
-    entropy: jax.Array,
-    params: Any,
-    met: Rollout,
-    advantages: jax.Array,
-) -> tuple[jax.Array, Metrics]:
-    """Of a step, the policy's clipped loss less the entropy bonus; how far the policy changed."""
-    policy = networks.policy(params, met.seen)
-    ratio = jnp.exp(policy.log_prob(met.raw_action) - met.log_prob)
-    clipped = jnp.clip(ratio, 1.0 - config.clip_epsilon, 1.0 + config.clip_epsilon)
-    loss = -jnp.mean(jnp.minimum(ratio * advantages, clipped * advantages))
-    # Where tanh saturates, a policy can be so sure of an action that one state of a thousand
-    # diverges by 10^5, and the learning rate would end at its lower bound.
-    divergence = jnp.mean(jnp.minimum(policy.divergence(met.policy), MOST_KL))
-    metrics = {"policy": loss, "kl": divergence, "std": jnp.mean(policy.std)}
-    return loss - entropy * jnp.mean(policy.entropy()), metrics
+    def collect(
+        self, learner: Learner, workers: Workers
+    ) -> tuple[Workers, Rollout, Metrics, jax.Array]:
+        """Return `workers` after an iteration, what they met, metrics, and a key to learn with."""
+        return self._collect(learner, workers, self._ground)
 
-
-def adapted(config: PPOConfig, rate: jax.Array, kl: jax.Array, desired_kl: jax.Array) -> jax.Array:
-    """`rate` within its bounds, less where the policy changes too much, more where too little."""
-    rate = jnp.where(kl > 2.0 * desired_kl, rate / 1.5, rate)
-    rate = jnp.where((kl < desired_kl / 2.0) & (kl > 0.0), rate * 1.5, rate)
-    return jnp.clip(rate, config.min_learning_rate, config.max_learning_rate)
-
-
-def _update(
-    networks: Networks,
-    config: PPOConfig,
-    desired_kl: jax.Array,
-    entropy: jax.Array,
-    carry: tuple[PPONetworkParams, optax.OptState],
-    rollout: Rollout,
-    last: Parts,
-    own: Callable[[Any], Any],
-) -> tuple[tuple[PPONetworkParams, optax.OptState], Metrics]:
-    """One gradient step on a minibatch; `carry` is parameters and optimizer state."""
-    params, state = carry
-    found = gradients(networks, config, entropy, params, rollout, last, own)
-    grads, metrics = jax.lax.pmean(found, AXIS)
-    rate = optax.tree_utils.tree_get(state, RATE)
-    rate = adapted(config, rate, metrics["kl"], desired_kl)
-    state = optax.tree_utils.tree_set(state, **{RATE: rate})
-    updates, state = make_optimizer(config).update(grads, state, params)
-    return (optax.apply_updates(params, updates), state), {**metrics, RATE: rate}
+    def __call__(self, state: TrainState) -> tuple[TrainState, Metrics]:
+        workers, rollout, collected, key = self.collect(*state)
+        learner, learned = self.learn(state.learner, rollout, key)
+        return TrainState(learner, workers), {**collected, **learned}

@@ -1,4 +1,4 @@
-"""What must be ready before a training can iterate."""
+"""Everything that must be ready before a training can iterate."""
 
 import math
 from collections.abc import Callable
@@ -22,17 +22,10 @@ from quadwalk.files import (
     write_json,
 )
 from quadwalk.learn import distributed
-from quadwalk.learn.devices import choose_devices
-from quadwalk.learn.iteration import (
-    Iteration,
-    TrainState,
-    init_state,
-    make_mesh,
-    placed_like,
-)
-from quadwalk.learn.networks import Networks, networks_for
-from quadwalk.learn.ppo import RATE
-from quadwalk.learn.warm_start import begun_from
+from quadwalk.learn.devices import choose_devices, make_mesh, place_like
+from quadwalk.learn.networks import Networks, make_env_networks
+from quadwalk.learn.ppo import RATE, Iteration, TrainState, init_state
+from quadwalk.learn.warm_start import warm_start_from
 from quadwalk.progress.display import Progress
 from quadwalk.progress.metrics import TrainingMetrics
 from quadwalk.robot.load import hash_robot, load_robot
@@ -53,17 +46,27 @@ from quadwalk.task_files import OWN
 
 @dataclass
 class Training:
+    """A training that is ready to iterate."""
+
     config: TrainConfig  # with the numbers of devices and environments filled in
-    run: Run | None  # None in all processes but the first
-    resumed: bool
     quadruped: Quadruped
     networks: Networks
-    metrics: TrainingMetrics
+    iterate: Iteration
+    run: Run | None  # None in all processes but the first
+    resumed: bool  # whether the run was there before
+    metrics: TrainingMetrics  # counts over all iterations
     state: TrainState
-    steps: int  # control steps behind it
-    seconds: float  # of training behind it
-    batch: int  # control steps in an iteration
-    iterate: Callable[[TrainState], tuple[TrainState, dict[str, Any]]]
+    steps: int  # control steps behind `state`
+    seconds: float  # of training behind `state`
+
+    @property
+    def batch(self) -> int:
+        """Control steps in an iteration."""
+        assert self.config.envs is not None
+        return self.config.envs * self.config.ppo.unroll
+
+
+Say = Callable[[str], None]
 
 
 def prepare(
@@ -73,77 +76,147 @@ def prepare(
 
     The run is this training's until `stack` is closed.
     """
+    say = progress.message
     robot = config.robot
     config = with_files(config, robot.urdf, robot.mesh_dirs, config.env.ground.file)
     config, devices = choose_devices(config)
     assert config.envs is not None
-    quadruped = load_robot(config.robot)
-    for note in quadruped.notes:
-        progress.message(note)
-    _check_processes(config, quadruped)
-    env = QuadrupedEnv(quadruped, config.env)
-    if env.gains_note:
-        progress.message(env.gains_note)
-    networks = networks_for(env, config.ppo, progress.message)
+    env = make_env(config, say)
+    networks = make_env_networks(env, config.ppo, say)
     mesh = make_mesh(devices)
     state = init_state(env, networks, config.ppo, mesh, config.envs, config.seed)
-    batch = config.envs * config.ppo.unroll
-    # One that was stopped before its first checkpoint begins once more, as it did.
+    # A run that was stopped before its first checkpoint starts once more, as it did.
     if config.init is not None and (previous is None or not directory.list_checkpoints(previous)):
-        source = directory.find_any_run(config.runs, config.init)
-        config = replace(config, init=str(real_path(source.path)))
-        learner, notes = begun_from(source, config, env, networks, jax.device_get(state.learner))
-        state = state._replace(learner=placed_like(learner, state.learner))
-        progress.message(f"begins with the networks of {source.path}")
-        for note in notes:
-            progress.message(note)
-    iterate = Iteration(env, networks, config.ppo, mesh, iterations=math.ceil(config.steps / batch))
+        config, state = init_from_run(config, env, networks, state, say)
+    iterations = math.ceil(config.steps / (config.envs * config.ppo.unroll))
+    iterate = Iteration(env, networks, config.ppo, mesh, iterations)
     iterate.trace(state)  # before there is a run: a task whose functions fail leaves none
     main = config.distributed.process == 0
-    run = distributed.together(
-        lambda: _open_run(config, previous, quadruped, progress, stack) if main else None
+    run = distributed.run_together(
+        lambda: open_run(config, previous, env.quadruped, say, stack) if main else None
     )
-    progress.message(
-        f"{quadruped.name}: {config.envs} environments on {len(devices)} "
+    say(
+        f"{env.quadruped.name}: {config.envs} environments on {len(devices)} "
         f"{devices[0].platform.upper()} devices, into {run.path if run else 'process 0'}"
     )
-
     progress.phase("compiling", 25.0)
-    metrics = TrainingMetrics(config.env.reward)
-    steps, seconds = 0, 0.0
+    training = Training(
+        config=config,
+        quadruped=env.quadruped,
+        networks=networks,
+        iterate=iterate,
+        run=run,
+        resumed=previous is not None,
+        metrics=TrainingMetrics(config.env.reward),
+        state=state,
+        steps=0,
+        seconds=0.0,
+    )
     if previous is not None:
-        path = directory.find_latest_checkpoint(
-            previous, lambda text: progress.message(f"warning: {text}")
-        )
-        if path is None:
-            progress.message(f"{previous.path} has no checkpoint yet: it starts at its beginning")
-        else:
-            state, steps, seconds = _restore(path, config, networks, state, metrics)
-            progress.message(f"going on from {path}, after {steps:,} steps")
+        resume(training, previous, say)
     # A new run that never began leaves its name to the next.
     with remove_on_error(run.path) if run and previous is None else nullcontext():
         iterate.compile()
-    return Training(
-        config, run, previous is not None, quadruped, networks,
-        metrics, state, steps, seconds, batch, iterate,
-    )  # fmt: skip
+    return training
 
 
-def _restore(
-    path: Path,
-    config: TrainConfig,
-    networks: Networks,
-    state: TrainState,
-    metrics: TrainingMetrics,
-) -> tuple[TrainState, int, float]:
-    """The state in checkpoint `path`, placed as `state` is; its control steps and seconds.
+def make_env(config: TrainConfig, say: Say) -> QuadrupedEnv:
+    """Make the environment, after a check that all processes make the same."""
+    quadruped = load_robot(config.robot)
+    for note in quadruped.notes:
+        say(note)
+    if config.distributed.processes > 1:
+        shared = replace(
+            config, distributed=DistributedConfig(), runs=TrainConfig.runs, quiet=False
+        )
+        if config.init is not None:
+            shared = replace(shared, init=Path(config.init).name)
+        distributed.check_same(f"{to_dict(shared) | describe_training(config, quadruped)}")
+    env = QuadrupedEnv(quadruped, config.env)
+    if env.gains_note:
+        say(env.gains_note)
+    return env
 
-    `state` is that of a start with `config`; `metrics` go on counting from there. On another number
-    of devices than before, each draws from a random key of its own anew; a learning rate other than
-    before is begun with again; all else goes on as it was. Raises `UserError` in one line.
+
+def init_from_run(
+    config: TrainConfig, env: QuadrupedEnv, networks: Networks, state: TrainState, say: Say
+) -> tuple[TrainConfig, TrainState]:
+    """Return `config` with the whole path of its `init`, and `state` with that run's networks."""
+    assert config.init is not None
+    source = directory.find_any_run(config.runs, config.init)
+    config = replace(config, init=str(real_path(source.path)))
+    learner, notes = warm_start_from(source, config, env, networks, jax.device_get(state.learner))
+    for note in (f"begins with the networks of {source.path}", *notes):
+        say(note)
+    return config, state._replace(learner=place_like(learner, state.learner))
+
+
+def open_run(
+    config: TrainConfig, previous: Run | None, quadruped: Quadruped, say: Say, stack: ExitStack
+) -> Run:
+    """Make the run to train, or update `previous`; it is claimed until `stack` is closed."""
+    if previous is None:
+        run = make_run(config, quadruped)
+        stack.enter_context(directory.claim(run))
+        return run
+    stack.enter_context(directory.claim(previous))
+    changes = list_changes(read_config(previous), config)
+    directory.delete_partial_files(previous)
+    for line in compare_robot(previous, quadruped):
+        say(line)
+    write_json(previous.config, collect_settings(config, quadruped))
+    for change in changes:
+        say(f"changed {change}")
+    heights = config.env.ground.file
+    if heights is not None and heights != real_path(previous.locate_heights(heights)):
+        copy = read_bytes(heights)
+        with atomic_write(previous.locate_heights(heights)) as file:
+            file.write(copy)
+    return previous
+
+
+def make_run(config: TrainConfig, quadruped: Quadruped) -> Run:
+    """Make the folder of a run, with a copy of everything that its training begins with."""
+    files = {
+        "robot.urdf": quadruped.urdf.encode(),
+        "config.json": format_json(collect_settings(config, quadruped)),
+    }
+    source, heights = task_source(config), config.env.ground.file
+    if source is not None:
+        files[OWN] = source
+    if heights is not None:
+        files[Run(Path()).locate_heights(heights).name] = read_bytes(heights)
+    return directory.create_run(config.runs, config.name, label=config.task, files=files)
+
+
+def collect_settings(config: TrainConfig, quadruped: Quadruped) -> dict[str, Any]:
+    """Return the content of config.json."""
+    return {
+        "config": to_dict(config),
+        "versions": directory.get_versions(),
+        ROBOT_HASH: hash_robot(quadruped),
+    }
+
+
+def resume(training: Training, previous: Run, say: Say) -> None:
+    """Resume `training` from the newest checkpoint of `previous`, where there is one."""
+    path = directory.find_latest_checkpoint(previous, lambda text: say(f"warning: {text}"))
+    if path is None:
+        say(f"{previous.path} has no checkpoint yet: it starts at its beginning")
+        return
+    restore(training, path)
+    say(f"going on from {path}, after {training.steps:,} steps")
+
+
+def restore(training: Training, path: Path) -> None:
+    """Set the state of `training` to that in checkpoint `path`; raises `UserError`.
+
+    With another number of devices each gets a new random key. A learning rate that was changed is
+    set again. All else continues as it was.
     """
+    state = training.state
     leaves, metadata = checkpoint.load(path, "checkpoint")
-    if metadata.get("mirrors") != networks.mirrors:
+    if metadata.get("mirrors") != training.networks.mirrors:
         raise UserError(
             f"{path} has networks whose observations mirror otherwise: expected the robot and "
             "the terms that it was trained with"
@@ -157,73 +230,13 @@ def _restore(
         split = jax.device_get(jax.random.split(saved.workers.key[0], devices))
         saved = saved._replace(workers=saved.workers._replace(key=split))
     try:
-        metrics.restore(metadata["metrics"])
-        steps, seconds = int(metadata["steps"]), float(metadata["seconds"])
+        training.metrics.restore(metadata["metrics"])
+        training.steps, training.seconds = int(metadata["steps"]), float(metadata["seconds"])
         rate = metadata["config"]["ppo"]["learning_rate"]
     except DAMAGE:
         raise UserError(f"{path} does not say where its training was: expected another") from None
-    if rate != config.ppo.learning_rate:
-        learner, fresh = saved.learner, tree_get(jax.device_get(state.learner.optimizer), RATE)
-        begun = tree_set(learner.optimizer, **{RATE: fresh})
-        saved = saved._replace(learner=learner._replace(optimizer=begun))
-    return placed_like(saved, state), steps, seconds
-
-
-def _check_processes(config: TrainConfig, quadruped: Quadruped) -> None:
-    """All processes must run the same program on the same robot, wherever each has its files."""
-    if config.distributed.processes > 1:
-        own = DistributedConfig()
-        shared = replace(config, distributed=own, runs=TrainConfig.runs, quiet=False)
-        if config.init is not None:
-            shared = replace(shared, init=Path(config.init).name)
-        distributed.check_same(f"{to_dict(shared) | describe_training(config, quadruped)}")
-
-
-def _open_run(
-    config: TrainConfig,
-    previous: Run | None,
-    quadruped: Quadruped,
-    progress: Progress,
-    stack: ExitStack,
-) -> Run:
-    """The run to train, made or resumed, and claimed until `stack` is closed."""
-    if previous is None:
-        run = new_run(config, quadruped)
-        stack.enter_context(directory.claim(run))
-        return run
-    stack.enter_context(directory.claim(previous))
-    changes = list_changes(read_config(previous), config)
-    directory.delete_partial_files(previous)
-    for line in compare_robot(previous, quadruped):
-        progress.message(line)
-    write_json(previous.config, _settings(config, quadruped))
-    for change in changes:
-        progress.message(f"changed {change}")
-    heights = config.env.ground.file
-    if heights is not None and heights != real_path(previous.locate_heights(heights)):
-        copy = read_bytes(heights)
-        with atomic_write(previous.locate_heights(heights)) as file:
-            file.write(copy)
-    return previous
-
-
-def new_run(config: TrainConfig, quadruped: Quadruped) -> Run:
-    """The folder of a run, with copies of its own of all that its training begins with."""
-    files = {
-        "robot.urdf": quadruped.urdf.encode(),
-        "config.json": format_json(_settings(config, quadruped)),
-    }
-    source, heights = task_source(config), config.env.ground.file
-    if source is not None:
-        files[OWN] = source
-    if heights is not None:
-        files[Run(Path()).locate_heights(heights).name] = read_bytes(heights)
-    return directory.create_run(config.runs, config.name, label=config.task, files=files)
-
-
-def _settings(config: TrainConfig, quadruped: Quadruped) -> dict[str, Any]:
-    return {
-        "config": to_dict(config),
-        "versions": directory.get_versions(),
-        ROBOT_HASH: hash_robot(quadruped),
-    }
+    if rate != training.config.ppo.learning_rate:
+        start_rate = tree_get(jax.device_get(state.learner.optimizer), RATE)
+        optimizer = tree_set(saved.learner.optimizer, **{RATE: start_rate})
+        saved = saved._replace(learner=saved.learner._replace(optimizer=optimizer))
+    training.state = place_like(saved, state)

@@ -1,4 +1,4 @@
-"""A training that begins with another run's networks: for another robot, reward or ground."""
+"""A training that starts with another run's networks: for another robot, reward or terrain."""
 
 import re
 from pathlib import Path
@@ -12,15 +12,10 @@ from quadwalk.brax import NestedMeanStd, RunningStatisticsState, UInt64
 from quadwalk.env.env import QuadrupedEnv
 from quadwalk.env.observations import last_action
 from quadwalk.errors import UserError
-from quadwalk.learn.networks import (
-    Basis,
-    Networks,
-    divisors,
-    networks_for,
-    plain,
-    structured,
-)
+from quadwalk.learn.networks import Networks, make_env_networks
 from quadwalk.learn.ppo import Learner
+from quadwalk.learn.statistics import compute_scale
+from quadwalk.learn.symmetric import to_plain, to_symmetric
 from quadwalk.robot.load import load_robot
 from quadwalk.robot.mirror import NotSymmetric, RobotMirror, compute_home_axes, make_mirror
 from quadwalk.runs import checkpoint
@@ -29,213 +24,220 @@ from quadwalk.runs.policy import collect_layers, read_policy
 from quadwalk.runs.resume import read_config
 from quadwalk.settings.training import TrainConfig
 
-KNOWN = 8  # iterations for which the source's statistics count: another robot's soon outweigh them
-NAMED = 6  # observations that a note names, at most
-CRITIC = "critic "  # what the names of those begin with that the value network alone sees
+COUNTED = 8  # iterations for which the source's statistics count: new ones soon outweigh them
+LISTED = 6  # observations that a note names, at most
+CRITIC = "critic "  # before the names of observations that the value network alone sees
 
 
-def begun_from(
+def warm_start_from(
     source: Run, config: TrainConfig, env: QuadrupedEnv, networks: Networks, learner: Learner
 ) -> tuple[Learner, list[str]]:
-    """`learner` with the networks of a run's newest checkpoint, and notes on what differs.
+    """Return `learner` with the networks of a run's newest checkpoint, and notes on differences.
 
-    Observations are matched by name, those of joints by the joint's place and the way it turns, and
-    legs whose knees point the other way move their feet alike. One that is new has weights of zero,
-    so that the policy acts as it did. Actions are as random as at a start. Of a run without a
-    checkpoint it is the policy alone. Raises a `UserError` in one line for networks that cannot be
-    taken over.
+    Observations are matched by name, those of joints by the joint's place and the way it turns.
+    Legs whose knees point the other way move their feet alike. A new observation has weights of
+    zero, so that the policy acts as it did. Actions are as random as at a start. A run without a
+    checkpoint gives its policy alone. Raises a `UserError` for networks that cannot be taken over.
     """
     notes: list[str] = []
     path = find_latest_checkpoint(source, notes.append)
     if path is None and not source.policy.exists():
         raise UserError(f"--init: {source.path} has no checkpoint; expected a run that was saved")
-    theirs = read_policy(source.policy).config if path is None else read_config(source)
+    source_config = read_policy(source.policy).config if path is None else read_config(source)
     for name in ("hidden", "activation"):
-        own, other = getattr(config.ppo, name), getattr(theirs.ppo, name)
-        if own != other:
-            raise UserError(f"--init: {source.path} has --ppo.{name} {other}; here it is {own}")
-    there = QuadrupedEnv(load_robot(theirs.robot), theirs.env)
-    before = networks_for(there, theirs.ppo)
-    if before.whole.mirror is None and networks.whole.mirror is not None:
+        value, source_value = getattr(config.ppo, name), getattr(source_config.ppo, name)
+        if value != source_value:
+            raise UserError(
+                f"--init: {source.path} has --ppo.{name} {source_value}; here it is {value}"
+            )
+    source_env = QuadrupedEnv(load_robot(source_config.robot), source_config.env)
+    source_networks = make_env_networks(source_env, source_config.ppo)
+    if source_networks.critic_obs.mirror is None and networks.critic_obs.mirror is not None:
         raise UserError(
             f"--init: {source.path} has networks that are not symmetric; expected "
             "--ppo.no-symmetric as well"
         )
-    found, statistics = _read(source, path, before)
-    names, known = _names(env), _names(there)
-    # A policy alone has seen the first of them.
-    places = {name: place for place, name in enumerate(list(known)[: len(statistics.mean)])}
-    rows = np.array([places.get(name, -1) for name in names])
-    seen, actions = _turned(env, there, list(names))
-    size, spread = networks.seen.size, np.asarray(divisors(statistics))[rows]
-    policy = _taken(found["policy"], rows[:size], seen[:size, :size], spread[:size])
-    last = policy["params"][f"hidden_{len(config.ppo.hidden)}"]
+    plain, statistics = read_networks(source, path, source_networks)
+    names, source_names = name_observations(env), name_observations(source_env)
+    # The statistics of a policy alone are those of the first observations.
+    columns = {name: i for i, name in enumerate(list(source_names)[: len(statistics.mean)])}
+    rows = np.array([columns.get(name, -1) for name in names])
+    turn, turn_action = compute_turns(env, source_env, list(names))
+    scale = np.asarray(compute_scale(statistics))[rows]
+    size = networks.policy_obs.size
+    policy = change_inputs(plain["policy"], rows[:size], turn[:size, :size], scale[:size])
+    output_layer = policy["params"][f"hidden_{len(config.ppo.hidden)}"]
     # Raw standard deviations of 0 are those of a start. Go1 from an AlienGo's `run`, 1.2 million
     # steps, two seeds: 4.5 and 4.8 m/s; with the source's own 4.1 and 4.1, with half a start's 4.5.
-    for name, own in last.items():
-        means = np.split(np.asarray(own), 2, axis=-1)[0] @ np.linalg.inv(actions).T
-        last[name] = np.float32(np.concatenate([means, np.zeros_like(means)], axis=-1))
-    params = learner.params.replace(policy=structured(policy, networks.seen, networks.outputs))
-    if "value" in found:
-        value = _taken(found["value"], rows, seen, spread)
-        params = params.replace(value=structured(value, networks.whole, _of_value(networks)))
+    for name, weights in output_layer.items():
+        means = np.split(np.asarray(weights), 2, axis=-1)[0] @ np.linalg.inv(turn_action).T
+        output_layer[name] = np.float32(np.concatenate([means, np.zeros_like(means)], axis=-1))
+    params = learner.params._replace(
+        policy=to_symmetric(policy, networks.policy_obs, networks.outputs)
+    )
+    if "value" in plain:
+        value = change_inputs(plain["value"], rows, turn, scale)
+        params = params._replace(
+            value=to_symmetric(value, networks.critic_obs, networks.value_output)
+        )
     else:
         notes.append(f"--init: {source.path} has a policy alone: the value network is a new one")
     assert config.envs is not None
-    count = KNOWN * config.envs * config.ppo.unroll
-    normalizer = _statistics(learner.normalizer, statistics, rows, seen, count)
-    new = [own for name, own in names.items() if name not in known]
-    gone = [own for name, own in known.items() if name not in names]
-    notes += [f"--init: {_listed(new)} new to these networks"] if new else []
-    notes += [f"--init: {_listed(gone)} no longer seen"] if gone else []
+    count = COUNTED * config.envs * config.ppo.unroll
+    normalizer = change_statistics(learner.normalizer, statistics, rows, turn, count)
+    for label, only, others in (
+        ("new to these networks", names, source_names),
+        ("no longer seen", source_names, names),
+    ):
+        missing = [name for place, name in only.items() if place not in others]
+        if missing:
+            notes.append(f"--init: {format_names(missing)} {label}")
     return learner._replace(params=params, normalizer=normalizer), notes
 
 
-def _read(
+def read_networks(
     source: Run, path: Path | None, networks: Networks
 ) -> tuple[dict[str, Any], NestedMeanStd]:
-    """The plain networks in a checkpoint, or in the run's policy file, and their statistics."""
+    """Return a run's plain networks, and its statistics, from a checkpoint or its policy file."""
     if path is None:
         leaves, _ = checkpoint.load(source.policy, "policy")
-        found = {"policy": {"params": collect_layers(leaves, "policy/params/")}}
-        place = "normalizer"
+        plain = {"policy": {"params": collect_layers(leaves, "policy/params/")}}
+        prefix = "normalizer"
     else:
         leaves, _ = checkpoint.load(path, "checkpoint")
         policy, value = (
             {"params": collect_layers(leaves, f"learner/params/{name}/params/")}
             for name in ("policy", "value")
         )
-        found = {
-            "policy": plain(policy, networks.seen, networks.outputs),
-            "value": plain(value, networks.whole, _of_value(networks)),
+        plain = {
+            "policy": to_plain(policy, networks.policy_obs, networks.outputs),
+            "value": to_plain(value, networks.critic_obs, networks.value_output),
         }
-        place = "learner/normalizer"
-    return found, NestedMeanStd(leaves[f"{place}/mean"], leaves[f"{place}/std"])
+        prefix = "learner/normalizer"
+    return plain, NestedMeanStd(leaves[f"{prefix}/mean"], leaves[f"{prefix}/std"])
 
 
-def _of_value(networks: Networks) -> Basis:
-    """The basis of a value network's output: a number that the mirror keeps."""
-    return Basis(1, None if networks.whole.mirror is None else make_mirror([0], [1]))
+def name_observations(env: QuadrupedEnv) -> dict[str, str]:
+    """Return the name of each number that networks see, by the same with the joint's place in it.
 
-
-def _names(env: QuadrupedEnv) -> dict[str, str]:
-    """What networks see by its name with joints' places: its name, a critic's "critic ..."."""
+    That of a number that the value network alone sees begins with "critic".
+    """
     places = {joint: f"joint{place}" for place, joint in enumerate(env.quadruped.joints)}
 
-    def placed(name: str) -> str:
-        own, bracket, ago = name.partition("[")
+    def place_joint(name: str) -> str:
+        number, bracket, ago = name.partition("[")
         # One joint's name may be the end of another's.
-        joint = max((j for j in places if own.endswith(f"_{j}")), key=len, default=None)
-        return own.removesuffix(joint) + places[joint] + bracket + ago if joint else name
+        joint = max((j for j in places if number.endswith(f"_{j}")), key=len, default=None)
+        return number.removesuffix(joint) + places[joint] + bracket + ago if joint else name
 
     names = *env.sensors.names, *(CRITIC + name for name in env.sensors.critic_names)
-    return {placed(name): name for name in names}
+    return {place_joint(name): name for name in names}
 
 
-def _turned(
-    env: QuadrupedEnv, there: QuadrupedEnv, names: list[str]
+def compute_turns(
+    env: QuadrupedEnv, source_env: QuadrupedEnv, names: list[str]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """What observations (n, n) and actions (12, 12) in `env` are `there`, as matrices.
+    """Return matrices from observations (n, n) and actions (12, 12) to those of the source.
 
-    A joint's change their signs where its axis points the other way, in the standing pose. Where a
-    knee does, the thigh's are more by the calf's, and the calf's change their signs: then foot and
-    trunk move alike, exactly so for a thigh as long as its calf. Small actions move the joints'
-    targets as far as there.
+    Where a joint's axis points the other way in the standing pose, its numbers change their signs.
+    Where a knee does, the calf's are added to the thigh's, and the calf's change their signs. Then
+    foot and trunk move alike, exactly so for a thigh as long as its calf. Small actions move the
+    joints' targets as far as in the source.
     """
-    axes, others = (compute_home_axes(e.quadruped, e.mj_model) for e in (env, there))
-    turned = np.where(np.sum(axes * others, axis=1) < 0.0, -1.0, 1.0)
-    observations, actions = map(np.diag, _signs(env, turned))
+    axes, source_axes = (compute_home_axes(e.quadruped, e.mj_model) for e in (env, source_env))
+    joint_signs = np.where(np.sum(axes * source_axes, axis=1) < 0.0, -1.0, 1.0)
+    observations, actions = map(np.diag, compute_signs(env, joint_signs))
     rows = {name: row for row, name in enumerate(names)}
-    for leg in np.flatnonzero(env.robot.knees_ahead != there.robot.knees_ahead).tolist():
+    for leg in np.flatnonzero(env.robot.knees_ahead != source_env.robot.knees_ahead).tolist():
         thigh, calf = 3 * leg + 1, 3 * leg + 2
-        bend = np.sign(others[thigh] @ others[calf])
-        _turn(actions, thigh, calf, bend)
-        for name, row in rows.items():
-            partner = rows.get(re.sub(rf"joint{thigh}(?=\[|$)", f"joint{calf}", name), row)
-            if partner != row:
-                _turn(observations, row, partner, bend)
-    actions = actions * _reach(env) / _reach(there)[:, None]
+        bend = np.sign(source_axes[thigh] @ source_axes[calf])
+        pairs = [
+            (row, rows.get(re.sub(rf"joint{thigh}(?=\[|$)", f"joint{calf}", name), row))
+            for name, row in rows.items()
+        ]
+        for matrix, turned in ((actions, [(thigh, calf)]), (observations, pairs)):
+            for thigh_row, calf_row in turned:
+                if thigh_row != calf_row:
+                    matrix[thigh_row] += bend * matrix[calf_row]
+                    matrix[calf_row] *= -1.0
+    actions = actions * measure_reach(env) / measure_reach(source_env)[:, None]
     terms = {**env.config.observation, **env.config.critic}
     acted = {f"{name}_joint0" for name, term in terms.items() if term.function is last_action}
     for name in names:
         if name.removeprefix(CRITIC).partition("[")[0] in acted:
-            own_rows = [rows[name.replace("joint0", f"joint{joint}")] for joint in range(12)]
-            observations[np.ix_(own_rows, own_rows)] = actions
+            joints = [rows[name.replace("joint0", f"joint{joint}")] for joint in range(12)]
+            observations[np.ix_(joints, joints)] = actions
     return observations, actions
 
 
-def _signs(env: QuadrupedEnv, turned: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Signs, 1 or -1, of observations (n,) and actions (12,) where joints have those of `turned`.
+def compute_signs(env: QuadrupedEnv, joint_signs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the signs, 1 or -1, of observations (n,) and actions (12,) for those of joints (12,).
 
-    What changes its sign with its joint: so terms say how they mirror.
+    Terms say how they mirror, and so which of their numbers change signs with a joint.
     """
-    if np.all(turned > 0.0):
-        return np.ones(env.observation_size), turned
+    if np.all(joint_signs > 0.0):
+        return np.ones(env.observation_size), joint_signs
     feet = make_mirror(np.arange(4), np.ones(4))
     try:
-        signs, usual = (
-            env.sensors.find_mirrors(RobotMirror(make_mirror(np.arange(12), own), feet))
-            for own in (turned, np.ones(12))
+        turned, usual = (
+            env.sensors.find_mirrors(RobotMirror(make_mirror(np.arange(12), signs), feet))
+            for signs in (joint_signs, np.ones(12))
         )
     except NotSymmetric as error:
-        joint = env.quadruped.joints[int(np.argmin(turned))]
+        joint = env.quadruped.joints[int(np.argmin(joint_signs))]
         raise UserError(f"--init: {joint!r} turns the other way in that run, and {error}") from None
-    return signs.observation.sign * usual.observation.sign, signs.action.sign * usual.action.sign
+    return turned.observation.sign * usual.observation.sign, turned.action.sign * usual.action.sign
 
 
-def _turn(matrix: np.ndarray, thigh: int, calf: int, bend: float) -> None:
-    """Turn the knee of these rows of `matrix` to the other side of its leg."""
-    matrix[thigh] += bend * matrix[calf]
-    matrix[calf] *= -1.0
+def measure_reach(env: QuadrupedEnv) -> np.ndarray:
+    """Return how far actions of 1 move joints' targets (12,), rad, by small ones to both sides.
 
-
-def _reach(env: QuadrupedEnv) -> np.ndarray:
-    """(12,) rad, how far actions of 1 move joints' targets, by small ones either way from 0.
-
-    Of a joint that stands at a limit it is the way that is left; 1 where none moves it.
+    For a joint at a limit it is the distance to the free side; 1 where no action moves it.
     """
     action, home = 0.1, jnp.asarray(env.robot.home_joints, jnp.float32)
     none, more, less = (
-        np.asarray(env.config.action(env.robot, jnp.full(12, own), home))
-        for own in (0.0, action, -action)
+        np.asarray(env.config.action(env.robot, jnp.full(12, value), home))
+        for value in (0.0, action, -action)
     )
     moved = np.maximum(np.abs(more - none), np.abs(less - none))
     return np.where(moved > 0.0, moved / action, 1.0)
 
 
-def _taken(params: Any, rows: np.ndarray, seen: np.ndarray, spread: np.ndarray) -> Any:
-    """Plain weights of inputs that `seen` (n, n) makes of one's own, once `rows` of the source.
+def change_inputs(params: Any, rows: np.ndarray, turn: np.ndarray, scale: np.ndarray) -> Any:
+    """Return plain weights whose inputs are observations here.
 
-    A row of -1 is new. Inputs are divided by their `spread` (n,), one's own by the same.
+    `turn` (n, n) makes the source's of them, in which each was in one of `rows` (n,), or is new at
+    -1. `scale` (n,) divides them here and there.
     """
     layers = {name: dict(layer) for name, layer in params["params"].items()}
     kernel = np.where(rows[:, None] < 0, 0.0, np.asarray(layers["hidden_0"]["kernel"])[rows])
-    layers["hidden_0"]["kernel"] = np.float32((seen * spread / spread[:, None]).T @ kernel)
+    layers["hidden_0"]["kernel"] = np.float32((turn * scale / scale[:, None]).T @ kernel)
     return {"params": layers}
 
 
-def _statistics(
+def change_statistics(
     like: RunningStatisticsState,
-    known: NestedMeanStd,
+    source: NestedMeanStd,
     rows: np.ndarray,
-    seen: np.ndarray,
+    turn: np.ndarray,
     count: int,
 ) -> RunningStatisticsState:
-    """Those of `known`, as of `count` observations.
+    """Return statistics of observations here, as if of `count`; arguments as in `change_inputs`.
 
-    What is new, of weight 0, has been constant in them: its spread then is that of what follows,
-    whatever its unit, to a factor that goes to 1.
+    A new one, whose weights are zero, counts as constant so far. Its deviation then is that of
+    what follows, in any unit, to a factor that approaches 1.
     """
-    std = np.where(rows < 0, 1.0, known.std[rows])
-    found = like.replace(
+    std = np.where(rows < 0, 1.0, source.std[rows])
+    statistics = like.replace(
         count=UInt64(hi=np.uint32(0), lo=np.uint32(count)),
-        mean=np.linalg.solve(seen, np.where(rows < 0, 0.0, known.mean[rows])),
+        mean=np.linalg.solve(turn, np.where(rows < 0, 0.0, source.mean[rows])),
         std=std,
         summed_variance=count * np.where(rows < 0, 0.0, std) ** 2,
     )
-    return jax.tree.map(lambda new, old: np.asarray(new, old.dtype), found, like)
+    return jax.tree.map(lambda new, old: np.asarray(new, old.dtype), statistics, like)
 
 
-def _listed(names: list[str]) -> str:
-    more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
-    return f"{', '.join(names[:NAMED])}{more}: {'is' if len(names) == 1 else 'are'}"
+def format_names(names: list[str]) -> str:
+    """Return `names`, cut short, with their verb."""
+    more = f" and {len(names) - LISTED} more" if len(names) > LISTED else ""
+    return f"{', '.join(names[:LISTED])}{more}: {'is' if len(names) == 1 else 'are'}"

@@ -127,7 +127,7 @@ class RunWriter:
         training = self._training
         save_policy(
             path,
-            *training.networks.plain_policy(state.learner.normalizer, state.learner.params.policy),
+            *training.networks.to_plain(state.learner.normalizer, state.learner.params.policy),
             training.config,
             training.quadruped.joints,
             steps,

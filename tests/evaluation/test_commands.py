@@ -18,7 +18,7 @@ from quadwalk.evaluation import session
 from quadwalk.evaluation.options import EvalConfig
 from quadwalk.evaluation.recording.provenance import provenance, revision
 from quadwalk.evaluation.session import evaluate_runs
-from quadwalk.learn.prepare import new_run
+from quadwalk.learn.prepare import make_run
 from quadwalk.paths import ALIENGO_URDF, PRETRAINED
 from quadwalk.robot.load import load_robot
 from quadwalk.runs.directory import Run, describe_origin, find_ready
@@ -145,7 +145,7 @@ def test_an_evaluation_says_what_its_robot_lacks(tmp_path, monkeypatch, capsys):
     config = RobotConfig(urdf=tmp_path / "dog.urdf")
     task = dataclasses.replace(sprint.TASK, robot=config, runs=tmp_path / "runs", name="dog")
     quadruped = load_robot(config)
-    run = new_run(task, quadruped)
+    run = make_run(task, quadruped)
     write_policy(run.policy, QuadrupedEnv(quadruped, task.env), 0, task)
     (tmp_path / "trunk.stl").unlink()
     notes: list[str] = []

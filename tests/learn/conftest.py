@@ -35,23 +35,23 @@ def processes() -> multiprocessing.context.BaseContext:
 def flags() -> Callable[..., list[str]]:
     """Flags of a tiny training in folder `runs`, of so many iterations."""
 
-    def make(runs: Path, name: str | None, iterations: int, *more: str) -> list[str]:
-        given = f"--devices=2 --steps={toy.BATCH * iterations} --runs={runs} {toy.TINY}"
-        return [*given.split(), *([f"--name={name}"] if name else []), *more]
+    def make_flags(runs: Path, name: str | None, iterations: int, *more: str) -> list[str]:
+        common = f"--devices=2 --steps={toy.BATCH * iterations} --runs={runs} {toy.TINY}"
+        return [*common.split(), *([f"--name={name}"] if name else []), *more]
 
-    return make
+    return make_flags
 
 
 @pytest.fixture(scope="session")
 def start(processes) -> Callable[..., multiprocessing.Process]:
-    """Begin a training with flags in a process of its own; what it says goes to `output`."""
+    """Start a training with flags in a process of its own, which prints to `output`."""
 
-    def begin(output: Path, *flags: str) -> multiprocessing.Process:
-        process = processes.Process(target=toy.command, args=(output, *flags))
+    def start_training(output: Path, *flags: str) -> multiprocessing.Process:
+        process = processes.Process(target=toy.run_train, args=(output, *flags))
         process.start()
         return process
 
-    return begin
+    return start_training
 
 
 @pytest.fixture

@@ -8,12 +8,10 @@ from types import SimpleNamespace
 
 import numpy as np
 import optax
-from brax.training.acme import running_statistics
-from brax.training.acme.running_statistics import NestedMeanStd
-from brax.training.agents.ppo import losses
 
-from quadwalk.learn.iteration import TrainState
-from quadwalk.learn.ppo import Learner
+from quadwalk.brax import NestedMeanStd, RunningStatisticsState
+from quadwalk.learn.networks import NetworkParams
+from quadwalk.learn.ppo import Learner, TrainState
 from quadwalk.learn.writer import RunWriter
 from quadwalk.runs.directory import Run
 from quadwalk.tasks import sprint
@@ -41,7 +39,7 @@ def training_after(steps: int) -> SimpleNamespace:
         quadruped=SimpleNamespace(joints=("joint",)),
         networks=SimpleNamespace(
             mirrors=None,
-            plain_policy=lambda normalizer, params: (
+            to_plain=lambda normalizer, params: (
                 NestedMeanStd(normalizer.mean, normalizer.std),
                 params,
             ),
@@ -55,10 +53,10 @@ def training_after(steps: int) -> SimpleNamespace:
 def state_after(steps: int) -> TrainState:
     """A state all of whose numbers are `steps`."""
     value = np.full(3000, steps, np.float32)
-    normalizer = running_statistics.RunningStatisticsState(
+    normalizer = RunningStatisticsState(
         mean=value, std=value, count=np.zeros(()), summed_variance=value
     )
-    params = losses.PPONetworkParams(policy={"w": value}, value={"w": value})
+    params = NetworkParams(policy={"w": value}, value={"w": value})
     return TrainState(Learner(params, optax.EmptyState(), normalizer, np.int32(steps)), value)
 
 

@@ -29,8 +29,10 @@ from benchmarks.brax_training import (
     params_of,
     train_with_brax,
 )
-from quadwalk.learn import iteration, ppo
-from quadwalk.learn.networks import TanhNormal, make_networks
+from quadwalk.learn import ppo
+from quadwalk.learn.devices import make_mesh
+from quadwalk.learn.distribution import TanhNormal
+from quadwalk.learn.networks import make_networks
 from quadwalk.settings.training import PPOConfig
 from quadwalk.tasks import sprint
 
@@ -69,7 +71,7 @@ class Point(Plain):
 
     def reset(self, rng: jax.Array) -> State:
         position = jax.random.uniform(rng, (), minval=-1.0, maxval=1.0) * self.spread
-        return self.fresh(Motion(position, jnp.zeros(()), jnp.zeros((), jnp.int32)))
+        return self.make_start(Motion(position, jnp.zeros(()), jnp.zeros((), jnp.int32)))
 
     def step(self, state: State, action: jax.Array) -> State:
         before = state.pipeline_state
@@ -78,10 +80,10 @@ class Point(Plain):
         fell = jnp.abs(motion.position) > 2.0
         reward = 1.0 - motion.position**2 - 0.1 * action[0] ** 2 - 5.0 * fell
         limit = (motion.steps >= self.config.episode_steps) & ~fell
-        return self.stepped(state, motion, reward, limit, speed=velocity, fell=fell, nan=0.0)
+        return self.make_next(state, motion, reward, limit, speed=velocity, fell=fell, nan=0.0)
 
 
-def noise(mean: jax.Array) -> jax.Array:
+def compute_noise(mean: jax.Array) -> jax.Array:
     return 1.5 * jnp.sin(20.0 * mean)
 
 
@@ -90,7 +92,7 @@ class Keyless(NormalTanh):
 
     def create_dist(self, parameters: jax.Array) -> Any:
         normal = super().create_dist(parameters)
-        normal.sample = lambda seed: normal.loc + normal.scale * noise(normal.loc)
+        normal.sample = lambda seed: normal.loc + normal.scale * compute_noise(normal.loc)
         return normal
 
 
@@ -100,11 +102,11 @@ class Scattered(Wrapper):
     def reset(self, rng: jax.Array) -> State:
         state = self.env.reset(rng)
         draw = jax.vmap(lambda key: jax.random.uniform(key, (2,), minval=-1.5, maxval=1.5))(rng)
-        motion = jax.vmap(scattered)(draw)
+        motion = jax.vmap(place_by_observation)(draw)
         return state.replace(pipeline_state=motion, obs=draw)
 
 
-def scattered(observation: jax.Array) -> Motion:
+def place_by_observation(observation: jax.Array) -> Motion:
     """A state, its clock too, that follows from its observation."""
     position, velocity = observation
     return Motion(position, velocity, (jnp.abs(position) * 100).astype(jnp.int32) % 4)
@@ -127,7 +129,7 @@ class Both(NamedTuple):
 
 @pytest.fixture
 def train_both(monkeypatch):
-    """Train with both, from the same scattered starts, for some iterations."""
+    """Train with both, from the same place_by_observation starts, for some iterations."""
     seen = []
     real = gradients.loss_and_pgrad
 
@@ -144,19 +146,19 @@ def train_both(monkeypatch):
 
     monkeypatch.setattr(gradients, "loss_and_pgrad", recording)
     monkeypatch.setattr(
-        TanhNormal, "sample", lambda self, key: self.mean + self.std * noise(self.mean)
+        TanhNormal, "sample", lambda self, key: self.mean + self.std * compute_noise(self.mean)
     )
     monkeypatch.setattr(
         jax.random, "permutation", lambda key, x: jnp.arange(x) if isinstance(x, int) else x
     )
 
     def train(env: Point, config: PPOConfig, iterations: int) -> Both:
-        mesh = iteration.make_mesh()
+        mesh = make_mesh()
         networks = make_networks(config, Point.observation_size, Point.action_size)
         keyless = Keyless(Point.action_size, var_scale=networks.std_scale)
         theirs = networks_of_brax(config, networks, parametric_action_distribution=keyless)
         # Learning begins at once: the first iteration of all would measure observations only.
-        state = iteration.init_state(env, networks, config, mesh, ENVS, seed=0)
+        state = ppo.init_state(env, networks, config, mesh, ENVS, seed=0)
         learner = state.learner._replace(iterations=jnp.ones((), jnp.int32))
         reported: list[dict[str, Any]] = []
         brax = train_with_brax(
@@ -174,12 +176,12 @@ def train_both(monkeypatch):
         # Behind each device's share of environments learnt from stands one for evaluation.
         begin = np.concatenate([np.concatenate([part, part[:1]]) for part in observations])
         envs = jax.vmap(env.reset)(jax.random.split(jax.random.PRNGKey(0), len(begin)))
-        envs = envs.replace(pipeline_state=jax.vmap(scattered)(begin), obs=begin)
+        envs = envs.replace(pipeline_state=jax.vmap(place_by_observation)(begin), obs=begin)
         envs = jax.device_put(envs, NamedSharding(mesh, P(ppo.AXIS)))
         learner = jax.device_put(learner, NamedSharding(mesh, P()))
-        state = iteration.TrainState(learner, state.workers._replace(envs=envs))
+        state = ppo.TrainState(learner, state.workers._replace(envs=envs))
 
-        iterate = iteration.Iteration(env, networks, config, mesh, iterations)
+        iterate = ppo.Iteration(env, networks, config, mesh, iterations)
         ours, first, losses = [params_of(state.learner)], None, None
         for _ in range(iterations):
             state, metrics = jax.block_until_ready(iterate(state))

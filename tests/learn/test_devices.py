@@ -23,7 +23,7 @@ def machine(monkeypatch):
     def be(platform: str, count: int, processes: int = 1, cores: int = 4):
         found = [SimpleNamespace(id=k, process=k * processes // count) for k in range(count)]
         prepared: list[int] = []
-        monkeypatch.setattr(devices, "_prepare", prepared.append)
+        monkeypatch.setattr(devices, "_configure_jax", prepared.append)
         monkeypatch.setattr(devices, "join", lambda config: None)
         monkeypatch.setattr(devices, "cpu_cores", lambda: cores)
         monkeypatch.setattr(jax, "devices", lambda: found)

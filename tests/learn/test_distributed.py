@@ -17,13 +17,13 @@ ITERATIONS = 100
 
 
 @pytest.fixture
-def pair(start, tmp_path):
+def start_pair(start, tmp_path):
     """Begin two processes with the same flags but for {} in them, which is the number of each.
 
     Returns them and the files of what they say.
     """
 
-    def begin(*flags: str):
+    def start_both(*flags: str):
         with socket.socket() as free:
             free.bind(("127.0.0.1", 0))
             port = free.getsockname()[1]
@@ -35,10 +35,10 @@ def pair(start, tmp_path):
             for number, output in enumerate(outputs)
         ], outputs
 
-    return begin
+    return start_both
 
 
-def ended(processes, outputs) -> list[str]:
+def wait_for_end(processes, outputs) -> list[str]:
     """What they said by their end, without an error."""
     for process, output in zip(processes, outputs, strict=True):
         process.join(200)
@@ -47,28 +47,28 @@ def ended(processes, outputs) -> list[str]:
 
 
 def test_two_processes_learn_what_one_with_two_devices_does(
-    pair, tmp_path, flags, same_result, train
+    start_pair, tmp_path, flags, same_result, train
 ):
     # Bit for bit: a mean over two devices is one addition, which does not care for the order.
     train(*flags(tmp_path, "alone", ITERATIONS))
-    processes, outputs = pair(*flags(tmp_path, "shared", ITERATIONS))
+    processes, outputs = start_pair(*flags(tmp_path, "shared", ITERATIONS))
     run = Run(tmp_path / "shared")
     while not (run.metrics.exists() and run.metrics.stat().st_size):
         assert processes[0].is_alive(), outputs[0].read_text()
         time.sleep(0.01)
     os.kill(processes[1].pid, signal.SIGINT)  # and both stop, after the same iteration
-    first, second = ended(processes, outputs)
+    first, second = wait_for_end(processes, outputs)
     steps = read_metrics(run)[-1]["steps"]
     assert steps < 64 * ITERATIONS
     assert f"stopped after {steps:,} of" in first
     assert "stopped" not in second
     assert run.locate_checkpoint(steps).exists()
-    first, _ = ended(*pair(f"--runs={tmp_path}", "--resume=shared"))
+    first, _ = wait_for_end(*start_pair(f"--runs={tmp_path}", "--resume=shared"))
     assert f"after {steps:,} steps" in first
     same_result(run.path, tmp_path / "alone", best=False)  # its checkpoints were others
 
 
-def test_processes_that_differ_or_cannot_begin_all_say_so(pair, tmp_path, flags):
+def test_processes_that_differ_or_cannot_begin_all_say_so(start_pair, tmp_path, flags):
     """Different is what they say: the same robot may lie in other places."""
     for number in (0, 1):
         shutil.copy(ALIENGO_URDF, tmp_path / f"robot{number}.urdf")
@@ -87,7 +87,7 @@ def test_processes_that_differ_or_cannot_begin_all_say_so(pair, tmp_path, flags)
             ("run 'taken' exists", "another process could not begin"),
         ),
     ):
-        processes, outputs = pair(flag, *flags(tmp_path, name, 5))
+        processes, outputs = start_pair(flag, *flags(tmp_path, name, 5))
         for process, output, part in zip(processes, outputs, expected, strict=True):
             process.join(100)
             errors = [line for line in output.read_text().splitlines() if "error" in line]

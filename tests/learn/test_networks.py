@@ -17,9 +17,13 @@ from jax.sharding import PartitionSpec as P
 from benchmarks.brax_training import NormalTanh
 from quadwalk.env.reflections import Mirrors
 from quadwalk.errors import UsageError
-from quadwalk.learn import iteration, ppo
-from quadwalk.learn.acting import SURE, make_policy
-from quadwalk.learn.networks import Basis, TanhNormal, make_networks, plain
+from quadwalk.learn import ppo
+from quadwalk.learn.acting import make_policy
+from quadwalk.learn.devices import make_mesh
+from quadwalk.learn.distribution import SURE, TanhNormal
+from quadwalk.learn.networks import make_networks
+from quadwalk.learn.statistics import init_statistics, update_statistics
+from quadwalk.learn.symmetric import Basis, to_plain
 from quadwalk.robot.mirror import Mirror
 from quadwalk.tasks import sprint
 
@@ -42,9 +46,9 @@ def statistics():
     return NestedMeanStd(jnp.asarray(mean, jnp.float32), jnp.asarray(std, jnp.float32))
 
 
-def own_statistics(networks, statistics):
+def make_symmetric(networks, statistics):
     """Of symmetric `networks`, `statistics` that are their own mirror image; else as they are."""
-    if networks.whole.mirror is None:
+    if networks.critic_obs.mirror is None:
         return statistics
     mirror = MIRRORS.observation
     mean = (statistics.mean + mirror(statistics.mean)) / 2
@@ -56,7 +60,7 @@ def networks(request):
     return make_networks(CONFIG, SEEN, ACTIONS, MORE, MIRRORS if request.param != "plain" else None)
 
 
-def drawn(seed, *shape):
+def sample_normal(seed, *shape):
     return jnp.asarray(np.random.default_rng(seed).normal(size=shape), jnp.float32)
 
 
@@ -68,25 +72,29 @@ def test_loss_and_gradients_are_those_of_brax_with_two_observations(
     Brax lets a state's divergence count in full; policies at random are far apart.
     """
     monkeypatch.setattr(ppo, "MOST_KL", np.inf)
-    statistics = own_statistics(networks, statistics)
+    statistics = make_symmetric(networks, statistics)
     params = networks.init(jax.random.PRNGKey(0))
-    observation, last = drawn(2, ENVS, UNROLL, SEEN + MORE), drawn(3, ENVS, SEEN + MORE)
-    raw, reward = drawn(4, ENVS, UNROLL, ACTIONS), drawn(5, ENVS, UNROLL)
-    outputs, log_prob = drawn(6, ENVS, UNROLL, 2 * ACTIONS), drawn(7, ENVS, UNROLL)
-    discount = (drawn(8, ENVS, UNROLL) > -1.0).astype(jnp.float32)
+    observation, last = (
+        sample_normal(2, ENVS, UNROLL, SEEN + MORE),
+        sample_normal(3, ENVS, SEEN + MORE),
+    )
+    raw, reward = sample_normal(4, ENVS, UNROLL, ACTIONS), sample_normal(5, ENVS, UNROLL)
+    outputs, log_prob = sample_normal(6, ENVS, UNROLL, 2 * ACTIONS), sample_normal(7, ENVS, UNROLL)
+    discount = (sample_normal(8, ENVS, UNROLL) > -1.0).astype(jnp.float32)
 
     def steps_first(x):  # (envs, unroll, n) to (unroll, n, envs)
         return jnp.moveaxis(x, 0, -1)
 
     def seen(x):
-        flat = networks.normalized(statistics, x.reshape(-1, SEEN + MORE))
+        flat = networks.normalize(statistics, x.reshape(-1, SEEN + MORE))
         return tuple(part.reshape(-1, *x.shape[:-1]) for part in flat)
 
     parts = tuple(jnp.moveaxis(part, 0, 1).swapaxes(0, 2) for part in seen(observation))
-    before = TanhNormal.of(jnp.moveaxis(outputs, -1, 0), networks.std_scale)
+    before = TanhNormal.from_outputs(jnp.moveaxis(outputs, -1, 0), networks.std_scale)
     before = TanhNormal(*(jnp.moveaxis(x, (0, 1, 2), (1, 2, 0)) for x in before))
-    batch = ppo.Rollout(parts, steps_first(raw), before, log_prob.T, reward.T, discount.T)
-    gradient, metrics = ppo.gradients(networks, CONFIG, ENTROPY, params, batch, seen(last))
+    transitions = ppo.Transitions(parts, steps_first(raw), before, log_prob.T, reward.T, discount.T)
+    rollout = ppo.Rollout(transitions, seen(last))
+    gradient, metrics = ppo.PPO(networks, CONFIG, 1).compute_gradient(params, rollout, ENTROPY)
 
     brax = brax_networks.make_ppo_networks(
         {"state": SEEN, "whole": SEEN + MORE},
@@ -110,11 +118,10 @@ def test_loss_and_gradients_are_those_of_brax_with_two_observations(
     )  # fmt: skip
 
     def theirs(params):
-        one = Basis(1, networks.whole.mirror and Mirror(np.array([0]), np.ones(1, np.float32)))
         return losses.compute_ppo_loss(
             losses.PPONetworkParams(
-                plain(params.policy, networks.seen, networks.outputs),
-                plain(params.value, networks.whole, one),
+                to_plain(params.policy, networks.policy_obs, networks.outputs),
+                to_plain(params.value, networks.critic_obs, networks.value_output),
             ),
             named, data, jax.random.PRNGKey(0), brax, entropy_cost=ENTROPY,
             discounting=CONFIG.discount, gae_lambda=CONFIG.gae_lambda,
@@ -132,17 +139,17 @@ def test_loss_and_gradients_are_those_of_brax_with_two_observations(
 def test_a_mirrored_observation_has_the_mirrored_action_with_the_other_lead(statistics):
     """And the same value."""
     networks = make_networks(CONFIG, SEEN, ACTIONS, MORE, MIRRORS)
-    params, own = networks.init(jax.random.PRNGKey(1)), own_statistics(networks, statistics)
-    params = jax.tree.map(lambda x: x + 0.3 * drawn(9, *x.shape), params)  # biases too
-    observation = drawn(10, 50, SEEN + MORE)
+    params, own = networks.init(jax.random.PRNGKey(1)), make_symmetric(networks, statistics)
+    params = jax.tree.map(lambda x: x + 0.3 * sample_normal(9, *x.shape), params)  # biases too
+    observation = sample_normal(10, 50, SEEN + MORE)
 
     def answers(observation, lead):
         def turned(path, leaf):
             return lead * leaf if path[-1].key == "lead" else leaf
 
         led = jax.tree_util.tree_map_with_path(turned, params)
-        parts = networks.normalized(own, observation)
-        return networks.policy(led.policy, parts), networks.value(led.value, parts)
+        parts = networks.normalize(own, observation)
+        return networks.apply_policy(led.policy, parts), networks.apply_value(led.value, parts)
 
     policy, value = answers(observation, 1.0)
     image, same = answers(MIRRORS.observation(observation), -1.0)
@@ -155,12 +162,13 @@ def test_a_mirrored_observation_has_the_mirrored_action_with_the_other_lead(stat
     assert np.abs(image.mean - policy.mean).max() > 0.1
 
 
-def test_the_plain_policy_acts_as_the_learner_does(networks, statistics):
-    own = own_statistics(networks, statistics)
+def test_the_to_plain_acts_as_the_learner_does(networks, statistics):
+    own = make_symmetric(networks, statistics)
     params = networks.init(jax.random.PRNGKey(2))
-    observation = drawn(11, 7, SEEN + MORE)
-    mode = jnp.tanh(networks.policy(params.policy, networks.normalized(own, observation)).mean).T
-    policy = make_policy(CONFIG, *networks.plain_policy(own, params.policy))
+    observation = sample_normal(11, 7, SEEN + MORE)
+    inputs = networks.normalize(own, observation)
+    mode = jnp.tanh(networks.apply_policy(params.policy, inputs).mean).T
+    policy = make_policy(CONFIG, *networks.to_plain(own, params.policy))
     np.testing.assert_allclose(policy(observation), mode, atol=1e-5)
     np.testing.assert_array_equal(policy(observation), policy(observation[:, :SEEN]))
     other = observation.at[:, SEEN:].add(5.0)
@@ -169,10 +177,10 @@ def test_the_plain_policy_acts_as_the_learner_does(networks, statistics):
 
 def test_a_stochastic_policy_acts_with_noise_where_it_is_unsure(networks, statistics):
     config = dataclasses.replace(CONFIG, stochastic=True)
-    own, params = own_statistics(networks, statistics), networks.init(jax.random.PRNGKey(2))
-    plain = networks.plain_policy(own, params.policy)
-    observation = 3.0 * drawn(12, 4000, SEEN + MORE)
-    mean, std = networks.policy(params.policy, networks.normalized(own, observation))
+    own, params = make_symmetric(networks, statistics), networks.init(jax.random.PRNGKey(2))
+    plain = networks.to_plain(own, params.policy)
+    observation = 3.0 * sample_normal(12, 4000, SEEN + MORE)
+    mean, std = networks.apply_policy(params.policy, networks.normalize(own, observation))
     assert std.min() < SURE < std.max()
 
     def added(observation):
@@ -189,7 +197,7 @@ def test_a_stochastic_policy_acts_with_noise_where_it_is_unsure(networks, statis
     assert np.abs(np.corrcoef(joints) - np.eye(ACTIONS)).max() < 0.1
     np.testing.assert_array_equal(found, added(observation))
     # What differs by a tenth of its spread has other noise.
-    moved = added(observation + 0.1 * own.std * drawn(13, *observation.shape))
+    moved = added(observation + 0.1 * own.std * sample_normal(13, *observation.shape))
     assert np.corrcoef(found[noisy], moved[noisy])[0, 1] < 0.9
 
 
@@ -206,7 +214,7 @@ def test_a_basis_is_orthonormal_and_the_mirror_changes_its_signs_alone(seed):
     source[pairs] = pairs[:, ::-1]
     sign = rng.choice([-1.0, 1.0], size).astype(np.float32)
     sign[pairs[:, 1]] = sign[pairs[:, 0]]
-    basis, x = Basis(size, Mirror(source, sign)), drawn(seed, size, 4)
+    basis, x = Basis(size, Mirror(source, sign)), sample_normal(seed, size, 4)
     kept, negated = basis.split(x)
     image = basis.split(sign[:, None] * x[source])
     np.testing.assert_allclose(image[0], kept, atol=1e-6)
@@ -218,20 +226,20 @@ def test_a_basis_is_orthonormal_and_the_mirror_changes_its_signs_alone(seed):
 
 def test_statistics_are_those_of_brax_of_the_data_and_their_mirror_image(networks):
     """Over two devices, three times, each normalized by what was known before."""
-    mesh, found = iteration.make_mesh(), networks.init_statistics()
+    mesh, found = make_mesh(), init_statistics(networks.critic_obs.size)
 
     def count(statistics, x):
-        parts = networks.normalized(statistics, x)
+        parts = networks.normalize(statistics, x)
         steps = tuple(jnp.stack(jnp.split(part, 4, axis=1)) for part in parts)
-        return networks.measured(statistics, steps, ppo.AXIS)
+        return update_statistics(statistics, steps, networks.critic_obs, ppo.AXIS)
 
     measured = jax.jit(
         jax.shard_map(count, mesh=mesh, in_specs=(P(), P(ppo.AXIS)), out_specs=P(), check_vma=False)
     )
     seen = []
     for seed in range(3):
-        x = 3.0 + 2.0 * drawn(seed, 40, SEEN + MORE).at[:, 5].set(0.7)
-        seen += [x] if networks.whole.mirror is None else [x, MIRRORS.observation(x)]
+        x = 3.0 + 2.0 * sample_normal(seed, 40, SEEN + MORE).at[:, 5].set(0.7)
+        seen += [x] if networks.critic_obs.mirror is None else [x, MIRRORS.observation(x)]
         found = measured(found, x)
     whole = running_statistics.update(
         running_statistics.init_state(specs.Array((SEEN + MORE,), "float32")),
@@ -250,8 +258,8 @@ def test_what_never_varied_is_passed_on_less_its_mean(statistics):
         statistics.mean.at[:2].set([0.0, 50.0]), statistics.std.at[:2].set([1e-6, 1e-3])
     )
     passed = NestedMeanStd(never.mean, never.std.at[:2].set(1.0))
-    observation = drawn(3, 5, SEEN + MORE)
-    found, expected = (networks.normalized(own, observation)[0] for own in (never, passed))
+    observation = sample_normal(3, 5, SEEN + MORE)
+    found, expected = (networks.normalize(own, observation)[0] for own in (never, passed))
     np.testing.assert_array_equal(found, expected)
 
 
@@ -269,5 +277,5 @@ def test_the_entropy_is_near_the_mean_of_brax_samples(std, tolerance, mean):
     raw = np.log(np.expm1(std - 0.001))
     parameters = jnp.full((100_000, 2), jnp.array([mean, raw], jnp.float32))
     drawn = NormalTanhDistribution(1).entropy(parameters, jax.random.PRNGKey(0))
-    found = TanhNormal.of(parameters[:1].T, 1.0).entropy()
+    found = TanhNormal.from_outputs(parameters[:1].T, 1.0).compute_entropy()
     assert float(found[0]) == pytest.approx(float(drawn.mean()), abs=tolerance)

@@ -1,4 +1,4 @@
-"""The training loop, on an environment whose every number is known."""
+"""An iteration of PPO, on an environment whose every number is known."""
 
 import dataclasses
 from functools import partial
@@ -10,16 +10,17 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from brax.envs.base import State
-from jax.sharding import PartitionSpec as P
 from toy import Plain
 
 from quadwalk.env.curriculum import Curriculum, begin_travel
 from quadwalk.env.env import QuadrupedEnv
 from quadwalk.env.randomization import EpisodeRandomization
 from quadwalk.env.state import EnvState
-from quadwalk.learn import episodes, iteration, ppo
+from quadwalk.learn import episodes, ppo
 from quadwalk.learn.acting import make_policy
-from quadwalk.learn.networks import TanhNormal, make_networks
+from quadwalk.learn.devices import make_mesh
+from quadwalk.learn.distribution import TanhNormal
+from quadwalk.learn.networks import make_networks
 from quadwalk.physics.motor import PhysicsState
 from quadwalk.tasks import sprint, walk
 
@@ -57,14 +58,14 @@ class Counter(Plain):
 
     def reset(self, rng: jax.Array) -> State:
         origin = jax.random.uniform(rng, (), minval=-1.0)
-        return self.fresh(Count(jnp.zeros((), jnp.int32), origin))
+        return self.make_start(Count(jnp.zeros((), jnp.int32), origin))
 
     def step(self, state: State, action: jax.Array) -> State:
         count = state.pipeline_state._replace(steps=state.pipeline_state.steps + 1)
         over, nan = count.steps >= self.config.episode_steps, count.origin > 1
         metrics = {"speed": action[0], "fell": over & (count.origin <= 0), "nan": nan}
         reward = 1.0 - jnp.sum(jnp.square(action - GOAL))
-        return self.stepped(state, count, reward, over & (count.origin > 0), **metrics)
+        return self.make_next(state, count, reward, over & (count.origin > 0), **metrics)
 
 
 @pytest.fixture(scope="module")
@@ -74,53 +75,35 @@ def networks():
 
 @pytest.fixture(scope="module")
 def iterate(networks):
-    return iteration.Iteration(Counter(), networks, CONFIG, iteration.make_mesh(), iterations=150)
+    return ppo.Iteration(Counter(), networks, CONFIG, make_mesh(), iterations=150)
 
 
-def start(networks, seed: int = 0) -> iteration.TrainState:
-    return iteration.init_state(Counter(), networks, CONFIG, iteration.make_mesh(), ENVS, seed)
+def start(networks, seed: int = 0) -> ppo.TrainState:
+    return ppo.init_state(Counter(), networks, CONFIG, make_mesh(), ENVS, seed)
 
 
 class Rows(NamedTuple):
-    """What was met, environments first, observations as they are: none are normalized yet."""
+    """Transitions, environments first; observations as they are, for none are normalized yet."""
 
-    observation: jax.Array  # (envs, unroll, 2)
-    action: jax.Array  # (envs, unroll, 2)
-    reward: jax.Array  # (envs, unroll)
-    discount: jax.Array
-
-
-@pytest.fixture(scope="module")
-def gather(networks):
-    return gathering(networks, CONFIG)
+    observation: np.ndarray  # (envs, unroll, 2)
+    action: np.ndarray  # (envs, unroll, 2)
+    reward: np.ndarray  # (envs, unroll)
+    discount: np.ndarray  # (envs, unroll)
 
 
-def gathering(networks, config):
-    """One collection, the data of both devices together."""
-
-    def collect(learner, workers):
-        workers, (rollout, _), metrics = ppo.collect(Counter(), networks, config, learner, workers)
-        own = rollout.seen[0], jnp.tanh(rollout.raw_action), rollout.reward, rollout.discount
-        return workers, Rows(*(jnp.moveaxis(x, -1, 0) for x in own)), metrics
-
-    each = P(ppo.AXIS)
-    return jax.jit(
-        jax.shard_map(
-            collect,
-            mesh=iteration.make_mesh(),
-            in_specs=(P(), each),
-            out_specs=(each, each, P()),
-            check_vma=False,
-        )
-    )
+def collect_rows(iterate, state):
+    """Return workers, transitions as `Rows` and metrics of one collection."""
+    workers, rollout, metrics, _ = jax.device_get(iterate.collect(*state))
+    steps = rollout.transitions
+    arrays = steps.inputs[0], jnp.tanh(steps.raw_action), steps.reward, steps.discount
+    return workers, Rows(*(np.moveaxis(x, -1, 0) for x in arrays)), metrics
 
 
 @pytest.fixture(scope="module")
-def collected(networks, gather):
-    """What one collection saw, and the learner that did it."""
+def collected(networks, iterate):
+    """A learner, and what it collected."""
     state = start(networks)
-    workers, data, metrics = jax.device_get(gather(*state))
-    return state.learner, workers, data, metrics
+    return state.learner, *collect_rows(iterate, state)
 
 
 def test_episodes_start_out_of_phase():
@@ -145,15 +128,15 @@ def test_the_next_episodes_are_where_the_curriculum_says_but_for_those_that_eval
     )
     env = SimpleNamespace(curriculum=lessons)
     draws = [
-        np.asarray(episodes.next_tiles(env, state, jnp.bool_(False), 6, jax.random.PRNGKey(seed)))
+        np.asarray(episodes.choose_tiles(env, state, jnp.bool_(False), 6, jax.random.PRNGKey(seed)))
         for seed in range(30)
     ]
     assert all(drawn[:6].tolist() == [1, 4, 2, 5, 1, 4] for drawn in draws)
     assert {int(tile) for drawn in draws for tile in drawn[6:]} == set(range(6))
-    first = episodes.next_tiles(env, state, jnp.bool_(True), 6, jax.random.PRNGKey(0))
+    first = episodes.choose_tiles(env, state, jnp.bool_(True), 6, jax.random.PRNGKey(0))
     assert (np.asarray(first)[:6] // 3).tolist() == [0, 1, 0, 1, 0, 1]
     none = SimpleNamespace(curriculum=None)
-    assert episodes.next_tiles(none, state, jnp.bool_(False), 6, jax.random.PRNGKey(0)) is None
+    assert episodes.choose_tiles(none, state, jnp.bool_(False), 6, jax.random.PRNGKey(0)) is None
 
 
 def test_an_episode_runs_its_course_and_a_fresh_one_follows(collected):
@@ -176,7 +159,9 @@ def test_the_time_limit_is_bootstrapped_through_and_a_fall_is_not(collected, net
     learner, _, data, _ = collected
     raw = CONFIG.reward_scale * (1.0 - np.square(data.action - GOAL).sum(-1))
     after = np.stack([np.full(data.reward.shape, 4.0), data.observation[..., 1]], axis=-1)
-    bootstrap = CONFIG.discount * networks.value(learner.params.value, (np.moveaxis(after, -1, 0),))
+    bootstrap = CONFIG.discount * networks.apply_value(
+        learner.params.value, (np.moveaxis(after, -1, 0),)
+    )
     ended = data.discount == 0.0
     limit = ended & (data.observation[..., 1] > 0)
     assert limit.any()
@@ -199,8 +184,9 @@ def test_evaluation_environments_act_without_noise_and_are_not_learnt_from(colle
 
 def test_evaluation_environments_of_a_stochastic_policy_act_with_noise(networks, collected):
     _, _, data, metrics = collected
-    gather = gathering(networks, dataclasses.replace(CONFIG, stochastic=True))
-    _, same, noisy = jax.device_get(gather(*start(networks)))
+    config = dataclasses.replace(CONFIG, stochastic=True)
+    noisy_iteration = ppo.Iteration(Counter(), networks, config, make_mesh(), iterations=150)
+    _, same, noisy = collect_rows(noisy_iteration, start(networks))
     jax.tree.map(partial(np.testing.assert_allclose, atol=1e-5), same, data)
     assert noisy["reward"] == pytest.approx(metrics["reward"], rel=1e-5)
     assert noisy["eval/speed"] != pytest.approx(metrics["eval/speed"], abs=0.01)
@@ -232,7 +218,9 @@ def test_some_that_fell_meet_the_same_conditions_once_more():
     vector = np.tile(number[:, None], (1, 3))
     own = EpisodeRandomization(None, number, None, vector, number, vector, vector, vector, vector)
     fell = jnp.asarray(number % 2)
-    found = episodes.retried(0.25, begun(1.0), begun(-1.0), learnt_from, jax.random.PRNGKey(0))
+    found = episodes.retry_conditions(
+        0.25, begun(1.0), begun(-1.0), learnt_from, jax.random.PRNGKey(0)
+    )
     np.testing.assert_array_equal(found.targets, -vector)
     np.testing.assert_array_equal(found.key, -vector)
     again = np.asarray(found.delay) > 0
@@ -248,7 +236,7 @@ def test_an_episode_after_a_fall_is_seen_as_it_starts(quadruped, monkeypatch):
 
     Of the first two of six; the others evaluate, and have those that are drawn for them.
     """
-    monkeypatch.setattr(episodes, "SOME", 3)  # of four that end, three are begun and then one
+    monkeypatch.setattr(episodes, "CHUNK", 3)  # of four that end, three are begun and then one
     task = walk.TASK
     world = dataclasses.replace(task.env.randomization, noise=None, imu_tilt=None)
     env = QuadrupedEnv(quadruped, dataclasses.replace(task.env, randomization=world))
@@ -260,7 +248,7 @@ def test_an_episode_after_a_fall_is_seen_as_it_starts(quadruped, monkeypatch):
     over = after.replace(done=fell.at[3].set(1.0), metrics={**after.metrics, "fell": fell})
     config = dataclasses.replace(task.ppo, retry=1.0 - 1e-6)
     found = jax.jit(
-        lambda *states: episodes.start_anew(env, config, lambda obs: obs[:, 0], *states)[1],
+        lambda *states: episodes.replace_finished(env, config, lambda obs: obs[:, 0], *states)[1],
         static_argnums=2,
     )(over, start, 2, jax.random.PRNGKey(0))
     over, start, found = jax.device_get((over, start, found))
@@ -283,14 +271,14 @@ def test_an_episode_after_a_fall_is_seen_as_it_starts(quadruped, monkeypatch):
 
 
 @pytest.mark.parametrize("poisoned", [[], [2], [8], [3, 8]], ids=str)
-def test_the_first_step_that_gave_no_number_is_kept(networks, gather, poisoned):
+def test_the_first_step_that_gave_no_number_is_kept(networks, iterate, poisoned):
     state = start(networks)
     learner = state.learner._replace(iterations=jnp.ones((), jnp.int32))  # the first starts anew
     envs = episodes.reset_envs(Counter(), jax.random.split(jax.random.PRNGKey(0), 12))
     count = envs.pipeline_state
     origin = count.origin.at[np.array(poisoned, int)].set(2.0)
     envs = envs.replace(pipeline_state=count._replace(origin=origin))
-    _, data, metrics = jax.device_get(gather(learner, state.workers._replace(envs=envs)))
+    _, data, metrics = collect_rows(iterate, (learner, state.workers._replace(envs=envs)))
     nan_step = metrics["nan_step"]
     assert metrics["count/nan"] == len(poisoned)
     assert (nan_step.found > 0) == bool(poisoned)
@@ -354,9 +342,9 @@ class Late(Counter):
 @pytest.mark.parametrize("unroll", [1, 5])
 def test_a_number_that_is_constant_in_the_first_iteration_changes_no_policy_beyond_measure(unroll):
     config = dataclasses.replace(CONFIG, unroll=unroll)
-    networks, env, mesh = make_networks(config, 4, 2), Late(unroll), iteration.make_mesh()
-    iterate = iteration.Iteration(env, networks, config, mesh, iterations=150)
-    state = iteration.init_state(env, networks, config, mesh, ENVS, 0)
+    networks, env, mesh = make_networks(config, 4, 2), Late(unroll), make_mesh()
+    iterate = ppo.Iteration(env, networks, config, mesh, iterations=150)
+    state = ppo.init_state(env, networks, config, mesh, ENVS, 0)
     stds, divergences = [], []
     for _ in range(6):
         state, metrics = jax.block_until_ready(iterate(state))
@@ -428,7 +416,7 @@ def test_the_policy_settles_towards_the_end(share, progress, expected):
     ],
 )
 def test_the_learning_rate_follows_the_change_of_the_policy_within_its_bounds(rate, kl, expected):
-    found = ppo.adapted(CONFIG, jnp.asarray(rate), jnp.asarray(kl), jnp.asarray(0.03))
+    found = ppo.adapt_learning_rate(CONFIG, jnp.asarray(rate), jnp.asarray(kl), jnp.asarray(0.03))
     assert float(found) == pytest.approx(expected)
 
 
@@ -438,7 +426,8 @@ def test_a_state_whose_action_is_sure_does_not_rule_the_learning_rate():
     before = TanhNormal(jnp.zeros((2, envs)), jnp.full((2, envs), 0.2))
     after = before._replace(mean=before.mean.at[:].set(0.02).at[:, 0].set(50.0))
     nothing = jnp.zeros(envs)
-    rollout = ppo.Rollout(None, before.mean, before, before.log_prob(before.mean), nothing, nothing)
-    networks = SimpleNamespace(policy=lambda params, seen: after)
-    _, metrics = ppo._policy_loss(networks, CONFIG, jnp.zeros(()), None, rollout, nothing)
+    log_prob = before.compute_log_prob(before.mean)
+    transition = ppo.Transitions(None, before.mean, before, log_prob, nothing, nothing)
+    algorithm = ppo.PPO(SimpleNamespace(apply_policy=lambda *_: after), CONFIG, 1)
+    _, metrics = algorithm.compute_policy_loss(None, transition, nothing, jnp.zeros(()))
     assert float(metrics["kl"]) == pytest.approx((7 * 0.01 + ppo.MOST_KL) / envs, abs=1e-3)

@@ -6,7 +6,7 @@ import pytest
 import trimesh
 
 from quadwalk.learn.flags import parse_config
-from quadwalk.learn.prepare import new_run
+from quadwalk.learn.prepare import make_run
 from quadwalk.paths import ALIENGO_URDF
 from quadwalk.robot.load import load_robot
 from quadwalk.robot.report import UrdfError
@@ -59,7 +59,7 @@ def test_a_run_says_that_its_robot_is_another_one(tmp_path):
     (home / "dog.urdf").write_text(text)
     config = RobotConfig(urdf=home / "dog.urdf")
     settings = dataclasses.replace(TASK, robot=config, runs=tmp_path, name="run")
-    run = new_run(settings, load_robot(config))
+    run = make_run(settings, load_robot(config))
     here = as_in(run, config)
     assert compare_robot(run, load_robot(here)) == ()
     (home / "meshes" / "cover.stl").unlink()

@@ -296,7 +296,7 @@ def test_a_full_disk_ends_no_training(
 def test_a_limit_on_file_sizes_is_said_in_one_line(tmp_path, flags, processes):
     output = tmp_path / "output"
     arguments = flags(tmp_path, "limited", 32, OFTEN, "--envs=128")
-    process = processes.Process(target=toy.limited_command, args=(output, *arguments))
+    process = processes.Process(target=toy.run_train_without_space, args=(output, *arguments))
     process.start()
     process.join(200)
     said = output.read_text()

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from quadwalk.env.env import QuadrupedEnv
-from quadwalk.learn import iteration
-from quadwalk.learn.networks import networks_for
+from quadwalk.learn import ppo
+from quadwalk.learn.devices import make_mesh, place_like
+from quadwalk.learn.networks import make_env_networks
 from quadwalk.robot.quadruped import load_quadruped
 from quadwalk.runs import checkpoint
 from quadwalk.task_files import load_task
@@ -27,9 +28,9 @@ def course():
     # A command stays for two steps: each environment is told anew in every iteration.
     command = dataclasses.replace(task.env.command, seconds=2 * task.env.control_dt)
     env = QuadrupedEnv(load_quadruped(), dataclasses.replace(task.env, command=command))
-    networks, mesh = networks_for(env, config), iteration.make_mesh()
-    state = iteration.init_state(env, networks, config, mesh, ENVS, seed=0)
-    iterate = iteration.Iteration(env, networks, config, mesh, iterations=10)
+    networks, mesh = make_env_networks(env, config), make_mesh()
+    state = ppo.init_state(env, networks, config, mesh, ENVS, seed=0)
+    iterate = ppo.Iteration(env, networks, config, mesh, iterations=10)
     states, rows = [jax.device_get(state)], []
     for _ in range(3):
         state, numbers = iterate(state)
@@ -66,5 +67,5 @@ def test_a_saved_state_goes_on_as_if_it_had_not_been_saved(course, tmp_path):
     _, iterate, state, states, _ = course
     checkpoint.save(tmp_path / "c.npz", states[2], {"kind": "checkpoint"})
     saved, _ = checkpoint.load(tmp_path / "c.npz", "checkpoint", like=states[0])
-    after, _ = iterate(iteration.placed_like(saved, state))
+    after, _ = iterate(place_like(saved, state))
     jax.tree.map(np.testing.assert_array_equal, jax.device_get(after), states[3])

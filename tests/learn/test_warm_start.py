@@ -19,10 +19,11 @@ from quadwalk.env.env import QuadrupedEnv
 from quadwalk.env.observations import offset
 from quadwalk.errors import UsageError, UserError
 from quadwalk.files import format_json
-from quadwalk.learn import iteration
+from quadwalk.learn import ppo
 from quadwalk.learn.acting import make_policy
-from quadwalk.learn.networks import networks_for
-from quadwalk.learn.warm_start import begun_from
+from quadwalk.learn.devices import make_mesh
+from quadwalk.learn.networks import make_env_networks
+from quadwalk.learn.warm_start import warm_start_from
 from quadwalk.robot.quadruped import load_quadruped
 from quadwalk.runs import checkpoint
 from quadwalk.runs.directory import Run, create_run, get_versions
@@ -34,39 +35,39 @@ from quadwalk.tasks import run as task
 OFFSET = {"offset": Observation(offset, {"reach": 1.0})}
 
 
-def learner_of(env, config, seed):
-    networks = networks_for(env, config.ppo)
-    state = iteration.init_state(env, networks, config.ppo, iteration.make_mesh(), 8, seed)
+def make_learner(env, config, seed):
+    networks = make_env_networks(env, config.ppo)
+    state = ppo.init_state(env, networks, config.ppo, make_mesh(), 8, seed)
     return networks, jax.device_get(state.learner)
 
 
-def begun(run, config, env):
+def warm_start(run, config, env):
     """Networks, the learner that begins as that of `run`, and notes."""
-    networks, fresh = learner_of(env, config, 6)
-    return networks, *begun_from(run, config, env, networks, fresh)
+    networks, fresh = make_learner(env, config, 6)
+    return networks, *warm_start_from(run, config, env, networks, fresh)
 
 
-def statistics_of(learner):
+def get_statistics(learner):
     return NestedMeanStd(learner.normalizer.mean, learner.normalizer.std)
 
 
-def worth(networks, learner, observation):
+def compute_value(networks, learner, observation):
     """What the value network says."""
-    parts = networks.normalized(statistics_of(learner), jnp.float32(observation))
-    return networks.value(learner.params.value, parts)
+    parts = networks.normalize(get_statistics(learner), jnp.float32(observation))
+    return networks.apply_value(learner.params.value, parts)
 
 
-def drawn(*shape):
+def sample_normal(*shape):
     return np.random.default_rng(1).normal(size=shape)
 
 
-def saved(run, like):
+def load_learner(run, like):
     """The learner in the run's checkpoint."""
-    state = iteration.TrainState(like, {"x": np.zeros(1)})
+    state = ppo.TrainState(like, {"x": np.zeros(1)})
     return checkpoint.load(run.locate_checkpoint(10), "checkpoint", state)[0].learner
 
 
-def changed(config, part, **changes):
+def change_config(config, part, **changes):
     """`config`, of which one part, "env" or "ppo", is changed."""
     return dataclasses.replace(
         config, **{part: dataclasses.replace(getattr(config, part), **changes)}
@@ -77,14 +78,14 @@ def changed(config, part, **changes):
 def source(request, tmp_path_factory):
     """A run, its environment, and the policy that it has."""
     config = dataclasses.replace(task.TASK, envs=8)
-    config = changed(config, "ppo", hidden=(16, 16), symmetric=request.param == "symmetric")
+    config = change_config(config, "ppo", hidden=(16, 16), symmetric=request.param == "symmetric")
     quadruped = load_quadruped()
     env = QuadrupedEnv(quadruped, config.env)
-    networks, learner = learner_of(env, config, 5)
+    networks, learner = make_learner(env, config, 5)
     rng = np.random.default_rng(0)
     size = env.observation_size
     mean, std = np.float32(rng.normal(0, 0.1, size)), np.float32(rng.uniform(1, 2, size))
-    if networks.whole.mirror is not None:  # statistics are their own image
+    if networks.critic_obs.mirror is not None:  # statistics are their own image
         mirror = env.mirrors.observation
         mean, std = (mean + mirror(mean)) / 2, (std + std[mirror.source]) / 2
     learner = learner._replace(normalizer=learner.normalizer.replace(mean=mean, std=std))
@@ -92,14 +93,14 @@ def source(request, tmp_path_factory):
     files = {"robot.urdf": quadruped.urdf.encode(), "config.json": format_json(settings)}
     run = create_run(tmp_path_factory.mktemp("runs"), "source", files=files)
     run.checkpoints.mkdir(exist_ok=True)
-    state = iteration.TrainState(learner, {"x": np.zeros(1)})
+    state = ppo.TrainState(learner, {"x": np.zeros(1)})
     checkpoint.save(run.locate_checkpoint(10), state, {"kind": "checkpoint", "mirrors": None})
-    return run, config, env, networks.plain_policy(learner.normalizer, learner.params.policy)
+    return run, config, env, networks.to_plain(learner.normalizer, learner.params.policy)
 
 
 def assert_same_actions(networks, learner, seen, policy, before, atol=1e-5, signs=1.0):
     """`learner` acts on what is `seen` as `policy` does on what it saw `before`, but for signs."""
-    own = networks.plain_policy(learner.normalizer, learner.params.policy)
+    own = networks.to_plain(learner.normalizer, learner.params.policy)
     found, expected = (
         make_policy(task.TASK.ppo, *plain)(jnp.float32(observation))
         for plain, observation in ((own, seen), (policy, before))
@@ -109,12 +110,12 @@ def assert_same_actions(networks, learner, seen, policy, before, atol=1e-5, sign
 
 def test_it_acts_as_the_run_does_and_as_randomly_as_at_a_start(source):
     run, config, env, policy = source
-    networks, learner, notes = begun(run, config, env)
+    networks, learner, notes = warm_start(run, config, env)
     assert notes == []
-    seen = drawn(9, env.observation_size)
+    seen = sample_normal(9, env.observation_size)
     assert_same_actions(networks, learner, seen, policy, seen)
-    parts = networks.normalized(statistics_of(learner), jnp.float32(seen))
-    std = networks.policy(learner.params.policy, parts).std
+    parts = networks.normalize(get_statistics(learner), jnp.float32(seen))
+    std = networks.apply_policy(learner.params.policy, parts).std
     np.testing.assert_allclose(std, config.ppo.init_std + 0.001 * networks.std_scale, rtol=1e-5)
 
 
@@ -122,9 +123,9 @@ def test_what_is_new_changes_no_action_and_what_is_seen_in_another_order_is_foun
     run, config, env, policy = source
     own = {**OFFSET, **dict(reversed(config.env.observation.items()))}
     del own["heading"]
-    there = changed(config, "env", observation=own)
+    there = change_config(config, "env", observation=own)
     other = QuadrupedEnv(env.quadruped, there.env)
-    networks, learner, notes = begun(run, there, other)
+    networks, learner, notes = warm_start(run, there, other)
     assert notes == [
         "--init: offset: is new to these networks",
         "--init: heading: is no longer seen",
@@ -141,9 +142,9 @@ def test_what_is_new_changes_no_action_and_what_is_seen_in_another_order_is_foun
 @pytest.mark.parametrize("unit", [1e-3, 1.0, 1e3])
 def test_statistics_of_what_is_new_soon_are_its_own_in_any_unit(source, unit):
     run, config, env, _ = source
-    there = changed(config, "env", observation=config.env.observation | OFFSET)
+    there = change_config(config, "env", observation=config.env.observation | OFFSET)
     other = QuadrupedEnv(env.quadruped, there.env)
-    _, learner, _ = begun(run, there, other)
+    _, learner, _ = warm_start(run, there, other)
     normalizer = jax.tree.map(jnp.asarray, learner.normalizer)
     place, number = other.sensors.names.index("offset"), int(normalizer.count.lo)
     known = np.arange(other.observation_size) != place
@@ -157,7 +158,7 @@ def test_statistics_of_what_is_new_soon_are_its_own_in_any_unit(source, unit):
     np.testing.assert_allclose(after.mean[known], before[0], atol=0.2)
 
 
-def with_joint(urdf, joint, pattern, new):
+def replace_in_joint(urdf, joint, pattern, new):
     """`urdf` with `new` in place of what matches `pattern` first in a joint of the AlienGo."""
     before, name, after = urdf.partition(f'<joint name="{joint}_joint"')
     return before + name + re.sub(pattern, new, after, count=1)
@@ -166,10 +167,10 @@ def with_joint(urdf, joint, pattern, new):
 def test_a_robot_with_other_joints_acts_the_same_in_the_same_pose(source, tmp_path):
     """Its joints have other names, one the end of another's; left hips turn the other way."""
     run, config, env, policy = source
-    _, like = learner_of(env, config, 5)
+    _, like = make_learner(env, config, 5)
     text = env.quadruped.urdf
     for side in ("FL", "RL"):
-        text = with_joint(text, f"{side}_hip", '<axis xyz="1 0 0"/>', '<axis xyz="-1 0 0"/>')
+        text = replace_in_joint(text, f"{side}_hip", '<axis xyz="1 0 0"/>', '<axis xyz="-1 0 0"/>')
     text = re.sub(r'"([FR])([RL])_(hip|thigh|calf)_joint"', r'"\2\1_\3"', text)
     text = text.replace('joint name="LF_hip"', 'joint name="hip"')
     urdf = tmp_path / "other.urdf"
@@ -177,13 +178,13 @@ def test_a_robot_with_other_joints_acts_the_same_in_the_same_pose(source, tmp_pa
     quadruped = load_quadruped(urdf)
     assert quadruped.joints[3:10:3] == ("hip", "RR_hip", "LR_hip")
     other = QuadrupedEnv(quadruped, config.env)
-    networks, learner, notes = begun(run, config, other)
+    networks, learner, notes = warm_start(run, config, other)
     assert notes == []
     own = {**config.env.observation, "unsaid": Observation(lambda robot, state: state.qpos[2])}
-    there = changed(config, "env", observation=own)
+    there = change_config(config, "env", observation=own)
     with pytest.raises(UserError, match=r"'hip' turns the other way .* 'unsaid' does not say how"):
-        begun(run, there, QuadrupedEnv(quadruped, there.env))
-    seen = drawn(9, env.observation_size)
+        warm_start(run, there, QuadrupedEnv(quadruped, there.env))
+    seen = sample_normal(9, env.observation_size)
     there, joint_signs = seen.copy(), np.ones(12)
     joint_signs[[3, 9]] = -1.0
     hips = {
@@ -199,13 +200,13 @@ def test_a_robot_with_other_joints_acts_the_same_in_the_same_pose(source, tmp_pa
     there *= np.where(turned, -1.0, 1.0)
     assert_same_actions(networks, learner, there, policy, seen, 1e-4, joint_signs)
     np.testing.assert_allclose(
-        worth(networks, learner, there),
-        worth(networks_for(env, config.ppo), saved(run, like), seen),
+        compute_value(networks, learner, there),
+        compute_value(make_env_networks(env, config.ppo), load_learner(run, like), seen),
         atol=1e-4,
     )
 
 
-def foot_moves(env):
+def compute_foot_moves(env):
     """(12, 12) m/rad, by MuJoCo: how the feet move with each joint about the home pose."""
     data = mujoco.MjData(env.mj_model)
     data.qpos[:] = env.quadruped.home
@@ -227,27 +228,27 @@ def foot_moves(env):
 def test_legs_whose_knees_point_the_other_way_move_their_feet_alike(source, tmp_path, change):
     """Of an AlienGo whose hind knees are ahead, by their calves' limits or axes."""
     run, config, env, policy = source
-    _, like = learner_of(env, config, 5)
+    _, like = make_learner(env, config, 5)
     text = env.quadruped.urdf
     for side in ("RR", "RL"):
-        text = with_joint(text, f"{side}_calf", *change)
+        text = replace_in_joint(text, f"{side}_calf", *change)
     urdf = tmp_path / "other.urdf"
     urdf.write_text(text)
     reaches = {"hip": 0.3, "thigh": 2.0, "calf": 1.2}
-    config = changed(config, "env", action=ActionMap(about_home, reaches))
+    config = change_config(config, "env", action=ActionMap(about_home, reaches))
     other = QuadrupedEnv(load_quadruped(urdf), config.env)
     np.testing.assert_allclose(other.robot.home_joints[[7, 10]], -env.robot.home_joints[[7, 10]])
-    networks, learner, notes = begun(run, config, other)
+    networks, learner, notes = warm_start(run, config, other)
     assert notes == []
 
     # Of joints there that move the feet as these do: angles, then actions, by their reaches.
-    angles = np.linalg.solve(foot_moves(env), foot_moves(other))
+    angles = np.linalg.solve(compute_foot_moves(env), compute_foot_moves(other))
     reach, before = (
         np.tile([own["hip"], own["thigh"], own["calf"]], 4)
         for own in (reaches, env.config.action.params)
     )
     actions = angles * reach / before[:, None]
-    seen = drawn(9, env.observation_size)
+    seen = sample_normal(9, env.observation_size)
     seen[:, -12:] = 0.0  # encoders' offsets, of joints without names
     there, rows = seen.copy(), 0
     critic = (f"critic {name}" for name in other.sensors.critic_names)
@@ -260,15 +261,15 @@ def test_legs_whose_knees_point_the_other_way_move_their_feet_alike(source, tmp_
             there[:, own] = seen[:, own] @ (actions if part == "last_action" else angles).T
             rows += 1
     assert rows == 3 * 5 + 2
-    plain = networks.plain_policy(learner.normalizer, learner.params.policy)
+    plain = networks.to_plain(learner.normalizer, learner.params.policy)
     found, before = (
         np.arctanh(make_policy(task.TASK.ppo, *own)(jnp.float32(given)))
         for own, given in ((plain, seen), (policy, there))
     )
     np.testing.assert_allclose(found @ actions.T, before, atol=1e-3)
     np.testing.assert_allclose(
-        worth(networks, learner, seen),
-        worth(networks_for(env, config.ppo), saved(run, like), there),
+        compute_value(networks, learner, seen),
+        compute_value(make_env_networks(env, config.ppo), load_learner(run, like), there),
         atol=1e-4,
     )
 
@@ -276,19 +277,19 @@ def test_legs_whose_knees_point_the_other_way_move_their_feet_alike(source, tmp_
 def test_networks_of_another_shape_or_kind_are_refused(source):
     run, config, env, _ = source
     with pytest.raises(UserError, match=r"--ppo.hidden \(16, 16\); here it is \(32,\)"):
-        begun(run, changed(config, "ppo", hidden=(32,)), env)
-    turned = changed(config, "ppo", symmetric=not config.ppo.symmetric)
+        warm_start(run, change_config(config, "ppo", hidden=(32,)), env)
+    turned = change_config(config, "ppo", symmetric=not config.ppo.symmetric)
     if turned.ppo.symmetric:
         with pytest.raises(UserError, match=r"--ppo\.no-symmetric"):
-            begun(run, turned, env)
+            warm_start(run, turned, env)
     else:
-        begun(run, turned, env)
+        warm_start(run, turned, env)
 
 
 def test_a_run_without_a_checkpoint_is_refused(source, tmp_path):
     _, config, env, _ = source
     with pytest.raises(UserError, match="has no checkpoint"):
-        begun(create_run(tmp_path, "empty", files={}), config, env)
+        warm_start(create_run(tmp_path, "empty", files={}), config, env)
 
 
 def test_a_run_with_a_policy_alone_gives_that(source, tmp_path):
@@ -297,10 +298,10 @@ def test_a_run_with_a_policy_alone_gives_that(source, tmp_path):
     alone = Run(tmp_path / "alone")
     save_policy(alone.policy, *policy, config, env.quadruped.joints, 10, 0.0)
     alone.config.unlink()  # as those that come with the package
-    networks, fresh = learner_of(env, config, 6)
-    learner, notes = begun_from(alone, config, env, networks, fresh)
+    networks, fresh = make_learner(env, config, 6)
+    learner, notes = warm_start_from(alone, config, env, networks, fresh)
     assert notes == [f"--init: {alone.path} has a policy alone: the value network is a new one"]
-    seen = drawn(9, env.observation_size)
+    seen = sample_normal(9, env.observation_size)
     assert_same_actions(networks, learner, seen, policy, seen)
     jax.tree.map(np.testing.assert_array_equal, learner.params.value, fresh.params.value)
 

@@ -40,7 +40,7 @@ TINY = (
 
 
 class Plain(Env):
-    """What a training asks of an environment on even ground; another class moves it."""
+    """A `TrainingEnv` on even ground; another class says how it moves."""
 
     config = sprint.TASK.env
     backend = "none"
@@ -48,10 +48,10 @@ class Plain(Env):
     terms: tuple[str, ...] = ()  # metrics beyond those that all have
 
     def observe(self, inner: Any) -> jax.Array:
-        """What is seen of `pipeline_state`."""
+        """Return the observation of `pipeline_state`."""
         raise NotImplementedError
 
-    def fresh(self, inner: Any) -> State:
+    def make_start(self, inner: Any) -> State:
         zero = jnp.zeros(())
         metrics = dict.fromkeys(("speed", "fell", "nan", *self.terms), zero)
         return State(inner, self.observe(inner), zero, zero, metrics, {"truncation": zero})
@@ -60,8 +60,8 @@ class Plain(Env):
         inner = state.pipeline_state._replace(**changes)
         return state.replace(pipeline_state=inner, obs=self.observe(inner))
 
-    def stepped(self, state: State, inner: Any, reward: Any, limit: Any, **metrics: Any) -> State:
-        """`state` after a step; `limit`: it met the time limit, and neither fell nor is NaN."""
+    def make_next(self, state: State, inner: Any, reward: Any, limit: Any, **metrics: Any) -> State:
+        """Return `state` after a step, at a time `limit` or none; metrics say what else ends it."""
         metrics = {name: jnp.float32(value) for name, value in metrics.items()}
         limit = jnp.float32(limit)
         return state.replace(
@@ -110,7 +110,7 @@ class Toy(Plain):
     def reset(self, rng: jax.Array) -> State:
         drawn = jax.random.uniform(rng, (2,))
         physics = PhysicsState(jnp.zeros(19).at[:2].set(drawn), jnp.zeros(18))
-        return self.fresh(EnvState(physics, jnp.zeros(12), jnp.zeros((), jnp.int32)))
+        return self.make_start(EnvState(physics, jnp.zeros(12), jnp.zeros((), jnp.int32)))
 
     def step(self, state: State, action: jax.Array) -> State:
         before = state.pipeline_state
@@ -122,11 +122,11 @@ class Toy(Plain):
         limit = (after.steps >= self.config.episode_steps) & ~nan
         reward = 1.0 - jnp.mean(jnp.square(action - GOAL))
         metrics = {"speed": speed[0], "fell": 0.0, "nan": nan, "reward/forward": reward}
-        return self.stepped(state, after, reward, limit, **metrics)
+        return self.make_next(state, after, reward, limit, **metrics)
 
 
-def command(output: Path, *flags: str) -> None:
-    """Be `train.py` with `flags` on the toy, in a process of its own; all it says to `output`."""
+def run_train(output: Path, *flags: str) -> None:
+    """Run `train.py` with `flags` on the toy, in a process of its own; it prints to `output`."""
     quadwalk.learn.prepare.QuadrupedEnv = Toy
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     descriptor = os.open(output, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
@@ -135,11 +135,11 @@ def command(output: Path, *flags: str) -> None:
     run_command(lambda: main(flags))
 
 
-def limited_command(output: Path, *flags: str) -> None:
-    """`command`, and no file may grow beyond 40 kB: a checkpoint does not fit, a policy does."""
+def run_train_without_space(output: Path, *flags: str) -> None:
+    """Run `run_train` where no file exceeds 40 kB: a checkpoint does not fit, a policy does."""
     resource.setrlimit(resource.RLIMIT_FSIZE, (40_000, resource.RLIM_INFINITY))
-    command(output, *flags)
+    run_train(output, *flags)
 
 
 if __name__ == "__main__":
-    command(Path("/dev/stdout"), *sys.argv[1:])
+    run_train(Path("/dev/stdout"), *sys.argv[1:])

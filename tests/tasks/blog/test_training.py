@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from quadwalk.env.env import QuadrupedEnv
-from quadwalk.learn import iteration
-from quadwalk.learn.networks import networks_for
+from quadwalk.learn import ppo
+from quadwalk.learn.devices import make_mesh
+from quadwalk.learn.networks import make_env_networks
 from quadwalk.progress.metrics import TrainingMetrics
 from quadwalk.robot.quadruped import load_quadruped
 from quadwalk.task_files import load_task
@@ -20,10 +21,10 @@ def test_it_learns_from_numbers_that_are_finite():
     task = load_task("blog")
     config = replace(task.ppo, eval_envs=2, unroll=8, minibatches=2, hidden=(16,))
     env = QuadrupedEnv(load_quadruped(), task.env)
-    networks, mesh = networks_for(env, config), iteration.make_mesh()
-    state = iteration.init_state(env, networks, config, mesh, ENVS, seed=0)
+    networks, mesh = make_env_networks(env, config), make_mesh()
+    state = ppo.init_state(env, networks, config, mesh, ENVS, seed=0)
     begun = jax.device_get(state.learner.params)
-    iterate = iteration.Iteration(env, networks, config, mesh, ITERATIONS)
+    iterate = ppo.Iteration(env, networks, config, mesh, ITERATIONS)
     metrics = TrainingMetrics(task.env.reward)
     for number in range(ITERATIONS):
         state, numbers = iterate(state)
