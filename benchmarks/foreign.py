@@ -234,7 +234,7 @@ def main() -> None:
     """Export, drive, print and write."""
     from rich.console import Console
 
-    from quadwalk.cli.shell import install
+    from quadwalk.cli.shell import suggest_install
     from quadwalk.errors import UserError
     from quadwalk.evaluation.loaded import load_run
     from quadwalk.evaluation.recording.provenance import provenance
@@ -250,7 +250,7 @@ def main() -> None:
     try:
         drake = importlib.metadata.version("drake")
     except importlib.metadata.PackageNotFoundError:
-        raise UserError(f"drake is not installed; this needs: {install('drake')}") from None
+        raise UserError(f"drake is not installed; this needs: {suggest_install('drake')}") from None
     export_run(run, "last", out / "export", Console(stderr=True, highlight=False))
     loaded = load_run(run, options.seconds, engine="fast", flat=True)
     if loaded.env.config.reset.tumbled:

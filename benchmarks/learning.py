@@ -47,10 +47,10 @@ def main() -> None:
     if options.work:
         work(options.task, options.envs, options.processor_time)
         return
-    from quadwalk.task_files import task_names
+    from quadwalk.tasks import list_tasks
 
-    if options.task not in task_names():
-        parser.error(f"no task {options.task!r}; expected one of: {', '.join(task_names())}")
+    if options.task not in list_tasks():
+        parser.error(f"no task {options.task!r}; expected one of: {', '.join(list_tasks())}")
     with contextlib.ExitStack() as stack:
         arguments = [f"--task={options.task}", f"--envs={options.envs}"]
         arguments += ["--processor-time"] * options.processor_time

@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from quadwalk.cli.arguments import message_console
+from quadwalk.cli.arguments import make_console
 from quadwalk.env.env import QuadrupedEnv
 from quadwalk.errors import UsageError
 from quadwalk.evaluation.evaluation import Evaluation, measure
@@ -119,7 +119,7 @@ def evaluate(
     set_up_devices()
     loaded = load_run(found, seconds, policy, engine, randomized, seed)
     for note in loaded.notes:
-        message_console().print(f"{found.name}: {note}")
+        make_console().print(f"{found.name}: {note}")
     return measure(loaded, episodes, seed)
 
 

@@ -15,12 +15,12 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from quadwalk.cli.shell import install
+from quadwalk.cli.shell import suggest_install
 
 try:
     import gymnasium
 except ModuleNotFoundError as error:
-    raise ImportError(f"quadwalk.gym needs Gymnasium: {install('gym')}") from error
+    raise ImportError(f"quadwalk.gym needs Gymnasium: {suggest_install('gym')}") from error
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -36,7 +36,7 @@ from quadwalk.env.ground_input import jit
 from quadwalk.env.state import tree_where
 from quadwalk.errors import UsageError
 from quadwalk.settings.training import TrainConfig
-from quadwalk.task_files import task_names
+from quadwalk.tasks import list_tasks
 
 
 class QuadrupedGymEnv(gymnasium.Env[np.ndarray, np.ndarray]):
@@ -205,7 +205,7 @@ def _key(random: np.random.Generator) -> Any:
 
 def register() -> None:
     """Make every task known to Gymnasium, as quadwalk/NAME-v0; once, when this is imported."""
-    for name in task_names():
+    for name in list_tasks():
         gymnasium.register(
             f"quadwalk/{name.capitalize()}-v0",
             entry_point="quadwalk.gym:QuadrupedGymEnv",

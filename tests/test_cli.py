@@ -53,8 +53,8 @@ def test_flags_change_the_default():
             "bad value for --motor.step-limit; expected FLOAT or None, and for a value that begins "
             "with a dash --motor.step-limit=--quiet",
         ),
-        ("--stepz 4", "unknown option --stepz; did you mean --steps?"),
-        ("--motor.bonds 1 2", "unknown option --motor.bonds; did you mean --motor.bounds?"),
+        ("--stepz 4", "unknown option --stepz; did you mean '--steps'?"),
+        ("--motor.bonds 1 2", "unknown option --motor.bonds; did you mean '--motor.bounds'?"),
         ("--utterly=1 --nonsense 2", "unknown option --utterly=1, --nonsense"),
         ("--steps 101", "too many"),
     ],

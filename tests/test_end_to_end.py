@@ -14,7 +14,7 @@ import pytest
 
 from quadwalk.errors import UserError
 from quadwalk.evaluation.recording.mcap import verify_mcap
-from quadwalk.learn.flags import main as train
+from quadwalk.learn.cli import main as train
 from tests.programs import ROOT, python
 from tests.test_shown_commands import OWN_TASK
 

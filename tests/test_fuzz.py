@@ -38,7 +38,8 @@ from quadwalk.runs.policy import load_score
 from quadwalk.runs.resume import read_config_to_resume
 from quadwalk.settings.serialize import flatten, with_settings
 from quadwalk.settings.training import RobotConfig
-from quadwalk.task_files import load_task, task_names
+from quadwalk.task_files import load_task
+from quadwalk.tasks import list_tasks
 from quadwalk.terrain.cli import main as ground
 from quadwalk.view.choices import policy_choices
 from quadwalk.view.show import ViewConfig
@@ -76,7 +77,7 @@ def flags_of(config: Any) -> dict[str, None]:
     return dict.fromkeys(f"--{name.replace('_', '-')}" for name in flatten(config))
 
 
-TRAINING = {flag: task for task in task_names() for flag in flags_of(load_task(task))}
+TRAINING = {flag: task for task in list_tasks() for flag in flags_of(load_task(task))}
 
 
 @pytest.mark.parametrize("part", range(8))
@@ -86,7 +87,7 @@ def test_flags_of_training(part):
             settles(parse_config, [TRAINING[flag], f"{flag}={word}"])
 
 
-@pytest.mark.parametrize("task", task_names())
+@pytest.mark.parametrize("task", list_tasks())
 def test_settings_of_a_task(task):
     config = load_task(task)
     for name in flatten(config):

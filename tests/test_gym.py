@@ -11,9 +11,9 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
 
 import quadwalk.gym
-from quadwalk.cli.shell import install
+from quadwalk.cli.shell import suggest_install
 from quadwalk.errors import UsageError
-from quadwalk.task_files import task_names
+from quadwalk.tasks import list_tasks
 from tests.programs import ROOT, python
 
 STEPS = 5  # control steps of an episode
@@ -33,7 +33,7 @@ def actions(seed: int = 0) -> np.ndarray:
 
 
 def test_every_task_is_registered():
-    for name in task_names():
+    for name in list_tasks():
         spec = gymnasium.spec(f"quadwalk/{name.capitalize()}-v0")
         assert spec.kwargs == {"task": name}
         assert spec.vector_entry_point is not None
@@ -127,7 +127,7 @@ def test_actions_are_clipped(envs):
 def test_the_page_lists_every_task():
     text = (ROOT / "docs/gymnasium.md").read_text()
     listed = re.findall(r"`(\w+)-v0`", text)
-    assert [name.lower() for name in listed] == sorted(task_names())
+    assert [name.lower() for name in listed] == sorted(list_tasks())
 
 
 def test_a_wrong_number_of_robots_is_said():
@@ -140,4 +140,4 @@ def test_without_gymnasium_one_line_says_how_to_get_it():
     done = python("-c", code)
     assert done.returncode == 1
     last = done.stderr.strip().splitlines()[-1]
-    assert last == f"ImportError: quadwalk.gym needs Gymnasium: {install('gym')}"
+    assert last == f"ImportError: quadwalk.gym needs Gymnasium: {suggest_install('gym')}"

@@ -14,17 +14,18 @@ LAYERS = (
     ("robot",),
     ("terrain",),
     ("physics",),
-    ("settings", "task_files", "robot.load"),
+    ("settings", "robot.load"),
     ("env",),
     ("tasks",),
+    ("task_files", "settings.registry", "settings.serialize"),
     ("runs",),
     ("progress",),
-    ("learn", "runs.cli"),
+    ("learn",),
     ("evaluation",),
     ("export", "identify", "view"),
     ("api",),
     ("gym", "experiments"),
-    ("", "__main__", "cli.main", "cli.completion", "cli.doctor", "eval"),
+    ("", "__main__", "cli.main", "cli.doctor", "eval", "robot.cli", "runs.cli", "terrain.cli"),
 )
 
 

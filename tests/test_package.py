@@ -37,7 +37,7 @@ def test_the_wheel_carries_package_assets_and_licenses(wheel):
     ("arguments", "said"),
     [
         ("", "train eval export robot"),
-        ("train --help-all", "run: sprint: walk: rough: obstacles: blog: --env.physics-dt"),
+        ("train --help-all", "--env.reward.energy --env.physics-dt"),
         ("eval --help", "--episodes"),
         ("export --help", "--policy"),
         ("robot {assets}/aliengo.urdf -q", '<mujoco model="aliengo">'),

@@ -231,4 +231,4 @@ def test_a_command_is_named_so_that_this_shell_finds_it(
     monkeypatch.setattr("sys.argv", [called])
     monkeypatch.setattr("sys.executable", str(tmp_path / "bin/python"))
     monkeypatch.setenv("PATH", str(tmp_path / "bin") if on_path else "/nowhere")
-    assert shell.as_typed("eval", "a b") == expected
+    assert shell.make_command("eval", "a b") == expected

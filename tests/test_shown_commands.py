@@ -12,7 +12,6 @@ import pytest
 import tyro
 
 from quadwalk.cli import main
-from quadwalk.cli.arguments import ArgumentParser
 from quadwalk.experiments.options import split_variants
 from quadwalk.files import format_json
 from quadwalk.learn.flags import parse_config
@@ -51,7 +50,6 @@ def parse(monkeypatch, tmp_path) -> Callable[..., None]:
 
         return parse
 
-    monkeypatch.setattr(ArgumentParser, "parse_args", stopping(ArgumentParser.parse_args))
     monkeypatch.setattr(tyro, "cli", stopping(tyro.cli))
     monkeypatch.chdir(tmp_path)
     (task,) = OWN_TASK.findall((ROOT / "docs/extend.md").read_text())

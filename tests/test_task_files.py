@@ -6,8 +6,10 @@ import pytest
 
 from quadwalk.env import rewards as reward
 from quadwalk.errors import UsageError, UserError
+from quadwalk.settings.registry import find_term, get_task_source, get_term_name
 from quadwalk.settings.terms import Observation, Reward
-from quadwalk.task_files import OWN, load_task, own_file, reference, resolve, task_names
+from quadwalk.task_files import TASK_FILE, load_task
+from quadwalk.tasks import list_tasks
 
 OWN_TASK = """
 import dataclasses
@@ -26,32 +28,33 @@ TASK = dataclasses.replace(sprint.TASK, task="still", env=dataclasses.replace(
     "name", ["blog", "drive", "getup", "obstacles", "rough", "run", "sprint", "walk"]
 )
 def test_a_task_of_the_package_is_found_by_its_name(name):
-    assert name in task_names()
+    assert name in list_tasks()
     assert load_task(name).task == name
 
 
 def test_the_file_of_an_earlier_run_that_names_what_is_gone_is_refused_in_one_line(tmp_path):
-    (tmp_path / OWN).write_text("from quadwalk.env.config import REAL_WORLD\n")
+    (tmp_path / TASK_FILE).write_text("from quadwalk.env.config import REAL_WORLD\n")
     with pytest.raises(UsageError, match=r"task.py, line 1: .* named 'quadwalk.env.config'"):
-        load_task(tmp_path / OWN)
+        load_task(tmp_path / TASK_FILE)
 
 
 def test_a_function_of_the_package_is_found_again_where_it_is():
-    where = reference(reward.energy)
+    where = get_term_name(reward.energy)
     assert where == "reward:energy"
-    assert resolve(where, folder=None) is reward.energy
+    assert find_term(where, folder=None) is reward.energy
 
 
 def test_a_function_of_a_users_file_is_found_again_in_the_runs_copy(tmp_path):
     (tmp_path / "mine.py").write_text(OWN_TASK)
     task = load_task(tmp_path / "mine.py")
     function = task.env.reward["still"].function
-    assert (task.task, function(None, None), reference(function)) == ("still", 1.0, "task.py:still")
-    source = own_file([reward.energy, function])
+    assert (task.task, function(None, None)) == ("still", 1.0)
+    assert get_term_name(function) == "task.py:still"
+    source = get_task_source([reward.energy, function])
     assert source == OWN_TASK.encode()
-    (tmp_path / OWN).write_bytes(source)
-    assert resolve("task.py:still", tmp_path)(None, None) == 1.0
-    assert own_file([reward.energy]) is None
+    (tmp_path / TASK_FILE).write_bytes(source)
+    assert find_term("task.py:still", tmp_path)(None, None) == 1.0
+    assert get_task_source([reward.energy]) is None
 
 
 @pytest.mark.parametrize(
@@ -98,16 +101,16 @@ def test_a_name_that_is_no_task_is_told_those_there_are():
     "where", ["os:system", "task.py:system", "quadwalk.nowhere:f", "quadwalk.paths:f", "reward:jnp"]
 )
 def test_what_is_no_function_of_a_task_is_refused(tmp_path, where):
-    (tmp_path / OWN).write_text(OWN_TASK)
+    (tmp_path / TASK_FILE).write_text(OWN_TASK)
     with pytest.raises(UserError, match=where.partition(":")[0]):
-        resolve(where, tmp_path)
+        find_term(where, tmp_path)
 
 
 def test_a_function_that_cannot_be_found_again_is_refused():
     with pytest.raises(UsageError, match="lambda"):
-        reference(lambda robot, step: 0.0)
+        get_term_name(lambda robot, step: 0.0)
     with pytest.raises(UsageError, match="json"):
-        reference(__import__("json").dumps)
+        get_term_name(__import__("json").dumps)
 
 
 def test_a_term_with_other_parameters_than_its_functions_is_refused():

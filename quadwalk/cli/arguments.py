@@ -1,22 +1,30 @@
-"""The command line, generated from configuration dataclasses by tyro."""
+"""The command line, made from configuration dataclasses by tyro."""
 
-import argparse
 import contextlib
-import difflib
 import io
 import os
 import re
 import shlex
-import sys
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
-from quadwalk.errors import UsageError, meant
+from quadwalk.errors import UsageError, suggest
 
 if TYPE_CHECKING:
     from rich.console import Console
 
 T = TypeVar("T")
+
+# Among the arguments: `parse` raises `OptionsFoundError`, for a shell's completion.
+FIND_OPTIONS = "--find-options"
+
+
+class OptionsFoundError(Exception):
+    """The dataclass of a command's options and its defaults, where `FIND_OPTIONS` asked for it."""
+
+    def __init__(self, cls: type[Any], default: Any) -> None:
+        self.cls = cls
+        self.default = default
 
 
 def parse(
@@ -25,24 +33,29 @@ def parse(
     prog: str,
     default: T | None = None,
     description: str | None = None,
-    lister: str = "--help",
+    help_flag: str = "--help",
 ) -> T:
-    """Parse `args` into `cls`, every field a flag; a bad one is a `UsageError` in one line.
+    """Parse `args` into `cls`, every field a flag; raise a `UsageError` in one line for a bad one.
 
-    `description` is for `--help`, in place of the docstring of `cls`; `lister` lists all flags.
+    `description` is for `--help`, in place of the docstring of `cls`; `help_flag` lists all flags.
     """
-    import tyro  # not at the top: commands that use `ArgumentParser` begin without it
+    if FIND_OPTIONS in args:
+        raise OptionsFoundError(cls, default)
+    import tyro  # not at the top: what does not parse begins without it
 
     # Not public yet, so pyproject.toml names an exact version of tyro.
     errors = tyro._errors
 
     unknown: list[str] = []
-    see = f"({prog} {lister} lists all)"
+    see = f"({prog} {help_flag} lists all)"
 
     def refuse(event: Any) -> None:
         if isinstance(event, errors.UnrecognizedArgs):
-            unknown.extend(event.tokens)  # and tyro goes on to say which flags are like it
+            unknown.extend(event.tokens)  # and tyro goes on to print which flags are like it
             return
+        if isinstance(event, errors.MissingArgs):
+            names = ", ".join(missing.arg.display_name() for missing in event.missing_arguments)
+            raise UsageError(f"missing: {names} {see}")
         argument = getattr(event, "argument", None)
         if argument is None:
             problem = " ".join(str(getattr(event, "message", type(event).__name__)).split())
@@ -50,7 +63,7 @@ def parse(
         flag, expected = argument.lowered.name_or_flags[-1], argument.lowered.metavar
         if expected.startswith("{None}|"):
             expected = f"{expected.removeprefix('{None}|')} or None"
-        if (value := value_of(args, flag) or "").startswith("-"):
+        if (value := find_value(args, flag) or "").startswith("-"):
             expected += f", and for a value that begins with a dash {flag}={value}"
         raise UsageError(f"bad value for {flag}; expected {expected} {see}")
 
@@ -71,39 +84,16 @@ def parse(
         if not unknown:  # --help
             raise
         names = [token for token in unknown if token.startswith("-")] or unknown
-        hint = _similar_flag(names[0], printed.getvalue())
+        similar = re.findall(r"--[\w.-]+", printed.getvalue().partition("Perhaps you meant:")[2])
+        hint = suggest(names[0].partition("=")[0], similar)
         raise UsageError(f"unknown option {', '.join(names)}{hint} {see}") from None
 
 
-def _similar_flag(name: str, printed: str) -> str:
-    """Return `; did you mean --FLAG?` with the closest of the flags that tyro has printed.
+def make_console() -> "Console":
+    """Return a console for what a command says beside its results, to standard error.
 
-    tyro sorts flags that contain `name` by the alphabet, `--checkpoint-steps` before `--steps`.
+    Text is printed as it is, in whole lines.
     """
-    similar = re.findall(r"--[\w.-]+", printed.partition("Perhaps you meant:")[2])
-    if not similar:
-        return ""
-    closest = difflib.get_close_matches(name, similar, n=1, cutoff=0.0)[0]
-    return f"; did you mean {closest}?"
-
-
-class ArgumentParser(argparse.ArgumentParser):
-    """One whose errors are a `UsageError` in one line, as those of `parse`."""
-
-    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
-        for arg in sys.argv[1:] if args is None else args:
-            if arg.endswith("=--"):  # argparse would make no value of it
-                self.error(f"{arg}: expected a value")
-        return super().parse_known_args(args, namespace)
-
-    def error(self, message: str) -> NoReturn:
-        unknown = re.match(r"unrecognized arguments: (--[\w-]+)", message)
-        hint = meant(unknown[1], self._option_string_actions) if unknown else ""
-        raise UsageError(f"{message}{hint} ({self.prog} --help lists all)")
-
-
-def message_console() -> "Console":
-    """For what a command says beside its results: to standard error, as it is, in whole lines."""
     from rich.console import Console  # what parses alone does not wait for it
 
     return Console(stderr=True, highlight=False, soft_wrap=True, markup=False, emoji=False)
@@ -125,19 +115,19 @@ def split_words(text: str) -> list[str]:
         raise UsageError(f"{text!r} has a quote or a backslash that is not closed") from None
 
 
-def value_of(args: Sequence[str], flag: str) -> str | None:
-    """The last value of `flag` among `args`, None if it is not there."""
-    return taken(args, flag)[0]
+def find_value(args: Sequence[str], flag: str) -> str | None:
+    """Return the last value of `flag` among `args`, None if it is not there."""
+    return take_value(args, flag)[0]
 
 
-def taken(args: Sequence[str], flag: str) -> tuple[str | None, list[str]]:
-    """The last value of `flag`, or None, and `args` without it."""
-    value, left, rest = None, list[str](), iter(args)
-    for arg in rest:
-        if arg == flag:
-            value = next(rest, "")
-        elif arg.startswith(f"{flag}="):
-            value = arg.partition("=")[2]
+def take_value(args: Sequence[str], flag: str) -> tuple[str | None, list[str]]:
+    """Return the last value of `flag`, or None, and `args` without it."""
+    value, others, words = None, list[str](), iter(args)
+    for word in words:
+        if word == flag:
+            value = next(words, "")
+        elif word.startswith(f"{flag}="):
+            value = word.partition("=")[2]
         else:
-            left.append(arg)
-    return value, left
+            others.append(word)
+    return value, others

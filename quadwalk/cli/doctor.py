@@ -6,10 +6,11 @@ import platform
 import subprocess
 import sys
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 from packaging.requirements import Requirement
 
-from quadwalk.cli.arguments import ArgumentParser
+from quadwalk.cli.arguments import parse
 from quadwalk.cores import compilation_cache, cpu_cores, instructions
 from quadwalk.errors import UserError
 
@@ -25,9 +26,14 @@ print(json.dumps([[str(device) for device in jax.devices()], find_working_librar
 """
 
 
-def main(argv: Sequence[str], prog: str = "quadwalk doctor") -> None:
+@dataclass(frozen=True)
+class DoctorConfig:
+    """Print versions, devices, cores, and what is off here."""
+
+
+def main(args: Sequence[str], prog: str = "quadwalk doctor") -> None:
     """Print what there is; raises `UserError` where quadwalk cannot run."""
-    ArgumentParser(prog=prog, description=__doc__.partition(": ")[2]).parse_args(argv)
+    parse(DoctorConfig, args, prog)
     versions = {name: _version(name) or "missing" for name in SHOWN}
     print(f"{'quadwalk':11}{_version('quadwalk') or 'not installed, run from its source'}")
     print(f"{'python':11}{platform.python_version()}, {sys.executable}")

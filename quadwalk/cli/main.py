@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import sys
 from collections.abc import Sequence
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from quadwalk.cli.process import run_command
-from quadwalk.errors import UsageError, meant
+from quadwalk.errors import UsageError, suggest
 
 # A command is a function `main(args, prog)`, named by its module and imported when it is called:
 # `args` are the words after the command, `prog` is what messages and help call it.
 COMMANDS = {
-    "train": ("quadwalk.learn.flags:main", "train a quadruped in a task"),
+    "train": ("quadwalk.learn.cli:main", "train a quadruped in a task"),
     "eval": ("quadwalk.eval:main", "evaluate a trained policy"),
     "view": ("quadwalk.view.show:main", "drive a trained policy live"),
     "demo": ("quadwalk.view.show:main", "drive a policy that comes trained, in a page"),
@@ -22,7 +23,7 @@ COMMANDS = {
     "tune": ("quadwalk.experiments.tune:main", "search the settings that make a policy best"),
     "identify": ("quadwalk.identify.cli:main", "fit a robot's joints to a log of them"),
     "runs": ("quadwalk.runs.cli:main", "list, show and remove training runs"),
-    "tasks": ("quadwalk.task_files:main", "list the tasks"),
+    "tasks": ("quadwalk.tasks:main", "list the tasks"),
     "robot": ("quadwalk.robot.cli:main", "convert a URDF to MJCF, or draw it"),
     "terrain": ("quadwalk.terrain.cli:main", "draw every kind of terrain"),
     "nan": ("quadwalk.learn.nan:main", "replay a training step that gave no finite numbers"),
@@ -55,14 +56,12 @@ def call_command(words: Sequence[str]) -> None:
 
         print(f"quadwalk {__version__}")
     elif name == "--print-completion":
-        from quadwalk.cli.completion import completion_script  # it imports JAX
-
-        print(completion_script(args[0] if args else "", LISTED, call), end="")
+        print_completion(args[0] if args else "")
     elif name in COMMANDS:
         call(name, args, f"quadwalk {name}")
     else:
         names = ", ".join(LISTED)
-        raise UsageError(f"no command {name!r}; expected one of: {names}{meant(name, LISTED)}")
+        raise UsageError(f"no command {name!r}; expected one of: {names}{suggest(name, LISTED)}")
 
 
 def call(command: str, args: Sequence[str], prog: str) -> None:
@@ -70,3 +69,30 @@ def call(command: str, args: Sequence[str], prog: str) -> None:
     module, _, function = COMMANDS[command][0].partition(":")
     fixed = _FIXED_ARGUMENTS.get(command, ())
     getattr(importlib.import_module(module), function)([*fixed, *args], prog)
+
+
+def print_completion(shell: str) -> None:
+    """Print the script with which bash or zsh completes commands and flags, made by tyro."""
+    if shell not in ("bash", "zsh"):
+        raise UsageError(f"--print-completion {shell}: expected bash or zsh")
+    from functools import reduce
+    from operator import or_
+    from typing import Annotated
+
+    import tyro
+
+    from quadwalk.cli.arguments import FIND_OPTIONS, OptionsFoundError
+
+    commands: Any = []
+    for name in LISTED:
+        try:
+            call(name, [FIND_OPTIONS], name)
+        except OptionsFoundError as options:
+            command = tyro.conf.subcommand(name, default=options.default, prefix_name=False)
+            commands.append(Annotated[options.cls, command])
+    settings = (tyro.conf.SuppressFixed,)
+    args = ["--tyro-print-completion", shell]
+    with contextlib.suppress(SystemExit):
+        tyro.cli(reduce(or_, commands), prog="quadwalk", args=args, config=settings)
+    if shell == "bash":  # files too, where tyro knows no word
+        print("complete -o default -F _tyro_quadwalk quadwalk")

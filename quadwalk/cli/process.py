@@ -14,7 +14,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, NoReturn
 
-from quadwalk.cli.shell import ROOT, install, short, words
+from quadwalk.cli.shell import ROOT, quote_words, shorten_path, suggest_install
 from quadwalk.errors import UserError
 
 _INTERRUPTED = 130  # the exit status that shells give Ctrl-C
@@ -116,6 +116,8 @@ def _find_packages() -> None:
         if os.name == "nt":
             sys.exit(subprocess.run(command).returncode)
         os.execv(python, command)
-    folder = [] if Path.cwd() == ROOT else ["-C", short(str(ROOT))]
-    make = f"{words('make', *folder, 'setup')}, or: " if (ROOT / "Makefile").exists() else ""
-    raise UserError(f"{missing[0]} is not installed; get what is needed by: {make}{install()}")
+    folder = [] if Path.cwd() == ROOT else ["-C", shorten_path(str(ROOT))]
+    make = f"{quote_words('make', *folder, 'setup')}, or: " if (ROOT / "Makefile").exists() else ""
+    raise UserError(
+        f"{missing[0]} is not installed; get what is needed by: {make}{suggest_install()}"
+    )

@@ -6,7 +6,7 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from quadwalk.cli.arguments import message_console
+from quadwalk.cli.arguments import make_console
 from quadwalk.errors import UsageError, UserError
 from quadwalk.evaluation.options import EvalConfig
 from quadwalk.files import os_reason
@@ -20,7 +20,7 @@ def evaluate_runs(config: EvalConfig) -> dict[str, Any]:
     with contextlib.ExitStack() as made:
         outs, together = _make_outputs(config, runs, made)
         # On stderr: what is printed on stdout is the result alone.
-        console = message_console()
+        console = make_console()
         console.print(
             f"evaluating {', '.join(directory.describe_origin(config.runs, run) for run in runs)}"
         )

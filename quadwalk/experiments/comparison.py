@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from quadwalk.api import evaluate
-from quadwalk.cli.arguments import split_words, value_of
+from quadwalk.cli.arguments import find_value, split_words
 from quadwalk.errors import UsageError, UserError
 from quadwalk.evaluation.statistics import figure_mean, number
 from quadwalk.experiments.bands import draw_bands
@@ -130,7 +130,7 @@ def plan_training(flags: str, seed: int, steps: int | None, runs: Path) -> Train
     """Return the training of a variant and a seed, under a name that no other variant has."""
     words = split_words(flags)
     for flag in ("--name", "--runs", "--seed", "--minutes", "--resume"):
-        if value_of(words, flag) is not None:
+        if find_value(words, flag) is not None:
             raise UsageError(f"{flag} is in the variant {flags!r}; compare sets it: leave it out")
     config, _ = parse_config(words, "quadwalk train")
     parts = [part for word in words for part in word.split("=") if part]

@@ -10,6 +10,7 @@ from typing import Annotated
 import tyro
 
 from quadwalk.bounds import Count, Natural, Seed, Settings
+from quadwalk.cli.arguments import FIND_OPTIONS
 from quadwalk.cores import cpu_cores
 
 
@@ -67,7 +68,7 @@ def split_variants(args: Sequence[str]) -> tuple[list[str], list[str]]:
     variants, options, takes_value = [], [], False
     for arg in args:
         is_flag = arg.partition("=")[0].replace("_", "-") in flags
-        if takes_value or is_flag or arg in ("-h", "--help"):
+        if takes_value or is_flag or arg in ("-h", "--help", FIND_OPTIONS):
             options.append(arg)
             takes_value = not takes_value and is_flag and "=" not in arg
         else:

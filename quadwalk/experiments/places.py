@@ -16,7 +16,7 @@ from concurrent.futures import Future, ProcessPoolExecutor
 from multiprocessing.process import BaseProcess
 from typing import Any, Protocol, Self
 
-from quadwalk.cli.shell import extra
+from quadwalk.cli.shell import import_extra
 from quadwalk.cores import cpu_cores
 from quadwalk.errors import UsageError, UserError
 from quadwalk.experiments.job import Job, compute_job, get_stop_file
@@ -168,7 +168,7 @@ def connect(address: str) -> Any:
     parts = _ADDRESS.fullmatch(address)
     if not parts and address not in ("auto", "local"):
         raise UsageError(f"--cluster is {address!r}; expected HOST:PORT, auto or local")
-    ray = extra("ray", "--cluster", "cluster")
+    ray = import_extra("ray", "--cluster", "cluster")
     if parts:  # Ray itself would try for minutes
         try:
             socket.create_connection((parts["host"], int(parts["port"])), _PATIENCE).close()

@@ -11,8 +11,8 @@ from typing import Any
 
 from quadwalk.api import evaluate
 from quadwalk.cli.arguments import split_words
-from quadwalk.cli.shell import as_typed, extra
-from quadwalk.errors import UsageError, UserError, meant
+from quadwalk.cli.shell import import_extra, make_command
+from quadwalk.errors import UsageError, UserError, suggest
 from quadwalk.evaluation.statistics import figure_mean
 from quadwalk.evaluation.summary import FIGURES
 from quadwalk.experiments.job import Job, Row, fix_sizes
@@ -86,7 +86,7 @@ def check_objective(name: str, base: TrainConfig) -> None:
     if name not in names:
         raise UsageError(
             f"--objective is {name!r}; expected for {base.task} one of: {', '.join(names)}"
-            f"{meant(name, names)}"
+            f"{suggest(name, names)}"
         )
 
 
@@ -115,7 +115,7 @@ class Search:
         self._space = dict(space)
         self._folder = folder
         self._low = is_better_low(config.objective)
-        self._optuna: Any = extra("optuna", "tune", "tune")
+        self._optuna: Any = import_extra("optuna", "tune", "tune")
         self._study = self._open_study()
         self._trials: dict[str, Any] = {}
         self._pruned: set[str] = set()
@@ -123,7 +123,7 @@ class Search:
     def _open_study(self) -> Any:
         """Open the study or make it; `UserError` if its file is damaged or of another search."""
         optuna, path = self._optuna, self._folder / "study.db"
-        damage = extra("sqlalchemy.exc", "tune", "tune").DatabaseError
+        damage = import_extra("sqlalchemy.exc", "tune", "tune").DatabaseError
         optuna.logging.set_verbosity(optuna.logging.ERROR)
         try:
             study = optuna.create_study(
@@ -232,7 +232,7 @@ class Search:
         task = [self._config.task, *split_words(self._config.flags)]
         usual, best = shlex.join(task), shlex.join([*task, *flags])
         return [
-            f"train the best      {as_typed('train', *task, *flags)}",
-            f"on fresh seeds      {as_typed('compare', usual, best, '--seeds', '3')}",
+            f"train the best      {make_command('train', *task, *flags)}",
+            f"on fresh seeds      {make_command('compare', usual, best, '--seeds', '3')}",
             f"all trials          {self._folder}",
         ]

@@ -3,8 +3,8 @@
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from quadwalk.cli.shell import extra
-from quadwalk.errors import UsageError, meant
+from quadwalk.cli.shell import import_extra
+from quadwalk.errors import UsageError, suggest
 from quadwalk.settings.serialize import flatten, with_settings
 from quadwalk.settings.training import TrainConfig
 
@@ -29,7 +29,9 @@ def read_space(texts: Sequence[str], config: TrainConfig) -> dict[str, "BaseDist
         if name not in settings:
             name = name.removesuffix(".scale")  # a reward is its scale
         if name not in settings:
-            raise UsageError(f"--over {text}: there is no setting {name!r}{meant(name, settings)}")
+            raise UsageError(
+                f"--over {text}: there is no setting {name!r}{suggest(name, settings)}"
+            )
         if name in space:
             raise UsageError(f"--over names {name} twice; expected each setting once")
         space[name], ends = _read_values(text, values, settings[name])
@@ -40,7 +42,7 @@ def read_space(texts: Sequence[str], config: TrainConfig) -> dict[str, "BaseDist
 
 def _read_values(text: str, values: str, now: Any) -> tuple["BaseDistribution", list[Any]]:
     """Return a distribution of `values`, and those of them that the text names."""
-    distributions = extra("optuna", "tune", "tune").distributions
+    distributions = import_extra("optuna", "tune", "tune").distributions
     if "," in values:
         choices = [_to_number(value) for value in values.split(",")]
         return distributions.CategoricalDistribution(choices), choices

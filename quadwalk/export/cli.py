@@ -7,8 +7,8 @@ from typing import Annotated, Literal
 
 import tyro
 
-from quadwalk.cli.arguments import message_console, parse
-from quadwalk.cli.shell import install, python, words
+from quadwalk.cli.arguments import make_console, parse
+from quadwalk.cli.shell import get_python, quote_words, suggest_install
 from quadwalk.errors import UserError
 from quadwalk.runs.directory import describe_origin, find_any_run, find_ready, get_results_folder
 
@@ -36,7 +36,7 @@ def main(args: Sequence[str], prog: str = "quadwalk export") -> None:
     """Export the run that the arguments name, or check its export."""
     config = parse(ExportConfig, args, prog)
     run = find_ready(config.runs, config.run, "run")
-    console = message_console()
+    console = make_console()
     out = config.out or get_results_folder(config.runs, run) / "export"
     checked = config.check or config.recording is not None
     try:
@@ -46,7 +46,7 @@ def main(args: Sequence[str], prog: str = "quadwalk export") -> None:
         if error.name not in ("onnx", "onnxruntime"):
             raise
         raise UserError(
-            f"{error.name} is not installed; export needs: {install('export')}"
+            f"{error.name} is not installed; export needs: {suggest_install('export')}"
         ) from None
     if not checked or not (out / "policy.onnx").exists():
         console.print(f"exporting {describe_origin(config.runs, run)}")
@@ -58,4 +58,4 @@ def main(args: Sequence[str], prog: str = "quadwalk export") -> None:
         check_export(load_flat(run, config.policy), out, config.recording, console)
         print("no difference")
     else:
-        console.print(f"see it run with: {words(python(), out / 'run_policy.py')}")
+        console.print(f"see it run with: {quote_words(get_python(), out / 'run_policy.py')}")

@@ -11,7 +11,7 @@ import numpy as np
 
 from quadwalk.env.env import QuadrupedEnv
 from quadwalk.export.policy_graph import JointTargets
-from quadwalk.task_files import reference
+from quadwalk.settings.registry import get_term_name
 
 SDK_LEGS = ("FR", "FL", "RR", "RL")  # of unitree_sdk2's motors, hip thigh calf in each
 # What that runtime calls the observations that it has (deploy/.../envs/mdp/observations.h).
@@ -28,7 +28,7 @@ _NAMES = {
 def make_deploy_yaml(env: QuadrupedEnv, targets: JointTargets) -> str:
     """Return the text of deploy.yaml, which begins with the observations the runtime lacks."""
     parts = env.config.observation.items()
-    missing = [name for name, part in parts if reference(part.function) not in _NAMES]
+    missing = [name for name, part in parts if get_term_name(part.function) not in _NAMES]
     return (
         "# For unitree_rl_lab: policy.onnx belongs in exported/, this file in params/.\n"
         f"# Observations that its runtime does not have: {', '.join(missing) or 'none'}.\n"
@@ -53,7 +53,7 @@ def make_deploy_config(env: QuadrupedEnv, targets: JointTargets) -> dict[str, An
     limits = np.stack([targets.lower, targets.upper], 1)
     observations = {}
     for name, part in config.observation.items():
-        function = reference(part.function)
+        function = get_term_name(part.function)
         is_command = function == "observation:command"
         observations[_NAMES.get(function, name)] = {
             "params": {"command_name": "base_velocity"} if is_command else part.params or {},

@@ -11,7 +11,7 @@ from quadwalk.env.reset import nominal_start
 from quadwalk.evaluation.loaded import LoadedRun
 from quadwalk.export.policy_graph import JointTargets
 from quadwalk.settings.environment import COMMANDED
-from quadwalk.task_files import reference
+from quadwalk.settings.registry import get_term_name
 
 UNITS = (
     "m, s, rad, m/s, rad/s, Nm; stiffness Nm/rad, damping Nm s/rad; "
@@ -50,7 +50,7 @@ def describe(loaded: LoadedRun, targets: JointTargets) -> dict[str, str]:
         "joint_target_upper": _to_joint_list(targets.upper),
         "observation_sizes": _to_list(len(names) for names in env.sensors.part_names.values()),
         "observation_history": _to_list(part.history for part in parts.values()),
-        "observation_functions": _to_list(reference(part.function) for part in parts.values()),
+        "observation_functions": _to_list(get_term_name(part.function) for part in parts.values()),
         "observation_params": json.dumps({name: part.params or {} for name, part in parts.items()}),
         "observation_meaning": json.dumps(
             {n: (part.function.__doc__ or "").partition("\n")[0] for n, part in parts.items()}

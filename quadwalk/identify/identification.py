@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
-from quadwalk.cli.arguments import message_console
-from quadwalk.cli.shell import as_typed
+from quadwalk.cli.arguments import make_console
+from quadwalk.cli.shell import make_command
 from quadwalk.errors import UserError
 from quadwalk.evaluation.report.console import print_table
 from quadwalk.files import atomic_write, make_folder, write_json
@@ -41,7 +41,7 @@ def identify(config: IdentifyConfig) -> dict[str, Any]:
     out = config.out or config.log.with_name(f"{config.log.stem}_identified")
     make_folder(out)
     set_up_devices()
-    console = message_console()
+    console = make_console()
     console.print(f"{config.log}: {log.time[-1] - log.time[0]:.1f} s")
     for note in log.notes:
         console.print(f"{config.log}: {note}")
@@ -115,7 +115,7 @@ def _write(
     with atomic_write(urdf) as file:
         file.write(found.make_urdf(fit, quadruped).encode())
     console.print(f"written to {out}: robot.urdf, identified.json, fit.png; train with:")
-    print(as_typed("train", "walk", *flags))
+    print(make_command("train", "walk", *flags))
     return results
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
-from quadwalk.cli.shell import as_typed
+from quadwalk.cli.shell import make_command
 from quadwalk.errors import UserError
 from quadwalk.learn import distributed
 from quadwalk.learn.prepare import Training, prepare
@@ -192,7 +192,7 @@ def describe_last_checkpoint(writer: RunWriter) -> str:
 def format_command(command: str, run: Run, *flags: str) -> str:
     """Return the line to type for a command on `run`."""
     name = run.name if run.path.parent == Path("runs") else run.path
-    return as_typed(command, *flags, name)
+    return make_command(command, *flags, name)
 
 
 @contextlib.contextmanager

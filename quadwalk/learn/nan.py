@@ -10,13 +10,14 @@ the `action` (12,).
 import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+import tyro
 
-from quadwalk.cli.arguments import ArgumentParser
+from quadwalk.cli.arguments import parse
 from quadwalk.env.env import QuadrupedEnv
 from quadwalk.env.ground_input import jit
 from quadwalk.errors import UserError
@@ -82,11 +83,17 @@ def replay(path: Path | str) -> tuple[np.ndarray, np.ndarray]:
     return np.stack([first.qpos, *after.qpos]), np.stack([first.qvel, *after.qvel])
 
 
+@dataclasses.dataclass(frozen=True)
+class ReplayConfig:
+    """Replay a step of a training that gave no finite numbers."""
+
+    # a file of a run's folder nan
+    file: Annotated[Path, tyro.conf.Positional]
+
+
 def main(args: Sequence[str], prog: str = "quadwalk nan") -> None:
     """Replay the file named on the command line, and print its course."""
-    parser = ArgumentParser(prog=prog, description="Replay a step that gave no finite numbers.")
-    parser.add_argument("file", type=Path, metavar="FILE", help="a file of a run's nan folder")
-    file = parser.parse_args(args).file
+    file = parse(ReplayConfig, args, prog).file
     for number, (qpos, qvel) in enumerate(zip(*replay(file), strict=True)):
         finite = np.isfinite(qpos).all() and np.isfinite(qvel).all()
         height = f"height {qpos[2]:.3g} m, fastest velocity {np.abs(qvel).max():.3g}"

@@ -39,9 +39,9 @@ from quadwalk.runs.resume import (
     list_changes,
     read_config,
 )
-from quadwalk.settings.serialize import task_source, to_dict
+from quadwalk.settings.serialize import find_task_source, to_dict
 from quadwalk.settings.training import DistributedConfig, TrainConfig, with_files
-from quadwalk.task_files import OWN
+from quadwalk.task_files import TASK_FILE
 
 
 @dataclass
@@ -181,9 +181,9 @@ def make_run(config: TrainConfig, quadruped: Quadruped) -> Run:
         "robot.urdf": quadruped.urdf.encode(),
         "config.json": format_json(collect_settings(config, quadruped)),
     }
-    source, heights = task_source(config), config.env.ground.file
+    source, heights = find_task_source(config), config.env.ground.file
     if source is not None:
-        files[OWN] = source
+        files[TASK_FILE] = source
     if heights is not None:
         files[Run(Path()).locate_heights(heights).name] = read_bytes(heights)
     return directory.create_run(config.runs, config.name, label=config.task, files=files)

@@ -7,7 +7,7 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 
-from quadwalk.cli.shell import install
+from quadwalk.cli.shell import suggest_install
 from quadwalk.errors import UserError
 from quadwalk.runs.directory import Run
 
@@ -17,7 +17,7 @@ WATCHED = 20  # times that the policy is saved for the page between two checkpoi
 def check_watch() -> None:
     """Raise `UserError` in one line where the page cannot be shown."""
     if importlib.util.find_spec("mjviser") is None:
-        raise UserError(f"--watch needs mjviser, which is not installed: {install('view')}")
+        raise UserError(f"--watch needs mjviser, which is not installed: {suggest_install('view')}")
 
 
 @contextlib.contextmanager

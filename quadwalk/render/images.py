@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from quadwalk.cli.shell import install
+from quadwalk.cli.shell import suggest_install
 from quadwalk.errors import UserError
 from quadwalk.files import atomic_write
 
@@ -103,6 +103,7 @@ def _ffmpeg() -> str:
             program = imageio_ffmpeg.get_ffmpeg_exe()
         except (ImportError, RuntimeError):
             raise UserError(
-                f"an MP4 needs ffmpeg on the PATH, or: {install('video')}; a GIF needs neither"
+                f"an MP4 needs ffmpeg on the PATH, or: {suggest_install('video')}; "
+                "a GIF needs neither"
             ) from None
     return program

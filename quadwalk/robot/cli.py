@@ -1,13 +1,17 @@
 """`quadwalk robot URDF [-o OUT] [--render PNG]`: convert a URDF to MJCF, or draw it."""
 
-import argparse
 import os
 import sys
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from pathlib import Path
+from typing import Annotated
 
-from quadwalk.cli.arguments import ArgumentParser
+import tyro
+
+from quadwalk.bounds import Positive, Settings
+from quadwalk.cli.arguments import parse
 from quadwalk.errors import UsageError, UserError
 from quadwalk.files import atomic_write
 from quadwalk.render.canvas import render_home
@@ -20,113 +24,97 @@ from quadwalk.robot.structure.tree import ONE_WAY
 from quadwalk.robot.urdf import Urdf, read_urdf, release_from_world
 
 
-def parse_arguments(argv: Sequence[str], prog: str) -> argparse.Namespace:
-    """The command line's arguments."""
-    parser = ArgumentParser(
-        prog=prog,
-        description="Convert a URDF to MJCF (MuJoCo XML). Any tree of links converts.",
-    )
-    add = parser.add_argument
-    add("urdf", type=Path, nargs="?", metavar="URDF", help="the robot's description")
-    add("-o", "--out", type=Path, metavar="XML", help="file to write (default: standard output)")
-    add("--render", type=Path, metavar="PNG", help="draw the robot in its home pose")
-    add(
-        "--mesh-dirs",
-        type=Path,
-        nargs="+",
-        default=[],
-        metavar="DIR",
-        help="folders of mesh files, besides the URDF's own",
-    )
-    add(
-        "--fix",
-        nargs="+",
-        default=[],
-        metavar="JOINT",
-        help="joints to fix, by name or pattern: a head, a lidar, an arm",
-    )
-    add("--effort", type=float, metavar="NM", help="of legs' motors for which the URDF has none")
-    add("--speed", type=float, metavar="RAD_PER_S", help="the same")
-    add("--no-meshes", action="store_true", help="leave mesh shapes out")
-    add(
-        "--repair-inertia",
-        action="store_true",
-        help="replace an inertia that no body can have by the nearest valid one",
-    )
-    base = parser.add_mutually_exclusive_group()
-    base.add_argument("--floating-base", action="store_true", help="let the root link float")
-    base.add_argument("--fixed-base", action="store_true", help="fix the root link to the ground")
-    add(
-        "--rotor",
-        action="append",
-        default=[],
-        metavar="JOINTS=INERTIA,GEAR",
-        help="armature of the joints that a pattern names: rotor inertia (kg m^2) times gear^2",
-    )
-    add("-q", "--quiet", action="store_true", help="no report of what was fused, dropped, assumed")
-    add("-v", "--verbose", action="store_true", help="the report in full")
-    arguments = parser.parse_args(argv)
-    # The list of folders or joints before it has swallowed the URDF.
-    for values in (arguments.mesh_dirs, arguments.fix):
-        if arguments.urdf is None and len(values) > 1 and os.path.isfile(values[-1]):
-            arguments.urdf = Path(values.pop())
-    if arguments.urdf is None:
-        parser.error("the following arguments are required: URDF")
-    for flag in ("effort", "speed"):
-        value = getattr(arguments, flag)
-        if value is not None and not 0 < value < 1e9:
-            raise UsageError(f"--{flag} is {value:g}; expected a number above 0")
-    return arguments
+@dataclass(frozen=True)
+class ConvertConfig(Settings):
+    """Convert a URDF to MJCF (MuJoCo XML). Any tree of links converts."""
+
+    # the robot's description
+    urdf: Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="URDF")] = None
+    # file to write; None: standard output
+    out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
+    render: Path | None = None  # draw the robot in its home pose as this PNG
+    mesh_dirs: tuple[Path, ...] = ()  # folders of mesh files, besides the URDF's own
+    fix: tuple[str, ...] = ()  # joints to fix, by name or pattern: a head, a lidar, an arm
+    effort: Positive | None = None  # Nm, effort limit of legs' motors for which the URDF has none
+    speed: Positive | None = None  # rad/s, velocity limit of the same
+    meshes: bool = True  # mesh shapes; without them others remain
+    # replace an inertia that no body can have by the nearest valid one
+    repair_inertia: bool = False
+    floating_base: bool = False  # let the root link float
+    fixed_base: bool = False  # fix the root link to the ground
+    # armature of the joints that a pattern names, as JOINTS=INERTIA,GEAR: the rotor's inertia
+    # (kg m^2) times the gear ratio squared; may be given several times
+    rotor: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
+    # no report of what was fused, dropped, assumed
+    quiet: Annotated[bool, tyro.conf.arg(aliases=["-q"])] = False
+    verbose: Annotated[bool, tyro.conf.arg(aliases=["-v"])] = False  # the report in full
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.floating_base and self.fixed_base:
+            raise UsageError("--floating-base and --fixed-base; expected one of them")
 
 
-def main(argv: Sequence[str], prog: str = "quadwalk robot") -> None:
-    """Convert, write, draw and report as `argv` says; `prog` is what the help calls the command."""
+def main(args: Sequence[str], prog: str = "quadwalk robot") -> None:
+    """Convert, write, draw and report as the arguments say."""
     try:
-        convert_file(parse_arguments(argv, prog))
+        convert_file(_find_urdf(parse(ConvertConfig, args, prog), prog))
     except UserError as error:
-        raise type(error)(name_flags(str(error))) from None
+        raise type(error)(_name_flags(str(error))) from None
 
 
-def name_flags(text: str) -> str:
+def _find_urdf(config: ConvertConfig, prog: str) -> ConvertConfig:
+    """Return `config` with the URDF, which a list of folders or joints before it has swallowed."""
+    if config.urdf is not None:
+        return config
+    for name in ("mesh_dirs", "fix"):
+        *values, last = getattr(config, name) or ("",)
+        if values and os.path.isfile(last):
+            return replace(config, **{name: tuple(values), "urdf": Path(last)})
+    raise UsageError(f"no URDF; expected the path of one ({prog} --help lists all options)")
+
+
+def _name_flags(text: str) -> str:
     """Return `text` with the flags of training in it by their names here."""
     return text.replace("--robot.", "--")
 
 
-def convert_file(arguments: argparse.Namespace) -> None:
-    """Convert, write, draw and report as the `arguments` say."""
-    for folder in arguments.mesh_dirs:
+def convert_file(config: ConvertConfig) -> None:
+    """Convert, write, draw and report as `config` says."""
+    assert config.urdf is not None
+    for folder in config.mesh_dirs:
         if not os.path.isdir(folder):
             raise UsageError(f"--mesh-dirs {folder}: expected a folder")
-    urdf = read_urdf(arguments.urdf, arguments.repair_inertia, tuple(arguments.fix))
+    urdf = read_urdf(config.urdf, config.repair_inertia, config.fix)
     joints = [joint.name for joint in urdf.robot.joints if joint.type in ONE_WAY]
     options = Options(
-        floating=arguments.floating_base or (False if arguments.fixed_base else None),
-        meshes=not arguments.no_meshes,
-        mesh_folders=tuple(arguments.mesh_dirs),
-        armature=armatures(arguments.rotor, joints),
-        effort=arguments.effort,
-        speed=arguments.speed,
+        floating=config.floating_base or (False if config.fixed_base else None),
+        meshes=config.meshes,
+        mesh_folders=config.mesh_dirs,
+        armature=_compute_armatures(config.rotor, joints),
+        effort=config.effort,
+        speed=config.speed,
     )
-    urdf, legs, verdict = recognize(urdf, options)
+    urdf, legs, verdict = _find_legs(urdf, options)
     conversion = convert(urdf, legs, options)
     xml = write_xml(conversion.spec)
-    if arguments.out is not None:
-        with atomic_write(arguments.out) as file:
+    if config.out is not None:
+        with atomic_write(config.out) as file:
             file.write(xml.encode())
-    elif arguments.render is None:
+    elif config.render is None:
         sys.stdout.write(xml)
-    if arguments.render is not None:
-        save_png(render_home(conversion.spec.compile()), arguments.render)
-    if not arguments.quiet:
-        for line in conversion.report.to_lines(sys.maxsize if arguments.verbose else 4):
+    if config.render is not None:
+        save_png(render_home(conversion.spec.compile()), config.render)
+    if not config.quiet:
+        for line in conversion.report.to_lines(sys.maxsize if config.verbose else 4):
             print(line, file=sys.stderr)
         for line in list_joints(conversion.spec, legs) if legs else ():
             print(line, file=sys.stderr)
-        print(f"trains as a quadruped: {name_flags(verdict)}", file=sys.stderr)
+        print(f"trains as a quadruped: {_name_flags(verdict)}", file=sys.stderr)
 
 
-def recognize(urdf: Urdf, options: Options) -> tuple[Urdf, tuple[Leg, ...], str]:
-    """Return what to convert, a quadruped's legs, and "yes", or why none can be trained."""
+def _find_legs(urdf: Urdf, options: Options) -> tuple[Urdf, tuple[Leg, ...], str]:
+    """Return the URDF to convert, a quadruped's legs, and "yes", or why none can be trained."""
     legs: tuple[Leg, ...] = ()
     if options.floating is False:
         return urdf, legs, "no, for its base is fixed to the ground"
@@ -139,9 +127,9 @@ def recognize(urdf: Urdf, options: Options) -> tuple[Urdf, tuple[Leg, ...], str]
     return released if legs or options.floating else urdf, legs, f"no: {reason}"
 
 
-def armatures(rotors: list[str], joints: list[str]) -> dict[str, float]:
-    """Armature (kg m^2) by joint from `JOINTS=INERTIA,GEAR` options, INERTIA * GEAR^2."""
-    found: dict[str, float] = {}
+def _compute_armatures(rotors: Sequence[str], joints: list[str]) -> dict[str, float]:
+    """Return the armature of joints, kg m^2, from `JOINTS=INERTIA,GEAR`: INERTIA * GEAR^2."""
+    armatures: dict[str, float] = {}
     for rotor in rotors:
         pattern, _, values = rotor.partition("=")
         try:
@@ -154,7 +142,7 @@ def armatures(rotors: list[str], joints: list[str]) -> dict[str, float]:
             )
         names = [name for name in joints if fnmatchcase(name, pattern)]
         if not names:
-            there = ", ".join(joints) or "none"
-            raise UsageError(f"--rotor {rotor}: names no moving joint; there are {there}")
-        found.update(dict.fromkeys(names, inertia * gear**2))
-    return found
+            all_joints = ", ".join(joints) or "none"
+            raise UsageError(f"--rotor {rotor}: names no moving joint; there are {all_joints}")
+        armatures.update(dict.fromkeys(names, inertia * gear**2))
+    return armatures

@@ -4,14 +4,16 @@ import json
 import math
 import shutil
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
+import tyro
 from rich.console import Console
 from rich.table import Table
 
-from quadwalk.cli.arguments import ArgumentParser
-from quadwalk.errors import UserError
+from quadwalk.cli.arguments import parse
+from quadwalk.errors import UsageError, UserError
 from quadwalk.files import os_reason
 from quadwalk.progress.headline import choose_headline
 from quadwalk.runs.directory import Run, claim, find_run, list_runs
@@ -19,23 +21,29 @@ from quadwalk.runs.directory import Run, claim, find_run, list_runs
 _TAIL = 16_384  # bytes at the end of metrics.jsonl, which hold its last line
 
 
+@dataclass(frozen=True)
+class RunsConfig:
+    """List training runs, show their settings, or remove them."""
+
+    action: Annotated[Literal["list", "show", "remove"], tyro.conf.Positional] = "list"
+    # names or paths of runs
+    run: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[RUN ...]")] = ()
+    runs: Path = Path("runs")  # folder of all runs
+
+
 def main(args: Sequence[str], prog: str = "quadwalk runs") -> None:
     """List all runs, show some with all of their settings, or remove some."""
-    parser = ArgumentParser(prog=prog, description="List, show or remove training runs.")
-    parser.add_argument("what", nargs="?", choices=("list", "show", "remove"), default="list")
-    parser.add_argument("run", nargs="*", metavar="RUN", help="names or paths of runs")
-    parser.add_argument("--runs", type=Path, default=Path("runs"), help="folder of all runs")
-    given = parser.parse_args(args)
-    if given.what == "list":
-        if given.run:
-            parser.error(f"list {given.run[0]}: expected list alone")
-        _print_table(list_runs(given.runs), given.runs)
+    config = parse(RunsConfig, args, prog)
+    if config.action == "list":
+        if config.run:
+            raise UsageError(f"list {config.run[0]}: expected list alone")
+        _print_table(list_runs(config.runs), config.runs)
         return
-    if not given.run:
-        parser.error(f"{given.what}: expected one or more runs")
-    runs = [find_run(given.runs, which) for which in given.run]  # all, before one is removed
+    if not config.run:
+        raise UsageError(f"{config.action}: expected one or more runs")
+    runs = [find_run(config.runs, name) for name in config.run]  # all, before one is removed
     for run in runs:
-        if given.what == "show":
+        if config.action == "show":
             print(run.config.read_text("utf-8"))
             continue
         with claim(run):  # not one that is being trained

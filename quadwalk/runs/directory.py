@@ -27,7 +27,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from quadwalk.errors import UsageError, UserError, meant
+from quadwalk.errors import UsageError, UserError, suggest
 from quadwalk.files import hold_file, make_folder, os_reason, real_path
 from quadwalk.paths import PRETRAINED
 from quadwalk.runs import checkpoint
@@ -161,7 +161,7 @@ def _make_unknown_run_error(root: Path, which: str, packaged: Sequence[str] = ()
         shown = ", ".join(names[:_LISTED])
         expected = f"expected 'latest', a path, or one in {root}: {shown}{more}"
     trained = f"; {', '.join(packaged)} come trained" if packaged else ""
-    hint = meant(which, [*names, *packaged])
+    hint = suggest(which, [*names, *packaged])
     return UsageError(f"no run {which!r}: {expected}{trained}{hint}")
 
 

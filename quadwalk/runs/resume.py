@@ -10,9 +10,9 @@ from quadwalk.robot.load import hash_robot
 from quadwalk.robot.mjcf import write_xml
 from quadwalk.robot.quadruped import Quadruped
 from quadwalk.runs.directory import Run
-from quadwalk.settings.serialize import flatten, from_dict, task_source, to_dict
+from quadwalk.settings.serialize import find_task_source, flatten, from_dict, to_dict
 from quadwalk.settings.training import DistributedConfig, TrainConfig, with_files
-from quadwalk.task_files import OWN
+from quadwalk.task_files import TASK_FILE
 
 ROBOT_HASH = "robot_sha256"  # in a run's config.json
 
@@ -105,4 +105,4 @@ def describe_training(config: TrainConfig, quadruped: Quadruped) -> dict[str, An
         parts["env"]["ground"]["file"] = hash_file(config.env.ground.file)
     model = quadruped.spec.copy()  # which has the meshes
     model.comment = ""  # that names the URDF's file
-    return {**parts, "model": write_xml(model), OWN: task_source(config)}
+    return {**parts, "model": write_xml(model), TASK_FILE: find_task_source(config)}

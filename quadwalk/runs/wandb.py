@@ -7,7 +7,7 @@ Sent are the settings and the rows of metrics: no code, no console output, no gi
 from collections.abc import Mapping
 from typing import Any
 
-from quadwalk.cli.shell import extra
+from quadwalk.cli.shell import import_extra
 from quadwalk.errors import UserError
 from quadwalk.runs.directory import Run
 from quadwalk.settings.serialize import flatten
@@ -67,7 +67,7 @@ class WandbLog:
 
 
 def _wandb() -> Any:
-    return extra("wandb", "--log wandb", "wandb")
+    return import_extra("wandb", "--log wandb", "wandb")
 
 
 def _known(run: Run) -> str | None:

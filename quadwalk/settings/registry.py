@@ -2,72 +2,80 @@
 
 config.json, policies and exports hold a name of `TERMS`, such as "reward:energy". So a function
 can move or be renamed: then its place here changes and its name stays. A new term of the package
-has a line here; a term of a user's task file is named by file and function and has none.
+has a line here. A term of a user's task file is named by file and function, "task.py:my_term".
 """
 
-# The module and function of each term.
-TERMS = {
-    "reward:forward": "quadwalk.env.rewards:forward",
-    "reward:fall": "quadwalk.env.rewards:fall",
-    "reward:yaw_error": "quadwalk.env.rewards:yaw_error",
-    "reward:energy": "quadwalk.env.rewards:energy",
-    "reward:alive": "quadwalk.env.rewards:alive",
-    "reward:lateral": "quadwalk.env.rewards:lateral",
-    "reward:offset": "quadwalk.env.rewards:offset",
-    "reward:vertical": "quadwalk.env.rewards:vertical",
-    "reward:tilt": "quadwalk.env.rewards:tilt",
-    "reward:roll_pitch_rate": "quadwalk.env.rewards:roll_pitch_rate",
-    "reward:action_rate": "quadwalk.env.rewards:action_rate",
-    "reward:joint_speed": "quadwalk.env.rewards:joint_speed",
-    "reward:upright": "quadwalk.env.rewards:upright",
-    "reward:raised": "quadwalk.env.rewards:raised",
-    "reward:at_home": "quadwalk.env.rewards:at_home",
-    "reward:crossed": "quadwalk.env.rewards:crossed",
-    "reward:follow": "quadwalk.env.rewards:follow",
-    "reward:follow_yaw_rate": "quadwalk.env.rewards:follow_yaw_rate",
-    "reward:track": "quadwalk.env.rewards:track",
-    "reward:approach": "quadwalk.env.rewards:approach",
-    "reward:yaw_rate_off": "quadwalk.env.rewards:yaw_rate_off",
-    "reward:fidget": "quadwalk.env.rewards:fidget",
-    "reward:drag": "quadwalk.env.rewards:drag",
-    "reward:kneel": "quadwalk.env.rewards:kneel",
-    "reward:trot": "quadwalk.env.rewards:trot",
-    "reward:diagonal": "quadwalk.env.rewards:diagonal",
-    "reward:progress": "quadwalk.tasks.blog:progress",
-    "reward:inclined": "quadwalk.tasks.blog:inclined",
-    "reward:heading": "quadwalk.tasks.blog:heading",
-    "reward:movement": "quadwalk.tasks.blog:movement",
-    "observation:velocity": "quadwalk.env.observations:velocity",
-    "observation:angular_velocity": "quadwalk.env.observations:angular_velocity",
-    "observation:gravity": "quadwalk.env.observations:gravity",
-    "observation:heading": "quadwalk.env.observations:heading",
-    "observation:offset": "quadwalk.env.observations:offset",
-    "observation:command": "quadwalk.env.observations:command",
-    "observation:trot_clock": "quadwalk.env.observations:trot_clock",
-    "observation:joint_pos": "quadwalk.env.observations:joint_positions",
-    "observation:joint_vel": "quadwalk.env.observations:joint_velocities",
-    "observation:last_action": "quadwalk.env.observations:last_action",
-    "observation:height": "quadwalk.env.observations:height",
-    "observation:height_scan": "quadwalk.env.observations:height_scan",
-    "observation:scan_ahead": "quadwalk.env.observations:scan_ahead",
-    "observation:contacts": "quadwalk.env.observations:contacts",
-    "observation:conditions": "quadwalk.env.observations:conditions",
-    "observation:world_position": "quadwalk.tasks.blog:world_position",
-    "observation:world_orientation": "quadwalk.tasks.blog:world_orientation",
-    "observation:world_velocity": "quadwalk.tasks.blog:world_velocity",
-    "observation:world_angular_velocity": "quadwalk.tasks.blog:world_angular_velocity",
-    "observation:joint_angles": "quadwalk.tasks.blog:joint_angles",
-    "termination:tipped": "quadwalk.env.terminations:tipped",
-    "termination:low": "quadwalk.env.terminations:low",
-    "termination:touched": "quadwalk.env.terminations:touched",
-    "termination:trunk_touched": "quadwalk.env.terminations:trunk_touched",
-    "termination:rolled_or_pitched": "quadwalk.tasks.blog:rolled_or_pitched",
-    "termination:below": "quadwalk.tasks.blog:below",
-    "action:about_home": "quadwalk.env.actions:about_home",
-    "action:feet_alike": "quadwalk.env.actions:feet_alike",
-    "action:between_bounds": "quadwalk.tasks.blog:between_bounds",
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any
+
+from quadwalk.env import actions, observations, rewards, terminations
+from quadwalk.errors import UsageError, UserError
+from quadwalk.task_files import TASK_FILE, get_source, is_from_task_file, run_task_file
+from quadwalk.tasks import blog
+
+TERMS: dict[str, Callable[..., Any]] = {
+    "reward:forward": rewards.forward,
+    "reward:fall": rewards.fall,
+    "reward:yaw_error": rewards.yaw_error,
+    "reward:energy": rewards.energy,
+    "reward:alive": rewards.alive,
+    "reward:lateral": rewards.lateral,
+    "reward:offset": rewards.offset,
+    "reward:vertical": rewards.vertical,
+    "reward:tilt": rewards.tilt,
+    "reward:roll_pitch_rate": rewards.roll_pitch_rate,
+    "reward:action_rate": rewards.action_rate,
+    "reward:joint_speed": rewards.joint_speed,
+    "reward:upright": rewards.upright,
+    "reward:raised": rewards.raised,
+    "reward:at_home": rewards.at_home,
+    "reward:crossed": rewards.crossed,
+    "reward:follow": rewards.follow,
+    "reward:follow_yaw_rate": rewards.follow_yaw_rate,
+    "reward:track": rewards.track,
+    "reward:approach": rewards.approach,
+    "reward:yaw_rate_off": rewards.yaw_rate_off,
+    "reward:fidget": rewards.fidget,
+    "reward:drag": rewards.drag,
+    "reward:kneel": rewards.kneel,
+    "reward:trot": rewards.trot,
+    "reward:diagonal": rewards.diagonal,
+    "reward:progress": blog.progress,
+    "reward:inclined": blog.inclined,
+    "reward:heading": blog.heading,
+    "reward:movement": blog.movement,
+    "observation:velocity": observations.velocity,
+    "observation:angular_velocity": observations.angular_velocity,
+    "observation:gravity": observations.gravity,
+    "observation:heading": observations.heading,
+    "observation:offset": observations.offset,
+    "observation:command": observations.command,
+    "observation:trot_clock": observations.trot_clock,
+    "observation:joint_pos": observations.joint_positions,
+    "observation:joint_vel": observations.joint_velocities,
+    "observation:last_action": observations.last_action,
+    "observation:height": observations.height,
+    "observation:height_scan": observations.height_scan,
+    "observation:scan_ahead": observations.scan_ahead,
+    "observation:contacts": observations.contacts,
+    "observation:conditions": observations.conditions,
+    "observation:world_position": blog.world_position,
+    "observation:world_orientation": blog.world_orientation,
+    "observation:world_velocity": blog.world_velocity,
+    "observation:world_angular_velocity": blog.world_angular_velocity,
+    "observation:joint_angles": blog.joint_angles,
+    "termination:tipped": terminations.tipped,
+    "termination:low": terminations.low,
+    "termination:touched": terminations.touched,
+    "termination:trunk_touched": terminations.trunk_touched,
+    "termination:rolled_or_pitched": blog.rolled_or_pitched,
+    "termination:below": blog.below,
+    "action:about_home": actions.about_home,
+    "action:feet_alike": actions.feet_alike,
+    "action:between_bounds": blog.between_bounds,
 }
-# What files of before call a term: those of a whole module, or a single one, which goes first.
+# Names in files of earlier versions: of a whole module, or of a single term, which goes first.
 ALIASES = {
     "quadwalk.task.reward": "reward",
     "quadwalk.task.observation": "observation",
@@ -88,17 +96,54 @@ ALIASES = {
     "quadwalk.tasks.blog:below": "termination:below",
     "quadwalk.tasks.blog:between_bounds": "action:between_bounds",
 }
-_NAMES = {place: name for name, place in TERMS.items()}
+_NAMES = {function: name for name, function in TERMS.items()}
 
 
-def find_registered_name(place: str) -> str | None:
-    """Return the name of the term at a place, "module:function"; None where there is none."""
-    return _NAMES.get(place)
+def get_term_name(function: Callable[..., Any]) -> str:
+    """Return the name by which files call a term's function.
+
+    Raises `UsageError` where the function could not be found again by a name.
+    """
+    if function in _NAMES:
+        return _NAMES[function]
+    name = function.__qualname__
+    if is_from_task_file(function) and name.isidentifier():
+        return f"{TASK_FILE}:{name}"
+    raise UsageError(
+        f"the function {name} of a term is defined in {function.__module__}; expected one of the "
+        "terms in quadwalk/settings/registry.py or, by a name of its own, one in a task's file, so "
+        "that the run can be evaluated and resumed"
+    )
+
+
+def find_term(name: str, folder: Path) -> Callable[..., Any]:
+    """Return the function that `get_term_name` of this or an earlier version named.
+
+    `folder` is the run's, which has the task's file. Raises `UserError` where there is none.
+    """
+    module, _, function_name = name.partition(":")
+    if module == TASK_FILE:
+        function = getattr(run_task_file(folder / TASK_FILE), function_name, None)
+        if not callable(function):
+            raise UserError(f"{module} has no function {function_name!r} (any more)")
+        return function
+    term = TERMS.get(to_current_name(name))
+    if term is None:
+        raise UserError(f"{name!r} is no term of this version of quadwalk or of {TASK_FILE}")
+    return term
 
 
 def to_current_name(name: str) -> str:
-    """Return the name that a term has today, of the name in a file of any version."""
+    """Return the name that a term has today, from its name in a file of any version."""
     module, _, function = name.partition(":")
     if name in ALIASES:
         return ALIASES[name]
     return f"{ALIASES[module]}:{function}" if module in ALIASES else name
+
+
+def get_task_source(functions: Iterable[Callable[..., Any]]) -> bytes | None:
+    """Return the task file that defines some of the functions; None if none does."""
+    sources = {get_source(function) for function in functions if is_from_task_file(function)}
+    if len(sources) > 1:
+        raise UsageError("the task has functions of several files; expected one")
+    return sources.pop() if sources else None

@@ -8,10 +8,9 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
-from quadwalk.errors import UsageError, UserError, meant
-from quadwalk.settings.registry import to_current_name
+from quadwalk.errors import UsageError, UserError, suggest
+from quadwalk.settings.registry import find_term, get_task_source, get_term_name, to_current_name
 from quadwalk.settings.terms import Reward, Term
-from quadwalk.task_files import own_file, reference, resolve
 
 T = TypeVar("T")
 
@@ -43,7 +42,7 @@ def to_dict(config: Any) -> Any:
     if isinstance(config, tuple):
         return [to_dict(item) for item in config]
     if callable(config):
-        return reference(config)
+        return get_term_name(config)
     return str(config) if isinstance(config, Path) else config
 
 
@@ -85,7 +84,7 @@ def _restore(hint: Any, value: Any, folder: Path, where: str) -> Any:
         origin = hint = str
     if origin is Callable and isinstance(value, str):
         try:
-            return resolve(value, folder)
+            return find_term(value, folder)
         except UserError as error:
             raise UserError(f"{where}: {error}") from None
     if origin is dict and isinstance(value, dict):
@@ -119,7 +118,7 @@ def flatten(config: Any, prefix: str = "") -> dict[str, Any]:
         for name, value in _parts(config).items():
             flat |= flatten(value, f"{prefix}.{name}".strip("."))
         return flat
-    return {prefix.removesuffix("."): reference(config) if callable(config) else config}
+    return {prefix.removesuffix("."): get_term_name(config) if callable(config) else config}
 
 
 def _parts(config: Any) -> dict[str, Any]:
@@ -185,11 +184,11 @@ def _changed(item: Any, hint: Any, changes: list[tuple[str, list[str], Any]]) ->
 
 def _check_name(part: str, known: Any, name: str) -> None:
     if part not in known:
-        hint = meant(part, known) or f"; expected one of {sorted(known)}"
+        hint = suggest(part, known) or f"; expected one of {sorted(known)}"
         raise UsageError(f"no setting {name!r}: there is no {part!r}{hint}")
 
 
-def task_source(config: Any) -> bytes | None:
+def find_task_source(config: Any) -> bytes | None:
     """The file of the task's own functions, to be kept with a run; None if it has none."""
 
     def functions(part: Any) -> list[Callable[..., Any]]:
@@ -199,4 +198,4 @@ def task_source(config: Any) -> bytes | None:
             return [f for item in _parts(part).values() for f in functions(item)]
         return []
 
-    return own_file(functions(config))
+    return get_task_source(functions(config))

@@ -11,7 +11,7 @@ import numpy as np
 import tyro
 
 from quadwalk.bounds import Bounds, NotNegative, check_value
-from quadwalk.errors import UsageError, UserError, line_in
+from quadwalk.errors import UsageError, UserError, find_line
 
 # On the command line a term's parameters are named after the term, without a word between them;
 # where there are none there is no flag, which is why the type is not narrower.
@@ -66,7 +66,7 @@ class Term:
             raise
         except Exception as error:
             said = f"{type(error).__name__}: {error}".partition("\n")[0]
-            line = line_in(file, error) or line
+            line = find_line(file, error) or line
             raise UserError(
                 f"{file}, line {line}: the {what} does not give {self.gives}: {said}"
             ) from error

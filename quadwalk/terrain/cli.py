@@ -2,31 +2,48 @@
 
 import dataclasses
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Annotated
 
-from quadwalk.cli.arguments import ArgumentParser
+import tyro
+
+from quadwalk.bounds import Few, Seed, Settings
+from quadwalk.cli.arguments import parse
 from quadwalk.errors import UsageError
-from quadwalk.paths import ALIENGO_URDF
+from quadwalk.settings.training import RobotConfig
 from quadwalk.terrain.terrain import FLAT
 from quadwalk.terrain.tiles import KINDS
 
 
-def main(argv: Sequence[str], prog: str = "quadwalk terrain") -> None:
-    """Draw as `argv` says; `prog` is the command's name."""
-    parser = ArgumentParser(prog=prog, description="Draw every kind of terrain.")
-    add = parser.add_argument
-    add("-o", "--out", type=Path, metavar="PNG", required=True, help="file to write")
-    add("--kinds", nargs="+", metavar="KIND", help=f"some of: {', '.join(KINDS)}")
-    add("--levels", type=int, default=1, help="difficulties, evenly up to 1")
-    add("--seed", type=int, default=0, help="of all that is random")
-    add("--robot.urdf", type=Path, default=ALIENGO_URDF, help="robot whose legs set the sizes")
-    given = parser.parse_args(argv)
+@dataclass(frozen=True)
+class TerrainConfig(Settings):
+    """Draw every kind of terrain, with a robot on it."""
+
+    out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]  # PNG to write
+    # kinds of terrain; by default all but flat
+    kinds: tuple[str, ...] = tuple(kind for kind in KINDS if kind != "flat")
+    levels: Few = 1  # difficulties, evenly up to 1
+    seed: Seed = 0  # of all that is random
+    robot: RobotConfig = field(default_factory=RobotConfig)  # its legs set the sizes
+
+
+def main(args: Sequence[str], prog: str = "quadwalk terrain") -> None:
+    """Draw terrain as the arguments say."""
+    config = parse(TerrainConfig, args, prog)
     try:
-        kinds = tuple(given.kinds or (kind for kind in KINDS if kind != "flat"))
-        config = dataclasses.replace(FLAT, kinds=kinds, levels=given.levels, seed=given.seed)
-        config = dataclasses.replace(config, difficulty=(1.0 / given.levels, 1.0))
+        ground = dataclasses.replace(
+            FLAT,
+            kinds=config.kinds,
+            levels=config.levels,
+            seed=config.seed,
+            difficulty=(1.0 / config.levels, 1.0),
+        )
     except UsageError as error:
         raise UsageError(str(error).replace(f"--{FLAT.group}.", "--")) from None
-    from quadwalk.terrain.picture import save_kinds  # and with it all that reads a URDF
+    # All that reads a robot and draws takes seconds to import.
+    from quadwalk.render.images import save_png
+    from quadwalk.robot.load import load_robot
+    from quadwalk.terrain.picture import draw_kinds
 
-    save_kinds(config, vars(given)["robot.urdf"], given.out)
+    save_png(draw_kinds(ground, load_robot(config.robot)), config.out)

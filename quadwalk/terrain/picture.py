@@ -1,7 +1,6 @@
 """A picture of every kind of ground, with the robot on it."""
 
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import mujoco
@@ -9,8 +8,8 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from quadwalk.render.canvas import Camera, Canvas
-from quadwalk.render.images import make_film_strip, save_png
-from quadwalk.robot.quadruped import Quadruped, load_quadruped
+from quadwalk.render.images import make_film_strip
+from quadwalk.robot.quadruped import Quadruped
 from quadwalk.terrain.heightfield import Heightfield, lay
 from quadwalk.terrain.terrain import GroundConfig, Place, leg_length, make_terrain
 
@@ -40,11 +39,6 @@ def draw_kinds(config: GroundConfig, quadruped: Quadruped) -> np.ndarray:
         ImageDraw.Draw(picture).text((10, 8), label, font=font, **_TEXT)
         pictures.append(np.asarray(picture))
     return make_film_strip(pictures, config.levels if config.levels > 1 else _ACROSS)
-
-
-def save_kinds(config: GroundConfig, urdf: Path, out: Path) -> None:
-    """Write that picture, of the robot in `urdf`, as a PNG."""
-    save_png(draw_kinds(config, load_quadruped(urdf)), out)
 
 
 def _standing(

@@ -13,8 +13,8 @@ from typing import Annotated, Literal
 import tyro
 
 from quadwalk.bounds import Port, Settings
-from quadwalk.cli.arguments import message_console, parse
-from quadwalk.cli.shell import install
+from quadwalk.cli.arguments import make_console, parse
+from quadwalk.cli.shell import suggest_install
 from quadwalk.errors import UserError
 from quadwalk.paths import PRETRAINED
 from quadwalk.runs.directory import Run, find_any_run, find_ready
@@ -48,12 +48,14 @@ def drive(config: ViewConfig) -> None:
     getup = packaged if packaged.policy.exists() else None
     if config.getup is not None:
         getup = find_any_run(config.runs, config.getup)
-    console = message_console()
+    console = make_console()
     missing = no_window()
     in_page = config.browser or missing is not None
     if in_page and importlib.util.find_spec("mjviser") is None:
         because = "" if missing is None else f"there is no window ({missing}), and "
-        raise UserError(f"{because}a page needs mjviser, which is not installed: {install('view')}")
+        raise UserError(
+            f"{because}a page needs mjviser, which is not installed: {suggest_install('view')}"
+        )
     with contextlib.suppress(KeyboardInterrupt):
         if not in_page:
             _prepare_jax()

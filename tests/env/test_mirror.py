@@ -13,14 +13,14 @@ from quadwalk.robot.mirror import NotSymmetric, find_robot_mirror, make_mirror
 from quadwalk.robot.mjcf import Options
 from quadwalk.robot.quadruped import load_quadruped
 from quadwalk.settings.terms import Observation
-from quadwalk.task_files import load_task, task_names
-from quadwalk.tasks import rough, run, sprint
+from quadwalk.task_files import load_task
+from quadwalk.tasks import list_tasks, rough, run, sprint
 from tests.robot import zoo
 
 SIDES = {"FR": "FL", "FL": "FR", "RR": "RL", "RL": "RR"}
 
 
-@pytest.mark.parametrize("name", task_names())
+@pytest.mark.parametrize("name", list_tasks())
 def test_every_task_has_a_mirror_and_mirroring_twice_changes_nothing(quadruped, name):
     env = QuadrupedEnv(quadruped, load_task(name).env)
     for own, size in zip(env.mirrors, (env.observation_size, 12), strict=True):

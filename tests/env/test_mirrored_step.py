@@ -21,8 +21,8 @@ from quadwalk.physics.rotation import from_euler
 from quadwalk.robot.mirror import find_robot_mirror
 from quadwalk.robot.mjcf import Options
 from quadwalk.robot.quadruped import Quadruped, load_quadruped
-from quadwalk.task_files import load_task, task_names
-from quadwalk.tasks import sprint
+from quadwalk.task_files import load_task
+from quadwalk.tasks import list_tasks, sprint
 from quadwalk.terrain.terrain import FLAT
 from tests.physics.reference import place_robot
 from tests.robot import zoo
@@ -157,7 +157,7 @@ def check(env):
         close(value, other.metrics[name])
 
 
-@pytest.mark.parametrize("name", task_names())
+@pytest.mark.parametrize("name", list_tasks())
 def test_a_task_is_its_own_image(quadruped, name):
     config = dataclasses.replace(load_task(name).env, ground=FLAT)
     check(QuadrupedEnv(symmetric(quadruped), config))

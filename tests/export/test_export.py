@@ -20,7 +20,7 @@ import yaml
 from brax.training.networks import ACTIVATION
 from rich.console import Console
 
-from quadwalk.cli.shell import install
+from quadwalk.cli.shell import suggest_install
 from quadwalk.env.env import QuadrupedEnv
 from quadwalk.errors import UserError
 from quadwalk.evaluation.loaded import LoadedRun, load_run
@@ -364,6 +364,6 @@ def test_without_the_extra_one_line_says_so(missing, quadruped, tmp_path, monkey
         monkeypatch.delitem(sys.modules, name)
     with pytest.raises(UserError) as caught:
         main([str(run.path)])
-    expected = f"{missing} is not installed; export needs: {install('export')}"
+    expected = f"{missing} is not installed; export needs: {suggest_install('export')}"
     assert str(caught.value) == expected
     assert not (run.path / "export").exists()

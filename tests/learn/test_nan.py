@@ -121,7 +121,7 @@ def test_a_training_whose_physics_diverges_ends_without_a_policy(tmp_path, flags
 
 
 def test_the_command_wants_one_file():
-    with pytest.raises(UsageError, match="arguments are required: FILE"):
+    with pytest.raises(UsageError, match="missing: file"):
         nan.main([])
 
 

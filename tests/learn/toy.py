@@ -28,7 +28,7 @@ import quadwalk.learn.writer
 import quadwalk.progress.curves
 from quadwalk.cli.process import run_command
 from quadwalk.env.env import EnvState
-from quadwalk.learn.flags import main
+from quadwalk.learn.cli import main
 from quadwalk.physics.motor import PhysicsState
 from quadwalk.settings.environment import EnvConfig
 

@@ -114,9 +114,9 @@ def test_a_fixed_base_and_armature_from_rotor_and_gear(tmp_path):
         ([ALIENGO_URDF, "--rotor", "tail*=1,1"], 2, "names no moving joint"),
         ([ALIENGO_URDF, "--mesh-dirs", "none"], 2, "--mesh-dirs none: expected a folder"),
         (["--mesh-dirs", "none", ALIENGO_URDF], 2, "--mesh-dirs none: expected a folder"),
-        (["--mesh-dirs", "none"], 2, "required: URDF"),
+        (["--mesh-dirs", "none"], 2, "no URDF; expected the path of one"),
         ([ALIENGO_URDF, "--fix", "tail"], 2, "--fix tail: names no joint"),
-        ([ALIENGO_URDF, "--effort", "0"], 2, "--effort is 0; expected a number above 0"),
+        ([ALIENGO_URDF, "--effort", "0"], 2, "--effort is 0.0; expected more than 0"),
         ([XML], 1, "root element is <mujoco>; expected <robot>"),
     ],
 )

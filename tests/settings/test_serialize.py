@@ -19,11 +19,11 @@ from quadwalk.errors import UsageError, UserError
 from quadwalk.settings.serialize import OLD_NAMES, flatten, from_dict, to_dict, with_settings
 from quadwalk.settings.terms import Reward
 from quadwalk.settings.training import TrainConfig
-from quadwalk.task_files import load_task, task_names
-from quadwalk.tasks import sprint
+from quadwalk.task_files import load_task
+from quadwalk.tasks import list_tasks, sprint
 
 
-@pytest.mark.parametrize("name", task_names())
+@pytest.mark.parametrize("name", list_tasks())
 def test_a_task_comes_back_from_json(name):
     task = load_task(name)
     assert from_dict(TrainConfig, json.loads(json.dumps(to_dict(task))), Path()) == task
@@ -69,7 +69,7 @@ def test_what_belongs_together_is_changed_together():
         with_settings(sprint.TASK, {"ppo.min_learning_rate": 0.1})
 
 
-@pytest.mark.parametrize("name", task_names())
+@pytest.mark.parametrize("name", list_tasks())
 def test_every_setting_can_be_changed_by_the_name_that_it_has(name):
     task = load_task(name)
     for setting, value in flatten(task).items():

@@ -214,7 +214,7 @@ def test_the_command_draws_every_kind_it_is_asked_for_with_the_robot_on_it(tmp_p
     ("flags", "said"),
     [
         ("--levels 0", r"^--levels is 0; expected 1 to"),
-        ("--levels many", r"^argument --levels: invalid int value: 'many'"),
+        ("--levels many", r"^bad value for --levels; expected INT"),
         ("--kinds sea", r"^--kinds: no terrain 'sea'; expected some of: "),
     ],
 )

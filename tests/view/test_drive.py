@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from quadwalk.cli.shell import install
+from quadwalk.cli.shell import suggest_install
 from quadwalk.errors import UsageError, UserError
 from quadwalk.eval import main as evaluate
 from quadwalk.learn.loop import train
@@ -41,7 +41,7 @@ def test_without_the_extra_one_line_says_which(without_the_extra, runs):
         evaluate(["dog", "--view", f"--runs={runs}"])
     assert str(caught.value) == (
         f"there is no window ({NO_SCREEN}), and a page needs mjviser, which is not installed: "
-        f"{install('view')}"
+        f"{suggest_install('view')}"
     )
 
 

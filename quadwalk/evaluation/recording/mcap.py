@@ -16,7 +16,7 @@ from mcap.stream_reader import StreamReader
 from mcap.writer import Writer
 from mcap_protobuf.schema import register_schema
 
-from quadwalk.cli.shell import words
+from quadwalk.cli.shell import quote_words
 from quadwalk.errors import UserError
 from quadwalk.evaluation.recording.messages import EpisodeMessages
 from quadwalk.evaluation.rollout import Rollout
@@ -93,8 +93,10 @@ def rerun_commands(recording: Path) -> str:
     """
     converted = recording.with_suffix(".rrd")
     options = ["--application-id", RERUN_APPLICATION, "--timeline-type", "duration"]
-    convert = words("rerun", "mcap", "convert", *options, recording, "-o", converted)
-    return f"{convert} && {words('rerun', converted, recording.with_name(RERUN_BLUEPRINT.name))}"
+    convert = quote_words("rerun", "mcap", "convert", *options, recording, "-o", converted)
+    return (
+        f"{convert} && {quote_words('rerun', converted, recording.with_name(RERUN_BLUEPRINT.name))}"
+    )
 
 
 def verify_mcap(path: str | Path) -> int:
