@@ -32,7 +32,6 @@ from jax.sharding import PartitionSpec as P
 
 from quadwalk.api import make
 from quadwalk.env.env import QuadrupedEnv
-from quadwalk.env.ground_input import jit
 from quadwalk.env.state import tree_where
 from quadwalk.errors import UsageError
 from quadwalk.settings.training import TrainConfig
@@ -55,8 +54,8 @@ class QuadrupedGymEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         self.render_mode = render_mode
         self.observation_space, self.action_space = _spaces(env)
         self._ends, self._size = env.ends, env.policy_size
-        self._reset = jit(env, QuadrupedEnv.reset)
-        self._step = jit(env, QuadrupedEnv.step, donate=(0,))
+        self._reset = partial(jax.jit(QuadrupedEnv.reset), env)
+        self._step = partial(jax.jit(QuadrupedEnv.step, donate_argnums=1), env)
         self._state: Any = None
 
     def reset(
@@ -177,9 +176,9 @@ def _programs(env: QuadrupedEnv, num_envs: int) -> tuple[Any, Any, Any]:
             on_all = jax.shard_map(own, mesh=mesh, in_specs=split, out_specs=split, check_vma=False)
             return on_all(*arguments)
 
-        return jit(env, shared, donate=donate)
+        return partial(jax.jit(shared, donate_argnums=donate), env)
 
-    return program(start), program(step, donate=(0,)), program(renew, donate=(1, 2))
+    return program(start), program(step, donate=(1,)), program(renew, donate=(2, 3))
 
 
 def _spaces(env: Any) -> tuple[spaces.Box, spaces.Box]:

@@ -1,8 +1,9 @@
 """The environment: a task for one quadruped, as the pure functions `reset` and `step`."""
 
+import copy
 from dataclasses import replace
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -22,8 +23,14 @@ from quadwalk.env.randomization import (
 from quadwalk.env.reflections import Mirrors
 from quadwalk.env.reset import fresh_start, on_tile
 from quadwalk.env.rewards import reward_terms, total_reward
-from quadwalk.env.robot_arrays import above_ground, is_standing, robot_arrays, task_robot
-from quadwalk.env.sensors import Sensors, make_sensors
+from quadwalk.env.robot_arrays import (
+    RobotArrays,
+    above_ground,
+    is_standing,
+    robot_arrays,
+    task_robot,
+)
+from quadwalk.env.sensors import make_sensors
 from quadwalk.env.state import (
     EnvState,
     Step,
@@ -35,6 +42,7 @@ from quadwalk.env.state import (
 from quadwalk.env.terminations import TIME_LIMIT, episode_end, names_of_ends, terminations
 from quadwalk.physics.engines import ENGINES, EngineName, fast, mujoco_c
 from quadwalk.physics.motor import Effort, PhysicsState, make_standing_motor
+from quadwalk.physics.surface import Ground
 from quadwalk.robot.mirror import find_robot_mirror
 from quadwalk.robot.quadruped import Quadruped
 from quadwalk.settings.environment import EnvConfig
@@ -45,11 +53,24 @@ FARTHEST = 1e6  # m or rad: no sound state of a robot has a place, or an angle, 
 MAX_SPEED = 1e3  # m/s or rad/s: no sound state of a robot is faster, so physics has diverged
 
 
+class EnvParams(NamedTuple):
+    """The data that programs read: an argument of theirs, since as constants it compiles slowly.
+
+    The robot's numbers are not among it. They are constants, which XLA folds: zeros vanish.
+    """
+
+    ground: Ground | None  # None: level, at height 0, without end
+
+
+@jax.tree_util.register_pytree_node_class
 class QuadrupedEnv(Env):
     """A task for one quadruped as a `brax.envs.base.Env`; vmap `reset` and `step` for a batch.
 
     It does not reset itself: a step past the end of an episode continues from there. Use
     `quadwalk.learn.ppo`, which starts a fresh episode after each, for training.
+
+    It is a pytree whose leaves are those of `params`: `jax.jit(f)(env, ...)` has the ground as an
+    argument of the program, in a program that closes over `env` it is a constant.
 
     `engine` steps its physics, by default that of `config`. MuJoCo C ("mujoco") steps the full
     model, in which every shape collides and the solver converges.
@@ -72,17 +93,46 @@ class QuadrupedEnv(Env):
         self.motor, self.gains_note = make_standing_motor(
             self.mj_model, self.quadruped, config.motor
         )
-        self.geometry = fast.make_model(self.mj_model, self.quadruped, self.motor)
-        self.robot = robot_arrays(self.quadruped, self.mj_model, self.geometry)
+        geometry = fast.make_model(self.mj_model, self.quadruped, self.motor)
+        level = geometry._replace(ground=None)
+        self._level_robot = robot_arrays(self.quadruped, self.mj_model, level)
         if self.engine == "mujoco":
             self.stepping = self.stepping.replace_dt(mujoco_c.TIMESTEP)
-        self.model = self.geometry
+        self._model: Any = None
         if self.engine != "fast":
             stepped = self.mj_model_of(self.quadruped)
-            self.model = ENGINES[self.engine].make_model(stepped, self.quadruped, self.motor)
+            self._model = ENGINES[self.engine].make_model(stepped, self.quadruped, self.motor)
         geoms = ("floor", *self.quadruped.feet)
         self.friction = float(max(self.mj_model.geom(name).friction[0] for name in geoms))
         self.ends = names_of_ends(config.termination)
+        self.sensors = make_sensors(config, self._level_robot, self.quadruped.joints, self._example)
+        self._constants = copy.copy(self)
+        self.params = EnvParams(jax.device_put(geometry.ground))
+
+    def tree_flatten(self) -> tuple[tuple[EnvParams], "QuadrupedEnv"]:
+        """Return the parameters as a pytree's children, and the rest as its constants."""
+        return (self.params,), self._constants
+
+    @classmethod
+    def tree_unflatten(
+        cls, constants: "QuadrupedEnv", children: tuple[EnvParams]
+    ) -> "QuadrupedEnv":
+        """Return the environment that `tree_flatten` took apart, with parameters `children`."""
+        env = copy.copy(constants)
+        env._constants = constants
+        (env.params,) = children
+        return env
+
+    @property
+    def robot(self) -> RobotArrays:
+        """The constants of the robot, and the ground that it is on."""
+        level = self._level_robot
+        return replace(level, geometry=level.geometry._replace(ground=self.params.ground))
+
+    @property
+    def model(self) -> Any:
+        """The model that the engine steps."""
+        return self.robot.geometry if self._model is None else self._model
 
     def _training_model(self, quadruped: Quadruped) -> mujoco.MjModel:
         config = self.config
@@ -98,11 +148,6 @@ class QuadrupedEnv(Env):
         if self.engine == "mujoco":
             return quadruped.make_full_model(self.stepping.dt)
         return self._training_model(quadruped)
-
-    @cached_property
-    def sensors(self) -> Sensors:
-        """What policy and value network see."""
-        return make_sensors(self.config, self.robot, self.quadruped.joints, self._example)
 
     def in_engine(self, engine: EngineName) -> "QuadrupedEnv":
         """The same environment with its physics stepped by `engine`."""
@@ -141,14 +186,13 @@ class QuadrupedEnv(Env):
     ) -> tuple[PhysicsState, jax.Array | None]:
         """A start, and the tile that it is on."""
         # Drawn as on a flat floor, then put on the ground.
-        level = self.geometry._replace(ground=None)
-        physics = fresh_start(level, self.robot, self.config.reset, rng)
+        physics = fresh_start(self._level_robot, self.config.reset, rng)
         if self.terrain is None:
             return physics, None
         which, where = jax.random.split(jax.random.fold_in(rng, 2))
         if tile is None:
             tile = jax.random.randint(which, (), 0, len(self.terrain.tiles))
-        return on_tile(self.geometry, self.terrain, physics, tile, where), tile
+        return on_tile(self.robot.geometry, self.terrain, physics, tile, where), tile
 
     def step(self, state: State, action: jax.Array) -> State:
         """One control step with `action` (12,) in [-1, 1].
@@ -197,7 +241,7 @@ class QuadrupedEnv(Env):
             for name, value in reward_terms(config.reward, self.robot, step).items()
         }
         # Sense.
-        after = self.sensors.measured(self._traveled(after, step))
+        after = self.sensors.measure(self.robot, self._traveled(after, step))
         if config.critic:
             after = after._replace(contact=step.contact)
         speed = commanded_speed(step) if config.command.given else mean_velocity(step)[0]
@@ -206,7 +250,7 @@ class QuadrupedEnv(Env):
         of_task = self._of_task(jnp.linalg.norm(velocity_error(step)), standing)
         return State(
             pipeline_state=after,
-            obs=self.sensors.observation(after),
+            obs=self.sensors.observe(self.robot, after),
             reward=total_reward(config.reward, terms),
             done=(end > 0).astype(jnp.float32),
             metrics=_metrics(speed, fell, failed, terms, of_task),
@@ -240,8 +284,9 @@ class QuadrupedEnv(Env):
 
         Sensors may be late by `latest` control steps; None: by as many as the task draws.
         """
-        start = self.sensors.started(state.pipeline_state._replace(**changes), latest)
-        return state.replace(pipeline_state=start, obs=self.sensors.observation(start))
+        begun = state.pipeline_state._replace(**changes)
+        start = self.sensors.start_history(self.robot, begun, latest)
+        return state.replace(pipeline_state=start, obs=self.sensors.observe(self.robot, start))
 
     def applied_target(self, state: EnvState, action: jax.Array) -> jax.Array:
         """The joint angles (12,), rad, that motors go to at the end of a step with `action`."""
@@ -255,7 +300,7 @@ class QuadrupedEnv(Env):
         ranges = self.config.randomization
         if not ranges.enabled:
             return None
-        return draw_conditions(ranges, self.robot, self.stepping, key, self.friction)
+        return draw_conditions(ranges, self._level_robot, self.stepping, key, self.friction)
 
     def _grip(self, conditions: EpisodeRandomization | None) -> ArrayLike:
         """The acceleration () that friction bears, m/s^2."""
@@ -267,9 +312,9 @@ class QuadrupedEnv(Env):
         """The control step as rewards and terminations see it, before it is known which fell."""
         config, dt, qpos = self.config, self.config.control_dt, after.qpos
         start = jnp.where(sane, before.qpos, qpos)
-        soles, lowest = fast.compute_lowest_points(self.geometry, qpos)
+        soles, lowest = fast.compute_lowest_points(self.robot.geometry, qpos)
         # MuJoCo's ground gives way: a foot that lands sinks in, up to 2 cm at a run, its shin too.
-        radius = self.geometry.contacts[0].radius
+        radius = self.robot.geometry.contacts[0].radius
         legs = lowest[1:] - jnp.clip(soles[:, 2], -radius, 0.0)
         level = self.terrain is None
         command = before.velocity_command
@@ -287,7 +332,7 @@ class QuadrupedEnv(Env):
             power=effort.energy / dt,
             fell=jnp.zeros((), bool),
             command=command,
-            start_soles=fast.compute_lowest_points(self.geometry, start)[0],
+            start_soles=fast.compute_lowest_points(self.robot.geometry, start)[0],
             soles=soles,
             contact=soles[:, 2] < CONTACT_GAP,
             lowest=jnp.stack([lowest[0], jnp.min(legs)]),
@@ -307,7 +352,7 @@ class QuadrupedEnv(Env):
     def _example(self) -> EnvState:
         """A state, for the shapes of what is computed from it."""
         config, key = self.config, jax.random.PRNGKey(0)
-        home = jnp.asarray(self.robot.home, jnp.float32)
+        home = jnp.asarray(self._level_robot.home, jnp.float32)
         return EnvState(
             PhysicsState(home, jnp.zeros(18)),
             jnp.zeros(12),

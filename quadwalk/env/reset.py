@@ -16,9 +16,7 @@ from quadwalk.settings.environment import ResetConfig
 from quadwalk.terrain.terrain import Terrain
 
 
-def fresh_start(
-    model: Model, robot: RobotArrays, config: ResetConfig, key: jax.Array
-) -> PhysicsState:
+def fresh_start(robot: RobotArrays, config: ResetConfig, key: jax.Array) -> PhysicsState:
     """A start near the home pose or `config.pose`, with the lowest foot just on the floor.
 
     Tumbled, it is in any orientation, with the lowest part just on the floor.
@@ -37,7 +35,7 @@ def fresh_start(
     angles = jnp.clip(middle + config.joints * joints, robot.lower, robot.upper)
     qpos = qpos.at[7:].set(angles)
     if config.height is None:
-        lowest = _lowest(model, qpos, feet=not config.tumbled)
+        lowest = _lowest(robot.geometry, qpos, feet=not config.tumbled)
         qpos = qpos.at[2].add(-lowest)
     else:
         qpos = qpos.at[2].set(config.height)

@@ -31,8 +31,13 @@ class RobotArrays:
     knees_ahead: np.ndarray  # (4,) whether the knee is ahead of thigh's joint and foot, standing
     mass: float  # kg
     gravity: float  # m/s^2
-    geometry: Model  # with the spheres that may touch the floor
-    ground: Surface | None = None  # None: level, at height 0, without end
+    geometry: Model  # with the spheres that may touch the floor, and the ground
+
+    @property
+    def ground(self) -> Surface | None:
+        """The ground's heights; None: level, at height 0, without end."""
+        ground = self.geometry.ground
+        return None if ground is None else ground.surface
 
     @property
     def weight(self) -> float:
@@ -94,7 +99,6 @@ def robot_arrays(quadruped: Quadruped, model: mujoco.MjModel, geometry: Model) -
         mass=float(model.body_subtreemass[0]),
         gravity=float(-model.opt.gravity[2]),
         geometry=geometry,
-        ground=geometry.ground,
     )
 
 

@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from quadwalk.env.observations import observe
+from quadwalk.env.observations import observe as observe_parts
 from quadwalk.env.randomization import (
     latest_drawn,
     measured,
@@ -35,14 +35,15 @@ PartNames: TypeAlias = dict[str, tuple[str, ...]]
 
 @dataclass(frozen=True)
 class Sensors:
-    """The sensors of one task and robot; pure functions of an `EnvState`."""
+    """The sensors of one task; pure functions of the robot's constants and an `EnvState`."""
 
     config: EnvConfig
-    robot: RobotArrays
     part_names: PartNames  # of what the policy sees, in one control step
     critic_part_names: PartNames  # of what the value network sees besides
 
-    def started(self, start: EnvState, latest: int | None = None) -> EnvState:
+    def start_history(
+        self, robot: RobotArrays, start: EnvState, latest: int | None = None
+    ) -> EnvState:
         """`start` with all its frames measured there; `latest`: see `QuadrupedEnv.begun`."""
         if latest is None:
             late = start.conditions is not None and start.conditions.sensor_delay is not None
@@ -50,44 +51,46 @@ class Sensors:
             latest = readings_needed(longest, self.config.control_dt) if late else 0
         kept = 1 + latest + max(part.history for part in self.config.observation.values())
         return start._replace(
-            frames=jnp.tile(self._frame(start), (kept, 1)) if kept > 1 else None,
+            frames=jnp.tile(self._frame(robot, start), (kept, 1)) if kept > 1 else None,
             contact=jnp.zeros(4, bool) if self.config.critic else None,
         )
 
-    def measured(self, state: EnvState) -> EnvState:
+    def measure(self, robot: RobotArrays, state: EnvState) -> EnvState:
         """`state` with what is measured in it as the newest of its frames, if it keeps any."""
         frames = state.frames
         if frames is None:
             return state
         late = self._late(frames)
-        rows = [self._frame(state)[None], frames[:late]]
+        rows = [self._frame(robot, state)[None], frames[:late]]
         if max(self.history):
             rows += [self._delayed(state)[None], frames[late + 1 : -1]]
         return state._replace(frames=jnp.concatenate(rows))
 
-    def observation(self, state: EnvState) -> jax.Array:
+    def observe(self, robot: RobotArrays, state: EnvState) -> jax.Array:
         """What the policy sees, then what the value network sees besides, float32."""
         if state.frames is None:
-            seen = [self._frame(state)]
+            seen = [self._frame(robot, state)]
         else:
             seen, late = [self._delayed(state)], self._late(state.frames)
             for ago in range(1, 1 + max(self.history)):
                 seen.append(state.frames[late + ago][np.flatnonzero(self.history >= ago)])
         if self.config.critic:
-            seen.append(observe(self.config.critic, self.robot, state))
+            seen.append(observe_parts(self.config.critic, robot, state))
         return jnp.concatenate(seen)
 
-    def truth(self, state: EnvState) -> jax.Array:
+    def compute_truth(self, robot: RobotArrays, state: EnvState) -> jax.Array:
         """What the observation's first numbers (n,) are without delay, noise and offsets."""
-        return observe(self.config.observation, self.robot, state)
+        return observe_parts(self.config.observation, robot, state)
 
-    def _frame(self, state: EnvState) -> jax.Array:
+    def _frame(self, robot: RobotArrays, state: EnvState) -> jax.Array:
         """What is measured and known in one control step (n,), float32."""
         conditions = state.conditions
         if conditions is None:
-            return self.truth(state)
+            return self.compute_truth(robot, state)
         disturbed = state._replace(physics=measured(conditions, state.physics))
-        return sensed(conditions, self.truth(disturbed), self.noise_scale, state.steps)
+        return sensed(
+            conditions, self.compute_truth(robot, disturbed), self.noise_scale, state.steps
+        )
 
     def _delayed(self, state: EnvState) -> jax.Array:
         """Delayed sensor readings of this step, and what needs no sensor (n,)."""
@@ -185,4 +188,4 @@ def make_sensors(
         }
         return {name: parts[name].names(name, size, joints) for name, size in sizes.items()}
 
-    return Sensors(config, robot, names(config.observation), names(config.critic))
+    return Sensors(config, names(config.observation), names(config.critic))

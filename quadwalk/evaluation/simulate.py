@@ -17,7 +17,6 @@ import numpy as np
 
 from quadwalk.brax import State
 from quadwalk.env.env import QuadrupedEnv
-from quadwalk.env.ground_input import jit
 from quadwalk.env.state import EnvState, tree_where
 from quadwalk.evaluation.rollout import Rollout
 
@@ -50,7 +49,7 @@ def roll_out(
     where one has ended the next begins. `change` alters the batched states before each step.
     """
 
-    @partial(jit, env)
+    @jax.jit
     def chunk(env: QuadrupedEnv, policy: Policy, states: State) -> tuple[State, Any]:
         def step(before: State, _: None) -> tuple[State, tuple[jax.Array, Any]]:
             action = policy(before.obs)
@@ -73,7 +72,7 @@ def roll_out(
     states, done = begun(rows), np.zeros(count)
     kept: defaultdict[int, list[Any]] = defaultdict(list)
     while np.any(rows < count):
-        states, watched = chunk(policy, states)
+        states, watched = chunk(env, policy, states)
         ends, parts = jax.device_get(watched)
         over = (ends > 0).any(axis=0)
         steps = np.where(over, np.argmax(ends > 0, axis=0) + 1, CHUNK)
@@ -107,7 +106,7 @@ def fresh_starts(
     """
     keys = jax.random.split(jax.random.PRNGKey(seed), episodes)
     on = () if tiles is None else (jnp.asarray(tiles),)
-    start: State = jit(env, lambda env, *of: jax.vmap(env.reset)(*of))(keys, *on)
+    start: State = jax.jit(lambda env, *of: jax.vmap(env.reset)(*of))(env, keys, *on)
     return start
 
 
@@ -187,5 +186,5 @@ def _recorded(env: QuadrupedEnv, before: State, action: jax.Array, after: State)
         },
         "command": None if begun.command is None else begun.command.velocity,
         "applied_target": None if ideal else jax.vmap(env.applied_target)(begun, action),
-        "truth": None if ideal else jax.vmap(env.sensors.truth)(begun),
+        "truth": None if ideal else jax.vmap(partial(env.sensors.compute_truth, env.robot))(begun),
     }

@@ -183,16 +183,17 @@ def compute_observations(env: QuadrupedEnv, columns: dict[str, np.ndarray]) -> n
         last_action, row = inputs
         after = make_state(row, last_action, before.steps + 1)
         after = after._replace(frames=before.frames, contact=before.contact)
-        after = sensors.measured(after)
-        return after, sensors.observation(after)
+        after = sensors.measure(env.robot, after)
+        return after, sensors.observe(env.robot, after)
 
     @jax.jit
     def scan(rows: dict[str, jax.Array]) -> jax.Array:
         first = {name: values[0] for name, values in rows.items()}
         others = {name: values[1:] for name, values in rows.items()}
-        start = sensors.started(make_state(first, jnp.zeros(12), jnp.zeros((), jnp.int32)))
+        start = make_state(first, jnp.zeros(12), jnp.zeros((), jnp.int32))
+        start = sensors.start_history(env.robot, start)
         _, observations = jax.lax.scan(step, start, (rows["action"][:-1], others))
-        return jnp.concatenate([sensors.observation(start)[None], observations])
+        return jnp.concatenate([sensors.observe(env.robot, start)[None], observations])
 
     return np.asarray(scan(rows))[:, : env.policy_size]
 

@@ -19,7 +19,6 @@ import tyro
 
 from quadwalk.cli.arguments import parse
 from quadwalk.env.env import QuadrupedEnv
-from quadwalk.env.ground_input import jit
 from quadwalk.errors import UserError
 from quadwalk.files import os_reason
 from quadwalk.physics.engines import ENGINES
@@ -79,7 +78,7 @@ def replay(path: Path | str) -> tuple[np.ndarray, np.ndarray]:
         targets = jnp.broadcast_to(target, (env.stepping.substeps, *target.shape[-1:]))
         return jax.lax.scan(one, physics, targets)[1]
 
-    first, after = kept["before"].physics, jit(env, course)(kept["before"], kept["action"])
+    first, after = kept["before"].physics, jax.jit(course)(env, kept["before"], kept["action"])
     return np.stack([first.qpos, *after.qpos]), np.stack([first.qvel, *after.qvel])
 
 

@@ -34,7 +34,6 @@ from jax.sharding import Mesh, NamedSharding
 from jax.sharding import PartitionSpec as P
 
 from quadwalk.brax import RunningStatisticsState, State
-from quadwalk.env.ground_input import heights, with_heights
 from quadwalk.learn.devices import AXIS, release_freed_memory
 from quadwalk.learn.distribution import SURE, TanhNormal
 from quadwalk.learn.episodes import (
@@ -402,10 +401,8 @@ class Iteration:
     ) -> None:
         ppo = PPO(networks, config, iterations)
 
-        def collect(
-            learner: Learner, workers: Workers, ground: tuple[jax.Array, ...]
-        ) -> tuple[Any, ...]:
-            workers, rollout, metrics = ppo.collect(with_heights(env, ground), learner, workers)
+        def collect(env: TrainingEnv, learner: Learner, workers: Workers) -> tuple[Any, ...]:
+            workers, rollout, metrics = ppo.collect(env, learner, workers)
             key, key_learn = jax.random.split(workers.key[0])
             return workers._replace(key=key[None]), rollout, metrics, key_learn[None]
 
@@ -421,18 +418,18 @@ class Iteration:
         rollout = Rollout(transitions, row)
         shard = partial(jax.shard_map, mesh=mesh, check_vma=False)
         self._collect = jax.jit(
-            shard(collect, in_specs=(same, split, same), out_specs=(split, rollout, same, split)),
-            donate_argnums=1,
+            shard(collect, in_specs=(same, same, split), out_specs=(split, rollout, same, split)),
+            donate_argnums=2,
         )
         self.learn = jax.jit(
             shard(learn, in_specs=(same, rollout, split), out_specs=(same, same)),
             donate_argnums=0,
         )
-        self._ground = jax.device_put(heights(env), NamedSharding(mesh, same))
+        self._env = jax.device_put(env, NamedSharding(mesh, same))  # its ground, once
 
     def trace(self, state: TrainState) -> None:
         """Trace both programs for states like this, where what a task's functions lack shows."""
-        collect = self._collect.lower(*state, self._ground)
+        collect = self._collect.lower(self._env, *state)
         _, rollout, _, key = collect.out_info
         self._collect, self.learn = collect, self.learn.lower(state.learner, rollout, key)
 
@@ -448,7 +445,7 @@ class Iteration:
         self, learner: Learner, workers: Workers
     ) -> tuple[Workers, Rollout, Metrics, jax.Array]:
         """Return `workers` after an iteration, what they met, metrics, and a key to learn with."""
-        return self._collect(learner, workers, self._ground)
+        return self._collect(self._env, learner, workers)
 
     def __call__(self, state: TrainState) -> tuple[TrainState, Metrics]:
         workers, rollout, collected, key = self.collect(*state)

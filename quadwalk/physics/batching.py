@@ -18,6 +18,10 @@ BATCH = 128  # robots side by side: what they hold at a time then stays in a cor
 LANES = 8  # floats in a vector register
 
 
+class Shared:
+    """Base of pytrees whose arrays are the same for all robots and have no axis of robots."""
+
+
 def batch_robots(function: Callable[..., Any], like: Any) -> Callable[..., Any]:
     """Let `vmap` run a function of one robot that takes arrays (..., robots) at once.
 
@@ -27,27 +31,35 @@ def batch_robots(function: Callable[..., Any], like: Any) -> Callable[..., Any]:
     function is traced for the batch alone, not for one robot as well.
 
     Leaves of the arguments that are constants (`is_constant`) get a last axis of length 1. The
-    compiled program folds them: zeros vanish from it.
+    compiled program folds them: zeros vanish from it. What is `Shared` is handed on as it is.
     """
 
     shapes, expected = jax.tree.flatten(like)
 
     def of_any(*arguments: Any) -> Any:
-        leaves, structure = jax.tree.flatten(arguments)
-        constant = [is_constant(leaf) for leaf in leaves]
+        leaves, structure = jax.tree.flatten(arguments, is_leaf=lambda x: isinstance(x, Shared))
+        shared, parts = jax.tree.flatten([x for x in leaves if isinstance(x, Shared)])
+        fixed = [isinstance(leaf, Shared) or is_constant(leaf) for leaf in leaves]
+        varying = [leaf for leaf, is_fixed in zip(leaves, fixed, strict=True) if not is_fixed]
 
         def of_several(*arrays: jax.Array) -> list[Any]:
-            rest = iter(arrays)
-            pairs = zip(leaves, constant, strict=True)
-            given = [append_axis(leaf) if fixed else next(rest) for leaf, fixed in pairs]
-            found = function(*jax.tree.unflatten(structure, given))
+            rest = iter(arrays[: len(varying)])
+            common = iter(jax.tree.unflatten(parts, arrays[len(varying) :]))
+            inputs = []
+            for leaf, is_fixed in zip(leaves, fixed, strict=True):
+                if isinstance(leaf, Shared):
+                    inputs.append(next(common))
+                else:
+                    inputs.append(append_axis(leaf) if is_fixed else next(rest))
+            found = function(*jax.tree.unflatten(structure, inputs))
             own: Any = jax.tree.structure(found)
             if own != expected:
                 raise TypeError(f"a function gives {own}; expected {expected}")
             return jax.tree.leaves(found)
 
-        varying = [leaf for leaf, fixed in zip(leaves, constant, strict=True) if not fixed]
-        found = _robots.bind(*varying, function=of_several, shapes=tuple(shapes))
+        found = _robots.bind(
+            *varying, *shared, function=of_several, shared=len(shared), shapes=tuple(shapes)
+        )
         return jax.tree.unflatten(expected, found)
 
     return of_any
@@ -71,8 +83,14 @@ def append_axis(constant: Any) -> Any:
     return np.reshape(constant, (*np.shape(constant), 1)) if np.ndim(constant) else constant
 
 
-def _of_one(*arguments: Any, function: Callable[..., list[Any]], **_: Any) -> list[Any]:
-    return [x[..., 0] for x in function(*(x[..., None] for x in map(jnp.asarray, arguments)))]
+def _of_one(
+    *arguments: Any, function: Callable[..., list[Any]], shared: int, **_: Any
+) -> list[Any]:
+    arrays = [jnp.asarray(x) for x in arguments]
+    varying = len(arrays) - shared
+    return [
+        x[..., 0] for x in function(*(x[..., None] for x in arrays[:varying]), *arrays[varying:])
+    ]
 
 
 def _of_many(
@@ -80,9 +98,14 @@ def _of_many(
     axes: Sequence[int | None],
     *,
     function: Callable[..., list[Any]],
+    shared: int,
     **_: Any,
 ) -> tuple[list[Any], list[int]]:
     """What a batch gives, its axis first; `axes` are the batch's in `arguments`."""
+    varying = len(arguments) - shared
+    common = arguments[varying:]
+    assert all(axis is None for axis in axes[varying:])
+    arguments, axes = arguments[:varying], axes[:varying]
     size = next(x.shape[axis] for x, axis in zip(arguments, axes, strict=True) if axis is not None)
     # An accelerator is to be filled at once.
     number = -(-size // BATCH) if jax.default_backend() == "cpu" else 1
@@ -98,16 +121,16 @@ def _of_many(
         return x.reshape(number * length, *x.shape[2:])[:size]
 
     batches = [arrange(x, axis) for x, axis in zip(arguments, axes, strict=True)]
-    out = [restore(x) for x in jax.lax.map(lambda batch: function(*batch), batches)]
+    out = [restore(x) for x in jax.lax.map(lambda batch: function(*batch, *common), batches)]
     return out, [0] * len(out)
 
 
 def _tangents(
-    primals: Sequence[Any], tangents: Sequence[Any], *, function: Callable[..., list[Any]], **_: Any
+    primals: Sequence[Any], tangents: Sequence[Any], **how: Any
 ) -> tuple[list[Any], list[Any]]:
     """Forward derivatives: those of one robot, for `vmap` to batch as it does."""
     tangents = [ad.instantiate_zeros(tangent) for tangent in tangents]
-    return jax.jvp(partial(_of_one, function=function), tuple(primals), tuple(tangents))
+    return jax.jvp(partial(_of_one, **how), tuple(primals), tuple(tangents))
 
 
 # `jax.custom_batching.custom_vmap` would trace a function for one robot, to know its shapes, and

@@ -49,9 +49,8 @@ class Contact:
     radius: Array  # m
     friction: Array
     params: SolverParams
-    # Where the centers just touch the ground, with a grid for each leg; None: the ground is level.
-    surface: Surface | None = field(default=None, metadata={"static": True})
-    grids: tuple[int, ...] = field(default=(), metadata={"static": True})  # (4,) of each leg
+    # (4,) each leg's grid in the offset surface of ground that is not level
+    grids: tuple[int, ...] = field(default=(), metadata={"static": True})
 
 
 class Limits(NamedTuple):
@@ -118,22 +117,20 @@ def centers(contact: Contact, pose: Pose) -> Vector:
 
 
 def triangles_under(
-    contact: Contact, center: Vector, place: tuple[Array, Array]
+    contact: Contact, surface: Surface, center: Vector, place: tuple[Array, Array]
 ) -> tuple[Spot, Vector]:
-    """Where spheres are over the surface that they may touch, and its heights around there.
+    """Where spheres are over the offset surface that they may touch, and its heights around there.
 
     `center` is theirs from the trunk's origin, which is at `place` along world x and y, m.
     """
-    assert contact.surface is not None
     which = np.reshape(contact.grids, (4, 1)) if any(contact.grids) else 0
-    spot = contact.surface.locate(place[0] + center[0], place[1] + center[1], which)
-    return spot, contact.surface.read(spot)
+    spot = surface.locate(place[0] + center[0], place[1] + center[1], which)
+    return spot, surface.read(spot)
 
 
-def look_under(contact: Contact, spot: Spot, heights: Vector, altitude: Array) -> Under:
+def look_under(surface: Surface, spot: Spot, heights: Vector, altitude: Array) -> Under:
     """What is under spheres whose centers are at `altitude`, m, over such triangles."""
-    assert contact.surface is not None
-    level, along, across = contact.surface.interpolate(spot, heights)
+    level, along, across = surface.interpolate(spot, heights)
     return Under(altitude - level, *compute_contact_frame(along, across))
 
 

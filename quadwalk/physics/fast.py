@@ -36,7 +36,7 @@ from quadwalk.physics.rigid_body import (
     place_bodies,
 )
 from quadwalk.physics.solver import add_scaled, minimize_cost, solve
-from quadwalk.physics.surface import Surface
+from quadwalk.physics.surface import Ground
 from quadwalk.physics.vectors import Vector
 
 
@@ -130,7 +130,7 @@ def compute_acceleration(
         qpos[2],
         angles,
         velocity,
-        None if model.ground is None else _look_under(model, barrier, pose, qpos),
+        None if model.ground is None else _look_under(model, model.ground, barrier, pose, qpos),
     )
     solution = minimize_cost(mass, found, force, barrier, iterations, line_search)
     if dt > 0.0:
@@ -158,7 +158,9 @@ def _damp_implicitly(
     return add_scaled(motion, -1.0, change)
 
 
-def _look_under(model: Model, barrier: jax.Array, pose: Pose, qpos: jax.Array) -> tuple[Under, ...]:
+def _look_under(
+    model: Model, ground: Ground, barrier: jax.Array, pose: Pose, qpos: jax.Array
+) -> tuple[Under, ...]:
     """The ground under all spheres."""
     x, y, height = qpos[:3]
     at = tuple(centers(contact, pose) for contact in model.contacts)
@@ -166,8 +168,8 @@ def _look_under(model: Model, barrier: jax.Array, pose: Pose, qpos: jax.Array) -
     found = materialize(
         barrier,
         lambda at, x, y: tuple(
-            triangles_under(contact, center, (x, y))
-            for contact, center in zip(model.contacts, at, strict=True)
+            triangles_under(contact, surface, center, (x, y))
+            for contact, surface, center in zip(model.contacts, ground.offsets, at, strict=True)
         ),
         at,
         x,
@@ -176,9 +178,9 @@ def _look_under(model: Model, barrier: jax.Array, pose: Pose, qpos: jax.Array) -
     return materialize(
         barrier,
         lambda found, altitudes: tuple(
-            look_under(contact, spot, around, altitude)
-            for contact, (spot, around), altitude in zip(
-                model.contacts, found, altitudes, strict=True
+            look_under(surface, spot, around, altitude)
+            for surface, (spot, around), altitude in zip(
+                ground.offsets, found, altitudes, strict=True
             )
         ),
         found,
@@ -262,12 +264,12 @@ def compute_leg_points(model: Model, joints: jax.Array) -> jax.Array:
 
 
 def _lowest_points_over(
-    model: Model, ground: Surface, barrier: jax.Array, pose: Pose, qpos: jax.Array
+    model: Model, ground: Ground, barrier: jax.Array, pose: Pose, qpos: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
     """`compute_lowest_points` over ground that is not level."""
     x, y, height = qpos[:3]
     along, across, _ = centers(model.contacts[0], pose)
-    under = _look_under(model, barrier, pose, qpos)[0]
+    under = _look_under(model, ground, barrier, pose, qpos)[0]
     trunk, legs = jnp.full_like(height, jnp.inf), jnp.full_like(along, jnp.inf)
     for shell in model.shells:
         rotation = pose.trunk if shell.link is None else pose.rotations[shell.link]
@@ -275,7 +277,7 @@ def _lowest_points_over(
             place = v.apply(rotation, point)
             if shell.link is not None:
                 place = v.add(place, pose.origins[shell.link])
-            level = ground.at(x + place[0], y + place[1])[0]
+            level = ground.surface.at(x + place[0], y + place[1])[0]
             gap = jnp.where(there, height + place[2] - level, jnp.inf)
             if shell.link is None:
                 trunk = jnp.minimum(trunk, gap)

@@ -15,7 +15,7 @@ from quadwalk.physics.batching import append_axis
 from quadwalk.physics.contact import Contact, Limits, SolverParams
 from quadwalk.physics.motor import Motor
 from quadwalk.physics.rigid_body import LINKS, Link, Trunk
-from quadwalk.physics.surface import Surface, make_ground_surface, make_offset_surface
+from quadwalk.physics.surface import Ground, make_ground_surface, make_offset_surface
 from quadwalk.physics.vectors import Array, Matrix, Vector
 from quadwalk.robot.quadruped import Quadruped
 from quadwalk.robot.scene import SPHERE_NAMES, compute_rotation
@@ -118,7 +118,7 @@ class Model(NamedTuple):
     shells: tuple[Shell, ...]
     gravity: Vector  # m/s^2
     motor: Motor
-    ground: Surface | None = None  # None: level, at height 0, without end
+    ground: Ground | None = None  # None: level, at height 0, without end
 
 
 def randomize_motor(motor: Motor, variation: RobotRandomization) -> Motor:
@@ -163,13 +163,14 @@ def make_model(model: mujoco.MjModel, quadruped: Quadruped, motor: Motor) -> Mod
 
 def add_ground(model: Model, ground: Heightfield) -> Model:
     """`model` on ground that is not level."""
-    contacts = []
+    contacts, offsets = [], []
     for contact in model.contacts:
         radii = np.broadcast_to(np.asarray(contact.radius), 4)
         different, grids = np.unique(radii, return_inverse=True)
-        surface = make_offset_surface(ground, tuple(map(float, different)))
-        contacts.append(replace(contact, surface=surface, grids=tuple(map(int, grids))))
-    return model._replace(contacts=tuple(contacts), ground=make_ground_surface(ground))
+        offsets.append(make_offset_surface(ground, tuple(map(float, different))))
+        contacts.append(replace(contact, grids=tuple(map(int, grids))))
+    surfaces = Ground(make_ground_surface(ground), tuple(offsets))
+    return model._replace(contacts=tuple(contacts), ground=surfaces)
 
 
 def find_contact_geoms(model: mujoco.MjModel, feet: tuple[str, ...]) -> list[np.ndarray]:

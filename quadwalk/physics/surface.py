@@ -10,7 +10,7 @@ triangle is below its center.
 import functools
 import itertools
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import jax
@@ -19,6 +19,7 @@ import numpy as np
 from scipy.ndimage import maximum_filter
 
 from quadwalk.cores import cpu_cores
+from quadwalk.physics.batching import Shared
 from quadwalk.physics.vectors import Array, Vector, cross
 from quadwalk.terrain.heightfield import Heightfield
 
@@ -35,17 +36,18 @@ class Spot(NamedTuple):
     v: Array  # along y
 
 
-@jax.tree_util.register_static
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
-class Surface:
-    """Heights on one or more grids of the same nodes; equal to itself alone."""
+class Surface(Shared):
+    """Heights on one or more grids of the same nodes.
 
-    grids: np.ndarray  # (k, rows, columns) m
-    cell: float  # m
-    origin: tuple[float, float]  # m, x and y of node [0, 0]
-    # All of `grids` one after another (n,), an argument of a program, which reads these. A constant
-    # would be compiled into it once for each part that reads, at many times the memory.
-    heights: jax.Array | None = None
+    Let the grids be an argument of a program: a constant would be compiled into it once for each
+    part that reads, at many times the memory.
+    """
+
+    grids: Array  # (k, rows, columns) m
+    cell: float = field(metadata={"static": True})  # m
+    origin: tuple[float, float] = field(metadata={"static": True})  # m, x and y of node [0, 0]
 
     def at(self, x: Array, y: Array, which: np.ndarray | int = 0) -> tuple[Array, Array, Array]:
         """Height, m, and slopes along x and y of grid `which` at places (...), m.
@@ -67,9 +69,7 @@ class Surface:
     def read(self, spot: Spot) -> Vector:
         """Heights of the corners of the triangle, m: the cell's first, the third, the last."""
         columns = self.grids.shape[2]
-        grid = self.heights
-        if grid is None:
-            grid = jnp.asarray(self.grids, jnp.result_type(spot.u)).reshape(-1)
+        grid = jnp.asarray(self.grids, jnp.result_type(spot.u)).reshape(-1)
         third = jnp.where(spot.u > spot.v, 1, columns)
         x, y, z = (
             grid.at[spot.corner + step].get(mode="promise_in_bounds")
@@ -85,6 +85,13 @@ class Surface:
         along, across = jnp.where(right, before, after), jnp.where(right, after, before)
         level = node + spot.u * along + spot.v * across
         return level, along / self.cell, across / self.cell
+
+
+class Ground(NamedTuple):
+    """Ground that is not level, the same for all robots."""
+
+    surface: Surface
+    offsets: tuple[Surface, ...]  # for each kind of sphere that may touch it: `Model.contacts`
 
 
 def make_ground_surface(field: Heightfield) -> Surface:

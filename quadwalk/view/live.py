@@ -11,7 +11,6 @@ import numpy as np
 
 from quadwalk.env.command import Command
 from quadwalk.env.env import MAX_SPEED, QuadrupedEnv
-from quadwalk.env.ground_input import jit
 from quadwalk.env.randomization import EpisodeRandomization, delayed, targets_needed
 from quadwalk.env.reset import nominal_start
 from quadwalk.env.robot_arrays import STANDING_HEIGHT, STANDING_TILT
@@ -72,7 +71,7 @@ class _Mind:
 
     def __init__(self, loaded: LoadedRun) -> None:
         self.env, self.policy = loaded.env, loaded.policy
-        self.think = jit(self.env, _think, compiler_options=_OPTIONS)
+        self.think = jax.jit(_think, compiler_options=_OPTIONS)
         earlier = max(part.history for part in self.env.config.observation.values())
         size = self.env.sensors.noise_scale.size
         # Room for what was measured in earlier control steps; None if the policy sees only one.
@@ -177,7 +176,7 @@ class LiveRobot:
     def step(self) -> None:
         """One control step. A robot that fell gets up, or is put on its feet after `LYING` s."""
         data, mind = self.data, self._mind
-        thought = jax.device_get(mind.think(mind.policy.act, self.state()))
+        thought = jax.device_get(mind.think(mind.env, mind.policy.act, self.state()))
         mind.frames, mind.targets, mind.action, applied_target = thought
         physics = PhysicsState(data.qpos.copy(), data.qvel.copy())
         run_control_step(
@@ -293,12 +292,12 @@ def _think(env: QuadrupedEnv, policy: Policy, state: EnvState) -> tuple[Any, Any
     The frames and joint targets to be kept, the action, and the joint targets (substeps, 12)
     obeyed in each physics step, rad.
     """
-    state = env.sensors.measured(state)
+    state = env.sensors.measure(env.robot, state)
     if state.frames is not None:
         before = jnp.where(state.steps == 0, state.frames[:1], state.frames)
         state = state._replace(frames=before)
     assert state.conditions is not None
-    action = policy(env.sensors.observation(state))
+    action = policy(env.sensors.observe(env.robot, state))
     target = env.config.action(env.robot, action, state.qpos[7:])
     substeps = env.stepping.substeps
     conditions, applied_target = delayed(state.conditions, target, substeps, state.steps)

@@ -26,7 +26,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from quadwalk.cli.process import run_command
-from quadwalk.env.ground_input import jit
 from quadwalk.evaluation.grids.by_ground import ground_env, measure_by_ground
 from quadwalk.evaluation.loaded import load_run
 from quadwalk.evaluation.simulate import roll_out
@@ -80,8 +79,8 @@ def film(run: Run, kind: str) -> dict[str, Any]:
     env = ground_env(loaded, (kind,), levels=2)
     assert env.terrain is not None
     tile = env.terrain.tiles.index(env.terrain.tile(kind, 1))
-    begin = jit(env, lambda env, keys, tiles: jax.vmap(env.reset)(keys, tiles))
-    first = begin(jax.random.PRNGKey(1)[None], jnp.array([tile]))
+    begin = jax.jit(lambda env, keys, tiles: jax.vmap(env.reset)(keys, tiles))
+    first = begin(env, jax.random.PRNGKey(1)[None], jnp.array([tile]))
 
     def qpos(env: Any, before: Any, action: Any, after: Any) -> Any:
         return after.pipeline_state.qpos

@@ -6,6 +6,7 @@ files, in inertias and centers of mass, is averaged away.
 
 import dataclasses
 from functools import partial
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -194,7 +195,7 @@ def test_a_scan_sees_the_image_of_uneven_ground(env, scan, sizes):
     turned = qpos * jnp.array([1, -1, 1, 1, -1, 1, -1, *[1] * 12])
     seen = [
         scan(
-            dataclasses.replace(env.robot, ground=Ground(side)),
+            SimpleNamespace(home_height=env.robot.home_height, ground=Ground(side)),
             state._replace(physics=PhysicsState(place, jnp.zeros(18))),
             **params,
         )

@@ -41,6 +41,7 @@ def test_the_ground_of_an_evaluation_is_not_that_of_training():
     assert unseen_ground(FLAT, 3) == FLAT
 
 
+@jax.tree_util.register_static
 class Walk(SimpleNamespace):
     """An environment of which little is needed."""
 

@@ -45,6 +45,10 @@ class Plain(Env):
     config = sprint.TASK.env
     backend = "none"
     curriculum = terrain = mirrors = gains_note = None
+
+    def __init_subclass__(cls) -> None:
+        jax.tree_util.register_static(cls)  # a pytree, as an environment is, without leaves
+
     terms: tuple[str, ...] = ()  # metrics beyond those that all have
 
     def observe(self, inner: Any) -> jax.Array:

@@ -346,7 +346,7 @@ def test_leg_points_are_those_of_the_placed_feet_and_knees(body_env):
     data = place_robot(model, np.random.default_rng(3).uniform(-1, 1, 19))
     spheres = np.array(find_contact_geoms(model, quadruped.feet)[:2])
     expected = (data.geom_xpos[spheres] - data.xpos[trunk]) @ data.xmat[trunk].reshape(3, 3)
-    found = compute_leg_points(body_env.geometry, data.qpos[7:])
+    found = compute_leg_points(body_env.model, data.qpos[7:])
     np.testing.assert_allclose(found, expected, atol=1e-6)
 
 

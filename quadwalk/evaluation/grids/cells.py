@@ -10,7 +10,6 @@ import numpy as np
 
 from quadwalk.brax import State
 from quadwalk.env.env import QuadrupedEnv
-from quadwalk.env.ground_input import jit
 from quadwalk.evaluation.simulate import Policy, Report, roll_out
 from quadwalk.evaluation.statistics import mean_figure, share_interval
 
@@ -62,12 +61,12 @@ def cell_starts(
     Each is `start(env, cell, *episode)`; `cells` are (m, ...), `episodes` (n, ...).
     """
 
-    @partial(jit, env)
+    @jax.jit
     def begun(env: QuadrupedEnv, cells: jax.Array, *episodes: Any) -> State:
         of_cell = jax.vmap(partial(start, env), in_axes=(None, *(0 for _ in episodes)))
         return jax.vmap(of_cell, in_axes=(0, *(None for _ in episodes)))(cells, *episodes)
 
-    states = begun(jnp.asarray(cells), *episodes)
+    states = begun(env, jnp.asarray(cells), *episodes)
     flat: State = jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), states)
     return flat
 

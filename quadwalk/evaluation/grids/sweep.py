@@ -198,7 +198,7 @@ def conditions_at(
     )
     usual = mixed.variation
     assert usual is not None
-    lightest = -0.9 * env.geometry.trunk.mass  # kg: a tenth is left
+    lightest = -0.9 * env.robot.geometry.trunk.mass  # kg: a tenth is left
     sides = jax.random.rademacher(jax.random.fold_in(key, 1), (12,), jnp.float32)
     variation = usual._replace(
         friction=usual.friction - env.friction + point.friction,
