@@ -18,7 +18,7 @@ Metrics = dict[str, Any]
 
 
 class TrainingEnv(Protocol):
-    """An environment that the learner can train in, such as `QuadrupedEnv`.
+    """An environment that the learner can train in, such as `QuadrupedEnv`; a pytree.
 
     Of a state the learner reads `obs`, `reward`, `done`, the metrics "speed", "fell" and "nan", and
     `info["truncation"]`, which is 1 at a time limit. `pipeline_state` is a named tuple. The learner
