@@ -4,7 +4,7 @@
 
 Exports the run and drives the export in both, from the same starts, by the same commands, noise and
 pushes, under eight conditions (benchmarks/simulators.py). Prints a table of falls, speeds and
-errors; writes it as foreign.json and foreign.csv, and film_strip.png of one episode in both.
+errors; writes it as foreign.json, and film_strip.png of one episode in both.
 
 A fall: the trunk leans by more than 1 rad, is lower than 45 % of its first height, or the floor
 meets a link without a foot. The other figures are of the episodes without a fall in either. Speed
@@ -17,10 +17,8 @@ Needs the extras `export` and `drake`. To see what contact does: --approximation
 """
 
 import argparse
-import csv
 import dataclasses
 import importlib.metadata
-import io
 import multiprocessing
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
@@ -28,8 +26,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-# Beside this file.
-from simulators import Condition, Contact, Episode, Simulator, controller_of, run_episodes
+from benchmarks.simulators import (
+    Condition,
+    Contact,
+    Episode,
+    Simulator,
+    load_controller,
+    run_episodes,
+)
 
 # Processes that simulate import this file as well: what takes seconds is imported where it is used.
 if TYPE_CHECKING:
@@ -50,11 +54,13 @@ CONDITIONS = {
 PICTURE = (400, 260)  # pixels
 ACROSS = 4
 
+Starts = list[tuple[np.ndarray, np.ndarray]]  # qpos (19,) and qvel (18,)
 
-def begun(
+
+def sample_episodes(
     loaded: "LoadedRun", episodes: int, seed: int, friction: float | None
-) -> tuple[list[tuple[np.ndarray, np.ndarray]], np.ndarray]:
-    """Starts, qpos and qvel, and commands (episodes, T, 3) of the task, two for each episode."""
+) -> tuple[Starts, np.ndarray]:
+    """Return starts and commands (episodes, T, 3) of the task, two for each episode."""
     import jax
 
     from quadwalk.env.command import draw
@@ -67,13 +73,13 @@ def begun(
     if env.config.command.given:
         grip = env.config.gravity * (friction or env.friction)
         keys = jax.random.split(jax.random.PRNGKey(seed), (episodes, 2))
-        drawn = jax.vmap(jax.vmap(lambda key: draw(env.config.command, key, grip)))(keys)
-        commands[:] = np.repeat(drawn, -(-steps // 2), axis=1)[:, :steps]
+        pairs = jax.vmap(jax.vmap(lambda key: draw(env.config.command, key, grip)))(keys)
+        commands[:] = np.repeat(pairs, -(-steps // 2), axis=1)[:, :steps]
     return starts, commands
 
 
-def figures(episode: Episode, commands: np.ndarray | None, dt: float) -> dict[str, float]:
-    """Speed m/s of one episode; errors m/s and rad/s, or deg of the heading without commands.
+def compute_figures(episode: Episode, commands: np.ndarray | None, dt: float) -> dict[str, float]:
+    """Return speed, m/s, and errors, m/s and rad/s; without commands that of the heading, deg.
 
     `commands` (steps, 3) is None for a task that has none.
     """
@@ -92,80 +98,69 @@ def figures(episode: Episode, commands: np.ndarray | None, dt: float) -> dict[st
         speed = (poses[-1, 0] - poses[0, 0]) / (dt * steps)
         return {"speed": speed, "heading_error": float(np.degrees(np.abs(yaw).mean()))}
     velocity = heading_velocity(poses, dt)
-    errors = tracking_errors(velocity, commands[:steps], dt)
+    velocity_error, yaw_rate_error = tracking_errors(velocity, commands[:steps], dt)
     means = window_means(velocity[round(SETTLING / dt) :], round(WINDOW / dt))
     speed = float(np.linalg.norm(means[:, :2], axis=1).mean()) if len(means) else np.nan
-    return {"speed": speed, "velocity_error": errors[0], "yaw_rate_error": errors[1]}
+    return {"speed": speed, "velocity_error": velocity_error, "yaw_rate_error": yaw_rate_error}
 
 
-def summary(found: list[dict[str, float]], fell: np.ndarray, upright: np.ndarray) -> dict[str, Any]:
-    """Falls of one condition in one simulator, and figures of the `upright` episodes, for JSON."""
+def summarize(
+    figures: list[dict[str, float]], fell: np.ndarray, upright: np.ndarray
+) -> dict[str, Any]:
+    """Return the falls of a condition in a simulator, and figures of `upright` episodes."""
     from quadwalk.evaluation.statistics import mean_figure, share_interval
 
-    kept = [own for own, stands in zip(found, upright, strict=True) if stands]
-    means = {name: mean_figure([own[name] for own in kept]) for name in found[0]}
+    rows = [figures[index] for index in np.flatnonzero(upright)]
+    means = {name: mean_figure([row[name] for row in rows]) for name in figures[0]}
     interval = share_interval(int(fell.sum()), len(fell))
     return {"falls": float(fell.mean()), "falls_ci95": list(interval), **means}
 
 
-def rows(results: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Of each condition a row of plain numbers, named."""
+def format_table(results: list[dict[str, Any]]) -> str:
+    """Return a Markdown table with a row for each condition."""
     from quadwalk.evaluation.statistics import figure_mean
 
-    found = []
+    lines: list[list[str]] = []
     for result in results:
-        row: dict[str, Any] = {"condition": result["condition"]}
-        names = [name for name in result["Drake"] if not name.startswith("falls")]
+        cells = {"condition": result["condition"]}
         for simulator in SIMULATORS:
-            row[f"falls, {simulator}, %"] = 100.0 * result[simulator]["falls"]
-        for name in names:
-            for simulator in SIMULATORS:
-                row[f"{name}, {simulator}"] = figure_mean(result[simulator][name])
+            cells[f"falls, {simulator}, %"] = f"{100.0 * result[simulator]['falls']:.1f}"
+        for name in result["Drake"]:
+            if name.startswith("falls"):
+                continue
+            drake, mujoco = (figure_mean(result[simulator][name]) for simulator in SIMULATORS)
+            digits = 1 if name == "heading_error" else 3
+            title = name.replace("_", " ")
+            cells[f"{title}, Drake"] = f"{drake:.{digits}f}"
+            cells[f"{title}, MuJoCo C"] = f"{mujoco:.{digits}f}"
             if name == "speed":
-                row["Drake / MuJoCo C, %"] = 100.0 * row["speed, Drake"] / row["speed, MuJoCo C"]
-        found.append(row)
-    return found
+                cells["Drake / MuJoCo C, %"] = f"{100.0 * drake / mujoco:.1f}"
+        if not lines:
+            lines = [list(cells), ["---"] * len(cells)]
+        lines.append(list(cells.values()))
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
-def as_markdown(table: list[dict[str, Any]]) -> str:
-    """The rows as a table of Markdown."""
-    lines = [list(table[0]), ["---"] * len(table[0])]
-    for row in table:
-        digits = {name: 1 if "%" in name or "heading" in name else 3 for name in row}
-        lines.append(
-            [v if isinstance(v, str) else f"{v:.{digits[name]}f}" for name, v in row.items()]
-        )
-    return "\n".join(f"| {' | '.join(line)} |".replace("_", " ") for line in lines)
-
-
-def as_csv(table: list[dict[str, Any]]) -> bytes:
-    """The rows as CSV, with a heading."""
-    text = io.StringIO()
-    writer = csv.DictWriter(text, list(table[0]))
-    writer.writeheader()
-    writer.writerows(table)
-    return text.getvalue().encode()
-
-
-def picture(episodes: dict[str, Episode], loaded: "LoadedRun") -> np.ndarray:
-    """(H, W, 3) uint8: a row of pictures of each simulator, at the same times."""
+def draw_film_strip(episodes: dict[Simulator, Episode], loaded: "LoadedRun") -> np.ndarray:
+    """Return (H, W, 3) uint8: a row of pictures of each simulator, at the same times."""
     from PIL import Image, ImageDraw, ImageFont
 
     from quadwalk.render.canvas import Camera, Canvas
     from quadwalk.render.images import make_film_strip
 
-    dt, font, found = loaded.env.config.control_dt, ImageFont.load_default(size=16), []
+    dt, font, pictures = loaded.env.config.control_dt, ImageFont.load_default(size=16), []
     canvas = Canvas(loaded.env.quadruped.make_full_model(), *PICTURE)
     steps = min(len(episode.target) for episode in episodes.values())
-    for simulator, episode in episodes.items():
+    for simulator in SIMULATORS:
+        episode = episodes[simulator]
         for row in np.linspace(0, steps, ACROSS + 1).astype(int)[1:]:
             x, y = episode.qpos[row, :2]
             camera = Camera(np.array([x, y, 0.25]), distance=1.45, azimuth=118.0, elevation=-14.0)
             image = Image.fromarray(canvas.draw(episode.qpos[row], camera))
             text = f"{simulator}   {row * dt:.2f} s   {x:.2f} m ahead, {y:.2f} m to the left"
             ImageDraw.Draw(image).text((8, 6), text, fill=(30, 34, 40), font=font)
-            found.append(np.asarray(image))
-    return make_film_strip(found, ACROSS)
+            pictures.append(np.asarray(image))
+    return make_film_strip(pictures, ACROSS)
 
 
 def measure(
@@ -175,15 +170,16 @@ def measure(
     episodes: int,
     seed: int,
     contact: Contact,
-) -> tuple[list[dict[str, Any]], dict[str, Episode]]:
-    """The summaries of conditions, for JSON, and an episode of the first in each simulator."""
-    dt, jobs, found, fell = loaded.env.config.control_dt, {}, {}, {}
-    samples: dict[str, Episode] = {}
+) -> tuple[list[dict[str, Any]], dict[Simulator, Episode]]:
+    """Return summaries of conditions, and an episode of the first in each simulator."""
+    config = loaded.env.config
+    jobs, figures, fell = {}, {}, {}
+    samples: dict[Simulator, Episode] = {}
     spawn = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(min(PROCESSES, multiprocessing.cpu_count()), spawn) as pool:
         for name in names:
             condition = CONDITIONS[name]
-            starts, commands = begun(loaded, episodes, seed, condition.friction)
+            starts, commands = sample_episodes(loaded, episodes, seed, condition.friction)
             for simulator in SIMULATORS:
                 job = pool.submit(
                     run_episodes, folder, simulator, condition, starts, commands, contact
@@ -191,29 +187,30 @@ def measure(
                 jobs[job] = name, simulator, commands
         for job in as_completed(jobs):
             name, simulator, commands = jobs[job]
-            done = job.result()
-            pairs = zip(done, commands, strict=True)
-            given = loaded.env.config.command.given
-            found[name, simulator] = [
-                figures(episode, own if given else None, dt) for episode, own in pairs
+            rollouts = job.result()
+            figures[name, simulator] = [
+                compute_figures(
+                    episode, commands[row] if config.command.given else None, config.control_dt
+                )
+                for row, episode in enumerate(rollouts)
             ]
-            fell[name, simulator] = np.array([episode.fell for episode in done])
+            fell[name, simulator] = np.array([episode.fell for episode in rollouts])
             print(f"{name}, {simulator}: {fell[name, simulator].mean():.1%} falls", flush=True)
             if name == names[0]:
-                samples[simulator] = done[0]
+                samples[simulator] = rollouts[0]
     results = []
     for name in names:
         upright = ~np.any([fell[name, simulator] for simulator in SIMULATORS], axis=0)
         result = {"condition": name, **dataclasses.asdict(CONDITIONS[name])}
         for simulator in SIMULATORS:
-            own = name, simulator
-            result[simulator] = summary(found[own], fell[own], upright)
+            key = name, simulator
+            result[simulator] = summarize(figures[key], fell[key], upright)
         results.append(result)
-    return results, {simulator: samples[simulator] for simulator in SIMULATORS}
+    return results, samples
 
 
-def parse() -> argparse.Namespace:
-    """The command line."""
+def parse_options() -> argparse.Namespace:
+    """Return what the command line says."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     add = parser.add_argument
     add("run", help="name or path of a run, or a policy that comes trained")
@@ -239,11 +236,11 @@ def main() -> None:
     from quadwalk.evaluation.loaded import load_run
     from quadwalk.evaluation.recording.provenance import provenance
     from quadwalk.export.bundle import export_run
-    from quadwalk.files import atomic_write, write_json
+    from quadwalk.files import write_json
     from quadwalk.render.images import save_png
     from quadwalk.runs.directory import find_ready, get_results_folder
 
-    options = parse()
+    options = parse_options()
     run = find_ready(options.runs, options.run, "run")
     out = options.out or get_results_folder(options.runs, run) / "foreign"
     contact = Contact(**{f.name: getattr(options, f.name) for f in dataclasses.fields(Contact)})
@@ -255,18 +252,17 @@ def main() -> None:
     loaded = load_run(run, options.seconds, engine="fast", flat=True)
     if loaded.env.config.reset.tumbled:
         raise UserError(f"{run.name} begins on the ground; expected a task that begins on its feet")
-    controller_of(out / "export").Controller(out / "export/policy.onnx")  # refuses what it lacks
-    given = options.only, options.episodes, options.seed, contact
-    results, samples = measure(out / "export", loaded, *given)
-    table = rows(results)
-    print(as_markdown(table))
+    # Refuses a policy with observations that it lacks.
+    load_controller(out / "export").Controller(out / "export/policy.onnx")
+    results, samples = measure(
+        out / "export", loaded, options.only, options.episodes, options.seed, contact
+    )
+    print(format_table(results))
     about = provenance(loaded, options.seed) | {"drake": drake, "episodes": options.episodes}
     about |= {"contact": dataclasses.asdict(contact), "conditions": results}
     write_json(out / "foreign.json", about)
-    with atomic_write(out / "foreign.csv") as file:
-        file.write(as_csv(table))
-    save_png(picture(samples, loaded), out / "film_strip.png")
-    print(f"written to {out}: foreign.json, foreign.csv, film_strip.png, export/")
+    save_png(draw_film_strip(samples, loaded), out / "film_strip.png")
+    print(f"written to {out}: foreign.json, film_strip.png, export/")
 
 
 if __name__ == "__main__":

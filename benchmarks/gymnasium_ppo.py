@@ -9,19 +9,16 @@ apart, and set beside what `python train.py sprint` does of the same on the same
 The adapter below is all that Stable-Baselines3 needs.
 """
 
-import argparse
 import time
 
 import gymnasium
 import numpy as np
-from default_training import DefaultTraining
 from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import VecEnv
 
 import quadwalk.gym  # noqa: F401 - registers the environments
+from benchmarks.shared import TimedTraining, make_parser
 from quadwalk.tasks import sprint
-
-ENVS = 1024
 
 
 class SB3VecEnv(VecEnv):
@@ -32,24 +29,24 @@ class SB3VecEnv(VecEnv):
         super().__init__(envs.num_envs, envs.single_observation_space, envs.single_action_space)
 
     def reset(self):
-        seen, _ = self.envs.reset(seed=self._seeds[0])
-        return seen
+        observations, _ = self.envs.reset(seed=self._seeds[0])
+        return observations
 
     def step_async(self, actions):
         self.actions = actions
 
     def step_wait(self):
         began = time.perf_counter()
-        seen, reward, terminated, truncated, infos = self.envs.step(self.actions)
+        observations, reward, terminated, truncated, infos = self.envs.step(self.actions)
         self.seconds += time.perf_counter() - began
         done = terminated | truncated
-        told = [{} for _ in range(self.num_envs)]
+        infos_of_each = [{} for _ in range(self.num_envs)]
         for i in np.flatnonzero(done):
-            told[i] = {
+            infos_of_each[i] = {
                 "terminal_observation": infos["final_obs"][i],
                 "TimeLimit.truncated": bool(truncated[i]),
             }
-        return seen, reward, done, told
+        return observations, reward, done, infos_of_each
 
     def close(self):
         self.envs.close()
@@ -68,15 +65,15 @@ class SB3VecEnv(VecEnv):
 
 
 class TimedPPO(PPO):
-    """PPO that says how long collecting and learning took."""
+    """PPO that measures how long collecting and learning take."""
 
     collecting = learning = 0.0
 
     def collect_rollouts(self, *args, **kwargs):
         began = time.perf_counter()
-        going_on = super().collect_rollouts(*args, **kwargs)
+        goes_on = super().collect_rollouts(*args, **kwargs)
         self.collecting += time.perf_counter() - began
-        return going_on
+        return goes_on
 
     def train(self):
         began = time.perf_counter()
@@ -84,53 +81,43 @@ class TimedPPO(PPO):
         self.learning += time.perf_counter() - began
 
 
-def train_sb3(steps: int) -> dict[str, float]:
-    """Seconds that each part takes for a control step, over `steps` of them once compiled."""
-    ours = sprint.TASK.ppo
-    envs = SB3VecEnv(gymnasium.make_vec("quadwalk/Sprint-v0", num_envs=ENVS))
+def main() -> None:
+    parser = make_parser(__doc__)
+    parser.add_argument("--steps", type=int, default=300_000)
+    parser.add_argument("--envs", type=int, default=1024)
+    options = parser.parse_args()
+    config = sprint.TASK.ppo
+    envs = SB3VecEnv(gymnasium.make_vec("quadwalk/Sprint-v0", num_envs=options.envs))
     model = TimedPPO(
         "MlpPolicy",
         envs,
-        n_steps=ours.unroll,
-        batch_size=ENVS * ours.unroll // ours.minibatches,
-        n_epochs=ours.epochs,
-        gamma=ours.discount,
-        gae_lambda=ours.gae_lambda,
-        policy_kwargs={"net_arch": list(ours.hidden)},
+        n_steps=config.unroll,
+        batch_size=options.envs * config.unroll // config.minibatches,
+        n_epochs=config.epochs,
+        gamma=config.discount,
+        gae_lambda=config.gae_lambda,
+        policy_kwargs={"net_arch": list(config.hidden)},
         device="cpu",
         seed=0,
     )
-    model.learn(ENVS * ours.unroll)  # compiles
+    model.learn(options.envs * config.unroll)  # compiles
     envs.seconds = model.collecting = model.learning = 0.0
     before = model.num_timesteps
-    model.learn(steps, reset_num_timesteps=False)
-    done = model.num_timesteps - before
-    return {
-        "environments": envs.seconds / done,
-        "policy and buffer": (model.collecting - envs.seconds) / done,
-        "collecting, both": model.collecting / done,
-        "learning": model.learning / done,
-        "training, all": (model.collecting + model.learning) / done,
-    }
+    model.learn(options.steps, reset_num_timesteps=False)
+    steps = model.num_timesteps - before
+    seconds = model.collecting + model.learning
+    ours = TimedTraining(options.envs).run(seconds / 4)
 
-
-def train_ours(seconds: float) -> dict[str, float]:
-    """The same of ours, which collects in one program; in some `seconds`."""
-    collecting, learning = DefaultTraining(ENVS).run_parts(seconds)
-    parts = collecting.seconds / collecting.steps, learning.seconds / learning.steps
-    return {"collecting, both": parts[0], "learning": parts[1], "training, all": sum(parts)}
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--steps", type=int, default=300_000)
-    options = parser.parse_args()
-    theirs = train_sb3(options.steps)
-    ours = train_ours(options.steps * theirs["training, all"] / 4)
     print(f"{'control steps/s':18}{'Stable-Baselines3':>20}{'ours':>12}")
-    for name, seconds in theirs.items():
-        own = f"{1 / ours[name]:12,.0f}" if name in ours else ""
-        print(f"{name:18}{1 / seconds:20,.0f}{own}")
+    print(f"{'environments':18}{steps / envs.seconds:20,.0f}")
+    print(f"{'policy and buffer':18}{steps / (model.collecting - envs.seconds):20,.0f}")
+    rows = {
+        "collecting, both": (model.collecting, ours.collecting),
+        "learning": (model.learning, ours.learning),
+        "training, all": (seconds, ours.seconds),
+    }
+    for name, (theirs, own) in rows.items():
+        print(f"{name:18}{steps / theirs:20,.0f}{ours.steps / own:12,.0f}")
 
 
 if __name__ == "__main__":

@@ -6,13 +6,13 @@ Prints the error of what is found, in percent, for each case: the plain one, and
 recording or the robot is not as the fit supposes.
 """
 
-import argparse
 from dataclasses import dataclass
 from pathlib import Path
 
 import mujoco
 import numpy as np
 
+from benchmarks.shared import make_parser
 from quadwalk.identify.config import IdentifyConfig
 from quadwalk.identify.excite import excitation
 from quadwalk.identify.found import OF_URDF, OFFSETS, labels_of
@@ -55,8 +55,8 @@ CASES = {
 }
 
 
-def hang(quadruped: Quadruped, known: Known, seconds: float) -> Log:
-    """Return what is recorded while `excitation` is played."""
+def record_log(quadruped: Quadruped, known: Known, seconds: float) -> Log:
+    """Play `excitation` on the stand, and return the log."""
     spec = quadruped.spec.copy()
     spec.delete(spec.joints[0])
     spec.delete(spec.keys[0])
@@ -93,35 +93,40 @@ def hang(quadruped: Quadruped, known: Known, seconds: float) -> Log:
     return Log(times[rows], measured, times[rows], targets[rows])
 
 
+def print_case(case: str, quadruped: Quadruped, seconds: float) -> None:
+    """Fit the log of a case, and print the errors of what was found."""
+    known = CASES[case]
+    config = IdentifyConfig(Path("made in MuJoCo C"), kp=known.kp, kd=known.kd)
+    log = record_log(quadruped, known, seconds)
+    fit = fit_log(log, quadruped, config)
+    residual = np.sqrt(np.mean((fit.after - log.position)[fit.held_out] ** 2))
+    print(f"{case}: {1e3 * residual:.2f} mrad left of the part that is held out")
+    offsets = []
+    for value in fit.values:
+        if value.name in OFFSETS:
+            offsets += [value] * (value.name == "offset")
+            continue
+        constants = np.ravel(getattr(known, value.name))
+        constant = constants[value.joints[0] if value.name in OF_URDF else 0]
+        error = 100 * (value.found / constant - 1)
+        interval = 100 * value.interval / constant
+        name = f"{value.name}, {labels_of(value, quadruped)}"
+        figures = f"{constant:10.4g}{value.found:10.4g}{error:+8.1f} % ± {interval:.1f}"
+        print(f"  {name:22}{figures}", flush=True)
+    errors = [1e3 * (v.found - known.offset[v.joints[0] % 3]) for v in offsets]
+    interval = 1e3 * max(value.interval for value in offsets)
+    print(f"  offsets: {max(errors, key=abs):+.2f} mrad at worst ± {interval:.2f}", flush=True)
+
+
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser = make_parser(__doc__)
     parser.add_argument("--seconds", type=float, default=30.0)
     parser.add_argument("--cases", nargs="+", default=list(CASES), choices=list(CASES))
     options = parser.parse_args()
     set_up_devices()
     quadruped = load_quadruped()
     for case in options.cases:
-        known = CASES[case]
-        config = IdentifyConfig(Path("made in MuJoCo C"), kp=known.kp, kd=known.kd)
-        log = hang(quadruped, known, options.seconds)
-        fit = fit_log(log, quadruped, config)
-        left = np.sqrt(np.mean((fit.after - log.position)[fit.held_out] ** 2))
-        print(f"{case}: {1e3 * left:.2f} mrad left of the part that is held out")
-        offsets = [value for value in fit.values if value.name == "offset"]
-        for value in fit.values:
-            if value.name in OFFSETS:
-                continue
-            true = np.ravel(getattr(known, value.name))[
-                value.joints[0] if value.name in OF_URDF else 0
-            ]
-            off, sure = 100 * (value.found / true - 1), 100 * value.interval / true
-            name = f"{value.name}, {labels_of(value, quadruped)}"
-            print(
-                f"  {name:22}{true:10.4g}{value.found:10.4g}{off:+8.1f} % ± {sure:.1f}", flush=True
-            )
-        errors = [1e3 * (v.found - known.offset[v.joints[0] % 3]) for v in offsets]
-        interval = 1e3 * max(value.interval for value in offsets)
-        print(f"  offsets: {max(errors, key=abs):+.2f} mrad at worst ± {interval:.2f}", flush=True)
+        print_case(case, quadruped, options.seconds)
 
 
 if __name__ == "__main__":

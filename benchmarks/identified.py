@@ -9,16 +9,15 @@ in use. Each policy runs on the model that it was trained on and on the identifi
 disturbances, but for that delay, and with all that training randomizes about either.
 """
 
-import argparse
 import shutil
 import tempfile
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from benchmarks.shared import make_parser
 from quadwalk.evaluation.evaluation import measure
-from quadwalk.evaluation.loaded import LoadedRun, load_run
+from quadwalk.evaluation.loaded import load_run
 from quadwalk.identify.found import with_joints
 from quadwalk.learn.devices import set_up_devices
 from quadwalk.paths import PRETRAINED
@@ -47,45 +46,42 @@ FIGURES = ("speed", "velocity_error", "yaw_rate_error", "cost_of_transport", "to
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser = make_parser(__doc__)
     parser.add_argument("--policies", nargs="+", default=["run", "walk", "drive"])
     parser.add_argument("--episodes", type=int, default=256)
-    parser.add_argument("--robots", nargs="+", default=["model", "identified"])
     parser.add_argument("--only", nargs="+", default=list(IDENTIFIED), choices=list(IDENTIFIED))
     options = parser.parse_args()
     set_up_devices()
     constants = {name: IDENTIFIED[name] for name in options.only}
-    print(
-        f"{'policy':8}{'robot':12}{'conditions':12}{'falls, %':>10}", *(f"{n:>18}" for n in FIGURES)
-    )
-    for name in options.policies:
-        for robot, conditions, loaded in variants(name, options.robots, constants):
-            summary = measure(loaded, options.episodes, seed=0, whole=0).summary
-            falls = f"{100 * summary['fall_rate']:10.1f}"
-            shown = (f"{_text(summary.get(figure)):>18}" for figure in FIGURES)
-            print(f"{name:8}{robot:12}{conditions:12}{falls}", *shown, flush=True)
-
-
-def variants(
-    name: str, robots: list[str], constants: dict[str, list[float]]
-) -> Iterator[tuple[str, str, LoadedRun]]:
-    """The policy `name` on each of the robots under each of the conditions."""
+    late = replace(NO_RANDOMIZATION, enabled=True, latency=(DELAY, DELAY))
+    heads = (f"{name:>18}" for name in FIGURES)
+    print(f"{'policy':8}{'robot':12}{'conditions':12}{'falls, %':>10}", *heads)
     with tempfile.TemporaryDirectory() as folder:
-        own = Run(Path(folder) / name)
-        shutil.copytree(PRETRAINED / name, own.path)
-        text = with_joints(load_quadruped(own.urdf).urdf, JOINTS, constants)
-        own.urdf.write_text(text)
-        late = replace(NO_RANDOMIZATION, enabled=True, latency=(DELAY, DELAY))
-        runs = {"model": Run(PRETRAINED / name), "identified": own}
-        for robot in robots:
-            for conditions in ("delay", "randomized"):
-                loaded = load_run(runs[robot], 20.0, engine="mujoco", randomized=True)
-                if conditions == "delay":
-                    loaded = loaded.in_mujoco(randomization=late)
-                yield robot, conditions, loaded
+        for name in options.policies:
+            runs = {
+                "model": Run(PRETRAINED / name),
+                "identified": copy_identified(name, Path(folder), constants),
+            }
+            for robot, run in runs.items():
+                for conditions in ("delay", "randomized"):
+                    loaded = load_run(run, 20.0, engine="mujoco", randomized=True)
+                    if conditions == "delay":
+                        loaded = loaded.in_mujoco(randomization=late)
+                    summary = measure(loaded, options.episodes, seed=0, whole=0).summary
+                    falls = f"{100 * summary['fall_rate']:10.1f}"
+                    figures = (f"{format_figure(summary.get(figure)):>18}" for figure in FIGURES)
+                    print(f"{name:8}{robot:12}{conditions:12}{falls}", *figures, flush=True)
 
 
-def _text(figure: dict[str, Any] | None) -> str:
+def copy_identified(name: str, folder: Path, constants: dict[str, list[float]]) -> Run:
+    """Copy the packaged policy `name` to `folder`, its robot with identified constants."""
+    run = Run(folder / name)
+    shutil.copytree(PRETRAINED / name, run.path)
+    run.urdf.write_text(with_joints(load_quadruped(run.urdf).urdf, JOINTS, constants))
+    return run
+
+
+def format_figure(figure: dict[str, Any] | None) -> str:
     return "-" if figure is None else f"{figure['mean']:.3f} ± {figure['ci95']:.3f}"
 
 

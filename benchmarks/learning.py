@@ -1,89 +1,88 @@
 """What a training step costs: collecting, learning, the rest; and beside another commit's.
 
     python benchmarks/learning.py [--task sprint] [--against COMMIT] [--rounds 5] [--envs 2048]
-        [--other-python PATH] [--processor-time]
+        [--python PATH] [--processor-time]
 
-Trains a task in iterations, in turn with the other commit's code, in a process of its
-own each; what counts is the median of the ratios, since a machine's speed drifts. Costs are in
+Trains a task in iterations, in turn with the other commit's benchmarks/learning.py, in a process of
+its own each; what counts is the median of the ratios, since a machine's speed drifts. Costs are in
 microseconds of a core for one control step of one environment. Physics alone is the control steps
 of `collect` without policy, reward and fresh starts, from standing robots with random targets.
 
-The other commit has the packages of its own lock, in an environment that is made once and kept, or
-that of PATH. On a machine that others use too, --processor-time counts what the cores spent on it,
-not what they waited: it is steady there.
+Where the other commit has other packages, PATH is a Python that has them. On a machine that others
+use too, --processor-time counts what the cores spent on it, not what they waited.
 """
 
 import argparse
 import contextlib
-import hashlib
-import importlib
+import dataclasses
 import os
 import subprocess
 import sys
 import tempfile
 import time
-import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 
+import jax
+import jax.numpy as jnp
 import numpy as np
-import platformdirs
-from packaging.specifiers import SpecifierSet
 
-ROOT = Path(__file__).resolve().parent.parent
+from benchmarks.shared import make_parser, map_over_cores
+from quadwalk.cores import cpu_cores
+from quadwalk.env.env import QuadrupedEnv
+from quadwalk.learn import ppo
+from quadwalk.learn.devices import choose_devices, make_mesh
+from quadwalk.learn.networks import make_env_networks
+from quadwalk.physics.engines import ENGINES
+from quadwalk.physics.motor import PhysicsState
+from quadwalk.robot.quadruped import load_quadruped
+from quadwalk.tasks import list_tasks, load_task
+
+ROOT = Path(__file__).resolve().parents[1]
 ITERATIONS = 8  # in a round
+PARTS = ("training", "collect", "learn", "physics alone")  # what a worker prints
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--task", default="sprint", help="one that the package comes with")
-    parser.add_argument("--against", help="the commit to compare with")
+    parser = make_parser(__doc__)
+    parser.add_argument("--task", default="sprint", choices=list_tasks())
+    parser.add_argument("--against", metavar="COMMIT", help="the commit to compare with")
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--envs", type=int, default=2048)
-    parser.add_argument("--other-python", help="one with that commit's packages")
+    parser.add_argument("--python", default=sys.executable, help="one with that commit's packages")
     parser.add_argument("--processor-time", action="store_true", help="for a busy machine")
     parser.add_argument("--work", action="store_true", help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.work:
         work(options.task, options.envs, options.processor_time)
         return
-    from quadwalk.tasks import list_tasks
-
-    if options.task not in list_tasks():
-        parser.error(f"no task {options.task!r}; expected one of: {', '.join(list_tasks())}")
+    flags = [f"--task={options.task}", f"--envs={options.envs}"]
+    if options.processor_time:
+        flags.append("--processor-time")
     with contextlib.ExitStack() as stack:
-        arguments = [f"--task={options.task}", f"--envs={options.envs}"]
-        arguments += ["--processor-time"] * options.processor_time
-        workers = {"this code": stack.enter_context(worker(ROOT, sys.executable, arguments))}
+        workers = {"this code": stack.enter_context(start_worker(ROOT, sys.executable, flags))}
         if options.against:
-            checkout = stack.enter_context(checked_out(options.against))
-            python = options.other_python or environment_of(checkout)
-            workers[options.against] = stack.enter_context(worker(checkout, python, arguments))
-        rounds = [
-            {name: ask(process) for name, process in workers.items()} for _ in range(options.rounds)
-        ]
-    some = getattr(os, "sched_getaffinity", None)  # of the cores, where the system lets choose
-    cores = len(some(0)) if some else os.cpu_count() or 1
-    for name in workers:
-        columns = np.median([found[name] for found in rounds], axis=0)
-        rest = columns[0] - columns[1] - columns[2] if columns[1] else 0.0
-        labels = ("training", "collect", "learn", "physics alone", "rest")
-        parts = zip(labels, [*columns, rest], strict=True)
-        print(f"{name}: {cores * 1e6 / columns[0]:,.0f} training steps/s")
-        for part, cost in parts:
-            if cost:
-                print(f"  {part:14}{cost:7.1f} us per control step and core")
-    ours = np.array([found["this code"] for found in rounds])
+            checkout = stack.enter_context(check_out(options.against))
+            other = stack.enter_context(start_worker(checkout, options.python, flags))
+            workers[options.against] = other
+        rounds = [[ask(process) for process in workers.values()] for _ in range(options.rounds)]
+    costs = dict(zip(workers, np.swapaxes(rounds, 0, 1), strict=True))  # (rounds, parts)
+    for name, table in costs.items():
+        medians = dict(zip(PARTS, np.median(table, axis=0), strict=True))
+        medians["rest"] = medians["training"] - medians["collect"] - medians["learn"]
+        print(f"{name}: {cpu_cores() * 1e6 / medians['training']:,.0f} training steps/s")
+        for part, cost in medians.items():
+            print(f"  {part:14}{cost:7.1f} us per control step and core")
+    ours = costs["this code"]
     print(f"physics alone / training    {np.median(ours[:, 3] / ours[:, 0]):.2f}")
     if options.against:
-        theirs = np.array([found[options.against] for found in rounds])
-        ratio = np.median(theirs[:, 0] / ours[:, 0])
+        ratio = np.median(costs[options.against][:, 0] / ours[:, 0])
         print(f"training steps/s            {ratio:.2f} x {options.against}")
 
 
 @contextlib.contextmanager
-def checked_out(commit: str) -> Iterator[Path]:
-    """A folder with the files of `commit`."""
+def check_out(commit: str) -> Iterator[Path]:
+    """Give a folder with the files of `commit`."""
     with tempfile.TemporaryDirectory() as folder:
         git = ["git", "-C", str(ROOT), "worktree"]
         subprocess.run([*git, "add", "--detach", folder, commit], check=True, capture_output=True)
@@ -93,41 +92,13 @@ def checked_out(commit: str) -> Iterator[Path]:
             subprocess.run([*git, "remove", "--force", folder], check=True)
 
 
-def environment_of(checkout: Path) -> str:
-    """Return the Python of an environment with the packages that the lock in `checkout` names."""
-    paths = (checkout / name for name in ("uv.lock", "requirements.lock"))  # the latter until 0.2
-    lock = next(path for path in paths if path.exists()).read_bytes()
-    if lock == (ROOT / "uv.lock").read_bytes():
-        return sys.executable
-    suits = tomllib.loads((checkout / "pyproject.toml").read_text())["project"]["requires-python"]
-    names = [sys.executable, *(f"python3.{minor}" for minor in range(20, 9, -1))]
-    python = next((name for name in names if version_of(name) in SpecifierSet(suits)), None)
-    if python is None:
-        sys.exit(f"error: no Python {suits} here; expected one, or --other-python PATH")
-    cache = Path(platformdirs.user_cache_dir("quadwalk", appauthor=False))
-    venv = cache / "environments" / hashlib.sha256(lock).hexdigest()[:12]
-    make = ["make", "-C", str(checkout), f"VENV={venv}", f"PYTHON={python}", f"{venv}/.ready"]
-    subprocess.run(make, check=True, stdout=sys.stderr)
-    return str(venv / "bin" / "python")
-
-
-def version_of(python: str) -> str:
-    """The version of a Python; 0 where there is none of that name."""
-    code = "import platform; print(platform.python_version())"
-    try:
-        done = subprocess.run([python, "-c", code], capture_output=True, text=True)
-    except FileNotFoundError:
-        return "0"
-    return done.stdout.strip() or "0"
-
-
 @contextlib.contextmanager
-def worker(checkout: Path, python: str, arguments: list[str]) -> Iterator[subprocess.Popen[str]]:
-    """A process that trains with the code in `checkout`; it has compiled when it is given."""
-    command = [python, __file__, "--work", *arguments]
-    path = {**os.environ, "PYTHONPATH": str(checkout)}
+def start_worker(checkout: Path, python: str, flags: list[str]) -> Iterator[subprocess.Popen[str]]:
+    """Give a process that trains with the code in `checkout`, once it has compiled."""
+    command = [python, str(checkout / "benchmarks" / "learning.py"), "--work", *flags]
+    environment = {**os.environ, "PYTHONPATH": str(checkout)}
     pipe = subprocess.PIPE
-    with subprocess.Popen(command, env=path, text=True, stdin=pipe, stdout=pipe) as process:
+    with subprocess.Popen(command, env=environment, text=True, stdin=pipe, stdout=pipe) as process:
         ask(process)
         yield process
         assert process.stdin is not None
@@ -135,81 +106,58 @@ def worker(checkout: Path, python: str, arguments: list[str]) -> Iterator[subpro
 
 
 def ask(process: subprocess.Popen[str]) -> list[float]:
-    """A round of the worker's: what `work` prints."""
+    """Have a worker train a round, and return what it prints."""
     assert process.stdin is not None
     assert process.stdout is not None
     process.stdin.write("\n")
     process.stdin.flush()
-    return [float(x) for x in process.stdout.readline().split()]
+    return [float(cost) for cost in process.stdout.readline().split()]
 
 
 def work(task: str, envs: int, processor_time: bool) -> None:
-    """For each line read, train a round and print the costs, 0 of what cannot be distinguished."""
-    clock = time.process_time if processor_time else time.perf_counter
-    import dataclasses
-
-    from quadwalk.learn.devices import choose_devices
-
-    try:
-        module = importlib.import_module(f"quadwalk.tasks.{task}")
-    except ImportError:
-        if task != "sprint":  # which a commit may have by its earlier name
-            raise
-        module = importlib.import_module("quadwalk.tasks.run")
-    config, devices = choose_devices(dataclasses.replace(module.TASK, envs=envs))
-    import jax
-
-    from quadwalk.env.env import QuadrupedEnv
-    from quadwalk.learn import ppo
-    from quadwalk.learn.devices import make_mesh
-    from quadwalk.learn.networks import make_env_networks
-    from quadwalk.robot.quadruped import load_quadruped
-
+    """Train a round for each line read, and print the costs of `PARTS`."""
+    read_clock = time.process_time if processor_time else time.perf_counter
+    config, devices = choose_devices(dataclasses.replace(load_task(task), envs=envs))
     env = QuadrupedEnv(load_quadruped(), config.env)
     networks = make_env_networks(env, config.ppo)
     mesh = make_mesh(devices)
-    state = ppo.init_state(env, networks, config.ppo, mesh, envs, 0)
+    state = ppo.init_state(env, networks, config.ppo, mesh, envs, seed=0)
     iterate = ppo.Iteration(env, networks, config.ppo, mesh, iterations=1000)
     for _ in range(4):
         state, _ = jax.block_until_ready(iterate(state))
 
-    split = jax.sharding.PartitionSpec(ppo.AXIS)
-    physics = state.workers.envs.pipeline_state.physics
-    target = env.robot.home_joints + np.random.default_rng(0).normal(
-        0.0, 0.1, (config.ppo.unroll, 12)
-    ).astype(np.float32)
+    noise = np.random.default_rng(0).normal(0.0, 0.1, (config.ppo.unroll, 12))
+    targets = env.robot.home_joints + noise
 
-    def control_steps(physics):
-        from quadwalk.physics.engines import ENGINES
+    def step_physics(physics: PhysicsState) -> PhysicsState:
+        def step(physics: PhysicsState, target: jax.Array) -> tuple[PhysicsState, None]:
+            control_step = ENGINES[env.engine].step
+            return control_step(env.model, env.stepping, physics, target)[0], None
 
-        def one(physics, target):
-            step = ENGINES[env.engine].step
-            return jax.vmap(lambda p: step(env.model, env.stepping, p, target)[0])(physics), None
+        return jax.lax.scan(step, physics, jnp.asarray(targets, jnp.float32))[0]
 
-        return jax.lax.scan(one, physics, target)[0]
-
-    alone = jax.jit(
-        jax.shard_map(control_steps, mesh=mesh, in_specs=split, out_specs=split, check_vma=False)
-    )
-    jax.block_until_ready(alone(physics))
-    share = (1 if processor_time else len(devices)) * 1e6 / (ITERATIONS * envs * config.ppo.unroll)
+    physics_alone = map_over_cores(step_physics)
+    physics = jax.block_until_ready(physics_alone(state.workers.envs.pipeline_state.physics))
+    cores = 1 if processor_time else len(devices)
+    unit = cores * 1e6 / (ITERATIONS * envs * config.ppo.unroll)
     for _ in sys.stdin:
-        parts = [0.0, 0.0]
-        began = clock()
+        collecting = learning = 0.0
+        began = read_clock()
         for _ in range(ITERATIONS):
-            start = clock()
+            start = read_clock()
             workers, rollout, _, key = jax.block_until_ready(iterate.collect(*state))
-            middle = clock()
+            middle = read_clock()
             learner, _ = jax.block_until_ready(iterate.learn(state.learner, rollout, key))
             state = ppo.TrainState(learner, workers)
-            parts = [parts[0] + middle - start, parts[1] + clock() - middle]
-        whole = clock() - began
+            collecting += middle - start
+            learning += read_clock() - middle
+        training = read_clock() - began
         physics = state.workers.envs.pipeline_state.physics
-        began = clock()
+        began = read_clock()
         for _ in range(ITERATIONS):
-            physics = jax.block_until_ready(alone(physics))
-        costs = [whole, *parts, clock() - began]
-        print(*(cost * share for cost in costs), flush=True)
+            physics = jax.block_until_ready(physics_alone(physics))
+        costs = (training, collecting, learning, read_clock() - began)
+        print(*(cost * unit for cost in costs), flush=True)
 
 
 if __name__ == "__main__":

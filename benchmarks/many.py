@@ -10,13 +10,13 @@ is ideal: nothing is lost to starting, sharing memory, or bringing back. To see 
     python benchmarks/many.py --trainings 2 --steps 30000 --rounds 1
 """
 
-import argparse
 import statistics
 import tempfile
 import time
 from dataclasses import replace
 from pathlib import Path
 
+from benchmarks.shared import make_parser
 from quadwalk.cli.process import run_command
 from quadwalk.cores import cpu_cores
 from quadwalk.experiments.job import Job, fix_sizes
@@ -28,38 +28,34 @@ from quadwalk.runs.policy import load_score
 from quadwalk.tasks.sprint import TASK
 
 
-def steps_of(run: Run) -> int:
-    """Control steps behind the last policy."""
+def get_steps(run: Run) -> int:
+    """Return the control steps behind the last policy."""
     return load_score(run.policy)[0]
 
 
-def seconds(count: int, steps: int, where: PlaceConfig) -> float:
-    """How long so many trainings take there, with all that is around them."""
+def time_trainings(count: int, steps: int, config: PlaceConfig) -> float:
+    """Return the seconds that so many trainings take, with all that is around them."""
     with tempfile.TemporaryDirectory() as folder:
-        jobs = [
-            Job(
-                fix_sizes(
-                    replace(TASK, name=f"s{seed}", runs=Path(folder), steps=steps, seed=seed), where
-                ),
-                steps_of,
-            )
-            for seed in range(count)
-        ]
-        place = make_place(where)
+        jobs = []
+        for seed in range(count):
+            task = replace(TASK, name=f"s{seed}", runs=Path(folder), steps=steps, seed=seed)
+            jobs.append(Job(fix_sizes(task, config), get_steps))
+        place = make_place(config)
         began = time.perf_counter()
         assert all(done >= steps for _, done in collect_values(run_jobs(jobs, place, count)))
         return time.perf_counter() - began
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser = make_parser(__doc__)
     parser.add_argument("--trainings", type=int, default=8)
     parser.add_argument("--steps", type=int, default=1_000_000, help="control steps of each")
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--ray", action="store_true", help="also on two local nodes of Ray")
     options = parser.parse_args()
     cores, cluster = cpu_cores(), None
-    places = {"processes": PlaceConfig(cores=1)}
+    alone = PlaceConfig(cores=1)
+    places = {"processes": alone}
     if options.ray:
         from ray.cluster_utils import Cluster
 
@@ -68,19 +64,19 @@ def main() -> None:
         cluster = Cluster(initialize_head=True, head_node_args=head)
         cluster.add_node(num_cpus=share)
         places["two nodes of Ray"] = PlaceConfig(cores=1, cluster=cluster.address)
-    seconds(1, 1, PlaceConfig(cores=1))  # compiles
+    time_trainings(1, 1, alone)  # compiles
     ratios: dict[str, list[float]] = {name: [] for name in places}
     turns = -(-options.trainings // cores)
     for _ in range(options.rounds):
-        alone = seconds(1, options.steps, PlaceConfig(cores=1))
-        print(f"alone: {alone:.1f} s; ideal for {options.trainings}: {turns * alone:.1f} s")
-        for name, where in places.items():
-            took = seconds(options.trainings, options.steps, where)
-            ratios[name].append(took / (turns * alone))
-            print(f"{name}: {took:.1f} s, {ratios[name][-1]:.2f} of the ideal", flush=True)
-    for name, found in ratios.items():
-        low, middle, high = min(found), statistics.median(found), max(found)
-        print(f"{name}: median {middle:.2f} ({low:.2f} to {high:.2f}) of the ideal, {cores} cores")
+        ideal = turns * time_trainings(1, options.steps, alone)
+        print(f"alone: {ideal / turns:.1f} s; ideal for {options.trainings}: {ideal:.1f} s")
+        for name, config in places.items():
+            seconds = time_trainings(options.trainings, options.steps, config)
+            ratios[name].append(seconds / ideal)
+            print(f"{name}: {seconds:.1f} s, {seconds / ideal:.2f} of the ideal", flush=True)
+    for name, values in ratios.items():
+        low, median, high = min(values), statistics.median(values), max(values)
+        print(f"{name}: median {median:.2f} ({low:.2f} to {high:.2f}) of the ideal, {cores} cores")
     if cluster is not None:
         cluster.shutdown()
 

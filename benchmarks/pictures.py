@@ -13,12 +13,10 @@ Draws all of them, or those named, into docs/:
 - page: the page of `quadwalk demo`, in chromium (Debian's package).
 """
 
-import argparse
 import dataclasses
 import io
 import json
 import re
-import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -28,9 +26,7 @@ from matplotlib.patches import FancyBboxPatch
 from PIL import Image, ImageDraw, ImageFont
 from rich.console import Console
 
-sys.path.insert(0, str(Path(__file__).parents[1]))  # for benchmarks.zoo, where run as a script
-
-from benchmarks.zoo import example_robot_data
+from benchmarks.shared import find_example_robots, make_parser
 from quadwalk.cli.process import run_command
 from quadwalk.errors import UserError
 from quadwalk.evaluation.loaded import LoadedRun
@@ -102,30 +98,30 @@ ARROWS = [
 COMMANDS = {(0.3, 4.0): "quadwalk robot", (4.5, 10.3): "quadwalk train"}
 
 
-def poses(loaded: LoadedRun) -> Iterator[tuple[np.ndarray, str]]:
-    """qpos (19,) of each picture, and what is written on it."""
+def simulate_drive(loaded: LoadedRun) -> Iterator[tuple[np.ndarray, str]]:
+    """Yield qpos (19,) of each picture, and what is written on it."""
     robot = LiveRobot(loaded, getup=getup_of(loaded, Run(PRETRAINED / "getup")))
     dt = robot.env.stepping.control_dt
-    every = round(1.0 / FPS / dt)
+    steps_of_picture = round(1.0 / FPS / dt)
     for step in range(round(SECONDS / dt)):
         _, name, command = [part for part in COURSE if part[0] <= step * dt + 1e-9][-1]
         robot.command[:] = command
         if step == round(THROWN / dt):
             robot.throw()
         robot.step()
-        if step % every == 0:
+        if step % steps_of_picture == 0:
             text = "getting up" if robot.rising else name
             speed = f"{robot.velocity[0]:.1f} m/s"
             yield robot.data.qpos.copy(), f"{text}   {speed}"
 
 
-def pictures() -> Iterator[Image.Image]:
-    """Each picture, the camera beside the robot and slowly after it."""
+def render_drive() -> Iterator[Image.Image]:
+    """Yield each picture; the camera is beside the robot and follows it slowly."""
     loaded = open_run(Run(PRETRAINED / "drive"), LAST)
     canvas = Canvas(loaded.env.quadruped.make_full_model(), *SIZE)
     font = ImageFont.load_default(size=30)
     focus = None
-    for qpos, text in poses(loaded):
+    for qpos, text in simulate_drive(loaded):
         place = np.array([*qpos[:2], 0.3])
         focus = place if focus is None else focus + 0.25 * (place - focus)
         camera = Camera(focus, distance=1.7, azimuth=118.0, elevation=-12.0)
@@ -134,9 +130,9 @@ def pictures() -> Iterator[Image.Image]:
         yield picture
 
 
-def drive() -> None:
-    """The moving picture of the README."""
-    first, *others = pictures()
+def draw_drive() -> None:
+    """Draw the moving picture of the README."""
+    first, *others = render_drive()
     with atomic_write(DOCS / "drive.webp") as file:
         first.save(
             file,
@@ -150,8 +146,8 @@ def drive() -> None:
         )
 
 
-def page() -> None:
-    """The page of `quadwalk demo` at full speed, as a browser shows it."""
+def draw_page() -> None:
+    """Draw the page of `quadwalk demo` at full speed, as a browser shows it."""
     if PROGRAM is None:
         raise UserError("there is no chromium; expected Debian's package of that name")
     with serving("127.0.0.1", 8310, Console(quiet=True)) as server:
@@ -167,40 +163,40 @@ def page() -> None:
     save_png(np.asarray(picture.convert("RGB")), DOCS / "page.png")
 
 
-def robustness() -> None:
-    """Success and speed of `run` and `sprint` as one condition after another is worse."""
+def draw_robustness() -> None:
+    """Draw success and speed of `run` and `sprint` as one condition after another is worse."""
     _draw_sweep("robustness", ("everything", "friction", "mass", "delay", "noise", "push"), 3)
 
 
-def robustness_all() -> None:
-    """The same, every condition that a sweep has."""
+def draw_robustness_all() -> None:
+    """Draw the same for every condition that a sweep has."""
     _draw_sweep("robustness_all", None, 4)
 
 
-def _draw_sweep(name: str, shown: tuple[str, ...] | None, columns: int) -> None:
+def _draw_sweep(name: str, conditions: tuple[str, ...] | None, columns: int) -> None:
     results = json.loads(RESULTS.read_text())["runs"]
     for result in results:
         result["run"] += f", {result['training_steps'] / 1e6:.0f} M steps"
     randomized, ideal = (result["run"] for result in results)
     title = f"Trained with randomization ({randomized}) and without ({ideal})"
-    save_figure(draw_sweep(results, shown, columns, title), DOCS / f"{name}.png")
+    save_figure(draw_sweep(results, conditions, columns, title), DOCS / f"{name}.png")
 
 
-def terrain() -> None:
-    """Every kind of terrain, with the robot on it."""
+def draw_terrain() -> None:
+    """Draw every kind of terrain, with the robot on it."""
     kinds = tuple(kind for kind in KINDS if kind != "flat")
     config = dataclasses.replace(FLAT, kinds=kinds, levels=1, difficulty=(1.0, 1.0))
     save_png(draw_kinds(config, load_quadruped()), DOCS / "terrain.png")
 
 
-def zoo() -> None:
-    """Robots by URDF alone in their home poses, at one scale, with mass and speed."""
-    folder = example_robot_data()
+def draw_zoo() -> None:
+    """Draw robots by URDF alone in their home poses, at one scale, with mass and speed."""
+    folder = find_example_robots()
     if folder is None:
         raise UserError("example-robot-data is not installed; expected the extra zoo")
     rows = re.findall(r"^\| ([^|]+) \| ([\d.]+) \| yes \| ([\d.]+) \|", ZOO.read_text(), re.M)
     figures = {name: (mass, speed) for name, mass, speed in rows}
-    font, drawn = ImageFont.load_default(size=22), []
+    font, pictures = ImageFont.load_default(size=22), []
     for name, file in ROBOTS.items():
         quadruped = load_quadruped(folder / file)
         canvas = Canvas(quadruped.make_full_model(), 480, 340)
@@ -209,23 +205,23 @@ def zoo() -> None:
         mass, speed = figures[name]
         text = f"{name}   {mass} kg   {float(speed):.1f} m/s"
         ImageDraw.Draw(picture).text((12, 8), text, fill=(30, 34, 40), font=font)
-        drawn.append(np.asarray(picture))
-    save_png(make_film_strip(drawn, across=3), DOCS / "zoo.png")
+        pictures.append(np.asarray(picture))
+    save_png(make_film_strip(pictures, across=3), DOCS / "zoo.png")
 
 
-def _box(x: float, y: float) -> FancyBboxPatch:
+def _make_box(x: float, y: float) -> FancyBboxPatch:
     corner, style = (x - 0.8, y - 0.42), "round,pad=0.1"
     return FancyBboxPatch(corner, 1.6, 0.84, boxstyle=style, fc="#eef4fb", ec="#0072b2", lw=1.5)
 
 
-def pipeline() -> None:
-    """The way of the data as boxes and arrows."""
+def draw_pipeline() -> None:
+    """Draw the way of the data as boxes and arrows."""
     figure = make_figure((13, 3.8), "")
     axes = figure.subplots()
     axes.set_axis_off()
     axes.set(xlim=(0, 13), ylim=(0, 3.8))
     for name, (x, y, text) in STAGES.items():
-        axes.add_patch(_box(x, y))
+        axes.add_patch(_make_box(x, y))
         axes.text(x, y + 0.18, name, ha="center", va="center", fontsize=15, weight="bold")
         axes.text(x, y - 0.2, text, ha="center", va="center", fontsize=10.5)
     for start, end in ARROWS:
@@ -238,25 +234,31 @@ def pipeline() -> None:
         )
     for (low, high), text in COMMANDS.items():
         axes.plot((low, high), (1.05, 1.05), color="#d55e00", lw=2)
-        axes.text(
-            (low + high) / 2, 0.75, text, ha="center", va="center", fontsize=12, color="#a04000",
-            family="monospace",
-        )  # fmt: skip
+        label = axes.text((low + high) / 2, 0.75, text, ha="center", va="center", fontsize=12)
+        label.set(color="#a04000", family="monospace")
     save_figure(figure, DOCS / "pipeline.png")
 
 
-DRAWINGS = (drive, robustness, robustness_all, terrain, zoo, pipeline, page)
+DRAWINGS = {
+    "drive": draw_drive,
+    "robustness": draw_robustness,
+    "robustness_all": draw_robustness_all,
+    "terrain": draw_terrain,
+    "zoo": draw_zoo,
+    "pipeline": draw_pipeline,
+    "page": draw_page,
+}
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    by_name = {each.__name__: each for each in DRAWINGS}
-    parser.add_argument("names", nargs="*", metavar="NAME", help=f"of: {', '.join(by_name)}")
-    given = parser.parse_args()
-    for name in given.names or by_name:
-        if name not in by_name:
-            parser.error(f"no picture {name!r}; expected one of: {', '.join(by_name)}")
-        by_name[name]()
+    """Draw the pictures that are named, or all."""
+    parser = make_parser(__doc__)
+    parser.add_argument("names", nargs="*", metavar="NAME", help=f"of: {', '.join(DRAWINGS)}")
+    options = parser.parse_args()
+    for name in options.names or DRAWINGS:
+        if name not in DRAWINGS:
+            parser.error(f"no picture {name!r}; expected one of: {', '.join(DRAWINGS)}")
+        DRAWINGS[name]()
         print(f"drew {name}", flush=True)
 
 

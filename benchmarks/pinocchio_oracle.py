@@ -2,6 +2,7 @@
 
 import re
 import xml.etree.ElementTree as ET
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -51,8 +52,8 @@ class Pinocchio:
                 placement = self.pin.SE3(self.pin.rpy.rpyToMatrix(*rpy), xyz)
                 self.shapes.append((link.get("name"), placement))
 
-    def configuration(self, qpos: np.ndarray) -> np.ndarray:
-        """Pinocchio's q for MuJoCo's qpos."""
+    def to_configuration(self, qpos: np.ndarray) -> np.ndarray:
+        """Return Pinocchio's q for MuJoCo's qpos."""
         q = np.zeros(self.model.nq)
         if self.floating:
             q[:7] = qpos[[0, 1, 2, 4, 5, 6, 3]]
@@ -76,8 +77,10 @@ class Pinocchio:
             q[theirs.idx_q : theirs.idx_q + 7] = [*qpos[first : first + 3], *wxyz[1:], wxyz[0]]
         return q
 
-    def velocity_map(self, qpos: np.ndarray, qvel: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """G with v_pinocchio = G qvel, and what G's change adds to the acceleration."""
+    def compute_velocity_map(
+        self, qpos: np.ndarray, qvel: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return G with v_pinocchio = G qvel, and what G's change adds to the acceleration."""
         nv = self.model.nv
         g, drift = np.zeros((nv, nv)), np.zeros(nv)
         if self.floating:
@@ -104,69 +107,84 @@ class Pinocchio:
             drift[at : at + 3] = -np.cross(qvel[spin : spin + 3], back @ qvel[mine : mine + 3])
         return g, drift
 
-    def errors(self, states: int, seed: int = 0) -> dict[str, float]:
-        """By quantity: the largest difference over random states, relative to its size."""
-        pin, mj, rng = self.pin, self.mj, np.random.default_rng(seed)
-        mj.dof_armature[:] = 0  # no part of a URDF that Pinocchio reads
-        data = mujoco.MjData(mj)
-        off: dict[str, float] = {}
-        size: dict[str, float] = {}
+    def compute_errors(self, states: int, seed: int = 0) -> dict[str, float]:
+        """Return each quantity's largest difference over random states, relative to its size."""
+        rng = np.random.default_rng(seed)
+        self.mj.dof_armature[:] = 0  # no part of a URDF that Pinocchio reads
+        data = mujoco.MjData(self.mj)
+        errors: dict[str, float] = {}
+        sizes: dict[str, float] = {}
         for _ in range(states):
-            for i in range(mj.njnt):
-                at, kind = mj.jnt_qposadr[i], mj.jnt_type[i]
-                if kind == mujoco.mjtJoint.mjJNT_FREE:
-                    data.qpos[at : at + 3] = rng.normal(size=3)
-                    quat = rng.normal(size=4)
-                    data.qpos[at + 3 : at + 7] = quat / np.linalg.norm(quat)
-                elif kind == mujoco.mjtJoint.mjJNT_BALL:
-                    quat = rng.normal(size=4)
-                    data.qpos[at : at + 4] = quat / np.linalg.norm(quat)
-                elif mj.jnt_limited[i]:
-                    data.qpos[at] = rng.uniform(*mj.jnt_range[i])
-                else:
-                    data.qpos[at] = rng.uniform(-np.pi, np.pi)
-            data.qvel[:] = rng.normal(size=mj.nv)
-            acceleration = rng.normal(size=mj.nv)
-            mujoco.mj_forward(mj, data)
-            data.qacc[:] = acceleration
-            torque = np.zeros(mj.nv)
-            mujoco.mj_rne(mj, data, 1, torque)
-            mass_matrix = np.zeros((mj.nv, mj.nv))
-            mujoco.mj_fullM(mj, data, mass_matrix)
+            self.sample_state(data, rng)
+            acceleration = rng.normal(size=self.mj.nv)
+            for name, (value, expected) in self.compute_quantities(data, acceleration).items():
+                error = float(np.abs(value - expected).max())
+                errors[name] = max(errors.get(name, 0.0), error)
+                sizes[name] = max(sizes.get(name, 1e-9), float(np.abs(expected).max()))
+        return {name: errors[name] / sizes[name] for name in errors}
 
-            q = self.configuration(data.qpos)
-            g, drift = self.velocity_map(data.qpos, data.qvel)
-            v = g @ data.qvel
-            pin.framesForwardKinematics(self.model, self.data, q)
-            center = pin.centerOfMass(self.model, self.data, q)
-            upper = np.triu(pin.crba(self.model, self.data, q))
-            full = upper + np.triu(upper, 1).T
-            bias = g.T @ (pin.nonLinearEffects(self.model, self.data, q, v) + full @ drift)
-            inverse = g.T @ pin.rnea(self.model, self.data, q, v, g @ acceleration + drift)
-            total = pin.computeTotalMass(self.model)
-            moving = np.flatnonzero(mj.body_weldid != 0)
-            mine = mj.body_mass[moving]
-            found = {
-                "mass": (mine.sum(), total) if self.floating else (0.0, 0.0),
-                "center of mass": (mine @ data.xipos[moving] / mine.sum(), center),
-                "mass matrix": (mass_matrix, g.T @ full @ g),
-                "bias forces": (data.qfrc_bias, bias),
-                "inverse dynamics": (torque, inverse),
-            }
-            for i in range(mj.nsite):
-                frame = self.model.getFrameId(mj.site(i).name, pin.FrameType.BODY)
-                if frame < self.model.nframes:
-                    name, placed = mj.site(i).name, self.data.oMf[frame]
-                    rotation = data.site_xmat[i].reshape(3, 3)
-                    found[f"position of {name}"] = (data.site_xpos[i], placed.translation)
-                    found[f"rotation of {name}"] = (rotation, placed.rotation)
-            for link, placement in self.shapes:
-                placed = self.data.oMf[self.model.getFrameId(link, pin.FrameType.BODY)] * placement
-                geom = mj.geom(link).id
-                rotation = data.geom_xmat[geom].reshape(3, 3)
-                found[f"position of shape of {link}"] = (data.geom_xpos[geom], placed.translation)
-                found[f"rotation of shape of {link}"] = (rotation, placed.rotation)
-            for name, (got, expected) in found.items():
-                off[name] = max(off.get(name, 0.0), float(np.abs(got - expected).max()))
-                size[name] = max(size.get(name, 1e-9), float(np.abs(expected).max()))
-        return {name: off[name] / size[name] for name in off}
+    def sample_state(self, data: mujoco.MjData, rng: np.random.Generator) -> None:
+        """Draw positions within the joints' limits, and velocities."""
+        mj = self.mj
+        for i in range(mj.njnt):
+            at, kind = mj.jnt_qposadr[i], mj.jnt_type[i]
+            free = kind == mujoco.mjtJoint.mjJNT_FREE
+            if free:
+                data.qpos[at : at + 3] = rng.normal(size=3)
+            if free or kind == mujoco.mjtJoint.mjJNT_BALL:
+                at += 3 * free
+                quat = rng.normal(size=4)
+                data.qpos[at : at + 4] = quat / np.linalg.norm(quat)
+            elif mj.jnt_limited[i]:
+                data.qpos[at] = rng.uniform(*mj.jnt_range[i])
+            else:
+                data.qpos[at] = rng.uniform(-np.pi, np.pi)
+        data.qvel[:] = rng.normal(size=mj.nv)
+
+    def compute_quantities(
+        self, data: mujoco.MjData, acceleration: np.ndarray
+    ) -> dict[str, tuple[Any, Any]]:
+        """Return each quantity of a state by MuJoCo and by Pinocchio."""
+        pin, mj = self.pin, self.mj
+        mujoco.mj_forward(mj, data)
+        data.qacc[:] = acceleration
+        torque = np.zeros(mj.nv)
+        mujoco.mj_rne(mj, data, 1, torque)
+        mass_matrix = np.zeros((mj.nv, mj.nv))
+        mujoco.mj_fullM(mj, data, mass_matrix)
+        bodies = np.flatnonzero(mj.body_weldid != 0)
+        masses = mj.body_mass[bodies]
+        total = masses.sum()
+
+        q = self.to_configuration(data.qpos)
+        g, drift = self.compute_velocity_map(data.qpos, data.qvel)
+        v = g @ data.qvel
+        pin.framesForwardKinematics(self.model, self.data, q)
+        center = pin.centerOfMass(self.model, self.data, q)
+        upper = np.triu(pin.crba(self.model, self.data, q))
+        full = upper + np.triu(upper, 1).T
+        bias = g.T @ (pin.nonLinearEffects(self.model, self.data, q, v) + full @ drift)
+        inverse = g.T @ pin.rnea(self.model, self.data, q, v, g @ acceleration + drift)
+        total_of_pinocchio = pin.computeTotalMass(self.model)
+        quantities = {
+            "mass": (total, total_of_pinocchio) if self.floating else (0.0, 0.0),
+            "center of mass": (masses @ data.xipos[bodies] / total, center),
+            "mass matrix": (mass_matrix, g.T @ full @ g),
+            "bias forces": (data.qfrc_bias, bias),
+            "inverse dynamics": (torque, inverse),
+        }
+        for i in range(mj.nsite):
+            name = mj.site(i).name
+            frame = self.model.getFrameId(name, pin.FrameType.BODY)
+            if frame < self.model.nframes:
+                pose = self.data.oMf[frame]
+                rotation = data.site_xmat[i].reshape(3, 3)
+                quantities[f"position of {name}"] = (data.site_xpos[i], pose.translation)
+                quantities[f"rotation of {name}"] = (rotation, pose.rotation)
+        for link, placement in self.shapes:
+            pose = self.data.oMf[self.model.getFrameId(link, pin.FrameType.BODY)] * placement
+            geom = mj.geom(link).id
+            rotation = data.geom_xmat[geom].reshape(3, 3)
+            quantities[f"position of shape of {link}"] = (data.geom_xpos[geom], pose.translation)
+            quantities[f"rotation of shape of {link}"] = (rotation, pose.rotation)
+        return quantities

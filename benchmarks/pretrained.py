@@ -7,11 +7,11 @@ each policy and its robot in assets/pretrained/NAME. `drive` begins with the net
 `run`, as in docs/results.md.
 """
 
-import argparse
 import shutil
 from pathlib import Path
 from typing import Any
 
+from benchmarks.shared import make_parser
 from quadwalk.learn.flags import parse_config
 from quadwalk.learn.loop import train
 from quadwalk.paths import PRETRAINED
@@ -26,7 +26,7 @@ SEED = {"drive": ["--seed", "1"], "getup": ["--seed", "2"]}
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser = make_parser(__doc__)
     parser.add_argument("--runs", type=Path, default=Path("runs/pretrained"))
     parser.add_argument("--tasks", nargs="+", default=["run", "walk", "drive", "getup", "rough"])
     options = parser.parse_args()
@@ -38,19 +38,19 @@ def main() -> None:
                 first = train_run(options.runs, f"{name}-first", [*BEGINS[name], *flags])
                 flags = [*flags, "--init", str(first)]
             train_run(options.runs, name, [name, *flags])
-        keep(run, Run(PRETRAINED / name))
+        copy_run(run, Run(PRETRAINED / name))
         print(f"{name}: {(PRETRAINED / name / 'policy.npz').stat().st_size / 1e3:.0f} kB")
 
 
 def train_run(runs: Path, name: str, flags: list[str]) -> Path:
-    """The folder of a run `name`, in `runs`, that is trained with `flags` if there is none."""
+    """Train a run `name` in the folder `runs`, unless it is there; return its folder."""
     run = Run(runs / name)
     if not run.policy.exists():
         train(parse_config([*flags, "--name", name, "--runs", str(runs)])[0])
     return run.path
 
 
-def keep(run: Run, place: Run) -> None:
+def copy_run(run: Run, place: Run) -> None:
     """Copy what driving the policy of `run` needs to `place`, without this machine's folders."""
     place.path.mkdir(parents=True, exist_ok=True)
     shutil.copyfile(run.urdf, place.urdf)
@@ -61,11 +61,11 @@ def keep(run: Run, place: Run) -> None:
         "name": None,
         "init": BEGINS[place.name][0] if place.name in BEGINS else None,
     }
-    checkpoint.save(place.policy, _nested(leaves), metadata)
+    checkpoint.save(place.policy, nest(leaves), metadata)
 
 
-def _nested(leaves: dict[str, Any]) -> dict[str, Any]:
-    """A tree of the leaves that are named by their paths."""
+def nest(leaves: dict[str, Any]) -> dict[str, Any]:
+    """Return a tree of leaves that are named by their paths."""
     tree: dict[str, Any] = {}
     for path, leaf in leaves.items():
         *groups, name = path.split("/")

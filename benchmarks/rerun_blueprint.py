@@ -6,15 +6,11 @@ Rerun's own library writes it, which users need not have installed: the file com
 It fits the recordings of every robot, for it names topics and fields that all of them have.
 """
 
-import sys
-from pathlib import Path
 from typing import Any
 
 import rerun
 from rerun import blueprint
 from rerun.blueprint.encodings import ComponentSourceKind, VisualizerComponentMapping
-
-sys.path.insert(0, str(Path(__file__).parents[1]))  # where run as a script
 
 from quadwalk.evaluation.recording.mcap import RERUN_APPLICATION, RERUN_BLUEPRINT
 from quadwalk.evaluation.recording.messages import WORLD

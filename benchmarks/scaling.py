@@ -10,9 +10,7 @@ largest resident set in any round, compilation included. To see that it works:
     python benchmarks/scaling.py --envs 256 --cores 1 --rounds 1 --seconds 1
 """
 
-import argparse
 import itertools
-import math
 import multiprocessing
 import os
 import statistics
@@ -20,17 +18,14 @@ import sys
 from concurrent.futures import ProcessPoolExecutor
 from typing import NamedTuple
 
-from default_training import SUBSTEPS, DefaultTraining
-
-from quadwalk.learn.devices import cpu_cores
-
-try:
-    import resource
-except ImportError:  # Windows
-    resource = None  # type: ignore[assignment]
+from benchmarks.shared import TimedTraining, make_parser
+from quadwalk.cores import cpu_cores
+from quadwalk.tasks import sprint
 
 
 class Result(NamedTuple):
+    """One training of a configuration."""
+
     rate: float  # control steps per second
     memory: float  # MB, peak
     devices: int
@@ -38,21 +33,22 @@ class Result(NamedTuple):
 
 def measure(envs: int, cores: int, seconds: float) -> Result:
     """Train with `envs` environments on `cores` cores; must have a process of its own."""
+    import resource  # not on Windows
+
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[:cores])
-    training = DefaultTraining(envs)
-    took = training.run(seconds)
+    training = TimedTraining(envs)
+    timed = training.run(seconds)
     unit = 1 if sys.platform == "darwin" else 1024  # bytes in what getrusage counts in
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss if resource else math.nan
-    return Result(took.steps / took.seconds, peak * unit / 1e6, training.devices)
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return Result(timed.steps / timed.seconds, peak * unit / 1e6, training.devices)
 
 
 def main() -> None:
-    everything = cpu_cores()
-    doubling = [2**k for k in range(everything.bit_length()) if 2**k < everything]
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    doubling = [2**k for k in range(cpu_cores().bit_length()) if 2**k < cpu_cores()]
+    parser = make_parser(__doc__)
     parser.add_argument("--envs", type=int, nargs="+", default=[2**k for k in range(8, 14)])
-    parser.add_argument("--cores", type=int, nargs="+", default=[*doubling, everything])
+    parser.add_argument("--cores", type=int, nargs="+", default=[*doubling, cpu_cores()])
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--seconds", type=float, default=15.0, help="of training in a round")
     options = parser.parse_args()
@@ -64,9 +60,11 @@ def main() -> None:
     spawn = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(1, mp_context=spawn, max_tasks_per_child=1) as pool:
         measured = pool.map(measure, *zip(*rounds, strict=True), itertools.repeat(options.seconds))
-        for (envs, cores), found in zip(rounds, measured, strict=True):
-            results[envs, cores].append(found)
-            print(f"{envs} environments, {cores} cores: {found.rate:,.0f} steps/s", file=sys.stderr)
+        for (envs, cores), result in zip(rounds, measured, strict=True):
+            results[envs, cores].append(result)
+            print(
+                f"{envs} environments, {cores} cores: {result.rate:,.0f} steps/s", file=sys.stderr
+            )
 
     fewest = options.cores[0]
     print(
@@ -74,13 +72,15 @@ def main() -> None:
         f"{'physics steps/s':>16} {'peak MB':>9} {f'x {fewest} core':>9}"
     )
     for (envs, cores), runs in results.items():
-        rate = statistics.median(r.rate for r in runs)
-        memory = max(r.memory for r in runs)
-        base = results[envs, fewest]
-        ratio = statistics.median(r.rate / b.rate for r, b in zip(runs, base, strict=True))
+        rate = statistics.median(run.rate for run in runs)
+        memory = max(run.memory for run in runs)
+        bases = results[envs, fewest]
+        ratio = statistics.median(
+            run.rate / base.rate for run, base in zip(runs, bases, strict=True)
+        )
         print(
-            f"{envs:12,} {cores:6} {runs[0].devices:8} {rate:16,.0f} {rate * SUBSTEPS:16,.0f} "
-            f"{memory:9,.0f} {ratio:9.2f}"
+            f"{envs:12,} {cores:6} {runs[0].devices:8} {rate:16,.0f} "
+            f"{rate * sprint.TASK.env.substeps:16,.0f} {memory:9,.0f} {ratio:9.2f}"
         )
 
 

@@ -1,4 +1,4 @@
-"""An exported policy in Drake and in MuJoCo C, from its folder alone: nothing here is quadwalk's.
+"""An exported policy in Drake and in MuJoCo C, from the files of its folder alone.
 
 Drake (Tedrake and the Drake Development Team, drake.mit.edu) reads robot.urdf itself, and has
 contact and a solver of its own: compliant points with Coulomb friction by SAP (Castro et al. 2022,
@@ -15,7 +15,7 @@ from typing import Any, Literal, Protocol
 import mujoco
 import numpy as np
 
-from quadwalk.export.controller import read_list
+from quadwalk.export.controller import read_list, to_matrix
 
 Simulator = Literal["Drake", "MuJoCo C"]
 PUSH_SECONDS = 2.0  # s, one push in each
@@ -54,21 +54,21 @@ class Robot(Protocol):
 
     dt: float  # s, one physics step
 
-    def place(self, q: np.ndarray, v: np.ndarray) -> None:
+    def set_state(self, q: np.ndarray, v: np.ndarray) -> None:
         """Put the robot into a state."""
 
-    def state(self) -> tuple[np.ndarray, np.ndarray]:
-        """Its state, as copies."""
+    def get_state(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return copies of its state."""
 
     def step(self, torque: np.ndarray) -> None:
-        """One physics step with joint torques (12,), Nm."""
+        """Take one physics step with joint torques (12,), Nm."""
 
-    def fallen(self) -> bool:
-        """Whether the floor meets any link but those that feet are on."""
+    def lies(self) -> bool:
+        """Return True if the floor touches any link but those that feet are on."""
 
 
-def controller_of(folder: Path) -> ModuleType:
-    """The export's own controller.py."""
+def load_controller(folder: Path) -> ModuleType:
+    """Import the export's own controller.py."""
     spec = importlib.util.spec_from_file_location("controller", folder / "controller.py")
     assert spec is not None
     assert spec.loader is not None
@@ -105,21 +105,21 @@ class MujocoRobot:
         joints = [model.joint(name) for name in read_list(about["joint_names"])]
         self.ends = {int(model.jnt_bodyid[joint.id]) for joint in joints[2::3]}
 
-    def place(self, q: np.ndarray, v: np.ndarray) -> None:
+    def set_state(self, q: np.ndarray, v: np.ndarray) -> None:
         self.data.qpos[:], self.data.qvel[:] = q, v
 
-    def state(self) -> tuple[np.ndarray, np.ndarray]:
+    def get_state(self) -> tuple[np.ndarray, np.ndarray]:
         return self.data.qpos.copy(), self.data.qvel.copy()
 
     def step(self, torque: np.ndarray) -> None:
         self.data.qfrc_applied[6:] = torque
         mujoco.mj_step(self.model, self.data)
 
-    def fallen(self) -> bool:
+    def lies(self) -> bool:
         pairs = self.data.contact.geom[: self.data.ncon]
         with_floor = pairs[(pairs == self.floor).any(axis=1)]
-        met = {int(body) for body in self.model.geom_bodyid[with_floor].ravel()}
-        return bool(met - self.ends - {0})
+        bodies = {int(body) for body in self.model.geom_bodyid[with_floor].ravel()}
+        return bool(bodies - self.ends - {0})
 
 
 class DrakeRobot:
@@ -174,7 +174,7 @@ class DrakeRobot:
         self.context = plant.GetMyMutableContextFromRoot(self.root)
         self.following = self.diagram.AllocateDiscreteVariables()
         trunk = plant.GetUniqueFloatingBaseBodyOrThrow(robot)
-        _load(trunk, self.context, condition.load)
+        _add_load(trunk, self.context, condition.load)
         # Drake's positions and velocities in the order of MuJoCo's.
         places = [joint.position_start() for joint in joints]
         self.rates = [joint.velocity_start() for joint in joints]
@@ -191,17 +191,17 @@ class DrakeRobot:
         }
         self.ground = next(iter(plant.GetCollisionGeometriesForBody(plant.world_body())))
 
-    def place(self, q: np.ndarray, v: np.ndarray) -> None:
+    def set_state(self, q: np.ndarray, v: np.ndarray) -> None:
         places, rates = np.zeros(19), np.zeros(18)
         places[self.q_order], rates[self.v_order] = q, v
-        rates[:3] = _turn(q) @ v[3:6]
+        rates[:3] = to_matrix(q[3:7]) @ v[3:6]
         self.plant.SetPositions(self.context, places)
         self.plant.SetVelocities(self.context, rates)
 
-    def state(self) -> tuple[np.ndarray, np.ndarray]:
+    def get_state(self) -> tuple[np.ndarray, np.ndarray]:
         q = self.plant.GetPositions(self.context)[self.q_order]
         v = self.plant.GetVelocities(self.context)[self.v_order]
-        v[3:6] = v[3:6] @ _turn(q)  # Drake's is about the world's axes
+        v[3:6] = v[3:6] @ to_matrix(q[3:7])  # Drake's is about the world's axes
         return q, v
 
     def step(self, torque: np.ndarray) -> None:
@@ -211,21 +211,14 @@ class DrakeRobot:
         self.diagram.CalcForcedDiscreteVariableUpdate(self.root, self.following)
         self.root.SetDiscreteState(self.following)
 
-    def fallen(self) -> bool:
+    def lies(self) -> bool:
         query = self.plant.get_geometry_query_input_port().Eval(self.context)
         pairs = [{pair.id_A, pair.id_B} for pair in query.ComputePointPairPenetration()]
         return any(self.ground in pair and pair & self.others for pair in pairs)
 
 
-def _turn(q: np.ndarray) -> np.ndarray:
-    """(3, 3), from the trunk's frame to the world's."""
-    rotation = np.zeros(9)
-    mujoco.mju_quat2Mat(rotation, q[3:7])
-    return rotation.reshape(3, 3)
-
-
 def _set_contact(plant: Any, scene: Any, friction: float, contact: Contact) -> None:
-    """Friction and compliance of every shape, of which a URDF says nothing."""
+    """Set friction and compliance of every shape, of which a URDF says nothing."""
     from pydrake.geometry import AddContactMaterial, ProximityProperties, Role, RoleAssign
     from pydrake.multibody.plant import CoulombFriction
 
@@ -245,17 +238,15 @@ def _set_contact(plant: Any, scene: Any, friction: float, contact: Contact) -> N
         scene.AssignRole(plant.get_source_id(), geometry, properties, RoleAssign.kReplace)
 
 
-def _load(trunk: Any, context: Any, mass: float) -> None:
+def _add_load(trunk: Any, context: Any, mass: float) -> None:
     """Add `mass`, kg, at the trunk's center of mass."""
     from pydrake.multibody.tree import SpatialInertia
 
-    own = trunk.CalcSpatialInertiaInBodyFrame(context)
-    center = own.get_com()
-    central = own.Shift(center).CalcRotationalInertia()
-    trunk.SetSpatialInertiaInBodyFrame(
-        context,
-        SpatialInertia.MakeFromCentralInertia(own.get_mass() + mass, center, central),
-    )
+    inertia = trunk.CalcSpatialInertiaInBodyFrame(context)
+    center = inertia.get_com()
+    central = inertia.Shift(center).CalcRotationalInertia()
+    loaded = SpatialInertia.MakeFromCentralInertia(inertia.get_mass() + mass, center, central)
+    trunk.SetSpatialInertiaInBodyFrame(context, loaded)
 
 
 def run_episode(
@@ -273,43 +264,43 @@ def run_episode(
     rng = np.random.default_rng(seed)
     period = float(controller.about["control_period"])
     substeps, late = round(period / robot.dt), round(condition.latency / robot.dt)
-    every = round(PUSH_SECONDS / period)
-    height, targets, kept, fell = start[0][2], [controller.home], [], False
+    push_steps = round(PUSH_SECONDS / period)
+    targets, rows = [controller.home], []
     controller.restart()
-    robot.place(*start)
-    for k, command in enumerate(commands):
-        if k % every == 0:
-            pushed, toward = k + rng.integers(every), rng.uniform(0, 2 * np.pi)
-        q, v = robot.state()
-        if k == pushed:
-            v[:2] += condition.push * np.array([np.cos(toward), np.sin(toward)])
-            robot.place(q, v)
-        target = controller.compute_targets(*_measured(q, v, condition.noise, rng), command)
+    robot.set_state(*start)
+    for number, command in enumerate(commands):
+        if number % push_steps == 0:
+            push_step, direction = number + rng.integers(push_steps), rng.uniform(0, 2 * np.pi)
+        q, v = robot.get_state()
+        if number == push_step:
+            v[:2] += condition.push * np.array([np.cos(direction), np.sin(direction)])
+            robot.set_state(q, v)
+        target = controller.compute_targets(*_add_noise(q, v, condition.noise, rng), command)
         targets.append(target)
-        kept.append((q, v, controller.obs, controller.action, target))
-        for n in range(substeps):
+        rows.append((q, v, controller.obs, controller.action, target))
+        for substep in range(substeps):
             # The newest target that is old enough; home before the first of them.
-            obeyed = targets[max(1 + (k * substeps + n - late) // substeps, 0)]
-            torque = controller.compute_torque(obeyed, *robot.state())
+            age = (number * substeps + substep - late) // substeps
+            torque = controller.compute_torque(targets[max(1 + age, 0)], *robot.get_state())
             robot.step(torque)
-        q, v = robot.state()
-        fell = _turn(q)[2, 2] < TIPPED or q[2] < LOW * height or robot.fallen()
+        q, v = robot.get_state()
+        fell = to_matrix(q[3:7])[2, 2] < TIPPED or q[2] < LOW * start[0][2] or robot.lies()
         if fell:
             break
-    qpos, qvel, obs, action, target = map(np.array, zip(*kept, strict=True))
+    qpos, qvel, obs, action, target = map(np.array, zip(*rows, strict=True))
     return Episode(np.vstack([qpos, q]), np.vstack([qvel, v]), obs, action, target, bool(fell))
 
 
-def _measured(
+def _add_noise(
     q: np.ndarray, v: np.ndarray, noise: float, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
-    """A state as gyro, IMU and encoders of that much noise measure it."""
-    drawn = noise * rng.standard_normal(30)
+    """Return a state as gyro, IMU and encoders of that much noise measure it."""
+    errors = noise * rng.standard_normal(30)
     quat, q, v = np.zeros(4), q.copy(), v.copy()
-    mujoco.mju_mulQuat(quat, q[3:7], np.r_[1.0, ATTITUDE / 2 * drawn[:3]])
+    mujoco.mju_mulQuat(quat, q[3:7], np.r_[1.0, ATTITUDE / 2 * errors[:3]])
     q[3:7] = quat / np.linalg.norm(quat)
-    q[7:] += ANGLES * drawn[6:18]
-    v[3:] += np.r_[GYRO * drawn[3:6], RATES * drawn[18:]]
+    q[7:] += ANGLES * errors[6:18]
+    v[3:] += np.r_[GYRO * errors[3:6], RATES * errors[18:]]
     return q, v
 
 
@@ -321,12 +312,17 @@ def run_episodes(
     commands: np.ndarray,
     contact: Contact = Contact(),
 ) -> list[Episode]:
-    """An episode from each of `starts`, by its `commands` (n, T, 3), of the export in `folder`."""
-    controller = controller_of(folder).Controller(folder / "policy.onnx")
-    controller.motor[:3] *= condition.strength  # gains and limits alike: a motor's constant
+    """Return an episode from each of `starts`, by its `commands` (n, T, 3), of an export."""
+    controller = load_controller(folder).Controller(folder / "policy.onnx")
+    # Gains and limits alike: a motor's constant.
+    controller.kp *= condition.strength
+    controller.kd *= condition.strength
+    controller.effort_limit *= condition.strength
     if simulator == "Drake":
         robot: Robot = DrakeRobot(folder, controller.about, condition, contact)
     else:
         robot = MujocoRobot(folder, controller.about, condition)
-    pairs = enumerate(zip(starts, commands, strict=True))
-    return [run_episode(robot, controller, condition, *own, seed) for seed, own in pairs]
+    return [
+        run_episode(robot, controller, condition, start, commands[seed], seed)
+        for seed, start in enumerate(starts)
+    ]

@@ -8,26 +8,34 @@ the faster of both at the end; means over the last 20 iterations. To see that it
 --steps 300000.
 """
 
-import argparse
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 import quadwalk
-from benchmarks.zoo import example_robot_data
+from benchmarks.shared import find_example_robots, make_parser
 from quadwalk.runs.log import read_history
 
-MEAN = 20  # iterations
+ITERATIONS = 20  # that a mean is over
+
+
+class Curve(NamedTuple):
+    """A training, after each iteration (n,)."""
+
+    steps: np.ndarray
+    seconds: np.ndarray
+    speeds: np.ndarray  # m/s
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser = make_parser(__doc__)
     parser.add_argument("run", help="a run's folder or name")
     parser.add_argument("--robots", nargs="+", default=["a1", "go1", "go2"])
     parser.add_argument("--steps", type=int, default=10_000_000)
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
-    folder = example_robot_data()
+    folder = find_example_robots()
     if folder is None:
         parser.error("example-robot-data is not installed; expected the extra `zoo`")
     for name in options.robots:
@@ -35,35 +43,36 @@ def main() -> None:
         if urdf is None:
             parser.error(f"no {name}.urdf in {folder}")
         curves = {
-            "from nothing": curve(urdf, None, options.steps, options.seed),
-            f"from {Path(options.run).name}": curve(urdf, options.run, options.steps, options.seed),
+            "from nothing": train(urdf, None, options.steps, options.seed),
+            f"from {Path(options.run).name}": train(urdf, options.run, options.steps, options.seed),
         }
-        final = max(speeds[-1] for _, _, speeds in curves.values())
+        final = max(curve.speeds[-1] for curve in curves.values())
         print(f"{name}: {final:.2f} m/s at the end of the faster")
-        for what, (steps, seconds, speeds) in curves.items():
-            told = [when(steps, seconds, speeds, speed) for speed in (1.0, 0.95 * final)]
-            print(f"  {what:14} 1 m/s: {told[0]}; 95 %: {told[1]}; end {speeds[-1]:.2f} m/s")
+        for start, curve in curves.items():
+            print(
+                f"  {start:14} 1 m/s: {describe_when(curve, 1.0)}; "
+                f"95 %: {describe_when(curve, 0.95 * final)}; end {curve.speeds[-1]:.2f} m/s"
+            )
 
 
-def curve(
-    urdf: Path, init: str | None, steps: int, seed: int
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Steps, seconds and speed, m/s, after each iteration of a training."""
+def train(urdf: Path, init: str | None, steps: int, seed: int) -> Curve:
+    """Train a robot, from the networks of the run `init` if there is one."""
     rows = read_history(quadwalk.train(robot=urdf, steps=steps, seed=seed, init=init, quiet=True))
     done, seconds, speeds = (
         np.array([row[name] for row in rows]) for name in ("steps", "time/elapsed", "eval/speed")
     )
     # Fewer at first: a robot that runs at once must not seem to need 20.
-    means = [speeds[max(0, end - MEAN) : end].mean() for end in range(1, len(speeds) + 1)]
-    return done, seconds, np.array(means)
+    means = [speeds[max(0, end - ITERATIONS) : end].mean() for end in range(1, len(speeds) + 1)]
+    return Curve(done, seconds, np.array(means))
 
 
-def when(steps: np.ndarray, seconds: np.ndarray, speeds: np.ndarray, speed: float) -> str:
-    """The first steps and seconds at which that speed is reached."""
-    reached = np.flatnonzero(speeds >= speed)
+def describe_when(curve: Curve, speed: float) -> str:
+    """Return the first steps and seconds at which a speed is reached."""
+    reached = np.flatnonzero(curve.speeds >= speed)
     if not len(reached):
         return "not reached"
-    return f"{steps[reached[0]] / 1e6:.2f} million steps, {seconds[reached[0]]:.0f} s"
+    first = reached[0]
+    return f"{curve.steps[first] / 1e6:.2f} million steps, {curve.seconds[first]:.0f} s"
 
 
 if __name__ == "__main__":

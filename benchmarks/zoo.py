@@ -16,10 +16,7 @@ cores here or on a Ray cluster. The policy is evaluated in MuJoCo C with every c
 Both need the packages of the extra `zoo`. Tables go to standard output, or to FILE as Markdown.
 """
 
-import argparse
-import os
 import sys
-import sysconfig
 import tempfile
 import time
 from collections.abc import Iterable
@@ -29,6 +26,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
+from benchmarks.shared import find_example_robots, make_parser
 from quadwalk.api import evaluate
 from quadwalk.cli.process import run_command
 from quadwalk.experiments.job import Job, fix_sizes
@@ -52,45 +50,30 @@ NO_MESHES = Options(meshes=False)
 
 
 @dataclass(frozen=True)
-class Converted:
+class Conversion:
     """What became of a file."""
 
     file: Path
-    refused: str  # why, or ""
+    refusal: str  # why it is refused, or ""
     error: float  # relative to Pinocchio's figures; NaN where refused
-    repaired: bool  # whether it converts with --repair-inertia
+    repairable: bool  # converts with --repair-inertia
     seconds: float  # of reading and converting, on one core
     verdict: str  # of training: "yes", or why not
 
     @property
     def exact(self) -> bool:
-        """Whether it converts without a flag, to what Pinocchio reads."""
-        return not self.refused and self.error < EXACT
+        """True where it converts without a flag, to what Pinocchio reads."""
+        return not self.refusal and self.error < EXACT
 
 
-def example_robot_data() -> Path | None:
-    """The folder of example-robot-data's robots; None where it is not installed.
-
-    That, or the folder that QUADWALK_EXAMPLE_ROBOTS names.
-    """
-    if named := os.environ.get("QUADWALK_EXAMPLE_ROBOTS"):
-        return Path(named)
-    for name in ("purelib", "platlib"):
-        folder = Path(sysconfig.get_path(name))
-        robots = folder / "cmeel.prefix/share/example-robot-data/robots"
-        if robots.is_dir():
-            return robots
-    return None
-
-
-def try_conversion(file: Path) -> Converted:
+def try_conversion(file: Path) -> Conversion:
     """Read, convert and compare one file."""
     began = time.process_time()
     try:
         urdf = read_urdf(file)
     except UrdfError as error:
         reason = str(error).removeprefix(str(file)).lstrip(":, ")
-        return Converted(file, reason, np.nan, _converts_repaired(file), np.nan, "")
+        return Conversion(file, reason, np.nan, converts_repaired(file), np.nan, "")
     legs: tuple[Leg, ...] = ()
     verdict = "yes"
     try:
@@ -98,13 +81,13 @@ def try_conversion(file: Path) -> Converted:
         complete_motors(urdf, legs, NO_MESHES)
     except UrdfError as error:
         verdict = str(error).removeprefix(f"{urdf.source}: ")
-    spec = convert(urdf, legs, NO_MESHES).spec
-    xml = write_xml(spec)
+    xml = write_xml(convert(urdf, legs, NO_MESHES).spec)
     seconds = time.process_time() - began
-    return Converted(file, "", error_of(urdf, xml), True, seconds, verdict)
+    return Conversion(file, "", compute_error(urdf, xml), True, seconds, verdict)
 
 
-def _converts_repaired(file: Path) -> bool:
+def converts_repaired(file: Path) -> bool:
+    """Return True for a file that converts with --repair-inertia."""
     try:
         convert(read_urdf(file, repair_inertia=True), options=NO_MESHES)
     except UrdfError:
@@ -112,54 +95,56 @@ def _converts_repaired(file: Path) -> bool:
     return True
 
 
-def error_of(urdf: Urdf, xml: str) -> float:
-    """Largest error of an MJCF against Pinocchio's reading of the URDF."""
-    from pinocchio_oracle import Pinocchio  # beside this file
+def compute_error(urdf: Urdf, xml: str) -> float:
+    """Return the largest error of an MJCF against Pinocchio's reading of the URDF."""
+    from benchmarks.pinocchio_oracle import Pinocchio  # of the extra `zoo`
 
-    return max(Pinocchio(urdf, mujoco.MjModel.from_xml_string(xml)).errors(STATES).values())
+    model = mujoco.MjModel.from_xml_string(xml)
+    return max(Pinocchio(urdf, model).compute_errors(STATES).values())
 
 
-def conversions(files: Iterable[Path], folder: Path) -> str:
-    """A table of what became of each file, and how many there are of each kind."""
-    found = [try_conversion(file) for file in files]
-    exact, repaired = sum(f.exact for f in found), sum(f.repaired for f in found)
-    slowest = max(found, key=lambda f: 0.0 if np.isnan(f.seconds) else f.seconds)
-    worst = max((f.error for f in found if f.exact), default=np.nan)
+def format_conversions(conversions: list[Conversion], folder: Path) -> str:
+    """Return a table of what became of each file, and how many there are of each kind."""
+    exact = [c for c in conversions if c.exact]
+    repairable = sum(c.repairable for c in conversions)
+    worst = max((c.error for c in exact), default=np.nan)
+    slowest = max(conversions, key=lambda c: 0.0 if np.isnan(c.seconds) else c.seconds)
     lines = [
-        f"{len(found)} files: {exact} convert exactly (worst relative error {worst:.1g}), "
-        f"{len(found) - exact} are refused or differ; with --repair-inertia {repaired} convert. "
+        f"{len(conversions)} files: {len(exact)} convert exactly (worst relative error "
+        f"{worst:.1g}), {len(conversions) - len(exact)} are refused or differ; "
+        f"with --repair-inertia {repairable} convert. "
         f"Slowest conversion without meshes: {slowest.seconds:.2f} s ({slowest.file.name}).",
         "",
         "| refused | reason | with `--repair-inertia` |",
         "|---|---|---|",
     ]
-    for f in found:
-        if not f.exact:
-            reason = f.refused or f"differs from Pinocchio by {f.error:.1g}"
-            repair = "converts" if f.repaired else "refused"
-            lines.append(f"| {f.file.relative_to(folder)} | {reason} | {repair} |")
+    for c in conversions:
+        if not c.exact:
+            reason = c.refusal or f"differs from Pinocchio by {c.error:.1g}"
+            repair = "converts" if c.repairable else "refused"
+            lines.append(f"| {c.file.relative_to(folder)} | {reason} | {repair} |")
     lines += ["", "| quadruped | error | seconds |", "|---|---|---|"]
-    for f in found:
-        if f.verdict == "yes":
-            lines.append(f"| {f.file.relative_to(folder)} | {f.error:.1g} | {f.seconds:.2f} |")
+    for c in conversions:
+        if c.verdict == "yes":
+            lines.append(f"| {c.file.relative_to(folder)} | {c.error:.1g} | {c.seconds:.2f} |")
     return "\n".join(lines)
 
 
-def quadrupeds(files: Iterable[Path]) -> list[Path]:
-    """Those of the files that train as a quadruped as they are."""
-    found = []
+def find_quadrupeds(files: Iterable[Path]) -> list[Path]:
+    """Return the files that train as a quadruped as they are."""
+    quadrupeds = []
     for file in files:
         try:
             urdf, legs = find_quadruped(read_urdf(file), Options())
             complete_motors(urdf, legs, Options())
         except UrdfError:
             continue
-        found.append(file)
-    return found
+        quadrupeds.append(file)
+    return quadrupeds
 
 
 def stands(quadruped: Quadruped) -> bool:
-    """Whether PD control of the home pose, with the gains of training, keeps it up for 10 s."""
+    """Return True for a robot that PD control of its home pose keeps up for 10 s."""
     model = quadruped.make_full_model()
     data = mujoco.MjData(model)
     data.qpos[:] = quadruped.home
@@ -171,62 +156,58 @@ def stands(quadruped: Quadruped) -> bool:
     return bool(data.qpos[2] > STANDS * quadruped.home[2])
 
 
-def name_of(file: Path) -> str:
-    """What a robot's run is called."""
+def make_name(file: Path) -> str:
+    """Return the name of a robot's run."""
     return f"{file.parents[1].name}-{file.stem}"
 
 
 def judge(run: Run) -> dict[str, float | str]:
-    """The figures of a run in MuJoCo C."""
-    judged = evaluate(run, episodes=EPISODES, engine="mujoco")
-    summary, typical = judged.summary, judged.results["typical_episode"]
+    """Evaluate a run in MuJoCo C, and return the figures of its row."""
+    evaluation = evaluate(run, episodes=EPISODES, engine="mujoco")
+    summary, typical = evaluation.summary, evaluation.results["typical_episode"]
     return {
         "speed": summary["speed"]["mean"],
         "falls": summary["fall_rate"],
-        **{name: typical[name] for name in ("froude", "gait")},
+        "froude": typical["froude"],
+        "gait": typical["gait"],
     }
 
 
-def label(quadruped: Quadruped, name: str) -> str:
-    """The first cells of a robot's row."""
+def format_row(quadruped: Quadruped, name: str, outcome: Outcome) -> str:
+    """Return the row of a robot whose training has ended."""
     mass = quadruped.make_full_model().body_subtreemass[0]
-    return f"{name} | {mass:.1f} | {'yes' if stands(quadruped) else 'no'}"
-
-
-def row(quadruped: Quadruped, name: str, found: Outcome) -> str:
-    """The row of a robot whose training has ended."""
-    if found.error is not None or found.stopped:
-        return f"| {label(quadruped, name)} | failed: {found.error or 'stopped'} | | | | |"
-    figures = found.value
+    label = f"{name} | {mass:.1f} | {'yes' if stands(quadruped) else 'no'}"
+    if outcome.error is not None or outcome.stopped:
+        return f"| {label} | failed: {outcome.error or 'stopped'} | | | | |"
+    figures = outcome.value
     return (
-        f"| {label(quadruped, name)} | {figures['speed']:.2f} | {figures['froude']:.2f} | "
-        f"{figures['falls']:.0%} | {figures['gait']} | "
-        f"{figures['speed'] / quadruped.foot_speed:.2f} |"
+        f"| {label} | {figures['speed']:.2f} | {figures['froude']:.2f} | {figures['falls']:.0%} | "
+        f"{figures['gait']} | {figures['speed'] / quadruped.foot_speed:.2f} |"
     )
 
 
-def trainings(files: list[Path], steps: int, runs: Path, where: PlaceConfig) -> str:
-    """The table of every quadruped, trained and evaluated."""
-    quadrupeds = {name_of(file): load_quadruped(file) for file in files}
+def train_all(files: list[Path], steps: int, runs: Path, place: PlaceConfig) -> str:
+    """Train and evaluate every quadruped; return the table."""
+    quadrupeds = {make_name(file): load_quadruped(file) for file in files}
     jobs = []
     for file in files:
         robot = replace(TASK.robot, urdf=file)
-        own = replace(TASK, name=name_of(file), runs=runs.resolve(), steps=steps, robot=robot)
-        jobs.append(Job(fix_sizes(own, where), judge))
+        task = replace(TASK, name=make_name(file), runs=runs.resolve(), steps=steps, robot=robot)
+        jobs.append(Job(fix_sizes(task, place), judge))
     rows = {}
-    for found in run_jobs(jobs, make_place(where), len(jobs)):
-        name = found.job.name
-        rows[name] = row(quadrupeds[name], name, found)
+    for outcome in run_jobs(jobs, make_place(place), len(jobs)):
+        name = outcome.job.name
+        rows[name] = format_row(quadrupeds[name], name, outcome)
         print(rows[name], flush=True)
     heads = "| robot | kg | stands | m/s | Froude | falls | gait | of the thigh motors' speed |"
     return "\n".join(
-        (heads, "|---|---|---|---|---|---|---|---|", *(rows[name] for name in quadrupeds))
+        [heads, "|---|---|---|---|---|---|---|---|", *(rows[name] for name in quadrupeds)]
     )
 
 
 def main() -> None:
     """Convert, or train, and print the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = make_parser(__doc__)
     add = parser.add_argument
     add("--folder", type=Path, help="of URDFs (default: example-robot-data's)")
     add("--train", action="store_true", help="train and evaluate the quadrupeds")
@@ -235,24 +216,24 @@ def main() -> None:
     add("--runs", type=Path, help="folder of the runs (default: a temporary one)")
     add("--markdown", type=Path, metavar="FILE", help="where the table goes")
     add_place_flags(parser)
-    arguments = parser.parse_args()
-    folder = arguments.folder or example_robot_data()
+    options = parser.parse_args()
+    folder = options.folder or find_example_robots()
     if folder is None:
         sys.exit("error: example-robot-data is not installed; expected it, or --folder DIR")
     files = sorted(folder.rglob("*.urdf"))
-    if arguments.train:
-        files = quadrupeds(files)
-    if arguments.only:
-        files = [file for file in files if any(name in str(file) for name in arguments.only)]
-    if arguments.train:
+    if options.train:
+        files = find_quadrupeds(files)
+    if options.only:
+        files = [file for file in files if any(name in str(file) for name in options.only)]
+    if options.train:
         with tempfile.TemporaryDirectory() as temporary:
-            runs = arguments.runs or Path(temporary)
-            table = trainings(files, arguments.steps, runs, read_place(arguments))
+            runs = options.runs or Path(temporary)
+            table = train_all(files, options.steps, runs, read_place(options))
     else:
-        table = conversions(files, folder)
+        table = format_conversions([try_conversion(file) for file in files], folder)
         print(table)
-    if arguments.markdown:
-        arguments.markdown.write_text(table + "\n")
+    if options.markdown:
+        options.markdown.write_text(table + "\n")
 
 
 if __name__ == "__main__":

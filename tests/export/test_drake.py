@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from benchmarks.simulators import Condition, DrakeRobot, MujocoRobot, controller_of, run_episode
+from benchmarks.simulators import Condition, DrakeRobot, MujocoRobot, load_controller, run_episode
 from quadwalk.export.bundle import load_flat
 from quadwalk.export.check import compute_stages, describe_first_difference
 from quadwalk.export.cli import main
@@ -25,7 +25,7 @@ def folder(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def controller(folder):
-    return controller_of(folder).Controller(folder / "policy.onnx")
+    return load_controller(folder).Controller(folder / "policy.onnx")
 
 
 @pytest.fixture(scope="module")
@@ -50,32 +50,32 @@ def test_the_robot_has_the_same_dynamics_in_both(folder, controller, start, cond
     rng = np.random.default_rng(0)
     q, v = anywhere(start, rng)
     for robot in robots:
-        robot.place(q, v)
-        np.testing.assert_allclose(np.concatenate(robot.state()), np.r_[q, v], atol=1e-12)
+        robot.set_state(q, v)
+        np.testing.assert_allclose(np.concatenate(robot.get_state()), np.r_[q, v], atol=1e-12)
     for _ in range(50):
         torque = rng.normal(size=12)
         for robot in robots:
             robot.step(torque)
-    ours, theirs = (robot.state() for robot in robots)
+    ours, theirs = (robot.get_state() for robot in robots)
     np.testing.assert_allclose(ours[0], theirs[0], atol=3e-4)
     np.testing.assert_allclose(ours[1], theirs[1], atol=2e-3)
-    assert not any(robot.fallen() for robot in robots)
+    assert not any(robot.lies() for robot in robots)
 
 
 def test_it_stands_as_heavy_and_as_high_in_both(folder, controller, start):
     heights = []
     for kind in (DrakeRobot, MujocoRobot):
         robot = kind(folder, controller.about, LOADED)
-        robot.place(start, np.zeros(18))
+        robot.set_state(start, np.zeros(18))
         for _ in range(500):
-            robot.step(controller.compute_torque(controller.home, *robot.state()))
-        q, v = robot.state()
+            robot.step(controller.compute_torque(controller.home, *robot.get_state()))
+        q, v = robot.get_state()
         assert np.abs(v).max() < 0.1
         heights.append(q[2])
         q[2] -= 0.3
-        robot.place(q, v)
+        robot.set_state(q, v)
         robot.step(np.zeros(12))
-        assert robot.fallen()
+        assert robot.lies()
     assert abs(heights[0] - heights[1]) < 3e-3
     assert max(heights) < start[2] - 0.01  # the joints give way to the load
 

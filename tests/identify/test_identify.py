@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.identification import Known, hang
+from benchmarks.identification import Known, record_log
 from quadwalk.errors import UserError
 from quadwalk.identify import identification
 from quadwalk.identify.cli import main
@@ -39,7 +39,7 @@ KNOWN = Known(friction_speed=0.03, kp=27.0, offset=(0.02, -0.03, 0.05))
 def recorded(quadruped, tmp_path_factory) -> Path:
     """The log as a CSV, with a column more, in an order of its own."""
     file = tmp_path_factory.mktemp("logs") / "log.csv"
-    time, position, _, target, _ = hang(quadruped, KNOWN, seconds=9.0)
+    time, position, _, target, _ = record_log(quadruped, KNOWN, seconds=9.0)
     names = [f"{what}_{joint}" for what in ("position", "target") for joint in quadruped.joints]
     rows = np.c_[np.zeros(len(time)), position, target, time]
     header = ",".join(["battery", *names, "time"])
@@ -133,7 +133,7 @@ def test_known_joints_are_found_across_a_gap_and_the_flags_train_them(rewrite, q
 @pytest.mark.parametrize("shared", [True, False])
 def test_simulation_is_mujocos_with_offsets_on_both_sides_of_a_gap(quadruped, shared):
     known = dataclasses.replace(KNOWN, noise=0.0, shared=shared)
-    log = hang(quadruped, known, seconds=2.0)
+    log = record_log(quadruped, known, seconds=2.0)
     rows = np.r_[0:150, 210:400]
     log = log._replace(time=log.time[rows], position=log.position[rows])
     model, joints = describe(quadruped, IdentifyConfig(Path("log.csv"), kp=known.kp, kd=known.kd))
@@ -152,7 +152,7 @@ def test_simulation_is_mujocos_with_offsets_on_both_sides_of_a_gap(quadruped, sh
 
 
 def test_one_simulation_shows_the_constants_of_all_legs(quadruped):
-    log = hang(quadruped, KNOWN, seconds=1.0)
+    log = record_log(quadruped, KNOWN, seconds=1.0)
     model, joints = describe(quadruped, IdentifyConfig(Path("log.csv"), kp=KNOWN.kp, kd=KNOWN.kd))
     single = [(joint,) for joint in range(12)]
     parameters = Parameters(joints, ["armature", "offset", "delay"], single)

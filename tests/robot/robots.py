@@ -94,11 +94,11 @@ def check_dynamics(
 
     `compared` must be among what was.
     """
-    in_memory = Pinocchio(urdf, spec.compile()).errors(states)
+    in_memory = Pinocchio(urdf, spec.compile()).compute_errors(states)
     assert compared <= in_memory.keys()
     assert max(in_memory.values()) < 1e-10, in_memory
     from_xml = mujoco.MjModel.from_xml_string(write_xml(spec))
-    through_xml = Pinocchio(urdf, from_xml).errors(states)
+    through_xml = Pinocchio(urdf, from_xml).compute_errors(states)
     assert max(through_xml.values()) < 1e-5, through_xml
 
 

@@ -82,7 +82,7 @@ def test_a_plane_is_across_its_axis():
         joint("j_turn", "b", "puck", "0 1 0", kind="continuous", extra=""),
     )  # fmt: skip
     errors = Pinocchio(SimpleNamespace(text=chain), convert(parse_urdf(planar)).spec.compile())
-    assert max(errors.errors(50).values()) < 1e-10
+    assert max(errors.compute_errors(50).values()) < 1e-10
 
 
 def test_a_floating_joint_from_the_ground_is_the_floating_base():

@@ -209,7 +209,7 @@ def test_changes_to_elements_convert_exactly_or_are_refused(pinocchio, text):
         # No robot is drawn so, but a mutation may be: compare the frames as the model has them.
         for frames in (model.body_sameframe, model.geom_sameframe, model.site_sameframe):
             frames[:] = 0
-        errors = pinocchio(urdf, model).errors(states=1)
+        errors = pinocchio(urdf, model).compute_errors(states=1)
         assert max(errors.values()) < 1e-9, errors
 
 

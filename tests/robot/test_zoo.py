@@ -44,7 +44,7 @@ def test_converts_exactly_as_a_quadruped_or_not_or_is_refused(urdf):
     with pytest.raises(UrdfError, match="a quadruped has four of three joints each"):
         find_quadruped(read, NO_MESHES)
     xml = write_xml(convert(read, options=NO_MESHES).spec)
-    errors = Pinocchio(read, mujoco.MjModel.from_xml_string(xml)).errors(10)
+    errors = Pinocchio(read, mujoco.MjModel.from_xml_string(xml)).compute_errors(10)
     assert max(errors.values()) < 1e-5, errors
 
 

@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.zoo import example_robot_data
+from benchmarks.shared import find_example_robots
 
-FOLDER = example_robot_data()
+FOLDER = find_example_robots()
 assert FOLDER, "example-robot-data is not installed; expected it: pip install -e '.[test]'"
 FILES = sorted(FOLDER.rglob("*.urdf"))
 # By their folder: whether the knees of the hind legs point ahead.
