@@ -21,11 +21,12 @@ from quadwalk.tasks import list_tasks
 
 TASK_FILE = "task.py"  # the copy of its task's file that a run keeps
 _MODULE = "quadwalk_task_file_"  # how the module of a task file is called in this process
-# Modules that task files of version 0.2 import. The next version leaves this table out.
+# Modules that task files of version 0.2 import. Version 0.4 leaves this table out.
 _MOVED = {
-    "quadwalk.task import reward": "quadwalk.env import rewards as reward",
-    "quadwalk.task import observation": "quadwalk.env import observations as observation",
-    "quadwalk.task import termination": "quadwalk.env import terminations as termination",
+    "quadwalk.task.reflections": "quadwalk.terms",
+    "quadwalk.task import reward": "quadwalk.terms import rewards as reward",
+    "quadwalk.task import observation": "quadwalk.terms import observations as observation",
+    "quadwalk.task import termination": "quadwalk.terms import terminations as termination",
     "quadwalk.task.reward": "quadwalk.env.rewards",
     "quadwalk.task.observation": "quadwalk.env.observations",
     "quadwalk.task.termination": "quadwalk.env.terminations",
@@ -91,10 +92,13 @@ def run_task_file(path: Path) -> ModuleType:
 
 
 def _update_imports(path: Path, source: bytes) -> bytes:
-    """Return a task file's source with today's names of modules, and print those that moved."""
+    """Return a task file's source with today's names of modules; print a line if any has moved."""
+    moves = []
     for old, new in _MOVED.items():
         updated = re.sub(rf"\b{old}\b".encode(), new.encode(), source)
         if updated != source:
-            print(f"warning: {path}: {old} is now {new}; please change it", file=sys.stderr)
+            moves.append(f"{old} is now {new}")
         source = updated
+    if moves:
+        print(f"warning: {path}: {', '.join(moves)}; version 0.4 reads no others", file=sys.stderr)
     return source

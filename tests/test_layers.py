@@ -17,7 +17,7 @@ LAYERS = (
     ("settings", "robot.load"),
     ("env",),
     ("tasks",),
-    ("task_files", "settings.registry", "settings.serialize"),
+    ("task_files", "settings.registry", "settings.serialize", "terms"),
     ("runs",),
     ("progress",),
     ("learn",),

@@ -57,6 +57,22 @@ def test_a_function_of_a_users_file_is_found_again_in_the_runs_copy(tmp_path):
     assert get_task_source([reward.energy]) is None
 
 
+def test_the_file_of_an_earlier_version_is_read_with_a_line_that_names_the_new_imports(
+    tmp_path, capsys
+):
+    imports = (
+        "from quadwalk.task import reward\nfrom quadwalk.task.reflections import LATERAL, mirrors"
+    )
+    (tmp_path / "mine.py").write_text(f"{imports}\n{OWN_TASK}")
+    assert load_task(tmp_path / "mine.py").task == "still"
+    line = (
+        f"warning: {tmp_path / 'mine.py'}: quadwalk.task.reflections is now quadwalk.terms, "
+        "quadwalk.task import reward is now quadwalk.terms import rewards as reward; "
+        "version 0.4 reads no others\n"
+    )
+    assert capsys.readouterr().err == line
+
+
 @pytest.mark.parametrize(
     ("content", "named"),
     [

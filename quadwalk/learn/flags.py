@@ -9,7 +9,6 @@ from quadwalk.cli.arguments import find_value, parse, take_value
 from quadwalk.errors import UsageError
 from quadwalk.files import real_path
 from quadwalk.runs.directory import Run, find_any_run, find_run
-from quadwalk.runs.resume import read_config_to_resume
 from quadwalk.settings.training import TrainConfig
 from quadwalk.task_files import load_task
 
@@ -43,6 +42,8 @@ def parse_config(args: Sequence[str], prog: str = "train.py") -> tuple[TrainConf
         for flag in ("--name", "--init", "--robot.urdf"):
             if find_value(args, flag) is not None:
                 raise UsageError(f"{flag} with --resume: the run has its own; expected no {flag}")
+        from quadwalk.runs.resume import read_config_to_resume  # it imports all that reads a robot
+
         previous = find_run(find_value(args, "--runs") or TrainConfig.runs, which)
         default = read_config_to_resume(previous)
     else:

@@ -1,0 +1,33 @@
+"""The terms of tasks: the public place from which a task file imports them.
+
+`rewards`, `observations`, `terminations` and `actions` are modules with the package's functions and
+groups of terms. A term is one of these functions, or one of your own, with its numbers.
+"""
+
+from quadwalk.env import actions, observations, rewards, terminations
+from quadwalk.env.reflections import AXIAL, FEET, JOINTS, LATERAL, LINKS, SCALAR, VECTOR, mirrors
+from quadwalk.env.robot_arrays import RobotArrays
+from quadwalk.env.state import EnvState, Step
+from quadwalk.settings.terms import ActionMap, Observation, Reward, Termination
+
+__all__ = [
+    "AXIAL",
+    "FEET",
+    "JOINTS",
+    "LATERAL",
+    "LINKS",
+    "SCALAR",
+    "VECTOR",
+    "ActionMap",
+    "EnvState",
+    "Observation",
+    "Reward",
+    "RobotArrays",
+    "Step",
+    "Termination",
+    "actions",
+    "mirrors",
+    "observations",
+    "rewards",
+    "terminations",
+]
