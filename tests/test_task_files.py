@@ -60,10 +60,8 @@ def test_a_function_of_a_users_file_is_found_again_in_the_runs_copy(tmp_path):
 def test_the_file_of_an_earlier_version_is_read_with_a_line_that_names_the_new_imports(
     tmp_path, capsys
 ):
-    imports = (
-        "from quadwalk.task import reward\nfrom quadwalk.task.reflections import LATERAL, mirrors"
-    )
-    (tmp_path / "mine.py").write_text(f"{imports}\n{OWN_TASK}")
+    imports = "from quadwalk.task import reward\nfrom quadwalk.task.reflections import mirrors\n"
+    (tmp_path / "mine.py").write_text(imports + OWN_TASK)
     assert load_task(tmp_path / "mine.py").task == "still"
     line = (
         f"warning: {tmp_path / 'mine.py'}: quadwalk.task.reflections is now quadwalk.terms, "
