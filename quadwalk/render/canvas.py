@@ -1,4 +1,4 @@
-"""One way to draw a MuJoCo model: with a GL library where one works, else with a ray caster."""
+"""Pictures of a MuJoCo model, drawn with a GL library where one works, else with a ray caster."""
 
 import weakref
 from dataclasses import dataclass
@@ -12,9 +12,9 @@ from quadwalk.render.raycast import RayPainter
 
 @dataclass(frozen=True)
 class Camera:
-    """A view of the world; angles, degrees, are of the line of sight, as MuJoCo's."""
+    """A view of the world; the angles, in degrees, are MuJoCo's, of the line of sight."""
 
-    lookat: tuple[float, ...] | np.ndarray  # (3,) m, what is in the middle of the picture
+    lookat: tuple[float, ...] | np.ndarray  # (3,) m, in the middle of the picture
     distance: float  # m, from there to the eye
     azimuth: float
     elevation: float
@@ -35,13 +35,12 @@ class Canvas:
         else:
             self._painter = GlPainter(model, width, height, library)
             weakref.finalize(self, self._painter.close)
-        self.library = library or "rays"  # what draws
+        self.library = library or "rays"
 
     def draw(self, qpos: np.ndarray, camera: Camera) -> np.ndarray:
-        """(height, width, 3) uint8 picture of the pose `qpos` (nq,)."""
+        """Return a picture of the pose `qpos` (nq,), (height, width, 3) uint8."""
         data, view = self._data, mujoco.MjvCamera()
         data.qpos[:] = qpos
-        # Only qpos is known of a state: what is drawn follows from it.
         mujoco.mj_kinematics(self._model, data)
         mujoco.mj_comPos(self._model, data)
         mujoco.mj_camlight(self._model, data)
@@ -55,7 +54,7 @@ class Canvas:
 
 
 def render_home(model: mujoco.MjModel, width: int = 1280, height: int = 800) -> np.ndarray:
-    """(height, width, 3) uint8 picture of the pose `home` of a model with its visual shapes."""
+    """Return a picture of a model in its pose `home`, (height, width, 3) uint8."""
     home = model.key("home").qpos
     data = mujoco.MjData(model)
     data.qpos[:] = home
@@ -64,8 +63,8 @@ def render_home(model: mujoco.MjModel, width: int = 1280, height: int = 800) -> 
     reach = model.geom_rbound[shapes, None]
     low = (data.geom_xpos[shapes] - reach).min(axis=0)
     high = (data.geom_xpos[shapes] + reach).max(axis=0)
-    # The whole robot fits across the picture, and within its 45 degrees of height; what is near,
-    # its feet, takes more room than what is far.
+    # The whole robot fits across the picture, and within its 45 degrees of height. Its feet are
+    # near and take more room.
     size = high - low
     middle = (low + high) / 2 - [0, 0, 0.12 * size[2]]
     distance = float(max(1.1 * np.linalg.norm(size), 1.6 * size[2]))

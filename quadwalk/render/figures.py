@@ -1,4 +1,4 @@
-"""What all plots share: their looks, and how they become files."""
+"""The looks that all plots share, and plots as files."""
 
 import io
 from pathlib import Path
@@ -14,33 +14,33 @@ LEG_COLORS = ("#d1495b", "#00798c", "#edae49", "#30638e")  # FR, FL, RR, RL
 INK = "#22262b"
 
 
+class NotebookFigure(Figure):
+    """A figure that a notebook shows even if pyplot was never set up in it."""
+
+    def _repr_png_(self) -> bytes:
+        file = io.BytesIO()
+        _write_png(self, file)
+        return file.getvalue()
+
+
 def save_figure(figure: Figure, path: str | Path) -> None:
-    """Write a figure as PNG, the same bytes for the same figure; `UserError` if that cannot be."""
+    """Write a figure as PNG, always the same bytes, or raise a `UserError`."""
     with atomic_write(path) as file:
-        _draw(figure, file)
+        _write_png(figure, file)
 
 
-def _draw(figure: Figure, file: BinaryIO) -> None:
+def _write_png(figure: Figure, file: BinaryIO) -> None:
     for text in figure.findobj(Text):
         text.set_parse_math(False)  # a name may hold a $
     # Without the software's version, for longer.
     figure.savefig(file, format="png", metadata={"Software": None})
 
 
-class ShownFigure(Figure):
-    """A figure that a notebook shows whether pyplot has been set up in it or not."""
-
-    def _repr_png_(self) -> bytes:
-        file = io.BytesIO()
-        _draw(self, file)
-        return file.getvalue()
-
-
 def make_figure(
     size: tuple[float, float], title: str = "", fontsize: int = 13, dpi: float = 100
 ) -> Figure:
-    """An empty figure, `size` in inches, with its title at the upper left."""
-    figure = ShownFigure(figsize=size, dpi=dpi, layout="constrained")
+    """Return an empty figure, `size` in inches, with its title at the upper left."""
+    figure = NotebookFigure(figsize=size, dpi=dpi, layout="constrained")
     if title:
         figure.suptitle(title, fontsize=fontsize, x=0.01, ha="left")
     return figure

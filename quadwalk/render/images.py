@@ -1,6 +1,5 @@
 """Pictures as files: PNG, a film strip, GIF, MP4."""
 
-import contextlib
 import itertools
 import shutil
 import subprocess
@@ -26,7 +25,7 @@ def save_png(pixels: np.ndarray, path: str | Path) -> None:
 
 
 def make_film_strip(pictures: list[np.ndarray], across: int) -> np.ndarray:
-    """(H, W, 3) uint8: pictures (h, w, 3) of one size, `across` in a row, with white gaps."""
+    """Return pictures (h, w, 3) of one size, `across` in a row with white gaps, (H, W, 3) uint8."""
     height, width, _ = pictures[0].shape
     down = -(-len(pictures) // across)
     size = (down * (height + _GAP) - _GAP, across * (width + _GAP) - _GAP, 3)
@@ -54,56 +53,49 @@ def _save_gif(pictures: Iterator[Image.Image], path: str | Path, fps: float) -> 
     # One palette for all: each picture's own would make the background flicker.
     palette = first.quantize(128, method=Image.Quantize.MEDIANCUT)
 
-    def reduced(picture: Image.Image) -> Image.Image:
+    def reduce_colors(picture: Image.Image) -> Image.Image:
         return picture.quantize(palette=palette, dither=Image.Dither.NONE)
 
     with atomic_write(path) as file:
-        reduced(first).save(
+        reduce_colors(first).save(
             file,
             format="GIF",
             save_all=True,
-            append_images=(reduced(picture) for picture in pictures),
+            append_images=map(reduce_colors, pictures),
             duration=round(1000 / fps),
             loop=0,
         )
 
 
 def _save_mp4(pictures: Iterator[np.ndarray], path: str | Path, fps: float) -> None:
-    program = _ffmpeg()
+    ffmpeg = _find_ffmpeg()
     first = next(pictures)
     height, width, _ = first.shape
+    # H.264 in MP4 is not written front to back, so it cannot go straight to `file`.
     with tempfile.TemporaryDirectory() as folder, atomic_write(path) as file:
-        # H.264 in MP4 is not written front to back, so it cannot go straight to `file`.
-        output = Path(folder) / "episode.mp4"
-        command = [program, "-loglevel", "error", "-f", "rawvideo", "-pix_fmt", "rgb24"]
-        command += ["-s", f"{width}x{height}", "-r", str(fps), "-i", "-", "-an"]
+        frames, video = Path(folder) / "frames.rgb", Path(folder) / "video.mp4"
+        with open(frames, "wb") as raw:
+            raw.writelines(picture.tobytes() for picture in itertools.chain([first], pictures))
+        command = [ffmpeg, "-loglevel", "error", "-f", "rawvideo", "-pix_fmt", "rgb24"]
+        command += ["-s", f"{width}x{height}", "-r", str(fps), "-i", str(frames), "-an"]
         # yuv420p is what browsers play; +bitexact leaves out versions and dates.
-        command += ["-c:v", "libx264", "-pix_fmt", "yuv420p", "-fflags", "+bitexact", str(output)]
-        with tempfile.TemporaryFile() as complaints:
-            encoder = subprocess.Popen(command, stdin=subprocess.PIPE, stderr=complaints)
-            # A broken pipe: it has given up; what it says about that is read below.
-            with contextlib.suppress(BrokenPipeError), encoder:
-                assert encoder.stdin is not None
-                for picture in itertools.chain([first], pictures):
-                    encoder.stdin.write(picture.tobytes())
-            if encoder.returncode:
-                complaints.seek(0)
-                reason = " ".join(complaints.read().decode(errors="replace").split())
-                raise UserError(f"cannot write {path}: ffmpeg: {reason or 'failed'}")
-        with open(output, "rb") as source:
-            shutil.copyfileobj(source, file)
+        command += ["-c:v", "libx264", "-pix_fmt", "yuv420p", "-fflags", "+bitexact", str(video)]
+        result = subprocess.run(command, stdin=subprocess.DEVNULL, stderr=subprocess.PIPE)
+        if result.returncode:
+            reason = " ".join(result.stderr.decode(errors="replace").split())
+            raise UserError(f"cannot write {path}: ffmpeg: {reason or 'failed'}")
+        file.write(video.read_bytes())
 
 
-def _ffmpeg() -> str:
+def _find_ffmpeg() -> str:
     program = shutil.which("ffmpeg")
-    if program is None:
-        try:
-            import imageio_ffmpeg
+    if program is not None:
+        return program
+    try:
+        import imageio_ffmpeg
 
-            program = imageio_ffmpeg.get_ffmpeg_exe()
-        except (ImportError, RuntimeError):
-            raise UserError(
-                f"an MP4 needs ffmpeg on the PATH, or: {suggest_install('video')}; "
-                "a GIF needs neither"
-            ) from None
-    return program
+        return str(imageio_ffmpeg.get_ffmpeg_exe())
+    except (ImportError, RuntimeError):
+        raise UserError(
+            f"an MP4 needs ffmpeg on the PATH, or: {suggest_install('video')}; a GIF needs neither"
+        ) from None

@@ -7,14 +7,13 @@ import importlib
 import io
 import os
 import sys
-import warnings
 from collections.abc import Iterator
 from typing import Any
 
 import mujoco
 import numpy as np
 
-_OFF = ("disable", "disabled", "off", "false", "0")  # what MuJoCo takes for no in MUJOCO_GL
+_OFF = ("disable", "disabled", "off", "false", "0")  # MuJoCo's words for no in MUJOCO_GL
 _TRIAL = """
 <mujoco><worldbody><light pos="0 0 3"/><geom type="plane" size="1 1 1"/></worldbody></mujoco>
 """
@@ -22,13 +21,12 @@ _TRIAL = """
 
 @functools.cache
 def find_working_library() -> str | None:
-    """The GL library to draw with, "osmesa", "egl" or "window"; None if none is found that works.
+    """Return the GL library to draw with, "osmesa", "egl" or "window"; None if none works.
 
-    `MUJOCO_GL` decides, if it is set: `osmesa`, `egl`, `glfw` (a window system), `disable`. Else a
-    display does, then OSMesa, then EGL, whichever is there. What is chosen is tried once.
+    The one that `choose_library` names is tried once.
     """
-    chosen = choose_library()
-    if chosen is None:
+    library = choose_library()
+    if library is None:
         return None
     model = mujoco.MjModel.from_xml_string(_TRIAL)
     data, scene = mujoco.MjData(model), mujoco.MjvScene(model, maxgeom=10)
@@ -38,16 +36,20 @@ def find_working_library() -> str | None:
     mujoco.mjv_updateScene(model, data, mujoco.MjvOption(), None, camera, everything, scene)
     # The libraries fail as they like: ImportError, AttributeError, RuntimeError, FatalError.
     with _silence(), contextlib.suppress(Exception):
-        painter = GlPainter(model, 16, 16, chosen)
+        painter = GlPainter(model, 16, 16, library)
         try:
-            return chosen if painter.paint(data, scene).any() else None
+            return library if painter.paint(data, scene).any() else None
         finally:
             painter.close()
     return None
 
 
 def choose_library() -> str | None:
-    """The one to try, as `find_working_library` says; None for none."""
+    """Return the GL library to try; None for none.
+
+    `MUJOCO_GL` decides, if it is set: `osmesa`, `egl`, `glfw` (a window system), `disable`. Else a
+    display does, then OSMesa, then EGL, whichever is there.
+    """
     wanted = os.environ.get("MUJOCO_GL", "").strip().lower()
     if wanted in _OFF:
         return None
@@ -65,32 +67,27 @@ def choose_library() -> str | None:
 @contextlib.contextmanager
 def _silence() -> Iterator[None]:
     """Let nothing reach stderr, not from C libraries or destructors either."""
-    kept = os.dup(2)
+    stderr = os.dup(2)
     try:
-        with (
-            open(os.devnull, "w") as nowhere,
-            warnings.catch_warnings(action="ignore"),
-            contextlib.redirect_stderr(io.StringIO()),
-        ):
+        with open(os.devnull, "w") as nowhere, contextlib.redirect_stderr(io.StringIO()):
             os.dup2(nowhere.fileno(), 2)
             yield
     finally:
-        os.dup2(kept, 2)
-        os.close(kept)
+        os.dup2(stderr, 2)
+        os.close(stderr)
 
 
 class GlPainter:
     """Paints scenes of one model, `width` by `height` pixels, with one of the GL libraries.
 
-    Used instead of `mujoco.Renderer`, whose library is settled when mujoco is first imported,
-    which may be long before anyone asks for a picture. To be closed: contexts that are left to the
-    interpreter's end complain there.
+    It stands in for `mujoco.Renderer`, whose library is settled when mujoco is first imported, long
+    before a picture is needed. Close it: contexts complain at the interpreter's end.
     """
 
     def __init__(self, model: mujoco.MjModel, width: int, height: int, library: str) -> None:
         self._size = width, height
         self._resources: mujoco.MjrContext | None = None
-        self._context: Any = _context_class(library)(width, height)
+        self._context: Any = _load_context_class(library)(width, height)
         try:
             self._context.make_current()
             scale = mujoco.mjtFontScale.mjFONTSCALE_100.value
@@ -102,8 +99,8 @@ class GlPainter:
             raise
 
     def paint(self, data: mujoco.MjData, scene: mujoco.MjvScene) -> np.ndarray:
-        """(height, width, 3) uint8 of a scene that `mjv_updateScene` has made from `data`."""
-        _bring_near(scene)
+        """Return the picture of a scene made by `mjv_updateScene`, (height, width, 3) uint8."""
+        _move_to_origin(scene)
         width, height = self._size
         frame = mujoco.MjrRect(0, 0, width, height)
         pixels = np.empty((height, width, 3), dtype=np.uint8)
@@ -113,7 +110,7 @@ class GlPainter:
         return pixels[::-1].copy()  # OpenGL's first row is the lowest
 
     def close(self) -> None:
-        """Give back what the library holds; it may be called again."""
+        """Free the library's resources; it may be called again."""
         if self._resources is not None:
             self._context.make_current()
             self._resources.free()
@@ -122,18 +119,18 @@ class GlPainter:
         self._context = self._resources = None
 
 
-def _context_class(library: str) -> type:
+def _load_context_class(library: str) -> type:
     module = {"osmesa": "mujoco.osmesa", "egl": "mujoco.egl"}.get(library, "mujoco")
     context: type = importlib.import_module(module).GLContext
     return context
 
 
-def _bring_near(scene: mujoco.MjvScene) -> None:
+def _move_to_origin(scene: mujoco.MjvScene) -> None:
     """Move the scene and its eye to the origin, and endless planes below the eye.
 
-    MuJoCo's own floor follows the eye only half of the way, so that some 100 m away there is none;
-    and OpenGL's single precision speckles everything with shadow there. Planes go by whole repeats
-    of their texture.
+    MuJoCo's own floor follows the eye only half of the way, so that some 100 m away there is none.
+    OpenGL's single precision speckles everything with shadow there. Planes move by whole repeats of
+    their texture.
     """
     eye = (scene.camera[0].pos + scene.camera[1].pos) / 2
     offset = np.floor(eye)

@@ -1,6 +1,7 @@
 """Pictures without a GL library: MuJoCo's ray caster, and colors for what its rays meet.
 
-It shows what `mjr_render` shows of geoms, but opaque and unmirrored, and no sites, tendons, skins.
+Geoms look as `mjr_render` shows them, but opaque and unmirrored. Sites, tendons and skins are left
+out.
 """
 
 import copy
@@ -13,7 +14,7 @@ from quadwalk.render.shading import Hits, Shader
 _FINER = 3  # rays across and down a pixel in which there is an edge
 _CREASE = np.cos(np.radians(20.0))  # normals that are further apart make an edge
 _SUN = 1e3  # m: from so far away the rays of a directional light are cast
-_TOUCH = 1e-4  # m: what they meet so close to the point they are cast at is that point
+_TOUCH = 1e-4  # m: a hit so close to the point that a ray is cast at is that point
 
 
 class RayPainter:
@@ -21,17 +22,19 @@ class RayPainter:
 
     def __init__(self, model: mujoco.MjModel, width: int, height: int) -> None:
         self._size = (width, height)
-        self._model = _with_whole_bounds(model)
+        self._model = _enlarge_bounds(model)
         self._shader = Shader(model)
-        self._shown = mujoco.MjvOption().geomgroup
-        self._fields = [_Field(self._model, geom) for geom in _fields(model, self._shown)]
+        self._groups = mujoco.MjvOption().geomgroup
+        shown = self._groups[model.geom_group].astype(bool) & (model.geom_bodyid == 0)
+        fields = np.flatnonzero(shown & (model.geom_type == mujoco.mjtGeom.mjGEOM_HFIELD))
+        self._fields = [_Field(self._model, int(geom)) for geom in fields]
 
     def paint(self, data: mujoco.MjData, scene: mujoco.MjvScene) -> np.ndarray:
-        """(height, width, 3) uint8 of a scene that `mjv_updateScene` has made from `data`."""
+        """Return the picture of a scene made by `mjv_updateScene`, (height, width, 3) uint8."""
         width, height = self._size
         grid = np.stack(np.meshgrid(np.arange(width), np.arange(height)), axis=-1)
         color, labels, normals = self._look(data, scene, grid + 0.5)
-        rows, columns = np.nonzero(_edges(labels, normals))
+        rows, columns = np.nonzero(_find_edges(labels, normals))
         if len(rows):
             steps = (np.arange(_FINER) + 0.5) / _FINER
             finer = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
@@ -42,18 +45,20 @@ class RayPainter:
     def _look(
         self, data: mujoco.MjData, scene: mujoco.MjvScene, places: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """What is at `places` (a, b, 2), pixels from the upper left corner: colors (a, b, 3) in
-        0 .. 1, labels (a, b) that tell geoms and their shadows apart, normals (a, b, 3).
+        """Return colors (a, b, 3) in 0 .. 1, labels (a, b) and normals (a, b, 3) at `places`.
+
+        `places` (a, b, 2) are pixels from the upper left corner. Labels differ between geoms, and
+        between their lit and shaded parts.
         """
         camera = mujoco.mjv_averageCamera(*scene.camera)
-        eye, ray, pixel = _rays(camera, places.reshape(-1, 2), *self._size)
+        eye, ray, pixel = _compute_rays(camera, places.reshape(-1, 2), *self._size)
         hits = Hits(eye, ray.astype(np.float32), *self._cast(data, eye, ray))
         lit = {
-            index: self._reached(data, light, hits)
+            index: self._is_lit(data, light, hits)
             for index, light in enumerate(scene.lights[: scene.nlight])
             if light.castshadow
         }
-        color = self._shader.color(data, scene, hits, lit, pixel)
+        color = self._shader.compute_colors(data, scene, hits, lit, pixel)
         label = hits.geom.astype(int)
         for reached in lit.values():
             label = 2 * label + reached
@@ -63,19 +68,19 @@ class RayPainter:
     def _cast(
         self, data: mujoco.MjData, origin: np.ndarray, ray: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Geom (n,), -1 for none, its distance (n,) m, and its normal (n, 3) toward `origin`."""
-        geom, distance, normal = _met(self._model, data, origin, ray, self._shown)
+        """Return geoms (n,), -1 for none, distances (n,) m, and normals (n, 3) toward `origin`."""
+        geom, distance, normal = _cast_rays(self._model, data, origin, ray, self._groups)
         for field in self._fields:
-            one, far, upright = field.cast(origin, ray)
-            nearer = (one >= 0) & ((geom < 0) | (far < distance))
-            geom[nearer], distance[nearer] = field.geom, far[nearer]
-            normal[nearer] = upright[nearer]
+            hit, hit_distance, hit_normal = field.cast(origin, ray)
+            nearer = (hit >= 0) & ((geom < 0) | (hit_distance < distance))
+            geom[nearer], distance[nearer] = field.geom, hit_distance[nearer]
+            normal[nearer] = hit_normal[nearer]
         normal[geom < 0] = 0.0
         normal[np.einsum("ij,ij->i", normal, ray) > 0] *= -1  # the inside of an open mesh
         return geom, distance, normal.astype(np.float32)
 
-    def _reached(self, data: mujoco.MjData, light: mujoco.MjvLight, hits: Hits) -> np.ndarray:
-        """(n,) bool: whether nothing is between a directional light and each hit."""
+    def _is_lit(self, data: mujoco.MjData, light: mujoco.MjvLight, hits: Hits) -> np.ndarray:
+        """Return True for each hit that a directional light reaches, (n,) bool."""
         direction = light.dir.astype(float) / np.linalg.norm(light.dir)
         solid = self._model.geom_rbound > 0  # all but planes
         if not solid.any():
@@ -85,14 +90,14 @@ class RayPainter:
         center, radius = (low + high) / 2, np.linalg.norm(high - low) / 2
         offset = hits.point - center
         across = np.einsum("ij,ij->i", offset, offset) - (offset @ direction) ** 2
-        reached = hits.normal @ light.dir < 0
-        asked = np.flatnonzero(reached & (across < radius**2))
+        lit = hits.normal @ light.dir < 0
+        behind = np.flatnonzero(lit & (across < radius**2))  # or in front of the solid geoms
         source = center - _SUN * direction
-        way = hits.point[asked] - source
+        way = hits.point[behind] - source
         length = np.linalg.norm(way, axis=1)
         _, first, _ = self._cast(data, source, way / length[:, None])
-        reached[asked] = first > length - _TOUCH
-        return reached
+        lit[behind] = first > length - _TOUCH
+        return lit
 
 
 class _Field:
@@ -104,7 +109,7 @@ class _Field:
     def __init__(self, model: mujoco.MjModel, geom: int) -> None:
         self.geom = geom
         model.geom_matid[geom], model.geom_rgba[geom, 3] = -1, 0.0
-        points, faces = _triangles(model, int(model.geom_dataid[geom]))
+        points, faces = _make_triangles(model, int(model.geom_dataid[geom]))
         spec = mujoco.MjSpec()
         spec.add_mesh(
             name="field", uservert=points.ravel(), userface=faces.ravel(),
@@ -119,18 +124,12 @@ class _Field:
         mujoco.mj_kinematics(self._model, self._data)
 
     def cast(self, origin: np.ndarray, ray: np.ndarray) -> tuple[np.ndarray, ...]:
-        return _met(self._model, self._data, origin, ray, None)
+        """Return what rays hit, as `_cast_rays` does."""
+        return _cast_rays(self._model, self._data, origin, ray, None)
 
 
-def _fields(model: mujoco.MjModel, groups: np.ndarray) -> list[int]:
-    """The geoms of the world that are heightfields, of the groups that are shown."""
-    fields = model.geom_type == mujoco.mjtGeom.mjGEOM_HFIELD
-    shown = groups[model.geom_group].astype(bool)
-    return np.flatnonzero(fields & shown & (model.geom_bodyid == 0)).tolist()
-
-
-def _triangles(model: mujoco.MjModel, field: int) -> tuple[np.ndarray, np.ndarray]:
-    """Points (n, 3), m, and faces (m, 3) of a heightfield, with its walls."""
+def _make_triangles(model: mujoco.MjModel, field: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return points (n, 3), m, and faces (m, 3) of a heightfield, with its walls."""
     rows, columns = int(model.hfield_nrow[field]), int(model.hfield_ncol[field])
     first = int(model.hfield_adr[field])
     heights = model.hfield_data[first : first + rows * columns].reshape(rows, columns)
@@ -143,18 +142,18 @@ def _triangles(model: mujoco.MjModel, field: int) -> tuple[np.ndarray, np.ndarra
     node = np.arange(z.size).reshape(z.shape)
     low, along, up, far = node[:-1, :-1], node[:-1, 1:], node[1:, :-1], node[1:, 1:]
     faces = np.stack([low, along, far, low, far, up], axis=-1).reshape(-1, 3)
-    one, two, three = np.moveaxis(points[faces], 1, 0)
-    return points, faces[np.any(np.cross(two - one, three - one) != 0, axis=1)]
+    a, b, c = np.moveaxis(points[faces], 1, 0)
+    return points, faces[np.any(np.cross(b - a, c - a) != 0, axis=1)]
 
 
-def _met(
+def _cast_rays(
     model: mujoco.MjModel,
     data: mujoco.MjData,
     origin: np.ndarray,
     ray: np.ndarray,
     groups: np.ndarray | None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """What MuJoCo's rays (n, 3) meet: geom (n,), -1 for none, distance (n,) m, normal (n, 3)."""
+    """Return what rays (n, 3) hit: geoms (n,), -1 for none, distances (n,) m, normals (n, 3)."""
     n = len(ray)
     geom, distance, normal = np.empty(n, np.int32), np.empty(n), np.empty((n, 3))
     mujoco.mj_multiRay(
@@ -164,11 +163,11 @@ def _met(
     return geom, distance, normal
 
 
-def _with_whole_bounds(model: mujoco.MjModel) -> mujoco.MjModel:
-    """A copy whose bodies are bounded by spheres around all of their geoms.
+def _enlarge_bounds(model: mujoco.MjModel) -> mujoco.MjModel:
+    """Return a copy whose bodies are bounded by spheres around all of their geoms.
 
-    `mj_multiRay` leaves out a body whose bounding sphere a ray misses, and the compiler makes that
-    for the geoms that collide, so that others are overlooked.
+    `mj_multiRay` leaves out a body whose bounding sphere a ray misses. The compiler makes that for
+    the geoms that collide, so that others are overlooked.
     """
     model = copy.copy(model)
     offset = np.linalg.norm(model.geom_pos - model.body_ipos[model.geom_bodyid], axis=1)
@@ -181,10 +180,13 @@ def _with_whole_bounds(model: mujoco.MjModel) -> mujoco.MjModel:
     return model
 
 
-def _rays(
+def _compute_rays(
     camera: mujoco.MjvGLCamera, places: np.ndarray, width: int, height: int
 ) -> tuple[np.ndarray, np.ndarray, float]:
-    """Eye (3,) m, unit vectors (n, 3) to `places` (n, 2), and a pixel's width, m at 1 m ahead."""
+    """Return the eye (3,) m, unit vectors (n, 3) to `places` (n, 2), and a pixel's width.
+
+    The width is that at 1 m ahead, m.
+    """
     forward, up = camera.forward.astype(float), camera.up.astype(float)
     pixel = (camera.frustum_top - camera.frustum_bottom) / camera.frustum_near / height
     across = pixel * (places[:, 0] - width / 2) + camera.frustum_center / camera.frustum_near
@@ -194,16 +196,12 @@ def _rays(
     return camera.pos.astype(float), ray, pixel
 
 
-def _edges(labels: np.ndarray, normals: np.ndarray) -> np.ndarray:
-    """(height, width) bool: the pixels on both sides of each edge."""
+def _find_edges(labels: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """Return True for the pixels on both sides of each edge, (height, width) bool."""
     edges = np.zeros(labels.shape, bool)
-    for axis in (0, 1):
-        one, other = (
-            tuple(part if k == axis else slice(None) for k in (0, 1))
-            for part in (slice(None, -1), slice(1, None))
-        )
+    for one, other in ((np.s_[:-1], np.s_[1:]), (np.s_[:, :-1], np.s_[:, 1:])):
         crease = np.einsum("ijk,ijk->ij", normals[one], normals[other]) < _CREASE
-        found = (labels[one] != labels[other]) | (crease & (labels[one] >= 0))
-        edges[one] |= found
-        edges[other] |= found
+        border = (labels[one] != labels[other]) | (crease & (labels[one] >= 0))
+        edges[one] |= border
+        edges[other] |= border
     return edges

@@ -19,7 +19,7 @@ _DOWN = np.array([(1, -1), (1, -1), (2, 1), (2, -1), (1, -1), (1, -1)])
 
 @dataclass(frozen=True)
 class Hits:
-    """What n rays from the eye meet first, in world axes."""
+    """The first hits of n rays from the eye, in world axes."""
 
     eye: np.ndarray  # (3,) m
     ray: np.ndarray  # (n, 3) unit vectors from the eye
@@ -29,12 +29,12 @@ class Hits:
 
     @property
     def point(self) -> np.ndarray:
-        """(n, 3) m."""
+        """Points of the hits (n, 3) m."""
         return self.eye + self.distance[:, None] * self.ray
 
 
 class Texture:
-    """A picture (height, width, 3), uint8, and all its halvings: far away its mean colors show."""
+    """A picture (height, width, 3), uint8, and all its halvings, which show far away."""
 
     def __init__(self, pixels: np.ndarray) -> None:
         levels = [Image.fromarray(pixels)]
@@ -46,9 +46,9 @@ class Texture:
         self._texels = np.concatenate(texels)
 
     def sample(self, at: np.ndarray, width: np.ndarray) -> np.ndarray:
-        """Colors (n, 3) in 0 .. 1 at `at` (n, 2), x and y from 0 to 1 and then repeated.
+        """Return colors (n, 3) in 0 .. 1 at `at` (n, 2), x and y from 0 to 1 and then repeated.
 
-        `width` (n,), in the same unit, is how much of the picture each stands for.
+        `width` (n,), in the same unit, is the size of the pixel that each color fills.
         """
         exact = np.log2(np.maximum(width * self._sizes[0].max(), 1.0))
         level = np.minimum(exact.astype(np.int32), len(self._sizes) - 2)
@@ -57,7 +57,7 @@ class Texture:
         return (1 - share) * self._blend(at, level) + share * self._blend(at, level + 1)
 
     def _blend(self, at: np.ndarray, level: np.ndarray) -> np.ndarray:
-        """Colors (n, 3) of the four texels about each place, in the halving `level` (n,)."""
+        """Return the mean colors (n, 3) of the four texels about each place, in halving `level`."""
         size = self._sizes[level]
         place = at * size - np.float32(0.5)
         first = np.floor(place).astype(np.int32)
@@ -74,20 +74,23 @@ class Texture:
 
 
 class Shader:
+    """Colors of one model's hits; the pictures of its textures are prepared once."""
+
     def __init__(self, model: mujoco.MjModel) -> None:
         self._model = model
-        made = np.flatnonzero(model.geom_matid >= 0)
+        with_material = np.flatnonzero(model.geom_matid >= 0)
         self._texture_of = np.full(model.ngeom, -1)
-        self._texture_of[made] = model.mat_texid[model.geom_matid[made], _RGB]
+        materials = model.geom_matid[with_material]
+        self._texture_of[with_material] = model.mat_texid[materials, _RGB]
         self._textures = {
-            int(index): Texture(_pixels(model, index))
+            int(index): Texture(_read_pixels(model, index))
             for index in np.unique(self._texture_of[self._texture_of >= 0])
             if model.tex_type[index] == mujoco.mjtTexture.mjTEXTURE_2D
         }
         skies = np.flatnonzero(model.tex_type == mujoco.mjtTexture.mjTEXTURE_SKYBOX)
-        self._sky = _pixels(model, skies[0]) if len(skies) else np.zeros((6, 1, 3))
+        self._sky = _read_pixels(model, skies[0]) if len(skies) else np.zeros((6, 1, 3))
 
-    def color(
+    def compute_colors(
         self,
         data: mujoco.MjData,
         scene: mujoco.MjvScene,
@@ -95,24 +98,24 @@ class Shader:
         lit: dict[int, np.ndarray],
         pixel: float,
     ) -> np.ndarray:
-        """Colors (n, 3) in 0 .. 1 of `hits`, by directional lights alone.
+        """Return colors (n, 3) in 0 .. 1 of `hits`, by directional lights alone.
 
-        `lit` has, by index of each light that casts shadows, whether it reaches each hit, (n,)
-        bool; `pixel` is a pixel's width, m at 1 m from the eye.
+        `lit` maps the index of a light that casts shadows to the hits that it reaches, (n,) bool.
+        `pixel` is a pixel's width, m at 1 m from the eye.
         """
-        color = self._lighting(scene, hits, lit)
+        color = self._compute_lighting(scene, hits, lit)
         for index, texture in self._textures.items():
             on = np.flatnonzero((self._texture_of[hits.geom] == index) & (hits.geom >= 0))
-            color[on] *= texture.sample(*self._texture_places(data, hits, on, pixel))
+            color[on] *= texture.sample(*self._find_texture_places(data, hits, on, pixel))
         sky = np.flatnonzero(hits.geom < 0)
-        color[sky] = self._sky_color(hits.ray[sky])
+        color[sky] = self._compute_sky(hits.ray[sky])
         self._add_haze(data, scene, hits, color)
         return np.clip(color, 0.0, 1.0)
 
-    def _lighting(
+    def _compute_lighting(
         self, scene: mujoco.MjvScene, hits: Hits, lit: dict[int, np.ndarray]
     ) -> np.ndarray:
-        """Colors (n, 3) without textures."""
+        """Return colors (n, 3) without textures."""
         # One more than there are geoms, for index -1.
         rgb, shine = np.zeros((2, self._model.ngeom + 1, 3), np.float32)
         for geom in scene.geoms[: scene.ngeom]:
@@ -134,10 +137,10 @@ class Shader:
             gloss += reaches * ((slant > 0) * specular * glance)[:, None] * light.specular
         return rgb[hits.geom] * amount + gloss
 
-    def _texture_places(
+    def _find_texture_places(
         self, data: mujoco.MjData, hits: Hits, on: np.ndarray, pixel: float
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Where in its texture each of the hits `on` is (n, 2), and how wide a pixel is there."""
+        """Return the places of the hits `on` in their texture (n, 2), and a pixel's width there."""
         model, geom = self._model, hits.geom[on]
         offset = hits.point[on] - data.geom_xpos[geom]
         local = np.einsum("ij,ijk->ik", offset, data.geom_xmat[geom].reshape(-1, 3, 3)[..., :2])
@@ -149,8 +152,8 @@ class Shader:
         width = pixel * hits.distance[on] / np.sqrt(np.maximum(slant, 1e-9))
         return local * scale * (1, -1) - 0.5, width * scale.max(axis=1)
 
-    def _sky_color(self, ray: np.ndarray) -> np.ndarray:
-        """Colors (n, 3) of the sky in the directions `ray` (n, 3)."""
+    def _compute_sky(self, ray: np.ndarray) -> np.ndarray:
+        """Return colors (n, 3) of the sky in the directions `ray` (n, 3)."""
         # Its y points up.
         cube, rows = np.stack([ray[:, 0], ray[:, 2], -ray[:, 1]], axis=1), np.arange(len(ray))
         axis = np.abs(cube).argmax(axis=1)
@@ -158,12 +161,12 @@ class Shader:
         face = 2 * axis + (depth < 0)
         side = self._sky.shape[1]
 
-        def texel(table: np.ndarray) -> np.ndarray:
+        def find_texel(table: np.ndarray) -> np.ndarray:
             along, sense = table[face].T
             place = (sense * cube[rows, along] / np.abs(depth) + 1) / 2
             return np.clip((side * place).astype(int), 0, side - 1)
 
-        return self._sky[side * face + texel(_DOWN), texel(_ACROSS)] / 255
+        return self._sky[side * face + find_texel(_DOWN), find_texel(_ACROSS)] / 255
 
     def _add_haze(
         self, data: mujoco.MjData, scene: mujoco.MjvScene, hits: Hits, color: np.ndarray
@@ -186,12 +189,12 @@ class Shader:
             peak = max(span / (1 + span), mujoco.mjMINVAL)
             share = np.where(height < peak, height / peak, (1 - height) / (1 - peak))[:, None]
             beyond = height >= peak
-            color[on[beyond]] = self._sky_color(hits.ray[on[beyond]])
+            color[on[beyond]] = self._compute_sky(hits.ray[on[beyond]])
             color[on] = (1 - share) * color[on] + share * model.vis.rgba.haze[:3]
 
 
-def _pixels(model: mujoco.MjModel, texture: int) -> np.ndarray:
-    """(height, width, 3) uint8 of a texture; a sky's six faces are one below the other."""
+def _read_pixels(model: mujoco.MjModel, texture: int) -> np.ndarray:
+    """Return a texture (height, width, 3) uint8; a sky's six faces are one below the other."""
     height, width = model.tex_height[texture], model.tex_width[texture]
     channels, start = model.tex_nchannel[texture], model.tex_adr[texture]
     flat = model.tex_data[start : start + height * width * channels]

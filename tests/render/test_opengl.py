@@ -1,4 +1,4 @@
-"""Which GL library is chosen; that none, or a broken one, means rays and not a word."""
+"""The choice of a GL library; without one that works, rays draw and nothing is printed."""
 
 import os
 import subprocess
@@ -15,17 +15,15 @@ import numpy as np
 from quadwalk.render.canvas import Camera, Canvas
 from quadwalk.robot.quadruped import load_quadruped
 quadruped = load_quadruped()
-model = quadruped.make_full_model()
-canvases = [Canvas(model, 32, 20) for _ in range(2)]
-for canvas in canvases * 2:
-    assert canvas.draw(quadruped.home, Camera(np.zeros(3), 1.5, 90, -20)).std() > 1
+canvas = Canvas(quadruped.make_full_model(), 32, 20)
+assert canvas.draw(quadruped.home, Camera(np.zeros(3), 1.5, 90, -20)).std() > 1
 print(canvas.library)
 """
 
 
 @pytest.fixture
 def machine(monkeypatch):
-    """machine(libraries, **environment): pretend that it has these, and no screen."""
+    """Return a function that pretends that there are these libraries, and no screen."""
 
     def pretend(libraries: tuple[str, ...], **environment: str) -> None:
         for name in ("MUJOCO_GL", "DISPLAY", "WAYLAND_DISPLAY"):
@@ -93,15 +91,15 @@ def test_a_library_that_fails_means_rays_and_silence(machine, monkeypatch, quadr
         return type("Context", (Broken,), {"at": at})
 
     machine(("EGL",))
-    monkeypatch.setattr(opengl, "_context_class", context_class)
+    monkeypatch.setattr(opengl, "_load_context_class", context_class)
     assert Canvas(quadruped.make_full_model(), 16, 16).library == "rays"
     assert find_working_library() is None
     assert capfd.readouterr() == ("", "")
 
 
-@pytest.mark.parametrize("wanted", [None, "disable", "glfw"])
+@pytest.mark.parametrize("wanted", [None, "glfw"])
 def test_drawing_is_silent_from_start_to_end(wanted):
-    """As the machine is; without any library; with a window where there is no screen."""
+    """As the machine is, and with a window where there is no screen."""
     hidden = ("MUJOCO_GL", "DISPLAY", "WAYLAND_DISPLAY") if wanted else ()
     environment = {name: value for name, value in os.environ.items() if name not in hidden}
     if wanted:
