@@ -36,7 +36,8 @@ from quadwalk.learn.networks import make_env_networks
 from quadwalk.physics.engines import ENGINES
 from quadwalk.physics.motor import PhysicsState
 from quadwalk.robot.quadruped import load_quadruped
-from quadwalk.tasks import list_tasks, load_task
+from quadwalk.task_files import load_task
+from quadwalk.tasks import list_tasks
 
 ROOT = Path(__file__).resolve().parents[1]
 ITERATIONS = 8  # in a round

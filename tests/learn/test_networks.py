@@ -12,9 +12,9 @@ from brax.training.agents.ppo import losses
 from brax.training.agents.ppo import networks as brax_networks
 from brax.training.distribution import NormalTanhDistribution
 from brax.training.types import Transition
+from brax_training import NormalTanh
 from jax.sharding import PartitionSpec as P
 
-from benchmarks.brax_training import NormalTanh
 from quadwalk.env.reflections import Mirrors
 from quadwalk.errors import UsageError
 from quadwalk.learn import ppo

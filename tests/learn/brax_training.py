@@ -5,8 +5,6 @@ after it (Brax's `bootstrap_on_timeout`: from the one before, and scales that to
 start for each episode (Brax restores the first one), and spreads the episodes' phases.
 """
 
-import functools
-import time
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -19,6 +17,7 @@ from brax.training.agents.ppo import networks as brax_networks
 from brax.training.agents.ppo import train as brax_ppo
 from brax.training.distribution import NormalTanhDistribution
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
+from scipy import stats
 
 from quadwalk.learn import ppo
 from quadwalk.learn.acting import make_policy
@@ -35,7 +34,7 @@ class _JaxForBrax:
 
     @staticmethod
     def device_put_replicated(tree: Any, devices: list[jax.Device]) -> Any:
-        """`tree` with a new first axis, along which each device holds the same."""
+        """Return `tree` with a new first axis, along which each device holds the same."""
         split = NamedSharding(Mesh(np.array(devices), ("i",)), PartitionSpec("i"))
         return jax.tree.map(lambda x: jax.device_put(jnp.stack([x] * len(devices)), split), tree)
 
@@ -56,10 +55,10 @@ class NormalTanh(NormalTanhDistribution):
         ).compute_entropy()
 
 
-def networks_of_brax(
+def make_brax_networks(
     config: PPOConfig, networks: Networks, **others: Any
 ) -> brax_networks.PPONetworks:
-    """Brax's own networks of the same sizes as `networks`, which are plain."""
+    """Return Brax's own networks of the same sizes as `networks`, which are plain."""
     return brax_networks.make_ppo_networks(
         networks.critic_obs.size,
         networks.outputs.size // 2,
@@ -89,8 +88,8 @@ class ForBrax(Wrapper):
         return after.replace(info={**state.info, **after.info, "time_out": time_out})
 
 
-def brax_arguments(config: PPOConfig, envs: int) -> dict[str, Any]:
-    """The arguments of `ppo.train` that mean what `config` does, for `envs` environments."""
+def make_brax_arguments(config: PPOConfig, envs: int) -> dict[str, Any]:
+    """Return the arguments of `ppo.train` that mean what `config` does, for `envs` environments."""
     return {
         "num_envs": envs,
         "batch_size": envs // config.minibatches,
@@ -128,20 +127,22 @@ def train_with_brax(
     seed: int,
     **others: Any,
 ) -> list[Params]:
-    """Parameters at the start and after each of `points` equal parts of `iterations`."""
-    kept: list[Params] = []
+    """Return parameters at the start and after each of `points` equal parts of `iterations`."""
+    params_of_points: list[Params] = []
     brax_ppo.train(
         ForBrax(env),
         num_timesteps=iterations * envs * config.unroll,
         num_evals=points + 1,
         network_factory=lambda *args, **kwargs: networks,
         restore_params=(start.normalizer, start.params.policy, start.params.value),
-        policy_params_fn=lambda steps, make, params: kept.append(jax.device_get(params)),
+        policy_params_fn=lambda steps, make, params: params_of_points.append(
+            jax.device_get(params)
+        ),
         seed=seed,
-        **brax_arguments(config, envs),
+        **make_brax_arguments(config, envs),
         **others,
     )
-    return kept
+    return params_of_points
 
 
 def train_with_ours(
@@ -150,53 +151,49 @@ def train_with_ours(
     iterations: int,
     points: int,
 ) -> list[Params]:
-    """The same of our loop, `iterate` being one iteration of it."""
-    kept = [params_of(state.learner)]
+    """Return the same of our loop, `iterate` being one iteration of it."""
+    params = [get_params(state.learner)]
     for i in range(1, iterations + 1):
         state, _ = jax.block_until_ready(iterate(state))
         if i % (iterations // points) == 0:
-            kept.append(params_of(state.learner))
-    return kept
+            params.append(get_params(state.learner))
+    return params
 
 
-def params_of(learner: ppo.Learner) -> Params:
-    """A learner's normalizer, policy and value parameters, on the host."""
+def get_params(learner: ppo.Learner) -> Params:
+    """Return a learner's normalizer, policy and value parameters, on the host."""
     return jax.device_get((learner.normalizer, learner.params.policy, learner.params.value))
 
 
 def make_judge(env: Env, config: PPOConfig, episodes: int) -> Callable[[Params], Any]:
-    """Evaluates parameters by `episodes` with the mean action.
+    """Return a function that evaluates parameters by `episodes` with the mean action.
 
-    Returns reward and speed, summed until an episode ends, over its full length; and the share of
-    episodes that ended by a fall.
+    It returns the reward, summed until an episode ends, over its full length.
     """
     steps = env.config.episode_steps
 
     @jax.jit
-    def judge(params: Params) -> tuple[jax.Array, jax.Array, jax.Array]:
+    def judge(params: Params) -> jax.Array:
         policy = make_policy(config, params[0], params[1])
 
-        def one_step(carry: Any, _: None) -> Any:
+        def step(carry: Any, _: None) -> Any:
             state, running = carry
             after = jax.vmap(env.step)(state, policy(state.obs))
-            gains = jnp.stack([after.reward, after.metrics["speed"], after.metrics["fell"]])
-            return (after, running * (1.0 - after.done)), gains * running
+            return (after, running * (1.0 - after.done)), after.reward * running
 
         keys = jax.random.split(jax.random.PRNGKey(12345), episodes)
         state = jax.vmap(env.reset)(keys)
-        _, gains = jax.lax.scan(one_step, (state, jnp.ones(episodes)), None, length=steps)
-        reward, speed, fell = gains.sum(0).mean(-1)
-        return reward / steps, speed / steps, fell
+        _, rewards = jax.lax.scan(step, (state, jnp.ones(episodes)), None, length=steps)
+        return rewards.sum(0).mean(-1) / steps
 
     return judge
 
 
 class Agreement(NamedTuple):
-    """How two sets of learning curves compare."""
+    """Ours and Brax's learning curves compared."""
 
     difference: float  # mean over curve and seeds, ours less Brax's
     margin: float  # half the width of its 99 % interval
-    largest: float  # difference of the seeds' means at any point, its size
     gain: float  # of Brax's mean curve from its start to its end, to compare with
 
     @property
@@ -204,21 +201,18 @@ class Agreement(NamedTuple):
         return abs(self.difference) <= self.margin
 
 
-def compare(ours: np.ndarray, brax: np.ndarray) -> Agreement:
+def compare_curves(ours: np.ndarray, brax: np.ndarray) -> Agreement:
     """Compare curves (seeds, 1 + points), the first point being the common start."""
-    from scipy import stats
-
     gaps = (ours - brax)[:, 1:].astype(float)
     interval = stats.ttest_1samp(gaps.mean(axis=1), 0.0).confidence_interval(0.99)
     return Agreement(
         difference=float(gaps.mean()),
         margin=float(interval.high - interval.low) / 2.0,
-        largest=float(np.abs(gaps.mean(axis=0)).max()),
         gain=float(brax[:, -1].mean() - brax[:, 0].mean()),
     )
 
 
-def learning_curves(
+def compute_curves(
     env: Env,
     config: PPOConfig,
     envs: int,
@@ -226,32 +220,20 @@ def learning_curves(
     points: int,
     seeds: int,
     episodes: int,
-    say: Callable[[str], None] = lambda text: None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Ours and Brax's curves (seeds, 1 + points, 3): reward, speed, falls as `make_judge` tells."""
+    """Train with both; return ours and Brax's rewards (seeds, 1 + points)."""
     networks = make_networks(config, env.observation_size, env.action_size)
-    theirs = networks_of_brax(config, networks)
+    brax_networks = make_brax_networks(config, networks)
     mesh = make_mesh()
     iterate = ppo.Iteration(env, networks, config, mesh, iterations)
     judge = make_judge(env, config, episodes)
-    curves: tuple[list[Any], list[Any]] = ([], [])
+    ours, brax = [], []
     for seed in range(seeds):
         state = ppo.init_state(env, networks, config, mesh, envs, seed)
         state, _ = jax.block_until_ready(iterate(state))  # measures the observations only
         start = jax.device_get(state.learner)
-        runs = (
-            functools.partial(train_with_ours, iterate, state, iterations, points),
-            functools.partial(
-                train_with_brax, env, theirs, config, envs, start, iterations, points, seed
-            ),
-        )
-        for name, run, curve in zip(("ours", "Brax"), runs, curves, strict=True):
-            began = time.perf_counter()
-            curve.append([np.array(judge(params)) for params in run()])
-            reward, speed, fell = curve[-1][-1]
-            took = time.perf_counter() - began
-            say(
-                f"seed {seed} {name}: in the end {reward:.3f} a step, {speed:.2f} m/s, "
-                f"{fell:.0%} fell; {took:.0f} s"
-            )
-    return np.array(curves[0]), np.array(curves[1])
+        params = train_with_ours(iterate, state, iterations, points)
+        ours.append([np.array(judge(point)) for point in params])
+        params = train_with_brax(env, brax_networks, config, envs, start, iterations, points, seed)
+        brax.append([np.array(judge(point)) for point in params])
+    return np.array(ours), np.array(brax)
