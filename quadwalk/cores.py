@@ -4,6 +4,7 @@ import functools
 import hashlib
 import os
 import platform
+import signal
 import tempfile
 import time
 from pathlib import Path
@@ -49,6 +50,14 @@ def pin(count: int) -> bool:
         if time.monotonic() > end:
             return False
         time.sleep(0.1)
+
+
+def start_worker(cores: int) -> None:
+    """Prepare a process that its parent ends: with cores of its own, deaf to Ctrl-C and hangup."""
+    for name in ("SIGINT", "SIGHUP"):
+        if hasattr(signal, name):  # Windows has no SIGHUP
+            signal.signal(getattr(signal, name), signal.SIG_IGN)
+    pin(cores)
 
 
 def _lock(path: Path) -> int | None:

@@ -102,15 +102,15 @@ def make_folder(path: Path, what: str = "the folder") -> None:
         raise UserError(f"cannot make {what} {path}: {os_reason(error)}") from error
 
 
-def lock(file: Any) -> bool | None:
-    """Lock `file` until it is closed; return True if this process has it, False if another has.
+def lock(file: Any, wait: bool = False) -> bool | None:
+    """Lock `file` until it is closed: True if this process has it now, False if another has.
 
-    Returns None where the system or the file system has no such locks.
+    With `wait` it waits for another. None where the system or the file system has no such locks.
     """
     if fcntl is None:
         return None
     try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        fcntl.flock(file, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
     except BlockingIOError:
         return False
     except OSError:
@@ -119,18 +119,18 @@ def lock(file: Any) -> bool | None:
 
 
 @contextlib.contextmanager
-def hold_file(path: Path, taken: str) -> Iterator[None]:
+def hold_file(path: Path, taken: str | None) -> Iterator[None]:
     """Keep a file, made if need be, for this process; `UserError` `taken` if another has it.
 
-    The system gives it back when the process ends, however it ends.
+    Without `taken` it waits. The system gives it back when the process ends, however it ends.
     """
     try:
         file = open(path, "ab")  # noqa: SIM115 - opened apart, to tell what is refused
     except OSError as error:
         raise UserError(f"cannot write {path}: {os_reason(error)}") from error
     with file:
-        if lock(file) is False:
-            raise UserError(taken)
+        if lock(file, wait=taken is None) is False:
+            raise UserError(str(taken))
         yield
 
 

@@ -15,13 +15,13 @@ import pytest
 from quadwalk.cli.arguments import parse
 from quadwalk.errors import UserError
 from quadwalk.evaluation.options import EvalConfig
-from quadwalk.experiments.compare import main as compare
+from quadwalk.experiments.commands import compare
 from quadwalk.experiments.options import CompareConfig, TuneConfig
 from quadwalk.export.cli import ExportConfig
 from quadwalk.learn.acting import load_checkpoint_policy, load_policy
 from quadwalk.learn.flags import parse_config
 from quadwalk.paths import ALIENGO_URDF
-from quadwalk.progress.curves import learning_curve
+from quadwalk.progress.curves import draw_learning_curve
 from quadwalk.robot.cli import main as robot
 from quadwalk.robot.load import load_robot
 from quadwalk.robot.quadruped import Quadruped
@@ -141,7 +141,10 @@ def test_arguments_of_robot_and_ground(word, tmp_path, monkeypatch):
 # What a run's files are read for.
 READERS: dict[str, tuple[Callable[[Run], object], ...]] = {
     "config.json": (read_config_to_resume,),
-    "metrics.jsonl": (lambda run: learning_curve(read_history(run)), lambda run: appended(run)),
+    "metrics.jsonl": (
+        lambda run: draw_learning_curve(read_history(run)),
+        lambda run: appended(run),
+    ),
     "timing.jsonl": (read_history, lambda run: appended(run)),
     "policy.npz": (lambda run: load_policy(run.policy),),
     "best.npz": (lambda run: load_score(run.best),),

@@ -12,7 +12,7 @@ import pytest
 import tyro
 
 from quadwalk.cli import main
-from quadwalk.experiments.options import split_variants
+from quadwalk.experiments.commands import split_variants
 from quadwalk.files import format_json
 from quadwalk.learn.flags import parse_config
 from quadwalk.runs.directory import create_run, get_versions

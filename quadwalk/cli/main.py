@@ -19,8 +19,11 @@ COMMANDS = {
     "view": ("quadwalk.view.show:main", "drive a trained policy live"),
     "demo": ("quadwalk.view.show:main", "drive a policy that comes trained, in a page"),
     "export": ("quadwalk.export.cli:main", "write a policy as ONNX, to be used elsewhere"),
-    "compare": ("quadwalk.experiments.compare:main", "train variants over seeds, and compare them"),
-    "tune": ("quadwalk.experiments.tune:main", "search the settings that make a policy best"),
+    "compare": (
+        "quadwalk.experiments.commands:compare",
+        "train and compare variants over seeds",
+    ),
+    "tune": ("quadwalk.experiments.commands:tune", "search the settings that make a policy best"),
     "identify": ("quadwalk.identify.cli:main", "fit a robot's joints to a log of them"),
     "runs": ("quadwalk.runs.cli:main", "list, show and remove training runs"),
     "tasks": ("quadwalk.tasks:main", "list the tasks"),

@@ -96,7 +96,7 @@ def _make_folder(folder: Path, made: contextlib.ExitStack, new: bool = True) -> 
     try:
         if new:
             folder = next(
-                filter(_is_made, map(folder.with_name, directory.number_names(folder.name)))
+                filter(_is_made, map(folder.with_name, directory.generate_names(folder.name)))
             )
         if new or _is_made(folder):
             missing.insert(0, folder)

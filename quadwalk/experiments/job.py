@@ -6,16 +6,13 @@ import multiprocessing
 import os
 import signal
 import socket
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
 
 from quadwalk.api import train
-from quadwalk.cores import pin
 from quadwalk.errors import UserError
 from quadwalk.experiments.options import PlaceConfig
 from quadwalk.learn.devices import ACCELERATOR_ENVS, CPU_ENVS, count_devices, set_up_devices
@@ -26,24 +23,16 @@ from quadwalk.runs.policy import load_score
 from quadwalk.runs.resume import describe_training, read_config
 from quadwalk.settings.training import TrainConfig, with_files
 
-PATIENCE = 120.0  # s for a process that was lost to let go of its run
-
-Row = dict[str, float]
-
-
-class StoppedError(Exception):
-    """A training ended early because it was asked to; its run can be resumed."""
-
 
 class Work(NamedTuple):
-    """What the process that computes a job is sent; the settings are in the run's folder."""
+    """The arguments of the process that computes a job; the settings are in the run's folder."""
 
     run: Run
     steps: int
     devices: int | None
-    cores: int  # 0: on accelerators
     evaluate: Callable[[Run], Any]
     versions: dict[str, str]
+    on_cpu: bool
 
 
 @dataclass(frozen=True)
@@ -61,10 +50,10 @@ class Job:
     def run(self) -> Run:
         return Run(self.config.runs / self.name)
 
-    def work(self, cores: int) -> Work:
-        """Return what a process needs to compute this job on `cores` cores."""
+    def make_work(self, on_cpu: bool = True) -> Work:
+        """Return what a process needs to compute this job."""
         config = self.config
-        return Work(self.run, config.steps, config.devices, cores, self.evaluate, get_versions())
+        return Work(self.run, config.steps, config.devices, self.evaluate, get_versions(), on_cpu)
 
 
 def fix_sizes(config: TrainConfig, place: PlaceConfig) -> TrainConfig:
@@ -77,60 +66,36 @@ def fix_sizes(config: TrainConfig, place: PlaceConfig) -> TrainConfig:
     return replace(config, envs=envs, devices=devices, minutes=None, quiet=True)
 
 
-def check_same(config: TrainConfig) -> None:
-    """Raise a `UserError` if `config` cannot be trained, or its run is there with others."""
-    run = Run(config.runs / str(config.name))
-    wanted = describe_training(config, load_robot(config.robot))
-    if not run.path.exists():
-        return
-    kept = read_config(run)
-    if describe_training(kept, load_robot(kept.robot)) != wanted:
-        raise UserError(f"{run.path} has other settings; remove it to train it anew")
-
-
-def open_run(config: TrainConfig) -> Run:
-    """Return the run of `config`, made if it is not there; `UserError` if it has other settings."""
-    check_same(config)
-    run, robot = Run(config.runs / str(config.name)), config.robot
-    if run.path.exists():
-        return run
-    config = with_files(config, robot.urdf, robot.mesh_dirs, config.env.ground.file)
-    return make_run(config, load_robot(config.robot))
-
-
-def get_stop_file(run: Run) -> Path:
-    """Return the file that asks a run's training to end, in whatever process that is."""
-    return run.path / "stop"
-
-
-def train_run(run: Run, steps: int, watch: Callable[[Row], object] | None = None) -> bool:
-    """Train a run to `steps`, silently, and return True if it came there.
-
-    `watch` is called with each row of metrics.
-    """
-
-    def is_done() -> bool:
-        return run.policy.exists() and load_score(run.policy)[0] >= steps
-
-    if not is_done():
-        with contextlib.redirect_stdout(io.StringIO()):
-            train(resume=run, steps=steps, quiet=True, watch=watch)
-    return is_done()
+def open_run(job: Job) -> Run:
+    """Return the run of a job, made if it is not there; `UserError` if it has other settings."""
+    config, quadruped = job.config, load_robot(job.config.robot)
+    if not job.run.path.exists():
+        robot = config.robot
+        config = with_files(config, robot.urdf, robot.mesh_dirs, config.env.ground.file)
+        return make_run(config, quadruped)
+    saved = read_config(job.run)
+    if describe_training(saved, load_robot(saved.robot)) != describe_training(config, quadruped):
+        raise UserError(f"{job.run.path} has other settings; remove it to train it anew")
+    return job.run
 
 
 def compute_job(work: Work) -> Any:
     """Train and evaluate a run in a process of its own, and return its evaluation.
 
-    Raises `StoppedError` if it was stopped before it was trained, and `UserError`.
+    Raises a `UserError` if it was stopped before it was trained.
     """
+    if get_versions() != work.versions:
+        raise UserError(f"{socket.gethostname()} has {get_versions()}; expected {work.versions}")
+    if work.on_cpu:
+        jax.config.update("jax_platforms", "cpu")
     try:
-        _check_machine(work)
-        if work.cores:
-            pin(work.cores)
-            jax.config.update("jax_platforms", "cpu")
-        _wait_for(work.run)
-        if not train_run(work.run, work.steps, lambda row: _stop_if_asked(work.run)):
-            raise StoppedError(work.run.name)
+        with claim(work.run, wait=True):  # a process that was lost may still be ending
+            pass
+        if not _is_trained(work):
+            with contextlib.redirect_stdout(io.StringIO()):
+                train(resume=work.run, steps=work.steps, quiet=True, watch=_stop_orphan)
+        if not _is_trained(work):
+            raise UserError("it was stopped")
         set_up_devices(work.devices)  # where nothing was left to train
         return work.evaluate(work.run)
     finally:
@@ -138,10 +103,8 @@ def compute_job(work: Work) -> Any:
             os._exit(1)  # an executor's process would wait for its next job for ever
 
 
-def _stop_if_asked(run: Run) -> None:
-    """Have training save what it has, and end, if it was stopped or nobody waits for it."""
-    if _is_orphan() or get_stop_file(run).exists():
-        signal.raise_signal(signal.SIGTERM)
+def _is_trained(work: Work) -> bool:
+    return work.run.policy.exists() and load_score(work.run.policy)[0] >= work.steps
 
 
 def _is_orphan() -> bool:
@@ -150,31 +113,7 @@ def _is_orphan() -> bool:
     return parent is not None and not parent.is_alive()
 
 
-def _check_machine(work: Work) -> None:
-    """Raise a `UserError` if this machine lacks the run's folder or has other versions."""
-    here = get_versions()
-    if here != work.versions:
-        differ = ", ".join(
-            f"{name} {version} in place of {work.versions[name]}"
-            for name, version in here.items()
-            if version != work.versions[name]
-        )
-        raise UserError(f"{socket.gethostname()} has {differ}")
-    if not work.run.config.exists():
-        raise UserError(
-            f"{socket.gethostname()} has no {work.run.path}; expected --runs in a folder that all "
-            "machines share"
-        )
-
-
-def _wait_for(run: Run) -> None:
-    """Wait until no process trains a run: one that was lost may still be ending."""
-    end = time.monotonic() + PATIENCE
-    while True:
-        try:
-            with claim(run):
-                return
-        except UserError:
-            if time.monotonic() > end:
-                raise
-            time.sleep(0.5)
+def _stop_orphan(_row: dict[str, float]) -> None:
+    """Have training save what it has, and end, if nobody waits for it."""
+    if _is_orphan():
+        signal.raise_signal(signal.SIGTERM)

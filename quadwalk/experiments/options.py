@@ -1,8 +1,6 @@
-"""Options of the commands and scripts that train many times, and where they train."""
+"""The settings of commands and scripts that train many times, and of where they train."""
 
 import argparse
-import dataclasses
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -10,7 +8,6 @@ from typing import Annotated
 import tyro
 
 from quadwalk.bounds import Count, Natural, Seed, Settings
-from quadwalk.cli.arguments import FIND_OPTIONS
 from quadwalk.cores import cpu_cores
 
 
@@ -60,20 +57,6 @@ class CompareConfig(PlaceConfig):
     seeds: Count = 3  # trainings of each variant: from seed 0 up
     episodes: Count = 64  # of each run, in each engine
     runs: Path = Path("runs/compare")  # folder of the runs and of what is written
-
-
-def split_variants(args: Sequence[str]) -> tuple[list[str], list[str]]:
-    """Return the variants among `args`, and the rest: the command's options and their values."""
-    flags = {f"--{field.name.replace('_', '-')}" for field in dataclasses.fields(CompareConfig)}
-    variants, options, takes_value = [], [], False
-    for arg in args:
-        is_flag = arg.partition("=")[0].replace("_", "-") in flags
-        if takes_value or is_flag or arg in ("-h", "--help", FIND_OPTIONS):
-            options.append(arg)
-            takes_value = not takes_value and is_flag and "=" not in arg
-        else:
-            variants.append(arg)
-    return variants, options
 
 
 @dataclass(frozen=True)

@@ -8,18 +8,17 @@ import contextlib
 import logging
 import math
 import multiprocessing
+import os
 import re
 import signal
 import socket
-from collections.abc import Iterator
-from concurrent.futures import Future, ProcessPoolExecutor
-from multiprocessing.process import BaseProcess
-from typing import Any, Protocol, Self
+from concurrent.futures import BrokenExecutor, Future, ProcessPoolExecutor
+from typing import Any
 
 from quadwalk.cli.shell import import_extra
-from quadwalk.cores import cpu_cores
+from quadwalk.cores import cpu_cores, start_worker
 from quadwalk.errors import UsageError, UserError
-from quadwalk.experiments.job import Job, compute_job, get_stop_file
+from quadwalk.experiments.job import Job, compute_job
 from quadwalk.experiments.options import PlaceConfig
 
 RETRIES = 5  # of a job on a cluster whose worker or machine has died
@@ -27,34 +26,8 @@ _PATIENCE = 5.0  # s for an address to answer
 _ADDRESS = re.compile(r"(?P<host>[\w.-]+):(?P<port>\d{1,5})")
 
 
-class Place(Protocol):
-    """Where jobs are computed; a context manager, which ends those that still are."""
-
-    slots: int  # jobs that it can compute at a time
-    most: float  # jobs that it takes at a time
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None: ...
-
-    def submit(self, job: Job) -> Future[Any]:
-        """Begin or resume a job, whose run is there."""
-
-    def result(self, future: Future[Any]) -> Any:
-        """Return the evaluation of a job that has ended, or raise what it raised."""
-
-    def stop(self, future: Future[Any], job: Job, trains: bool) -> None:
-        """Have a job end early; what it trains is saved if it `trains` already."""
-
-
-def make_place(config: PlaceConfig) -> Place:
-    """Return the place that a command's flags ask for; `UserError` where it cannot be."""
-    return ThisMachine(config) if config.cluster is None else Cluster(config)
-
-
-class ThisMachine(Place):
-    """Processes of this machine, each kept to cores of its own."""
+class ThisMachine(contextlib.AbstractContextManager["ThisMachine"]):
+    """Processes of this machine, each kept to cores of its own; a context manager."""
 
     def __init__(self, config: PlaceConfig) -> None:
         if config.gpus:
@@ -65,75 +38,53 @@ class ThisMachine(Place):
         if config.cores_each > cpu_cores():
             raise UsageError(f"--cores is {config.cores}; expected at most {cpu_cores()}, all here")
         self._cores = config.cores_each
-        self.slots = cpu_cores() // self._cores
-        self.most: float = self.slots
-        self._running: dict[Future[Any], tuple[ProcessPoolExecutor, BaseProcess]] = {}
-        self._stopped: set[Future[Any]] = set()
+        self.slots = cpu_cores() // self._cores  # jobs that it can compute at a time
+        self.limit: float = self.slots  # jobs that it takes at a time
+        self._pids: dict[Future[Any], Future[int]] = {}
 
     def __exit__(self, *_: object) -> None:
-        for future in self._running:
-            self._terminate(future)
-        for executor, _process in self._running.values():
-            executor.shutdown()
+        for future in self._pids:
+            self.stop(future)
 
     def submit(self, job: Job) -> Future[Any]:
+        """Start or resume a job, whose run is there."""
         # An executor for each: when a process dies, its executor takes no more jobs.
-        executor = ProcessPoolExecutor(1, multiprocessing.get_context("spawn"))
-        before = multiprocessing.active_children()
-        with _block_interrupts():
-            future = executor.submit(compute_job, job.work(self._cores))
-        (process,) = set(multiprocessing.active_children()) - set(before)
-        self._running[future] = executor, process
+        spawn = multiprocessing.get_context("spawn")
+        executor = ProcessPoolExecutor(1, spawn, start_worker, (self._cores,))
+        pid = executor.submit(os.getpid)
+        future = executor.submit(compute_job, job.make_work())
+        executor.shutdown(wait=False)  # the process ends with the job
+        self._pids[future] = pid
         return future
 
-    def result(self, future: Future[Any]) -> Any:
-        executor, _ = self._running.pop(future)
-        executor.shutdown()  # its cores are free then
-        return future.result()
-
-    def stop(self, future: Future[Any], job: Job, trains: bool) -> None:
-        self._terminate(future)
-
-    def _terminate(self, future: Future[Any]) -> None:
-        """Have a process save and end; a second signal would not let it save."""
-        if future not in self._stopped:
-            self._stopped.add(future)
-            self._running[future][1].terminate()
+    def stop(self, future: Future[Any]) -> None:
+        """Have a job end early; what it has trained is saved."""
+        if not future.done():
+            with contextlib.suppress(BrokenExecutor, ProcessLookupError):
+                os.kill(self._pids[future].result(), signal.SIGTERM)
 
 
-@contextlib.contextmanager
-def _block_interrupts() -> Iterator[None]:
-    """Keep Ctrl-C and a terminal's end from processes that start in here: this one stops them."""
-    if not hasattr(signal, "pthread_sigmask"):  # Windows
-        yield
-        return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT, signal.SIGHUP))
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+class Cluster(contextlib.AbstractContextManager["Cluster"]):
+    """A Ray cluster, which queues jobs and repeats those whose worker died; a context manager."""
 
-
-class Cluster(Place):
-    """A Ray cluster, which places jobs, has them wait, and begins those again whose worker died."""
-
-    most = math.inf
+    limit = math.inf
 
     def __init__(self, config: PlaceConfig) -> None:
         self._ray = connect(str(config.cluster))
         # A training uses GPUs, or cores.
-        self._cores = 0 if config.gpus else config.cores_each
-        kind, each = ("GPU", config.gpus) if config.gpus else ("CPU", self._cores)
+        kind, flag, count = "CPU", "--cores", config.cores_each
+        if config.gpus:
+            kind, flag, count = "GPU", "--gpus", config.gpus
         nodes = [node["Resources"] for node in self._ray.nodes() if node["Alive"]]
-        counts = [int(node.get(kind, 0)) for node in nodes]
-        if max(counts) < each:
-            flag = "--gpus" if config.gpus else "--cores"
+        available = [int(node.get(kind, 0)) for node in nodes]
+        if max(available) < count:
             raise UsageError(
-                f"{flag} is {each}; expected at most {max(counts)}, as one machine has"
+                f"{flag} is {count}; expected at most {max(available)}, as one machine has"
             )
-        self.slots = sum(count // each for count in counts)
+        self.slots = sum(number // count for number in available)
+        self._on_cpu = not config.gpus
         self._compute = self._ray.remote(
-            num_cpus=self._cores,
+            num_cpus=count if self._on_cpu else 0,
             num_gpus=config.gpus,
             max_retries=RETRIES,
             max_calls=1,  # JAX is set up once in a process
@@ -144,23 +95,23 @@ class Cluster(Place):
         self._ray.shutdown()  # which ends what is left of the jobs
 
     def submit(self, job: Job) -> Future[Any]:
-        reference = self._compute.options(name=job.name).remote(job.work(self._cores))
+        """Start or resume a job, whose run is there, once a machine has room for it."""
+        reference = self._compute.options(name=job.name).remote(job.make_work(self._on_cpu))
         future: Future[Any] = reference.future()
         self._references[future] = reference
         return future
 
-    def result(self, future: Future[Any]) -> Any:
-        self._references.pop(future)
-        try:
-            return future.result()
-        except self._ray.exceptions.RayTaskError as error:
-            raise error.cause from None
+    def stop(self, future: Future[Any]) -> None:
+        """Have a job end early, as by Ctrl-C; what it has trained is saved."""
+        self._ray.cancel(self._references[future])
 
-    def stop(self, future: Future[Any], job: Job, trains: bool) -> None:
-        if trains:
-            get_stop_file(job.run).touch()
-        else:
-            self._ray.cancel(self._references[future], force=True)
+
+Place = ThisMachine | Cluster
+
+
+def make_place(config: PlaceConfig) -> Place:
+    """Return the place that a command's flags ask for; `UserError` where it cannot be."""
+    return ThisMachine(config) if config.cluster is None else Cluster(config)
 
 
 def connect(address: str) -> Any:

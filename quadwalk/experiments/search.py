@@ -1,13 +1,12 @@
-"""The search: Optuna picks settings, jobs train with them, and a file keeps their values."""
+"""A search of settings: an Optuna study asks for trainings, and a file keeps their values."""
 
 import collections
-import contextlib
 import shlex
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from quadwalk.api import evaluate
 from quadwalk.cli.arguments import split_words
@@ -15,19 +14,21 @@ from quadwalk.cli.shell import import_extra, make_command
 from quadwalk.errors import UsageError, UserError, suggest
 from quadwalk.evaluation.statistics import figure_mean
 from quadwalk.evaluation.summary import FIGURES
-from quadwalk.experiments.job import Job, Row, fix_sizes
+from quadwalk.experiments.job import Job, fix_sizes
 from quadwalk.experiments.options import TuneConfig
 from quadwalk.experiments.places import make_place
 from quadwalk.experiments.runner import Outcome, run_jobs
-from quadwalk.experiments.space import read_space, round_values, to_flags
-from quadwalk.files import atomic_write, lock, make_folder, real_path
+from quadwalk.files import atomic_write, hold_file, make_folder, real_path
 from quadwalk.learn.flags import parse_config
-from quadwalk.progress.metrics import SCORED, score, scored_figure
+from quadwalk.progress.metrics import SCORED, compute_score, get_scored_figure
 from quadwalk.runs.directory import Run
-from quadwalk.runs.log import read_metrics
+from quadwalk.runs.log import Row, read_metrics
 from quadwalk.runs.policy import load_score
-from quadwalk.settings.serialize import with_settings
+from quadwalk.settings.serialize import flatten, with_settings
 from quadwalk.settings.training import TrainConfig
+
+if TYPE_CHECKING:
+    from optuna.distributions import BaseDistribution
 
 MARKS = 12  # times that a learning curve is compared with the others'
 WARM_UP = MARKS // 4  # before which none is stopped
@@ -35,6 +36,8 @@ STARTUP = 4  # trials that all others' curves are compared with, at least
 LISTED = 10  # trials in the table
 # What makes a search: more trials, or other cores, are the same search.
 _SAME = ("task", "over", "flags", "steps", "seed", "objective", "episodes", "prune")
+_FORMS = "NAME=LOW:HIGH, NAME=LOW:HIGH:log or NAME=VALUE,VALUE,..."
+_DIGITS = 4  # of a value that is searched: so many a flag repeats exactly
 
 
 def search_settings(config: TuneConfig) -> None:
@@ -44,7 +47,9 @@ def search_settings(config: TuneConfig) -> None:
     space = read_space(config.over, base)
     place = make_place(config)
     folder = real_path(config.runs / (config.name or base.task))
-    with lock_folder(folder):
+    make_folder(folder, "the folder of the search")
+    message = f"{folder} is being searched by another process; expected its end, or another --name"
+    with hold_file(folder / "lock", message):
         search = Search(config, base, space, folder)
         for outcome in run_jobs(search.ask_jobs(), place, search.left, search.watch):
             search.tell(outcome)
@@ -54,24 +59,8 @@ def search_settings(config: TuneConfig) -> None:
     print(text)
 
 
-@contextlib.contextmanager
-def lock_folder(folder: Path) -> Iterator[None]:
-    """Make a search's folder and keep it for this process; `UserError` if another one has it.
-
-    The system takes the lock back when the process ends, however it ends.
-    """
-    make_folder(folder, "the folder of the search")
-    with open(folder / "lock", "ab") as file:
-        if lock(file) is False:
-            raise UserError(
-                f"{folder} is being searched by another process; expected its end, or another "
-                "--name"
-            )
-        yield
-
-
 def make_base(config: TuneConfig) -> TrainConfig:
-    """Return the training that all trials are, but for the settings that are searched."""
+    """Return the training that all trials are, except for the settings that are searched."""
     base, _ = parse_config([config.task, *split_words(config.flags)], "quadwalk train")
     return replace(base, steps=config.steps or base.steps, seed=config.seed)
 
@@ -92,8 +81,8 @@ def check_objective(name: str, base: TrainConfig) -> None:
 
 def is_better_low(objective: str) -> bool:
     """Return True for an objective of which less is better."""
-    worst = {figure.name: figure.worst for figure in FIGURES}
-    return objective == "fall_rate" or getattr(worst.get(objective), "__name__", "") == "max"
+    low = {figure.name for figure in FIGURES if figure.worst.__name__ == "max"}
+    return objective in {"fall_rate", *low}
 
 
 def measure_objective(run: Run, objective: str, episodes: int) -> float:
@@ -104,8 +93,71 @@ def measure_objective(run: Run, objective: str, episodes: int) -> float:
     return figure if isinstance(figure, float) else figure_mean(figure)
 
 
+def read_space(texts: Sequence[str], config: TrainConfig) -> dict[str, "BaseDistribution"]:
+    """Return the distribution of each setting that `--over` names, by its name as in flags.
+
+    Raises a `UsageError` for a name that `config` lacks, a value that it cannot have, and a name
+    that comes twice.
+    """
+    settings = flatten(config)
+    space: dict[str, BaseDistribution] = {}
+    for text in texts:
+        name, _, values = text.partition("=")
+        name = name.strip().removeprefix("--").replace("-", "_")
+        if name not in settings:
+            name = name.removesuffix(".scale")  # a reward is its scale
+        if name not in settings:
+            raise UsageError(
+                f"--over {text}: there is no setting {name!r}{suggest(name, settings)}"
+            )
+        if name in space:
+            raise UsageError(f"--over names {name} twice; expected each setting once")
+        space[name], ends = _read_values(text, values, settings[name])
+        for value in ends:
+            with_settings(config, {name: value})
+    return space
+
+
+def _read_values(text: str, values: str, now: Any) -> tuple["BaseDistribution", list[Any]]:
+    """Return a distribution of `values`, and those of them that the text names."""
+    distributions = import_extra("optuna", "tune", "tune").distributions
+    if "," in values:
+        choices = [_to_number(value) for value in values.split(",")]
+        return distributions.CategoricalDistribution(choices), choices
+    parts = values.split(":")
+    log = parts[2:] == ["log"]
+    try:
+        low, high = map(float, parts[: -1 if log else None])
+    except ValueError:
+        raise UsageError(f"--over {text}; expected {_FORMS}") from None
+    if not low < high or (log and low <= 0.0):
+        raise UsageError(f"--over {text}; expected LOW below HIGH, and above 0 with log")
+    if isinstance(now, int) and low.is_integer() and high.is_integer():
+        ends = [int(low), int(high)]
+        return distributions.IntDistribution(*ends, log=log), ends
+    return distributions.FloatDistribution(low, high, log=log), [low, high]
+
+
+def _to_number(text: str) -> Any:
+    """Return a choice as a number if it is one."""
+    for kind in (int, float):
+        try:
+            return kind(text)
+        except ValueError:
+            continue
+    return text
+
+
+def round_values(params: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the values of a trial to as many digits as its flags show."""
+    return {
+        name: float(f"{value:.{_DIGITS}g}") if isinstance(value, float) else value
+        for name, value in params.items()
+    }
+
+
 class Search:
-    """A study on the disk and its trials; made anew, it goes on where it was."""
+    """A study on the disk and its trials; made anew, it resumes where it was."""
 
     def __init__(
         self, config: TuneConfig, base: TrainConfig, space: Mapping[str, Any], folder: Path
@@ -116,6 +168,7 @@ class Search:
         self._folder = folder
         self._low = is_better_low(config.objective)
         self._optuna: Any = import_extra("optuna", "tune", "tune")
+        self._states = self._optuna.trial.TrialState
         self._study = self._open_study()
         self._trials: dict[str, Any] = {}
         self._pruned: set[str] = set()
@@ -123,7 +176,6 @@ class Search:
     def _open_study(self) -> Any:
         """Open the study or make it; `UserError` if its file is damaged or of another search."""
         optuna, path = self._optuna, self._folder / "study.db"
-        damage = import_extra("sqlalchemy.exc", "tune", "tune").DatabaseError
         optuna.logging.set_verbosity(optuna.logging.ERROR)
         try:
             study = optuna.create_study(
@@ -133,16 +185,15 @@ class Search:
                 direction="minimize" if self._low else "maximize",
                 pruner=optuna.pruners.MedianPruner(STARTUP, WARM_UP),
             )
-        except damage as error:
-            reason = str(error.orig or error)
-            raise UserError(f"{path} cannot be used as a study: {reason}") from None
+        except Exception as error:  # SQLAlchemy's, of many kinds
+            raise UserError(f"{path} cannot be used as a study: {error}") from error
         settings = {name: value for name, value in asdict(self._config).items() if name in _SAME}
         settings["over"] = list(settings["over"])
-        kept = study.user_attrs.get("settings", settings)
+        before = study.user_attrs.get("settings", settings)
         for name, value in settings.items():
-            if kept[name] != value:
+            if before[name] != value:
                 raise UserError(
-                    f"{self._folder} has a search with --{name} {kept[name]}; expected the same, "
+                    f"{self._folder} has a search with --{name} {before[name]}; expected the same, "
                     "or another --name"
                 )
         study.set_user_attr("settings", settings)
@@ -158,15 +209,13 @@ class Search:
         return max(0, self._config.trials - finished)
 
     def ask_jobs(self) -> Iterator[Job]:
-        """Yield the jobs that a kill left, then new ones, each with all that is known by then."""
-        for frozen in self._study.trials:
-            if frozen.state.is_finished():
-                continue
+        """Yield the jobs that a kill left, then new ones, each from all that is known by then."""
+        for frozen in self._study.get_trials(states=[self._states.RUNNING]):
             trial = self._optuna.trial.Trial(self._study, frozen._trial_id)
             if frozen.params.keys() == self._space.keys():
                 yield self._make_job(trial)
             else:  # killed while its settings were written
-                self._study.tell(trial, state=self._optuna.trial.TrialState.FAIL)
+                self._study.tell(trial, state=self._states.FAIL)
         while len(self._study.trials) < self._config.trials:
             yield self._make_job(self._study.ask(self._space))
 
@@ -184,32 +233,30 @@ class Search:
         """Report the learning curve at its marks; return True if the trial is to be stopped."""
         trial = self._trials[job.name]
         mark = int(MARKS * row["steps"] / job.config.steps)
-        reported = self._study._storage.get_trial(trial._trial_id).intermediate_values
-        if not 0 < mark < MARKS or mark in reported:
+        if not 0 < mark < MARKS or mark in self._study.trials[trial.number].intermediate_values:
             return False
-        figures = [scored_figure(each) for each in read_metrics(job.run)[-SCORED:]]
-        value = score(figures, row["eval/fall_rate"])
-        trial.report(-value if self._low else value, mark)
+        figures = list(map(get_scored_figure, read_metrics(job.run)[-SCORED:]))
+        score = compute_score(figures, row["eval/fall_rate"])
+        trial.report(-score if self._low else score, mark)
         if self._config.prune and trial.should_prune():
             self._pruned.add(job.name)
-            return True
-        return False
+        return job.name in self._pruned
 
     def tell(self, outcome: Outcome) -> None:
-        """Write the outcome of a trial to the study."""
-        states, trial = self._optuna.trial.TrialState, self._trials[outcome.job.name]
+        """Write the outcome of a trial to the study, but of one that the next call resumes."""
+        trial = self._trials[outcome.job.name]
         if outcome.job.name in self._pruned:
-            self._study.tell(trial, state=states.PRUNED)
-        elif outcome.error is not None:
-            self._study.tell(trial, state=states.FAIL)
-        elif not outcome.stopped:  # otherwise the next call resumes it
+            self._study.tell(trial, state=self._states.PRUNED)
+        elif outcome.error is None:
             self._study.tell(trial, outcome.value)
+        elif not outcome.stopped:
+            self._study.tell(trial, state=self._states.FAIL)
 
     def format_table(self) -> str:
         """Return the best trials as Markdown, and the commands that train with the best."""
         states = collections.Counter(trial.state.name.lower() for trial in self._study.trials)
-        count = ", ".join(f"{n} {name}" for name, n in sorted(states.items()))
-        done = self._study.get_trials(states=[self._optuna.trial.TrialState.COMPLETE])
+        count = ", ".join(f"{number} {name}" for name, number in sorted(states.items()))
+        done = self._study.get_trials(states=[self._states.COMPLETE])
         done.sort(key=lambda trial: trial.value, reverse=not self._low)
         lines = [
             f"| trial | {self._config.objective} | {' | '.join(self._space)} |",
@@ -217,19 +264,16 @@ class Search:
         ]
         for trial in done[:LISTED]:
             values = round_values(trial.params)
-            cells = [
-                f"{trial.number}",
-                f"{trial.value:.3f}",
-                *(str(values[n]) for n in self._space),
-            ]
+            cells = [trial.number, f"{trial.value:.3f}", *(values[name] for name in self._space)]
             lines.append(f"| {' | '.join(map(str, cells))} |")
         lines += ["", f"{len(self._study.trials)} trials: {count}"]
         if done:
-            lines += self._format_commands(to_flags(done[0].params))
+            lines += self._format_commands(round_values(done[0].params))
         return "\n".join(lines)
 
-    def _format_commands(self, flags: list[str]) -> list[str]:
+    def _format_commands(self, values: Mapping[str, Any]) -> list[str]:
         task = [self._config.task, *split_words(self._config.flags)]
+        flags = [f"--{name.replace('_', '-')}={value}" for name, value in values.items()]
         usual, best = shlex.join(task), shlex.join([*task, *flags])
         return [
             f"train the best      {make_command('train', *task, *flags)}",

@@ -1,8 +1,9 @@
-"""What a person sees while training runs.
+"""The display of a training while it runs.
 
 On a terminal: finished phases as lines, and below them a live view with the phase, a bar, the
 time left, the figures that matter, their course so far, and each reward term. Anywhere else (a
 file, a pipe, a notebook, a terminal that cannot move its cursor): plain lines every few seconds.
+A terminal that is made narrower keeps rows of the last view.
 
 Importing this module must stay fast, for it gives the first sign of life: no jax here.
 """
@@ -18,20 +19,24 @@ from typing import Any, TextIO, cast
 
 import rich.progress
 from rich.columns import Columns
-from rich.console import Console, ConsoleRenderable, RenderableType, RenderHook
-from rich.control import Control
-from rich.segment import ControlType, Segment
+from rich.console import Console, RenderableType
 from rich.text import Text
 from rich.theme import Theme
 
-from quadwalk.progress.headline import choose_headline
-from quadwalk.progress.text import duration, number, percent, quantity, sparkline, spent
+from quadwalk.progress.metrics import LEVEL, choose_headline
+from quadwalk.progress.text import (
+    draw_sparkline,
+    format_duration,
+    format_elapsed,
+    format_number,
+    format_percent,
+    format_quantity,
+)
 
 _PLAIN_SECONDS = 5.0  # between plain lines of figures
 _HEARTBEAT_SECONDS = 15.0  # between plain lines that only say that a phase goes on
 _FRAMES_PER_SECOND = 4  # enough for a spinner; every frame takes time from the training
 _TERM = "train/reward/"
-_LEVEL = "train/level/"
 _SHARE = 8  # characters of the bar beside a reward term
 # On a white screen, yellow and cyan, which Rich has for these, cannot be read.
 _THEME = Theme(dict.fromkeys(("progress.elapsed", "progress.remaining", "repr.number"), "none"))
@@ -62,7 +67,7 @@ class Progress:
         self._screen = not quiet and is_screen(self._stream)
         self._view = _View(self._stream, disable=not self._screen)
         self._over = threading.Event()
-        self._heartbeat = threading.Thread(target=self._beat, daemon=True)
+        self._heartbeat = threading.Thread(target=self._show_life, daemon=True)
 
     def __enter__(self) -> "Progress":
         if self._screen:
@@ -90,7 +95,7 @@ class Progress:
             view.update(view.task.id, description=text)
         else:
             if self._phase and self._screen:
-                took = (f"  {spent(view.task.elapsed or 0.0)}", "dim")
+                took = (f"  {format_elapsed(view.task.elapsed or 0.0)}", "dim")
                 view.print(Text.assemble(("✓ ", "green"), self._phase, took))
             total = float(self._total) if training else None
             view.reset(view.task.id, description=text + about, total=total)
@@ -109,46 +114,48 @@ class Progress:
         """
         view, task, now = self._view, self._view.task, time.monotonic()
         view.metrics = {key: _to_float(value) for key, value in metrics.items()}
-        view.course.append(choose_headline(view.metrics).value(view.metrics))
+        view.course.append(choose_headline(view.metrics).get_value(view.metrics))
         view.update(task.id, completed=steps)
         # The bar is full when the steps are done or, if that comes first, when the time is up.
         if task.speed:
             task.total = min(self._total, steps + task.speed * max(0.0, self._ends - now))
         left = math.nan if task.time_remaining is None else task.time_remaining
-        rate = quantity(task.finished_speed or task.speed or math.nan)
-        done = f"{quantity(steps)}/{quantity(self._total)}"
-        view.pace = f"{done} steps  {rate} steps/s  {duration(left)} left"
+        rate = format_quantity(task.finished_speed or task.speed or math.nan)
+        done = f"{format_quantity(steps)}/{format_quantity(self._total)}"
+        view.pace = f"{done} steps  {rate} steps/s  {format_duration(left)} left"
         view.refresh()
         if not self._screen and (steps >= self._total or now - self._shown >= _PLAIN_SECONDS):
             self._shown = now
-            self.message("  ".join([f"{task.percentage:3.0f} %", view.pace, *self._figures()]))
+            self.message(
+                "  ".join([f"{task.percentage:3.0f} %", view.pace, *self._format_figures()])
+            )
 
     def message(self, text: str) -> None:
-        """A line that stays, above the live view."""
+        """Print a line that stays, above the live view."""
         self._spoke = time.monotonic()
         if self._screen:
             self._view.print(Text(text))
         elif not self._quiet:
-            self.end(f"[{duration(self._spoke - self._started):>5}] {text}")
+            self.end(f"[{format_duration(self._spoke - self._started):>5}] {text}")
 
     def end(self, text: str) -> None:
-        """The last word, for after the context: shown even when quiet."""
+        """Print a line after the context: shown even when quiet."""
         # Plain and unwrapped, so that paths and commands in it can be copied.
         print(text, file=self._stream, flush=True)
 
-    def _figures(self) -> Iterator[str]:
-        get = self._view.get
-        yield f"reward {number(get('train/reward'))}"
-        headline = choose_headline(self._view.metrics)
-        yield f"{headline.name} {number(headline.value(self._view.metrics))} {headline.unit}"
-        yield f"falls {percent(get('eval/fall_rate'))}"
-        levels = self._view.group(_LEVEL)
+    def _format_figures(self) -> Iterator[str]:
+        metrics, get = self._view.metrics, self._view.get
+        yield f"reward {format_number(get('train/reward'))}"
+        headline = choose_headline(metrics)
+        yield f"{headline.name} {format_number(headline.get_value(metrics))} {headline.unit}"
+        yield f"falls {format_percent(get('eval/fall_rate'))}"
+        levels = self._view.get_group(LEVEL)
         if levels:
-            yield f"levels {', '.join(f'{k} {number(x)}' for k, x in levels.items())}"
+            yield f"levels {', '.join(f'{k} {format_number(x)}' for k, x in levels.items())}"
         if get("train/nan") > 0:
-            yield f"NaN states {quantity(get('train/nan'))}"
+            yield f"NaN states {format_quantity(get('train/nan'))}"
 
-    def _beat(self) -> None:
+    def _show_life(self) -> None:
         """Print a line now and then during a long phase."""
         while not self._over.wait(min(1.0, _HEARTBEAT_SECONDS)):
             if self._phase and time.monotonic() - self._spoke >= _HEARTBEAT_SECONDS:
@@ -183,22 +190,13 @@ class _View(rich.progress.Progress):
     def get(self, key: str) -> float:
         return self.metrics.get(key, math.nan)
 
-    def group(self, prefix: str) -> dict[str, float]:
-        """The figures whose names begin with `prefix`, by the rest of the name."""
+    def get_group(self, prefix: str) -> dict[str, float]:
+        """Return the figures whose names begin with `prefix`, by the rest of the name."""
         return {
             key.removeprefix(prefix): value
             for key, value in self.metrics.items()
             if key.startswith(prefix)
         }
-
-    def start(self) -> None:
-        super().start()
-        self.console.push_render_hook(_Reflow(self))
-
-    def stop(self) -> None:
-        if self.live.is_started:
-            self.console.pop_render_hook()
-        super().stop()
 
     def finish(self, stopped: bool) -> None:
         """Leave the last view behind, with a mark in the place of the spinner."""
@@ -213,69 +211,52 @@ class _View(rich.progress.Progress):
             return
         headline = choose_headline(self.metrics)
         unit = f" {headline.unit} {headline.off}".rstrip() + "  "
-        course = sparkline(self.course, min(40, self.console.width - 16 - len(unit)))
-        yield _line((f"  {self.pace}", "dim"))
+        course = draw_sparkline(self.course, min(40, self.console.width - 16 - len(unit)))
+        yield _make_line((f"  {self.pace}", "dim"))
         yield ""
-        value = number(headline.value(self.metrics))
-        yield _figure(headline.name.split()[-1], value, unit, (course, ""))
-        yield _figure("falls", percent(self.get("eval/fall_rate"), unit=False), " % of episodes")
-        yield _figure("reward", number(self.get("train/reward")))
+        value = format_number(headline.get_value(self.metrics))
+        yield _make_figure(headline.name.split()[-1], value, unit, (course, ""))
+        falls = format_percent(self.get("eval/fall_rate"), unit=False)
+        yield _make_figure("falls", falls, " % of episodes")
+        yield _make_figure("reward", format_number(self.get("train/reward")))
         if self.get("train/nan") > 0:
-            yield _figure("NaN", quantity(self.get("train/nan")), " states, episodes ended")
-        levels = self.group(_LEVEL)
+            yield _make_figure(
+                "NaN", format_quantity(self.get("train/nan")), " states, episodes ended"
+            )
+        levels = self.get_group(LEVEL)
         if levels:
             yield ""
-            yield _line(("levels of difficulty", "dim"))
-            yield _terms(levels)
-        terms = self.group(_TERM)
+            yield _make_line(("levels of difficulty", "dim"))
+            yield _make_columns(levels)
+        terms = self.get_group(_TERM)
         if terms:
             yield ""
-            yield _terms(terms)
+            yield _make_columns(terms)
 
 
-class _Reflow(RenderHook):
-    """Erases what becomes of the last view where the terminal has been made narrower.
-
-    A terminal breaks lines that no longer fit, so that the view takes more rows than Rich erases.
-    """
-
-    def __init__(self, view: _View) -> None:
-        self._view, self._width = view, view.console.width
-
-    def process_renderables(self, renderables: list[ConsoleRenderable]) -> list[ConsoleRenderable]:
-        console, before = self._view.console, self._width
-        self._width = console.width
-        if self._width >= before:
-            return renderables
-        options = console.options.update(width=before)
-        lines = console.render_lines(self._view.get_renderable(), options, pad=False)
-        rows = sum(max(0, Segment.get_line_length(line) - 1) // self._width for line in lines)
-        erase: list[Any] = [(ControlType.ERASE_IN_LINE, 2)]
-        erase += [(ControlType.CURSOR_UP, 1), (ControlType.ERASE_IN_LINE, 2)] * rows
-        return [Control(ControlType.CARRIAGE_RETURN, *erase), *renderables]
-
-
-def _line(*parts: tuple[str, str] | str) -> Text:
-    """One line, cut off with an ellipsis where the terminal ends."""
+def _make_line(*parts: tuple[str, str] | str) -> Text:
+    """Return one line, cut off with an ellipsis where the terminal ends."""
     return Text.assemble(*parts, no_wrap=True, overflow="ellipsis")
 
 
-def _figure(name: str, value: str, unit: str = "", *more: tuple[str, str]) -> Text:
-    return _line((f"{name:<8}", "dim"), (f"{value:>7}", "bold"), (unit, "dim"), *more)
+def _make_figure(name: str, value: str, unit: str = "", *more: tuple[str, str]) -> Text:
+    return _make_line((f"{name:<8}", "dim"), (f"{value:>7}", "bold"), (unit, "dim"), *more)
 
 
-def _terms(terms: Mapping[str, float]) -> Columns:
-    """Numbers by name in as many columns as fit, each with a bar of its share of the largest."""
+def _make_columns(terms: Mapping[str, float]) -> Columns:
+    """Return numbers by name, in columns, each with a bar of its share of the largest."""
     longest = max(map(len, terms))
     largest = max((abs(value) for value in terms.values() if math.isfinite(value)), default=0.0)
 
-    def cell(name: str, value: float) -> Text:
+    def make_cell(name: str, value: float) -> Text:
         share = abs(value) / largest if math.isfinite(value) and largest > 0 else 0.0
         bar = f"{'■' * math.ceil(share * _SHARE):<{_SHARE}}"
         color = "green" if value > 0 else "red"
-        return _line((f"{name:<{longest}} ", "dim"), f"{number(value):>7} ", (bar, color))
+        return _make_line(
+            (f"{name:<{longest}} ", "dim"), f"{format_number(value):>7} ", (bar, color)
+        )
 
-    cells: Sequence[Text] = [cell(name, value) for name, value in terms.items()]
+    cells: Sequence[Text] = [make_cell(name, value) for name, value in terms.items()]
     # Down, then across: neighbors stay neighbors.
     return Columns(cells, padding=(0, 3), column_first=True)
 
@@ -307,7 +288,7 @@ class _Forgiving(io.TextIOBase):
 
 
 def is_screen(stream: TextIO) -> bool:
-    """Whether the stream is a terminal that can redraw, and shows more than ASCII."""
+    """Return True for a terminal that can redraw, and shows more than ASCII."""
     if not stream.isatty() or Console(file=stream).is_dumb_terminal:
         return False
     try:

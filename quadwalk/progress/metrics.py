@@ -1,18 +1,48 @@
-"""What a training iteration is summed up as."""
+"""The row of metrics that sums up an iteration of training, and its figures that tell most."""
 
 import collections
 import math
 from collections.abc import Collection, Iterable, Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from quadwalk.settings.terms import Reward
+if TYPE_CHECKING:  # which imports JAX: a display shows something before
+    from quadwalk.settings.terms import Reward
 
 EPISODES = 32  # the share of falls is over about this many of the last episodes
 LEVEL = "train/level/"  # before a kind of ground
-SCORED = 20  # iterations whose `scored_figure` tells how good a policy is
+SCORED = 20  # iterations whose scored figures tell how good a policy is
 
 
-def scored_figure(row: Mapping[str, Any]) -> float:
+class Headline(NamedTuple):
+    """The figure of a row of metrics that tells best how a training goes."""
+
+    key: str
+    name: str
+    unit: str
+    factor: float = 1.0  # from the row's number to the unit
+    off: str = ""  # what it is an error of
+
+    def get_value(self, row: Mapping[str, Any]) -> float:
+        """Return the figure in its unit; NaN where the row has none."""
+        number = row.get(self.key)
+        return math.nan if number is None else self.factor * float(number)
+
+
+SPEED = Headline("eval/speed", "speed", "m/s")
+VELOCITY_ERROR = Headline("eval/velocity_error", "velocity error", "m/s", off="off the command")
+STANDING = Headline("eval/standing", "standing", "% of the time", factor=100.0)
+
+
+def choose_headline(names: Iterable[str]) -> Headline:
+    """Return the headline of a training whose rows of metrics have these names.
+
+    A mean speed over commands ahead and back says nothing of how they are followed.
+    """
+    present = set(names)
+    return next((line for line in (VELOCITY_ERROR, STANDING) if line.key in present), SPEED)
+
+
+def get_scored_figure(row: Mapping[str, Any]) -> float:
     """Return the figure of a row of metrics that its task is about.
 
     It is the share of time standing where episodes start in any pose, else the speed, m/s.
@@ -20,8 +50,8 @@ def scored_figure(row: Mapping[str, Any]) -> float:
     return float(row.get("eval/standing", row["eval/speed"]))
 
 
-def score(figures: Collection[float], falls: float) -> float:
-    """Return how good a policy is: the mean of its `scored_figure`, times the share not falling.
+def compute_score(figures: Collection[float], falls: float) -> float:
+    """Return how good a policy is: the mean of its scored figures, times the share not falling.
 
     A speed below 0 is no better for falls. `figures` are those of the last `SCORED` iterations, in
     which 64 evaluation environments together run for some minutes; no falls are counted before an
@@ -43,7 +73,7 @@ class TrainingMetrics:
     train/level/KIND: with a curriculum, the mean level, from 0, of environments on that ground.
     """
 
-    def __init__(self, rewards: Mapping[str, Reward]) -> None:
+    def __init__(self, rewards: "Mapping[str, Reward]") -> None:
         self._rewards = rewards
         self._train_falls = FallRate(EPISODES)
         self._eval_falls = FallRate(EPISODES)
@@ -51,7 +81,7 @@ class TrainingMetrics:
         self._nan = 0.0
 
     def state(self) -> dict[str, Any]:
-        """What a resumed training needs to go on counting, as JSON data."""
+        """Return what a resumed training needs to go on counting, as JSON data."""
         return {
             "train_falls": self._train_falls.counts,
             "eval_falls": self._eval_falls.counts,
@@ -60,7 +90,7 @@ class TrainingMetrics:
         }
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """Go on from where `state` was taken."""
+        """Go on from what `state` returned."""
         self._train_falls = FallRate(EPISODES, state["train_falls"])
         self._eval_falls = FallRate(EPISODES, state["eval_falls"])
         self._figures.extend(map(float, state["speeds"]))
@@ -68,33 +98,15 @@ class TrainingMetrics:
 
     @property
     def score(self) -> float:
-        """How good the policy is of late, by `score` of the last `SCORED` iterations."""
-        return score(self._figures, self._eval_falls.share)
+        """The score of the policy in the last `SCORED` iterations."""
+        return compute_score(self._figures, self._eval_falls.share)
 
     def row(self, steps: int, numbers: Mapping[str, Any]) -> dict[str, float]:
-        """The row after `steps` control steps, from what `quadwalk.learn.ppo` gives."""
+        """Return the row after `steps` control steps, from what `quadwalk.learn.ppo` gives."""
         values = {name: float(value) for name, value in numbers.items() if name != "nan_step"}
         self._nan += values["count/nan"]
-        self._figures.append(scored_figure(values))
-        names = ("eval/velocity_error", "eval/standing")
-        of_task = {name: values[name] for name in names if name in values}
-        terms = {
-            f"train/{name}": self._rewards[name.partition("/")[2]].scale * value
-            for name, value in values.items()
-            if name.startswith("reward/")
-        }
-        levels = {
-            f"{LEVEL}{name.removeprefix('count/level/')}": value
-            / max(values[name.replace("level", "robots", 1)], 1.0)
-            for name, value in values.items()
-            if name.startswith("count/level/")
-        }
-        learning = {
-            name: value
-            for name, value in values.items()
-            if name.startswith(("loss/", "policy/", "learning_rate"))
-        }
-        return {
+        self._figures.append(get_scored_figure(values))
+        fixed = {
             "steps": steps,
             "train/speed": values["speed"],
             "train/fall_rate": self._train_falls.add(values["count/fell"], values["count/ended"]),
@@ -104,11 +116,20 @@ class TrainingMetrics:
             "eval/fall_rate": self._eval_falls.add(
                 values["eval/count/fell"], values["eval/count/ended"]
             ),
-            **of_task,
-            **terms,
-            **levels,
-            **learning,
         }
+        names = ("eval/velocity_error", "eval/standing")
+        of_task = {name: values[name] for name in names if name in values}
+        terms, levels, learning = {}, {}, {}
+        for name, value in values.items():
+            kind, _, rest = name.partition("/")
+            if kind == "reward" and rest:
+                terms[f"train/{name}"] = self._rewards[rest].scale * value
+            elif name.startswith("count/level/"):
+                robots = values[name.replace("level", "robots", 1)]
+                levels[LEVEL + name.removeprefix("count/level/")] = value / max(robots, 1.0)
+            elif name.startswith(("loss/", "policy/", "learning_rate")):
+                learning[name] = value
+        return {**fixed, **of_task, **terms, **levels, **learning}
 
 
 class FallRate:

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 _BARS = "▁▂▃▄▅▆▇█"
 
 
-def sparkline(values: Sequence[float], width: int) -> str:
-    """The course of `values` in at most `width` characters; from zero, or the least if below.
+def draw_sparkline(values: Sequence[float], width: int) -> str:
+    """Return the course of `values` in at most `width` characters, from zero or the least below.
 
     Several values share a character by their mean; a character without a finite one is blank.
     """
@@ -16,7 +16,7 @@ def sparkline(values: Sequence[float], width: int) -> str:
         return ""
     width = min(width, len(values))
     edges = [round(index * len(values) / width) for index in range(width + 1)]
-    means = [_mean(values[start:end]) for start, end in itertools.pairwise(edges)]
+    means = [_compute_mean(values[start:end]) for start, end in itertools.pairwise(edges)]
     # Shares of the largest, so that nothing overflows when a training has gone wild.
     largest = max((abs(mean) for mean in means if math.isfinite(mean)), default=0.0) or 1.0
     shares = [mean / largest for mean in means]
@@ -29,8 +29,13 @@ def sparkline(values: Sequence[float], width: int) -> str:
     )
 
 
-def number(value: float) -> str:
-    """Three figures or so: "12.4", "-0.031"; "-" if there is none."""
+def _compute_mean(values: Sequence[float]) -> float:
+    finite = [value for value in values if math.isfinite(value)]
+    return sum(finite) / len(finite) if finite else math.nan
+
+
+def format_number(value: float) -> str:
+    """Return a number to three figures or so: "12.4", "-0.031"; "-" if there is none."""
     if not math.isfinite(value):
         return "-"
     if value != 0 and (abs(value) < 1e-3 or abs(value) >= 1e6):
@@ -39,15 +44,15 @@ def number(value: float) -> str:
     return f"{value:z.{digits}f}"  # z: never -0.00
 
 
-def percent(value: float, unit: bool = True) -> str:
-    """A share of 1 as "3.1 %"; "-" if there is none."""
+def format_percent(value: float, unit: bool = True) -> str:
+    """Return a share of 1 as "3.1 %"; "-" if there is none."""
     if not math.isfinite(value):
         return "-"
     return f"{100 * value:.1f}" + (" %" if unit else "")
 
 
-def quantity(value: float) -> str:
-    """A count to three figures: "950", "52.1k", "4.1M"; "-" if there is none."""
+def format_quantity(value: float) -> str:
+    """Return a count to three figures: "950", "52.1k", "4.1M"; "-" if there is none."""
     if not math.isfinite(value):
         return "-"
     for unit, size in (("G", 1e9), ("M", 1e6), ("k", 1e3)):
@@ -57,22 +62,17 @@ def quantity(value: float) -> str:
     return f"{value:.0f}"
 
 
-def spent(seconds: float) -> str:
-    """Time that a phase took: "0.4 s", "31 s", "2:05"."""
+def format_elapsed(seconds: float) -> str:
+    """Return the time that a phase took: "0.4 s", "31 s", "2:05"."""
     if seconds < 9.95:
         return f"{seconds:.1f} s"
-    return f"{seconds:.0f} s" if seconds < 59.5 else duration(seconds)
+    return f"{seconds:.0f} s" if seconds < 59.5 else format_duration(seconds)
 
 
-def duration(seconds: float) -> str:
-    """ "0:07", "12:31", "1:02:03"; "-" if it is not known."""
+def format_duration(seconds: float) -> str:
+    """Return a time as "0:07", "12:31", "1:02:03"; "-" if it is not known."""
     if not math.isfinite(seconds):
         return "-"
     minutes, second = divmod(max(0, round(seconds)), 60)
     hours, minute = divmod(minutes, 60)
     return f"{hours}:{minute:02}:{second:02}" if hours else f"{minute}:{second:02}"
-
-
-def _mean(values: Sequence[float]) -> float:
-    finite = [value for value in values if math.isfinite(value)]
-    return sum(finite) / len(finite) if finite else math.nan

@@ -6,7 +6,7 @@ import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import tyro
 from rich.console import Console
@@ -14,11 +14,11 @@ from rich.table import Table
 
 from quadwalk.cli.arguments import parse
 from quadwalk.errors import UsageError, UserError
-from quadwalk.files import os_reason
-from quadwalk.progress.headline import choose_headline
+from quadwalk.files import DAMAGE, os_reason
+from quadwalk.progress.metrics import choose_headline
+from quadwalk.progress.text import format_percent
 from quadwalk.runs.directory import Run, claim, find_run, list_runs
-
-_TAIL = 16_384  # bytes at the end of metrics.jsonl, which hold its last line
+from quadwalk.runs.log import read_last_row
 
 
 @dataclass(frozen=True)
@@ -61,36 +61,25 @@ def _print_table(runs: list[Run], root: Path) -> None:
         return
     table = Table("name", "task", "steps", "speed or velocity error", "falls, %", "size, MB")
     for run in runs:
-        last = _last_metrics(run)
-        headline, falls = choose_headline(last), last.get("eval/fall_rate")
-        value = headline.value(last)
+        row = read_last_row(run) or {}
+        headline, falls = choose_headline(row), row.get("eval/fall_rate", math.nan)
+        value = headline.get_value(row)
         figure = f"{value:z.2f} {headline.unit} {headline.off}".rstrip()
         size = sum(path.stat().st_size for path in run.path.rglob("*") if path.is_file()) / 1e6
         table.add_row(
             run.name,
-            _task(run),
-            f"{last.get('steps', 0):,.0f}",
+            _read_task(run),
+            f"{row.get('steps', 0):,.0f}",
             "-" if math.isnan(value) else figure,
-            "-" if falls is None else f"{100 * falls:.1f}",
+            format_percent(falls, unit=False),
             f"{size:.1f}",
         )
     Console(soft_wrap=True).print(table)
 
 
-def _task(run: Run) -> str:
-    """The task's name; "-" for a run that cannot be read."""
+def _read_task(run: Run) -> str:
+    """Return the task's name; "-" for a run that cannot be read."""
     try:
         return str(json.loads(run.config.read_bytes())["config"]["task"])
-    except (OSError, ValueError, KeyError, TypeError):
+    except (OSError, *DAMAGE):
         return "-"
-
-
-def _last_metrics(run: Run) -> dict[str, Any]:
-    """The last whole line of metrics.jsonl; nothing where there is none."""
-    try:
-        with open(run.metrics, "rb") as file:
-            file.seek(max(run.metrics.stat().st_size - _TAIL, 0))
-            lines = file.read().split(b"\n")
-        return dict(json.loads(lines[-2]))
-    except (OSError, ValueError, IndexError, TypeError):
-        return {}

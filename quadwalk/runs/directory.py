@@ -241,11 +241,10 @@ def prune_checkpoints(run: Run, count: int, also: Path | None = None) -> None:
     _delete(path for path in list_checkpoints(run)[:-count] if path != also)
 
 
-@contextlib.contextmanager
-def claim(run: Run) -> Iterator[None]:
-    """Hold a run for training; `UserError` if another process has it."""
-    with hold_file(run.metrics, f"{run.path} is being trained by another process"):
-        yield
+def claim(run: Run, wait: bool = False) -> contextlib.AbstractContextManager[None]:
+    """Hold a run for training; `UserError` if another process has it, unless to `wait` for it."""
+    message = f"{run.path} is being trained by another process"
+    return hold_file(run.metrics, None if wait else message)
 
 
 def delete_partial_files(run: Run) -> None:
@@ -287,11 +286,11 @@ def _rename(folder: Path, name: str) -> Path | None:
 def _rename_to_free(folder: Path, label: str) -> Path:
     """Give a folder the first free name of this minute and `label`."""
     words = re.sub(r"[^\w.+=@,-]+", "-", label)[:50]  # a user's task may be called anything
-    names = number_names(f"{datetime.datetime.now():%Y-%m-%d_%H%M}-{words}")
+    names = generate_names(f"{datetime.datetime.now():%Y-%m-%d_%H%M}-{words}")
     return next(path for name in names if (path := _rename(folder, name)))
 
 
-def number_names(name: str) -> Iterator[str]:
+def generate_names(name: str) -> Iterator[str]:
     """Yield `name`, name-2, name-3 ...: for the first that is free to be taken."""
     yield name
     yield from (f"{name}-{number}" for number in itertools.count(2))

@@ -1,4 +1,4 @@
-"""What training writes down at every iteration: metrics, timing, TensorBoard events.
+"""The metrics, timing and TensorBoard events that training writes at every iteration.
 
 `metrics.jsonl` holds only what follows from the seed and the settings. The same seed on the same
 machine gives the same file, bit for bit, so files show whether two trainings were the same. What
@@ -25,19 +25,19 @@ from quadwalk.files import DAMAGE, os_reason
 from quadwalk.runs.directory import Run
 
 _FLUSH_SECONDS = 2.0  # TensorBoard rereads its files every few seconds; more often buys nothing
-
 _BINARY = getattr(os, "O_BINARY", 0)  # Windows would write the ends of lines as it likes them
+_TAIL = 1 << 16  # bytes at the end of metrics.jsonl that hold its last row
 
 Row = dict[str, float]
 
 
-class MetricsLog:
-    """Appends an iteration's numbers to the run's files.
+class MetricsLog(contextlib.AbstractContextManager["MetricsLog"]):
+    """The files of a run to which each iteration adds its numbers; a context manager.
 
     With `resume_at`, rows beyond that many steps are dropped first: the training goes on from a
     checkpoint and will write them again. All methods raise `UserError` when the system refuses (no
-    space); every complete row stays readable then, and what was refused is written as soon as
-    there is room. TensorBoard events are a copy, and those that were refused are left out.
+    space); what was refused is written as soon as there is room. TensorBoard events are a copy, and
+    those that were refused are left out.
     """
 
     def __init__(self, run: Run, resume_at: int | None = None) -> None:
@@ -48,11 +48,11 @@ class MetricsLog:
     def append(self, metrics: Mapping[str, Any], timing: Mapping[str, Any] | None = None) -> None:
         """Write `metrics` with their "steps", and their `timing`; null for NaN and infinity."""
         steps = int(metrics["steps"])
-        with contextlib.ExitStack() as each:  # whatever becomes of the others
-            each.callback(self._events.append, steps, {**metrics, **(timing or {})})
+        with contextlib.ExitStack() as stack:  # each file, whatever becomes of the others
+            stack.callback(self._events.append, steps, {**metrics, **(timing or {})})
             if timing:
-                each.callback(self._timing.append, _row(steps, timing))
-            each.callback(self._metrics.append, _row(steps, metrics))
+                stack.callback(self._timing.append, _make_row(steps, timing))
+            stack.callback(self._metrics.append, _make_row(steps, metrics))
 
     def sync(self) -> None:
         """Put all rows on the disk for good: before the checkpoint that relies on them."""
@@ -62,54 +62,70 @@ class MetricsLog:
             self._events.flush()
 
     def close(self) -> None:
-        """Give the files back; `sync` first."""
+        """Close the files; `sync` first."""
         self._metrics.close()
         self._timing.close()
         self._events.close()
-
-    def __enter__(self) -> "MetricsLog":
-        return self
 
     def __exit__(self, *_: object) -> None:
         self.close()
 
 
 def read_metrics(run: Run) -> list[Row]:
-    """A run's metrics in order, null as NaN, less a last line cut short; `UserError` if damaged."""
+    """Read a run's metrics in order, null as NaN, less a last line cut short.
+
+    Raises `UserError` for a file that is damaged.
+    """
     return [row for row, _ in _read_rows(run.metrics)]
 
 
 def read_history(run: Run) -> list[Row]:
-    """`read_metrics`, each row joined by the timing of the same iteration where there is one."""
+    """Read a run's metrics, each row joined by the timing of its iteration where there is one."""
     timing = {row["steps"]: row for row, _ in _read_rows(run.timing)}
     return [{**timing.get(row["steps"], {}), **row} for row in read_metrics(run)]
 
 
-def _row(steps: int, values: Mapping[str, Any]) -> dict[str, Any]:
-    numbers = {name: _number(value) for name, value in sorted(values.items()) if name != "steps"}
+def read_last_row(run: Run) -> Row | None:
+    """Read the last whole row of a run's metrics, null as NaN; None if there is none."""
+    try:
+        with open(run.metrics, "rb") as file:
+            size = file.seek(0, os.SEEK_END)
+            file.seek(max(0, size - _TAIL))
+            lines = file.read().split(b"\n")
+    except OSError:
+        return None
+    return _parse_row(lines[-2]) if len(lines) > 1 else None
+
+
+def _make_row(steps: int, values: Mapping[str, Any]) -> dict[str, Any]:
+    numbers = {name: _to_json(value) for name, value in sorted(values.items()) if name != "steps"}
     return {"steps": steps, **numbers}
 
 
-def _number(value: Any) -> int | float | None:
+def _to_json(value: Any) -> int | float | None:
     value = np.asarray(value).item()
     return value if math.isfinite(value) else None
 
 
+def _parse_row(line: bytes) -> Row | None:
+    """Return the row in a line of JSON, null as NaN; None if it is none."""
+    try:
+        values = json.loads(line)
+        # A name is kept once, not in every row.
+        row = {sys.intern(name): float("nan" if x is None else x) for name, x in values.items()}
+        row["steps"] = int(values["steps"])
+    except DAMAGE:
+        return None
+    return row
+
+
 def _read_rows(path: Path) -> Iterator[tuple[Row, int]]:
-    """The complete rows of a file of JSON lines, each with the offset at which it ends."""
+    """Yield the complete rows of a file of JSON lines, each with the offset at which it ends."""
     end = 0
     try:
         with open(path, "rb") as file:
             for number, line in enumerate(file, 1):
-                try:
-                    known = json.loads(line)
-                    # A name is kept once, not in every row; null is NaN.
-                    row = {
-                        sys.intern(n): float("nan" if x is None else x) for n, x in known.items()
-                    }
-                    row["steps"] = int(known["steps"])
-                except DAMAGE:
-                    row = None
+                row = _parse_row(line)
                 if row is None or not line.endswith(b"\n"):
                     if not file.peek(1):  # the last, cut short by a crash
                         return
@@ -125,54 +141,44 @@ def _read_rows(path: Path) -> Iterator[tuple[Row, int]]:
 
 
 class _Lines:
-    """A file of JSON lines that only ever grows by whole lines."""
+    """A file of JSON lines."""
 
     def __init__(self, path: Path, resume_at: int | None) -> None:
         self._path = path
-        self._size = 0
+        self._unwritten = b""  # for which there was no room on the disk
+        size = 0
         for row, end in _read_rows(path):
             if resume_at is None or row["steps"] <= resume_at:
-                self._size = end
-        self._waiting: list[bytes] = []  # for room on the disk
+                size = end
         try:
-            self._file = os.open(path, os.O_WRONLY | os.O_CREAT | _BINARY, 0o666)
-            # Also cuts off the torn line that a crash may have left.
-            os.ftruncate(self._file, self._size)
-            os.lseek(self._file, 0, os.SEEK_END)
+            self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND | _BINARY, 0o666)
+            os.ftruncate(self._file, size)  # cuts off a torn line, too, which a crash may leave
         except OSError as error:
-            raise self._refused(error) from error
+            raise self._make_error(error) from error
 
     def append(self, row: Mapping[str, Any]) -> None:
-        self._waiting.append(json.dumps(row, allow_nan=False).encode() + b"\n")
+        self._unwritten += json.dumps(row, allow_nan=False).encode() + b"\n"
         self._write()
 
     def _write(self) -> None:
-        while self._waiting:
-            rest = line = self._waiting[0]
-            try:
-                while rest:
-                    rest = rest[os.write(self._file, rest) :]
-            except OSError as error:
-                # The disk took a part of the line: take it back, or the next would be glued to it.
-                os.ftruncate(self._file, self._size)
-                os.lseek(self._file, 0, os.SEEK_END)
-                raise self._refused(error) from error
-            self._size += len(line)
-            del self._waiting[0]
+        """Write what is not written: a line that the disk took a part of goes on there."""
+        try:
+            while self._unwritten:
+                self._unwritten = self._unwritten[os.write(self._file, self._unwritten) :]
+        except OSError as error:
+            raise self._make_error(error) from error
 
     def sync(self) -> None:
         self._write()
         try:
             os.fsync(self._file)
         except OSError as error:
-            raise self._refused(error) from error
+            raise self._make_error(error) from error
 
     def close(self) -> None:
-        if self._file >= 0:
-            os.close(self._file)
-            self._file = -1
+        os.close(self._file)
 
-    def _refused(self, error: OSError) -> UserError:
+    def _make_error(self, error: OSError) -> UserError:
         return UserError(f"cannot write {self._path}: {os_reason(error)}")
 
 
@@ -196,23 +202,18 @@ class _Events:
             if name != "steps"
         ]
         event = Event(wall_time=time.time(), step=steps, summary=Summary(value=scalars))
-        try:
+        with self._begin_anew_if_refused():
             if self._writer is None:
                 self._writer = self._open()
             self._writer.write(event.SerializeToString())
-        except OSError as error:
-            raise self._refused(error) from error
         if time.monotonic() - self._flushed > _FLUSH_SECONDS:
             self.flush()
 
     def flush(self) -> None:
-        if self._writer is None:
-            return
-        try:
-            self._writer.flush()
-        except OSError as error:
-            raise self._refused(error) from error
-        self._flushed = time.monotonic()
+        if self._writer is not None:
+            with self._begin_anew_if_refused():
+                self._writer.flush()
+            self._flushed = time.monotonic()
 
     def close(self) -> None:
         writer, self._writer = self._writer, None
@@ -235,7 +236,17 @@ class _Events:
             writer.write(event.SerializeToString())
         return writer
 
-    def _refused(self, error: OSError) -> UserError:
-        # Half an event may have been written, after which none would be read: a new file is begun.
-        self.close()
-        return UserError(f"cannot write TensorBoard events in {self._folder}: {os_reason(error)}")
+    @contextlib.contextmanager
+    def _begin_anew_if_refused(self) -> Iterator[None]:
+        """Turn the system's refusal into a `UserError`, and begin a new file with the next event.
+
+        Half an event may have been written, after which none would be read.
+        """
+        try:
+            yield
+        except OSError as error:
+            self.close()
+            reason = os_reason(error)
+            raise UserError(
+                f"cannot write TensorBoard events in {self._folder}: {reason}"
+            ) from error

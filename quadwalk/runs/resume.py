@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+from pathlib import Path
 from typing import Any
 
 from quadwalk.errors import UsageError, UserError
@@ -97,7 +98,10 @@ def compare_robot(run: Run, quadruped: Quadruped) -> tuple[str, ...]:
 
 
 def describe_training(config: TrainConfig, quadruped: Quadruped) -> dict[str, Any]:
-    """Return what is trained, with `quadruped` as its robot: the same wherever the files are."""
+    """Return what is trained, with `quadruped` as its robot: the same wherever the files are.
+
+    The run that it begins with is there by its name.
+    """
     parts = {name: to_dict(getattr(config, name)) for name in ("robot", "env", "ppo")}
     del parts["robot"]["mesh_dirs"]
     parts["robot"]["urdf"] = quadruped.urdf
@@ -105,4 +109,5 @@ def describe_training(config: TrainConfig, quadruped: Quadruped) -> dict[str, An
         parts["env"]["ground"]["file"] = hash_file(config.env.ground.file)
     model = quadruped.spec.copy()  # which has the meshes
     model.comment = ""  # that names the URDF's file
-    return {**parts, "model": write_xml(model), TASK_FILE: find_task_source(config)}
+    init = config.init and Path(config.init).name
+    return {**parts, "init": init, "model": write_xml(model), TASK_FILE: find_task_source(config)}

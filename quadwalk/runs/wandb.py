@@ -9,7 +9,7 @@ from typing import Any
 
 from quadwalk.cli.shell import import_extra
 from quadwalk.errors import UserError
-from quadwalk.runs.directory import Run
+from quadwalk.runs.directory import Run, get_modified_time
 from quadwalk.settings.serialize import flatten
 from quadwalk.settings.training import TrainConfig
 
@@ -18,18 +18,18 @@ PROJECT = "quadwalk"  # WANDB_PROJECT is another
 
 def check_wandb() -> None:
     """Raise `UserError` where wandb is not installed; ask for the key where there is none."""
-    wandb = _wandb()
+    wandb = _import_wandb()
     try:
         wandb.login()
     except Exception as error:
-        raise _refused(error) from error
+        raise _make_error(error) from error
 
 
 class WandbLog:
     """A run of Weights & Biases with the name of `run`; a resumed training continues it."""
 
     def __init__(self, run: Run, config: TrainConfig) -> None:
-        wandb = _wandb()
+        wandb = _import_wandb()
         settings = {name: str(value) for name, value in flatten(config).items()}
         private: Any = wandb.Settings(
             console="off",
@@ -44,7 +44,7 @@ class WandbLog:
             self._run: Any = wandb.init(
                 project=PROJECT,
                 name=run.name,
-                id=_known(run),
+                id=_find_id(run),
                 resume="allow",
                 dir=str(run.path),
                 config=settings,
@@ -53,28 +53,28 @@ class WandbLog:
             # Rows that a resumed training writes again are at the same steps.
             self._run.define_metric("*", step_metric="steps")
         except Exception as error:
-            raise _refused(error) from error
+            raise _make_error(error) from error
 
     def append(self, row: Mapping[str, Any]) -> None:
         """Log an iteration's row; `UserError` where that is refused."""
         try:
             self._run.log({name: float(value) for name, value in row.items()})
         except Exception as error:
-            raise _refused(error) from error
+            raise _make_error(error) from error
 
     def close(self) -> None:
         self._run.finish()
 
 
-def _wandb() -> Any:
+def _import_wandb() -> Any:
     return import_extra("wandb", "--log wandb", "wandb")
 
 
-def _known(run: Run) -> str | None:
-    """The ID of the last training of `run`, whose folder is wandb/[offline-]run-TIME-ID."""
-    found = sorted((run.path / "wandb").glob("*run-*-*"), key=lambda path: path.stat().st_mtime)
-    return found[-1].name.rpartition("-")[2] if found else None
+def _find_id(run: Run) -> str | None:
+    """Return the ID of the last training of `run`, whose folder is wandb/[offline-]run-TIME-ID."""
+    folders = sorted((run.path / "wandb").glob("*run-*-*"), key=get_modified_time)
+    return folders[-1].name.rpartition("-")[2] if folders else None
 
 
-def _refused(error: Exception) -> UserError:
+def _make_error(error: Exception) -> UserError:
     return UserError(f"Weights & Biases: {error}")

@@ -7,27 +7,28 @@ from pathlib import Path
 import pytest
 
 import quadwalk.learn.prepare
-from quadwalk.experiments.job import Job, fix_sizes
+from quadwalk.api import train
+from quadwalk.experiments.job import Job, fix_sizes, open_run
 from quadwalk.experiments.options import PlaceConfig
 from quadwalk.experiments.places import make_place
 from quadwalk.experiments.runner import run_jobs
 from quadwalk.learn.flags import parse_config
 from quadwalk.learn.writer import RunWriter
-from quadwalk.runs.directory import list_checkpoints
+from quadwalk.runs.directory import Run
 from quadwalk.runs.policy import load_score
 
 HERE = Path(__file__).parent
-TRAIN = HERE.parent / "learn"
-sys.path[:0] = [str(HERE), str(TRAIN)]  # for `judges` and `toy`
+LEARN = HERE.parent / "learn"
+sys.path[:0] = [str(HERE), str(LEARN)]  # for `measures` and `toy`
 
-from judges import last_reward  # noqa: E402
+from measures import get_last_reward  # noqa: E402
 from toy import BATCH, TINY, Toy  # noqa: E402, F401
 
 PAUSE = 20  # iterations after which a training waits for the file `go` beside its task's
 # Whoever reads its settings trains on the toy, slowly.
 TASK = f"""
 import dataclasses, pathlib, sys, time
-sys.path.insert(0, {str(TRAIN)!r})
+sys.path.insert(0, {str(LEARN)!r})
 import toy
 import quadwalk.learn.prepare
 from quadwalk.settings.terms import Reward
@@ -41,7 +42,8 @@ def slow(writer, row, *others):
     time.sleep(0.02)
     while row["steps"] >= {PAUSE * BATCH} and not pathlib.Path(GO).exists():
         time.sleep(0.05)
-RunWriter.iteration = slow
+if iteration.__name__ != "slow":
+    RunWriter.iteration = slow
 
 def own(robot, step):
     return 0.0
@@ -52,7 +54,7 @@ TASK = dataclasses.replace(sprint.TASK, task="toy", env=dataclasses.replace(
 
 
 def write_task(folder: Path) -> tuple[Path, Path]:
-    """The file of the task, and that which its trainings wait for."""
+    """Write the task's file; return it, and the file that its trainings wait for."""
     file, go = folder / "toy_task.py", folder / "go"
     file.write_text(f"GO = {str(go)!r}\n{TASK}")
     return file, go
@@ -82,28 +84,41 @@ def job(task, tmp_path, monkeypatch):
 
 
 @pytest.fixture
+def train_alone(job):
+    """Train with a seed in this process; return the run."""
+
+    def train_seed(iterations: int, seed: int = 0) -> Run:
+        run = open_run(job("alone", f"s{seed}", iterations, get_last_reward, seed))
+        return train(resume=run, quiet=True)
+
+    return train_seed
+
+
+@pytest.fixture
 def assert_resumable(job, task):
     """Interrupt trainings at a place once all that have a slot train, and look at what is left."""
 
     def interrupt(config: PlaceConfig) -> None:
         task[1].touch()
-        jobs = [job("runs", f"s{seed}", 10_000, last_reward, seed) for seed in range(3)]
         place = make_place(config)
-        rows: dict[str, float] = {}
+        seeds = range(place.slots + 1)
+        jobs = [job("runs", f"s{seed}", 10_000, get_last_reward, seed) for seed in seeds]
+        steps: dict[str, float] = {}
 
         def watch(job: Job, row: dict[str, float]) -> bool:
-            fresh = job.name not in rows
-            rows[job.name] = row["steps"]
-            if fresh and len(rows) == min(place.slots, len(jobs)):
+            is_new = job.name not in steps
+            steps[job.name] = row["steps"]
+            if is_new and len(steps) == place.slots:
                 signal.raise_signal(signal.SIGINT)
             return False
 
         with pytest.raises(KeyboardInterrupt):
             list(run_jobs(jobs, place, len(jobs), watch))
-        saved = {
-            job.name: load_score(job.run.policy)[0] for job in jobs if list_checkpoints(job.run)
-        }
-        assert saved.keys() == rows.keys()
-        assert all(saved[name] >= steps for name, steps in rows.items())  # not a row is lost
+        trained = [job.run for job in jobs if job.run.policy.exists()]
+        assert [run.name for run in trained] == sorted(steps)
+        for run in trained:
+            saved, _ = load_score(run.policy)
+            assert saved >= steps[run.name]  # not a row is lost
+            assert run.locate_checkpoint(saved).exists()
 
     return interrupt

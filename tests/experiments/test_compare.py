@@ -1,4 +1,4 @@
-"""`quadwalk compare`: what it takes for variants, its table and its curves."""
+"""`quadwalk compare`: the variants that it takes, its table and its curves."""
 
 import json
 import math
@@ -12,30 +12,30 @@ import pytest
 
 from quadwalk.errors import UserError
 from quadwalk.experiments import comparison
-from quadwalk.experiments.bands import compute_band, draw_bands
-from quadwalk.experiments.compare import main
-from quadwalk.experiments.comparison import plan_training
-from quadwalk.experiments.job import open_run, train_run
-from quadwalk.experiments.options import TuneConfig, split_variants
+from quadwalk.experiments.commands import compare, split_variants
+from quadwalk.experiments.comparison import compute_band, draw_bands, plan_training
+from quadwalk.experiments.job import Job, open_run
+from quadwalk.experiments.options import TuneConfig
 from quadwalk.experiments.places import ThisMachine
 from quadwalk.experiments.runner import Outcome
 from quadwalk.experiments.search import make_base
 from quadwalk.files import real_path
 from quadwalk.learn.flags import parse_config
 from quadwalk.paths import PRETRAINED
+from quadwalk.progress.metrics import SPEED
 from quadwalk.runs.directory import create_run, find_any_run
-from quadwalk.runs.policy import load_score
 from quadwalk.runs.resume import read_config
 from quadwalk.tasks import run, walk
-from tests.experiments.conftest import BATCH, TINY, Toy
+from tests.experiments.conftest import BATCH, TINY
 from tests.test_task_files import OWN_TASK
 
 ROWS = [{"steps": 10, "eval/speed": 1.0}, {"steps": 20, "eval/speed": 3.0}]
+WITH_COMMANDS = [{**row, "eval/velocity_error": 0.5} for row in ROWS]
 
 
-def test_what_is_no_option_of_its_own_is_a_variant():
-    given = ["", "--ppo.entropy 0.003", "walk", "--seeds", "2", "--cores=2", "--steps"]
-    variants, options = split_variants([*given, "64"])
+def test_an_argument_that_is_no_option_is_a_variant():
+    args = ["", "--ppo.entropy 0.003", "walk", "--seeds", "2", "--cores=2", "--steps"]
+    variants, options = split_variants([*args, "64"])
     assert variants == ["", "--ppo.entropy 0.003", "walk"]
     assert options == ["--seeds", "2", "--cores=2", "--steps", "64"]
 
@@ -57,26 +57,33 @@ def test_what_is_no_option_of_its_own_is_a_variant():
         (["", "--robot.urdf no.urdf"], "no.urdf"),
     ],
 )
-def test_what_cannot_be_compared_is_said_before_anything_is_trained(args, said, monkeypatch):
+def test_what_cannot_be_compared_is_said_before_anything_is_trained(
+    args, said, monkeypatch, tmp_path
+):
+    monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(ThisMachine, "submit", pytest.fail)
     with pytest.raises(UserError, match=re.escape(said)):
-        main(args)
+        compare(args)
 
 
 def test_the_band_of_seeds_goes_as_far_as_all_of_them():
     other = [{"steps": 12, "eval/speed": 5.0}, {"steps": 16, "eval/speed": 7.0}]
-    missing = {"steps": 14, "eval/speed": None}
-    steps, low, mean, high = compute_band([ROWS, [*other[:1], missing, *other[1:]]], "eval/speed")
+    missing = {"steps": 14, "eval/speed": math.nan}
+    steps, low, mean, high = compute_band([ROWS, [*other[:1], missing, *other[1:]]], SPEED)
     np.testing.assert_allclose(steps, [10, 12, 16])
     np.testing.assert_allclose(low, [1.0, 1.4, 2.2])
     np.testing.assert_allclose(high, [5.0, 5.0, 7.0])
     np.testing.assert_allclose(mean, (low + high) / 2)
-    assert len(compute_band([ROWS, []], "eval/speed")[0]) == 0
+    assert len(compute_band([ROWS, []], SPEED)[0]) == 0
 
 
-def test_every_variant_has_a_curve():
-    figure = draw_bands([("a", ROWS), ("a", ROWS), ("b", ROWS)])
-    assert [len(axes.lines) for axes in figure.axes] == [2, 2, 2]
+def test_every_variant_has_a_curve_of_what_its_task_is_about():
+    figure = draw_bands([("a", ROWS), ("a", ROWS), ("b", WITH_COMMANDS)])
+    assert [axes.get_title("left") for axes in figure.axes] == [
+        "Speed, m/s", "Velocity error, m/s", "Episodes that fell, %", "Reward"
+    ]  # fmt: skip
+    for axes, lengths in zip(figure.axes, [(2, 2), (0, 2), (0, 0), (0, 0)], strict=True):
+        assert tuple(len(line.get_xdata()) for line in axes.lines) == lengths
 
 
 @pytest.fixture
@@ -94,11 +101,11 @@ def trainings(monkeypatch, tmp_path):
                 yield Outcome(job, job.evaluate(run))
 
     def evaluate(run, episodes, engine="mjx"):
-        told = "walk" in run.name
+        commanded = "walk" in run.name
         seed = int(run.name[-1])
         mean = {"mean": 2.0 + seed, "ci95": None}
         names = ["path_speed", "velocity_error", "yaw_rate_error"]
-        names = names if told else ["speed", "distance", "lateral_drift", "heading_error"]
+        names = names if commanded else ["speed", "distance", "lateral_drift", "heading_error"]
         gait = SimpleNamespace(
             gait="trot",
             swing_height=np.array([0.05, 0.06, math.nan, 0.07]),
@@ -117,7 +124,7 @@ def trainings(monkeypatch, tmp_path):
 
 
 def test_a_row_for_each_run_a_file_for_all_and_a_picture(trainings, capsys):
-    main(["", "walk", "--seeds", "2", "--steps", "64", "--runs", str(trainings)])
+    compare(["", "walk", "--seeds", "2", "--steps", "64", "--runs", str(trainings)])
     lines = capsys.readouterr().out.splitlines()
     written = (trainings / "compare.md").read_text().splitlines()
     assert written == lines[:6]
@@ -143,7 +150,7 @@ def test_a_row_for_each_run_a_file_for_all_and_a_picture(trainings, capsys):
 def test_a_training_that_fails_is_said_at_the_end_and_the_others_are_written(trainings, capsys):
     flags = "--ppo.entropy 0.003"
     with pytest.raises(UserError, match=r"ppo.entropy.*_s0: the weights are no longer finite"):
-        main([flags, "", "--seeds", "1", "--steps", "64", "--runs", str(trainings)])
+        compare([flags, "", "--seeds", "1", "--steps", "64", "--runs", str(trainings)])
     (result,) = json.loads((trainings / "compare.json").read_text())
     assert result["run"] == "default_64_s0"
     assert "default" in capsys.readouterr().out
@@ -183,28 +190,27 @@ def test_the_run_to_begin_with_is_the_one_that_a_training_alone_finds(tmp_path, 
         searched = replace(make_base(TuneConfig(flags=flags)), runs=Path("runs/tune/run"))
         for config in (alone, compared, searched):
             assert find_any_run(config.runs, config.init).path == path
-        kept = read_config(open_run(compared))
-        assert find_any_run(kept.runs, kept.init).path == path
+        saved = read_config(open_run(Job(compared, pytest.fail)))
+        assert find_any_run(saved.runs, saved.init).path == path
     # A packaged run is found where the package is elsewhere.
     there = find_any_run("runs", "/opt/quadwalk/assets/pretrained/drive")
     assert there.path == PRETRAINED / "drive"
 
 
-def test_a_run_of_ones_own_task_is_known_again_until_the_file_changes(tmp_path, monkeypatch):
-    monkeypatch.setattr("quadwalk.learn.prepare.QuadrupedEnv", Toy)
+def test_a_run_is_known_again_until_its_task_file_or_its_source_changes(tmp_path):
     tiny = f"--devices=2 --steps={BATCH} --runs={tmp_path / 'runs'} --name=own {TINY}".split()
-    for folder, rate, known in (("a", 1.0, True), ("b", 1.0, True), ("c", 2.0, False)):
-        (tmp_path / folder).mkdir()
+
+    def plan(folder: str, rate: float, *flags: str) -> Job:
+        (tmp_path / folder).mkdir(exist_ok=True)
         file = tmp_path / folder / "own.py"
         file.write_text(OWN_TASK.replace("return 1.0", f"return {rate}"))
-        config, _ = parse_config([str(file), *tiny])
-        if known:
-            run = open_run(config)
-            assert train_run(run, config.steps)
-            assert load_score(run.policy)[0] == config.steps
-        else:
-            with pytest.raises(UserError, match="other settings; remove it"):
-                open_run(config)
+        return Job(parse_config([str(file), *tiny, *flags])[0], pytest.fail)
+
+    run = open_run(plan("a", 1.0))
+    assert open_run(plan("b", 1.0)) == run
+    for other in (plan("c", 2.0), plan("a", 1.0, "--init=run")):
+        with pytest.raises(UserError, match="other settings; remove it"):
+            open_run(other)
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,7 @@ import math
 import numpy as np
 import pytest
 
-from quadwalk.progress.curves import RANDOMIZED, learning_curve, save_learning_curve
+from quadwalk.progress.curves import RANDOMIZED, draw_learning_curve, save_learning_curve
 
 REWARDS = {"train/reward/forward": 2.0, "train/reward/energy": -0.5}
 ROWS = [
@@ -23,7 +23,7 @@ ROWS = [
 
 def panels(rows, best=None):
     """Panels by title, without those that are hidden."""
-    figure = learning_curve(rows, best)
+    figure = draw_learning_curve(rows, best)
     figure.draw_without_rendering()
     return {axes.get_title("left"): axes for axes in figure.axes if axes.get_visible()}
 
@@ -80,8 +80,10 @@ def test_the_best_checkpoint_is_marked():
 
 
 def test_a_note_tells_why_an_evaluation_is_better():
-    assert "eval measures without them" in learning_curve(ROWS, 7000, RANDOMIZED).get_suptitle()
-    assert learning_curve(ROWS).get_suptitle() == ""
+    assert (
+        "eval measures without them" in draw_learning_curve(ROWS, 7000, RANDOMIZED).get_suptitle()
+    )
+    assert draw_learning_curve(ROWS).get_suptitle() == ""
 
 
 def test_rows_are_drawn_in_the_order_of_their_steps():
@@ -107,7 +109,7 @@ def test_what_was_never_recorded_leaves_its_panel_empty(rows):
 
 
 def test_minutes_stand_above_the_steps_at_which_they_passed():
-    top = [axes for axes in learning_curve(ROWS).axes if axes.get_xlabel() == "minutes"]
+    top = [axes for axes in draw_learning_curve(ROWS).axes if axes.get_xlabel() == "minutes"]
     assert len(top) == 3
     labels = [tick.get_text() for tick in top[0].get_xticklabels()]
     places = dict(zip(labels, top[0].get_xticks(), strict=True))
@@ -117,7 +119,9 @@ def test_minutes_stand_above_the_steps_at_which_they_passed():
     still = [{**row, "time/elapsed": 3.0} for row in ROWS]
     for rows in (still, ROWS[:1]):
         labels = [
-            a.get_xticklabels() for a in learning_curve(rows).axes if a.get_xlabel() == "minutes"
+            a.get_xticklabels()
+            for a in draw_learning_curve(rows).axes
+            if a.get_xlabel() == "minutes"
         ]
         assert all(len(ticks) < 2 for ticks in labels)
 

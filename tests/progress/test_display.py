@@ -156,38 +156,30 @@ def test_a_training_that_was_stopped_is_not_said_to_be_done(stopped):
     assert any("done" in line for line in last) != stopped
 
 
-def test_the_error_is_shown_in_place_of_a_mean_speed_over_commands():
-    commanded = {"eval/speed": -0.03, "eval/velocity_error": 0.25}
-    assert "velocity error 0.25 m/s  falls" in train(io.StringIO(), **commanded)
-    shown = visible(train(Terminal(), **commanded))
-    assert re.search(r"error +0\.25 m/s off the command +█", shown)
+@pytest.mark.parametrize(
+    ("figures", "plain", "live"),
+    [
+        (
+            {"eval/speed": -0.03, "eval/velocity_error": 0.25},  # no mean speed over commands
+            "  velocity error 0.25 m/s  falls",
+            r"error +0\.25 m/s off the command +█",
+        ),
+        ({"eval/standing": 0.5}, "standing 50.0 % of the time", r"standing +50\.0 % of the time"),
+        ({"train/nan": 3}, "NaN states 3", r"NaN +3 states"),
+        (
+            {"train/level/stairs_up": 2.5, "train/level/flat": 7.0},
+            "levels stairs_up 2.50, flat 7.00",
+            r"stairs_up +2\.50 ■■■ ",
+        ),
+    ],
+)
+def test_figures_of_some_tasks_are_shown_where_there_are_any(figures, plain, live):
+    assert plain in train(io.StringIO(), **figures)
+    assert plain not in train(io.StringIO())
+    shown = visible(train(Terminal(), **figures))
+    assert re.search(live, shown)
     assert "-0.03" not in shown
-    assert "speed" not in shown
-
-
-def test_what_a_narrower_terminal_has_broken_is_erased(monkeypatch):
-    monkeypatch.setattr(module, "_FRAMES_PER_SECOND", 1e-3)  # no frame but those asked for
-    stream = Terminal()
-    terms = {f"train/reward/term_number_{index}": index for index in range(9)}
-    with Progress(3000, stream=stream) as progress:
-        progress.phase("training")
-        for steps in (1000, 2000):
-            before = len(stream.getvalue())
-            progress.update(steps, FIGURES | terms)
-        frame = visible(stream.getvalue()[before:]).strip("\r\n").split("\n")
-        assert max(map(len, frame)) > 80
-        rows = sum(max(1, math.ceil(len(line) / 40)) for line in frame)
-        assert rows > len(frame) + 3
-        progress._view.console.width = 40
-        before = len(stream.getvalue())
-        progress.update(3000, FIGURES | terms)
-        redrawn = stream.getvalue()[before:]
-        before = len(stream.getvalue())
-        progress.update(3000, FIGURES | terms)
-        again = stream.getvalue()[before:]
-    assert redrawn.count("\x1b[1A") == rows - 1
-    height = len(visible(redrawn).strip("\r\n").split("\n"))
-    assert again.count("\x1b[1A") == height - 1
+    assert not re.search(live, visible(train(Terminal())))
 
 
 def test_its_colors_can_be_read_on_white_and_on_black():
@@ -195,29 +187,6 @@ def test_its_colors_can_be_read_on_white_and_on_black():
     codes = {code for codes in re.findall(r"\x1b\[([\d;]+)m", output) for code in codes.split(";")}
     assert "32" in codes  # green
     assert not {"33", "36", "93", "96", "37", "97"} & codes  # yellow, cyan, white
-
-
-def test_nan_states_are_shown_when_there_are_any():
-    assert "NaN states 3" in train(io.StringIO(), **{"train/nan": 3})
-    assert "NaN" not in train(io.StringIO(), **{"train/nan": 0})
-    assert re.search(r"NaN +3 states", visible(train(Terminal(), **{"train/nan": 3})))
-
-
-def test_levels_of_a_curriculum_are_shown_by_kind_of_ground():
-    levels = {"train/level/stairs_up": 2.5, "train/level/flat": 7.0}
-    assert "levels stairs_up 2.50, flat 7.00" in train(io.StringIO(), **levels)
-    assert "levels" not in train(io.StringIO())
-    shown = visible(train(Terminal(), **levels))
-    assert "levels of difficulty" in shown
-    assert re.search(r"stairs_up +2\.50 ■■■ ", shown)
-
-
-def test_missing_figures_are_no_error():
-    for stream in (io.StringIO(), Terminal()):
-        with Progress(0, stream=stream) as progress:
-            progress.update(0, {})
-            progress.update(5, {})
-        assert "nan" not in stream.getvalue()
 
 
 @pytest.mark.parametrize("width", [2, 10, 24, 40, 80, 200])
@@ -315,16 +284,19 @@ def test_it_shows_at_once_on_a_real_terminal():
 
 @pytest.mark.parametrize(
     ("module", "heavy"),
-    [("progress.display", "{'jax', 'numpy', 'matplotlib'}"), ("loop", "{'matplotlib'}")],
+    [
+        ("progress.display", "{'jax', 'numpy', 'matplotlib'}"),
+        ("learn.loop", "{'matplotlib'}"),
+    ],
 )
 def test_what_is_heavy_waits_until_it_is_needed(module, heavy):
-    program = f"import sys, quadwalk.learn.{module}; sys.exit(bool({heavy} & set(sys.modules)))"
+    program = f"import sys, quadwalk.{module}; sys.exit(bool({heavy} & set(sys.modules)))"
     assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0
 
 
 @given(st.lists(st.floats(), max_size=200), st.integers(0, 60))
 def test_a_sparkline_fits_and_never_fails(values, width):
-    line = text.sparkline(values, width)
+    line = text.draw_sparkline(values, width)
     assert len(line) == min(width, len(values))
     assert set(line) <= set(" ▁▂▃▄▅▆▇█")
 
@@ -332,30 +304,30 @@ def test_a_sparkline_fits_and_never_fails(values, width):
 @pytest.mark.parametrize(
     ("shown", "expected"),
     [
-        (text.sparkline([0, 1, 2, 3, 4, 5, 6, 7], 8), "▁▂▃▄▅▆▇█"),
-        (text.sparkline([0, 0, 7, 7], 2), "▁█"),
-        (text.sparkline([-1, 0, 1], 3), "▁▅█"),
-        (text.sparkline([1, math.nan, 1], 3), "█ █"),
-        (text.sparkline([0, 0], 2), "▁▁"),
-        (text.number(12.44), "12.4"),
-        (text.number(-0.031), "-0.031"),
-        (text.number(0), "0.000"),
-        (text.number(1e-9), "1e-09"),
-        (text.number(math.nan), "-"),
-        (text.percent(0.0312), "3.1 %"),
-        (text.percent(math.inf), "-"),
-        (text.quantity(950), "950"),
-        (text.quantity(999.6), "1.0k"),
-        (text.quantity(52_140), "52.1k"),
-        (text.quantity(4_100_000), "4.1M"),
-        (text.quantity(2e9), "2.0G"),
-        (text.duration(59.6), "1:00"),
-        (text.duration(751), "12:31"),
-        (text.duration(3723), "1:02:03"),
-        (text.duration(math.nan), "-"),
-        (text.spent(0.44), "0.4 s"),
-        (text.spent(31.4), "31 s"),
-        (text.spent(125), "2:05"),
+        (text.draw_sparkline([0, 1, 2, 3, 4, 5, 6, 7], 8), "▁▂▃▄▅▆▇█"),
+        (text.draw_sparkline([0, 0, 7, 7], 2), "▁█"),
+        (text.draw_sparkline([-1, 0, 1], 3), "▁▅█"),
+        (text.draw_sparkline([1, math.nan, 1], 3), "█ █"),
+        (text.draw_sparkline([0, 0], 2), "▁▁"),
+        (text.format_number(12.44), "12.4"),
+        (text.format_number(-0.031), "-0.031"),
+        (text.format_number(0), "0.000"),
+        (text.format_number(1e-9), "1e-09"),
+        (text.format_number(math.nan), "-"),
+        (text.format_percent(0.0312), "3.1 %"),
+        (text.format_percent(math.inf), "-"),
+        (text.format_quantity(950), "950"),
+        (text.format_quantity(999.6), "1.0k"),
+        (text.format_quantity(52_140), "52.1k"),
+        (text.format_quantity(4_100_000), "4.1M"),
+        (text.format_quantity(2e9), "2.0G"),
+        (text.format_duration(59.6), "1:00"),
+        (text.format_duration(751), "12:31"),
+        (text.format_duration(3723), "1:02:03"),
+        (text.format_duration(math.nan), "-"),
+        (text.format_elapsed(0.44), "0.4 s"),
+        (text.format_elapsed(31.4), "31 s"),
+        (text.format_elapsed(125), "2:05"),
     ],
 )
 def test_numbers_read_well(shown, expected):
@@ -364,6 +336,6 @@ def test_numbers_read_well(shown, expected):
 
 @given(st.floats())
 def test_every_number_has_a_short_text(value):
-    for show in (text.number, text.percent, text.quantity):
+    for show in (text.format_number, text.format_percent, text.format_quantity):
         assert show(value)
-    assert len(text.number(value)) <= 7
+    assert len(text.format_number(value)) <= 7
