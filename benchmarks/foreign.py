@@ -37,7 +37,7 @@ from benchmarks.simulators import (
 
 # Processes that simulate import this file as well: what takes seconds is imported where it is used.
 if TYPE_CHECKING:
-    from quadwalk.evaluation.loaded import LoadedRun
+    from quadwalk.evaluation.load import LoadedRun
 
 SIMULATORS: tuple[Simulator, ...] = ("Drake", "MuJoCo C")
 PROCESSES = 2
@@ -64,10 +64,10 @@ def sample_episodes(
     import jax
 
     from quadwalk.env.command import draw
-    from quadwalk.evaluation.simulate import fresh_starts
+    from quadwalk.evaluation.rollout import reset_episodes
 
     env, steps = loaded.env, loaded.env.config.episode_steps
-    first = jax.device_get(fresh_starts(env, episodes, seed)).pipeline_state
+    first = jax.device_get(reset_episodes(env, episodes, seed)).pipeline_state
     starts = list(zip(first.qpos.astype(float), first.qvel.astype(float), strict=True))
     commands = np.zeros((episodes, steps, 3))
     if env.config.command.given:
@@ -83,23 +83,23 @@ def compute_figures(episode: Episode, commands: np.ndarray | None, dt: float) ->
 
     `commands` (steps, 3) is None for a task that has none.
     """
-    from quadwalk.evaluation.motion.course import (
+    from quadwalk.evaluation.metrics import (
         SETTLING,
         WINDOW,
-        heading_velocity,
-        tracking_errors,
-        window_means,
+        average_windows,
+        compute_heading_velocity,
+        compute_tracking_errors,
+        to_roll_pitch_yaw,
     )
-    from quadwalk.evaluation.motion.kinematics import roll_pitch_yaw
 
     poses, steps = episode.qpos, len(episode.target)
     if commands is None:
-        yaw = roll_pitch_yaw(poses[1:, 3:7])[:, 2]
+        yaw = to_roll_pitch_yaw(poses[1:, 3:7])[:, 2]
         speed = (poses[-1, 0] - poses[0, 0]) / (dt * steps)
         return {"speed": speed, "heading_error": float(np.degrees(np.abs(yaw).mean()))}
-    velocity = heading_velocity(poses, dt)
-    velocity_error, yaw_rate_error = tracking_errors(velocity, commands[:steps], dt)
-    means = window_means(velocity[round(SETTLING / dt) :], round(WINDOW / dt))
+    velocity = compute_heading_velocity(poses, dt)
+    velocity_error, yaw_rate_error = compute_tracking_errors(velocity, commands[:steps], dt)
+    means = average_windows(velocity[round(SETTLING / dt) :], round(WINDOW / dt))
     speed = float(np.linalg.norm(means[:, :2], axis=1).mean()) if len(means) else np.nan
     return {"speed": speed, "velocity_error": velocity_error, "yaw_rate_error": yaw_rate_error}
 
@@ -108,17 +108,17 @@ def summarize(
     figures: list[dict[str, float]], fell: np.ndarray, upright: np.ndarray
 ) -> dict[str, Any]:
     """Return the falls of a condition in a simulator, and figures of `upright` episodes."""
-    from quadwalk.evaluation.statistics import mean_figure, share_interval
+    from quadwalk.evaluation.metrics import compute_share_interval, summarize_values
 
     rows = [figures[index] for index in np.flatnonzero(upright)]
-    means = {name: mean_figure([row[name] for row in rows]) for name in figures[0]}
-    interval = share_interval(int(fell.sum()), len(fell))
+    means = {name: summarize_values([row[name] for row in rows]) for name in figures[0]}
+    interval = compute_share_interval(int(fell.sum()), len(fell))
     return {"falls": float(fell.mean()), "falls_ci95": list(interval), **means}
 
 
 def format_table(results: list[dict[str, Any]]) -> str:
     """Return a Markdown table with a row for each condition."""
-    from quadwalk.evaluation.statistics import figure_mean
+    from quadwalk.evaluation.metrics import get_mean
 
     lines: list[list[str]] = []
     for result in results:
@@ -128,7 +128,7 @@ def format_table(results: list[dict[str, Any]]) -> str:
         for name in result["Drake"]:
             if name.startswith("falls"):
                 continue
-            drake, mujoco = (figure_mean(result[simulator][name]) for simulator in SIMULATORS)
+            drake, mujoco = (get_mean(result[simulator][name]) for simulator in SIMULATORS)
             digits = 1 if name == "heading_error" else 3
             title = name.replace("_", " ")
             cells[f"{title}, Drake"] = f"{drake:.{digits}f}"
@@ -233,8 +233,8 @@ def main() -> None:
 
     from quadwalk.cli.shell import suggest_install
     from quadwalk.errors import UserError
-    from quadwalk.evaluation.loaded import load_run
-    from quadwalk.evaluation.recording.provenance import provenance
+    from quadwalk.evaluation.load import load_run
+    from quadwalk.evaluation.results import make_provenance
     from quadwalk.export.bundle import export_run
     from quadwalk.files import write_json
     from quadwalk.render.images import save_png
@@ -258,7 +258,7 @@ def main() -> None:
         out / "export", loaded, options.only, options.episodes, options.seed, contact
     )
     print(format_table(results))
-    about = provenance(loaded, options.seed) | {"drake": drake, "episodes": options.episodes}
+    about = make_provenance(loaded, options.seed) | {"drake": drake, "episodes": options.episodes}
     about |= {"contact": dataclasses.asdict(contact), "conditions": results}
     write_json(out / "foreign.json", about)
     save_png(draw_film_strip(samples, loaded), out / "film_strip.png")

@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.shared import make_parser
-from quadwalk.evaluation.evaluation import measure
-from quadwalk.evaluation.loaded import load_run
+from quadwalk.evaluation.load import load_run
+from quadwalk.evaluation.results import evaluate_policy
 from quadwalk.identify.found import with_joints
 from quadwalk.learn.devices import set_up_devices
 from quadwalk.paths import PRETRAINED
@@ -66,8 +66,8 @@ def main() -> None:
                 for conditions in ("delay", "randomized"):
                     loaded = load_run(run, 20.0, engine="mujoco", randomized=True)
                     if conditions == "delay":
-                        loaded = loaded.in_mujoco(randomization=late)
-                    summary = measure(loaded, options.episodes, seed=0, whole=0).summary
+                        loaded = loaded.to_mujoco(randomization=late)
+                    summary = evaluate_policy(loaded, options.episodes, seed=0, keep=0).summary
                     falls = f"{100 * summary['fall_rate']:10.1f}"
                     figures = (f"{format_figure(summary.get(figure)):>18}" for figure in FIGURES)
                     print(f"{name:8}{robot:12}{conditions:12}{falls}", *figures, flush=True)

@@ -29,8 +29,8 @@ from rich.console import Console
 from benchmarks.shared import find_example_robots, make_parser
 from quadwalk.cli.process import run_command
 from quadwalk.errors import UserError
-from quadwalk.evaluation.loaded import LoadedRun
-from quadwalk.evaluation.report.panels import draw_sweep
+from quadwalk.evaluation.load import LoadedRun
+from quadwalk.evaluation.sweep import draw_sweep
 from quadwalk.files import atomic_write
 from quadwalk.paths import PRETRAINED
 from quadwalk.render.canvas import Camera, Canvas

@@ -12,8 +12,8 @@ import rerun
 from rerun import blueprint
 from rerun.blueprint.encodings import ComponentSourceKind, VisualizerComponentMapping
 
-from quadwalk.evaluation.recording.mcap import RERUN_APPLICATION, RERUN_BLUEPRINT
-from quadwalk.evaluation.recording.messages import WORLD
+from quadwalk.evaluation.mcap.messages import WORLD
+from quadwalk.evaluation.mcap.write import RERUN_APPLICATION, RERUN_BLUEPRINT
 from quadwalk.render.figures import LEG_COLORS
 
 TIMELINE = "message_log_time"

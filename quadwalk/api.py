@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING, Any, Literal
 from quadwalk.cli.arguments import make_console
 from quadwalk.env.env import QuadrupedEnv
 from quadwalk.errors import UsageError
-from quadwalk.evaluation.evaluation import Evaluation, measure
-from quadwalk.evaluation.loaded import load_run
-from quadwalk.evaluation.report.console import print_comparison
+from quadwalk.evaluation.load import load_run
+from quadwalk.evaluation.results import Evaluation, evaluate_policy
 from quadwalk.learn import acting, loop
 from quadwalk.learn.acting import Policy
 from quadwalk.learn.devices import set_up_devices
@@ -120,7 +119,7 @@ def evaluate(
     loaded = load_run(found, seconds, policy, engine, randomized, seed)
     for note in loaded.notes:
         make_console().print(f"{found.name}: {note}")
-    return measure(loaded, episodes, seed)
+    return evaluate_policy(loaded, episodes, seed)
 
 
 def compare(results: Mapping[str, Evaluation]) -> "Figure":
@@ -128,7 +127,7 @@ def compare(results: Mapping[str, Evaluation]) -> "Figure":
 
     `UsageError` unless they are of the same episodes: by number, time limit and seed.
     """
-    from quadwalk.evaluation.report.panels import draw_comparison  # Matplotlib: no other needs it
+    from quadwalk.evaluation.report.comparison import draw_comparison, print_comparison
 
     found = [result.results for result in results.values()]
     starts = {(each["summary"]["episodes"], each["seconds"], each["seed"]) for each in found}

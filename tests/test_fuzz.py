@@ -14,7 +14,7 @@ import pytest
 
 from quadwalk.cli.arguments import parse
 from quadwalk.errors import UserError
-from quadwalk.evaluation.options import EvalConfig
+from quadwalk.evaluation.command import EvalConfig
 from quadwalk.experiments.commands import compare
 from quadwalk.experiments.options import CompareConfig, TuneConfig
 from quadwalk.export.cli import ExportConfig

@@ -14,7 +14,7 @@ from settings import comments
 
 from quadwalk import api, gym
 from quadwalk.env.env import QuadrupedEnv
-from quadwalk.evaluation.evaluation import Evaluation
+from quadwalk.evaluation.results import Evaluation
 from quadwalk.learn.acting import Policy
 from quadwalk.runs.directory import Run
 

@@ -15,7 +15,8 @@ from quadwalk.errors import UsageError, suggest
 # `args` are the words after the command, `prog` is what messages and help call it.
 COMMANDS = {
     "train": ("quadwalk.learn.cli:main", "train a quadruped in a task"),
-    "eval": ("quadwalk.eval:main", "evaluate a trained policy"),
+    "eval": ("quadwalk.evaluation.command:call_eval", "evaluate a trained policy"),
+    "sweep": ("quadwalk.evaluation.command:call_sweep", "measure what a policy withstands"),
     "view": ("quadwalk.view.show:main", "drive a trained policy live"),
     "demo": ("quadwalk.view.show:main", "drive a policy that comes trained, in a page"),
     "export": ("quadwalk.export.cli:main", "write a policy as ONNX, to be used elsewhere"),

@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from quadwalk.api import evaluate
 from quadwalk.cli.arguments import find_value, split_words
 from quadwalk.errors import UsageError, UserError
-from quadwalk.evaluation.statistics import figure_mean, number
+from quadwalk.evaluation.metrics import get_mean, to_json_number
 from quadwalk.experiments.job import Job, fix_sizes
 from quadwalk.experiments.options import CompareConfig
 from quadwalk.experiments.places import make_place
@@ -122,21 +122,21 @@ def evaluate_run(run: Run, episodes: int) -> dict[str, Any]:
     straight = speed == "speed"
     speeds = np.array([episode[speed] for episode in c.episodes])
 
-    def get_mean(name: str, summary: Mapping[str, Any] = mjx) -> float:
-        return figure_mean(summary.get(name))
+    def read_mean(name: str, summary: Mapping[str, Any] = mjx) -> float:
+        return get_mean(summary.get(name))
 
     figures: dict[str, Any] = {
-        "m/s": get_mean(speed),
+        "m/s": read_mean(speed),
         "falls": mjx["fall_rate"],
         # Less than half as fast as the median: it stands, or limps.
         "slow": int(np.sum(speeds < 0.5 * np.median(speeds))) if straight else None,
-        "drift": get_mean("lateral_drift") / get_mean("distance"),
-        "heading, °": get_mean("heading_error"),
-        "off, m/s": get_mean("velocity_error"),
-        "turning off, rad/s": get_mean("yaw_rate_error"),
-        "m/s in C": get_mean(speed, c.summary),
+        "drift": read_mean("lateral_drift") / read_mean("distance"),
+        "heading, °": read_mean("heading_error"),
+        "off, m/s": read_mean("velocity_error"),
+        "turning off, rad/s": read_mean("yaw_rate_error"),
+        "m/s in C": read_mean(speed, c.summary),
         "falls in C": c.summary["fall_rate"],
-        "off in C": get_mean("velocity_error", c.summary),
+        "off in C": read_mean("velocity_error", c.summary),
         "gait": gait.gait,
         "swing, cm": 100 * float(np.nan_to_num(gait.swing_height).min()),
         "slip": float(np.fmax.reduce(gait.slip_share)),
@@ -145,7 +145,7 @@ def evaluate_run(run: Run, episodes: int) -> dict[str, Any]:
         "action rate, 1/s": gait.action_rate,
     }
     # A task without commands has no velocity error, and a robot that never took a step no slip.
-    return {name: number(x) if isinstance(x, float) else x for name, x in figures.items()}
+    return {name: to_json_number(x) if isinstance(x, float) else x for name, x in figures.items()}
 
 
 def format_row(result: Result) -> str:

@@ -12,8 +12,7 @@ from quadwalk.api import evaluate
 from quadwalk.cli.arguments import split_words
 from quadwalk.cli.shell import import_extra, make_command
 from quadwalk.errors import UsageError, UserError, suggest
-from quadwalk.evaluation.statistics import figure_mean
-from quadwalk.evaluation.summary import FIGURES
+from quadwalk.evaluation.metrics import METRICS, get_mean
 from quadwalk.experiments.job import Job, fix_sizes
 from quadwalk.experiments.options import TuneConfig
 from quadwalk.experiments.places import make_place
@@ -70,7 +69,7 @@ def check_objective(name: str, base: TrainConfig) -> None:
     absent = {"velocity_error", "yaw_rate_error", "path_speed", "path"}
     if base.env.command.given:
         absent = {"speed", "distance", "lateral_drift", "heading_error"}
-    figures = [figure.name for figure in FIGURES if figure.name not in absent]
+    figures = [figure.name for figure in METRICS if figure.name not in absent]
     names = ["score", "fall_rate", *figures]
     if name not in names:
         raise UsageError(
@@ -81,7 +80,7 @@ def check_objective(name: str, base: TrainConfig) -> None:
 
 def is_better_low(objective: str) -> bool:
     """Return True for an objective of which less is better."""
-    low = {figure.name for figure in FIGURES if figure.worst.__name__ == "max"}
+    low = {figure.name for figure in METRICS if figure.worst.__name__ == "max"}
     return objective in {"fall_rate", *low}
 
 
@@ -90,7 +89,7 @@ def measure_objective(run: Run, objective: str, episodes: int) -> float:
     if objective == "score":
         return load_score(run.policy)[1]
     figure = evaluate(run, episodes=episodes, engine="mujoco").summary[objective]
-    return figure if isinstance(figure, float) else figure_mean(figure)
+    return figure if isinstance(figure, float) else get_mean(figure)
 
 
 def read_space(texts: Sequence[str], config: TrainConfig) -> dict[str, "BaseDistribution"]:

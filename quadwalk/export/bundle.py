@@ -11,7 +11,7 @@ import onnxruntime
 from rich.console import Console
 
 from quadwalk.errors import UserError
-from quadwalk.evaluation.loaded import LoadedRun, load_run
+from quadwalk.evaluation.load import LoadedRun, load_run
 from quadwalk.export.deploy_yaml import make_deploy_yaml
 from quadwalk.export.description import describe
 from quadwalk.export.policy_graph import (
@@ -57,7 +57,7 @@ def export_run(
     }
     if getup is not None:
         riser = load_flat(getup, "last")
-        if not riser.can_take_turns(loaded):
+        if not riser.has_same_robot(loaded):
             raise UserError(
                 f"{getup.path} is of another robot or control period; expected those of {run.path}"
             )

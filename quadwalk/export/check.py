@@ -20,7 +20,7 @@ from quadwalk.env.command import Command
 from quadwalk.env.env import QuadrupedEnv
 from quadwalk.env.state import EnvState
 from quadwalk.errors import UserError
-from quadwalk.evaluation.loaded import LoadedRun
+from quadwalk.evaluation.load import LoadedRun
 from quadwalk.export.controller import read_list
 from quadwalk.export.description import describe
 from quadwalk.export.policy_graph import compute_input_order, find_joint_targets, list_inputs

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from quadwalk.env.reset import nominal_start
-from quadwalk.evaluation.loaded import LoadedRun
+from quadwalk.evaluation.load import LoadedRun
 from quadwalk.export.policy_graph import JointTargets
 from quadwalk.settings.environment import COMMANDED
 from quadwalk.settings.registry import get_term_name

@@ -9,7 +9,7 @@ from rich.console import Console
 from quadwalk.cli.arguments import make_console
 from quadwalk.cli.shell import make_command
 from quadwalk.errors import UserError
-from quadwalk.evaluation.report.console import print_table
+from quadwalk.evaluation.report.tables import print_table
 from quadwalk.files import atomic_write, make_folder, write_json
 from quadwalk.identify import found
 from quadwalk.identify.config import IdentifyConfig

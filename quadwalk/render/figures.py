@@ -12,6 +12,9 @@ from quadwalk.files import atomic_write
 
 LEG_COLORS = ("#d1495b", "#00798c", "#edae49", "#30638e")  # FR, FL, RR, RL
 INK = "#22262b"
+# Okabe and Ito's, which the color-blind can tell apart
+_COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
+_MARKS = "os^Dv*P"
 
 
 class NotebookFigure(Figure):
@@ -44,6 +47,11 @@ def make_figure(
     if title:
         figure.suptitle(title, fontsize=fontsize, x=0.01, ha="left")
     return figure
+
+
+def get_style(place: int) -> tuple[str, str]:
+    """Return the color and the mark of the series number `place` in a plot."""
+    return _COLORS[place % len(_COLORS)], _MARKS[place % len(_MARKS)]
 
 
 def tidy(axes: Axes, title: str, unit: str = "", fontsize: int = 11) -> None:

@@ -11,8 +11,9 @@ from quadwalk.robot.load import hash_robot
 from quadwalk.robot.mjcf import write_xml
 from quadwalk.robot.quadruped import Quadruped
 from quadwalk.runs.directory import Run
+from quadwalk.settings.environment import EnvConfig
 from quadwalk.settings.serialize import find_task_source, flatten, from_dict, to_dict
-from quadwalk.settings.training import DistributedConfig, TrainConfig, with_files
+from quadwalk.settings.training import DistributedConfig, Suite, TrainConfig, with_files
 from quadwalk.task_files import TASK_FILE
 
 ROBOT_HASH = "robot_sha256"  # in a run's config.json
@@ -21,7 +22,7 @@ ROBOT_HASH = "robot_sha256"  # in a run's config.json
 _FIXED = ("seed", "envs", "ppo.eval_envs", "ppo.hidden", "ppo.activation", "ppo.symmetric")
 # How a run is driven, not what it computes.
 _FREE = (
-    *("task", "name", "runs", "init", "minutes", "checkpoint_steps", "quiet"),
+    *("task", "suite", "name", "runs", "init", "minutes", "checkpoint_steps", "quiet"),
     *("log", "watch"),
     *("distributed.coordinator", "distributed.processes", "distributed.process"),
 )
@@ -48,11 +49,22 @@ def restore_config(data: Any, run: Run, where: str, version: str = "0.1") -> Tra
             "a newer run: train it again, or evaluate it with that version"
         )
     config = from_dict(TrainConfig, data, run.path, where)
+    if "suite" not in data:
+        config = dataclasses.replace(config, suite=_derive_suite(config.env))
     robot, heights = config.robot, config.env.ground.file
     folders = tuple(dict.fromkeys((robot.urdf.parent, *robot.mesh_dirs)))
     if heights is not None and run.locate_heights(heights).exists():  # older runs have no copy
         heights = run.locate_heights(heights)
     return with_files(config, run.urdf, folders, heights)
+
+
+def _derive_suite(config: EnvConfig) -> Suite:
+    """Return the evaluation suite of a task from before tasks named theirs."""
+    if not config.ground.flat:
+        return "terrain"
+    if config.reset.tumbled:
+        return "standing"
+    return "course" if config.command.turning is None else "commands"
 
 
 def read_config_to_resume(run: Run) -> TrainConfig:

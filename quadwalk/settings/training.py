@@ -133,11 +133,17 @@ class DistributedConfig(Settings, group="distributed"):
             )
 
 
+Suite = Literal["course", "terrain", "commands", "standing"]  # as in quadwalk/evaluation/suites
+
+
 @dataclass(frozen=True, kw_only=True)
 class TrainConfig(Settings):
     """Teach a quadruped a task. Results go to runs/NAME/."""
 
     task: tyro.conf.Suppress[str]  # its name
+    # what an evaluation measures beside the episodes' metrics: course, nothing; terrain, success on
+    # each kind of ground; commands, how they are followed; standing, how soon the robot stands up
+    suite: Suite = "course"
     name: str | None = None  # the run's name; None: date, time and task
     runs: Path = Path("runs")  # the folder of all runs
     init: str | None = None  # a run, by name or path, whose networks this one begins with

@@ -149,6 +149,7 @@ def below(robot: RobotArrays, step: Step, *, height: float) -> jax.Array:
 
 TASK = TrainConfig(
     task="blog",
+    suite="course",
     steps=10_000_000,
     checkpoint_steps=1_000_000,
     envs=1024,

@@ -12,6 +12,7 @@ from quadwalk.settings.training import PPO, TrainConfig
 
 TASK = TrainConfig(
     task="drive",
+    suite="commands",
     steps=82_000_000,
     checkpoint_steps=4_000_000,
     env=EnvConfig(

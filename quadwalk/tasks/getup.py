@@ -11,6 +11,7 @@ from quadwalk.settings.training import PPO, TrainConfig
 
 TASK = TrainConfig(
     task="getup",
+    suite="standing",
     steps=40_000_000,
     checkpoint_steps=2_000_000,
     env=EnvConfig(

@@ -23,6 +23,7 @@ SCAN = {"first": -0.5, "last": 1.5, "width": 0.5, "spacing": 0.125, "reach": 0.5
 
 TASK = TrainConfig(
     task="obstacles",
+    suite="terrain",
     steps=32_000_000,
     checkpoint_steps=2_000_000,
     env=EnvConfig(

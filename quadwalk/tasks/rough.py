@@ -22,6 +22,7 @@ SCAN = {"length": 1.2, "width": 0.6, "spacing": 0.1, "reach": 0.5}
 
 TASK = TrainConfig(
     task="rough",
+    suite="terrain",
     steps=52_000_000,
     checkpoint_steps=2_000_000,
     env=EnvConfig(

@@ -12,6 +12,7 @@ from quadwalk.settings.training import PPO, TrainConfig
 
 TASK = TrainConfig(
     task="run",
+    suite="course",
     steps=33_000_000,
     checkpoint_steps=2_000_000,
     env=EnvConfig(

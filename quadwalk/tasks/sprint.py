@@ -19,6 +19,7 @@ from quadwalk.settings.training import PPO, TrainConfig
 
 TASK = TrainConfig(
     task="sprint",
+    suite="course",
     steps=21_000_000,
     checkpoint_steps=2_000_000,
     env=EnvConfig(

@@ -10,6 +10,7 @@ from quadwalk.settings.training import PPO, TrainConfig
 
 TASK = TrainConfig(
     task="walk",
+    suite="course",
     steps=24_000_000,
     checkpoint_steps=2_000_000,
     env=EnvConfig(

@@ -4,7 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from quadwalk.errors import UserError
-from quadwalk.evaluation.loaded import LoadedRun, load_run
+from quadwalk.evaluation.load import LoadedRun, load_run
 from quadwalk.files import hash_file, real_path
 from quadwalk.learn.acting import Policy, load_checkpoint_policy, load_policy
 from quadwalk.paths import PRETRAINED
@@ -60,7 +60,7 @@ def getup_of(loaded: LoadedRun, getup: Run | None) -> LoadedRun | None:
     if getup is None or loaded.run.path == getup.path:
         return None
     found = open_run(getup, LAST)
-    return found if loaded.can_take_turns(found) else None
+    return found if loaded.has_same_robot(found) else None
 
 
 def read_policy(file: Path, joints: tuple[str, ...]) -> Policy:

@@ -15,10 +15,10 @@ from quadwalk.env.randomization import EpisodeRandomization, delayed, targets_ne
 from quadwalk.env.reset import nominal_start
 from quadwalk.env.robot_arrays import STANDING_HEIGHT, STANDING_TILT
 from quadwalk.env.state import EnvState
-from quadwalk.evaluation.loaded import LoadedRun
-from quadwalk.evaluation.motion.forces import foot_forces, geom_ids
-from quadwalk.evaluation.motion.kinematics import turned
-from quadwalk.evaluation.simulate import Policy
+from quadwalk.evaluation.load import LoadedRun
+from quadwalk.evaluation.mcap.foot_forces import compute_foot_forces, find_floor_and_feet
+from quadwalk.evaluation.metrics import rotate_planar
+from quadwalk.evaluation.rollout import ActionFunction
 from quadwalk.learn.acting import Policy as TrainedPolicy
 from quadwalk.physics.model import RobotRandomization, randomize_motor
 from quadwalk.physics.motor import Motor, PhysicsState, run_control_step
@@ -110,7 +110,7 @@ class LiveRobot:
         self.data = mujoco.MjData(self._base)
         self._key = np.array([0, seed], np.uint32)
         self._first_pose = nominal_start(self._base, self.env.quadruped, self.env.config.reset)
-        self._feet = geom_ids(self._base, self.env.quadruped.feet)
+        self._feet = find_floor_and_feet(self._base, self.env.quadruped.feet)
         self.tile = 0
         self.reset()
 
@@ -166,7 +166,7 @@ class LiveRobot:
 
     def push(self, forward: float, left: float) -> None:
         """Change the trunk's velocity in an instant, m/s along its heading and to its left."""
-        self.data.qvel[:2] += turned((forward, left), self.heading)
+        self.data.qvel[:2] += rotate_planar((forward, left), self.heading)
 
     def throw(self) -> None:
         """A push that throws it over."""
@@ -186,7 +186,7 @@ class LiveRobot:
             np.asarray(applied_target, float),
             self._advance,
         )
-        self.foot_force = foot_forces(self.model, data, self._feet)
+        self.foot_force = compute_foot_forces(self.model, data, self._feet)
         self.steps += 1
         mind.steps += 1
         diverged = np.abs(data.qvel).max() > MAX_SPEED or any(
@@ -220,7 +220,7 @@ class LiveRobot:
     def velocity(self) -> np.ndarray:
         """(3,) what a command speaks of: forward and lateral m/s, yaw rate rad/s."""
         turning = self.data.qvel[3:6] @ self._up
-        return np.array([*turned(self.data.qvel[:2], -self.heading), turning])
+        return np.array([*rotate_planar(self.data.qvel[:2], -self.heading), turning])
 
     @property
     def height(self) -> float:
@@ -286,7 +286,7 @@ def _number(value: Any, kind: Any = np.float32) -> Any:
     return np.asarray(value, kind)
 
 
-def _think(env: QuadrupedEnv, policy: Policy, state: EnvState) -> tuple[Any, Any, Any, Any]:
+def _think(env: QuadrupedEnv, policy: ActionFunction, state: EnvState) -> tuple[Any, Any, Any, Any]:
     """What happens in a control step before the physics, from the task's own functions.
 
     The frames and joint targets to be kept, the action, and the joint targets (substeps, 12)

@@ -4,7 +4,7 @@ from collections import deque
 
 import numpy as np
 
-from quadwalk.evaluation.motion.kinematics import turned
+from quadwalk.evaluation.metrics import rotate_planar
 from quadwalk.view.live import LiveRobot
 
 _NOWHERE = np.zeros((1, 2, 3))
@@ -71,7 +71,7 @@ def force_arrows(live: LiveRobot, feet: np.ndarray) -> np.ndarray:
 
 def velocity_arrows(live: LiveRobot) -> np.ndarray:
     """(2, 2, 3) m, world frame: above the trunk, the velocity, and above that the command."""
-    command = np.array([*turned(live.command[:2], live.heading), 0.0])
+    command = np.array([*rotate_planar(live.command[:2], live.heading), 0.0])
     does = np.array([*live.data.qvel[:2], 0.0])
     trunk, height = live.data.qpos[:3], live.env.robot.home_height
     arrows = np.empty((2, 2, 3))

@@ -8,14 +8,10 @@ import mujoco
 import numpy as np
 
 from quadwalk.env.env import QuadrupedEnv
-from quadwalk.evaluation.loaded import load_run
-from quadwalk.evaluation.motion.footfalls import contact_spans, without_chatter
-from quadwalk.evaluation.motion.gait import Gait, measure_gait
-from quadwalk.evaluation.motion.kinematics import roll_pitch_yaw
-from quadwalk.evaluation.report.pictures import middle_rows
-from quadwalk.evaluation.rollout import Rollout, finite_part
-from quadwalk.evaluation.simulate import simulate_episodes
-from quadwalk.evaluation.summary import typical_episode
+from quadwalk.evaluation.gait import Gait, find_contacts, measure_gait, remove_chatter
+from quadwalk.evaluation.load import load_run
+from quadwalk.evaluation.metrics import find_typical_episode, to_roll_pitch_yaw
+from quadwalk.evaluation.rollout import Rollout, simulate_episodes
 from quadwalk.robot.quadruped import Quadruped
 from quadwalk.runs.directory import Run
 from quadwalk.runs.log import read_metrics
@@ -39,14 +35,13 @@ def measure(run: Run) -> dict[str, Any]:
     config = loaded.env.config
     starts = replace(config.reset, joints=max(config.reset.joints, STARTS))
     env = QuadrupedEnv(loaded.env.quadruped, replace(config, reset=starts), "mujoco")
-    simulated = simulate_episodes(env, loaded.policy.act, EPISODES, seed=0)
-    rollouts = [finite_part(rollout) for rollout in simulated]
+    rollouts = list(simulate_episodes(env, loaded.policy.act, EPISODES, seed=0))
     gaits = [measure_gait(rollout, env.quadruped) for rollout in rollouts]
     figures = [
         figures_of(gait, rollout, env.quadruped)
         for gait, rollout in zip(gaits, rollouts, strict=True)
     ]
-    typical = rollouts[typical_episode(figures)]
+    typical = rollouts[find_typical_episode(figures)]
     return {
         "training_speed": _rounded(read_metrics(run)[-1]["eval/speed"]),
         "falls": sum(gait.fell for gait in gaits),
@@ -67,7 +62,7 @@ def figures_of(gait: Gait, rollout: Rollout, quadruped: Quadruped) -> dict[str, 
     slip: share of the way, of the foot that slips most; cost_of_transport; action_rate, 1/s.
     """
     body = body_contact(rollout, quadruped)
-    yaw = roll_pitch_yaw(rollout.qpos[:, 3:7])[:, 2]
+    yaw = to_roll_pitch_yaw(rollout.qpos[:, 3:7])[:, 2]
     return {
         "speed": gait.speed,
         "heading": float(np.degrees(np.abs(yaw).mean())),
@@ -106,15 +101,22 @@ def body_contact(rollout: Rollout, quadruped: Quadruped) -> np.ndarray:
 
 def frames_of(rollout: Rollout) -> list[list[float]]:
     """`FRAMES` states, (19,) each, over `PICTURED` s about the middle."""
-    rows = middle_rows(rollout, FRAMES, PICTURED)
+    rows = _find_middle_rows(rollout, FRAMES, PICTURED)
     return rollout.qpos[rows].astype(float).round(4).tolist()
 
 
 def contacts_of(rollout: Rollout) -> list[list[list[float]]]:
     """Of each foot, FR, FL, RR, RL, when it was on the ground in the last `SHOWN` s."""
     dt = rollout.control_dt
-    contact = without_chatter(rollout.contact, dt)[-round(SHOWN / dt) :]
-    return [(contact_spans(foot) * dt).round(4).tolist() for foot in contact.T]
+    contact = remove_chatter(rollout.contact, dt)[-round(SHOWN / dt) :]
+    return [(find_contacts(foot) * dt).round(4).tolist() for foot in contact.T]
+
+
+def _find_middle_rows(rollout: Rollout, count: int, seconds: float) -> np.ndarray:
+    """Return rows (count,) of states, evenly over the `seconds` about the episode's middle."""
+    middle, half = rollout.steps / 2, seconds / rollout.control_dt / 2
+    rows = np.linspace(middle - half, middle + half, count).round().astype(int)
+    return np.clip(rows, 0, rollout.steps)
 
 
 def _mean(values: list[float]) -> float | None:

@@ -26,9 +26,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from quadwalk.cli.process import run_command
-from quadwalk.evaluation.grids.by_ground import ground_env, measure_by_ground
-from quadwalk.evaluation.loaded import load_run
-from quadwalk.evaluation.simulate import roll_out
+from quadwalk.evaluation.load import load_run
+from quadwalk.evaluation.rollout import roll_out
+from quadwalk.evaluation.suites.terrain import make_cells_env, measure_terrain
 from quadwalk.experiments.job import Job, fix_sizes
 from quadwalk.experiments.options import add_place_flags, read_place
 from quadwalk.experiments.places import make_place
@@ -64,7 +64,7 @@ def job(
 def judge(run: Run, episodes: int, seconds: float) -> dict[str, Any]:
     """What results.json holds of one run."""
     loaded = load_run(run, seconds, engine="mujoco", randomized=True)
-    ground = measure_by_ground(loaded, episodes, seed=0, levels=LEVELS)
+    ground = measure_terrain(loaded, episodes, seed=0, levels=LEVELS)
     return {
         "steps": loaded.policy.steps,
         "engine": "mujoco",
@@ -76,7 +76,7 @@ def judge(run: Run, episodes: int, seconds: float) -> dict[str, Any]:
 def film(run: Run, kind: str) -> dict[str, Any]:
     """States of one episode, undisturbed, at the greatest difficulty, and the ground around it."""
     loaded = load_run(run, SECONDS, engine="mujoco")
-    env = ground_env(loaded, (kind,), levels=2)
+    env = make_cells_env(loaded, (kind,), levels=2)
     assert env.terrain is not None
     tile = env.terrain.tiles.index(env.terrain.tile(kind, 1))
     begin = jax.jit(lambda env, keys, tiles: jax.vmap(env.reset)(keys, tiles))

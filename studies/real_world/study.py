@@ -24,8 +24,8 @@ from typing import Any
 from quadwalk.api import evaluate
 from quadwalk.cli.process import run_command
 from quadwalk.env.env import QuadrupedEnv
-from quadwalk.evaluation.grids.sweep import Point, measure_points
-from quadwalk.evaluation.loaded import LoadedRun, load_run
+from quadwalk.evaluation.load import LoadedRun, load_run
+from quadwalk.evaluation.sweep import Point, measure_points
 from quadwalk.experiments.job import Job, fix_sizes
 from quadwalk.experiments.options import add_place_flags, read_place
 from quadwalk.experiments.places import make_place

@@ -16,8 +16,7 @@ from pathlib import Path
 
 from quadwalk.api import train
 from quadwalk.cli.process import run_command
-from quadwalk.evaluation.options import EvalConfig
-from quadwalk.evaluation.session import evaluate_runs
+from quadwalk.evaluation.command import SweepConfig, sweep_runs
 from quadwalk.files import atomic_write
 from quadwalk.paths import PRETRAINED
 
@@ -37,13 +36,12 @@ def main() -> None:
         if sprint is None:
             steps = {} if given.steps is None else {"steps": given.steps}
             sprint = train("sprint", name="sprint", runs=folder, **steps).path
-        found = evaluate_runs(
-            EvalConfig(
+        found = sweep_runs(
+            SweepConfig(
                 run=(str(PRETRAINED / "run"), str(sprint)),
                 episodes=given.episodes,
                 seconds=given.seconds,
                 engine="fast",
-                sweep=True,
                 out=Path(folder) / "sweep",
             )
         )

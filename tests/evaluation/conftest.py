@@ -13,7 +13,7 @@ from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 from scipy.spatial.transform import Rotation
 
-from quadwalk.evaluation.motion.forces import foot_forces, geom_ids
+from quadwalk.evaluation.mcap.foot_forces import compute_foot_forces, find_floor_and_feet
 from quadwalk.evaluation.rollout import Rollout
 from quadwalk.robot.quadruped import Quadruped
 from quadwalk.tasks import sprint
@@ -31,6 +31,11 @@ def read_messages(path: Path) -> dict[str, list]:
             decode = decoders.decoder_for(channel.message_encoding, schema) or bytes
             found[channel.topic].append((message.log_time, decode(message.data)))
     return dict(found)
+
+
+def count_messages(path: Path) -> int:
+    """Return the number of messages in an MCAP file, all of whose checksums are right."""
+    return sum(map(len, read_messages(path).values()))
 
 
 def read_records(path: Path) -> tuple[dict, dict]:
@@ -69,7 +74,7 @@ def simulate(quadruped: Quadruped) -> Callable[..., Rollout]:
         data = mujoco.MjData(model)
         data.qpos[:] = quadruped.home
         mujoco.mj_forward(model, data)
-        geoms = geom_ids(model, quadruped.feet)
+        geoms = find_floor_and_feet(model, quadruped.feet)
         rng = np.random.default_rng(seed)
         qpos, qvel = [data.qpos.copy()], [data.qvel.copy()]
         rows: dict[str, list] = {name: [] for name in ("target", "torque", "energy", "foot_force")}
@@ -93,7 +98,7 @@ def simulate(quadruped: Quadruped) -> Callable[..., Rollout]:
             rows["target"].append(target)
             rows["torque"].append(np.mean(torques, axis=0))
             rows["energy"].append(energy)
-            rows["foot_force"].append(foot_forces(model, data, geoms))
+            rows["foot_force"].append(compute_foot_forces(model, data, geoms))
         arrays = {name: np.array(values, dtype=np.float32) for name, values in rows.items()}
         states, rates = np.array(qpos, dtype=np.float32), np.array(qvel, dtype=np.float32)
         actions = ((arrays["target"] - quadruped.home[7:]) / 0.6).astype(np.float32)

@@ -14,31 +14,19 @@ from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 
 from quadwalk.env.env import QuadrupedEnv
 from quadwalk.env.robot_arrays import task_robot
-from quadwalk.evaluation.grids.by_ground import PACE, measure_by_ground
-from quadwalk.evaluation.loaded import LoadedRun, unseen_ground
-from quadwalk.evaluation.motion.gait import measure_gait
-from quadwalk.evaluation.recording.markers import GROUND_MARGIN, GROUND_NODES, draw_ground
-from quadwalk.evaluation.recording.mcap import write_mcap
-from quadwalk.evaluation.report.console import print_by_ground
-from quadwalk.evaluation.report.panels import draw_by_ground
+from quadwalk.evaluation.gait import measure_gait
+from quadwalk.evaluation.load import LoadedRun, make_unseen_ground
+from quadwalk.evaluation.mcap.scene import GROUND_MARGIN, GROUND_NODES, draw_ground
+from quadwalk.evaluation.mcap.write import write_mcap
 from quadwalk.evaluation.report.pictures import draw_film_strip
-from quadwalk.evaluation.simulate import roll_out
+from quadwalk.evaluation.rollout import roll_out
+from quadwalk.evaluation.suites.terrain import PACE, draw_terrain, measure_terrain, print_terrain
 from quadwalk.learn.acting import Policy
 from quadwalk.runs.directory import Run
 from quadwalk.settings.environment import NO_RANDOMIZATION
 from quadwalk.tasks import obstacles, rough, sprint, walk
 from quadwalk.terrain.heightfield import Heightfield, centered
-from quadwalk.terrain.terrain import FLAT, UNSEEN
 from tests.evaluation.conftest import glided, read_messages
-
-
-def test_the_ground_of_an_evaluation_is_not_that_of_training():
-    trained = rough.TASK.env.ground
-    judged = unseen_ground(trained, seed=3, levels=4)
-    assert judged.seed == UNSEEN + 3
-    assert (judged.levels, judged.curriculum) == (4, False)
-    assert sorted(judged.kinds) == sorted(set(trained.kinds))  # each once
-    assert unseen_ground(FLAT, 3) == FLAT
 
 
 @jax.tree_util.register_static
@@ -107,7 +95,7 @@ def results(told: bool) -> dict:
 @pytest.mark.parametrize("told", [True, False])
 def test_the_map_and_the_table_show_every_cell(told, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "120")
-    figure = draw_by_ground(results(told), "a run")
+    figure = draw_terrain(results(told), "a run")
     figure.draw_without_rendering()
     assert [axes.get_title("left") for axes in figure.axes] == [
         *("success, %", "speed, m/s"), *["velocity error, m/s"] * told,
@@ -115,7 +103,7 @@ def test_the_map_and_the_table_show_every_cell(told, capsys, monkeypatch):
     success = figure.axes[0]
     np.testing.assert_allclose(success.images[0].get_array(), [[25, 50], [50, 75]])
     assert [text.get_text() for text in success.texts] == ["25", "50", "50", "75"]
-    print_by_ground(results(told))
+    print_terrain(results(told))
     printed = capsys.readouterr().out
     for words in ("difficulty 0 ", "difficulty 1 ", "stairs up", "% success", "% arrival", "m/s"):
         assert words in printed
@@ -125,7 +113,7 @@ def test_the_map_and_the_table_show_every_cell(told, capsys, monkeypatch):
 @pytest.fixture(scope="module")
 def loaded(quadruped) -> LoadedRun:
     """A policy that holds still, on ground of two kinds, for a tenth of a second."""
-    ground = unseen_ground(rough.TASK.env.ground, 0)
+    ground = make_unseen_ground(rough.TASK.env.ground, 0)
     ground = dataclasses.replace(ground, kinds=("flat", "blocks"), tile=(3.0, 3.0))
     task = dataclasses.replace(
         walk.TASK.env, episode_seconds=0.1, randomization=NO_RANDOMIZATION, ground=ground
@@ -157,8 +145,8 @@ def test_a_cell_has_the_figures_of_episodes_on_its_own_tiles(loaded, monkeypatch
             velocity, steps, end = kinds[number % 3]
             yield number, end, glided(start, np.tile([*velocity, 0.0], (steps, 1)))
 
-    monkeypatch.setattr("quadwalk.evaluation.grids.cells.roll_out", glide)
-    found = measure_by_ground(loaded, levels=3, episodes=18, seed=0)
+    monkeypatch.setattr("quadwalk.evaluation.rollout.roll_out", glide)
+    found = measure_terrain(loaded, levels=3, episodes=18, seed=0)
     assert len(found["cells"]) == len(found["kinds"]) * len(found["difficulties"])
     for number, cell in enumerate(found["cells"]):
         own = met[18 * number : 18 * (number + 1)]
@@ -174,7 +162,7 @@ def test_a_cell_has_the_figures_of_episodes_on_its_own_tiles(loaded, monkeypatch
 
 
 def test_a_policy_is_measured_in_every_cell(loaded):
-    found = measure_by_ground(loaded, levels=2, episodes=2, seed=0)
+    found = measure_terrain(loaded, levels=2, episodes=2, seed=0)
     assert [(cell["kind"], cell["difficulty"]) for cell in found["cells"]] == [
         ("flat", 0.0), ("flat", 1.0), ("blocks", 0.0), ("blocks", 1.0),
     ]  # fmt: skip

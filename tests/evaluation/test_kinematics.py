@@ -4,7 +4,9 @@ import mujoco
 import numpy as np
 import pytest
 
-from quadwalk.evaluation.motion.kinematics import foot_poses, link_frames, roll_pitch_yaw, rotations
+from quadwalk.evaluation.gait import compute_foot_poses
+from quadwalk.evaluation.mcap.urdf import find_link_frames
+from quadwalk.evaluation.metrics import to_roll_pitch_yaw, to_rotations
 from quadwalk.robot.mjcf import Options
 from quadwalk.robot.quadruped import Quadruped, load_quadruped, make_quadruped
 from quadwalk.robot.urdf import parse_urdf
@@ -20,9 +22,9 @@ def check_links(quadruped: Quadruped) -> None:
     states[:, :3] += rng.normal(size=(3, 3))
     states[:, 3:7] = rng.normal(size=(3, 4))
     states[:, 7:] += rng.normal(size=(3, 12))
-    frames = link_frames(quadruped)
-    turns = frames.rotations(states[:, 7:])
-    centers, calves = foot_poses(model, quadruped.feet, states)
+    frames = find_link_frames(quadruped)
+    turns = frames.compute_rotations(states[:, 7:])
+    centers, calves = compute_foot_poses(model, quadruped.feet, states)
     for row, state in enumerate(states):
         data = make_data(model, state)
         trunk = state[3:7] / np.linalg.norm(state[3:7])
@@ -58,7 +60,7 @@ def test_links_of_the_zoos_quadrupeds(urdf):
 def test_links_of_a_robot_that_was_turned():
     text = Walker(rpy=(0.0, 0.0, np.pi / 2)).text()
     quadruped = make_quadruped(parse_urdf(text))
-    assert link_frames(quadruped).parents[0] == quadruped.trunk == "trunk_ahead"
+    assert find_link_frames(quadruped).parents[0] == quadruped.trunk == "trunk_ahead"
     check_links(quadruped)
 
 
@@ -68,14 +70,14 @@ def test_angles_are_those_that_mujoco_turns_by():
     quats = np.empty((50, 4))
     for quat, (roll, pitch, yaw) in zip(quats, angles, strict=True):
         mujoco.mju_euler2Quat(quat, [yaw, pitch, roll], "zyx")
-    np.testing.assert_allclose(roll_pitch_yaw(3.0 * quats), angles, atol=1e-9)
+    np.testing.assert_allclose(to_roll_pitch_yaw(3.0 * quats), angles, atol=1e-9)
     # Nose up: of roll and yaw only the sum is determined, and there is no warning of it.
-    up = roll_pitch_yaw(np.array([[np.sqrt(0.5), 0.0, -np.sqrt(0.5), 0.0]]))
+    up = to_roll_pitch_yaw(np.array([[np.sqrt(0.5), 0.0, -np.sqrt(0.5), 0.0]]))
     assert up[0, 1] == pytest.approx(-np.pi / 2)
 
 
 def test_a_quaternion_without_length_is_no_rotation():
     quats = np.array([[0.0] * 4, [np.nan] * 4, [1e-200, 0, 0, 0], [0, 0, 0, 2.0]])
-    turned = rotations(quats).apply([1.0, 2.0, 3.0])
+    turned = to_rotations(quats).apply([1.0, 2.0, 3.0])
     np.testing.assert_allclose(turned, [[1, 2, 3]] * 3 + [[-1, -2, 3]])
-    assert roll_pitch_yaw(np.empty((0, 4))).shape == (0, 3)
+    assert to_roll_pitch_yaw(np.empty((0, 4))).shape == (0, 3)

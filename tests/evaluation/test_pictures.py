@@ -8,7 +8,7 @@ from PIL import Image
 
 from quadwalk.evaluation.report import pictures
 from quadwalk.evaluation.report.pictures import draw_film_strip, render_video
-from quadwalk.evaluation.rollout import first_steps
+from quadwalk.evaluation.rollout import take_first_steps
 
 SMALL = {"width": 96, "height": 64}
 
@@ -33,7 +33,7 @@ def test_a_film_strip_is_two_strides_at_the_measured_frequency(
         return [np.zeros((height, width, 3), np.uint8)] * len(rows)
 
     drawn: list[int] = []
-    monkeypatch.setattr(pictures, "_pictures", remember_rows)
+    monkeypatch.setattr(pictures, "_draw_pictures", remember_rows)
     steps = np.arange(trot.steps)
     foot = steps % period < period // 2
     contact = np.stack([foot, ~foot, ~foot, foot], axis=1)
@@ -80,10 +80,10 @@ def test_a_gif_plays_in_real_time(trot, quadruped, tmp_path):
 
 @pytest.mark.parametrize("steps", [0, 1])
 def test_an_episode_shows_no_more_states_than_it_has(trot, quadruped, tmp_path, steps):
-    strip = draw_film_strip(first_steps(trot, steps), quadruped, **SMALL)
+    strip = draw_film_strip(take_first_steps(trot, steps), quadruped, **SMALL)
     pictures = {
         strip[y : y + 64, x : x + 96].tobytes() for y in (0, 68) for x in range(0, 400, 100)
     }
     assert len(pictures) == steps + 1
-    render_video(first_steps(trot, steps), quadruped, tmp_path / "a.gif", **SMALL)
+    render_video(take_first_steps(trot, steps), quadruped, tmp_path / "a.gif", **SMALL)
     assert Image.open(tmp_path / "a.gif").n_frames == 1

@@ -9,10 +9,10 @@ from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 
 from quadwalk.errors import UserError
-from quadwalk.evaluation.report.console import print_comparison
-from quadwalk.evaluation.report.panels import draw_comparison, draw_sweep
+from quadwalk.evaluation.report.comparison import draw_comparison, print_comparison
 from quadwalk.evaluation.report.plots import draw_footfalls, draw_report
-from quadwalk.evaluation.rollout import first_steps
+from quadwalk.evaluation.rollout import take_first_steps
+from quadwalk.evaluation.sweep import draw_sweep
 from quadwalk.render.figures import LEG_COLORS, save_figure
 
 # A layout that does not fit, or a limit that is not finite, comes as a warning.
@@ -129,7 +129,7 @@ def test_commands_are_drawn_beside_what_became_of_them(trot, quadruped):
 @pytest.mark.parametrize("steps", [0, 1, 2])
 def test_a_fall_at_once(trot, quadruped, steps, told):
     command = np.zeros((trot.steps, 3)) if told else None
-    rollout = first_steps(dataclasses.replace(trot, command=command, end="tipped"), steps)
+    rollout = take_first_steps(dataclasses.replace(trot, command=command, end="tipped"), steps)
     figure = draw_report(rollout, quadruped)
     assert "fell (tipped) after 0.0 s" in figure.get_suptitle()
     assert "strides/s" not in figure.get_suptitle()  # there were none
@@ -137,17 +137,6 @@ def test_a_fall_at_once(trot, quadruped, steps, told):
     for axes in figure.axes:
         assert axes.get_xlim()[0] < axes.get_xlim()[1]
     figure.draw_without_rendering()  # the layout fits, without a warning
-
-
-def test_states_that_are_not_finite_are_left_out(trot, quadruped):
-    qpos = trot.qpos.copy()
-    qpos[60:] = np.nan
-    figure = draw_report(dataclasses.replace(trot, qpos=qpos, end="nan"), quadruped)
-    assert "fell (nan) after 1.2 s" in figure.get_suptitle()
-    np.testing.assert_array_equal(line(panel(figure, "Height"), "height, m"), trot.qpos[:60, 2])
-    for axes in figure.axes:
-        for drawn in axes.lines:
-            assert np.isfinite(drawn.get_xydata()).all()
 
 
 def test_an_unwritable_place_is_one_line(trot, quadruped, tmp_path):

@@ -12,14 +12,14 @@ import pytest
 
 from quadwalk.env.env import QuadrupedEnv
 from quadwalk.env.randomization import as_values
-from quadwalk.evaluation import evaluation as measuring
-from quadwalk.evaluation import simulate as simulating
-from quadwalk.evaluation.motion.forces import with_foot_forces
-from quadwalk.evaluation.motion.gait import measure_gait
-from quadwalk.evaluation.recording.mcap import write_mcap
+from quadwalk.evaluation import results as measuring
+from quadwalk.evaluation import rollout as simulating
+from quadwalk.evaluation.gait import measure_gait
+from quadwalk.evaluation.mcap.foot_forces import add_foot_forces
+from quadwalk.evaluation.mcap.write import write_mcap
+from quadwalk.evaluation.metrics import AT_LIMIT, compute_metrics
 from quadwalk.evaluation.report.plots import draw_report
-from quadwalk.evaluation.simulate import simulate_episodes
-from quadwalk.evaluation.summary import AT_LIMIT, episode_figures
+from quadwalk.evaluation.rollout import simulate_episodes
 from quadwalk.physics.mujoco_c import randomize_model
 from quadwalk.settings.environment import NO_RANDOMIZATION
 from quadwalk.tasks import sprint
@@ -93,7 +93,7 @@ def weight(env, rollouts) -> float:
 
 
 def test_the_floor_carries_what_was_added(env, rollouts, weight):
-    whole = with_foot_forces(rollouts[0], env)
+    whole = add_foot_forces(rollouts[0], env)
     carried = whole.foot_force[25:].sum(axis=1).mean()
     # It sways a little, so that the floor now carries more, now less.
     assert carried == pytest.approx(weight, rel=0.05)
@@ -107,7 +107,7 @@ def test_a_stronger_motor_pushes_with_more_than_the_models_limit(env, rollouts):
         variation = conditions.variation._replace(strength=np.float32(strength))
         drawn = conditions._replace(variation=variation)
         rollout = dataclasses.replace(rollouts[0], conditions=drawn, applied_target=applied_target)
-        return with_foot_forces(rollout, env).foot_force[-10:]  # it stands by then
+        return add_foot_forces(rollout, env).foot_force[-10:]  # it stands by then
 
     assert np.abs(forces(1.5) - forces(1.0)).max() > 10.0  # N
 
@@ -122,7 +122,7 @@ def test_figures_are_relative_to_the_robot_that_was_drawn(env, rollouts, weight,
     rollout = dataclasses.replace(rollout, torque=torque, qpos=qpos)
     monkeypatch.setattr(measuring, "simulate_episodes", lambda *_: [rollout])
     loaded = SimpleNamespace(env=env, policy=SimpleNamespace(act=None))
-    (figures,) = measuring.measure(loaded, 1, 0).episodes
+    (figures,) = measuring.evaluate_policy(loaded, 1, 0).episodes
     gait = measure_gait(rollout, env.quadruped)
     cost = pytest.approx(rollout.energy.sum() / 3.0 / weight, rel=1e-5)
     assert figures["torque_limit"] == pytest.approx(100.0 * 10 / rollout.steps)
@@ -139,7 +139,7 @@ def test_episodes_in_groups_are_those_of_one_batch(env, rollouts, monkeypatch):
     monkeypatch.setattr(simulating, "ROOM", 1)
     loaded = SimpleNamespace(env=env, policy=SimpleNamespace(act=TREMBLE))
     reported: list[int] = []
-    found = measuring.measure(loaded, EPISODES, 0, reported.append, whole=1)
+    found = measuring.evaluate_policy(loaded, EPISODES, 0, reported.append, keep=1)
     assert reported == [33, 50]  # of 50 steps: two of three episodes, then all
     assert [episode["episode"] for episode in found.episodes] == [0, 1, 2]
     assert [rollout.episode for rollout in found.rollouts] == [0]
@@ -162,7 +162,7 @@ def test_power_and_limits_are_those_of_the_motors(env, rollouts):
     effort = np.asarray(env.motor.effort)
     rollout.torque[:10, 4] = -effort[4]
     rollout.torque[10:20, 5] = 0.9 * AT_LIMIT * effort[5]
-    figures = episode_figures(rollout, env.config.reward, env.robot.weight, effort)
+    figures = compute_metrics(rollout, env.config.reward, env.robot.weight, effort)
     assert figures["peak_power"] == pytest.approx(10.0 / 0.02)
     assert figures["power"] == pytest.approx((2.0 + 8.0 / rollout.steps) / 0.02)
     assert figures["torque_limit"] == pytest.approx(100.0 * 10 / rollout.steps)
@@ -171,7 +171,7 @@ def test_power_and_limits_are_those_of_the_motors(env, rollouts):
 
 
 def test_a_recording_holds_the_truth_and_the_obeyed_targets(env, rollouts, tmp_path):
-    rollout, path = with_foot_forces(rollouts[1], env), tmp_path / "episode.mcap"
+    rollout, path = add_foot_forces(rollouts[1], env), tmp_path / "episode.mcap"
     values = as_values(rollout.conditions, env.stepping)
     write_mcap(path, rollout, env.quadruped, {"conditions": json.dumps(values)})
     found = read_messages(path)

@@ -3,23 +3,23 @@
 import dataclasses
 from types import SimpleNamespace
 
-import jax
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from quadwalk.env.env import QuadrupedEnv
-from quadwalk.evaluation import loaded as loading
-from quadwalk.evaluation.grids import steering
-from quadwalk.evaluation.motion.course import heading_velocity, path_length, tracking_errors
-from quadwalk.evaluation.motion.gait import measure_gait
-from quadwalk.evaluation.rollout import Rollout, first_steps
-from quadwalk.evaluation.simulate import simulate_episodes
-from quadwalk.evaluation.summary import episode_figures, summarize, typical_episode
-from quadwalk.learn.acting import Policy
-from quadwalk.runs.directory import Run
+from quadwalk.evaluation.gait import measure_gait
+from quadwalk.evaluation.metrics import (
+    compute_heading_velocity,
+    compute_metrics,
+    compute_tracking_errors,
+    find_typical_episode,
+    measure_path,
+    summarize_episodes,
+)
+from quadwalk.evaluation.rollout import Rollout, take_first_steps
+from quadwalk.evaluation.suites import commands as steering
 from quadwalk.settings.environment import CommandConfig
-from quadwalk.tasks import sprint, walk
+from quadwalk.tasks import sprint
 from tests.evaluation.conftest import glided
 
 DT, STEPS = 0.02, 200
@@ -46,12 +46,14 @@ def glide(simulate):
 
 def test_velocity_in_the_frame_of_the_heading(glide):
     velocity = np.random.default_rng(0).uniform(-3, 3, (STEPS, 3))
-    np.testing.assert_allclose(heading_velocity(glide(velocity, 0.0).qpos, DT), velocity, atol=1e-9)
+    np.testing.assert_allclose(
+        compute_heading_velocity(glide(velocity, 0.0).qpos, DT), velocity, atol=1e-9
+    )
 
 
 def errors_of(rollout: Rollout) -> tuple[float, float]:
     """m/s and rad/s, of the rollout's velocity and commands."""
-    return tracking_errors(heading_velocity(rollout.qpos, DT), rollout.command, DT)
+    return compute_tracking_errors(compute_heading_velocity(rollout.qpos, DT), rollout.command, DT)
 
 
 def test_a_constant_error_is_found(glide):
@@ -79,10 +81,10 @@ def test_a_second_to_obey_is_given_at_the_start_and_after_a_change(glide):
 
 def test_an_episode_too_short_has_no_error(glide):
     rollout = glide((1.0, 0.0, 0.0), (1.0, 0.0, 0.0))
-    assert np.isnan(errors_of(first_steps(rollout, 74))).all()
-    short = episode_figures(first_steps(rollout, 74), sprint.TASK.env.reward, WEIGHT, EFFORT)
+    assert np.isnan(errors_of(take_first_steps(rollout, 74))).all()
+    short = compute_metrics(take_first_steps(rollout, 74), sprint.TASK.env.reward, WEIGHT, EFFORT)
     assert (short["velocity_error"], short["yaw_rate_error"]) == (None, None)
-    assert errors_of(first_steps(rollout, 75)) == pytest.approx((0.0, 0.0), abs=1e-9)
+    assert errors_of(take_first_steps(rollout, 75)) == pytest.approx((0.0, 0.0), abs=1e-9)
 
 
 def test_windows_apart_are_a_part_of_all(glide):
@@ -90,23 +92,23 @@ def test_windows_apart_are_a_part_of_all(glide):
     command = np.broadcast_to([1.0, 0.0, 0.3], (STEPS, 3))
     means = (velocity - command)[50:].reshape(6, 25, 3).mean(axis=1)
     expected = (np.linalg.norm(means[:, :2], axis=1).mean(), np.abs(means[:, 2]).mean())
-    assert tracking_errors(velocity, command, DT, apart=25) == pytest.approx(expected)
+    assert compute_tracking_errors(velocity, command, DT, apart=25) == pytest.approx(expected)
 
 
 def test_the_path_is_as_long_as_the_way_it_went(glide):
-    assert path_length(glide((0.6, 0.8, 0.0), 0.0)) == pytest.approx(4.0)
+    assert measure_path(glide((0.6, 0.8, 0.0), 0.0)) == pytest.approx(4.0)
     # A circle, as chords of half a second.
     chords = 8 * 2 * np.sin(0.25)
-    assert path_length(glide((1.0, 0.0, 1.0), 0.0)) == pytest.approx(chords, rel=1e-3)
+    assert measure_path(glide((1.0, 0.0, 1.0), 0.0)) == pytest.approx(chords, rel=1e-3)
     sway = np.zeros((STEPS, 3))
     sway[:, 1] = np.sin(2 * np.pi * (np.arange(STEPS) + 0.5) / 25)
-    assert path_length(glide(sway, 0.0)) == pytest.approx(0.0, abs=1e-9)
+    assert measure_path(glide(sway, 0.0)) == pytest.approx(0.0, abs=1e-9)
 
 
 def test_figures_of_an_episode_with_commands(glide, quadruped):
     rollout = glide((1.0, 0.0, 1.0), (1.0, 0.3, 0.5))
     rollout = dataclasses.replace(rollout, energy=np.full(STEPS, 2.0))
-    figures = episode_figures(rollout, sprint.TASK.env.reward, WEIGHT, EFFORT)
+    figures = compute_metrics(rollout, sprint.TASK.env.reward, WEIGHT, EFFORT)
     length = 8 * 2 * np.sin(0.25)
     assert figures["velocity_error"] == pytest.approx(0.3)
     assert figures["yaw_rate_error"] == pytest.approx(0.5)
@@ -126,9 +128,9 @@ def test_a_gait_at_a_speed_has_no_start_in_it(glide, quadruped, monkeypatch):
     velocity, energy = np.zeros((STEPS, 3)), np.full(STEPS, 100.0)
     velocity[100:, 0], energy[100:] = 2.0, 1.0
     rollout = dataclasses.replace(glide(velocity, (2.0, 0.0, 0.0)), energy=energy)
-    fallen = first_steps(rollout, 50)
+    fallen = take_first_steps(rollout, 50)
     monkeypatch.setattr(steering, "FORWARD", 1)
-    monkeypatch.setattr(steering, "holding", lambda *_: None)
+    monkeypatch.setattr(steering, "reset_with_commands", lambda *_: None)
     monkeypatch.setattr(steering, "simulate_episodes", lambda *_, **__: iter([rollout, fallen]))
     config = SimpleNamespace(control_dt=DT, command=CommandConfig((0, 2), (0, 0), (0, 0), 0, 5))
     env = SimpleNamespace(quadruped=quadruped, config=config)
@@ -140,35 +142,13 @@ def test_a_gait_at_a_speed_has_no_start_in_it(glide, quadruped, monkeypatch):
     assert (none["speed"], none["cost_of_transport"]) == (None, None)
 
 
-def test_an_episode_has_one_command_which_its_policy_sees(quadruped, monkeypatch, tmp_path):
-    told = CommandConfig(
-        forward=(0.5, 1.0), lateral=(0.0, 0.0), yaw_rate=(-1.0, 0.0), standing=0.0, seconds=0.04
-    )
-    act = jax.tree_util.Partial(lambda seen: 0.0 * seen[..., :12])
-    config = dataclasses.replace(walk.TASK, env=dataclasses.replace(walk.TASK.env, command=told))
-    size = QuadrupedEnv(quadruped, config.env).policy_size
-    policy = Policy(act, config, quadruped.joints, size, 0)
-    monkeypatch.setattr(loading, "load_policy", lambda path: policy)
-    monkeypatch.setattr(loading, "load_robot", lambda *_: quadruped)
-    (tmp_path / "policy.npz").write_bytes(b"weights")
-    env = loading.load_run(Run(tmp_path), 0.2, engine="mujoco").env
-    rollouts = list(simulate_episodes(env, act, 2, seed=0))
-    for rollout in rollouts:
-        assert rollout.command.shape == (10, 3)
-        assert (rollout.command == rollout.command[0]).all()
-        assert 0.5 <= rollout.command[0, 0] <= 1.0
-        first = rollout.observation_names.index("command_forward")
-        np.testing.assert_array_equal(rollout.observation[:, first : first + 3], rollout.command)
-    assert (rollouts[0].command[0] != rollouts[1].command[0]).any()
-
-
 def test_the_typical_episode_is_the_one_of_median_speed_along_its_path(glide):
     rollouts = [glide((speed, 0.0, 0.5), 0.0) for speed in (1.0, 0.0, 0.4)]
     episodes = [
-        episode_figures(rollout, sprint.TASK.env.reward, WEIGHT, EFFORT) for rollout in rollouts
+        compute_metrics(rollout, sprint.TASK.env.reward, WEIGHT, EFFORT) for rollout in rollouts
     ]
-    assert typical_episode(episodes) == 2
-    summary = summarize(episodes)
+    assert find_typical_episode(episodes) == 2
+    summary = summarize_episodes(episodes)
     assert summary["velocity_error"]["mean"] == pytest.approx(1.4 / 3)
     assert summary["velocity_error"]["worst"] == pytest.approx(1.0)
     assert summary["path_speed"]["worst"] == pytest.approx(0.0, abs=1e-6)

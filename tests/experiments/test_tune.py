@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from quadwalk.errors import UsageError, UserError
-from quadwalk.evaluation.summary import episode_figures
+from quadwalk.evaluation.metrics import compute_metrics
 from quadwalk.experiments import search
 from quadwalk.experiments.commands import tune
 from quadwalk.experiments.options import TuneConfig
@@ -108,7 +108,7 @@ def test_what_a_task_is_measured_by_can_be_its_objective(task, quadruped):
     rollout = still(quadruped, quadruped.home, np.ones((100, 4)))
     if task == "drive":
         rollout = replace(rollout, command=np.tile([1.0, 0.0, 0.0], (100, 1)))
-    figures = episode_figures(rollout, base.env.reward, 100.0, np.full(12, 10.0))
+    figures = compute_metrics(rollout, base.env.reward, 100.0, np.full(12, 10.0))
     for name in ("speed", "heading_error", "velocity_error", "path_speed", "power", "reward"):
         if name in figures:
             search.check_objective(name, base)

@@ -23,9 +23,8 @@ from rich.console import Console
 from quadwalk.cli.shell import suggest_install
 from quadwalk.env.env import QuadrupedEnv
 from quadwalk.errors import UserError
-from quadwalk.evaluation.loaded import LoadedRun, load_run
-from quadwalk.evaluation.rollout import Rollout
-from quadwalk.evaluation.simulate import simulate_episodes
+from quadwalk.evaluation.load import LoadedRun, load_run
+from quadwalk.evaluation.rollout import Rollout, simulate_episodes
 from quadwalk.export.bundle import SCRIPTS
 from quadwalk.export.check import check_export, read_recording, replay
 from quadwalk.export.cli import main

@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from quadwalk.evaluation.motion.gait import measure_gait
+from quadwalk.evaluation.gait import measure_gait
 from quadwalk.evaluation.rollout import Rollout
 from quadwalk.settings.serialize import flatten
 from quadwalk.task_files import load_task

@@ -8,23 +8,23 @@ import pytest
 
 from quadwalk.env.command import draw
 from quadwalk.env.env import QuadrupedEnv
-from quadwalk.evaluation.grids import steering
-from quadwalk.evaluation.grids.steering import (
-    changes,
-    changing_run,
-    held_commands,
-    holding,
+from quadwalk.evaluation.load import LoadedRun
+from quadwalk.evaluation.rollout import reset_episodes, roll_out
+from quadwalk.evaluation.suites import commands as steering
+from quadwalk.evaluation.suites.commands import (
+    draw_commands,
+    make_changes,
+    make_held_commands,
     measure_changing,
+    measure_commands,
     measure_response,
-    measure_steering,
     measure_still,
-    steering_run,
-    without_creep,
+    print_commands,
+    remove_creep,
+    reset_with_commands,
+    to_changing_run,
+    to_held_run,
 )
-from quadwalk.evaluation.loaded import LoadedRun
-from quadwalk.evaluation.report.console import print_steering
-from quadwalk.evaluation.report.panels import draw_steering
-from quadwalk.evaluation.simulate import fresh_starts, roll_out
 from quadwalk.learn.acting import Policy
 from quadwalk.runs.directory import Run
 from quadwalk.settings.environment import COMMANDED, NO_RANDOMIZATION, REAL_WORLD
@@ -46,11 +46,11 @@ def standing(quadruped, tmp_path_factory) -> LoadedRun:
     act = jax.tree_util.Partial(lambda seen: 0.0 * seen[..., :12])
     policy = Policy(act, drive.TASK, quadruped.joints, env.policy_size, 0)
     folder = tmp_path_factory.mktemp("run")
-    return steering_run(LoadedRun(Run(folder), folder, policy, env, "0"))
+    return to_held_run(LoadedRun(Run(folder), folder, policy, env, "0"))
 
 
 def test_held_commands_cover_the_ranges_within_what_turns_may_need():
-    commands = np.array(held_commands(drive.TASK.env.command))
+    commands = np.array(make_held_commands(drive.TASK.env.command))
     assert (commands[:, 0].min(), commands[:, 0].max()) == (-1.0, 4.5)
     assert (commands[:, 2].min(), commands[:, 2].max()) == (-2.0, 2.0)
     assert np.abs(commands[:, 0] * commands[:, 2]).max() <= 4.0 + 1e-6
@@ -59,7 +59,7 @@ def test_held_commands_cover_the_ranges_within_what_turns_may_need():
 
 def test_each_command_is_held_from_the_same_starts(standing):
     commands = [(1.0, 0.0, 0.5), (-1.0, 0.2, 0.0)]
-    starts = holding(standing.env, commands, 3, 0)
+    starts = reset_with_commands(standing.env, commands, 3, 0)
     state = starts.pipeline_state
     np.testing.assert_allclose(state.command.velocity, np.repeat(commands, 3, axis=0), rtol=1e-6)
     np.testing.assert_array_equal(state.qpos[:3], state.qpos[3:])
@@ -70,7 +70,7 @@ def test_each_command_is_held_from_the_same_starts(standing):
 def test_a_robot_that_stands_is_as_far_off_as_its_command_says(standing, capsys, monkeypatch):
     monkeypatch.setattr(steering, "FORWARD", 5)
     monkeypatch.setattr(steering, "TURNS", 3)
-    found = measure_steering(standing, 1, 0)
+    found = measure_commands(standing, 1, 0)
     assert len(found["cells"]) > 8
     for cell in found["cells"]:
         forward, _, turn = cell["command"]
@@ -82,19 +82,19 @@ def test_a_robot_that_stands_is_as_far_off_as_its_command_says(standing, capsys,
     assert to_speed["time"] is None
     assert to_stand["time"] == pytest.approx(0.25)  # the middle of the first half second
     assert to_right["time"] is None
-    assert changes(drive.TASK.env.command)[0][1] == (pytest.approx(4.05), 0.0, 0.0)
+    assert make_changes(drive.TASK.env.command)[0][1] == (pytest.approx(4.05), 0.0, 0.0)
     assert max(abs(each["speed"]) for each in found["gaits"]) < 0.05
     still, held = found["standing"], found["standing_without_creep"]
     assert 0.0 < held["most"] < still["most"] == still["moved"]["mean"] < 0.03
     monkeypatch.setenv("COLUMNS", "120")
     changing = {"seconds": 20.0, "episodes": 4, "success": 0.75, "success_ci95": [0.3, 0.95]}
-    print_steering(found | {"changing": changing})
+    print_commands(found | {"changing": changing})
     printed = capsys.readouterr().out
     assert "4.5 m/s, 0 rad/s" in printed
     assert f"by {1e3 * still['most']:.1f} mm at most" in printed
     assert f"by {1e3 * held['most']:.1f} mm at most" in printed
     assert "75.0 % (30.0 to 95.0) of 4 episodes of 20 s end without a fall" in printed
-    assert len(draw_steering(found, "standing").axes) == 6 + 3
+    assert len(draw_commands(found, "standing").axes) == 6 + 3
 
 
 def test_a_command_is_held_for_as_long_as_it_is_measured(standing, monkeypatch):
@@ -102,8 +102,8 @@ def test_a_command_is_held_for_as_long_as_it_is_measured(standing, monkeypatch):
     monkeypatch.setattr(steering, "SECONDS", 0.2)
     config = standing.env.config
     short = dataclasses.replace(config.command, seconds=0.06)
-    loaded = steering_run(standing.in_mujoco(command=short))
-    starts = holding(loaded.env, [(1.0, 0.2, 0.5)], 1, 0)
+    loaded = to_held_run(standing.to_mujoco(command=short))
+    starts = reset_with_commands(loaded.env, [(1.0, 0.2, 0.5)], 1, 0)
     ((_, _, commands),) = roll_out(loaded.env, loaded.policy.act, starts, told)
     np.testing.assert_allclose(commands, np.tile([1.0, 0.2, 0.5], (10, 1)), rtol=1e-6)
 
@@ -121,7 +121,7 @@ def test_a_robot_that_moves_as_it_is_told_at_once_has_followed_at_once(standing,
     def seen_commands(env, before, action, after):
         return before.obs[:, np.array(at)]
 
-    monkeypatch.setattr(steering, "trunk_paths", glide)
+    monkeypatch.setattr(steering, "roll_out_paths", glide)
     found = measure_response(standing, (0.5, 0.0, 0.0), (2.0, 0.0, 0.0), 1, 0)
     np.testing.assert_allclose(found["curve"], 2.0, atol=1e-4)
 
@@ -130,11 +130,11 @@ def test_soles_of_randomized_robots_hold_too(standing):
     """Of robots that draw no more than a friction: their models are made one by one."""
     friction = standing.env.friction
     ranges = dataclasses.replace(NO_RANDOMIZATION, enabled=True, friction=(friction, friction))
-    drawn = standing.in_mujoco(randomization=ranges, episode_seconds=3.0)
-    usual = standing.in_mujoco(episode_seconds=3.0)
+    drawn = standing.to_mujoco(randomization=ranges, episode_seconds=3.0)
+    usual = standing.to_mujoco(episode_seconds=3.0)
     creeping, held, alike = (
         measure_still(each, 1, 0)["most"]
-        for each in (drawn, without_creep(drawn), without_creep(usual))
+        for each in (drawn, remove_creep(drawn), remove_creep(usual))
     )
     assert held == pytest.approx(alike, rel=0.05)
     assert 0.0 < held < 0.75 * creeping
@@ -146,17 +146,17 @@ def test_a_trunk_moves_as_far_as_it_gets_once_it_has_settled(standing, monkeypat
     away[200, :3] = 0.3, -0.4, 9.0  # and back
     fallen = np.zeros((50, 7))
     paths = [(0, True, away), (1, True, away / 5.0), (2, False, fallen)]
-    monkeypatch.setattr(steering, "trunk_paths", lambda *_: iter(paths))
+    monkeypatch.setattr(steering, "roll_out_paths", lambda *_: iter(paths))
     found = measure_still(standing, 3, 0)
     assert found["most"] == pytest.approx(0.5)
     assert found["moved"]["mean"] == pytest.approx(0.3)
-    monkeypatch.setattr(steering, "trunk_paths", lambda *_: iter(paths[2:]))
+    monkeypatch.setattr(steering, "roll_out_paths", lambda *_: iter(paths[2:]))
     assert measure_still(standing, 1, 0) == {"moved": None, "most": None}
 
 
 def test_robots_are_judged_with_changing_commands_and_all_that_is_drawn(standing, monkeypatch):
     monkeypatch.setattr(steering, "LONG", 6.0)
-    long = changing_run(standing)
+    long = to_changing_run(standing)
     assert long.env.engine == "mujoco"
     assert long.env.config.randomization == dataclasses.replace(
         REAL_WORLD, margin=0.0, push_seconds=5.0
@@ -164,7 +164,9 @@ def test_robots_are_judged_with_changing_commands_and_all_that_is_drawn(standing
     expected = dataclasses.replace(drive.TASK.env.command, leg=None, margin=0.0)
     assert long.env.config.command == expected
     seen = []
-    for _, end, commands in roll_out(long.env, long.policy.act, fresh_starts(long.env, 2, 0), told):
+    for _, end, commands in roll_out(
+        long.env, long.policy.act, reset_episodes(long.env, 2, 0), told
+    ):
         assert len(np.unique(commands, axis=0)) >= 2
         seen.append(end == "time limit")
     found = measure_changing(long, 2, 0)

@@ -11,9 +11,14 @@ from scipy.spatial.transform import Rotation
 
 from quadwalk.env.env import QuadrupedEnv
 from quadwalk.env.robot_arrays import is_standing
-from quadwalk.evaluation.grids.standing import SECONDS, measure_standing, standing, standing_points
-from quadwalk.evaluation.loaded import LoadedRun
-from quadwalk.evaluation.report.console import print_standing
+from quadwalk.evaluation.load import LoadedRun
+from quadwalk.evaluation.suites.standing import (
+    SECONDS,
+    check_standing,
+    make_standing_points,
+    measure_standing,
+    print_standing,
+)
 from quadwalk.learn.acting import Policy
 from quadwalk.robot.mjcf import Options
 from quadwalk.robot.quadruped import load_quadruped
@@ -99,7 +104,7 @@ def test_a_step_tells_who_stands_as_the_evaluation_does(rising):
     stands = jax.vmap(lambda qpos: is_standing(rising.robot, qpos))(jnp.asarray(poses))
     assert stands.tolist() == [True, False, False]
     long = (1 + round(max(SECONDS) / 0.02), 1)
-    assert [standing(rising, np.tile(pose[:7], long))[1] for pose in poses] == stands.tolist()
+    assert [check_standing(rising, np.tile(pose[:7], long))[1] for pose in poses] == stands.tolist()
     assert "standing" in jax.eval_shape(rising.reset, jax.random.PRNGKey(0)).metrics
 
 
@@ -113,13 +118,13 @@ def test_the_policy_sees_what_a_real_robot_measures(rising):
 def test_it_stands_where_it_is_high_and_upright_at_the_time(rising):
     home = np.r_[rising.robot.home[:7]]
     poses = np.tile(home, (1 + round(max(SECONDS) / 0.02), 1))
-    assert standing(rising, poses) == (True, True, True)
-    assert standing(rising, poses[:200]) == (True, True, False)  # it ended after 4 s
+    assert check_standing(rising, poses) == (True, True, True)
+    assert check_standing(rising, poses[:200]) == (True, True, False)  # it ended after 4 s
     low, tilted = poses.copy(), poses.copy()
     low[120:, 2] *= 0.84
     tilted[:120, 3:7] = Rotation.from_euler("x", 19, degrees=True).as_quat(scalar_first=True)
-    assert standing(rising, low) == (True, False, False)
-    assert standing(rising, tilted) == (False, True, True)
+    assert check_standing(rising, low) == (True, False, False)
+    assert check_standing(rising, tilted) == (False, True, True)
 
 
 def test_a_policy_is_judged_in_mujoco_under_every_condition(
@@ -130,7 +135,7 @@ def test_a_policy_is_judged_in_mujoco_under_every_condition(
     act = jax.tree_util.Partial(lambda seen: 0.0 * seen[..., :12])
     policy = Policy(act, getup.TASK, quadruped.joints, env.policy_size, 0)
     found = measure_standing(LoadedRun(Run(tmp_path), tmp_path, policy, env, "0"), 2, 0)
-    names = list(standing_points(env))
+    names = list(make_standing_points(env))
     assert names[3] == "+5.1 kg"
     assert [each["name"] for each in found["conditions"]] == names
     assert {each["standing_6s"] for each in found["conditions"]} == {0.0}  # it ended long before

@@ -10,10 +10,9 @@ import pytest
 
 from quadwalk.cli.shell import suggest_install
 from quadwalk.errors import UsageError, UserError
-from quadwalk.eval import main as evaluate
 from quadwalk.learn.loop import train
 from quadwalk.tasks import walk
-from quadwalk.view.show import ViewConfig, drive, no_window
+from quadwalk.view.show import ViewConfig, drive, main, no_window
 from quadwalk.view.traces import Traces
 from quadwalk.view.window import Keys, draw_overlay
 
@@ -38,7 +37,7 @@ def without_the_extra(no_screen, monkeypatch):
 @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere there is always a screen")
 def test_without_the_extra_one_line_says_which(without_the_extra, runs):
     with pytest.raises(UserError) as caught:
-        evaluate(["dog", "--view", f"--runs={runs}"])
+        main(["dog", f"--runs={runs}"], "quadwalk view")
     assert str(caught.value) == (
         f"there is no window ({NO_SCREEN}), and a page needs mjviser, which is not installed: "
         f"{suggest_install('view')}"

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from quadwalk.errors import UsageError
-from quadwalk.evaluation.loaded import load_run
+from quadwalk.evaluation.load import load_run
 from quadwalk.paths import PRETRAINED
 from quadwalk.runs.directory import Run, find_any_run, find_ready, get_results_folder
 from quadwalk.view.choices import LAST, getup_of, open_run

@@ -7,17 +7,25 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from quadwalk.evaluation.motion.course import heading_velocity, motor_limits
-from quadwalk.evaluation.motion.footfalls import contact_spans, without_chatter
-from quadwalk.evaluation.motion.gait import footfalls_of, measure_gait, middle_strides
-from quadwalk.evaluation.motion.kinematics import roll_pitch_yaw
-from quadwalk.evaluation.rollout import Rollout, finite_part
+from quadwalk.evaluation.gait import (
+    find_contacts,
+    find_middle_strides,
+    measure_footfalls,
+    measure_gait,
+    remove_chatter,
+)
+from quadwalk.evaluation.metrics import (
+    compute_heading_velocity,
+    compute_motor_limits,
+    to_roll_pitch_yaw,
+)
+from quadwalk.evaluation.rollout import Rollout
 from quadwalk.render.figures import INK, LEG_COLORS, make_figure, tidy
 from quadwalk.robot.quadruped import Quadruped
 from quadwalk.terrain.heightfield import heights_under
 
 WINDOW = 3.0  # s of footfalls
-STRIDES = 2  # shown of joints and sensors
+STRIDES = 2  # of joints and sensors
 SMOOTHING = 0.5  # s, over which reward terms are averaged, to show their course
 _SENSORS = 3  # panels
 _PARTS = ("hip", "thigh", "calf")
@@ -30,55 +38,52 @@ def draw_report(rollout: Rollout, quadruped: Quadruped, title: str = "") -> Figu
     are those of `STRIDES` strides there, which the film strip shows too. `title` goes before the
     figure's own headline.
     """
-    shown = finite_part(rollout)
     heights, height = [0.85, 1.2, 1.2, 1.2, 1.6], 18
-    if shown.truth is not None:
+    if rollout.truth is not None:
         heights, height = [*heights, 1.0], 21
-    figure = make_figure((16, height), _headline(rollout, quadruped, title), fontsize=15)
-    # Each row lays out its own panels, so that one's long labels do not squeeze the others.
+    figure = make_figure((16, height), _format_headline(rollout, quadruped, title), fontsize=15)
+    # Each row lays out its own panels, so that long labels do not squeeze the other rows.
     rows: Any = figure.subfigures(len(heights), 1, height_ratios=heights)
-    draw_footfalls(rows[0].subplots(), shown, quadruped)
+    draw_footfalls(rows[0].subplots(), rollout, quadruped)
     speed, posture = rows[1].subplots(1, 2)
-    (draw_speed if shown.command is None else _tracking)(speed, shown)
-    _posture(posture, shown, quadruped)
+    (_draw_speed if rollout.command is None else _draw_tracking)(speed, rollout)
+    _draw_posture(posture, rollout, quadruped)
     for part, (angles, torques) in enumerate(
         zip(rows[2].subplots(1, 3), rows[3].subplots(1, 3), strict=True)
     ):
-        _angles(angles, shown, quadruped, part)
-        _torques(torques, shown, quadruped, part)
+        _draw_angles(angles, rollout, quadruped, part)
+        _draw_torques(torques, rollout, quadruped, part)
     rewards, path = rows[4].subplots(1, 2, width_ratios=(8, 7))
-    _rewards(rewards, shown)
-    _path(path, shown)
-    if shown.truth is not None:
-        _sensors(rows[5].subplots(1, _SENSORS), shown, shown.truth)
+    _draw_rewards(rewards, rollout)
+    _draw_path(path, rollout)
+    if rollout.truth is not None:
+        _draw_sensors(rows[5].subplots(1, _SENSORS), rollout, rollout.truth)
     for axes in figure.axes:
         axes.tick_params(labelsize=9)
     return figure
 
 
-def _headline(rollout: Rollout, quadruped: Quadruped, title: str) -> str:
+def _format_headline(rollout: Rollout, quadruped: Quadruped, title: str) -> str:
     gait = measure_gait(rollout, quadruped)
-    ended = (
-        f"fell ({gait.end}) after {gait.duration:.1f} s" if gait.fell else f"{gait.duration:.1f} s"
-    )
+    end = f"{gait.duration:.1f} s"
     parts = [
-        (f"{quadruped.name}, episode {rollout.episode}, seed {rollout.seed}", 0.0),
-        (ended, 0.0),
-        (f"{gait.speed:z.2f} m/s", gait.speed),
-        (gait.gait, 0.0),
-        (
-            f"{gait.stride_frequency:.1f} strides/s of {gait.stride_length:.2f} m",
-            gait.stride_length,
-        ),
-        (f"cost of transport {gait.cost_of_transport:.2f}", gait.cost_of_transport),
+        f"{quadruped.name}, episode {rollout.episode}, seed {rollout.seed}",
+        f"fell ({gait.end}) after {end}" if gait.fell else end,
     ]
-    line = "  ·  ".join(text for text, value in parts if np.isfinite(value))
+    if np.isfinite(gait.speed):
+        parts.append(f"{gait.speed:z.2f} m/s")
+    parts.append(gait.gait)
+    if np.isfinite(gait.stride_length):
+        parts.append(f"{gait.stride_frequency:.1f} strides/s of {gait.stride_length:.2f} m")
+    if np.isfinite(gait.cost_of_transport):
+        parts.append(f"cost of transport {gait.cost_of_transport:.2f}")
+    line = "  ·  ".join(parts)
     return f"{title}\n{line}" if title else line
 
 
-def _stride_rows(rollout: Rollout) -> tuple[int, int]:
+def _find_shown_states(rollout: Rollout) -> tuple[int, int]:
     """Return the first and the last state of `STRIDES` strides about the episode's middle."""
-    start, end = middle_strides(rollout, STRIDES, otherwise=WINDOW)
+    start, end = find_middle_strides(rollout, STRIDES, otherwise=WINDOW)
     return math.floor(start), math.ceil(end)
 
 
@@ -90,17 +95,17 @@ def draw_footfalls(axes: Axes, rollout: Rollout, quadruped: Quadruped) -> None:
     dt = rollout.control_dt
     start = max((rollout.steps - round(WINDOW / dt)) // 2, 0)
     stop = rollout.steps - start
-    contact = without_chatter(rollout.contact, dt)[start:stop]
+    contact = remove_chatter(rollout.contact, dt)[start:stop]
     feet_down = (3, 2, 1, 0)  # the lines, from the lowest up
     for line, foot in enumerate(feet_down):
         # A row's contact is known at its step's end, and drawn over that step.
-        bars = [((start + a) * dt, (b - a) * dt) for a, b in contact_spans(contact[:, foot])]
+        bars = [((start + a) * dt, (b - a) * dt) for a, b in find_contacts(contact[:, foot])]
         axes.broken_barh(bars, (line - 0.36, 0.72), color=LEG_COLORS[foot])
-    first, last = _stride_rows(rollout)
+    first, last = _find_shown_states(rollout)
     if last - first < stop - start:
         axes.axvspan(first * dt, last * dt, color="0.9", zorder=0)
-    feet = footfalls_of(rollout)
-    duty, phase = _percent(feet.duty_factor), _percent(feet.phase)
+    footfalls = measure_footfalls(rollout)
+    duty, phase = _format_percents(footfalls.duty_factor), _format_percents(footfalls.phase)
     labels = [f"{quadruped.legs[k]}   duty {duty[k]}, phase {phase[k]}" for k in feet_down]
     axes.set_yticks(range(4), labels)
     axes.set_ylim(-0.6, 3.6)
@@ -109,12 +114,11 @@ def draw_footfalls(axes: Axes, rollout: Rollout, quadruped: Quadruped) -> None:
     axes.set_xlabel("time, s", fontsize=9)
 
 
-def _percent(values: np.ndarray) -> list[str]:
+def _format_percents(values: np.ndarray) -> list[str]:
     return [f"{100 * value:.0f} %" if np.isfinite(value) else "none" for value in values]
 
 
-def draw_speed(axes: Axes, rollout: Rollout) -> None:
-    """Speed of the base in the world, ahead and to the left, from beginning to end."""
+def _draw_speed(axes: Axes, rollout: Rollout) -> None:
     for column, label, color in ((0, "ahead", LEG_COLORS[3]), (1, "left", LEG_COLORS[2])):
         axes.plot(rollout.time, rollout.qvel[:, column], color=color, label=label, linewidth=1.2)
     mean = rollout.qvel[:, 0].mean()
@@ -123,9 +127,10 @@ def draw_speed(axes: Axes, rollout: Rollout) -> None:
     _finish(axes, "Speed of the base in the world", rollout.time, "m/s")
 
 
-def _tracking(axes: Axes, rollout: Rollout) -> None:
+def _draw_tracking(axes: Axes, rollout: Rollout) -> None:
     assert rollout.command is not None
-    velocity, time = heading_velocity(rollout.qpos, rollout.control_dt), rollout.time[1:]
+    velocity = compute_heading_velocity(rollout.qpos, rollout.control_dt)
+    time = rollout.time[1:]
     for column, label in enumerate(("forward, m/s", "lateral, m/s", "yaw rate, rad/s")):
         color = LEG_COLORS[3 - column]
         axes.plot(time, velocity[:, column], color=color, label=label, linewidth=0.9, alpha=0.7)
@@ -135,10 +140,11 @@ def _tracking(axes: Axes, rollout: Rollout) -> None:
     _finish(axes, title, rollout.time, "m/s or rad/s")
 
 
-def _posture(axes: Axes, rollout: Rollout, quadruped: Quadruped) -> None:
-    below = heights_under(quadruped.make_full_model(), rollout.qpos[:, :2])
-    axes.plot(rollout.time, rollout.qpos[:, 2] - below, color=INK, linewidth=1.4, label="height, m")
-    angles = roll_pitch_yaw(rollout.qpos[:, 3:7])
+def _draw_posture(axes: Axes, rollout: Rollout, quadruped: Quadruped) -> None:
+    ground = heights_under(quadruped.make_full_model(), rollout.qpos[:, :2])
+    height = rollout.qpos[:, 2] - ground
+    axes.plot(rollout.time, height, color=INK, linewidth=1.4, label="height, m")
+    angles = to_roll_pitch_yaw(rollout.qpos[:, 3:7])
     for column, name in enumerate(("roll", "pitch", "yaw")):
         values = np.unwrap(angles[:, column]) if name == "yaw" else angles[:, column]
         color = LEG_COLORS[column]
@@ -147,16 +153,16 @@ def _posture(axes: Axes, rollout: Rollout, quadruped: Quadruped) -> None:
     _finish(axes, "Height above ground, and attitude, of the base", rollout.time, "m or rad")
 
 
-def _sensors(panels: Any, rollout: Rollout, truth: np.ndarray) -> None:
-    """Draw some of what the policy saw beside what was so: from each end and between."""
-    first, last = _stride_rows(rollout)
+def _draw_sensors(panels: Any, rollout: Rollout, truth: np.ndarray) -> None:
+    """Draw some observations beside the truth: the first, the last and between."""
+    first, last = _find_shown_states(rollout)
     time = rollout.time[first:last]
     observed = rollout.observation[:, : truth.shape[1]]
-    wrong = np.flatnonzero(np.any(observed != truth, axis=0))
-    if not len(wrong):
-        wrong = np.arange(truth.shape[1])
-    some = wrong[np.linspace(0, len(wrong) - 1, _SENSORS).astype(int)]
-    for axes, column in zip(panels, some, strict=True):
+    columns = np.flatnonzero(np.any(observed != truth, axis=0))
+    if not len(columns):
+        columns = np.arange(truth.shape[1])
+    columns = columns[np.linspace(0, len(columns) - 1, _SENSORS).astype(int)]
+    for axes, column in zip(panels, columns, strict=True):
         name = rollout.observation_names[column]
         values, true_values = observed[first:last, column], truth[first:last, column]
         axes.plot(time, values, color=LEG_COLORS[0], lw=0.8, label="seen")
@@ -166,46 +172,44 @@ def _sensors(panels: Any, rollout: Rollout, truth: np.ndarray) -> None:
         _finish(axes, title, rollout.time[first : last + 1], "as observed")
 
 
-def _angles(axes: Axes, rollout: Rollout, quadruped: Quadruped, part: int) -> None:
-    first, last = _stride_rows(rollout)
+def _draw_angles(axes: Axes, rollout: Rollout, quadruped: Quadruped, part: int) -> None:
+    first, last = _find_shown_states(rollout)
     time = rollout.time[first : last + 1]
+    applied_target = rollout.applied_target
     for leg, name in enumerate(quadruped.legs):
         column, color = 3 * leg + part, LEG_COLORS[leg]
         axes.plot(time, rollout.qpos[first : last + 1, 7 + column], color=color, label=name)
         target = rollout.target[first:last, column]
         axes.plot(time[:-1], target, color=color, linewidth=0.6, alpha=0.6)
-        if rollout.applied_target is not None:
-            applied_target = rollout.applied_target[first:last, column]
-            axes.plot(time[1:], applied_target, color=color, lw=0.6, alpha=0.6, ls=":")
-    late = "" if rollout.applied_target is None else ", dotted: applied"
+        if applied_target is not None:
+            target = applied_target[first:last, column]
+            axes.plot(time[1:], target, color=color, lw=0.6, alpha=0.6, ls=":")
+    late = "" if applied_target is None else ", dotted: applied"
     low, high = float(quadruped.lower[part::3].max()), float(quadruped.upper[part::3].min())
-    _limits(axes, low, high, f"limits {low:.2f} to {high:.2f} rad")
+    _draw_limits(axes, low, high, f"limits {low:.2f} to {high:.2f} rad")
     _finish(axes, f"{_PARTS[part].capitalize()} angles (thin: targets{late})", time, "rad")
 
 
-def _torques(axes: Axes, rollout: Rollout, quadruped: Quadruped, part: int) -> None:
-    first, last = _stride_rows(rollout)
+def _draw_torques(axes: Axes, rollout: Rollout, quadruped: Quadruped, part: int) -> None:
+    first, last = _find_shown_states(rollout)
     time = rollout.time[first : last + 1]
-    limits = motor_limits(rollout, quadruped)
+    limits = compute_motor_limits(rollout, quadruped)
     effort = float(limits[part::3].min())
-    peaks = []
     for leg, name in enumerate(quadruped.legs):
-        column = 3 * leg + part
-        torque = rollout.torque[:, column]
+        torque = rollout.torque[:, 3 * leg + part]
         # A step's torque is drawn from its start to its end.
         values = np.concatenate([torque[first : first + 1], torque[first:last]])
         axes.step(time[: len(values)], values, color=LEG_COLORS[leg], label=name, linewidth=1.0)
-        if len(torque):
-            peaks.append(np.abs(torque).max() / limits[column])
     note = f"limits ±{effort:.1f} Nm"
-    if peaks:
+    if rollout.steps:
+        peak = (np.abs(rollout.torque) / limits)[:, part::3].max()
         rates = np.abs(rollout.qvel[:, 6 + part :: 3]).max() / quadruped.velocity[part::3].min()
-        note += f"; peak torque {100 * max(peaks):.0f} %, speed {100 * rates:.0f} %"
-    _limits(axes, -effort, effort, note)
+        note += f"; peak torque {100 * peak:.0f} %, speed {100 * rates:.0f} %"
+    _draw_limits(axes, -effort, effort, note)
     _finish(axes, f"{_PARTS[part].capitalize()} torques", time, "Nm")
 
 
-def _limits(axes: Axes, low: float, high: float, note: str) -> None:
+def _draw_limits(axes: Axes, low: float, high: float, note: str) -> None:
     """Scale a panel to what is plotted, draw limits that are then in view, and add `note` above."""
     bottom, top = axes.dataLim.intervaly
     if not bottom <= top:  # nothing is plotted
@@ -217,7 +221,7 @@ def _limits(axes: Axes, low: float, high: float, note: str) -> None:
     axes.set_title(note, loc="right", fontsize=8)
 
 
-def _rewards(axes: Axes, rollout: Rollout) -> None:
+def _draw_rewards(axes: Axes, rollout: Rollout) -> None:
     series = {"total": rollout.reward, **rollout.reward_terms}
     width = max(round(SMOOTHING / rollout.control_dt), 1)
     time = rollout.time[1:]
@@ -237,14 +241,14 @@ def _rewards(axes: Axes, rollout: Rollout) -> None:
 
 
 def _smooth(values: np.ndarray, width: int) -> np.ndarray:
-    """Mean of the last `width` values (of as many as there are, in the beginning)."""
+    """Return the mean of the last `width` values (of as many as there are, in the beginning)."""
     sums = np.concatenate([[0.0], np.cumsum(values)])
     ends = np.arange(1, len(values) + 1)
     starts = np.maximum(ends - width, 0)
     return (sums[ends] - sums[starts]) / (ends - starts)
 
 
-def _path(axes: Axes, rollout: Rollout) -> None:
+def _draw_path(axes: Axes, rollout: Rollout) -> None:
     x, y = rollout.qpos[:, 0], rollout.qpos[:, 1]
     axes.axhline(0.0, color="#9aa3ad", linewidth=0.8, linestyle="--")
     axes.plot(x, y, color=LEG_COLORS[3], linewidth=1.6)
@@ -265,6 +269,7 @@ def _path(axes: Axes, rollout: Rollout) -> None:
 
 
 def _finish(axes: Axes, title: str, time: np.ndarray, unit: str, outside: bool = False) -> None:
+    """Give a panel over time its title, labels and legend."""
     tidy(axes, title)
     axes.set_ylabel(unit, fontsize=9)
     axes.set_xlim(time[0], time[-1] if len(time) > 1 else time[0] + 0.02)

@@ -10,10 +10,10 @@ from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
 from quadwalk.env.env import QuadrupedEnv
-from quadwalk.evaluation.motion.forces import with_foot_forces
-from quadwalk.evaluation.motion.gait import measure_gait
-from quadwalk.evaluation.recording.mcap import write_mcap
-from quadwalk.evaluation.simulate import simulate_episodes
+from quadwalk.evaluation.gait import measure_gait
+from quadwalk.evaluation.mcap.foot_forces import add_foot_forces
+from quadwalk.evaluation.mcap.write import write_mcap
+from quadwalk.evaluation.rollout import simulate_episodes
 from quadwalk.task_files import load_task
 
 STEPS = 50
@@ -52,7 +52,7 @@ def test_it_is_measured_and_recorded(rollout, env, tmp_path):
     assert gait.duration == pytest.approx(STEPS / 240)
     assert np.max(gait.torque_peak) == pytest.approx(1.0, rel=1e-4)  # of 44.4 Nm
     path = tmp_path / "episode.mcap"
-    write_mcap(path, with_foot_forces(rollout, env), env.quadruped, {})
+    write_mcap(path, add_foot_forces(rollout, env), env.quadruped, {})
     with open(path, "rb") as stream:
         reader = make_reader(stream, decoder_factories=[DecoderFactory()])
         seen = [found.decoded_message for found in reader.iter_decoded_messages(["/observation"])]

@@ -1,4 +1,4 @@
-"""A run's policy with its robot and environment, to be evaluated, driven or exported."""
+"""Loading a run's policy with its robot and environment, to evaluate, drive or export it."""
 
 import dataclasses
 import math
@@ -41,16 +41,16 @@ class LoadedRun:
     # lines on its robot: what was left out or assumed, and that it is not the one trained on
     notes: tuple[str, ...] = ()
 
-    def in_mujoco(self, **changes: Any) -> "LoadedRun":
-        """The same in MuJoCo C, with `changes` of its environment's settings."""
+    def to_mujoco(self, **changes: Any) -> "LoadedRun":
+        """Return the same in MuJoCo C, with `changes` of its environment's settings."""
         config = dataclasses.replace(self.env.config, **changes)
         env = QuadrupedEnv(self.env.quadruped, config, "mujoco")
         return dataclasses.replace(self, env=env)
 
-    def in_engine(self, engine: EngineName) -> "LoadedRun":
+    def to_engine(self, engine: EngineName) -> "LoadedRun":
         return dataclasses.replace(self, env=self.env.in_engine(engine))
 
-    def can_take_turns(self, other: "LoadedRun") -> bool:
+    def has_same_robot(self, other: "LoadedRun") -> bool:
         """Return True for a robot of the same joints and masses, and the same control period."""
         mine, theirs = self.env, other.env
         return (
@@ -60,21 +60,28 @@ class LoadedRun:
         )
 
 
-def training_ranges(config: EnvConfig) -> RandomizationConfig:
-    """The ranges of a task's domain randomization; `REAL_WORLD` where training had none."""
-    own = config.randomization
-    return REAL_WORLD if own == NO_RANDOMIZATION else own
+def find_training_ranges(config: EnvConfig) -> RandomizationConfig:
+    """Return the ranges of a task's domain randomization; `REAL_WORLD` where it had none."""
+    ranges = config.randomization
+    return REAL_WORLD if ranges == NO_RANDOMIZATION else ranges
 
 
-def evaluation_ranges(config: EnvConfig, enabled: bool) -> RandomizationConfig:
-    """Those without margin and ideal episodes, and with a push in each `PUSH_SECONDS`."""
+def make_evaluation_ranges(config: EnvConfig, enabled: bool) -> RandomizationConfig:
+    """Return the training ranges without margin and ideal episodes.
+
+    There is a push in each `PUSH_SECONDS`, whatever training had, so that runs compare.
+    """
     return dataclasses.replace(
-        training_ranges(config), enabled=enabled, push_seconds=PUSH_SECONDS, margin=0.0, ideal=0.0
+        find_training_ranges(config),
+        enabled=enabled,
+        push_seconds=PUSH_SECONDS,
+        margin=0.0,
+        ideal=0.0,
     )
 
 
-def unseen_ground(trained: GroundConfig, seed: int, levels: int = 3) -> GroundConfig:
-    """Ground of the kinds trained on, made by `seed` from numbers that training never draws.
+def make_unseen_ground(trained: GroundConfig, seed: int, levels: int = 3) -> GroundConfig:
+    """Return ground of the kinds trained on, by numbers from `seed` that training never draws.
 
     Each kind counts once, at `levels` difficulties. A flat floor or a field from a file stays.
     """
@@ -98,15 +105,14 @@ def load_run(
     """Load the "last" or "best" policy of `run` for episodes of up to `seconds` in `engine`.
 
     Without `randomized` the robot is that of its model and nothing disturbs it. With it, each
-    episode draws conditions from the `training_ranges`, with a push in each `PUSH_SECONDS`,
-    whatever training had, so that runs compare. A velocity command holds for a whole episode, so
-    that the episode has one gait. Uneven ground is `unseen_ground` of `seed`, or, if `flat`, a
-    flat floor. Raises `UserError` where policy or robot cannot be read, or do not match.
+    episode samples from the `make_evaluation_ranges`. A velocity command holds for a whole episode,
+    so that the episode has one gait. Uneven ground is `make_unseen_ground` of `seed`, or, if
+    `flat`, a flat floor. Raises `UserError` where policy or robot cannot be read, or do not match.
     """
     file = run.best if which == "best" else run.policy
     policy, sha256 = load_policy(file), hash_file(file)
-    # Now, and not for its recordings, when all is simulated.
-    written = read_bytes(run.config) if run.config.exists() else None
+    # Read before the simulation, not after it for the recordings, so that an error comes at once.
+    config_json = read_bytes(run.config) if run.config.exists() else None
     quadruped = load_robot(policy.config.robot)
     trained = policy.config.env
     command = dataclasses.replace(trained.command, seconds=seconds, soonest=None, margin=0.0)
@@ -116,8 +122,8 @@ def load_run(
         # The two iterations of earlier runs grip too well on slippery floors.
         solver_iterations=max(trained.solver_iterations, PHYSICS["solver_iterations"]),
         command=command,
-        randomization=evaluation_ranges(trained, randomized),
-        ground=FLAT if flat else unseen_ground(trained.ground, seed),
+        randomization=make_evaluation_ranges(trained, randomized),
+        ground=FLAT if flat else make_unseen_ground(trained.ground, seed),
     )
     env = QuadrupedEnv(quadruped, config, engine)
     if quadruped.joints != policy.joints or env.policy_size != policy.observation_size:
@@ -127,4 +133,4 @@ def load_run(
         )
     gains = [env.gains_note] if env.gains_note else []
     notes = (*quadruped.notes, *compare_robot(run, quadruped), *gains)
-    return LoadedRun(run, file, policy, env, sha256, written, notes)
+    return LoadedRun(run, file, policy, env, sha256, config_json, notes)

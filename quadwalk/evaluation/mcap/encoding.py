@@ -1,4 +1,4 @@
-"""How numbers, names and texts become the bytes of messages.
+"""Encoding of numbers, names and texts as the bytes of messages.
 
 Viewers plot a field by its name (`/reward.forward`, `/observation.FR_hip_joint_position`), so each
 channel of scalars gets a protobuf type of its own, made at run time, instead of an anonymous array.
@@ -17,24 +17,24 @@ from google.protobuf.message import Message
 _FIELD = descriptor_pb2.FieldDescriptorProto
 _STAMP = "timestamp"
 
-MANTISSA_BITS = 19  # kept, of a double's 52: numbers are written to within a millionth
-_DROPPED = 52 - MANTISSA_BITS
-_HALF = np.uint64(1 << (_DROPPED - 1))
-_KEPT = np.uint64((1 << 64) - (1 << _DROPPED))
+MANTISSA_BITS = 19  # of a double's 52: numbers are written to within a millionth
+_DROPPED_BITS = 52 - MANTISSA_BITS
+_HALF = np.uint64(1 << (_DROPPED_BITS - 1))
+_MASK = np.uint64((1 << 64) - (1 << _DROPPED_BITS))
 
 
-def compact(array: np.ndarray) -> np.ndarray:
-    """`array` as doubles rounded to `MANTISSA_BITS`.
+def round_mantissa(array: np.ndarray) -> np.ndarray:
+    """Round an array to doubles of `MANTISSA_BITS`.
 
     Their lower four bytes are zero, which costs next to nothing in a compressed file, where the
     full mantissa of a simulated number is noise that no compressor can shorten.
     """
     bits = np.array(array, dtype=np.float64, order="C").view(np.uint64)
-    return ((bits + _HALF) & _KEPT).view(np.float64)
+    return ((bits + _HALF) & _MASK).view(np.float64)
 
 
-def cdr_string(text: str) -> bytes:
-    """A ROS 2 `std_msgs/msg/String`: CDR header (little-endian), length with its NUL, text."""
+def encode_text(text: str) -> bytes:
+    """Encode a ROS 2 `std_msgs/msg/String`: CDR header (little-endian), length with NUL, text."""
     data = text.encode() + b"\0"
     return b"\x00\x01\x00\x00" + len(data).to_bytes(4, "little") + data
 
@@ -43,11 +43,11 @@ class Scalars:
     """A channel of named numbers, and flags after them: one message, filled again and again."""
 
     def __init__(self, name: str, numbers: Sequence[str], flags: Sequence[str] = ()) -> None:
-        self.names = field_names([*numbers, *flags])
-        self.message = message_type(name, self.names, len(flags))()
+        self.names = make_field_names([*numbers, *flags])
+        self.message = make_message_type(name, self.names, len(flags))()
 
-    def serialized(self, time: int, values: Sequence[float | bool]) -> bytes:
-        """The message at `time` in ns with these numbers, then flags."""
+    def serialize(self, time: int, values: Sequence[float | bool]) -> bytes:
+        """Return the message at `time` in ns with these numbers, then flags."""
         self.message.timestamp.FromNanoseconds(time)
         for name, value in zip(self.names, values, strict=True):
             setattr(self.message, name, value)
@@ -62,7 +62,7 @@ class Transforms:
         for parent, child in frames:
             self.message.transforms.add(parent_frame_id=parent, child_frame_id=child)
 
-    def serialized(self, time: int, poses: Sequence[Sequence[float]]) -> bytes:
+    def serialize(self, time: int, poses: Sequence[Sequence[float]]) -> bytes:
         for transform, pose in zip(self.message.transforms, poses, strict=True):
             transform.timestamp.FromNanoseconds(time)
             set_pose(transform.translation, transform.rotation, pose)
@@ -77,12 +77,12 @@ class Joints:
         for name in names:
             self.message.joints.add(name=name)
 
-    def serialized(self, time: int, values: Sequence[float | Sequence[float]]) -> bytes:
+    def serialize(self, time: int, values: Sequence[float | Sequence[float]]) -> bytes:
         self.message.timestamp.FromNanoseconds(time)
-        for joint, own in zip(self.message.joints, values, strict=True):
-            own = own if isinstance(own, Sequence) else (own,)
-            for field, value in zip(("position", "velocity", "effort"), own, strict=False):
-                setattr(joint, field, value)
+        for joint, numbers in zip(self.message.joints, values, strict=True):
+            numbers = numbers if isinstance(numbers, Sequence) else (numbers,)
+            for field, number in zip(("position", "velocity", "effort"), numbers, strict=False):
+                setattr(joint, field, number)
         return self.message.SerializeToString()
 
 
@@ -92,7 +92,7 @@ class Pose:
     def __init__(self, frame: str) -> None:
         self.message = PoseInFrame(frame_id=frame)
 
-    def serialized(self, time: int, pose: Sequence[float]) -> bytes:
+    def serialize(self, time: int, pose: Sequence[float]) -> bytes:
         self.message.timestamp.FromNanoseconds(time)
         set_pose(self.message.pose.position, self.message.pose.orientation, pose)
         return self.message.SerializeToString()
@@ -103,10 +103,10 @@ def set_pose(position, orientation, values: Sequence[float]) -> None:
     orientation.w, orientation.x, orientation.y, orientation.z = values[3:]
 
 
-def field_names(names: Iterable[str]) -> tuple[str, ...]:
-    """Distinct protobuf identifiers for any distinct or repeated texts, in the same order.
+def make_field_names(names: Iterable[str]) -> tuple[str, ...]:
+    """Return distinct protobuf identifiers for any texts, in the same order.
 
-    >>> field_names(["FR hip", "FR-hip", "2nd", "timestamp"])
+    >>> make_field_names(["FR hip", "FR-hip", "2nd", "timestamp"])
     ('FR_hip', 'FR_hip_2', '_2nd', 'timestamp_2')
     """
     taken = {_STAMP}
@@ -115,20 +115,20 @@ def field_names(names: Iterable[str]) -> tuple[str, ...]:
         stem = re.sub(r"[^0-9A-Za-z_]+", "_", name).strip("_") or "value"
         if stem[0].isdigit():
             stem = "_" + stem
-        chosen, count = stem, 1
-        while chosen.lower() in taken:  # readers may map names to one case
+        identifier, count = stem, 1
+        while identifier.lower() in taken:  # readers may map names to one case
             count += 1
-            chosen = f"{stem}_{count}"
-        taken.add(chosen.lower())
-        result.append(chosen)
+            identifier = f"{stem}_{count}"
+        taken.add(identifier.lower())
+        result.append(identifier)
     return tuple(result)
 
 
-def message_type(name: str, fields: Sequence[str], flags: int = 0) -> type[Message]:
-    """The class of `quadwalk.<name>`: a `timestamp`, then doubles, of which the last are bools.
+def make_message_type(name: str, fields: Sequence[str], flags: int = 0) -> type[Message]:
+    """Make the class of `quadwalk.<name>`: a `timestamp`, then doubles; the last are bools.
 
-    `fields` must be identifiers (`field_names`). A private pool holds the type, so two robots with
-    other observations can be written by one process.
+    `fields` must be identifiers (`make_field_names`). A private pool holds the type, so that one
+    process can write two robots with other observations.
     """
     file = descriptor_pb2.FileDescriptorProto(
         name=f"quadwalk/{name}.proto",

@@ -1,22 +1,29 @@
-"""The URDF of a recording: what viewers draw from its text alone.
+"""The URDF of a recording: viewers draw the robot from its text, and from its links' transforms.
 
 A viewer does not find the mesh files that a URDF names: what they show is drawn as the shapes that
-MuJoCo has in their place.
+MuJoCo has in their place. The transforms are those from link to link of the URDF's own tree, fixed
+links included. Quaternions are wxyz.
 """
+
+from dataclasses import dataclass
+from functools import lru_cache
 
 import lxml.etree
 import mujoco
 import numpy as np
+import yourdfpy
 from scipy.spatial.transform import Rotation
 
+from quadwalk.robot.quadruped import Quadruped
 from quadwalk.robot.shapes import COLLISION_GROUP
+from quadwalk.robot.structure.tree import to_matrix
 from quadwalk.robot.urdf import parse_urdf
 
 _COLOR = "0.6 0.62 0.66 1"
 
 
 def draw_urdf(urdf: str, model: mujoco.MjModel) -> str:
-    """Return `urdf` with shapes that need no file, of each link visual ones or those that collide.
+    """Return `urdf` with shapes that need no file: each link's visual ones or those that collide.
 
     Rerun would draw both. `model` is the robot's full model.
     """
@@ -77,3 +84,49 @@ def _make_visual(model: mujoco.MjModel, geom: int) -> lxml.etree._Element:
 
 def _to_text(numbers: np.ndarray) -> str:
     return " ".join(f"{x:.6g}" for x in np.round(numbers, 9) + 0.0)
+
+
+@dataclass(frozen=True)
+class LinkFrames:
+    """Frames of a URDF's links but the root, each in its parent's frame; parents come first."""
+
+    links: tuple[str, ...]
+    parents: tuple[str, ...]
+    translation: np.ndarray  # (L, 3) m
+    rotation: np.ndarray  # (L, 4) at joint position 0
+    axis: np.ndarray  # (L, 3) unit, in the link's own frame; zero for a fixed link
+    column: np.ndarray  # (L,) of the joint positions; 0 for a fixed link
+
+    def compute_rotations(self, joints: np.ndarray) -> np.ndarray:
+        """Return the links in their parents' frames (T, L, 4), of joint positions (T, 12), rad."""
+        turn = joints[:, self.column, None] * self.axis
+        fixed = Rotation.from_quat(np.tile(self.rotation, (len(joints), 1)), scalar_first=True)
+        rotations = fixed * Rotation.from_rotvec(turn.reshape(-1, 3))
+        return rotations.as_quat(scalar_first=True).reshape(*turn.shape[:2], 4)
+
+
+@lru_cache(maxsize=1)  # an evaluation asks for one robot's with every recording
+def find_link_frames(quadruped: Quadruped) -> LinkFrames:
+    """Return the frames of a quadruped's URDF; the legs' joints turn, and no other moves."""
+    tree = parse_urdf(quadruped.urdf, repair_inertia=True).tree
+    joints: list[yourdfpy.Joint] = []
+    pending = [tree.root]
+    while pending:
+        below = tree.joints_below[pending.pop(0)]
+        joints += below
+        pending += [joint.child for joint in below]
+    column = {name: k for k, name in enumerate(quadruped.joints)}
+    frames = np.array([to_matrix(joint.origin) for joint in joints])
+    axes = np.zeros((len(joints), 3))
+    for axis, joint in zip(axes, joints, strict=True):
+        if joint.name in column:
+            axis[:] = [1.0, 0.0, 0.0] if joint.axis is None else joint.axis
+            axis /= np.linalg.norm(axis)
+    return LinkFrames(
+        links=tuple(joint.child for joint in joints),
+        parents=tuple(joint.parent for joint in joints),
+        translation=frames[:, :3, 3],
+        rotation=Rotation.from_matrix(frames[:, :3, :3]).as_quat(scalar_first=True),
+        axis=axes,
+        column=np.array([column.get(joint.name, 0) for joint in joints]),
+    )

@@ -1,4 +1,4 @@
-"""What a 3D view shows around the robot: ground, path so far, velocity and foot forces.
+"""Markers of a 3D view around the robot: ground, path so far, velocity and foot forces.
 
 Every message is complete in itself, because a viewer that jumps in time is given only the newest
 message of a topic. It stays small because the ground is one grid that follows the robot in whole
@@ -13,7 +13,7 @@ from foxglove_schemas_protobuf.LinePrimitive_pb2 import LinePrimitive
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from scipy.spatial.transform import Rotation
 
-from quadwalk.evaluation.recording.encoding import set_pose
+from quadwalk.evaluation.mcap.encoding import set_pose
 from quadwalk.terrain.heightfield import Heightfield
 
 SCENE_PERIOD = 0.06  # s: often enough for arrows, and a third of the bytes of each step
@@ -59,7 +59,7 @@ class SceneWriter:
         )
         self._grid = floor.lines.add(type=LinePrimitive.LINE_LIST, thickness=1.0)
         self._grid.scale_invariant = True
-        _color(self._grid.color, 0.55, 0.55, 0.6, 0.7)
+        _set_color(self._grid.color, 0.55, 0.55, 0.6, 0.7)
         self._grid.pose.orientation.w = 1.0
         for x in [] if ground is not None else range(-GRID_HALF_WIDTH, GRID_HALF_WIDTH + 1):
             for y in (-GRID_HALF_WIDTH, GRID_HALF_WIDTH):
@@ -68,17 +68,17 @@ class SceneWriter:
                 self._grid.points.add(x=y, y=x)
         self._line = track.lines.add(type=LinePrimitive.LINE_STRIP, thickness=0.02)
         self._line.pose.orientation.w = 1.0
-        _color(self._line.color, 0.1, 0.45, 0.9, 1.0)
+        _set_color(self._line.color, 0.1, 0.45, 0.9, 1.0)
         self._arrow = moving.arrows.add(shaft_diameter=0.025, head_diameter=0.05)
         self._arrow.head_length = 0.06
-        _color(self._arrow.color, 0.95, 0.55, 0.1, 1.0)
+        _set_color(self._arrow.color, 0.95, 0.55, 0.1, 1.0)
 
-    def serialized(self, time: int, scene: tuple[int, np.ndarray, np.ndarray]) -> bytes:
-        """The scene at state `row`: `feet` (4, 3) in m, `forces` (4,) in N, zero in the air."""
+    def serialize(self, time: int, scene: tuple[int, np.ndarray, np.ndarray]) -> bytes:
+        """Return the scene at state `row`: `feet` (4, 3) in m, `forces` (4,) in N, 0 in the air."""
         row, feet, forces = scene
         for entity in self.message.entities:
             entity.timestamp.FromNanoseconds(time)
-        x, y, z = (_drawn(value) for value in self._path[row])
+        x, y, z = (_round(value) for value in self._path[row])
         self._grid.pose.position.x, self._grid.pose.position.y = float(round(x)), float(round(y))
         self._draw_path(row)
         self._draw_velocity(row, (x, y, z))
@@ -94,13 +94,13 @@ class SceneWriter:
         for k in [*range(0, row, stride), row]:
             x, y, _ = self._path[k]
             # Just above the ground, to be seen.
-            self._line.points.add(x=_drawn(x), y=_drawn(y), z=_drawn(float(self._below[k]) + 0.01))
+            self._line.points.add(x=_round(x), y=_round(y), z=_round(float(self._below[k]) + 0.01))
 
     def _draw_velocity(self, row: int, start: tuple[float, float, float]) -> None:
         x, y, z = start
         pose = self._arrow.pose
-        set_pose(pose.position, pose.orientation, [x, y, z + 0.25, *map(_drawn, self._along[row])])
-        self._arrow.shaft_length = _drawn(_VELOCITY_ARROW * self._speed[row])
+        set_pose(pose.position, pose.orientation, [x, y, z + 0.25, *map(_round, self._along[row])])
+        self._arrow.shaft_length = _round(_VELOCITY_ARROW * self._speed[row])
 
     def _draw_forces(self, feet: np.ndarray, forces: np.ndarray) -> None:
         del self._forces.arrows[:]
@@ -110,14 +110,17 @@ class SceneWriter:
             arrow = self._forces.arrows.add(
                 shaft_diameter=0.015, head_diameter=0.03, head_length=0.03
             )
-            arrow.shaft_length = _drawn(_FORCE_ARROW * force / self._weight)
+            arrow.shaft_length = _round(_FORCE_ARROW * force / self._weight)
             up = [_HALF, 0.0, -_HALF, 0.0]  # of the arrow's x axis
-            set_pose(arrow.pose.position, arrow.pose.orientation, [*map(_drawn, (x, y, z)), *up])
-            _color(arrow.color, 0.85, 0.15, 0.2, 1.0)
+            set_pose(arrow.pose.position, arrow.pose.orientation, [*map(_round, (x, y, z)), *up])
+            _set_color(arrow.color, 0.85, 0.15, 0.2, 1.0)
 
 
 def draw_ground(field: Heightfield, path: np.ndarray, world: str = "world") -> bytes:
-    """A `SceneUpdate` of the field around `path` (T + 1, 2), m, as triangles, lit from one side."""
+    """Draw the field around `path` (T + 1, 2), m, as triangles lit from one side.
+
+    Returns a `SceneUpdate`.
+    """
     rows, columns = field.heights.shape
     last = np.array([columns, rows]) - 1
     low, high = (
@@ -137,22 +140,22 @@ def draw_ground(field: Heightfield, path: np.ndarray, world: str = "world") -> b
     for row, column in np.ndindex(heights.shape):
         place = x[column], y[row], heights[row, column]
         triangles.points.add(
-            **{axis: _drawn(float(p)) for axis, p in zip("xyz", place, strict=True)}
+            **{axis: _round(float(p)) for axis, p in zip("xyz", place, strict=True)}
         )
         shade = round(64 * (0.25 + 0.6 * max(light[row, column], 0.0))) / 64
         triangles.colors.add(r=shade, g=0.96875 * shade, b=0.875 * shade, a=1.0)
     first = (np.arange(len(i) - 1)[:, None] * len(j) + np.arange(len(j) - 1)).ravel()
-    beyond = first + len(j) + 1
-    right = np.stack([first, first + 1, beyond], axis=1)
-    left = np.stack([first, beyond, first + len(j)], axis=1)
+    opposite = first + len(j) + 1
+    right = np.stack([first, first + 1, opposite], axis=1)
+    left = np.stack([first, opposite, first + len(j)], axis=1)
     triangles.indices.extend(np.concatenate([right, left]).ravel().tolist())
     return update.SerializeToString()
 
 
-def _drawn(value: float) -> float:
-    """`value` to the next 2^-10: fine enough to draw, and short numbers compress."""
+def _round(value: float) -> float:
+    """Round to the next 2^-10: fine enough to draw, and short numbers compress."""
     return round(float(value) * 1024) / 1024
 
 
-def _color(color, r: float, g: float, b: float, a: float) -> None:
+def _set_color(color, r: float, g: float, b: float, a: float) -> None:
     color.r, color.g, color.b, color.a = r, g, b, a

@@ -1,31 +1,33 @@
-"""Runs judged, compared, judged by two engines, and swept, with a policy of a few numbers."""
+"""Runs evaluated, compared, evaluated by two engines, and swept, with a policy of a few numbers."""
 
 import dataclasses
 import gzip
-import hashlib
 import io
 import json
+import shutil
+import subprocess
+from pathlib import Path
 
-import jax
 import numpy as np
 import pytest
 from rich.console import Console
 
 from quadwalk.env.actions import about_home
 from quadwalk.env.env import QuadrupedEnv
-from quadwalk.errors import UserError
-from quadwalk.evaluation import evaluation as measuring
-from quadwalk.evaluation import loaded as loading
-from quadwalk.evaluation.grids import sweep as sweeping
-from quadwalk.evaluation.grids.sweep import SWEEPS, Point, measure_points
-from quadwalk.evaluation.judge import compare, judge, sweep
-from quadwalk.evaluation.loaded import LoadedRun, load_run
-from quadwalk.evaluation.motion.forces import with_foot_forces
-from quadwalk.evaluation.motion.kinematics import roll_pitch_yaw
-from quadwalk.evaluation.options import EvalConfig
-from quadwalk.evaluation.simulate import simulate_episodes
-from quadwalk.evaluation.statistics import mean_interval
-from quadwalk.evaluation.summary import engine_differences, episode_figures, summarize
+from quadwalk.evaluation import results as results_module
+from quadwalk.evaluation import sweep, write
+from quadwalk.evaluation.load import LoadedRun
+from quadwalk.evaluation.mcap.foot_forces import add_foot_forces
+from quadwalk.evaluation.metrics import (
+    compare_engines,
+    compute_mean_interval,
+    compute_metrics,
+    summarize_episodes,
+    to_roll_pitch_yaw,
+)
+from quadwalk.evaluation.results import find_revision
+from quadwalk.evaluation.rollout import simulate_episodes
+from quadwalk.evaluation.sweep import SWEEPS, Point, measure_points
 from quadwalk.learn.acting import Policy
 from quadwalk.robot.mjcf import write_xml
 from quadwalk.runs.directory import Run
@@ -55,30 +57,39 @@ def loaded(quadruped, swaying, tmp_path_factory) -> LoadedRun:
 
 
 @pytest.fixture(scope="module")
-def judged(loaded, tmp_path_factory):
-    """By both engines: what was returned, the folder, what was said, and MJX's episodes."""
-    out, said, kept = tmp_path_factory.mktemp("judged"), io.StringIO(), {}
+def evaluated(loaded, tmp_path_factory):
+    """By both engines: what was returned, the folder, what was printed, and MJX's episodes."""
+    folder, printed, rollouts = tmp_path_factory.mktemp("evaluated"), io.StringIO(), {}
 
-    def keeping(env, *rest):
-        kept[env.engine] = list(simulate_episodes(env, *rest))
-        return kept[env.engine]
+    def keep_rollouts(env, *rest):
+        rollouts[env.engine] = list(simulate_episodes(env, *rest))
+        return rollouts[env.engine]
 
-    config = EvalConfig(episodes=EPISODES, seconds=SECONDS, engine="mujoco", seed=1, mcap=1)
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("COLUMNS", "120")
-        patch.setattr(measuring, "simulate_episodes", keeping)
-        results = judge(loaded.in_engine("mujoco"), config, out, Console(file=said, width=200))
-    return results, out, said.getvalue(), kept["mjx"]
+        patch.setattr(results_module, "simulate_episodes", keep_rollouts)
+        patch.setattr(write, "make_console", lambda: Console(file=printed, width=200))
+        results = write.write_evaluation(
+            loaded.to_engine("mujoco"),
+            folder,
+            episodes=EPISODES,
+            seed=1,
+            cell_episodes=16,
+            levels=3,
+            recordings=1,
+            video="none",
+        )
+    return results, folder, printed.getvalue(), rollouts["mjx"]
 
 
-def test_both_engines_are_judged_from_the_same_starts(judged, loaded):
-    results, out, _, rollouts = judged
+def test_both_engines_are_evaluated_from_the_same_starts(evaluated, loaded):
+    results, out, _, rollouts = evaluated
     assert json.loads((out / "metrics.json").read_text()) == results
     assert (results["engine"], results["seed"]) == ("mujoco", 1)
     scales, weight = loaded.env.config.reward, loaded.env.robot.weight
     effort = np.asarray(loaded.env.motor.effort)
-    first = [episode_figures(rollout, scales, weight, effort) for rollout in rollouts]
-    for name, figure in summarize(first).items():
+    first = [compute_metrics(rollout, scales, weight, effort) for rollout in rollouts]
+    for name, figure in summarize_episodes(first).items():
         assert results["mjx_summary"][name] == pytest.approx(figure)
     speeds = [[episode["speed"] for episode in of] for of in (first, results["episodes"])]
     np.testing.assert_allclose(*speeds, atol=0.1)  # m/s: half a second after the same start
@@ -92,14 +103,14 @@ def test_differences_of_what_is_not_there_or_zero():
     figure, names = {"mean": 2.0}, ("speed", "distance", "duration", "energy_per_meter")
     mjx = {**dict.fromkeys(names, figure), "fall_rate": 0.0, "energy_per_meter": None}
     mujoco = {**{name: {"mean": 1.5} for name in names}, "fall_rate": 0.25}
-    found = engine_differences(mjx, mujoco)
+    found = compare_engines(mjx, mujoco)
     assert found["fall_rate"] == {"difference": 0.25, "percent": None}
     assert found["energy_per_meter"] == {"difference": None, "percent": None}
     assert found["speed"] == {"difference": -0.5, "percent": -25.0}
 
 
-def test_only_what_is_asked_for_is_recorded(judged, loaded, quadruped):
-    results, out, said, _ = judged
+def test_only_what_is_asked_for_is_recorded(evaluated, loaded, quadruped):
+    results, out, said, _ = evaluated
     names = {path.name for path in out.iterdir()}
     recordings = {"episode_000.mcap", "rerun.rbl"}
     assert names == {"metrics.json", "report.png", "film_strip.png", *recordings}
@@ -116,32 +127,33 @@ def test_only_what_is_asked_for_is_recorded(judged, loaded, quadruped):
     assert gzip.decompress(attached["aliengo.xml.gz"].data).decode() == write_xml(quadruped.spec)
 
 
-def test_feet_carry_the_robot(judged, loaded):
-    rollout = judged[3][0]
+def test_feet_carry_the_robot(evaluated, loaded):
+    rollout = evaluated[3][0]
     assert rollout.foot_force is None
-    force = with_foot_forces(rollout, loaded.env).foot_force
+    force = add_foot_forces(rollout, loaded.env).foot_force
     # A foot that does not touch the floor carries nothing, and over time they carry the weight.
     assert np.all(force[~rollout.contact.astype(bool)] < 1.0)
     assert force.sum(axis=1).mean() == pytest.approx(loaded.env.robot.weight, rel=0.35)
 
 
 @pytest.fixture
-def beside(judged, tmp_path, monkeypatch, capsys):
-    """beside(other): what was judged, compared with `other`, and the lines of the table."""
+def beside(evaluated, tmp_path, monkeypatch, capsys):
+    """beside(other): what was evaluated, compared with `other`, and the lines of the table."""
     monkeypatch.setenv("COLUMNS", "120")
 
     def run(other: dict) -> tuple[dict, list[str]]:
-        other["summary"] = summarize(other["episodes"])
+        other["summary"] = summarize_episodes(other["episodes"])
         folders = [tmp_path / "first", tmp_path / "second"]
-        comparison = compare(["first", "second"], folders, [judged[0], other], tmp_path, Console())
+        labels, results = ["first", "second"], [evaluated[0], other]
+        comparison = write.write_comparison(labels, folders, results, tmp_path)
         lines = capsys.readouterr().out.splitlines()
         return comparison, [" ".join(line.split()) for line in lines]
 
     return run
 
 
-def test_runs_side_by_side(judged, beside, tmp_path):
-    results, *_ = judged
+def test_runs_side_by_side(evaluated, beside, tmp_path):
+    results, *_ = evaluated
     other = json.loads(json.dumps(results))
     for episode in other["episodes"]:
         episode["speed"] += 1.0
@@ -158,8 +170,8 @@ def test_runs_side_by_side(judged, beside, tmp_path):
     assert {path.name for path in tmp_path.iterdir()} == {"comparison.json", "comparison.png"}
 
 
-def test_a_run_with_commands_beside_one_without(judged, beside):
-    results, *_ = judged
+def test_a_run_with_commands_beside_one_without(evaluated, beside):
+    results, *_ = evaluated
     told = json.loads(json.dumps(results))
     for number, episode in enumerate(told["episodes"]):
         for name in ("speed", "distance", "lateral_drift", "heading_error"):
@@ -177,8 +189,8 @@ def test_a_run_with_commands_beside_one_without(judged, beside):
         assert f" │ {second}" in line
 
 
-def test_without_perturbation_a_sweep_measures_what_an_evaluation_does(judged, loaded):
-    rollouts = judged[3]
+def test_without_perturbation_a_sweep_measures_what_an_evaluation_does(evaluated, loaded):
+    rollouts = evaluated[3]
     points = [Point(), Point(strength=80.0), Point(delay=40.0)]
     measured, *others = measure_points(loaded, points, EPISODES, 1)
     for other in others:
@@ -187,10 +199,12 @@ def test_without_perturbation_a_sweep_measures_what_an_evaluation_does(judged, l
     speeds = [
         (rollout.qpos[-1, 0] - rollout.qpos[0, 0]) / (rollout.steps * 0.02) for rollout in rollouts
     ]
-    mean, half_width = mean_interval(speeds)
+    mean, half_width = compute_mean_interval(speeds)
     assert measured["speed"]["mean"] == pytest.approx(mean, abs=2e-4)
     assert measured["speed"]["ci95"] == pytest.approx(half_width, abs=2e-4)
-    headings = [np.abs(roll_pitch_yaw(rollout.qpos[1:, 3:7])[:, 2]).mean() for rollout in rollouts]
+    headings = [
+        np.abs(to_roll_pitch_yaw(rollout.qpos[1:, 3:7])[:, 2]).mean() for rollout in rollouts
+    ]
     heading = np.degrees(np.mean(headings))
     assert measured["heading_error"]["mean"] == pytest.approx(heading, rel=1e-3)
 
@@ -207,9 +221,8 @@ def test_a_sweep_is_a_table_of_one_thing_at_a_time(loaded, tmp_path, monkeypatch
             for point in points
         ]
 
-    monkeypatch.setattr(sweeping, "measure_points", made_up)
-    config = EvalConfig(sweep=True, seconds=SECONDS)
-    results = sweep(loaded, config, tmp_path, Console(quiet=True))
+    monkeypatch.setattr(sweep, "measure_points", made_up)
+    results = write.write_sweep(loaded, tmp_path, episodes=16, seed=0)
     assert json.loads((tmp_path / "sweep.json").read_text()) == results
     assert (tmp_path / "sweep.png").exists()
     assert list(results["sweeps"]) == list(SWEEPS)
@@ -223,29 +236,31 @@ def test_a_sweep_is_a_table_of_one_thing_at_a_time(loaded, tmp_path, monkeypatch
     assert [p["speed"]["mean"] for p in pushes] == [3.8 - p["value"] for p in pushes]
 
 
-def test_the_last_policy_is_judged_or_the_best(loaded, monkeypatch):
-    monkeypatch.setattr(loading, "load_policy", lambda path: loaded.policy)
-    for which, file in [("last", loaded.run.policy), ("best", loaded.run.best)]:
-        found = load_run(loaded.run, SECONDS, which)
-        assert (found.file, found.config) == (file, None)
-        assert found.sha256 == hashlib.sha256(file.read_bytes()).hexdigest()
+def run_git(folder: Path, *args: str) -> str:
+    command = ["git", "-C", str(folder), "-c", "user.name=a", "-c", "user.email=b", *args]
+    return subprocess.run(command, check=True, capture_output=True, text=True).stdout.strip()
 
 
-def test_a_configuration_that_cannot_be_read_is_one_line(loaded, monkeypatch, tmp_path):
-    monkeypatch.setattr(loading, "load_policy", lambda path: loaded.policy)
-    run = Run(tmp_path)
-    run.policy.write_bytes(b"weights")
-    run.config.mkdir()
-    with pytest.raises(UserError) as caught:
-        load_run(run, SECONDS)
-    assert str(caught.value) == f"cannot read {run.config}: Is a directory"
+@pytest.mark.skipif(shutil.which("git") is None, reason="needs git")
+def test_the_revision_is_the_checkouts_commit(tmp_path):
+    run_git(tmp_path, "init", "-q")
+    assert find_revision(tmp_path).startswith("quadwalk ")  # nothing committed yet
+    (tmp_path / "a").write_text("1")
+    run_git(tmp_path, "add", "a")
+    run_git(tmp_path, "commit", "-q", "-m", "first")
+    commit = run_git(tmp_path, "rev-parse", "HEAD")
+    assert find_revision(tmp_path) == f"git {commit}"
+    run_git(tmp_path, "tag", "v1")
+    assert find_revision(tmp_path) == f"git {commit}"
+    (tmp_path / "a").write_text("2")
+    assert find_revision(tmp_path) == f"git {commit}-dirty"
 
 
-def test_a_policy_of_another_robot_is_one_line(loaded, monkeypatch):
-    joints = tuple(f"{name}_of_another" for name in loaded.policy.joints)
-    for change in ({"joints": joints}, {"observation_size": 48}):
-        policy = dataclasses.replace(loaded.policy, **change)
-        monkeypatch.setattr(loading, "load_policy", lambda path, policy=policy: policy)
-        with pytest.raises(UserError, match="was trained on another robot than"):
-            load_run(loaded.run, SECONDS)
-    assert jax.tree.leaves(loaded.policy.act)  # its weights are arguments, not constants
+def test_without_git_or_a_checkout_the_version_stands_for_it(tmp_path, monkeypatch):
+    inside = tmp_path / "package"  # of another project's checkout
+    inside.mkdir()
+    (tmp_path / ".git").mkdir()
+    assert find_revision(inside).startswith("quadwalk ")
+    assert find_revision(tmp_path).startswith("quadwalk ")  # not a valid one
+    monkeypatch.setenv("PATH", str(inside))
+    assert find_revision().startswith("quadwalk ")

@@ -1,4 +1,4 @@
-"""An episode as an MCAP file that Rerun, Foxglove and PlotJuggler open as it is.
+"""Writing an episode as an MCAP file that Rerun, Foxglove and PlotJuggler open as it is.
 
 Nothing in the file depends on the clock, so two writes of one rollout are byte-identical.
 The format: https://mcap.dev/spec.
@@ -6,21 +6,17 @@ The format: https://mcap.dev/spec.
 
 import gzip
 import json
-import zlib
 from collections.abc import Mapping
 from pathlib import Path, PurePath
 from typing import IO
 
-from mcap.records import Footer, Statistics
-from mcap.stream_reader import StreamReader
 from mcap.writer import Writer
 from mcap_protobuf.schema import register_schema
 
 from quadwalk.cli.shell import quote_words
-from quadwalk.errors import UserError
-from quadwalk.evaluation.recording.messages import EpisodeMessages
+from quadwalk.evaluation.mcap.messages import EpisodeMessages
 from quadwalk.evaluation.rollout import Rollout
-from quadwalk.files import atomic_write, os_reason
+from quadwalk.files import atomic_write
 from quadwalk.paths import ASSETS
 from quadwalk.robot.quadruped import Quadruped
 
@@ -49,16 +45,15 @@ def write_mcap(
     metadata: Mapping[str, str],
     attachments: Mapping[str, bytes] | None = None,
 ) -> None:
-    """Write one episode to `path`; the file is either whole and verified, or not there.
+    """Write one episode to `path`; the file is either whole, or not there.
 
     `metadata` becomes the record named `quadwalk`; a record `episode` comes from the rollout. The
     URDF and the Foxglove layout are attached, and `attachments` (name -> content) beside them,
-    large ones as NAME.gz. A rollout whose state stops being finite is written up to there, with
-    the event in `/log`. Raises `UserError` where the file cannot be written.
+    large ones as NAME.gz. Raises `UserError` where the file cannot be written.
     """
     attached = {
         f"{quadruped.name}.urdf": quadruped.urdf.encode(),
-        LAYOUT.name: foxglove_layout(quadruped.trunk),
+        LAYOUT.name: make_foxglove_layout(quadruped.trunk),
         **(attachments or {}),
     }
     episode = {
@@ -71,21 +66,17 @@ def write_mcap(
     }
     records = {"episode": episode, "quadwalk": dict(metadata)}
     with atomic_write(path) as file:
-        count = _write(file, EpisodeMessages(rollout, quadruped), attached, records)
-        file.flush()
-        # Before the file gets its name: what a reader will find must be what was written.
-        if verify_mcap(file.name) != count:
-            raise UserError(f"cannot write {path}: it does not read back as it was written")
+        _write(file, EpisodeMessages(rollout, quadruped), attached, records)
 
 
-def foxglove_layout(trunk: str) -> bytes:
-    """The layout to import in Foxglove, its camera following the link named `trunk`."""
+def make_foxglove_layout(trunk: str) -> bytes:
+    """Return the layout to import in Foxglove, its camera following the link named `trunk`."""
     layout = json.loads(LAYOUT.read_bytes())
     layout["configById"]["3D!robot"]["followTf"] = trunk
     return json.dumps(layout, separators=(",", ":"), allow_nan=False).encode()
 
 
-def rerun_commands(recording: Path) -> str:
+def format_rerun_commands(recording: Path) -> str:
     """Return the shell's command that shows `recording` in Rerun with the blueprint beside it.
 
     Opened as it is, a recording has no application that a blueprint could be for, and its simulated
@@ -99,45 +90,12 @@ def rerun_commands(recording: Path) -> str:
     )
 
 
-def verify_mcap(path: str | Path) -> int:
-    """Check all checksums of an MCAP file: its number of messages, `UserError` if it is damaged."""
-    try:
-        with open(path, "rb") as stream:
-            return _verified_messages(stream)
-    except OSError as error:
-        raise UserError(f"cannot read {path}: {os_reason(error)}") from error
-    except Exception as error:
-        # Damaged bytes meet the reader's parts anywhere: struct.error, ZstdError, McapError,
-        # UnicodeDecodeError, MemoryError... They all mean one thing to the caller.
-        reason = str(error) or type(error).__name__
-        raise UserError(f"{path}: damaged or incomplete MCAP file ({reason})") from error
-
-
-def _verified_messages(stream: IO[bytes]) -> int:
-    count = footer = None
-    # Chunks stay whole: the data section's checksum, which the library checks, covers them.
-    for record in StreamReader(stream, emit_chunks=True, validate_crcs=True).records:
-        if isinstance(record, Statistics):
-            count = record.message_count
-        elif isinstance(record, Footer):
-            footer = record
-    if count is None or footer is None or footer.summary_start == 0:
-        raise ValueError("no summary")
-    # The library leaves the summary's own checksum to its reader: it covers the summary and the
-    # footer up to that checksum (4 bytes), which the closing magic (8 bytes) follows.
-    stream.seek(footer.summary_start)
-    if zlib.crc32(stream.read()[: -4 - 8]) != footer.summary_crc:
-        raise ValueError("crc validation failed in summary")
-    return count
-
-
 def _write(
     stream: IO[bytes],
     episode: EpisodeMessages,
     attachments: Mapping[str, bytes],
     records: Mapping[str, Mapping[str, str]],
-) -> int:
-    """Write the whole file to `stream`; returns the number of messages."""
+) -> None:
     writer = Writer(stream, chunk_size=_CHUNK, enable_data_crcs=True)
     writer.start(library="quadwalk")
     # All channels, in a fixed order.
@@ -156,9 +114,6 @@ def _write(
             name, content = f"{name}.gz", gzip.compress(content, mtime=0)
         media_type = _MEDIA_TYPES.get(PurePath(name).suffix, "application/octet-stream")
         writer.add_attachment(0, 0, name, media_type, content)
-    count = 0
     for topic, time, data in episode:
         writer.add_message(channels[topic], log_time=time, publish_time=time, data=data)
-        count += 1
     writer.finish()
-    return count

@@ -12,11 +12,12 @@ from quadwalk.physics.model import randomize_motor
 from quadwalk.physics.motor import compute_friction_torque, compute_motor_torque
 
 
-def with_foot_forces(rollout: Rollout, env: QuadrupedEnv) -> Rollout:
-    """`rollout` with its `foot_force`, N: the floor's push on each foot, normal to the floor.
+def add_foot_forces(rollout: Rollout, env: QuadrupedEnv) -> Rollout:
+    """Return a rollout with its `foot_force`, N: the floor's push on each foot along its normal.
 
-    Those of each state, with the motors' torques at that moment, in MuJoCo C on the model that the
-    engine stepped. Some 0.2 s for 20 s of running, so it is left to the rollouts that are shown.
+    They are those of each state, with the motors' torques at that moment, in MuJoCo C on the model
+    that the engine stepped. It takes some 0.2 s for 20 s of running, so only rollouts that are
+    shown have them.
     """
     qpos, qvel = rollout.qpos[1:], rollout.qvel[1:]
     motor, joint_speed, model = env.motor, qvel[:, 6:], env.mj_model_of(env.quadruped)
@@ -29,30 +30,35 @@ def with_foot_forces(rollout: Rollout, env: QuadrupedEnv) -> Rollout:
         + compute_friction_torque(motor, joint_speed)
     )
     data = mujoco.MjData(model)
-    feet = geom_ids(model, env.quadruped.feet)
+    geoms = find_floor_and_feet(model, env.quadruped.feet)
     forces = np.zeros((rollout.steps, 4))
     for row in range(rollout.steps):
         data.qpos, data.qvel = qpos[row], qvel[row]
         data.qfrc_applied[6:] = torque[row]  # not by actuators, whose limits are the model's own
         mujoco.mj_forward(model, data)
-        forces[row] = foot_forces(model, data, feet)
+        forces[row] = compute_foot_forces(model, data, geoms)
     return dataclasses.replace(rollout, foot_force=forces)
 
 
-def geom_ids(model: mujoco.MjModel, feet: tuple[str, ...]) -> tuple[int, ...]:
-    """The floor's geom and those of `feet`."""
+def find_floor_and_feet(model: mujoco.MjModel, feet: tuple[str, ...]) -> tuple[int, ...]:
+    """Return the indices of the floor's geom and of those called `feet`."""
     return tuple(int(model.geom(name).id) for name in ("floor", *feet))
 
 
-def foot_forces(model: mujoco.MjModel, data: mujoco.MjData, geoms: tuple[int, ...]) -> np.ndarray:
-    """(4,) N, the floor's push on each foot along its normal, by `data`; `geoms` are `geom_ids`."""
+def compute_foot_forces(
+    model: mujoco.MjModel, data: mujoco.MjData, geoms: tuple[int, ...]
+) -> np.ndarray:
+    """Return the floor's push on each foot along its normal, (4,) N, from the contacts of `data`.
+
+    `geoms` are those of `find_floor_and_feet`.
+    """
     floor, *feet = geoms
-    column = {foot: k for k, foot in enumerate(feet)}
+    columns = {foot: k for k, foot in enumerate(feet)}
     forces, contact = np.zeros(4), np.zeros(6)
     for i, (a, b) in enumerate(data.contact.geom[: data.ncon]):
-        foot = column.get(int(b) if a == floor else int(a))
-        if foot is not None and floor in (a, b):
+        column = columns.get(int(b) if a == floor else int(a))
+        if column is not None and floor in (a, b):
             # The contact frame's x axis is the floor's normal, up or down.
             mujoco.mj_contactForce(model, data, i, contact)
-            forces[foot] += contact[0]
+            forces[column] += contact[0]
     return forces

@@ -1,1 +1,0 @@
-"""Grids of cells with many episodes each: conditions, kinds of ground, commands."""

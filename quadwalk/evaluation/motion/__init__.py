@@ -1,1 +1,0 @@
-"""How a robot moved: kinematics, footfalls, gait."""

@@ -1,0 +1,93 @@
+"""The suite "standing": how soon a robot stands up from any pose, in MuJoCo C with every shape."""
+
+import dataclasses
+import math
+from typing import Any
+
+import numpy as np
+
+from quadwalk.env.env import QuadrupedEnv
+from quadwalk.env.robot_arrays import STANDING_HEIGHT, STANDING_TILT
+from quadwalk.evaluation.load import LoadedRun
+from quadwalk.evaluation.metrics import measure_cells
+from quadwalk.evaluation.report.tables import print_table
+from quadwalk.evaluation.rollout import GROUP, Report
+from quadwalk.evaluation.sweep import Point, reset_at_points
+from quadwalk.settings.environment import REAL_WORLD
+
+SECONDS = (2.0, 3.0, 6.0)  # after the start, when the robot is checked
+_NAMES = tuple(f"standing_{seconds:g}s" for seconds in SECONDS)
+
+
+def to_standing_run(loaded: LoadedRun) -> LoadedRun:
+    """Return `loaded` in MuJoCo C, in episodes that last until the last check."""
+    return loaded.to_mujoco(episode_seconds=max(SECONDS))
+
+
+def measure_standing(
+    loaded: LoadedRun, episodes: int, seed: int, report: Report | None = None
+) -> dict[str, Any]:
+    """Return the share that stands after `SECONDS` in several conditions, plain values for JSON.
+
+    `loaded` is of `to_standing_run`. Each condition has `episodes` from the same starts. success:
+    the share that stands after 3 s.
+    """
+    env = loaded.env
+    points = make_standing_points(env)
+    starts = reset_at_points(env, list(points.values()), episodes, seed)
+
+    def measure(number: int, upright: bool, poses: np.ndarray) -> dict[str, float | bool]:
+        stands = check_standing(env, poses)
+        return {"success": stands[1], **dict(zip(_NAMES, stands, strict=True))}
+
+    cells = measure_cells(env, loaded.policy.act, starts, episodes, measure, GROUP, report)
+    return {
+        "engine": env.engine,
+        "episodes": episodes,
+        "conditions": [
+            {"name": name, **dataclasses.asdict(point), **figures}
+            for (name, point), figures in zip(points.items(), cells, strict=True)
+        ],
+    }
+
+
+def make_standing_points(env: QuadrupedEnv) -> dict[str, Point]:
+    """Return the conditions, by name: the heaviest load and weakest motors of `REAL_WORLD`."""
+    assert REAL_WORLD.trunk_mass is not None
+    assert REAL_WORLD.strength is not None
+    mass = round(REAL_WORLD.trunk_mass[1] * env.robot.mass, 1)
+    strength = 100.0 * REAL_WORLD.strength[0]
+    worst = Point(mass=mass, strength=strength)
+    return {
+        "model": Point(),
+        "friction 0.4": Point(friction=0.4),
+        "friction 1.25": Point(friction=1.25),
+        f"+{mass:g} kg": Point(mass=mass),
+        f"{strength:g} % torque": Point(strength=strength),
+        "all, friction 0.4": dataclasses.replace(worst, friction=0.4),
+        "all, friction 1.25": dataclasses.replace(worst, friction=1.25),
+    }
+
+
+def check_standing(env: QuadrupedEnv, poses: np.ndarray) -> tuple[bool, ...]:
+    """Return for each of `SECONDS` True if a trunk of `poses` (T + 1, 7), m and wxyz, stands.
+
+    The floor is flat. A robot does not stand where its episode ended before.
+    """
+    up = 1.0 - 2.0 * (poses[:, 4] ** 2 + poses[:, 5] ** 2)
+    high = poses[:, 2] > STANDING_HEIGHT * env.robot.home_height
+    stands = high & (up > math.cos(STANDING_TILT))
+    steps = [round(seconds / env.config.control_dt) for seconds in SECONDS]
+    return tuple(step < len(stands) and bool(stands[step]) for step in steps)
+
+
+def print_standing(results: dict[str, Any]) -> None:
+    """Print the share of robots that stand so long after the start, under each condition."""
+    rows = []
+    for condition in results["conditions"]:
+        low, high = (100 * end for end in condition["success_ci95"])
+        shares = [f"{100 * condition[name]:.1f}" for name in _NAMES]
+        rows.append((condition["name"], *shares, f"{low:.1f} to {high:.1f}"))
+    title = f"standing in MuJoCo C, of {results['episodes']} random poses"
+    headings = [f"after {seconds:g} s, %" for seconds in SECONDS]
+    print_table(title, ("", *headings, "95 % at 3 s"), rows)
