@@ -70,7 +70,7 @@ def sample_episodes(
     first = jax.device_get(reset_episodes(env, episodes, seed)).pipeline_state
     starts = list(zip(first.qpos.astype(float), first.qvel.astype(float), strict=True))
     commands = np.zeros((episodes, steps, 3))
-    if env.config.command.given:
+    if env.config.command.active:
         grip = env.config.gravity * (friction or env.friction)
         keys = jax.random.split(jax.random.PRNGKey(seed), (episodes, 2))
         pairs = jax.vmap(jax.vmap(lambda key: draw(env.config.command, key, grip)))(keys)
@@ -190,7 +190,7 @@ def measure(
             rollouts = job.result()
             figures[name, simulator] = [
                 compute_figures(
-                    episode, commands[row] if config.command.given else None, config.control_dt
+                    episode, commands[row] if config.command.active else None, config.control_dt
                 )
                 for row, episode in enumerate(rollouts)
             ]

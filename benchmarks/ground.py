@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from benchmarks.shared import make_parser, map_over_cores, measure_in_turn, step_fast
-from quadwalk.cores import cpu_cores
+from quadwalk.cores import count_cores
 from quadwalk.learn.devices import set_up_devices
 from quadwalk.physics.fast import make_model
 from quadwalk.physics.model import Model, add_ground
@@ -64,10 +64,10 @@ def main() -> None:
         measures[f"{contacts}, flat floor"] = make_measure(model, qpos)
         measures[f"{contacts}, field"] = make_measure(add_ground(model, terrain.field), raised)
     least = {name: times.min() for name, times in measure_in_turn(measures, options.rounds).items()}
-    print(f"{options.envs} robots, {cpu_cores()} cores, the least of {options.rounds} rounds")
+    print(f"{options.envs} robots, {count_cores()} cores, the least of {options.rounds} rounds")
     for name, seconds in least.items():
         ratio = seconds / least[name.replace("field", "flat floor")]
-        cost = 1e6 * seconds / (options.envs * options.steps) * cpu_cores()
+        cost = 1e6 * seconds / (options.envs * options.steps) * count_cores()
         print(f"{name:18}{cost:7.2f} microseconds of a core{ratio:7.2f} x flat")
 
 

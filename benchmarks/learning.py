@@ -28,7 +28,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from benchmarks.shared import make_parser, map_over_cores
-from quadwalk.cores import cpu_cores
+from quadwalk.cores import count_cores
 from quadwalk.env.env import QuadrupedEnv
 from quadwalk.learn import ppo
 from quadwalk.learn.devices import choose_devices, make_mesh
@@ -71,7 +71,7 @@ def main() -> None:
     for name, table in costs.items():
         medians = dict(zip(PARTS, np.median(table, axis=0), strict=True))
         medians["rest"] = medians["training"] - medians["collect"] - medians["learn"]
-        print(f"{name}: {cpu_cores() * 1e6 / medians['training']:,.0f} training steps/s")
+        print(f"{name}: {count_cores() * 1e6 / medians['training']:,.0f} training steps/s")
         for part, cost in medians.items():
             print(f"  {part:14}{cost:7.1f} us per control step and core")
     ours = costs["this code"]

@@ -18,7 +18,7 @@ from pathlib import Path
 
 from benchmarks.shared import make_parser
 from quadwalk.cli.process import run_command
-from quadwalk.cores import cpu_cores
+from quadwalk.cores import count_cores
 from quadwalk.experiments.job import Job, fix_sizes
 from quadwalk.experiments.options import PlaceConfig
 from quadwalk.experiments.places import make_place
@@ -53,7 +53,7 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--ray", action="store_true", help="also on two local nodes of Ray")
     options = parser.parse_args()
-    cores, cluster = cpu_cores(), None
+    cores, cluster = count_cores(), None
     alone = PlaceConfig(cores=1)
     places = {"processes": alone}
     if options.ray:

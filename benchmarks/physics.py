@@ -24,7 +24,7 @@ import mujoco.rollout
 import numpy as np
 
 from benchmarks.shared import make_parser, map_over_cores, measure_in_turn, step_fast
-from quadwalk.cores import cpu_cores
+from quadwalk.cores import count_cores
 from quadwalk.env.env import QuadrupedEnv
 from quadwalk.learn.devices import set_up_devices
 from quadwalk.physics import batching, fast, solver
@@ -53,7 +53,9 @@ def main() -> None:
     torques = rng.normal(0, 5, (options.envs, options.steps, 12)).astype(np.float32)
 
     def read_clock() -> float:
-        return time.process_time() / cpu_cores() if options.processor_time else time.perf_counter()
+        if options.processor_time:
+            return time.process_time() / count_cores()
+        return time.perf_counter()
 
     def make_measure(step: Step) -> Callable[[], float]:
         program = map_over_cores(step)
@@ -65,7 +67,7 @@ def main() -> None:
 
         return measure
 
-    threads = [mujoco.MjData(env.mj_model) for _ in range(cpu_cores())]
+    threads = [mujoco.MjData(env.mj_model) for _ in range(count_cores())]
     states = np.concatenate([np.zeros((options.envs, 1)), physics.qpos, physics.qvel], axis=1)
     with mujoco.rollout.Rollout(nthread=len(threads)) as pool:
 
@@ -80,7 +82,7 @@ def main() -> None:
         measures |= {"MJX": make_measure(step_mjx(env)), "MuJoCo C": measure_mujoco}
         rates = measure_in_turn(measures, options.rounds)
 
-    print(f"{options.envs} environments, {cpu_cores()} cores, medians of {options.rounds} rounds")
+    print(f"{options.envs} environments, {count_cores()} cores, medians of {options.rounds} rounds")
     for name, rate in rates.items():
         ratio = np.median(rate / rates["MuJoCo C"])
         print(f"{name:18}{np.median(rate):12,.0f} steps/s{ratio:8.2f} x MuJoCo C")

@@ -31,7 +31,7 @@ from quadwalk.cli.process import run_command
 from quadwalk.errors import UserError
 from quadwalk.evaluation.load import LoadedRun
 from quadwalk.evaluation.sweep import draw_sweep
-from quadwalk.files import atomic_write
+from quadwalk.files import open_atomic
 from quadwalk.paths import PRETRAINED
 from quadwalk.render.canvas import Camera, Canvas
 from quadwalk.render.figures import make_figure, save_figure
@@ -133,7 +133,7 @@ def render_drive() -> Iterator[Image.Image]:
 def draw_drive() -> None:
     """Draw the moving picture of the README."""
     first, *others = render_drive()
-    with atomic_write(DOCS / "drive.webp") as file:
+    with open_atomic(DOCS / "drive.webp") as file:
         first.save(
             file,
             format="WEBP",

@@ -19,7 +19,7 @@ from concurrent.futures import ProcessPoolExecutor
 from typing import NamedTuple
 
 from benchmarks.shared import TimedTraining, make_parser
-from quadwalk.cores import cpu_cores
+from quadwalk.cores import count_cores
 from quadwalk.tasks import sprint
 
 
@@ -45,10 +45,10 @@ def measure(envs: int, cores: int, seconds: float) -> Result:
 
 
 def main() -> None:
-    doubling = [2**k for k in range(cpu_cores().bit_length()) if 2**k < cpu_cores()]
+    doubling = [2**k for k in range(count_cores().bit_length()) if 2**k < count_cores()]
     parser = make_parser(__doc__)
     parser.add_argument("--envs", type=int, nargs="+", default=[2**k for k in range(8, 14)])
-    parser.add_argument("--cores", type=int, nargs="+", default=[*doubling, cpu_cores()])
+    parser.add_argument("--cores", type=int, nargs="+", default=[*doubling, count_cores()])
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--seconds", type=float, default=15.0, help="of training in a round")
     options = parser.parse_args()

@@ -13,7 +13,7 @@ import numpy as np
 
 from quadwalk.env.env import QuadrupedEnv
 from quadwalk.learn import ppo
-from quadwalk.learn.devices import AXIS, count_devices, cpu_cores, make_mesh, set_up_devices
+from quadwalk.learn.devices import AXIS, count_cores, count_devices, make_mesh, set_up_devices
 from quadwalk.learn.networks import make_env_networks
 from quadwalk.physics.batching import batch_robots
 from quadwalk.physics.fast import compute_acceleration, integrate
@@ -98,7 +98,7 @@ class TimedTraining:
 
     def __init__(self, envs: int) -> None:
         config = sprint.TASK.ppo
-        self.devices = count_devices(envs, config.minibatches, config.eval_envs, cpu_cores())
+        self.devices = count_devices(envs, config.minibatches, config.eval_envs, count_cores())
         set_up_devices(self.devices)
         env = QuadrupedEnv(load_quadruped(), sprint.TASK.env)
         networks = make_env_networks(env, config)

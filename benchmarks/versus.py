@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from benchmarks.shared import TimedTraining, make_parser
-from quadwalk.cores import cpu_cores
+from quadwalk.cores import count_cores
 from quadwalk.learn.devices import CPU_ENVS
 from quadwalk.tasks import sprint
 
@@ -64,7 +64,7 @@ def main() -> None:
         # One after the other: neither sets up while the other works.
         read_turn(post)
         training = TimedTraining(CPU_ENVS)
-        print(f"simulated seconds per second, {cpu_cores()} cores")
+        print(f"simulated seconds per second, {count_cores()} cores")
         print(f"{'':8} the post     ours    ratio")
         for number in range(1, options.rounds + 1):
             print(file=post.stdin, flush=True)

@@ -15,7 +15,7 @@ from quadwalk.learn.devices import set_up_devices
 from quadwalk.robot.load import load_robot
 from quadwalk.runs.directory import Run, find_any_run
 from quadwalk.runs.resume import read_config_to_resume
-from quadwalk.settings.serialize import with_settings
+from quadwalk.settings.serialize import change_settings
 from quadwalk.settings.training import TrainConfig
 from quadwalk.task_files import load_task
 
@@ -79,7 +79,7 @@ def train(
         if "init" in changes:
             raise UsageError("resume uses its run's own networks; expected no init")
         previous = _run(resume, runs)
-        config = with_settings(read_config_to_resume(previous), changes)
+        config = change_settings(read_config_to_resume(previous), changes)
     run = loop.train(config, previous, watch)
     assert run is not None  # one process
     return run
@@ -153,8 +153,8 @@ def _config(
 ) -> TrainConfig:
     config = task if isinstance(task, TrainConfig) else load_task(task)
     if robot is not None:
-        config = with_settings(config, {"robot.urdf": str(robot)})
-    return with_settings(config, overrides or {})
+        config = change_settings(config, {"robot.urdf": str(robot)})
+    return change_settings(config, overrides or {})
 
 
 def _run(run: str | Path | Run, runs: str | Path | None) -> Run:

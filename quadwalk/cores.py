@@ -14,7 +14,7 @@ import platformdirs
 from quadwalk.files import lock
 
 
-def cpu_cores() -> int:
+def count_cores() -> int:
     """How many cores this process may use."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
@@ -31,7 +31,7 @@ def pin(count: int) -> bool:
     Call it before anything starts threads. Where the system cannot, or so many are not free, the
     process may use all cores as before, and the answer is False.
     """
-    if not hasattr(os, "sched_setaffinity") or count >= cpu_cores():
+    if not hasattr(os, "sched_setaffinity") or count >= count_cores():
         return False
     folder = Path(tempfile.gettempdir()) / f"quadwalk-cores-{os.getuid()}"
     folder.mkdir(exist_ok=True)
@@ -70,15 +70,15 @@ def _lock(path: Path) -> int | None:
 
 
 @functools.cache
-def instructions() -> str:
+def get_instructions() -> str:
     """The processor's instruction sets, as Linux lists them; else nothing."""
     cpuinfo = Path("/proc/cpuinfo")
     lines = cpuinfo.read_text(errors="replace").splitlines() if cpuinfo.exists() else []
     return next((line for line in lines if line.startswith(("flags", "Features"))), "")
 
 
-def compilation_cache() -> Path:
+def get_cache_folder() -> Path:
     """The folder of compiled programs, one per kind of processor: machines may share a home."""
-    processor = (platform.processor() or platform.machine()) + instructions()
+    processor = (platform.processor() or platform.machine()) + get_instructions()
     kind = hashlib.sha256(processor.encode()).hexdigest()[:12]
     return Path(platformdirs.user_cache_dir("quadwalk", appauthor=False)) / "xla" / kind

@@ -38,14 +38,14 @@ def remove_on_error(path: Path) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def atomic_write(path: Path | str) -> Iterator[BinaryIO]:
+def open_atomic(path: Path | str) -> Iterator[BinaryIO]:
     """Open `path` + ".part" for writing bytes, and rename it to `path` when the block ends.
 
     Whatever goes wrong (no space, Ctrl-C), the part file is removed and an older `path` stays. A
     link stays, and its target is written. A device or a pipe is written as it is. The system's
     refusals become a `UserError` that names `path`.
     """
-    target = real_path(Path(path))
+    target = resolve_path(Path(path))
     part = Path(f"{target}.part")
     try:
         if _is_special(path):
@@ -60,11 +60,11 @@ def atomic_write(path: Path | str) -> Iterator[BinaryIO]:
                 os.fsync(file.fileno())
             os.replace(part, target)
     except OSError as error:
-        raise UserError(f"cannot write {path}: {os_reason(error)}") from error
+        raise UserError(f"cannot write {path}: {get_os_reason(error)}") from error
     _sync_folder(target.parent)
 
 
-def real_path(path: Path) -> Path:
+def resolve_path(path: Path) -> Path:
     """Return the absolute path without links; `Path.resolve` raises where they go in a circle."""
     return Path(os.path.realpath(path))
 
@@ -74,7 +74,7 @@ def read_bytes(path: Path | str) -> bytes:
     try:
         return Path(path).read_bytes()
     except OSError as error:
-        raise UserError(f"cannot read {path}: {os_reason(error)}") from error
+        raise UserError(f"cannot read {path}: {get_os_reason(error)}") from error
 
 
 def hash_file(path: Path | str) -> str:
@@ -90,7 +90,7 @@ def format_json(value: Any) -> bytes:
 def write_json(path: Path | str, value: Any) -> None:
     """Write `value` as readable, strict JSON, whole or not at all."""
     content = format_json(value)  # before there is a file: it may be refused
-    with atomic_write(path) as file:
+    with open_atomic(path) as file:
         file.write(content)
 
 
@@ -99,7 +99,7 @@ def make_folder(path: Path, what: str = "the folder") -> None:
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise UserError(f"cannot make {what} {path}: {os_reason(error)}") from error
+        raise UserError(f"cannot make {what} {path}: {get_os_reason(error)}") from error
 
 
 def lock(file: Any, wait: bool = False) -> bool | None:
@@ -127,14 +127,14 @@ def hold_file(path: Path, taken: str | None) -> Iterator[None]:
     try:
         file = open(path, "ab")  # noqa: SIM115 - opened apart, to tell what is refused
     except OSError as error:
-        raise UserError(f"cannot write {path}: {os_reason(error)}") from error
+        raise UserError(f"cannot write {path}: {get_os_reason(error)}") from error
     with file:
         if lock(file, wait=taken is None) is False:
             raise UserError(str(taken))
         yield
 
 
-def os_reason(error: OSError) -> str:
+def get_os_reason(error: OSError) -> str:
     """Return the system's reason alone ("No space left on device"), without numbers or paths."""
     return error.strerror or str(error) or type(error).__name__
 

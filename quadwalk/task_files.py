@@ -15,7 +15,7 @@ from types import ModuleType
 from typing import Any
 
 from quadwalk.errors import UsageError, UserError, find_line, suggest
-from quadwalk.files import os_reason, real_path
+from quadwalk.files import get_os_reason, resolve_path
 from quadwalk.settings.training import TrainConfig
 from quadwalk.tasks import list_tasks
 
@@ -64,11 +64,11 @@ def get_source(function: Callable[..., Any]) -> bytes:
 
 def run_task_file(path: Path) -> ModuleType:
     """Run a task's file as a module; the same content from the same place is run once."""
-    path = real_path(path)
+    path = resolve_path(path)
     try:
         source = path.read_bytes()
     except OSError as error:
-        raise UsageError(f"cannot read the task {path}: {os_reason(error)}") from None
+        raise UsageError(f"cannot read the task {path}: {get_os_reason(error)}") from None
     name = _MODULE + hashlib.sha256(bytes(path) + source).hexdigest()[:12]
     if name in sys.modules:
         return sys.modules[name]

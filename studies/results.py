@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from quadwalk.errors import UserError
-from quadwalk.files import atomic_write
+from quadwalk.files import open_atomic
 
 
 class Results:
@@ -37,5 +37,5 @@ class Results:
         self._by_key[self._key(result)] = result
         # One line for each, so that a change shows which.
         lines = ",\n".join(json.dumps(self._by_key[key]) for key in sorted(self._by_key))
-        with atomic_write(self.path) as file:
+        with open_atomic(self.path) as file:
             file.write(f"[\n{lines}\n]\n".encode())

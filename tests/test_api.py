@@ -243,7 +243,7 @@ def test_what_cannot_be_is_named_in_one_line(trained, runs, call, named):
 def devices_after(code: str) -> tuple[int, str]:
     """How many devices JAX has after `code` in a fresh Python of two cores, and what it warned."""
     program = (
-        f"import quadwalk.learn.devices as d; d.cpu_cores = lambda: 2\n{code}\n"
+        f"import quadwalk.learn.devices as d; d.count_cores = lambda: 2\n{code}\n"
         "import jax; print(len(jax.devices()))"
     )
     env = {name: value for name, value in os.environ.items() if name != "XLA_FLAGS"}

@@ -36,7 +36,7 @@ from quadwalk.runs.directory import (
 from quadwalk.runs.log import MetricsLog, read_history
 from quadwalk.runs.policy import load_score
 from quadwalk.runs.resume import read_config_to_resume
-from quadwalk.settings.serialize import flatten, with_settings
+from quadwalk.settings.serialize import change_settings, flatten
 from quadwalk.settings.training import RobotConfig
 from quadwalk.task_files import load_task
 from quadwalk.tasks import list_tasks
@@ -92,7 +92,7 @@ def test_settings_of_a_task(task):
     config = load_task(task)
     for name in flatten(config):
         for value in some(VALUES, task + name, 6):
-            settles(with_settings, config, {name: value})
+            settles(change_settings, config, {name: value})
 
 
 @pytest.mark.parametrize("flag", ["--resume", "--runs", "--name"])

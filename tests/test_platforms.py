@@ -43,11 +43,11 @@ for module, names in (
 
 def main():
     import_all()
-    from quadwalk.cores import compilation_cache, cpu_cores
+    from quadwalk.cores import get_cache_folder, count_cores
     from quadwalk.learn.loop import stop_on_signal
     from quadwalk.runs.directory import claim, create_run
     from quadwalk.runs.log import MetricsLog, read_metrics
-    assert cpu_cores() > 0 and compilation_cache()
+    assert count_cores() > 0 and get_cache_folder()
     with tempfile.TemporaryDirectory() as folder:
         run = create_run(folder, "a")
         with claim(run), MetricsLog(run) as log, stop_on_signal():

@@ -24,7 +24,7 @@ pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals and shells a
 PROGRAM = """
 import time
 from pathlib import Path
-from quadwalk.files import atomic_write
+from quadwalk.files import open_atomic
 from quadwalk.cli.process import run_command
 
 def main():
@@ -33,7 +33,7 @@ def main():
 run_command(main)
 """
 WORK = """
-with atomic_write("file"):
+with open_atomic("file"):
     print("ready", flush=True)
     time.sleep(60)
 """

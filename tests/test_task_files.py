@@ -137,11 +137,11 @@ def test_a_term_with_other_parameters_than_its_functions_is_refused():
 def test_an_observation_names_its_numbers_by_their_count_or_as_told():
     part = Observation(reward.energy)
     joints = tuple(f"joint{i}" for i in range(12))
-    assert part.names("height", 1, joints) == ("height",)
-    assert part.names("speed", 3, joints) == ("speed_x", "speed_y", "speed_z")
-    assert part.names("angle", 12, joints)[11] == "angle_joint11"
-    assert part.names("scan", 2, joints) == ("scan_0", "scan_1")
+    assert part.name_numbers("height", 1, joints) == ("height",)
+    assert part.name_numbers("speed", 3, joints) == ("speed_x", "speed_y", "speed_z")
+    assert part.name_numbers("angle", 12, joints)[11] == "angle_joint11"
+    assert part.name_numbers("scan", 2, joints) == ("scan_0", "scan_1")
     told = dataclasses.replace(part, labels=("left", "right"))
-    assert told.names("scan", 2, joints) == ("scan_left", "scan_right")
+    assert told.name_numbers("scan", 2, joints) == ("scan_left", "scan_right")
     with pytest.raises(UsageError, match="scan has 3 numbers and 2 labels"):
-        told.names("scan", 3, joints)
+        told.name_numbers("scan", 3, joints)

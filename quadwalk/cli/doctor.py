@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from packaging.requirements import Requirement
 
 from quadwalk.cli.arguments import parse
-from quadwalk.cores import compilation_cache, cpu_cores, instructions
+from quadwalk.cores import count_cores, get_cache_folder, get_instructions
 from quadwalk.errors import UserError
 
 SHOWN = ("jax", "jaxlib", "flax", "brax", "mujoco", "mujoco-mjx", "numpy")
@@ -38,9 +38,9 @@ def main(args: Sequence[str], prog: str = "quadwalk doctor") -> None:
     print(f"{'quadwalk':11}{_version('quadwalk') or 'not installed, run from its source'}")
     print(f"{'python':11}{platform.python_version()}, {sys.executable}")
     print(f"{'packages':11}{', '.join(f'{name} {found}' for name, found in versions.items())}")
-    sets = [name for name in TELLING if name in instructions().split()]
-    print(f"{'processor':11}{cpu_cores()} cores, {platform.machine()} {' '.join(sets)}")
-    folder = compilation_cache()
+    sets = [name for name in TELLING if name in get_instructions().split()]
+    print(f"{'processor':11}{count_cores()} cores, {platform.machine()} {' '.join(sets)}")
+    folder = get_cache_folder()
     size = sum(file.stat().st_size for file in folder.rglob("*")) if folder.is_dir() else 0
     print(f"{'cache':11}{folder}, {size / 1e6:,.0f} MB", flush=True)
     done = subprocess.run([sys.executable, "-c", PROBE], capture_output=True, text=True)

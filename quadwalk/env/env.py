@@ -80,7 +80,8 @@ class QuadrupedEnv(Env):
         self, quadruped: Quadruped, config: EnvConfig, engine: EngineName | None = None
     ) -> None:
         leg = leg_length(quadruped.make_full_model(visuals=False), quadruped.feet[0])
-        config = replace(config.as_seen, command=config.command.of_robot(leg, quadruped.foot_speed))
+        command = config.command.scale_to(leg, quadruped.foot_speed)
+        config = replace(config.effective, command=command)
         self.config = config
         self.engine: EngineName = engine or config.engine
         self.terrain = None if config.ground.flat else make_terrain(config.ground, leg)
@@ -162,7 +163,7 @@ class QuadrupedEnv(Env):
         physics, tile = self._start(rng, tile)
         drawn = self._drawn(jax.random.fold_in(rng, 1))
         command = None
-        if config.command.given:
+        if config.command.active:
             command = first_command(config.command, rng, config.control_dt, self._grip(drawn))
         start = EnvState(
             physics, jnp.zeros(12), jnp.zeros((), jnp.int32), command, drawn, tile=tile
@@ -244,7 +245,7 @@ class QuadrupedEnv(Env):
         after = self.sensors.measure(self.robot, self._traveled(after, step))
         if config.critic:
             after = after._replace(contact=step.contact)
-        speed = commanded_speed(step) if config.command.given else mean_velocity(step)[0]
+        speed = commanded_speed(step) if config.command.active else mean_velocity(step)[0]
         failed, fell = 1.0 - sane.astype(jnp.float32), step.fell.astype(jnp.float32)
         standing = is_standing(self.robot, after.qpos).astype(jnp.float32)
         of_task = self._of_task(jnp.linalg.norm(velocity_error(step)), standing)
@@ -259,7 +260,7 @@ class QuadrupedEnv(Env):
 
     def _of_task(self, error: jax.Array, standing: jax.Array) -> dict[str, jax.Array]:
         """Return the metrics that only such a task has: with commands, or starting in any pose."""
-        errors = {"velocity_error": error} if self.config.command.given else {}
+        errors = {"velocity_error": error} if self.config.command.active else {}
         return errors | ({"standing": standing} if self.config.reset.tumbled else {})
 
     def driven(
@@ -345,7 +346,7 @@ class QuadrupedEnv(Env):
             return after
         assert self.curriculum is not None
         velocity, wanted = heading_velocity(step), step.command[:2]
-        if not self.config.command.given:
+        if not self.config.command.active:
             velocity, wanted = mean_velocity(step), jnp.array([self.curriculum.pace, 0.0])
         return after._replace(travel=travel_on(after.travel, velocity, wanted, step.dt))
 
@@ -357,7 +358,9 @@ class QuadrupedEnv(Env):
             PhysicsState(home, jnp.zeros(18)),
             jnp.zeros(12),
             jnp.zeros((), jnp.int32),
-            first_command(config.command, key, config.control_dt) if config.command.given else None,
+            first_command(config.command, key, config.control_dt)
+            if config.command.active
+            else None,
             self._drawn(key),
             contact=jnp.zeros(4, bool),
         )

@@ -221,5 +221,5 @@ TRUE_LEGS = {
 
 def observe(parts: dict[str, Observation], robot: RobotArrays, state: EnvState) -> jax.Array:
     """The observation (n,), float32: its parts one after another."""
-    seen = [part.value(f"observation {name!r}", robot, state) for name, part in parts.items()]
+    seen = [part.compute(f"observation {name!r}", robot, state) for name, part in parts.items()]
     return jnp.concatenate([jnp.atleast_1d(value) for value in seen])

@@ -204,7 +204,7 @@ def diagonal(robot: RobotArrays, step: Step, *, height: float) -> jax.Array:
 def reward_terms(terms: dict[str, Reward], robot: RobotArrays, step: Step) -> dict[str, jax.Array]:
     """The value of every term, each a scalar, before its scale; those with scale 0 are left out."""
     return {
-        name: term.value(f"reward {name!r}", robot, step)
+        name: term.compute(f"reward {name!r}", robot, step)
         for name, term in terms.items()
         if term.scale != 0.0
     }

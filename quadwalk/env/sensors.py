@@ -183,9 +183,9 @@ def make_sensors(
 
     def names(parts: dict[str, Observation]) -> PartNames:
         sizes = {
-            name: jax.eval_shape(partial(part.value, f"observation {name!r}", robot), state).size
+            name: jax.eval_shape(partial(part.compute, f"observation {name!r}", robot), state).size
             for name, part in parts.items()
         }
-        return {name: parts[name].names(name, size, joints) for name, size in sizes.items()}
+        return {name: parts[name].name_numbers(name, size, joints) for name, size in sizes.items()}
 
     return Sensors(config, names(config.observation), names(config.critic))

@@ -57,7 +57,7 @@ TRUNK_FALLS = {
 
 def terminations(ways: dict[str, Termination], robot: RobotArrays, step: Step) -> jax.Array:
     """Whether each of the ways to fall holds, (n,) bool."""
-    holds = [way.value(f"termination {name!r}", robot, step) for name, way in ways.items()]
+    holds = [way.compute(f"termination {name!r}", robot, step) for name, way in ways.items()]
     return jnp.stack([jnp.zeros((), bool), *holds])[1:]
 
 

@@ -13,7 +13,7 @@ from quadwalk.bounds import Bounds, Count, Few, Natural, Seed, Settings
 from quadwalk.cli.arguments import make_console, parse
 from quadwalk.cli.shell import make_command
 from quadwalk.errors import UsageError, UserError
-from quadwalk.files import os_reason
+from quadwalk.files import get_os_reason
 from quadwalk.runs import directory
 from quadwalk.runs.directory import Run
 
@@ -211,7 +211,7 @@ def _make_folder(folder: Path, new: bool = False) -> Path:
         tempfile.TemporaryFile(dir=folder).close()
     except OSError as error:
         raise UserError(
-            f"cannot write results to the folder {folder}: {os_reason(error)}"
+            f"cannot write results to the folder {folder}: {get_os_reason(error)}"
         ) from error
     return folder
 

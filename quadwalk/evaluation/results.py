@@ -25,7 +25,7 @@ from quadwalk.evaluation.metrics import (
 )
 from quadwalk.evaluation.report.pictures import draw_film_strip
 from quadwalk.evaluation.rollout import GROUP, Report, Rollout, simulate_episodes
-from quadwalk.files import atomic_write
+from quadwalk.files import open_atomic
 from quadwalk.robot.load import load_robot
 from quadwalk.robot.mjcf import write_xml
 from quadwalk.runs.directory import get_versions
@@ -114,7 +114,7 @@ class Evaluation:
                 records["conditions"] = json.dumps(self.episodes[rollout.episode]["conditions"])
             write_mcap(paths[-1], rollout, self.loaded.env.quadruped, records, attachments)
         if paths:
-            with atomic_write(folder / RERUN_BLUEPRINT.name) as file:
+            with open_atomic(folder / RERUN_BLUEPRINT.name) as file:
                 file.write(RERUN_BLUEPRINT.read_bytes())
         return paths
 

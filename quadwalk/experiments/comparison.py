@@ -20,7 +20,7 @@ from quadwalk.experiments.job import Job, fix_sizes
 from quadwalk.experiments.options import CompareConfig
 from quadwalk.experiments.places import make_place
 from quadwalk.experiments.runner import collect_values, run_jobs
-from quadwalk.files import atomic_write, real_path, write_json
+from quadwalk.files import open_atomic, resolve_path, write_json
 from quadwalk.learn.flags import parse_config
 from quadwalk.progress.metrics import Headline, choose_headline
 from quadwalk.render.figures import make_figure, save_figure, tidy
@@ -59,7 +59,7 @@ History = Sequence[Row]
 
 def compare_variants(variants: Sequence[str], config: CompareConfig) -> None:
     """Train and evaluate what has not been, print rows, and write them with their picture."""
-    folder = real_path(config.runs)
+    folder = resolve_path(config.runs)
     jobs: list[Job] = []
     results: dict[str, Result] = {}
     for flags, seed in itertools.product(variants, range(config.seeds)):
@@ -84,7 +84,7 @@ def compare_variants(variants: Sequence[str], config: CompareConfig) -> None:
         failure = error
     done = [result for result in results.values() if "figures" in result]
     if done:
-        with atomic_write(config.runs / "compare.md") as file:
+        with open_atomic(config.runs / "compare.md") as file:
             file.write(("\n".join((*heading, *map(format_row, done))) + "\n").encode())
         write_json(config.runs / "compare.json", done)
         histories = [

@@ -21,7 +21,7 @@ from quadwalk.robot.load import load_robot
 from quadwalk.runs.directory import Run, claim, get_versions
 from quadwalk.runs.policy import load_score
 from quadwalk.runs.resume import describe_training, read_config
-from quadwalk.settings.training import TrainConfig, with_files
+from quadwalk.settings.training import TrainConfig, set_files
 
 
 class Work(NamedTuple):
@@ -71,7 +71,7 @@ def open_run(job: Job) -> Run:
     config, quadruped = job.config, load_robot(job.config.robot)
     if not job.run.path.exists():
         robot = config.robot
-        config = with_files(config, robot.urdf, robot.mesh_dirs, config.env.ground.file)
+        config = set_files(config, robot.urdf, robot.mesh_dirs, config.env.ground.file)
         return make_run(config, quadruped)
     saved = read_config(job.run)
     if describe_training(saved, load_robot(saved.robot)) != describe_training(config, quadruped):

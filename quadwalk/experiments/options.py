@@ -8,7 +8,7 @@ from typing import Annotated
 import tyro
 
 from quadwalk.bounds import Count, Natural, Seed, Settings
-from quadwalk.cores import cpu_cores
+from quadwalk.cores import count_cores
 
 
 @dataclass(frozen=True)
@@ -24,7 +24,7 @@ class PlaceConfig(Settings):
     @property
     def cores_each(self) -> int:
         """CPU cores of each training."""
-        return self.cores or min(2, cpu_cores())
+        return self.cores or min(2, count_cores())
 
 
 def add_place_flags(parser: argparse.ArgumentParser, cores: int | None = None) -> None:

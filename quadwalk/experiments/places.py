@@ -16,7 +16,7 @@ from concurrent.futures import BrokenExecutor, Future, ProcessPoolExecutor
 from typing import Any
 
 from quadwalk.cli.shell import import_extra
-from quadwalk.cores import cpu_cores, start_worker
+from quadwalk.cores import count_cores, start_worker
 from quadwalk.errors import UsageError, UserError
 from quadwalk.experiments.job import Job, compute_job
 from quadwalk.experiments.options import PlaceConfig
@@ -35,10 +35,12 @@ class ThisMachine(contextlib.AbstractContextManager["ThisMachine"]):
                 f"--gpus is {config.gpus} without --cluster; expected --cluster local for the "
                 "GPUs of this machine"
             )
-        if config.cores_each > cpu_cores():
-            raise UsageError(f"--cores is {config.cores}; expected at most {cpu_cores()}, all here")
+        if config.cores_each > count_cores():
+            raise UsageError(
+                f"--cores is {config.cores}; expected at most {count_cores()}, all here"
+            )
         self._cores = config.cores_each
-        self.slots = cpu_cores() // self._cores  # jobs that it can compute at a time
+        self.slots = count_cores() // self._cores  # jobs that it can compute at a time
         self.limit: float = self.slots  # jobs that it takes at a time
         self._pids: dict[Future[Any], Future[int]] = {}
 

@@ -17,13 +17,13 @@ from quadwalk.experiments.job import Job, fix_sizes
 from quadwalk.experiments.options import TuneConfig
 from quadwalk.experiments.places import make_place
 from quadwalk.experiments.runner import Outcome, run_jobs
-from quadwalk.files import atomic_write, hold_file, make_folder, real_path
+from quadwalk.files import hold_file, make_folder, open_atomic, resolve_path
 from quadwalk.learn.flags import parse_config
 from quadwalk.progress.metrics import SCORED, compute_score, get_scored_figure
 from quadwalk.runs.directory import Run
 from quadwalk.runs.log import Row, read_metrics
 from quadwalk.runs.policy import load_score
-from quadwalk.settings.serialize import flatten, with_settings
+from quadwalk.settings.serialize import change_settings, flatten
 from quadwalk.settings.training import TrainConfig
 
 if TYPE_CHECKING:
@@ -45,7 +45,7 @@ def search_settings(config: TuneConfig) -> None:
     check_objective(config.objective, base)
     space = read_space(config.over, base)
     place = make_place(config)
-    folder = real_path(config.runs / (config.name or base.task))
+    folder = resolve_path(config.runs / (config.name or base.task))
     make_folder(folder, "the folder of the search")
     message = f"{folder} is being searched by another process; expected its end, or another --name"
     with hold_file(folder / "lock", message):
@@ -53,7 +53,7 @@ def search_settings(config: TuneConfig) -> None:
         for outcome in run_jobs(search.ask_jobs(), place, search.left, search.watch):
             search.tell(outcome)
         text = search.format_table()
-        with atomic_write(folder / "tune.md") as file:
+        with open_atomic(folder / "tune.md") as file:
             file.write(f"{text}\n".encode())
     print(text)
 
@@ -67,7 +67,7 @@ def make_base(config: TuneConfig) -> TrainConfig:
 def check_objective(name: str, base: TrainConfig) -> None:
     """Raise a `UsageError` for an objective that evaluations of the task do not have."""
     absent = {"velocity_error", "yaw_rate_error", "path_speed", "path"}
-    if base.env.command.given:
+    if base.env.command.active:
         absent = {"speed", "distance", "lateral_drift", "heading_error"}
     figures = [figure.name for figure in METRICS if figure.name not in absent]
     names = ["score", "fall_rate", *figures]
@@ -113,7 +113,7 @@ def read_space(texts: Sequence[str], config: TrainConfig) -> dict[str, "BaseDist
             raise UsageError(f"--over names {name} twice; expected each setting once")
         space[name], ends = _read_values(text, values, settings[name])
         for value in ends:
-            with_settings(config, {name: value})
+            change_settings(config, {name: value})
     return space
 
 
@@ -221,7 +221,7 @@ class Search:
     def _make_job(self, trial: Any) -> Job:
         name = f"trial_{trial.number:03d}"
         self._trials[name] = trial
-        config = with_settings(self._base, round_values(trial.params))
+        config = change_settings(self._base, round_values(trial.params))
         config = replace(config, name=name, runs=self._folder)
         measure = partial(
             measure_objective, objective=self._config.objective, episodes=self._config.episodes

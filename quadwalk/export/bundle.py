@@ -21,7 +21,7 @@ from quadwalk.export.policy_graph import (
     extract_weights,
     find_joint_targets,
 )
-from quadwalk.files import atomic_write, make_folder
+from quadwalk.files import make_folder, open_atomic
 from quadwalk.learn.devices import set_up_devices
 from quadwalk.robot.mjcf import write_xml
 from quadwalk.runs.directory import Run
@@ -66,7 +66,7 @@ def export_run(
     files["deploy.yaml"] = make_deploy_yaml(env, targets).encode()
     make_folder(out)
     for name, content in files.items():
-        with atomic_write(out / name) as file:
+        with open_atomic(out / name) as file:
             file.write(content)
     return [out / name for name in files]
 

@@ -173,7 +173,7 @@ def compute_observations(env: QuadrupedEnv, columns: dict[str, np.ndarray]) -> n
 
     def make_state(row: dict[str, jax.Array], last_action: jax.Array, steps: jax.Array) -> EnvState:
         command = None
-        if env.config.command.given:
+        if env.config.command.active:
             command = Command(row["command"], jax.random.PRNGKey(0))
         return EnvState(PhysicsState(row["qpos"], row["qvel"]), last_action, steps, command)
 

@@ -67,7 +67,7 @@ def make_deploy_config(env: QuadrupedEnv, targets: JointTargets) -> dict[str, An
         "stiffness": _round(stiffness),
         "damping": _round(damping),
         "default_joint_pos": _round(env.robot.home_joints),
-        "commands": {"base_velocity": {"ranges": ranges}} if command.given else {},
+        "commands": {"base_velocity": {"ranges": ranges}} if command.active else {},
         "actions": {
             "JointPositionAction": {
                 "clip": _round(limits) if np.all(np.isfinite(limits)) else None,

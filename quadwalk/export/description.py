@@ -32,7 +32,7 @@ def describe(loaded: LoadedRun, targets: JointTargets) -> dict[str, str]:
     env, policy = loaded.env, loaded.policy
     config, motor, command = env.config, env.motor, env.config.command
     parts = config.observation
-    ranges = {name: list(getattr(command, name)) for name in COMMANDED if command.given}
+    ranges = {name: list(getattr(command, name)) for name in COMMANDED if command.active}
     # Limits of the command's numbers together.
     limits = {name: getattr(command, name) for name in ("lateral_until", "turning")}
     start = nominal_start(env.mj_model_of(env.quadruped), env.quadruped, config.reset)
@@ -42,7 +42,7 @@ def describe(loaded: LoadedRun, targets: JointTargets) -> dict[str, str]:
         "joint_stiffness": _to_joint_list(motor.kp),
         "joint_damping": _to_joint_list(motor.kd),
         "default_joint_pos": _to_joint_list(env.robot.home_joints),
-        "command_names": "velocity" if command.given else "",
+        "command_names": "velocity" if command.active else "",
         "observation_names": _to_list(parts),
         "action_scale": _to_joint_list(targets.scale),
         "action_offset": _to_joint_list(targets.offset),

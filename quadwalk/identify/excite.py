@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from quadwalk.files import atomic_write
+from quadwalk.files import open_atomic
 from quadwalk.robot.load import load_robot
 from quadwalk.robot.quadruped import Quadruped
 from quadwalk.settings.training import RobotConfig
@@ -43,6 +43,6 @@ def write_targets(path: Path, robot: RobotConfig) -> None:
     rows.writerow(["time", *(f"target_{joint}" for joint in quadruped.joints)])
     for time, targets in zip(*excitation(quadruped), strict=True):
         rows.writerow([f"{time:.3f}", *(f"{target:.5f}" for target in targets)])
-    with atomic_write(path) as file:
+    with open_atomic(path) as file:
         file.write(text.getvalue().encode())
     print(f"written to {path}: play it on the robot on its stand, slowly at first")

@@ -10,7 +10,7 @@ from quadwalk.cli.arguments import make_console
 from quadwalk.cli.shell import make_command
 from quadwalk.errors import UserError
 from quadwalk.evaluation.report.tables import print_table
-from quadwalk.files import atomic_write, make_folder, write_json
+from quadwalk.files import make_folder, open_atomic, write_json
 from quadwalk.identify import found
 from quadwalk.identify.config import IdentifyConfig
 from quadwalk.identify.fit import DELAY, MOST_UNEXPLAINED, OFFSETS, Fit, fit_joints
@@ -112,7 +112,7 @@ def _write(
         # One of an earlier fit would be taken for this one's.
         urdf.unlink(missing_ok=True)
         raise UserError(f"{config.log}: {_describe_failure(fit, log, quadruped)}")
-    with atomic_write(urdf) as file:
+    with open_atomic(urdf) as file:
         file.write(found.make_urdf(fit, quadruped).encode())
     console.print(f"written to {out}: robot.urdf, identified.json, fit.png; train with:")
     print(make_command("train", "walk", *flags))

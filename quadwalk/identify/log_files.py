@@ -10,7 +10,7 @@ from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
 from quadwalk.errors import UserError
-from quadwalk.files import os_reason, read_bytes
+from quadwalk.files import get_os_reason, read_bytes
 
 STAND = 0.02  # m that a trunk on a stand may move
 _ANGLES, _TARGETS, _POSE = "/joint_states", "/joint_cmd", "/pose"
@@ -83,7 +83,7 @@ def read_mcap(path: Path, joints: tuple[str, ...]) -> Columns:
             for _, channel, message, decoded in reader.iter_decoded_messages(list(messages)):
                 messages[channel.topic].append((message.log_time * 1e-9, decoded))
     except OSError as error:
-        raise UserError(f"cannot read {path}: {os_reason(error)}") from error
+        raise UserError(f"cannot read {path}: {get_os_reason(error)}") from error
     except Exception as error:  # damaged bytes meet the reader's parts anywhere
         reason = str(error) or type(error).__name__
         raise UserError(f"{path}: is no MCAP file that can be read ({reason})") from error

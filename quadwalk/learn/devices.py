@@ -13,9 +13,9 @@ import jax
 import numpy as np
 from jax.sharding import Mesh
 
-from quadwalk.cores import compilation_cache, cpu_cores
+from quadwalk.cores import count_cores, get_cache_folder
 from quadwalk.errors import UsageError
-from quadwalk.files import os_reason
+from quadwalk.files import get_os_reason
 from quadwalk.learn.distributed import join
 from quadwalk.settings.training import TrainConfig
 
@@ -34,7 +34,7 @@ def count_devices(
     Each gets the same number of environments for every minibatch, and of evaluation environments;
     each process has the same number of devices.
     """
-    most = processes * cpu_cores() if most is None else most
+    most = processes * count_cores() if most is None else most
     return max(
         count
         for count in range(processes, max(most, processes) + 1, processes)
@@ -86,7 +86,7 @@ def set_up_devices(count: int | None = None) -> int:
     anything: after that its devices stay what they are, and a warning says so if they are fewer.
     What is compiled is kept in the user's cache folder: the second start takes seconds.
     """
-    _configure_jax(count or cpu_cores())
+    _configure_jax(count or count_cores())
     available = len(jax.devices())
     if count is not None and count > available:
         raise UsageError(f"--devices is {count}; expected at most the {available} there are")
@@ -122,7 +122,7 @@ def _configure_jax(cpu_devices: int) -> None:
         # A process that has computed keeps the devices it has, as a notebook that trains twice.
         _warn_of_fewer(cpu_devices)
     if jax.config.jax_compilation_cache_dir is None:  # type: ignore[attr-defined]
-        folder = compilation_cache()
+        folder = get_cache_folder()
         if _is_writable(folder):
             jax.config.update("jax_compilation_cache_dir", str(folder))
             # Also the forty programs of milliseconds that make a learner: together, a second.
@@ -163,7 +163,7 @@ def _is_writable(folder: Path) -> bool:
         folder.mkdir(parents=True, exist_ok=True)
         tempfile.TemporaryFile(dir=folder).close()
     except OSError as error:
-        reason = f"cannot keep compiled programs in {folder}: {os_reason(error)}"
+        reason = f"cannot keep compiled programs in {folder}: {get_os_reason(error)}"
         print(f"warning: {reason}; every start compiles anew", file=sys.stderr)
         return False
     return True

@@ -7,7 +7,7 @@ from typing import Any
 
 from quadwalk.cli.arguments import find_value, parse, take_value
 from quadwalk.errors import UsageError
-from quadwalk.files import real_path
+from quadwalk.files import resolve_path
 from quadwalk.runs.directory import Run, find_any_run, find_run
 from quadwalk.settings.training import TrainConfig
 from quadwalk.task_files import load_task
@@ -58,5 +58,5 @@ def parse_config(args: Sequence[str], prog: str = "train.py") -> tuple[TrainConf
     if config.init is not None and previous is None:
         # Resolved here, so that a command that trains in another folder begins with the same run.
         source = find_any_run(config.runs, config.init)
-        config = dataclasses.replace(config, init=str(real_path(source.path)))
+        config = dataclasses.replace(config, init=str(resolve_path(source.path)))
     return config, previous

@@ -20,7 +20,7 @@ import tyro
 from quadwalk.cli.arguments import parse
 from quadwalk.env.env import QuadrupedEnv
 from quadwalk.errors import UserError
-from quadwalk.files import os_reason
+from quadwalk.files import get_os_reason
 from quadwalk.physics.engines import ENGINES
 from quadwalk.robot.load import load_robot
 from quadwalk.runs import checkpoint
@@ -42,7 +42,7 @@ def keep(run: Run, before: Any, action: Any, config: TrainConfig, steps: int) ->
         if sum(1 for _ in run.nan.glob("*.npz")) >= KEPT:
             return None
     except OSError as error:
-        raise UserError(f"cannot write {run.nan}: {os_reason(error)}") from error
+        raise UserError(f"cannot write {run.nan}: {get_os_reason(error)}") from error
     path = run.nan / f"step_{steps:012d}.npz"
     metadata = {"kind": "nan", "config": to_dict(config), "steps": steps}
     checkpoint.save(path, {"before": before, "action": action}, metadata)

@@ -14,11 +14,11 @@ from quadwalk.env.env import QuadrupedEnv
 from quadwalk.errors import UserError
 from quadwalk.files import (
     DAMAGE,
-    atomic_write,
     format_json,
+    open_atomic,
     read_bytes,
-    real_path,
     remove_on_error,
+    resolve_path,
     write_json,
 )
 from quadwalk.learn import distributed
@@ -40,7 +40,7 @@ from quadwalk.runs.resume import (
     read_config,
 )
 from quadwalk.settings.serialize import find_task_source, to_dict
-from quadwalk.settings.training import DistributedConfig, TrainConfig, with_files
+from quadwalk.settings.training import DistributedConfig, TrainConfig, set_files
 from quadwalk.task_files import TASK_FILE
 
 
@@ -78,7 +78,7 @@ def prepare(
     """
     say = progress.message
     robot = config.robot
-    config = with_files(config, robot.urdf, robot.mesh_dirs, config.env.ground.file)
+    config = set_files(config, robot.urdf, robot.mesh_dirs, config.env.ground.file)
     config, devices = choose_devices(config)
     assert config.envs is not None
     env = make_env(config, say)
@@ -144,7 +144,7 @@ def init_from_run(
     """Return `config` with the whole path of its `init`, and `state` with that run's networks."""
     assert config.init is not None
     source = directory.find_any_run(config.runs, config.init)
-    config = replace(config, init=str(real_path(source.path)))
+    config = replace(config, init=str(resolve_path(source.path)))
     learner, notes = warm_start_from(source, config, env, networks, jax.device_get(state.learner))
     for note in (f"begins with the networks of {source.path}", *notes):
         say(note)
@@ -168,9 +168,9 @@ def open_run(
     for change in changes:
         say(f"changed {change}")
     heights = config.env.ground.file
-    if heights is not None and heights != real_path(previous.locate_heights(heights)):
+    if heights is not None and heights != resolve_path(previous.locate_heights(heights)):
         copy = read_bytes(heights)
-        with atomic_write(previous.locate_heights(heights)) as file:
+        with open_atomic(previous.locate_heights(heights)) as file:
             file.write(copy)
     return previous
 

@@ -17,7 +17,7 @@ import mujoco.rollout
 import numpy as np
 from jax.experimental.buffer_callback import buffer_callback
 
-from quadwalk.cores import cpu_cores
+from quadwalk.cores import count_cores
 from quadwalk.physics import motor
 from quadwalk.physics.model import RobotRandomization, randomize_motor
 from quadwalk.physics.motor import Effort, Motor, PhysicsState, Stepping
@@ -100,11 +100,11 @@ class Stepper:
 
     @cached_property
     def _data(self) -> list[mujoco.MjData]:
-        return [mujoco.MjData(self.model) for _ in range(cpu_cores())]
+        return [mujoco.MjData(self.model) for _ in range(count_cores())]
 
     @cached_property
     def _bare_data(self) -> list[mujoco.MjData]:
-        return [mujoco.MjData(self._bare) for _ in range(cpu_cores())]
+        return [mujoco.MjData(self._bare) for _ in range(count_cores())]
 
     @cached_property
     def _windows(self) -> Windows | None:

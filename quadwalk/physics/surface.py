@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.ndimage import maximum_filter
 
-from quadwalk.cores import cpu_cores
+from quadwalk.cores import count_cores
 from quadwalk.physics.batching import Shared
 from quadwalk.physics.vectors import Array, Vector, cross
 from quadwalk.terrain.heightfield import Heightfield
@@ -154,7 +154,7 @@ def _offset(heights: np.ndarray, cell: float, radius: float) -> np.ndarray:
         band = padded[first : first + _BAND + 2 * edge]
         out[first : first + _BAND] = cell * _offset_band(band, reach, radius, tolerance)
 
-    with ThreadPoolExecutor(cpu_cores()) as pool:
+    with ThreadPoolExecutor(count_cores()) as pool:
         list(pool.map(fill, range(0, len(out), _BAND)))
     return out
 

@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
-from quadwalk.files import atomic_write
+from quadwalk.files import open_atomic
 
 LEG_COLORS = ("#d1495b", "#00798c", "#edae49", "#30638e")  # FR, FL, RR, RL
 INK = "#22262b"
@@ -28,7 +28,7 @@ class NotebookFigure(Figure):
 
 def save_figure(figure: Figure, path: str | Path) -> None:
     """Write a figure as PNG, always the same bytes, or raise a `UserError`."""
-    with atomic_write(path) as file:
+    with open_atomic(path) as file:
         _write_png(figure, file)
 
 

@@ -12,7 +12,7 @@ from PIL import Image
 
 from quadwalk.cli.shell import suggest_install
 from quadwalk.errors import UserError
-from quadwalk.files import atomic_write
+from quadwalk.files import open_atomic
 
 FPS = 25  # of a video; a GIF counts in hundredths of a second: 4 of them
 _GAP = 4  # pixels between the pictures of a strip
@@ -20,7 +20,7 @@ _GAP = 4  # pixels between the pictures of a strip
 
 def save_png(pixels: np.ndarray, path: str | Path) -> None:
     """Write (height, width, 3) uint8 as PNG, always the same bytes, or raise a `UserError`."""
-    with atomic_write(path) as file:
+    with open_atomic(path) as file:
         Image.fromarray(pixels).save(file, format="PNG", optimize=True)
 
 
@@ -56,7 +56,7 @@ def _save_gif(pictures: Iterator[Image.Image], path: str | Path, fps: float) -> 
     def reduce_colors(picture: Image.Image) -> Image.Image:
         return picture.quantize(palette=palette, dither=Image.Dither.NONE)
 
-    with atomic_write(path) as file:
+    with open_atomic(path) as file:
         reduce_colors(first).save(
             file,
             format="GIF",
@@ -72,7 +72,7 @@ def _save_mp4(pictures: Iterator[np.ndarray], path: str | Path, fps: float) -> N
     first = next(pictures)
     height, width, _ = first.shape
     # H.264 in MP4 is not written front to back, so it cannot go straight to `file`.
-    with tempfile.TemporaryDirectory() as folder, atomic_write(path) as file:
+    with tempfile.TemporaryDirectory() as folder, open_atomic(path) as file:
         frames, video = Path(folder) / "frames.rgb", Path(folder) / "video.mp4"
         with open(frames, "wb") as raw:
             raw.writelines(picture.tobytes() for picture in itertools.chain([first], pictures))

@@ -13,7 +13,7 @@ import tyro
 from quadwalk.bounds import Positive, Settings
 from quadwalk.cli.arguments import parse
 from quadwalk.errors import UsageError, UserError
-from quadwalk.files import atomic_write
+from quadwalk.files import open_atomic
 from quadwalk.render.canvas import render_home
 from quadwalk.render.images import save_png
 from quadwalk.robot.mjcf import Options, convert, write_xml
@@ -67,10 +67,10 @@ def _find_urdf(config: ConvertConfig, prog: str) -> ConvertConfig:
     """Return `config` with the URDF, which a list of folders or joints before it has swallowed."""
     if config.urdf is not None:
         return config
-    for name in ("mesh_dirs", "fix"):
-        *values, last = getattr(config, name) or ("",)
-        if values and os.path.isfile(last):
-            return replace(config, **{name: tuple(values), "urdf": Path(last)})
+    if len(config.mesh_dirs) > 1 and os.path.isfile(config.mesh_dirs[-1]):
+        return replace(config, mesh_dirs=config.mesh_dirs[:-1], urdf=config.mesh_dirs[-1])
+    if len(config.fix) > 1 and os.path.isfile(config.fix[-1]):
+        return replace(config, fix=config.fix[:-1], urdf=Path(config.fix[-1]))
     raise UsageError(f"no URDF; expected the path of one ({prog} --help lists all options)")
 
 
@@ -99,7 +99,7 @@ def convert_file(config: ConvertConfig) -> None:
     conversion = convert(urdf, legs, options)
     xml = write_xml(conversion.spec)
     if config.out is not None:
-        with atomic_write(config.out) as file:
+        with open_atomic(config.out) as file:
             file.write(xml.encode())
     elif config.render is None:
         sys.stdout.write(xml)

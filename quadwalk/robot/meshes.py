@@ -13,7 +13,7 @@ import numpy as np
 import yourdfpy
 from lxml import etree
 
-from quadwalk.files import real_path
+from quadwalk.files import resolve_path
 from quadwalk.robot.report import Report, UrdfError
 
 KINDS = (".dae", ".obj", ".ply", ".stl")
@@ -74,7 +74,7 @@ def find_mesh(name: str, folders: list[Path], source: str) -> Path:
     outside = False
     for candidate in candidates:
         try:
-            file = real_path(candidate)
+            file = resolve_path(candidate)
             if not _is_in_any(file, allowed):
                 outside = outside or file.is_file()
             elif file.is_file():
@@ -98,7 +98,7 @@ def find_by_name(name: str, folders: list[Path]) -> Path | None:
             file = folder.joinpath(*parts[first:])
             try:
                 if file.is_file() and is_inside(file, [folder]):
-                    return real_path(file)
+                    return resolve_path(file)
             except (OSError, ValueError):  # a name that no file can have
                 continue
     return None
@@ -106,7 +106,7 @@ def find_by_name(name: str, folders: list[Path]) -> Path | None:
 
 def is_inside(path: Path, folders: list[Path]) -> bool:
     """Return True if `path` is in one of `folders`, or in the package that one of them is in."""
-    return _is_in_any(real_path(path), _list_allowed(folders))
+    return _is_in_any(resolve_path(path), _list_allowed(folders))
 
 
 def _list_allowed(folders: list[Path]) -> list[Path]:
@@ -114,12 +114,12 @@ def _list_allowed(folders: list[Path]) -> list[Path]:
 
 
 def _is_in_any(file: Path, folders: list[Path]) -> bool:
-    return any(file.is_relative_to(real_path(folder)) for folder in folders)
+    return any(file.is_relative_to(resolve_path(folder)) for folder in folders)
 
 
 def _find_package(name: str, folder: Path) -> Path | None:
     """Return the nearest folder, `folder` or above it, that is the package `name`."""
-    for place in (real_path(folder), *real_path(folder).parents):
+    for place in (resolve_path(folder), *resolve_path(folder).parents):
         if name and (place.name == name or _read_package_name(place) == name):
             return place
     return None
@@ -127,7 +127,7 @@ def _find_package(name: str, folder: Path) -> Path | None:
 
 def _find_enclosing_package(folder: Path) -> Path | None:
     """Return the package that `folder` is in: with a package.xml, or above a folder for URDFs."""
-    folder = real_path(folder)
+    folder = resolve_path(folder)
     for place in (folder, *folder.parents):
         if _read_package_name(place) is not None:
             return place

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from quadwalk.errors import UserError
-from quadwalk.files import DAMAGE, atomic_write, os_reason
+from quadwalk.files import DAMAGE, get_os_reason, open_atomic
 
 FORMAT = "quadwalk"
 VERSION = 1
@@ -56,7 +56,7 @@ def save(path: Path | str, tree: Any, metadata: dict[str, Any]) -> None:
     leaves = {name: _to_numpy(name, leaf) for name, leaf in _name_leaves(tree)[0]}
     header = {"format": FORMAT, "version": VERSION, "arrays": list(leaves), "metadata": metadata}
     text = json.dumps(header, indent=1)
-    with atomic_write(path) as file, zipfile.ZipFile(file, "w", zipfile.ZIP_STORED) as archive:
+    with open_atomic(path) as file, zipfile.ZipFile(file, "w", zipfile.ZIP_STORED) as archive:
         # A bare ZipInfo is dated 1980: the time of writing must not change the bytes.
         archive.writestr(zipfile.ZipInfo(_METADATA), text)
         for name, leaf in leaves.items():
@@ -79,7 +79,7 @@ def load(path: Path | str, kind: str, like: Any = None) -> tuple[Any, dict[str, 
     except FileNotFoundError:
         raise UserError(f"{path} does not exist: expected {_describe_kind(kind)}") from None
     except OSError as error:
-        raise UserError(f"cannot read {path}: {os_reason(error)}") from error
+        raise UserError(f"cannot read {path}: {get_os_reason(error)}") from error
     try:  # ...from what the content lacks.
         with file, zipfile.ZipFile(file) as archive:
             header = json.loads(_read_member(archive, _METADATA))

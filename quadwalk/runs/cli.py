@@ -14,7 +14,7 @@ from rich.table import Table
 
 from quadwalk.cli.arguments import parse
 from quadwalk.errors import UsageError, UserError
-from quadwalk.files import DAMAGE, os_reason
+from quadwalk.files import DAMAGE, get_os_reason
 from quadwalk.progress.metrics import choose_headline
 from quadwalk.progress.text import format_percent
 from quadwalk.runs.directory import Run, claim, find_run, list_runs
@@ -51,7 +51,7 @@ def main(args: Sequence[str], prog: str = "quadwalk runs") -> None:
         try:
             shutil.rmtree(run.path)
         except OSError as error:
-            raise UserError(f"cannot remove {run.path}: {os_reason(error)}") from error
+            raise UserError(f"cannot remove {run.path}: {get_os_reason(error)}") from error
         print(f"removed {run.path}")
 
 

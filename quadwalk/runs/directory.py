@@ -28,7 +28,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from quadwalk.errors import UsageError, UserError, suggest
-from quadwalk.files import hold_file, make_folder, os_reason, real_path
+from quadwalk.files import get_os_reason, hold_file, make_folder, resolve_path
 from quadwalk.paths import PRETRAINED
 from quadwalk.runs import checkpoint
 
@@ -70,7 +70,7 @@ class Run:
     @property
     def packaged(self) -> bool:
         """True if it comes with the package, and so is not to be changed."""
-        return real_path(self.path).parent == PRETRAINED
+        return resolve_path(self.path).parent == PRETRAINED
 
     def locate_heights(self, file: Path) -> Path:
         """Return the path of the run's copy of a file of heights; the same for the copy itself."""
@@ -111,7 +111,7 @@ def create_run(
                 os.fsync(stream.fileno())
         path = _rename_to_free(part.path, label) if name is None else _rename(part.path, name)
     except OSError as error:
-        raise UserError(f"cannot write in {root / (name or '')}: {os_reason(error)}") from error
+        raise UserError(f"cannot write in {root / (name or '')}: {get_os_reason(error)}") from error
     finally:
         shutil.rmtree(part.path, ignore_errors=True)
     if path is None:

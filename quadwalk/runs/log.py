@@ -21,7 +21,7 @@ from tensorboardX.proto.summary_pb2 import Summary
 from tensorboardX.record_writer import RecordWriter
 
 from quadwalk.errors import UserError
-from quadwalk.files import DAMAGE, os_reason
+from quadwalk.files import DAMAGE, get_os_reason
 from quadwalk.runs.directory import Run
 
 _FLUSH_SECONDS = 2.0  # TensorBoard rereads its files every few seconds; more often buys nothing
@@ -137,7 +137,7 @@ def _read_rows(path: Path) -> Iterator[tuple[Row, int]]:
     except FileNotFoundError:
         return
     except OSError as error:
-        raise UserError(f"cannot read {path}: {os_reason(error)}") from error
+        raise UserError(f"cannot read {path}: {get_os_reason(error)}") from error
 
 
 class _Lines:
@@ -179,7 +179,7 @@ class _Lines:
         os.close(self._file)
 
     def _make_error(self, error: OSError) -> UserError:
-        return UserError(f"cannot write {self._path}: {os_reason(error)}")
+        return UserError(f"cannot write {self._path}: {get_os_reason(error)}")
 
 
 class _Events:
@@ -246,7 +246,7 @@ class _Events:
             yield
         except OSError as error:
             self.close()
-            reason = os_reason(error)
+            reason = get_os_reason(error)
             raise UserError(
                 f"cannot write TensorBoard events in {self._folder}: {reason}"
             ) from error

@@ -13,7 +13,7 @@ from quadwalk.robot.quadruped import Quadruped
 from quadwalk.runs.directory import Run
 from quadwalk.settings.environment import EnvConfig
 from quadwalk.settings.serialize import find_task_source, flatten, from_dict, to_dict
-from quadwalk.settings.training import DistributedConfig, Suite, TrainConfig, with_files
+from quadwalk.settings.training import DistributedConfig, Suite, TrainConfig, set_files
 from quadwalk.task_files import TASK_FILE
 
 ROBOT_HASH = "robot_sha256"  # in a run's config.json
@@ -55,7 +55,7 @@ def restore_config(data: Any, run: Run, where: str, version: str = "0.1") -> Tra
     folders = tuple(dict.fromkeys((robot.urdf.parent, *robot.mesh_dirs)))
     if heights is not None and run.locate_heights(heights).exists():  # older runs have no copy
         heights = run.locate_heights(heights)
-    return with_files(config, run.urdf, folders, heights)
+    return set_files(config, run.urdf, folders, heights)
 
 
 def _derive_suite(config: EnvConfig) -> Suite:

@@ -99,7 +99,7 @@ class CommandConfig(Settings, group="env.command"):
                 f"{self.straight} and --env.command.spot {self.spot}; expected a sum of at most 1"
             )
 
-    def of_robot(self, leg: float, foot_speed: float) -> "CommandConfig":
+    def scale_to(self, leg: float, foot_speed: float) -> "CommandConfig":
         """The same command for legs of `leg`, m, whose motors swing a foot at `foot_speed`, m/s.
 
         Velocities change with the length's root, yaw rates inversely; accelerations remain.
@@ -120,7 +120,7 @@ class CommandConfig(Settings, group="env.command"):
             leg=None,
         )
 
-    def held_at(self, forward: float) -> "CommandConfig":
+    def hold_at(self, forward: float) -> "CommandConfig":
         """Return the same with every command straight ahead at `forward`, m/s."""
         return replace(
             self,
@@ -132,7 +132,7 @@ class CommandConfig(Settings, group="env.command"):
         )
 
     @property
-    def given(self) -> bool:
+    def active(self) -> bool:
         """Whether there are commands at all."""
         return any((*self.forward, *self.lateral, *self.yaw_rate))
 
@@ -286,7 +286,7 @@ class EnvConfig(Settings, group="env"):
                 term.check_numbers(f"{group}.{name}")
 
     @property
-    def as_seen(self) -> "EnvConfig":
+    def effective(self) -> "EnvConfig":
         """The same, with `height_scan` moved to the critic if the policy is blind."""
         if not self.blind or SIGHT not in self.observation:
             return self

@@ -133,7 +133,7 @@ def _parts(config: Any) -> dict[str, Any]:
     return parts
 
 
-def with_settings(config: T, changes: Mapping[str, Any]) -> T:
+def change_settings(config: T, changes: Mapping[str, Any]) -> T:
     """`config` with settings changed by their names: {"env.reward.energy": -0.5}.
 
     A term as a value replaces one, or is added. `UsageError` for a name or value that cannot be.

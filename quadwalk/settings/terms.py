@@ -55,9 +55,9 @@ class Term:
 
     def __call__(self, *inputs: Any) -> Any:
         """The function's value for its inputs."""
-        return self.value(f"term {self.function.__name__!r}", *inputs)
+        return self.compute(f"term {self.function.__name__!r}", *inputs)
 
-    def value(self, what: str, *inputs: Any) -> Any:
+    def compute(self, what: str, *inputs: Any) -> Any:
         """Its value for `inputs`; `UserError`, naming `what`, if it fails or has a wrong shape."""
         file, line = _place(self.function)
         try:
@@ -118,7 +118,7 @@ class Observation(Term):
     def fits(shape: tuple[int, ...]) -> bool:
         return len(shape) < 2
 
-    def names(self, name: str, size: int, joints: tuple[str, ...]) -> tuple[str, ...]:
+    def name_numbers(self, name: str, size: int, joints: tuple[str, ...]) -> tuple[str, ...]:
         """A name for each of its `size` numbers, of a robot with these 12 joints."""
         if size == 1 and not self.labels:
             return (name,)

@@ -9,7 +9,7 @@ import tyro
 
 from quadwalk.bounds import Bounds, Count, Natural, NotNegative, Positive, Seed, Settings, Share
 from quadwalk.errors import UsageError
-from quadwalk.files import real_path
+from quadwalk.files import resolve_path
 from quadwalk.paths import ALIENGO_URDF
 from quadwalk.settings.environment import EnvConfig
 
@@ -164,11 +164,11 @@ class TrainConfig(Settings):
     distributed: DistributedConfig = field(default_factory=DistributedConfig)
 
 
-def with_files(
+def set_files(
     config: TrainConfig, urdf: Path, mesh_dirs: tuple[Path, ...], heights: Path | None
 ) -> TrainConfig:
     """`config` with these files, by paths that are good from any folder."""
-    folders = tuple(map(real_path, mesh_dirs))
-    robot = replace(config.robot, urdf=real_path(urdf), mesh_dirs=folders)
-    ground = replace(config.env.ground, file=heights and real_path(heights))
+    folders = tuple(map(resolve_path, mesh_dirs))
+    robot = replace(config.robot, urdf=resolve_path(urdf), mesh_dirs=folders)
+    ground = replace(config.env.ground, file=heights and resolve_path(heights))
     return replace(config, robot=robot, env=replace(config.env, ground=ground))

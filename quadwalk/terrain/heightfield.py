@@ -8,7 +8,7 @@ import numpy as np
 from PIL import Image
 
 from quadwalk.errors import UserError
-from quadwalk.files import os_reason
+from quadwalk.files import get_os_reason
 
 FLOOR = "floor"  # the geom that robots stand on, in every model
 BASE = 1.0  # m, how far MuJoCo's heightfield goes down below its lowest point
@@ -67,7 +67,7 @@ def read_heights(path: Path, white: float) -> np.ndarray:
         heights = np.load(path) if path.suffix == ".npy" else _read_picture(path, white)
     except (OSError, ValueError, EOFError, SyntaxError, Image.DecompressionBombError) as error:
         if isinstance(error, OSError) and error.errno is not None:
-            raise UserError(f"cannot read {what}: {os_reason(error)}") from None
+            raise UserError(f"cannot read {what}: {get_os_reason(error)}") from None
         raise UserError(f"{what} cannot be read; expected {expected}") from None
     if not isinstance(heights, np.ndarray) or heights.dtype.kind not in "iuf":
         raise UserError(f"{what} does not hold an array of numbers; expected {expected}")

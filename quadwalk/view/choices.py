@@ -5,7 +5,7 @@ from pathlib import Path
 
 from quadwalk.errors import UserError
 from quadwalk.evaluation.load import LoadedRun, load_run
-from quadwalk.files import hash_file, real_path
+from quadwalk.files import hash_file, resolve_path
 from quadwalk.learn.acting import Policy, load_checkpoint_policy, load_policy
 from quadwalk.paths import PRETRAINED
 from quadwalk.runs.directory import Run, list_checkpoints, list_runs
@@ -16,14 +16,14 @@ LAST, BEST = "last", "best"
 def run_choices(root: Path, chosen: Run) -> dict[str, Run]:
     """Label to run: `chosen` if from elsewhere, those in `root`, newest first, those packaged."""
     runs = [*list_runs(root), *list_runs(PRETRAINED)]
-    if all(real_path(run.path) != real_path(chosen.path) for run in runs):
+    if all(resolve_path(run.path) != resolve_path(chosen.path) for run in runs):
         runs.insert(0, chosen)
     return {label_of(root, run): run for run in runs}
 
 
 def label_of(root: Path, run: Run) -> str:
     """What `run` is called among those in `root`: its name, or the path of one from elsewhere."""
-    if real_path(run.path).parent == real_path(root):
+    if resolve_path(run.path).parent == resolve_path(root):
         return run.name
     return f"{run.name} (packaged)" if run.packaged else str(run.path)
 

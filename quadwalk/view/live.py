@@ -268,7 +268,7 @@ class LiveRobot:
             key=key,
         )
         mind = self._mind
-        commanded = mind.env.config.command.given
+        commanded = mind.env.config.command.active
         return EnvState(
             physics=PhysicsState(_number(data.qpos), _number(data.qvel)),
             last_action=mind.action,

@@ -100,7 +100,7 @@ class Panel:
         config = live.env.config.command
         ranges = (config.forward, config.lateral, config.yaw_rate)
         with self._gui.add_folder("Command"):
-            if not config.given:
+            if not config.active:
                 self._gui.add_markdown("This policy takes none: it runs along x.")
                 return []
             sliders = [
@@ -184,7 +184,7 @@ class Panel:
         traces = Traces(live.env.stepping.control_dt)
         command, legs = live.env.config.command, live.env.quadruped.legs
         series = [_line("s", _DARK), _line("forward, m/s", _BLUE), _line("command, m/s", _GREEN)]
-        count = 3 if command.given else 2
+        count = 3 if command.active else 2
         low, high = command.forward
         seconds = uplot.Scale(time=False)  # not of a day
         window = self._gui.add_panel()

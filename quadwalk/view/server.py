@@ -11,7 +11,7 @@ import viser
 from rich.console import Console
 
 from quadwalk.errors import UsageError, UserError
-from quadwalk.files import os_reason
+from quadwalk.files import get_os_reason
 
 
 @contextlib.contextmanager
@@ -57,7 +57,7 @@ def _free_port(host: str, port: int) -> int:
                 if error.errno not in (errno.EADDRINUSE, errno.EACCES):
                     raise
     except (OSError, ValueError) as error:  # ValueError: a name that no host can have
-        reason = os_reason(error) if isinstance(error, OSError) else error
+        reason = get_os_reason(error) if isinstance(error, OSError) else error
         raise UsageError(
             f"--host is {host!r}: {reason}; expected an address of this machine"
         ) from None

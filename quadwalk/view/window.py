@@ -136,7 +136,7 @@ def _connect(scene: mujoco.MjvScene, kind: int, start: Any, end: Any, color: Any
 def _said(live: LiveRobot, pace: Pace) -> str:
     kept = "" if pace.kept else f", not in real time: {pace.reached:.2f}"
     forward, left, turning = live.command
-    command = (
-        f", command {forward:.2f} {left:.2f} {turning:.2f}" if live.env.config.command.given else ""
-    )
+    command = ""
+    if live.env.config.command.active:
+        command = f", command {forward:.2f} {left:.2f} {turning:.2f}"
     return f"{live.velocity[0]:.2f} m/s{command}{kept}"

@@ -24,7 +24,7 @@ from quadwalk.experiments.job import Job, fix_sizes
 from quadwalk.experiments.options import PlaceConfig, add_place_flags, read_place
 from quadwalk.experiments.places import make_place
 from quadwalk.experiments.runner import collect_values, run_jobs
-from quadwalk.settings.serialize import with_settings
+from quadwalk.settings.serialize import change_settings
 from quadwalk.settings.training import TrainConfig
 from quadwalk.task_files import load_task
 from studies.gecko.gait import measure
@@ -75,7 +75,7 @@ def variants() -> dict[str, TrainConfig]:
         found |= {f"{task}, {cause}": exchange(own, others, cause) for cause in CAUSES}
         found[f"{task}, all of them"] = exchange(own, others, *CAUSES)
     post, ours = load_task("blog"), load_task("sprint")
-    found["blog, action 0"] = with_settings(post, ABOUT_STANDING)
+    found["blog, action 0"] = change_settings(post, ABOUT_STANDING)
     found["sprint, action mapping and falls"] = exchange(ours, post, "action mapping", "falls")
     return found
 

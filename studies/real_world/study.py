@@ -31,7 +31,7 @@ from quadwalk.experiments.options import add_place_flags, read_place
 from quadwalk.experiments.places import make_place
 from quadwalk.experiments.runner import collect_values, run_jobs
 from quadwalk.runs.directory import Run
-from quadwalk.settings.serialize import with_settings
+from quadwalk.settings.serialize import change_settings
 from quadwalk.settings.training import TrainConfig
 from quadwalk.task_files import load_task
 from studies.results import Results
@@ -75,7 +75,7 @@ def variants() -> dict[str, TrainConfig]:
     return {
         "sprint": load_task("sprint"),
         "run": run,
-        **{name: with_settings(run, changes) for name, changes in without.items()},
+        **{name: change_settings(run, changes) for name, changes in without.items()},
     }
 
 

@@ -17,7 +17,7 @@ from pathlib import Path
 from quadwalk.api import train
 from quadwalk.cli.process import run_command
 from quadwalk.evaluation.command import SweepConfig, sweep_runs
-from quadwalk.files import atomic_write
+from quadwalk.files import open_atomic
 from quadwalk.paths import PRETRAINED
 
 RESULTS = Path(__file__).parent / "results.json"
@@ -47,7 +47,7 @@ def main() -> None:
         )
     for result, name in zip(found["runs"], ("run", "sprint"), strict=True):
         result["run"] = name
-    with atomic_write(given.out) as file:
+    with open_atomic(given.out) as file:
         file.write(json.dumps(found).encode() + b"\n")
     print(f"written to {given.out}")
 

@@ -164,11 +164,11 @@ def count_constants(function: Any, *arguments: Any) -> int:
 
 
 def test_the_blind_leave_the_scan_to_the_value_network():
-    seeing, blind = rough.TASK.env, dataclasses.replace(rough.TASK.env, blind=True).as_seen
+    seeing, blind = rough.TASK.env, dataclasses.replace(rough.TASK.env, blind=True).effective
     assert list(blind.observation) == [name for name in seeing.observation if name != "height_scan"]
     assert blind.critic["height_scan"] == seeing.observation["height_scan"]
-    assert seeing.as_seen is seeing
-    assert blind.as_seen is blind
+    assert seeing.effective is seeing
+    assert blind.effective is blind
     with pytest.raises(UsageError, match=r"env\.blind.*height_scan"):
         dataclasses.replace(sprint.TASK.env, blind=True)
 

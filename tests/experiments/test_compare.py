@@ -19,7 +19,7 @@ from quadwalk.experiments.options import TuneConfig
 from quadwalk.experiments.places import ThisMachine
 from quadwalk.experiments.runner import Outcome
 from quadwalk.experiments.search import make_base
-from quadwalk.files import real_path
+from quadwalk.files import resolve_path
 from quadwalk.learn.flags import parse_config
 from quadwalk.paths import PRETRAINED
 from quadwalk.progress.metrics import SPEED
@@ -186,7 +186,7 @@ def test_the_run_to_begin_with_is_the_one_that_a_training_alone_finds(tmp_path, 
     for name, path in (("source", tmp_path / "runs/source"), ("drive", PRETRAINED / "drive")):
         flags = f"--init {name}"
         alone, _ = parse_config(flags.split())
-        compared = plan_training(flags, 0, None, real_path(Path("runs/compare")))
+        compared = plan_training(flags, 0, None, resolve_path(Path("runs/compare")))
         searched = replace(make_base(TuneConfig(flags=flags)), runs=Path("runs/tune/run"))
         for config in (alone, compared, searched):
             assert find_any_run(config.runs, config.init).path == path

@@ -9,7 +9,7 @@ from concurrent.futures import Future
 import pytest
 from measures import die_once, get_last_reward
 
-from quadwalk.cores import cpu_cores
+from quadwalk.cores import count_cores
 from quadwalk.errors import UserError
 from quadwalk.experiments import board
 from quadwalk.experiments.job import compute_job
@@ -19,7 +19,7 @@ from quadwalk.experiments.runner import collect_values, run_jobs
 from quadwalk.runs.policy import load_score
 
 ROW = {"steps": 640, "eval/speed": 1.5, "eval/fall_rate": math.nan}
-HOLD = "from quadwalk.cores import pin, cpu_cores; import os; pin(1); "
+HOLD = "from quadwalk.cores import pin, count_cores; import os; pin(1); "
 
 
 def test_each_job_ends_in_its_own_way(job, task, capsys, same_result, train_alone):
@@ -89,11 +89,11 @@ def test_where_there_is_no_terminal_a_line_says_how_far_all_are(monkeypatch, cap
     assert "0 of 4 done, 1 failed, 2 running, 1 waiting  " in said[1]
 
 
-@pytest.mark.skipif(cpu_cores() < 2, reason="a single core is nobody's own")
+@pytest.mark.skipif(count_cores() < 2, reason="a single core is nobody's own")
 def test_processes_have_cores_of_their_own(tmp_path, monkeypatch):
     monkeypatch.setenv("TMPDIR", str(tmp_path))  # of the locks, which other tests hold as well
     code = HOLD + "print(*os.sched_getaffinity(0), flush=True); input()"
-    pipe, cores = subprocess.PIPE, cpu_cores()
+    pipe, cores = subprocess.PIPE, count_cores()
     processes = [
         subprocess.Popen([sys.executable, "-c", code], stdin=pipe, stdout=pipe, text=True)
         for _ in range(cores)

@@ -227,7 +227,7 @@ def test_the_metadata_says_what_mjlab_says(exported):
 
     assert json.loads(about["joint_names"]) == list(env.quadruped.joints)
     assert json.loads(about["observation_names"]) == list(env.config.observation)
-    assert about["command_names"] == ("velocity" if env.config.command.given else "")
+    assert about["command_names"] == ("velocity" if env.config.command.active else "")
     np.testing.assert_allclose(numbers("default_joint_pos"), env.robot.home[7:], rtol=1e-6)
     np.testing.assert_allclose(numbers("joint_stiffness"), env.motor.kp, rtol=1e-6)
     np.testing.assert_allclose(numbers("joint_damping"), env.motor.kd, rtol=1e-6)
@@ -319,7 +319,7 @@ def test_deploy_yaml_gives_the_observations_and_targets_that_were_trained_with(e
             kept = rollout.qvel[k - length + 1 : k + 1, 6:].ravel()
             np.testing.assert_allclose([obs[label] for label in part], kept, atol=1e-5)
     assert at == len(labels)
-    if env.config.command.given:
+    if env.config.command.active:
         ranges = config["commands"]["base_velocity"]["ranges"]
         assert tuple(ranges["lin_vel_x"]) == env.config.command.forward
 

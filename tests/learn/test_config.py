@@ -10,7 +10,7 @@ import pytest
 from quadwalk.errors import UsageError, UserError
 from quadwalk.learn.flags import parse_config
 from quadwalk.runs.resume import list_changes, read_config
-from quadwalk.settings.serialize import to_dict, with_settings
+from quadwalk.settings.serialize import change_settings, to_dict
 from quadwalk.settings.training import TrainConfig
 from quadwalk.task_files import load_task
 from quadwalk.tasks import list_tasks, sprint, walk
@@ -150,7 +150,7 @@ def write_run(folder: Path, content: str) -> None:
 
 
 def test_a_resumed_configuration_is_the_runs_with_the_flags_given(tmp_path):
-    config = with_settings(sprint.TASK, {"name": "dog", "env.substeps": 3, "seed": 7})
+    config = change_settings(sprint.TASK, {"name": "dog", "env.substeps": 3, "seed": 7})
     content = {"config": to_dict(config), "versions": {"quadwalk": "0.2.0"}}
     write_run(tmp_path / "dog", json.dumps(content))
     flags = ["--runs", str(tmp_path), "--resume", "dog", "--ppo.entropy", "0.5"]

@@ -25,7 +25,7 @@ def machine(monkeypatch):
         prepared: list[int] = []
         monkeypatch.setattr(devices, "_configure_jax", prepared.append)
         monkeypatch.setattr(devices, "join", lambda config: None)
-        monkeypatch.setattr(devices, "cpu_cores", lambda: cores)
+        monkeypatch.setattr(devices, "count_cores", lambda: cores)
         monkeypatch.setattr(jax, "devices", lambda: found)
         monkeypatch.setattr(
             jax, "local_devices", lambda process: [d for d in found if d.process == process]

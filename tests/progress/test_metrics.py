@@ -4,7 +4,7 @@ import math
 import pytest
 
 from quadwalk.progress.metrics import FallRate, TrainingMetrics
-from quadwalk.settings.serialize import with_settings
+from quadwalk.settings.serialize import change_settings
 from quadwalk.tasks import sprint
 
 
@@ -36,7 +36,7 @@ def numbers(**changes):
 
 def test_a_row_tells_training_from_evaluation_and_scales_the_terms():
     scales = {"env.reward.forward": 2.0, "env.reward.yaw": -3.0}
-    metrics = TrainingMetrics(with_settings(sprint.TASK, scales).env.reward)
+    metrics = TrainingMetrics(change_settings(sprint.TASK, scales).env.reward)
     metrics.row(100, numbers())
     row = metrics.row(200, numbers())
     assert row["steps"] == 200

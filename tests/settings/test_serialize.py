@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from quadwalk.env import rewards as reward
 from quadwalk.errors import UsageError, UserError
-from quadwalk.settings.serialize import OLD_NAMES, flatten, from_dict, to_dict, with_settings
+from quadwalk.settings.serialize import OLD_NAMES, change_settings, flatten, from_dict, to_dict
 from quadwalk.settings.terms import Reward
 from quadwalk.settings.training import TrainConfig
 from quadwalk.task_files import load_task
@@ -63,10 +63,10 @@ def test_any_value_in_any_place_fits_or_is_one_line_that_names_the_place(odd):
 
 def test_what_belongs_together_is_changed_together():
     rates = {"ppo.min_learning_rate": 0.1, "ppo.max_learning_rate": 0.2}
-    found = with_settings(sprint.TASK, rates).ppo
+    found = change_settings(sprint.TASK, rates).ppo
     assert (found.min_learning_rate, found.max_learning_rate) == (0.1, 0.2)
     with pytest.raises(UsageError, match=r"ppo\.min-learning-rate is 0\.1; expected at most"):
-        with_settings(sprint.TASK, {"ppo.min_learning_rate": 0.1})
+        change_settings(sprint.TASK, {"ppo.min_learning_rate": 0.1})
 
 
 @pytest.mark.parametrize("name", list_tasks())
@@ -75,13 +75,13 @@ def test_every_setting_can_be_changed_by_the_name_that_it_has(name):
     for setting, value in flatten(task).items():
         if setting == "task" or setting.endswith(("function", "labels")):
             continue
-        assert with_settings(task, {setting: value}) == task, setting
+        assert change_settings(task, {setting: value}) == task, setting
 
 
 @given(scale=st.floats(-10, 10), speed=st.integers(1, 9))
 def test_a_scale_and_a_parameter_of_a_term_are_changed_and_nothing_else(scale, speed):
     changes = {"env.reward.energy": scale, "env.reward.forward.max_speed": speed}
-    found = with_settings(sprint.TASK, changes)
+    found = change_settings(sprint.TASK, changes)
     assert found.env.reward["energy"].scale == scale
     assert found.env.reward["forward"].params == {"max_speed": float(speed)}
     before, after = flatten(sprint.TASK), flatten(found)
@@ -91,7 +91,7 @@ def test_a_scale_and_a_parameter_of_a_term_are_changed_and_nothing_else(scale, s
 
 def test_a_term_can_be_put_in_place_of_another_or_added():
     term = Reward(reward.alive, scale=3.0)
-    found = with_settings(sprint.TASK, {"env.reward.fall": term, "env.reward.mine": term})
+    found = change_settings(sprint.TASK, {"env.reward.fall": term, "env.reward.mine": term})
     assert found.env.reward["fall"] is found.env.reward["mine"] is term
 
 
@@ -112,7 +112,7 @@ def test_a_term_can_be_put_in_place_of_another_or_added():
 )
 def test_a_change_that_cannot_be_is_said_in_one_line(changes, named):
     with pytest.raises(UserError, match=named):
-        with_settings(sprint.TASK, changes)
+        change_settings(sprint.TASK, changes)
 
 
 @pytest.mark.parametrize(

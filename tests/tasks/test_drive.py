@@ -180,7 +180,7 @@ def told(env, before, action, after):
 
 def test_every_command_of_a_held_configuration_is_the_same():
     """Of 2000 drawn from `drive`, which commands to stand and to turn on the spot."""
-    config = drive.TASK.env.command.held_at(0.7)
+    config = drive.TASK.env.command.hold_at(0.7)
     drawn = jax.vmap(lambda key: draw(config, key))(jax.random.split(jax.random.PRNGKey(0), 2000))
     np.testing.assert_allclose(drawn, np.tile([0.7, 0.0, 0.0], (2000, 1)), atol=1e-6)
 
@@ -188,19 +188,19 @@ def test_every_command_of_a_held_configuration_is_the_same():
 @pytest.mark.parametrize("leg", [0.125, 0.5])
 def test_command_ranges_have_the_same_froude_number_for_all_robots(leg):
     command = drive.TASK.env.command
-    own = command.of_robot(leg, 100.0)
+    own = command.scale_to(leg, 100.0)
     for name in ("forward", "lateral"):
         asked, had = np.array(getattr(own, name)), np.array(getattr(command, name))
         np.testing.assert_allclose(asked**2 / leg, had**2 / 0.5, rtol=2e-3)
     turn = own.forward[1] * own.yaw_rate[1]  # m/s^2
     assert turn == pytest.approx(command.forward[1] * command.yaw_rate[1], rel=1e-3)
     assert own.turning == command.turning
-    assert own.of_robot(1.0, 1.0) == own  # once
+    assert own.scale_to(1.0, 1.0) == own  # once
 
 
 def test_no_command_is_faster_than_the_motors_swing_a_foot(quadruped):
     command = drive.TASK.env.command
-    slow = command.of_robot(0.5, 2.0)
+    slow = command.scale_to(0.5, 2.0)
     assert slow.forward[1] == pytest.approx(0.61 * 2.0)
     assert slow.forward[0] / slow.forward[1] == pytest.approx(-1.0 / 4.5, abs=1e-3)
     assert slow.yaw_rate == command.yaw_rate
@@ -213,8 +213,8 @@ def test_no_command_is_faster_than_the_motors_swing_a_foot(quadruped):
 @pytest.mark.parametrize("forward", [(0.0, 0.0), (-1.0, 0.0), (-2.0, -1.0)])
 def test_ranges_without_a_way_ahead_are_bounded_by_their_fastest(forward):
     command = dataclasses.replace(drive.TASK.env.command, forward=forward)
-    assert command.of_robot(0.5, 100.0).forward == forward
-    low, high = command.of_robot(0.5, 1.0).forward
+    assert command.scale_to(0.5, 100.0).forward == forward
+    low, high = command.scale_to(0.5, 1.0).forward
     assert low == pytest.approx(max(forward[0], -0.61))
     assert low <= high <= 0.0
 

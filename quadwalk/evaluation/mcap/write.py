@@ -16,7 +16,7 @@ from mcap_protobuf.schema import register_schema
 from quadwalk.cli.shell import quote_words
 from quadwalk.evaluation.mcap.messages import EpisodeMessages
 from quadwalk.evaluation.rollout import Rollout
-from quadwalk.files import atomic_write
+from quadwalk.files import open_atomic
 from quadwalk.paths import ASSETS
 from quadwalk.robot.quadruped import Quadruped
 
@@ -65,7 +65,7 @@ def write_mcap(
         "control_dt": repr(float(rollout.control_dt)),
     }
     records = {"episode": episode, "quadwalk": dict(metadata)}
-    with atomic_write(path) as file:
+    with open_atomic(path) as file:
         _write(file, EpisodeMessages(rollout, quadruped), attached, records)
 
 

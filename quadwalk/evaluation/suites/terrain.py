@@ -51,7 +51,7 @@ def measure_terrain(
     env = make_cells_env(loaded, kinds, levels)
     assert env.terrain is not None
     difficulties = list(dict.fromkeys(tile.difficulty for tile in env.terrain.tiles))
-    commanded, dt = env.config.command.given, env.config.control_dt
+    commanded, dt = env.config.command.active, env.config.control_dt
     cells = list(product(kinds, difficulties))
     tiles_of_cells = [
         [k for k, tile in enumerate(env.terrain.tiles) if (tile.kind, tile.difficulty) == cell]
@@ -92,8 +92,8 @@ def make_cells_env(loaded: LoadedRun, kinds: tuple[str, ...], levels: int) -> Qu
     if ground.file is None:
         rows = tuple(kind for kind in kinds for _ in range(max(ROWS // len(kinds), LEAST_ROWS)))
         ground = dataclasses.replace(ground, kinds=rows, levels=levels)
-    if command.given:
-        command = command.held_at(PACE)
+    if command.active:
+        command = command.hold_at(PACE)
     config = dataclasses.replace(
         config, ground=dataclasses.replace(ground, confined=True), command=command
     )
