@@ -20,9 +20,9 @@ Metrics = dict[str, Any]
 class TrainingEnv(Protocol):
     """An environment that the learner can train in, such as `QuadrupedEnv`; a pytree.
 
-    Of a state the learner reads `obs`, `reward`, `done`, the metrics "speed", "fell" and "nan", and
-    `info["truncation"]`, which is 1 at a time limit. `pipeline_state` is a named tuple. The learner
-    reads its `steps`, with a curriculum `tile`, `travel` and `qpos`, and with `PPOConfig.retry`
+    The learner reads a state's `obs`, `reward` and `done`, and the metrics "speed", "fell" and
+    "nan". `info["truncation"]` is 1 at a time limit. `pipeline_state` is a named tuple with
+    `steps`, with a curriculum also `tile`, `travel` and `qpos`, with `PPOConfig.retry` also
     `conditions`.
     """
 

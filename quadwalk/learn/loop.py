@@ -52,14 +52,14 @@ def train(
 ) -> Run | None:
     """Train as `config` says; return the run, whose directory holds everything.
 
-    With `previous`, a run, it resumes that one, whose settings `read_config_to_resume` gives.
+    With `previous` it resumes that run, whose settings `read_config_to_resume` gives.
     `watch` is called with each iteration's row of metrics, to show it in another way.
 
-    Once it iterates, Ctrl-C, SIGTERM, SIGHUP or the time limit end training after the iteration at
-    hand, with everything saved, to be resumed. A disk that is full does not end it; only if
-    the state at the end could not be saved is that a `UserError`. So are weights that are no longer
-    finite: nothing is saved then, and what was saved before stays. Of several processes, all but
-    the first return None.
+    Once it iterates, Ctrl-C, SIGTERM, SIGHUP or the time limit end training after the current
+    iteration. Everything is saved then, and the run can be resumed. A full disk does not end it;
+    that is a `UserError` only if the state at the end could not be saved. Weights that are no
+    longer finite are one too: nothing is saved then, and what was saved before stays. Of several
+    processes, all but the first return None.
     """
     is_main = config.distributed.process == 0
     if config.watch:
@@ -199,10 +199,6 @@ def format_command(command: str, run: Run, *flags: str) -> str:
 def stop_on_signal() -> Iterator[threading.Event]:
     """Yield an event that Ctrl-C, SIGTERM or a closed terminal sets; a second Ctrl-C interrupts."""
     stop = threading.Event()
-    if threading.current_thread() is not threading.main_thread():
-        yield stop
-        return
-
     hangup = getattr(signal, "SIGHUP", None)  # Windows has none
 
     def handle(number: int, frame: FrameType | None) -> None:
@@ -211,12 +207,11 @@ def stop_on_signal() -> Iterator[threading.Event]:
             raise KeyboardInterrupt
         stop.set()
 
-    numbers = filter(None, (signal.SIGINT, signal.SIGTERM, hangup))
-    before = {
-        number: signal.signal(number, handle)
-        for number in numbers
-        if signal.getsignal(number) != signal.SIG_IGN  # as under nohup
-    }
+    before = {}
+    if threading.current_thread() is threading.main_thread():
+        for number in filter(None, (signal.SIGINT, signal.SIGTERM, hangup)):
+            if signal.getsignal(number) != signal.SIG_IGN:  # as under nohup
+                before[number] = signal.signal(number, handle)
     try:
         yield stop
     finally:

@@ -110,12 +110,13 @@ class PPO:
 
     def collect(
         self, env: TrainingEnv, learner: Learner, workers: Workers
-    ) -> tuple[Workers, Rollout, Metrics]:
+    ) -> tuple[Workers, Rollout, Metrics, jax.Array]:
         """Step every environment `unroll` times; a finished episode is followed by a fresh one.
 
         The last environments are for evaluation: they act as a trained policy does, and their
         steps are no transitions. Metrics are means over steps, and counts of episodes; those of the
-        evaluation environments are named "eval/...". "nan_step" is a `NanStep`.
+        evaluation environments are named "eval/...". "nan_step" is a `NanStep`. The last value
+        is a key (devices, 2) for `learn`.
         """
         config, networks = self.config, self.networks
         envs = len(workers.envs.done)
@@ -170,8 +171,13 @@ class PPO:
         if env.curriculum is not None:
             metrics |= env.curriculum.sums(after.pipeline_state.tile[:training_envs])
         last_inputs = networks.normalize(learner.normalizer, after.obs[:training_envs])
-        rollout = Rollout(transitions, last_inputs)
-        return Workers(after, key[None]), rollout, reduce_metrics(metrics, nan_step, AXIS)
+        key, key_learn = jax.random.split(key)
+        return (
+            Workers(after, key[None]),
+            Rollout(transitions, last_inputs),
+            reduce_metrics(metrics, nan_step, AXIS),
+            key_learn[None],
+        )
 
     def learn(self, learner: Learner, rollout: Rollout, key: jax.Array) -> tuple[Learner, Metrics]:
         """Update the learner in epochs of minibatches, each of environments side by side.
@@ -180,7 +186,7 @@ class PPO:
         ones would change beyond recognition when they are normalized.
         """
         config = self.config
-        progress = learner.iterations / float(self.iterations)
+        progress = learner.iterations / float(self.iterations)  # may be more than int32 holds
         desired_kl = anneal(config.desired_kl, config.final_kl, config.anneal_share, progress)
         entropy = anneal(config.entropy, config.final_entropy, config.anneal_share, progress)
         size = rollout.transitions.reward.shape[-1] // config.minibatches
@@ -204,7 +210,7 @@ class PPO:
             return jax.lax.scan(update, carry, jax.random.permutation(key, config.minibatches))
 
         before = learner.params, learner.optimizer
-        after, metrics = jax.lax.scan(run_epoch, before, jax.random.split(key, config.epochs))
+        after, metrics = jax.lax.scan(run_epoch, before, jax.random.split(key[0], config.epochs))
         first = learner.iterations == 0
         params, optimizer = jax.tree.map(lambda old, new: jnp.where(first, old, new), before, after)
         # After learning: the divergence from the collecting policy is then a matter of weights
@@ -212,12 +218,15 @@ class PPO:
         normalizer = update_statistics(
             learner.normalizer, rollout.transitions.inputs, self.networks.critic_obs, AXIS
         )
-        return Learner(params, optimizer, normalizer, learner.iterations + 1), {
+        learner = Learner(params, optimizer, normalizer, learner.iterations + 1)
+        floats = [x for x in jax.tree.leaves(learner) if jnp.issubdtype(x.dtype, jnp.floating)]
+        return learner, {
             "loss/policy": jnp.mean(metrics["policy"]),
             "loss/value": jnp.mean(metrics["value"]),
             "loss/kl": jnp.mean(metrics["kl"]),
             "policy/std": metrics["std"][-1, -1],
             "learning_rate": metrics[RATE][-1, -1],
+            "learner/finite": jnp.all(jnp.stack([jnp.all(jnp.isfinite(x)) for x in floats])),
         }
 
     def compute_gradient(
@@ -237,9 +246,17 @@ class PPO:
             params.value, rollout, minibatch
         )
         advantages = (advantages - advantages.mean()) / (advantages.std() + 1e-8)
-        policy_gradient, metrics = self.compute_policy_gradient(
-            params.policy, rollout.transitions, advantages, entropy, minibatch
-        )
+
+        def step(total: Any, xs: tuple[Transitions, jax.Array]) -> Any:
+            transition, advantage = xs
+            gradient, metrics = jax.grad(self.compute_policy_loss, has_aux=True)(
+                params.policy, minibatch(transition), advantage, entropy
+            )
+            return jax.tree.map(jnp.add, total, gradient), metrics
+
+        start = jax.tree.map(jnp.zeros_like, params.policy)
+        xs = rollout.transitions, advantages
+        policy_gradient, metrics = jax.lax.scan(step, start, xs)
         steps = len(rollout.transitions.reward)
         gradient = NetworkParams(policy=policy_gradient, value=value_gradient)
         gradient = jax.tree.map(lambda x: x / steps, gradient)
@@ -279,27 +296,6 @@ class PPO:
             step, start, rollout.transitions, reverse=True
         )
         return gradient, loss, advantages
-
-    def compute_policy_gradient(
-        self,
-        params: Any,
-        transitions: Transitions,
-        advantages: jax.Array,
-        entropy: jax.Array,
-        minibatch: Callable[[Any], Any],
-    ) -> tuple[Any, Metrics]:
-        """Return the sum over steps of the policy loss's gradient, and metrics (unroll,)."""
-
-        def step(total: Any, xs: tuple[Transitions, jax.Array]) -> Any:
-            transition, advantage = xs
-            gradient, metrics = jax.grad(self.compute_policy_loss, has_aux=True)(
-                params, minibatch(transition), advantage, entropy
-            )
-            return jax.tree.map(jnp.add, total, gradient), metrics
-
-        start = jax.tree.map(jnp.zeros_like, params)
-        gradient, metrics = jax.lax.scan(step, start, (transitions, advantages))
-        return gradient, metrics
 
     def compute_policy_loss(
         self, params: Any, transition: Transitions, advantage: jax.Array, entropy: jax.Array
@@ -400,29 +396,20 @@ class Iteration:
         self, env: TrainingEnv, networks: Networks, config: PPOConfig, mesh: Mesh, iterations: int
     ) -> None:
         ppo = PPO(networks, config, iterations)
-
-        def collect(env: TrainingEnv, learner: Learner, workers: Workers) -> tuple[Any, ...]:
-            workers, rollout, metrics = ppo.collect(env, learner, workers)
-            key, key_learn = jax.random.split(workers.key[0])
-            return workers._replace(key=key[None]), rollout, metrics, key_learn[None]
-
-        def learn(learner: Learner, rollout: Rollout, key: jax.Array) -> tuple[Learner, Metrics]:
-            learner, metrics = ppo.learn(learner, rollout, key[0])
-            floats = [x for x in jax.tree.leaves(learner) if jnp.issubdtype(x.dtype, jnp.floating)]
-            finite = jnp.all(jnp.stack([jnp.all(jnp.isfinite(x)) for x in floats]))
-            return learner, {**metrics, "learner/finite": finite}
-
         same, split = P(), P(AXIS)
-        row, column = P(None, AXIS), P(None, None, AXIS)  # environments last
+        row: Any = P(None, AXIS)  # environments last
+        column: Any = P(None, None, AXIS)
         transitions = Transitions(column, column, TanhNormal(column, column), row, row, row)
         rollout = Rollout(transitions, row)
         shard = partial(jax.shard_map, mesh=mesh, check_vma=False)
-        self._collect = jax.jit(
-            shard(collect, in_specs=(same, same, split), out_specs=(split, rollout, same, split)),
+        self._collect: Any = jax.jit(
+            shard(
+                ppo.collect, in_specs=(same, same, split), out_specs=(split, rollout, same, split)
+            ),
             donate_argnums=2,
         )
-        self.learn = jax.jit(
-            shard(learn, in_specs=(same, rollout, split), out_specs=(same, same)),
+        self.learn: Any = jax.jit(
+            shard(ppo.learn, in_specs=(same, rollout, split), out_specs=(same, same)),
             donate_argnums=0,
         )
         self._env = jax.device_put(env, NamedSharding(mesh, same))  # its ground, once

@@ -58,12 +58,7 @@ class Training:
     state: TrainState
     steps: int  # control steps behind `state`
     seconds: float  # of training behind `state`
-
-    @property
-    def batch(self) -> int:
-        """Control steps in an iteration."""
-        assert self.config.envs is not None
-        return self.config.envs * self.config.ppo.unroll
+    batch: int  # control steps in an iteration
 
 
 Say = Callable[[str], None]
@@ -80,23 +75,24 @@ def prepare(
     robot = config.robot
     config = set_files(config, robot.urdf, robot.mesh_dirs, config.env.ground.file)
     config, devices = choose_devices(config)
-    assert config.envs is not None
+    envs = config.envs
+    assert envs is not None
     env = make_env(config, say)
     networks = make_env_networks(env, config.ppo, say)
     mesh = make_mesh(devices)
-    state = init_state(env, networks, config.ppo, mesh, config.envs, config.seed)
+    state = init_state(env, networks, config.ppo, mesh, envs, config.seed)
     # A run that was stopped before its first checkpoint starts once more, as it did.
     if config.init is not None and (previous is None or not directory.list_checkpoints(previous)):
         config, state = init_from_run(config, env, networks, state, say)
-    iterations = math.ceil(config.steps / (config.envs * config.ppo.unroll))
-    iterate = Iteration(env, networks, config.ppo, mesh, iterations)
+    batch = envs * config.ppo.unroll
+    iterate = Iteration(env, networks, config.ppo, mesh, math.ceil(config.steps / batch))
     iterate.trace(state)  # before there is a run: a task whose functions fail leaves none
     main = config.distributed.process == 0
     run = distributed.run_together(
         lambda: open_run(config, previous, env.quadruped, say, stack) if main else None
     )
     say(
-        f"{env.quadruped.name}: {config.envs} environments on {len(devices)} "
+        f"{env.quadruped.name}: {envs} environments on {len(devices)} "
         f"{devices[0].platform.upper()} devices, into {run.path if run else 'process 0'}"
     )
     progress.phase("compiling", 25.0)
@@ -111,6 +107,7 @@ def prepare(
         state=state,
         steps=0,
         seconds=0.0,
+        batch=batch,
     )
     if previous is not None:
         resume(training, previous, say)

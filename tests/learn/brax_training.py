@@ -6,7 +6,7 @@ start for each episode (Brax restores the first one), and spreads the episodes' 
 """
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -17,7 +17,6 @@ from brax.training.agents.ppo import networks as brax_networks
 from brax.training.agents.ppo import train as brax_ppo
 from brax.training.distribution import NormalTanhDistribution
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
-from scipy import stats
 
 from quadwalk.learn import ppo
 from quadwalk.learn.acting import make_policy
@@ -88,34 +87,6 @@ class ForBrax(Wrapper):
         return after.replace(info={**state.info, **after.info, "time_out": time_out})
 
 
-def make_brax_arguments(config: PPOConfig, envs: int) -> dict[str, Any]:
-    """Return the arguments of `ppo.train` that mean what `config` does, for `envs` environments."""
-    return {
-        "num_envs": envs,
-        "batch_size": envs // config.minibatches,
-        "num_minibatches": config.minibatches,
-        "num_updates_per_batch": config.epochs,
-        "unroll_length": config.unroll,
-        "learning_rate": config.learning_rate,
-        "learning_rate_schedule": "ADAPTIVE_KL",
-        "learning_rate_schedule_min_lr": config.min_learning_rate,
-        "learning_rate_schedule_max_lr": config.max_learning_rate,
-        "desired_kl": config.desired_kl,
-        "discounting": config.discount,
-        "gae_lambda": config.gae_lambda,
-        "clipping_epsilon": config.clip_epsilon,
-        "entropy_cost": config.entropy,
-        "vf_loss_coefficient": config.value_coef,
-        "max_grad_norm": config.max_grad_norm,
-        "reward_scaling": config.reward_scale,
-        "normalize_observations": True,
-        "bootstrap_on_timeout": True,
-        "episode_length": 10**6,  # the environment ends its own episodes
-        "run_evals": False,
-        "num_eval_envs": 2,
-    }
-
-
 def train_with_brax(
     env: Env,
     networks: brax_networks.PPONetworks,
@@ -132,6 +103,28 @@ def train_with_brax(
     brax_ppo.train(
         ForBrax(env),
         num_timesteps=iterations * envs * config.unroll,
+        num_envs=envs,
+        batch_size=envs // config.minibatches,
+        num_minibatches=config.minibatches,
+        num_updates_per_batch=config.epochs,
+        unroll_length=config.unroll,
+        learning_rate=config.learning_rate,
+        learning_rate_schedule="ADAPTIVE_KL",
+        learning_rate_schedule_min_lr=config.min_learning_rate,
+        learning_rate_schedule_max_lr=config.max_learning_rate,
+        desired_kl=config.desired_kl,
+        discounting=config.discount,
+        gae_lambda=config.gae_lambda,
+        clipping_epsilon=config.clip_epsilon,
+        entropy_cost=config.entropy,
+        vf_loss_coefficient=config.value_coef,
+        max_grad_norm=config.max_grad_norm,
+        reward_scaling=config.reward_scale,
+        normalize_observations=True,
+        bootstrap_on_timeout=True,
+        episode_length=10**6,  # the environment ends its own episodes
+        run_evals=False,
+        num_eval_envs=2,
         num_evals=points + 1,
         network_factory=lambda *args, **kwargs: networks,
         restore_params=(start.normalizer, start.params.policy, start.params.value),
@@ -139,25 +132,9 @@ def train_with_brax(
             jax.device_get(params)
         ),
         seed=seed,
-        **make_brax_arguments(config, envs),
         **others,
     )
     return params_of_points
-
-
-def train_with_ours(
-    iterate: Callable[[ppo.TrainState], Any],
-    state: ppo.TrainState,
-    iterations: int,
-    points: int,
-) -> list[Params]:
-    """Return the same of our loop, `iterate` being one iteration of it."""
-    params = [get_params(state.learner)]
-    for i in range(1, iterations + 1):
-        state, _ = jax.block_until_ready(iterate(state))
-        if i % (iterations // points) == 0:
-            params.append(get_params(state.learner))
-    return params
 
 
 def get_params(learner: ppo.Learner) -> Params:
@@ -165,7 +142,7 @@ def get_params(learner: ppo.Learner) -> Params:
     return jax.device_get((learner.normalizer, learner.params.policy, learner.params.value))
 
 
-def make_judge(env: Env, config: PPOConfig, episodes: int) -> Callable[[Params], Any]:
+def make_evaluation(env: Env, config: PPOConfig, episodes: int) -> Callable[[Params], Any]:
     """Return a function that evaluates parameters by `episodes` with the mean action.
 
     It returns the reward, summed until an episode ends, over its full length.
@@ -173,7 +150,7 @@ def make_judge(env: Env, config: PPOConfig, episodes: int) -> Callable[[Params],
     steps = env.config.episode_steps
 
     @jax.jit
-    def judge(params: Params) -> jax.Array:
+    def evaluate(params: Params) -> jax.Array:
         policy = make_policy(config, params[0], params[1])
 
         def step(carry: Any, _: None) -> Any:
@@ -186,30 +163,7 @@ def make_judge(env: Env, config: PPOConfig, episodes: int) -> Callable[[Params],
         _, rewards = jax.lax.scan(step, (state, jnp.ones(episodes)), None, length=steps)
         return rewards.sum(0).mean(-1) / steps
 
-    return judge
-
-
-class Agreement(NamedTuple):
-    """Ours and Brax's learning curves compared."""
-
-    difference: float  # mean over curve and seeds, ours less Brax's
-    margin: float  # half the width of its 99 % interval
-    gain: float  # of Brax's mean curve from its start to its end, to compare with
-
-    @property
-    def holds(self) -> bool:
-        return abs(self.difference) <= self.margin
-
-
-def compare_curves(ours: np.ndarray, brax: np.ndarray) -> Agreement:
-    """Compare curves (seeds, 1 + points), the first point being the common start."""
-    gaps = (ours - brax)[:, 1:].astype(float)
-    interval = stats.ttest_1samp(gaps.mean(axis=1), 0.0).confidence_interval(0.99)
-    return Agreement(
-        difference=float(gaps.mean()),
-        margin=float(interval.high - interval.low) / 2.0,
-        gain=float(brax[:, -1].mean() - brax[:, 0].mean()),
-    )
+    return evaluate
 
 
 def compute_curves(
@@ -226,14 +180,18 @@ def compute_curves(
     brax_networks = make_brax_networks(config, networks)
     mesh = make_mesh()
     iterate = ppo.Iteration(env, networks, config, mesh, iterations)
-    judge = make_judge(env, config, episodes)
+    evaluate = make_evaluation(env, config, episodes)
     ours, brax = [], []
     for seed in range(seeds):
         state = ppo.init_state(env, networks, config, mesh, envs, seed)
         state, _ = jax.block_until_ready(iterate(state))  # measures the observations only
         start = jax.device_get(state.learner)
-        params = train_with_ours(iterate, state, iterations, points)
-        ours.append([np.array(judge(point)) for point in params])
+        curve = [evaluate(get_params(start))]
+        for number in range(1, iterations + 1):
+            state, _ = jax.block_until_ready(iterate(state))
+            if number % (iterations // points) == 0:
+                curve.append(evaluate(get_params(state.learner)))
+        ours.append(curve)
         params = train_with_brax(env, brax_networks, config, envs, start, iterations, points, seed)
-        brax.append([np.array(judge(point)) for point in params])
+        brax.append([evaluate(point) for point in params])
     return np.array(ours), np.array(brax)

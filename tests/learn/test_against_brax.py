@@ -19,7 +19,6 @@ from brax.envs.base import Env, State, Wrapper
 from brax.training import gradients
 from brax_training import (
     NormalTanh,
-    compare_curves,
     compute_curves,
     get_params,
     make_brax_networks,
@@ -27,6 +26,7 @@ from brax_training import (
 )
 from jax.sharding import NamedSharding
 from jax.sharding import PartitionSpec as P
+from scipy import stats
 from toy import Plain
 
 from quadwalk.learn import ppo
@@ -107,7 +107,7 @@ class Scattered(Wrapper):
 
 
 def place_by_observation(observation: jax.Array) -> Motion:
-    """A state, its clock too, that follows from its observation."""
+    """Return a state, its clock too, that follows from its observation."""
     position, velocity = observation
     return Motion(position, velocity, (jnp.abs(position) * 100).astype(jnp.int32) % 4)
 
@@ -117,7 +117,7 @@ def wrap_scattered(env: Env, **settings: Any) -> Wrapper:
 
 
 class Both(NamedTuple):
-    """What `ppo.train` and our loop made of the same start."""
+    """Parameters, gradients and losses of `ppo.train` and of our loop after the same start."""
 
     brax: list[Any]  # (normalizer, policy, value) after each iteration, the start first
     ours: list[Any]
@@ -129,7 +129,7 @@ class Both(NamedTuple):
 
 @pytest.fixture
 def train_both(monkeypatch):
-    """Train with both, from the same place_by_observation starts, for some iterations."""
+    """Train with both, from the same scattered starts, for some iterations."""
     seen = []
     real = gradients.loss_and_pgrad
 
@@ -223,7 +223,7 @@ def test_one_update_has_the_loss_and_gradients_of_brax(train_both, env, changes)
 
 
 def test_iterations_leave_the_parameters_of_brax(train_both):
-    """Falls, epochs, minibatches, clipping, Adam, learning rate and normalizer: all of it."""
+    """They agree in falls, epochs, minibatches, clipping, Adam, learning rate and normalizer."""
     config = dataclasses.replace(
         sprint.TASK.ppo, **SETTINGS, minibatches=2, epochs=3, desired_kl=0.01, final_kl=0.01
     )
@@ -248,7 +248,9 @@ def test_learning_curves_agree_over_three_seeds():
     ours, brax = compute_curves(
         Point(25, spread=1.5), config, envs=256, iterations=30, points=5, seeds=3, episodes=128
     )
-    agreement = compare_curves(ours, brax)
-    assert agreement.gain > 0.5
-    assert agreement.holds
-    assert abs(agreement.difference) < 0.1 * agreement.gain
+    gaps = (ours - brax)[:, 1:].mean(axis=1)  # (seeds,), less the common start
+    interval = stats.ttest_1samp(gaps, 0.0).confidence_interval(0.99)
+    assert interval.low <= 0.0 <= interval.high
+    gain = brax[:, -1].mean() - brax[:, 0].mean()
+    assert gain > 0.5
+    assert abs(gaps.mean()) < 0.1 * gain

@@ -101,7 +101,7 @@ def collect_rows(iterate, state):
 
 @pytest.fixture(scope="module")
 def collected(networks, iterate):
-    """A learner, and what it collected."""
+    """Return a learner, and the workers, transitions and metrics of its first collection."""
     state = start(networks)
     return state.learner, *collect_rows(iterate, state)
 
@@ -140,7 +140,7 @@ def test_the_next_episodes_are_where_the_curriculum_says_but_for_those_that_eval
 
 
 def test_an_episode_runs_its_course_and_a_fresh_one_follows(collected):
-    """Which begins at its beginning after a time limit."""
+    """After a time limit the next one starts at its beginning."""
     _, _, data, _ = collected
     limits = 0
     for observation, discount in zip(data.observation, data.discount, strict=True):
@@ -203,38 +203,40 @@ def test_the_metrics_count_every_episode(collected):
 
 
 def test_some_that_fell_meet_the_same_conditions_once_more():
-    """And no others, nor those that evaluate; of targets and noise each begins afresh."""
-    envs, learnt_from = 4000, 3000
+    """No others do, nor those that evaluate. Delayed targets and noise start afresh."""
+    envs, training_envs = 4000, 3000
     number = np.arange(envs, dtype=np.float32)
 
-    def begun(sign: float) -> State:
-        drawn = jax.tree.map(lambda x: jnp.asarray(sign * x), own)
+    def make_states(sign: float) -> State:
+        conditions = jax.tree.map(lambda x: jnp.asarray(sign * x), numbered)
         physics = PhysicsState(number, number)
         zero = jnp.zeros(envs)
         return State(
-            EnvState(physics, zero, zero, None, drawn), zero, zero, zero, {"fell": fell}, {}
+            EnvState(physics, zero, zero, None, conditions), zero, zero, zero, {"fell": fell}, {}
         )
 
     vector = np.tile(number[:, None], (1, 3))
-    own = EpisodeRandomization(None, number, None, vector, number, vector, vector, vector, vector)
+    numbered = EpisodeRandomization(
+        None, number, None, vector, number, vector, vector, vector, vector
+    )
     fell = jnp.asarray(number % 2)
     found = episodes.retry_conditions(
-        0.25, begun(1.0), begun(-1.0), learnt_from, jax.random.PRNGKey(0)
+        0.25, make_states(1.0), make_states(-1.0), training_envs, jax.random.PRNGKey(0)
     )
     np.testing.assert_array_equal(found.targets, -vector)
     np.testing.assert_array_equal(found.key, -vector)
     again = np.asarray(found.delay) > 0
-    assert 0.2 < again[:learnt_from].mean() / 0.5 < 0.3
-    assert not again[learnt_from:].any()
+    assert 0.2 < again[:training_envs].mean() / 0.5 < 0.3
+    assert not again[training_envs:].any()
     assert not again[::2].any()
     np.testing.assert_array_equal(found.push, np.where(again[:, None], vector, -vector))
     np.testing.assert_array_equal(found.noise, np.where(again, number, -number))
 
 
 def test_an_episode_after_a_fall_is_seen_as_it_starts(quadruped, monkeypatch):
-    """Of walk: the clock at the step it is put to, and the encoders that it has once more.
+    """In walk it sees the clock at the step that it starts at, and by the encoders it has again.
 
-    Of the first two of six; the others evaluate, and have those that are drawn for them.
+    Only the first two of six have the same encoders again; the others evaluate.
     """
     monkeypatch.setattr(episodes, "CHUNK", 3)  # of four that end, three are begun and then one
     task = walk.TASK
@@ -324,17 +326,17 @@ class Late(Counter):
         self.late = late
 
     def reset(self, rng: jax.Array) -> State:
-        return self._shown(super().reset(rng), jnp.zeros(()), jnp.zeros(()))
+        return self._show(super().reset(rng), jnp.zeros(()), jnp.zeros(()))
 
     def step(self, state: State, action: jax.Array) -> State:
         age = state.info["age"] + 1.0
         shown = jnp.where(age >= self.late, action[0], 0.0)
-        return self._shown(super().step(state, action), age, shown)
+        return self._show(super().step(state, action), age, shown)
 
     def begun(self, state: State, **changes: jax.Array) -> State:
-        return self._shown(super().begun(state, **changes), state.info["age"], jnp.zeros(()))
+        return self._show(super().begun(state, **changes), state.info["age"], jnp.zeros(()))
 
-    def _shown(self, state: State, age: jax.Array, shown: jax.Array) -> State:
+    def _show(self, state: State, age: jax.Array, shown: jax.Array) -> State:
         obs = jnp.concatenate([state.obs, jnp.stack([shown, jnp.float32(self.constant)])])
         return state.replace(obs=obs, info={**state.info, "age": age})
 
@@ -421,7 +423,7 @@ def test_the_learning_rate_follows_the_change_of_the_policy_within_its_bounds(ra
 
 
 def test_a_state_whose_action_is_sure_does_not_rule_the_learning_rate():
-    """Seven of eight states diverge by 0.01, by hand: 2 actions, (0.02 / 0.2)^2 / 2 each."""
+    """By hand, seven of eight states diverge by 0.01: 2 actions, (0.02 / 0.2)^2 / 2 each."""
     envs = 8
     before = TanhNormal(jnp.zeros((2, envs)), jnp.full((2, envs), 0.2))
     after = before._replace(mean=before.mean.at[:].set(0.02).at[:, 0].set(50.0))

@@ -4,6 +4,7 @@ import dataclasses
 import re
 import shutil
 from types import SimpleNamespace
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -12,24 +13,23 @@ import numpy as np
 import pytest
 import toy
 from brax.training.acme import running_statistics
-from brax.training.acme.running_statistics import NestedMeanStd
 
 from quadwalk.env.actions import about_home
 from quadwalk.env.env import QuadrupedEnv
 from quadwalk.env.observations import offset
 from quadwalk.errors import UsageError, UserError
-from quadwalk.files import format_json
 from quadwalk.learn import ppo
 from quadwalk.learn.acting import make_policy
 from quadwalk.learn.devices import make_mesh
-from quadwalk.learn.networks import make_env_networks
+from quadwalk.learn.networks import Networks, make_env_networks
+from quadwalk.learn.prepare import make_run
 from quadwalk.learn.warm_start import warm_start_from
 from quadwalk.robot.quadruped import load_quadruped
 from quadwalk.runs import checkpoint
-from quadwalk.runs.directory import Run, create_run, get_versions
+from quadwalk.runs.directory import Run, create_run
 from quadwalk.runs.policy import save_policy
-from quadwalk.settings.serialize import to_dict
 from quadwalk.settings.terms import ActionMap, Observation
+from quadwalk.settings.training import TrainConfig
 from quadwalk.tasks import run as task
 
 OFFSET = {"offset": Observation(offset, {"reach": 1.0})}
@@ -42,18 +42,14 @@ def make_learner(env, config, seed):
 
 
 def warm_start(run, config, env):
-    """Networks, the learner that begins as that of `run`, and notes."""
+    """Return networks in `env`, the learner that starts as that of `run`, and notes."""
     networks, fresh = make_learner(env, config, 6)
     return networks, *warm_start_from(run, config, env, networks, fresh)
 
 
-def get_statistics(learner):
-    return NestedMeanStd(learner.normalizer.mean, learner.normalizer.std)
-
-
 def compute_value(networks, learner, observation):
-    """What the value network says."""
-    parts = networks.normalize(get_statistics(learner), jnp.float32(observation))
+    """Return the output of the value network."""
+    parts = networks.normalize(learner.normalizer, jnp.float32(observation))
     return networks.apply_value(learner.params.value, parts)
 
 
@@ -61,23 +57,28 @@ def sample_normal(*shape):
     return np.random.default_rng(1).normal(size=shape)
 
 
-def load_learner(run, like):
-    """The learner in the run's checkpoint."""
-    state = ppo.TrainState(like, {"x": np.zeros(1)})
-    return checkpoint.load(run.locate_checkpoint(10), "checkpoint", state)[0].learner
-
-
 def change_config(config, part, **changes):
-    """`config`, of which one part, "env" or "ppo", is changed."""
+    """Return `config` with changes in one part, "env" or "ppo"."""
     return dataclasses.replace(
         config, **{part: dataclasses.replace(getattr(config, part), **changes)}
     )
 
 
+class Source(NamedTuple):
+    """A run that was saved, and its networks."""
+
+    run: Run
+    config: TrainConfig
+    env: QuadrupedEnv
+    networks: Networks
+    learner: ppo.Learner
+    policy: Any  # statistics and plain weights
+
+
 @pytest.fixture(scope="module", params=["symmetric", "plain"])
 def source(request, tmp_path_factory):
-    """A run, its environment, and the policy that it has."""
-    config = dataclasses.replace(task.TASK, envs=8)
+    runs = tmp_path_factory.mktemp("runs")
+    config = dataclasses.replace(task.TASK, envs=8, name="source", runs=runs)
     config = change_config(config, "ppo", hidden=(16, 16), symmetric=request.param == "symmetric")
     quadruped = load_quadruped()
     env = QuadrupedEnv(quadruped, config.env)
@@ -89,38 +90,37 @@ def source(request, tmp_path_factory):
         mirror = env.mirrors.observation
         mean, std = (mean + mirror(mean)) / 2, (std + std[mirror.source]) / 2
     learner = learner._replace(normalizer=learner.normalizer.replace(mean=mean, std=std))
-    settings = {"config": to_dict(config), "versions": get_versions()}
-    files = {"robot.urdf": quadruped.urdf.encode(), "config.json": format_json(settings)}
-    run = create_run(tmp_path_factory.mktemp("runs"), "source", files=files)
-    run.checkpoints.mkdir(exist_ok=True)
+    run = make_run(config, quadruped)
     state = ppo.TrainState(learner, {"x": np.zeros(1)})
     checkpoint.save(run.locate_checkpoint(10), state, {"kind": "checkpoint", "mirrors": None})
-    return run, config, env, networks.to_plain(learner.normalizer, learner.params.policy)
+    policy = networks.to_plain(learner.normalizer, learner.params.policy)
+    return Source(run, config, env, networks, learner, policy)
+
+
+def act(plain, observation):
+    """Return the actions of a plain policy."""
+    return make_policy(task.TASK.ppo, *plain)(jnp.float32(observation))
 
 
 def assert_same_actions(networks, learner, seen, policy, before, atol=1e-5, signs=1.0):
-    """`learner` acts on what is `seen` as `policy` does on what it saw `before`, but for signs."""
-    own = networks.to_plain(learner.normalizer, learner.params.policy)
-    found, expected = (
-        make_policy(task.TASK.ppo, *plain)(jnp.float32(observation))
-        for plain, observation in ((own, seen), (policy, before))
-    )
-    np.testing.assert_allclose(found, expected * signs, atol=atol)
+    """Assert that `learner` acts on `seen` as `policy` does on `before`, but for `signs`."""
+    plain = networks.to_plain(learner.normalizer, learner.params.policy)
+    np.testing.assert_allclose(act(plain, seen), act(policy, before) * signs, atol=atol)
 
 
 def test_it_acts_as_the_run_does_and_as_randomly_as_at_a_start(source):
-    run, config, env, policy = source
+    run, config, env, *_, policy = source
     networks, learner, notes = warm_start(run, config, env)
     assert notes == []
     seen = sample_normal(9, env.observation_size)
     assert_same_actions(networks, learner, seen, policy, seen)
-    parts = networks.normalize(get_statistics(learner), jnp.float32(seen))
+    parts = networks.normalize(learner.normalizer, jnp.float32(seen))
     std = networks.apply_policy(learner.params.policy, parts).std
     np.testing.assert_allclose(std, config.ppo.init_std + 0.001 * networks.std_scale, rtol=1e-5)
 
 
 def test_what_is_new_changes_no_action_and_what_is_seen_in_another_order_is_found(source):
-    run, config, env, policy = source
+    run, config, env, *_, policy = source
     own = {**OFFSET, **dict(reversed(config.env.observation.items()))}
     del own["heading"]
     there = change_config(config, "env", observation=own)
@@ -141,7 +141,7 @@ def test_what_is_new_changes_no_action_and_what_is_seen_in_another_order_is_foun
 
 @pytest.mark.parametrize("unit", [1e-3, 1.0, 1e3])
 def test_statistics_of_what_is_new_soon_are_its_own_in_any_unit(source, unit):
-    run, config, env, _ = source
+    run, config, env, *_ = source
     there = change_config(config, "env", observation=config.env.observation | OFFSET)
     other = QuadrupedEnv(env.quadruped, there.env)
     _, learner, _ = warm_start(run, there, other)
@@ -159,15 +159,14 @@ def test_statistics_of_what_is_new_soon_are_its_own_in_any_unit(source, unit):
 
 
 def replace_in_joint(urdf, joint, pattern, new):
-    """`urdf` with `new` in place of what matches `pattern` first in a joint of the AlienGo."""
+    """Return `urdf` with `new` for the first match of `pattern` in a joint of the AlienGo."""
     before, name, after = urdf.partition(f'<joint name="{joint}_joint"')
     return before + name + re.sub(pattern, new, after, count=1)
 
 
 def test_a_robot_with_other_joints_acts_the_same_in_the_same_pose(source, tmp_path):
     """Its joints have other names, one the end of another's; left hips turn the other way."""
-    run, config, env, policy = source
-    _, like = make_learner(env, config, 5)
+    run, config, env, *_, policy = source
     text = env.quadruped.urdf
     for side in ("FL", "RL"):
         text = replace_in_joint(text, f"{side}_hip", '<axis xyz="1 0 0"/>', '<axis xyz="-1 0 0"/>')
@@ -201,13 +200,13 @@ def test_a_robot_with_other_joints_acts_the_same_in_the_same_pose(source, tmp_pa
     assert_same_actions(networks, learner, there, policy, seen, 1e-4, joint_signs)
     np.testing.assert_allclose(
         compute_value(networks, learner, there),
-        compute_value(make_env_networks(env, config.ppo), load_learner(run, like), seen),
+        compute_value(source.networks, source.learner, seen),
         atol=1e-4,
     )
 
 
 def compute_foot_moves(env):
-    """(12, 12) m/rad, by MuJoCo: how the feet move with each joint about the home pose."""
+    """Return how the feet move with each joint about the home pose, (12, 12) m/rad, by MuJoCo."""
     data = mujoco.MjData(env.mj_model)
     data.qpos[:] = env.quadruped.home
     mujoco.mj_forward(env.mj_model, data)
@@ -227,8 +226,7 @@ def compute_foot_moves(env):
 )
 def test_legs_whose_knees_point_the_other_way_move_their_feet_alike(source, tmp_path, change):
     """Of an AlienGo whose hind knees are ahead, by their calves' limits or axes."""
-    run, config, env, policy = source
-    _, like = make_learner(env, config, 5)
+    run, config, env, *_, policy = source
     text = env.quadruped.urdf
     for side in ("RR", "RL"):
         text = replace_in_joint(text, f"{side}_calf", *change)
@@ -262,20 +260,17 @@ def test_legs_whose_knees_point_the_other_way_move_their_feet_alike(source, tmp_
             rows += 1
     assert rows == 3 * 5 + 2
     plain = networks.to_plain(learner.normalizer, learner.params.policy)
-    found, before = (
-        np.arctanh(make_policy(task.TASK.ppo, *own)(jnp.float32(given)))
-        for own, given in ((plain, seen), (policy, there))
-    )
-    np.testing.assert_allclose(found @ actions.T, before, atol=1e-3)
+    raw, expected = np.arctanh(act(plain, seen)), np.arctanh(act(policy, there))
+    np.testing.assert_allclose(raw @ actions.T, expected, atol=1e-3)
     np.testing.assert_allclose(
         compute_value(networks, learner, seen),
-        compute_value(make_env_networks(env, config.ppo), load_learner(run, like), there),
+        compute_value(source.networks, source.learner, there),
         atol=1e-4,
     )
 
 
 def test_networks_of_another_shape_or_kind_are_refused(source):
-    run, config, env, _ = source
+    run, config, env, *_ = source
     with pytest.raises(UserError, match=r"--ppo.hidden \(16, 16\); here it is \(32,\)"):
         warm_start(run, change_config(config, "ppo", hidden=(32,)), env)
     turned = change_config(config, "ppo", symmetric=not config.ppo.symmetric)
@@ -287,13 +282,13 @@ def test_networks_of_another_shape_or_kind_are_refused(source):
 
 
 def test_a_run_without_a_checkpoint_is_refused(source, tmp_path):
-    _, config, env, _ = source
+    _, config, env, *_ = source
     with pytest.raises(UserError, match="has no checkpoint"):
         warm_start(create_run(tmp_path, "empty", files={}), config, env)
 
 
 def test_a_run_with_a_policy_alone_gives_that(source, tmp_path):
-    run, config, env, policy = source
+    run, config, env, *_, policy = source
     shutil.copytree(run.path, tmp_path / "alone", ignore=lambda *_: ["checkpoints"])
     alone = Run(tmp_path / "alone")
     save_policy(alone.policy, *policy, config, env.quadruped.joints, 10, 0.0)
