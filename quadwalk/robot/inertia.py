@@ -2,10 +2,10 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import product
 
 import mujoco
 import numpy as np
+from scipy.optimize import nnls
 
 from quadwalk.robot.structure.tree import Tree, to_matrix
 
@@ -28,23 +28,14 @@ def find_nearest_valid(mass: float, tensor: np.ndarray, thinnest: float = THINNE
     """Return the inertia (3, 3) nearest to `tensor` (Frobenius) that a body of `mass` kg can have.
 
     Principal axes stay. Moments are sums of second moments of mass, I = (s2+s3, s1+s3, s1+s2) with
-    s >= 0, so that the valid ones are a cone; the nearest point of it is found on each of its
-    faces. s is kept at `mass * thinnest**2` or more: above 0 the result is positive definite.
+    s >= 0: the nearest valid ones are a least-squares problem. s is kept at `mass * thinnest**2` or
+    more: above 0 the result is positive definite.
     """
     moments, axes = np.linalg.eigh((tensor + tensor.T) / 2)
-    spread = 1.0 - np.eye(3)
-    floor = mass * thinnest**2
-    target = moments - spread @ np.full(3, floor)
-    best = np.zeros(3)
-    for free in product((False, True), repeat=3):
-        columns = np.flatnonzero(free)
-        second = np.zeros(3)
-        if columns.size:
-            second[columns] = np.linalg.lstsq(spread[:, columns], target, rcond=None)[0]
-        miss = np.linalg.norm(spread @ second - target)
-        if (second >= 0).all() and miss < np.linalg.norm(spread @ best - target):
-            best = second
-    return axes @ np.diag(spread @ (best + floor)) @ axes.T
+    sums = 1.0 - np.eye(3)
+    floor = np.full(3, mass * thinnest**2)
+    second, _ = nnls(sums, moments - sums @ floor)
+    return axes @ np.diag(sums @ (second + floor)) @ axes.T
 
 
 def compute_inertia(tree: Tree, body: str, links: Sequence[str] | None = None) -> Inertia | None:

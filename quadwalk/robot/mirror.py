@@ -1,5 +1,6 @@
 """A quadruped in the sagittal mirror, y -> -y: which joint and foot is the image of which."""
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import mujoco
@@ -84,16 +85,23 @@ def find_robot_mirror(quadruped: Quadruped, model: mujoco.MjModel) -> RobotMirro
         raise NotSymmetric(
             "the robot is not its own mirror image: joints or feet of its sides do not pair"
         ) from None
-    image.compare_joints()
-    image.compare_bodies()
-    image.compare_spheres()
-    if image.share > 1.0:
-        raise NotSymmetric(f"the robot is not its own mirror image: {image.largest}")
+    differences = [*image.compare_joints(), *image.compare_bodies(), *image.compare_spheres()]
+    quantity, parts, off, most = max(differences, key=lambda d: np.abs(d[2]).max() / d[3])
+    sizes = np.abs(off).reshape(len(parts), -1).max(axis=1)
+    if sizes.max() > most:
+        raise NotSymmetric(
+            f"the robot is not its own mirror image: {quantity} of {parts[int(sizes.argmax())]!r} "
+            f"differs by {sizes.max():.2g} ({most:.2g} would do)"
+        )
     return mirrors
 
 
+# A quantity, names of its parts, differences of each to its image (parts, ...), the largest allowed
+_Difference = tuple[str, tuple[str, ...], np.ndarray, float]
+
+
 class _Image:
-    """A robot in its standing pose beside its mirror image, and the largest difference so far."""
+    """A robot in its home pose beside its mirror image."""
 
     def __init__(self, quadruped: Quadruped, model: mujoco.MjModel) -> None:
         self._quadruped, self._model = quadruped, model
@@ -101,14 +109,12 @@ class _Image:
         self._axes = compute_home_axes(quadruped, model)
         self._trunk = int(model.jnt_bodyid[0])
         self._turn = self._data.xmat[self._trunk].reshape(3, 3)
-        self._mass, self._height = float(model.body_subtreemass[0]), float(quadruped.home[2])
+        self._height = float(quadruped.home[2])
         self._anchors = self._to_trunk(self._data.xanchor[1:])
         self.joints = _find_images(self._anchors)
         # An axis is an axial vector.
         along = np.sum(self._axes[self.joints] * (-self._axes @ _FLIP), axis=1)
         self.sign = np.where(along < 0, -1.0, 1.0)
-        self.share = 0.0  # of what may be, the largest difference
-        self.largest = ""
 
     def _to_trunk(self, points: np.ndarray) -> np.ndarray:
         """Return world points (n, 3) in the trunk's frame."""
@@ -118,51 +124,41 @@ class _Image:
         """Return the centers (n, 3) of geoms in the trunk's frame."""
         return self._to_trunk(self._data.geom_xpos[[self._model.geom(name).id for name in names]])
 
-    def _compare(self, quantity: str, parts: tuple[str, ...], off: np.ndarray, most: float) -> None:
-        """Keep the largest difference in `off` (parts, ...), as a share of the `most` allowed."""
-        errors = np.abs(off).reshape(len(parts), -1).max(axis=1)
-        if errors.max() / most > self.share:
-            self.share = float(errors.max() / most)
-            self.largest = (
-                f"{quantity} of {parts[int(errors.argmax())]!r} differs by {errors.max():.2g} "
-                f"({most:.2g} would do)"
-            )
-
-    def compare_joints(self) -> None:
+    def compare_joints(self) -> Iterator[_Difference]:
         """Compare the joints' places, axes, standing angles, limits and motors."""
         quadruped, joints, sign = self._quadruped, self.joints, self.sign
         names, home, dofs = quadruped.joints, quadruped.home[7:], self._model.jnt_dofadr[1:]
         moved = self._anchors[joints] - self._anchors @ _FLIP
-        self._compare("place", names, moved, PLACE * self._height)
+        yield "place", names, moved, PLACE * self._height
         turned = self._axes[joints] + sign[:, None] * (self._axes @ _FLIP)
-        self._compare("axis", names, turned, PLACE)
-        self._compare("standing angle", names, sign * home[joints] - home, PLACE)
+        yield "axis", names, turned, PLACE
+        yield "standing angle", names, sign * home[joints] - home, PLACE
         lower = np.where(sign > 0, quadruped.lower[joints], -quadruped.upper[joints])
         upper = np.where(sign > 0, quadruped.upper[joints], -quadruped.lower[joints])
         off = np.stack([lower - quadruped.lower, upper - quadruped.upper], axis=1)
-        self._compare("limits", names, off, PLACE)
+        yield "limits", names, off, PLACE
         values = {name: getattr(quadruped, name) for name in ("effort", "velocity", "friction")}
         values["armature"] = self._model.dof_armature[dofs]
         values["damping"] = self._model.dof_damping[dofs].reshape(12, -1)[:, 0]
         for quantity, x in values.items():
             larger = np.maximum(np.maximum(np.abs(x), np.abs(x[joints])), 1e-9)
-            self._compare(quantity, names, (x[joints] - x) / larger, VALUE)
+            yield quantity, names, (x[joints] - x) / larger, VALUE
 
-    def compare_bodies(self) -> None:
+    def compare_bodies(self) -> Iterator[_Difference]:
         """Compare masses, centers of mass and inertias of trunk and links."""
-        model, mass, height = self._model, self._mass, self._height
+        model, height, mass = self._model, self._height, float(self._model.body_subtreemass[0])
         bodies, images = np.r_[self._trunk, model.jnt_bodyid[1:]], np.r_[0, 1 + self.joints]
         names = tuple(model.body(body).name for body in bodies)
         masses, centers = model.body_mass[bodies], self._to_trunk(self._data.xipos[bodies])
-        self._compare("mass", names, masses[images] / masses - 1, VALUE)
+        yield "mass", names, masses[images] / masses - 1, VALUE
         moments = masses[:, None] * (centers[images] - centers @ _FLIP) / (mass * height)
-        self._compare("center of mass", names, moments, MOMENT)
+        yield "center of mass", names, moments, MOMENT
         frames = self._turn.T @ self._data.ximat[bodies].reshape(-1, 3, 3)
         inertias = frames * model.body_inertia[bodies, None] @ frames.transpose(0, 2, 1)
         off = (inertias[images] - _FLIP @ inertias @ _FLIP) / (mass * height**2)
-        self._compare("inertia", names, off, INERTIA)
+        yield "inertia", names, off, INERTIA
 
-    def compare_spheres(self) -> None:
+    def compare_spheres(self) -> Iterator[_Difference]:
         """Compare places and radii of the model's spheres of contact."""
         model, most = self._model, PLACE * self._height
         geoms = {model.geom(geom).name for geom in range(model.ngeom)}
@@ -171,8 +167,9 @@ class _Image:
                 places = self.find_centers(names)
                 radii = np.array([model.geom(name).size[0] for name in names])
                 images = _find_images(places)
-                self._compare(f"place of {names[0]}", names, places[images] - places @ _FLIP, most)
-                self._compare(f"radius of {names[0]}", names, radii[images] - radii, most)
+                moved = places[images] - places @ _FLIP
+                yield f"place of {names[0]}", names, moved, most
+                yield f"radius of {names[0]}", names, radii[images] - radii, most
 
 
 def _find_images(points: np.ndarray) -> np.ndarray:

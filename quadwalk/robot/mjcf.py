@@ -16,8 +16,8 @@ import yourdfpy
 from quadwalk.robot.inertia import SMALLEST, compute_inertia, find_principal, round_moments
 from quadwalk.robot.meshes import Meshes, is_inside
 from quadwalk.robot.report import Report, UrdfError
-from quadwalk.robot.scene import add_home, add_scene, add_sun, exclude_overlaps
-from quadwalk.robot.shapes import Shapes, add_geom_classes, to_pose
+from quadwalk.robot.scene import add_home, add_sun, exclude_overlaps, make_spec
+from quadwalk.robot.shapes import Shapes, to_pose
 from quadwalk.robot.structure.home import compute_standing_pose
 from quadwalk.robot.structure.legs import Leg
 from quadwalk.robot.structure.tree import get_range, is_limited, make_unique, normalize
@@ -70,18 +70,12 @@ def convert(urdf: Urdf, legs: tuple[Leg, ...] = (), options: Options | None = No
     """
     options = options or Options()
     report = deepcopy(urdf.report)
-    spec = mujoco.MjSpec()
+    spec = make_spec()
     spec.modelname = urdf.robot.name
     origin = Path(urdf.source).name.replace("--", "-")
     spec.comment = f"Converted from {origin} by quadwalk.robot: change that, and convert again."
-    spec.compiler.degree = False
-    spec.compiler.autolimits = True
     # All mass is the links' <inertial>: a link without one gets none invented from its shapes.
     spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_FALSE
-    spec.option.timestep = 0.002
-    spec.nuser_jnt = 1
-    add_scene(spec)
-    add_geom_classes(spec)
     builder = _Builder(spec, urdf, legs, options, report)
     try:
         builder.add_bodies()

@@ -19,63 +19,72 @@ CONTACT_TIME = 0.01
 
 # The physics of training lets one sphere of each kind of each leg touch the floor. Besides the
 # feet, these stand for what else meets it: knees, the trunk's lower and upper corners, hips.
-KNEES, CORNERS, TOPS, HIPS = SPHERE_NAMES = tuple(
+SPHERE_NAMES = tuple(
     tuple(f"{kind}_{leg}" for leg in LEGS) for kind in ("knee", "corner", "top", "hip")
 )
 # What touches the floor, besides the feet, by the setting `env.contacts`.
 Contacts = Literal["feet", "knees", "body", "all"]
 TOUCHING: dict[Contacts, int] = {"feet": 0, "knees": 1, "body": 2, "all": 4}  # first kinds
-SPHERE_GROUP = 4  # of these geoms; those of group 3 are the collision shapes, to be measured
+# Groups of geoms; MuJoCo's viewer hides 3 and above.
+VISUAL_GROUP, COLLISION_GROUP, SPHERE_GROUP = 2, 3, 4
 CORNER_RADIUS = 0.01  # m
 LEAN = np.radians(60)  # of a calf from the vertical; standing robots have some 45 degrees
 
 
-def add_scene(spec: mujoco.MjSpec) -> None:
-    """Add the sky, ambient light, and the plane named `floor` at height 0 to `spec`."""
-    spec.visual.headlight.ambient = [0.35, 0.35, 0.35]
-    spec.visual.headlight.diffuse = [0.45, 0.45, 0.45]
-    spec.visual.headlight.specular = [0.1, 0.1, 0.1]
-    spec.visual.rgba.haze = [0.75, 0.82, 0.9, 1]
-    spec.visual.global_.offwidth = 1920
-    spec.visual.global_.offheight = 1080
-    # A small shadow map around the robot, lit from nearly overhead: a wide or slanted one speckles
-    # the floor with its own shadow.
-    spec.visual.quality.shadowsize = 4096
-    spec.visual.map.shadowclip = 0.6
-    # OpenGL moves shadows down by a share of the depth that is drawn. At MuJoCo's 50 that is too
-    # little for the floor, which has specks of its own shadow. The haze begins where it did.
-    spec.visual.map.zfar = 80.0
-    spec.visual.map.haze = 0.55
-    spec.add_texture(
-        name="sky",
-        type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
-        builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
-        rgb1=[0.55, 0.7, 0.88],
-        rgb2=[0.93, 0.95, 0.97],
-        width=256,
-        height=1536,
-    )
-    spec.add_texture(
-        name="checker",
-        type=mujoco.mjtTexture.mjTEXTURE_2D,
-        builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
-        rgb1=[0.52, 0.56, 0.6],
-        rgb2=[0.6, 0.64, 0.68],
-        mark=mujoco.mjtMark.mjMARK_EDGE,
-        markrgb=[0.72, 0.75, 0.78],
-        width=512,
-        height=512,
-    )
-    floor = spec.add_material(name="floor", texuniform=True, texrepeat=[2, 2], reflectance=0.08)
-    floor.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "checker"
-    spec.worldbody.add_geom(
-        name="floor",
-        type=mujoco.mjtGeom.mjGEOM_PLANE,
-        size=[0, 0, 0.05],
-        material="floor",
-        friction=[FRICTION, 0.005, 0.0001],
-        solref=[CONTACT_TIME, 1.0],
-    )
+# A small shadow map around the robot, lit from nearly overhead: a wide or slanted one speckles the
+# floor with its own shadow. OpenGL moves shadows down by a share of the depth that is drawn. At
+# MuJoCo's zfar of 50 that is too little for the floor; the haze begins where it did.
+# Feet have sliding friction alone: small and hard, they hardly resist torsion and rolling.
+_SCENE = f"""\
+<mujoco>
+  <compiler angle="radian" autolimits="true"/>
+  <option timestep="0.002"/>
+  <size nuser_jnt="1"/>
+  <visual>
+    <headlight ambient="0.35 0.35 0.35" diffuse="0.45 0.45 0.45" specular="0.1 0.1 0.1"/>
+    <rgba haze="0.75 0.82 0.9 1"/>
+    <global offwidth="1920" offheight="1080"/>
+    <quality shadowsize="4096"/>
+    <map shadowclip="0.6" zfar="80" haze="0.55"/>
+  </visual>
+  <default>
+    <default class="visual">
+      <geom contype="0" conaffinity="0" group="{VISUAL_GROUP}"/>
+    </default>
+    <default class="collision">
+      <geom group="{COLLISION_GROUP}" rgba="0.9 0.3 0.3 0.5"
+        friction="{FRICTION} 0.005 0.0001" solref="{CONTACT_TIME} 1"/>
+      <default class="foot">
+        <geom condim="3"/>
+      </default>
+    </default>
+  </default>
+  <asset>
+    <texture name="sky" type="skybox" builtin="gradient" width="256" height="1536"
+      rgb1="0.55 0.7 0.88" rgb2="0.93 0.95 0.97"/>
+    <texture name="checker" type="2d" builtin="checker" width="512" height="512"
+      rgb1="0.52 0.56 0.6" rgb2="0.6 0.64 0.68" mark="edge" markrgb="0.72 0.75 0.78"/>
+    <material name="floor" texture="checker" texuniform="true" texrepeat="2 2" reflectance="0.08"/>
+  </asset>
+  <worldbody>
+    <geom name="floor" type="plane" size="0 0 0.05" material="floor"
+      friction="{FRICTION} 0.005 0.0001" solref="{CONTACT_TIME} 1"/>
+  </worldbody>
+</mujoco>
+"""
+
+
+def make_spec() -> mujoco.MjSpec:
+    """Return a spec of sky, ambient light and floor, with the default classes of a robot's geoms.
+
+    The floor is the plane named `floor` at height 0. Classes are `visual`, `collision`, and within
+    that `foot`.
+    """
+    spec = mujoco.MjSpec.from_string(_SCENE)
+    for name in ("visual", "collision", "foot"):
+        # Else MuJoCo's errors on a robot's shapes name a line of the scene.
+        spec.find_default(name).geom.info = ""
+    return spec
 
 
 def add_sun(body: mujoco.MjsBody) -> None:

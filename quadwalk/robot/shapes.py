@@ -6,29 +6,13 @@ import yourdfpy
 
 from quadwalk.robot.meshes import Meshes, MeshPart
 from quadwalk.robot.report import Report
-from quadwalk.robot.scene import CONTACT_TIME, FRICTION, SPHERE_NAMES
+from quadwalk.robot.scene import SPHERE_NAMES
 from quadwalk.robot.structure.legs import Leg
 from quadwalk.robot.structure.tree import Capsule, Tree, make_unique, to_matrix
 
-VISUAL_GROUP, COLLISION_GROUP = 2, 3  # geom groups; MuJoCo's viewer hides 3 and above
 _Type = mujoco.mjtGeom
 # Attributes of a geom (lengths in m), and the color (4,) that comes with it, if any.
 _Piece = tuple[dict, np.ndarray | None]
-
-
-def add_geom_classes(spec: mujoco.MjSpec) -> None:
-    """Add the default classes `visual`, `collision`, and within that `foot`."""
-    visual = spec.add_default("visual", spec.default)
-    visual.geom.contype = visual.geom.conaffinity = 0
-    visual.geom.group = VISUAL_GROUP
-    collision = spec.add_default("collision", spec.default)
-    collision.geom.group = COLLISION_GROUP
-    collision.geom.friction = [FRICTION, 0.005, 0.0001]
-    collision.geom.solref[:] = [CONTACT_TIME, 1.0]
-    collision.geom.rgba = [0.9, 0.3, 0.3, 0.5]
-    foot = spec.add_default("foot", collision)
-    # Sliding friction only: a small hard foot has next to no torsional or rolling friction.
-    foot.geom.condim = 3
 
 
 class Shapes:

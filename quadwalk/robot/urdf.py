@@ -16,7 +16,12 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 import yourdfpy
 from lxml import etree
-from trimesh.transformations import compose_matrix, euler_from_matrix
+from trimesh.transformations import (
+    compose_matrix,
+    euler_from_matrix,
+    rotation_matrix,
+    translation_matrix,
+)
 
 from quadwalk.errors import UsageError
 from quadwalk.robot.checks.bodies import check_bodies, read_resolutions
@@ -27,7 +32,6 @@ from quadwalk.robot.structure.tree import (
     Capsule,
     Tree,
     build_tree,
-    make_rotation,
     make_unique,
     name_axis,
     normalize,
@@ -131,16 +135,16 @@ def turn_root(urdf: Urdf, turn: np.ndarray, reasons: str) -> Urdf:
     names = {*urdf.tree.links, *(joint.name for joint in urdf.robot.joints)}
     link, joint = (make_unique(f"{root}_{end}", names) for end in ("ahead", "ahead_joint"))
     rpy = euler_from_matrix(turn)
-    end = list(re.finditer(r"</(\w+:)?robot\s*>", urdf.text))[-1]
-    prefix = end[1] or ""
     elements = f"""\
-  <{prefix}link name={quoteattr(link)}/>
-  <{prefix}joint name={quoteattr(joint)} type="fixed">
-    <{prefix}parent link={quoteattr(link)}/>
-    <{prefix}child link={quoteattr(root)}/>
-    <{prefix}origin rpy="{" ".join(repr(float(angle)) for angle in rpy)}"/>
-  </{prefix}joint>
+  <link name={quoteattr(link)}/>
+  <joint name={quoteattr(joint)} type="fixed">
+    <parent link={quoteattr(link)}/>
+    <child link={quoteattr(root)}/>
+    <origin rpy="{write_numbers(np.array(rpy))}"/>
+  </joint>
 """
+    before, end, after = urdf.text.rpartition("</robot")
+    text = before + elements + end + after
     ahead, _, up = (name_axis(row) for row in turn)
     report = deepcopy(urdf.report)
     note = f"{ahead} is ahead and {up} up, by {reasons}, so '{link}' is the new root"
@@ -151,7 +155,6 @@ def turn_root(urdf: Urdf, turn: np.ndarray, reasons: str) -> Urdf:
         links=[*urdf.robot.links, yourdfpy.Link(link)],
         joints=[*urdf.robot.joints, fixed],
     )
-    text = urdf.text[: end.start()] + elements + urdf.text[end.start() :]
     return replace(urdf, text=text, robot=robot, report=report)
 
 
@@ -239,19 +242,15 @@ def _fix_joint(joint: etree._Element) -> float:
     if position:
         if origin is None:
             origin = etree.SubElement(joint, "origin")
-        words = "1 0 0" if axis is None else axis.get("xyz")
-        along = normalize(np.array(words.split(), float))
-        place, (roll, pitch, yaw) = (
-            np.array(origin.get(name, "0 0 0").split(), float) for name in ("xyz", "rpy")
-        )
-        x, y, z = np.eye(3)
-        turn = make_rotation(z, yaw) @ make_rotation(y, pitch) @ make_rotation(x, roll)
+        xyz, rpy = (np.array(origin.get(x, "0 0 0").split(), float) for x in ("xyz", "rpy"))
+        direction = np.array((axis.get("xyz") if axis is not None else "1 0 0").split(), float)
+        frame = compose_matrix(translate=xyz, angles=rpy)
         if kind == "prismatic":
-            place = place + position * turn[:3, :3] @ along
+            frame = frame @ translation_matrix(position * normalize(direction))
         else:
-            turn = turn @ make_rotation(along, position)
-        origin.set("xyz", write_numbers(place))
-        origin.set("rpy", write_numbers(to_roll_pitch_yaw(turn[:3, :3])))
+            frame = frame @ rotation_matrix(position, direction)
+        origin.set("xyz", write_numbers(frame[:3, 3]))
+        origin.set("rpy", write_numbers(to_roll_pitch_yaw(frame[:3, :3])))
     joint.set("type", "fixed")
     for tag in ("axis", "limit", "dynamics", "mimic"):
         for element in joint.findall(tag):
@@ -286,15 +285,9 @@ def _parse_xml(data: bytes, source: str, report: Report) -> tuple[etree._Element
         raise UrdfError(f"{source}: is empty; expected a URDF <robot>")
     if len(data) > MAX_BYTES:
         raise UrdfError(f"{source}: is larger than {MAX_BYTES // 2**20} MB; expected a URDF")
+    # By default it recovers from no error, and loads no DTD and nothing from the network.
     parser = etree.XMLParser(
-        recover=False,
-        resolve_entities=False,
-        no_network=True,
-        load_dtd=False,
-        huge_tree=False,
-        remove_comments=True,
-        remove_pis=True,
-        remove_blank_text=True,
+        resolve_entities=False, remove_comments=True, remove_pis=True, remove_blank_text=True
     )
     if _BLANK_FIRST.match(data):
         data = _BLANK_FIRST.sub(rb"\1\3\2", data)  # which leaves the numbers of lines

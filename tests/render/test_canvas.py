@@ -12,7 +12,7 @@ from quadwalk.render import canvas as canvas_module
 from quadwalk.render.canvas import Camera, Canvas, render_home
 from quadwalk.render.opengl import find_working_library
 from quadwalk.render.raycast import RayPainter
-from quadwalk.robot.scene import add_scene, add_sun
+from quadwalk.robot.scene import add_sun, make_spec
 from quadwalk.terrain.heightfield import Heightfield, lay
 
 # Scenes drawn once by Mesa's software OpenGL, one below the other:
@@ -35,9 +35,8 @@ def library(request, monkeypatch):
 
 def make_scene(*shapes: dict, haze: float | None = None) -> mujoco.MjModel:
     """Return a model of shapes above the floor that robots stand on."""
-    spec = mujoco.MjSpec()
+    spec = make_spec()
     spec.stat.extent = 1.0
-    add_scene(spec)
     add_sun(spec.worldbody)
     for shape in shapes:
         if "meshname" in shape:
@@ -139,8 +138,7 @@ def test_groups_that_a_viewer_hides_are_not_drawn(library):
 
 def test_a_shape_that_does_not_collide_is_seen_beyond_those_that_do(library):
     """MuJoCo's ray caster alone overlooks it."""
-    spec = mujoco.MjSpec()
-    add_scene(spec)
+    spec = make_spec()
     body = spec.worldbody.add_body(pos=[-0.2, 0, 0.2])
     body.add_geom(type=Type.mjGEOM_SPHERE, size=[0.02] * 3, rgba=BLUE)
     visual = {"pos": [0.4, 0, 0], "rgba": RED, "contype": 0, "conaffinity": 0}
@@ -150,8 +148,7 @@ def test_a_shape_that_does_not_collide_is_seen_beyond_those_that_do(library):
 
 def test_rays_meet_a_field_where_those_of_mujoco_do():
     rng = np.random.default_rng(0)
-    spec = mujoco.MjSpec()
-    add_scene(spec)
+    spec = make_spec()
     lay(spec, Heightfield(rng.uniform(-0.2, 0.3, (9, 12)).astype(np.float32), 0.1, (-0.3, 0.2)))
     spec.worldbody.add_geom(type=Type.mjGEOM_SPHERE, size=[0.2, 0, 0], pos=[0.2, 0.6, 0.4])
     model = spec.compile()
@@ -172,8 +169,7 @@ def test_rays_meet_a_field_where_those_of_mujoco_do():
 
 
 def test_far_from_the_origin_it_looks_the_same(library):
-    spec = mujoco.MjSpec()
-    add_scene(spec)
+    spec = make_spec()
     body = spec.worldbody.add_body()
     body.add_freejoint()
     add_sun(body)

@@ -15,7 +15,7 @@ import yourdfpy
 from scipy.spatial.transform import Rotation
 
 from quadwalk.robot.quadruped import Quadruped
-from quadwalk.robot.shapes import COLLISION_GROUP
+from quadwalk.robot.scene import COLLISION_GROUP
 from quadwalk.robot.structure.tree import to_matrix
 from quadwalk.robot.urdf import parse_urdf
 

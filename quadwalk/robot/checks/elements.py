@@ -10,6 +10,7 @@ import re
 from collections import Counter
 from collections.abc import Iterable, MutableMapping
 from dataclasses import dataclass, field
+from typing import NoReturn
 
 import mujoco
 import numpy as np
@@ -17,13 +18,15 @@ from lxml import etree
 
 from quadwalk.errors import find_similar
 from quadwalk.robot.checks.schema import (
+    EXTENSIONS,
     FORMS,
     JOINT_TYPES,
     LENGTHS,
     MISPLACED,
+    NOT_NEGATIVE,
     SHAPES,
+    SIZES,
     TEXT_ATTRIBUTES,
-    Form,
 )
 from quadwalk.robot.report import Report, UrdfError
 from quadwalk.robot.structure.tree import to_roll_pitch_yaw
@@ -54,15 +57,15 @@ class Checker:
     # whether the document was changed to say in plain URDF 1.0 what it said otherwise
     rewritten: bool = False
 
-    def make_error(self, element: etree._Element, message: str) -> UrdfError:
-        """Return the error for `element`, with its line and the link or joint that it is in."""
+    def refuse(self, element: etree._Element, message: str) -> NoReturn:
+        """Raise an error for `element`, with its line and the link or joint that it is in."""
         where = f"{self.source}, line {element.sourceline}: "
         name = element.get("name")
         if element.tag in ("link", "joint") and name:
-            return UrdfError(f"{where}{element.tag} '{name}' {message}")
+            raise UrdfError(f"{where}{element.tag} '{name}' {message}")
         for owner in element.iterancestors("link", "joint"):
             where += f"{owner.tag} '{owner.get('name', '')}': "
-        return UrdfError(f"{where}<{element.tag}> {message}")
+        raise UrdfError(f"{where}<{element.tag}> {message}")
 
     def take_out(self, element: etree._Element, label: str) -> None:
         """Remove an element that is passed over, and count it under `label`."""
@@ -85,7 +88,7 @@ class Checker:
         ):
             if count > most:
                 raise UrdfError(f"{self.source}: has {count} {what}; expected at most {most}")
-        self._check_children(root, FORMS["robot"])
+        self._check_children(root)
         self._check_colors(root)
         for label, count in self.taken_out.items():
             self.report.add("dropped", "extensions of other tools", f"{label} ({count})")
@@ -96,28 +99,27 @@ class Checker:
         if not form.children and not element.attrib and (element.text or "").strip():
             shown = element.text.strip()[:40]
             expected = ", ".join(form.attributes)
-            raise self.make_error(
-                element, f"holds '{shown}' as text; expected attributes: {expected}"
-            )
-        self._check_attributes(element, form)
-        self._check_children(element, form)
+            self.refuse(element, f"holds '{shown}' as text; expected attributes: {expected}")
+        self._check_attributes(element)
+        self._check_children(element)
         counts = Counter(child.tag for child in element)
         for tag in form.one + form.most_one:
             if counts[tag] > 1:
-                raise self.make_error(element, f"has {counts[tag]} <{tag}> elements; expected one")
+                self.refuse(element, f"has {counts[tag]} <{tag}> elements; expected one")
         for tag in form.one:
             if counts[tag] == 0:
-                raise self.make_error(element, f"has no <{tag}>; expected one")
-        self._check_sizes(element, form)
+                self.refuse(element, f"has no <{tag}>; expected one")
+        self._check_signs(element)
         check = getattr(self, f"_check_{element.tag}", None)
         if check is not None:
             check(element)
 
-    def _check_attributes(self, element: etree._Element, form: Form) -> None:
+    def _check_attributes(self, element: etree._Element) -> None:
         """Check an element's attributes; those that URDF does not know are taken out."""
+        form = FORMS[element.tag]
         for name, value in list(element.attrib.items()):
             if name not in form.attributes:
-                self._refuse_mistake(element, form, name, is_attribute=True)
+                self._refuse_mistake(element, name, is_attribute=True)
                 self.taken_out[f"{element.tag} {name}"] += 1
                 del element.attrib[name]
             elif "${" in value or "$(" in value:
@@ -126,32 +128,31 @@ class Checker:
                 self._check_numbers(element, name, value)
         for name in form.required:
             if element.get(name) is None:
-                raise self.make_error(element, f"has no '{name}'; expected {name}=\"...\"")
+                self.refuse(element, f"has no '{name}'; expected {name}=\"...\"")
             if name in TEXT_ATTRIBUTES and not element.get(name).strip():
-                raise self.make_error(element, f"has an empty '{name}'; expected {name}=\"...\"")
+                self.refuse(element, f"has an empty '{name}'; expected {name}=\"...\"")
 
-    def _check_children(self, element: etree._Element, form: Form) -> None:
+    def _check_children(self, element: etree._Element) -> None:
         """Check all within an element; what URDF does not know there is taken out."""
         for child in list(element):
-            if child.tag in form.children:
+            if child.tag in FORMS[element.tag].children:
                 self._check_element(child)
                 continue
             if element.tag == "geometry" and not any(c.tag in SHAPES for c in element):
-                raise self.make_error(element, f"has a <{child.tag}> in it; expected {_SHAPES}")
-            self._refuse_mistake(element, form, child.tag, is_attribute=False)
-            if child.tag in form.ignored:
+                self.refuse(element, f"has a <{child.tag}> in it; expected {_SHAPES}")
+            self._refuse_mistake(element, child.tag, is_attribute=False)
+            if child.tag in EXTENSIONS.get(element.tag, ()):
                 self._check_finite(child)
             place = "" if element.tag == "robot" else f" of a {element.tag}"
             self.take_out(child, f"<{child.tag}>{place}")
 
-    def _refuse_mistake(
-        self, element: etree._Element, form: Form, name: str, is_attribute: bool
-    ) -> None:
+    def _refuse_mistake(self, element: etree._Element, name: str, is_attribute: bool) -> None:
         """Refuse an unknown child or attribute of `element` that stands for one that is missing.
 
         Its name may be misspelled. It may have to be an attribute rather than a child, or the other
         way. Or it is physics of a joint or link, a level too high or too low.
         """
+        form = FORMS[element.tag]
         attributes = [other for other in form.attributes if other not in element.attrib]
         single = [tag for tag in form.one + form.most_one if element.find(tag) is None]
         if is_attribute:
@@ -166,14 +167,14 @@ class Checker:
         expected = expected or _find_place(element, name.lower())
         if expected:
             what = f"attribute '{name}'" if is_attribute else f"a <{name}> in it"
-            raise self.make_error(element, f"has {what}; expected {expected}")
+            self.refuse(element, f"has {what}; expected {expected}")
 
     def _check_finite(self, element: etree._Element) -> None:
         """Refuse numbers that are none in what is passed over, as they may be elsewhere too."""
         for part in element.iter():
             for name, value in part.attrib.items():
                 if name not in TEXT_ATTRIBUTES and _NOT_FINITE.fullmatch(value.strip()):
-                    raise self.make_error(part, f'has {name}="{value}"; expected a finite number')
+                    self.refuse(part, f'has {name}="{value}"; expected a finite number')
 
     def _check_numbers(self, element: etree._Element, name: str, value: str) -> None:
         """Check that the attribute is one number, or as many as its name asks for."""
@@ -184,32 +185,32 @@ class Checker:
         shown = f'{name}="{value if len(value) <= 40 else value[:37] + "..."}"'
         if len(words) not in allowed:
             expected = "one number" if length == 1 else f"{length} numbers"
-            raise self.make_error(element, f"has {shown}; expected {expected}")
+            self.refuse(element, f"has {shown}; expected {expected}")
         for word in words:
             if not _NUMBER.fullmatch(word) or not math.isfinite(float(word)):
-                raise self.make_error(element, f"has {shown}; expected finite numbers")
+                self.refuse(element, f"has {shown}; expected finite numbers")
             size = abs(float(word))
             if 0 < size < MIN_NUMBER and element.tag == "origin":
                 element.set(name, element.get(name).replace(word, "0"))
             elif 0 < size < MIN_NUMBER:
-                raise self.make_error(
-                    element, f"has {shown}; expected 0 or at least {MIN_NUMBER:g}"
-                )
+                self.refuse(element, f"has {shown}; expected 0 or at least {MIN_NUMBER:g}")
             if size > MAX_NUMBER and element.tag != "limit":
-                raise self.make_error(element, f"has {shown}; expected at most {MAX_NUMBER:g}")
+                self.refuse(element, f"has {shown}; expected at most {MAX_NUMBER:g}")
 
-    def _check_sizes(self, element: etree._Element, form: Form) -> None:
-        """Check that sizes are above 0; a visual shape may be of size 0, and is left out then."""
-        visual = any(parent.tag == "visual" for parent in element.iterancestors())
-        for name in form.sizes:
-            shown = f'{name}="{element.get(name)}"'
-            for value in map(float, element.get(name).split()):
-                if value < MIN_SIZE and not (visual and value == 0):
-                    raise self.make_error(element, f"has {shown}; expected above {MIN_SIZE:g} m")
-        for name in form.not_negative:
-            if float(element.get(name, "0")) < 0:
-                shown = f'{name}="{element.get(name)}"'
-                raise self.make_error(element, f"has {shown}; expected 0 or more")
+    def _check_signs(self, element: etree._Element) -> None:
+        """Check that sizes are above 0, or 0 if only seen, and that no other number is below."""
+        is_visual = any(parent.tag == "visual" for parent in element.iterancestors())
+        for name, value in element.attrib.items():
+            expected = ""
+            if name in SIZES and any(
+                size < MIN_SIZE and not (is_visual and size == 0)
+                for size in map(float, value.split())
+            ):
+                expected = f"above {MIN_SIZE:g} m"
+            elif name in NOT_NEGATIVE and float(value) < 0:
+                expected = "0 or more"
+            if expected:
+                self.refuse(element, f'has {name}="{value}"; expected {expected}')
 
     def _check_visual(self, element: etree._Element) -> None:
         for material in element.findall("material")[1:]:
@@ -217,24 +218,22 @@ class Checker:
 
     def _check_geometry(self, element: etree._Element) -> None:
         if len(element) != 1:
-            raise self.make_error(
-                element, f"holds {len(element)} shapes; expected one of {_SHAPES}"
-            )
+            self.refuse(element, f"holds {len(element)} shapes; expected one of {_SHAPES}")
 
     def _check_mesh(self, element: etree._Element) -> None:
         if any(float(word) == 0 for word in element.get("scale", "1").split()):
-            raise self.make_error(element, f'has scale="{element.get("scale")}"; expected none 0')
+            self.refuse(element, f'has scale="{element.get("scale")}"; expected none 0')
 
     def _check_origin(self, element: etree._Element) -> None:
         """Turn URDF 1.1's quaternion into the angles that every reader knows."""
         if element.get("quat_xyzw") is None:
             return
         if element.get("rpy") is not None:
-            raise self.make_error(element, "has both rpy and quat_xyzw; expected one of them")
+            self.refuse(element, "has both rpy and quat_xyzw; expected one of them")
         x, y, z, w = (float(word) for word in element.attrib.pop("quat_xyzw").split())
         length = math.hypot(x, y, z, w)
         if length < MIN_QUAT:
-            raise self.make_error(element, "has quat_xyzw of length 0; expected a rotation")
+            self.refuse(element, "has quat_xyzw of length 0; expected a rotation")
         turn = np.zeros(9)
         mujoco.mju_quat2Mat(turn, np.array([w, x, y, z]) / length)
         element.set("rpy", write_numbers(to_roll_pitch_yaw(turn.reshape(3, 3))))
@@ -277,13 +276,13 @@ class Checker:
     def _check_axis(self, element: etree._Element) -> None:
         length = math.hypot(*map(float, element.get("xyz").split()))
         if length < 1e-6 and element.getparent().get("type") not in ("fixed", "floating"):
-            raise self.make_error(element, f'has xyz="{element.get("xyz")}"; expected a direction')
+            self.refuse(element, f'has xyz="{element.get("xyz")}"; expected a direction')
 
     def _check_joint(self, element: etree._Element) -> None:
         kind = element.get("type")
         if kind not in JOINT_TYPES:
             expected = ", ".join(JOINT_TYPES)
-            raise self.make_error(element, f"is of type '{kind}'; expected one of {expected}")
+            self.refuse(element, f"is of type '{kind}'; expected one of {expected}")
         limit = element.find("limit")
         if kind in ("revolute", "prismatic"):
             self._check_range(element, {} if limit is None else limit.attrib)
@@ -305,10 +304,8 @@ class Checker:
         elif lower < -MAX_NUMBER and upper > MAX_NUMBER:
             reason = "they are beyond 1e9"
         elif ends and lower >= upper:
-            raise self.make_error(
-                joint.find("limit"),
-                f"has lower {lower:g} and upper {upper:g}; expected lower below upper",
-            )
+            ends_shown = f"lower {lower:g} and upper {upper:g}"
+            self.refuse(joint.find("limit"), f"has {ends_shown}; expected lower below upper")
         if reason:
             for name in ends:
                 del limit[name]
@@ -324,12 +321,12 @@ class Checker:
         for material in root.findall("material"):
             name, color = material.get("name"), material.find("color")
             if not name:
-                raise self.make_error(material, 'has no name; expected <material name="...">')
+                self.refuse(material, 'has no name; expected <material name="...">')
             if color is None:
                 continue
             rgba = color.get("rgba")
             if colors.setdefault(name, rgba) != rgba:
-                raise self.make_error(material, f"gives '{name}' a second color; expected one")
+                self.refuse(material, f"gives '{name}' a second color; expected one")
 
 
 def write_numbers(numbers: np.ndarray) -> str:

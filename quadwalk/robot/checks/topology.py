@@ -16,7 +16,7 @@ def check_topology(checker: Checker, root: etree._Element) -> None:
         names: set[str] = set()
         for element in elements:
             if element.get("name") in names:
-                raise checker.make_error(element, "appears twice; expected unique names")
+                checker.refuse(element, "appears twice; expected unique names")
             names.add(element.get("name"))
     links = [link.get("name") for link in links]
     parent_of: dict[str, str] = {}
@@ -24,11 +24,11 @@ def check_topology(checker: Checker, root: etree._Element) -> None:
         parent, child = joint.find("parent").get("link"), joint.find("child").get("link")
         for end, name in (("parent", parent), ("child", child)):
             if name not in links:
-                raise checker.make_error(joint, f"has {end} '{name}'; expected the name of a link")
+                checker.refuse(joint, f"has {end} '{name}'; expected the name of a link")
         if parent == child:
-            raise checker.make_error(joint, f"joins link '{child}' to itself; expected two links")
+            checker.refuse(joint, f"joins link '{child}' to itself; expected two links")
         if child in parent_of:
-            raise checker.make_error(joint, f"gives link '{child}' a second parent; expected one")
+            checker.refuse(joint, f"gives link '{child}' a second parent; expected one")
         parent_of[child] = parent
     roots = [name for name in links if name not in parent_of]
     if len(roots) > 1:
@@ -69,7 +69,7 @@ def check_mimic(checker: Checker, joints: list[etree._Element]) -> None:
     for name, mimic in mimics.items():
         leader = leader_of[name]
         if kinds.get(leader) not in (*ONE_WAY, "fixed") or kinds[name] not in ONE_WAY:
-            raise checker.make_error(
+            checker.refuse(
                 mimic, f"follows joint '{leader}'; expected joints that move in one direction"
             )
         if kinds[leader] == "fixed":
@@ -77,8 +77,6 @@ def check_mimic(checker: Checker, joints: list[etree._Element]) -> None:
         path = {name}
         while leader in leader_of:
             if leader in path:
-                raise checker.make_error(
-                    mimic, f"follows '{leader}' in a circle; expected a free joint"
-                )
+                checker.refuse(mimic, f"follows '{leader}' in a circle; expected a free joint")
             path.add(leader)
             leader = leader_of[leader]

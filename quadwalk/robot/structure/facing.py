@@ -9,12 +9,13 @@ from collections.abc import Iterable
 from itertools import pairwise, product
 
 import numpy as np
+from trimesh.transformations import rotation_matrix
 
 from quadwalk.robot.meshes import Meshes
 from quadwalk.robot.report import UrdfError
 from quadwalk.robot.structure.feet import find_foot
 from quadwalk.robot.structure.legs import LEGS, Chain, find_chains, name_corners
-from quadwalk.robot.structure.tree import Tree, get_range, make_rotation, name_axis, normalize
+from quadwalk.robot.structure.tree import Tree, get_range, name_axis, normalize
 
 # A direction counts as along an axis of the root link up to this angle.
 MOST_SKEW = np.radians(25)
@@ -33,7 +34,11 @@ _WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+")
 
 
 class _Evidence:
-    """Signs of a quadruped's front in its geometry and names, in the root link's frame."""
+    """Signs of a quadruped's front in its geometry and names, in the root link's frame.
+
+    A turn (3, 3) fits if after it thighs turn about y, feet are below, legs are where their names
+    say, or knees point backward.
+    """
 
     def __init__(self, tree: Tree, chains: list[Chain], meshes: Meshes | None) -> None:
         poses = [_Pose(tree, chain, meshes) for chain in chains]
@@ -50,19 +55,15 @@ class _Evidence:
         self.knees = np.mean([pose.find_knee(self.vertical * (self.up or 1)) for pose in poses], 0)
 
     def fits_thighs(self, turn: np.ndarray) -> bool:
-        """Return True if the thighs turn about y after `turn` (3, 3)."""
         return self.lateral is None or abs(turn[1] @ self.lateral) > np.cos(MOST_SKEW)
 
     def fits_feet(self, turn: np.ndarray) -> bool:
-        """Return True if the feet are below the thighs after `turn` (3, 3)."""
         return self.up == 0 or bool(turn[2] @ self.vertical * self.up > 0)
 
     def fits_names(self, turn: np.ndarray) -> bool:
-        """Return True if the legs are where their names say after `turn` (3, 3)."""
         return self.names == name_corners(self.hips @ turn.T)
 
     def fits_knees(self, turn: np.ndarray) -> bool:
-        """Return True if the knees point backward after `turn` (3, 3)."""
         return bool(turn[0] @ self.knees < -CLEAR_KNEES)
 
     def describe(self) -> str:
@@ -88,9 +89,9 @@ class _Pose:
         for joint in chain:
             frame = frame @ tree.compute_frame(joint)
             anchors.append(frame[:3, 3])
-            axis, angle = normalize(joint.axis), float(np.clip(0, *get_range(joint)))
-            self.axes.append(frame[:3, :3] @ axis)
-            frame = frame @ make_rotation(axis, angle)
+            self.axes.append(frame[:3, :3] @ normalize(joint.axis))
+            angle = np.clip(0, *get_range(joint))
+            frame = frame @ rotation_matrix(angle, joint.axis)
         self.hip, self.thigh, knee = anchors
         self._upper, self._lower = knee - self.thigh, frame[:3, :3] @ center
         length = np.linalg.norm(self._upper) + np.linalg.norm(self._lower)

@@ -2,10 +2,11 @@
 
 import numpy as np
 import yourdfpy
+from trimesh.transformations import rotation_matrix
 
 from quadwalk.robot.report import UrdfError
 from quadwalk.robot.structure.legs import Leg
-from quadwalk.robot.structure.tree import Tree, get_range, make_rotation, normalize
+from quadwalk.robot.structure.tree import Tree, get_range, normalize
 
 # Distance from thigh joint to foot, standing, as a share of the stretched leg: Unitree stands its
 # robots at thigh 0.8, calf -1.6, and thighs and calves are of equal length.
@@ -31,7 +32,7 @@ def _solve_leg(tree: Tree, leg: Leg) -> np.ndarray:
     hip, thigh, calf = (tree.joint_above[link] for link in leg.links)
     hip_angle = _level_thigh(tree, hip, thigh)
     # In the trunk's axes with thigh and calf at 0; both turn about the same axis.
-    turn = make_rotation(normalize(hip.axis), hip_angle)
+    turn = rotation_matrix(hip_angle, hip.axis)
     to_thigh = tree.compute_frame(hip) @ turn @ tree.compute_frame(thigh)
     to_calf = to_thigh @ tree.compute_frame(calf)
     axis = to_thigh[:3, :3] @ normalize(thigh.axis)

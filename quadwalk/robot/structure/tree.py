@@ -119,15 +119,6 @@ def to_matrix(origin: np.ndarray | None) -> np.ndarray:
     return np.eye(4) if origin is None else np.asarray(origin, dtype=np.float64)
 
 
-def make_rotation(axis: np.ndarray, angle: float) -> np.ndarray:
-    """Return the rotation (4, 4) by `angle` rad about the unit `axis` (3,), by Rodrigues."""
-    x, y, z = axis
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    out = np.eye(4)
-    out[:3, :3] += np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
-    return out
-
-
 def to_roll_pitch_yaw(rotation: np.ndarray) -> np.ndarray:
     """Return a rotation (3, 3) as a URDF's `rpy` (3,), rad."""
     ahead, left, up = rotation.T
