@@ -17,7 +17,7 @@ from quadwalk.learn import distributed
 from quadwalk.learn.prepare import Training, prepare
 from quadwalk.learn.writer import RunWriter
 from quadwalk.progress.display import Progress
-from quadwalk.progress.watch import WATCHED, check_watch, watched
+from quadwalk.progress.watch import WATCHED, check_watch, show_page
 from quadwalk.runs.directory import Run
 from quadwalk.runs.wandb import check_wandb
 from quadwalk.settings.training import TrainConfig
@@ -32,10 +32,10 @@ Watch = Callable[[dict[str, float]], object]
 class NullWriter:
     """The writer of the processes that write nothing, all but the first."""
 
-    def iteration(self, row: dict[str, float], nan_step: Any, seconds: float) -> None:
+    def log_iteration(self, row: dict[str, float], nan_step: Any, seconds: float) -> None:
         """Write nothing."""
 
-    def draw(self) -> None:
+    def draw_curve(self) -> None:
         """Draw nothing."""
 
     def publish(self, state: Any, steps: int) -> bool:
@@ -70,15 +70,15 @@ def train(
     stream = None if is_main else io.StringIO()
     with contextlib.ExitStack() as stack:
         progress = stack.enter_context(Progress(config.steps, config.quiet, stream, deadline))
-        progress.phase("loading")
+        progress.show_phase("loading")
         training = prepare(config, previous, progress, stack)
         stop = stack.enter_context(stop_on_signal())
         writer: RunWriter | NullWriter = NullWriter()
         if training.run is not None:
-            writer = stack.enter_context(RunWriter(training, training.run, progress.message))
+            writer = stack.enter_context(RunWriter(training, training.run, progress.say))
             if config.watch:
                 writer.publish(training.state, training.steps)
-                stack.enter_context(watched(training.run, progress.message))
+                stack.enter_context(show_page(training.run.path, progress.say))
         saved = iterate(
             training, writer, progress, lambda: stop.is_set() or time.monotonic() >= deadline, watch
         )
@@ -103,14 +103,14 @@ def iterate(
     config = training.config
     saved_steps = published_steps = training.steps
     start = time.monotonic() - training.seconds
-    progress.phase("training")
+    progress.show_phase("training")
     while training.steps < config.steps and not distributed.is_true_anywhere(is_over()):
         training.state, numbers = training.iterate(training.state)
         training.steps += training.batch
-        row = training.metrics.row(training.steps, numbers)
+        row = training.metrics.make_row(training.steps, numbers)
         training.seconds = time.monotonic() - start
         progress.update(training.steps, row)
-        writer.iteration(row, numbers["nan_step"], training.seconds)
+        writer.log_iteration(row, numbers["nan_step"], training.seconds)
         if watch is not None:
             watch(row)
         check_finite(training, writer, numbers, row)
@@ -123,15 +123,15 @@ def iterate(
         ):
             save(training, writer, progress)
             saved_steps = training.steps
-            progress.phase("training")
+            progress.show_phase("training")
     saved = save(training, writer, progress)
-    writer.draw()
+    writer.draw_curve()
     return saved
 
 
 def save(training: Training, writer: RunWriter | NullWriter, progress: Progress) -> bool:
     """Save policy and checkpoint; return True if both were saved."""
-    progress.phase("saving")
+    progress.show_phase("saving")
     return writer.save(distributed.gather(training.state), training.steps, training.seconds)
 
 
@@ -160,7 +160,7 @@ def check_finite(
         )
     else:
         return
-    writer.draw()
+    writer.draw_curve()
     if isinstance(writer, RunWriter):
         text += f"; {describe_last_checkpoint(writer)}{hint}"
     raise UserError(text)

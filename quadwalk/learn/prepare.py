@@ -71,7 +71,7 @@ def prepare(
 
     The run is this training's until `stack` is closed.
     """
-    say = progress.message
+    say = progress.say
     robot = config.robot
     config = set_files(config, robot.urdf, robot.mesh_dirs, config.env.ground.file)
     config, devices = choose_devices(config)
@@ -95,7 +95,7 @@ def prepare(
         f"{env.quadruped.name}: {envs} environments on {len(devices)} "
         f"{devices[0].platform.upper()} devices, into {run.path if run else 'process 0'}"
     )
-    progress.phase("compiling", 25.0)
+    progress.show_phase("compiling", 25.0)
     training = Training(
         config=config,
         quadruped=env.quadruped,

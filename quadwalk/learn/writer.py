@@ -1,4 +1,4 @@
-"""Writing down what a training yields, whatever the disk says."""
+"""The files that a training writes, also where the disk refuses for a time."""
 
 import time
 from collections.abc import Callable
@@ -28,19 +28,19 @@ class RunWriter:
     """
 
     def __init__(self, training: Training, run: Run, warn: Callable[[str], None]) -> None:
-        """Rows of metrics beyond the state that `training` begins with are dropped."""
+        """Drop rows of metrics beyond the state that `training` begins with."""
         self.run = run
         self.saved: int | None = training.steps or None  # steps behind the last checkpoint
         self.best: tuple[int, float] | None = None  # steps and score of the best policy
         self._training = training
         self._warn = warn
         self._refused: dict[str, str] = {}
-        self._told = False  # of steps with NaN
+        self._told_of_nan = False
         self._draw_at = time.monotonic() + CURVE_SECONDS
         self._log = MetricsLog(run, resume_at=training.steps if training.resumed else None)
         self._wandb = WandbLog(run, training.config) if training.config.log == "wandb" else None
         if run.best.exists():
-            self._attempt("best", self._read_best)
+            self._try_to_write("best", self._read_best)
 
     def __enter__(self) -> "RunWriter":
         return self
@@ -50,48 +50,49 @@ class RunWriter:
         if self._wandb is not None:
             self._wandb.close()
 
-    def iteration(self, row: dict[str, float], nan_step: Any, seconds: float) -> None:
+    def log_iteration(self, row: dict[str, float], nan_step: Any, seconds: float) -> None:
         """Log an iteration's `row`, keep its `NanStep`, if any, and draw the curve now and then."""
         pace = row["steps"] / seconds
         timing = {"time/elapsed": seconds, "time/steps_per_second": pace}
-        self._attempt("metrics", lambda: self._log.append(row, timing))
+        self._try_to_write("metrics", lambda: self._log.append(row, timing))
         if (wandb := self._wandb) is not None:
-            self._attempt("wandb", lambda: wandb.append({**row, **timing}))
+            self._try_to_write("wandb", lambda: wandb.append({**row, **timing}))
         if nan_step.found > 0:
-            self._attempt("nan", lambda: self._keep(nan_step, int(row["steps"])))
+            self._try_to_write("nan", lambda: self._keep_nan_step(nan_step, int(row["steps"])))
         if time.monotonic() > self._draw_at:
-            self.draw()
+            self.draw_curve()
 
-    def _keep(self, nan_step: Any, steps: int) -> None:
+    def _keep_nan_step(self, nan_step: Any, steps: int) -> None:
         config = self._training.config
         path = nan.keep(self.run, nan_step.before, nan_step.action, config, steps)
-        if path is not None and not self._told:
+        if path is not None and not self._told_of_nan:
             self._warn(f"a step gave NaN: its episode ended, and {path} keeps it")
-            self._told = True
+            self._told_of_nan = True
 
-    def draw(self) -> None:
+    def draw_curve(self) -> None:
+        """Draw the learning curve, and plan when to draw it next."""
         # Matplotlib: a third of a second that the first iteration does not wait for.
         from quadwalk.progress.curves import RANDOMIZED, save_learning_curve
 
-        run, began = self.run, time.monotonic()
+        run, start = self.run, time.monotonic()
         best = self.best[0] if self.best else None
         note = RANDOMIZED if self._training.config.env.randomization.enabled else ""
-        self._attempt(
+        self._try_to_write(
             "curve",
             lambda: save_learning_curve(read_history(run), run.learning_curve, best, note),
         )
         now = time.monotonic()
-        self._draw_at = now + max(CURVE_SECONDS, (now - began) / CURVE_SHARE)
+        self._draw_at = now + max(CURVE_SECONDS, (now - start) / CURVE_SHARE)
 
     def save(self, state: Any, steps: int, seconds: float) -> bool:
-        """Save the policy, as the best too if it is, and a checkpoint; whether all went well."""
+        """Save policy, best policy and checkpoint; return True if all went well."""
         training, score = self._training, self._training.metrics.score
         metadata = {
             "kind": "checkpoint",
             "config": to_dict(training.config),
             "steps": steps,
             "seconds": seconds,
-            "metrics": training.metrics.state(),
+            "metrics": training.metrics.get_state(),
             "mirrors": training.networks.mirrors,
         }
 
@@ -100,27 +101,29 @@ class RunWriter:
             checkpoint.save(self.run.locate_checkpoint(steps), state, metadata)
 
         # The policies first: they are small and most valuable, should the disk be full.
-        well = self.publish(state, steps)
+        saved = self.publish(state, steps)
         if steps and (self.best is None or score > self.best[1]):  # before that there is no score
-            if self._attempt("best", lambda: self._save_policy(self.run.best, state, steps)):
+            if self._try_to_write("best", lambda: self._save_policy(self.run.best, state, steps)):
                 self.best = steps, score
             else:
-                well = False
-        if self._attempt("checkpoint", save_checkpoint):
+                saved = False
+        if self._try_to_write("checkpoint", save_checkpoint):
             self.saved = steps
             best = self.run.locate_checkpoint(self.best[0]) if self.best else None
             prune_checkpoints(self.run, KEPT_CHECKPOINTS, also=best)
         else:
-            well = False
-        return well
+            saved = False
+        return saved
 
     def publish(self, state: Any, steps: int) -> bool:
-        """Save only the newest policy, for a viewer; whether that went well."""
-        return self._attempt("policy", lambda: self._save_policy(self.run.policy, state, steps))
+        """Save only the newest policy, for a viewer; return True if that went well."""
+        return self._try_to_write(
+            "policy", lambda: self._save_policy(self.run.policy, state, steps)
+        )
 
     @property
     def trouble(self) -> str:
-        """What the disk has refused, and not taken since."""
+        """The first thing that the disk has refused and not taken since."""
         return next(iter(self._refused.values()), "")
 
     def _save_policy(self, path: Path, state: Any, steps: int) -> None:
@@ -137,9 +140,10 @@ class RunWriter:
     def _read_best(self) -> None:
         self.best = load_score(self.run.best)
 
-    def _attempt(self, what: str, action: Callable[[], Any]) -> bool:
+    def _try_to_write(self, what: str, write: Callable[[], Any]) -> bool:
+        """Call `write`; return False where it is refused, and report that once."""
         try:
-            action()
+            write()
         except UserError as error:
             if what not in self._refused:
                 self._warn(f"warning: {error}; training continues and will retry")

@@ -81,11 +81,11 @@ class Progress:
         if self._screen:
             self._view.finish(stopped=self.stopped or kind is not None)
         elif kind is not None:
-            self.message(f"{self._phase or 'work'} stopped")
+            self.say(f"{self._phase or 'work'} stopped")
         if self._heartbeat.is_alive():
             self._heartbeat.join()
 
-    def phase(self, text: str, expected_seconds: float | None = None) -> None:
+    def show_phase(self, text: str, expected_seconds: float | None = None) -> None:
         """Say what begins now: "loading", "compiling", "training", "saving"."""
         if text == self._phase:
             return
@@ -101,7 +101,7 @@ class Progress:
             view.reset(view.task.id, description=text + about, total=total)
         # Once there are figures, they themselves show that it is training again.
         if not self._screen and not (training and self._trained):
-            self.message(text + about)
+            self.say(text + about)
         self._phase, self._trained = text, self._trained or training
         view.refresh()
 
@@ -126,11 +126,9 @@ class Progress:
         view.refresh()
         if not self._screen and (steps >= self._total or now - self._shown >= _PLAIN_SECONDS):
             self._shown = now
-            self.message(
-                "  ".join([f"{task.percentage:3.0f} %", view.pace, *self._format_figures()])
-            )
+            self.say("  ".join([f"{task.percentage:3.0f} %", view.pace, *self._format_figures()]))
 
-    def message(self, text: str) -> None:
+    def say(self, text: str) -> None:
         """Print a line that stays, above the live view."""
         self._spoke = time.monotonic()
         if self._screen:
@@ -159,7 +157,7 @@ class Progress:
         """Print a line now and then during a long phase."""
         while not self._over.wait(min(1.0, _HEARTBEAT_SECONDS)):
             if self._phase and time.monotonic() - self._spoke >= _HEARTBEAT_SECONDS:
-                self.message(f"{self._phase} continues, {self._view.task.elapsed:.0f} s so far")
+                self.say(f"{self._phase} continues, {self._view.task.elapsed:.0f} s so far")
 
 
 class _View(rich.progress.Progress):

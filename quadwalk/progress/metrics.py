@@ -80,7 +80,7 @@ class TrainingMetrics:
         self._figures: collections.deque[float] = collections.deque(maxlen=SCORED)
         self._nan = 0.0
 
-    def state(self) -> dict[str, Any]:
+    def get_state(self) -> dict[str, Any]:
         """Return what a resumed training needs to go on counting, as JSON data."""
         return {
             "train_falls": self._train_falls.counts,
@@ -90,7 +90,7 @@ class TrainingMetrics:
         }
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """Go on from what `state` returned."""
+        """Go on from what `get_state` returned."""
         self._train_falls = FallRate(EPISODES, state["train_falls"])
         self._eval_falls = FallRate(EPISODES, state["eval_falls"])
         self._figures.extend(map(float, state["speeds"]))
@@ -101,7 +101,7 @@ class TrainingMetrics:
         """The score of the policy in the last `SCORED` iterations."""
         return compute_score(self._figures, self._eval_falls.share)
 
-    def row(self, steps: int, numbers: Mapping[str, Any]) -> dict[str, float]:
+    def make_row(self, steps: int, numbers: Mapping[str, Any]) -> dict[str, float]:
         """Return the row after `steps` control steps, from what `quadwalk.learn.ppo` gives."""
         values = {name: float(value) for name, value in numbers.items() if name != "nan_step"}
         self._nan += values["count/nan"]

@@ -6,10 +6,10 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterator
+from pathlib import Path
 
 from quadwalk.cli.shell import suggest_install
 from quadwalk.errors import UserError
-from quadwalk.runs.directory import Run
 
 WATCHED = 20  # times that the policy is saved for the page between two checkpoints
 
@@ -21,9 +21,9 @@ def check_watch() -> None:
 
 
 @contextlib.contextmanager
-def watched(run: Run, say: Callable[[str], object]) -> Iterator[None]:
-    """The page of `run`, which shows each saved policy; `say` gets its address."""
-    path = run.path.resolve()
+def show_page(path: Path, say: Callable[[str], object]) -> Iterator[None]:
+    """Serve a page that shows each saved policy of the run in `path`; `say` gets its address."""
+    path = path.resolve()
     command = [sys.executable, "-m", "quadwalk", "alongside", str(path)]
     page = subprocess.Popen(
         [*command, "--browser", f"--runs={path.parent}"],

@@ -36,14 +36,14 @@ from quadwalk.tasks import sprint
 from quadwalk.learn.writer import RunWriter
 
 quadwalk.learn.prepare.QuadrupedEnv = toy.Toy
-iteration = RunWriter.iteration
+iteration = RunWriter.log_iteration
 def slow(writer, row, *others):
     iteration(writer, row, *others)
     time.sleep(0.02)
     while row["steps"] >= {PAUSE * BATCH} and not pathlib.Path(GO).exists():
         time.sleep(0.05)
 if iteration.__name__ != "slow":
-    RunWriter.iteration = slow
+    RunWriter.log_iteration = slow
 
 def own(robot, step):
     return 0.0
@@ -71,7 +71,7 @@ def job(task, tmp_path, monkeypatch):
     """A job in the folder `runs`, of so many iterations, with a checkpoint after every ten."""
     # What reading the task changes in this process is put back.
     monkeypatch.setattr(quadwalk.learn.prepare, "QuadrupedEnv", quadwalk.learn.prepare.QuadrupedEnv)
-    monkeypatch.setattr(RunWriter, "iteration", RunWriter.iteration)
+    monkeypatch.setattr(RunWriter, "log_iteration", RunWriter.log_iteration)
     file, _ = task
 
     def make(runs: str, name: str, iterations: int, evaluate, seed: int = 0) -> Job:

@@ -28,7 +28,7 @@ def save(folder: Path, first: int, last: int, die_at: int | None = None) -> None
     with RunWriter(training, Run(folder), print) as writer:
         for steps in range(first + 10, last + 1, 10):
             training.metrics.score = float(steps)
-            writer.iteration({"steps": steps, "x": float(steps)}, SimpleNamespace(found=0), 1.0)
+            writer.log_iteration({"steps": steps, "x": float(steps)}, SimpleNamespace(found=0), 1.0)
             assert writer.save(state_after(steps), steps, 1.0)
 
 
@@ -44,7 +44,7 @@ def training_after(steps: int) -> SimpleNamespace:
                 params,
             ),
         ),
-        metrics=SimpleNamespace(score=0.0, state=dict),
+        metrics=SimpleNamespace(score=0.0, get_state=dict),
         steps=steps,
         resumed=steps > 0,
     )

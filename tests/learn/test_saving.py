@@ -117,11 +117,11 @@ def test_a_watched_training_saves_its_policy_often(train, flags, tmp_path, monke
     pages, policies = [], []
 
     @contextlib.contextmanager
-    def page(run, say):
-        pages.append((run.name, load_score(run.policy)[0]))
+    def page(path, say):
+        pages.append((path.name, load_score(Run(path).policy)[0]))
         yield
 
-    monkeypatch.setattr("quadwalk.learn.loop.watched", page)
+    monkeypatch.setattr("quadwalk.learn.loop.show_page", page)
     monkeypatch.setattr("quadwalk.learn.loop.check_watch", lambda: None)
     often = f"--checkpoint-steps={64 * WATCHED}"
 

@@ -256,7 +256,7 @@ def test_a_full_disk_ends_no_training(
     from quadwalk.learn.writer import RunWriter
 
     folder, fill, empty = small_disk
-    log = RunWriter.iteration
+    log = RunWriter.log_iteration
 
     def iteration(self, row, *more):
         steps = row["steps"]
@@ -266,7 +266,7 @@ def test_a_full_disk_ends_no_training(
             empty()
         log(self, row, *more)
 
-    monkeypatch.setattr(RunWriter, "iteration", iteration)
+    monkeypatch.setattr(RunWriter, "log_iteration", iteration)
     run = folder / "full"
     arguments = flags(folder, "full", ITERATIONS, OFTEN)
     if freed:
@@ -285,7 +285,7 @@ def test_a_full_disk_ends_no_training(
         assert load_policy(run / "policy.npz").steps >= 64 * 18
         assert len(read_metrics(Run(run))) >= 18
         empty()
-        monkeypatch.setattr(RunWriter, "iteration", log)
+        monkeypatch.setattr(RunWriter, "log_iteration", log)
         train(f"--runs={folder}", "--resume=full")
     warnings = [line for line in said.splitlines() if "No space left on device" in line]
     assert 1 <= len(warnings) <= 8

@@ -50,14 +50,14 @@ def clock(monkeypatch):
 
 def train(stream, quiet=False, clock=None, **figures):
     with Progress(3000, quiet=quiet, stream=stream) as progress:
-        progress.phase("compiling", 30)
-        progress.phase("training")
+        progress.show_phase("compiling", 30)
+        progress.show_phase("training")
         for steps in (1000, 2000, 3000):
             progress.update(steps, FIGURES | figures)
             if clock:
                 clock[0] += 2.0
-        progress.message("something [odd] happened")
-        progress.phase("saving")
+        progress.say("something [odd] happened")
+        progress.show_phase("saving")
     progress.end("see runs/a")
     return stream.getvalue()
 
@@ -81,9 +81,9 @@ def test_plain_lines_of_figures_come_every_few_seconds(clock):
     stream = io.StringIO()
     with Progress(10**9, stream=stream) as progress:
         for step in range(20):
-            progress.phase("training")
+            progress.show_phase("training")
             progress.update(step, FIGURES)
-            progress.phase("saving")
+            progress.show_phase("saving")
             clock[0] += 1.0
     lines = [line for line in stream.getvalue().splitlines() if " left " in line]
     assert [line[:7] for line in lines] == ["[ 0:00]", "[ 0:05]", "[ 0:10]", "[ 0:15]"]
@@ -94,7 +94,7 @@ def test_a_long_phase_gives_a_sign_of_life(monkeypatch):
     monkeypatch.setattr(module, "_HEARTBEAT_SECONDS", 0.5)
     stream = io.StringIO()
     with Progress(10, stream=stream) as progress:
-        progress.phase("compiling")
+        progress.show_phase("compiling")
         time.sleep(1.2)
     assert "compiling continues, 1 s so far" in stream.getvalue()
 
@@ -120,7 +120,7 @@ def test_the_terminal_is_restored(error):
     stdout = sys.stdout
     try:
         with Progress(10, stream=stream) as progress:
-            progress.phase("training")
+            progress.show_phase("training")
             if error:
                 raise error
     except (KeyboardInterrupt, ValueError):
@@ -148,7 +148,7 @@ def test_numbers_that_are_none_are_dashes(stream, value):
 def test_a_training_that_was_stopped_is_not_said_to_be_done(stopped):
     stream = Terminal()
     with Progress(100, stream=stream) as progress:
-        progress.phase("training")
+        progress.show_phase("training")
         progress.update(54, FIGURES)
         progress.stopped = stopped
     last = visible(stream.getvalue()).splitlines()
@@ -195,8 +195,8 @@ def test_no_line_is_wider_than_the_terminal(monkeypatch, width):
     stream = Terminal()
     many = {f"train/reward/a_rather_long_name_{index}": -index for index in range(9)}
     with Progress(10_000_000, stream=stream) as progress:
-        progress.phase("compiling", 25)
-        progress.phase("training")
+        progress.show_phase("compiling", 25)
+        progress.show_phase("training")
         for steps in range(0, 9_000_000, 1_000_000):
             progress.update(steps, {**FIGURES, **many, "train/nan": 5})
     lines = re.split(r"[\r\n]+", visible(stream.getvalue()))
@@ -214,7 +214,7 @@ def last_figures(stream):
 def test_rate_and_time_left_are_recent_and_from_the_start_of_this_process(clock):
     stream = io.StringIO()
     with Progress(100_000, stream=stream) as progress:
-        progress.phase("training")
+        progress.show_phase("training")
         for seconds, steps in ((10, 51_000), (10, 52_000), (10, 53_000)):  # 50,000 were there
             clock[0] += seconds
             progress.update(steps, {})
@@ -228,7 +228,7 @@ def test_rate_and_time_left_are_recent_and_from_the_start_of_this_process(clock)
 def test_the_bar_and_the_time_left_follow_whichever_ends_first(clock):
     stream = io.StringIO()
     with Progress(100_000, stream=stream, ends=clock[0] + 60) as progress:
-        progress.phase("training")
+        progress.show_phase("training")
         for seconds, steps in ((0, 20_000), (5, 40_000), (5, 60_000)):  # 4000 a second: 10 s more
             clock[0] += seconds
             progress.update(steps, {})
@@ -265,7 +265,7 @@ def test_it_shows_at_once_on_a_real_terminal():
         "from quadwalk.progress.display import Progress\n"
         "import time\n"
         "with Progress(10) as p:\n"
-        "    p.phase('loading'); time.sleep(30)\n"
+        "    p.show_phase('loading'); time.sleep(30)\n"
     )
     master, slave = pty.openpty()
     started = time.monotonic()

@@ -37,8 +37,8 @@ def numbers(**changes):
 def test_a_row_tells_training_from_evaluation_and_scales_the_terms():
     scales = {"env.reward.forward": 2.0, "env.reward.yaw": -3.0}
     metrics = TrainingMetrics(change_settings(sprint.TASK, scales).env.reward)
-    metrics.row(100, numbers())
-    row = metrics.row(200, numbers())
+    metrics.make_row(100, numbers())
+    row = metrics.make_row(200, numbers())
     assert row["steps"] == 200
     assert (row["train/speed"], row["eval/speed"]) == (1.0, 3.0)
     assert (row["train/fall_rate"], row["eval/fall_rate"]) == (0.75, 0.25)
@@ -50,8 +50,8 @@ def test_a_row_tells_training_from_evaluation_and_scales_the_terms():
 def test_a_row_has_the_velocity_error_of_tasks_with_commands():
     metrics = TrainingMetrics(sprint.TASK.env.reward)
     commanded = {"velocity_error": 0.4, "eval/velocity_error": 0.3}
-    assert metrics.row(100, numbers(**commanded))["eval/velocity_error"] == 0.3
-    assert "eval/velocity_error" not in metrics.row(200, numbers())
+    assert metrics.make_row(100, numbers(**commanded))["eval/velocity_error"] == 0.3
+    assert "eval/velocity_error" not in metrics.make_row(200, numbers())
 
 
 def test_the_score_is_the_evaluation_speed_less_the_falls():
@@ -59,19 +59,21 @@ def test_the_score_is_the_evaluation_speed_less_the_falls():
     assert metrics.score == 0.0
     for speed in (9.0, *[3.0] * 10, *[5.0] * 10):  # the last twenty count
         none = {"eval/count/ended": 0, "eval/count/fell": 0}
-        metrics.row(0, numbers(**{"eval/speed": speed, **none}))
+        metrics.make_row(0, numbers(**{"eval/speed": speed, **none}))
     assert metrics.score == pytest.approx(4.0)
-    metrics.row(0, numbers(**{"eval/speed": 3.0}))
+    metrics.make_row(0, numbers(**{"eval/speed": 3.0}))
     assert metrics.score == pytest.approx(4.0 * 0.75)
     for _ in range(20):
-        metrics.row(0, numbers(**{"eval/speed": -2.0}))
+        metrics.make_row(0, numbers(**{"eval/speed": -2.0}))
     assert metrics.score == pytest.approx(-2.0)  # falls do not make it better
 
 
 def test_the_score_of_a_task_that_starts_in_any_pose_is_the_share_of_time_standing():
     metrics, none = TrainingMetrics(sprint.TASK.env.reward), {"eval/count/fell": 0}
     for speed, standing in ((0.3, 0.0), (0.0, 0.5)):
-        row = metrics.row(0, numbers(**{"eval/speed": speed, "eval/standing": standing, **none}))
+        row = metrics.make_row(
+            0, numbers(**{"eval/speed": speed, "eval/standing": standing, **none})
+        )
     assert row["eval/standing"] == 0.5
     assert metrics.score == pytest.approx(0.25)
 
@@ -79,11 +81,11 @@ def test_the_score_of_a_task_that_starts_in_any_pose_is_the_share_of_time_standi
 def test_counting_goes_on_from_a_saved_state():
     whole, first, second = (TrainingMetrics(sprint.TASK.env.reward) for _ in range(3))
     rows = [numbers(**{"eval/count/fell": k % 3, "count/nan": k}) for k in range(40)]
-    expected = [whole.row(k, row) for k, row in enumerate(rows)]
+    expected = [whole.make_row(k, row) for k, row in enumerate(rows)]
     for k, row in enumerate(rows[:25]):
-        first.row(k, row)
-    second.restore(json.loads(json.dumps(first.state())))
-    assert [second.row(k, row) for k, row in enumerate(rows[25:], 25)] == expected[25:]
+        first.make_row(k, row)
+    second.restore(json.loads(json.dumps(first.get_state())))
+    assert [second.make_row(k, row) for k, row in enumerate(rows[25:], 25)] == expected[25:]
     assert second.score == whole.score
 
 
@@ -91,7 +93,7 @@ def test_levels_are_means_over_the_robots_on_each_kind_of_ground():
     metrics = TrainingMetrics(sprint.TASK.env.reward)
     counts = {"count/level/blocks": 30.0, "count/robots/blocks": 12.0}
     none = {"count/level/flat": 0.0, "count/robots/flat": 0.0}
-    row = metrics.row(100, numbers(**counts, **none))
+    row = metrics.make_row(100, numbers(**counts, **none))
     assert row["train/level/blocks"] == 2.5
     assert row["train/level/flat"] == 0.0
     assert not any(name.startswith("count/") for name in row)

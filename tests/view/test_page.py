@@ -208,9 +208,8 @@ def test_it_listens_on_this_machine_alone(page):
 _TRAINER = """
 import sys
 from pathlib import Path
-from quadwalk.progress.watch import watched
-from quadwalk.runs.directory import Run
-with watched(Run(Path(sys.argv[1])), lambda line: print(line, flush=True)):
+from quadwalk.progress.watch import show_page
+with show_page(Path(sys.argv[1]), lambda line: print(line, flush=True)):
     sys.stdin.read()
 """
 

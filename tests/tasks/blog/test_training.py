@@ -28,7 +28,7 @@ def test_it_learns_from_numbers_that_are_finite():
     metrics = TrainingMetrics(task.env.reward)
     for number in range(ITERATIONS):
         state, numbers = iterate(state)
-        row = metrics.row(number, numbers)
+        row = metrics.make_row(number, numbers)
         falls = ("train/fall_rate", "eval/fall_rate")  # none before an episode has ended
         assert np.isfinite([value for name, value in row.items() if name not in falls]).all()
         terms = {name: value for name, value in row.items() if name.startswith("train/reward/")}
