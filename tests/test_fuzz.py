@@ -41,10 +41,10 @@ from quadwalk.settings.training import RobotConfig
 from quadwalk.task_files import load_task
 from quadwalk.tasks import list_tasks
 from quadwalk.terrain.cli import main as ground
-from quadwalk.view.choices import policy_choices
-from quadwalk.view.show import ViewConfig
+from quadwalk.web.robots import list_policies
+from quadwalk.web.view import ViewConfig
 from tests.settings.test_serialize import places
-from tests.view.conftest import write_run
+from tests.untrained import write_run
 
 WORDS = (
     *("nan", "inf", "-inf", "1e999", "1e12", "1e-320", "0", "-1", "1.5", "9" * 5000, "None"),
@@ -149,7 +149,7 @@ READERS: dict[str, tuple[Callable[[Run], object], ...]] = {
     "policy.npz": (lambda run: load_policy(run.policy),),
     "best.npz": (lambda run: load_score(run.best),),
     "checkpoints/step_000000000003.npz": (
-        policy_choices,
+        list_policies,
         lambda run: find_latest_checkpoint(run, str),
         lambda run: load_checkpoint_policy(run.locate_checkpoint(3), ("a",) * 12),
     ),

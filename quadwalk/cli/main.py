@@ -17,8 +17,8 @@ COMMANDS = {
     "train": ("quadwalk.learn.cli:main", "train a quadruped in a task"),
     "eval": ("quadwalk.evaluation.command:call_eval", "evaluate a trained policy"),
     "sweep": ("quadwalk.evaluation.command:call_sweep", "measure what a policy withstands"),
-    "view": ("quadwalk.view.show:main", "drive a trained policy live"),
-    "demo": ("quadwalk.view.show:main", "drive a policy that comes trained, in a page"),
+    "view": ("quadwalk.web.view:main", "drive a trained policy in a page of the browser"),
+    "demo": ("quadwalk.web.view:main", "drive the policy that comes trained"),
     "export": ("quadwalk.export.cli:main", "write a policy as ONNX, to be used elsewhere"),
     "compare": (
         "quadwalk.experiments.commands:compare",
@@ -31,11 +31,11 @@ COMMANDS = {
     "robot": ("quadwalk.robot.cli:main", "convert a URDF to MJCF, or draw it"),
     "terrain": ("quadwalk.terrain.cli:main", "draw every kind of terrain"),
     "nan": ("quadwalk.learn.nan:main", "replay a training step that gave no finite numbers"),
-    "alongside": ("quadwalk.view.alongside:main", ""),  # started by training, not listed
+    "alongside": ("quadwalk.web.view:main_alongside", ""),  # started by training, not listed
     "doctor": ("quadwalk.cli.doctor:main", "print versions, devices, cores, and what is off here"),
 }
 LISTED = {name: summary for name, (_, summary) in COMMANDS.items() if summary}
-_FIXED_ARGUMENTS = {"demo": ("drive", "--browser")}
+_FIXED_ARGUMENTS = {"demo": ("drive",)}
 
 
 def main(command: str | None = None) -> NoReturn:

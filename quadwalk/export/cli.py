@@ -9,7 +9,7 @@ import tyro
 
 from quadwalk.cli.arguments import make_console, parse
 from quadwalk.cli.shell import get_python, quote_words, suggest_install
-from quadwalk.errors import UserError
+from quadwalk.errors import UsageError, UserError
 from quadwalk.runs.directory import describe_origin, find_any_run, find_ready, get_results_folder
 
 
@@ -17,9 +17,13 @@ from quadwalk.runs.directory import describe_origin, find_any_run, find_ready, g
 class ExportConfig:
     """Write a policy as ONNX, with deploy.yaml, MJCF, URDF and scripts that run it in MuJoCo."""
 
-    # name or path of a run, or "latest"; run, walk, drive, getup and rough come trained
-    run: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="[RUN]")] = "latest"
-    # folder for the files; None: export/ in the run's
+    # names or paths of runs, or "latest"; run, walk, drive, getup and rough come trained. Several
+    # are for --web
+    run: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[RUN ...]")] = (
+        "latest",
+    )
+    # folder for the files; None: export/ in the run's; with --web a name that ends in .html is one
+    # file, which opens by double-click
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
     policy: Literal["last", "best"] = "last"  # the run's last, or that of its best checkpoint
     # name or path of a run that gets a fallen robot up, as getup; run_policy.py then goes on
@@ -29,14 +33,26 @@ class ExportConfig:
     check: bool = False
     # compare this NPZ by a runtime of your own, as run_policy.py --save writes it, but for physics
     recording: Path | None = None
+    # write a page that runs the robot in any browser, for any web server, instead
+    web: bool = False
     runs: Path = Path("runs")  # folder that holds all runs
 
 
 def main(args: Sequence[str], prog: str = "quadwalk export") -> None:
     """Export the run that the arguments name, or check its export."""
     config = parse(ExportConfig, args, prog)
-    run = find_ready(config.runs, config.run, "run")
+    runs = [find_ready(config.runs, which, "run") for which in config.run]
     console = make_console()
+    if config.web:
+        from quadwalk.web.robots import export_page
+
+        getup = None if config.getup is None else find_any_run(config.runs, config.getup)
+        out = config.out or get_results_folder(config.runs, runs[0]) / "page"
+        export_page(runs, config.policy, out, getup, console)
+        return
+    if len(runs) > 1:
+        raise UsageError("several runs were given; expected one, or --web for a page of them all")
+    run = runs[0]
     out = config.out or get_results_folder(config.runs, run) / "export"
     checked = config.check or config.recording is not None
     try:

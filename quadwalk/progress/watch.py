@@ -16,8 +16,8 @@ WATCHED = 20  # times that the policy is saved for the page between two checkpoi
 
 def check_watch() -> None:
     """Raise `UserError` in one line where the page cannot be shown."""
-    if importlib.util.find_spec("mjviser") is None:
-        raise UserError(f"--watch needs mjviser, which is not installed: {suggest_install('view')}")
+    if importlib.util.find_spec("onnx") is None:
+        raise UserError(f"--watch needs onnx, which is not installed: {suggest_install('view')}")
 
 
 @contextlib.contextmanager
@@ -26,7 +26,7 @@ def show_page(path: Path, say: Callable[[str], object]) -> Iterator[None]:
     path = path.resolve()
     command = [sys.executable, "-m", "quadwalk", "alongside", str(path)]
     page = subprocess.Popen(
-        [*command, "--browser", f"--runs={path.parent}"],
+        [*command, f"--runs={path.parent}"],
         stdin=subprocess.PIPE,  # closed when this process ends, even if it is killed: it ends then
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,

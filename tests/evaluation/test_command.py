@@ -21,7 +21,7 @@ from quadwalk.robot.load import load_robot
 from quadwalk.runs.directory import Run, describe_origin, find_ready
 from quadwalk.settings.training import RobotConfig
 from quadwalk.tasks import sprint
-from tests.view.conftest import write_policy
+from tests.untrained import write_policy
 
 
 @pytest.fixture

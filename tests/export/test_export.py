@@ -44,7 +44,7 @@ from quadwalk.settings.registry import TERMS
 from quadwalk.settings.terms import ActionMap
 from quadwalk.task_files import load_task
 from tests.settings.test_registry import to_module_names
-from tests.view.conftest import write_run
+from tests.untrained import write_run
 
 SECONDS = 0.5
 

@@ -1,4 +1,4 @@
-"""A real browser without a screen: Debian's chromium, spoken to by the DevTools protocol."""
+"""A browser without a screen: Debian's Chromium, driven by the DevTools protocol."""
 
 import base64
 import contextlib
@@ -7,7 +7,6 @@ import json
 import shutil
 import subprocess
 import tempfile
-import threading
 import time
 import urllib.request
 from collections.abc import Callable, Iterator
@@ -21,12 +20,12 @@ _FLAGS = (
 )
 
 
-def wait(condition: Callable[[], bool], seconds: float = 30.0) -> bool:
-    """Whether `condition` comes true in time."""
+def wait_until(condition: Callable[[], bool], seconds: float = 30.0) -> bool:
+    """Return True once `condition` holds, False if it does not in time."""
     end = time.monotonic() + seconds
-    while not (met := condition()) and time.monotonic() < end:
+    while not (holds := condition()) and time.monotonic() < end:
         time.sleep(0.1)
-    return met
+    return holds
 
 
 class Browser:
@@ -36,7 +35,7 @@ class Browser:
         self._socket, self._numbers = socket, itertools.count(1)
 
     def ask(self, method: str, **params: Any) -> dict[str, Any]:
-        """Call a method of the protocol; its result."""
+        """Call a method of the protocol; return its result."""
         number = next(self._numbers)
         self._socket.send(json.dumps({"id": number, "method": method, "params": params}))
         while True:
@@ -46,44 +45,39 @@ class Browser:
                 return answer["result"]
 
     def evaluate(self, expression: str) -> Any:
-        """The value of a JavaScript expression in the page."""
+        """Return the value of a JavaScript expression in the page."""
         answer = self.ask("Runtime.evaluate", expression=expression, returnByValue=True)
+        assert "exceptionDetails" not in answer, answer
         return answer["result"].get("value")
 
     def text(self) -> str:
-        """What the page says."""
+        """Return the text that the page shows."""
         return self.evaluate("document.body.innerText") or ""
 
-    def wait_for(self, text: str, seconds: float = 60.0) -> None:
-        """Wait until the page says `text`."""
-        assert wait(lambda: text in self.text(), seconds), f"no {text!r} in: {self.text()}"
+    def send_key(self, kind: str, code: str) -> None:
+        """Send "keyDown" or "keyUp" of a key, by its place on the keyboard."""
+        key = " " if code == "Space" else code.removeprefix("Key").lower()
+        self.ask("Input.dispatchKeyEvent", type=kind, code=code, key=key)
 
-    def dismiss(self, seconds: float = 20.0) -> None:
-        """Close what the page complains of, as of no graphics card, once it does."""
-        close = "document.querySelector('.mantine-Notification-closeButton')"
-        wait(lambda: self.evaluate(f"!!{close}"), seconds)
-        self.evaluate(f"{close}?.click()")
+    def press(self, code: str) -> None:
+        """Press a key and let it go."""
+        self.send_key("keyDown", code)
+        self.send_key("keyUp", code)
 
-    def press(self, key: str) -> None:
-        """Press a letter's key, or the space bar, and let it go."""
-        code = "Space" if key == " " else f"Key{key}"
-        names = {"key": key.lower(), "code": code, "windowsVirtualKeyCode": ord(key)}
-        for kind in ("keyDown", "keyUp"):
-            self.ask("Input.dispatchKeyEvent", type=kind, **names)
-
-    def resize(self, width: int, height: int) -> None:
-        """Give the page so many pixels."""
-        size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
+    def resize(self, width: int, height: int, mobile: bool = False) -> None:
+        """Give the page so many pixels, and the touch screen of a phone if it is `mobile`."""
+        size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": mobile}
         self.ask("Emulation.setDeviceMetricsOverride", **size)
+        self.ask("Emulation.setTouchEmulationEnabled", enabled=mobile)
 
     def screenshot(self) -> bytes:
-        """A picture of the page, PNG."""
+        """Return a picture of the page, PNG."""
         return base64.b64decode(self.ask("Page.captureScreenshot", format="png")["data"])
 
 
 @contextlib.contextmanager
-def browsing(url: str) -> Iterator[Browser]:
-    """A browser that shows `url`."""
+def open_browser(url: str) -> Iterator[Browser]:
+    """Start a browser that shows `url`."""
     from websockets.sync.client import connect
 
     assert PROGRAM is not None
@@ -92,7 +86,7 @@ def browsing(url: str) -> Iterator[Browser]:
         process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         try:
             file = Path(folder) / "DevToolsActivePort"
-            listens = wait(lambda: file.exists() and "\n" in file.read_text(), 60.0)
+            listens = wait_until(lambda: file.exists() and "\n" in file.read_text(), 60.0)
             assert listens, "chromium does not start"
             port = file.read_text().split()[0]
             with urllib.request.urlopen(f"http://127.0.0.1:{port}/json") as answer:
@@ -105,21 +99,3 @@ def browsing(url: str) -> Iterator[Browser]:
         finally:
             process.kill()
             process.wait()
-
-
-@contextlib.contextmanager
-def running(page: Any) -> Iterator[None]:
-    """Have the robot of a `quadwalk.view.page.Page` run meanwhile, in a thread."""
-    over = threading.Event()
-
-    def play() -> None:
-        while not over.is_set():
-            page.run_for(0.2)
-
-    thread = threading.Thread(target=play)
-    thread.start()
-    try:
-        yield
-    finally:
-        over.set()
-        thread.join()

@@ -1,1 +1,0 @@
-"""Drive a trained policy live: in a page of the browser, or in MuJoCo's own window."""

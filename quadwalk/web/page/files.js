@@ -1,0 +1,45 @@
+/** Where the page's files are: beside it on a server, or inside it. */
+
+import { unpack } from "./terrain.js";
+
+/**
+ * Files inside a page that is one file: gzip in base64, by name.
+ * @type {Record<string, string> | undefined}
+ */
+const inside = /** @type {any} */ (globalThis).QUADWALK_FILES;
+
+/** Return true if the page is one file. */
+export const isSingleFile = inside !== undefined;
+
+/**
+ * Read a file of the page.
+ * @param {string} name
+ * @returns {Promise<Uint8Array>}
+ */
+export async function readFile(name) {
+  if (inside) return unpack(inside[name]);
+  const answer = await fetch(name, { cache: "no-cache" });
+  if (!answer.ok) throw new Error(`${name} cannot be read: ${answer.status} ${answer.statusText}`);
+  if (!name.endsWith(".gz")) return new Uint8Array(await answer.arrayBuffer());
+  const body = /** @type {ReadableStream} */ (answer.body);
+  const stream = body.pipeThrough(new DecompressionStream("gzip"));
+  return new Uint8Array(await new Response(stream).arrayBuffer());
+}
+
+/** @param {string} name */
+export async function readText(name) {
+  return new TextDecoder().decode(await readFile(name));
+}
+
+/** Start MuJoCo's WebAssembly module. */
+export async function loadMujoco() {
+  const wasmBinary = await readFile("vendor/mujoco.wasm.gz");
+  const options = { wasmBinary, locateFile: (/** @type {string} */ file) => file };
+  if (!inside)
+    return (await import(new URL("vendor/mujoco.js", import.meta.url).href)).default(options);
+  const source = await readFile("vendor/mujoco.js");
+  const url = URL.createObjectURL(
+    new Blob([/** @type {any} */ (source)], { type: "text/javascript" }),
+  );
+  return (await import(url)).default(options);
+}

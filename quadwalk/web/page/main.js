@@ -1,0 +1,380 @@
+/** The page: loads a robot, steps it in real time, and draws it. */
+
+import { isSingleFile, loadMujoco, readFile, readText } from "./files.js";
+import { Inputs } from "./input.js";
+import { CommandLog, Film, readLink, writeLink } from "./link.js";
+import { Policy } from "./onnx.js";
+import { Panel } from "./panel.js";
+import { Pilot } from "./pilot.js";
+import { Plots } from "./plots.js";
+import { Server } from "./server.js";
+import { Scene } from "./scene.js";
+import { Simulation } from "./simulation.js";
+import { Terrain } from "./terrain.js";
+
+const BUDGET = 0.025; // s of a frame that steps may take
+const PLOTTING = 0.1; // s between plots
+const TELLING = 6; // s that a message stays
+const FLAT = "flat";
+const KICK = 1.5; // m/s, of a kick from the side
+
+/**
+ * @typedef {object} Dog
+ * @property {string} name
+ * @property {string} policy a file's name
+ * @property {Record<string, string>} policies files of its checkpoints too, by their names
+ * @property {string | null} getup
+ * @property {string} robot
+ * @property {string | null} ground what it starts on
+ * @property {boolean} remote the policy acts where Python is
+ * @property {string} about
+ */
+
+/** @param {string} id */
+function find(id) {
+  return /** @type {HTMLElement} */ (document.getElementById(id));
+}
+
+/** The page of one robot at a time. */
+class Page {
+  constructor() {
+    this.scene = new Scene(/** @type {HTMLCanvasElement} */ (find("picture")));
+    this.plots = new Plots(
+      /** @type {HTMLCanvasElement} */ (find("curves")),
+      /** @type {HTMLCanvasElement} */ (find("steps")),
+    );
+    this.panel = new Panel(find("controls"), (name, value) => this.act(name, value));
+    this.panel.films.style.display = Film.isPossible ? "" : "none";
+    this.film = new Film(this.scene.canvas);
+    this.log = new CommandLog();
+    this.pace = 1;
+    this.isPaused = false;
+    this.isThrowDue = false;
+    this.debt = 0; // s of the robot's time that is due
+    this.lastFrame = 0;
+    this.plotted = 0;
+    this.pilot = new Pilot({});
+    /** @type {Dog[]} */
+    this.dogs = [];
+    /** @type {Terrain | null} */
+    this.terrain = null;
+    this.ground = FLAT;
+    this.inputs = new Inputs(
+      () => this.pilot,
+      (action) => this.act(action, true),
+    );
+    this.addTouch();
+    addEventListener("resize", () => this.scene.resize());
+    this.scene.resize();
+  }
+
+  addTouch() {
+    const stick = { forward: 0, left: 0, turn: 0 };
+    const steer = () => this.pilot.steer(stick.forward, stick.left, stick.turn);
+    this.inputs.addStick(find("stick-left"), (right, up) => {
+      stick.forward = up;
+      stick.turn = -right;
+      steer();
+    });
+    this.inputs.addStick(find("stick-right"), (right, up) => {
+      stick.left = -right;
+      if (up || !stick.forward) stick.forward = up;
+      steer();
+    });
+    for (const button of document.querySelectorAll("#touch button")) {
+      const action = /** @type {HTMLElement} */ (button).dataset.act ?? "";
+      button.addEventListener("click", () => this.act(action, true));
+    }
+  }
+
+  /** Load everything and start. */
+  async start() {
+    this.tell("loading ...", true);
+    const [mujoco, index] = await Promise.all([loadMujoco(), readText("dogs.json")]);
+    this.mujoco = mujoco;
+    const { dogs, terrain, live } = JSON.parse(index);
+    this.dogs = dogs;
+    this.terrain = terrain ? await Terrain.read(JSON.parse(await readText(terrain))) : null;
+    const link = readLink(location.hash);
+    const first = this.dogs.find((dog) => dog.name === link.dog) ?? this.dogs[0];
+    if (live && !isSingleFile) this.server = this.connect();
+    await this.open(first, link.ground ?? first.ground ?? FLAT);
+    this.act("settings", link.settings);
+    if (link.script.length) this.pilot.follow(link.script);
+    this.tell("");
+    requestAnimationFrame((time) => this.onFrame(time));
+  }
+
+  connect() {
+    return new Server({
+      onPolicy: (file, about) => {
+        if (!this.simulation) return;
+        this.simulation.setPolicy(new Policy(file));
+        find("about").textContent = about;
+      },
+      onEnd: () => this.tell("The program that served this page has ended.", true),
+    });
+  }
+
+  /**
+   * Show a dog on a ground.
+   * @param {Dog} dog
+   * @param {string} ground a tile's name, or flat
+   */
+  async open(dog, ground) {
+    const [policy, getup, xml] = await Promise.all([
+      readFile(dog.policy),
+      dog.getup ? readFile(dog.getup) : null,
+      readText(dog.robot),
+    ]);
+    this.simulation?.delete();
+    const names = this.groundNames();
+    const tile = names.indexOf(ground) - 1;
+    const simulation = new Simulation(this.mujoco, {
+      xml,
+      policy: new Policy(policy),
+      getup: getup && new Policy(getup),
+      terrain: tile >= 0 ? this.terrain : null,
+      remote: dog.remote,
+    });
+    simulation.tile = Math.max(tile, 0);
+    simulation.onEvent = (event) => this.tell(event);
+    simulation.reset();
+    const { script, release } = this.pilot;
+    this.pilot = new Pilot(simulation.driver.metadata);
+    this.pilot.release = release;
+    if (this.simulation && !script) this.pilot.stop();
+    this.simulation = simulation;
+    this.dog = dog;
+    this.ground = tile >= 0 ? ground : FLAT;
+    this.scene.setSimulation(simulation);
+    this.panel.setOptions(
+      this.panel.dogs,
+      this.dogs.map((x) => x.name),
+      dog.name,
+    );
+    this.panel.setOptions(this.panel.checkpoints, Object.keys(dog.policies), "last");
+    this.panel.setOptions(this.panel.grounds, names, this.ground);
+    this.panel.show(simulation.settings);
+    this.clear();
+    find("about").textContent = dog.about;
+    this.showHint();
+  }
+
+  clear() {
+    this.plots.clear();
+    this.film.clear();
+    this.log.clear();
+    this.debt = 0;
+  }
+
+  /** Return the names of all grounds, flat first and then tile by tile. */
+  groundNames() {
+    const tiles = this.terrain?.tiles ?? [];
+    return [FLAT, ...tiles.map(({ kind, difficulty }) => `${kind}, ${difficulty.toFixed(1)}`)];
+  }
+
+  showHint() {
+    find("hint").innerHTML = this.pilot.isSteered
+      ? "<kbd>W A S D</kbd> drive, <kbd>Q E</kbd> aside, <kbd>shift</kbd> gallop, " +
+        "<kbd>space</kbd> stop, <kbd>K</kbd> kick, <kbd>T</kbd> throw, <kbd>C</kbd> camera"
+      : "It runs as fast as it can: <kbd>K</kbd> kick, <kbd>R</kbd> reset, <kbd>C</kbd> camera";
+  }
+
+  /**
+   * Do what a key or a control asks.
+   * @param {string} name
+   * @param {any} value
+   */
+  act(name, value) {
+    const { simulation } = this;
+    if (!simulation) return;
+    if (name in simulation.settings) simulation.change({ [name]: value });
+    /** @type {Record<string, () => void>} */
+    const actions = {
+      settings: () => this.change(value),
+      defaults: () => this.change(simulation.defaults()),
+      dog: () => this.choose(value, this.ground),
+      checkpoint: () => this.load(value),
+      ground: () => this.choose(/** @type {Dog} */ (this.dog).name, value),
+      pace: () => (this.pace = Number(value)),
+      release: () => (this.pilot.release = value),
+      stop: () => this.pilot.stop(),
+      kick: () => simulation.push(0, KICK),
+      throw: () => (this.isThrowDue = true),
+      reset: () => {
+        simulation.reset();
+        this.clear();
+      },
+      pause: () => {
+        this.isPaused = !this.isPaused;
+        this.tell(this.isPaused ? "paused" : "", this.isPaused);
+      },
+      camera: () => this.tell(`camera: ${this.scene.nextCamera()}`),
+      forces: () => (this.scene.showsForces = value),
+      trail: () => (this.scene.showsTrail = value),
+      plots: () => (find("plots").style.display = value ? "" : "none"),
+      link: () => this.copyLink(),
+      film: () => this.film.save(),
+    };
+    actions[name]?.();
+  }
+
+  /**
+   * Drive with another policy of the run.
+   * @param {string} checkpoint
+   */
+  async load(checkpoint) {
+    const { dog, simulation } = this;
+    if (!dog || !simulation) return;
+    try {
+      simulation.setPolicy(new Policy(await readFile(dog.policies[checkpoint])));
+      this.tell(`${dog.name}: ${checkpoint}`);
+    } catch (error) {
+      this.tell(/** @type {Error} */ (error).message);
+    }
+  }
+
+  /** @param {Partial<import("./simulation.js").Settings>} settings */
+  change(settings) {
+    this.simulation?.change(settings);
+    if (this.simulation) this.panel.show(this.simulation.settings);
+  }
+
+  /**
+   * @param {string} name of a dog
+   * @param {string} ground
+   */
+  choose(name, ground) {
+    const dog = this.dogs.find((candidate) => candidate.name === name);
+    if (dog) this.open(dog, ground).catch((error) => this.tell(error.message, true));
+  }
+
+  copyLink() {
+    const { simulation, dog } = this;
+    if (!simulation || !dog) return;
+    const hash = writeLink(
+      dog.name,
+      this.ground,
+      simulation.settings,
+      simulation.defaults(),
+      this.log.parts,
+    );
+    const link = location.href.replace(/#.*/, "") + hash;
+    history.replaceState(null, "", hash);
+    const copied =
+      navigator.clipboard?.writeText(link) ?? Promise.reject(new Error("no clipboard"));
+    copied.then(
+      () => this.tell("link copied: settings, and the commands since the start"),
+      () => this.tell("the link is in the address bar"),
+    );
+  }
+
+  /**
+   * Show a message.
+   * @param {string} text
+   * @param {boolean} stays
+   */
+  tell(text, stays = false) {
+    const message = find("message");
+    message.textContent = text;
+    message.hidden = !text;
+    clearTimeout(this.timer);
+    if (text && !stays) this.timer = setTimeout(() => (message.hidden = true), 1000 * TELLING);
+  }
+
+  /** @param {number} now ms */
+  onFrame(now) {
+    const dt = Math.min((now - this.lastFrame) / 1000, 0.1);
+    this.lastFrame = now;
+    this.inputs.readGamepad();
+    const shown = this.film.next(dt);
+    if (shown) this.showState(shown.qpos);
+    else if (!this.isPaused) this.advance(dt);
+    this.scene.draw(dt);
+    if (now / 1000 - this.plotted > PLOTTING) {
+      this.plotted = now / 1000;
+      this.plots.draw();
+      this.showNumbers();
+    }
+    requestAnimationFrame((time) => this.onFrame(time));
+  }
+
+  /**
+   * Show a state of before; the simulation goes on from it.
+   * @param {Float64Array} qpos
+   */
+  showState(qpos) {
+    const { simulation, mujoco } = this;
+    simulation?.data.qpos.set(qpos);
+    mujoco.mj_kinematics(simulation?.model, simulation?.data);
+  }
+
+  /**
+   * Step as many control steps as `dt` is long.
+   * @param {number} dt s on the wall
+   */
+  advance(dt) {
+    const simulation = /** @type {Simulation} */ (this.simulation);
+    const { period } = simulation;
+    this.debt += dt * this.pace;
+    const start = performance.now();
+    while (this.debt >= period) {
+      if (performance.now() - start > 1000 * BUDGET) {
+        this.debt = 0; // slower than real time: what is due is dropped
+        break;
+      }
+      const targets = this.dog?.remote ? this.askServer(simulation) : undefined;
+      if (targets === null) break;
+      this.step(simulation, targets);
+      this.debt -= period;
+    }
+  }
+
+  /**
+   * Return the joint targets (12,), rad, that the server computed; null until they have come.
+   * @param {Simulation} simulation
+   */
+  askServer(simulation) {
+    if (simulation.isRising) return undefined;
+    return this.server?.askTargets(simulation.time, simulation.data, this.pilot.command) ?? null;
+  }
+
+  /**
+   * Make a control step.
+   * @param {Simulation} simulation
+   * @param {ArrayLike<number>} [targets] (12,) rad, where another machine computes them
+   */
+  step(simulation, targets) {
+    const { period } = simulation;
+    const command = this.pilot.update(period);
+    if (this.isThrowDue && simulation.isStanding && !simulation.isRising) {
+      simulation.throw();
+      this.isThrowDue = false;
+    }
+    simulation.step(command, targets);
+    this.log.add(command, period);
+    this.film.add(simulation.time, simulation.data.qpos);
+    const [speed] = simulation.velocity;
+    const { contacts, time } = simulation;
+    this.plots.add({ time, command: command[0], speed, contacts });
+  }
+
+  showNumbers() {
+    const simulation = /** @type {Simulation} */ (this.simulation);
+    const { samples } = this.plots;
+    const recent = samples.slice(-15);
+    const mean = recent.reduce((sum, { speed }) => sum + speed, 0) / Math.max(recent.length, 1);
+    find("speed").innerHTML = `<b>${Math.abs(mean) < 0.05 ? "0.0" : mean.toFixed(1)}</b> m/s`;
+    const [forward, , turn] = this.pilot.command;
+    const asked = `command ${forward.toFixed(1)} m/s, ${turn.toFixed(1)} rad/s`;
+    find("command").textContent = this.pilot.isSteered ? asked : "";
+    const state = simulation.isRising ? "getting up" : simulation.isFallen ? "fallen" : "";
+    find("state").textContent = state;
+  }
+}
+
+const page = new Page();
+/** For the console, and for tests. */
+/** @type {any} */ (globalThis).quadwalk = page;
+page.start().catch((error) => page.tell(error.message, true));

@@ -1,0 +1,118 @@
+"""The robots of a page: runs of this machine, loaded and converted when the page asks for them."""
+
+import contextlib
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+from rich.console import Console
+
+from quadwalk.cli.shell import get_python, quote_words
+from quadwalk.errors import UserError
+from quadwalk.evaluation.load import LoadedRun, load_run
+from quadwalk.files import make_folder, open_atomic
+from quadwalk.learn.acting import load_checkpoint_policy, load_policy
+from quadwalk.learn.devices import set_up_devices
+from quadwalk.paths import PRETRAINED
+from quadwalk.runs.directory import Run, list_checkpoints
+from quadwalk.web import site
+from quadwalk.web.actor import PythonActor
+from quadwalk.web.serve import Actor, Content
+
+SECONDS = 3600.0  # of an episode: the page's has no end
+
+
+def load(run: Run, which: str) -> LoadedRun:
+    """Load a policy of `run`, for a flat floor."""
+    return load_run(run, SECONDS, which, "mujoco", flat=True)
+
+
+class LiveSite:
+    """The files of a page that this machine serves, with `run` first."""
+
+    def __init__(self, run: Run, which: str, getup: Run | None, others: list[Run]) -> None:
+        """Load the runs; `others` that cannot be loaded, or need Python, are left out."""
+        set_up_devices(1)
+        self._run, self._which = run, which
+        self._first = load(run, which)
+        self._is_remote = site.needs_python(self._first)
+        riser = None if getup is None else load(getup, "last")
+        dogs = [make_dog(self._first, riser, self._is_remote)]
+        self.files: dict[str, Content] = {}
+        for label, file in list_policies(run).items():
+            name = f"{run.name}.{file.stem}.onnx"
+            dogs[0].entry["policies"][label] = name
+            self.files[name] = partial(convert, self._first, file)
+        for other in others:
+            with contextlib.suppress(UserError):
+                loaded = load(other, "last")
+                if not site.needs_python(loaded):
+                    dogs.append(make_dog(loaded, riser))
+        self.files |= site.make_site(dogs, site.make_ground(self._first.env), live=True)
+
+    @property
+    def make_actor(self) -> Callable[[], Actor] | None:
+        """What makes an actor for one page; None where the page needs none."""
+        return partial(PythonActor, self._first) if self._is_remote else None
+
+    def load_newest(self) -> tuple[bytes, str]:
+        """Load the newest policy of the run; return it as ONNX, and a line about it."""
+        newest = load(self._run, self._which)
+        self._first = newest
+        return site.to_onnx(newest), f"{self._run.name}: {newest.policy.steps:,} steps so far"
+
+
+def export_page(
+    runs: list[Run], which: str, out: Path, getup: Run | None, console: Console
+) -> None:
+    """Write a page with these runs to the folder `out`, or to one file whose name ends in .html.
+
+    Raises `UserError` where a policy cannot act without Python.
+    """
+    set_up_devices(1)
+    if getup is None and (PRETRAINED / "getup").exists():
+        getup = Run(PRETRAINED / "getup")
+    riser = None if getup is None else load(getup, "last")
+    dogs = []
+    for run in runs:
+        loaded = load(run, which)
+        site.check_shareable(loaded)
+        dogs.append(make_dog(loaded, riser))
+        console.print(dogs[-1].about)
+    files = site.make_site(dogs, site.make_ground(loaded.env))
+    if out.suffix == ".html":
+        content = site.to_single_file(files)
+        make_folder(out.parent)
+        with open_atomic(out) as file:
+            file.write(content)
+        console.print(f"written to {out}: {len(content) / 1e6:.1f} MB, opens by double-click")
+        return
+    make_folder(out)
+    site.write_folder(files, out)
+    size = sum(map(len, files.values())) / 1e6
+    console.print(f"written to {out}: {len(files)} files, {size:.1f} MB, for any web server")
+    console.print(f"try it: {quote_words(get_python(), '-m', 'http.server', '-d', out)}")
+
+
+def list_policies(run: Run) -> dict[str, Path]:
+    """Return the files of a run's other policies by label: the best, and its checkpoints."""
+    policies = {"best": run.best} if run.best.exists() else {}
+    for path in reversed(list_checkpoints(run)):
+        policies[f"{int(path.stem.removeprefix('step_')):,} steps"] = path
+    return policies
+
+
+def convert(loaded: LoadedRun, file: Path) -> bytes:
+    """Return another policy of a run as ONNX, from its file or its checkpoint's."""
+    if file.name.startswith("step_"):
+        policy = load_checkpoint_policy(file, loaded.env.quadruped.joints)
+    else:
+        policy = load_policy(file)
+    return site.to_onnx(replace(loaded, file=file, policy=policy))
+
+
+def make_dog(loaded: LoadedRun, riser: LoadedRun | None, remote: bool = False) -> site.Dog:
+    """Return a run's robot for the page, with the policy that gets it up where it fits."""
+    fits = riser is not None and loaded.run.path != riser.run.path
+    return site.make_dog(loaded, riser if fits and loaded.has_same_robot(riser) else None, remote)

@@ -1,0 +1,210 @@
+"""The page's files: its own modules, third-party ones, and the robots that it shows."""
+
+import base64
+import gzip
+import json
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from graphlib import TopologicalSorter
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from quadwalk.env.env import QuadrupedEnv
+from quadwalk.errors import UserError
+from quadwalk.evaluation.load import LoadedRun, make_unseen_ground
+from quadwalk.export.description import describe
+from quadwalk.export.policy_graph import (
+    JointTargets,
+    build_model,
+    compute_input_order,
+    extract_weights,
+    find_joint_targets,
+)
+from quadwalk.robot.mjcf import write_xml
+from quadwalk.task_files import is_from_task_file, load_task
+from quadwalk.terrain.terrain import Terrain, leg_length, make_terrain
+from quadwalk.web.decimate import decimate_visuals
+from quadwalk.web.vendor import load_vendor_files
+
+PAGE = Path(__file__).parent / "page"
+INDEX, DOGS, TERRAIN = "index.html", "dogs.json", "terrain.json"
+HEIGHT_STEP = 0.001  # m, in which heights are written
+GROUND_TASK = "rough"  # whose kinds of ground the page offers
+GROUND_LEVELS = (0.4, 1.0)  # difficulties of each
+_MODULE = re.compile(r'from "(?:\./)?([^"]+)"')
+
+
+@dataclass(frozen=True)
+class Dog:
+    """One robot of the page: what its menu calls it, and its files."""
+
+    name: str
+    about: str
+    files: dict[str, bytes]
+    entry: dict[str, Any]
+
+
+def make_dog(loaded: LoadedRun, getup: LoadedRun | None = None, remote: bool = False) -> Dog:
+    """Return the robot of a run, with the policy that gets it up.
+
+    A `remote` policy acts in Python, where the page asks for its joint targets.
+    """
+    name = loaded.run.name
+    spec, note = decimate_visuals(loaded.env.quadruped.spec)
+    files = {f"{name}.xml": write_xml(spec).encode()}
+    files[f"{name}.onnx"] = to_onnx(loaded)
+    if getup is not None:
+        files[f"{name}.getup.onnx"] = to_onnx(getup)
+    about = f"{name}: trained in {loaded.policy.steps:,} steps on a CPU, with quadwalk"
+    if note is not None:
+        about += f"; to see it, {note}"
+    entry = {
+        "name": name,
+        "about": about,
+        "robot": f"{name}.xml",
+        "policy": f"{name}.onnx",
+        "policies": {"last": f"{name}.onnx"},
+        "getup": None if getup is None else f"{name}.getup.onnx",
+        "ground": None,
+        "remote": remote,
+    }
+    return Dog(name, about, files, entry)
+
+
+def to_onnx(loaded: LoadedRun) -> bytes:
+    """Return a policy as the ONNX file that `quadwalk export` writes."""
+    env = loaded.env
+    try:
+        targets = find_joint_targets(env.config.action, env.robot)
+    except UserError:  # then it acts in Python, and its file has only its weights and metadata
+        limits = np.asarray(env.robot.lower), np.asarray(env.robot.upper)
+        targets = JointTargets(np.zeros(12), np.asarray(env.robot.home_joints), *limits)
+    weights = extract_weights(loaded.policy.act, loaded.policy.config.ppo)
+    model = build_model(weights, compute_input_order(env), targets, describe(loaded, targets))
+    return model.SerializeToString()
+
+
+def make_ground(env: QuadrupedEnv) -> Terrain:
+    """Return a field of every kind of ground for a robot with the legs of this environment's."""
+    ground = make_unseen_ground(load_task(GROUND_TASK).env.ground, 0, len(GROUND_LEVELS))
+    kinds = tuple(kind for kind in ground.kinds if kind != "flat")
+    config = replace(ground, kinds=kinds, difficulty=GROUND_LEVELS)
+    return make_terrain(config, leg_length(env.mj_model, env.quadruped.feet[0]))
+
+
+def pack_ground(terrain: Terrain) -> bytes:
+    """Return a field of heights as the JSON that terrain.js reads."""
+    heights = terrain.field.heights
+    low = float(heights.min())
+    units = np.round((heights - low) / HEIGHT_STEP).astype("<u2")
+    rows, columns = heights.shape
+    tiles = [
+        {"kind": tile.kind, "difficulty": tile.difficulty, "start": tile.start}
+        for tile in terrain.tiles
+    ]
+    value = {
+        "rows": rows,
+        "columns": columns,
+        "cell": terrain.field.cell,
+        "origin": terrain.field.origin,
+        "low": low,
+        "step": HEIGHT_STEP,
+        "heights": pack(units.tobytes()),
+        "tiles": tiles,
+    }
+    return json.dumps(value).encode()
+
+
+def pack(content: bytes) -> str:
+    """Return bytes as gzip in base64."""
+    return base64.b64encode(gzip.compress(content, mtime=0)).decode()
+
+
+def make_site(dogs: list[Dog], terrain: Terrain | None, live: bool = False) -> dict[str, bytes]:
+    """Return the page's files by name; `live` says that a program serves them."""
+    files = {path.name: path.read_bytes() for path in PAGE.iterdir() if path.is_file()}
+    files |= load_vendor_files()
+    for dog in dogs:
+        files |= dog.files
+    if terrain is not None:
+        files[TERRAIN] = pack_ground(terrain)
+    index = {
+        "dogs": [dog.entry for dog in dogs],
+        "terrain": None if terrain is None else TERRAIN,
+        "live": live,
+    }
+    return files | {DOGS: json.dumps(index).encode()}
+
+
+def to_single_file(files: Mapping[str, bytes]) -> bytes:
+    """Return a page as one HTML file, which opens without a server or a network."""
+    modules = order_modules(files)
+    inside = {
+        name: pack(content)
+        for name, content in files.items()
+        if not name.endswith((".html", ".css", ".txt", "single.js"))
+    }
+    # A file that is packed already is packed once, and its name without the end stands for it.
+    inside["vendor/mujoco.wasm.gz"] = base64.b64encode(files["vendor/mujoco.wasm.gz"]).decode()
+    policy = (
+        "default-src 'none'; script-src 'unsafe-inline' 'unsafe-eval' 'wasm-unsafe-eval' blob:; "
+        "style-src 'unsafe-inline'; img-src data: blob:; media-src blob:; connect-src data: blob:"
+    )
+    html = files[INDEX].decode()
+    html = re.sub(r'(Content-Security-Policy"\s+content=)"[^"]*"', rf'\1"{policy}"', html)
+    html = html.replace(
+        '<link rel="stylesheet" href="style.css" />',
+        f"<style>{files['style.css'].decode()}</style>",
+    )
+    html = re.sub(r'\s*<script type="importmap">.*?</script>', "", html, flags=re.DOTALL)
+    start = (
+        f"<script>QUADWALK_FILES = {json.dumps(inside)}; QUADWALK_MODULES = {json.dumps(modules)};"
+        f"</script>\n    <script>{files['single.js'].decode()}</script>"
+    )
+    return html.replace('<script type="module" src="main.js"></script>', start).encode()
+
+
+def order_modules(files: Mapping[str, bytes]) -> list[str]:
+    """Return the modules that main.js needs, and itself, each after those that it imports."""
+    graph: dict[str, set[str]] = {"vendor/three.core.js": set()}
+    graph["vendor/three.module.js"] = {"vendor/three.core.js"}
+    waiting = ["main.js"]
+    while waiting:
+        name = waiting.pop()
+        if name in graph:
+            continue
+        targets = _MODULE.findall(files[name].decode())
+        graph[name] = {"vendor/three.module.js" if t == "three" else t for t in targets}
+        waiting += graph[name]
+    return list(TopologicalSorter(graph).static_order())
+
+
+def write_folder(files: Mapping[str, bytes], out: Path) -> None:
+    """Write a page's files into the folder `out`."""
+    for name, content in files.items():
+        path = out / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(content)
+
+
+def needs_python(loaded: LoadedRun) -> bool:
+    """Return True for a policy that cannot act without Python."""
+    try:
+        check_shareable(loaded)
+    except UserError:
+        return True
+    return False
+
+
+def check_shareable(loaded: LoadedRun) -> None:
+    """Raise `UserError` for a policy that cannot act without Python."""
+    for name, part in loaded.env.config.observation.items():
+        if is_from_task_file(part.function):
+            raise UserError(
+                f"{loaded.run.path}: its observation {name!r} is Python of your own, which no "
+                "browser runs; expected those of quadwalk. quadwalk view shows it on this machine"
+            )
+    find_joint_targets(loaded.env.config.action, loaded.env.robot)

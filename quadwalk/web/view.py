@@ -1,0 +1,145 @@
+"""`quadwalk view` and `quadwalk demo`: serve the page with a run's robot until interrupted."""
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+import webbrowser
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
+
+from quadwalk.bounds import Port, Settings
+from quadwalk.cli.arguments import make_console, parse
+from quadwalk.cli.shell import suggest_install
+from quadwalk.errors import UserError
+from quadwalk.paths import PRETRAINED
+from quadwalk.runs.directory import Run, find_any_run, find_ready, list_runs
+
+if TYPE_CHECKING:
+    pass
+
+LOCAL = ("127.0.0.1", "localhost", "::1")
+_LOOK = 1.0  # s between looks for a newer policy
+_OTHERS = 8  # runs beside the chosen one that the page offers
+
+
+@dataclass(frozen=True)
+class ViewConfig(Settings):
+    """Drive a trained policy in a page of the browser, which steps MuJoCo itself."""
+
+    # name or path of a run, or "latest"; before any training: drive, which comes trained
+    run: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="[RUN]")] = "latest"
+    # name or path of a run that gets the robot up where it has fallen; None: getup, which comes
+    # trained, where the robot is of its kind
+    getup: str | None = None
+    policy: Literal["last", "best"] = "last"  # the run's last, or that of its best checkpoint
+    window: bool = False  # show it in MuJoCo's own window instead
+    host: str = "127.0.0.1"  # address that the page is served at; the default: to this machine only
+    port: Port = 8080  # of the page; if it is taken, the next that is free
+    runs: Path = Path("runs")  # folder that holds all runs
+
+
+def main(args: Sequence[str], prog: str = "quadwalk view") -> None:
+    """Drive the run that the arguments name."""
+    view(parse(ViewConfig, args, prog))
+
+
+def main_alongside(args: Sequence[str], prog: str) -> None:
+    """Serve the page until standard input, which a training holds open, is closed."""
+
+    def end() -> None:
+        sys.stdin.buffer.read()
+        os.kill(os.getpid(), signal.SIGINT)
+
+    threading.Thread(target=end, daemon=True).start()
+    main(args, prog)
+
+
+def view(config: ViewConfig) -> None:
+    """Serve the page of a run's robot until interrupted, or show it in MuJoCo's window."""
+    run = find_ready(config.runs, config.run, "drive")
+    getup = find_getup(config)
+    check_packages()
+    if config.window:
+        show_window(run, config.policy, getup)
+        return
+    from quadwalk.web.serve import serve_page
+
+    console = make_console()
+    with serve_page(config.host, config.port) as server:
+        if server.port != config.port:
+            console.print(f"port {config.port} is taken, so the page is at port {server.port}")
+        console.print(f"drive it at {server.url} (Ctrl-C ends)")
+        if config.host not in LOCAL:
+            console.print("whoever reaches this address can drive a robot of their own")
+        with contextlib.suppress(webbrowser.Error):
+            webbrowser.open(server.url)
+        with console.status("loading"):
+            from quadwalk.web.robots import LiveSite  # it imports JAX
+
+            site = LiveSite(run, config.policy, getup, list_others(config.runs, run))
+        server.set_files(site.files, site.make_actor)
+        watch(run, config.policy, lambda: server.send_policy(*site.load_newest()))
+
+
+def find_getup(config: ViewConfig) -> Run | None:
+    """Find the run that gets the robot up; None where none is named and none comes trained."""
+    if config.getup is not None:
+        return find_any_run(config.runs, config.getup)
+    packaged = Run(PRETRAINED / "getup")
+    return packaged if packaged.policy.exists() else None
+
+
+def list_others(root: Path, run: Run) -> list[Run]:
+    """Return the runs that the page offers beside `run`: the newest, and the packaged ones."""
+    runs = [*list_runs(root)[:_OTHERS], *list_runs(PRETRAINED)]
+    return [other for other in runs if other.path != run.path and other.policy.exists()]
+
+
+def check_packages() -> None:
+    """Raise `UserError` where a package that the page needs is missing."""
+    try:
+        import onnx  # noqa: F401
+    except ModuleNotFoundError:
+        hint = suggest_install("view")
+        raise UserError(f"the page needs onnx, which is not installed: {hint}") from None
+
+
+def watch(run: Run, which: str, send: Callable[[], None]) -> None:
+    """Call `send` whenever training has written a newer policy; never return."""
+    file = run.best if which == "best" else run.policy
+    last = get_time(file)
+    while True:
+        time.sleep(_LOOK)
+        newest = get_time(file)
+        if newest is not None and newest != last:
+            last = newest
+            with contextlib.suppress(UserError):  # it may be gone, or half of it copied
+                send()
+
+
+def get_time(file: Path) -> int | None:
+    """Return when a file was written, in ns; None where it is missing."""
+    try:
+        return file.stat().st_mtime_ns
+    except OSError:
+        return None
+
+
+def show_window(run: Run, which: str, getup: Run | None) -> None:
+    """Export the policy to a temporary folder, and run it in MuJoCo's window."""
+    from quadwalk.export.bundle import export_run
+
+    with tempfile.TemporaryDirectory() as folder:
+        export_run(run, which, Path(folder), make_console(), getup)
+        command = [sys.executable, f"{folder}/run_policy.py", "--view", "--seconds", "1e9"]
+        if subprocess.run(command, check=False).returncode:
+            raise UserError("MuJoCo's window does not open here; quadwalk view shows a page")

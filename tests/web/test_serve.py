@@ -1,0 +1,98 @@
+"""The server of the page: files, errors, policies and the address that it names."""
+
+import base64
+import json
+import socket
+import urllib.error
+import urllib.request
+from collections.abc import Iterator
+
+import pytest
+from websockets.exceptions import InvalidStatus
+from websockets.sync.client import connect
+
+from quadwalk.errors import UsageError, UserError
+from quadwalk.web.serve import SOCKET, PageServer, find_free_port, make_url, serve_page
+
+
+def add_up(time: float, qpos: list[float], qvel: list[float], command: list[float]) -> list[float]:
+    """Return the sum of a command as the target of every joint."""
+    return [sum(command)] * 12
+
+
+def fail() -> bytes:
+    """Fail as a policy does that cannot be read."""
+    raise UserError("the policy is damaged")
+
+
+@pytest.fixture(scope="module")
+def server() -> Iterator[PageServer]:
+    """A server of a few files, whose actor adds up the command."""
+    files = {"index.html": b"<p>page", "main.js": b"1", "late.onnx": lambda: b"x", "bad": fail}
+    with serve_page("127.0.0.1", 8410) as server:
+        server.set_files(files, lambda: add_up)
+        yield server
+
+
+def get(url: str) -> tuple[int, str, bytes]:
+    """Return the status, the kind and the content of an answer."""
+    try:
+        with urllib.request.urlopen(url, timeout=10) as answer:
+            return answer.status, answer.headers["Content-Type"], answer.read()
+    except urllib.error.HTTPError as error:
+        return error.code, error.headers["Content-Type"], error.read()
+
+
+def test_files_are_served_with_their_kind(server):
+    assert get(server.url) == (200, "text/html", b"<p>page")
+    assert get(f"{server.url}/main.js?1") == (200, "text/javascript", b"1")
+    assert get(f"{server.url}/late.onnx")[2] == b"x"
+    assert get(f"{server.url}/../pyproject.toml")[0] == 404
+    assert get(f"{server.url}/bad") == (500, "text/plain", b"the policy is damaged")
+
+
+def open_socket(server, origin: str | None = None):
+    """Open the page's websocket as a page of `origin` does."""
+    url = server.url.replace("http", "ws") + SOCKET
+    return connect(url, additional_headers={"Origin": origin or server.url})
+
+
+def test_pages_get_the_newest_policy_also_when_they_open_later(server):
+    with open_socket(server) as early:
+        early.send(json.dumps({"time": 0, "qpos": [], "qvel": [], "command": [1, 2, 3]}))
+        assert json.loads(early.recv(10)) == {"type": "targets", "targets": [6] * 12}
+        server.send_policy(b"onnx", "newer")
+        message = json.loads(early.recv(10))
+        assert base64.b64decode(message["file"]) == b"onnx"
+        with open_socket(server) as late:
+            assert json.loads(late.recv(10)) == message
+
+
+def test_another_site_cannot_use_the_websocket(server):
+    with pytest.raises(InvalidStatus), open_socket(server, "http://elsewhere.example"):
+        pass
+
+
+@pytest.mark.parametrize("text", ["", "[]", '{"qpos": 1}', "nonsense", '{"qpos": []}'])
+def test_what_no_page_sends_ends_its_connection_alone(server, text):
+    with open_socket(server) as odd:
+        odd.send(text)
+    assert get(server.url)[0] == 200
+
+
+def test_a_taken_port_is_passed_over():
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        assert find_free_port("127.0.0.1", port) > port
+
+
+@pytest.mark.parametrize("host", ["1.2.3.4", "no such host", "a" * 300])
+def test_a_wrong_host_is_one_line(host):
+    with pytest.raises(UsageError, match=r"--host is .*; expected an address of this machine"):
+        find_free_port(host, 8080)
+
+
+def test_an_address_for_all_is_shown_as_one_that_works():
+    assert make_url("127.0.0.1", 80) == "http://localhost:80"
+    assert make_url("::1", 80) == "http://[::1]:80"
+    assert "0.0.0.0" not in make_url("0.0.0.0", 80)

@@ -1,0 +1,149 @@
+"""The page's files: what a folder and a single file hold, and what cannot be shared."""
+
+import base64
+import dataclasses
+import gzip
+import hashlib
+import json
+import re
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from quadwalk.errors import UserError
+from quadwalk.robot.mjcf import write_xml
+from quadwalk.settings.terms import Observation
+from quadwalk.task_files import load_task
+from quadwalk.web import site, vendor
+from quadwalk.web.decimate import decimate_visuals, merge_vertices
+
+
+def test_a_dog_is_its_policy_and_its_robot(loaded_runs):
+    dog = site.make_dog(loaded_runs["drive"], loaded_runs["getup"])
+    assert set(dog.files) == {"drive.xml", "drive.onnx", "drive.getup.onnx"}
+    assert dog.entry["policy"] == "drive.onnx"
+    model = mujoco.MjModel.from_xml_string(dog.files["drive.xml"].decode())
+    assert model.nq == 19
+    assert "82,010,112 steps" in dog.about
+
+
+def test_ground_is_written_to_a_millimeter(loaded_runs):
+    terrain = site.make_ground(loaded_runs["drive"].env)
+    value = json.loads(site.pack_ground(terrain))
+    units = np.frombuffer(gzip.decompress(base64.b64decode(value["heights"])), "<u2")
+    heights = value["low"] + value["step"] * units.reshape(value["rows"], value["columns"])
+    np.testing.assert_allclose(heights, terrain.field.heights, atol=0.51e-3)
+    assert {tile["difficulty"] for tile in value["tiles"]} == set(site.GROUND_LEVELS)
+
+
+def test_the_import_map_is_what_the_security_policy_allows():
+    html = (site.PAGE / site.INDEX).read_text()
+    script = re.search(r'<script type="importmap">(.*?)</script>', html, re.DOTALL)
+    assert script is not None
+    digest = base64.b64encode(hashlib.sha256(script[1].encode()).digest()).decode()
+    assert f"'sha256-{digest}'" in html
+
+
+def test_modules_come_after_those_that_they_import(vendor_files):
+    files = {path.name: path.read_bytes() for path in site.PAGE.iterdir()} | vendor_files
+    order = site.order_modules(files)
+    assert order[-1] == "main.js"
+    for name in order[2:]:
+        for target in re.findall(r'from "\./([^"]+)"', files[name].decode()):
+            assert order.index(target) < order.index(name)
+    assert set(order) >= {path.name for path in site.PAGE.glob("*.js")} - {"single.js"}
+
+
+def test_one_file_has_nothing_to_load(loaded_runs, vendor_files):
+    files = site.make_site([site.make_dog(loaded_runs["walk"])], None)
+    html = site.to_single_file(files).decode()
+    assert len(html) < 5_000_000
+    assert not re.search(r'(src|href)="(?!data:)', html)
+    assert "http://" not in html.split("QUADWALK_FILES")[0]
+
+
+def test_third_party_files_are_pinned_with_their_hashes():
+    lock = json.loads((vendor.FOLDER / "package-lock.json").read_text())
+    pinned = json.loads((vendor.FOLDER / "package.json").read_text())["dependencies"]
+    for name, version in pinned.items():
+        package = lock["packages"][f"node_modules/{name}"]
+        assert package["version"] == version
+        assert package["integrity"].startswith("sha512-")
+
+
+def test_without_npm_one_line_says_what_is_missing(monkeypatch, tmp_path):
+    monkeypatch.setattr(vendor, "find_cache", lambda: tmp_path / "none")
+    monkeypatch.setattr(vendor, "FOLDER", tmp_path)
+    monkeypatch.setattr("shutil.which", lambda *_, **__: None)
+    with pytest.raises(UserError, match="the page needs npm once"):
+        vendor.load_vendor_files()
+
+
+def test_a_policy_that_observes_by_python_is_not_shared(loaded_runs, tmp_path):
+    file = tmp_path / "my_task.py"
+    file.write_text(
+        "import dataclasses\n"
+        "from quadwalk.settings.terms import Observation\n"
+        "from quadwalk.tasks import walk\n"
+        "def clock(robot, state):\n"
+        "    return state.steps * 0.1\n"
+        "observation = {**walk.TASK.env.observation, 'clock': Observation(clock)}\n"
+        "TASK = dataclasses.replace(\n"
+        "    walk.TASK, env=dataclasses.replace(walk.TASK.env, observation=observation))\n"
+    )
+    loaded = loaded_runs["walk"]
+    mine = load_task(file).env.observation["clock"]
+    assert isinstance(mine, Observation)
+    config = dataclasses.replace(loaded.env.config, observation={"clock": mine})
+    env = type("Env", (), {"config": config})()
+    with pytest.raises(UserError, match="observation 'clock' is Python of your own"):
+        site.check_shareable(dataclasses.replace(loaded, env=env))
+    site.check_shareable(loaded)
+
+
+def make_ball(faces: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return a sphere of 0.1 m of about so many triangles."""
+    rows = int(np.sqrt(faces / 2))
+    around, up = np.meshgrid(np.arange(rows), np.arange(rows + 1))
+    angle, height = 2 * np.pi * around / rows, np.pi * up / rows
+    vertices = 0.1 * np.stack(
+        [np.sin(height) * np.cos(angle), np.sin(height) * np.sin(angle), np.cos(height)], -1
+    )
+    right, left = (around + 1) % rows, around
+    node = rows * up
+    first = np.stack([node + left, node + rows + left, node + right], -1)[:-1]
+    second = np.stack([node + right, node + rows + left, node + rows + right], -1)[:-1]
+    return vertices.reshape(-1, 3), np.concatenate([first, second]).reshape(-1, 3)
+
+
+def test_meshes_to_see_become_light_and_keep_their_shape(monkeypatch):
+    monkeypatch.setattr("quadwalk.web.decimate.MOST_FACES", 1000)
+    vertices, faces = make_ball(20_000)
+    spec = mujoco.MjSpec()
+    spec.add_mesh(name="ball", uservert=vertices.ravel(), userface=faces.ravel().astype(np.int32))
+    body = spec.worldbody.add_body(name="body")
+    body.add_freejoint()
+    body.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.1, 0, 0])
+    mesh = mujoco.mjtGeom.mjGEOM_MESH
+    body.add_geom(name="skin", type=mesh, meshname="ball", contype=0, conaffinity=0, mass=0)
+    light, note = decimate_visuals(spec)
+    assert note is not None
+    model = mujoco.MjModel.from_xml_string(write_xml(light))
+    assert 100 < model.nmeshface <= 1000
+    radius = np.linalg.norm(model.mesh_vert, axis=1)
+    assert radius.max() == pytest.approx(0.1, abs=0.01)
+    assert spec.mesh("ball") is not None
+
+
+def test_merging_keeps_only_triangles():
+    vertices, faces = make_ball(2000)
+    merged, kept = merge_vertices(vertices, faces, 0.03)
+    assert kept.max() == len(merged) - 1
+    assert all(len(set(face)) == 3 for face in kept.tolist())
+
+
+def test_a_page_is_written_as_a_folder(tmp_path: Path):
+    site.write_folder({"a.js": b"1", "vendor/b.js": b"2"}, tmp_path / "page")
+    assert (tmp_path / "page/vendor/b.js").read_bytes() == b"2"
