@@ -29,7 +29,7 @@ LAYERS = (
     ("learn",),
     ("evaluation",),
     ("export", "identify"),
-    ("web",),
+    ("web", "export.cli"),
     ("api",),
     ("gym", "experiments"),
     ("", "__main__", "cli.main", "cli.doctor", "eval", "robot.cli", "runs.cli", "terrain.cli"),
