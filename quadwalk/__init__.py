@@ -11,14 +11,14 @@ import os
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from quadwalk.api import compare, evaluate, load_policy, make, train
+    from quadwalk.api import compare, evaluate, load_policy, make, play, train
 
 # XLA would print a page about its tuning hints each time it reads a compiled program from the
 # cache. JAX reads this when it is imported.
 os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
 
 __version__ = "0.2.0"
-__all__ = ["compare", "evaluate", "load_policy", "make", "train"]
+__all__ = ["compare", "evaluate", "load_policy", "make", "play", "train"]
 
 
 def __getattr__(name: str) -> Any:

@@ -1,5 +1,6 @@
 """The package from Python, as a notebook uses it: make, train, evaluate, compare, load_policy."""
 
+import html
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -146,6 +147,35 @@ def load_policy(run: str | Path | Run = "latest") -> Policy:
     if isinstance(run, str | Path) and Path(run).suffix == ".npz":
         return acting.load_policy(Path(run))
     return acting.load_policy(_run(run, None).policy)
+
+
+class Page:
+    """A page that a notebook shows: the robot runs in the browser, wherever the kernel is."""
+
+    def __init__(self, html: str, height: int) -> None:
+        self.html, self.height = html, height
+
+    def _repr_html_(self) -> str:
+        """Return the page in a frame, as IPython asks for it."""
+        content = html.escape(self.html)
+        style = f"width: 100%; height: {self.height}px; border: 0"
+        return f'<iframe srcdoc="{content}" style="{style}" allow="gamepad"></iframe>'
+
+
+def play(
+    run: str | Path | Run = "latest", *, runs: str | Path | None = None, height: int = 520
+) -> Page:
+    """Return a page in which the robot of a run is driven; a notebook's cell shows it.
+
+    Args:
+        run: a run, its name or path, or "latest".
+        runs: the folder of all runs, "runs" unless another is given.
+        height: of the page, pixels.
+    """
+    from quadwalk.web import robots, site  # onnx: no other needs it
+
+    files = robots.make_files([_run(run, runs)], "last")
+    return Page(site.to_single_file(files).decode(), height)
 
 
 def _config(

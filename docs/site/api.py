@@ -19,7 +19,7 @@ from quadwalk.learn.acting import Policy
 from quadwalk.runs.directory import Run
 
 PAGE = Path(__file__).parents[1] / "api.md"
-FUNCTIONS = (api.make, api.train, api.evaluate, api.compare, api.load_policy)
+FUNCTIONS = (api.make, api.train, api.evaluate, api.compare, api.load_policy, api.play)
 # What they return and take, and of each the members that a user calls.
 CLASSES: dict[type, tuple[str, ...]] = {
     QuadrupedEnv: ("reset", "step", "in_engine"),
@@ -34,8 +34,9 @@ CLASSES: dict[type, tuple[str, ...]] = {
 }
 HEAD = """# Python
 
-`import quadwalk` gives `make`, `train`, `evaluate`, `compare` and `load_policy`. The classes below
-are what these return. `import quadwalk.gym` registers the tasks with [Gymnasium](gymnasium.md).
+`import quadwalk` gives `make`, `train`, `evaluate`, `compare`, `load_policy` and `play`. The
+classes below are what these return. `import quadwalk.gym` registers the tasks with
+[Gymnasium](gymnasium.md).
 `python docs/site/api.py` wrote this page from the source.
 """
 

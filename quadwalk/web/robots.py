@@ -1,6 +1,7 @@
 """The robots of a page: runs of this machine, loaded and converted when the page asks for them."""
 
 import contextlib
+import json
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -70,17 +71,9 @@ def export_page(
 
     Raises `UserError` where a policy cannot act without Python.
     """
-    set_up_devices(1)
-    if getup is None and (PRETRAINED / "getup").exists():
-        getup = Run(PRETRAINED / "getup")
-    riser = None if getup is None else load(getup, "last")
-    dogs = []
-    for run in runs:
-        loaded = load(run, which)
-        site.check_shareable(loaded)
-        dogs.append(make_dog(loaded, riser))
-        console.print(dogs[-1].about)
-    files = site.make_site(dogs, site.make_ground(loaded.env))
+    files = make_files(runs, which, getup)
+    for dog in json.loads(files[site.DOGS])["dogs"]:
+        console.print(dog["about"])
     if out.suffix == ".html":
         content = site.to_single_file(files)
         make_folder(out.parent)
@@ -93,6 +86,24 @@ def export_page(
     size = sum(map(len, files.values())) / 1e6
     console.print(f"written to {out}: {len(files)} files, {size:.1f} MB, for any web server")
     console.print(f"try it: {quote_words(get_python(), '-m', 'http.server', '-d', out)}")
+
+
+def make_files(runs: list[Run], which: str, getup: Run | None = None) -> dict[str, bytes]:
+    """Return the files of a page with these runs, which needs no Python.
+
+    `getup` is the run that gets robots up; None: the packaged one. Raises `UserError` where a
+    policy cannot act without Python.
+    """
+    set_up_devices(1)
+    if getup is None and (PRETRAINED / "getup").exists():
+        getup = Run(PRETRAINED / "getup")
+    riser = None if getup is None else load(getup, "last")
+    dogs = []
+    for run in runs:
+        loaded = load(run, which)
+        site.check_shareable(loaded)
+        dogs.append(make_dog(loaded, riser))
+    return site.make_site(dogs, site.make_ground(loaded.env))
 
 
 def list_policies(run: Run) -> dict[str, Path]:

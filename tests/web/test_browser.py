@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
+import quadwalk
+from quadwalk.paths import PRETRAINED
 from quadwalk.web import site
 from quadwalk.web.serve import PageServer, serve_page
 from tests.web.browser import PROGRAM, Browser, open_browser, wait_until
@@ -160,3 +162,13 @@ def test_one_file_runs_without_a_server(files, tmp_path):
     with open_browser(file.as_uri()) as browser:
         assert is_running(browser), browser.text()
         assert browser.evaluate("quadwalk.dogs.length") == 2
+
+
+def test_a_notebook_shows_the_page_in_a_frame(vendor_files):
+    cell = quadwalk.play(PRETRAINED / "walk", height=300)._repr_html_()
+    content = f"<!doctype html><meta charset='utf-8'>{cell}".encode()
+    inside = "document.querySelector('iframe')?.contentWindow?.quadwalk?.simulation?.time ?? 0"
+    with serve_page("127.0.0.1", 8350) as server:
+        server.set_files({site.INDEX: content})
+        with open_browser(server.url) as browser:
+            assert wait_until(lambda: browser.evaluate(inside) > 0.1, 60.0)
