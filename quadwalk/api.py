@@ -31,14 +31,14 @@ def make(
     robot: str | Path | None = None,
     overrides: Overrides | None = None,
 ) -> QuadrupedEnv:
-    """The environment of a task, a Brax `Env`: `reset` and `step` are pure, vmap them for a batch.
+    """Make the environment of a task, a Brax `Env` whose `reset` and `step` are pure functions.
 
     Args:
         task: the name of one of quadwalk's, the path of a file of your own, or a `TrainConfig`.
         robot: a URDF, in place of the task's; its other settings, such as effort, stay.
         overrides: settings by the names of their flags, {"env.reward.energy": -0.5}.
     """
-    config = _config(task, robot, overrides)
+    config = _make_config(task, robot, overrides)
     set_up_devices()
     return QuadrupedEnv(load_robot(config.robot), config.env)
 
@@ -73,13 +73,13 @@ def train(
     if resume is None:
         if runs is not None:
             changes["runs"] = Path(runs)
-        config = _config(task or "run", robot, changes)
+        config = _make_config(task or "run", robot, changes)
     else:
         if task is not None or robot is not None:
             raise UsageError("resume uses the task and robot of its run; expected neither")
         if "init" in changes:
             raise UsageError("resume uses its run's own networks; expected no init")
-        previous = _run(resume, runs)
+        previous = _find_run(resume, runs)
         config = change_settings(read_config_to_resume(previous), changes)
     run = loop.train(config, previous, watch)
     assert run is not None  # one process
@@ -103,10 +103,10 @@ def evaluate(
         run: a run, its name or path, or "latest".
         episodes: how many, each from another start.
         seconds: the time limit of an episode.
-        engine: MJX, or MuJoCo C with every shape colliding ("mujoco"), or the one trained in.
-        seed: of the starts and the ground; the same seed gives the same episodes.
+        engine: "mjx", MuJoCo C with every shape colliding ("mujoco"), or the trained one ("fast").
+        seed: chooses the starts and the ground; the same seed gives the same episodes.
         policy: the run's last, or that of its best checkpoint.
-        randomized: each episode under conditions drawn as in training.
+        randomized: sample each episode's conditions as training does.
         runs: the folder of all runs, "runs" unless another is given.
     """
     if engine not in ("mjx", "mujoco", "fast"):
@@ -115,38 +115,38 @@ def evaluate(
         raise UsageError(f"policy is {policy!r}; expected last or best")
     if episodes < 1 or seconds <= 0.0:
         raise UsageError(f"episodes is {episodes} and seconds {seconds}; expected more than 0")
-    found = _run(run, runs)
+    run = _find_run(run, runs)
     set_up_devices()
-    loaded = load_run(found, seconds, policy, engine, randomized, seed)
+    loaded = load_run(run, seconds, policy, engine, randomized, seed)
     for note in loaded.notes:
-        make_console().print(f"{found.name}: {note}")
+        make_console().print(f"{run.name}: {note}")
     return evaluate_policy(loaded, episodes, seed)
 
 
 def compare(results: Mapping[str, Evaluation]) -> "Figure":
     """Print evaluations side by side, each under its name, and return their figures as plots.
 
-    `UsageError` unless they are of the same episodes: by number, time limit and seed.
+    Raises `UsageError` unless their episodes are the same: by number, time limit and seed.
     """
     from quadwalk.evaluation.report.comparison import draw_comparison, print_comparison
 
-    found = [result.results for result in results.values()]
-    starts = {(each["summary"]["episodes"], each["seconds"], each["seed"]) for each in found}
+    tables = [result.results for result in results.values()]
+    starts = {(table["summary"]["episodes"], table["seconds"], table["seed"]) for table in tables}
     if len(starts) != 1:
         raise UsageError(
             "compare was given evaluations of other episodes, seconds or seeds; "
             "expected one or more that agree in these"
         )
-    print_comparison(list(results), found)
-    return draw_comparison(list(results), found)
+    print_comparison(list(results), tables)
+    return draw_comparison(list(results), tables)
 
 
 def load_policy(run: str | Path | Run = "latest") -> Policy:
-    """The last policy of a run, or of a policy file: `policy.act(observation)` is its action."""
+    """Load the last policy of a run, or a policy file; `policy.act(observation)` is its action."""
     set_up_devices()
     if isinstance(run, str | Path) and Path(run).suffix == ".npz":
         return acting.load_policy(Path(run))
-    return acting.load_policy(_run(run, None).policy)
+    return acting.load_policy(_find_run(run, None).policy)
 
 
 class Page:
@@ -174,11 +174,11 @@ def play(
     """
     from quadwalk.web import robots, site  # onnx: no other needs it
 
-    files = robots.make_files([_run(run, runs)], "last")
+    files = robots.make_files([_find_run(run, runs)], "last")
     return Page(site.to_single_file(files).decode(), height)
 
 
-def _config(
+def _make_config(
     task: str | Path | TrainConfig, robot: str | Path | None, overrides: Overrides | None
 ) -> TrainConfig:
     config = task if isinstance(task, TrainConfig) else load_task(task)
@@ -187,5 +187,5 @@ def _config(
     return change_settings(config, overrides or {})
 
 
-def _run(run: str | Path | Run, runs: str | Path | None) -> Run:
+def _find_run(run: str | Path | Run, runs: str | Path | None) -> Run:
     return run if isinstance(run, Run) else find_any_run(runs or TrainConfig.runs, str(run))

@@ -1,4 +1,4 @@
-"""The values that settings may have: stated with their types, checked when they are made."""
+"""The values that settings may have: they stand with the types and are checked at creation."""
 
 import reprlib
 from dataclasses import dataclass, fields
@@ -11,7 +11,10 @@ _MOST = 1e12  # of a number that states no bound; float32 holds it
 
 @dataclass(frozen=True)
 class Bounds:
-    """Numbers from `low` to `high`, without the end that is `open`; `ordered`: each no less."""
+    """The interval from `low` to `high`, without the end that is `open`.
+
+    Several `ordered` numbers ascend.
+    """
 
     low: float = -_MOST
     high: float = _MOST
@@ -20,7 +23,7 @@ class Bounds:
     ordered: bool = False
 
     def holds(self, number: Any) -> bool:
-        """Whether `number` is one of them; NaN never is."""
+        """Return True if `number` is within the bounds; NaN never is."""
         if isinstance(number, bool) or not isinstance(number, int | float):
             return False
         above = self.low < number if self.open == "low" else self.low <= number
@@ -67,9 +70,9 @@ class Settings:
 def check_value(name: str, value: Any, hint: Any) -> None:
     """Raise a `UsageError` unless the setting `name`, of type `hint`, may be `value`.
 
-    Looked at are choices, numbers, and tuples of numbers.
+    It checks choices, numbers, and tuples of numbers.
     """
-    parts = _parts(hint)
+    parts = _list_parts(hint)
     if value is None and type(None) in parts:
         return
     if get_origin(hint) is Literal:
@@ -84,7 +87,7 @@ def check_value(name: str, value: Any, hint: Any) -> None:
 
 
 def _check_numbers(value: Any, parts: list[Any]) -> tuple[bool, str]:
-    """Whether they are what the type with these parts asks for, and what that is."""
+    """Return True if a value fits the type with these parts, and what the type expects."""
     bounds = next((part for part in parts if isinstance(part, Bounds)), Bounds())
     several = next((get_args(part) for part in parts if get_origin(part) is tuple), None)
     numbers = (value,) if several is None else value if isinstance(value, tuple) else ()
@@ -104,6 +107,6 @@ def _check_numbers(value: Any, parts: list[Any]) -> tuple[bool, str]:
     return fits, f"{expected}, or None" if type(None) in parts else expected
 
 
-def _parts(hint: Any) -> list[Any]:
-    """A type and all that it is made of."""
-    return [hint, *(part for inner in get_args(hint) for part in _parts(inner))]
+def _list_parts(hint: Any) -> list[Any]:
+    """Return a type and all types and annotations that it is made of."""
+    return [hint, *(part for inner in get_args(hint) for part in _list_parts(inner))]

@@ -15,7 +15,7 @@ from quadwalk.files import lock
 
 
 def count_cores() -> int:
-    """How many cores this process may use."""
+    """Return the number of cores that this process may use."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
@@ -37,15 +37,15 @@ def pin(count: int) -> bool:
     folder.mkdir(exist_ok=True)
     end = time.monotonic() + _PATIENCE
     while True:
-        taken: dict[int, int] = {}
+        locks: dict[int, int] = {}
         for core in sorted(os.sched_getaffinity(0)):
-            if len(taken) < count and (file := _lock(folder / str(core))) is not None:
-                taken[core] = file
-        if len(taken) == count:
-            _pinned.extend(taken.values())
-            os.sched_setaffinity(0, taken)
+            if len(locks) < count and (file := _lock(folder / str(core))) is not None:
+                locks[core] = file
+        if len(locks) == count:
+            _pinned.extend(locks.values())
+            os.sched_setaffinity(0, locks)
             return True
-        for file in taken.values():
+        for file in locks.values():
             os.close(file)
         if time.monotonic() > end:
             return False
@@ -61,7 +61,7 @@ def start_worker(cores: int) -> None:
 
 
 def _lock(path: Path) -> int | None:
-    """An open file that this process alone has locked; the system unlocks it when it ends."""
+    """Open and lock a file until this process ends; return None if another process has it."""
     file = os.open(path, os.O_RDWR | os.O_CREAT, 0o600)
     if lock(file):
         return file
@@ -71,14 +71,14 @@ def _lock(path: Path) -> int | None:
 
 @functools.cache
 def get_instructions() -> str:
-    """The processor's instruction sets, as Linux lists them; else nothing."""
+    """Return the processor's instruction sets, as Linux lists them, or an empty string."""
     cpuinfo = Path("/proc/cpuinfo")
     lines = cpuinfo.read_text(errors="replace").splitlines() if cpuinfo.exists() else []
     return next((line for line in lines if line.startswith(("flags", "Features"))), "")
 
 
 def get_cache_folder() -> Path:
-    """The folder of compiled programs, one per kind of processor: machines may share a home."""
+    """Return the folder of compiled programs, one per kind of processor: machines share a home."""
     processor = (platform.processor() or platform.machine()) + get_instructions()
     kind = hashlib.sha256(processor.encode()).hexdigest()[:12]
     return Path(platformdirs.user_cache_dir("quadwalk", appauthor=False)) / "xla" / kind

@@ -1,4 +1,4 @@
-"""`quadwalk doctor`: what quadwalk runs on here, and what is off."""
+"""`quadwalk doctor`: versions, devices, cores, and what is off here."""
 
 import importlib.metadata
 import json
@@ -32,47 +32,50 @@ class DoctorConfig:
 
 
 def main(args: Sequence[str], prog: str = "quadwalk doctor") -> None:
-    """Print what there is; raises `UserError` where quadwalk cannot run."""
+    """Print versions, devices and warnings; raise `UserError` where quadwalk cannot run."""
     parse(DoctorConfig, args, prog)
-    versions = {name: _version(name) or "missing" for name in SHOWN}
-    print(f"{'quadwalk':11}{_version('quadwalk') or 'not installed, run from its source'}")
+    versions = {name: _get_version(name) or "missing" for name in SHOWN}
+    print(f"{'quadwalk':11}{_get_version('quadwalk') or 'not installed, run from its source'}")
     print(f"{'python':11}{platform.python_version()}, {sys.executable}")
-    print(f"{'packages':11}{', '.join(f'{name} {found}' for name, found in versions.items())}")
+    print(f"{'packages':11}{', '.join(f'{name} {version}' for name, version in versions.items())}")
     sets = [name for name in TELLING if name in get_instructions().split()]
     print(f"{'processor':11}{count_cores()} cores, {platform.machine()} {' '.join(sets)}")
     folder = get_cache_folder()
     size = sum(file.stat().st_size for file in folder.rglob("*")) if folder.is_dir() else 0
     print(f"{'cache':11}{folder}, {size / 1e6:,.0f} MB", flush=True)
     done = subprocess.run([sys.executable, "-c", PROBE], capture_output=True, text=True)
-    said = done.stderr.strip().splitlines()
+    messages = done.stderr.strip().splitlines()
     if done.returncode == 0:
         devices, library = json.loads(done.stdout.splitlines()[-1])
         print(f"{'devices':11}{', '.join(devices)}")
         print(f"{'pictures':11}{library or 'by ray casting: no GL library works here'}")
-    for line in [*(line for line in said if line.startswith("warning: ")), *_other_versions()]:
+    for line in [
+        *(line for line in messages if line.startswith("warning: ")),
+        *_find_other_versions(),
+    ]:
         print(line)
     if done.returncode:
-        unknown = [line.partition("] ")[2] for line in said if "Unknown flag" in line]
-        reason = (unknown or said[-1:] or [f"status {done.returncode}"])[0]
+        unknown = [line.partition("] ")[2] for line in messages if "Unknown flag" in line]
+        reason = (unknown or messages[-1:] or [f"status {done.returncode}"])[0]
         raise UserError(f"JAX and MuJoCo do not start: {reason}")
 
 
-def _version(name: str) -> str | None:
+def _get_version(name: str) -> str | None:
     try:
         return importlib.metadata.version(name)
     except importlib.metadata.PackageNotFoundError:
         return None
 
 
-def _other_versions() -> list[str]:
-    """A line for each package that is not there as quadwalk's own metadata demands it."""
-    lines = (importlib.metadata.requires("quadwalk") or []) if _version("quadwalk") else []
-    wrong = []
+def _find_other_versions() -> list[str]:
+    """Return a line for each package whose version is not what quadwalk's metadata demands."""
+    lines = (importlib.metadata.requires("quadwalk") or []) if _get_version("quadwalk") else []
+    warnings = []
     for need in map(Requirement, lines):
         if need.marker and not need.marker.evaluate({"extra": ""}):
             continue
-        found = _version(need.name)
-        if found is None or found not in need.specifier:
-            there = f"is {found}" if found else "is missing"
-            wrong.append(f"warning: {need.name} {there}; expected {need.name}{need.specifier}")
-    return wrong
+        version = _get_version(need.name)
+        if version is None or version not in need.specifier:
+            state = f"is {version}" if version else "is missing"
+            warnings.append(f"warning: {need.name} {state}; expected {need.name}{need.specifier}")
+    return warnings

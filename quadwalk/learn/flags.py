@@ -21,9 +21,9 @@ class TrainFlags(TrainConfig):
 
 
 def parse_config(args: Sequence[str], prog: str = "train.py") -> tuple[TrainConfig, Run | None]:
-    """The configuration that a command line describes, and the run to resume, if any.
+    """Return the configuration that a command line describes, and the run to resume, if any.
 
-    A first argument that is no flag is the task. `UsageError` for a configuration that cannot be.
+    A first argument that is no flag is the task. Raises `UsageError` for an impossible setting.
     """
     args, task = list(args), None
     if args and not args[0].startswith("-"):

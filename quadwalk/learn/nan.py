@@ -68,7 +68,7 @@ def replay(path: Path | str) -> tuple[np.ndarray, np.ndarray]:
     kept, _ = checkpoint.load(path, "nan", like)
     engine, once = ENGINES[env.engine], dataclasses.replace(env.stepping, substeps=1)
 
-    def course(env: QuadrupedEnv, before: Any, action: jax.Array) -> Any:
+    def replay_steps(env: QuadrupedEnv, before: Any, action: jax.Array) -> Any:
         model, physics, _, target = env.driven(before, action)
 
         def one(physics: Any, own: jax.Array) -> Any:
@@ -78,7 +78,10 @@ def replay(path: Path | str) -> tuple[np.ndarray, np.ndarray]:
         targets = jnp.broadcast_to(target, (env.stepping.substeps, *target.shape[-1:]))
         return jax.lax.scan(one, physics, targets)[1]
 
-    first, after = kept["before"].physics, jax.jit(course)(env, kept["before"], kept["action"])
+    first, after = (
+        kept["before"].physics,
+        jax.jit(replay_steps)(env, kept["before"], kept["action"]),
+    )
     return np.stack([first.qpos, *after.qpos]), np.stack([first.qvel, *after.qvel])
 
 

@@ -100,7 +100,7 @@ class CommandConfig(Settings, group="env.command"):
             )
 
     def scale_to(self, leg: float, foot_speed: float) -> "CommandConfig":
-        """The same command for legs of `leg`, m, whose motors swing a foot at `foot_speed`, m/s.
+        """Return the command for legs of `leg`, m, whose motors swing a foot at `foot_speed`, m/s.
 
         Velocities change with the length's root, yaw rates inversely; accelerations remain.
         """
@@ -113,9 +113,9 @@ class CommandConfig(Settings, group="env.command"):
         until = self.lateral_until
         return replace(
             self,
-            forward=_times(self.forward, factor),
-            lateral=_times(self.lateral, factor),
-            yaw_rate=_times(self.yaw_rate, 1.0 / faster),
+            forward=_scale(self.forward, factor),
+            lateral=_scale(self.lateral, factor),
+            yaw_rate=_scale(self.yaw_rate, 1.0 / faster),
             lateral_until=None if until is None else round(until * factor, 3),
             leg=None,
         )
@@ -133,16 +133,16 @@ class CommandConfig(Settings, group="env.command"):
 
     @property
     def active(self) -> bool:
-        """Whether there are commands at all."""
+        """True if there are commands at all."""
         return any((*self.forward, *self.lateral, *self.yaw_rate))
 
 
-def _times(ends: Pair, factor: float) -> Pair:
+def _scale(ends: Pair, factor: float) -> Pair:
     low, high = ends
     return round(low * factor, 3), round(high * factor, 3)
 
 
-# Of a task without commands: the robot runs along world x.
+# For a task without commands: the robot runs along world x.
 NO_COMMAND = CommandConfig(
     forward=(0.0, 0.0), lateral=(0.0, 0.0), yaw_rate=(0.0, 0.0), standing=0.0, seconds=5.0
 )
@@ -179,7 +179,7 @@ class RandomizationConfig(Settings, group="env.randomization"):
     ideal: Share = 0.0
 
 
-# What a robot meets outside of a simulator; loads of -2 to 5 kg on an AlienGo, pushes to 1 m/s.
+# Conditions outside of a simulator: loads of -2 to 5 kg on an AlienGo, pushes up to 1 m/s.
 REAL_WORLD = RandomizationConfig(
     enabled=True,
     friction=(0.3, 1.25),
@@ -202,11 +202,11 @@ REAL_WORLD = RandomizationConfig(
     margin=0.15,
 )
 
-# Of a task in an ideal world: no range, and the usual of what has a default.
-_UNDRAWN: dict[str, Any] = {
+# An ideal world: no ranges, and the defaults of all else.
+_NO_RANGES: dict[str, Any] = {
     f.name: None for f in fields(RandomizationConfig) if f.default is MISSING
 }
-NO_RANDOMIZATION = RandomizationConfig(**_UNDRAWN | {"enabled": False})
+NO_RANDOMIZATION = RandomizationConfig(**_NO_RANGES | {"enabled": False})
 
 
 # Control at 50 Hz over physics steps of 4 ms. Fewer than four Newton iterations grip too well on
@@ -287,12 +287,12 @@ class EnvConfig(Settings, group="env"):
 
     @property
     def effective(self) -> "EnvConfig":
-        """The same, with `height_scan` moved to the critic if the policy is blind."""
+        """The settings in effect: `height_scan` belongs to the critic if the policy is blind."""
         if not self.blind or SIGHT not in self.observation:
             return self
-        seen = {name: part for name, part in self.observation.items() if name != SIGHT}
+        observation = {name: part for name, part in self.observation.items() if name != SIGHT}
         critic = {**self.critic, SIGHT: self.observation[SIGHT]}
-        return replace(self, observation=seen, critic=critic)
+        return replace(self, observation=observation, critic=critic)
 
     @property
     def stepping(self) -> Stepping:

@@ -14,7 +14,7 @@ from quadwalk.settings.terms import Reward, Term
 
 T = TypeVar("T")
 
-# What runs of before the settings were renamed call them.
+# The names of settings in files of earlier versions, and those of today.
 OLD_NAMES = {
     "EnvConfig": {"randomisation": "randomization"},
     "RandomizationConfig": {"trunk_centre": "trunk_center"},
@@ -25,7 +25,7 @@ OLD_NAMES = {
         "settle": "anneal_share",
     },
 }
-# Likewise of an observation's parts, by the function that they had.
+# Likewise of parts of observations, by their functions.
 OLD_PARTS = {
     ("position", "observation:joint_pos"): "joint_pos",
     ("position", "observation:joint_angles"): "joint_pos",
@@ -34,7 +34,7 @@ OLD_PARTS = {
 
 
 def to_dict(config: Any) -> Any:
-    """A configuration as JSON data; a term's function by its reference."""
+    """Convert a configuration to JSON data; terms' functions become their registered names."""
     if dataclasses.is_dataclass(config):
         return {f.name: to_dict(getattr(config, f.name)) for f in dataclasses.fields(config)}
     if isinstance(config, dict):
@@ -47,7 +47,10 @@ def to_dict(config: Any) -> Any:
 
 
 def from_dict(cls: type[T], data: Any, folder: Path, where: str = "config") -> T:
-    """What `to_dict` wrote, of the run in `folder`; `UserError` names what does not fit."""
+    """Restore a configuration from the data of `to_dict`; `folder` is its run's, for task.py.
+
+    Raises `UserError`, which names the setting that does not fit.
+    """
     if not isinstance(data, dict):
         raise UserError(f"{where} is {reprlib.repr(data)}; expected a group of settings")
     hints = typing.get_type_hints(cls)
@@ -56,11 +59,13 @@ def from_dict(cls: type[T], data: Any, folder: Path, where: str = "config") -> T
     for key in data:
         if key not in hints:
             raise UserError(f"{where}.{key} is not a setting of this version")
-    known: Any = dataclasses.fields(cls)  # type: ignore[arg-type]
-    for field in known:
+    fields: Any = dataclasses.fields(cls)  # type: ignore[arg-type]
+    for field in fields:
         if field.name not in data and field.default is field.default_factory:  # MISSING, both
             raise UserError(f"{where}.{field.name} is missing")
-    values = {key: _restore(hints[key], own, folder, f"{where}.{key}") for key, own in data.items()}
+    values = {
+        key: _restore(hints[key], value, folder, f"{where}.{key}") for key, value in data.items()
+    }
     try:
         return cls(**values)
     except UsageError as error:
@@ -68,6 +73,7 @@ def from_dict(cls: type[T], data: Any, folder: Path, where: str = "config") -> T
 
 
 def _restore(hint: Any, value: Any, folder: Path, where: str) -> Any:
+    """Return the value of the setting `where`, of type `hint`, from its JSON data."""
     if dataclasses.is_dataclass(hint):
         if isinstance(value, hint):  # type: ignore[arg-type]
             return value
@@ -89,7 +95,10 @@ def _restore(hint: Any, value: Any, folder: Path, where: str) -> Any:
             raise UserError(f"{where}: {error}") from None
     if origin is dict and isinstance(value, dict):
         item = hint.__args__[1]
-        return {_part(k, v): _restore(item, v, folder, f"{where}.{k}") for k, v in value.items()}
+        return {
+            _to_current_part(k, v): _restore(item, v, folder, f"{where}.{k}")
+            for k, v in value.items()
+        }
     if origin is tuple and isinstance(value, list | tuple):
         return tuple(_restore(hint.__args__[0], item, folder, where) for item in value)
     if origin is Path and isinstance(value, str) and "\0" not in value:
@@ -102,27 +111,27 @@ def _restore(hint: Any, value: Any, folder: Path, where: str) -> Any:
     return value
 
 
-def _part(name: str, value: Any) -> str:
-    """The name that a part of this name, of an earlier version or not, has today."""
+def _to_current_part(name: str, value: Any) -> str:
+    """Return the name that a part of an observation has today."""
     function = value.get("function") if isinstance(value, dict) else None
     return OLD_PARTS.get((name, to_current_name(str(function))), name)
 
 
 def flatten(config: Any, prefix: str = "") -> dict[str, Any]:
-    """Every setting by its name with dots, as a flag would name it: "env.reward.energy".
+    """Return all settings by the names of their flags, such as "env.reward.energy".
 
-    A term's function is named by its reference, as "env.reward.energy.function".
+    A term's function is there by its registered name, as "env.reward.energy.function".
     """
     if isinstance(config, dict) or dataclasses.is_dataclass(config):
         flat: dict[str, Any] = {}
-        for name, value in _parts(config).items():
+        for name, value in _get_parts(config).items():
             flat |= flatten(value, f"{prefix}.{name}".strip("."))
         return flat
     return {prefix.removesuffix("."): get_term_name(config) if callable(config) else config}
 
 
-def _parts(config: Any) -> dict[str, Any]:
-    """What a group of settings is made of, by the names that flags give it."""
+def _get_parts(config: Any) -> dict[str, Any]:
+    """Return the settings of a group by the names that flags give them."""
     if isinstance(config, dict):
         return config
     parts = {f.name: getattr(config, f.name) for f in dataclasses.fields(config)}
@@ -134,21 +143,21 @@ def _parts(config: Any) -> dict[str, Any]:
 
 
 def change_settings(config: T, changes: Mapping[str, Any]) -> T:
-    """`config` with settings changed by their names: {"env.reward.energy": -0.5}.
+    """Return `config` with settings changed by their names, as {"env.reward.energy": -0.5}.
 
-    A term as a value replaces one, or is added. `UsageError` for a name or value that cannot be.
+    A term as a value replaces one, or is added. Raises `UsageError` for a wrong name or value.
     """
-    named = [(name, name.split("."), value) for name, value in changes.items()]
+    paths = [(name, name.split("."), value) for name, value in changes.items()]
     try:
-        return _changed(config, type(config), named)
+        return _change(config, type(config), paths)
     except UserError as error:
         raise UsageError(str(error)) from None
 
 
-def _changed(item: Any, hint: Any, changes: list[tuple[str, list[str], Any]]) -> Any:
-    """`item`, of type `hint`, with all changes at once: one may not fit without another.
+def _change(item: Any, hint: Any, changes: list[tuple[str, list[str], Any]]) -> Any:
+    """Return `item`, of type `hint`, with all changes at once: one may not fit without another.
 
-    Each is the full name of a setting, its parts that are still to be followed, and its new value.
+    Each is the full name of a setting, the rest of its path below `item`, and its new value.
     """
     inner: dict[str, list[tuple[str, list[str], Any]]] = {}
     for name, path, value in changes:
@@ -170,32 +179,32 @@ def _changed(item: Any, hint: Any, changes: list[tuple[str, list[str], Any]]) ->
         part, ((name, *_), *_) = inner.popitem()
         raise UsageError(f"no setting {name!r}: {part!r} is not part of a number")
     new = {}
-    for head, own in inner.items():
-        name, path, value = own[0]
+    for head, group in inner.items():
+        name, path, value = group[0]
         if path or not (isinstance(item, dict) and isinstance(value, Term)):  # one can be added
             _check_name(head, parts, name)
-        new[head] = _changed(parts.get(head), hints[head], own)
+        new[head] = _change(parts.get(head), hints[head], group)
     if isinstance(item, dict):
         return {**item, **new}
     if params:
-        new["params"] = {own: new.pop(own, old) for own, old in params.items()}
+        new["params"] = {key: new.pop(key, old) for key, old in params.items()}
     return dataclasses.replace(item, **new)
 
 
-def _check_name(part: str, known: Any, name: str) -> None:
-    if part not in known:
-        hint = suggest(part, known) or f"; expected one of {sorted(known)}"
+def _check_name(part: str, parts: Any, name: str) -> None:
+    if part not in parts:
+        hint = suggest(part, parts) or f"; expected one of {sorted(parts)}"
         raise UsageError(f"no setting {name!r}: there is no {part!r}{hint}")
 
 
 def find_task_source(config: Any) -> bytes | None:
-    """The file of the task's own functions, to be kept with a run; None if it has none."""
+    """Return the file of the task's own functions, which a run keeps; None if it has none."""
+    return get_task_source(_list_functions(config))
 
-    def functions(part: Any) -> list[Callable[..., Any]]:
-        if isinstance(part, Term):
-            return [part.function]
-        if isinstance(part, dict) or dataclasses.is_dataclass(part):
-            return [f for item in _parts(part).values() for f in functions(item)]
-        return []
 
-    return get_task_source(functions(config))
+def _list_functions(part: Any) -> list[Callable[..., Any]]:
+    if isinstance(part, Term):
+        return [part.function]
+    if isinstance(part, dict) or dataclasses.is_dataclass(part):
+        return [f for item in _get_parts(part).values() for f in _list_functions(item)]
+    return []

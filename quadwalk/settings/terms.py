@@ -1,4 +1,4 @@
-"""Terms: a function with its numbers, of which rewards, observations and terminations are made."""
+"""Terms: functions with their numbers, the parts of rewards, observations and terminations."""
 
 import inspect
 import reprlib
@@ -20,9 +20,9 @@ Params = Annotated[Any, tyro.conf.arg(name="")]
 
 @dataclass(frozen=True)
 class Term:
-    """A pure function of the task, and the numbers it is called with beside its inputs."""
+    """A pure function of the task and its parameters."""
 
-    gives: ClassVar[str] = "a number"  # for `fits`
+    gives: ClassVar[str] = "a number"  # the expected value, in words
 
     function: tyro.conf.Suppress[Callable[..., Any]]
     params: Params = None  # keyword arguments of the function: a dict of numbers, or None
@@ -38,52 +38,57 @@ class Term:
                 f"the term {self.function.__name__} has parameters {reprlib.repr(self.params)}; "
                 "expected numbers by their names"
             )
-        given = set(self.params or ())
-        if given != expected:
+        parameters = set(self.params or ())
+        if parameters != expected:
             raise UsageError(
-                f"the term {self.function.__name__} has parameters {sorted(given)}; "
+                f"the term {self.function.__name__} has parameters {sorted(parameters)}; "
                 f"expected {sorted(expected)}"
             )
 
     def check_numbers(self, name: str) -> None:
-        """Raise a `UsageError` for a number of this term, called `name`, that it cannot have."""
+        """Raise a `UsageError` for a number that the term, called `name`, cannot have."""
         for parameter, value in (self.params or {}).items():
             check_value(f"{name}.{parameter}", value, float)
-        for own in fields(self):
-            flag = f"{name}.{own.name}".removesuffix(".scale")
-            check_value(flag, getattr(self, own.name), own.type)
+        for setting in fields(self):
+            flag = f"{name}.{setting.name}".removesuffix(".scale")
+            check_value(flag, getattr(self, setting.name), setting.type)
 
     def __call__(self, *inputs: Any) -> Any:
-        """The function's value for its inputs."""
+        """Return the function's value for its inputs."""
         return self.compute(f"term {self.function.__name__!r}", *inputs)
 
     def compute(self, what: str, *inputs: Any) -> Any:
-        """Its value for `inputs`; `UserError`, naming `what`, if it fails or has a wrong shape."""
-        file, line = _place(self.function)
+        """Return the function's value for `inputs`.
+
+        Raises `UserError`, which calls the term `what`, if it fails or has a wrong shape.
+        """
+        file, line = _locate(self.function)
         try:
             value = self.function(*inputs, **(self.params or {}))
         except UserError:
             raise
         except Exception as error:
-            said = f"{type(error).__name__}: {error}".partition("\n")[0]
+            reason = f"{type(error).__name__}: {error}".partition("\n")[0]
             line = find_line(file, error) or line
             raise UserError(
-                f"{file}, line {line}: the {what} does not give {self.gives}: {said}"
+                f"{file}, line {line}: the {what} does not give {self.gives}: {reason}"
             ) from error
-        known = isinstance(value, jax.Array | np.ndarray | np.generic | float | int)
-        if not known or not self.fits(np.shape(value)):
-            found = f"an array of shape {np.shape(value)}" if known else f"a {type(value).__name__}"
-            raise UserError(f"{file}, line {line}: the {what} gives {found}; expected {self.gives}")
+        is_array = isinstance(value, jax.Array | np.ndarray | np.generic | float | int)
+        if not is_array or not self.fits(np.shape(value)):
+            kind = (
+                f"an array of shape {np.shape(value)}" if is_array else f"a {type(value).__name__}"
+            )
+            raise UserError(f"{file}, line {line}: the {what} gives {kind}; expected {self.gives}")
         return value
 
     @staticmethod
     def fits(shape: tuple[int, ...]) -> bool:
-        """Whether values have the right shape."""
+        """Return True if a value's shape is right."""
         return shape == ()
 
 
-def _place(function: Callable[..., Any]) -> tuple[str, int]:
-    """The file that a function is defined in, and the line."""
+def _locate(function: Callable[..., Any]) -> tuple[str, int]:
+    """Return the file that defines a function, and the line."""
     code = getattr(inspect.unwrap(function), "__code__", None)
     return (code.co_filename, code.co_firstlineno) if code else (repr(function), 0)
 
@@ -98,7 +103,7 @@ class Reward(Term):
 
 @dataclass(frozen=True)
 class Observation(Term):
-    """A part of the observation: `function(robot, state)`, a number or a vector."""
+    """A part of the observation: `function(robot, state)` gives a number or a vector."""
 
     gives: ClassVar[str] = "a number or a vector"
 
@@ -111,7 +116,7 @@ class Observation(Term):
 
     @property
     def sensor(self) -> bool:
-        """Whether it is a sensor's reading, which may be late; commands and actions are known."""
+        """True for a sensor's reading, which may be late; commands and actions are exact."""
         return self.noise > 0.0
 
     @staticmethod
@@ -119,11 +124,11 @@ class Observation(Term):
         return len(shape) < 2
 
     def name_numbers(self, name: str, size: int, joints: tuple[str, ...]) -> tuple[str, ...]:
-        """A name for each of its `size` numbers, of a robot with these 12 joints."""
+        """Return a name for each of its `size` numbers, for a robot with these 12 joints."""
         if size == 1 and not self.labels:
             return (name,)
-        usual = {3: ("x", "y", "z"), len(joints): joints}
-        labels = self.labels or usual.get(size, tuple(map(str, range(size))))
+        default_labels = {3: ("x", "y", "z"), len(joints): joints}
+        labels = self.labels or default_labels.get(size, tuple(map(str, range(size))))
         if len(labels) != size:
             raise UsageError(
                 f"the observation {name} has {size} numbers and {len(labels)} labels; "
@@ -134,12 +139,12 @@ class Observation(Term):
 
 @dataclass(frozen=True)
 class Termination(Term):
-    """A way to fall: `function(robot, step)`, true in the step that ends the episode by it."""
+    """A way to fall: `function(robot, step)` is true in the step that ends the episode."""
 
 
 @dataclass(frozen=True)
 class ActionMap(Term):
-    """What an action means: `function(robot, action, joints)`, joint targets (12,) in rad."""
+    """A map of actions: `function(robot, action, joints)` gives joint targets (12,), rad."""
 
     gives: ClassVar[str] = "12 joint targets"
 

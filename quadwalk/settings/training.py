@@ -74,7 +74,7 @@ class PPOConfig(Settings, group="ppo"):
 
     @property
     def std_scale(self) -> float:
-        """Factor of softplus(the network's output), at which an output of 0 gives `init_std`."""
+        """The factor of softplus(output) with which an output of 0 gives `init_std`."""
         return self.init_std / math.log(2.0)
 
 
@@ -167,7 +167,7 @@ class TrainConfig(Settings):
 def set_files(
     config: TrainConfig, urdf: Path, mesh_dirs: tuple[Path, ...], heights: Path | None
 ) -> TrainConfig:
-    """`config` with these files, by paths that are good from any folder."""
+    """Return `config` with these files, by absolute paths."""
     folders = tuple(map(resolve_path, mesh_dirs))
     robot = replace(config.robot, urdf=resolve_path(urdf), mesh_dirs=folders)
     ground = replace(config.env.ground, file=heights and resolve_path(heights))
