@@ -2,7 +2,8 @@
  * Run the page's own modules in Node: node run_policy.mjs PAGE VENDOR JOB.json
  *
  * A job names the files of a robot, and either `states`, at which the policy is asked for its
- * observations and joint targets, or `episodes`, which are simulated. The answer is JSON.
+ * observations and joint targets, or `episodes`, which are simulated. A job of `models` loads them
+ * and returns their sizes. The answer is JSON.
  */
 
 import fs from "node:fs";
@@ -31,13 +32,30 @@ function askPolicy() {
   });
 }
 
-/** Simulate each episode; return its mean velocities after the first seconds, and its events. */
-async function simulate() {
+/** Start MuJoCo's WebAssembly module. */
+async function startMujoco() {
   const { default: loadMujoco } = await load(vendor, "mujoco.js");
   const wasmBinary = zlib.gunzipSync(
     fs.readFileSync(path.join(vendor, "mujoco.wasm.gz")),
   );
-  const mujoco = await loadMujoco({ wasmBinary });
+  return loadMujoco({ wasmBinary });
+}
+
+/** Load each model; return how many coordinates, shapes and triangles it has. */
+async function loadModels() {
+  const mujoco = await startMujoco();
+  return job.models.map((file) => {
+    const xml = fs.readFileSync(file, "utf8");
+    const model = mujoco.MjModel.from_xml_string(xml);
+    const { nq, ngeom, nmeshface } = model;
+    model.delete();
+    return { nq, ngeom, nmeshface };
+  });
+}
+
+/** Simulate each episode; return its mean velocities after the first seconds, and its events. */
+async function simulate() {
+  const mujoco = await startMujoco();
   const terrain = job.terrain
     ? await Terrain.read(JSON.parse(fs.readFileSync(job.terrain)))
     : null;
@@ -88,4 +106,9 @@ async function simulate() {
   });
 }
 
-console.log(JSON.stringify(job.states ? askPolicy() : await simulate()));
+const answer = job.models
+  ? loadModels()
+  : job.states
+    ? askPolicy()
+    : simulate();
+console.log(JSON.stringify(await answer));
