@@ -158,7 +158,7 @@ def _scan(
     heading = compute_yaw(state.qpos[3:7])
     cos, sin = jnp.cos(heading), jnp.sin(heading)
     places = (state.qpos[0] + cos * x - sin * y, state.qpos[1] + sin * x + cos * y)
-    level = np.zeros(x.size) if robot.ground is None else robot.ground.at(*places)[0]
+    level = np.zeros(x.size) if robot.ground is None else robot.ground.measure(*places)[0]
     return jnp.clip(state.qpos[2] - robot.home_height - level, -reach, reach)
 
 

@@ -62,7 +62,7 @@ class RobotArrays:
 
 def above_ground(robot: RobotArrays, qpos: jax.Array) -> jax.Array:
     """Height of the trunk's origin above the ground straight below, m; `qpos` is (19,)."""
-    return qpos[2] if robot.ground is None else qpos[2] - robot.ground.at(qpos[0], qpos[1])[0]
+    return qpos[2] if robot.ground is None else qpos[2] - robot.ground.measure(qpos[0], qpos[1])[0]
 
 
 def is_standing(robot: RobotArrays, qpos: jax.Array) -> jax.Array:

@@ -1,4 +1,4 @@
-"""How physics is laid out for XLA on a CPU: robots along the last axis, in batches of cache size.
+"""The layout of physics for XLA on a CPU: robots along the last axis, in batches of cache size.
 
 Measured on two cores with `benchmarks/physics.py`; see there for what each of these gives.
 """
@@ -23,53 +23,52 @@ class Shared:
 
 
 def batch_robots(function: Callable[..., Any], like: Any) -> Callable[..., Any]:
-    """Let `vmap` run a function of one robot that takes arrays (..., robots) at once.
+    """Return a function of one robot that `jax.vmap` runs with the robots along the last axis.
 
-    `function` maps pytrees of arrays with the robots along the last axis to such pytrees. What is
-    returned takes and gives one robot's, without that axis; under `jax.vmap`, batches of them are
-    computed. `like` is a pytree of the shapes and types of what one robot gives: with it, the
-    function is traced for the batch alone, not for one robot as well.
+    `function` maps pytrees of arrays (..., robots) to such pytrees; the result takes and gives
+    arrays without that axis. `like` is a pytree of one robot's output, of shapes and types: with it
+    `function` is traced for the batch alone, not for one robot as well.
 
     Leaves of the arguments that are constants (`is_constant`) get a last axis of length 1. The
-    compiled program folds them: zeros vanish from it. What is `Shared` is handed on as it is.
+    compiled program folds them: zeros vanish from it. `Shared` pytrees are passed on as they are.
     """
 
-    shapes, expected = jax.tree.flatten(like)
+    shapes, structure = jax.tree.flatten(like)
 
-    def of_any(*arguments: Any) -> Any:
-        leaves, structure = jax.tree.flatten(arguments, is_leaf=lambda x: isinstance(x, Shared))
-        shared, parts = jax.tree.flatten([x for x in leaves if isinstance(x, Shared)])
+    def run_one(*arguments: Any) -> Any:
+        leaves, inputs = jax.tree.flatten(arguments, is_leaf=lambda x: isinstance(x, Shared))
+        shared, shared_structure = jax.tree.flatten([x for x in leaves if isinstance(x, Shared)])
         fixed = [isinstance(leaf, Shared) or is_constant(leaf) for leaf in leaves]
         varying = [leaf for leaf, is_fixed in zip(leaves, fixed, strict=True) if not is_fixed]
 
-        def of_several(*arrays: jax.Array) -> list[Any]:
-            rest = iter(arrays[: len(varying)])
-            common = iter(jax.tree.unflatten(parts, arrays[len(varying) :]))
-            inputs = []
+        def run_batch(*arrays: jax.Array) -> list[Any]:
+            arrays_left = iter(arrays[: len(varying)])
+            shared_left = iter(jax.tree.unflatten(shared_structure, arrays[len(varying) :]))
+            columns = []
             for leaf, is_fixed in zip(leaves, fixed, strict=True):
                 if isinstance(leaf, Shared):
-                    inputs.append(next(common))
+                    columns.append(next(shared_left))
                 else:
-                    inputs.append(append_axis(leaf) if is_fixed else next(rest))
-            found = function(*jax.tree.unflatten(structure, inputs))
-            own: Any = jax.tree.structure(found)
-            if own != expected:
-                raise TypeError(f"a function gives {own}; expected {expected}")
-            return jax.tree.leaves(found)
+                    columns.append(append_axis(leaf) if is_fixed else next(arrays_left))
+            output = function(*jax.tree.unflatten(inputs, columns))
+            output_structure: Any = jax.tree.structure(output)
+            if output_structure != structure:
+                raise TypeError(f"a function gives {output_structure}; expected {structure}")
+            return jax.tree.leaves(output)
 
-        found = _robots.bind(
-            *varying, *shared, function=of_several, shared=len(shared), shapes=tuple(shapes)
+        output = _robots.bind(
+            *varying, *shared, function=run_batch, shared=len(shared), shapes=tuple(shapes)
         )
-        return jax.tree.unflatten(expected, found)
+        return jax.tree.unflatten(structure, output)
 
-    return of_any
+    return run_one
 
 
 def is_constant(leaf: Any) -> bool:
-    """Whether a leaf is the same for all robots: NumPy's or a number. JAX's may be one for each.
+    """Return True if a leaf is the same for all robots: NumPy's or a number.
 
-    Randomization turns constants into variables, since it computes them with JAX. `TypeError` for
-    any other leaf.
+    JAX's arrays may differ: randomization computes variables from constants with JAX. Raises
+    `TypeError` for anything else.
     """
     if isinstance(leaf, jax.Array):
         return False
@@ -79,21 +78,20 @@ def is_constant(leaf: Any) -> bool:
 
 
 def append_axis(constant: Any) -> Any:
-    """A constant array with a last axis of length 1, for the robots; a number as it is."""
+    """Return a constant array with a last axis of length 1, for the robots; a number as it is."""
     return np.reshape(constant, (*np.shape(constant), 1)) if np.ndim(constant) else constant
 
 
-def _of_one(
+def _run_one(
     *arguments: Any, function: Callable[..., list[Any]], shared: int, **_: Any
 ) -> list[Any]:
     arrays = [jnp.asarray(x) for x in arguments]
     varying = len(arrays) - shared
-    return [
-        x[..., 0] for x in function(*(x[..., None] for x in arrays[:varying]), *arrays[varying:])
-    ]
+    batch = (x[..., None] for x in arrays[:varying])
+    return [x[..., 0] for x in function(*batch, *arrays[varying:])]
 
 
-def _of_many(
+def _run_batches(
     arguments: Sequence[Any],
     axes: Sequence[int | None],
     *,
@@ -101,7 +99,10 @@ def _of_many(
     shared: int,
     **_: Any,
 ) -> tuple[list[Any], list[int]]:
-    """What a batch gives, its axis first; `axes` are the batch's in `arguments`."""
+    """Run a batch of any size, cut into batches of cache size; `axes` are its own in `arguments`.
+
+    Returns the outputs and their batch axes.
+    """
     varying = len(arguments) - shared
     common = arguments[varying:]
     assert all(axis is None for axis in axes[varying:])
@@ -125,37 +126,40 @@ def _of_many(
     return out, [0] * len(out)
 
 
-def _tangents(
+def _differentiate(
     primals: Sequence[Any], tangents: Sequence[Any], **how: Any
 ) -> tuple[list[Any], list[Any]]:
-    """Forward derivatives: those of one robot, for `vmap` to batch as it does."""
+    """Return one robot's output and its forward derivative, for `vmap` to batch as it does."""
     tangents = [ad.instantiate_zeros(tangent) for tangent in tangents]
-    return jax.jvp(partial(_of_one, **how), tuple(primals), tuple(tangents))
+    return jax.jvp(partial(_run_one, **how), tuple(primals), tuple(tangents))
 
 
 # `jax.custom_batching.custom_vmap` would trace a function for one robot, to know its shapes, and
 # then for the batch: seconds of every start.
 _robots = Primitive("batch_robots")
 _robots.multiple_results = True
-_robots.def_impl(lambda *arguments, **how: jax.jit(partial(_of_one, **how))(*arguments))
+_robots.def_impl(lambda *arguments, **how: jax.jit(partial(_run_one, **how))(*arguments))
 _robots.def_abstract_eval(
-    lambda *_, shapes, **__: [ShapedArray(each.shape, each.dtype) for each in shapes]
+    lambda *_, shapes, **__: [ShapedArray(shape.shape, shape.dtype) for shape in shapes]
 )
-mlir.register_lowering(_robots, mlir.lower_fun(_of_one, multiple_results=True))
-batching.primitive_batchers[_robots] = _of_many
-ad.primitive_jvps[_robots] = _tangents
+mlir.register_lowering(_robots, mlir.lower_fun(_run_one, multiple_results=True))
+batching.primitive_batchers[_robots] = _run_batches
+ad.primitive_jvps[_robots] = _differentiate
 
 
-def opaque_true(number: jax.Array) -> jax.Array:
-    """True, though XLA cannot know it: `number`, of a sound state, is far below 1e30, or NaN."""
+def make_opaque_true(number: jax.Array) -> jax.Array:
+    """Return True in a way that XLA cannot know.
+
+    `number`, of a sound state, is far below 1e30, or NaN.
+    """
     return ~(number > 1e30)
 
 
 def materialize(barrier: Any, function: Callable[..., Any], *arguments: Any) -> Any:
-    """function(*arguments), computed once and kept in memory.
+    """Return function(*arguments), computed once and kept in memory.
 
     XLA fuses arithmetic by repeating what several results share, here a fivefold of it. It does
-    not look into a conditional whose condition it cannot know: `barrier`, from `opaque_true`.
+    not look into a conditional whose condition it cannot know: `barrier`, of `make_opaque_true`.
     """
     traced = jax.jit(function)  # once, for its shapes and for itself
     shapes = jax.eval_shape(traced, *arguments)

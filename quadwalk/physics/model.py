@@ -1,4 +1,4 @@
-"""The constants of a quadruped that its equations of motion need, read from a MuJoCo model."""
+"""The constants of a quadruped's equations of motion, read from a MuJoCo model."""
 
 import copy
 from collections.abc import Iterable
@@ -28,7 +28,7 @@ class Shell:
     """A collision shape of the trunk, scalars, or of one link of each leg, (4,) over legs."""
 
     link: int | None = field(metadata={"static": True})  # None: the trunk
-    # mjtGeom; of four legs, -1 where one has fewer shapes than another: that has no lowest point.
+    # mjtGeom; of four legs, -1 where one has fewer shapes than another.
     kind: int | tuple[int, ...] = field(metadata={"static": True})
     center: Vector  # link frame, m
     axes: tuple[Vector, Vector, Vector]  # the shape's x, y and z in the link's frame
@@ -36,8 +36,11 @@ class Shell:
     # Of a box: the axes, longest first, at both ends of which `low_points` looks.
     long: tuple[int, ...] = field(default=(), metadata={"static": True})
 
-    def bottom(self, up: Vector) -> Array:
-        """Height, m, of the lowest point above the link's origin; `up` is world z in its frame."""
+    def compute_bottom(self, up: Vector) -> Array:
+        """Return the height of the lowest point above the link's origin, m.
+
+        `up` is world z in the link's frame. The height is infinite where a leg lacks the shape.
+        """
         x, y, z = (jnp.abs(v.dot(up, axis)) for axis in self.axes)
         a, b, c = self.size
         disc = jnp.sqrt(jnp.maximum(1.0 - z * z, 0.0))
@@ -49,17 +52,16 @@ class Shell:
         }
         reach: Array = -jnp.inf
         for kind, value in reaches.items():
-            # As a number: NumPy compares no array with an enumeration's member.
-            of_kind = append_axis(np.equal(self.kind, int(kind)))
-            if np.any(of_kind):
-                reach = jnp.where(of_kind, value, reach)
+            is_kind = self._compare_kind(kind)
+            if np.any(is_kind):
+                reach = jnp.where(is_kind, value, reach)
         return v.dot(up, self.center) - reach
 
-    def low_points(self, up: Vector) -> list[tuple[Array, Vector]]:
-        """Points of the shape that may be the first to touch uneven ground, in the link's frame.
+    def find_low_points(self, up: Vector) -> list[tuple[Array, Vector]]:
+        """Return points of the shape that may be the first to touch uneven ground.
 
-        Each with whether the shape has it. At both ends of what is long, the lowest: `up` is the
-        world's vertical in the link's frame.
+        Each is True where a leg has the shape, and the point in the link's frame, m. They are the
+        lowest points at both ends of what is long; `up` is world z in the link's frame.
         """
         a, b, _ = self.size
         end = self.axes[2]
@@ -67,10 +69,10 @@ class Shell:
         rim = v.scale(a * jax.lax.rsqrt(jnp.maximum(v.dot(downwards, downwards), 1e-12)), downwards)
         ends = [v.add(self.center, v.scale(sign * b, end)) for sign in (-1.0, 1.0)]
         corners = [self.center]
-        for axis, (own, half) in enumerate(zip(self.axes, self.size, strict=True)):
-            lower = -half * jnp.sign(v.dot(up, own))
-            signed = (-half, half) if axis in self.long else (lower,)
-            corners = [v.add(corner, v.scale(sign, own)) for corner in corners for sign in signed]
+        for index, (axis, half) in enumerate(zip(self.axes, self.size, strict=True)):
+            lower = -half * jnp.sign(v.dot(up, axis))
+            signed = (-half, half) if index in self.long else (lower,)
+            corners = [v.add(corner, v.scale(sign, axis)) for corner in corners for sign in signed]
         points = {
             mujoco.mjtGeom.mjGEOM_SPHERE: [v.subtract(self.center, v.scale(a, up))],
             mujoco.mjtGeom.mjGEOM_BOX: corners,
@@ -78,18 +80,24 @@ class Shell:
             mujoco.mjtGeom.mjGEOM_CAPSULE: [v.subtract(point, v.scale(a, up)) for point in ends],
         }
         return [
-            (append_axis(np.equal(self.kind, int(kind))), point)
-            for kind, some in points.items()
-            if np.any(np.equal(self.kind, int(kind)))
-            for point in some
+            (self._compare_kind(kind), point)
+            for kind, points_of_kind in points.items()
+            if np.any(self._compare_kind(kind))
+            for point in points_of_kind
         ]
+
+    def _compare_kind(self, kind: mujoco.mjtGeom) -> Array:
+        """Return True where the shape is of a kind, () or (4, 1)."""
+        # As a number: NumPy compares no array with an enumeration's member.
+        is_kind: Array = append_axis(np.equal(self.kind, int(kind)))
+        return is_kind
 
 
 class RobotRandomization(NamedTuple):
-    """What a robot's constants are changed to, or by; numbers, or as given.
+    """Changes of a robot's physical properties; numbers, unless a shape is given.
 
-    The constraint solver's estimate of inverse inertia (MuJoCo's invweight0), which sets how soft
-    contacts are, stays that of the unchanged robot.
+    The constraint solver's estimate of inverse inertia (MuJoCo's invweight0) stays that of the
+    unchanged robot. It sets how soft contacts are.
     """
 
     friction: jax.Array | np.ndarray  # sliding friction of floor and robot
@@ -105,7 +113,7 @@ class RobotRandomization(NamedTuple):
 
 
 class Model(NamedTuple):
-    """A quadruped in numbers: one robot's, scalars or (4,) over legs, of the motors (12,).
+    """The constants of one quadruped: scalars, (4,) over legs, or (12,) for the motors.
 
     Any leaf may be a JAX array, and under `jax.vmap` differ from robot to robot; all others are
     constants of the compiled program (see `batching.batch_robots`).
@@ -121,21 +129,22 @@ class Model(NamedTuple):
     ground: Ground | None = None  # None: level, at height 0, without end
 
 
-def randomize_motor(motor: Motor, variation: RobotRandomization) -> Motor:
-    """`motor` of a robot that differs by `variation`."""
+def randomize_motor(motor: Motor, randomization: RobotRandomization) -> Motor:
+    """Return the motors of a robot with other physical properties."""
     friction = motor.friction
     return motor._replace(
-        kp=motor.kp * variation.kp,
-        kd=motor.kd * variation.kd,
-        strength=motor.strength * variation.strength,
-        friction=None if friction is None else friction * variation.joint_friction,
+        kp=motor.kp * randomization.kp,
+        kd=motor.kd * randomization.kd,
+        strength=motor.strength * randomization.strength,
+        friction=None if friction is None else friction * randomization.joint_friction,
     )
 
 
 def make_model(model: mujoco.MjModel, quadruped: Quadruped, motor: Motor) -> Model:
-    """Read `model`, made from `quadruped`, for the equations; its leaves are constants.
+    """Return the constants of `model`, made from `quadruped`.
 
-    Its joint 1 + 3 * leg + i is a leg's i-th, from the trunk outwards. A heightfield is its ground.
+    Its joint 1 + 3 * leg + i is a leg's i-th, from the trunk outwards. A heightfield becomes the
+    ground.
     """
     feet = quadruped.feet
     joints = 1 + np.arange(12).reshape(4, LINKS)
@@ -144,72 +153,74 @@ def make_model(model: mujoco.MjModel, quadruped: Quadruped, motor: Motor) -> Mod
     parents = np.c_[np.full(4, trunk), bodies[:, :-1]]
     assert np.array_equal(model.body_parentid[bodies], parents)
     assert np.all(model.jnt_pos == 0)
-    found = Model(
+    constants = Model(
         trunk=Trunk(
             mass=float(model.body_mass[trunk]),
-            center=_vector(model.body_ipos[trunk]),
-            inertia=tuple(float(x) for x in _inertia(model, trunk)),
+            center=_to_vector(model.body_ipos[trunk]),
+            inertia=tuple(float(x) for x in _compute_inertia(model, trunk)),
         ),
-        links=tuple(_link(model, bodies[:, i], joints[:, i]) for i in range(LINKS)),
-        contacts=tuple(_contact(model, geoms, bodies) for geoms in find_contact_geoms(model, feet)),
-        limits=tuple(_limits(model, joints[:, i]) for i in range(LINKS)),
-        shells=_shells(model, find_shell_geoms(model, feet), trunk, bodies),
-        gravity=_vector(model.opt.gravity),
+        links=tuple(_make_link(model, bodies[:, i], joints[:, i]) for i in range(LINKS)),
+        contacts=tuple(
+            _make_contact(model, geoms, bodies) for geoms in find_contact_geoms(model, feet)
+        ),
+        limits=tuple(_make_limits(model, joints[:, i]) for i in range(LINKS)),
+        shells=_make_shells(model, find_shell_geoms(model, feet), trunk, bodies),
+        gravity=_to_vector(model.opt.gravity),
         motor=motor,
     )
     ground = field_of(model)
-    return found if ground is None else add_ground(found, ground)
+    return constants if ground is None else add_ground(constants, ground)
 
 
 def add_ground(model: Model, ground: Heightfield) -> Model:
-    """`model` on ground that is not level."""
+    """Return `model` on ground that is not level."""
     contacts, offsets = [], []
     for contact in model.contacts:
         radii = np.broadcast_to(np.asarray(contact.radius), 4)
-        different, grids = np.unique(radii, return_inverse=True)
-        offsets.append(make_offset_surface(ground, tuple(map(float, different))))
+        distinct, grids = np.unique(radii, return_inverse=True)
+        offsets.append(make_offset_surface(ground, tuple(map(float, distinct))))
         contacts.append(replace(contact, grids=tuple(map(int, grids))))
     surfaces = Ground(make_ground_surface(ground), tuple(offsets))
     return model._replace(contacts=tuple(contacts), ground=surfaces)
 
 
 def find_contact_geoms(model: mujoco.MjModel, feet: tuple[str, ...]) -> list[np.ndarray]:
-    """(4,) geoms of each kind of sphere that may touch the floor, the feet first."""
+    """Return the geoms (4,) of each kind of sphere that may touch the floor, the feet first."""
     names = [model.geom(i).name for i in range(model.ngeom)]
     kinds = [kind for kind in (feet, *SPHERE_NAMES) if set(kind) <= set(names)]
     return [np.array([names.index(name) for name in kind]) for kind in kinds]
 
 
 def find_shell_geoms(model: mujoco.MjModel, feet: tuple[str, ...]) -> np.ndarray:
-    """Every collision shape (n,) of the robot but its feet."""
+    """Return the geoms (n,) of all collision shapes of the robot except its feet."""
     collision = (model.geom_bodyid != 0) & (model.geom_group == 3)
     collision[[model.geom(name).id for name in feet]] = False
     return np.flatnonzero(collision)
 
 
-def _vector(values: Iterable[float]) -> Vector:
+def _to_vector(values: Iterable[float]) -> Vector:
     return v.to_vector(float(x) for x in values)
 
 
-def _over_legs(values: np.ndarray) -> Vector:
-    """A vector (4, 3) of each leg."""
+def _to_leg_vector(values: np.ndarray) -> Vector:
+    """Return the vectors of four legs (4, 3) as one."""
     return v.to_vector(np.asarray(values, np.float64).T)
 
 
-def _matrix(values: np.ndarray) -> Matrix:
-    """A matrix (4, 3, 3) of each leg."""
-    x, y, z = (_over_legs(values[:, i]) for i in range(3))
+def _to_leg_matrix(values: np.ndarray) -> Matrix:
+    """Return the matrices of four legs (4, 3, 3) as one."""
+    x, y, z = (_to_leg_vector(values[:, i]) for i in range(3))
     return x, y, z
 
 
-def _inertia(model: mujoco.MjModel, body: int) -> np.ndarray:
-    """(6,) as in `Inertia`, about the center of mass, in the body's axes."""
+def _compute_inertia(model: mujoco.MjModel, body: int) -> np.ndarray:
+    """Return an `Inertia` (6,) about the center of mass, in the body's axes."""
     turn = compute_rotation(model.body_iquat[body])
     full = turn @ np.diag(model.body_inertia[body]) @ turn.T
     return full[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
 
 
-def _link(model: mujoco.MjModel, bodies: np.ndarray, joints: np.ndarray) -> Link:
+def _make_link(model: mujoco.MjModel, bodies: np.ndarray, joints: np.ndarray) -> Link:
     frames = np.array([compute_rotation(model.body_quat[body]) for body in bodies])
     axes = model.jnt_axis[joints]
     outer = axes[:, :, None] * axes[:, None, :]
@@ -219,21 +230,24 @@ def _link(model: mujoco.MjModel, bodies: np.ndarray, joints: np.ndarray) -> Link
     fixed, with_cos, with_sin = frames @ outer, frames @ (np.eye(3) - outer), frames @ skew
     dofs = model.jnt_dofadr[joints]
     return Link(
-        offset=_over_legs(model.body_pos[bodies]),
-        axis=_over_legs(np.einsum("lij,lj->li", frames, axes)),
-        turn=(_matrix(fixed), _matrix(with_cos), _matrix(with_sin)),
+        offset=_to_leg_vector(model.body_pos[bodies]),
+        axis=_to_leg_vector(np.einsum("lij,lj->li", frames, axes)),
+        turn=(_to_leg_matrix(fixed), _to_leg_matrix(with_cos), _to_leg_matrix(with_sin)),
         mass=model.body_mass[bodies],
-        center=_over_legs(model.body_ipos[bodies]),
-        inertia=tuple(np.array([_inertia(model, body) for body in bodies]).T),
+        center=_to_leg_vector(model.body_ipos[bodies]),
+        inertia=tuple(np.array([_compute_inertia(model, body) for body in bodies]).T),
         armature=model.dof_armature[dofs],
         damping=np.reshape(model.dof_damping[dofs], (4, -1))[:, 0],
     )
 
 
-def _solver_params(
+def _compute_solver_params(
     model: mujoco.MjModel, solref: np.ndarray, solimp: np.ndarray, inverse_inertia: np.ndarray
 ) -> SolverParams:
-    """Of `solref` (4, 2), in MuJoCo's time constant and damping ratio, and `solimp` (4, 5)."""
+    """Return the constants of `solref` (4, 2), time constant and damping ratio, and `solimp`.
+
+    The formulas are those of "Solver parameters" in MuJoCo's documentation.
+    """
     assert np.all(solref > 0)
     low, high = np.clip(solimp[:, :2], mujoco.mjMINIMP, mujoco.mjMAXIMP).T
     time = np.maximum(solref[:, 0], 2 * model.opt.timestep)
@@ -249,12 +263,12 @@ def _solver_params(
     )
 
 
-def _limits(model: mujoco.MjModel, joints: np.ndarray) -> Limits:
+def _make_limits(model: mujoco.MjModel, joints: np.ndarray) -> Limits:
     limited = model.jnt_limited[joints].astype(bool)
     return Limits(
         lower=np.where(limited, model.jnt_range[joints, 0], -np.inf),
         upper=np.where(limited, model.jnt_range[joints, 1], np.inf),
-        params=_solver_params(
+        params=_compute_solver_params(
             model,
             model.jnt_solref[joints],
             model.jnt_solimp[joints],
@@ -263,13 +277,14 @@ def _limits(model: mujoco.MjModel, joints: np.ndarray) -> Limits:
     )
 
 
-def _contact(model: mujoco.MjModel, geoms: np.ndarray, bodies: np.ndarray) -> Contact:
-    """MuJoCo is asked what it makes of spheres in the floor: it mixes the two's parameters.
+def _make_contact(model: mujoco.MjModel, geoms: np.ndarray, bodies: np.ndarray) -> Contact:
+    """Return the constants of one kind of sphere, `geoms` (4,).
 
-    `geoms` (4,) are on the same link of each leg, which are `bodies` (4, 3), or on the trunk.
+    They are on the same link of each leg, of `bodies` (4, 3), or on the trunk. MuJoCo mixes the
+    parameters of sphere and floor, so its contacts are read.
     """
-    own = model.geom_bodyid[geoms]
-    model = _on_plane(model)
+    carriers = model.geom_bodyid[geoms]
+    model = _replace_floor(model)
     data = mujoco.MjData(model)
     friction, solref, solimp = np.zeros(4), np.zeros((4, 2)), np.zeros((4, 5))
     mujoco.mj_kinematics(model, data)
@@ -279,18 +294,18 @@ def _contact(model: mujoco.MjModel, geoms: np.ndarray, bodies: np.ndarray) -> Co
         for leg in np.flatnonzero(np.isin(geoms, contact.geom)):
             friction[leg] = contact.friction[0]
             solref[leg], solimp[leg] = contact.solref, contact.solimp
-    inverse_mass = model.body_invweight0[own, 0]
+    inverse_mass = model.body_invweight0[carriers, 0]
     return Contact(
-        link=next((i for i in range(LINKS) if np.array_equal(bodies[:, i], own)), None),
-        center=_over_legs(model.geom_pos[geoms]),
+        link=next((i for i in range(LINKS) if np.array_equal(bodies[:, i], carriers)), None),
+        center=_to_leg_vector(model.geom_pos[geoms]),
         radius=model.geom_size[geoms, 0],
         friction=friction,
-        params=_solver_params(model, solref, solimp, inverse_mass / model.opt.impratio),
+        params=_compute_solver_params(model, solref, solimp, inverse_mass / model.opt.impratio),
     )
 
 
-def _on_plane(model: mujoco.MjModel) -> mujoco.MjModel:
-    """The model with its floor as a level plane, of the same friction and softness."""
+def _replace_floor(model: mujoco.MjModel) -> mujoco.MjModel:
+    """Return the model with a level plane as its floor, of the same friction and softness."""
     floor = model.geom(FLOOR).id
     if model.geom_type[floor] == mujoco.mjtGeom.mjGEOM_PLANE:
         return model
@@ -300,45 +315,43 @@ def _on_plane(model: mujoco.MjModel) -> mujoco.MjModel:
     return model
 
 
-def _longest(size: np.ndarray, number: int) -> tuple[int, ...]:
-    """The axes along which a box of `size` (3,) is longest."""
+def _find_longest_axes(size: np.ndarray, number: int) -> tuple[int, ...]:
+    """Return the axes along which a box of `size` (3,) is longest."""
     return tuple(int(axis) for axis in np.argsort(-size)[:number])
 
 
-def _shells(
+def _make_shells(
     model: mujoco.MjModel, geoms: np.ndarray, trunk: int, bodies: np.ndarray
 ) -> tuple[Shell, ...]:
-    """The shapes `geoms`, those of the four legs side by side."""
+    """Return the shapes `geoms`; those of the four legs are side by side."""
     shells = []
-    of_body = {
-        body: [g for g in geoms if model.geom_bodyid[g] == body] for body in range(model.nbody)
-    }
-    for geom in of_body[trunk]:
-        rotation = compute_rotation(model.geom_quat[geom])
+    by_body = [geoms[model.geom_bodyid[geoms] == body] for body in range(model.nbody)]
+    for geom in by_body[trunk]:
+        x, y, z = compute_rotation(model.geom_quat[geom]).T
         shells.append(
             Shell(
                 link=None,
                 kind=int(model.geom_type[geom]),
-                center=_vector(model.geom_pos[geom]),
-                axes=(_vector(rotation[:, 0]), _vector(rotation[:, 1]), _vector(rotation[:, 2])),
-                size=_vector(model.geom_size[geom]),
-                long=_longest(model.geom_size[geom], 2),
+                center=_to_vector(model.geom_pos[geom]),
+                axes=(_to_vector(x), _to_vector(y), _to_vector(z)),
+                size=_to_vector(model.geom_size[geom]),
+                long=_find_longest_axes(model.geom_size[geom], 2),
             )
         )
     for link in range(LINKS):
-        own = [of_body[body] for body in bodies[:, link]]
-        for i in range(max(map(len, own))):
-            there = np.array([i < len(shapes) for shapes in own])
-            picked = np.array([shapes[i] if i < len(shapes) else 0 for shapes in own])
-            axes = np.array([compute_rotation(quat).T for quat in model.geom_quat[picked]])
+        by_leg = [by_body[body] for body in bodies[:, link]]
+        for i in range(max(map(len, by_leg))):
+            exists = np.array([i < len(shapes) for shapes in by_leg])
+            chosen = np.array([shapes[i] if i < len(shapes) else 0 for shapes in by_leg])
+            axes = np.array([compute_rotation(quat).T for quat in model.geom_quat[chosen]])
             shells.append(
                 Shell(
                     link=link,
-                    kind=tuple(np.where(there, model.geom_type[picked], -1).tolist()),
-                    center=_over_legs(model.geom_pos[picked]),
-                    axes=_matrix(axes),
-                    size=_over_legs(model.geom_size[picked]),
-                    long=_longest(model.geom_size[picked].sum(axis=0), 1),
+                    kind=tuple(np.where(exists, model.geom_type[chosen], -1).tolist()),
+                    center=_to_leg_vector(model.geom_pos[chosen]),
+                    axes=_to_leg_matrix(axes),
+                    size=_to_leg_vector(model.geom_size[chosen]),
+                    long=_find_longest_axes(model.geom_size[chosen].sum(axis=0), 1),
                 )
             )
     return tuple(shells)

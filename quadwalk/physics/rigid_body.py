@@ -76,6 +76,13 @@ class MassMatrix(NamedTuple):
     cross: tuple[tuple[Array, ...], ...]  # a column of 6 for each joint, arrays (4, robots)
     legs: tuple[tuple[Array, ...], ...]  # 3 x 3, arrays (4, robots)
 
+    def add_to_joints(self, values: Vector) -> "MassMatrix":
+        """Return the matrix with `values` added to the diagonal of hip, thigh and calf joints."""
+        legs = [list(row) for row in self.legs]
+        for i, value in enumerate(values):
+            legs[i][i] = legs[i][i] + value
+        return self._replace(legs=tuple(map(tuple, legs)))
+
 
 def compute_rotation(quat: tuple[Array, ...]) -> Matrix:
     """Return the rotation matrix of a quaternion wxyz, which need not have length 1."""

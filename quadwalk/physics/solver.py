@@ -13,7 +13,13 @@ import jax.numpy as jnp
 
 from quadwalk.physics import vectors as v
 from quadwalk.physics.batching import materialize
-from quadwalk.physics.contact import Constraints, Rows, force_of, hessian, rows
+from quadwalk.physics.contact import (
+    Constraints,
+    Rows,
+    apply_jacobian,
+    apply_jacobian_transposed,
+    compute_hessian,
+)
 from quadwalk.physics.rigid_body import LINKS, MassMatrix, Motion
 from quadwalk.physics.vectors import Array
 
@@ -52,13 +58,15 @@ def minimize_cost(
         active = tuple(
             jnp.where(o < 0, w, 0.0) for o, w in zip(off, constraints.weight, strict=True)
         )
-        pull = force_of(constraints, tuple(-w * o for w, o in zip(active, off, strict=True)))
+        pull = apply_jacobian_transposed(
+            constraints, tuple(-w * o for w, o in zip(active, off, strict=True))
+        )
         downhill = add_scaled(pull, -1.0, residual)
-        matrix = materialize(barrier, hessian, mass, constraints, active)
+        matrix = materialize(barrier, compute_hessian, mass, constraints, active)
         step = solve(matrix, downhill, barrier)
         inertial = materialize(barrier, multiply, mass, step)
         slope, bend = compute_inner_product(step, residual), compute_inner_product(step, inertial)
-        along = rows(constraints, step)
+        along = apply_jacobian(constraints, step)
         scaled = [w * a for w, a in zip(constraints.weight, along, strict=True)]
 
         def evaluate(alpha: Array) -> tuple[Array, Array]:

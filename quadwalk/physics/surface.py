@@ -1,10 +1,10 @@
-"""The ground under spheres: how far they are above it, and the direction in which it pushes.
+"""Surfaces of ground that is not level, and the offset surfaces that centers of spheres touch.
 
-A sphere touches ground of triangles where its center touches the ground's offset surface, which
-runs a radius above it: over slopes shifted, around edges round, over notches narrower than the
-sphere closed. It is found once for each radius, on a grid twice as fine as the ground's. A sphere
-then costs three reads of it. At the edge of a stair it meets that edge, not the plane of whatever
-triangle is below its center.
+A sphere touches ground of triangles where its center touches the ground's offset surface. That runs
+a radius above the ground: over slopes it is shifted, around edges round, over notches narrower than
+the sphere closed. It is computed once for each radius, on a grid twice as fine as the ground's. A
+sphere then costs three reads of it. At the edge of a stair it touches that edge, not the plane of
+the triangle below its center.
 """
 
 import functools
@@ -32,8 +32,8 @@ class Spot(NamedTuple):
     """A place in a grid."""
 
     corner: Array  # index of its cell's first node
-    u: Array  # how far beyond that along x, cells
-    v: Array  # along y
+    u: Array  # from that node along x, cells
+    v: Array  # from that node along y, cells
 
 
 @jax.tree_util.register_dataclass
@@ -45,20 +45,23 @@ class Surface(Shared):
     part that reads, at many times the memory.
     """
 
-    grids: Array  # (k, rows, columns) m
+    grids: jax.Array | np.ndarray  # (k, rows, columns) m
     cell: float = field(metadata={"static": True})  # m
     origin: tuple[float, float] = field(metadata={"static": True})  # m, x and y of node [0, 0]
 
-    def at(self, x: Array, y: Array, which: np.ndarray | int = 0) -> tuple[Array, Array, Array]:
-        """Height, m, and slopes along x and y of grid `which` at places (...), m.
+    def measure(
+        self, x: Array, y: Array, which: np.ndarray | int = 0
+    ) -> tuple[Array, Array, Array]:
+        """Return height, m, and slopes along x and y of grid `which` at places (...), m.
 
-        Beyond an edge, those of the edge. Whatever x and y are, NaN too, no read is out of bounds.
+        Beyond an edge they are those of the edge. No read is out of bounds, even where x or y is
+        NaN.
         """
         spot = self.locate(x, y, which)
         return self.interpolate(spot, self.read(spot))
 
     def locate(self, x: Array, y: Array, which: np.ndarray | int = 0) -> Spot:
-        """Where in which cell of grid `which` places (...) are."""
+        """Return the spots of places (...), m, in grid `which`."""
         _, rows, columns = self.grids.shape
         x = jnp.clip((x - self.origin[0]) / self.cell, 0, columns - 1)
         y = jnp.clip((y - self.origin[1]) / self.cell, 0, rows - 1)
@@ -67,7 +70,7 @@ class Surface(Shared):
         return Spot((which * rows + i) * columns + j, x - j, y - i)
 
     def read(self, spot: Spot) -> Vector:
-        """Heights of the corners of the triangle, m: the cell's first, the third, the last."""
+        """Return heights of the corners of the triangle, m: the cell's first, third and last."""
         columns = self.grids.shape[2]
         grid = jnp.asarray(self.grids, jnp.result_type(spot.u)).reshape(-1)
         third = jnp.where(spot.u > spot.v, 1, columns)
@@ -78,7 +81,7 @@ class Surface(Shared):
         return x, y, z
 
     def interpolate(self, spot: Spot, heights: Vector) -> tuple[Array, Array, Array]:
-        """Height, m, and slopes within a triangle."""
+        """Return height, m, and slopes along x and y within a triangle."""
         node, third, beyond = heights
         right = spot.u > spot.v
         before, after = third - node, beyond - third
@@ -95,24 +98,25 @@ class Ground(NamedTuple):
 
 
 def make_ground_surface(field: Heightfield) -> Surface:
-    """The ground itself."""
+    """Return the surface of the ground itself."""
     return Surface(field.heights[None], field.cell, field.origin)
 
 
 def make_offset_surface(field: Heightfield, radii: tuple[float, ...]) -> Surface:
-    """Where the centers of spheres are that just touch the ground: a grid for each of `radii`, m.
+    """Return the surface of the centers of spheres that just touch the ground.
 
-    Exact at the grid's nodes, and everywhere on a plane; in the precision of the field's heights.
+    It has a grid for each of `radii`, m. Heights are exact at the grid's nodes, and everywhere on a
+    plane, in the precision of the field's.
     """
-    fine = _refined(field.heights)
+    fine = _refine(field.heights)
     cell = field.cell / FINER
     return Surface(np.stack([_offset(fine, cell, r) for r in radii]), cell, field.origin)
 
 
 def compute_contact_frame(along: Array, across: Array) -> tuple[Vector, Vector, Vector]:
-    """A contact's frame on a surface with slopes `along` x and `across`, as MuJoCo makes it.
+    """Return normal and tangents of a surface with slopes `along` x and `across`, as in MuJoCo.
 
-    Its first tangent is world y made perpendicular to the normal, or z where the normal is within
+    The first tangent is world y made perpendicular to the normal, or z where the normal is within
     60 degrees of y (mju_makeFrame).
     """
     up = jax.lax.rsqrt(1.0 + along * along + across * across)
@@ -129,8 +133,8 @@ def compute_contact_frame(along: Array, across: Array) -> tuple[Vector, Vector, 
     return normal, first, cross(normal, first)
 
 
-def _refined(heights: np.ndarray) -> np.ndarray:
-    """The same triangles on a grid of `FINER` = 2 times as many cells each way."""
+def _refine(heights: np.ndarray) -> np.ndarray:
+    """Return the same triangles on a grid of `FINER` = 2 times as many cells each way."""
     rows, columns = heights.shape
     fine = np.empty((2 * rows - 1, 2 * columns - 1), heights.dtype)
     fine[::2, ::2] = heights
@@ -141,7 +145,7 @@ def _refined(heights: np.ndarray) -> np.ndarray:
 
 
 def _offset(heights: np.ndarray, cell: float, radius: float) -> np.ndarray:
-    """The offset surface's heights at the nodes of `heights`, m."""
+    """Return the offset surface's heights at the nodes of `heights`, m."""
     radius = radius / cell
     reach = int(np.ceil(radius)) + 1
     edge = reach + 1  # whether a node's ground is bent hangs on those next to it too
@@ -160,14 +164,14 @@ def _offset(heights: np.ndarray, cell: float, radius: float) -> np.ndarray:
 
 
 def _offset_band(padded: np.ndarray, reach: int, radius: float, tolerance: float) -> np.ndarray:
-    """The offset surface's heights at all but the `reach` + 1 outermost nodes; lengths in cells."""
+    """Return the offset surface's heights at all but the `reach` + 1 outermost nodes, in cells."""
     edge = reach + 1
     inner = padded[edge:-edge, edge:-edge]
     along = padded[edge:-edge, edge + 1 : padded.shape[1] + 1 - edge] - inner
     across = padded[edge + 1 : padded.shape[0] + 1 - edge, edge:-edge] - inner
-    # Of the plane that the ground around a node is, if it is one.
+    # Right where the ground around a node is a plane.
     out = inner + radius * np.sqrt(1 + along * along + across * across)
-    bent = _bent(padded, tolerance)
+    bent = _find_bends(padded, tolerance)
     places = np.flatnonzero(maximum_filter(bent, 2 * reach + 1)[edge:-edge, edge:-edge])
     for first in range(0, len(places), _CHUNK):
         part = places[first : first + _CHUNK]
@@ -177,12 +181,12 @@ def _offset_band(padded: np.ndarray, reach: int, radius: float, tolerance: float
             (i, j): padded.take(middle + i * padded.shape[1] + j)
             for i, j in itertools.product(range(-reach, reach + 1), repeat=2)
         }
-        np.put(out, part, _held(near, reach, radius))
+        np.put(out, part, _rest_spheres(near, reach, radius))
     return out
 
 
-def _bent(h: np.ndarray, tolerance: float) -> np.ndarray:
-    """Whether the ground next to each node is anything but a plane, as 0 or 1."""
+def _find_bends(h: np.ndarray, tolerance: float) -> np.ndarray:
+    """Return 1 where the ground next to a node is no plane, else 0."""
     bent = np.zeros(h.shape, np.uint8)
     bent[:, 1:-1] |= np.abs(h[:, 2:] - 2 * h[:, 1:-1] + h[:, :-2]) > tolerance
     bent[1:-1] |= np.abs(h[2:] - 2 * h[1:-1] + h[:-2]) > tolerance
@@ -190,19 +194,22 @@ def _bent(h: np.ndarray, tolerance: float) -> np.ndarray:
     return bent
 
 
-def _held(heights: dict[tuple[int, int], np.ndarray], reach: int, radius: float) -> np.ndarray:
-    """The highest that any triangle, edge or node around holds a sphere's center over a node.
+def _rest_spheres(
+    heights: dict[tuple[int, int], np.ndarray], reach: int, radius: float
+) -> np.ndarray:
+    """Return the greatest height at which a triangle, edge or node holds a sphere's center.
 
-    `heights` are those of the nodes so many rows and columns away; lengths are in cells.
+    The center is over a node; `heights` maps rows and columns from there to heights. Lengths are in
+    cells.
     """
     best = heights[0, 0] + radius
     for i, j in itertools.product(range(-reach, reach), repeat=2):  # cells, by their first nodes
         node, ahead = heights[i, j], heights[i, j + 1]
         left, beyond = heights[i + 1, j], heights[i + 1, j + 1]
-        if _distance(i, j, right=True) < radius:
+        if _compute_distance(i, j, right=True) < radius:
             slopes = (ahead - node, beyond - ahead)
             _hold_by_triangle(best, ahead, slopes, (j + 1, i), (-1, 1), radius)
-        if _distance(i, j, right=False) < radius:
+        if _compute_distance(i, j, right=False) < radius:
             slopes = (beyond - left, left - node)
             _hold_by_triangle(best, left, slopes, (j, i + 1), (1, -1), radius)
         # The edges along x and y from the cell's first node, and its diagonal.
@@ -213,16 +220,16 @@ def _held(heights: dict[tuple[int, int], np.ndarray], reach: int, radius: float)
 
 
 @functools.cache
-def _distance(i: int, j: int, right: bool) -> float:
-    """From node 0 to the triangle on the right or left of the diagonal of cell i, j, cells."""
+def _compute_distance(i: int, j: int, right: bool) -> float:
+    """Return the distance of node 0 from the right or left triangle of cell i, j, in cells."""
     third = (j + 1, i) if right else (j, i + 1)
     a, b, c = np.array([(j, i), third, (j + 1, i + 1)], float)
 
-    def to_edge(a: np.ndarray, b: np.ndarray) -> float:
+    def measure_edge(a: np.ndarray, b: np.ndarray) -> float:
         share = np.clip(-a @ (b - a) / ((b - a) @ (b - a)), 0, 1)
         return float(np.linalg.norm(a + share * (b - a)))
 
-    return min(to_edge(a, b), to_edge(b, c), to_edge(c, a))
+    return min(measure_edge(a, b), measure_edge(b, c), measure_edge(c, a))
 
 
 def _hold_by_triangle(
@@ -233,9 +240,9 @@ def _hold_by_triangle(
     signs: tuple[int, int],
     radius: float,
 ) -> None:
-    """Raise `best` to where the triangle's inside holds the sphere, where it does.
+    """Raise `best` to the height at which the triangle's inside holds the sphere, if it does.
 
-    From its right-angled `corner` (x, y) at `height` it extends to `signs` along x and y.
+    From its right-angled `corner` (x, y), at `height`, it extends to `signs` along x and y.
     """
     gx, gy = slopes
     long = np.sqrt(1 + gx * gx + gy * gy)
@@ -255,7 +262,7 @@ def _hold_by_edge(
     along: tuple[int, int],
     radius: float,
 ) -> None:
-    """Raise `best` to where the edge from `start` (x, y), with its ends, holds the sphere."""
+    """Raise `best` to the height at which the edge from `start` (x, y), with its ends, holds it."""
     length = float(np.hypot(*along))
     ex, ey = along[0] / length, along[1] / length
     foot = -(start[0] * ex + start[1] * ey)  # of the perpendicular, from the edge's start

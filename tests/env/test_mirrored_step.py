@@ -184,7 +184,7 @@ def test_a_scan_sees_the_image_of_uneven_ground(env, scan, sizes):
         def __init__(self, side):
             self.side = side
 
-        def at(self, x, y):
+        def measure(self, x, y):
             y = self.side * y
             return 0.1 * jnp.sin(3.0 * x + 5.0 * y) + 0.05 * y, None
 

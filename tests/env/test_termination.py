@@ -44,7 +44,7 @@ def test_the_lowest_point_is_that_of_the_surface(kind, seed):
     shape = Shell(
         link=None, kind=int(kind), center=tuple(center), axes=tuple(map(tuple, turn.T)), size=size
     )
-    assert float(shape.bottom(tuple(up))) == pytest.approx((points @ up).min(), abs=2e-3)
+    assert float(shape.compute_bottom(tuple(up))) == pytest.approx((points @ up).min(), abs=2e-3)
 
 
 def falls(env, qpos, lowest=1.0, ways=sprint.TASK.env.termination) -> dict[str, bool]:
