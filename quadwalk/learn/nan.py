@@ -1,8 +1,8 @@
-"""Steps that gave numbers that are not finite, or speeds that no robot has: kept, and replayed.
+"""Steps that gave numbers that are not finite, or speeds that no robot has: saved, and replayed.
 
     quadwalk nan runs/NAME/nan/step_000000123456.npz
 
-steps the physics again from the state that was kept, under its conditions, and says what comes out.
+steps the physics again from the saved state, under its conditions, and prints what comes out.
 A file holds the `EnvState` before the control step, its parts named as `before/physics/qpos`, and
 the `action` (12,).
 """
@@ -33,9 +33,9 @@ KEPT = 20  # files of a run: enough to see what they have in common
 
 
 def keep(run: Run, before: Any, action: Any, config: TrainConfig, steps: int) -> Path | None:
-    """Write the step from `before` with `action` to the run, and return the file.
+    """Save the step from `before` with `action` in the run, and return the file.
 
-    `steps` of training were done when it was met. None: the run has enough of them.
+    `steps` of training were done by then. Returns None if the run has enough of them.
     """
     try:
         run.nan.mkdir(exist_ok=True)
@@ -50,7 +50,7 @@ def keep(run: Run, before: Any, action: Any, config: TrainConfig, steps: int) ->
 
 
 def replay(path: Path | str) -> tuple[np.ndarray, np.ndarray]:
-    """Step again what `keep` wrote to `path`, in a run's folder.
+    """Repeat the step that `keep` saved in `path`, in a run's folder.
 
     Returns qpos (n + 1, 19) and qvel (n + 1, 18): before, and after each of the control step's n
     physics steps. Raises `UserError` for a file that cannot be used.
@@ -65,23 +65,21 @@ def replay(path: Path | str) -> tuple[np.ndarray, np.ndarray]:
         raise UserError(f"{path} holds a step that cannot be used: {error}") from None
     start = jax.eval_shape(env.reset, jax.random.PRNGKey(0)).pipeline_state
     like = {"before": start, "action": jax.ShapeDtypeStruct((env.action_size,), np.float32)}
-    kept, _ = checkpoint.load(path, "nan", like)
+    saved, _ = checkpoint.load(path, "nan", like)
     engine, once = ENGINES[env.engine], dataclasses.replace(env.stepping, substeps=1)
 
-    def replay_steps(env: QuadrupedEnv, before: Any, action: jax.Array) -> Any:
+    def step_through(env: QuadrupedEnv, before: Any, action: jax.Array) -> Any:
         model, physics, _, target = env.driven(before, action)
 
-        def one(physics: Any, own: jax.Array) -> Any:
-            after, _ = engine.step(model, once, physics, own)
+        def step_once(physics: Any, target: jax.Array) -> Any:
+            after, _ = engine.step(model, once, physics, target)
             return after, after
 
         targets = jnp.broadcast_to(target, (env.stepping.substeps, *target.shape[-1:]))
-        return jax.lax.scan(one, physics, targets)[1]
+        return jax.lax.scan(step_once, physics, targets)[1]
 
-    first, after = (
-        kept["before"].physics,
-        jax.jit(replay_steps)(env, kept["before"], kept["action"]),
-    )
+    first = saved["before"].physics
+    after = jax.jit(step_through)(env, saved["before"], saved["action"])
     return np.stack([first.qpos, *after.qpos]), np.stack([first.qvel, *after.qvel])
 
 
