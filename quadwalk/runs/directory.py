@@ -236,8 +236,6 @@ def find_latest_checkpoint(run: Run, warn: Callable[[str], None]) -> Path | None
 
 def prune_checkpoints(run: Run, count: int, also: Path | None = None) -> None:
     """Delete all but the newest `count` checkpoints and `also`."""
-    if count < 1:
-        raise ValueError("at least one checkpoint is kept")
     _delete(path for path in list_checkpoints(run)[:-count] if path != also)
 
 

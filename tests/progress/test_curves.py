@@ -1,3 +1,5 @@
+"""The learning curve: its panels, gaps, marks and second axis."""
+
 import itertools
 import math
 
@@ -21,20 +23,20 @@ ROWS = [
 ]
 
 
-def panels(rows, best=None):
-    """Panels by title, without those that are hidden."""
+def draw_panels(rows, best=None):
+    """Return panels by title, without those that are hidden."""
     figure = draw_learning_curve(rows, best)
     figure.draw_without_rendering()
     return {axes.get_title("left"): axes for axes in figure.axes if axes.get_visible()}
 
 
-def values(axes):
+def get_values(axes):
     (line,) = axes.get_lines()
     return line.get_ydata()
 
 
-def test_every_figure_is_drawn_over_the_steps():
-    shown = panels(ROWS)
+def test_every_figure_is_drawn_over_the_steps_in_their_order():
+    shown = draw_panels(ROWS[::-1])
     del shown[""]  # the axis of minutes
     assert list(shown) == [
         *("Speed, m/s", "Episodes that fell, %", "Reward", "Forward", "Energy"),
@@ -45,91 +47,79 @@ def test_every_figure_is_drawn_over_the_steps():
         (1, 100, 1, 1, 1),
         strict=True,
     ):
-        assert values(axes) == pytest.approx([factor * row[key] for row in ROWS])
+        values = get_values(axes)
+        assert values == pytest.approx([factor * row[key] for row in ROWS])
         assert list(axes.get_lines()[0].get_xdata()) == [row["steps"] for row in ROWS]
         low, high = axes.get_ylim()
-        assert low <= min(0, *values(axes)) <= max(0, *values(axes)) <= high
+        assert low <= min(0, *values) <= max(0, *values) <= high
 
 
-def test_the_levels_of_a_curriculum_are_drawn_by_kind_of_ground():
-    rows = [row | {"train/level/stairs_up": row["steps"] / 5000} for row in ROWS]
-    shown = panels(rows)
-    assert [title for title in shown if title][-3:] == ["Forward", "Energy", "Stairs up"]
-    assert values(shown["Stairs up"]) == pytest.approx([row["steps"] / 5000 for row in ROWS])
-    alone = [{"steps": 1, "train/level/flat": 2.0}]
-    assert values(panels(alone)["Flat"]).tolist() == [2.0]
+@pytest.mark.parametrize(
+    ("figure", "title", "value"),
+    [
+        ({"eval/velocity_error": 0.25}, "Velocity error, m/s", 0.25),  # no mean speed of commands
+        ({"eval/standing": 0.25}, "Standing, % of the time", 25.0),
+        ({"train/level/stairs_up": 2.0}, "Stairs up", 2.0),
+    ],
+)
+def test_figures_of_some_tasks_have_panels(figure, title, value):
+    shown = draw_panels([row | figure for row in ROWS])
+    assert set(get_values(shown[title])) == {value}
+    assert ("Speed, m/s" in shown) == (title == "Stairs up")
+    alone = draw_panels([{"steps": 1, **figure}])
+    assert get_values(alone[title]).tolist() == [value]
+    assert alone[title].get_lines()[0].get_marker() == "."  # a single point is seen
 
 
-def test_with_commands_the_largest_panel_shows_the_error_and_not_a_mean_speed():
-    rows = [row | {"eval/velocity_error": 1.0 / row["steps"]} for row in ROWS]
-    shown = panels(rows)
-    assert "Speed, m/s" not in shown
-    assert values(shown["Velocity error, m/s"]) == pytest.approx([1 / r["steps"] for r in ROWS])
-    standing = panels([row | {"eval/standing": 0.25} for row in ROWS])
-    assert set(values(standing["Standing, % of the time"])) == {25.0}
-
-
-def test_the_best_checkpoint_is_marked():
+def test_the_best_checkpoint_is_marked_and_a_note_stands_above():
     for best in (None, 7000):
-        shown = panels(ROWS, best)
+        shown = draw_panels(ROWS, best)
         for title in ("Speed, m/s", "Episodes that fell, %", "Reward"):
             marks = [line.get_xdata()[0] for line in shown[title].get_lines()[1:]]
             assert marks == ([] if best is None else [7000])
         assert (shown["Speed, m/s"].get_legend() is None) == (best is None)
         assert len(shown["Energy"].get_lines()) == 1
-
-
-def test_a_note_tells_why_an_evaluation_is_better():
-    assert (
-        "eval measures without them" in draw_learning_curve(ROWS, 7000, RANDOMIZED).get_suptitle()
-    )
-    assert draw_learning_curve(ROWS).get_suptitle() == ""
-
-
-def test_rows_are_drawn_in_the_order_of_their_steps():
-    assert list(values(panels(ROWS[::-1])["Reward"])) == list(range(1, 21))
+    for note in ("", RANDOMIZED):
+        assert draw_learning_curve(ROWS, 7000, note).get_suptitle() == note
 
 
 def test_what_is_no_number_is_a_gap():
     for bad in (math.nan, None):
         rows = [*ROWS[:3], {"steps": 4000, "train/reward": bad}, *ROWS[4:]]
-        assert list(np.isnan(values(panels(rows)["Reward"]))) == [False] * 3 + [True] + [False] * 16
-
-
-def test_a_single_point_is_seen():
-    for rows, mark in ((ROWS[:1], "."), (ROWS, "None")):
-        assert panels(rows)["Reward"].get_lines()[0].get_marker() == mark
+        values = get_values(draw_panels(rows)["Reward"])
+        assert list(np.isnan(values)) == [False] * 3 + [True] + [False] * 16
 
 
 @pytest.mark.parametrize("rows", [[], [{"steps": 0}], [{"steps": 5}, {"steps": 6}]])
 def test_what_was_never_recorded_leaves_its_panel_empty(rows):
-    shown = panels(rows)
+    shown = draw_panels(rows)
     assert len(shown) == 3
-    assert all(np.isnan(values(axes)).all() for axes in shown.values())
+    assert all(np.isnan(get_values(axes)).all() for axes in shown.values())
 
 
 def test_minutes_stand_above_the_steps_at_which_they_passed():
-    top = [axes for axes in draw_learning_curve(ROWS).axes if axes.get_xlabel() == "minutes"]
-    assert len(top) == 3
-    labels = [tick.get_text() for tick in top[0].get_xticklabels()]
-    places = dict(zip(labels, top[0].get_xticks(), strict=True))
-    assert places["10"] == pytest.approx(20_000)
-    assert places["2"] == pytest.approx(4000)
-    # A clock that stands still, or one row, has no course to tell of.
-    still = [{**row, "time/elapsed": 3.0} for row in ROWS]
-    for rows in (still, ROWS[:1]):
-        labels = [
-            a.get_xticklabels()
-            for a in draw_learning_curve(rows).axes
-            if a.get_xlabel() == "minutes"
+    def read_ticks(rows) -> list[dict[str, float]]:
+        tops = [axes for axes in draw_learning_curve(rows).axes if axes.get_xlabel() == "minutes"]
+        return [
+            {
+                tick.get_text(): place
+                for tick, place in zip(a.get_xticklabels(), a.get_xticks(), strict=True)
+            }
+            for a in tops
         ]
-        assert all(len(ticks) < 2 for ticks in labels)
+
+    ticks = read_ticks(ROWS)
+    assert len(ticks) == 3
+    assert (ticks[0]["2"], ticks[0]["10"]) == pytest.approx((4000, 20_000))
+    # A clock that stands still, or one row, has no course to tell of.
+    for rows in ([{**row, "time/elapsed": 3.0} for row in ROWS], ROWS[:1]):
+        assert all(len(places) < 2 for places in read_ticks(rows))
 
 
 def test_every_term_has_a_panel_of_its_own():
     rows = [{"steps": k, **{f"train/reward/term_{n}": n for n in range(13)}} for k in range(3)]
-    terms = [axes for title, axes in panels(rows).items() if title.startswith("Term ")]
-    assert [values(axes)[0] for axes in terms] == list(range(13))
+    terms = [axes for title, axes in draw_panels(rows).items() if title.startswith("Term ")]
+    assert [get_values(axes)[0] for axes in terms] == list(range(13))
     boxes = [axes.get_window_extent() for axes in terms]
     assert not any(one.overlaps(other) for one, other in itertools.combinations(boxes, 2))
 

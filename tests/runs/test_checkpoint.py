@@ -1,4 +1,5 @@
-import hashlib
+"""Archives of arrays: any tree comes back, and nothing else is taken for one."""
+
 import io
 import json
 import os
@@ -17,10 +18,10 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from quadwalk.errors import UserError
-from quadwalk.files import hash_file
 from quadwalk.runs import checkpoint
 
 POLICY = {"kind": "policy"}
+SAMPLE = {"a": np.arange(6, dtype=np.float32).reshape(2, 3), "b": (np.int32(5), np.ones(3))}
 
 Pair = namedtuple("Pair", "first second")
 
@@ -31,65 +32,50 @@ class Struct:
     rest: dict
 
 
-def arrays():
-    return hnp.arrays(
-        st.sampled_from([np.float32, np.float64, np.int32, np.uint32, np.int8, np.bool_]),
-        hnp.array_shapes(min_dims=0, max_dims=3, min_side=0, max_side=3),
-    )
-
-
-def trees():
-    return st.recursive(
-        arrays() | st.none(),
-        lambda inner: (
-            st.dictionaries(st.text(max_size=4), inner, max_size=3)
-            | st.lists(inner, max_size=3)
-            | st.lists(inner, max_size=3).map(tuple)
-            | st.builds(Pair, inner, inner)
-            | st.builds(Struct, inner, st.dictionaries(st.text(max_size=2), inner, max_size=2))
-        ),
-        max_leaves=6,
-    )
-
-
-def same(a, b):
-    assert jax.tree_util.tree_structure(a) == jax.tree_util.tree_structure(b)
-    for x, y in zip(jax.tree_util.tree_leaves(a), jax.tree_util.tree_leaves(b), strict=True):
-        x, y = np.asarray(x), np.asarray(y)
-        assert (x.dtype, x.shape, x.tobytes()) == (y.dtype, y.shape, y.tobytes())
+ARRAYS = hnp.arrays(
+    st.sampled_from([np.float32, np.float64, np.int32, np.uint32, np.int8, np.bool_]),
+    hnp.array_shapes(min_dims=0, max_dims=3, min_side=0, max_side=3),
+)
+TREES = st.recursive(
+    ARRAYS | st.none(),
+    lambda inner: (
+        st.dictionaries(st.text(max_size=4), inner, max_size=3)
+        | st.lists(inner, max_size=3)
+        | st.lists(inner, max_size=3).map(tuple)
+        | st.builds(Pair, inner, inner)
+        | st.builds(Struct, inner, st.dictionaries(st.text(max_size=2), inner, max_size=2))
+    ),
+    max_leaves=6,
+).filter(lambda tree: tree is not None)  # like=None asks for a flat dict
 
 
 @settings(
     max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
-@given(tree=trees().filter(lambda tree: tree is not None))  # like=None asks for a flat dict
+@given(tree=TREES)
 def test_any_tree_comes_back_bit_for_bit(tmp_path, tree):
     path = tmp_path / "tree.npz"
     checkpoint.save(path, tree, {"kind": "checkpoint", "steps": 3})
     shapes = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype), tree)
+    leaves, structure = jax.tree.flatten(tree)
     for like in (tree, shapes):
         restored, metadata = checkpoint.load(path, "checkpoint", like=like)
-        same(restored, tree)
+        assert jax.tree.structure(restored) == structure
+        for new, old in zip(jax.tree.leaves(restored), leaves, strict=True):
+            assert (new.dtype, new.shape, new.tobytes()) == (old.dtype, old.shape, old.tobytes())
         assert metadata == {"kind": "checkpoint", "steps": 3}
-    flat, _ = checkpoint.load(path, "checkpoint")
-    assert len(flat) == len(jax.tree_util.tree_leaves(tree))
+    assert len(checkpoint.load(path, "checkpoint")[0]) == len(leaves)
 
 
-def test_numpy_alone_can_read_it(tmp_path):
-    params = {"hidden_0": {"kernel": jnp.ones((3, 2))}}
-    checkpoint.save(tmp_path / "c.npz", {"params": params}, {"kind": "checkpoint"})
-    with np.load(tmp_path / "c.npz", allow_pickle=False) as file:
-        assert file["params/hidden_0/kernel"].tolist() == [[1, 1]] * 3
+def test_numpy_alone_can_read_it_and_equal_trees_give_equal_bytes(tmp_path):
+    kernel = np.arange(9.0).reshape(3, 3)
+    for name, array in (("a", kernel), ("b", np.asfortranarray(kernel)), ("c", jnp.array(kernel))):
+        params = {"hidden_0": {"kernel": array.astype(np.float32)}}
+        checkpoint.save(tmp_path / name, {"params": params}, POLICY)
+        assert (tmp_path / name).read_bytes() == (tmp_path / "a").read_bytes()
+    with np.load(tmp_path / "a", allow_pickle=False) as file:
+        assert file["params/hidden_0/kernel"].tolist() == kernel.tolist()
         assert json.loads(file["metadata.json"])["format"] == "quadwalk"
-
-
-def test_equal_trees_give_equal_bytes(tmp_path):
-    square = np.arange(9.0).reshape(3, 3)
-    for name, array in (("a", square), ("b", np.asfortranarray(square))):
-        checkpoint.save(tmp_path / name, {"x": array}, POLICY)
-    assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
-    digest = hashlib.sha256((tmp_path / "a").read_bytes()).hexdigest()
-    assert hash_file(tmp_path / "a") == hash_file(tmp_path / "b") == digest
 
 
 @pytest.mark.parametrize(
@@ -103,10 +89,7 @@ def test_what_is_not_plain_numbers_is_not_saved(tmp_path, leaf):
     assert os.listdir(tmp_path) == []
 
 
-SAMPLE = {"a": np.arange(6, dtype=np.float32).reshape(2, 3), "b": (np.int32(5), np.ones(3))}
-
-
-def zip_of(metadata, compression=zipfile.ZIP_STORED, **arrays):
+def make_zip(metadata: str, compression: int = zipfile.ZIP_STORED, **arrays: bytes) -> bytes:
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", compression) as archive:
         archive.writestr("metadata.json", metadata)
@@ -115,39 +98,34 @@ def zip_of(metadata, compression=zipfile.ZIP_STORED, **arrays):
     return buffer.getvalue()
 
 
-def header(**changes):
-    return json.dumps(
-        {"format": "quadwalk", "version": 1, "arrays": [], "metadata": POLICY} | changes
-    )
+def make_header(**changes: object) -> str:
+    header = {"format": "quadwalk", "version": 1, "arrays": [], "metadata": POLICY}
+    return json.dumps(header | changes)
 
 
-def saved(save, *args, **kwargs):
+def get_bytes(save, *args, **kwargs) -> bytes:
     buffer = io.BytesIO()
     save(buffer, *args, **kwargs)
     return buffer.getvalue()
 
 
-FOREIGN = [
-    b"",
-    b"hello",
-    pickle.dumps({"params": [1, 2]}),
-    saved(np.savez, a=np.ones(3)),
-    *(zip_of(text) for text in ("{}", "[1]", "{", "[" * 100_000)),
-    zip_of(header(format="other")),
-    *(zip_of(header(metadata=metadata)) for metadata in (None, {})),
-    *(zip_of(header(arrays=arrays)) for arrays in (["a"], [3])),
-    zip_of(header(arrays=["a"]), a=b"not an array"),
-    zip_of(header(), a=b"not listed"),
-    zip_of(header(), zipfile.ZIP_DEFLATED),
-]
+FOREIGN = (
+    *(b"", b"hello", pickle.dumps({"params": [1, 2]}), get_bytes(np.savez, a=np.ones(3))),
+    *(make_zip(text) for text in ("{}", "[1]", "{", "[" * 100_000, make_header(format="other"))),
+    *(make_zip(make_header(metadata=metadata)) for metadata in (None, {})),
+    *(make_zip(make_header(arrays=arrays)) for arrays in (["a"], [3])),
+    make_zip(make_header(arrays=["a"]), a=b"not an array"),
+    make_zip(make_header(), a=b"not listed"),
+    make_zip(make_header(), zipfile.ZIP_DEFLATED),
+)
 
 
 @pytest.mark.parametrize(
     ("content", "said"),
     [
         *((content, "is damaged or foreign: expected a policy") for content in FOREIGN),
-        (zip_of(header(version=2)), "has format version 2: expected 1"),
-        (zip_of(header(metadata={"kind": "checkpoint"})), "is a checkpoint: expected a policy"),
+        (make_zip(make_header(version=2)), "has format version 2: expected 1"),
+        (make_zip(make_header(metadata={"kind": "nan"})), "is a nan: expected a policy"),
     ],
 )
 def test_a_file_that_is_no_policy_is_refused(tmp_path, content, said):
@@ -162,8 +140,8 @@ def test_a_pickle_inside_is_never_run(tmp_path):
         def __reduce__(self):
             return (os.mkdir, (str(tmp_path / "sprung"),))
 
-    array = saved(np.save, np.array([Trap()], dtype=object), allow_pickle=True)
-    (tmp_path / "trap.npz").write_bytes(zip_of(header(arrays=["a"]), a=array))
+    array = get_bytes(np.save, np.array([Trap()], dtype=object), allow_pickle=True)
+    (tmp_path / "trap.npz").write_bytes(make_zip(make_header(arrays=["a"]), a=array))
     with pytest.raises(UserError, match="damaged or foreign"):
         checkpoint.load(tmp_path / "trap.npz", "policy")
     assert not (tmp_path / "sprung").exists()
@@ -174,8 +152,6 @@ def test_missing_files_and_folders_are_named(tmp_path):
         checkpoint.load(tmp_path / "none.npz", "policy")
     with pytest.raises(UserError, match="Is a directory"):
         checkpoint.load(tmp_path, "policy")
-    with pytest.raises(UserError, match="cannot read"):
-        hash_file(tmp_path / "none.npz")
 
 
 @pytest.mark.parametrize(
@@ -198,12 +174,12 @@ def test_no_room_leaves_the_old_file(tmp_path, room):
     path = tmp_path / "c.npz"
     checkpoint.save(path, SAMPLE, POLICY)
     before = path.read_bytes()
-    old = resource.getrlimit(resource.RLIMIT_FSIZE)  # the system itself refuses to write more
-    resource.setrlimit(resource.RLIMIT_FSIZE, (room, old[1]))
+    limit = resource.getrlimit(resource.RLIMIT_FSIZE)  # the system itself refuses to write more
+    resource.setrlimit(resource.RLIMIT_FSIZE, (room, limit[1]))
     try:
         with pytest.raises(UserError, match=rf"cannot write {path}: "):
             checkpoint.save(path, {"a": np.ones(1000), "b": np.ones(10_000)}, POLICY)
     finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, old)
+        resource.setrlimit(resource.RLIMIT_FSIZE, limit)
     assert path.read_bytes() == before
     assert os.listdir(tmp_path) == ["c.npz"]

@@ -1,3 +1,5 @@
+"""What training logs at each iteration: the same for the same seed, and whole on a full disk."""
+
 import errno
 import json
 import math
@@ -8,65 +10,67 @@ import numpy as np
 import pytest
 
 from quadwalk.errors import UserError
-from quadwalk.runs import log
 from quadwalk.runs.directory import Run, create_run
+from quadwalk.runs.log import MetricsLog, read_history, read_last_row, read_metrics
 
 
 @pytest.fixture
-def run(tmp_path):
+def run(tmp_path) -> Run:
     return create_run(tmp_path, "a")
 
 
-def write(run, *steps, resume_at=None):
-    with log.MetricsLog(run, resume_at) as metrics:
+def write(run: Run, *steps: int, resume_at: int | None = None, seconds: float = 2.0) -> None:
+    with MetricsLog(run, resume_at) as log:
         for count in steps:
-            metrics.append({"steps": count, "train/speed": count / 7}, {"time/elapsed": 2.0})
+            log.append({"steps": count, "train/speed": count / 7}, {"time/elapsed": seconds})
 
 
-def strict(line):
-    def refuse(word):
-        raise AssertionError(f"{word} is not JSON")
+def read_steps(run: Run) -> list[int]:
+    return [row["steps"] for row in read_metrics(run)]
 
-    return json.loads(line, parse_constant=refuse)
+
+def read_scalars(run: Run) -> dict[str, list[tuple[int, float]]]:
+    """Return step and value of each TensorBoard event, as TensorBoard reads them."""
+    accumulator = pytest.importorskip("tensorboard.backend.event_processing.event_accumulator")
+    events = accumulator.EventAccumulator(str(run.tensorboard)).Reload()
+    return {
+        tag: [(event.step, event.value) for event in events.Scalars(tag)]
+        for tag in events.Tags()["scalars"]
+    }
 
 
 def test_numbers_of_every_sort_become_plain_json(run):
-    with log.MetricsLog(run) as metrics:
+    with MetricsLog(run) as log:
         numbers = {"a": np.float32(0.1), "b": jnp.float32(2.5), "c": 3, "d": np.array([4.0])}
         none = {"e": float("nan"), "f": jnp.inf, "g": -np.inf}
-        metrics.append({"steps": np.int64(2**40), **numbers, **none})
-    row = strict(run.metrics.read_text())
+        log.append({"steps": np.int64(2**40), **numbers, **none})
+    row = json.loads(run.metrics.read_text(), parse_constant=pytest.fail)
     numbers = {"a": float(np.float32(0.1)), "b": 2.5, "c": 3, "d": 4.0}
     assert row == {"steps": 2**40, **numbers, **dict.fromkeys("efg")}
-    assert math.isnan(log.read_metrics(run)[0]["e"])
+    assert math.isnan(read_metrics(run)[0]["e"])
 
 
-def test_each_row_is_there_at_once(run):
-    assert log.read_metrics(run) == []  # nothing yet
-    metrics = log.MetricsLog(run)
-    for count in (0, 1, 2):
-        assert len(log.read_metrics(run)) == count
-        metrics.append({"steps": count})
-    metrics.close()
+def test_each_row_is_there_at_once_and_tensorboard_after_a_sync(run):
+    assert read_metrics(run) == []  # nothing yet
+    with MetricsLog(run) as log:
+        for count in (0, 1, 2):
+            assert len(read_metrics(run)) == count
+            log.append({"steps": count, "x": float("nan")})
+        log.sync()
+        assert len(read_scalars(run)["x"]) == 3
 
 
 def test_equal_trainings_give_equal_files_whatever_the_clock_says(tmp_path):
     runs = [create_run(tmp_path, name) for name in "ab"]
     for seconds, run in enumerate(runs):
-        with log.MetricsLog(run) as metrics:
-            metrics.append({"steps": 1, "x": 1 / 3}, {"time/elapsed": seconds})
+        write(run, 1, 2, seconds=seconds)
+        with MetricsLog(run) as log:
+            log.append({"steps": 3, "train/speed": 1.0})
+        expected = [{"time/elapsed": seconds}] * 2 + [{}]
+        assert read_history(run) == [
+            {**row, **timing} for row, timing in zip(read_metrics(run), expected, strict=True)
+        ]
     assert runs[0].metrics.read_bytes() == runs[1].metrics.read_bytes()
-    assert [log.read_history(run)[0]["time/elapsed"] for run in runs] == [0, 1]
-
-
-def test_history_joins_what_there_is(run):
-    with log.MetricsLog(run) as metrics:
-        metrics.append({"steps": 1, "x": 1.0})
-        metrics.append({"steps": 2, "x": 2.0}, {"time/elapsed": 5})
-    assert log.read_history(run) == [
-        {"steps": 1, "x": 1.0},
-        {"steps": 2, "x": 2.0, "time/elapsed": 5},
-    ]
 
 
 def test_a_torn_line_is_cut_off(run):
@@ -79,29 +83,18 @@ def test_a_torn_line_is_cut_off(run):
         assert run.metrics.read_bytes() == content
 
 
-def test_the_last_row_is_the_last_that_is_whole(tmp_path):
-    run = Run(tmp_path)
-    assert log.read_last_row(run) is None
+def test_the_last_row_is_the_last_that_is_whole(run):
+    assert read_last_row(run) is None
     run.metrics.write_text('{"steps": 6')
-    assert log.read_last_row(run) is None
-    rows = [
-        {"steps": steps, "x": math.nan, **dict.fromkeys("abcdefgh", 0.5)} for steps in range(999)
-    ]
-    with log.MetricsLog(run) as metrics:
+    assert read_last_row(run) is None
+    run.metrics.unlink()
+    rows = [{"steps": steps, "x": math.nan, "y" * 99: 0.5} for steps in range(999)]
+    with MetricsLog(run) as log:
         for row in rows:
-            metrics.append(row)
+            log.append(row)
     with open(run.metrics, "a") as file:
         file.write('{"steps": 704, "eva')
-    np.testing.assert_equal(log.read_last_row(run), rows[-1])
-
-
-def scalars(run):
-    accumulator = pytest.importorskip("tensorboard.backend.event_processing.event_accumulator")
-    events = accumulator.EventAccumulator(str(run.tensorboard)).Reload()
-    return {
-        tag: [(event.step, event.value) for event in events.Scalars(tag)]
-        for tag in events.Tags()["scalars"]
-    }
+    np.testing.assert_equal(read_last_row(run), rows[-1])
 
 
 def test_resumed_equals_uninterrupted(tmp_path):
@@ -111,73 +104,62 @@ def test_resumed_equals_uninterrupted(tmp_path):
     write(broken, 3, 4, resume_at=2)
     assert broken.metrics.read_bytes() == whole.metrics.read_bytes()
     assert broken.timing.read_bytes() == whole.timing.read_bytes()
-    assert scalars(broken) == {
+    assert read_scalars(broken) == {
         "train/speed": [(step, pytest.approx(step / 7)) for step in (1, 2, 3, 4)],
         "time/elapsed": [(step, 2.0) for step in (1, 2, 3, 4)],
     }
 
 
-def test_tensorboard_is_current_after_sync(run):
-    with log.MetricsLog(run) as metrics:
-        metrics.append({"steps": 1, "x": 1.0})
-        metrics.append({"steps": 2, "x": float("nan")})
-        metrics.sync()
-        assert len(scalars(run)["x"]) == 2
-
-
 def test_no_room_keeps_every_whole_row(run, monkeypatch):
-    real = os.write
+    write_bytes = os.write
     room = 60
 
-    def nearly_full(descriptor, data):
+    def write_to_nearly_full(descriptor: int, data: bytes) -> int:
         nonlocal room
         if room == 0:
             raise OSError(errno.ENOSPC, "No space left on device")
-        written = real(descriptor, data[:room])
+        written = write_bytes(descriptor, data[:room])
         room -= written
         return written
 
-    metrics = log.MetricsLog(run)
-    monkeypatch.setattr(os, "write", nearly_full)
-    metrics.append({"steps": 1, "train/speed": 1.0})
-    with pytest.raises(UserError, match=r"cannot write .*metrics\.jsonl: No space left on device"):
-        metrics.append({"steps": 2, "train/speed": 2.0})
-    room = 1000  # someone tidied up
-    metrics.append({"steps": 3, "train/speed": 3.0})
-    assert [row["steps"] for row in log.read_metrics(run)] == [1, 2, 3]
-    room = 0
-    with pytest.raises(UserError, match="No space left"):
-        metrics.append({"steps": 4, "train/speed": 4.0})
-    with pytest.raises(UserError, match="No space left"):
-        metrics.sync()  # or a checkpoint would count on a row that is not there
-    room = 1000
-    metrics.sync()
-    metrics.close()
-    assert [row["steps"] for row in log.read_metrics(run)] == [1, 2, 3, 4]
+    with MetricsLog(run) as log:
+        monkeypatch.setattr(os, "write", write_to_nearly_full)
+        log.append({"steps": 1, "train/speed": 1.0})
+        with pytest.raises(UserError, match=r"cannot write .*metrics\.jsonl: No space left on"):
+            log.append({"steps": 2, "train/speed": 2.0})
+        assert read_steps(run) == [1]
+        room = 1000  # someone tidied up
+        log.append({"steps": 3, "train/speed": 3.0})
+        assert read_steps(run) == [1, 2, 3]
+        room = 0
+        for refused in (lambda: log.append({"steps": 4, "train/speed": 4.0}), log.sync):
+            with pytest.raises(UserError, match="No space left"):
+                refused()  # or a checkpoint would count on a row that is not there
+        room = 1000
+        log.sync()
+    assert read_steps(run) == [1, 2, 3, 4]
     assert run.metrics.read_bytes().count(b"\n") == 4
 
 
 def test_tensorboard_begins_anew_when_there_is_room_again(run, monkeypatch):
-    metrics = log.MetricsLog(run)
-    metrics.append({"steps": 1, "x": 1.0})
-    with monkeypatch.context() as patch:
+    with MetricsLog(run) as log:
+        log.append({"steps": 1, "x": 1.0})
+        with monkeypatch.context() as patch:
 
-        def full(_):
-            raise OSError(errno.ENOSPC, "No space left on device")
+            def refuse(_: bytes) -> None:
+                raise OSError(errno.ENOSPC, "No space left on device")
 
-        patch.setattr(metrics._events._writer, "write", full)
-        with pytest.raises(UserError, match="cannot write TensorBoard events"):
-            metrics.append({"steps": 2, "x": 2.0})
-    metrics.append({"steps": 3, "x": 3.0})
-    metrics.close()
-    assert [step for step, _ in scalars(run)["x"]] == [1, 3]
-    assert [row["steps"] for row in log.read_metrics(run)] == [1, 2, 3]
+            patch.setattr(log._events._writer, "write", refuse)
+            with pytest.raises(UserError, match="cannot write TensorBoard events"):
+                log.append({"steps": 2, "x": 2.0})
+        log.append({"steps": 3, "x": 3.0})
+    assert [step for step, _ in read_scalars(run)["x"]] == [1, 3]
+    assert read_steps(run) == [1, 2, 3]
 
 
 def test_a_folder_that_went_away_is_named(run):
-    metrics = log.MetricsLog(run)
     run.tensorboard.rmdir()
     run.tensorboard.write_text("in the way")
-    with pytest.raises(UserError, match=r"cannot write TensorBoard events in .*tensorboard"):
-        metrics.append({"steps": 1, "x": 1.0})
-    metrics.close()
+    expected = pytest.raises(UserError, match=r"cannot write TensorBoard events in .*tensorboard")
+    with MetricsLog(run) as log, expected:
+        log.append({"steps": 1, "x": 1.0})
