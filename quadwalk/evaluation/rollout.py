@@ -84,18 +84,12 @@ class Rollout:
         return self.end != "time limit"
 
 
-def take_first_steps(rollout: Rollout, steps: int) -> Rollout:
-    """Return the first `steps` control steps of a rollout, with the states around them."""
-    return _slice_steps(rollout, 0, steps)
+def slice_steps(rollout: Rollout, start: int, stop: int | None = None) -> Rollout:
+    """Return the control steps from `start` to before `stop`, with the states around them.
 
-
-def drop_first_steps(rollout: Rollout, steps: int) -> Rollout:
-    """Return a rollout without its first `steps` control steps."""
-    return _slice_steps(rollout, min(steps, rollout.steps), rollout.steps)
-
-
-def _slice_steps(rollout: Rollout, start: int, stop: int) -> Rollout:
-    """Return the control steps from `start` to before `stop`, with the states around them."""
+    Without `stop` they go to the end. They are as few as there are.
+    """
+    start, stop, _ = slice(start, stop).indices(rollout.steps)
     stops = {
         field.name: stop + (field.name in ("qpos", "qvel"))
         for field in fields(rollout)

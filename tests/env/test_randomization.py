@@ -70,14 +70,14 @@ CASES = {
 
 
 def make_ranged_env(quadruped, **ranges) -> QuadrupedEnv:
-    """The task `run`, but with these ranges of its randomization."""
+    """Return the task `run` with these ranges of its randomization."""
     changed = dataclasses.replace(run.TASK.env.randomization, **ranges)
     config = dataclasses.replace(run.TASK.env, randomization=changed)
     return QuadrupedEnv(quadruped, config, "fast")
 
 
-def nominal(env: QuadrupedEnv, key: jax.Array) -> EpisodeRandomization:
-    """Nothing differs from the model."""
+def sample_nominal(env: QuadrupedEnv, key: jax.Array) -> EpisodeRandomization:
+    """Return conditions in which nothing differs from the model."""
     return draw_conditions(NO_RANDOMIZATION, env.robot, env.stepping, key, env.friction)
 
 
@@ -92,22 +92,22 @@ def env(quadruped, request) -> QuadrupedEnv:
 
 @pytest.fixture(scope="module")
 def swaying() -> jax.tree_util.Partial:
-    """A policy that moves the legs a little by what it observes."""
+    """Return a policy that moves the legs a little by what it observes."""
     weights = 0.03 * jax.random.normal(jax.random.PRNGKey(1), (47, 12))
     return jax.tree_util.Partial(lambda w, observation: jnp.tanh(observation @ w), weights)
 
 
 @pytest.fixture(scope="module")
 def recorded(env, swaying):
-    """Of each case: qpos and qvel before and after each control step, and the actions."""
-    kept = targets_needed(max(case.delay for case in CASES.values()), env.config.substeps)
+    """Return for each case qpos and qvel around each control step, and the actions."""
+    rows_kept = targets_needed(max(case.delay for case in CASES.values()), env.config.substeps)
     cases = [
         case if case.friction else case._replace(friction=env.friction) for case in CASES.values()
     ]
     rows = Case(*jnp.array(cases, jnp.float32).T)._asdict()
 
     def episode(row, state, key):
-        usual = nominal(env, key)
+        usual = sample_nominal(env, key)
         variation = usual.variation._replace(
             friction=row["friction"],
             trunk_mass=row["mass"],
@@ -116,12 +116,12 @@ def recorded(env, swaying):
             **{k: row[k] for k in ("strength", "kp", "kd", "joint_friction", "damping")},
             armature=row["armature"],
         )
-        suffered = usual._replace(
+        conditions = usual._replace(
             variation=variation,
             delay=row["delay"],
             push=jnp.array([0.0, 1.0]) * row["push"],
             encoder=jnp.full(12, row["encoder"]),
-            targets=jnp.tile(usual.targets, (kept, 1)),
+            targets=jnp.tile(usual.targets, (rows_kept, 1)),
         )
 
         def one_step(state, _):
@@ -129,7 +129,7 @@ def recorded(env, swaying):
             carried = after.pipeline_state
             return after, (carried.qpos, carried.qvel, carried.last_action)
 
-        first = env.begun(state, conditions=suffered)
+        first = env.begun(state, conditions=conditions)
         return jax.lax.scan(one_step, first, None, length=STEPS)[1]
 
     state = jax.jit(env.reset)(jax.random.PRNGKey(3))
@@ -141,8 +141,8 @@ def recorded(env, swaying):
     )
     state = state.replace(pipeline_state=state.pipeline_state._replace(physics=physics))
     batched = jax.jit(jax.vmap(episode, in_axes=(0, None, None)))
-    found = batched(rows, state, jax.random.PRNGKey(5))
-    qpos, qvel, actions = map(np.asarray, found)
+    actual = batched(rows, state, jax.random.PRNGKey(5))
+    qpos, qvel, actions = map(np.asarray, actual)
     return {
         name: (np.r_[physics.qpos[None], qpos[k]], np.r_[physics.qvel[None], qvel[k]], actions[k])
         for k, name in enumerate(CASES)
@@ -150,7 +150,7 @@ def recorded(env, swaying):
 
 
 def replay_step(env, model, case, states, step, side) -> np.ndarray:
-    """The velocity that MuJoCo C finds after control step `step`, begun as it was in MJX."""
+    """Return the velocity that MuJoCo C finds after control step `step`, from the same start."""
     qpos, qvel, actions = states
     config, robot, dog = env.config, env.robot, env.quadruped
     turn = np.zeros(9)
@@ -171,8 +171,8 @@ def replay_step(env, model, case, states, step, side) -> np.ndarray:
     return step_control(model, motor, qpos[step], pushed, targets, case.encoder).qvel
 
 
-def model_of(env, quadruped, case) -> mujoco.MjModel:
-    """The compiled model, changed as the case says."""
+def make_model(env, quadruped, case) -> mujoco.MjModel:
+    """Return the compiled model, changed as the case says."""
     model = quadruped.make_training_model(env.config.physics_dt, ITERATIONS)
     if case.friction is not None:
         model.geom_friction[:, 0] = case.friction
@@ -194,7 +194,7 @@ TOLERANCE = 1e-3
 @pytest.mark.parametrize("name", CASES)
 def test_mujoco_agrees_on_each_perturbation(name, recorded, env, quadruped):
     case, states = CASES[name], recorded[name]
-    model, plain = model_of(env, quadruped, case), model_of(env, quadruped, Case())
+    model, plain = make_model(env, quadruped, case), make_model(env, quadruped, Case())
     error, without, sides = [], [], []
     for step in range(STEPS):
         after = states[1][step + 1]
@@ -217,44 +217,44 @@ def test_mujoco_agrees_on_each_perturbation(name, recorded, env, quadruped):
 def test_noise_has_its_scale_and_is_new_in_each_step(env):
     names, scale = env.sensors.names, env.sensors.noise_scale
 
-    def draw(seen, level, steps):
-        suffered = nominal(env, jax.random.PRNGKey(0))._replace(noise=level)
-        return sensed(suffered, seen, scale, steps)
+    def draw(observation, level, steps):
+        conditions = sample_nominal(env, jax.random.PRNGKey(0))._replace(noise=level)
+        return sensed(conditions, observation, scale, steps)
 
-    drawn = jax.jit(jax.vmap(draw, in_axes=(None, None, 0)))
-    found = np.asarray(drawn(jnp.zeros(len(names)), 2.0, jnp.arange(4000)))
-    np.testing.assert_allclose(found.std(axis=0), 2 * scale, rtol=0.06)
-    np.testing.assert_allclose(found.mean(axis=0), 0, atol=0.12 * scale.max())
+    sampled = jax.jit(jax.vmap(draw, in_axes=(None, None, 0)))
+    actual = np.asarray(sampled(jnp.zeros(len(names)), 2.0, jnp.arange(4000)))
+    np.testing.assert_allclose(actual.std(axis=0), 2 * scale, rtol=0.06)
+    np.testing.assert_allclose(actual.mean(axis=0), 0, atol=0.12 * scale.max())
     by_name = dict(zip(names, scale, strict=True))
     parts = env.config.observation
     assert by_name["velocity_x"] == np.float32(parts["velocity"].noise)
     assert by_name["angular_velocity_z"] == np.float32(parts["angular_velocity"].noise)
     assert by_name["offset"] == np.float32(parts["offset"].noise)
     assert {std for name, std in by_name.items() if name.startswith("last_action")} == {0.0}
-    still = drawn(jnp.ones(len(names)), 0.0, jnp.arange(3))
+    still = sampled(jnp.ones(len(names)), 0.0, jnp.arange(3))
     np.testing.assert_array_equal(still, 1.0)
 
 
 def test_one_push_in_every_five_seconds(env):
     def side(key, steps):
-        return side_of_push(nominal(env, key), steps, 250)
+        return side_of_push(sample_nominal(env, key), steps, 250)
 
     sides = jax.jit(jax.vmap(jax.vmap(side, in_axes=(None, 0)), in_axes=(0, None)))
-    found = np.asarray(sides(jax.random.split(jax.random.PRNGKey(0), 20), jnp.arange(1000)))
-    assert set(found.ravel().tolist()) == {-1.0, 0.0, 1.0}
-    assert (np.abs(found).reshape(20, 4, 250, 2).sum(axis=2) == 1).all()
-    assert ((found > 0).sum(axis=(0, 1)) > 25).all()
-    assert ((found > 0).sum(axis=(0, 1)) < 55).all()
+    actual = np.asarray(sides(jax.random.split(jax.random.PRNGKey(0), 20), jnp.arange(1000)))
+    assert set(actual.ravel().tolist()) == {-1.0, 0.0, 1.0}
+    assert (np.abs(actual).reshape(20, 4, 250, 2).sum(axis=2) == 1).all()
+    assert ((actual > 0).sum(axis=(0, 1)) > 25).all()
+    assert ((actual > 0).sum(axis=(0, 1)) < 55).all()
 
 
-@pytest.mark.parametrize(("delay", "kept"), [(0, 1), (1, 2), (5, 2), (6, 3), (10, 3)])
-def test_as_many_targets_are_kept_as_a_delay_reaches_back(delay, kept):
-    assert targets_needed(delay, 5) == kept
+@pytest.mark.parametrize(("delay", "rows_kept"), [(0, 1), (1, 2), (5, 2), (6, 3), (10, 3)])
+def test_as_many_targets_are_kept_as_a_delay_reaches_back(delay, rows_kept):
+    assert targets_needed(delay, 5) == rows_kept
 
 
 def test_a_delay_between_two_physics_steps_is_one_or_the_other(env):
     changed = {"delay": jnp.float32(2.3), "targets": jnp.zeros((2, 12))}
-    late = nominal(env, jax.random.PRNGKey(1))._replace(**changed)
+    late = sample_nominal(env, jax.random.PRNGKey(1))._replace(**changed)
     new = jax.vmap(lambda k: delayed(late, jnp.ones(12), 5, k)[1][:, 0])(jnp.arange(4000))
     waited = 5 - np.asarray(new).sum(axis=1)  # physics steps until the new target is obeyed
     assert set(waited) == {2.0, 3.0}
@@ -263,7 +263,7 @@ def test_a_delay_between_two_physics_steps_is_one_or_the_other(env):
 
 def test_a_late_sensor_tells_what_was_on_the_line_between_two_readings(env):
     frames = jnp.array([[5.0], [4.0], [2.0], [1.0]])
-    late = nominal(env, jax.random.PRNGKey(1))._replace(sensor_delay=jnp.float32(1.25))
+    late = sample_nominal(env, jax.random.PRNGKey(1))._replace(sensor_delay=jnp.float32(1.25))
     assert reading(late, frames) == pytest.approx(0.75 * 4.0 + 0.25 * 2.0)
     assert reading(late, frames[1:]) == pytest.approx(0.75 * 2.0 + 0.25 * 1.0)
 
@@ -272,36 +272,40 @@ def test_a_tilted_imu_sees_the_world_turned(env):
     tilt = np.array([0.03, -0.05, 0.0])
     state = jax.jit(env.reset)(jax.random.PRNGKey(2)).pipeline_state
     changed = {"tilt": jnp.asarray(tilt, jnp.float32), "encoder": jnp.full(12, 0.01)}
-    suffered = nominal(env, jax.random.PRNGKey(1))._replace(**changed)
-    found = measured(suffered, state.physics)
-    turn, own, expected = np.zeros(4), np.asarray(state.qpos[3:7], float), np.zeros(4)
+    conditions = sample_nominal(env, jax.random.PRNGKey(1))._replace(**changed)
+    actual = measured(conditions, state.physics)
+    turn, orientation, expected = np.zeros(4), np.asarray(state.qpos[3:7], float), np.zeros(4)
     angle = np.linalg.norm(tilt)
     mujoco.mju_axisAngle2Quat(turn, tilt / angle, angle)
-    mujoco.mju_mulQuat(expected, own, turn)
-    np.testing.assert_allclose(found.qpos[3:7], expected, atol=1e-4)
+    mujoco.mju_mulQuat(expected, orientation, turn)
+    np.testing.assert_allclose(actual.qpos[3:7], expected, atol=1e-4)
     back, spin = turn * [1, -1, -1, -1], np.zeros(3)
     mujoco.mju_rotVecQuat(spin, np.asarray(state.qvel[3:6], float), back)
-    np.testing.assert_allclose(found.qvel[3:6], spin, atol=1e-4)
-    np.testing.assert_allclose(found.qpos[7:], state.qpos[7:] + 0.01, atol=1e-6)
+    np.testing.assert_allclose(actual.qvel[3:6], spin, atol=1e-4)
+    np.testing.assert_allclose(actual.qpos[7:], state.qpos[7:] + 0.01, atol=1e-6)
 
 
 @pytest.fixture(scope="module")
-def begun(quadruped):
-    """An environment without a margin, and the conditions of 2000 episodes."""
+def sampled_episodes(quadruped):
+    """Return an environment without a margin, and the conditions of 2000 episodes."""
     env = make_ranged_env(quadruped, push=(0.3, 0.5), margin=0.0)
     keys = jax.random.split(jax.random.PRNGKey(0), 2000)
     return env, jax.jit(jax.vmap(env.reset))(keys).pipeline_state.conditions
 
 
-def test_every_episode_draws_its_own_within_the_ranges(begun):
-    env, drawn = begun
+def test_every_episode_draws_its_own_within_the_ranges(sampled_episodes):
+    env, sampled = sampled_episodes
     names = ("friction", "trunk_mass", "trunk_center", "link_mass", "strength", "kp", "kd")
-    found = {name: getattr(drawn.variation, name) for name in names}
-    found |= {"latency": drawn.delay, "sensor_latency": drawn.sensor_delay, "noise": drawn.noise}
-    found |= {"encoder": drawn.encoder, "imu_tilt": drawn.tilt}
+    actual = {name: getattr(sampled.variation, name) for name in names}
+    actual |= {
+        "latency": sampled.delay,
+        "sensor_latency": sampled.sensor_delay,
+        "noise": sampled.noise,
+    }
+    actual |= {"encoder": sampled.encoder, "imu_tilt": sampled.tilt}
     units = {"trunk_mass": env.robot.mass, "trunk_center": env.robot.home_height}
     units |= {"latency": 1 / 0.004, "sensor_latency": 1 / 0.02}
-    for name, values in found.items():
+    for name, values in actual.items():
         low, high = np.multiply(getattr(env.config.randomization, name), units.get(name, 1.0))
         width = high - low
         assert low - 1e-5 <= values.min() < low + 0.05 * width, name
@@ -309,8 +313,8 @@ def test_every_episode_draws_its_own_within_the_ranges(begun):
         assert np.mean(values) == pytest.approx((low + high) / 2, abs=0.1 * width), name
 
 
-def test_pushes_go_to_all_sides_alike(begun):
-    env, push = begun[0], np.asarray(begun[1].push)
+def test_pushes_go_to_all_sides_alike(sampled_episodes):
+    env, push = sampled_episodes[0], np.asarray(sampled_episodes[1].push)
     inner, outer = np.array([0.3, 0.5]) * np.sqrt(9.81 * env.robot.home_height)
     size, angle = np.hypot(*push.T), np.arctan2(push[:, 1], push[:, 0])
     assert inner <= size.min() + 1e-5
@@ -342,51 +346,51 @@ def test_a_margin_moves_an_end_away_from_the_models_value_but_not_into_the_range
     def draw(key: jax.Array) -> EpisodeRandomization:
         return draw_conditions(env.config.randomization, env.robot, env.stepping, key, friction=1.0)
 
-    drawn = jax.jit(jax.vmap(draw))(jax.random.split(jax.random.PRNGKey(0), 2000))
+    sampled = jax.jit(jax.vmap(draw))(jax.random.split(jax.random.PRNGKey(0), 2000))
     froude = np.sqrt(env.robot.gravity * env.robot.home_height)
     expected = {
-        (0.0, 1.375): drawn.variation.friction,  # 1 - 1.5 * .7 is below 0, which none can be
-        (0.7, 1.15): drawn.variation.strength,
-        (0.01, 0.03): drawn.delay * env.stepping.dt,
-        (0.4, 0.75): np.linalg.norm(drawn.push, axis=-1) / froude,
+        (0.0, 1.375): sampled.variation.friction,  # 1 - 1.5 * .7 is below 0, which none can be
+        (0.7, 1.15): sampled.variation.strength,
+        (0.01, 0.03): sampled.delay * env.stepping.dt,
+        (0.4, 0.75): np.linalg.norm(sampled.push, axis=-1) / froude,
     }
     for (low, high), values in expected.items():
         assert low <= values.min() < low + 0.01 * (high - low)
         assert high - 0.01 * (high - low) < values.max() <= high + 1e-5
     # Targets are kept for the longest of these delays: of 8 physics steps, in control steps of 5.
-    assert drawn.targets.shape[1] == 3
+    assert sampled.targets.shape[1] == 3
 
 
 def test_a_share_of_episodes_is_ideal_and_the_others_are_drawn_as_without(quadruped):
     env = QuadrupedEnv(quadruped, run.TASK.env, "fast")
     keys = jax.random.split(jax.random.PRNGKey(0), 1000)
 
-    def drawn(ideal: float) -> EpisodeRandomization:
+    def sampled(ideal: float) -> EpisodeRandomization:
         ranges = dataclasses.replace(run.TASK.env.randomization, ideal=ideal)
         return jax.vmap(lambda key: draw_conditions(ranges, env.robot, env.stepping, key, 0.8))(
             keys
         )
 
-    some, none = drawn(0.25), drawn(0.0)
+    some, none = sampled(0.25), sampled(0.0)
     ideal = np.asarray(some.noise) == 0.0
     assert 0.2 < ideal.mean() < 0.3
     for one, other in zip(jax.tree.leaves(some), jax.tree.leaves(none), strict=True):
         np.testing.assert_array_equal(one[~ideal], other[~ideal])
-    found = jax.tree.map(
+    actual = jax.tree.map(
         lambda x: np.unique(x[ideal]).tolist(), some._replace(key=None, targets=None)
     )
     factors = {name: [1.0] for name in RobotRandomization._fields}
     expected = factors | {"friction": [pytest.approx(0.8)], "trunk_mass": [0], "trunk_center": [0]}
-    assert found.variation._asdict() == expected
+    assert actual.variation._asdict() == expected
     for name in ("delay", "sensor_delay", "push", "noise", "encoder", "tilt"):
-        assert getattr(found, name) == [0.0]
+        assert getattr(actual, name) == [0.0]
 
 
 def test_what_is_off_is_as_the_model(quadruped):
     env = make_ranged_env(quadruped, push=None, friction=None, latency=None)
-    drawn = jax.jit(env.reset)(jax.random.PRNGKey(0)).pipeline_state.conditions
-    assert drawn.variation.friction == pytest.approx(env.friction)
-    assert not np.any(drawn.push)
-    assert drawn.delay == 0.0
+    sampled = jax.jit(env.reset)(jax.random.PRNGKey(0)).pipeline_state.conditions
+    assert sampled.variation.friction == pytest.approx(env.friction)
+    assert not np.any(sampled.push)
+    assert sampled.delay == 0.0
     env = make_ranged_env(quadruped, enabled=False)
     assert jax.eval_shape(env.reset, jax.random.PRNGKey(0)).pipeline_state.conditions is None

@@ -23,14 +23,14 @@ KP, KD = 160.0, 4.0  # stiff enough for legs that only follow the clock
 
 
 def read_messages(path: Path) -> dict[str, list]:
-    """topic -> [(nanoseconds, decoded message, or bytes if it is no Protobuf)]."""
-    found, decoders = defaultdict(list), DecoderFactory()
+    """Return by topic [(nanoseconds, decoded message, or bytes if it is no Protobuf)]."""
+    messages, decoders = defaultdict(list), DecoderFactory()
     with open(path, "rb") as stream:
         for schema, channel, message in make_reader(stream, validate_crcs=True).iter_messages():
             assert message.publish_time == message.log_time
             decode = decoders.decoder_for(channel.message_encoding, schema) or bytes
-            found[channel.topic].append((message.log_time, decode(message.data)))
-    return dict(found)
+            messages[channel.topic].append((message.log_time, decode(message.data)))
+    return dict(messages)
 
 
 def count_messages(path: Path) -> int:
@@ -39,28 +39,28 @@ def count_messages(path: Path) -> int:
 
 
 def read_records(path: Path) -> tuple[dict, dict]:
-    """Metadata and attachments by their names."""
+    """Return metadata and attachments by their names."""
     with open(path, "rb") as stream:
         reader = make_reader(stream, validate_crcs=True)
         metadata = {record.name: record.metadata for record in reader.iter_metadata()}
         return metadata, {record.name: record for record in reader.iter_attachments()}
 
 
-def glided(start: np.ndarray, velocity: np.ndarray) -> np.ndarray:
-    """(T, 7) poses of a trunk that goes on from `start` with (T, 3) velocities.
+def make_glide_poses(start: np.ndarray, velocity: np.ndarray) -> np.ndarray:
+    """Return poses (T, 7) of a trunk that goes on from `start` with (T, 3) velocities.
 
     They are in the frame of its heading: m/s ahead and to the left, and rad/s.
     """
-    begun = Rotation.from_quat(start[3:7], scalar_first=True)
-    heading = Rotation.from_euler("z", begun.as_euler("ZYX")[0])
-    turned = Rotation.from_euler("z", CONTROL_DT * np.cumsum(velocity[:, 2])[:, None])
-    moved = CONTROL_DT * (turned * heading).apply(velocity * [1, 1, 0])
-    return np.c_[start[:3] + np.cumsum(moved, axis=0), (turned * begun).as_quat(scalar_first=True)]
+    first = Rotation.from_quat(start[3:7], scalar_first=True)
+    heading = Rotation.from_euler("z", first.as_euler("ZYX")[0])
+    turns = Rotation.from_euler("z", CONTROL_DT * np.cumsum(velocity[:, 2])[:, None])
+    moves = CONTROL_DT * (turns * heading).apply(velocity * [1, 1, 0])
+    return np.c_[start[:3] + np.cumsum(moves, axis=0), (turns * first).as_quat(scalar_first=True)]
 
 
 @pytest.fixture(scope="session")
 def simulate(quadruped: Quadruped) -> Callable[..., Rollout]:
-    """simulate(steps, offsets, ...): legs swinging at set phases under PD control."""
+    """Return simulate(steps, offsets, ...): legs swing at set phases under PD control."""
 
     def run(
         steps: int,
@@ -104,7 +104,7 @@ def simulate(quadruped: Quadruped) -> Callable[..., Rollout]:
         actions = ((arrays["target"] - quadruped.home[7:]) / 0.6).astype(np.float32)
         # As many numbers, and as noisy, as a policy sees and as a reward has terms.
         last = np.roll(actions, 1, axis=0)
-        seen = np.concatenate([rates[:-1], states[:-1, 2:], last], axis=1)
+        observation = np.concatenate([rates[:-1], states[:-1, 2:], last], axis=1)
         terms = dict(zip(sprint.TASK.env.reward, rates[1:].T, strict=False))
         terms["alive"] = np.ones(steps, dtype=np.float32)
         return Rollout(
@@ -115,8 +115,8 @@ def simulate(quadruped: Quadruped) -> Callable[..., Rollout]:
             qpos=states,
             qvel=rates,
             action=actions,
-            observation=seen,
-            observation_names=tuple(f"seen {k}" for k in range(seen.shape[1])),
+            observation=observation,
+            observation_names=tuple(f"seen {k}" for k in range(observation.shape[1])),
             contact=arrays["foot_force"] > 0,
             reward_terms=terms,
             reward=terms["forward"] + 0.5,
@@ -128,12 +128,12 @@ def simulate(quadruped: Quadruped) -> Callable[..., Rollout]:
 
 @pytest.fixture(scope="session")
 def trot(simulate) -> Rollout:
-    """2 s of diagonal legs swinging together."""
+    """Return 2 s of diagonal legs swinging together."""
     return simulate(100)
 
 
 @pytest.fixture(scope="session")
 def swaying() -> Callable[[jax.Array], jax.Array]:
-    """A policy that moves the legs a little by what it sees."""
+    """Return a policy that moves the legs a little by what it observes."""
     weights = 0.03 * jax.random.normal(jax.random.PRNGKey(1), (47, 12))
-    return jax.tree_util.Partial(lambda w, seen: jnp.tanh(seen @ w), weights)
+    return jax.tree_util.Partial(lambda w, observation: jnp.tanh(observation @ w), weights)

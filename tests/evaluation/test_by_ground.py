@@ -26,7 +26,7 @@ from quadwalk.runs.directory import Run
 from quadwalk.settings.environment import NO_RANDOMIZATION
 from quadwalk.tasks import obstacles, rough, sprint, walk
 from quadwalk.terrain.heightfield import Heightfield, centered
-from tests.evaluation.conftest import glided, read_messages
+from tests.evaluation.conftest import make_glide_poses, read_messages
 
 
 @jax.tree_util.register_static
@@ -36,8 +36,8 @@ class Walk(SimpleNamespace):
     __hash__ = object.__hash__
 
 
-def ahead(state: State, _) -> State:
-    """1 cm on, and a step less left."""
+def step_ahead(state: State, _) -> State:
+    """Go 1 cm on, with a step less left."""
     left = state.info["left"] - 1
     info = {"left": left, "end": (left == 0).astype(int)}
     return state.replace(obs=state.obs.at[0].add(0.01), info=info)
@@ -51,18 +51,18 @@ def test_each_episode_goes_on_to_its_own_end_whatever_there_is_room_for(room):
         ends=("running", "time limit"),
         config=SimpleNamespace(episode_steps=120),
         terrain=None,
-        step=ahead,
+        step=step_ahead,
     )
-    act = jax.tree_util.Partial(lambda seen: seen)
+    act = jax.tree_util.Partial(lambda observation: observation)
     info = {"left": jnp.asarray(lasts), "end": jnp.zeros_like(lasts)}
     starts = State(None, jnp.arange(10.0)[:, None], None, None, {}, info)
     reported: list[int] = []
     places = roll_out(
         env, act, starts, lambda env, before, action, after: after.obs[:, 0], room, reported.append
     )
-    found = {number: (end, x) for number, end, x in places}
-    assert sorted(found) == list(range(len(lasts)))
-    for number, (end, x) in found.items():
+    actual = {number: (end, x) for number, end, x in places}
+    assert sorted(actual) == list(range(len(lasts)))
+    for number, (end, x) in actual.items():
         assert end == "time limit"
         expected = number + 0.01 * np.arange(1, lasts[number] + 1)
         np.testing.assert_allclose(x, expected, atol=1e-4)
@@ -70,7 +70,7 @@ def test_each_episode_goes_on_to_its_own_end_whatever_there_is_room_for(room):
     assert reported[-1] == 120
 
 
-def results(told: bool) -> dict:
+def make_results(commanded: bool) -> dict:
     cells = [
         {
             "kind": kind,
@@ -78,7 +78,7 @@ def results(told: bool) -> dict:
             "success": 0.25 * (1 + row + column),
             "arrived": 0.25,
             "speed": {"mean": 0.5 + column, "ci95": None},
-            "velocity_error": {"mean": 0.125, "ci95": 0.01} if told and row else None,
+            "velocity_error": {"mean": 0.125, "ci95": 0.01} if commanded and row else None,
         }
         for row, kind in enumerate(("flat", "stairs_up"))
         for column, difficulty in enumerate((0.0, 1.0))
@@ -87,39 +87,39 @@ def results(told: bool) -> dict:
         "kinds": ["flat", "stairs_up"],
         "difficulties": [0.0, 1.0],
         "episodes": 4,
-        "command": PACE if told else None,
+        "command": PACE if commanded else None,
         "cells": cells,
     }
 
 
-@pytest.mark.parametrize("told", [True, False])
-def test_the_map_and_the_table_show_every_cell(told, capsys, monkeypatch):
+@pytest.mark.parametrize("commanded", [True, False])
+def test_the_map_and_the_table_show_every_cell(commanded, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "120")
-    figure = draw_terrain(results(told), "a run")
+    figure = draw_terrain(make_results(commanded), "a run")
     figure.draw_without_rendering()
     assert [axes.get_title("left") for axes in figure.axes] == [
-        *("success, %", "speed, m/s"), *["velocity error, m/s"] * told,
+        *("success, %", "speed, m/s"), *["velocity error, m/s"] * commanded,
     ]  # fmt: skip
     success = figure.axes[0]
     np.testing.assert_allclose(success.images[0].get_array(), [[25, 50], [50, 75]])
     assert [text.get_text() for text in success.texts] == ["25", "50", "50", "75"]
-    print_terrain(results(told))
+    print_terrain(make_results(commanded))
     printed = capsys.readouterr().out
     for words in ("difficulty 0 ", "difficulty 1 ", "stairs up", "% success", "% arrival", "m/s"):
         assert words in printed
-    assert ("0.125 ± 0.010" in printed) == told
+    assert ("0.125 ± 0.010" in printed) == commanded
 
 
 @pytest.fixture(scope="module")
 def loaded(quadruped) -> LoadedRun:
-    """A policy that holds still, on ground of two kinds, for a tenth of a second."""
+    """Return a policy that holds still, on ground of two kinds, for a tenth of a second."""
     ground = make_unseen_ground(rough.TASK.env.ground, 0)
     ground = dataclasses.replace(ground, kinds=("flat", "blocks"), tile=(3.0, 3.0))
     task = dataclasses.replace(
         walk.TASK.env, episode_seconds=0.1, randomization=NO_RANDOMIZATION, ground=ground
     )
     env = QuadrupedEnv(quadruped, task)
-    act = jax.tree_util.Partial(lambda seen: 0.0 * seen[..., :12])
+    act = jax.tree_util.Partial(lambda observation: 0.0 * observation[..., :12])
     policy = Policy(act, walk.TASK, quadruped.joints, env.policy_size, 0)
     return LoadedRun(Run(Path()), Path(), policy, env, "0")
 
@@ -136,37 +136,37 @@ def test_a_cell_has_the_figures_of_episodes_on_its_own_tiles(loaded, monkeypatch
         ((0.4, 0.4), 200, "time limit"),
         ((0.1, 0.0), 30, "tipped"),
     ]
-    met = []
+    used_tiles = []
 
     def glide(env, policy, starts, *_):
-        """Episodes of these kinds in turn, in place of simulated ones."""
+        """Yield episodes of these kinds in turn, in place of simulated ones."""
         for number, start in enumerate(np.asarray(starts.pipeline_state.qpos, float)):
-            met.append(env.terrain.tiles[int(starts.pipeline_state.tile[number])])
+            used_tiles.append(env.terrain.tiles[int(starts.pipeline_state.tile[number])])
             velocity, steps, end = kinds[number % 3]
-            yield number, end, glided(start, np.tile([*velocity, 0.0], (steps, 1)))
+            yield number, end, make_glide_poses(start, np.tile([*velocity, 0.0], (steps, 1)))
 
     monkeypatch.setattr("quadwalk.evaluation.rollout.roll_out", glide)
-    found = measure_terrain(loaded, levels=3, episodes=18, seed=0)
-    assert len(found["cells"]) == len(found["kinds"]) * len(found["difficulties"])
-    for number, cell in enumerate(found["cells"]):
-        own = met[18 * number : 18 * (number + 1)]
-        assert {tile.kind for tile in own} == {cell["kind"]}
-        assert {tile.difficulty for tile in own} == {cell["difficulty"]}
-        assert len({tile.start for tile in own}) >= 16
+    actual = measure_terrain(loaded, levels=3, episodes=18, seed=0)
+    assert len(actual["cells"]) == len(actual["kinds"]) * len(actual["difficulties"])
+    for number, cell in enumerate(actual["cells"]):
+        tiles = used_tiles[18 * number : 18 * (number + 1)]
+        assert {tile.kind for tile in tiles} == {cell["kind"]}
+        assert {tile.difficulty for tile in tiles} == {cell["difficulty"]}
+        assert len({tile.start for tile in tiles}) >= 16
         assert cell["success"] == pytest.approx(2 / 3)
         assert cell["arrived"] == pytest.approx(1 / 3)
         assert cell["speed"]["mean"] == pytest.approx((PACE + 0.4 + 0.1) / 3)
         # The last was too short to be judged.
         assert cell["velocity_error"]["mean"] == pytest.approx((0.0 + np.hypot(0.3, 0.4)) / 2)
-    json.dumps(found)
+    json.dumps(actual)
 
 
 def test_a_policy_is_measured_in_every_cell(loaded):
-    found = measure_terrain(loaded, levels=2, episodes=2, seed=0)
-    assert [(cell["kind"], cell["difficulty"]) for cell in found["cells"]] == [
+    actual = measure_terrain(loaded, levels=2, episodes=2, seed=0)
+    assert [(cell["kind"], cell["difficulty"]) for cell in actual["cells"]] == [
         ("flat", 0.0), ("flat", 1.0), ("blocks", 0.0), ("blocks", 1.0),
     ]  # fmt: skip
-    for cell in found["cells"]:
+    for cell in actual["cells"]:
         assert (cell["success"], cell["arrived"]) == (1.0, 0.0)
         assert abs(cell["speed"]["mean"]) < 0.6
         assert cell["velocity_error"] is None
@@ -190,8 +190,8 @@ def test_the_ground_of_a_recording_is_the_field_around_the_path():
     points = np.array([(p.x, p.y, p.z) for p in shape.points])
     np.testing.assert_allclose(points[:, 2], field.height_at(points[:, :2]), atol=0.03)
     reached = [path.min(axis=0) - GROUND_MARGIN, path.max(axis=0) + GROUND_MARGIN]
-    found = [points[:, :2].min(axis=0), points[:, :2].max(axis=0)]
-    np.testing.assert_allclose(found, reached, atol=0.1)
+    actual = [points[:, :2].min(axis=0), points[:, :2].max(axis=0)]
+    np.testing.assert_allclose(actual, reached, atol=0.1)
     corners = points[np.array(shape.indices).reshape(-1, 3)]
     edges = corners[:, 1:, :2] - corners[:, :1, :2]
     areas = 0.5 * (edges[:, 0, 0] * edges[:, 1, 1] - edges[:, 0, 1] * edges[:, 1, 0])
@@ -202,7 +202,7 @@ def test_the_ground_of_a_recording_is_the_field_around_the_path():
 
 @pytest.fixture(scope="module")
 def raised(quadruped):
-    """The robot on a plateau half a meter high."""
+    """Return the robot on a plateau half a meter high."""
     plateau = Heightfield(np.full((41, 41), 0.5, np.float32), 0.5, (-10.0, -10.0))
     return task_robot(quadruped, sprint.TASK.env, plateau)
 
@@ -215,11 +215,11 @@ def lifted(trot):
 def test_a_recording_has_the_ground_once_and_the_path_on_it(lifted, raised, tmp_path):
     path = tmp_path / "episode.mcap"
     write_mcap(path, lifted, raised, {})
-    found = read_messages(path)
-    ((when, ground),) = found["/ground"]
+    actual = read_messages(path)
+    ((when, ground),) = actual["/ground"]
     assert when == 0
     assert {point.z for point in ground.entities[0].triangles[0].points} == {0.5}
-    for _, scene in found["/scene"]:
+    for _, scene in actual["/scene"]:
         parts = {entity.id: entity for entity in scene.entities}
         assert not parts["ground"].lines[0].points
         heights = [point.z for point in parts["path"].lines[0].points]
@@ -227,12 +227,12 @@ def test_a_recording_has_the_ground_once_and_the_path_on_it(lifted, raised, tmp_
 
 
 def test_pictures_follow_the_ground(lifted, trot, raised, quadruped):
-    def colored(rollout, robot):
+    def find_orange(rollout, robot):
         strip = draw_film_strip(rollout, robot, width=120, height=80).astype(int)
         red, green, blue = strip[..., 0], strip[..., 1], strip[..., 2]
         return (red > 150) & (green < 0.7 * red) & (blue < 0.3 * red)
 
-    on_floor, above = colored(trot, quadruped), colored(lifted, raised)
+    on_floor, above = find_orange(trot, quadruped), find_orange(lifted, raised)
     assert on_floor.mean() > 0.01
     assert (on_floor != above).mean() < 0.1 * on_floor.mean()
 

@@ -26,7 +26,7 @@ from tests.untrained import write_policy
 
 @pytest.fixture
 def runs(tmp_path) -> Path:
-    """A folder of two runs that hold nothing yet."""
+    """Return a folder of two runs that hold nothing yet."""
     for name in ("first", "second"):
         (tmp_path / name).mkdir()
         (tmp_path / name / "config.json").touch()
@@ -147,7 +147,7 @@ def test_evaluations_of_the_same_second_have_folders_of_their_own(
 
 
 def test_an_evaluation_says_what_its_robot_lacks(tmp_path, monkeypatch, capsys):
-    """The trunk's mesh, which the run was trained with, is no longer there."""
+    """Load a run whose trunk's mesh is no longer there."""
     box = '<box size="0.647 0.15 0.112"/>'
     trimesh.creation.box((0.647, 0.15, 0.112)).export(tmp_path / "trunk.stl")
     text = ALIENGO_URDF.read_text().replace(box, '<mesh filename="trunk.stl"/>')

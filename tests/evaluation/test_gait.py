@@ -20,7 +20,7 @@ from quadwalk.evaluation.gait import (
     remove_chatter,
 )
 from quadwalk.evaluation.report.tables import describe_gait
-from quadwalk.evaluation.rollout import take_first_steps
+from quadwalk.evaluation.rollout import slice_steps
 
 DT = 0.02
 
@@ -41,8 +41,8 @@ IDEAL = {
 }
 
 
-def pattern(phase, duty, frequency=2.0, seconds=6.0, dt=DT, jitter=0.0, seed=0) -> np.ndarray:
-    """(T, 4) contacts: each foot is down for `duty` of each stride, from its phase on."""
+def make_pattern(phase, duty, frequency=2.0, seconds=6.0, dt=DT, jitter=0.0, seed=0) -> np.ndarray:
+    """Return contacts (T, 4): each foot is down for `duty` of each stride, from its phase on."""
     rng = np.random.default_rng(seed)
     times = (np.arange(round(seconds / dt)) + 1) * dt
     contact = np.zeros((len(times), 4), dtype=bool)
@@ -57,39 +57,39 @@ def pattern(phase, duty, frequency=2.0, seconds=6.0, dt=DT, jitter=0.0, seed=0) 
 @pytest.mark.parametrize("frequency", [1.5, 2.0, 3.1])
 def test_every_gait_is_named(name, frequency):
     gait, phase, duty = IDEAL[name]
-    feet = analyze_footfalls(pattern(phase, duty, frequency), DT)
+    feet = analyze_footfalls(make_pattern(phase, duty, frequency), DT)
     assert feet.gait == gait
     assert feet.stride_frequency == pytest.approx(frequency, rel=0.03)
     np.testing.assert_allclose(feet.duty_factor, duty, atol=0.05)
-    for found, ideal in zip(feet.phase, phase, strict=True):
-        assert measure_phase_distance(found, ideal) < 0.04
+    for actual, ideal in zip(feet.phase, phase, strict=True):
+        assert measure_phase_distance(actual, ideal) < 0.04
     assert feet.regularity.min() > 0.95
 
 
 @pytest.mark.parametrize("name", IDEAL)
 def test_gaits_keep_their_name_through_scatter_and_mirrored(name):
     gait, phase, duty = IDEAL[name]
-    scattered = pattern(phase, duty, seconds=20, jitter=0.03)
-    mirrored = pattern(np.array(phase)[[1, 0, 3, 2]], duty)
-    assert [analyze_footfalls(found, DT).gait for found in (scattered, mirrored)] == [gait] * 2
+    scattered = make_pattern(phase, duty, seconds=20, jitter=0.03)
+    mirrored = make_pattern(np.array(phase)[[1, 0, 3, 2]], duty)
+    assert [analyze_footfalls(actual, DT).gait for actual in (scattered, mirrored)] == [gait] * 2
 
 
-def with_foot(foot: int, contact) -> np.ndarray:
-    """A trot with one foot's contacts replaced."""
-    found = pattern((0, 0.5, 0.5, 0), 0.5)
-    found[:, foot] = contact
-    return found
+def replace_foot(foot: int, contact) -> np.ndarray:
+    """Return a trot with the contacts of one foot replaced."""
+    actual = make_pattern((0, 0.5, 0.5, 0), 0.5)
+    actual[:, foot] = contact
+    return actual
 
 
 IRREGULAR = {
-    "at random": pattern((0, 0.5, 0.5, 0), 0.4, seconds=20, jitter=0.4),
-    "at twice the pace": with_foot(3, pattern((0,) * 4, 0.5, frequency=4.0)[:, 3]),
-    "at half the pace": with_foot(3, pattern((0,) * 4, 0.25, frequency=1.0)[:, 3]),
-    "never lifted": with_foot(2, True),
+    "at random": make_pattern((0, 0.5, 0.5, 0), 0.4, seconds=20, jitter=0.4),
+    "at twice the pace": replace_foot(3, make_pattern((0,) * 4, 0.5, frequency=4.0)[:, 3]),
+    "at half the pace": replace_foot(3, make_pattern((0,) * 4, 0.25, frequency=1.0)[:, 3]),
+    "never lifted": replace_foot(2, True),
     "standing still": np.ones((100, 4), dtype=bool),
     "no row": np.zeros((0, 4), dtype=bool),
     "one row": np.zeros((1, 4), dtype=bool),
-    "one stride": pattern((0, 0.5, 0.5, 0), 0.5, seconds=0.9),
+    "one stride": make_pattern((0, 0.5, 0.5, 0), 0.5, seconds=0.9),
 }
 
 
@@ -107,7 +107,7 @@ def test_what_is_no_gait_is_irregular(case):
 
 @pytest.mark.parametrize("foot", range(4))
 def test_a_foot_that_never_lands(foot):
-    feet = analyze_footfalls(with_foot(foot, False), DT)
+    feet = analyze_footfalls(replace_foot(foot, False), DT)
     assert feet.gait == "irregular"
     assert feet.duty_factor[foot] == 0
     assert feet.stride_frequency == pytest.approx(2.0, rel=0.03)
@@ -118,7 +118,7 @@ def test_a_foot_that_never_lands(foot):
     ("down", "reach", "every"), [(True, 1, 7), (False, 2, 5)], ids=["chatter", "brush"]
 )
 def test_chatter_is_not_a_stride_nor_a_brush_in_the_swing_a_touchdown(down, reach, every):
-    contact = pattern((0, 0.5, 0.5, 0), 0.6 if down else 0.4)
+    contact = make_pattern((0, 0.5, 0.5, 0), 0.6 if down else 0.4)
     disturbed = contact.copy()
     for foot in range(4):
         same = contact[:, foot] == down
@@ -158,8 +158,8 @@ def test_any_contacts_give_figures_in_their_ranges(seed, rows, dt):
     assert feet.gait in GAITS
     assert np.isnan(feet.stride_frequency) or feet.stride_frequency > 0
     for values, most in ((feet.duty_factor, 1), (feet.phase, 1), (feet.regularity, 1.0000001)):
-        known = values[np.isfinite(values)]
-        assert np.all((known >= 0) & (known <= most))
+        finite = values[np.isfinite(values)]
+        assert np.all((finite >= 0) & (finite <= most))
 
 
 @given(st.lists(st.floats(0, 1), min_size=4, max_size=4), st.floats(0, 1))
@@ -187,12 +187,12 @@ def test_the_circular_mean_turns_with_its_phases(phases, shift):
 
 
 @pytest.fixture(scope="module")
-def drawn(simulate, quadruped):
-    """draw(...): a rollout of a body that glides as told; only its footfalls are of a trot."""
+def glide(simulate, quadruped):
+    """Return draw(...): a rollout of a body that glides; only its footfalls are of a trot."""
     base = simulate(300)
 
     def draw(velocity=(2.0, 0.0), yaw_rate=0.0, contact=None, steps=300, **changes):
-        rollout = take_first_steps(base, steps)
+        rollout = slice_steps(base, 0, steps)
         time = rollout.time
         qpos = np.tile(quadruped.home, (steps + 1, 1))
         qpos[:, 0], qpos[:, 1] = velocity[0] * time, velocity[1] * time
@@ -200,17 +200,17 @@ def drawn(simulate, quadruped):
         qvel = np.zeros((steps + 1, 18))
         qvel[:, :2], qvel[:, 5] = velocity, yaw_rate
         if contact is None:
-            contact = pattern((0, 0.5, 0.5, 0), 0.5)[:steps]
+            contact = make_pattern((0, 0.5, 0.5, 0), 0.5)[:steps]
         return dataclasses.replace(rollout, qpos=qpos, qvel=qvel, contact=contact, **changes)
 
     return draw
 
 
-def test_speed_distance_and_drift(drawn, quadruped):
-    backwards = measure_gait(drawn(velocity=(-1.0, 0.0)), quadruped)
+def test_speed_distance_and_drift(glide, quadruped):
+    backwards = measure_gait(glide(velocity=(-1.0, 0.0)), quadruped)
     assert backwards.speed == pytest.approx(-1.0)
     assert np.isnan(backwards.cost_of_transport)
-    gait = measure_gait(drawn(velocity=(2.0, -0.5), yaw_rate=-1.5), quadruped)
+    gait = measure_gait(glide(velocity=(2.0, -0.5), yaw_rate=-1.5), quadruped)
     assert gait.duration == pytest.approx(6.0)
     assert gait.distance == pytest.approx(12.0)
     assert gait.speed == pytest.approx(2.0)
@@ -222,8 +222,8 @@ def test_speed_distance_and_drift(drawn, quadruped):
     assert not gait.fell
 
 
-def test_froude_number_and_cost_of_transport(drawn, quadruped):
-    rollout = drawn(energy=np.full(300, 1.5))
+def test_froude_number_and_cost_of_transport(glide, quadruped):
+    rollout = glide(energy=np.full(300, 1.5))
     gait = measure_gait(rollout, quadruped)
     # The thigh joint stands cos(.8) * .5 m above the foot's center, .0265 m above the ground.
     assert gait.froude == pytest.approx(4 / (9.81 * (0.5 * np.cos(0.8) + 0.0265)), rel=1e-3)
@@ -231,11 +231,11 @@ def test_froude_number_and_cost_of_transport(drawn, quadruped):
     assert gait.cost_of_transport == pytest.approx(450 / (mass * 9.81 * 12.0), rel=1e-4)
 
 
-def test_limits_are_fractions_of_the_motors(drawn, quadruped):
+def test_limits_are_fractions_of_the_motors(glide, quadruped):
     torque = np.zeros((300, 12))
     torque[::2] = -0.5 * quadruped.effort
     torque[7, 4] = quadruped.effort[4]
-    rollout = drawn(torque=torque)
+    rollout = glide(torque=torque)
     rollout.qvel[:, 6:] = 0.25 * quadruped.velocity
     rollout.qvel[9, 6 + 2] = -quadruped.velocity[2]
     gait = measure_gait(rollout, quadruped)
@@ -245,23 +245,23 @@ def test_limits_are_fractions_of_the_motors(drawn, quadruped):
     np.testing.assert_allclose(gait.joint_speed_mean[0], 0.25)
 
 
-def test_slip_is_the_speed_of_a_dragged_foot(drawn, quadruped):
-    gait = measure_gait(drawn(velocity=(0.3, 0.4), contact=np.ones((300, 4), bool)), quadruped)
+def test_slip_is_the_speed_of_a_dragged_foot(glide, quadruped):
+    gait = measure_gait(glide(velocity=(0.3, 0.4), contact=np.ones((300, 4), bool)), quadruped)
     np.testing.assert_allclose(gait.slip, 0.5, rtol=1e-6)
     # 299 steps lie between two moments on the ground; the way along x is .3 m/s of the .5.
     np.testing.assert_allclose(gait.slip_share, 299 / 300 * 0.5 / 0.3, rtol=1e-6)
     assert np.isnan(gait.swing_height).all()
 
 
-def test_action_rate_is_the_root_mean_square(drawn, quadruped):
+def test_action_rate_is_the_root_mean_square(glide, quadruped):
     action = np.zeros((300, 12))
     action[1::2, 3] = 0.6  # one of twelve joints goes to and fro, .02 s a step
-    gait = measure_gait(drawn(action=action), quadruped)
+    gait = measure_gait(glide(action=action), quadruped)
     assert gait.action_rate == pytest.approx(0.6 / 0.02 / np.sqrt(12))
 
 
-def test_a_foot_that_rolls_does_not_slip(drawn, quadruped):
-    rollout = drawn(velocity=(0.0, 0.0), contact=np.ones((300, 4), bool))
+def test_a_foot_that_rolls_does_not_slip(glide, quadruped):
+    rollout = glide(velocity=(0.0, 0.0), contact=np.ones((300, 4), bool))
     # The whole robot tips ahead slowly, as if rigid, while its feet roll on the ground under it.
     model = quadruped.make_full_model()
     data = mujoco.MjData(model)
@@ -278,8 +278,8 @@ def test_a_foot_that_rolls_does_not_slip(drawn, quadruped):
     assert gait.slip[2] < 1e-5 or gait.slip[2] > 1e-3  # hind feet leave the plane, by geometry
 
 
-def test_swing_height_is_the_soles_greatest_height(drawn, quadruped):
-    rollout = drawn()
+def test_swing_height_is_the_soles_greatest_height(glide, quadruped):
+    rollout = glide()
     for row in range(301):  # the body, and all feet with it, up by 5 cm in swings of FR
         rollout.qpos[row, 2] += 0.05 * (row > 0 and not rollout.contact[row - 1, 0])
     gait = measure_gait(rollout, quadruped)
@@ -287,8 +287,8 @@ def test_swing_height_is_the_soles_greatest_height(drawn, quadruped):
     assert gait.body_height[2] - gait.body_height[1] == pytest.approx(0.05)
 
 
-def test_roll_and_pitch_range(drawn, quadruped):
-    rollout = drawn()
+def test_roll_and_pitch_range(glide, quadruped):
+    rollout = glide()
     quat = np.empty(4)
     for row in range(301):
         mujoco.mju_euler2Quat(quat, [0.2 * np.sin(row / 5), 0.1 * np.cos(row / 5), 0], "XYZ")
@@ -299,8 +299,8 @@ def test_roll_and_pitch_range(drawn, quadruped):
 
 
 @pytest.mark.parametrize("steps", [0, 1, 3])
-def test_a_fall_at_once(drawn, quadruped, steps):
-    gait = measure_gait(drawn(steps=steps, end="tipped"), quadruped)
+def test_a_fall_at_once(glide, quadruped, steps):
+    gait = measure_gait(glide(steps=steps, end="tipped"), quadruped)
     assert (gait.fell, gait.end, gait.gait) == (True, "tipped", "irregular")
     assert gait.duration == pytest.approx(steps * 0.02)
     assert np.isnan(gait.stride_length)
@@ -308,16 +308,16 @@ def test_a_fall_at_once(drawn, quadruped, steps):
 
 
 @pytest.mark.parametrize("steps", [0, 300])
-def test_what_a_robot_that_stands_has_not_is_a_dash(drawn, quadruped, steps):
-    still = drawn(velocity=(0.0, 0.0), contact=np.ones((steps, 4), bool), steps=steps)
-    said = describe_gait(measure_gait(still, quadruped), 3)
-    assert said.startswith("gait of episode 3: irregular, - strides/s of - m, duty factor ")
-    assert "slip up to - % of the distance, cost of transport -\n" in said
-    assert "nan" not in said
+def test_what_a_robot_that_stands_has_not_is_a_dash(glide, quadruped, steps):
+    still = glide(velocity=(0.0, 0.0), contact=np.ones((steps, 4), bool), steps=steps)
+    text = describe_gait(measure_gait(still, quadruped), 3)
+    assert text.startswith("gait of episode 3: irregular, - strides/s of - m, duty factor ")
+    assert "slip up to - % of the distance, cost of transport -\n" in text
+    assert "nan" not in text
 
 
-def test_metrics_are_flat_and_named(drawn, quadruped):
-    metrics = flatten_gait(measure_gait(drawn(), quadruped), quadruped)
+def test_metrics_are_flat_and_named(glide, quadruped):
+    metrics = flatten_gait(measure_gait(glide(), quadruped), quadruped)
     assert metrics["gait"] == "trot"
     assert metrics["fell"] is False
     assert metrics["duty_factor.FL"] == pytest.approx(0.5, abs=0.03)

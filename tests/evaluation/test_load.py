@@ -15,26 +15,29 @@ from quadwalk.evaluation.rollout import simulate_episodes
 from quadwalk.learn.acting import Policy, load_policy
 from quadwalk.paths import PRETRAINED
 from quadwalk.runs.directory import Run
+from quadwalk.runs.resume import restore_config
 from quadwalk.settings.environment import CommandConfig
-from quadwalk.tasks import rough, walk
+from quadwalk.settings.serialize import to_dict
+from quadwalk.task_files import load_task
+from quadwalk.tasks import list_tasks, rough, walk
 from quadwalk.terrain.terrain import FLAT, UNSEEN
 
 
 def test_the_ground_of_an_evaluation_is_not_that_of_training():
     trained = rough.TASK.env.ground
-    judged = make_unseen_ground(trained, seed=3, levels=4)
-    assert judged.seed == UNSEEN + 3
-    assert (judged.levels, judged.curriculum) == (4, False)
-    assert sorted(judged.kinds) == sorted(set(trained.kinds))  # each once
+    ground = make_unseen_ground(trained, seed=3, levels=4)
+    assert ground.seed == UNSEEN + 3
+    assert (ground.levels, ground.curriculum) == (4, False)
+    assert sorted(ground.kinds) == sorted(set(trained.kinds))  # each once
     assert make_unseen_ground(FLAT, 3) == FLAT
 
 
 def test_an_episode_has_one_command_which_its_policy_sees(quadruped, monkeypatch, tmp_path):
-    told = CommandConfig(
+    command = CommandConfig(
         forward=(0.5, 1.0), lateral=(0.0, 0.0), yaw_rate=(-1.0, 0.0), standing=0.0, seconds=0.04
     )
-    act = jax.tree_util.Partial(lambda seen: 0.0 * seen[..., :12])
-    config = dataclasses.replace(walk.TASK, env=dataclasses.replace(walk.TASK.env, command=told))
+    act = jax.tree_util.Partial(lambda observation: 0.0 * observation[..., :12])
+    config = dataclasses.replace(walk.TASK, env=dataclasses.replace(walk.TASK.env, command=command))
     size = QuadrupedEnv(quadruped, config.env).policy_size
     policy = Policy(act, config, quadruped.joints, size, 0)
     monkeypatch.setattr(loading, "load_policy", lambda path: policy)
@@ -53,7 +56,7 @@ def test_an_episode_has_one_command_which_its_policy_sees(quadruped, monkeypatch
 
 @pytest.fixture
 def policy(monkeypatch) -> Policy:
-    """A trained policy, which is what every file holds."""
+    """Return a trained policy, which is what every file holds."""
     policy = load_policy(PRETRAINED / "run" / "policy.npz")
     monkeypatch.setattr(loading, "load_policy", lambda _: policy)
     return policy
@@ -61,7 +64,7 @@ def policy(monkeypatch) -> Policy:
 
 @pytest.fixture
 def folder(tmp_path) -> Run:
-    """A run whose files hold nothing."""
+    """Return a run whose files hold nothing."""
     for name in ("policy.npz", "best.npz"):
         (tmp_path / name).write_bytes(b"weights of " + name.encode())
     return Run(tmp_path)
@@ -104,3 +107,11 @@ def test_a_policy_of_another_robot_is_one_line(policy, folder, monkeypatch):
         monkeypatch.setattr(loading, "load_policy", lambda _, other=other: other)
         with pytest.raises(UserError, match="was trained on another robot than"):
             load_run(folder, 1.0, engine="fast")
+
+
+@pytest.mark.parametrize("task", list_tasks())
+def test_runs_of_before_tasks_named_a_suite_have_that_of_their_task(task, tmp_path):
+    config = load_task(task)
+    data = to_dict(config)
+    assert data.pop("suite") == config.suite
+    assert restore_config(data, Run(tmp_path), "config.json").suite == config.suite

@@ -27,7 +27,7 @@ from quadwalk.evaluation.mcap.write import (
     format_rerun_commands,
     write_mcap,
 )
-from quadwalk.evaluation.rollout import Rollout, take_first_steps
+from quadwalk.evaluation.rollout import Rollout, slice_steps
 from quadwalk.identify.joint_log import read_log
 from quadwalk.paths import ALIENGO_URDF
 from quadwalk.robot.quadruped import Quadruped, load_quadruped
@@ -53,7 +53,7 @@ def messages(written) -> dict[str, list]:
 
 @pytest.fixture
 def read_back(trot, quadruped, tmp_path):
-    """read_back(**changes): the messages of a file of `trot`, or of `rollout`, with changes."""
+    """Return read_back(**changes): the messages of a file of `trot`, or `rollout`, with changes."""
 
     def run(rollout=trot, **changes) -> dict[str, list]:
         path = tmp_path / "a.mcap"
@@ -76,14 +76,14 @@ def test_every_channel_and_its_times(messages, trot):
         "/scene": [grid[row] for row in SCENE_ROWS],
         "/log": [0, grid[-1]],
     }
-    assert {topic: [when for when, _ in found] for topic, found in messages.items()} == times
+    assert {topic: [when for when, _ in actual] for topic, actual in messages.items()} == times
 
 
 def test_embedded_times_are_the_log_times(messages):
-    for topic, found in messages.items():
+    for topic, actual in messages.items():
         if topic == "/robot_description":
             continue
-        for when, message in found:
+        for when, message in actual:
             if topic == "/tf":
                 stamps = [transform.timestamp for transform in message.transforms]
             elif topic == "/scene":
@@ -98,12 +98,12 @@ def test_the_robot_description_is_the_urdf_that_is_drawn(messages, quadruped):
     text = data[8:-1]
     assert when == 0
     assert data == b"\x00\x01\x00\x00" + (len(text) + 1).to_bytes(4, "little") + text + b"\x00"
-    drawn, whole = ElementTree.fromstring(text), ElementTree.fromstring(quadruped.urdf)
-    assert whole.findall("link/collision")
-    assert not drawn.findall("link/collision")
-    for kept in ("joint", "link/visual", "link/inertial", "material"):
-        for found, expected in zip(drawn.findall(kept), whole.findall(kept), strict=True):
-            assert ElementTree.tostring(found).strip() == ElementTree.tostring(expected).strip()
+    shown, full = ElementTree.fromstring(text), ElementTree.fromstring(quadruped.urdf)
+    assert full.findall("link/collision")
+    assert not shown.findall("link/collision")
+    for kind in ("joint", "link/visual", "link/inertial", "material"):
+        for actual, expected in zip(shown.findall(kind), full.findall(kind), strict=True):
+            assert ElementTree.tostring(actual).strip() == ElementTree.tostring(expected).strip()
 
 
 def test_a_link_without_visuals_is_drawn_by_its_collision_shapes(quadruped):
@@ -113,7 +113,7 @@ def test_a_link_without_visuals_is_drawn_by_its_collision_shapes(quadruped):
 
 @pytest.fixture(scope="module")
 def meshed(tmp_path_factory) -> Quadruped:
-    """The robot with meshes: one is seen of the trunk, and of a hip all that there is."""
+    """Return the robot with meshes: as the visual of its trunk, and for all of a hip."""
     folder = tmp_path_factory.mktemp("meshed")
     (folder / "meshes").mkdir()
     trimesh.creation.box((0.4, 0.2, 0.1)).export(folder / "meshes" / "trunk.stl")
@@ -137,18 +137,18 @@ def meshed(tmp_path_factory) -> Quadruped:
 def test_a_mesh_is_drawn_as_a_shape_that_needs_no_file(meshed):
     text = draw_urdf(meshed.urdf, meshed.make_full_model())
     assert "mesh" not in text
-    drawn = ElementTree.fromstring(text)
-    (trunk,) = drawn.findall("link[@name='trunk']/visual/geometry/box")
+    shown = ElementTree.fromstring(text)
+    (trunk,) = shown.findall("link[@name='trunk']/visual/geometry/box")
     assert trunk.get("size") == "0.647 0.15 0.112"  # as it collides
-    (hip,) = drawn.findall("link[@name='FR_hip']/visual")  # its mesh's bounds
+    (hip,) = shown.findall("link[@name='FR_hip']/visual")  # its mesh's bounds
     origin = {name: np.array(x.split(), float) for name, x in hip.find("origin").attrib.items()}
     np.testing.assert_allclose(origin["xyz"], [0.0, 0.02, -0.01], atol=1e-6)
     size = np.array(hip.find("geometry/box").get("size").split(), float)
     reach = np.abs(Rotation.from_euler("xyz", origin["rpy"]).as_matrix()) @ size
     np.testing.assert_allclose(reach, [0.1, 0.06, 0.08], atol=1e-5)
-    whole = ElementTree.fromstring(meshed.urdf)
-    calves = (x.findall("link[@name='FR_calf']/visual") for x in (drawn, whole))
-    assert len({tuple(map(ElementTree.tostring, own)) for own in calves}) == 1
+    full = ElementTree.fromstring(meshed.urdf)
+    calves = (x.findall("link[@name='FR_calf']/visual") for x in (shown, full))
+    assert len({tuple(map(ElementTree.tostring, shapes)) for shapes in calves}) == 1
 
 
 def test_transforms_compose_to_the_simulators_poses(messages, trot, quadruped):
@@ -175,12 +175,12 @@ def test_every_link_of_the_urdf_has_its_transform_in_each_message(messages, quad
     expected |= {(j.find("parent").get("link"), j.find("child").get("link")) for j in joints}
     assert len(expected) == len(urdf.findall("link"))
     for _, message in messages["/tf"]:
-        found = [(each.parent_frame_id, each.child_frame_id) for each in message.transforms]
-        assert len(found) == len(expected)
-        assert set(found) == expected
+        actual = [(each.parent_frame_id, each.child_frame_id) for each in message.transforms]
+        assert len(actual) == len(expected)
+        assert set(actual) == expected
         # A reader that goes through them once finds each parent before its children.
         reached = {"world"}
-        for parent, child in found:
+        for parent, child in actual:
             assert parent in reached
             reached.add(child)
 
@@ -200,23 +200,23 @@ def test_joint_states_and_commands(messages, trot, quadruped):
 
 
 def test_typed_channels_name_each_quantity(messages, trot, quadruped):
-    def column(topic: str, field: str) -> list:
+    def read_column(topic: str, field: str) -> list:
         return [getattr(message, field) for _, message in messages[topic]]
 
     for k, joint in enumerate(quadruped.joints):
-        np.testing.assert_allclose(column("/action", joint), trot.action[:, k], **CLOSE)
+        np.testing.assert_allclose(read_column("/action", joint), trot.action[:, k], **CLOSE)
     for k, leg in enumerate(quadruped.legs):
-        assert column("/contacts", leg) == trot.contact[:, k].tolist()
-        forces = column("/contacts", f"{leg}_force")
+        assert read_column("/contacts", leg) == trot.contact[:, k].tolist()
+        forces = read_column("/contacts", f"{leg}_force")
         np.testing.assert_allclose(forces, trot.foot_force[:, k], **CLOSE)
     for name, values in trot.reward_terms.items():
-        np.testing.assert_allclose(column("/reward", name), values, **CLOSE)
-    np.testing.assert_allclose(column("/reward", "total"), trot.reward, **CLOSE)
+        np.testing.assert_allclose(read_column("/reward", name), values, **CLOSE)
+    np.testing.assert_allclose(read_column("/reward", "total"), trot.reward, **CLOSE)
     for k in (0, 5, 46):
-        seen = column("/observation", f"seen_{k}")
-        np.testing.assert_allclose(seen, trot.observation[:, k], **CLOSE)
-    np.testing.assert_allclose(column("/base_velocity", "world_x"), trot.qvel[:, 0], **CLOSE)
-    np.testing.assert_allclose(column("/pose", "pose")[3].position.z, trot.qpos[3, 2], **CLOSE)
+        observed = read_column("/observation", f"seen_{k}")
+        np.testing.assert_allclose(observed, trot.observation[:, k], **CLOSE)
+    np.testing.assert_allclose(read_column("/base_velocity", "world_x"), trot.qvel[:, 0], **CLOSE)
+    np.testing.assert_allclose(read_column("/pose", "pose")[3].position.z, trot.qpos[3, 2], **CLOSE)
 
 
 def test_the_accelerometer_feels_gravity_at_rest(simulate, read_back):
@@ -250,8 +250,8 @@ def test_the_scene_is_complete_in_each_message(messages, trot, quadruped):
         (arrow,) = velocity.arrows
         turn = arrow.pose.orientation
         along = make_frame(0, (turn.w, turn.x, turn.y, turn.z))[:3, 0]  # an arrow points along x
-        drawn = arrow.shaft_length * along
-        np.testing.assert_allclose(drawn, 0.25 * trot.qvel[row, :3], atol=2e-3)
+        shown = arrow.shaft_length * along
+        np.testing.assert_allclose(shown, 0.25 * trot.qvel[row, :3], atol=2e-3)
         touching = np.flatnonzero(trot.contact[row - 1]) if row else []
         tails = [[getattr(arrow.pose.position, a) for a in "xyz"] for arrow in forces.arrows]
         assert len(tails) == len(touching)
@@ -302,9 +302,7 @@ def test_the_layout_shows_only_what_is_in_the_file(messages):
     [("time limit", "INFO", "end: time limit"), ("tipped", "WARNING", "fell: tipped")],
 )
 def test_the_log_tells_how_it_ended(trot, read_back, end, level, text):
-    (start, reset), (stop, final) = read_back(take_first_steps(trot, 10), end=end, episode=4)[
-        "/log"
-    ]
+    (start, reset), (stop, final) = read_back(slice_steps(trot, 0, 10), end=end, episode=4)["/log"]
     assert (start, reset.message) == (0, "reset: episode 4, seed 0")
     assert (stop, final.message) == (200_000_000, text)
     assert final.Level.Name(final.level) == level
@@ -312,16 +310,16 @@ def test_the_log_tells_how_it_ended(trot, read_back, end, level, text):
 
 def test_no_step_at_all(trot, read_back):
     states = ("/robot_description", "/tf", "/joint_states", "/pose", "/scene", "/base_velocity")
-    counts = {topic: len(of) for topic, of in read_back(take_first_steps(trot, 0)).items()}
+    counts = {topic: len(of) for topic, of in read_back(slice_steps(trot, 0, 0)).items()}
     assert counts == {**dict.fromkeys((*states, "/imu"), 1), "/log": 2}
 
 
 def test_a_command_has_its_channel(trot, read_back):
-    told = np.random.default_rng(0).normal(size=(trot.steps, 3))
-    found = read_back(command=told)["/command"]
-    assert [when for when, _ in found] == [k * 20_000_000 for k in range(trot.steps)]
-    values = [(m.forward, m.lateral, m.yaw_rate) for _, m in found]
-    np.testing.assert_allclose(values, told, **CLOSE)
+    commands = np.random.default_rng(0).normal(size=(trot.steps, 3))
+    actual = read_back(command=commands)["/command"]
+    assert [when for when, _ in actual] == [k * 20_000_000 for k in range(trot.steps)]
+    values = [(m.forward, m.lateral, m.yaw_rate) for _, m in actual]
+    np.testing.assert_allclose(values, commands, **CLOSE)
 
 
 def test_any_observation_names_become_fields(read_back):
@@ -380,7 +378,7 @@ def test_what_cannot_be_written_is_one_line(trot, quadruped, tmp_path):
 
 @pytest.fixture(scope="module")
 def stand(simulate, quadruped, tmp_path_factory) -> tuple[Rollout, Path]:
-    """A robot on a stand, and its recording."""
+    """Return a rollout of a robot on a stand, and its recording."""
     rollout = simulate(260)
     qpos = rollout.qpos.copy()
     qpos[:, :7] = quadruped.home[:7]
@@ -422,8 +420,8 @@ def test_a_damaged_file_is_refused_or_read_as_it_was_written(stand, quadruped, t
         except UserError:
             refused += 1
         else:
-            for found, expected in zip(read[:4], log[:4], strict=True):
-                np.testing.assert_array_equal(found, expected, f"{kind} at {place}")
+            for actual, expected in zip(read[:4], log[:4], strict=True):
+                np.testing.assert_array_equal(actual, expected, f"{kind} at {place}")
     assert refused > 30  # the others hit what is not read, or metadata of the same content
 
 
@@ -442,10 +440,10 @@ def test_rerun_finds_nothing_wrong(written):
 
 def test_rerun_has_a_layout_for_what_is_recorded(written, read_back, trot, tmp_path):
     layout = pytest.importorskip("benchmarks.rerun_blueprint", reason="needs rerun-sdk")
-    found = read_back(dataclasses.replace(trot, command=np.zeros((trot.steps, 3))))
+    actual = read_back(dataclasses.replace(trot, command=np.zeros((trot.steps, 3))))
     for plotted in (layout.SPEEDS, layout.REWARDS, layout.FEET):
         for topic, fields in plotted.items():
-            _, first = found[topic][0]
+            _, first = actual[topic][0]
             message = first.DESCRIPTOR
             assert message.full_name == layout.MESSAGES[topic]
             assert set(fields) <= set(message.fields_by_name)
@@ -526,8 +524,8 @@ def test_foxgloves_own_reader_decodes_every_channel(written, messages, trot, qua
     command = [node, "read_mcap.cjs", str(written)]
     done = subprocess.run(command, cwd=here, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-    found = json.loads(done.stdout)
-    topics = found["topics"]
+    actual = json.loads(done.stdout)
+    topics = actual["topics"]
     assert {topic: of["count"] for topic, of in topics.items()} == {
         topic: len(of) for topic, of in messages.items()
     }
@@ -541,5 +539,5 @@ def test_foxgloves_own_reader_decodes_every_channel(written, messages, trot, qua
     for name, values in trot.reward_terms.items():
         np.testing.assert_allclose(topics["/reward"]["last"][name], values[-1], **CLOSE)
     assert [topics["/contacts"]["last"][leg] for leg in quadruped.legs] == trot.contact[-1].tolist()
-    assert found["metadata"]["quadwalk"] == METADATA
-    assert "foxglove_layout.json" in found["attachments"]
+    assert actual["metadata"]["quadwalk"] == METADATA
+    assert "foxglove_layout.json" in actual["attachments"]

@@ -8,7 +8,7 @@ from PIL import Image
 
 from quadwalk.evaluation.report import pictures
 from quadwalk.evaluation.report.pictures import draw_film_strip, render_video
-from quadwalk.evaluation.rollout import take_first_steps
+from quadwalk.evaluation.rollout import slice_steps
 
 SMALL = {"width": 96, "height": 64}
 
@@ -29,20 +29,20 @@ def test_a_film_strip_is_two_strides_at_the_measured_frequency(
     trot, quadruped, monkeypatch, period
 ):
     def remember_rows(rollout, quadruped, rows, width, height):
-        drawn.extend(rows)
+        rows_drawn.extend(rows)
         return [np.zeros((height, width, 3), np.uint8)] * len(rows)
 
-    drawn: list[int] = []
+    rows_drawn: list[int] = []
     monkeypatch.setattr(pictures, "_draw_pictures", remember_rows)
     steps = np.arange(trot.steps)
     foot = steps % period < period // 2
     contact = np.stack([foot, ~foot, ~foot, foot], axis=1)
     draw_film_strip(dataclasses.replace(trot, contact=contact), quadruped, **SMALL)
-    assert len(drawn) == 8
+    assert len(rows_drawn) == 8
     # A line of pictures is a stride: the same moments, one period later. Rows are whole.
-    np.testing.assert_allclose(np.subtract(drawn[4:], drawn[:4]), period, atol=1)
-    np.testing.assert_allclose(np.diff(drawn), period / 4, atol=1)
-    assert abs(drawn[4] - trot.steps / 2) <= 1
+    np.testing.assert_allclose(np.subtract(rows_drawn[4:], rows_drawn[:4]), period, atol=1)
+    np.testing.assert_allclose(np.diff(rows_drawn), period / 4, atol=1)
+    assert abs(rows_drawn[4] - trot.steps / 2) <= 1
 
 
 def test_no_speed_is_written_as_minus_zero(trot, quadruped, monkeypatch):
@@ -80,10 +80,10 @@ def test_a_gif_plays_in_real_time(trot, quadruped, tmp_path):
 
 @pytest.mark.parametrize("steps", [0, 1])
 def test_an_episode_shows_no_more_states_than_it_has(trot, quadruped, tmp_path, steps):
-    strip = draw_film_strip(take_first_steps(trot, steps), quadruped, **SMALL)
+    strip = draw_film_strip(slice_steps(trot, 0, steps), quadruped, **SMALL)
     pictures = {
         strip[y : y + 64, x : x + 96].tobytes() for y in (0, 68) for x in range(0, 400, 100)
     }
     assert len(pictures) == steps + 1
-    render_video(take_first_steps(trot, steps), quadruped, tmp_path / "a.gif", **SMALL)
+    render_video(slice_steps(trot, 0, steps), quadruped, tmp_path / "a.gif", **SMALL)
     assert Image.open(tmp_path / "a.gif").n_frames == 1

@@ -44,7 +44,7 @@ def env(quadruped) -> QuadrupedEnv:
 
 
 # A policy that stands with legs that tremble a little.
-TREMBLE = jax.tree_util.Partial(lambda w, seen: 0.01 * jnp.tanh(seen @ w), jnp.eye(47, 12))
+TREMBLE = jax.tree_util.Partial(lambda w, observed: 0.01 * jnp.tanh(observed @ w), jnp.eye(47, 12))
 
 
 @pytest.fixture(scope="module")
@@ -53,11 +53,11 @@ def rollouts(env):
 
 
 def test_each_episode_has_what_was_drawn_for_it(env, rollouts):
-    drawn = [as_values(rollout.conditions, env.stepping) for rollout in rollouts]
-    strengths = {values["strength"] for values in drawn}
+    values_by_episode = [as_values(rollout.conditions, env.stepping) for rollout in rollouts]
+    strengths = {values["strength"] for values in values_by_episode}
     assert len(strengths) == EPISODES
     assert all(0.8 <= strength <= 1.0 for strength in strengths)
-    for values in drawn:
+    for values in values_by_episode:
         assert values["latency"] == pytest.approx(0.02)
         assert values["trunk_mass"] == pytest.approx(ADDED * env.robot.mass, rel=1e-5)
         assert values["encoder"] == [0.0] * 12
@@ -87,14 +87,14 @@ def test_what_is_seen_is_the_truth_and_noise_of_level_1(env, rollouts):
 
 @pytest.fixture
 def weight(env, rollouts) -> float:
-    """N, of the robot of the first episode, as MuJoCo has it."""
+    """Return the weight of the first episode's robot, N, as MuJoCo has it."""
     model = randomize_model(env.quadruped.make_full_model(), rollouts[0].conditions.variation)
     return mujoco.mj_getTotalmass(model) * env.config.gravity
 
 
 def test_the_floor_carries_what_was_added(env, rollouts, weight):
-    whole = add_foot_forces(rollouts[0], env)
-    carried = whole.foot_force[25:].sum(axis=1).mean()
+    rollout = add_foot_forces(rollouts[0], env)
+    carried = rollout.foot_force[25:].sum(axis=1).mean()
     # It sways a little, so that the floor now carries more, now less.
     assert carried == pytest.approx(weight, rel=0.05)
 
@@ -103,13 +103,15 @@ def test_a_stronger_motor_pushes_with_more_than_the_models_limit(env, rollouts):
     conditions = rollouts[0].conditions
     applied_target = rollouts[0].applied_target - 3.0  # rad, beyond what any torque reaches
 
-    def forces(strength):
+    def compute_forces(strength):
         variation = conditions.variation._replace(strength=np.float32(strength))
-        drawn = conditions._replace(variation=variation)
-        rollout = dataclasses.replace(rollouts[0], conditions=drawn, applied_target=applied_target)
+        stronger = conditions._replace(variation=variation)
+        rollout = dataclasses.replace(
+            rollouts[0], conditions=stronger, applied_target=applied_target
+        )
         return add_foot_forces(rollout, env).foot_force[-10:]  # it stands by then
 
-    assert np.abs(forces(1.5) - forces(1.0)).max() > 10.0  # N
+    assert np.abs(compute_forces(1.5) - compute_forces(1.0)).max() > 10.0  # N
 
 
 def test_figures_are_relative_to_the_robot_that_was_drawn(env, rollouts, weight, monkeypatch):
@@ -139,13 +141,16 @@ def test_episodes_in_groups_are_those_of_one_batch(env, rollouts, monkeypatch):
     monkeypatch.setattr(simulating, "ROOM", 1)
     loaded = SimpleNamespace(env=env, policy=SimpleNamespace(act=TREMBLE))
     reported: list[int] = []
-    found = measuring.evaluate_policy(loaded, EPISODES, 0, reported.append, keep=1)
+    evaluation = measuring.evaluate_policy(loaded, EPISODES, 0, reported.append, keep=1)
     assert reported == [33, 50]  # of 50 steps: two of three episodes, then all
-    assert [episode["episode"] for episode in found.episodes] == [0, 1, 2]
-    assert [rollout.episode for rollout in found.rollouts] == [0]
-    middle = int(np.argsort([episode["speed"] for episode in found.episodes])[1])
-    assert found.typical.episode == middle
-    for one, other in ((found.rollouts[0], rollouts[0]), (found.typical, rollouts[middle])):
+    assert [episode["episode"] for episode in evaluation.episodes] == [0, 1, 2]
+    assert [rollout.episode for rollout in evaluation.rollouts] == [0]
+    middle = int(np.argsort([episode["speed"] for episode in evaluation.episodes])[1])
+    assert evaluation.typical.episode == middle
+    for one, other in (
+        (evaluation.rollouts[0], rollouts[0]),
+        (evaluation.typical, rollouts[middle]),
+    ):
         np.testing.assert_array_equal(one.qpos[0], other.qpos[0])
         np.testing.assert_allclose(one.qpos, other.qpos, atol=1e-4)
         np.testing.assert_array_equal(one.conditions.targets, other.conditions.targets)
@@ -174,9 +179,9 @@ def test_a_recording_holds_the_truth_and_the_obeyed_targets(env, rollouts, tmp_p
     rollout, path = add_foot_forces(rollouts[1], env), tmp_path / "episode.mcap"
     values = as_values(rollout.conditions, env.stepping)
     write_mcap(path, rollout, env.quadruped, {"conditions": json.dumps(values)})
-    found = read_messages(path)
+    evaluation = read_messages(path)
     for topic in ("/truth", "/joint_applied_target", "/observation", "/joint_cmd"):
-        assert len(found[topic]) == rollout.steps
+        assert len(evaluation[topic]) == rollout.steps
     assert json.loads(read_records(path)[0]["quadwalk"]["conditions"]) == values
 
 
@@ -187,8 +192,8 @@ def test_the_report_shows_what_was_seen_beside_the_truth(env, rollouts):
     for axes in shown:
         name = axes.get_title(loc="left").partition(":")[0].lower()
         column = [n.lower() for n in env.sensors.names].index(name)
-        seen, true = axes.get_lines()
-        steps = (seen.get_xdata() / rollouts[0].control_dt).round().astype(int)
+        observed, true = axes.get_lines()
+        steps = (observed.get_xdata() / rollouts[0].control_dt).round().astype(int)
         assert len(steps) > 5
-        np.testing.assert_array_equal(seen.get_ydata(), rollouts[0].observation[steps, column])
+        np.testing.assert_array_equal(observed.get_ydata(), rollouts[0].observation[steps, column])
         np.testing.assert_array_equal(true.get_ydata(), rollouts[0].truth[steps, column])

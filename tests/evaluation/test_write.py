@@ -1,6 +1,7 @@
 """Runs evaluated, compared, evaluated by two engines, and swept, with a policy of a few numbers."""
 
 import dataclasses
+import functools
 import gzip
 import io
 import json
@@ -19,7 +20,6 @@ from quadwalk.evaluation import sweep, write
 from quadwalk.evaluation.load import LoadedRun
 from quadwalk.evaluation.mcap.foot_forces import add_foot_forces
 from quadwalk.evaluation.metrics import (
-    compare_engines,
     compute_mean_interval,
     compute_metrics,
     summarize_episodes,
@@ -27,6 +27,7 @@ from quadwalk.evaluation.metrics import (
 )
 from quadwalk.evaluation.results import find_revision
 from quadwalk.evaluation.rollout import simulate_episodes
+from quadwalk.evaluation.suites import commands, standing, terrain
 from quadwalk.evaluation.sweep import SWEEPS, Point, measure_points
 from quadwalk.learn.acting import Policy
 from quadwalk.robot.mjcf import write_xml
@@ -58,7 +59,7 @@ def loaded(quadruped, swaying, tmp_path_factory) -> LoadedRun:
 
 @pytest.fixture(scope="module")
 def evaluated(loaded, tmp_path_factory):
-    """By both engines: what was returned, the folder, what was printed, and MJX's episodes."""
+    """Return results of both engines, their folder, what was printed, and MJX's episodes."""
     folder, printed, rollouts = tmp_path_factory.mktemp("evaluated"), io.StringIO(), {}
 
     def keep_rollouts(env, *rest):
@@ -83,8 +84,8 @@ def evaluated(loaded, tmp_path_factory):
 
 
 def test_both_engines_are_evaluated_from_the_same_starts(evaluated, loaded):
-    results, out, _, rollouts = evaluated
-    assert json.loads((out / "metrics.json").read_text()) == results
+    results, folder, _, rollouts = evaluated
+    assert json.loads((folder / "metrics.json").read_text()) == results
     assert (results["engine"], results["seed"]) == ("mujoco", 1)
     scales, weight = loaded.env.config.reward, loaded.env.robot.weight
     effort = np.asarray(loaded.env.motor.effort)
@@ -99,24 +100,14 @@ def test_both_engines_are_evaluated_from_the_same_starts(evaluated, loaded):
     assert difference["percent"] == pytest.approx(100 * change / abs(np.mean(speeds[0])))
 
 
-def test_differences_of_what_is_not_there_or_zero():
-    figure, names = {"mean": 2.0}, ("speed", "distance", "duration", "energy_per_meter")
-    mjx = {**dict.fromkeys(names, figure), "fall_rate": 0.0, "energy_per_meter": None}
-    mujoco = {**{name: {"mean": 1.5} for name in names}, "fall_rate": 0.25}
-    found = compare_engines(mjx, mujoco)
-    assert found["fall_rate"] == {"difference": 0.25, "percent": None}
-    assert found["energy_per_meter"] == {"difference": None, "percent": None}
-    assert found["speed"] == {"difference": -0.5, "percent": -25.0}
-
-
 def test_only_what_is_asked_for_is_recorded(evaluated, loaded, quadruped):
-    results, out, said, _ = evaluated
-    names = {path.name for path in out.iterdir()}
+    results, folder, printed, _ = evaluated
+    names = {path.name for path in folder.iterdir()}
     recordings = {"episode_000.mcap", "rerun.rbl"}
     assert names == {"metrics.json", "report.png", "film_strip.png", *recordings}
-    assert "1 MCAP files" in said
-    assert f"rerun {out}/episode_000.rrd {out}/rerun.rbl" in " ".join(said.split())
-    metadata, attached = read_records(out / "episode_000.mcap")
+    assert "1 MCAP files" in printed
+    assert f"rerun {folder}/episode_000.rrd {folder}/rerun.rbl" in " ".join(printed.split())
+    metadata, attached = read_records(folder / "episode_000.mcap")
     record = metadata["quadwalk"]
     for name in ("run", "engine", "policy_sha256", "revision"):
         assert record[name] == results[name]
@@ -138,7 +129,7 @@ def test_feet_carry_the_robot(evaluated, loaded):
 
 @pytest.fixture
 def beside(evaluated, tmp_path, monkeypatch, capsys):
-    """beside(other): what was evaluated, compared with `other`, and the lines of the table."""
+    """Return beside(other): what was evaluated compared with `other`, and the table's lines."""
     monkeypatch.setenv("COLUMNS", "120")
 
     def run(other: dict) -> tuple[dict, list[str]]:
@@ -172,13 +163,13 @@ def test_runs_side_by_side(evaluated, beside, tmp_path):
 
 def test_a_run_with_commands_beside_one_without(evaluated, beside):
     results, *_ = evaluated
-    told = json.loads(json.dumps(results))
-    for number, episode in enumerate(told["episodes"]):
+    commanded = json.loads(json.dumps(results))
+    for number, episode in enumerate(commanded["episodes"]):
         for name in ("speed", "distance", "lateral_drift", "heading_error"):
             del episode[name]
         figures = {"velocity_error": 0.1 * number, "yaw_rate_error": None}
         episode |= {**figures, "path_speed": 1.0, "path": SECONDS}
-    _, lines = beside(told)
+    _, lines = beside(commanded)
     for row, first, second in (
         ("speed along x", f"{results['summary']['speed']['mean']:.3f} ±", "- │ m/s"),
         ("velocity error", "- │", "0.150 ±"),
@@ -210,8 +201,8 @@ def test_without_perturbation_a_sweep_measures_what_an_evaluation_does(evaluated
 
 
 def test_a_sweep_is_a_table_of_one_thing_at_a_time(loaded, tmp_path, monkeypatch):
-    def made_up(_, points, episodes, *rest):
-        """Success and speed of each point by its values, in place of simulated ones."""
+    def make_up_points(_, points, episodes, *rest):
+        """Return success and speed of each point by its values, in place of simulated ones."""
         return [
             {
                 "success": max(0.0, 1 - 0.5 * point.push - 0.02 * point.delay),
@@ -221,7 +212,7 @@ def test_a_sweep_is_a_table_of_one_thing_at_a_time(loaded, tmp_path, monkeypatch
             for point in points
         ]
 
-    monkeypatch.setattr(sweep, "measure_points", made_up)
+    monkeypatch.setattr(sweep, "measure_points", make_up_points)
     results = write.write_sweep(loaded, tmp_path, episodes=16, seed=0)
     assert json.loads((tmp_path / "sweep.json").read_text()) == results
     assert (tmp_path / "sweep.png").exists()
@@ -264,3 +255,31 @@ def test_without_git_or_a_checkout_the_version_stands_for_it(tmp_path, monkeypat
     assert find_revision(tmp_path).startswith("quadwalk ")  # not a valid one
     monkeypatch.setenv("PATH", str(inside))
     assert find_revision().startswith("quadwalk ")
+
+
+def test_a_task_names_what_is_measured_of_it(loaded, tmp_path, monkeypatch):
+    called: list[str] = []
+
+    def replace(module, *names):
+        for name in names:
+            monkeypatch.setattr(module, name, functools.partial(record_call, name))
+
+    def record_call(name, *_):
+        called.append(name)
+        return {}
+
+    replace(terrain, "measure_terrain")
+    replace(standing, "measure_standing", "print_standing")
+    replace(commands, "measure_commands", "measure_changing", "print_commands", "draw_commands")
+    monkeypatch.setattr(write, "save_figure", lambda *_: None)
+    files = {}
+    for suite in ("course", "terrain", "standing", "commands"):
+        config = dataclasses.replace(loaded.policy.config, suite=suite)
+        run = dataclasses.replace(loaded, policy=dataclasses.replace(loaded.policy, config=config))
+        files[suite] = write._write_suite(run, tmp_path, {}, episodes=8, seed=0, levels=2)
+    assert called == [
+        *("measure_standing", "print_standing"),
+        *("measure_commands", "measure_changing", "print_commands", "draw_commands"),
+    ]
+    # A task of uneven ground that was trained on a flat floor has no kinds of ground.
+    assert files == {"course": [], "terrain": [], "standing": [], "commands": ["steering.png"]}

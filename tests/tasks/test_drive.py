@@ -29,7 +29,7 @@ from quadwalk.learn.acting import Policy
 from quadwalk.runs.directory import Run
 from quadwalk.settings.environment import COMMANDED, NO_RANDOMIZATION, REAL_WORLD
 from quadwalk.tasks import drive
-from tests.evaluation.conftest import glided
+from tests.evaluation.conftest import make_glide_poses
 
 
 @pytest.fixture(scope="module")
@@ -115,7 +115,7 @@ def test_a_robot_that_moves_as_it_is_told_at_once_has_followed_at_once(standing,
     def glide(env, policy, starts, change):
         first = np.asarray(starts.pipeline_state.qpos[:, :7], float)
         for number, _, commands in roll_out(env, policy, starts, seen_commands, change=change):
-            poses = glided(first[number], commands)
+            poses = make_glide_poses(first[number], commands)
             yield number, True, np.concatenate([first[number, None], poses])
 
     def seen_commands(env, before, action, after):

@@ -34,11 +34,11 @@ from quadwalk.evaluation.report.tables import (
 from quadwalk.evaluation.rollout import (
     GROUP,
     Report,
-    drop_first_steps,
     reset_cells,
     reset_episodes,
     roll_out_paths,
     simulate_episodes,
+    slice_steps,
 )
 from quadwalk.render.figures import get_style, make_figure, tidy
 from quadwalk.settings.environment import COMMANDED, CommandConfig
@@ -190,9 +190,7 @@ def measure_gaits(loaded: LoadedRun, seed: int) -> list[dict[str, Any]]:
     starts = reset_with_commands(env, [(float(speed), 0.0, 0.0) for speed in speeds], 1, seed)
     rollouts = simulate_episodes(env, loaded.policy.act, len(speeds), seed, starts=starts)
     settled = round(SETTLED / env.config.control_dt)
-    gaits = [
-        measure_gait(drop_first_steps(rollout, settled), env.quadruped) for rollout in rollouts
-    ]
+    gaits = [measure_gait(slice_steps(rollout, settled), env.quadruped) for rollout in rollouts]
     figures = ("speed", "cost_of_transport", "stride_frequency")
     return [
         {"command": float(speed), "gait": gait.gait}

@@ -1,12 +1,9 @@
-"""Rotations and link poses against MuJoCo's, for the AlienGo and other people's quadrupeds."""
+"""Link poses against MuJoCo's, for the AlienGo and other people's quadrupeds."""
 
-import mujoco
 import numpy as np
-import pytest
 
 from quadwalk.evaluation.gait import compute_foot_poses
 from quadwalk.evaluation.mcap.urdf import find_link_frames
-from quadwalk.evaluation.metrics import to_roll_pitch_yaw, to_rotations
 from quadwalk.robot.mjcf import Options
 from quadwalk.robot.quadruped import Quadruped, load_quadruped, make_quadruped
 from quadwalk.robot.urdf import parse_urdf
@@ -34,10 +31,10 @@ def check_links(quadruped: Quadruped) -> None:
         bodies = {model.body(k).name for k in range(1, model.nbody)}
         sites = {model.site(k).name for k in range(model.nsite)}
         assert bodies <= set(world) <= bodies | sites  # each moving link, and no unknown one
-        for link, own in world.items():
-            found = data.body(link) if link in bodies else data.site(link)
-            np.testing.assert_allclose(own[:3, 3], found.xpos, atol=1e-9)
-            np.testing.assert_allclose(own[:3, :3].ravel(), found.xmat, atol=1e-9)
+        for link, pose in world.items():
+            actual = data.body(link) if link in bodies else data.site(link)
+            np.testing.assert_allclose(pose[:3, 3], actual.xpos, atol=1e-9)
+            np.testing.assert_allclose(pose[:3, :3].ravel(), actual.xmat, atol=1e-9)
         for k, foot in enumerate(quadruped.feet):
             np.testing.assert_allclose(centers[row, k], data.geom(foot).xpos)
             calf = model.body(model.geom(foot).bodyid[0]).name
@@ -62,22 +59,3 @@ def test_links_of_a_robot_that_was_turned():
     quadruped = make_quadruped(parse_urdf(text))
     assert find_link_frames(quadruped).parents[0] == quadruped.trunk == "trunk_ahead"
     check_links(quadruped)
-
-
-@pytest.mark.filterwarnings("error")
-def test_angles_are_those_that_mujoco_turns_by():
-    angles = np.random.default_rng(0).uniform([-3.1, -1.5, -3.1], [3.1, 1.5, 3.1], (50, 3))
-    quats = np.empty((50, 4))
-    for quat, (roll, pitch, yaw) in zip(quats, angles, strict=True):
-        mujoco.mju_euler2Quat(quat, [yaw, pitch, roll], "zyx")
-    np.testing.assert_allclose(to_roll_pitch_yaw(3.0 * quats), angles, atol=1e-9)
-    # Nose up: of roll and yaw only the sum is determined, and there is no warning of it.
-    up = to_roll_pitch_yaw(np.array([[np.sqrt(0.5), 0.0, -np.sqrt(0.5), 0.0]]))
-    assert up[0, 1] == pytest.approx(-np.pi / 2)
-
-
-def test_a_quaternion_without_length_is_no_rotation():
-    quats = np.array([[0.0] * 4, [np.nan] * 4, [1e-200, 0, 0, 0], [0, 0, 0, 2.0]])
-    turned = to_rotations(quats).apply([1.0, 2.0, 3.0])
-    np.testing.assert_allclose(turned, [[1, 2, 3]] * 3 + [[-1, -2, 3]])
-    assert to_roll_pitch_yaw(np.empty((0, 4))).shape == (0, 3)
