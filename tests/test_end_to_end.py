@@ -1,4 +1,4 @@
-"""The two commands as a user runs them on a task of their own: train, stop, judge, go on."""
+"""The two commands as a user runs them on a task of their own: train, stop, evaluate, resume."""
 
 import json
 import re
@@ -15,7 +15,7 @@ import pytest
 from quadwalk.errors import UserError
 from quadwalk.learn.cli import main as train
 from tests.evaluation.conftest import count_messages
-from tests.programs import ROOT, python
+from tests.programs import ROOT
 from tests.test_shown_commands import OWN_TASK
 
 ITERATIONS = 150
@@ -42,8 +42,8 @@ def task(tmp_path_factory) -> Path:
 @pytest.fixture(scope="module")
 def stopped(runs, task) -> tuple[Path, str]:
     """A training that Ctrl-C ended: its folder, and what it printed."""
-    own = [str(task), f"--runs={runs}", "--name=tiny"]
-    command = [sys.executable, "train.py", *own, *TINY]
+    flags = [f"--runs={runs}", "--name=tiny", *TINY]
+    command = [sys.executable, "train.py", str(task), *flags]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=ROOT) as process:
         assert process.stdout is not None
         first = process.stdout.readline()
@@ -57,14 +57,10 @@ def stopped(runs, task) -> tuple[Path, str]:
     return runs / "tiny", first + rest
 
 
-def test_training_says_at_once_what_it_does(stopped):
-    _, output = stopped
-    assert "loading" in output.splitlines()[0]
-    assert "compiling" in output
-
-
 def test_a_stopped_training_leaves_everything(stopped):
     folder, output = stopped
+    assert "loading" in output.splitlines()[0]
+    assert "compiling" in output
     assert "stopped after" in output
     names = {path.name for path in folder.iterdir()}
     assert names >= {"config.json", "metrics.jsonl", "tensorboard", "checkpoints", "policy.npz"}
@@ -82,26 +78,17 @@ def test_a_stopped_training_leaves_everything(stopped):
     assert total == pytest.approx(rows[0]["train/reward"], abs=1e-4)
 
 
-def test_a_run_is_never_overwritten(stopped, runs):
-    before = {path: path.stat().st_mtime_ns for path in runs.rglob("*")}
-    done = python("train.py", f"--runs={runs}", "--name=tiny", *TINY, timeout=240)
-    assert done.returncode == 2
-    assert "tiny" in done.stderr
-    assert done.stderr.count("\n") == 1
-    assert {path: path.stat().st_mtime_ns for path in runs.rglob("*")} == before
-
-
-def paste(said: str, output: str, *more: str) -> subprocess.CompletedProcess[str]:
-    """Run the command that `output` shows after what is `said`, in the same shell, with flags."""
-    (command,) = re.findall(rf"^{said} +(.*)$", output, re.MULTILINE)
-    line = f"{command} {shlex.join(more)}"
+def run_shown(label: str, output: str, *flags: str) -> subprocess.CompletedProcess[str]:
+    """Run the command that `output` shows after `label`, as pasted into a shell, with `flags`."""
+    (command,) = re.findall(rf"^{label} +(.*)$", output, re.MULTILINE)
+    line = f"{command} {shlex.join(flags)}"
     return subprocess.run(line, shell=True, capture_output=True, text=True, cwd=ROOT)
 
 
 @pytest.mark.parametrize("engine", ["mjx", "mujoco"])
 def test_evaluation_measures_and_writes_every_episode(stopped, tmp_path, engine):
     flags = ["--episodes=2", "--seconds=1", f"--engine={engine}", f"--out={tmp_path}"]
-    done = paste("evaluate with", stopped[1], *flags)
+    done = run_shown("evaluate with", stopped[1], *flags)
     assert done.returncode == 0, done.stderr
     assert "speed along x" in done.stdout
     results = json.loads((tmp_path / "metrics.json").read_text())
@@ -123,19 +110,12 @@ def test_a_stopped_training_goes_on_to_its_end(stopped, runs):
     before = (resumed / "metrics.jsonl").read_bytes()
     assert before.count(b"\n") < ITERATIONS
     output = stopped[1].replace(str(stopped[0]), str(resumed))
-    done = paste("resume with", output, "--devices=2")
+    done = run_shown("resume with", output, "--devices=2")
     assert done.returncode == 0, done.stderr
     after = (resumed / "metrics.jsonl").read_bytes()
     assert after.startswith(before)
     assert after.count(b"\n") == ITERATIONS
     assert (resumed / f"checkpoints/step_{64 * ITERATIONS:012d}.npz").exists()
-
-
-def error_of(*flags: str) -> str:
-    """What `train.py` says, called here, where it cannot train."""
-    with pytest.raises(UserError) as caught:
-        train(flags)
-    return str(caught.value)
 
 
 @pytest.mark.parametrize(
@@ -145,18 +125,12 @@ def error_of(*flags: str) -> str:
         (["--resume=tiny", "--ppo.hidden=32"], "ppo.hidden"),
         (["--resume=tiny", "--seed=5"], "seed"),
         (["--resume=tiny", "--name=other"], "--name"),
+        (["--name=tiny"], "run 'tiny' exists"),
+        (["--robot.urdf=none.urdf"], "none.urdf"),
     ],
 )
-def test_what_cannot_be_resumed_is_said(stopped, runs, flags, named):
-    before = (stopped[0] / "config.json").read_bytes()
-    assert named in error_of(f"--runs={runs}", *flags, "--devices=2")
-    assert (stopped[0] / "config.json").read_bytes() == before
-
-
-@pytest.mark.parametrize("content", [None, b"", b"<robot name='x'><link"])
-def test_a_urdf_that_is_none_is_named_and_makes_no_run(tmp_path, content):
-    urdf = tmp_path / "dog.urdf"
-    if content is not None:
-        urdf.write_bytes(content)
-    assert "dog.urdf" in error_of(f"--runs={tmp_path / 'runs'}", f"--robot.urdf={urdf}")
-    assert not (tmp_path / "runs").exists()
+def test_a_training_that_cannot_start_is_one_line_and_changes_nothing(stopped, runs, flags, named):
+    files = {path: path.stat().st_mtime_ns for path in runs.rglob("*")}
+    with pytest.raises(UserError, match=named):
+        train([f"--runs={runs}", *flags, "--devices=2"])
+    assert {path: path.stat().st_mtime_ns for path in runs.rglob("*")} == files

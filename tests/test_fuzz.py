@@ -14,7 +14,7 @@ import pytest
 
 from quadwalk.cli.arguments import parse
 from quadwalk.errors import UserError
-from quadwalk.evaluation.command import EvalConfig
+from quadwalk.evaluation.command import EvalConfig, SweepConfig
 from quadwalk.experiments.commands import compare
 from quadwalk.experiments.options import CompareConfig, TuneConfig
 from quadwalk.export.cli import ExportConfig
@@ -22,9 +22,11 @@ from quadwalk.learn.acting import load_checkpoint_policy, load_policy
 from quadwalk.learn.flags import parse_config
 from quadwalk.paths import ALIENGO_URDF
 from quadwalk.progress.curves import draw_learning_curve
-from quadwalk.robot.cli import main as robot
+from quadwalk.robot.cli import ConvertConfig
+from quadwalk.robot.cli import main as convert
 from quadwalk.robot.load import load_robot
 from quadwalk.robot.quadruped import Quadruped
+from quadwalk.runs.cli import ListRunsConfig
 from quadwalk.runs.directory import (
     Run,
     create_run,
@@ -40,7 +42,8 @@ from quadwalk.settings.serialize import change_settings, flatten
 from quadwalk.settings.training import RobotConfig
 from quadwalk.task_files import load_task
 from quadwalk.tasks import list_tasks
-from quadwalk.terrain.cli import main as ground
+from quadwalk.terrain.cli import TerrainConfig
+from quadwalk.terrain.cli import main as draw_terrain
 from quadwalk.web.robots import list_policies
 from quadwalk.web.view import ViewConfig
 from tests.settings.test_serialize import places
@@ -56,8 +59,8 @@ VALUES: tuple[Any, ...] = (
 )
 
 
-def settles(action: Callable[..., object], *arguments: Any) -> None:
-    """Assert that `action` returns or raises what is one line for the user."""
+def check_settles(action: Callable[..., object], *arguments: Any) -> None:
+    """Assert that `action` returns or raises a `UserError` of one line."""
     try:
         action(*arguments)
     except UserError as error:
@@ -67,75 +70,53 @@ def settles(action: Callable[..., object], *arguments: Any) -> None:
         assert len(message) < 1000 or "x" * 5000 in message or "9" * 5000 in message
 
 
-def some(things: Iterable[Any], key: str, count: int) -> list[Any]:
-    """So many of them, by chance, always the same for `key`."""
+def sample(things: Iterable[Any], key: str, count: int) -> list[Any]:
+    """Return so many of `things`, always the same for `key`."""
     things = list(things)
     return random.Random(zlib.crc32(key.encode())).sample(things, min(count, len(things)))
-
-
-def flags_of(config: Any) -> dict[str, None]:
-    return dict.fromkeys(f"--{name.replace('_', '-')}" for name in flatten(config))
-
-
-TRAINING = {flag: task for task in list_tasks() for flag in flags_of(load_task(task))}
-
-
-@pytest.mark.parametrize("part", range(8))
-def test_flags_of_training(part):
-    for flag in sorted(TRAINING)[part::8]:
-        for word in some(WORDS, flag, 1):
-            settles(parse_config, [TRAINING[flag], f"{flag}={word}"])
 
 
 @pytest.mark.parametrize("task", list_tasks())
 def test_settings_of_a_task(task):
     config = load_task(task)
     for name in flatten(config):
-        for value in some(VALUES, task + name, 6):
-            settles(change_settings, config, {name: value})
-
-
-@pytest.mark.parametrize("flag", ["--resume", "--runs", "--name"])
-def test_flags_that_choose_what_is_trained(flag, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    for word in WORDS:
-        settles(parse_config, [f"{flag}={word}"])
-        if flag == "--name":
-            settles(create_run, tmp_path, word)
+        for value in sample(VALUES, task + name, 4):
+            check_settles(change_settings, config, {name: value})
+    for name in sample(flatten(config), task, 6):
+        for word in sample(WORDS, task + name, 1):
+            check_settles(parse_config, [task, f"--{name.replace('_', '-')}={word}"])
 
 
 @pytest.mark.parametrize(
-    "config", [EvalConfig, ExportConfig, ViewConfig, CompareConfig, TuneConfig]
+    "config",
+    [
+        *(EvalConfig, SweepConfig, ExportConfig, ViewConfig, CompareConfig, TuneConfig),
+        *(ListRunsConfig, ConvertConfig, TerrainConfig),
+    ],
 )
-def test_flags_of_the_other_commands(config, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def test_flags_of_the_other_commands(config):
     for field in dataclasses.fields(config):
         flag = f"--{field.name.replace('_', '-')}"
-        for word in some(WORDS, flag, 5):
-            settles(parse, config, [f"{flag}={word}"], "prog")
+        for word in sample(WORDS, flag, 3):
+            check_settles(parse, config, [f"{flag}={word}"], "prog")
 
 
 @pytest.mark.parametrize("word", WORDS)
-def test_arguments_that_are_no_flags(word, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    settles(parse_config, [word])
-    settles(parse, EvalConfig, [word], "prog")
-    settles(find_any_run, tmp_path, word)
-    settles(find_ready, Path(word), "latest", "walk")
-    settles(compare, [word, "--seeds", word])
-
-
-@pytest.mark.parametrize("word", WORDS)
-def test_arguments_of_robot_and_ground(word, tmp_path, monkeypatch):
+def test_names_of_tasks_runs_variants_and_files(word, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(
         "quadwalk.terrain.picture.draw_kinds", lambda *_: np.zeros((2, 2, 3), np.uint8)
     )
-    for flag in ("--mesh-dirs", "--rotor", "--out", "--render", "--nothing"):
-        for argv in some(([str(ALIENGO_URDF), "-q", f"{flag}={word}"], [word]), flag + word, 1):
-            settles(robot, argv)
-    for flag in ("--out", "--kinds", "--levels", "--seed", "--robot.urdf"):
-        settles(ground, ["-o", "a.png", f"{flag}={word}"])
+    check_settles(parse_config, [word])
+    check_settles(parse_config, [f"--resume={word}"])
+    check_settles(create_run, tmp_path, word)
+    check_settles(find_any_run, tmp_path, word)
+    check_settles(find_ready, Path(word), "latest", "walk")
+    check_settles(compare, [word, "--seeds", word])
+    for flag in sample(("--mesh-dirs", "--rotor", "--out", "--render"), word, 1):
+        check_settles(convert, [str(ALIENGO_URDF), "-q", f"{flag}={word}"])
+    for flag in sample(("--out", "--kinds", "--levels", "--robot.urdf"), word, 1):
+        check_settles(draw_terrain, ["-o", "a.png", f"{flag}={word}"])
 
 
 # What a run's files are read for.
@@ -143,9 +124,9 @@ READERS: dict[str, tuple[Callable[[Run], object], ...]] = {
     "config.json": (read_config_to_resume,),
     "metrics.jsonl": (
         lambda run: draw_learning_curve(read_history(run)),
-        lambda run: appended(run),
+        lambda run: append_row(run),
     ),
-    "timing.jsonl": (read_history, lambda run: appended(run)),
+    "timing.jsonl": (read_history, lambda run: append_row(run)),
     "policy.npz": (lambda run: load_policy(run.policy),),
     "best.npz": (lambda run: load_score(run.best),),
     "checkpoints/step_000000000003.npz": (
@@ -157,7 +138,7 @@ READERS: dict[str, tuple[Callable[[Run], object], ...]] = {
 }
 
 
-def appended(run: Run) -> None:
+def append_row(run: Run) -> None:
     with MetricsLog(run, resume_at=2) as log:
         log.append({"steps": 3, "x": 1.0})
 
@@ -180,11 +161,11 @@ def test_files_of_a_run(name, trained, tmp_path):
     file, original = run.path / name, (trained.path / name).read_bytes()
 
     def read() -> None:
-        settles(find_run, tmp_path, "latest")
+        check_settles(find_run, tmp_path, "latest")
         for reader in READERS[name]:
-            settles(reader, run)
+            check_settles(reader, run)
 
-    for content in damaged(name, original, random.Random(0)):
+    for content in damage(name, original, random.Random(0)):
         file.write_bytes(content)
         read()
     file.unlink()
@@ -197,8 +178,8 @@ def test_files_of_a_run(name, trained, tmp_path):
     read()
 
 
-def damaged(name: str, content: bytes, rng: random.Random) -> Iterator[bytes]:
-    """What may be in the place of a file with this `content`."""
+def damage(name: str, content: bytes, rng: random.Random) -> Iterator[bytes]:
+    """Yield contents that may be in the place of a file with this `content`."""
     yield from (b"", bytes(100), b"\xff\xfe", b"[" * 100_000, b'{"a":' * 100_000, b"{}", b"3")
     yield from (content[: rng.randrange(len(content))] for _ in range(10))
     for _ in range(20):
@@ -210,14 +191,14 @@ def damaged(name: str, content: bytes, rng: random.Random) -> Iterator[bytes]:
         first, *rest = content.splitlines(keepends=True) if name.endswith("l") else [content]
         data = json.loads(first)
         for path in rng.choices([(), *places(data)], k=60):
-            odd = json.dumps(replaced(data, path, rng.choice(VALUES[:-1])))
+            odd = json.dumps(replace(data, path, rng.choice(VALUES[:-1])))
             yield odd.encode() + b"\n" + b"".join(rest)
         yield json.dumps(data | {"long": "x" * 10**7}).encode() + b"\n" + b"".join(rest)
 
 
-def replaced(data: Any, path: tuple[Any, ...], value: Any) -> Any:
+def replace(data: Any, path: tuple[Any, ...], value: Any) -> Any:
     if not path:
         return value
     copy = data.copy()
-    copy[path[0]] = replaced(data[path[0]], path[1:], value)
+    copy[path[0]] = replace(data[path[0]], path[1:], value)
     return copy

@@ -22,7 +22,7 @@ from quadwalk.runs.log import read_last_row
 
 
 @dataclass(frozen=True)
-class RunsConfig:
+class ListRunsConfig:
     """List training runs, show their settings, or remove them."""
 
     action: Annotated[Literal["list", "show", "remove"], tyro.conf.Positional] = "list"
@@ -33,7 +33,7 @@ class RunsConfig:
 
 def main(args: Sequence[str], prog: str = "quadwalk runs") -> None:
     """List all runs, show some with all of their settings, or remove some."""
-    config = parse(RunsConfig, args, prog)
+    config = parse(ListRunsConfig, args, prog)
     if config.action == "list":
         if config.run:
             raise UsageError(f"list {config.run[0]}: expected list alone")
