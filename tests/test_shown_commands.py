@@ -31,7 +31,7 @@ PLACES = {
 }  # fmt: skip
 # Programs of others, and one of the check.
 OTHERS = (
-    ".ci/quickstart", "eval", "git", "ray", "rerun", "pip", ".venv/bin/pip", ".venv/bin/pre-commit",
+    ".ci/quickstart", "git", "ray", "rerun", "pip", ".venv/bin/pip", ".venv/bin/pre-commit",
 )  # fmt: skip
 
 
