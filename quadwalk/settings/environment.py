@@ -26,7 +26,7 @@ SIGHT = "height_scan"  # the observation that the blind do without
 
 @dataclass(frozen=True)
 class ResetConfig(Settings, group="env.reset"):
-    """How much a fresh start differs from the home pose: each drawn uniformly from +-value."""
+    """Random starts about the home pose: each number is sampled uniformly from +-value."""
 
     # rad, hip, thigh and calf of every leg; None: the home pose
     pose: tuple[float, float, float] | None
@@ -37,9 +37,9 @@ class ResetConfig(Settings, group="env.reset"):
     joints: NotNegative  # rad, joint angles
     velocity: NotNegative  # m/s and rad/s, of the trunk
     joint_velocity: NotNegative  # rad/s
-    forward: float  # m/s, forward speed, drawn from 0 to this
-    # draw any orientation, uniformly, instead of yaw and tilt; without a height, the robot's lowest
-    # part touches the floor
+    forward: float  # m/s, forward speed, sampled from 0 to this
+    # sample any orientation instead of yaw and tilt; without a height, the robot's lowest part
+    # touches the floor
     tumbled: bool = False
 
 
@@ -59,7 +59,7 @@ HOME_RESET = ResetConfig(
 
 @dataclass(frozen=True)
 class CommandConfig(Settings, group="env.command"):
-    """The velocity command: drawn uniformly from these (low, high), in the frame of the heading."""
+    """The velocity command, sampled uniformly from (low, high), in the heading frame."""
 
     forward: Annotated[Pair, Bounds(ordered=True)]  # m/s
     lateral: Annotated[Pair, Bounds(ordered=True)]  # m/s, to the left
@@ -68,23 +68,23 @@ class CommandConfig(Settings, group="env.command"):
     seconds: Seconds  # s, until the next command
     straight: Share = 0.0  # share of commands without lateral velocity and yaw rate
     spot: Share = 0.0  # share of commands to turn on the spot: without a velocity
-    # s; the time until the next command is drawn from this to `seconds`; None: it is `seconds`
+    # s, shortest time until the next command, sampled from this to `seconds`; None: `seconds`
     soonest: Seconds | None = None
-    # m/s; the lateral range shrinks with forward speed and is zero from this speed on; None: it
+    # m/s, forward speed from which on the lateral range is zero, after it has shrunk; None: it
     # stays
     lateral_until: Positive | None = None
-    # m/s^2; yaw rates are scaled down to this centripetal acceleration, and to half of what
-    # friction bears; rewards count no more of one while the robot is faster; None: they are not
+    # m/s^2, limit of a command's centripetal acceleration, beside half of what friction permits;
+    # rewards limit the yaw rate likewise while the robot is faster; None: no limit
     turning: Positive | None = None
-    # m/s^2; rewards count a new velocity as if commands came to it at this rate; None: at once
+    # m/s^2, rate at which the command that rewards count approaches a new one; None: at once
     acceleration: Positive | None = None
-    # m; velocities are those of a robot with legs of this length, and other robots have theirs at
-    # the same Froude number; None: all robots have the same
+    # m, leg length that the velocities are for; other robots get them at the same Froude number;
+    # None: all robots have the same
     leg: Positive | None = None
-    # with `leg`, forward velocities are at most this share of how fast the thighs' motors can swing
-    # a foot; None: motors do not bound them
+    # with `leg`, limit of forward velocities, as a share of the speed at which the thighs' motors
+    # can swing a foot; None: no limit
     swing: Share | None = None
-    margin: Share = 0.0  # training draws from ranges that are wider by this share
+    margin: Share = 0.0  # training samples from ranges that are wider by this share
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -150,7 +150,7 @@ NO_COMMAND = CommandConfig(
 
 @dataclass(frozen=True)
 class RandomizationConfig(Settings, group="env.randomization"):
-    """What differs from episode to episode: drawn uniformly from (low, high); None: not at all."""
+    """Domain randomization: each episode's numbers, sampled from (low, high); None: the model's."""
 
     enabled: bool  # False: nothing is randomized
     friction: Sizes  # sliding friction of floor and feet
@@ -171,11 +171,11 @@ class RandomizationConfig(Settings, group="env.randomization"):
     noise: Sizes  # level of sensor noise; level 1 is what the observations state
     push: Sizes  # size of a push in any direction, as a share of sqrt(gravity * home height)
     push_seconds: Seconds = 5.0  # s; one push in each such period
-    # in training each range is wider by this share of its ends' distance from the model's value;
-    # evaluations leave it out
+    # training widens each range by this share of its ends' distance from the model's value;
+    # evaluations do not
     margin: Share = 0.0
-    # share of training's episodes in which nothing is randomized: else the model's own conditions,
-    # at the ends of several ranges, are hardly met; evaluations leave it out
+    # share of training's episodes in which nothing is randomized: the model's own numbers are at
+    # the ends of several ranges and rare otherwise; evaluations leave it out
     ideal: Share = 0.0
 
 
@@ -226,7 +226,7 @@ PHYSICS: dict[str, Any] = {
 
 @dataclass(frozen=True)
 class EnvConfig(Settings, group="env"):
-    """The environment: physics, motors, and the task in it."""
+    """The environment: physics, motors, and the task."""
 
     engine: Literal["fast", "mjx"]  # physics engine: quadwalk's own equations (fast) or MJX
     gravity: Annotated[float, Bounds(0.0, 1000.0, open="low", unit="m/s^2")]  # m/s^2
@@ -240,14 +240,14 @@ class EnvConfig(Settings, group="env"):
     episode_seconds: Seconds  # s, time limit of an episode
     motor: MotorConfig
     action: ActionMap
-    observation: dict[str, Observation]  # what the policy sees
-    critic: dict[str, Observation]  # what the value network sees besides, undisturbed
+    observation: dict[str, Observation]  # of the policy and the value network
+    critic: dict[str, Observation]  # privileged, of the value network alone, undisturbed
     reward: dict[str, Reward]
     termination: dict[str, Termination]
     reset: ResetConfig
     command: CommandConfig
     randomization: RandomizationConfig
-    # A run from before there was any other ground does not state it.
+    # Runs of early versions do not state it.
     ground: GroundConfig = FLAT
     # the policy does without the observation `height_scan`; the value network keeps it
     blind: bool = False

@@ -31,14 +31,14 @@ class RobotConfig(Settings, group="robot"):
 class PPOConfig(Settings, group="ppo"):
     """The learner: proximal policy optimization (Schulman et al. 2017, arXiv:1707.06347)."""
 
-    eval_envs: Count  # additional environments that act as a trained policy, to measure it
+    eval_envs: Count  # additional environments of the deterministic policy, to evaluate it
     unroll: Count  # control steps of each environment in an iteration
     minibatches: Count  # minibatches in each pass over an iteration's data
     epochs: Count  # passes over an iteration's data
     learning_rate: Positive  # Adam's learning rate at the start
-    # the learning rate adapts to keep the policy's change, a KL divergence, near this
+    # KL divergence of a policy update, which the learning rate adapts to
     desired_kl: Positive
-    final_kl: Positive  # desired_kl falls to this over the last `anneal_share` of the steps
+    final_kl: Positive  # desired_kl decreases to this over the last `anneal_share` of the steps
     min_learning_rate: Positive  # lower bound of the learning rate
     max_learning_rate: Positive  # upper bound of the learning rate
     discount: Annotated[float, Bounds(0.0, 1.0, open="high")]  # weight of the next step's return
@@ -46,7 +46,7 @@ class PPOConfig(Settings, group="ppo"):
     clip_epsilon: Positive  # the probability ratio is clipped to 1 +- this
     init_std: Positive  # standard deviation of actions at the start, before the tanh
     entropy: NotNegative  # weight of the entropy bonus
-    # the entropy bonus's weight falls to this over the last `anneal_share` of the steps
+    # the entropy bonus's weight decreases to this over the last `anneal_share` of the steps
     final_entropy: NotNegative
     value_coef: NotNegative  # weight of the value loss
     max_grad_norm: Positive  # gradients are scaled down to this norm
@@ -56,12 +56,11 @@ class PPOConfig(Settings, group="ppo"):
     activation: str  # activation of the hidden layers, by its name in Brax: swish, relu, tanh, ...
     # use mirror-symmetric networks where the robot and all observations allow it
     symmetric: bool = False
-    # share of the falls after which the next episode is under the same conditions once more: so
-    # what is hard to bear is met more often
+    # probability of repeating the conditions of an episode that ended in a fall
     retry: Annotated[float, Bounds(0.0, 1.0, open="high")] = 0.0
-    # share of the steps, the last, over which desired_kl and the entropy bonus fall
+    # last share of the steps, over which desired_kl and the entropy bonus decrease
     anneal_share: Annotated[float, Bounds(0.0, 1.0, open="low")] = 0.4
-    # a trained policy acts with noise, as in training, where it is unsure of its action
+    # the trained policy samples its actions, as in training, in place of the most likely ones
     stochastic: bool = False
 
     def __post_init__(self) -> None:
@@ -102,8 +101,8 @@ PPO = PPOConfig(
     activation="swish",
     symmetric=True,
 )
-# For uneven ground. A quarter fewer steps/s than with three layers of 128, but as far in two thirds
-# of the steps; it settles early, for levels rise little before.
+# For uneven ground: a quarter fewer steps/s than with three layers of 128, and two thirds of the
+# steps. It anneals early, since levels of difficulty rise little before.
 PPO_UNEVEN = replace(PPO, discount=0.98, entropy=0.003, hidden=(256, 192, 128), anneal_share=0.8)
 
 
