@@ -1,10 +1,10 @@
 """The gait of an episode: strides, duty factors and phases, and how well the robot ran.
 
 A stride of a foot goes from one touchdown to its next. The phase of another foot is the fraction of
-the reference foot's stride after which it touches down (Hildebrand, "Symmetrical gaits of horses",
-Science 150, 1965). The gait's name follows from the phases (the same; Hildebrand, "Analysis of
-asymmetrical gaits", J. Mammalogy 58, 1977; Alexander, "The gaits of bipedal and quadrupedal
-animals", Int. J. Robotics Research 3, 1984).
+the reference foot's stride after which it touches down. See Hildebrand, "Symmetrical gaits of
+horses", Science 150, 1965. The gait's name follows from the phases (the same; Hildebrand,
+"Analysis of asymmetrical gaits", J. Mammalogy 58, 1977; Alexander, "The gaits of bipedal and
+quadrupedal animals", Int. J. Robotics Research 3, 1984).
 
 World frame: z up, x ahead. Heights are above the ground straight below. What cannot be measured
 (the stride of a foot that never lands) is NaN.
@@ -87,9 +87,9 @@ def measure_gait(rollout: Rollout, quadruped: Quadruped) -> Gait:
 
     - Cost of transport: positive mechanical work over weight times distance (Tucker, "The
       energetic cost of moving about", American Scientist 63, 1975), without the motors' heat.
-    - Froude number: speed squared over g times the hip's standing height (Alexander & Jayes, "A
-      dynamic similarity hypothesis for the gaits of quadrupedal mammals", J. Zoology 201, 1983);
-      animals change from walking to trotting near 0.5, to galloping near 2 to 3.
+    - Froude number: speed squared over g times the hip's standing height. Animals change from
+      walking to trotting near 0.5, to galloping near 2 to 3 (Alexander & Jayes, "A dynamic
+      similarity hypothesis for the gaits of quadrupedal mammals", J. Zoology 201, 1983).
     - Slip: the foot is a sphere, so while it rolls its center moves though nothing slips; taken is
       the point of the sphere that touches the ground.
     - Torques are means over a control step, so their peaks are those of 20 ms, not of an instant.
@@ -166,7 +166,7 @@ def compute_foot_poses(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Compute the poses of the `feet`, by name, in the states `qpos` (T, 19).
 
-    Returns the world positions of the centers of their spheres, (T, 4, 3) in m, and the
+    Returns the world positions of the centers of their spheres, (T, 4, 3) in m. With them come the
     orientations of the calves that carry them, (T, 4, 4), quaternions wxyz.
     """
     data = mujoco.MjData(model)
@@ -312,9 +312,9 @@ def name_gait(phase: np.ndarray) -> str:
     """Return the gait whose touchdowns have these phases (4,), of FR, FL, RR, RL, in strides.
 
     Feet of a pair (fore, hind) touch down together, alternate, or are split between those.
-    Both pairs alternate: the lag of a fore foot behind the hind foot of its side tells a pace
-    (none), a trot (half a stride) and a walk (a quarter, either way; with duty factors under one
-    half it is the running form of it, an amble). Both pairs together: a pronk if all four are,
+    Both pairs alternate: the lag of a fore foot behind the hind foot of its side tells. None is a
+    pace, half a stride a trot, and a quarter, either way, a walk. With duty factors under one half
+    a walk is an amble, its running form. Both pairs together: a pronk if all four are,
     else a bound. At least one pair split and none alternating: a gallop, of which a split pair
     with a pair together is the half-bound.
     """

@@ -119,8 +119,8 @@ def compute_metrics(
 def summarize_episodes(episodes: Sequence[dict[str, Any]]) -> dict[str, Any]:
     """Return the falls, and of each metric mean, median, worst and the mean's uncertainty.
 
-    `ci95` is half the width of the 95 % confidence interval of the mean, `fall_rate_ci95` the ends
-    of that of the share of falls. `worst` is the least favorable episode's: the highest of
+    `ci95` is half the width of the mean's 95 % confidence interval. `fall_rate_ci95` are the ends
+    of the interval of the share of falls. `worst` is the least favorable episode's: the highest of
     metrics that are better low, the lowest of the others.
     """
     falls = sum(episode["fell"] for episode in episodes)
@@ -180,8 +180,8 @@ def name_engines(results: Sequence[dict[str, Any]]) -> str:
 
 # Many episodes in cells of equal size: kinds of terrain, commands, conditions.
 
-# Takes an episode's number, True if it did not end by a fall, and its trunk's poses (T + 1, 7), m
-# and wxyz. Returns its figures.
+# Takes an episode's number, True if it did not end by a fall, and its trunk's poses (T + 1, 7).
+# They are in m and wxyz. Returns the episode's figures.
 Measure = Callable[[int, bool, np.ndarray], dict[str, float | bool]]
 
 
@@ -302,8 +302,8 @@ def compute_tracking_errors(
     """Return the mean errors of velocity, m/s, and yaw rate, rad/s; NaN where too short.
 
     `velocity` and `command` (T, 3) are as of `compute_heading_velocity`. The errors compare the
-    command with the velocity's mean over a `WINDOW`. Windows begin `apart` steps apart, in each of
-    them one command holds, and none begins within `SETTLING` after a change of the command.
+    command with the velocity's mean over a `WINDOW`. Windows begin `apart` steps apart, and in each
+    of them one command holds. None begins within `SETTLING` after a change of the command.
     """
     settling, window = (round(s / dt) for s in (SETTLING, WINDOW))
     changes = np.flatnonzero(np.any(np.diff(command, axis=0), axis=1)) + 1

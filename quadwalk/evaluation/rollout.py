@@ -146,8 +146,8 @@ def roll_out(
 ) -> Iterator[tuple[int, str, Any]]:
     """Step `policy` from each of `starts` (n, ...) until its episode ends.
 
-    Yields for each episode, when it ends, its number, the name of its end, and what `record`
-    returned for its T control steps: NumPy arrays (T, ...). `room` episodes go at a time, by
+    Yields each episode when it ends: its number, the name of its end, and what `record` returned
+    for its T control steps, NumPy arrays (T, ...). `room` episodes go at a time, by
     default all; where one has ended the next begins. `change` alters the batched states before
     each step.
     """
@@ -200,8 +200,8 @@ def roll_out_paths(
 ) -> Iterator[tuple[int, bool, np.ndarray]]:
     """Step episodes as `roll_out` does, whose options these are, and keep the trunk's path alone.
 
-    Yields for each episode, when it ends, its number, True if it did not end by a fall, and the
-    trunk's poses (T + 1, 7), m and wxyz.
+    Yields each episode when it ends: its number, True if it did not end by a fall, and the trunk's
+    poses (T + 1, 7), m and wxyz.
     """
 
     def record_pose(env: QuadrupedEnv, before: State, action: jax.Array, after: State) -> jax.Array:

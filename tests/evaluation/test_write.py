@@ -59,7 +59,7 @@ def loaded(quadruped, swaying, tmp_path_factory) -> LoadedRun:
 
 @pytest.fixture(scope="module")
 def evaluated(loaded, tmp_path_factory):
-    """Return results of both engines, their folder, what was printed, and MJX's episodes."""
+    """Return results of both engines, their folder, what was printed, and episodes by engine."""
     folder, printed, rollouts = tmp_path_factory.mktemp("evaluated"), io.StringIO(), {}
 
     def keep_rollouts(env, *rest):
@@ -80,7 +80,7 @@ def evaluated(loaded, tmp_path_factory):
             recordings=1,
             video="none",
         )
-    return results, folder, printed.getvalue(), rollouts["mjx"]
+    return results, folder, printed.getvalue(), rollouts
 
 
 def test_both_engines_are_evaluated_from_the_same_starts(evaluated, loaded):
@@ -89,7 +89,7 @@ def test_both_engines_are_evaluated_from_the_same_starts(evaluated, loaded):
     assert (results["engine"], results["seed"]) == ("mujoco", 1)
     scales, weight = loaded.env.config.reward, loaded.env.robot.weight
     effort = np.asarray(loaded.env.motor.effort)
-    first = [compute_metrics(rollout, scales, weight, effort) for rollout in rollouts]
+    first = [compute_metrics(rollout, scales, weight, effort) for rollout in rollouts["mjx"]]
     for name, figure in summarize_episodes(first).items():
         assert results["mjx_summary"][name] == pytest.approx(figure)
     speeds = [[episode["speed"] for episode in of] for of in (first, results["episodes"])]
@@ -119,7 +119,7 @@ def test_only_what_is_asked_for_is_recorded(evaluated, loaded, quadruped):
 
 
 def test_feet_carry_the_robot(evaluated, loaded):
-    rollout = evaluated[3][0]
+    rollout = evaluated[3]["mjx"][0]
     assert rollout.foot_force is None
     force = add_foot_forces(rollout, loaded.env).foot_force
     # A foot that does not touch the floor carries nothing, and over time they carry the weight.
@@ -181,9 +181,9 @@ def test_a_run_with_commands_beside_one_without(evaluated, beside):
 
 
 def test_without_perturbation_a_sweep_measures_what_an_evaluation_does(evaluated, loaded):
-    rollouts = evaluated[3]
+    rollouts = evaluated[3]["mujoco"]
     points = [Point(), Point(strength=80.0), Point(delay=40.0)]
-    measured, *others = measure_points(loaded, points, EPISODES, 1)
+    measured, *others = measure_points(loaded.to_engine("mujoco"), points, EPISODES, 1)
     for other in others:
         assert abs(other["speed"]["mean"] - measured["speed"]["mean"]) > 5e-3
     assert measured["success"] == 1 - np.mean([rollout.fell for rollout in rollouts])

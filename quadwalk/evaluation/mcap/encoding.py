@@ -1,7 +1,7 @@
 """Encoding of numbers, names and texts as the bytes of messages.
 
-Viewers plot a field by its name (`/reward.forward`, `/observation.FR_hip_joint_position`), so each
-channel of scalars gets a protobuf type of its own, made at run time, instead of an anonymous array.
+Viewers plot a field by its name: `/reward.forward`, `/observation.FR_hip_joint_position`. So each
+channel of scalars has a protobuf type of its own, made at run time, and no anonymous array.
 """
 
 import re
@@ -26,8 +26,8 @@ _MASK = np.uint64((1 << 64) - (1 << _DROPPED_BITS))
 def round_mantissa(array: np.ndarray) -> np.ndarray:
     """Round an array to doubles of `MANTISSA_BITS`.
 
-    Their lower four bytes are zero, which costs next to nothing in a compressed file, where the
-    full mantissa of a simulated number is noise that no compressor can shorten.
+    Their lower four bytes are zero, which costs next to nothing in a compressed file. The full
+    mantissa of a simulated number is noise that no compressor can shorten.
     """
     bits = np.array(array, dtype=np.float64, order="C").view(np.uint64)
     return ((bits + _HALF) & _MASK).view(np.float64)

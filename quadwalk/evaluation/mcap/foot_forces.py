@@ -15,9 +15,8 @@ from quadwalk.physics.motor import compute_friction_torque, compute_motor_torque
 def add_foot_forces(rollout: Rollout, env: QuadrupedEnv) -> Rollout:
     """Return a rollout with its `foot_force`, N: the floor's push on each foot along its normal.
 
-    They are those of each state, with the motors' torques at that moment, in MuJoCo C on the model
-    that the engine stepped. It takes some 0.2 s for 20 s of running, so only rollouts that are
-    shown have them.
+    MuJoCo C finds them in each state from the motors' torques, on the model that the engine
+    stepped. It takes some 0.2 s for 20 s of running, so only rollouts that are shown have them.
     """
     qpos, qvel = rollout.qpos[1:], rollout.qvel[1:]
     motor, joint_speed, model = env.motor, qvel[:, 6:], env.mj_model_of(env.quadruped)

@@ -1,9 +1,9 @@
 """Markers of a 3D view around the robot: ground, path so far, velocity and foot forces.
 
 Every message is complete in itself, because a viewer that jumps in time is given only the newest
-message of a topic. It stays small because the ground is one grid that follows the robot in whole
-meters, and the path is thinned to a bounded number of points: nearly every byte repeats, and
-compresses away. Ground that is not flat is a topic of its own, of one message.
+message of a topic. It stays small: the ground is one grid that follows the robot in whole meters,
+and the path is thinned to a bounded number of points. Nearly every byte repeats, and compresses
+away. Ground that is not flat is a topic of its own, of one message.
 """
 
 import math

@@ -79,8 +79,8 @@ def make_foxglove_layout(trunk: str) -> bytes:
 def format_rerun_commands(recording: Path) -> str:
     """Return the shell's command that shows `recording` in Rerun with the blueprint beside it.
 
-    Opened as it is, a recording has no application that a blueprint could be for, and its simulated
-    seconds are dates of 1970.
+    Opened as it is, a recording has no application that a blueprint could be for. Its simulated
+    seconds are then dates of 1970.
     """
     converted = recording.with_suffix(".rrd")
     options = ["--application-id", RERUN_APPLICATION, "--timeline-type", "duration"]

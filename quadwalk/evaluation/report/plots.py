@@ -119,12 +119,11 @@ def _format_percents(values: np.ndarray) -> list[str]:
 
 
 def _draw_speed(axes: Axes, rollout: Rollout) -> None:
-    for column, label, color in ((0, "ahead", LEG_COLORS[3]), (1, "left", LEG_COLORS[2])):
-        axes.plot(rollout.time, rollout.qvel[:, column], color=color, label=label, linewidth=1.2)
+    axes.plot(rollout.time, rollout.qvel[:, 0], color=LEG_COLORS[3], label="ahead", lw=1.2)
+    axes.plot(rollout.time, rollout.qvel[:, 1], color=LEG_COLORS[2], label="left", lw=1.2)
     mean = rollout.qvel[:, 0].mean()
     axes.axhline(mean, color=INK, linewidth=0.9, linestyle="--", label=f"mean {mean:z.2f}")
-    axes.margins(y=0.15)
-    _finish(axes, "Speed of the base in the world", rollout.time, "m/s")
+    _finish(axes, "Speed of the base in the world", rollout.time, "m/s", margin=0.15)
 
 
 def _draw_tracking(axes: Axes, rollout: Rollout) -> None:
@@ -135,9 +134,8 @@ def _draw_tracking(axes: Axes, rollout: Rollout) -> None:
         color = LEG_COLORS[3 - column]
         axes.plot(time, velocity[:, column], color=color, label=label, linewidth=0.9, alpha=0.7)
         axes.plot(time, rollout.command[:, column], color=color, linewidth=1.6, linestyle="--")
-    axes.margins(y=0.15)
     title = "Velocity in the frame of the heading and, dashed, the velocity command"
-    _finish(axes, title, rollout.time, "m/s or rad/s")
+    _finish(axes, title, rollout.time, "m/s or rad/s", margin=0.15)
 
 
 def _draw_posture(axes: Axes, rollout: Rollout, quadruped: Quadruped) -> None:
@@ -145,12 +143,11 @@ def _draw_posture(axes: Axes, rollout: Rollout, quadruped: Quadruped) -> None:
     height = rollout.qpos[:, 2] - ground
     axes.plot(rollout.time, height, color=INK, linewidth=1.4, label="height, m")
     angles = to_roll_pitch_yaw(rollout.qpos[:, 3:7])
-    for column, name in enumerate(("roll", "pitch", "yaw")):
-        values = np.unwrap(angles[:, column]) if name == "yaw" else angles[:, column]
-        color = LEG_COLORS[column]
+    angles[:, 2] = np.unwrap(angles[:, 2])
+    for name, values, color in zip(("roll", "pitch", "yaw"), angles.T, LEG_COLORS, strict=False):
         axes.plot(rollout.time, values, color=color, linewidth=0.9, label=f"{name}, rad")
-    axes.margins(y=0.15)
-    _finish(axes, "Height above ground, and attitude, of the base", rollout.time, "m or rad")
+    title = "Height above ground, and attitude, of the base"
+    _finish(axes, title, rollout.time, "m or rad", margin=0.15)
 
 
 def _draw_sensors(panels: Any, rollout: Rollout, truth: np.ndarray) -> None:
@@ -167,9 +164,8 @@ def _draw_sensors(panels: Any, rollout: Rollout, truth: np.ndarray) -> None:
         values, true_values = observed[first:last, column], truth[first:last, column]
         axes.plot(time, values, color=LEG_COLORS[0], lw=0.8, label="seen")
         axes.plot(time, true_values, color=INK, lw=1.4, label="true")
-        axes.margins(y=0.2)
         title = f"{name}: what the policy saw, and the truth"
-        _finish(axes, title, rollout.time[first : last + 1], "as observed")
+        _finish(axes, title, rollout.time[first : last + 1], "as observed", margin=0.2)
 
 
 def _draw_angles(axes: Axes, rollout: Rollout, quadruped: Quadruped, part: int) -> None:
@@ -235,7 +231,8 @@ def _draw_rewards(axes: Axes, rollout: Rollout) -> None:
         mean = f"{values.mean():.3g}" if len(values) else "-"
         axes.plot(time, _smooth(values, width), label=f"{name}  {mean}", **style)
     title = f"Reward and its raw terms, mean of {SMOOTHING:g} s (in the legend: of all)"
-    _finish(axes, title, rollout.time, "per step", outside=True)
+    _finish(axes, title, rollout.time, "per step")
+    axes.legend(fontsize=8, frameon=False, loc="upper left", bbox_to_anchor=(1.0, 1.02))
     axes.set_yscale("symlog", linthresh=0.1)  # raw terms differ in size by orders
     axes.yaxis.set_major_formatter("{x:g}")
 
@@ -268,13 +265,13 @@ def _draw_path(axes: Axes, rollout: Rollout) -> None:
     axes.legend(fontsize=8, frameon=False, loc="upper left")
 
 
-def _finish(axes: Axes, title: str, time: np.ndarray, unit: str, outside: bool = False) -> None:
-    """Give a panel over time its title, labels and legend."""
+def _finish(
+    axes: Axes, title: str, time: np.ndarray, unit: str, margin: float | None = None
+) -> None:
+    """Give a panel over time its title, labels and legend, and a margin below and above."""
+    axes.margins(y=margin)
     tidy(axes, title)
     axes.set_ylabel(unit, fontsize=9)
     axes.set_xlim(time[0], time[-1] if len(time) > 1 else time[0] + 0.02)
     axes.set_xlabel("time, s", fontsize=9)
-    if outside:
-        axes.legend(fontsize=8, frameon=False, loc="upper left", bbox_to_anchor=(1.0, 1.02))
-    else:
-        axes.legend(fontsize=8, frameon=False, ncols=4, loc="upper right")
+    axes.legend(fontsize=8, frameon=False, ncols=4, loc="upper right")
