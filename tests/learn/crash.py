@@ -18,22 +18,22 @@ from quadwalk.tasks import sprint
 
 
 def save(folder: Path, first: int, last: int, die_at: int | None = None) -> None:
-    """Go on with the run in `folder` after `first` steps, and save at each of ten up to `last`.
+    """Resume the run in `folder` after `first` steps, and save at each ten up to `last`.
 
     Each is the best so far, and all of its numbers are those of its steps.
     """
     if die_at is not None:
-        _make_mortal(die_at)
-    training = training_after(first)
+        _die_at_call(die_at)
+    training = make_training(first)
     with RunWriter(training, Run(folder), print) as writer:
         for steps in range(first + 10, last + 1, 10):
             training.metrics.score = float(steps)
             writer.log_iteration({"steps": steps, "x": float(steps)}, SimpleNamespace(found=0), 1.0)
-            assert writer.save(state_after(steps), steps, 1.0)
+            assert writer.save(make_state(steps), steps, 1.0)
 
 
-def training_after(steps: int) -> SimpleNamespace:
-    """What `RunWriter` asks of a training, after so many steps."""
+def make_training(steps: int) -> SimpleNamespace:
+    """Return what `RunWriter` asks of a training, after so many steps."""
     return SimpleNamespace(
         config=sprint.TASK,
         quadruped=SimpleNamespace(joints=("joint",)),
@@ -50,8 +50,8 @@ def training_after(steps: int) -> SimpleNamespace:
     )
 
 
-def state_after(steps: int) -> TrainState:
-    """A state all of whose numbers are `steps`."""
+def make_state(steps: int) -> TrainState:
+    """Return a state all of whose numbers are `steps`."""
     value = np.full(3000, steps, np.float32)
     normalizer = RunningStatisticsState(
         mean=value, std=value, count=np.zeros(()), summed_variance=value
@@ -60,10 +60,10 @@ def state_after(steps: int) -> TrainState:
     return TrainState(Learner(params, optax.EmptyState(), normalizer, np.int32(steps)), value)
 
 
-def _make_mortal(die_at: int) -> None:
+def _die_at_call(die_at: int) -> None:
     calls = 0
 
-    def mortal(function):
+    def count_calls(function):
         def call(*args, **kwargs):
             nonlocal calls
             calls += 1
@@ -77,4 +77,4 @@ def _make_mortal(die_at: int) -> None:
         *((os, name) for name in ("fsync", "replace", "write", "ftruncate", "unlink")),
         (zipfile.ZipFile, "open"),
     ):
-        setattr(owner, name, mortal(getattr(owner, name)))
+        setattr(owner, name, count_calls(getattr(owner, name)))

@@ -16,7 +16,7 @@ from quadwalk.task_files import load_task
 from quadwalk.tasks import list_tasks, sprint, walk
 
 
-def parsed(*flags: str) -> TrainConfig:
+def parse(*flags: str) -> TrainConfig:
     return parse_config(flags)[0]
 
 
@@ -25,7 +25,7 @@ def test_every_field_can_be_set_from_the_command_line():
     flags += ["--env.reward.forward", "2.5", "--env.reward.forward.max-speed", "3"]
     flags += ["--env.motor.no-speed-limit", "--env.action.thigh", "0.5"]
     flags += ["--ppo.hidden", "32", "16", "--robot.urdf", "a/b.urdf"]
-    config = parsed(*flags)
+    config = parse(*flags)
     assert (config.name, config.steps, config.seed, config.envs) == ("x", 5, 3, 64)
     assert config.env.reward["forward"].scale == 2.5
     assert config.env.reward["forward"].params == {"max_speed": 3.0}
@@ -36,10 +36,6 @@ def test_every_field_can_be_set_from_the_command_line():
     assert config.env.reward["fall"] == load_task("run").env.reward["fall"]
 
 
-def test_the_default_task_is_run():
-    assert parsed() == load_task("run")
-
-
 @pytest.mark.parametrize("args", [["walk"], ["--preset", "walk"], ["--preset=walk"]])
 def test_the_task_comes_first_or_by_its_flag_of_before(args):
     config, previous = parse_config([*args, "--seed", "3"])
@@ -48,7 +44,8 @@ def test_the_task_comes_first_or_by_its_flag_of_before(args):
 
 @pytest.mark.parametrize("name", list_tasks())
 def test_a_task_is_where_the_flags_start(name):
-    assert parsed(name) == load_task(name)
+    assert parse(name) == load_task(name)
+    assert parse() == load_task("run")
 
 
 @pytest.mark.parametrize(
@@ -68,8 +65,8 @@ def test_a_task_is_where_the_flags_start(name):
     ],
 )
 def test_one_flag_changes_one_thing_of_a_task(flags, changed):
-    task, *given = flags.split()
-    before, now = load_task(task), parsed(task, *given)
+    task, *words = flags.split()
+    before, now = load_task(task), parse(task, *words)
     assert changed(now.env)
     assert not changed(before.env)
     assert len(list_changes(before, now)) == 1
@@ -134,9 +131,9 @@ def test_a_bad_flag_is_one_line_that_names_it(flags, named):
 
 
 def test_help_shows_the_numbers_of_the_task(capsys):
-    with pytest.raises(SystemExit) as ended:
+    with pytest.raises(SystemExit) as caught:
         parse_config(["walk", "--help-all"])
-    assert ended.value.code == 0
+    assert caught.value.code == 0
     shown = " ".join(capsys.readouterr().out.replace("│", " ").split())
     for name, term in walk.TASK.env.reward.items():
         flag = f"--env.reward.{name.replace('_', '-')} FLOAT "

@@ -1,4 +1,4 @@
-"""Which policy is saved when, which is the best, and what is kept of it."""
+"""Policies and checkpoints that a training saves: the newest, the best and a few before."""
 
 import contextlib
 import json
@@ -25,15 +25,15 @@ def run(tmp_path):
 
 @pytest.fixture
 def write(run):
-    """Go on with the run: a checkpoint for each score, each so many steps after the one before."""
-    training = crash.training_after(0)
+    """Save a checkpoint for each score, each so many steps after the one before."""
+    training = crash.make_training(0)
 
     def save(*scores: float, steps: int = 10, warn=pytest.fail) -> None:
         with RunWriter(training, run, warn) as writer:
             for score in scores:
                 training.metrics.score = score
                 training.steps += steps
-                assert writer.save(crash.state_after(training.steps), training.steps, 1.0)
+                assert writer.save(crash.make_state(training.steps), training.steps, 1.0)
 
     return save
 
@@ -42,19 +42,18 @@ def test_the_best_policy_and_its_checkpoint_outlive_later_ones(run, write):
     write(1.0, 3.0, 3.0, 2.0, 1.0, 2.5, 0.0)
     assert load_score(run.best) == (20, 3.0)
     assert load_score(run.policy) == (70, 0.0)
-    kept = [run.locate_checkpoint(steps) for steps in (20, 50, 60, 70)]
-    assert list_checkpoints(run) == kept
-    assert len(kept) == KEPT_CHECKPOINTS + 1
+    steps = (20, *range(80 - 10 * KEPT_CHECKPOINTS, 80, 10))
+    assert list_checkpoints(run) == list(map(run.locate_checkpoint, steps))
 
 
-def test_what_has_not_been_judged_is_not_the_best(run, write):
+def test_a_policy_without_a_score_is_not_the_best(run, write):
     write(0.0, steps=0)
     assert not run.best.exists()
     write(-2.0, -1.0, -3.0)
     assert load_score(run.best) == (20, -1.0)
 
 
-def test_a_run_that_goes_on_remembers_the_best(run, write):
+def test_a_run_that_is_resumed_remembers_the_best(run, write):
     write(1.0, 3.0)
     write(2.0, 2.0, 2.0, 2.0)
     assert load_score(run.best) == (20, 3.0)
@@ -64,7 +63,7 @@ def test_a_run_that_goes_on_remembers_the_best(run, write):
     assert list_checkpoints(run) == [run.locate_checkpoint(steps) for steps in (60, 70, 80)]
 
 
-def test_a_best_policy_that_is_damaged_is_told_and_replaced(run, write):
+def test_a_best_policy_that_is_damaged_is_reported_and_replaced(run, write):
     run.best.write_bytes(b"half")
     said = []
     write(1.0, warn=said.append)
@@ -94,13 +93,13 @@ def test_the_end_says_which_policy_is_the_best(tmp_path, flags, train, capsys):
 def test_a_policy_remembers_in_what_order_it_sees(tmp_path, flags, train):
     # Alphabetical order would give each weight another number of the observation.
     train(*flags(tmp_path, "a", 1))
-    found, own = load_policy(Run(tmp_path / "a").policy).config.env, load_task("run").env
-    assert list(found.observation) == list(own.observation)
-    assert list(found.observation) != sorted(found.observation)
-    assert list(found.critic) == list(own.critic)
+    saved, task = load_policy(Run(tmp_path / "a").policy).config.env, load_task("run").env
+    assert list(saved.observation) == list(task.observation)
+    assert list(saved.observation) != sorted(saved.observation)
+    assert list(saved.critic) == list(task.critic)
 
 
-def test_who_watches_is_told_each_row_once_it_is_written(tmp_path, flags, train):
+def test_a_callback_gets_each_row_once_it_is_written(tmp_path, flags, train):
     watched, written = [], []
 
     def watch(row):

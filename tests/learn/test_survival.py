@@ -1,4 +1,4 @@
-"""What befalls a training, and what is left of it: nothing may be lost."""
+"""Signals, kills, damage and full disks during a training: nothing is lost."""
 
 import contextlib
 import json
@@ -17,6 +17,7 @@ import toy
 
 from quadwalk.errors import UserError
 from quadwalk.learn.acting import load_policy
+from quadwalk.learn.writer import RunWriter
 from quadwalk.runs import checkpoint
 from quadwalk.runs.directory import (
     Run,
@@ -35,7 +36,7 @@ OFTEN = "--checkpoint-steps=128"  # after every second iteration
 
 @pytest.fixture(scope="session")
 def whole(tmp_path_factory, flags, start) -> Path:
-    """The folder of a training that nothing befell."""
+    """The folder of a training that was not disturbed."""
     runs = tmp_path_factory.mktemp("whole")
     process = start(runs / "output", *flags(runs, "whole", ITERATIONS, OFTEN))
     process.join(200)
@@ -51,7 +52,7 @@ def copied(whole, tmp_path) -> Run:
 
 @pytest.fixture
 def resume(copied, train) -> Callable[..., None]:
-    """Go on with `copied`, with flags."""
+    """Resume `copied` with flags."""
     return lambda *flags: train(f"--runs={copied.path.parent}", "--resume=copy", *flags)
 
 
@@ -87,10 +88,10 @@ def test_a_signal_that_is_not_ignored_ends_training_with_everything_saved(
     finally:
         signal.signal(number, before)
     assert load_policy(tmp_path / "a" / "policy.npz").steps == steps
-    assert rows(tmp_path / "a") == steps / 64
+    assert count_rows(tmp_path / "a") == steps / 64
 
 
-def rows(run: Path) -> int:
+def count_rows(run: Path) -> int:
     with contextlib.suppress(FileNotFoundError):
         return (run / "metrics.jsonl").read_bytes().count(b"\n")
     return 0
@@ -105,10 +106,10 @@ def test_a_run_killed_again_and_again_ends_as_if_it_never_was(
     kills = 0
     for attempt in range(20):
         process = start(output, *arguments)
-        before, goal = rows(run), 0 if attempt == 0 else chance.randint(1, 18)
+        before, goal = count_rows(run), 0 if attempt == 0 else chance.randint(1, 18)
         while process.is_alive() and (
             # First before there is any checkpoint, later at any moment of training and saving.
-            not (run / "config.json").exists() if attempt == 0 else rows(run) < before + goal
+            not (run / "config.json").exists() if attempt == 0 else count_rows(run) < before + goal
         ):
             time.sleep(0.001)
         time.sleep(0.02 * chance.random())
@@ -156,19 +157,24 @@ def cut_short(path: Path) -> None:
     path.write_bytes(path.read_bytes()[:-1000])
 
 
-def test_the_checkpoint_before_a_truncated_one_is_gone_on_from(
+def test_the_checkpoint_before_a_truncated_one_is_resumed(
     whole, copied, resume, same_result, capsys
 ):
+    """And files of before, which name terms by module, are read."""
     last = list_checkpoints(copied)[-1]
     cut_short(last)
+    config = copied.config.read_text()
+    copied.config.write_text(to_module_names(config))
+    assert config.count('"reward:') == copied.config.read_text().count('"quadwalk.task.reward:') > 5
     resume()
     said = capsys.readouterr().out
     assert f"{last} is damaged or foreign" in said
     assert f"after {64 * (ITERATIONS - 2):,} steps" in said
     same_result(copied.path, whole)
+    assert copied.config.read_text().count('"reward:') > 5
 
 
-def test_of_nothing_but_truncated_ones_none_is_gone_on_from(copied, resume):
+def test_a_run_with_nothing_but_truncated_checkpoints_is_not_resumed(copied, resume):
     for path in list_checkpoints(copied):
         cut_short(path)
     before = copied.metrics.read_bytes()
@@ -177,52 +183,42 @@ def test_of_nothing_but_truncated_ones_none_is_gone_on_from(copied, resume):
     assert copied.metrics.read_bytes() == before
 
 
-def test_a_run_whose_files_name_terms_by_module_is_gone_on_from(whole, copied, resume, same_result):
-    config = copied.config.read_text()
-    copied.config.write_text(to_module_names(config))
-    assert config.count('"reward:') == copied.config.read_text().count('"quadwalk.task.reward:') > 5
-    list_checkpoints(copied)[-1].unlink()
-    resume()
-    same_result(copied.path, whole)
-    assert copied.config.read_text().count('"reward:') > 5
-
-
 def test_a_run_keeps_its_ground(tmp_path, flags, train, monkeypatch):
-    """Whatever becomes of the file, wherever the run and its user go."""
+    """The file may go, and the run and its user may move."""
     monkeypatch.chdir(tmp_path)
     hills, other = np.arange(12.0).reshape(3, 4), np.ones((2, 2))
     np.save("hills.npy", hills)
     np.save("other.npy", other)
 
-    def stood_on() -> np.ndarray:
+    def load_ground() -> np.ndarray:
         (policy,) = Path().rglob("policy.npz")
         return make_terrain(load_policy(policy).config.env.ground, 0.5).field.heights
 
     train(*flags(Path("runs"), "a", 1, "--env.ground.file=hills.npy"))
     Path("hills.npy").unlink()
-    np.testing.assert_array_equal(stood_on(), hills)
+    np.testing.assert_array_equal(load_ground(), hills)
     Path("moved").mkdir()
     Path("runs").rename("moved/runs")
     monkeypatch.chdir("moved")
-    np.testing.assert_array_equal(stood_on(), hills)
+    np.testing.assert_array_equal(load_ground(), hills)
     train("--resume=a", "--steps=128")
-    np.testing.assert_array_equal(stood_on(), hills)
+    np.testing.assert_array_equal(load_ground(), hills)
     train("--resume=a", "--steps=192", "--env.ground.file=../other.npy")
-    np.testing.assert_array_equal(stood_on(), other)
+    np.testing.assert_array_equal(load_ground(), other)
     Path("runs/a/ground-other.npy").unlink()  # as an older version left it
-    np.testing.assert_array_equal(stood_on(), other)
+    np.testing.assert_array_equal(load_ground(), other)
 
 
-def test_a_run_that_could_not_go_on_is_free_while_its_error_is_kept(copied, resume):
-    """As a notebook keeps the last error, with its traceback and all that its frames refer to."""
-    with pytest.raises(UserError, match="cannot change") as kept:
+def test_a_run_that_could_not_be_resumed_is_free_while_its_error_is_held(copied, resume):
+    """A notebook holds the last error, with its traceback and all that its frames refer to."""
+    with pytest.raises(UserError, match="cannot change") as caught:
         resume("--seed=8")
     resume(f"--steps={64 * (ITERATIONS + 1)}")
-    assert rows(copied.path) == ITERATIONS + 1
-    assert kept.tb is not None
+    assert count_rows(copied.path) == ITERATIONS + 1
+    assert caught.tb is not None
 
 
-def test_it_goes_on_with_another_number_of_devices(copied, resume, capsys):
+def test_it_resumes_with_another_number_of_devices(copied, resume, capsys):
     resume("--devices=1", "--steps=4160")
     assert "changed devices: 2 -> 1" in capsys.readouterr().out
     assert read_metrics(copied)[-1]["steps"] == 4160
@@ -253,20 +249,17 @@ def small_disk(tmp_path):
 def test_a_full_disk_ends_no_training(
     whole, tmp_path, small_disk, flags, train, same_result, capsys, monkeypatch, freed
 ):
-    from quadwalk.learn.writer import RunWriter
-
     folder, fill, empty = small_disk
-    log = RunWriter.log_iteration
+    log_iteration = RunWriter.log_iteration
 
-    def iteration(self, row, *more):
-        steps = row["steps"]
-        if steps == 64 * 20:
+    def log(self, row, *others):
+        if row["steps"] == 64 * 20:
             fill()
-        if freed and steps == 64 * freed:
+        if freed and row["steps"] == 64 * freed:
             empty()
-        log(self, row, *more)
+        log_iteration(self, row, *others)
 
-    monkeypatch.setattr(RunWriter, "log_iteration", iteration)
+    monkeypatch.setattr(RunWriter, "log_iteration", log)
     run = folder / "full"
     arguments = flags(folder, "full", ITERATIONS, OFTEN)
     if freed:
@@ -285,7 +278,7 @@ def test_a_full_disk_ends_no_training(
         assert load_policy(run / "policy.npz").steps >= 64 * 18
         assert len(read_metrics(Run(run))) >= 18
         empty()
-        monkeypatch.setattr(RunWriter, "log_iteration", log)
+        monkeypatch.setattr(RunWriter, "log_iteration", log_iteration)
         train(f"--runs={folder}", "--resume=full")
     warnings = [line for line in said.splitlines() if "No space left on device" in line]
     assert 1 <= len(warnings) <= 8
@@ -330,7 +323,7 @@ def test_a_learner_that_is_lost_leaves_what_was_good(tmp_path, flags, train):
 
 
 @pytest.mark.parametrize("which", ["", "max-"])
-def test_a_run_goes_on_at_the_learning_rate_that_it_is_given(copied, resume, which):
+def test_a_run_resumes_at_the_learning_rate_that_it_is_given(copied, resume, which):
     resume(f"--steps={(ITERATIONS + 1) * 64}", f"--ppo.{which}learning-rate=2e-5")
     before, after = (row["learning_rate"] for row in read_metrics(copied)[-2:])
     assert before > 1e-4

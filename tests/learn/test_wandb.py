@@ -1,4 +1,4 @@
-"""Weights & Biases: what is sent, when a run is resumed too, and that by default nothing is."""
+"""Weights & Biases: the rows that are sent, also of a resumed run; by default none."""
 
 import sys
 from types import ModuleType, SimpleNamespace
@@ -13,12 +13,12 @@ from quadwalk.runs.wandb import check_wandb
 
 @pytest.fixture
 def calls(monkeypatch):
-    """The calls of a module in the place of wandb, by function."""
-    found = {"login": [], "init": [], "log": [], "finish": [], "define_metric": []}
+    """Replace the module wandb; return its calls by function."""
+    calls = {"login": [], "init": [], "log": [], "finish": [], "define_metric": []}
 
     def record(name, answer=None):
         def call(*args, **kwargs):
-            found[name].append(kwargs or args)
+            calls[name].append(kwargs or args)
             return answer
 
         return call
@@ -28,10 +28,10 @@ def calls(monkeypatch):
     run = SimpleNamespace(**{name: record(name) for name in ("log", "finish", "define_metric")})
     module.login, module.init, module.Settings = record("login"), record("init", run), dict
     monkeypatch.setitem(sys.modules, "wandb", module)
-    return found
+    return calls
 
 
-def test_the_rows_are_sent_and_a_resumed_run_goes_on(calls, train, flags, tmp_path):
+def test_the_rows_are_sent_and_a_resumed_run_continues(calls, train, flags, tmp_path):
     train(*flags(tmp_path, "sent", 2, "--log=wandb"))
     run = Run(tmp_path / "sent")
     sent = [args[0] for args in calls["log"]]
@@ -49,7 +49,7 @@ def test_the_rows_are_sent_and_a_resumed_run_goes_on(calls, train, flags, tmp_pa
     assert calls["log"][-1][0]["steps"] == 192
 
 
-def test_a_refused_row_is_reported_and_training_goes_on(calls, train, flags, tmp_path, capsys):
+def test_a_refused_row_is_reported_and_training_continues(calls, train, flags, tmp_path, capsys):
     def refuse(row):
         raise ConnectionError("no network")
 
