@@ -1,4 +1,4 @@
-"""What MuJoCo C says of robots, and models of several as one that `jax.vmap` maps over."""
+"""The robots' motion, contacts and ground in MuJoCo C."""
 
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NamedTuple
@@ -50,7 +50,7 @@ def step_control(
 
 
 def place_robot(model: mujoco.MjModel, qpos: np.ndarray) -> mujoco.MjData:
-    """The robot in a pose, by MuJoCo's kinematics."""
+    """Return the robot in a pose, by MuJoCo's kinematics."""
     data = mujoco.MjData(model)
     data.qpos[:] = qpos
     mujoco.mj_kinematics(model, data)
@@ -58,7 +58,7 @@ def place_robot(model: mujoco.MjModel, qpos: np.ndarray) -> mujoco.MjData:
 
 
 def measure_heights(model: mujoco.MjModel, points: np.ndarray) -> list[float]:
-    """m, of the heightfield that a model's floor is, at `points` (n, 2), m."""
+    """Return heights, m, of the heightfield that a model's floor is, at `points` (n, 2), m."""
     data = place_robot(model, model.qpos0 + 10.0 * np.eye(model.nq)[2])  # out of the way
     floor, down = model.geom("floor").id, np.array([0.0, 0.0, -1.0])
     return [
@@ -70,36 +70,34 @@ def measure_heights(model: mujoco.MjModel, points: np.ndarray) -> list[float]:
 def compute_accelerations(
     models: Iterable[mujoco.MjModel], qpos: np.ndarray, qvel: np.ndarray, torque: np.ndarray
 ) -> list[mujoco.MjData]:
-    """Of each robot (n, ...) with its model, what MuJoCo computes with joint torques (n, 12)."""
-    found = []
+    """Return MuJoCo's data of each robot (n, ...) with its model and joint torques (n, 12), Nm."""
+    results = []
     for model, q, v, t in zip(models, qpos, qvel, torque, strict=False):
-        found.append(data := mujoco.MjData(model))
+        data = mujoco.MjData(model)
         data.qpos[:], data.qvel[:], data.qfrc_applied[6:] = q, v, t
         mujoco.mj_forward(model, data)
-    return found
+        results.append(data)
+    return results
 
 
-def find_touching(found: Iterable[mujoco.MjData]) -> set[int]:
-    """All geoms that are in contact."""
-    return {geom for data in found for geom in data.contact.geom.flat}
+def find_touching(results: Iterable[mujoco.MjData]) -> set[int]:
+    """Return all geoms that are in contact."""
+    return {geom for data in results for geom in data.contact.geom.flat}
 
 
 def stack_models(models: Sequence[Any]) -> tuple[list[np.ndarray], Callable[[Sequence[Any]], Any]]:
-    """What differs between models of one structure, any engine's; and how to make one of it.
+    """Return the leaves that differ between models, robots first, and a function for `jax.vmap`.
 
-    Returns the leaves that differ, with the models along axis 0, and a function that takes one
-    robot's of these, as within `jax.vmap`, and returns its model: all other leaves are the first's.
+    The function makes a model of one robot's leaves; all others are those of the first model. Few
+    inputs compile sooner than many.
     """
-    # On the host: MJX ties its arrays to one device, and the robots may be on several.
-    rows = [
-        list(map(np.asarray, leaves)) for leaves in zip(*map(jax.tree.leaves, models), strict=True)
-    ]
-    differ = [not all(np.array_equal(row[0], leaf) for leaf in row) for row in rows]
     leaves, structure = jax.tree.flatten(models[0])
+    # On the host: MJX ties its arrays to one device, and the robots may be on several.
+    columns = [np.stack(column) for column in zip(*map(jax.tree.leaves, models), strict=True)]
+    differing = [i for i, column in enumerate(columns) if np.any(column != column[0])]
 
-    def assemble(given: Sequence[Any]) -> Any:
-        rest = iter(given)
-        chosen = [next(rest) if own else leaf for own, leaf in zip(differ, leaves, strict=True)]
-        return jax.tree.unflatten(structure, chosen)
+    def assemble(robot: Sequence[Any]) -> Any:
+        replaced = dict(zip(differing, robot, strict=True))
+        return jax.tree.unflatten(structure, [replaced.get(i, x) for i, x in enumerate(leaves)])
 
-    return [np.stack(row) for row, own in zip(rows, differ, strict=True) if own], assemble
+    return [columns[i] for i in differing], assemble

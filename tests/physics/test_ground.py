@@ -20,26 +20,31 @@ from quadwalk.physics.surface import compute_contact_frame, make_offset_surface
 from quadwalk.terrain.heightfield import Heightfield, centered, lay
 from quadwalk.terrain.terrain import FLAT, make_terrain
 from tests.physics.reference import compute_accelerations, find_touching
-from tests.physics.test_fast import check_errors, lying_states, random_states, solved_as_constants
+from tests.physics.test_fast import (
+    check_errors,
+    sample_lying_states,
+    sample_states,
+    solve_constants,
+)
 
 CELL = 0.05
 
 
-def double(heights: np.ndarray) -> Heightfield:
-    """A field whose heights are not rounded to single precision."""
+def make_exact_field(heights: np.ndarray) -> Heightfield:
+    """Return a field whose heights are not rounded to single precision."""
     field = centered(heights, CELL)
     return Heightfield(np.asarray(heights, np.float64), CELL, field.origin)
 
 
-def inclined(normal: np.ndarray) -> Heightfield:
-    """The plane through the origin with this normal, 4 m long and wide."""
+def make_plane(normal: np.ndarray) -> Heightfield:
+    """Return the plane through the origin with this normal, 4 m long and wide."""
     axis = CELL * np.arange(-40, 41)
     x, y = np.meshgrid(axis, axis)
-    return double(-(normal[0] * x + normal[1] * y) / normal[2])
+    return make_exact_field(-(normal[0] * x + normal[1] * y) / normal[2])
 
 
-def distances(field: Heightfield, points: np.ndarray) -> np.ndarray:
-    """(n,) from points (n, 3) to the nearest of all triangles, by another library's geometry."""
+def measure_distances(field: Heightfield, points: np.ndarray) -> np.ndarray:
+    """Return distances (n,) of points (n, 3) from the nearest triangle, by trimesh."""
     rows, columns = field.heights.shape
     x = field.origin[0] + field.cell * np.arange(columns)
     y = field.origin[1] + field.cell * np.arange(rows)
@@ -49,9 +54,9 @@ def distances(field: Heightfield, points: np.ndarray) -> np.ndarray:
     right = np.stack([first, first + 1, beyond], axis=1)
     left = np.stack([first, beyond, first + columns], axis=1)
     triangles = vertices[np.concatenate([right, left])]
-    every, each = np.repeat(points, len(triangles), axis=0), np.tile(triangles, (len(points), 1, 1))
-    nearest = trimesh.triangles.closest_point(each, every)
-    return np.linalg.norm(nearest - every, axis=1).reshape(len(points), -1).min(axis=1)
+    repeated = np.repeat(points, len(triangles), axis=0)
+    nearest = trimesh.triangles.closest_point(np.tile(triangles, (len(points), 1, 1)), repeated)
+    return np.linalg.norm(nearest - repeated, axis=1).reshape(len(points), -1).min(axis=1)
 
 
 @pytest.mark.parametrize(
@@ -61,8 +66,8 @@ def distances(field: Heightfield, points: np.ndarray) -> np.ndarray:
 def test_on_a_tilted_plane_accelerations_are_those_of_mujoco(quadruped, contacts, tilt, towards):
     """Whichever of MuJoCo's two rules for the tangents holds, y of the normal being .1 to .64."""
     level = quadruped.make_training_model(0.004, 100, 50, contacts)
-    states = random_states if contacts == "feet" else lying_states
-    qpos, qvel, torque = states(quadruped, level, np.random.default_rng(0))
+    sample = sample_states if contacts == "feet" else sample_lying_states
+    qpos, qvel, torque = sample(quadruped, level, np.random.default_rng(0))
     turn, plane = np.zeros(4), np.zeros(9)
     mujoco.mju_axisAngle2Quat(turn, np.array([-np.sin(towards), np.cos(towards), 0.0]), tilt)
     mujoco.mju_quat2Mat(plane, turn)
@@ -75,16 +80,14 @@ def test_on_a_tilted_plane_accelerations_are_those_of_mujoco(quadruped, contacts
         # The whole robot turned with the plane, and somewhere else on it.
         q[:3] = plane @ (q[:3] + np.array([0.3, -0.2, 0.0]))
         v[:3] = plane @ v[:3]
-        own = q[3:7].copy()
-        mujoco.mju_mulQuat(q[3:7], turn, own)
+        mujoco.mju_mulQuat(q[3:7], turn, q[3:7].copy())
     expected = compute_accelerations(repeat(model), qpos, qvel, torque)
-    assert all(
-        find_touching(expected) & set(kind) for kind in find_contact_geoms(model, quadruped.feet)
-    )
+    touching = find_touching(expected)
+    assert all(touching & set(kind) for kind in find_contact_geoms(model, quadruped.feet))
     with jax.enable_x64(True):
         constants = make_model(level, quadruped, make_motor(level, quadruped, MotorConfig()))
-        constants = add_ground(constants, inclined(plane[:, 2]))
-        found = solved_as_constants(constants, qpos, qvel, torque)
+        constants = add_ground(constants, make_plane(plane[:, 2]))
+        found = solve_constants(constants, qpos, qvel, torque)
     check_errors(found, expected)
 
 
@@ -117,17 +120,17 @@ def test_a_sphere_over_the_offset_surface_just_touches_the_ground(seed, radius, 
     rng = np.random.default_rng(seed)
     heights = rng.uniform(0, height, (9, 9)) * rng.integers(0, 2, (9, 9))
     heights[:4] = 0.0  # level ground, and edges between it and the rest
-    field = double(heights)
+    field = make_exact_field(heights)
     surface = make_offset_surface(field, (radius,))
     x, y = (at + surface.cell * np.arange(17) for at in surface.origin)
     centers = np.stack([*np.meshgrid(x, y), surface.grids[0]], axis=-1)[4:-4, 4:-4].reshape(-1, 3)
-    np.testing.assert_allclose(distances(field, centers), radius, atol=1e-9)
+    np.testing.assert_allclose(measure_distances(field, centers), radius, atol=1e-9)
     assert np.all(centers[:, 2] > field.height_at(centers[:, :2]))
 
 
 @pytest.fixture(scope="module")
 def hilly(quadruped):
-    """A robot that stands on a field of every uneven kind, and the field."""
+    """Return a robot that stands on a field of every uneven kind, and the terrain."""
     kinds = ("slope_up", "rough", "waves", "stairs_up", "blocks")
     config = replace(
         FLAT, kinds=kinds, levels=1, difficulty=(0.3, 0.3), border=1.0, tile=(6.0, 6.0)
@@ -142,8 +145,8 @@ ROBOTS = 20  # of each kind of ground
 CONTROL_STEPS = 40
 
 
-def course(robot, terrain, engine: str, limp: bool) -> dict[str, np.ndarray]:
-    """Figures (kinds,) of robots that stand on the ground stepping in place, or drop on it limp."""
+def run_course(robot, terrain, engine: str, limp: bool) -> dict[str, np.ndarray]:
+    """Return metrics (kinds,) of robots that step in place on the ground, or drop on it limp."""
     stepping = Stepping(0.004, 5, 4, 1)
     model = robot.make_training_model(stepping.dt, 4, 1, "body")
     motor = make_motor(model, robot, MotorConfig())
@@ -179,7 +182,7 @@ def course(robot, terrain, engine: str, limp: bool) -> dict[str, np.ndarray]:
     start, end, gaps, energy = jax.device_get(jax.jit(jax.vmap(run))(jnp.float32(qpos)))
     assert np.all(np.isfinite(end))
     up = np.clip(1 - 2 * (end[:, 4] ** 2 + end[:, 5] ** 2), -1, 1)
-    found = {
+    metrics = {
         "height": end[:, 2] - terrain.field.height_at(end[:, :2]),
         "tilt": np.degrees(np.arccos(up)),
         "moved": np.linalg.norm(end[:, :2] - start[:, :2], axis=1),
@@ -187,7 +190,7 @@ def course(robot, terrain, engine: str, limp: bool) -> dict[str, np.ndarray]:
         "deepest": -gaps.min(axis=(1, 2)),
         "energy": energy,
     }
-    return {name: x.reshape(-1, ROBOTS).mean(axis=1) for name, x in found.items()}
+    return {name: x.reshape(-1, ROBOTS).mean(axis=1) for name, x in metrics.items()}
 
 
 # Measured: 1 mm, .25 degrees, 4 mm, .022, 1.2 mm, 6 %; limp, where what lies on the ground are
@@ -203,7 +206,7 @@ def course(robot, terrain, engine: str, limp: bool) -> dict[str, np.ndarray]:
 )
 def test_over_a_field_robots_fare_as_in_mujoco_with_every_shape_colliding(hilly, limp, bounds):
     """Its surface between nodes is the same, its contacts are others: a sphere has several."""
-    ours, theirs = (course(*hilly, engine, limp) for engine in ("fast", "mujoco"))
+    ours, theirs = (run_course(*hilly, engine, limp) for engine in ("fast", "mujoco"))
     for name, bound in bounds.items():
         np.testing.assert_allclose(ours[name], theirs[name], atol=bound, err_msg=name)
     # J: limp joints only brake, but for the physics step in which one comes to rest.
