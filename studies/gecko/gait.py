@@ -24,9 +24,9 @@ SHOWN = 2.0  # s of footfalls kept, at the end
 
 
 def measure(run: Run) -> dict[str, Any]:
-    """What notebooks/04_gecko.ipynb shows of `run`, as JSON data.
+    """Return what notebooks/04_gecko.ipynb shows of `run`, as JSON data.
 
-    figures: means over episodes in MuJoCo C, as in `figures_of`; training_speed: the last that
+    figures: means over episodes in MuJoCo C, as in `compute_figures`; training_speed: the last that
     training measured, in its own physics, m/s; falls: how many of the episodes; gaits: how many
     of each; frames: (FRAMES, 19) qpos of the typical episode, rounded; footfalls: of each foot
     [touchdown, liftoff] of its contacts in the last `SHOWN` s, in s from their beginning.
@@ -38,22 +38,22 @@ def measure(run: Run) -> dict[str, Any]:
     rollouts = list(simulate_episodes(env, loaded.policy.act, EPISODES, seed=0))
     gaits = [measure_gait(rollout, env.quadruped) for rollout in rollouts]
     figures = [
-        figures_of(gait, rollout, env.quadruped)
+        compute_figures(gait, rollout, env.quadruped)
         for gait, rollout in zip(gaits, rollouts, strict=True)
     ]
     typical = rollouts[find_typical_episode(figures)]
     return {
-        "training_speed": _rounded(read_metrics(run)[-1]["eval/speed"]),
+        "training_speed": _round(read_metrics(run)[-1]["eval/speed"]),
         "falls": sum(gait.fell for gait in gaits),
         "gaits": dict(Counter(gait.gait for gait in gaits)),
-        "figures": {name: _mean([each[name] for each in figures]) for name in figures[0]},
-        "frames": frames_of(typical),
-        "footfalls": contacts_of(typical),
+        "figures": {name: _average([row[name] for row in figures]) for name in figures[0]},
+        "frames": sample_frames(typical),
+        "footfalls": find_footfalls(typical),
     }
 
 
-def figures_of(gait: Gait, rollout: Rollout, quadruped: Quadruped) -> dict[str, float]:
-    """Figures of one episode that tell a gecko from a cheetah.
+def compute_figures(gait: Gait, rollout: Rollout, quadruped: Quadruped) -> dict[str, float]:
+    """Return figures of one episode that tell a gecko from a cheetah.
 
     speed, m/s; heading, deg, mean |yaw|; height: of the trunk, as a share of the standing height;
     pitching, deg: from the lowest to the highest nose; sprawl, deg: mean |hip angle|; body_contact:
@@ -61,7 +61,7 @@ def figures_of(gait: Gait, rollout: Rollout, quadruped: Quadruped) -> dict[str, 
     is; strides, 1/s; stride_length, m; duty_factor; swing_height, m, of the foot that lifts least;
     slip: share of the way, of the foot that slips most; cost_of_transport; action_rate, 1/s.
     """
-    body = body_contact(rollout, quadruped)
+    body = find_body_contact(rollout, quadruped)
     yaw = to_roll_pitch_yaw(rollout.qpos[:, 3:7])[:, 2]
     return {
         "speed": gait.speed,
@@ -81,13 +81,13 @@ def figures_of(gait: Gait, rollout: Rollout, quadruped: Quadruped) -> dict[str, 
     }
 
 
-def body_contact(rollout: Rollout, quadruped: Quadruped) -> np.ndarray:
-    """(T,) bool: whether, at the end of each step, anything but a foot is on the floor."""
+def find_body_contact(rollout: Rollout, quadruped: Quadruped) -> np.ndarray:
+    """Return True (T,) for each step at whose end anything but a foot is on the floor."""
     model = quadruped.make_full_model()
     data = mujoco.MjData(model)
     floor = model.geom("floor").id
     feet = [model.geom(foot).id for foot in quadruped.feet]
-    found = np.zeros(rollout.steps, bool)
+    contact = np.zeros(rollout.steps, bool)
     for k, qpos in enumerate(rollout.qpos[1:]):
         data.qpos[:] = qpos
         mujoco.mj_kinematics(model, data)
@@ -95,35 +95,30 @@ def body_contact(rollout: Rollout, quadruped: Quadruped) -> np.ndarray:
         mujoco.mj_collision(model, data)
         pairs = data.contact.geom
         on_floor = (pairs == floor).any(axis=1)
-        found[k] = (on_floor & ~np.isin(pairs, feet).any(axis=1)).any()
-    return found
+        contact[k] = (on_floor & ~np.isin(pairs, feet).any(axis=1)).any()
+    return contact
 
 
-def frames_of(rollout: Rollout) -> list[list[float]]:
-    """`FRAMES` states, (19,) each, over `PICTURED` s about the middle."""
-    rows = _find_middle_rows(rollout, FRAMES, PICTURED)
+def sample_frames(rollout: Rollout) -> list[list[float]]:
+    """Return `FRAMES` states, (19,) each, over `PICTURED` s about the middle."""
+    middle, half = rollout.steps / 2, PICTURED / rollout.control_dt / 2
+    rows = np.linspace(middle - half, middle + half, FRAMES).round().astype(int)
+    rows = np.clip(rows, 0, rollout.steps)
     return rollout.qpos[rows].astype(float).round(4).tolist()
 
 
-def contacts_of(rollout: Rollout) -> list[list[list[float]]]:
-    """Of each foot, FR, FL, RR, RL, when it was on the ground in the last `SHOWN` s."""
+def find_footfalls(rollout: Rollout) -> list[list[list[float]]]:
+    """Return when each foot, FR, FL, RR, RL, was on the ground in the last `SHOWN` s."""
     dt = rollout.control_dt
     contact = remove_chatter(rollout.contact, dt)[-round(SHOWN / dt) :]
     return [(find_contacts(foot) * dt).round(4).tolist() for foot in contact.T]
 
 
-def _find_middle_rows(rollout: Rollout, count: int, seconds: float) -> np.ndarray:
-    """Return rows (count,) of states, evenly over the `seconds` about the episode's middle."""
-    middle, half = rollout.steps / 2, seconds / rollout.control_dt / 2
-    rows = np.linspace(middle - half, middle + half, count).round().astype(int)
-    return np.clip(rows, 0, rollout.steps)
+def _average(values: list[float]) -> float | None:
+    """Return the mean over the episodes in which it could be measured."""
+    finite = [value for value in values if np.isfinite(value)]
+    return _round(float(np.mean(finite))) if finite else None
 
 
-def _mean(values: list[float]) -> float | None:
-    """Over the episodes in which it could be measured."""
-    known = [value for value in values if np.isfinite(value)]
-    return _rounded(float(np.mean(known))) if known else None
-
-
-def _rounded(value: float) -> float:
+def _round(value: float) -> float:
     return float(f"{value:.4g}")

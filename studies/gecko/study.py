@@ -22,13 +22,17 @@ from pathlib import Path
 from quadwalk.cli.process import run_command
 from quadwalk.experiments.job import Job, fix_sizes
 from quadwalk.experiments.options import PlaceConfig, add_place_flags, read_place
+<<<<<<< HEAD
 from quadwalk.experiments.places import make_place
 from quadwalk.experiments.runner import collect_values, run_jobs
 from quadwalk.settings.serialize import change_settings
+=======
+from quadwalk.settings.serialize import with_settings
+>>>>>>> 6d697b3 (Studies: what they share stands once; names and docstrings say what functions do)
 from quadwalk.settings.training import TrainConfig
 from quadwalk.task_files import load_task
 from studies.gecko.gait import measure
-from studies.results import Results
+from studies.results import Results, run_cases
 
 RESULTS = Path(__file__).parent / "results.json"
 # Settings of a TrainConfig that are exchanged together. The learner's that count steps go with the
@@ -55,7 +59,7 @@ STEPS = {"blog": 10_000_000, "sprint": 5_000_000}  # the post's; enough for ours
 
 
 def exchange(config: TrainConfig, other: TrainConfig, *causes: str) -> TrainConfig:
-    """`config` with the settings of these causes as `other` has them."""
+    """Return `config` with the settings of these causes as `other` has them."""
     for setting in itertools.chain.from_iterable(CAUSES[cause] for cause in causes):
         part, name = setting.split(".")
         value = getattr(getattr(other, part), name)
@@ -63,33 +67,39 @@ def exchange(config: TrainConfig, other: TrainConfig, *causes: str) -> TrainConf
     return config
 
 
-def variants() -> dict[str, TrainConfig]:
-    """The tasks, each with nothing, one thing and all exchanged; and what these made us try.
+def make_variants() -> dict[str, TrainConfig]:
+    """Return the tasks by name: each with nothing, one thing and all exchanged.
 
-    Name to configuration.
+    The last two are what these made us try.
     """
-    found = {}
-    for task, other in OTHER.items():
-        own, others = load_task(task), load_task(other)
-        found[task] = own
-        found |= {f"{task}, {cause}": exchange(own, others, cause) for cause in CAUSES}
-        found[f"{task}, all of them"] = exchange(own, others, *CAUSES)
+    variants = {}
+    for name, name_of_other in OTHER.items():
+        task, other = load_task(name), load_task(name_of_other)
+        variants[name] = task
+        variants |= {f"{name}, {cause}": exchange(task, other, cause) for cause in CAUSES}
+        variants[f"{name}, all of them"] = exchange(task, other, *CAUSES)
     post, ours = load_task("blog"), load_task("sprint")
+<<<<<<< HEAD
     found["blog, action 0"] = change_settings(post, ABOUT_STANDING)
     found["sprint, action mapping and falls"] = exchange(ours, post, "action mapping", "falls")
     return found
+=======
+    variants["blog, action 0"] = with_settings(post, ABOUT_STANDING)
+    variants["sprint, action mapping and falls"] = exchange(ours, post, "action mapping", "falls")
+    return variants
+>>>>>>> 6d697b3 (Studies: what they share stands once; names and docstrings say what functions do)
 
 
-def job(name: str, seed: int, steps: int | None, runs: Path, place: PlaceConfig) -> Job:
-    """The training of a variant and a seed."""
+def make_job(name: str, seed: int, steps: int | None, runs: Path, place: PlaceConfig) -> Job:
+    """Return the training of a variant and a seed."""
     steps = steps or STEPS[name.partition(",")[0]]
-    words = f"{re.sub(r'\W+', '-', name)}_{steps}_s{seed}"
-    config = replace(variants()[name], name=words, runs=runs, seed=seed, steps=steps)
+    run = f"{re.sub(r'\W+', '-', name)}_{steps}_s{seed}"
+    config = replace(make_variants()[name], name=run, runs=runs, seed=seed, steps=steps)
     return Job(fix_sizes(config, place), measure)
 
 
 def main() -> None:
-    names = list(variants())
+    names = list(make_variants())
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--seeds", type=int, default=2)
     parser.add_argument("--steps", type=int, help="control steps of each run, in place of STEPS")
@@ -101,12 +111,12 @@ def main() -> None:
     results, place = Results(options.out, names), read_place(options)
     cases = list(itertools.product(options.only or names, range(options.seeds)))
     runs = options.runs.resolve()
-    jobs = [job(*case, options.steps, runs, place) for case in cases]
-    which = {job.name: case for job, case in zip(jobs, cases, strict=True)}
-    for done, measured in collect_values(run_jobs(jobs, make_place(place), len(jobs))):
-        name, seed = which[done.name]
-        results.add({"variant": name, "seed": seed, "steps": done.config.steps, **measured})
-        print(f"{name}, seed {seed}: {measured['figures']}", flush=True)
+    jobs = {case: make_job(*case, options.steps, runs, place) for case in cases}
+    for case, result in run_cases(jobs, place):
+        name, seed = case
+        steps = jobs[case].config.steps
+        results.add({"variant": name, "seed": seed, "steps": steps, **result})
+        print(f"{name}, seed {seed}: {result['figures']}", flush=True)
 
 
 if __name__ == "__main__":

@@ -15,7 +15,6 @@ it works:
 import argparse
 import itertools
 import shlex
-from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -31,12 +30,10 @@ from quadwalk.evaluation.rollout import roll_out
 from quadwalk.evaluation.suites.terrain import make_cells_env, measure_terrain
 from quadwalk.experiments.job import Job, fix_sizes
 from quadwalk.experiments.options import add_place_flags, read_place
-from quadwalk.experiments.places import make_place
-from quadwalk.experiments.runner import collect_values, run_jobs
 from quadwalk.learn.flags import parse_config
 from quadwalk.runs.directory import Run
 from quadwalk.terrain.heightfield import Heightfield
-from studies.results import Results
+from studies.results import Results, run_cases
 
 VARIANTS = {
     "seeing": "rough",
@@ -49,32 +46,31 @@ FRAMES, SECONDS = 8, 4.0  # of those, over so long from the start
 MARGIN = 1.2  # m of ground kept around their path
 
 
-def job(
-    name: str, seed: int, given: argparse.Namespace, judge: Callable[[Run], dict[str, Any]]
-) -> Job:
-    """The training of one variant and seed."""
+def make_job(name: str, seed: int, options: argparse.Namespace) -> Job:
+    """Return the training of one variant and seed."""
     flags = VARIANTS[name]
     config, _ = parse_config(shlex.split(flags))
-    words = flags.replace("--", "").replace(" env.", "_")
-    steps, runs = given.steps or config.steps, given.runs.resolve()
-    config = replace(config, name=f"{words}_s{seed}", runs=runs, seed=seed, steps=steps)
-    return Job(fix_sizes(config, read_place(given)), judge)
+    run = flags.replace("--", "").replace(" env.", "_")
+    steps, runs = options.steps or config.steps, options.runs.resolve()
+    config = replace(config, name=f"{run}_s{seed}", runs=runs, seed=seed, steps=steps)
+    function = partial(judge, episodes=options.episodes, seconds=options.seconds)
+    return Job(fix_sizes(config, read_place(options)), function)
 
 
 def judge(run: Run, episodes: int, seconds: float) -> dict[str, Any]:
-    """What results.json holds of one run."""
+    """Return what results.json holds of one run."""
     loaded = load_run(run, seconds, engine="mujoco", randomized=True)
     ground = measure_terrain(loaded, episodes, seed=0, levels=LEVELS)
     return {
         "steps": loaded.policy.steps,
         "engine": "mujoco",
         "ground": ground,
-        "films": {kind: film(run, kind) for kind in FILMED if kind in ground["kinds"]},
+        "films": {kind: film_episode(run, kind) for kind in FILMED if kind in ground["kinds"]},
     }
 
 
-def film(run: Run, kind: str) -> dict[str, Any]:
-    """States of one episode, undisturbed, at the greatest difficulty, and the ground around it."""
+def film_episode(run: Run, kind: str) -> dict[str, Any]:
+    """Return states of an undisturbed episode at the greatest difficulty, and its ground."""
     loaded = load_run(run, SECONDS, engine="mujoco")
     env = make_cells_env(loaded, (kind,), levels=2)
     assert env.terrain is not None
@@ -82,17 +78,17 @@ def film(run: Run, kind: str) -> dict[str, Any]:
     begin = jax.jit(lambda env, keys, tiles: jax.vmap(env.reset)(keys, tiles))
     first = begin(env, jax.random.PRNGKey(1)[None], jnp.array([tile]))
 
-    def qpos(env: Any, before: Any, action: Any, after: Any) -> Any:
+    def get_qpos(env: Any, before: Any, action: Any, after: Any) -> Any:
         return after.pipeline_state.qpos
 
-    ((_, _, path),) = roll_out(env, loaded.policy.act, first, qpos)
+    ((_, _, path),) = roll_out(env, loaded.policy.act, first, get_qpos)
     rows = np.linspace(0, len(path) - 1, FRAMES).round().astype(int)
     states = path[rows].astype(float)
-    return {"qpos": states.round(4).tolist(), "ground": _cropped(env.terrain.field, states[:, :2])}
+    return {"qpos": states.round(4).tolist(), "ground": _crop(env.terrain.field, states[:, :2])}
 
 
-def _cropped(field: Heightfield, path: np.ndarray) -> dict[str, Any]:
-    """The part of a field around `path` (n, 2), m, as plain values."""
+def _crop(field: Heightfield, path: np.ndarray) -> dict[str, Any]:
+    """Return the part of a field around `path` (n, 2), m, as plain values."""
     last = np.array(field.heights.shape[::-1]) - 1
     (left, low), (right, high) = (
         np.clip((edge - field.origin) / field.cell, 0, last).astype(int)
@@ -113,16 +109,13 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path(__file__).parent / "results.json")
     parser.add_argument("--only", nargs="+", choices=list(VARIANTS), help="of the variants")
     add_place_flags(parser)
-    given = parser.parse_args()
-    results = Results(given.out, VARIANTS)  # a file that is broken should not cost a training
-    cases = list(itertools.product(given.only or VARIANTS, range(given.seeds)))
-    judging = partial(judge, episodes=given.episodes, seconds=given.seconds)
-    jobs = [job(*case, given, judging) for case in cases]
-    which = {job.name: case for job, case in zip(jobs, cases, strict=True)}
-    for done, found in collect_values(run_jobs(jobs, make_place(read_place(given)), len(jobs))):
-        name, seed = which[done.name]
-        results.add({"variant": name, "seed": seed, **found})
-    print(f"written to {given.out}")
+    options = parser.parse_args()
+    results = Results(options.out, VARIANTS)  # a file that is broken should not cost a training
+    cases = list(itertools.product(options.only or VARIANTS, range(options.seeds)))
+    jobs = {case: make_job(*case, options) for case in cases}
+    for (name, seed), result in run_cases(jobs, read_place(options)):
+        results.add({"variant": name, "seed": seed, **result})
+    print(f"written to {options.out}")
 
 
 if __name__ == "__main__":

@@ -28,13 +28,11 @@ from quadwalk.evaluation.load import LoadedRun, load_run
 from quadwalk.evaluation.sweep import Point, measure_points
 from quadwalk.experiments.job import Job, fix_sizes
 from quadwalk.experiments.options import add_place_flags, read_place
-from quadwalk.experiments.places import make_place
-from quadwalk.experiments.runner import collect_values, run_jobs
 from quadwalk.runs.directory import Run
 from quadwalk.settings.serialize import change_settings
 from quadwalk.settings.training import TrainConfig
 from quadwalk.task_files import load_task
-from studies.results import Results
+from studies.results import Results, run_cases
 
 RESULTS = Path(__file__).parent / "results.json"
 SECONDS = 20.0
@@ -54,22 +52,22 @@ POINTS = {
 }
 
 
-def variants() -> dict[str, TrainConfig]:
-    """Name to configuration: the ideal world, the real one, and that without each ingredient."""
+def make_variants() -> dict[str, TrainConfig]:
+    """Return tasks by name: of the ideal world, of the real one, and without each ingredient."""
     run = load_task("run")
-    drawn, parts = "env.randomization", run.env.observation
+    ranges = "env.randomization"
     without: dict[str, dict[str, Any]] = {
-        "no latency": {f"{drawn}.{name}": None for name in ("latency", "sensor_latency")},
-        "no noise": {f"{drawn}.{name}": None for name in ("noise", "encoder", "imu_tilt")},
-        "no pushes": {f"{drawn}.push": None},
+        "no latency": {f"{ranges}.{name}": None for name in ("latency", "sensor_latency")},
+        "no noise": {f"{ranges}.{name}": None for name in ("noise", "encoder", "imu_tilt")},
+        "no pushes": {f"{ranges}.push": None},
         "one robot, one floor": {
-            f"{drawn}.{name}": None
+            f"{ranges}.{name}": None
             for name in (
                 *("friction", "trunk_mass", "trunk_center", "link_mass", "strength"),
                 *("kp", "kd", "joint_friction", "damping", "armature"),
             )
         },
-        "no history": {f"env.observation.{name}.history": 0 for name in parts},
+        "no history": {f"env.observation.{name}.history": 0 for name in run.env.observation},
         "no critic": {"env.critic": {}},
     }
     return {
@@ -79,35 +77,35 @@ def variants() -> dict[str, TrainConfig]:
     }
 
 
-def job(name: str, seed: int, options: argparse.Namespace) -> Job:
-    """The training of a variant and a seed."""
-    words = f"{re.sub(r'\W+', '-', name)}_{options.steps}_s{seed}"
-    config, runs = variants()[name], options.runs.resolve()
-    config = replace(config, name=words, runs=runs, seed=seed, steps=options.steps)
+def make_job(name: str, seed: int, options: argparse.Namespace) -> Job:
+    """Return the training of a variant and a seed."""
+    run = f"{re.sub(r'\W+', '-', name)}_{options.steps}_s{seed}"
+    config, runs = make_variants()[name], options.runs.resolve()
+    config = replace(config, name=run, runs=runs, seed=seed, steps=options.steps)
     return Job(fix_sizes(config, read_place(options)), partial(judge, episodes=options.episodes))
 
 
 def judge(run: Run, episodes: int) -> dict[str, Any]:
     """Measure a run at every point."""
-    loaded = as_in_run(load_run(run, SECONDS, engine="fast"))
-    measured = measure_points(loaded, list(POINTS.values()), episodes, seed=0)
-    c = evaluate(run, episodes=16, seconds=SECONDS, engine="mujoco").summary
+    loaded = replace_ranges(load_run(run, SECONDS, engine="fast"))
+    results = measure_points(loaded, list(POINTS.values()), episodes, seed=0)
+    summary = evaluate(run, episodes=16, seconds=SECONDS, engine="mujoco").summary
     return {
         "episodes": episodes,
-        "points": dict(zip(POINTS, measured, strict=True)),
-        "mujoco": {name: c[name] for name in ("fall_rate", "speed", "heading_error")},
+        "points": dict(zip(POINTS, results, strict=True)),
+        "mujoco": {name: summary[name] for name in ("fall_rate", "speed", "heading_error")},
     }
 
 
-def as_in_run(loaded: LoadedRun) -> LoadedRun:
-    """`loaded`, but that what is drawn is drawn from the ranges of `run`."""
+def replace_ranges(loaded: LoadedRun) -> LoadedRun:
+    """Return `loaded` with the ranges of `run`, from which conditions are drawn."""
     ranges = replace(load_task("run").env.randomization, enabled=False)
     config = replace(loaded.env.config, randomization=ranges)
     return replace(loaded, env=QuadrupedEnv(loaded.env.quadruped, config, loaded.env.engine))
 
 
 def main() -> None:
-    names = list(variants())
+    names = list(make_variants())
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--seeds", type=int, default=1)
     parser.add_argument("--steps", type=int, default=6_000_000, help="control steps of each run")
@@ -119,12 +117,10 @@ def main() -> None:
     options = parser.parse_args()
     results = Results(options.out, names)
     cases = list(itertools.product(options.only or names, range(options.seeds)))
-    jobs = [job(*case, options) for case in cases]
-    which = {job.name: case for job, case in zip(jobs, cases, strict=True)}
-    for done, found in collect_values(run_jobs(jobs, make_place(read_place(options)), len(jobs))):
-        name, seed = which[done.name]
-        results.add({"variant": name, "seed": seed, "steps": options.steps, **found})
-        shares = {name: f"{100 * p['success']:.0f} %" for name, p in found["points"].items()}
+    jobs = {case: make_job(*case, options) for case in cases}
+    for (name, seed), result in run_cases(jobs, read_place(options)):
+        results.add({"variant": name, "seed": seed, "steps": options.steps, **result})
+        shares = {name: f"{100 * p['success']:.0f} %" for name, p in result["points"].items()}
         print(f"{name}, seed {seed}: {shares}", flush=True)
 
 

@@ -30,26 +30,26 @@ def main() -> None:
     parser.add_argument("--sprint", type=Path, help="a run of sprint (default: train one)")
     parser.add_argument("--steps", type=int, help="of its training (default: the task's)")
     parser.add_argument("--out", type=Path, default=RESULTS)
-    given = parser.parse_args()
+    options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        sprint = given.sprint
+        sprint = options.sprint
         if sprint is None:
-            steps = {} if given.steps is None else {"steps": given.steps}
+            steps = {} if options.steps is None else {"steps": options.steps}
             sprint = train("sprint", name="sprint", runs=folder, **steps).path
-        found = sweep_runs(
+        results = sweep_runs(
             SweepConfig(
                 run=(str(PRETRAINED / "run"), str(sprint)),
-                episodes=given.episodes,
-                seconds=given.seconds,
+                episodes=options.episodes,
+                seconds=options.seconds,
                 engine="fast",
                 out=Path(folder) / "sweep",
             )
         )
-    for result, name in zip(found["runs"], ("run", "sprint"), strict=True):
+    for result, name in zip(results["runs"], ("run", "sprint"), strict=True):
         result["run"] = name
-    with open_atomic(given.out) as file:
-        file.write(json.dumps(found).encode() + b"\n")
-    print(f"written to {given.out}")
+    with open_atomic(options.out) as file:
+        file.write(json.dumps(results).encode() + b"\n")
+    print(f"written to {options.out}")
 
 
 if __name__ == "__main__":

@@ -11,8 +11,8 @@ from quadwalk.evaluation.gait import measure_gait
 from quadwalk.evaluation.rollout import Rollout
 from quadwalk.settings.serialize import flatten
 from quadwalk.task_files import load_task
-from studies.gecko.gait import body_contact, contacts_of, figures_of, frames_of
-from studies.gecko.study import CAUSES, OTHER, RESULTS, variants
+from studies.gecko.gait import compute_figures, find_body_contact, find_footfalls, sample_frames
+from studies.gecko.study import CAUSES, OTHER, RESULTS, make_variants
 
 
 def changed(found, own) -> set[str]:
@@ -25,18 +25,18 @@ def test_each_variant_takes_one_thing_from_the_other_task(task):
     own, other = (flatten(load_task(name)) for name in (task, OTHER[task]))
     taken = set()
     for cause, settings in CAUSES.items():
-        found = flatten(variants()[f"{task}, {cause}"])
+        found = flatten(make_variants()[f"{task}, {cause}"])
         names = changed(found, own)
         assert names
         assert not names & changed(found, other)
         assert all(any(f"{name}.".startswith(f"{s}.") for s in settings) for name in names)
         assert not names & taken  # no two causes share a setting
         taken |= names
-    assert changed(flatten(variants()[f"{task}, all of them"]), own) == taken
+    assert changed(flatten(make_variants()[f"{task}, all of them"]), own) == taken
 
 
 def test_action_0_alone_is_moved_to_the_standing_pose(quadruped):
-    own, found = load_task("blog"), variants()["blog, action 0"]
+    own, found = load_task("blog"), make_variants()["blog, action 0"]
     bounds = [f"env.action.{part}_{end}" for part in ("thigh", "calf") for end in ("low", "high")]
     assert changed(flatten(found), flatten(own)) == set(bounds)
     # A joint is where action 0 puts it, so that the limit of a step does not matter.
@@ -71,8 +71,8 @@ def test_what_lies_on_the_floor_is_told_from_what_stands(quadruped):
         (standing, down, 0.0, 0.0), (lying, up, 1.0, 0.0), (flying, up, 0.0, 1.0),
     ):  # fmt: skip
         rollout = still(quadruped, qpos, contact)
-        assert body_contact(rollout, quadruped).mean() == body
-        figures = figures_of(measure_gait(rollout, quadruped), rollout, quadruped)
+        assert find_body_contact(rollout, quadruped).mean() == body
+        figures = compute_figures(measure_gait(rollout, quadruped), rollout, quadruped)
         assert figures["body_contact"] == body
         assert figures["flight"] == flight
         assert figures["height"] == pytest.approx(qpos[2] / quadruped.home[2])
@@ -83,7 +83,7 @@ def test_sprawl_and_heading_are_angles_in_degrees(quadruped):
     qpos[7::3] += np.radians([20.0, -20.0, 40.0, 0.0]) - quadruped.home[7::3]
     mujoco.mju_axisAngle2Quat(qpos[3:7], np.array([0.0, 0.0, 1.0]), np.radians(-30.0))
     rollout = still(quadruped, qpos, np.ones((5, 4)))
-    figures = figures_of(measure_gait(rollout, quadruped), rollout, quadruped)
+    figures = compute_figures(measure_gait(rollout, quadruped), rollout, quadruped)
     assert figures["sprawl"] == pytest.approx(20.0)
     assert figures["heading"] == pytest.approx(30.0)
 
@@ -94,16 +94,16 @@ def test_frames_and_footfalls_are_those_of_the_rollout(quadruped):
     contact[140:, 3] = True
     rollout = still(quadruped, quadruped.home, contact)
     rollout = dataclasses.replace(rollout, qpos=rollout.qpos + np.arange(151)[:, None])
-    frames = np.array(frames_of(rollout))
+    frames = np.array(sample_frames(rollout))
     rows = frames[:, 0] - quadruped.home[0]
     np.testing.assert_allclose(rows, [62, 68, 72, 78, 82, 88], atol=1.01)  # 25 steps about 75
-    np.testing.assert_allclose(contacts_of(rollout)[1], [[0.2, 0.8]])
-    np.testing.assert_allclose(contacts_of(rollout)[3], [[1.8, 2.0]])
-    assert contacts_of(rollout)[0] == []
+    np.testing.assert_allclose(find_footfalls(rollout)[1], [[0.2, 0.8]])
+    np.testing.assert_allclose(find_footfalls(rollout)[3], [[1.8, 2.0]])
+    assert find_footfalls(rollout)[0] == []
 
 
 def test_the_results_are_of_the_variants_there_are():
     results = json.loads(RESULTS.read_text())
     named = {(result["variant"], result["seed"]) for result in results}
     assert len(named) == len(results)
-    assert {variant for variant, _ in named} == set(variants())
+    assert {variant for variant, _ in named} == set(make_variants())
