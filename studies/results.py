@@ -6,15 +6,11 @@ from pathlib import Path
 from typing import Any
 
 from quadwalk.errors import UserError
-<<<<<<< HEAD
-from quadwalk.files import open_atomic
-=======
 from quadwalk.experiments.job import Job
 from quadwalk.experiments.options import PlaceConfig
 from quadwalk.experiments.places import make_place
 from quadwalk.experiments.runner import collect_values, run_jobs
-from quadwalk.files import atomic_write
->>>>>>> 6d697b3 (Studies: what they share stands once; names and docstrings say what functions do)
+from quadwalk.files import open_atomic
 
 Case = tuple[str, int]  # a variant and a seed
 

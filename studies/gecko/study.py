@@ -22,13 +22,7 @@ from pathlib import Path
 from quadwalk.cli.process import run_command
 from quadwalk.experiments.job import Job, fix_sizes
 from quadwalk.experiments.options import PlaceConfig, add_place_flags, read_place
-<<<<<<< HEAD
-from quadwalk.experiments.places import make_place
-from quadwalk.experiments.runner import collect_values, run_jobs
 from quadwalk.settings.serialize import change_settings
-=======
-from quadwalk.settings.serialize import with_settings
->>>>>>> 6d697b3 (Studies: what they share stands once; names and docstrings say what functions do)
 from quadwalk.settings.training import TrainConfig
 from quadwalk.task_files import load_task
 from studies.gecko.gait import measure
@@ -79,15 +73,9 @@ def make_variants() -> dict[str, TrainConfig]:
         variants |= {f"{name}, {cause}": exchange(task, other, cause) for cause in CAUSES}
         variants[f"{name}, all of them"] = exchange(task, other, *CAUSES)
     post, ours = load_task("blog"), load_task("sprint")
-<<<<<<< HEAD
-    found["blog, action 0"] = change_settings(post, ABOUT_STANDING)
-    found["sprint, action mapping and falls"] = exchange(ours, post, "action mapping", "falls")
-    return found
-=======
-    variants["blog, action 0"] = with_settings(post, ABOUT_STANDING)
+    variants["blog, action 0"] = change_settings(post, ABOUT_STANDING)
     variants["sprint, action mapping and falls"] = exchange(ours, post, "action mapping", "falls")
     return variants
->>>>>>> 6d697b3 (Studies: what they share stands once; names and docstrings say what functions do)
 
 
 def make_job(name: str, seed: int, steps: int | None, runs: Path, place: PlaceConfig) -> Job:
