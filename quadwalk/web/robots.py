@@ -125,5 +125,8 @@ def convert(loaded: LoadedRun, file: Path) -> bytes:
 
 def make_dog(loaded: LoadedRun, riser: LoadedRun | None, remote: bool = False) -> site.Dog:
     """Return a run's robot for the page, with the policy that gets it up where it fits."""
-    fits = riser is not None and loaded.run.path != riser.run.path
-    return site.make_dog(loaded, riser if fits and loaded.has_same_robot(riser) else None, remote)
+    if riser is not None:
+        is_itself = loaded.run.path == riser.run.path
+        if is_itself or not loaded.has_same_robot(riser):
+            riser = None
+    return site.make_dog(loaded, riser, remote)
