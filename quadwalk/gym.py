@@ -52,7 +52,7 @@ class QuadrupedGymEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     ) -> None:
         env = make(task, robot, overrides)
         self.render_mode = render_mode
-        self.observation_space, self.action_space = _spaces(env)
+        self.observation_space, self.action_space = _make_spaces(env)
         self._ends, self._size = env.ends, env.policy_size
         self._reset = partial(jax.jit(QuadrupedEnv.reset), env)
         self._step = partial(jax.jit(QuadrupedEnv.step, donate_argnums=1), env)
@@ -63,19 +63,19 @@ class QuadrupedGymEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     ) -> tuple[np.ndarray, dict[str, Any]]:
         """Begin an episode; the same seed gives the same."""
         super().reset(seed=seed, options=options)
-        self._state = self._reset(_key(self.np_random))
-        return self._observation(), {"end": self._ends[0]}
+        self._state = self._reset(_sample_key(self.np_random))
+        return self._get_observation(), {"end": self._ends[0]}
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         """Take a control step with `action` (12,), which is clipped to [-1, 1]."""
-        checked = _check_action(self._state, action, self.action_space)
-        self._state = state = self._step(self._state, checked)
+        clipped = _clip_action(self._state, action, self.action_space)
+        self._state = state = self._step(self._state, clipped)
         truncated = bool(state.info["truncation"])
         terminated = bool(state.done) and not truncated
         info = {"end": self._ends[int(state.info["end"])]}
-        return self._observation(), float(state.reward), terminated, truncated, info
+        return self._get_observation(), float(state.reward), terminated, truncated, info
 
-    def _observation(self) -> np.ndarray:
+    def _get_observation(self) -> np.ndarray:
         return np.array(self._state.obs[: self._size])
 
 
@@ -102,11 +102,11 @@ class QuadrupedGymVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             raise UsageError(f"num_envs is {num_envs}; expected 1 or more")
         env = make(task, robot, overrides)
         self.num_envs = num_envs
-        self.single_observation_space, self.single_action_space = _spaces(env)
+        self.single_observation_space, self.single_action_space = _make_spaces(env)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._ends = np.array(env.ends, object)
-        self._start, self._step, self._renew = _programs(env, num_envs)
+        self._start, self._step, self._restart = _make_programs(env, num_envs)
         self._state: Any = None
         self._keys: Any = None
 
@@ -115,31 +115,33 @@ class QuadrupedGymVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     ) -> tuple[np.ndarray, dict[str, Any]]:
         """Begin an episode in each environment; the same seed gives the same ones, for ever."""
         super().reset(seed=seed, options=options)
-        self._keys = jax.random.split(_key(self.np_random), self.num_envs)
-        self._state, self._keys, seen = self._start(self._keys)
-        return np.array(seen), {}
+        self._keys = jax.random.split(_sample_key(self.np_random), self.num_envs)
+        self._state, self._keys, observations = self._start(self._keys)
+        return np.array(observations), {}
 
     def step(
         self, actions: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """Take a control step with `actions` (num_envs, 12), which are clipped to [-1, 1]."""
-        checked = _check_action(self._state, actions, self.action_space)
-        self._state, seen, reward, end = self._step(self._state, checked)
+        clipped = _clip_action(self._state, actions, self.action_space)
+        self._state, observations, reward, end = self._step(self._state, clipped)
         end = np.asarray(end)
         done, truncated = end > 0, self._ends[end] == "time limit"
         infos: dict[str, Any] = {}
         if done.any():
-            infos = self._final(np.array(seen), end, done)
+            infos = self._make_infos(np.array(observations), end, done)
             fresh, later, _ = self._start(self._keys)
             old = self._state, self._keys
-            self._state, self._keys, seen = self._renew(done, (fresh, later), old)
-        return np.array(seen), np.array(reward), done & ~truncated, truncated, infos
+            self._state, self._keys, observations = self._restart(done, (fresh, later), old)
+        return np.array(observations), np.array(reward), done & ~truncated, truncated, infos
 
-    def _final(self, seen: np.ndarray, end: np.ndarray, done: np.ndarray) -> dict[str, Any]:
-        """Gymnasium's statistics of the episodes that ended."""
+    def _make_infos(
+        self, observations: np.ndarray, end: np.ndarray, done: np.ndarray
+    ) -> dict[str, Any]:
+        """Return what Gymnasium wants to know of the episodes that ended."""
         last = np.full(self.num_envs, None, object)
         for index in np.flatnonzero(done):
-            last[index] = seen[index]
+            last[index] = observations[index]
         ends = np.where(done, self._ends[end], None)
         return {
             "final_obs": last,
@@ -149,45 +151,50 @@ class QuadrupedGymVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         }
 
 
-def _programs(env: QuadrupedEnv, num_envs: int) -> tuple[Any, Any, Any]:
-    """Programs that start, step and renew episodes, on as many devices as share them evenly."""
+def _make_programs(env: QuadrupedEnv, num_envs: int) -> tuple[Any, Any, Any]:
+    """Return programs that start, step and restart episodes, shared evenly between devices."""
     size = env.policy_size
 
     def start(env: QuadrupedEnv, keys: Any) -> Any:
-        own, later = jnp.moveaxis(jax.vmap(jax.random.split)(keys), 1, 0)
-        state = jax.vmap(env.reset)(own)
+        now, later = jnp.moveaxis(jax.vmap(jax.random.split)(keys), 1, 0)
+        state = jax.vmap(env.reset)(now)
         return state, later, state.obs[:, :size]
 
     def step(env: QuadrupedEnv, state: Any, actions: Any) -> Any:
         after = jax.vmap(env.step)(state, actions)
         return after, after.obs[:, :size], after.reward, after.info["end"]
 
-    def renew(env: QuadrupedEnv, done: Any, fresh: Any, old: Any) -> Any:
+    def restart(env: QuadrupedEnv, done: Any, fresh: Any, old: Any) -> Any:
         state, keys = tree_where(done, fresh, old)
         return state, keys, state.obs[:, :size]
 
     count = max(n for n in range(1, len(jax.devices()) + 1) if num_envs % n == 0)
     mesh = Mesh(np.array(jax.devices()[:count]), ("envs",))
 
-    def program(function: Any, donate: tuple[int, ...] = ()) -> Any:
-        def shared(env: QuadrupedEnv, *arguments: Any) -> Any:
-            own = partial(function, env)
+    def compile_program(function: Any, donate: tuple[int, ...] = ()) -> Any:
+        def share(env: QuadrupedEnv, *arguments: Any) -> Any:
             split = P("envs")
-            on_all = jax.shard_map(own, mesh=mesh, in_specs=split, out_specs=split, check_vma=False)
-            return on_all(*arguments)
+            shared = jax.shard_map(
+                partial(function, env), mesh=mesh, in_specs=split, out_specs=split, check_vma=False
+            )
+            return shared(*arguments)
 
-        return partial(jax.jit(shared, donate_argnums=donate), env)
+        return partial(jax.jit(share, donate_argnums=donate), env)
 
-    return program(start), program(step, donate=(1,)), program(renew, donate=(2, 3))
-
-
-def _spaces(env: Any) -> tuple[spaces.Box, spaces.Box]:
-    """Of one robot's observations and actions."""
-    seen = spaces.Box(-np.inf, np.inf, (env.policy_size,), np.float32)
-    return seen, spaces.Box(-1.0, 1.0, (env.action_size,), np.float32)
+    return (
+        compile_program(start),
+        compile_program(step, donate=(1,)),
+        compile_program(restart, donate=(2, 3)),
+    )
 
 
-def _check_action(state: Any, action: np.ndarray, space: spaces.Space[np.ndarray]) -> np.ndarray:
+def _make_spaces(env: Any) -> tuple[spaces.Box, spaces.Box]:
+    """Return the spaces of one robot's observations and actions."""
+    observations = spaces.Box(-np.inf, np.inf, (env.policy_size,), np.float32)
+    return observations, spaces.Box(-1.0, 1.0, (env.action_size,), np.float32)
+
+
+def _clip_action(state: Any, action: np.ndarray, space: spaces.Space[np.ndarray]) -> np.ndarray:
     """Return `action` as float32, clipped to [-1, 1]; `UsageError` where no step can be taken."""
     if state is None:
         raise UsageError("step was called before reset; expected reset first")
@@ -197,8 +204,7 @@ def _check_action(state: Any, action: np.ndarray, space: spaces.Space[np.ndarray
     return np.clip(array, -1.0, 1.0)
 
 
-def _key(random: np.random.Generator) -> Any:
-    """A JAX random key, drawn from `random`."""
+def _sample_key(random: np.random.Generator) -> Any:
     return jax.random.PRNGKey(random.integers(2**32, dtype=np.uint32))
 
 

@@ -8,6 +8,7 @@ import re
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
@@ -57,25 +58,44 @@ class Exported(NamedTuple):
     rollout: Rollout
 
     @property
+    def task(self) -> str:
+        return self.loaded.policy.config.task
+
+    @property
     def metadata(self) -> dict[str, str]:
-        model = onnx.load(self.folder / "policy.onnx")
-        return {entry.key: entry.value for entry in model.metadata_props}
+        return read_metadata(self.folder)
+
+    def check(self, folder: Path, recording: Path | None = None) -> None:
+        check_export(self.loaded, folder, recording, Console(quiet=True))
+
+    def copy(self, folder: Path, edit: Callable[[onnx.ModelProto], None]) -> Path:
+        """Copy the export, with an edited policy.onnx."""
+        shutil.copytree(self.folder, folder)
+        model = onnx.load(folder / "policy.onnx")
+        edit(model)
+        onnx.save(model, folder / "policy.onnx")
+        return folder
 
 
-def untrained_run(root: Path, task: str, quadruped) -> Run:
-    """A run as a training would leave it whose policy has learnt nothing."""
+def read_metadata(folder: Path) -> dict[str, str]:
+    model = onnx.load(folder / "policy.onnx")
+    return {entry.key: entry.value for entry in model.metadata_props}
+
+
+def make_untrained_run(root: Path, task: str, quadruped) -> Run:
+    """Return a run as a training would leave it whose policy has learnt nothing."""
     return write_run(root, task, quadruped, {"policy.npz": 0}, load_task(task), never_varied=[3])
 
 
 @pytest.fixture(scope="module", params=["run", "walk"])
 def exported(request, quadruped, tmp_path_factory) -> Exported:
     root = tmp_path_factory.mktemp("export")
-    run = untrained_run(root, request.param, quadruped)
+    run = make_untrained_run(root, request.param, quadruped)
     main([str(run.path), "-o", str(root / "out")])
     loaded = load_run(run, SECONDS, "last", "mujoco")
     config = loaded.env.config
-    random = {f.name for f in dataclasses.fields(config.reset)} - {"pose", "height"}
-    reset = dataclasses.replace(config.reset, **dict.fromkeys(random, 0.0))
+    ranges = {f.name for f in dataclasses.fields(config.reset)} - {"pose", "height"}
+    reset = dataclasses.replace(config.reset, **dict.fromkeys(ranges, 0.0))
     env = QuadrupedEnv(quadruped, dataclasses.replace(config, reset=reset), "mujoco")
     (rollout,) = simulate_episodes(env, loaded.policy.act, 1, seed=0)
     assert rollout.steps > 10
@@ -115,11 +135,11 @@ def test_the_script_alone_drives_the_robot_as_our_engine_does(exported, tmp_path
     early = min(steps, round(0.2 / env.config.control_dt))
     np.testing.assert_allclose(qpos[:early], rollout.qpos[:early], atol=1e-3)
     np.testing.assert_allclose(target[:early], rollout.target[:early], atol=1e-2)
-    said = re.search(r"(-?[\d.]+) m/s along x for ([\d.]+) s", done.stdout)
-    assert said is not None
+    printed = re.search(r"(-?[\d.]+) m/s along x for ([\d.]+) s", done.stdout)
+    assert printed is not None
     if len(time) == rollout.steps:
         speed = (rollout.qpos[-1, 0] - rollout.qpos[0, 0]) / rollout.time[-1]
-        assert float(said[1]) == pytest.approx(speed, abs=0.02)
+        assert float(printed[1]) == pytest.approx(speed, abs=0.02)
 
 
 def test_an_export_with_a_getup_policy_gets_up_from_its_back_and_goes_on(tmp_path, capsys):
@@ -163,8 +183,8 @@ def test_the_scripts_are_short_and_need_three_packages():
     assert not needed
 
 
-def halved(text: str) -> str:
-    """A list of numbers, the last of them halved."""
+def halve_last(text: str) -> str:
+    """Return a list of numbers with the last of them halved."""
     *others, last = json.loads(text)
     return json.dumps([*others, last / 2])
 
@@ -177,43 +197,41 @@ BROKEN = {
 
 
 def test_the_check_agrees_and_names_what_is_broken(exported, tmp_path, capsys):
-    run = str(exported.loaded.run.path)
-    main([run, "--check", "-o", str(exported.folder)])
+    main([str(exported.loaded.run.path), "--check", "-o", str(exported.folder)])
     assert capsys.readouterr().out == "no difference\n"
-    for number, (name, stage) in enumerate(BROKEN[exported.loaded.policy.config.task]):
-        folder = tmp_path / str(number)
-        shutil.copytree(exported.folder, folder)
-        model = onnx.load(folder / "policy.onnx")
-        entries = [entry for entry in model.metadata_props if entry.key == name]
-        for entry in entries:
-            entry.value = halved(entry.value)
-        for constant in model.graph.initializer:
-            if constant.name == name:
-                values = onnx.numpy_helper.to_array(constant)
-                constant.CopyFrom(onnx.numpy_helper.from_array(values / np.float32(2), name))
-        onnx.save(model, folder / "policy.onnx")
+    for name, stage in BROKEN[exported.task]:
+
+        def break_one(model: onnx.ModelProto, name: str = name) -> None:
+            for entry in model.metadata_props:
+                if entry.key == name:
+                    entry.value = halve_last(entry.value)
+            for constant in model.graph.initializer:
+                if constant.name == name:
+                    values = onnx.numpy_helper.to_array(constant)
+                    constant.CopyFrom(onnx.numpy_helper.from_array(values / np.float32(2), name))
+
+        folder = exported.copy(tmp_path / name, break_one)
         with pytest.raises(UserError, match=rf"difference is in step \d+, {stage}") as error:
-            check_export(exported.loaded, folder, None, Console(quiet=True))
-        assert (f"its {name} is " in str(error.value)) == bool(entries)
+            exported.check(folder)
+        assert (f"its {name} is " in str(error.value)) == (name in exported.metadata)
 
 
+@pytest.mark.parametrize("exported", ["walk"], indirect=True)
 def test_the_check_reads_the_recording_of_another_runtime(exported, tmp_path):
-    if exported.loaded.policy.config.task != "walk":
-        return
     columns = replay(exported.folder, exported.loaded)
     recording = tmp_path / "own.npz"
 
     def check(**changes: np.ndarray) -> None:
         np.savez(recording, **{**columns, **changes})
-        check_export(exported.loaded, exported.folder, recording, Console(quiet=True))
+        exported.check(exported.folder, recording)
 
     check()
-    seen = columns["obs"].copy()
-    seen[5, 0] += 0.1
+    obs = columns["obs"].copy()
+    obs[5, 0] += 0.1
     with pytest.raises(UserError, match="in step 5, observation, "):
-        check(obs=seen)
+        check(obs=obs)
     with pytest.raises(UserError, match=r"obs has the shape .*; expected \(steps, "):
-        check(obs=seen[:, 1:])
+        check(obs=obs[:, 1:])
     recording.write_text("no NPZ")
     with pytest.raises(UserError, match="cannot be read; expected NPZ"):
         read_recording(recording, exported.loaded)
@@ -227,6 +245,8 @@ def test_the_metadata_says_what_mjlab_says(exported):
 
     assert json.loads(about["joint_names"]) == list(env.quadruped.joints)
     assert json.loads(about["observation_names"]) == list(env.config.observation)
+    functions = set(json.loads(about["observation_functions"]))
+    assert functions <= {name for name in TERMS if name.startswith("observation:")}
     assert about["command_names"] == ("velocity" if env.config.command.active else "")
     np.testing.assert_allclose(numbers("default_joint_pos"), env.robot.home[7:], rtol=1e-6)
     np.testing.assert_allclose(numbers("joint_stiffness"), env.motor.kp, rtol=1e-6)
@@ -253,52 +273,48 @@ def test_a_number_without_limit_is_null_in_json():
     assert read_list("1,inf") == ["1", "inf"]
 
 
-def test_observations_are_named_by_their_registered_names(exported):
-    names = read_list(exported.metadata["observation_functions"])
-    assert set(names) <= set(TERMS)
-    assert {name.partition(":")[0] for name in names} == {"observation"}
-
-
-def test_an_export_that_names_observations_by_module_runs_and_is_checked(exported, tmp_path):
-    shutil.copytree(exported.folder, tmp_path / "old")
-    model = onnx.load(tmp_path / "old" / "policy.onnx")
+def name_by_module(model: onnx.ModelProto) -> None:
     (entry,) = (e for e in model.metadata_props if e.key == "observation_functions")
+    count = len(json.loads(entry.value))
     entry.value = to_module_names(entry.value)
-    assert entry.value.count("quadwalk.") == len(exported.loaded.env.config.observation)
-    onnx.save(model, tmp_path / "old" / "policy.onnx")
-    check_export(exported.loaded, tmp_path / "old", None, Console(quiet=True))
+    assert entry.value.count("quadwalk.task.observation:") == count
+
+
+def separate_by_commas(model: onnx.ModelProto) -> None:
+    lists = [entry for entry in model.metadata_props if entry.value.startswith("[")]
+    assert len(lists) > 10
+    for entry in lists:
+        entry.value = ",".join(str(part) for part in read_list(entry.value))
+
+
+@pytest.mark.parametrize("edit", [name_by_module, separate_by_commas])
+@pytest.mark.parametrize("exported", ["walk"], indirect=True)
+def test_an_export_of_an_earlier_version_runs_and_is_checked(exported, tmp_path, edit):
+    exported.check(exported.copy(tmp_path / "old", edit))
+
+
+@pytest.mark.parametrize("exported", ["walk"], indirect=True)
+def test_an_entry_of_the_metadata_that_differs_is_named(exported, tmp_path):
+    def change(model: onnx.ModelProto) -> None:
+        separate_by_commas(model)
+        (entry,) = (e for e in model.metadata_props if e.key == "joint_armature")
+        entry.value = "none"
+
+    with pytest.raises(UserError, match="its joint_armature is none at number 0; expected "):
+        exported.check(exported.copy(tmp_path / "changed", change))
 
 
 def test_a_packaged_policy_is_exported_with_registered_names(tmp_path):
     main([str(PRETRAINED / "walk"), "-o", str(tmp_path)])
-    model = onnx.load(tmp_path / "policy.onnx")
-    (entry,) = (e for e in model.metadata_props if e.key == "observation_functions")
-    assert {"observation:joint_pos", "observation:trot_clock"} <= set(json.loads(entry.value))
+    functions = json.loads(read_metadata(tmp_path)["observation_functions"])
+    assert {"observation:joint_pos", "observation:trot_clock"} <= set(functions)
     assert "joint_pos_rel" in (tmp_path / "deploy.yaml").read_text()
-
-
-def test_an_older_export_with_commas_between_its_numbers_runs_and_is_checked(exported, tmp_path):
-    if exported.loaded.policy.config.task != "walk":
-        return
-    shutil.copytree(exported.folder, tmp_path / "old")
-    model = onnx.load(tmp_path / "old" / "policy.onnx")
-    lists = [entry for entry in model.metadata_props if entry.value.startswith("[")]
-    assert len(lists) > 10
-    for entry in lists:
-        entry.value = ",".join(f"{part}" for part in read_list(entry.value))
-    onnx.save(model, tmp_path / "old" / "policy.onnx")
-    check_export(exported.loaded, tmp_path / "old", None, Console(quiet=True))
-    entry.value = "none"
-    onnx.save(model, tmp_path / "old" / "policy.onnx")
-    with pytest.raises(UserError, match=f"its {entry.key} is none at number 0; expected "):
-        check_export(exported.loaded, tmp_path / "old", None, Console(quiet=True))
 
 
 def test_deploy_yaml_gives_the_observations_and_targets_that_were_trained_with(exported):
     """Read by another reader, and put together as unitree_rl_lab's runtime does."""
     env, rollout = exported.loaded.env, exported.rollout
-    file = exported.folder / "deploy.yaml"
-    config = yaml.safe_load(file.read_text())
+    config = yaml.safe_load((exported.folder / "deploy.yaml").read_text())
     action = config["actions"]["JointPositionAction"]
     targets = rollout.action * action["scale"] + action["offset"]
     targets = np.clip(targets, *np.transpose(action["clip"]))
@@ -316,8 +332,8 @@ def test_deploy_yaml_gives_the_observations_and_targets_that_were_trained_with(e
         part = labels[at : at + size * length]
         at += size * length
         if name == "joint_vel_rel":
-            kept = rollout.qvel[k - length + 1 : k + 1, 6:].ravel()
-            np.testing.assert_allclose([obs[label] for label in part], kept, atol=1e-5)
+            history = rollout.qvel[k - length + 1 : k + 1, 6:].ravel()
+            np.testing.assert_allclose([obs[label] for label in part], history, atol=1e-5)
     assert at == len(labels)
     if env.config.command.active:
         ranges = config["commands"]["base_velocity"]["ranges"]
@@ -332,8 +348,7 @@ def test_every_activation_is_that_of_brax(name):
         for m, n in ((5, 7), (7, 12))
     ]
     weights = Weights(np.zeros(5), np.ones(5), layers, name)
-    one = np.ones(12)
-    targets = JointTargets(one, 0 * one, -np.inf * one, np.inf * one)
+    targets = JointTargets(*(np.full(12, x) for x in (1.0, 0.0, -np.inf, np.inf)))
     model = build_model(weights, np.arange(5), targets, {})
     session = onnxruntime.InferenceSession(model.SerializeToString())
     x = np.float32(rng.normal(size=(1, 5)))
@@ -344,20 +359,21 @@ def test_every_activation_is_that_of_brax(name):
     np.testing.assert_allclose(targets, actions)
 
 
-def bent(robot, action, joints, *, bend):
-    return robot.home_joints + 0.2 * action + bend * action**3
+def bend(robot, action, joints, *, bend, near):
+    return robot.home_joints + 0.2 * action + bend * action**3 + near * joints
 
 
-def test_an_action_map_that_no_format_can_state_is_named(env):
-    with pytest.raises(UserError, match=r"^the action map bent cannot be exported; expected"):
-        find_joint_targets(ActionMap(bent, {"bend": 0.1}), env.robot)
-    straight = find_joint_targets(ActionMap(bent, {"bend": 0.0}), env.robot)
+@pytest.mark.parametrize("params", [{"bend": 0.1, "near": 0.0}, {"bend": 0.0, "near": 0.1}])
+def test_an_action_map_that_no_format_can_state_is_named(env, params):
+    with pytest.raises(UserError, match=r"^the action map bend cannot be exported; expected"):
+        find_joint_targets(ActionMap(bend, params), env.robot)
+    straight = find_joint_targets(ActionMap(bend, dict.fromkeys(params, 0.0)), env.robot)
     np.testing.assert_allclose(straight.scale, 0.2, rtol=1e-6)
 
 
 @pytest.mark.parametrize("missing", ["onnx", "onnxruntime"])
 def test_without_the_extra_one_line_says_so(missing, quadruped, tmp_path, monkeypatch):
-    run = untrained_run(tmp_path, "walk", quadruped)
+    run = make_untrained_run(tmp_path, "walk", quadruped)
     monkeypatch.setitem(sys.modules, missing, None)
     for name in [name for name in sys.modules if name.startswith("quadwalk.export.")]:
         monkeypatch.delitem(sys.modules, name)
