@@ -33,7 +33,7 @@ def processes() -> multiprocessing.context.BaseContext:
 
 @pytest.fixture(scope="session")
 def flags() -> Callable[..., list[str]]:
-    """Flags of a tiny training in folder `runs`, of so many iterations."""
+    """Return a function that makes the flags of a tiny training in folder `runs`."""
 
     def make_flags(runs: Path, name: str | None, iterations: int, *more: str) -> list[str]:
         common = f"--devices=2 --steps={toy.BATCH * iterations} --runs={runs} {toy.TINY}"

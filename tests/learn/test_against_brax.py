@@ -133,7 +133,7 @@ def train_both(monkeypatch):
     seen = []
     real = gradients.loss_and_pgrad
 
-    def recording(*args: Any, **kwargs: Any) -> Any:
+    def record_gradients(*args: Any, **kwargs: Any) -> Any:
         function = real(*args, **kwargs)
 
         def call(params: Any, normalizer: Any, data: Any, key: jax.Array) -> Any:
@@ -144,7 +144,7 @@ def train_both(monkeypatch):
 
         return call
 
-    monkeypatch.setattr(gradients, "loss_and_pgrad", recording)
+    monkeypatch.setattr(gradients, "loss_and_pgrad", record_gradients)
     monkeypatch.setattr(
         TanhNormal, "sample", lambda self, key: self.mean + self.std * compute_noise(self.mean)
     )
@@ -237,7 +237,7 @@ def test_iterations_leave_the_parameters_of_brax(train_both):
 
 
 def test_learning_curves_agree_over_three_seeds():
-    """The 99 % interval of the difference holds zero, which is a tenth of the gain at most.
+    """The 99 % interval of the difference holds zero; it is a tenth of the gain at most.
 
     An iteration is an episode long, so that it matters little that Brax's episodes are in phase.
     """

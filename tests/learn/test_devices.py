@@ -16,11 +16,11 @@ from quadwalk.tasks import sprint
 
 
 @pytest.fixture
-def machine(monkeypatch):
-    """Make JAX see other devices than there are; returns how many it is asked for."""
+def set_machine(monkeypatch):
+    """Make JAX see other devices than there are; return how many it is asked for."""
     import jax
 
-    def be(platform: str, count: int, processes: int = 1, cores: int = 4):
+    def set_devices(platform: str, count: int, processes: int = 1, cores: int = 4):
         found = [SimpleNamespace(id=k, process=k * processes // count) for k in range(count)]
         prepared: list[int] = []
         monkeypatch.setattr(devices, "_configure_jax", prepared.append)
@@ -33,7 +33,7 @@ def machine(monkeypatch):
         monkeypatch.setattr(jax, "default_backend", lambda: platform)
         return prepared
 
-    return be
+    return set_devices
 
 
 @pytest.mark.parametrize(
@@ -45,8 +45,10 @@ def machine(monkeypatch):
         *[("gpu", n, 64, None, used) for n, used in ((1, 1), (2, 2), (3, 2), (8, 8))],
     ],
 )
-def test_all_devices_are_used_that_can_share_evenly(machine, platform, count, cores, asked, used):
-    prepared = machine(platform, count, cores=cores)
+def test_all_devices_are_used_that_can_share_evenly(
+    set_machine, platform, count, cores, asked, used
+):
+    prepared = set_machine(platform, count, cores=cores)
     config, found = devices.choose_devices(dataclasses.replace(sprint.TASK, envs=asked))
     envs = asked or {"cpu": 2048, "gpu": 8192}[platform]
     assert (config.envs, config.devices, len(found)) == (envs, used, used)
@@ -70,8 +72,10 @@ PAIR = DistributedConfig(coordinator="a:1", processes=2)
     ("distributed", "asked", "used"),
     [(DistributedConfig(), 2, [0, 1]), (PAIR, 4, [0, 1, 4, 5])],
 )
-def test_what_is_asked_for_is_used_and_as_much_of_each_process(machine, distributed, asked, used):
-    machine("gpu", 8, processes=distributed.processes)
+def test_what_is_asked_for_is_used_and_as_much_of_each_process(
+    set_machine, distributed, asked, used
+):
+    set_machine("gpu", 8, processes=distributed.processes)
     config, found = devices.choose_devices(
         dataclasses.replace(sprint.TASK, envs=512, devices=asked, distributed=distributed)
     )
@@ -88,8 +92,8 @@ def test_what_is_asked_for_is_used_and_as_much_of_each_process(machine, distribu
         ({"devices": 3, "distributed": PAIR}, "--devices is 3; expected a multiple of 2"),
     ],
 )
-def test_what_cannot_be_shared_is_named(machine, change, named):
-    machine("gpu", 8)
+def test_what_cannot_be_shared_is_named(set_machine, change, named):
+    set_machine("gpu", 8)
     with pytest.raises(UsageError, match=re.escape(named)):
         devices.choose_devices(dataclasses.replace(sprint.TASK, **change))
 

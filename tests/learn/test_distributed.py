@@ -18,9 +18,9 @@ ITERATIONS = 100
 
 @pytest.fixture
 def start_pair(start, tmp_path):
-    """Begin two processes with the same flags but for {} in them, which is the number of each.
+    """Start two processes with the same flags, where {} is the number of each.
 
-    Returns them and the files of what they say.
+    Return them and the files that they print to.
     """
 
     def start_both(*flags: str):
@@ -39,7 +39,7 @@ def start_pair(start, tmp_path):
 
 
 def wait_for_end(processes, outputs) -> list[str]:
-    """What they said by their end, without an error."""
+    """Wait for the processes to end without an error; return what they printed."""
     for process, output in zip(processes, outputs, strict=True):
         process.join(200)
         assert process.exitcode == 0, output.read_text()
@@ -69,7 +69,7 @@ def test_two_processes_learn_what_one_with_two_devices_does(
 
 
 def test_processes_that_differ_or_cannot_begin_all_say_so(start_pair, tmp_path, flags):
-    """Different is what they say: the same robot may lie in other places."""
+    """A robot that lies in another place is still the same."""
     for number in (0, 1):
         shutil.copy(ALIENGO_URDF, tmp_path / f"robot{number}.urdf")
         (tmp_path / f"task{number}.py").write_text(

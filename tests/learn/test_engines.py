@@ -22,8 +22,8 @@ FLAGS = (
 
 
 @pytest.fixture(scope="module")
-def trained(tmp_path_factory) -> dict[str, dict[str, np.ndarray]]:
-    """Of each engine, the figures of every iteration."""
+def figures_by_engine(tmp_path_factory) -> dict[str, dict[str, np.ndarray]]:
+    """Train in each engine; return the figures of every iteration."""
     runs = tmp_path_factory.mktemp("runs")
     figures = {}
     for engine in ("fast", "mjx"):
@@ -36,12 +36,12 @@ def trained(tmp_path_factory) -> dict[str, dict[str, np.ndarray]]:
 
 
 # Measured: 3.5 % for the tilt, 1.6 % for the others.
-def test_the_first_iteration_earns_the_same_rewards_term_by_term(trained):
-    """One policy, the same starts and noise: only what steps the physics differs."""
-    terms = [name for name in trained["fast"] if name.startswith("train/reward")]
+def test_the_first_iteration_earns_the_same_rewards_term_by_term(figures_by_engine):
+    """With one policy, the same starts and noise, only the physics differs."""
+    terms = [name for name in figures_by_engine["fast"] if name.startswith("train/reward")]
     assert len(terms) > 10
     for name in terms:
-        fast, mjx = (trained[engine][name][0] for engine in ("fast", "mjx"))
+        fast, mjx = (figures_by_engine[engine][name][0] for engine in ("fast", "mjx"))
         # A handful of falls: one of them may come a step later, in the next iteration.
         one = 10.0 / (ENVS * UNROLL) if name in ("train/reward", "train/reward/fall") else 0.0
         # Robots go either way, each at some 0.3 m/s: their mean speed is near 0.
@@ -50,12 +50,14 @@ def test_the_first_iteration_earns_the_same_rewards_term_by_term(trained):
 
 
 # Measured: 4 % at most; what falls and where it runs depends on much less.
-def test_what_is_learnt_from_stays_alike(trained):
-    """Policies part after some updates; what they do with their motors does not."""
+def test_what_is_learnt_from_stays_alike(figures_by_engine):
+    """After some updates policies differ, but not in what they do with their motors."""
     for name in ("alive", "energy", "action_rate", "roll_pitch_rate", "vertical", "lateral"):
-        fast, mjx = (trained[engine][f"train/reward/{name}"][1:] for engine in ("fast", "mjx"))
+        fast, mjx = (
+            figures_by_engine[engine][f"train/reward/{name}"][1:] for engine in ("fast", "mjx")
+        )
         assert fast.mean() == pytest.approx(mjx.mean(), rel=0.15), name
-    for figures in trained.values():
+    for figures in figures_by_engine.values():
         assert figures["train/nan"][-1] == 0
         assert all(np.isfinite(figures["loss/value"]))
         assert figures["loss/value"][-1] < 0.1 * figures["loss/value"][0]

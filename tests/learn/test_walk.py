@@ -19,13 +19,13 @@ ENVS = 16
 
 @pytest.fixture(scope="module")
 def course():
-    """The command's settings, the iteration, its state, and states and numbers of three of them.
+    """Run three iterations; return commands, the iteration, its state, all states and numbers.
 
     The states are those before the first and after each.
     """
     task = load_task("walk")
     config = dataclasses.replace(task.ppo, eval_envs=2, unroll=4, minibatches=2, hidden=(16,))
-    # A command stays for two steps: each environment is told anew in every iteration.
+    # A command lasts for two steps: each environment gets a new one in every iteration.
     command = dataclasses.replace(task.env.command, seconds=2 * task.env.control_dt)
     env = QuadrupedEnv(load_quadruped(), dataclasses.replace(task.env, command=command))
     networks, mesh = make_env_networks(env, config), make_mesh()
@@ -53,13 +53,13 @@ def test_all_numbers_are_finite_and_the_command_is_rewarded(course):
 
 def test_commands_change_as_it_trains_and_stay_in_their_ranges(course):
     command, _, _, states, _ = course
-    told = np.array([state.workers.envs.pipeline_state.command.velocity for state in states])
-    moving = told.any(axis=2)
-    assert told.shape == (4, ENVS + 2, 3)
+    velocities = np.array([state.workers.envs.pipeline_state.command.velocity for state in states])
+    moving = velocities.any(axis=2)
+    assert velocities.shape == (4, ENVS + 2, 3)
     for column, (low, high) in enumerate((command.forward, command.lateral, command.yaw_rate)):
-        values = told[moving][:, column]
+        values = velocities[moving][:, column]
         assert low <= values.min() < values.max() <= high
-    changed = (np.diff(told, axis=0) != 0).any(axis=2)
+    changed = (np.diff(velocities, axis=0) != 0).any(axis=2)
     assert changed[moving[1:] | moving[:-1]].all()
 
 

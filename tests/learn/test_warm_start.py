@@ -165,7 +165,7 @@ def replace_in_joint(urdf, joint, pattern, new):
 
 
 def test_a_robot_with_other_joints_acts_the_same_in_the_same_pose(source, tmp_path):
-    """Its joints have other names, one the end of another's; left hips turn the other way."""
+    """Joints have other names, one the end of another's; left hips turn the other way."""
     run, config, env, *_, policy = source
     text = env.quadruped.urdf
     for side in ("FL", "RL"):
@@ -225,7 +225,7 @@ def compute_foot_moves(env):
     ids=["limits", "axes"],
 )
 def test_legs_whose_knees_point_the_other_way_move_their_feet_alike(source, tmp_path, change):
-    """Of an AlienGo whose hind knees are ahead, by their calves' limits or axes."""
+    """An AlienGo has its hind knees ahead, by their calves' limits or axes."""
     run, config, env, *_, policy = source
     text = env.quadruped.urdf
     for side in ("RR", "RL"):
@@ -310,7 +310,7 @@ class Other(toy.Toy):
 def test_a_training_begins_so_and_goes_on_without_its_source(
     tmp_path, flags, train, same_result, capsys, monkeypatch
 ):
-    def kernel(name, steps):
+    def load_kernel(name, steps):
         leaves, _ = checkpoint.load(Run(tmp_path / name).locate_checkpoint(steps), "checkpoint")
         return leaves["learner/params/policy/params/hidden_0/kernel"]
 
@@ -321,8 +321,10 @@ def test_a_training_begins_so_and_goes_on_without_its_source(
     assert f"begins with the networks of {tmp_path / 'source'}" in said
     assert "--init: other: is new to these networks" in said
     # The first iteration measures what is seen; what is new is learnt after that.
-    np.testing.assert_array_equal(kernel("begun", 64), kernel("source", 128) * [[1], [0], [1]])
-    assert np.all(kernel("begun", 192)[1] != 0.0)
+    np.testing.assert_array_equal(
+        load_kernel("begun", 64), load_kernel("source", 128) * [[1], [0], [1]]
+    )
+    assert np.all(load_kernel("begun", 192)[1] != 0.0)
 
     # One that was killed before its first checkpoint begins so again.
     other = tmp_path / "other"
