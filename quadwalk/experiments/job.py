@@ -16,11 +16,10 @@ from quadwalk.api import train
 from quadwalk.errors import UserError
 from quadwalk.experiments.options import PlaceConfig
 from quadwalk.learn.devices import ACCELERATOR_ENVS, CPU_ENVS, count_devices, set_up_devices
-from quadwalk.learn.prepare import make_run
 from quadwalk.robot.load import load_robot
 from quadwalk.runs.directory import Run, claim, get_versions
 from quadwalk.runs.policy import load_score
-from quadwalk.runs.resume import describe_training, read_config
+from quadwalk.runs.resume import describe_training, make_run, read_config
 from quadwalk.settings.training import TrainConfig, set_files
 
 

@@ -5,22 +5,13 @@ from collections.abc import Callable
 from contextlib import ExitStack, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import jax
 from optax.tree_utils import tree_get, tree_set
 
 from quadwalk.env.env import QuadrupedEnv
 from quadwalk.errors import UserError
-from quadwalk.files import (
-    DAMAGE,
-    format_json,
-    open_atomic,
-    read_bytes,
-    remove_on_error,
-    resolve_path,
-    write_json,
-)
+from quadwalk.files import DAMAGE, remove_on_error, resolve_path
 from quadwalk.learn import distributed
 from quadwalk.learn.devices import choose_devices, make_mesh, place_like
 from quadwalk.learn.networks import Networks, make_env_networks
@@ -28,20 +19,13 @@ from quadwalk.learn.ppo import RATE, Iteration, TrainState, init_state
 from quadwalk.learn.warm_start import warm_start_from
 from quadwalk.progress.display import Progress
 from quadwalk.progress.metrics import TrainingMetrics
-from quadwalk.robot.load import hash_robot, load_robot
+from quadwalk.robot.load import load_robot
 from quadwalk.robot.quadruped import Quadruped
 from quadwalk.runs import checkpoint, directory
 from quadwalk.runs.directory import Run
-from quadwalk.runs.resume import (
-    ROBOT_HASH,
-    compare_robot,
-    describe_training,
-    list_changes,
-    read_config,
-)
-from quadwalk.settings.serialize import find_task_source, to_dict
+from quadwalk.runs.resume import describe_training, make_run, update_run
+from quadwalk.settings.serialize import to_dict
 from quadwalk.settings.training import DistributedConfig, TrainConfig, set_files
-from quadwalk.task_files import TASK_FILE
 
 
 @dataclass
@@ -152,47 +136,12 @@ def open_run(
     config: TrainConfig, previous: Run | None, quadruped: Quadruped, say: Say, stack: ExitStack
 ) -> Run:
     """Make the run to train, or update `previous`; it is claimed until `stack` is closed."""
-    if previous is None:
-        run = make_run(config, quadruped)
-        stack.enter_context(directory.claim(run))
-        return run
-    stack.enter_context(directory.claim(previous))
-    changes = list_changes(read_config(previous), config)
-    directory.delete_partial_files(previous)
-    for line in compare_robot(previous, quadruped):
-        say(line)
-    write_json(previous.config, collect_settings(config, quadruped))
-    for change in changes:
-        say(f"changed {change}")
-    heights = config.env.ground.file
-    if heights is not None and heights != resolve_path(previous.locate_heights(heights)):
-        copy = read_bytes(heights)
-        with open_atomic(previous.locate_heights(heights)) as file:
-            file.write(copy)
-    return previous
-
-
-def make_run(config: TrainConfig, quadruped: Quadruped) -> Run:
-    """Make the folder of a run, with a copy of everything that its training begins with."""
-    files = {
-        "robot.urdf": quadruped.urdf.encode(),
-        "config.json": format_json(collect_settings(config, quadruped)),
-    }
-    source, heights = find_task_source(config), config.env.ground.file
-    if source is not None:
-        files[TASK_FILE] = source
-    if heights is not None:
-        files[Run(Path()).locate_heights(heights).name] = read_bytes(heights)
-    return directory.create_run(config.runs, config.name, label=config.task, files=files)
-
-
-def collect_settings(config: TrainConfig, quadruped: Quadruped) -> dict[str, Any]:
-    """Return the content of config.json."""
-    return {
-        "config": to_dict(config),
-        "versions": directory.get_versions(),
-        ROBOT_HASH: hash_robot(quadruped),
-    }
+    run = previous or make_run(config, quadruped)
+    stack.enter_context(directory.claim(run))
+    if previous is not None:
+        for note in update_run(previous, config, quadruped):
+            say(note)
+    return run
 
 
 def resume(training: Training, previous: Run, say: Say) -> None:

@@ -1,4 +1,4 @@
-"""The settings of a run: read from its files, compared, and made ready to resume it."""
+"""The settings of a run: written to its folder, read, compared, and made ready to resume it."""
 
 import dataclasses
 import json
@@ -6,11 +6,19 @@ from pathlib import Path
 from typing import Any
 
 from quadwalk.errors import UsageError, UserError
-from quadwalk.files import DAMAGE, hash_file, read_bytes
+from quadwalk.files import (
+    DAMAGE,
+    format_json,
+    hash_file,
+    open_atomic,
+    read_bytes,
+    resolve_path,
+    write_json,
+)
 from quadwalk.robot.load import hash_robot
 from quadwalk.robot.mjcf import write_xml
 from quadwalk.robot.quadruped import Quadruped
-from quadwalk.runs.directory import Run
+from quadwalk.runs.directory import Run, create_run, delete_partial_files, get_versions
 from quadwalk.settings.environment import EnvConfig
 from quadwalk.settings.serialize import find_task_source, flatten, from_dict, to_dict
 from quadwalk.settings.training import DistributedConfig, Suite, TrainConfig, set_files
@@ -26,6 +34,43 @@ _FREE = (
     *("log", "watch"),
     *("distributed.coordinator", "distributed.processes", "distributed.process"),
 )
+
+
+def make_run(config: TrainConfig, quadruped: Quadruped) -> Run:
+    """Make the folder of a run, with a copy of everything that its training begins with."""
+    files = {
+        "robot.urdf": quadruped.urdf.encode(),
+        "config.json": format_json(_collect_settings(config, quadruped)),
+    }
+    source, heights = find_task_source(config), config.env.ground.file
+    if source is not None:
+        files[TASK_FILE] = source
+    if heights is not None:
+        files[Run(Path()).locate_heights(heights).name] = read_bytes(heights)
+    return create_run(config.runs, config.name, label=config.task, files=files)
+
+
+def update_run(run: Run, config: TrainConfig, quadruped: Quadruped) -> list[str]:
+    """Write to `run` the configuration that resumes it; return lines that say what changes."""
+    changes = [f"changed {change}" for change in list_changes(read_config(run), config)]
+    delete_partial_files(run)
+    differences = compare_robot(run, quadruped)
+    write_json(run.config, _collect_settings(config, quadruped))
+    heights = config.env.ground.file
+    if heights is not None and heights != resolve_path(run.locate_heights(heights)):
+        copy = read_bytes(heights)
+        with open_atomic(run.locate_heights(heights)) as file:
+            file.write(copy)
+    return [*differences, *changes]
+
+
+def _collect_settings(config: TrainConfig, quadruped: Quadruped) -> dict[str, Any]:
+    """Return the content of config.json."""
+    return {
+        "config": to_dict(config),
+        "versions": get_versions(),
+        ROBOT_HASH: hash_robot(quadruped),
+    }
 
 
 def read_config(run: Run) -> TrainConfig:

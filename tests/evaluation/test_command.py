@@ -15,10 +15,10 @@ from quadwalk.errors import UsageError, UserError
 from quadwalk.evaluation import command, write
 from quadwalk.evaluation.command import EvalConfig, SweepConfig, call_eval, call_sweep
 from quadwalk.evaluation.results import make_provenance
-from quadwalk.learn.prepare import make_run
 from quadwalk.paths import ALIENGO_URDF, PRETRAINED
 from quadwalk.robot.load import load_robot
 from quadwalk.runs.directory import Run, describe_origin, find_ready
+from quadwalk.runs.resume import make_run
 from quadwalk.settings.training import RobotConfig
 from quadwalk.tasks import sprint
 from tests.untrained import write_policy

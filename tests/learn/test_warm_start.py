@@ -22,12 +22,12 @@ from quadwalk.learn import ppo
 from quadwalk.learn.acting import make_policy
 from quadwalk.learn.devices import make_mesh
 from quadwalk.learn.networks import Networks, make_env_networks
-from quadwalk.learn.prepare import make_run
 from quadwalk.learn.warm_start import warm_start_from
 from quadwalk.robot.quadruped import load_quadruped
 from quadwalk.runs import checkpoint
 from quadwalk.runs.directory import Run, create_run
 from quadwalk.runs.policy import save_policy
+from quadwalk.runs.resume import make_run
 from quadwalk.settings.terms import ActionMap, Observation
 from quadwalk.settings.training import TrainConfig
 from quadwalk.tasks import run as task

@@ -8,12 +8,11 @@ import pytest
 import trimesh
 
 from quadwalk.learn.flags import parse_config
-from quadwalk.learn.prepare import make_run
 from quadwalk.paths import ALIENGO_URDF
 from quadwalk.robot.load import load_robot
 from quadwalk.robot.report import UrdfError
 from quadwalk.runs.directory import Run
-from quadwalk.runs.resume import compare_robot, read_config
+from quadwalk.runs.resume import compare_robot, make_run, read_config
 from quadwalk.settings.training import RobotConfig
 from quadwalk.tasks.sprint import TASK
 
