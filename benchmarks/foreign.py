@@ -63,7 +63,7 @@ def sample_episodes(
     """Return starts and commands (episodes, T, 3) of the task, two for each episode."""
     import jax
 
-    from quadwalk.env.command import draw
+    from quadwalk.env.command import sample_velocity
     from quadwalk.evaluation.rollout import reset_episodes
 
     env, steps = loaded.env, loaded.env.config.episode_steps
@@ -73,7 +73,7 @@ def sample_episodes(
     if env.config.command.active:
         grip = env.config.gravity * (friction or env.friction)
         keys = jax.random.split(jax.random.PRNGKey(seed), (episodes, 2))
-        pairs = jax.vmap(jax.vmap(lambda key: draw(env.config.command, key, grip)))(keys)
+        pairs = jax.vmap(jax.vmap(lambda key: sample_velocity(env.config.command, key, grip)))(keys)
         commands[:] = np.repeat(pairs, -(-steps // 2), axis=1)[:, :steps]
     return starts, commands
 

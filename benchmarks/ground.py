@@ -42,7 +42,7 @@ def main() -> None:
     qpos = np.tile(quadruped.home, (options.envs, 1))
     places = [tile.middle for tile in terrain.tiles]
     qpos[:, :2] = np.resize(places, (options.envs, 2)) + rng.uniform(-3, 3, (options.envs, 2))
-    raised = qpos + terrain.field.height_at(qpos[:, :2])[:, None] * np.eye(19)[2]
+    raised = qpos + terrain.field.compute_height(qpos[:, :2])[:, None] * np.eye(19)[2]
     qvel = rng.normal(0, 0.5, (options.envs, 18))
     torques = jnp.asarray(rng.normal(0, 5, (options.envs, options.steps, 12)), jnp.float32)
 

@@ -32,7 +32,7 @@ from jax.sharding import PartitionSpec as P
 
 from quadwalk.api import make
 from quadwalk.env.env import QuadrupedEnv
-from quadwalk.env.state import tree_where
+from quadwalk.env.state import select_rows
 from quadwalk.errors import UsageError
 from quadwalk.settings.training import TrainConfig
 from quadwalk.tasks import list_tasks
@@ -165,7 +165,7 @@ def _make_programs(env: QuadrupedEnv, num_envs: int) -> tuple[Any, Any, Any]:
         return after, after.obs[:, :size], after.reward, after.info["end"]
 
     def restart(env: QuadrupedEnv, done: Any, fresh: Any, old: Any) -> Any:
-        state, keys = tree_where(done, fresh, old)
+        state, keys = select_rows(done, fresh, old)
         return state, keys, state.obs[:, :size]
 
     count = max(n for n in range(1, len(jax.devices()) + 1) if num_envs % n == 0)

@@ -6,8 +6,7 @@ groups of terms. A term is one of these functions, or one of your own, with its 
 
 from quadwalk.env import actions, observations, rewards, terminations
 from quadwalk.env.reflections import AXIAL, FEET, JOINTS, LATERAL, LINKS, SCALAR, VECTOR, mirrors
-from quadwalk.env.robot_arrays import RobotArrays
-from quadwalk.env.state import EnvState, Step
+from quadwalk.env.state import EnvState, RobotConstants, Step
 from quadwalk.settings.terms import ActionMap, Observation, Reward, Termination
 
 __all__ = [
@@ -22,7 +21,7 @@ __all__ = [
     "EnvState",
     "Observation",
     "Reward",
-    "RobotArrays",
+    "RobotConstants",
     "Step",
     "Termination",
     "actions",

@@ -22,7 +22,7 @@ PAGE = Path(__file__).parents[1] / "api.md"
 FUNCTIONS = (api.make, api.train, api.evaluate, api.compare, api.load_policy, api.play)
 # What they return and take, and of each the members that a user calls.
 CLASSES: dict[type, tuple[str, ...]] = {
-    QuadrupedEnv: ("reset", "step", "in_engine"),
+    QuadrupedEnv: ("reset", "step", "to_engine"),
     Run: (),
     Evaluation: (
         *("summary", "typical", "gait", "origin", "results"),

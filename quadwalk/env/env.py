@@ -12,41 +12,34 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from quadwalk.brax import Env, State
-from quadwalk.env.command import counted, first_command, next_command
-from quadwalk.env.curriculum import begin_travel, make_curriculum, travel_on
-from quadwalk.env.randomization import (
-    EpisodeRandomization,
-    delayed,
-    draw_conditions,
-    pushed,
-)
+from quadwalk.env.actions import delay_targets
+from quadwalk.env.command import advance_command, compute_target_velocity, start_command
+from quadwalk.env.randomization import sample_randomization
 from quadwalk.env.reflections import Mirrors
-from quadwalk.env.reset import fresh_start, on_tile
-from quadwalk.env.rewards import reward_terms, total_reward
-from quadwalk.env.robot_arrays import (
-    RobotArrays,
-    above_ground,
-    is_standing,
-    robot_arrays,
-    task_robot,
-)
+from quadwalk.env.reset import make_curriculum, place_on_tile, sample_start
+from quadwalk.env.rewards import compute_reward_terms, compute_total_reward
 from quadwalk.env.sensors import make_sensors
 from quadwalk.env.state import (
+    PUSH,
     EnvState,
+    EpisodeRandomization,
+    RobotConstants,
     Step,
-    commanded_speed,
-    heading_velocity,
-    mean_velocity,
-    velocity_error,
+    compute_height,
+    is_standing,
+    start_travel,
 )
-from quadwalk.env.terminations import TIME_LIMIT, episode_end, names_of_ends, terminations
+from quadwalk.env.terminations import TIME_LIMIT, find_end, find_falls, list_ends
 from quadwalk.physics.engines import ENGINES, EngineName, fast, mujoco_c
+from quadwalk.physics.model import Model
 from quadwalk.physics.motor import Effort, PhysicsState, make_standing_motor
+from quadwalk.physics.rotation import compute_yaw, rotate_about_z
 from quadwalk.physics.surface import Ground
-from quadwalk.robot.mirror import find_robot_mirror
+from quadwalk.robot.mirror import find_robot_mirror, place_at_home
 from quadwalk.robot.quadruped import Quadruped
 from quadwalk.settings.environment import EnvConfig
-from quadwalk.terrain.terrain import leg_length, make_terrain
+from quadwalk.terrain.heightfield import Heightfield, has_field, lay
+from quadwalk.terrain.terrain import make_terrain, measure_leg
 
 CONTACT_GAP = 1e-3  # m: a foot closer to the floor than this counts as touching it
 FARTHEST = 1e6  # m or rad: no sound state of a robot has a place, or an angle, beyond
@@ -79,7 +72,7 @@ class QuadrupedEnv(Env):
     def __init__(
         self, quadruped: Quadruped, config: EnvConfig, engine: EngineName | None = None
     ) -> None:
-        leg = leg_length(quadruped.make_full_model(visuals=False), quadruped.feet[0])
+        leg = measure_leg(quadruped.make_full_model(visuals=False), quadruped.feet[0])
         command = config.command.scale_to(leg, quadruped.foot_speed)
         config = replace(config.effective, command=command)
         self.config = config
@@ -87,26 +80,27 @@ class QuadrupedEnv(Env):
         self.terrain = None if config.ground.flat else make_terrain(config.ground, leg)
         self.curriculum = make_curriculum(config, self.terrain)
         field = None if self.terrain is None else self.terrain.field
-        self.quadruped = task_robot(quadruped, config, field)
-        self.stepping = config.stepping
-        self.mj_model = self._training_model(self.quadruped)
+        self.quadruped = make_task_robot(quadruped, config, field)
+        self.mj_model = self._make_training_model(self.quadruped)
         # `gains_note` is a line where the default gains do not hold the robot, or ""
         self.motor, self.gains_note = make_standing_motor(
             self.mj_model, self.quadruped, config.motor
         )
-        geometry = fast.make_model(self.mj_model, self.quadruped, self.motor)
-        level = geometry._replace(ground=None)
-        self._level_robot = robot_arrays(self.quadruped, self.mj_model, level)
+        self.stepping = config.stepping
         if self.engine == "mujoco":
             self.stepping = self.stepping.replace_dt(mujoco_c.TIMESTEP)
-        self._model: Any = None
+        self._model: Any = None  # of engines other than "fast"
         if self.engine != "fast":
-            stepped = self.mj_model_of(self.quadruped)
-            self._model = ENGINES[self.engine].make_model(stepped, self.quadruped, self.motor)
+            mj_model = self.make_mj_model(self.quadruped)
+            self._model = ENGINES[self.engine].make_model(mj_model, self.quadruped, self.motor)
+        geometry = fast.make_model(self.mj_model, self.quadruped, self.motor)
+        level = geometry._replace(ground=None)
+        self._level_robot = make_robot_constants(self.quadruped, self.mj_model, level)
         geoms = ("floor", *self.quadruped.feet)
         self.friction = float(max(self.mj_model.geom(name).friction[0] for name in geoms))
-        self.ends = names_of_ends(config.termination)
-        self.sensors = make_sensors(config, self._level_robot, self.quadruped.joints, self._example)
+        self.ends = list_ends(config.termination)
+        example = jax.eval_shape(self._make_example_state)
+        self.sensors = make_sensors(config, self._level_robot, self.quadruped.joints, example)
         self._constants = copy.copy(self)
         self.params = EnvParams(jax.device_put(geometry.ground))
 
@@ -125,7 +119,7 @@ class QuadrupedEnv(Env):
         return env
 
     @property
-    def robot(self) -> RobotArrays:
+    def robot(self) -> RobotConstants:
         """The constants of the robot, and the ground that it is on."""
         level = self._level_robot
         return replace(level, geometry=level.geometry._replace(ground=self.params.ground))
@@ -135,236 +129,6 @@ class QuadrupedEnv(Env):
         """The model that the engine steps."""
         return self.robot.geometry if self._model is None else self._model
 
-    def _training_model(self, quadruped: Quadruped) -> mujoco.MjModel:
-        config = self.config
-        return quadruped.make_training_model(
-            config.physics_dt,
-            config.solver_iterations,
-            config.line_search_iterations,
-            config.contacts,
-        )
-
-    def mj_model_of(self, quadruped: Quadruped) -> mujoco.MjModel:
-        """The MuJoCo model of a robot that the engine steps."""
-        if self.engine == "mujoco":
-            return quadruped.make_full_model(self.stepping.dt)
-        return self._training_model(quadruped)
-
-    def in_engine(self, engine: EngineName) -> "QuadrupedEnv":
-        """The same environment with its physics stepped by `engine`."""
-        return self if engine == self.engine else QuadrupedEnv(self.quadruped, self.config, engine)
-
-    def reset(self, rng: jax.Array, tile: jax.Array | None = None) -> State:
-        """A fresh episode; `rng` is a JAX random key.
-
-        It begins on tile `tile`, () int32, an index into `terrain.tiles`; None: on any of them.
-        """
-        config = self.config
-        physics, tile = self._start(rng, tile)
-        drawn = self._drawn(jax.random.fold_in(rng, 1))
-        command = None
-        if config.command.active:
-            command = first_command(config.command, rng, config.control_dt, self._grip(drawn))
-        start = EnvState(
-            physics, jnp.zeros(12), jnp.zeros((), jnp.int32), command, drawn, tile=tile
-        )
-        if self.curriculum is not None:
-            start = start._replace(travel=begin_travel(physics.qpos))
-        zero = jnp.zeros(())
-        terms = {name: zero for name, term in config.reward.items() if term.scale != 0.0}
-        state = State(
-            pipeline_state=start,
-            obs=zero,
-            reward=zero,
-            done=zero,
-            metrics=_metrics(zero, zero, zero, terms, self._of_task(zero, zero)),
-            info=_info(jnp.zeros((), jnp.int32), Effort(jnp.zeros(12), zero), jnp.zeros(4, bool)),
-        )
-        return self.begun(state)
-
-    def _start(
-        self, rng: jax.Array, tile: jax.Array | None
-    ) -> tuple[PhysicsState, jax.Array | None]:
-        """A start, and the tile that it is on."""
-        # Drawn as on a flat floor, then put on the ground.
-        physics = fresh_start(self._level_robot, self.config.reset, rng)
-        if self.terrain is None:
-            return physics, None
-        which, where = jax.random.split(jax.random.fold_in(rng, 2))
-        if tile is None:
-            tile = jax.random.randint(which, (), 0, len(self.terrain.tiles))
-        return on_tile(self.robot.geometry, self.terrain, physics, tile, where), tile
-
-    def step(self, state: State, action: jax.Array) -> State:
-        """One control step with `action` (12,) in [-1, 1].
-
-        A state or action that is not finite ends its episode with reward 0, and the pose before
-        it stands in its place, so that nothing downstream ever sees it.
-        """
-        before: EnvState = state.pipeline_state
-        # Act: joint targets take effect late, a push may come, the engine moves the robot.
-        model, physics, conditions, target = self.driven(before, action)
-        physics, effort = ENGINES[self.engine].step(model, self.stepping, physics, target)
-        sane, physics, effort, action = _kept_sane(
-            self.robot.home, before.qpos, physics, effort, action
-        )
-        steps, command = before.steps + 1, before.command
-        if command is not None:
-            config, grip = self.config, self._grip(conditions)
-            command = next_command(config.command, command, steps, config.control_dt, grip)
-        after = before._replace(
-            physics=physics,
-            last_action=action,
-            steps=steps,
-            command=command,
-            conditions=conditions,
-        )
-        # Reward, termination and senses.
-        following = self.finish_step(before, after, effort, sane)
-        # What wrappers keep there, as Brax's do, stays.
-        return following.replace(
-            info=state.info | following.info, metrics=state.metrics | following.metrics
-        )
-
-    def finish_step(
-        self, before: EnvState, after: EnvState, effort: Effort, sane: jax.Array
-    ) -> State:
-        """The state that a control step led to, with its reward and whether the episode ended."""
-        config = self.config
-        step = self._step(before, after, effort, sane)
-        # End: a fall, the time limit, the edge of the ground, or numbers that are not finite.
-        falls = terminations(config.termination, self.robot, step)
-        step = step._replace(fell=jnp.any(falls) & sane)
-        end = episode_end(config, self.terrain, after, falls, sane)
-        # Reward.
-        terms = {
-            name: jnp.where(sane, value, 0.0)
-            for name, value in reward_terms(config.reward, self.robot, step).items()
-        }
-        # Sense.
-        after = self.sensors.measure(self.robot, self._traveled(after, step))
-        if config.critic:
-            after = after._replace(contact=step.contact)
-        speed = commanded_speed(step) if config.command.active else mean_velocity(step)[0]
-        failed, fell = 1.0 - sane.astype(jnp.float32), step.fell.astype(jnp.float32)
-        standing = is_standing(self.robot, after.qpos).astype(jnp.float32)
-        of_task = self._of_task(jnp.linalg.norm(velocity_error(step)), standing)
-        return State(
-            pipeline_state=after,
-            obs=self.sensors.observe(self.robot, after),
-            reward=total_reward(config.reward, terms),
-            done=(end > 0).astype(jnp.float32),
-            metrics=_metrics(speed, fell, failed, terms, of_task),
-            info=_info(end, effort, step.contact),
-        )
-
-    def _of_task(self, error: jax.Array, standing: jax.Array) -> dict[str, jax.Array]:
-        """Return the metrics that only such a task has: with commands, or starting in any pose."""
-        errors = {"velocity_error": error} if self.config.command.active else {}
-        return errors | ({"standing": standing} if self.config.reset.tumbled else {})
-
-    def driven(
-        self, before: EnvState, action: jax.Array
-    ) -> tuple[Any, PhysicsState, EpisodeRandomization | None, jax.Array]:
-        """What the engine steps in a control step from `before` with `action` (12,).
-
-        The model, its first state, the conditions, and joint targets, (12,) or (substeps, 12), rad.
-        """
-        model, conditions, physics = self.model, before.conditions, before.physics
-        target = self.config.action(self.robot, action, physics.qpos[7:])
-        if conditions is not None:
-            physics = pushed(conditions, physics, before.steps, self.config.push_steps)
-            substeps = self.stepping.substeps
-            conditions, target = delayed(conditions, target, substeps, before.steps)
-            if conditions.variation is not None:
-                model = ENGINES[self.engine].apply_randomization(model, conditions.variation)
-        return model, physics, conditions, target
-
-    def begun(self, state: State, latest: int | None = None, **changes: Any) -> State:
-        """`state`, of an episode's start, with `changes` of its `EnvState`, as it is then seen.
-
-        Sensors may be late by `latest` control steps; None: by as many as the task draws.
-        """
-        begun = state.pipeline_state._replace(**changes)
-        start = self.sensors.start_history(self.robot, begun, latest)
-        return state.replace(pipeline_state=start, obs=self.sensors.observe(self.robot, start))
-
-    def applied_target(self, state: EnvState, action: jax.Array) -> jax.Array:
-        """The joint angles (12,), rad, that motors go to at the end of a step with `action`."""
-        target = self.config.action(self.robot, action, state.qpos[7:])
-        if state.conditions is None:
-            return target
-        return delayed(state.conditions, target, self.stepping.substeps, state.steps)[1][-1]
-
-    def _drawn(self, key: jax.Array) -> EpisodeRandomization | None:
-        """The conditions of an episode; None in an ideal world."""
-        ranges = self.config.randomization
-        if not ranges.enabled:
-            return None
-        return draw_conditions(ranges, self._level_robot, self.stepping, key, self.friction)
-
-    def _grip(self, conditions: EpisodeRandomization | None) -> ArrayLike:
-        """The acceleration () that friction bears, m/s^2."""
-        if conditions is None or conditions.variation is None:
-            return self.config.gravity * self.friction
-        return self.config.gravity * conditions.variation.friction
-
-    def _step(self, before: EnvState, after: EnvState, effort: Effort, sane: jax.Array) -> Step:
-        """The control step as rewards and terminations see it, before it is known which fell."""
-        config, dt, qpos = self.config, self.config.control_dt, after.qpos
-        start = jnp.where(sane, before.qpos, qpos)
-        soles, lowest = fast.compute_lowest_points(self.robot.geometry, qpos)
-        # MuJoCo's ground gives way: a foot that lands sinks in, up to 2 cm at a run, its shin too.
-        radius = self.robot.geometry.contacts[0].radius
-        legs = lowest[1:] - jnp.clip(soles[:, 2], -radius, 0.0)
-        level = self.terrain is None
-        command = before.velocity_command
-        if before.command is not None:
-            speed = jnp.linalg.norm(qpos[:2] - start[:2]) / dt
-            command = counted(config.command, before.command, speed, self._grip(before.conditions))
-        return Step(
-            dt=dt,
-            steps=after.steps,
-            start=start,
-            qpos=qpos,
-            qvel=after.qvel,
-            action=after.last_action,
-            last_action=before.last_action,
-            power=effort.energy / dt,
-            fell=jnp.zeros((), bool),
-            command=command,
-            start_soles=fast.compute_lowest_points(self.robot.geometry, start)[0],
-            soles=soles,
-            contact=soles[:, 2] < CONTACT_GAP,
-            lowest=jnp.stack([lowest[0], jnp.min(legs)]),
-            ground=None if level else qpos[2] - above_ground(self.robot, qpos),
-        )
-
-    def _traveled(self, after: EnvState, step: Step) -> EnvState:
-        """`after` with how far the episode has come, where a curriculum asks for it."""
-        if after.travel is None:
-            return after
-        assert self.curriculum is not None
-        velocity, wanted = heading_velocity(step), step.command[:2]
-        if not self.config.command.active:
-            velocity, wanted = mean_velocity(step), jnp.array([self.curriculum.pace, 0.0])
-        return after._replace(travel=travel_on(after.travel, velocity, wanted, step.dt))
-
-    def _example(self) -> EnvState:
-        """A state, for the shapes of what is computed from it."""
-        config, key = self.config, jax.random.PRNGKey(0)
-        home = jnp.asarray(self._level_robot.home, jnp.float32)
-        return EnvState(
-            PhysicsState(home, jnp.zeros(18)),
-            jnp.zeros(12),
-            jnp.zeros((), jnp.int32),
-            first_command(config.command, key, config.control_dt)
-            if config.command.active
-            else None,
-            self._drawn(key),
-            contact=jnp.zeros(4, bool),
-        )
-
     @cached_property
     def mirrors(self) -> Mirrors:
         """How observation and action look in the sagittal mirror; raises `NotSymmetric`."""
@@ -372,7 +136,7 @@ class QuadrupedEnv(Env):
 
     @property
     def policy_size(self) -> int:
-        """How many of the observation's first numbers the policy sees."""
+        """How many of the observation's first numbers the policy observes."""
         return len(self.sensors.names)
 
     @property
@@ -387,36 +151,326 @@ class QuadrupedEnv(Env):
     def backend(self) -> str:
         return self.engine
 
+    def make_mj_model(self, quadruped: Quadruped) -> mujoco.MjModel:
+        """Return the MuJoCo model of a robot that the engine steps."""
+        if self.engine == "mujoco":
+            return quadruped.make_full_model(self.stepping.dt)
+        return self._make_training_model(quadruped)
 
-def _kept_sane(
+    def _make_training_model(self, quadruped: Quadruped) -> mujoco.MjModel:
+        config = self.config
+        return quadruped.make_training_model(
+            config.physics_dt,
+            config.solver_iterations,
+            config.line_search_iterations,
+            config.contacts,
+        )
+
+    def to_engine(self, engine: EngineName) -> "QuadrupedEnv":
+        """Return the same environment with its physics stepped by `engine`."""
+        return self if engine == self.engine else QuadrupedEnv(self.quadruped, self.config, engine)
+
+    def reset(self, rng: jax.Array, tile: jax.Array | None = None) -> State:
+        """Return a fresh episode; `rng` is a JAX random key.
+
+        It starts on tile `tile`, () int32, an index into `terrain.tiles`; None: on any of them.
+        """
+        config = self.config
+        physics, tile = self._sample_start(rng, tile)
+        randomization = self._sample_randomization(jax.random.fold_in(rng, 1))
+        command = None
+        if config.command.active:
+            grip = self._compute_grip(randomization)
+            command = start_command(config.command, rng, config.control_dt, grip)
+        start = EnvState(
+            physics, jnp.zeros(12), jnp.zeros((), jnp.int32), command, randomization, tile=tile
+        )
+        if self.curriculum is not None:
+            start = start._replace(travel=start_travel(physics.qpos))
+        zero = jnp.zeros(())
+        terms = {name: zero for name, term in config.reward.items() if term.scale != 0.0}
+        state = State(
+            pipeline_state=start,
+            obs=zero,
+            reward=zero,
+            done=zero,
+            metrics=self._make_metrics(zero, zero, zero, zero, zero, terms),
+            info=_make_info(
+                jnp.zeros((), jnp.int32), Effort(jnp.zeros(12), zero), jnp.zeros(4, bool)
+            ),
+        )
+        return self.start_episode(state)
+
+    def step(self, state: State, action: jax.Array) -> State:
+        """Return the state one control step later, with `action` (12,) in [-1, 1].
+
+        A state or action that is not finite ends its episode with reward 0. The pose before it
+        stands in its place, so that nothing downstream ever sees it.
+        """
+        before: EnvState = state.pipeline_state
+        model, physics, randomization, targets = self.apply_action(before, action)
+        physics, effort = ENGINES[self.engine].step(model, self.stepping, physics, targets)
+        sane, physics, effort, action = _replace_invalid(
+            self.robot.home, before.qpos, physics, effort, action
+        )
+        after = before._replace(
+            physics=physics,
+            last_action=action,
+            steps=before.steps + 1,
+            command=self._advance_command(before, randomization),
+            conditions=randomization,
+        )
+        after_state = self.evaluate_step(before, after, effort, sane)
+        # As Brax's environments do, leave what wrappers keep there.
+        return after_state.replace(
+            info=state.info | after_state.info, metrics=state.metrics | after_state.metrics
+        )
+
+    def apply_action(
+        self, before: EnvState, action: jax.Array
+    ) -> tuple[Any, PhysicsState, EpisodeRandomization | None, jax.Array]:
+        """Return what the engine steps in a control step from `before` with `action` (12,).
+
+        The model, its first state, the randomization, and joint targets, (12,) or (substeps, 12),
+        rad: they take effect late, and a push may come.
+        """
+        model, physics, randomization = self.model, before.physics, before.conditions
+        target = self.config.action(self.robot, action, physics.qpos[7:])
+        if randomization is None:
+            return model, physics, None, target
+        physics = apply_push(randomization, physics, before.steps, self.config.push_steps)
+        randomization, targets = delay_targets(
+            randomization, target, self.stepping.substeps, before.steps
+        )
+        if randomization.variation is not None:
+            model = ENGINES[self.engine].apply_randomization(model, randomization.variation)
+        return model, physics, randomization, targets
+
+    def evaluate_step(
+        self, before: EnvState, after: EnvState, effort: Effort, sane: jax.Array
+    ) -> State:
+        """Return the state after a control step, with its reward, its end and its observation.
+
+        Numbers that are not `sane`, () bool, give no reward.
+        """
+        config, robot = self.config, self.robot
+        step = self._make_step(before, after, effort, sane)
+        # A fall, the time limit, the edge of the ground, or numbers that are not finite end it.
+        falls = find_falls(config.termination, robot, step)
+        step = step._replace(fell=jnp.any(falls) & sane)
+        end = find_end(config, self.terrain, after, falls, sane)
+        terms = {
+            name: jnp.where(sane, value, 0.0)
+            for name, value in compute_reward_terms(config.reward, robot, step).items()
+        }
+        after = self.sensors.measure(robot, self._advance_travel(after, step))
+        if config.critic:
+            after = after._replace(contact=step.contact)
+        return State(
+            pipeline_state=after,
+            obs=self.sensors.observe(robot, after),
+            reward=compute_total_reward(config.reward, terms),
+            done=(end > 0).astype(jnp.float32),
+            metrics=self._make_metrics(
+                speed=step.commanded_speed if config.command.active else step.mean_velocity[0],
+                fell=step.fell.astype(jnp.float32),
+                nan=1.0 - sane.astype(jnp.float32),
+                velocity_error=jnp.linalg.norm(step.velocity_error),
+                standing=is_standing(robot, after.qpos).astype(jnp.float32),
+                terms=terms,
+            ),
+            info=_make_info(end, effort, step.contact),
+        )
+
+    def start_episode(self, state: State, max_delay: int | None = None, **changes: Any) -> State:
+        """Start an episode from `state` with `changes` of its `EnvState`, and observe it.
+
+        Sensors may be late by `max_delay` control steps; None: by as many as the task samples.
+        """
+        start = state.pipeline_state._replace(**changes)
+        start = self.sensors.start_history(self.robot, start, max_delay)
+        return state.replace(pipeline_state=start, obs=self.sensors.observe(self.robot, start))
+
+    def _sample_start(
+        self, rng: jax.Array, tile: jax.Array | None
+    ) -> tuple[PhysicsState, jax.Array | None]:
+        """Return a start, and the tile that it is on."""
+        # Sampled on a flat floor, then put on the ground.
+        physics = sample_start(self._level_robot, self.config.reset, rng)
+        if self.terrain is None:
+            return physics, None
+        key_tile, key_place = jax.random.split(jax.random.fold_in(rng, 2))
+        if tile is None:
+            tile = jax.random.randint(key_tile, (), 0, len(self.terrain.tiles))
+        return place_on_tile(self.robot.geometry, self.terrain, physics, tile, key_place), tile
+
+    def _sample_randomization(self, key: jax.Array) -> EpisodeRandomization | None:
+        ranges = self.config.randomization
+        if not ranges.enabled:
+            return None
+        return sample_randomization(ranges, self._level_robot, self.stepping, key, self.friction)
+
+    def _compute_grip(self, randomization: EpisodeRandomization | None) -> ArrayLike:
+        """Return the acceleration () that friction can give, m/s^2."""
+        if randomization is None or randomization.variation is None:
+            return self.config.gravity * self.friction
+        return self.config.gravity * randomization.variation.friction
+
+    def _advance_command(self, before: EnvState, randomization: EpisodeRandomization | None) -> Any:
+        if before.command is None:
+            return None
+        config, grip = self.config, self._compute_grip(randomization)
+        steps = before.steps + 1
+        return advance_command(config.command, before.command, steps, config.control_dt, grip)
+
+    def _make_step(
+        self, before: EnvState, after: EnvState, effort: Effort, sane: jax.Array
+    ) -> Step:
+        """Return the control step as terminations see it, before it is known whether it fell."""
+        config, dt, qpos, robot = self.config, self.config.control_dt, after.qpos, self.robot
+        start = jnp.where(sane, before.qpos, qpos)
+        soles, lowest = fast.compute_lowest_points(robot.geometry, qpos)
+        # MuJoCo's ground gives way: a foot that lands sinks in, up to 2 cm at a run, its shin too.
+        radius = robot.geometry.contacts[0].radius
+        legs = lowest[1:] - jnp.clip(soles[:, 2], -radius, 0.0)
+        command = before.velocity_command
+        if before.command is not None:
+            speed = jnp.linalg.norm(qpos[:2] - start[:2]) / dt
+            grip = self._compute_grip(before.conditions)
+            command = compute_target_velocity(config.command, before.command, speed, grip)
+        return Step(
+            dt=dt,
+            steps=after.steps,
+            start=start,
+            qpos=qpos,
+            qvel=after.qvel,
+            action=after.last_action,
+            last_action=before.last_action,
+            power=effort.energy / dt,
+            fell=jnp.zeros((), bool),
+            command=command,
+            start_soles=fast.compute_lowest_points(robot.geometry, start)[0],
+            soles=soles,
+            contact=soles[:, 2] < CONTACT_GAP,
+            lowest=jnp.stack([lowest[0], jnp.min(legs)]),
+            ground=None if self.terrain is None else qpos[2] - compute_height(robot, qpos),
+        )
+
+    def _advance_travel(self, after: EnvState, step: Step) -> EnvState:
+        if after.travel is None:
+            return after
+        assert self.curriculum is not None
+        velocity, command = step.heading_velocity, step.command[:2]
+        if not self.config.command.active:
+            velocity, command = step.mean_velocity, jnp.array([self.curriculum.pace, 0.0])
+        return after._replace(travel=after.travel.advance(velocity, command, step.dt))
+
+    def _make_metrics(
+        self,
+        speed: jax.Array,
+        fell: jax.Array,
+        nan: jax.Array,
+        velocity_error: jax.Array,
+        standing: jax.Array,
+        terms: dict[str, jax.Array],
+    ) -> dict[str, jax.Array]:
+        """Return the metrics that this task has: some only with commands, or with any start."""
+        metrics = {"speed": speed, "fell": fell, "nan": nan}
+        if self.config.command.active:
+            metrics["velocity_error"] = velocity_error
+        if self.config.reset.tumbled:
+            metrics["standing"] = standing
+        return metrics | {f"reward/{name}": value for name, value in terms.items()}
+
+    def _make_example_state(self) -> EnvState:
+        """Return a state for the shapes of what is computed from it."""
+        config, key = self.config, jax.random.PRNGKey(0)
+        home = jnp.asarray(self._level_robot.home, jnp.float32)
+        command = None
+        if config.command.active:
+            command = start_command(config.command, key, config.control_dt)
+        return EnvState(
+            PhysicsState(home, jnp.zeros(18)),
+            jnp.zeros(12),
+            jnp.zeros((), jnp.int32),
+            command,
+            self._sample_randomization(key),
+            contact=jnp.zeros(4, bool),
+        )
+
+
+def apply_push(
+    randomization: EpisodeRandomization, physics: PhysicsState, steps: jax.Array, period: int
+) -> PhysicsState:
+    """Return `physics` after the push of control step `steps`, if it has one: one per `period`."""
+    forward, left = randomization.push * sample_push_signs(randomization, steps, period)
+    push = rotate_about_z(compute_yaw(physics.qpos[3:7]), forward, left)
+    return physics._replace(qvel=physics.qvel.at[:2].add(jnp.stack(push)))
+
+
+def sample_push_signs(
+    randomization: EpisodeRandomization, steps: jax.Array, period: int
+) -> jax.Array:
+    """Return the signs of a push forward and to the left (2,); 0 in a control step without one."""
+    shares = jax.random.uniform(randomization.make_key(PUSH, steps // period), (3,))
+    is_push = steps % period == jnp.floor(shares[2] * period).astype(jnp.int32)
+    return jnp.where(is_push, jnp.where(shares[:2] < 0.5, -1.0, 1.0), 0.0)
+
+
+def make_task_robot(
+    quadruped: Quadruped, config: EnvConfig, field: Heightfield | None = None
+) -> Quadruped:
+    """Return the robot under the task's gravity, with the task's motors, on its ground."""
+    spec, effort = quadruped.spec.copy(), quadruped.effort
+    spec.option.gravity[2] = -config.gravity
+    if config.motor.effort is not None:
+        effort = np.full(12, config.motor.effort)
+        for name, most in zip(quadruped.joints, effort, strict=True):
+            # The models have a motor's limit twice, for its control and for its joint.
+            spec.actuator(name).ctrlrange = spec.joint(name).actfrcrange = [-most, most]
+    if field is not None and not has_field(spec):
+        lay(spec, field)
+    return replace(quadruped, effort=effort, spec=spec)
+
+
+def make_robot_constants(
+    quadruped: Quadruped, model: mujoco.MjModel, geometry: Model
+) -> RobotConstants:
+    """Return the constants of a quadruped and of a model built from it."""
+    data = place_at_home(quadruped, model)
+    feet = data.geom_xpos[[model.geom(name).id for name in quadruped.feet]]
+    return RobotConstants(
+        home=quadruped.home,
+        lower=quadruped.lower,
+        upper=quadruped.upper,
+        knees_ahead=data.xanchor[3::3, 0] > (data.xanchor[2::3, 0] + feet[:, 0]) / 2.0,
+        mass=float(model.body_subtreemass[0]),
+        gravity=float(-model.opt.gravity[2]),
+        geometry=geometry,
+    )
+
+
+def _replace_invalid(
     home: np.ndarray, start: jax.Array, physics: PhysicsState, effort: Effort, action: jax.Array
 ) -> tuple[jax.Array, PhysicsState, Effort, jax.Array]:
-    """Whether all numbers are finite and no speed absurd, and the three, harmless if not.
+    """Return True if all numbers are finite and no speed absurd, and the three, harmless if not.
 
-    Then it stands where it was, at `start` (19,), or if that is no place either, at `home` (19,).
+    Then the robot is at rest where it was, at `start` (19,), or if that is no place either, at
+    `home` (19,).
     """
-    each = jnp.concatenate([physics.qpos, physics.qvel, action, effort.torque, effort.energy[None]])
-    sane = jnp.all(jnp.isfinite(each)) & jnp.all(jnp.abs(physics.qvel) < MAX_SPEED)
+    numbers = jnp.concatenate(
+        [physics.qpos, physics.qvel, action, effort.torque, effort.energy[None]]
+    )
+    sane = jnp.all(jnp.isfinite(numbers)) & jnp.all(jnp.abs(physics.qvel) < MAX_SPEED)
     action = jnp.where(sane, action, 0.0)
     place = jnp.where(jnp.all(jnp.abs(start) < FARTHEST), start, home)
-    still = PhysicsState(place, jnp.zeros(18))
-    physics = jax.tree.map(lambda x, safe: jnp.where(sane, x, safe), physics, still)
+    at_rest = PhysicsState(place, jnp.zeros(18))
+    physics = jax.tree.map(lambda x, safe: jnp.where(sane, x, safe), physics, at_rest)
     effort = jax.tree.map(lambda x: jnp.where(sane, x, 0.0), effort)
     return sane, physics, effort, action
 
 
-def _metrics(
-    speed: jax.Array,
-    fell: jax.Array,
-    nan: jax.Array,
-    terms: dict[str, jax.Array],
-    of_task: dict[str, jax.Array],
-) -> dict[str, jax.Array]:
-    rewards = {f"reward/{name}": value for name, value in terms.items()}
-    return {"speed": speed, "fell": fell, "nan": nan, **of_task, **rewards}
-
-
-def _info(end: jax.Array, effort: Effort, contact: jax.Array) -> dict[str, Any]:
+def _make_info(end: jax.Array, effort: Effort, contact: jax.Array) -> dict[str, Any]:
     return {
         "end": end,  # index into `QuadrupedEnv.ends`
         "truncation": (end == TIME_LIMIT).astype(jnp.float32),

@@ -1,4 +1,4 @@
-"""Observations: parts of what the policy sees, each a pure function of the environment's state.
+"""Observations: parts of what the policy observes, each a pure function of the state.
 
 To add one, write such a function, in a file of your own or here, and name it in a task. One here
 needs a name in `quadwalk/settings/registry.py`.
@@ -20,90 +20,96 @@ from quadwalk.env.reflections import (
     SCALAR,
     VECTOR,
     Mirror,
-    grid,
+    make_grid_mirror,
     mirrors,
 )
-from quadwalk.env.robot_arrays import RobotArrays, above_ground
-from quadwalk.env.state import EnvState, trot_swing
-from quadwalk.physics.rotation import compute_gravity_direction, compute_yaw, rotate_inverse
+from quadwalk.env.state import EnvState, RobotConstants, compute_height, compute_trot_swing
+from quadwalk.physics.rotation import (
+    compute_gravity_direction,
+    compute_yaw,
+    rotate_about_z,
+    rotate_inverse,
+)
 from quadwalk.settings.environment import COMMANDED
 from quadwalk.settings.terms import Observation
 
 
 @mirrors(VECTOR)
-def velocity(robot: RobotArrays, state: EnvState) -> jax.Array:
+def velocity(robot: RobotConstants, state: EnvState) -> jax.Array:
     """Linear velocity of the trunk (3,), body frame, m/s."""
     return rotate_inverse(state.qpos[3:7], state.qvel[:3])
 
 
 @mirrors(AXIAL)
-def angular_velocity(robot: RobotArrays, state: EnvState) -> jax.Array:
+def angular_velocity(robot: RobotConstants, state: EnvState) -> jax.Array:
     """Angular velocity of the trunk (3,), body frame, rad/s."""
     return state.qvel[3:6]
 
 
 @mirrors(VECTOR)
-def gravity(robot: RobotArrays, state: EnvState) -> jax.Array:
+def gravity(robot: RobotConstants, state: EnvState) -> jax.Array:
     """Direction of gravity (3,), body frame, a unit vector."""
     return compute_gravity_direction(state.qpos[3:7])
 
 
 @mirrors(LATERAL)
-def heading(robot: RobotArrays, state: EnvState) -> jax.Array:
+def heading(robot: RobotConstants, state: EnvState) -> jax.Array:
     """Angle of the trunk's x axis from world x about world z, rad."""
     return compute_yaw(state.qpos[3:7])
 
 
 @mirrors(LATERAL)
-def offset(robot: RobotArrays, state: EnvState, *, reach: float) -> jax.Array:
+def offset(robot: RobotConstants, state: EnvState, *, reach: float) -> jax.Array:
     """Distance to the left of the line y = 0, m, as far as `reach`."""
     return jnp.clip(state.qpos[1], -reach, reach)
 
 
 @mirrors(SCALAR, LATERAL, LATERAL)
-def command(robot: RobotArrays, state: EnvState) -> jax.Array:
+def command(robot: RobotConstants, state: EnvState) -> jax.Array:
     """The velocity command (3,): forward and lateral m/s, yaw rate rad/s."""
     return state.velocity_command
 
 
 # In the mirror a trot is half a stride away.
 @mirrors(LATERAL, LATERAL)
-def trot_clock(robot: RobotArrays, state: EnvState, *, stride: float) -> jax.Array:
+def trot_clock(robot: RobotConstants, state: EnvState, *, stride: float) -> jax.Array:
     """Sine and cosine (2,) of a trot's phase, for `reward.trot`; 0 at the command to stand still.
 
     `stride` is in control steps.
     """
-    swing = partial(trot_swing, command=state.velocity_command, stride=stride)
+    swing = partial(compute_trot_swing, command=state.velocity_command, stride=stride)
     return jnp.stack([swing(state.steps)[0], swing(state.steps + stride / 4)[0]])
 
 
 @mirrors(JOINTS)
-def joint_positions(robot: RobotArrays, state: EnvState) -> jax.Array:
+def joint_positions(robot: RobotConstants, state: EnvState) -> jax.Array:
     """Joint angles (12,) from the home pose, rad."""
     return state.qpos[7:] - robot.home_joints
 
 
 @mirrors(JOINTS)
-def joint_velocities(robot: RobotArrays, state: EnvState) -> jax.Array:
+def joint_velocities(robot: RobotConstants, state: EnvState) -> jax.Array:
     """Joint velocities (12,), rad/s."""
     return state.qvel[6:]
 
 
 @mirrors(JOINTS)
-def last_action(robot: RobotArrays, state: EnvState) -> jax.Array:
+def last_action(robot: RobotConstants, state: EnvState) -> jax.Array:
     """The action of the last step (12,), in [-1, 1]."""
     return state.last_action
 
 
 @mirrors(SCALAR)
-def height(robot: RobotArrays, state: EnvState) -> jax.Array:
+def height(robot: RobotConstants, state: EnvState) -> jax.Array:
     """Height of the trunk's origin above the ground, m."""
-    return above_ground(robot, state.qpos)
+    return compute_height(robot, state.qpos)
 
 
-@mirrors(lambda robot, params: _grid(params["length"], params["width"], params["spacing"]))
+@mirrors(
+    lambda robot, params: _make_scan_mirror(params["length"], params["width"], params["spacing"])
+)
 def height_scan(
-    robot: RobotArrays,
+    robot: RobotConstants,
     state: EnvState,
     *,
     length: float,
@@ -111,21 +117,22 @@ def height_scan(
     spacing: float,
     reach: float,
 ) -> jax.Array:
-    """How far the ground is below where it is in the home pose, m (n,), from -`reach` to `reach`.
+    """Distance of the ground below where it is in the home pose, m (n,), -`reach` to `reach`.
 
-    At points `spacing` m apart in a rectangle about the trunk's origin, turned with its heading:
-    rows from behind to ahead, in each from the right to the left.
+    The points are `spacing` m apart in a rectangle about the trunk's origin, turned with its
+    heading: rows from behind to ahead, in each from the right to the left.
     """
-    return _scan(robot, state, _evenly(length, spacing), _evenly(width, spacing), reach)
+    ahead, left = _space_evenly(length, spacing), _space_evenly(width, spacing)
+    return _scan_ground(robot, state, ahead, left, reach)
 
 
 @mirrors(
-    lambda robot, params: _grid(
+    lambda robot, params: _make_scan_mirror(
         params["last"] - params["first"], params["width"], params["spacing"]
     ),
 )
 def scan_ahead(
-    robot: RobotArrays,
+    robot: RobotConstants,
     state: EnvState,
     *,
     first: float,
@@ -135,36 +142,35 @@ def scan_ahead(
     reach: float,
 ) -> jax.Array:
     """`height_scan` (n,) from `first` to `last`, m ahead of the trunk's origin; < 0 is behind."""
-    ahead = (first + last) / 2 + _evenly(last - first, spacing)
-    return _scan(robot, state, ahead, _evenly(width, spacing), reach)
+    ahead = (first + last) / 2 + _space_evenly(last - first, spacing)
+    return _scan_ground(robot, state, ahead, _space_evenly(width, spacing), reach)
 
 
-def _evenly(side: float, spacing: float) -> np.ndarray:
-    """Places about 0 on a side of that length, m."""
+def _space_evenly(side: float, spacing: float) -> np.ndarray:
+    """Return places about 0 on a side of that length, m."""
     gaps = round(side / spacing)
     return spacing * (np.arange(gaps + 1) - gaps / 2)
 
 
-def _grid(length: float, width: float, spacing: float) -> Mirror:
-    """How a scan's points mirror."""
-    return grid(_evenly(length, spacing).size, _evenly(width, spacing).size)
+def _make_scan_mirror(length: float, width: float, spacing: float) -> Mirror:
+    return make_grid_mirror(_space_evenly(length, spacing).size, _space_evenly(width, spacing).size)
 
 
-def _scan(
-    robot: RobotArrays, state: EnvState, ahead: np.ndarray, left: np.ndarray, reach: float
+def _scan_ground(
+    robot: RobotConstants, state: EnvState, ahead: np.ndarray, left: np.ndarray, reach: float
 ) -> jax.Array:
-    """At all of `ahead` (k,) times `left` (l,), m: (k * l,)."""
-    x, y = (axis.ravel() for axis in np.meshgrid(ahead, left, indexing="ij"))
-    heading = compute_yaw(state.qpos[3:7])
-    cos, sin = jnp.cos(heading), jnp.sin(heading)
-    places = (state.qpos[0] + cos * x - sin * y, state.qpos[1] + sin * x + cos * y)
-    level = np.zeros(x.size) if robot.ground is None else robot.ground.measure(*places)[0]
+    """Return the scan at all of `ahead` (k,) times `left` (l,), m: (k * l,)."""
+    grid = (axis.ravel() for axis in np.meshgrid(ahead, left, indexing="ij"))
+    x, y = rotate_about_z(compute_yaw(state.qpos[3:7]), *grid)
+    level: jax.Array | float = 0.0
+    if robot.ground is not None:
+        level = robot.ground.measure(state.qpos[0] + x, state.qpos[1] + y)[0]
     return jnp.clip(state.qpos[2] - robot.home_height - level, -reach, reach)
 
 
 @mirrors(FEET)
-def contacts(robot: RobotArrays, state: EnvState) -> jax.Array:
-    """Which feet (4,) are on the floor, 1 or 0; for the value network only."""
+def contacts(robot: RobotConstants, state: EnvState) -> jax.Array:
+    """1 for each foot (4,) on the floor, else 0; for the value network only."""
     assert state.contact is not None
     return state.contact.astype(jnp.float32)
 
@@ -175,21 +181,21 @@ def contacts(robot: RobotArrays, state: EnvState) -> jax.Array:
     *(SCALAR,) * 3,  # sizes of pushes, without their signs, and of noise
     JOINTS,
 )
-def conditions(robot: RobotArrays, state: EnvState) -> jax.Array:
-    """What was drawn for the episode (n,); nothing in an ideal world. For the value network only.
+def conditions(robot: RobotConstants, state: EnvState) -> jax.Array:
+    """Randomization of the episode (n,), empty in an ideal world; for the value network only.
 
     Friction, added mass kg, shift of its center m (3,), factors of links (12,) and motors, latency
     in physics and control steps, pushes m/s (2,), noise, encoder offsets rad (12,).
     """
-    drawn = state.conditions
-    if drawn is None:
+    values = state.conditions
+    if values is None:
         return jnp.zeros(0)
-    late = jnp.zeros(()) if drawn.sensor_delay is None else drawn.sensor_delay
-    known = (*(drawn.variation or ()), drawn.delay, late, drawn.push, drawn.noise, drawn.encoder)
-    return jnp.concatenate([jnp.atleast_1d(jnp.asarray(x, jnp.float32)) for x in known])
+    late = jnp.zeros(()) if values.sensor_delay is None else values.sensor_delay
+    parts = *(values.variation or ()), values.delay, late, values.push, values.noise, values.encoder
+    return jnp.concatenate([jnp.atleast_1d(jnp.asarray(x, jnp.float32)) for x in parts])
 
 
-# What a robot's IMU and encoders measure, and what it did itself.
+# Measurements of a robot's IMU and encoders, and its own last action.
 PROPRIOCEPTION = {
     "angular_velocity": Observation(angular_velocity, noise=0.2, history=4),
     "gravity": Observation(gravity, noise=0.05, history=4),
@@ -204,7 +210,7 @@ TROT_COMMAND = {
     **COMMAND,
     "clock": Observation(trot_clock, {"stride": 20.0}, labels=("sine", "cosine")),
 }
-# What is known in simulation alone, for the value network: of the trunk, and of all else.
+# Known in simulation alone, for the value network: of the trunk, and of the legs.
 TRUE_TRUNK = {
     "velocity": Observation(velocity),
     "angular_velocity": Observation(angular_velocity),
@@ -219,7 +225,9 @@ TRUE_LEGS = {
 }
 
 
-def observe(parts: dict[str, Observation], robot: RobotArrays, state: EnvState) -> jax.Array:
-    """The observation (n,), float32: its parts one after another."""
-    seen = [part.compute(f"observation {name!r}", robot, state) for name, part in parts.items()]
-    return jnp.concatenate([jnp.atleast_1d(value) for value in seen])
+def compute_observation(
+    parts: dict[str, Observation], robot: RobotConstants, state: EnvState
+) -> jax.Array:
+    """Return the observation (n,), float32: its parts one after another."""
+    values = [part.compute(f"observation {name!r}", robot, state) for name, part in parts.items()]
+    return jnp.concatenate([jnp.atleast_1d(value) for value in values])

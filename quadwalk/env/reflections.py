@@ -17,72 +17,73 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 
 class Mirrors(NamedTuple):
-    """How what a task's networks read and write mirrors."""
+    """How observations and actions of a task mirror."""
 
     observation: Mirror  # the policy's numbers with their history, then the value network's
     action: Mirror  # (12,)
 
 
-def signs(*sign: float) -> Kind:
-    """Numbers that keep their places and change these signs."""
-    return lambda robot, params: make_mirror(np.arange(len(sign)), sign)
+def make_signs(*signs: float) -> Kind:
+    """Return the kind of numbers that keep their places and change these signs."""
+    return lambda robot, params: make_mirror(np.arange(len(signs)), signs)
 
 
-def grid(rows: int, row: int) -> Mirror:
-    """Of rows from the right to the left, each of `row` numbers."""
-    places = np.arange(rows * row).reshape(rows, row)[:, ::-1].ravel()
-    return make_mirror(places, np.ones(rows * row))
+def make_grid_mirror(rows: int, columns: int) -> Mirror:
+    """Return the mirror of rows of points, each from the right to the left."""
+    places = np.arange(rows * columns).reshape(rows, columns)[:, ::-1].ravel()
+    return make_mirror(places, np.ones(rows * columns))
 
 
-SCALAR = signs(1)  # the same in the mirror
-LATERAL = signs(-1)  # to the left, or a turn to the left
-VECTOR = signs(1, -1, 1)  # a velocity, a direction
-AXIAL = signs(-1, 1, -1)  # an angular velocity, a torque
-
-
-def JOINTS(robot: RobotMirror, params: dict[str, Any]) -> Mirror:
-    """An angle, speed, torque or action of each joint (12,)."""
+def _get_joints(robot: RobotMirror, params: dict[str, Any]) -> Mirror:
     return robot.joints
 
 
-def LINKS(robot: RobotMirror, params: dict[str, Any]) -> Mirror:
-    """A factor or another number without direction of each joint or the link it moves (12,)."""
+def _make_links(robot: RobotMirror, params: dict[str, Any]) -> Mirror:
     return make_mirror(robot.joints.source, np.ones(12))
 
 
-def FEET(robot: RobotMirror, params: dict[str, Any]) -> Mirror:
-    """A number of each foot (4,)."""
+def _get_feet(robot: RobotMirror, params: dict[str, Any]) -> Mirror:
     return robot.feet
 
 
-def mirrors(*kinds: Kind) -> Callable[[F], F]:
-    """Say of a term's function that its numbers are of these kinds, one after another."""
+SCALAR = make_signs(1)  # the same in the mirror
+LATERAL = make_signs(-1)  # to the left, or a turn to the left
+VECTOR = make_signs(1, -1, 1)  # a velocity, a direction
+AXIAL = make_signs(-1, 1, -1)  # an angular velocity, a torque
+JOINTS: Kind = _get_joints  # an angle, speed, torque or action of each joint (12,)
+LINKS: Kind = _make_links  # a number without direction of each joint, or of the link it moves (12,)
+FEET: Kind = _get_feet  # a number of each foot (4,)
 
-    def says(function: F) -> F:
+
+def mirrors(*kinds: Kind) -> Callable[[F], F]:
+    """Mark a term's function: its numbers are of these kinds, one after another."""
+
+    def mark(function: F) -> F:
         function.mirrored_as = kinds  # type: ignore[attr-defined]
         return function
 
-    return says
+    return mark
 
 
-def mirror_of(
+def find_mirror(
     function: Callable[..., Any], params: dict[str, Any] | None, robot: RobotMirror
 ) -> Mirror | None:
-    """How the term's numbers mirror; None where it does not say, or they do not."""
-    kinds = getattr(function, "mirrored_as", None)
-    own = [kind(robot, params or {}) for kind in kinds or ()]
-    known = [part for part in own if part is not None]
-    return join_mirrors(*known) if kinds and len(known) == len(own) else None
+    """Return how the term's numbers mirror; None where it does not say, or they do not."""
+    kinds = getattr(function, "mirrored_as", ())
+    parts = [kind(robot, params or {}) for kind in kinds]
+    if not parts or None in parts:
+        return None
+    return join_mirrors(*parts)
 
 
-def with_history(frame: Mirror, history: np.ndarray) -> Mirror:
-    """The numbers of a control step, then those that are also seen of one step before, and so on.
+def repeat_for_history(frame: Mirror, history: np.ndarray) -> Mirror:
+    """Return the mirror of a control step's numbers, then those that are observed again, by age.
 
-    `history` (n,) is of how many earlier steps each is seen.
+    `history` (n,) is for how many earlier control steps each number is observed.
     """
     steps = []
     for ago in range(1 + max(history)):
-        kept = history >= ago
-        place = np.cumsum(kept) - 1
-        steps.append(make_mirror(place[frame.source[kept]], frame.sign[kept]))
+        is_observed = history >= ago
+        place = np.cumsum(is_observed) - 1
+        steps.append(make_mirror(place[frame.source[is_observed]], frame.sign[is_observed]))
     return join_mirrors(*steps)

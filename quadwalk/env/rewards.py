@@ -8,92 +8,84 @@ needs a name in `quadwalk/settings/registry.py`.
 import jax
 import jax.numpy as jnp
 
-from quadwalk.env.robot_arrays import RobotArrays
-from quadwalk.env.state import (
-    Step,
-    commanded_speed,
-    mean_velocity,
-    trot_swing,
-    velocity_error,
-    yaw_rate_error,
-)
+from quadwalk.env.state import RobotConstants, Step, compute_trot_swing
 from quadwalk.physics.fast import compute_leg_points
 from quadwalk.physics.rotation import compute_gravity_direction, compute_yaw
 from quadwalk.settings.terms import Reward
 
 
-def forward(robot: RobotArrays, step: Step, *, max_speed: float) -> jax.Array:
+def forward(robot: RobotConstants, step: Step, *, max_speed: float) -> jax.Array:
     """Speed along world x, m/s, from -1 to `max_speed`."""
-    return jnp.clip(mean_velocity(step)[0], -1.0, max_speed)
+    return jnp.clip(step.mean_velocity[0], -1.0, max_speed)
 
 
-def fall(robot: RobotArrays, step: Step) -> jax.Array:
+def fall(robot: RobotConstants, step: Step) -> jax.Array:
     """1 in the step that ends an episode by a fall."""
     return step.fell.astype(jnp.float32)
 
 
-def yaw_error(robot: RobotArrays, step: Step) -> jax.Array:
+def yaw_error(robot: RobotConstants, step: Step) -> jax.Array:
     """Angle between the heading and world x, rad, up to 1."""
     return jnp.minimum(jnp.abs(compute_yaw(step.qpos[3:7])), 1.0)
 
 
-def energy(robot: RobotArrays, step: Step) -> jax.Array:
+def energy(robot: RobotConstants, step: Step) -> jax.Array:
     """Mechanical power over weight, m/s, up to 20: cost of transport times speed."""
     return jnp.minimum(step.power / robot.weight, 20.0)
 
 
-def alive(robot: RobotArrays, step: Step) -> jax.Array:
+def alive(robot: RobotConstants, step: Step) -> jax.Array:
     """1 in every step that does not end in a fall."""
     return 1.0 - step.fell.astype(jnp.float32)
 
 
-def lateral(robot: RobotArrays, step: Step) -> jax.Array:
+def lateral(robot: RobotConstants, step: Step) -> jax.Array:
     """Speed along world y, m/s, up to 1."""
-    return jnp.minimum(jnp.abs(mean_velocity(step)[1]), 1.0)
+    return jnp.minimum(jnp.abs(step.mean_velocity[1]), 1.0)
 
 
-def offset(robot: RobotArrays, step: Step) -> jax.Array:
+def offset(robot: RobotConstants, step: Step) -> jax.Array:
     """Distance from the line y = 0, m, up to 1."""
     return jnp.minimum(jnp.abs(step.qpos[1]), 1.0)
 
 
-def vertical(robot: RobotArrays, step: Step) -> jax.Array:
+def vertical(robot: RobotConstants, step: Step) -> jax.Array:
     """Squared vertical speed of the trunk, (m/s)^2, up to 1."""
     return jnp.minimum(jnp.square(step.qvel[2]), 1.0)
 
 
-def tilt(robot: RobotArrays, step: Step) -> jax.Array:
+def tilt(robot: RobotConstants, step: Step) -> jax.Array:
     """Squared sine of the angle between the trunk's and the world's z axis."""
     return jnp.sum(jnp.square(compute_gravity_direction(step.qpos[3:7])[:2]))
 
 
-def roll_pitch_rate(robot: RobotArrays, step: Step) -> jax.Array:
+def roll_pitch_rate(robot: RobotConstants, step: Step) -> jax.Array:
     """Roll and pitch rate of the trunk, rad/s, up to 4."""
     return jnp.minimum(jnp.linalg.norm(step.qvel[3:5] + 1e-8), 4.0)
 
 
-def action_rate(robot: RobotArrays, step: Step) -> jax.Array:
+def action_rate(robot: RobotConstants, step: Step) -> jax.Array:
     """Mean squared change of the action since the last step."""
     return jnp.mean(jnp.square(step.action - step.last_action))
 
 
-def joint_speed(robot: RobotArrays, step: Step) -> jax.Array:
+def joint_speed(robot: RobotConstants, step: Step) -> jax.Array:
     """Mean squared joint velocity, (rad/s)^2, up to 100."""
     return jnp.minimum(jnp.mean(jnp.square(step.qvel[6:])), 100.0)
 
 
-def upright(robot: RobotArrays, step: Step) -> jax.Array:
+def upright(robot: RobotConstants, step: Step) -> jax.Array:
     """1 upright, a quarter on the side, 0 upside down."""
-    return jnp.square((1.0 + _up(step)) / 2.0)
+    return jnp.square((1.0 + _compute_up(step)) / 2.0)
 
 
-def raised(robot: RobotArrays, step: Step) -> jax.Array:
+def raised(robot: RobotConstants, step: Step) -> jax.Array:
     """Height of the trunk as a share of that of the home pose, up to 1, times `upright`."""
     share = jnp.clip(step.height / robot.home_height, 0.0, 1.0)
     return share * upright(robot, step)
 
 
-def at_home(robot: RobotArrays, step: Step, *, joints: float, height: float) -> jax.Array:
+def at_home(robot: RobotConstants, step: Step, *, joints: float, height: float) -> jax.Array:
     """1 upright in the home pose, by 1/e less each for joints and trunk that are off it.
 
     For joints that are `joints`, rad, off in the root mean square, for a trunk that is `height`, a
@@ -101,11 +93,11 @@ def at_home(robot: RobotArrays, step: Step, *, joints: float, height: float) -> 
     """
     off = jnp.mean(jnp.square(step.qpos[7:] - robot.home_joints)) / joints**2
     low = jnp.square((step.height / robot.home_height - 1.0) / height)
-    return jnp.maximum(_up(step), 0.0) * jnp.exp(-off - low)
+    return jnp.maximum(_compute_up(step), 0.0) * jnp.exp(-off - low)
 
 
-def crossed(robot: RobotArrays, step: Step, *, margin: float) -> jax.Array:
-    """How far the legs of a pair are across one another, m, on the mean of both pairs, up to 0.3.
+def crossed(robot: RobotConstants, step: Step, *, margin: float) -> jax.Array:
+    """Distance by which the legs of a pair cross, m, on the mean of both pairs, up to 0.3.
 
     More than 0 where a knee or foot of the right one is not `margin`, m, to the right of both of
     the left one, in the trunk's frame. Training lets legs pass through each other.
@@ -115,41 +107,41 @@ def crossed(robot: RobotArrays, step: Step, *, margin: float) -> jax.Array:
     return jnp.mean(jnp.clip(margin - gap, 0.0, 0.3))
 
 
-def _up(step: Step) -> jax.Array:
-    """Cosine of the angle between the trunk's and the world's z axis."""
+def _compute_up(step: Step) -> jax.Array:
+    """Return the cosine of the angle between the trunk's and the world's z axis."""
     return -compute_gravity_direction(step.qpos[3:7])[2]
 
 
-def follow(robot: RobotArrays, step: Step, *, width: float) -> jax.Array:
+def follow(robot: RobotConstants, step: Step, *, width: float) -> jax.Array:
     """1 at the commanded velocity of the trunk, 1/e at `width`, m/s, off."""
-    return jnp.exp(-jnp.sum(jnp.square(velocity_error(step) / width)))
+    return jnp.exp(-jnp.sum(jnp.square(step.velocity_error / width)))
 
 
-def follow_yaw_rate(robot: RobotArrays, step: Step, *, width: float) -> jax.Array:
+def follow_yaw_rate(robot: RobotConstants, step: Step, *, width: float) -> jax.Array:
     """1 at the commanded yaw rate, 1/e at `width`, rad/s, off."""
-    return jnp.exp(-jnp.square(yaw_rate_error(step) / width))
+    return jnp.exp(-jnp.square(step.yaw_rate_error / width))
 
 
-def track(robot: RobotArrays, step: Step, *, width: float, share: float) -> jax.Array:
+def track(robot: RobotConstants, step: Step, *, width: float, share: float) -> jax.Array:
     """1 at the commanded velocity, 1/e at `width`, m/s, and `share` of the command off."""
     width = width + share * jnp.linalg.norm(step.command[:2])
-    return jnp.exp(-jnp.sum(jnp.square(velocity_error(step) / width)))
+    return jnp.exp(-jnp.sum(jnp.square(step.velocity_error / width)))
 
 
-def approach(robot: RobotArrays, step: Step) -> jax.Array:
+def approach(robot: RobotConstants, step: Step) -> jax.Array:
     """Commanded speed less the size of the velocity's error, m/s, from -1 to 5.
 
     Far from a command, where `track` is flat, this still tells which way is better.
     """
-    return jnp.clip(commanded_speed(step), -1.0, 5.0)
+    return jnp.clip(step.commanded_speed, -1.0, 5.0)
 
 
-def yaw_rate_off(robot: RobotArrays, step: Step) -> jax.Array:
-    """How far the yaw rate is off its command, rad/s, up to 2."""
-    return jnp.minimum(jnp.abs(yaw_rate_error(step)), 2.0)
+def yaw_rate_off(robot: RobotConstants, step: Step) -> jax.Array:
+    """Distance of the yaw rate from its command, rad/s, up to 2."""
+    return jnp.minimum(jnp.abs(step.yaw_rate_error), 2.0)
 
 
-def fidget(robot: RobotArrays, step: Step) -> jax.Array:
+def fidget(robot: RobotConstants, step: Step) -> jax.Array:
     """At the command to stand, mean squared distance of joints from the home pose, rad^2, up to 1.
 
     And a hundredth of their mean squared velocity, (rad/s)^2.
@@ -159,7 +151,7 @@ def fidget(robot: RobotArrays, step: Step) -> jax.Array:
     return jnp.minimum(off, 1.0) * jnp.all(step.command == 0.0)
 
 
-def drag(robot: RobotArrays, step: Step, *, height: float) -> jax.Array:
+def drag(robot: RobotConstants, step: Step, *, height: float) -> jax.Array:
     """Mean horizontal speed of the soles, m/s, up to 2, each by how low it is.
 
     On the floor all of a sole's speed counts, at `height`, m, and above none of it.
@@ -170,13 +162,13 @@ def drag(robot: RobotArrays, step: Step, *, height: float) -> jax.Array:
     return jnp.mean(speed * low)
 
 
-def kneel(robot: RobotArrays, step: Step, *, height: float) -> jax.Array:
-    """How low knees and shins are: 1 with one on the ground, 0 with all at `height`, m, or more."""
+def kneel(robot: RobotConstants, step: Step, *, height: float) -> jax.Array:
+    """1 with a knee or shin on the ground, 0 with all at `height`, m, or more; linear between."""
     return jnp.clip(1.0 - step.lowest[1] / height, 0.0, 1.0)
 
 
 def trot(
-    robot: RobotArrays, step: Step, *, stride: float, height: float, width: float
+    robot: RobotConstants, step: Step, *, stride: float, height: float, width: float
 ) -> jax.Array:
     """1 with all soles at the heights of a trot in time, 1/e for a sole `width`, m, off its own.
 
@@ -184,25 +176,27 @@ def trot(
     (control steps) after the other; the policy sees the time by `observation.trot_clock`. At the
     command to stand still all four belong on the floor.
     """
-    swing = trot_swing(step.steps, step.command, stride)[jnp.array([0, 1, 1, 0])]
+    swing = compute_trot_swing(step.steps, step.command, stride)[jnp.array([0, 1, 1, 0])]
     soles = step.soles[:, 2]
     off = jnp.where(swing > 0.0, jnp.maximum(height * swing - soles, 0.0), soles)
     return jnp.mean(jnp.exp(-jnp.square(off / width)))
 
 
-def diagonal(robot: RobotArrays, step: Step, *, height: float) -> jax.Array:
-    """How far one diagonal pair of soles is above the other: 1 at `height`, m, or more.
+def diagonal(robot: RobotConstants, step: Step, *, height: float) -> jax.Array:
+    """Height of one diagonal pair of soles above the other, 1 at `height`, m, or more.
 
-    A trot has it in turn. Where both feet ahead, all on one side, or all four move together, as in
-    a bound, a pace and a pronk, it is 0.
+    In a trot each pair is above the other in turn. In a bound, a pace and a pronk it is 0: both
+    feet ahead, all on one side, or all four move together.
     """
     front, back = jnp.split(step.soles[:, 2], 2)
     apart = jnp.mean(jnp.array([front[0] - front[1], back[1] - back[0]]))
     return jnp.minimum(jnp.abs(apart) / height, 1.0)
 
 
-def reward_terms(terms: dict[str, Reward], robot: RobotArrays, step: Step) -> dict[str, jax.Array]:
-    """The value of every term, each a scalar, before its scale; those with scale 0 are left out."""
+def compute_reward_terms(
+    terms: dict[str, Reward], robot: RobotConstants, step: Step
+) -> dict[str, jax.Array]:
+    """Return the value () of every term before its scale; those with scale 0 are left out."""
     return {
         name: term.compute(f"reward {name!r}", robot, step)
         for name, term in terms.items()
@@ -210,6 +204,6 @@ def reward_terms(terms: dict[str, Reward], robot: RobotArrays, step: Step) -> di
     }
 
 
-def total_reward(rewards: dict[str, Reward], values: dict[str, jax.Array]) -> jax.Array:
-    """The sum of the terms' values times their scales."""
-    return sum((rewards[name].scale * value for name, value in values.items()), jnp.zeros(()))
+def compute_total_reward(terms: dict[str, Reward], values: dict[str, jax.Array]) -> jax.Array:
+    """Return the sum of the terms' values times their scales."""
+    return sum((terms[name].scale * value for name, value in values.items()), jnp.zeros(()))

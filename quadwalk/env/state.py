@@ -1,15 +1,121 @@
-"""What a task's functions read: the state of an environment, and one control step of it."""
+"""What the functions of a task read: constants of the robot, the state, and one control step."""
 
+import math
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
-from quadwalk.env.command import Command
-from quadwalk.env.curriculum import Travel
-from quadwalk.env.randomization import EpisodeRandomization
+from quadwalk.physics.model import Model, RobotRandomization
 from quadwalk.physics.motor import PhysicsState
-from quadwalk.physics.rotation import compute_yaw
+from quadwalk.physics.rotation import compute_yaw, rotate_about_z
+from quadwalk.physics.surface import Surface
+
+# A trunk stands above this share of the home pose's height, and with its z axis at most this far
+# from the world's, rad.
+STANDING_HEIGHT = 0.85
+STANDING_TILT = math.radians(18)
+
+# Uses of an episode's random key, for `EpisodeRandomization.make_key`.
+NOISE, PUSH, JITTER = range(3)
+
+
+@dataclass(frozen=True)
+class RobotConstants:
+    """A quadruped's constants; its joint i is qpos[7 + i], qvel[6 + i] and ctrl[i]."""
+
+    home: np.ndarray  # (19,) qpos of the standing pose
+    lower: np.ndarray  # (12,) rad
+    upper: np.ndarray  # (12,) rad
+    knees_ahead: np.ndarray  # (4,) whether the knee is ahead of thigh's joint and foot, standing
+    mass: float  # kg
+    gravity: float  # m/s^2
+    geometry: Model  # with the spheres that may touch the floor, and the ground
+
+    @property
+    def ground(self) -> Surface | None:
+        """The ground's heights; None: level, at height 0, without end."""
+        ground = self.geometry.ground
+        return None if ground is None else ground.surface
+
+    @property
+    def weight(self) -> float:
+        """Weight of the robot, N."""
+        return self.mass * self.gravity
+
+    @property
+    def home_joints(self) -> np.ndarray:
+        """Joint angles of the standing pose (12,), rad."""
+        return self.home[7:]
+
+    @property
+    def home_height(self) -> float:
+        """Height of the trunk's origin in the standing pose, m."""
+        return float(self.home[2])
+
+    @property
+    def froude_speed(self) -> float:
+        """Speed whose Froude number is 1 at the home height, m/s; pushes are shares of it."""
+        return math.sqrt(self.gravity * self.home_height)
+
+
+class Command(NamedTuple):
+    """The velocity command of one episode."""
+
+    velocity: jax.Array  # (3,) forward and lateral m/s, in the frame of the heading; yaw rate rad/s
+    key: jax.Array  # of all commands of the episode
+    until: jax.Array | None = None  # () int32, control steps; None: changes are regular
+    # (2,) m/s, on its way from the last command to this one; None: it is there at once
+    reached: jax.Array | None = None
+
+
+class EpisodeRandomization(NamedTuple):
+    """What is randomized in one episode."""
+
+    variation: RobotRandomization | None  # of robot and floor from the model; None: not at all
+    # () physics steps until a joint target takes effect; the home pose holds until the first does.
+    # A delay of 2.3 steps is 3 in three control steps of ten and 2 in the others.
+    delay: jax.Array
+    sensor_delay: jax.Array | None  # () control steps, between readings it interpolates; None: none
+    # (2,) m/s, change of the trunk's velocity along its heading and to its left, in an instant,
+    # with random signs, once in every period, at a time that `key` draws
+    push: jax.Array
+    noise: jax.Array  # () level of each observed number's Gaussian noise; the task states level 1
+    encoder: jax.Array  # (12,) rad, offset of measured joint angles, for policy and controller
+    tilt: jax.Array  # (3,) rad, rotation vector of the IMU in the trunk
+    targets: jax.Array  # (n, 12) joint targets, the newest first, as many as the delay needs
+    key: jax.Array  # of the episode's noise, pushes and jitter
+
+    def make_key(self, use: int, number: jax.Array) -> jax.Array:
+        """Return a random key for `NOISE`, `PUSH` or `JITTER`, another for each `number`."""
+        return jax.random.fold_in(self.key, 3 * number + use)
+
+
+class Travel(NamedTuple):
+    """How far an episode has come, for a curriculum."""
+
+    start: jax.Array  # (2,) m, x and y of the trunk where it began
+    steps: jax.Array  # () int32, control steps since then
+    walked: jax.Array  # () m, along the velocity command, or along x where there is none
+    commanded: jax.Array  # () m, by the velocity command, or at the curriculum's pace
+
+    def advance(self, velocity: jax.Array, command: jax.Array, dt: float) -> "Travel":
+        """Return the travel after `dt` s at a mean `velocity` (2,), m/s, in `command`'s frame."""
+        size = jnp.linalg.norm(command)
+        along = jnp.dot(velocity, command) / jnp.maximum(size, 1e-6)
+        return self._replace(
+            steps=self.steps + 1,
+            walked=self.walked + along * dt,
+            commanded=self.commanded + size * dt,
+        )
+
+
+def start_travel(qpos: jax.Array) -> Travel:
+    """Return the travel of an episode that starts at `qpos` (19,)."""
+    zero = jnp.zeros(())
+    return Travel(qpos[:2], jnp.zeros((), jnp.int32), zero, zero)
 
 
 class EnvState(NamedTuple):
@@ -19,8 +125,8 @@ class EnvState(NamedTuple):
     last_action: jax.Array  # (12,)
     steps: jax.Array  # () int32, control steps since the episode's start
     command: Command | None = None  # None where there is none
-    conditions: EpisodeRandomization | None = None  # None where they are those of the simulator
-    # (m, n) what was measured, newest first, for delayed sensors; then the readings seen in
+    conditions: EpisodeRandomization | None = None  # None where nothing is randomized
+    # (m, n) what was measured, newest first, for delayed sensors; then the readings observed in
     # earlier steps, newest first; None: only this step
     frames: jax.Array | None = None
     contact: jax.Array | None = None  # (4,) bool, feet on the floor; None at an episode's start
@@ -66,59 +172,73 @@ class Step(NamedTuple):
 
     @property
     def height(self) -> jax.Array:
-        """Of the trunk's origin above the ground straight below, m."""
+        """Height of the trunk's origin above the ground straight below, m."""
         return self.qpos[2] if self.ground is None else self.qpos[2] - self.ground
 
+    @property
+    def mean_velocity(self) -> jax.Array:
+        """Mean velocity (2,) of the trunk over the step along world x and y, m/s."""
+        return (self.qpos[:2] - self.start[:2]) / self.dt
 
-def trot_swing(steps: jax.Array, command: jax.Array, stride: float) -> jax.Array:
-    """How far the feet of a trot are into their swing (2,), from -1 to 1, above 0 off the floor.
+    @property
+    def heading_velocity(self) -> jax.Array:
+        """Mean velocity (2,) forward and left in the frame of the heading after the step, m/s."""
+        return compute_motion(self.start, self.qpos, self.dt)[:2]
 
-    First of FR and RL, then of FL and RR; 0 at the command to stand. `stride`: control steps.
+    @property
+    def velocity_error(self) -> jax.Array:
+        """`heading_velocity` less the command (2,), m/s."""
+        return self.heading_velocity - self.command[:2]
+
+    @property
+    def commanded_speed(self) -> jax.Array:
+        """Size of the commanded velocity less that of the velocity's error, m/s."""
+        return jnp.linalg.norm(self.command[:2]) - jnp.linalg.norm(self.velocity_error)
+
+    @property
+    def yaw_rate_error(self) -> jax.Array:
+        """Mean rate of the heading over the step, less the command, rad/s."""
+        return compute_motion(self.start, self.qpos, self.dt)[2] - self.command[2]
+
+
+def compute_motion(start: jax.Array, qpos: jax.Array, dt: float) -> jax.Array:
+    """Return mean forward and left velocity, m/s, and yaw rate, rad/s, as commands have them (3,).
+
+    The trunk moves from `start` (19,) to `qpos` (19,) in `dt` s. The frame is that of the heading
+    at the end.
+    """
+    heading = compute_yaw(qpos[3:7])
+    x, y = (qpos[:2] - start[:2]) / dt
+    turn = heading - compute_yaw(start[3:7])
+    turn = jnp.arctan2(jnp.sin(turn), jnp.cos(turn))  # the short way round
+    left, forward = rotate_about_z(heading, y, x)  # backwards, since y comes first
+    return jnp.stack([forward, left, turn / dt])
+
+
+def compute_height(robot: RobotConstants, qpos: jax.Array) -> jax.Array:
+    """Return the height of the trunk's origin above the ground, m; `qpos` is (19,)."""
+    return qpos[2] if robot.ground is None else qpos[2] - robot.ground.measure(qpos[0], qpos[1])[0]
+
+
+def is_standing(robot: RobotConstants, qpos: jax.Array) -> jax.Array:
+    """Return True, () bool, for a robot at `qpos` (19,) whose trunk is high and upright."""
+    _, x, y, _ = qpos[3:7]
+    upright = 1.0 - 2.0 * (x * x + y * y) > math.cos(STANDING_TILT)
+    high = compute_height(robot, qpos) > STANDING_HEIGHT * robot.home_height
+    return jnp.logical_and(upright, high)
+
+
+def compute_trot_swing(steps: jax.Array, command: jax.Array, stride: float) -> jax.Array:
+    """Return how far FR and RL, and FL and RR, are into the swing of a trot (2,), from -1 to 1.
+
+    Above 0 the feet are off the floor; 0 at the command to stand. `stride` is in control steps.
     """
     swing = jnp.sin(2.0 * jnp.pi * steps / stride)
     return jnp.stack([swing, -swing]) * jnp.any(command != 0.0)
 
 
-def mean_velocity(step: Step) -> jax.Array:
-    """Mean velocity (2,) of the trunk over the step along world x and y, m/s."""
-    return (step.qpos[:2] - step.start[:2]) / step.dt
-
-
-def motion(start: jax.Array, qpos: jax.Array, dt: float) -> jax.Array:
-    """What a velocity command is of (3,): the mean over `dt` s from `start` (19,) to `qpos` (19,).
-
-    Forward and left in the frame of the heading at the end, m/s, and the yaw rate, rad/s.
-    """
-    heading = compute_yaw(qpos[3:7])
-    cos, sin = jnp.cos(heading), jnp.sin(heading)
-    x, y = (qpos[:2] - start[:2]) / dt
-    turned = heading - compute_yaw(start[3:7])
-    turned = jnp.arctan2(jnp.sin(turned), jnp.cos(turned))  # the short way round
-    return jnp.stack([cos * x + sin * y, cos * y - sin * x, turned / dt])
-
-
-def heading_velocity(step: Step) -> jax.Array:
-    """Mean velocity in the frame of the heading after the step, forward and left (2,), m/s."""
-    return motion(step.start, step.qpos, step.dt)[:2]
-
-
-def velocity_error(step: Step) -> jax.Array:
-    """That less the command (2,), m/s."""
-    return heading_velocity(step) - step.command[:2]
-
-
-def commanded_speed(step: Step) -> jax.Array:
-    """How much of the commanded speed there is, m/s: its size less that of the error."""
-    return jnp.linalg.norm(step.command[:2]) - jnp.linalg.norm(velocity_error(step))
-
-
-def yaw_rate_error(step: Step) -> jax.Array:
-    """Mean rate of the heading over the step, less the command, rad/s."""
-    return motion(step.start, step.qpos, step.dt)[2] - step.command[2]
-
-
-def tree_where(rows: jax.Array, new: Any, old: Any) -> Any:
-    """`new` where `rows` (n,) is true, else `old`: pytrees of arrays (n, ...)."""
+def select_rows(rows: jax.Array, new: Any, old: Any) -> Any:
+    """Return `new` where `rows` (n,) is true, else `old`: pytrees of arrays (n, ...)."""
     return jax.tree.map(
         lambda new, old: jnp.where(rows.reshape(-1, *[1] * (new.ndim - 1)), new, old), new, old
     )

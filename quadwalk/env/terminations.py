@@ -11,33 +11,32 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from quadwalk.env.robot_arrays import RobotArrays
-from quadwalk.env.state import EnvState, Step
+from quadwalk.env.state import EnvState, RobotConstants, Step
 from quadwalk.settings.environment import EnvConfig
 from quadwalk.settings.terms import Termination
 from quadwalk.terrain.terrain import Terrain
 
-RUNNING, TIME_LIMIT, FIRST_FALL = 0, 1, 2  # places in `names_of_ends`
+RUNNING, TIME_LIMIT, FIRST_FALL = 0, 1, 2  # places in `list_ends`
 
 
-def tipped(robot: RobotArrays, step: Step, *, angle: float) -> jax.Array:
+def tipped(robot: RobotConstants, step: Step, *, angle: float) -> jax.Array:
     """The trunk's z axis is more than `angle`, rad, from the world's."""
     _, x, y, _ = step.qpos[3:7]
     upright = 1.0 - 2.0 * (x * x + y * y)  # cosine of that angle
     return upright < np.cos(angle)
 
 
-def low(robot: RobotArrays, step: Step, *, share: float) -> jax.Array:
+def low(robot: RobotConstants, step: Step, *, share: float) -> jax.Array:
     """The trunk's origin is lower above ground than `share` of its height in the home pose."""
     return step.height < share * robot.home_height
 
 
-def touched(robot: RobotArrays, step: Step, *, clearance: float) -> jax.Array:
+def touched(robot: RobotConstants, step: Step, *, clearance: float) -> jax.Array:
     """A part other than a foot is lower than `clearance`, m, above the ground."""
     return jnp.min(step.lowest) < clearance
 
 
-def trunk_touched(robot: RobotArrays, step: Step, *, clearance: float) -> jax.Array:
+def trunk_touched(robot: RobotConstants, step: Step, *, clearance: float) -> jax.Array:
     """The trunk is lower than `clearance`, m, above the ground; knees and shins may touch."""
     return step.lowest[0] < clearance
 
@@ -47,7 +46,7 @@ FALLS = {
     "low": Termination(low, {"share": 0.45}),
     "touched": Termination(touched, {"clearance": 0.0}),
 }
-# On uneven ground knees and shins may touch: at the edge of a stair they are bound to.
+# On uneven ground knees and shins may touch: at the edge of a stair they must.
 TRUNK_FALLS = {
     "tipped": FALLS["tipped"],
     "low": Termination(low, {"share": 0.35}),
@@ -55,35 +54,35 @@ TRUNK_FALLS = {
 }
 
 
-def terminations(ways: dict[str, Termination], robot: RobotArrays, step: Step) -> jax.Array:
-    """Whether each of the ways to fall holds, (n,) bool."""
-    holds = [way.compute(f"termination {name!r}", robot, step) for name, way in ways.items()]
+def find_falls(terms: dict[str, Termination], robot: RobotConstants, step: Step) -> jax.Array:
+    """Return which of the terminations hold, (n,) bool."""
+    holds = [term.compute(f"termination {name!r}", robot, step) for name, term in terms.items()]
     return jnp.stack([jnp.zeros((), bool), *holds])[1:]
 
 
-def names_of_ends(ways: dict[str, Termination]) -> tuple[str, ...]:
-    """How an episode stands after a step, in the order of `episode_end`'s numbers."""
-    return ("running", "time limit", *ways, "nan")
+def list_ends(terms: dict[str, Termination]) -> tuple[str, ...]:
+    """Return the names of an episode's ends, in the order of `find_end`'s numbers."""
+    return ("running", "time limit", *terms, "nan")
 
 
-def episode_end(
+def find_end(
     config: EnvConfig, terrain: Terrain | None, state: EnvState, falls: jax.Array, sane: jax.Array
 ) -> jax.Array:
-    """How the episode ended in the step to `state`, () int32, a place in `names_of_ends`.
+    """Return how the episode ended in the step to `state`, () int32, a place in `list_ends`.
 
-    `falls` are those of `terminations`; numbers that are not `sane`, () bool, come before all.
+    `falls` are those of `find_falls`; numbers that are not `sane`, () bool, come before all.
     """
     end = jnp.where(state.steps >= config.episode_steps, TIME_LIMIT, RUNNING)
     if terrain is not None:  # no failure either
-        end = jnp.where(off_ground(config, terrain, state), TIME_LIMIT, end)
+        end = jnp.where(is_off_ground(config, terrain, state), TIME_LIMIT, end)
     if config.termination:
         end = jnp.where(jnp.any(falls) & sane, FIRST_FALL + jnp.argmax(falls), end)
-    last = len(names_of_ends(config.termination)) - 1
+    last = len(list_ends(config.termination)) - 1
     return jnp.where(sane, end, last).astype(jnp.int32)
 
 
-def off_ground(config: EnvConfig, terrain: Terrain, state: EnvState) -> jax.Array:
-    """Whether the trunk is where its episode ends, () bool.
+def is_off_ground(config: EnvConfig, terrain: Terrain, state: EnvState) -> jax.Array:
+    """Return True, () bool, where the trunk is off the ground of its episode.
 
     That is beyond half of the level border around all tiles or, if confined, beyond its own tile.
     """

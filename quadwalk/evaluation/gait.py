@@ -30,7 +30,7 @@ from quadwalk.evaluation.metrics import (
 )
 from quadwalk.evaluation.rollout import Rollout
 from quadwalk.robot.quadruped import Quadruped
-from quadwalk.terrain.heightfield import heights_under
+from quadwalk.terrain.heightfield import compute_floor_height
 
 GAITS = ("walk", "trot", "pace", "bound", "gallop", "pronk", "irregular")
 
@@ -101,8 +101,8 @@ def measure_gait(rollout: Rollout, quadruped: Quadruped) -> Gait:
     slip, slid = _measure_slip(rollout, centers, orientations, radii)
     rpy = to_roll_pitch_yaw(rollout.qpos[:, 3:7])
     yaw = np.unwrap(rpy[:, 2])
-    height = rollout.qpos[:, 2] - heights_under(model, rollout.qpos[:, :2])
-    soles = centers[:, :, 2] - radii - heights_under(model, centers[:, :, :2])
+    height = rollout.qpos[:, 2] - compute_floor_height(model, rollout.qpos[:, :2])
+    soles = centers[:, :, 2] - radii - compute_floor_height(model, centers[:, :, :2])
     torque = np.abs(rollout.torque) / compute_motor_limits(rollout, quadruped)
     torque = torque if rollout.steps else np.full((1, 12), np.nan)
     rate = np.abs(rollout.qvel[:, 6:]) / quadruped.velocity

@@ -48,7 +48,7 @@ class LoadedRun:
         return dataclasses.replace(self, env=env)
 
     def to_engine(self, engine: EngineName) -> "LoadedRun":
-        return dataclasses.replace(self, env=self.env.in_engine(engine))
+        return dataclasses.replace(self, env=self.env.to_engine(engine))
 
     def has_same_robot(self, other: "LoadedRun") -> bool:
         """Return True for a robot of the same joints and masses, and the same control period."""
@@ -89,7 +89,7 @@ def make_unseen_ground(trained: GroundConfig, seed: int, levels: int = 3) -> Gro
         return dataclasses.replace(trained, curriculum=False)
     kinds = tuple(dict.fromkeys(trained.kinds))
     return dataclasses.replace(
-        trained.unseen(seed), kinds=kinds, levels=levels, curriculum=False, confined=False
+        trained.make_unseen(seed), kinds=kinds, levels=levels, curriculum=False, confined=False
     )
 
 

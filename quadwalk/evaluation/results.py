@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from PIL import Image
 
 from quadwalk.cli.shell import ROOT
-from quadwalk.env.randomization import as_values
+from quadwalk.env.randomization import to_values
 from quadwalk.evaluation.gait import Gait, flatten_gait, measure_gait
 from quadwalk.evaluation.load import LoadedRun
 from quadwalk.evaluation.mcap.foot_forces import add_foot_forces
@@ -138,7 +138,7 @@ def evaluate_policy(
         limits = compute_motor_limits(rollout, env.quadruped)
         metrics = compute_metrics(rollout, env.config.reward, weight, limits)
         if rollout.conditions is not None:
-            metrics["conditions"] = as_values(rollout.conditions, env.stepping)
+            metrics["conditions"] = to_values(rollout.conditions, env.stepping)
         evaluation.episodes.append(metrics)
         if keep is None or episodes <= GROUP or rollout.episode < keep:
             evaluation.rollouts.append(rollout)

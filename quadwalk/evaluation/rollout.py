@@ -19,7 +19,7 @@ import numpy as np
 from quadwalk.brax import State
 from quadwalk.env.env import QuadrupedEnv
 from quadwalk.env.randomization import EpisodeRandomization
-from quadwalk.env.state import EnvState, tree_where
+from quadwalk.env.state import EnvState, select_rows
 
 # Observations (..., n) to actions (..., 12); a pytree (`jax.tree_util.Partial`), so that it can be
 # an argument of what is compiled: once for all policies of one shape.
@@ -167,7 +167,7 @@ def roll_out(
         states: State = share_over_devices(env, _take(starts, np.minimum(numbers, count - 1)))
         return states
 
-    renew = jax.jit(tree_where)
+    renew = jax.jit(select_rows)
     count, longest = len(starts.obs), env.config.episode_steps
     # The number of the episode in each row of the batch; `count` and more: none.
     numbers = np.arange(room or count)
@@ -278,6 +278,11 @@ def _record_step(
     start: EnvState = before.pipeline_state
     state: EnvState = after.pipeline_state
     ideal = start.conditions is None
+
+    def compute_applied_target(state: EnvState, action: jax.Array) -> jax.Array:
+        targets: jax.Array = env.apply_action(state, action)[3]
+        return targets[-1]
+
     return {
         "observation": before.obs[..., : len(env.sensors.names)],
         "action": action,
@@ -292,7 +297,7 @@ def _record_step(
             if name.startswith("reward/")
         },
         "command": None if start.command is None else start.command.velocity,
-        "applied_target": None if ideal else jax.vmap(env.applied_target)(start, action),
+        "applied_target": None if ideal else jax.vmap(compute_applied_target)(start, action),
         "truth": None if ideal else jax.vmap(partial(env.sensors.compute_truth, env.robot))(start),
     }
 

@@ -180,11 +180,11 @@ def reset_at_points(env: QuadrupedEnv, points: list[Point], episodes: int, seed:
 
     Each point has the same starts, and the same random numbers but for their size.
     """
-    latest = randomization.latest_drawn(find_training_ranges(env.config))
+    latest = randomization.compute_longest_latencies(find_training_ranges(env.config))
     late = max(p.delay / 1e3 + p.everything * latest[0] for p in points)
-    targets = randomization.targets_needed(math.ceil(late / env.stepping.dt), env.stepping.substeps)
+    targets = randomization.count_targets(math.ceil(late / env.stepping.dt), env.stepping.substeps)
     sensors = max(p.sensor_delay / 1e3 + p.everything * latest[1] for p in points)
-    readings = randomization.readings_needed(sensors, env.config.control_dt)
+    readings = randomization.count_readings(sensors, env.config.control_dt)
 
     keys = jax.random.split(jax.random.fold_in(jax.random.PRNGKey(seed), 1), episodes)
     points = [p if p.friction is not None else replace(p, friction=env.friction) for p in points]
@@ -192,7 +192,7 @@ def reset_at_points(env: QuadrupedEnv, points: list[Point], episodes: int, seed:
 
     def reset(env: QuadrupedEnv, row: jax.Array, state: State, key: jax.Array) -> State:
         conditions = sample_conditions_at(env, Point(*row), key, targets)
-        return env.begun(state, readings, conditions=conditions)
+        return env.start_episode(state, readings, conditions=conditions)
 
     return reset_cells(env, reset, rows, reset_episodes(env, episodes, seed), keys)
 
@@ -206,8 +206,8 @@ def sample_conditions_at(
     """
     robot, stepping = env.robot, env.stepping
     ideal = dataclasses.replace(NO_RANDOMIZATION, sensor_latency=(0.0, 0.0))
-    base = randomization.draw_conditions(ideal, robot, stepping, key, env.friction)
-    trained = randomization.draw_conditions(
+    base = randomization.sample_randomization(ideal, robot, stepping, key, env.friction)
+    trained = randomization.sample_randomization(
         find_training_ranges(env.config), robot, stepping, key, env.friction
     )
     trained = trained._replace(
@@ -232,7 +232,7 @@ def sample_conditions_at(
         kd=variation.kd * point.kd / 100.0,
     )
     return mixed._replace(
-        variation=randomization.possible(variation),
+        variation=randomization.clip_to_physical(variation),
         delay=mixed.delay + point.delay / (1000.0 * stepping.dt),
         sensor_delay=mixed.sensor_delay + point.sensor_delay / 1000.0 / stepping.control_dt,
         push=mixed.push + jnp.stack([point.push_ahead, point.push]),

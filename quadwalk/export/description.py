@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from quadwalk.env.reset import nominal_start
+from quadwalk.env.reset import compute_nominal_start
 from quadwalk.evaluation.load import LoadedRun
 from quadwalk.export.policy_graph import JointTargets
 from quadwalk.settings.environment import COMMANDED
@@ -35,7 +35,7 @@ def describe(loaded: LoadedRun, targets: JointTargets) -> dict[str, str]:
     ranges = {name: list(getattr(command, name)) for name in COMMANDED if command.active}
     # Limits of the command's numbers together.
     limits = {name: getattr(command, name) for name in ("lateral_until", "turning")}
-    start = nominal_start(env.mj_model_of(env.quadruped), env.quadruped, config.reset)
+    start = compute_nominal_start(env.make_mj_model(env.quadruped), env.quadruped, config.reset)
     return {
         "run_path": loaded.run.name,
         "joint_names": _to_list(env.quadruped.joints),

@@ -17,7 +17,7 @@ import onnx
 from onnx import TensorProto, helper, numpy_helper
 
 from quadwalk.env.env import QuadrupedEnv
-from quadwalk.env.robot_arrays import RobotArrays
+from quadwalk.env.state import RobotConstants
 from quadwalk.errors import UserError
 from quadwalk.learn.acting import make_phases
 from quadwalk.learn.distribution import MIN_STD, SURE
@@ -61,7 +61,7 @@ class JointTargets:
         return np.clip(self.offset + self.scale * action, self.lower, self.upper)
 
 
-def find_joint_targets(action_map: ActionMap, robot: RobotArrays) -> JointTargets:
+def find_joint_targets(action_map: ActionMap, robot: RobotConstants) -> JointTargets:
     """Return the numbers that `action_map` comes down to, as random actions confirm.
 
     Raises `UserError` for a map that is no clipped linear function of the action, or depends on

@@ -7,9 +7,9 @@ import jax
 import jax.numpy as jnp
 
 from quadwalk.brax import State
-from quadwalk.env.curriculum import Curriculum
 from quadwalk.env.reflections import Mirrors
-from quadwalk.env.state import tree_where
+from quadwalk.env.reset import Curriculum
+from quadwalk.env.state import select_rows
 from quadwalk.settings.environment import EnvConfig
 from quadwalk.settings.training import PPOConfig
 
@@ -51,7 +51,7 @@ class TrainingEnv(Protocol):
     def step(self, state: State, action: jax.Array) -> State:
         """Return the state one control step later; it does not start a fresh episode."""
 
-    def begun(self, state: State, **changes: Any) -> State:
+    def start_episode(self, state: State, **changes: Any) -> State:
         """Return the start of an episode with `changes` of its `pipeline_state`, observed anew."""
 
 
@@ -62,7 +62,7 @@ def reset_envs(env: TrainingEnv, keys: jax.Array, tiles: jax.Array | None = None
     """
     state = jax.vmap(env.reset)(*([keys] if tiles is None else [keys, tiles]))
     steps = jax.vmap(lambda key: jax.random.randint(key, (), 0, env.config.episode_steps))(keys)
-    return jax.vmap(env.begun)(state, steps=steps)
+    return jax.vmap(env.start_episode)(state, steps=steps)
 
 
 def sample_starts(
@@ -102,11 +102,11 @@ def choose_tiles(
     if env.curriculum is None:
         return None
     envs, (key_first, key_next, key_even) = len(state.tile), jax.random.split(key, 3)
-    following = jax.vmap(env.curriculum.following)(
+    following = jax.vmap(env.curriculum.sample_next_tile)(
         state.tile, state.travel, state.qpos, state.steps, jax.random.split(key_next, envs)
     )
-    learning = jnp.where(first, env.curriculum.first(envs, key_first), following)
-    evenly = env.curriculum.evenly(envs, key_even)
+    learning = jnp.where(first, env.curriculum.sample_first_tiles(envs, key_first), following)
+    evenly = env.curriculum.sample_tiles(envs, key_even)
     return jnp.where(jnp.arange(envs) < training_envs, learning, evenly)
 
 
@@ -139,7 +139,7 @@ def replace_finished(
         chunk = jax.lax.dynamic_slice_in_dim(rows, done, CHUNK)
         value = truncation[chunk] * bootstrap_value(after.obs[chunk])
         # Observed here: to observe all starts would take a twentieth of a training step.
-        start = jax.vmap(env.begun)(jax.tree.map(lambda x: x[chunk], starts))
+        start = jax.vmap(env.start_episode)(jax.tree.map(lambda x: x[chunk], starts))
         state, obs = jax.tree.map(
             lambda old, new: old.at[chunk].set(new, mode="drop"),
             (state, obs),
@@ -167,7 +167,7 @@ def retry_conditions(
         return None
     again = jax.random.bernoulli(key, share, after.done.shape) & (after.metrics["fell"] > 0)
     again &= jnp.arange(len(after.done)) < training_envs
-    return tree_where(again, before._replace(targets=fresh.targets, key=fresh.key), fresh)
+    return select_rows(again, before._replace(targets=fresh.targets, key=fresh.key), fresh)
 
 
 class NanStep(NamedTuple):

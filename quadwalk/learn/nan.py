@@ -69,7 +69,7 @@ def replay(path: Path | str) -> tuple[np.ndarray, np.ndarray]:
     engine, once = ENGINES[env.engine], dataclasses.replace(env.stepping, substeps=1)
 
     def step_through(env: QuadrupedEnv, before: Any, action: jax.Array) -> Any:
-        model, physics, _, target = env.driven(before, action)
+        model, physics, _, target = env.apply_action(before, action)
 
         def step_once(physics: Any, target: jax.Array) -> Any:
             after, _ = engine.step(model, once, physics, target)

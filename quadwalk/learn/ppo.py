@@ -169,7 +169,7 @@ class PPO:
             (jax.random.split(key_steps, config.unroll), jnp.arange(config.unroll)),
         )
         if env.curriculum is not None:
-            metrics |= env.curriculum.sums(after.pipeline_state.tile[:training_envs])
+            metrics |= env.curriculum.sum_levels(after.pipeline_state.tile[:training_envs])
         last_inputs = networks.normalize(learner.normalizer, after.obs[:training_envs])
         key, key_learn = jax.random.split(key)
         return (

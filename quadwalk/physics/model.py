@@ -19,7 +19,7 @@ from quadwalk.physics.surface import Ground, make_ground_surface, make_offset_su
 from quadwalk.physics.vectors import Array, Matrix, Vector
 from quadwalk.robot.quadruped import Quadruped
 from quadwalk.robot.scene import SPHERE_NAMES, compute_rotation
-from quadwalk.terrain.heightfield import FLOOR, Heightfield, field_of
+from quadwalk.terrain.heightfield import FLOOR, Heightfield, read_field
 
 
 @jax.tree_util.register_dataclass
@@ -168,7 +168,7 @@ def make_model(model: mujoco.MjModel, quadruped: Quadruped, motor: Motor) -> Mod
         gravity=_to_vector(model.opt.gravity),
         motor=motor,
     )
-    ground = field_of(model)
+    ground = read_field(model)
     return constants if ground is None else add_ground(constants, ground)
 
 

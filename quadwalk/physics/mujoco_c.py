@@ -22,7 +22,7 @@ from quadwalk.physics import motor
 from quadwalk.physics.model import RobotRandomization, randomize_motor
 from quadwalk.physics.motor import Effort, Motor, PhysicsState, Stepping
 from quadwalk.robot.quadruped import Quadruped
-from quadwalk.terrain.heightfield import field_of
+from quadwalk.terrain.heightfield import read_field
 from quadwalk.terrain.windows import Windows
 
 TIMESTEP = 0.002  # s, a physics step of the full model
@@ -70,8 +70,8 @@ class Stepper:
         if randomizations is None:
             return self.model, origins
         if self._windows is not None:
-            windows = self._windows.under(places)
-            origins = self._windows.middles(windows)
+            windows = self._windows.find_windows(places)
+            origins = self._windows.compute_middles(windows)
         rows = np.concatenate([np.reshape(x, (len(x), -1)) for x in randomizations], axis=1)
         # Models of earlier robots and places are dropped.
         earlier, self._models = self._models, {}
@@ -95,7 +95,7 @@ class Stepper:
         if self._windows is None:
             return model
         model = copy.copy(model)
-        self._windows.put(model, window)
+        self._windows.put_window(model, window)
         return model
 
     @cached_property
@@ -108,7 +108,7 @@ class Stepper:
 
     @cached_property
     def _windows(self) -> Windows | None:
-        field = field_of(self.model)
+        field = read_field(self.model)
         return None if field is None else Windows(self.model, field)
 
     @cached_property
@@ -116,7 +116,7 @@ class Stepper:
         """The full model without what can only be seen, on a window of its ground."""
         if self._windows is None:
             return self._quadruped.make_full_model(self.model.opt.timestep, visuals=False)
-        return self._windows.model_of(self._quadruped, self.model.opt.timestep)
+        return self._windows.make_model(self._quadruped, self.model.opt.timestep)
 
 
 def randomize_model(model: mujoco.MjModel, randomization: RobotRandomization) -> mujoco.MjModel:

@@ -35,6 +35,12 @@ def compute_yaw(quat: jax.Array) -> jax.Array:
     return jnp.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
 
 
+def rotate_about_z(angle: jax.Array, x: jax.Array, y: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Return vectors with components `x` and `y` (...), turned by `angle` () rad about world z."""
+    cos, sin = jnp.cos(angle), jnp.sin(angle)
+    return cos * x - sin * y, sin * x + cos * y
+
+
 def from_euler(roll: jax.Array, pitch: jax.Array, yaw: jax.Array) -> jax.Array:
     """Return the quaternion (4,) of Rz(yaw) Ry(pitch) Rx(roll), angles in rad."""
     cr, sr = jnp.cos(roll / 2), jnp.sin(roll / 2)

@@ -21,7 +21,7 @@ Delays = Annotated[Pair, Bounds(0.0, 1.0, unit="s", ordered=True)] | None
 
 _LONGEST = 40  # characters of a term's name, which is also a flag, a label and a heading
 COMMANDED = ("forward", "lateral", "yaw_rate")  # the numbers of a velocity command
-SIGHT = "height_scan"  # the observation that the blind do without
+SIGHT = "height_scan"  # the observation that a blind policy lacks
 
 
 @dataclass(frozen=True)
@@ -168,7 +168,7 @@ class RandomizationConfig(Settings, group="env.randomization"):
     imu_tilt: Range  # rad, rotation of the IMU about each axis
     latency: Delays  # s, delay of joint targets
     sensor_latency: Delays  # s, delay of sensors
-    noise: Sizes  # level of sensor noise; level 1 is what the observations state
+    noise: Sizes  # level of sensor noise; level 1 is that of the observations
     push: Sizes  # size of a push in any direction, as a share of sqrt(gravity * home height)
     push_seconds: Seconds = 5.0  # s; one push in each such period
     # training widens each range by this share of its ends' distance from the model's value;
@@ -249,7 +249,7 @@ class EnvConfig(Settings, group="env"):
     randomization: RandomizationConfig
     # Runs of early versions do not state it.
     ground: GroundConfig = FLAT
-    # the policy does without the observation `height_scan`; the value network keeps it
+    # hide the observation `height_scan` from the policy; the value network keeps it
     blind: bool = False
 
     def __post_init__(self) -> None:

@@ -144,9 +144,17 @@ class Termination(Term):
 
 @dataclass(frozen=True)
 class ActionMap(Term):
-    """A map of actions: `function(robot, action, joints)` gives joint targets (12,), rad."""
+    """A map of actions: `function(robot, action)` gives joint targets (12,), rad.
+
+    A function of three inputs also gets the joints' angles (12,), rad.
+    """
 
     gives: ClassVar[str] = "12 joint targets"
+
+    def __call__(self, robot: Any, action: Any, joints: Any) -> Any:
+        parameters = inspect.signature(self.function).parameters.values()
+        positional = [p for p in parameters if p.kind is not inspect.Parameter.KEYWORD_ONLY]
+        return super().__call__(robot, action, *([joints] if len(positional) > 2 else []))
 
     @staticmethod
     def fits(shape: tuple[int, ...]) -> bool:

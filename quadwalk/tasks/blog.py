@@ -12,10 +12,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from quadwalk.env import observations as observation
+from quadwalk.env import observations
 from quadwalk.env.reflections import AXIAL, JOINTS, SCALAR, VECTOR, mirrors
-from quadwalk.env.robot_arrays import RobotArrays
-from quadwalk.env.state import EnvState, Step
+from quadwalk.env.state import EnvState, RobotConstants, Step
 from quadwalk.physics.motor import MotorConfig
 from quadwalk.physics.rotation import rotate
 from quadwalk.robot.mirror import Mirror, RobotMirror
@@ -43,7 +42,7 @@ def _between_bounds_mirrored(robot: RobotMirror, params: dict[str, Any]) -> Mirr
 
 @mirrors(_between_bounds_mirrored)
 def between_bounds(
-    robot: RobotArrays,
+    robot: RobotConstants,
     action: jax.Array,
     joints: jax.Array,
     *,
@@ -63,31 +62,31 @@ def between_bounds(
 
 
 @mirrors(VECTOR)
-def world_position(robot: RobotArrays, state: EnvState) -> jax.Array:
+def world_position(robot: RobotConstants, state: EnvState) -> jax.Array:
     """Position of the trunk (3,), m."""
     return state.qpos[:3]
 
 
 @mirrors(AXIAL, SCALAR)
-def world_orientation(robot: RobotArrays, state: EnvState) -> jax.Array:
+def world_orientation(robot: RobotConstants, state: EnvState) -> jax.Array:
     """Orientation of the trunk (4,), a quaternion xyzw."""
     return state.qpos[3:7][jnp.array([1, 2, 3, 0])]
 
 
 @mirrors(VECTOR)
-def world_velocity(robot: RobotArrays, state: EnvState) -> jax.Array:
+def world_velocity(robot: RobotConstants, state: EnvState) -> jax.Array:
     """Linear velocity of the trunk (3,), world frame, m/s."""
     return state.qvel[:3]
 
 
 @mirrors(AXIAL)
-def world_angular_velocity(robot: RobotArrays, state: EnvState) -> jax.Array:
+def world_angular_velocity(robot: RobotConstants, state: EnvState) -> jax.Array:
     """Angular velocity of the trunk (3,), world frame, rad/s."""
     return rotate(state.qpos[3:7], state.qvel[3:6])
 
 
 @mirrors(JOINTS)
-def joint_angles(robot: RobotArrays, state: EnvState) -> jax.Array:
+def joint_angles(robot: RobotConstants, state: EnvState) -> jax.Array:
     """Joint angles (12,), rad."""
     return state.qpos[7:]
 
@@ -112,23 +111,23 @@ def compute_euler_angles(quat: jax.Array) -> jax.Array:
     return jnp.where(jnp.abs(sine) < 0.99999, general, vertical)
 
 
-def progress(robot: RobotArrays, step: Step) -> jax.Array:
+def progress(robot: RobotConstants, step: Step) -> jax.Array:
     """Distance along world x in the step, m."""
     return step.qpos[0] - step.start[0]
 
 
-def inclined(robot: RobotArrays, step: Step) -> jax.Array:
+def inclined(robot: RobotConstants, step: Step) -> jax.Array:
     """1 while roll or pitch is beyond 45 degrees."""
     roll_and_pitch = compute_euler_angles(step.qpos[3:7])[:2]
     return (jnp.max(jnp.abs(roll_and_pitch)) > jnp.pi / 4).astype(jnp.float32)
 
 
-def heading(robot: RobotArrays, step: Step) -> jax.Array:
+def heading(robot: RobotConstants, step: Step) -> jax.Array:
     """Angle between the heading and world x, rad, without bound."""
     return jnp.abs(compute_euler_angles(step.qpos[3:7])[2])
 
 
-def movement(robot: RobotArrays, step: Step) -> jax.Array:
+def movement(robot: RobotConstants, step: Step) -> jax.Array:
     """How far the joints moved in the step, all together, rad.
 
     From where the reset put them in an episode's first step. The post's code remembers the joints
@@ -137,12 +136,12 @@ def movement(robot: RobotArrays, step: Step) -> jax.Array:
     return jnp.sum(jnp.abs(step.qpos[7:] - step.start[7:]))
 
 
-def rolled_or_pitched(robot: RobotArrays, step: Step, *, angle: float) -> jax.Array:
+def rolled_or_pitched(robot: RobotConstants, step: Step, *, angle: float) -> jax.Array:
     """Roll or pitch is beyond `angle`, rad."""
     return jnp.max(jnp.abs(compute_euler_angles(step.qpos[3:7])[:2])) > angle
 
 
-def below(robot: RobotArrays, step: Step, *, height: float) -> jax.Array:
+def below(robot: RobotConstants, step: Step, *, height: float) -> jax.Array:
     """The trunk's origin is lower than `height`, m."""
     return step.qpos[2] < height
 
@@ -182,7 +181,7 @@ TASK = TrainConfig(
             "world_velocity": Observation(world_velocity, noise=0.1),
             "world_angular_velocity": Observation(world_angular_velocity, noise=0.2),
             "joint_pos": Observation(joint_angles, noise=0.01),
-            "joint_vel": Observation(observation.joint_velocities, noise=1.5),
+            "joint_vel": Observation(observations.joint_velocities, noise=1.5),
         },
         critic={},
         reward={

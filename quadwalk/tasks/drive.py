@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from quadwalk.env import rewards as reward
+from quadwalk.env import rewards
 from quadwalk.env.actions import ABOUT_HOME
 from quadwalk.env.observations import COMMAND, PROPRIOCEPTION, TRUE_LEGS, TRUE_TRUNK
 from quadwalk.env.terminations import FALLS
@@ -21,17 +21,17 @@ TASK = TrainConfig(
         observation={**COMMAND, **PROPRIOCEPTION},
         critic={**TRUE_TRUNK, **TRUE_LEGS},
         reward={
-            "fall": Reward(reward.fall, scale=-90.0),
-            "track": Reward(reward.track, {"width": 0.15, "share": 0.05}, scale=2.5),
-            "approach": Reward(reward.approach, scale=1.0),
-            "follow_yaw_rate": Reward(reward.follow_yaw_rate, {"width": 0.2}, scale=1.0),
-            "yaw_rate_off": Reward(reward.yaw_rate_off, scale=-1.2),
-            "fidget": Reward(reward.fidget, scale=-5.0),
-            "energy": Reward(reward.energy, scale=-0.05),
-            "vertical": Reward(reward.vertical, scale=-0.3),
-            "tilt": Reward(reward.tilt, scale=-0.5),
-            "roll_pitch_rate": Reward(reward.roll_pitch_rate, scale=-0.1),
-            "action_rate": Reward(reward.action_rate, scale=-0.1),
+            "fall": Reward(rewards.fall, scale=-90.0),
+            "track": Reward(rewards.track, {"width": 0.15, "share": 0.05}, scale=2.5),
+            "approach": Reward(rewards.approach, scale=1.0),
+            "follow_yaw_rate": Reward(rewards.follow_yaw_rate, {"width": 0.2}, scale=1.0),
+            "yaw_rate_off": Reward(rewards.yaw_rate_off, scale=-1.2),
+            "fidget": Reward(rewards.fidget, scale=-5.0),
+            "energy": Reward(rewards.energy, scale=-0.05),
+            "vertical": Reward(rewards.vertical, scale=-0.3),
+            "tilt": Reward(rewards.tilt, scale=-0.5),
+            "roll_pitch_rate": Reward(rewards.roll_pitch_rate, scale=-0.1),
+            "action_rate": Reward(rewards.action_rate, scale=-0.1),
         },
         termination=FALLS,
         reset=HOME_RESET,

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from quadwalk.env import rewards as reward
+from quadwalk.env import rewards
 from quadwalk.env.actions import feet_alike
 from quadwalk.env.observations import PROPRIOCEPTION, TRUE_LEGS, TRUE_TRUNK
 from quadwalk.settings.environment import HOME_RESET, NO_COMMAND, PHYSICS, REAL_WORLD, EnvConfig
@@ -20,13 +20,13 @@ TASK = TrainConfig(
         observation=PROPRIOCEPTION,
         critic={**TRUE_TRUNK, **TRUE_LEGS},
         reward={
-            "upright": Reward(reward.upright, scale=1.0),
-            "raised": Reward(reward.raised, scale=1.0),
-            "at_home": Reward(reward.at_home, {"joints": 0.3, "height": 0.35}, scale=2.0),
-            "crossed": Reward(reward.crossed, {"margin": 0.05}, scale=-20.0),
-            "energy": Reward(reward.energy, scale=-0.05),
-            "action_rate": Reward(reward.action_rate, scale=-0.05),
-            "joint_speed": Reward(reward.joint_speed, scale=-0.002),
+            "upright": Reward(rewards.upright, scale=1.0),
+            "raised": Reward(rewards.raised, scale=1.0),
+            "at_home": Reward(rewards.at_home, {"joints": 0.3, "height": 0.35}, scale=2.0),
+            "crossed": Reward(rewards.crossed, {"margin": 0.05}, scale=-20.0),
+            "energy": Reward(rewards.energy, scale=-0.05),
+            "action_rate": Reward(rewards.action_rate, scale=-0.05),
+            "joint_speed": Reward(rewards.joint_speed, scale=-0.002),
         },
         termination={},  # it lies at the start
         reset=replace(HOME_RESET, joints=0.8, tumbled=True),

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from quadwalk.env import rewards as reward
+from quadwalk.env import rewards
 from quadwalk.env.actions import ABOUT_HOME
 from quadwalk.env.observations import (
     HEADING,
@@ -37,18 +37,18 @@ TASK = TrainConfig(
         critic={**TRUE_TRUNK, "heading": Observation(heading), **TRUE_LEGS},
         reward={
             # Where faster pays, one in eight falls over blocks of 10 cm, whatever a fall costs.
-            "forward": Reward(reward.forward, {"max_speed": 2.75}, scale=1.0),
-            "fall": Reward(reward.fall, scale=-30.0),
-            "yaw": Reward(reward.yaw_error, scale=-0.6),
-            "energy": Reward(reward.energy, scale=-0.02),
-            "alive": Reward(reward.alive, scale=0.5),
-            "lateral": Reward(reward.lateral, scale=-0.3),
-            "vertical": Reward(reward.vertical, scale=-0.1),
-            "tilt": Reward(reward.tilt, scale=-0.2),
-            "roll_pitch_rate": Reward(reward.roll_pitch_rate, scale=-0.1),
-            "action_rate": Reward(reward.action_rate, scale=-0.1),
+            "forward": Reward(rewards.forward, {"max_speed": 2.75}, scale=1.0),
+            "fall": Reward(rewards.fall, scale=-30.0),
+            "yaw": Reward(rewards.yaw_error, scale=-0.6),
+            "energy": Reward(rewards.energy, scale=-0.02),
+            "alive": Reward(rewards.alive, scale=0.5),
+            "lateral": Reward(rewards.lateral, scale=-0.3),
+            "vertical": Reward(rewards.vertical, scale=-0.1),
+            "tilt": Reward(rewards.tilt, scale=-0.2),
+            "roll_pitch_rate": Reward(rewards.roll_pitch_rate, scale=-0.1),
+            "action_rate": Reward(rewards.action_rate, scale=-0.1),
             # Knees may touch, so without this it crawls. Where it stands, shins are 2 cm up.
-            "kneel": Reward(reward.kneel, {"height": 0.015}, scale=-1.0),
+            "kneel": Reward(rewards.kneel, {"height": 0.015}, scale=-1.0),
         },
         termination=TRUNK_FALLS,
         reset=replace(HOME_RESET, offset=0.0),

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from quadwalk.env import rewards as reward
+from quadwalk.env import rewards
 from quadwalk.env.actions import about_home
 from quadwalk.env.observations import (
     PROPRIOCEPTION,
@@ -35,18 +35,18 @@ TASK = TrainConfig(
         },
         critic={**TRUE_TRUNK, **TRUE_LEGS},
         reward={
-            "fall": Reward(reward.fall, scale=-10.0),
-            "energy": Reward(reward.energy, scale=-0.2),
-            "vertical": Reward(reward.vertical, scale=-0.5),
-            "tilt": Reward(reward.tilt, scale=-0.1),
-            "roll_pitch_rate": Reward(reward.roll_pitch_rate, scale=-0.05),
-            "action_rate": Reward(reward.action_rate, scale=-0.1),
+            "fall": Reward(rewards.fall, scale=-10.0),
+            "energy": Reward(rewards.energy, scale=-0.2),
+            "vertical": Reward(rewards.vertical, scale=-0.5),
+            "tilt": Reward(rewards.tilt, scale=-0.1),
+            "roll_pitch_rate": Reward(rewards.roll_pitch_rate, scale=-0.05),
+            "action_rate": Reward(rewards.action_rate, scale=-0.1),
             # Knees may touch, so without this it crawls. Where it stands, shins are 2 cm up.
-            "kneel": Reward(reward.kneel, {"height": 0.015}, scale=-1.0),
-            "follow": Reward(reward.follow, {"width": 0.35}, scale=1.0),
-            "follow_yaw_rate": Reward(reward.follow_yaw_rate, {"width": 0.35}, scale=0.5),
-            "drag": Reward(reward.drag, {"height": 0.02}, scale=-0.3),
-            "trot": Reward(reward.trot, {"stride": 20.0, "height": 0.1, "width": 0.04}, scale=1.0),
+            "kneel": Reward(rewards.kneel, {"height": 0.015}, scale=-1.0),
+            "follow": Reward(rewards.follow, {"width": 0.35}, scale=1.0),
+            "follow_yaw_rate": Reward(rewards.follow_yaw_rate, {"width": 0.35}, scale=0.5),
+            "drag": Reward(rewards.drag, {"height": 0.02}, scale=-0.3),
+            "trot": Reward(rewards.trot, {"stride": 20.0, "height": 0.1, "width": 0.04}, scale=1.0),
         },
         termination=TRUNK_FALLS,
         reset=replace(HOME_RESET, yaw=3.14, offset=0.0),

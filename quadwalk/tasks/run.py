@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from quadwalk.env import rewards as reward
+from quadwalk.env import rewards
 from quadwalk.env.actions import ABOUT_HOME
 from quadwalk.env.observations import HEADING, PROPRIOCEPTION, TRUE_LEGS, TRUE_TRUNK, heading
 from quadwalk.env.terminations import FALLS
@@ -21,18 +21,18 @@ TASK = TrainConfig(
         observation={**HEADING, **PROPRIOCEPTION},
         critic={**TRUE_TRUNK, "heading": Observation(heading), **TRUE_LEGS},
         reward={
-            "forward": Reward(reward.forward, {"max_speed": 7.0}, scale=1.0),
-            "fall": Reward(reward.fall, scale=-30.0),
-            "yaw": Reward(reward.yaw_error, scale=-0.6),
-            "energy": Reward(reward.energy, scale=-0.02),
-            "alive": Reward(reward.alive, scale=0.5),
+            "forward": Reward(rewards.forward, {"max_speed": 7.0}, scale=1.0),
+            "fall": Reward(rewards.fall, scale=-30.0),
+            "yaw": Reward(rewards.yaw_error, scale=-0.6),
+            "energy": Reward(rewards.energy, scale=-0.02),
+            "alive": Reward(rewards.alive, scale=0.5),
             # Of the gaits that are found by chance in the first minute the trot is the fastest.
-            "diagonal": Reward(reward.diagonal, {"height": 0.04}, scale=0.4),
-            "lateral": Reward(reward.lateral, scale=-0.3),
-            "vertical": Reward(reward.vertical, scale=-0.3),
-            "tilt": Reward(reward.tilt, scale=-0.5),
-            "roll_pitch_rate": Reward(reward.roll_pitch_rate, scale=-0.1),
-            "action_rate": Reward(reward.action_rate, scale=-0.1),
+            "diagonal": Reward(rewards.diagonal, {"height": 0.04}, scale=0.4),
+            "lateral": Reward(rewards.lateral, scale=-0.3),
+            "vertical": Reward(rewards.vertical, scale=-0.3),
+            "tilt": Reward(rewards.tilt, scale=-0.5),
+            "roll_pitch_rate": Reward(rewards.roll_pitch_rate, scale=-0.1),
+            "action_rate": Reward(rewards.action_rate, scale=-0.1),
         },
         termination=FALLS,
         reset=HOME_RESET,

@@ -2,8 +2,7 @@
 
 from dataclasses import replace
 
-from quadwalk.env import observations as observation
-from quadwalk.env import rewards as reward
+from quadwalk.env import observations, rewards
 from quadwalk.env.actions import ABOUT_HOME
 from quadwalk.env.observations import HEADING
 from quadwalk.env.terminations import FALLS
@@ -26,28 +25,28 @@ TASK = TrainConfig(
         **PHYSICS,
         action=ABOUT_HOME,
         observation={
-            "velocity": Observation(observation.velocity, noise=0.1),
-            "angular_velocity": Observation(observation.angular_velocity, noise=0.2),
-            "gravity": Observation(observation.gravity, noise=0.05),
+            "velocity": Observation(observations.velocity, noise=0.1),
+            "angular_velocity": Observation(observations.angular_velocity, noise=0.2),
+            "gravity": Observation(observations.gravity, noise=0.05),
             **HEADING,
-            "offset": Observation(observation.offset, {"reach": 1.0}, noise=0.05),
-            "joint_pos": Observation(observation.joint_positions, noise=0.01),
-            "joint_vel": Observation(observation.joint_velocities, noise=1.5),
-            "last_action": Observation(observation.last_action),
+            "offset": Observation(observations.offset, {"reach": 1.0}, noise=0.05),
+            "joint_pos": Observation(observations.joint_positions, noise=0.01),
+            "joint_vel": Observation(observations.joint_velocities, noise=1.5),
+            "last_action": Observation(observations.last_action),
         },
         critic={},
         reward={
-            "forward": Reward(reward.forward, {"max_speed": 7.0}, scale=1.0),
-            "fall": Reward(reward.fall, scale=-10.0),
-            "yaw": Reward(reward.yaw_error, scale=-0.6),
-            "energy": Reward(reward.energy, scale=-0.02),
-            "alive": Reward(reward.alive, scale=0.5),
-            "lateral": Reward(reward.lateral, scale=-0.3),
-            "offset": Reward(reward.offset, scale=-0.3),
-            "vertical": Reward(reward.vertical, scale=-0.3),
-            "tilt": Reward(reward.tilt, scale=-0.5),
-            "roll_pitch_rate": Reward(reward.roll_pitch_rate, scale=-0.1),
-            "action_rate": Reward(reward.action_rate, scale=-0.1),
+            "forward": Reward(rewards.forward, {"max_speed": 7.0}, scale=1.0),
+            "fall": Reward(rewards.fall, scale=-10.0),
+            "yaw": Reward(rewards.yaw_error, scale=-0.6),
+            "energy": Reward(rewards.energy, scale=-0.02),
+            "alive": Reward(rewards.alive, scale=0.5),
+            "lateral": Reward(rewards.lateral, scale=-0.3),
+            "offset": Reward(rewards.offset, scale=-0.3),
+            "vertical": Reward(rewards.vertical, scale=-0.3),
+            "tilt": Reward(rewards.tilt, scale=-0.5),
+            "roll_pitch_rate": Reward(rewards.roll_pitch_rate, scale=-0.1),
+            "action_rate": Reward(rewards.action_rate, scale=-0.1),
         },
         termination=FALLS,
         reset=HOME_RESET,

@@ -1,6 +1,6 @@
 """walk: follow a velocity command at a trot, with a real robot's sensors and disturbances."""
 
-from quadwalk.env import rewards as reward
+from quadwalk.env import rewards
 from quadwalk.env.actions import ABOUT_HOME
 from quadwalk.env.observations import PROPRIOCEPTION, TROT_COMMAND, TRUE_LEGS, TRUE_TRUNK
 from quadwalk.env.terminations import FALLS
@@ -19,16 +19,18 @@ TASK = TrainConfig(
         observation={**TROT_COMMAND, **PROPRIOCEPTION},
         critic={**TRUE_TRUNK, **TRUE_LEGS},
         reward={
-            "fall": Reward(reward.fall, scale=-30.0),
-            "energy": Reward(reward.energy, scale=-0.2),
-            "vertical": Reward(reward.vertical, scale=-0.5),
-            "tilt": Reward(reward.tilt, scale=-0.5),
-            "roll_pitch_rate": Reward(reward.roll_pitch_rate, scale=-0.05),
-            "action_rate": Reward(reward.action_rate, scale=-0.1),
-            "follow": Reward(reward.follow, {"width": 0.35}, scale=1.0),
-            "follow_yaw_rate": Reward(reward.follow_yaw_rate, {"width": 0.35}, scale=0.5),
-            "drag": Reward(reward.drag, {"height": 0.02}, scale=-0.3),
-            "trot": Reward(reward.trot, {"stride": 20.0, "height": 0.08, "width": 0.04}, scale=1.0),
+            "fall": Reward(rewards.fall, scale=-30.0),
+            "energy": Reward(rewards.energy, scale=-0.2),
+            "vertical": Reward(rewards.vertical, scale=-0.5),
+            "tilt": Reward(rewards.tilt, scale=-0.5),
+            "roll_pitch_rate": Reward(rewards.roll_pitch_rate, scale=-0.05),
+            "action_rate": Reward(rewards.action_rate, scale=-0.1),
+            "follow": Reward(rewards.follow, {"width": 0.35}, scale=1.0),
+            "follow_yaw_rate": Reward(rewards.follow_yaw_rate, {"width": 0.35}, scale=0.5),
+            "drag": Reward(rewards.drag, {"height": 0.02}, scale=-0.3),
+            "trot": Reward(
+                rewards.trot, {"stride": 20.0, "height": 0.08, "width": 0.04}, scale=1.0
+            ),
         },
         termination=FALLS,
         reset=HOME_RESET,

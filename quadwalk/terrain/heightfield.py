@@ -32,8 +32,8 @@ class Heightfield:
         rows, columns = self.heights.shape
         return (columns - 1) * self.cell, (rows - 1) * self.cell
 
-    def height_at(self, points: np.ndarray) -> np.ndarray:
-        """The height (...), m, at `points` (..., 2), m; beyond an edge, that of the edge."""
+    def compute_height(self, points: np.ndarray) -> np.ndarray:
+        """Return the height (...), m, at `points` (..., 2), m; beyond an edge, that of the edge."""
         shape = np.array(self.heights.shape[::-1])
         at = np.clip((np.asarray(points) - self.origin) / self.cell, 0, shape - 1)
         corner = np.minimum(at.astype(int), shape - 2)
@@ -45,15 +45,15 @@ class Heightfield:
         return h[i, j] * (1 - first) + third * (first - last) + h[i + 1, j + 1] * last
 
 
-def centered(heights: np.ndarray, cell: float) -> Heightfield:
-    """A field with the middle of the grid at x = y = 0."""
+def make_field(heights: np.ndarray, cell: float) -> Heightfield:
+    """Return a field with the middle of the grid at x = y = 0."""
     rows, columns = heights.shape
     origin = (-0.5 * (columns - 1) * cell, -0.5 * (rows - 1) * cell)
     return Heightfield(np.asarray(heights, np.float32), cell, origin)
 
 
 def read_heights(path: Path, white: float) -> np.ndarray:
-    """Heights (rows, columns), m, of an .npy file of numbers in m or of a gray PNG.
+    """Read heights (rows, columns), m, from an .npy file of numbers in m or from a gray PNG.
 
     In a picture black is 0 and white is `white` m; its top is the greatest y. Raises `UserError`
     that names the file and what is expected.
@@ -105,18 +105,18 @@ def lay(spec: mujoco.MjSpec, field: Heightfield) -> None:
 
 
 def has_field(spec: mujoco.MjSpec) -> bool:
-    """Whether the floor of `spec` is a heightfield."""
+    """Return True if the floor of `spec` is a heightfield."""
     return bool(spec.geom(FLOOR).type == mujoco.mjtGeom.mjGEOM_HFIELD)
 
 
-def heights_under(model: mujoco.MjModel, points: np.ndarray) -> np.ndarray:
-    """The height (...), m, of a model's floor at `points` (..., 2), m; 0 where it is a plane."""
-    field = field_of(model)
-    return np.zeros(np.shape(points)[:-1]) if field is None else field.height_at(points)
+def compute_floor_height(model: mujoco.MjModel, points: np.ndarray) -> np.ndarray:
+    """Return the height (...), m, of a model's floor at `points` (..., 2), m; 0 for a plane."""
+    field = read_field(model)
+    return np.zeros(np.shape(points)[:-1]) if field is None else field.compute_height(points)
 
 
-def field_of(model: mujoco.MjModel) -> Heightfield | None:
-    """The field that a model's floor is, as MuJoCo has its numbers; None where it is a plane."""
+def read_field(model: mujoco.MjModel) -> Heightfield | None:
+    """Read the field that a model's floor is, with MuJoCo's numbers; None for a plane."""
     floor = model.geom(FLOOR)
     if floor.type[0] != mujoco.mjtGeom.mjGEOM_HFIELD:
         return None

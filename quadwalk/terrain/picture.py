@@ -1,4 +1,4 @@
-"""A picture of every kind of ground, with the robot on it."""
+"""A picture of every kind of terrain, with the robot on it."""
 
 from dataclasses import replace
 from typing import Any
@@ -11,7 +11,7 @@ from quadwalk.render.canvas import Camera, Canvas
 from quadwalk.render.images import make_film_strip
 from quadwalk.robot.quadruped import Quadruped
 from quadwalk.terrain.heightfield import Heightfield, lay
-from quadwalk.terrain.terrain import GroundConfig, Place, leg_length, make_terrain
+from quadwalk.terrain.terrain import GroundConfig, Place, make_terrain, measure_leg
 
 _ACROSS = 3  # pictures in a row, where there is one level
 _SIZE = (480, 320)  # pixels of one
@@ -20,11 +20,11 @@ _TEXT: dict[str, Any] = {"fill": (30, 34, 40), "stroke_width": 2, "stroke_fill":
 
 
 def draw_kinds(config: GroundConfig, quadruped: Quadruped) -> np.ndarray:
-    """(height, width, 3) uint8: every kind of `config` at every level, the robot in its middle.
+    """Draw every kind of `config` at every level, with the robot, (height, width, 3) uint8.
 
     The levels of a kind are in one row; of one level, three kinds are in a row.
     """
-    leg = leg_length(quadruped.make_full_model(visuals=False), quadruped.feet[0])
+    leg = measure_leg(quadruped.make_full_model(visuals=False), quadruped.feet[0])
     terrain = make_terrain(config, leg)
     spec = quadruped.spec.copy()
     lay(spec, terrain.field)
@@ -32,7 +32,7 @@ def draw_kinds(config: GroundConfig, quadruped: Quadruped) -> np.ndarray:
     canvas, font = Canvas(model, *_SIZE), ImageFont.load_default(size=22)
     pictures = []
     for place in terrain.tiles:
-        qpos = _standing(model, quadruped, place, terrain.field)
+        qpos = _settle(model, quadruped, place, terrain.field)
         eye = Camera(qpos[:3], distance=8.5 * quadruped.home[2], azimuth=60.0, elevation=-22.0)
         picture = Image.fromarray(canvas.draw(qpos, eye))
         label = f"{place.kind.replace('_', ' ')}, difficulty {place.difficulty:.2g}"
@@ -41,16 +41,16 @@ def draw_kinds(config: GroundConfig, quadruped: Quadruped) -> np.ndarray:
     return make_film_strip(pictures, config.levels if config.levels > 1 else _ACROSS)
 
 
-def _standing(
+def _settle(
     model: mujoco.MjModel, quadruped: Quadruped, place: Place, field: Heightfield
 ) -> np.ndarray:
-    """qpos (19,) of the robot after it was put down where an episode starts."""
+    """Return qpos (19,) of the robot after it was put down where an episode starts."""
     data = mujoco.MjData(model)
     data.qpos[:] = quadruped.home
     data.qpos[:2] = place.start
     mujoco.mj_kinematics(model, data)
     feet = np.array([data.geom(name).xpos[:2] for name in quadruped.feet])
-    data.qpos[2] += field.height_at(feet).max()
+    data.qpos[2] += field.compute_height(feet).max()
     stiff = 1.4 * model.body_subtreemass[0] * quadruped.gravity * quadruped.home[2]
     while data.time < _SETTLED:
         torque = stiff * (quadruped.home[7:] - data.qpos[7:] - 0.025 * data.qvel[6:])

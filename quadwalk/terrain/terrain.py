@@ -2,7 +2,7 @@
 
 import dataclasses
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -11,8 +11,8 @@ import numpy as np
 
 from quadwalk.bounds import Bounds, Few, Natural, Settings
 from quadwalk.errors import UsageError
-from quadwalk.terrain.heightfield import Heightfield, centered, read_heights
-from quadwalk.terrain.tiles import KINDS, OF_LEG, Patch, Sizes, make_tile
+from quadwalk.terrain.heightfield import Heightfield, make_field, read_heights
+from quadwalk.terrain.tiles import KINDS, OF_LEG, Patch, Sizes
 
 FILE = "file"  # the kind of a field that was read
 UNSEEN = 1_000_000  # seeds from here on are for evaluation
@@ -40,7 +40,7 @@ class GroundConfig(Settings, group="env.ground"):
     roughness: Meters | None  # m, amplitude at difficulty 1; None: 0.16 of a leg
     file: Path | None  # a gray PNG, or an .npy file of heights in m, instead of tiles
     white: Meters  # m, height of white in a PNG; black is 0
-    # in training, an environment's level follows its success; False: all levels are drawn alike
+    # in training, an environment's level follows its success; False: all levels are equally likely
     curriculum: bool = False
     confined: bool = False  # an episode ends where it leaves its tile, without a fall
 
@@ -59,20 +59,20 @@ class GroundConfig(Settings, group="env.ground"):
 
     @property
     def flat(self) -> bool:
-        """Whether there is nothing but a flat floor."""
+        """True for nothing but a flat floor."""
         return not self.kinds and self.file is None
 
     @property
     def difficulties(self) -> tuple[float, ...]:
-        """Of each level."""
+        """Difficulty of each level."""
         return tuple(float(x) for x in np.linspace(*self.difficulty, self.levels))
 
-    def unseen(self, seed: int = 0) -> "GroundConfig":
-        """The same kinds of ground as training does not have them; `seed` draws one."""
+    def make_unseen(self, seed: int = 0) -> "GroundConfig":
+        """Return the same kinds of ground of another seed, which training never has."""
         return dataclasses.replace(self, seed=UNSEEN + seed)
 
 
-# Of a task on a flat floor; tiles and levels as in legged_gym (arXiv:2109.11978).
+# For a task on a flat floor; tiles and levels as in legged_gym (arXiv:2109.11978).
 FLAT = GroundConfig(
     kinds=(),
     levels=10,
@@ -92,7 +92,7 @@ FLAT = GroundConfig(
 
 @dataclass(frozen=True)
 class Place:
-    """One tile of a field."""
+    """A tile of a field."""
 
     kind: str
     level: int
@@ -105,53 +105,48 @@ class Place:
 
 @dataclass(frozen=True, eq=False)
 class Terrain:
-    """A field of heights and what its tiles are: kind by kind, of each its levels in turn."""
+    """A field of heights and its tiles: kind by kind, of each its levels in turn."""
 
     field: Heightfield
     tiles: tuple[Place, ...]
 
-    def tile(self, kind: str, level: int) -> Place:
-        """The first tile of this kind and level; `UsageError` where there is none."""
-        found = [tile for tile in self.tiles if tile.kind == kind]
-        if not found:
-            kinds = dict.fromkeys(tile.kind for tile in self.tiles)
-            raise UsageError(f"the terrain has no tile {kind!r}; it has: {', '.join(kinds)}")
-        for tile in found:
-            if tile.level == level:
+    def find_tile(self, kind: str, level: int) -> Place:
+        """Return the first tile of this kind and level; `UsageError` where there is none."""
+        for tile in self.tiles:
+            if (tile.kind, tile.level) == (kind, level):
                 return tile
+        names = dict.fromkeys(f"{tile.kind} {tile.level}" for tile in self.tiles)
         raise UsageError(
-            f"the terrain has no tile {kind!r} of level {level}; expected 0 to "
-            f"{max(tile.level for tile in found)}"
+            f"the terrain has no tile {kind!r} of level {level}; it has: {', '.join(names)}"
         )
 
 
-def leg_length(model: mujoco.MjModel, foot: str) -> float:
-    """From the thigh's joint to the foot's center with the knee stretched, m."""
+def measure_leg(model: mujoco.MjModel, foot: str) -> float:
+    """Return the distance from the thigh's joint to the foot's center, the knee stretched, m."""
     geom = model.geom(foot).id
     calf = model.geom_bodyid[geom]
     return float(np.linalg.norm(model.body_pos[calf]) + np.linalg.norm(model.geom_pos[geom]))
 
 
-def sizes_of(config: GroundConfig, leg: float) -> Sizes:
-    """What tiles of difficulty 1 are like, for a robot whose legs are `leg` m long."""
-    scaled = {
-        field.name: getattr(OF_LEG, field.name) * (1.0 if field.name == "slope" else leg)
-        for field in fields(Sizes)
-    }
-    given = {name: getattr(config, name) for name in ("step", "tread", "block", "roughness")}
-    return Sizes(**(scaled | {name: size for name, size in given.items() if size is not None}))
+def make_sizes(config: GroundConfig, leg: float) -> Sizes:
+    """Return the sizes of tiles of difficulty 1, for a robot whose legs are `leg` m long."""
+    sizes = {name: size * (1.0 if name == "slope" else leg) for name, size in vars(OF_LEG).items()}
+    for name in ("step", "tread", "block", "roughness"):
+        if getattr(config, name) is not None:
+            sizes[name] = getattr(config, name)
+    return Sizes(**sizes)
 
 
 def make_terrain(config: GroundConfig, leg: float) -> Terrain:
-    """The field of `config` for a robot whose legs are `leg` m long.
+    """Make the field of `config` for a robot whose legs are `leg` m long.
 
     Levels follow one another along x, kinds along y; the middle of all is x = y = 0. A tile
     depends on its kind, its difficulty, its place in the order and the seed alone.
     """
     assert not config.flat
     if config.file is not None:
-        return _from_file(config, config.file)
-    sizes = sizes_of(config, leg)
+        return _read_terrain(config, config.file)
+    sizes = make_sizes(config, leg)
     cell, levels = config.cell, config.difficulties
     columns, rows = (round(side / cell) for side in config.tile)
     edge = round(config.border / cell)
@@ -163,24 +158,24 @@ def make_terrain(config: GroundConfig, leg: float) -> Terrain:
         )
     x, y = (cell * (np.arange(n + 1) - n / 2) for n in (columns, rows))
     patch = Patch(x, y, cell)
-    field = centered(np.zeros(shape, np.float32), cell)
+    field = make_field(np.zeros(shape, np.float32), cell)
     tiles = []
     for k, kind in enumerate(config.kinds):
         for level, difficulty in enumerate(levels):
             rng = np.random.default_rng([config.seed, k, level])
             top, left = edge + k * rows, edge + level * columns
             # A tile's last nodes are the next one's first.
-            heights = make_tile(kind, patch, sizes, difficulty, rng)
+            heights = KINDS[kind](patch, sizes, difficulty, rng)
             field.heights[top : top + rows + 1, left : left + columns + 1] = heights
             middle = (
                 field.origin[0] + cell * (left + columns / 2),
                 field.origin[1] + cell * (top + rows / 2),
             )
-            tiles.append(_place(kind, level, difficulty, middle, patch, sizes))
+            tiles.append(_make_place(kind, level, difficulty, middle, patch, sizes))
     return Terrain(field, tuple(tiles))
 
 
-def _place(
+def _make_place(
     kind: str,
     level: int,
     difficulty: float,
@@ -198,9 +193,9 @@ def _place(
     return Place(kind, level, difficulty, middle, size, start, spread)
 
 
-def _from_file(config: GroundConfig, path: Path) -> Terrain:
-    """The field that a file holds: one tile, on which episodes start anywhere near the middle."""
-    field = centered(read_heights(path, config.white), config.cell)
+def _read_terrain(config: GroundConfig, path: Path) -> Terrain:
+    """Read a field from a file: one tile, on which episodes start anywhere near the middle."""
+    field = make_field(read_heights(path, config.white), config.cell)
     middle, size = (0.0, 0.0), field.size
     spread = (size[0] / 4, size[1] / 4)
     return Terrain(field, (Place(FILE, 0, 0.0, middle, size, middle, spread),))

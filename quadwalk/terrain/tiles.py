@@ -11,12 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.random import Generator
 
-from quadwalk.errors import UsageError
-
 
 @dataclass(frozen=True)
 class Sizes:
-    """What tiles of difficulty 1 are like, m but for the slope."""
+    """Sizes of tiles of difficulty 1, m; only the slope is in rad."""
 
     slope: float  # rad
     roughness: float  # highest and lowest are +- this
@@ -32,7 +30,7 @@ class Sizes:
     middle: float  # half the side of the level square that a robot starts on
 
 
-# Of a robot with legs of 1 m. An AlienGo's, 0.5 m, meet stairs of 15 cm with treads of 30 cm,
+# For a robot with legs of 1 m. An AlienGo's, 0.5 m, meet stairs of 15 cm with treads of 30 cm,
 # blocks of 15 cm and roughness of +-8 cm, as its users train it for (DLSLab, Isaac Lab).
 OF_LEG = Sizes(
     slope=float(np.radians(25.0)),
@@ -52,7 +50,7 @@ OF_LEG = Sizes(
 
 @dataclass(frozen=True)
 class Patch:
-    """Where the nodes of a tile are, from its middle, m: x (columns,) and y (rows,)."""
+    """Places of a tile's nodes from its middle, m: x (columns,) and y (rows,)."""
 
     x: np.ndarray
     y: np.ndarray
@@ -65,61 +63,61 @@ class Patch:
 
     @property
     def inwards(self) -> np.ndarray:
-        """(rows, columns) how far each node is from the nearest edge, m."""
+        """Distance (rows, columns) of each node from the nearest edge, m."""
         across = np.abs(self.y[0]) - np.abs(self.y)
         along = np.abs(self.x[0]) - np.abs(self.x)
         return np.minimum(across[:, None], along[None, :])
 
 
-def _reach(patch: Patch, sizes: Sizes) -> float:
-    """m from the edge to where the level middle begins."""
+def _compute_reach(patch: Patch, sizes: Sizes) -> float:
+    """Return the distance from the edge to where the level middle begins, m."""
     return max(float(patch.inwards.max()) - sizes.middle, patch.cell)
 
 
-def flat(patch: Patch, sizes: Sizes, difficulty: float, rng: Generator) -> np.ndarray:
-    """Level ground."""
+def make_flat(patch: Patch, sizes: Sizes, difficulty: float, rng: Generator) -> np.ndarray:
+    """Make level ground."""
     return np.zeros(patch.shape)
 
 
-def slope_up(patch: Patch, sizes: Sizes, difficulty: float, rng: Generator) -> np.ndarray:
-    """A hollow: from its level middle the ground rises on all sides."""
+def make_slope_up(patch: Patch, sizes: Sizes, difficulty: float, rng: Generator) -> np.ndarray:
+    """Make a hollow: from its level middle the ground rises on all sides."""
     steepness = np.tan(difficulty * sizes.slope)
-    return -steepness * np.minimum(patch.inwards, _reach(patch, sizes))
+    return -steepness * np.minimum(patch.inwards, _compute_reach(patch, sizes))
 
 
-def slope_down(patch: Patch, sizes: Sizes, difficulty: float, rng: Generator) -> np.ndarray:
-    """A hill: from its level top the ground falls on all sides."""
-    return -slope_up(patch, sizes, difficulty, rng)
+def make_slope_down(patch: Patch, sizes: Sizes, difficulty: float, rng: Generator) -> np.ndarray:
+    """Make a hill: from its level top the ground falls on all sides."""
+    return -make_slope_up(patch, sizes, difficulty, rng)
 
 
-def rough(patch: Patch, sizes: Sizes, difficulty: float, rng: Generator) -> np.ndarray:
-    """Independent heights on a coarser grid, and straight lines between them."""
-    return difficulty * sizes.roughness * _noise(patch, sizes.grain, rng)
+def make_rough(patch: Patch, sizes: Sizes, difficulty: float, rng: Generator) -> np.ndarray:
+    """Make independent heights on a coarser grid, and straight lines between them."""
+    return difficulty * sizes.roughness * _make_noise(patch, sizes.grain, rng)
 
 
-def waves(patch: Patch, sizes: Sizes, difficulty: float, rng: Generator) -> np.ndarray:
-    """Two trains of waves that cross."""
+def make_waves(patch: Patch, sizes: Sizes, difficulty: float, rng: Generator) -> np.ndarray:
+    """Make two trains of waves that cross."""
     phases = rng.uniform(0.0, 2 * np.pi, 2)
     x, y = (2 * np.pi / sizes.wavelength * axis for axis in (patch.x, patch.y))
     both = np.sin(x + phases[0])[None, :] + np.sin(y + phases[1])[:, None]
     return 0.5 * difficulty * sizes.wave * both
 
 
-def stairs_up(patch: Patch, sizes: Sizes, difficulty: float, rng: Generator) -> np.ndarray:
-    """Stairs up from the level middle, on all sides."""
+def make_stairs_up(patch: Patch, sizes: Sizes, difficulty: float, rng: Generator) -> np.ndarray:
+    """Make stairs up from the level middle, on all sides."""
     # A little more, so that rounding does not decide where a stair begins.
-    number = np.floor((_reach(patch, sizes) - patch.inwards) / sizes.tread + 1e-6)
-    top = np.floor(_reach(patch, sizes) / sizes.tread + 1e-6)
+    number = np.floor((_compute_reach(patch, sizes) - patch.inwards) / sizes.tread + 1e-6)
+    top = np.floor(_compute_reach(patch, sizes) / sizes.tread + 1e-6)
     return difficulty * sizes.step * (np.clip(number + 1, 0, top) - top)
 
 
-def stairs_down(patch: Patch, sizes: Sizes, difficulty: float, rng: Generator) -> np.ndarray:
-    """Stairs down from the level middle, on all sides."""
-    return -stairs_up(patch, sizes, difficulty, rng)
+def make_stairs_down(patch: Patch, sizes: Sizes, difficulty: float, rng: Generator) -> np.ndarray:
+    """Make stairs down from the level middle, on all sides."""
+    return -make_stairs_up(patch, sizes, difficulty, rng)
 
 
-def blocks(patch: Patch, sizes: Sizes, difficulty: float, rng: Generator) -> np.ndarray:
-    """Blocks of random sizes lie on half of the ground; two make no higher one."""
+def make_blocks(patch: Patch, sizes: Sizes, difficulty: float, rng: Generator) -> np.ndarray:
+    """Make blocks of random sizes on half of the ground; two make no higher one."""
     heights = np.zeros(patch.shape)
     sides = np.array([np.ptp(patch.x), np.ptp(patch.y)])
     for _ in range(round(0.7 * float(np.prod(sides)) / sizes.block_length**2)):
@@ -129,13 +127,13 @@ def blocks(patch: Patch, sizes: Sizes, difficulty: float, rng: Generator) -> np.
         ahead = np.abs(patch.x - place[0]) < half[0]
         left = np.abs(patch.y - place[1]) < half[1]
         heights[np.ix_(left, ahead)] = height
-    heights[_around_middle(patch, sizes)] = 0.0
+    heights[_is_around_middle(patch, sizes)] = 0.0
     return heights
 
 
-def ditches(patch: Patch, sizes: Sizes, difficulty: float, rng: Generator) -> np.ndarray:
-    """Ditches all around the middle, one after the other."""
-    outwards = _reach(patch, sizes) - patch.inwards
+def make_ditches(patch: Patch, sizes: Sizes, difficulty: float, rng: Generator) -> np.ndarray:
+    """Make ditches all around the middle, one after the other."""
+    outwards = _compute_reach(patch, sizes) - patch.inwards
     period = sizes.ditch + sizes.middle
     within = np.mod(outwards, period) - 0.5 * sizes.middle
     width = difficulty * sizes.ditch
@@ -143,8 +141,8 @@ def ditches(patch: Patch, sizes: Sizes, difficulty: float, rng: Generator) -> np
     return np.where(dug, -difficulty * sizes.ditch_depth, 0.0)
 
 
-def course(patch: Patch, sizes: Sizes, difficulty: float, rng: Generator) -> np.ndarray:
-    """Blocks, logs and ditches across the way along x, in random order and at random distances."""
+def make_course(patch: Patch, sizes: Sizes, difficulty: float, rng: Generator) -> np.ndarray:
+    """Make blocks, logs and ditches across the way along x, in random order and distances."""
     heights = np.zeros(patch.shape)
     ahead, finish = float(patch.x[0]) + 2 * sizes.middle, float(patch.x[-1]) - sizes.middle
     low, high = float(patch.y[0]), float(patch.y[-1])
@@ -172,8 +170,8 @@ def course(patch: Patch, sizes: Sizes, difficulty: float, rng: Generator) -> np.
         ahead += length
 
 
-def _noise(patch: Patch, grain: float, rng: Generator) -> np.ndarray:
-    """(rows, columns) between -1 and 1: uniform at nodes `grain` apart, bilinear between them."""
+def _make_noise(patch: Patch, grain: float, rng: Generator) -> np.ndarray:
+    """Return numbers (rows, columns) uniform in +-1 at nodes `grain` apart, bilinear between."""
     heights = rng.uniform(-1.0, 1.0, [int(np.ptp(axis) / grain) + 2 for axis in (patch.y, patch.x)])
     for axis, at in enumerate((patch.y, patch.x)):
         place = (at - at[0]) / grain
@@ -184,8 +182,8 @@ def _noise(patch: Patch, grain: float, rng: Generator) -> np.ndarray:
     return heights
 
 
-def _around_middle(patch: Patch, sizes: Sizes) -> np.ndarray:
-    """(rows, columns) whether a node is in the level middle."""
+def _is_around_middle(patch: Patch, sizes: Sizes) -> np.ndarray:
+    """Return True for each node (rows, columns) in the level middle."""
     left, ahead = (np.abs(axis) < sizes.middle for axis in (patch.y, patch.x))
     return left[:, None] & ahead[None, :]
 
@@ -193,19 +191,14 @@ def _around_middle(patch: Patch, sizes: Sizes) -> np.ndarray:
 Tile = Callable[[Patch, Sizes, float, Generator], np.ndarray]
 
 KINDS: Mapping[str, Tile] = {
-    function.__name__: function
-    for function in (
-        flat, slope_up, slope_down, rough, waves, stairs_up, stairs_down, blocks, ditches, course,
-    )
-}  # fmt: skip
-
-
-def make_tile(
-    kind: str, patch: Patch, sizes: Sizes, difficulty: float, rng: Generator
-) -> np.ndarray:
-    """Heights (rows, columns), m, of a tile; `UsageError` for a kind or difficulty there is not."""
-    if kind not in KINDS:
-        raise UsageError(f"no terrain {kind!r}; expected one of: {', '.join(KINDS)}")
-    if not 0.0 <= difficulty <= 1.0:
-        raise UsageError(f"the difficulty of terrain {kind!r} is {difficulty}; expected 0 to 1")
-    return KINDS[kind](patch, sizes, difficulty, rng)
+    "flat": make_flat,
+    "slope_up": make_slope_up,
+    "slope_down": make_slope_down,
+    "rough": make_rough,
+    "waves": make_waves,
+    "stairs_up": make_stairs_up,
+    "stairs_down": make_stairs_down,
+    "blocks": make_blocks,
+    "ditches": make_ditches,
+    "course": make_course,
+}

@@ -25,7 +25,7 @@ from quadwalk.export.policy_graph import (
 )
 from quadwalk.robot.mjcf import write_xml
 from quadwalk.task_files import is_from_task_file, load_task
-from quadwalk.terrain.terrain import Terrain, leg_length, make_terrain
+from quadwalk.terrain.terrain import Terrain, make_terrain, measure_leg
 from quadwalk.web.decimate import decimate_visuals
 from quadwalk.web.vendor import load_vendor_files
 
@@ -92,7 +92,7 @@ def make_ground(env: QuadrupedEnv) -> Terrain:
     ground = make_unseen_ground(load_task(GROUND_TASK).env.ground, 0, len(GROUND_LEVELS))
     kinds = tuple(kind for kind in ground.kinds if kind != "flat")
     config = replace(ground, kinds=kinds, difficulty=GROUND_LEVELS)
-    return make_terrain(config, leg_length(env.mj_model, env.quadruped.feet[0]))
+    return make_terrain(config, measure_leg(env.mj_model, env.quadruped.feet[0]))
 
 
 def pack_ground(terrain: Terrain) -> bytes:

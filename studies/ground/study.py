@@ -74,7 +74,7 @@ def film_episode(run: Run, kind: str) -> dict[str, Any]:
     loaded = load_run(run, SECONDS, engine="mujoco")
     env = make_cells_env(loaded, (kind,), levels=2)
     assert env.terrain is not None
-    tile = env.terrain.tiles.index(env.terrain.tile(kind, 1))
+    tile = env.terrain.tiles.index(env.terrain.find_tile(kind, 1))
     begin = jax.jit(lambda env, keys, tiles: jax.vmap(env.reset)(keys, tiles))
     first = begin(env, jax.random.PRNGKey(1)[None], jnp.array([tile]))
 

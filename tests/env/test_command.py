@@ -9,7 +9,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from quadwalk.env.command import Command, counted, draw, first_command, next_command
+from quadwalk.env.command import (
+    Command,
+    advance_command,
+    compute_target_velocity,
+    sample_velocity,
+    start_command,
+)
 from quadwalk.env.env import QuadrupedEnv
 from quadwalk.errors import UsageError
 from quadwalk.settings.environment import NO_RANDOMIZATION, CommandConfig
@@ -55,7 +61,7 @@ def headings(qpos: np.ndarray) -> np.ndarray:
 def many(config: CommandConfig, *grip: float) -> np.ndarray:
     """(4000, 3) commands, drawn."""
     keys = jax.random.split(jax.random.PRNGKey(0), 4000)
-    return np.asarray(jax.vmap(lambda key: draw(config, key, *grip))(keys))
+    return np.asarray(jax.vmap(lambda key: sample_velocity(config, key, *grip))(keys))
 
 
 def test_commands_fill_their_ranges_and_some_are_to_stand():
@@ -73,7 +79,7 @@ def test_commands_fill_their_ranges_and_some_are_to_stand():
 def test_some_commands_are_to_turn_on_the_spot_as_fast_as_any():
     told = dataclasses.replace(DRIVEN, spot=0.3)
     keys = jax.random.split(jax.random.PRNGKey(0), 4000)
-    drawn = np.asarray(jax.vmap(lambda key: draw(told, key))(keys))
+    drawn = np.asarray(jax.vmap(lambda key: sample_velocity(told, key))(keys))
     spot = ~drawn[:, :2].any(axis=1) & drawn.any(axis=1)
     assert 0.27 < spot.mean() < 0.33
     low, high = told.yaw_rate
@@ -105,10 +111,10 @@ def test_shares_are_shares(shares, named):
 
 
 def test_a_command_stays_for_its_time_and_no_longer():
-    command = first_command(TOLD, jax.random.PRNGKey(3), 1.25)
+    command = start_command(TOLD, jax.random.PRNGKey(3), 1.25)
     course = []
     for steps in range(1, 12):
-        command = next_command(TOLD, command, jnp.asarray(steps), 1.25)
+        command = advance_command(TOLD, command, jnp.asarray(steps), 1.25)
         course.append(np.asarray(command.velocity))
     changed = [bool((a != b).any()) for a, b in itertools.pairwise(course)]
     assert [steps for steps, new in enumerate(changed, 2) if new] == [4, 8]
@@ -138,7 +144,7 @@ def test_training_goes_beyond_the_ranges_by_their_margin():
     told = Command(jnp.array([4.0, 0.0, 1.1]), jax.random.PRNGKey(0))
     for config, turn in ((wide, 1.1), (DRIVEN, 1.0)):
         config = dataclasses.replace(config, acceleration=None)
-        found = counted(config, told, jnp.asarray(4.0), 9.81)
+        found = compute_target_velocity(config, told, jnp.asarray(4.0), 9.81)
         np.testing.assert_allclose(found, [4.0, 0.0, turn], rtol=1e-6)
 
 
@@ -147,15 +153,17 @@ def test_of_a_turn_counts_what_friction_bears_at_the_robots_speed():
     told = Command(jnp.array([0.0, 0.1, -2.0]), jax.random.PRNGKey(0))
     # 4 m/s^2, or half of what friction bears; at a stand all of it.
     for speed, grip, turn in ((0.0, 9.81, -2.0), (4.0, 9.81, -1.0), (4.0, 4.0, -0.5)):
-        found = counted(driven, told, jnp.asarray(speed), grip)
+        found = compute_target_velocity(driven, told, jnp.asarray(speed), grip)
         np.testing.assert_allclose(found, [0.0, 0.1, turn], rtol=1e-6)
-    np.testing.assert_array_equal(counted(TOLD, told, jnp.asarray(4.0), 9.81), told.velocity)
+    np.testing.assert_array_equal(
+        compute_target_velocity(TOLD, told, jnp.asarray(4.0), 9.81), told.velocity
+    )
 
 
 def test_a_velocity_counts_as_if_commands_came_to_it_at_a_rate():
     # 4 m/s^2 for 0.25 s a step: 1 m/s of the 2.5 m/s to (1.5, 2.0), then another, then the rest.
     config = dataclasses.replace(TOLD, seconds=100.0, acceleration=4.0)
-    command = first_command(config, jax.random.PRNGKey(0), 0.25)
+    command = start_command(config, jax.random.PRNGKey(0), 0.25)
     for velocity, way in (
         ((1.5, 2.0), [(0.0, 0.0), (0.6, 0.8), (1.2, 1.6), (1.5, 2.0), (1.5, 2.0)]),
         ((1.5, 1.5), [(1.5, 2.0), (1.5, 1.5)]),
@@ -163,9 +171,9 @@ def test_a_velocity_counts_as_if_commands_came_to_it_at_a_rate():
     ):
         command = command._replace(velocity=jnp.array([*velocity, 0.3]))
         for expected in way:
-            found = counted(config, command, jnp.asarray(0.0), 9.81)
+            found = compute_target_velocity(config, command, jnp.asarray(0.0), 9.81)
             np.testing.assert_allclose(found, [*expected, 0.3], atol=1e-6)
-            command = next_command(config, command, jnp.asarray(1), 0.25)
+            command = advance_command(config, command, jnp.asarray(1), 0.25)
 
 
 def test_commands_hold_for_a_random_time():
@@ -174,10 +182,10 @@ def test_commands_hold_for_a_random_time():
     @jax.jit
     def course(key):
         def step(command, steps):
-            command = next_command(driven, command, steps, 0.02)
+            command = advance_command(driven, command, steps, 0.02)
             return command, command.velocity
 
-        return jax.lax.scan(step, first_command(driven, key, 0.02), jnp.arange(1, 4001))[1]
+        return jax.lax.scan(step, start_command(driven, key, 0.02), jnp.arange(1, 4001))[1]
 
     velocity = np.asarray(course(jax.random.PRNGKey(0)))
     changed = np.flatnonzero(np.diff(velocity, axis=0).any(axis=1))

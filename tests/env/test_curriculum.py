@@ -7,7 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from quadwalk.env.curriculum import Curriculum, begin_travel, travel_on
+from quadwalk.env.reset import Curriculum
+from quadwalk.env.state import start_travel
 
 LEVELS, TILE, STEPS, DT = 5, 8.0, 1000, 0.02
 KINDS = ("flat", "rough", "flat")
@@ -20,19 +21,21 @@ def at(x: float, y: float) -> jax.Array:
 
 
 def traveled(velocity, command, steps):
-    travel = begin_travel(at(1.0, -2.0))
+    travel = start_travel(at(1.0, -2.0))
     for _ in range(steps):
-        travel = travel_on(travel, jnp.asarray(velocity), jnp.asarray(command), DT)
+        travel = travel.advance(jnp.asarray(velocity), jnp.asarray(command), DT)
     return travel
 
 
 def following(tile, away, walked, told, steps=STEPS, done=STEPS):
     """The tiles after an episode of `steps`, now at step `done`, for 200 keys."""
-    travel = begin_travel(at(1.0, -2.0))._replace(
+    travel = start_travel(at(1.0, -2.0))._replace(
         steps=jnp.int32(steps), walked=jnp.float32(walked), commanded=jnp.float32(told)
     )
     next_of = jax.vmap(
-        lambda key: LESSONS.following(jnp.int32(tile), travel, at(1.0 + away, -2.0), done, key)
+        lambda key: LESSONS.sample_next_tile(
+            jnp.int32(tile), travel, at(1.0 + away, -2.0), done, key
+        )
     )
     return set(np.asarray(next_of(KEYS)).tolist())
 
@@ -79,25 +82,25 @@ def test_one_that_came_to_the_edge_of_its_tile_goes_on():
     """Though it began half way there, and the time for what it was told is not over."""
     confined = dataclasses.replace(LESSONS, middles=tuple((8.0 * k, 1.0) for k in range(15)))
     tile = LEVELS + 1  # its middle is at x = 48
-    travel = begin_travel(at(50.0, 1.0))._replace(
+    travel = start_travel(at(50.0, 1.0))._replace(
         steps=jnp.int32(200), walked=jnp.float32(1.8), commanded=jnp.float32(2.0)
     )
     for x, y, change in ((51.8, 1.0, 1), (51.6, 1.0, -1), (48.0, -2.8, 1)):
-        found = confined.following(jnp.int32(tile), travel, at(x, y), 200, KEYS[0])
+        found = confined.sample_next_tile(jnp.int32(tile), travel, at(x, y), 200, KEYS[0])
         assert int(found) == tile + change
 
 
 def test_environments_begin_on_all_kinds_and_the_easier_levels():
-    tiles = np.asarray(LESSONS.first(600, jax.random.PRNGKey(1)))
+    tiles = np.asarray(LESSONS.sample_first_tiles(600, jax.random.PRNGKey(1)))
     assert (tiles // LEVELS).tolist() == [k % 3 for k in range(600)]
     assert set(tiles % LEVELS) == {0, 1, 2}
-    evenly = np.asarray(LESSONS.evenly(600, jax.random.PRNGKey(1)))
+    evenly = np.asarray(LESSONS.sample_tiles(600, jax.random.PRNGKey(1)))
     assert set(evenly) == set(range(3 * LEVELS))
 
 
 def test_levels_are_summed_by_kind_whatever_row_it_is():
     tile = jnp.array([0, 3, LEVELS + 4, 2 * LEVELS + 2])
-    sums = {name: int(value) for name, value in LESSONS.sums(tile).items()}
+    sums = {name: int(value) for name, value in LESSONS.sum_levels(tile).items()}
     assert sums == {
         "count/robots/flat": 3,
         "count/level/flat": 5,

@@ -133,7 +133,7 @@ def test_a_shin_does_not_touch_because_its_foot_sinks_in(env):
     def legs(sunk):
         qpos = jnp.asarray(env.robot.home).at[2].add(-sunk)
         after = start._replace(physics=start.physics._replace(qpos=qpos))
-        return env.finish_step(start, after, none, jnp.ones((), bool)).metrics["reward/seen"]
+        return env.evaluate_step(start, after, none, jnp.ones((), bool)).metrics["reward/seen"]
 
     radius = float(env.mj_model.geom(env.quadruped.feet[0]).size[0])
     clear = float(legs(0.0))

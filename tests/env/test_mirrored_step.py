@@ -16,7 +16,7 @@ import pytest
 
 from quadwalk.env.env import QuadrupedEnv
 from quadwalk.env.observations import height_scan, scan_ahead
-from quadwalk.env.reflections import mirror_of
+from quadwalk.env.reflections import find_mirror
 from quadwalk.physics.motor import PhysicsState
 from quadwalk.physics.rotation import from_euler
 from quadwalk.robot.mirror import find_robot_mirror
@@ -201,6 +201,6 @@ def test_a_scan_sees_the_image_of_uneven_ground(env, scan, sizes):
         )
         for side, place in ((1, qpos), (-1, turned))
     ]
-    own = mirror_of(scan, params, robot)
+    own = find_mirror(scan, params, robot)
     assert np.ptp(seen[0] - seen[1]) > 0.01
     np.testing.assert_allclose(own(np.asarray(seen[0])), seen[1], atol=1e-6)

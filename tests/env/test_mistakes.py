@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import pytest
 
 import quadwalk
-from quadwalk.env import observations as observation
+from quadwalk.env import observations
 from quadwalk.env.env import QuadrupedEnv
 from quadwalk.errors import UserError
 from quadwalk.settings.terms import Observation
@@ -81,7 +81,7 @@ def test_it_is_one_line_with_the_terms_name_its_place_and_what_is_expected(
 
 def test_a_parameter_that_a_term_of_the_package_cannot_have_is_one_line_too(quadruped):
     sizes = {"length": 1.0, "width": 1.0, "spacing": 0.0, "reach": 1.0}
-    parts = {"scan": Observation(observation.height_scan, sizes)}
+    parts = {"scan": Observation(observations.height_scan, sizes)}
     with pytest.raises(UserError, match=r"observation 'scan' does not give .*: ZeroDivisionError"):
         QuadrupedEnv(quadruped, dataclasses.replace(sprint.TASK.env, observation=parts))
 

@@ -10,10 +10,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from quadwalk.env import terminations as termination
+from quadwalk.env import terminations
 from quadwalk.env.env import QuadrupedEnv
 from quadwalk.env.observations import height, height_scan, scan_ahead
-from quadwalk.env.terminations import off_ground
+from quadwalk.env.terminations import is_off_ground
 from quadwalk.errors import UsageError
 from quadwalk.physics.fast import compute_lowest_points
 from quadwalk.physics.rotation import compute_yaw
@@ -85,9 +85,9 @@ def test_the_scan_and_the_height_are_those_of_the_field(hilly, starts):
         ahead, left = np.meshgrid(np.arange(-2, 3) / 10, np.arange(-1, 2) / 10, indexing="ij")
         turn = np.array([[np.cos(heading), -np.sin(heading)], [np.sin(heading), np.cos(heading)]])
         points = q[:2] + np.stack([ahead.ravel(), left.ravel()], axis=1) @ turn.T
-        below = q[2] - hilly.robot.home_height - hilly.terrain.field.height_at(points)
+        below = q[2] - hilly.robot.home_height - hilly.terrain.field.compute_height(points)
         np.testing.assert_allclose(seen[:15], np.clip(below, -0.5, 0.5), atol=2e-4)
-        assert seen[15] == pytest.approx(q[2] - hilly.terrain.field.height_at(q[:2]), abs=1e-4)
+        assert seen[15] == pytest.approx(q[2] - hilly.terrain.field.compute_height(q[:2]), abs=1e-4)
 
 
 def test_falls_are_told_by_heights_above_ground_and_leaving_the_field_is_none(
@@ -131,7 +131,7 @@ def test_an_episode_can_be_confined_to_its_tile(hilly, starts):
     def outside(env, offset):
         qpos = state.qpos.at[:, :2].set(middles + offset)
         moved = state._replace(physics=state.physics._replace(qpos=qpos))
-        return np.asarray(jax.vmap(partial(off_ground, env.config, env.terrain))(moved))
+        return np.asarray(jax.vmap(partial(is_off_ground, env.config, env.terrain))(moved))
 
     assert not outside(confined, [2.9, -2.9]).any()
     assert outside(confined, [3.1, 0.0]).all()
@@ -164,7 +164,10 @@ def count_constants(function: Any, *arguments: Any) -> int:
 
 
 def test_the_blind_leave_the_scan_to_the_value_network():
-    seeing, blind = rough.TASK.env, dataclasses.replace(rough.TASK.env, blind=True).effective
+    seeing, blind = (
+        rough.TASK.env,
+        dataclasses.replace(rough.TASK.env, blind=True).effective,
+    )
     assert list(blind.observation) == [name for name in seeing.observation if name != "height_scan"]
     assert blind.critic["height_scan"] == seeing.observation["height_scan"]
     assert seeing.effective is seeing
@@ -175,9 +178,9 @@ def test_the_blind_leave_the_scan_to_the_value_network():
 
 def test_knees_may_touch_where_only_the_trunk_may_not():
     step = SimpleNamespace(lowest=jnp.array([0.02, -0.01]))
-    assert termination.touched(None, step, clearance=0.0)
-    assert not termination.trunk_touched(None, step, clearance=0.0)
-    assert termination.trunk_touched(None, step, clearance=0.03)
+    assert terminations.touched(None, step, clearance=0.0)
+    assert not terminations.trunk_touched(None, step, clearance=0.0)
+    assert terminations.trunk_touched(None, step, clearance=0.03)
 
 
 def test_a_scan_ahead_is_the_same_ground_further_on(hilly, starts):
@@ -188,14 +191,14 @@ def test_a_scan_ahead_is_the_same_ground_further_on(hilly, starts):
 
 
 def test_other_engines_have_the_same_ground(hilly):
-    there = hilly.in_engine("mujoco")
+    there = hilly.to_engine("mujoco")
     np.testing.assert_array_equal(there.terrain.field.heights, hilly.terrain.field.heights)
-    floor = there.mj_model_of(there.quadruped).geom("floor")
+    floor = there.make_mj_model(there.quadruped).geom("floor")
     assert floor.type[0] == hilly.mj_model.geom("floor").type[0] == 1  # a heightfield
 
 
 def test_a_scan_of_a_flat_floor_is_level(env):
     qpos = jnp.asarray(env.robot.home).at[2].add(0.07)
-    state = env._example()
+    state = env._make_example_state()
     state = state._replace(physics=state.physics._replace(qpos=qpos))
     np.testing.assert_allclose(height_scan(env.robot, state, **SCAN), 0.07, atol=1e-6)

@@ -11,18 +11,11 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from quadwalk.env.env import QuadrupedEnv
-from quadwalk.env.randomization import (
-    EpisodeRandomization,
-    delayed,
-    draw_conditions,
-    measured,
-    reading,
-    sensed,
-    side_of_push,
-    targets_needed,
-    widened,
-)
+from quadwalk.env.actions import delay_targets
+from quadwalk.env.env import QuadrupedEnv, sample_push_signs
+from quadwalk.env.randomization import count_targets, sample_randomization, widen_range
+from quadwalk.env.sensors import add_noise, add_offsets, delay_reading
+from quadwalk.env.state import EpisodeRandomization
 from quadwalk.physics.model import RobotRandomization
 from quadwalk.physics.motor import Motor
 from quadwalk.settings.environment import NO_RANDOMIZATION
@@ -78,7 +71,7 @@ def make_ranged_env(quadruped, **ranges) -> QuadrupedEnv:
 
 def sample_nominal(env: QuadrupedEnv, key: jax.Array) -> EpisodeRandomization:
     """Return conditions in which nothing differs from the model."""
-    return draw_conditions(NO_RANDOMIZATION, env.robot, env.stepping, key, env.friction)
+    return sample_randomization(NO_RANDOMIZATION, env.robot, env.stepping, key, env.friction)
 
 
 @pytest.fixture(scope="module", params=["mjx", "fast"])
@@ -100,7 +93,7 @@ def swaying() -> jax.tree_util.Partial:
 @pytest.fixture(scope="module")
 def recorded(env, swaying):
     """Return for each case qpos and qvel around each control step, and the actions."""
-    rows_kept = targets_needed(max(case.delay for case in CASES.values()), env.config.substeps)
+    rows_kept = count_targets(max(case.delay for case in CASES.values()), env.config.substeps)
     cases = [
         case if case.friction else case._replace(friction=env.friction) for case in CASES.values()
     ]
@@ -129,7 +122,7 @@ def recorded(env, swaying):
             carried = after.pipeline_state
             return after, (carried.qpos, carried.qvel, carried.last_action)
 
-        first = env.begun(state, conditions=conditions)
+        first = env.start_episode(state, conditions=conditions)
         return jax.lax.scan(one_step, first, None, length=STEPS)[1]
 
     state = jax.jit(env.reset)(jax.random.PRNGKey(3))
@@ -219,7 +212,7 @@ def test_noise_has_its_scale_and_is_new_in_each_step(env):
 
     def draw(observation, level, steps):
         conditions = sample_nominal(env, jax.random.PRNGKey(0))._replace(noise=level)
-        return sensed(conditions, observation, scale, steps)
+        return add_noise(conditions, observation, scale, steps)
 
     sampled = jax.jit(jax.vmap(draw, in_axes=(None, None, 0)))
     actual = np.asarray(sampled(jnp.zeros(len(names)), 2.0, jnp.arange(4000)))
@@ -237,7 +230,7 @@ def test_noise_has_its_scale_and_is_new_in_each_step(env):
 
 def test_one_push_in_every_five_seconds(env):
     def side(key, steps):
-        return side_of_push(sample_nominal(env, key), steps, 250)
+        return sample_push_signs(sample_nominal(env, key), steps, 250)
 
     sides = jax.jit(jax.vmap(jax.vmap(side, in_axes=(None, 0)), in_axes=(0, None)))
     actual = np.asarray(sides(jax.random.split(jax.random.PRNGKey(0), 20), jnp.arange(1000)))
@@ -249,23 +242,23 @@ def test_one_push_in_every_five_seconds(env):
 
 @pytest.mark.parametrize(("delay", "rows_kept"), [(0, 1), (1, 2), (5, 2), (6, 3), (10, 3)])
 def test_as_many_targets_are_kept_as_a_delay_reaches_back(delay, rows_kept):
-    assert targets_needed(delay, 5) == rows_kept
+    assert count_targets(delay, 5) == rows_kept
 
 
 def test_a_delay_between_two_physics_steps_is_one_or_the_other(env):
     changed = {"delay": jnp.float32(2.3), "targets": jnp.zeros((2, 12))}
     late = sample_nominal(env, jax.random.PRNGKey(1))._replace(**changed)
-    new = jax.vmap(lambda k: delayed(late, jnp.ones(12), 5, k)[1][:, 0])(jnp.arange(4000))
+    new = jax.vmap(lambda k: delay_targets(late, jnp.ones(12), 5, k)[1][:, 0])(jnp.arange(4000))
     waited = 5 - np.asarray(new).sum(axis=1)  # physics steps until the new target is obeyed
     assert set(waited) == {2.0, 3.0}
     assert waited.mean() == pytest.approx(2.3, abs=0.03)
 
 
-def test_a_late_sensor_tells_what_was_on_the_line_between_two_readings(env):
+def test_a_late_sensor_tells_what_was_on_the_line_between_two_readings():
     frames = jnp.array([[5.0], [4.0], [2.0], [1.0]])
-    late = sample_nominal(env, jax.random.PRNGKey(1))._replace(sensor_delay=jnp.float32(1.25))
-    assert reading(late, frames) == pytest.approx(0.75 * 4.0 + 0.25 * 2.0)
-    assert reading(late, frames[1:]) == pytest.approx(0.75 * 2.0 + 0.25 * 1.0)
+    late = jnp.float32(1.25)
+    assert delay_reading(late, frames) == pytest.approx(0.75 * 4.0 + 0.25 * 2.0)
+    assert delay_reading(late, frames[1:]) == pytest.approx(0.75 * 2.0 + 0.25 * 1.0)
 
 
 def test_a_tilted_imu_sees_the_world_turned(env):
@@ -273,7 +266,7 @@ def test_a_tilted_imu_sees_the_world_turned(env):
     state = jax.jit(env.reset)(jax.random.PRNGKey(2)).pipeline_state
     changed = {"tilt": jnp.asarray(tilt, jnp.float32), "encoder": jnp.full(12, 0.01)}
     conditions = sample_nominal(env, jax.random.PRNGKey(1))._replace(**changed)
-    actual = measured(conditions, state.physics)
+    actual = add_offsets(conditions, state.physics)
     turn, orientation, expected = np.zeros(4), np.asarray(state.qpos[3:7], float), np.zeros(4)
     angle = np.linalg.norm(tilt)
     mujoco.mju_axisAngle2Quat(turn, tilt / angle, angle)
@@ -333,7 +326,7 @@ ends = st.floats(-10.0, 10.0)
 @example([0.01, 0.03], 0.0, 0.15)
 @example([0.3, 0.6], 0.8, 0.15)
 def test_training_draws_from_no_less_than_an_evaluation(between, usual, margin):
-    (low, high), (inner, outer) = widened(between, usual, margin), between
+    (low, high), (inner, outer) = widen_range(between, usual, margin), between
     assert low <= inner <= outer <= high
     moved = max(abs(low - inner), abs(high - outer))
     assert moved <= margin * max(abs(inner - usual), abs(outer - usual)) + 1e-9
@@ -344,7 +337,8 @@ def test_a_margin_moves_an_end_away_from_the_models_value_but_not_into_the_range
     env = make_ranged_env(quadruped, **changed, push=(0.4, 0.5), margin=0.5)
 
     def draw(key: jax.Array) -> EpisodeRandomization:
-        return draw_conditions(env.config.randomization, env.robot, env.stepping, key, friction=1.0)
+        ranges = env.config.randomization
+        return sample_randomization(ranges, env.robot, env.stepping, key, friction=1.0)
 
     sampled = jax.jit(jax.vmap(draw))(jax.random.split(jax.random.PRNGKey(0), 2000))
     froude = np.sqrt(env.robot.gravity * env.robot.home_height)
@@ -367,9 +361,9 @@ def test_a_share_of_episodes_is_ideal_and_the_others_are_drawn_as_without(quadru
 
     def sampled(ideal: float) -> EpisodeRandomization:
         ranges = dataclasses.replace(run.TASK.env.randomization, ideal=ideal)
-        return jax.vmap(lambda key: draw_conditions(ranges, env.robot, env.stepping, key, 0.8))(
-            keys
-        )
+        return jax.vmap(
+            lambda key: sample_randomization(ranges, env.robot, env.stepping, key, 0.8)
+        )(keys)
 
     some, none = sampled(0.25), sampled(0.0)
     ideal = np.asarray(some.noise) == 0.0

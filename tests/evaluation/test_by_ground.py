@@ -12,8 +12,7 @@ import pytest
 from brax.envs.base import State
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 
-from quadwalk.env.env import QuadrupedEnv
-from quadwalk.env.robot_arrays import task_robot
+from quadwalk.env.env import QuadrupedEnv, make_task_robot
 from quadwalk.evaluation.gait import measure_gait
 from quadwalk.evaluation.load import LoadedRun, make_unseen_ground
 from quadwalk.evaluation.mcap.scene import GROUND_MARGIN, GROUND_NODES, draw_ground
@@ -25,7 +24,7 @@ from quadwalk.learn.acting import Policy
 from quadwalk.runs.directory import Run
 from quadwalk.settings.environment import NO_RANDOMIZATION
 from quadwalk.tasks import obstacles, rough, sprint, walk
-from quadwalk.terrain.heightfield import Heightfield, centered
+from quadwalk.terrain.heightfield import Heightfield, make_field
 from tests.evaluation.conftest import make_glide_poses, read_messages
 
 
@@ -182,13 +181,13 @@ def test_both_tasks_have_a_noisy_sight_and_a_curriculum():
 
 def test_the_ground_of_a_recording_is_the_field_around_the_path():
     rng = np.random.default_rng(0)
-    field = centered(rng.uniform(-0.2, 0.2, (201, 301)).astype(np.float32), 0.05)
+    field = make_field(rng.uniform(-0.2, 0.2, (201, 301)).astype(np.float32), 0.05)
     path = np.array([[-1.0, 0.5], [2.0, -0.5]])
     (entity,) = SceneUpdate.FromString(draw_ground(field, path)).entities
     (shape,) = entity.triangles
     assert (entity.id, entity.frame_id) == ("ground", "world")
     points = np.array([(p.x, p.y, p.z) for p in shape.points])
-    np.testing.assert_allclose(points[:, 2], field.height_at(points[:, :2]), atol=0.03)
+    np.testing.assert_allclose(points[:, 2], field.compute_height(points[:, :2]), atol=0.03)
     reached = [path.min(axis=0) - GROUND_MARGIN, path.max(axis=0) + GROUND_MARGIN]
     actual = [points[:, :2].min(axis=0), points[:, :2].max(axis=0)]
     np.testing.assert_allclose(actual, reached, atol=0.1)
@@ -204,7 +203,7 @@ def test_the_ground_of_a_recording_is_the_field_around_the_path():
 def raised(quadruped):
     """Return the robot on a plateau half a meter high."""
     plateau = Heightfield(np.full((41, 41), 0.5, np.float32), 0.5, (-10.0, -10.0))
-    return task_robot(quadruped, sprint.TASK.env, plateau)
+    return make_task_robot(quadruped, sprint.TASK.env, plateau)
 
 
 @pytest.fixture

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from quadwalk.env.env import QuadrupedEnv
-from quadwalk.env.randomization import as_values
+from quadwalk.env.randomization import to_values
 from quadwalk.evaluation import results as measuring
 from quadwalk.evaluation import rollout as simulating
 from quadwalk.evaluation.gait import measure_gait
@@ -53,7 +53,7 @@ def rollouts(env):
 
 
 def test_each_episode_has_what_was_drawn_for_it(env, rollouts):
-    values_by_episode = [as_values(rollout.conditions, env.stepping) for rollout in rollouts]
+    values_by_episode = [to_values(rollout.conditions, env.stepping) for rollout in rollouts]
     strengths = {values["strength"] for values in values_by_episode}
     assert len(strengths) == EPISODES
     assert all(0.8 <= strength <= 1.0 for strength in strengths)
@@ -177,7 +177,7 @@ def test_power_and_limits_are_those_of_the_motors(env, rollouts):
 
 def test_a_recording_holds_the_truth_and_the_obeyed_targets(env, rollouts, tmp_path):
     rollout, path = add_foot_forces(rollouts[1], env), tmp_path / "episode.mcap"
-    values = as_values(rollout.conditions, env.stepping)
+    values = to_values(rollout.conditions, env.stepping)
     write_mcap(path, rollout, env.quadruped, {"conditions": json.dumps(values)})
     evaluation = read_messages(path)
     for topic in ("/truth", "/joint_applied_target", "/observation", "/joint_cmd"):

@@ -12,10 +12,10 @@ import pytest
 from brax.envs.base import State
 from toy import Plain
 
-from quadwalk.env.curriculum import Curriculum, begin_travel
 from quadwalk.env.env import QuadrupedEnv
 from quadwalk.env.randomization import EpisodeRandomization
-from quadwalk.env.state import EnvState
+from quadwalk.env.reset import Curriculum
+from quadwalk.env.state import EnvState, start_travel
 from quadwalk.learn import episodes, ppo
 from quadwalk.learn.acting import make_policy
 from quadwalk.learn.devices import make_mesh
@@ -118,7 +118,7 @@ def test_episodes_start_out_of_phase():
 def test_the_next_episodes_are_where_the_curriculum_says_but_for_those_that_evaluate():
     lessons = Curriculum(("flat", "rough"), 3, 8.0, 100, pace=0.1)
     far = jnp.tile(jnp.eye(19)[0] * 5.0, (8, 1))  # more than half a tile from the start
-    travel = jax.vmap(begin_travel)(jnp.zeros((8, 19)))
+    travel = jax.vmap(start_travel)(jnp.zeros((8, 19)))
     state = EnvState(
         PhysicsState(far, jnp.zeros((8, 18))),
         jnp.zeros((8, 12)),
@@ -333,8 +333,8 @@ class Late(Counter):
         shown = jnp.where(age >= self.late, action[0], 0.0)
         return self._show(super().step(state, action), age, shown)
 
-    def begun(self, state: State, **changes: jax.Array) -> State:
-        return self._show(super().begun(state, **changes), state.info["age"], jnp.zeros(()))
+    def start_episode(self, state: State, **changes: jax.Array) -> State:
+        return self._show(super().start_episode(state, **changes), state.info["age"], jnp.zeros(()))
 
     def _show(self, state: State, age: jax.Array, shown: jax.Array) -> State:
         obs = jnp.concatenate([state.obs, jnp.stack([shown, jnp.float32(self.constant)])])

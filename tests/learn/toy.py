@@ -60,7 +60,7 @@ class Plain(Env):
         metrics = dict.fromkeys(("speed", "fell", "nan", *self.terms), zero)
         return State(inner, self.observe(inner), zero, zero, metrics, {"truncation": zero})
 
-    def begun(self, state: State, **changes: jax.Array) -> State:
+    def start_episode(self, state: State, **changes: jax.Array) -> State:
         inner = state.pipeline_state._replace(**changes)
         return state.replace(pipeline_state=inner, obs=self.observe(inner))
 

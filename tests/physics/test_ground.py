@@ -17,7 +17,7 @@ from quadwalk.physics.fast import compute_lowest_points
 from quadwalk.physics.model import add_ground, find_contact_geoms, make_model
 from quadwalk.physics.motor import MotorConfig, PhysicsState, Stepping, make_motor
 from quadwalk.physics.surface import compute_contact_frame, make_offset_surface
-from quadwalk.terrain.heightfield import Heightfield, centered, lay
+from quadwalk.terrain.heightfield import Heightfield, lay, make_field
 from quadwalk.terrain.terrain import FLAT, make_terrain
 from tests.physics.reference import compute_accelerations, find_touching
 from tests.physics.test_fast import (
@@ -32,7 +32,7 @@ CELL = 0.05
 
 def make_exact_field(heights: np.ndarray) -> Heightfield:
     """Return a field whose heights are not rounded to single precision."""
-    field = centered(heights, CELL)
+    field = make_field(heights, CELL)
     return Heightfield(np.asarray(heights, np.float64), CELL, field.origin)
 
 
@@ -125,7 +125,7 @@ def test_a_sphere_over_the_offset_surface_just_touches_the_ground(seed, radius, 
     x, y = (at + surface.cell * np.arange(17) for at in surface.origin)
     centers = np.stack([*np.meshgrid(x, y), surface.grids[0]], axis=-1)[4:-4, 4:-4].reshape(-1, 3)
     np.testing.assert_allclose(measure_distances(field, centers), radius, atol=1e-9)
-    assert np.all(centers[:, 2] > field.height_at(centers[:, :2]))
+    assert np.all(centers[:, 2] > field.compute_height(centers[:, :2]))
 
 
 @pytest.fixture(scope="module")
@@ -183,7 +183,7 @@ def run_course(robot, terrain, engine: str, limp: bool) -> dict[str, np.ndarray]
     assert np.all(np.isfinite(end))
     up = np.clip(1 - 2 * (end[:, 4] ** 2 + end[:, 5] ** 2), -1, 1)
     metrics = {
-        "height": end[:, 2] - terrain.field.height_at(end[:, :2]),
+        "height": end[:, 2] - terrain.field.compute_height(end[:, :2]),
         "tilt": np.degrees(np.arccos(up)),
         "moved": np.linalg.norm(end[:, :2] - start[:, :2], axis=1),
         "contact": np.mean(gaps < 1e-3, axis=(1, 2)),

@@ -6,7 +6,7 @@ import jax
 import numpy as np
 import pytest
 
-from quadwalk.env.command import draw
+from quadwalk.env.command import sample_velocity
 from quadwalk.env.env import QuadrupedEnv
 from quadwalk.evaluation.load import LoadedRun
 from quadwalk.evaluation.rollout import reset_episodes, roll_out
@@ -181,7 +181,9 @@ def told(env, before, action, after):
 def test_every_command_of_a_held_configuration_is_the_same():
     """Of 2000 drawn from `drive`, which commands to stand and to turn on the spot."""
     config = drive.TASK.env.command.hold_at(0.7)
-    drawn = jax.vmap(lambda key: draw(config, key))(jax.random.split(jax.random.PRNGKey(0), 2000))
+    drawn = jax.vmap(lambda key: sample_velocity(config, key))(
+        jax.random.split(jax.random.PRNGKey(0), 2000)
+    )
     np.testing.assert_allclose(drawn, np.tile([0.7, 0.0, 0.0], (2000, 1)), atol=1e-6)
 
 
@@ -223,6 +225,6 @@ def test_a_robot_is_driven_at_its_own_speeds(quadruped):
     command = dataclasses.replace(drive.TASK.env.command, leg=2.0)  # four times the robot's
     env = QuadrupedEnv(quadruped, dataclasses.replace(drive.TASK.env, command=command))
     assert env.config.command.forward == (-0.5, 2.25)
-    assert env.in_engine("mujoco").config.command.forward == (-0.5, 2.25)
+    assert env.to_engine("mujoco").config.command.forward == (-0.5, 2.25)
     same = QuadrupedEnv(quadruped, drive.TASK.env).config.command
     assert same == dataclasses.replace(drive.TASK.env.command, leg=None)

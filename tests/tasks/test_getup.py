@@ -10,7 +10,7 @@ from scipy import stats
 from scipy.spatial.transform import Rotation
 
 from quadwalk.env.env import QuadrupedEnv
-from quadwalk.env.robot_arrays import is_standing
+from quadwalk.env.state import is_standing
 from quadwalk.evaluation.load import LoadedRun
 from quadwalk.evaluation.suites.standing import (
     SECONDS,

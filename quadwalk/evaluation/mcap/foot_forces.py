@@ -19,7 +19,7 @@ def add_foot_forces(rollout: Rollout, env: QuadrupedEnv) -> Rollout:
     stepped. It takes some 0.2 s for 20 s of running, so only rollouts that are shown have them.
     """
     qpos, qvel = rollout.qpos[1:], rollout.qvel[1:]
-    motor, joint_speed, model = env.motor, qvel[:, 6:], env.mj_model_of(env.quadruped)
+    motor, joint_speed, model = env.motor, qvel[:, 6:], env.make_mj_model(env.quadruped)
     if rollout.conditions is not None and rollout.conditions.variation is not None:
         motor = randomize_motor(motor, rollout.conditions.variation)
         model = mujoco_c.randomize_model(model, rollout.conditions.variation)

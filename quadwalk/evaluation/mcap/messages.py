@@ -30,7 +30,7 @@ from quadwalk.evaluation.metrics import compute_weight, to_rotations
 from quadwalk.evaluation.rollout import Rollout
 from quadwalk.robot.quadruped import Quadruped
 from quadwalk.settings.environment import COMMANDED
-from quadwalk.terrain.heightfield import field_of
+from quadwalk.terrain.heightfield import read_field
 
 WORLD = "world"
 
@@ -51,7 +51,7 @@ class EpisodeMessages:
             raise ValueError("a rollout to be written needs its foot forces (add_foot_forces)")
         self.rollout, self.foot_force = rollout, rollout.foot_force
         self.quadruped, self.model = quadruped, quadruped.make_full_model()
-        self.field, self.links = field_of(self.model), find_link_frames(quadruped)
+        self.field, self.links = read_field(self.model), find_link_frames(quadruped)
         # What a step starts with, by topic.
         commanded = {
             "/observation": rollout.observation,

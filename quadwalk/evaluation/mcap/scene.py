@@ -45,7 +45,7 @@ class SceneWriter:
         The ground is a grid at height 0; `ground`, where there is any, is drawn by `draw_ground`.
         """
         self._path, self._weight = path, weight
-        self._below = np.zeros(len(path)) if ground is None else ground.height_at(path[:, :2])
+        self._below = np.zeros(len(path)) if ground is None else ground.compute_height(path[:, :2])
         self._speed = np.linalg.norm(velocity, axis=1)
         across = np.linalg.norm(velocity[:, :2], axis=1)
         yaw, pitch = np.arctan2(velocity[:, 1], velocity[:, 0]), -np.arctan2(velocity[:, 2], across)

@@ -12,7 +12,7 @@ from quadwalk.evaluation.rollout import Rollout
 from quadwalk.render.canvas import Camera, Canvas
 from quadwalk.render.images import FPS, make_film_strip, save_video
 from quadwalk.robot.quadruped import Quadruped
-from quadwalk.terrain.heightfield import heights_under
+from quadwalk.terrain.heightfield import compute_floor_height
 
 _SMOOTHING = 0.8  # s: the camera follows the mean of this much of the path, not each step's sway
 _STRIP = (4, 2)  # pictures of a stride across, strides down
@@ -57,7 +57,7 @@ def _draw_pictures(
     """
     model = quadruped.make_full_model()
     canvas = Canvas(model, width, height)
-    focus = _compute_camera_path(rollout, heights_under(model, rollout.qpos[:, :2]))
+    focus = _compute_camera_path(rollout, compute_floor_height(model, rollout.qpos[:, :2]))
     velocity = rollout.qvel[:, :2].T
     if rollout.command is not None:
         velocity = rotate_planar(velocity, -to_roll_pitch_yaw(rollout.qpos[:, 3:7])[:, 2])

@@ -22,7 +22,7 @@ from quadwalk.evaluation.metrics import (
 from quadwalk.evaluation.rollout import Rollout
 from quadwalk.render.figures import INK, LEG_COLORS, make_figure, tidy
 from quadwalk.robot.quadruped import Quadruped
-from quadwalk.terrain.heightfield import heights_under
+from quadwalk.terrain.heightfield import compute_floor_height
 
 WINDOW = 3.0  # s of footfalls
 STRIDES = 2  # of joints and sensors
@@ -139,7 +139,7 @@ def _draw_tracking(axes: Axes, rollout: Rollout) -> None:
 
 
 def _draw_posture(axes: Axes, rollout: Rollout, quadruped: Quadruped) -> None:
-    ground = heights_under(quadruped.make_full_model(), rollout.qpos[:, :2])
+    ground = compute_floor_height(quadruped.make_full_model(), rollout.qpos[:, :2])
     height = rollout.qpos[:, 2] - ground
     axes.plot(rollout.time, height, color=INK, linewidth=1.4, label="height, m")
     angles = to_roll_pitch_yaw(rollout.qpos[:, 3:7])

@@ -251,7 +251,7 @@ def reset_with_commands(
 
     def reset(env: QuadrupedEnv, velocity: jax.Array, state: State) -> State:
         command = state.pipeline_state.command._replace(velocity=velocity)
-        return env.begun(state, command=command)
+        return env.start_episode(state, command=command)
 
     starts = reset_episodes(env, episodes, seed)
     return reset_cells(env, reset, np.array(commands, np.float32), starts)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from quadwalk.env.env import QuadrupedEnv
-from quadwalk.env.robot_arrays import STANDING_HEIGHT, STANDING_TILT
+from quadwalk.env.state import STANDING_HEIGHT, STANDING_TILT
 from quadwalk.evaluation.load import LoadedRun
 from quadwalk.evaluation.metrics import measure_cells
 from quadwalk.evaluation.report.tables import print_table

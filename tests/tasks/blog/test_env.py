@@ -88,7 +88,7 @@ def concluded(env, drawn):
         state = EnvState(PhysicsState(before, qvel), jnp.zeros(12), jnp.int32(10))
         nothing = Effort(jnp.zeros(12), jnp.zeros(()))
         after = EnvState(PhysicsState(qpos, qvel), jnp.zeros(12), jnp.int32(11))
-        return env.finish_step(state, after, nothing, jnp.ones((), bool))
+        return env.evaluate_step(state, after, nothing, jnp.ones((), bool))
 
     return jax.jit(jax.vmap(one))(*drawn)
 
