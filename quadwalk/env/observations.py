@@ -162,7 +162,7 @@ def _scan_ground(
     """Return the scan at all of `ahead` (k,) times `left` (l,), m: (k * l,)."""
     grid = (axis.ravel() for axis in np.meshgrid(ahead, left, indexing="ij"))
     x, y = rotate_about_z(compute_yaw(state.qpos[3:7]), *grid)
-    level: jax.Array | float = 0.0
+    level: jax.typing.ArrayLike = np.zeros(ahead.size * left.size)
     if robot.ground is not None:
         level = robot.ground.measure(state.qpos[0] + x, state.qpos[1] + y)[0]
     return jnp.clip(state.qpos[2] - robot.home_height - level, -reach, reach)

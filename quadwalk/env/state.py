@@ -211,7 +211,7 @@ def compute_motion(start: jax.Array, qpos: jax.Array, dt: float) -> jax.Array:
     x, y = (qpos[:2] - start[:2]) / dt
     turn = heading - compute_yaw(start[3:7])
     turn = jnp.arctan2(jnp.sin(turn), jnp.cos(turn))  # the short way round
-    left, forward = rotate_about_z(heading, y, x)  # backwards, since y comes first
+    left, forward = rotate_about_z(heading, y, x)  # in reverse, since y comes first
     return jnp.stack([forward, left, turn / dt])
 
 
