@@ -55,7 +55,7 @@ def test_links_of_the_zoos_quadrupeds(urdf):
 
 
 def test_links_of_a_robot_that_was_turned():
-    text = Walker(rpy=(0.0, 0.0, np.pi / 2)).text()
+    text = Walker(rpy=(0.0, 0.0, np.pi / 2)).to_text()
     quadruped = make_quadruped(parse_urdf(text))
     assert find_link_frames(quadruped).parents[0] == quadruped.trunk == "trunk_ahead"
     check_links(quadruped)

@@ -167,7 +167,7 @@ def test_friction_opposes_motion_up_to_its_coulomb_value(quadruped, motors):
 
 
 def read_walker(walker: Walker) -> Quadruped:
-    return make_quadruped(parse_urdf(walker.text()))
+    return make_quadruped(parse_urdf(walker.to_text()))
 
 
 def make_both_motors(quadruped: Quadruped, kp: float | None = None) -> tuple[Motor, Motor, str]:
@@ -178,7 +178,7 @@ def make_both_motors(quadruped: Quadruped, kp: float | None = None) -> tuple[Mot
 
 def test_gains_that_hold_the_robot_stay(quadruped):
     damped = '<dynamics damping="10"/></joint>'
-    text = Walker().text().replace('velocity="20"/></joint>', f'velocity="20"/>{damped}')
+    text = Walker().to_text().replace('velocity="20"/></joint>', f'velocity="20"/>{damped}')
     strongly_damped = make_quadruped(parse_urdf(text))
     assert strongly_damped.make_training_model(0.004).dof_damping[6:].min() == 10
     spec = quadruped.spec.copy()  # on uneven ground; it is tried on level ground

@@ -17,8 +17,17 @@ LIMIT = '<limit lower="-3" upper="3" effort="20" velocity="10"/>'
 CORNERS = {"a": (0.2, 0.1), "b": (0.2, -0.1), "c": (-0.2, 0.1), "d": (-0.2, -0.1)}
 
 
+def replace_once(text: str, old: str, new: str) -> str:
+    """Return `text` with the first `old`, which must be there, replaced by `new`."""
+    assert old in text
+    return text.replace(old, new, 1)
+
+
+# The elements of a URDF, as text, are called by their tags.
+
+
 def inertial(mass: float | str, moments: str = SOLID, xyz: str = "0 0 0", rpy: str = "0 0 0"):
-    """`<inertial>` of principal moments, kg m^2, as text or of six entries from ixx to izz."""
+    """Return `<inertial>` of principal moments, kg m^2, or of six entries from ixx to izz."""
     entries = moments.split()
     if len(entries) == 3:
         entries = [entries[0], "0", "0", entries[1], "0", entries[2]]
@@ -31,7 +40,7 @@ def inertial(mass: float | str, moments: str = SOLID, xyz: str = "0 0 0", rpy: s
 
 
 def shape(geometry: str, xyz: str = "0 0 0", kind: str = "collision", rpy: str = "0 0 0") -> str:
-    """A shape of a link, as `box size="1 2 3"` says."""
+    """Return a shape of a link, as `box size="1 2 3"` says."""
     return f'<{kind}><origin xyz="{xyz}" rpy="{rpy}"/><geometry><{geometry}/></geometry></{kind}>'
 
 
@@ -55,17 +64,22 @@ def joint(
     )
 
 
-def robot(*parts: str, name: str = 'name="r"') -> str:
-    return f"<robot {name}>{''.join(parts)}</robot>"
+def limit(lower: float, upper: float, effort: float = 20.0) -> str:
+    return f'<limit lower="{lower}" upper="{upper}" effort="{effort}" velocity="20"/>'
+
+
+def robot(*parts: str) -> str:
+    return f'<robot name="r">{"".join(parts)}</robot>'
 
 
 def plain_leg(
     name: str, x: float, y: float, thigh: str = "0 0 0", hip_rpy: str = "0 0 0", knee: str = LIMIT
 ) -> str:
-    """Joints NAMEj1 .. 3 about x, y and y, and the links of hip and thigh, NAME1 and NAME2."""
+    """Return joints NAMEj1 .. 3 about x, y and y, and the links of hip and thigh, NAME1 and 2."""
+    cube = shape('box size="0.02 0.02 0.02"')
     return (
-        link(f"{name}1", inertial(0.5), shape('box size="0.02 0.02 0.02"'))
-        + link(f"{name}2", inertial(0.5), shape('box size="0.02 0.02 0.02"'))
+        link(f"{name}1", inertial(0.5), cube)
+        + link(f"{name}2", inertial(0.5), cube)
         + joint(f"{name}j1", "trunk", f"{name}1", "1 0 0", f"{x} {y} 0", hip_rpy)
         + joint(f"{name}j2", f"{name}1", f"{name}2", "0 1 0", thigh)
         + joint(f"{name}j3", f"{name}2", f"{name}3", "0 1 0", "0 0 -0.3", extra=knee)
@@ -73,24 +87,23 @@ def plain_leg(
 
 
 def ball_calf(name: str) -> str:
-    """A calf of .2 m with a foot of 2 cm."""
+    """Return the link NAME3, a calf of .2 m with a foot of 2 cm."""
     return link(f"{name}3", inertial(0.5), shape('sphere radius="0.02"', "0 0 -0.2"))
 
 
 def quadruped(calf: Callable[[str], str], leg: Callable[[str, float, float], str] = plain_leg):
-    """A trunk and legs `a` (front left), `b`, `c`, `d`, thighs .3 m.
+    """Return a robot of a trunk and legs `a` (front left), `b`, `c`, `d`, with thighs of .3 m.
 
-    `calf(name)` is what the calf's link holds besides its inertial, and what follows that link.
+    `calf(name)` is the calf's link and what follows it.
     """
     trunk = link("trunk", inertial(5), shape('box size="0.4 0.2 0.1"'))
-    legs = [leg(name, x, y) + calf(name) for name, (x, y) in CORNERS.items()]
-    return robot(trunk, *legs)
+    return robot(trunk, *(leg(name, x, y) + calf(name) for name, (x, y) in CORNERS.items()))
 
 
 def check_dynamics(
     urdf: Urdf, spec: mujoco.MjSpec, compared: Set[str] = frozenset(), states: int = 50
 ) -> None:
-    """Masses, frames, mass matrix, bias and inverse dynamics are Pinocchio's, and so as XML.
+    """Check masses, frames, mass matrix, bias and inverse dynamics by Pinocchio, also of the XML.
 
     `compared` must be among what was.
     """
@@ -103,15 +116,15 @@ def check_dynamics(
 
 
 def make_frame(position, quat) -> np.ndarray:
-    """(4, 4) of m and wxyz, by MuJoCo's own function."""
-    turned, whole = np.empty(9), np.eye(4)
-    mujoco.mju_quat2Mat(turned, np.asarray(quat, float))
-    whole[:3, :3], whole[:3, 3] = turned.reshape(3, 3), position
-    return whole
+    """Return the frame (4, 4) of m and wxyz, by MuJoCo's own function."""
+    rotation, frame = np.empty(9), np.eye(4)
+    mujoco.mju_quat2Mat(rotation, np.asarray(quat, float))
+    frame[:3, :3], frame[:3, 3] = rotation.reshape(3, 3), position
+    return frame
 
 
 def make_data(model: mujoco.MjModel, qpos: np.ndarray) -> mujoco.MjData:
-    """The model in this pose, at rest, its contacts and all that follows from the pose computed."""
+    """Return the model's data in a pose, at rest, with contacts and all that follows from it."""
     data = mujoco.MjData(model)
     data.qpos[:] = qpos
     mujoco.mj_forward(model, data)
@@ -119,7 +132,7 @@ def make_data(model: mujoco.MjModel, qpos: np.ndarray) -> mujoco.MjData:
 
 
 def measure_knees(quadruped: Quadruped) -> dict[str, float]:
-    """By leg, how far ahead of the thigh's joint the knee is, m, in the home pose."""
+    """Return by leg how far, m, the knee is ahead of the thigh's joint in the home pose."""
     data = make_data(quadruped.make_full_model(), quadruped.home)
     ahead = [data.joint(name).xanchor[0] for name in quadruped.joints]
     return dict(zip(quadruped.legs, np.subtract(ahead[2::3], ahead[1::3]), strict=True))
@@ -131,7 +144,7 @@ def simulate_standing(
     kp: float | None = None,
     kd: float | np.ndarray | None = None,
 ) -> np.ndarray:
-    """(n, 7) trunk poses under PD control of the home pose, from it, within the effort limits.
+    """Return trunk poses (n, 7) under PD control of the home pose, within the effort limits.
 
     Gains are in Nm/rad and Nm s/rad, by default as stiff as the robot is heavy and high.
     """
@@ -149,14 +162,10 @@ def simulate_standing(
 
 
 def check_stands(quadruped: Quadruped, seconds: float, height: float) -> None:
-    """It is held above that share of its home height, and within 5 degrees of upright."""
+    """Check that it is held above a share of its home height, within 5 degrees of upright."""
     last = simulate_standing(quadruped, seconds)[-1]
     assert last[2] > height * quadruped.home[2]
     assert last[3] > np.cos(np.radians(5) / 2)
-
-
-def limit(lower: float, upper: float, effort: float = 20.0) -> str:
-    return f'<limit lower="{lower}" upper="{upper}" effort="{effort}" velocity="20"/>'
 
 
 @dataclass(frozen=True)
@@ -176,49 +185,43 @@ class Walker:
     wide: float = 0.06  # m, from hip to thigh
     effort: float = 20.0  # Nm
 
-    def text(self) -> str:
-        """Its URDF."""
+    def to_text(self) -> str:
+        """Return its URDF."""
         within = Rotation.from_euler("xyz", (0, 0, 0) if self.bolted else self.rpy)
-        rpy = "0 0 0" if self.bolted else " ".join(map(str, self.rpy))
+        turn = " ".join(map(str, self.rpy))
+        rpy = "0 0 0" if self.bolted else turn
         box = f'box size="{0.4 * self.size} {0.2 * self.size} {0.1 * self.size}"'
-        trunk = link("trunk", self.inertial(6, 0.04), shape(box, rpy=rpy))
-        parts = [trunk]
+        parts = [link("trunk", self._make_inertial(6, 0.04), shape(box, rpy=rpy))]
         if self.bolted:
-            turn = " ".join(map(str, self.rpy))
-            parts = [link("root"), joint("bolt", "root", "trunk", rpy=turn, kind="fixed"), trunk]
+            bolt = joint("bolt", "root", "trunk", rpy=turn, kind="fixed")
+            parts = [link("root"), bolt, *parts]
         for name, (x, y) in zip(self.names, ((1, -1), (1, 1), (-1, -1), (-1, 1)), strict=True):
-            hip = self.place(within.apply([0.2 * x, 0.08 * y, 0]))
-            parts.append(self.leg(name, hip, rpy, y))
+            hip = self._place(within.apply([0.2 * x, 0.08 * y, 0]))
+            parts.append(self._make_leg(name, hip, rpy, y))
         return robot(*parts)
 
-    def leg(self, name: str, hip: str, rpy: str, side: int) -> str:
+    def _make_leg(self, name: str, hip: str, rpy: str, side: int) -> str:
+        places = (hip, self._place([0, self.wide * side, 0]), self._place([0, 0, -0.2]))
+        limits = [limit(*ends, self.effort) for ends in (self.hip, self.thigh, self.calf)]
+        masses, moments = (0.5, 0.8, 0.15), (3e-4, 1.5e-3, 5e-4)
+        parent, text = "trunk", ""
+        for row, part in enumerate(("hip", "thigh", "calf")):
+            child, axis = f"{name}_{part}", "0 1 0" if row else "1 0 0"
+            turn = "0 0 0" if row else rpy
+            text += link(child, self._make_inertial(masses[row], moments[row]))
+            text += joint(
+                f"{child}_joint", parent, child, axis, places[row], turn, extra=limits[row]
+            )
+            parent = child
         ball = shape(f'sphere radius="{0.02 * self.size}"')
-        hip_joint, thigh_joint, calf_joint = (
-            limit(*limits, self.effort) for limits in (self.hip, self.thigh, self.calf)
-        )
-        thigh, knee = self.place([0, self.wide * side, 0]), self.place([0, 0, -0.2])
-        return (
-            link(f"{name}_hip", self.inertial(0.5, 3e-4))
-            + joint(f"{name}_hip_joint", "trunk", f"{name}_hip", "1 0 0", hip, rpy, extra=hip_joint)
-            + link(f"{name}_thigh", self.inertial(0.8, 1.5e-3))
-            + joint(
-                f"{name}_thigh_joint", f"{name}_hip", f"{name}_thigh", "0 1 0", thigh,
-                extra=thigh_joint,
-            )
-            + link(f"{name}_calf", self.inertial(0.15, 5e-4))
-            + joint(
-                f"{name}_calf_joint", f"{name}_thigh", f"{name}_calf", "0 1 0", knee,
-                extra=calf_joint,
-            )
-            + link(f"{name}_foot", self.inertial(0.05, 1e-5), ball)
-            + joint(f"{name}_bolt", f"{name}_calf", f"{name}_foot", xyz=knee, kind="fixed")
-        )  # fmt: skip
+        text += link(f"{name}_foot", self._make_inertial(0.05, 1e-5), ball)
+        return text + joint(f"{name}_bolt", parent, f"{name}_foot", xyz=places[2], kind="fixed")
 
-    def place(self, point) -> str:
-        """A point (3,), m, as a file has it."""
+    def _place(self, point) -> str:
+        """Write a point (3,), m, as a file has it."""
         return " ".join(str(float(x) * self.size) for x in point)
 
-    def inertial(self, mass: float, moment: float) -> str:
-        """`<inertial>` of kg and kg m^2, which depend on the units of mass and length."""
+    def _make_inertial(self, mass: float, moment: float) -> str:
+        """Return `<inertial>` of kg and kg m^2, which depend on the units of mass and length."""
         moment *= self.mass * self.size**2 * self.inertia
         return inertial(mass * self.mass, " ".join([str(moment)] * 3))
