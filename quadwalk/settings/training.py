@@ -60,7 +60,7 @@ class PPOConfig(Settings, group="ppo"):
     retry: Annotated[float, Bounds(0.0, 1.0, open="high")] = 0.0
     # last share of the steps, over which desired_kl and the entropy bonus decrease
     anneal_share: Annotated[float, Bounds(0.0, 1.0, open="low")] = 0.4
-    # the trained policy samples its actions, as in training, in place of the most likely ones
+    # the trained policy samples actions whose standard deviation is large, as training does
     stochastic: bool = False
 
     def __post_init__(self) -> None:
