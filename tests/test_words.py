@@ -1,6 +1,7 @@
 """Words of pages, docstrings, comments, help and messages, as far as a machine can tell.
 
-American spelling, zeros before the point, the field's words, and sentences that are not too long.
+American spelling, zeros before the point, the field's words, sentences that are not too long, and
+functions whose names and docstrings say what they do.
 """
 
 import ast
@@ -19,6 +20,32 @@ SOURCES = sorted(
      (ROOT / part).rglob("*.py"))]
 )  # fmt: skip
 LONGEST = 30  # words of a sentence; a colon and a semicolon end one as well
+LONG = 22  # words of a sentence that is better split
+MOST_LONG = 0.04  # share of such sentences
+# A function's name and its docstring begin with one of these; properties and terms are nouns.
+VERBS = """
+    act adapt add advance anneal append apply assert average batch begin build call cast change
+    check choose claim clip close collect command compare compile compose compute configure connect
+    convert copy count create cross cut decide declare delete derive describe differentiate draw
+    drive drop encode end enter estimate evaluate exclude execute exit explain export extract fail
+    fetch fill find finish fit fix flatten flush follow format freeze gather generate get give go
+    guess handle hash have hold identify import init integrate interpolate interrupt is has iterate
+    join keep kill label lay learn leave let limit link list listen load locate lock log look main
+    make map mark measure merge mirror move multiply name normalize note observe offset open order
+    pack paint parse pin place plan play plot post prepare print process project prune publish push
+    put raise randomize reach read record reduce refine refresh refuse register release remember
+    remove rename render repeat replace replay report reset resize resolve restart restore resume
+    retry return rewrite roll rotate round run sample save say scale scan search select send
+    serialize serve set shape share show sign simulate slice smooth solve split stack stand start
+    step stop strip subtract suggest sum summarize suppress swap sweep switch sync take test tile
+    time to from trace track train transform transpose try tune turn update view wait warm warn
+    watch wrap write yield
+"""
+OBLIQUE = ("of", "what", "how", "whether", "where", "as", "those", "its", "one", "that", "by")
+# Percent of functions that are named for what they do, and of docstrings that say it.
+NAMES, DOCSTRINGS = 80, 96
+FOLDERS = sorted(path.parent.name for path in (ROOT / "quadwalk").glob("*/__init__.py"))
+ROOMS = ["quadwalk", "benchmarks", "studies", *(f"quadwalk/{folder}" for folder in FOLDERS)]
 # Written so, and what to write.
 AVOID = {
     r"told|what (it|the robot) is to do": "commanded, set, reported",
@@ -90,6 +117,59 @@ def too_long(text: str) -> Iterator[str]:
         count = len(re.findall(r"\S*\w\S*", sentence))
         if count > LONGEST:
             yield f"{count} words; expected at most {LONGEST}: {sentence}"
+
+
+def split_sentences(text: str) -> list[int]:
+    """Return the numbers of words of the sentences of `text`."""
+    sentences = re.split(r"(?<=[\w)\]%\"*])[.!?:;] ", plain(text))
+    return [len(re.findall(r"\S*\w\S*", sentence)) for sentence in sentences]
+
+
+def begins_with_verb(text: str) -> bool:
+    """Return True if the first word is a verb, as it is or with an s."""
+    word = re.split(r"[\W_]+", text.strip("_`"), maxsplit=1)[0].lower()
+    return bool({word, word.removesuffix("s"), word.removesuffix("es")} & set(VERBS.split()))
+
+
+def find_functions(room: str) -> Iterator[tuple[str, str, str]]:
+    """Yield the place, the name and the docstring of a room's functions that are no terms."""
+    pattern = "*.py" if room == "quadwalk" else "**/*.py"
+    for path in sorted((ROOT / room).glob(pattern)):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if not isinstance(node, ast.FunctionDef) or node.name.startswith("__"):
+                continue
+            decorators = " ".join(ast.unparse(decorator) for decorator in node.decorator_list)
+            inputs = [argument.arg for argument in node.args.args[:2]]
+            is_term = inputs in (["robot", "step"], ["robot", "state"], ["robot", "action"])
+            if "property" not in decorators and not is_term:
+                place = f"{path.relative_to(ROOT)}:{node.lineno}"
+                yield place, node.name, ast.get_docstring(node) or ""
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_functions_are_named_for_what_they_do(room):
+    functions = list(find_functions(room))
+    wrong = [f"{place} {name}" for place, name, _ in functions if not begins_with_verb(name)]
+    assert 100 * len(wrong) <= (100 - NAMES) * len(functions), "\n".join(wrong)
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_docstrings_say_what_functions_do(room):
+    functions = [(place, text) for place, _, text in find_functions(room) if text]
+    wrong = [f"{place} {text}" for place, text in functions if not begins_with_verb(text)]
+    assert 100 * len(wrong) <= (100 - DOCSTRINGS) * len(functions), "\n".join(wrong)
+    oblique = [f"{place} {text}" for place, text in functions if text.split()[0].lower() in OBLIQUE]
+    assert not oblique, "\n".join(oblique)
+
+
+def test_few_sentences_are_long():
+    counts = [
+        count
+        for path in SOURCES
+        for part in docstrings(path.read_text())
+        for count in split_sentences(part)
+    ]
+    assert sum(count > LONG for count in counts) <= MOST_LONG * len(counts)
 
 
 def test_pages():
