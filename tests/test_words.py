@@ -46,9 +46,7 @@ OBLIQUE = ("of", "what", "how", "whether", "where", "as", "those", "its", "one",
 # many docstrings may open obliquely. Rooms that are behind may not fall back.
 RATIOS = (80, 96, 0)
 BEHIND = {
-    "quadwalk/env": (27, 10, 27),
     "quadwalk/tasks": (80, 80, 1),
-    "quadwalk/terrain": (37, 11, 2),
 }
 FOLDERS = sorted(path.parent.name for path in (ROOT / "quadwalk").glob("*/__init__.py"))
 ROOMS = ["quadwalk", "benchmarks", "studies", *(f"quadwalk/{folder}" for folder in FOLDERS)]

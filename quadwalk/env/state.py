@@ -10,7 +10,7 @@ import numpy as np
 
 from quadwalk.physics.model import Model, RobotRandomization
 from quadwalk.physics.motor import PhysicsState
-from quadwalk.physics.rotation import compute_yaw, rotate_about_z
+from quadwalk.physics.rotation import compute_yaw, rotate_back_about_z
 from quadwalk.physics.surface import Surface
 
 # A trunk stands above this share of the home pose's height, and with its z axis at most this far
@@ -211,8 +211,7 @@ def compute_motion(start: jax.Array, qpos: jax.Array, dt: float) -> jax.Array:
     x, y = (qpos[:2] - start[:2]) / dt
     turn = heading - compute_yaw(start[3:7])
     turn = jnp.arctan2(jnp.sin(turn), jnp.cos(turn))  # the short way round
-    left, forward = rotate_about_z(heading, y, x)  # in reverse, since y comes first
-    return jnp.stack([forward, left, turn / dt])
+    return jnp.stack([*rotate_back_about_z(heading, x, y), turn / dt])
 
 
 def compute_height(robot: RobotConstants, qpos: jax.Array) -> jax.Array:

@@ -36,9 +36,17 @@ def compute_yaw(quat: jax.Array) -> jax.Array:
 
 
 def rotate_about_z(angle: jax.Array, x: jax.Array, y: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Return vectors with components `x` and `y` (...), turned by `angle` () rad about world z."""
+    """Return the world's components of vectors `x`, `y` (...) in a frame at `angle`, rad."""
     cos, sin = jnp.cos(angle), jnp.sin(angle)
     return cos * x - sin * y, sin * x + cos * y
+
+
+def rotate_back_about_z(
+    angle: jax.Array, x: jax.Array, y: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    """Return the components of the world's vectors `x`, `y` (...) in a frame at `angle`, rad."""
+    cos, sin = jnp.cos(angle), jnp.sin(angle)
+    return cos * x + sin * y, cos * y - sin * x
 
 
 def from_euler(roll: jax.Array, pitch: jax.Array, yaw: jax.Array) -> jax.Array:
