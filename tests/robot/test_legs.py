@@ -105,7 +105,7 @@ def test_a_foot_of_any_shape_is_a_sphere_at_the_end_of_the_leg(meshes, case):
     model = quadruped.make_full_model()
     for foot in quadruped.feet:
         assert model.geom(foot).type == mujoco.mjtGeom.mjGEOM_SPHERE
-        assert model.geom(foot).size[0] == pytest.approx(radius, rel=0.05)
+        assert model.geom(foot).size[0] == pytest.approx(radius, rel=0.03)
         np.testing.assert_allclose(model.geom(foot).pos, [x, 0, -reach], atol=2e-3)
         assert model.geom(foot).pos[1] == pytest.approx(0, abs=1e-6)
     (note,) = [note for note in quadruped.notes if "the feet are spheres of" in note]
