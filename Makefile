@@ -27,7 +27,8 @@ lint: $(VENV)/.ready-dev  ## formatter, linter, type checker
 	else echo "no npm: the page's own modules are not linted"; fi
 
 lint-page:  ## the page's modules: prettier, eslint, types
-	cd quadwalk/web && npm ci --ignore-scripts --no-audit --no-fund --silent && npm run --silent lint
+	cd quadwalk/web && npm ci --ignore-scripts --no-audit --no-fund --silent && \
+	{ npm run --silent lint; status=$$?; rm -rf node_modules; exit $$status; }
 
 docs: $(VENV)/.ready-dev  ## the pages as a site, in build/site
 	$(UV) pip install --quiet --python $(RUN) -r docs/site/requirements.txt

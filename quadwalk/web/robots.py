@@ -37,7 +37,7 @@ class LiveSite:
         set_up_devices(1)
         self._run, self._which = run, which
         self._first = load(run, which)
-        self._is_remote = site.needs_python(self._first)
+        self._is_remote = site.is_python_needed(self._first)
         riser = None if getup is None else load(getup, "last")
         dogs = [make_dog(self._first, riser, self._is_remote)]
         self.files: dict[str, Content] = {}
@@ -48,7 +48,7 @@ class LiveSite:
         for other in others:
             with contextlib.suppress(UserError):
                 loaded = load(other, "last")
-                if not site.needs_python(loaded):
+                if not site.is_python_needed(loaded):
                     dogs.append(make_dog(loaded, riser))
         self.files |= site.make_site(dogs, site.make_ground(self._first.env), live=True)
 

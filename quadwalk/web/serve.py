@@ -52,7 +52,11 @@ class PageServer:
             logging.getLogger(name).setLevel(logging.CRITICAL)
         self.host, self.port = host, find_free_port(host, port)
         self._server: Server = serve(
-            self._talk, host, self.port, process_request=self._answer, max_size=_LARGEST
+            self._serve_socket,
+            host,
+            self.port,
+            process_request=self._answer_request,
+            max_size=_LARGEST,
         )
         self._thread = threading.Thread(target=self._server.serve_forever, daemon=True)
         self._thread.start()
@@ -88,13 +92,15 @@ class PageServer:
             connection.close()
         self._thread.join()
 
-    def _answer(self, connection: ServerConnection, request: Request) -> Response | None:
+    def _answer_request(self, connection: ServerConnection, request: Request) -> Response | None:
         """Answer a request for a file; None for that of a websocket."""
         path = request.path.partition("?")[0]
         if path == SOCKET:
             origin = request.headers.get("Origin", "")
             same = origin.partition("://")[2] == request.headers.get("Host")
-            return None if same else _respond(HTTPStatus.FORBIDDEN, b"another page's websocket")
+            return (
+                None if same else _make_response(HTTPStatus.FORBIDDEN, b"another page's websocket")
+            )
         self._is_ready.wait()
         name = path.removeprefix("/") or INDEX
         content = self._files.get(name)
@@ -102,15 +108,15 @@ class PageServer:
             try:
                 content = content()
             except UserError as error:
-                return _respond(HTTPStatus.INTERNAL_SERVER_ERROR, str(error).encode())
+                return _make_response(HTTPStatus.INTERNAL_SERVER_ERROR, str(error).encode())
         if content is None:
-            return _respond(HTTPStatus.NOT_FOUND, b"no such file")
+            return _make_response(HTTPStatus.NOT_FOUND, b"no such file")
         kind = mimetypes.guess_type(name)[0] if not name.endswith(".gz") else None
         if name.endswith(".js"):  # some systems call it text/plain, which browsers refuse
             kind = "text/javascript"
-        return _respond(HTTPStatus.OK, content, kind or "application/octet-stream")
+        return _make_response(HTTPStatus.OK, content, kind or "application/octet-stream")
 
-    def _talk(self, connection: ServerConnection) -> None:
+    def _serve_socket(self, connection: ServerConnection) -> None:
         """Send the newest policy to a page, and act for it where it asks."""
         self._connections.add(connection)
         actor = self._make_actor() if self._make_actor else None
@@ -139,7 +145,7 @@ def serve_page(host: str, port: int) -> Iterator[PageServer]:
         server.close()
 
 
-def _respond(status: HTTPStatus, content: bytes, kind: str = "text/plain") -> Response:
+def _make_response(status: HTTPStatus, content: bytes, kind: str = "text/plain") -> Response:
     headers = {
         "Content-Type": kind,
         "Content-Length": str(len(content)),

@@ -190,7 +190,7 @@ def write_folder(files: Mapping[str, bytes], out: Path) -> None:
         path.write_bytes(content)
 
 
-def needs_python(loaded: LoadedRun) -> bool:
+def is_python_needed(loaded: LoadedRun) -> bool:
     """Return True for a policy that cannot act without Python."""
     try:
         check_shareable(loaded)

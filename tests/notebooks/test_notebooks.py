@@ -18,7 +18,7 @@ from PIL import Image
 from notebooks.execute import HERE, execute, folders_named
 from quadwalk.errors import UserError
 from tests.evaluation.conftest import count_messages
-from tests.test_api import orange
+from tests.test_api import find_orange
 
 STUDIES = HERE.parent / "studies"
 STEPS = 49_152  # two iterations
@@ -128,8 +128,8 @@ def test_the_robot_is_drawn_and_its_joints_moved(executed):
     done = executed("01_robot")
     assert 'name="FR_thigh_joint"' in done.text("robot.urdf.index")
     assert '<joint name="FR_thigh_joint"' in done.text("xml.index")
-    assert 0.01 < orange(done.picture("render_home(")).mean() < 0.3
-    strip = orange(done.picture("np.linspace(robot.lower"))
+    assert 0.01 < find_orange(done.picture("render_home(")).mean() < 0.3
+    strip = find_orange(done.picture("np.linspace(robot.lower"))
     height, width = strip.shape
     panels = [
         strip[round(a * height) : round((a + 1 / 3) * height)][:, round(b * width) :][
@@ -146,7 +146,7 @@ def test_a_dropped_robot_lies_without_motors_and_stands_with_them(executed):
     off, on = map(int, re.findall(r"rests at (\d+) cm", done.text("rests at")))
     assert 3 < off < 15  # half of the trunk, 11 cm high, and what lies under it
     assert 30 < on < 40  # the standing height is 38 cm
-    assert orange(done.picture("rests at")).mean() > 0.01
+    assert find_orange(done.picture("rests at")).mean() > 0.01
     assert curves(done.picture("standing height")) >= 2
 
 
@@ -175,7 +175,7 @@ def test_a_training_with_a_reward_of_ones_own_is_drawn_beside_the_usual(executed
     assert "-0.02  energy" in done.text("term.function.__doc__")
     for label in ("usual reward", "high steps"):
         assert label in done.text("strides/s")
-    assert orange(done.picture("film_strip(")).mean() > 0.01
+    assert find_orange(done.picture("film_strip(")).mean() > 0.01
 
 
 def test_an_evaluation_shows_a_packaged_policy_from_all_sides(executed):
@@ -184,7 +184,7 @@ def test_an_evaluation_shows_a_packaged_policy_from_all_sides(executed):
     assert done.text("meters").count("episode") == 8
     strip = done.picture("film_strip(")
     assert strip.shape == (2 * 225 + 4, 4 * 360 + 3 * 4, 3)
-    assert orange(strip).mean() > 0.01
+    assert find_orange(strip).mean() > 0.01
     assert curves(done.picture("result.report()")) >= 4
     assert "duty factor" in done.text("gait.duty_factor")
     table = done.text("quadwalk.compare(")
@@ -205,7 +205,7 @@ def test_the_recording_is_whole_and_read_back(executed):
 def test_the_gecko_is_told_from_the_cheetah(executed):
     done = executed("04_gecko")
     for code in ('film(["blog", "sprint"])', "film(of_post)", "film(of_ours)"):
-        assert orange(done.picture(code)).mean() > 0.01, code
+        assert find_orange(done.picture(code)).mean() > 0.01, code
     for code in ('footfalls(["blog"', "dots(of_post)", "dots(of_ours)"):
         assert curves(done.picture(code)) >= 2, code
     rows = done.text('table(["blog", "sprint"])').splitlines()
@@ -221,7 +221,7 @@ def test_what_breaks_the_ideal_policy_is_drawn_and_listed(executed):
     done = executed("05_real_world")
     assert "latency          (0.0, 0.02)" in done.text("getattr(drawn, field.name)")
     assert curves(done.picture('label="seen"')) >= 1
-    assert orange(done.picture("film_strip(")).mean() > 0.01
+    assert find_orange(done.picture("film_strip(")).mean() > 0.01
     assert curves(done.picture("draw_sweep(")) >= 2
     kept = json.loads((STUDIES / "robustness/results.json").read_text())["runs"]
     listed = done.text("def share(")
@@ -240,8 +240,8 @@ def test_where_robots_fail_on_uneven_ground_is_drawn_and_listed(executed):
     for code in ("draw_kinds(shown", 'films("stairs_up")', 'films("blocks")', 'films("course")'):
         picture = done.picture(code)
         filled = picture[:, picture.min(axis=(0, 2)) < 255]  # not where a row has fewer pictures
-        assert orange(filled).mean() > 0.005, code
-    maps = [out for out in done.outputs("draw_by_ground(") if "image/png" in out.get("data", {})]
+        assert find_orange(filled).mean() > 0.005, code
+    maps = [out for out in done.outputs("draw_terrain(") if "image/png" in out.get("data", {})]
     assert len(maps) == len(variants)
     listed = done.text("for variant, difficulty in (")
     worst: dict[tuple[str, float, str], float] = {}  # of all seeds
