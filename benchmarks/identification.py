@@ -14,10 +14,11 @@ import numpy as np
 
 from benchmarks.shared import make_parser
 from quadwalk.identify.config import IdentifyConfig
-from quadwalk.identify.excite import excitation
-from quadwalk.identify.found import OF_URDF, OFFSETS, labels_of
+from quadwalk.identify.fit import OF_URDF, OFFSETS
 from quadwalk.identify.identification import fit_log
-from quadwalk.identify.joint_log import Log
+from quadwalk.identify.log_files import Log
+from quadwalk.identify.results import label_joints
+from quadwalk.identify.targets import make_targets
 from quadwalk.learn.devices import set_up_devices
 from quadwalk.robot.quadruped import Quadruped, load_quadruped
 
@@ -56,7 +57,7 @@ CASES = {
 
 
 def record_log(quadruped: Quadruped, known: Known, seconds: float) -> Log:
-    """Play `excitation` on the stand, and return the log."""
+    """Play `make_targets` on the stand, and return the log."""
     spec = quadruped.spec.copy()
     spec.delete(spec.joints[0])
     spec.delete(spec.keys[0])
@@ -74,7 +75,7 @@ def record_log(quadruped: Quadruped, known: Known, seconds: float) -> Log:
     data = mujoco.MjData(model)
     mujoco.mj_setConst(model, data)
     places = [model.joint(name).qposadr[0] for name in quadruped.joints]
-    times, targets = excitation(quadruped)
+    times, targets = make_targets(quadruped)
     offset = np.tile(known.offset, 4)
     data.qpos[places] = targets[0] - offset * known.shared
     friction, angles = np.tile(known.friction, 4), []
@@ -110,7 +111,7 @@ def print_case(case: str, quadruped: Quadruped, seconds: float) -> None:
         constant = constants[value.joints[0] if value.name in OF_URDF else 0]
         error = 100 * (value.found / constant - 1)
         interval = 100 * value.interval / constant
-        name = f"{value.name}, {labels_of(value, quadruped)}"
+        name = f"{value.name}, {label_joints(value, quadruped)}"
         figures = f"{constant:10.4g}{value.found:10.4g}{error:+8.1f} % ± {interval:.1f}"
         print(f"  {name:22}{figures}", flush=True)
     errors = [1e3 * (v.found - known.offset[v.joints[0] % 3]) for v in offsets]

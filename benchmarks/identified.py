@@ -18,7 +18,7 @@ from typing import Any
 from benchmarks.shared import make_parser
 from quadwalk.evaluation.load import load_run
 from quadwalk.evaluation.results import evaluate_policy
-from quadwalk.identify.found import with_joints
+from quadwalk.identify.results import set_dynamics
 from quadwalk.learn.devices import set_up_devices
 from quadwalk.paths import PRETRAINED
 from quadwalk.robot.quadruped import load_quadruped
@@ -77,7 +77,7 @@ def copy_identified(name: str, folder: Path, constants: dict[str, list[float]]) 
     """Copy the packaged policy `name` to `folder`, its robot with identified constants."""
     run = Run(folder / name)
     shutil.copytree(PRETRAINED / name, run.path)
-    run.urdf.write_text(with_joints(load_quadruped(run.urdf).urdf, JOINTS, constants))
+    run.urdf.write_text(set_dynamics(load_quadruped(run.urdf).urdf, JOINTS, constants))
     return run
 
 

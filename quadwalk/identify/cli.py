@@ -11,7 +11,7 @@ def main(args: Sequence[str], prog: str = "quadwalk identify") -> None:
     config = parse(IdentifyConfig, args, prog)
     # Both take seconds to import.
     if config.targets is not None:
-        from quadwalk.identify.excite import write_targets
+        from quadwalk.identify.targets import write_targets
 
         write_targets(config.targets, config.robot)
     else:

@@ -9,8 +9,9 @@ from scipy import stats
 from scipy.optimize import least_squares
 
 from quadwalk.errors import UserError
-from quadwalk.identify.joint_log import Log, find_pieces
-from quadwalk.identify.stand import Joints, make_simulator
+from quadwalk.identify.log import find_pieces
+from quadwalk.identify.log_files import Log
+from quadwalk.identify.simulation import Joints, make_simulator
 from quadwalk.physics.model import Model
 
 # s at the beginning of each piece that count for nothing: how the joints moved before is unknown.
@@ -67,7 +68,7 @@ class Fit:
 
 
 class Parameters:
-    """The constants to fit as numbers x (m,): each a constant's name and its joints.
+    """The constants to fit as numbers x (m,), in units of `scale` (m,), each of some joints.
 
     Legs on a stand move independently, so that the constants of single joints of one kind can
     change in one simulation, each in its own leg.
@@ -76,36 +77,26 @@ class Parameters:
     def __init__(
         self, described: Joints, names: Sequence[str], groups: Sequence[tuple[int, ...]]
     ) -> None:
-        single = [(joint,) for joint in range(12)]
-        whole = [tuple(range(12))]
+        joints = range(12)
+        groups_of = dict.fromkeys(OF_URDF, groups)
+        groups_of |= {name: [(joint,) for joint in joints] for name in OFFSETS}
         self.places = [
-            (name, group)
-            for name in names
-            for group in (single if name in OFFSETS else groups if name in OF_URDF else whole)
+            (name, group) for name in names for group in groups_of.get(name, [tuple(joints)])
         ]
         self._described = described
         self.start = np.array([_compute_mean(described, *place) for place in self.places])
         self.scale = np.maximum(self.start, [_UNITS[name] for name, _ in self.places])
         self.lower = np.array([-np.inf if name in OFFSETS else 0.0 for name, _ in self.places])
-        number: dict[tuple[str, object], int] = {}
-        self._column = np.array(
-            [
-                number.setdefault(
-                    (name, group if len(group) > 1 else group[0] % 3), len(number) + 1
-                )
-                for name, group in self.places
-            ]
-        )
+        # Constants of single joints of one kind share a column, one number for each such set.
+        kinds = [(name, group if len(group) > 1 else group[0] % 3) for name, group in self.places]
+        columns = {kind: column for column, kind in enumerate(dict.fromkeys(kinds), start=1)}
+        self._column = np.array([columns[kind] for kind in kinds])
         # (m, 12) True for the joints of the legs whose constant it is.
-        self._moves = np.array(
-            [
-                [joint // 3 in {other // 3 for other in group} for joint in range(12)]
-                for _, group in self.places
-            ]
-        )
+        legs = [{joint // 3 for joint in group} for _, group in self.places]
+        self._moves = np.array([[joint // 3 in group for joint in joints] for group in legs])
 
     def make_candidates(self, x: np.ndarray) -> Joints:
-        """Return the joints at `x` and, in further columns, with each constant changed a little."""
+        """Return the joints at `x` in one column; in others, those with some constants changed."""
         values = np.repeat((self.scale * x)[:, None], self._column.max() + 1, axis=1)
         values[np.arange(len(x)), self._column] += _SHIFT * self.scale
         joints = {
@@ -130,7 +121,7 @@ def fit_joints(
     groups: Sequence[tuple[int, ...]],
     hold_out: float,
 ) -> Fit:
-    """Return the fit of the constants called `names` to the log.
+    """Fit the constants called `names` to the log by least squares.
 
     Armature, friction and damping are those of each group of joints, offsets of single joints. The
     last `hold_out` of the log is not fitted, and shows how well the fit predicts. Raise `UserError`
@@ -169,7 +160,7 @@ def fit_joints(
     )
     numbers = np.stack([start, scale * best, interval], axis=1).tolist()
     after = evaluate(best)[:, :, 0]
-    left = np.sqrt(np.mean((after - log.position)[settled] ** 2, axis=0))
+    rms = np.sqrt(np.mean((after - log.position)[settled] ** 2, axis=0))
     return Fit(
         values=tuple(
             Value(*place, *row) for place, row in zip(parameters.places, numbers, strict=True)
@@ -179,7 +170,7 @@ def fit_joints(
         after=after,
         fitted=fitted,
         held_out=held_out,
-        unexplained=left / log.position[settled].std(axis=0),
+        unexplained=rms / log.position[settled].std(axis=0),
     )
 
 
@@ -190,10 +181,10 @@ def _find_settled(log: Log) -> np.ndarray:
 
 
 def compute_intervals(jacobian: np.ndarray, residual: np.ndarray, block: np.ndarray) -> np.ndarray:
-    """Return halves of the 95 % intervals (m,) of a least-squares solution.
+    """Return halves of the 95 % intervals (m,) of a least-squares solution, by the jackknife.
 
-    `jacobian` (n, m) and `residual` (n,); those of one `block` (n,) may err alike, as where the
-    model is wrong. This is the jackknife: the solution's changes when each block is left out.
+    `jacobian` is (n, m), `residual` (n,). Rows of one `block` (n,) may err alike, as where the
+    model is wrong: the intervals come from the changes when each block is left out.
     """
     information = jacobian.T @ jacobian
     rows = [block == number for number in np.unique(block)]

@@ -1,4 +1,4 @@
-"""Files of joint logs, as CSV or MCAP, to arrays."""
+"""Files of joint logs, CSV or MCAP: joint targets and measured joint angles over time."""
 
 import csv
 import io
@@ -16,18 +16,19 @@ STAND = 0.02  # m that a trunk on a stand may move
 _ANGLES, _TARGETS, _POSE = "/joint_states", "/joint_cmd", "/pose"
 
 
-class Columns(NamedTuple):
-    """The columns of a file; joints are in the order of the robot's."""
+class Log(NamedTuple):
+    """A log of a robot on a stand; joints are in the order of the robot's, times begin anywhere."""
 
-    time: np.ndarray  # (n,) of the angles, as in the file
-    position: np.ndarray  # (n, 12) measured
-    target_time: np.ndarray  # (m,) from when each target holds
-    target: np.ndarray  # (m, 12)
-    rows: list[str]  # n places of the angles in the file, for errors
-    target_rows: list[str]  # m, of the targets
+    time: np.ndarray  # (n,) s, of the angles, ascending; as in the file until `read_log` is done
+    position: np.ndarray  # (n, 12) rad, measured
+    target_time: np.ndarray  # (m,) s, from when each target holds, ascending
+    target: np.ndarray  # (m, 12) rad
+    rows: tuple[str, ...] = ()  # n places of the angles in the file, for errors
+    target_rows: tuple[str, ...] = ()  # m, of the targets
+    notes: tuple[str, ...] = ()  # for the user: an assumed unit, and gaps
 
 
-def read_csv(path: Path, joints: tuple[str, ...]) -> Columns:
+def read_csv(path: Path, joints: tuple[str, ...]) -> Log:
     """Read the joints' targets and angles from a CSV with a header.
 
     Commas, semicolons or tabs separate columns. Numbers have decimal points or, where no comma
@@ -58,7 +59,7 @@ def read_csv(path: Path, joints: tuple[str, ...]) -> Columns:
         numbers.append(_read_numbers(f"{path}, {row}", fields, columns))
     values = np.array(numbers).reshape(-1, len(columns))
     time, target, position = values[:, 0], values[:, 1:13], values[:, 13:]
-    return Columns(time, position, time, target, rows, rows)
+    return Log(time, position, time, target, tuple(rows), tuple(rows))
 
 
 def _read_numbers(source: str, fields: list[str], columns: list[int]) -> list[float]:
@@ -71,7 +72,7 @@ def _read_numbers(source: str, fields: list[str], columns: list[int]) -> list[fl
     return numbers
 
 
-def read_mcap(path: Path, joints: tuple[str, ...]) -> Columns:
+def read_mcap(path: Path, joints: tuple[str, ...]) -> Log:
     """Read the joints' targets and angles from an MCAP file of a robot on a stand.
 
     Raise `UserError` where the file is damaged, its trunk moves, or a topic or joint is missing.
@@ -93,14 +94,11 @@ def read_mcap(path: Path, joints: tuple[str, ...]) -> Columns:
         raise UserError(f"{path}: the trunk moves by {moved:.2f} m; expected a robot on a stand")
     time, position = _read_angles(path, _ANGLES, messages[_ANGLES], joints)
     target_time, target = _read_angles(path, _TARGETS, messages[_TARGETS], joints)
-    return Columns(
-        time,
-        position,
-        target_time,
-        target,
-        [f"message {number} of {_ANGLES}" for number in range(1, len(time) + 1)],
-        [f"message {number} of {_TARGETS}" for number in range(1, len(target_time) + 1)],
+    rows, target_rows = (
+        tuple(f"message {number} of {topic}" for number in range(1, len(times) + 1))
+        for topic, times in ((_ANGLES, time), (_TARGETS, target_time))
     )
+    return Log(time, position, target_time, target, rows, target_rows)
 
 
 def _read_angles(

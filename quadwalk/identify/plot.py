@@ -5,8 +5,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from quadwalk.identify.fit import Fit
-from quadwalk.identify.found import OF_URDF, PARTS
-from quadwalk.identify.joint_log import Log, find_pieces
+from quadwalk.identify.log import find_pieces
+from quadwalk.identify.log_files import Log
+from quadwalk.identify.results import OF_URDF, PARTS
 from quadwalk.render.figures import INK, LEG_COLORS, make_figure, tidy
 from quadwalk.robot.quadruped import Quadruped
 

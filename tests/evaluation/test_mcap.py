@@ -28,7 +28,7 @@ from quadwalk.evaluation.mcap.write import (
     write_mcap,
 )
 from quadwalk.evaluation.rollout import Rollout, slice_steps
-from quadwalk.identify.joint_log import read_log
+from quadwalk.identify.log import read_log
 from quadwalk.paths import ALIENGO_URDF
 from quadwalk.robot.quadruped import Quadruped, load_quadruped
 from tests.evaluation.conftest import read_messages, read_records

@@ -25,10 +25,10 @@ from quadwalk.identify.fit import (
     Value,
     compute_intervals,
 )
-from quadwalk.identify.found import is_sure
 from quadwalk.identify.identification import describe
-from quadwalk.identify.joint_log import find_pieces, read_log
-from quadwalk.identify.stand import Joints, make_simulator
+from quadwalk.identify.log import find_pieces, read_log
+from quadwalk.identify.results import is_sure
+from quadwalk.identify.simulation import Joints, make_simulator
 from quadwalk.learn.flags import parse_config
 from quadwalk.robot.load import load_robot
 
@@ -39,7 +39,7 @@ KNOWN = Known(friction_speed=0.03, kp=27.0, offset=(0.02, -0.03, 0.05))
 def recorded(quadruped, tmp_path_factory) -> Path:
     """The log as a CSV, with a column more, in an order of its own."""
     file = tmp_path_factory.mktemp("logs") / "log.csv"
-    time, position, _, target, _ = record_log(quadruped, KNOWN, seconds=9.0)
+    time, position, _, target, *_ = record_log(quadruped, KNOWN, seconds=9.0)
     names = [f"{what}_{joint}" for what in ("position", "target") for joint in quadruped.joints]
     rows = np.c_[np.zeros(len(time)), position, target, time]
     header = ",".join(["battery", *names, "time"])

@@ -11,7 +11,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from quadwalk.identify.joint_log import Log, find_pieces
+from quadwalk.identify.log import find_pieces
+from quadwalk.identify.log_files import Log
 from quadwalk.physics import rigid_body
 from quadwalk.physics import vectors as v
 from quadwalk.physics.batching import append_axis
@@ -91,7 +92,7 @@ def make_simulator(model: Model, log: Log) -> Callable[[Joints], np.ndarray]:
 
     def simulate(joints: Joints) -> np.ndarray:
         delays, which = np.unique(joints.delay[0], return_inverse=True)
-        targets = np.stack([_late_targets(log, steps, delay) for delay in delays], axis=2)
+        targets = np.stack([_delay_targets(log, steps, delay) for delay in delays], axis=2)
         with jax.enable_x64(True):
             return np.asarray(compute_angles(joints, targets[:, :, which]))
 
@@ -113,18 +114,18 @@ def estimate_starts(log: Log) -> tuple[np.ndarray, np.ndarray]:
     return pose, speed
 
 
-def _late_targets(log: Log, steps: Steps, delay: float) -> np.ndarray:
+def _delay_targets(log: Log, steps: Steps, delay: float) -> np.ndarray:
     """Return the mean target (steps, 12), rad, of each step when targets are `delay` s late."""
     targets = []
     for times in steps.time:
         # Before a piece its first target held: nearer than the last one before the gap.
         later = log.target_time >= times[0]
         piece = log._replace(target_time=log.target_time[later], target=log.target[later])
-        targets.append(mean_targets(piece, times, delay))
+        targets.append(average_targets(piece, times, delay))
     return np.concatenate(targets)
 
 
-def mean_targets(log: Log, times: np.ndarray, delay: float) -> np.ndarray:
+def average_targets(log: Log, times: np.ndarray, delay: float) -> np.ndarray:
     """Return the mean target (steps, 12), rad, between `times` when each is `delay` s late.
 
     A target holds until the next. Means change smoothly with the delay, where single values jump.
@@ -148,7 +149,9 @@ def _simulate(
 
     `start` holds the angles and speeds (pieces, 12, n) with which each piece begins.
     """
-    constants = zip(model.links, _by_link(joints.armature), _by_link(joints.damping), strict=True)
+    constants = zip(
+        model.links, _split_links(joints.armature), _split_links(joints.damping), strict=True
+    )
     links = tuple(
         jax.tree.map(append_axis, link)._replace(armature=armature, damping=damping)
         for link, armature, damping in constants
@@ -157,11 +160,11 @@ def _simulate(
     motor = motor._replace(kp=joints.kp, kd=joints.kd, friction=joints.friction)
     model = model._replace(links=links, motor=motor)
 
-    def acceleration(q: jax.Array, qd: jax.Array, target: jax.Array) -> jax.Array:
-        wanted = target + joints.target_offset
-        torque = compute_motor_torque(motor, wanted, q + joints.offset, qd)
+    def accelerate(q: jax.Array, qd: jax.Array, target: jax.Array) -> jax.Array:
+        regulated = target + joints.target_offset
+        torque = compute_motor_torque(motor, regulated, q + joints.offset, qd)
         torque += compute_friction_torque(motor, qd, joints.friction_speed)
-        return joint_acceleration(model, q, qd, torque)
+        return compute_acceleration(model, q, qd, torque)
 
     def step(
         state: tuple[jax.Array, jax.Array], inputs: tuple[jax.Array, jax.Array, jax.Array]
@@ -169,8 +172,8 @@ def _simulate(
         target, piece, is_first = inputs
         q = jnp.where(is_first, start[0][piece], state[0])
         qd = jnp.where(is_first, start[1][piece], state[1])
-        half = qd + 0.5 * dt * acceleration(q, qd, target)
-        after = q + dt * half, qd + dt * acceleration(q + 0.5 * dt * qd, half, target)
+        half = qd + 0.5 * dt * accelerate(q, qd, target)
+        after = q + dt * half, qd + dt * accelerate(q + 0.5 * dt * qd, half, target)
         return after, q
 
     first = start[0][0], start[1][0]
@@ -178,29 +181,29 @@ def _simulate(
     return jax.lax.scan(step, first, inputs)[1]
 
 
-def joint_acceleration(model: Model, q: jax.Array, qd: jax.Array, torque: jax.Array) -> jax.Array:
+def compute_acceleration(model: Model, q: jax.Array, qd: jax.Array, torque: jax.Array) -> jax.Array:
     """Return the joints' accelerations (12, n), rad/s^2, with torques (12, n), Nm.
 
     `q` (12, n), rad, and `qd` (12, n), rad/s, are angles and speeds. The constants of the `model`
     have a last axis for the candidates.
     """
-    pose = rigid_body.compute_pose(model.links, _LEVEL, _by_link(q))
+    pose = rigid_body.compute_pose(model.links, _LEVEL, _split_links(q))
     bodies = rigid_body.place_bodies(model.trunk, model.links, pose)
     mass = rigid_body.compute_mass_matrix(model.trunk, model.links, pose, bodies).legs
-    velocity = rigid_body.Motion(_STILL, _STILL, _by_link(qd))
+    velocity = rigid_body.Motion(_STILL, _STILL, _split_links(qd))
     bias = rigid_body.compute_bias_force(
         model.trunk, model.links, pose, bodies, velocity, model.gravity
     )
-    parts = zip(_by_link(torque), model.links, velocity.joints, bias.joints, strict=True)
-    force = v.to_vector(own - link.damping * rate - held for own, link, rate, held in parts)
+    parts = zip(_split_links(torque), model.links, velocity.joints, bias.joints, strict=True)
+    force = v.to_vector(motor - link.damping * rate - fixed for motor, link, rate, fixed in parts)
     hip, thigh, calf = map(v.to_vector, mass)
     # The inverse of a 3x3 matrix from the cross products of its rows.
     inverse = v.cross(thigh, calf), v.cross(calf, hip), v.cross(hip, thigh)
-    found = v.scale(1.0 / v.dot(hip, inverse[0]), v.apply_transposed(inverse, force))
-    return jnp.stack(found, axis=1).reshape(4 * rigid_body.LINKS, -1)
+    acceleration = v.scale(1.0 / v.dot(hip, inverse[0]), v.apply_transposed(inverse, force))
+    return jnp.stack(acceleration, axis=1).reshape(4 * rigid_body.LINKS, -1)
 
 
-def _by_link(joints: jax.Array | np.ndarray) -> Vector:
-    """Return values (12, n) as those of hip, thigh and calf joints, (4, n) each."""
+def _split_links(joints: jax.Array | np.ndarray) -> Vector:
+    """Split values (12, n) into those of hip, thigh and calf joints, (4, n) each."""
     legs = joints.reshape(4, rigid_body.LINKS, -1)
     return legs[:, 0], legs[:, 1], legs[:, 2]
