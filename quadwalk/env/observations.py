@@ -27,7 +27,6 @@ from quadwalk.env.state import EnvState, RobotConstants, compute_height, compute
 from quadwalk.physics.rotation import (
     compute_gravity_direction,
     compute_yaw,
-    rotate_about_z,
     rotate_inverse,
 )
 from quadwalk.settings.environment import COMMANDED
@@ -160,11 +159,14 @@ def _scan_ground(
     robot: RobotConstants, state: EnvState, ahead: np.ndarray, left: np.ndarray, reach: float
 ) -> jax.Array:
     """Return the scan at all of `ahead` (k,) times `left` (l,), m: (k * l,)."""
-    grid = (axis.ravel() for axis in np.meshgrid(ahead, left, indexing="ij"))
-    x, y = rotate_about_z(compute_yaw(state.qpos[3:7]), *grid)
+    x, y = (axis.ravel() for axis in np.meshgrid(ahead, left, indexing="ij"))
+    heading = compute_yaw(state.qpos[3:7])
+    cos, sin = jnp.cos(heading), jnp.sin(heading)
     level: jax.typing.ArrayLike = np.zeros(ahead.size * left.size)
     if robot.ground is not None:
-        level = robot.ground.measure(state.qpos[0] + x, state.qpos[1] + y)[0]
+        # In this order of additions the policies were trained.
+        places = (state.qpos[0] + cos * x - sin * y, state.qpos[1] + sin * x + cos * y)
+        level = robot.ground.measure(*places)[0]
     return jnp.clip(state.qpos[2] - robot.home_height - level, -reach, reach)
 
 
