@@ -13,12 +13,10 @@ from rich.console import Console
 from quadwalk.errors import UserError
 from quadwalk.evaluation.load import LoadedRun, load_run
 from quadwalk.export.deploy_yaml import make_deploy_yaml
-from quadwalk.export.description import describe
+from quadwalk.export.description import make_policy_model
 from quadwalk.export.policy_graph import (
     JointTargets,
-    build_model,
     compute_input_order,
-    extract_weights,
     find_joint_targets,
 )
 from quadwalk.files import make_folder, open_atomic
@@ -77,9 +75,7 @@ def convert_policy(loaded: LoadedRun, console: Console) -> tuple[onnx.ModelProto
         console.print(note)
     env = loaded.env
     targets = find_joint_targets(env.config.action, env.robot)
-    weights = extract_weights(loaded.policy.act, loaded.policy.config.ppo)
-    metadata = describe(loaded, targets)
-    model = build_model(weights, compute_input_order(env), targets, metadata)
+    model = make_policy_model(loaded, targets)
     error = compute_largest_error(model, loaded)
     if error > TOLERANCE:
         raise UserError(f"the exported policy is {error:.1e} off; expected less than {TOLERANCE}")

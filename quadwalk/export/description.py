@@ -6,10 +6,16 @@ from importlib.metadata import version
 from typing import Any
 
 import numpy as np
+import onnx
 
 from quadwalk.env.reset import compute_nominal_start
 from quadwalk.evaluation.load import LoadedRun
-from quadwalk.export.policy_graph import JointTargets
+from quadwalk.export.policy_graph import (
+    JointTargets,
+    build_model,
+    compute_input_order,
+    extract_weights,
+)
 from quadwalk.settings.environment import COMMANDED
 from quadwalk.settings.registry import get_term_name
 
@@ -21,6 +27,12 @@ LAYOUT = (
     "one part after another, each from its oldest step to its newest; "
     "at the start all of a part's history is its first reading"
 )
+
+
+def make_policy_model(loaded: LoadedRun, targets: JointTargets) -> onnx.ModelProto:
+    """Return the policy as a graph that gives joint targets, with its metadata."""
+    weights = extract_weights(loaded.policy.act, loaded.policy.config.ppo)
+    return build_model(weights, compute_input_order(loaded.env), targets, describe(loaded, targets))
 
 
 def describe(loaded: LoadedRun, targets: JointTargets) -> dict[str, str]:

@@ -10,7 +10,7 @@ from pathlib import Path
 from rich.console import Console
 
 from quadwalk.cli.shell import get_python, quote_words
-from quadwalk.errors import UserError
+from quadwalk.errors import UsageError, UserError
 from quadwalk.evaluation.load import LoadedRun, load_run
 from quadwalk.files import make_folder, open_atomic
 from quadwalk.learn.acting import load_checkpoint_policy, load_policy
@@ -21,6 +21,7 @@ from quadwalk.web import site
 from quadwalk.web.actor import PythonActor
 from quadwalk.web.serve import Actor, Content
 
+GETUP = Run(PRETRAINED / "getup")  # gets robots up, where no other run is named for that
 SECONDS = 3600.0  # of an episode: the page's has no end
 
 
@@ -38,14 +39,18 @@ class LiveSite:
         self._run, self._which = run, which
         self._first = load(run, which)
         self._is_remote = site.is_python_needed(self._first)
-        riser = None if getup is None else load(getup, "last")
+        riser = load(getup or GETUP, "last")
         dogs = [make_dog(self._first, riser, self._is_remote)]
         self.files: dict[str, Content] = {}
         for label, file in list_policies(run).items():
             name = f"{run.name}.{file.stem}.onnx"
             dogs[0].entry["policies"][label] = name
             self.files[name] = partial(convert, self._first, file)
+        names = {run.name}  # files are called by them: of two runs of one name the first is shown
         for other in others:
+            if other.name in names:
+                continue
+            names.add(other.name)
             with contextlib.suppress(UserError):
                 loaded = load(other, "last")
                 if not site.is_python_needed(loaded):
@@ -92,12 +97,13 @@ def make_files(runs: list[Run], which: str, getup: Run | None = None) -> dict[st
     """Return the files of a page with these runs, which needs no Python.
 
     `getup` is the run that gets robots up; None: the packaged one. Raises `UserError` where a
-    policy cannot act without Python.
+    policy cannot act without Python, and `UsageError` for two runs of one name.
     """
+    names = [run.name for run in runs]
+    if len(set(names)) < len(names):
+        raise UsageError(f"two runs have the same name: {', '.join(names)}; expected other names")
     set_up_devices(1)
-    if getup is None and (PRETRAINED / "getup").exists():
-        getup = Run(PRETRAINED / "getup")
-    riser = None if getup is None else load(getup, "last")
+    riser = load(getup or GETUP, "last")
     dogs = []
     for run in runs:
         loaded = load(run, which)
@@ -123,10 +129,11 @@ def convert(loaded: LoadedRun, file: Path) -> bytes:
     return site.to_onnx(replace(loaded, file=file, policy=policy))
 
 
-def make_dog(loaded: LoadedRun, riser: LoadedRun | None, remote: bool = False) -> site.Dog:
+def make_dog(loaded: LoadedRun, riser: LoadedRun, remote: bool = False) -> site.Dog:
     """Return a run's robot for the page, with the policy that gets it up where it fits."""
-    if riser is not None:
-        is_itself = loaded.run.path == riser.run.path
-        if is_itself or not loaded.has_same_robot(riser):
-            riser = None
-    return site.make_dog(loaded, riser, remote)
+    return site.make_dog(loaded, riser if can_get_up(loaded, riser) else None, remote)
+
+
+def can_get_up(loaded: LoadedRun, riser: LoadedRun) -> bool:
+    """Return True if `riser` is another run that can get the robot of `loaded` up."""
+    return loaded.run.path != riser.run.path and loaded.has_same_robot(riser)

@@ -11,6 +11,7 @@ import threading
 from collections.abc import Callable, Iterator, Mapping
 from http import HTTPStatus
 from typing import Any, Protocol
+from urllib.parse import unquote
 
 from websockets.datastructures import Headers
 from websockets.exceptions import ConnectionClosed
@@ -102,7 +103,7 @@ class PageServer:
                 None if same else _make_response(HTTPStatus.FORBIDDEN, b"another page's websocket")
             )
         self._is_ready.wait()
-        name = path.removeprefix("/") or INDEX
+        name = unquote(path).removeprefix("/") or INDEX
         content = self._files.get(name)
         if callable(content):
             try:

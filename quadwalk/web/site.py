@@ -15,12 +15,9 @@ import numpy as np
 from quadwalk.env.env import QuadrupedEnv
 from quadwalk.errors import UserError
 from quadwalk.evaluation.load import LoadedRun, make_unseen_ground
-from quadwalk.export.description import describe
+from quadwalk.export.description import make_policy_model
 from quadwalk.export.policy_graph import (
     JointTargets,
-    build_model,
-    compute_input_order,
-    extract_weights,
     find_joint_targets,
 )
 from quadwalk.robot.mjcf import write_xml
@@ -39,10 +36,8 @@ _MODULE = re.compile(r'from "(?:\./)?([^"]+)"')
 
 @dataclass(frozen=True)
 class Dog:
-    """One robot of the page: what its menu calls it, and its files."""
+    """One robot of the page: its files, and its entry in the list that the page reads."""
 
-    name: str
-    about: str
     files: dict[str, bytes]
     entry: dict[str, Any]
 
@@ -71,7 +66,7 @@ def make_dog(loaded: LoadedRun, getup: LoadedRun | None = None, remote: bool = F
         "ground": None,
         "remote": remote,
     }
-    return Dog(name, about, files, entry)
+    return Dog(files, entry)
 
 
 def to_onnx(loaded: LoadedRun) -> bytes:
@@ -82,9 +77,7 @@ def to_onnx(loaded: LoadedRun) -> bytes:
     except UserError:  # then it acts in Python, and its file has only its weights and metadata
         limits = np.asarray(env.robot.lower), np.asarray(env.robot.upper)
         targets = JointTargets(np.zeros(12), np.asarray(env.robot.home_joints), *limits)
-    weights = extract_weights(loaded.policy.act, loaded.policy.config.ppo)
-    model = build_model(weights, compute_input_order(env), targets, describe(loaded, targets))
-    return model.SerializeToString()
+    return make_policy_model(loaded, targets).SerializeToString()
 
 
 def make_ground(env: QuadrupedEnv) -> Terrain:

@@ -66,7 +66,7 @@ def main_alongside(args: Sequence[str], prog: str) -> None:
 def view(config: ViewConfig) -> None:
     """Serve the page of a run's robot until interrupted, or show it in MuJoCo's window."""
     run = find_ready(config.runs, config.run, "drive")
-    getup = find_getup(config)
+    getup = None if config.getup is None else find_any_run(config.runs, config.getup)
     check_packages()
     if config.window:
         show_window(run, config.policy, getup)
@@ -88,14 +88,6 @@ def view(config: ViewConfig) -> None:
             site = LiveSite(run, config.policy, getup, list_others(config.runs, run))
         server.set_files(site.files, site.make_actor)
         watch(run, config.policy, lambda: server.send_policy(*site.load_newest()))
-
-
-def find_getup(config: ViewConfig) -> Run | None:
-    """Find the run that gets the robot up; None where none is named and none comes trained."""
-    if config.getup is not None:
-        return find_any_run(config.runs, config.getup)
-    packaged = Run(PRETRAINED / "getup")
-    return packaged if packaged.policy.exists() else None
 
 
 def list_others(root: Path, run: Run) -> list[Run]:
@@ -136,8 +128,11 @@ def get_time(file: Path) -> int | None:
 
 def show_window(run: Run, which: str, getup: Run | None) -> None:
     """Export the policy to a temporary folder, and run it in MuJoCo's window."""
-    from quadwalk.export.bundle import export_run
+    from quadwalk.export.bundle import export_run, load_flat
+    from quadwalk.web.robots import GETUP, can_get_up
 
+    if getup is None and can_get_up(load_flat(run, which), load_flat(GETUP, "last")):
+        getup = GETUP
     with tempfile.TemporaryDirectory() as folder:
         export_run(run, which, Path(folder), make_console(), getup)
         command = [sys.executable, f"{folder}/run_policy.py", "--view", "--seconds", "1e9"]

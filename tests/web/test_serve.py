@@ -28,7 +28,13 @@ def fail() -> bytes:
 @pytest.fixture(scope="module")
 def server() -> Iterator[PageServer]:
     """A server of a few files, whose actor adds up the command."""
-    files = {"index.html": b"<p>page", "main.js": b"1", "late.onnx": lambda: b"x", "bad": fail}
+    files = {
+        "index.html": b"<p>page",
+        "main.js": b"1",
+        "late.onnx": lambda: b"x",
+        "bad": fail,
+        "my run.onnx": b"y",
+    }
     with serve_page("127.0.0.1", 8410) as server:
         server.set_files(files, lambda: add_up)
         yield server
@@ -47,6 +53,7 @@ def test_files_are_served_with_their_kind(server):
     assert get(server.url) == (200, "text/html", b"<p>page")
     assert get(f"{server.url}/main.js?1") == (200, "text/javascript", b"1")
     assert get(f"{server.url}/late.onnx")[2] == b"x"
+    assert get(f"{server.url}/my%20run.onnx")[2] == b"y"
     assert get(f"{server.url}/../pyproject.toml")[0] == 404
     assert get(f"{server.url}/bad") == (500, "text/plain", b"the policy is damaged")
 

@@ -26,7 +26,7 @@ def test_a_dog_is_its_policy_and_its_robot(loaded_runs):
     assert dog.entry["policy"] == "drive.onnx"
     model = mujoco.MjModel.from_xml_string(dog.files["drive.xml"].decode())
     assert model.nq == 19
-    assert "82,010,112 steps" in dog.about
+    assert "82,010,112 steps" in dog.entry["about"]
 
 
 def test_ground_is_written_to_a_millimeter(loaded_runs):

@@ -50,7 +50,7 @@ function toBody(R, x) {
 }
 
 /** @param {number} x @param {number} low @param {number} high */
-function clip(x, low, high) {
+export function clip(x, low, high) {
   return Math.min(Math.max(x, low), high);
 }
 

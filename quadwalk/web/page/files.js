@@ -18,7 +18,9 @@ export const isSingleFile = inside !== undefined;
  */
 export async function readFile(name) {
   if (inside) return unpack(inside[name]);
-  const answer = await fetch(name, { cache: "no-cache" });
+  const answer = await fetch(name.split("/").map(encodeURIComponent).join("/"), {
+    cache: "no-cache",
+  });
   if (!answer.ok) throw new Error(`${name} cannot be read: ${answer.status} ${answer.statusText}`);
   if (!name.endsWith(".gz")) return new Uint8Array(await answer.arrayBuffer());
   const body = /** @type {ReadableStream} */ (answer.body);

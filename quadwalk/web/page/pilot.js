@@ -1,5 +1,7 @@
 /** The velocity command: from held keys, sticks or a script, on its way to what they ask. */
 
+import { clip } from "./controller.js";
+
 const WALK = 1; // m/s, of W without shift
 const GALLOP = 4; // m/s, of W with shift
 const TURN = 1.5; // rad/s, of A and D
@@ -19,14 +21,6 @@ export const TOUR = [
   [2, [0.3, 0.4, 0]],
   [2, [-0.6, 0, 0]],
 ];
-
-/** Names of what can be held, which inputs share. */
-export const HOLDS = ["ahead", "back", "turnLeft", "turnRight", "left", "right", "gallop"];
-
-/** @param {number} x @param {number} low @param {number} high */
-function clip(x, low, high) {
-  return Math.min(Math.max(x, low), high);
-}
 
 /** Makes the velocity command of each control step. */
 export class Pilot {
@@ -61,7 +55,7 @@ export class Pilot {
 
   /**
    * Hold or release something; the first hold ends the script.
-   * @param {string} name one of `HOLDS`
+   * @param {string} name as input.js names it
    * @param {boolean} isDown
    */
   hold(name, isDown) {

@@ -46,23 +46,10 @@ export class Terrain {
     this.file = file;
     this.tiles = file.tiles;
     this.heights = Float64Array.from(units, (unit) => file.low + file.step * unit);
-    this.range = file.step * units.length ? Math.max(...this.tops(units)) * file.step : 0;
+    this.range = this.heights.reduce((top, height) => Math.max(top, height), file.low) - file.low;
     const [x, y] = file.origin;
     /** The edges of the field, m: least x, most x, least y, most y. */
     this.edges = [x, x + (file.columns - 1) * file.cell, y, y + (file.rows - 1) * file.cell];
-  }
-
-  /**
-   * Return the largest unit of each row.
-   * @param {ArrayLike<number>} units
-   */
-  tops(units) {
-    const { rows, columns } = this.file;
-    return Array.from({ length: rows }, (_, row) => {
-      let top = 0;
-      for (let k = 0; k < columns; k++) top = Math.max(top, units[row * columns + k]);
-      return top;
-    });
   }
 
   /**
