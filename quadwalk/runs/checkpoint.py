@@ -100,11 +100,12 @@ def load(path: Path | str, kind: str, like: Any = None) -> tuple[Any, dict[str, 
 
 
 def _describe_kind(kind: str) -> str:
+    """Return what is expected in an error about a file that is not of this kind."""
     return f"a {kind} file that quadwalk's training wrote"
 
 
 def _name_leaves(tree: Any) -> tuple[list[tuple[str, Any]], Any]:
-    """Return the leaves of a tree, in its order, with their paths as names; and its structure."""
+    """Return the leaves of a tree with their paths as names, in order, and the tree's structure."""
     import jax  # not at the top: to list runs, or read a file into a dict, takes none of it
 
     def quote_key(key: Any) -> str:
@@ -119,6 +120,7 @@ def _name_leaves(tree: Any) -> tuple[list[tuple[str, Any]], Any]:
 
 
 def _to_numpy(name: str, leaf: Any) -> np.ndarray:
+    """Return a leaf as a little-endian array; `TypeError` for one that is not of plain numbers."""
     # order="C", so that how an array happens to lie in memory does not change the bytes.
     array = np.asarray(leaf, order="C")
     if array.dtype.kind not in "biufc":
@@ -127,6 +129,7 @@ def _to_numpy(name: str, leaf: Any) -> np.ndarray:
 
 
 def _read_leaves(archive: zipfile.ZipFile, header: dict[str, Any]) -> dict[str, np.ndarray]:
+    """Return the arrays of a file by their names; `ValueError` if `header` lists others."""
     names = header["arrays"]
     if archive.namelist() != [_METADATA, *(name + ".npy" for name in names)]:
         raise ValueError("the members are not those that the metadata lists")
@@ -139,7 +142,7 @@ def _read_leaves(archive: zipfile.ZipFile, header: dict[str, Any]) -> dict[str, 
 
 
 def _read_member(archive: zipfile.ZipFile, name: str) -> bytes:
-    """Return a member's bytes, their CRC checked."""
+    """Return the bytes of a member of the archive, after a check of their CRC."""
     # We never compress, so nothing read is larger than the file: no room for a zip bomb.
     if archive.getinfo(name).compress_type != zipfile.ZIP_STORED:
         raise ValueError("a compressed member")
@@ -167,7 +170,7 @@ def _fill_structure(path: Path, leaves: dict[str, np.ndarray], like: Any) -> Any
 
 
 def _describe(leaf: Any) -> str:
-    """Return shape and dtype of an array, number or stand-in: "(48, 128) float32"."""
+    """Return shape and dtype of an array, a number or a `ShapeDtypeStruct`: "(48, 128) float32"."""
     if not hasattr(leaf, "shape") or not hasattr(leaf, "dtype"):
         leaf = np.asarray(leaf)
     return f"{tuple(leaf.shape)} {leaf.dtype}"

@@ -32,7 +32,7 @@ class ListRunsConfig:
 
 
 def main(args: Sequence[str], prog: str = "quadwalk runs") -> None:
-    """List all runs, show some with all of their settings, or remove some."""
+    """List all runs, or, as `args` say, show some with all of their settings or remove them."""
     config = parse(ListRunsConfig, args, prog)
     if config.action == "list":
         if config.run:
@@ -56,6 +56,7 @@ def main(args: Sequence[str], prog: str = "quadwalk runs") -> None:
 
 
 def _print_table(runs: list[Run], root: Path) -> None:
+    """Print a row for each run: its task, progress and last metrics."""
     if not runs:
         print(f"no run in {root} yet")
         return
@@ -78,7 +79,7 @@ def _print_table(runs: list[Run], root: Path) -> None:
 
 
 def _read_task(run: Run) -> str:
-    """Return the task's name; "-" for a run that cannot be read."""
+    """Return the name of the task of a run; "-" if its settings cannot be read."""
     try:
         return str(json.loads(run.config.read_bytes())["config"]["task"])
     except (OSError, *DAMAGE):

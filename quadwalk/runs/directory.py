@@ -69,15 +69,18 @@ class Run:
 
     @property
     def packaged(self) -> bool:
-        """True if it comes with the package, and so is not to be changed."""
+        """True for a pretrained run that comes with the package: nothing writes to it."""
         return resolve_path(self.path).parent == PRETRAINED
 
     def locate_heights(self, file: Path) -> Path:
-        """Return the path of the run's copy of a file of heights; the same for the copy itself."""
+        """Return the path in this run of the copy of `file`, which holds the ground's heights.
+
+        For the copy itself that is its own path.
+        """
         return self.path / f"ground-{file.name.removeprefix('ground-')}"
 
     def locate_checkpoint(self, steps: int) -> Path:
-        """Return the path of the checkpoint after this many environment steps."""
+        """Return the path of the checkpoint after `steps` control steps of training."""
         # Twelve digits, so that a plain listing is in the order of training.
         return self.checkpoints / f"step_{steps:012d}.npz"
 
@@ -90,7 +93,7 @@ def create_run(
 ) -> Run:
     """Make the directory of a new run in `root`; without a name, call it by date, time and label.
 
-    `files` are its first, from name to content: the directory appears with them, or not at all.
+    `files` go into it, from name to content: the directory appears with all of them or not at all.
     Raises `UsageError` for a name that exists or cannot be one, `UserError` if `root` cannot be
     written. Nothing is left behind then.
     """
@@ -138,7 +141,7 @@ def find_run(root: Path | str, which: str) -> Run:
 
 
 def find_any_run(root: Path | str, which: str) -> Run:
-    """Find a run as `find_run` does, or by its name one that comes with the package."""
+    """Find a run as `find_run` does, or else a pretrained run of the package by its name."""
     packaged = sorted(folder.name for folder in PRETRAINED.iterdir())
     try:
         return find_run(root, which)
@@ -153,7 +156,7 @@ def find_any_run(root: Path | str, which: str) -> Run:
 
 
 def _make_unknown_run_error(root: Path, which: str, packaged: Sequence[str] = ()) -> UsageError:
-    """Return an error that lists the runs in `root` and the packaged ones, and the likeliest."""
+    """Return an error that lists the runs in `root` and `packaged`, and suggests the likeliest."""
     names = [run.name for run in list_runs(root)]
     expected = f"there is none in {root} yet"
     if names:
@@ -166,13 +169,16 @@ def _make_unknown_run_error(root: Path, which: str, packaged: Sequence[str] = ()
 
 
 def find_ready(root: Path | str, which: str, packaged: str) -> Run:
-    """Find a run as `find_any_run` does; before any training "latest" is the one `packaged`."""
+    """Find a run as `find_any_run` does, but "latest" is `packaged` if `root` has no run.
+
+    `packaged` is the name of a pretrained run of the package.
+    """
     nothing_yet = which == "latest" and not list_runs(root)
     return find_any_run(root, packaged if nothing_yet else which)
 
 
 def describe_origin(root: Path | str, run: Run) -> str:
-    """Return a run's path, and that it comes with the package where it does."""
+    """Return the path of a run, with a note if the run comes with the package."""
     if not run.packaged:
         return str(run.path)
     note = "" if list_runs(root) else f": no run in {root} yet"
@@ -180,14 +186,17 @@ def describe_origin(root: Path | str, run: Run) -> str:
 
 
 def get_results_folder(root: Path | str, run: Run) -> Path:
-    """Return the folder of what is made of a run: its own, or one in `root` if it is packaged."""
+    """Return the folder for plots, films and the like of a run: the run's folder.
+
+    For a pretrained run of the package, to which nothing is written, it is a folder in `root`.
+    """
     if run.packaged:
         return Path(root) / PRETRAINED.name / run.name
     return run.path
 
 
 def list_runs(root: Path | str) -> list[Run]:
-    """Return the runs in `root`, the one last trained first; none if there is no such folder."""
+    """Return the runs in `root`, the last trained first; an empty list if it does not exist."""
     try:
         runs = [Run(path) for path in sorted(Path(root).iterdir()) if _is_run(path)]
     except OSError:
@@ -200,7 +209,7 @@ def list_runs(root: Path | str) -> list[Run]:
 
 
 def get_versions() -> dict[str, str]:
-    """Return the versions of Python and of the packages that compute, by name."""
+    """Return the versions of Python, quadwalk and the packages it computes with, by name."""
     packages = ("quadwalk", "mujoco", "mujoco-mjx", "jax", "jaxlib", "brax", "flax", "optax")
     versions = {name: importlib.metadata.version(name) for name in packages}
     return {"python": platform.python_version(), **versions}
@@ -235,23 +244,28 @@ def find_latest_checkpoint(run: Run, warn: Callable[[str], None]) -> Path | None
 
 
 def prune_checkpoints(run: Run, count: int, also: Path | None = None) -> None:
-    """Delete all but the newest `count` checkpoints and `also`."""
+    """Delete all checkpoints of a run except the newest `count` and the one at `also`."""
     _delete(path for path in list_checkpoints(run)[:-count] if path != also)
 
 
 def claim(run: Run, wait: bool = False) -> contextlib.AbstractContextManager[None]:
-    """Hold a run for training; `UserError` if another process has it, unless to `wait` for it."""
+    """Return a context in which no other process can train this run.
+
+    If another process trains it already, wait for that one to end, or, without `wait`, raise
+    `UserError`.
+    """
     message = f"{run.path} is being trained by another process"
     return hold_file(run.metrics, None if wait else message)
 
 
 def delete_partial_files(run: Run) -> None:
-    """Delete what saves that were interrupted left."""
+    """Delete the partial files that interrupted saves left in a run's folders."""
     # Not below: an evaluation may be writing there.
     _delete(path for place in (run.path, run.checkpoints, run.nan) for path in place.glob("*.part"))
 
 
 def _delete(paths: Iterable[Path]) -> None:
+    """Delete files; one that cannot be deleted is left."""
     for path in paths:
         # A file that cannot be deleted costs space, not the training.
         with contextlib.suppress(OSError):
@@ -259,6 +273,7 @@ def _delete(paths: Iterable[Path]) -> None:
 
 
 def _check_name(name: str) -> None:
+    """Raise `UsageError` for a name that a run cannot have."""
     if name == "latest":
         raise UsageError("a run cannot be called 'latest': that means the newest one")
     if len(name) > 100 or not _NAME.fullmatch(name):
@@ -269,7 +284,10 @@ def _check_name(name: str) -> None:
 
 
 def _rename(folder: Path, name: str) -> Path | None:
-    """Give a folder its name; None if it is taken, even by a run begun at the same moment."""
+    """Rename `folder` within its parent and return its new path; None if the name is taken.
+
+    That holds even against a run that another process begins at the same moment.
+    """
     path = folder.with_name(name)
     try:
         # The system refuses to put it in the place of a file, or of a folder that is not empty.
@@ -282,19 +300,20 @@ def _rename(folder: Path, name: str) -> Path | None:
 
 
 def _rename_to_free(folder: Path, label: str) -> Path:
-    """Give a folder the first free name of this minute and `label`."""
+    """Rename `folder` to the time and `label`, and a number if that is taken; return its path."""
     words = re.sub(r"[^\w.+=@,-]+", "-", label)[:50]  # a user's task may be called anything
     names = generate_names(f"{datetime.datetime.now():%Y-%m-%d_%H%M}-{words}")
     return next(path for name in names if (path := _rename(folder, name)))
 
 
 def generate_names(name: str) -> Iterator[str]:
-    """Yield `name`, name-2, name-3 ...: for the first that is free to be taken."""
+    """Yield `name`, then `name`-2, `name`-3 and so on: the caller takes the first free one."""
     yield name
     yield from (f"{name}-{number}" for number in itertools.count(2))
 
 
 def _is_run(path: Path) -> bool:
+    """Return True for a directory that holds the settings or the policy of a run."""
     if path.name.startswith(".") and path.name.endswith(".part"):
         return False
     try:
@@ -305,7 +324,7 @@ def _is_run(path: Path) -> bool:
 
 
 def get_modified_time(path: Path) -> float:
-    """Return the time at which `path` was last written, s; 0 where it is not there."""
+    """Return the time at which `path` was last written, s since 1970; 0 if it does not exist."""
     try:
         return path.stat().st_mtime
     except OSError:

@@ -46,7 +46,10 @@ class MetricsLog(contextlib.AbstractContextManager["MetricsLog"]):
         self._events = _Events(run.tensorboard, resume_at)
 
     def append(self, metrics: Mapping[str, Any], timing: Mapping[str, Any] | None = None) -> None:
-        """Write `metrics` with their "steps", and their `timing`; null for NaN and infinity."""
+        """Add a row of `metrics`, which contain "steps", and a row of `timing` at the same steps.
+
+        NaN and infinity are written as null.
+        """
         steps = int(metrics["steps"])
         with contextlib.ExitStack() as stack:  # each file, whatever becomes of the others
             stack.callback(self._events.append, steps, {**metrics, **(timing or {})})
@@ -55,14 +58,14 @@ class MetricsLog(contextlib.AbstractContextManager["MetricsLog"]):
             stack.callback(self._metrics.append, _make_row(steps, metrics))
 
     def sync(self) -> None:
-        """Put all rows on the disk for good: before the checkpoint that relies on them."""
+        """Put all rows on the disk for good, which a checkpoint needs before it is written."""
         self._metrics.sync()
         self._timing.sync()
         with contextlib.suppress(UserError):
             self._events.flush()
 
     def close(self) -> None:
-        """Close the files; `sync` first."""
+        """Close the files. Rows that the disk has refused are lost: call `sync` before."""
         self._metrics.close()
         self._timing.close()
         self._events.close()
@@ -72,7 +75,7 @@ class MetricsLog(contextlib.AbstractContextManager["MetricsLog"]):
 
 
 def read_metrics(run: Run) -> list[Row]:
-    """Read a run's metrics in order, null as NaN, less a last line cut short.
+    """Read the rows of a run's metrics in order, null as NaN, without a last line cut short.
 
     Raises `UserError` for a file that is damaged.
     """
@@ -86,7 +89,7 @@ def read_history(run: Run) -> list[Row]:
 
 
 def read_last_row(run: Run) -> Row | None:
-    """Read the last whole row of a run's metrics, null as NaN; None if there is none."""
+    """Read the last complete row of a run's metrics, null as NaN; None if there is no row."""
     try:
         with open(run.metrics, "rb") as file:
             size = file.seek(0, os.SEEK_END)
@@ -98,17 +101,19 @@ def read_last_row(run: Run) -> Row | None:
 
 
 def _make_row(steps: int, values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a row of a log for JSON: its steps first, then `values` sorted by name."""
     numbers = {name: _to_json(value) for name, value in sorted(values.items()) if name != "steps"}
     return {"steps": steps, **numbers}
 
 
 def _to_json(value: Any) -> int | float | None:
+    """Return a scalar of Python, NumPy or JAX as a number for JSON; None for NaN and infinity."""
     value = np.asarray(value).item()
     return value if math.isfinite(value) else None
 
 
 def _parse_row(line: bytes) -> Row | None:
-    """Return the row in a line of JSON, null as NaN; None if it is none."""
+    """Return the row in a line of JSON, null as NaN; None if the line holds no row."""
     try:
         values = json.loads(line)
         # A name is kept once, not in every row.
@@ -120,7 +125,7 @@ def _parse_row(line: bytes) -> Row | None:
 
 
 def _read_rows(path: Path) -> Iterator[tuple[Row, int]]:
-    """Yield the complete rows of a file of JSON lines, each with the offset at which it ends."""
+    """Yield the complete rows of a file of JSON lines, each with the offset of its line's end."""
     end = 0
     try:
         with open(path, "rb") as file:
@@ -141,7 +146,7 @@ def _read_rows(path: Path) -> Iterator[tuple[Row, int]]:
 
 
 class _Lines:
-    """A file of JSON lines."""
+    """A file of JSON lines, to which rows are added; `UserError` if the system refuses a write."""
 
     def __init__(self, path: Path, resume_at: int | None) -> None:
         self._path = path
@@ -157,11 +162,12 @@ class _Lines:
             raise self._make_error(error) from error
 
     def append(self, row: Mapping[str, Any]) -> None:
+        """Write a row, after all rows that the disk has refused so far."""
         self._unwritten += json.dumps(row, allow_nan=False).encode() + b"\n"
         self._write()
 
     def _write(self) -> None:
-        """Write what is not written: a line that the disk took a part of goes on there."""
+        """Write the bytes that are not on the disk yet; they continue a line that broke off."""
         try:
             while self._unwritten:
                 self._unwritten = self._unwritten[os.write(self._file, self._unwritten) :]
@@ -169,6 +175,7 @@ class _Lines:
             raise self._make_error(error) from error
 
     def sync(self) -> None:
+        """Write all rows and wait until they are on the disk for good."""
         self._write()
         try:
             os.fsync(self._file)
@@ -196,6 +203,7 @@ class _Events:
         self._flushed = 0.0
 
     def append(self, steps: int, values: Mapping[str, Any]) -> None:
+        """Add an event with all of `values` at this step."""
         scalars = [
             Summary.Value(tag=name, simple_value=float(np.asarray(value).item()))
             for name, value in values.items()
@@ -210,18 +218,21 @@ class _Events:
             self.flush()
 
     def flush(self) -> None:
+        """Hand all events to the system."""
         if self._writer is not None:
             with self._begin_anew_if_refused():
                 self._writer.flush()
             self._flushed = time.monotonic()
 
     def close(self) -> None:
+        """Close the file, if one is open; the next event begins a new one."""
         writer, self._writer = self._writer, None
         if writer is not None:
             with contextlib.suppress(OSError):
                 writer.close()
 
     def _open(self) -> Any:
+        """Begin a file of events; after a resume, hide events of later steps in earlier files."""
         self._folder.mkdir(parents=True, exist_ok=True)
         # The number keeps a run resumed within the same second from overwriting its own events.
         number = sum(1 for _ in self._folder.iterdir())
@@ -238,9 +249,9 @@ class _Events:
 
     @contextlib.contextmanager
     def _begin_anew_if_refused(self) -> Iterator[None]:
-        """Turn the system's refusal into a `UserError`, and begin a new file with the next event.
+        """Raise `UserError` if the system refuses a write, and close the file.
 
-        Half an event may have been written, after which none would be read.
+        The next event begins a new file: half an event may end this one, and a reader would stop there.
         """
         try:
             yield

@@ -38,7 +38,12 @@ def save_policy(
     steps: int,
     score: float,
 ) -> None:
-    """Write a plain policy to `path`, whole or not at all; `statistics` (n,) of what it sees."""
+    """Write a policy to `path`, atomically.
+
+    `statistics` (n,) are those of the policy's observations, `weights` those of a plain perceptron.
+    `joints` are the names of the robot's joints. `steps` are the control steps of its training.
+    `score` tells which of two policies is better.
+    """
     metadata = {
         "kind": "policy",
         "config": to_dict(config),
@@ -51,7 +56,7 @@ def save_policy(
 
 
 def read_policy(path: Path) -> SavedPolicy:
-    """Read a policy; `UserError` in one line names a file that is missing, damaged or foreign."""
+    """Read a policy's file; raise a `UserError` that names one missing, damaged or foreign."""
     # First without a structure, for the metadata that says what the structure is.
     _, metadata = checkpoint.load(path, "policy")
     try:
@@ -77,7 +82,10 @@ def read_policy(path: Path) -> SavedPolicy:
 
 
 def load_score(path: Path) -> tuple[int, float]:
-    """Return control steps and score of the policy at `path`; `UserError` if it tells none."""
+    """Return the control steps of training and the score of the policy in the file `path`.
+
+    Raises `UserError` for a file without them.
+    """
     _, metadata = checkpoint.load(path, "policy")
     try:
         return int(metadata["steps"]), float(metadata["score"])
@@ -86,7 +94,11 @@ def load_score(path: Path) -> tuple[int, float]:
 
 
 def collect_layers(leaves: dict[str, Any], prefix: str) -> dict[str, dict[str, Any]]:
-    """Return the layers of the network whose leaves in a file have names with this prefix."""
+    """Return the layers of one network: {layer: {"kernel": array, "bias": array}}.
+
+    `leaves` are the arrays of a file by name. The names of the network's arrays are `prefix`, layer,
+    "/kernel" or "/bias".
+    """
     layers: dict[str, dict[str, Any]] = {}
     for name, leaf in leaves.items():
         if name.startswith(prefix):

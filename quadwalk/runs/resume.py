@@ -37,7 +37,7 @@ _FREE = (
 
 
 def make_run(config: TrainConfig, quadruped: Quadruped) -> Run:
-    """Make the folder of a run, with a copy of everything that its training begins with."""
+    """Make the folder of a new run, with copies of all files that its training begins with."""
     files = {
         "robot.urdf": quadruped.urdf.encode(),
         "config.json": format_json(_collect_settings(config, quadruped)),
@@ -51,7 +51,7 @@ def make_run(config: TrainConfig, quadruped: Quadruped) -> Run:
 
 
 def update_run(run: Run, config: TrainConfig, quadruped: Quadruped) -> list[str]:
-    """Write to `run` the configuration that resumes it; return lines that say what changes."""
+    """Write to `run` the settings with which it is resumed; return a line for each change."""
     changes = [f"changed {change}" for change in list_changes(read_config(run), config)]
     delete_partial_files(run)
     differences = compare_robot(run, quadruped)
@@ -65,7 +65,7 @@ def update_run(run: Run, config: TrainConfig, quadruped: Quadruped) -> list[str]
 
 
 def _collect_settings(config: TrainConfig, quadruped: Quadruped) -> dict[str, Any]:
-    """Return the content of config.json."""
+    """Return the content of config.json: settings, versions of packages and the robot's hash."""
     return {
         "config": to_dict(config),
         "versions": get_versions(),
@@ -74,7 +74,7 @@ def _collect_settings(config: TrainConfig, quadruped: Quadruped) -> dict[str, An
 
 
 def read_config(run: Run) -> TrainConfig:
-    """Read the configuration in a run's config.json."""
+    """Read the settings in a run's config.json; `UserError` if it is damaged."""
     try:
         content = json.loads(read_bytes(run.config))
         data, version = content["config"], content["versions"]["quadwalk"]
@@ -84,9 +84,9 @@ def read_config(run: Run) -> TrainConfig:
 
 
 def restore_config(data: Any, run: Run, where: str, version: str = "0.1") -> TrainConfig:
-    """Return the configuration in `data`, of `run`, as quadwalk `version` wrote it in `where`.
+    """Return the settings in `data`, JSON that quadwalk `version` wrote in the file `where`.
 
-    It names the run's own copies of the robot and the ground; meshes are where they were.
+    They name the copies of robot and ground in `run`, and meshes where they were at first.
     """
     if isinstance(data, dict) and "task" not in data:
         raise UserError(
@@ -104,7 +104,7 @@ def restore_config(data: Any, run: Run, where: str, version: str = "0.1") -> Tra
 
 
 def _derive_suite(config: EnvConfig) -> Suite:
-    """Return the evaluation suite of a task from before tasks named theirs."""
+    """Return the suite of evaluations for settings of an old version, which do not name one."""
     if not config.ground.flat:
         return "terrain"
     if config.reset.tumbled:
@@ -113,7 +113,10 @@ def _derive_suite(config: EnvConfig) -> Suite:
 
 
 def read_config_to_resume(run: Run) -> TrainConfig:
-    """Read the configuration to resume a run with, before any changes."""
+    """Return the settings that a resumed run has by default: its own, without limits of time.
+
+    It shows its progress, and in one process.
+    """
     return dataclasses.replace(
         read_config(run),
         name=None,
@@ -126,7 +129,10 @@ def read_config_to_resume(run: Run) -> TrainConfig:
 
 
 def list_changes(before: TrainConfig, now: TrainConfig) -> list[str]:
-    """Return what differs, as "name: old -> new"; `UsageError` for what cannot change in a run."""
+    """Return the settings that differ, as "name: old -> new".
+
+    Raises `UsageError` for a setting that cannot change in a run.
+    """
     old, new = flatten(before), flatten(now)
     names = [n for n in {**old, **new} if old.get(n) != new.get(n) and n not in _FREE]
     for name in names:
@@ -137,9 +143,9 @@ def list_changes(before: TrainConfig, now: TrainConfig) -> list[str]:
 
 
 def compare_robot(run: Run, quadruped: Quadruped) -> tuple[str, ...]:
-    """Return a warning if `quadruped` is not the robot that a run was trained on.
+    """Return one warning if `quadruped` is not the robot that `run` was trained on, else none.
 
-    A run of before its robot's hash was written is taken as it is.
+    For a run of an early version, which has no hash of its robot, there is no warning either.
     """
     try:
         trained = json.loads(read_bytes(run.config)).get(ROBOT_HASH)
@@ -155,9 +161,9 @@ def compare_robot(run: Run, quadruped: Quadruped) -> tuple[str, ...]:
 
 
 def describe_training(config: TrainConfig, quadruped: Quadruped) -> dict[str, Any]:
-    """Return what is trained, with `quadruped` as its robot: the same wherever the files are.
+    """Return all that decides what is trained, the same wherever its files are.
 
-    The run that it begins with is there by its name.
+    `quadruped` is the robot. A run whose policy it begins with is there by its name.
     """
     parts = {name: to_dict(getattr(config, name)) for name in ("robot", "env", "ppo")}
     del parts["robot"]["mesh_dirs"]

@@ -17,7 +17,7 @@ PROJECT = "quadwalk"  # WANDB_PROJECT is another
 
 
 def check_wandb() -> None:
-    """Raise `UserError` where wandb is not installed; ask for the key where there is none."""
+    """Raise `UserError` if wandb is not installed; ask for a key if there is none."""
     wandb = _import_wandb()
     try:
         wandb.login()
@@ -56,7 +56,7 @@ class WandbLog:
             raise _make_error(error) from error
 
     def append(self, row: Mapping[str, Any]) -> None:
-        """Log an iteration's row; `UserError` where that is refused."""
+        """Log a row of metrics; `UserError` if wandb refuses it."""
         try:
             self._run.log({name: float(value) for name, value in row.items()})
         except Exception as error:
@@ -71,7 +71,10 @@ def _import_wandb() -> Any:
 
 
 def _find_id(run: Run) -> str | None:
-    """Return the ID of the last training of `run`, whose folder is wandb/[offline-]run-TIME-ID."""
+    """Return the ID of the last training of `run`, from its folders wandb/[offline-]run-TIME-ID.
+
+    None if there is none.
+    """
     folders = sorted((run.path / "wandb").glob("*run-*-*"), key=get_modified_time)
     return folders[-1].name.rpartition("-")[2] if folders else None
 

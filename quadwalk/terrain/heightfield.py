@@ -46,7 +46,10 @@ class Heightfield:
 
 
 def make_field(heights: np.ndarray, cell: float) -> Heightfield:
-    """Return a field with the middle of the grid at x = y = 0."""
+    """Return `heights` (rows, columns), m, as a field with the middle of its grid at x = y = 0.
+
+    Rows are `cell` m apart along y, columns along x.
+    """
     rows, columns = heights.shape
     origin = (-0.5 * (columns - 1) * cell, -0.5 * (rows - 1) * cell)
     return Heightfield(np.asarray(heights, np.float32), cell, origin)
@@ -55,8 +58,8 @@ def make_field(heights: np.ndarray, cell: float) -> Heightfield:
 def read_heights(path: Path, white: float) -> np.ndarray:
     """Read heights (rows, columns), m, from an .npy file of numbers in m or from a gray PNG.
 
-    In a picture black is 0 and white is `white` m; its top is the greatest y. Raises `UserError`
-    that names the file and what is expected.
+    The first row has the least y. In a picture, which is read from its bottom up, black is 0 and
+    white is `white` m. Raises `UserError` that names the file and what is expected.
     """
     path = Path(path)
     what = f"the terrain {path}"
@@ -80,6 +83,7 @@ def read_heights(path: Path, white: float) -> np.ndarray:
 
 
 def _read_picture(path: Path, white: float) -> np.ndarray:
+    """Return the heights (rows, columns), m, of a gray PNG, from its bottom row up."""
     with Image.open(path, formats=["PNG"]) as picture:
         # Without a palette: its numbers are no heights.
         gray = picture if picture.mode in _DEPTHS else picture.convert("L")
@@ -87,7 +91,7 @@ def _read_picture(path: Path, white: float) -> np.ndarray:
 
 
 def lay(spec: mujoco.MjSpec, field: Heightfield) -> None:
-    """Put `field` in the place of the floor of `spec`, with all else that the floor has."""
+    """Make the floor of `spec` the heightfield `field`; its name, friction and the like stay."""
     low, high = float(field.heights.min()), float(field.heights.max())
     height = max(high - low, 1e-3)  # MuJoCo wants one even for a level field
     rows, columns = field.heights.shape
@@ -116,7 +120,7 @@ def compute_floor_height(model: mujoco.MjModel, points: np.ndarray) -> np.ndarra
 
 
 def read_field(model: mujoco.MjModel) -> Heightfield | None:
-    """Read the field that a model's floor is, with MuJoCo's numbers; None for a plane."""
+    """Return the heightfield of a model's floor, rounded as MuJoCo stores it; None for a plane."""
     floor = model.geom(FLOOR)
     if floor.type[0] != mujoco.mjtGeom.mjGEOM_HFIELD:
         return None

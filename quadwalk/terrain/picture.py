@@ -22,7 +22,7 @@ _TEXT: dict[str, Any] = {"fill": (30, 34, 40), "stroke_width": 2, "stroke_fill":
 def draw_kinds(config: GroundConfig, quadruped: Quadruped) -> np.ndarray:
     """Draw every kind of `config` at every level, with the robot, (height, width, 3) uint8.
 
-    The levels of a kind are in one row; of one level, three kinds are in a row.
+    Each row has one kind, level by level; if there is one level, each row has three kinds.
     """
     leg = measure_leg(quadruped.make_full_model(visuals=False), quadruped.feet[0])
     terrain = make_terrain(config, leg)
@@ -44,7 +44,7 @@ def draw_kinds(config: GroundConfig, quadruped: Quadruped) -> np.ndarray:
 def _settle(
     model: mujoco.MjModel, quadruped: Quadruped, place: Place, field: Heightfield
 ) -> np.ndarray:
-    """Return qpos (19,) of the robot after it was put down where an episode starts."""
+    """Return the pose (19,) of the robot some time after it was put down at the start of a tile."""
     data = mujoco.MjData(model)
     data.qpos[:] = quadruped.home
     data.qpos[:2] = place.start

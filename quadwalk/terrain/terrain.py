@@ -59,16 +59,19 @@ class GroundConfig(Settings, group="env.ground"):
 
     @property
     def flat(self) -> bool:
-        """True for nothing but a flat floor."""
+        """True if the ground is an endless flat floor."""
         return not self.kinds and self.file is None
 
     @property
     def difficulties(self) -> tuple[float, ...]:
-        """Difficulty of each level."""
+        """Difficulty of each level, 0 to 1, in equal steps from the first level to the last."""
         return tuple(float(x) for x in np.linspace(*self.difficulty, self.levels))
 
     def make_unseen(self, seed: int = 0) -> "GroundConfig":
-        """Return the same kinds of ground of another seed, which training never has."""
+        """Return the same ground from another seed, one that training never uses.
+
+        Unequal `seed` give unequal ground.
+        """
         return dataclasses.replace(self, seed=UNSEEN + seed)
 
 
@@ -92,7 +95,7 @@ FLAT = GroundConfig(
 
 @dataclass(frozen=True)
 class Place:
-    """A tile of a field."""
+    """A tile of a field; where it is and where episodes start on it, in the field's frame."""
 
     kind: str
     level: int
@@ -105,7 +108,7 @@ class Place:
 
 @dataclass(frozen=True, eq=False)
 class Terrain:
-    """A field of heights and its tiles: kind by kind, of each its levels in turn."""
+    """A field of heights and its tiles: all levels of the first kind, then of the second, ..."""
 
     field: Heightfield
     tiles: tuple[Place, ...]
@@ -129,7 +132,10 @@ def measure_leg(model: mujoco.MjModel, foot: str) -> float:
 
 
 def make_sizes(config: GroundConfig, leg: float) -> Sizes:
-    """Return the sizes of tiles of difficulty 1, for a robot whose legs are `leg` m long."""
+    """Return the steps, slopes and other features of a tile of difficulty 1.
+
+    They grow with the length of the robot's legs, `leg` m, unless `config` sets them.
+    """
     sizes = {name: size * (1.0 if name == "slope" else leg) for name, size in vars(OF_LEG).items()}
     for name in ("step", "tread", "block", "roughness"):
         if getattr(config, name) is not None:
@@ -138,10 +144,11 @@ def make_sizes(config: GroundConfig, leg: float) -> Sizes:
 
 
 def make_terrain(config: GroundConfig, leg: float) -> Terrain:
-    """Make the field of `config` for a robot whose legs are `leg` m long.
+    """Make the ground of `config`, or read it from its file, for robots with legs of `leg` m.
 
-    Levels follow one another along x, kinds along y; the middle of all is x = y = 0. A tile
-    depends on its kind, its difficulty, its place in the order and the seed alone.
+    Levels follow one another along x, kinds along y; the middle of all is x = y = 0. The heights of
+    a tile depend only on its kind, that kind's place in `config.kinds`, its level and difficulty,
+    its sizes and the seed.
     """
     assert not config.flat
     if config.file is not None:
@@ -183,6 +190,7 @@ def _make_place(
     patch: Patch,
     sizes: Sizes,
 ) -> Place:
+    """Return a tile's record: where it is, and where on it episodes of its kind start."""
     size = (float(np.ptp(patch.x)), float(np.ptp(patch.y)))
     start, spread = middle, (0.3 * sizes.middle, 0.3 * sizes.middle)
     if kind == "course":  # from its near end, anywhere across

@@ -1,8 +1,9 @@
 """The kinds of tiles: heights of a piece of ground, from a difficulty and a random generator.
 
-Each kind is a pure function `(patch, sizes, difficulty, rng) -> heights`. At difficulty 0 a tile is
-flat or nearly so; at 1 it has the sizes of `Sizes`. Most kinds are the same in all directions
-around a level middle, where a robot starts, and end level with the tiles around them.
+Each kind is a pure function `(patch, sizes, difficulty, rng) -> heights`. It returns the heights
+(rows, columns), m, of the nodes of `patch`. At difficulty 0 a tile is flat or nearly so; at 1 it
+has the sizes of `Sizes`. Most kinds are the same in all directions around a flat square in the
+middle, where a robot starts, and end at the height of the tiles around them.
 """
 
 from collections.abc import Callable, Mapping
@@ -50,7 +51,7 @@ OF_LEG = Sizes(
 
 @dataclass(frozen=True)
 class Patch:
-    """Places of a tile's nodes from its middle, m: x (columns,) and y (rows,)."""
+    """The grid of a tile: places of its nodes from its middle, m, x (columns,) and y (rows,)."""
 
     x: np.ndarray
     y: np.ndarray
@@ -63,40 +64,40 @@ class Patch:
 
     @property
     def inwards(self) -> np.ndarray:
-        """Distance (rows, columns) of each node from the nearest edge, m."""
+        """Distance (rows, columns) of each node from the nearest edge of the tile, m."""
         across = np.abs(self.y[0]) - np.abs(self.y)
         along = np.abs(self.x[0]) - np.abs(self.x)
         return np.minimum(across[:, None], along[None, :])
 
 
 def _compute_reach(patch: Patch, sizes: Sizes) -> float:
-    """Return the distance from the edge to where the level middle begins, m."""
+    """Return the distance from a tile's edge to the flat square in its middle, m."""
     return max(float(patch.inwards.max()) - sizes.middle, patch.cell)
 
 
 def make_flat(patch: Patch, sizes: Sizes, difficulty: float, rng: Generator) -> np.ndarray:
-    """Make level ground."""
+    """Make flat ground, whatever the difficulty."""
     return np.zeros(patch.shape)
 
 
 def make_slope_up(patch: Patch, sizes: Sizes, difficulty: float, rng: Generator) -> np.ndarray:
-    """Make a hollow: from its level middle the ground rises on all sides."""
+    """Make a hollow: from the flat square in its middle the ground rises on all four sides."""
     steepness = np.tan(difficulty * sizes.slope)
     return -steepness * np.minimum(patch.inwards, _compute_reach(patch, sizes))
 
 
 def make_slope_down(patch: Patch, sizes: Sizes, difficulty: float, rng: Generator) -> np.ndarray:
-    """Make a hill: from its level top the ground falls on all sides."""
+    """Make a hill: from the flat square on its top the ground falls on all four sides."""
     return -make_slope_up(patch, sizes, difficulty, rng)
 
 
 def make_rough(patch: Patch, sizes: Sizes, difficulty: float, rng: Generator) -> np.ndarray:
-    """Make independent heights on a coarser grid, and straight lines between them."""
+    """Make random heights on a coarse grid, bilinear between its nodes; the middle is rough too."""
     return difficulty * sizes.roughness * _make_noise(patch, sizes.grain, rng)
 
 
 def make_waves(patch: Patch, sizes: Sizes, difficulty: float, rng: Generator) -> np.ndarray:
-    """Make two trains of waves that cross."""
+    """Make sine waves along x plus sine waves along y, with random phases, in the middle too."""
     phases = rng.uniform(0.0, 2 * np.pi, 2)
     x, y = (2 * np.pi / sizes.wavelength * axis for axis in (patch.x, patch.y))
     both = np.sin(x + phases[0])[None, :] + np.sin(y + phases[1])[:, None]
@@ -104,7 +105,7 @@ def make_waves(patch: Patch, sizes: Sizes, difficulty: float, rng: Generator) ->
 
 
 def make_stairs_up(patch: Patch, sizes: Sizes, difficulty: float, rng: Generator) -> np.ndarray:
-    """Make stairs up from the level middle, on all sides."""
+    """Make stairs up from the flat square in the middle, on all four sides."""
     # A little more, so that rounding does not decide where a stair begins.
     number = np.floor((_compute_reach(patch, sizes) - patch.inwards) / sizes.tread + 1e-6)
     top = np.floor(_compute_reach(patch, sizes) / sizes.tread + 1e-6)
@@ -112,12 +113,15 @@ def make_stairs_up(patch: Patch, sizes: Sizes, difficulty: float, rng: Generator
 
 
 def make_stairs_down(patch: Patch, sizes: Sizes, difficulty: float, rng: Generator) -> np.ndarray:
-    """Make stairs down from the level middle, on all sides."""
+    """Make stairs down from the flat square in the middle, on all four sides."""
     return -make_stairs_up(patch, sizes, difficulty, rng)
 
 
 def make_blocks(patch: Patch, sizes: Sizes, difficulty: float, rng: Generator) -> np.ndarray:
-    """Make blocks of random sizes on half of the ground; two make no higher one."""
+    """Make blocks of random sizes that cover about half of the ground outside the flat middle.
+
+    Where two overlap, the ground is as high as one of them, not as their sum.
+    """
     heights = np.zeros(patch.shape)
     sides = np.array([np.ptp(patch.x), np.ptp(patch.y)])
     for _ in range(round(0.7 * float(np.prod(sides)) / sizes.block_length**2)):
@@ -127,12 +131,15 @@ def make_blocks(patch: Patch, sizes: Sizes, difficulty: float, rng: Generator) -
         ahead = np.abs(patch.x - place[0]) < half[0]
         left = np.abs(patch.y - place[1]) < half[1]
         heights[np.ix_(left, ahead)] = height
-    heights[_is_around_middle(patch, sizes)] = 0.0
+    heights[_is_in_middle(patch, sizes)] = 0.0
     return heights
 
 
 def make_ditches(patch: Patch, sizes: Sizes, difficulty: float, rng: Generator) -> np.ndarray:
-    """Make ditches all around the middle, one after the other."""
+    """Make square ditches around the flat middle, one outside the other.
+
+    They are wider and deeper with `difficulty`.
+    """
     outwards = _compute_reach(patch, sizes) - patch.inwards
     period = sizes.ditch + sizes.middle
     within = np.mod(outwards, period) - 0.5 * sizes.middle
@@ -171,7 +178,10 @@ def make_course(patch: Patch, sizes: Sizes, difficulty: float, rng: Generator) -
 
 
 def _make_noise(patch: Patch, grain: float, rng: Generator) -> np.ndarray:
-    """Return numbers (rows, columns) uniform in +-1 at nodes `grain` apart, bilinear between."""
+    """Return random numbers (rows, columns) in -1 to 1, one for each node of `patch`.
+
+    They are independent and uniform at points `grain` m apart, and bilinear between those.
+    """
     heights = rng.uniform(-1.0, 1.0, [int(np.ptp(axis) / grain) + 2 for axis in (patch.y, patch.x)])
     for axis, at in enumerate((patch.y, patch.x)):
         place = (at - at[0]) / grain
@@ -182,8 +192,8 @@ def _make_noise(patch: Patch, grain: float, rng: Generator) -> np.ndarray:
     return heights
 
 
-def _is_around_middle(patch: Patch, sizes: Sizes) -> np.ndarray:
-    """Return True for each node (rows, columns) in the level middle."""
+def _is_in_middle(patch: Patch, sizes: Sizes) -> np.ndarray:
+    """Return True for each node (rows, columns) that is in the flat square of the middle."""
     left, ahead = (np.abs(axis) < sizes.middle for axis in (patch.y, patch.x))
     return left[:, None] & ahead[None, :]
 
