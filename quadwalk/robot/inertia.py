@@ -79,7 +79,10 @@ def find_principal(about_com: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def round_moments(moments: np.ndarray) -> np.ndarray:
-    """Round principal moments (3,), largest first, to 6 digits that a body can still have."""
+    """Round principal moments (3,), largest first, kg m^2, to 6 significant digits.
+
+    The largest is rounded down where it would exceed the sum of the others, as in no rigid body.
+    """
     first, second, third = (float(f"{moment:.6g}") for moment in moments)
     while first > second + third:
         # One unit less in the last digit.

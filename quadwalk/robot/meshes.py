@@ -114,6 +114,7 @@ def _list_allowed(folders: list[Path]) -> list[Path]:
 
 
 def _is_in_any(file: Path, folders: list[Path]) -> bool:
+    """Return True if a resolved path is in one of `folders`, at any depth."""
     return any(file.is_relative_to(resolve_path(folder)) for folder in folders)
 
 

@@ -62,11 +62,11 @@ def open_meshes(urdf: Urdf, options: Options, report: Report) -> Meshes:
 
 
 def convert(urdf: Urdf, legs: tuple[Leg, ...] = (), options: Options | None = None) -> Conversion:
-    """Convert a URDF to a spec of the robot above a floor, with its `home` keyframe.
+    """Convert a URDF to a spec of the robot above a floor, with its `home` keyframe, and notes.
 
     `legs` of a quadruped are in the order that the model's joints and actuators shall have. Without
-    them, joints keep the file's order and home is joint position 0. Raise `UrdfError` for a robot
-    that cannot float, or that MuJoCo refuses.
+    them, joints keep the file's order and home is joint position 0. Raise `UrdfError` where a root
+    link that shall move freely has no mass or inertia, or where MuJoCo refuses the robot.
     """
     options = options or Options()
     report = deepcopy(urdf.report)
@@ -123,7 +123,7 @@ class _Builder:
         self.joint_names = {joint.name for joint in robot.joints if joint.type != "fixed"}
 
     def _is_floating(self) -> bool:
-        """Return True if the root link floats; `UrdfError` where it is to and cannot."""
+        """Return True if the root link gets a free joint; raise `UrdfError` if it lacks mass."""
         root = self.tree.root
         whole = compute_inertia(self.tree, root)
         if self.options.floating is False or (root == "world" and not self.options.floating):
@@ -266,13 +266,13 @@ class _Builder:
         added.armature = armature.get(joint.name, 0.0)
 
     def _add_several(self, body: mujoco.MjsBody, joint: yourdfpy.Joint) -> None:
-        """Add the joints of a `planar` or `floating` one, without limits, which URDF has none for.
+        """Add the MuJoCo joints that make up a `planar` or `floating` joint JOINT, without limits.
 
         Planar: slides JOINT_x and JOINT_y across the axis, then hinge JOINT_turn about it. The
-        first slide is along the joint frame's x where the axis is its z; for another axis both are
-        turned by the smallest rotation that takes z there. Floating: slides JOINT_x, JOINT_y and
-        JOINT_z along the joint frame's axes, then ball JOINT_ball. (A free joint would have to be
-        at the world.)
+        slides are along the joint frame's x and y where the axis is its z; for another axis both
+        are turned by the smallest rotation that takes z to the axis. Floating: slides JOINT_x,
+        JOINT_y and JOINT_z along the joint frame's axes, then ball JOINT_ball. (MuJoCo allows a
+        free joint only in a child of the world.)
         """
         if joint.type == "planar":
             x, y, z = _turn_axes(normalize(joint.axis))

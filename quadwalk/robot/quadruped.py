@@ -99,7 +99,8 @@ class Quadruped:
         """Make the model to evaluate in: every collision shape, a solver that converges.
 
         `timestep` is in s. With `frictionloss` the joints have the URDF's friction, for a user
-        without the motor model that otherwise applies it. `visuals` are nearly all of its size.
+        without the motor model that otherwise applies it. Without `visuals`, which are nearly all
+        of its memory, it has collision shapes only.
         """
         spec = self.spec.copy()
         if not visuals:
@@ -191,7 +192,7 @@ def complete_motors(urdf: Urdf, legs: tuple[Leg, ...], options: Options) -> Urdf
 
 
 def _shorten(names: list[str]) -> str:
-    """Return two of the names, and how many more there are."""
+    """Return the first two names and the number of others, as in "'a' and 'b' and 3 more"."""
     shown = " and ".join(f"'{name}'" for name in names[:2])
     return shown + (f" and {len(names) - 2} more" if names[2:] else "")
 

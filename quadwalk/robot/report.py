@@ -23,7 +23,10 @@ class Report:
         self._notes: dict[str, dict[str, list[str]]] = {kind: {} for kind in _KINDS}
 
     def add(self, kind: str, note: str, element: str = "") -> None:
-        """Add a note of a `kind` on the element of that name; equal notes become one line."""
+        """Add a note on the link, joint or file called `element`; "" is the whole robot.
+
+        `kind` is "fused", "repaired", "dropped" or "assumed". Elements with one note share a line.
+        """
         elements = self._notes[kind].setdefault(note, [])
         if element and element not in elements:
             elements.append(element)

@@ -82,7 +82,10 @@ class Shapes:
         return body.add_geom(self.spec.find_default(kind), pos=pos, quat=quat, **shape)
 
     def _make_pieces(self, name: str, geometry, collision: bool) -> list[_Piece]:
-        """Return the geoms that make up a shape; a mesh may be several."""
+        """Return the geoms that make up a shape of link `name`: one for each part of a mesh file.
+
+        There are none for a mesh that is left out, or a visual shape of size 0.
+        """
         if geometry.box is not None:
             size, kind = geometry.box.size / 2, _Type.mjGEOM_BOX
         elif geometry.sphere is not None:

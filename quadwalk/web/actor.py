@@ -47,7 +47,12 @@ class PythonActor:
 def act(
     policy: Any, env: QuadrupedEnv, state: EnvState, starts: jax.Array
 ) -> tuple[EnvState, jax.Array]:
-    """Return the state before the next control step, and the joint targets (12,), rad."""
+    """Return the state to pass to the next call, and the joint targets (12,), rad, of `state`.
+
+    The returned state holds the action, one more step and the new measurement. Its physics is that
+    of `state`: the page simulates the step. Where `starts` () bool, earlier measurements are
+    forgotten.
+    """
     measured = env.sensors.measure(env.robot, state)
     first = env.sensors.start_history(env.robot, state, 0)
     if measured.frames is not None and first.frames is not None:

@@ -8,10 +8,10 @@ _FINEST = 5e-4  # m, the first grid to which vertices are moved
 
 
 def decimate_visuals(spec: mujoco.MjSpec) -> tuple[mujoco.MjSpec, str | None]:
-    """Return a robot with few visual triangles, and a line that says what was done.
+    """Return a copy with few visual triangles, and a line that says so; None if nothing changed.
 
-    Vertices of visual meshes move to the points of a grid, which becomes coarser until the
-    triangles that remain are few. Shapes that collide stay as they are.
+    All vertices in one cell of a grid become one of them. The grid becomes coarser until the
+    triangles are few enough. Shapes that collide stay as they are.
     """
     spec = spec.copy()
     solid = {geom.meshname for geom in spec.geoms if geom.contype or geom.conaffinity}
@@ -54,7 +54,11 @@ def count_faces(shapes: dict[str, tuple[np.ndarray, np.ndarray]]) -> int:
 def merge_vertices(
     vertices: np.ndarray, faces: np.ndarray, cell: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return vertices (k, 3), m, one for each cell of a grid, and the faces (l, 3) that remain."""
+    """Return one vertex for each cell of a grid (k, 3), m, and the faces (l, 3) between them.
+
+    `vertices` are (n, 3), m, `faces` (m, 3) indices, `cell` is a cell's edge, m. Of a cell's
+    vertices the first stays. Faces with two vertices in one cell, and doubles, are dropped.
+    """
     cells = np.round(vertices / cell).astype(np.int64)
     _, first, group = np.unique(cells, axis=0, return_index=True, return_inverse=True)
     merged = group.reshape(-1)[faces]

@@ -26,7 +26,7 @@ SECONDS = 3600.0  # of an episode: the page's has no end
 
 
 def load(run: Run, which: str) -> LoadedRun:
-    """Load a policy of `run`, for a flat floor."""
+    """Load the policy `which` of `run`, "last" or "best", for a flat floor."""
     return load_run(run, SECONDS, which, "mujoco", flat=True)
 
 
@@ -59,7 +59,7 @@ class LiveSite:
 
     @property
     def make_actor(self) -> Callable[[], Actor] | None:
-        """What makes an actor for one page; None where the page needs none."""
+        """Function that makes an actor for one page; None where the policy needs no Python."""
         return partial(PythonActor, self._first) if self._is_remote else None
 
     def load_newest(self) -> tuple[bytes, str]:
@@ -94,10 +94,11 @@ def export_page(
 
 
 def make_files(runs: list[Run], which: str, getup: Run | None = None) -> dict[str, bytes]:
-    """Return the files of a page with these runs, which needs no Python.
+    """Return the files, by name, of a page that runs the policies of `runs` without Python.
 
-    `getup` is the run that gets robots up; None: the packaged one. Raises `UserError` where a
-    policy cannot act without Python, and `UsageError` for two runs of one name.
+    `which` policy of each run it is: "last" or "best". `getup` is the run that gets robots up;
+    None: the packaged one. Raises `UserError` where a policy cannot act without Python, and
+    `UsageError` for two runs of one name.
     """
     names = [run.name for run in runs]
     if len(set(names)) < len(names):
@@ -135,5 +136,5 @@ def make_dog(loaded: LoadedRun, riser: LoadedRun, remote: bool = False) -> site.
 
 
 def can_get_up(loaded: LoadedRun, riser: LoadedRun) -> bool:
-    """Return True if `riser` is another run that can get the robot of `loaded` up."""
+    """Return True if `riser`, another run, has the robot of `loaded`, so that it gets it up."""
     return loaded.run.path != riser.run.path and loaded.has_same_robot(riser)

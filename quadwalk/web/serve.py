@@ -70,15 +70,15 @@ class PageServer:
     def set_files(
         self, files: Mapping[str, Content], make_actor: Callable[[], Actor] | None = None
     ) -> None:
-        """Serve these files; requests that came before have waited for them.
+        """Serve these files, by name, in place of earlier ones; requests wait for the first call.
 
-        `make_actor` returns an actor for one page, where the policy needs Python.
+        `make_actor` makes the actor of each page that opens; None: the pages act themselves.
         """
         self._files, self._make_actor = files, make_actor
         self._is_ready.set()
 
     def send_policy(self, model: bytes, about: str) -> None:
-        """Send a newer policy to all pages, and to those that open later."""
+        """Send a newer policy, as ONNX, and a line `about` it to all pages, also to later ones."""
         message = {"type": "policy", "file": base64.b64encode(model).decode(), "about": about}
         self._policy = json.dumps(message)
         for connection in list(self._connections):
@@ -138,7 +138,7 @@ class PageServer:
 
 @contextlib.contextmanager
 def serve_page(host: str, port: int) -> Iterator[PageServer]:
-    """Serve the page at `port`, or at the next that is free, until the context ends."""
+    """Serve the page while the context is open, at `port` or the next port that is free."""
     server = PageServer(host, port)
     try:
         yield server
@@ -158,7 +158,7 @@ def _make_response(status: HTTPStatus, content: bytes, kind: str = "text/plain")
 
 
 def make_url(host: str, port: int) -> str:
-    """Return the address at which a browser finds a page that is served at `host`."""
+    """Return the URL of a page served at `host`; 0.0.0.0 and :: become this machine's address."""
     if host in ("0.0.0.0", "::"):
         host = find_own_address()
     name = "localhost" if host == "127.0.0.1" else f"[{host}]" if ":" in host else host
@@ -166,7 +166,7 @@ def make_url(host: str, port: int) -> str:
 
 
 def find_own_address() -> str:
-    """Return the address by which others in the network reach this machine."""
+    """Return this machine's IPv4 address in its network; without a network, its host name."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:
             probe.connect(("192.0.2.1", 9))  # sends nothing; the system chooses a way there
@@ -177,7 +177,10 @@ def find_own_address() -> str:
 
 
 def find_free_port(host: str, port: int) -> int:
-    """Return `port` or the next that is free at `host`; raise `UsageError` for a wrong host."""
+    """Return the first free port at `host` from `port` on.
+
+    Raises `UsageError` unless `host` is an address of this machine, `UserError` if no port is free.
+    """
     try:
         info: Any = socket.getaddrinfo(
             host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE

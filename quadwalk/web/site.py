@@ -81,7 +81,7 @@ def to_onnx(loaded: LoadedRun) -> bytes:
 
 
 def make_ground(env: QuadrupedEnv) -> Terrain:
-    """Return a field of every kind of ground for a robot with the legs of this environment's."""
+    """Return a field of every kind of ground, as high and wide as suits the legs of the robot."""
     ground = make_unseen_ground(load_task(GROUND_TASK).env.ground, 0, len(GROUND_LEVELS))
     kinds = tuple(kind for kind in ground.kinds if kind != "flat")
     config = replace(ground, kinds=kinds, difficulty=GROUND_LEVELS)
@@ -117,7 +117,10 @@ def pack(content: bytes) -> str:
 
 
 def make_site(dogs: list[Dog], terrain: Terrain | None, live: bool = False) -> dict[str, bytes]:
-    """Return the page's files by name; `live` says that a program serves them."""
+    """Return the page's files by name, with robots `dogs` on `terrain`; None: a flat floor.
+
+    A `live` page connects to the program that serves it, which sends newer policies.
+    """
     files = {path.name: path.read_bytes() for path in PAGE.iterdir() if path.is_file()}
     files |= load_vendor_files()
     for dog in dogs:
@@ -184,7 +187,7 @@ def write_folder(files: Mapping[str, bytes], out: Path) -> None:
 
 
 def is_python_needed(loaded: LoadedRun) -> bool:
-    """Return True for a policy that cannot act without Python."""
+    """Return True for a policy that `check_shareable` refuses: it acts only in Python."""
     try:
         check_shareable(loaded)
     except UserError:
@@ -193,7 +196,10 @@ def is_python_needed(loaded: LoadedRun) -> bool:
 
 
 def check_shareable(loaded: LoadedRun) -> None:
-    """Raise `UserError` for a policy that cannot act without Python."""
+    """Raise `UserError` where a policy needs Python, which no browser runs.
+
+    It does with an observation from a task file, or an action map that is not linear.
+    """
     for name, part in loaded.env.config.observation.items():
         if is_from_task_file(part.function):
             raise UserError(

@@ -48,7 +48,7 @@ class ViewConfig(Settings):
 
 
 def main(args: Sequence[str], prog: str = "quadwalk view") -> None:
-    """Drive the run that the arguments name."""
+    """Run `quadwalk view` with command-line arguments `args`; `prog` is its name in messages."""
     view(parse(ViewConfig, args, prog))
 
 
@@ -64,7 +64,7 @@ def main_alongside(args: Sequence[str], prog: str) -> None:
 
 
 def view(config: ViewConfig) -> None:
-    """Serve the page of a run's robot until interrupted, or show it in MuJoCo's window."""
+    """Serve the page of a run's robot until Ctrl-C, or open MuJoCo's viewer (`config.window`)."""
     run = find_ready(config.runs, config.run, "drive")
     getup = None if config.getup is None else find_any_run(config.runs, config.getup)
     check_packages()
@@ -106,7 +106,7 @@ def check_packages() -> None:
 
 
 def watch(run: Run, which: str, send: Callable[[], None]) -> None:
-    """Call `send` whenever training has written a newer policy; never return."""
+    """Call `send` whenever training replaces policy `which`, "last" or "best"; never return."""
     file = run.best if which == "best" else run.policy
     last = get_time(file)
     while True:

@@ -71,7 +71,9 @@ def read_resolutions(root: etree._Element) -> dict[str, np.ndarray]:
 def check_bodies(
     tree: Tree, resolutions: dict[str, np.ndarray], may_repair: bool, report: Report
 ) -> None:
-    """Refuse what no rigid body can have; if it `may_repair`, use the nearest valid inertia.
+    """Raise `UrdfError` for an inertia that no rigid body can have, unless it `may_repair` it.
+
+    A repair takes the nearest valid inertia.
 
     A moment of inertia is a sum of squares over the mass: the tensor is positive definite, and no
     principal moment exceeds the sum of the others. What is beyond that only by rounding, or in a
@@ -168,7 +170,11 @@ def _make_thick(tree: Tree, body: str, massive: list[str], report: Report) -> No
 
 
 def _check_moving(tree: Tree, body: str, may_repair: bool, report: Report) -> None:
-    """Check that a body which a joint moves has mass and inertia, or is between two joints."""
+    """Raise `UrdfError` where a body that a joint moves has no mass or inertia.
+
+    A body for which `tree.is_between_joints` holds may lack both. If it `may_repair`, a body
+    without mass gets a small one, with a note in `report`.
+    """
     whole = compute_inertia(tree, body)
     if whole is None or whole.mass < SMALLEST:
         if tree.is_between_joints(body):

@@ -49,7 +49,7 @@ _NOT_FINITE = re.compile(r"[+-]?(nan|inf|infinity|1\.#\w+)", re.IGNORECASE)
 
 @dataclass
 class Checker:
-    """The checks of one document, what they took out of it, and what they assumed."""
+    """The checks of one document, which raise `UrdfError`, and what they removed and assumed."""
 
     source: str
     report: Report
@@ -58,7 +58,7 @@ class Checker:
     rewritten: bool = False
 
     def refuse(self, element: etree._Element, message: str) -> NoReturn:
-        """Raise an error for `element`, with its line and the link or joint that it is in."""
+        """Raise `UrdfError` on `element`, with its line and the link or joint that it is in."""
         where = f"{self.source}, line {element.sourceline}: "
         name = element.get("name")
         if element.tag in ("link", "joint") and name:
@@ -68,12 +68,12 @@ class Checker:
         raise UrdfError(f"{where}<{element.tag}> {message}")
 
     def take_out(self, element: etree._Element, label: str) -> None:
-        """Remove an element that is passed over, and count it under `label`."""
+        """Remove an element that is ignored; the report gives the number removed under `label`."""
         self.taken_out[label] += 1
         element.getparent().remove(element)
 
     def check_root(self, root: etree._Element) -> None:
-        """Check all elements, or raise `UrdfError` for the first wrong; take out unknown ones."""
+        """Raise `UrdfError` for the first wrong element of the document; remove unknown ones."""
         if any("xacro" in str(element.tag).partition("}")[0] for element in root.iter()):
             raise make_xacro_error(self.source)
         if root.tag != "robot":
@@ -94,7 +94,11 @@ class Checker:
             self.report.add("dropped", "extensions of other tools", f"{label} ({count})")
 
     def _check_element(self, element: etree._Element) -> None:
-        """Check an element and all within: what it holds, and that every number is one."""
+        """Raise `UrdfError` for what is wrong in an element of URDF, or in any within it.
+
+        Children and attributes must be those of its `FORMS`, and numbers must be finite. Unknown
+        ones are removed. The method `_check_TAG`, if there is one, checks and mends the rest.
+        """
         form = FORMS[element.tag]
         if not form.children and not element.attrib and (element.text or "").strip():
             shown = element.text.strip()[:40]
@@ -115,7 +119,7 @@ class Checker:
             check(element)
 
     def _check_attributes(self, element: etree._Element) -> None:
-        """Check an element's attributes; those that URDF does not know are taken out."""
+        """Raise `UrdfError` for a missing or wrong attribute; remove those not of URDF."""
         form = FORMS[element.tag]
         for name, value in list(element.attrib.items()):
             if name not in form.attributes:
@@ -133,7 +137,7 @@ class Checker:
                 self.refuse(element, f"has an empty '{name}'; expected {name}=\"...\"")
 
     def _check_children(self, element: etree._Element) -> None:
-        """Check all within an element; what URDF does not know there is taken out."""
+        """Raise `UrdfError` for what is wrong within an element; remove what is not of URDF."""
         for child in list(element):
             if child.tag in FORMS[element.tag].children:
                 self._check_element(child)
@@ -147,10 +151,10 @@ class Checker:
             self.take_out(child, f"<{child.tag}>{place}")
 
     def _refuse_mistake(self, element: etree._Element, name: str, is_attribute: bool) -> None:
-        """Refuse an unknown child or attribute of `element` that stands for one that is missing.
+        """Raise `UrdfError` if `name`, unknown in `element`, stands for something missing there.
 
-        Its name may be misspelled. It may have to be an attribute rather than a child, or the other
-        way. Or it is physics of a joint or link, a level too high or too low.
+        It is an attribute, or else a child. It may be misspelled, or an attribute where a child is
+        expected, or the reverse. Or it is physics, such as a mass, a level too high or too low.
         """
         form = FORMS[element.tag]
         attributes = [other for other in form.attributes if other not in element.attrib]
@@ -170,14 +174,20 @@ class Checker:
             self.refuse(element, f"has {what}; expected {expected}")
 
     def _check_finite(self, element: etree._Element) -> None:
-        """Refuse numbers that are none in what is passed over, as they may be elsewhere too."""
+        """Raise `UrdfError` for NaN or infinity in an element that is ignored.
+
+        What wrote it there may have written wrong numbers elsewhere.
+        """
         for part in element.iter():
             for name, value in part.attrib.items():
                 if name not in TEXT_ATTRIBUTES and _NOT_FINITE.fullmatch(value.strip()):
                     self.refuse(part, f'has {name}="{value}"; expected a finite number')
 
     def _check_numbers(self, element: etree._Element, name: str, value: str) -> None:
-        """Check that the attribute is one number, or as many as its name asks for."""
+        """Raise `UrdfError` unless attribute `name` has as many finite numbers as it needs.
+
+        Tiny numbers of an origin become 0.
+        """
         words = value.split()
         length = LENGTHS.get(name, 1)
         # A color without transparency is none that a robot should fail for.
@@ -198,7 +208,10 @@ class Checker:
                 self.refuse(element, f"has {shown}; expected at most {MAX_NUMBER:g}")
 
     def _check_signs(self, element: etree._Element) -> None:
-        """Check that sizes are above 0, or 0 if only seen, and that no other number is below."""
+        """Raise `UrdfError` for a size of 0, except of a visual shape, or a number below 0.
+
+        Coordinates and limits of position may be below 0.
+        """
         is_visual = any(parent.tag == "visual" for parent in element.iterancestors())
         for name, value in element.attrib.items():
             expected = ""
@@ -213,19 +226,25 @@ class Checker:
                 self.refuse(element, f'has {name}="{value}"; expected {expected}')
 
     def _check_visual(self, element: etree._Element) -> None:
+        """Remove all but the first `<material>` of a visual."""
         for material in element.findall("material")[1:]:
             self.take_out(material, "<material> of a visual beside another")
 
     def _check_geometry(self, element: etree._Element) -> None:
+        """Raise `UrdfError` unless a `<geometry>` holds exactly one shape."""
         if len(element) != 1:
             self.refuse(element, f"holds {len(element)} shapes; expected one of {_SHAPES}")
 
     def _check_mesh(self, element: etree._Element) -> None:
+        """Raise `UrdfError` if a `<mesh>` has a scale of 0."""
         if any(float(word) == 0 for word in element.get("scale", "1").split()):
             self.refuse(element, f'has scale="{element.get("scale")}"; expected none 0')
 
     def _check_origin(self, element: etree._Element) -> None:
-        """Turn URDF 1.1's quaternion into the angles that every reader knows."""
+        """Replace URDF 1.1's `quat_xyzw` by `rpy`, which every reader knows.
+
+        Raise `UrdfError` if both are there, or the quaternion is 0.
+        """
         if element.get("quat_xyzw") is None:
             return
         if element.get("rpy") is not None:
@@ -256,11 +275,12 @@ class Checker:
         self.rewritten = True
 
     def _check_texture(self, element: etree._Element) -> None:
+        """Remove a `<texture>` without a file."""
         if not (element.get("filename") or "").strip():
             self.take_out(element, "<texture> without a file")
 
     def _check_limit(self, element: etree._Element) -> None:
-        """Take out efforts and speeds that are no limit, and note those that are missing."""
+        """Remove efforts and speeds too large to be limits; note those, and missing ones."""
         joint = element.getparent()
         for name in ("effort", "velocity"):
             if element.get(name) is None:
@@ -274,11 +294,13 @@ class Checker:
                 self.report.add("assumed", f"any {name}, {reason}", joint.get("name"))
 
     def _check_axis(self, element: etree._Element) -> None:
+        """Raise `UrdfError` for the axis 0 of a joint that needs one."""
         length = math.hypot(*map(float, element.get("xyz").split()))
         if length < 1e-6 and element.getparent().get("type") not in ("fixed", "floating"):
             self.refuse(element, f'has xyz="{element.get("xyz")}"; expected a direction')
 
     def _check_joint(self, element: etree._Element) -> None:
+        """Raise `UrdfError` for an unknown type of joint, or wrong position limits."""
         kind = element.get("type")
         if kind not in JOINT_TYPES:
             expected = ", ".join(JOINT_TYPES)
@@ -288,7 +310,10 @@ class Checker:
             self._check_range(element, {} if limit is None else limit.attrib)
 
     def _check_range(self, joint: etree._Element, limit: MutableMapping[str, str]) -> None:
-        """Set a position limit that is left out to 0; take both out where they are no limits."""
+        """Raise `UrdfError` unless the lower position limit is below the upper one.
+
+        One that is left out becomes 0. Both are removed where they are 0 or beyond 1e9.
+        """
         ends = [name for name in ("lower", "upper") if name in limit]
         if len(ends) == 1:
             absent = "upper" if ends == ["lower"] else "lower"
@@ -316,7 +341,7 @@ class Checker:
             )
 
     def _check_colors(self, root: etree._Element) -> None:
-        """Check that each of the robot's materials has a name, and one color at most."""
+        """Raise `UrdfError` where a material of the robot has no name, or a name two colors."""
         colors: dict[str, str] = {}
         for material in root.findall("material"):
             name, color = material.get("name"), material.find("color")

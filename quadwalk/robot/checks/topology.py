@@ -10,7 +10,10 @@ from quadwalk.robot.structure.tree import ONE_WAY
 
 
 def check_topology(checker: Checker, root: etree._Element) -> None:
-    """Check that links are one tree: unique names, one root, one parent each, no cycle."""
+    """Raise `UrdfError` unless the links and joints in `root` form one tree.
+
+    It has unique names, one root, one parent for each other link and no cycle.
+    """
     links, joints = root.findall("link"), root.findall("joint")
     for elements in (links, joints):
         names: set[str] = set()
@@ -51,10 +54,10 @@ def check_topology(checker: Checker, root: etree._Element) -> None:
 
 
 def check_mimic(checker: Checker, joints: list[etree._Element]) -> None:
-    """Check that each follower has a leader, and none follows in a circle.
+    """Raise `UrdfError` where a `<mimic>` names no joint of one direction, or forms a circle.
 
-    A fixed joint follows nothing: its `<mimic>` is taken out. One that follows a fixed joint is
-    held where that leaves it, by `offset`, as one that follows it with a multiplier.
+    The `<mimic>` of a fixed joint is removed. A joint that follows a fixed one stays at its
+    `offset`. Both are noted in the report.
     """
     kinds = {joint.get("name"): joint.get("type") for joint in joints}
     mimics = {}

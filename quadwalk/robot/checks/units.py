@@ -26,7 +26,7 @@ LENGTH_UNITS = {"millimeters": 1e-3, "centimeters": 1e-2, "inches": 0.0254}
 
 
 def check_limits(tree: Tree, chains: list[Chain]) -> None:
-    """Refuse position limits of legs that are beyond a turn, and so likely degrees."""
+    """Raise `UrdfError` for position limits of legs beyond a turn, which are likely degrees."""
     for joint in (joint for chain in chains for joint in chain):
         if not is_limited(joint):
             continue
@@ -40,7 +40,7 @@ def check_limits(tree: Tree, chains: list[Chain]) -> None:
 
 
 def check_size(tree: Tree, legs: tuple[Leg, ...], report: Report) -> None:
-    """Refuse legs, and a mass for a robot of that length, that no quadruped has.
+    """Raise `UrdfError` for a length of legs, or a mass for that length, that no quadruped has.
 
     Inertias of bodies that would be far larger than the robot are noted in `report`: published
     robots have such, and stand with them.

@@ -36,8 +36,7 @@ _WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+")
 class _Evidence:
     """Signs of a quadruped's front in its geometry and names, in the root link's frame.
 
-    A turn (3, 3) fits if after it thighs turn about y, feet are below, legs are where their names
-    say, or knees point backward.
+    A turn (3, 3) is a rotation from the root link's frame to one with x ahead, y left and z up.
     """
 
     def __init__(self, tree: Tree, chains: list[Chain], meshes: Meshes | None) -> None:
@@ -55,15 +54,19 @@ class _Evidence:
         self.knees = np.mean([pose.find_knee(self.vertical * (self.up or 1)) for pose in poses], 0)
 
     def fits_thighs(self, turn: np.ndarray) -> bool:
+        """Return True if after `turn` (3, 3) the thighs turn about y, or if legs splay."""
         return self.lateral is None or abs(turn[1] @ self.lateral) > np.cos(MOST_SKEW)
 
     def fits_feet(self, turn: np.ndarray) -> bool:
+        """Return True if after `turn` (3, 3) feet are below thighs, or if they are as high."""
         return self.up == 0 or bool(turn[2] @ self.vertical * self.up > 0)
 
     def fits_names(self, turn: np.ndarray) -> bool:
+        """Return True if after `turn` (3, 3) each hip is at the corner that its leg's names say."""
         return self.names == name_corners(self.hips @ turn.T)
 
     def fits_knees(self, turn: np.ndarray) -> bool:
+        """Return True if after `turn` (3, 3) the knees point backward."""
         return bool(turn[0] @ self.knees < -CLEAR_KNEES)
 
     def describe(self) -> str:

@@ -40,11 +40,12 @@ class _Shape:
 
 
 def find_foot(tree: Tree, calf: str, meshes: Meshes | None) -> Foot | None:
-    """Return the foot of the leg whose last moving link is `calf`; None if nothing is at its end.
+    """Return the foot, a sphere, of the leg whose last moving link is `calf`; None without any.
 
     The collision sphere farthest from the calf's joint is the foot. Without one, a sphere takes
     the place of the shape that reaches farthest: it has the shape's lowest point, along the leg,
-    and its width there, in the plane the calf swings in. Else a small sphere is at the last frame.
+    and its width there, in the plane the calf swings in. Without shapes, it is a small sphere at
+    the farthest link that is fixed to the calf. Without `meshes`, mesh shapes do not count.
     """
     return _find_sphere(tree, calf) or _fit_sphere(tree, calf, meshes) or _assume_sphere(tree, calf)
 

@@ -33,7 +33,7 @@ class Tree:
 
     @cached_property
     def parts(self) -> dict[str, tuple[str, ...]]:
-        """Names of the links that each body is made of, the moving link itself first."""
+        """Links of each body, by its name: the moving link first, then those fixed to it."""
         parts: dict[str, list[str]] = {body: [] for body in self.bodies}
         for link, body in self.body_of.items():
             parts[body].append(link)
