@@ -251,7 +251,7 @@ class _Events:
     def _begin_anew_if_refused(self) -> Iterator[None]:
         """Raise `UserError` if the system refuses a write, and close the file.
 
-        The next event begins a new file: half an event may end this one, and a reader would stop there.
+        The next event begins a new file: half an event may end this one, where a reader would stop.
         """
         try:
             yield

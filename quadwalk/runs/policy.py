@@ -96,8 +96,8 @@ def load_score(path: Path) -> tuple[int, float]:
 def collect_layers(leaves: dict[str, Any], prefix: str) -> dict[str, dict[str, Any]]:
     """Return the layers of one network: {layer: {"kernel": array, "bias": array}}.
 
-    `leaves` are the arrays of a file by name. The names of the network's arrays are `prefix`, layer,
-    "/kernel" or "/bias".
+    `leaves` are the arrays of a file by name. Each name of the network is `prefix`, then its layer,
+    then "/kernel" or "/bias".
     """
     layers: dict[str, dict[str, Any]] = {}
     for name, leaf in leaves.items():

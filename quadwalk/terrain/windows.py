@@ -31,7 +31,7 @@ class Windows:
         self._half = self._stride // 2 + math.ceil(measure_reach(model) / field.cell) + 1  # nodes
 
     def find_windows(self, places: np.ndarray) -> np.ndarray:
-        """Return the indices (n, 2) of the windows with the middles nearest to `places` (n, 2), m."""
+        """Return the indices (n, 2) of the windows with middles nearest to `places` (n, 2), m."""
         at = (places - self._field.origin) / (self._stride * self._field.cell)
         return np.rint(at).astype(int)
 
