@@ -35,7 +35,7 @@ def make(
 
     Args:
         task: the name of one of quadwalk's, the path of a file of your own, or a `TrainConfig`.
-        robot: a URDF, in place of the task's; its other settings, such as effort, stay.
+        robot: a URDF, in place of the task's; other settings of the robot, such as limits, stay.
         overrides: settings by the names of their flags, {"env.reward.energy": -0.5}.
     """
     config = _make_config(task, robot, overrides)
@@ -57,9 +57,9 @@ def train(
     """Train, show how it goes, and return the run, whose folder holds everything.
 
     Args:
-        task: as for `make`; "run" unless another is given.
+        task: as for `make`; by default the task called "run".
         robot: as for `make`.
-        resume: a run, its name or path, or "latest", to resume, in place of a task.
+        resume: a run, its name or path, or "latest", to resume; without task, robot and init.
         init: a run, its name or path, to begin with the networks of.
         runs: the folder of all runs, "runs" unless another is given.
         overrides: settings by the names of their flags, {"env.reward.energy": -0.5}.
@@ -188,4 +188,5 @@ def _make_config(
 
 
 def _find_run(run: str | Path | Run, runs: str | Path | None) -> Run:
+    """Return a run by its name, its path or "latest"; raise `UserError` where there is none."""
     return run if isinstance(run, Run) else find_any_run(runs or TrainConfig.runs, str(run))

@@ -23,7 +23,7 @@ class Bounds:
     ordered: bool = False
 
     def holds(self, number: Any) -> bool:
-        """Return True if `number` is within the bounds; NaN never is."""
+        """Return True if `number` is from `low` to `high`, without the `open` end; NaN is not."""
         if isinstance(number, bool) or not isinstance(number, int | float):
             return False
         above = self.low < number if self.open == "low" else self.low <= number
@@ -108,5 +108,5 @@ def _check_numbers(value: Any, parts: list[Any]) -> tuple[bool, str]:
 
 
 def _list_parts(hint: Any) -> list[Any]:
-    """Return a type and all types and annotations that it is made of."""
+    """Return a type hint, followed by all types and annotations nested in it."""
     return [hint, *(part for inner in get_args(hint) for part in _list_parts(inner))]

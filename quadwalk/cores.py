@@ -15,7 +15,7 @@ from quadwalk.files import lock
 
 
 def count_cores() -> int:
-    """Return the number of cores that this process may use."""
+    """Return the number of cores that this process may use; a container's quota does not count."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
@@ -61,7 +61,7 @@ def start_worker(cores: int) -> None:
 
 
 def _lock(path: Path) -> int | None:
-    """Open and lock a file until this process ends; return None if another process has it."""
+    """Return the descriptor of a file, locked until this process ends; None if another has it."""
     file = os.open(path, os.O_RDWR | os.O_CREAT, 0o600)
     if lock(file):
         return file
@@ -78,7 +78,10 @@ def get_instructions() -> str:
 
 
 def get_cache_folder() -> Path:
-    """Return the folder of compiled programs, one per kind of processor: machines share a home."""
+    """Return the folder of compiled programs for this kind of processor.
+
+    Machines that share a home have different processors, which run different programs.
+    """
     processor = (platform.processor() or platform.machine()) + get_instructions()
     kind = hashlib.sha256(processor.encode()).hexdigest()[:12]
     return Path(platformdirs.user_cache_dir("quadwalk", appauthor=False)) / "xla" / kind

@@ -26,7 +26,7 @@ DAMAGE = (AttributeError, LookupError, OverflowError, RecursionError, TypeError,
 
 @contextlib.contextmanager
 def remove_on_error(path: Path) -> Iterator[None]:
-    """Remove the file or folder `path` if the block raises."""
+    """Remove the file or folder `path`, if it exists, when the context ends with an exception."""
     try:
         yield
     except BaseException:
@@ -39,7 +39,7 @@ def remove_on_error(path: Path) -> Iterator[None]:
 
 @contextlib.contextmanager
 def open_atomic(path: Path | str) -> Iterator[BinaryIO]:
-    """Open `path` + ".part" for writing bytes, and rename it to `path` when the block ends.
+    """Open `path` + ".part" for writing bytes, and rename it to `path` when the context ends.
 
     Whatever goes wrong (no space, Ctrl-C), the part file is removed and an older `path` stays. A
     link stays, and its target is written. A device or a pipe is written as it is. The system's
@@ -83,7 +83,7 @@ def hash_file(path: Path | str) -> str:
 
 
 def format_json(value: Any) -> bytes:
-    """Return `value` as readable, strict JSON."""
+    """Return `value` as indented JSON in UTF-8; raise `ValueError` for NaN and infinity."""
     return json.dumps(value, indent=2, allow_nan=False, ensure_ascii=False).encode() + b"\n"
 
 
@@ -120,9 +120,10 @@ def lock(file: Any, wait: bool = False) -> bool | None:
 
 @contextlib.contextmanager
 def hold_file(path: Path, taken: str | None) -> Iterator[None]:
-    """Keep a file, made if need be, for this process; `UserError` `taken` if another has it.
+    """Lock a file, made if need be, while the context is open.
 
-    Without `taken` it waits. The system gives it back when the process ends, however it ends.
+    Raises `UserError` with the text `taken` if another process has it; without `taken` it waits.
+    The system unlocks it when the process ends, however it ends.
     """
     try:
         file = open(path, "ab")  # noqa: SIM115 - opened apart, to tell what is refused
@@ -140,7 +141,7 @@ def get_os_reason(error: OSError) -> str:
 
 
 def _is_special(path: Path | str) -> bool:
-    """Return True if the path leads to something that is no regular file."""
+    """Return True if the path leads to a device, pipe or folder; False for a file or nothing."""
     try:
         # Not of the resolved path: /dev/stdout leads to a pipe that has no path.
         return not stat.S_ISREG(os.stat(path).st_mode)

@@ -61,7 +61,7 @@ class QuadrupedGymEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Begin an episode; the same seed gives the same."""
+        """Begin an episode; the same seed gives the same. `options` are ignored."""
         super().reset(seed=seed, options=options)
         self._state = self._reset(_sample_key(self.np_random))
         return self._get_observation(), {"end": self._ends[0]}
@@ -152,7 +152,7 @@ class QuadrupedGymVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
 
 
 def _make_programs(env: QuadrupedEnv, num_envs: int) -> tuple[Any, Any, Any]:
-    """Return programs that start, step and restart episodes, shared evenly between devices."""
+    """Return programs that start, step and restart `num_envs` episodes, split over the devices."""
     size = env.policy_size
 
     def start(env: QuadrupedEnv, keys: Any) -> Any:
@@ -189,7 +189,7 @@ def _make_programs(env: QuadrupedEnv, num_envs: int) -> tuple[Any, Any, Any]:
 
 
 def _make_spaces(env: Any) -> tuple[spaces.Box, spaces.Box]:
-    """Return the spaces of one robot's observations and actions."""
+    """Return the spaces of observations, unbounded, and actions, -1 to 1, of one robot."""
     observations = spaces.Box(-np.inf, np.inf, (env.policy_size,), np.float32)
     return observations, spaces.Box(-1.0, 1.0, (env.action_size,), np.float32)
 
@@ -205,11 +205,12 @@ def _clip_action(state: Any, action: np.ndarray, space: spaces.Space[np.ndarray]
 
 
 def _sample_key(random: np.random.Generator) -> Any:
+    """Return a JAX random key that NumPy's generator draws."""
     return jax.random.PRNGKey(random.integers(2**32, dtype=np.uint32))
 
 
 def register() -> None:
-    """Make every task known to Gymnasium, as quadwalk/NAME-v0; once, when this is imported."""
+    """Register every task with Gymnasium, "run" as quadwalk/Run-v0; importing this file does it."""
     for name in list_tasks():
         gymnasium.register(
             f"quadwalk/{name.capitalize()}-v0",

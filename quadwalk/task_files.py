@@ -52,7 +52,7 @@ def load_task(task: str | Path) -> TrainConfig:
 
 
 def is_from_task_file(function: Callable[..., Any]) -> bool:
-    """Return True if a user's task file defines the function."""
+    """Return True if a user's task file defines the function, and not quadwalk itself."""
     return function.__module__.startswith(_MODULE)
 
 

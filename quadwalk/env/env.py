@@ -105,7 +105,7 @@ class QuadrupedEnv(Env):
         self.params = EnvParams(jax.device_put(geometry.ground))
 
     def tree_flatten(self) -> tuple[tuple[EnvParams], "QuadrupedEnv"]:
-        """Return the parameters as a pytree's children, and the rest as its constants."""
+        """Return (`params`,) as the pytree's children, and the environment without them."""
         return (self.params,), self._constants
 
     @classmethod
@@ -149,10 +149,11 @@ class QuadrupedEnv(Env):
 
     @property
     def backend(self) -> str:
+        """Name of the physics engine, as Brax asks for it."""
         return self.engine
 
     def make_mj_model(self, quadruped: Quadruped) -> mujoco.MjModel:
-        """Return the MuJoCo model of a robot that the engine steps."""
+        """Return the model of `quadruped` that the engine steps: in MuJoCo C the full one."""
         if self.engine == "mujoco":
             return quadruped.make_full_model(self.stepping.dt)
         return self._make_training_model(quadruped)
@@ -311,12 +312,16 @@ class QuadrupedEnv(Env):
         return sample_randomization(ranges, self._level_robot, self.stepping, key, self.friction)
 
     def _compute_grip(self, randomization: EpisodeRandomization | None) -> ArrayLike:
-        """Return the acceleration () that friction can give, m/s^2."""
+        """Return the greatest acceleration () that friction with the floor can give, m/s^2."""
         if randomization is None or randomization.variation is None:
             return self.config.gravity * self.friction
         return self.config.gravity * randomization.variation.friction
 
     def _advance_command(self, before: EnvState, randomization: EpisodeRandomization | None) -> Any:
+        """Return the `Command` of the next control step; None for a task without commands.
+
+        The randomized friction of the floor bounds a new command.
+        """
         if before.command is None:
             return None
         config, grip = self.config, self._compute_grip(randomization)
@@ -436,7 +441,10 @@ def make_task_robot(
 def make_robot_constants(
     quadruped: Quadruped, model: mujoco.MjModel, geometry: Model
 ) -> RobotConstants:
-    """Return the constants of a quadruped and of a model built from it."""
+    """Return the constants of a quadruped: `model`, built from it, gives mass, gravity and knees.
+
+    `geometry` is the model of the "fast" engine, by which heights above the ground are measured.
+    """
     data = place_at_home(quadruped, model)
     feet = data.geom_xpos[[model.geom(name).id for name in quadruped.feet]]
     return RobotConstants(

@@ -56,7 +56,10 @@ FEET: Kind = _get_feet  # a number of each foot (4,)
 
 
 def mirrors(*kinds: Kind) -> Callable[[F], F]:
-    """Mark a term's function: its numbers are of these kinds, one after another."""
+    """Mark a term's function, as a decorator, with the kinds of its numbers, in order.
+
+    A kind, such as `VECTOR`, says how numbers change when left and right are exchanged.
+    """
 
     def mark(function: F) -> F:
         function.mirrored_as = kinds  # type: ignore[attr-defined]

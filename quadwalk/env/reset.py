@@ -29,9 +29,10 @@ EDGE = 0.3  # m: this close to a tile's edge counts as there, since it is looked
 
 
 def sample_start(robot: RobotConstants, config: ResetConfig, key: jax.Array) -> PhysicsState:
-    """Return a start near the home pose or `config.pose`, with the lowest foot just on the floor.
+    """Return a random start near the home pose or `config.pose`, on a flat floor at height 0.
 
-    Tumbled, it is in any orientation, with the lowest part just on the floor.
+    The lowest foot just touches the floor, or the trunk is at `config.height`. With
+    `config.tumbled` the orientation is any, and the lowest part of the robot touches the floor.
     """
     shares = jax.random.uniform(key, (35,), minval=-1.0, maxval=1.0)
     pose, joints, velocity, speed = jnp.split(shares, [4, 16, 22])
@@ -112,7 +113,10 @@ class Curriculum:
     middles: tuple[tuple[float, float], ...] | None = None
 
     def sample_first_tiles(self, environments: int, key: jax.Array) -> jax.Array:
-        """Return tiles (n,) int32 to start with: all kinds in turn, the easier half of levels."""
+        """Return the tile (n,) int32 on which each of n `environments` starts training.
+
+        Kinds follow in turn; the level is drawn from the easier half.
+        """
         kind = jnp.arange(environments) % len(self.kinds)
         level = jax.random.randint(key, (environments,), 0, (self.levels + 1) // 2)
         return kind * self.levels + level

@@ -25,7 +25,7 @@ def fall(robot: RobotConstants, step: Step) -> jax.Array:
 
 
 def yaw_error(robot: RobotConstants, step: Step) -> jax.Array:
-    """Angle between the heading and world x, rad, up to 1."""
+    """Absolute angle between the heading and world x, rad, up to 1."""
     return jnp.minimum(jnp.abs(compute_yaw(step.qpos[3:7])), 1.0)
 
 
@@ -129,7 +129,7 @@ def track(robot: RobotConstants, step: Step, *, width: float, share: float) -> j
 
 
 def approach(robot: RobotConstants, step: Step) -> jax.Array:
-    """Commanded speed less the size of the velocity's error, m/s, from -1 to 5.
+    """Commanded speed minus the size of the velocity's error, m/s, from -1 to 5.
 
     Far from a command, where `track` is flat, this still tells which way is better.
     """
@@ -142,9 +142,9 @@ def yaw_rate_off(robot: RobotConstants, step: Step) -> jax.Array:
 
 
 def fidget(robot: RobotConstants, step: Step) -> jax.Array:
-    """At the command to stand, mean squared distance of joints from the home pose, rad^2, up to 1.
+    """At the command to stand, distance of joints from the home pose, and motion, up to 1; else 0.
 
-    And a hundredth of their mean squared velocity, (rad/s)^2.
+    It is the mean squared distance, rad^2, plus 0.01 times the mean squared velocity, (rad/s)^2.
     """
     off = jnp.mean(jnp.square(step.qpos[7:] - robot.home_joints))
     off += 0.01 * jnp.mean(jnp.square(step.qvel[6:]))

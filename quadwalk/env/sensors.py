@@ -40,9 +40,10 @@ class Sensors:
     def start_history(
         self, robot: RobotConstants, start: EnvState, max_delay: int | None = None
     ) -> EnvState:
-        """Return `start` with all its frames measured there.
+        """Return `start` with frames as if the robot had always been in that state.
 
-        Sensors may be late by `max_delay` control steps; None: by as many as the task samples.
+        There are as many frames as the policy's history and sensors up to `max_delay` control
+        steps late need; None: the longest delay that the task's randomization samples.
         """
         if max_delay is None:
             late = start.conditions is not None and start.conditions.sensor_delay is not None
@@ -82,6 +83,7 @@ class Sensors:
         return compute_observation(self.config.observation, robot, state)
 
     def _measure_frame(self, robot: RobotConstants, state: EnvState) -> jax.Array:
+        """Return what the policy observes of this step (n,), with offsets and noise, not late."""
         randomization = state.conditions
         if randomization is None:
             return self.compute_truth(robot, state)
@@ -126,7 +128,7 @@ class Sensors:
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """A name for each number of the policy; `gravity_x[-2]` is of two steps before."""
+        """A name for each number that the policy observes; `gravity_x[-2]` is two steps old."""
         names = np.array([name for part in self.part_names.values() for name in part])
         return tuple(
             f"{name}[-{ago}]" if ago else str(name)
@@ -136,7 +138,7 @@ class Sensors:
 
     @cached_property
     def critic_names(self) -> tuple[str, ...]:
-        """A name for each number that the value network observes besides."""
+        """A name for each number that only the value network observes, after those of `names`."""
         return tuple(name for part in self.critic_part_names.values() for name in part)
 
     def find_mirrors(self, robot: RobotMirror) -> Mirrors:
@@ -198,7 +200,10 @@ def add_noise(
 
 
 def delay_reading(delay: jax.Array, frames: jax.Array) -> jax.Array:
-    """Return the reading (n,) `delay` control steps ago, between `frames` (m, n), newest first."""
+    """Return the reading (n,) of `delay` () control steps ago, below m - 1.
+
+    It is interpolated between two of the `frames` (m, n), which are newest first.
+    """
     floor = jnp.floor(delay)
     share = delay - floor
     first = jnp.minimum(floor.astype(jnp.int32), len(frames) - 2)

@@ -42,7 +42,7 @@ class RobotConstants:
 
     @property
     def weight(self) -> float:
-        """Weight of the robot, N."""
+        """Weight of the robot as its model has it, not as an episode randomizes it, N."""
         return self.mass * self.gravity
 
     @property
@@ -182,22 +182,22 @@ class Step(NamedTuple):
 
     @property
     def heading_velocity(self) -> jax.Array:
-        """Mean velocity (2,) forward and left in the frame of the heading after the step, m/s."""
+        """Mean velocity (2,) over the step, m/s, forward and left in the final heading's frame."""
         return compute_motion(self.start, self.qpos, self.dt)[:2]
 
     @property
     def velocity_error(self) -> jax.Array:
-        """`heading_velocity` less the command (2,), m/s."""
+        """`heading_velocity` minus the commanded velocity (2,), m/s, forward and left."""
         return self.heading_velocity - self.command[:2]
 
     @property
     def commanded_speed(self) -> jax.Array:
-        """Size of the commanded velocity less that of the velocity's error, m/s."""
+        """Size of the commanded velocity minus the size of `velocity_error`, m/s."""
         return jnp.linalg.norm(self.command[:2]) - jnp.linalg.norm(self.velocity_error)
 
     @property
     def yaw_rate_error(self) -> jax.Array:
-        """Mean rate of the heading over the step, less the command, rad/s."""
+        """Mean yaw rate over the step minus the commanded one, rad/s."""
         return compute_motion(self.start, self.qpos, self.dt)[2] - self.command[2]
 
 

@@ -55,7 +55,7 @@ class Board(AbstractContextManager["Board"]):
         self._progress.update(self._tasks[name].id, text="starting")
 
     def update(self, name: str, row: Mapping[str, float]) -> None:
-        """Show the newest row of metrics of a job."""
+        """Show the newest row of metrics of the job `name`, which `start` has added."""
         task = self._tasks[name]
         if task.fields["text"] == "starting":
             self._progress.reset(task.id, completed=int(row["steps"]))  # its rate is from here on

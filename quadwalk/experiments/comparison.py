@@ -149,7 +149,7 @@ def evaluate_run(run: Run, episodes: int) -> dict[str, Any]:
 
 
 def format_row(result: Result) -> str:
-    """Return a run's row of the table; "-" where there is no figure."""
+    """Return a run's row of the Markdown table; "-" where there is no figure."""
     figures = result["figures"]
     cells = [
         "-" if figures[name] is None else f"{figures[name]:{form}}"
@@ -165,8 +165,8 @@ def _format_line(cells: Sequence[str]) -> str:
 def draw_bands(histories: Sequence[tuple[str, History]]) -> Figure:
     """Draw learning curves of variants: the mean of the seeds, in a band from worst to best.
 
-    `histories` are (variant's name, rows of a run). The panels are the variants' headlines, falls
-    and reward.
+    `histories` are (variant's name, rows of a run), one for each seed. The panels are the variants'
+    headlines, falls and reward.
     """
     headlines = [choose_headline(itertools.chain(*rows)) for _, rows in histories]
     curves = [*dict.fromkeys(headlines), *SHARED_CURVES]

@@ -43,10 +43,12 @@ class Job:
 
     @property
     def name(self) -> str:
+        """Name of the job and of its run."""
         return str(self.config.name)
 
     @property
     def run(self) -> Run:
+        """Run that the job trains; its folder need not exist yet."""
         return Run(self.config.runs / self.name)
 
     def make_work(self, on_cpu: bool = True) -> Work:
@@ -103,6 +105,7 @@ def compute_job(work: Work) -> Any:
 
 
 def _is_trained(work: Work) -> bool:
+    """Return True if the run's policy has all the steps of its job, so that none are left."""
     return work.run.policy.exists() and load_score(work.run.policy)[0] >= work.steps
 
 

@@ -23,7 +23,7 @@ class PlaceConfig(Settings):
 
     @property
     def cores_each(self) -> int:
-        """CPU cores of each training."""
+        """CPU cores of each training: `cores`, or 2, or 1 where there is only one."""
         return self.cores or min(2, count_cores())
 
 

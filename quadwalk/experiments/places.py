@@ -49,7 +49,7 @@ class ThisMachine(contextlib.AbstractContextManager["ThisMachine"]):
             self.stop(future)
 
     def submit(self, job: Job) -> Future[Any]:
-        """Start or resume a job, whose run is there."""
+        """Start or resume a job in a new process; `open_run` has made the folder of its run."""
         # An executor for each: when a process dies, its executor takes no more jobs.
         spawn = multiprocessing.get_context("spawn")
         executor = ProcessPoolExecutor(1, spawn, start_worker, (self._cores,))
@@ -60,7 +60,7 @@ class ThisMachine(contextlib.AbstractContextManager["ThisMachine"]):
         return future
 
     def stop(self, future: Future[Any]) -> None:
-        """Have a job end early; what it has trained is saved."""
+        """Stop a job early, without waiting; what it has trained is saved."""
         if not future.done():
             with contextlib.suppress(BrokenExecutor, ProcessLookupError):
                 os.kill(self._pids[future].result(), signal.SIGTERM)
@@ -97,14 +97,17 @@ class Cluster(contextlib.AbstractContextManager["Cluster"]):
         self._ray.shutdown()  # which ends what is left of the jobs
 
     def submit(self, job: Job) -> Future[Any]:
-        """Start or resume a job, whose run is there, once a machine has room for it."""
+        """Start or resume a job, once a machine has room for it.
+
+        `open_run` has made the folder of its run, which all machines share.
+        """
         reference = self._compute.options(name=job.name).remote(job.make_work(self._on_cpu))
         future: Future[Any] = reference.future()
         self._references[future] = reference
         return future
 
     def stop(self, future: Future[Any]) -> None:
-        """Have a job end early, as by Ctrl-C; what it has trained is saved."""
+        """Stop a job early, as by Ctrl-C, without waiting; what it has trained is saved."""
         self._ray.cancel(self._references[future])
 
 
@@ -117,7 +120,11 @@ def make_place(config: PlaceConfig) -> Place:
 
 
 def connect(address: str) -> Any:
-    """Return the module `ray`, connected to the cluster at `address`; `UserError` if it is not."""
+    """Import `ray`, connect it to the cluster at `address` and return the module.
+
+    Raises `UserError` where it is not installed or no cluster answers, `UsageError` for an address
+    of another form.
+    """
     parts = _ADDRESS.fullmatch(address)
     if not parts and address not in ("auto", "local"):
         raise UsageError(f"--cluster is {address!r}; expected HOST:PORT, auto or local")

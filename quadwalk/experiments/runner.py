@@ -96,7 +96,7 @@ class _Runner:
             self._place.stop(future)
 
     def read_rows(self) -> None:
-        """Show and watch the newest rows of all jobs."""
+        """Show each job's newest row of metrics; stop the jobs for which `watch` returns True."""
         for future, job in self.running.items():
             row = read_last_row(job.run)
             if row is None or row == self._rows[job.name]:
@@ -131,7 +131,10 @@ class _Runner:
 
 
 def collect_values(outcomes: Iterable[Outcome]) -> Iterator[tuple[Job, Any]]:
-    """Yield each job that is done with its value; `UserError` at the end if others are not."""
+    """Yield (job, value) of each job that succeeds, as it ends.
+
+    Raises `UserError` at the end, with the first error, if any job failed or was stopped.
+    """
     problems = []
     for outcome in outcomes:
         if outcome.error is None:

@@ -118,7 +118,11 @@ def read_space(texts: Sequence[str], config: TrainConfig) -> dict[str, "BaseDist
 
 
 def _read_values(text: str, values: str, now: Any) -> tuple["BaseDistribution", list[Any]]:
-    """Return a distribution of `values`, and those of them that the text names."""
+    """Parse the `values` of one `--over`; return their distribution, and its choices or its ends.
+
+    `values` is "VALUE,VALUE,...", "LOW:HIGH" or "LOW:HIGH:log". A setting whose present value `now`
+    is an integer gets integers between whole ends. `text` is all of `--over`, for the `UsageError`.
+    """
     distributions = import_extra("optuna", "tune", "tune").distributions
     if "," in values:
         choices = [_to_number(value) for value in values.split(",")]
@@ -148,7 +152,7 @@ def _to_number(text: str) -> Any:
 
 
 def round_values(params: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the values of a trial to as many digits as its flags show."""
+    """Return a trial's values, floats rounded to `_DIGITS`, so that flags repeat them exactly."""
     return {
         name: float(f"{value:.{_DIGITS}g}") if isinstance(value, float) else value
         for name, value in params.items()
@@ -203,12 +207,15 @@ class Search:
 
     @property
     def left(self) -> int:
-        """Trials that are not finished."""
+        """Number of trials to go: those asked for minus those done, failed or pruned."""
         finished = sum(trial.state.is_finished() for trial in self._study.trials)
         return max(0, self._config.trials - finished)
 
     def ask_jobs(self) -> Iterator[Job]:
-        """Yield the jobs that a kill left, then new ones, each from all that is known by then."""
+        """Yield the jobs of trials that an earlier call left unfinished, then those of new ones.
+
+        Each new trial is sampled when it is asked for, from all outcomes until then.
+        """
         for frozen in self._study.get_trials(states=[self._states.RUNNING]):
             trial = self._optuna.trial.Trial(self._study, frozen._trial_id)
             if frozen.params.keys() == self._space.keys():
@@ -219,6 +226,7 @@ class Search:
             yield self._make_job(self._study.ask(self._space))
 
     def _make_job(self, trial: Any) -> Job:
+        """Return the training of an Optuna trial, and the measurement of its objective."""
         name = f"trial_{trial.number:03d}"
         self._trials[name] = trial
         config = change_settings(self._base, round_values(trial.params))
@@ -229,7 +237,7 @@ class Search:
         return Job(fix_sizes(config, self._config), measure)
 
     def watch(self, job: Job, row: Row) -> bool:
-        """Report the learning curve at its marks; return True if the trial is to be stopped."""
+        """Report the score at the marks of a learning curve; return True to stop the trial."""
         trial = self._trials[job.name]
         mark = int(MARKS * row["steps"] / job.config.steps)
         if not 0 < mark < MARKS or mark in self._study.trials[trial.number].intermediate_values:
@@ -242,7 +250,10 @@ class Search:
         return job.name in self._pruned
 
     def tell(self, outcome: Outcome) -> None:
-        """Write the outcome of a trial to the study, but of one that the next call resumes."""
+        """Write the outcome of a trial to the study, unless Ctrl-C interrupted the trial.
+
+        The next `quadwalk tune` resumes it.
+        """
         trial = self._trials[outcome.job.name]
         if outcome.job.name in self._pruned:
             self._study.tell(trial, state=self._states.PRUNED)
@@ -271,6 +282,7 @@ class Search:
         return "\n".join(lines)
 
     def _format_commands(self, values: Mapping[str, Any]) -> list[str]:
+        """Return lines with the commands that train with `values` and compare them, for a shell."""
         task = [self._config.task, *split_words(self._config.flags)]
         flags = [f"--{name.replace('_', '-')}={value}" for name, value in values.items()]
         usual, best = shlex.join(task), shlex.join([*task, *flags])

@@ -32,7 +32,11 @@ Row = Mapping[str, Any]
 def save_learning_curve(
     metrics: Sequence[Row], path: Path, best: int | None = None, note: str = ""
 ) -> None:
-    """Write the learning curve as a PNG; it appears whole or not at all (`UserError`)."""
+    """Write `draw_learning_curve` of the rows `metrics` as a PNG, whole or not at all.
+
+    `best` is the steps of the checkpoint to mark, `note` a line at the top. Raises `UserError`
+    where the file cannot be written.
+    """
     save_figure(draw_learning_curve(metrics, best, note), path)
 
 
@@ -107,7 +111,7 @@ def _set_axes(axes: Axes, rows: Sequence[Row], ticks: int = 6) -> None:
 
 
 def _add_minutes(axes: Axes, rows: Sequence[Row]) -> None:
-    """Add minutes since the start along the top, where steps and time were both recorded."""
+    """Add an axis of minutes since the start at the top, if two rows or more have a time."""
     timed = [row for row in rows if math.isfinite(_get_value(row, _ELAPSED))]
     if len(timed) < 2:
         return

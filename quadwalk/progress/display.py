@@ -106,7 +106,7 @@ class Progress:
         view.refresh()
 
     def update(self, steps: int, metrics: Mapping[str, Any]) -> None:
-        """Show the figures after `steps` environment steps in all.
+        """Show the figures after `steps` control steps of all environments since the start.
 
         Reads the `Headline`, "eval/fall_rate" (0 to 1), "train/reward", "train/reward/NAME",
         "train/level/KIND" and "train/nan" (a count, shown if there is any). What is missing, NaN or
@@ -129,7 +129,7 @@ class Progress:
             self.say("  ".join([f"{task.percentage:3.0f} %", view.pace, *self._format_figures()]))
 
     def say(self, text: str) -> None:
-        """Print a line that stays, above the live view."""
+        """Print a line that stays above the live view, or without a terminal just a line."""
         self._spoke = time.monotonic()
         if self._screen:
             self._view.print(Text(text))
@@ -142,6 +142,7 @@ class Progress:
         print(text, file=self._stream, flush=True)
 
     def _format_figures(self) -> Iterator[str]:
+        """Yield the newest figures with names and units, for a plain line without a terminal."""
         metrics, get = self._view.metrics, self._view.get
         yield f"reward {format_number(get('train/reward'))}"
         headline = choose_headline(metrics)
@@ -186,6 +187,7 @@ class _View(rich.progress.Progress):
         return self.tasks[0]
 
     def get(self, key: str) -> float:
+        """Return the newest figure of that name; NaN where there is none."""
         return self.metrics.get(key, math.nan)
 
     def get_group(self, prefix: str) -> dict[str, float]:
@@ -204,6 +206,7 @@ class _View(rich.progress.Progress):
         self.stop()
 
     def get_renderables(self) -> Iterator[RenderableType]:
+        """Yield the bar, figures, levels and reward terms that rich draws at each refresh."""
         yield self.make_tasks_table(self.tasks)
         if not self.pace:
             return
@@ -233,7 +236,7 @@ class _View(rich.progress.Progress):
 
 
 def _make_line(*parts: tuple[str, str] | str) -> Text:
-    """Return one line, cut off with an ellipsis where the terminal ends."""
+    """Return a line of texts or (text, style), cut off with an ellipsis at the terminal's edge."""
     return Text.assemble(*parts, no_wrap=True, overflow="ellipsis")
 
 
@@ -260,7 +263,7 @@ def _make_columns(terms: Mapping[str, float]) -> Columns:
 
 
 class _Forgiving(io.TextIOBase):
-    """Passes text of print, rich and its thread on to a stream, and ignores that it has gone."""
+    """A text stream that passes all on to another, and ignores it where that is closed or gone."""
 
     def __init__(self, stream: TextIO) -> None:
         self._stream = stream
@@ -297,6 +300,7 @@ def is_screen(stream: TextIO) -> bool:
 
 
 def _to_float(value: Any) -> float:
+    """Return `value` as a float; NaN where it is no number."""
     try:
         return float(value)
     except (TypeError, ValueError):

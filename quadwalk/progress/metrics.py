@@ -23,7 +23,7 @@ class Headline(NamedTuple):
     off: str = ""  # what it is an error of
 
     def get_value(self, row: Mapping[str, Any]) -> float:
-        """Return the figure in its unit; NaN where the row has none."""
+        """Return the figure of a row in `unit`, such as m/s or %; NaN where the row has none."""
         number = row.get(self.key)
         return math.nan if number is None else self.factor * float(number)
 
@@ -81,7 +81,7 @@ class TrainingMetrics:
         self._nan = 0.0
 
     def get_state(self) -> dict[str, Any]:
-        """Return what a resumed training needs to go on counting, as JSON data."""
+        """Return the counts of falls, NaN and scored figures so far, as JSON data for `restore`."""
         return {
             "train_falls": self._train_falls.counts,
             "eval_falls": self._eval_falls.counts,
@@ -102,7 +102,11 @@ class TrainingMetrics:
         return compute_score(self._figures, self._eval_falls.share)
 
     def make_row(self, steps: int, numbers: Mapping[str, Any]) -> dict[str, float]:
-        """Return the row after `steps` control steps, from what `quadwalk.learn.ppo` gives."""
+        """Count one iteration and return its row, of the names above, after `steps` control steps.
+
+        `steps` are those of all environments since the start; `numbers` come from
+        `quadwalk.learn.ppo`.
+        """
         values = {name: float(value) for name, value in numbers.items() if name != "nan_step"}
         self._nan += values["count/nan"]
         self._figures.append(get_scored_figure(values))
@@ -141,7 +145,7 @@ class FallRate:
 
     @property
     def counts(self) -> list[tuple[float, float]]:
-        """Falls and episodes of each iteration that still counts, oldest first."""
+        """(Falls, ended episodes) of each iteration that `share` is taken over, oldest first."""
         return list(self._counts)
 
     def add(self, fell: float, ended: float) -> float:
@@ -153,6 +157,6 @@ class FallRate:
 
     @property
     def share(self) -> float:
-        """Falls over episodes; NaN before any has ended."""
+        """Falls over ended episodes of `counts`, 0 to 1; NaN before any has ended."""
         total = sum(ended for _, ended in self._counts)
         return sum(fell for fell, _ in self._counts) / total if total else float("nan")

@@ -8,9 +8,10 @@ _BARS = "▁▂▃▄▅▆▇█"
 
 
 def draw_sparkline(values: Sequence[float], width: int) -> str:
-    """Return the course of `values` in at most `width` characters, from zero or the least below.
+    """Return a line of bars for the course of `values`, of at most `width` characters.
 
-    Several values share a character by their mean; a character without a finite one is blank.
+    The lowest bar is 0, or the least value if that is negative. A character stands for the mean of
+    its values, and is blank where none is finite.
     """
     if not values or width < 1:
         return ""
@@ -30,6 +31,7 @@ def draw_sparkline(values: Sequence[float], width: int) -> str:
 
 
 def _compute_mean(values: Sequence[float]) -> float:
+    """Return the mean of the finite values; NaN where there is none."""
     finite = [value for value in values if math.isfinite(value)]
     return sum(finite) / len(finite) if finite else math.nan
 
@@ -52,7 +54,7 @@ def format_percent(value: float, unit: bool = True) -> str:
 
 
 def format_quantity(value: float) -> str:
-    """Return a count to three figures: "950", "52.1k", "4.1M"; "-" if there is none."""
+    """Return a count with at most three digits, "950", "52.1k" or "4.1M"; "-" for NaN."""
     if not math.isfinite(value):
         return "-"
     for unit, size in (("G", 1e9), ("M", 1e6), ("k", 1e3)):

@@ -15,14 +15,17 @@ WATCHED = 20  # times that the policy is saved for the page between two checkpoi
 
 
 def check_watch() -> None:
-    """Raise `UserError` in one line where the page cannot be shown."""
+    """Raise `UserError` where a package that the page needs is missing."""
     if importlib.util.find_spec("onnx") is None:
         raise UserError(f"--watch needs onnx, which is not installed: {suggest_install('view')}")
 
 
 @contextlib.contextmanager
 def show_page(path: Path, say: Callable[[str], object]) -> Iterator[None]:
-    """Serve a page that shows each saved policy of the run in `path`; `say` gets its address."""
+    """Serve a page with the newest saved policy of the run in `path` while the context is open.
+
+    Another process serves it. `say` gets each line that it prints: the address, or why it fails.
+    """
     path = path.resolve()
     command = [sys.executable, "-m", "quadwalk", "alongside", str(path)]
     page = subprocess.Popen(
