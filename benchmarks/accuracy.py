@@ -60,7 +60,7 @@ STANDING, SLIDING = 150, 38  # physics steps
 
 
 def make_converged_model(quadruped: Quadruped, dt: float) -> mujoco.MjModel:
-    """Return a model of MuJoCo C whose solver goes on until it has converged."""
+    """Return the full model for MuJoCo C, with solver iterations enough to converge."""
     model = quadruped.make_training_model(dt, iterations=100, ls_iterations=50)
     model.opt.tolerance = 1e-12
     return model
@@ -69,7 +69,7 @@ def make_converged_model(quadruped: Quadruped, dt: float) -> mujoco.MjModel:
 def step_mujoco(
     model: mujoco.MjModel, data: mujoco.MjData, motor: Motor, target: np.ndarray, steps: int
 ) -> None:
-    """Step MuJoCo C with the joint controller to `target` (12,), rad."""
+    """Take physics steps in MuJoCo C, in place; the motors hold `target` (12,), rad."""
     for _ in range(steps):
         q, qd = data.qpos[7:], data.qvel[6:]
         data.qfrc_applied[6:] = compute_motor_torque(
@@ -90,7 +90,11 @@ def make_trot(home: np.ndarray) -> np.ndarray:
 def trot_in_mujoco(
     env: QuadrupedEnv, dt: float, starts: PhysicsState, targets: np.ndarray
 ) -> np.ndarray:
-    """Return the trunk's position and velocity and the soles' heights (robots, steps, 10)."""
+    """Trot in MuJoCo C; return positions and velocities of the trunk, and heights of the soles.
+
+    They are one array (robots, control steps, 10), in m and m/s. `targets` (control steps, 12) are
+    in rad.
+    """
     model = make_converged_model(env.quadruped, dt)
     geoms = [model.geom(name).id for name in env.quadruped.feet]
     data = mujoco.MjData(model)
@@ -115,7 +119,10 @@ def trot_in_engine(
     starts: PhysicsState,
     targets: np.ndarray,
 ) -> np.ndarray:
-    """Return the same of an engine of ours; `setting` as in `SETTINGS`."""
+    """Trot in `engine` from the same starts; return the same numbers as `trot_in_mujoco`.
+
+    `setting` is one of `SETTINGS`.
+    """
     iterations, line_search, substeps = setting
     # The model's contact stiffness depends on the step.
     config = dataclasses.replace(
@@ -139,7 +146,7 @@ def trot_in_engine(
 
 
 def print_trotting(robots: int) -> None:
-    """Print a line for each setting."""
+    """Print how far each setting of the engines is from MuJoCo C after a second of trotting."""
     env = QuadrupedEnv(load_quadruped(), sprint.TASK.env)
     keys = jax.random.split(jax.random.PRNGKey(0), robots)
     starts = jax.device_get(jax.jit(jax.vmap(env.reset))(keys)).pipeline_state.physics
@@ -166,13 +173,17 @@ def print_trotting(robots: int) -> None:
 
 
 def make_gravity(kick: str) -> np.ndarray:
-    """Return gravity (3,), m/s^2, of one of `KICKS`."""
+    """Return gravity (3,), m/s^2, in the case `kick` of `KICKS`: tilted for the one downhill."""
     slope = np.radians(10.0) if "downhill" in kick else 0.0
     return 9.81 * np.array([np.sin(slope), 0.0, -np.cos(slope)])
 
 
 def slide_in_mujoco(quadruped: Quadruped, friction: float, kick: str) -> np.ndarray:
-    """Return what is left (3,) of a kick."""
+    """Slide in MuJoCo C; return the trunk's velocity (3,) at the end, as of `KICKS`.
+
+    A robot that stands gets the velocity `kick` of `KICKS`, and slides for `SLIDING` physics steps
+    on a floor of this friction.
+    """
     model = make_converged_model(quadruped, DT)
     motor = make_motor(model, quadruped, MotorConfig())
     model.geom_friction[:, 0] = friction
@@ -188,7 +199,10 @@ def slide_in_mujoco(quadruped: Quadruped, friction: float, kick: str) -> np.ndar
 def slide_in_fast(
     quadruped: Quadruped, iterations: int, line_search: int, cases: list[tuple[str, float]]
 ) -> np.ndarray:
-    """Return what is left (n, 3) of the kicks of all `cases`, kick and friction of the floor."""
+    """Slide as in `slide_in_mujoco`, but in the fast engine; return velocities (n, 3).
+
+    The n `cases` are pairs of a name in `KICKS` and the floor's friction.
+    """
     mj_model = quadruped.make_training_model(DT, iterations, line_search)
     model = fast.make_model(mj_model, quadruped, make_motor(mj_model, quadruped, MotorConfig()))
     standing = Stepping(DT, STANDING, iterations, line_search)

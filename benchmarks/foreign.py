@@ -60,7 +60,7 @@ Starts = list[tuple[np.ndarray, np.ndarray]]  # qpos (19,) and qvel (18,)
 def sample_episodes(
     loaded: "LoadedRun", episodes: int, seed: int, friction: float | None
 ) -> tuple[Starts, np.ndarray]:
-    """Return starts and commands (episodes, T, 3) of the task, two for each episode."""
+    """Return first states and commands (episodes, T, 3); each episode has two commands in turn."""
     import jax
 
     from quadwalk.env.command import sample_velocity
@@ -79,9 +79,9 @@ def sample_episodes(
 
 
 def compute_figures(episode: Episode, commands: np.ndarray | None, dt: float) -> dict[str, float]:
-    """Return speed, m/s, and errors, m/s and rad/s; without commands that of the heading, deg.
+    """Return the speed of an episode, m/s, and its errors, m/s and rad/s.
 
-    `commands` (steps, 3) is None for a task that has none.
+    `commands` (steps, 3) is None for a task without; the error is then that of the heading, deg.
     """
     from quadwalk.evaluation.metrics import (
         SETTLING,
@@ -107,7 +107,10 @@ def compute_figures(episode: Episode, commands: np.ndarray | None, dt: float) ->
 def summarize(
     figures: list[dict[str, float]], fell: np.ndarray, upright: np.ndarray
 ) -> dict[str, Any]:
-    """Return the falls of a condition in a simulator, and figures of `upright` episodes."""
+    """Return the share of falls in one condition, and the means of the other figures.
+
+    `fell` and `upright` (episodes,) are bools: the means are those of `upright` episodes.
+    """
     from quadwalk.evaluation.metrics import compute_share_interval, summarize_values
 
     rows = [figures[index] for index in np.flatnonzero(upright)]
@@ -142,7 +145,7 @@ def format_table(results: list[dict[str, Any]]) -> str:
 
 
 def draw_film_strip(episodes: dict[Simulator, Episode], loaded: "LoadedRun") -> np.ndarray:
-    """Return (H, W, 3) uint8: a row of pictures of each simulator, at the same times."""
+    """Return a picture (H, W, 3) uint8 with a row for each simulator, at the same times."""
     from PIL import Image, ImageDraw, ImageFont
 
     from quadwalk.render.canvas import Camera, Canvas
@@ -171,7 +174,7 @@ def measure(
     seed: int,
     contact: Contact,
 ) -> tuple[list[dict[str, Any]], dict[Simulator, Episode]]:
-    """Return summaries of conditions, and an episode of the first in each simulator."""
+    """Return a summary of each condition in `names`, and one episode of the first per simulator."""
     config = loaded.env.config
     jobs, figures, fell = {}, {}, {}
     samples: dict[Simulator, Episode] = {}
@@ -210,7 +213,7 @@ def measure(
 
 
 def parse_options() -> argparse.Namespace:
-    """Return what the command line says."""
+    """Parse the command line of this benchmark."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     add = parser.add_argument
     add("run", help="name or path of a run, or a policy that comes trained")
@@ -228,7 +231,7 @@ def parse_options() -> argparse.Namespace:
 
 
 def main() -> None:
-    """Export, drive, print and write."""
+    """Export a run, drive it in both simulators, print and write the results."""
     from rich.console import Console
 
     from quadwalk.cli.shell import suggest_install

@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from benchmarks.shared import make_parser, map_over_cores, measure_in_turn, step_fast
+from benchmarks.shared import make_fast_step, make_parser, map_over_cores, measure_in_turn
 from quadwalk.cores import count_cores
 from quadwalk.learn.devices import set_up_devices
 from quadwalk.physics.fast import make_model
@@ -29,6 +29,7 @@ STEPPING = Stepping(dt=0.004, substeps=1, iterations=4, line_search=1)
 
 
 def main() -> None:
+    """Print the physics steps per second on a field and on a flat floor."""
     parser = make_parser(__doc__)
     parser.add_argument("--envs", type=int, default=512)
     parser.add_argument("--steps", type=int, default=10, help="physics steps in a round")
@@ -47,7 +48,7 @@ def main() -> None:
     torques = jnp.asarray(rng.normal(0, 5, (options.envs, options.steps, 12)), jnp.float32)
 
     def make_measure(model: Model, qpos: np.ndarray) -> Callable[[], float]:
-        program = map_over_cores(step_fast(model, STEPPING))
+        program = map_over_cores(make_fast_step(model, STEPPING))
         state = PhysicsState(jnp.asarray(qpos, jnp.float32), jnp.asarray(qvel, jnp.float32))
 
         def measure() -> float:

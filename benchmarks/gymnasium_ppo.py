@@ -29,13 +29,16 @@ class SB3VecEnv(VecEnv):
         super().__init__(envs.num_envs, envs.single_observation_space, envs.single_action_space)
 
     def reset(self):
+        """Return the first observations of all environments."""
         observations, _ = self.envs.reset(seed=self._seeds[0])
         return observations
 
     def step_async(self, actions):
+        """Keep the actions for `step_wait`."""
         self.actions = actions
 
     def step_wait(self):
+        """Take a step with the actions of `step_async`; return what Stable-Baselines3 expects."""
         began = time.perf_counter()
         observations, reward, terminated, truncated, infos = self.envs.step(self.actions)
         self.seconds += time.perf_counter() - began
@@ -49,6 +52,7 @@ class SB3VecEnv(VecEnv):
         return observations, reward, done, infos_of_each
 
     def close(self):
+        """Close the environments."""
         self.envs.close()
 
     def env_is_wrapped(self, wrapper_class, indices=None):
@@ -70,18 +74,21 @@ class TimedPPO(PPO):
     collecting = learning = 0.0
 
     def collect_rollouts(self, *args, **kwargs):
+        """Collect rollouts, and add the time of that."""
         began = time.perf_counter()
         goes_on = super().collect_rollouts(*args, **kwargs)
         self.collecting += time.perf_counter() - began
         return goes_on
 
     def train(self):
+        """Learn from the rollouts, and add the time of that."""
         began = time.perf_counter()
         super().train()
         self.learning += time.perf_counter() - began
 
 
 def main() -> None:
+    """Train with Stable-Baselines3, then with `quadwalk train`, and print both times."""
     parser = make_parser(__doc__)
     parser.add_argument("--steps", type=int, default=300_000)
     parser.add_argument("--envs", type=int, default=1024)

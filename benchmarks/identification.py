@@ -57,7 +57,7 @@ CASES = {
 
 
 def record_log(quadruped: Quadruped, known: Known, seconds: float) -> Log:
-    """Play `make_targets` on the stand, and return the log."""
+    """Return the log of a robot on a stand that follows the targets of `make_targets`."""
     spec = quadruped.spec.copy()
     spec.delete(spec.joints[0])
     spec.delete(spec.keys[0])
@@ -120,6 +120,7 @@ def print_case(case: str, quadruped: Quadruped, seconds: float) -> None:
 
 
 def main() -> None:
+    """Print the errors of identification in each case."""
     parser = make_parser(__doc__)
     parser.add_argument("--seconds", type=float, default=30.0)
     parser.add_argument("--cases", nargs="+", default=list(CASES), choices=list(CASES))

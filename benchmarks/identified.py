@@ -46,6 +46,7 @@ FIGURES = ("speed", "velocity_error", "yaw_rate_error", "cost_of_transport", "to
 
 
 def main() -> None:
+    """Evaluate packaged policies on their own robot and on the identified one; print both."""
     parser = make_parser(__doc__)
     parser.add_argument("--policies", nargs="+", default=["run", "walk", "drive"])
     parser.add_argument("--episodes", type=int, default=256)
@@ -74,7 +75,7 @@ def main() -> None:
 
 
 def copy_identified(name: str, folder: Path, constants: dict[str, list[float]]) -> Run:
-    """Copy the packaged policy `name` to `folder`, its robot with identified constants."""
+    """Copy the packaged policy `name` to `folder`; its robot gets the identified constants."""
     run = Run(folder / name)
     shutil.copytree(PRETRAINED / name, run.path)
     run.urdf.write_text(set_dynamics(load_quadruped(run.urdf).urdf, JOINTS, constants))
@@ -82,6 +83,7 @@ def copy_identified(name: str, folder: Path, constants: dict[str, list[float]]) 
 
 
 def format_figure(figure: dict[str, Any] | None) -> str:
+    """Return a figure of a summary as a cell of the table."""
     return "-" if figure is None else f"{figure['mean']:.3f} ± {figure['ci95']:.3f}"
 
 

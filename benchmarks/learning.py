@@ -45,6 +45,7 @@ PARTS = ("training", "collect", "learn", "physics alone")  # what a worker print
 
 
 def main() -> None:
+    """Measure the costs of training, in turn with another commit if named, and print them."""
     parser = make_parser(__doc__)
     parser.add_argument("--task", default="sprint", choices=list_tasks())
     parser.add_argument("--against", metavar="COMMIT", help="the commit to compare with")
@@ -83,7 +84,7 @@ def main() -> None:
 
 @contextlib.contextmanager
 def check_out(commit: str) -> Iterator[Path]:
-    """Give a folder with the files of `commit`."""
+    """Return a context that gives a folder with the files of `commit`."""
     with tempfile.TemporaryDirectory() as folder:
         git = ["git", "-C", str(ROOT), "worktree"]
         subprocess.run([*git, "add", "--detach", folder, commit], check=True, capture_output=True)
@@ -95,7 +96,10 @@ def check_out(commit: str) -> Iterator[Path]:
 
 @contextlib.contextmanager
 def start_worker(checkout: Path, python: str, flags: list[str]) -> Iterator[subprocess.Popen[str]]:
-    """Give a process that trains with the code in `checkout`, once it has compiled."""
+    """Return a context that gives a process that has compiled and trains rounds, one per `ask`.
+
+    It runs the code in `checkout`, with `flags` for this benchmark.
+    """
     command = [python, str(checkout / "benchmarks" / "learning.py"), "--work", *flags]
     environment = {**os.environ, "PYTHONPATH": str(checkout)}
     pipe = subprocess.PIPE
@@ -107,7 +111,7 @@ def start_worker(checkout: Path, python: str, flags: list[str]) -> Iterator[subp
 
 
 def ask(process: subprocess.Popen[str]) -> list[float]:
-    """Have a worker train a round, and return what it prints."""
+    """Have the worker of `start_worker` train one round; return its costs."""
     assert process.stdin is not None
     assert process.stdout is not None
     process.stdin.write("\n")
@@ -116,7 +120,7 @@ def ask(process: subprocess.Popen[str]) -> list[float]:
 
 
 def work(task: str, envs: int, processor_time: bool) -> None:
-    """Train a round for each line read, and print the costs of `PARTS`."""
+    """Train one round for each line of standard input, and print the costs named in `PARTS`."""
     read_clock = time.process_time if processor_time else time.perf_counter
     config, devices = choose_devices(dataclasses.replace(load_task(task), envs=envs))
     env = QuadrupedEnv(load_quadruped(), config.env)

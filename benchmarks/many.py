@@ -29,12 +29,12 @@ from quadwalk.tasks.sprint import TASK
 
 
 def get_steps(run: Run) -> int:
-    """Return the control steps behind the last policy."""
+    """Return the control steps for which the last policy of a run was trained."""
     return load_score(run.policy)[0]
 
 
 def time_trainings(count: int, steps: int, config: PlaceConfig) -> float:
-    """Return the seconds that so many trainings take, with all that is around them."""
+    """Return the seconds that `count` trainings at once take, from the start to the last file."""
     with tempfile.TemporaryDirectory() as folder:
         jobs = []
         for seed in range(count):
@@ -47,6 +47,7 @@ def time_trainings(count: int, steps: int, config: PlaceConfig) -> float:
 
 
 def main() -> None:
+    """Time trainings at once and alone, and print the ratio to the ideal."""
     parser = make_parser(__doc__)
     parser.add_argument("--trainings", type=int, default=8)
     parser.add_argument("--steps", type=int, default=1_000_000, help="control steps of each")

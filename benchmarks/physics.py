@@ -23,7 +23,7 @@ import mujoco
 import mujoco.rollout
 import numpy as np
 
-from benchmarks.shared import make_parser, map_over_cores, measure_in_turn, step_fast
+from benchmarks.shared import make_fast_step, make_parser, map_over_cores, measure_in_turn
 from quadwalk.cores import count_cores
 from quadwalk.env.env import QuadrupedEnv
 from quadwalk.learn.devices import set_up_devices
@@ -37,6 +37,7 @@ Step = Callable[[PhysicsState, jax.Array], jax.Array]
 
 
 def main() -> None:
+    """Print the physics steps per second of each engine."""
     parser = make_parser(__doc__)
     parser.add_argument("--envs", type=int, default=2048)
     parser.add_argument("--steps", type=int, default=50, help="physics steps in a round")
@@ -76,10 +77,10 @@ def main() -> None:
             pool.rollout(env.mj_model, threads, states, torques)
             return torques[..., 0].size / (read_clock() - began)
 
-        measures = {"fast": make_measure(step_fast(env.model, env.stepping))}
+        measures = {"fast": make_measure(make_fast_step(env.model, env.stepping))}
         if options.variants:
             measures |= make_variants(env, options.envs, make_measure)
-        measures |= {"MJX": make_measure(step_mjx(env)), "MuJoCo C": measure_mujoco}
+        measures |= {"MJX": make_measure(make_mjx_step(env)), "MuJoCo C": measure_mujoco}
         rates = measure_in_turn(measures, options.rounds)
 
     print(f"{options.envs} environments, {count_cores()} cores, medians of {options.rounds} rounds")
@@ -88,8 +89,8 @@ def main() -> None:
         print(f"{name:18}{np.median(rate):12,.0f} steps/s{ratio:8.2f} x MuJoCo C")
 
 
-def step_mjx(env: QuadrupedEnv) -> Step:
-    """Return what `step_fast` does, in MJX."""
+def make_mjx_step(env: QuadrupedEnv) -> Step:
+    """Return a function with the arguments and result of `make_fast_step`'s, which steps MJX."""
     model = mjx.put_model(env.mj_model)
 
     def step_all(state: PhysicsState, torques: jax.Array) -> jax.Array:
@@ -108,10 +109,10 @@ def step_mjx(env: QuadrupedEnv) -> Step:
 def make_variants(
     env: QuadrupedEnv, envs: int, make_measure: Callable[[Step], Callable[[], float]]
 ) -> dict[str, Callable[[], float]]:
-    """Return the fast engine with other settings, and without its measures."""
+    """Return the fast engine with other settings or without what makes it fast, to measure."""
 
     def make_variant(**changes: int) -> Callable[[], float]:
-        return make_measure(step_fast(env.model, dataclasses.replace(env.stepping, **changes)))
+        return make_measure(make_fast_step(env.model, dataclasses.replace(env.stepping, **changes)))
 
     config = dataclasses.replace(sprint.TASK.env, contacts="body")
     body = QuadrupedEnv(env.quadruped, config)
@@ -127,14 +128,14 @@ def make_variants(
     return {
         "2 iterations": make_variant(iterations=2),
         "3 iterations": make_variant(iterations=3),
-        "body": make_measure(step_fast(body.model, body.stepping)),
+        "body": make_measure(make_fast_step(body.model, body.stepping)),
         "no batches": unbatched,
         "not materialized": plain,
     }
 
 
 def call_plainly(barrier: object, function: Callable[..., object], *arguments: object) -> object:
-    """Call `function` as `materialize` does, without what that is for."""
+    """Return the result of `function`: in place of `materialize`, without its barrier."""
     return function(*arguments)
 
 

@@ -113,7 +113,7 @@ def export_drive(folder: Path) -> Any:
 
 
 def simulate_drive(robot: Any) -> Iterator[tuple[np.ndarray, str]]:
-    """Yield qpos (19,) of each picture, and what is written on it."""
+    """Yield the pose (19,) for each frame of the film, and the text to write on it."""
     steps_of_picture = round(1.0 / FPS / robot.period)
     for step in range(round(SECONDS / robot.period)):
         _, name, command = [part for part in COURSE if part[0] <= step * robot.period + 1e-9][-1]
@@ -136,7 +136,7 @@ def compute_left(data: mujoco.MjData) -> np.ndarray:
 
 
 def render_drive() -> Iterator[Image.Image]:
-    """Yield each picture; the camera is beside the robot and follows it slowly."""
+    """Yield each frame of the film, from a camera beside the robot that follows slowly."""
     with tempfile.TemporaryDirectory() as folder:
         robot = export_drive(Path(folder))
         canvas = Canvas(robot.model, *SIZE)
@@ -152,7 +152,7 @@ def render_drive() -> Iterator[Image.Image]:
 
 
 def draw_drive() -> None:
-    """Draw the moving picture of the README."""
+    """Draw the film of the README: `drive` follows commands, is thrown over and gets up."""
     first, *others = render_drive()
     with open_atomic(DOCS / "drive.webp") as file:
         first.save(
@@ -168,7 +168,7 @@ def draw_drive() -> None:
 
 
 def draw_page() -> None:
-    """Draw the page of `quadwalk demo` at a gallop, as a browser shows it."""
+    """Save a screenshot of the page of `quadwalk demo` in chromium, with the robot at a gallop."""
     if PROGRAM is None:
         raise UserError("there is no chromium; expected Debian's package of that name")
     runs = [Run(PRETRAINED / name) for name in ("rough", "walk", "run")]
@@ -196,11 +196,12 @@ def draw_robustness() -> None:
 
 
 def draw_robustness_all() -> None:
-    """Draw the same for every condition that a sweep has."""
+    """Draw success and speed of `run` and `sprint` for every condition of a sweep."""
     _draw_sweep("robustness_all", None, 4)
 
 
 def _draw_sweep(name: str, conditions: tuple[str, ...] | None, columns: int) -> None:
+    """Draw the sweep in results.json over these conditions, None for all, as docs/`name`.png."""
     results = json.loads(RESULTS.read_text())["runs"]
     for result in results:
         result["run"] += f", {result['training_steps'] / 1e6:.0f} M steps"
@@ -217,7 +218,10 @@ def draw_terrain() -> None:
 
 
 def draw_zoo() -> None:
-    """Draw robots by URDF alone in their home poses, at one scale, with mass and speed."""
+    """Draw robots, each read from its URDF, in their home poses at one scale, with mass and speed.
+
+    The figures are those of docs/zoo.md.
+    """
     folder = find_example_robots()
     if folder is None:
         raise UserError("example-robot-data is not installed; expected the extra zoo")
@@ -237,12 +241,13 @@ def draw_zoo() -> None:
 
 
 def _make_box(x: float, y: float) -> FancyBboxPatch:
+    """Return a box of the diagram with its center at `x`, `y`."""
     corner, style = (x - 0.8, y - 0.42), "round,pad=0.1"
     return FancyBboxPatch(corner, 1.6, 0.84, boxstyle=style, fc="#eef4fb", ec="#0072b2", lw=1.5)
 
 
 def draw_pipeline() -> None:
-    """Draw the way of the data as boxes and arrows."""
+    """Draw the steps from a URDF to a policy as a diagram of boxes and arrows."""
     figure = make_figure((13, 3.8), "")
     axes = figure.subplots()
     axes.set_axis_off()

@@ -80,7 +80,11 @@ class Pinocchio:
     def compute_velocity_map(
         self, qpos: np.ndarray, qvel: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return G with v_pinocchio = G qvel, and what G's change adds to the acceleration."""
+        """Return matrix G and vector d with v = G qvel and a = G qacc + d.
+
+        v and a are Pinocchio's velocity and acceleration of the state that MuJoCo calls `qpos`,
+        `qvel`.
+        """
         nv = self.model.nv
         g, drift = np.zeros((nv, nv)), np.zeros(nv)
         if self.floating:
@@ -108,7 +112,7 @@ class Pinocchio:
         return g, drift
 
     def compute_errors(self, states: int, seed: int = 0) -> dict[str, float]:
-        """Return each quantity's largest difference over random states, relative to its size."""
+        """Return the largest difference of each quantity in random states, relative to its size."""
         rng = np.random.default_rng(seed)
         self.mj.dof_armature[:] = 0  # no part of a URDF that Pinocchio reads
         data = mujoco.MjData(self.mj)
@@ -124,7 +128,7 @@ class Pinocchio:
         return {name: errors[name] / sizes[name] for name in errors}
 
     def sample_state(self, data: mujoco.MjData, rng: np.random.Generator) -> None:
-        """Draw positions within the joints' limits, and velocities."""
+        """Set `data` to random positions within the joints' limits, and random velocities."""
         mj = self.mj
         for i in range(mj.njnt):
             at, kind = mj.jnt_qposadr[i], mj.jnt_type[i]
@@ -144,7 +148,11 @@ class Pinocchio:
     def compute_quantities(
         self, data: mujoco.MjData, acceleration: np.ndarray
     ) -> dict[str, tuple[Any, Any]]:
-        """Return each quantity of a state by MuJoCo and by Pinocchio."""
+        """Return quantities of dynamics by name, each as computed by (MuJoCo, Pinocchio).
+
+        `data` is the state and `acceleration` (nv,) that of the inverse dynamics. All are in
+        MuJoCo's coordinates.
+        """
         pin, mj = self.pin, self.mj
         mujoco.mj_forward(mj, data)
         data.qacc[:] = acceleration

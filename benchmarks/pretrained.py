@@ -26,6 +26,7 @@ SEED = {"drive": ["--seed", "1"], "getup": ["--seed", "2"]}
 
 
 def main() -> None:
+    """Train each task that has no run yet, and keep its policy in assets/pretrained."""
     parser = make_parser(__doc__)
     parser.add_argument("--runs", type=Path, default=Path("runs/pretrained"))
     parser.add_argument("--tasks", nargs="+", default=["run", "walk", "drive", "getup", "rough"])
@@ -43,7 +44,7 @@ def main() -> None:
 
 
 def train_run(runs: Path, name: str, flags: list[str]) -> Path:
-    """Train a run `name` in the folder `runs`, unless it is there; return its folder."""
+    """Train a run `name` in the folder `runs`, unless it exists; return its folder."""
     run = Run(runs / name)
     if not run.policy.exists():
         train(parse_config([*flags, "--name", name, "--runs", str(runs)])[0])
@@ -51,7 +52,7 @@ def train_run(runs: Path, name: str, flags: list[str]) -> Path:
 
 
 def copy_run(run: Run, place: Run) -> None:
-    """Copy what driving the policy of `run` needs to `place`, without this machine's folders."""
+    """Copy robot and policy of `run` to `place`, without paths of this machine in its settings."""
     place.path.mkdir(parents=True, exist_ok=True)
     shutil.copyfile(run.urdf, place.urdf)
     leaves, metadata = checkpoint.load(run.policy, "policy")
@@ -65,7 +66,7 @@ def copy_run(run: Run, place: Run) -> None:
 
 
 def nest(leaves: dict[str, Any]) -> dict[str, Any]:
-    """Return a tree of leaves that are named by their paths."""
+    """Return the tree of `leaves`, whose names are paths such as "policy/params/bias"."""
     tree: dict[str, Any] = {}
     for path, leaf in leaves.items():
         *groups, name = path.split("/")

@@ -73,7 +73,7 @@ def make_blueprint() -> blueprint.Blueprint:
 
 
 def plot(name: str, plotted: Plotted, **options: Any) -> blueprint.TimeSeriesView:
-    """Return a plot of fields of messages, which Rerun does not plot of itself."""
+    """Return a view that plots fields of messages; Rerun does not plot them of itself."""
     overrides: dict[Any, Any] = {
         topic: [make_line(topic, field, *look) for field, look in fields.items()]
         for topic, fields in plotted.items()
@@ -84,6 +84,7 @@ def plot(name: str, plotted: Plotted, **options: Any) -> blueprint.TimeSeriesVie
 
 
 def make_line(topic: str, field: str, name: str, color: str) -> blueprint.Visualizer:
+    """Return the line of one field of the messages of a topic."""
     source = VisualizerComponentMapping(
         "Scalars:scalars",
         ComponentSourceKind.SourceComponent,

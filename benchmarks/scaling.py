@@ -32,7 +32,10 @@ class Result(NamedTuple):
 
 
 def measure(envs: int, cores: int, seconds: float) -> Result:
-    """Train with `envs` environments on `cores` cores; must have a process of its own."""
+    """Train with `envs` environments on `cores` cores for `seconds`; return rate and peak memory.
+
+    The process that calls it is then bound to those cores, and must be a new one.
+    """
     import resource  # not on Windows
 
     if hasattr(os, "sched_setaffinity"):
@@ -45,6 +48,7 @@ def measure(envs: int, cores: int, seconds: float) -> Result:
 
 
 def main() -> None:
+    """Measure each number of environments on each number of cores, and print a table."""
     doubling = [2**k for k in range(count_cores().bit_length()) if 2**k < count_cores()]
     parser = make_parser(__doc__)
     parser.add_argument("--envs", type=int, nargs="+", default=[2**k for k in range(8, 14)])

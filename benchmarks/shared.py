@@ -29,7 +29,7 @@ def make_parser(doc: str | None) -> argparse.ArgumentParser:
 
 
 def map_over_cores(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Return `function` of one robot as a compiled function of many, shared between the cores."""
+    """Compile `function` of one robot for many, which the cores share."""
     split = jax.sharding.PartitionSpec(AXIS)
     mesh = make_mesh()
     return jax.jit(
@@ -39,8 +39,13 @@ def map_over_cores(function: Callable[..., Any]) -> Callable[..., Any]:
     )
 
 
-def step_fast(model: Model, stepping: Stepping) -> Callable[[PhysicsState, jax.Array], jax.Array]:
-    """Return a function that steps a robot by torques (n, 12), Nm, and returns its qpos (19,)."""
+def make_fast_step(
+    model: Model, stepping: Stepping
+) -> Callable[[PhysicsState, jax.Array], jax.Array]:
+    """Return a function that steps a robot in the fast engine and returns its last qpos (19,).
+
+    Its arguments are a state and torques (n, 12), Nm, one row for each of n physics steps.
+    """
 
     def step_batch(model: Model, state: PhysicsState, torques: jax.Array) -> jax.Array:
         def step(state: PhysicsState, torque: jax.Array) -> tuple[PhysicsState, None]:
@@ -58,7 +63,10 @@ def step_fast(model: Model, stepping: Stepping) -> Callable[[PhysicsState, jax.A
 def measure_in_turn(
     measures: Mapping[str, Callable[[], float]], rounds: int
 ) -> dict[str, np.ndarray]:
-    """Return what each function gives in each round (rounds,), after a round that compiles."""
+    """Call each measure once in each round, in turn; return their results (rounds,) by name.
+
+    Before, each is called once more, to compile.
+    """
     for measure in measures.values():
         measure()
     table = [[measure() for measure in measures.values()] for _ in range(rounds)]
@@ -66,9 +74,9 @@ def measure_in_turn(
 
 
 def find_example_robots() -> Path | None:
-    """Return the folder of example-robot-data's robots; None where it is not installed.
+    """Return the folder of example-robot-data's robots; None if it is not installed.
 
-    QUADWALK_EXAMPLE_ROBOTS can name another.
+    QUADWALK_EXAMPLE_ROBOTS can name another folder.
     """
     if named := os.environ.get("QUADWALK_EXAMPLE_ROBOTS"):
         return Path(named)
@@ -89,12 +97,12 @@ class Timed(NamedTuple):
 
     @property
     def seconds(self) -> float:
-        """Of both."""
+        """Seconds of collecting and learning together."""
         return self.collecting + self.learning
 
 
 class TimedTraining:
-    """The training of `quadwalk train sprint`, without the run around it; ready when made."""
+    """The training of `quadwalk train sprint`, without files; it has compiled when made."""
 
     def __init__(self, envs: int) -> None:
         config = sprint.TASK.ppo

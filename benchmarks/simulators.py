@@ -50,25 +50,25 @@ class Contact:
 
 
 class Robot(Protocol):
-    """A robot on a floor: states are MuJoCo's, q (19,) and v (18,)."""
+    """A robot on a floor in a simulator: states are MuJoCo's, q (19,) and v (18,)."""
 
     dt: float  # s, one physics step
 
     def set_state(self, q: np.ndarray, v: np.ndarray) -> None:
-        """Put the robot into a state."""
+        """Put the robot into the state `q`, `v`."""
 
     def get_state(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return copies of its state."""
+        """Return copies of the state, q (19,) and v (18,), as MuJoCo defines them."""
 
     def step(self, torque: np.ndarray) -> None:
         """Take one physics step with joint torques (12,), Nm."""
 
     def lies(self) -> bool:
-        """Return True if the floor touches any link but those that feet are on."""
+        """Return True if the floor touches any link without a foot."""
 
 
 def load_controller(folder: Path) -> ModuleType:
-    """Import the export's own controller.py."""
+    """Import the file controller.py of an export's folder."""
     spec = importlib.util.spec_from_file_location("controller", folder / "controller.py")
     assert spec is not None
     assert spec.loader is not None
@@ -106,16 +106,20 @@ class MujocoRobot:
         self.ends = {int(model.jnt_bodyid[joint.id]) for joint in joints[2::3]}
 
     def set_state(self, q: np.ndarray, v: np.ndarray) -> None:
+        """Put the robot into the state `q`, `v`."""
         self.data.qpos[:], self.data.qvel[:] = q, v
 
     def get_state(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return copies of the state, q (19,) and v (18,)."""
         return self.data.qpos.copy(), self.data.qvel.copy()
 
     def step(self, torque: np.ndarray) -> None:
+        """Take one physics step with joint torques (12,), Nm."""
         self.data.qfrc_applied[6:] = torque
         mujoco.mj_step(self.model, self.data)
 
     def lies(self) -> bool:
+        """Return True if the floor touches any link without a foot."""
         pairs = self.data.contact.geom[: self.data.ncon]
         with_floor = pairs[(pairs == self.floor).any(axis=1)]
         bodies = {int(body) for body in self.model.geom_bodyid[with_floor].ravel()}
@@ -123,7 +127,7 @@ class MujocoRobot:
 
 
 class DrakeRobot:
-    """robot.urdf in Drake, with what the metadata of policy.onnx say besides."""
+    """The robot of robot.urdf in Drake; the metadata of policy.onnx give what a URDF lacks."""
 
     def __init__(
         self,
@@ -192,6 +196,7 @@ class DrakeRobot:
         self.ground = next(iter(plant.GetCollisionGeometriesForBody(plant.world_body())))
 
     def set_state(self, q: np.ndarray, v: np.ndarray) -> None:
+        """Put the robot into the state `q`, `v`, which are MuJoCo's."""
         places, rates = np.zeros(19), np.zeros(18)
         places[self.q_order], rates[self.v_order] = q, v
         rates[:3] = to_matrix(q[3:7]) @ v[3:6]
@@ -199,12 +204,14 @@ class DrakeRobot:
         self.plant.SetVelocities(self.context, rates)
 
     def get_state(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the state as MuJoCo defines it, q (19,) and v (18,)."""
         q = self.plant.GetPositions(self.context)[self.q_order]
         v = self.plant.GetVelocities(self.context)[self.v_order]
         v[3:6] = v[3:6] @ to_matrix(q[3:7])  # Drake's is about the world's axes
         return q, v
 
     def step(self, torque: np.ndarray) -> None:
+        """Take one physics step with joint torques (12,), Nm, in the order of MuJoCo's joints."""
         forces = np.zeros(18)
         forces[self.rates] = torque
         self.forces.FixValue(self.context, forces)
@@ -212,13 +219,14 @@ class DrakeRobot:
         self.root.SetDiscreteState(self.following)
 
     def lies(self) -> bool:
+        """Return True if the floor touches any link without a foot."""
         query = self.plant.get_geometry_query_input_port().Eval(self.context)
         pairs = [{pair.id_A, pair.id_B} for pair in query.ComputePointPairPenetration()]
         return any(self.ground in pair and pair & self.others for pair in pairs)
 
 
 def _set_contact(plant: Any, scene: Any, friction: float, contact: Contact) -> None:
-    """Set friction and compliance of every shape, of which a URDF says nothing."""
+    """Set friction and compliance of every shape in Drake, which a URDF does not give."""
     from pydrake.geometry import AddContactMaterial, ProximityProperties, Role, RoleAssign
     from pydrake.multibody.plant import CoulombFriction
 
@@ -239,7 +247,7 @@ def _set_contact(plant: Any, scene: Any, friction: float, contact: Contact) -> N
 
 
 def _add_load(trunk: Any, context: Any, mass: float) -> None:
-    """Add `mass`, kg, at the trunk's center of mass."""
+    """Add a point mass, kg, at the center of mass of a trunk in Drake, in place."""
     from pydrake.multibody.tree import SpatialInertia
 
     inertia = trunk.CalcSpatialInertiaInBodyFrame(context)
@@ -259,7 +267,7 @@ def run_episode(
 ) -> Episode:
     """Drive `robot` from `start`, qpos and qvel, by `commands` (T, 3), until it falls.
 
-    `seed` is of noise and pushes, which are the same for every simulator until a robot falls.
+    `seed` is that of noise and pushes, which are the same in every simulator until a robot falls.
     """
     rng = np.random.default_rng(seed)
     period = float(controller.about["control_period"])
@@ -294,7 +302,7 @@ def run_episode(
 def _add_noise(
     q: np.ndarray, v: np.ndarray, noise: float, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return a state as gyro, IMU and encoders of that much noise measure it."""
+    """Return the state as sensors measure it: gyro, IMU and encoders with `noise`, a level."""
     errors = noise * rng.standard_normal(30)
     quat, q, v = np.zeros(4), q.copy(), v.copy()
     mujoco.mju_mulQuat(quat, q[3:7], np.r_[1.0, ATTITUDE / 2 * errors[:3]])
@@ -312,7 +320,10 @@ def run_episodes(
     commands: np.ndarray,
     contact: Contact = Contact(),
 ) -> list[Episode]:
-    """Return an episode from each of `starts`, by its `commands` (n, T, 3), of an export."""
+    """Drive the export in `folder` in one simulator, from each of `starts`.
+
+    `commands` (n, T, 3) are those of the n episodes.
+    """
     controller = load_controller(folder).Controller(folder / "policy.onnx")
     # Gains and limits alike: a motor's constant.
     controller.kp *= condition.strength

@@ -64,6 +64,7 @@ class PyBulletTask(gymnasium.Env):
         assert len(self._joints) == 12
 
     def reset(self, *, seed: int | None = None, options: Any = None) -> tuple[np.ndarray, dict]:
+        """Start an episode; return its first observation."""
         super().reset(seed=seed)
         self._bullet.resetBasePositionAndOrientation(self._robot, START, (0.0, 0.0, 0.0, 1.0))
         self._bullet.resetBaseVelocity(self._robot, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
@@ -73,6 +74,7 @@ class PyBulletTask(gymnasium.Env):
         return self._observe(), {}
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict]:
+        """Take one physics step; return observation, reward and ends, as Gymnasium does."""
         target = LOWER + (np.asarray(action, float) + 1.0) / 2.0 * (UPPER - LOWER)
         target = np.clip(target, self._angles - REACH, self._angles + REACH)
         self._bullet.setJointMotorControlArray(
@@ -99,6 +101,7 @@ class PyBulletTask(gymnasium.Env):
         return observation, reward, fell, self._steps >= EPISODE_STEPS, {}
 
     def _observe(self) -> np.ndarray:
+        """Return base pose and velocity, joint angles and speeds, as one array."""
         position, quaternion = self._bullet.getBasePositionAndOrientation(self._robot)
         linear, angular = self._bullet.getBaseVelocity(self._robot)
         states = self._bullet.getJointStates(self._robot, self._joints)
@@ -107,7 +110,10 @@ class PyBulletTask(gymnasium.Env):
 
 
 def main() -> None:
-    """Learn a rollout for each line."""
+    """Train once, then once more for each line of standard input, and print how long it took.
+
+    Each time PPO collects one rollout and learns from it.
+    """
     model = PPO("MlpPolicy", SubprocVecEnv([PyBulletTask] * PROCESSES), device="cpu", seed=0)
     steps = PROCESSES * model.n_steps
     ready = False

@@ -41,7 +41,10 @@ class Written(NamedTuple):
 def train(
     run: Path, cache: Path, seed: int, minutes: float, checkpoint_steps: int
 ) -> list[Written]:
-    """Train into folder `run`; return every policy that was saved on the way."""
+    """Train into folder `run` for `minutes`; return every policy that was saved, with its time.
+
+    `cache` is the folder of the compiled programs.
+    """
     flags = f"--seed {seed} --minutes {minutes} --checkpoint-steps {checkpoint_steps} --quiet"
     command = [sys.executable, str(TRAIN), "--runs", str(run.parent), "--name", run.name]
     policies: list[Written] = []
@@ -79,7 +82,11 @@ def train(
 
 
 def find_walking(policies: list[Written]) -> tuple[float, str] | None:
-    """Evaluate policies in turn; return the seconds and the figures of the first that walks."""
+    """Evaluate policies, oldest first, up to the first that walks.
+
+    Returns the seconds from the start of training to that policy, and its figures as a line of the
+    table; None if none walks.
+    """
     for path, seconds in policies:
         evaluation = quadwalk.evaluate(path, episodes=EPISODES, seconds=SECONDS)
         steps = evaluation.loaded.policy.steps
@@ -92,6 +99,7 @@ def find_walking(policies: list[Written]) -> tuple[float, str] | None:
 
 
 def main() -> None:
+    """Train with each seed, twice, and print when the first policy walks."""
     parser = make_parser(__doc__)
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--minutes", type=float, default=4.0, help="that a training may take")

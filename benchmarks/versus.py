@@ -39,7 +39,7 @@ class Turn(NamedTuple):
 
 
 def read_turn(process: subprocess.Popen[str]) -> Turn:
-    """Return what the post's process prints of the turn that it has taken."""
+    """Wait for the line by which the post's process ends its turn; return its figures."""
     assert process.stdout is not None
     for line in process.stdout:  # PyBullet prints to it too
         if line.startswith("turn "):
@@ -49,6 +49,7 @@ def read_turn(process: subprocess.Popen[str]) -> Turn:
 
 
 def main() -> None:
+    """Let both sides learn in turn, and print their simulated seconds per second."""
     parser = make_parser(__doc__)
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--post-python", metavar="PATH", help="Python that has pybullet")
@@ -81,7 +82,7 @@ def main() -> None:
 
 
 def print_row(name: str, theirs: list[Turn], ours: list[Turn]) -> None:
-    """Print the medians of both sides' ratios, and of the rounds' gains."""
+    """Print the medians of both sides' ratios, and of our gain in each round."""
     gains = [own.ratio / other.ratio for own, other in zip(ours, theirs, strict=True)]
     columns = [turn.ratio for turn in theirs], [turn.ratio for turn in ours], gains
     print(f"{name:8}", *(f"{statistics.median(column):8.1f}" for column in columns))

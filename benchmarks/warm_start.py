@@ -29,6 +29,7 @@ class Curve(NamedTuple):
 
 
 def main() -> None:
+    """Train other robots from the networks of a run and from nothing; print when each runs."""
     parser = make_parser(__doc__)
     parser.add_argument("run", help="a run's folder or name")
     parser.add_argument("--robots", nargs="+", default=["a1", "go1", "go2"])
@@ -56,7 +57,7 @@ def main() -> None:
 
 
 def train(urdf: Path, init: str | None, steps: int, seed: int) -> Curve:
-    """Train a robot, from the networks of the run `init` if there is one."""
+    """Train a robot, with the networks of the run `init` at first if one is named."""
     rows = read_history(quadwalk.train(robot=urdf, steps=steps, seed=seed, init=init, quiet=True))
     done, seconds, speeds = (
         np.array([row[name] for row in rows]) for name in ("steps", "time/elapsed", "eval/speed")
@@ -67,7 +68,7 @@ def train(urdf: Path, init: str | None, steps: int, seed: int) -> Curve:
 
 
 def describe_when(curve: Curve, speed: float) -> str:
-    """Return the first steps and seconds at which a speed is reached."""
+    """Return the training, in steps and seconds, that a speed (m/s) takes; or "not reached"."""
     reached = np.flatnonzero(curve.speeds >= speed)
     if not len(reached):
         return "not reached"

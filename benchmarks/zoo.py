@@ -62,12 +62,12 @@ class Conversion:
 
     @property
     def exact(self) -> bool:
-        """True where it converts without a flag, to what Pinocchio reads."""
+        """True if the file converts without a flag, to the dynamics that Pinocchio reads."""
         return not self.refusal and self.error < EXACT
 
 
 def try_conversion(file: Path) -> Conversion:
-    """Read, convert and compare one file."""
+    """Convert a URDF and compare it with Pinocchio's reading; the result holds a refusal."""
     began = time.process_time()
     try:
         urdf = read_urdf(file)
@@ -87,7 +87,7 @@ def try_conversion(file: Path) -> Conversion:
 
 
 def converts_repaired(file: Path) -> bool:
-    """Return True for a file that converts with --repair-inertia."""
+    """Return True if a file converts with --repair-inertia."""
     try:
         convert(read_urdf(file, repair_inertia=True), options=NO_MESHES)
     except UrdfError:
@@ -96,7 +96,7 @@ def converts_repaired(file: Path) -> bool:
 
 
 def compute_error(urdf: Urdf, xml: str) -> float:
-    """Return the largest error of an MJCF against Pinocchio's reading of the URDF."""
+    """Return the largest relative error of an MJCF against Pinocchio's reading of the URDF."""
     from benchmarks.pinocchio_oracle import Pinocchio  # of the extra `zoo`
 
     model = mujoco.MjModel.from_xml_string(xml)
@@ -104,7 +104,7 @@ def compute_error(urdf: Urdf, xml: str) -> float:
 
 
 def format_conversions(conversions: list[Conversion], folder: Path) -> str:
-    """Return a table of what became of each file, and how many there are of each kind."""
+    """Return tables of the files that are refused and of quadrupeds, and the counts of all."""
     exact = [c for c in conversions if c.exact]
     repairable = sum(c.repairable for c in conversions)
     worst = max((c.error for c in exact), default=np.nan)
@@ -131,7 +131,7 @@ def format_conversions(conversions: list[Conversion], folder: Path) -> str:
 
 
 def find_quadrupeds(files: Iterable[Path]) -> list[Path]:
-    """Return the files that train as a quadruped as they are."""
+    """Return the files that can be trained as a quadruped without any flag."""
     quadrupeds = []
     for file in files:
         try:
@@ -144,7 +144,7 @@ def find_quadrupeds(files: Iterable[Path]) -> list[Path]:
 
 
 def stands(quadruped: Quadruped) -> bool:
-    """Return True for a robot that PD control of its home pose keeps up for 10 s."""
+    """Return True if PD control of its home pose keeps a robot up for 10 s."""
     model = quadruped.make_full_model()
     data = mujoco.MjData(model)
     data.qpos[:] = quadruped.home
@@ -162,7 +162,7 @@ def make_name(file: Path) -> str:
 
 
 def judge(run: Run) -> dict[str, float | str]:
-    """Evaluate a run in MuJoCo C, and return the figures of its row."""
+    """Evaluate a run in MuJoCo C; return speed, falls, Froude number and gait."""
     evaluation = evaluate(run, episodes=EPISODES, engine="mujoco")
     summary, typical = evaluation.summary, evaluation.results["typical_episode"]
     return {
@@ -174,7 +174,7 @@ def judge(run: Run) -> dict[str, float | str]:
 
 
 def format_row(quadruped: Quadruped, name: str, outcome: Outcome) -> str:
-    """Return the row of a robot whose training has ended."""
+    """Return the row of a robot in the table, after its training."""
     mass = quadruped.make_full_model().body_subtreemass[0]
     label = f"{name} | {mass:.1f} | {'yes' if stands(quadruped) else 'no'}"
     if outcome.error is not None or outcome.stopped:
@@ -206,7 +206,7 @@ def train_all(files: list[Path], steps: int, runs: Path, place: PlaceConfig) -> 
 
 
 def main() -> None:
-    """Convert, or train, and print the table."""
+    """Convert all files, or, with --train, train all quadrupeds; print the table."""
     parser = make_parser(__doc__)
     add = parser.add_argument
     add("--folder", type=Path, help="of URDFs (default: example-robot-data's)")

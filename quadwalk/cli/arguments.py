@@ -35,9 +35,11 @@ def parse(
     description: str | None = None,
     help_flag: str = "--help",
 ) -> T:
-    """Parse `args` into `cls`, every field a flag; raise a `UsageError` in one line for a bad one.
+    """Parse `args` into `cls`, a dataclass whose fields are the flags.
 
-    `description` is for `--help`, in place of the docstring of `cls`; `help_flag` lists all flags.
+    Raises a `UsageError` in one line for a bad flag. `prog` is the command's name in messages,
+    `description` the text of the help, by default the docstring of `cls`. `help_flag` is the flag
+    of the help that messages mention.
     """
     if FIND_OPTIONS in args:
         raise OptionsFoundError(cls, default)
@@ -90,9 +92,9 @@ def parse(
 
 
 def make_console() -> "Console":
-    """Return a console for what a command says beside its results, to standard error.
+    """Return a console on standard error, for what a command prints beside its results.
 
-    Text is printed as it is, in whole lines.
+    Text is printed as it is, without markup, and no line is broken.
     """
     from rich.console import Console  # what parses alone does not wait for it
 
@@ -100,7 +102,7 @@ def make_console() -> "Console":
 
 
 def split_words(text: str) -> list[str]:
-    """Return the words of `text` as a shell reads them; `UsageError` for a quote without its end.
+    """Return the words of `text` as a shell splits them; `UsageError` for a quote without its end.
 
     On Windows a backslash is a part of a path, as in its own shells.
     """
@@ -116,12 +118,12 @@ def split_words(text: str) -> list[str]:
 
 
 def find_value(args: Sequence[str], flag: str) -> str | None:
-    """Return the last value of `flag` among `args`, None if it is not there."""
+    """Return the last value of `flag` in `args`, as "FLAG VALUE" or "FLAG=VALUE", or None."""
     return take_value(args, flag)[0]
 
 
 def take_value(args: Sequence[str], flag: str) -> tuple[str | None, list[str]]:
-    """Return the last value of `flag`, or None, and `args` without it."""
+    """Return the last value of `flag` in `args`, or None, and `args` without flag and values."""
     value, others, words = None, list[str](), iter(args)
     for word in words:
         if word == flag:

@@ -61,6 +61,7 @@ def main(args: Sequence[str], prog: str = "quadwalk doctor") -> None:
 
 
 def _get_version(name: str) -> str | None:
+    """Return the installed version of a package; None if it is not installed."""
     try:
         return importlib.metadata.version(name)
     except importlib.metadata.PackageNotFoundError:
@@ -68,7 +69,10 @@ def _get_version(name: str) -> str | None:
 
 
 def _find_other_versions() -> list[str]:
-    """Return a line for each package whose version is not what quadwalk's metadata demands."""
+    """Return a warning for each package that is missing or not of a version that quadwalk requires.
+
+    Packages of extras are left out.
+    """
     lines = (importlib.metadata.requires("quadwalk") or []) if _get_version("quadwalk") else []
     warnings = []
     for need in map(Requirement, lines):

@@ -39,9 +39,10 @@ _FIXED_ARGUMENTS = {"demo": ("drive",)}
 
 
 def main(command: str | None = None) -> NoReturn:
-    """Run `command`, or the one that the first argument names, and end the process.
+    """Run a command and end the process with its exit status.
 
-    With a `command` the process is its script: `train.py` for "train".
+    It is `command`, in its own script (`train.py` for "train"), or the first word of the command
+    line.
     """
     if command is None:
         run_command(lambda: call_command(sys.argv[1:]))
@@ -49,7 +50,10 @@ def main(command: str | None = None) -> NoReturn:
 
 
 def call_command(words: Sequence[str]) -> None:
-    """Call the command that the first of `words` names with the others, as `quadwalk` does."""
+    """Call the command that the first of `words` names, with the others as its arguments.
+
+    Without words it prints all commands. Raises `UsageError` for an unknown command.
+    """
     name, *args = words or ["--help"]
     if name in ("-h", "--help"):
         print("usage: quadwalk COMMAND [OPTIONS]; quadwalk COMMAND --help lists the options\n")
@@ -69,14 +73,17 @@ def call_command(words: Sequence[str]) -> None:
 
 
 def call(command: str, args: Sequence[str], prog: str) -> None:
-    """Import the function of `command` and call it."""
+    """Import the function of `command` and call it with `args`; messages call it `prog`."""
     module, _, function = COMMANDS[command][0].partition(":")
     fixed = _FIXED_ARGUMENTS.get(command, ())
     getattr(importlib.import_module(module), function)([*fixed, *args], prog)
 
 
 def print_completion(shell: str) -> None:
-    """Print the script with which bash or zsh completes commands and flags, made by tyro."""
+    """Print the script, made by tyro, by which bash or zsh completes commands and flags.
+
+    Raises `UsageError` for another shell.
+    """
     if shell not in ("bash", "zsh"):
         raise UsageError(f"--print-completion {shell}: expected bash or zsh")
     from functools import reduce

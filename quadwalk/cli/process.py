@@ -34,7 +34,7 @@ def run_command(main: Callable[[], object]) -> NoReturn:
 
 
 def _run(main: Callable[[], object]) -> Any:
-    """Run `main` and return the exit status."""
+    """Run `main`, print its errors as `run_command` says, and return the exit status."""
     signals: list[int] = []
 
     def interrupt(number: int, frame: FrameType | None) -> None:
@@ -62,7 +62,7 @@ def _run(main: Callable[[], object]) -> Any:
     # What is imported and traced stays: to look for garbage there takes a tenth of a start.
     gc.set_threshold(100_000)
     try:
-        _find_packages()
+        _restart_with_packages()
         main()
         if sys.stdout is not None:
             sys.stdout.flush()  # only now a full disk may refuse what was printed
@@ -82,20 +82,20 @@ def _run(main: Callable[[], object]) -> Any:
 
 
 def _end_at_signals() -> None:
-    """Have the system end the process at the next Ctrl-C or SIGTERM."""
+    """Give Ctrl-C and SIGTERM back to the system, which ends the process at the next one."""
     for number in (signal.SIGINT, signal.SIGTERM):
         if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, signal.SIG_DFL)
 
 
 def _fail(message: str, status: int) -> int:
-    """Print why the command ends, and return its exit status."""
+    """Print why the command ends to standard error; return `status`."""
     print(message, file=sys.stderr)
     return status
 
 
 def _end_output(error: OSError) -> int:
-    """Say why standard output takes no more, and return the exit status."""
+    """Print why standard output takes no more; return the exit status."""
     # Python would try to write the rest when it ends, and complain.
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     if isinstance(error, BrokenPipeError):
@@ -103,8 +103,11 @@ def _end_output(error: OSError) -> int:
     return _fail(f"error: cannot write to standard output: {error.strerror}", 1)
 
 
-def _find_packages() -> None:
-    """Start again with the interpreter in .venv where this one lacks packages, or say so."""
+def _restart_with_packages() -> None:
+    """Start again with the interpreter in .venv if this one lacks packages.
+
+    Without such an interpreter raise a `UserError` that says how to install them.
+    """
     missing = [name for name in ("jax", "mujoco", "tyro") if not importlib.util.find_spec(name)]
     if not missing:
         return

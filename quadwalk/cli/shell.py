@@ -23,14 +23,17 @@ def quote_words(*command: str | Path) -> str:
 
 
 def get_python() -> str:
-    """Return this process's interpreter: its name if the shell finds it by that, else its path."""
+    """Return how the shell calls this process's interpreter: by its name if it is on the PATH.
+
+    Otherwise it is the path of the interpreter.
+    """
     return _name_program(sys.executable)
 
 
 def make_command(command: str, *arguments: str | Path) -> str:
-    """Return the line that calls another command.
+    """Return a line for the shell that calls another command of quadwalk with `arguments`.
 
-    It calls `quadwalk` if this process was called so, else the command's script or module.
+    It calls `quadwalk` if this process was called so, else the command's script or `-m quadwalk`.
     """
     called = Path(sys.argv[0] or "-")
     script = called.with_name(f"{command}.py")
@@ -42,7 +45,7 @@ def make_command(command: str, *arguments: str | Path) -> str:
 
 
 def suggest_install(extra: str = "") -> str:
-    """Return the command that installs quadwalk here, with an extra if it is named."""
+    """Return the pip command that installs quadwalk, and `extra` if named, for this Python."""
     extra = f"[{extra}]" if extra else ""
     source = ["-e", shorten_path(str(ROOT))] if (ROOT / "pyproject.toml").exists() else ["quadwalk"]
     source[-1] += extra
@@ -50,9 +53,10 @@ def suggest_install(extra: str = "") -> str:
 
 
 def import_extra(module: str, user: str, name: str) -> Any:
-    """Import a module of the extra `name`, which `user` needs; raise `UserError` if it is missing.
+    """Import and return `module`, of the optional extra `name`.
 
-    Such modules are imported where they are used: not all are there, and some take seconds.
+    If it is not installed, raise a `UserError`: `user`, which is a flag or a command, needs it.
+    Such modules are imported where they are used: not all are installed, and some take seconds.
     """
     try:
         return importlib.import_module(module)
@@ -63,6 +67,7 @@ def import_extra(module: str, user: str, name: str) -> Any:
 
 
 def _name_program(path: str) -> str:
+    """Return how the shell calls a program: by name if the PATH leads to it, else by path."""
     name = Path(path).name
     program = shutil.which(name)
     is_on_path = program is not None and os.path.abspath(program) == os.path.abspath(path)
@@ -70,7 +75,7 @@ def _name_program(path: str) -> str:
 
 
 def shorten_path(path: str) -> str:
-    """Return the path from the current folder if that is the shorter one."""
+    """Return `path` relative to the current folder if that is shorter."""
     try:
         relative = os.path.relpath(path)
     except ValueError:  # on another drive

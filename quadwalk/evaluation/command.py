@@ -86,7 +86,10 @@ class EvalConfig(RunsConfig):
 
 
 def call_eval(args: Sequence[str], prog: str) -> None:
-    """Evaluate as the command line says; refuse options that are commands of their own now."""
+    """Run `quadwalk eval` with the options `args`.
+
+    Raises `UsageError` for a flag of an old version that is a command now.
+    """
     for flag, command in _MOVED.items():
         if flag in args:
             others = [arg for arg in args if arg not in ("--sweep", "--view")]
@@ -95,7 +98,7 @@ def call_eval(args: Sequence[str], prog: str) -> None:
 
 
 def call_sweep(args: Sequence[str], prog: str) -> None:
-    """Sweep as the command line says."""
+    """Run `quadwalk sweep` with the options `args`."""
     sweep_runs(parse(SweepConfig, args, prog))
 
 
@@ -161,7 +164,7 @@ def _load_runs(config: RunsConfig, randomized: bool) -> tuple[list[Run], list["L
 
 
 def _find_runs(config: RunsConfig) -> list[Run]:
-    """Return the runs that are named; `UsageError` for one that is not there, or named twice."""
+    """Return the runs that `config` names; `UsageError` for one not there, or named twice."""
     runs: list[Run] = []
     for name in config.run:
         run = directory.find_ready(config.runs, name, "run")
@@ -176,13 +179,13 @@ def _find_runs(config: RunsConfig) -> list[Run]:
 
 
 def _label_runs(runs: list[Run]) -> list[str]:
-    """Return how a comparison calls each run: by its name, or its path where names are alike."""
+    """Return the label of each run in a comparison: its name, or its path if names are equal."""
     names = [run.name for run in runs]
     return [run.name if names.count(run.name) == 1 else str(run.path) for run in runs]
 
 
 def _make_folders(config: RunsConfig, runs: list[Run], kind: str) -> tuple[list[Path], Path | None]:
-    """Make a folder for each run's results, and one for those of a comparison."""
+    """Make a folder for the results of each run and, for several runs, one of a comparison."""
     if config.out is not None:
         together = _make_folder(config.out)
         if len(runs) == 1:
@@ -198,9 +201,10 @@ def _make_folders(config: RunsConfig, runs: list[Run], kind: str) -> tuple[list[
 
 
 def _make_folder(folder: Path, new: bool = False) -> Path:
-    """Make `folder`; if it is to be `new` and is there, the first of `generate_names` that is not.
+    """Make `folder` and return its path.
 
-    Raises `UserError` unless it can be written: better now than after the simulation.
+    If it is to be `new` and exists, take the first name of `generate_names` that does not. Raises
+    `UserError` if nothing can be written in it: better now than after the simulation.
     """
     try:
         if new:
@@ -217,7 +221,7 @@ def _make_folder(folder: Path, new: bool = False) -> Path:
 
 
 def _is_made(folder: Path) -> bool:
-    """Make `folder`; return False if it is there, even by an evaluation of the same moment."""
+    """Make `folder`; return False if it exists, even if another process makes it at this moment."""
     try:
         folder.mkdir(parents=True)
     except FileExistsError:

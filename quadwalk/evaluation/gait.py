@@ -150,10 +150,10 @@ def flatten_gait(gait: Gait, quadruped: Quadruped) -> dict[str, float | str | bo
 
 
 def find_middle_strides(rollout: Rollout, count: int, otherwise: float) -> tuple[float, float]:
-    """Return where `count` strides about an episode's middle begin and end, in control steps.
+    """Return where `count` strides in the middle of an episode begin and end, in control steps.
 
-    They have the episode's mean stride frequency. Where no foot makes strides, `otherwise` seconds
-    take their place.
+    Their length is the episode's mean. If no foot makes strides, the part returned is `otherwise`
+    seconds long. Both ends may be fractions, and are within the episode.
     """
     frequency = measure_footfalls(rollout).stride_frequency
     seconds = count / frequency if frequency > 0 else otherwise
@@ -181,15 +181,15 @@ def compute_foot_poses(
 
 
 def _find_settled_step(rollout: Rollout) -> int:
-    """Return the step from which strides are measured; 0 in an episode too short for that."""
+    """Return the control step from which strides are measured; 0 if the episode is too short."""
     settling = round(SETTLING / rollout.control_dt)
     return settling if rollout.steps >= 3 * settling else 0
 
 
 def _measure_stride_length(rollout: Rollout, frequency: float) -> float:
-    """Return horizontal speed over `frequency`, Hz, in m.
+    """Return the mean stride length, m: horizontal speed over the stride `frequency`, Hz.
 
-    With commands the speed is that in the frame of the heading.
+    With velocity commands the speed is measured in the frame of the heading.
     """
     if not frequency > 0:
         return np.nan
@@ -228,9 +228,11 @@ def _measure_swing_heights(rollout: Rollout, soles: np.ndarray) -> np.ndarray:
 def _measure_slip(
     rollout: Rollout, centers: np.ndarray, orientations: np.ndarray, radii: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the speed (4,), m/s, and the way (4,), m, of the points that touch the ground.
+    """Return speed (4,), m/s, and distance (4,), m, of the slip of each foot on the ground.
 
-    They are over the steps at both ends of which the foot is on the ground.
+    It is the motion of the sphere's point that touches the ground. Only steps count at both ends of
+    which the foot is on the ground. `centers` (T + 1, 4, 3), m, `orientations` (T + 1, 4, 4), wxyz,
+    and `radii` (4,), m, are those of the feet.
     """
     slips, slid = np.full(4, np.nan), np.zeros(4)
     for k, radius in enumerate(radii):
@@ -271,11 +273,11 @@ def analyze_footfalls(contact: np.ndarray, dt: float) -> Footfalls:
 
 
 def remove_chatter(contact: np.ndarray, dt: float) -> np.ndarray:
-    """Remove each foot's gaps, then brushes, shorter than `SHORTEST` from `contact` (T, 4).
+    """Return `contact` (T, 4), bool, without gaps and then contacts shorter than `SHORTEST`.
 
-    At a gallop of six strides a second every contact is short: a brush is short beside those that
-    hold most of the foot's time on the ground. What touches the first or last row stays: its other
-    part may be outside.
+    At a gallop of six strides a second every contact is short. So a contact is removed only if it
+    is also short beside those that hold most of the foot's time on the ground. What touches the
+    first or last row stays: a part of it may be outside.
     """
     cleaned = np.array(contact, dtype=bool)
     longest = int(np.ceil(SHORTEST / dt - 1e-9)) - 1
@@ -291,19 +293,22 @@ def remove_chatter(contact: np.ndarray, dt: float) -> np.ndarray:
 
 
 def _compute_usual_length(lengths: list[np.signedinteger]) -> float:
-    """Return the median length, each length counted as often as it is long."""
+    """Return the median length of contacts, each counted as often as it is long."""
     ordered = np.sort(lengths)
     sums = np.cumsum(ordered)
     return float(ordered[np.searchsorted(sums, sums[-1] / 2)]) if len(ordered) else np.inf
 
 
 def find_touchdowns(foot: np.ndarray) -> np.ndarray:
-    """Return the rows of `foot` (T,), bool, that begin a contact."""
+    """Return the rows at which a contact of one foot begins; `foot` (T,) is True on the ground."""
     return np.flatnonzero(~foot[:-1] & foot[1:]) + 1
 
 
 def find_contacts(foot: np.ndarray) -> np.ndarray:
-    """Return the first row of each contact in `foot` (T,), bool, and the first after it, (n, 2)."""
+    """Return the contacts (n, 2) of one foot: the first row of each, and the first row after it.
+
+    `foot` (T,) is True where the foot is on the ground.
+    """
     padded = np.concatenate([[0], foot, [0]]).astype(int)
     return np.flatnonzero(np.diff(padded)).reshape(-1, 2)
 
@@ -347,7 +352,7 @@ def measure_phase_distance(a: float, b: float) -> float:
 def average_phases(phases: np.ndarray) -> tuple[float, float]:
     """Return the mean direction in [0, 1) and the mean resultant length in [0, 1] of phases.
 
-    Mardia & Jupp, "Directional Statistics", 2000, section 2.2. NaN, 0 of no phases.
+    See Mardia & Jupp, "Directional Statistics", 2000, section 2.2. Without phases: NaN and 0.
     """
     if len(phases) == 0:
         return np.nan, 0.0
@@ -357,7 +362,10 @@ def average_phases(phases: np.ndarray) -> tuple[float, float]:
 
 
 def _compute_phases(landings: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray, bool]:
-    """Return phase and regularity (4,) of each foot, and True if all make as many strides."""
+    """Return phases and regularities (4,) of the feet, and True if all make as many strides.
+
+    `landings` are the rows of each foot's touchdowns.
+    """
     reference = landings[_REFERENCE]
     phase, regularity = np.full(4, np.nan), np.zeros(4)
     if len(reference) < 2:
@@ -374,7 +382,10 @@ def _compute_phases(landings: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray,
 
 
 def _compute_duty_factor(foot: np.ndarray, landings: np.ndarray) -> float:
-    """Return the fraction on the ground over whole strides; over everything without any."""
+    """Return the fraction of whole strides for which a foot is on the ground.
+
+    Without a whole stride it is the fraction of all rows of `foot` (T,).
+    """
     if len(landings) > 1:
         foot = foot[landings[0] : landings[-1]]
     return float(foot.mean()) if len(foot) else np.nan

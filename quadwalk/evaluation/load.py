@@ -42,16 +42,17 @@ class LoadedRun:
     notes: tuple[str, ...] = ()
 
     def to_mujoco(self, **changes: Any) -> "LoadedRun":
-        """Return the same in MuJoCo C, with `changes` of its environment's settings."""
+        """Return the same policy and robot in MuJoCo C, with `changes` of the settings in `env`."""
         config = dataclasses.replace(self.env.config, **changes)
         env = QuadrupedEnv(self.env.quadruped, config, "mujoco")
         return dataclasses.replace(self, env=env)
 
     def to_engine(self, engine: EngineName) -> "LoadedRun":
+        """Return the same policy, robot and settings in another engine."""
         return dataclasses.replace(self, env=self.env.to_engine(engine))
 
     def has_same_robot(self, other: "LoadedRun") -> bool:
-        """Return True for a robot of the same joints and masses, and the same control period."""
+        """Return True if both robots have the same joints, masses and control period."""
         mine, theirs = self.env, other.env
         return (
             mine.quadruped.joints == theirs.quadruped.joints
@@ -67,9 +68,10 @@ def find_training_ranges(config: EnvConfig) -> RandomizationConfig:
 
 
 def make_evaluation_ranges(config: EnvConfig, enabled: bool) -> RandomizationConfig:
-    """Return the training ranges without margin and ideal episodes.
+    """Return the ranges of the training's randomization, without margin and ideal episodes.
 
-    There is a push in each `PUSH_SECONDS`, whatever training had, so that runs compare.
+    One push comes in each `PUSH_SECONDS`, whatever training had, so that runs compare. If not
+    `enabled`, nothing is randomized.
     """
     return dataclasses.replace(
         find_training_ranges(config),
@@ -81,9 +83,10 @@ def make_evaluation_ranges(config: EnvConfig, enabled: bool) -> RandomizationCon
 
 
 def make_unseen_ground(trained: GroundConfig, seed: int, levels: int = 3) -> GroundConfig:
-    """Return ground of the kinds trained on, by numbers from `seed` that training never draws.
+    """Return ground like that of training, from random numbers that training never draws.
 
-    Each kind counts once, at `levels` difficulties. A flat floor or a field from a file stays.
+    Each kind of tile is there once at each of `levels` difficulties. Unequal `seed` give unequal
+    ground. A flat floor or a field from a file stays as it is.
     """
     if trained.flat or trained.file is not None:
         return dataclasses.replace(trained, curriculum=False)
@@ -104,10 +107,11 @@ def load_run(
 ) -> LoadedRun:
     """Load the "last" or "best" policy of `run` for episodes of up to `seconds` in `engine`.
 
-    Without `randomized` the robot is that of its model and nothing disturbs it. With it, each
-    episode samples from the `make_evaluation_ranges`. A velocity command holds for a whole episode,
-    so that the episode has one gait. Uneven ground is `make_unseen_ground` of `seed`, or, if
-    `flat`, a flat floor. Raises `UserError` where policy or robot cannot be read, or do not match.
+    Without `randomized` the robot is as its model says and nothing disturbs it. With it, each
+    episode samples from `make_evaluation_ranges`. A velocity command holds for a whole episode, so
+    that its gait does not change. Ground that was uneven in training is `make_unseen_ground` of
+    `seed`, or, with `flat`, a flat floor. Raises `UserError` if policy or robot cannot be read, or
+    do not match.
     """
     file = run.best if which == "best" else run.policy
     policy, sha256 = load_policy(file), hash_file(file)

@@ -148,10 +148,10 @@ def summarize_episodes(episodes: Sequence[dict[str, Any]]) -> dict[str, Any]:
 
 
 def compare_engines(mjx: dict[str, Any], mujoco: dict[str, Any]) -> dict[str, Any]:
-    """Return MuJoCo C's falls and means of metrics less MJX's, from two summaries.
+    """Return the differences of MuJoCo C's summary from MJX's: of falls and the means of metrics.
 
-    `difference` in the metric's own unit (of `fall_rate`, a share), `percent` of the size of MJX's;
-    None where one of the two has no value, or MJX's is 0.
+    `difference` is in the metric's unit (a share for `fall_rate`), `percent` of the size of MJX's
+    value. Both are None if one of the two has no value; `percent` also if MJX's is 0.
     """
     means = {"fall_rate": (mjx["fall_rate"], mujoco["fall_rate"])}
     for name, *_ in METRICS:
@@ -174,7 +174,7 @@ def find_typical_episode(episodes: Sequence[dict[str, Any]]) -> int:
 
 
 def name_engines(results: Sequence[dict[str, Any]]) -> str:
-    """Return the engines of several metrics.json, in words."""
+    """Return the names of the engines of several metrics.json, joined for a title."""
     return " and ".join(dict.fromkeys(result["engine"] for result in results))
 
 
@@ -194,11 +194,11 @@ def measure_cells(
     room: int | None = None,
     report: Report | None = None,
 ) -> list[dict[str, Any]]:
-    """Return success and the figures of each cell, `episodes` successive `starts` (n, ...) each.
+    """Return success and figures of each cell: `episodes` successive rows of `starts` (n, ...).
 
-    `success` is the share without a fall, `success_ci95` its interval. A figure becomes its
-    `summarize_values`, one that is true or false its share. At most `room` episodes go at a time,
-    by default all.
+    `success` is the share without a fall, `success_ci95` its interval. The other figures are those
+    of `measure`: a number becomes its `summarize_values`, a bool its share. At most `room` episodes
+    run at a time, by default all.
     """
     figures: dict[int, dict[str, float | bool]] = {}
     room = room and min(room, len(starts.obs))
@@ -211,6 +211,10 @@ def measure_cells(
 
 
 def _summarize_cell(episodes: Sequence[dict[str, float | bool]]) -> dict[str, Any]:
+    """Return the figures of one cell: of each number its mean and interval, of each bool its share.
+
+    `episodes` are the figures of its episodes by name; `success_ci95` is added.
+    """
     summary: dict[str, Any] = {}
     for name, example in episodes[0].items():
         values = [figures[name] for figures in episodes]
@@ -235,7 +239,7 @@ class Course:
 
 
 def measure_course(rollout: Rollout) -> Course:
-    """Measure the course of an episode."""
+    """Measure speed, distance, duration and energy of an episode."""
     duration = rollout.steps * rollout.control_dt
     along, across = (rollout.qpos[-1, :2] - rollout.qpos[0, :2]).astype(float)
     distance = float(along if rollout.command is None else measure_path(rollout))
@@ -261,7 +265,10 @@ def measure_path(rollout: Rollout) -> float:
 
 
 def compute_action_rate(rollout: Rollout) -> float:
-    """Return the root mean square rate of actions in [-1, 1], 1/s; NaN for a single step."""
+    """Return the root mean square rate of the actions, 1/s; NaN for a single step.
+
+    Actions are in [-1, 1].
+    """
     changes = np.diff(rollout.action.astype(float), axis=0) / rollout.control_dt
     return float(np.sqrt(np.mean(np.square(changes)))) if len(changes) else math.nan
 
@@ -348,12 +355,12 @@ def rotate_planar(vector: ArrayLike, angle: ArrayLike) -> np.ndarray:
 
 
 def to_json_number(value: float) -> float | None:
-    """Return `value`, or None in place of NaN and infinity, which JSON has not."""
+    """Return `value`, or None for NaN and infinity, which JSON does not have."""
     return float(value) if math.isfinite(value) else None
 
 
 def get_mean(figure: dict[str, Any] | None) -> float:
-    """Return the mean in a summary's entry; NaN where there is none."""
+    """Return the mean in an entry of `summarize_values`; NaN if the entry is None."""
     return math.nan if figure is None else figure["mean"]
 
 
@@ -371,7 +378,7 @@ def compute_mean_interval(
 
 
 def summarize_values(values: Sequence[float] | np.ndarray) -> dict[str, float | None] | None:
-    """Return the `compute_mean_interval` of those values that are finite; None without any."""
+    """Return mean and interval (`compute_mean_interval`) of the finite values; None without any."""
     finite = np.asarray(values)[np.isfinite(values)]
     if not len(finite):
         return None

@@ -51,7 +51,7 @@ class Evaluation:
 
     @cached_property
     def typical(self) -> Rollout:
-        """The episode of median speed: the one to look at."""
+        """The episode of median speed, to be looked at; simulated again if it was not kept."""
         number, count = find_typical_episode(self.episodes), len(self.episodes)
         if number < len(self.rollouts):
             return self.rollouts[number]
@@ -80,7 +80,7 @@ class Evaluation:
         }
 
     def film_strip(self, width: int = 480, height: int = 300) -> Image.Image:
-        """Draw two strides of the typical episode as eight pictures, each of so many pixels."""
+        """Draw two strides of the typical episode in eight pictures, `width` by `height` pixels."""
         quadruped = self.loaded.env.quadruped
         strip = draw_film_strip(self.typical, quadruped, width=width, height=height)
         return Image.fromarray(strip)
@@ -126,10 +126,10 @@ def evaluate_policy(
     report: Report | None = None,
     keep: int | None = None,
 ) -> Evaluation:
-    """Roll a policy out from `episodes` starts and compute the metrics of each.
+    """Roll a policy out from `episodes` starts and compute the metrics of each episode.
 
-    `report` is called with the control steps done. Of many episodes the result has the first
-    `keep` rollouts, or all: one of 20 s is 2 MB.
+    `report` is called with the number of control steps done. The result keeps the first `keep`
+    rollouts, by default all: one of 20 s is 2 MB.
     """
     env = loaded.env
     evaluation = Evaluation(loaded, seed, [], [])
@@ -146,7 +146,10 @@ def evaluate_policy(
 
 
 def make_provenance(loaded: LoadedRun, seed: int) -> dict[str, Any]:
-    """Return what was evaluated, from starts by `seed`, and by what, as plain values for JSON."""
+    """Return what was evaluated and by which versions, seed and engine, as plain values for JSON.
+
+    `seed` is the one that the starts were sampled with.
+    """
     return {
         "run": loaded.run.name,
         "engine": loaded.env.engine,
@@ -162,9 +165,9 @@ def make_provenance(loaded: LoadedRun, seed: int) -> dict[str, Any]:
 
 
 def find_revision(source: Path = ROOT) -> str:
-    """Return the git commit of `source`, with "-dirty" where files differ from it.
+    """Return the git commit of `source`, with "-dirty" if files differ from it.
 
-    It is the package's version where `source` is no checkout or there is no git.
+    Without git or a checkout it is the package's version.
     """
     # An installed package may lie inside some other project's checkout, whose commit is not its.
     if (source / ".git").exists():
@@ -180,7 +183,7 @@ def find_revision(source: Path = ROOT) -> str:
 
 
 def make_attachments(loaded: LoadedRun) -> dict[str, bytes]:
-    """Return files for every recording: the run's configuration, and the MJCF of its robot."""
+    """Return the files to attach to each recording: the run's config.json, and the robot's MJCF."""
     quadruped = loaded.env.quadruped
     if loaded.env.terrain is not None:  # without the ground, of which the recording shows its own
         quadruped = load_robot(loaded.policy.config.robot)

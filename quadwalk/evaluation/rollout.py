@@ -72,22 +72,24 @@ class Rollout:
 
     @property
     def steps(self) -> int:
+        """Number of control steps, T."""
         return len(self.action)
 
     @property
     def time(self) -> np.ndarray:
-        """(T + 1,) simulated seconds of the states."""
+        """Simulated time of each state, (T + 1,) s."""
         return np.arange(self.steps + 1) * self.control_dt
 
     @property
     def fell(self) -> bool:
+        """True if the episode ended before its time limit, by a fall."""
         return self.end != "time limit"
 
 
 def slice_steps(rollout: Rollout, start: int, stop: int | None = None) -> Rollout:
-    """Return the control steps from `start` to before `stop`, with the states around them.
+    """Return the control steps `start` to `stop` - 1, by default to the end, with their states.
 
-    Without `stop` they go to the end. They are as few as there are.
+    If the episode is shorter, there are fewer.
     """
     start, stop, _ = slice(start, stop).indices(rollout.steps)
     stops = {
@@ -105,9 +107,9 @@ def slice_steps(rollout: Rollout, start: int, stop: int | None = None) -> Rollou
 def reset_episodes(
     env: QuadrupedEnv, episodes: int, seed: int, tiles: np.ndarray | None = None
 ) -> State:
-    """Return the batched first `State` of `episodes` episodes, the same for the same seed.
+    """Return the first states of `episodes` episodes, in a batch, the same for the same seed.
 
-    `tiles` (episodes,) are the indices of the terrain's tiles that they begin on; None: any.
+    `tiles` (episodes,) are the indices of the terrain's tiles on which they begin; None: any.
     """
     keys = jax.random.split(jax.random.PRNGKey(seed), episodes)
     tile_arguments = () if tiles is None else (jnp.asarray(tiles),)
@@ -119,9 +121,10 @@ def reset_episodes(
 def reset_cells(
     env: QuadrupedEnv, reset: Callable[..., State], cells: np.ndarray, *episodes: Any
 ) -> State:
-    """Return the first states (m * n, ...) of n episodes in each of m `cells`, cell by cell.
+    """Return the first states (m * n, ...) of n episodes in each of `cells` (m, ...), cell by cell.
 
-    Each is `reset(env, cell, *episode)`; `cells` are (m, ...), all `episodes` (n, ...).
+    Each is `reset(env, cell, *episode)`, where `episode` has a row of each array of `episodes`, (n,
+    ...).
     """
 
     @jax.jit
@@ -146,10 +149,10 @@ def roll_out(
 ) -> Iterator[tuple[int, str, Any]]:
     """Step `policy` from each of `starts` (n, ...) until its episode ends.
 
-    Yields each episode when it ends: its number, the name of its end, and what `record` returned
-    for its T control steps, NumPy arrays (T, ...). `room` episodes go at a time, by
-    default all; where one has ended the next begins. `change` alters the batched states before
-    each step.
+    Yields for each episode, when it ends, its number, the name of its end, and the values that
+    `record` returned in its T control steps, as NumPy arrays (T, ...). At most `room` episodes run
+    at a time, by default all; where one has ended the next begins. `change` alters the batched
+    states before each step.
     """
 
     @jax.jit
@@ -198,10 +201,10 @@ def roll_out(
 def roll_out_paths(
     env: QuadrupedEnv, policy: ActionFunction, starts: State, *options: Any, **named_options: Any
 ) -> Iterator[tuple[int, bool, np.ndarray]]:
-    """Step episodes as `roll_out` does, whose options these are, and keep the trunk's path alone.
+    """Step episodes with the arguments of `roll_out`, and keep only the trunk's path.
 
-    Yields each episode when it ends: its number, True if it did not end by a fall, and the trunk's
-    poses (T + 1, 7), m and wxyz.
+    Yields for each episode, when it ends, its number, True if it did not end by a fall, and the
+    trunk's poses (T + 1, 7), m and wxyz.
     """
 
     def record_pose(env: QuadrupedEnv, before: State, action: jax.Array, after: State) -> jax.Array:
@@ -215,10 +218,10 @@ def roll_out_paths(
 
 
 def share_over_devices(env: QuadrupedEnv, batch: Any) -> Any:
-    """Return `batch`, whose arrays have the episodes first, divided between the devices.
+    """Return `batch`, whose arrays (episodes, ...) are then divided between the devices.
 
-    Episodes do not meet, so the compiler can give each device its share of them. MuJoCo C has
-    threads of its own.
+    Episodes do not depend on each other, so the compiler can give each device its share of them.
+    MuJoCo C has threads of its own, and needs none of this.
     """
     devices = jax.devices()
     if env.engine == "mujoco" or len(jax.tree.leaves(batch)[0]) % len(devices):
@@ -237,11 +240,12 @@ def simulate_episodes(
     only: int | None = None,
     starts: State | None = None,
 ) -> Iterator[Rollout]:
-    """Record `policy` from `episodes` starts, until each ends, in order of their numbers.
+    """Roll `policy` out from `episodes` starts and yield each episode, in order of their numbers.
 
-    `starts` (episodes, ...) are by default those of `reset_episodes` by `seed`; `only` is the
-    number of the one episode to record. At most `GROUP` are in memory, if the caller lets go of
-    rollouts. None has its foot forces.
+    `starts` (episodes, ...) are by default `reset_episodes` of `seed`. With `only`, just the
+    episode of this number is simulated. At most `GROUP` are in memory, if the caller keeps none.
+    They have no foot forces: `add_foot_forces` adds them. `report` is called with the number of
+    control steps done.
     """
     starts = reset_episodes(env, episodes, seed) if starts is None else starts
     # In a batch of the same size it goes as it went.
@@ -303,5 +307,5 @@ def _record_step(
 
 
 def _take(tree: Any, rows: Any) -> Any:
-    """Return the `rows` of all arrays of a pytree."""
+    """Index all arrays of a pytree with `rows`, along their first axis."""
     return jax.tree.map(lambda x: x[rows], tree)

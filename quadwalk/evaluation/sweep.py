@@ -103,7 +103,7 @@ def measure_sweeps(
 
 
 def make_task_ranges(env: QuadrupedEnv, nominal: Point) -> dict[str, tuple[float, float]]:
-    """Return for each sweep the task's range, without a margin, in the sweep's unit."""
+    """Return the range of each sweep's condition in the training of the task, in its unit."""
     config, robot = find_training_ranges(env.config), env.robot
     push = (config.push, robot.froude_speed)
     # field of Point -> range of the settings, and how much of the sweep's unit theirs is
@@ -176,9 +176,9 @@ def measure_points(
 
 
 def reset_at_points(env: QuadrupedEnv, points: list[Point], episodes: int, seed: int) -> State:
-    """Return the first states of all episodes, under the conditions of their points.
+    """Return the first states of `episodes` under the conditions of each point, point by point.
 
-    Each point has the same starts, and the same random numbers but for their size.
+    Each point has the same starts and the same random numbers, which conditions only scale.
     """
     latest = randomization.compute_longest_latencies(find_training_ranges(env.config))
     late = max(p.delay / 1e3 + p.everything * latest[0] for p in points)
@@ -200,9 +200,11 @@ def reset_at_points(env: QuadrupedEnv, points: list[Point], episodes: int, seed:
 def sample_conditions_at(
     env: QuadrupedEnv, point: Point, key: jax.Array, targets: int
 ) -> randomization.EpisodeRandomization:
-    """Sample the conditions of one episode at `point`, whose numbers may be traced.
+    """Sample the conditions of one episode at `point`, whose numbers may be JAX tracers.
 
-    The history of joint targets has as many rows as `targets`.
+    They are those of the robot's model plus `point.everything` times the training's randomization,
+    then changed as the other fields of `point` say. The history of joint targets has `targets`
+    rows.
     """
     robot, stepping = env.robot, env.stepping
     ideal = dataclasses.replace(NO_RANDOMIZATION, sensor_latency=(0.0, 0.0))
@@ -272,8 +274,8 @@ def draw_sweep(
 ) -> Figure:
     """Draw a panel for each sweep, or each of `names`: success and speed, with 95 % intervals.
 
-    `results` are those of one run or several, at the same points. Their first says which range of
-    each condition the task has: it is shaded.
+    `results` are those of one run or several, at the same points. The range of each condition in
+    the task of the first run is shaded.
     """
     first = results[0]
     sweeps = first["sweeps"]
@@ -332,6 +334,7 @@ def _draw_points(
 
 
 def _draw_legend(figure: Figure, runs: list[str]) -> None:
+    """Draw the legend of a figure of sweeps: runs, lines and the shaded range."""
     handles: list[Any] = []
     for k, run in enumerate(runs):
         color, mark = get_style(k)

@@ -85,7 +85,7 @@ def write_comparison(
 
 
 def write_sweep(loaded: LoadedRun, folder: Path, episodes: int, seed: int) -> dict[str, Any]:
-    """Sweep one run, print the table, write sweep.json and sweep.png; return the former."""
+    """Sweep one run, print a table, write sweep.json and sweep.png; return the first's content."""
     count = len(sweep.make_sweep_points(loaded)[0])
     with _show_progress(loaded, f"{count} x {episodes} episodes") as report:
         sweeps = sweep.measure_sweeps(loaded, episodes, seed, report)
@@ -108,6 +108,7 @@ def write_sweep_comparison(
 
 
 def _evaluate(loaded: LoadedRun, episodes: int, seed: int, recordings: int) -> Evaluation:
+    """Evaluate one run, show progress and time; keep `recordings` rollouts."""
     start = time.monotonic()
     with _show_progress(loaded, f"{episodes} episodes") as report:
         evaluation = evaluate_policy(loaded, episodes, seed, report, recordings)
@@ -127,7 +128,11 @@ def _write_suite(
     seed: int,
     levels: int,
 ) -> list[str]:
-    """Add to `results` what the task's suite measures, and print it; return its pictures' names."""
+    """Run the suite of measurements of the task, print them and add them to `results`.
+
+    Returns the names of the pictures it wrote into `folder`. A suite of terrain measures at
+    `levels` difficulties.
+    """
     suite, name, engine = loaded.policy.config.suite, loaded.run.name, loaded.env.engine
     if suite == "standing":
         mujoco = standing.to_standing_run(loaded)
@@ -171,9 +176,9 @@ def _write_pictures(evaluation: Evaluation, folder: Path, video: str) -> list[st
 
 @contextlib.contextmanager
 def _show_progress(loaded: LoadedRun, what: str) -> Iterator[Report]:
-    """Show how far the simulation of `what` is, and how long it will take, while it runs.
+    """Show the progress of a simulation, called `what`, and the time it will take, while it runs.
 
-    Yields the function to call with the control steps done.
+    Yields the function to call with the number of control steps done.
     """
     env, console = loaded.env, make_console()
     columns = ("{task.description}", BarColumn(), TimeRemainingColumn())

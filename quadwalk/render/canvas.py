@@ -21,7 +21,7 @@ class Camera:
 
 
 class Canvas:
-    """Draws poses of `model` as pictures of `width` by `height` pixels, with its visual shapes."""
+    """A drawer of poses of `model`, with its visual shapes, `width` by `height` pixels."""
 
     def __init__(self, model: mujoco.MjModel, width: int, height: int) -> None:
         self._model, self._data = model, mujoco.MjData(model)

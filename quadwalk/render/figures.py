@@ -21,6 +21,7 @@ class NotebookFigure(Figure):
     """A figure that a notebook shows even if pyplot was never set up in it."""
 
     def _repr_png_(self) -> bytes:
+        """Return the figure as PNG, which a notebook shows."""
         file = io.BytesIO()
         _write_png(self, file)
         return file.getvalue()
@@ -33,6 +34,7 @@ def save_figure(figure: Figure, path: str | Path) -> None:
 
 
 def _write_png(figure: Figure, file: BinaryIO) -> None:
+    """Write a figure as PNG, without its texts' dollar signs read as formulas."""
     for text in figure.findobj(Text):
         text.set_parse_math(False)  # a name may hold a $
     # Without the software's version, for longer.
@@ -50,12 +52,12 @@ def make_figure(
 
 
 def get_style(place: int) -> tuple[str, str]:
-    """Return the color and the mark of the series number `place` in a plot."""
+    """Return color and marker of series number `place` of a plot, from 0 on; they repeat."""
     return _COLORS[place % len(_COLORS)], _MARKS[place % len(_MARKS)]
 
 
 def tidy(axes: Axes, title: str, unit: str = "", fontsize: int = 11) -> None:
-    """Give a panel its title, and the looks that all panels share."""
+    """Add a title and `unit` to a panel, and the style that all panels share."""
     title = title[0].upper() + title[1:] + (f", {unit}" if unit else "")
     axes.set_title(title, loc="left", fontsize=fontsize)
     axes.spines[["top", "right"]].set_visible(False)

@@ -25,7 +25,10 @@ def save_png(pixels: np.ndarray, path: str | Path) -> None:
 
 
 def make_film_strip(pictures: list[np.ndarray], across: int) -> np.ndarray:
-    """Return pictures (h, w, 3) of one size, `across` in a row with white gaps, (H, W, 3) uint8."""
+    """Join pictures (h, w, 3) of one size into one, (H, W, 3) uint8, with white gaps.
+
+    There are `across` pictures in a row; the rest of the last row is white.
+    """
     height, width, _ = pictures[0].shape
     down = -(-len(pictures) // across)
     size = (down * (height + _GAP) - _GAP, across * (width + _GAP) - _GAP, 3)
@@ -49,6 +52,7 @@ def save_video(pictures: Iterable[np.ndarray], path: str | Path, fps: float = FP
 
 
 def _save_gif(pictures: Iterator[Image.Image], path: str | Path, fps: float) -> None:
+    """Write pictures of one size as a GIF that repeats, `fps` a second, with one palette."""
     first = next(pictures)
     # One palette for all: each picture's own would make the background flicker.
     palette = first.quantize(128, method=Image.Quantize.MEDIANCUT)
@@ -68,6 +72,7 @@ def _save_gif(pictures: Iterator[Image.Image], path: str | Path, fps: float) -> 
 
 
 def _save_mp4(pictures: Iterator[np.ndarray], path: str | Path, fps: float) -> None:
+    """Write pictures (height, width, 3) of one size as H.264 in MP4, `fps` a second, by ffmpeg."""
     ffmpeg = _find_ffmpeg()
     first = next(pictures)
     height, width, _ = first.shape
@@ -88,6 +93,7 @@ def _save_mp4(pictures: Iterator[np.ndarray], path: str | Path, fps: float) -> N
 
 
 def _find_ffmpeg() -> str:
+    """Return the path of ffmpeg; `UserError` if there is none."""
     program = shutil.which("ffmpeg")
     if program is not None:
         return program

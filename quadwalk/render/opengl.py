@@ -23,7 +23,7 @@ _TRIAL = """
 def find_working_library() -> str | None:
     """Return the GL library to draw with, "osmesa", "egl" or "window"; None if none works.
 
-    The one that `choose_library` names is tried once.
+    Only the library that `choose_library` names is tried, once in a process.
     """
     library = choose_library()
     if library is None:
@@ -45,10 +45,11 @@ def find_working_library() -> str | None:
 
 
 def choose_library() -> str | None:
-    """Return the GL library to try; None for none.
+    """Return the GL library to try, "osmesa", "egl" or "window" (of a window system), or None.
 
-    `MUJOCO_GL` decides, if it is set: `osmesa`, `egl`, `glfw` (a window system), `disable`. Else a
-    display does, then OSMesa, then EGL, whichever is there.
+    `MUJOCO_GL` decides, if it is set: `osmesa`, `egl`, `glfw` (the window system) or `disable`.
+    Without it a machine that has a screen, or is not Linux, uses its window system. Others use
+    OSMesa or EGL, whichever is installed.
     """
     wanted = os.environ.get("MUJOCO_GL", "").strip().lower()
     if wanted in _OFF:
@@ -66,7 +67,7 @@ def choose_library() -> str | None:
 
 @contextlib.contextmanager
 def _silence() -> Iterator[None]:
-    """Let nothing reach stderr, not from C libraries or destructors either."""
+    """Return a context that keeps everything from stderr, of C libraries and destructors too."""
     stderr = os.dup(2)
     try:
         with open(os.devnull, "w") as nowhere, contextlib.redirect_stderr(io.StringIO()):
@@ -120,13 +121,14 @@ class GlPainter:
 
 
 def _load_context_class(library: str) -> type:
+    """Import MuJoCo's class of contexts of this library."""
     module = {"osmesa": "mujoco.osmesa", "egl": "mujoco.egl"}.get(library, "mujoco")
     context: type = importlib.import_module(module).GLContext
     return context
 
 
 def _move_to_origin(scene: mujoco.MjvScene) -> None:
-    """Move the scene and its eye to the origin, and endless planes below the eye.
+    """Move the scene and its eye to the origin, and endless planes below the eye, in place.
 
     MuJoCo's own floor follows the eye only half of the way, so that some 100 m away there is none.
     OpenGL's single precision speckles everything with shadow there. Planes move by whole repeats of

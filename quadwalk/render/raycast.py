@@ -18,7 +18,7 @@ _TOUCH = 1e-4  # m: a hit so close to the point that a ray is cast at is that po
 
 
 class RayPainter:
-    """Paints scenes of one model, `width` by `height` pixels."""
+    """A painter of scenes of one model, `width` by `height` pixels."""
 
     def __init__(self, model: mujoco.MjModel, width: int, height: int) -> None:
         self._size = (width, height)
@@ -47,8 +47,8 @@ class RayPainter:
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return colors (a, b, 3) in 0 .. 1, labels (a, b) and normals (a, b, 3) at `places`.
 
-        `places` (a, b, 2) are pixels from the upper left corner. Labels differ between geoms, and
-        between their lit and shaded parts.
+        `places` (a, b, 2) are x and y in pixels from the upper left corner. Labels are integers,
+        which differ between geoms and between their lit and shaded parts.
         """
         camera = mujoco.mjv_averageCamera(*scene.camera)
         eye, ray, pixel = _compute_rays(camera, places.reshape(-1, 2), *self._size)
@@ -68,7 +68,11 @@ class RayPainter:
     def _cast(
         self, data: mujoco.MjData, origin: np.ndarray, ray: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return geoms (n,), -1 for none, distances (n,) m, and normals (n, 3) toward `origin`."""
+        """Return what rays (n, 3) from `origin` hit first: geoms, distances and normals.
+
+        Geoms (n,) are indices, -1 for none; distances (n,) are in m; normals (n, 3) point to
+        `origin`.
+        """
         geom, distance, normal = _cast_rays(self._model, data, origin, ray, self._groups)
         for field in self._fields:
             hit, hit_distance, hit_normal = field.cast(origin, ray)
@@ -101,9 +105,9 @@ class RayPainter:
 
 
 class _Field:
-    """A heightfield of a model as a mesh: a ray finds its triangle through the mesh's tree.
+    """A heightfield of a model as a mesh, in which rays find their triangles by a tree.
 
-    MuJoCo's own ray tries every cell that it passes over. The field is hidden in `model`.
+    MuJoCo's own ray tries every cell that it passes over. So the field is hidden in `model`.
     """
 
     def __init__(self, model: mujoco.MjModel, geom: int) -> None:
@@ -124,12 +128,15 @@ class _Field:
         mujoco.mj_kinematics(self._model, self._data)
 
     def cast(self, origin: np.ndarray, ray: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Return what rays hit, as `_cast_rays` does."""
+        """Return what rays (n, 3) from `origin` hit of the field, as `_cast_rays` does."""
         return _cast_rays(self._model, self._data, origin, ray, None)
 
 
 def _make_triangles(model: mujoco.MjModel, field: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return points (n, 3), m, and faces (m, 3) of a heightfield, with its walls."""
+    """Return points (k, 3), m, and faces (m, 3) of heightfield number `field`, with its side walls.
+
+    The points are in the field's frame; a face has the indices of three points.
+    """
     rows, columns = int(model.hfield_nrow[field]), int(model.hfield_ncol[field])
     first = int(model.hfield_adr[field])
     heights = model.hfield_data[first : first + rows * columns].reshape(rows, columns)
@@ -153,7 +160,10 @@ def _cast_rays(
     ray: np.ndarray,
     groups: np.ndarray | None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return what rays (n, 3) hit: geoms (n,), -1 for none, distances (n,) m, normals (n, 3)."""
+    """Return what rays (n, 3) from `origin` hit first: geoms, distances and normals.
+
+    Geoms (n,) are indices, -1 for none; distances (n,) are in m; normals are (n, 3).
+    """
     n = len(ray)
     geom, distance, normal = np.empty(n, np.int32), np.empty(n), np.empty((n, 3))
     mujoco.mj_multiRay(
@@ -164,10 +174,10 @@ def _cast_rays(
 
 
 def _enlarge_bounds(model: mujoco.MjModel) -> mujoco.MjModel:
-    """Return a copy whose bodies are bounded by spheres around all of their geoms.
+    """Return a copy of `model` whose bodies have bounding spheres around all of their geoms.
 
-    `mj_multiRay` leaves out a body whose bounding sphere a ray misses. The compiler makes that for
-    the geoms that collide, so that others are overlooked.
+    `mj_multiRay` leaves out a body whose bounding sphere a ray misses. MuJoCo's compiler bounds
+    only the geoms that collide, so that others would be overlooked.
     """
     model = copy.copy(model)
     offset = np.linalg.norm(model.geom_pos - model.body_ipos[model.geom_bodyid], axis=1)
@@ -183,9 +193,10 @@ def _enlarge_bounds(model: mujoco.MjModel) -> mujoco.MjModel:
 def _compute_rays(
     camera: mujoco.MjvGLCamera, places: np.ndarray, width: int, height: int
 ) -> tuple[np.ndarray, np.ndarray, float]:
-    """Return the eye (3,) m, unit vectors (n, 3) to `places` (n, 2), and a pixel's width.
+    """Return the eye (3,), m, the directions (n, 3) of rays through `places`, and a pixel's width.
 
-    The width is that at 1 m ahead, m.
+    `places` (n, 2) are x and y in pixels from the upper left corner. Directions are unit vectors in
+    the world frame. The width is in m at 1 m ahead of the eye.
     """
     forward, up = camera.forward.astype(float), camera.up.astype(float)
     pixel = (camera.frustum_top - camera.frustum_bottom) / camera.frustum_near / height
@@ -197,7 +208,10 @@ def _compute_rays(
 
 
 def _find_edges(labels: np.ndarray, normals: np.ndarray) -> np.ndarray:
-    """Return True for the pixels on both sides of each edge, (height, width) bool."""
+    """Return True for the pixels on both sides of each edge, (height, width) bool.
+
+    An edge is where `labels` (height, width) differ or `normals` (height, width, 3) bend.
+    """
     edges = np.zeros(labels.shape, bool)
     for one, other in ((np.s_[:-1], np.s_[1:]), (np.s_[:, :-1], np.s_[:, 1:])):
         crease = np.einsum("ijk,ijk->ij", normals[one], normals[other]) < _CREASE

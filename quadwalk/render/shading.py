@@ -29,12 +29,12 @@ class Hits:
 
     @property
     def point(self) -> np.ndarray:
-        """Points of the hits (n, 3) m."""
+        """Points (n, 3), m, that the rays hit, in the world frame."""
         return self.eye + self.distance[:, None] * self.ray
 
 
 class Texture:
-    """A picture (height, width, 3), uint8, and all its halvings, which show far away."""
+    """A picture (height, width, 3), uint8, and its mipmaps, each half as large as the last."""
 
     def __init__(self, pixels: np.ndarray) -> None:
         levels = [Image.fromarray(pixels)]
@@ -57,7 +57,10 @@ class Texture:
         return (1 - share) * self._blend(at, level) + share * self._blend(at, level + 1)
 
     def _blend(self, at: np.ndarray, level: np.ndarray) -> np.ndarray:
-        """Return the mean colors (n, 3) of the four texels about each place, in halving `level`."""
+        """Return the colors (n, 3) at `at` (n, 2), 0 to 1, in mipmap `level` (n,), 0 the full size.
+
+        They are bilinear between the four nearest texels.
+        """
         size = self._sizes[level]
         place = at * size - np.float32(0.5)
         first = np.floor(place).astype(np.int32)
@@ -115,7 +118,10 @@ class Shader:
     def _compute_lighting(
         self, scene: mujoco.MjvScene, hits: Hits, lit: dict[int, np.ndarray]
     ) -> np.ndarray:
-        """Return colors (n, 3) without textures."""
+        """Return the colors (n, 3) of `hits` by materials and lights, without textures.
+
+        `lit` maps the index of a light that casts shadows to the hits that it reaches, (n,) bool.
+        """
         # One more than there are geoms, for index -1.
         rgb, shine = np.zeros((2, self._model.ngeom + 1, 3), np.float32)
         for geom in scene.geoms[: scene.ngeom]:
@@ -140,7 +146,10 @@ class Shader:
     def _find_texture_places(
         self, data: mujoco.MjData, hits: Hits, on: np.ndarray, pixel: float
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the places of the hits `on` in their texture (n, 2), and a pixel's width there."""
+        """Return the places (n, 2) in their textures of the hits number `on`, and pixels' widths.
+
+        Both are in units of a texture's size.
+        """
         model, geom = self._model, hits.geom[on]
         offset = hits.point[on] - data.geom_xpos[geom]
         local = np.einsum("ij,ijk->ik", offset, data.geom_xmat[geom].reshape(-1, 3, 3)[..., :2])
@@ -171,10 +180,10 @@ class Shader:
     def _add_haze(
         self, data: mujoco.MjData, scene: mujoco.MjvScene, hits: Hits, color: np.ndarray
     ) -> None:
-        """Let an endless floor fade into the horizon, in place.
+        """Blend an endless floor into the horizon: change the `color` (n, 3) of its hits in place.
 
-        A cone about the eye has the haze's color, from the floor far away to the height of the eye.
-        The color grows up to a height and then fades; the sky is behind that.
+        With distance the floor's color turns into that of the haze. Farther away the haze turns
+        into the sky. So MuJoCo's renderer looks, which draws the haze as a cone around the eye.
         """
         model = self._model
         endless = (model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE) & ~model.geom_size[:, :2].any(1)
@@ -194,7 +203,7 @@ class Shader:
 
 
 def _read_pixels(model: mujoco.MjModel, texture: int) -> np.ndarray:
-    """Return a texture (height, width, 3) uint8; a sky's six faces are one below the other."""
+    """Return the picture of a texture (height, width, 3) uint8; a sky's six faces are stacked."""
     height, width = model.tex_height[texture], model.tex_width[texture]
     channels, start = model.tex_nchannel[texture], model.tex_adr[texture]
     flat = model.tex_data[start : start + height * width * channels]

@@ -40,14 +40,14 @@ def encode_text(text: str) -> bytes:
 
 
 class Scalars:
-    """A channel of named numbers, and flags after them: one message, filled again and again."""
+    """A channel of named numbers, then of flags: one message that is filled for each time."""
 
     def __init__(self, name: str, numbers: Sequence[str], flags: Sequence[str] = ()) -> None:
         self.names = make_field_names([*numbers, *flags])
         self.message = make_message_type(name, self.names, len(flags))()
 
     def serialize(self, time: int, values: Sequence[float | bool]) -> bytes:
-        """Return the message at `time` in ns with these numbers, then flags."""
+        """Return the message at `time`, ns, with `values`: the numbers, then the flags."""
         self.message.timestamp.FromNanoseconds(time)
         for name, value in zip(self.names, values, strict=True):
             setattr(self.message, name, value)
@@ -55,7 +55,7 @@ class Scalars:
 
 
 class Transforms:
-    """`/tf`: frames, each (parent, child), by their poses (7,), m and wxyz."""
+    """The message `/tf`: the pose (7,), m and wxyz, of each (parent, child) frame."""
 
     def __init__(self, frames: Sequence[tuple[str, str]]) -> None:
         self.message = FrameTransforms()
@@ -63,6 +63,7 @@ class Transforms:
             self.message.transforms.add(parent_frame_id=parent, child_frame_id=child)
 
     def serialize(self, time: int, poses: Sequence[Sequence[float]]) -> bytes:
+        """Return the message at `time`, ns, with the pose of each child in its parent."""
         for transform, pose in zip(self.message.transforms, poses, strict=True):
             transform.timestamp.FromNanoseconds(time)
             set_pose(transform.translation, transform.rotation, pose)
@@ -70,7 +71,7 @@ class Transforms:
 
 
 class Joints:
-    """Joints, each with its position, rad, or with that, its speed, rad/s, and torque, Nm."""
+    """The state of joints: of each its position, rad, or position, speed, rad/s, and torque, Nm."""
 
     def __init__(self, names: Sequence[str]) -> None:
         self.message = JointStates()
@@ -78,6 +79,7 @@ class Joints:
             self.message.joints.add(name=name)
 
     def serialize(self, time: int, values: Sequence[float | Sequence[float]]) -> bytes:
+        """Return the message at `time`, ns, with the numbers of each joint."""
         self.message.timestamp.FromNanoseconds(time)
         for joint, numbers in zip(self.message.joints, values, strict=True):
             numbers = numbers if isinstance(numbers, Sequence) else (numbers,)
@@ -93,12 +95,14 @@ class Pose:
         self.message = PoseInFrame(frame_id=frame)
 
     def serialize(self, time: int, pose: Sequence[float]) -> bytes:
+        """Return the message at `time`, ns, with this pose."""
         self.message.timestamp.FromNanoseconds(time)
         set_pose(self.message.pose.position, self.message.pose.orientation, pose)
         return self.message.SerializeToString()
 
 
 def set_pose(position, orientation, values: Sequence[float]) -> None:
+    """Set the fields of a position and an orientation to a pose (7,), m and wxyz."""
     position.x, position.y, position.z = values[:3]
     orientation.w, orientation.x, orientation.y, orientation.z = values[3:]
 
@@ -125,10 +129,10 @@ def make_field_names(names: Iterable[str]) -> tuple[str, ...]:
 
 
 def make_message_type(name: str, fields: Sequence[str], flags: int = 0) -> type[Message]:
-    """Make the class of `quadwalk.<name>`: a `timestamp`, then doubles; the last are bools.
+    """Make a protobuf class: a `timestamp`, then doubles; the last `flags` fields are bools.
 
-    `fields` must be identifiers (`make_field_names`). A private pool holds the type, so that one
-    process can write two robots with other observations.
+    Its type is `quadwalk.` and `name`. `fields` must be identifiers (`make_field_names`). A private
+    pool holds the type, so that one process can write two robots with other observations.
     """
     file = descriptor_pb2.FileDescriptorProto(
         name=f"quadwalk/{name}.proto",

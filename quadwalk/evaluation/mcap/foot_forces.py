@@ -13,10 +13,10 @@ from quadwalk.physics.motor import compute_friction_torque, compute_motor_torque
 
 
 def add_foot_forces(rollout: Rollout, env: QuadrupedEnv) -> Rollout:
-    """Return a rollout with its `foot_force`, N: the floor's push on each foot along its normal.
+    """Return `rollout` with its `foot_force`, N: the floor's push on each foot along its normal.
 
-    MuJoCo C finds them in each state from the motors' torques, on the model that the engine
-    stepped. It takes some 0.2 s for 20 s of running, so only rollouts that are shown have them.
+    MuJoCo C computes it in each state from the motors' torques, on the model that the engine
+    stepped. That takes some 0.2 s for 20 s of running, so only rollouts that are shown have it.
     """
     qpos, qvel = rollout.qpos[1:], rollout.qvel[1:]
     motor, joint_speed, model = env.motor, qvel[:, 6:], env.make_mj_model(env.quadruped)

@@ -36,7 +36,7 @@ WORLD = "world"
 
 
 class _Writer(Protocol):
-    """Fills one message again and again."""
+    """A message of one topic that is filled again for each time."""
 
     message: Message
 
@@ -127,9 +127,11 @@ class EpisodeMessages:
             yield self._log(rollout.steps, Log.INFO, f"end: {rollout.end}")
 
     def _to_nanoseconds(self, row: int) -> int:
+        """Return the simulated time of state `row`, ns."""
         return round(row * self.rollout.control_dt * 1e9)
 
     def _log(self, row: int, level: "Log.Level.ValueType", text: str) -> tuple[str, int, bytes]:
+        """Return a line of the log at the time of state `row`, as (topic, time, bytes)."""
         time = self._to_nanoseconds(row)
         message = Log(level=level, message=text, name="quadwalk")
         message.timestamp.FromNanoseconds(time)
@@ -171,7 +173,7 @@ class EpisodeMessages:
         }
 
     def _list_scenes(self) -> dict[int, tuple[int, np.ndarray, np.ndarray]]:
-        """Return the scene of a state every `SCENE_PERIOD`, and of the last, by its row."""
+        """Return scenes for `SceneWriter` by state: one in each `SCENE_PERIOD`, and the last."""
         rollout, last = self.rollout, self.rollout.steps
         every = max(1, round(SCENE_PERIOD / rollout.control_dt))
         rows = list(dict.fromkeys([*range(0, last, every), last]))

@@ -74,7 +74,10 @@ class SceneWriter:
         _set_color(self._arrow.color, 0.95, 0.55, 0.1, 1.0)
 
     def serialize(self, time: int, scene: tuple[int, np.ndarray, np.ndarray]) -> bytes:
-        """Return the scene at state `row`: `feet` (4, 3) in m, `forces` (4,) in N, 0 in the air."""
+        """Return the message at `time`, ns, of a scene (row, feet, forces).
+
+        `row` is the number of the state, `feet` (4, 3) are in m, `forces` (4,) in N, 0 in the air.
+        """
         row, feet, forces = scene
         for entity in self.message.entities:
             entity.timestamp.FromNanoseconds(time)
@@ -86,6 +89,7 @@ class SceneWriter:
         return self.message.SerializeToString()
 
     def _draw_path(self, row: int) -> None:
+        """Draw the path up to state `row`, thinned to a bounded number of points."""
         # A power of two keeps earlier points where they were when the path is thinned further.
         stride = 1
         while row // stride >= PATH_POINTS - 1:
@@ -97,12 +101,14 @@ class SceneWriter:
             self._line.points.add(x=_round(x), y=_round(y), z=_round(float(self._below[k]) + 0.01))
 
     def _draw_velocity(self, row: int, start: tuple[float, float, float]) -> None:
+        """Draw the velocity of state `row` as an arrow above the place `start`, m."""
         x, y, z = start
         pose = self._arrow.pose
         set_pose(pose.position, pose.orientation, [x, y, z + 0.25, *map(_round, self._along[row])])
         self._arrow.shaft_length = _round(_VELOCITY_ARROW * self._speed[row])
 
     def _draw_forces(self, feet: np.ndarray, forces: np.ndarray) -> None:
+        """Draw the force (4,), N, on each foot, (4, 3) m, as an arrow upwards; none in the air."""
         del self._forces.arrows[:]
         for (x, y, z), force in zip(feet.tolist(), forces.tolist(), strict=True):
             if not force > 0.0:
@@ -117,9 +123,9 @@ class SceneWriter:
 
 
 def draw_ground(field: Heightfield, path: np.ndarray, world: str = "world") -> bytes:
-    """Draw the field around `path` (T + 1, 2), m, as triangles lit from one side.
+    """Return the field around `path` (T + 1, 2), m, as triangles lit from one side.
 
-    Returns a `SceneUpdate`.
+    They are a `SceneUpdate` in the frame `world`.
     """
     rows, columns = field.heights.shape
     last = np.array([columns, rows]) - 1
@@ -153,9 +159,10 @@ def draw_ground(field: Heightfield, path: np.ndarray, world: str = "world") -> b
 
 
 def _round(value: float) -> float:
-    """Round to the next 2^-10: fine enough to draw, and short numbers compress."""
+    """Round to a multiple of 2^-10: fine enough to draw, and short numbers compress."""
     return round(float(value) * 1024) / 1024
 
 
 def _set_color(color, r: float, g: float, b: float, a: float) -> None:
+    """Set the fields of a color, 0 to 1."""
     color.r, color.g, color.b, color.a = r, g, b, a

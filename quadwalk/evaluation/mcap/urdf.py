@@ -23,9 +23,9 @@ _COLOR = "0.6 0.62 0.66 1"
 
 
 def draw_urdf(urdf: str, model: mujoco.MjModel) -> str:
-    """Return `urdf` with shapes that need no file: each link's visual ones or those that collide.
+    """Return `urdf` with shapes that need no file; links with visual shapes have no others.
 
-    Rerun would draw both. `model` is the robot's full model.
+    Rerun would draw collision shapes too. `model` is the robot's full model.
     """
     root = lxml.etree.fromstring(urdf.encode())
     links = {link.get("name"): link for link in root.iter("link")}
@@ -40,7 +40,7 @@ def draw_urdf(urdf: str, model: mujoco.MjModel) -> str:
 def _replace_meshes(
     links: dict[str | None, lxml.etree._Element], urdf: str, model: mujoco.MjModel
 ) -> None:
-    """Draw all links of a body as its shapes in `model` where one of them has a mesh."""
+    """Draw all links of a body by its shapes in `model` if one of the links has a mesh."""
     tree = parse_urdf(urdf, repair_inertia=True).tree
     for body, parts in tree.parts.items():
         if all(links[part].find(".//mesh") is None for part in parts):
@@ -57,12 +57,13 @@ def _replace_meshes(
 
 
 def _remove(link: lxml.etree._Element, kind: str) -> None:
+    """Remove all shapes of this kind, "visual" or "collision", from a link."""
     for shape in link.findall(kind):
         link.remove(shape)
 
 
 def _make_visual(model: mujoco.MjModel, geom: int) -> lxml.etree._Element:
-    """Return a <visual> of a shape in its body's frame; what is no sphere or cylinder is a box."""
+    """Return a <visual> of a geom in its body's frame: a sphere, a cylinder or its bounding box."""
     kind, size = model.geom_type[geom], model.geom_size[geom]
     turn = Rotation.from_quat(model.geom_quat[geom], scalar_first=True)
     place = model.geom_pos[geom]
@@ -83,6 +84,7 @@ def _make_visual(model: mujoco.MjModel, geom: int) -> lxml.etree._Element:
 
 
 def _to_text(numbers: np.ndarray) -> str:
+    """Return numbers as the value of a URDF's attribute, without -0."""
     return " ".join(f"{x:.6g}" for x in np.round(numbers, 9) + 0.0)
 
 
@@ -98,7 +100,10 @@ class LinkFrames:
     column: np.ndarray  # (L,) of the joint positions; 0 for a fixed link
 
     def compute_rotations(self, joints: np.ndarray) -> np.ndarray:
-        """Return the links in their parents' frames (T, L, 4), of joint positions (T, 12), rad."""
+        """Return the orientations (T, L, 4), wxyz, of the links in their parents' frames.
+
+        `joints` (T, 12), rad, are the joints' positions.
+        """
         turn = joints[:, self.column, None] * self.axis
         fixed = Rotation.from_quat(np.tile(self.rotation, (len(joints), 1)), scalar_first=True)
         rotations = fixed * Rotation.from_rotvec(turn.reshape(-1, 3))
@@ -107,7 +112,7 @@ class LinkFrames:
 
 @lru_cache(maxsize=1)  # an evaluation asks for one robot's with every recording
 def find_link_frames(quadruped: Quadruped) -> LinkFrames:
-    """Return the frames of a quadruped's URDF; the legs' joints turn, and no other moves."""
+    """Return the frames of a quadruped's URDF; only the legs' joints turn."""
     tree = parse_urdf(quadruped.urdf, repair_inertia=True).tree
     joints: list[yourdfpy.Joint] = []
     pending = [tree.root]

@@ -77,10 +77,10 @@ def make_foxglove_layout(trunk: str) -> bytes:
 
 
 def format_rerun_commands(recording: Path) -> str:
-    """Return the shell's command that shows `recording` in Rerun with the blueprint beside it.
+    """Return the shell commands that show `recording` in Rerun with the blueprint beside it.
 
-    Opened as it is, a recording has no application that a blueprint could be for. Its simulated
-    seconds are then dates of 1970.
+    Rerun takes a blueprint only for a recording with an application, which an MCAP file lacks. Its
+    simulated seconds are then dates of 1970.
     """
     converted = recording.with_suffix(".rrd")
     options = ["--application-id", RERUN_APPLICATION, "--timeline-type", "duration"]
@@ -96,6 +96,7 @@ def _write(
     attachments: Mapping[str, bytes],
     records: Mapping[str, Mapping[str, str]],
 ) -> None:
+    """Write an episode's messages, attachments and metadata `records` to `stream` as MCAP."""
     writer = Writer(stream, chunk_size=_CHUNK, enable_data_crcs=True)
     writer.start(library="quadwalk")
     # All channels, in a fixed order.

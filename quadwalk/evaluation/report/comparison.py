@@ -73,6 +73,7 @@ def draw_comparison(labels: list[str], results: list[dict[str, Any]]) -> Figure:
 
 
 def _draw_falls(axes: Axes, place: int, summary: dict[str, Any]) -> None:
+    """Draw a run's share of falls, %, with its interval, as bar number `place`."""
     share = 100 * summary["fall_rate"]
     low, high = (100 * end for end in summary["fall_rate_ci95"])
     axes.bar(place, share, width=0.5, color=get_style(place)[0], alpha=0.5)
@@ -83,6 +84,7 @@ def _draw_falls(axes: Axes, place: int, summary: dict[str, Any]) -> None:
 
 
 def _draw_metric(axes: Axes, place: int, result: dict[str, Any], name: str) -> None:
+    """Draw a run's values of one metric as dots in column `place`, with their mean and interval."""
     summary = result["summary"].get(name)
     if summary is None:
         axes.text(place, 0.5, "none", ha="center", transform=axes.get_xaxis_transform())

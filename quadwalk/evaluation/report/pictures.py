@@ -22,9 +22,10 @@ _WITHOUT_STRIDES = 0.7  # s shown of a robot that makes none
 def draw_film_strip(
     rollout: Rollout, quadruped: Quadruped, width: int = 480, height: int = 300
 ) -> np.ndarray:
-    """Return eight pictures of `width` by `height` pixels of two strides in the episode's middle.
+    """Return eight pictures of two strides in the middle of the episode, as one, uint8.
 
-    Each line is one stride, so pictures one above the other show it at the same moment.
+    Each picture is `width` by `height` pixels. A row is one stride, so pictures one above the other
+    show the same moment of it.
     """
     across, down = _STRIP
     start, end = find_middle_strides(rollout, down, otherwise=_WITHOUT_STRIDES)
@@ -40,7 +41,10 @@ def render_video(
     width: int = 480,
     height: int = 300,
 ) -> None:
-    """Write up to `seconds` from the episode's middle in real time, as `save_video` does."""
+    """Write up to `seconds` from the middle of the episode to `path`, in real time.
+
+    `save_video` says which formats there are.
+    """
     wanted = min(seconds, rollout.steps * rollout.control_dt)
     start = (rollout.steps * rollout.control_dt - wanted) / 2
     times = start + np.arange(max(round(wanted * FPS), 1)) / FPS
@@ -51,7 +55,7 @@ def render_video(
 def _draw_pictures(
     rollout: Rollout, quadruped: Quadruped, rows: np.ndarray, width: int, height: int
 ) -> Iterator[np.ndarray]:
-    """Yield pictures of the states `rows` of an episode, with its time and speed written on each.
+    """Yield a picture of each of the states `rows`, with its time and speed written on it.
 
     The speed is that along world x; with velocity commands it is that along the heading.
     """
@@ -71,7 +75,7 @@ def _draw_pictures(
 
 
 def _compute_camera_path(rollout: Rollout, ground: np.ndarray) -> np.ndarray:
-    """Return where the camera looks, (T + 1, 3) m: above the smoothed path.
+    """Return the points that the camera looks at, (T + 1, 3) m: above the smoothed path.
 
     `ground` (T + 1,), m, is the height under the trunk.
     """

@@ -64,6 +64,10 @@ def draw_report(rollout: Rollout, quadruped: Quadruped, title: str = "") -> Figu
 
 
 def _format_headline(rollout: Rollout, quadruped: Quadruped, title: str) -> str:
+    """Return two lines for the top of a report: `title`, if any, and the figures of the episode.
+
+    They are robot, seed, duration or fall, speed, gait, strides and cost of transport.
+    """
     gait = measure_gait(rollout, quadruped)
     end = f"{gait.duration:.1f} s"
     parts = [
@@ -82,7 +86,7 @@ def _format_headline(rollout: Rollout, quadruped: Quadruped, title: str) -> str:
 
 
 def _find_shown_states(rollout: Rollout) -> tuple[int, int]:
-    """Return the first and the last state of `STRIDES` strides about the episode's middle."""
+    """Return the first and the last state of `STRIDES` strides in the middle of the episode."""
     start, end = find_middle_strides(rollout, STRIDES, otherwise=WINDOW)
     return math.floor(start), math.ceil(end)
 
@@ -115,10 +119,12 @@ def draw_footfalls(axes: Axes, rollout: Rollout, quadruped: Quadruped) -> None:
 
 
 def _format_percents(values: np.ndarray) -> list[str]:
+    """Return fractions as texts in percent; "none" for NaN."""
     return [f"{100 * value:.0f} %" if np.isfinite(value) else "none" for value in values]
 
 
 def _draw_speed(axes: Axes, rollout: Rollout) -> None:
+    """Draw the trunk's velocity ahead and to the left, in the world frame, over time."""
     axes.plot(rollout.time, rollout.qvel[:, 0], color=LEG_COLORS[3], label="ahead", lw=1.2)
     axes.plot(rollout.time, rollout.qvel[:, 1], color=LEG_COLORS[2], label="left", lw=1.2)
     mean = rollout.qvel[:, 0].mean()
@@ -127,6 +133,7 @@ def _draw_speed(axes: Axes, rollout: Rollout) -> None:
 
 
 def _draw_tracking(axes: Axes, rollout: Rollout) -> None:
+    """Draw the velocity in the frame of the heading and the velocity command over time."""
     assert rollout.command is not None
     velocity = compute_heading_velocity(rollout.qpos, rollout.control_dt)
     time = rollout.time[1:]
@@ -139,6 +146,7 @@ def _draw_tracking(axes: Axes, rollout: Rollout) -> None:
 
 
 def _draw_posture(axes: Axes, rollout: Rollout, quadruped: Quadruped) -> None:
+    """Draw the trunk's height above the ground, roll, pitch and yaw over time."""
     ground = compute_floor_height(quadruped.make_full_model(), rollout.qpos[:, :2])
     height = rollout.qpos[:, 2] - ground
     axes.plot(rollout.time, height, color=INK, linewidth=1.4, label="height, m")
@@ -151,7 +159,10 @@ def _draw_posture(axes: Axes, rollout: Rollout, quadruped: Quadruped) -> None:
 
 
 def _draw_sensors(panels: Any, rollout: Rollout, truth: np.ndarray) -> None:
-    """Draw some observations beside the truth: the first, the last and between."""
+    """Draw one observation in each of `panels`, as the policy saw it and as it was.
+
+    `truth` (T, n) holds the exact observations. Those that differ from it are drawn, evenly chosen.
+    """
     first, last = _find_shown_states(rollout)
     time = rollout.time[first:last]
     observed = rollout.observation[:, : truth.shape[1]]
@@ -169,6 +180,7 @@ def _draw_sensors(panels: Any, rollout: Rollout, truth: np.ndarray) -> None:
 
 
 def _draw_angles(axes: Axes, rollout: Rollout, quadruped: Quadruped, part: int) -> None:
+    """Draw angles and targets of all four hip, thigh or calf joints (`part` 0, 1, 2)."""
     first, last = _find_shown_states(rollout)
     time = rollout.time[first : last + 1]
     applied_target = rollout.applied_target
@@ -187,6 +199,7 @@ def _draw_angles(axes: Axes, rollout: Rollout, quadruped: Quadruped, part: int) 
 
 
 def _draw_torques(axes: Axes, rollout: Rollout, quadruped: Quadruped, part: int) -> None:
+    """Draw the torques of all four hip, thigh or calf motors (`part` 0, 1, 2) over time."""
     first, last = _find_shown_states(rollout)
     time = rollout.time[first : last + 1]
     limits = compute_motor_limits(rollout, quadruped)
@@ -206,7 +219,7 @@ def _draw_torques(axes: Axes, rollout: Rollout, quadruped: Quadruped, part: int)
 
 
 def _draw_limits(axes: Axes, low: float, high: float, note: str) -> None:
-    """Scale a panel to what is plotted, draw limits that are then in view, and add `note` above."""
+    """Draw two limits; scale the panel to its curves, even if that hides the limits; add `note`."""
     bottom, top = axes.dataLim.intervaly
     if not bottom <= top:  # nothing is plotted
         bottom, top = low, high
@@ -218,6 +231,7 @@ def _draw_limits(axes: Axes, low: float, high: float, note: str) -> None:
 
 
 def _draw_rewards(axes: Axes, rollout: Rollout) -> None:
+    """Draw the reward and its raw terms, smoothed, over time."""
     series = {"total": rollout.reward, **rollout.reward_terms}
     width = max(round(SMOOTHING / rollout.control_dt), 1)
     time = rollout.time[1:]
@@ -238,7 +252,7 @@ def _draw_rewards(axes: Axes, rollout: Rollout) -> None:
 
 
 def _smooth(values: np.ndarray, width: int) -> np.ndarray:
-    """Return the mean of the last `width` values (of as many as there are, in the beginning)."""
+    """Return the running mean of `values` (T,), each over itself and the `width` - 1 before."""
     sums = np.concatenate([[0.0], np.cumsum(values)])
     ends = np.arange(1, len(values) + 1)
     starts = np.maximum(ends - width, 0)
@@ -246,6 +260,7 @@ def _smooth(values: np.ndarray, width: int) -> np.ndarray:
 
 
 def _draw_path(axes: Axes, rollout: Rollout) -> None:
+    """Draw the trunk's path from above, with start, end and a dot for each second."""
     x, y = rollout.qpos[:, 0], rollout.qpos[:, 1]
     axes.axhline(0.0, color="#9aa3ad", linewidth=0.8, linestyle="--")
     axes.plot(x, y, color=LEG_COLORS[3], linewidth=1.6)
@@ -268,7 +283,7 @@ def _draw_path(axes: Axes, rollout: Rollout) -> None:
 def _finish(
     axes: Axes, title: str, time: np.ndarray, unit: str, margin: float | None = None
 ) -> None:
-    """Give a panel over time its title, labels and legend, and a margin below and above."""
+    """Add title, labels, legend and margins to a panel of curves over time."""
     axes.margins(y=margin)
     tidy(axes, title)
     axes.set_ylabel(unit, fontsize=9)

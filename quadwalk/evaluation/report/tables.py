@@ -43,7 +43,7 @@ def print_engines(mjx: dict[str, Any], mujoco: dict[str, Any]) -> None:
 
 
 def describe_gait(gait: Gait, episode: int) -> str:
-    """Return the gait of one episode in a line or two; "-" for what a standing robot has not."""
+    """Return the gait of one episode in a line or two; "-" for what could not be measured."""
     # Of the feet that have any.
     swing, slip = 100 * np.fmin.reduce(gait.swing_height), 100 * np.fmax.reduce(gait.slip_share)
     return (
@@ -62,7 +62,7 @@ def describe_gait(gait: Gait, episode: int) -> str:
 
 
 def list_shown_metrics(*summaries: dict[str, Any]) -> list[tuple[str, str, str]]:
-    """Return name, heading and unit of the metrics in any summary, then of the reward's terms."""
+    """Return name, heading and unit of each metric in the summaries, reward terms last."""
     names = dict.fromkeys(name for summary in summaries for name in summary)
     terms = [name for name in names if name.startswith("reward/")]
     rows = [row[:3] for row in METRICS if row.name in names]
@@ -70,7 +70,7 @@ def list_shown_metrics(*summaries: dict[str, Any]) -> list[tuple[str, str, str]]
 
 
 def format_value(figure: dict[str, Any] | None) -> str:
-    """Format a summary's entry as "mean ± half its 95 % interval"; "-" where there is none."""
+    """Format an entry of a summary as "mean ± half its 95 % interval"; "-" for None."""
     if figure is None:
         return _NONE
     # As many decimals as leave the mean four digits, up to three.
@@ -85,7 +85,7 @@ def format_number(value: float | None, form: str = "z.3f", unit: str = "") -> st
 
 
 def format_percent(share: float) -> str:
-    """Format a share as whole percents."""
+    """Format a share, 0 to 1, as whole percents."""
     return f"{100 * share:.0f}"
 
 
@@ -95,15 +95,16 @@ def format_falls(summary: dict[str, Any]) -> str:
 
 
 def _format_share(summary: dict[str, Any]) -> tuple[str, str]:
+    """Return the share of falls and its 95 % interval as two texts, in percent."""
     low, high = (100 * end for end in summary["fall_rate_ci95"])
     return f"{100 * summary['fall_rate']:.1f}", f"{low:.0f} to {high:.0f}"
 
 
 def print_table(title: str, headings: Sequence[str], rows: Iterable[Sequence[str] | None]) -> None:
-    """Print a table on standard output, its names and units to the left; None draws a line.
+    """Print a table on standard output; a row that is None draws a line.
 
-    Names and headings may take several lines, but no word is broken. Where the terminal is too
-    narrow for that, lines are longer than it is wide.
+    Columns of names and units are aligned to the left, numbers to the right. Names and headings may
+    take several lines, but no word is broken: lines may be longer than the terminal is wide.
     """
     rows = list(rows)
     console = _make_console()
@@ -135,10 +136,11 @@ def print_text(text: str) -> None:
 
 
 def _make_console() -> Console:
+    """Return a console for standard output."""
     return Console(markup=False, emoji=False, highlight=False)
 
 
 def _measure_longest_word(text: str) -> int:
-    """Return the width of the longest word, and of the indentation before it."""
+    """Return the length of the longest word of `text` plus its indentation."""
     indentation = len(text) - len(text.lstrip())
     return indentation + max(map(len, text.split()), default=0)

@@ -57,7 +57,7 @@ WORST = 6  # commands in the table, those followed worst
 
 
 def to_held_run(loaded: LoadedRun) -> LoadedRun:
-    """Return `loaded` in MuJoCo C, in episodes that last as long as a command is held."""
+    """Return `loaded` in MuJoCo C, where each episode has one command for `SECONDS`."""
     command = dataclasses.replace(loaded.env.config.command, seconds=SECONDS, soonest=None)
     return loaded.to_mujoco(episode_seconds=SECONDS, command=command)
 
@@ -77,7 +77,7 @@ def measure_commands(
 ) -> dict[str, Any]:
     """Return tracking at each command, gaits and responses, as plain values for JSON.
 
-    `loaded` is of `to_held_run`.
+    `loaded` comes from `to_held_run`.
     """
     config = loaded.env.config.command
     return {
@@ -97,7 +97,10 @@ def measure_commands(
 def measure_changing(
     loaded: LoadedRun, episodes: int, seed: int, report: Report | None = None
 ) -> dict[str, Any]:
-    """Return the success of `episodes` of a `to_changing_run`, as plain values for JSON."""
+    """Return the success of `episodes` in which commands change, as plain values for JSON.
+
+    `loaded` comes from `to_changing_run`.
+    """
     env = loaded.env
     starts, act = reset_episodes(env, episodes, seed), loaded.policy.act
     (figures,) = measure_cells(env, act, starts, episodes, lambda *_: {}, GROUP, report)
@@ -105,7 +108,10 @@ def measure_changing(
 
 
 def make_held_commands(config: CommandConfig) -> list[Command]:
-    """Return a grid of forward velocities and yaw rates, within the centripetal acceleration."""
+    """Return a grid of commands: forward velocities by yaw rates.
+
+    Those with more centripetal acceleration than in training are left out.
+    """
     forward = np.linspace(*config.forward, FORWARD)
     turns = np.linspace(*config.yaw_rate, TURNS)
     most = np.inf if config.turning is None else config.turning + 1e-6
@@ -113,7 +119,10 @@ def make_held_commands(config: CommandConfig) -> list[Command]:
 
 
 def make_changes(config: CommandConfig) -> list[tuple[Command, Command]]:
-    """Return changes from a stand to 0.9 of the top speed, back, and from left to right turn."""
+    """Return pairs of commands, before and after a change.
+
+    They go from a stand to 0.9 of the top speed, back to a stand, and from a left to a right turn.
+    """
     fast = (0.9 * config.forward[1], 0.0, 0.0)
     speed = config.forward[1] / 2
     turn = config.yaw_rate[1]
@@ -128,7 +137,7 @@ def measure_held(
     seed: int,
     report: Report | None = None,
 ) -> list[dict[str, Any]]:
-    """Return motion, errors and success of `episodes` from the same starts at each command.
+    """Return motion, errors and success at each command, of `episodes` from the same starts.
 
     - forward, lateral, yaw_rate: means of the motion from `SETTLED` on, m/s and rad/s.
     - velocity_error, yaw_rate_error: the distance of these means from the command.
@@ -168,7 +177,7 @@ def measure_still(loaded: LoadedRun, episodes: int, seed: int) -> dict[str, Any]
 
 
 def remove_creep(loaded: LoadedRun) -> LoadedRun:
-    """Return `loaded`, which is in MuJoCo C, with soles that hold as dry friction does.
+    """Return `loaded`, a run in MuJoCo C, with a solver in which feet at rest do not creep.
 
     MuJoCo's soft friction gives way a little to any force. Its no-slip solver takes that back.
     """
@@ -183,7 +192,7 @@ def remove_creep(loaded: LoadedRun) -> LoadedRun:
 def measure_gaits(loaded: LoadedRun, seed: int) -> list[dict[str, Any]]:
     """Return gait, speed, cost of transport and stride frequency at each speed straight ahead.
 
-    They are of one episode at each, from `SETTLED` on: the start from a stand is left out.
+    Each is measured in one episode, from `SETTLED` on: the start from a stand is left out.
     """
     env = loaded.env
     speeds = np.linspace(0.0, env.config.command.forward[1], 1 + 2 * FORWARD)[1:]
@@ -202,11 +211,12 @@ def measure_gaits(loaded: LoadedRun, seed: int) -> list[dict[str, Any]]:
 def measure_response(
     loaded: LoadedRun, before: Command, after: Command, episodes: int, seed: int
 ) -> dict[str, Any]:
-    """Return how soon motion follows when a command changes `CHANGE` s after the start.
+    """Return how soon motion follows when the command changes from `before` to `after`.
 
-    It is that of the part which changes most, m/s or rad/s.
+    It changes `CHANGE` s after the start. Measured is the component that changes most: forward or
+    lateral velocity, m/s, or yaw rate, rad/s; the result names it as part.
 
-    - curve: the mean of `episodes` over `WINDOW`, from the change on.
+    - curve: the mean motion of `episodes`, averaged over `WINDOW`, from the change on.
     - time: s, until it stays within `NEAR` of the change from its end; None: never.
     - overshoot: share of the change. falls: share of episodes.
     """
@@ -247,7 +257,7 @@ def measure_response(
 def reset_with_commands(
     env: QuadrupedEnv, commands: list[Command], episodes: int, seed: int
 ) -> State:
-    """Return the same first states of `episodes` with each command, one command after another."""
+    """Return first states: the same `episodes` starts for each command, command by command."""
 
     def reset(env: QuadrupedEnv, velocity: jax.Array, state: State) -> State:
         command = state.pipeline_state.command._replace(velocity=velocity)
@@ -306,7 +316,7 @@ def print_commands(results: dict[str, Any]) -> None:
 
 
 def draw_commands(results: dict[str, Any], title: str) -> Figure:
-    """Draw heat maps of success and errors over commands; gaits by speed; responses to changes."""
+    """Draw success and errors as heat maps over commands, cost and gait by speed, and responses."""
     text = f"{title}: {results['episodes']} episodes of each command in MuJoCo C"
     figure = make_figure((15, 9), text)
     panels: Any = figure.subplots(2, 3).ravel()
@@ -336,6 +346,7 @@ def draw_commands(results: dict[str, Any], title: str) -> Figure:
 
 
 def _draw_gaits(axes: Axes, gaits: list[dict[str, Any]]) -> None:
+    """Draw the cost of transport over speed, a color for each gait; rows are of `measure_gaits`."""
     tidy(axes, "cost of transport and gait by speed")
     for place, name in enumerate(dict.fromkeys(row["gait"] for row in gaits)):
         rows = [row for row in gaits if row["gait"] == name and row["cost_of_transport"]]
@@ -348,6 +359,10 @@ def _draw_gaits(axes: Axes, gaits: list[dict[str, Any]]) -> None:
 
 
 def _draw_responses(axes: Axes, part: str, unit: str, responses: list[dict[str, Any]]) -> None:
+    """Draw how one component of the velocity follows changes of its command, over time.
+
+    `part` is "forward", "lateral" or "yaw_rate"; rows are of `measure_response`.
+    """
     tidy(axes, f"after a change of the command: {part.replace('_', ' ')}", unit)
     column = COMMANDED.index(part)
     for place, row in enumerate(row for row in responses if row["part"] == part):

@@ -20,17 +20,17 @@ _NAMES = tuple(f"standing_{seconds:g}s" for seconds in SECONDS)
 
 
 def to_standing_run(loaded: LoadedRun) -> LoadedRun:
-    """Return `loaded` in MuJoCo C, in episodes that last until the last check."""
+    """Return `loaded` in MuJoCo C, in episodes that last as long as the last of `SECONDS`."""
     return loaded.to_mujoco(episode_seconds=max(SECONDS))
 
 
 def measure_standing(
     loaded: LoadedRun, episodes: int, seed: int, report: Report | None = None
 ) -> dict[str, Any]:
-    """Return the share that stands after `SECONDS` in several conditions, plain values for JSON.
+    """Return the shares of robots that stand 2, 3 and 6 s after the start, plain values for JSON.
 
-    `loaded` is of `to_standing_run`. Each condition has `episodes` from the same starts. success:
-    the share that stands after 3 s.
+    There is an entry for each of several conditions, with `episodes` from the same starts; its
+    `success` is the share after 3 s. `loaded` comes from `to_standing_run`.
     """
     env = loaded.env
     points = make_standing_points(env)
@@ -52,7 +52,7 @@ def measure_standing(
 
 
 def make_standing_points(env: QuadrupedEnv) -> dict[str, Point]:
-    """Return the conditions, by name: the heaviest load and weakest motors of `REAL_WORLD`."""
+    """Return conditions by name: floors, the heaviest load and weakest motors of `REAL_WORLD`."""
     assert REAL_WORLD.trunk_mass is not None
     assert REAL_WORLD.strength is not None
     mass = round(REAL_WORLD.trunk_mass[1] * env.robot.mass, 1)
@@ -70,9 +70,10 @@ def make_standing_points(env: QuadrupedEnv) -> dict[str, Point]:
 
 
 def check_standing(env: QuadrupedEnv, poses: np.ndarray) -> tuple[bool, ...]:
-    """Return for each of `SECONDS` True if a trunk of `poses` (T + 1, 7), m and wxyz, stands.
+    """Return for each of `SECONDS` True if the robot stands then, on a flat floor.
 
-    The floor is flat. A robot does not stand where its episode ended before.
+    `poses` (T + 1, 7), m and wxyz, are those of its trunk. After the end of an episode it does not
+    stand.
     """
     up = 1.0 - 2.0 * (poses[:, 4] ** 2 + poses[:, 5] ** 2)
     high = poses[:, 2] > STANDING_HEIGHT * env.robot.home_height
@@ -82,7 +83,7 @@ def check_standing(env: QuadrupedEnv, poses: np.ndarray) -> tuple[bool, ...]:
 
 
 def print_standing(results: dict[str, Any]) -> None:
-    """Print the share of robots that stand so long after the start, under each condition."""
+    """Print the shares of robots that stand after each of `SECONDS`, under each condition."""
     rows = []
     for condition in results["conditions"]:
         low, high = (100 * end for end in condition["success_ci95"])

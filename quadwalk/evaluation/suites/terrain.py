@@ -36,9 +36,10 @@ ROWS, LEAST_ROWS = 32, 4  # of tiles, shared out to the kinds: no two of a cell 
 def measure_terrain(
     loaded: LoadedRun, episodes: int, seed: int, report: Report | None = None, levels: int = 3
 ) -> dict[str, Any]:
-    """Return success, speed and error of `episodes` in each cell, as plain values for JSON.
+    """Return success, speed and error on each kind of ground at each difficulty, values for JSON.
 
-    There are `levels` difficulties, evenly from the least to the greatest that were trained on.
+    A kind at a difficulty is a cell, with `episodes` each. There are `levels` difficulties, evenly
+    from the least to the greatest that were trained on.
 
     - success: the share that, without a fall, comes to the tile's edge or the time limit.
     - arrived: the share that comes to the edge.
@@ -86,7 +87,10 @@ def measure_terrain(
 
 
 def make_cells_env(loaded: LoadedRun, kinds: tuple[str, ...], levels: int) -> QuadrupedEnv:
-    """Make the environment of the cells: tiles of each kind, and episodes confined to them."""
+    """Make an environment with tiles of each kind at each of `levels` difficulties.
+
+    An episode ends where it leaves its tile.
+    """
     config = loaded.env.config
     ground, command = config.ground, config.command
     if ground.file is None:
