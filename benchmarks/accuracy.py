@@ -90,10 +90,10 @@ def make_trot(home: np.ndarray) -> np.ndarray:
 def trot_in_mujoco(
     env: QuadrupedEnv, dt: float, starts: PhysicsState, targets: np.ndarray
 ) -> np.ndarray:
-    """Trot in MuJoCo C; return positions and velocities of the trunk, and heights of the soles.
+    """Simulate a trot in MuJoCo C; return the trunk's motion and the heights of the soles.
 
-    They are one array (robots, control steps, 10), in m and m/s. `targets` (control steps, 12) are
-    in rad.
+    They are one array (robots, control steps, 10): position, m, velocity, m/s, and four heights, m.
+    `targets` (control steps, 12) are in rad.
     """
     model = make_converged_model(env.quadruped, dt)
     geoms = [model.geom(name).id for name in env.quadruped.feet]
@@ -119,7 +119,7 @@ def trot_in_engine(
     starts: PhysicsState,
     targets: np.ndarray,
 ) -> np.ndarray:
-    """Trot in `engine` from the same starts; return the same numbers as `trot_in_mujoco`.
+    """Simulate a trot in `engine`; return the same numbers as `trot_in_mujoco`.
 
     `setting` is one of `SETTINGS`.
     """
@@ -179,7 +179,7 @@ def make_gravity(kick: str) -> np.ndarray:
 
 
 def slide_in_mujoco(quadruped: Quadruped, friction: float, kick: str) -> np.ndarray:
-    """Slide in MuJoCo C; return the trunk's velocity (3,) at the end, as of `KICKS`.
+    """Simulate a slide in MuJoCo C; return the trunk's velocity (3,) at the end, as of `KICKS`.
 
     A robot that stands gets the velocity `kick` of `KICKS`, and slides for `SLIDING` physics steps
     on a floor of this friction.
@@ -199,7 +199,7 @@ def slide_in_mujoco(quadruped: Quadruped, friction: float, kick: str) -> np.ndar
 def slide_in_fast(
     quadruped: Quadruped, iterations: int, line_search: int, cases: list[tuple[str, float]]
 ) -> np.ndarray:
-    """Slide as in `slide_in_mujoco`, but in the fast engine; return velocities (n, 3).
+    """Simulate slides as `slide_in_mujoco` does, but in the fast engine; return (n, 3).
 
     The n `cases` are pairs of a name in `KICKS` and the floor's friction.
     """

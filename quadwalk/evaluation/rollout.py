@@ -307,5 +307,5 @@ def _record_step(
 
 
 def _take(tree: Any, rows: Any) -> Any:
-    """Index all arrays of a pytree with `rows`, along their first axis."""
+    """Return all arrays of a pytree indexed with `rows` along their first axis."""
     return jax.tree.map(lambda x: x[rows], tree)

@@ -180,7 +180,7 @@ class Shader:
     def _add_haze(
         self, data: mujoco.MjData, scene: mujoco.MjvScene, hits: Hits, color: np.ndarray
     ) -> None:
-        """Blend an endless floor into the horizon: change the `color` (n, 3) of its hits in place.
+        """Change the `color` (n, 3) of hits on an endless floor, so that it has a horizon.
 
         With distance the floor's color turns into that of the haze. Farther away the haze turns
         into the sky. So MuJoCo's renderer looks, which draws the haze as a cone around the eye.
