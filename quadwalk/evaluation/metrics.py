@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 from quadwalk.brax import State
 from quadwalk.env.env import QuadrupedEnv
 from quadwalk.evaluation.rollout import ActionFunction, Report, Rollout, roll_out_paths
-from quadwalk.physics.mujoco_c import randomize_masses
+from quadwalk.physics.mujoco_c import compute_randomized_masses
 from quadwalk.robot.quadruped import Quadruped
 from quadwalk.settings.terms import Reward
 
@@ -276,7 +276,7 @@ def compute_action_rate(rollout: Rollout) -> float:
 def compute_weight(rollout: Rollout, model: mujoco.MjModel) -> float:
     """Return the weight of an episode's robot, N; `model` is the robot without randomization."""
     variation = rollout.conditions and rollout.conditions.variation
-    masses = model.body_mass if variation is None else randomize_masses(model, variation)
+    masses = model.body_mass if variation is None else compute_randomized_masses(model, variation)
     return float(-model.opt.gravity[2] * masses.sum())
 
 

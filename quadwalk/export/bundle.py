@@ -31,7 +31,7 @@ _ROWS = 64  # random observations that ONNX Runtime and JAX are compared on
 
 
 def load_flat(run: Run, which: str) -> LoadedRun:
-    """Load the "last" or "best" policy of `run` in MuJoCo C on a flat floor, as it is exported."""
+    """Load the "last" or "best" policy of `run` in MuJoCo C, as it is exported: on a flat floor."""
     set_up_devices()
     return load_run(run, 20.0, which, "mujoco", flat=True)
 
@@ -41,8 +41,8 @@ def export_run(
 ) -> list[Path]:
     """Write the "last" or "best" policy of `run` to the folder `out`; return the files.
 
-    The last policy of `getup` gets its robot up; run_policy.py hands over to it and back. Raises
-    `UserError` where a policy cannot be read or exported, or `out` not written.
+    The last policy of `getup`, if named, is exported too: run_policy.py switches to it after a
+    fall, and back. Raises `UserError` if a policy cannot be read or exported, or `out` not written.
     """
     loaded = load_flat(run, which)
     env = loaded.env
@@ -70,7 +70,10 @@ def export_run(
 
 
 def convert_policy(loaded: LoadedRun, console: Console) -> tuple[onnx.ModelProto, JointTargets]:
-    """Return the policy as a graph that gives joint targets, compared with JAX; its action map."""
+    """Return the policy as an ONNX model, and the action map as numbers.
+
+    Raises `UserError` if its outputs differ from JAX's; prints by how much.
+    """
     for note in loaded.notes:
         console.print(note)
     env = loaded.env
@@ -84,7 +87,10 @@ def convert_policy(loaded: LoadedRun, console: Console) -> tuple[onnx.ModelProto
 
 
 def compute_largest_error(model: onnx.ModelProto, loaded: LoadedRun) -> float:
-    """Return the largest error of actions and joint targets, rad, on random observations."""
+    """Return the largest difference of the ONNX model's outputs from JAX's, on random observations.
+
+    The outputs are actions and joint targets, rad.
+    """
     env = loaded.env
     normalizer, _ = loaded.policy.act.args  # type: ignore[attr-defined]
     rng = np.random.default_rng(0)

@@ -44,7 +44,10 @@ _RATES = ("vx", "vy", "vz", "roll_rate", "pitch_rate", "yaw_rate")
 
 @dataclass(frozen=True)
 class Stage:
-    """One kind of number in all control steps, as recorded and as computed here."""
+    """One kind of numbers in all control steps, as recorded and as computed here.
+
+    The kinds are observations, actions, joint targets and states of the physics.
+    """
 
     name: str
     labels: list[str]  # n
@@ -54,7 +57,7 @@ class Stage:
 
     @property
     def excess(self) -> np.ndarray:
-        """Differences in units of the tolerance (T, n); infinite where not finite."""
+        """Differences in units of the tolerance (T, n), at most 1 if right; infinite for NaN."""
         excess = np.abs(self.recorded - self.expected) / self.tolerance
         return np.asarray(np.nan_to_num(excess, nan=np.inf))
 
@@ -62,8 +65,8 @@ class Stage:
 def check_export(loaded: LoadedRun, folder: Path, recording: Path | None, console: Console) -> None:
     """Compare the export in `folder` with the policy and environment of `loaded`.
 
-    Its run_policy.py is run, or, where another runtime wrote a `recording`, that is compared, but
-    for its physics. Raises `UserError` that names the first difference.
+    Its run_policy.py is run and recorded. If another runtime wrote a `recording`, that is compared
+    instead, without its physics. Raises a `UserError` that names the first difference.
     """
     differences = list(find_changed_entries(loaded, folder / "policy.onnx"))
     if recording is None:
@@ -83,7 +86,10 @@ def check_export(loaded: LoadedRun, folder: Path, recording: Path | None, consol
 
 
 def find_changed_entries(loaded: LoadedRun, file: Path) -> Iterator[str]:
-    """Yield a clause for each entry of the metadata that an export would write differently."""
+    """Yield a clause for each entry of the metadata in `file` that an export of now would change.
+
+    `file` is a policy.onnx.
+    """
     entries = {entry.key: entry.value for entry in onnx.load(file).metadata_props}
     targets = find_joint_targets(loaded.env.config.action, loaded.env.robot)
     for name, text in describe(loaded, targets).items():
@@ -96,7 +102,7 @@ def find_changed_entries(loaded: LoadedRun, file: Path) -> Iterator[str]:
 
 
 def _to_values(text: str) -> list[str]:
-    """Return the parts of an entry of the metadata, the same for exports of all versions."""
+    """Return the values in an entry of the metadata as texts that exports of all versions share."""
     parts = read_list(text)
     return [to_current_name(part) if isinstance(part, str) else f"{part:.9g}" for part in parts]
 
@@ -115,7 +121,7 @@ def replay(folder: Path, loaded: LoadedRun) -> dict[str, np.ndarray]:
 
 
 def read_recording(file: Path, loaded: LoadedRun) -> dict[str, np.ndarray]:
-    """Return the columns (T, n) of a file as run_policy.py --save writes it."""
+    """Read the columns (T, n), by name, of an NPZ file as run_policy.py --save writes it."""
     sizes = {"qpos": 19, "qvel": 18, "obs": loaded.env.policy_size, "action": 12, "target": 12}
     sizes["command"] = 3
     try:
@@ -135,9 +141,10 @@ def read_recording(file: Path, loaded: LoadedRun) -> dict[str, np.ndarray]:
 
 
 def compute_stages(loaded: LoadedRun, columns: dict[str, np.ndarray]) -> list[Stage]:
-    """Return the stages of the recorded steps, each computed from the recorded stage before it.
+    """Return the four stages of a control step: observation, action, target, physics.
 
-    So a difference shows where it arises, and nowhere after.
+    `columns` (T, n) are recorded. Each stage is computed from what is recorded of the stage before.
+    So a difference shows where it arises, and in no later stage.
     """
     env = loaded.env
     qpos, qvel, obs = columns["qpos"], columns["qvel"], columns["obs"]
@@ -166,7 +173,7 @@ def compute_stages(loaded: LoadedRun, columns: dict[str, np.ndarray]) -> list[St
 
 
 def compute_observations(env: QuadrupedEnv, columns: dict[str, np.ndarray]) -> np.ndarray:
-    """Return what `env` observes in the recorded states, (T, n), in its own order."""
+    """Return the observations (T, n) of `env` in the recorded states, in the order of `env`."""
     names = ("qpos", "qvel", "action", "command")
     rows = {name: jnp.asarray(columns[name], jnp.float32) for name in names}
     sensors = env.sensors
@@ -201,10 +208,11 @@ def compute_observations(env: QuadrupedEnv, columns: dict[str, np.ndarray]) -> n
 def compute_next_states(
     env: QuadrupedEnv, qpos: np.ndarray, qvel: np.ndarray, target: np.ndarray
 ) -> np.ndarray:
-    """Return qpos and qvel (3, T, 37) one control step after each state with its target.
+    """Return qpos and qvel, (3, T, 37), one control step after each of T states.
 
-    They begin `SHIFT` lower, at the state and `SHIFT` higher: a foot may touch the floor in the
-    last digit.
+    `qpos` (T, 19) and `qvel` (T, 18) are the states, `target` (T, 12), rad, the joint targets. The
+    three begin `SHIFT` lower, as recorded, and `SHIFT` higher: by the last digit of its height a
+    foot touches the floor or not.
     """
 
     def step(state: PhysicsState, target: jax.Array) -> PhysicsState:
@@ -219,7 +227,7 @@ def compute_next_states(
 
 
 def describe_first_difference(stages: list[Stage]) -> str:
-    """Return a clause that names the first number that is off, or "".
+    """Return a clause that names the first number beyond its tolerance; "" if there is none.
 
     The first is that of the earliest step, and there of the earliest stage.
     """

@@ -82,20 +82,21 @@ class Controller:
         self.restart()
 
     def read_numbers(self, key: str) -> np.ndarray:
-        """Return a list of numbers of the metadata; inf where there is no limit."""
+        """Return the numbers of the metadata's list `key`; infinite where there is no limit."""
         return np.array(read_list(self.about[key]), float)
 
     def restart(self) -> None:
-        """Begin an episode, with no action taken and no observation remembered."""
+        """Begin an episode: forget the last action and all observations."""
         self.steps = 0
         self.action = np.zeros(12)
         self.obs = np.zeros(0)
         self.readings: list[deque] = [deque(maxlen=1 + steps) for steps in self.history]
 
     def compute_targets(self, q: np.ndarray, v: np.ndarray, command: np.ndarray) -> np.ndarray:
-        """Return joint targets (12,), rad, for one control step.
+        """Return joint targets (12,), rad, for one control step in the state `q`, `v`.
 
-        The observation and the action that led to them are kept as `obs` and `action`.
+        `command` (3,) are forward and lateral velocity, m/s, and yaw rate, rad/s. The observation
+        and the action that led to the targets are kept as `obs` and `action`.
         """
         self.obs = self.observe(q, v, command)
         inputs = {"obs": self.obs.astype(np.float32)[None]}
@@ -105,7 +106,7 @@ class Controller:
         return targets[0]
 
     def observe(self, q: np.ndarray, v: np.ndarray, command: np.ndarray) -> np.ndarray:
-        """Return the observation (n,): part after part, each from its oldest step to the newest."""
+        """Return the observation (n,): term after term, each from its oldest step to the newest."""
         rotation = to_matrix(q[3:7])
         situation = Situation(q, v, rotation, self.home, self.action, command, self.steps)
         parts: list = []
@@ -121,7 +122,8 @@ class Controller:
     def compute_torque(self, target: np.ndarray, q: np.ndarray, v: np.ndarray) -> np.ndarray:
         """Return joint torques (12,), Nm, for one physics step: the motors' less joint friction.
 
-        A motor's torque falls with its speed. A simulator's own joint friction has to be off.
+        `target` (12,), rad, are the joint targets. A motor's torque falls with its speed. A
+        simulator's own joint friction has to be off.
         """
         angle = q[7:]
         speed = v[6:]
@@ -133,9 +135,9 @@ class Controller:
 
 
 def read_list(text: str) -> list:
-    """Return a list of the metadata: JSON or, in older exports, words between commas.
+    """Return the list in an entry of the metadata: JSON or, in older exports, words between commas.
 
-    In JSON null stands for a number without limit.
+    A null in JSON becomes infinity: it stands for no limit.
     """
     if not text.startswith("["):
         return text.split(",")
@@ -143,7 +145,7 @@ def read_list(text: str) -> list:
 
 
 def to_current_name(name: str) -> str:
-    """Return the name in `OBSERVATIONS` of a part that an older export names by its module."""
+    """Return the key in `OBSERVATIONS` of a term, which older exports name by its module."""
     module, _, function = name.partition(":")
     if module != "quadwalk.task.observation":
         return name

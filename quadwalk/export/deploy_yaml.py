@@ -26,7 +26,7 @@ _NAMES = {
 
 
 def make_deploy_yaml(env: QuadrupedEnv, targets: JointTargets) -> str:
-    """Return the text of deploy.yaml, which begins with the observations the runtime lacks."""
+    """Return the text of deploy.yaml, which begins with a list of terms the runtime lacks."""
     parts = env.config.observation.items()
     missing = [name for name, part in parts if get_term_name(part.function) not in _NAMES]
     return (
@@ -36,7 +36,10 @@ def make_deploy_yaml(env: QuadrupedEnv, targets: JointTargets) -> str:
 
 
 def make_deploy_config(env: QuadrupedEnv, targets: JointTargets) -> dict[str, Any]:
-    """Return the content of deploy.yaml; gains are in the order of Unitree's motors."""
+    """Return the content of deploy.yaml: gains in the order of Unitree's motors, others in ours.
+
+    `joint_ids_map` holds the place of each of our joints among Unitree's motors.
+    """
     config, motor, command = env.config, env.motor, env.config.command
     joint_ids = [
         3 * SDK_LEGS.index(leg) + joint for leg in env.quadruped.legs for joint in range(3)
@@ -87,6 +90,7 @@ def to_yaml(config: Mapping[str, Any]) -> str:
 
 
 def _iterate_lines(group: Mapping[str, Any], indent: str) -> Iterator[str]:
+    """Yield the lines of `group` in YAML, each after `indent`."""
     for key, value in group.items():
         if isinstance(value, Mapping) and value:
             yield f"{indent}{key}:"
@@ -96,5 +100,5 @@ def _iterate_lines(group: Mapping[str, Any], indent: str) -> Iterator[str]:
 
 
 def _round(values: np.ndarray) -> Any:
-    """Return a list of numbers with the digits that a float32 has."""
+    """Return an array as nested lists of numbers with the seven digits that a float32 has."""
     return [_round(v) for v in values] if np.ndim(values) else float(f"{values:.7g}")

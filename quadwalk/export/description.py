@@ -30,16 +30,16 @@ LAYOUT = (
 
 
 def make_policy_model(loaded: LoadedRun, targets: JointTargets) -> onnx.ModelProto:
-    """Return the policy as a graph that gives joint targets, with its metadata."""
+    """Return the policy as an ONNX model that gives joint targets, with its metadata."""
     weights = extract_weights(loaded.policy.act, loaded.policy.config.ppo)
     return build_model(weights, compute_input_order(loaded.env), targets, describe(loaded, targets))
 
 
 def describe(loaded: LoadedRun, targets: JointTargets) -> dict[str, str]:
-    """Return the metadata of a policy; lists are JSON, for a joint's name may hold a comma.
+    """Return the metadata of an exported policy, texts by key; lists are JSON.
 
-    The first eight keys are mjlab's (mjlab/rl/exporter_utils.py), the others quadwalk's own:
-    all that `run_policy.py` and another simulator need.
+    The first eight keys are mjlab's (mjlab/rl/exporter_utils.py), the others quadwalk's own: all
+    that `run_policy.py` and another simulator need.
     """
     env, policy = loaded.env, loaded.policy
     config, motor, command = env.config, env.motor, env.config.command
@@ -88,7 +88,7 @@ def describe(loaded: LoadedRun, targets: JointTargets) -> dict[str, str]:
 
 
 def _to_joint_list(value: Any) -> str:
-    """Return a number for each joint, from twelve or from one for all."""
+    """Return a JSON list of twelve numbers, from as many or from one for all joints."""
     return _to_list(np.broadcast_to(value, 12))
 
 

@@ -62,10 +62,10 @@ class JointTargets:
 
 
 def find_joint_targets(action_map: ActionMap, robot: RobotConstants) -> JointTargets:
-    """Return the numbers that `action_map` comes down to, as random actions confirm.
+    """Return the numbers that define `action_map`, checked with random actions.
 
-    Raises `UserError` for a map that is no clipped linear function of the action, or depends on
-    the joints' angles: no file format for policies can state it.
+    Raises `UserError` for a map that is no clipped linear function of the action, or depends on the
+    joints' angles: no file format for policies can state it.
     """
 
     def compute(action: jax.Array, joints: jax.Array) -> jax.Array:
@@ -103,7 +103,10 @@ class Weights:
 
 
 def extract_weights(act: Any, config: PPOConfig) -> Weights:
-    """Return the weights of `Policy.act`; the last layer gives the 12 means of the actions."""
+    """Return normalizer and layers of a policy as NumPy arrays; `act` is a `Policy.act`.
+
+    The last layer gives only the 12 means of the actions; the layer for their noise is apart.
+    """
     normalizer, params = act.args
     layers = []
     for number in range(len(params["params"])):
@@ -119,7 +122,7 @@ def extract_weights(act: Any, config: PPOConfig) -> Weights:
 
 
 def list_inputs(env: QuadrupedEnv) -> list[str]:
-    """Return a name for each number of the input `obs`; `gravity_x[-2]` is two steps old."""
+    """Return a name for each number of the graph's input; `gravity_x[-2]` is two steps old."""
     return [
         f"{name}[-{age}]" if age else name
         for part, names in env.sensors.part_names.items()
@@ -129,7 +132,7 @@ def list_inputs(env: QuadrupedEnv) -> list[str]:
 
 
 def compute_input_order(env: QuadrupedEnv) -> np.ndarray:
-    """Return where in the input `obs` each number of the observation trained on stands, (n,)."""
+    """Return for each number of the observation trained on its index in the graph's input, (n,)."""
     places = {name: index for index, name in enumerate(list_inputs(env))}
     return np.array([places[name] for name in env.sensors.names], np.int64)
 
@@ -139,8 +142,8 @@ def build_model(
 ) -> onnx.ModelProto:
     """Return the policy as an ONNX model.
 
-    The input is `obs` (1, n). The outputs are `actions` (1, 12) in [-1, 1] and `joint_targets`
-    (1, 12), rad. All are float32.
+    `order` is that of `compute_input_order`. The input is `obs` (1, n). The outputs are `actions`
+    (1, 12) in [-1, 1] and `joint_targets` (1, 12), rad. All are float32.
     """
     if weights.activation not in ACTIVATIONS:
         raise UserError(
@@ -167,6 +170,7 @@ def build_model(
 
 
 def _add_activation(graph: "_Graph", x: str, activation: str) -> str:
+    """Add an activation of the output `x` to the graph; return the name of its output."""
     y = x
     for operator in ACTIVATIONS[activation]:
         y = graph.add("Mul", x, y) if operator == "x *" else graph.add(operator, y)
@@ -174,7 +178,12 @@ def _add_activation(graph: "_Graph", x: str, activation: str) -> str:
 
 
 def _add_noise(graph: "_Graph", weights: Weights, hidden: str, normalized: str) -> str:
-    """Add the noise of `acting.make_policy`; `hidden` is the input of the last layer."""
+    """Add nodes that compute the noise of actions before tanh; return the name of their output.
+
+    A policy acts with noise where it is unsure, and without elsewhere (`acting.make_policy`). The
+    noise is a function of the observation, the same in every runtime. `hidden` and `normalized` are
+    names of outputs: the input of the last layer, and the normalized observation.
+    """
     assert weights.noise is not None
     kernel, bias, scale = weights.noise
     names = graph.add_constant("w_std", kernel), graph.add_constant("b_std", bias)
@@ -197,6 +206,7 @@ class _Graph:
         self.constants: list[onnx.TensorProto] = []
 
     def add_constant(self, name: str, value: np.ndarray) -> str:
+        """Add a constant, of int64 or else float32; return its name."""
         kind = np.int64 if value.dtype == np.int64 else np.float32
         self.constants.append(numpy_helper.from_array(np.ascontiguousarray(value, kind), name))
         return name
@@ -210,7 +220,10 @@ class _Graph:
     def to_model(
         self, inputs: dict[str, int], outputs: dict[str, int], metadata: Mapping[str, str]
     ) -> onnx.ModelProto:
-        """Return the model, checked; inputs and outputs are given with their sizes."""
+        """Return the graph as an ONNX model, checked; `inputs` and `outputs` map names to sizes n.
+
+        Each is a tensor (1, n) of float32.
+        """
         graph = helper.make_graph(
             self.nodes,
             "policy",
@@ -230,4 +243,5 @@ class _Graph:
 
 
 def _declare(name: str, size: int) -> onnx.ValueInfoProto:
+    """Return the declaration of an input or output (1, `size`) of float32."""
     return helper.make_tensor_value_info(name, TensorProto.FLOAT, [1, size])

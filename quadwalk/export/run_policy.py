@@ -51,7 +51,7 @@ class Simulation:
         self.rows: list[tuple] = []  # the values of COLUMNS in each control step
 
     def clip_command(self, command: list) -> np.ndarray:
-        """Return the command within the ranges of training; 0 for a policy without commands."""
+        """Return `command` within the ranges of training; zeros for a policy without commands."""
         ranges = list(json.loads(self.about["command_ranges"]).values())
         if not ranges:
             return np.zeros(3)
@@ -59,18 +59,18 @@ class Simulation:
         return np.clip(command, lower, upper)
 
     def get_pose(self) -> tuple:
-        """Return the cosine of the trunk's tilt, and its height as a share of that at the start."""
+        """Return the cosine of the trunk's tilt, and its height as a share of its first height."""
         cosine = to_matrix(self.data.qpos[3:7])[2, 2]
         height = self.data.qpos[2] / self.start[2]
         return cosine, height
 
     def has_fallen(self) -> bool:
-        """Return True for a trunk that is tipped over or low."""
+        """Return True if the trunk leans beyond `FALLEN_TILT` or is below `FALLEN_HEIGHT`."""
         cosine, height = self.get_pose()
         return cosine < np.cos(FALLEN_TILT) or height < FALLEN_HEIGHT
 
     def choose_controller(self) -> None:
-        """Switch to getup.onnx after a fall, and back once the robot stands."""
+        """Switch to getup.onnx, if there, after a fall; back once the robot has stood a while."""
         if self.riser is None:
             return
         if self.controller is self.driver:
@@ -90,7 +90,7 @@ class Simulation:
             self.rises += 1
 
     def step(self) -> None:
-        """Take one control step."""
+        """Take one control step and record it."""
         self.choose_controller()
         data = self.data
         start_time = data.time
@@ -109,14 +109,14 @@ class Simulation:
             mujoco.mj_step(self.model, data)
 
     def save(self, file: str) -> None:
-        """Write all control steps to an NPZ file, a column for each name of COLUMNS."""
+        """Write all recorded control steps to an NPZ file, an array for each name of COLUMNS."""
         columns: dict = {}
         for index, name in enumerate(COLUMNS):
             columns[name] = np.array([row[index] for row in self.rows])
         np.savez(file, **columns)
 
     def summarize(self, fell: bool) -> str:
-        """Return a line that says how far and how fast the robot went."""
+        """Return a line with mean speed along x, time, drift to the left, and falls."""
         x, y = self.data.qpos[:2] - self.start[:2]
         seconds = self.data.time
         end = "no fall"
@@ -133,7 +133,7 @@ class Simulation:
 
 
 def parse_options() -> argparse.Namespace:
-    """Return what the command line says."""
+    """Parse the command line."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     add = parser.add_argument
     add("--seconds", type=float, default=20.0)
@@ -145,7 +145,10 @@ def parse_options() -> argparse.Namespace:
 
 
 def main() -> None:
-    """Run the robot until the time is over, it falls for good, or the viewer is closed."""
+    """Run the robot until the time is over, the viewer is closed, or it falls for good.
+
+    A fall is for good without getup.onnx.
+    """
     options = parse_options()
     simulation = Simulation(Path(__file__).resolve().parent, options.command)
     data = simulation.data

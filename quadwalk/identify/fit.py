@@ -63,7 +63,7 @@ class Fit:
 
     @property
     def explains(self) -> bool:
-        """Return True if the fit explains most of the motion of every joint."""
+        """True if the fit leaves little of each joint's motion, `MOST_UNEXPLAINED` at most."""
         return bool(self.unexplained.max() <= MOST_UNEXPLAINED)
 
 
@@ -96,7 +96,10 @@ class Parameters:
         self._moves = np.array([[joint // 3 in group for joint in joints] for group in legs])
 
     def make_candidates(self, x: np.ndarray) -> Joints:
-        """Return the joints at `x` in one column; in others, those with some constants changed."""
+        """Return candidates for the joints: one with constants `x`, others with some changed.
+
+        `compute_jacobian` takes the angles that they cause.
+        """
         values = np.repeat((self.scale * x)[:, None], self._column.max() + 1, axis=1)
         values[np.arange(len(x)), self._column] += _SHIFT * self.scale
         joints = {
@@ -108,7 +111,10 @@ class Parameters:
         return Joints(**joints)
 
     def compute_jacobian(self, angles: np.ndarray) -> np.ndarray:
-        """Return the derivatives (n, 12, m) by x of the angles (n, 12, columns) of candidates."""
+        """Return the derivatives (n, 12, m) by x of the joints' angles.
+
+        `angles` (n, 12, candidates) are those of the candidates of `make_candidates`.
+        """
         change = (angles[:, :, self._column] - angles[:, :, :1]) / _SHIFT
         return change * self._moves.T
 
@@ -175,7 +181,10 @@ def fit_joints(
 
 
 def _find_settled(log: Log) -> np.ndarray:
-    """Return True (n,) for the times that come `SETTLE` or more after their piece's beginning."""
+    """Return True (n,) for the times at least `SETTLE` s after the beginning of their piece.
+
+    A piece is a part of the log between gaps.
+    """
     pieces = [log.time[piece] for piece in find_pieces(log.time)]
     return np.concatenate([time - time[0] > SETTLE for time in pieces])
 
@@ -199,11 +208,12 @@ def compute_intervals(jacobian: np.ndarray, residual: np.ndarray, block: np.ndar
 
 
 def _compute_mean(joints: Joints, name: str, group: tuple[int, ...]) -> float:
+    """Return the mean of constant `name` over the joints of `group`."""
     return float(np.mean(getattr(joints, name)[list(group)]))
 
 
 def _remember_last(function: Callable[[np.ndarray], np.ndarray]) -> Callable[..., np.ndarray]:
-    """Return `function` with a memory of its last result: residual and Jacobian both need it."""
+    """Return `function` with a memory of its last result: residual and Jacobian need it."""
     last: list[np.ndarray] = []
 
     def call(x: np.ndarray) -> np.ndarray:

@@ -28,7 +28,7 @@ from quadwalk.settings.environment import PHYSICS
 def identify(config: IdentifyConfig) -> dict[str, Any]:
     """Identify the joints as `config` says, write all files, and return identified.json's content.
 
-    Raise `UserError` where the log is no use, or where the fit leaves most of its motion
+    Raises `UserError` if the log cannot be used, or if the fit leaves most of its motion
     unexplained: then there is a picture of the fit, and no URDF.
     """
     assert config.log is not None
@@ -61,7 +61,7 @@ def identify(config: IdentifyConfig) -> dict[str, Any]:
 
 
 def fit_log(log: Log, quadruped: Quadruped, config: IdentifyConfig) -> Fit:
-    """Fit the constants that `config` names, and offsets, to a log."""
+    """Fit the constants that `config` names to a log, and constant errors of angles and targets."""
     names = [*config.fit, *(["friction_speed"] if "friction" in config.fit else []), *OFFSETS]
     count = 12 if config.per_joint else 3
     groups = [tuple(range(first, 12, count)) for first in range(count)]
@@ -69,7 +69,10 @@ def fit_log(log: Log, quadruped: Quadruped, config: IdentifyConfig) -> Fit:
 
 
 def describe(quadruped: Quadruped, config: IdentifyConfig) -> tuple[Model, Joints]:
-    """Return the robot's equations, and its joints as described, where the search begins."""
+    """Return the robot's equations of motion, and the constants of its joints by its description.
+
+    The fit begins with those.
+    """
     model = quadruped.make_training_model(PHYSICS["physics_dt"])
     motor = make_motor(model, quadruped, MotorConfig(kp=config.kp, kd=config.kd))
     constants = {

@@ -61,26 +61,29 @@ def read_log(
 
 
 def find_pieces(time: np.ndarray) -> list[slice]:
-    """Return the rows of each piece between gaps; `time` (n,), s."""
+    """Return the rows of each piece of a log, which gaps separate; `time` (n,) is in s."""
     ends = [0, *(np.flatnonzero(np.diff(time) > GAP) + 1).tolist(), len(time)]
     return [slice(start, end) for start, end in pairwise(ends)]
 
 
 def get_targets(log: Log, time: np.ndarray) -> np.ndarray:
-    """Return the targets (n, 12), rad, in force at `time` (n,), s."""
+    """Return the targets (n, 12), rad, in force at `time` (n,), s: each holds until the next."""
     row = np.searchsorted(log.target_time, time, "right") - 1
     return log.target[np.maximum(row, 0)]
 
 
 def find_followed_target(log: Log, joint: int) -> tuple[int, float]:
-    """Return the joint whose target a joint's angles follow best, and their correlation."""
+    """Return the index of the joint whose target the angles of `joint` follow best.
+
+    With it comes their correlation, -1 to 1; a negative one counts by its size.
+    """
     correlation = np.corrcoef(log.position[:, joint], get_targets(log, log.time).T)[0, 1:]
     best = int(np.abs(correlation).argmax())
     return best, float(correlation[best])
 
 
 def _guess_unit(time: np.ndarray) -> str:
-    """Return the unit in which the times (n,) make a log of a usable rate; seconds if none does."""
+    """Return the unit of `time` (n,): one in which the log has a plausible rate, else "seconds"."""
     interval = float(np.median(np.diff(time))) if len(time) > 1 else 0.0
     for unit, seconds in _UNITS.items():
         is_long = (time[-1] - time[0]) * seconds >= SHORTEST
@@ -114,7 +117,7 @@ def _drop_short_pieces(log: Log) -> Log:
 
 
 def _check_times(path: Path, log: Log) -> None:
-    """Raise `UserError` unless times ascend."""
+    """Raise `UserError` unless the times of angles and those of targets increase strictly."""
     for name, time, rows in (
         ("angles", log.time, log.rows),
         ("targets", log.target_time, log.target_rows),
@@ -128,6 +131,11 @@ def _check_times(path: Path, log: Log) -> None:
 def _check_wraps(
     path: Path, kind: str, angles: np.ndarray, rows: tuple[str, ...], joints: tuple[str, ...]
 ) -> None:
+    """Raise `UserError` for a joint whose `angles` (n, 12), rad, jump by 2 pi.
+
+    `kind` is "position" or "target", and `rows` are the names of the rows in the file, for the
+    message.
+    """
     turns = np.abs(np.abs(np.diff(angles, axis=0)) - 2 * np.pi) < 0.5
     for row, joint in np.argwhere(turns):
         raise UserError(
@@ -145,6 +153,11 @@ def _check_limits(
     lower: np.ndarray,
     upper: np.ndarray,
 ) -> None:
+    """Raise `UserError` for a joint whose `angles` (n, 12), rad, are well beyond its limits (12,).
+
+    `kind` is "position" or "target", and `rows` are the names of the rows in the file, for the
+    message.
+    """
     low, high = lower - _BEYOND[kind], upper + _BEYOND[kind]
     for row, joint in np.argwhere((angles < low) | (angles > high)):
         radians = np.radians(angles)
@@ -157,6 +170,10 @@ def _check_limits(
 
 
 def _check_motion(path: Path, kind: str, angles: np.ndarray, joints: tuple[str, ...]) -> None:
+    """Raise `UserError` for a joint whose `angles` (n, 12), rad, hardly move.
+
+    `kind` is "position" or "target", for the message.
+    """
     moved = np.ptp(angles, axis=0)
     if moved.min() < LEAST:
         still = joints[int(moved.argmin())]
@@ -167,6 +184,7 @@ def _check_motion(path: Path, kind: str, angles: np.ndarray, joints: tuple[str, 
 
 
 def _check_jumps(path: Path, log: Log, joints: tuple[str, ...]) -> None:
+    """Raise `UserError` for a joint that moves faster than `FASTEST`, rad/s, between two rows."""
     steps = np.abs(np.diff(log.position, axis=0))
     possible = FASTEST * np.diff(log.time)[:, None] + 2 * LEAST
     for row, joint in np.argwhere(steps > possible):
@@ -177,7 +195,7 @@ def _check_jumps(path: Path, log: Log, joints: tuple[str, ...]) -> None:
 
 
 def _check_frozen(path: Path, log: Log, joints: tuple[str, ...]) -> None:
-    """Raise `UserError` where a column stays at one value while the joint's other one moves."""
+    """Raise `UserError` if a position stays the same while its target moves, or the reverse."""
     columns = {"position": log.position, "target": get_targets(log, log.time)}
     for joint, name in enumerate(joints):
         for kind, other in (("position", "target"), ("target", "position")):
@@ -197,6 +215,6 @@ def _check_frozen(path: Path, log: Log, joints: tuple[str, ...]) -> None:
 
 
 def _find_constant(values: np.ndarray) -> Iterator[tuple[int, int]]:
-    """Return the first row and the end of each stretch of one value."""
+    """Yield the first row, and the row after the last, of each stretch of one value."""
     ends = [0, *(np.flatnonzero(np.diff(values)) + 1).tolist(), len(values)]
     return pairwise(ends)

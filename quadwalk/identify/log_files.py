@@ -32,7 +32,7 @@ def read_csv(path: Path, joints: tuple[str, ...]) -> Log:
     """Read the joints' targets and angles from a CSV with a header.
 
     Commas, semicolons or tabs separate columns. Numbers have decimal points or, where no comma
-    separates them, commas. Raise `UserError` for a missing column or what is not a number.
+    separates them, commas. Raises `UserError` for a missing column or what is not a number.
     """
     text = read_bytes(path).decode("utf-8-sig", "replace")
     delimiter = max(",;\t", key=text.partition("\n")[0].count)
@@ -63,6 +63,7 @@ def read_csv(path: Path, joints: tuple[str, ...]) -> Log:
 
 
 def _read_numbers(source: str, fields: list[str], columns: list[int]) -> list[float]:
+    """Return the numbers in these columns of a row; `source` names the row in a `UserError`."""
     try:
         numbers = [float(fields[column].replace(",", ".")) for column in columns]
     except (IndexError, ValueError):
@@ -75,7 +76,7 @@ def _read_numbers(source: str, fields: list[str], columns: list[int]) -> list[fl
 def read_mcap(path: Path, joints: tuple[str, ...]) -> Log:
     """Read the joints' targets and angles from an MCAP file of a robot on a stand.
 
-    Raise `UserError` where the file is damaged, its trunk moves, or a topic or joint is missing.
+    Raises `UserError` if the file is damaged, the trunk moves, or a topic or joint is missing.
     """
     messages: dict[str, list[tuple[float, Any]]] = {name: [] for name in (_ANGLES, _TARGETS, _POSE)}
     try:
@@ -104,7 +105,7 @@ def read_mcap(path: Path, joints: tuple[str, ...]) -> Log:
 def _read_angles(
     path: Path, topic: str, messages: list[tuple[float, Any]], joints: tuple[str, ...]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return times (n,), s, and angles (n, 12), rad, of `foxglove.JointStates`."""
+    """Return times (n,), s, and angles (n, 12), rad, from messages `foxglove.JointStates`."""
     try:
         rows = [{j.name: j.position for j in message.joints} for _, message in messages]
         angles = [[row[joint] for joint in joints] for row in rows]

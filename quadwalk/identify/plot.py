@@ -17,7 +17,10 @@ _COLORS = {"target": "#9aa3ad", "description": LEG_COLORS[2], "fit": LEG_COLORS[
 
 
 def draw_fit(fit: Fit, log: Log, quadruped: Quadruped, title: str) -> Figure:
-    """Draw three rows, 15 by 11 inches, with a column for hips, thighs and calves each."""
+    """Draw a fit in three rows, 15 by 11 inches; a column each for hips, thighs and calves.
+
+    The rows are angles, errors and constants.
+    """
     figure = make_figure((15, 11), title)
     left = {"description": fit.before - log.position, "fit": fit.after - log.position}
     for part, column in enumerate(figure.subplots(3, 3).T):
@@ -30,8 +33,11 @@ def draw_fit(fit: Fit, log: Log, quadruped: Quadruped, title: str) -> Figure:
 
 
 def _draw_angles(axes: Axes, fit: Fit, log: Log, joint: int, name: str) -> None:
-    """Draw the angles of one joint in the window in which it moves most."""
-    start = max(log.time[:-1], key=lambda t: _compute_way(log, joint, t))
+    """Draw target, measured and simulated angles of one joint over `WINDOW` s.
+
+    They are those in which its target moves most.
+    """
+    start = max(log.time[:-1], key=lambda t: _compute_path_length(log, joint, t))
     shown = (log.time >= start) & (log.time <= start + WINDOW)
     time = log.time[shown] - log.time[0]
     held = (log.target_time >= start) & (log.target_time <= start + WINDOW)
@@ -45,8 +51,11 @@ def _draw_angles(axes: Axes, fit: Fit, log: Log, joint: int, name: str) -> None:
     _finish(axes, f"{name}, the worst of its kind", "rad", time)
 
 
-def _compute_way(log: Log, joint: int, start: float) -> float:
-    """Return how far a joint's target goes in a window, rad; 0 where the log ends or has a gap."""
+def _compute_path_length(log: Log, joint: int, start: float) -> float:
+    """Return the path length of a joint's target, rad, over the `WINDOW` s from `start` on.
+
+    It is 0 if the log ends or has a gap within them.
+    """
     rows = slice(*np.searchsorted(log.time, (start, start + WINDOW)))
     if start + WINDOW > log.time[-1] or len(find_pieces(log.time[rows])) > 1:
         return 0.0
@@ -55,7 +64,11 @@ def _compute_way(log: Log, joint: int, start: float) -> float:
 
 
 def _draw_errors(axes: Axes, time: np.ndarray, errors: dict[str, np.ndarray], fit: Fit) -> None:
-    """Draw what description and fit leave of a kind's angles (n, 4), mrad."""
+    """Draw the rms errors of the angles of one kind of joint over time, with and without the fit.
+
+    `errors` are those (n, 4), mrad, of the "description" and the "fit", at `time` (n,), s. Means
+    are over `BIN` s and four legs. Gray is what was not fitted.
+    """
     bins = (time // BIN).astype(int)
     count = np.bincount(bins)
     for name, angles in errors.items():
@@ -74,7 +87,7 @@ def _draw_errors(axes: Axes, time: np.ndarray, errors: dict[str, np.ndarray], fi
 
 
 def _draw_constants(axes: Axes, fit: Fit, part: int) -> None:
-    """Draw a kind's fitted constants as shares of the description's."""
+    """Draw the constants of hips, thighs or calves (`part` 0, 1, 2) as shares of the URDF's."""
     for row, name in enumerate(OF_URDF):
         values = [v for v in fit.values if v.name == name and part in {j % 3 for j in v.joints}]
         values = [value for value in values if value.described > 0]
@@ -91,6 +104,7 @@ def _draw_constants(axes: Axes, fit: Fit, part: int) -> None:
 
 
 def _finish(axes: Axes, title: str, unit: str, time: np.ndarray) -> None:
+    """Add title, labels and legend to a panel over time."""
     tidy(axes, title, unit)
     axes.set_xlim(time[0], time[-1])
     axes.set_xlabel("time, s", fontsize=9)

@@ -37,9 +37,10 @@ _FACTORS |= {"kp": "kp", "kd": "kd"}
 
 
 def is_sure(fit: Fit, value: Value) -> bool:
-    """Return True if the log shows a constant.
+    """Return True if the log determines the constant `value`.
 
-    Its interval is small beside it or the description's, in a fit that explains the motion.
+    It does if the fit explains the motion, and the constant's interval is at most half of the
+    constant or of the description's.
     """
     least = _SMALL_OFFSET if value.name in OFFSETS else 0.0
     size = max(abs(value.found), value.described, least)
@@ -47,7 +48,7 @@ def is_sure(fit: Fit, value: Value) -> bool:
 
 
 def set_dynamics(urdf: str, joints: Iterable[str], constants: Mapping[str, Iterable[float]]) -> str:
-    """Set constants of `OF_URDF`, one number for each of the `joints`, in a URDF's text."""
+    """Return the text of a URDF with constants of `OF_URDF` set: for each, one number per joint."""
     root = lxml.etree.fromstring(urdf.encode())
     elements = {joint.get("name"): joint for joint in root.iterfind("joint")}
     for name, values in constants.items():
@@ -60,7 +61,7 @@ def set_dynamics(urdf: str, joints: Iterable[str], constants: Mapping[str, Itera
 
 
 def make_urdf(fit: Fit, quadruped: Quadruped) -> str:
-    """Return the robot's URDF with all constants that are sure."""
+    """Return the robot's URDF with all fitted constants that are sure."""
     text = quadruped.urdf
     for value in fit.values:
         if value.name in OF_URDF and is_sure(fit, value):
@@ -70,7 +71,11 @@ def make_urdf(fit: Fit, quadruped: Quadruped) -> str:
 
 
 def make_flags(fit: Fit, urdf: Path, meshes: tuple[Path, ...]) -> list[str]:
-    """Return flags of `quadwalk train` for the robot of the file `urdf`, randomized as is sure."""
+    """Return flags of `quadwalk train` for the fitted robot, whose URDF is the file `urdf`.
+
+    Each constant that is sure is set, or randomized within its interval. `meshes` are the folders
+    of the URDF's meshes.
+    """
     flags = ["--robot.urdf", str(urdf)]
     if meshes:
         flags += ["--robot.mesh-dirs", *map(str, meshes)]
@@ -92,7 +97,7 @@ def make_flags(fit: Fit, urdf: Path, meshes: tuple[Path, ...]) -> list[str]:
 
 
 def label_joints(value: Value, quadruped: Quadruped) -> str:
-    """Return the name of a constant's joint, of its kind of joint, or "all"."""
+    """Return which joints have this constant: one joint's name, "hip", "thigh", "calf" or "all"."""
     if len(value.joints) == 1:
         return quadruped.joints[value.joints[0]]
     return PARTS[value.joints[0]] if len(value.joints) == 4 else "all"
@@ -101,7 +106,10 @@ def label_joints(value: Value, quadruped: Quadruped) -> str:
 def to_json(
     fit: Fit, log: Log, quadruped: Quadruped, config: IdentifyConfig, urdf: Path
 ) -> dict[str, Any]:
-    """Return the results as identified.json holds them, with flags for the file `urdf`."""
+    """Return the content of identified.json: constants, errors, and flags for training.
+
+    The flags name `urdf`, the file of the URDF with the fitted constants.
+    """
     meshes = config.robot.mesh_dirs
     if "<mesh" in quadruped.urdf:
         meshes = (config.robot.urdf.resolve().parent, *meshes)
@@ -136,7 +144,7 @@ def to_json(
 
 
 def print_results(fit: Fit, quadruped: Quadruped, rms: dict[str, float]) -> None:
-    """Print the constants, the offsets, and what is left by rows of the log, rad."""
+    """Print the constants, the offsets, and the errors `rms` by parts of the log, rad."""
     kp, kd = fit.described.kp[0], fit.described.kd[0]
     constants = [value for value in fit.values if value.name not in OFFSETS]
     rows = [
@@ -165,7 +173,7 @@ def print_results(fit: Fit, quadruped: Quadruped, rms: dict[str, float]) -> None
 
 
 def describe_failure(fit: Fit, log: Log, quadruped: Quadruped) -> str:
-    """Return what a fit leaves unexplained, with a likely cause."""
+    """Return a text on the motion that a fit leaves unexplained, with a likely cause."""
     worst = int(fit.unexplained.argmax())
     joint = quadruped.joints[worst]
     followed, correlation = find_followed_target(log, worst)

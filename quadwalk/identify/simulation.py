@@ -52,7 +52,7 @@ class Steps(NamedTuple):
 
 
 def make_steps(log: Log) -> Steps:
-    """Return equal steps of `STEP` or less through the pieces of `log`."""
+    """Return physics steps through the pieces of `log`, all equally long, at most `STEP` s."""
     interval = float(np.median(np.diff(log.time)))
     dt = interval / np.ceil(interval / STEP)
     time, sample, share = [], [], []
@@ -72,10 +72,10 @@ def make_steps(log: Log) -> Steps:
 
 
 def make_simulator(model: Model, log: Log) -> Callable[[Joints], np.ndarray]:
-    """Return a function from n candidates to the angles that the log's targets cause.
+    """Return a function from n candidates to the angles (samples, 12, n) that the targets cause.
 
-    The angles (samples, 12, n), rad, are as measured, at the log's times. Each piece of the log
-    begins as it was measured, and has held its first target before.
+    The angles, rad, are as measured, at the log's times. Each piece of the log begins as it was
+    measured, and has held its first target before.
     """
     steps = make_steps(log)
     dt = float(steps.time[0][1] - steps.time[0][0])
@@ -100,7 +100,7 @@ def make_simulator(model: Model, log: Log) -> Callable[[Joints], np.ndarray]:
 
 
 def estimate_starts(log: Log) -> tuple[np.ndarray, np.ndarray]:
-    """Return angles, rad, and speeds, rad/s, with which the pieces begin, each (pieces, 12).
+    """Return angles, rad, and speeds, rad/s, (pieces, 12) each, with which the pieces begin.
 
     They are those of parabolas through the first angles: single angles have too much noise.
     """
@@ -115,7 +115,7 @@ def estimate_starts(log: Log) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _delay_targets(log: Log, steps: Steps, delay: float) -> np.ndarray:
-    """Return the mean target (steps, 12), rad, of each step when targets are `delay` s late."""
+    """Return the mean target (steps, 12), rad, in each step, with targets `delay` s late."""
     targets = []
     for times in steps.time:
         # Before a piece its first target held: nearer than the last one before the gap.
@@ -126,9 +126,10 @@ def _delay_targets(log: Log, steps: Steps, delay: float) -> np.ndarray:
 
 
 def average_targets(log: Log, times: np.ndarray, delay: float) -> np.ndarray:
-    """Return the mean target (steps, 12), rad, between `times` when each is `delay` s late.
+    """Return the mean target (steps, 12), rad, between successive `times` (steps + 1,), s.
 
-    A target holds until the next. Means change smoothly with the delay, where single values jump.
+    Each target takes effect `delay` s late and holds until the next. Means change smoothly with the
+    delay, where single values jump.
     """
     knots = np.concatenate([[times[0] - 1e3], log.target_time, [times[-1] + 1e3]])
     held = np.concatenate([log.target[:1], log.target])
@@ -145,9 +146,11 @@ def _simulate(
     steps: Steps,
     dt: float,
 ) -> jax.Array:
-    """Return the joints' angles (steps, 12, n) before each explicit midpoint step.
+    """Simulate n candidates through all pieces of a log, one piece after the other.
 
-    `start` holds the angles and speeds (pieces, 12, n) with which each piece begins.
+    Returns the joints' angles (steps, 12, n), rad, at the beginning of each step of `dt` s.
+    `targets` are (steps, 12, n). `start` holds angles and speeds (pieces, 12, n), which are set
+    where a piece begins. Steps are those of the explicit midpoint method.
     """
     constants = zip(
         model.links, _split_links(joints.armature), _split_links(joints.damping), strict=True
@@ -182,10 +185,10 @@ def _simulate(
 
 
 def compute_acceleration(model: Model, q: jax.Array, qd: jax.Array, torque: jax.Array) -> jax.Array:
-    """Return the joints' accelerations (12, n), rad/s^2, with torques (12, n), Nm.
+    """Return the joints' accelerations (12, n), rad/s^2, by torques `torque` (12, n), Nm.
 
     `q` (12, n), rad, and `qd` (12, n), rad/s, are angles and speeds. The constants of the `model`
-    have a last axis for the candidates.
+    have a last axis for the n candidates.
     """
     pose = rigid_body.compute_pose(model.links, _LEVEL, _split_links(q))
     bodies = rigid_body.place_bodies(model.trunk, model.links, pose)
@@ -204,6 +207,6 @@ def compute_acceleration(model: Model, q: jax.Array, qd: jax.Array, torque: jax.
 
 
 def _split_links(joints: jax.Array | np.ndarray) -> Vector:
-    """Split values (12, n) into those of hip, thigh and calf joints, (4, n) each."""
+    """Split values of joints (12, n) into those of hips, thighs and calves, (4, n) each."""
     legs = joints.reshape(4, rigid_body.LINKS, -1)
     return legs[:, 0], legs[:, 1], legs[:, 2]

@@ -85,6 +85,10 @@ def append_axis(constant: Any) -> Any:
 def _run_one(
     *arguments: Any, function: Callable[..., list[Any]], shared: int, **_: Any
 ) -> list[Any]:
+    """Return the output of `function` for one robot: a batch of one, whose axis is then dropped.
+
+    The last `shared` of the arguments are the same for all robots.
+    """
     arrays = [jnp.asarray(x) for x in arguments]
     varying = len(arrays) - shared
     batch = (x[..., None] for x in arrays[:varying])
@@ -99,9 +103,10 @@ def _run_batches(
     shared: int,
     **_: Any,
 ) -> tuple[list[Any], list[int]]:
-    """Run a batch of any size, cut into batches of cache size; `axes` are its own in `arguments`.
+    """Return the outputs of `function` for a batch of any size, and their batch axes.
 
-    Returns the outputs and their batch axes.
+    It is cut into batches of cache size. `axes` are the batch axes of `arguments`, None for an
+    argument that is the same for all robots; the last `shared` of the arguments all are.
     """
     varying = len(arguments) - shared
     common = arguments[varying:]
@@ -158,8 +163,8 @@ def make_opaque_true(number: jax.Array) -> jax.Array:
 def materialize(barrier: Any, function: Callable[..., Any], *arguments: Any) -> Any:
     """Return function(*arguments), computed once and kept in memory.
 
-    XLA fuses arithmetic by repeating what several results share, here a fivefold of it. It does
-    not look into a conditional whose condition it cannot know: `barrier`, of `make_opaque_true`.
+    XLA fuses arithmetic by repeating what several results share, here a fivefold of it. It does not
+    look into a conditional whose condition it cannot know: `barrier`, of `make_opaque_true`.
     """
     traced = jax.jit(function)  # once, for its shapes and for itself
     shapes = jax.eval_shape(traced, *arguments)

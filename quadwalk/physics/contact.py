@@ -63,7 +63,10 @@ class Limits(NamedTuple):
 
 
 class Row(NamedTuple):
-    """One row of a contact's Jacobian: velocity in one direction, by what moves the contact."""
+    """One row of a contact's Jacobian: its product with a velocity is that in one direction.
+
+    The velocity is that of the contact point, by the trunk and by the joints of its leg.
+    """
 
     linear: Vector  # the trunk's linear velocity; this is the direction itself
     angular: Vector  # the trunk's angular velocity
@@ -102,7 +105,7 @@ class Constraints(NamedTuple):
 def compute_impedance(
     params: SolverParams, inverse_inertia: Array, depth: Array
 ) -> tuple[Array, Array]:
-    """Return a row's impedance and weight at constraint violation `depth` < 0, m or rad."""
+    """Return impedance and weight of a constraint row violated by `depth` < 0, m or rad."""
     x = jnp.minimum(jnp.abs(depth) / params.width, 1.0)
     below = x**params.power / params.middle ** (params.power - 1)
     above = 1 - (1 - x) ** params.power / (1 - params.middle) ** (params.power - 1)
@@ -112,7 +115,7 @@ def compute_impedance(
 
 
 def compute_centers(contact: Contact, pose: Pose) -> Vector:
-    """Return the centers of one kind of sphere, m."""
+    """Return the centers of one kind of sphere, m, from the trunk's origin, in world axes."""
     if contact.link is None:
         return v.apply(pose.trunk, contact.center)
     rotation, origin = pose.rotations[contact.link], pose.origins[contact.link]
@@ -130,8 +133,8 @@ def find_constraints(
 ) -> Constraints:
     """Return the constraints with the trunk's origin at `height` (robots,), m.
 
-    `angles` are the joints', rad. `ground` is that under each kind of sphere; None: it is level, at
-    height 0.
+    `angles` are those of hip, thigh and calf joints, (4, robots) each, rad. `ground` is that under
+    each kind of sphere; None: it is level, at height 0.
     """
     points: list[ContactPoint] = []
     signs: list[Array] = []
@@ -154,7 +157,7 @@ def find_constraints(
 def _constrain_contact(
     contact: Contact, pose: Pose, height: Array, velocity: Motion, under: GroundBelow | None
 ) -> tuple[ContactPoint, list[Array], Array]:
-    """Return the point of contact, the edges' reference accelerations, and their weight."""
+    """Return the point of a kind of contact, its edges' reference accelerations and weight."""
     gap, place = _find_point(contact, compute_centers(contact, pose), height, under)
     moving = 0 if contact.link is None else contact.link + 1
     columns = tuple(
@@ -179,7 +182,7 @@ def _constrain_contact(
 def _find_point(
     contact: Contact, center: Vector, height: Array, under: GroundBelow | None
 ) -> tuple[Array, Vector]:
-    """Return the gap between spheres and ground, m, and the point of contact."""
+    """Return the gap between spheres and ground, m, negative inside it, and the contact points."""
     radius = contact.radius
     if under is None:
         gap = height + center[2] - radius
@@ -212,7 +215,11 @@ def _constrain_joint(limit: Limits, angle: Array, rate: Array) -> tuple[Array, A
 
 
 def project_on_edges(point: ContactPoint, motion: Motion) -> Rows:
-    """Return `motion` at the points of contact, along the four edges of the friction pyramids."""
+    """Return the parts of `motion` along the edges of friction pyramids, at contact points.
+
+    They are the products of the four rows of each point's Jacobian with `motion`: four arrays (4
+    legs, robots).
+    """
     if point.jacobian is not None:
         up, first, second = (_apply_row(row, motion) for row in point.jacobian)
         return up + first, up - first, up + second, up - second
@@ -224,12 +231,13 @@ def project_on_edges(point: ContactPoint, motion: Motion) -> Rows:
 
 
 def _apply_row(row: Row, motion: Motion) -> Array:
+    """Return the product of one row of contacts' Jacobians with `motion`, (4 legs, robots)."""
     total = v.dot(row.linear, motion.linear) + v.dot(row.angular, motion.angular)
     return sum((a * b for a, b in zip(row.joints, motion.joints, strict=False)), start=total)
 
 
 def apply_jacobian(constraints: Constraints, motion: Motion) -> Rows:
-    """Return J motion, with J the Jacobian of all constraints."""
+    """Return J motion, with J the Jacobian of all constraints: edges, then joint limits."""
     at_limits = (sign * rate for sign, rate in zip(constraints.signs, motion.joints, strict=True))
     at_floor = (row for point in constraints.points for row in project_on_edges(point, motion))
     return (*at_floor, *at_limits)
@@ -254,7 +262,10 @@ def apply_jacobian_transposed(constraints: Constraints, strength: Rows) -> Motio
 
 
 def _push(point: ContactPoint, edges: Rows) -> tuple[Vector, Vector, list[Array]]:
-    """Return force, torque about the trunk's origin and joint torques of forces along edges."""
+    """Return force, torque about the trunk's origin and joint torques that push along `edges`.
+
+    `edges` are four forces, one along each edge of the friction pyramids of one kind of sphere.
+    """
     a, b, c, d = edges
     if point.jacobian is None:
         mu = point.friction
@@ -270,7 +281,7 @@ def _push(point: ContactPoint, edges: Rows) -> tuple[Vector, Vector, list[Array]
 
 
 def _split_by_contact(values: Rows) -> list[Rows]:
-    """Return the values of each kind of contact's four edges."""
+    """Return the rows of each kind of sphere, four edges each, without the joint limits."""
     return [values[i : i + EDGES] for i in range(0, len(values) - LINKS, EDGES)]
 
 

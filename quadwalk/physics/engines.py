@@ -21,17 +21,21 @@ class Engine(Protocol):
     """
 
     def make_model(self, model: mujoco.MjModel, quadruped: Quadruped, motor: Motor) -> Any:
-        """Return the engine's model of the robot that `model`, made from `quadruped`, describes."""
+        """Return what the engine steps: the robot that MuJoCo's `model` describes, with `motor`.
+
+        `model` was made from `quadruped`.
+        """
 
     def apply_randomization(self, model: Any, randomization: RobotRandomization) -> Any:
-        """Return the model of one robot with other physical properties."""
+        """Return the engine's model of one robot, changed as `randomization` says."""
 
     def step(
         self, model: Any, stepping: Stepping, physics: PhysicsState, target: jax.Array
     ) -> tuple[PhysicsState, Effort]:
         """Advance one robot by a control step: a pure function, to be jitted and vmapped.
 
-        `target` is (12,), rad, or (substeps, 12), one for each physics step.
+        `target` are joint angles (12,), rad, or (substeps, 12), one row for each physics step.
+        Returns the state after the step, and torque and work of the motors in it.
         """
 
 

@@ -59,7 +59,7 @@ def step(
 
 
 def apply_randomization(model: Model, randomization: RobotRandomization) -> Model:
-    """Return the model of one robot with other physical properties; see `Engine`."""
+    """Return the model of one robot, changed as `randomization` says; see `Engine`."""
     trunk, legs = model.trunk, randomization.link_mass.reshape(4, LINKS)
     links = tuple(
         link._replace(
@@ -137,6 +137,7 @@ def compute_acceleration(
 def _materialize_pose(
     barrier: jax.Array, links: tuple[Link, ...], qpos: jax.Array, angles: Vector
 ) -> Pose:
+    """Return the pose at `qpos` (19, robots) and joint `angles`, computed by `materialize`."""
     rotation = materialize(barrier, lambda quat: compute_rotation(tuple(quat)), qpos[3:7])
     pose: Pose = materialize(barrier, lambda r, a: compute_pose(links, r, a), rotation, angles)
     return pose
@@ -145,9 +146,10 @@ def _materialize_pose(
 def _apply_damping(
     links: tuple[Link, ...], mass: MassMatrix, motion: Motion, dt: float, barrier: jax.Array
 ) -> Motion:
-    """Return (M + dt D)^-1 M a for an acceleration a, `motion`, with D the joints' damping.
+    """Return the acceleration that is left of `motion`, an acceleration, by implicit joint damping.
 
-    It is computed as a - (M + dt D)^-1 dt D a, which rounding errors harm least.
+    It is (M + dt D)^-1 M a, with a that acceleration and D the joints' damping. Computed is a - (M
+    + dt D)^-1 dt D a, which rounding errors harm least.
     """
     damping = v.to_vector(dt * link.damping for link in links)
     zeros = jax.tree.map(jnp.zeros_like, motion.linear)
@@ -159,7 +161,7 @@ def _apply_damping(
 def _find_ground_below(
     model: Model, ground: Ground, barrier: jax.Array, pose: Pose, qpos: jax.Array
 ) -> tuple[GroundBelow, ...]:
-    """Return the ground below each kind of sphere."""
+    """Return the ground below each kind of sphere, where it is not level."""
 
     def read(centers: tuple[Vector, ...], x: Array, y: Array) -> list[tuple[Spot, Vector]]:
         triangles = []
@@ -216,14 +218,14 @@ def integrate(state: PhysicsState, acceleration: jax.Array, dt: float) -> Physic
 
 
 def compute_lowest_points(model: Model, qpos: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Return the feet's soles (4, 3), m, and the gaps between all else and the ground (5,), m.
+    """Return the feet's soles (4, 3), m, and the gaps of all other shapes to the ground (5,), m.
 
     A function of one robot, to be vmapped; `qpos` is (19,). Soles have x and y in the world, z
     above the ground straight below. The gaps are those of the lowest points of the trunk, then of
     each leg without its foot.
 
-    Not all shapes touch the ground in training, so this is how it knows that one would have. Over
-    ground that is not level, these are ends and corners of shapes.
+    Not all shapes touch the ground in training: by the gaps it is seen that one would have. Over
+    ground that is not level, the gaps are those of the shapes' ends and corners.
     """
 
     def run_batch(model: Model, qpos: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -251,7 +253,7 @@ def compute_lowest_points(model: Model, qpos: jax.Array) -> tuple[jax.Array, jax
 def _compute_lowest_points_over(
     model: Model, ground: Ground, barrier: jax.Array, pose: Pose, qpos: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """Return soles and gaps, as `compute_lowest_points`, over ground that is not level."""
+    """Return soles and gaps as `compute_lowest_points` does, over ground that is not level."""
     x, y, height = qpos[:3]
     along, across, _ = compute_centers(model.contacts[0], pose)
     feet = _find_ground_below(model, ground, barrier, pose, qpos)[0]
@@ -293,7 +295,7 @@ def compute_leg_points(model: Model, joints: jax.Array) -> jax.Array:
 
 
 def _split_by_link(joints: jax.Array) -> Vector:
-    """Return values of all joints (12, robots) as hip, thigh and calf, (4, robots) each."""
+    """Split values of all joints (12, robots) into hips, thighs and calves, (4, robots) each."""
     legs = joints.reshape(4, LINKS, -1)
     return legs[:, 0], legs[:, 1], legs[:, 2]
 

@@ -43,7 +43,7 @@ def make_model(model: mujoco.MjModel, quadruped: Quadruped, motor: Motor) -> Mjx
 
 
 def apply_randomization(model: MjxModel, randomization: RobotRandomization) -> MjxModel:
-    """Return the model of one robot with other physical properties; see `Engine`."""
+    """Return the model of one robot, changed as `randomization` says; see `Engine`."""
     old = model.mjx
     trunk, legs = old.jnt_bodyid[0], old.jnt_bodyid[1:]
     factor = randomization.link_mass

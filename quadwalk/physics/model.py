@@ -87,7 +87,7 @@ class Shell:
         ]
 
     def _compare_kind(self, kind: mujoco.mjtGeom) -> Array:
-        """Return True where the shape is of a kind, () or (4, 1)."""
+        """Return True where the shape is a geom of this kind: () for the trunk, (4, 1) for legs."""
         # As a number: NumPy compares no array with an enumeration's member.
         is_kind: Array = append_axis(np.equal(self.kind, int(kind)))
         return is_kind
@@ -130,7 +130,7 @@ class Model(NamedTuple):
 
 
 def randomize_motor(motor: Motor, randomization: RobotRandomization) -> Motor:
-    """Return the motors of a robot with other physical properties."""
+    """Return the motors of one robot, changed as `randomization` says."""
     friction = motor.friction
     return motor._replace(
         kp=motor.kp * randomization.kp,
@@ -141,10 +141,10 @@ def randomize_motor(motor: Motor, randomization: RobotRandomization) -> Motor:
 
 
 def make_model(model: mujoco.MjModel, quadruped: Quadruped, motor: Motor) -> Model:
-    """Return the constants of `model`, made from `quadruped`.
+    """Return the constants of `model`, which was made from `quadruped`.
 
-    Its joint 1 + 3 * leg + i is a leg's i-th, from the trunk outwards. A heightfield becomes the
-    ground.
+    Joint 1 + 3 * leg + i of `model` must be joint i of that leg, counted from the trunk outwards. A
+    heightfield of `model` becomes the ground.
     """
     feet = quadruped.feet
     joints = 1 + np.arange(12).reshape(4, LINKS)
@@ -173,7 +173,7 @@ def make_model(model: mujoco.MjModel, quadruped: Quadruped, motor: Motor) -> Mod
 
 
 def add_ground(model: Model, ground: Heightfield) -> Model:
-    """Return `model` on ground that is not level."""
+    """Return `model` on the heightfield `ground` instead of a level floor."""
     contacts, offsets = [], []
     for contact in model.contacts:
         radii = np.broadcast_to(np.asarray(contact.radius), 4)
@@ -185,42 +185,47 @@ def add_ground(model: Model, ground: Heightfield) -> Model:
 
 
 def find_contact_geoms(model: mujoco.MjModel, feet: tuple[str, ...]) -> list[np.ndarray]:
-    """Return the geoms (4,) of each kind of sphere that may touch the floor, the feet first."""
+    """Return the indices of the spheres that may touch the floor: (4,) of each kind, one per leg.
+
+    The kinds are the feet, called `feet`, then those of `SPHERE_NAMES` that `model` has.
+    """
     names = [model.geom(i).name for i in range(model.ngeom)]
     kinds = [kind for kind in (feet, *SPHERE_NAMES) if set(kind) <= set(names)]
     return [np.array([names.index(name) for name in kind]) for kind in kinds]
 
 
 def find_shell_geoms(model: mujoco.MjModel, feet: tuple[str, ...]) -> np.ndarray:
-    """Return the geoms (n,) of all collision shapes of the robot except its feet."""
+    """Return the indices (n,) of all collision shapes of the robot except its feet."""
     collision = (model.geom_bodyid != 0) & (model.geom_group == 3)
     collision[[model.geom(name).id for name in feet]] = False
     return np.flatnonzero(collision)
 
 
 def _to_vector(values: Iterable[float]) -> Vector:
+    """Return three numbers as a `Vector`."""
     return v.to_vector(float(x) for x in values)
 
 
 def _to_leg_vector(values: np.ndarray) -> Vector:
-    """Return the vectors of four legs (4, 3) as one."""
+    """Return the vectors of four legs (4, 3) as one `Vector`, whose components are (4,)."""
     return v.to_vector(np.asarray(values, np.float64).T)
 
 
 def _to_leg_matrix(values: np.ndarray) -> Matrix:
-    """Return the matrices of four legs (4, 3, 3) as one."""
+    """Return the matrices of four legs (4, 3, 3) as one `Matrix`, whose components are (4,)."""
     x, y, z = (_to_leg_vector(values[:, i]) for i in range(3))
     return x, y, z
 
 
 def _compute_inertia(model: mujoco.MjModel, body: int) -> np.ndarray:
-    """Return an `Inertia` (6,) about the center of mass, in the body's axes."""
+    """Return xx, yy, zz, xy, xz, yz of a body's inertia about its center of mass, in its axes."""
     turn = compute_rotation(model.body_iquat[body])
     full = turn @ np.diag(model.body_inertia[body]) @ turn.T
     return full[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
 
 
 def _make_link(model: mujoco.MjModel, bodies: np.ndarray, joints: np.ndarray) -> Link:
+    """Return the constants of one link of each leg; `bodies` and `joints` are indices (4,)."""
     frames = np.array([compute_rotation(model.body_quat[body]) for body in bodies])
     axes = model.jnt_axis[joints]
     outer = axes[:, :, None] * axes[:, None, :]
@@ -264,6 +269,7 @@ def _compute_solver_params(
 
 
 def _make_limits(model: mujoco.MjModel, joints: np.ndarray) -> Limits:
+    """Return the position limits of one joint of each leg; `joints` are indices (4,)."""
     limited = model.jnt_limited[joints].astype(bool)
     return Limits(
         lower=np.where(limited, model.jnt_range[joints, 0], -np.inf),
@@ -316,14 +322,14 @@ def _replace_floor(model: mujoco.MjModel) -> mujoco.MjModel:
 
 
 def _find_longest_axes(size: np.ndarray, number: int) -> tuple[int, ...]:
-    """Return the axes along which a box of `size` (3,) is longest."""
+    """Return the `number` axes along which a box of `size` (3,) is longest."""
     return tuple(int(axis) for axis in np.argsort(-size)[:number])
 
 
 def _make_shells(
     model: mujoco.MjModel, geoms: np.ndarray, trunk: int, bodies: np.ndarray
 ) -> tuple[Shell, ...]:
-    """Return the shapes `geoms`; those of the four legs are side by side."""
+    """Return the shapes with indices `geoms`; four that the legs have alike become one, (4,)."""
     shells = []
     by_body = [geoms[model.geom_bodyid[geoms] == body] for body in range(model.nbody)]
     for geom in by_body[trunk]:

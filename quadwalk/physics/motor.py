@@ -80,7 +80,10 @@ class Stepping:
         return self.dt * self.substeps
 
     def replace_dt(self, dt: float) -> "Stepping":
-        """Return the same control step in a whole number of physics steps of about `dt` s."""
+        """Return a control step as long as this one, in physics steps of about `dt` s.
+
+        Their number is the nearest whole one, at least 1.
+        """
         substeps = max(1, round(self.control_dt / dt))
         return replace(self, dt=self.control_dt / substeps, substeps=substeps)
 
@@ -102,8 +105,9 @@ class Effort(NamedTuple):
 def make_motor(model: mujoco.MjModel, quadruped: "Quadruped", config: MotorConfig) -> Motor:
     """Return the motors of `quadruped`, which `model` was made from.
 
-    By default a light robot is held as firmly as a heavy one: 120 Nm/rad and 3 Nm s/rad for the
-    AlienGo. All legs' joints of a kind have the same gains.
+    Gains that `config` leaves open grow with the robot's weight and height, so that a light robot
+    is held as firmly as a heavy one: 120 Nm/rad and 3 Nm s/rad for the AlienGo. The four hips have
+    the same gains, so have the thighs and the calves.
     """
     weight = float(model.body_subtreemass[0] * -model.opt.gravity[2])
     kp = 1.4 * weight * float(quadruped.home[2]) if config.kp is None else config.kp
@@ -125,7 +129,7 @@ def make_motor(model: mujoco.MjModel, quadruped: "Quadruped", config: MotorConfi
 
 
 def compute_joint_inertia(model: mujoco.MjModel, quadruped: "Quadruped") -> np.ndarray:
-    """Return torque per acceleration of hip, thigh and calf joints, (3,) kg m^2.
+    """Return the inertia of hip, thigh and calf joints, (3,) kg m^2: torque per acceleration.
 
     It is that of one joint alone, of a robot that floats in its home pose: the least of all legs.
     """
@@ -143,9 +147,9 @@ def make_standing_motor(
     """Return motors that are stiff enough to hold the home pose, and a note.
 
     Default gains follow from weight and height. A leg that is bent far, or stands wide of its hip,
-    gives its weight a longer lever: then they are too soft. They are raised where `config` leaves
-    the position gain open. The note says so, or that none of `FACTORS` is enough and the default
-    stays; otherwise it is empty.
+    gives the weight a longer lever: then they are too soft. They are raised if `config` leaves the
+    position gain open. The note says so, or that none of `FACTORS` is enough and the default stays;
+    otherwise it is empty.
     """
     motor = make_motor(model, quadruped, config)
     if config.kp is not None:
@@ -200,9 +204,9 @@ def _make_level_model(model: mujoco.MjModel, quadruped: "Quadruped") -> mujoco.M
 def compute_motor_torque(motor: Motor, target: Any, q: Any, qd: Any) -> Any:
     """Return the torque of the joint controllers within the motors' limits, (12,) Nm.
 
-    `target` and `q` are joint angles (12,), rad, `qd` their speeds, rad/s. A motor that drives its
-    joint loses torque in proportion to speed, effort * (1 - qd / velocity): the line between stall
-    torque and no-load speed of a DC motor. One that brakes has all of it.
+    `target` and `q` are joint angles (12,), rad, `qd` joint speeds (12,), rad/s. A motor that
+    drives its joint loses torque in proportion to speed, effort * (1 - qd / velocity): the line
+    between stall torque and no-load speed of a DC motor. One that brakes has all of it.
     """
     xp = _get_namespace(q)
     torque = motor.kp * (target - q) - motor.kd * qd
@@ -216,7 +220,7 @@ def compute_motor_torque(motor: Motor, target: Any, q: Any, qd: Any) -> Any:
 def compute_friction_torque(motor: Motor, qd: Any, through: Any = FRICTION_SPEED) -> Any:
     """Return joint friction (12,), Nm, at speeds `qd` (12,), rad/s.
 
-    It is Coulomb friction, smoothed: it passes through 0 over `through`, rad/s.
+    It is Coulomb friction, smoothed: below the speed `through`, rad/s, it falls to 0.
     """
     xp = _get_namespace(qd)
     if motor.friction is None:
@@ -264,5 +268,5 @@ def run_control_step(
 
 
 def _get_namespace(array: Any) -> ModuleType:
-    """Return NumPy for its arrays, JAX's NumPy for all others."""
+    """Return the module NumPy for an array of NumPy, JAX's NumPy for all others."""
     return np if isinstance(array, np.ndarray) else jnp

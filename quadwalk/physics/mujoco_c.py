@@ -33,7 +33,7 @@ _CONTROLS = int(mujoco.mjtState.mjSTATE_QFRC_APPLIED)
 
 @jax.tree_util.register_static
 class Stepper:
-    """A MuJoCo model, the models of robots that differ from it, and each thread's data."""
+    """A MuJoCo model, models of robots that are randomized, and the data of each thread."""
 
     def __init__(self, model: mujoco.MjModel, quadruped: Quadruped) -> None:
         self.model = model
@@ -42,10 +42,10 @@ class Stepper:
         self._models: dict[bytes, dict[tuple[int, int], mujoco.MjModel]] = {}
 
     def step(self, states: np.ndarray, torque: np.ndarray, models: Any) -> np.ndarray:
-        """Return `states` (n, 38), time, qpos and qvel, after a physics step.
+        """Return `states` (n, 38), time, qpos and qvel, one physics step later.
 
-        `torque` (n, 12), Nm, is the joints'. `models` are those of `find_models`; positions in
-        `states` are relative to their origins.
+        `torque` (n, 12), Nm, is that of the joints. `models` comes from `find_models`; positions in
+        `states` are relative to the origins that it returns.
         """
         applied = np.pad(torque, [(0, 0), (6, 0)])[:, None]
         with _POOL:
@@ -62,9 +62,10 @@ class Stepper:
     def find_models(
         self, randomizations: RobotRandomization | None, places: np.ndarray
     ) -> tuple[mujoco.MjModel | list[mujoco.MjModel], np.ndarray]:
-        """Return the one model of all robots, or each robot's, and their origins, (n, 2) m.
+        """Return the one model of all robots, or each robot's in a list, and origins (n, 2), m.
 
-        `places` (n, 2), m, are the robots' in the world; `randomizations` have arrays (n, ...).
+        `places` (n, 2), m, are those of the robots in the world; `randomizations` have arrays (n,
+        ...), or are None for robots that are all alike.
         """
         windows, origins = np.zeros(places.shape, int), np.zeros(places.shape)
         if randomizations is None:
@@ -92,6 +93,10 @@ class Stepper:
         return models, origins
 
     def _copy_over_window(self, model: mujoco.MjModel, window: tuple[int, int]) -> mujoco.MjModel:
+        """Return a copy of `model` with the ground of the window with these indices; see `Windows`.
+
+        On a level floor it is `model` itself.
+        """
         if self._windows is None:
             return model
         model = copy.copy(model)
@@ -100,32 +105,39 @@ class Stepper:
 
     @cached_property
     def _data(self) -> list[mujoco.MjData]:
+        """Data of `model`, one for each thread."""
         return [mujoco.MjData(self.model) for _ in range(count_cores())]
 
     @cached_property
     def _bare_data(self) -> list[mujoco.MjData]:
+        """Data of the models of randomized robots, one for each thread."""
         return [mujoco.MjData(self._bare) for _ in range(count_cores())]
 
     @cached_property
     def _windows(self) -> Windows | None:
+        """Windows of the ground; None on a level floor."""
         field = read_field(self.model)
         return None if field is None else Windows(self.model, field)
 
     @cached_property
     def _bare(self) -> mujoco.MjModel:
-        """The full model without what can only be seen, on a window of its ground."""
+        """The full model from which those of randomized robots are copied.
+
+        It is small, because there are many copies: it lacks the visual shapes, and has only as much
+        ground as a window; see `Windows`.
+        """
         if self._windows is None:
             return self._quadruped.make_full_model(self.model.opt.timestep, visuals=False)
         return self._windows.make_model(self._quadruped, self.model.opt.timestep)
 
 
 def randomize_model(model: mujoco.MjModel, randomization: RobotRandomization) -> mujoco.MjModel:
-    """Return a copy of a quadruped's `model` with other physical properties, but for its motors."""
+    """Return a copy of a quadruped's `model`, changed as `randomization` says, but for motors."""
     model = copy.copy(model)
     trunk, legs = model.jnt_bodyid[0], model.jnt_bodyid[1:]
     factor: Any = randomization.link_mass
     model.geom_friction[:, 0] = randomization.friction
-    model.body_mass[:] = randomize_masses(model, randomization)
+    model.body_mass[:] = compute_randomized_masses(model, randomization)
     model.body_ipos[trunk] += randomization.trunk_center
     model.body_inertia[legs] *= factor[:, None]
     model.dof_armature[6:] *= randomization.armature
@@ -135,8 +147,13 @@ def randomize_model(model: mujoco.MjModel, randomization: RobotRandomization) ->
     return model
 
 
-def randomize_masses(model: mujoco.MjModel, randomization: RobotRandomization) -> np.ndarray:
-    """Return the mass of each body of a quadruped's randomized `model`, (nbody,) kg."""
+def compute_randomized_masses(
+    model: mujoco.MjModel, randomization: RobotRandomization
+) -> np.ndarray:
+    """Return the mass of each body, (nbody,) kg, of `model` changed as `randomization` says.
+
+    `model` is that of a quadruped, and stays as it is.
+    """
     masses: np.ndarray = model.body_mass.copy()
     masses[model.jnt_bodyid[0]] += randomization.trunk_mass
     masses[model.jnt_bodyid[1:]] *= randomization.link_mass
@@ -157,7 +174,7 @@ def make_model(model: mujoco.MjModel, quadruped: Quadruped, motor: Motor) -> Muj
 
 
 def apply_randomization(model: MujocoModel, randomization: RobotRandomization) -> MujocoModel:
-    """Return the model of one robot with other physical properties; see `Engine`."""
+    """Return the engine's model of one robot, changed as `randomization` says; see `Engine`."""
     motor = randomize_motor(model.motor, randomization)
     return MujocoModel(motor, model.stepper, randomization)
 
@@ -205,7 +222,10 @@ def step(
 def _call_on_host(
     function: Callable[..., list[np.ndarray]], shapes: list[Any], arguments: list[jax.Array]
 ) -> Any:
-    """Call a function of NumPy arrays, once for a whole batch of what is vmapped over."""
+    """Return what `function`, of NumPy arrays, returns for `arguments`, in a compiled program.
+
+    Under `jax.vmap` it is called once for the whole batch. `shapes` are those of the result.
+    """
     if jax.default_backend() != "cpu":
         return jax.pure_callback(
             lambda *arrays: [np.float32(x) for x in function(*map(np.asarray, arrays))],

@@ -96,7 +96,10 @@ def compute_rotation(quat: tuple[Array, ...]) -> Matrix:
 
 
 def compute_pose(links: tuple[Link, ...], trunk: Matrix, angles: Vector) -> Pose:
-    """Return the pose for the trunk's rotation and joint angles (4, robots), rad."""
+    """Return the pose of all links, for a rotation of the trunk and joint angles.
+
+    `angles` are those of hips, thighs and calves, (4, robots) each, rad.
+    """
     rotation, origin = trunk, None
     rotations, origins, axes = [], [], []
     for link, angle in zip(links, angles, strict=True):
@@ -116,7 +119,7 @@ def compute_pose(links: tuple[Link, ...], trunk: Matrix, angles: Vector) -> Pose
 
 
 def rotate_inertia(rotation: Matrix, inertia: Inertia) -> Inertia:
-    """Return R I R^T."""
+    """Return R I R^T, of a rotation R and an inertia I."""
     xx, yy, zz, xy, xz, yz = inertia
     half = v.multiply(rotation, ((xx, xy, xz), (xy, yy, yz), (xz, yz, zz)))
     pairs = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
@@ -124,9 +127,10 @@ def rotate_inertia(rotation: Matrix, inertia: Inertia) -> Inertia:
 
 
 def make_composite(mass: Array, center: Vector, inertia: Inertia) -> Composite:
-    """Return one body as a composite.
+    """Return mass and moments of one body about the trunk's origin.
 
-    `center`, m, is its center of mass relative to the trunk's origin, `inertia` is about that.
+    `center`, m, is its center of mass relative to the trunk's origin; `inertia` is about that
+    center.
     """
     moment = v.scale(mass, center)
     (x, y, z), (mx, my, mz) = center, moment
@@ -165,7 +169,10 @@ def place_bodies(trunk: Trunk, links: tuple[Link, ...], pose: Pose) -> Bodies:
 def compute_mass_matrix(
     trunk: Trunk, links: tuple[Link, ...], pose: Pose, bodies: Bodies
 ) -> MassMatrix:
-    """Return the joint-space inertia, by the composite-rigid-body algorithm."""
+    """Return the joint-space inertia of trunk and legs, by the composite-rigid-body algorithm.
+
+    The diagonal of the joints includes their armature.
+    """
     below: Composite | None = None
     columns: list[tuple[Array, ...]] = []  # hip, thigh, calf: force then torque on the trunk
     legs: list[list[Array]] = [[0.0] * LINKS for _ in range(LINKS)]
@@ -211,7 +218,7 @@ def compute_bias_force(
     velocity: Motion,
     gravity: Vector,
 ) -> Motion:
-    """Return the force that holds the acceleration at 0, by recursive Newton-Euler.
+    """Return the force at which no coordinate accelerates, by recursive Newton-Euler.
 
     It balances Coriolis, centrifugal and gravitational forces; `gravity` is in m/s^2.
     """

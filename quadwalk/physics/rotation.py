@@ -8,7 +8,7 @@ import jax.numpy as jnp
 
 
 def rotate(quat: jax.Array, vector: jax.Array) -> jax.Array:
-    """Return `vector` (3,), of the body frame, in the world frame."""
+    """Return `vector` (3,), of the body frame, in the world frame, by `quat` (4,), wxyz."""
     w, u = quat[0], quat[1:]
     return vector + 2.0 * jnp.cross(u, jnp.cross(u, vector) + w * vector)
 
@@ -36,7 +36,7 @@ def compute_yaw(quat: jax.Array) -> jax.Array:
 
 
 def rotate_about_z(angle: jax.Array, x: jax.Array, y: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Return the world's components of vectors `x`, `y` (...) in a frame at `angle`, rad."""
+    """Return the components in the world of vectors `x`, `y` (...) of a frame at `angle`, rad."""
     cos, sin = jnp.cos(angle), jnp.sin(angle)
     return cos * x - sin * y, sin * x + cos * y
 
@@ -44,7 +44,7 @@ def rotate_about_z(angle: jax.Array, x: jax.Array, y: jax.Array) -> tuple[jax.Ar
 def rotate_back_about_z(
     angle: jax.Array, x: jax.Array, y: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """Return the components of the world's vectors `x`, `y` (...) in a frame at `angle`, rad."""
+    """Return the components in a frame at `angle`, rad, of vectors `x`, `y` (...) of the world."""
     cos, sin = jnp.cos(angle), jnp.sin(angle)
     return cos * x + sin * y, cos * y - sin * x
 

@@ -198,7 +198,7 @@ def multiply(matrix: MassMatrix, motion: Motion) -> Motion:
 
 
 def compute_inner_product(a: Motion, b: Motion) -> Array:
-    """Return a . b, (robots,)."""
+    """Return the inner product of two motions, (robots,): the sum over trunk and all joints."""
     trunk = v.dot(a.linear, b.linear) + v.dot(a.angular, b.angular)
     return trunk + v.sum_legs(v.dot(a.joints, b.joints))
 

@@ -29,7 +29,7 @@ _CHUNK = 16384  # nodes computed at a time: arrays of so many stay in a core's c
 
 
 class Spot(NamedTuple):
-    """A place in a grid."""
+    """A place in a grid: its cell and triangle, and where it is in them."""
 
     corner: Array  # index of its cell's first node
     u: Array  # from that node along x, cells
@@ -52,7 +52,7 @@ class Surface(Shared):
     def measure(
         self, x: Array, y: Array, which: np.ndarray | int = 0
     ) -> tuple[Array, Array, Array]:
-        """Return height, m, and slopes along x and y of grid `which` at places (...), m.
+        """Return height, m, and slopes along x and y at places `x`, `y` (...), m, of grid `which`.
 
         Beyond an edge they are those of the edge. No read is out of bounds, even where x or y is
         NaN.
@@ -61,7 +61,7 @@ class Surface(Shared):
         return self.interpolate(spot, self.read(spot))
 
     def locate(self, x: Array, y: Array, which: np.ndarray | int = 0) -> Spot:
-        """Return the spots of places (...), m, in grid `which`."""
+        """Return the spots of the places `x`, `y` (...), m, in grid `which`."""
         _, rows, columns = self.grids.shape
         x = jnp.clip((x - self.origin[0]) / self.cell, 0, columns - 1)
         y = jnp.clip((y - self.origin[1]) / self.cell, 0, rows - 1)
@@ -70,7 +70,7 @@ class Surface(Shared):
         return Spot((which * rows + i) * columns + j, x - j, y - i)
 
     def read(self, spot: Spot) -> Vector:
-        """Return heights of the corners of the triangle, m: the cell's first, third and last."""
+        """Return the heights, m, at a spot's triangle: of its cell's first, third and last node."""
         columns = self.grids.shape[2]
         grid = jnp.asarray(self.grids, jnp.result_type(spot.u)).reshape(-1)
         third = jnp.where(spot.u > spot.v, 1, columns)
@@ -81,7 +81,7 @@ class Surface(Shared):
         return x, y, z
 
     def interpolate(self, spot: Spot, heights: Vector) -> tuple[Array, Array, Array]:
-        """Return height, m, and slopes along x and y within a triangle."""
+        """Return height, m, and slopes along x and y at `spot`, from its triangle's `heights`."""
         node, third, beyond = heights
         right = spot.u > spot.v
         before, after = third - node, beyond - third
@@ -103,10 +103,10 @@ def make_ground_surface(field: Heightfield) -> Surface:
 
 
 def make_offset_surface(field: Heightfield, radii: tuple[float, ...]) -> Surface:
-    """Return the surface of the centers of spheres that just touch the ground.
+    """Return the surface on which centers of spheres move that roll over the ground `field`.
 
-    It has a grid for each of `radii`, m. Heights are exact at the grid's nodes, and everywhere on a
-    plane, in the precision of the field's.
+    It has a grid for each of `radii`, m. Heights are exact at the nodes of the grid and, if the
+    ground is a plane, everywhere, to the precision of the heights of `field`.
     """
     fine = _refine(field.heights)
     cell = field.cell / FINER
@@ -134,7 +134,7 @@ def compute_contact_frame(along: Array, across: Array) -> tuple[Vector, Vector, 
 
 
 def _refine(heights: np.ndarray) -> np.ndarray:
-    """Return the same triangles on a grid of `FINER` = 2 times as many cells each way."""
+    """Return `heights` of the same surface with `FINER` = 2 times as many cells each way."""
     rows, columns = heights.shape
     fine = np.empty((2 * rows - 1, 2 * columns - 1), heights.dtype)
     fine[::2, ::2] = heights
@@ -145,7 +145,11 @@ def _refine(heights: np.ndarray) -> np.ndarray:
 
 
 def _offset(heights: np.ndarray, cell: float, radius: float) -> np.ndarray:
-    """Return the offset surface's heights at the nodes of `heights`, m."""
+    """Return the heights of the centers of spheres, m, that touch the ground over each node.
+
+    `heights` (rows, columns), m, are those of the ground, its nodes `cell` m apart. The spheres'
+    `radius` is in m.
+    """
     radius = radius / cell
     reach = int(np.ceil(radius)) + 1
     edge = reach + 1  # whether a node's ground is bent hangs on those next to it too
@@ -164,7 +168,7 @@ def _offset(heights: np.ndarray, cell: float, radius: float) -> np.ndarray:
 
 
 def _offset_band(padded: np.ndarray, reach: int, radius: float, tolerance: float) -> np.ndarray:
-    """Return the offset surface's heights at all but the `reach` + 1 outermost nodes, in cells."""
+    """Return `_offset` of some rows, in cells, without the `reach` + 1 outermost nodes."""
     edge = reach + 1
     inner = padded[edge:-edge, edge:-edge]
     along = padded[edge:-edge, edge + 1 : padded.shape[1] + 1 - edge] - inner
@@ -186,7 +190,7 @@ def _offset_band(padded: np.ndarray, reach: int, radius: float, tolerance: float
 
 
 def _find_bends(h: np.ndarray, tolerance: float) -> np.ndarray:
-    """Return 1 where the ground next to a node is no plane, else 0."""
+    """Return 1 for each node that is not on a plane with its neighbors, else 0."""
     bent = np.zeros(h.shape, np.uint8)
     bent[:, 1:-1] |= np.abs(h[:, 2:] - 2 * h[:, 1:-1] + h[:, :-2]) > tolerance
     bent[1:-1] |= np.abs(h[2:] - 2 * h[1:-1] + h[:-2]) > tolerance
@@ -197,10 +201,10 @@ def _find_bends(h: np.ndarray, tolerance: float) -> np.ndarray:
 def _rest_spheres(
     heights: dict[tuple[int, int], np.ndarray], reach: int, radius: float
 ) -> np.ndarray:
-    """Return the greatest height at which a triangle, edge or node holds a sphere's center.
+    """Return the greatest height at which a triangle, edge or node holds a sphere, in cells.
 
-    The center is over a node; `heights` maps rows and columns from there to heights. Lengths are in
-    cells.
+    The height is that of the center, over a node. `heights` maps (row, column), counted from that
+    node, to the ground's heights. `radius` is in cells.
     """
     best = heights[0, 0] + radius
     for i, j in itertools.product(range(-reach, reach), repeat=2):  # cells, by their first nodes
@@ -240,9 +244,9 @@ def _hold_by_triangle(
     signs: tuple[int, int],
     radius: float,
 ) -> None:
-    """Raise `best` to the height at which the triangle's inside holds the sphere, if it does.
+    """Raise `best`, in place, to the height at which the inside of a triangle holds the sphere.
 
-    From its right-angled `corner` (x, y), at `height`, it extends to `signs` along x and y.
+    Its right-angled `corner` (x, y) is at `height`; from there it extends to `signs` along x and y.
     """
     gx, gy = slopes
     long = np.sqrt(1 + gx * gx + gy * gy)
@@ -262,7 +266,11 @@ def _hold_by_edge(
     along: tuple[int, int],
     radius: float,
 ) -> None:
-    """Raise `best` to the height at which the edge from `start` (x, y), with its ends, holds it."""
+    """Raise `best`, in place, to the height at which an edge or its ends hold the sphere.
+
+    The edge begins at `start` (x, y), where the ground has the height `first`, and ends `along` (x,
+    y) from there, at the height `last`.
+    """
     length = float(np.hypot(*along))
     ex, ey = along[0] / length, along[1] / length
     foot = -(start[0] * ex + start[1] * ey)  # of the perpendicular, from the edge's start
