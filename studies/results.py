@@ -16,7 +16,7 @@ Case = tuple[str, int]  # a variant and a seed
 
 
 def run_cases(jobs: Mapping[Case, Job], place: PlaceConfig) -> Iterator[tuple[Case, Any]]:
-    """Train and evaluate each case; yield it and what its job returns, as they end."""
+    """Train and evaluate each case; yield it with what its job returns, as soon as each ends."""
     cases = {job.name: case for case, job in jobs.items()}
     outcomes = run_jobs(list(jobs.values()), make_place(place), len(jobs))
     for job, value in collect_values(outcomes):
@@ -43,11 +43,11 @@ class Results:
             ) from error
 
     def _get_key(self, result: dict[str, Any]) -> tuple[int, int]:
-        """Return its place among the others."""
+        """Return the place of a result in the file: by its variant, then by its seed."""
         return self._variants.index(result["variant"]), result["seed"]
 
     def add(self, result: dict[str, Any]) -> None:
-        """Write it at once, in place of an earlier one of its variant and seed."""
+        """Add a result and write the file; it replaces one of the same variant and seed."""
         self._by_key[self._get_key(result)] = result
         # One line for each, so that a change shows which.
         lines = ",\n".join(json.dumps(self._by_key[key]) for key in sorted(self._by_key))

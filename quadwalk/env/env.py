@@ -239,7 +239,7 @@ class QuadrupedEnv(Env):
         target = self.config.action(self.robot, action, physics.qpos[7:])
         if randomization is None:
             return model, physics, None, target
-        physics = apply_push(randomization, physics, before.steps, self.config.push_steps)
+        physics = apply_push(randomization, physics, before.steps, self.config.steps_per_push)
         randomization, targets = delay_targets(
             randomization, target, self.stepping.substeps, before.steps
         )

@@ -102,7 +102,8 @@ class CommandConfig(Settings, group="env.command"):
     def scale_to(self, leg: float, foot_speed: float) -> "CommandConfig":
         """Return the command for legs of `leg`, m, whose motors swing a foot at `foot_speed`, m/s.
 
-        Velocities change with the length's root, yaw rates inversely; accelerations remain.
+        Velocities grow with the square root of the length, yaw rates fall with it; accelerations
+        stay.
         """
         if self.leg is None:
             return self
@@ -121,7 +122,7 @@ class CommandConfig(Settings, group="env.command"):
         )
 
     def hold_at(self, forward: float) -> "CommandConfig":
-        """Return the same with every command straight ahead at `forward`, m/s."""
+        """Return a command that is always straight ahead at `forward`, m/s."""
         return replace(
             self,
             forward=(forward, forward),
@@ -133,11 +134,12 @@ class CommandConfig(Settings, group="env.command"):
 
     @property
     def active(self) -> bool:
-        """True if there are commands at all."""
+        """True if velocities are commanded: some range is not 0."""
         return any((*self.forward, *self.lateral, *self.yaw_rate))
 
 
 def _scale(ends: Pair, factor: float) -> Pair:
+    """Return both ends of a range times `factor`, rounded."""
     low, high = ends
     return round(low * factor, 3), round(high * factor, 3)
 
@@ -266,6 +268,7 @@ class EnvConfig(Settings, group="env"):
             )
 
     def _check_terms(self) -> None:
+        """Raise `UsageError` for a term of a wrong kind, name or number."""
         for kind, group, terms in (
             (ActionMap, "env", {"action": self.action}),
             (Observation, "env.observation", self.observation),
@@ -287,7 +290,7 @@ class EnvConfig(Settings, group="env"):
 
     @property
     def effective(self) -> "EnvConfig":
-        """The settings in effect: `height_scan` belongs to the critic if the policy is blind."""
+        """These settings; with a blind policy, only the critic observes `height_scan`."""
         if not self.blind or SIGHT not in self.observation:
             return self
         observation = {name: part for name, part in self.observation.items() if name != SIGHT}
@@ -296,7 +299,7 @@ class EnvConfig(Settings, group="env"):
 
     @property
     def stepping(self) -> Stepping:
-        """The physics steps of a control step."""
+        """Number, length and solver settings of the physics steps in a control step."""
         return Stepping(
             self.physics_dt, self.substeps, self.solver_iterations, self.line_search_iterations
         )
@@ -308,10 +311,10 @@ class EnvConfig(Settings, group="env"):
 
     @property
     def episode_steps(self) -> int:
-        """Control steps in a full episode."""
+        """Control steps in an episode that lasts until its time limit."""
         return round(self.episode_seconds / self.control_dt)
 
     @property
-    def push_steps(self) -> int:
-        """Control steps of which one has a push."""
+    def steps_per_push(self) -> int:
+        """Interval of pushes, in control steps: one of each so many, at random, has a push."""
         return max(round(self.randomization.push_seconds / self.control_dt), 1)

@@ -100,9 +100,9 @@ _NAMES = {function: name for name, function in TERMS.items()}
 
 
 def get_term_name(function: Callable[..., Any]) -> str:
-    """Return the name by which files call a term's function.
+    """Return the name that stands for a term's function in files.
 
-    Raises `UsageError` where the function could not be found again by a name.
+    Raises `UsageError` if the function could not be found again by a name.
     """
     if function in _NAMES:
         return _NAMES[function]
@@ -117,9 +117,10 @@ def get_term_name(function: Callable[..., Any]) -> str:
 
 
 def find_term(name: str, folder: Path) -> Callable[..., Any]:
-    """Return the function that `get_term_name` of this or an earlier version named.
+    """Return the function that `name` stands for in a file of this or an earlier version.
 
-    `folder` is the run's, which has the task's file. Raises `UserError` where there is none.
+    A function of a user's task file is read from the copy in `folder`, that of the run. Raises
+    `UserError` if there is no such function.
     """
     module, _, function_name = name.partition(":")
     if module == TASK_FILE:
@@ -134,7 +135,7 @@ def find_term(name: str, folder: Path) -> Callable[..., Any]:
 
 
 def to_current_name(name: str) -> str:
-    """Return the name that a term has today, from its name in a file of any version."""
+    """Return the name that a term has in this version, from its name in a file of any version."""
     module, _, function = name.partition(":")
     if name in ALIASES:
         return ALIASES[name]

@@ -47,9 +47,9 @@ def to_dict(config: Any) -> Any:
 
 
 def from_dict(cls: type[T], data: Any, folder: Path, where: str = "config") -> T:
-    """Restore a configuration from the data of `to_dict`; `folder` is its run's, for task.py.
+    """Restore a configuration from the data of `to_dict`; `folder` is the run's, for its task.py.
 
-    Raises `UserError`, which names the setting that does not fit.
+    Raises a `UserError` that names the setting that does not fit.
     """
     if not isinstance(data, dict):
         raise UserError(f"{where} is {reprlib.repr(data)}; expected a group of settings")
@@ -112,7 +112,7 @@ def _restore(hint: Any, value: Any, folder: Path, where: str) -> Any:
 
 
 def _to_current_part(name: str, value: Any) -> str:
-    """Return the name that a part of an observation has today."""
+    """Return the name that the observation `name` has in this version; `value` is its data."""
     function = value.get("function") if isinstance(value, dict) else None
     return OLD_PARTS.get((name, to_current_name(str(function))), name)
 
@@ -120,7 +120,7 @@ def _to_current_part(name: str, value: Any) -> str:
 def flatten(config: Any, prefix: str = "") -> dict[str, Any]:
     """Return all settings by the names of their flags, such as "env.reward.energy".
 
-    A term's function is there by its registered name, as "env.reward.energy.function".
+    The function of a term has its registered name as value, at "env.reward.energy.function".
     """
     if isinstance(config, dict) or dataclasses.is_dataclass(config):
         flat: dict[str, Any] = {}
@@ -145,7 +145,8 @@ def _get_parts(config: Any) -> dict[str, Any]:
 def change_settings(config: T, changes: Mapping[str, Any]) -> T:
     """Return `config` with settings changed by their names, as {"env.reward.energy": -0.5}.
 
-    A term as a value replaces one, or is added. Raises `UsageError` for a wrong name or value.
+    A value that is a term replaces the term of that name, or is added. Raises `UsageError` for a
+    wrong name or value.
     """
     paths = [(name, name.split("."), value) for name, value in changes.items()]
     try:
@@ -155,9 +156,9 @@ def change_settings(config: T, changes: Mapping[str, Any]) -> T:
 
 
 def _change(item: Any, hint: Any, changes: list[tuple[str, list[str], Any]]) -> Any:
-    """Return `item`, of type `hint`, with all changes at once: one may not fit without another.
+    """Return `item`, of type `hint`, with all `changes` made at once: one may not fit alone.
 
-    Each is the full name of a setting, the rest of its path below `item`, and its new value.
+    A change is the full name of a setting, the rest of its path below `item`, and its new value.
     """
     inner: dict[str, list[tuple[str, list[str], Any]]] = {}
     for name, path, value in changes:
@@ -192,17 +193,22 @@ def _change(item: Any, hint: Any, changes: list[tuple[str, list[str], Any]]) -> 
 
 
 def _check_name(part: str, parts: Any, name: str) -> None:
+    """Raise `UsageError` for the setting `name` unless its `part` is one of `parts`."""
     if part not in parts:
         hint = suggest(part, parts) or f"; expected one of {sorted(parts)}"
         raise UsageError(f"no setting {name!r}: there is no {part!r}{hint}")
 
 
 def find_task_source(config: Any) -> bytes | None:
-    """Return the file of the task's own functions, which a run keeps; None if it has none."""
+    """Return the user's task file that defines functions of `config`, to copy it into the run.
+
+    None if all functions are of the package.
+    """
     return get_task_source(_list_functions(config))
 
 
 def _list_functions(part: Any) -> list[Callable[..., Any]]:
+    """Return the functions of all terms in a configuration."""
     if isinstance(part, Term):
         return [part.function]
     if isinstance(part, dict) or dataclasses.is_dataclass(part):

@@ -46,7 +46,7 @@ class Term:
             )
 
     def check_numbers(self, name: str) -> None:
-        """Raise a `UsageError` for a number that the term, called `name`, cannot have."""
+        """Raise a `UsageError` for a number out of its bounds; messages call the term `name`."""
         for parameter, value in (self.params or {}).items():
             check_value(f"{name}.{parameter}", value, float)
         for setting in fields(self):
@@ -83,7 +83,7 @@ class Term:
 
     @staticmethod
     def fits(shape: tuple[int, ...]) -> bool:
-        """Return True if a value's shape is right."""
+        """Return True if values of this shape are right for such a term: a single number."""
         return shape == ()
 
 
@@ -116,15 +116,19 @@ class Observation(Term):
 
     @property
     def sensor(self) -> bool:
-        """True for a sensor's reading, which may be late; commands and actions are exact."""
+        """True for a sensor's reading, noisy and maybe late; commands and actions are exact."""
         return self.noise > 0.0
 
     @staticmethod
     def fits(shape: tuple[int, ...]) -> bool:
+        """Return True if values of this shape can be observed: a number or a vector."""
         return len(shape) < 2
 
     def name_numbers(self, name: str, size: int, joints: tuple[str, ...]) -> tuple[str, ...]:
-        """Return a name for each of its `size` numbers, for a robot with these 12 joints."""
+        """Return a name for each of the `size` numbers of this observation, called `name`.
+
+        `joints` are the names of the robot's 12 joints.
+        """
         if size == 1 and not self.labels:
             return (name,)
         default_labels = {3: ("x", "y", "z"), len(joints): joints}
@@ -158,4 +162,5 @@ class ActionMap(Term):
 
     @staticmethod
     def fits(shape: tuple[int, ...]) -> bool:
+        """Return True if values of this shape are right for an action map: twelve targets."""
         return shape == (12,)

@@ -166,7 +166,7 @@ class TrainConfig(Settings):
 def set_files(
     config: TrainConfig, urdf: Path, mesh_dirs: tuple[Path, ...], heights: Path | None
 ) -> TrainConfig:
-    """Return `config` with these files, by absolute paths."""
+    """Return `config` with these files of robot, meshes and ground, by absolute paths."""
     folders = tuple(map(resolve_path, mesh_dirs))
     robot = replace(config.robot, urdf=resolve_path(urdf), mesh_dirs=folders)
     ground = replace(config.env.ground, file=heights and resolve_path(heights))

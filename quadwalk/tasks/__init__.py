@@ -14,7 +14,7 @@ class TasksConfig:
 
 
 def main(args: Sequence[str], prog: str = "quadwalk tasks") -> None:
-    """Print a line for each task."""
+    """Print a line for each task; `args` can ask for help only."""
     parse(TasksConfig, args, prog)
     print(format_tasks())
 
@@ -25,7 +25,7 @@ def list_tasks() -> tuple[str, ...]:
 
 
 def format_tasks() -> str:
-    """Return a line for each task, its name and what it is; no task is imported for it."""
+    """Return a line for each task, with its name and summary, without importing any task."""
     lines = []
     for name in list_tasks():
         text = Path(__path__[0], f"{name}.py").read_text("utf-8")

@@ -54,7 +54,10 @@ def between_bounds(
     calf_high: float,
     step_limit: float,
 ) -> jax.Array:
-    """Targets (12,), rad, linear between the bounds, at most `step_limit` from the joints (12,)."""
+    """Targets (12,), rad: actions -1 to 1 go from the low to the high bound of each kind of joint.
+
+    Each is at most `step_limit`, rad, from the joint's present angle in `joints` (12,).
+    """
     lower = np.tile([hip_low, thigh_low, calf_low], 4)
     upper = np.tile([hip_high, thigh_high, calf_high], 4)
     target = lower + (action + 1.0) / 2.0 * (upper - lower)
@@ -123,15 +126,15 @@ def inclined(robot: RobotConstants, step: Step) -> jax.Array:
 
 
 def heading(robot: RobotConstants, step: Step) -> jax.Array:
-    """Angle between the heading and world x, rad, without bound."""
+    """Size of the angle between the heading and world x, rad, from 0 to pi."""
     return jnp.abs(compute_euler_angles(step.qpos[3:7])[2])
 
 
 def movement(robot: RobotConstants, step: Step) -> jax.Array:
-    """How far the joints moved in the step, all together, rad.
+    """Sum over all joints of how far each moved in the step, rad.
 
-    From where the reset put them in an episode's first step. The post's code remembers the joints
-    of the last episode's end there: it clears its memory only when it is made.
+    In the first step of an episode it counts from the pose of the reset. The post's own code counts
+    from the joints' last pose of the episode before.
     """
     return jnp.sum(jnp.abs(step.qpos[7:] - step.start[7:]))
 

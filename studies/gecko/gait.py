@@ -27,9 +27,9 @@ def measure(run: Run) -> dict[str, Any]:
     """Return what notebooks/04_gecko.ipynb shows of `run`, as JSON data.
 
     figures: means over episodes in MuJoCo C, as in `compute_figures`; training_speed: the last that
-    training measured, in its own physics, m/s; falls: how many of the episodes; gaits: how many
-    of each; frames: (FRAMES, 19) qpos of the typical episode, rounded; footfalls: of each foot
-    [touchdown, liftoff] of its contacts in the last `SHOWN` s, in s from their beginning.
+    training measured, in its own physics, m/s; falls: number of episodes with one; gaits: number of
+    episodes of each; frames: (FRAMES, 19) qpos of the typical episode, rounded; footfalls: as of
+    `find_footfalls` in that episode.
     """
     loaded = load_run(run, SECONDS)
     config = loaded.env.config
@@ -53,13 +53,14 @@ def measure(run: Run) -> dict[str, Any]:
 
 
 def compute_figures(gait: Gait, rollout: Rollout, quadruped: Quadruped) -> dict[str, float]:
-    """Return figures of one episode that tell a gecko from a cheetah.
+    """Return the figures of one episode that differ between a crawl like a gecko's and a gallop.
 
     speed, m/s; heading, deg, mean |yaw|; height: of the trunk, as a share of the standing height;
-    pitching, deg: from the lowest to the highest nose; sprawl, deg: mean |hip angle|; body_contact:
-    share of the time that anything but a foot is on the floor; flight: share of it that nothing
+    pitching, deg: range of the pitch; sprawl, deg: mean |hip angle|; body_contact: share of the
+    time in which anything but a foot is on the floor; flight: share of the time in which nothing
     is; strides, 1/s; stride_length, m; duty_factor; swing_height, m, of the foot that lifts least;
-    slip: share of the way, of the foot that slips most; cost_of_transport; action_rate, 1/s.
+    slip: distance slid as a share of the distance made, of the foot that slips most;
+    cost_of_transport; action_rate, 1/s.
     """
     body = find_body_contact(rollout, quadruped)
     yaw = to_roll_pitch_yaw(rollout.qpos[:, 3:7])[:, 2]
@@ -82,7 +83,7 @@ def compute_figures(gait: Gait, rollout: Rollout, quadruped: Quadruped) -> dict[
 
 
 def find_body_contact(rollout: Rollout, quadruped: Quadruped) -> np.ndarray:
-    """Return True (T,) for each step at whose end anything but a foot is on the floor."""
+    """Return True (T,) for each step at the end of which anything but a foot is on the floor."""
     model = quadruped.make_full_model()
     data = mujoco.MjData(model)
     floor = model.geom("floor").id
@@ -100,7 +101,7 @@ def find_body_contact(rollout: Rollout, quadruped: Quadruped) -> np.ndarray:
 
 
 def sample_frames(rollout: Rollout) -> list[list[float]]:
-    """Return `FRAMES` states, (19,) each, over `PICTURED` s about the middle."""
+    """Return `FRAMES` states, (19,) each, over `PICTURED` s in the middle of the episode."""
     middle, half = rollout.steps / 2, PICTURED / rollout.control_dt / 2
     rows = np.linspace(middle - half, middle + half, FRAMES).round().astype(int)
     rows = np.clip(rows, 0, rollout.steps)
@@ -108,17 +109,21 @@ def sample_frames(rollout: Rollout) -> list[list[float]]:
 
 
 def find_footfalls(rollout: Rollout) -> list[list[list[float]]]:
-    """Return when each foot, FR, FL, RR, RL, was on the ground in the last `SHOWN` s."""
+    """Return the contacts of each foot, FR, FL, RR, RL, in the last `SHOWN` s of an episode.
+
+    A contact is [touchdown, liftoff], in s from the beginning of those.
+    """
     dt = rollout.control_dt
     contact = remove_chatter(rollout.contact, dt)[-round(SHOWN / dt) :]
     return [(find_contacts(foot) * dt).round(4).tolist() for foot in contact.T]
 
 
 def _average(values: list[float]) -> float | None:
-    """Return the mean over the episodes in which it could be measured."""
+    """Return the mean of the finite values; None if there are none."""
     finite = [value for value in values if np.isfinite(value)]
     return _round(float(np.mean(finite))) if finite else None
 
 
 def _round(value: float) -> float:
+    """Round to four digits."""
     return float(f"{value:.4g}")

@@ -53,7 +53,7 @@ STEPS = {"blog": 10_000_000, "sprint": 5_000_000}  # the post's; enough for ours
 
 
 def exchange(config: TrainConfig, other: TrainConfig, *causes: str) -> TrainConfig:
-    """Return `config` with the settings of these causes as `other` has them."""
+    """Return `config` with the settings of some `CAUSES` taken from `other`."""
     for setting in itertools.chain.from_iterable(CAUSES[cause] for cause in causes):
         part, name = setting.split(".")
         value = getattr(getattr(other, part), name)
@@ -62,9 +62,9 @@ def exchange(config: TrainConfig, other: TrainConfig, *causes: str) -> TrainConf
 
 
 def make_variants() -> dict[str, TrainConfig]:
-    """Return the tasks by name: each with nothing, one thing and all exchanged.
+    """Return the variants by name: each task as it is, with one cause exchanged, and with all.
 
-    The last two are what these made us try.
+    Two more follow from the results of these.
     """
     variants = {}
     for name, name_of_other in OTHER.items():
@@ -79,7 +79,7 @@ def make_variants() -> dict[str, TrainConfig]:
 
 
 def make_job(name: str, seed: int, steps: int | None, runs: Path, place: PlaceConfig) -> Job:
-    """Return the training of a variant and a seed."""
+    """Return the job that trains a variant with a seed and measures its gait."""
     steps = steps or STEPS[name.partition(",")[0]]
     run = f"{re.sub(r'\W+', '-', name)}_{steps}_s{seed}"
     config = replace(make_variants()[name], name=run, runs=runs, seed=seed, steps=steps)
@@ -87,6 +87,7 @@ def make_job(name: str, seed: int, steps: int | None, runs: Path, place: PlaceCo
 
 
 def main() -> None:
+    """Train and measure every variant with every seed; write the results as they come."""
     names = list(make_variants())
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--seeds", type=int, default=2)

@@ -47,7 +47,7 @@ MARGIN = 1.2  # m of ground kept around their path
 
 
 def make_job(name: str, seed: int, options: argparse.Namespace) -> Job:
-    """Return the training of one variant and seed."""
+    """Return the job that trains a variant with a seed and evaluates it."""
     flags = VARIANTS[name]
     config, _ = parse_config(shlex.split(flags))
     run = flags.replace("--", "").replace(" env.", "_")
@@ -58,7 +58,10 @@ def make_job(name: str, seed: int, options: argparse.Namespace) -> Job:
 
 
 def judge(run: Run, episodes: int, seconds: float) -> dict[str, Any]:
-    """Return what results.json holds of one run."""
+    """Evaluate a run on unseen ground; return its entry in results.json.
+
+    `episodes` are those on each kind of ground at each difficulty, of `seconds` at most.
+    """
     loaded = load_run(run, seconds, engine="mujoco", randomized=True)
     ground = measure_terrain(loaded, episodes, seed=0, levels=LEVELS)
     return {
@@ -70,7 +73,10 @@ def judge(run: Run, episodes: int, seconds: float) -> dict[str, Any]:
 
 
 def film_episode(run: Run, kind: str) -> dict[str, Any]:
-    """Return states of an undisturbed episode at the greatest difficulty, and its ground."""
+    """Return an episode on ground of this kind at the greatest difficulty, undisturbed.
+
+    It is JSON data: `FRAMES` states (19,), and the ground around the path.
+    """
     loaded = load_run(run, SECONDS, engine="mujoco")
     env = make_cells_env(loaded, (kind,), levels=2)
     assert env.terrain is not None
@@ -88,7 +94,7 @@ def film_episode(run: Run, kind: str) -> dict[str, Any]:
 
 
 def _crop(field: Heightfield, path: np.ndarray) -> dict[str, Any]:
-    """Return the part of a field around `path` (n, 2), m, as plain values."""
+    """Return the heights of a field around `path` (n, 2), m, with cell and origin, as JSON data."""
     last = np.array(field.heights.shape[::-1]) - 1
     (left, low), (right, high) = (
         np.clip((edge - field.origin) / field.cell, 0, last).astype(int)
@@ -100,6 +106,7 @@ def _crop(field: Heightfield, path: np.ndarray) -> dict[str, Any]:
 
 
 def main() -> None:
+    """Train and evaluate every variant with every seed; write the results as they come."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--seeds", type=int, default=2)
     parser.add_argument("--episodes", type=int, default=256, help="in each cell")

@@ -53,7 +53,10 @@ POINTS = {
 
 
 def make_variants() -> dict[str, TrainConfig]:
-    """Return tasks by name: of the ideal world, of the real one, and without each ingredient."""
+    """Return the tasks to train, by name: `sprint`, `run`, and `run` without one thing each.
+
+    Those are latency, noise, pushes, randomization, history and the critic's own observations.
+    """
     run = load_task("run")
     ranges = "env.randomization"
     without: dict[str, dict[str, Any]] = {
@@ -78,7 +81,7 @@ def make_variants() -> dict[str, TrainConfig]:
 
 
 def make_job(name: str, seed: int, options: argparse.Namespace) -> Job:
-    """Return the training of a variant and a seed."""
+    """Return the job that trains a variant with a seed and evaluates it."""
     run = f"{re.sub(r'\W+', '-', name)}_{options.steps}_s{seed}"
     config, runs = make_variants()[name], options.runs.resolve()
     config = replace(config, name=run, runs=runs, seed=seed, steps=options.steps)
@@ -86,7 +89,7 @@ def make_job(name: str, seed: int, options: argparse.Namespace) -> Job:
 
 
 def judge(run: Run, episodes: int) -> dict[str, Any]:
-    """Measure a run at every point."""
+    """Evaluate a run under each condition of `POINTS`, and once in MuJoCo C."""
     loaded = replace_ranges(load_run(run, SECONDS, engine="fast"))
     results = measure_points(loaded, list(POINTS.values()), episodes, seed=0)
     summary = evaluate(run, episodes=16, seconds=SECONDS, engine="mujoco").summary
@@ -98,13 +101,17 @@ def judge(run: Run, episodes: int) -> dict[str, Any]:
 
 
 def replace_ranges(loaded: LoadedRun) -> LoadedRun:
-    """Return `loaded` with the ranges of `run`, from which conditions are drawn."""
+    """Return `loaded` with the randomization ranges of the task `run`, instead of its own.
+
+    So runs of all variants are evaluated under the same conditions.
+    """
     ranges = replace(load_task("run").env.randomization, enabled=False)
     config = replace(loaded.env.config, randomization=ranges)
     return replace(loaded, env=QuadrupedEnv(loaded.env.quadruped, config, loaded.env.engine))
 
 
 def main() -> None:
+    """Train and evaluate every variant with every seed; write the results as they come."""
     names = list(make_variants())
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--seeds", type=int, default=1)

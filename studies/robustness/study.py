@@ -24,6 +24,7 @@ RESULTS = Path(__file__).parent / "results.json"
 
 
 def main() -> None:
+    """Sweep the packaged `run` and a run of `sprint` over all conditions; write the results."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--episodes", type=int, default=64, help="at each point")
     parser.add_argument("--seconds", type=float, default=20.0, help="of an episode, at most")

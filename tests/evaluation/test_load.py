@@ -80,7 +80,7 @@ def test_an_evaluation_pushes_once_in_five_seconds_within_the_ranges_however_tra
     harder = dataclasses.replace(policy, config=dataclasses.replace(policy.config, env=env))
     monkeypatch.setattr(loading, "load_policy", lambda _: harder)
     config = load_run(folder, 20.0, engine="fast", randomized=True).env.config
-    assert config.push_steps == 250
+    assert config.steps_per_push == 250
     expected = dataclasses.replace(trained, push_seconds=5.0, margin=0.0, ideal=0.0)
     assert config.randomization == expected
 
