@@ -29,10 +29,11 @@ T = TypeVar("T")
 def count_devices(
     envs: int, minibatches: int, eval_envs: int, most: int | None = None, processes: int = 1
 ) -> int:
-    """Return the most devices, up to `most`, that share evenly; by default one per core.
+    """Return the number of devices to train on, in all processes together.
 
-    Each gets the same number of environments for every minibatch, and of evaluation environments;
-    each process has the same number of devices.
+    It is the greatest, up to `most` (by default one per core), that shares the work evenly: each
+    device has as many environments of every minibatch, and as many for evaluation, and each process
+    has as many devices. If none does, it is one device per process.
     """
     most = processes * count_cores() if most is None else most
     return max(
@@ -99,7 +100,7 @@ def make_mesh(devices: list[jax.Device] | None = None) -> Mesh:
 
 
 def place_like(saved: T, state: T) -> T:
-    """Return `saved`, of NumPy arrays, on the devices that hold `state`."""
+    """Return `saved`, a tree of NumPy arrays, on the devices that hold the arrays of `state`."""
 
     def place(new: np.ndarray, old: jax.Array) -> jax.Array:
         return jax.make_array_from_callback(new.shape, old.sharding, lambda index: new[index])
@@ -135,7 +136,7 @@ def release_freed_memory() -> None:
 
 
 def _call_libc(name: str, *arguments: int) -> None:
-    """Call a function of the C library, where it has one of that name."""
+    """Call a function of the C library by its name, if the library has it."""
     try:
         function = getattr(ctypes.CDLL(None), name)
     except (OSError, TypeError, AttributeError):
@@ -158,7 +159,7 @@ def _warn_of_fewer(cpu_devices: int) -> None:
 
 @functools.cache
 def _is_writable(folder: Path) -> bool:
-    """Make the cache folder; return False, and warn once, if no file can be kept in it."""
+    """Return True if files can be kept in the cache folder; make it first, warn once if not."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         tempfile.TemporaryFile(dir=folder).close()

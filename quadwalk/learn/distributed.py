@@ -80,7 +80,7 @@ def run_together(action: Callable[[], T]) -> T:
 
 
 def check_same(text: str) -> None:
-    """Raise a `UserError` in every process unless `text` is the same in all: they would hang."""
+    """Raise a `UserError` in all processes if `text` differs between them: training would hang."""
     digests = _gather_array(np.frombuffer(hashlib.sha256(text.encode()).digest(), np.uint8))
     if (digests != digests[0]).any():
         raise UserError("the processes have different settings, robots or tasks: expected the same")

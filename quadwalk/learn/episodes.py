@@ -31,22 +31,22 @@ class TrainingEnv(Protocol):
 
     @property
     def policy_size(self) -> int:
-        """Numbers of an observation that the policy sees: the first."""
+        """Length of the first part of an observation, which is all that the policy sees."""
 
     @property
     def observation_size(self) -> int:
-        """Numbers of an observation, all of which the value network sees."""
+        """Length of an observation, all of which the value network sees."""
 
     @property
     def action_size(self) -> int:
-        """Numbers of an action."""
+        """Length of an action."""
 
     @property
     def mirrors(self) -> Mirrors | None:
         """How observations and actions mirror; `NotSymmetric` or None: they do not."""
 
     def reset(self, rng: jax.Array, tile: jax.Array | None = None) -> State:
-        """Return a fresh episode, on `tile` of a terrain that has tiles."""
+        """Return the start of an episode, on the terrain's tile of index `tile`; None: on any."""
 
     def step(self, state: State, action: jax.Array) -> State:
         """Return the state one control step later; it does not start a fresh episode."""

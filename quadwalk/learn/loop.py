@@ -39,11 +39,11 @@ class NullWriter:
         """Draw nothing."""
 
     def publish(self, state: Any, steps: int) -> bool:
-        """Save nothing; return True, since nothing failed."""
+        """Do nothing in place of `RunWriter.publish`; return True, since nothing failed."""
         return True
 
     def save(self, state: Any, steps: int, seconds: float) -> bool:
-        """Save nothing; return True, since nothing failed."""
+        """Do nothing in place of `RunWriter.save`; return True, since nothing failed."""
         return True
 
 
@@ -183,7 +183,7 @@ def print_result(progress: Progress, training: Training, writer: RunWriter, save
 
 
 def describe_last_checkpoint(writer: RunWriter) -> str:
-    """Return which checkpoint training can be resumed from."""
+    """Return a clause that names the last checkpoint, or says that there is none yet."""
     if writer.saved is None:
         return f"{writer.run.path} has no checkpoint yet"
     return f"the last good checkpoint is {writer.run.locate_checkpoint(writer.saved)}"

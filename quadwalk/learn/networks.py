@@ -96,7 +96,10 @@ class Networks(NamedTuple):
 
     @property
     def mirrors(self) -> dict[str, list[list[int]]] | None:
-        """The mirrors of observations and actions as JSON data, which a checkpoint keeps."""
+        """Mirrors of observations and actions as JSON data, which a checkpoint keeps.
+
+        Each mirror is two rows, `source` and `sign`; None if the networks are not symmetric.
+        """
         observation, outputs = self.critic_obs.mirror, self.outputs.mirror
         if observation is None or outputs is None:
             return None

@@ -265,11 +265,13 @@ class PPO:
     def compute_value_gradient(
         self, params: Any, rollout: Rollout, minibatch: Callable[[Any], Any]
     ) -> tuple[Any, jax.Array, jax.Array]:
-        """Return the sum over steps of the value loss's gradient, the loss, and the advantages.
+        """Return gradient and values of the value loss on a minibatch, and the advantages.
 
-        Generalized advantage estimation (Schulman et al. 2016, arXiv:1506.02438) goes from the
-        last step back. So each step's return is known when its value is learned. The loss is
-        (unroll,), advantages are (unroll, envs).
+        `minibatch` takes its environments out of arrays (..., envs). The gradient is the sum over
+        steps, the loss is (unroll,), advantages are (unroll, envs).
+
+        Generalized advantage estimation (Schulman et al. 2016, arXiv:1506.02438) goes from the last
+        step back. So each step's return is known when its value is learned.
         """
         config, networks = self.config, self.networks
 

@@ -155,10 +155,10 @@ def resume(training: Training, previous: Run, say: Say) -> None:
 
 
 def restore(training: Training, path: Path) -> None:
-    """Set the state of `training` to that in checkpoint `path`; raises `UserError`.
+    """Set the state of `training` to that in the checkpoint `path`; raises `UserError`.
 
-    With another number of devices each gets a new random key. A learning rate that was changed is
-    set again. All else continues as it was.
+    With another number of devices each device gets a new random key. If the settings have another
+    learning rate than the checkpoint's, theirs counts. All else continues as it was.
     """
     state = training.state
     leaves, metadata = checkpoint.load(path, "checkpoint")

@@ -42,12 +42,13 @@ def normalize(statistics: NestedMeanStd, observation: jax.Array) -> jax.Array:
 def update_statistics(
     statistics: RunningStatisticsState, inputs: Parts, basis: Basis, axis: str
 ) -> RunningStatisticsState:
-    """Return `statistics` with the observations of an iteration, and their mirror images, counted.
+    """Return `statistics` with one iteration's observations and their mirror images added.
 
-    `inputs`, each (steps, m, envs), are the observations, normalized by `statistics`, in the
-    coordinates of `basis`. Devices along `axis` have as many each. The mean and variance of the
-    batch are computed first (Chan, Golub and LeVeque 1983). So rounding does not spread a number
-    that is constant.
+    `inputs` are the observations, normalized by `statistics`, as coordinates in `basis`: arrays
+    (steps, m, envs), one per part of the basis. Each device along the mesh's `axis` has as many.
+
+    The mean and variance of the batch are computed first (Chan, Golub and LeVeque 1983). So a
+    number that is constant keeps a variance of 0, in spite of rounding.
     """
     origin = jax.lax.pmean(inputs[0][0, :, 0], axis)
     rows = (inputs[0] - origin[:, None], *inputs[1:])

@@ -54,6 +54,7 @@ class Basis:
 
     @property
     def sizes(self) -> tuple[int, ...]:
+        """Number of coordinates in each part."""
         return tuple(len(matrix) for matrix in self.matrices)
 
     def split(self, x: jax.Array) -> Parts:

@@ -98,7 +98,10 @@ def warm_start_from(
 def read_networks(
     source: Run, path: Path | None, networks: Networks
 ) -> tuple[dict[str, Any], NestedMeanStd]:
-    """Return a run's plain networks, and its statistics, from a checkpoint or its policy file."""
+    """Return the plain networks of the run `source`, and its statistics.
+
+    They are from the checkpoint `path`; None: from the policy's file, without a value network.
+    """
     if path is None:
         leaves, _ = checkpoint.load(source.policy, "policy")
         plain = {"policy": {"params": collect_layers(leaves, "policy/params/")}}
@@ -118,9 +121,9 @@ def read_networks(
 
 
 def name_observations(env: QuadrupedEnv) -> dict[str, str]:
-    """Return the name of each number that networks see, by the same with the joint's place in it.
+    """Return the names of an observation's numbers, by names with the joint's place for its name.
 
-    That of a number that the value network alone sees begins with "critic".
+    A number that only the value network sees has a name that begins with "critic".
     """
     places = {joint: f"joint{place}" for place, joint in enumerate(env.quadruped.joints)}
 
@@ -171,9 +174,10 @@ def compute_turns(
 
 
 def compute_signs(env: QuadrupedEnv, joint_signs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the signs, 1 or -1, of observations (n,) and actions (12,) for those of joints (12,).
+    """Return the signs, 1 or -1, by which observations (n,) and actions (12,) change.
 
-    Terms say how they mirror, and so which of their numbers change signs with a joint.
+    `joint_signs` (12,) are -1 for joints that turn the other way in the source. Terms declare how
+    they mirror: from that follows which of their numbers change sign with a joint.
     """
     if np.all(joint_signs > 0.0):
         return np.ones(env.observation_size), joint_signs
@@ -190,9 +194,9 @@ def compute_signs(env: QuadrupedEnv, joint_signs: np.ndarray) -> tuple[np.ndarra
 
 
 def measure_reach(env: QuadrupedEnv) -> np.ndarray:
-    """Return how far actions of 1 move joints' targets (12,), rad, by small ones to both sides.
+    """Return how far a joint's target moves per unit of a small action, (12,), rad.
 
-    For a joint at a limit it is the distance to the free side; 1 where no action moves it.
+    For a joint at a limit it is the motion to the free side; 1 where no action moves it.
     """
     action, home = 0.1, jnp.asarray(env.robot.home_joints, jnp.float32)
     none, more, less = (
@@ -204,10 +208,11 @@ def measure_reach(env: QuadrupedEnv) -> np.ndarray:
 
 
 def change_inputs(params: Any, rows: np.ndarray, turn: np.ndarray, scale: np.ndarray) -> Any:
-    """Return plain weights whose inputs are observations here.
+    """Return the weights of a source's plain network for observations of this environment.
 
-    `turn` (n, n) makes the source's of them, in which each was in one of `rows` (n,), or is new at
-    -1. `scale` (n,) divides them here and there.
+    `turn` (n, n) maps an observation of this environment to the source's convention. `rows` (n,)
+    are then the rows of its numbers in the source's first layer, -1 for new ones, which get weights
+    of 0. Both networks' inputs are divided by `scale` (n,).
     """
     layers = {name: dict(layer) for name, layer in params["params"].items()}
     kernel = np.where(rows[:, None] < 0, 0.0, np.asarray(layers["hidden_0"]["kernel"])[rows])
@@ -222,10 +227,11 @@ def change_statistics(
     turn: np.ndarray,
     count: int,
 ) -> RunningStatisticsState:
-    """Return statistics of observations here, as if of `count`; arguments as in `change_inputs`.
+    """Return a source's statistics for observations of this environment, as if of `count`.
 
-    A new one, whose weights are zero, counts as constant so far. Its deviation then is that of
-    what follows, in any unit, to a factor that approaches 1.
+    `rows` and `turn` are as in `change_inputs`. A new number, whose weights are zero, counts as
+    constant so far. Its deviation then is that of what follows, in any unit, to a factor that
+    approaches 1.
     """
     std = np.where(rows < 0, 1.0, source.std[rows])
     statistics = like.replace(
@@ -238,6 +244,6 @@ def change_statistics(
 
 
 def format_names(names: list[str]) -> str:
-    """Return `names`, cut short, with their verb."""
+    """Return the beginning of a sentence: `names`, cut short, then "is" or "are"."""
     more = f" and {len(names) - LISTED} more" if len(names) > LISTED else ""
     return f"{', '.join(names[:LISTED])}{more}: {'is' if len(names) == 1 else 'are'}"

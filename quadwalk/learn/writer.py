@@ -63,6 +63,7 @@ class RunWriter:
             self.draw_curve()
 
     def _keep_nan_step(self, nan_step: Any, steps: int) -> None:
+        """Save the step that gave NaN to the run's folder `nan`; warn the first time."""
         config = self._training.config
         path = nan.keep(self.run, nan_step.before, nan_step.action, config, steps)
         if path is not None and not self._told_of_nan:
@@ -123,10 +124,11 @@ class RunWriter:
 
     @property
     def trouble(self) -> str:
-        """The first thing that the disk has refused and not taken since."""
+        """The error of the oldest write that is still refused; "" if there is none."""
         return next(iter(self._refused.values()), "")
 
     def _save_policy(self, path: Path, state: Any, steps: int) -> None:
+        """Save the policy in `state`, after `steps` of training, to `path`."""
         training = self._training
         save_policy(
             path,
@@ -138,6 +140,7 @@ class RunWriter:
         )
 
     def _read_best(self) -> None:
+        """Read steps and score of the best policy so far from its file."""
         self.best = load_score(self.run.best)
 
     def _try_to_write(self, what: str, write: Callable[[], Any]) -> bool:
