@@ -52,8 +52,11 @@ def pin(count: int) -> bool:
         time.sleep(0.1)
 
 
-def start_worker(cores: int) -> None:
-    """Prepare a process that its parent ends: with cores of its own, deaf to Ctrl-C and hangup."""
+def prepare_worker(cores: int) -> None:
+    """Prepare this process as a worker: `pin` it to so many cores, and ignore Ctrl-C and hangup.
+
+    Its parent ends it.
+    """
     for name in ("SIGINT", "SIGHUP"):
         if hasattr(signal, name):  # Windows has no SIGHUP
             signal.signal(getattr(signal, name), signal.SIG_IGN)

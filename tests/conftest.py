@@ -41,20 +41,20 @@ def env(quadruped) -> QuadrupedEnv:
 
 @pytest.fixture(scope="session")
 def reset(env):
-    """Compiled: seed -> a batch of four fresh states."""
+    """Return the compiled reset: seed -> a batch of four fresh states."""
     compiled = jax.jit(jax.vmap(env.reset))
     return lambda seed: compiled(jax.random.split(jax.random.PRNGKey(seed), 4))
 
 
 @pytest.fixture(scope="session")
 def step(env):
-    """Compiled: (states, actions) -> states."""
+    """Return the compiled step of a batch: (states, actions (n, 12)) -> states."""
     return jax.jit(jax.vmap(env.step))
 
 
 @pytest.fixture(scope="session")
 def same_result() -> Callable[..., None]:
-    """Assert that two runs, as folders, ended in the same state by the same way."""
+    """Return a function that asserts that two folders of runs have equal metrics and policies."""
 
     def arrays(path: Path) -> dict[str, bytes]:
         with np.load(path) as archive:
@@ -80,5 +80,5 @@ MISSING = pytest.mark.skip(reason="QUADWALK_REFERENCE_URDFS names no folder of U
     ids=lambda file: file and file.stem,
 )
 def reference_urdf(request) -> Path:
-    """The URDF of another quadruped, each in a folder that the environment names."""
+    """Each URDF in the folder QUADWALK_REFERENCE_URDFS in turn; without it the test is skipped."""
     return request.param

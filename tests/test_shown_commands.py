@@ -102,7 +102,7 @@ def assert_extras_and_files(word: str) -> None:
 
 
 def check_other(words: list[str]) -> None:
-    """That files, targets of make and extras are there, and a script's own flags."""
+    """Assert that a command's files, targets of make, extras and flags of a script exist."""
     match words:
         case ["make", *targets]:
             names = [target for target in targets if "=" not in target and target[0] != "-"]

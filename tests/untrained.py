@@ -39,9 +39,10 @@ def write_run(
 def write_policy(
     path: Path, env: QuadrupedEnv, seed: int, task: TrainConfig = WALK, never_varied=()
 ) -> None:
-    """Write a policy or a checkpoint: a network drawn from `seed`, after `seed` steps.
+    """Write the policy of a random network, drawn from `seed`, which counts as `seed` steps.
 
-    Observations of the indices `never_varied` were always the same.
+    In a folder "checkpoints" it is a checkpoint. Observations of the indices `never_varied` have a
+    standard deviation of nearly 0.
     """
     size, config = env.policy_size, task.ppo
     rng = np.random.default_rng(seed)

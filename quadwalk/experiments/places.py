@@ -16,7 +16,7 @@ from concurrent.futures import BrokenExecutor, Future, ProcessPoolExecutor
 from typing import Any
 
 from quadwalk.cli.shell import import_extra
-from quadwalk.cores import count_cores, start_worker
+from quadwalk.cores import count_cores, prepare_worker
 from quadwalk.errors import UsageError, UserError
 from quadwalk.experiments.job import Job, compute_job
 from quadwalk.experiments.options import PlaceConfig
@@ -52,7 +52,7 @@ class ThisMachine(contextlib.AbstractContextManager["ThisMachine"]):
         """Start or resume a job in a new process; `open_run` has made the folder of its run."""
         # An executor for each: when a process dies, its executor takes no more jobs.
         spawn = multiprocessing.get_context("spawn")
-        executor = ProcessPoolExecutor(1, spawn, start_worker, (self._cores,))
+        executor = ProcessPoolExecutor(1, spawn, prepare_worker, (self._cores,))
         pid = executor.submit(os.getpid)
         future = executor.submit(compute_job, job.make_work())
         executor.shutdown(wait=False)  # the process ends with the job

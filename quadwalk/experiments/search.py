@@ -111,16 +111,16 @@ def read_space(texts: Sequence[str], config: TrainConfig) -> dict[str, "BaseDist
             )
         if name in space:
             raise UsageError(f"--over names {name} twice; expected each setting once")
-        space[name], ends = _read_values(text, values, settings[name])
+        space[name], ends = _parse_values(text, values, settings[name])
         for value in ends:
             change_settings(config, {name: value})
     return space
 
 
-def _read_values(text: str, values: str, now: Any) -> tuple["BaseDistribution", list[Any]]:
+def _parse_values(text: str, values: str, present: Any) -> tuple["BaseDistribution", list[Any]]:
     """Parse the `values` of one `--over`; return their distribution, and its choices or its ends.
 
-    `values` is "VALUE,VALUE,...", "LOW:HIGH" or "LOW:HIGH:log". A setting whose present value `now`
+    `values` is "VALUE,VALUE,...", "LOW:HIGH" or "LOW:HIGH:log". A setting whose `present` value
     is an integer gets integers between whole ends. `text` is all of `--over`, for the `UsageError`.
     """
     distributions = import_extra("optuna", "tune", "tune").distributions
@@ -135,7 +135,7 @@ def _read_values(text: str, values: str, now: Any) -> tuple["BaseDistribution", 
         raise UsageError(f"--over {text}; expected {_FORMS}") from None
     if not low < high or (log and low <= 0.0):
         raise UsageError(f"--over {text}; expected LOW below HIGH, and above 0 with log")
-    if isinstance(now, int) and low.is_integer() and high.is_integer():
+    if isinstance(present, int) and low.is_integer() and high.is_integer():
         ends = [int(low), int(high)]
         return distributions.IntDistribution(*ends, log=log), ends
     return distributions.FloatDistribution(low, high, log=log), [low, high]

@@ -112,7 +112,7 @@ def image(env, robot, state):
 
 
 def check(env):
-    """From one canonical and three random states."""
+    """Assert that steps mirror, from one canonical and three random states."""
     of = partial(image, env, find_robot_mirror(env.quadruped, env.mj_model))
 
     def drawn(key, canonical):

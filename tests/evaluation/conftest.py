@@ -34,12 +34,12 @@ def read_messages(path: Path) -> dict[str, list]:
 
 
 def count_messages(path: Path) -> int:
-    """Return the number of messages in an MCAP file, all of whose checksums are right."""
+    """Return the number of messages in an MCAP file; raise an error for a wrong checksum."""
     return sum(map(len, read_messages(path).values()))
 
 
 def read_records(path: Path) -> tuple[dict, dict]:
-    """Return metadata and attachments by their names."""
+    """Return the metadata and attachments of an MCAP file by their names."""
     with open(path, "rb") as stream:
         reader = make_reader(stream, validate_crcs=True)
         metadata = {record.name: record.metadata for record in reader.iter_metadata()}
@@ -134,6 +134,6 @@ def trot(simulate) -> Rollout:
 
 @pytest.fixture(scope="session")
 def swaying() -> Callable[[jax.Array], jax.Array]:
-    """Return a policy that moves the legs a little by what it observes."""
+    """Return a policy, (47,) -> (12,), that moves the legs a little by what it observes."""
     weights = 0.03 * jax.random.normal(jax.random.PRNGKey(1), (47, 12))
     return jax.tree_util.Partial(lambda w, observation: jnp.tanh(observation @ w), weights)

@@ -12,7 +12,7 @@ from tests.robot.robots import Walker, make_data, make_frame
 
 
 def check_links(quadruped: Quadruped) -> None:
-    """Links put together from frame to frame stand where MuJoCo's bodies and sites do."""
+    """Assert that links, joined frame by frame, are where MuJoCo's bodies and sites are."""
     model = quadruped.make_full_model()
     rng = np.random.default_rng(0)
     states = np.tile(quadruped.home, (3, 1))

@@ -54,7 +54,7 @@ TASK = dataclasses.replace(sprint.TASK, task="toy", env=dataclasses.replace(
 
 
 def write_task(folder: Path) -> tuple[Path, Path]:
-    """Write the task's file; return it, and the file that its trainings wait for."""
+    """Write a task's file; return its path, and that of a file for which its trainings wait."""
     file, go = folder / "toy_task.py", folder / "go"
     file.write_text(f"GO = {str(go)!r}\n{TASK}")
     return file, go

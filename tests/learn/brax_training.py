@@ -82,6 +82,7 @@ class ForBrax(Wrapper):
         return state.replace(info={**state.info, "time_out": jnp.zeros(())})
 
     def step(self, state: State, action: jax.Array) -> State:
+        """Step the environment; keep Brax's entries of `info`, and call a time limit "time_out"."""
         after = self.env.step(state, action)
         time_out = after.info["truncation"]
         return after.replace(info={**state.info, **after.info, "time_out": time_out})

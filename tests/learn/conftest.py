@@ -44,7 +44,7 @@ def flags() -> Callable[..., list[str]]:
 
 @pytest.fixture(scope="session")
 def start(processes) -> Callable[..., multiprocessing.Process]:
-    """Start a training with flags in a process of its own, which prints to `output`."""
+    """Return a function that starts a training in a process: (file of its output, flags)."""
 
     def start_training(output: Path, *flags: str) -> multiprocessing.Process:
         process = processes.Process(target=toy.run_train, args=(output, *flags))

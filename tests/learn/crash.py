@@ -51,7 +51,7 @@ def make_training(steps: int) -> SimpleNamespace:
 
 
 def make_state(steps: int) -> TrainState:
-    """Return a state all of whose numbers are `steps`."""
+    """Return a state whose numbers are all `steps`, so that a mixture of two states shows."""
     value = np.full(3000, steps, np.float32)
     normalizer = RunningStatisticsState(
         mean=value, std=value, count=np.zeros(()), summed_variance=value

@@ -96,6 +96,7 @@ class Toy(Plain):
 
     @property
     def mj_model(self) -> mujoco.MjModel:
+        """Model of the quadruped; the toy does not step it."""
         return self.quadruped.make_full_model(visuals=False)
 
     @property

@@ -23,7 +23,7 @@ UNCHANGED = RobotRandomization(
 
 
 def check_step(outcome: tuple, expected: ControlStep) -> None:
-    """Compare within single precision; some geoms must have touched."""
+    """Assert that a step is MuJoCo's, within single precision, and that some geoms touched."""
     (qpos, qvel), (torque, energy) = outcome
     assert expected.touching
     np.testing.assert_allclose(qpos, expected.qpos, atol=1e-4)

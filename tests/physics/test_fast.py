@@ -90,7 +90,7 @@ def solve_arguments(constants, *robots) -> jax.Array:
 
 
 def check_errors(found, expected) -> None:
-    """Compare accelerations (robots, 18), relative to each robot's greatest in MuJoCo."""
+    """Assert that accelerations (robots, 18) are MuJoCo's, relative to each robot's greatest."""
     expected = np.array([data.qacc for data in expected])
     error = np.abs(np.asarray(found) - expected).max(axis=1) / np.abs(expected).max(axis=1)
     assert error.max() < 1e-9, error
@@ -99,7 +99,7 @@ def check_errors(found, expected) -> None:
 def check_accelerations(
     quadruped, contacts="feet", states=sample_states, combinations=True, solve=solve_arguments
 ) -> None:
-    """Compare accelerations in double precision, solved to the end.
+    """Assert that accelerations, in double precision and solved to the end, are MuJoCo's.
 
     The states have all kinds of contact, with `combinations` in all combinations, and limits.
     """
@@ -219,7 +219,7 @@ def test_vmap_maps_the_leaves_of_a_model_that_are_given_an_axis(quadruped):
 
 
 def check_course(env, torques: np.ndarray, expected: np.ndarray) -> None:
-    """Compare single precision with the states (n + 1, 37) that torques (n, 12) lead through."""
+    """Assert that torques (n, 12) lead through MuJoCo's states (n + 1, 37), in single precision."""
     start = PhysicsState(*np.split(jnp.asarray(expected[0], jnp.float32), [19]))
     dt = env.stepping.dt
 

@@ -27,7 +27,7 @@ def replace_once(text: str, old: str, new: str) -> str:
 
 
 def inertial(mass: float | str, moments: str = SOLID, xyz: str = "0 0 0", rpy: str = "0 0 0"):
-    """Return `<inertial>` of principal moments, kg m^2, or of six entries from ixx to izz."""
+    """Return `<inertial>` of kg; `moments`, kg m^2, are three principal ones, or ixx to izz."""
     entries = moments.split()
     if len(entries) == 3:
         entries = [entries[0], "0", "0", entries[1], "0", entries[2]]
@@ -40,11 +40,12 @@ def inertial(mass: float | str, moments: str = SOLID, xyz: str = "0 0 0", rpy: s
 
 
 def shape(geometry: str, xyz: str = "0 0 0", kind: str = "collision", rpy: str = "0 0 0") -> str:
-    """Return a shape of a link, as `box size="1 2 3"` says."""
+    """Return `<collision>`, or what else `kind` is, of a geometry such as `box size="1 2 3"`."""
     return f'<{kind}><origin xyz="{xyz}" rpy="{rpy}"/><geometry><{geometry}/></geometry></{kind}>'
 
 
 def link(name: str, *parts: str) -> str:
+    """Return `<link>` with the elements `parts`."""
     return f'<link name="{name}">{"".join(parts)}</link>'
 
 
@@ -58,6 +59,7 @@ def joint(
     kind: str = "revolute",
     extra: str = LIMIT,
 ) -> str:
+    """Return `<joint>` of type `kind`, with a limit or other elements `extra`; m and rad."""
     return (
         f'<joint name="{name}" type="{kind}"><origin xyz="{xyz}" rpy="{rpy}"/>'
         f'<parent link="{parent}"/><child link="{child}"/><axis xyz="{axis}"/>{extra}</joint>'
@@ -65,10 +67,12 @@ def joint(
 
 
 def limit(lower: float, upper: float, effort: float = 20.0) -> str:
+    """Return `<limit>` of rad and N m, and of 20 rad/s."""
     return f'<limit lower="{lower}" upper="{upper}" effort="{effort}" velocity="20"/>'
 
 
 def robot(*parts: str) -> str:
+    """Return the URDF of a robot with links and joints `parts`."""
     return f'<robot name="r">{"".join(parts)}</robot>'
 
 
@@ -87,28 +91,31 @@ def plain_leg(
 
 
 def ball_calf(name: str) -> str:
-    """Return the link NAME3, a calf of .2 m with a foot of 2 cm."""
+    """Return the link NAME3, a calf of 0.2 m with a foot of 2 cm."""
     return link(f"{name}3", inertial(0.5), shape('sphere radius="0.02"', "0 0 -0.2"))
 
 
 def quadruped(calf: Callable[[str], str], leg: Callable[[str, float, float], str] = plain_leg):
-    """Return a robot of a trunk and legs `a` (front left), `b`, `c`, `d`, with thighs of .3 m.
+    """Return the URDF of a trunk and four legs with thighs of 0.3 m.
 
-    `calf(name)` is the calf's link and what follows it.
+    Legs are called `a` (front left), `b` (front right), `c` (rear left) and `d` (rear right).
+    `leg(name, x, y)` returns hip, thigh and joints of a leg whose hip is there, m; `calf(name)` its
+    calf's link and what follows.
     """
     trunk = link("trunk", inertial(5), shape('box size="0.4 0.2 0.1"'))
     return robot(trunk, *(leg(name, x, y) + calf(name) for name, (x, y) in CORNERS.items()))
 
 
 def check_dynamics(
-    urdf: Urdf, spec: mujoco.MjSpec, compared: Set[str] = frozenset(), states: int = 50
+    urdf: Urdf, spec: mujoco.MjSpec, quantities: Set[str] = frozenset(), states: int = 50
 ) -> None:
-    """Check masses, frames, mass matrix, bias and inverse dynamics by Pinocchio, also of the XML.
+    """Assert that `spec`, and the MJCF written of it, have the dynamics of `urdf` in Pinocchio.
 
-    `compared` must be among what was.
+    Masses, frames, mass matrix, bias and inverse dynamics are compared in so many random states.
+    `quantities`, such as "position of FR_foot", must be among what is compared.
     """
     in_memory = Pinocchio(urdf, spec.compile()).compute_errors(states)
-    assert compared <= in_memory.keys()
+    assert quantities <= in_memory.keys()
     assert max(in_memory.values()) < 1e-10, in_memory
     from_xml = mujoco.MjModel.from_xml_string(write_xml(spec))
     through_xml = Pinocchio(urdf, from_xml).compute_errors(states)
@@ -116,7 +123,7 @@ def check_dynamics(
 
 
 def make_frame(position, quat) -> np.ndarray:
-    """Return the frame (4, 4) of m and wxyz, by MuJoCo's own function."""
+    """Return the frame (4, 4) of a position, m, and a quaternion wxyz, by MuJoCo's function."""
     rotation, frame = np.empty(9), np.eye(4)
     mujoco.mju_quat2Mat(rotation, np.asarray(quat, float))
     frame[:3, :3], frame[:3, 3] = rotation.reshape(3, 3), position
@@ -124,7 +131,7 @@ def make_frame(position, quat) -> np.ndarray:
 
 
 def make_data(model: mujoco.MjModel, qpos: np.ndarray) -> mujoco.MjData:
-    """Return the model's data in a pose, at rest, with contacts and all that follows from it."""
+    """Return the model's data at `qpos`, at rest, after `mj_forward`: with contacts and forces."""
     data = mujoco.MjData(model)
     data.qpos[:] = qpos
     mujoco.mj_forward(model, data)
@@ -162,7 +169,10 @@ def simulate_standing(
 
 
 def check_stands(quadruped: Quadruped, seconds: float, height: float) -> None:
-    """Check that it is held above a share of its home height, within 5 degrees of upright."""
+    """Assert that PD control holds the robot upright, within 5 degrees, for so many seconds.
+
+    Its trunk stays above a share `height` of its home height.
+    """
     last = simulate_standing(quadruped, seconds)[-1]
     assert last[2] > height * quadruped.home[2]
     assert last[3] > np.cos(np.radians(5) / 2)
@@ -186,7 +196,7 @@ class Walker:
     effort: float = 20.0  # Nm
 
     def to_text(self) -> str:
-        """Return its URDF."""
+        """Return the robot's URDF."""
         within = Rotation.from_euler("xyz", (0, 0, 0) if self.bolted else self.rpy)
         turn = " ".join(map(str, self.rpy))
         rpy = "0 0 0" if self.bolted else turn

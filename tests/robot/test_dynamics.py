@@ -24,6 +24,7 @@ def test_aliengo():
 
 
 def check_quadruped(file: Path) -> None:
+    """Assert that a converted quadruped has the dynamics of its URDF, feet included."""
     urdf = read_urdf(file)
     legs = find_legs(urdf.tree)
     check_dynamics(urdf, convert(urdf, legs).spec, {f"position of {leg.foot_name}" for leg in legs})

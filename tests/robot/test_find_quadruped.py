@@ -57,6 +57,7 @@ def read_dog(text: str, fix: tuple[str, ...] = (), **options) -> tuple[Quadruped
 
 
 def check_same_model(dog: Quadruped, text: str) -> None:
+    """Assert that a robot has the model of the one that `text` describes."""
     model, expected = (robot.make_full_model() for robot in (dog, read_dog(text)[0]))
     for name in ("body_pos", "body_quat", "body_mass", "jnt_range", "geom_pos", "geom_size"):
         np.testing.assert_array_equal(getattr(model, name), getattr(expected, name), name)

@@ -56,7 +56,7 @@ def test_all_orientations_are_alike(starts):
 
 
 def check_lowest(env: QuadrupedEnv, qpos: np.ndarray) -> None:
-    """By MuJoCo's kinematics of every shape: the lowest is just on the floor."""
+    """Assert that in each pose (n, 19) the lowest shape is just on the floor, by MuJoCo."""
     model = env.mj_model
     shapes = np.flatnonzero((model.geom_bodyid > 0) & (model.geom_group == 3))
     for pose in qpos:

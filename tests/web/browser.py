@@ -77,7 +77,7 @@ class Browser:
 
 @contextlib.contextmanager
 def open_browser(url: str) -> Iterator[Browser]:
-    """Start a browser that shows `url`."""
+    """Start a browser that shows `url`, while the context is open."""
     from websockets.sync.client import connect
 
     assert PROGRAM is not None
