@@ -208,9 +208,9 @@ class Checker:
                 self.refuse(element, f"has {shown}; expected at most {MAX_NUMBER:g}")
 
     def _check_signs(self, element: etree._Element) -> None:
-        """Raise `UrdfError` for a size of 0, except of a visual shape, or a number below 0.
+        """Raise `UrdfError` for a size that is not above 0; a visual shape may have size 0.
 
-        Coordinates and limits of position may be below 0.
+        Raise it for a mass, effort, speed, damping, friction or armature below 0, too.
         """
         is_visual = any(parent.tag == "visual" for parent in element.iterancestors())
         for name, value in element.attrib.items():
