@@ -180,6 +180,7 @@ def draw_page() -> None:
             started = "(globalThis.quadwalk?.simulation?.time ?? 0) > 0.1"
             wait_until(lambda: browser.evaluate(started), 60.0)
             browser.evaluate("document.getElementById('panel').open = true")
+            browser.evaluate("quadwalk.scene.adapt = () => {}")  # as with a graphics card
             browser.evaluate("Object.assign(quadwalk.scene.orbit, {turn: 0.5, distance: 2})")
             for code in ("KeyW", "ShiftLeft"):
                 browser.send_key("keyDown", code)

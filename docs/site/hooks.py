@@ -1,6 +1,6 @@
 """Hooks of the site: notebooks, the README's first steps and the changelog become pages.
 
-Links out of docs/ lead there or become code.
+The page in which robots run is one of its files. Links out of docs/ lead there or become code.
 """
 
 import base64
@@ -13,8 +13,13 @@ from typing import Any
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 
+from quadwalk.paths import PRETRAINED
+from quadwalk.runs.directory import Run
+from quadwalk.web.robots import make_files
+
 ROOT = Path(__file__).parents[2]
 NOTEBOOKS = ROOT / "notebooks"
+PLAYED = ("drive", "run", "walk", "rough")  # packaged policies on the site's page to play with
 TO_NOTEBOOK = re.compile(r"\]\(\.\./notebooks/(\w+)\.ipynb\)")
 TO_ROOT = {"](../README.md)": "](quickstart.md)", "](../CHANGELOG.md)": "](changelog.md)"}
 OUTWARD = re.compile(r"\[([^\]]+)\]\(\.\./([^)#]+)[^)]*\)")
@@ -66,6 +71,8 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
         made: dict[str, str | bytes] = {f"{path.stem}.md": "\n\n".join(parts), **pictures}
         for name, data in made.items():
             files.append(File.generated(config, f"notebooks/{name}", content=data))
+    for name, content in make_files([Run(PRETRAINED / run) for run in PLAYED], "last").items():
+        files.append(File.generated(config, f"play/{name}", content=content))
     return files
 
 

@@ -1,7 +1,5 @@
 """The robots of a page: runs of this machine, loaded and converted when the page asks for them."""
 
-import contextlib
-import json
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -10,7 +8,7 @@ from pathlib import Path
 from rich.console import Console
 
 from quadwalk.cli.shell import get_python, quote_words
-from quadwalk.errors import UsageError, UserError
+from quadwalk.errors import UsageError
 from quadwalk.evaluation.load import LoadedRun, load_run
 from quadwalk.files import make_folder, open_atomic
 from quadwalk.learn.acting import load_checkpoint_policy, load_policy
@@ -34,39 +32,47 @@ class LiveSite:
     """The files of a page that this machine serves, with `run` first."""
 
     def __init__(self, run: Run, which: str, getup: Run | None, others: list[Run]) -> None:
-        """Load the runs; `others` that cannot be loaded, or need Python, are left out."""
+        """Load a run; `others` are loaded when the page asks for them."""
         set_up_devices(1)
         self._run, self._which = run, which
         self._first = load(run, which)
         self._is_remote = site.is_python_needed(self._first)
-        riser = load(getup or GETUP, "last")
-        dogs = [make_dog(self._first, riser, self._is_remote)]
+        self._riser = load(getup or GETUP, "last")
         self.files: dict[str, Content] = {}
+        dog = make_dog(self._first, self._riser, self._is_remote)
         for label, file in list_policies(run).items():
             name = f"{run.name}.{file.stem}.onnx"
-            dogs[0].entry["policies"][label] = name
+            dog.policies[label] = name
             self.files[name] = partial(convert, self._first, file)
-        names = {run.name}  # files are called by them: of two runs of one name the first is shown
-        for other in others:
-            if other.name in names:
-                continue
-            names.add(other.name)
-            with contextlib.suppress(UserError):
-                loaded = load(other, "last")
-                if not site.is_python_needed(loaded):
-                    dogs.append(make_dog(loaded, riser))
-        self.files |= site.make_site(dogs, site.make_ground(self._first.env), live=True)
+        # Files are called by runs: of two runs of one name the first is shown.
+        rest = {other.name: other for other in reversed(others) if other.name != run.name}
+        for name, other in rest.items():
+            self.files[site.make_entry_name(name)] = partial(self._add, other)
+        ground = site.make_ground(self._first.env)
+        self.files |= site.make_site([dog], ground, live=True, others=reversed(rest))
+
+    def _add(self, run: Run) -> bytes:
+        """Load another run, add its files, and return the first that the page reads.
+
+        Raises `UserError` where it cannot be loaded or needs Python.
+        """
+        loaded = load(run, "last")
+        site.check_shareable(loaded)
+        dog = make_dog(loaded, self._riser)
+        self.files |= dog.files
+        return dog.to_json()
 
     @property
     def make_actor(self) -> Callable[[], Actor] | None:
         """Function that makes an actor for one page; None where the policy needs no Python."""
         return partial(PythonActor, self._first) if self._is_remote else None
 
-    def load_newest(self) -> tuple[bytes, str]:
-        """Load the newest policy of the run; return it as ONNX, and a line about it."""
-        newest = load(self._run, self._which)
-        self._first = newest
-        return site.to_onnx(newest), f"{self._run.name}: {newest.policy.steps:,} steps so far"
+    def load_newest(self) -> bytes:
+        """Load the newest policy of the run; return it as ONNX."""
+        self._first = load(self._run, self._which)
+        model = site.to_onnx(self._first)
+        self.files[f"{self._run.name}.onnx"] = model  # for pages that come back to it
+        return model
 
 
 def export_page(
@@ -77,8 +83,6 @@ def export_page(
     Raises `UserError` where a policy cannot act without Python.
     """
     files = make_files(runs, which, getup)
-    for dog in json.loads(files[site.DOGS])["dogs"]:
-        console.print(dog["about"])
     if out.suffix == ".html":
         content = site.to_single_file(files)
         make_folder(out.parent)

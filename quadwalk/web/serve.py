@@ -1,6 +1,5 @@
 """Serve the page from this machine: its files, newer policies, and policies that need Python."""
 
-import base64
 import contextlib
 import errno
 import json
@@ -48,7 +47,7 @@ class PageServer:
         self._is_ready = threading.Event()
         self._make_actor: Callable[[], Actor] | None = None
         self._connections: set[ServerConnection] = set()
-        self._policy: str | None = None  # the newest, as the page gets it
+        self._policy: bytes | None = None  # the newest
         for name in ("websockets", "websockets.server"):  # they would log a traceback
             logging.getLogger(name).setLevel(logging.CRITICAL)
         self.host, self.port = host, find_free_port(host, port)
@@ -77,10 +76,9 @@ class PageServer:
         self._files, self._make_actor = files, make_actor
         self._is_ready.set()
 
-    def send_policy(self, model: bytes, about: str) -> None:
-        """Send a newer policy, as ONNX, and a line `about` it to all pages, also to later ones."""
-        message = {"type": "policy", "file": base64.b64encode(model).decode(), "about": about}
-        self._policy = json.dumps(message)
+    def send_policy(self, model: bytes) -> None:
+        """Send a newer policy, as ONNX, to all pages, also to later ones."""
+        self._policy = model
         for connection in list(self._connections):
             with contextlib.suppress(ConnectionClosed):
                 connection.send(self._policy)
@@ -129,7 +127,7 @@ class PageServer:
                     continue
                 state = json.loads(text)
                 targets = actor(*(state[name] for name in ("time", "qpos", "qvel", "command")))
-                connection.send(json.dumps({"type": "targets", "targets": targets}))
+                connection.send(json.dumps(targets))
         except (ConnectionClosed, ValueError, KeyError, TypeError):
             pass  # a page that is gone, or what no page of ours would send
         finally:

@@ -4,11 +4,10 @@ import base64
 import gzip
 import json
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from graphlib import TopologicalSorter
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -16,10 +15,7 @@ from quadwalk.env.env import QuadrupedEnv
 from quadwalk.errors import UserError
 from quadwalk.evaluation.load import LoadedRun, make_unseen_ground
 from quadwalk.export.description import make_policy_model
-from quadwalk.export.policy_graph import (
-    JointTargets,
-    find_joint_targets,
-)
+from quadwalk.export.policy_graph import JointTargets, find_joint_targets
 from quadwalk.robot.mjcf import write_xml
 from quadwalk.task_files import is_from_task_file, load_task
 from quadwalk.terrain.terrain import Terrain, make_terrain, measure_leg
@@ -32,41 +28,57 @@ HEIGHT_STEP = 0.001  # m, in which heights are written
 GROUND_TASK = "rough"  # whose kinds of ground the page offers
 GROUND_LEVELS = (0.4, 1.0)  # difficulties of each
 _MODULE = re.compile(r'from "(?:\./)?([^"]+)"')
+# Where modules of npm's packages are; the import map of index.html says the same.
+_PLACES = {
+    "three": "vendor/three.module.js",
+    "@mujoco/mujoco": "vendor/mujoco.js",
+    "./three.core.js": "vendor/three.core.js",
+}
 
 
 @dataclass(frozen=True)
 class Dog:
-    """One robot of the page: its files, and its entry in the list that the page reads."""
+    """One robot of the page: its policies and its MJCF by the names of their files."""
 
+    name: str
     files: dict[str, bytes]
-    entry: dict[str, Any]
+    policies: dict[str, str]  # files of what may drive it, by label; the first drives
+    getup: str | None  # file of the policy that gets it up
+    remote: bool  # it acts in Python, where the page asks for its joint targets
+    note: str | None  # what was done to its meshes
+
+    def to_json(self) -> bytes:
+        """Return the file that the page reads first of it."""
+        parts = {
+            "name": self.name,
+            "robot": f"{self.name}.xml",
+            "policies": self.policies,
+            "getup": self.getup,
+            "remote": self.remote,
+            "note": self.note,
+        }
+        return json.dumps(parts).encode()
+
+
+def make_entry_name(dog: str) -> str:
+    """Return the name of the file that the page reads first of a robot."""
+    return f"{dog}.dog.json"
 
 
 def make_dog(loaded: LoadedRun, getup: LoadedRun | None = None, remote: bool = False) -> Dog:
     """Return the robot of a run, with the policy that gets it up.
 
-    A `remote` policy acts in Python, where the page asks for its joint targets.
+    A `remote` policy acts in Python.
     """
     name = loaded.run.name
     spec, note = decimate_visuals(loaded.env.quadruped.spec)
     files = {f"{name}.xml": write_xml(spec).encode()}
     files[f"{name}.onnx"] = to_onnx(loaded)
+    riser = None
     if getup is not None:
-        files[f"{name}.getup.onnx"] = to_onnx(getup)
-    about = f"{name}: trained in {loaded.policy.steps:,} steps on a CPU, with quadwalk"
-    if note is not None:
-        about += f"; to see it, {note}"
-    entry = {
-        "name": name,
-        "about": about,
-        "robot": f"{name}.xml",
-        "policy": f"{name}.onnx",
-        "policies": {"last": f"{name}.onnx"},
-        "getup": None if getup is None else f"{name}.getup.onnx",
-        "ground": None,
-        "remote": remote,
-    }
-    return Dog(files, entry)
+        riser = f"{name}.getup.onnx"
+        files[riser] = to_onnx(getup)
+    return Dog(name, files, {"last": f"{name}.onnx"}, riser, remote, note)
 
 
 def to_onnx(loaded: LoadedRun) -> bytes:
@@ -116,19 +128,22 @@ def pack(content: bytes) -> str:
     return base64.b64encode(gzip.compress(content, mtime=0)).decode()
 
 
-def make_site(dogs: list[Dog], terrain: Terrain | None, live: bool = False) -> dict[str, bytes]:
+def make_site(
+    dogs: list[Dog], terrain: Terrain | None, live: bool = False, others: Iterable[str] = ()
+) -> dict[str, bytes]:
     """Return the page's files by name, with robots `dogs` on `terrain`; None: a flat floor.
 
-    A `live` page connects to the program that serves it, which sends newer policies.
+    A `live` page connects to the program that serves it, which sends newer policies. It offers
+    the robots named in `others` too, whose files the program makes when they are chosen.
     """
     files = {path.name: path.read_bytes() for path in PAGE.iterdir() if path.is_file()}
     files |= load_vendor_files()
     for dog in dogs:
-        files |= dog.files
+        files |= dog.files | {make_entry_name(dog.name): dog.to_json()}
     if terrain is not None:
         files[TERRAIN] = pack_ground(terrain)
     index = {
-        "dogs": [dog.entry for dog in dogs],
+        "dogs": [*(dog.name for dog in dogs), *others],
         "terrain": None if terrain is None else TERRAIN,
         "live": live,
     }
@@ -158,14 +173,15 @@ def to_single_file(files: Mapping[str, bytes]) -> bytes:
     html = re.sub(r'\s*<script type="importmap">.*?</script>', "", html, flags=re.DOTALL)
     start = (
         f"<script>QUADWALK_FILES = {json.dumps(inside)}; QUADWALK_MODULES = {json.dumps(modules)};"
-        f"</script>\n    <script>{files['single.js'].decode()}</script>"
+        f"QUADWALK_PLACES = {json.dumps(_PLACES)};</script>\n"
+        f"    <script>{files['single.js'].decode()}</script>"
     )
     return html.replace('<script type="module" src="main.js"></script>', start).encode()
 
 
 def order_modules(files: Mapping[str, bytes]) -> list[str]:
     """Return the modules that main.js needs, and itself, each after those that it imports."""
-    graph: dict[str, set[str]] = {"vendor/three.core.js": set()}
+    graph: dict[str, set[str]] = {"vendor/three.core.js": set(), "vendor/mujoco.js": set()}
     graph["vendor/three.module.js"] = {"vendor/three.core.js"}
     waiting = ["main.js"]
     while waiting:
@@ -173,7 +189,7 @@ def order_modules(files: Mapping[str, bytes]) -> list[str]:
         if name in graph:
             continue
         targets = _MODULE.findall(files[name].decode())
-        graph[name] = {"vendor/three.module.js" if t == "three" else t for t in targets}
+        graph[name] = {_PLACES.get(target, target) for target in targets}
         waiting += graph[name]
     return list(TopologicalSorter(graph).static_order())
 

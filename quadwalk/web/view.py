@@ -12,7 +12,7 @@ import webbrowser
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 import tyro
 
@@ -22,9 +22,6 @@ from quadwalk.cli.shell import suggest_install
 from quadwalk.errors import UserError
 from quadwalk.paths import PRETRAINED
 from quadwalk.runs.directory import Run, find_any_run, find_ready, list_runs
-
-if TYPE_CHECKING:
-    pass
 
 LOCAL = ("127.0.0.1", "localhost", "::1")
 _LOOK = 1.0  # s between looks for a newer policy
@@ -87,7 +84,7 @@ def view(config: ViewConfig) -> None:
 
             site = LiveSite(run, config.policy, getup, list_others(config.runs, run))
         server.set_files(site.files, site.make_actor)
-        watch(run, config.policy, lambda: server.send_policy(*site.load_newest()))
+        watch(run, config.policy, lambda: server.send_policy(site.load_newest()))
 
 
 def list_others(root: Path, run: Run) -> list[Run]:

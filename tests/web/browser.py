@@ -20,7 +20,7 @@ _FLAGS = (
 )
 
 
-def wait_until(condition: Callable[[], bool], seconds: float = 30.0) -> bool:
+def wait_until(condition: Callable[[], bool], seconds: float = 120.0) -> bool:
     """Return True once `condition` holds, False if it does not in time."""
     end = time.monotonic() + seconds
     while not (holds := condition()) and time.monotonic() < end:
@@ -86,7 +86,7 @@ def open_browser(url: str) -> Iterator[Browser]:
         process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         try:
             file = Path(folder) / "DevToolsActivePort"
-            listens = wait_until(lambda: file.exists() and "\n" in file.read_text(), 60.0)
+            listens = wait_until(lambda: file.exists() and "\n" in file.read_text())
             assert listens, "chromium does not start"
             port = file.read_text().split()[0]
             with urllib.request.urlopen(f"http://127.0.0.1:{port}/json") as answer:

@@ -46,7 +46,7 @@ def browser(server) -> Iterator[Browser]:
 def is_running(browser: Browser) -> bool:
     """Return True once the robot lives."""
     started = "(globalThis.quadwalk?.simulation?.time ?? 0) > 0.1"
-    return wait_until(lambda: browser.evaluate(started), 60.0)
+    return wait_until(lambda: browser.evaluate(started))
 
 
 def take_picture(browser: Browser) -> np.ndarray:
@@ -59,9 +59,9 @@ def take_picture(browser: Browser) -> np.ndarray:
 
 def test_it_runs_by_itself_until_a_key_is_held(browser):
     assert "W A S D" in browser.text()
-    assert "trained in" in browser.text()
+    assert "drive: trained in 82,010,112 steps" in browser.text()
     moving = "quadwalk.pilot.command[0] > 0.5"
-    assert wait_until(lambda: browser.evaluate(moving), 60.0)
+    assert wait_until(lambda: browser.evaluate(moving))
     assert browser.evaluate("quadwalk.pilot.script !== null")
     browser.press("KeyS")
     assert browser.evaluate("quadwalk.pilot.script === null")
@@ -96,16 +96,22 @@ def test_space_stops_wherever_the_focus_is(browser):
 def test_the_picture_moves_with_the_robot_and_stays_while_it_is_paused(browser):
     assert wait_until(lambda: browser.evaluate("Math.abs(quadwalk.simulation.velocity[0]) < 0.05"))
     browser.press("KeyP")
-    still = take_picture(browser)
     assert wait_until(lambda: "paused" in browser.text())
-    assert np.abs(take_picture(browser) - still).mean() < 1.0
+    pictures = [take_picture(browser)]
+
+    def is_still() -> bool:
+        pictures.append(take_picture(browser))
+        return bool(np.abs(pictures[-1] - pictures[-2]).mean() < 0.1)
+
+    assert wait_until(is_still)  # the camera comes to rest
+    still = pictures[-1]
     assert still.std() > 5.0
     browser.press("KeyP")
     before = browser.evaluate("quadwalk.simulation.data.qpos[1]")
     browser.press("KeyK")
     moved = f"Math.abs(quadwalk.simulation.data.qpos[1] - {before}) > 0.05"
     assert wait_until(lambda: browser.evaluate(moved))
-    assert np.abs(take_picture(browser) - still).mean() > 1.0
+    assert wait_until(lambda: np.abs(take_picture(browser) - still).mean() > 1.0)
 
 
 def test_settings_change_the_robot_and_a_link_carries_them(browser):
@@ -128,11 +134,11 @@ def test_uneven_ground_ends_with_a_word(browser):
 
 
 def test_a_newer_policy_arrives(browser, server, files):
-    server.send_policy(files["run.onnx"], "run: newer")
-    assert wait_until(lambda: "run: newer" in browser.text())
+    server.send_policy(files["run.onnx"])
+    assert wait_until(lambda: "run: trained in" in browser.text())
     task = "quadwalk.simulation.driver.metadata.task"
     assert browser.evaluate(task) == "run"
-    server.send_policy(files["drive.onnx"], "drive again")
+    server.send_policy(files["drive.onnx"])
     assert wait_until(lambda: browser.evaluate(task) == "drive")
 
 
@@ -171,4 +177,4 @@ def test_a_notebook_shows_the_page_in_a_frame(vendor_files):
     with serve_page("127.0.0.1", 8350) as server:
         server.set_files({site.INDEX: content})
         with open_browser(server.url) as browser:
-            assert wait_until(lambda: browser.evaluate(inside) > 0.1, 60.0)
+            assert wait_until(lambda: browser.evaluate(inside) > 0.1)

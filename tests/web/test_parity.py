@@ -94,20 +94,30 @@ def test_it_drives_at_the_speeds_of_mujoco_c(robot_files, run_node):
     assert answers[0]["contacts"] == [True] * 4
 
 
-def test_it_starts_from_many_poses_and_gets_up_when_it_is_thrown(robot_files, run_node):
+def test_it_starts_from_many_poses(robot_files, run_node):
     rng = np.random.default_rng(5)
-    job = {name: str(robot_files / f"{name}.onnx") for name in ("getup",)}
-    job |= {"robot": str(robot_files / "drive.xml"), "policy": str(robot_files / "drive.onnx")}
+    job = {"robot": str(robot_files / "drive.xml"), "policy": str(robot_files / "drive.onnx")}
     starts = [
         {"steps": 100, "settle": 50, "command": [1.0, 0, 0], "joints": joints.tolist()}
         for joints in rng.uniform(-0.15, 0.15, (32, 12))
     ]
-    throws = [{"steps": 300, "settle": 0, "command": [0, 0, 0], "throwAt": 25}]
-    *starts, thrown = run_node({**job, "terrain": None, "episodes": [*starts, *throws]})
-    assert not any(answer["fell"] for answer in starts)
-    assert thrown["rising"] > 10
-    assert thrown["isStanding"]
-    assert thrown["events"] == []
+    answers = run_node({**job, "getup": None, "terrain": None, "episodes": starts})
+    assert not any(answer["fell"] for answer in answers)
+
+
+@pytest.mark.parametrize("speed", [0.0, 2.0])
+def test_thrown_over_it_drives_on_within_four_seconds(speed, robot_files, run_node):
+    job = {name: str(robot_files / f"{name}.onnx") for name in ("getup",)}
+    job |= {"robot": str(robot_files / "drive.xml"), "policy": str(robot_files / "drive.onnx")}
+    throws = [  # at several moments of a stride; the last half second is measured
+        {"steps": at + 200, "settle": at + 175, "command": [speed, 0, 0], "throwAt": at}
+        for at in range(50, 70, 2)
+    ]
+    for thrown in run_node({**job, "terrain": None, "episodes": throws}):
+        assert thrown["rising"] > 10
+        assert thrown["isStanding"]
+        assert thrown["velocity"][0] == pytest.approx(speed, abs=0.1)
+        assert thrown["events"] == []
 
 
 def test_it_climbs_stairs_that_it_sees(robot_files, run_node):

@@ -13,20 +13,38 @@ import numpy as np
 import pytest
 
 from quadwalk.errors import UserError
+from quadwalk.paths import PRETRAINED
 from quadwalk.robot.mjcf import write_xml
+from quadwalk.runs.directory import Run
 from quadwalk.settings.terms import Observation
 from quadwalk.task_files import load_task
 from quadwalk.web import site, vendor
 from quadwalk.web.decimate import decimate_visuals, merge_vertices
+from quadwalk.web.robots import LiveSite
 
 
 def test_a_dog_is_its_policy_and_its_robot(loaded_runs):
     dog = site.make_dog(loaded_runs["drive"], loaded_runs["getup"])
     assert set(dog.files) == {"drive.xml", "drive.onnx", "drive.getup.onnx"}
-    assert dog.entry["policy"] == "drive.onnx"
+    entry = json.loads(dog.to_json())
+    assert entry["policies"] == {"last": "drive.onnx"}
+    assert entry["getup"] == "drive.getup.onnx"
+    assert entry["note"] is None  # its meshes are light as they are
     model = mujoco.MjModel.from_xml_string(dog.files["drive.xml"].decode())
     assert model.nq == 19
-    assert "82,010,112 steps" in dog.entry["about"]
+
+
+def test_other_runs_are_loaded_when_they_are_asked_for(vendor_files, tmp_path):
+    missing = Run(tmp_path / "gone")
+    others = [Run(PRETRAINED / "run"), missing, Run(PRETRAINED / "walk")]
+    live = LiveSite(Run(PRETRAINED / "walk"), "last", None, others)
+    index = json.loads(live.files["dogs.json"])
+    assert index["dogs"] == ["walk", "run", "gone"]
+    assert "run.onnx" not in live.files
+    entry = json.loads(live.files["run.dog.json"]())
+    assert {entry["robot"], entry["getup"], *entry["policies"].values()} <= set(live.files)
+    with pytest.raises(UserError, match="gone"):
+        live.files["gone.dog.json"]()
 
 
 def test_ground_is_written_to_a_millimeter(loaded_runs):

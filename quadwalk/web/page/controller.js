@@ -25,16 +25,6 @@ const TAU = 2 * Math.PI;
  * @property {Terrain | null} terrain
  */
 
-/**
- * @param {ArrayLike<number>} values
- * @param {number} start
- * @param {number} [end]
- * @returns {number[]}
- */
-function slice(values, start, end) {
-  return Array.prototype.slice.call(values, start, end);
-}
-
 /** @param {State} state */
 function headingOf({ R }) {
   return Math.atan2(R[3], R[0]);
@@ -89,18 +79,18 @@ function scan(state, ahead, left, reach) {
  */
 export const OBSERVATIONS = {
   "observation:velocity": ({ R, v }) => toBody(R, v),
-  "observation:angular_velocity": ({ v }) => slice(v, 3, 6),
+  "observation:angular_velocity": ({ v }) => Array.from(v).slice(3, 6),
   "observation:gravity": ({ R }) => [-R[6], -R[7], -R[8]],
   "observation:heading": (state) => headingOf(state),
   "observation:offset": ({ q }, { reach }) => clip(q[1], -reach, reach),
   "observation:command": ({ command }) => command,
   "observation:trot_clock": ({ command, steps }, { stride }) => {
-    const moves = Number(slice(command, 0).some((x) => x !== 0));
+    const moves = Number(Array.from(command).some((x) => x !== 0));
     const phase = (TAU * steps) / stride;
     return [moves * Math.sin(phase), moves * Math.sin(phase + Math.PI / 2)];
   },
   "observation:joint_pos": ({ q, home }) => home.map((angle, k) => q[7 + k] - angle),
-  "observation:joint_vel": ({ v }) => slice(v, 6),
+  "observation:joint_vel": ({ v }) => Array.from(v).slice(6),
   "observation:last_action": ({ last }) => last,
   "observation:height": ({ q, terrain }) => q[2] - (terrain?.heightAt(q[0], q[1]) ?? 0),
   "observation:height_scan": (state, { length, width, spacing, reach }) =>
@@ -109,12 +99,12 @@ export const OBSERVATIONS = {
     const ahead = spread(last - first, spacing).map((x) => (first + last) / 2 + x);
     return scan(state, ahead, spread(width, spacing), reach);
   },
-  "observation:world_position": ({ q }) => slice(q, 0, 3),
+  "observation:world_position": ({ q }) => Array.from(q).slice(0, 3),
   "observation:world_orientation": ({ q }) => [q[4], q[5], q[6], q[3]],
-  "observation:world_velocity": ({ v }) => slice(v, 0, 3),
+  "observation:world_velocity": ({ v }) => Array.from(v).slice(0, 3),
   "observation:world_angular_velocity": ({ R, v }) =>
     [0, 3, 6].map((row) => R[row] * v[3] + R[row + 1] * v[4] + R[row + 2] * v[5]),
-  "observation:joint_angles": ({ q }) => slice(q, 7),
+  "observation:joint_angles": ({ q }) => Array.from(q).slice(7),
 };
 
 /**
@@ -199,7 +189,7 @@ export class Controller {
    */
   observe(q, v, command, terrain = null, noise = 0) {
     const { home, standing, steps } = this;
-    const R = toMatrix(slice(q, 3, 7));
+    const R = toMatrix(Array.from(q).slice(3, 7));
     /** @type {State} */
     const state = { R, q, v, home, last: this.action, command, steps, standing, terrain };
     this.functions.forEach((name, part) => {
@@ -227,7 +217,7 @@ export class Controller {
     this.obs = this.observe(q, v, command, terrain, noise);
     const { action, target } = this.policy.run({
       obs: this.obs,
-      joint_pos: Float32Array.from(slice(q, 7)),
+      joint_pos: Float32Array.from(Array.from(q).slice(7)),
     });
     this.action = action;
     this.steps += 1;

@@ -1,5 +1,7 @@
 /** Where the page's files are: beside it on a server, or inside it. */
 
+import startMujoco from "@mujoco/mujoco";
+
 import { unpack } from "./terrain.js";
 
 /**
@@ -18,10 +20,9 @@ export const isSingleFile = inside !== undefined;
  */
 export async function readFile(name) {
   if (inside) return unpack(inside[name]);
-  const answer = await fetch(name.split("/").map(encodeURIComponent).join("/"), {
-    cache: "no-cache",
-  });
-  if (!answer.ok) throw new Error(`${name} cannot be read: ${answer.status} ${answer.statusText}`);
+  const address = name.split("/").map(encodeURIComponent).join("/");
+  const answer = await fetch(address, { cache: "no-cache" });
+  if (!answer.ok) throw new Error(answer.status === 500 ? await answer.text() : `no ${name} here`);
   if (!name.endsWith(".gz")) return new Uint8Array(await answer.arrayBuffer());
   const body = /** @type {ReadableStream} */ (answer.body);
   const stream = body.pipeThrough(new DecompressionStream("gzip"));
@@ -36,12 +37,5 @@ export async function readText(name) {
 /** Start MuJoCo's WebAssembly module. */
 export async function loadMujoco() {
   const wasmBinary = await readFile("vendor/mujoco.wasm.gz");
-  const options = { wasmBinary, locateFile: (/** @type {string} */ file) => file };
-  if (!inside)
-    return (await import(new URL("vendor/mujoco.js", import.meta.url).href)).default(options);
-  const source = await readFile("vendor/mujoco.js");
-  const url = URL.createObjectURL(
-    new Blob([/** @type {any} */ (source)], { type: "text/javascript" }),
-  );
-  return (await import(url)).default(options);
+  return startMujoco({ wasmBinary, locateFile: (/** @type {string} */ file) => file });
 }

@@ -37,10 +37,7 @@ function isTyping(target) {
 
 /** Hears keys, gamepad and touch for a pilot. */
 export class Inputs {
-  /**
-   * @param {() => Pilot} pilot
-   * @param {(action: string) => void} act called once a press
-   */
+  /** @param {() => Pilot} pilot @param {(action: string) => void} act called once a press */
   constructor(pilot, act) {
     this.pilot = pilot;
     this.act = act;
@@ -55,10 +52,7 @@ export class Inputs {
     });
   }
 
-  /**
-   * @param {KeyboardEvent} event
-   * @param {boolean} isDown
-   */
+  /** @param {KeyboardEvent} event @param {boolean} isDown */
   onKey(event, isDown) {
     const held = HELD[event.code];
     if (!isDown) {

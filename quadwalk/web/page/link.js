@@ -75,10 +75,7 @@ export class CommandLog {
     this.parts = [];
   }
 
-  /**
-   * @param {number[]} command
-   * @param {number} dt s
-   */
+  /** @param {number[]} command @param {number} dt s */
   add(command, dt) {
     const last = this.parts.at(-1);
     if (last && last[1].every((x, k) => x === command[k])) last[0] += dt;
@@ -107,10 +104,7 @@ export class Film {
     this.states = [];
   }
 
-  /**
-   * @param {number} time s
-   * @param {Float64Array} qpos
-   */
+  /** @param {number} time s @param {Float64Array} qpos */
   add(time, qpos) {
     this.states.push({ time, qpos: Float64Array.from(qpos) });
     while (this.states[0].time < time - FILM) this.states.shift();

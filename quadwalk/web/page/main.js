@@ -13,6 +13,7 @@ import { Simulation } from "./simulation.js";
 import { Terrain } from "./terrain.js";
 
 const BUDGET = 0.025; // s of a frame that steps may take
+const PAUSE = 0.25; // s between frames, beyond which time stands still, as in a hidden page
 const PLOTTING = 0.1; // s between plots
 const TELLING = 6; // s that a message stays
 const FLAT = "flat";
@@ -21,28 +22,23 @@ const KICK = 1.5; // m/s, of a kick from the side
 /**
  * @typedef {object} Dog
  * @property {string} name
- * @property {string} policy a file's name
- * @property {Record<string, string>} policies files of its checkpoints too, by their names
+ * @property {string} robot a file's name
+ * @property {Record<string, string>} policies files of its policies, by label; the first drives
  * @property {string | null} getup
- * @property {string} robot
- * @property {string | null} ground what it starts on
  * @property {boolean} remote the policy acts where Python is
- * @property {string} about
+ * @property {string | null} note what was done to its meshes
  */
 
-/** @param {string} id */
+/** @param {string} id @returns {any} */
 function find(id) {
-  return /** @type {HTMLElement} */ (document.getElementById(id));
+  return document.getElementById(id);
 }
 
 /** The page of one robot at a time. */
 class Page {
   constructor() {
-    this.scene = new Scene(/** @type {HTMLCanvasElement} */ (find("picture")));
-    this.plots = new Plots(
-      /** @type {HTMLCanvasElement} */ (find("curves")),
-      /** @type {HTMLCanvasElement} */ (find("steps")),
-    );
+    this.scene = new Scene(find("picture"));
+    this.plots = new Plots(find("curves"), find("steps"));
     this.panel = new Panel(find("controls"), (name, value) => this.act(name, value));
     this.panel.films.style.display = Film.isPossible ? "" : "none";
     this.film = new Film(this.scene.canvas);
@@ -54,7 +50,7 @@ class Page {
     this.lastFrame = 0;
     this.plotted = 0;
     this.pilot = new Pilot({});
-    /** @type {Dog[]} */
+    /** @type {string[]} */
     this.dogs = [];
     /** @type {Terrain | null} */
     this.terrain = null;
@@ -96,9 +92,9 @@ class Page {
     this.dogs = dogs;
     this.terrain = terrain ? await Terrain.read(JSON.parse(await readText(terrain))) : null;
     const link = readLink(location.hash);
-    const first = this.dogs.find((dog) => dog.name === link.dog) ?? this.dogs[0];
+    const first = this.dogs.find((name) => name === link.dog) ?? this.dogs[0];
     if (live && !isSingleFile) this.server = this.connect();
-    await this.open(first, link.ground ?? first.ground ?? FLAT);
+    await this.open(first, link.ground ?? FLAT);
     this.act("settings", link.settings);
     if (link.script.length) this.pilot.follow(link.script);
     this.tell("");
@@ -106,24 +102,22 @@ class Page {
   }
 
   connect() {
-    return new Server({
-      onPolicy: (file, about) => {
-        if (!this.simulation) return;
-        this.simulation.setPolicy(new Policy(file));
-        find("about").textContent = about;
-      },
-      onEnd: () => this.tell("The program that served this page has ended.", true),
-    });
+    return new Server(
+      (file) => this.dog?.name === this.dogs[0] && this.setPolicy(file),
+      () => this.tell("The program that served this page has ended.", true),
+    );
   }
 
   /**
    * Show a dog on a ground.
-   * @param {Dog} dog
+   * @param {string} name of the dog
    * @param {string} ground a tile's name, or flat
    */
-  async open(dog, ground) {
+  async open(name, ground) {
+    /** @type {Dog} */
+    const dog = JSON.parse(await readText(`${name}.dog.json`));
     const [policy, getup, xml] = await Promise.all([
-      readFile(dog.policy),
+      readFile(Object.values(dog.policies)[0]),
       dog.getup ? readFile(dog.getup) : null,
       readText(dog.robot),
     ]);
@@ -148,16 +142,12 @@ class Page {
     this.dog = dog;
     this.ground = tile >= 0 ? ground : FLAT;
     this.scene.setSimulation(simulation);
-    this.panel.setOptions(
-      this.panel.dogs,
-      this.dogs.map((x) => x.name),
-      dog.name,
-    );
+    this.panel.setOptions(this.panel.dogs, this.dogs, name);
     this.panel.setOptions(this.panel.checkpoints, Object.keys(dog.policies), "last");
     this.panel.setOptions(this.panel.grounds, names, this.ground);
     this.panel.show(simulation.settings);
     this.clear();
-    find("about").textContent = dog.about;
+    this.showAbout();
     this.showHint();
   }
 
@@ -172,6 +162,13 @@ class Page {
   groundNames() {
     const tiles = this.terrain?.tiles ?? [];
     return [FLAT, ...tiles.map(({ kind, difficulty }) => `${kind}, ${difficulty.toFixed(1)}`)];
+  }
+
+  showAbout() {
+    const { run_path: run, training_steps: steps } = this.simulation?.driver.metadata ?? {};
+    const about = `${run}: trained in ${Number(steps).toLocaleString("en")} steps on a CPU`;
+    const note = this.dog?.note ? `; to see it, ${this.dog.note}` : "";
+    find("about").textContent = `${about}, with quadwalk${note}`;
   }
 
   showHint() {
@@ -196,7 +193,7 @@ class Page {
       defaults: () => this.change(simulation.defaults()),
       dog: () => this.choose(value, this.ground),
       checkpoint: () => this.load(value),
-      ground: () => this.choose(/** @type {Dog} */ (this.dog).name, value),
+      ground: () => this.choose(this.dog?.name ?? "", value),
       pace: () => (this.pace = Number(value)),
       release: () => (this.pilot.release = value),
       stop: () => this.pilot.stop(),
@@ -222,17 +219,20 @@ class Page {
 
   /**
    * Drive with another policy of the run.
-   * @param {string} checkpoint
+   * @param {string} label
    */
-  async load(checkpoint) {
-    const { dog, simulation } = this;
-    if (!dog || !simulation) return;
-    try {
-      simulation.setPolicy(new Policy(await readFile(dog.policies[checkpoint])));
-      this.tell(`${dog.name}: ${checkpoint}`);
-    } catch (error) {
-      this.tell(/** @type {Error} */ (error).message);
-    }
+  load(label) {
+    const name = this.dog?.policies[label] ?? "";
+    readFile(name).then(
+      (file) => this.setPolicy(file),
+      (error) => this.tell(error.message),
+    );
+  }
+
+  /** @param {Uint8Array} file */
+  setPolicy(file) {
+    this.simulation?.setPolicy(new Policy(file));
+    this.showAbout();
   }
 
   /** @param {Partial<import("./simulation.js").Settings>} settings */
@@ -241,33 +241,26 @@ class Page {
     if (this.simulation) this.panel.show(this.simulation.settings);
   }
 
-  /**
-   * @param {string} name of a dog
-   * @param {string} ground
-   */
+  /** @param {string} name of a dog @param {string} ground */
   choose(name, ground) {
-    const dog = this.dogs.find((candidate) => candidate.name === name);
-    if (dog) this.open(dog, ground).catch((error) => this.tell(error.message, true));
+    this.tell("loading ...", true);
+    this.open(name, ground).then(
+      () => this.tell(""),
+      (error) => {
+        this.tell(error.message, true);
+        this.panel.dogs.value = this.dog?.name ?? "";
+      },
+    );
   }
 
   copyLink() {
     const { simulation, dog } = this;
     if (!simulation || !dog) return;
-    const hash = writeLink(
-      dog.name,
-      this.ground,
-      simulation.settings,
-      simulation.defaults(),
-      this.log.parts,
-    );
-    const link = location.href.replace(/#.*/, "") + hash;
+    const { settings } = simulation;
+    const hash = writeLink(dog.name, this.ground, settings, simulation.defaults(), this.log.parts);
     history.replaceState(null, "", hash);
-    const copied =
-      navigator.clipboard?.writeText(link) ?? Promise.reject(new Error("no clipboard"));
-    copied.then(
-      () => this.tell("link copied: settings, and the commands since the start"),
-      () => this.tell("the link is in the address bar"),
-    );
+    this.tell("The link is in the address bar, and copied where the browser allows that.");
+    navigator.clipboard?.writeText(location.href).catch(() => {});
   }
 
   /**
@@ -285,7 +278,7 @@ class Page {
 
   /** @param {number} now ms */
   onFrame(now) {
-    const dt = Math.min((now - this.lastFrame) / 1000, 0.1);
+    const dt = Math.min((now - this.lastFrame) / 1000, PAUSE);
     this.lastFrame = now;
     this.inputs.readGamepad();
     const shown = this.film.next(dt);
@@ -305,9 +298,9 @@ class Page {
    * @param {Float64Array} qpos
    */
   showState(qpos) {
-    const { simulation, mujoco } = this;
-    simulation?.data.qpos.set(qpos);
-    mujoco.mj_kinematics(simulation?.model, simulation?.data);
+    const { mujoco, model, data } = /** @type {Simulation} */ (this.simulation);
+    data.qpos.set(qpos);
+    mujoco.mj_kinematics(model, data);
   }
 
   /**

@@ -69,10 +69,7 @@ function findFields(message, number) {
   return values;
 }
 
-/**
- * @param {Uint8Array} message a TensorProto
- * @returns {Tensor}
- */
+/** @param {Uint8Array} message a TensorProto @returns {Tensor} */
 function readTensor(message) {
   const shape = [];
   let name = "";
@@ -92,10 +89,7 @@ function readTensor(message) {
   return { name, shape, values: new Float32Array(raw.buffer) };
 }
 
-/**
- * @param {Uint8Array} message a NodeProto
- * @returns {Node}
- */
+/** @param {Uint8Array} message a NodeProto @returns {Node} */
 function readNode(message) {
   return {
     operator: toText(findFields(message, 4)[0]),
@@ -126,13 +120,12 @@ function elementwise(f) {
  */
 function multiply(x, matrix, bias) {
   const [rows, columns] = matrix.shape;
+  const { values } = matrix;
   const sums = new Float64Array(columns);
   if (bias) sums.set(bias.values);
-  for (let row = 0; row < rows; row++) {
+  for (let row = 0, at = 0; row < rows; row++) {
     const factor = x.values[row];
-    for (let column = 0; column < columns; column++) {
-      sums[column] += factor * matrix.values[row * columns + column];
-    }
+    for (let column = 0; column < columns; column++, at++) sums[column] += factor * values[at];
   }
   return Float32Array.from(sums);
 }

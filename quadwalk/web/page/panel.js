@@ -29,10 +29,7 @@ function add(parent, tag, properties = {}) {
 
 /** Makes the controls, and tells what is asked of them. */
 export class Panel {
-  /**
-   * @param {HTMLElement} place
-   * @param {(name: string, value: any) => void} ask
-   */
+  /** @param {HTMLElement} place @param {(name: string, value: any) => void} ask */
   constructor(place, ask) {
     /** @type {HTMLElement} */
     this.place = place;
@@ -88,9 +85,7 @@ export class Panel {
   setOptions(select, options, value) {
     select.replaceChildren(...options.map((option) => new Option(option, option)));
     select.value = value;
-    const line = /** @type {HTMLElement} */ (select.parentElement);
-    line.hidden = options.length < 2;
-    line.style.display = line.hidden ? "none" : "";
+    /** @type {HTMLElement} */ (select.parentElement).hidden = options.length < 2;
   }
 
   /**
@@ -126,10 +121,7 @@ export class Panel {
     return row;
   }
 
-  /**
-   * @param {string} name
-   * @param {string} label
-   */
+  /** @param {string} name @param {string} label */
   addToggle(name, label) {
     const line = add(this.place, "label", { textContent: label });
     const input = add(line, "input", { type: "checkbox", checked: true });

@@ -15,19 +15,13 @@ const SPEED = "#d9541e";
  */
 
 /**
- * Return a canvas's context, fit to its element; units are its pixels on the page.
+ * Return a canvas's context, cleared; it has two pixels for each of the page's.
  * @param {HTMLCanvasElement} canvas
  */
 function prepare(canvas) {
-  const ratio = devicePixelRatio;
-  const { clientWidth: width, clientHeight: height } = canvas;
-  const [columns, rows] = [Math.round(width * ratio), Math.round(height * ratio)];
-  if (canvas.width !== columns || canvas.height !== rows) {
-    canvas.width = columns;
-    canvas.height = rows;
-  }
+  const [width, height] = [canvas.width / 2, canvas.height / 2];
   const context = /** @type {CanvasRenderingContext2D} */ (canvas.getContext("2d"));
-  context.setTransform(ratio, 0, 0, ratio, 0, 0);
+  context.setTransform(2, 0, 0, 2, 0, 0);
   context.clearRect(0, 0, width, height);
   context.font = "11px system-ui, sans-serif";
   return { context, width, height };
@@ -35,10 +29,7 @@ function prepare(canvas) {
 
 /** Keeps and draws the last seconds. */
 export class Plots {
-  /**
-   * @param {HTMLCanvasElement} curves
-   * @param {HTMLCanvasElement} steps
-   */
+  /** @param {HTMLCanvasElement} curves @param {HTMLCanvasElement} steps */
   constructor(curves, steps) {
     this.curves = curves;
     this.steps = steps;

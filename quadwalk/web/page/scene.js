@@ -9,12 +9,16 @@ const [SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX, MESH] = [2, 3, 4, 5, 6, 7];
 const SKY = 0xdfe8f0;
 const FLOOR = 400; // m, the side of the flat floor that is drawn
 const PIECE = 40; // cells, the side of a piece of uneven ground
-const SIGHT = 14; // m, how far uneven ground is drawn
+const SIGHT = 60; // m, where the flat floor fades
+const ROUGH_SIGHT = 18; // m, where uneven ground does
+const SLOW = 0.05; // s between pictures, beyond which they get fewer pixels
+const COARSEST = 0.4; // share of the screen's pixels to a side below which they get no fewer
 const TRAIL = 600; // points
 const ARROWS = 12;
 const ARROW_SCALE = 0.0015; // m per N
 const SPRING = 250; // N per m, of a drag
-export const CAMERAS = ["behind", "side", "free"];
+/** @type {Record<string, number>} how far each camera is turned about the robot, rad */
+const CAMERAS = { behind: 0, side: Math.PI / 2, free: 0.7 };
 
 /** Draw a floor's square of 2 m: two fields of 1 m, each with an edge. */
 function drawSquare() {
@@ -74,9 +78,7 @@ function makeMesh(model, mesh) {
   const geometry = new THREE.BufferGeometry();
   geometry.setAttribute("position", new THREE.BufferAttribute(vertices, 3));
   geometry.setIndex(new THREE.BufferAttribute(new Uint32Array(faces), 1));
-  const flat = geometry.toNonIndexed();
-  flat.computeVertexNormals();
-  return flat;
+  return geometry;
 }
 
 /**
@@ -85,7 +87,7 @@ function makeMesh(model, mesh) {
  */
 function makeGround(terrain) {
   const { rows, columns } = terrain.file;
-  const material = new THREE.MeshLambertMaterial({ vertexColors: true });
+  const material = new THREE.MeshLambertMaterial({ vertexColors: true, flatShading: true });
   const pieces = [];
   for (let row = 0; row < rows - 1; row += PIECE) {
     for (let column = 0; column < columns - 1; column += PIECE) {
@@ -103,31 +105,25 @@ function makeGround(terrain) {
  */
 function makePiece(terrain, top, left) {
   const { rows, columns, cell, origin, low } = terrain.file;
-  const height = Math.min(PIECE, rows - 1 - top) + 1;
-  const width = Math.min(PIECE, columns - 1 - left) + 1;
-  const positions = new Float32Array(3 * height * width);
-  const colors = new Float32Array(3 * height * width);
+  const height = Math.min(PIECE, rows - 1 - top);
+  const width = Math.min(PIECE, columns - 1 - left);
+  const geometry = new THREE.PlaneGeometry(1, 1, width, height);
+  const positions = geometry.attributes.position;
+  const colors = new THREE.BufferAttribute(new Float32Array(3 * positions.count), 3);
   const color = new THREE.Color();
   const meter = Math.round(1 / cell);
-  const indices = [];
-  for (let node = 0; node < height * width; node++) {
-    const [row, column] = [top + Math.floor(node / width), left + (node % width)];
+  for (let node = 0; node < positions.count; node++) {
+    // A plane's rows go down, so that its squares are cut as MuJoCo cuts them.
+    const row = top + height - Math.floor(node / (width + 1));
+    const column = left + (node % (width + 1));
     const level = terrain.heights[row * columns + column];
-    positions.set([origin[0] + column * cell, origin[1] + row * cell, level], 3 * node);
+    positions.setXYZ(node, origin[0] + column * cell, origin[1] + row * cell, level);
     const share = (level - low) / Math.max(terrain.range, 1e-3);
     color.setHSL(0.58 - 0.5 * share, 0.25, 0.5 + 0.15 * share);
     if (row % meter === 0 || column % meter === 0) color.multiplyScalar(0.88);
-    colors.set([color.r, color.g, color.b], 3 * node);
-    const isInside = row < top + height - 1 && column < left + width - 1;
-    if (!isInside) continue;
-    indices.push(node, node + 1, node + width + 1, node, node + width + 1, node + width);
+    colors.setXYZ(node, color.r, color.g, color.b);
   }
-  const geometry = new THREE.BufferGeometry();
-  geometry.setAttribute("position", new THREE.BufferAttribute(positions, 3));
-  geometry.setAttribute("color", new THREE.BufferAttribute(colors, 3));
-  geometry.setIndex(indices);
-  geometry.computeVertexNormals();
-  geometry.computeBoundingSphere();
+  geometry.setAttribute("color", colors);
   return geometry;
 }
 
@@ -140,24 +136,27 @@ export class Scene {
     this.renderer.shadowMap.enabled = true;
     this.scene = new THREE.Scene();
     this.scene.background = new THREE.Color(SKY);
-    this.scene.fog = new THREE.Fog(SKY, 12, 60);
-    this.camera = new THREE.PerspectiveCamera(45, 1, 0.05, 200);
+    this.camera = new THREE.PerspectiveCamera(45, 1, 0.05, SIGHT);
     this.camera.up.set(0, 0, 1);
     this.addLights();
     this.robot = new THREE.Group();
     this.scene.add(this.robot);
     /** @type {{mesh: THREE.Mesh, geom: number}[]} */
     this.parts = [];
-    this.mode = CAMERAS[0];
+    this.mode = "behind";
     /** Where the camera is: its turn and height about the robot, rad, and its distance, m. */
     this.orbit = { turn: 0, lift: 0.3, distance: 2.4 };
     this.heading = 0;
     this.target = new THREE.Vector3(0, 0, 0.3);
     this.trail = this.makeTrail();
+    /** @type {THREE.Vector3[]} */
+    this.path = [];
     this.arrows = this.makeArrows();
     this.showsForces = true;
     this.showsTrail = true;
     this.raycaster = new THREE.Raycaster();
+    this.sharpness = 1; // share of the screen's pixels to a side
+    this.pause = 0; // s between pictures, on average
     this.listen();
   }
 
@@ -174,16 +173,11 @@ export class Scene {
   }
 
   makeTrail() {
-    const geometry = new THREE.BufferGeometry();
-    const positions = new THREE.BufferAttribute(new Float32Array(3 * TRAIL), 3);
-    geometry.setAttribute("position", positions);
-    geometry.setDrawRange(0, 0);
-    const material = new THREE.LineBasicMaterial({ color: 0x1c6dd0 });
-    const line = new THREE.Line(geometry, material);
+    const points = Array(TRAIL).fill(new THREE.Vector3());
+    const geometry = new THREE.BufferGeometry().setFromPoints(points);
+    const line = new THREE.Line(geometry, new THREE.LineBasicMaterial({ color: 0x1c6dd0 }));
     line.frustumCulled = false;
     this.scene.add(line);
-    /** @type {number[][]} */
-    this.path = [];
     return line;
   }
 
@@ -211,8 +205,12 @@ export class Scene {
     this.path = [];
     this.floor = null;
     const { model, terrain } = simulation;
-    this.ground = terrain ? makeGround(terrain) : [this.makeFloor()];
-    for (const piece of this.ground) {
+    const sight = terrain ? ROUGH_SIGHT : SIGHT;
+    this.scene.fog = new THREE.Fog(SKY, sight / 4, sight);
+    this.camera.far = sight + 1; // pieces of the ground beyond it are not drawn
+    this.resize();
+    this.orbit.lift = terrain ? 0.6 : 0.3; // over the steps behind it
+    for (const piece of terrain ? makeGround(terrain) : [this.makeFloor()]) {
       piece.receiveShadow = true;
       this.robot.add(piece);
     }
@@ -240,7 +238,8 @@ export class Scene {
     const colors = material >= 0 ? model.mat_rgba : model.geom_rgba;
     const at = 4 * (material >= 0 ? material : geom);
     const [red, green, blue, opacity] = colors.subarray(at, at + 4);
-    const look = new THREE.MeshStandardMaterial({ roughness: 0.6, metalness: 0.1 });
+    const flatShading = model.geom_type[geom] === MESH;
+    const look = new THREE.MeshStandardMaterial({ roughness: 0.6, metalness: 0.1, flatShading });
     look.color.setRGB(red, green, blue, THREE.SRGBColorSpace);
     if (opacity < 1) Object.assign(look, { transparent: true, opacity });
     const mesh = new THREE.Mesh(shape, look);
@@ -304,9 +303,9 @@ export class Scene {
 
   /** Choose the next camera; return its name. */
   nextCamera() {
-    this.mode = CAMERAS[(CAMERAS.indexOf(this.mode) + 1) % CAMERAS.length];
-    this.orbit.turn = this.mode === "side" ? Math.PI / 2 : 0;
-    if (this.mode === "free") this.orbit.turn = 0.7;
+    const modes = Object.keys(CAMERAS);
+    this.mode = modes[(modes.indexOf(this.mode) + 1) % modes.length];
+    this.orbit.turn = CAMERAS[this.mode];
     return this.mode;
   }
 
@@ -328,8 +327,8 @@ export class Scene {
     const part = this.parts.find(({ mesh }) => mesh === hit.object);
     const body = simulation.model.geom_bodyid[/** @type {any} */ (part).geom];
     const at = hit.point.clone();
-    const center = new THREE.Vector3(...simulation.data.xpos.subarray(3 * body, 3 * body + 3));
-    this.grip = { body, offset: at.clone().sub(center), distance: hit.distance, goal: at };
+    const origin = new THREE.Vector3().fromArray(simulation.data.xpos, 3 * body);
+    this.grip = { body, offset: at.clone().sub(origin), distance: hit.distance, goal: at };
   }
 
   /** @param {PointerEvent} event */
@@ -341,17 +340,19 @@ export class Scene {
 
   endPull() {
     this.grip = null;
-    if (this.simulation) this.simulation.pull.body = 0;
+    if (this.simulation) this.simulation.pull = { body: 0, force: [0, 0, 0], torque: [0, 0, 0] };
   }
 
   updatePull() {
     const { grip, simulation } = this;
     if (!grip || !simulation) return;
-    const at = 3 * grip.body;
-    const center = new THREE.Vector3(...simulation.data.xpos.subarray(at, at + 3));
-    const point = center.add(grip.offset);
+    const { xpos, xipos } = simulation.data;
+    const { body } = grip;
+    const point = new THREE.Vector3().fromArray(xpos, 3 * body).add(grip.offset);
+    const center = new THREE.Vector3().fromArray(xipos, 3 * body);
     const force = grip.goal.clone().sub(point).multiplyScalar(SPRING);
-    simulation.pull = { body: grip.body, point: point.toArray(), force: force.toArray() };
+    const torque = point.sub(center).cross(force);
+    simulation.pull = { body, force: force.toArray(), torque: torque.toArray() };
   }
 
   /**
@@ -361,6 +362,7 @@ export class Scene {
   draw(dt) {
     const { simulation } = this;
     if (!simulation) return;
+    this.adapt(dt);
     this.updatePull();
     const { geom_xpos: positions, geom_xmat: rotations, qpos } = simulation.data;
     for (const { mesh, geom } of this.parts) {
@@ -374,7 +376,6 @@ export class Scene {
       );
     }
     this.moveCamera(dt, qpos);
-    this.hideFarGround();
     this.drawTrail(qpos);
     this.drawForces(simulation.forces ?? []);
     this.renderer.render(this.scene, this.camera);
@@ -408,28 +409,15 @@ export class Scene {
     floor?.position.set(2 * Math.round(target.x / 2), 2 * Math.round(target.y / 2), 0);
   }
 
-  /** Hide the pieces of uneven ground that are far away. */
-  hideFarGround() {
-    if (this.simulation?.terrain === null) return;
-    for (const piece of this.ground ?? []) {
-      const sphere = /** @type {THREE.Sphere} */ (piece.geometry.boundingSphere);
-      piece.visible = sphere.center.distanceTo(this.target) < SIGHT;
-    }
-  }
-
   /** @param {Float64Array} qpos */
   drawTrail(qpos) {
-    const path = /** @type {number[][]} */ (this.path);
-    const point = [qpos[0], qpos[1], this.target.z - 0.29];
-    const last = path.at(-1);
-    const way = last ? Math.hypot(point[0] - last[0], point[1] - last[1]) : 1;
-    if (way > 1 && last) path.length = 0;
+    const { path } = this;
+    const point = new THREE.Vector3(qpos[0], qpos[1], this.target.z - 0.29);
+    const way = path.at(-1)?.distanceTo(point) ?? Infinity;
+    if (way > 1) path.length = 0;
     if (way > 0.04) path.push(point);
     if (path.length > TRAIL) path.shift();
-    const positions = this.trail.geometry.attributes.position;
-    path.forEach((node, k) => positions.setXYZ(k, node[0], node[1], node[2]));
-    positions.needsUpdate = true;
-    this.trail.geometry.setDrawRange(0, path.length);
+    this.trail.geometry.setFromPoints(path).setDrawRange(0, path.length);
     this.trail.visible = this.showsTrail;
   }
 
@@ -447,17 +435,26 @@ export class Scene {
     });
   }
 
+  /**
+   * Draw fewer pixels where pictures come slowly, as without a graphics card.
+   * @param {number} dt s on the wall since the last picture
+   */
+  adapt(dt) {
+    this.pause += 0.1 * (dt - this.pause);
+    if (this.pause < SLOW || this.sharpness < COARSEST) return;
+    this.pause = 0;
+    this.sharpness *= 0.7;
+    this.resize();
+  }
+
   /** Fit the picture to its element. */
   resize() {
     const { clientWidth: width, clientHeight: height } = this.canvas;
-    const ratio = Math.min(devicePixelRatio, 2);
     if (!width || !height) return;
-    this.renderer.setPixelRatio(ratio);
+    this.renderer.setPixelRatio(this.sharpness * Math.min(devicePixelRatio, 2));
     this.renderer.setSize(width, height, false);
     this.camera.aspect = width / height;
-    // A narrow picture shows as much from side to side as a square one.
-    this.camera.fov = width < height ? 2 * Math.atan(Math.tan(0.39) * (height / width)) * 57.3 : 45;
-    this.camera.fov = Math.min(this.camera.fov, 70);
+    this.camera.fov = width < height ? 70 : 45;
     this.camera.updateProjectionMatrix();
   }
 }

@@ -1,30 +1,23 @@
 /** The program that serves the page, where one is: it sends new policies, and acts for some. */
 
-/**
- * @typedef {object} Events
- * @property {(file: Uint8Array, about: string) => void} onPolicy
- * @property {() => void} onEnd
- */
-
 /** A connection to the program that serves the page. */
 export class Server {
-  /** @param {Events} events */
-  constructor(events) {
+  /** @param {(file: Uint8Array) => void} onPolicy @param {() => void} onEnd */
+  constructor(onPolicy, onEnd) {
     this.socket = new WebSocket(`${location.origin.replace(/^http/, "ws")}/live`);
     this.isReady = true;
     /** @type {Float64Array | null} */
     this.targets = null;
+    this.socket.binaryType = "arraybuffer";
     this.socket.addEventListener("message", ({ data }) => {
-      const message = JSON.parse(data);
-      if (message.type === "policy") {
-        const file = Uint8Array.from(atob(message.file), (character) => character.charCodeAt(0));
-        events.onPolicy(file, message.about);
-      } else if (message.type === "targets") {
-        this.targets = Float64Array.from(message.targets);
+      if (data instanceof ArrayBuffer) {
+        onPolicy(new Uint8Array(data));
+      } else {
+        this.targets = Float64Array.from(JSON.parse(data));
         this.isReady = true;
       }
     });
-    this.socket.addEventListener("close", () => events.onEnd());
+    this.socket.addEventListener("close", onEnd);
   }
 
   /**
@@ -39,7 +32,7 @@ export class Server {
     if (targets || !this.isReady || this.socket.readyState !== WebSocket.OPEN) return targets;
     this.isReady = false;
     const state = { time, qpos: Array.from(data.qpos), qvel: Array.from(data.qvel), command };
-    this.socket.send(JSON.stringify({ type: "state", ...state }));
+    this.socket.send(JSON.stringify(state));
     return null;
   }
 }

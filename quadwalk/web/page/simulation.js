@@ -39,10 +39,7 @@ const MAX_LATENCY = 0.06; // s, that joint targets can be late
 
 /** A robot that lives in MuJoCo. */
 export class Simulation {
-  /**
-   * @param {any} mujoco the WebAssembly module
-   * @param {Robot} robot
-   */
+  /** @param {any} mujoco the WebAssembly module @param {Robot} robot */
   constructor(mujoco, robot) {
     this.mujoco = mujoco;
     this.terrain = robot.terrain;
@@ -61,12 +58,12 @@ export class Simulation {
     this.data = new mujoco.MjData(this.model);
     this.masses = Float64Array.from(this.model.body_mass);
     this.trunk = this.model.jnt_bodyid[0];
-    this.feet = this.findFeet();
+    this.legs = this.findLegs();
     /** @type {Settings} */
     this.settings = this.defaults();
     this.tile = 0;
-    /** What a drag pulls at: a body, and the force on it in world axes, N. */
-    this.pull = { body: 0, point: [0, 0, 0], force: [0, 0, 0] };
+    /** What a drag pulls at: a body, and the force, N, and torque, Nm, on it in world axes. */
+    this.pull = { body: 0, force: [0, 0, 0], torque: [0, 0, 0] };
     /** @type {(event: string) => void} */
     this.onEvent = () => {};
     /** @type {ArrayLike<number>[]} the joint targets of the last control steps, newest first */
@@ -86,19 +83,13 @@ export class Simulation {
     return { friction, payload: 0, strength: 1, latency: 0, noise: 0, pushes: 0 };
   }
 
-  /** Return the geoms that touch the floor as feet, in the order of the joints' legs. */
-  findFeet() {
-    const { model } = this;
-    const calves = [3, 6, 9, 12].map((joint) => model.jnt_bodyid[joint]);
-    const floor = 0;
-    return calves.map((calf) => {
-      const geoms = Array.from({ length: model.ngeom }, (_, geom) => geom).filter((geom) => {
-        const body = model.geom_bodyid[geom];
-        const isLeg = body === calf || model.body_parentid[body] === calf;
-        return geom !== floor && isLeg && model.geom_contype[geom];
-      });
-      return new Set(geoms);
-    });
+  /** Return the leg, 0 to 3, that each geom touches the floor for as its foot; -1 for none. */
+  findLegs() {
+    const { geom_bodyid: bodies, body_parentid: parents, jnt_bodyid: moved } = this.model;
+    const calves = [3, 6, 9, 12].map((joint) => moved[joint]);
+    return Array.from(bodies, (/** @type {number} */ body) =>
+      calves.findIndex((calf) => calf === body || calf === parents[body]),
+    );
   }
 
   /**
@@ -232,14 +223,15 @@ export class Simulation {
    * @param {ArrayLike<number>} [remote] (12,) rad, targets that another machine computed
    */
   step(command, remote) {
-    const { data, model, mujoco, settings, controller, substeps } = this;
+    const { data, model, mujoco, settings, controller, substeps, pull } = this;
     const { qpos, qvel } = this.copyState();
     const target =
       remote ?? controller.computeTargets(qpos, qvel, command, this.terrain, settings.noise);
     this.recent.unshift(target);
     this.recent.pop();
     const delay = Math.round(settings.latency / model.opt.timestep);
-    this.applyPull();
+    data.xfrc_applied.fill(0);
+    data.xfrc_applied.set([...pull.force, ...pull.torque], 6 * pull.body);
     if (settings.pushes && Math.random() < this.period / PUSHING) {
       const side = 2 * Math.PI * Math.random();
       this.push(settings.pushes * Math.cos(side), settings.pushes * Math.sin(side));
@@ -256,22 +248,6 @@ export class Simulation {
     this.supervise();
   }
 
-  /** Pull at a body as a drag does. */
-  applyPull() {
-    const { data, pull } = this;
-    data.xfrc_applied.fill(0);
-    if (!pull.body) return;
-    const at = 3 * pull.body;
-    const arm = pull.point.map((x, k) => x - data.xipos[at + k]);
-    const [a, b] = [arm, pull.force];
-    const torque = [
-      a[1] * b[2] - a[2] * b[1],
-      a[2] * b[0] - a[0] * b[2],
-      a[0] * b[1] - a[1] * b[0],
-    ];
-    data.xfrc_applied.set([...pull.force, ...torque], 6 * pull.body);
-  }
-
   /** Note the feet that touch, and the ground's force on each, N. */
   readContacts() {
     const { data } = this;
@@ -280,9 +256,8 @@ export class Simulation {
     this.contacts = [false, false, false, false];
     for (let k = 0; k < data.ncon; k++) {
       const contact = contacts.get(k);
-      const pair = [contact.geom1, contact.geom2];
-      const leg = this.feet.findIndex((geoms) => pair.some((geom) => geoms.has(geom)));
-      if (leg >= 0 && pair.includes(0) && contact.efc_address >= 0) {
+      const leg = contact.geom1 === 0 ? this.legs[contact.geom2] : -1; // 0 is the floor
+      if (leg >= 0 && contact.efc_address >= 0) {
         this.contacts[leg] = true;
         this.forces.push(this.readForce(contact));
       }
@@ -317,11 +292,8 @@ export class Simulation {
     }
     this.lying = this.isFallen || this.isRising ? this.lying + period : 0;
     this.steady = this.isStanding ? this.steady + period : 0;
-    if (this.lying > (this.riser ? RISING : LYING)) {
-      return this.putBack(
-        this.riser ? "It did not get up: put on its feet" : "Fallen: put on its feet",
-      );
-    }
+    const patience = this.riser ? RISING : LYING;
+    if (this.lying > patience) return this.putBack("It did not get up: put on its feet");
     if (this.riser && this.isFallen && !this.isRising) this.takeOver(this.riser);
     else if (this.isRising && this.steady > STEADY) this.takeOver(this.driver);
   }

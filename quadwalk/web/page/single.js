@@ -2,7 +2,7 @@
 
 (async () => {
   /** @type {any} */
-  const { QUADWALK_FILES: files, QUADWALK_MODULES: modules } = globalThis;
+  const { QUADWALK_FILES: files, QUADWALK_MODULES: modules, QUADWALK_PLACES: places } = globalThis;
   const unpack = async (/** @type {string} */ text) => {
     const packed = Uint8Array.from(atob(text), (character) => character.charCodeAt(0));
     const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("gzip"));
@@ -13,11 +13,11 @@
   for (const name of modules) {
     const source = await unpack(files[name]);
     const linked = source.replace(/(from\s*)["']([^"']+)["']/g, (all, from, target) => {
-      const file = target === "three" ? "three.module.js" : target.replace("./", "");
-      return file in urls ? `${from}"${urls[file]}"` : all;
+      const url = urls[places[target] ?? target.replace("./", "")];
+      return url ? `${from}"${url}"` : all;
     });
     const blob = new Blob([linked], { type: "text/javascript" });
-    urls[name.replace("vendor/", "")] = URL.createObjectURL(blob);
+    urls[name] = URL.createObjectURL(blob);
   }
   await import(urls["main.js"]);
 })();
