@@ -113,9 +113,10 @@ def _derive_suite(config: EnvConfig) -> Suite:
 
 
 def read_config_to_resume(run: Run) -> TrainConfig:
-    """Return the settings that a resumed run has by default: its own, without limits of time.
+    """Return the settings that a run is resumed with unless flags change them.
 
-    It shows its progress, and in one process.
+    They are the run's, but for its time limit and for how it was shown and shared between
+    processes.
     """
     return dataclasses.replace(
         read_config(run),
