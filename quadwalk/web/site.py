@@ -24,6 +24,7 @@ from quadwalk.web.vendor import load_vendor_files
 
 PAGE = Path(__file__).parent / "page"
 INDEX, DOGS, TERRAIN = "index.html", "dogs.json", "terrain.json"
+LIVE_MODULES = ("single.js", "desk.js", "dials.js")  # that no other module needs at its start
 HEIGHT_STEP = 0.001  # m, in which heights are written
 GROUND_TASK = "rough"  # whose kinds of ground the page offers
 GROUND_LEVELS = (0.4, 1.0)  # difficulties of each
@@ -156,7 +157,7 @@ def to_single_file(files: Mapping[str, bytes]) -> bytes:
     inside = {
         name: pack(content)
         for name, content in files.items()
-        if not name.endswith((".html", ".css", ".txt", "single.js"))
+        if not name.endswith((".html", ".css", ".txt", *LIVE_MODULES))
     }
     # A file that is packed already is packed once, and its name without the end stands for it.
     inside["vendor/mujoco.wasm.gz"] = base64.b64encode(files["vendor/mujoco.wasm.gz"]).decode()

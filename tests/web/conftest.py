@@ -16,7 +16,7 @@ from quadwalk.runs.directory import Run
 from quadwalk.web import site, vendor
 
 NAMES = ("drive", "getup", "rough", "run", "walk")
-SCRIPT = Path(__file__).with_name("run_policy.mjs")
+SCRIPTS = Path(__file__).parent
 
 
 @pytest.fixture(scope="session")
@@ -45,8 +45,8 @@ def robot_files(loaded_runs, tmp_path_factory) -> Path:
 
 
 @pytest.fixture(scope="session")
-def run_node(vendor_files, tmp_path_factory) -> Callable[[dict[str, Any]], Any]:
-    """Run a job of run_policy.mjs in Node, and return its answer."""
+def run_node(vendor_files, tmp_path_factory) -> Callable[..., Any]:
+    """Run a job of run_policy.mjs, or of another script beside it, in Node; return its answer."""
     node = shutil.which("node")
     if node is None:
         pytest.skip("no Node.js, in which the page's modules run")
@@ -54,10 +54,10 @@ def run_node(vendor_files, tmp_path_factory) -> Callable[[dict[str, Any]], Any]:
     site.write_folder(vendor_files, folder)
     (folder / "package.json").write_text('{"type": "module"}')
 
-    def run(job: dict[str, Any]) -> Any:
+    def run(job: dict[str, Any], script: str = "run_policy.mjs") -> Any:
         file = folder / "job.json"
         file.write_text(json.dumps(job))
-        command = [node, str(SCRIPT), str(site.PAGE), str(folder / "vendor"), str(file)]
+        command = [node, str(SCRIPTS / script), str(site.PAGE), str(folder / "vendor"), str(file)]
         done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
         assert done.returncode == 0, done.stderr
         return json.loads(done.stdout)

@@ -4,7 +4,7 @@ import { isSingleFile, loadMujoco, readFile, readText } from "./files.js";
 import { Inputs } from "./input.js";
 import { CommandLog, Film, readLink, writeLink } from "./link.js";
 import { Policy } from "./onnx.js";
-import { Panel } from "./panel.js";
+import { Panel, find } from "./panel.js";
 import { Pilot } from "./pilot.js";
 import { Plots } from "./plots.js";
 import { Server } from "./server.js";
@@ -29,13 +29,8 @@ const KICK = 1.5; // m/s, of a kick from the side
  * @property {string | null} note what was done to its meshes
  */
 
-/** @param {string} id @returns {any} */
-function find(id) {
-  return document.getElementById(id);
-}
-
 /** The page of one robot at a time. */
-class Page {
+export class Page {
   constructor() {
     this.scene = new Scene(find("picture"));
     this.plots = new Plots(find("curves"), find("steps"));
@@ -50,6 +45,12 @@ class Page {
     this.lastFrame = 0;
     this.plotted = 0;
     this.pilot = new Pilot({});
+    /** @type {Promise<import("./desk.js").Desk> | null} */
+    this.desk = null;
+    /** @type {Uint8Array | null} the newest policy of the first dog, which the server has sent */
+    this.newest = null;
+    /** @type {Simulation | null} drives beside the robot, while two policies are compared */
+    this.rival = null;
     /** @type {string[]} */
     this.dogs = [];
     /** @type {Terrain | null} */
@@ -60,8 +61,7 @@ class Page {
       (action) => this.act(action, true),
     );
     this.addTouch();
-    addEventListener("resize", () => this.scene.resize());
-    this.scene.resize();
+    new ResizeObserver(() => this.scene.resize()).observe(this.scene.canvas);
   }
 
   addTouch() {
@@ -102,10 +102,55 @@ class Page {
   }
 
   connect() {
-    return new Server(
-      (file) => this.dog?.name === this.dogs[0] && this.setPolicy(file),
-      () => this.tell("The program that served this page has ended.", true),
+    return new Server({
+      onPolicy: (file) => {
+        this.newest = file;
+        if (this.dog?.name === this.dogs[0] && !this.rival) this.setPolicy(file);
+      },
+      onTraining: (message) => this.hear(message),
+      onEnd: () => this.tell("The program that served this page has ended.", true),
+    });
+  }
+
+  /**
+   * Hand a message of the training to its desk, which the first one opens.
+   * @param {any} message
+   */
+  async hear(message) {
+    this.desk ??= Promise.all([import("./desk.js"), readText("desk.html")]).then(
+      ([{ Desk }, html]) => new Desk(this, html),
     );
+    (await this.desk).hear(message);
+  }
+
+  /**
+   * Drive with a policy, and beside it with another one, both from the start.
+   * @param {Policy} policy
+   * @param {Policy} other
+   */
+  compare(policy, other) {
+    const simulation = /** @type {Simulation} */ (this.simulation);
+    this.endComparison();
+    simulation.setPolicy(policy);
+    this.rival = new Simulation(this.mujoco, { ...simulation.robot, policy: other });
+    this.rival.tile = simulation.tile;
+    this.change(simulation.settings);
+    this.scene.setRival(this.rival);
+    this.act("reset", true);
+  }
+
+  /** Take the second robot away, and drive with the newest policy again. */
+  endComparison() {
+    if (!this.rival) return;
+    this.scene.setRival(null);
+    this.rival.delete();
+    this.rival = null;
+    if (this.newest) this.setPolicy(this.newest);
+  }
+
+  /** The robots that are shown: one, or two that are compared. */
+  get robots() {
+    return [this.simulation, this.rival].filter((robot) => robot instanceof Simulation);
   }
 
   /**
@@ -121,12 +166,13 @@ class Page {
       dog.getup ? readFile(dog.getup) : null,
       readText(dog.robot),
     ]);
+    this.endComparison();
     this.simulation?.delete();
     const names = this.groundNames();
     const tile = names.indexOf(ground) - 1;
     const simulation = new Simulation(this.mujoco, {
       xml,
-      policy: new Policy(policy),
+      policy: new Policy((name === this.dogs[0] && this.newest) || policy),
       getup: getup && new Policy(getup),
       terrain: tile >= 0 ? this.terrain : null,
       remote: dog.remote,
@@ -186,7 +232,8 @@ class Page {
   act(name, value) {
     const { simulation } = this;
     if (!simulation) return;
-    if (name in simulation.settings) simulation.change({ [name]: value });
+    const { robots } = this;
+    if (name in simulation.settings) this.change({ [name]: value });
     /** @type {Record<string, () => void>} */
     const actions = {
       settings: () => this.change(value),
@@ -197,10 +244,10 @@ class Page {
       pace: () => (this.pace = Number(value)),
       release: () => (this.pilot.release = value),
       stop: () => this.pilot.stop(),
-      kick: () => simulation.push(0, KICK),
+      kick: () => robots.forEach((robot) => robot.push(0, KICK)),
       throw: () => (this.isThrowDue = true),
       reset: () => {
-        simulation.reset();
+        robots.forEach((robot) => robot.reset());
         this.clear();
       },
       pause: () => {
@@ -237,7 +284,7 @@ class Page {
 
   /** @param {Partial<import("./simulation.js").Settings>} settings */
   change(settings) {
-    this.simulation?.change(settings);
+    this.robots.forEach((robot) => robot.change(settings));
     if (this.simulation) this.panel.show(this.simulation.settings);
   }
 
@@ -342,10 +389,12 @@ class Page {
     const { period } = simulation;
     const command = this.pilot.update(period);
     if (this.isThrowDue && simulation.isStanding && !simulation.isRising) {
-      simulation.throw();
+      this.robots.forEach((robot) => robot.throw());
       this.isThrowDue = false;
     }
     simulation.step(command, targets);
+    this.rival?.step(command);
+    if (this.rival && this.rival.time !== simulation.time) this.act("reset", true);
     this.log.add(command, period);
     this.film.add(simulation.time, simulation.data.qpos);
     const [speed] = simulation.velocity;

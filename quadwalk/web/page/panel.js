@@ -14,6 +14,15 @@ const SLIDERS = [
 const PACES = ["0.1", "0.25", "0.5", "1", "2", "4"];
 
 /**
+ * Return an element of the page; what it can is for the caller to say.
+ * @param {string} id
+ * @returns {any}
+ */
+export function find(id) {
+  return document.getElementById(id);
+}
+
+/**
  * Make an element with a parent.
  * @template {keyof HTMLElementTagNameMap} T
  * @param {HTMLElement} parent
@@ -21,7 +30,7 @@ const PACES = ["0.1", "0.25", "0.5", "1", "2", "4"];
  * @param {Record<string, any>} [properties]
  * @returns {HTMLElementTagNameMap[T]}
  */
-function add(parent, tag, properties = {}) {
+export function add(parent, tag, properties = {}) {
   const element = Object.assign(document.createElement(tag), properties);
   parent.append(element);
   return element;

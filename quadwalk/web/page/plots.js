@@ -2,9 +2,9 @@
 
 const SECONDS = 6; // that are shown
 const LEGS = ["FR", "FL", "RR", "RL"];
-const INK = "#14202b";
-const COMMAND = "#8695a4";
-const SPEED = "#d9541e";
+export const INK = "#14202b";
+export const COMMAND = "#8695a4";
+export const SPEED = "#d9541e";
 
 /**
  * @typedef {object} Sample
@@ -18,13 +18,27 @@ const SPEED = "#d9541e";
  * Return a canvas's context, cleared; it has two pixels for each of the page's.
  * @param {HTMLCanvasElement} canvas
  */
-function prepare(canvas) {
+export function prepare(canvas) {
   const [width, height] = [canvas.width / 2, canvas.height / 2];
   const context = /** @type {CanvasRenderingContext2D} */ (canvas.getContext("2d"));
   context.setTransform(2, 0, 0, 2, 0, 0);
   context.clearRect(0, 0, width, height);
   context.font = "11px system-ui, sans-serif";
   return { context, width, height };
+}
+
+/**
+ * Draw a line through points, which are pixels.
+ * @param {CanvasRenderingContext2D} context
+ * @param {number[][]} points
+ * @param {string} color
+ */
+export function drawLine(context, points, color) {
+  context.beginPath();
+  context.strokeStyle = color;
+  context.lineWidth = 1.8;
+  for (const [x, y] of points) context.lineTo(x, y);
+  context.stroke();
 }
 
 /** Keeps and draws the last seconds. */
@@ -65,18 +79,10 @@ export class Plots {
     const toX = (/** @type {number} */ time) => width * (1 - (end - time) / SECONDS);
     const toY = (/** @type {number} */ value) =>
       height - 6 - ((height - 22) * (value - low)) / (high - low);
-    for (const [name, color] of [
-      ["command", COMMAND],
-      ["speed", SPEED],
-    ]) {
-      context.beginPath();
-      context.strokeStyle = color;
-      context.lineWidth = 1.8;
-      for (const sample of samples) {
-        context.lineTo(toX(sample.time), toY(/** @type {any} */ (sample)[name]));
-      }
-      context.stroke();
-    }
+    const commands = samples.map(({ time, command }) => [toX(time), toY(command)]);
+    const speeds = samples.map(({ time, speed }) => [toX(time), toY(speed)]);
+    drawLine(context, commands, COMMAND);
+    drawLine(context, speeds, SPEED);
     context.fillStyle = COMMAND;
     context.fillText("command", 6, 12);
     context.fillStyle = SPEED;

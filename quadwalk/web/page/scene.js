@@ -7,6 +7,7 @@ import * as THREE from "three";
 // MuJoCo's mjtGeom
 const [SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX, MESH] = [2, 3, 4, 5, 6, 7];
 const SKY = 0xdfe8f0;
+const GRAY = 0xf4f7fa; // of a rival
 const FLOOR = 400; // m, the side of the flat floor that is drawn
 const PIECE = 40; // cells, the side of a piece of uneven ground
 const SIGHT = 60; // m, where the flat floor fades
@@ -17,6 +18,7 @@ const TRAIL = 600; // points
 const ARROWS = 12;
 const ARROW_SCALE = 0.0015; // m per N
 const SPRING = 250; // N per m, of a drag
+const ASIDE = 0.8; // m, from a robot to its rival
 /** @type {Record<string, number>} how far each camera is turned about the robot, rad */
 const CAMERAS = { behind: 0, side: Math.PI / 2, free: 0.7 };
 
@@ -141,8 +143,10 @@ export class Scene {
     this.addLights();
     this.robot = new THREE.Group();
     this.scene.add(this.robot);
-    /** @type {{mesh: THREE.Mesh, geom: number}[]} */
+    /** @type {{mesh: THREE.Mesh, geom: number, robot: Simulation}[]} */
     this.parts = [];
+    /** @type {Simulation | null} what is shown beside the robot, in gray */
+    this.rival = null;
     this.mode = "behind";
     /** Where the camera is: its turn and height about the robot, rad, and its distance, m. */
     this.orbit = { turn: 0, lift: 0.3, distance: 2.4 };
@@ -204,7 +208,7 @@ export class Scene {
     this.parts = [];
     this.path = [];
     this.floor = null;
-    const { model, terrain } = simulation;
+    const { terrain } = simulation;
     const sight = terrain ? ROUGH_SIGHT : SIGHT;
     this.scene.fog = new THREE.Fog(SKY, sight / 4, sight);
     this.camera.far = sight + 1; // pieces of the ground beyond it are not drawn
@@ -214,10 +218,27 @@ export class Scene {
       piece.receiveShadow = true;
       this.robot.add(piece);
     }
+    this.addParts(simulation);
+  }
+
+  /**
+   * Show a second robot beside the first; null takes it away.
+   * @param {Simulation | null} rival
+   */
+  setRival(rival) {
+    for (const { mesh, robot } of this.parts) if (robot === this.rival) this.robot.remove(mesh);
+    this.parts = this.parts.filter(({ robot }) => robot !== this.rival);
+    this.rival = rival;
+    if (rival) this.addParts(rival);
+  }
+
+  /** @param {Simulation} robot */
+  addParts(robot) {
+    const { model } = robot;
     const hasVisuals = Array.from(model.geom_group).some((group) => group === 2);
     for (let geom = 0; geom < model.ngeom; geom++) {
       const isShown = model.geom_group[geom] === 2 || !hasVisuals;
-      if (isShown && geom !== 0) this.addPart(geom);
+      if (isShown && geom !== 0) this.addPart(robot, geom);
     }
   }
 
@@ -229,9 +250,9 @@ export class Scene {
     return this.floor;
   }
 
-  /** @param {number} geom */
-  addPart(geom) {
-    const { model } = /** @type {Simulation} */ (this.simulation);
+  /** @param {Simulation} robot @param {number} geom */
+  addPart(robot, geom) {
+    const { model } = robot;
     const shape = makeShape(model, geom);
     if (!shape) return;
     const material = model.geom_matid[geom];
@@ -241,12 +262,13 @@ export class Scene {
     const flatShading = model.geom_type[geom] === MESH;
     const look = new THREE.MeshStandardMaterial({ roughness: 0.6, metalness: 0.1, flatShading });
     look.color.setRGB(red, green, blue, THREE.SRGBColorSpace);
+    if (robot === this.rival) look.color.lerp(new THREE.Color(GRAY), 0.85);
     if (opacity < 1) Object.assign(look, { transparent: true, opacity });
     const mesh = new THREE.Mesh(shape, look);
     mesh.castShadow = mesh.receiveShadow = true;
     mesh.matrixAutoUpdate = false;
     this.robot.add(mesh);
-    this.parts.push({ mesh, geom });
+    this.parts.push({ mesh, geom, robot });
   }
 
   /** Hear drags, wheel and pinches on the picture. */
@@ -322,9 +344,10 @@ export class Scene {
     const { simulation } = this;
     if (!simulation) return;
     this.aim(event);
-    const [hit] = this.raycaster.intersectObjects(this.parts.map((part) => part.mesh));
+    const parts = this.parts.filter(({ robot }) => robot === simulation);
+    const [hit] = this.raycaster.intersectObjects(parts.map((part) => part.mesh));
     if (!hit) return;
-    const part = this.parts.find(({ mesh }) => mesh === hit.object);
+    const part = parts.find(({ mesh }) => mesh === hit.object);
     const body = simulation.model.geom_bodyid[/** @type {any} */ (part).geom];
     const at = hit.point.clone();
     const origin = new THREE.Vector3().fromArray(simulation.data.xpos, 3 * body);
@@ -364,13 +387,15 @@ export class Scene {
     if (!simulation) return;
     this.adapt(dt);
     this.updatePull();
-    const { geom_xpos: positions, geom_xmat: rotations, qpos } = simulation.data;
-    for (const { mesh, geom } of this.parts) {
+    const { qpos } = simulation.data;
+    for (const { mesh, geom, robot } of this.parts) {
+      const { geom_xpos: positions, geom_xmat: rotations } = robot.data;
+      const aside = robot === this.rival ? this.aside : 0;
       const [p, r] = [3 * geom, 9 * geom];
       // prettier-ignore
       mesh.matrix.set(
         rotations[r], rotations[r + 1], rotations[r + 2], positions[p],
-        rotations[r + 3], rotations[r + 4], rotations[r + 5], positions[p + 1],
+        rotations[r + 3], rotations[r + 4], rotations[r + 5], positions[p + 1] + aside,
         rotations[r + 6], rotations[r + 7], rotations[r + 8], positions[p + 2],
         0, 0, 0, 1,
       );
@@ -381,23 +406,36 @@ export class Scene {
     this.renderer.render(this.scene, this.camera);
   }
 
+  /** m along y from where a rival is to where it is drawn; on uneven ground it is in its place */
+  get aside() {
+    return this.simulation?.terrain ? 0 : ASIDE;
+  }
+
   /** @param {number} dt @param {Float64Array} qpos */
   moveCamera(dt, qpos) {
     const { orbit, target, simulation } = this;
     const [x, y, z] = qpos;
     const ground = z - /** @type {Simulation} */ (simulation).height;
     const share = 1 - Math.exp(-8 * dt);
-    const jumps = Math.hypot(x - target.x, y - target.y) > 2;
-    target.lerp(new THREE.Vector3(x, y, ground + 0.3), jumps ? 1 : share);
+    const goal = new THREE.Vector3(x, y, ground + 0.3);
+    let distance = orbit.distance;
+    if (this.rival) {
+      const [a, b] = this.rival.data.qpos;
+      const other = new THREE.Vector3(a, b + this.aside, goal.z);
+      distance += Math.min(goal.distanceTo(other), 20);
+      goal.lerp(other, 0.5);
+    }
+    const jumps = goal.distanceTo(target) > 2;
+    target.lerp(goal, jumps ? 1 : share);
     const heading = /** @type {Simulation} */ (simulation).heading;
     const away = Math.atan2(Math.sin(heading - this.heading), Math.cos(heading - this.heading));
     if (this.mode !== "free") this.heading += away * (1 - Math.exp(-3 * dt));
     const turn = orbit.turn + (this.mode === "free" ? 0 : this.heading);
-    const flat = orbit.distance * Math.cos(orbit.lift);
+    const flat = distance * Math.cos(orbit.lift);
     this.camera.position.set(
       target.x - flat * Math.cos(turn),
       target.y - flat * Math.sin(turn),
-      target.z + orbit.distance * Math.sin(orbit.lift),
+      target.z + distance * Math.sin(orbit.lift),
     );
     this.camera.lookAt(target);
     const { sun, floor } = this;

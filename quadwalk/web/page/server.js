@@ -1,23 +1,34 @@
 /** The program that serves the page, where one is: it sends new policies, and acts for some. */
 
+/**
+ * @typedef {object} Events
+ * @property {(file: Uint8Array) => void} onPolicy
+ * @property {(message: any) => void} onTraining of a training whose numbers can be changed
+ * @property {() => void} onEnd
+ */
+
 /** A connection to the program that serves the page. */
 export class Server {
-  /** @param {(file: Uint8Array) => void} onPolicy @param {() => void} onEnd */
-  constructor(onPolicy, onEnd) {
+  /** @param {Events} events */
+  constructor({ onPolicy, onTraining, onEnd }) {
     this.socket = new WebSocket(`${location.origin.replace(/^http/, "ws")}/live`);
     this.isReady = true;
     /** @type {Float64Array | null} */
     this.targets = null;
     this.socket.binaryType = "arraybuffer";
     this.socket.addEventListener("message", ({ data }) => {
-      if (data instanceof ArrayBuffer) {
-        onPolicy(new Uint8Array(data));
-      } else {
-        this.targets = Float64Array.from(JSON.parse(data));
-        this.isReady = true;
-      }
+      if (data instanceof ArrayBuffer) return onPolicy(new Uint8Array(data));
+      const message = JSON.parse(data);
+      if (!Array.isArray(message)) return onTraining(message);
+      this.targets = Float64Array.from(message);
+      this.isReady = true;
     });
     this.socket.addEventListener("close", onEnd);
+  }
+
+  /** @param {any} message */
+  send(message) {
+    if (this.socket.readyState === WebSocket.OPEN) this.socket.send(JSON.stringify(message));
   }
 
   /**
@@ -32,7 +43,7 @@ export class Server {
     if (targets || !this.isReady || this.socket.readyState !== WebSocket.OPEN) return targets;
     this.isReady = false;
     const state = { time, qpos: Array.from(data.qpos), qvel: Array.from(data.qvel), command };
-    this.socket.send(JSON.stringify(state));
+    this.send(state);
     return null;
   }
 }

@@ -42,6 +42,7 @@ export class Simulation {
   /** @param {any} mujoco the WebAssembly module @param {Robot} robot */
   constructor(mujoco, robot) {
     this.mujoco = mujoco;
+    this.robot = robot;
     this.terrain = robot.terrain;
     this.driver = new Controller(robot.policy);
     if (!robot.remote) this.driver.checkObservations();
