@@ -259,7 +259,10 @@ export class Page {
       trail: () => (this.scene.showsTrail = value),
       plots: () => (find("plots").style.display = value ? "" : "none"),
       link: () => this.copyLink(),
-      film: () => this.film.save(),
+      film: () => {
+        this.scene.sharpen();
+        this.film.save();
+      },
     };
     actions[name]?.();
   }
@@ -331,6 +334,7 @@ export class Page {
     const shown = this.film.next(dt);
     if (shown) this.showState(shown.qpos);
     else if (!this.isPaused) this.advance(dt);
+    if (!shown) this.scene.adapt(dt);
     this.scene.draw(dt);
     if (now / 1000 - this.plotted > PLOTTING) {
       this.plotted = now / 1000;
@@ -345,9 +349,10 @@ export class Page {
    * @param {Float64Array} qpos
    */
   showState(qpos) {
-    const { mujoco, model, data } = /** @type {Simulation} */ (this.simulation);
-    data.qpos.set(qpos);
-    mujoco.mj_kinematics(model, data);
+    const simulation = /** @type {Simulation} */ (this.simulation);
+    simulation.data.qpos.set(qpos);
+    simulation.forces = []; // they were not kept
+    simulation.mujoco.mj_kinematics(simulation.model, simulation.data);
   }
 
   /**

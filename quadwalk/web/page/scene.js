@@ -385,7 +385,6 @@ export class Scene {
   draw(dt) {
     const { simulation } = this;
     if (!simulation) return;
-    this.adapt(dt);
     this.updatePull();
     const { qpos } = simulation.data;
     for (const { mesh, geom, robot } of this.parts) {
@@ -482,6 +481,12 @@ export class Scene {
     if (this.pause < SLOW || this.sharpness < COARSEST) return;
     this.pause = 0;
     this.sharpness *= 0.7;
+    this.resize();
+  }
+
+  /** Draw every pixel, as for a film. */
+  sharpen() {
+    this.sharpness = 1;
     this.resize();
   }
 
