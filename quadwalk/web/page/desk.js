@@ -38,14 +38,12 @@ function describeChange({ iteration, name, old, new: value }) {
 
 /** The desk beside the picture. */
 export class Desk {
-  /**
-   * @param {import("./main.js").Page} page
-   * @param {string} html of the desk
-   */
+  /** @param {import("./main.js").Page} page @param {string} html of the desk */
   constructor(page, html) {
     document.body.insertAdjacentHTML("beforeend", html);
     add(document.head, "link", { rel: "stylesheet", href: "desk.css" });
     this.page = page;
+    this.send = (/** @type {any} */ message) => page.server?.send(message);
     /** @type {State | null} */
     this.state = null;
     this.sender = new Sender((name, value) => this.send({ type: "set", name, value }));
@@ -88,15 +86,7 @@ export class Desk {
     conditions.addEventListener("change", () => this.setConditions(conditions.checked));
   }
 
-  /** @param {any} message to the training */
-  send(message) {
-    this.page.server?.send(message);
-  }
-
-  /**
-   * Do what a button asks.
-   * @param {string} type
-   */
+  /** @param {string} type that a button asks for */
   act(type) {
     if (type === "compare") this.compare();
     else if (type === "pause" && this.state?.state === "paused") this.send({ type: "go" });
@@ -117,7 +107,11 @@ export class Desk {
   /** @param {State} state */
   show(state) {
     const names = new Set(state.numbers.map(({ name }) => name));
-    if ([...this.dials.keys()].some((name) => !names.has(name))) this.clear();
+    if ([...this.dials.keys()].some((name) => !names.has(name))) {
+      for (const { box } of this.terms.values()) box.remove();
+      this.terms.clear();
+      this.dials.clear();
+    }
     for (const entry of state.numbers) {
       this.dials.get(entry.name)?.show(entry);
       if (!this.dials.has(entry.name)) this.addNumber(entry);
@@ -135,21 +129,12 @@ export class Desk {
     this.draw();
   }
 
-  /** Take all numbers away. */
-  clear() {
-    for (const { box } of this.terms.values()) box.remove();
-    this.terms.clear();
-    this.dials.clear();
-  }
-
   /** @param {import("./dials.js").Entry} entry */
   addNumber(entry) {
     const key = `${entry.group} ${entry.term}`;
     const term = this.terms.get(key) ?? new Term(find(`desk-${entry.group}`), entry);
     this.terms.set(key, term);
-    const set = (/** @type {string} */ name, /** @type {number} */ value) =>
-      this.sender.set(name, value);
-    this.dials.set(entry.name, new Dial(term.numbers, entry, set));
+    this.dials.set(entry.name, new Dial(term.numbers, entry, this.sender));
   }
 
   /** @param {any} message with the figures of an iteration */
@@ -173,10 +158,7 @@ export class Desk {
     }
   }
 
-  /**
-   * Return a line about the state of the training.
-   * @param {State} state
-   */
+  /** @param {State} state */
   describe({ state, iteration, steps, total }) {
     const { samples } = this.course;
     const last = samples.at(-1) ?? { time: 0, steps: 0 };

@@ -81,12 +81,9 @@ export class Course {
     this.samples = [];
   }
 
-  /**
-   * @param {number} time s
-   * @param {number} steps
-   * @param {Record<string, number>} values
-   */
+  /** @param {number} time s @param {number} steps @param {Record<string, number>} values */
   add(time, steps, values) {
+    while ((this.samples.at(-1)?.steps ?? -1) >= steps) this.samples.pop(); // after an undo
     if (this.count++ % this.every) return;
     this.samples.push({ time, steps, values });
     if (this.samples.length < this.most) return;
@@ -129,14 +126,10 @@ export function format(value) {
 
 /** One number: a field, and a slider where it is a term's scale. */
 export class Dial {
-  /**
-   * @param {HTMLElement} place
-   * @param {Entry} entry
-   * @param {(name: string, value: number) => void} set
-   */
-  constructor(place, entry, set) {
+  /** @param {HTMLElement} place @param {Entry} entry @param {Sender} sender */
+  constructor(place, entry, sender) {
     this.entry = entry;
-    this.set = set;
+    this.sender = sender;
     this.touched = -Infinity;
     this.top = findTop(entry.start);
     const isScale = entry.group === "reward" && entry.name.endsWith(".scale");
@@ -170,7 +163,7 @@ export class Dial {
     this.touched = performance.now();
     setTimeout(() => this.show(this.entry), HOLD + 50);
     this.showValue(value);
-    this.set(this.entry.name, value);
+    this.sender.set(this.entry.name, value);
   }
 
   /** @param {Entry} entry as the training has it */
@@ -192,10 +185,7 @@ export class Dial {
 
 /** One term: its numbers and help, and its share of the reward as a bar and a line. */
 export class Term {
-  /**
-   * @param {HTMLElement} place
-   * @param {Entry} entry
-   */
+  /** @param {HTMLElement} place @param {Entry} entry */
   constructor(place, entry) {
     this.name = entry.term;
     this.box = add(place, "section");
