@@ -15,7 +15,7 @@ from quadwalk.learn.acting import Policy
 from quadwalk.learn.devices import set_up_devices
 from quadwalk.robot.load import load_robot
 from quadwalk.runs.directory import Run, find_any_run
-from quadwalk.runs.resume import read_config_to_resume
+from quadwalk.runs.resume import read_config_to_replay, read_config_to_resume
 from quadwalk.settings.serialize import change_settings
 from quadwalk.settings.training import TrainConfig
 from quadwalk.task_files import load_task
@@ -49,9 +49,11 @@ def train(
     robot: str | Path | None = None,
     resume: str | Path | Run | None = None,
     init: str | Path | Run | None = None,
+    replay: str | Path | Run | None = None,
     runs: str | Path | None = None,
     overrides: Overrides | None = None,
     watch: Callable[[dict[str, float]], object] | None = None,
+    on_iteration: loop.OnIteration | None = None,
     **settings: Any,
 ) -> Run:
     """Train, show how it goes, and return the run, whose folder holds everything.
@@ -61,16 +63,22 @@ def train(
         robot: as for `make`.
         resume: a run, its name or path, or "latest", to resume; without task, robot and init.
         init: a run, its name or path, to begin with the networks of.
+        replay: a run, its name or path, whose changes at the desk are made again.
         runs: the folder of all runs, "runs" unless another is given.
         overrides: settings by the names of their flags, {"env.reward.energy": -0.5}.
         watch: called with the metrics of each iteration.
+        on_iteration: called with each `DeskIteration`; may return numbers to change (docs/desk.md).
         settings: those of `TrainConfig` itself, such as steps, minutes, seed, name, quiet.
     """
     changes = {**settings, **(overrides or {})}
     if init is not None:
         changes["init"] = str(init.path if isinstance(init, Run) else init)
     previous = None
-    if resume is None:
+    if replay is not None:
+        if task is not None or robot is not None or resume is not None or init is not None:
+            raise UsageError("replay uses its run's own task; expected no task, resume or init")
+        config = change_settings(read_config_to_replay(_find_run(replay, runs)), changes)
+    elif resume is None:
         if runs is not None:
             changes["runs"] = Path(runs)
         config = _make_config(task or "run", robot, changes)
@@ -81,7 +89,7 @@ def train(
             raise UsageError("resume uses its run's own networks; expected no init")
         previous = _find_run(resume, runs)
         config = change_settings(read_config_to_resume(previous), changes)
-    run = loop.train(config, previous, watch)
+    run = loop.train(config, previous, watch, on_iteration)
     assert run is not None  # one process
     return run
 

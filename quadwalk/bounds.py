@@ -22,6 +22,14 @@ class Bounds:
     unit: str = ""
     ordered: bool = False
 
+    @property
+    def ends(self) -> tuple[float | None, float | None]:
+        """The lower and the upper end; None where there is none."""
+        return (
+            None if self.low <= -_MOST else self.low,
+            None if self.high >= _MOST else self.high,
+        )
+
     def holds(self, number: Any) -> bool:
         """Return True if `number` is from `low` to `high`, without the `open` end; NaN is not."""
         if isinstance(number, bool) or not isinstance(number, int | float):
@@ -86,9 +94,14 @@ def check_value(name: str, value: Any, hint: Any) -> None:
         raise UsageError(f"{flag} is {reprlib.repr(value)}; expected {expected}")
 
 
+def find_bounds(hint: Any) -> Bounds:
+    """Return the bounds that a type states; without any, those of all finite numbers."""
+    return next((part for part in _list_parts(hint) if isinstance(part, Bounds)), Bounds())
+
+
 def _check_numbers(value: Any, parts: list[Any]) -> tuple[bool, str]:
     """Return True if a value fits the type with these parts, and what the type expects."""
-    bounds = next((part for part in parts if isinstance(part, Bounds)), Bounds())
+    bounds = find_bounds(parts[0])
     several = next((get_args(part) for part in parts if get_origin(part) is tuple), None)
     numbers = (value,) if several is None else value if isinstance(value, tuple) else ()
     broken = int in parts and any(isinstance(number, float) for number in numbers)

@@ -56,7 +56,7 @@ def parse(monkeypatch, tmp_path) -> Callable[..., None]:
     (tmp_path / "my_task.py").write_text(task)
     config = format_json({"config": to_dict(load_task("run")), "versions": get_versions()})
     for name in ("fast", "bounce"):  # that pages resume
-        create_run("runs", name, files={"config.json": config})
+        create_run("runs", name, files={"config.json": config, "desk.jsonl": b""})
 
     def call(*words: str) -> None:
         with contextlib.suppress(ParsedError, SystemExit):  # the latter of --help

@@ -1,5 +1,7 @@
 """The velocity command of an episode, and when it changes."""
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -61,20 +63,26 @@ def sample_velocity(config: CommandConfig, key: jax.Array, grip: ArrayLike = np.
     `config.spot` to turn on the spot. `grip`, m/s^2, is the acceleration that friction can give.
     """
     shares = jax.random.uniform(key, (4,))
-    low, high = np.array([config.forward, config.lateral, config.yaw_rate], np.float32).T
+    low, high = _to_array([config.forward, config.lateral, config.yaw_rate]).T
     command = low + ((1.0 + config.margin) * (shares[:3] - 0.5) + 0.5) * (high - low)
-    if config.spot:
+    if isinstance(config.spot, jax.Array) or config.spot:
         turns = (shares[3] >= config.standing) & (shares[3] < config.standing + config.spot)
         command = command.at[:2].multiply(~turns)
     speed = jnp.abs(command[0])
     if config.lateral_until is not None:
         command = command.at[1].multiply(jnp.maximum(1.0 - speed / config.lateral_until, 0.0))
     if config.turning is not None:
-        fastest = (1.0 + config.margin) * np.abs(config.yaw_rate).max()
+        fastest = (1.0 + config.margin) * abs(_to_array(config.yaw_rate, float)).max()
         share = _compute_max_yaw_rate(config, speed, grip) / fastest
         command = command.at[2].multiply(jnp.minimum(share, 1.0))
     command = jnp.where(shares[3] < 1.0 - config.straight, command, command.at[1:].set(0.0))
     return jnp.where(shares[3] < config.standing, 0.0, command)
+
+
+def _to_array(numbers: Any, dtype: Any = np.float32) -> Any:
+    """Return numbers as an array: of JAX where some are arguments of a program, else of NumPy."""
+    is_argument = any(isinstance(leaf, jax.Array) for leaf in jax.tree.leaves(numbers))
+    return jnp.array(numbers) if is_argument else np.array(numbers, dtype)
 
 
 def compute_target_velocity(

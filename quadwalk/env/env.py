@@ -1,6 +1,7 @@
 """The environment: a task for one quadruped, as the pure functions `reset` and `step`."""
 
 import copy
+from collections.abc import Iterable
 from dataclasses import replace
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -14,6 +15,7 @@ from jax.typing import ArrayLike
 from quadwalk.brax import Env, State
 from quadwalk.env.actions import delay_targets
 from quadwalk.env.command import advance_command, compute_target_velocity, start_command
+from quadwalk.env.numbers import get_numbers, replace_numbers
 from quadwalk.env.randomization import sample_randomization
 from quadwalk.env.reflections import Mirrors
 from quadwalk.env.reset import make_curriculum, place_on_tile, sample_start
@@ -53,6 +55,9 @@ class EnvParams(NamedTuple):
     """
 
     ground: Ground | None  # None: level, at height 0, without end
+    # the task's numbers that may change while programs run, by name, each () float32; None: none
+    # do, and all are constants
+    numbers: dict[str, jax.Array] | None = None
 
 
 @jax.tree_util.register_pytree_node_class
@@ -73,8 +78,8 @@ class QuadrupedEnv(Env):
         self, quadruped: Quadruped, config: EnvConfig, engine: EngineName | None = None
     ) -> None:
         leg = measure_leg(quadruped.make_full_model(visuals=False), quadruped.feet[0])
-        command = config.command.scale_to(leg, quadruped.foot_speed)
-        config = replace(config.effective, command=command)
+        self._leg, self._foot_speed = leg, quadruped.foot_speed
+        config = self._fit_to_robot(config)
         self.config = config
         self.engine: EngineName = engine or config.engine
         self.terrain = None if config.ground.flat else make_terrain(config.ground, leg)
@@ -115,8 +120,27 @@ class QuadrupedEnv(Env):
         """Return the environment that `tree_flatten` took apart, with parameters `children`."""
         env = copy.copy(constants)
         env._constants = constants
-        (env.params,) = children
+        (params,) = children
+        env.params = params
+        if isinstance(params, EnvParams) and params.numbers is not None:
+            env.config = replace_numbers(constants.config, params.numbers)
         return env
+
+    def set_numbers(self, config: EnvConfig, names: Iterable[str]) -> "QuadrupedEnv":
+        """Return the same task with the numbers of `config` that `names` list, as parameters.
+
+        So a program that has the environment as an argument serves for any values of theirs. What
+        the numbers decide on when it is traced, such as whether there are commands, stays as it is.
+        """
+        values = get_numbers(self._fit_to_robot(config), names)
+        numbers = {name: jnp.float32(value) for name, value in values.items()}
+        params = self.params._replace(numbers=numbers)
+        return QuadrupedEnv.tree_unflatten(self._constants, (params,))
+
+    def _fit_to_robot(self, config: EnvConfig) -> EnvConfig:
+        """Return the settings in effect, with commands for the length of the robot's legs."""
+        command = config.command.scale_to(self._leg, self._foot_speed)
+        return replace(config.effective, command=command)
 
     @property
     def robot(self) -> RobotConstants:
@@ -189,7 +213,7 @@ class QuadrupedEnv(Env):
         if self.curriculum is not None:
             start = start._replace(travel=start_travel(physics.qpos))
         zero = jnp.zeros(())
-        terms = {name: zero for name, term in config.reward.items() if term.scale != 0.0}
+        terms = {name: zero for name, term in config.reward.items() if term.in_use}
         state = State(
             pipeline_state=start,
             obs=zero,

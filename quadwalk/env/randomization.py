@@ -107,6 +107,8 @@ def widen_range(between: tuple[float, float], nominal: float, margin: float) -> 
     """
     low, high = between
     below, above = (nominal + (1.0 + margin) * (end - nominal) for end in between)
+    if isinstance(low, jax.Array):  # an argument of a program
+        return jnp.minimum(low, below), jnp.maximum(high, above)
     return min(low, below), max(high, above)
 
 

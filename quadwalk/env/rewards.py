@@ -200,7 +200,7 @@ def compute_reward_terms(
     return {
         name: term.compute(f"reward {name!r}", robot, step)
         for name, term in terms.items()
-        if term.scale != 0.0
+        if term.in_use
     }
 
 

@@ -23,7 +23,7 @@ def tipped(robot: RobotConstants, step: Step, *, angle: float) -> jax.Array:
     """The trunk's z axis is more than `angle`, rad, from the world's."""
     _, x, y, _ = step.qpos[3:7]
     upright = 1.0 - 2.0 * (x * x + y * y)  # cosine of that angle
-    return upright < np.cos(angle)
+    return upright < (jnp.cos(angle) if isinstance(angle, jax.Array) else np.cos(angle))
 
 
 def low(robot: RobotConstants, step: Step, *, share: float) -> jax.Array:

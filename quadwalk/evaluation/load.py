@@ -28,6 +28,12 @@ from quadwalk.terrain.terrain import FLAT, GroundConfig
 PUSH_SECONDS = 5.0  # one push in each
 
 
+def describe_desk(policy: Policy) -> str:
+    """Return a line with the settings that were changed while the policy was trained."""
+    parts = (f"{name} {x['start']} -> {x['now']}" for name, x in policy.changed.items())
+    return f"changed at the desk: {', '.join(parts)}"
+
+
 @dataclass(frozen=True)
 class LoadedRun:
     """A policy and the environment to roll it out in."""
@@ -136,5 +142,6 @@ def load_run(
             f"{', '.join(policy.joints)} and {policy.observation_size} observations"
         )
     gains = [env.gains_note] if env.gains_note else []
-    notes = (*quadruped.notes, *compare_robot(run, quadruped), *gains)
+    changes = [describe_desk(policy)] if policy.changed else []
+    notes = (*quadruped.notes, *compare_robot(run, quadruped), *gains, *changes)
     return LoadedRun(run, file, policy, env, sha256, config_json, notes)

@@ -83,6 +83,7 @@ def describe(loaded: LoadedRun, targets: JointTargets) -> dict[str, str]:
         "gravity": _to_text(config.gravity),
         "training_steps": str(policy.steps),
         "task": policy.config.task,
+        "desk": json.dumps(policy.changed),
         "quadwalk_version": version("quadwalk"),
     }
 

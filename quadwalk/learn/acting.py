@@ -1,8 +1,8 @@
 """A trained policy as a function: its mean action, or with noise where it is unsure."""
 
 import functools
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -43,6 +43,7 @@ class Policy:
     joints: tuple[str, ...]  # of the robot it was trained on
     observation_size: int
     steps: int  # control steps of training behind it
+    changed: Mapping[str, Any] = field(default_factory=dict)  # settings changed at the desk
 
 
 def load_policy(path: Path) -> Policy:
@@ -54,7 +55,8 @@ def load_policy(path: Path) -> Policy:
     except UserError as error:
         raise UserError(f"{path} holds a configuration that cannot be used: {error}") from None
     act = make_policy(config.ppo, saved.statistics, saved.weights)
-    return Policy(act, config, saved.joints, len(saved.statistics.mean), saved.steps)
+    size = len(saved.statistics.mean)
+    return Policy(act, config, saved.joints, size, saved.steps, saved.changed)
 
 
 def load_checkpoint_policy(path: Path, joints: tuple[str, ...]) -> Policy:

@@ -22,6 +22,8 @@ common flags:
   --robot.urdf FILE        train another robot
   --env.reward.NAME X      scale of a reward term
   --watch                  show the newest policy live in a page of the browser
+  --desk                   change rewards in that page while training runs
+  --replay NAME            make the changes of another run's desk again
   --help-all               every setting, with the task's defaults
 
 examples:

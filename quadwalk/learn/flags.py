@@ -39,13 +39,21 @@ def parse_config(args: Sequence[str], prog: str = "train.py") -> tuple[TrainConf
     if which is not None:
         if task is not None:
             raise UsageError(f"task {task!r} with --resume: the run has its own; expected no task")
-        for flag in ("--name", "--init", "--robot.urdf"):
+        for flag in ("--name", "--init", "--robot.urdf", "--replay"):
             if find_value(args, flag) is not None:
                 raise UsageError(f"{flag} with --resume: the run has its own; expected no {flag}")
         from quadwalk.runs.resume import read_config_to_resume  # it imports all that reads a robot
 
         previous = find_run(find_value(args, "--runs") or TrainConfig.runs, which)
         default = read_config_to_resume(previous)
+    elif (session := find_value(args, "--replay")) is not None:
+        if task is not None:
+            raise UsageError(f"task {task!r} with --replay: the run has its own; expected no task")
+        from quadwalk.runs.resume import read_config_to_replay
+
+        root = find_value(args, "--runs") or TrainConfig.runs
+        default = read_config_to_replay(find_run(root, session))
+        _, args = take_value(args, "--replay")  # the default has its whole path
     else:
         default = load_task("run" if task is None else task)
     shared: Any = {f.name: getattr(default, f.name) for f in dataclasses.fields(TrainConfig)}

@@ -14,6 +14,7 @@ from typing import Any
 from quadwalk.cli.shell import make_command
 from quadwalk.errors import UserError
 from quadwalk.learn import distributed
+from quadwalk.learn.desk import Desk, OnIteration
 from quadwalk.learn.prepare import Training, prepare
 from quadwalk.learn.writer import RunWriter
 from quadwalk.progress.display import Progress
@@ -48,12 +49,16 @@ class NullWriter:
 
 
 def train(
-    config: TrainConfig, previous: Run | None = None, watch: Watch | None = None
+    config: TrainConfig,
+    previous: Run | None = None,
+    watch: Watch | None = None,
+    on_iteration: OnIteration | None = None,
 ) -> Run | None:
     """Train as `config` says; return the run, whose directory holds everything.
 
     With `previous` it resumes that run, whose settings `read_config_to_resume` gives.
-    `watch` is called with each iteration's row of metrics, to show it in another way.
+    `watch` is called with each iteration's row of metrics, to show it in another way. So is
+    `on_iteration` with a `DeskIteration`; what it returns are numbers to change before the next.
 
     Once it iterates, Ctrl-C, SIGTERM, SIGHUP or the time limit end training after the current
     iteration. Everything is saved then, and the run can be resumed. A full disk does not end it;
@@ -62,7 +67,10 @@ def train(
     processes, all but the first return None.
     """
     is_main = config.distributed.process == 0
-    if config.watch:
+    with_page = config.watch or config.desk
+    with_desk = config.desk or config.replay is not None or on_iteration is not None
+    with_desk |= previous is not None and previous.desk.exists()
+    if with_page:
         check_watch()
     if config.log == "wandb" and is_main:
         check_wandb()
@@ -71,18 +79,27 @@ def train(
     with contextlib.ExitStack() as stack:
         progress = stack.enter_context(Progress(config.steps, config.quiet, stream, deadline))
         progress.show_phase("loading")
-        training = prepare(config, previous, progress, stack)
+        training = prepare(config, previous, progress, stack, with_desk)
         stop = stack.enter_context(stop_on_signal())
         writer: RunWriter | NullWriter = NullWriter()
+        desk = None
         if training.run is not None:
             writer = stack.enter_context(RunWriter(training, training.run, progress.say))
-            if config.watch:
+            page = None
+            if with_page:
                 writer.publish(training.state, training.steps)
-                stack.enter_context(show_page(training.run.path, progress.say))
+                page = stack.enter_context(show_page(training.run.path, progress.say))
+            if with_desk:
+                desk = Desk(training, writer, progress, stop, page, on_iteration)
         saved = iterate(
-            training, writer, progress, lambda: stop.is_set() or time.monotonic() >= deadline, watch
+            training,
+            writer,
+            progress,
+            lambda: stop.is_set() or time.monotonic() >= deadline,
+            watch,
+            desk,
         )
-        progress.stopped = stop.is_set() and training.steps < config.steps
+        progress.stopped = stop.is_set() and training.steps < training.config.steps
     if isinstance(writer, NullWriter):
         return None
     print_result(progress, training, writer, saved)
@@ -98,13 +115,16 @@ def iterate(
     progress: Progress,
     is_over: Callable[[], bool],
     watch: Watch | None,
+    desk: Desk | None = None,
 ) -> bool:
     """Iterate until the steps are done or it `is_over`; return True if everything is saved."""
     config = training.config
     saved_steps = published_steps = training.steps
     start = time.monotonic() - training.seconds
+    if desk is not None:
+        start += desk.update(is_over)
     progress.show_phase("training")
-    while training.steps < config.steps and not distributed.is_true_anywhere(is_over()):
+    while training.steps < training.config.steps and not distributed.is_true_anywhere(is_over()):
         training.state, numbers = training.iterate(training.state)
         training.steps += training.batch
         row = training.metrics.make_row(training.steps, numbers)
@@ -113,17 +133,32 @@ def iterate(
         writer.log_iteration(row, numbers["nan_step"], training.seconds)
         if watch is not None:
             watch(row)
-        check_finite(training, writer, numbers, row)
-        if config.watch and training.steps - published_steps >= config.checkpoint_steps // WATCHED:
+        try:
+            check_finite(training, writer, numbers, row)
+        except UserError as error:
+            if desk is None or not desk.take_back(error):
+                raise
+            continue
+        with_page = config.watch or config.desk
+        if with_page and training.steps - published_steps >= config.checkpoint_steps // WATCHED:
             writer.publish(distributed.gather(training.state), training.steps)
             published_steps = training.steps
         if (
             training.steps - saved_steps >= config.checkpoint_steps
-            and training.steps < config.steps
+            and training.steps < training.config.steps
         ):
             save(training, writer, progress)
             saved_steps = training.steps
             progress.show_phase("training")
+        if desk is not None:
+            desk.report(row)
+            start += desk.update(is_over)
+            progress.show_phase("training")
+            # An undo goes back.
+            saved_steps = min(saved_steps, training.steps)
+            published_steps = min(published_steps, training.steps)
+    if desk is not None:
+        desk.end()
     saved = save(training, writer, progress)
     writer.draw_curve()
     return saved

@@ -414,7 +414,12 @@ class Iteration:
             shard(ppo.learn, in_specs=(same, rollout, split), out_specs=(same, same)),
             donate_argnums=0,
         )
-        self._env = jax.device_put(env, NamedSharding(mesh, same))  # its ground, once
+        self._place = NamedSharding(mesh, same)
+        self.set_env(env)
+
+    def set_env(self, env: TrainingEnv) -> None:
+        """Set the environment; once traced, it may differ in the values of its leaves alone."""
+        self._env = jax.device_put(env, self._place)  # its ground, once
 
     def trace(self, state: TrainState) -> None:
         """Trace both programs for states like this, where what a task's functions lack shows."""

@@ -9,7 +9,8 @@ from quadwalk.errors import UserError
 from quadwalk.learn import nan
 from quadwalk.learn.prepare import Training
 from quadwalk.runs import checkpoint
-from quadwalk.runs.directory import Run, prune_checkpoints
+from quadwalk.runs.changes import describe_changes
+from quadwalk.runs.directory import Run, delete_checkpoints_after, prune_checkpoints
 from quadwalk.runs.log import MetricsLog, read_history
 from quadwalk.runs.policy import load_score, save_policy
 from quadwalk.runs.wandb import WandbLog
@@ -32,6 +33,7 @@ class RunWriter:
         self.run = run
         self.saved: int | None = training.steps or None  # steps behind the last checkpoint
         self.best: tuple[int, float] | None = None  # steps and score of the best policy
+        self.targets: tuple[int, ...] = ()  # steps behind the checkpoints that an undo goes back to
         self._training = training
         self._warn = warn
         self._refused: dict[str, str] = {}
@@ -110,11 +112,25 @@ class RunWriter:
                 saved = False
         if self._try_to_write("checkpoint", save_checkpoint):
             self.saved = steps
-            best = self.run.locate_checkpoint(self.best[0]) if self.best else None
-            prune_checkpoints(self.run, KEPT_CHECKPOINTS, also=best)
+            others = (*self.targets, *([self.best[0]] if self.best else []))
+            prune_checkpoints(
+                self.run, KEPT_CHECKPOINTS, also=[*map(self.run.locate_checkpoint, others)]
+            )
         else:
             saved = False
         return saved
+
+    def go_back(self, steps: int) -> None:
+        """Drop all that was written after `steps` control steps, where training goes back to.
+
+        The policy that was the best until then may be gone: the next one that is saved is the best.
+        """
+        self._log.close()
+        self._log = MetricsLog(self.run, resume_at=steps)
+        delete_checkpoints_after(self.run, steps)
+        self.saved = steps
+        if self.best is not None and self.best[0] > steps:
+            self.best = None
 
     def publish(self, state: Any, steps: int) -> bool:
         """Save only the newest policy, for a viewer; return True if that went well."""
@@ -137,6 +153,7 @@ class RunWriter:
             training.quadruped.joints,
             steps,
             training.metrics.score,
+            describe_changes(training.start, training.config),
         )
 
     def _read_best(self) -> None:

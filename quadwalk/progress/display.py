@@ -105,6 +105,12 @@ class Progress:
         self._phase, self._trained = text, self._trained or training
         view.refresh()
 
+    def set_total(self, steps: int) -> None:
+        """Train until `steps` control steps are done in all."""
+        self._total = steps
+        if self._trained:
+            self._view.update(self._view.task.id, total=float(steps))
+
     def update(self, steps: int, metrics: Mapping[str, Any]) -> None:
         """Show the figures after `steps` control steps of all environments since the start.
 

@@ -74,7 +74,7 @@ class TrainingMetrics:
     """
 
     def __init__(self, rewards: "Mapping[str, Reward]") -> None:
-        self._rewards = rewards
+        self.rewards = rewards
         self._train_falls = FallRate(EPISODES)
         self._eval_falls = FallRate(EPISODES)
         self._figures: collections.deque[float] = collections.deque(maxlen=SCORED)
@@ -127,7 +127,7 @@ class TrainingMetrics:
         for name, value in values.items():
             kind, _, rest = name.partition("/")
             if kind == "reward" and rest:
-                terms[f"train/{name}"] = self._rewards[rest].scale * value
+                terms[f"train/{name}"] = self.rewards[rest].scale * value
             elif name.startswith("count/level/"):
                 robots = values[name.replace("level", "robots", 1)]
                 levels[LEVEL + name.removeprefix("count/level/")] = value / max(robots, 1.0)

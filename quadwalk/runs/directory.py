@@ -7,6 +7,7 @@ runs/NAME/
   ground-FILE          the file of heights, if the ground is from one
   metrics.jsonl        one line per iteration, the same for the same seed
   timing.jsonl         the time of each iteration, which differs each time
+  desk.jsonl           what was changed at the desk while it trained
   tensorboard/         the same numbers for TensorBoard
   checkpoints/         step_000001000000.npz ...: the whole state of training
   policy.npz           the policy as it was last
@@ -23,7 +24,7 @@ import os
 import platform
 import re
 import shutil
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -54,6 +55,7 @@ class Run:
     path: Path
     config = _Place("config.json")
     urdf = _Place("robot.urdf")
+    desk = _Place("desk.jsonl")
     metrics = _Place("metrics.jsonl")
     timing = _Place("timing.jsonl")
     tensorboard = _Place("tensorboard")
@@ -243,9 +245,20 @@ def find_latest_checkpoint(run: Run, warn: Callable[[str], None]) -> Path | None
     return None
 
 
-def prune_checkpoints(run: Run, count: int, also: Path | None = None) -> None:
-    """Delete all checkpoints of a run except the newest `count` and the one at `also`."""
-    _delete(path for path in list_checkpoints(run)[:-count] if path != also)
+def prune_checkpoints(run: Run, count: int, also: Collection[Path] = ()) -> None:
+    """Delete all checkpoints of a run except the newest `count` and those at `also`."""
+    _delete(path for path in list_checkpoints(run)[:-count] if path not in also)
+
+
+def delete_checkpoints_after(run: Run, steps: int) -> None:
+    """Delete the checkpoints after more than `steps` control steps."""
+    last = run.locate_checkpoint(steps)
+    _delete(path for path in list_checkpoints(run) if path.name > last.name)
+
+
+def get_checkpoint_steps(path: Path) -> int:
+    """Return the control steps behind a checkpoint, from the name of its file."""
+    return int(path.stem.removeprefix("step_"))
 
 
 def claim(run: Run, wait: bool = False) -> contextlib.AbstractContextManager[None]:

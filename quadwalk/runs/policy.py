@@ -1,6 +1,7 @@
 """A trained policy as a file: its weights, and the configuration it was trained with."""
 
 import itertools
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -27,6 +28,8 @@ class SavedPolicy:
     config: TrainConfig
     joints: tuple[str, ...]  # of the robot it was trained on
     steps: int  # control steps of training behind it
+    # settings changed at the desk: {"env.reward.energy": {"start": -0.02, "now": -0.2}}
+    changed: dict[str, Any]
 
 
 def save_policy(
@@ -37,12 +40,14 @@ def save_policy(
     joints: tuple[str, ...],
     steps: int,
     score: float,
+    changed: Mapping[str, Any] | None = None,
 ) -> None:
     """Write a policy to `path`, atomically.
 
     `statistics` (n,) are those of the policy's observations, `weights` those of a plain perceptron.
     `joints` are the names of the robot's joints. `steps` are the control steps of its training.
     `score` tells which of two policies is better.
+    `changed` are the settings changed at the desk, as `describe_changes` returns them.
     """
     metadata = {
         "kind": "policy",
@@ -51,6 +56,7 @@ def save_policy(
         "observation_size": len(statistics.mean),
         "steps": steps,
         "score": score,
+        "desk": dict(changed or {}),
     }
     checkpoint.save(path, {"normalizer": statistics, "policy": weights}, metadata)
 
@@ -64,6 +70,7 @@ def read_policy(path: Path) -> SavedPolicy:
         size = int(metadata["observation_size"])
         joints = tuple(map(str, metadata["joints"]))
         steps = int(metadata["steps"])
+        changed = dict(metadata.get("desk", {}))  # policies of before have none
     except (*DAMAGE, UserError) as error:
         raise UserError(f"{path} holds a configuration that cannot be used: {error}") from None
     statistics = jax.ShapeDtypeStruct((size,), np.float32)
@@ -78,7 +85,7 @@ def read_policy(path: Path) -> SavedPolicy:
     }
     like = {"normalizer": NestedMeanStd(statistics, statistics), "policy": {"params": layers}}
     tree, _ = checkpoint.load(path, "policy", like)
-    return SavedPolicy(tree["normalizer"], tree["policy"], config, joints, steps)
+    return SavedPolicy(tree["normalizer"], tree["policy"], config, joints, steps, changed)
 
 
 def load_score(path: Path) -> tuple[int, float]:

@@ -31,17 +31,22 @@ _FIXED = ("seed", "envs", "ppo.eval_envs", "ppo.hidden", "ppo.activation", "ppo.
 # How a run is driven, not what it computes.
 _FREE = (
     *("task", "suite", "name", "runs", "init", "minutes", "checkpoint_steps", "quiet"),
-    *("log", "watch"),
+    *("log", "watch", "desk", "replay"),
     *("distributed.coordinator", "distributed.processes", "distributed.process"),
 )
 
 
-def make_run(config: TrainConfig, quadruped: Quadruped) -> Run:
-    """Make the folder of a new run, with copies of all files that its training begins with."""
+def make_run(config: TrainConfig, quadruped: Quadruped, changes: bytes | None = None) -> Run:
+    """Make the folder of a new run, with copies of all files that its training begins with.
+
+    `changes` is the content of its desk.jsonl, None without a desk.
+    """
     files = {
         "robot.urdf": quadruped.urdf.encode(),
         "config.json": format_json(_collect_settings(config, quadruped)),
     }
+    if changes is not None:
+        files[Run(Path()).desk.name] = changes
     source, heights = find_task_source(config), config.env.ground.file
     if source is not None:
         files[TASK_FILE] = source
@@ -125,8 +130,18 @@ def read_config_to_resume(run: Run) -> TrainConfig:
         minutes=None,
         quiet=False,
         watch=False,
+        desk=False,
         distributed=DistributedConfig(),
     )
+
+
+def read_config_to_replay(run: Run) -> TrainConfig:
+    """Read the configuration of another run that repeats the changes made at the desk of `run`."""
+    if not run.desk.exists():
+        raise UsageError(
+            f"--replay: {run.path} has no {run.desk.name}; expected a run trained with --desk"
+        )
+    return dataclasses.replace(read_config_to_resume(run), replay=str(resolve_path(run.path)))
 
 
 def list_changes(before: TrainConfig, now: TrainConfig) -> list[str]:

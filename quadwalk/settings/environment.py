@@ -7,6 +7,8 @@ import math
 from dataclasses import MISSING, dataclass, fields, replace
 from typing import Annotated, Any, Literal
 
+import jax
+
 from quadwalk.bounds import Bounds, Few, NotNegative, Positive, Seconds, Settings, Share
 from quadwalk.errors import UsageError
 from quadwalk.physics.motor import MotorConfig, Stepping
@@ -134,8 +136,9 @@ class CommandConfig(Settings, group="env.command"):
 
     @property
     def active(self) -> bool:
-        """True if velocities are commanded: some range is not 0."""
-        return any((*self.forward, *self.lateral, *self.yaw_rate))
+        """True if velocities are commanded: some range is not 0, or may change in a program."""
+        ends = (*self.forward, *self.lateral, *self.yaw_rate)
+        return any(isinstance(end, jax.Array) or end for end in ends)
 
 
 def _scale(ends: Pair, factor: float) -> Pair:

@@ -100,6 +100,14 @@ class Reward(Term):
     # reward per unit of the term; 0 leaves it out
     scale: Annotated[float, tyro.conf.arg(name="")] = field(kw_only=True)
 
+    @property
+    def in_use(self) -> bool:
+        """False for the scale 0, which leaves the term out of programs.
+
+        A scale that is an argument of a program is 0 at one time and not at another.
+        """
+        return isinstance(self.scale, jax.Array) or self.scale != 0.0
+
 
 @dataclass(frozen=True)
 class Observation(Term):

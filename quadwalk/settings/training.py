@@ -157,6 +157,10 @@ class TrainConfig(Settings):
     # where metrics go: the run's files alone, or Weights & Biases as well
     log: Literal["files", "wandb"] = "files"
     watch: bool = False  # show the newest policy live in a page of the browser
+    # show the newest policy in a page, and change rewards and other numbers there while it trains
+    desk: bool = False
+    # a run, by name or path, whose changes at the desk are made again at the same iterations
+    replay: str | None = None
     robot: RobotConfig = field(default_factory=RobotConfig)
     env: EnvConfig
     ppo: PPOConfig

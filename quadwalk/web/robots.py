@@ -4,16 +4,18 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 
 from quadwalk.cli.shell import get_python, quote_words
-from quadwalk.errors import UsageError
+from quadwalk.errors import UsageError, UserError
 from quadwalk.evaluation.load import LoadedRun, load_run
 from quadwalk.files import make_folder, open_atomic
 from quadwalk.learn.acting import load_checkpoint_policy, load_policy
 from quadwalk.learn.devices import set_up_devices
 from quadwalk.paths import PRETRAINED
+from quadwalk.runs.changes import STEPS
 from quadwalk.runs.directory import Run, list_checkpoints
 from quadwalk.web import site
 from quadwalk.web.actor import PythonActor
@@ -66,6 +68,22 @@ class LiveSite:
     def make_actor(self) -> Callable[[], Actor] | None:
         """Function that makes an actor for one page; None where the policy needs no Python."""
         return partial(PythonActor, self._first) if self._is_remote else None
+
+    def add_comparison(self, get_changes: Callable[[], list[dict[str, Any]]]) -> None:
+        """Add the policies from before the last change at a training's desk, and of now.
+
+        `get_changes` returns the changes that hold, each with the control steps before it.
+        """
+
+        def convert_before() -> bytes:
+            changes = [change for change in get_changes() if change["name"] != STEPS]
+            if not changes:
+                raise UserError("nothing has been changed at the desk yet")
+            path = self._run.locate_checkpoint(changes[-1]["steps"])
+            return convert(self._first, path)
+
+        self.files["desk/before.onnx"] = convert_before
+        self.files["desk/after.onnx"] = lambda: convert(self._first, self._run.policy)
 
     def load_newest(self) -> bytes:
         """Load the newest policy of the run; return it as ONNX."""

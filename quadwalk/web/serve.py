@@ -48,6 +48,8 @@ class PageServer:
         self._make_actor: Callable[[], Actor] | None = None
         self._connections: set[ServerConnection] = set()
         self._policy: bytes | None = None  # the newest
+        self._desk: str | None = None  # the newest state of the desk, as the page gets it
+        self.on_message: Callable[[str], object] | None = None  # gets what pages send to a training
         for name in ("websockets", "websockets.server"):  # they would log a traceback
             logging.getLogger(name).setLevel(logging.CRITICAL)
         self.host, self.port = host, find_free_port(host, port)
@@ -79,9 +81,19 @@ class PageServer:
     def send_policy(self, model: bytes) -> None:
         """Send a newer policy, as ONNX, to all pages, also to later ones."""
         self._policy = model
+        self._send_to_all(model)
+
+    def forward(self, text: str) -> None:
+        """Send a message of a training to all pages; the state of the desk to later ones too."""
+        with contextlib.suppress(ValueError, AttributeError):  # then it is none
+            if json.loads(text).get("type") == "desk":
+                self._desk = text
+        self._send_to_all(text)
+
+    def _send_to_all(self, text: str | bytes) -> None:
         for connection in list(self._connections):
             with contextlib.suppress(ConnectionClosed):
-                connection.send(self._policy)
+                connection.send(text)
 
     def close(self) -> None:
         """End the server and its connections."""
@@ -116,16 +128,19 @@ class PageServer:
         return _make_response(HTTPStatus.OK, content, kind or "application/octet-stream")
 
     def _serve_socket(self, connection: ServerConnection) -> None:
-        """Send the newest policy to a page, and act for it where it asks."""
+        """Send the newest policy to a page, act for it where it asks, and forward the rest."""
         self._connections.add(connection)
         actor = self._make_actor() if self._make_actor else None
         try:
-            if self._policy is not None:
-                connection.send(self._policy)
+            for newest in filter(None, (self._policy, self._desk)):
+                connection.send(newest)
             for text in connection:
+                state = json.loads(text)
+                if self.on_message is not None and "type" in state:
+                    self.on_message(json.dumps(state))  # on one line
+                    continue
                 if actor is None:
                     continue
-                state = json.loads(text)
                 targets = actor(*(state[name] for name in ("time", "qpos", "qvel", "command")))
                 connection.send(json.dumps(targets))
         except (ConnectionClosed, ValueError, KeyError, TypeError):

@@ -1,6 +1,7 @@
 """`quadwalk view` and `quadwalk demo`: serve the page with a run's robot until interrupted."""
 
 import contextlib
+import json
 import os
 import signal
 import subprocess
@@ -12,7 +13,7 @@ import webbrowser
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
@@ -22,6 +23,9 @@ from quadwalk.cli.shell import suggest_install
 from quadwalk.errors import UserError
 from quadwalk.paths import PRETRAINED
 from quadwalk.runs.directory import Run, find_any_run, find_ready, list_runs
+
+if TYPE_CHECKING:
+    from quadwalk.web.serve import PageServer
 
 LOCAL = ("127.0.0.1", "localhost", "::1")
 _LOOK = 1.0  # s between looks for a newer policy
@@ -52,16 +56,54 @@ def main(args: Sequence[str], prog: str = "quadwalk view") -> None:
 def main_alongside(args: Sequence[str], prog: str) -> None:
     """Serve the page until standard input, which a training holds open, is closed."""
 
-    def end() -> None:
-        sys.stdin.buffer.read()
+    relay = Relay()
+    threading.Thread(target=relay.read, daemon=True).start()
+    view(parse(ViewConfig, args, prog), relay)
+
+
+class Relay:
+    """Lines of JSON between a training, at standard input and output, and the open pages."""
+
+    def __init__(self) -> None:
+        self.changes: list[dict[str, Any]] = []  # at the desk, which still hold
+        self._desk: str | None = None  # the newest state of the desk
+        self._server: PageServer | None = None
+        self._lock = threading.Lock()
+
+    def connect(self, server: "PageServer") -> None:
+        """Connect the training with the pages of `server` from now on."""
+        server.on_message = self.write
+        with self._lock:
+            self._server = server
+            if self._desk is not None:
+                server.forward(self._desk)
+
+    def read(self) -> None:
+        """Read the training's lines; when it has ended, end this process too."""
+        for line in sys.stdin:
+            with self._lock:
+                self._take(line.strip())
         os.kill(os.getpid(), signal.SIGINT)
 
-    threading.Thread(target=end, daemon=True).start()
-    main(args, prog)
+    def write(self, text: str) -> None:
+        """Send a page's message to the training."""
+        with contextlib.suppress(OSError, ValueError), self._lock:
+            print(text, flush=True)
+
+    def _take(self, line: str) -> None:
+        with contextlib.suppress(ValueError, AttributeError):  # then it is no message
+            message = json.loads(line)
+            if message.get("type") == "desk":
+                self._desk, self.changes = line, message["changes"]
+            if self._server is not None:
+                self._server.forward(line)
 
 
-def view(config: ViewConfig) -> None:
-    """Serve the page of a run's robot until Ctrl-C, or open MuJoCo's viewer (`config.window`)."""
+def view(config: ViewConfig, relay: Relay | None = None) -> None:
+    """Serve the page of a run's robot until Ctrl-C, or open MuJoCo's viewer (`config.window`).
+
+    With a `relay` a training's desk is in the page.
+    """
     run = find_ready(config.runs, config.run, "drive")
     getup = None if config.getup is None else find_any_run(config.runs, config.getup)
     check_packages()
@@ -83,6 +125,9 @@ def view(config: ViewConfig) -> None:
             from quadwalk.web.robots import LiveSite  # it imports JAX
 
             site = LiveSite(run, config.policy, getup, list_others(config.runs, run))
+        if relay is not None:
+            site.add_comparison(lambda: relay.changes)
+            relay.connect(server)
         server.set_files(site.files, site.make_actor)
         watch(run, config.policy, lambda: server.send_policy(site.load_newest()))
 

@@ -36,6 +36,7 @@ def make_training(steps: int) -> SimpleNamespace:
     """Return what `RunWriter` asks of a training, after so many steps."""
     return SimpleNamespace(
         config=sprint.TASK,
+        start=sprint.TASK,
         quadruped=SimpleNamespace(joints=("joint",)),
         networks=SimpleNamespace(
             mirrors=None,

@@ -3,6 +3,7 @@
 What is tested with it is everything about a training but the environment.
 """
 
+import copy
 import os
 import resource
 import sys
@@ -28,6 +29,9 @@ import quadwalk.learn.writer
 import quadwalk.progress.curves
 from quadwalk.cli.process import run_command
 from quadwalk.env.env import EnvState
+from quadwalk.env.numbers import get_numbers, replace_numbers
+from quadwalk.env.rewards import compute_total_reward
+from quadwalk.errors import UserError
 from quadwalk.learn.cli import main
 from quadwalk.physics.motor import PhysicsState
 from quadwalk.settings.environment import EnvConfig
@@ -46,8 +50,9 @@ class Plain(Env):
     backend = "none"
     curriculum = terrain = mirrors = gains_note = None
 
-    def __init_subclass__(cls) -> None:
-        jax.tree_util.register_static(cls)  # a pytree, as an environment is, without leaves
+    def __init_subclass__(cls, static: bool = True) -> None:
+        if static:
+            jax.tree_util.register_static(cls)  # a pytree, as an environment is, without leaves
 
     terms: tuple[str, ...] = ()  # metrics beyond those that all have
 
@@ -128,6 +133,51 @@ class Toy(Plain):
         reward = 1.0 - jnp.mean(jnp.square(action - GOAL))
         metrics = {"speed": speed[0], "fell": 0.0, "nan": nan, "reward/forward": reward}
         return self.make_next(state, after, reward, limit, **metrics)
+
+
+@jax.tree_util.register_pytree_node_class
+class DeskToy(Toy, static=False):
+    """The toy with all rewards of its task, of stand-ins for their values, and numbers as leaves.
+
+    The term `forward` is the toy's own; each of the others is a power of the actions, over its
+    parameter `height` if it has one. It fails where a reward `trot` is added, as a term does that
+    needs what the task does not have.
+    """
+
+    numbers: Any = None
+
+    def __init__(self, quadruped: Any, config: EnvConfig) -> None:
+        super().__init__(quadruped, config)
+        self.terms = tuple(f"reward/{name}" for name in config.reward)
+        self.constants = self
+
+    def tree_flatten(self) -> tuple[Any, "DeskToy"]:
+        return (self.numbers,), self.constants
+
+    @classmethod
+    def tree_unflatten(cls, constants: "DeskToy", children: Any) -> "DeskToy":
+        toy = copy.copy(constants)
+        toy.constants, toy.numbers = constants, children[0]
+        if toy.numbers is not None:
+            toy.config = replace_numbers(constants.config, toy.numbers)
+        return toy
+
+    def set_numbers(self, config: EnvConfig, names: Any) -> "DeskToy":
+        values = get_numbers(config, names)
+        numbers = {name: jnp.float32(value) for name, value in values.items()}
+        return DeskToy.tree_unflatten(self.constants, (numbers,))
+
+    def step(self, state: State, action: jax.Array) -> State:
+        state = super().step(state, action)
+        if "trot" in self.config.reward:
+            raise UserError("the reward 'trot' does not give a number")
+        values = {"forward": state.reward}
+        for power, (name, term) in enumerate(self.config.reward.items(), 2):
+            height = (term.params or {}).get("height", 1.0)
+            values.setdefault(name, jnp.mean(jnp.abs(action)) ** power / height)
+        metrics = {f"reward/{name}": values[name] for name in self.config.reward}
+        reward = compute_total_reward(self.config.reward, values)
+        return state.replace(reward=reward, metrics={**state.metrics, **metrics})
 
 
 def run_train(output: Path, *flags: str) -> None:

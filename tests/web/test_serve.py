@@ -1,5 +1,6 @@
 """The server of the page: files, errors, policies and the address that it names."""
 
+import itertools
 import json
 import socket
 import urllib.error
@@ -101,3 +102,32 @@ def test_an_address_for_all_is_shown_as_one_that_works():
     assert make_url("127.0.0.1", 80) == "http://localhost:80"
     assert make_url("::1", 80) == "http://[::1]:80"
     assert "0.0.0.0" not in make_url("0.0.0.0", 80)
+
+
+def receive(page, count: int) -> list[str]:
+    """Return the next texts; policies, which earlier tests have sent, are bytes."""
+    messages = (page.recv(10) for _ in range(count + 1))
+    return list(itertools.islice((text for text in messages if isinstance(text, str)), count))
+
+
+def test_a_training_and_its_pages_talk_through_the_server(server):
+    """The state of the desk also reaches pages that open later; a policy's states stay here."""
+    received = []
+    server.on_message = received.append
+    desk, note = (json.dumps({"type": kind}) for kind in ("desk", "note"))
+    with open_socket(server) as first, open_socket(server) as second:
+        for page in (first, second):  # which are there once they are answered
+            page.send(json.dumps({"time": 0, "qpos": [], "qvel": [], "command": [1]}))
+            assert json.loads(receive(page, 1)[0]) == [1] * 12
+        for text in (desk, "no message", note):
+            server.forward(text)
+        for page in (first, second):
+            assert receive(page, 3) == [desk, "no message", note]
+        first.send('{"type": "set",\n "name": "env.reward.energy.scale", "value": 1}')
+        first.send(json.dumps({"time": 0, "qpos": [], "qvel": [], "command": [1]}))
+        assert json.loads(receive(first, 1)[0]) == [1] * 12
+    server.on_message = None
+    assert [json.loads(text)["type"] for text in received] == ["set"]
+    assert "\n" not in received[0]
+    with open_socket(server) as late:
+        assert receive(late, 1) == [desk]
