@@ -239,7 +239,7 @@ class Course:
 
 
 def measure_course(rollout: Rollout) -> Course:
-    """Measure speed, distance, duration and energy of an episode."""
+    """Measure an episode's duration, distance, speed, lateral drift and energy per meter."""
     duration = rollout.steps * rollout.control_dt
     along, across = (rollout.qpos[-1, :2] - rollout.qpos[0, :2]).astype(float)
     distance = float(along if rollout.command is None else measure_path(rollout))
@@ -281,7 +281,7 @@ def compute_weight(rollout: Rollout, model: mujoco.MjModel) -> float:
 
 
 def compute_motor_limits(rollout: Rollout, quadruped: Quadruped) -> np.ndarray:
-    """Return the largest torques of the motors of an episode, (12,) Nm."""
+    """Return the torque limits of the motors in an episode, (12,) Nm, as it randomized them."""
     variation = rollout.conditions and rollout.conditions.variation
     if variation is None:
         return quadruped.effort
@@ -323,7 +323,7 @@ def compute_tracking_errors(
 
 
 def average_windows(values: np.ndarray, window: int) -> np.ndarray:
-    """Return the means of `values` (T, n) over every `window` successive rows."""
+    """Return the means (T - window + 1, n) of `values` (T, n) over all `window` successive rows."""
     sums = np.cumsum(np.concatenate([np.zeros((1, values.shape[1])), values]), axis=0)
     means: np.ndarray = (sums[window:] - sums[:-window]) / window
     return means
@@ -333,7 +333,10 @@ def average_windows(values: np.ndarray, window: int) -> np.ndarray:
 
 
 def to_rotations(quat: np.ndarray) -> Rotation:
-    """Return `quat` (T, 4) of any length as rotations; zeros and NaN become the identity."""
+    """Return quaternions `quat` (T, 4), wxyz and of any norm, as rotations.
+
+    Zeros and NaN become the identity.
+    """
     quat = np.asarray(quat, dtype=float)
     is_rotation = np.linalg.norm(quat, axis=1, keepdims=True) > mujoco.mjMINVAL
     quat = np.where(is_rotation, quat, [1.0, 0.0, 0.0, 0.0])
@@ -341,7 +344,10 @@ def to_rotations(quat: np.ndarray) -> Rotation:
 
 
 def to_roll_pitch_yaw(quat: np.ndarray) -> np.ndarray:
-    """Return the angles (T, 3), rad, with `quat` (T, 4) = Rz(yaw) Ry(pitch) Rx(roll)."""
+    """Return roll, pitch and yaw (T, 3), rad, of quaternions `quat` (T, 4), wxyz.
+
+    The rotation is Rz(yaw) Ry(pitch) Rx(roll).
+    """
     return to_rotations(quat).as_euler("xyz", suppress_warnings=True)
 
 
@@ -360,7 +366,7 @@ def to_json_number(value: float) -> float | None:
 
 
 def get_mean(figure: dict[str, Any] | None) -> float:
-    """Return the mean in an entry of `summarize_values`; NaN if the entry is None."""
+    """Return the mean in `figure`, an entry of `summarize_values`; NaN if it is None."""
     return math.nan if figure is None else figure["mean"]
 
 

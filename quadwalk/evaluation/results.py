@@ -51,7 +51,7 @@ class Evaluation:
 
     @cached_property
     def typical(self) -> Rollout:
-        """The episode of median speed, to be looked at; simulated again if it was not kept."""
+        """The rollout of the episode of median speed; simulated again if it was not kept."""
         number, count = find_typical_episode(self.episodes), len(self.episodes)
         if number < len(self.rollouts):
             return self.rollouts[number]
@@ -80,13 +80,16 @@ class Evaluation:
         }
 
     def film_strip(self, width: int = 480, height: int = 300) -> Image.Image:
-        """Draw two strides of the typical episode in eight pictures, `width` by `height` pixels."""
+        """Draw two strides of the typical episode: eight pictures joined into one.
+
+        Each of the eight is `width` by `height` pixels.
+        """
         quadruped = self.loaded.env.quadruped
         strip = draw_film_strip(self.typical, quadruped, width=width, height=height)
         return Image.fromarray(strip)
 
     def report(self) -> "Figure":
-        """Draw the typical episode: footfalls, speed, joints, torques, rewards, path."""
+        """Draw the figure of the typical episode, as of `draw_report`: footfalls, speed, joints."""
         from quadwalk.evaluation.report.plots import draw_report
 
         count = len(self.episodes)
@@ -96,9 +99,9 @@ class Evaluation:
         return draw_report(self.typical, self.loaded.env.quadruped, title)
 
     def save_mcap(self, folder: str | Path, episodes: int | None = None) -> list[Path]:
-        """Write the first `episodes`, by default all, as MCAP files for Rerun or Foxglove.
+        """Write the first `episodes` of the rollouts, by default all, as MCAP files into `folder`.
 
-        Beside them goes rerun.rbl, a layout for Rerun.
+        Beside them goes rerun.rbl, a layout for Rerun. Returns the paths of the MCAP files.
         """
         folder = Path(folder)
         folder.mkdir(parents=True, exist_ok=True)
@@ -128,8 +131,8 @@ def evaluate_policy(
 ) -> Evaluation:
     """Roll a policy out from `episodes` starts and compute the metrics of each episode.
 
-    `report` is called with the number of control steps done. The result keeps the first `keep`
-    rollouts, by default all: one of 20 s is 2 MB.
+    `report` is called with the number of control steps done. Up to `GROUP` episodes the result
+    keeps every rollout; of more, the first `keep`, by default all: one of 20 s is 2 MB.
     """
     env = loaded.env
     evaluation = Evaluation(loaded, seed, [], [])
@@ -165,9 +168,9 @@ def make_provenance(loaded: LoadedRun, seed: int) -> dict[str, Any]:
 
 
 def find_revision(source: Path = ROOT) -> str:
-    """Return the git commit of `source`, with "-dirty" if files differ from it.
+    """Return "git COMMIT" of the checkout `source`, with "-dirty" if files differ from it.
 
-    Without git or a checkout it is the package's version.
+    Without git or a checkout it is "quadwalk VERSION".
     """
     # An installed package may lie inside some other project's checkout, whose commit is not its.
     if (source / ".git").exists():
@@ -183,7 +186,10 @@ def find_revision(source: Path = ROOT) -> str:
 
 
 def make_attachments(loaded: LoadedRun) -> dict[str, bytes]:
-    """Return the files to attach to each recording: the run's config.json, and the robot's MJCF."""
+    """Return by name what to attach to each recording: the run's config.json, the robot's MJCF.
+
+    The MJCF is without the ground. Without a config.json the run attaches none.
+    """
     quadruped = loaded.env.quadruped
     if loaded.env.terrain is not None:  # without the ground, of which the recording shows its own
         quadruped = load_robot(loaded.policy.config.robot)

@@ -82,7 +82,11 @@ _COLUMNS = {
 def measure_sweeps(
     loaded: LoadedRun, episodes: int, seed: int, report: Report | None = None
 ) -> dict[str, Any]:
-    """Return the figures of `measure_points` without perturbation and at each value of a sweep."""
+    """Return the figures of `measure_points` without perturbation and at each value of a sweep.
+
+    They are plain values for JSON. Each sweep has its condition's nominal value and range too, as
+    of `make_task_ranges`.
+    """
     points, nominal = make_sweep_points(loaded)
     measured = measure_points(loaded, points, episodes, seed, report)
     figures = dict(zip(points, measured, strict=True))
@@ -103,7 +107,10 @@ def measure_sweeps(
 
 
 def make_task_ranges(env: QuadrupedEnv, nominal: Point) -> dict[str, tuple[float, float]]:
-    """Return the range of each sweep's condition in the training of the task, in its unit."""
+    """Return the range of each sweep's condition in training, or in `REAL_WORLD` without any.
+
+    Ranges are in the sweep's unit. A condition that is not randomized has `nominal`'s value twice.
+    """
     config, robot = find_training_ranges(env.config), env.robot
     push = (config.push, robot.froude_speed)
     # field of Point -> range of the settings, and how much of the sweep's unit theirs is
@@ -130,7 +137,7 @@ def make_task_ranges(env: QuadrupedEnv, nominal: Point) -> dict[str, tuple[float
 
 
 def make_sweep_points(loaded: LoadedRun) -> tuple[list[Point], Point]:
-    """Return every distinct point of all sweeps, and the one without any perturbation."""
+    """Return the distinct points of all sweeps, and the first of them: without perturbation."""
     nominal = Point(friction=round(loaded.env.friction, 6))
     points = [
         replace(nominal, **{name: value})
@@ -155,6 +162,8 @@ def measure_points(
       the error, on average.
     - heading_error: mean |yaw|, deg; with commands in its place velocity_error, m/s, and
       yaw_rate_error, rad/s, as in an evaluation, but that the windows do not overlap.
+
+    Speed and errors are entries of `summarize_values`; `success_ci95` is the interval of success.
     """
     env, starts = loaded.env, reset_at_points(loaded.env, points, episodes, seed)
     commands, dt = starts.pipeline_state.command, env.config.control_dt
@@ -246,7 +255,10 @@ def sample_conditions_at(
 
 
 def print_sweep(results: dict[str, Any]) -> None:
-    """Print success, speed and tracking at each point; a star marks the model's value."""
+    """Print a table of success, speed and tracking at each point of a sweep.
+
+    Success is the share without a fall. A star marks the value of the robot's model.
+    """
     shown = {name: heading for name, heading in _COLUMNS.items() if name in results["nominal"]}
     rows: list[Sequence[str] | None] = []
     for sweep in results["sweeps"].values():
@@ -274,8 +286,9 @@ def draw_sweep(
 ) -> Figure:
     """Draw a panel for each sweep, or each of `names`: success and speed, with 95 % intervals.
 
-    `results` are those of one run or several, at the same points. The range of each condition in
-    the task of the first run is shaded.
+    Success is the share without a fall, %. `results` are those of one run or several, at the same
+    points. The range of each condition in the task of the first run is shaded. `columns` panels
+    are side by side; `title` stands in place of the runs' names.
     """
     first = results[0]
     sweeps = first["sweeps"]
@@ -320,7 +333,10 @@ def draw_sweep(
 def _draw_points(
     axes: Axes, speed: Axes, result: dict[str, Any], name: str, color: str, mark: str
 ) -> float:
-    """Draw one run's sweep; return the lowest speed drawn."""
+    """Draw a run's sweep `name`: success on `axes`, speed on `speed`, in `color`, with `mark`.
+
+    Returns the lowest end of the speeds' intervals, m/s, at most 0.
+    """
     points = result["sweeps"][name]["points"]
     values = [point["value"] for point in points]
     low, high = 100 * np.array([point["success_ci95"] for point in points]).T
@@ -334,7 +350,10 @@ def _draw_points(
 
 
 def _draw_legend(figure: Figure, runs: list[str]) -> None:
-    """Draw the legend of a figure of sweeps: runs, lines and the shaded range."""
+    """Draw the legend of a figure of sweeps: the color of each run, and what each line means.
+
+    A thick line is the share without a fall, a dashed one speed, a dotted one the robot's model.
+    """
     handles: list[Any] = []
     for k, run in enumerate(runs):
         color, mark = get_style(k)

@@ -37,7 +37,8 @@ def write_evaluation(
 ) -> dict[str, Any]:
     """Evaluate one run into `folder`, and print it; return the content of metrics.json.
 
-    The options are those of `EvalConfig`.
+    A run in MuJoCo C on a flat floor is compared with MJX. The options are those of `EvalConfig`;
+    `video` is a format.
     """
     console, engine = make_console(), loaded.env.engine
     evaluation = _evaluate(loaded, episodes, seed, recordings)

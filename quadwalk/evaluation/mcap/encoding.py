@@ -24,7 +24,7 @@ _MASK = np.uint64((1 << 64) - (1 << _DROPPED_BITS))
 
 
 def round_mantissa(array: np.ndarray) -> np.ndarray:
-    """Round an array to doubles of `MANTISSA_BITS`.
+    """Return an array as doubles whose mantissas are rounded to `MANTISSA_BITS`.
 
     Their lower four bytes are zero, which costs next to nothing in a compressed file. The full
     mantissa of a simulated number is noise that no compressor can shorten.
@@ -34,7 +34,7 @@ def round_mantissa(array: np.ndarray) -> np.ndarray:
 
 
 def encode_text(text: str) -> bytes:
-    """Encode a ROS 2 `std_msgs/msg/String`: CDR header (little-endian), length with NUL, text."""
+    """Encode `text` as a ROS 2 `std_msgs/msg/String`: CDR header, length with NUL, text."""
     data = text.encode() + b"\0"
     return b"\x00\x01\x00\x00" + len(data).to_bytes(4, "little") + data
 
@@ -63,7 +63,7 @@ class Transforms:
             self.message.transforms.add(parent_frame_id=parent, child_frame_id=child)
 
     def serialize(self, time: int, poses: Sequence[Sequence[float]]) -> bytes:
-        """Return the message at `time`, ns, with the pose of each child in its parent."""
+        """Return the message at `time`, ns, with the pose (7,) of each child in its parent."""
         for transform, pose in zip(self.message.transforms, poses, strict=True):
             transform.timestamp.FromNanoseconds(time)
             set_pose(transform.translation, transform.rotation, pose)
@@ -79,7 +79,7 @@ class Joints:
             self.message.joints.add(name=name)
 
     def serialize(self, time: int, values: Sequence[float | Sequence[float]]) -> bytes:
-        """Return the message at `time`, ns, with the numbers of each joint."""
+        """Return the message at `time`, ns, with the position of each joint, or all its numbers."""
         self.message.timestamp.FromNanoseconds(time)
         for joint, numbers in zip(self.message.joints, values, strict=True):
             numbers = numbers if isinstance(numbers, Sequence) else (numbers,)

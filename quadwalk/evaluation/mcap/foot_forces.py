@@ -40,7 +40,7 @@ def add_foot_forces(rollout: Rollout, env: QuadrupedEnv) -> Rollout:
 
 
 def find_floor_and_feet(model: mujoco.MjModel, feet: tuple[str, ...]) -> tuple[int, ...]:
-    """Return the indices of the floor's geom and of those called `feet`."""
+    """Return the indices of the floor's geom and of the geoms called `feet`, five in all."""
     return tuple(int(model.geom(name).id) for name in ("floor", *feet))
 
 

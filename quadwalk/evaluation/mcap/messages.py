@@ -40,7 +40,8 @@ class _Writer(Protocol):
 
     message: Message
 
-    def serialize(self, time: int, values: Any) -> bytes: ...
+    def serialize(self, time: int, values: Any) -> bytes:
+        """Return the message at `time`, ns, with `values`."""
 
 
 class EpisodeMessages:
@@ -74,7 +75,7 @@ class EpisodeMessages:
         self.topics |= {"/log": Log} | ({} if self.field is None else {"/ground": SceneUpdate})
 
     def _make_writers(self) -> dict[str, _Writer]:
-        """Make the writers of all topics of states and steps."""
+        """Return the writer of each topic that has a message for each state or step, by topic."""
         rollout, joints, legs = self.rollout, self.quadruped.joints, self.quadruped.legs
         names = rollout.observation_names
         true_names = names[: 0 if rollout.truth is None else rollout.truth.shape[1]]
@@ -138,7 +139,7 @@ class EpisodeMessages:
         return "/log", time, message.SerializeToString()
 
     def _list_states(self) -> dict[str, np.ndarray]:
-        """Return transforms, joints, pose, velocity and IMU of all states, (T + 1, ...)."""
+        """Return by topic the poses, joints, velocities and IMU of all states, (T + 1, ...)."""
         qpos, qvel = self.rollout.qpos, self.rollout.qvel
         base = to_rotations(qpos[:, 3:7])
         into_body = base.inv()
@@ -163,7 +164,7 @@ class EpisodeMessages:
         return {topic: round_mantissa(rows) for topic, rows in states.items()}
 
     def _list_ends(self) -> dict[str, np.ndarray]:
-        """Return contacts and rewards of all steps, (T, ...), which belong to their ends."""
+        """Return by topic the contacts and rewards at the ends of all steps, (T, ...)."""
         rollout = self.rollout
         contacts = [round_mantissa(self.foot_force), rollout.contact]
         rewards = np.stack([rollout.reward, *rollout.reward_terms.values()], axis=1)

@@ -123,9 +123,9 @@ class SceneWriter:
 
 
 def draw_ground(field: Heightfield, path: np.ndarray, world: str = "world") -> bytes:
-    """Return the field around `path` (T + 1, 2), m, as triangles lit from one side.
+    """Return the message of the ground around `path` (T + 1, 2), m: triangles lit from one side.
 
-    They are a `SceneUpdate` in the frame `world`.
+    It is an encoded `SceneUpdate` in the frame `world`.
     """
     rows, columns = field.heights.shape
     last = np.array([columns, rows]) - 1

@@ -23,9 +23,10 @@ _COLOR = "0.6 0.62 0.66 1"
 
 
 def draw_urdf(urdf: str, model: mujoco.MjModel) -> str:
-    """Return `urdf` with shapes that need no file; links with visual shapes have no others.
+    """Return `urdf` with shapes that need no file: those of `model` in place of meshes.
 
-    Rerun would draw collision shapes too. `model` is the robot's full model.
+    Links with visual shapes lose the others: Rerun would draw collision shapes too. `model` is the
+    robot's full model.
     """
     root = lxml.etree.fromstring(urdf.encode())
     links = {link.get("name"): link for link in root.iter("link")}
@@ -40,7 +41,10 @@ def draw_urdf(urdf: str, model: mujoco.MjModel) -> str:
 def _replace_meshes(
     links: dict[str | None, lxml.etree._Element], urdf: str, model: mujoco.MjModel
 ) -> None:
-    """Draw all links of a body by its shapes in `model` if one of the links has a mesh."""
+    """Replace the shapes of a body's links by its shapes in `model`, if one link has a mesh.
+
+    The elements `links`, by name, are changed in place.
+    """
     tree = parse_urdf(urdf, repair_inertia=True).tree
     for body, parts in tree.parts.items():
         if all(links[part].find(".//mesh") is None for part in parts):
@@ -112,7 +116,7 @@ class LinkFrames:
 
 @lru_cache(maxsize=1)  # an evaluation asks for one robot's with every recording
 def find_link_frames(quadruped: Quadruped) -> LinkFrames:
-    """Return the frames of a quadruped's URDF; only the legs' joints turn."""
+    """Return the frames of the links of a quadruped's URDF; only the legs' joints turn."""
     tree = parse_urdf(quadruped.urdf, repair_inertia=True).tree
     joints: list[yourdfpy.Joint] = []
     pending = [tree.root]

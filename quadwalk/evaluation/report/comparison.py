@@ -23,7 +23,7 @@ _NOT_DRAWN = ("distance", "path", "cost_of_transport", "reward")
 
 
 def print_comparison(labels: Sequence[str], results: Sequence[dict[str, Any]]) -> None:
-    """Print metrics of runs from the same starts side by side, one column each."""
+    """Print a table of the metrics of runs from the same starts, one column for each run."""
     summaries = [result["summary"] for result in results]
     rows = [
         ("training", *(f"{result['training_steps']:,}" for result in results), "steps"),

@@ -41,9 +41,9 @@ def render_video(
     width: int = 480,
     height: int = 300,
 ) -> None:
-    """Write up to `seconds` from the middle of the episode to `path`, in real time.
+    """Write a video of up to `seconds` from the middle of the episode to `path`, in real time.
 
-    `save_video` says which formats there are.
+    It is an MP4 if `path` ends so, or a GIF. A picture is `width` by `height` pixels.
     """
     wanted = min(seconds, rollout.steps * rollout.control_dt)
     start = (rollout.steps * rollout.control_dt - wanted) / 2

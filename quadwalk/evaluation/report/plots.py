@@ -32,11 +32,12 @@ _PARTS = ("hip", "thigh", "calf")
 
 
 def draw_report(rollout: Rollout, quadruped: Quadruped, title: str = "") -> Figure:
-    """Return one episode as a figure of 16 by 18 inches; 21 with sensors that are not ideal.
+    """Draw one episode: footfalls, speed, posture, angles, torques, rewards, path and sensors.
 
+    The figure is 16 by 18 inches; 21 with sensors, which are drawn if they are not ideal.
     Footfalls are those of `WINDOW` seconds about the episode's middle. Angles, torques and sensors
-    are those of `STRIDES` strides there, which the film strip shows too. `title` goes before the
-    figure's own headline.
+    are those of `STRIDES` strides there. The film strip, another picture, shows the same strides.
+    `title` goes before the figure's own headline.
     """
     heights, height = [0.85, 1.2, 1.2, 1.2, 1.6], 18
     if rollout.truth is not None:
@@ -92,9 +93,9 @@ def _find_shown_states(rollout: Rollout) -> tuple[int, int]:
 
 
 def draw_footfalls(axes: Axes, rollout: Rollout, quadruped: Quadruped) -> None:
-    """Draw the gait diagram: when each foot was on the ground, over `WINDOW` seconds.
+    """Draw the gait diagram: when each foot was on the ground, in the episode's middle.
 
-    A band marks the strides that other panels show.
+    It shows `WINDOW` seconds. A band marks the strides that other panels show.
     """
     dt = rollout.control_dt
     start = max((rollout.steps - round(WINDOW / dt)) // 2, 0)
@@ -219,7 +220,10 @@ def _draw_torques(axes: Axes, rollout: Rollout, quadruped: Quadruped, part: int)
 
 
 def _draw_limits(axes: Axes, low: float, high: float, note: str) -> None:
-    """Draw two limits; scale the panel to its curves, even if that hides the limits; add `note`."""
+    """Draw two limits as lines, and `note` above; the panel is scaled to its curves alone.
+
+    The limits may thus be out of sight.
+    """
     bottom, top = axes.dataLim.intervaly
     if not bottom <= top:  # nothing is plotted
         bottom, top = low, high

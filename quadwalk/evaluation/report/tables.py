@@ -16,7 +16,7 @@ _TEXT_COLUMNS = ("", "unit")  # headings of columns of words; the others have nu
 
 
 def print_summary(summary: dict[str, Any], title: str) -> None:
-    """Print falls and metrics of one run's episodes."""
+    """Print a table of the falls and metrics in `summary`, which is of `summarize_episodes`."""
     falls = summary["fall_rate"] * summary["episodes"]
     share, interval = _format_share(summary)
     rows: list[Sequence[str]] = [(f"falls ({falls:.0f} episodes)", share, interval, "", "", "%")]
@@ -28,7 +28,7 @@ def print_summary(summary: dict[str, Any], title: str) -> None:
 
 
 def print_engines(mjx: dict[str, Any], mujoco: dict[str, Any]) -> None:
-    """Print two engines' summaries side by side, and their differences."""
+    """Print a table of two engines' summaries and their differences, as of `compare_engines`."""
     differences = compare_engines(mjx, mujoco)
     falls = 100 * differences["fall_rate"]["difference"]
     rows = [("falls", format_falls(mjx), format_falls(mujoco), f"{falls:+z.1f}", "", "%")]
@@ -80,7 +80,10 @@ def format_value(figure: dict[str, Any] | None) -> str:
 
 
 def format_number(value: float | None, form: str = "z.3f", unit: str = "") -> str:
-    """Format a number; "-" for None and NaN."""
+    """Format a number by the format specification `form`, with `unit` after it.
+
+    None and NaN become "-".
+    """
     return _NONE if value is None or math.isnan(value) else f"{value:{form}}{unit}"
 
 

@@ -97,9 +97,9 @@ def measure_commands(
 def measure_changing(
     loaded: LoadedRun, episodes: int, seed: int, report: Report | None = None
 ) -> dict[str, Any]:
-    """Return the success of `episodes` in which commands change, as plain values for JSON.
+    """Return the share of `episodes` without a fall while commands change, as values for JSON.
 
-    `loaded` comes from `to_changing_run`.
+    It is `success`, with its interval `success_ci95`. `loaded` comes from `to_changing_run`.
     """
     env = loaded.env
     starts, act = reset_episodes(env, episodes, seed), loaded.policy.act

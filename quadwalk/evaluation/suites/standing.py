@@ -29,8 +29,9 @@ def measure_standing(
 ) -> dict[str, Any]:
     """Return the shares of robots that stand 2, 3 and 6 s after the start, plain values for JSON.
 
-    There is an entry for each of several conditions, with `episodes` from the same starts; its
-    `success` is the share after 3 s. `loaded` comes from `to_standing_run`.
+    A robot stands as `check_standing` says. There is an entry for each of several conditions, with
+    `episodes` from the same starts; its `success` is the share after 3 s. `loaded` comes from
+    `to_standing_run`.
     """
     env = loaded.env
     points = make_standing_points(env)
@@ -72,8 +73,9 @@ def make_standing_points(env: QuadrupedEnv) -> dict[str, Point]:
 def check_standing(env: QuadrupedEnv, poses: np.ndarray) -> tuple[bool, ...]:
     """Return for each of `SECONDS` True if the robot stands then, on a flat floor.
 
-    `poses` (T + 1, 7), m and wxyz, are those of its trunk. After the end of an episode it does not
-    stand.
+    Its trunk is then higher than `STANDING_HEIGHT` of the home height, and leans by less than
+    `STANDING_TILT`. `poses` (T + 1, 7), m and wxyz, are those of the trunk. After the end of an
+    episode the robot does not stand.
     """
     up = 1.0 - 2.0 * (poses[:, 4] ** 2 + poses[:, 5] ** 2)
     high = poses[:, 2] > STANDING_HEIGHT * env.robot.home_height
@@ -83,7 +85,7 @@ def check_standing(env: QuadrupedEnv, poses: np.ndarray) -> tuple[bool, ...]:
 
 
 def print_standing(results: dict[str, Any]) -> None:
-    """Print the shares of robots that stand after each of `SECONDS`, under each condition."""
+    """Print a table of the shares of robots that stand after each of `SECONDS`, by condition."""
     rows = []
     for condition in results["conditions"]:
         low, high = (100 * end for end in condition["success_ci95"])

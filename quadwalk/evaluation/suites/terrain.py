@@ -89,7 +89,7 @@ def measure_terrain(
 def make_cells_env(loaded: LoadedRun, kinds: tuple[str, ...], levels: int) -> QuadrupedEnv:
     """Make an environment with tiles of each kind at each of `levels` difficulties.
 
-    An episode ends where it leaves its tile.
+    An episode ends where it leaves its tile. A velocity command is `PACE` straight ahead.
     """
     config = loaded.env.config
     ground, command = config.ground, config.command
@@ -107,7 +107,10 @@ def make_cells_env(loaded: LoadedRun, kinds: tuple[str, ...], levels: int) -> Qu
 
 
 def print_terrain(results: dict[str, Any]) -> None:
-    """Print success, speed and error on each kind of ground, the difficulties side by side."""
+    """Print a table of success, arrival, speed and velocity error on each kind of ground.
+
+    The difficulties are side by side. `results` are of `measure_terrain`.
+    """
     levels = len(results["difficulties"])
     rows: list[list[str] | None] = []
     for index, kind in enumerate(results["kinds"]):
@@ -129,7 +132,11 @@ def print_terrain(results: dict[str, Any]) -> None:
 
 
 def draw_terrain(results: dict[str, Any], title: str) -> Figure:
-    """Draw heat maps of kinds by difficulties: success, speed and, with commands, the error."""
+    """Draw heat maps over kinds of ground and difficulties: success, speed, velocity error.
+
+    They are in % and m/s; the error is there with commands alone. `results` are of
+    `measure_terrain`.
+    """
     kinds, difficulties = results["kinds"], results["difficulties"]
     commanded = results["command"] is not None
     maps: list[tuple[str, str, float, Any]] = [
