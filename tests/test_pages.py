@@ -6,6 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from quadwalk.cli import main
+
 ROOT = Path(__file__).parents[1]
 PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), *ROOT.glob("studies/**/*.md")])
 LINK = re.compile(r"\]\(([^)\s]+)\)")
@@ -45,6 +47,20 @@ def test_a_page_from_the_source_is_what_the_source_says(name):
     spec.loader.exec_module(module)
     assert module.PAGE.read_text() == module.page(), f"expected: python docs/site/{name}.py"
     assert "|  |" not in module.page()  # a setting without a word
+
+
+def test_the_page_of_settings_has_every_flag_of_a_task_s_terms(capsys):
+    main.call_command(["train", "rough", "--help-all"])
+    kinds = r"--env\.(?:reward|observation|critic|termination|action)\.[\w.-]+"
+    shown = set(re.findall(kinds, capsys.readouterr().out))
+    rows = (ROOT / "docs/settings.md").read_text().splitlines()
+    heads = [row.split(" | ") for row in rows if " | rough | " in row]
+    column = {head.index("rough") for head in heads}.pop()
+    cells = [row.split(" | ") for row in rows if re.match(rf"\| `{kinds}`", row)]
+    listed = {flag.strip("| `") for flag, *values in cells if values[column - 1] != "-"}
+    histories = {flag for flag in shown if flag.endswith(".history")}  # listed where not 0
+    assert listed | histories == shown
+    assert "| `--env.reward.kneel` | - | - | - | - | -1 | -1 | - | - |" in "\n".join(rows)
 
 
 def test_every_page_is_on_the_site():

@@ -12,6 +12,7 @@ import pytest
 import tyro
 
 from quadwalk.cli import main
+from quadwalk.errors import UsageError
 from quadwalk.experiments.commands import split_variants
 from quadwalk.files import format_json
 from quadwalk.learn.flags import parse_config
@@ -24,10 +25,11 @@ PAGES = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *ROOT.glob("docs/*
 BLOCK = re.compile(r"```sh\n(.*?)```", re.DOTALL)
 OWN_TASK = re.compile(r"```python\n(# my_task.py\n.*?)```", re.DOTALL)
 INLINE = re.compile(r"`((?:python|quadwalk|make) [^`]+)`")
+FLAGS = re.compile(r"`(--[^`\n]+ [^`\n]+)`")
 EXTRAS = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
 PLACES = {
     ".venv/bin/python": "python", "TASK": "walk", "COMMAND": "train", "VARIANT": "", "N": "1",
-    "K": "0", "HOST:PORT": "a:1",
+    "K": "0", "HOST:PORT": "a:1", "NAME": "fast",
 }  # fmt: skip
 # Programs of others, and one of the check.
 OTHERS = (
@@ -133,6 +135,23 @@ def test_commands_are_read_by_their_parsers(page, parse):
         for variant in split_variants(given[1:])[0] if given[:1] == ["compare"] else []:
             with pytest.raises(ParsedError):
                 parse_config(shlex.split(variant))
+
+
+def test_flags_against_trouble_are_read_by_the_parser_of_a_task(parse):
+    def is_read(*words: str) -> bool:
+        try:
+            parse("train", *words)
+        except UsageError:
+            return False
+        return True
+
+    flags = FLAGS.findall((ROOT / "docs/trouble.md").read_text())
+    assert len(flags) > 20
+    for text in flags:
+        words = [PLACES.get(word, word) for word in shlex.split(text)]
+        tasks = [[]] if "--resume" in words else [["run"], ["drive"], ["rough"]]
+        assert any(is_read(*task, *words) for task in tasks), text
+    assert not is_read("run", "--env.reward.fidget", "-5")  # which drive alone has
 
 
 def test_the_readme_has_commands_and_a_wrong_flag_is_found(parse):
