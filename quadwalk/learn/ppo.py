@@ -391,7 +391,7 @@ def init_state(
 class Iteration:
     """An iteration of training: `state, metrics = iteration(state)`, whose `state` is donated.
 
-    It is two programs, since one of both takes an eighth longer (docs/physics.md).
+    It is two programs, since one of both takes an eighth longer (studies/history.md).
     """
 
     def __init__(

@@ -53,6 +53,7 @@ TASK = TrainConfig(
         ),
         randomization=replace(REAL_WORLD, ideal=0.1),
     ),
-    # Smaller steps, which settle early: PPO's own need 92 M for what 37 M reach (docs/results.md).
+    # Smaller steps, which settle early: PPO's own need 92 M for what 37 M reach.
+    # studies/history.md has the figures.
     ppo=replace(PPO, retry=0.5, desired_kl=0.015, final_kl=0.004, anneal_share=0.8),
 )
