@@ -79,7 +79,10 @@ def step_mujoco(
 
 
 def make_trot(home: np.ndarray) -> np.ndarray:
-    """Return joint targets (steps, 12), rad, of a trot on the spot: diagonal feet in turn."""
+    """Return joint targets (steps, 12), rad, of a trot on the spot: diagonal feet in turn.
+
+    `home` (12,), rad, are the joint angles of a stand. Each row holds for `CONTROL`.
+    """
     times = np.arange(0, SECONDS, CONTROL)[:, None]
     lift = np.maximum(np.sin(2 * np.pi * STRIDES * times + np.pi * np.array([0, 1, 1, 0])), 0.0)
     # A thigh forward and a calf folded by twice that lift the foot straight up.
@@ -93,7 +96,7 @@ def trot_in_mujoco(
     """Simulate a trot in MuJoCo C; return the trunk's motion and the heights of the soles.
 
     They are one array (robots, control steps, 10): position, m, velocity, m/s, and four heights, m.
-    `targets` (control steps, 12) are in rad.
+    `dt`, s, is a physics step; `targets` (control steps, 12) are in rad.
     """
     model = make_converged_model(env.quadruped, dt)
     geoms = [model.geom(name).id for name in env.quadruped.feet]
@@ -119,9 +122,9 @@ def trot_in_engine(
     starts: PhysicsState,
     targets: np.ndarray,
 ) -> np.ndarray:
-    """Simulate a trot in `engine`; return the same numbers as `trot_in_mujoco`.
+    """Simulate a trot in `engine`; return the trunk's motion and the heights of the soles.
 
-    `setting` is one of `SETTINGS`.
+    They are one array, as of `trot_in_mujoco`. `setting` is one of `SETTINGS`.
     """
     iterations, line_search, substeps = setting
     # The model's contact stiffness depends on the step.
@@ -146,7 +149,10 @@ def trot_in_engine(
 
 
 def print_trotting(robots: int) -> None:
-    """Print how far each setting of the engines is from MuJoCo C after a second of trotting."""
+    """Print how far each setting of the engines is from MuJoCo C after a second of trotting.
+
+    Distances of position and velocity are means over so many `robots`, each with its own start.
+    """
     env = QuadrupedEnv(load_quadruped(), sprint.TASK.env)
     keys = jax.random.split(jax.random.PRNGKey(0), robots)
     starts = jax.device_get(jax.jit(jax.vmap(env.reset))(keys)).pipeline_state.physics
@@ -199,9 +205,10 @@ def slide_in_mujoco(quadruped: Quadruped, friction: float, kick: str) -> np.ndar
 def slide_in_fast(
     quadruped: Quadruped, iterations: int, line_search: int, cases: list[tuple[str, float]]
 ) -> np.ndarray:
-    """Simulate slides as `slide_in_mujoco` does, but in the fast engine; return (n, 3).
+    """Simulate slides in the fast engine; return the trunk's velocities (n, 3) at the end.
 
-    The n `cases` are pairs of a name in `KICKS` and the floor's friction.
+    They are as of `KICKS`. The n `cases` are pairs of a name in `KICKS` and the floor's friction.
+    The solver takes `iterations` of Newton, each with `line_search` evaluations.
     """
     mj_model = quadruped.make_training_model(DT, iterations, line_search)
     model = fast.make_model(mj_model, quadruped, make_motor(mj_model, quadruped, MotorConfig()))

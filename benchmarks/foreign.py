@@ -60,7 +60,11 @@ Starts = list[tuple[np.ndarray, np.ndarray]]  # qpos (19,) and qvel (18,)
 def sample_episodes(
     loaded: "LoadedRun", episodes: int, seed: int, friction: float | None
 ) -> tuple[Starts, np.ndarray]:
-    """Return first states and commands (episodes, T, 3); each episode has two commands in turn."""
+    """Return first states and commands (episodes, T, 3); each episode has two commands in turn.
+
+    Commands are in m/s and rad/s, and within what a floor of `friction`, None for the model's,
+    holds. For a task without commands they are 0.
+    """
     import jax
 
     from quadwalk.env.command import sample_velocity
@@ -79,9 +83,10 @@ def sample_episodes(
 
 
 def compute_figures(episode: Episode, commands: np.ndarray | None, dt: float) -> dict[str, float]:
-    """Return the speed of an episode, m/s, and its errors, m/s and rad/s.
+    """Return the speed of an episode, m/s, and how far it is from its commands, m/s and rad/s.
 
-    `commands` (steps, 3) is None for a task without; the error is then that of the heading, deg.
+    Speed and errors are as the module says. `commands` (steps, 3) is None for a task without; the
+    error is then that of the heading, the mean |yaw|, deg.
     """
     from quadwalk.evaluation.metrics import (
         SETTLING,
@@ -109,7 +114,8 @@ def summarize(
 ) -> dict[str, Any]:
     """Return the share of falls in one condition, and the means of the other figures.
 
-    `fell` and `upright` (episodes,) are bools: the means are those of `upright` episodes.
+    Both come with their 95 % intervals. `figures` has those of each episode. `fell` and `upright`
+    (episodes,) are bools: the means are those of `upright` episodes.
     """
     from quadwalk.evaluation.metrics import compute_share_interval, summarize_values
 
@@ -120,7 +126,7 @@ def summarize(
 
 
 def format_table(results: list[dict[str, Any]]) -> str:
-    """Return a Markdown table with a row for each condition."""
+    """Return a Markdown table of falls and figures in both simulators, a row for each condition."""
     from quadwalk.evaluation.metrics import get_mean
 
     lines: list[list[str]] = []
@@ -174,7 +180,11 @@ def measure(
     seed: int,
     contact: Contact,
 ) -> tuple[list[dict[str, Any]], dict[Simulator, Episode]]:
-    """Return a summary of each condition in `names`, and one episode of the first per simulator."""
+    """Drive the export in `folder` under the conditions `names`; return a summary of each.
+
+    With them comes an episode of the first condition in each simulator. Simulates in processes, and
+    prints each share of falls as it comes.
+    """
     config = loaded.env.config
     jobs, figures, fell = {}, {}, {}
     samples: dict[Simulator, Episode] = {}

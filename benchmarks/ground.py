@@ -29,7 +29,7 @@ STEPPING = Stepping(dt=0.004, substeps=1, iterations=4, line_search=1)
 
 
 def main() -> None:
-    """Print the physics steps per second on a field and on a flat floor."""
+    """Print what a physics step costs on a field and on a flat floor, microseconds of a core."""
     parser = make_parser(__doc__)
     parser.add_argument("--envs", type=int, default=512)
     parser.add_argument("--steps", type=int, default=10, help="physics steps in a round")

@@ -29,7 +29,7 @@ class SB3VecEnv(VecEnv):
         super().__init__(envs.num_envs, envs.single_observation_space, envs.single_action_space)
 
     def reset(self):
-        """Return the first observations of all environments."""
+        """Reset all environments, by the first of their seeds; return the first observations."""
         observations, _ = self.envs.reset(seed=self._seeds[0])
         return observations
 
@@ -38,7 +38,10 @@ class SB3VecEnv(VecEnv):
         self.actions = actions
 
     def step_wait(self):
-        """Take a step with the actions of `step_async`; return what Stable-Baselines3 expects."""
+        """Take a step with the actions of `step_async`, and add its time to `seconds`.
+
+        Returns observations, rewards, ends and infos, as Stable-Baselines3 expects.
+        """
         began = time.perf_counter()
         observations, reward, terminated, truncated, infos = self.envs.step(self.actions)
         self.seconds += time.perf_counter() - began
@@ -56,32 +59,36 @@ class SB3VecEnv(VecEnv):
         self.envs.close()
 
     def env_is_wrapped(self, wrapper_class, indices=None):
+        """Return False for each environment: none has a wrapper."""
         return [False] * self.num_envs
 
     def get_attr(self, attr_name, indices=None):
+        """Return an attribute of the vector environment once for each environment, or None."""
         return [getattr(self.envs, attr_name, None)] * self.num_envs
 
     def set_attr(self, attr_name, value, indices=None):
+        """Raise an error: there are no attributes to set."""
         raise NotImplementedError("the environments have no attributes of their own")
 
     def env_method(self, method_name, *args, indices=None, **kwargs):
+        """Raise an error: there are no methods to call."""
         raise NotImplementedError("the environments have no methods of their own")
 
 
 class TimedPPO(PPO):
-    """PPO that measures how long collecting and learning take."""
+    """PPO that measures how long collecting and learning take, in s."""
 
     collecting = learning = 0.0
 
     def collect_rollouts(self, *args, **kwargs):
-        """Collect rollouts, and add the time of that."""
+        """Collect rollouts as PPO does, and add the seconds to `collecting`."""
         began = time.perf_counter()
         goes_on = super().collect_rollouts(*args, **kwargs)
         self.collecting += time.perf_counter() - began
         return goes_on
 
     def train(self):
-        """Learn from the rollouts, and add the time of that."""
+        """Learn from the rollouts as PPO does, and add the seconds to `learning`."""
         began = time.perf_counter()
         super().train()
         self.learning += time.perf_counter() - began

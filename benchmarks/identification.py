@@ -57,7 +57,10 @@ CASES = {
 
 
 def record_log(quadruped: Quadruped, known: Known, seconds: float) -> Log:
-    """Return the log of a robot on a stand that follows the targets of `make_targets`."""
+    """Simulate a robot on a stand that follows the targets of `make_targets`; return its log.
+
+    MuJoCo C simulates the `known` robot for `seconds`.
+    """
     spec = quadruped.spec.copy()
     spec.delete(spec.joints[0])
     spec.delete(spec.keys[0])
@@ -95,7 +98,7 @@ def record_log(quadruped: Quadruped, known: Known, seconds: float) -> Log:
 
 
 def print_case(case: str, quadruped: Quadruped, seconds: float) -> None:
-    """Fit the log of a case, and print the errors of what was found."""
+    """Simulate a log of a case, `seconds` long, fit it, and print the errors of what was found."""
     known = CASES[case]
     config = IdentifyConfig(Path("made in MuJoCo C"), kp=known.kp, kd=known.kd)
     log = record_log(quadruped, known, seconds)

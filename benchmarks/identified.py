@@ -75,7 +75,10 @@ def main() -> None:
 
 
 def copy_identified(name: str, folder: Path, constants: dict[str, list[float]]) -> Run:
-    """Copy the packaged policy `name` to `folder`; its robot gets the identified constants."""
+    """Copy the packaged policy `name` to `folder`, with a robot of other constants; return it.
+
+    `constants` are values for `JOINTS` by name, as in `IDENTIFIED`.
+    """
     run = Run(folder / name)
     shutil.copytree(PRETRAINED / name, run.path)
     run.urdf.write_text(set_dynamics(load_quadruped(run.urdf).urdf, JOINTS, constants))
@@ -83,7 +86,7 @@ def copy_identified(name: str, folder: Path, constants: dict[str, list[float]]) 
 
 
 def format_figure(figure: dict[str, Any] | None) -> str:
-    """Return a figure of a summary as a cell of the table."""
+    """Return the mean of a figure ± its 95 % interval as a cell of the table; "-" for None."""
     return "-" if figure is None else f"{figure['mean']:.3f} ± {figure['ci95']:.3f}"
 
 

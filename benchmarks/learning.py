@@ -84,7 +84,7 @@ def main() -> None:
 
 @contextlib.contextmanager
 def check_out(commit: str) -> Iterator[Path]:
-    """Return a context that gives a folder with the files of `commit`."""
+    """Return a context that gives a folder with the files of `commit`, and removes it."""
     with tempfile.TemporaryDirectory() as folder:
         git = ["git", "-C", str(ROOT), "worktree"]
         subprocess.run([*git, "add", "--detach", folder, commit], check=True, capture_output=True)
@@ -111,7 +111,10 @@ def start_worker(checkout: Path, python: str, flags: list[str]) -> Iterator[subp
 
 
 def ask(process: subprocess.Popen[str]) -> list[float]:
-    """Have the worker of `start_worker` train one round; return its costs."""
+    """Have the worker of `start_worker` train one round; return its costs, as of `PARTS`.
+
+    They are in microseconds of a core for one control step.
+    """
     assert process.stdin is not None
     assert process.stdout is not None
     process.stdin.write("\n")

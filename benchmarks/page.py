@@ -26,7 +26,10 @@ HEAD = "| robot | MJCF in the page, kB | shapes | triangles | to see it |\n|---|
 
 
 def load_in_node(xml: str) -> dict[str, int]:
-    """Return the numbers of coordinates, shapes and triangles of a model that Node.js loads."""
+    """Load an MJCF, as text, by the page's MuJoCo in Node.js; return the sizes of its model.
+
+    They are MuJoCo's numbers by name, such as `nq`, `ngeom` and `nmeshface`.
+    """
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
         site.write_folder(vendor.load_vendor_files(), folder)
@@ -41,7 +44,7 @@ def load_in_node(xml: str) -> dict[str, int]:
 
 
 def make_row(file: Path) -> str:
-    """Return a robot's row of the table."""
+    """Return the row of the table for the URDF `file` of a quadruped, loaded in Node.js."""
     spec, note = decimate_visuals(load_quadruped(file).spec)
     xml = write_xml(spec)
     sizes = load_in_node(xml)
@@ -54,7 +57,7 @@ def make_row(file: Path) -> str:
 
 
 def main() -> None:
-    """Print the table."""
+    """Print the table of published robots, and write it to --markdown, if that is there."""
     parser = make_parser(__doc__)
     parser.add_argument("--folder", type=Path, help="of URDFs (default: example-robot-data's)")
     parser.add_argument("--only", nargs="+", default=[""], metavar="NAME", help="parts of paths")

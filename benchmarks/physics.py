@@ -90,7 +90,10 @@ def main() -> None:
 
 
 def make_mjx_step(env: QuadrupedEnv) -> Step:
-    """Return a function with the arguments and result of `make_fast_step`'s, which steps MJX."""
+    """Return a function that steps a robot in MJX and returns its last qpos (19,).
+
+    Its arguments are those of `make_fast_step`'s.
+    """
     model = mjx.put_model(env.mj_model)
 
     def step_all(state: PhysicsState, torques: jax.Array) -> jax.Array:
@@ -109,7 +112,11 @@ def make_mjx_step(env: QuadrupedEnv) -> Step:
 def make_variants(
     env: QuadrupedEnv, envs: int, make_measure: Callable[[Step], Callable[[], float]]
 ) -> dict[str, Callable[[], float]]:
-    """Return the fast engine with other settings or without what makes it fast, to measure."""
+    """Return by name functions that measure variants of the fast engine, in steps per second.
+
+    Variants have other settings, or lack what makes it fast. `make_measure` turns a function that
+    steps into one that measures it.
+    """
 
     def make_variant(**changes: int) -> Callable[[], float]:
         return make_measure(make_fast_step(env.model, dataclasses.replace(env.stepping, **changes)))

@@ -104,7 +104,10 @@ COMMANDS = {(0.3, 4.0): "quadwalk robot", (4.5, 10.3): "quadwalk train"}
 
 
 def export_drive(folder: Path) -> Any:
-    """Export `drive` with `getup` to `folder`; return the simulation of its run_policy.py."""
+    """Export `drive` with `getup` to `folder`; return the simulation of its run_policy.py.
+
+    `folder` stays on `sys.path`.
+    """
     drive, getup = (Run(PRETRAINED / name) for name in ("drive", "getup"))
     export_run(drive, "last", folder, Console(quiet=True), getup)
     sys.path.insert(0, str(folder))
@@ -113,7 +116,11 @@ def export_drive(folder: Path) -> Any:
 
 
 def simulate_drive(robot: Any) -> Iterator[tuple[np.ndarray, str]]:
-    """Yield the pose (19,) for each frame of the film, and the text to write on it."""
+    """Yield the pose (19,) for each frame of the film, and the text to write on it.
+
+    `robot` is the simulation of `export_drive`. The text says what it does, and its speed along the
+    heading, m/s.
+    """
     steps_of_picture = round(1.0 / FPS / robot.period)
     for step in range(round(SECONDS / robot.period)):
         _, name, command = [part for part in COURSE if part[0] <= step * robot.period + 1e-9][-1]
@@ -152,7 +159,7 @@ def render_drive() -> Iterator[Image.Image]:
 
 
 def draw_drive() -> None:
-    """Draw the film of the README: `drive` follows commands, is thrown over and gets up."""
+    """Write the README's film drive.webp: `drive` follows commands, is thrown over, gets up."""
     first, *others = render_drive()
     with open_atomic(DOCS / "drive.webp") as file:
         first.save(
@@ -168,7 +175,10 @@ def draw_drive() -> None:
 
 
 def draw_page() -> None:
-    """Save a screenshot of the page of `quadwalk demo` in chromium, with the robot at a gallop."""
+    """Write page.png: the page of `quadwalk demo` in chromium, with the robot at a gallop.
+
+    Raises `UserError` without chromium.
+    """
     if PROGRAM is None:
         raise UserError("there is no chromium; expected Debian's package of that name")
     runs = [Run(PRETRAINED / name) for name in ("rough", "walk", "run")]
@@ -192,17 +202,20 @@ def draw_page() -> None:
 
 
 def draw_robustness() -> None:
-    """Draw success and speed of `run` and `sprint` as one condition after another is worse."""
+    """Write robustness.png: success and speed of `run` and `sprint` as six conditions get worse."""
     _draw_sweep("robustness", ("everything", "friction", "mass", "delay", "noise", "push"), 3)
 
 
 def draw_robustness_all() -> None:
-    """Draw success and speed of `run` and `sprint` for every condition of a sweep."""
+    """Write robustness_all.png: success and speed of `run` and `sprint` over each condition."""
     _draw_sweep("robustness_all", None, 4)
 
 
 def _draw_sweep(name: str, conditions: tuple[str, ...] | None, columns: int) -> None:
-    """Draw the sweep in results.json over these conditions, None for all, as docs/`name`.png."""
+    """Write docs/`name`.png: the sweep in results.json over `conditions`, None for all.
+
+    `columns` panels are side by side.
+    """
     results = json.loads(RESULTS.read_text())["runs"]
     for result in results:
         result["run"] += f", {result['training_steps'] / 1e6:.0f} M steps"
@@ -212,16 +225,17 @@ def _draw_sweep(name: str, conditions: tuple[str, ...] | None, columns: int) -> 
 
 
 def draw_terrain() -> None:
-    """Draw every kind of terrain, with the robot on it."""
+    """Write terrain.png: every kind of terrain, with the robot on it."""
     kinds = tuple(kind for kind in KINDS if kind != "flat")
     config = dataclasses.replace(FLAT, kinds=kinds, levels=1, difficulty=(1.0, 1.0))
     save_png(draw_kinds(config, load_quadruped()), DOCS / "terrain.png")
 
 
 def draw_zoo() -> None:
-    """Draw robots, each read from its URDF, in their home poses at one scale, with mass and speed.
+    """Write zoo.png: the robots of `ROBOTS` in their home poses, at one scale, with mass and speed.
 
-    The figures are those of docs/zoo.md.
+    Each is read from its URDF; the figures are those of docs/zoo.md. Raises `UserError` without
+    example-robot-data.
     """
     folder = find_example_robots()
     if folder is None:
@@ -248,7 +262,7 @@ def _make_box(x: float, y: float) -> FancyBboxPatch:
 
 
 def draw_pipeline() -> None:
-    """Draw the steps from a URDF to a policy as a diagram of boxes and arrows."""
+    """Write pipeline.png: the steps from a URDF to a policy as boxes and arrows."""
     figure = make_figure((13, 3.8), "")
     axes = figure.subplots()
     axes.set_axis_off()
@@ -284,7 +298,7 @@ DRAWINGS = {
 
 
 def main() -> None:
-    """Draw the pictures that are named, or all."""
+    """Write the pictures that are named, or all, into docs/."""
     parser = make_parser(__doc__)
     parser.add_argument("names", nargs="*", metavar="NAME", help=f"of: {', '.join(DRAWINGS)}")
     options = parser.parse_args()

@@ -53,7 +53,7 @@ class Pinocchio:
                 self.shapes.append((link.get("name"), placement))
 
     def to_configuration(self, qpos: np.ndarray) -> np.ndarray:
-        """Return Pinocchio's q for MuJoCo's qpos."""
+        """Return Pinocchio's configuration q for MuJoCo's `qpos`: the same pose."""
         q = np.zeros(self.model.nq)
         if self.floating:
             q[:7] = qpos[[0, 1, 2, 4, 5, 6, 3]]
@@ -112,7 +112,11 @@ class Pinocchio:
         return g, drift
 
     def compute_errors(self, states: int, seed: int = 0) -> dict[str, float]:
-        """Return the largest difference of each quantity in random states, relative to its size."""
+        """Return the largest difference of each quantity in so many random states, by name.
+
+        Quantities are those of `compute_quantities`; each difference is relative to the largest
+        value of its quantity. Sets the MuJoCo model's armature to 0.
+        """
         rng = np.random.default_rng(seed)
         self.mj.dof_armature[:] = 0  # no part of a URDF that Pinocchio reads
         data = mujoco.MjData(self.mj)

@@ -44,7 +44,10 @@ def main() -> None:
 
 
 def train_run(runs: Path, name: str, flags: list[str]) -> Path:
-    """Train a run `name` in the folder `runs`, unless it exists; return its folder."""
+    """Train a run `name` in the folder `runs`, unless it exists; return its folder.
+
+    `flags` are those of train.py, the task first.
+    """
     run = Run(runs / name)
     if not run.policy.exists():
         train(parse_config([*flags, "--name", name, "--runs", str(runs)])[0])

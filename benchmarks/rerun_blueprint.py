@@ -73,7 +73,10 @@ def make_blueprint() -> blueprint.Blueprint:
 
 
 def plot(name: str, plotted: Plotted, **options: Any) -> blueprint.TimeSeriesView:
-    """Return a view that plots fields of messages; Rerun does not plot them of itself."""
+    """Return a view, called `name`, that plots fields of messages.
+
+    Rerun does not plot them of itself. `options` are those of the view.
+    """
     overrides: dict[Any, Any] = {
         topic: [make_line(topic, field, *look) for field, look in fields.items()]
         for topic, fields in plotted.items()
@@ -84,7 +87,7 @@ def plot(name: str, plotted: Plotted, **options: Any) -> blueprint.TimeSeriesVie
 
 
 def make_line(topic: str, field: str, name: str, color: str) -> blueprint.Visualizer:
-    """Return the line of one field of the messages of a topic."""
+    """Return the line of one field of the messages of a topic, with its name and color #rrggbb."""
     source = VisualizerComponentMapping(
         "Scalars:scalars",
         ComponentSourceKind.SourceComponent,

@@ -34,7 +34,8 @@ class Result(NamedTuple):
 def measure(envs: int, cores: int, seconds: float) -> Result:
     """Train with `envs` environments on `cores` cores for `seconds`; return rate and peak memory.
 
-    The process that calls it is then bound to those cores, and must be a new one.
+    The process that calls it is then bound to those cores, and must be a new one: memory is its
+    largest so far.
     """
     import resource  # not on Windows
 

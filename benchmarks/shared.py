@@ -24,12 +24,16 @@ from quadwalk.tasks import sprint
 
 
 def make_parser(doc: str | None) -> argparse.ArgumentParser:
-    """Return a parser of a program whose module has the docstring `doc`."""
+    """Return a parser that describes its program by the first line of the docstring `doc`."""
     return argparse.ArgumentParser(description=(doc or "").partition("\n")[0])
 
 
 def map_over_cores(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Compile `function` of one robot for many, which the cores share."""
+    """Return `function` of one robot, compiled for many, which the cores share.
+
+    Its arguments and results get a first axis for the robots, whose number is a multiple of
+    the devices.
+    """
     split = jax.sharding.PartitionSpec(AXIS)
     mesh = make_mesh()
     return jax.jit(
@@ -44,7 +48,8 @@ def make_fast_step(
 ) -> Callable[[PhysicsState, jax.Array], jax.Array]:
     """Return a function that steps a robot in the fast engine and returns its last qpos (19,).
 
-    Its arguments are a state and torques (n, 12), Nm, one row for each of n physics steps.
+    Its arguments are a state and torques (n, 12), Nm, one row for each of n physics steps. It is
+    made to be batched, by `jax.vmap` or `map_over_cores`.
     """
 
     def step_batch(model: Model, state: PhysicsState, torques: jax.Array) -> jax.Array:
@@ -119,7 +124,7 @@ class TimedTraining:
         self.run(0.0)
 
     def run(self, seconds: float) -> Timed:
-        """Train for some seconds, at least one iteration."""
+        """Train for `seconds`, at least one iteration; return what that took."""
         began = time.perf_counter()
         total = Timed(0, 0.0, 0.0)
         while not total.steps or time.perf_counter() - began < seconds:

@@ -55,7 +55,7 @@ class Robot(Protocol):
     dt: float  # s, one physics step
 
     def set_state(self, q: np.ndarray, v: np.ndarray) -> None:
-        """Put the robot into the state `q`, `v`."""
+        """Put the robot into the state `q` (19,), `v` (18,), as MuJoCo defines them."""
 
     def get_state(self) -> tuple[np.ndarray, np.ndarray]:
         """Return copies of the state, q (19,) and v (18,), as MuJoCo defines them."""
@@ -68,7 +68,7 @@ class Robot(Protocol):
 
 
 def load_controller(folder: Path) -> ModuleType:
-    """Import the file controller.py of an export's folder."""
+    """Import the file controller.py of an export's folder; return the module."""
     spec = importlib.util.spec_from_file_location("controller", folder / "controller.py")
     assert spec is not None
     assert spec.loader is not None
@@ -226,7 +226,7 @@ class DrakeRobot:
 
 
 def _set_contact(plant: Any, scene: Any, friction: float, contact: Contact) -> None:
-    """Set friction and compliance of every shape in Drake, which a URDF does not give."""
+    """Set friction and compliance of every shape in Drake, in place; a URDF does not give them."""
     from pydrake.geometry import AddContactMaterial, ProximityProperties, Role, RoleAssign
     from pydrake.multibody.plant import CoulombFriction
 
@@ -267,6 +267,7 @@ def run_episode(
 ) -> Episode:
     """Drive `robot` from `start`, qpos and qvel, by `commands` (T, 3), until it falls.
 
+    Commands are in m/s and rad/s. Of `condition` only latency, noise and pushes are applied here.
     `seed` is that of noise and pushes, which are the same in every simulator until a robot falls.
     """
     rng = np.random.default_rng(seed)
@@ -302,7 +303,10 @@ def run_episode(
 def _add_noise(
     q: np.ndarray, v: np.ndarray, noise: float, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the state as sensors measure it: gyro, IMU and encoders with `noise`, a level."""
+    """Return copies of the state `q` (19,), `v` (18,) as sensors measure it, with random errors.
+
+    Errors of gyroscope, attitude, joint angles and rates are `noise`, a level, times their sizes.
+    """
     errors = noise * rng.standard_normal(30)
     quat, q, v = np.zeros(4), q.copy(), v.copy()
     mujoco.mju_mulQuat(quat, q[3:7], np.r_[1.0, ATTITUDE / 2 * errors[:3]])
@@ -320,9 +324,9 @@ def run_episodes(
     commands: np.ndarray,
     contact: Contact = Contact(),
 ) -> list[Episode]:
-    """Drive the export in `folder` in one simulator, from each of `starts`.
+    """Drive the export in `folder` in one simulator; return an episode from each of `starts`.
 
-    `commands` (n, T, 3) are those of the n episodes.
+    `commands` (n, T, 3), m/s and rad/s, are those of the n episodes. `contact` is Drake's.
     """
     controller = load_controller(folder).Controller(folder / "policy.onnx")
     # Gains and limits alike: a motor's constant.

@@ -64,7 +64,7 @@ class PyBulletTask(gymnasium.Env):
         assert len(self._joints) == 12
 
     def reset(self, *, seed: int | None = None, options: Any = None) -> tuple[np.ndarray, dict]:
-        """Start an episode; return its first observation."""
+        """Start an episode, each at the same pose; return its first observation (37,), and {}."""
         super().reset(seed=seed)
         self._bullet.resetBasePositionAndOrientation(self._robot, START, (0.0, 0.0, 0.0, 1.0))
         self._bullet.resetBaseVelocity(self._robot, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
@@ -74,7 +74,11 @@ class PyBulletTask(gymnasium.Env):
         return self._observe(), {}
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict]:
-        """Take one physics step; return observation, reward and ends, as Gymnasium does."""
+        """Take one physics step to joint targets: `action` (12,), -1 to 1, from `LOWER` to `UPPER`.
+
+        Targets are at most `REACH` from the joints' angles. Returns observation (37,), reward,
+        whether it fell, whether time is up, and {}.
+        """
         target = LOWER + (np.asarray(action, float) + 1.0) / 2.0 * (UPPER - LOWER)
         target = np.clip(target, self._angles - REACH, self._angles + REACH)
         self._bullet.setJointMotorControlArray(
@@ -101,7 +105,11 @@ class PyBulletTask(gymnasium.Env):
         return observation, reward, fell, self._steps >= EPISODE_STEPS, {}
 
     def _observe(self) -> np.ndarray:
-        """Return base pose and velocity, joint angles and speeds, as one array."""
+        """Return base pose and velocity, joint angles and speeds, as one array (37,).
+
+        The first seven are position, m, and quaternion, xyzw. Six velocities follow, linear and
+        angular in world axes, then 12 angles and 12 speeds; m, rad and s.
+        """
         position, quaternion = self._bullet.getBasePositionAndOrientation(self._robot)
         linear, angular = self._bullet.getBaseVelocity(self._robot)
         states = self._bullet.getJointStates(self._robot, self._joints)
@@ -112,7 +120,7 @@ class PyBulletTask(gymnasium.Env):
 def main() -> None:
     """Train once, then once more for each line of standard input, and print how long it took.
 
-    Each time PPO collects one rollout and learns from it.
+    Each time PPO collects one rollout and learns from it. The module says what is printed.
     """
     model = PPO("MlpPolicy", SubprocVecEnv([PyBulletTask] * PROCESSES), device="cpu", seed=0)
     steps = PROCESSES * model.n_steps

@@ -85,7 +85,7 @@ def find_walking(policies: list[Written]) -> tuple[float, str] | None:
     """Evaluate policies, oldest first, up to the first that walks.
 
     Returns the seconds from the start of training to that policy, and its figures as a line of the
-    table; None if none walks.
+    table; None if none walks. Prints such a line for each on standard error.
     """
     for path, seconds in policies:
         evaluation = quadwalk.evaluate(path, episodes=EPISODES, seconds=SECONDS)

@@ -39,7 +39,10 @@ class Turn(NamedTuple):
 
 
 def read_turn(process: subprocess.Popen[str]) -> Turn:
-    """Wait for the line by which the post's process ends its turn; return its figures."""
+    """Wait for the line by which the post's process ends its turn; return its figures.
+
+    Ends the program if the process has ended.
+    """
     assert process.stdout is not None
     for line in process.stdout:  # PyBullet prints to it too
         if line.startswith("turn "):
@@ -82,7 +85,10 @@ def main() -> None:
 
 
 def print_row(name: str, theirs: list[Turn], ours: list[Turn]) -> None:
-    """Print the medians of both sides' ratios, and of our gain in each round."""
+    """Print a row: the medians of both sides' simulated seconds per second, and of our gain.
+
+    `theirs` and `ours` are turns of the same rounds; the gain is ours over theirs in each.
+    """
     gains = [own.ratio / other.ratio for own, other in zip(ours, theirs, strict=True)]
     columns = [turn.ratio for turn in theirs], [turn.ratio for turn in ours], gains
     print(f"{name:8}", *(f"{statistics.median(column):8.1f}" for column in columns))

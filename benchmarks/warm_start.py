@@ -57,7 +57,10 @@ def main() -> None:
 
 
 def train(urdf: Path, init: str | None, steps: int, seed: int) -> Curve:
-    """Train a robot, with the networks of the run `init` at first if one is named."""
+    """Train a robot, with the networks of the run `init` at first if one is named.
+
+    Returns its curve, in which speeds are means over the last `ITERATIONS`.
+    """
     rows = read_history(quadwalk.train(robot=urdf, steps=steps, seed=seed, init=init, quiet=True))
     done, seconds, speeds = (
         np.array([row[name] for row in rows]) for name in ("steps", "time/elapsed", "eval/speed")

@@ -67,7 +67,11 @@ class Conversion:
 
 
 def try_conversion(file: Path) -> Conversion:
-    """Convert a URDF and compare it with Pinocchio's reading; the result holds a refusal."""
+    """Convert a URDF of any robot, and compare its dynamics with Pinocchio's reading.
+
+    The result says why the file is refused and if --repair-inertia helps, or if it can be trained
+    as a quadruped.
+    """
     began = time.process_time()
     try:
         urdf = read_urdf(file)
@@ -96,7 +100,7 @@ def converts_repaired(file: Path) -> bool:
 
 
 def compute_error(urdf: Urdf, xml: str) -> float:
-    """Return the largest relative error of an MJCF against Pinocchio's reading of the URDF."""
+    """Return the largest relative error of an MJCF's dynamics against Pinocchio's of the URDF."""
     from benchmarks.pinocchio_oracle import Pinocchio  # of the extra `zoo`
 
     model = mujoco.MjModel.from_xml_string(xml)
@@ -144,7 +148,10 @@ def find_quadrupeds(files: Iterable[Path]) -> list[Path]:
 
 
 def stands(quadruped: Quadruped) -> bool:
-    """Return True if PD control of its home pose keeps a robot up for 10 s."""
+    """Return True if PD control of its home pose keeps a robot up for 10 s in MuJoCo C.
+
+    Its trunk is then higher than a share `STANDS` of its height in that pose.
+    """
     model = quadruped.make_full_model()
     data = mujoco.MjData(model)
     data.qpos[:] = quadruped.home
@@ -157,12 +164,15 @@ def stands(quadruped: Quadruped) -> bool:
 
 
 def make_name(file: Path) -> str:
-    """Return the name of a robot's run."""
+    """Return the name of the run of a URDF's robot: of the folder two above it, and its own."""
     return f"{file.parents[1].name}-{file.stem}"
 
 
 def judge(run: Run) -> dict[str, float | str]:
-    """Evaluate a run in MuJoCo C; return speed, falls, Froude number and gait."""
+    """Evaluate a run in MuJoCo C; return its mean speed, m/s, share of falls, and gait.
+
+    Gait and Froude number are those of the episode of median speed.
+    """
     evaluation = evaluate(run, episodes=EPISODES, engine="mujoco")
     summary, typical = evaluation.summary, evaluation.results["typical_episode"]
     return {
@@ -174,7 +184,10 @@ def judge(run: Run) -> dict[str, float | str]:
 
 
 def format_row(quadruped: Quadruped, name: str, outcome: Outcome) -> str:
-    """Return the row of a robot in the table, after its training."""
+    """Return the row of a robot in the table, after its training: `outcome` is of `judge`.
+
+    Simulates if the robot stands on PD control.
+    """
     mass = quadruped.make_full_model().body_subtreemass[0]
     label = f"{name} | {mass:.1f} | {'yes' if stands(quadruped) else 'no'}"
     if outcome.error is not None or outcome.stopped:
@@ -187,7 +200,10 @@ def format_row(quadruped: Quadruped, name: str, outcome: Outcome) -> str:
 
 
 def train_all(files: list[Path], steps: int, runs: Path, place: PlaceConfig) -> str:
-    """Train and evaluate every quadruped; return the table."""
+    """Train and evaluate the quadruped of every file; print each row, and return the table.
+
+    Each trains for `steps` control steps, as a run in the folder `runs`, at `place`.
+    """
     quadrupeds = {make_name(file): load_quadruped(file) for file in files}
     jobs = []
     for file in files:
