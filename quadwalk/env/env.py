@@ -29,6 +29,7 @@ from quadwalk.env.state import (
     Step,
     compute_height,
     is_standing,
+    start_strides,
     start_travel,
 )
 from quadwalk.env.terminations import TIME_LIMIT, find_end, find_falls, list_ends
@@ -104,6 +105,8 @@ class QuadrupedEnv(Env):
         geoms = ("floor", *self.quadruped.feet)
         self.friction = float(max(self.mj_model.geom(name).friction[0] for name in geoms))
         self.ends = list_ends(config.termination)
+        terms = [*config.observation.values(), *config.critic.values(), *config.reward.values()]
+        self.has_strides = any(hasattr(term.function, "needs_strides") for term in terms)
         example = jax.eval_shape(self._make_example_state)
         self.sensors = make_sensors(config, self._level_robot, self.quadruped.joints, example)
         self._constants = copy.copy(self)
@@ -212,6 +215,8 @@ class QuadrupedEnv(Env):
         )
         if self.curriculum is not None:
             start = start._replace(travel=start_travel(physics.qpos))
+        if self.has_strides:
+            start = start._replace(strides=start_strides())
         zero = jnp.zeros(())
         terms = {name: zero for name, term in config.reward.items() if term.in_use}
         state = State(
@@ -288,6 +293,8 @@ class QuadrupedEnv(Env):
             name: jnp.where(sane, value, 0.0)
             for name, value in compute_reward_terms(config.reward, robot, step).items()
         }
+        if before.strides is not None:
+            after = after._replace(strides=before.strides.advance(step))
         after = self.sensors.measure(robot, self._advance_travel(after, step))
         if config.critic:
             after = after._replace(contact=step.contact)
@@ -367,6 +374,7 @@ class QuadrupedEnv(Env):
             speed = jnp.linalg.norm(qpos[:2] - start[:2]) / dt
             grip = self._compute_grip(before.conditions)
             command = compute_target_velocity(config.command, before.command, speed, grip)
+        start_soles = fast.compute_lowest_points(robot.geometry, start)[0]
         return Step(
             dt=dt,
             steps=after.steps,
@@ -378,11 +386,13 @@ class QuadrupedEnv(Env):
             power=effort.energy / dt,
             fell=jnp.zeros((), bool),
             command=command,
-            start_soles=fast.compute_lowest_points(robot.geometry, start)[0],
+            start_soles=start_soles,
             soles=soles,
+            start_contact=start_soles[:, 2] < CONTACT_GAP,
             contact=soles[:, 2] < CONTACT_GAP,
             lowest=jnp.stack([lowest[0], jnp.min(legs)]),
             ground=None if self.terrain is None else qpos[2] - compute_height(robot, qpos),
+            strides=before.strides,
         )
 
     def _advance_travel(self, after: EnvState, step: Step) -> EnvState:
@@ -425,6 +435,7 @@ class QuadrupedEnv(Env):
             command,
             self._sample_randomization(key),
             contact=jnp.zeros(4, bool),
+            strides=start_strides() if self.has_strides else None,
         )
 
 

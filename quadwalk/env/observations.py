@@ -23,7 +23,13 @@ from quadwalk.env.reflections import (
     make_grid_mirror,
     mirrors,
 )
-from quadwalk.env.state import EnvState, RobotConstants, compute_height, compute_trot_swing
+from quadwalk.env.state import (
+    EnvState,
+    RobotConstants,
+    compute_height,
+    compute_trot_swing,
+    needs_strides,
+)
 from quadwalk.physics.rotation import (
     compute_gravity_direction,
     compute_yaw,
@@ -175,6 +181,17 @@ def contacts(robot: RobotConstants, state: EnvState) -> jax.Array:
     """1 for each foot (4,) on the floor, else 0; for the value network only."""
     assert state.contact is not None
     return state.contact.astype(jnp.float32)
+
+
+@needs_strides
+@mirrors(FEET, FEET)
+def strides(robot: RobotConstants, state: EnvState) -> jax.Array:
+    """Time since each foot's touch-down, s, up to 1, and its highest sole since, m (8,).
+
+    For the value network only.
+    """
+    assert state.strides is not None
+    return jnp.concatenate([jnp.minimum(state.strides.time, 1.0), state.strides.peak])
 
 
 @mirrors(

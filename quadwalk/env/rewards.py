@@ -8,7 +8,7 @@ needs a name in `quadwalk/settings/registry.py`.
 import jax
 import jax.numpy as jnp
 
-from quadwalk.env.state import RobotConstants, Step, compute_trot_swing
+from quadwalk.env.state import RobotConstants, Step, compute_trot_swing, needs_strides
 from quadwalk.physics.fast import compute_leg_points
 from quadwalk.physics.rotation import compute_gravity_direction, compute_yaw
 from quadwalk.settings.terms import Reward
@@ -160,6 +160,44 @@ def drag(robot: RobotConstants, step: Step, *, height: float) -> jax.Array:
     speed = jnp.minimum(jnp.linalg.norm(moved, axis=1) / step.dt, 2.0)
     low = jnp.clip(1.0 - step.soles[:, 2] / height, 0.0, 1.0)
     return jnp.mean(speed * low)
+
+
+def slip(robot: RobotConstants, step: Step) -> jax.Array:
+    """Mean horizontal speed of the soles that stay on the floor, m/s, up to 2."""
+    moved = step.soles[:, :2] - step.start_soles[:, :2]
+    speed = jnp.minimum(jnp.linalg.norm(moved, axis=1) / step.dt, 2.0)
+    return jnp.mean(speed * (step.start_contact & step.contact))
+
+
+@needs_strides
+def short_stride(
+    robot: RobotConstants, step: Step, *, frequency: float, increase: float
+) -> jax.Array:
+    """Number of feet that touch down, each by how much too soon it does, from 0 to 1.
+
+    1 at once after its last touch-down, 0 after 1/f s or more. f is `frequency` times
+    sqrt(g / home height) at a stand, and more by `increase` for each unit of the command's Froude
+    speed: robots of all sizes step as often by the measure of their legs. A turn on the spot counts
+    as the speed of the feet.
+    """
+    assert step.strides is not None
+    pace = jnp.linalg.norm(step.command[:2]) + robot.home_height * jnp.abs(step.command[2])
+    rate = frequency + increase * pace / robot.froude_speed
+    rate *= robot.froude_speed / robot.home_height
+    soon = jnp.clip(1.0 - rate * (step.strides.time + step.dt), 0.0, 1.0)
+    return jnp.sum(soon * step.landed)
+
+
+@needs_strides
+def low_swing(robot: RobotConstants, step: Step, *, height: float) -> jax.Array:
+    """Number of feet that touch down, each by how low it swung, from 0 to 1.
+
+    1 for a sole that stayed at the floor, 0 for one that was `height`, a share of the home height,
+    or more above it.
+    """
+    assert step.strides is not None
+    low = jnp.clip(1.0 - step.strides.peak / (height * robot.home_height), 0.0, 1.0)
+    return jnp.sum(low * step.landed)
 
 
 def kneel(robot: RobotConstants, step: Step, *, height: float) -> jax.Array:

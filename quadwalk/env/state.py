@@ -1,8 +1,9 @@
 """What the functions of a task read: constants of the robot, the state, and one control step."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -17,6 +18,8 @@ from quadwalk.physics.surface import Surface
 # from the world's, rad.
 STANDING_HEIGHT = 0.85
 STANDING_TILT = math.radians(18)
+
+F = TypeVar("F", bound=Callable[..., Any])
 
 # Uses of an episode's random key, for `EpisodeRandomization.make_key`.
 NOISE, PUSH, JITTER = range(3)
@@ -118,6 +121,25 @@ def start_travel(qpos: jax.Array) -> Travel:
     return Travel(qpos[:2], jnp.zeros((), jnp.int32), zero, zero)
 
 
+class Strides(NamedTuple):
+    """The stride that each foot is in."""
+
+    time: jax.Array  # (4,) s since it touched down, or since the episode's start
+    peak: jax.Array  # (4,) m, highest that the sole was since it was last on the floor
+
+    def advance(self, step: "Step") -> "Strides":
+        """Return the strides after a control step, in which a foot's last stride may have ended."""
+        return Strides(
+            time=jnp.where(step.landed, 0.0, self.time + step.dt),
+            peak=jnp.where(step.contact, 0.0, jnp.maximum(self.peak, step.soles[:, 2])),
+        )
+
+
+def start_strides() -> Strides:
+    """Return the strides of an episode that starts."""
+    return Strides(jnp.zeros(4), jnp.zeros(4))
+
+
 class EnvState(NamedTuple):
     """What one environment carries from step to step."""
 
@@ -132,6 +154,7 @@ class EnvState(NamedTuple):
     contact: jax.Array | None = None  # (4,) bool, feet on the floor; None at an episode's start
     tile: jax.Array | None = None  # () int32, of the terrain, where it began; None: a flat floor
     travel: Travel | None = None  # None without a curriculum
+    strides: Strides | None = None  # None where no term of the task needs them
 
     @property
     def qpos(self) -> jax.Array:
@@ -164,11 +187,19 @@ class Step(NamedTuple):
     command: jax.Array  # (3,) velocity command; zero where there is none
     start_soles: jax.Array  # (4, 3) m, the feet's lowest points before it, z above the ground
     soles: jax.Array  # (4, 3) after it
-    contact: jax.Array  # (4,) bool, feet on the floor after it
+    start_contact: jax.Array  # (4,) bool, feet on the floor before it
+    contact: jax.Array  # (4,) bool, after it
     # (2,) m, above the ground, lowest points of the trunk, of legs without feet; where a foot has
     # sunk in, by its radius at most, its leg's height is corrected by that
     lowest: jax.Array
     ground: jax.Array | None = None  # () m, of the ground under the trunk after it; None: 0
+    # before it; None where no term of the task is marked with `needs_strides`
+    strides: Strides | None = None
+
+    @property
+    def landed(self) -> jax.Array:
+        """Feet that touched down in the step (4,), bool."""
+        return self.contact & ~self.start_contact
 
     @property
     def height(self) -> jax.Array:
@@ -199,6 +230,12 @@ class Step(NamedTuple):
     def yaw_rate_error(self) -> jax.Array:
         """Mean yaw rate over the step minus the commanded one, rad/s."""
         return compute_motion(self.start, self.qpos, self.dt)[2] - self.command[2]
+
+
+def needs_strides(function: F) -> F:
+    """Mark a term's function: it reads the strides of a step or of a state."""
+    function.needs_strides = True  # type: ignore[attr-defined]
+    return function
 
 
 def compute_motion(start: jax.Array, qpos: jax.Array, dt: float) -> jax.Array:

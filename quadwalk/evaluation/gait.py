@@ -19,6 +19,8 @@ import numpy as np
 from quadwalk.evaluation.metrics import (
     LEAST_DISTANCE,
     SETTLING,
+    WINDOW,
+    average_windows,
     compute_action_rate,
     compute_heading_velocity,
     compute_motor_limits,
@@ -67,9 +69,11 @@ class Gait(Footfalls):
     lateral_drift: float  # m
     heading_drift: float  # rad, change of yaw, whole turns included
     stride_length: float  # m, horizontal speed / stride frequency, once settled
-    swing_height: np.ndarray  # (4,) m, mean over swings of the sole's greatest height
+    swing_height: np.ndarray  # (4,) m, median over swings of the sole's greatest height
+    swing_height_p10: np.ndarray  # (4,) m, the 10th percentile of these
     slip: np.ndarray  # (4,) m/s, mean horizontal speed of the point that touches the ground
-    slip_share: np.ndarray  # (4,) how far that point slides on the ground, of the distance
+    slip_share: np.ndarray  # (4,) how far that point slides on the ground, of the way of the hips
+    touchdown_speed: np.ndarray  # (4,) m/s, mean speed of the foot before it touches down
     body_height: np.ndarray  # (3,) m, mean, least, greatest height of the base's origin
     roll_range: float  # rad, greatest less least roll
     pitch_range: float  # rad, the same for pitch
@@ -77,6 +81,7 @@ class Gait(Footfalls):
     froude: float  # speed^2 / (g * hip height)
     torque_mean: np.ndarray  # (12,) mean of |torque| / effort limit
     torque_peak: np.ndarray  # (12,) greatest |torque| / effort limit
+    torque_reversals: np.ndarray  # (12,) share of control steps in which the torque changes sign
     joint_speed_mean: np.ndarray  # (12,) mean of |joint velocity| / velocity limit
     joint_speed_peak: np.ndarray  # (12,) greatest |joint velocity| / velocity limit
     action_rate: float  # 1/s, root mean square rate of the actions, which are in [-1, 1]
@@ -92,6 +97,9 @@ def measure_gait(rollout: Rollout, quadruped: Quadruped) -> Gait:
       similarity hypothesis for the gaits of quadrupedal mammals", J. Zoology 201, 1983).
     - Slip: the foot is a sphere, so while it rolls its center moves though nothing slips; taken is
       the point of the sphere that touches the ground.
+    - The way of the hips is that above the feet, at mean velocities over `WINDOW`: on a straight
+      path the distance, in a turn on the spot what the turn asks of the feet.
+    - Touch-down speed: of the foot's center in the control step before the one in which it touches.
     - Torques are means over a control step, so their peaks are those of 20 ms, not of an instant.
     """
     course, footfalls = measure_course(rollout), measure_footfalls(rollout)
@@ -103,6 +111,8 @@ def measure_gait(rollout: Rollout, quadruped: Quadruped) -> Gait:
     yaw = np.unwrap(rpy[:, 2])
     height = rollout.qpos[:, 2] - compute_floor_height(model, rollout.qpos[:, :2])
     soles = centers[:, :, 2] - radii - compute_floor_height(model, centers[:, :, :2])
+    way = _measure_way(rollout, model, quadruped)
+    swing_heights = _find_swing_heights(rollout, soles)
     torque = np.abs(rollout.torque) / compute_motor_limits(rollout, quadruped)
     torque = torque if rollout.steps else np.full((1, 12), np.nan)
     rate = np.abs(rollout.qvel[:, 6:]) / quadruped.velocity
@@ -116,9 +126,11 @@ def measure_gait(rollout: Rollout, quadruped: Quadruped) -> Gait:
         lateral_drift=course.lateral_drift,
         heading_drift=float(yaw[-1] - yaw[0]),
         stride_length=_measure_stride_length(rollout, footfalls.stride_frequency),
-        swing_height=_measure_swing_heights(rollout, soles),
+        swing_height=_compute_percentiles(swing_heights, 50.0),
+        swing_height_p10=_compute_percentiles(swing_heights, 10.0),
         slip=slip,
-        slip_share=slid / (course.distance if course.distance > LEAST_DISTANCE else np.nan),
+        slip_share=slid / (way if way > LEAST_DISTANCE else np.nan),
+        touchdown_speed=_measure_touchdown_speeds(rollout, centers),
         body_height=np.array([height.mean(), height.min(), height.max()]),
         roll_range=float(np.ptp(rpy[:, 0])),
         pitch_range=float(np.ptp(rpy[:, 1])),
@@ -126,6 +138,7 @@ def measure_gait(rollout: Rollout, quadruped: Quadruped) -> Gait:
         froude=course.speed**2 / (quadruped.gravity * _measure_hip_height(model, quadruped)),
         torque_mean=torque.mean(axis=0),
         torque_peak=torque.max(axis=0),
+        torque_reversals=_measure_reversals(rollout.torque),
         joint_speed_mean=rate.mean(axis=0),
         joint_speed_peak=rate.max(axis=0),
         action_rate=compute_action_rate(rollout),
@@ -208,21 +221,62 @@ def _measure_hip_height(model: mujoco.MjModel, quadruped: Quadruped) -> float:
     return float(np.mean([data.joint(thigh).xanchor[2] for thigh in quadruped.joints[1::3]]))
 
 
-def _measure_swing_heights(rollout: Rollout, soles: np.ndarray) -> np.ndarray:
-    """Return the mean over swings of each sole's greatest height, (4,) m.
+def _find_swing_heights(rollout: Rollout, soles: np.ndarray) -> list[np.ndarray]:
+    """Return the sole's greatest height in each swing, m: an array (n,) for each foot.
 
     `soles` (T + 1, 4) are the heights in each state; a swing is between two contacts.
     """
     contact = remove_chatter(rollout.contact, rollout.control_dt)
-    heights = np.full(4, np.nan)
-    for k in range(4):
-        sole = soles[1:, k]  # contact is known at the ends of steps
-        lifts = np.flatnonzero(contact[:-1, k] & ~contact[1:, k]) + 1
-        lands = find_touchdowns(contact[:, k])
-        peaks = [sole[a : lands[lands > a][0]].max() for a in lifts if np.any(lands > a)]
-        if peaks:
-            heights[k] = np.mean(peaks)
+    heights = []
+    for foot in range(4):
+        sole = soles[1:, foot]  # contact is known at the ends of steps
+        lifts = np.flatnonzero(contact[:-1, foot] & ~contact[1:, foot]) + 1
+        lands = find_touchdowns(contact[:, foot])
+        swings = [(lift, lands[lands > lift][0]) for lift in lifts if np.any(lands > lift)]
+        heights.append(np.array([sole[lift:land].max() for lift, land in swings]))
     return heights
+
+
+def _compute_percentiles(values: list[np.ndarray], percentile: float) -> np.ndarray:
+    """Return a percentile of each array, (len(values),); NaN for an empty one."""
+    return np.array([np.percentile(x, percentile) if len(x) else np.nan for x in values])
+
+
+def _measure_touchdown_speeds(rollout: Rollout, centers: np.ndarray) -> np.ndarray:
+    """Return each foot's mean speed before it touches down (4,), m/s.
+
+    `centers` (T + 1, 4, 3) are the feet's places in each state, m.
+    """
+    contact = remove_chatter(rollout.contact, rollout.control_dt)
+    speeds = np.linalg.norm(np.diff(centers, axis=0), axis=2) / rollout.control_dt
+    means = np.full(4, np.nan)
+    for foot in range(4):
+        rows = find_touchdowns(contact[:, foot])
+        if len(rows):
+            means[foot] = speeds[rows - 1, foot].mean()
+    return means
+
+
+def _measure_reversals(torque: np.ndarray) -> np.ndarray:
+    """Return the share of the steps of `torque` (T, 12) in which its sign is not the last's."""
+    if len(torque) < 2:
+        return np.full(12, np.nan)
+    return (torque[1:] * torque[:-1] < 0.0).mean(axis=0)
+
+
+def _measure_way(rollout: Rollout, model: mujoco.MjModel, quadruped: Quadruped) -> float:
+    """Return the mean way of the four hips over the ground, at mean velocities over `WINDOW`, m."""
+    data = mujoco.MjData(model)
+    data.qpos = quadruped.home
+    mujoco.mj_kinematics(model, data)
+    x, y, _ = np.array([data.joint(hip).xanchor for hip in quadruped.joints[::3]]).T
+    motion = compute_heading_velocity(rollout.qpos, rollout.control_dt)
+    window = min(round(WINDOW / rollout.control_dt), len(motion))
+    if not window:
+        return 0.0
+    forward, left, turn = average_windows(motion, window).T[:, :, None]
+    speed = np.hypot(forward - turn * y, left + turn * x).mean()
+    return float(speed * rollout.steps * rollout.control_dt)
 
 
 def _measure_slip(

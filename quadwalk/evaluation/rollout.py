@@ -138,6 +138,22 @@ def reset_cells(
     return flat
 
 
+def reset_with_commands(
+    env: QuadrupedEnv, commands: list[tuple[float, float, float]], episodes: int, seed: int
+) -> State:
+    """Return the same first states of `episodes` with each command, one command after another.
+
+    A command is forward and lateral velocity, m/s, and yaw rate, rad/s.
+    """
+
+    def reset(env: QuadrupedEnv, velocity: jax.Array, state: State) -> State:
+        command = state.pipeline_state.command._replace(velocity=velocity)
+        return env.start_episode(state, command=command)
+
+    starts = reset_episodes(env, episodes, seed)
+    return reset_cells(env, reset, np.array(commands, np.float32), starts)
+
+
 def roll_out(
     env: QuadrupedEnv,
     policy: ActionFunction,

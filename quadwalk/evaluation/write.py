@@ -18,7 +18,7 @@ from quadwalk.evaluation.report import comparison, tables
 from quadwalk.evaluation.report.pictures import draw_film_strip, render_video
 from quadwalk.evaluation.results import Evaluation, evaluate_policy, make_provenance
 from quadwalk.evaluation.rollout import Report
-from quadwalk.evaluation.suites import commands, standing, terrain
+from quadwalk.evaluation.suites import commands, gaits, standing, terrain
 from quadwalk.files import write_json
 from quadwalk.render.figures import save_figure
 from quadwalk.render.images import save_png
@@ -135,12 +135,20 @@ def _write_suite(
     `levels` difficulties.
     """
     suite, name, engine = loaded.policy.config.suite, loaded.run.name, loaded.env.engine
+    files = []
+    if loaded.env.config.command.active:
+        held = gaits.to_held_run(loaded)
+        with make_console().status("looking at the feet at each command"):
+            results["gaits"] = gaits.measure_gaits(held, seed)
+        gaits.print_gaits(results["gaits"])
+        if suite != "commands":
+            save_figure(gaits.draw_gaits(results["gaits"], name), folder / "gaits.png")
+            files.append("gaits.png")
     if suite == "standing":
         mujoco = standing.to_standing_run(loaded)
         with _show_progress(mujoco, f"{episodes} episodes of each condition") as report:
             results["standing"] = standing.measure_standing(mujoco, episodes, seed, report)
         standing.print_standing(results["standing"])
-        return []
     # A task on uneven ground may have been trained on a flat floor.
     if suite == "terrain" and loaded.env.terrain is not None:
         with _show_progress(loaded, f"{episodes} episodes on each kind of ground") as report:
@@ -148,9 +156,9 @@ def _write_suite(
         results["ground"] = ground
         terrain.print_terrain(ground)
         save_figure(terrain.draw_terrain(ground, f"{name}, {engine}"), folder / "ground.png")
-        return ["ground.png"]
+        files.append("ground.png")
     if suite == "commands":
-        held, changing = commands.to_held_run(loaded), commands.to_changing_run(loaded)
+        changing = commands.to_changing_run(loaded)
         few, many = max(episodes // 4, 1), 16 * episodes
         with _show_progress(held, f"{few} episodes of each command") as report:
             steering = commands.measure_commands(held, few, seed, report)
@@ -158,9 +166,10 @@ def _write_suite(
             steering["changing"] = commands.measure_changing(changing, many, seed, report)
         results["steering"] = steering
         commands.print_commands(steering)
-        save_figure(commands.draw_commands(steering, name), folder / "steering.png")
-        return ["steering.png"]
-    return []
+        figure = commands.draw_commands(steering, results["gaits"], name)
+        save_figure(figure, folder / "steering.png")
+        files.append("steering.png")
+    return files
 
 
 def _write_pictures(evaluation: Evaluation, folder: Path, video: str) -> list[str]:

@@ -1,6 +1,7 @@
 """Reward terms by hand: a case and a limit of each."""
 
 import inspect
+import itertools
 from dataclasses import replace
 
 import jax.numpy as jnp
@@ -9,7 +10,7 @@ import pytest
 
 from quadwalk.env import rewards
 from quadwalk.env.rewards import compute_reward_terms, compute_total_reward
-from quadwalk.env.state import Step
+from quadwalk.env.state import Step, Strides, start_strides
 from quadwalk.errors import UsageError
 from quadwalk.physics.rotation import from_euler
 from quadwalk.settings.terms import Reward
@@ -26,6 +27,8 @@ PARAMS = {
     "crossed": {"margin": 0.05},
     "trot": {"stride": 20.0, "height": 0.06, "width": 0.04},
     "diagonal": {"height": 0.04},
+    "short_stride": {"frequency": 0.5, "increase": 0.2},
+    "low_swing": {"height": 0.2},
 }
 
 
@@ -47,6 +50,7 @@ def make_step(**changes) -> Step:
         "command": jnp.zeros(3),
         "start_soles": jnp.zeros((4, 3)),
         "soles": jnp.zeros((4, 3)),
+        "start_contact": jnp.ones(4, bool),
         "contact": jnp.ones(4, bool),
         "lowest": jnp.full(2, 0.2),
     }
@@ -78,6 +82,22 @@ def make_swinging_step(steps, heights, command) -> Step:
     return make_sole_step(heights, [0.0] * 4)._replace(
         steps=jnp.asarray(steps), command=jnp.array(command)
     )
+
+
+def make_landing_step(robot, landed, times=0.0, peaks=0.0, pace=0.0) -> Step:
+    """Return a step in which the feet `landed` (4,), bool, touch down; the others stand.
+
+    Their last touch-downs were `times` (4,) ago after the step, in units of sqrt(height / g), and
+    their soles rose to `peaks` (4,), shares of the home height. The command is at `pace`, in units
+    of sqrt(height * g).
+    """
+    unit = np.sqrt(robot.home_height / 9.81)
+    strides = Strides(
+        jnp.array(times) * unit * jnp.ones(4) - 0.02,
+        jnp.array(peaks) * robot.home_height * jnp.ones(4),
+    )
+    command = jnp.zeros(3).at[1].set(pace * np.sqrt(robot.home_height * 9.81))
+    return make_step(start_contact=~jnp.array(landed), strides=strides, command=command)
 
 
 def turn_trunk(roll=0.0, pitch=0.0, yaw=0.0):
@@ -143,6 +163,28 @@ CASES = {
     ),
     # Half as high as a swing should be, on the floor, on the floor at rest, high enough.
     "drag": (make_sole_step([0.5, 0.0, 0.0, 1.5], [1.0, -0.6, 0.0, 1.0]), (0.5 + 0.6) / 4),
+    # Of the feet on the floor before and after it: the second one has just landed.
+    "slip": (
+        make_sole_step([0.0] * 4, [1.0, 9.0, -0.5, 0.0])._replace(
+            start_contact=jnp.array([True, False, True, True])
+        ),
+        (1.0 + 0.5) / 4,
+    ),
+    # At the Froude speed 0.5 + 0.2 strides are due in a unit of time: FR lands after 0.7 of one, FL
+    # after half of one, RR after more. RL stands.
+    "short_stride": (
+        lambda robot: make_landing_step(
+            robot, [True, True, True, False], times=[1.0, 0.5 / 0.7, 9.0, 0.0], pace=1.0
+        ),
+        0.3 + 0.5,
+    ),
+    # FR lifts by three quarters of what is asked for, FL by all, RR by none. RL stands.
+    "low_swing": (
+        lambda robot: make_landing_step(
+            robot, [True, True, True, False], peaks=[0.15, 0.2, 0.0, 0.0]
+        ),
+        0.25 + 1.0,
+    ),
     # Of knees and shins, whatever the trunk does: a quarter of the height that costs nothing.
     "kneel": (make_step(lowest=jnp.array([-0.3, 0.01])), 0.75),
     # A quarter of a stride in, FR and RL (the first and last of the four) are to be highest: one
@@ -172,6 +214,9 @@ LIMITS = {
     "follow": (make_moving_step(0.0, 0.0, (1e6, 0.0), (0.0, 0.0, 0.0)), 0.0),
     "follow_yaw_rate": (make_moving_step(0.0, 3.1, (0.0, 0.0), (0.0, 0.0, 0.0)), 0.0),
     "drag": (make_sole_step([0.0] * 4, [1e6] * 4), 2.0),
+    "slip": (make_sole_step([0.0] * 4, [1e6] * 4), 2.0),
+    "short_stride": (lambda robot: make_landing_step(robot, [True] * 4), 4.0),
+    "low_swing": (lambda robot: make_landing_step(robot, [True] * 4), 4.0),
     "joint_speed": (make_step(qvel=jnp.full(18, 90.0)), 100.0),
     "upright": (make_step(qpos=turn_trunk(roll=np.pi)), 0.0),
     "raised": (lambda robot: make_standing_step(robot, share=9.0), 1.0),
@@ -205,6 +250,38 @@ def test_a_term_is_what_it_says_and_bounded(env, name, case):
     step, expected = case
     step = step(env.robot) if callable(step) else step
     assert float(ALL[name](env.robot, step)) == pytest.approx(expected, abs=1e-5)
+
+
+def test_a_turn_on_the_spot_asks_for_the_strides_of_the_feet_speed(env):
+    """At one rad per unit of time feet go as fast as at the Froude speed ahead, for the term."""
+    robot, term = env.robot, ALL["short_stride"]
+    ahead = make_landing_step(robot, [True] * 4, times=0.5, pace=1.0)
+    turn = jnp.zeros(3).at[2].set(-np.sqrt(9.81 / robot.home_height))
+    assert float(term(robot, ahead._replace(command=turn))) == pytest.approx(
+        float(term(robot, ahead)), rel=1e-5
+    )
+
+
+def test_strides_count_time_and_height_from_touch_down_to_touch_down():
+    """One foot lifts for three steps, up to 5 cm, and lands; the others stand."""
+    strides = start_strides()
+    heights = [0.0, 0.02, 0.05, 0.03, 0.0, 0.0, 0.01]
+    actual = []
+    for before, after in itertools.pairwise(heights):
+        soles = jnp.zeros((4, 3)).at[1, 2].set(after)
+        step = make_step(
+            soles=soles,
+            start_contact=jnp.ones(4, bool).at[1].set(before == 0.0),
+            contact=jnp.ones(4, bool).at[1].set(after == 0.0),
+            strides=strides,
+        )
+        strides = strides.advance(step)
+        actual.append((float(strides.time[1]), float(strides.peak[1])))
+    expected = [(0.02, 0.02), (0.04, 0.05), (0.06, 0.05), (0.0, 0.0), (0.02, 0.0), (0.04, 0.01)]
+    np.testing.assert_allclose(actual, expected, atol=1e-6)
+    # The others never landed, so their time is that of the episode.
+    np.testing.assert_allclose(strides.time[jnp.array([0, 2, 3])], 6 * 0.02, atol=1e-6)
+    assert not jnp.any(strides.peak[jnp.array([0, 2, 3])])
 
 
 @pytest.mark.parametrize("heights", NO_TROT)

@@ -248,8 +248,8 @@ def test_limits_are_fractions_of_the_motors(glide, quadruped):
 def test_slip_is_the_speed_of_a_dragged_foot(glide, quadruped):
     gait = measure_gait(glide(velocity=(0.3, 0.4), contact=np.ones((300, 4), bool)), quadruped)
     np.testing.assert_allclose(gait.slip, 0.5, rtol=1e-6)
-    # 299 steps lie between two moments on the ground; the way along x is .3 m/s of the .5.
-    np.testing.assert_allclose(gait.slip_share, 299 / 300 * 0.5 / 0.3, rtol=1e-6)
+    # 299 steps lie between two moments on the ground; the hips go as far as the feet.
+    np.testing.assert_allclose(gait.slip_share, 299 / 300, rtol=1e-6)
     assert np.isnan(gait.swing_height).all()
 
 
@@ -287,6 +287,51 @@ def test_swing_height_is_the_soles_greatest_height(glide, quadruped):
     assert gait.body_height[2] - gait.body_height[1] == pytest.approx(0.05)
 
 
+def test_the_lowest_tenth_of_swings(glide, quadruped):
+    rollout = glide()
+    number, heights = -1, np.linspace(0.01, 0.10, 12)
+    for row in range(1, 301):  # FR swings higher each time
+        swings = not rollout.contact[row - 1, 0]
+        number += swings and (row == 1 or rollout.contact[row - 2, 0])
+        rollout.qpos[row, 2] += heights[number] * swings
+    gait = measure_gait(rollout, quadruped)
+    # Those between two contacts: without the last, which does not land.
+    whole = heights[: number + rollout.contact[-1, 0]]
+    assert gait.swing_height[0] == pytest.approx(np.median(whole), abs=1e-4)
+    assert gait.swing_height_p10[0] == pytest.approx(np.percentile(whole, 10), abs=1e-4)
+
+
+def test_slip_in_a_turn_on_the_spot_is_a_share_of_the_way_of_the_hips(glide, quadruped):
+    """Feet that turn with the trunk, all on the ground, slide a little farther than the hips."""
+    turning = glide(velocity=(0.0, 0.0), yaw_rate=1.0, contact=np.ones((300, 4), bool))
+    share = measure_gait(turning, quadruped).slip_share
+    model = quadruped.make_full_model()
+    data = mujoco.MjData(model)
+    data.qpos = quadruped.home
+    mujoco.mj_kinematics(model, data)
+    hips = [np.hypot(*data.joint(hip).xanchor[:2]) for hip in quadruped.joints[::3]]
+    feet = [np.hypot(*data.geom(foot).xpos[:2]) for foot in quadruped.feet]
+    np.testing.assert_allclose(share, 299 / 300 * np.array(feet) / np.mean(hips), rtol=1e-3)
+
+
+def test_touch_down_speed_is_that_of_the_foot_before_it_touches(glide, quadruped):
+    rollout = glide(velocity=(0.3, 0.0))
+    for row in range(301):  # all feet sink at 0.5 m/s while FR swings
+        if row > 1 and not rollout.contact[row - 1, 0] and not rollout.contact[row - 2, 0]:
+            rollout.qpos[row, 2] = rollout.qpos[row - 1, 2] - 0.5 * 0.02
+    speeds = measure_gait(rollout, quadruped).touchdown_speed
+    assert speeds[0] == pytest.approx(np.hypot(0.3, 0.5), rel=1e-3)
+    assert speeds[1] == pytest.approx(0.3, rel=1e-3)
+
+
+def test_torque_reversals_are_changes_of_its_sign(glide, quadruped):
+    torque = np.ones((300, 12))
+    torque[1::2, 3] = -1.0
+    torque[::3, 5] = 0.0
+    reversals = measure_gait(glide(torque=torque), quadruped).torque_reversals
+    np.testing.assert_allclose(reversals, np.eye(12)[3])
+
+
 def test_roll_and_pitch_range(glide, quadruped):
     rollout = glide()
     quat = np.empty(4)
@@ -312,7 +357,9 @@ def test_what_a_robot_that_stands_has_not_is_a_dash(glide, quadruped, steps):
     still = glide(velocity=(0.0, 0.0), contact=np.ones((steps, 4), bool), steps=steps)
     text = describe_gait(measure_gait(still, quadruped), 3)
     assert text.startswith("gait of episode 3: irregular, - strides/s of - m, duty factor ")
-    assert "slip up to - % of the distance, cost of transport -\n" in text
+    assert (
+        "slip up to - % of the way, feet at - m/s before touch-down, cost of transport -\n" in text
+    )
     assert "nan" not in text
 
 

@@ -25,7 +25,7 @@ from quadwalk.evaluation.metrics import (
     to_rotations,
 )
 from quadwalk.evaluation.rollout import Rollout, slice_steps
-from quadwalk.evaluation.suites import commands
+from quadwalk.evaluation.suites import gaits
 from quadwalk.settings.environment import CommandConfig
 from quadwalk.tasks import sprint
 from tests.evaluation.conftest import make_glide_poses
@@ -141,13 +141,13 @@ def test_a_gait_at_a_speed_has_no_start_in_it(glide, quadruped, monkeypatch):
     velocity[100:, 0], energy[100:] = 2.0, 1.0
     rollout = dataclasses.replace(glide(velocity, (2.0, 0.0, 0.0)), energy=energy)
     fallen = slice_steps(rollout, 0, 50)
-    monkeypatch.setattr(commands, "FORWARD", 1)
-    monkeypatch.setattr(commands, "reset_with_commands", lambda *_: None)
-    monkeypatch.setattr(commands, "simulate_episodes", lambda *_, **__: iter([rollout, fallen]))
+    monkeypatch.setattr(gaits, "SPEEDS", 2)
+    monkeypatch.setattr(gaits, "reset_with_commands", lambda *_: None)
+    monkeypatch.setattr(gaits, "simulate_episodes", lambda *_, **__: iter([rollout, fallen]))
     config = SimpleNamespace(control_dt=DT, command=CommandConfig((0, 2), (0, 0), (0, 0), 0, 5))
     env = SimpleNamespace(quadruped=quadruped, config=config)
     loaded = SimpleNamespace(env=env, policy=SimpleNamespace(act=None))
-    gait, none = commands.measure_gaits(loaded, 0)
+    gait, none = gaits.measure_gaits(loaded, 0)
     assert gait["speed"] == pytest.approx(2.0, rel=1e-3)
     weight = 9.81 * quadruped.make_full_model().body_mass.sum()
     assert gait["cost_of_transport"] == pytest.approx(50.0 / (2.0 * weight), rel=1e-3)

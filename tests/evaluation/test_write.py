@@ -27,7 +27,7 @@ from quadwalk.evaluation.metrics import (
 )
 from quadwalk.evaluation.results import find_revision
 from quadwalk.evaluation.rollout import simulate_episodes
-from quadwalk.evaluation.suites import commands, standing, terrain
+from quadwalk.evaluation.suites import commands, gaits, standing, terrain
 from quadwalk.evaluation.sweep import SWEEPS, Point, measure_points
 from quadwalk.learn.acting import Policy
 from quadwalk.robot.mjcf import write_xml
@@ -270,6 +270,7 @@ def test_a_task_names_what_is_measured_of_it(loaded, tmp_path, monkeypatch):
 
     replace(terrain, "measure_terrain")
     replace(standing, "measure_standing", "print_standing")
+    replace(gaits, "to_held_run", "measure_gaits", "print_gaits", "draw_gaits")
     replace(commands, "measure_commands", "measure_changing", "print_commands", "draw_commands")
     monkeypatch.setattr(write, "save_figure", lambda *_: None)
     files = {}

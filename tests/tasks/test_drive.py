@@ -9,8 +9,9 @@ import pytest
 from quadwalk.env.command import sample_velocity
 from quadwalk.env.env import QuadrupedEnv
 from quadwalk.evaluation.load import LoadedRun
-from quadwalk.evaluation.rollout import reset_episodes, roll_out
+from quadwalk.evaluation.rollout import reset_episodes, reset_with_commands, roll_out
 from quadwalk.evaluation.suites import commands as steering
+from quadwalk.evaluation.suites import gaits
 from quadwalk.evaluation.suites.commands import (
     draw_commands,
     make_changes,
@@ -21,10 +22,9 @@ from quadwalk.evaluation.suites.commands import (
     measure_still,
     print_commands,
     remove_creep,
-    reset_with_commands,
     to_changing_run,
-    to_held_run,
 )
+from quadwalk.evaluation.suites.gaits import to_held_run
 from quadwalk.learn.acting import Policy
 from quadwalk.runs.directory import Run
 from quadwalk.settings.environment import COMMANDED, NO_RANDOMIZATION, REAL_WORLD
@@ -83,7 +83,8 @@ def test_a_robot_that_stands_is_as_far_off_as_its_command_says(standing, capsys,
     assert to_stand["time"] == pytest.approx(0.25)  # the middle of the first half second
     assert to_right["time"] is None
     assert make_changes(drive.TASK.env.command)[0][1] == (pytest.approx(4.05), 0.0, 0.0)
-    assert max(abs(each["speed"]) for each in found["gaits"]) < 0.05
+    rows = gaits.measure_gaits(standing, 0)
+    assert max(abs(each["speed"]) for each in rows) < 0.05
     still, held = found["standing"], found["standing_without_creep"]
     assert 0.0 < held["most"] < still["most"] == still["moved"]["mean"] < 0.03
     monkeypatch.setenv("COLUMNS", "120")
@@ -94,12 +95,12 @@ def test_a_robot_that_stands_is_as_far_off_as_its_command_says(standing, capsys,
     assert f"by {1e3 * still['most']:.1f} mm at most" in printed
     assert f"by {1e3 * held['most']:.1f} mm at most" in printed
     assert "75.0 % (30.0 to 95.0) of 4 episodes of 20 s end without a fall" in printed
-    assert len(draw_commands(found, "standing").axes) == 6 + 3
+    assert len(draw_commands(found, rows, "standing").axes) == 9 + 2
 
 
 def test_a_command_is_held_for_as_long_as_it_is_measured(standing, monkeypatch):
     """Of a run that was loaded for shorter episodes, which have one command each."""
-    monkeypatch.setattr(steering, "SECONDS", 0.2)
+    monkeypatch.setattr(gaits, "SECONDS", 0.2)
     config = standing.env.config
     short = dataclasses.replace(config.command, seconds=0.06)
     loaded = to_held_run(standing.to_mujoco(command=short))

@@ -1,10 +1,9 @@
-"""The suite "commands": how well a policy follows held and changing commands, and its gaits."""
+"""The suite "commands": how well a policy follows held and changing commands."""
 
 import dataclasses
 import math
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from matplotlib.axes import Axes
@@ -12,17 +11,14 @@ from matplotlib.figure import Figure
 
 from quadwalk.brax import State
 from quadwalk.env.env import QuadrupedEnv
-from quadwalk.evaluation.gait import measure_gait
 from quadwalk.evaluation.load import LoadedRun, make_evaluation_ranges
 from quadwalk.evaluation.metrics import (
-    SETTLING,
     WINDOW,
     average_windows,
     compute_heading_velocity,
     get_mean,
     measure_cells,
     summarize_values,
-    to_json_number,
 )
 from quadwalk.evaluation.report.tables import (
     format_number,
@@ -34,12 +30,11 @@ from quadwalk.evaluation.report.tables import (
 from quadwalk.evaluation.rollout import (
     GROUP,
     Report,
-    reset_cells,
     reset_episodes,
+    reset_with_commands,
     roll_out_paths,
-    simulate_episodes,
-    slice_steps,
 )
+from quadwalk.evaluation.suites.gaits import SETTLED, draw_gait_panels
 from quadwalk.render.figures import get_style, make_figure, tidy
 from quadwalk.settings.environment import COMMANDED, CommandConfig
 
@@ -47,19 +42,11 @@ Command = tuple[float, float, float]  # forward and lateral m/s, yaw rate rad/s
 STILL: Command = (0.0, 0.0, 0.0)
 
 FORWARD, TURNS = 12, 9  # commands along each axis of the grid
-SECONDS = 8.0  # s, that a command is held
-SETTLED = 2 * SETTLING  # s, after which a held command's motion is evaluated
 NO_SLIP = 20  # iterations at most of MuJoCo's no-slip solver
 LONG = 20.0  # s, of an episode in which commands change as in training
 CHANGE = 4.0  # s, after which it changes where a change is measured
 NEAR = 0.1  # of a change: a response that stays so near its end has arrived
 WORST = 6  # commands in the table, those followed worst
-
-
-def to_held_run(loaded: LoadedRun) -> LoadedRun:
-    """Return `loaded` in MuJoCo C, where each episode has one command for `SECONDS`."""
-    command = dataclasses.replace(loaded.env.config.command, seconds=SECONDS, soonest=None)
-    return loaded.to_mujoco(episode_seconds=SECONDS, command=command)
 
 
 def to_changing_run(loaded: LoadedRun) -> LoadedRun:
@@ -75,7 +62,7 @@ def to_changing_run(loaded: LoadedRun) -> LoadedRun:
 def measure_commands(
     loaded: LoadedRun, episodes: int, seed: int, report: Report | None = None
 ) -> dict[str, Any]:
-    """Return tracking at each command, gaits and responses, as plain values for JSON.
+    """Return tracking at each command, and responses, as plain values for JSON.
 
     `loaded` comes from `to_held_run`.
     """
@@ -86,7 +73,6 @@ def measure_commands(
         "cells": measure_held(loaded, make_held_commands(config), episodes, seed, report),
         "standing": measure_still(loaded, episodes, seed),
         "standing_without_creep": measure_still(remove_creep(loaded), episodes, seed),
-        "gaits": measure_gaits(loaded, seed),
         "responses": [
             measure_response(loaded, before, after, episodes, seed)
             for before, after in make_changes(config)
@@ -189,25 +175,6 @@ def remove_creep(loaded: LoadedRun) -> LoadedRun:
     return dataclasses.replace(loaded, env=env)
 
 
-def measure_gaits(loaded: LoadedRun, seed: int) -> list[dict[str, Any]]:
-    """Return gait, speed, cost of transport and stride frequency at each speed straight ahead.
-
-    Each is measured in one episode, from `SETTLED` on: the start from a stand is left out.
-    """
-    env = loaded.env
-    speeds = np.linspace(0.0, env.config.command.forward[1], 1 + 2 * FORWARD)[1:]
-    starts = reset_with_commands(env, [(float(speed), 0.0, 0.0) for speed in speeds], 1, seed)
-    rollouts = simulate_episodes(env, loaded.policy.act, len(speeds), seed, starts=starts)
-    settled = round(SETTLED / env.config.control_dt)
-    gaits = [measure_gait(slice_steps(rollout, settled), env.quadruped) for rollout in rollouts]
-    figures = ("speed", "cost_of_transport", "stride_frequency")
-    return [
-        {"command": float(speed), "gait": gait.gait}
-        | {name: to_json_number(getattr(gait, name)) for name in figures}
-        for speed, gait in zip(speeds, gaits, strict=True)
-    ]
-
-
 def measure_response(
     loaded: LoadedRun, before: Command, after: Command, episodes: int, seed: int
 ) -> dict[str, Any]:
@@ -252,19 +219,6 @@ def measure_response(
         "curve": curve.tolist(),
         "dt": dt,
     }
-
-
-def reset_with_commands(
-    env: QuadrupedEnv, commands: list[Command], episodes: int, seed: int
-) -> State:
-    """Return first states: the same `episodes` starts for each command, command by command."""
-
-    def reset(env: QuadrupedEnv, velocity: jax.Array, state: State) -> State:
-        command = state.pipeline_state.command._replace(velocity=velocity)
-        return env.start_episode(state, command=command)
-
-    starts = reset_episodes(env, episodes, seed)
-    return reset_cells(env, reset, np.array(commands, np.float32), starts)
 
 
 def print_commands(results: dict[str, Any]) -> None:
@@ -315,47 +269,32 @@ def print_commands(results: dict[str, Any]) -> None:
     )
 
 
-def draw_commands(results: dict[str, Any], title: str) -> Figure:
-    """Draw success and errors as heat maps over commands, cost and gait by speed, and responses."""
+def draw_commands(results: dict[str, Any], gaits: list[dict[str, Any]], title: str) -> Figure:
+    """Draw heat maps of errors over commands, responses to changes, and `gaits` by speed."""
     text = f"{title}: {results['episodes']} episodes of each command in MuJoCo C"
-    figure = make_figure((15, 9), text)
-    panels: Any = figure.subplots(2, 3).ravel()
+    figure = make_figure((15, 13), text)
+    panels: Any = figure.subplots(3, 3).ravel()
     maps = (
-        ("success", "episodes without a fall, %", 100.0),
         ("velocity_error", "velocity error, m/s", 0.5),
         ("yaw_rate_error", "yaw rate error, rad/s", 0.5),
     )
     cells = results["cells"]
     forward, turns = (sorted({cell["command"][part] for cell in cells}) for part in (0, 2))
     for axes, (name, heading, high) in zip(panels, maps, strict=False):
-        colors = "viridis" if name == "success" else "viridis_r"
         values = np.full((len(turns), len(forward)), math.nan)
         for cell in cells:
-            value = 100 * cell[name] if name == "success" else get_mean(cell[name])
-            values[turns.index(cell["command"][2]), forward.index(cell["command"][0])] = value
-        mesh = axes.pcolormesh(forward, turns, values, cmap=colors, vmin=0.0, vmax=high)
+            row, column = turns.index(cell["command"][2]), forward.index(cell["command"][0])
+            values[row, column] = get_mean(cell[name])
+        mesh = axes.pcolormesh(forward, turns, values, cmap="viridis_r", vmin=0.0, vmax=high)
         figure.colorbar(mesh, ax=axes)
         tidy(axes, heading)
         axes.set_xlabel("commanded forward velocity, m/s")
         axes.set_ylabel("commanded yaw rate, rad/s")
         axes.grid(visible=False)
-    _draw_gaits(panels[3], results["gaits"])
-    for axes, part, unit in ((panels[4], "forward", "m/s"), (panels[5], "yaw_rate", "rad/s")):
+    for axes, part, unit in ((panels[2], "forward", "m/s"), (panels[3], "yaw_rate", "rad/s")):
         _draw_responses(axes, part, unit, results["responses"])
+    draw_gait_panels(list(panels[4:]), gaits)
     return figure
-
-
-def _draw_gaits(axes: Axes, gaits: list[dict[str, Any]]) -> None:
-    """Draw the cost of transport over speed, a color for each gait; rows are of `measure_gaits`."""
-    tidy(axes, "cost of transport and gait by speed")
-    for place, name in enumerate(dict.fromkeys(row["gait"] for row in gaits)):
-        rows = [row for row in gaits if row["gait"] == name and row["cost_of_transport"]]
-        speeds, costs = [[row[key] for row in rows] for key in ("speed", "cost_of_transport")]
-        color, mark = get_style(place)
-        axes.plot(speeds, costs, mark, color=color, label=name)
-    axes.set_xlabel("speed, m/s")
-    axes.set_ylim(bottom=0.0)
-    axes.legend()
 
 
 def _draw_responses(axes: Axes, part: str, unit: str, responses: list[dict[str, Any]]) -> None:
