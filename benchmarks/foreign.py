@@ -252,6 +252,7 @@ def main() -> None:
     from quadwalk.files import write_json
     from quadwalk.render.images import save_png
     from quadwalk.runs.directory import find_ready, get_results_folder
+    from quadwalk.terrain.terrain import FLAT
 
     options = parse_options()
     run = find_ready(options.runs, options.run, "run")
@@ -262,7 +263,7 @@ def main() -> None:
     except importlib.metadata.PackageNotFoundError:
         raise UserError(f"drake is not installed; this needs: {suggest_install('drake')}") from None
     export_run(run, "last", out / "export", Console(stderr=True, highlight=False))
-    loaded = load_run(run, options.seconds, engine="fast", flat=True)
+    loaded = load_run(run, options.seconds, engine="fast", ground=FLAT)
     if loaded.env.config.reset.tumbled:
         raise UserError(f"{run.name} begins on the ground; expected a task that begins on its feet")
     # Refuses a policy with observations that it lacks.

@@ -1,5 +1,6 @@
 """The commands `quadwalk eval` (`eval.py`) and `quadwalk sweep`: options, runs, and folders."""
 
+import dataclasses
 import datetime
 import tempfile
 from collections.abc import Sequence
@@ -19,6 +20,7 @@ from quadwalk.runs.directory import Run
 
 if TYPE_CHECKING:
     from quadwalk.evaluation.load import LoadedRun
+    from quadwalk.terrain.terrain import GroundConfig
 
 # Options that `eval.py` had, and the command that does this now.
 _MOVED = {"--sweep": "sweep", "--view": "view", "--browser": "view"}
@@ -71,13 +73,33 @@ class EvalConfig(RunsConfig):
     # each episode under conditions drawn as in training: friction, loads, motors, delays, noise,
     # pushes; otherwise the robot is as its model says and nothing disturbs it
     randomized: bool = False
+    # kind of ground, such as rough, blocks or stairs_up, in place of the task's; flat: a flat floor
+    ground: str | None = None
+    # m, height of that kind's steps and blocks, or amplitude of its roughness; None: by the leg's
+    # length
+    ground_height: Annotated[float | None, Bounds(0.0, 1.0, unit="m")] = None
+    # m/s forward, m/s to the left, rad/s: the velocity command of every episode; None: each draws
+    # its own
+    command: tuple[float, float, float] | None = None
     # episodes of each cell of the task's suite: of each kind of terrain at each difficulty; of each
     # four commands, in MuJoCo C; of each condition under which a robot stands up, in MuJoCo C; 0:
-    # without them
+    # without them, as with `ground` or `command`
     cell_episodes: Natural = 16
     levels: Few = 3  # difficulties of terrain, evenly from the least trained on to the greatest
     mcap: Natural | None = None  # of the episodes, how many to write as MCAP; None: the first 16
     video: Literal["none", "gif", "mp4"] = "none"  # 3 s of it running; mp4 needs ffmpeg
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.command is not None and not any(self.command):
+            raise UsageError("--command is 0 0 0; expected a velocity that is not 0")
+        if self.ground_height is not None and self.ground in (None, "flat"):
+            raise UsageError("--ground-height has no --ground; expected one, such as rough")
+
+    @property
+    def is_special(self) -> bool:
+        """True for one command or another ground, for which there is no suite."""
+        return self.command is not None or self.ground is not None
 
     @property
     def recordings(self) -> int:
@@ -104,7 +126,8 @@ def call_sweep(args: Sequence[str], prog: str) -> None:
 
 def evaluate_runs(config: EvalConfig) -> dict[str, Any]:
     """Evaluate as `config` says; return the content of metrics.json or comparison.json."""
-    runs, loaded = _load_runs(config, config.randomized)
+    ground = None if config.ground is None else _make_ground(config)
+    runs, loaded = _load_runs(config, config.randomized, ground, config.command)
     folders, together = _make_folders(config, runs, config.engine)
     from quadwalk.evaluation import write  # late, since it takes seconds
 
@@ -114,7 +137,7 @@ def evaluate_runs(config: EvalConfig) -> dict[str, Any]:
             folder,
             episodes=config.episodes,
             seed=config.seed,
-            cell_episodes=config.cell_episodes,
+            cell_episodes=0 if config.is_special else config.cell_episodes,
             levels=config.levels,
             recordings=config.recordings,
             video=config.video,
@@ -141,7 +164,35 @@ def sweep_runs(config: SweepConfig) -> dict[str, Any]:
     return write.write_sweep_comparison(_label_runs(runs), results, together)
 
 
-def _load_runs(config: RunsConfig, randomized: bool) -> tuple[list[Run], list["LoadedRun"]]:
+def _make_ground(config: EvalConfig) -> "GroundConfig":
+    """Return the ground that `config` names: one large tile about the start."""
+    from quadwalk.terrain.terrain import FLAT  # late, since it takes seconds
+    from quadwalk.terrain.tiles import KINDS
+
+    kind, height = config.ground, config.ground_height
+    if kind == "flat":
+        return FLAT
+    if kind not in KINDS:
+        raise UsageError(f"--ground is {kind!r}; expected one of: {', '.join(KINDS)}")
+    ground = dataclasses.replace(
+        FLAT,
+        kinds=(kind,),
+        levels=1,
+        difficulty=(1.0, 1.0),
+        tile=(44.0, 44.0),
+        step=height,
+        block=height,
+        roughness=height,
+    )
+    return ground.make_unseen(config.seed)
+
+
+def _load_runs(
+    config: RunsConfig,
+    randomized: bool,
+    ground: "GroundConfig | None" = None,
+    command: tuple[float, float, float] | None = None,
+) -> tuple[list[Run], list["LoadedRun"]]:
     """Find and load all runs before the first is simulated, so that a bad one fails at once."""
     runs = _find_runs(config)
     # On stderr: what is printed on stdout is the result alone.
@@ -155,8 +206,19 @@ def _load_runs(config: RunsConfig, randomized: bool) -> tuple[list[Run], list["L
     set_up_devices()
     from quadwalk.evaluation.load import load_run
 
-    options = config.seconds, config.policy, config.engine, randomized, config.seed
-    loaded = [load_run(run, *options) for run in runs]
+    loaded = [
+        load_run(
+            run,
+            config.seconds,
+            config.policy,
+            config.engine,
+            randomized,
+            config.seed,
+            ground,
+            command,
+        )
+        for run in runs
+    ]
     for policy in loaded:
         for note in policy.notes:
             console.print(f"{policy.run.name}: {note}")

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from quadwalk.env.env import QuadrupedEnv
+from quadwalk.env.terminations import TRUNK_FALLS
 from quadwalk.errors import UserError
 from quadwalk.files import hash_file, read_bytes
 from quadwalk.learn.acting import Policy, load_policy
@@ -23,9 +24,10 @@ from quadwalk.settings.environment import (
     EnvConfig,
     RandomizationConfig,
 )
-from quadwalk.terrain.terrain import FLAT, GroundConfig
+from quadwalk.terrain.terrain import GroundConfig
 
 PUSH_SECONDS = 5.0  # one push in each
+Command = tuple[float, float, float]  # forward and lateral m/s, yaw rate rad/s
 
 
 def describe_desk(policy: Policy) -> str:
@@ -109,15 +111,17 @@ def load_run(
     engine: EngineName = "mjx",
     randomized: bool = False,
     seed: int = 0,
-    flat: bool = False,
+    ground: GroundConfig | None = None,
+    command: Command | None = None,
 ) -> LoadedRun:
     """Load the "last" or "best" policy of `run` for episodes of up to `seconds` in `engine`.
 
-    Without `randomized` the robot is as its model says and nothing disturbs it. With it, each
-    episode samples from `make_evaluation_ranges`. A velocity command holds for a whole episode, so
-    that its gait does not change. Ground that was uneven in training is `make_unseen_ground` of
-    `seed`, or, with `flat`, a flat floor. Raises `UserError` if policy or robot cannot be read, or
-    do not match.
+    Without `randomized` the robot is that of its model and nothing disturbs it. With it, each
+    episode samples from the `make_evaluation_ranges`. A velocity command holds for a whole episode,
+    so that the episode has one gait; it is `command` (forward and lateral velocity, m/s, and yaw
+    rate, rad/s), or drawn from the training ranges. The ground is `ground`, or `make_unseen_ground`
+    of `seed`. A policy of a flat floor falls on uneven ground only if its trunk touches it. Raises
+    `UserError` where policy or robot cannot be read, or do not match.
     """
     file = run.best if which == "best" else run.policy
     policy, sha256 = load_policy(file), hash_file(file)
@@ -125,15 +129,23 @@ def load_run(
     config_json = read_bytes(run.config) if run.config.exists() else None
     quadruped = load_robot(policy.config.robot)
     trained = policy.config.env
-    command = dataclasses.replace(trained.command, seconds=seconds, soonest=None, margin=0.0)
+    commands = dataclasses.replace(trained.command, seconds=seconds, soonest=None, margin=0.0)
+    if command is not None:
+        if not trained.command.active:
+            raise UserError(f"{file} follows no velocity command; expected a task with commands")
+        commands = commands.hold_at(*command)
+    if ground is None:
+        ground = make_unseen_ground(trained.ground, seed)
+    is_new_ground = trained.ground.flat and not ground.flat
     config = dataclasses.replace(
         trained,
         episode_seconds=seconds,
         # The two iterations of earlier runs grip too well on slippery floors.
         solver_iterations=max(trained.solver_iterations, PHYSICS["solver_iterations"]),
-        command=command,
+        command=commands,
         randomization=make_evaluation_ranges(trained, randomized),
-        ground=FLAT if flat else make_unseen_ground(trained.ground, seed),
+        ground=ground,
+        termination=TRUNK_FALLS if is_new_ground else trained.termination,
     )
     env = QuadrupedEnv(quadruped, config, engine)
     if quadruped.joints != policy.joints or env.policy_size != policy.observation_size:

@@ -23,6 +23,7 @@ from quadwalk.files import make_folder, open_atomic
 from quadwalk.learn.devices import set_up_devices
 from quadwalk.robot.mjcf import write_xml
 from quadwalk.runs.directory import Run
+from quadwalk.terrain.terrain import FLAT
 
 # They run where they are copied to, without quadwalk.
 SCRIPTS = [Path(__file__).with_name(name) for name in ("run_policy.py", "controller.py")]
@@ -33,7 +34,7 @@ _ROWS = 64  # random observations that ONNX Runtime and JAX are compared on
 def load_flat(run: Run, which: str) -> LoadedRun:
     """Load the "last" or "best" policy of `run` in MuJoCo C, as it is exported: on a flat floor."""
     set_up_devices()
-    return load_run(run, 20.0, which, "mujoco", flat=True)
+    return load_run(run, 20.0, which, "mujoco", ground=FLAT)
 
 
 def export_run(

@@ -123,15 +123,21 @@ class CommandConfig(Settings, group="env.command"):
             leg=None,
         )
 
-    def hold_at(self, forward: float) -> "CommandConfig":
-        """Return a command that is always straight ahead at `forward`, m/s."""
+    def hold_at(
+        self, forward: float, lateral: float = 0.0, yaw_rate: float = 0.0
+    ) -> "CommandConfig":
+        """Return the same with every command at these velocities, m/s and rad/s, for any robot."""
         return replace(
             self,
             forward=(forward, forward),
-            lateral=(0.0, 0.0),
-            yaw_rate=(0.0, 0.0),
+            lateral=(lateral, lateral),
+            yaw_rate=(yaw_rate, yaw_rate),
             standing=0.0,
             spot=0.0,
+            straight=0.0,
+            lateral_until=None,
+            turning=None,
+            leg=None,
         )
 
     @property

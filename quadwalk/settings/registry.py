@@ -19,6 +19,7 @@ TERMS: dict[str, Callable[..., Any]] = {
     "reward:fall": rewards.fall,
     "reward:yaw_error": rewards.yaw_error,
     "reward:energy": rewards.energy,
+    "reward:cost_of_transport": rewards.cost_of_transport,
     "reward:alive": rewards.alive,
     "reward:lateral": rewards.lateral,
     "reward:offset": rewards.offset,

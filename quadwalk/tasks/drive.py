@@ -33,15 +33,16 @@ TASK = TrainConfig(
             "follow_yaw_rate": Reward(rewards.follow_yaw_rate, {"width": 0.2}, scale=1.0),
             "yaw_rate_off": Reward(rewards.yaw_rate_off, scale=-1.2),
             "fidget": Reward(rewards.fidget, scale=-5.0),
-            "energy": Reward(rewards.energy, scale=-0.05),
-            "vertical": Reward(rewards.vertical, scale=-0.3),
+            "energy": Reward(rewards.energy, scale=-0.1),
+            "cost_of_transport": Reward(rewards.cost_of_transport, {"slow": 0.3}, scale=-0.8),
+            "vertical": Reward(rewards.vertical, scale=-0.5),
             "tilt": Reward(rewards.tilt, scale=-0.5),
             "roll_pitch_rate": Reward(rewards.roll_pitch_rate, scale=-0.1),
             "action_rate": Reward(rewards.action_rate, scale=-0.1),
             "short_stride": Reward(
-                rewards.short_stride, {"frequency": 0.47, "increase": 0.21}, scale=-3.0
+                rewards.short_stride, {"frequency": 0.44, "increase": 0.21}, scale=-6.0
             ),
-            "low_swing": Reward(rewards.low_swing, {"height": 0.2}, scale=-2.0),
+            "low_swing": Reward(rewards.low_swing, {"height": 0.2}, scale=-1.5),
             "drag": Reward(rewards.drag, {"height": 0.06}, scale=-0.5),
             "slip": Reward(rewards.slip, scale=-1.0),
         },

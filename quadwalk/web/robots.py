@@ -17,6 +17,7 @@ from quadwalk.learn.devices import set_up_devices
 from quadwalk.paths import PRETRAINED
 from quadwalk.runs.changes import STEPS
 from quadwalk.runs.directory import Run, list_checkpoints
+from quadwalk.terrain.terrain import FLAT
 from quadwalk.web import site
 from quadwalk.web.actor import PythonActor
 from quadwalk.web.serve import Actor, Content
@@ -27,7 +28,7 @@ SECONDS = 3600.0  # of an episode: the page's has no end
 
 def load(run: Run, which: str) -> LoadedRun:
     """Load the policy `which` of `run`, "last" or "best", for a flat floor."""
-    return load_run(run, SECONDS, which, "mujoco", flat=True)
+    return load_run(run, SECONDS, which, "mujoco", ground=FLAT)
 
 
 class LiveSite:

@@ -27,6 +27,7 @@ PARAMS = {
     "crossed": {"margin": 0.05},
     "trot": {"stride": 20.0, "height": 0.06, "width": 0.04},
     "diagonal": {"height": 0.04},
+    "cost_of_transport": {"slow": 0.25},
     "short_stride": {"frequency": 0.5, "increase": 0.2},
     "low_swing": {"height": 0.2},
 }
@@ -123,6 +124,14 @@ CASES = {
     "fall": (make_step(fell=jnp.ones((), bool)), 1.0),
     "yaw_error": (make_step(qpos=turn_trunk(yaw=-0.4)), 0.4),
     "energy": (lambda robot: make_step(power=jnp.asarray(0.5 * robot.weight)), 0.5),
+    # At 0.6 m/s aside and a turn of 0.4 m/s for a foot, with 0.5 m/s of power over weight.
+    "cost_of_transport": (
+        lambda robot: make_step(
+            power=jnp.asarray(0.5 * robot.weight),
+            command=jnp.array([0.0, -0.6, -0.4 / robot.home_height]),
+        ),
+        0.5 / 1.25,
+    ),
     "alive": (make_step(), 1.0),
     "lateral": (make_step(qpos=REST.at[1].set(-0.01)), 0.5),
     "offset": (make_step(qpos=REST.at[1].set(-0.25)), 0.25),
@@ -207,6 +216,7 @@ LIMITS = {
         0.0,
     ),  # only where it is to stand
     "energy": (make_step(power=jnp.asarray(1e9)), 20.0),
+    "cost_of_transport": (make_step(power=jnp.asarray(1e9)), 10.0),
     "lateral": (make_step(qpos=REST.at[1].set(5.0)), 1.0),
     "offset": (make_step(qpos=REST.at[1].set(50.0)), 1.0),
     "vertical": (make_step(qvel=jnp.zeros(18).at[2].set(9.0)), 1.0),

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from quadwalk.env.env import QuadrupedEnv
+from quadwalk.env.terminations import TRUNK_FALLS
 from quadwalk.errors import UserError
 from quadwalk.evaluation import load as loading
 from quadwalk.evaluation.load import load_run, make_unseen_ground
-from quadwalk.evaluation.rollout import simulate_episodes
+from quadwalk.evaluation.rollout import reset_episodes, simulate_episodes
 from quadwalk.learn.acting import Policy, load_policy
 from quadwalk.paths import PRETRAINED
 from quadwalk.runs.directory import Run
@@ -91,6 +92,35 @@ def test_the_last_policy_is_loaded_or_the_best(policy, folder):
         assert (loaded.file, loaded.config) == (file, None)
         assert loaded.sha256 == hashlib.sha256(file.read_bytes()).hexdigest()
     assert jax.tree.leaves(loaded.policy.act)  # its weights are arguments, not constants
+
+
+def test_a_policy_of_a_flat_floor_falls_on_other_ground_by_its_trunk_alone(policy, folder):
+    tile = {"levels": 1, "difficulty": (1.0, 1.0), "tile": (4.0, 4.0), "roughness": 0.03}
+    rough = dataclasses.replace(FLAT, kinds=("rough",), **tile)
+    env = load_run(folder, 1.0, engine="fast", ground=rough).env
+    assert env.ends == ("running", "time limit", *TRUNK_FALLS, "nan")
+    heights = env.terrain.field.heights
+    # The tile, a border of level ground around it.
+    assert 0.02 < np.ptp(heights) <= 2 * 0.03 + 1e-6
+    assert load_run(folder, 1.0, engine="fast").env.ends == (
+        "running",
+        "time limit",
+        *policy.config.env.termination,
+        "nan",
+    )
+
+
+def test_a_command_is_held_as_it_is_given(folder, monkeypatch):
+    drive = load_policy(PRETRAINED / "drive" / "policy.npz")
+    monkeypatch.setattr(loading, "load_policy", lambda _: drive)
+    env = load_run(folder, 1.0, engine="fast", command=(1.0, 0.25, -0.5)).env
+    state = reset_episodes(env, 4, 0).pipeline_state
+    np.testing.assert_allclose(state.command.velocity, [[1.0, 0.25, -0.5]] * 4)
+
+
+def test_a_policy_without_commands_has_none_to_hold(policy, folder):
+    with pytest.raises(UserError, match="follows no velocity command"):
+        load_run(folder, 1.0, engine="fast", command=(1.0, 0.0, 0.0))
 
 
 def test_a_configuration_that_cannot_be_read_is_one_line(policy, folder):
