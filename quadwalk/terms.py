@@ -6,7 +6,7 @@ groups of terms. A term is one of these functions, or one of your own, with its 
 
 from quadwalk.env import actions, observations, rewards, terminations
 from quadwalk.env.reflections import AXIAL, FEET, JOINTS, LATERAL, LINKS, SCALAR, VECTOR, mirrors
-from quadwalk.env.state import EnvState, RobotConstants, Step
+from quadwalk.env.state import EnvState, RobotConstants, Step, needs_strides
 from quadwalk.settings.terms import ActionMap, Observation, Reward, Termination
 
 __all__ = [
@@ -26,6 +26,7 @@ __all__ = [
     "Termination",
     "actions",
     "mirrors",
+    "needs_strides",
     "observations",
     "rewards",
     "terminations",

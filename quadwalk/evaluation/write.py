@@ -137,13 +137,7 @@ def _write_suite(
     suite, name, engine = loaded.policy.config.suite, loaded.run.name, loaded.env.engine
     files = []
     if loaded.env.config.command.active:
-        held = gaits.to_held_run(loaded)
-        with make_console().status("looking at the feet at each command"):
-            results["gaits"] = gaits.measure_gaits(held, seed)
-        gaits.print_gaits(results["gaits"])
-        if suite != "commands":
-            save_figure(gaits.draw_gaits(results["gaits"], name), folder / "gaits.png")
-            files.append("gaits.png")
+        files += _write_gaits(loaded, folder, results, seed)
     if suite == "standing":
         mujoco = standing.to_standing_run(loaded)
         with _show_progress(mujoco, f"{episodes} episodes of each condition") as report:
@@ -158,7 +152,7 @@ def _write_suite(
         save_figure(terrain.draw_terrain(ground, f"{name}, {engine}"), folder / "ground.png")
         files.append("ground.png")
     if suite == "commands":
-        changing = commands.to_changing_run(loaded)
+        held, changing = gaits.to_held_run(loaded), commands.to_changing_run(loaded)
         few, many = max(episodes // 4, 1), 16 * episodes
         with _show_progress(held, f"{few} episodes of each command") as report:
             steering = commands.measure_commands(held, few, seed, report)
@@ -170,6 +164,20 @@ def _write_suite(
         save_figure(figure, folder / "steering.png")
         files.append("steering.png")
     return files
+
+
+def _write_gaits(loaded: LoadedRun, folder: Path, results: dict[str, Any], seed: int) -> list[str]:
+    """Add the gait at each command to `results`, and print it; return its picture's name.
+
+    The suite "commands" has these panels in a picture of its own.
+    """
+    with make_console().status("looking at the feet at each command"):
+        results["gaits"] = gaits.measure_gaits(gaits.to_held_run(loaded), seed)
+    gaits.print_gaits(results["gaits"])
+    if loaded.policy.config.suite == "commands":
+        return []
+    save_figure(gaits.draw_gaits(results["gaits"], loaded.run.name), folder / "gaits.png")
+    return ["gaits.png"]
 
 
 def _write_pictures(evaluation: Evaluation, folder: Path, video: str) -> list[str]:

@@ -270,14 +270,16 @@ def test_a_task_names_what_is_measured_of_it(loaded, tmp_path, monkeypatch):
 
     replace(terrain, "measure_terrain")
     replace(standing, "measure_standing", "print_standing")
-    replace(gaits, "to_held_run", "measure_gaits", "print_gaits", "draw_gaits")
+    replace(gaits, "measure_gaits", "print_gaits", "draw_gaits")
     replace(commands, "measure_commands", "measure_changing", "print_commands", "draw_commands")
     monkeypatch.setattr(write, "save_figure", lambda *_: None)
     files = {}
     for suite in ("course", "terrain", "standing", "commands"):
         config = dataclasses.replace(loaded.policy.config, suite=suite)
         run = dataclasses.replace(loaded, policy=dataclasses.replace(loaded.policy, config=config))
-        files[suite] = write._write_suite(run, tmp_path, {}, episodes=8, seed=0, levels=2)
+        files[suite] = write._write_suite(
+            run, tmp_path, {"gaits": []}, episodes=8, seed=0, levels=2
+        )
     assert called == [
         *("measure_standing", "print_standing"),
         *("measure_commands", "measure_changing", "print_commands", "draw_commands"),
