@@ -202,15 +202,25 @@ def short_stride(
 
 
 @needs_strides
-def low_swing(robot: RobotConstants, step: Step, *, height: float) -> jax.Array:
-    """Number of feet that touch down, each by how low it swung, from 0 to 1.
+def swing_error(robot: RobotConstants, step: Step, *, low: float, high: float) -> jax.Array:
+    """Number of feet that touch down, each by how far its swing was too low or high, from 0 to 1.
 
-    1 for a sole that stayed at the floor, 0 for one that was `height`, a share of the home height,
-    or more above it.
+    `low` and `high` are shares of the home height. 0 for a sole whose highest point was between
+    them, 1 for one that stayed at the floor or rose to twice `high`; linear between.
     """
     assert step.strides is not None
-    low = jnp.clip(1.0 - step.strides.peak / (height * robot.home_height), 0.0, 1.0)
-    return jnp.sum(low * step.landed)
+    peak = step.strides.peak / robot.home_height
+    off = jnp.maximum(1.0 - peak / low, peak / high - 1.0)
+    return jnp.sum(jnp.clip(off, 0.0, 1.0) * step.landed)
+
+
+def flight(robot: RobotConstants, step: Step, *, slow: float) -> jax.Array:
+    """1 with no foot on the floor at the command to stand, 0 from a commanded pace of `slow` on.
+
+    Linear between; `slow` is a share of the Froude speed.
+    """
+    share = jnp.clip(1.0 - _compute_pace(robot, step) / (slow * robot.froude_speed), 0.0, 1.0)
+    return share * ~jnp.any(step.contact)
 
 
 def kneel(robot: RobotConstants, step: Step, *, height: float) -> jax.Array:

@@ -29,7 +29,8 @@ PARAMS = {
     "diagonal": {"height": 0.04},
     "cost_of_transport": {"slow": 0.25},
     "short_stride": {"frequency": 0.5, "increase": 0.2},
-    "low_swing": {"height": 0.2},
+    "swing_error": {"low": 0.2, "high": 0.4},
+    "flight": {"slow": 0.8},
 }
 
 
@@ -188,12 +189,18 @@ CASES = {
         ),
         0.3 + 0.5,
     ),
-    # FR lifts by three quarters of what is asked for, FL by all, RR by none. RL stands.
-    "low_swing": (
+    # FR lifts by three quarters of what is asked for, FL by enough, RR by half too much. RL stands.
+    "swing_error": (
         lambda robot: make_landing_step(
-            robot, [True, True, True, False], peaks=[0.15, 0.2, 0.0, 0.0]
+            robot, [True, True, True, False], peaks=[0.15, 0.3, 0.6, 0.0]
         ),
-        0.25 + 1.0,
+        0.25 + 0.5,
+    ),
+    "flight": (
+        lambda robot: make_landing_step(robot, [False] * 4, pace=0.2)._replace(
+            contact=jnp.zeros(4, bool)
+        ),
+        0.75,
     ),
     # Of knees and shins, whatever the trunk does: a quarter of the height that costs nothing.
     "kneel": (make_step(lowest=jnp.array([-0.3, 0.01])), 0.75),
@@ -227,7 +234,8 @@ LIMITS = {
     "drag": (make_sole_step([0.0] * 4, [1e6] * 4), 2.0),
     "slip": (make_sole_step([0.0] * 4, [1e6] * 4), 2.0),
     "short_stride": (lambda robot: make_landing_step(robot, [True] * 4), 4.0),
-    "low_swing": (lambda robot: make_landing_step(robot, [True] * 4), 4.0),
+    "swing_error": (lambda robot: make_landing_step(robot, [True] * 4), 4.0),
+    "flight": (make_step(command=jnp.array([0.0, 0.0, 9.0]), contact=jnp.zeros(4, bool)), 0.0),
     "joint_speed": (make_step(qvel=jnp.full(18, 90.0)), 100.0),
     "upright": (make_step(qpos=turn_trunk(roll=np.pi)), 0.0),
     "raised": (lambda robot: make_standing_step(robot, share=9.0), 1.0),
