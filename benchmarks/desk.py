@@ -27,7 +27,7 @@ ITERATIONS = 4  # of each kind in a round
 
 
 class Trainer:
-    """A training that is compiled, with its state."""
+    """A training of `env`, which compiles when made, with its state."""
 
     def __init__(self, env, config, mesh) -> None:
         networks = make_env_networks(env, config.ppo, lambda text: None)
@@ -37,7 +37,7 @@ class Trainer:
         self.iterate.compile()
 
     def measure(self, clock) -> float:
-        """Return the seconds of `clock` that some iterations take."""
+        """Train for `ITERATIONS`; return the seconds that they took by `clock`."""
         start = clock()
         for _ in range(ITERATIONS):
             self.state, metrics = self.iterate(self.state)
