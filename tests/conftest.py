@@ -30,12 +30,13 @@ set_up_devices(2)
 
 @pytest.fixture(scope="session")
 def quadruped() -> Quadruped:
-    """The AlienGo."""
+    """Return the AlienGo, read from its URDF."""
     return load_quadruped()
 
 
 @pytest.fixture(scope="session")
 def env(quadruped) -> QuadrupedEnv:
+    """Return the AlienGo's environment of the task `sprint`, in episodes of 0.1 s."""
     return QuadrupedEnv(quadruped, dataclasses.replace(sprint.TASK.env, episode_seconds=0.1))
 
 
@@ -54,7 +55,10 @@ def step(env):
 
 @pytest.fixture(scope="session")
 def same_result() -> Callable[..., None]:
-    """Return a function that asserts that two folders of runs have equal metrics and policies."""
+    """Return a function that asserts that two runs' folders have equal metrics and policies.
+
+    Without `best` their best policies may differ.
+    """
 
     def arrays(path: Path) -> dict[str, bytes]:
         with np.load(path) as archive:
@@ -80,5 +84,5 @@ MISSING = pytest.mark.skip(reason="QUADWALK_REFERENCE_URDFS names no folder of U
     ids=lambda file: file and file.stem,
 )
 def reference_urdf(request) -> Path:
-    """Each URDF in the folder QUADWALK_REFERENCE_URDFS in turn; without it the test is skipped."""
+    """Return each URDF in the folder QUADWALK_REFERENCE_URDFS in turn; skip the test without it."""
     return request.param

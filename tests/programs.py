@@ -9,6 +9,9 @@ ROOT = Path(__file__).parents[1]
 
 
 def python(*arguments: object, **options: Any) -> subprocess.CompletedProcess[str]:
-    """Run this Python, by default in the checkout, to its end."""
+    """Run this Python with `arguments` to its end; return its status and output.
+
+    By default it runs in the checkout. `options` are those of `subprocess.run`.
+    """
     command = [sys.executable, *map(str, arguments)]
     return subprocess.run(command, capture_output=True, text=True, **{"cwd": ROOT, **options})

@@ -23,9 +23,9 @@ WALK = walk.TASK
 def write_run(
     root: Path, name: str, quadruped: Quadruped, policies: dict[str, int], task=WALK, **options
 ) -> Run:
-    """Write a run in `root`, with a policy for each file name, drawn from its seed.
+    """Write a run `name` in the folder `root`, with random policies; return it.
 
-    `options` are of `write_policy`.
+    `policies` gives the seed of each by its file. `options` are of `write_policy`.
     """
     env = QuadrupedEnv(quadruped, task.env)
     settings = {"config": to_dict(task), "versions": get_versions()}

@@ -23,7 +23,10 @@ KP, KD = 160.0, 4.0  # stiff enough for legs that only follow the clock
 
 
 def read_messages(path: Path) -> dict[str, list]:
-    """Return by topic [(nanoseconds, decoded message, or bytes if it is no Protobuf)]."""
+    """Return the messages of an MCAP file by topic: pairs of nanoseconds and message.
+
+    A message is decoded, or bytes if it is no Protobuf. Raises an error for a wrong checksum.
+    """
     messages, decoders = defaultdict(list), DecoderFactory()
     with open(path, "rb") as stream:
         for schema, channel, message in make_reader(stream, validate_crcs=True).iter_messages():
@@ -47,9 +50,10 @@ def read_records(path: Path) -> tuple[dict, dict]:
 
 
 def make_glide_poses(start: np.ndarray, velocity: np.ndarray) -> np.ndarray:
-    """Return poses (T, 7) of a trunk that goes on from `start` with (T, 3) velocities.
+    """Return poses (T, 7), m and wxyz, of a trunk that moves from `start` with velocities (T, 3).
 
-    They are in the frame of its heading: m/s ahead and to the left, and rad/s.
+    Velocities are in the frame of its heading: m/s ahead and to the left, and rad/s. Poses are
+    `CONTROL_DT` apart, the first of them after the first step.
     """
     first = Rotation.from_quat(start[3:7], scalar_first=True)
     heading = Rotation.from_euler("z", first.as_euler("ZYX")[0])
@@ -60,7 +64,11 @@ def make_glide_poses(start: np.ndarray, velocity: np.ndarray) -> np.ndarray:
 
 @pytest.fixture(scope="session")
 def simulate(quadruped: Quadruped) -> Callable[..., Rollout]:
-    """Return simulate(steps, offsets, ...): legs swing at set phases under PD control."""
+    """Return a function that makes the rollout of legs that swing at set phases, in MuJoCo C.
+
+    `offsets` are the legs' phases in strides, in the quadruped's order. PD control follows the
+    swing for `steps` control steps; no policy acts.
+    """
 
     def run(
         steps: int,
@@ -128,12 +136,12 @@ def simulate(quadruped: Quadruped) -> Callable[..., Rollout]:
 
 @pytest.fixture(scope="session")
 def trot(simulate) -> Rollout:
-    """Return 2 s of diagonal legs swinging together."""
+    """Return the rollout of 2 s in which diagonal legs swing together, as of `simulate`."""
     return simulate(100)
 
 
 @pytest.fixture(scope="session")
 def swaying() -> Callable[[jax.Array], jax.Array]:
-    """Return a policy, (47,) -> (12,), that moves the legs a little by what it observes."""
+    """Return a policy, observation (47,) to action (12,), that moves the legs a little."""
     weights = 0.03 * jax.random.normal(jax.random.PRNGKey(1), (47, 12))
     return jax.tree_util.Partial(lambda w, observation: jnp.tanh(observation @ w), weights)

@@ -54,7 +54,10 @@ TASK = dataclasses.replace(sprint.TASK, task="toy", env=dataclasses.replace(
 
 
 def write_task(folder: Path) -> tuple[Path, Path]:
-    """Write a task's file; return its path, and that of a file for which its trainings wait."""
+    """Write toy_task.py; return its path, and that of a file for which its trainings wait.
+
+    They wait after `PAUSE` iterations until the second file is there.
+    """
     file, go = folder / "toy_task.py", folder / "go"
     file.write_text(f"GO = {str(go)!r}\n{TASK}")
     return file, go
@@ -62,13 +65,17 @@ def write_task(folder: Path) -> tuple[Path, Path]:
 
 @pytest.fixture
 def task(tmp_path) -> tuple[Path, Path]:
-    """As `write_task`."""
+    """Return the paths of a task's file, and of the file for which its trainings wait."""
     return write_task(tmp_path)
 
 
 @pytest.fixture
 def job(task, tmp_path, monkeypatch):
-    """A job in the folder `runs`, of so many iterations, with a checkpoint after every ten."""
+    """Return a function that makes a job: a training on the toy of so many iterations.
+
+    Its run is `name` in the folder `runs`, with a checkpoint after every ten iterations; `evaluate`
+    is the job's.
+    """
     # What reading the task changes in this process is put back.
     monkeypatch.setattr(quadwalk.learn.prepare, "QuadrupedEnv", quadwalk.learn.prepare.QuadrupedEnv)
     monkeypatch.setattr(RunWriter, "log_iteration", RunWriter.log_iteration)
@@ -85,7 +92,7 @@ def job(task, tmp_path, monkeypatch):
 
 @pytest.fixture
 def train_alone(job):
-    """Train with a seed in this process; return the run."""
+    """Return a function that trains on the toy with a seed in this process, and returns the run."""
 
     def train_seed(iterations: int, seed: int = 0) -> Run:
         run = open_run(job("alone", f"s{seed}", iterations, get_last_reward, seed))
@@ -96,7 +103,10 @@ def train_alone(job):
 
 @pytest.fixture
 def assert_resumable(job, task):
-    """Interrupt trainings at a place once all that have a slot train, and look at what is left."""
+    """Return a function that interrupts trainings at a place, and asserts that they can resume.
+
+    Ctrl-C comes once all that have a slot train. Then each has saved its last row.
+    """
 
     def interrupt(config: PlaceConfig) -> None:
         task[1].touch()

@@ -49,6 +49,7 @@ class NormalTanh(NormalTanhDistribution):
     """Brax's distribution of actions with our entropy, in closed form in place of a sample."""
 
     def entropy(self, parameters: jax.Array, seed: jax.Array) -> jax.Array:
+        """Return the entropy of the distributions of `parameters` (..., 2 n); ignore `seed`."""
         return TanhNormal.from_outputs(
             jnp.moveaxis(parameters, -1, 0), self._var_scale
         ).compute_entropy()
@@ -78,6 +79,7 @@ class ForBrax(Wrapper):
     """An environment of ours under Brax's wrappers, which keep entries of their own in `info`."""
 
     def reset(self, rng: jax.Array) -> State:
+        """Reset the environment; add Brax's entry "time_out" to `info`."""
         state = self.env.reset(rng)
         return state.replace(info={**state.info, "time_out": jnp.zeros(())})
 
@@ -99,7 +101,10 @@ def train_with_brax(
     seed: int,
     **others: Any,
 ) -> list[Params]:
-    """Return parameters at the start and after each of `points` equal parts of `iterations`."""
+    """Train by Brax; return parameters at the start, and after each of `points` equal parts.
+
+    It trains for `iterations` of ours, with `envs` environments, from the parameters of `start`.
+    """
     params_of_points: list[Params] = []
     brax_ppo.train(
         ForBrax(env),
@@ -139,14 +144,14 @@ def train_with_brax(
 
 
 def get_params(learner: ppo.Learner) -> Params:
-    """Return a learner's normalizer, policy and value parameters, on the host."""
+    """Return a learner's normalizer, policy and value parameters, on the host, as Brax's are."""
     return jax.device_get((learner.normalizer, learner.params.policy, learner.params.value))
 
 
 def make_evaluation(env: Env, config: PPOConfig, episodes: int) -> Callable[[Params], Any]:
-    """Return a function that evaluates parameters by `episodes` with the mean action.
+    """Return a function from parameters to the mean reward per step, by the mean action.
 
-    It returns the reward, summed until an episode ends, over its full length.
+    The mean is over all steps of `episodes` of full length; after an episode's end they count as 0.
     """
     steps = env.config.episode_steps
 
@@ -176,7 +181,10 @@ def compute_curves(
     seeds: int,
     episodes: int,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Train with both; return ours and Brax's rewards (seeds, 1 + points)."""
+    """Train by our loop and by Brax's; return the rewards of ours and of Brax's.
+
+    Each is (seeds, 1 + points), as of `make_evaluation`. Both start from the same parameters.
+    """
     networks = make_networks(config, env.observation_size, env.action_size)
     brax_networks = make_brax_networks(config, networks)
     mesh = make_mesh()

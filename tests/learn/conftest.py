@@ -21,7 +21,7 @@ jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 
 @pytest.fixture(scope="session")
 def processes() -> multiprocessing.context.BaseContext:
-    """Processes that begin at once, for they are forked where everything is imported."""
+    """Return a context whose processes begin at once: they are forked where all is imported."""
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(["toy"])
     with pytest.MonkeyPatch.context() as patch:
@@ -33,7 +33,10 @@ def processes() -> multiprocessing.context.BaseContext:
 
 @pytest.fixture(scope="session")
 def flags() -> Callable[..., list[str]]:
-    """Return a function that makes the flags of a tiny training in folder `runs`."""
+    """Return a function that makes the flags of a tiny training on the toy, in folder `runs`.
+
+    Its arguments are that folder, the run's name or None, the number of iterations and more flags.
+    """
 
     def make_flags(runs: Path, name: str | None, iterations: int, *more: str) -> list[str]:
         common = f"--devices=2 --steps={toy.BATCH * iterations} --runs={runs} {toy.TINY}"
@@ -44,7 +47,10 @@ def flags() -> Callable[..., list[str]]:
 
 @pytest.fixture(scope="session")
 def start(processes) -> Callable[..., multiprocessing.Process]:
-    """Return a function that starts a training in a process: (file of its output, flags)."""
+    """Return a function that starts a training on the toy in a process, and returns the process.
+
+    Its arguments are the file of the output and the flags.
+    """
 
     def start_training(output: Path, *flags: str) -> multiprocessing.Process:
         process = processes.Process(target=toy.run_train, args=(output, *flags))
@@ -56,7 +62,10 @@ def start(processes) -> Callable[..., multiprocessing.Process]:
 
 @pytest.fixture
 def train(monkeypatch) -> Callable[..., None]:
-    """Train on the toy with flags, here; `watch` is as for `quadwalk.learn.loop.train`."""
+    """Return a function that trains on the toy with flags, in this process.
+
+    `watch` is as for `quadwalk.learn.loop.train`.
+    """
     from quadwalk.learn.flags import parse_config
     from quadwalk.learn.loop import train
 

@@ -18,9 +18,10 @@ from quadwalk.tasks import sprint
 
 
 def save(folder: Path, first: int, last: int, die_at: int | None = None) -> None:
-    """Resume the run in `folder` after `first` steps, and save at each ten up to `last`.
+    """Save a made-up training at each ten steps after `first` up to `last`, as if resumed.
 
-    Each is the best so far, and all of its numbers are those of its steps.
+    Each is the best so far, and all of its numbers are those of its steps. At its call `die_at` of
+    the system's, as of `_die_at_call`, the process kills itself.
     """
     if die_at is not None:
         _die_at_call(die_at)
@@ -62,6 +63,10 @@ def make_state(steps: int) -> TrainState:
 
 
 def _die_at_call(die_at: int) -> None:
+    """Have this process kill itself at its call `die_at`, counted from 1, of the system's.
+
+    They are those that write, replace and remove files, and the opening of a part of an archive.
+    """
     calls = 0
 
     def count_calls(function):

@@ -57,20 +57,25 @@ class Plain(Env):
     terms: tuple[str, ...] = ()  # metrics beyond those that all have
 
     def observe(self, inner: Any) -> jax.Array:
-        """Return the observation of `pipeline_state`."""
+        """Return the observation of `inner`, a state's `pipeline_state`."""
         raise NotImplementedError
 
     def make_start(self, inner: Any) -> State:
+        """Return the first state of an episode whose `pipeline_state` is `inner`."""
         zero = jnp.zeros(())
         metrics = dict.fromkeys(("speed", "fell", "nan", *self.terms), zero)
         return State(inner, self.observe(inner), zero, zero, metrics, {"truncation": zero})
 
     def start_episode(self, state: State, **changes: jax.Array) -> State:
+        """Return `state` with `changes` of its `pipeline_state`, observed anew."""
         inner = state.pipeline_state._replace(**changes)
         return state.replace(pipeline_state=inner, obs=self.observe(inner))
 
     def make_next(self, state: State, inner: Any, reward: Any, limit: Any, **metrics: Any) -> State:
-        """Return `state` after a step, at a time `limit` or none; metrics say what else ends it."""
+        """Return `state` after a step; `limit`, a bool, says if the time limit ends the episode.
+
+        So do the metrics `fell` and `nan`, which must be there. `inner` is the `pipeline_state`.
+        """
         metrics = {name: jnp.float32(value) for name, value in metrics.items()}
         limit = jnp.float32(limit)
         return state.replace(
@@ -106,6 +111,7 @@ class Toy(Plain):
 
     @property
     def robot(self) -> SimpleNamespace:
+        """The quadruped's home joints and limits, rad: what training asks of a robot."""
         quadruped = self.quadruped
         return SimpleNamespace(
             home_joints=quadruped.home[7:],
@@ -115,14 +121,17 @@ class Toy(Plain):
         )
 
     def observe(self, inner: EnvState) -> jax.Array:
+        """Return position, drawn number and speed, (3,)."""
         return jnp.array([inner.physics.qpos[0], inner.physics.qpos[1], inner.physics.qvel[0]])
 
     def reset(self, rng: jax.Array) -> State:
+        """Return the first state of an episode, at rest at a random position."""
         drawn = jax.random.uniform(rng, (2,))
         physics = PhysicsState(jnp.zeros(19).at[:2].set(drawn), jnp.zeros(18))
         return self.make_start(EnvState(physics, jnp.zeros(12), jnp.zeros((), jnp.int32)))
 
     def step(self, state: State, action: jax.Array) -> State:
+        """Take a control step, at the speed that is the mean of `action` (12,)."""
         before = state.pipeline_state
         speed = before.physics.qvel.at[0].set(jnp.mean(action))
         position = before.physics.qpos.at[0].add(speed[0] * self.config.control_dt)
@@ -152,10 +161,12 @@ class DeskToy(Toy, static=False):
         self.constants = self
 
     def tree_flatten(self) -> tuple[Any, "DeskToy"]:
+        """Return (`numbers`,) as the pytree's children, and the toy as it was made."""
         return (self.numbers,), self.constants
 
     @classmethod
     def tree_unflatten(cls, constants: "DeskToy", children: Any) -> "DeskToy":
+        """Return the toy that `tree_flatten` took apart, with the numbers in `children`."""
         toy = copy.copy(constants)
         toy.constants, toy.numbers = constants, children[0]
         if toy.numbers is not None:
@@ -163,11 +174,13 @@ class DeskToy(Toy, static=False):
         return toy
 
     def set_numbers(self, config: EnvConfig, names: Any) -> "DeskToy":
+        """Return the toy with the numbers of `config` that `names` list, as leaves."""
         values = get_numbers(config, names)
         numbers = {name: jnp.float32(value) for name, value in values.items()}
         return DeskToy.tree_unflatten(self.constants, (numbers,))
 
     def step(self, state: State, action: jax.Array) -> State:
+        """Take a step of `Toy`, rewarded by all terms; raise `UserError` if one is `trot`."""
         state = super().step(state, action)
         if "trot" in self.config.reward:
             raise UserError("the reward 'trot' does not give a number")

@@ -28,9 +28,10 @@ def step_control(
     targets: Iterable[np.ndarray],
     encoder: float = 0.0,
 ) -> ControlStep:
-    """Step in MuJoCo C once for each of `targets` (12,), rad, with motors worked out here.
+    """Take a physics step in MuJoCo C for each of `targets` (12,), rad, from `qpos` and `qvel`.
 
-    Joint controllers read joint angles that are `encoder`, rad, too large.
+    The motors' torques are computed here, by formulas of their own. Joint controllers read joint
+    angles that are `encoder`, rad, too large.
     """
     data = mujoco.MjData(model)
     data.qpos[:], data.qvel[:] = qpos, qvel
@@ -50,7 +51,7 @@ def step_control(
 
 
 def place_robot(model: mujoco.MjModel, qpos: np.ndarray) -> mujoco.MjData:
-    """Return the robot in a pose, by MuJoCo's kinematics."""
+    """Return MuJoCo's data of the robot at `qpos`, after its kinematics alone."""
     data = mujoco.MjData(model)
     data.qpos[:] = qpos
     mujoco.mj_kinematics(model, data)
@@ -70,7 +71,10 @@ def measure_heights(model: mujoco.MjModel, points: np.ndarray) -> list[float]:
 def compute_accelerations(
     models: Iterable[mujoco.MjModel], qpos: np.ndarray, qvel: np.ndarray, torque: np.ndarray
 ) -> list[mujoco.MjData]:
-    """Return MuJoCo's data of each robot (n, ...) with its model and joint torques (n, 12), Nm."""
+    """Return MuJoCo's data, with accelerations, of each robot: it has its own model of `models`.
+
+    States are `qpos` (n, 19) and `qvel` (n, 18), joint torques (n, 12), Nm.
+    """
     results = []
     for model, q, v, t in zip(models, qpos, qvel, torque, strict=False):
         data = mujoco.MjData(model)
@@ -81,7 +85,7 @@ def compute_accelerations(
 
 
 def find_touching(results: Iterable[mujoco.MjData]) -> set[int]:
-    """Return all geoms that are in contact."""
+    """Return the indices of all geoms that are in contact in any of `results`."""
     return {geom for data in results for geom in data.contact.geom.flat}
 
 

@@ -79,7 +79,11 @@ def robot(*parts: str) -> str:
 def plain_leg(
     name: str, x: float, y: float, thigh: str = "0 0 0", hip_rpy: str = "0 0 0", knee: str = LIMIT
 ) -> str:
-    """Return joints NAMEj1 .. 3 about x, y and y, and the links of hip and thigh, NAME1 and 2."""
+    """Return joints NAMEj1 .. 3 about x, y and y, and the links of hip and thigh, NAME1 and 2.
+
+    The hip is at `x`, `y` of the trunk, m, turned by `hip_rpy`, rad; the thigh at `thigh` of the
+    hip. `knee` is the knee's `<limit>`.
+    """
     cube = shape('box size="0.02 0.02 0.02"')
     return (
         link(f"{name}1", inertial(0.5), cube)
@@ -151,9 +155,10 @@ def simulate_standing(
     kp: float | None = None,
     kd: float | np.ndarray | None = None,
 ) -> np.ndarray:
-    """Return trunk poses (n, 7) under PD control of the home pose, within the effort limits.
+    """Return trunk poses (n, 7) under PD control of the home pose, one after each physics step.
 
-    Gains are in Nm/rad and Nm s/rad, by default as stiff as the robot is heavy and high.
+    MuJoCo C simulates the full model, within the effort limits. Gains are in Nm/rad and Nm s/rad,
+    by default as stiff as the robot is heavy and high.
     """
     model = quadruped.make_full_model()
     data = make_data(model, quadruped.home)
@@ -211,6 +216,10 @@ class Walker:
         return robot(*parts)
 
     def _make_leg(self, name: str, hip: str, rpy: str, side: int) -> str:
+        """Return the links and joints of a leg, whose `side` is 1 on the left, -1 on the right.
+
+        `hip`, m, and `rpy`, rad, place its hip in the trunk.
+        """
         places = (hip, self._place([0, self.wide * side, 0]), self._place([0, 0, -0.2]))
         limits = [limit(*ends, self.effort) for ends in (self.hip, self.thigh, self.calf)]
         masses, moments = (0.5, 0.8, 0.15), (3e-4, 1.5e-3, 5e-4)
@@ -228,10 +237,13 @@ class Walker:
         return text + joint(f"{name}_bolt", parent, f"{name}_foot", xyz=places[2], kind="fixed")
 
     def _place(self, point) -> str:
-        """Write a point (3,), m, as a file has it."""
+        """Return a point (3,), m, times `size`, as the text of a file."""
         return " ".join(str(float(x) * self.size) for x in point)
 
     def _make_inertial(self, mass: float, moment: float) -> str:
-        """Return `<inertial>` of kg and kg m^2, which depend on the units of mass and length."""
+        """Return `<inertial>` of `mass`, kg, and three moments, kg m^2, times the robot's factors.
+
+        All three are `moment` before that.
+        """
         moment *= self.mass * self.size**2 * self.inertia
         return inertial(mass * self.mass, " ".join([str(moment)] * 3))

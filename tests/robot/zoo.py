@@ -29,7 +29,10 @@ QUADRUPEDS = [
 
 
 def repeat_for(files: list[Path], *names: str) -> pytest.MarkDecorator:
-    """Run a test with each `urdf` of these; with `names`, those alone whose path has one in it."""
+    """Return a mark that runs a test once for each of `files`, which it gets as `urdf`.
+
+    With `names` only those count whose path has one in it.
+    """
     chosen = [file for file in files if not names or any(name in str(file) for name in names)]
     assert len(chosen) >= len(names)
     return pytest.mark.parametrize("urdf", chosen, ids=[str(f.relative_to(FOLDER)) for f in chosen])

@@ -29,13 +29,13 @@ def wait_until(condition: Callable[[], bool], seconds: float = 120.0) -> bool:
 
 
 class Browser:
-    """One page."""
+    """One page of a browser, which obeys the DevTools protocol over `socket`."""
 
     def __init__(self, socket: Any) -> None:
         self._socket, self._numbers = socket, itertools.count(1)
 
     def ask(self, method: str, **params: Any) -> dict[str, Any]:
-        """Call a method of the protocol; return its result."""
+        """Call a method of the DevTools protocol with `params`; return its result."""
         number = next(self._numbers)
         self._socket.send(json.dumps({"id": number, "method": method, "params": params}))
         while True:
@@ -55,12 +55,12 @@ class Browser:
         return self.evaluate("document.body.innerText") or ""
 
     def send_key(self, kind: str, code: str) -> None:
-        """Send "keyDown" or "keyUp" of a key, by its place on the keyboard."""
+        """Send "keyDown" or "keyUp" of the key `code`, its place on the keyboard such as "KeyW"."""
         key = " " if code == "Space" else code.removeprefix("Key").lower()
         self.ask("Input.dispatchKeyEvent", type=kind, code=code, key=key)
 
     def press(self, code: str) -> None:
-        """Press a key and let it go."""
+        """Press the key `code`, as of `send_key`, and let it go."""
         self.send_key("keyDown", code)
         self.send_key("keyUp", code)
 
@@ -71,13 +71,16 @@ class Browser:
         self.ask("Emulation.setTouchEmulationEnabled", enabled=mobile)
 
     def screenshot(self) -> bytes:
-        """Return a picture of the page, PNG."""
+        """Return a picture of the page, as the bytes of a PNG file."""
         return base64.b64decode(self.ask("Page.captureScreenshot", format="png")["data"])
 
 
 @contextlib.contextmanager
 def open_browser(url: str) -> Iterator[Browser]:
-    """Start a browser that shows `url`, while the context is open."""
+    """Return a context that gives a browser that shows `url`, and that ends it.
+
+    Its page has 900 by 600 pixels.
+    """
     from websockets.sync.client import connect
 
     assert PROGRAM is not None

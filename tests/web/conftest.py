@@ -21,7 +21,7 @@ SCRIPTS = Path(__file__).parent
 
 @pytest.fixture(scope="session")
 def vendor_files() -> dict[str, bytes]:
-    """The page's third-party files; tests that need them are skipped where npm is missing."""
+    """Return the content of the page's third-party files by name; without npm, skip the test."""
     if shutil.which("npm") is None and not (vendor.FOLDER / "vendor").exists():
         pytest.skip("no npm, which fetches the page's third-party files")
     return vendor.load_vendor_files()
@@ -29,13 +29,16 @@ def vendor_files() -> dict[str, bytes]:
 
 @pytest.fixture(scope="session")
 def loaded_runs() -> dict[str, LoadedRun]:
-    """The packaged policies, loaded as they are exported."""
+    """Return the packaged policies by name, loaded on flat ground as they are exported."""
     return {name: load_flat(Run(PRETRAINED / name), "last") for name in NAMES}
 
 
 @pytest.fixture(scope="session")
 def robot_files(loaded_runs, tmp_path_factory) -> Path:
-    """A folder with the page's robots, each policy alone and `drive` with `getup`."""
+    """Return a folder with NAME.xml and NAME.onnx of each packaged policy, and the terrain.
+
+    The terrain is that of `rough`, as the page loads it.
+    """
     folder = tmp_path_factory.mktemp("robots")
     for loaded in loaded_runs.values():
         site.write_folder(site.make_dog(loaded).files, folder)
@@ -46,7 +49,11 @@ def robot_files(loaded_runs, tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="session")
 def run_node(vendor_files, tmp_path_factory) -> Callable[..., Any]:
-    """Run a job of run_policy.mjs, or of another script beside it, in Node; return its answer."""
+    """Return a function that runs a job of run_policy.mjs in Node and returns its answer.
+
+    It can run another `script` of this folder too. Job and answer are JSON. Without Node.js, skip
+    the test.
+    """
     node = shutil.which("node")
     if node is None:
         pytest.skip("no Node.js, in which the page's modules run")
