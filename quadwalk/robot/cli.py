@@ -16,12 +16,13 @@ from quadwalk.errors import UsageError, UserError
 from quadwalk.files import open_atomic
 from quadwalk.render.canvas import render_home
 from quadwalk.render.images import save_png
+from quadwalk.robot.from_mjcf import read_robot
 from quadwalk.robot.mjcf import Options, convert, write_xml
 from quadwalk.robot.quadruped import complete_motors, find_quadruped, list_joints
 from quadwalk.robot.report import UrdfError
 from quadwalk.robot.structure.legs import Leg
 from quadwalk.robot.structure.tree import ONE_WAY
-from quadwalk.robot.urdf import Urdf, read_urdf, release_from_world
+from quadwalk.robot.urdf import Urdf, release_from_world
 
 
 @dataclass(frozen=True)
@@ -85,7 +86,7 @@ def convert_file(config: ConvertConfig) -> None:
     for folder in config.mesh_dirs:
         if not os.path.isdir(folder):
             raise UsageError(f"--mesh-dirs {folder}: expected a folder")
-    urdf = read_urdf(config.urdf, config.repair_inertia, config.fix)
+    urdf = read_robot(config.urdf, config.repair_inertia, config.fix, config.speed)
     joints = [joint.name for joint in urdf.robot.joints if joint.type in ONE_WAY]
     options = Options(
         floating=config.floating_base or (False if config.fixed_base else None),

@@ -18,7 +18,7 @@ from quadwalk.robot.meshes import Meshes, is_inside
 from quadwalk.robot.report import Report, UrdfError
 from quadwalk.robot.scene import add_home, add_sun, exclude_overlaps, make_spec
 from quadwalk.robot.shapes import Shapes, to_pose
-from quadwalk.robot.structure.home import compute_standing_pose
+from quadwalk.robot.structure.home import compute_standing_pose, find_stated_pose
 from quadwalk.robot.structure.legs import Leg
 from quadwalk.robot.structure.tree import get_range, is_limited, make_unique, normalize
 from quadwalk.robot.urdf import Urdf
@@ -83,7 +83,7 @@ def convert(urdf: Urdf, legs: tuple[Leg, ...] = (), options: Options | None = No
         builder.exclude_neighbors()
         builder.add_motors()
         builder.add_sensors()
-        pose = compute_standing_pose(urdf.tree, legs) if legs else None
+        pose = choose_pose(urdf, legs, report) if legs else None
         add_home(spec, pose, [leg.foot_name for leg in legs])
         overlaps = exclude_overlaps(spec)
     except (ValueError, mujoco.FatalError) as error:  # of MuJoCo's compiler: a flat mesh, say
@@ -92,6 +92,17 @@ def convert(urdf: Urdf, legs: tuple[Leg, ...] = (), options: Options | None = No
     for pair in overlaps:
         report.add("assumed", "never touch, for they overlap in the home pose", pair)
     return Conversion(spec, report)
+
+
+def choose_pose(urdf: Urdf, legs: tuple[Leg, ...], report: Report) -> np.ndarray:
+    """Return the joint angles (12,), rad, of the home pose: as stated, or from geometry."""
+    stated = find_stated_pose(urdf.tree, legs, urdf.home)
+    if stated is not None:
+        return stated
+    if urdf.home:
+        note = "a home pose from the legs' geometry, for in the file's own it would not stand"
+        report.add("assumed", note)
+    return compute_standing_pose(urdf.tree, legs)
 
 
 def write_xml(spec: mujoco.MjSpec) -> str:

@@ -10,6 +10,7 @@ import yourdfpy
 
 from quadwalk.paths import ALIENGO_URDF
 from quadwalk.robot.checks.units import check_limits, check_size
+from quadwalk.robot.from_mjcf import read_robot
 from quadwalk.robot.mjcf import Options, convert, open_meshes
 from quadwalk.robot.report import Report, UrdfError
 from quadwalk.robot.scene import HOME, Contacts, add_spheres, make_training_shapes
@@ -17,7 +18,7 @@ from quadwalk.robot.structure.facing import find_turn
 from quadwalk.robot.structure.home import compute_standing_pose
 from quadwalk.robot.structure.legs import Leg, find_chains, find_legs
 from quadwalk.robot.structure.tree import get_range, name_axis
-from quadwalk.robot.urdf import Urdf, read_urdf, release_from_world, turn_root
+from quadwalk.robot.urdf import Urdf, release_from_world, turn_root
 
 # A motor's rotor, through its gear, by the robot's mass times its standing height squared: the
 # AlienGo's are 0.005 on average, and 0.008 is what MuJoCo Menagerie gives the Go1 and the A1.
@@ -130,13 +131,14 @@ def _delete_visuals(spec: mujoco.MjSpec) -> None:
 
 
 def load_quadruped(
-    urdf: Path = ALIENGO_URDF,
+    file: str | Path = ALIENGO_URDF,
     options: Options | None = None,
     repair_inertia: bool = False,
     fix: tuple[str, ...] = (),
 ) -> Quadruped:
-    """Read a quadruped's URDF; raise `UrdfError` where it is not valid or not a quadruped."""
-    return make_quadruped(read_urdf(urdf, repair_inertia, fix), options)
+    """Read a quadruped's URDF or MJCF; `UrdfError` where it is not valid or not a quadruped."""
+    options = options or Options()
+    return make_quadruped(read_robot(file, repair_inertia, fix, options.speed), options)
 
 
 def find_quadruped(urdf: Urdf, options: Options) -> tuple[Urdf, tuple[Leg, ...]]:
@@ -184,8 +186,9 @@ def complete_motors(urdf: Urdf, legs: tuple[Leg, ...], options: Options) -> Urdf
         flags = {"effort": "--robot.effort NM", "speed": "--robot.speed RAD_PER_S"}
         missing = ", ".join(f"no {name} limit for {_shorten(lacking[name])}" for name in lacking)
         raise UrdfError(
-            f"{urdf.source}: has {missing}; expected <limit effort=... velocity=...> above 0, "
-            f"or pass {' '.join(flags[name] for name in lacking)}"
+            f"{urdf.source}: has {missing}; expected <limit effort=... velocity=...> above 0 (in "
+            "MJCF an actuator with a range of forces), or pass "
+            f"{' '.join(flags[name] for name in lacking)}"
         )
     joints = [completed.get(joint.name, joint) for joint in urdf.robot.joints]
     return replace(urdf, robot=replace(urdf.robot, joints=joints))

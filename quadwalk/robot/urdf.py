@@ -27,6 +27,7 @@ from quadwalk.errors import UsageError
 from quadwalk.robot.checks.bodies import check_bodies, read_resolutions
 from quadwalk.robot.checks.elements import Checker, make_xacro_error, write_numbers
 from quadwalk.robot.checks.topology import check_mimic, check_topology
+from quadwalk.robot.names import suggest_packages
 from quadwalk.robot.report import Report, UrdfError
 from quadwalk.robot.structure.tree import (
     Capsule,
@@ -57,6 +58,9 @@ class Urdf:
     # kg m^2 by joint name, from `<dynamics armature="...">`, an extension that other readers
     # ignore; joints without it are left out
     armature: dict[str, float]
+    # rad by joint name, the pose to stand in, from `<dynamics home="...">`, an extension too; such
+    # joints alone as the file has it for
+    home: dict[str, float]
     report: Report  # what reading left out or repaired
     # where MuJoCo's extension says that meshes are, from `folder`; None: it does not
     mesh_folder: str | None = None
@@ -75,15 +79,20 @@ def read_urdf(path: Path, repair_inertia: bool = False, fix: tuple[str, ...] = (
     fixed, at 0 or at the limit nearest to it; `UsageError` if a pattern matches none.
     """
     path = Path(path)
+    return parse_urdf(read_file(path), str(path), path.resolve().parent, repair_inertia, fix)
+
+
+def read_file(path: Path) -> bytes:
+    """Return the content of a robot's file, or the start of one that is too large to be one."""
+    expected = f"expected a URDF or MJCF file{suggest_packages(path)}"
     try:
         if path.is_dir():
-            raise UrdfError(f"{path}: is a folder; expected a URDF file")
+            raise UrdfError(f"{path}: is a folder; expected a URDF or MJCF file")
         with path.open("rb") as file:
-            data = file.read(MAX_BYTES + 1)
+            return file.read(MAX_BYTES + 1)
     except (OSError, ValueError) as error:  # ValueError: a name with a NUL in it
         reason = getattr(error, "strerror", None) or error
-        raise UrdfError(f"{path}: cannot be read ({reason}); expected a URDF file") from None
-    return parse_urdf(data, str(path), path.resolve().parent, repair_inertia, fix)
+        raise UrdfError(f"{path}: cannot be read ({reason}); {expected}") from None
 
 
 def parse_urdf(
@@ -114,13 +123,9 @@ def parse_urdf(
     _drop_ground(checker, root)
     if checker.rewritten:
         text = etree.tostring(root, encoding="unicode")
-    armature = {
-        joint.get("name"): float(dynamics.get("armature"))
-        for joint in root.iterfind("joint")
-        if (dynamics := joint.find("dynamics")) is not None and dynamics.get("armature")
-    }
+    armature, home = (_read_dynamics(root, name) for name in ("armature", "home"))
     resolutions = read_resolutions(root)
-    urdf = Urdf(source, folder, text, _load_robot(root), armature, report, mesh_folder)
+    urdf = Urdf(source, folder, text, _load_robot(root), armature, home, report, mesh_folder)
     check_bodies(urdf.tree, resolutions, repair_inertia, report)
     return urdf
 
@@ -202,6 +207,15 @@ def _load_robot(root: etree._Element) -> yourdfpy.Robot:
         geometry = getattr(robot.links[row], f"{kind}s")[index].geometry
         geometry.cylinder = Capsule(geometry.cylinder.radius, geometry.cylinder.length)
     return robot
+
+
+def _read_dynamics(root: etree._Element, name: str) -> dict[str, float]:
+    """Return attribute `name` of each joint's `<dynamics>` that has it, by joint name."""
+    return {
+        joint.get("name"): float(dynamics.get(name))
+        for joint in root.iterfind("joint")
+        if (dynamics := joint.find("dynamics")) is not None and dynamics.get(name)
+    }
 
 
 def _drop_namespace(checker: Checker, root: etree._Element) -> None:

@@ -11,6 +11,7 @@ from quadwalk.bounds import Bounds, Count, Natural, NotNegative, Positive, Seed,
 from quadwalk.errors import UsageError
 from quadwalk.files import resolve_path
 from quadwalk.paths import ALIENGO_URDF
+from quadwalk.robot.names import find_robot
 from quadwalk.settings.environment import EnvConfig
 
 
@@ -18,13 +19,19 @@ from quadwalk.settings.environment import EnvConfig
 class RobotConfig(Settings, group="robot"):
     """The robot to train."""
 
-    urdf: Path = ALIENGO_URDF  # the robot's description
+    # the robot's URDF or MJCF, or its name in an installed package: go2
+    urdf: Annotated[Path, tyro.conf.arg(aliases=["--robot.file"])] = ALIENGO_URDF
     mesh_dirs: tuple[Path, ...] = ()  # folders of mesh files, besides the URDF's own
     effort: Positive | None = None  # Nm, effort limit of motors for which the URDF has none
     speed: Positive | None = None  # rad/s, velocity limit of motors for which the URDF has none
     # replace an inertia that no body can have by the nearest valid one
     repair_inertia: bool = False
     fix: tuple[str, ...] = ()  # joints to fix, by name or pattern: a head, a lidar, an arm
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        # Here, so that a run's folder and its configuration know the file.
+        object.__setattr__(self, "urdf", find_robot(self.urdf))
 
 
 @dataclass(frozen=True)

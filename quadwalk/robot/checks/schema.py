@@ -47,7 +47,8 @@ FORMS = {
     "child": Form(required=("link",)),
     "axis": Form(required=("xyz",)),
     "limit": Form(optional=("effort", "velocity", "lower", "upper")),
-    "dynamics": Form(optional=("damping", "friction", "armature")),
+    # `armature` and `home` are ours: other readers pass them over.
+    "dynamics": Form(optional=("damping", "friction", "armature", "home")),
     "mimic": Form(required=("joint",), optional=("multiplier", "offset")),
     "box": Form(required=("size",)),
     "sphere": Form(required=("radius",)),

@@ -13,6 +13,9 @@ from quadwalk.robot.structure.tree import Tree, get_range, normalize
 STANDING_LENGTH = np.cos(0.8)
 # How far, m, a thigh joint lies ahead of its hip joint before the leg counts as turned that way.
 TURNED = 0.01
+# A stated pose stands if feet are this share of a leg's length below the hips, at heights that
+# differ by less than that share.
+LEAST_DEPTH, LEVEL = 0.4, 0.05
 
 
 def compute_standing_pose(tree: Tree, legs: tuple[Leg, ...]) -> np.ndarray:
@@ -26,6 +29,39 @@ def compute_standing_pose(tree: Tree, legs: tuple[Leg, ...]) -> np.ndarray:
     joints = [tree.joint_above[link] for leg in legs for link in leg.links]
     # Adding 0 turns -0 into 0.
     return np.clip(np.round(pose, 4), *np.transpose([get_range(j) for j in joints])) + 0.0
+
+
+def find_stated_pose(
+    tree: Tree, legs: tuple[Leg, ...], home: dict[str, float]
+) -> np.ndarray | None:
+    """Return the joint angles (12,), rad, that `home` states; None if the robot cannot stand so.
+
+    Joints are within their limits, all feet at one height and well below the hips.
+    """
+    if any(name not in home for leg in legs for name in leg.joints):
+        return None
+    pose = np.array([[home[name] for name in leg.joints] for leg in legs])
+    ranges = np.array([[get_range(tree.joint_above[link]) for link in leg.links] for leg in legs])
+    depths, soles = [], []
+    for leg, angles in zip(legs, pose, strict=True):
+        hip, _, calf = (tree.joint_above[link] for link in leg.links)
+        foot = _compute_foot(tree, leg, angles)
+        thigh = tree.compute_frame(calf)[:3, 3]
+        length = np.linalg.norm(thigh) + np.linalg.norm(leg.foot.center)
+        depths.append((tree.compute_frame(hip)[2, 3] - foot[2]) / length)
+        soles.append((foot[2] - leg.foot.radius) / length)
+    within = (ranges[..., 0] <= pose) & (pose <= ranges[..., 1])
+    stands = min(depths) > LEAST_DEPTH and np.ptp(soles) < LEVEL
+    return pose.ravel() if stands and within.all() else None
+
+
+def _compute_foot(tree: Tree, leg: Leg, angles: np.ndarray) -> np.ndarray:
+    """Return the foot's center (3,), m, in the trunk's frame, at joint `angles` (3,), rad."""
+    frame = np.eye(4)
+    for link, angle in zip(leg.links, angles, strict=True):
+        joint = tree.joint_above[link]
+        frame = frame @ tree.compute_frame(joint) @ rotation_matrix(angle, joint.axis)
+    return frame[:3, :3] @ leg.foot.center + frame[:3, 3]
 
 
 def _solve_leg(tree: Tree, leg: Leg) -> np.ndarray:
