@@ -1,8 +1,8 @@
 """Reading of MJCF: MuJoCo compiles the file, and its quadruped is written as a URDF.
 
 So there is one way from there on, for either format. Defaults, includes, frames, angles and
-inertias of shapes are MuJoCo's work; numbers keep all their digits. Floor, lights, cameras, sensors,
-solver settings and other bodies are not the robot's, and are left out.
+inertias of shapes are MuJoCo's work; numbers keep all their digits. Floor, lights, cameras,
+sensors, solver settings and other bodies are not the robot's, and are left out.
 """
 
 import re
@@ -31,7 +31,9 @@ KEYFRAMES = ("home", "stand", "standing")  # the first of these is the home pose
 OURS = "quadwalk.robot"
 # Numbers below this are what rounding leaves of a 0.
 NOTHING = 1e-30
-_START = re.compile(rb"\A(\xef\xbb\xbf)?(\s|<\?.*?\?>|<!--.*?-->)*<(mujoco|mujocoinclude)\b", re.DOTALL)
+_START = re.compile(
+    rb"\A(\xef\xbb\xbf)?(\s|<\?.*?\?>|<!--.*?-->)*<(mujoco|mujocoinclude)\b", re.DOTALL
+)
 _FREE, _BALL = mujoco.mjtJoint.mjJNT_FREE, mujoco.mjtJoint.mjJNT_BALL
 _HINGE = mujoco.mjtJoint.mjJNT_HINGE
 _Geom = mujoco.mjtGeom
@@ -114,7 +116,7 @@ class _Writer:
     def write(self) -> str:
         """Return the URDF's text."""
         robot = etree.Element("robot", name=self.spec.modelname or Path(self.source).stem)
-        speed = self._assume_speed() if self.speed is None else None
+        speed = self._choose_speed() if self.speed is None else None
         for body in self.bodies:
             if body != self.trunk:
                 self._add_joints(robot, body, speed)
@@ -139,7 +141,7 @@ class _Writer:
         trunks = np.flatnonzero(counts >= min(12, max(counts.max(), 1)))
         if len(trunks) != 1:
             names = ", ".join(f"'{model.body(int(body)).name}'" for body in trunks)
-            what = f"has {len(trunks)} robots, {names}" if names else "has no body with joints below"
+            what = f"has {len(trunks)} robots, {names}" if names else "has no body with joints"
             raise self._refuse(f"{what}; expected one quadruped: four legs of three hinge joints")
         trunk = int(trunks[0])
         for joint in self._list_joints(trunk):
@@ -212,7 +214,7 @@ class _Writer:
         keys = {self.model.key(row).name.lower(): row for row in reversed(range(self.model.nkey))}
         return next((self.model.key_qpos[keys[name]] for name in KEYFRAMES if name in keys), None)
 
-    def _assume_speed(self) -> float | None:
+    def _choose_speed(self) -> float | None:
         """Return the speed limit, rad/s, that suits the legs' length; None where there are none."""
         calves = [body for body in self.bodies if self._count_joints_above(body) == 3]
         thighs = [float(np.linalg.norm(self.model.body_pos[body])) for body in calves]
@@ -352,7 +354,8 @@ class _Writer:
         if shape is None:
             what = "collision" if collides else "visual"
             label = _Geom(int(kind)).name.removeprefix("mjGEOM_").lower()
-            self.notes.append(("dropped", f"{what} shapes of a kind that URDF has not", f"{name} {label}"))
+            note = f"{what} shapes of a kind that URDF has not"
+            self.notes.append(("dropped", note, f"{name} {label}"))
             return
         element = etree.SubElement(link, "collision" if collides else "visual")
         _add_origin(element, frame)
@@ -365,7 +368,7 @@ class _Writer:
             etree.SubElement(material, "color", rgba=_write(rgba))
 
     def _find_mesh_file(self, mesh: int) -> str:
-        """Return the mesh's file from the MJCF's folder; "" where it is none that a URDF can name."""
+        """Return the mesh's file from the MJCF's folder; "" where a URDF can name none."""
         asset = self.spec.meshes[mesh]
         is_turned = np.any(asset.refpos != 0) or np.any(asset.refquat != [1, 0, 0, 0])
         if not asset.file or is_turned:
@@ -400,9 +403,8 @@ class _Writer:
         model = self.model
         moving = {joint.name for joint in urdf.robot.joints if joint.type != "fixed"}
         joints = {row for row, name in self.joint_names.items() if name in moving}
-        bodies = {
-            body for body in self.bodies if urdf.tree.body_of[self.link_names[body]] != urdf.tree.root
-        }
+        body_of, root = urdf.tree.body_of, urdf.tree.root
+        bodies = {body for body in self.bodies if body_of[self.link_names[body]] != root}
         for joint in sorted(joints):
             dof = model.jnt_dofadr[joint]
             spring = model.jnt_stiffness[joint] or np.any(model.jnt_stiffnesspoly[joint])
