@@ -19,7 +19,7 @@ common flags:
   --seed N                 the same seed on the same machine gives the same numbers
   --resume NAME            resume a run that was stopped
   --init NAME              begin with the networks of another run
-  --robot.urdf FILE        train another robot
+  --robot.urdf FILE        train another robot: a URDF, an MJCF, or a name such as go2
   --env.reward.NAME X      scale of a reward term
   --watch                  show the newest policy live in a page of the browser
   --desk                   change rewards in that page while training runs

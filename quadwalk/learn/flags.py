@@ -39,7 +39,7 @@ def parse_config(args: Sequence[str], prog: str = "train.py") -> tuple[TrainConf
     if which is not None:
         if task is not None:
             raise UsageError(f"task {task!r} with --resume: the run has its own; expected no task")
-        for flag in ("--name", "--init", "--robot.urdf", "--replay"):
+        for flag in ("--name", "--init", "--robot.urdf", "--robot.file", "--replay"):
             if find_value(args, flag) is not None:
                 raise UsageError(f"{flag} with --resume: the run has its own; expected no {flag}")
         from quadwalk.runs.resume import read_config_to_resume  # it imports all that reads a robot

