@@ -138,7 +138,7 @@ class _Writer:
         below = roots[(model.jnt_type == _HINGE) & (roots != model.jnt_bodyid)]
         counts = np.bincount(below, minlength=model.nbody)
         # Other things with hinges, such as a door, have fewer than a quadruped.
-        trunks = np.flatnonzero(counts >= min(12, max(counts.max(), 1)))
+        trunks = np.flatnonzero(counts >= min(12, max(int(counts.max()), 1)))
         if len(trunks) != 1:
             names = ", ".join(f"'{model.body(int(body)).name}'" for body in trunks)
             what = f"has {len(trunks)} robots, {names}" if names else "has no body with joints"
@@ -458,7 +458,9 @@ def _describe_shape(kind: int, size: np.ndarray) -> dict[str, str] | None:
     if kind == _Geom.mjGEOM_SPHERE:
         return {"tag": "sphere", "radius": _write(size[0])}
     tag = {_Geom.mjGEOM_CAPSULE: "capsule", _Geom.mjGEOM_CYLINDER: "cylinder"}.get(int(kind))
-    return tag and {"tag": tag, "radius": _write(size[0]), "length": _write(2 * size[1])}
+    if not tag:
+        return None
+    return {"tag": tag, "radius": _write(size[0]), "length": _write(2 * size[1])}
 
 
 def _to_frame(pos: np.ndarray, quat: np.ndarray) -> np.ndarray:
