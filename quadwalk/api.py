@@ -35,8 +35,8 @@ def make(
 
     Args:
         task: the name of one of quadwalk's, the path of a file of your own, or a `TrainConfig`.
-        robot: a URDF or MJCF, or the name of a robot in an installed package, in place of the
-            task's; other settings of the robot, such as limits, stay.
+        robot: a URDF or MJCF, or the name of a robot in an installed package; other settings of
+            the robot, such as limits, stay.
         overrides: settings by the names of their flags, {"env.reward.energy": -0.5}.
     """
     config = _make_config(task, robot, overrides)

@@ -172,7 +172,7 @@ def _make_ground(config: EvalConfig) -> "GroundConfig":
     kind, height = config.ground, config.ground_height
     if kind == "flat":
         return FLAT
-    if kind not in KINDS:
+    if kind is None or kind not in KINDS:
         raise UsageError(f"--ground is {kind!r}; expected one of: {', '.join(KINDS)}")
     ground = dataclasses.replace(
         FLAT,

@@ -23,7 +23,7 @@ from quadwalk.robot.structure.tree import make_unique, to_roll_pitch_yaw
 from quadwalk.robot.urdf import Urdf, parse_urdf, read_file
 
 # MJCF has no largest speed of a joint. Unitree's URDFs give knees so many times sqrt(g / h), with h
-# the standing height: Go2 2.7, AlienGo 3.0, A1 and Go1 3.5.
+# the standing height: AlienGo 3.0, A1 and Go1 3.5.
 SPEED = 3.0
 GRAVITY = 9.81  # m/s^2
 KEYFRAMES = ("home", "stand", "standing")  # the first of these is the home pose

@@ -132,8 +132,9 @@ class PageServer:
         self._connections.add(connection)
         actor = self._make_actor() if self._make_actor else None
         try:
-            for newest in filter(None, (self._policy, self._desk)):
-                connection.send(newest)
+            for newest in (self._policy, self._desk):
+                if newest is not None:
+                    connection.send(newest)
             for text in connection:
                 state = json.loads(text)
                 if self.on_message is not None and "type" in state:
