@@ -95,7 +95,7 @@ class TimedPPO(PPO):
 
 
 def main() -> None:
-    """Train with Stable-Baselines3, then with `quadwalk train`, and print both times."""
+    """Train with Stable-Baselines3, then by our own loop; print the control steps/s of both."""
     parser = make_parser(__doc__)
     parser.add_argument("--steps", type=int, default=300_000)
     parser.add_argument("--envs", type=int, default=1024)

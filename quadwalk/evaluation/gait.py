@@ -309,7 +309,10 @@ def measure_footfalls(rollout: Rollout) -> Footfalls:
 
 
 def analyze_footfalls(contact: np.ndarray, dt: float) -> Footfalls:
-    """Find the footfalls in `contact` (T, 4), bool, one row every `dt` s, feet FR, FL, RR, RL."""
+    """Return gait, stride frequency, duty factors and phases of `contact` (T, 4), bool.
+
+    Rows are `dt` s apart, feet FR, FL, RR, RL. Chatter is removed first.
+    """
     contact = remove_chatter(contact, dt)
     landings = [find_touchdowns(contact[:, foot]) for foot in range(4)]
     periods = [(rows[-1] - rows[0]) * dt / (len(rows) - 1) for rows in landings if len(rows) > 1]
@@ -368,14 +371,15 @@ def find_contacts(foot: np.ndarray) -> np.ndarray:
 
 
 def name_gait(phase: np.ndarray) -> str:
-    """Return the gait whose touchdowns have these phases (4,), of FR, FL, RR, RL, in strides.
+    """Return which of `GAITS` has touchdowns at these phases (4,), of FR, FL, RR, RL, in strides.
 
     Feet of a pair (fore, hind) touch down together, alternate, or are split between those.
     Both pairs alternate: the lag of a fore foot behind the hind foot of its side tells. None is a
     pace, half a stride a trot, and a quarter, either way, a walk. With duty factors under one half
     a walk is an amble, its running form. Both pairs together: a pronk if all four are,
-    else a bound. At least one pair split and none alternating: a gallop, of which a split pair
-    with a pair together is the half-bound.
+    else a bound. At least one pair split and none alternating: a gallop, also where a split pair
+    with a pair together makes it a half-bound. Just one pair alternating, or a phase that is not
+    finite: "irregular".
     """
     if not np.all(np.isfinite(phase)):
         return "irregular"

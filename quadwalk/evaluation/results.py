@@ -99,9 +99,10 @@ class Evaluation:
         return draw_report(self.typical, self.loaded.env.quadruped, title)
 
     def save_mcap(self, folder: str | Path, episodes: int | None = None) -> list[Path]:
-        """Write the first `episodes` of the rollouts, by default all, as MCAP files into `folder`.
+        """Write the first `episodes` of the rollouts that were kept as MCAP files into `folder`.
 
-        Beside them goes rerun.rbl, a layout for Rerun. Returns the paths of the MCAP files.
+        By default all; none is simulated again, so there may be fewer than `episodes`. Beside them
+        goes rerun.rbl, a layout for Rerun. Returns the paths of the MCAP files.
         """
         folder = Path(folder)
         folder.mkdir(parents=True, exist_ok=True)

@@ -47,9 +47,9 @@ def flags() -> Callable[..., list[str]]:
 
 @pytest.fixture(scope="session")
 def start(processes) -> Callable[..., multiprocessing.Process]:
-    """Return a function that starts a training on the toy in a process, and returns the process.
+    """Return a function that starts a process that trains on the toy, and returns the process.
 
-    Its arguments are the file of the output and the flags.
+    Its arguments are the file to which the process prints, and the flags of train.py.
     """
 
     def start_training(output: Path, *flags: str) -> multiprocessing.Process:

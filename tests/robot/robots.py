@@ -174,9 +174,10 @@ def simulate_standing(
 
 
 def check_stands(quadruped: Quadruped, seconds: float, height: float) -> None:
-    """Assert that PD control holds the robot upright, within 5 degrees, for so many seconds.
+    """Assert that after so many seconds of PD control the robot is within 5 degrees of upright.
 
-    Its trunk stays above a share `height` of its home height.
+    Yaw counts too. Its trunk is then above a share `height` of its home height; what came before is
+    not checked.
     """
     last = simulate_standing(quadruped, seconds)[-1]
     assert last[2] > height * quadruped.home[2]

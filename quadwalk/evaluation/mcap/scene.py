@@ -89,7 +89,7 @@ class SceneWriter:
         return self.message.SerializeToString()
 
     def _draw_path(self, row: int) -> None:
-        """Draw the path up to state `row`, thinned to a bounded number of points."""
+        """Draw the path up to state `row` on the ground, thinned to a bounded number of points."""
         # A power of two keeps earlier points where they were when the path is thinned further.
         stride = 1
         while row // stride >= PATH_POINTS - 1:

@@ -41,9 +41,11 @@ def draw_urdf(urdf: str, model: mujoco.MjModel) -> str:
 def _replace_meshes(
     links: dict[str | None, lxml.etree._Element], urdf: str, model: mujoco.MjModel
 ) -> None:
-    """Replace the shapes of a body's links by its shapes in `model`, if one link has a mesh.
+    """Replace the shapes of every body of which a link has a mesh by its shapes in `model`.
 
-    The elements `links`, by name, are changed in place.
+    `links` are the elements of all links of the text `urdf`, by name. They are changed in place:
+    the shapes go from all links of such a body, and the link that it is named after gets a visual
+    for each shape in `model`.
     """
     tree = parse_urdf(urdf, repair_inertia=True).tree
     for body, parts in tree.parts.items():

@@ -142,7 +142,7 @@ def print_text(text: str) -> None:
 
 
 def _make_console() -> Console:
-    """Return a console for standard output."""
+    """Return a console for standard output that prints text as it is, without markup or emoji."""
     return Console(markup=False, emoji=False, highlight=False)
 
 
