@@ -61,7 +61,7 @@ def test_the_page_of_settings_has_every_flag_of_a_task_s_terms(capsys):
     listed = {flag.strip("| `") for flag, *values in cells if values[column - 1] != "-"}
     histories = {flag for flag in shown if flag.endswith(".history")}  # listed where not 0
     assert listed | histories == shown
-    assert "| `--env.reward.kneel` | - | - | - | - | -1 | -1 | - | - |" in "\n".join(rows)
+    assert "| `--env.reward.kneel` | - | - | - | - | -1 | -1 | - | - | - |" in "\n".join(rows)
 
 
 def test_every_page_is_on_the_site():

@@ -29,6 +29,7 @@ GROUPS = (
     environment.ResetConfig,
     environment.CommandConfig,
     environment.RandomizationConfig,
+    environment.BodiesConfig,
     GroundConfig,
 )
 HEAD = """# Settings

@@ -38,10 +38,23 @@ def feet_alike(
     return _compute_targets(robot, action, reach.ravel())
 
 
+@mirrors(JOINTS)
+def about_standard(
+    robot: RobotConstants, action: jax.Array, *, hip: float, thigh: float, calf: float
+) -> jax.Array:
+    """`about_home` for standard joints: an action moves the feet of any robot alike.
+
+    For the AlienGo, whose joints are standard, it is `about_home`.
+    """
+    moved = robot.from_standard(np.tile([hip, thigh, calf], 4) * action)
+    return jnp.clip(robot.home_joints + moved, robot.lower, robot.upper)
+
+
 def _compute_targets(robot: RobotConstants, action: jax.Array, reach: np.ndarray) -> jax.Array:
     return jnp.clip(robot.home_joints + reach * action, robot.lower, robot.upper)
 
 
+ABOUT_STANDARD = ActionMap(about_standard, {"hip": 0.3, "thigh": 0.9, "calf": 0.9})
 ABOUT_HOME = ActionMap(about_home, {"hip": 0.3, "thigh": 0.9, "calf": 0.9})
 
 

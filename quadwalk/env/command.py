@@ -17,24 +17,33 @@ GRIP_USED = 0.5
 
 
 def start_command(
-    config: CommandConfig, key: jax.Array, dt: float, grip: ArrayLike = np.inf
+    config: CommandConfig,
+    key: jax.Array,
+    dt: float,
+    grip: ArrayLike = np.inf,
+    scale: Any = None,
 ) -> Command:
     """Return the first command of an episode that starts with `key`, with control steps of `dt` s.
 
-    `grip` is that of `sample_velocity`.
+    `grip` and `scale` are those of `sample_velocity`.
     """
     key = jax.random.fold_in(key, _COMMANDS)
     until = None if config.soonest is None else _sample_hold(config, key, dt)
     reached = None if config.acceleration is None else jnp.zeros(2)
-    return Command(sample_velocity(config, key, grip), key, until, reached)
+    return Command(sample_velocity(config, key, grip, scale), key, until, reached)
 
 
 def advance_command(
-    config: CommandConfig, command: Command, steps: jax.Array, dt: float, grip: ArrayLike = np.inf
+    config: CommandConfig,
+    command: Command,
+    steps: jax.Array,
+    dt: float,
+    grip: ArrayLike = np.inf,
+    scale: Any = None,
 ) -> Command:
     """Return the command after `steps` control steps of an episode, of `dt` s each."""
     key = jax.random.fold_in(command.key, steps)
-    velocity = sample_velocity(config, key, grip)
+    velocity = sample_velocity(config, key, grip, scale)
     if command.reached is not None:
         assert config.acceleration is not None
         way = command.velocity[:2] - command.reached
@@ -56,11 +65,15 @@ def _sample_hold(config: CommandConfig, key: jax.Array, dt: float) -> jax.Array:
     return jax.random.randint(jax.random.fold_in(key, 1), (), low, high + 1)
 
 
-def sample_velocity(config: CommandConfig, key: jax.Array, grip: ArrayLike = np.inf) -> jax.Array:
+def sample_velocity(
+    config: CommandConfig, key: jax.Array, grip: ArrayLike = np.inf, scale: Any = None
+) -> jax.Array:
     """Return a command (3,), uniform in ranges widened by the margin, then limited by friction.
 
     For `config.standing` of all keys it is zero, for `config.straight` of them forward alone, for
     `config.spot` to turn on the spot. `grip`, m/s^2, is the acceleration that friction can give.
+    `scale` (3,) are factors for another body, see `CommandConfig.compute_scale`; None: there is
+    none.
     """
     shares = jax.random.uniform(key, (4,))
     low, high = _to_array([config.forward, config.lateral, config.yaw_rate]).T
@@ -76,7 +89,8 @@ def sample_velocity(config: CommandConfig, key: jax.Array, grip: ArrayLike = np.
         share = _compute_max_yaw_rate(config, speed, grip) / fastest
         command = command.at[2].multiply(jnp.minimum(share, 1.0))
     command = jnp.where(shares[3] < 1.0 - config.straight, command, command.at[1:].set(0.0))
-    return jnp.where(shares[3] < config.standing, 0.0, command)
+    command = jnp.where(shares[3] < config.standing, 0.0, command)
+    return command if scale is None else scale * command
 
 
 def _to_array(numbers: Any, dtype: Any = np.float32) -> Any:

@@ -1,7 +1,7 @@
 """The environment: a task for one quadruped, as the pure functions `reset` and `step`."""
 
 import copy
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -14,13 +14,16 @@ from jax.typing import ArrayLike
 
 from quadwalk.brax import Env, State
 from quadwalk.env.actions import delay_targets
+from quadwalk.env.bank import BodyConstants, find_classes, make_bank
 from quadwalk.env.command import advance_command, compute_target_velocity, start_command
+from quadwalk.env.constants import make_robot_constants
 from quadwalk.env.numbers import get_numbers, replace_numbers
 from quadwalk.env.randomization import sample_randomization
 from quadwalk.env.reflections import Mirrors
 from quadwalk.env.reset import make_curriculum, place_on_tile, sample_start
 from quadwalk.env.rewards import compute_reward_terms, compute_total_reward
 from quadwalk.env.sensors import make_sensors
+from quadwalk.env.similarity import resize_robot, resize_step
 from quadwalk.env.state import (
     PUSH,
     EnvState,
@@ -34,11 +37,10 @@ from quadwalk.env.state import (
 )
 from quadwalk.env.terminations import TIME_LIMIT, find_end, find_falls, list_ends
 from quadwalk.physics.engines import ENGINES, EngineName, fast, mujoco_c
-from quadwalk.physics.model import Model
 from quadwalk.physics.motor import Effort, PhysicsState, make_standing_motor
 from quadwalk.physics.rotation import compute_yaw, rotate_about_z
 from quadwalk.physics.surface import Ground
-from quadwalk.robot.mirror import find_robot_mirror, place_at_home
+from quadwalk.robot.mirror import STANDARD_SIGNS, find_robot_mirror, make_mirror
 from quadwalk.robot.quadruped import Quadruped
 from quadwalk.settings.environment import EnvConfig
 from quadwalk.terrain.heightfield import Heightfield, has_field, lay
@@ -52,13 +54,14 @@ MAX_SPEED = 1e3  # m/s or rad/s: no sound state of a robot is faster, so physics
 class EnvParams(NamedTuple):
     """The data that programs read: an argument of theirs, since as constants it compiles slowly.
 
-    The robot's numbers are not among it. They are constants, which XLA folds: zeros vanish.
+    A single robot's numbers are not among it. They are constants, which XLA folds: zeros vanish.
     """
 
     ground: Ground | None  # None: level, at height 0, without end
     # the task's numbers that may change while programs run, by name, each () float32; None: none
     # do, and all are constants
     numbers: dict[str, jax.Array] | None = None
+    bodies: jax.Array | None = None  # (bodies, n) rows of the bank; None: there is none
 
 
 @jax.tree_util.register_pytree_node_class
@@ -73,13 +76,21 @@ class QuadrupedEnv(Env):
 
     `engine` steps its physics, by default that of `config`. MuJoCo C ("mujoco") steps the full
     model, in which every shape collides and the solver converges.
+
+    With `bodies`, robots with the joints of `quadruped`, each episode takes one of them, at random.
+    The environment itself does not read `config.bodies`.
     """
 
     def __init__(
-        self, quadruped: Quadruped, config: EnvConfig, engine: EngineName | None = None
+        self,
+        quadruped: Quadruped,
+        config: EnvConfig,
+        engine: EngineName | None = None,
+        bodies: Sequence[Quadruped] = (),
     ) -> None:
         leg = measure_leg(quadruped.make_full_model(visuals=False), quadruped.feet[0])
         self._leg, self._foot_speed = leg, quadruped.foot_speed
+        self._has_bodies = bool(bodies)
         config = self._fit_to_robot(config)
         self.config = config
         self.engine: EngineName = engine or config.engine
@@ -109,8 +120,10 @@ class QuadrupedEnv(Env):
         self.has_strides = any(hasattr(term.function, "needs_strides") for term in terms)
         example = jax.eval_shape(self._make_example_state)
         self.sensors = make_sensors(config, self._level_robot, self.quadruped.joints, example)
+        self.bank = make_bank([self._make_body(body) for body in bodies]) if bodies else None
+        rows = None if self.bank is None else jax.device_put(self.bank.rows)
         self._constants = copy.copy(self)
-        self.params = EnvParams(jax.device_put(geometry.ground))
+        self.params = EnvParams(jax.device_put(geometry.ground), bodies=rows)
 
     def tree_flatten(self) -> tuple[tuple[EnvParams], "QuadrupedEnv"]:
         """Return (`params`,) as the pytree's children, and the environment without them."""
@@ -141,8 +154,13 @@ class QuadrupedEnv(Env):
         return QuadrupedEnv.tree_unflatten(self._constants, (params,))
 
     def _fit_to_robot(self, config: EnvConfig) -> EnvConfig:
-        """Return the settings in effect, with commands for the length of the robot's legs."""
-        command = config.command.scale_to(self._leg, self._foot_speed)
+        """Return the settings in effect, with commands for the length of the robot's legs.
+
+        Each of several bodies has factors of its own instead, see `_make_body`.
+        """
+        command = config.command
+        if not self._has_bodies:
+            command = command.scale_to(self._leg, self._foot_speed)
         return replace(config.effective, command=command)
 
     @property
@@ -156,10 +174,31 @@ class QuadrupedEnv(Env):
         """The model that the engine steps."""
         return self.robot.geometry if self._model is None else self._model
 
+    def get_body(self, place: jax.Array | None) -> BodyConstants:
+        """Return the body of an episode, `EnvState.body`; None: the environment's robot."""
+        if self.bank is None or place is None:
+            return BodyConstants(self.robot)
+        assert self.params.bodies is not None
+        return self.bank.read_body(self.params.bodies[place])
+
+    def _make_body(self, quadruped: Quadruped) -> BodyConstants:
+        """Return the constants of one body of the bank, of which all have the same structure."""
+        quadruped = make_task_robot(quadruped, self.config)
+        model = self._make_training_model(quadruped)
+        motor, _ = make_standing_motor(model, quadruped, self.config.motor)
+        motor = motor._replace(kp=np.broadcast_to(motor.kp, 12), kd=np.broadcast_to(motor.kd, 12))
+        geometry = fast.make_model(model, quadruped, motor)
+        robot = make_robot_constants(quadruped, model, geometry)
+        scale = self.config.command.compute_scale(robot.leg, quadruped.foot_speed)
+        return BodyConstants(robot, np.array(scale, np.float32))
+
     @cached_property
     def mirrors(self) -> Mirrors:
         """How observation and action look in the sagittal mirror; raises `NotSymmetric`."""
-        return self.sensors.find_mirrors(find_robot_mirror(self.quadruped, self.mj_model))
+        mirror = find_robot_mirror(self.quadruped, self.mj_model)
+        if self.config.unit_leg is not None:
+            mirror = mirror._replace(joints=make_mirror(mirror.joints.source, STANDARD_SIGNS))
+        return self.sensors.find_mirrors(mirror)
 
     @property
     def policy_size(self) -> int:
@@ -203,15 +242,24 @@ class QuadrupedEnv(Env):
 
         It starts on tile `tile`, () int32, an index into `terrain.tiles`; None: on any of them.
         """
-        config = self.config
-        physics, tile = self._sample_start(rng, tile)
-        randomization = self._sample_randomization(jax.random.fold_in(rng, 1))
+        config, place = self.config, self._sample_body(rng)
+        body = self.get_body(place)
+        physics, tile = self._sample_start(body.robot, rng, tile)
+        randomization = self._sample_randomization(body.robot, jax.random.fold_in(rng, 1))
         command = None
         if config.command.active:
             grip = self._compute_grip(randomization)
-            command = start_command(config.command, rng, config.control_dt, grip)
+            command = start_command(
+                config.command, rng, config.control_dt, grip, body.command_scale
+            )
         start = EnvState(
-            physics, jnp.zeros(12), jnp.zeros((), jnp.int32), command, randomization, tile=tile
+            physics,
+            jnp.zeros(12),
+            jnp.zeros((), jnp.int32),
+            command,
+            randomization,
+            tile=tile,
+            body=place,
         )
         if self.curriculum is not None:
             start = start._replace(travel=start_travel(physics.qpos))
@@ -224,7 +272,7 @@ class QuadrupedEnv(Env):
             obs=zero,
             reward=zero,
             done=zero,
-            metrics=self._make_metrics(zero, zero, zero, zero, zero, terms),
+            metrics=self._make_metrics(body.robot, zero, zero, zero, zero, zero, terms),
             info=_make_info(
                 jnp.zeros((), jnp.int32), Effort(jnp.zeros(12), zero), jnp.zeros(4, bool)
             ),
@@ -238,16 +286,17 @@ class QuadrupedEnv(Env):
         stands in its place, so that nothing downstream ever sees it.
         """
         before: EnvState = state.pipeline_state
+        body = self.get_body(before.body)
         model, physics, randomization, targets = self.apply_action(before, action)
         physics, effort = ENGINES[self.engine].step(model, self.stepping, physics, targets)
         sane, physics, effort, action = _replace_invalid(
-            self.robot.home, before.qpos, physics, effort, action
+            body.robot.home, before.qpos, physics, effort, action
         )
         after = before._replace(
             physics=physics,
             last_action=action,
             steps=before.steps + 1,
-            command=self._advance_command(before, randomization),
+            command=self._advance_command(body, before, randomization),
             conditions=randomization,
         )
         after_state = self.evaluate_step(before, after, effort, sane)
@@ -264,8 +313,9 @@ class QuadrupedEnv(Env):
         The model, its first state, the randomization, and joint targets, (12,) or (substeps, 12),
         rad: they take effect late, and a push may come.
         """
-        model, physics, randomization = self.model, before.physics, before.conditions
-        target = self.config.action(self.robot, action, physics.qpos[7:])
+        robot, physics, randomization = self.get_robot(before), before.physics, before.conditions
+        model = robot.geometry if self._model is None else self._model
+        target = self.config.action(robot, action, physics.qpos[7:])
         if randomization is None:
             return model, physics, None, target
         physics = apply_push(randomization, physics, before.steps, self.config.steps_per_push)
@@ -283,15 +333,20 @@ class QuadrupedEnv(Env):
 
         Numbers that are not `sane`, () bool, give no reward.
         """
-        config, robot = self.config, self.robot
-        step = self._make_step(before, after, effort, sane)
+        config, robot = self.config, self.get_robot(before)
+        step = self._make_step(robot, before, after, effort, sane)
         # A fall, the time limit, the edge of the ground, or numbers that are not finite end it.
-        falls = find_falls(config.termination, robot, step)
-        step = step._replace(fell=jnp.any(falls) & sane)
+        term_robot, term_step = robot, step
+        if config.unit_leg is not None:
+            term_robot = resize_robot(robot, config.unit_leg)
+            term_step = resize_step(robot, step, config.unit_leg)
+        falls = find_falls(config.termination, term_robot, term_step)
+        fell = jnp.any(falls) & sane
+        term_step = term_step._replace(fell=fell)
         end = find_end(config, self.terrain, after, falls, sane)
         terms = {
             name: jnp.where(sane, value, 0.0)
-            for name, value in compute_reward_terms(config.reward, robot, step).items()
+            for name, value in compute_reward_terms(config.reward, term_robot, term_step).items()
         }
         if before.strides is not None:
             after = after._replace(strides=before.strides.advance(step))
@@ -304,8 +359,9 @@ class QuadrupedEnv(Env):
             reward=compute_total_reward(config.reward, terms),
             done=(end > 0).astype(jnp.float32),
             metrics=self._make_metrics(
+                robot,
                 speed=step.commanded_speed if config.command.active else step.mean_velocity[0],
-                fell=step.fell.astype(jnp.float32),
+                fell=fell.astype(jnp.float32),
                 nan=1.0 - sane.astype(jnp.float32),
                 velocity_error=jnp.linalg.norm(step.velocity_error),
                 standing=is_standing(robot, after.qpos).astype(jnp.float32),
@@ -320,27 +376,41 @@ class QuadrupedEnv(Env):
         Sensors may be late by `max_delay` control steps; None: by as many as the task samples.
         """
         start = state.pipeline_state._replace(**changes)
-        start = self.sensors.start_history(self.robot, start, max_delay)
-        return state.replace(pipeline_state=start, obs=self.sensors.observe(self.robot, start))
+        robot = self.get_robot(start)
+        start = self.sensors.start_history(robot, start, max_delay)
+        return state.replace(pipeline_state=start, obs=self.sensors.observe(robot, start))
+
+    def get_robot(self, state: EnvState) -> RobotConstants:
+        """Return the constants of the robot in `state`."""
+        return self.get_body(state.body).robot
+
+    def _sample_body(self, rng: jax.Array) -> jax.Array | None:
+        """Return the place of an episode's body in the bank."""
+        if self.bank is None:
+            return None
+        return jax.random.randint(jax.random.fold_in(rng, 4), (), 0, len(self.bank))
 
     def _sample_start(
-        self, rng: jax.Array, tile: jax.Array | None
+        self, robot: RobotConstants, rng: jax.Array, tile: jax.Array | None
     ) -> tuple[PhysicsState, jax.Array | None]:
         """Return a start, and the tile that it is on."""
         # Sampled on a flat floor, then put on the ground.
-        physics = sample_start(self._level_robot, self.config.reset, rng)
+        level = replace(robot, geometry=robot.geometry._replace(ground=None))
+        physics = sample_start(level, self.config.reset, rng)
         if self.terrain is None:
             return physics, None
         key_tile, key_place = jax.random.split(jax.random.fold_in(rng, 2))
         if tile is None:
             tile = jax.random.randint(key_tile, (), 0, len(self.terrain.tiles))
-        return place_on_tile(self.robot.geometry, self.terrain, physics, tile, key_place), tile
+        return place_on_tile(robot.geometry, self.terrain, physics, tile, key_place), tile
 
-    def _sample_randomization(self, key: jax.Array) -> EpisodeRandomization | None:
+    def _sample_randomization(
+        self, robot: RobotConstants, key: jax.Array
+    ) -> EpisodeRandomization | None:
         ranges = self.config.randomization
         if not ranges.enabled:
             return None
-        return sample_randomization(ranges, self._level_robot, self.stepping, key, self.friction)
+        return sample_randomization(ranges, robot, self.stepping, key, self.friction)
 
     def _compute_grip(self, randomization: EpisodeRandomization | None) -> ArrayLike:
         """Return the greatest acceleration () that friction with the floor can give, m/s^2."""
@@ -348,7 +418,9 @@ class QuadrupedEnv(Env):
             return self.config.gravity * self.friction
         return self.config.gravity * randomization.variation.friction
 
-    def _advance_command(self, before: EnvState, randomization: EpisodeRandomization | None) -> Any:
+    def _advance_command(
+        self, body: BodyConstants, before: EnvState, randomization: EpisodeRandomization | None
+    ) -> Any:
         """Return the `Command` of the next control step; None for a task without commands.
 
         The randomized friction of the floor bounds a new command.
@@ -357,13 +429,20 @@ class QuadrupedEnv(Env):
             return None
         config, grip = self.config, self._compute_grip(randomization)
         steps = before.steps + 1
-        return advance_command(config.command, before.command, steps, config.control_dt, grip)
+        return advance_command(
+            config.command, before.command, steps, config.control_dt, grip, body.command_scale
+        )
 
     def _make_step(
-        self, before: EnvState, after: EnvState, effort: Effort, sane: jax.Array
+        self,
+        robot: RobotConstants,
+        before: EnvState,
+        after: EnvState,
+        effort: Effort,
+        sane: jax.Array,
     ) -> Step:
         """Return the control step as terminations see it, before it is known whether it fell."""
-        config, dt, qpos, robot = self.config, self.config.control_dt, after.qpos, self.robot
+        config, dt, qpos = self.config, self.config.control_dt, after.qpos
         start = jnp.where(sane, before.qpos, qpos)
         soles, lowest = fast.compute_lowest_points(robot.geometry, qpos)
         # MuJoCo's ground gives way: a foot that lands sinks in, up to 2 cm at a run, its shin too.
@@ -406,6 +485,7 @@ class QuadrupedEnv(Env):
 
     def _make_metrics(
         self,
+        robot: RobotConstants,
         speed: jax.Array,
         fell: jax.Array,
         nan: jax.Array,
@@ -419,6 +499,11 @@ class QuadrupedEnv(Env):
             metrics["velocity_error"] = velocity_error
         if self.config.reset.tumbled:
             metrics["standing"] = standing
+        if self.bank is not None:
+            for name, share in find_classes(robot).items():
+                metrics[f"count/bodies/{name}"] = share
+                metrics[f"count/fell/{name}"] = share * fell
+                metrics[f"count/velocity_error/{name}"] = share * velocity_error
         return metrics | {f"reward/{name}": value for name, value in terms.items()}
 
     def _make_example_state(self) -> EnvState:
@@ -433,7 +518,7 @@ class QuadrupedEnv(Env):
             jnp.zeros(12),
             jnp.zeros((), jnp.int32),
             command,
-            self._sample_randomization(key),
+            self._sample_randomization(self._level_robot, key),
             contact=jnp.zeros(4, bool),
             strides=start_strides() if self.has_strides else None,
         )
@@ -471,26 +556,6 @@ def make_task_robot(
     if field is not None and not has_field(spec):
         lay(spec, field)
     return replace(quadruped, effort=effort, spec=spec)
-
-
-def make_robot_constants(
-    quadruped: Quadruped, model: mujoco.MjModel, geometry: Model
-) -> RobotConstants:
-    """Return the constants of a quadruped: `model`, built from it, gives mass, gravity and knees.
-
-    `geometry` is the model of the "fast" engine, by which heights above the ground are measured.
-    """
-    data = place_at_home(quadruped, model)
-    feet = data.geom_xpos[[model.geom(name).id for name in quadruped.feet]]
-    return RobotConstants(
-        home=quadruped.home,
-        lower=quadruped.lower,
-        upper=quadruped.upper,
-        knees_ahead=data.xanchor[3::3, 0] > (data.xanchor[2::3, 0] + feet[:, 0]) / 2.0,
-        mass=float(model.body_subtreemass[0]),
-        gravity=float(-model.opt.gravity[2]),
-        geometry=geometry,
-    )
 
 
 def _replace_invalid(

@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from quadwalk.env.constants import Description
 from quadwalk.env.reflections import (
     AXIAL,
     FEET,
@@ -194,6 +195,12 @@ def strides(robot: RobotConstants, state: EnvState) -> jax.Array:
     return jnp.concatenate([jnp.minimum(state.strides.time, 1.0), state.strides.peak])
 
 
+@mirrors(*(SCALAR,) * len(Description._fields))
+def body(robot: RobotConstants, state: EnvState) -> jax.Array:
+    """Description of the robot's body (n,), without units: see `quadwalk/env/constants.py`."""
+    return jnp.asarray(robot.description, jnp.float32)
+
+
 @mirrors(
     *(SCALAR, SCALAR, VECTOR, LINKS),
     *(SCALAR,) * 8,  # six factors and two delays
@@ -222,6 +229,7 @@ PROPRIOCEPTION = {
     "joint_vel": Observation(joint_velocities, noise=1.5, history=4),
     "last_action": Observation(last_action, history=4),
 }
+BODY = {"body": Observation(body, labels=Description._fields)}
 HEADING = {"heading": Observation(heading, noise=0.05)}
 COMMAND = {"command": Observation(command, labels=COMMANDED)}
 # A velocity command, to be followed at a trot.

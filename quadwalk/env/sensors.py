@@ -17,6 +17,7 @@ from jax.typing import ArrayLike
 from quadwalk.env.observations import compute_observation
 from quadwalk.env.randomization import compute_longest_latencies, count_readings
 from quadwalk.env.reflections import Mirrors, find_mirror, repeat_for_history
+from quadwalk.env.similarity import resize_robot, resize_state
 from quadwalk.env.state import NOISE, EnvState, EpisodeRandomization, RobotConstants
 from quadwalk.errors import UserError
 from quadwalk.physics.motor import PhysicsState
@@ -75,12 +76,21 @@ class Sensors:
             for ago in range(1, 1 + max(self.history)):
                 parts.append(state.frames[late + ago][np.flatnonzero(self.history >= ago)])
         if self.config.critic:
-            parts.append(compute_observation(self.config.critic, robot, state))
+            parts.append(self._compute(self.config.critic, robot, state))
         return jnp.concatenate(parts)
 
     def compute_truth(self, robot: RobotConstants, state: EnvState) -> jax.Array:
         """Return the policy's observation of this step without delay, noise and offsets, (n,)."""
-        return compute_observation(self.config.observation, robot, state)
+        return self._compute(self.config.observation, robot, state)
+
+    def _compute(
+        self, parts: dict[str, Observation], robot: RobotConstants, state: EnvState
+    ) -> jax.Array:
+        """Return these observations (n,), at the size of `EnvConfig.unit_leg`."""
+        leg = self.config.unit_leg
+        if leg is not None:
+            robot, state = resize_robot(robot, leg), resize_state(robot, state, leg)
+        return compute_observation(parts, robot, state)
 
     def _measure_frame(self, robot: RobotConstants, state: EnvState) -> jax.Array:
         """Return what the policy observes of this step (n,), with offsets and noise, not late."""

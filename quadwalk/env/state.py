@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeAlias, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -20,21 +20,33 @@ STANDING_HEIGHT = 0.85
 STANDING_TILT = math.radians(18)
 
 F = TypeVar("F", bound=Callable[..., Any])
+Array: TypeAlias = jax.Array | np.ndarray
+Scalar: TypeAlias = Any  # a number, or a JAX array of shape ()
 
 # Uses of an episode's random key, for `EpisodeRandomization.make_key`.
 NOISE, PUSH, JITTER = range(3)
 
 
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class RobotConstants:
-    """A quadruped's constants; its joint i is qpos[7 + i], qvel[6 + i] and ctrl[i]."""
+    """A quadruped's constants; its joint i is qpos[7 + i], qvel[6 + i] and ctrl[i].
 
-    home: np.ndarray  # (19,) qpos of the standing pose
-    lower: np.ndarray  # (12,) rad
-    upper: np.ndarray  # (12,) rad
-    knees_ahead: np.ndarray  # (4,) whether the knee is ahead of thigh's joint and foot, standing
-    mass: float  # kg
-    gravity: float  # m/s^2
+    Where bodies differ from episode to episode, the numbers are JAX's.
+    """
+
+    home: Array  # (19,) qpos of the standing pose
+    lower: Array  # (12,) rad
+    upper: Array  # (12,) rad
+    knees_ahead: Array  # (4,) whether the knee is ahead of thigh's joint and foot, standing
+    mass: Scalar  # kg
+    gravity: Scalar  # m/s^2
+    leg: Scalar  # m, from the thigh's joint to the foot's center, the knee stretched
+    # How joints move the feet, see `to_standard`: signs (12,), and of a knee that is ahead by how
+    # much its leg turns with it (4,).
+    joint_signs: Array
+    knee_turns: Array
+    description: Array  # (n,) of the body, see `quadwalk/env/constants.py`
     geometry: Model  # with the spheres that may touch the floor, and the ground
 
     @property
@@ -44,24 +56,42 @@ class RobotConstants:
         return None if ground is None else ground.surface
 
     @property
-    def weight(self) -> float:
+    def weight(self) -> Scalar:
         """Weight of the robot as its model has it, not as an episode randomizes it, N."""
         return self.mass * self.gravity
 
     @property
-    def home_joints(self) -> np.ndarray:
+    def home_joints(self) -> Array:
         """Joint angles of the standing pose (12,), rad."""
         return self.home[7:]
 
     @property
-    def home_height(self) -> float:
+    def home_height(self) -> Scalar:
         """Height of the trunk's origin in the standing pose, m."""
-        return float(self.home[2])
+        return self.home[2]
 
     @property
-    def froude_speed(self) -> float:
+    def froude_speed(self) -> Scalar:
         """Speed whose Froude number is 1 at the home height, m/s; pushes are shares of it."""
-        return math.sqrt(self.gravity * self.home_height)
+        return (self.gravity * self.home_height) ** 0.5
+
+    def to_standard(self, joints: Array) -> Array:
+        """Return angles from the home pose, or speeds (12,), as those of standard joints.
+
+        Standard hips turn about x, thighs and calves about y, as a right hand does, and the knee is
+        behind. They move the foot as the robot's own joints do: a knee ahead has a thigh that turns
+        by what the leg does.
+        """
+        legs = (self.joint_signs * joints).reshape(4, 3)
+        # A knee ahead has the sign of its calf turned already.
+        thigh = legs[:, 1] - self.knee_turns * legs[:, 2]
+        return jnp.stack([legs[:, 0], thigh, legs[:, 2]], axis=1).ravel()
+
+    def from_standard(self, joints: Array) -> Array:
+        """Return the robot's own angles from the home pose (12,) for those of standard joints."""
+        legs = joints.reshape(4, 3)
+        thigh = legs[:, 1] + self.knee_turns * legs[:, 2]
+        return self.joint_signs * jnp.stack([legs[:, 0], thigh, legs[:, 2]], axis=1).ravel()
 
 
 class Command(NamedTuple):
@@ -155,6 +185,8 @@ class EnvState(NamedTuple):
     tile: jax.Array | None = None  # () int32, of the terrain, where it began; None: a flat floor
     travel: Travel | None = None  # None without a curriculum
     strides: Strides | None = None  # None where no term of the task needs them
+    # () int32, place of the episode's body in the bank; None: the environment's only robot
+    body: jax.Array | None = None
 
     @property
     def qpos(self) -> jax.Array:

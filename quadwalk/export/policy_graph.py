@@ -16,6 +16,7 @@ import numpy as np
 import onnx
 from onnx import TensorProto, helper, numpy_helper
 
+from quadwalk.env.actions import about_standard
 from quadwalk.env.env import QuadrupedEnv
 from quadwalk.env.state import RobotConstants
 from quadwalk.errors import UserError
@@ -65,8 +66,14 @@ def find_joint_targets(action_map: ActionMap, robot: RobotConstants) -> JointTar
     """Return the numbers that define `action_map`, checked with random actions.
 
     Raises `UserError` for a map that is no clipped linear function of the action, or depends on the
-    joints' angles: no file format for policies can state it.
+    joints' angles: no file format for policies can state it. So are the numbers that a policy of
+    many bodies observes.
     """
+    if action_map.function is about_standard:
+        raise UserError(
+            "a policy for bodies of any size observes them in units of their own; expected one "
+            "of a single robot. quadwalk eval and quadwalk view run it in Python"
+        )
 
     def compute(action: jax.Array, joints: jax.Array) -> jax.Array:
         return action_map(robot, action, joints)

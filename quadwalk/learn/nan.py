@@ -22,6 +22,7 @@ from quadwalk.env.env import QuadrupedEnv
 from quadwalk.errors import UserError
 from quadwalk.files import get_os_reason
 from quadwalk.physics.engines import ENGINES
+from quadwalk.robot.bodies import make_bodies
 from quadwalk.robot.load import load_robot
 from quadwalk.runs import checkpoint
 from quadwalk.runs.directory import Run
@@ -60,7 +61,8 @@ def replay(path: Path | str) -> tuple[np.ndarray, np.ndarray]:
     run = Run(path.parent.parent)
     try:
         config = restore_config(metadata["config"], run, str(path))
-        env = QuadrupedEnv(load_robot(config.robot), config.env)
+        bodies = make_bodies(config.env.bodies.number, config.env.bodies.seed)
+        env = QuadrupedEnv(load_robot(config.robot), config.env, bodies=bodies)
     except (KeyError, ValueError, UserError) as error:
         raise UserError(f"{path} holds a step that cannot be used: {error}") from None
     start = jax.eval_shape(env.reset, jax.random.PRNGKey(0)).pipeline_state

@@ -25,6 +25,7 @@ from quadwalk.learn.ppo import RATE, Iteration, TrainState, init_state
 from quadwalk.learn.warm_start import warm_start_from
 from quadwalk.progress.display import Progress
 from quadwalk.progress.metrics import TrainingMetrics
+from quadwalk.robot.bodies import make_bodies
 from quadwalk.robot.load import load_robot
 from quadwalk.robot.quadruped import Quadruped
 from quadwalk.runs import checkpoint, directory
@@ -157,7 +158,15 @@ def make_env(config: TrainConfig, say: Say) -> QuadrupedEnv:
         if config.init is not None:
             shared = replace(shared, init=Path(config.init).name)
         distributed.check_same(f"{to_dict(shared) | describe_training(config, quadruped)}")
-    env = QuadrupedEnv(quadruped, config.env)
+    if config.env.bodies.number and config.ppo.retry:
+        raise UserError(
+            f"--ppo.retry is {config.ppo.retry}: it repeats one body's conditions for another; "
+            "expected 0 with --env.bodies.number"
+        )
+    bodies = make_bodies(config.env.bodies.number, config.env.bodies.seed)
+    env = QuadrupedEnv(quadruped, config.env, bodies=bodies)
+    if bodies:
+        say(f"{len(bodies)} bodies, of seed {config.env.bodies.seed}")
     if env.gains_note:
         say(env.gains_note)
     return env

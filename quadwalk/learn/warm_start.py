@@ -147,11 +147,12 @@ def compute_turns(
     foot and trunk move alike, exactly so for a thigh as long as its calf. Small actions move the
     joints' targets as far as in the source.
     """
-    axes, source_axes = (compute_home_axes(e.quadruped, e.mj_model) for e in (env, source_env))
+    axes, knees_ahead = find_joint_directions(env)
+    source_axes, source_knees_ahead = find_joint_directions(source_env)
     joint_signs = np.where(np.sum(axes * source_axes, axis=1) < 0.0, -1.0, 1.0)
     observations, actions = map(np.diag, compute_signs(env, joint_signs))
     rows = {name: row for row, name in enumerate(names)}
-    for leg in np.flatnonzero(env.robot.knees_ahead != source_env.robot.knees_ahead).tolist():
+    for leg in np.flatnonzero(knees_ahead != source_knees_ahead).tolist():
         thigh, calf = 3 * leg + 1, 3 * leg + 2
         bend = np.sign(source_axes[thigh] @ source_axes[calf])
         pairs = [
@@ -171,6 +172,16 @@ def compute_turns(
             joints = [rows[name.replace("joint0", f"joint{joint}")] for joint in range(12)]
             observations[np.ix_(joints, joints)] = actions
     return observations, actions
+
+
+def find_joint_directions(env: QuadrupedEnv) -> tuple[np.ndarray, np.ndarray]:
+    """Return the axes (12, 3) of the joints that policies speak of, and which knees are ahead (4,).
+
+    Where `EnvConfig.unit_leg` is set, these are standard joints.
+    """
+    if env.config.unit_leg is not None:
+        return np.tile(np.eye(3)[[0, 1, 1]], (4, 1)), np.zeros(4, bool)
+    return compute_home_axes(env.quadruped, env.mj_model), np.asarray(env.robot.knees_ahead)
 
 
 def compute_signs(env: QuadrupedEnv, joint_signs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -203,7 +214,10 @@ def measure_reach(env: QuadrupedEnv) -> np.ndarray:
         np.asarray(env.config.action(env.robot, jnp.full(12, value), home))
         for value in (0.0, action, -action)
     )
-    moved = np.maximum(np.abs(more - none), np.abs(less - none))
+    changes = more - none, less - none
+    if env.config.unit_leg is not None:
+        changes = tuple(np.asarray(env.robot.to_standard(change)) for change in changes)
+    moved = np.maximum(*map(np.abs, changes))
     return np.where(moved > 0.0, moved / action, 1.0)
 
 

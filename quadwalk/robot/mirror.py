@@ -16,6 +16,8 @@ _FLIP = np.diag([1.0, -1.0, 1.0])
 # body mass times distance, over robot mass times height, is 0.051 for HyQ, else up to 0.012 (A1;
 # AlienGo 0.010). Inertias differ by up to 0.0019 (HyQ; AlienGo 0.0010) of mass times height^2.
 PLACE, VALUE, MOMENT, INERTIA = 0.005, 0.01, 0.1, 0.005
+# By which a joint's numbers change in the mirror where hips turn about x, and others about y.
+STANDARD_SIGNS = np.tile([-1.0, 1.0, 1.0], 4)
 
 
 class Mirror(NamedTuple):

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 
 import jax
 
-from quadwalk.bounds import Bounds, Few, NotNegative, Positive, Seconds, Settings, Share
+from quadwalk.bounds import Bounds, Few, NotNegative, Positive, Seconds, Seed, Settings, Share
 from quadwalk.errors import UsageError
 from quadwalk.physics.motor import MotorConfig, Stepping
 from quadwalk.settings.terms import ActionMap, Observation, Reward, Termination
@@ -109,19 +109,26 @@ class CommandConfig(Settings, group="env.command"):
         """
         if self.leg is None:
             return self
-        faster = factor = math.sqrt(leg / self.leg)
-        fastest = max(map(abs, self.forward))
-        if self.swing is not None and fastest > 0.0:
-            factor = min(faster, self.swing * foot_speed / fastest)
+        factor, _, slower = self.compute_scale(leg, foot_speed)
         until = self.lateral_until
         return replace(
             self,
             forward=_scale(self.forward, factor),
             lateral=_scale(self.lateral, factor),
-            yaw_rate=_scale(self.yaw_rate, 1.0 / faster),
+            yaw_rate=_scale(self.yaw_rate, slower),
             lateral_until=None if until is None else round(until * factor, 3),
             leg=None,
         )
+
+    def compute_scale(self, leg: float, foot_speed: float) -> tuple[float, float, float]:
+        """Return by what a command's three numbers grow with legs of `leg`, m, see `scale_to`."""
+        if self.leg is None:
+            return 1.0, 1.0, 1.0
+        faster = factor = math.sqrt(leg / self.leg)
+        fastest = max(map(abs, self.forward))
+        if self.swing is not None and fastest > 0.0:
+            factor = min(faster, self.swing * foot_speed / fastest)
+        return factor, factor, 1.0 / faster
 
     def hold_at(
         self, forward: float, lateral: float = 0.0, yaw_rate: float = 0.0
@@ -236,6 +243,14 @@ PHYSICS: dict[str, Any] = {
 
 
 @dataclass(frozen=True)
+class BodiesConfig(Settings, group="env.bodies"):
+    """Bodies of training: each episode has one of them (`quadwalk/robot/bodies.py`)."""
+
+    number: Annotated[int, Bounds(0, 4096)] = 0  # how many; 0: the robot alone
+    seed: Seed = 0  # the same seed gives the same bodies
+
+
+@dataclass(frozen=True)
 class EnvConfig(Settings, group="env"):
     """The environment: physics, motors, and the task."""
 
@@ -260,6 +275,11 @@ class EnvConfig(Settings, group="env"):
     randomization: RandomizationConfig
     # Runs of early versions do not state it.
     ground: GroundConfig = FLAT
+    # m, leg length of which observations, rewards and terminations see any robot, at the same
+    # Froude number and with joints that turn alike; None: each robot as it is
+    unit_leg: Positive | None = None
+    # robots to train with in place of one; evaluations are of the robot itself
+    bodies: BodiesConfig = BodiesConfig()
     # hide the observation `height_scan` from the policy; the value network keeps it
     blind: bool = False
 
@@ -270,6 +290,10 @@ class EnvConfig(Settings, group="env"):
             raise UsageError(
                 f"--env.blind: the task has no observation {SIGHT}; expected a task with one"
             )
+        if self.unit_leg is not None and not self.ground.flat:
+            raise UsageError("--env.unit-leg needs a level floor; expected no --env.ground")
+        if self.bodies.number and (self.engine != "fast" or not self.ground.flat):
+            raise UsageError("--env.bodies.number needs --env.engine fast and a level floor")
         if self.episode_steps < 1:
             raise UsageError(
                 f"--env.episode-seconds is {self.episode_seconds}; expected at least one control "

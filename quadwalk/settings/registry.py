@@ -65,6 +65,7 @@ TERMS: dict[str, Callable[..., Any]] = {
     "observation:scan_ahead": observations.scan_ahead,
     "observation:contacts": observations.contacts,
     "observation:strides": observations.strides,
+    "observation:body": observations.body,
     "observation:conditions": observations.conditions,
     "observation:world_position": blog.world_position,
     "observation:world_orientation": blog.world_orientation,
@@ -79,6 +80,7 @@ TERMS: dict[str, Callable[..., Any]] = {
     "termination:below": blog.below,
     "action:about_home": actions.about_home,
     "action:feet_alike": actions.feet_alike,
+    "action:about_standard": actions.about_standard,
     "action:between_bounds": blog.between_bounds,
 }
 # Names in files of earlier versions: of a whole module, or of a single term, which goes first.
