@@ -7,7 +7,6 @@ from typing import Any, NamedTuple, TypeAlias, TypeVar
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from quadwalk.physics.model import Model, RobotRandomization
 from quadwalk.physics.motor import PhysicsState
@@ -20,7 +19,7 @@ STANDING_HEIGHT = 0.85
 STANDING_TILT = math.radians(18)
 
 F = TypeVar("F", bound=Callable[..., Any])
-Array: TypeAlias = jax.Array | np.ndarray
+Array: TypeAlias = Any  # NumPy's; JAX's where bodies differ from episode to episode
 Scalar: TypeAlias = Any  # a number, or a JAX array of shape ()
 
 # Uses of an episode's random key, for `EpisodeRandomization.make_key`.

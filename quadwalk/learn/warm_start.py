@@ -214,10 +214,10 @@ def measure_reach(env: QuadrupedEnv) -> np.ndarray:
         np.asarray(env.config.action(env.robot, jnp.full(12, value), home))
         for value in (0.0, action, -action)
     )
-    changes = more - none, less - none
+    changes = [more - none, less - none]
     if env.config.unit_leg is not None:
-        changes = tuple(np.asarray(env.robot.to_standard(change)) for change in changes)
-    moved = np.maximum(*map(np.abs, changes))
+        changes = [np.asarray(env.robot.to_standard(change)) for change in changes]
+    moved = np.max(np.abs(changes), axis=0)
     return np.where(moved > 0.0, moved / action, 1.0)
 
 
