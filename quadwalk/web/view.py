@@ -83,7 +83,7 @@ class Relay:
         for line in sys.stdin:
             with self._lock:
                 self._take(line.strip())
-        os.kill(os.getpid(), signal.SIGINT)
+        os.kill(os.getpid(), signal.SIGTERM)  # scripts have SIGINT ignored in the background
 
     def write(self, text: str) -> None:
         """Send a page's message to the training."""

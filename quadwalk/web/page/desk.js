@@ -138,13 +138,12 @@ export class Desk {
   }
 
   /** @param {any} message with the figures of an iteration */
-  addIteration({ iteration, steps, shares, row }) {
+  addIteration({ iteration, steps, seconds, shares, row }) {
     if (!this.state) return;
     Object.assign(this.state, { iteration, steps });
     this.shares = shares;
-    const time = performance.now() / 1000;
-    this.course.add(time, steps, { ...row, ...shares });
-    if (time - this.drawn > DRAWING) this.draw();
+    this.course.add(seconds, steps, { ...row, ...shares });
+    if (performance.now() / 1000 - this.drawn > DRAWING) this.draw();
   }
 
   draw() {

@@ -81,7 +81,11 @@ export class Course {
     this.samples = [];
   }
 
-  /** @param {number} time s @param {number} steps @param {Record<string, number>} values */
+  /**
+   * @param {number} time s of training
+   * @param {number} steps
+   * @param {Record<string, number>} values
+   */
   add(time, steps, values) {
     while ((this.samples.at(-1)?.steps ?? -1) >= steps) this.samples.pop(); // after an undo
     if (this.count++ % this.every) return;
@@ -214,7 +218,7 @@ export class Term {
     this.bar.classList.toggle("less", share < 0);
     this.number.value = share.toFixed(3);
     const { context, width: right, height } = prepare(this.line);
-    const since = performance.now() / 1000 - RECENT;
+    const since = (course.samples.at(-1)?.time ?? 0) - RECENT;
     course.draw(context, this.name, [right, 2, height - 2], INK, since);
   }
 }
