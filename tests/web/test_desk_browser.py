@@ -141,6 +141,15 @@ def test_shares_and_what_is_left_are_shown(browser):
     assert wait_until(lambda: "steps/s" in browser.text())
 
 
+def test_a_lost_connection_comes_back(browser, training):
+    browser.evaluate("quadwalk.server.socket.close()")
+    assert wait_until(lambda: browser.evaluate("quadwalk.server.socket.readyState === 1"))
+    iteration = training[0].iteration
+    shown = "Number(document.getElementById('desk-state').innerText.match(/iteration (\\d+)/)[1])"
+    assert wait_until(lambda: browser.evaluate(shown) > iteration)
+    assert "has ended" not in browser.text()
+
+
 def test_two_policies_are_compared_from_one_start(browser, training):
     browser.evaluate("document.getElementById('desk-compare').click()")
     assert wait_until(lambda: browser.evaluate("quadwalk.rival?.time > 0.2"))

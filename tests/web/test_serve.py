@@ -3,6 +3,8 @@
 import itertools
 import json
 import socket
+import subprocess
+import sys
 import urllib.error
 import urllib.request
 from collections.abc import Iterator
@@ -131,3 +133,19 @@ def test_a_training_and_its_pages_talk_through_the_server(server):
     assert "\n" not in received[0]
     with open_socket(server) as late:
         assert receive(late, 1) == [desk]
+
+
+def test_a_page_ends_with_its_training_where_ctrl_c_is_ignored():
+    """As in a script, which starts what is in the background with SIGINT ignored."""
+    code = (
+        "import signal, threading, time; signal.signal(signal.SIGINT, signal.SIG_IGN);"
+        "from quadwalk.cli.process import run_command; from quadwalk.web.view import Relay;"
+        "threading.Thread(target=Relay().read).start(); run_command(lambda: time.sleep(300))"
+    )
+    command = [sys.executable, "-c", code]
+    process = subprocess.Popen(command, stdin=subprocess.PIPE)
+    process.stdin.close()  # what the end of a training does
+    try:
+        assert process.wait(timeout=60) != 0
+    finally:
+        process.kill()

@@ -16,6 +16,7 @@ const BUDGET = 0.025; // s of a frame that steps may take
 const PAUSE = 0.25; // s between frames, beyond which time stands still, as in a hidden page
 const PLOTTING = 0.1; // s between plots
 const TELLING = 6; // s that a message stays
+const ENDED = "The program that served this page has ended.";
 const FLAT = "flat";
 const KICK = 1.5; // m/s, of a kick from the side
 
@@ -108,8 +109,16 @@ export class Page {
         if (this.dog?.name === this.dogs[0] && !this.rival) this.setPolicy(file);
       },
       onTraining: (message) => this.hear(message),
-      onEnd: () => this.tell("The program that served this page has ended.", true),
+      onStart: () => this.greet(),
+      onEnd: () => this.tell(ENDED, true),
     });
+  }
+
+  /** Take back that the program has ended; where it serves another robot now, show that. */
+  async greet() {
+    if (find("message").textContent === ENDED) this.tell("");
+    const { dogs } = JSON.parse(await readText("dogs.json"));
+    if (this.dogs.join() !== dogs.join()) location.reload();
   }
 
   /**

@@ -4,26 +4,44 @@
  * @typedef {object} Events
  * @property {(file: Uint8Array) => void} onPolicy
  * @property {(message: any) => void} onTraining of a training whose numbers can be changed
+ * @property {() => void} onStart
  * @property {() => void} onEnd
  */
+
+const RETRY = 2000; // ms after a connection has ended
 
 /** A connection to the program that serves the page. */
 export class Server {
   /** @param {Events} events */
-  constructor({ onPolicy, onTraining, onEnd }) {
-    this.socket = new WebSocket(`${location.origin.replace(/^http/, "ws")}/live`);
+  constructor(events) {
+    this.events = events;
     this.isReady = true;
     /** @type {Float64Array | null} */
     this.targets = null;
-    this.socket.binaryType = "arraybuffer";
-    this.socket.addEventListener("message", ({ data }) => {
+    this.socket = this.connect();
+  }
+
+  /** Return a new connection; once it has ended, as where the page was too busy, try again. */
+  connect() {
+    const { onPolicy, onTraining, onStart, onEnd } = this.events;
+    const socket = new WebSocket(`${location.origin.replace(/^http/, "ws")}/live`);
+    socket.binaryType = "arraybuffer";
+    socket.addEventListener("message", ({ data }) => {
       if (data instanceof ArrayBuffer) return onPolicy(new Uint8Array(data));
       const message = JSON.parse(data);
       if (!Array.isArray(message)) return onTraining(message);
       this.targets = Float64Array.from(message);
       this.isReady = true;
     });
-    this.socket.addEventListener("close", onEnd);
+    socket.addEventListener("open", () => {
+      this.isReady = true;
+      onStart();
+    });
+    socket.addEventListener("close", () => {
+      onEnd();
+      setTimeout(() => (this.socket = this.connect()), RETRY);
+    });
+    return socket;
   }
 
   /** @param {any} message */
