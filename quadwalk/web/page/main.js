@@ -430,7 +430,19 @@ export class Page {
   }
 }
 
-const page = new Page();
+/** Make the page; where the browser cannot draw it, say so. */
+function makePage() {
+  try {
+    return new Page();
+  } catch (error) {
+    const message = find("message");
+    message.textContent = `this page needs WebGL 2: ${/** @type {Error} */ (error).message}`;
+    message.hidden = false;
+    throw error;
+  }
+}
+
+const page = makePage();
 /** For the console, and for tests. */
 /** @type {any} */ (globalThis).quadwalk = page;
 page.start().catch((error) => page.tell(error.message, true));
