@@ -100,7 +100,9 @@ class Toy(Plain):
     action_size = 12
     terms = ("reward/forward",)
 
-    def __init__(self, quadruped: Any = None, config: EnvConfig | None = None) -> None:
+    def __init__(
+        self, quadruped: Any = None, config: EnvConfig | None = None, bodies: Any = ()
+    ) -> None:
         self.config = config or sprint.TASK.env
         self.quadruped = quadruped
 
@@ -155,7 +157,7 @@ class DeskToy(Toy, static=False):
 
     numbers: Any = None
 
-    def __init__(self, quadruped: Any, config: EnvConfig) -> None:
+    def __init__(self, quadruped: Any, config: EnvConfig, bodies: Any = ()) -> None:
         super().__init__(quadruped, config)
         self.terms = tuple(f"reward/{name}" for name in config.reward)
         self.constants = self
