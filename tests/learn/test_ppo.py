@@ -289,7 +289,9 @@ def test_the_first_step_that_gave_no_number_is_kept(networks, iterate, poisoned)
         first = poisoned[0]
         assert nan_step.before.origin == 2.0
         assert nan_step.before.steps == count.steps[first]
-        np.testing.assert_array_equal(nan_step.action, data.action[first - 2 * (first // 6), 0])
+        # Their tanh is of two programs, which may round it differently.
+        action = data.action[first - 2 * (first // 6), 0]
+        np.testing.assert_allclose(nan_step.action, action, rtol=1e-6)
 
 
 def test_a_learner_that_is_no_longer_finite_is_told(networks, iterate):
