@@ -187,7 +187,7 @@ def test_the_latest_checkpoint_is_the_last_by_steps_that_can_be_read(run):
 
 def test_the_last_few_are_kept(run):
     save(run, *range(5))
-    prune_checkpoints(run, 2, also=run.locate_checkpoint(1))
+    prune_checkpoints(run, 2, also=(run.locate_checkpoint(1),))
     assert list_checkpoints(run) == [run.locate_checkpoint(steps) for steps in (1, 3, 4)]
     prune_checkpoints(run, 2)
     assert list_checkpoints(run) == [run.locate_checkpoint(steps) for steps in (3, 4)]
