@@ -10,6 +10,7 @@ from quadwalk.physics.model import Model
 from quadwalk.physics.motor import Motor
 from quadwalk.robot.mirror import compute_home_axes, place_at_home
 from quadwalk.robot.quadruped import Quadruped
+from quadwalk.terrain.terrain import measure_leg
 
 STANDARD_LEG = 0.5  # m, the AlienGo's, of which the description gives the length
 # Motors that could do more are described as if they could do this: a robot that has them never
@@ -87,10 +88,8 @@ def make_robot_constants(
 
 def measure_legs(quadruped: Quadruped, model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
     """Return the lengths of the stretched legs and of their thighs, (4,) m each."""
-    calves = model.jnt_bodyid[3::3]
-    feet = [model.geom(name).id for name in quadruped.feet]
-    thighs: np.ndarray = np.linalg.norm(model.body_pos[calves], axis=1)
-    return thighs + np.linalg.norm(model.geom_pos[feet], axis=1), thighs
+    thighs: np.ndarray = np.linalg.norm(model.body_pos[model.jnt_bodyid[3::3]], axis=1)
+    return np.array([measure_leg(model, name) for name in quadruped.feet]), thighs
 
 
 def describe_body(

@@ -170,16 +170,20 @@ def drag(robot: RobotConstants, step: Step, *, height: float) -> jax.Array:
 
     On the floor all of a sole's speed counts, at `height`, m, and above none of it.
     """
-    moved = step.soles[:, :2] - step.start_soles[:, :2]
-    speed = jnp.minimum(jnp.linalg.norm(moved, axis=1) / step.dt, 2.0)
+    speed = _compute_sole_speeds(step)
     low = jnp.clip(1.0 - step.soles[:, 2] / height, 0.0, 1.0)
     return jnp.mean(speed * low)
 
 
+def _compute_sole_speeds(step: Step) -> jax.Array:
+    """Return the mean horizontal speed of each sole over the step (4,), m/s, up to 2."""
+    moved = step.soles[:, :2] - step.start_soles[:, :2]
+    return jnp.minimum(jnp.linalg.norm(moved, axis=1) / step.dt, 2.0)
+
+
 def slip(robot: RobotConstants, step: Step) -> jax.Array:
     """Mean horizontal speed of the soles that stay on the floor, m/s, up to 2."""
-    moved = step.soles[:, :2] - step.start_soles[:, :2]
-    speed = jnp.minimum(jnp.linalg.norm(moved, axis=1) / step.dt, 2.0)
+    speed = _compute_sole_speeds(step)
     return jnp.mean(speed * (step.start_contact & step.contact))
 
 

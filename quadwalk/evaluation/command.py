@@ -20,6 +20,7 @@ from quadwalk.runs.directory import Run
 
 if TYPE_CHECKING:
     from quadwalk.evaluation.load import LoadedRun
+    from quadwalk.evaluation.rollout import Command
     from quadwalk.terrain.terrain import GroundConfig
 
 # Options that `eval.py` had, and the command that does this now.
@@ -191,7 +192,7 @@ def _load_runs(
     config: RunsConfig,
     randomized: bool,
     ground: "GroundConfig | None" = None,
-    command: tuple[float, float, float] | None = None,
+    command: "Command | None" = None,
 ) -> tuple[list[Run], list["LoadedRun"]]:
     """Find and load all runs before the first is simulated, so that a bad one fails at once."""
     runs = _find_runs(config)

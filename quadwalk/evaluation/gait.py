@@ -31,6 +31,7 @@ from quadwalk.evaluation.metrics import (
     to_rotations,
 )
 from quadwalk.evaluation.rollout import Rollout
+from quadwalk.robot.mirror import place_at_home
 from quadwalk.robot.quadruped import Quadruped
 from quadwalk.terrain.heightfield import compute_floor_height
 
@@ -215,9 +216,7 @@ def _measure_stride_length(rollout: Rollout, frequency: float) -> float:
 
 def _measure_hip_height(model: mujoco.MjModel, quadruped: Quadruped) -> float:
     """Return the mean height of the thigh joints in the home pose, m."""
-    data = mujoco.MjData(model)
-    data.qpos = quadruped.home
-    mujoco.mj_kinematics(model, data)
+    data = place_at_home(quadruped, model)
     return float(np.mean([data.joint(thigh).xanchor[2] for thigh in quadruped.joints[1::3]]))
 
 
@@ -266,9 +265,7 @@ def _measure_reversals(torque: np.ndarray) -> np.ndarray:
 
 def _measure_way(rollout: Rollout, model: mujoco.MjModel, quadruped: Quadruped) -> float:
     """Return the mean way of the four hips over the ground, at mean velocities over `WINDOW`, m."""
-    data = mujoco.MjData(model)
-    data.qpos = quadruped.home
-    mujoco.mj_kinematics(model, data)
+    data = place_at_home(quadruped, model)
     x, y, _ = np.array([data.joint(hip).xanchor for hip in quadruped.joints[::3]]).T
     motion = compute_heading_velocity(rollout.qpos, rollout.control_dt)
     window = min(round(WINDOW / rollout.control_dt), len(motion))

@@ -11,10 +11,12 @@ import numpy as np
 from quadwalk.env.env import QuadrupedEnv
 from quadwalk.env.terminations import TRUNK_FALLS
 from quadwalk.errors import UserError
+from quadwalk.evaluation.rollout import Command
 from quadwalk.files import hash_file, read_bytes
 from quadwalk.learn.acting import Policy, load_policy
 from quadwalk.physics.engines import EngineName
 from quadwalk.robot.load import load_robot
+from quadwalk.robot.quadruped import Quadruped
 from quadwalk.runs.directory import Run
 from quadwalk.runs.resume import compare_robot
 from quadwalk.settings.environment import (
@@ -27,7 +29,6 @@ from quadwalk.settings.environment import (
 from quadwalk.terrain.terrain import GroundConfig
 
 PUSH_SECONDS = 5.0  # one push in each
-Command = tuple[float, float, float]  # forward and lateral m/s, yaw rate rad/s
 
 
 def describe_desk(policy: Policy) -> str:
@@ -58,6 +59,12 @@ class LoadedRun:
     def to_engine(self, engine: EngineName) -> "LoadedRun":
         """Return the same policy, robot and settings in another engine."""
         return dataclasses.replace(self, env=self.env.to_engine(engine))
+
+    def load_level_robot(self) -> Quadruped:
+        """Return the robot without uneven ground, which is among the shapes of that in `env`."""
+        if self.env.terrain is None:
+            return self.env.quadruped
+        return load_robot(self.policy.config.robot)
 
     def has_same_robot(self, other: "LoadedRun") -> bool:
         """Return True if both robots have the same joints, masses and control period."""

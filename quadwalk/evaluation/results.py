@@ -26,7 +26,6 @@ from quadwalk.evaluation.metrics import (
 from quadwalk.evaluation.report.pictures import draw_film_strip
 from quadwalk.evaluation.rollout import GROUP, Report, Rollout, simulate_episodes
 from quadwalk.files import open_atomic
-from quadwalk.robot.load import load_robot
 from quadwalk.robot.mjcf import write_xml
 from quadwalk.runs.directory import get_versions
 from quadwalk.settings.serialize import to_dict
@@ -191,9 +190,7 @@ def make_attachments(loaded: LoadedRun) -> dict[str, bytes]:
 
     The MJCF is without the ground. Without a config.json the run attaches none.
     """
-    quadruped = loaded.env.quadruped
-    if loaded.env.terrain is not None:  # without the ground, of which the recording shows its own
-        quadruped = load_robot(loaded.policy.config.robot)
+    quadruped = loaded.load_level_robot()  # a recording shows the ground of its own
     files = {f"{quadruped.name}.xml": write_xml(quadruped.spec).encode()}
     if loaded.config is not None:
         files["config.json"] = loaded.config

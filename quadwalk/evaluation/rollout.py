@@ -27,6 +27,7 @@ ActionFunction = Callable[[jax.Array], jax.Array]
 # The environment, batched states before and after a control step with actions (n, 12), to what is
 # recorded of it: a pytree of arrays (n, ...).
 Recorder = Callable[[QuadrupedEnv, State, jax.Array, State], Any]
+Command = tuple[float, float, float]  # forward and lateral m/s, yaw rate rad/s
 Report = Callable[[int], None]  # receives the mean number of control steps done of each episode
 
 CHUNK = 50  # control steps between looks at which episodes have ended
@@ -139,7 +140,7 @@ def reset_cells(
 
 
 def reset_with_commands(
-    env: QuadrupedEnv, commands: list[tuple[float, float, float]], episodes: int, seed: int
+    env: QuadrupedEnv, commands: list[Command], episodes: int, seed: int
 ) -> State:
     """Return the same first states of `episodes` with each command, one command after another.
 

@@ -135,9 +135,11 @@ def _write_suite(
     `levels` difficulties.
     """
     suite, name, engine = loaded.policy.config.suite, loaded.run.name, loaded.env.engine
-    files = []
-    if loaded.env.config.command.active:
-        files += _write_gaits(loaded, folder, results, seed)
+    files, has_commands = [], loaded.env.config.command.active
+    # One environment for both, since each compiles its own programs.
+    held = gaits.to_held_run(loaded) if has_commands or suite == "commands" else loaded
+    if has_commands:
+        files += _write_gaits(held, folder, results, seed)
     if suite == "standing":
         mujoco = standing.to_standing_run(loaded)
         with _show_progress(mujoco, f"{episodes} episodes of each condition") as report:
@@ -152,7 +154,7 @@ def _write_suite(
         save_figure(terrain.draw_terrain(ground, f"{name}, {engine}"), folder / "ground.png")
         files.append("ground.png")
     if suite == "commands":
-        held, changing = gaits.to_held_run(loaded), commands.to_changing_run(loaded)
+        changing = commands.to_changing_run(loaded)
         few, many = max(episodes // 4, 1), 16 * episodes
         with _show_progress(held, f"{few} episodes of each command") as report:
             steering = commands.measure_commands(held, few, seed, report)
@@ -166,17 +168,17 @@ def _write_suite(
     return files
 
 
-def _write_gaits(loaded: LoadedRun, folder: Path, results: dict[str, Any], seed: int) -> list[str]:
+def _write_gaits(held: LoadedRun, folder: Path, results: dict[str, Any], seed: int) -> list[str]:
     """Add the gait at each command to `results`, and print it; return its picture's name.
 
-    The suite "commands" has these panels in a picture of its own.
+    `held` is of `gaits.to_held_run`. The suite "commands" has these panels in its own picture.
     """
     with make_console().status("looking at the feet at each command"):
-        results["gaits"] = gaits.measure_gaits(gaits.to_held_run(loaded), seed)
+        results["gaits"] = gaits.measure_gaits(held, seed)
     gaits.print_gaits(results["gaits"])
-    if loaded.policy.config.suite == "commands":
+    if held.policy.config.suite == "commands":
         return []
-    save_figure(gaits.draw_gaits(results["gaits"], loaded.run.name), folder / "gaits.png")
+    save_figure(gaits.draw_gaits(results["gaits"], held.run.name), folder / "gaits.png")
     return ["gaits.png"]
 
 

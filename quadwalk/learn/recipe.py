@@ -135,13 +135,14 @@ def _format_changes(old: dict[str, Any], new: dict[str, Any], expression: str, t
 def _format(old: Any, new: Any, expression: str) -> str:
     """Return Python for `new`, where `expression` is Python for `old`."""
     if isinstance(new, dict) and isinstance(old, dict):
-        parts = [
-            f'"{name}": ' + (_format(old[name], value, f'{expression}["{name}"]')
-            if name in old else _format_term(value))
-            for name, value in new.items()
-            if name not in old or value != old[name]
-        ]  # fmt: skip
-        return _wrap("{", [f"**{expression}", *parts], "}")
+        parts = [f"**{expression}"]
+        for name, value in new.items():
+            if name not in old:
+                parts.append(f'"{name}": {_format_term(value)}')
+            elif value != old[name]:
+                changed = _format(old[name], value, f'{expression}["{name}"]')
+                parts.append(f'"{name}": {changed}')
+        return _wrap("{", parts, "}")
     if dataclasses.is_dataclass(new) and type(new) is type(old):
         parts = [
             f"{field.name}={_format(getattr(old, field.name), value, f'{expression}.{field.name}')}"

@@ -19,7 +19,7 @@ import tyro
 
 from quadwalk.bounds import Port, Settings
 from quadwalk.cli.arguments import make_console, parse
-from quadwalk.cli.shell import suggest_install
+from quadwalk.cli.shell import import_extra
 from quadwalk.errors import UserError
 from quadwalk.paths import PRETRAINED
 from quadwalk.runs.directory import Run, find_any_run, find_ready, list_runs
@@ -106,7 +106,7 @@ def view(config: ViewConfig, relay: Relay | None = None) -> None:
     """
     run = find_ready(config.runs, config.run, "drive")
     getup = None if config.getup is None else find_any_run(config.runs, config.getup)
-    check_packages()
+    import_extra("onnx", "the page", "view")
     if config.window:
         show_window(run, config.policy, getup)
         return
@@ -136,15 +136,6 @@ def list_others(root: Path, run: Run) -> list[Run]:
     """Return the runs that the page offers beside `run`: the newest, and the packaged ones."""
     runs = [*list_runs(root)[:_OTHERS], *list_runs(PRETRAINED)]
     return [other for other in runs if other.path != run.path and other.policy.exists()]
-
-
-def check_packages() -> None:
-    """Raise `UserError` where a package that the page needs is missing."""
-    try:
-        import onnx  # noqa: F401
-    except ModuleNotFoundError:
-        hint = suggest_install("view")
-        raise UserError(f"the page needs onnx, which is not installed: {hint}") from None
 
 
 def watch(run: Run, which: str, send: Callable[[], None]) -> None:

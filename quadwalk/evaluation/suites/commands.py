@@ -29,6 +29,7 @@ from quadwalk.evaluation.report.tables import (
 )
 from quadwalk.evaluation.rollout import (
     GROUP,
+    Command,
     Report,
     reset_episodes,
     reset_with_commands,
@@ -38,7 +39,6 @@ from quadwalk.evaluation.suites.gaits import SETTLED, draw_gait_panels
 from quadwalk.render.figures import get_style, make_figure, tidy
 from quadwalk.settings.environment import COMMANDED, CommandConfig
 
-Command = tuple[float, float, float]  # forward and lateral m/s, yaw rate rad/s
 STILL: Command = (0.0, 0.0, 0.0)
 
 FORWARD, TURNS = 12, 9  # commands along each axis of the grid

@@ -12,9 +12,13 @@ from quadwalk.evaluation.gait import measure_gait
 from quadwalk.evaluation.load import LoadedRun
 from quadwalk.evaluation.metrics import SETTLING, to_json_number
 from quadwalk.evaluation.report.tables import format_number, print_table
-from quadwalk.evaluation.rollout import reset_with_commands, simulate_episodes, slice_steps
+from quadwalk.evaluation.rollout import (
+    Command,
+    reset_with_commands,
+    simulate_episodes,
+    slice_steps,
+)
 from quadwalk.render.figures import get_style, make_figure, tidy
-from quadwalk.robot.load import load_robot
 from quadwalk.settings.environment import CommandConfig
 from quadwalk.terrain.terrain import FLAT
 
@@ -41,13 +45,11 @@ def to_held_run(loaded: LoadedRun) -> LoadedRun:
     config = loaded.env.config
     command = dataclasses.replace(config.command, seconds=SECONDS, soonest=None)
     config = dataclasses.replace(config, episode_seconds=SECONDS, command=command, ground=FLAT)
-    quadruped = loaded.env.quadruped
-    if loaded.env.terrain is not None:  # without the ground, which is among its shapes
-        quadruped = load_robot(loaded.policy.config.robot)
-    return dataclasses.replace(loaded, env=QuadrupedEnv(quadruped, config, "mujoco"))
+    env = QuadrupedEnv(loaded.load_level_robot(), config, "mujoco")
+    return dataclasses.replace(loaded, env=env)
 
 
-def list_gait_commands(config: CommandConfig) -> list[tuple[float, float, float]]:
+def list_gait_commands(config: CommandConfig) -> list[Command]:
     """Return speeds straight ahead, then back, a turn on the spot and a step aside.
 
     Each is forward and lateral velocity, m/s, and yaw rate, rad/s. The top speed is among the

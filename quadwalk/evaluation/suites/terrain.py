@@ -23,7 +23,6 @@ from quadwalk.evaluation.metrics import (
 from quadwalk.evaluation.report.tables import format_percent, format_value, print_table
 from quadwalk.evaluation.rollout import ROOM, Report, reset_episodes
 from quadwalk.render.figures import INK, make_figure
-from quadwalk.robot.load import load_robot
 from quadwalk.terrain.terrain import FILE
 
 PACE = 0.7  # m/s
@@ -101,9 +100,7 @@ def make_cells_env(loaded: LoadedRun, kinds: tuple[str, ...], levels: int) -> Qu
     config = dataclasses.replace(
         config, ground=dataclasses.replace(ground, confined=True), command=command
     )
-    # The run's own robot stands on its ground already.
-    quadruped = load_robot(loaded.policy.config.robot)
-    return QuadrupedEnv(quadruped, config, loaded.env.engine)
+    return QuadrupedEnv(loaded.load_level_robot(), config, loaded.env.engine)
 
 
 def print_terrain(results: dict[str, Any]) -> None:
