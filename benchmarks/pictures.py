@@ -17,7 +17,6 @@ import dataclasses
 import importlib
 import io
 import json
-import re
 import sys
 import tempfile
 import time
@@ -48,10 +47,11 @@ from quadwalk.terrain.terrain import FLAT
 from quadwalk.terrain.tiles import KINDS
 from quadwalk.web.robots import LiveSite
 from quadwalk.web.serve import serve_page
+from studies.tables import load_result
 from tests.web.browser import PROGRAM, open_browser, wait_until
 
 ROOT = Path(__file__).resolve().parents[1]
-DOCS, ZOO = ROOT / "docs", ROOT / "docs" / "zoo.md"
+DOCS = ROOT / "docs"
 RESULTS = ROOT / "studies" / "robustness" / "results.json"
 
 SIZE = (1280, 600)  # pixels
@@ -234,22 +234,21 @@ def draw_terrain() -> None:
 def draw_zoo() -> None:
     """Write zoo.png: the robots of `ROBOTS` in their home poses, at one scale, with mass and speed.
 
-    Each is read from its URDF; the figures are those of docs/zoo.md. Raises `UserError` without
-    example-robot-data.
+    Each is read from its URDF; the figures are those of studies/results/zoo.json. Raises
+    `UserError` without example-robot-data.
     """
     folder = find_example_robots()
     if folder is None:
         raise UserError("example-robot-data is not installed; expected the extra zoo")
-    rows = re.findall(r"^\| ([^|]+) \| ([\d.]+) \| yes \| ([\d.]+) \|", ZOO.read_text(), re.M)
-    figures = {name: (mass, speed) for name, mass, speed in rows}
+    figures = {row["robot"]: row for row in load_result("zoo")["figures"]}
     font, pictures = ImageFont.load_default(size=22), []
     for name, file in ROBOTS.items():
         quadruped = load_quadruped(folder / file)
         canvas = Canvas(quadruped.make_full_model(), 480, 340)
         eye = Camera((0.0, 0.0, 0.36), distance=1.9, azimuth=130.0, elevation=-12.0)
         picture = Image.fromarray(canvas.draw(quadruped.home, eye))
-        mass, speed = figures[name]
-        text = f"{name}   {mass} kg   {float(speed):.1f} m/s"
+        row = figures[name]
+        text = f"{name}   {row['mass']} kg   {row['speed']:.1f} m/s"
         ImageDraw.Draw(picture).text((12, 8), text, fill=(30, 34, 40), font=font)
         pictures.append(np.asarray(picture))
     save_png(make_film_strip(pictures, across=3), DOCS / "zoo.png")

@@ -75,3 +75,9 @@ def test_the_readme_is_short():
     text = (ROOT / "README.md").read_text()
     assert len(text.splitlines()) <= 120
     assert len(text.split()) <= 900
+
+
+def test_the_page_of_results_is_short_beside_its_tables():
+    lines = (ROOT / "docs/results.md").read_text().splitlines()
+    text = "\n".join(line for line in lines if not line.startswith("|"))
+    assert len(text.split()) <= 1000

@@ -25,6 +25,7 @@ TO_ROOT = {"](../README.md)": "](quickstart.md)", "](../CHANGELOG.md)": "](chang
 OUTWARD = re.compile(r"\[([^\]]+)\]\(\.\./([^)#]+)[^)]*\)")
 # In a notebook: links to another, and to a page of docs/
 BESIDE, TO_PAGE = re.compile(r"\]\((\w+)\.ipynb\)"), re.compile(r"\]\(\.\./docs/(\w+\.md[^)]*)\)")
+MARKS = re.compile(r"<!-- (table: \w+|end) -->\n")  # of studies/tables.py
 COLORS = re.compile(r"\x1b\[[0-9;]*m")  # of a terminal
 
 
@@ -32,7 +33,7 @@ def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
     """A page's text; links to files that are not part of the site as code."""
     if page.file.src_uri.startswith("notebooks/"):
         return markdown
-    markdown = TO_NOTEBOOK.sub(r"](notebooks/\1.md)", markdown)
+    markdown = TO_NOTEBOOK.sub(r"](notebooks/\1.md)", MARKS.sub("", markdown))
     for link, page_of_it in TO_ROOT.items():
         markdown = markdown.replace(link, page_of_it)
     return OUTWARD.sub(

@@ -25,8 +25,8 @@ from quadwalk.experiments.options import PlaceConfig, add_place_flags, read_plac
 from quadwalk.settings.serialize import change_settings
 from quadwalk.settings.training import TrainConfig
 from quadwalk.task_files import load_task
+from studies.cases import Results, run_cases
 from studies.gecko.gait import measure
-from studies.results import Results, run_cases
 
 RESULTS = Path(__file__).parent / "results.json"
 # Settings of a TrainConfig that are exchanged together. The learner's that count steps go with the

@@ -33,7 +33,7 @@ from quadwalk.experiments.options import add_place_flags, read_place
 from quadwalk.learn.flags import parse_config
 from quadwalk.runs.directory import Run
 from quadwalk.terrain.heightfield import Heightfield
-from studies.results import Results, run_cases
+from studies.cases import Results, run_cases
 
 VARIANTS = {
     "seeing": "rough",

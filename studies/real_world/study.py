@@ -32,7 +32,7 @@ from quadwalk.runs.directory import Run
 from quadwalk.settings.serialize import change_settings
 from quadwalk.settings.training import TrainConfig
 from quadwalk.task_files import load_task
-from studies.results import Results, run_cases
+from studies.cases import Results, run_cases
 
 RESULTS = Path(__file__).parent / "results.json"
 SECONDS = 20.0

@@ -5,7 +5,7 @@ import json
 import pytest
 
 from quadwalk.errors import UserError
-from studies.results import Results
+from studies.cases import Results
 
 
 def test_a_result_takes_the_place_of_its_own_and_leaves_the_others(tmp_path):
