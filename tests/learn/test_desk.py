@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 import toy
+from websockets.sync.client import ClientConnection, connect
 
 from quadwalk.errors import UsageError
 from quadwalk.learn.acting import load_policy
@@ -24,6 +25,8 @@ from quadwalk.settings.serialize import change_settings
 from quadwalk.settings.terms import Reward
 from quadwalk.task_files import load_task
 from quadwalk.terms import rewards
+from quadwalk.web.serve import SOCKET, PageServer, serve_page
+from tests.web.browser import wait_until
 
 ITERATIONS = 12
 OFTEN = "--checkpoint-steps=128"  # after every second iteration
@@ -55,21 +58,37 @@ class FakePage:
         return [note["text"] for note in self.get("note") if note["error"]]
 
 
+class ServedPage:
+    """A page's process as a training has it, for the browsers that a server has."""
+
+    def __init__(self, server: PageServer) -> None:
+        self.messages: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
+        self._server = server
+        server.on_message = lambda text: self.messages.put(json.loads(text))
+
+    def send(self, message: dict[str, Any]) -> None:
+        self._server.forward(json.dumps(message))
+
+
 def train_at_desk(arguments: list[str], script: Any = None, **options: Any) -> FakePage:
     """Train the toy; with a script in a page that sends its messages after iterations."""
     page = FakePage(script or {})
+    train_with_page(page, [*arguments, *([] if script is None else ["--desk"])], **options)
+    return page
+
+
+def train_with_page(page: FakePage | ServedPage, arguments: list[str], **options: Any) -> None:
+    """Train the toy with this page, which `--desk` shows."""
 
     @contextlib.contextmanager
-    def show_page(path: Path, say: Any) -> Iterator[FakePage]:
+    def show_page(path: Path, say: Any) -> Iterator[FakePage | ServedPage]:
         yield page
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("quadwalk.learn.prepare.QuadrupedEnv", toy.DeskToy)
         patch.setattr("quadwalk.learn.loop.check_watch", lambda: None)
         patch.setattr("quadwalk.learn.loop.show_page", show_page)
-        desk = [] if script is None else ["--desk"]
-        train(*parse_config([*arguments, *desk]), **options)
-    return page
+        train(*parse_config(arguments), **options)
 
 
 @pytest.fixture
@@ -191,6 +210,60 @@ def test_a_killed_session_resumes_with_its_changes(use_desk, whole, tmp_path, sa
     train_at_desk([f"--runs={tmp_path}", "--resume=killed"])
     same_result(run.path, whole, best=not lost)  # checkpoints, of which it is one, are others then
     assert read_changes(run) == read_changes(Run(whole))
+
+
+def test_a_session_killed_by_the_system_keeps_its_change(
+    processes, use_desk, flags, tmp_path, same_result
+):
+    use_desk("whole", None, on_iteration=toy.turn_round)
+    arguments = flags(tmp_path, "killed", ITERATIONS, OFTEN)
+    process = processes.Process(target=toy.train_until_killed, args=arguments)
+    process.start()
+    process.join(200)
+    assert process.exitcode == -9
+    assert list_checkpoints(Run(tmp_path / "killed"))[-1].name == "step_000000000384.npz"
+    train_at_desk([f"--runs={tmp_path}", "--resume=killed"])
+    same_result(tmp_path / "killed", tmp_path / "whole")
+    policy = load_policy(tmp_path / "killed" / "policy.npz")
+    assert policy.config.env.reward["forward"].scale == -1.0
+
+
+def open_browser_socket(server: PageServer) -> ClientConnection:
+    """Open the websocket that a page in a browser opens; it keeps all that it gets."""
+    url = server.url.replace("http", "ws") + SOCKET
+    return connect(url, additional_headers={"Origin": server.url}, max_queue=None)
+
+
+def read_scales(browser: ClientConnection) -> list[float]:
+    """Return the reward's scale in each state of the desk that a browser got, to the last."""
+    scales: list[float] = []
+    while True:
+        message = json.loads(browser.recv(10))
+        if message["type"] == "desk":
+            scales += [n["value"] for n in message["numbers"] if n["name"] == SCALE]
+            if message["state"] == "ended":
+                return scales
+
+
+def test_two_pages_show_one_desk_and_the_last_change_holds(flags, tmp_path):
+    with (
+        serve_page("127.0.0.1", 8430) as server,
+        open_browser_socket(server) as first,
+        open_browser_socket(server) as second,
+    ):
+        page = ServedPage(server)
+        changes = {128: (first, 2.0), 256: (second, 3.0), 320: (first, 4.0)}
+
+        def change(row: dict[str, float]) -> None:
+            if row["steps"] in changes:
+                browser, value = changes[row["steps"]]
+                browser.send(json.dumps(write_set(SCALE, value)))
+                assert wait_until(lambda: not page.messages.empty())
+
+        train_with_page(page, flags(tmp_path, "shared", 6, "--desk"), watch=change)
+        shown = [read_scales(browser) for browser in (first, second)]
+    assert shown == [[1.0, 2.0, 3.0, 4.0, 4.0]] * 2
+    assert [change.new for change in read_changes(Run(tmp_path / "shared"))] == [2.0, 3.0, 4.0]
 
 
 def test_what_cannot_be_is_a_line_and_changes_nothing(use_desk, plain, tmp_path, same_result):

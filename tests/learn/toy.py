@@ -6,6 +6,7 @@ What is tested with it is everything about a training but the environment.
 import copy
 import os
 import resource
+import signal
 import sys
 from pathlib import Path
 from types import SimpleNamespace
@@ -33,6 +34,9 @@ from quadwalk.env.numbers import get_numbers, replace_numbers
 from quadwalk.env.rewards import compute_total_reward
 from quadwalk.errors import UserError
 from quadwalk.learn.cli import main
+from quadwalk.learn.desk import DeskIteration
+from quadwalk.learn.flags import parse_config
+from quadwalk.learn.loop import train
 from quadwalk.physics.motor import PhysicsState
 from quadwalk.settings.environment import EnvConfig
 
@@ -209,6 +213,23 @@ def run_train_without_space(output: Path, *flags: str) -> None:
     """Run `run_train` where no file exceeds 40 kB: a checkpoint does not fit, a policy does."""
     resource.setrlimit(resource.RLIMIT_FSIZE, (40_000, resource.RLIM_INFINITY))
     run_train(output, *flags)
+
+
+def turn_round(iteration: DeskIteration) -> dict[str, float]:
+    """Return the numbers to change after an iteration: a reward's sign after the third."""
+    return {"env.reward.forward": -1.0} if iteration.iteration == 3 else {}
+
+
+def train_until_killed(*flags: str) -> None:
+    """Train the toy with `turn_round`; the process kills itself after the seventh iteration."""
+
+    def change(iteration: DeskIteration) -> dict[str, float]:
+        if iteration.iteration == 7:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return turn_round(iteration)
+
+    quadwalk.learn.prepare.QuadrupedEnv = DeskToy
+    train(*parse_config(flags), on_iteration=change)
 
 
 if __name__ == "__main__":
