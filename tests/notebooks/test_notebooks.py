@@ -169,13 +169,22 @@ def test_a_training_with_a_reward_of_ones_own_is_drawn_beside_the_usual(executed
         rewards[config["task"]] = set(config["env"]["reward"])
         rows.append([json.loads(line) for line in (run / "metrics.jsonl").read_text().splitlines()])
     assert rewards["high_steps"] - rewards["sprint"] == {"high_steps"}
-    assert [[row["steps"] for row in each] for each in rows] == [[STEPS // 2, STEPS]] * 2
+    assert [[row["steps"] for row in each] for each in rows] == [[STEPS // 2, STEPS]] * 3
     for number, code in enumerate(("usual = ", "proud = "), 1):
         assert curves(done.picture(code)) >= number, code
     assert "-0.02  energy" in done.text("term.function.__doc__")
     for label in ("usual reward", "high steps"):
         assert label in done.text("strides/s")
     assert find_orange(done.picture("film_strip(")).mean() > 0.01
+
+
+def test_a_scale_is_changed_while_training_runs(executed):
+    done = executed("02_train")
+    (desk,) = (done.folder / "runs").glob("*/desk.jsonl")
+    changes = [json.loads(line) for line in desk.read_text().splitlines()]
+    names = [(change["name"], change["old"], change["new"]) for change in changes]
+    assert names == [("env.reward.energy.scale", -0.02, -0.5)]
+    assert curves(done.picture("training.join()")) >= 1
 
 
 def test_an_evaluation_shows_a_packaged_policy_from_all_sides(executed):
