@@ -29,7 +29,7 @@ from quadwalk.evaluation.rollout import Rollout, simulate_episodes
 from quadwalk.export.bundle import SCRIPTS
 from quadwalk.export.check import check_export, read_recording, replay
 from quadwalk.export.cli import main
-from quadwalk.export.controller import read_list
+from quadwalk.export.controller import Controller, read_list
 from quadwalk.export.description import describe
 from quadwalk.export.policy_graph import (
     ACTIVATIONS,
@@ -382,3 +382,45 @@ def test_without_the_extra_one_line_says_so(missing, quadruped, tmp_path, monkey
     expected = f"{missing} is not installed; export needs: {suggest_install('export')}"
     assert str(caught.value) == expected
     assert not (run.path / "export").exists()
+
+
+def find_onnxruntime() -> Path | None:
+    """Return ONNX Runtime's library, if a C++ compiler and the headers are there as well."""
+    (folder,) = onnxruntime.__path__
+    libraries = sorted(Path(folder, "capi").glob("libonnxruntime.so.*"))
+    if not libraries or shutil.which("g++") is None:
+        return None
+    command = ["g++", "-E", "-x", "c++", "-include", "onnxruntime_cxx_api.h", os.devnull]
+    found = subprocess.run(command, capture_output=True, check=False).returncode == 0
+    return libraries[0] if found else None
+
+
+def test_the_loop_in_cpp_computes_the_targets_of_the_controller(exported, tmp_path):
+    library = find_onnxruntime()
+    if library is None:
+        pytest.skip("needs g++ and ONNX Runtime's C++ headers, their folder in CPATH")
+    (tmp_path / "libonnxruntime.so.1").symlink_to(library)
+    program = tmp_path / "control_loop"
+    source = Path(__file__).parents[2] / "docs/control_loop.cpp"
+    command = ["g++", "-std=c++17", "-Wall", "-Wextra", "-Werror", source, library, "-o", program]
+    subprocess.run([*command, f"-Wl,-rpath,{tmp_path}"], check=True)
+
+    controller = Controller(exported.folder / "policy.onnx")
+    rng = np.random.default_rng(0)
+    lines, expected = [], []
+    for step in range(30):
+        quat = np.append(1.0, rng.normal(0.0, 0.0 if step == 0 else 0.2, 3))  # heading 0 at first
+        q = np.concatenate([np.zeros(3), quat / np.linalg.norm(quat), rng.normal(0.0, 1.0, 12)])
+        v = rng.normal(0.0, 2.0, 18)
+        velocity = np.zeros(3) if 10 <= step < 20 else rng.uniform(-1.0, 1.0, 3)
+        expected.append(controller.compute_targets(q, v, velocity))
+        lines.append(" ".join(map(str, [*q[3:7], *v[3:6], *q[7:], *v[6:], *velocity])))
+    lines.append(" ".join(map(str, [0.7, 0.7, 0.0, 0.0, *np.zeros(30)])))  # on its side
+    done = subprocess.run(
+        [program, exported.folder / "policy.onnx"],
+        input="\n".join(lines), capture_output=True, text=True, timeout=60,
+    )  # fmt: skip
+    targets = np.array([line.split() for line in done.stdout.splitlines()], float)
+    np.testing.assert_allclose(targets, expected, atol=1e-5)
+    assert "error: unsafe state" in done.stderr
+    assert done.returncode == 1
