@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+import time
 from pathlib import Path
 
 import nbformat
@@ -61,13 +62,15 @@ def folders_named(notebook: nbformat.NotebookNode) -> list[str]:
     return [str(folder) for folder in folders if str(folder) in text]
 
 
-def name_commit(notebook: nbformat.NotebookNode) -> None:
-    """Say at the end of its first cell which commit its outputs are of."""
+def name_commit(notebook: nbformat.NotebookNode, seconds: float) -> None:
+    """Say at the end of its first cell which commit its outputs are of, and how long they took."""
     git = ["git", "-C", str(HERE), "log", "-1", "--format=%h", "--", "../quadwalk", "../assets"]
     commit = subprocess.run(git, capture_output=True, text=True, check=True).stdout.strip()
     head = notebook.cells[0]
-    text = re.sub(r"\n\n\*Executed at commit \w+\.\*$", "", head.source)
-    head.source = f"{text}\n\n*Executed at commit {commit}.*"
+    text = re.sub(r"\n\n\*Executed at commit [^*]*\*$", "", head.source)
+    minutes = max(1, round(seconds / 60))
+    duration = f"in {minutes} min on {os.cpu_count()} cores"
+    head.source = f"{text}\n\n*Executed at commit {commit}, {duration}.*"
 
 
 def main() -> None:
@@ -77,10 +80,12 @@ def main() -> None:
         with tempfile.TemporaryDirectory() as parent:
             folder = Path(parent) / "notebooks"
             folder.mkdir()
+            start = time.monotonic()
             notebook = execute(path, folder)
+            seconds = time.monotonic() - start
         if named := folders_named(notebook):
             sys.exit(f"{path.name} is left as it was, for its outputs name {', '.join(named)}")
-        name_commit(notebook)
+        name_commit(notebook, seconds)
         nbformat.write(notebook, path)
 
 

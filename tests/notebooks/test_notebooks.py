@@ -87,7 +87,14 @@ def test_as_committed_each_shows_its_pictures_and_names_a_commit(name):
     kinds = [kind for cell in code for out in cell.outputs for kind in out.get("data", {})]
     assert "image/png" in kinds
     assert "error" not in {out.output_type for cell in code for out in cell.outputs}
-    assert re.search(r"\*Executed at commit [0-9a-f]{7,}\.\*$", cells[0].source)
+    assert re.search(r"\*Executed at commit [0-9a-f]{7,}[^*]*\.\*$", cells[0].source)
+    assert "**After this lesson you can** " in cells[0].source
+    exercises = cells[-1].source.partition("## Exercises")[2]
+    checks = re.findall(r"```python\n(.*?)```", exercises, re.DOTALL)
+    assert len(checks) == 2
+    for check in checks:
+        assert "assert " in check
+        compile(check, name, "exec")
     assert path.stat().st_size < 1.6e6
 
 
