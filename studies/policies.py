@@ -66,17 +66,27 @@ def main() -> None:
     if not options.read:
         for run in runs:
             evaluate(options.task, run, options.runs)
-    evaluations = [read_evaluations(run, options.runs) for run in runs]
-    origin = {"commit": options.trained, "machine": options.machine}
-    rows = [
-        {"name": name_column(options.task, run), **origin, **round_figures(read_figures(run, own))}
-        for run, own in zip(runs, evaluations, strict=True)
-    ]
     file = options.out or RESULTS / f"{options.task}.json"
-    write_json(file, make_result(options.task, rows, list(chain(*evaluations))))
-    print(f"written to {file}")
+    origin = {"commit": options.trained, "machine": options.machine}
+    write_figures(options.task, runs, options.runs, origin, file)
     if options.out is None:
         write_pages()
+
+
+def write_figures(
+    task: str, runs: list[Run], root: Path, origin: dict[str, str | None], file: Path
+) -> None:
+    """Write the figures of evaluated runs of a task, in the folder `root` of all runs, to `file`.
+
+    `origin` has the commit and the machine of their training.
+    """
+    evaluations = [read_evaluations(run, root) for run in runs]
+    rows = [
+        {"name": name_column(task, run), **origin, **round_figures(read_figures(run, own))}
+        for run, own in zip(runs, evaluations, strict=True)
+    ]
+    write_json(file, make_result(task, rows, list(chain(*evaluations))))
+    print(f"written to {file}")
 
 
 def evaluate(task: str, run: Run, runs: Path) -> None:

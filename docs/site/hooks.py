@@ -1,4 +1,4 @@
-"""Hooks of the site: notebooks, the README's first steps and the changelog become pages.
+"""Hooks of the site: notebooks, the README's first steps, changelog and history become pages.
 
 The page in which robots run is one of its files. Links out of docs/ lead there or become code.
 """
@@ -21,7 +21,11 @@ ROOT = Path(__file__).parents[2]
 NOTEBOOKS = ROOT / "notebooks"
 PLAYED = ("drive", "run", "walk", "rough")  # packaged policies on the site's page to play with
 TO_NOTEBOOK = re.compile(r"\]\(\.\./notebooks/(\w+)\.ipynb\)")
-TO_ROOT = {"](../README.md)": "](quickstart.md)", "](../CHANGELOG.md)": "](changelog.md)"}
+TO_ROOT = {
+    "](../README.md)": "](quickstart.md)",
+    "](../CHANGELOG.md)": "](changelog.md)",
+    "](../studies/history.md": "](history.md",
+}
 OUTWARD = re.compile(r"\[([^\]]+)\]\(\.\./([^)#]+)[^)]*\)")
 # In a notebook: links to another, and to a page of docs/
 BESIDE, TO_PAGE = re.compile(r"\]\((\w+)\.ipynb\)"), re.compile(r"\]\(\.\./docs/(\w+\.md[^)]*)\)")
@@ -52,7 +56,10 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
         if text.startswith(("Try it", "Train it", "Your robot"))
     ]
     steps = "\n## ".join(["# Quickstart\n", *first])
-    for name, text in {"quickstart.md": steps, "changelog.md": changes}.items():
+    history = (ROOT / "studies" / "history.md").read_text().replace("](../docs/", "](")
+    history = history.replace("](recipe/", "](../studies/recipe/")
+    texts = {"quickstart.md": steps, "changelog.md": changes, "history.md": history}
+    for name, text in texts.items():
         files.append(File.generated(config, name, content=text))
     for path in sorted(NOTEBOOKS.glob("*.ipynb")):
         parts, pictures = [], {}

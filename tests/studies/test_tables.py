@@ -7,7 +7,7 @@ import pytest
 
 from quadwalk.errors import UserError
 from quadwalk.runs.directory import Run
-from studies import figures, policies, tables
+from studies import figures, measure, policies, tables
 
 
 @pytest.mark.parametrize("page", tables.PAGES, ids=lambda page: page.name)
@@ -190,3 +190,12 @@ def test_the_packaged_policy_is_recognized_and_a_run_without_an_evaluation_named
     assert not policies.is_packaged("drive", packaged)
     with pytest.raises(UserError, match="walk was not evaluated; expected the same command"):
         policies.read_evaluations(packaged, tmp_path)
+
+
+def test_the_pace_of_a_training_is_that_after_its_first_half_minute(run):
+    rows = [(10, 10.0), (100, 30.0), (250, 60.0)]  # 5 steps/s after 30 s
+    lines = [json.dumps({"steps": steps, "time/elapsed": seconds}) for steps, seconds in rows]
+    run.timing.write_text("\n".join(lines))
+    assert measure.compute_pace(run) == pytest.approx(5.0)
+    run.timing.write_text(lines[0])
+    assert measure.compute_pace(run) == pytest.approx(1.0)
