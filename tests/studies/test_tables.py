@@ -2,6 +2,7 @@
 
 import json
 import math
+import subprocess
 
 import pytest
 
@@ -176,6 +177,22 @@ def test_a_result_has_the_commands_of_its_evaluations():
         f"{evaluate} mujoco --randomized --episodes 32 --cell-episodes 64 --levels 7",
         "quadwalk sweep RUN --engine fast --episodes 128",
     ]
+
+
+def test_a_task_s_commands_evaluate_the_run(run, tmp_path, monkeypatch):
+    calls = []
+
+    def record(call, **_):
+        calls.append(call[1:])
+        return subprocess.CompletedProcess(call, len(calls) // 3)  # the third one fails
+
+    monkeypatch.setattr(subprocess, "run", record)
+    with pytest.raises(UserError, match=r"no figures of .*run: .* sweep .* failed"):
+        policies.evaluate("walk", run, tmp_path)
+    path, runs = str(run.path), ["--runs", str(tmp_path)]
+    assert calls[0][:2] == ["eval.py", path]
+    assert calls[2][:4] == ["-m", "quadwalk", "sweep", path]
+    assert all(call[-2:] == runs for call in calls)
 
 
 def test_figures_are_rounded_and_strict_json():
