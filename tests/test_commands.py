@@ -86,6 +86,8 @@ def test_the_demo_drives_a_packaged_policy(call, monkeypatch):
     monkeypatch.setattr(view, "view", driven.append)
     call("demo", "--port", "8090")
     assert (driven[0].run, driven[0].port) == ("drive", 8090)
+    call("demo", "my_dog.urdf", "--port", "8090")
+    assert (driven[1].run, str(driven[1].robot.urdf)) == ("universal", "my_dog.urdf")
 
 
 def test_runs_are_listed_shown_and_removed(call, tmp_path):

@@ -18,7 +18,7 @@ COMMANDS = {
     "eval": ("quadwalk.evaluation.command:call_eval", "evaluate a trained policy"),
     "sweep": ("quadwalk.evaluation.command:call_sweep", "measure what a policy withstands"),
     "view": ("quadwalk.web.view:main", "drive a trained policy in a page of the browser"),
-    "demo": ("quadwalk.web.view:main", "drive the policy that comes trained"),
+    "demo": ("quadwalk.web.view:main_demo", "drive the policy that comes trained, or your robot"),
     "export": ("quadwalk.export.cli:main", "write a policy as ONNX, to be used elsewhere"),
     "compare": (
         "quadwalk.experiments.commands:compare",
@@ -35,7 +35,6 @@ COMMANDS = {
     "doctor": ("quadwalk.cli.doctor:main", "print versions, devices, cores, and what is off here"),
 }
 LISTED = {name: summary for name, (_, summary) in COMMANDS.items() if summary}
-_FIXED_ARGUMENTS = {"demo": ("drive",)}
 
 
 def main(command: str | None = None) -> NoReturn:
@@ -75,8 +74,7 @@ def call_command(words: Sequence[str]) -> None:
 def call(command: str, args: Sequence[str], prog: str) -> None:
     """Import the function of `command` and call it with `args`; messages call it `prog`."""
     module, _, function = COMMANDS[command][0].partition(":")
-    fixed = _FIXED_ARGUMENTS.get(command, ())
-    getattr(importlib.import_module(module), function)([*fixed, *args], prog)
+    getattr(importlib.import_module(module), function)(list(args), prog)
 
 
 def print_completion(shell: str) -> None:

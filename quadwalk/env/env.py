@@ -118,7 +118,7 @@ class QuadrupedEnv(Env):
         self.ends = list_ends(config.termination)
         terms = [*config.observation.values(), *config.critic.values(), *config.reward.values()]
         self.has_strides = any(hasattr(term.function, "needs_strides") for term in terms)
-        example = jax.eval_shape(self._make_example_state)
+        example = jax.eval_shape(self.make_example_state)
         self.sensors = make_sensors(config, self._level_robot, self.quadruped.joints, example)
         self.bank = make_bank([self._make_body(body) for body in bodies]) if bodies else None
         rows = None if self.bank is None else jax.device_put(self.bank.rows)
@@ -506,9 +506,10 @@ class QuadrupedEnv(Env):
                 metrics[f"count/velocity_error/{name}"] = share * velocity_error
         return metrics | {f"reward/{name}": value for name, value in terms.items()}
 
-    def _make_example_state(self) -> EnvState:
-        """Return a state for the shapes of what is computed from it."""
-        config, key = self.config, jax.random.PRNGKey(0)
+    def make_example_state(self, key: jax.Array | None = None) -> EnvState:
+        """Return a state at rest in the home pose, with the command and conditions of `key`."""
+        config = self.config
+        key = jax.random.PRNGKey(0) if key is None else key
         home = jnp.asarray(self._level_robot.home, jnp.float32)
         command = None
         if config.command.active:

@@ -76,17 +76,17 @@ class Sensors:
             for ago in range(1, 1 + max(self.history)):
                 parts.append(state.frames[late + ago][np.flatnonzero(self.history >= ago)])
         if self.config.critic:
-            parts.append(self._compute(self.config.critic, robot, state))
+            parts.append(self.compute(self.config.critic, robot, state))
         return jnp.concatenate(parts)
 
     def compute_truth(self, robot: RobotConstants, state: EnvState) -> jax.Array:
         """Return the policy's observation of this step without delay, noise and offsets, (n,)."""
-        return self._compute(self.config.observation, robot, state)
+        return self.compute(self.config.observation, robot, state)
 
-    def _compute(
+    def compute(
         self, parts: dict[str, Observation], robot: RobotConstants, state: EnvState
     ) -> jax.Array:
-        """Return these observations (n,), at the size of `EnvConfig.unit_leg`."""
+        """Return these observations (n,) without noise, at the size of `EnvConfig.unit_leg`."""
         leg = self.config.unit_leg
         if leg is not None:
             robot, state = resize_robot(robot, leg), resize_state(robot, state, leg)

@@ -4,7 +4,7 @@ import dataclasses
 import datetime
 import tempfile
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -17,6 +17,7 @@ from quadwalk.errors import UsageError, UserError
 from quadwalk.files import get_os_reason
 from quadwalk.runs import directory
 from quadwalk.runs.directory import Run
+from quadwalk.settings.training import OtherRobotConfig
 
 if TYPE_CHECKING:
     from quadwalk.evaluation.load import LoadedRun
@@ -46,6 +47,7 @@ class RunsConfig(Settings):
     # folder for the results; None: a new one in the run's
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
     runs: Path = Path("runs")  # folder that holds all runs
+    robot: OtherRobotConfig = field(default_factory=OtherRobotConfig)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -195,7 +197,7 @@ def _load_runs(
     command: "Command | None" = None,
 ) -> tuple[list[Run], list["LoadedRun"]]:
     """Find and load all runs before the first is simulated, so that a bad one fails at once."""
-    runs = _find_runs(config)
+    runs, robot = _find_runs(config), config.robot.find()
     # On stderr: what is printed on stdout is the result alone.
     console = make_console()
     origins = [directory.describe_origin(config.runs, run) for run in runs]
@@ -217,6 +219,7 @@ def _load_runs(
             config.seed,
             ground,
             command,
+            robot,
         )
         for run in runs
     ]

@@ -1,6 +1,7 @@
 """Loading a run's policy with its robot and environment, to evaluate, drive or export it."""
 
 import dataclasses
+import functools
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,11 +10,18 @@ from typing import Any
 import numpy as np
 
 from quadwalk.env.env import QuadrupedEnv
+from quadwalk.env.nearness import describe_robot
 from quadwalk.env.terminations import TRUNK_FALLS
 from quadwalk.errors import UserError
 from quadwalk.evaluation.rollout import Command
 from quadwalk.files import hash_file, read_bytes
-from quadwalk.learn.acting import Policy, load_policy
+from quadwalk.learn.acting import Policy, load_policy, make_policy
+from quadwalk.learn.one_robot import (
+    Translation,
+    make_one_robot_config,
+    to_one_robot,
+    translate_observations,
+)
 from quadwalk.physics.engines import EngineName
 from quadwalk.robot.load import load_robot
 from quadwalk.robot.quadruped import Quadruped
@@ -26,6 +34,7 @@ from quadwalk.settings.environment import (
     EnvConfig,
     RandomizationConfig,
 )
+from quadwalk.settings.training import RobotConfig
 from quadwalk.terrain.terrain import GroundConfig
 
 PUSH_SECONDS = 5.0  # one push in each
@@ -66,6 +75,23 @@ class LoadedRun:
             return self.env.quadruped
         return load_robot(self.policy.config.robot)
 
+    def to_one_robot(self) -> "LoadedRun":
+        """Return the same policy as one of its robot alone, if it is one of many bodies.
+
+        Then it observes in meters, seconds and radians, without a description of the body.
+        """
+        if self.env.config.unit_leg is None:
+            return self
+        env, translation = _make_one_robot_env(self.env)
+        statistics, params = self.policy.act.args  # type: ignore[attr-defined]
+        params, statistics = to_one_robot(params, statistics, translation)
+        policy = dataclasses.replace(
+            self.policy,
+            act=make_policy(self.policy.config.ppo, statistics, params),
+            observation_size=env.policy_size,
+        )
+        return dataclasses.replace(self, env=env, policy=policy)
+
     def has_same_robot(self, other: "LoadedRun") -> bool:
         """Return True if both robots have the same joints, masses and control period."""
         mine, theirs = self.env, other.env
@@ -74,6 +100,13 @@ class LoadedRun:
             and np.array_equal(mine.mj_model.body_mass, theirs.mj_model.body_mass)
             and math.isclose(mine.config.control_dt, theirs.config.control_dt)
         )
+
+
+@functools.lru_cache(maxsize=8)
+def _make_one_robot_env(many: QuadrupedEnv) -> tuple[QuadrupedEnv, Translation]:
+    """Return the environment of one robot for one of many bodies, and what the latter observes."""
+    one = QuadrupedEnv(many.quadruped, make_one_robot_config(many.config), many.engine)
+    return one, translate_observations(many, one, "observation")
 
 
 def find_training_ranges(config: EnvConfig) -> RandomizationConfig:
@@ -120,6 +153,7 @@ def load_run(
     seed: int = 0,
     ground: GroundConfig | None = None,
     command: Command | None = None,
+    robot: RobotConfig | None = None,
 ) -> LoadedRun:
     """Load the "last" or "best" policy of `run` for episodes of up to `seconds` in `engine`.
 
@@ -127,15 +161,24 @@ def load_run(
     episode samples from the `make_evaluation_ranges`. A velocity command holds for a whole episode,
     so that the episode has one gait; it is `command` (forward and lateral velocity, m/s, and yaw
     rate, rad/s), or drawn from the training ranges. The ground is `ground`, or `make_unseen_ground`
-    of `seed`. A policy of a flat floor falls on uneven ground only if its trunk touches it. Raises
-    `UserError` where policy or robot cannot be read, or do not match.
+    of `seed`. A policy of a flat floor falls on uneven ground only if its trunk touches it.
+
+    A policy of many bodies may drive another `robot` than the run's. Raises `UserError` where
+    policy or robot cannot be read, or do not match.
     """
     file = run.best if which == "best" else run.policy
     policy, sha256 = load_policy(file), hash_file(file)
     # Read before the simulation, not after it for the recordings, so that an error comes at once.
     config_json = read_bytes(run.config) if run.config.exists() else None
-    quadruped = load_robot(policy.config.robot)
     trained = policy.config.env
+    if robot is not None:
+        if trained.unit_leg is None:
+            raise UserError(
+                f"--robot.urdf: {run.path} drives the robot that it was trained on; expected a run "
+                "of the task universal, or a training: train.py TASK --init RUN --robot.urdf FILE"
+            )
+        policy = dataclasses.replace(policy, config=dataclasses.replace(policy.config, robot=robot))
+    quadruped = load_robot(policy.config.robot)
     commands = dataclasses.replace(trained.command, seconds=seconds, soonest=None, margin=0.0)
     if command is not None:
         if not trained.command.active:
@@ -155,12 +198,15 @@ def load_run(
         termination=TRUNK_FALLS if is_new_ground else trained.termination,
     )
     env = QuadrupedEnv(quadruped, config, engine)
-    if quadruped.joints != policy.joints or env.policy_size != policy.observation_size:
+    has_its_robot = robot is not None or quadruped.joints == policy.joints
+    if not has_its_robot or env.policy_size != policy.observation_size:
         raise UserError(
             f"{file} was trained on another robot than {run.urdf}: it has joints "
             f"{', '.join(policy.joints)} and {policy.observation_size} observations"
         )
     gains = [env.gains_note] if env.gains_note else []
     changes = [describe_desk(policy)] if policy.changed else []
-    notes = (*quadruped.notes, *compare_robot(run, quadruped), *gains, *changes)
+    differences = compare_robot(run, quadruped) if robot is None else ()
+    table = () if robot is None else describe_robot(env)
+    notes = (*quadruped.notes, *differences, *gains, *changes, *table)
     return LoadedRun(run, file, policy, env, sha256, config_json, notes)

@@ -23,6 +23,7 @@ from quadwalk.files import make_folder, open_atomic
 from quadwalk.learn.devices import set_up_devices
 from quadwalk.robot.mjcf import write_xml
 from quadwalk.runs.directory import Run
+from quadwalk.settings.training import RobotConfig
 from quadwalk.terrain.terrain import FLAT
 
 # They run where they are copied to, without quadwalk.
@@ -31,21 +32,30 @@ TOLERANCE = 1e-5  # of actions and, in rad, of joint targets
 _ROWS = 64  # random observations that ONNX Runtime and JAX are compared on
 
 
-def load_flat(run: Run, which: str) -> LoadedRun:
-    """Load the "last" or "best" policy of `run` in MuJoCo C, as it is exported: on a flat floor."""
+def load_flat(run: Run, which: str, robot: RobotConfig | None = None) -> LoadedRun:
+    """Return the "last" or "best" policy of `run` in MuJoCo C, as exported: on a flat floor.
+
+    A policy of many bodies becomes one of its robot alone, or of another `robot`.
+    """
     set_up_devices()
-    return load_run(run, 20.0, which, "mujoco", ground=FLAT)
+    return load_run(run, 20.0, which, "mujoco", ground=FLAT, robot=robot).to_one_robot()
 
 
 def export_run(
-    run: Run, which: str, out: Path, console: Console, getup: Run | None = None
+    run: Run,
+    which: str,
+    out: Path,
+    console: Console,
+    getup: Run | None = None,
+    robot: RobotConfig | None = None,
 ) -> list[Path]:
     """Write the "last" or "best" policy of `run` to the folder `out`; return the files.
 
     The last policy of `getup`, if named, is exported too: run_policy.py switches to it after a
-    fall, and back. Raises `UserError` if a policy cannot be read or exported, or `out` not written.
+    fall, and back. A policy of many bodies drives another `robot`, if named. Raises `UserError` if
+    a policy cannot be read or exported, or `out` not written.
     """
-    loaded = load_flat(run, which)
+    loaded = load_flat(run, which, robot)
     env = loaded.env
     model, targets = convert_policy(loaded, console)
     files = {
@@ -62,7 +72,10 @@ def export_run(
             )
         model, _ = convert_policy(riser, console)
         files["getup.onnx"] = model.SerializeToString()
-    files["deploy.yaml"] = make_deploy_yaml(env, targets).encode()
+    if targets.scale is None:
+        console.print("no deploy.yaml: it cannot state that a thigh's target follows two actions")
+    else:
+        files["deploy.yaml"] = make_deploy_yaml(env, targets).encode()
     make_folder(out)
     for name, content in files.items():
         with open_atomic(out / name) as file:

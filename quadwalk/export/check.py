@@ -18,7 +18,7 @@ from rich.console import Console
 
 from quadwalk.env.command import Command
 from quadwalk.env.env import QuadrupedEnv
-from quadwalk.env.state import EnvState
+from quadwalk.env.state import EnvState, start_strides
 from quadwalk.errors import UserError
 from quadwalk.evaluation.load import LoadedRun
 from quadwalk.export.controller import read_list
@@ -182,7 +182,10 @@ def compute_observations(env: QuadrupedEnv, columns: dict[str, np.ndarray]) -> n
         command = None
         if env.config.command.active:
             command = Command(row["command"], jax.random.PRNGKey(0))
-        return EnvState(PhysicsState(row["qpos"], row["qvel"]), last_action, steps, command)
+        # The value network's numbers are computed with the policy's, and left out.
+        strides = start_strides() if env.has_strides else None
+        physics = PhysicsState(row["qpos"], row["qvel"])
+        return EnvState(physics, last_action, steps, command, strides=strides)
 
     def step(
         before: EnvState, inputs: tuple[jax.Array, dict[str, jax.Array]]

@@ -1,7 +1,7 @@
 """`quadwalk export`: write a policy as ONNX, with all that is needed to use it."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -11,6 +11,7 @@ from quadwalk.cli.arguments import make_console, parse
 from quadwalk.cli.shell import get_python, quote_words, suggest_install
 from quadwalk.errors import UsageError, UserError
 from quadwalk.runs.directory import describe_origin, find_any_run, find_ready, get_results_folder
+from quadwalk.settings.training import OtherRobotConfig
 
 
 @dataclass(frozen=True)
@@ -36,19 +37,21 @@ class ExportConfig:
     # write a page that runs the robot in any browser, for any web server, instead
     web: bool = False
     runs: Path = Path("runs")  # folder that holds all runs
+    robot: OtherRobotConfig = field(default_factory=OtherRobotConfig)
 
 
 def main(args: Sequence[str], prog: str = "quadwalk export") -> None:
     """Export the run that the arguments name, or check its export."""
     config = parse(ExportConfig, args, prog)
     runs = [find_ready(config.runs, which, "run") for which in config.run]
+    robot = config.robot.find()
     console = make_console()
     if config.web:
         from quadwalk.web.robots import export_page
 
         getup = None if config.getup is None else find_any_run(config.runs, config.getup)
         out = config.out or get_results_folder(config.runs, runs[0]) / "page"
-        export_page(runs, config.policy, out, getup, console)
+        export_page(runs, config.policy, out, getup, console, robot)
         return
     if len(runs) > 1:
         raise UsageError("several runs were given; expected one, or --web for a page of them all")
@@ -67,11 +70,11 @@ def main(args: Sequence[str], prog: str = "quadwalk export") -> None:
     if not checked or not (out / "policy.onnx").exists():
         console.print(f"exporting {describe_origin(config.runs, run)}")
         getup = None if config.getup is None else find_any_run(config.runs, config.getup)
-        for path in export_run(run, config.policy, out, console, getup):
+        for path in export_run(run, config.policy, out, console, getup, robot):
             print(path)
     if checked:
         console.print(f"checking {config.recording or out}")
-        check_export(load_flat(run, config.policy), out, config.recording, console)
+        check_export(load_flat(run, config.policy, robot), out, config.recording, console)
         print("no difference")
     else:
         console.print(f"see it run with: {quote_words(get_python(), out / 'run_policy.py')}")

@@ -38,7 +38,8 @@ def make_deploy_yaml(env: QuadrupedEnv, targets: JointTargets) -> str:
 def make_deploy_config(env: QuadrupedEnv, targets: JointTargets) -> dict[str, Any]:
     """Return the content of deploy.yaml: gains in the order of Unitree's motors, others in ours.
 
-    `joint_ids_map` holds the place of each of our joints among Unitree's motors.
+    Each joint's target follows from its own action. `joint_ids_map` holds the place of each of our
+    joints among Unitree's motors.
     """
     config, motor, command = env.config, env.motor, env.config.command
     joint_ids = [
@@ -75,7 +76,7 @@ def make_deploy_config(env: QuadrupedEnv, targets: JointTargets) -> dict[str, An
             "JointPositionAction": {
                 "clip": _round(limits) if np.all(np.isfinite(limits)) else None,
                 "joint_names": [".*"],
-                "scale": _round(targets.scale),
+                "scale": _round(np.diag(targets.matrix)),
                 "offset": _round(targets.offset),
                 "joint_ids": None,
             }

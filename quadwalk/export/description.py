@@ -31,6 +31,7 @@ LAYOUT = (
 
 def make_policy_model(loaded: LoadedRun, targets: JointTargets) -> onnx.ModelProto:
     """Return the policy as an ONNX model that gives joint targets, with its metadata."""
+    loaded = loaded.to_one_robot()
     weights = extract_weights(loaded.policy.act, loaded.policy.config.ppo)
     return build_model(weights, compute_input_order(loaded.env), targets, describe(loaded, targets))
 
@@ -41,6 +42,7 @@ def describe(loaded: LoadedRun, targets: JointTargets) -> dict[str, str]:
     The first eight keys are mjlab's (mjlab/rl/exporter_utils.py), the others quadwalk's own: all
     that `run_policy.py` and another simulator need.
     """
+    loaded = loaded.to_one_robot()
     env, policy = loaded.env, loaded.policy
     config, motor, command = env.config, env.motor, env.config.command
     parts = config.observation
@@ -56,7 +58,9 @@ def describe(loaded: LoadedRun, targets: JointTargets) -> dict[str, str]:
         "default_joint_pos": _to_joint_list(env.robot.home_joints),
         "command_names": "velocity" if command.active else "",
         "observation_names": _to_list(parts),
-        "action_scale": _to_joint_list(targets.scale),
+        "action_scale": _to_list(
+            targets.matrix.ravel() if targets.scale is None else targets.scale
+        ),
         "action_offset": _to_joint_list(targets.offset),
         "joint_target_lower": _to_joint_list(targets.lower),
         "joint_target_upper": _to_joint_list(targets.upper),

@@ -16,7 +16,6 @@ import numpy as np
 import onnx
 from onnx import TensorProto, helper, numpy_helper
 
-from quadwalk.env.actions import about_standard
 from quadwalk.env.env import QuadrupedEnv
 from quadwalk.env.state import RobotConstants
 from quadwalk.errors import UserError
@@ -50,37 +49,37 @@ _TOLERANCE = 1e-5  # rad
 
 @dataclass(frozen=True)
 class JointTargets:
-    """An action map as numbers: joint targets are clip(offset + scale * action, lower, upper)."""
+    """An action map as numbers: joint targets are clip(offset + matrix @ action, lower, upper)."""
 
-    scale: np.ndarray  # (12,) rad per unit of action
+    matrix: np.ndarray  # (12, 12) rad per unit of action
     offset: np.ndarray  # (12,) rad
     lower: np.ndarray  # (12,) rad; -inf: no limit
     upper: np.ndarray  # (12,) rad; inf: no limit
 
     def __call__(self, action: np.ndarray) -> np.ndarray:
         """Return the targets (..., 12), rad, of actions (..., 12)."""
-        return np.clip(self.offset + self.scale * action, self.lower, self.upper)
+        return np.clip(self.offset + action @ self.matrix.T, self.lower, self.upper)
+
+    @property
+    def scale(self) -> np.ndarray | None:
+        """(12,) rad per unit of action, where each joint has its own; None where some share one."""
+        scale = np.diag(self.matrix)
+        return scale if np.array_equal(self.matrix, np.diag(scale)) else None
 
 
 def find_joint_targets(action_map: ActionMap, robot: RobotConstants) -> JointTargets:
     """Return the numbers that define `action_map`, checked with random actions.
 
     Raises `UserError` for a map that is no clipped linear function of the action, or depends on the
-    joints' angles: no file format for policies can state it. So are the numbers that a policy of
-    many bodies observes.
+    joints' angles: no file format for policies can state it.
     """
-    if action_map.function is about_standard:
-        raise UserError(
-            "a policy for bodies of any size observes them in units of their own; expected one "
-            "of a single robot. quadwalk eval and quadwalk view run it in Python"
-        )
 
     def compute(action: jax.Array, joints: jax.Array) -> jax.Array:
         return action_map(robot, action, joints)
 
     home = jnp.asarray(robot.home_joints, jnp.float32)
     offset = np.asarray(compute(jnp.zeros(12), home))
-    scale = np.diag(np.asarray(jax.jacobian(compute)(jnp.zeros(12), home)))
+    matrix = np.asarray(jax.jacobian(compute)(jnp.zeros(12), home))
 
     rng = np.random.default_rng(0)
     actions = rng.uniform(-1.0, 1.0, (_SAMPLES, 12)).astype(np.float32)
@@ -88,12 +87,12 @@ def find_joint_targets(action_map: ActionMap, robot: RobotConstants) -> JointTar
     expected = jax.jit(jax.vmap(compute))(actions, joints)
     unlimited = np.full(12, np.inf)
     for lower, upper in ((robot.lower, robot.upper), (-unlimited, unlimited)):
-        targets = JointTargets(scale, offset, lower, upper)
+        targets = JointTargets(matrix, offset, lower, upper)
         if np.max(np.abs(targets(actions) - expected)) < _TOLERANCE:
             return targets
     raise UserError(
         f"the action map {action_map.function.__name__} cannot be exported; expected joint targets "
-        "that are clip(offset + scale * action), within the joints' limits or without any"
+        "that are clip(offset + matrix @ action), within the joints' limits or without any"
     )
 
 
@@ -169,7 +168,10 @@ def build_model(
     if weights.noise is not None:
         x = graph.add("Add", x, _add_noise(graph, weights, hidden, normalized))
     actions = graph.add("Tanh", x, name="actions")
-    x = graph.add("Mul", actions, graph.add_constant("scale", targets.scale))
+    if targets.scale is not None:
+        x = graph.add("Mul", actions, graph.add_constant("scale", targets.scale))
+    else:
+        x = graph.add("MatMul", actions, graph.add_constant("matrix", targets.matrix.T))
     x = graph.add("Add", x, graph.add_constant("offset", targets.offset))
     x = graph.add("Max", x, graph.add_constant("lower", targets.lower))
     graph.add("Min", x, graph.add_constant("upper", targets.upper), name="joint_targets")

@@ -1,6 +1,7 @@
 """A training that starts with another run's networks: for another robot, reward or terrain."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -9,10 +10,19 @@ import jax.numpy as jnp
 import numpy as np
 
 from quadwalk.brax import NestedMeanStd, RunningStatisticsState, UInt64
+from quadwalk.env.actions import about_home
 from quadwalk.env.env import QuadrupedEnv
 from quadwalk.env.observations import last_action
 from quadwalk.errors import UserError
 from quadwalk.learn.networks import Networks, make_env_networks
+from quadwalk.learn.one_robot import (
+    change_actions,
+    join_translations,
+    make_one_robot_config,
+    to_one_robot,
+    translate_actions,
+    translate_observations,
+)
 from quadwalk.learn.ppo import Learner
 from quadwalk.learn.statistics import compute_scale
 from quadwalk.learn.symmetric import to_plain, to_symmetric
@@ -22,6 +32,8 @@ from quadwalk.runs import checkpoint
 from quadwalk.runs.directory import Run, find_latest_checkpoint
 from quadwalk.runs.policy import collect_layers, read_policy
 from quadwalk.runs.resume import read_config
+from quadwalk.settings.environment import EnvConfig
+from quadwalk.settings.terms import ActionMap
 from quadwalk.settings.training import TrainConfig
 
 COUNTED = 8  # iterations for which the source's statistics count: new ones soon outweigh them
@@ -35,9 +47,10 @@ def warm_start_from(
     """Return `learner` with the networks of a run's newest checkpoint, and notes on differences.
 
     Observations are matched by name, those of joints by the joint's place and the way it turns.
-    Legs whose knees point the other way move their feet alike. A new observation has weights of
-    zero, so that the policy acts as it did. Actions are as random as at a start. A run without a
-    checkpoint gives its policy alone. Raises a `UserError` for networks that cannot be taken over.
+    Legs whose knees point the other way move their feet alike. Networks of many bodies become those
+    of this robot. A new observation has weights of zero, so that the policy acts as it did. Actions
+    are as random as at a start. A run without a checkpoint gives its policy alone. Raises a
+    `UserError` for networks that cannot be taken over.
     """
     notes: list[str] = []
     path = find_latest_checkpoint(source, notes.append)
@@ -58,6 +71,8 @@ def warm_start_from(
             "--ppo.no-symmetric as well"
         )
     plain, statistics = read_networks(source, path, source_networks)
+    if source_config.env.unit_leg is not None and config.env.unit_leg is None:
+        source_env, plain, statistics = take_robot(env, source_config.env, plain, statistics)
     names, source_names = name_observations(env), name_observations(source_env)
     # The statistics of a policy alone are those of the first observations.
     columns = {name: i for i, name in enumerate(list(source_names)[: len(statistics.mean)])}
@@ -93,6 +108,30 @@ def warm_start_from(
         if missing:
             notes.append(f"--init: {format_names(missing)} {label}")
     return learner._replace(params=params, normalizer=normalizer), notes
+
+
+def take_robot(
+    env: QuadrupedEnv, config: EnvConfig, plain: dict[str, Any], statistics: NestedMeanStd
+) -> tuple[QuadrupedEnv, dict[str, Any], NestedMeanStd]:
+    """Return networks of many bodies, with the task `config`, as those of the robot of `env` alone.
+
+    The environment that they are of then moves that robot's own joints. Where a knee is ahead, only
+    small actions do the same.
+    """
+    many = QuadrupedEnv(env.quadruped, config)
+    action = ActionMap(about_home, config.action.params)
+    one = QuadrupedEnv(env.quadruped, replace(make_one_robot_config(config), action=action))
+    observation = translate_observations(many, one, "observation")
+    policy, policy_statistics = to_one_robot(
+        plain["policy"], jax.tree.map(lambda x: x[: many.policy_size], statistics), observation
+    )
+    actions = np.linalg.inv(translate_actions(many, one))
+    networks = {"policy": change_actions(policy, actions)}
+    if "value" not in plain:
+        return one, networks, policy_statistics
+    both = join_translations(observation, translate_observations(many, one, "critic"))
+    networks["value"], statistics = to_one_robot(plain["value"], statistics, both)
+    return one, networks, statistics
 
 
 def read_networks(

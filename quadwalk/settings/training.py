@@ -1,7 +1,7 @@
 """Settings of a training run: what the command line sets and `config.json` keeps."""
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -32,6 +32,34 @@ class RobotConfig(Settings, group="robot"):
         super().__post_init__()
         # Here, so that a run's folder and its configuration know the file.
         object.__setattr__(self, "urdf", find_robot(self.urdf))
+
+
+@dataclass(frozen=True)
+class OtherRobotConfig(Settings, group="robot"):
+    """Another robot than the run's, for a policy of the task universal."""
+
+    # its URDF or MJCF, or its name in an installed package: go2; None: the run's robot
+    urdf: Annotated[Path | None, tyro.conf.arg(aliases=["--robot.file"])] = None
+    mesh_dirs: tuple[Path, ...] = ()  # folders of mesh files, besides the file's own
+    effort: Positive | None = None  # Nm, effort limit of motors for which the file has none
+    speed: Positive | None = None  # rad/s, velocity limit of motors for which the file has none
+    # replace an inertia that no body can have by the nearest valid one
+    repair_inertia: bool = False
+    fix: tuple[str, ...] = ()  # joints to fix, by name or pattern: a head, a lidar, an arm
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.urdf is None and any(getattr(self, field.name) for field in fields(self)):
+            raise UsageError("flags of --robot need --robot.urdf as well")
+
+    def find(self) -> RobotConfig | None:
+        """Return the robot that the flags name; None where they name none."""
+        if self.urdf is None:
+            return None
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        robot = RobotConfig(**values)
+        folders = tuple(map(resolve_path, robot.mesh_dirs))
+        return replace(robot, urdf=resolve_path(robot.urdf), mesh_dirs=folders)
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,7 @@ from quadwalk.learn.devices import set_up_devices
 from quadwalk.paths import PRETRAINED
 from quadwalk.runs.changes import STEPS
 from quadwalk.runs.directory import Run, list_checkpoints
+from quadwalk.settings.training import RobotConfig
 from quadwalk.terrain.terrain import FLAT
 from quadwalk.web import site
 from quadwalk.web.actor import PythonActor
@@ -26,19 +27,30 @@ GETUP = Run(PRETRAINED / "getup")  # gets robots up, where no other run is named
 SECONDS = 3600.0  # of an episode: the page's has no end
 
 
-def load(run: Run, which: str) -> LoadedRun:
-    """Load the policy `which` of `run`, "last" or "best", for a flat floor."""
-    return load_run(run, SECONDS, which, "mujoco", ground=FLAT)
+def load(run: Run, which: str, robot: RobotConfig | None = None) -> LoadedRun:
+    """Load the policy `which` of `run`, "last" or "best", for a flat floor.
+
+    A policy of many bodies may drive another `robot`.
+    """
+    return load_run(run, SECONDS, which, "mujoco", ground=FLAT, robot=robot)
 
 
 class LiveSite:
     """The files of a page that this machine serves, with `run` first."""
 
-    def __init__(self, run: Run, which: str, getup: Run | None, others: list[Run]) -> None:
-        """Load a run; `others` are loaded when the page asks for them."""
+    def __init__(
+        self,
+        run: Run,
+        which: str,
+        getup: Run | None,
+        others: list[Run],
+        robot: RobotConfig | None = None,
+    ) -> None:
+        """Load a run, with another `robot` if named; `others` when the page asks for them."""
         set_up_devices(1)
-        self._run, self._which = run, which
-        self._first = load(run, which)
+        self._run, self._which, self._robot = run, which, robot
+        self._first = load(run, which, robot)
+        self.notes = self._first.notes if robot else ()  # lines on the other robot
         self._is_remote = site.is_python_needed(self._first)
         self._riser = load(getup or GETUP, "last")
         self.files: dict[str, Content] = {}
@@ -88,20 +100,25 @@ class LiveSite:
 
     def load_newest(self) -> bytes:
         """Load the newest policy of the run; return it as ONNX."""
-        self._first = load(self._run, self._which)
+        self._first = load(self._run, self._which, self._robot)
         model = site.to_onnx(self._first)
         self.files[f"{self._run.name}.onnx"] = model  # for pages that come back to it
         return model
 
 
 def export_page(
-    runs: list[Run], which: str, out: Path, getup: Run | None, console: Console
+    runs: list[Run],
+    which: str,
+    out: Path,
+    getup: Run | None,
+    console: Console,
+    robot: RobotConfig | None = None,
 ) -> None:
     """Write a page with these runs to the folder `out`, or to one file whose name ends in .html.
 
     Raises `UserError` where a policy cannot act without Python.
     """
-    files = make_files(runs, which, getup)
+    files = make_files(runs, which, getup, robot)
     if out.suffix == ".html":
         content = site.to_single_file(files)
         make_folder(out.parent)
@@ -116,12 +133,14 @@ def export_page(
     console.print(f"try it: {quote_words(get_python(), '-m', 'http.server', '-d', out)}")
 
 
-def make_files(runs: list[Run], which: str, getup: Run | None = None) -> dict[str, bytes]:
+def make_files(
+    runs: list[Run], which: str, getup: Run | None = None, robot: RobotConfig | None = None
+) -> dict[str, bytes]:
     """Return the files, by name, of a page that runs the policies of `runs` without Python.
 
     `which` policy of each run it is: "last" or "best". `getup` is the run that gets robots up;
-    None: the packaged one. Raises `UserError` where a policy cannot act without Python, and
-    `UsageError` for two runs of one name.
+    None: the packaged one. Policies of many bodies drive another `robot`, if named. Raises
+    `UserError` where a policy cannot act without Python, and `UsageError` for two runs of one name.
     """
     names = [run.name for run in runs]
     if len(set(names)) < len(names):
@@ -130,7 +149,7 @@ def make_files(runs: list[Run], which: str, getup: Run | None = None) -> dict[st
     riser = load(getup or GETUP, "last")
     dogs = []
     for run in runs:
-        loaded = load(run, which)
+        loaded = load(run, which, robot)
         site.check_shareable(loaded)
         dogs.append(make_dog(loaded, riser))
     return site.make_site(dogs, site.make_ground(loaded.env))

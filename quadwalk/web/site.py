@@ -89,7 +89,7 @@ def to_onnx(loaded: LoadedRun) -> bytes:
         targets = find_joint_targets(env.config.action, env.robot)
     except UserError:  # then it acts in Python, and its file has only its weights and metadata
         limits = np.asarray(env.robot.lower), np.asarray(env.robot.upper)
-        targets = JointTargets(np.zeros(12), np.asarray(env.robot.home_joints), *limits)
+        targets = JointTargets(np.zeros((12, 12)), np.asarray(env.robot.home_joints), *limits)
     return make_policy_model(loaded, targets).SerializeToString()
 
 

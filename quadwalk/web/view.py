@@ -11,7 +11,7 @@ import threading
 import time
 import webbrowser
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -23,6 +23,7 @@ from quadwalk.cli.shell import import_extra
 from quadwalk.errors import UserError
 from quadwalk.paths import PRETRAINED
 from quadwalk.runs.directory import Run, find_any_run, find_ready, list_runs
+from quadwalk.settings.training import OtherRobotConfig, RobotConfig
 
 if TYPE_CHECKING:
     from quadwalk.web.serve import PageServer
@@ -46,11 +47,21 @@ class ViewConfig(Settings):
     host: str = "127.0.0.1"  # address that the page is served at; the default: to this machine only
     port: Port = 8080  # of the page; if it is taken, the next that is free
     runs: Path = Path("runs")  # folder that holds all runs
+    robot: OtherRobotConfig = field(default_factory=OtherRobotConfig)
 
 
 def main(args: Sequence[str], prog: str = "quadwalk view") -> None:
     """Run `quadwalk view` with command-line arguments `args`; `prog` is its name in messages."""
     view(parse(ViewConfig, args, prog))
+
+
+def main_demo(args: Sequence[str], prog: str = "quadwalk demo") -> None:
+    """Run `quadwalk demo [ROBOT]`: drive the robot of a file, or the one that comes trained."""
+    words = list(args)
+    run = ["drive"]
+    if words and not words[0].startswith("-"):
+        run = ["universal", "--robot.urdf", words.pop(0)]
+    view(parse(ViewConfig, [*run, *words], prog))
 
 
 def main_alongside(args: Sequence[str], prog: str) -> None:
@@ -106,9 +117,10 @@ def view(config: ViewConfig, relay: Relay | None = None) -> None:
     """
     run = find_ready(config.runs, config.run, "drive")
     getup = None if config.getup is None else find_any_run(config.runs, config.getup)
+    robot = config.robot.find()
     import_extra("onnx", "the page", "view")
     if config.window:
-        show_window(run, config.policy, getup)
+        show_window(run, config.policy, getup, robot)
         return
     from quadwalk.web.serve import serve_page
 
@@ -124,7 +136,9 @@ def view(config: ViewConfig, relay: Relay | None = None) -> None:
         with console.status("loading"):
             from quadwalk.web.robots import LiveSite  # it imports JAX
 
-            site = LiveSite(run, config.policy, getup, list_others(config.runs, run))
+            site = LiveSite(run, config.policy, getup, list_others(config.runs, run), robot)
+        for note in site.notes:
+            console.print(note)
         if relay is not None:
             site.add_comparison(lambda: relay.changes)
             relay.connect(server)
@@ -159,15 +173,15 @@ def get_time(file: Path) -> int | None:
         return None
 
 
-def show_window(run: Run, which: str, getup: Run | None) -> None:
+def show_window(run: Run, which: str, getup: Run | None, robot: RobotConfig | None) -> None:
     """Export the policy to a temporary folder, and run it in MuJoCo's window."""
     from quadwalk.export.bundle import export_run, load_flat
     from quadwalk.web.robots import GETUP, can_get_up
 
-    if getup is None and can_get_up(load_flat(run, which), load_flat(GETUP, "last")):
+    if getup is None and can_get_up(load_flat(run, which, robot), load_flat(GETUP, "last")):
         getup = GETUP
     with tempfile.TemporaryDirectory() as folder:
-        export_run(run, which, Path(folder), make_console(), getup)
+        export_run(run, which, Path(folder), make_console(), getup, robot)
         command = [sys.executable, f"{folder}/run_policy.py", "--view", "--seconds", "1e9"]
         if subprocess.run(command, check=False).returncode:
             raise UserError("MuJoCo's window does not open here; quadwalk view shows a page")

@@ -139,7 +139,7 @@ def test_the_description_of_the_alien_go(quadruped):
 def test_for_the_alien_go_the_task_is_drive(quadruped):
     """It is of unit size and its joints are standard, so that only the description is new."""
     env, alike = (QuadrupedEnv(quadruped, task.TASK.env) for task in (drive, universal))
-    state = env._make_example_state()
+    state = env.make_example_state()
     qpos = state.qpos.at[7:].add(jnp.linspace(-0.2, 0.2, 12))
     state = state._replace(physics=PhysicsState(qpos, jnp.linspace(-1.0, 1.0, 18)))
     observed, expected = (

@@ -199,6 +199,6 @@ def test_other_engines_have_the_same_ground(hilly):
 
 def test_a_scan_of_a_flat_floor_is_level(env):
     qpos = jnp.asarray(env.robot.home).at[2].add(0.07)
-    state = env._make_example_state()
+    state = env.make_example_state()
     state = state._replace(physics=state.physics._replace(qpos=qpos))
     np.testing.assert_allclose(height_scan(env.robot, state, **SCAN), 0.07, atol=1e-6)

@@ -21,12 +21,13 @@ import yaml
 from brax.training.networks import ACTIVATION
 from rich.console import Console
 
+from benchmarks.shared import find_example_robots
 from quadwalk.cli.shell import suggest_install
 from quadwalk.env.env import QuadrupedEnv
 from quadwalk.errors import UserError
 from quadwalk.evaluation.load import LoadedRun, load_run
 from quadwalk.evaluation.rollout import Rollout, simulate_episodes
-from quadwalk.export.bundle import SCRIPTS
+from quadwalk.export.bundle import SCRIPTS, export_run, load_flat
 from quadwalk.export.check import check_export, read_recording, replay
 from quadwalk.export.cli import main
 from quadwalk.export.controller import Controller, read_list
@@ -41,9 +42,12 @@ from quadwalk.export.policy_graph import (
 )
 from quadwalk.paths import PRETRAINED
 from quadwalk.runs.directory import Run
+from quadwalk.settings.environment import BodiesConfig
 from quadwalk.settings.registry import TERMS
 from quadwalk.settings.terms import ActionMap
+from quadwalk.settings.training import OtherRobotConfig
 from quadwalk.task_files import load_task
+from quadwalk.tasks import universal
 from tests.settings.test_registry import to_module_names
 from tests.untrained import write_run
 
@@ -348,7 +352,7 @@ def test_every_activation_is_that_of_brax(name):
         for m, n in ((5, 7), (7, 12))
     ]
     weights = Weights(np.zeros(5), np.ones(5), layers, name)
-    targets = JointTargets(*(np.full(12, x) for x in (1.0, 0.0, -np.inf, np.inf)))
+    targets = JointTargets(np.eye(12), *(np.full(12, x) for x in (0.0, -np.inf, np.inf)))
     model = build_model(weights, np.arange(5), targets, {})
     session = onnxruntime.InferenceSession(model.SerializeToString())
     x = np.float32(rng.normal(size=(1, 5)))
@@ -424,3 +428,21 @@ def test_the_loop_in_cpp_computes_the_targets_of_the_controller(exported, tmp_pa
     np.testing.assert_allclose(targets, expected, atol=1e-5)
     assert "error: unsafe state" in done.stderr
     assert done.returncode == 1
+
+
+def test_a_policy_of_many_bodies_is_exported_for_a_robot_with_knees_ahead(quadruped, tmp_path):
+    """What run_policy.py observes, does and simulates is what the policy does here."""
+    bodies = dataclasses.replace(universal.TASK.env, bodies=BodiesConfig())
+    run = write_run(
+        tmp_path,
+        "many",
+        quadruped,
+        {"policy.npz": 1},
+        dataclasses.replace(universal.TASK, env=bodies),
+    )
+    file = find_example_robots() / "anymal_c_simple_description/urdf/anymal.urdf"
+    robot = OtherRobotConfig(urdf=file).find()
+    out, console = tmp_path / "export", Console(quiet=True)
+    files = export_run(run, "last", out, console, robot=robot)
+    assert "deploy.yaml" not in {path.name for path in files}
+    check_export(load_flat(run, "last", robot), out, None, console)

@@ -1,0 +1,75 @@
+"""Robots that a policy of many bodies has not met: does it drive them, with no training at all?
+
+    python benchmarks/universal.py RUN FILE... [--episodes 64] [--markdown FILE]
+
+A row for each URDF or MJCF, such as those of docs/zoo.md. Episodes of 20 s in MuJoCo C with every
+shape colliding and everything drawn; commands change as in training. The last column says what of
+the robot is beyond the bodies trained on. To see that it works: --episodes 2.
+"""
+
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.shared import make_parser
+from quadwalk.cli.process import run_command
+from quadwalk.env.nearness import list_figures
+from quadwalk.errors import UserError
+from quadwalk.evaluation.load import load_run
+from quadwalk.evaluation.results import evaluate_policy
+from quadwalk.evaluation.suites.commands import LONG, to_changing_run
+from quadwalk.learn.devices import set_up_devices
+from quadwalk.runs.directory import Run, find_any_run
+from quadwalk.settings.training import OtherRobotConfig
+
+HEADS = (
+    "| robot | kg | no fall, % | velocity error, m/s | yaw rate error, rad/s "
+    "| fastest command, m/s | beyond the bodies trained on |"
+)
+
+
+def make_row(run: Run, file: Path, episodes: int) -> str:
+    """Evaluate the policy of `run` on the robot of a file, and return its row of the table."""
+    name = "/".join(file.parts[-3:])
+    try:
+        loaded = load_run(run, LONG, robot=OtherRobotConfig(urdf=file).find())
+    except UserError as error:
+        return f"| {name} | refused: {error} | | | | | |"
+    loaded = to_changing_run(loaded)
+    results = evaluate_policy(loaded, episodes, seed=0).episodes
+    falls = np.mean([episode["fell"] for episode in results])
+    velocity, yaw_rate = (
+        np.nanmean([np.nan if episode[key] is None else episode[key] for episode in results])
+        for key in ("velocity_error", "yaw_rate_error")
+    )
+    env = loaded.env
+    beyond = ", ".join(figure.excess for figure in list_figures(env) if figure.excess)
+    return (
+        f"| {name} | {env.robot.mass:.1f} | {100 * (1 - falls):.1f} | {velocity:.2f} | "
+        f"{yaw_rate:.2f} | {env.config.command.forward[1]:.1f} | {beyond} |"
+    )
+
+
+def main() -> None:
+    """Evaluate a policy on the robots of all files; print the table."""
+    parser = make_parser(__doc__)
+    add = parser.add_argument
+    add("run", help="name or path of a run of the task universal")
+    add("files", nargs="+", type=Path, metavar="FILE", help="URDF or MJCF of a quadruped")
+    add("--episodes", type=int, default=64)
+    add("--runs", type=Path, default=Path("runs"), help="folder that holds all runs")
+    add("--markdown", type=Path, metavar="FILE", help="where the table goes")
+    options = parser.parse_args()
+    set_up_devices()
+    run = find_any_run(options.runs, options.run)
+    lines = [HEADS, "|---|---|---|---|---|---|---|"]
+    print("\n".join(lines), flush=True)
+    for file in options.files:
+        lines.append(make_row(run, file, options.episodes))
+        print(lines[-1], flush=True)
+    if options.markdown:
+        options.markdown.write_text("\n".join(lines) + "\n")
+
+
+if __name__ == "__main__":
+    run_command(main)
