@@ -20,7 +20,7 @@ from quadwalk.env.constants import make_robot_constants
 from quadwalk.env.numbers import get_numbers, replace_numbers
 from quadwalk.env.randomization import sample_randomization
 from quadwalk.env.reflections import Mirrors
-from quadwalk.env.reset import make_curriculum, place_on_tile, sample_start
+from quadwalk.env.reset import make_curriculum, place_on_tile, put_on_floor, sample_start
 from quadwalk.env.rewards import compute_reward_terms, compute_total_reward
 from quadwalk.env.sensors import make_sensors
 from quadwalk.env.similarity import resize_robot, resize_step
@@ -379,6 +379,29 @@ class QuadrupedEnv(Env):
         robot = self.get_robot(start)
         start = self.sensors.start_history(robot, start, max_delay)
         return state.replace(pipeline_state=start, obs=self.sensors.observe(robot, start))
+
+    def start_with_body(self, state: State, body: jax.Array) -> State:
+        """Start an episode from `state` with the body at place `body`, () int32, of the bank.
+
+        It is as near its home pose and touches the floor as `state` does, and its command is as
+        large a share of what it may be. Its conditions are `state`'s.
+        """
+        start: EnvState = state.pipeline_state
+        before, after = self.get_body(start.body), self.get_body(body)
+        home = jnp.asarray(after.robot.home_joints, jnp.float32)
+        moved = start.qpos[7:] - before.robot.home_joints
+        joints = jnp.clip(home + moved, after.robot.lower, after.robot.upper)
+        qpos = start.qpos.at[7:].set(joints)
+        if self.config.reset.height is None:
+            qpos = put_on_floor(after.robot.geometry, qpos, self.config.reset)
+        changes: dict[str, Any] = {"body": body, "physics": start.physics._replace(qpos=qpos)}
+        if start.command is not None:
+            scale = after.command_scale / before.command_scale
+            changes["command"] = start.command._replace(velocity=scale * start.command.velocity)
+        if start.conditions is not None:
+            targets = jnp.broadcast_to(home, start.conditions.targets.shape)
+            changes["conditions"] = start.conditions._replace(targets=targets)
+        return self.start_episode(state, **changes)
 
     def get_robot(self, state: EnvState) -> RobotConstants:
         """Return the constants of the robot in `state`."""

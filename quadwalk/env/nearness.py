@@ -4,7 +4,6 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from quadwalk.env.constants import Description
 from quadwalk.env.env import QuadrupedEnv
@@ -94,7 +93,7 @@ def _split(quadruped: Quadruped) -> tuple[np.ndarray, ...]:
     return tuple(numbers.reshape(4, 3).T for numbers in limits)
 
 
-def _span(numbers: ArrayLike) -> str:
+def _span(numbers: np.ndarray | float) -> str:
     """Return the least and the greatest of some numbers, or the one that all are."""
     low, high = (f"{number:.3g}" for number in (np.min(numbers), np.max(numbers)))
     return low if low == high else f"{low} to {high}"

@@ -48,7 +48,7 @@ def sample_start(robot: RobotConstants, config: ResetConfig, key: jax.Array) -> 
     angles = jnp.clip(middle + config.joints * joints, robot.lower, robot.upper)
     qpos = qpos.at[7:].set(angles)
     if config.height is None:
-        qpos = qpos.at[2].add(-_compute_lowest(robot.geometry, qpos, feet=not config.tumbled))
+        qpos = put_on_floor(robot.geometry, qpos, config)
     else:
         qpos = qpos.at[2].set(config.height)
 
@@ -91,6 +91,14 @@ def place_on_tile(
     qpos = start.qpos.at[:2].add(place)
     rise = _compute_lowest(level, start.qpos) - _compute_lowest(model, qpos)
     return start._replace(qpos=qpos.at[2].add(rise))
+
+
+def put_on_floor(model: Model, qpos: jax.Array, config: ResetConfig) -> jax.Array:
+    """Return the pose (19,) at the height in which its lowest foot just touches the floor.
+
+    With `config.tumbled` it is the lowest part of the robot.
+    """
+    return qpos.at[2].add(-_compute_lowest(model, qpos, feet=not config.tumbled))
 
 
 def _compute_lowest(model: Model, qpos: jax.Array, feet: bool = False) -> jax.Array:

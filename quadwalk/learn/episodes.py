@@ -54,6 +54,9 @@ class TrainingEnv(Protocol):
     def start_episode(self, state: State, **changes: Any) -> State:
         """Return the start of an episode with `changes` of its `pipeline_state`, observed anew."""
 
+    def start_with_body(self, state: State, body: jax.Array) -> State:
+        """Return the start of an episode as one of another body; for environments with a bank."""
+
 
 def reset_envs(env: TrainingEnv, keys: jax.Array, tiles: jax.Array | None = None) -> State:
     """Return fresh episodes, one for each of `keys` (n, 2), on `tiles` (n,), None: on any.
@@ -127,8 +130,11 @@ def replace_finished(
     """
     # Only after a fall at a random step: those that fell together must not end together.
     changes = {"steps": starts.pipeline_state.steps * after.metrics["fell"].astype(jnp.int32)}
+    bodies = None
     if config.retry:
-        changes["conditions"] = retry_conditions(config.retry, after, starts, training_envs, key)
+        again = choose_retries(config.retry, after, training_envs, key)
+        changes["conditions"] = retry_conditions(again, after, starts)
+        bodies = retry_bodies(again, after, starts)
     starts = starts.replace(pipeline_state=starts.pipeline_state._replace(**changes))
     envs, finished = len(after.done), jnp.sum(after.done > 0)
     rows = jnp.flatnonzero(after.done > 0, size=envs + CHUNK, fill_value=envs)
@@ -139,7 +145,11 @@ def replace_finished(
         chunk = jax.lax.dynamic_slice_in_dim(rows, done, CHUNK)
         value = truncation[chunk] * bootstrap_value(after.obs[chunk])
         # Observed here: to observe all starts would take a twentieth of a training step.
-        start = jax.vmap(env.start_episode)(jax.tree.map(lambda x: x[chunk], starts))
+        start = jax.tree.map(lambda x: x[chunk], starts)
+        if bodies is None:
+            start = jax.vmap(env.start_episode)(start)
+        else:
+            start = jax.vmap(env.start_with_body)(start, bodies[chunk])
         state, obs = jax.tree.map(
             lambda old, new: old.at[chunk].set(new, mode="drop"),
             (state, obs),
@@ -154,19 +164,29 @@ def replace_finished(
     return reward, after.replace(pipeline_state=state, obs=obs)
 
 
-def retry_conditions(
-    share: float, after: State, starts: State, training_envs: int, key: jax.Array
-) -> Any:
-    """Return the conditions of `starts`, after a `share` of falls those of the episode that fell.
+def choose_retries(share: float, after: State, training_envs: int, key: jax.Array) -> jax.Array:
+    """Return the environments (n,) bool that meet what they fell under once more.
 
     It is prioritized level replay (Jiang et al. 2021, arXiv:2010.03934) by falls alone. Only the
-    first `training_envs` environments, which are not for evaluation, repeat conditions.
+    first `training_envs` environments, which are not for evaluation, repeat anything, and those
+    after a `share` of their falls.
     """
+    again = jax.random.bernoulli(key, share, after.done.shape) & (after.metrics["fell"] > 0)
+    again &= jnp.arange(len(after.done)) < training_envs
+    return again
+
+
+def retry_bodies(again: jax.Array, after: State, starts: State) -> jax.Array | None:
+    """Return the bodies (n,) of the episodes that begin; None without a bank of them."""
+    before, fresh = (getattr(x.pipeline_state, "body", None) for x in (after, starts))
+    return None if fresh is None else jnp.where(again, before, fresh)
+
+
+def retry_conditions(again: jax.Array, after: State, starts: State) -> Any:
+    """Return the conditions of `starts`, of the rows `again` those of the episode that fell."""
     before, fresh = after.pipeline_state.conditions, starts.pipeline_state.conditions
     if fresh is None:
         return None
-    again = jax.random.bernoulli(key, share, after.done.shape) & (after.metrics["fell"] > 0)
-    again &= jnp.arange(len(after.done)) < training_envs
     return select_rows(again, before._replace(targets=fresh.targets, key=fresh.key), fresh)
 
 

@@ -16,7 +16,7 @@ What is not in the paper, and where it is:
 - fresh advantages in each minibatch, by the value network as it is: `PPO.compute_value_gradient`
 - bootstrapping at time limits: `episodes.replace_finished`
 - episodes out of phase, and a curriculum of terrain: `episodes.sample_starts`
-- retry, the conditions of a fall once more: `episodes.retry_conditions`
+- retry, the conditions of a fall once more: `episodes.choose_retries`
 - evaluation environments, whose steps are not learned from: `PPO.collect`
 """
 

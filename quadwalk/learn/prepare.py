@@ -158,11 +158,6 @@ def make_env(config: TrainConfig, say: Say) -> QuadrupedEnv:
         if config.init is not None:
             shared = replace(shared, init=Path(config.init).name)
         distributed.check_same(f"{to_dict(shared) | describe_training(config, quadruped)}")
-    if config.env.bodies.number and config.ppo.retry:
-        raise UserError(
-            f"--ppo.retry is {config.ppo.retry}: it repeats one body's conditions for another; "
-            "expected 0 with --env.bodies.number"
-        )
     bodies = make_bodies(config.env.bodies.number, config.env.bodies.seed)
     env = QuadrupedEnv(quadruped, config.env, bodies=bodies)
     if bodies:

@@ -209,9 +209,30 @@ def test_a_robot_four_times_as_large_moves_twice_as_fast(env, quadruped):
     assert larger.height == pytest.approx(12.0)
 
 
+def test_a_start_becomes_one_of_another_body(env, starts, bodies, figures):
+    state, places = starts
+    first = jax.tree.map(lambda x: x[0], state)
+    place = (int(places[0]) + 1) % BODIES
+    start = env.start_with_body(first, jnp.int32(place)).pipeline_state
+    before, after = (bodies[k] for k in (int(places[0]), place))
+    moved = np.clip(
+        after.home[7:] + first.pipeline_state.qpos[7:] - before.home[7:], after.lower, after.upper
+    )
+    np.testing.assert_allclose(start.qpos[7:], moved, atol=1e-5)
+    soles, _ = fast.compute_lowest_points(env.get_body(place).robot.geometry, start.qpos)
+    assert np.min(soles[:, 2]) == pytest.approx(0.0, abs=1e-5)
+    command, expected = start.command.velocity, first.pipeline_state.command.velocity
+    slower = np.sqrt(figures[places[0]].leg / figures[place].leg)
+    np.testing.assert_allclose(command[2], slower * expected[2], rtol=1e-4)
+    np.testing.assert_allclose(start.conditions.targets[0], after.home[7:], atol=1e-6)
+    same = env.start_with_body(first, jnp.int32(places[0]))
+    np.testing.assert_allclose(same.obs, first.obs, atol=1e-4)
+
+
 def test_bodies_train(env):
+    """With bodies that are tried once more after a fall."""
     config = dataclasses.replace(
-        universal.TASK.ppo, eval_envs=2, unroll=4, minibatches=2, hidden=(16,)
+        universal.TASK.ppo, eval_envs=2, unroll=4, minibatches=2, hidden=(16,), retry=0.5
     )
     networks, mesh = make_env_networks(env, config), make_mesh()
     assert networks.mirrors is not None

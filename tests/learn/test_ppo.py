@@ -220,9 +220,9 @@ def test_some_that_fell_meet_the_same_conditions_once_more():
         None, number, None, vector, number, vector, vector, vector, vector
     )
     fell = jnp.asarray(number % 2)
-    found = episodes.retry_conditions(
-        0.25, make_states(1.0), make_states(-1.0), training_envs, jax.random.PRNGKey(0)
-    )
+    after, starts = make_states(1.0), make_states(-1.0)
+    retries = episodes.choose_retries(0.25, after, training_envs, jax.random.PRNGKey(0))
+    found = episodes.retry_conditions(retries, after, starts)
     np.testing.assert_array_equal(found.targets, -vector)
     np.testing.assert_array_equal(found.key, -vector)
     again = np.asarray(found.delay) > 0
