@@ -88,6 +88,10 @@ def test_the_demo_drives_a_packaged_policy(call, monkeypatch):
     assert (driven[0].run, driven[0].port) == ("drive", 8090)
     call("demo", "my_dog.urdf", "--port", "8090")
     assert (driven[1].run, str(driven[1].robot.urdf)) == ("universal", "my_dog.urdf")
+    call("demo", "my_dog.urdf", "--run", "many")
+    assert (driven[2].run, str(driven[2].robot.urdf)) == ("many", "my_dog.urdf")
+    with pytest.raises(UsageError, match="--run without a robot"):
+        call("demo", "--run", "many")
 
 
 def test_runs_are_listed_shown_and_removed(call, tmp_path):

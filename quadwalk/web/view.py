@@ -18,9 +18,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 
 from quadwalk.bounds import Port, Settings
-from quadwalk.cli.arguments import make_console, parse
+from quadwalk.cli.arguments import make_console, parse, take_value
 from quadwalk.cli.shell import import_extra
-from quadwalk.errors import UserError
+from quadwalk.errors import UsageError, UserError
 from quadwalk.paths import PRETRAINED
 from quadwalk.runs.directory import Run, find_any_run, find_ready, list_runs
 from quadwalk.settings.training import OtherRobotConfig, RobotConfig
@@ -56,12 +56,18 @@ def main(args: Sequence[str], prog: str = "quadwalk view") -> None:
 
 
 def main_demo(args: Sequence[str], prog: str = "quadwalk demo") -> None:
-    """Run `quadwalk demo [ROBOT]`: drive the robot of a file, or the one that comes trained."""
-    words = list(args)
-    run = ["drive"]
+    """Run `quadwalk demo [ROBOT]`: drive the robot of a file, or the one that comes trained.
+
+    The former is driven by the run `universal`, or the one that `--run` names.
+    """
+    run, words = take_value(args, "--run")
     if words and not words[0].startswith("-"):
-        run = ["universal", "--robot.urdf", words.pop(0)]
-    view(parse(ViewConfig, [*run, *words], prog))
+        words = [run or "universal", "--robot.urdf", *words]
+    elif run is not None:
+        raise UsageError("--run without a robot's file: expected quadwalk view RUN")
+    else:
+        words = ["drive", *words]
+    view(parse(ViewConfig, words, prog))
 
 
 def main_alongside(args: Sequence[str], prog: str) -> None:
