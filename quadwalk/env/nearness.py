@@ -1,7 +1,7 @@
 """How near a robot is to the bodies that a policy of many bodies was trained on, as a table."""
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -93,8 +93,8 @@ def _split(quadruped: Quadruped) -> tuple[np.ndarray, ...]:
     return tuple(numbers.reshape(4, 3).T for numbers in limits)
 
 
-def _span(numbers: np.ndarray | float) -> str:
-    """Return the least and the greatest of some numbers, or the one that all are."""
+def _span(numbers: Any) -> str:
+    """Return the least and the greatest of an array, or the number that all are."""
     low, high = (f"{number:.3g}" for number in (np.min(numbers), np.max(numbers)))
     return low if low == high else f"{low} to {high}"
 

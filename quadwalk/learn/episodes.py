@@ -179,7 +179,7 @@ def choose_retries(share: float, after: State, training_envs: int, key: jax.Arra
 def retry_bodies(again: jax.Array, after: State, starts: State) -> jax.Array | None:
     """Return the bodies (n,) of the episodes that begin; None without a bank of them."""
     before, fresh = (getattr(x.pipeline_state, "body", None) for x in (after, starts))
-    return None if fresh is None else jnp.where(again, before, fresh)
+    return None if before is None or fresh is None else jnp.where(again, before, fresh)
 
 
 def retry_conditions(again: jax.Array, after: State, starts: State) -> Any:
