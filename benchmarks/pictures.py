@@ -4,8 +4,7 @@
 
 Draws all of them, or those named, into docs/:
 
-- drive: `drive`, with `getup` behind it, in MuJoCo C with every shape, along a course of commands,
-  thrown over on the way.
+- drive: the README's film, of `benchmarks/film.py`.
 - robustness, robustness_all: what studies/robustness/results.json holds.
 - terrain: every kind of terrain at full difficulty.
 - zoo: the robots of example-robot-data (extra `zoo`) with the masses and speeds of docs/zoo.md.
@@ -14,31 +13,24 @@ Draws all of them, or those named, into docs/:
 """
 
 import dataclasses
-import importlib
 import io
 import json
-import sys
-import tempfile
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import mujoco
 import numpy as np
 from matplotlib.patches import FancyBboxPatch
 from PIL import Image, ImageDraw, ImageFont
-from rich.console import Console
 
+from benchmarks.film import draw_film
 from benchmarks.shared import find_example_robots, make_parser
 from quadwalk.cli.process import run_command
 from quadwalk.errors import UserError
 from quadwalk.evaluation.sweep import draw_sweep
-from quadwalk.export.bundle import export_run
-from quadwalk.files import open_atomic
 from quadwalk.paths import PRETRAINED
 from quadwalk.render.canvas import Camera, Canvas
-from quadwalk.render.figures import make_figure, save_figure
+from quadwalk.render.figures import get_style, make_figure, save_figure, tidy
 from quadwalk.render.images import make_film_strip, save_png
 from quadwalk.robot.quadruped import load_quadruped
 from quadwalk.runs.directory import Run
@@ -53,23 +45,6 @@ from tests.web.browser import PROGRAM, open_browser, wait_until
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
 RESULTS = ROOT / "studies" / "robustness" / "results.json"
-
-SIZE = (1280, 600)  # pixels
-FPS = 25
-# s from the start, and from then on: what is said, and the command (m/s, m/s, rad/s)
-COURSE: list[tuple[float, str, tuple[float, float, float]]] = [
-    (0.0, "stand", (0.0, 0.0, 0.0)),
-    (1.0, "walk", (0.8, 0.0, 0.0)),
-    (3.0, "run", (3.5, 0.0, 0.0)),
-    (6.0, "turn", (1.5, 0.0, 1.5)),
-    (8.0, "thrown over", (1.5, 0.0, 0.0)),
-    (8.8, "walk on", (1.5, 0.0, 0.0)),
-    (11.0, "stand", (0.0, 0.0, 0.0)),
-]
-SECONDS = 12.0
-THROWN = 8.0  # s
-THROW_SPEED = 3.5  # m/s to the left
-THROW_SPIN = 12.0  # rad/s about the trunk's x axis
 
 # name in docs/zoo.md -> file in example-robot-data
 ROBOTS = {
@@ -103,75 +78,9 @@ ARROWS = [
 COMMANDS = {(0.3, 4.0): "quadwalk robot", (4.5, 10.3): "quadwalk train"}
 
 
-def export_drive(folder: Path) -> Any:
-    """Export `drive` with `getup` to `folder`; return the simulation of its run_policy.py.
-
-    `folder` stays on `sys.path`.
-    """
-    drive, getup = (Run(PRETRAINED / name) for name in ("drive", "getup"))
-    export_run(drive, "last", folder, Console(quiet=True), getup)
-    sys.path.insert(0, str(folder))
-    run_policy = importlib.import_module("run_policy")
-    return run_policy.Simulation(folder, [0.0, 0.0, 0.0])
-
-
-def simulate_drive(robot: Any) -> Iterator[tuple[np.ndarray, str]]:
-    """Yield the pose (19,) for each frame of the film, and the text to write on it.
-
-    `robot` is the simulation of `export_drive`. The text says what it does, and its speed along the
-    heading, m/s.
-    """
-    steps_of_picture = round(1.0 / FPS / robot.period)
-    for step in range(round(SECONDS / robot.period)):
-        _, name, command = [part for part in COURSE if part[0] <= step * robot.period + 1e-9][-1]
-        robot.command = robot.clip_command(command)
-        if step == round(THROWN / robot.period):
-            robot.data.qvel[:2] += THROW_SPEED * compute_left(robot.data)
-            robot.data.qvel[3] -= THROW_SPIN
-        robot.step()
-        if step % steps_of_picture == 0:
-            text = "getting up" if robot.controller is robot.riser else name
-            forward = robot.data.qvel[:2] @ (compute_left(robot.data)[::-1] * (1.0, -1.0))
-            yield robot.data.qpos.copy(), f"{text}   {forward:.1f} m/s"
-
-
-def compute_left(data: mujoco.MjData) -> np.ndarray:
-    """Return the direction (2,) to the left of the robot's heading."""
-    w, x, y, z = data.qpos[3:7]
-    heading = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
-    return np.array([-np.sin(heading), np.cos(heading)])
-
-
-def render_drive() -> Iterator[Image.Image]:
-    """Yield each frame of the film, from a camera beside the robot that follows slowly."""
-    with tempfile.TemporaryDirectory() as folder:
-        robot = export_drive(Path(folder))
-        canvas = Canvas(robot.model, *SIZE)
-        font = ImageFont.load_default(size=30)
-        focus = None
-        for qpos, text in simulate_drive(robot):
-            place = np.array([*qpos[:2], 0.3])
-            focus = place if focus is None else focus + 0.25 * (place - focus)
-            camera = Camera(focus, distance=1.7, azimuth=118.0, elevation=-12.0)
-            picture = Image.fromarray(canvas.draw(qpos, camera))
-            ImageDraw.Draw(picture).text((24, 18), text, fill=(30, 34, 40), font=font)
-            yield picture
-
-
 def draw_drive() -> None:
-    """Write the README's film drive.webp: `drive` follows commands, is thrown over, gets up."""
-    first, *others = render_drive()
-    with open_atomic(DOCS / "drive.webp") as file:
-        first.save(
-            file,
-            format="WEBP",
-            save_all=True,
-            append_images=others,
-            duration=round(1000 / FPS),
-            loop=0,
-            quality=40,
-            method=3,
-        )
+    """Write the README's film."""
+    draw_film(DOCS / "drive.webp")
 
 
 def draw_page() -> None:
@@ -201,27 +110,38 @@ def draw_page() -> None:
     save_png(np.asarray(picture.convert("RGB")), DOCS / "page.png")
 
 
+def load_sweeps() -> list[dict[str, Any]]:
+    """Return the sweeps of `run` and `sprint`, each with its name and steps as `run`."""
+    results: list[dict[str, Any]] = json.loads(RESULTS.read_text())["runs"]
+    for result in results:
+        result["run"] += f", {result['training_steps'] / 1e6:.0f} M steps"
+    return results
+
+
 def draw_robustness() -> None:
-    """Write robustness.png: success and speed of `run` and `sprint` as six conditions get worse."""
-    _draw_sweep("robustness", ("everything", "friction", "mass", "delay", "noise", "push"), 3)
+    """Write robustness.png: episodes of `run` and `sprint` without a fall as conditions worsen."""
+    figure = make_figure((9.6, 4.0), "Episodes without a fall, %")
+    panels = figure.subplots(1, 3, sharey=True)
+    names = ("trained with randomization", "trained without")
+    for axes, condition in zip(panels, ("everything", "push", "delay"), strict=True):
+        for k, result in enumerate(load_sweeps()):
+            sweep, (color, mark) = result["sweeps"][condition], get_style(k)
+            values = [point["value"] for point in sweep["points"]]
+            shares = [100 * point["success"] for point in sweep["points"]]
+            axes.plot(values, shares, f"{mark}-", color=color, lw=2.5, ms=8, label=names[k])
+        tidy(axes, sweep["heading"], sweep["unit"])
+        axes.set_ylim(-3, 106)
+    handles, labels = panels[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=2, frameon=False, fontsize=13)
+    save_figure(figure, DOCS / "robustness.png")
 
 
 def draw_robustness_all() -> None:
     """Write robustness_all.png: success and speed of `run` and `sprint` over each condition."""
-    _draw_sweep("robustness_all", None, 4)
-
-
-def _draw_sweep(name: str, conditions: tuple[str, ...] | None, columns: int) -> None:
-    """Write docs/`name`.png: the sweep in results.json over `conditions`, None for all.
-
-    `columns` panels are side by side.
-    """
-    results = json.loads(RESULTS.read_text())["runs"]
-    for result in results:
-        result["run"] += f", {result['training_steps'] / 1e6:.0f} M steps"
+    results = load_sweeps()
     randomized, ideal = (result["run"] for result in results)
     title = f"Trained with randomization ({randomized}) and without ({ideal})"
-    save_figure(draw_sweep(results, conditions, columns, title), DOCS / f"{name}.png")
+    save_figure(draw_sweep(results, None, 4, title), DOCS / "robustness_all.png")
 
 
 def draw_terrain() -> None:

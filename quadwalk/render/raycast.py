@@ -13,7 +13,9 @@ from quadwalk.render.shading import Hits, Shader
 
 _FINER = 3  # rays across and down a pixel in which there is an edge
 _CREASE = np.cos(np.radians(20.0))  # normals that are further apart make an edge
-_SUN = 1e3  # m: from so far away the rays of a directional light are cast
+# m: at least from so far away the rays of a directional light are cast. From 1 km MuJoCo's culling
+# of bodies is too coarse: shadows get jagged.
+_SUN = 30.0
 _TOUCH = 1e-4  # m: a hit so close to the point that a ray is cast at is that point
 
 
@@ -96,7 +98,7 @@ class RayPainter:
         across = np.einsum("ij,ij->i", offset, offset) - (offset @ direction) ** 2
         lit = hits.normal @ light.dir < 0
         behind = np.flatnonzero(lit & (across < radius**2))  # or in front of the solid geoms
-        source = center - _SUN * direction
+        source = center - max(_SUN, 2.0 * radius) * direction
         way = hits.point[behind] - source
         length = np.linalg.norm(way, axis=1)
         _, first, _ = self._cast(data, source, way / length[:, None])
