@@ -56,7 +56,7 @@ class LiveSite:
         self.files: dict[str, Content] = {}
         dog = make_dog(self._first, self._riser, self._is_remote)
         for label, file in list_policies(run).items():
-            name = f"{run.name}.{file.stem}.onnx"
+            name = site.make_policy_name(f"{run.name}.{file.stem}")
             dog.policies[label] = name
             self.files[name] = partial(convert, self._first, file)
         # Files are called by runs: of two runs of one name the first is shown.
@@ -95,15 +95,17 @@ class LiveSite:
             path = self._run.locate_checkpoint(changes[-1]["steps"])
             return convert(self._first, path)
 
-        self.files["desk/before.onnx"] = convert_before
-        self.files["desk/after.onnx"] = lambda: convert(self._first, self._run.policy)
+        self.files[site.make_policy_name("desk/before")] = convert_before
+        after = site.make_policy_name("desk/after")
+        self.files[after] = lambda: convert(self._first, self._run.policy)
 
     def load_newest(self) -> bytes:
-        """Load the newest policy of the run; return it as ONNX."""
+        """Load the newest policy of the run; return it as the page reads it."""
         self._first = load(self._run, self._which, self._robot)
-        model = site.to_onnx(self._first)
-        self.files[f"{self._run.name}.onnx"] = model  # for pages that come back to it
-        return model
+        policy = site.pack_policy(self._first)
+        name = site.make_policy_name(self._run.name)
+        self.files[name] = policy  # for pages that come back to it
+        return policy
 
 
 def export_page(
@@ -164,12 +166,12 @@ def list_policies(run: Run) -> dict[str, Path]:
 
 
 def convert(loaded: LoadedRun, file: Path) -> bytes:
-    """Return another policy of a run as ONNX, from its file or its checkpoint's."""
+    """Return another policy of a run as the page reads it, from its file or its checkpoint's."""
     if file.name.startswith("step_"):
         policy = load_checkpoint_policy(file, loaded.env.quadruped.joints)
     else:
         policy = load_policy(file)
-    return site.to_onnx(replace(loaded, file=file, policy=policy))
+    return site.pack_policy(replace(loaded, file=file, policy=policy))
 
 
 def make_dog(loaded: LoadedRun, riser: LoadedRun, remote: bool = False) -> site.Dog:

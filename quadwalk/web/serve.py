@@ -78,10 +78,10 @@ class PageServer:
         self._files, self._make_actor = files, make_actor
         self._is_ready.set()
 
-    def send_policy(self, model: bytes) -> None:
-        """Send a newer policy, as ONNX, to all pages, also to later ones."""
-        self._policy = model
-        self._send_to_all(model)
+    def send_policy(self, policy: bytes) -> None:
+        """Send a newer policy, as of `site.pack_policy`, to all pages, also to later ones."""
+        self._policy = policy
+        self._send_to_all(policy)
 
     def forward(self, text: str) -> None:
         """Send a message of a training to all pages; the state of the desk to later ones too."""

@@ -10,6 +10,7 @@ from graphlib import TopologicalSorter
 from pathlib import Path
 
 import numpy as np
+from google.protobuf.json_format import MessageToJson
 
 from quadwalk.env.env import QuadrupedEnv
 from quadwalk.errors import UserError
@@ -74,23 +75,29 @@ def make_dog(loaded: LoadedRun, getup: LoadedRun | None = None, remote: bool = F
     name = loaded.run.name
     spec, note = decimate_visuals(loaded.env.quadruped.spec)
     files = {f"{name}.xml": write_xml(spec).encode()}
-    files[f"{name}.onnx"] = to_onnx(loaded)
+    policy = make_policy_name(name)
+    files[policy] = pack_policy(loaded)
     riser = None
     if getup is not None:
-        riser = f"{name}.getup.onnx"
-        files[riser] = to_onnx(getup)
-    return Dog(name, files, {"last": f"{name}.onnx"}, riser, remote, note)
+        riser = make_policy_name(f"{name}.getup")
+        files[riser] = pack_policy(getup)
+    return Dog(name, files, {"last": policy}, riser, remote, note)
 
 
-def to_onnx(loaded: LoadedRun) -> bytes:
-    """Return a policy as the ONNX file that `quadwalk export` writes."""
+def make_policy_name(name: str) -> str:
+    """Return the name of a policy's file."""
+    return f"{name}.policy.json"
+
+
+def pack_policy(loaded: LoadedRun) -> bytes:
+    """Return a policy as onnx.js reads it: the ONNX of `quadwalk export` in protobuf's JSON."""
     env = loaded.env
     try:
         targets = find_joint_targets(env.config.action, env.robot)
     except UserError:  # then it acts in Python, and its file has only its weights and metadata
         limits = np.asarray(env.robot.lower), np.asarray(env.robot.upper)
         targets = JointTargets(np.zeros((12, 12)), np.asarray(env.robot.home_joints), *limits)
-    return make_policy_model(loaded, targets).SerializeToString()
+    return MessageToJson(make_policy_model(loaded, targets), indent=None).encode()
 
 
 def make_ground(env: QuadrupedEnv) -> Terrain:

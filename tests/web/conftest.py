@@ -7,7 +7,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import onnx
 import pytest
+from google.protobuf.json_format import Parse
 
 from quadwalk.evaluation.load import LoadedRun
 from quadwalk.export.bundle import load_flat
@@ -35,13 +37,16 @@ def loaded_runs() -> dict[str, LoadedRun]:
 
 @pytest.fixture(scope="session")
 def robot_files(loaded_runs, tmp_path_factory) -> Path:
-    """Return a folder with NAME.xml and NAME.onnx of each packaged policy, and the terrain.
+    """Return a folder with the page's files of each packaged policy, NAME.onnx, and the terrain.
 
     The terrain is that of `rough`, as the page loads it.
     """
     folder = tmp_path_factory.mktemp("robots")
-    for loaded in loaded_runs.values():
-        site.write_folder(site.make_dog(loaded).files, folder)
+    for name, loaded in loaded_runs.items():
+        files = site.make_dog(loaded).files
+        site.write_folder(files, folder)
+        model = Parse(files[site.make_policy_name(name)], onnx.ModelProto())
+        onnx.save(model, folder / f"{name}.onnx")
     terrain = site.make_ground(loaded_runs["rough"].env)
     (folder / site.TERRAIN).write_bytes(site.pack_ground(terrain))
     return folder

@@ -134,11 +134,11 @@ def test_uneven_ground_ends_with_a_word(browser):
 
 
 def test_a_newer_policy_arrives(browser, server, files):
-    server.send_policy(files["run.onnx"])
+    server.send_policy(files["run.policy.json"])
     assert wait_until(lambda: "run: trained in" in browser.text())
     task = "quadwalk.simulation.driver.metadata.task"
     assert browser.evaluate(task) == "run"
-    server.send_policy(files["drive.onnx"])
+    server.send_policy(files["drive.policy.json"])
     assert wait_until(lambda: browser.evaluate(task) == "drive")
 
 

@@ -90,8 +90,8 @@ class Training:
 def training(loaded_runs, vendor_files) -> Iterator[tuple[Training, str]]:
     """A training with the policies of `walk`, and where its page is."""
     files = site.make_site([site.make_dog(loaded_runs["walk"])], None, live=True)
-    after = files["walk.onnx"]
-    files |= {"desk/before.onnx": after, "desk/after.onnx": after}
+    after = files["walk.policy.json"]
+    files |= {"desk/before.policy.json": after, "desk/after.policy.json": after}
     with serve_page("127.0.0.1", 8370) as server:
         server.set_files(files)
         with Training(server) as training:

@@ -9,10 +9,19 @@ import numpy as np
 import pytest
 
 from quadwalk.export.controller import Controller, read_list, to_matrix
+from quadwalk.web import site
 from quadwalk.web.actor import PythonActor
 
 STEPS = 1000
 SPEEDS = ([0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [3.5, 0.0, 0.0], [1.5, 0.0, 1.0], [-0.8, 0.0, 0.0])
+
+
+def locate_robot(folder: Path, name: str) -> dict[str, str]:
+    """Return the files of a robot and its policy, for a job of run_policy.mjs."""
+    return {
+        "robot": str(folder / f"{name}.xml"),
+        "policy": str(folder / site.make_policy_name(name)),
+    }
 
 
 class Drive:
@@ -67,7 +76,7 @@ def test_observations_and_targets_are_those_of_the_exported_controller(name, rob
         qpos, qvel, targets = drive.step(command)
         states.append({"qpos": qpos.tolist(), "qvel": qvel.tolist(), "command": command})
         expected.append((drive.controller.obs, targets))
-    answers = run_node({"policy": str(robot_files / f"{name}.onnx"), "states": states})
+    answers = run_node({**locate_robot(robot_files, name), "states": states})
     for answer, (obs, targets) in zip(answers, expected, strict=True):
         np.testing.assert_allclose(answer["obs"], obs, atol=1e-5)
         np.testing.assert_allclose(answer["targets"], targets, atol=1e-5)
@@ -76,8 +85,8 @@ def test_observations_and_targets_are_those_of_the_exported_controller(name, rob
 def test_it_drives_at_the_speeds_of_mujoco_c(robot_files, run_node):
     steps, settle = 250, 100
     episodes = [{"steps": steps, "settle": settle, "command": command} for command in SPEEDS]
-    job = {"robot": str(robot_files / "drive.xml"), "policy": str(robot_files / "drive.onnx")}
-    answers = run_node({**job, "getup": None, "terrain": None, "episodes": episodes})
+    job = locate_robot(robot_files, "drive")
+    answers = run_node({**job, "episodes": episodes})
     drive = Drive(robot_files, "drive")
     for command, answer in zip(SPEEDS, answers, strict=True):
         drive.reset(np.zeros(12))
@@ -96,24 +105,24 @@ def test_it_drives_at_the_speeds_of_mujoco_c(robot_files, run_node):
 
 def test_it_starts_from_many_poses(robot_files, run_node):
     rng = np.random.default_rng(5)
-    job = {"robot": str(robot_files / "drive.xml"), "policy": str(robot_files / "drive.onnx")}
+    job = locate_robot(robot_files, "drive")
     starts = [
         {"steps": 100, "settle": 50, "command": [1.0, 0, 0], "joints": joints.tolist()}
         for joints in rng.uniform(-0.15, 0.15, (32, 12))
     ]
-    answers = run_node({**job, "getup": None, "terrain": None, "episodes": starts})
+    answers = run_node({**job, "episodes": starts})
     assert not any(answer["fell"] for answer in answers)
 
 
 @pytest.mark.parametrize("speed", [0.0, 2.0])
 def test_thrown_over_it_drives_on_within_four_seconds(speed, robot_files, run_node):
-    job = {name: str(robot_files / f"{name}.onnx") for name in ("getup",)}
-    job |= {"robot": str(robot_files / "drive.xml"), "policy": str(robot_files / "drive.onnx")}
+    getup = locate_robot(robot_files, "getup")["policy"]
+    job = {**locate_robot(robot_files, "drive"), "getup": getup}
     throws = [  # at several moments of a stride; the last half second is measured
         {"steps": at + 200, "settle": at + 175, "command": [speed, 0, 0], "throwAt": at}
         for at in range(50, 70, 2)
     ]
-    for thrown in run_node({**job, "terrain": None, "episodes": throws}):
+    for thrown in run_node({**job, "episodes": throws}):
         assert thrown["rising"] > 10
         assert thrown["isStanding"]
         assert thrown["velocity"][0] == pytest.approx(speed, abs=0.1)
@@ -124,9 +133,9 @@ def test_it_climbs_stairs_that_it_sees(robot_files, run_node):
     terrain = json.loads((robot_files / "terrain.json").read_text())
     kinds = [(tile["kind"], tile["difficulty"]) for tile in terrain["tiles"]]
     tile = kinds.index(("stairs_up", 0.4))
-    job = {"robot": str(robot_files / "rough.xml"), "policy": str(robot_files / "rough.onnx")}
+    job = locate_robot(robot_files, "rough")
     episodes = [{"steps": 250, "settle": 50, "command": [0.8, 0, 0], "tile": tile}]
-    job |= {"getup": None, "terrain": str(robot_files / "terrain.json")}
+    job |= {"terrain": str(robot_files / "terrain.json")}
     (answer,) = run_node({**job, "episodes": episodes})
     start = terrain["tiles"][tile]["start"]
     assert not answer["fell"]

@@ -25,10 +25,10 @@ from quadwalk.web.robots import LiveSite
 
 def test_a_dog_is_its_policy_and_its_robot(loaded_runs):
     dog = site.make_dog(loaded_runs["drive"], loaded_runs["getup"])
-    assert set(dog.files) == {"drive.xml", "drive.onnx", "drive.getup.onnx"}
+    assert set(dog.files) == {"drive.xml", "drive.policy.json", "drive.getup.policy.json"}
     entry = json.loads(dog.to_json())
-    assert entry["policies"] == {"last": "drive.onnx"}
-    assert entry["getup"] == "drive.getup.onnx"
+    assert entry["policies"] == {"last": "drive.policy.json"}
+    assert entry["getup"] == "drive.getup.policy.json"
     assert entry["note"] is None  # its meshes are light as they are
     model = mujoco.MjModel.from_xml_string(dog.files["drive.xml"].decode())
     assert model.nq == 19
@@ -40,7 +40,7 @@ def test_other_runs_are_loaded_when_they_are_asked_for(vendor_files, tmp_path):
     live = LiveSite(Run(PRETRAINED / "walk"), "last", None, others)
     index = json.loads(live.files["dogs.json"])
     assert index["dogs"] == ["walk", "run", "gone"]
-    assert "run.onnx" not in live.files
+    assert "run.policy.json" not in live.files
     entry = json.loads(live.files["run.dog.json"]())
     assert {entry["robot"], entry["getup"], *entry["policies"].values()} <= set(live.files)
     with pytest.raises(UserError, match="gone"):

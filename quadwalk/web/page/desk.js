@@ -5,6 +5,7 @@ import { readFile } from "./files.js";
 import { Policy } from "./onnx.js";
 import { add, find } from "./panel.js";
 import { COMMAND, SPEED, prepare } from "./plots.js";
+import { Simulation } from "./simulation.js";
 
 /**
  * @typedef {object} State what the training says of itself
@@ -236,20 +237,35 @@ export class Desk {
   /** Drive with the policies before and after the last change side by side, or end that. */
   async compare() {
     const { page } = this;
-    if (page.rival) return page.endComparison();
+    if (page.rival) return this.endComparison();
     if (!this.state?.can_undo) return this.tell("There is no change to compare yet", true);
     const [name] = page.dogs;
     try {
       const [before, after] = await Promise.all(
-        ["before", "after"].map(async (time) => new Policy(await readFile(`desk/${time}.onnx`))),
+        ["before", "after"].map(
+          async (time) => new Policy(await readFile(`desk/${time}.policy.json`)),
+        ),
       );
       if (page.dog?.name !== name) await page.open(name, page.ground);
       if (page.dog?.remote) return this.tell("A policy that acts in Python is not compared", true);
-      page.compare(after, before);
+      const simulation = /** @type {Simulation} */ (page.simulation);
+      simulation.setPolicy(after);
+      const rival = new Simulation(page.mujoco, { ...simulation.robot, policy: before });
+      rival.tile = simulation.tile;
+      page.setRival(rival);
+      page.change(simulation.settings);
+      page.act("reset", true);
       this.showSpeeds([0, 0]);
     } catch (error) {
       this.tell(/** @type {Error} */ (error).message, true);
     }
+  }
+
+  /** Take the second robot away, and drive with the newest policy again. */
+  endComparison() {
+    const { page } = this;
+    page.setRival(null);
+    if (page.newest) page.setPolicy(page.newest);
   }
 
   /**

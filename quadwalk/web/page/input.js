@@ -117,8 +117,6 @@ export class Inputs {
     element.addEventListener("pointermove", (event) => {
       if (element.hasPointerCapture(event.pointerId)) move(event);
     });
-    for (const end of ["pointerup", "pointercancel", "lostpointercapture"]) {
-      element.addEventListener(end, release);
-    }
+    element.addEventListener("lostpointercapture", release);
   }
 }

@@ -1,8 +1,6 @@
-/** What a link carries: settings and a sequence of commands. And the last seconds as a film. */
+/** What a link carries: settings and a sequence of commands. */
 
 /** @typedef {import("./simulation.js").Settings} Settings */
-
-const FILM = 10; // s
 
 /**
  * Read the part of a link after "#".
@@ -32,8 +30,7 @@ export function readLink(hash) {
  * @returns {[number, number[]][]}
  */
 function readScript(text) {
-  if (!text) return [];
-  const parts = text.split(";").map((part) => {
+  const parts = (text ?? "").split(";").map((part) => {
     const [seconds, command = ""] = part.split(":");
     return /** @type {[number, number[]]} */ ([Number(seconds), command.split(",").map(Number)]);
   });
@@ -62,92 +59,4 @@ export function writeLink(dog, ground, settings, defaults, script) {
   );
   if (parts.length) values.set("do", parts.join(";"));
   return `#${values}`;
-}
-
-/** Remembers the commands of the last seconds. */
-export class CommandLog {
-  constructor() {
-    this.clear();
-  }
-
-  clear() {
-    /** @type {[number, number[]][]} */
-    this.parts = [];
-  }
-
-  /** @param {number[]} command @param {number} dt s */
-  add(command, dt) {
-    const last = this.parts.at(-1);
-    if (last && last[1].every((x, k) => x === command[k])) last[0] += dt;
-    else this.parts.push([dt, [...command]]);
-    if (this.parts.length > 60) this.parts.shift();
-  }
-}
-
-/** Keeps the states of the last seconds, and films them when they are shown again. */
-export class Film {
-  /** @param {HTMLCanvasElement} canvas */
-  constructor(canvas) {
-    this.canvas = canvas;
-    /** @type {{time: number, qpos: Float64Array}[]} */
-    this.states = [];
-    /** @type {{states: {time: number, qpos: Float64Array}[], elapsed: number} | null} */
-    this.replay = null;
-  }
-
-  /** Return true if this browser can film. */
-  static get isPossible() {
-    return typeof MediaRecorder === "function" && "captureStream" in HTMLCanvasElement.prototype;
-  }
-
-  clear() {
-    this.states = [];
-  }
-
-  /** @param {number} time s @param {Float64Array} qpos */
-  add(time, qpos) {
-    this.states.push({ time, qpos: Float64Array.from(qpos) });
-    while (this.states[0].time < time - FILM) this.states.shift();
-  }
-
-  /** Start to show the last seconds again; what is shown until they end becomes a file. */
-  save() {
-    if (this.replay || this.states.length < 2) return;
-    const stream = this.canvas.captureStream(30);
-    const recorder = new MediaRecorder(stream, { mimeType: "video/webm" });
-    recorder.ondataavailable = (event) => saveFile(event.data, "quadwalk.webm");
-    recorder.start();
-    this.recorder = recorder;
-    this.replay = { states: [...this.states], elapsed: 0 };
-  }
-
-  /**
-   * Return the state to show after `dt` more seconds; null where none is shown again.
-   * @param {number} dt s
-   */
-  next(dt) {
-    const { replay } = this;
-    if (!replay) return null;
-    replay.elapsed += dt;
-    const time = replay.states[0].time + replay.elapsed;
-    const state = replay.states.find((candidate) => candidate.time >= time);
-    if (!state) {
-      this.recorder?.stop();
-      this.replay = null;
-    }
-    return state ?? null;
-  }
-}
-
-/**
- * Hand a file over to the user.
- * @param {Blob} content
- * @param {string} name
- */
-function saveFile(content, name) {
-  const anchor = document.createElement("a");
-  anchor.href = URL.createObjectURL(content);
-  anchor.download = name;
-  anchor.click();
-  setTimeout(() => URL.revokeObjectURL(anchor.href), 1000);
 }

@@ -2,11 +2,12 @@
 
 import { isSingleFile, loadMujoco, readFile, readText } from "./files.js";
 import { Inputs } from "./input.js";
-import { CommandLog, Film, readLink, writeLink } from "./link.js";
+import { readLink, writeLink } from "./link.js";
 import { Policy } from "./onnx.js";
 import { Panel, find } from "./panel.js";
 import { Pilot } from "./pilot.js";
-import { Plots } from "./plots.js";
+import { drawCurves, drawSteps } from "./plots.js";
+import { Recorder } from "./record.js";
 import { Server } from "./server.js";
 import { Scene } from "./scene.js";
 import { Simulation } from "./simulation.js";
@@ -34,11 +35,9 @@ const KICK = 1.5; // m/s, of a kick from the side
 export class Page {
   constructor() {
     this.scene = new Scene(find("picture"));
-    this.plots = new Plots(find("curves"), find("steps"));
     this.panel = new Panel(find("controls"), (name, value) => this.act(name, value));
-    this.panel.films.style.display = Film.isPossible ? "" : "none";
-    this.film = new Film(this.scene.canvas);
-    this.log = new CommandLog();
+    this.panel.films.style.display = Recorder.canFilm ? "" : "none";
+    this.recorder = new Recorder(this.scene.canvas);
     this.pace = 1;
     this.isPaused = false;
     this.isThrowDue = false;
@@ -133,28 +132,13 @@ export class Page {
   }
 
   /**
-   * Drive with a policy, and beside it with another one, both from the start.
-   * @param {Policy} policy
-   * @param {Policy} other
+   * Show a second robot beside the first, in place of any earlier one.
+   * @param {Simulation | null} rival
    */
-  compare(policy, other) {
-    const simulation = /** @type {Simulation} */ (this.simulation);
-    this.endComparison();
-    simulation.setPolicy(policy);
-    this.rival = new Simulation(this.mujoco, { ...simulation.robot, policy: other });
-    this.rival.tile = simulation.tile;
-    this.change(simulation.settings);
-    this.scene.setRival(this.rival);
-    this.act("reset", true);
-  }
-
-  /** Take the second robot away, and drive with the newest policy again. */
-  endComparison() {
-    if (!this.rival) return;
-    this.scene.setRival(null);
-    this.rival.delete();
-    this.rival = null;
-    if (this.newest) this.setPolicy(this.newest);
+  setRival(rival) {
+    this.scene.setRival(rival);
+    this.rival?.delete();
+    this.rival = rival;
   }
 
   /** The robots that are shown: one, or two that are compared. */
@@ -175,7 +159,7 @@ export class Page {
       dog.getup ? readFile(dog.getup) : null,
       readText(dog.robot),
     ]);
-    this.endComparison();
+    this.setRival(null);
     this.simulation?.delete();
     const names = this.groundNames();
     const tile = names.indexOf(ground) - 1;
@@ -201,16 +185,9 @@ export class Page {
     this.panel.setOptions(this.panel.checkpoints, Object.keys(dog.policies), "last");
     this.panel.setOptions(this.panel.grounds, names, this.ground);
     this.panel.show(simulation.settings);
-    this.clear();
+    this.recorder.clear();
     this.showAbout();
     this.showHint();
-  }
-
-  clear() {
-    this.plots.clear();
-    this.film.clear();
-    this.log.clear();
-    this.debt = 0;
   }
 
   /** Return the names of all grounds, flat first and then tile by tile. */
@@ -241,7 +218,6 @@ export class Page {
   act(name, value) {
     const { simulation } = this;
     if (!simulation) return;
-    const { robots } = this;
     if (name in simulation.settings) this.change({ [name]: value });
     /** @type {Record<string, () => void>} */
     const actions = {
@@ -253,11 +229,11 @@ export class Page {
       pace: () => (this.pace = Number(value)),
       release: () => (this.pilot.release = value),
       stop: () => this.pilot.stop(),
-      kick: () => robots.forEach((robot) => robot.push(0, KICK)),
+      kick: () => this.robots.forEach((robot) => robot.push(0, KICK)),
       throw: () => (this.isThrowDue = true),
       reset: () => {
-        robots.forEach((robot) => robot.reset());
-        this.clear();
+        this.robots.forEach((robot) => robot.reset());
+        this.recorder.clear();
       },
       pause: () => {
         this.isPaused = !this.isPaused;
@@ -270,7 +246,7 @@ export class Page {
       link: () => this.copyLink(),
       film: () => {
         this.scene.sharpen();
-        this.film.save();
+        this.recorder.film();
       },
     };
     actions[name]?.();
@@ -316,7 +292,8 @@ export class Page {
     const { simulation, dog } = this;
     if (!simulation || !dog) return;
     const { settings } = simulation;
-    const hash = writeLink(dog.name, this.ground, settings, simulation.defaults(), this.log.parts);
+    const { script } = this.recorder;
+    const hash = writeLink(dog.name, this.ground, settings, simulation.defaults(), script);
     history.replaceState(null, "", hash);
     this.tell("The link is in the address bar, and copied where the browser allows that.");
     navigator.clipboard?.writeText(location.href).catch(() => {});
@@ -340,14 +317,13 @@ export class Page {
     const dt = Math.min((now - this.lastFrame) / 1000, PAUSE);
     this.lastFrame = now;
     this.inputs.readGamepad();
-    const shown = this.film.next(dt);
+    const shown = this.recorder.next(dt);
     if (shown) this.showState(shown.qpos);
     else if (!this.isPaused) this.advance(dt);
     if (!shown) this.scene.adapt(dt);
     this.scene.draw(dt);
     if (now / 1000 - this.plotted > PLOTTING) {
       this.plotted = now / 1000;
-      this.plots.draw();
       this.showNumbers();
     }
     requestAnimationFrame((time) => this.onFrame(time));
@@ -378,20 +354,12 @@ export class Page {
         this.debt = 0; // slower than real time: what is due is dropped
         break;
       }
-      const targets = this.dog?.remote ? this.askServer(simulation) : undefined;
-      if (targets === null) break;
+      const asks = this.dog?.remote && !simulation.isRising;
+      const targets = asks ? this.server?.askTargets(simulation, this.pilot.command) : undefined;
+      if (targets === null) break; // they have not come yet
       this.step(simulation, targets);
       this.debt -= period;
     }
-  }
-
-  /**
-   * Return the joint targets (12,), rad, that the server computed; null until they have come.
-   * @param {Simulation} simulation
-   */
-  askServer(simulation) {
-    if (simulation.isRising) return undefined;
-    return this.server?.askTargets(simulation.time, simulation.data, this.pilot.command) ?? null;
   }
 
   /**
@@ -409,16 +377,16 @@ export class Page {
     simulation.step(command, targets);
     this.rival?.step(command);
     if (this.rival && this.rival.time !== simulation.time) this.act("reset", true);
-    this.log.add(command, period);
-    this.film.add(simulation.time, simulation.data.qpos);
     const [speed] = simulation.velocity;
-    const { contacts, time } = simulation;
-    this.plots.add({ time, command: command[0], speed, contacts });
+    const qpos = Float64Array.from(simulation.data.qpos);
+    this.recorder.add(period, { qpos, command, speed, contacts: simulation.contacts });
   }
 
   showNumbers() {
     const simulation = /** @type {Simulation} */ (this.simulation);
-    const { samples } = this.plots;
+    const { samples } = this.recorder;
+    drawCurves(find("curves"), samples);
+    drawSteps(find("steps"), samples);
     const recent = samples.slice(-15);
     const mean = recent.reduce((sum, { speed }) => sum + speed, 0) / Math.max(recent.length, 1);
     find("speed").innerHTML = `<b>${Math.abs(mean) < 0.05 ? "0.0" : mean.toFixed(1)}</b> m/s`;

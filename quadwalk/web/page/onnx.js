@@ -1,101 +1,21 @@
-/**
- * Read and run a policy in ONNX: the few operators that quadwalk's exports use.
- *
- * The file is a protocol buffer; its field numbers are those of onnx.proto.
- */
+/** Run a policy in ONNX: the few operators that quadwalk's exports use. */
+
+/** @typedef {{name: string, shape: number[], values: Float32Array}} Tensor */
+
+const INT64 = 7; // ONNX's number of a type; all other tensors are of float32
 
 /**
- * @typedef {{name: string, shape: number[], values: Float32Array}} Tensor
- * @typedef {{operator: string, inputs: string[], output: string}} Node
+ * Return a tensor of the file.
+ * @param {{name: string, dims?: string[], dataType: number, rawData: string}} tensor
+ * @returns {Tensor}
  */
-
-const FLOAT = 1;
-const INT64 = 7;
-
-/**
- * Yield the fields of a protocol buffer message.
- * @param {Uint8Array} bytes
- * @returns {Generator<[number, number | Uint8Array]>} field number, and its integer or its bytes
- */
-function* readFields(bytes) {
-  const view = new DataView(bytes.buffer, bytes.byteOffset, bytes.byteLength);
-  let at = 0;
-  const readInteger = () => {
-    let value = 0;
-    let factor = 1;
-    for (;;) {
-      const byte = bytes[at++];
-      if (byte === undefined) throw new Error("the policy's file ends in the middle");
-      value += (byte & 127) * factor;
-      if (byte < 128) return value;
-      factor *= 128;
-    }
-  };
-  while (at < bytes.length) {
-    const key = readInteger();
-    const field = Math.floor(key / 8);
-    const kind = key % 8;
-    if (kind === 0) {
-      yield [field, readInteger()];
-    } else if (kind === 2) {
-      const size = readInteger();
-      yield [field, bytes.subarray(at, at + size)];
-      at += size;
-    } else if (kind === 5) {
-      yield [field, view.getFloat32(at, true)];
-      at += 4;
-    } else {
-      throw new Error("the policy is not a file in ONNX");
-    }
-  }
-}
-
-/** @param {number | Uint8Array} value */
-function toText(value) {
-  return new TextDecoder().decode(/** @type {Uint8Array} */ (value));
-}
-
-/**
- * Return the fields with this number, as bytes.
- * @param {Uint8Array} message
- * @param {number} number
- * @returns {Uint8Array[]}
- */
-function findFields(message, number) {
-  const values = [];
-  for (const [field, value] of readFields(message)) {
-    if (field === number) values.push(/** @type {Uint8Array} */ (value));
-  }
-  return values;
-}
-
-/** @param {Uint8Array} message a TensorProto @returns {Tensor} */
-function readTensor(message) {
-  const shape = [];
-  let name = "";
-  let type = FLOAT;
-  let raw = new Uint8Array();
-  for (const [field, value] of readFields(message)) {
-    if (field === 1 && typeof value === "number") shape.push(value);
-    else if (field === 1) shape.push(.../** @type {Uint8Array} */ (value));
-    else if (field === 2) type = /** @type {number} */ (value);
-    else if (field === 8) name = toText(value);
-    else if (field === 9) raw = /** @type {Uint8Array} */ (value).slice();
-  }
-  if (type === INT64) {
-    const values = Float32Array.from(new BigInt64Array(raw.buffer), Number);
-    return { name, shape, values };
-  }
-  return { name, shape, values: new Float32Array(raw.buffer) };
-}
-
-/** @param {Uint8Array} message a NodeProto @returns {Node} */
-function readNode(message) {
-  return {
-    operator: toText(findFields(message, 4)[0]),
-    inputs: findFields(message, 1).map(toText),
-    output: toText(findFields(message, 2)[0]),
-  };
+function readTensor({ name, dims = [], dataType, rawData }) {
+  const { buffer } = Uint8Array.from(atob(rawData), (character) => character.charCodeAt(0));
+  const values =
+    dataType === INT64
+      ? Float32Array.from(new BigInt64Array(buffer), Number)
+      : new Float32Array(buffer);
+  return { name, shape: dims.map(Number), values };
 }
 
 /**
@@ -153,25 +73,20 @@ const OPERATORS = {
 
 /** A policy, as exported. */
 export class Policy {
-  /** @param {Uint8Array} file */
+  /** @param {Uint8Array} file ONNX in the JSON of protocol buffers */
   constructor(file) {
-    const [graph] = findFields(file, 7);
-    if (!graph) throw new Error("the policy is not a file in ONNX");
+    const { graph, metadataProps } = JSON.parse(new TextDecoder().decode(file));
     /** @type {Record<string, string>} */
     this.metadata = {};
-    for (const entry of findFields(file, 14)) {
-      this.metadata[toText(findFields(entry, 1)[0])] = toText(findFields(entry, 2)[0] ?? []);
-    }
-    this.inputs = findFields(graph, 11).map((info) => toText(findFields(info, 1)[0]));
-    this.nodes = findFields(graph, 1).map(readNode);
-    const unknown = this.nodes.find((node) => !(node.operator in OPERATORS));
-    if (unknown) throw new Error(`the policy uses the operator ${unknown.operator}, unknown here`);
-    this.constants = new Map(
-      findFields(graph, 5).map((message) => {
-        const tensor = readTensor(message);
-        return [tensor.name, tensor];
-      }),
-    );
+    for (const { key, value = "" } of metadataProps) this.metadata[key] = value;
+    /** @type {string[]} */
+    this.inputs = graph.input.map((/** @type {{name: string}} */ { name }) => name);
+    /** @type {{opType: string, input: string[], output: string[]}[]} */
+    this.nodes = graph.node;
+    const unknown = this.nodes.find(({ opType }) => !(opType in OPERATORS));
+    if (unknown) throw new Error(`the policy uses the operator ${unknown.opType}, unknown here`);
+    /** @type {Tensor[]} */
+    this.constants = graph.initializer.map(readTensor);
   }
 
   /**
@@ -180,15 +95,16 @@ export class Policy {
    */
   run(inputs) {
     /** @type {Map<string, Tensor>} */
-    const tensors = new Map(this.constants);
+    const tensors = new Map(this.constants.map((tensor) => [tensor.name, tensor]));
     for (const name of this.inputs) {
       tensors.set(name, { name, shape: [1, inputs[name].length], values: inputs[name] });
     }
-    for (const node of this.nodes) {
-      const values = OPERATORS[node.operator](
-        ...node.inputs.map((name) => /** @type {Tensor} */ (tensors.get(name))),
+    for (const { opType, input, output } of this.nodes) {
+      const [name] = output;
+      const values = OPERATORS[opType](
+        ...input.map((from) => /** @type {Tensor} */ (tensors.get(from))),
       );
-      tensors.set(node.output, { name: node.output, shape: [1, values.length], values });
+      tensors.set(name, { name, shape: [1, values.length], values });
     }
     const output = (/** @type {string} */ name) => /** @type {Tensor} */ (tensors.get(name)).values;
     return { action: output("actions"), target: output("joint_targets") };

@@ -1,6 +1,7 @@
 /** The controls beside the picture. */
 
 /** @typedef {import("./simulation.js").Settings} Settings */
+/** @typedef {{input: HTMLInputElement, output: HTMLOutputElement}} Slider */
 
 /** @type {[keyof Settings, string, number, number, number][]} name, label, least, most, step */
 const SLIDERS = [
@@ -43,16 +44,14 @@ export class Panel {
     /** @type {HTMLElement} */
     this.place = place;
     this.ask = ask;
-    /** @type {Map<string, {input: HTMLInputElement, output: HTMLOutputElement}>} */
+    /** @type {Map<string, Slider>} */
     this.sliders = new Map();
     this.dogs = this.addChoice("dog", "policy", []);
     this.checkpoints = this.addChoice("checkpoint", "checkpoint", []);
     this.grounds = this.addChoice("ground", "ground", []);
     this.pace = this.addChoice("pace", "pace of time", PACES, "1");
     this.addChoice("release", "when all keys are released", ["stand", "walk"], "stand");
-    for (const [name, label, least, most, step] of SLIDERS) {
-      this.addSlider(name, label, least, most, step);
-    }
+    for (const slider of SLIDERS) this.addSlider(slider);
     this.addButtons({
       kick: "kick (K)",
       throw: "throw (T)",
@@ -97,14 +96,8 @@ export class Panel {
     /** @type {HTMLElement} */ (select.parentElement).hidden = options.length < 2;
   }
 
-  /**
-   * @param {string} name
-   * @param {string} label
-   * @param {number} least
-   * @param {number} most
-   * @param {number} step
-   */
-  addSlider(name, label, least, most, step) {
+  /** @param {(typeof SLIDERS)[number]} slider */
+  addSlider([name, label, least, most, step]) {
     const line = add(this.place, "label", { textContent: label });
     const output = add(line, "output");
     const properties = { type: "range", min: `${least}`, max: `${most}`, step: `${step}` };
@@ -146,8 +139,7 @@ export class Panel {
    */
   show(settings) {
     for (const [name, value] of Object.entries(settings)) {
-      const slider = this.sliders.get(name);
-      if (!slider) continue;
+      const slider = /** @type {Slider} */ (this.sliders.get(name));
       slider.input.value = `${value}`;
       slider.output.value = `${+value.toFixed(3)}`;
     }

@@ -120,7 +120,7 @@ function makePiece(terrain, top, left) {
     const column = left + (node % (width + 1));
     const level = terrain.heights[row * columns + column];
     positions.setXYZ(node, origin[0] + column * cell, origin[1] + row * cell, level);
-    const share = (level - low) / Math.max(terrain.range, 1e-3);
+    const share = (level - low) / terrain.range;
     color.setHSL(0.58 - 0.5 * share, 0.25, 0.5 + 0.15 * share);
     if (row % meter === 0 || column % meter === 0) color.multiplyScalar(0.88);
     colors.setXYZ(node, color.r, color.g, color.b);
@@ -140,7 +140,7 @@ export class Scene {
     this.scene.background = new THREE.Color(SKY);
     this.camera = new THREE.PerspectiveCamera(45, 1, 0.05, SIGHT);
     this.camera.up.set(0, 0, 1);
-    this.addLights();
+    this.sun = this.addLights();
     this.robot = new THREE.Group();
     this.scene.add(this.robot);
     /** @type {{mesh: THREE.Mesh, geom: number, robot: Simulation}[]} */
@@ -165,15 +165,15 @@ export class Scene {
   }
 
   addLights() {
-    this.scene.add(new THREE.HemisphereLight(0xffffff, 0x8890a0, 1.6));
-    this.sun = new THREE.DirectionalLight(0xffffff, 2);
-    this.sun.castShadow = true;
-    this.sun.shadow.mapSize.set(1024, 1024);
-    this.sun.shadow.bias = -0.0005;
-    const box = this.sun.shadow.camera;
+    const sun = new THREE.DirectionalLight(0xffffff, 2);
+    sun.castShadow = true;
+    sun.shadow.mapSize.set(1024, 1024);
+    sun.shadow.bias = -0.0005;
+    const box = sun.shadow.camera;
     [box.left, box.right, box.top, box.bottom] = [-1.5, 1.5, 1.5, -1.5];
     [box.near, box.far] = [0.5, 12];
-    this.scene.add(this.sun, this.sun.target);
+    this.scene.add(new THREE.HemisphereLight(0xffffff, 0x8890a0, 1.6), sun, sun.target);
+    return sun;
   }
 
   makeTrail() {
@@ -295,13 +295,11 @@ export class Scene {
       } else if (this.grip) this.movePull(event);
       else this.turn(dx, dy);
     });
-    for (const end of ["pointerup", "pointercancel"]) {
-      this.canvas.addEventListener(end, (event) => {
-        pointers.delete(/** @type {PointerEvent} */ (event).pointerId);
-        pinch = 0;
-        this.endPull();
-      });
-    }
+    this.canvas.addEventListener("lostpointercapture", (event) => {
+      pointers.delete(event.pointerId);
+      pinch = 0;
+      this.endPull();
+    });
     this.canvas.addEventListener(
       "wheel",
       (event) => {
@@ -401,7 +399,7 @@ export class Scene {
     }
     this.moveCamera(dt, qpos);
     this.drawTrail(qpos);
-    this.drawForces(simulation.forces ?? []);
+    this.drawForces(simulation.forces);
     this.renderer.render(this.scene, this.camera);
   }
 
@@ -438,10 +436,8 @@ export class Scene {
     );
     this.camera.lookAt(target);
     const { sun, floor } = this;
-    if (sun) {
-      sun.position.set(target.x + 1.5, target.y - 2, target.z + 5);
-      sun.target.position.copy(target);
-    }
+    sun.position.set(target.x + 1.5, target.y - 2, target.z + 5);
+    sun.target.position.copy(target);
     // The floor goes with the robot by whole squares of its pattern, so that it has no end.
     floor?.position.set(2 * Math.round(target.x / 2), 2 * Math.round(target.y / 2), 0);
   }

@@ -51,14 +51,13 @@ export class Server {
 
   /**
    * Return the joint targets (12,), rad, of a state once they have come; null while they are asked.
-   * @param {number} time s since the start
-   * @param {any} data MuJoCo's
+   * @param {import("./simulation.js").Simulation} simulation
    * @param {number[]} command (3,)
    */
-  askTargets(time, data, command) {
+  askTargets({ time, data }, command) {
     const { targets } = this;
     this.targets = null;
-    if (targets || !this.isReady || this.socket.readyState !== WebSocket.OPEN) return targets;
+    if (targets || !this.isReady) return targets;
     this.isReady = false;
     const state = { time, qpos: Array.from(data.qpos), qvel: Array.from(data.qvel), command };
     this.send(state);

@@ -99,22 +99,17 @@ export class Simulation {
    */
   change(settings) {
     Object.assign(this.settings, settings);
-    const { model } = this;
+    const { data, model } = this;
     for (let geom = 0; geom < model.ngeom; geom++) {
       model.geom_friction[3 * geom] = this.settings.friction;
     }
     model.body_mass.set(this.masses);
     model.body_mass[this.trunk] += this.settings.payload;
-    const { qpos, qvel } = this.copyState();
-    this.mujoco.mj_setConst(model, this.data); // inverse inertias at contacts follow from masses
-    this.data.qpos.set(qpos);
-    this.data.qvel.set(qvel);
-    this.mujoco.mj_forward(model, this.data);
-  }
-
-  copyState() {
-    const { data } = this;
-    return { qpos: Float64Array.from(data.qpos), qvel: Float64Array.from(data.qvel) };
+    const [qpos, qvel] = [data.qpos.slice(), data.qvel.slice()];
+    this.mujoco.mj_setConst(model, data); // inverse inertias at contacts follow from masses
+    data.qpos.set(qpos);
+    data.qvel.set(qvel);
+    this.mujoco.mj_forward(model, data);
   }
 
   /** Stand in the first pose, at rest, at the start of its tile. */
@@ -134,7 +129,6 @@ export class Simulation {
     this.time = 0;
     this.lying = 0;
     this.steady = 0;
-    this.contacts = [false, false, false, false];
     this.takeOver(this.driver);
   }
 
@@ -225,7 +219,7 @@ export class Simulation {
    */
   step(command, remote) {
     const { data, model, mujoco, settings, controller, substeps, pull } = this;
-    const { qpos, qvel } = this.copyState();
+    const { qpos, qvel } = data;
     const target =
       remote ?? controller.computeTargets(qpos, qvel, command, this.terrain, settings.noise);
     this.recent.unshift(target);
@@ -274,12 +268,11 @@ export class Simulation {
   readForce(contact) {
     const { data } = this;
     const point = Array.from(contact.pos);
-    const normal = Array.from(contact.frame).slice(0, 3);
-    const up = normal[2] < 0 ? -1 : 1;
+    const normal = Array.from(contact.frame).slice(0, 3); // from the floor up
     const rows = contact.dim === 1 ? 1 : 2 * (contact.dim - 1); // of a pyramidal cone
     let size = 0;
     for (let row = 0; row < rows; row++) size += data.efc_force[contact.efc_address + row];
-    return { point, force: normal.map((x) => up * size * x) };
+    return { point, force: normal.map((x) => size * x) };
   }
 
   /** Hand over to the policy that gets it up and back; put it on its feet where none can. */

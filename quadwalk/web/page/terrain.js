@@ -46,7 +46,8 @@ export class Terrain {
     this.file = file;
     this.tiles = file.tiles;
     this.heights = Float64Array.from(units, (unit) => file.low + file.step * unit);
-    this.range = this.heights.reduce((top, height) => Math.max(top, height), file.low) - file.low;
+    const top = this.heights.reduce((highest, height) => Math.max(highest, height), file.low);
+    this.range = Math.max(top - file.low, 1e-3);
     const [x, y] = file.origin;
     /** The edges of the field, m: least x, most x, least y, most y. */
     this.edges = [x, x + (file.columns - 1) * file.cell, y, y + (file.rows - 1) * file.cell];
@@ -89,7 +90,7 @@ export class Terrain {
   layInto(xml) {
     const { rows, columns, cell, origin, low } = this.file;
     const [length, width] = [(columns - 1) * cell, (rows - 1) * cell];
-    const size = `${length / 2} ${width / 2} ${Math.max(this.range, 1e-3)} ${BASE}`;
+    const size = `${length / 2} ${width / 2} ${this.range} ${BASE}`;
     const field = `<hfield name="floor" nrow="${rows}" ncol="${columns}" size="${size}"/>`;
     const position = `${origin[0] + length / 2} ${origin[1] + width / 2} ${low}`;
     return xml
@@ -104,8 +105,7 @@ export class Terrain {
    * @param {any} model
    */
   fill(model) {
-    const range = Math.max(this.range, 1e-3);
     const { low } = this.file;
-    model.hfield_data.set(Float32Array.from(this.heights, (height) => (height - low) / range));
+    model.hfield_data.set(Float32Array.from(this.heights, (height) => (height - low) / this.range));
   }
 }
