@@ -30,7 +30,7 @@ from quadwalk.runs.directory import Run
 from quadwalk.terrain.terrain import FLAT
 
 SIZE = (960, 540)  # pixels
-FPS = 20
+FPS = 25
 INK, ORANGE, PAPER = (30, 34, 40), (213, 94, 0), (255, 255, 255)
 
 # s of the simulation, and from then on: what is said, and the command (m/s, m/s, rad/s)
@@ -72,7 +72,7 @@ def draw_film(path: Path) -> None:
             append_images=others,
             duration=round(1000 / FPS),
             loop=0,
-            quality=45,
+            quality=18,
             method=6,
         )
 
