@@ -21,7 +21,7 @@ TASK = replace(
         action=ABOUT_STANDARD,
         observation={**drive.TASK.env.observation, **BODY},
         critic={**drive.TASK.env.critic, "strides": Observation(strides)},
-        # Long strides and high swings, as of studies/gait/drive.py.
+        # For long strides and high swings.
         reward={
             **drive.TASK.env.reward,
             "energy": Reward(rewards.energy, scale=-0.1),
