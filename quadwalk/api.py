@@ -17,7 +17,7 @@ from quadwalk.robot.load import load_robot
 from quadwalk.runs.directory import Run, find_any_run
 from quadwalk.runs.resume import read_config_to_replay, read_config_to_resume
 from quadwalk.settings.serialize import change_settings
-from quadwalk.settings.training import TrainConfig
+from quadwalk.settings.training import OtherRobotConfig, RobotConfig, TrainConfig
 from quadwalk.task_files import load_task
 
 if TYPE_CHECKING:
@@ -98,6 +98,7 @@ def train(
 def evaluate(
     run: str | Path | Run = "latest",
     *,
+    robot: str | Path | None = None,
     episodes: int = 16,
     seconds: float = 20.0,
     engine: Literal["mjx", "mujoco", "fast"] = "mjx",
@@ -110,6 +111,7 @@ def evaluate(
 
     Args:
         run: a run, its name or path, or "latest".
+        robot: as for `make`, another robot than the run's, for a run of the task universal.
         episodes: how many, each from another start.
         seconds: the time limit of an episode.
         engine: "mjx", MuJoCo C with every shape colliding ("mujoco"), or the trained one ("fast").
@@ -126,7 +128,8 @@ def evaluate(
         raise UsageError(f"episodes is {episodes} and seconds {seconds}; expected more than 0")
     run = _find_run(run, runs)
     set_up_devices()
-    loaded = load_run(run, seconds, policy, engine, randomized, seed)
+    other = _find_robot(robot)
+    loaded = load_run(run, seconds, policy, engine, randomized, seed, robot=other)
     for note in loaded.notes:
         make_console().print(f"{run.name}: {note}")
     return evaluate_policy(loaded, episodes, seed)
@@ -172,18 +175,23 @@ class Page:
 
 
 def play(
-    run: str | Path | Run = "latest", *, runs: str | Path | None = None, height: int = 520
+    run: str | Path | Run = "latest",
+    *,
+    robot: str | Path | None = None,
+    runs: str | Path | None = None,
+    height: int = 520,
 ) -> Page:
     """Return a page in which the robot of a run is driven; a notebook's cell shows it.
 
     Args:
         run: a run, its name or path, or "latest".
+        robot: as for `evaluate`.
         runs: the folder of all runs, "runs" unless another is given.
         height: of the page, pixels.
     """
     from quadwalk.web import robots, site  # onnx: no other needs it
 
-    files = robots.make_files([_find_run(run, runs)], "last")
+    files = robots.make_files([_find_run(run, runs)], "last", robot=_find_robot(robot))
     return Page(site.to_single_file(files).decode(), height)
 
 
@@ -199,3 +207,8 @@ def _make_config(
 def _find_run(run: str | Path | Run, runs: str | Path | None) -> Run:
     """Return a run by its name, its path or "latest"; raise `UserError` where there is none."""
     return run if isinstance(run, Run) else find_any_run(runs or TrainConfig.runs, str(run))
+
+
+def _find_robot(robot: str | Path | None) -> RobotConfig | None:
+    """Return the settings of the robot of a file, or of that name in an installed package."""
+    return OtherRobotConfig(urdf=None if robot is None else Path(robot)).find()

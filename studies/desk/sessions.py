@@ -29,7 +29,6 @@ from quadwalk.learn.desk import DeskIteration
 from quadwalk.learn.devices import set_up_devices
 from quadwalk.paths import PRETRAINED
 from quadwalk.runs.directory import Run
-from quadwalk.settings.serialize import change_settings
 from quadwalk.settings.training import TrainConfig
 from quadwalk.task_files import load_task
 
@@ -56,7 +55,7 @@ def make_sessions() -> dict[str, Session]:
     """Return the sessions by name."""
     return {
         "walk": Session(
-            change_settings(load_task("walk"), {"ppo.symmetric": False}),  # as the packaged one
+            load_task("walk"),
             init="walk",
             steps=5_000_000,
             every=540_000,

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+import quadwalk
 from benchmarks.shared import find_example_robots
 from quadwalk.env.env import QuadrupedEnv
 from quadwalk.errors import UserError
@@ -172,5 +173,8 @@ def test_a_policy_of_one_robot_drives_no_other():
     with pytest.raises(UserError, match="drives the robot that it was trained on") as error:
         load_run(Run(PRETRAINED / "walk"), 1.0, robot=robot)
     assert "\n" not in str(error.value)
+    for show in (quadwalk.evaluate, quadwalk.play):
+        with pytest.raises(UserError, match="drives the robot that it was trained on"):
+            show("walk", robot="other.urdf")
     with pytest.raises(UserError, match="need --robot"):
         OtherRobotConfig(speed=1.0)
