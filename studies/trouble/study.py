@@ -43,8 +43,24 @@ class Case(NamedTuple):
 SPEED = Panel("eval/speed", "speed", "m/s")
 FALLS = Panel("eval/fall_rate", "episodes that fell", "%", 100.0)
 REWARD = Panel("train/reward", "reward per step")
+NAN = Panel("train/nan", "states that are not finite")
 CASES = {
     "costly": Case({"env.reward.energy": -0.5}, (SPEED, FALLS, REWARD)),
+    "still": Case(
+        {"env.reward.energy": -2.0},
+        (SPEED, FALLS, Panel("train/reward/energy", "energy, scaled")),
+    ),
+    "drowned": Case(
+        {"env.reward.vertical": -20.0},
+        (
+            SPEED,
+            Panel("train/reward/forward", "forward, scaled"),
+            Panel("train/reward/vertical", "vertical, scaled"),
+        ),
+    ),
+    "nan": Case(
+        {"env.physics_dt": 0.02, "env.substeps": 1, "env.motor.kp": 2000.0}, (SPEED, FALLS, NAN)
+    ),
 }
 
 
