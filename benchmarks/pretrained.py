@@ -4,7 +4,7 @@
 
 Trains each task as `python train.py TASK` does, unless the folder has a run of that name, and keeps
 each policy and its robot in assets/pretrained/NAME. `drive` begins with the networks of a shorter
-`run`, as in docs/results.md.
+`walk`, as in docs/results.md, and `universal` with those of `drive`.
 """
 
 import shutil
@@ -21,15 +21,16 @@ from quadwalk.settings.serialize import to_dict
 from quadwalk.settings.training import RobotConfig
 
 # Task -> flags of the training whose networks it begins with, and the seed of both.
-BEGINS = {"drive": ["run", "--steps", "14000000"]}
+BEGINS = {"drive": ["walk", "--steps", "12000000"], "universal": ["drive"]}
 SEED = {"drive": ["--seed", "1"], "getup": ["--seed", "2"]}
+TASKS = ["run", "walk", "drive", "getup", "rough", "universal"]
 
 
 def main() -> None:
     """Train each task that has no run yet, and keep its policy in assets/pretrained."""
     parser = make_parser(__doc__)
     parser.add_argument("--runs", type=Path, default=Path("runs/pretrained"))
-    parser.add_argument("--tasks", nargs="+", default=["run", "walk", "drive", "getup", "rough"])
+    parser.add_argument("--tasks", nargs="+", default=TASKS)
     options = parser.parse_args()
     for name in options.tasks:
         run = train_task(name, options.runs, name, SEED.get(name, []))
@@ -40,16 +41,24 @@ def main() -> None:
 def train_task(task: str, runs: Path, name: str, flags: list[str]) -> Run:
     """Train a run `name` of a task in the folder `runs`, unless it is there; return it.
 
-    A run whose networks it begins with is trained before, with the same `flags`.
+    A run whose networks it begins with is trained before: with the same `flags`, or if it is that
+    of a packaged policy, as that one.
     """
     run = Run(runs / name)
     if not run.policy.exists():
         begin: list[str] = []
         if task in BEGINS:
-            first = train_run(runs, f"{name}-first", [*BEGINS[task], *flags])
-            begin = ["--init", str(first)]
+            begin = ["--init", str(train_first(task, runs, name, flags))]
         train_run(runs, name, [task, *flags, *begin])
     return run
+
+
+def train_first(task: str, runs: Path, name: str, flags: list[str]) -> Path:
+    """Train the run that a run `name` of `task` begins with, unless it is there; return it."""
+    first, *more = BEGINS[task]
+    if not more:
+        return train_task(first, runs, first, SEED.get(first, [])).path
+    return train_run(runs, f"{name}-first", [first, *more, *flags])
 
 
 def train_run(runs: Path, name: str, flags: list[str]) -> Path:

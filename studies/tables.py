@@ -240,6 +240,15 @@ COLUMNS: dict[str, Templates] = {
         "gait": "{gait}",
         "of the thigh motors' speed": "{share:.2f}",
     },
+    "universal": {
+        "robot": "{robot}",
+        "kg": "{mass:.1f}",
+        "no fall, %": "{no_fall:.1f}",
+        "velocity error, m/s": "{velocity_error:.2f}",
+        "yaw rate error, rad/s": "{yaw_rate_error:.2f}",
+        "fastest command, m/s": "{fastest:.1f}",
+        "beyond the bodies trained on": "{beyond}",
+    },
     "foreign": {
         "condition": "{condition}",
         "`run`: m/s": "{run_speed:.2f}",

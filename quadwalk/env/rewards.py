@@ -227,6 +227,15 @@ def flight(robot: RobotConstants, step: Step, *, slow: float) -> jax.Array:
     return share * ~jnp.any(step.contact)
 
 
+def crouch(robot: RobotConstants, step: Step, *, slow: float) -> jax.Array:
+    """Share of the home height that the trunk is too low by, at the command to stand.
+
+    Less for faster commands, 0 from a commanded pace of `slow`, a share of the Froude speed, on.
+    """
+    low = jnp.clip(1.0 - step.height / robot.home_height, 0.0, 1.0)
+    return low * jnp.clip(1.0 - _compute_pace(robot, step) / (slow * robot.froude_speed), 0.0, 1.0)
+
+
 def kneel(robot: RobotConstants, step: Step, *, height: float) -> jax.Array:
     """1 with a knee or shin on the ground, 0 with all at `height`, m, or more; linear between."""
     return jnp.clip(1.0 - step.lowest[1] / height, 0.0, 1.0)

@@ -35,6 +35,7 @@ class Body:
     width: float  # from the right to the left hips' joints
     offset: float  # from the hip's joint to the thigh's, aside
     foot: float  # radius
+    knee: float  # radius of the knee, which sticks out of the thigh where it is thick
     legs: float  # share of the mass that the legs have
     hips: float  # share of a leg's mass that the hip has
     calf: float  # share that calf and foot have
@@ -72,6 +73,7 @@ RANGES: dict[str, tuple[float, float]] = {
     "width": (0.16, 0.68),
     "offset": (0.0, 0.32),
     "foot": (0.028, 0.07),
+    "knee": (0.03, 0.11),
     "legs": (0.25, 0.66),
     "hips": (0.28, 0.75),
     "calf": (0.05, 0.17),
@@ -199,6 +201,12 @@ def make_body(body: Body, name: str = "body") -> Quadruped:
         for i in range(3):
             links[i].pos = places[i]
             _scale_link(links[i], like[i], masses[i], factors[i])
+        links[1].add_geom(
+            links[1].geoms[0].classname,
+            type=mujoco.mjtGeom.mjGEOM_SPHERE,
+            size=[body.knee * leg, 0, 0],
+            pos=[0.0, 0.0, -lengths[0]],
+        )
         foot = spec.geom(base.feet[place])
         foot.size = [body.foot * leg, 0, 0]
         foot.pos = [0.0, 0.0, -lengths[1]]

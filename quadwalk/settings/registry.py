@@ -42,6 +42,7 @@ TERMS: dict[str, Callable[..., Any]] = {
     "reward:slip": rewards.slip,
     "reward:short_stride": rewards.short_stride,
     "reward:swing_error": rewards.swing_error,
+    "reward:crouch": rewards.crouch,
     "reward:flight": rewards.flight,
     "reward:kneel": rewards.kneel,
     "reward:trot": rewards.trot,

@@ -1,13 +1,17 @@
-"""drive: stand, walk, gallop and turn on command, with a real robot's sensors and disturbances."""
+"""drive: stand, walk, run and turn on command, with a real robot's sensors and disturbances.
+
+It begins with the networks of a `walk`, whose feet lift high: `--init walk`. From random networks
+it learns to shuffle. See studies/history.md.
+"""
 
 from dataclasses import replace
 
 from quadwalk.env import rewards
 from quadwalk.env.actions import ABOUT_HOME
-from quadwalk.env.observations import COMMAND, PROPRIOCEPTION, TRUE_LEGS, TRUE_TRUNK
+from quadwalk.env.observations import COMMAND, PROPRIOCEPTION, TRUE_LEGS, TRUE_TRUNK, strides
 from quadwalk.env.terminations import FALLS
 from quadwalk.settings.environment import HOME_RESET, PHYSICS, REAL_WORLD, CommandConfig, EnvConfig
-from quadwalk.settings.terms import Reward
+from quadwalk.settings.terms import Observation, Reward
 from quadwalk.settings.training import PPO, TrainConfig
 
 TASK = TrainConfig(
@@ -19,19 +23,29 @@ TASK = TrainConfig(
         **PHYSICS,
         action=ABOUT_HOME,
         observation={**COMMAND, **PROPRIOCEPTION},
-        critic={**TRUE_TRUNK, **TRUE_LEGS},
+        critic={**TRUE_TRUNK, **TRUE_LEGS, "strides": Observation(strides)},
         reward={
             "fall": Reward(rewards.fall, scale=-90.0),
             "track": Reward(rewards.track, {"width": 0.15, "share": 0.05}, scale=2.5),
-            "approach": Reward(rewards.approach, scale=1.0),
+            "approach": Reward(rewards.approach, scale=1.2),
             "follow_yaw_rate": Reward(rewards.follow_yaw_rate, {"width": 0.2}, scale=1.0),
             "yaw_rate_off": Reward(rewards.yaw_rate_off, scale=-1.2),
             "fidget": Reward(rewards.fidget, scale=-5.0),
-            "energy": Reward(rewards.energy, scale=-0.05),
-            "vertical": Reward(rewards.vertical, scale=-0.3),
+            "crouch": Reward(rewards.crouch, {"slow": 0.3}, scale=-4.0),
+            "energy": Reward(rewards.energy, scale=-0.07),
+            "cost_of_transport": Reward(rewards.cost_of_transport, {"slow": 0.15}, scale=-0.8),
+            "vertical": Reward(rewards.vertical, scale=-0.5),
             "tilt": Reward(rewards.tilt, scale=-0.5),
             "roll_pitch_rate": Reward(rewards.roll_pitch_rate, scale=-0.1),
             "action_rate": Reward(rewards.action_rate, scale=-0.1),
+            # Long strides and high swings, of feet that do not slip.
+            "short_stride": Reward(
+                rewards.short_stride, {"frequency": 0.45, "increase": 0.24}, scale=-4.0
+            ),
+            "swing_error": Reward(rewards.swing_error, {"low": 0.16, "high": 0.3}, scale=-2.0),
+            "flight": Reward(rewards.flight, {"slow": 0.8}, scale=-1.0),
+            "drag": Reward(rewards.drag, {"height": 0.06}, scale=-0.5),
+            "slip": Reward(rewards.slip, scale=-1.0),
         },
         termination=FALLS,
         reset=HOME_RESET,

@@ -31,6 +31,7 @@ PARAMS = {
     "short_stride": {"frequency": 0.5, "increase": 0.2},
     "swing_error": {"low": 0.2, "high": 0.4},
     "flight": {"slow": 0.8},
+    "crouch": {"slow": 0.8},
 }
 
 
@@ -202,6 +203,13 @@ CASES = {
         ),
         0.75,
     ),
+    # A fifth of its height is missing, at a quarter of the pace at which that is free.
+    "crouch": (
+        lambda robot: make_standing_step(robot, share=0.8)._replace(
+            command=jnp.array([0.2 * robot.froude_speed, 0.0, 0.0])
+        ),
+        0.2 * 0.75,
+    ),
     # Of knees and shins, whatever the trunk does: a quarter of the height that costs nothing.
     "kneel": (make_step(lowest=jnp.array([-0.3, 0.01])), 0.75),
     # A quarter of a stride in, FR and RL (the first and last of the four) are to be highest: one
@@ -236,6 +244,7 @@ LIMITS = {
     "short_stride": (lambda robot: make_landing_step(robot, [True] * 4), 4.0),
     "swing_error": (lambda robot: make_landing_step(robot, [True] * 4), 4.0),
     "flight": (make_step(command=jnp.array([0.0, 0.0, 9.0]), contact=jnp.zeros(4, bool)), 0.0),
+    "crouch": (lambda robot: make_standing_step(robot, share=9.0), 0.0),
     "joint_speed": (make_step(qvel=jnp.full(18, 90.0)), 100.0),
     "upright": (make_step(qpos=turn_trunk(roll=np.pi)), 0.0),
     "raised": (lambda robot: make_standing_step(robot, share=9.0), 1.0),
