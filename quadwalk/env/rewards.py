@@ -223,8 +223,7 @@ def flight(robot: RobotConstants, step: Step, *, slow: float) -> jax.Array:
 
     Linear between; `slow` is a share of the Froude speed.
     """
-    share = jnp.clip(1.0 - _compute_pace(robot, step) / (slow * robot.froude_speed), 0.0, 1.0)
-    return share * ~jnp.any(step.contact)
+    return _compute_slowness(robot, step, slow) * ~jnp.any(step.contact)
 
 
 def crouch(robot: RobotConstants, step: Step, *, slow: float) -> jax.Array:
@@ -233,7 +232,12 @@ def crouch(robot: RobotConstants, step: Step, *, slow: float) -> jax.Array:
     Less for faster commands, 0 from a commanded pace of `slow`, a share of the Froude speed, on.
     """
     low = jnp.clip(1.0 - step.height / robot.home_height, 0.0, 1.0)
-    return low * jnp.clip(1.0 - _compute_pace(robot, step) / (slow * robot.froude_speed), 0.0, 1.0)
+    return low * _compute_slowness(robot, step, slow)
+
+
+def _compute_slowness(robot: RobotConstants, step: Step, slow: float) -> jax.Array:
+    """Return 1 at the command to stand, 0 from `slow` Froude speeds on; linear between."""
+    return jnp.clip(1.0 - _compute_pace(robot, step) / (slow * robot.froude_speed), 0.0, 1.0)
 
 
 def kneel(robot: RobotConstants, step: Step, *, height: float) -> jax.Array:
