@@ -114,18 +114,34 @@ def test_it_starts_from_many_poses(robot_files, run_node):
     assert not any(answer["fell"] for answer in answers)
 
 
-@pytest.mark.parametrize("speed", [0.0, 2.0])
-def test_thrown_over_it_drives_on_within_five_seconds(speed, robot_files, run_node):
+@pytest.mark.parametrize(("speed", "seconds"), [(0.0, 4.0), (2.0, 5.0)])
+def test_thrown_over_it_stands_within_four_seconds_and_drives_on(
+    speed, seconds, robot_files, run_node
+):
     getup = locate_robot(robot_files, "getup")["policy"]
     job = {**locate_robot(robot_files, "drive"), "getup": getup}
-    throws = [  # at several moments of a stride; the last half second is measured
-        {"steps": at + 250, "settle": at + 225, "command": [speed, 0, 0], "throwAt": at}
-        for at in range(50, 70, 2)
-    ]
-    for thrown in run_node({**job, "episodes": throws}):
+
+    def throw(after: float) -> Any:
+        """Return what is thrown at several moments of a stride, and measured for half a second."""
+        steps = round(after / 0.02)
+        throws = [
+            {
+                "steps": at + steps,
+                "settle": at + steps - 25,
+                "command": [speed, 0, 0],
+                "throwAt": at,
+            }
+            for at in range(50, 70, 2)
+        ]
+        return run_node({**job, "episodes": throws})
+
+    for thrown in throw(4.0):
         assert thrown["rising"] > 10
         assert thrown["isStanding"]
+        assert thrown["events"] == []
+    for thrown in throw(seconds):
         assert thrown["velocity"][0] == pytest.approx(speed, abs=0.1)
+        assert thrown["isStanding"]
         assert thrown["events"] == []
 
 
