@@ -280,5 +280,5 @@ def test_a_robot_of_ones_own_is_imported_stands_and_learns_from_the_packaged_pol
     assert int(re.search(r"stands (\d+) cm", done.text("env.motor.kp"))[1]) > 25
     config = json.loads((done.folder / "runs/go2/config.json").read_text())["config"]
     assert config["init"].endswith("pretrained/walk")
-    assert done.text("velocity_error").count("command") == 8
+    assert done.text("for rollout, figures in").count("command") == 8
     assert len(done.outputs("film_strip(")) == 1
