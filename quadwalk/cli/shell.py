@@ -30,6 +30,18 @@ def get_python() -> str:
     return _name_program(sys.executable)
 
 
+def find_program(name: str) -> str:
+    """Return how the shell calls a program that pip installs for this Python.
+
+    It stands beside the interpreter, also where it is not installed yet; by its name if only the
+    PATH has one.
+    """
+    beside = str(Path(sys.executable).with_name(name))
+    if shutil.which(beside) is None and shutil.which(name) is not None:
+        return name
+    return _name_program(beside)
+
+
 def make_command(command: str, *arguments: str | Path) -> str:
     """Return a line for the shell that calls another command of quadwalk with `arguments`.
 

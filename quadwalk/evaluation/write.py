@@ -10,6 +10,7 @@ from typing import Any
 from rich.progress import BarColumn, Progress, TimeRemainingColumn
 
 from quadwalk.cli.arguments import make_console
+from quadwalk.cli.shell import find_program, get_python
 from quadwalk.evaluation import sweep
 from quadwalk.evaluation.load import LoadedRun
 from quadwalk.evaluation.mcap.write import format_rerun_commands
@@ -62,8 +63,9 @@ def write_evaluation(
         paths = evaluation.save_mcap(folder, recordings)
     console.print(f"written to {folder}: {', '.join(files)}, {len(paths)} MCAP files")
     if paths:
-        where = "in Rerun" if shutil.which("rerun") else "in Rerun (pip install rerun-sdk)"
-        console.print(f"see {paths[0]} in Foxglove, or {where} with:")
+        is_there = shutil.which(find_program("rerun")) is not None
+        hint = "" if is_there else f" ({get_python()} -m pip install rerun-sdk)"
+        console.print(f"see {paths[0]} in Foxglove, or in Rerun{hint} with:")
         console.print(format_rerun_commands(paths[0]))
     return results
 

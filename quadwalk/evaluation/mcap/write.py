@@ -13,7 +13,7 @@ from typing import IO
 from mcap.writer import Writer
 from mcap_protobuf.schema import register_schema
 
-from quadwalk.cli.shell import quote_words
+from quadwalk.cli.shell import find_program, quote_words
 from quadwalk.evaluation.mcap.messages import EpisodeMessages
 from quadwalk.evaluation.rollout import Rollout
 from quadwalk.files import open_atomic
@@ -84,10 +84,10 @@ def format_rerun_commands(recording: Path) -> str:
     """
     converted = recording.with_suffix(".rrd")
     options = ["--application-id", RERUN_APPLICATION, "--timeline-type", "duration"]
-    convert = quote_words("rerun", "mcap", "convert", *options, recording, "-o", converted)
-    return (
-        f"{convert} && {quote_words('rerun', converted, recording.with_name(RERUN_BLUEPRINT.name))}"
-    )
+    rerun = find_program("rerun")
+    convert = quote_words(rerun, "mcap", "convert", *options, recording, "-o", converted)
+    show = quote_words(rerun, converted, recording.with_name(RERUN_BLUEPRINT.name))
+    return f"{convert} && {show}"
 
 
 def _write(
