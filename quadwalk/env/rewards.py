@@ -235,6 +235,18 @@ def crouch(robot: RobotConstants, step: Step, *, slow: float) -> jax.Array:
     return low * _compute_slowness(robot, step, slow)
 
 
+def feet_off(robot: RobotConstants, step: Step) -> jax.Array:
+    """Distance of the feet ahead of or behind their home places, as a share of the home height.
+
+    Along the trunk, of the middle of each pair, mean of both. So the swings of a trot are free, and
+    legs that work far behind their hips are not.
+    """
+    feet = compute_leg_points(robot.geometry, step.qpos[7:])[0, :, 0]
+    home = compute_leg_points(robot.geometry, robot.home_joints)[0, :, 0]
+    pairs = jnp.mean((feet - home).reshape(2, 2), axis=1)
+    return jnp.mean(jnp.abs(pairs)) / robot.home_height
+
+
 def _compute_slowness(robot: RobotConstants, step: Step, slow: float) -> jax.Array:
     """Return 1 at the command to stand, 0 from `slow` Froude speeds on; linear between."""
     return jnp.clip(1.0 - _compute_pace(robot, step) / (slow * robot.froude_speed), 0.0, 1.0)

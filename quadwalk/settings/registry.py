@@ -43,6 +43,7 @@ TERMS: dict[str, Callable[..., Any]] = {
     "reward:short_stride": rewards.short_stride,
     "reward:swing_error": rewards.swing_error,
     "reward:crouch": rewards.crouch,
+    "reward:feet_off": rewards.feet_off,
     "reward:flight": rewards.flight,
     "reward:kneel": rewards.kneel,
     "reward:trot": rewards.trot,

@@ -46,6 +46,8 @@ TASK = TrainConfig(
             "flight": Reward(rewards.flight, {"slow": 0.8}, scale=-1.0),
             "drag": Reward(rewards.drag, {"height": 0.06}, scale=-0.5),
             "slip": Reward(rewards.slip, scale=-1.0),
+            # Legs that work behind their hips reach their limits at 4 m/s.
+            "feet_off": Reward(rewards.feet_off, scale=-2.0),
         },
         termination=FALLS,
         reset=HOME_RESET,

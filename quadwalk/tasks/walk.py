@@ -28,6 +28,7 @@ TASK = TrainConfig(
             "follow": Reward(rewards.follow, {"width": 0.35}, scale=1.0),
             "follow_yaw_rate": Reward(rewards.follow_yaw_rate, {"width": 0.35}, scale=0.5),
             "drag": Reward(rewards.drag, {"height": 0.02}, scale=-0.3),
+            "feet_off": Reward(rewards.feet_off, scale=-1.0),
             "trot": Reward(
                 rewards.trot, {"stride": 20.0, "height": 0.08, "width": 0.04}, scale=1.0
             ),

@@ -14,11 +14,14 @@ from studies.desk.sessions import RESULTS
 
 OUT = Path(__file__).parents[2] / "docs" / "desk-sessions.png"
 PANELS = (  # session, figure of its policies, factor to the unit, title, unit
+    ("blog", "body_contact", 100.0, "blog: time on knees or trunk", "%"),
+    ("blog", "height", 100.0, "blog: height of the trunk", "cm"),
     ("walk", "swing_height", 100.0, "walk: height of swings", "cm"),
     ("walk", "speed", 1.0, "walk: speed", "m/s"),
     ("run", "cost_of_transport", 1.0, "run: cost of transport", ""),
     ("run", "speed", 1.0, "run: speed", "m/s"),
 )
+COLUMNS = 2
 
 
 def draw_panel(panel: Axes, session: dict[str, Any], figure: str, factor: float) -> None:
@@ -36,9 +39,12 @@ def main() -> None:
     """Draw the panels of the sessions that were measured, and write the picture."""
     results = json.loads(RESULTS.read_text())
     shown = [panel for panel in PANELS if panel[0] in results]
-    figure = make_figure((4.0 * len(shown), 2.8))
-    panels = figure.subplots(1, len(shown))
-    for panel, (name, metric, factor, title, unit) in zip(panels, shown, strict=True):
+    rows = -(-len(shown) // COLUMNS)
+    figure = make_figure((4.0 * COLUMNS, 2.8 * rows))
+    panels = figure.subplots(rows, COLUMNS, squeeze=False).ravel()
+    for panel in panels[len(shown) :]:
+        panel.set_axis_off()
+    for panel, (name, metric, factor, title, unit) in zip(panels, shown, strict=False):
         draw_panel(panel, results[name], metric, factor)
         tidy(panel, title, unit)
     save_figure(figure, OUT)

@@ -1,7 +1,8 @@
 """Sessions at the reward desk, each repeated by this script: numbers change while a policy trains.
 
-    python -m studies.desk.sessions [--only walk run] [--runs runs] [--out results.json]
+    python -m studies.desk.sessions [--only blog walk run] [--runs runs] [--out results.json]
 
+- `blog`: the blog post's task learns to crawl on its knees, until a term makes kneeling dear.
 - `walk`: the packaged policy goes on, until one number asks its feet to swing higher.
 - `run`: the packaged policy goes on at a chosen speed, until one slider makes energy dear.
 
@@ -12,25 +13,31 @@ not trained again; `train.py --replay` repeats one with the page.
 """
 
 import argparse
+import dataclasses
 import json
 import shutil
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 import quadwalk
 from quadwalk.cli.process import run_command
+from quadwalk.env import rewards
 from quadwalk.evaluation.load import Command, load_run
+from quadwalk.evaluation.metrics import to_json_number
 from quadwalk.evaluation.results import evaluate_policy
 from quadwalk.files import open_atomic
 from quadwalk.learn.desk import DeskIteration
 from quadwalk.learn.devices import set_up_devices
 from quadwalk.paths import PRETRAINED
 from quadwalk.runs.directory import Run
+from quadwalk.settings.terms import Reward
 from quadwalk.settings.training import TrainConfig
 from quadwalk.task_files import load_task
+from studies.gecko.gait import find_body_contact
 
 RESULTS = Path(__file__).parent / "results.json"
 EPISODES = 4  # of a policy that is measured
@@ -39,7 +46,7 @@ POLICIES = "policies"  # folder in a run's: the policies that were kept as it tr
 TIMES = "processor.json"  # in a run's folder: processor time after each iteration, s
 
 
-@dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True)
 class Session:
     """A training, what is changed in it, and what is asked of the robot when it is measured."""
 
@@ -47,13 +54,23 @@ class Session:
     steps: int
     every: int  # control steps between the policies that are kept
     changes: Mapping[int, Mapping[str, float]]  # numbers by name, by the control steps before them
-    init: str | None = None  # a packaged policy
+    init: str | None = None  # a packaged policy; None: training begins with random networks
     command: Command | None = None
 
 
 def make_sessions() -> dict[str, Session]:
     """Return the sessions by name."""
     return {
+        "blog": Session(
+            add_terms(
+                load_task("blog"),
+                kneel=Reward(rewards.kneel, {"height": 0.05}, scale=0.0),
+                raised=Reward(rewards.raised, scale=0.0),
+            ),
+            steps=12_000_000,
+            every=720_000,
+            changes={4_000_000: {"env.reward.kneel": -3.0, "env.reward.raised": 1.0}},
+        ),
         "walk": Session(
             load_task("walk"),
             init="walk",
@@ -73,6 +90,12 @@ def make_sessions() -> dict[str, Session]:
             },
         ),
     }
+
+
+def add_terms(task: TrainConfig, **terms: Reward) -> TrainConfig:
+    """Return `task` with more rewards, by name."""
+    env = dataclasses.replace(task.env, reward={**task.env.reward, **terms})
+    return dataclasses.replace(task, env=env)
 
 
 def train_session(name: str, session: Session, runs: Path) -> Run:
@@ -110,19 +133,28 @@ def train_session(name: str, session: Session, runs: Path) -> Run:
 
 
 def measure_policy(policy: Run, command: Command | None) -> dict[str, Any]:
-    """Return figures of a policy, each the mean of `EPISODES` in MuJoCo C."""
+    """Return figures of a policy, each the mean of `EPISODES` in MuJoCo C.
+
+    `body_contact` is the share of time in which anything but a foot is on the floor.
+    """
     loaded = load_run(policy, SECONDS, engine="mujoco", command=command)
     result = evaluate_policy(loaded, EPISODES, seed=0)
     gait, summary = result.gait, result.summary
+    contacts = [find_body_contact(each, loaded.env.quadruped) for each in result.rollouts]
     speed = "speed" if command is None else "path_speed"
     names = {"speed": speed, "cost_of_transport": "cost_of_transport", "power": "power"}
-    figures = {name: summary[metric]["mean"] for name, metric in names.items()}
+    figures = {
+        name: summary[metric] and summary[metric]["mean"]  # None where no episode has it
+        for name, metric in names.items()
+    }
     return {
         **figures,
         "duration": summary["duration"]["mean"],
-        "swing_height": float(gait.swing_height.mean()),
-        "stride_frequency": gait.stride_frequency,
+        "swing_height": to_json_number(float(gait.swing_height.mean())),
+        "stride_frequency": to_json_number(gait.stride_frequency),
         "gait": gait.gait,
+        "height": float(gait.body_height[0]),
+        "body_contact": float(np.mean([contact.mean() for contact in contacts])),
     }
 
 

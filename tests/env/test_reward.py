@@ -108,6 +108,12 @@ def turn_trunk(roll=0.0, pitch=0.0, yaw=0.0):
     return REST.at[3:7].set(from_euler(roll, pitch, yaw))
 
 
+def turn_thighs(robot, angles: list[float]) -> Step:
+    """Return a step of the robot in its home pose, but for its thighs, turned by `angles`, rad."""
+    joints = robot.home_joints.reshape(4, 3) + np.outer(angles, [0.0, 1.0, 0.0])
+    return make_step(qpos=REST.at[7:].set(joints.ravel()))
+
+
 def make_standing_step(robot, share=1.0, bent=0.0, **angles) -> Step:
     """Return a step at a share of the home height, joints `bent` rad off, turned by `angles`."""
     side = jnp.tile(jnp.array([1, -1]), 6)
@@ -210,6 +216,12 @@ CASES = {
         ),
         0.2 * 0.75,
     ),
+    # Front thighs turn by 0.3 rad, and take feet that hang 0.5 cos(0.8) m below with them. Those of
+    # the hind legs turn apart, as in a trot.
+    "feet_off": (
+        lambda robot: turn_thighs(robot, [0.3, 0.3, 0.2, -0.2]),
+        0.5 * 0.5 * np.cos(0.8) * np.sin(0.3) / (0.5 * np.cos(0.8) + 0.0265),
+    ),
     # Of knees and shins, whatever the trunk does: a quarter of the height that costs nothing.
     "kneel": (make_step(lowest=jnp.array([-0.3, 0.01])), 0.75),
     # A quarter of a stride in, FR and RL (the first and last of the four) are to be highest: one
@@ -245,6 +257,10 @@ LIMITS = {
     "swing_error": (lambda robot: make_landing_step(robot, [True] * 4), 4.0),
     "flight": (make_step(command=jnp.array([0.0, 0.0, 9.0]), contact=jnp.zeros(4, bool)), 0.0),
     "crouch": (lambda robot: make_standing_step(robot, share=9.0), 0.0),
+    "feet_off": (
+        lambda robot: turn_thighs(robot, [np.pi / 2] * 4),
+        0.5 * np.cos(0.8) / (0.5 * np.cos(0.8) + 0.0265),
+    ),
     "joint_speed": (make_step(qvel=jnp.full(18, 90.0)), 100.0),
     "upright": (make_step(qpos=turn_trunk(roll=np.pi)), 0.0),
     "raised": (lambda robot: make_standing_step(robot, share=9.0), 1.0),
