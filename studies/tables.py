@@ -249,6 +249,17 @@ COLUMNS: dict[str, Templates] = {
         "fastest command, m/s": "{fastest:.1f}",
         "beyond the bodies trained on": "{beyond}",
     },
+    "mjcf": {
+        "robot": "{robot}",
+        "kg": "{mass:.1f}",
+        "error": "{error}",
+        "stands": "{stands}",
+        "no fall, %": "{no_fall:.1f}",
+        "velocity error, m/s": "{velocity_error:.2f}",
+        "yaw rate error, rad/s": "{yaw_rate_error:.2f}",
+        "fastest command, m/s": "{fastest:.1f}",
+        "beyond the bodies trained on": "{beyond}",
+    },
     "foreign": {
         "condition": "{condition}",
         "`run`: m/s": "{run_speed:.2f}",
