@@ -232,3 +232,23 @@ def test_a_command_is_named_so_that_this_shell_finds_it(
     monkeypatch.setattr("sys.executable", str(tmp_path / "bin/python"))
     monkeypatch.setenv("PATH", str(tmp_path / "bin") if on_path else "/nowhere")
     assert shell.make_command("eval", "a b") == expected
+
+
+@pytest.mark.parametrize(
+    ("there", "path", "expected"),
+    [
+        (["bin/rerun", "other/rerun"], "other", "bin/rerun"),  # that of this Python comes first
+        (["bin/rerun"], "bin", "rerun"),
+        (["other/rerun"], "other", "rerun"),
+        ([], "other", "bin/rerun"),  # where pip would put it
+    ],
+)
+def test_a_program_beside_this_python_is_found(tmp_path, monkeypatch, there, path, expected):
+    for name in ("bin", "other"):
+        (tmp_path / name).mkdir()
+    for name in there:
+        (tmp_path / name).touch(0o755)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("sys.executable", str(tmp_path / "bin/python"))
+    monkeypatch.setenv("PATH", str(tmp_path / path))
+    assert shell.find_program("rerun") == expected
