@@ -147,7 +147,7 @@ def format_table(results: list[dict[str, Any]]) -> str:
         if not lines:
             lines = [list(cells), ["---"] * len(cells)]
         lines.append(list(cells.values()))
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+    return "\n".join(map(format_row, lines))
 
 
 def draw_film_strip(episodes: dict[Simulator, Episode], loaded: "LoadedRun") -> np.ndarray:

@@ -13,7 +13,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from benchmarks.shared import make_parser
+from benchmarks.shared import format_row, make_parser
 from benchmarks.universal import HEADS, drive_robot
 from benchmarks.zoo import stands
 from quadwalk.cli.process import run_command
@@ -69,11 +69,10 @@ def make_row(run: Run, file: Path, episodes: int) -> str:
         quadruped = load_quadruped(file)
     except UrdfError as error:
         reason = str(error).removeprefix(f"{file}: ")
-        return f"| {name} | refused: {reason} | | | | | | | |"
+        return format_row([name, f"refused: {reason}", *[""] * (2 + len(HEADS))])
     stood = "yes" if stands(quadruped) else "no"
     mass, *figures = drive_robot(run, file, episodes)
-    cells = [name, mass, f"{compute_error(quadruped, file):.0e}", stood, *figures]
-    return f"| {' | '.join(cells)} |"
+    return format_row([name, mass, f"{compute_error(quadruped, file):.0e}", stood, *figures])
 
 
 def main() -> None:
@@ -89,7 +88,8 @@ def main() -> None:
     options = parser.parse_args()
     set_up_devices()
     run = find_any_run(options.runs, options.run)
-    rows = [HEADS.replace("| kg |", "| kg | error | stands |"), "|---" * 9 + "|"]
+    heads = ["robot", "kg", "error", "stands", *HEADS]
+    rows = [format_row(heads), format_row(["---"] * len(heads))]
     print("\n".join(rows), flush=True)
     for file in options.files:
         rows.append(make_row(run, file, options.episodes))

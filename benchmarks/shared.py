@@ -4,7 +4,7 @@ import argparse
 import os
 import sysconfig
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -26,6 +26,11 @@ from quadwalk.tasks import sprint
 def make_parser(doc: str | None) -> argparse.ArgumentParser:
     """Return a parser that describes its program by the first line of the docstring `doc`."""
     return argparse.ArgumentParser(description=(doc or "").partition("\n")[0])
+
+
+def format_row(cells: Sequence[str]) -> str:
+    """Return a line of a table in Markdown."""
+    return f"| {' | '.join(cells)} |"
 
 
 def map_over_cores(function: Callable[..., Any]) -> Callable[..., Any]:

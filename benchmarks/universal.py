@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.shared import make_parser
+from benchmarks.shared import format_row, make_parser
 from quadwalk.cli.process import run_command
 from quadwalk.env.nearness import list_figures
 from quadwalk.errors import UserError
@@ -23,8 +23,11 @@ from quadwalk.runs.directory import Run, find_any_run
 from quadwalk.settings.training import OtherRobotConfig
 
 HEADS = (
-    "| robot | kg | no fall, % | velocity error, m/s | yaw rate error, rad/s "
-    "| fastest command, m/s | beyond the bodies trained on |"
+    "no fall, %",
+    "velocity error, m/s",
+    "yaw rate error, rad/s",
+    "fastest command, m/s",
+    "beyond the bodies trained on",
 )
 
 
@@ -32,14 +35,13 @@ def make_row(run: Run, file: Path, episodes: int) -> str:
     """Evaluate the policy of `run` on the robot of a file, and return its row of the table."""
     name = "/".join(file.parts[-3:])
     try:
-        cells = drive_robot(run, file, episodes)
+        return format_row([name, *drive_robot(run, file, episodes)])
     except UserError as error:
-        return f"| {name} | refused: {error} | | | | | |"
-    return f"| {name} | {' | '.join(cells)} |"
+        return format_row([name, f"refused: {error}", *[""] * len(HEADS)])
 
 
 def drive_robot(run: Run, file: Path, episodes: int) -> list[str]:
-    """Drive the robot of a file by the policy of `run`; return the cells of `HEADS` after its name.
+    """Drive the robot of a file by the policy of `run`; return its mass and the cells of `HEADS`.
 
     Raises `UserError` for a file that is refused.
     """
@@ -72,7 +74,7 @@ def main() -> None:
     options = parser.parse_args()
     set_up_devices()
     run = find_any_run(options.runs, options.run)
-    lines = [HEADS, "|---|---|---|---|---|---|---|"]
+    lines = [format_row(["robot", "kg", *HEADS]), format_row(["---"] * (2 + len(HEADS)))]
     print("\n".join(lines), flush=True)
     for file in options.files:
         lines.append(make_row(run, file, options.episodes))

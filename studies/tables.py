@@ -211,6 +211,14 @@ def list_kinds(rows: Sequence[Row]) -> Templates:
 
 # Measurements that are rows already.
 
+# Of robots that `universal` drives.
+DRIVEN: Templates = {
+    "no fall, %": "{no_fall:.1f}",
+    "velocity error, m/s": "{velocity_error:.2f}",
+    "yaw rate error, rad/s": "{yaw_rate_error:.2f}",
+    "fastest command, m/s": "{fastest:.1f}",
+    "beyond the bodies trained on": "{beyond}",
+}
 COLUMNS: dict[str, Templates] = {
     "machines": {
         "name": "{name}",
@@ -240,25 +248,13 @@ COLUMNS: dict[str, Templates] = {
         "gait": "{gait}",
         "of the thigh motors' speed": "{share:.2f}",
     },
-    "universal": {
-        "robot": "{robot}",
-        "kg": "{mass:.1f}",
-        "no fall, %": "{no_fall:.1f}",
-        "velocity error, m/s": "{velocity_error:.2f}",
-        "yaw rate error, rad/s": "{yaw_rate_error:.2f}",
-        "fastest command, m/s": "{fastest:.1f}",
-        "beyond the bodies trained on": "{beyond}",
-    },
+    "universal": {"robot": "{robot}", "kg": "{mass:.1f}", **DRIVEN},
     "mjcf": {
         "robot": "{robot}",
         "kg": "{mass:.1f}",
         "error": "{error}",
         "stands": "{stands}",
-        "no fall, %": "{no_fall:.1f}",
-        "velocity error, m/s": "{velocity_error:.2f}",
-        "yaw rate error, rad/s": "{yaw_rate_error:.2f}",
-        "fastest command, m/s": "{fastest:.1f}",
-        "beyond the bodies trained on": "{beyond}",
+        **DRIVEN,
     },
     "foreign": {
         "condition": "{condition}",

@@ -27,7 +27,7 @@ import quadwalk
 from quadwalk.cli.process import run_command
 from quadwalk.env import rewards
 from quadwalk.evaluation.load import Command, load_run
-from quadwalk.evaluation.metrics import to_json_number
+from quadwalk.evaluation.metrics import get_mean, to_json_number
 from quadwalk.evaluation.results import evaluate_policy
 from quadwalk.files import open_atomic
 from quadwalk.learn.desk import DeskIteration
@@ -143,10 +143,7 @@ def measure_policy(policy: Run, command: Command | None) -> dict[str, Any]:
     contacts = [find_body_contact(each, loaded.env.quadruped) for each in result.rollouts]
     speed = "speed" if command is None else "path_speed"
     names = {"speed": speed, "cost_of_transport": "cost_of_transport", "power": "power"}
-    figures = {
-        name: summary[metric] and summary[metric]["mean"]  # None where no episode has it
-        for name, metric in names.items()
-    }
+    figures = {name: to_json_number(get_mean(summary[metric])) for name, metric in names.items()}
     return {
         **figures,
         "duration": summary["duration"]["mean"],

@@ -18,6 +18,7 @@ import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
 
+from quadwalk.cli.shell import find_program
 from quadwalk.errors import UserError
 from quadwalk.evaluation.mcap import write as writing
 from quadwalk.evaluation.mcap.urdf import draw_urdf
@@ -430,8 +431,8 @@ def test_a_damaged_file_is_refused_or_read_as_it_was_written(stand, quadruped, t
 
 def test_rerun_finds_nothing_wrong(written):
     pytest.importorskip("rerun", reason="needs rerun-sdk")
-    rerun = shutil.which("rerun", path=os.path.dirname(sys.executable)) or shutil.which("rerun")
-    if rerun is None:
+    rerun = find_program("rerun")
+    if shutil.which(rerun) is None:
         pytest.skip("needs the rerun command (rerun-sdk)")
     command = [rerun, "mcap", "check", str(written)]
     checked = subprocess.run(command, capture_output=True, text=True)
