@@ -26,6 +26,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from benchmarks.shared import format_row
 from benchmarks.simulators import (
     Condition,
     Contact,
