@@ -26,7 +26,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from benchmarks.shared import format_row
 from benchmarks.simulators import (
     Condition,
     Contact,
@@ -148,7 +147,7 @@ def format_table(results: list[dict[str, Any]]) -> str:
         if not lines:
             lines = [list(cells), ["---"] * len(cells)]
         lines.append(list(cells.values()))
-    return "\n".join(map(format_row, lines))
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
 def draw_film_strip(episodes: dict[Simulator, Episode], loaded: "LoadedRun") -> np.ndarray:
