@@ -241,10 +241,25 @@ def feet_off(robot: RobotConstants, step: Step) -> jax.Array:
     Along the trunk, of the middle of each pair, mean of both. So the swings of a trot are free, and
     legs that work far behind their hips are not.
     """
+    return jnp.mean(jnp.abs(_compute_pairs_ahead(robot, step)))
+
+
+def feet_behind(robot: RobotConstants, step: Step) -> jax.Array:
+    """Distance of the feet behind their home places, as a share of the home height.
+
+    It is `feet_off` without what is ahead, where feet have to be when the robot brakes.
+    """
+    return jnp.mean(jnp.maximum(-_compute_pairs_ahead(robot, step), 0.0))
+
+
+def _compute_pairs_ahead(robot: RobotConstants, step: Step) -> jax.Array:
+    """Return how far the middle of each pair of feet is ahead of its home place (2,).
+
+    Along the trunk, as a share of the home height; the front pair first.
+    """
     feet = compute_leg_points(robot.geometry, step.qpos[7:])[0, :, 0]
     home = compute_leg_points(robot.geometry, robot.home_joints)[0, :, 0]
-    pairs = jnp.mean((feet - home).reshape(2, 2), axis=1)
-    return jnp.mean(jnp.abs(pairs)) / robot.home_height
+    return jnp.mean((feet - home).reshape(2, 2), axis=1) / robot.home_height
 
 
 def _compute_slowness(robot: RobotConstants, step: Step, slow: float) -> jax.Array:

@@ -44,6 +44,7 @@ TERMS: dict[str, Callable[..., Any]] = {
     "reward:swing_error": rewards.swing_error,
     "reward:crouch": rewards.crouch,
     "reward:feet_off": rewards.feet_off,
+    "reward:feet_behind": rewards.feet_behind,
     "reward:flight": rewards.flight,
     "reward:kneel": rewards.kneel,
     "reward:trot": rewards.trot,

@@ -35,19 +35,19 @@ TASK = TrainConfig(
             "energy": Reward(rewards.energy, scale=-0.07),
             "cost_of_transport": Reward(rewards.cost_of_transport, {"slow": 0.15}, scale=-0.8),
             "vertical": Reward(rewards.vertical, scale=-0.5),
-            "tilt": Reward(rewards.tilt, scale=-2.0),
+            "tilt": Reward(rewards.tilt, scale=-6.0),
             "roll_pitch_rate": Reward(rewards.roll_pitch_rate, scale=-0.1),
             "action_rate": Reward(rewards.action_rate, scale=-0.1),
             # Long strides and high swings, of feet that do not slip.
             "short_stride": Reward(
                 rewards.short_stride, {"frequency": 0.45, "increase": 0.24}, scale=-4.0
             ),
-            "swing_error": Reward(rewards.swing_error, {"low": 0.16, "high": 0.3}, scale=-3.0),
+            "swing_error": Reward(rewards.swing_error, {"low": 0.16, "high": 0.3}, scale=-6.0),
             "flight": Reward(rewards.flight, {"slow": 0.8}, scale=-1.0),
             "drag": Reward(rewards.drag, {"height": 0.06}, scale=-0.5),
             "slip": Reward(rewards.slip, scale=-1.0),
             # Legs that work behind their hips reach their limits at 4 m/s.
-            "feet_off": Reward(rewards.feet_off, scale=-2.0),
+            "feet_behind": Reward(rewards.feet_behind, scale=-2.0),
         },
         termination=FALLS,
         reset=HOME_RESET,

@@ -222,6 +222,11 @@ CASES = {
         lambda robot: turn_thighs(robot, [0.3, 0.3, 0.2, -0.2]),
         0.5 * 0.5 * np.cos(0.8) * np.sin(0.3) / (0.5 * np.cos(0.8) + 0.0265),
     ),
+    # The front feet are ahead, which is free; the hind ones are behind.
+    "feet_behind": (
+        lambda robot: turn_thighs(robot, [-0.5, -0.5, 0.3, 0.3]),
+        0.5 * 0.5 * np.cos(0.8) * np.sin(0.3) / (0.5 * np.cos(0.8) + 0.0265),
+    ),
     # Of knees and shins, whatever the trunk does: a quarter of the height that costs nothing.
     "kneel": (make_step(lowest=jnp.array([-0.3, 0.01])), 0.75),
     # A quarter of a stride in, FR and RL (the first and last of the four) are to be highest: one
@@ -261,6 +266,7 @@ LIMITS = {
         lambda robot: turn_thighs(robot, [np.pi / 2] * 4),
         0.5 * np.cos(0.8) / (0.5 * np.cos(0.8) + 0.0265),
     ),
+    "feet_behind": (lambda robot: turn_thighs(robot, [-np.pi / 2] * 4), 0.0),
     "joint_speed": (make_step(qvel=jnp.full(18, 90.0)), 100.0),
     "upright": (make_step(qpos=turn_trunk(roll=np.pi)), 0.0),
     "raised": (lambda robot: make_standing_step(robot, share=9.0), 1.0),
