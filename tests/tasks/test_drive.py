@@ -70,7 +70,6 @@ def test_each_command_is_held_from_the_same_starts(standing):
 def test_a_robot_that_stands_is_as_far_off_as_its_command_says(standing, capsys, monkeypatch):
     monkeypatch.setattr(steering, "FORWARD", 5)
     monkeypatch.setattr(steering, "TURNS", 3)
-    monkeypatch.setattr(gaits, "SPEEDS", 5)
     found = measure_commands(standing, 1, 0)
     assert len(found["cells"]) > 8
     for cell in found["cells"]:
