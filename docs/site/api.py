@@ -1,4 +1,4 @@
-"""`python docs/site/api.py`: write docs/api.md from the public Python API's own source."""
+"""Write docs/api.md from the source of the public Python API: `python docs/site/api.py`."""
 
 import dataclasses
 import inspect
@@ -7,10 +7,10 @@ import sys
 from pathlib import Path
 from typing import Any
 
-sys.path.insert(0, str(Path(__file__).parents[0]))
-sys.path.insert(0, str(Path(__file__).parents[2]))  # the package beside which it stands
+sys.path.insert(0, str(Path(__file__).parents[0]))  # settings.py stands beside this file
+sys.path.insert(0, str(Path(__file__).parents[2]))  # the page describes the package of this folder
 
-from settings import comments
+from settings import read_comments
 
 from quadwalk import api, gym
 from quadwalk.env.env import QuadrupedEnv
@@ -20,18 +20,25 @@ from quadwalk.runs.directory import Run
 
 PAGE = Path(__file__).parents[1] / "api.md"
 FUNCTIONS = (api.make, api.train, api.evaluate, api.compare, api.load_policy, api.play)
-# What they return and take, and of each the members that a user calls.
+# The classes that these functions return and take, with the members that a user calls.
 CLASSES: dict[type, tuple[str, ...]] = {
     QuadrupedEnv: ("reset", "step", "to_engine"),
     Run: (),
     Evaluation: (
-        *("summary", "typical", "gait", "origin", "results"),
-        *("film_strip", "report", "save_mcap"),
+        "summary",
+        "typical",
+        "gait",
+        "origin",
+        "results",
+        "film_strip",
+        "report",
+        "save_mcap",
     ),
     Policy: (),
     gym.QuadrupedGymEnv: ("reset", "step"),
     gym.QuadrupedGymVectorEnv: ("reset", "step"),
 }
+LONGEST = 88  # characters of a signature in one line
 HEAD = """# Python
 
 `import quadwalk` gives `make`, `train`, `evaluate`, `compare`, `load_policy` and `play`. The
@@ -41,69 +48,88 @@ classes below are what these return. `import quadwalk.gym` registers the tasks w
 """
 
 
-def said(thing: Any) -> str:
-    """A docstring as Markdown: sections of arguments as lists."""
-    text = inspect.getdoc(thing) or ""
+def write_docstring(documented: Any) -> str:
+    """Return a docstring as Markdown, with each section of arguments as a list."""
+    text = inspect.getdoc(documented) or ""
     text = re.sub(r"^(Args|Attributes):$", r"**\1**\n", text, flags=re.MULTILINE)
-    # Wherever an argument's text goes on in the next line.
+    # In Markdown, an argument's text is one line.
     text = re.sub(r"\n {8,}(?=\S)", " ", text)
     return re.sub(r"^ {4}([\w, ]+): ", r"- `\1`: ", text, flags=re.MULTILINE).strip()
 
 
-def signature(name: str, thing: Any) -> str:
-    """How it is called, a parameter a line where it is long."""
-    found = inspect.signature(thing)
-    parameters = [str(each) for each in found.parameters.values() if each.name != "self"]
-    kinds = [each.kind for each in found.parameters.values() if each.name != "self"]
+def write_signature(name: str, function: Any) -> str:
+    """Return the signature of a function, in one line or with a line for each parameter."""
+    signature = inspect.signature(function)
+    parameters = list_parameters(signature)
+    end = write_return_type(signature)
+    text = f"{name}({', '.join(parameters)}){end}"
+    if len(text) > LONGEST:
+        text = f"{name}(\n    " + ",\n    ".join(parameters) + f",\n){end}"
+    return strip_modules(text)
+
+
+def list_parameters(signature: inspect.Signature) -> list[str]:
+    """Return the parameters of a signature as in source, without `self`."""
+    parameters = [each for each in signature.parameters.values() if each.name != "self"]
+    texts = [str(parameter) for parameter in parameters]
+    kinds = [parameter.kind for parameter in parameters]
     if inspect.Parameter.KEYWORD_ONLY in kinds:
-        parameters.insert(kinds.index(inspect.Parameter.KEYWORD_ONLY), "*")
-    returned = found.return_annotation
-    end = "" if returned is found.empty or returned is None else f" -> {name_of(returned)}"
-    line = f"{name}({', '.join(parameters)}){end}"
-    if len(line) > 88:
-        line = f"{name}(\n    " + ",\n    ".join(parameters) + f",\n){end}"
-    return shortened(line)
+        texts.insert(kinds.index(inspect.Parameter.KEYWORD_ONLY), "*")
+    return texts
 
 
-def name_of(annotation: Any) -> str:
-    """A type as one writes it."""
-    return annotation.__name__ if isinstance(annotation, type) else str(annotation)
+def write_return_type(signature: inspect.Signature) -> str:
+    """Return the arrow and the type at the end of a signature, or "" if it returns nothing."""
+    annotation = signature.return_annotation
+    if annotation is signature.empty or annotation is None:
+        return ""
+    return f" -> {annotation.__name__ if isinstance(annotation, type) else annotation}"
 
 
-def shortened(text: str) -> str:
-    """`text` without the modules of types."""
+def strip_modules(text: str) -> str:
+    """Return a signature without the modules and the quotes of its types."""
     text = re.sub(r"\b(?:[a-z_0-9]+\.)+(?=[A-Z])", "", text)
     return re.sub(r"'([A-Z]\w*)'", r"\1", text)
 
 
-def function(name: str, thing: Any, level: str = "##") -> str:
-    """The entry of a function or method."""
-    heading = name.rpartition(".")[2]
-    return f"{level} {heading}\n\n```python\n{signature(name, thing)}\n```\n\n{said(thing)}"
+def write_function(name: str, function: Any, level: str = "##") -> str:
+    """Return the entry of a function or method: heading, signature and docstring."""
+    heading = f"{level} {name.rpartition('.')[2]}"
+    signature = f"```python\n{write_signature(name, function)}\n```"
+    return f"{heading}\n\n{signature}\n\n{write_docstring(function)}"
 
 
-def member(owner: type, name: str) -> str:
-    """The entry of a method or property."""
-    thing = inspect.getattr_static(owner, name)
-    if inspect.isfunction(thing):
-        return function(f"{owner.__name__}.{name}", thing, "###")
-    return f"### {name}\n\nA property. {said(thing)}"
+def write_member(owner: type, name: str) -> str:
+    """Return the entry of a method or property."""
+    member = inspect.getattr_static(owner, name)
+    if inspect.isfunction(member):
+        return write_function(f"{owner.__name__}.{name}", member, "###")
+    return f"### {name}\n\nA property. {write_docstring(member)}"
 
 
-def page() -> str:
-    """The whole page."""
-    parts = [HEAD.rstrip(), *(function(f"quadwalk.{f.__name__}", f) for f in FUNCTIONS)]
-    for owner, names in CLASSES.items():
-        parts.append(f"## {owner.__name__}\n\n{said(owner)}")
-        if not names and dataclasses.is_dataclass(owner):
-            told = comments(owner)
-            lines = [f"- `{each.name}`: {told[each.name]}" for each in dataclasses.fields(owner)]
-            lines = [line for line in lines if not line.endswith(": ")]
-            parts += ["\n".join(lines)] if lines else []
-        parts += [member(owner, name) for name in names]
-    return "\n\n".join(parts) + "\n"
+def write_fields(owner: type) -> str:
+    """Return the list of a dataclass's fields that have a comment."""
+    comments = read_comments(owner)
+    names = [field.name for field in dataclasses.fields(owner)]
+    return "\n".join(f"- `{name}`: {comments[name]}" for name in names if comments[name])
+
+
+def write_class(owner: type, members: tuple[str, ...]) -> str:
+    """Return the entry of a class: docstring, then its fields or these members."""
+    parts = [f"## {owner.__name__}", write_docstring(owner)]
+    if not members and dataclasses.is_dataclass(owner):
+        parts += filter(None, [write_fields(owner)])
+    parts += [write_member(owner, name) for name in members]
+    return "\n\n".join(parts)
+
+
+def write_page() -> str:
+    """Return the whole page."""
+    functions = [write_function(f"quadwalk.{each.__name__}", each) for each in FUNCTIONS]
+    classes = [write_class(owner, members) for owner, members in CLASSES.items()]
+    return "\n\n".join([HEAD.rstrip(), *functions, *classes]) + "\n"
 
 
 if __name__ == "__main__":
-    PAGE.write_text(page())
+    PAGE.write_text(write_page())
     print(f"wrote {PAGE}")

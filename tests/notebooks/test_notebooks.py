@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from notebooks.execute import HERE, execute, folders_named
+from notebooks.execute import HERE, execute, list_named_folders
 from quadwalk.errors import UserError
 from tests.evaluation.conftest import count_messages
 from tests.test_api import find_orange
@@ -110,7 +110,7 @@ def test_without_the_extra_zoo_the_last_one_says_so_at_once(monkeypatch, tmp_pat
 def test_nothing_is_shown_of_the_machine_it_ran_on(executed, name):
     done = executed(name)
     outputs = [output for cell in done.notebook.cells for output in cell.get("outputs", [])]
-    assert folders_named(done.notebook) == []
+    assert list_named_folders(done.notebook) == []
     assert str(done.folder) not in json.dumps([o.get("text", "") for o in outputs])
     assert [output.text for output in outputs if output.get("name") == "stderr"] == []
 
@@ -128,7 +128,7 @@ def test_nothing_is_shown_of_the_machine_it_ran_on(executed, name):
 )
 def test_folders_in_outputs_are_found(output, named):
     cell = nbformat.v4.new_code_cell(outputs=[output])
-    assert bool(folders_named(nbformat.v4.new_notebook(cells=[cell]))) == named
+    assert bool(list_named_folders(nbformat.v4.new_notebook(cells=[cell]))) == named
 
 
 def test_the_robot_is_drawn_and_its_joints_moved(executed):
