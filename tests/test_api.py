@@ -1,4 +1,4 @@
-"""The package as a notebook uses it: each function, and what is said where one is misused."""
+"""The package as a notebook uses it: each function, and the errors where one is misused."""
 
 import dataclasses
 import io
@@ -43,7 +43,7 @@ def runs(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def trained(runs):
-    """A run of two iterations, and the rows that its watcher saw."""
+    """Return a run of two iterations, and the rows that its watcher saw."""
     rows = []
     run = quadwalk.train(
         "run", steps=2 * BATCH, runs=runs, name="tiny", seed=3, quiet=True,
@@ -54,7 +54,7 @@ def trained(runs):
 
 @pytest.fixture(scope="module")
 def results(trained):
-    """That run's evaluation in MJX and in MuJoCo C."""
+    """Evaluate that run in MJX and in MuJoCo C; return the results by engine."""
     run, _ = trained
     return {
         engine: quadwalk.evaluate(run, episodes=EPISODES, seconds=SECONDS, engine=engine, seed=1)
@@ -96,7 +96,7 @@ def test_overrides_and_the_robot_reach_the_environment(tmp_path):
 
 
 def test_a_configs_robot_is_made_and_another_urdf_leaves_its_other_settings(tmp_path):
-    """Against a URDF whose calves have no effort limit, which the config gives."""
+    """Check a URDF whose calves have no effort limit; the config gives it."""
     limp = ALIENGO_URDF.read_text().replace('effort="44.4"', 'effort="0"')
     for name in ("own", "other"):
         (tmp_path / f"{name}.urdf").write_text(limp.replace("aliengo", name))

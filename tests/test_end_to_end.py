@@ -32,7 +32,7 @@ def runs(tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="module")
 def task(tmp_path_factory) -> Path:
-    """The task's file that docs/extend.md shows, with a reward, observation and termination."""
+    """Return the task's file of docs/extend.md, with a reward, observation and termination."""
     (content,) = OWN_TASK.findall((ROOT / "docs/extend.md").read_text())
     file = tmp_path_factory.mktemp("task") / "my_task.py"
     file.write_text(content)
@@ -41,7 +41,7 @@ def task(tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="module")
 def stopped(runs, task) -> tuple[Path, str]:
-    """A training that Ctrl-C ended: its folder, and what it printed."""
+    """Train until Ctrl-C; return the folder of the training, and what it printed."""
     flags = [f"--runs={runs}", "--name=tiny", *TINY]
     command = [sys.executable, "train.py", str(task), *flags]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=ROOT) as process:

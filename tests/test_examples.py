@@ -11,7 +11,7 @@ BLOCK = re.compile(r"```python\n(.*?)```", re.DOTALL)
 
 
 def run_examples(page: str) -> dict:
-    """Execute the blocks of a page one after the other; the names that they define."""
+    """Execute the blocks of a page one after the other; return the names that they define."""
     names: dict = {"__name__": "__main__"}
     for block in BLOCK.findall((DOCS / page).read_text()):
         exec(compile(block, page, "exec"), names)

@@ -1,4 +1,4 @@
-"""Whatever stands in a flag or in a run's file: it can be used, or one line says why not."""
+"""Any text in a flag or in a run's file: it can be used, or one line says why not."""
 
 import dataclasses
 import json
@@ -145,7 +145,7 @@ def append_row(run: Run) -> None:
 
 @pytest.fixture(scope="module")
 def trained(tmp_path_factory, quadruped: Quadruped) -> Run:
-    """A run with every file that training writes."""
+    """Return a run with every file that training writes."""
     policies = dict.fromkeys(("policy.npz", "best.npz", "checkpoints/step_000000000003.npz"), 3)
     run = write_run(tmp_path_factory.mktemp("trained"), "dog", quadruped, policies)
     with MetricsLog(run) as log:

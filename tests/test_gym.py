@@ -56,7 +56,7 @@ def test_one_robot_passes_the_checker_of_gymnasium():
 
 
 def test_many_robots_are_stepped_as_the_environment_steps_them(envs, env, step):
-    """Against the environment itself, stepped without Gymnasium from the same starts."""
+    """Compare with the environment itself, stepped without Gymnasium from the same starts."""
     assert envs.metadata["autoreset_mode"] == AutoresetMode.SAME_STEP
     obs, infos = envs.reset(seed=3)
     assert infos == {}

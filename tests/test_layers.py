@@ -1,4 +1,4 @@
-"""Who imports whom: always what stands below, never round in a circle."""
+"""Imports between modules: always of what stands below, never round in a circle."""
 
 import ast
 import re

@@ -1,4 +1,4 @@
-"""What is shipped: a wheel with its assets."""
+"""The wheel that is shipped, with its assets."""
 
 import os
 import zipfile

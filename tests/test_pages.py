@@ -1,4 +1,4 @@
-"""Pages that people read: links that lead somewhere, numbers and lengths by the house's rules."""
+"""Pages that people read: links that lead somewhere, numbers and lengths by the project's rules."""
 
 import importlib.util
 import re
@@ -15,7 +15,7 @@ CODE = re.compile(r"```.*?```", re.DOTALL)
 
 
 def anchors(page: Path) -> set[str]:
-    """What a page's headings are called in links, as GitHub does it."""
+    """Return the names of a page's headings in links, as GitHub makes them."""
     headings = re.findall(r"^#+ (.*)$", CODE.sub("", page.read_text()), re.MULTILINE)
     return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
 

@@ -1,7 +1,7 @@
 """Other systems: wheels of every package for them, and nothing that only POSIX has.
 
-The tags of the wheels in the lock are compared with what each system and Python takes; nothing is
-run on them here.
+The tags of the wheels in the lock are compared with what each system and Python takes. Nothing is
+run on these systems here.
 """
 
 import re
@@ -73,7 +73,7 @@ run_command(main)
 
 @pytest.fixture(scope="module")
 def requirements() -> list[Requirement]:
-    """What the lock installs, each with its version and its marker."""
+    """Return what the lock installs, each with its version and its marker."""
     options = ("--frozen", "--no-hashes", "--no-emit-project", "--no-header", "--no-annotate")
     done = python("-m", "uv", "export", "--offline", *options)
     assert done.returncode == 0, done.stderr
@@ -82,7 +82,7 @@ def requirements() -> list[Requirement]:
 
 @pytest.fixture(scope="module")
 def wheels() -> dict[tuple[str, str], set[Tag]]:
-    """The tags of all wheels in the lock, by package and version."""
+    """Return the tags of all wheels in the lock, by package and version."""
     packages = tomllib.loads((ROOT / "uv.lock").read_text())["package"]
     tags_of: dict[tuple[str, str], set[Tag]] = {}
     for package in packages:

@@ -160,7 +160,7 @@ def test_what_takes_no_text_is_one_line_at_most(body, to, status, stdout, stderr
 
 @pytest.fixture
 def checkout(tmp_path, monkeypatch) -> Path:
-    """A checkout, and `python` of an environment without packages in the shell."""
+    """Make a checkout; in the shell, `python` is that of an environment without packages."""
     folder = tmp_path / "my checkout"
     folder.mkdir()
     for name in ("quadwalk", "assets", "Makefile", "tools", "uv.lock", "pyproject.toml"):
@@ -178,7 +178,7 @@ def run_line(line: str, folder: Path) -> subprocess.CompletedProcess[str]:
 
 
 def make_venv(folder: Path, interpreter: str) -> None:
-    """A .venv whose Python is `interpreter`."""
+    """Make a .venv whose Python is `interpreter`."""
     python = folder / ".venv/bin/python"
     python.parent.mkdir(parents=True)
     python.write_text(f'#!/bin/sh\nexec {interpreter} "$@"\n')

@@ -1,4 +1,4 @@
-"""`tools/uv`: which Python and which uv it takes, on machines made of fake programs."""
+"""`tools/uv`: the Python and the uv that it takes, on machines made of fake programs."""
 
 import os
 import shutil
@@ -68,7 +68,7 @@ class Machine:
         return subprocess.run(command, env=variables, capture_output=True, text=True)
 
     def run_for_python(self, **variables: str) -> str:
-        """Run it; return the Python that uv was called with."""
+        """Run `tools/uv`; return the Python that uv was called with."""
         done = self.run(**variables)
         assert (done.returncode, done.stderr) == (0, "")
         _, python, arguments = done.stdout.strip().split("|")

@@ -43,7 +43,7 @@ class ParsedError(Exception):
 
 @pytest.fixture
 def parse(monkeypatch, tmp_path) -> Callable[..., None]:
-    """Call `quadwalk` with words, up to where they are parsed."""
+    """Return a function that calls `quadwalk` with words, up to where they are parsed."""
 
     def stopping(real):
         def parse(*args, **kwargs):
@@ -68,7 +68,7 @@ def parse(monkeypatch, tmp_path) -> Callable[..., None]:
 
 
 def shown(page: Path) -> list[list[str]]:
-    """The words of each command that a page shows, in blocks and in its text."""
+    """Return the words of each command that a page shows, in blocks and in its text."""
     text = page.read_text()
     lines = [line for block in BLOCK.findall(text) for line in block.splitlines()]
     lines += [re.sub(r"[\[\]]| \.\.\.", "", line) for line in INLINE.findall(BLOCK.sub("", text))]
@@ -84,7 +84,7 @@ def shown(page: Path) -> list[list[str]]:
 
 
 def arguments(words: list[str]) -> list[str] | None:
-    """What a command hands to `quadwalk`; None for another program."""
+    """Return what a command hands to `quadwalk`; None for another program."""
     match words:
         case ["quadwalk", *rest] | ["python", "-m", "quadwalk", *rest]:
             return rest

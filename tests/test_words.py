@@ -1,7 +1,7 @@
 """Words of pages, docstrings, comments, help and messages, as far as a machine can tell.
 
-American spelling, zeros before the point, the field's words, sentences that are not too long, and
-functions whose names and docstrings say what they do.
+These are American spelling, zeros before the point, and the field's words. Sentences are not too
+long, and functions' names and docstrings say what they do.
 """
 
 import ast
@@ -71,7 +71,7 @@ AVOID = {
 
 
 def pages(text: str) -> Iterator[str]:
-    """Paragraphs, items and cells of a Markdown page without code."""
+    """Yield paragraphs, items and cells of a Markdown page without code."""
     text = re.sub(r"```.*?```", "", text, flags=re.DOTALL)
     text = re.sub(r"^( {4}\S.*\n)+", "", text, flags=re.MULTILINE)
     for block in re.split(r"\n\s*\n|\n(?=\s*(?:[-*]|\d+\.) |#|\|)", text):
@@ -79,14 +79,14 @@ def pages(text: str) -> Iterator[str]:
 
 
 def docstrings(source: str) -> Iterator[str]:
-    """Paragraphs of a module's docstrings; an indented line, as of an argument, is one."""
+    """Yield paragraphs of a module's docstrings; an indented line, as of an argument, is one."""
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef):
             yield from re.split(r"\n\s*\n|\n(?=\s+\S)", ast.get_docstring(node) or "")
 
 
 def said(source: str) -> Iterator[str]:
-    """Comments, and strings of several words: docstrings, help and messages."""
+    """Yield comments, and strings of several words: docstrings, help and messages."""
     for token in tokenize.generate_tokens(io.StringIO(source).readline):
         if token.type == tokenize.COMMENT:
             yield token.string
@@ -96,13 +96,13 @@ def said(source: str) -> Iterator[str]:
 
 
 def plain(text: str) -> str:
-    """`text` without what is in backticks, addresses of links, and pictures."""
+    """Return `text` without what is in backticks, addresses of links, and pictures."""
     text = re.sub(r"`[^`]*`", "code", text)
     return " ".join(re.sub(r"!\[[^\]]*\]|(?<=\])\([^)]*\)", "", text).split())
 
 
 def problems(text: str) -> Iterator[str]:
-    """What is wrong with the words of `text`."""
+    """Yield a line for each problem with the words of `text`."""
     text = plain(text)
     for pattern, better in AVOID.items():
         for found in re.finditer(rf"\b(?:{pattern})\b", text, re.IGNORECASE):
@@ -116,7 +116,7 @@ def around(text: str, found: re.Match[str]) -> str:
 
 
 def too_long(text: str) -> Iterator[str]:
-    """Sentences of more than `LONGEST` words."""
+    """Yield a line for each sentence of more than `LONGEST` words."""
     for sentence in re.split(r"(?<=[\w)\]%\"*])[.!?:;] ", plain(text)):
         count = len(re.findall(r"\S*\w\S*", sentence))
         if count > LONGEST:

@@ -23,7 +23,10 @@ def test_targets_lie_about_the_home_pose_and_within_the_joints_limits(env):
 
 
 def test_feet_go_wherever_those_of_legs_with_other_knees_do(env):
-    """By MuJoCo: hind legs bent the other way, with thighs as long as their calves."""
+    """Check by MuJoCo with hind legs that are bent the other way.
+
+    Thighs are as long as calves, so that both kinds of legs reach the same points.
+    """
     reach = {"hip": 0.3, "thigh": 0.9, "calf": 0.8}
     free = replace(env.robot, lower=np.full(12, -np.inf), upper=np.full(12, np.inf))
     turn = np.eye(12)

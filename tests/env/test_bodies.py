@@ -29,7 +29,7 @@ EPISODES = 300
 
 @pytest.fixture(scope="module")
 def figures() -> list[Body]:
-    """Three bodies, of which one has all knees ahead."""
+    """Return three bodies, of which the first has all knees ahead."""
     first, *others = sample_bodies(BODIES, SEED)
     return [dataclasses.replace(first, front_knees=True, hind_knees=True), *others]
 
@@ -46,7 +46,7 @@ def env(quadruped, bodies) -> QuadrupedEnv:
 
 @pytest.fixture(scope="module")
 def starts(env):
-    """Many fresh episodes, and their bodies."""
+    """Return the states of many fresh episodes, and their bodies."""
     keys = jax.random.split(jax.random.PRNGKey(1), EPISODES)
     state = jax.jit(lambda env, keys: jax.vmap(env.reset)(keys))(env, keys)
     return state, np.asarray(state.pipeline_state.body)
@@ -137,7 +137,10 @@ def test_the_description_of_the_alien_go(quadruped):
 
 
 def test_for_the_alien_go_the_task_is_drive(quadruped):
-    """It is of unit size and its joints are standard, so that only the description is new."""
+    """Check that only the description is new.
+
+    The AlienGo is of unit size, and its joints are standard.
+    """
     env, alike = (QuadrupedEnv(quadruped, task.TASK.env) for task in (drive, universal))
     state = alike.make_example_state()
     qpos = state.qpos.at[7:].add(jnp.linspace(-0.2, 0.2, 12))
@@ -161,7 +164,7 @@ def test_for_the_alien_go_the_task_is_drive(quadruped):
 
 
 def test_standard_joints_move_the_feet_of_all_bodies_alike(figures):
-    """Feet under the same hips go the same way, wherever the knees are."""
+    """Check that feet under the same hips go the same way, wherever the knees are."""
     behind = dataclasses.replace(figures[0], front_knees=False, hind_knees=False)
     moved = np.array([0.0, 0.02, -0.03] * 4)
     places = []
@@ -228,7 +231,7 @@ def test_a_start_becomes_one_of_another_body(env, starts, bodies, figures):
 
 
 def test_bodies_train(env):
-    """With bodies that are tried once more after a fall."""
+    """Check a training in which bodies are tried once more after a fall."""
     config = dataclasses.replace(
         universal.TASK.ppo, eval_envs=2, unroll=4, minibatches=2, hidden=(16,), retry=0.5
     )

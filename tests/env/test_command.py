@@ -1,4 +1,4 @@
-"""What the robot is told: drawn, renewed, seen, and what it is rewarded for."""
+"""The robot's command: drawn, renewed, observed and rewarded."""
 
 import dataclasses
 import itertools
@@ -30,7 +30,7 @@ DRIVEN = dataclasses.replace(drive.TASK.env.command, margin=0.0)
 
 @pytest.fixture(scope="module")
 def told(env) -> QuadrupedEnv:
-    """The robot of the other tests, told anew every three control steps."""
+    """Return an environment of the same robot, with a new command every three control steps."""
     command = dataclasses.replace(TOLD, seconds=PERIOD * 0.02, turning=1.0)
     ideal = NO_RANDOMIZATION  # what is seen is so
     config = dataclasses.replace(walk.TASK.env, command=command, randomization=ideal)
@@ -39,13 +39,13 @@ def told(env) -> QuadrupedEnv:
 
 @pytest.fixture(scope="module")
 def step(told):
-    """A compiled step of two episodes."""
+    """Return the compiled step of two episodes."""
     return jax.jit(jax.vmap(told.step))
 
 
 @pytest.fixture(scope="module")
 def course(told, step):
-    """States of two episodes before and after each of eight steps."""
+    """Return the states of two episodes before and after each of eight steps."""
     states = [jax.jit(jax.vmap(told.reset))(jax.random.split(jax.random.PRNGKey(1), 2))]
     for _ in range(8):
         states.append(step(states[-1], jnp.full((2, 12), 0.1)))
@@ -53,13 +53,13 @@ def course(told, step):
 
 
 def headings(qpos: np.ndarray) -> np.ndarray:
-    """(...) rad, of positions (..., 19), by SciPy."""
+    """Return the headings (...), rad, of positions (..., 19), by SciPy."""
     turns = Rotation.from_quat(qpos[..., [4, 5, 6, 3]].reshape(-1, 4))
     return turns.as_euler("ZYX")[:, 0].reshape(qpos.shape[:-1])
 
 
 def many(config: CommandConfig, *grip: float) -> np.ndarray:
-    """(4000, 3) commands, drawn."""
+    """Draw 4000 commands (4000, 3)."""
     keys = jax.random.split(jax.random.PRNGKey(0), 4000)
     return np.asarray(jax.vmap(lambda key: sample_velocity(config, key, *grip))(keys))
 

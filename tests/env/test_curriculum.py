@@ -1,4 +1,4 @@
-"""The curriculum: which tile follows an episode, by hand and by legged_gym's rule."""
+"""The curriculum: the tile after an episode, by hand and by legged_gym's rule."""
 
 import dataclasses
 
@@ -28,7 +28,7 @@ def traveled(velocity, command, steps):
 
 
 def following(tile, away, walked, told, steps=STEPS, done=STEPS):
-    """The tiles after an episode of `steps`, now at step `done`, for 200 keys."""
+    """Return the tiles after an episode of `steps`, now at step `done`, for 200 keys."""
     travel = start_travel(at(1.0, -2.0))._replace(
         steps=jnp.int32(steps), walked=jnp.float32(walked), commanded=jnp.float32(told)
     )
@@ -70,7 +70,11 @@ def test_below_the_first_level_there_is_none_and_from_the_top_to_the_harder_half
 
 
 def test_a_fall_counts_for_the_rest_of_the_episode():
-    """After 100 steps of 1000 it has done all it was told, 2 m; of 20 m it has a tenth."""
+    """Check a fall after 100 of 1000 steps.
+
+    The robot has walked all of the 2 m commanded so far. A full episode commands 20 m, so that is a
+    tenth.
+    """
     middle = LEVELS + 2
     assert following(middle, 2.0, 2.0, 2.0, steps=100, done=100) == {middle - 1}
     # An episode that began at step 900 was planned to be as short as that.
@@ -79,7 +83,10 @@ def test_a_fall_counts_for_the_rest_of_the_episode():
 
 
 def test_one_that_came_to_the_edge_of_its_tile_goes_on():
-    """Though it began half way there, and the time for what it was told is not over."""
+    """Check that a robot at the edge of its tile goes up a level.
+
+    It started half way there, and the time for its commands is not over.
+    """
     confined = dataclasses.replace(LESSONS, middles=tuple((8.0 * k, 1.0) for k in range(15)))
     tile = LEVELS + 1  # its middle is at x = 48
     travel = start_travel(at(50.0, 1.0))._replace(

@@ -28,7 +28,7 @@ def with_qpos(state, qpos):
 
 
 def ends(env, state):
-    """How each episode ended."""
+    """Return the name of each episode's end."""
     return [env.ends[i] for i in np.asarray(state.info["end"])]
 
 
@@ -123,7 +123,10 @@ def test_a_fall_ends_the_episode_and_says_why(env, reset, step, reason, change):
 
 
 def test_a_shin_does_not_touch_because_its_foot_sinks_in(env):
-    """Where the foot bears it goes down with it; deeper than the foot is thick, it touches."""
+    """Check that a shin stays clear of the floor while its foot sinks in.
+
+    It touches the floor only where the foot has sunk in by more than its radius.
+    """
     seen = Reward(lambda robot, step: step.lowest[1], scale=1.0)
     env = QuadrupedEnv(env.quadruped, dataclasses.replace(env.config, reward={"seen": seen}))
     start = jax.jit(env.reset)(jax.random.PRNGKey(0)).pipeline_state

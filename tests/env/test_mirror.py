@@ -91,13 +91,13 @@ def test_a_robot_with_one_leg_changed_has_no_mirror_and_says_why(quadruped, chan
 
 
 def mine(robot, state):
-    """A user's own, that does not say."""
+    """Return a user's own observation, which does not state how it mirrors."""
     return jnp.zeros(2)
 
 
 @mirrors(FEET, SCALAR)
 def wrong(robot, state):
-    """One that says it of another size."""
+    """Return four numbers; the mirror of this observation is for five."""
     return jnp.zeros(4)
 
 

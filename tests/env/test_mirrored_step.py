@@ -1,7 +1,7 @@
 """A step from the mirrored state by the mirrored action is the step's image.
 
-Of robots made exactly symmetric, so that the rest is float32's: what halves differ by in their
-files, in inertias and centers of mass, is averaged away.
+Robots are made exactly symmetric, so that only float32's errors remain. In their files, halves
+differ in inertias and centers of mass; that is averaged away.
 """
 
 import dataclasses
@@ -33,7 +33,10 @@ HALF_A_STRIDE = 10  # control steps, of the tasks' trot
 
 
 def symmetric(quadruped: Quadruped) -> Quadruped:
-    """The robot with each body's mass distribution the mean of its own and its partner's image."""
+    """Return the robot with exactly symmetric masses.
+
+    Each body's mass distribution is the mean of its own and its partner's image.
+    """
     model = quadruped.make_full_model()
     data = place_robot(model, quadruped.home)
     bodies = model.jnt_bodyid[:13]
@@ -56,7 +59,10 @@ def symmetric(quadruped: Quadruped) -> Quadruped:
 
 
 def drawn_physics(env, key, canonical):
-    """Any pose and velocity; or of one leg lifted, rolled, on its way to the left and turning."""
+    """Draw any pose and velocity, or return the canonical ones.
+
+    These are of a robot with one leg lifted that is rolled, moves to the left and turns.
+    """
     joints, turn, linear, angular, speeds = jax.random.split(key, 5)
     off = jnp.where(canonical, jnp.zeros(12).at[1:3].set(jnp.array([0.3, -0.5])), 0.0)
     off += jnp.where(canonical, 0.0, 0.3) * jax.random.normal(joints, (12,))
@@ -73,7 +79,7 @@ def drawn_physics(env, key, canonical):
 
 
 def image(env, robot, state):
-    """The state in the mirror, half a stride later, for its trot."""
+    """Return the state in the mirror, half a stride later for the sake of its trot."""
 
     def qvel(x):
         return jnp.concatenate([FLIP * x[:3], -FLIP * x[3:6], robot.joints(x[6:])])
@@ -133,7 +139,7 @@ def check(env):
 
     @jax.jit
     def stepped(keys):
-        """After a step from states drawn, and from their images; and the images of the former."""
+        """Step drawn states and their images; return both, and the images of the former."""
         states, actions = jax.vmap(drawn)(keys, jnp.arange(4) == 0)
         images = states.replace(pipeline_state=jax.vmap(of)(states.pipeline_state))
         actions = jnp.concatenate([actions, env.mirrors.action(actions)])

@@ -37,7 +37,7 @@ KINDS = {
 
 
 def own_task(folder, kind: str, body: str, inputs: str | None = None):
-    """A task with one term of its own, in mine.py of `folder`."""
+    """Return a task with one term of its own, which is in mine.py of `folder`."""
     usual, term, place = KINDS[kind]
     text = TASK.format(inputs=inputs or usual, body=body, term=term, place=place)
     (folder / "mine.py").write_text(text)

@@ -1,4 +1,4 @@
-"""What is said of a robot before a policy of many bodies drives it."""
+"""The report on a robot before a policy of many bodies drives it."""
 
 import dataclasses
 
@@ -28,7 +28,10 @@ def test_a_body_of_training_is_within_all_ranges(figures):
 
 
 def test_what_is_beyond_the_bodies_of_training_is_named(figures):
-    """Thigh motors of 0.6 of the weakest torque, which is 0.22 m g L; strong ones are no harm."""
+    """Check thigh motors with 0.6 of the weakest torque, which is 0.22 m g L.
+
+    Motors that are faster than in training do no harm.
+    """
     weak = dataclasses.replace(figures, effort=0.6 * 0.22, speed=99.0, calf_effort=2.0)
     lines = describe_robot(QuadrupedEnv(make_body(weak), CONFIG))
     (row,) = [line for line in lines if line.startswith("thigh torque")]

@@ -33,7 +33,7 @@ CHANGES = {
 
 @pytest.fixture(scope="module")
 def config() -> EnvConfig:
-    """The task `drive` with a term of scale 0."""
+    """Return the settings of `drive` with a term of scale 0."""
     env = drive.TASK.env
     unused = Reward(rewards.joint_speed, scale=0.0)
     return dataclasses.replace(env, reward={**env.reward, "unused": unused})
@@ -77,7 +77,7 @@ def test_without_them_an_environment_has_no_more_leaves(quadruped, config):
 
 
 def test_one_program_computes_what_programs_with_constants_do(quadruped, config):
-    """Also commands, which are scaled to the robot's legs, and a term whose scale was 0."""
+    """Check also commands, scaled to the robot's legs, and a term whose scale was 0."""
 
     def run_episodes(env, keys, actions):
         def step(state, action):

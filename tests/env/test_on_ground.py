@@ -140,7 +140,10 @@ def test_an_episode_can_be_confined_to_its_tile(hilly, starts):
 
 
 def test_the_ground_may_be_an_argument_of_a_program(hilly, starts):
-    """Only of the environment that a program gets; the other's stays a constant."""
+    """Check that the ground is an argument of a program that gets the environment.
+
+    It stays a constant of a program that holds the environment.
+    """
     mesh, split = jax.sharding.Mesh(jax.devices(), "robots"), jax.P("robots")
 
     def reset(env, keys):

@@ -28,7 +28,7 @@ ITERATIONS = 10  # of the contact solver
 
 
 class Case(NamedTuple):
-    """What differs from the model: numbers added, or factors, as in `EpisodeRandomization`."""
+    """Differences from the model: numbers added, or factors, as in `EpisodeRandomization`."""
 
     friction: float | None = None
     mass: float = 0.0

@@ -18,7 +18,7 @@ NO_VARIETY = dataclasses.replace(
 
 
 def stands_for_a_second(urdf, options: Options | None = None) -> None:
-    """At rest in its home pose, with the action that asks for it, a robot stays up."""
+    """Assert that a robot stays up for 1 s, from rest in its home pose and with action 0."""
     env = QuadrupedEnv(
         load_quadruped(urdf, options), dataclasses.replace(sprint.TASK.env, reset=NO_VARIETY)
     )

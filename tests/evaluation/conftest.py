@@ -136,7 +136,7 @@ def simulate(quadruped: Quadruped) -> Callable[..., Rollout]:
 
 @pytest.fixture(scope="session")
 def trot(simulate) -> Rollout:
-    """Return the rollout of 2 s in which diagonal legs swing together, as of `simulate`."""
+    """Return the rollout of 2 s by `simulate` in which diagonal legs swing together."""
     return simulate(100)
 
 

@@ -36,7 +36,7 @@ class Walk(SimpleNamespace):
 
 
 def step_ahead(state: State, _) -> State:
-    """Go 1 cm on, with a step less left."""
+    """Take a step of 1 cm ahead, with one step less left."""
     left = state.info["left"] - 1
     info = {"left": left, "end": (left == 0).astype(int)}
     return state.replace(obs=state.obs.at[0].add(0.01), info=info)

@@ -1,4 +1,4 @@
-"""The commands `eval` and `sweep`: what is refused in one line, and where results go."""
+"""The commands `eval` and `sweep`: errors of one line, and the folders of results."""
 
 import dataclasses
 import datetime
@@ -34,7 +34,7 @@ def runs(tmp_path) -> Path:
 
 
 def read_error(runs: Path, *args: str, call=call_eval) -> str:
-    """Return exit status and text of the error of these arguments."""
+    """Return the exit status and the message of the error that these arguments raise."""
     with pytest.raises(UserError) as caught:
         call([*args, f"--runs={runs}"], "eval.py")
     assert (caught.type, caught.value.exit_status) in ((UsageError, 2), (UserError, 1))
@@ -87,7 +87,7 @@ def test_before_any_training_the_packaged_policy_is_evaluated(tmp_path):
 
 
 def write_results(*args, **_) -> dict:
-    """Stand in for all that writes results to the folder among its arguments, the last."""
+    """Stand in for functions that write results to the last folder among their arguments."""
     folder = [arg for arg in args if isinstance(arg, Path)][-1]
     (folder / "results").write_text("")
     return {}
@@ -147,7 +147,7 @@ def test_evaluations_of_the_same_second_have_folders_of_their_own(
 
 
 def test_an_evaluation_says_what_its_robot_lacks(tmp_path, monkeypatch, capsys):
-    """Load a run whose trunk's mesh is no longer there."""
+    """Check a run whose trunk's mesh is no longer there."""
     box = '<box size="0.647 0.15 0.112"/>'
     trimesh.creation.box((0.647, 0.15, 0.112)).export(tmp_path / "trunk.stl")
     text = ALIENGO_URDF.read_text().replace(box, '<mesh filename="trunk.stl"/>')

@@ -1,4 +1,4 @@
-"""What an evaluation prints, in terminals of any width."""
+"""The printed evaluation, in terminals of any width."""
 
 import pytest
 

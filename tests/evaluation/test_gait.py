@@ -188,7 +188,7 @@ def test_the_circular_mean_turns_with_its_phases(phases, shift):
 
 @pytest.fixture(scope="module")
 def glide(simulate, quadruped):
-    """Return draw(...): a rollout of a body that glides; only its footfalls are of a trot."""
+    """Return a function that makes a gliding body's rollout, by default with a trot's footfalls."""
     base = simulate(300)
 
     def draw(velocity=(2.0, 0.0), yaw_rate=0.0, contact=None, steps=300, **changes):
@@ -302,7 +302,10 @@ def test_the_lowest_tenth_of_swings(glide, quadruped):
 
 
 def test_slip_in_a_turn_on_the_spot_is_a_share_of_the_way_of_the_hips(glide, quadruped):
-    """Feet that turn with the trunk, all on the ground, slide a little farther than the hips."""
+    """Check feet that turn with the trunk, all on the ground.
+
+    They slide a little farther than the hips.
+    """
     turning = glide(velocity=(0.0, 0.0), yaw_rate=1.0, contact=np.ones((300, 4), bool))
     share = measure_gait(turning, quadruped).slip_share
     model = quadruped.make_full_model()

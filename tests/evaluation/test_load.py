@@ -57,7 +57,7 @@ def test_an_episode_has_one_command_which_its_policy_sees(quadruped, monkeypatch
 
 @pytest.fixture
 def policy(monkeypatch) -> Policy:
-    """Return a trained policy, which is what every file holds."""
+    """Return a trained policy, which `load_policy` then gives for every file."""
     policy = load_policy(PRETRAINED / "run" / "policy.npz")
     monkeypatch.setattr(loading, "load_policy", lambda _: policy)
     return policy
@@ -65,7 +65,7 @@ def policy(monkeypatch) -> Policy:
 
 @pytest.fixture
 def folder(tmp_path) -> Run:
-    """Return a run whose files hold nothing."""
+    """Return a run whose files hold no policy."""
     for name in ("policy.npz", "best.npz"):
         (tmp_path / name).write_bytes(b"weights of " + name.encode())
     return Run(tmp_path)

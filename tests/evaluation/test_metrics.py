@@ -41,7 +41,10 @@ NORMAL = 1.959964
 
 @pytest.fixture(scope="module")
 def glide(simulate):
-    """Return glide(velocity, command): a trunk that moves so, (T, 3) in its heading frame."""
+    """Return glide(velocity, command): the rollout of a trunk with this velocity.
+
+    Both are (3,) or (T, 3), in the frame of its heading.
+    """
     base = simulate(STEPS)
 
     def draw(velocity, command, yaw=2.5, tilt=(0.1, -0.2)):
@@ -136,7 +139,7 @@ def test_figures_of_an_episode_with_commands(glide, quadruped):
 
 
 def test_a_gait_at_a_speed_has_no_start_in_it(glide, quadruped, monkeypatch):
-    """Measure a robot that stands for 2 s and burns 5 kW, then glides at 2 m/s for 50 W."""
+    """Check a robot that stands for 2 s and burns 5 kW, then glides at 2 m/s for 50 W."""
     velocity, energy = np.zeros((STEPS, 3)), np.full(STEPS, 100.0)
     velocity[100:, 0], energy[100:] = 2.0, 1.0
     rollout = dataclasses.replace(glide(velocity, (2.0, 0.0, 0.0)), energy=energy)

@@ -1,4 +1,4 @@
-"""Pictures of an episode: what of it they show."""
+"""Pictures of an episode, and what they show of it."""
 
 import dataclasses
 

@@ -1,4 +1,4 @@
-"""The pictures: what they are drawn from is what they show, however short the episode."""
+"""Plots show what they are drawn from, however short the episode is."""
 
 import dataclasses
 

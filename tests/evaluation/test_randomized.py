@@ -1,4 +1,4 @@
-"""Episodes under drawn conditions: what is recorded of them, and what is measured."""
+"""Episodes under drawn conditions: what is recorded and measured."""
 
 import dataclasses
 import json

@@ -1,4 +1,4 @@
-"""Sweeps: what a point is, and the ranges of the task beside it."""
+"""Sweeps: the points, and the ranges of the task beside them."""
 
 import dataclasses
 from types import SimpleNamespace
@@ -27,7 +27,7 @@ def make_ranged_env(quadruped, **ranges) -> QuadrupedEnv:
 
 
 def test_a_point_is_begun_and_tracked_as_it_is_called(quadruped, monkeypatch):
-    """Measure delays that are swept, and errors of half seconds from 1 s on."""
+    """Check delays that are swept, and errors of half seconds from 1 s on."""
     config = dataclasses.replace(walk.TASK.env, physics_dt=0.005, substeps=4)
     env, conditions, count = QuadrupedEnv(quadruped, config), [], 110
     off = np.random.default_rng(0).uniform(-1, 1, (2, count, 3))

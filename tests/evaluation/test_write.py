@@ -129,7 +129,7 @@ def test_feet_carry_the_robot(evaluated, loaded):
 
 @pytest.fixture
 def beside(evaluated, tmp_path, monkeypatch, capsys):
-    """Return beside(other): what was evaluated compared with `other`, and the table's lines."""
+    """Return beside(other): the comparison of `evaluated` with `other`, and the table's lines."""
     monkeypatch.setenv("COLUMNS", "120")
 
     def run(other: dict) -> tuple[dict, list[str]]:

@@ -33,7 +33,7 @@ def test_a_place_that_is_none_is_said_in_one_line():  # while there is no cluste
 
 @pytest.fixture(scope="module")
 def cluster():
-    """A Ray cluster of one machine with a core, which is this one."""
+    """Yield a Ray cluster of this machine alone, with one core."""
     ray = pytest.importorskip("ray")
     from ray.cluster_utils import Cluster
 

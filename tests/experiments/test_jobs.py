@@ -41,7 +41,7 @@ def test_each_job_ends_in_its_own_way(job, task, capsys, same_result, train_alon
 
 
 class Refusal(contextlib.nullcontext):
-    """A place all of whose jobs fail."""
+    """A place where all jobs fail."""
 
     limit = slots = 1
 

@@ -65,7 +65,7 @@ def test_settings_have_ranges_or_choices():
 
 @pytest.fixture
 def toy(monkeypatch):
-    """Replace trainings: each is from its start on as good as its energy is near -0.3."""
+    """Replace trainings: each is better, from its start on, the nearer its energy is to -0.3."""
     pytest.importorskip("optuna")
 
     def run_jobs(jobs, place, count, watch):
@@ -103,7 +103,7 @@ def test_a_search_nears_the_best_stops_the_hopeless_and_goes_on(toy, tmp_path, c
 
 @pytest.mark.parametrize("task", ["run", "drive"])
 def test_what_a_task_is_measured_by_can_be_its_objective(task, quadruped):
-    """Against the figures of an episode of such a task."""
+    """Check objectives against the figures of an episode of such a task."""
     base = load_task(task)
     rollout = still(quadruped, quadruped.home, np.ones((100, 4)))
     if task == "drive":

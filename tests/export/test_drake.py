@@ -34,7 +34,7 @@ def start(controller):
 
 
 def anywhere(start, rng):
-    """A state in the air, upright or not, in motion."""
+    """Return a state in the air and in motion, upright or not."""
     q, v = start.copy(), rng.normal(size=18)
     q[2] = 2.0
     q[3:7] = rng.normal(size=4)
@@ -45,7 +45,7 @@ def anywhere(start, rng):
 
 @pytest.mark.parametrize("condition", [Condition(), LOADED])
 def test_the_robot_has_the_same_dynamics_in_both(folder, controller, start, condition):
-    """Through a flight with torques: masses, inertia, armature, damping, gravity, axes, order."""
+    """Compare a flight with torques: masses, inertia, armature, damping, gravity, axes, order."""
     robots = [kind(folder, controller.about, condition) for kind in (DrakeRobot, MujocoRobot)]
     rng = np.random.default_rng(0)
     q, v = anywhere(start, rng)

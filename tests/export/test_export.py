@@ -87,7 +87,7 @@ def read_metadata(folder: Path) -> dict[str, str]:
 
 
 def make_untrained_run(root: Path, task: str, quadruped) -> Run:
-    """Return a run as a training would leave it whose policy has learnt nothing."""
+    """Return a run as a training would leave it, with a policy that has learned nothing."""
     return write_run(root, task, quadruped, {"policy.npz": 0}, load_task(task), never_varied=[3])
 
 
@@ -119,7 +119,7 @@ def test_onnx_and_jax_agree_on_an_episode(exported):
 
 
 def test_the_script_alone_drives_the_robot_as_our_engine_does(exported, tmp_path):
-    """From another folder, in an environment without this package's path."""
+    """Run the script from another folder, in an environment without this package's path."""
     env, rollout = exported.loaded.env, exported.rollout
     folder = tmp_path / "elsewhere"
     shutil.copytree(exported.folder, folder)
@@ -316,7 +316,7 @@ def test_a_packaged_policy_is_exported_with_registered_names(tmp_path):
 
 
 def test_deploy_yaml_gives_the_observations_and_targets_that_were_trained_with(exported):
-    """Read by another reader, and put together as unitree_rl_lab's runtime does."""
+    """Read the file with another reader, and join its parts as unitree_rl_lab's runtime does."""
     env, rollout = exported.loaded.env, exported.rollout
     config = yaml.safe_load((exported.folder / "deploy.yaml").read_text())
     action = config["actions"]["JointPositionAction"]
@@ -431,7 +431,7 @@ def test_the_loop_in_cpp_computes_the_targets_of_the_controller(exported, tmp_pa
 
 
 def test_a_policy_of_many_bodies_is_exported_for_a_robot_with_knees_ahead(quadruped, tmp_path):
-    """What run_policy.py observes, does and simulates is what the policy does here."""
+    """Check that run_policy.py observes, acts and simulates as the policy does here."""
     bodies = dataclasses.replace(universal.TASK.env, bodies=BodiesConfig())
     run = write_run(
         tmp_path,

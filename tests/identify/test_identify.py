@@ -37,7 +37,7 @@ KNOWN = Known(friction_speed=0.03, kp=27.0, offset=(0.02, -0.03, 0.05))
 
 @pytest.fixture(scope="module")
 def recorded(quadruped, tmp_path_factory) -> Path:
-    """The log as a CSV, with a column more, in an order of its own."""
+    """Write the log to a CSV with one column more, in an order of its own; return the file."""
     file = tmp_path_factory.mktemp("logs") / "log.csv"
     time, position, _, target, *_ = record_log(quadruped, KNOWN, seconds=9.0)
     names = [f"{what}_{joint}" for what in ("position", "target") for joint in quadruped.joints]
@@ -49,7 +49,10 @@ def recorded(quadruped, tmp_path_factory) -> Path:
 
 @pytest.fixture
 def rewrite(recorded, tmp_path):
-    """rewrite(change, delimiter, decimal): a file with rows of text without `battery`, changed."""
+    """Return a function that writes the log without `battery`, changed, and returns the file.
+
+    Its arguments are the change of the rows of text, the delimiter and the decimal sign.
+    """
 
     def write(change=lambda rows: rows, delimiter=",", decimal=".") -> Path:
         rows = np.char.rstrip(np.genfromtxt(recorded, dtype="U40", delimiter=",")[:, 1:])
@@ -173,7 +176,7 @@ def test_one_simulation_shows_the_constants_of_all_legs(quadruped):
 
 
 def test_intervals_hold_the_truth_as_often_as_they_say():
-    """Of errors that are alike within a block, and of few blocks."""
+    """Check errors that are alike within a block, and few blocks."""
     rng = np.random.default_rng(0)
     block = np.repeat(np.arange(12), 40)
     jacobian = rng.standard_normal((480, 6)) + rng.standard_normal((12, 6))[block]

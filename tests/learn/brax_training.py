@@ -1,8 +1,9 @@
 """Brax's `ppo.train` and our training loop on the same environment with the same settings.
 
-What is left to differ is what the loops do: ours bootstraps through a time limit from the state
-after it (Brax's `bootstrap_on_timeout`: from the one before, and scales that too), draws a fresh
-start for each episode (Brax restores the first one), and spreads the episodes' phases.
+Only what the loops do still differs. At a time limit, ours bootstraps from the state after it.
+Brax's `bootstrap_on_timeout` does so from the state before it, and scales that too. Ours draws a
+fresh start for each episode, and Brax restores the first one. Ours also spreads the episodes'
+phases.
 """
 
 from collections.abc import Callable
@@ -29,7 +30,7 @@ Params = tuple[Any, Any, Any]  # normalizer, policy, value
 
 
 class _JaxForBrax:
-    """JAX with the function that it removed and Brax 0.14.2 calls; Brax's next release does not."""
+    """JAX with a function that it removed; Brax 0.14.2 calls it, its next release does not."""
 
     @staticmethod
     def device_put_replicated(tree: Any, devices: list[jax.Device]) -> Any:
@@ -183,7 +184,7 @@ def compute_curves(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Train by our loop and by Brax's; return the rewards of ours and of Brax's.
 
-    Each is (seeds, 1 + points), as of `make_evaluation`. Both start from the same parameters.
+    Each is (seeds, 1 + points), by `make_evaluation`. Both start from the same parameters.
     """
     networks = make_networks(config, env.observation_size, env.action_size)
     brax_networks = make_brax_networks(config, networks)

@@ -20,8 +20,8 @@ from quadwalk.tasks import sprint
 def save(folder: Path, first: int, last: int, die_at: int | None = None) -> None:
     """Save a made-up training at each ten steps after `first` up to `last`, as if resumed.
 
-    Each is the best so far, and all of its numbers are those of its steps. At its call `die_at` of
-    the system's, as of `_die_at_call`, the process kills itself.
+    Each is the best so far, and all of its numbers are those of its steps. The process kills itself
+    at its system call `die_at`, which `_die_at_call` counts.
     """
     if die_at is not None:
         _die_at_call(die_at)
@@ -63,9 +63,9 @@ def make_state(steps: int) -> TrainState:
 
 
 def _die_at_call(die_at: int) -> None:
-    """Have this process kill itself at its call `die_at`, counted from 1, of the system's.
+    """Have this process kill itself at its system call `die_at`, counted from 1.
 
-    They are those that write, replace and remove files, and the opening of a part of an archive.
+    It counts calls that write, replace and remove files, and the opening of a part of an archive.
     """
     calls = 0
 

@@ -1,9 +1,9 @@
 """Our training loop against Brax's own `ppo.train`, on the same environment and settings.
 
-Both draw random numbers in an order of their own. Where they are to agree number by number, the
-noise of an action is therefore a function of the policy's output, minibatches are cut without
-shuffling, and starts are the same; then parameters must agree after whole iterations. Where they
-run as they are, learning curves must agree as far as seeds do.
+Both draw random numbers in an order of their own. To agree number by number, the noise of an action
+is therefore a function of the policy's output. Minibatches are cut without shuffling, and starts
+are the same; then parameters must agree after whole iterations. With random numbers as they are,
+learning curves must agree as far as seeds do.
 """
 
 import dataclasses
@@ -129,7 +129,10 @@ class Both(NamedTuple):
 
 @pytest.fixture
 def train_both(monkeypatch):
-    """Train with both, from the same scattered starts, for some iterations."""
+    """Return a function that trains with both for some iterations, from the same starts.
+
+    The starts are scattered.
+    """
     seen = []
     real = gradients.loss_and_pgrad
 
@@ -223,7 +226,7 @@ def test_one_update_has_the_loss_and_gradients_of_brax(train_both, env, changes)
 
 
 def test_iterations_leave_the_parameters_of_brax(train_both):
-    """They agree in falls, epochs, minibatches, clipping, Adam, learning rate and normalizer."""
+    """Check falls, epochs, minibatches, clipping, Adam, the learning rate and the normalizer."""
     config = dataclasses.replace(
         sprint.TASK.ppo, **SETTINGS, minibatches=2, epochs=3, desired_kl=0.01, final_kl=0.01
     )
@@ -237,9 +240,10 @@ def test_iterations_leave_the_parameters_of_brax(train_both):
 
 
 def test_learning_curves_agree_over_three_seeds():
-    """The 99 % interval of the difference holds zero; it is a tenth of the gain at most.
+    """Check that the 99 % interval of the difference holds zero.
 
-    An iteration is an episode long, so that it matters little that Brax's episodes are in phase.
+    The difference is a tenth of the gain at most. An iteration is an episode long, so that it
+    matters little that Brax's episodes are in phase.
     """
     config = dataclasses.replace(sprint.TASK.ppo,
         eval_envs=2, unroll=25, minibatches=4, hidden=(32, 32), discount=0.95, reward_scale=1.0,

@@ -1,4 +1,4 @@
-"""The command line: flags, tasks, runs to resume, and what cannot be."""
+"""The command line: flags, tasks, runs to resume, and what is refused."""
 
 import dataclasses
 import json

@@ -71,7 +71,7 @@ class ServedPage:
 
 
 def train_at_desk(arguments: list[str], script: Any = None, **options: Any) -> FakePage:
-    """Train the toy; with a script in a page that sends its messages after iterations."""
+    """Train the toy; return the page, which sends a script's messages after iterations."""
     page = FakePage(script or {})
     train_with_page(page, [*arguments, *([] if script is None else ["--desk"])], **options)
     return page
@@ -104,7 +104,7 @@ def use_desk(tmp_path, flags) -> Callable[..., FakePage]:
 
 @pytest.fixture(scope="module")
 def plain(tmp_path_factory, flags) -> Path:
-    """The run of a desk at which nothing was changed."""
+    """Return the run of a desk at which nothing was changed."""
     runs = tmp_path_factory.mktemp("plain")
     train_at_desk(flags(runs, "plain", ITERATIONS, OFTEN), {})
     return runs / "plain"
@@ -112,7 +112,7 @@ def plain(tmp_path_factory, flags) -> Path:
 
 @pytest.fixture(scope="module")
 def turned(tmp_path_factory, flags) -> tuple[Path, FakePage]:
-    """A run in which a reward was turned round after three iterations, and its page."""
+    """Return a run in which a reward changed its sign after three iterations, and its page."""
     runs = tmp_path_factory.mktemp("turned")
     page = train_at_desk(flags(runs, "turned", ITERATIONS, OFTEN), {3: [write_set(SCALE, -1.0)]})
     return runs / "turned", page
@@ -183,14 +183,14 @@ LATE = {3: [write_set(SCALE, -1.0)], 4: [{"type": "add", "term": "crossed"}]}
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory, flags) -> Path:
-    """The run of a session that changes a number and adds a term."""
+    """Return the run of a session that changes a number and adds a term."""
     runs = tmp_path_factory.mktemp("whole")
     train_at_desk(flags(runs, "whole", ITERATIONS, OFTEN), LATE)
     return runs / "whole"
 
 
 class KilledError(BaseException):
-    """Ends a training without anything being saved."""
+    """An error that ends a training without anything being saved."""
 
 
 @pytest.mark.parametrize("lost", [False, True], ids=["after the change", "before it"])

@@ -1,4 +1,4 @@
-"""Which devices are trained on, and what follows from them."""
+"""The devices that are trained on, and what follows from them."""
 
 import dataclasses
 import os
@@ -17,7 +17,10 @@ from quadwalk.tasks import sprint
 
 @pytest.fixture
 def set_machine(monkeypatch):
-    """Make JAX see other devices than there are; return how many it is asked for."""
+    """Return a function that makes JAX see other devices than there are.
+
+    That one returns a list of the numbers of CPU devices that JAX is asked for.
+    """
     import jax
 
     def set_devices(platform: str, count: int, processes: int = 1, cores: int = 4):

@@ -69,7 +69,7 @@ def test_two_processes_learn_what_one_with_two_devices_does(
 
 
 def test_processes_that_differ_or_cannot_begin_all_say_so(start_pair, tmp_path, flags):
-    """A robot that lies in another place is still the same."""
+    """Check also that a robot's file in another place makes no difference."""
     for number in (0, 1):
         shutil.copy(ALIENGO_URDF, tmp_path / f"robot{number}.urdf")
         (tmp_path / f"task{number}.py").write_text(

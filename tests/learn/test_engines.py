@@ -37,7 +37,7 @@ def figures_by_engine(tmp_path_factory) -> dict[str, dict[str, np.ndarray]]:
 
 # Measured: 3.5 % for the tilt, 1.6 % for the others.
 def test_the_first_iteration_earns_the_same_rewards_term_by_term(figures_by_engine):
-    """With one policy, the same starts and noise, only the physics differs."""
+    """Check one policy with the same starts and noise: only the physics differs."""
     terms = [name for name in figures_by_engine["fast"] if name.startswith("train/reward")]
     assert len(terms) > 10
     for name in terms:
@@ -51,7 +51,7 @@ def test_the_first_iteration_earns_the_same_rewards_term_by_term(figures_by_engi
 
 # Measured: 4 % at most; what falls and where it runs depends on much less.
 def test_what_is_learnt_from_stays_alike(figures_by_engine):
-    """After some updates policies differ, but not in what they do with their motors."""
+    """Check rewards that stay alike, though policies differ after some updates."""
     for name in ("alive", "energy", "action_rate", "roll_pitch_rate", "vertical", "lateral"):
         fast, mjx = (
             figures_by_engine[engine][f"train/reward/{name}"][1:] for engine in ("fast", "mjx")

@@ -34,7 +34,7 @@ def run(tmp_path, env) -> Run:
 
 
 def standing(env, roll_rate: float) -> EnvState:
-    """The home pose, as the trunk rolls by so many rad/s."""
+    """Return the state in the home pose, as the trunk rolls by so many rad/s."""
     velocity = np.zeros(18, np.float32)
     velocity[3] = roll_rate
     physics = PhysicsState(np.asarray(env.robot.home, np.float32), velocity)
@@ -60,7 +60,7 @@ def test_a_step_is_kept_and_goes_wrong_again(run, env, roll_rate):
 
 @pytest.mark.parametrize("task", ["blog", "run"])
 def test_a_step_of_another_task_is_replayed_as_it_was(run, env, task):
-    """Of blog, targets depend on where the joints are; of run, each step is under conditions."""
+    """Check targets that depend on the joints, in `blog`, and steps under conditions, in `run`."""
     config = replace(load_task(task), robot=CONFIG.robot)
     often = replace(config.env.randomization, push_seconds=config.env.control_dt)
     config = replace(config, env=replace(config.env, randomization=often))
@@ -109,7 +109,7 @@ def test_a_file_that_cannot_be_replayed_is_named(run, content, config, said):
 
 
 def test_a_training_whose_physics_diverges_ends_without_a_policy(tmp_path, flags, train, capsys):
-    """Nearly each step of the toy gives no number here."""
+    """Train the toy where nearly each of its steps gives no number."""
     diverging = "--env.termination.tipped.angle=0.01"
     with pytest.raises(
         UserError, match=r"^physics diverged: 1,0\d\d states of 1,\d+ were not finite"

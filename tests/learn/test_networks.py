@@ -51,7 +51,7 @@ def networks(request):
 
 @pytest.fixture(scope="module")
 def statistics(networks):
-    """Statistics that are their own mirror image, if `networks` are symmetric."""
+    """Return statistics that are their own mirror image, if `networks` are symmetric."""
     rng = np.random.default_rng(1)
     mean, std = rng.normal(size=SIZE), rng.uniform(0.5, 2.0, SIZE)
     if networks.critic_obs.mirror is not None:
@@ -67,7 +67,7 @@ def sample_normal(seed, *shape):
 def test_loss_and_gradients_are_those_of_brax_with_two_observations(
     networks, statistics, monkeypatch
 ):
-    """For a symmetric network, those of the plain one that computes the same."""
+    """Compare with Brax; a symmetric network is first made the plain one that computes the same."""
     # Brax lets a state's divergence count in full; policies at random are far apart.
     monkeypatch.setattr(ppo, "MOST_KL", np.inf)
     params = networks.init(jax.random.PRNGKey(0))
@@ -152,7 +152,7 @@ def test_loss_and_gradients_are_those_of_brax_with_two_observations(
 
 @pytest.mark.parametrize("networks", [MIRRORS], indirect=True, ids=["symmetric"])
 def test_a_mirrored_observation_has_the_mirrored_action_with_the_other_lead(networks, statistics):
-    """It has the same value."""
+    """Check that it has the same value, too."""
     params = networks.init(jax.random.PRNGKey(1))
     params = jax.tree.map(lambda x: x + 0.3 * sample_normal(9, *x.shape), params)  # biases too
     observation = sample_normal(10, 50, SIZE)
@@ -238,7 +238,7 @@ def test_a_basis_is_orthonormal_and_the_mirror_changes_its_signs_alone(seed):
 
 
 def test_statistics_are_those_of_brax_of_the_data_and_their_mirror_image(networks):
-    """Over two devices, three times, each normalized by the statistics before."""
+    """Update three times over two devices, each time normalized by the statistics before."""
 
     def count(statistics, x):
         inputs = networks.normalize(statistics, x)

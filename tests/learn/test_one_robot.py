@@ -94,7 +94,10 @@ def test_it_acts_the_same_in_every_state(loaded):
 
 
 def test_it_observes_and_moves_the_robots_own_joints(loaded, body):
-    """Which of many bodies sees at the AlienGo's size: times by the root of the legs' length."""
+    """Check that it observes meters and seconds of its robot.
+
+    The policy of many bodies sees all at the AlienGo's size: times by the root of the legs' length.
+    """
     env = loaded.to_one_robot().env
     state = env.make_example_state()
     state = state._replace(
@@ -123,7 +126,7 @@ def test_targets_of_a_knee_ahead_follow_from_two_actions(loaded):
 
 
 def test_the_value_network_observes_the_same_too(body):
-    """Among it are conditions: shares of the mass, and lengths."""
+    """Check its observations, conditions among them: shares of the mass, and lengths."""
     many, one = (QuadrupedEnv(body, x) for x in (TASK.env, make_one_robot_config(TASK.env)))
     translation = translate_observations(many, one, "critic")
     state = many.make_example_state(jax.random.PRNGKey(9))
@@ -142,7 +145,7 @@ def test_the_value_network_observes_the_same_too(body):
 
 
 def test_a_training_of_one_robot_begins_with_it(loaded):
-    """Knees are behind: where they are ahead, only small actions are the same."""
+    """Check knees behind; where they are ahead, only small actions are the same."""
     quadruped = make_short(hind_knees=False)
     env = QuadrupedEnv(quadruped, drive.TASK.env)
     config = dataclasses.replace(drive.TASK, envs=8, ppo=PPO)
@@ -159,7 +162,10 @@ def test_a_training_of_one_robot_begins_with_it(loaded):
 
 
 def test_it_drives_a_robot_from_a_file(loaded):
-    """Its joints have other names, and a table says how near it is to those trained on."""
+    """Check joints with other names.
+
+    A table says how near the robot is to those trained on.
+    """
     robot = OtherRobotConfig(urdf=find_example_robots() / "go1_description/urdf/go1.urdf").find()
     other = load_run(loaded.run, 1.0, engine="fast", robot=robot)
     assert other.env.quadruped.name == "go1"

@@ -36,7 +36,7 @@ OFTEN = "--checkpoint-steps=128"  # after every second iteration
 
 @pytest.fixture(scope="session")
 def whole(tmp_path_factory, flags, start) -> Path:
-    """The folder of a training that was not disturbed."""
+    """Return the folder of a training that was not disturbed."""
     runs = tmp_path_factory.mktemp("whole")
     process = start(runs / "output", *flags(runs, "whole", ITERATIONS, OFTEN))
     process.join(200)
@@ -46,13 +46,13 @@ def whole(tmp_path_factory, flags, start) -> Path:
 
 @pytest.fixture
 def copied(whole, tmp_path) -> Run:
-    """A copy of that training, named "copy"."""
+    """Return a copy of that training, named "copy"."""
     return Run(shutil.copytree(whole, tmp_path / "copy"))
 
 
 @pytest.fixture
 def resume(copied, train) -> Callable[..., None]:
-    """Resume `copied` with flags."""
+    """Return a function that resumes `copied` with flags."""
     return lambda *flags: train(f"--runs={copied.path.parent}", "--resume=copy", *flags)
 
 
@@ -160,7 +160,7 @@ def cut_short(path: Path) -> None:
 def test_the_checkpoint_before_a_truncated_one_is_resumed(
     whole, copied, resume, same_result, capsys
 ):
-    """And files of before, which name terms by module, are read."""
+    """Check also that files of earlier versions, which name terms by module, are read."""
     last = list_checkpoints(copied)[-1]
     cut_short(last)
     config = copied.config.read_text()
@@ -184,7 +184,7 @@ def test_a_run_with_nothing_but_truncated_checkpoints_is_not_resumed(copied, res
 
 
 def test_a_run_keeps_its_ground(tmp_path, flags, train, monkeypatch):
-    """The file may go, and the run and its user may move."""
+    """Check that its file may go, and that the run and the working folder may move."""
     monkeypatch.chdir(tmp_path)
     hills, other = np.arange(12.0).reshape(3, 4), np.ones((2, 2))
     np.save("hills.npy", hills)
@@ -210,7 +210,7 @@ def test_a_run_keeps_its_ground(tmp_path, flags, train, monkeypatch):
 
 
 def test_a_run_that_could_not_be_resumed_is_free_while_its_error_is_held(copied, resume):
-    """A notebook holds the last error, with its traceback and all that its frames refer to."""
+    """Hold the last error with its traceback and all its frames refer to, as a notebook does."""
     with pytest.raises(UserError, match="cannot change") as caught:
         resume("--seed=8")
     resume(f"--steps={64 * (ITERATIONS + 1)}")
@@ -228,7 +228,7 @@ def test_it_resumes_with_another_number_of_devices(copied, resume, capsys):
 
 @pytest.fixture
 def small_disk(tmp_path):
-    """A folder on a disk of its own, of 700 kB, and functions that fill and empty it."""
+    """Yield a folder on a disk of its own, of 700 kB, and functions that fill and empty it."""
     folder = tmp_path / "disk"
     folder.mkdir()
     command = ["mount", "-t", "tmpfs", "-o", "size=700k", "tmpfs", str(folder)]

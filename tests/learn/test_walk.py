@@ -19,9 +19,9 @@ ENVS = 16
 
 @pytest.fixture(scope="module")
 def course():
-    """Run three iterations; return commands, the iteration, its state, all states and numbers.
+    """Run three iterations; return command, iteration, last state, all states and numbers.
 
-    The states are those before the first and after each.
+    The states are those before the first iteration and after each.
     """
     task = load_task("walk")
     config = dataclasses.replace(task.ppo, eval_envs=2, unroll=4, minibatches=2, hidden=(16,))

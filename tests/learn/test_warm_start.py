@@ -165,7 +165,10 @@ def replace_in_joint(urdf, joint, pattern, new):
 
 
 def test_a_robot_with_other_joints_acts_the_same_in_the_same_pose(source, tmp_path):
-    """Joints have other names, one the end of another's; left hips turn the other way."""
+    """Check joints with other names, and left hips that turn the other way.
+
+    One joint's name is the end of another's.
+    """
     run, config, env, *_, policy = source
     text = env.quadruped.urdf
     for side in ("FL", "RL"):
@@ -225,7 +228,7 @@ def compute_foot_moves(env):
     ids=["limits", "axes"],
 )
 def test_legs_whose_knees_point_the_other_way_move_their_feet_alike(source, tmp_path, change):
-    """An AlienGo has its hind knees ahead, by their calves' limits or axes."""
+    """Check an AlienGo with its hind knees ahead, by their calves' limits or axes."""
     run, config, env, *_, policy = source
     text = env.quadruped.urdf
     for side in ("RR", "RL"):
@@ -302,7 +305,7 @@ def test_a_run_with_a_policy_alone_gives_that(source, tmp_path):
 
 
 class Other(toy.Toy):
-    """The toy, one of whose observations the source has not."""
+    """The toy with an observation that the source does not have."""
 
     sensors = SimpleNamespace(names=("position", "other", "speed"), critic_names=())
 

@@ -78,7 +78,8 @@ class Plain(Env):
     def make_next(self, state: State, inner: Any, reward: Any, limit: Any, **metrics: Any) -> State:
         """Return `state` after a step; `limit`, a bool, says if the time limit ends the episode.
 
-        So do the metrics `fell` and `nan`, which must be there. `inner` is the `pipeline_state`.
+        The metrics `fell` and `nan`, which must be there, end it as well. `inner` is the
+        `pipeline_state`.
         """
         metrics = {name: jnp.float32(value) for name, value in metrics.items()}
         limit = jnp.float32(limit)
@@ -95,8 +96,8 @@ class Plain(Env):
 class Toy(Plain):
     """A point that its actions push; the reward is best where they are `GOAL`.
 
-    A step is not a number where `qpos[1]`, drawn between 0 and 1 at each reset, is more than
-    `env.termination.tipped.angle`, which is 1 unless a test lowers it.
+    A step is not a number where `qpos[1]` is more than `env.termination.tipped.angle`. Each reset
+    draws the former between 0 and 1; the latter is 1 unless a test lowers it.
     """
 
     observation_size = policy_size = 3
@@ -152,11 +153,11 @@ class Toy(Plain):
 
 @jax.tree_util.register_pytree_node_class
 class DeskToy(Toy, static=False):
-    """The toy with all rewards of its task, of stand-ins for their values, and numbers as leaves.
+    """The toy with stand-ins for all rewards of its task, and with numbers as leaves.
 
-    The term `forward` is the toy's own; each of the others is a power of the actions, over its
-    parameter `height` if it has one. It fails where a reward `trot` is added, as a term does that
-    needs what the task does not have.
+    The term `forward` is the toy's own. Each of the others is a power of the actions, over its
+    parameter `height` if it has one. The toy fails where a reward `trot` is added, as if the task
+    lacked what that needs.
     """
 
     numbers: Any = None

@@ -33,17 +33,17 @@ class Executed:
         self.notebook = execute(path, folder)
 
     def outputs(self, code: str) -> list[nbformat.NotebookNode]:
-        """What the one cell shows that has `code` in it."""
+        """Return the outputs of the one cell that has `code` in it."""
         cells = [cell for cell in self.notebook.cells if cell.cell_type == "code"]
         (found,) = (cell for cell in cells if code in cell.source)
         return found.outputs
 
     def text(self, code: str) -> str:
-        """What that cell prints."""
+        """Return the text that this cell prints."""
         return "".join(out.get("text") or out.data["text/plain"] for out in self.outputs(code))
 
     def picture(self, code: str) -> np.ndarray:
-        """The one picture (height, width, 3) that the cell shows."""
+        """Return the one picture (height, width, 3) that the cell shows."""
         (png,) = (
             output.data["image/png"]
             for output in self.outputs(code)
@@ -54,7 +54,7 @@ class Executed:
 
 @pytest.fixture(scope="module")
 def executed(tmp_path_factory) -> Callable[[str], Executed]:
-    """executed(name): that notebook, executed once."""
+    """Return executed(name): that notebook, executed once."""
 
     @functools.cache
     def run(name: str) -> Executed:
@@ -71,7 +71,7 @@ def executed(tmp_path_factory) -> Callable[[str], Executed]:
 
 
 def curves(picture: np.ndarray) -> int:
-    """How many colors, each of some 100 pixels or more, a plot is drawn in, without grays."""
+    """Return the number of colors of a plot, each of some 100 pixels or more, without grays."""
     colored = picture[np.ptp(picture.astype(int), axis=2) > 60]
     _, counts = np.unique(colored // 16, axis=0, return_counts=True)
     return int((counts >= 100).sum())
@@ -79,7 +79,10 @@ def curves(picture: np.ndarray) -> int:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_as_committed_each_shows_its_pictures_and_names_a_commit(name):
-    """As `make notebooks` leaves them: every cell was run, in order, from a clean kernel."""
+    """Check that it is as `make notebooks` leaves it.
+
+    That is, every cell was run, in order, from a clean kernel.
+    """
     path = HERE / f"{name}.ipynb"
     cells = nbformat.read(path, as_version=4).cells
     code = [cell for cell in cells if cell.cell_type == "code"]

@@ -72,7 +72,7 @@ def make_states(quadruped) -> tuple[np.ndarray, np.ndarray]:
     [("fast", "feet"), ("mjx", "feet"), ("mjx", "body"), ("mujoco", "feet"), ("mujoco", "body")],
 )
 def test_a_control_step_is_its_physics_steps_one_by_one(quadruped, engine, contacts):
-    """It carries little from step to step; MuJoCo C, which carries all, must agree."""
+    """Compare with MuJoCo C, which carries all from step to step; a control step carries little."""
     model = make_model(quadruped, engine, contacts)
     motor = make_motor(model, quadruped, MotorConfig())
     target = quadruped.home[7:] - 0.05
@@ -91,7 +91,7 @@ def test_a_control_step_is_its_physics_steps_one_by_one(quadruped, engine, conta
 
 @pytest.mark.parametrize("engine", ENGINES)
 def test_energy_is_the_kinetic_energy_that_motors_give_a_robot_at_rest(quadruped, engine):
-    """It floats without gravity, and nothing else works on it."""
+    """Check a robot that floats without gravity: nothing else works on it."""
     model = make_model(quadruped, engine)
     motor = make_motor(model, quadruped, MotorConfig(joint_friction=False, speed_limit=False))
     model.opt.gravity[:] = 0
@@ -111,7 +111,7 @@ def test_energy_is_the_kinetic_energy_that_motors_give_a_robot_at_rest(quadruped
 
 
 def test_stiff_joint_damping_is_implicit_as_in_mujoco(quadruped):
-    """Several times what an explicit step of 4 ms bears."""
+    """Check a damping of several times what an explicit step of 4 ms withstands."""
     engine = "fast"  # MJX's solver does not converge from so great accelerations
     model, converged = make_model(quadruped, engine), make_converged(quadruped)
     model.dof_damping[6:] = converged.dof_damping[6:] = 20.0
@@ -127,7 +127,7 @@ MOVES = {"ahead": (1, 0, 0), "diagonal": (0.7, 0.7, 0), "sideways": (0, 1, 0), "
 
 @pytest.mark.parametrize(("engine", "tolerance"), [("fast", 0.03), ("mjx", 0.05)])
 def test_robots_slide_on_slippery_floors_as_far_as_in_mujoco(quadruped, engine, tolerance):
-    """With training's own solver settings, against a solver that has converged."""
+    """Compare training's own solver settings with a solver that has converged."""
     dt = PHYSICS["physics_dt"]
     iterations, line_search = PHYSICS["solver_iterations"], PHYSICS["line_search_iterations"]
     stepping = Stepping(dt, 50, iterations, line_search)
@@ -250,7 +250,7 @@ def test_mujoco_randomizes_the_full_model_and_the_motors_of_each_robot(quadruped
 
 @pytest.mark.parametrize("devices", [1, 2])
 def test_large_batches_of_mujoco_pass_through_a_compiled_loop(quadruped, devices):
-    """Arguments of more than 100 kB made JAX's own callback wait for itself for ever."""
+    """Check arguments of more than 100 kB: JAX's own callback waited for itself forever."""
     model, target = make_converged(quadruped), quadruped.home[7:]
     motor = make_motor(model, quadruped, MotorConfig())
     constants = mujoco_c.make_model(model, quadruped, motor)

@@ -188,7 +188,7 @@ def test_accelerations_of_a_batch_in_which_no_two_robots_are_alike(quadruped):
 
 
 def test_vmap_maps_the_leaves_of_a_model_that_are_given_an_axis(quadruped):
-    """Those that no other constant depends on, changed one by one; the others stay constants."""
+    """Change leaves that no other constant depends on; the others stay constants."""
     base = quadruped.make_training_model(0.004, 100, 50)
     base.opt.tolerance = 1e-14
     rng = np.random.default_rng(5)
@@ -346,7 +346,7 @@ def test_leg_points_are_those_of_the_placed_feet_and_knees(body_env):
 
 @pytest.mark.parametrize("robots", [3, BATCH, 2 * BATCH + 5])
 def test_a_batch_is_its_robots_one_by_one(robots):
-    """However many there are, cut into whatever batches."""
+    """Check any number of robots, cut into whatever batches."""
     numbers = jnp.arange(2.0 * robots).reshape(robots, 2)
     like = {
         "sum": jax.ShapeDtypeStruct((), np.float32),

@@ -64,7 +64,7 @@ def measure_distances(field: Heightfield, points: np.ndarray) -> np.ndarray:
     [("feet", 0.3, 0.4), ("feet", 0.7, -1.7), ("body", 0.45, 1.4), ("body", 0.7, 3.0)],
 )
 def test_on_a_tilted_plane_accelerations_are_those_of_mujoco(quadruped, contacts, tilt, towards):
-    """Whichever of MuJoCo's two rules for the tangents holds, y of the normal being .1 to .64."""
+    """Check both of MuJoCo's rules for the tangents: y of the normal is 0.1 to 0.64 in size."""
     level = quadruped.make_training_model(0.004, 100, 50, contacts)
     sample = sample_states if contacts == "feet" else sample_lying_states
     qpos, qvel, torque = sample(quadruped, level, np.random.default_rng(0))
@@ -205,7 +205,10 @@ def run_course(robot, terrain, engine: str, limp: bool) -> dict[str, np.ndarray]
     ids=["stepping", "limp"],
 )
 def test_over_a_field_robots_fare_as_in_mujoco_with_every_shape_colliding(hilly, limp, bounds):
-    """Its surface between nodes is the same, its contacts are others: a sphere has several."""
+    """Compare with MuJoCo's field, whose surface between nodes is the same.
+
+    Its contacts are others: a sphere has several.
+    """
     ours, theirs = (run_course(*hilly, engine, limp) for engine in ("fast", "mujoco"))
     for name, bound in bounds.items():
         np.testing.assert_allclose(ours[name], theirs[name], atol=bound, err_msg=name)

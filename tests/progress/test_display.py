@@ -1,4 +1,4 @@
-"""What a training shows while it runs, on a terminal and elsewhere."""
+"""The display of a training while it runs, on a terminal and elsewhere."""
 
 import io
 import math

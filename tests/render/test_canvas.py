@@ -137,7 +137,7 @@ def test_groups_that_a_viewer_hides_are_not_drawn(library):
 
 
 def test_a_shape_that_does_not_collide_is_seen_beyond_those_that_do(library):
-    """MuJoCo's ray caster alone overlooks it."""
+    """Check a shape that MuJoCo's ray caster alone overlooks."""
     spec = make_spec()
     body = spec.worldbody.add_body(pos=[-0.2, 0, 0.2])
     body.add_geom(type=Type.mjGEOM_SPHERE, size=[0.02] * 3, rgba=BLUE)

@@ -99,7 +99,7 @@ def test_a_library_that_fails_means_rays_and_silence(machine, monkeypatch, quadr
 
 @pytest.mark.parametrize("wanted", [None, "glfw"])
 def test_drawing_is_silent_from_start_to_end(wanted):
-    """As the machine is, and with a window where there is no screen."""
+    """Check the machine as it is, and a window where there is no screen."""
     hidden = ("MUJOCO_GL", "DISPLAY", "WAYLAND_DISPLAY") if wanted else ()
     environment = {name: value for name, value in os.environ.items() if name not in hidden}
     if wanted:

@@ -27,7 +27,10 @@ def replace_once(text: str, old: str, new: str) -> str:
 
 
 def inertial(mass: float | str, moments: str = SOLID, xyz: str = "0 0 0", rpy: str = "0 0 0"):
-    """Return `<inertial>` of kg; `moments`, kg m^2, are three principal ones, or ixx to izz."""
+    """Return `<inertial>` of `mass`, kg, and `moments`, kg m^2.
+
+    The moments are three principal ones, or ixx to izz.
+    """
     entries = moments.split()
     if len(entries) == 3:
         entries = [entries[0], "0", "0", entries[1], "0", entries[2]]
@@ -40,7 +43,7 @@ def inertial(mass: float | str, moments: str = SOLID, xyz: str = "0 0 0", rpy: s
 
 
 def shape(geometry: str, xyz: str = "0 0 0", kind: str = "collision", rpy: str = "0 0 0") -> str:
-    """Return `<collision>`, or what else `kind` is, of a geometry such as `box size="1 2 3"`."""
+    """Return `<collision>`, or the element `kind`, of a geometry such as `box size="1 2 3"`."""
     return f'<{kind}><origin xyz="{xyz}" rpy="{rpy}"/><geometry><{geometry}/></geometry></{kind}>'
 
 
@@ -81,7 +84,7 @@ def plain_leg(
 ) -> str:
     """Return joints NAMEj1 .. 3 about x, y and y, and the links of hip and thigh, NAME1 and 2.
 
-    The hip is at `x`, `y` of the trunk, m, turned by `hip_rpy`, rad; the thigh at `thigh` of the
+    The hip is at `x`, `y` of the trunk, m, turned by `hip_rpy`, rad. The thigh is at `thigh` of the
     hip. `knee` is the knee's `<limit>`.
     """
     cube = shape('box size="0.02 0.02 0.02"')
@@ -103,8 +106,8 @@ def quadruped(calf: Callable[[str], str], leg: Callable[[str, float, float], str
     """Return the URDF of a trunk and four legs with thighs of 0.3 m.
 
     Legs are called `a` (front left), `b` (front right), `c` (rear left) and `d` (rear right).
-    `leg(name, x, y)` returns hip, thigh and joints of a leg whose hip is there, m; `calf(name)` its
-    calf's link and what follows.
+    `leg(name, x, y)` returns hip, thigh and joints of a leg whose hip is there, m. `calf(name)`
+    returns its calf's link and what follows.
     """
     trunk = link("trunk", inertial(5), shape('box size="0.4 0.2 0.1"'))
     return robot(trunk, *(leg(name, x, y) + calf(name) for name, (x, y) in CORNERS.items()))

@@ -1,4 +1,4 @@
-"""Robots whose root link has not x ahead and z up are turned, or refused where that is unclear."""
+"""Robots whose root link does not have x ahead and z up: turned, or refused if unclear."""
 
 import math
 import re
@@ -42,7 +42,7 @@ def read(walker: Walker) -> Quadruped:
 
 
 def measure(quadruped: Quadruped) -> dict[str, np.ndarray]:
-    """Return world places and axes, by MuJoCo, of what a standing robot consists of."""
+    """Return places and axes in the world of a standing robot's parts, by MuJoCo."""
     model = quadruped.make_full_model()
     data = robots.make_data(model, quadruped.home)
     joints = [data.joint(name) for name in quadruped.joints]

@@ -188,7 +188,7 @@ MESH = "v 0 0 0\nv 0.3 0 0\nv 0 0.1 0\nv 0 0 0.05\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 
 
 
 def test_meshes_are_where_mujoco_puts_them(tmp_path):
-    """MuJoCo moves a mesh into its principal axes, and its geom against that."""
+    """Check a mesh that MuJoCo moves into its principal axes, and its geom against that."""
     (tmp_path / "shapes").mkdir()
     (tmp_path / "shapes" / "shell.obj").write_text(MESH)
     text = replace_once(MJCF, 'eulerseq="zyx"', 'eulerseq="zyx" meshdir="shapes"')

@@ -1,4 +1,4 @@
-"""What inertia is valid, the nearest that is, and how links compose."""
+"""Valid inertia, the nearest valid one, and how links compose."""
 
 import numpy as np
 import pytest

@@ -25,8 +25,8 @@ def read_robot(calf, leg=plain_leg, folder: Path | None = None) -> Quadruped:
 def check_stands_on_feet(quadruped: Quadruped) -> None:
     """Check that it stands on its feet alone, and PD control keeps it up.
 
-    A foot's sphere fits into the end of a calf whose edges reach further, but in training they end
-    at its center or before it.
+    A foot's sphere fits into the end of a calf whose edges reach further. In training they end at
+    its center or before it.
     """
     for model, deepest in (
         (quadruped.make_full_model(), 1 - np.sqrt(2)),  # a square edge at 45 degrees
@@ -46,7 +46,7 @@ def check_stands_on_feet(quadruped: Quadruped) -> None:
 
 
 def make_foot_link(name: str, geometry: str, kind: str = "collision") -> str:
-    """Return a thin calf of .2 m, and a foot's link bolted to its end."""
+    """Return a thin calf of 0.2 m, and a foot's link bolted to its end."""
     return (
         link(f"{name}3", inertial(0.5), shape('cylinder radius="0.005" length="0.18"', "0 0 -0.09"))
         + link(f"{name}_foot", inertial(0.01, "1e-5 1e-5 1e-5"), shape(geometry, kind=kind))
@@ -55,13 +55,17 @@ def make_foot_link(name: str, geometry: str, kind: str = "collision") -> str:
 
 
 def make_calf(name: str, geometry: str, rpy: str = "0 0 0") -> str:
-    """Return a calf of .2 m that is all one shape."""
+    """Return a calf of 0.2 m that is all one shape."""
     return link(f"{name}3", inertial(0.5), shape(geometry, "0 0 -0.1", rpy=rpy))
 
 
 @pytest.fixture
 def meshes(tmp_path: Path) -> Path:
-    """Write a ball of 3 cm, 1 cm off its center, a wheel of 2 cm about y, and a spindly calf."""
+    """Write three meshes; return their folder.
+
+    A ball of 3 cm is 1 cm off its center. The others are a wheel of 2 cm about y and a spindly
+    calf.
+    """
     ball = trimesh.creation.icosphere(3, 0.03)
     ball.apply_translation([0.01, 0, 0])
     ball.export(tmp_path / "ball.stl")
@@ -150,7 +154,7 @@ def test_thin_calves_end_at_the_centers_of_their_feet():
 
 
 def test_thick_calves_end_where_a_step_is_no_fall(meshes):
-    """A calf of 2 cm on a foot of 1 cm leans by 60 degrees, with an edge below."""
+    """Check a calf of 2 cm on a foot of 1 cm, at 60 degrees with an edge below."""
     quadruped = read_robot(FEET["a whole calf's mesh"][0], folder=meshes)
     model, box, foot = find_box_and_foot(quadruped)
     data = robots.make_data(model, quadruped.home)
@@ -183,7 +187,7 @@ def make_bent_leg(name: str, x: float, y: float) -> str:
 
 
 def make_turned_leg(name: str, x: float, y: float) -> str:
-    """Return a leg as ANYmal's, the hind ones the front ones turned about."""
+    """Return a leg as ANYmal's: the hind ones are the front ones turned about."""
     return plain_leg(name, x, y, thigh="0.06 0 0" if x > 0 else "-0.06 0 0")
 
 

@@ -1,4 +1,4 @@
-"""Whatever is changed in a valid URDF is converted exactly or refused: no silence, no traceback.
+"""A valid URDF with any change is converted exactly or refused: no silence, no traceback.
 
 The independent readers are ElementTree, for limits and shapes, and Pinocchio, for the dynamics.
 """

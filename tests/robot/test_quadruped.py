@@ -1,4 +1,4 @@
-"""What environments are given: names, limits, the standing pose, and the two models."""
+"""The robot that environments get: names, limits, the standing pose, and the two models."""
 
 import re
 

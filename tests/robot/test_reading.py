@@ -328,7 +328,7 @@ def test_a_rotations_angles_are_scipys_at_a_pitch_of_90_degrees_too():
     "quat", ["0 0.70710678 0 0.70710678", "0.1 0.2 0.3 0.927361849549570", "0 0 2 -2"]
 )
 def test_quaternions_of_urdf_1_1_are_read_as_pinocchio_reads_them(quat):
-    """In a joint, an inertia and a shape; its text is then URDF 1.0, for readers of that."""
+    """Check a joint, an inertia and a shape; the text is then URDF 1.0, for readers of that."""
     level = ' rpy="0 0 0"'
     parts = ARM.replace('name="r"', 'name="r" version="1.1"').split(level)
     for place in range(1, 4):
@@ -410,7 +410,7 @@ def test_colors_are_brought_into_range(rgba, expected):
 
 
 def test_capsules_are_mujocos_own():
-    """Its own reader of URDF is the independent one."""
+    """Compare with MuJoCo's own reader of URDF, which is the independent one."""
     capsule = shape('capsule radius="0.1" length="1"', "1 2 3", rpy="0.3 0.2 1")
     text = robot(link("a", inertial(1), capsule))
     theirs = mujoco.MjModel.from_xml_string(text)

@@ -21,7 +21,7 @@ FILES = ("policy.npz", "metrics.jsonl")
 
 @pytest.fixture
 def run(tmp_path) -> Run:
-    """A run with a policy of `TREE` and with `ROWS`."""
+    """Return a run with a policy of `TREE` and with `ROWS`."""
     run = Run(tmp_path)
     checkpoint.save(run.policy, TREE, METADATA)
     with MetricsLog(run) as log:

@@ -23,7 +23,7 @@ from quadwalk.runs.directory import (
 
 @pytest.fixture
 def run(tmp_path) -> Run:
-    """A new run, of the name "a"."""
+    """Return a new run, of the name "a"."""
     return create_run(tmp_path, "a")
 
 

@@ -1,4 +1,4 @@
-"""What training logs at each iteration: the same for the same seed, and whole on a full disk."""
+"""The log of each iteration: the same for the same seed, and whole on a full disk."""
 
 import errno
 import json

@@ -21,7 +21,10 @@ BOX = '<box size="0.647 0.15 0.112"/>'
 
 @pytest.fixture
 def start(tmp_path):
-    """Make a run that trains a robot, and return it with the robot's settings in its files."""
+    """Return a function that makes a run of a robot.
+
+    That one returns the run, and the robot's settings in its files.
+    """
 
     def make(config: RobotConfig) -> tuple[Run, RobotConfig]:
         settings = dataclasses.replace(TASK, robot=config, runs=tmp_path, name="run")
@@ -32,7 +35,10 @@ def start(tmp_path):
 
 
 def test_a_run_finds_its_meshes_and_says_where_its_robot_is_another_one(tmp_path, start):
-    """Meshes that moved leave the trunk without a shape; one that is only seen may go."""
+    """Check that meshes that moved leave the trunk without a shape.
+
+    A mesh that is only seen may go.
+    """
     home = tmp_path / "robots"
     (home / "meshes").mkdir(parents=True)
     for name in ("trunk", "cover"):
@@ -84,7 +90,7 @@ def test_a_run_keeps_the_joints_of_its_robot_that_were_fixed(tmp_path, start):
 
 
 def test_a_run_keeps_what_its_robot_was_given(tmp_path: Path, start):
-    """Motors that the URDF has none of, and leave to repair an inertia."""
+    """Check motors that the URDF does not have, and leave to repair an inertia."""
     urdf = tmp_path / "dog.urdf"
     text = ALIENGO_URDF.read_text().replace('effort="44.4"', 'effort="0"')
     urdf.write_text(text.replace('ixx="0.051944892"', 'ixx="0.5519"'))

@@ -33,7 +33,7 @@ ODD = ["x", None, [], [None], {"a": [1]}, True, -1, 0.5, math.nan, [math.nan, 1.
 
 
 def places(data: Any, *path: Any) -> Iterator[tuple[Any, ...]]:
-    """Where everything in JSON data is."""
+    """Yield the place of everything in JSON data."""
     inner = data.items() if isinstance(data, dict) else enumerate(data)
     for key, part in inner:
         yield (*path, key)

@@ -1,4 +1,4 @@
-"""What studies have found: kept by variant and seed, whatever else is tried later."""
+"""Results of studies: kept by variant and seed, whatever else is tried later."""
 
 import json
 

@@ -16,7 +16,10 @@ from studies.gecko.study import CAUSES, OTHER, RESULTS, make_variants
 
 
 def changed(found, own) -> set[str]:
-    """Names of the settings that one of two flat configurations has, or has otherwise."""
+    """Return the names of settings that differ between two flat configurations.
+
+    Names that only one of them has are among these.
+    """
     return {name for name in {**found, **own} if found.get(name) != own.get(name)}
 
 
@@ -50,7 +53,7 @@ def test_action_0_alone_is_moved_to_the_standing_pose(quadruped):
 
 
 def still(quadruped, qpos, contact) -> Rollout:
-    """As many steps as `contact` (T, 4) has, in one pose."""
+    """Return a rollout of as many steps as `contact` (T, 4) has, in one pose."""
     steps = len(contact)
     return Rollout(
         control_dt=0.02, seed=0, episode=0, end="time limit",

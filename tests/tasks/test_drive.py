@@ -34,7 +34,7 @@ from tests.evaluation.conftest import make_glide_poses
 
 @pytest.fixture(scope="module")
 def standing(quadruped, tmp_path_factory) -> LoadedRun:
-    """A policy that holds the home pose, in MuJoCo C."""
+    """Return a run in MuJoCo C with a policy that holds the home pose."""
     command = dataclasses.replace(drive.TASK.env.command, soonest=None, seconds=20.0)
     still = dataclasses.replace(
         drive.TASK.env.reset, joints=0.0, velocity=0.0, joint_velocity=0.0, tilt=0.0
@@ -99,7 +99,7 @@ def test_a_robot_that_stands_is_as_far_off_as_its_command_says(standing, capsys,
 
 
 def test_a_command_is_held_for_as_long_as_it_is_measured(standing, monkeypatch):
-    """Of a run that was loaded for shorter episodes, which have one command each."""
+    """Check a run whose commands last 0.06 s, which is less than the time measured."""
     monkeypatch.setattr(gaits, "SECONDS", 0.2)
     config = standing.env.config
     short = dataclasses.replace(config.command, seconds=0.06)
@@ -110,7 +110,7 @@ def test_a_command_is_held_for_as_long_as_it_is_measured(standing, monkeypatch):
 
 
 def test_a_robot_that_moves_as_it_is_told_at_once_has_followed_at_once(standing, monkeypatch):
-    """One whose trunk moves in each step by the command that its policy sees before it."""
+    """Check a trunk that moves in each step by the command that its policy sees before it."""
     at = [standing.env.sensors.names.index(f"command_{part}") for part in COMMANDED]
 
     def glide(env, policy, starts, change):
@@ -128,7 +128,7 @@ def test_a_robot_that_moves_as_it_is_told_at_once_has_followed_at_once(standing,
 
 
 def test_soles_of_randomized_robots_hold_too(standing):
-    """Of robots that draw no more than a friction: their models are made one by one."""
+    """Check robots that draw no more than a friction: their models are made one by one."""
     friction = standing.env.friction
     ranges = dataclasses.replace(NO_RANDOMIZATION, enabled=True, friction=(friction, friction))
     drawn = standing.to_mujoco(randomization=ranges, episode_seconds=3.0)
@@ -180,7 +180,7 @@ def told(env, before, action, after):
 
 
 def test_every_command_of_a_held_configuration_is_the_same():
-    """Of 2000 drawn from `drive`, which commands to stand and to turn on the spot."""
+    """Draw 2000 commands; `drive` itself commands to stand and to turn on the spot, too."""
     config = drive.TASK.env.command.hold_at(0.7)
     drawn = jax.vmap(lambda key: sample_velocity(config, key))(
         jax.random.split(jax.random.PRNGKey(0), 2000)

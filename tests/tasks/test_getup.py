@@ -46,7 +46,10 @@ def starts(rising):
 
 
 def test_all_orientations_are_alike(starts):
-    """Where a rotation takes an axis is uniform over the sphere: each coordinate over -1 to 1."""
+    """Check that the place where a rotation takes an axis is uniform over the sphere.
+
+    Then each coordinate is uniform over -1 to 1.
+    """
     quats = np.asarray(starts.pipeline_state.qpos[:, 3:7], float)
     np.testing.assert_allclose(np.linalg.norm(quats, axis=1), 1.0, atol=1e-6)
     turns = Rotation.from_quat(quats, scalar_first=True).as_matrix()

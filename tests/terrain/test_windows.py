@@ -48,7 +48,7 @@ def sample_places(stepper, count: int) -> np.ndarray:
 
 
 def test_around_a_robot_the_ground_is_that_of_the_field(stepper):
-    """By MuJoCo's rays."""
+    """Measure heights by MuJoCo's rays."""
     rng, most = np.random.default_rng(3), measure_reach(stepper.model)
     half = stepper.model.hfield_size[0, :2]
     where = sample_places(stepper, 40)
@@ -63,9 +63,9 @@ def test_around_a_robot_the_ground_is_that_of_the_field(stepper):
 
 
 def test_robots_step_as_on_the_whole_field(quadruped, stepper):
-    """To the last digits, but for some of those that touch it.
+    """Check agreement to the last digits, but for some robots that touch the ground.
 
-    How deep MuJoCo finds a shape in several of a field's prisms hangs on these digits: the same
+    How deep MuJoCo finds a shape in several of a field's prisms hangs on these digits. The same
     happens to a robot that is moved by 1e-14 m on one field.
     """
     count, rng = 200, np.random.default_rng(4)

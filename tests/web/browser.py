@@ -29,7 +29,7 @@ def wait_until(condition: Callable[[], bool], seconds: float = 120.0) -> bool:
 
 
 class Browser:
-    """One page of a browser, which obeys the DevTools protocol over `socket`."""
+    """A page of a browser, which obeys the DevTools protocol over `socket`."""
 
     def __init__(self, socket: Any) -> None:
         self._socket, self._numbers = socket, itertools.count(1)
@@ -60,7 +60,7 @@ class Browser:
         self.ask("Input.dispatchKeyEvent", type=kind, code=code, key=key)
 
     def press(self, code: str) -> None:
-        """Press the key `code`, as of `send_key`, and let it go."""
+        """Press the key `code`, named as for `send_key`, and let it go."""
         self.send_key("keyDown", code)
         self.send_key("keyUp", code)
 

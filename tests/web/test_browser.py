@@ -21,7 +21,7 @@ WANTED = "quadwalk.pilot.wanted.map(x => Math.round(100 * x) / 100)"
 
 @pytest.fixture(scope="module")
 def files(loaded_runs, vendor_files) -> dict[str, bytes]:
-    """The page's files, with `drive` and `run`."""
+    """Return the page's files, with `drive` and `run`."""
     dogs = [
         site.make_dog(loaded_runs["drive"], loaded_runs["getup"]),
         site.make_dog(loaded_runs["run"]),
@@ -44,7 +44,7 @@ def browser(server) -> Iterator[Browser]:
 
 
 def is_running(browser: Browser) -> bool:
-    """Return True once the robot lives."""
+    """Return True once the simulation runs, False if it does not in time."""
     started = "(globalThis.quadwalk?.simulation?.time ?? 0) > 0.1"
     return wait_until(lambda: browser.evaluate(started))
 

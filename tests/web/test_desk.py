@@ -7,7 +7,7 @@ import pytest
 
 
 def make_job(**changes: Any) -> dict[str, Any]:
-    """Return a job of run_desk.mjs that does nothing but for these."""
+    """Return a job of run_desk.mjs that does nothing but these `changes`."""
     job = {"start": 1.0, "values": [], "positions": [], "moves": [], "most": 8, "figures": []}
     return job | changes
 

@@ -20,7 +20,7 @@ FIELD = "document.querySelector('#desk section input[type=number]')"
 
 
 class Training:
-    """What a page hears of a training, and what it asks of it."""
+    """A made-up training: what its page hears of it, and what the page asks of it."""
 
     def __init__(self, server: PageServer) -> None:
         self.heard: list[dict[str, Any]] = []
@@ -44,7 +44,7 @@ class Training:
         self._server.forward(json.dumps(message))
 
     def run(self) -> None:
-        """Send an iteration a quarter of a second."""
+        """Send an iteration each quarter of a second."""
         while not self._is_over.wait(0.25):
             self.iteration += 1
             row = {"train/speed": 0.1 * self.iteration, "train/reward": 0.5}
@@ -88,7 +88,7 @@ class Training:
 
 @pytest.fixture(scope="module")
 def training(loaded_runs, vendor_files) -> Iterator[tuple[Training, str]]:
-    """A training with the policies of `walk`, and where its page is."""
+    """Yield a training with the policies of `walk`, and the address of its page."""
     files = site.make_site([site.make_dog(loaded_runs["walk"])], None, live=True)
     after = files["walk.policy.json"]
     files |= {"desk/before.policy.json": after, "desk/after.policy.json": after}

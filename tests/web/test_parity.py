@@ -122,7 +122,7 @@ def test_thrown_over_it_stands_within_four_seconds_and_drives_on(
     job = {**locate_robot(robot_files, "drive"), "getup": getup}
 
     def throw(after: float) -> Any:
-        """Return what is thrown at several moments of a stride, and measured for half a second."""
+        """Return results of throws at several moments of a stride, measured for half a second."""
         steps = round(after / 0.02)
         throws = [
             {

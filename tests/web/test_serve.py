@@ -29,7 +29,7 @@ def fail() -> bytes:
 
 @pytest.fixture(scope="module")
 def server() -> Iterator[PageServer]:
-    """A server of a few files, whose actor adds up the command."""
+    """Yield a server of a few files, whose actor adds up the command."""
     files = {
         "index.html": b"<p>page",
         "main.js": b"1",
@@ -107,13 +107,16 @@ def test_an_address_for_all_is_shown_as_one_that_works():
 
 
 def receive(page, count: int) -> list[str]:
-    """Return the next texts; policies, which earlier tests have sent, are bytes."""
+    """Return the next texts; skip bytes, which are policies that earlier tests have sent."""
     messages = (page.recv(10) for _ in range(count + 1))
     return list(itertools.islice((text for text in messages if isinstance(text, str)), count))
 
 
 def test_a_training_and_its_pages_talk_through_the_server(server):
-    """The state of the desk also reaches pages that open later; a policy's states stay here."""
+    """Check that the state of the desk also reaches pages that open later.
+
+    A policy's states stay at the server.
+    """
     received = []
     server.on_message = received.append
     desk, note = (json.dumps({"type": kind}) for kind in ("desk", "note"))
@@ -136,7 +139,7 @@ def test_a_training_and_its_pages_talk_through_the_server(server):
 
 
 def test_a_page_ends_with_its_training_where_ctrl_c_is_ignored():
-    """As in a script, which starts what is in the background with SIGINT ignored."""
+    """Check it as in a script, which starts what is in the background with SIGINT ignored."""
     code = (
         "import signal, threading, time; signal.signal(signal.SIGINT, signal.SIG_IGN);"
         "from quadwalk.cli.process import run_command; from quadwalk.web.view import Relay;"

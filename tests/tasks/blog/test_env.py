@@ -26,7 +26,7 @@ def env() -> QuadrupedEnv:
 
 @pytest.fixture(scope="module")
 def first(env):
-    """A fresh episode's state."""
+    """Return the state of a fresh episode."""
     return jax.jit(env.reset)(jax.random.PRNGKey(4))
 
 
@@ -36,7 +36,7 @@ def step(env):
 
 
 def rotation(quat: np.ndarray) -> np.ndarray:
-    """(n, 3, 3) of unit quaternions (n, 4), wxyz."""
+    """Return the rotation matrices (n, 3, 3) of unit quaternions (n, 4), wxyz."""
     w, x, y, z = quat.T
     rows = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
@@ -47,7 +47,7 @@ def rotation(quat: np.ndarray) -> np.ndarray:
 
 
 def roll_pitch_yaw(quat: np.ndarray) -> np.ndarray:
-    """(n, 3) rad, of the rotation Rz(yaw) Ry(pitch) Rx(roll)."""
+    """Return roll, pitch and yaw (n, 3), rad, of the rotation Rz(yaw) Ry(pitch) Rx(roll)."""
     turn = rotation(quat)
     roll = np.arctan2(turn[:, 2, 1], turn[:, 2, 2])
     yaw = np.arctan2(turn[:, 1, 0], turn[:, 0, 0])
@@ -56,7 +56,10 @@ def roll_pitch_yaw(quat: np.ndarray) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def drawn() -> tuple[np.ndarray, ...]:
-    """Single-precision states before and after a step: qpos, qpos and qvel; as wild as can be."""
+    """Draw states in single precision, as wild as can be.
+
+    They are qpos before a step, and qpos and qvel after it.
+    """
     rng = np.random.default_rng(0)
     qpos = np.empty((STATES, 19))
     qpos[:, :2] = rng.uniform(-5, 5, (STATES, 2))
@@ -82,7 +85,7 @@ def drawn() -> tuple[np.ndarray, ...]:
 
 @pytest.fixture(scope="module")
 def concluded(env, drawn):
-    """What the environment makes of those steps."""
+    """Return the states that the environment makes of those steps."""
 
     def one(before, qpos, qvel):
         state = EnvState(PhysicsState(before, qvel), jnp.zeros(12), jnp.int32(10))
@@ -259,7 +262,10 @@ def test_euler_angles_of_random_rotations_are_scipys():
     ],
 )
 def test_euler_angles_near_a_right_angle_of_pitch_are_pybullets(roll, degrees, heading, expected):
-    """What PyBullet 3.2.7's getEulerFromQuaternion gives: roll is 0 within 0.26 degrees of it."""
+    """Compare with getEulerFromQuaternion of PyBullet 3.2.7.
+
+    It gives a roll of 0 where the pitch is within 0.26 degrees of a right angle.
+    """
     turn = Rotation.from_euler("xyz", [roll, np.radians(degrees), heading])
     quat = turn.as_quat(scalar_first=True).astype(np.float32)
     np.testing.assert_allclose(blog.compute_euler_angles(jnp.asarray(quat)), expected, atol=2e-4)

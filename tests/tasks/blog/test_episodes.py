@@ -29,7 +29,7 @@ def env(quadruped) -> QuadrupedEnv:
 
 @pytest.fixture(scope="module")
 def rollout(env):
-    """In MuJoCo C, of a policy that throws the legs about."""
+    """Return a rollout in MuJoCo C of a policy that throws the legs about."""
     weights = jax.random.normal(jax.random.PRNGKey(1), (37, 12))
     policy = jax.tree_util.Partial(lambda w, seen: jnp.tanh(seen @ w), weights)
     (rollout,) = simulate_episodes(env, policy, 1, seed=0)
