@@ -159,11 +159,9 @@ def fidget(robot: RobotConstants, step: Step) -> jax.Array:
     """At the command to stand, distance of joints from the home pose, and motion, up to 1; else 0.
 
     It is the mean squared distance, rad^2, plus 0.01 times the mean squared velocity, (rad/s)^2.
-    The trunk's horizontal speed adds 4 times itself, m/s, and 0.2 at most: soles shall not creep.
     """
     off = jnp.mean(jnp.square(step.qpos[7:] - robot.home_joints))
     off += 0.01 * jnp.mean(jnp.square(step.qvel[6:]))
-    off += 4.0 * jnp.minimum(jnp.linalg.norm(step.mean_velocity), 0.05)
     return jnp.minimum(off, 1.0) * jnp.all(step.command == 0.0)
 
 
@@ -187,16 +185,6 @@ def slip(robot: RobotConstants, step: Step) -> jax.Array:
     """Mean horizontal speed of the soles that stay on the floor, m/s, up to 2."""
     speed = _compute_sole_speeds(step)
     return jnp.mean(speed * (step.start_contact & step.contact))
-
-
-def slip_share(robot: RobotConstants, step: Step, *, slow: float) -> jax.Array:
-    """Mean horizontal speed of the soles that stay on the floor over commanded pace, up to 1.
-
-    `slow`, m/s, is added to the pace. Unlike `slip` it makes a foot that shuffles at a slow walk as
-    dear as one that slips at a gallop.
-    """
-    pace = _compute_pace(robot, step) + slow
-    return jnp.minimum(slip(robot, step) / pace, 1.0)
 
 
 @needs_strides
@@ -247,16 +235,31 @@ def crouch(robot: RobotConstants, step: Step, *, slow: float) -> jax.Array:
     return low * _compute_slowness(robot, step, slow)
 
 
+def feet_off(robot: RobotConstants, step: Step) -> jax.Array:
+    """Distance of the feet ahead of or behind their home places, as a share of the home height.
+
+    Along the trunk, of the middle of each pair, mean of both. So the swings of a trot are free, and
+    legs that work far behind their hips are not.
+    """
+    return jnp.mean(jnp.abs(_compute_pairs_ahead(robot, step)))
+
+
 def feet_behind(robot: RobotConstants, step: Step) -> jax.Array:
     """Distance of the feet behind their home places, as a share of the home height.
 
-    Along the trunk, of the middle of each pair, mean of both. So the swings of a trot are free, and
-    legs that work far behind their hips are not. Ahead is free: there feet brake.
+    It is `feet_off` without what is ahead, where feet have to be when the robot brakes.
+    """
+    return jnp.mean(jnp.maximum(-_compute_pairs_ahead(robot, step), 0.0))
+
+
+def _compute_pairs_ahead(robot: RobotConstants, step: Step) -> jax.Array:
+    """Return how far the middle of each pair of feet is ahead of its home place (2,).
+
+    Along the trunk, as a share of the home height; the front pair first.
     """
     feet = compute_leg_points(robot.geometry, step.qpos[7:])[0, :, 0]
     home = compute_leg_points(robot.geometry, robot.home_joints)[0, :, 0]
-    behind = jnp.mean((home - feet).reshape(2, 2), axis=1) / robot.home_height
-    return jnp.mean(jnp.maximum(behind, 0.0))
+    return jnp.mean((feet - home).reshape(2, 2), axis=1) / robot.home_height
 
 
 def _compute_slowness(robot: RobotConstants, step: Step, slow: float) -> jax.Array:

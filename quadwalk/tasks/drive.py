@@ -45,7 +45,7 @@ TASK = TrainConfig(
             "swing_error": Reward(rewards.swing_error, {"low": 0.16, "high": 0.3}, scale=-6.0),
             "flight": Reward(rewards.flight, {"slow": 0.8}, scale=-1.0),
             "drag": Reward(rewards.drag, {"height": 0.06}, scale=-0.5),
-            "slip": Reward(rewards.slip_share, {"slow": 0.15}, scale=-3.0),
+            "slip": Reward(rewards.slip, scale=-1.0),
             # Legs that work behind their hips reach their limits at 4 m/s.
             "feet_behind": Reward(rewards.feet_behind, scale=-2.0),
         },
@@ -62,7 +62,7 @@ TASK = TrainConfig(
             seconds=5.0,
             lateral_until=2.0,
             turning=4.0,
-            acceleration=6.0,
+            acceleration=4.0,
             leg=0.5,
             swing=0.61,
             margin=0.1,
