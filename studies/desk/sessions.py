@@ -2,14 +2,14 @@
 
     python -m studies.desk.sessions [--only blog walk run] [--runs runs] [--out results.json]
 
-- `blog`: the blog post's task learns to crawl on its knees, until a term makes kneeling dear.
+- `blog`: the blog post's task learns to crawl on its knees, until two terms bring it onto its feet.
 - `walk`: the packaged policy goes on, until one number asks its feet to swing higher.
-- `run`: the packaged policy goes on at a chosen speed, until one slider makes energy dear.
+- `run`: the packaged policy slows to a chosen speed, until one slider makes energy dear.
 
 `on_iteration` changes the numbers where a hand would at the page. Policies are kept as training
-goes, and afterwards each runs in MuJoCo C, every shape colliding. Results go to `--out`.
-docs/desk.md tells them, and `picture.py` draws them. A run that is there already is measured and
-not trained again; `train.py --replay` repeats one with the page.
+goes, and afterwards each runs in MuJoCo C, every shape colliding. Results go to `--out`, which
+notebook 08 tells in pictures. A run that is there already is measured and not trained again;
+`train.py --replay` repeats one with the page.
 """
 
 import argparse
@@ -29,6 +29,7 @@ from quadwalk.env import rewards
 from quadwalk.evaluation.load import Command, load_run
 from quadwalk.evaluation.metrics import get_mean, to_json_number
 from quadwalk.evaluation.results import evaluate_policy
+from quadwalk.evaluation.rollout import Rollout
 from quadwalk.files import open_atomic
 from quadwalk.learn.desk import DeskIteration
 from quadwalk.learn.devices import set_up_devices
@@ -42,6 +43,8 @@ from studies.gecko.gait import find_body_contact
 RESULTS = Path(__file__).parent / "results.json"
 EPISODES = 4  # of a policy that is measured
 SECONDS = 10.0  # of an episode
+FRAMES = 4  # of an episode, that are kept for pictures
+FRAME_SECONDS = 0.12  # from one of them to the next
 POLICIES = "policies"  # folder in a run's: the policies that were kept as it trained
 TIMES = "processor.json"  # in a run's folder: processor time after each iteration, s
 
@@ -65,11 +68,14 @@ def make_sessions() -> dict[str, Session]:
             add_terms(
                 load_task("blog"),
                 kneel=Reward(rewards.kneel, {"height": 0.05}, scale=0.0),
-                raised=Reward(rewards.raised, scale=0.0),
+                at_home=Reward(rewards.at_home, {"joints": 0.4, "height": 0.6}, scale=0.0),
             ),
-            steps=12_000_000,
-            every=720_000,
-            changes={4_000_000: {"env.reward.kneel": -3.0, "env.reward.raised": 1.0}},
+            steps=16_000_000,
+            every=960_000,
+            changes={
+                4_000_000: {"env.reward.kneel": -3.0, "env.reward.at_home": 3.0},
+                8_000_000: {"env.reward.at_home": 1.0},
+            },
         ),
         "walk": Session(
             load_task("walk"),
@@ -82,11 +88,11 @@ def make_sessions() -> dict[str, Session]:
         "run": Session(
             load_task("run"),
             init="run",
-            steps=2_700_000,
-            every=360_000,
+            steps=6_000_000,
+            every=540_000,
             changes={
                 0: {"env.reward.forward.max_speed": 3.5},
-                1_200_000: {"env.reward.energy": -0.3},
+                3_000_000: {"env.reward.energy": -0.3},
             },
         ),
     }
@@ -135,12 +141,15 @@ def train_session(name: str, session: Session, runs: Path) -> Run:
 def measure_policy(policy: Run, command: Command | None) -> dict[str, Any]:
     """Return figures of a policy, each the mean of `EPISODES` in MuJoCo C.
 
-    `body_contact` is the share of time in which anything but a foot is on the floor.
+    `body_contact` is the share of time in which anything but a foot is on the floor, and
+    `foot_contact` that in which a foot is. `frames` are `FRAMES` states (19,) of the first episode,
+    `FRAME_SECONDS` apart, from its middle on.
     """
     loaded = load_run(policy, SECONDS, engine="mujoco", command=command)
     result = evaluate_policy(loaded, EPISODES, seed=0)
     gait, summary = result.gait, result.summary
     contacts = [find_body_contact(each, loaded.env.quadruped) for each in result.rollouts]
+    feet = [each.contact.any(axis=1) for each in result.rollouts]
     speed = "speed" if command is None else "path_speed"
     names = {"speed": speed, "cost_of_transport": "cost_of_transport", "power": "power"}
     figures = {name: to_json_number(get_mean(summary[metric])) for name, metric in names.items()}
@@ -152,7 +161,16 @@ def measure_policy(policy: Run, command: Command | None) -> dict[str, Any]:
         "gait": gait.gait,
         "height": float(gait.body_height[0]),
         "body_contact": float(np.mean([contact.mean() for contact in contacts])),
+        "foot_contact": float(np.mean([contact.mean() for contact in feet])),
+        "frames": pick_frames(result.rollouts[0]),
     }
+
+
+def pick_frames(rollout: Rollout) -> list[list[float]]:
+    """Return states (19,) of an episode from its middle on, for pictures."""
+    stride = round(FRAME_SECONDS / rollout.control_dt)
+    frames = rollout.qpos[len(rollout.qpos) // 2 :: stride][:FRAMES]
+    return np.round(frames, 4).tolist()
 
 
 def measure_session(run: Run, session: Session) -> dict[str, Any]:

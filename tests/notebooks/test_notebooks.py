@@ -285,3 +285,14 @@ def test_a_robot_of_ones_own_is_imported_stands_and_learns_from_the_packaged_pol
     assert config["init"].endswith("pretrained/walk")
     assert done.text("for rollout, figures in").count("command") == 8
     assert len(done.outputs("film_strip(")) == 1
+
+
+def test_sessions_at_the_reward_desk_are_drawn_and_compared(executed):
+    done = executed("08_desk")
+    kept = json.loads((STUDIES / "desk/results.json").read_text())
+    assert find_orange(done.picture('draw_pictures("blog"')).mean() > 0.01
+    for name, figure in (("blog", "body_contact"), ("walk", "swing_height"), ("run", "power")):
+        code = f'compare("{name}"'
+        assert curves(done.picture(code)) >= 1, code
+        _, last = re.search(rf"^{figure} +(\S+) -> +(\S+)", done.text(code), re.MULTILINE).groups()
+        assert float(last) == pytest.approx(kept[name]["policies"][-1][figure], abs=0.006)
