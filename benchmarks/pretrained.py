@@ -22,7 +22,7 @@ from quadwalk.settings.training import RobotConfig
 
 # Task -> flags of the training whose networks it begins with, and the seed of both.
 BEGINS = {"drive": ["walk", "--steps", "12000000"], "universal": ["drive"]}
-SEED = {"drive": ["--seed", "1"], "getup": ["--seed", "2"]}
+SEED = {"drive": ["--seed", "1"], "getup": ["--seed", "2"], "universal": ["--seed", "1"]}
 TASKS = ["run", "walk", "drive", "getup", "rough", "universal"]
 
 
