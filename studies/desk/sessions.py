@@ -2,7 +2,7 @@
 
     python -m studies.desk.sessions [--only blog walk run] [--runs runs] [--out results.json]
 
-- `blog`: the blog post's task learns to crawl on its knees, until two terms bring it onto its feet.
+- `blog`: the blog post's task learns to crawl on its knees, until two terms get it on its feet.
 - `walk`: the packaged policy goes on, until one number asks its feet to swing higher.
 - `run`: the packaged policy slows to a chosen speed, until one slider makes energy dear.
 
@@ -29,7 +29,6 @@ from quadwalk.env import rewards
 from quadwalk.evaluation.load import Command, load_run
 from quadwalk.evaluation.metrics import get_mean, to_json_number
 from quadwalk.evaluation.results import evaluate_policy
-from quadwalk.evaluation.rollout import Rollout
 from quadwalk.files import open_atomic
 from quadwalk.learn.desk import DeskIteration
 from quadwalk.learn.devices import set_up_devices
@@ -38,13 +37,11 @@ from quadwalk.runs.directory import Run
 from quadwalk.settings.terms import Reward
 from quadwalk.settings.training import TrainConfig
 from quadwalk.task_files import load_task
-from studies.gecko.gait import find_body_contact
+from studies.gecko.gait import find_body_contact, sample_frames
 
 RESULTS = Path(__file__).parent / "results.json"
 EPISODES = 4  # of a policy that is measured
 SECONDS = 10.0  # of an episode
-FRAMES = 4  # of an episode, that are kept for pictures
-FRAME_SECONDS = 0.12  # from one of them to the next
 POLICIES = "policies"  # folder in a run's: the policies that were kept as it trained
 TIMES = "processor.json"  # in a run's folder: processor time after each iteration, s
 
@@ -142,8 +139,7 @@ def measure_policy(policy: Run, command: Command | None) -> dict[str, Any]:
     """Return figures of a policy, each the mean of `EPISODES` in MuJoCo C.
 
     `body_contact` is the share of time in which anything but a foot is on the floor, and
-    `foot_contact` that in which a foot is. `frames` are `FRAMES` states (19,) of the first episode,
-    `FRAME_SECONDS` apart, from its middle on.
+    `foot_contact` that in which a foot is. `frames` are the `sample_frames` of the first episode.
     """
     loaded = load_run(policy, SECONDS, engine="mujoco", command=command)
     result = evaluate_policy(loaded, EPISODES, seed=0)
@@ -162,15 +158,8 @@ def measure_policy(policy: Run, command: Command | None) -> dict[str, Any]:
         "height": float(gait.body_height[0]),
         "body_contact": float(np.mean([contact.mean() for contact in contacts])),
         "foot_contact": float(np.mean([contact.mean() for contact in feet])),
-        "frames": pick_frames(result.rollouts[0]),
+        "frames": sample_frames(result.rollouts[0]),
     }
-
-
-def pick_frames(rollout: Rollout) -> list[list[float]]:
-    """Return states (19,) of an episode from its middle on, for pictures."""
-    stride = round(FRAME_SECONDS / rollout.control_dt)
-    frames = rollout.qpos[len(rollout.qpos) // 2 :: stride][:FRAMES]
-    return np.round(frames, 4).tolist()
 
 
 def measure_session(run: Run, session: Session) -> dict[str, Any]:

@@ -101,7 +101,7 @@ def test_as_committed_each_shows_its_pictures_and_names_a_commit(name):
     assert path.stat().st_size < 1.6e6
 
 
-def test_without_the_extra_zoo_the_last_one_says_so_at_once(monkeypatch, tmp_path):
+def test_without_the_extra_zoo_the_one_of_another_robot_says_so_at_once(monkeypatch, tmp_path):
     monkeypatch.setattr("sysconfig.get_path", lambda name: str(tmp_path))
     cells = nbformat.read(HERE / "07_your_robot.ipynb", as_version=4).cells
     first = next(cell for cell in cells if cell.cell_type == "code")
