@@ -54,6 +54,14 @@ gc.collect()
 gc.callbacks.clear()
 time.sleep(60)
 """
+CAUGHT = """
+try:
+    print("ready", flush=True)
+    time.sleep(60)
+except BaseException:
+    pass
+time.sleep(60)
+"""
 IGNORED = """
 while True:
     try:
@@ -102,6 +110,7 @@ def interrupt(
         (WORK, signal.SIGTERM),
         (LIBRARY_ERROR, signal.SIGINT),
         (CALLBACK, signal.SIGINT),
+        (CAUGHT, signal.SIGINT),
     ],
 )
 def test_a_signal_ends_a_command_in_one_line(tmp_path, body, number):

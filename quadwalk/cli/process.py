@@ -42,17 +42,21 @@ def _run(main: Callable[[], object]) -> Any:
         _end_at_signals()
         if os.isatty(2):
             os.write(2, _CURSOR)
+        if hasattr(signal, "setitimer"):  # not on Windows
+            signal.signal(signal.SIGALRM, interrupt_again)
+            signal.setitimer(signal.ITIMER_REAL, 0.1, 0.1)
         raise KeyboardInterrupt
 
-    def interrupt_again(unraisable: Any) -> None:
-        """Interrupt a moment later, for Python ignores errors in a callback of JAX."""
+    def interrupt_again(number: int, frame: FrameType | None) -> None:
+        """Interrupt what goes on: trimesh, or Python in a callback, caught the error."""
+        if not isinstance(sys.exception(), KeyboardInterrupt):  # else something closes its files
+            raise KeyboardInterrupt
+
+    def report_ignored(unraisable: Any) -> None:
         if not issubclass(unraisable.exc_type, KeyboardInterrupt):
             sys.__unraisablehook__(unraisable)
-        elif hasattr(signal, "setitimer"):  # not on Windows
-            signal.signal(signal.SIGALRM, interrupt)
-            signal.setitimer(signal.ITIMER_REAL, 0.1)
 
-    sys.unraisablehook = interrupt_again
+    sys.unraisablehook = report_ignored
     for number in (signal.SIGINT, signal.SIGTERM):
         if signal.getsignal(number) is not signal.SIG_IGN:  # as under nohup
             signal.signal(number, interrupt)
@@ -70,6 +74,8 @@ def _run(main: Callable[[], object]) -> Any:
     except SystemExit as stop:  # of --help
         return stop.code
     except BaseException as error:
+        if signals and hasattr(signal, "setitimer"):
+            signal.setitimer(signal.ITIMER_REAL, 0.0)
         if signals or isinstance(error, KeyboardInterrupt):  # a library may raise another error
             return _fail("interrupted", _INTERRUPTED)
         if isinstance(error, UserError):
