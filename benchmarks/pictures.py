@@ -8,6 +8,7 @@ Draws all of them, or those named, into docs/:
 - robustness, robustness_all: what studies/robustness/results.json holds.
 - terrain: every kind of terrain at full difficulty.
 - zoo: the robots of example-robot-data (extra `zoo`) with the masses and speeds of docs/zoo.md.
+- universal: robots that `universal` drives without training, each over one stride.
 - pipeline: from a URDF to a policy.
 - page: the page of `quadwalk demo`, in chromium (Debian's package).
 """
@@ -27,13 +28,19 @@ from benchmarks.film import draw_film
 from benchmarks.shared import find_example_robots, make_parser
 from quadwalk.cli.process import run_command
 from quadwalk.errors import UserError
+from quadwalk.evaluation.gait import find_middle_strides
+from quadwalk.evaluation.load import load_run
+from quadwalk.evaluation.rollout import reset_with_commands, simulate_episodes
+from quadwalk.evaluation.suites.gaits import to_held_run
 from quadwalk.evaluation.sweep import draw_sweep
 from quadwalk.paths import PRETRAINED
 from quadwalk.render.canvas import Camera, Canvas
 from quadwalk.render.figures import get_style, make_figure, save_figure, tidy
 from quadwalk.render.images import make_film_strip, save_png
+from quadwalk.robot.bodies import GRAVITY
 from quadwalk.robot.quadruped import load_quadruped
 from quadwalk.runs.directory import Run
+from quadwalk.settings.training import OtherRobotConfig
 from quadwalk.terrain.picture import draw_kinds
 from quadwalk.terrain.terrain import FLAT
 from quadwalk.terrain.tiles import KINDS
@@ -58,6 +65,10 @@ ROBOTS = {
     "Laikago": "laikago_description/urdf/laikago.urdf",
     "Solo12": "solo_description/robots/solo12.urdf",
 }
+
+# Those of universal.png.
+STRIDES_OF = ("Go2", "Solo12", "Laikago", "ANYmal B", "B1", "HyQ")
+PACE = 0.75  # share of the Froude speed that they are commanded to
 
 # of the pipeline: name -> x, y of its middle, what is in it
 STAGES = {
@@ -174,6 +185,41 @@ def draw_zoo() -> None:
     save_png(make_film_strip(pictures, across=3), DOCS / "zoo.png")
 
 
+def draw_universal() -> None:
+    """Write universal.png: a row for each robot of `STRIDES_OF`, one stride of it in MuJoCo C.
+
+    The packaged `universal` drives them, straight ahead. Raises `UserError` without
+    example-robot-data.
+    """
+    folder = find_example_robots()
+    if folder is None:
+        raise UserError("example-robot-data is not installed; expected the extra zoo")
+    rows = [draw_stride(name, folder / ROBOTS[name]) for name in STRIDES_OF]
+    save_png(make_film_strip(rows, across=1), DOCS / "universal.png")
+
+
+def draw_stride(name: str, file: Path, across: int = 5) -> np.ndarray:
+    """Return `across` pictures of one stride of a robot side by side; its file is a URDF."""
+    robot = OtherRobotConfig(urdf=file).find()
+    loaded = to_held_run(load_run(Run(PRETRAINED / "universal"), 8.0, robot=robot))
+    env = loaded.env
+    height = env.quadruped.home[2]
+    speed = round(PACE * (GRAVITY * height) ** 0.5, 1)
+    starts = reset_with_commands(env, [(speed, 0.0, 0.0)], 1, seed=0)
+    [rollout] = simulate_episodes(env, loaded.policy.act, 1, seed=0, starts=starts)
+    start, end = find_middle_strides(rollout, 1, otherwise=0.5)
+    canvas = Canvas(env.quadruped.make_full_model(), 288, 216)
+    font, pictures = ImageFont.load_default(size=16), []
+    for row in np.linspace(start, end, across, endpoint=False).round().astype(int):
+        pose = rollout.qpos[row]
+        eye = Camera((*pose[:2], 0.75 * height), 3.6 * height, azimuth=118.0, elevation=-14.0)
+        picture = Image.fromarray(canvas.draw(pose, eye))
+        text = f"{(row - start) * rollout.control_dt:.2f} s" if pictures else f"{name}  {speed} m/s"
+        ImageDraw.Draw(picture).text((8, 6), text, fill=(30, 34, 40), font=font)
+        pictures.append(np.asarray(picture))
+    return make_film_strip(pictures, across)
+
+
 def _make_box(x: float, y: float) -> FancyBboxPatch:
     """Return a box of the diagram with its center at `x`, `y`."""
     corner, style = (x - 0.8, y - 0.42), "round,pad=0.1"
@@ -211,6 +257,7 @@ DRAWINGS = {
     "robustness_all": draw_robustness_all,
     "terrain": draw_terrain,
     "zoo": draw_zoo,
+    "universal": draw_universal,
     "pipeline": draw_pipeline,
     "page": draw_page,
 }

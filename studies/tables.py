@@ -356,7 +356,7 @@ SUMMARY = (
     (
         "run",
         "`run`",
-        "{mujoco[speed]:.1f} m/s in MuJoCo C; {mujoco[falls]} of {mujoco[episodes]} episodes fall",
+        "{mujoco[speed]:.1f} m/s in MuJoCo C; falls of each policy: {mujoco[falls]}",
     ),
     (
         "run",

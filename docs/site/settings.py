@@ -45,7 +45,7 @@ wrote this page from the source.
 """
 # The kinds of terms, by their names in `EnvConfig`: a heading, and what the numbers mean.
 KINDS = {
-    "reward": ("Rewards", "The number is the scale. A term with scale 0 is left out."),
+    "reward": ("Rewards", "The number is the scale of each control step. 0 leaves a term out."),
     "observation": ("Observations", "The policy and the value network see these. {noise}"),
     "critic": ("Observations of the critic", "Only the value network sees these. {noise}"),
     "termination": ("Terminations", "A robot that meets one of them has fallen."),

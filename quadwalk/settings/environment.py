@@ -75,16 +75,15 @@ class CommandConfig(Settings, group="env.command"):
     # m/s, forward speed from which on the lateral range is zero, after it has shrunk; None: it
     # stays
     lateral_until: Positive | None = None
-    # m/s^2, limit of a command's centripetal acceleration, beside half of what friction permits;
-    # rewards limit the yaw rate likewise while the robot is faster; None: no limit
+    # m/s^2, limit of a command's centripetal acceleration; half of the floor's grip is another;
+    # rewards limit the yaw rate of a robot that is faster, too; None: no limit
     turning: Positive | None = None
     # m/s^2, rate at which the command that rewards count approaches a new one; None: at once
     acceleration: Positive | None = None
-    # m, leg length that the velocities are for; other robots get them at the same Froude number;
-    # None: all robots have the same
+    # m, leg length for which the velocities hold; others get the same Froude numbers; None: all
     leg: Positive | None = None
-    # with `leg`, limit of forward velocities, as a share of the speed at which the thighs' motors
-    # can swing a foot; None: no limit
+    # with `leg`: largest forward velocity, as a share of the thigh motors' swing speed of a foot;
+    # None: no limit
     swing: Share | None = None
     margin: Share = 0.0  # training samples from ranges that are wider by this share
 
@@ -192,8 +191,8 @@ class RandomizationConfig(Settings, group="env.randomization"):
     # training widens each range by this share of its ends' distance from the model's value;
     # evaluations do not
     margin: Share = 0.0
-    # share of training's episodes in which nothing is randomized: the model's own numbers are at
-    # the ends of several ranges and rare otherwise; evaluations leave it out
+    # share of training episodes without randomization, for ranges that begin at the model's values;
+    # evaluations leave it out
     ideal: Share = 0.0
 
 
@@ -260,8 +259,8 @@ class EnvConfig(Settings, group="env"):
     substeps: Few  # physics steps in a control step
     solver_iterations: Few  # Newton iterations of the contact solver (benchmarks/accuracy.py)
     line_search_iterations: Few  # line search iterations of each Newton iteration
-    # parts that touch the floor: feet; knees too; body: the trunk's lower corners too; all: its
-    # upper corners and the hips too
+    # parts that touch the floor: feet; and knees; and lower corners of the trunk (body); and its
+    # upper corners and hips (all)
     contacts: Literal["feet", "knees", "body", "all"]
     episode_seconds: Seconds  # s, time limit of an episode
     motor: MotorConfig
@@ -275,8 +274,8 @@ class EnvConfig(Settings, group="env"):
     randomization: RandomizationConfig
     # Runs of early versions do not state it.
     ground: GroundConfig = FLAT
-    # m, leg length of which observations, rewards and terminations see any robot, at the same
-    # Froude number and with joints that turn alike; None: each robot as it is
+    # m, leg length to which terms scale every robot, by Froude number, with joints that turn alike;
+    # None: each robot as it is
     unit_leg: Positive | None = None
     # robots to train with in place of one; evaluations are of the robot itself
     bodies: BodiesConfig = BodiesConfig()

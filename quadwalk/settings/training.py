@@ -175,8 +175,8 @@ class TrainConfig(Settings):
     """Teach a quadruped a task. Results go to runs/NAME/."""
 
     task: tyro.conf.Suppress[str]  # its name
-    # what an evaluation measures beside the episodes' metrics: course, nothing; terrain, success on
-    # each kind of ground; commands, how they are followed; standing, how soon the robot stands up
+    # what an evaluation also measures: success by terrain, following of commands, standing up;
+    # course: nothing
     suite: Suite = "course"
     name: str | None = None  # the run's name; None: date, time and task
     runs: Path = Path("runs")  # the folder of all runs
