@@ -356,7 +356,7 @@ SUMMARY = (
     (
         "run",
         "`run`",
-        "{mujoco[speed]:.1f} m/s in MuJoCo C; {mujoco[falls]} falls in {mujoco[episodes]} episodes of each",
+        "{mujoco[speed]:.1f} m/s in MuJoCo C; falls: {mujoco[falls]} of {mujoco[episodes]}",
     ),
     (
         "run",
