@@ -187,6 +187,16 @@ def slip(robot: RobotConstants, step: Step) -> jax.Array:
     return jnp.mean(speed * (step.start_contact & step.contact))
 
 
+def slip_share(robot: RobotConstants, step: Step, *, slow: float) -> jax.Array:
+    """Mean horizontal speed of the soles that stay on the floor over commanded pace, up to 1.
+
+    `slow`, m/s, is added to the pace. Unlike `slip` it makes a foot that shuffles at a slow walk as
+    dear as one that slips at a gallop. At the command to stand it is 0.
+    """
+    pace = _compute_pace(robot, step)
+    return jnp.minimum(slip(robot, step) / (pace + slow), 1.0) * (pace > 0.0)
+
+
 @needs_strides
 def short_stride(
     robot: RobotConstants, step: Step, *, frequency: float, increase: float
@@ -235,31 +245,16 @@ def crouch(robot: RobotConstants, step: Step, *, slow: float) -> jax.Array:
     return low * _compute_slowness(robot, step, slow)
 
 
-def feet_off(robot: RobotConstants, step: Step) -> jax.Array:
-    """Distance of the feet ahead of or behind their home places, as a share of the home height.
-
-    Along the trunk, of the middle of each pair, mean of both. So the swings of a trot are free, and
-    legs that work far behind their hips are not.
-    """
-    return jnp.mean(jnp.abs(_compute_pairs_ahead(robot, step)))
-
-
 def feet_behind(robot: RobotConstants, step: Step) -> jax.Array:
     """Distance of the feet behind their home places, as a share of the home height.
 
-    It is `feet_off` without what is ahead, where feet have to be when the robot brakes.
-    """
-    return jnp.mean(jnp.maximum(-_compute_pairs_ahead(robot, step), 0.0))
-
-
-def _compute_pairs_ahead(robot: RobotConstants, step: Step) -> jax.Array:
-    """Return how far the middle of each pair of feet is ahead of its home place (2,).
-
-    Along the trunk, as a share of the home height; the front pair first.
+    Along the trunk, of the middle of each pair, mean of both. So the swings of a trot are free, and
+    legs that work far behind their hips are not. Ahead is free: there feet brake.
     """
     feet = compute_leg_points(robot.geometry, step.qpos[7:])[0, :, 0]
     home = compute_leg_points(robot.geometry, robot.home_joints)[0, :, 0]
-    return jnp.mean((feet - home).reshape(2, 2), axis=1) / robot.home_height
+    behind = jnp.mean((home - feet).reshape(2, 2), axis=1) / robot.home_height
+    return jnp.mean(jnp.maximum(behind, 0.0))
 
 
 def _compute_slowness(robot: RobotConstants, step: Step, slow: float) -> jax.Array:

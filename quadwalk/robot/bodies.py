@@ -16,7 +16,7 @@ from quadwalk.robot.quadruped import Quadruped, load_quadruped
 from quadwalk.robot.scene import HOME, compute_rotation
 
 GRAVITY = 9.81  # m/s^2, under which torques and speeds are similar
-LIGHTEST, HEAVIEST = 2.3, 92.0  # kg
+LIGHTEST, HEAVIEST = 2.3, 140.0  # kg
 # Shares of bodies whose front and whose hind knees point ahead: as those of most robots, as of HyQ
 # and ANYmal, as of robots with all knees ahead, and as of none that is published.
 KNEES = {(False, False): 0.5, (False, True): 0.3, (True, True): 0.15, (True, False): 0.05}
@@ -65,7 +65,7 @@ class Body:
 
 # Lowest and highest of each figure. They span those of the robots of docs/zoo.md, with a margin.
 RANGES: dict[str, tuple[float, float]] = {
-    "leg": (0.2, 0.75),
+    "leg": (0.2, 0.85),
     "density": (60.0, 300.0),
     "height": (0.62, 0.84),
     "thigh": (0.44, 0.54),
@@ -78,10 +78,10 @@ RANGES: dict[str, tuple[float, float]] = {
     "hips": (0.28, 0.75),
     "calf": (0.05, 0.17),
     "ahead": (-0.08, 0.09),
-    "above": (-0.03, 0.1),
+    "above": (-0.03, 0.13),
     "spread_ahead": (0.65, 1.75),
     "spread_aside": (0.55, 1.6),
-    "effort": (0.22, 1.3),
+    "effort": (0.2, 1.3),
     "hip_effort": (0.5, 1.5),
     "calf_effort": (0.7, 2.0),
     "speed": (1.8, 15.0),

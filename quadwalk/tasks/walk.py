@@ -22,13 +22,13 @@ TASK = TrainConfig(
             "fall": Reward(rewards.fall, scale=-30.0),
             "energy": Reward(rewards.energy, scale=-0.2),
             "vertical": Reward(rewards.vertical, scale=-0.5),
-            "tilt": Reward(rewards.tilt, scale=-0.5),
+            "tilt": Reward(rewards.tilt, scale=-8.0),
             "roll_pitch_rate": Reward(rewards.roll_pitch_rate, scale=-0.05),
             "action_rate": Reward(rewards.action_rate, scale=-0.1),
             "follow": Reward(rewards.follow, {"width": 0.35}, scale=1.0),
             "follow_yaw_rate": Reward(rewards.follow_yaw_rate, {"width": 0.35}, scale=0.5),
             "drag": Reward(rewards.drag, {"height": 0.02}, scale=-0.3),
-            "feet_off": Reward(rewards.feet_off, scale=-1.0),
+            "feet_behind": Reward(rewards.feet_behind, scale=-2.0),
             "trot": Reward(
                 rewards.trot, {"stride": 20.0, "height": 0.08, "width": 0.04}, scale=1.0
             ),

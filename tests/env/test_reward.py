@@ -30,6 +30,7 @@ PARAMS = {
     "cost_of_transport": {"slow": 0.25},
     "short_stride": {"frequency": 0.5, "increase": 0.2},
     "swing_error": {"low": 0.2, "high": 0.4},
+    "slip_share": {"slow": 0.25},
     "flight": {"slow": 0.8},
     "crouch": {"slow": 0.8},
 }
@@ -72,6 +73,13 @@ def make_sole_step(heights, velocities) -> Step:
     """Return a step with soles at `heights` (4,), m, after `velocities` (4,), m/s, along y."""
     soles = jnp.zeros((4, 3)).at[:, 2].set(jnp.array(heights))
     return make_step(start_soles=soles.at[:, 1].add(-0.02 * jnp.array(velocities)), soles=soles)
+
+
+def make_slipping_step(command) -> Step:
+    """Return a step in which three feet stay on the floor, and two of them slip."""
+    return make_sole_step([0.0] * 4, [1.0, 9.0, -0.5, 0.0])._replace(
+        start_contact=jnp.array([True, False, True, True]), command=jnp.array(command)
+    )
 
 
 def make_fidgeting_step(robot, command: float) -> Step:
@@ -181,13 +189,9 @@ CASES = {
     ),
     # Half as high as a swing should be, on the floor, on the floor at rest, high enough.
     "drag": (make_sole_step([0.5, 0.0, 0.0, 1.5], [1.0, -0.6, 0.0, 1.0]), (0.5 + 0.6) / 4),
-    # Of the feet on the floor before and after it: the second one has just landed.
-    "slip": (
-        make_sole_step([0.0] * 4, [1.0, 9.0, -0.5, 0.0])._replace(
-            start_contact=jnp.array([True, False, True, True])
-        ),
-        (1.0 + 0.5) / 4,
-    ),
+    # The second foot has just landed.
+    "slip": (make_slipping_step([0.0, 0.0, 0.0]), (1.0 + 0.5) / 4),
+    "slip_share": (make_slipping_step([0.3, 0.4, 0.0]), (1.0 + 0.5) / 4 / (0.5 + 0.25)),
     # At the Froude speed 0.5 + 0.2 strides are due in a unit of time: FR lands after 0.7 of one, FL
     # after half of one, RR after more. RL stands.
     "short_stride": (
@@ -216,16 +220,11 @@ CASES = {
         ),
         0.2 * 0.75,
     ),
-    # Front thighs turn by 0.3 rad, and take feet that hang 0.5 cos(0.8) m below with them. Those of
-    # the hind legs turn apart, as in a trot.
-    "feet_off": (
-        lambda robot: turn_thighs(robot, [0.3, 0.3, 0.2, -0.2]),
-        0.5 * 0.5 * np.cos(0.8) * np.sin(0.3) / (0.5 * np.cos(0.8) + 0.0265),
-    ),
-    # The front feet are ahead, which is free; the hind ones are behind.
+    # The front feet are ahead, which is free. The hind thighs turn apart, as in a trot, and take
+    # feet that hang 0.5 cos(0.8) m below with them: in the mean backward.
     "feet_behind": (
-        lambda robot: turn_thighs(robot, [-0.5, -0.5, 0.3, 0.3]),
-        0.5 * 0.5 * np.cos(0.8) * np.sin(0.3) / (0.5 * np.cos(0.8) + 0.0265),
+        lambda robot: turn_thighs(robot, [-0.5, -0.5, 0.5, -0.1]),
+        0.5 * np.cos(0.8) * (np.sin(0.5) - np.sin(0.1)) / 4 / (0.5 * np.cos(0.8) + 0.0265),
     ),
     # Of knees and shins, whatever the trunk does: a quarter of the height that costs nothing.
     "kneel": (make_step(lowest=jnp.array([-0.3, 0.01])), 0.75),
@@ -258,15 +257,15 @@ LIMITS = {
     "follow_yaw_rate": (make_moving_step(0.0, 3.1, (0.0, 0.0), (0.0, 0.0, 0.0)), 0.0),
     "drag": (make_sole_step([0.0] * 4, [1e6] * 4), 2.0),
     "slip": (make_sole_step([0.0] * 4, [1e6] * 4), 2.0),
+    "slip_share": (make_slipping_step([0.0, 0.0, 0.0]), 0.0),  # soles may creep at a stand
     "short_stride": (lambda robot: make_landing_step(robot, [True] * 4), 4.0),
     "swing_error": (lambda robot: make_landing_step(robot, [True] * 4), 4.0),
     "flight": (make_step(command=jnp.array([0.0, 0.0, 9.0]), contact=jnp.zeros(4, bool)), 0.0),
     "crouch": (lambda robot: make_standing_step(robot, share=9.0), 0.0),
-    "feet_off": (
+    "feet_behind": (
         lambda robot: turn_thighs(robot, [np.pi / 2] * 4),
         0.5 * np.cos(0.8) / (0.5 * np.cos(0.8) + 0.0265),
     ),
-    "feet_behind": (lambda robot: turn_thighs(robot, [-np.pi / 2] * 4), 0.0),
     "joint_speed": (make_step(qvel=jnp.full(18, 90.0)), 100.0),
     "upright": (make_step(qpos=turn_trunk(roll=np.pi)), 0.0),
     "raised": (lambda robot: make_standing_step(robot, share=9.0), 1.0),
