@@ -20,9 +20,9 @@ from quadwalk.runs.directory import Run
 from quadwalk.settings.serialize import to_dict
 from quadwalk.settings.training import RobotConfig
 
-# Task -> flags of the training whose networks it begins with, and the seed of both.
-BEGINS = {"drive": ["walk", "--steps", "12000000"], "universal": ["drive"]}
-SEED = {"drive": ["--seed", "1"], "getup": ["--seed", "2"], "universal": ["--seed", "1"]}
+# Task -> flags of the training whose networks it begins with, whatever its own seed.
+BEGINS = {"drive": ["walk", "--steps", "12000000", "--seed", "1"], "universal": ["drive"]}
+SEED = {"getup": ["--seed", "2"], "universal": ["--seed", "1"]}
 TASKS = ["run", "walk", "drive", "getup", "rough", "universal"]
 
 
@@ -41,24 +41,23 @@ def main() -> None:
 def train_task(task: str, runs: Path, name: str, flags: list[str]) -> Run:
     """Train a run `name` of a task in the folder `runs`, unless it is there; return it.
 
-    A run whose networks it begins with is trained before: with the same `flags`, or if it is that
-    of a packaged policy, as that one.
+    A run whose networks it begins with is trained before.
     """
     run = Run(runs / name)
     if not run.policy.exists():
         begin: list[str] = []
         if task in BEGINS:
-            begin = ["--init", str(train_first(task, runs, name, flags))]
+            begin = ["--init", str(train_first(task, runs))]
         train_run(runs, name, [task, *flags, *begin])
     return run
 
 
-def train_first(task: str, runs: Path, name: str, flags: list[str]) -> Path:
-    """Train the run that a run `name` of `task` begins with, unless it is there; return it."""
+def train_first(task: str, runs: Path) -> Path:
+    """Train the run that runs of `task` begin with, unless it is there; return its folder."""
     first, *more = BEGINS[task]
     if not more:
         return train_task(first, runs, first, SEED.get(first, [])).path
-    return train_run(runs, f"{name}-first", [first, *more, *flags])
+    return train_run(runs, f"{task}-first", [first, *more])
 
 
 def train_run(runs: Path, name: str, flags: list[str]) -> Path:

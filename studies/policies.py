@@ -82,8 +82,8 @@ def write_figures(
     """
     evaluations = [read_evaluations(run, root) for run in runs]
     rows = [
-        {"name": name_column(task, run), **origin, **round_figures(read_figures(run, own))}
-        for run, own in zip(runs, evaluations, strict=True)
+        {"name": name_column(task, run), **origin, **round_figures(read_figures(run, evaluation))}
+        for run, evaluation in zip(runs, evaluations, strict=True)
     ]
     write_json(file, make_result(task, rows, list(chain(*evaluations))))
     print(f"written to {file}")
@@ -128,11 +128,11 @@ def name_column(task: str, run: Run) -> str:
 
 def is_packaged(task: str, run: Run) -> bool:
     """Return True if the run's policy has the weights of the one that comes with the package."""
-    mine, packaged = (
+    arrays, packaged = (
         checkpoint.load(file, "policy")[0] for file in (run.policy, Run(PRETRAINED / task).policy)
     )
-    return mine.keys() == packaged.keys() and all(
-        np.array_equal(mine[name], packaged[name]) for name in mine
+    return arrays.keys() == packaged.keys() and all(
+        np.array_equal(arrays[name], packaged[name]) for name in arrays
     )
 
 
@@ -181,7 +181,7 @@ def list_trainings(task: str) -> list[str]:
     if task not in BEGINS:
         return [f"python train.py {task} --seed N"]
     return [
-        f"python train.py {' '.join(BEGINS[task])} --seed N --name first",
+        f"python train.py {' '.join(BEGINS[task])} --name first",
         f"python train.py {task} --init first --seed N",
     ]
 
